@@ -1,0 +1,143 @@
+"""Learning: the scan over trials, and the same loop by hand for a real machine."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from .machine import Machine
+from .metrics import Metrics, measure
+from .schemes import Scheme
+from .signals import Task, Trial
+from .trial import run_trial
+
+
+class History(NamedTuple):
+    """What learning left behind, J trials.
+
+    metrics: each field with a leading axis of J;  saved: what `save` returned, likewise
+    diverged_at: () first trial (counted from 1) that was not finite, 0 if none
+    final: the last Trial;  memory: the state of knowledge to go on from
+    """
+
+    metrics: Metrics
+    saved: Any
+    diverged_at: jax.Array
+    final: Trial
+    memory: Any
+
+    @property
+    def max_error(self) -> jax.Array:
+        """(J, n_y) max |e| of each trial."""
+        return self.metrics.max_error
+
+    @property
+    def rms(self) -> jax.Array:
+        """(J, n_y) root mean square error of each trial."""
+        return self.metrics.rms
+
+    @property
+    def settled_error(self) -> jax.Array:
+        """(J, n_y) max |e| in the settled window of each trial."""
+        return self.metrics.settled_error
+
+    @property
+    def effort(self) -> jax.Array:
+        """(J, n_u) root mean square input of each trial."""
+        return self.metrics.effort
+
+    @property
+    def finite(self) -> jax.Array:
+        """(J,) whether the trial stayed finite."""
+        return self.metrics.finite
+
+
+def learn(
+    machine: Machine,
+    scheme: Scheme,
+    task: Task,
+    trials: int,
+    *,
+    key: jax.Array | None = None,
+    memory: Any = None,
+    save: Callable[[Trial], Any] | None = None,
+) -> History:
+    """Repeat the task, learning after each trial.
+
+    trials: J >= 1;  key: of the noise, trial j uses `fold_in(key, j)`; None is a fixed key
+    memory: to go on from (`history.memory`), None to start afresh;  save: what to keep of each trial, besides its metrics
+    Differentiable and vmappable; the trial is a `jax.checkpoint`, so a gradient stores one memory per trial, not its samples.
+    Raises ValueError, before anything is compiled, where machine, scheme and task do not fit.
+    """
+    if int(trials) != trials or trials < 1:
+        raise ValueError(f"learn: trials = {trials!r} is outside its allowed range [1, inf)")
+    check(machine, scheme, task)
+    return _learn(machine, scheme, task, int(trials), jax.random.key(0) if key is None else key, memory, save or _nothing)
+
+
+def check(machine: Machine, scheme: Scheme, task: Task) -> None:
+    """Raises ValueError, naming the parameter, where machine, scheme and task do not fit."""
+    machine.check(task)
+    scheme.check(task)
+    jax.eval_shape(lambda m: m.plant.sampled(task.dt), machine)
+
+
+@partial(jax.jit, static_argnames=("trials", "save"))
+def _learn(machine, scheme, task, trials, key, memory, save) -> History:
+    machine = machine.sampled(task.dt)
+    memory = scheme.memory(task) if memory is None else memory
+
+    @jax.checkpoint
+    def trial_and_learning(memory, j):
+        trial = run_trial(machine, scheme, task, memory, jax.random.fold_in(key, j))
+        return scheme.learn(memory, trial), trial, (measure(trial, task), save(trial))
+
+    def body(carry, j):
+        memory, trial, kept = trial_and_learning(carry[0], j)
+        return (memory, trial), kept
+
+    blank = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), jax.eval_shape(trial_and_learning, memory, 1)[1])
+    (memory, final), (metrics, saved) = lax.scan(body, (memory, blank), jnp.arange(1, trials + 1))
+    diverged_at = jnp.where(jnp.all(metrics.finite), 0, jnp.argmin(metrics.finite) + 1)
+    return History(metrics, saved, diverged_at, final, memory)
+
+
+def _nothing(trial: Trial) -> None:
+    return None
+
+
+def measured_trial(task: Task, y, u) -> Trial:
+    """The record of a trial measured on a real machine.
+
+    y: (N+1, n_y) or (N+1,) output, y[0] before the first input;  u: (N, n_u) or (N,) input as applied
+    Raises ValueError naming the signal where its length, channels or values are not those of the task.
+    """
+    signals = {}
+    for name, values, shape in (("y", y, (task.N + 1, task.outputs)), ("u", u, (task.N, task.inputs))):
+        values = np.asarray(values, dtype=float)
+        values = values[:, None] if values.ndim == 1 else values
+        if values.shape != shape:
+            raise ValueError(f"measured_trial: {name} has shape {np.shape(values)}; this task needs {shape}")
+        if not np.all(np.isfinite(values)):
+            raise ValueError(f"measured_trial: {name} is not finite at sample {int(np.argmin(np.isfinite(values).all(axis=1)))}")
+        signals[name] = jnp.asarray(values)
+    return Trial(jnp.asarray(task.reference), signals["y"], signals["u"], task.dt)
+
+
+def next_memory(scheme: Scheme, task: Task, memory, y, u):
+    """One turn of the loop by hand: what the scheme knows after a measured trial; `feedforward` then gives the next input.
+
+    Raises as `measured_trial` does.
+    """
+    return scheme.learn(memory, measured_trial(task, y, u))
+
+
+def feedforward(scheme: Scheme, task: Task, memory) -> jax.Array:
+    """(N, n_u) the input that the scheme will play back in the next trial (feedback within the trial comes on top)."""
+    return scheme.table(memory, task).u

@@ -1,0 +1,128 @@
+"""The machine around a plant: actuator, sensors, disturbances. Each part is optional and costs nothing when absent."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+
+from .plants import Plant
+from .pytree import leaf, part, pytree
+from .signals import Task
+
+
+def quantise(x, step):
+    """Round to multiples of `step`. The gradient is straight-through: d quantise / dx = 1."""
+    return x + lax.stop_gradient(jnp.round(x / step) * step - x)
+
+
+@pytree
+class Actuator:
+    """Saturation, rate limit and converter of the input: u = Q(clip(u_prev + clip(u - u_prev, -rate dt, rate dt), -limit, limit)).
+
+    limit:      () or (n_u,) largest |u| [unit of u]; gradient zero beyond it
+    rate:       () or (n_u,) largest |du/dt| [unit of u per s]; gradient zero beyond it
+    resolution: () or (n_u,) converter step [unit of u]; gradient straight-through
+    """
+
+    limit: jax.Array | None = leaf(None, "(0, inf)", optional=True)
+    rate: jax.Array | None = leaf(None, "(0, inf)", optional=True)
+    resolution: jax.Array | None = leaf(None, "(0, inf)", optional=True)
+
+    def apply(self, u, u_last, dt):
+        """u: (n_u,) commanded, u_last: (n_u,) applied one sample before -> (n_u,) applied."""
+        if self.rate is not None:
+            u = u_last + jnp.clip(u - u_last, -self.rate * dt, self.rate * dt)
+        if self.limit is not None:
+            u = jnp.clip(u, -self.limit, self.limit)
+        return u if self.resolution is None else quantise(u, self.resolution)
+
+
+@pytree
+class Sensor:
+    """An encoder: y_measured = Q(y + noise).
+
+    resolution: () or (n_y,) step [unit of y]; gradient straight-through
+    noise:      () or (n_y,) standard deviation of white noise [unit of y]
+    """
+
+    resolution: jax.Array | None = leaf(None, "(0, inf)", optional=True)
+    noise: jax.Array | None = leaf(None, "[0, inf)", optional=True)
+
+    def measure(self, y, noise):
+        if noise is not None:
+            y = y + self.noise * noise
+        return y if self.resolution is None else quantise(y, self.resolution)
+
+
+@pytree
+class Disturbance:
+    """What acts on the machine besides the input; the repetitive part is the same in each trial, the noise is drawn anew.
+
+    input:        (N, n_u) repetitive, added to the plant's input;   output: (N+1, n_y) repetitive, added to the plant's output
+    input_noise:  () or (n_u,) standard deviation of the non-repetitive part at the input
+    output_noise: () or (n_y,) the same at the output (true motion, unlike the sensor's noise)
+    """
+
+    input: jax.Array | None = leaf(None, optional=True)
+    output: jax.Array | None = leaf(None, optional=True)
+    input_noise: jax.Array | None = leaf(None, "[0, inf)", optional=True)
+    output_noise: jax.Array | None = leaf(None, "[0, inf)", optional=True)
+
+
+class Draws(NamedTuple):
+    """One trial's disturbances and sensor noise, sample by sample; None where the machine has none."""
+
+    input: jax.Array | None  # (N, n_u), in units of the input
+    output: jax.Array | None  # (N+1, n_y), in units of the output
+    sensor: jax.Array | None  # (N+1, n_y), of unit variance
+
+
+@pytree
+class Machine:
+    """A plant with its actuator, sensors and disturbances."""
+
+    plant: Plant = part()
+    actuator: Actuator | None = part(None)
+    sensor: Sensor | None = part(None)
+    disturbance: Disturbance | None = part(None)
+
+    def sampled(self, dt: float) -> Machine:
+        """This machine with its plant's sample-time dependent part worked out, once, outside the scans."""
+        return Machine(self.plant.sampled(dt), self.actuator, self.sensor, self.disturbance)
+
+    def actuate(self, u, u_last, dt):
+        return u if self.actuator is None else self.actuator.apply(u, u_last, dt)
+
+    def measure(self, y, noise):
+        return y if self.sensor is None else self.sensor.measure(y, noise)
+
+    def draws(self, key, task: Task) -> Draws:
+        """The disturbances and noise of one trial."""
+        of_input, of_output, of_sensor = jax.random.split(key, 3)
+        d, shape_u, shape_y = self.disturbance, (task.N, task.inputs), (task.N + 1, task.outputs)
+        noisy = self.sensor is not None and self.sensor.noise is not None
+        return Draws(
+            None if d is None else _total("input", d.input, d.input_noise, of_input, shape_u),
+            None if d is None else _total("output", d.output, d.output_noise, of_output, shape_y),
+            jax.random.normal(of_sensor, shape_y) if noisy else None,
+        )
+
+    def check(self, task: Task) -> None:
+        """Raises ValueError where machine and task do not fit: channels, lengths, sample time."""
+        for what, here, there in (("inputs", self.plant.n_u, task.inputs), ("outputs", self.plant.n_y, task.outputs)):
+            if here != there:
+                raise ValueError(f"the task has {there} {what} but the plant {type(self.plant).__name__} has {here}")
+        for name, shape in (("input", (task.N, task.inputs)), ("output", (task.N + 1, task.outputs))):
+            signal = getattr(self.disturbance, name, None)
+            if signal is not None and signal.shape[-2:] != shape:
+                raise ValueError(f"Disturbance: {name} has shape {signal.shape}; this task needs {shape}")
+
+
+def _total(name, repetitive, std, key, shape):
+    if std is None:
+        return repetitive
+    noise = std * jax.random.normal(key, shape)
+    return noise if repetitive is None else repetitive + noise

@@ -1,0 +1,36 @@
+"""What a trial is judged by."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from .signals import Task, Trial
+
+
+class Metrics(NamedTuple):
+    """Figures of one trial, over the samples the input can reach (k = 1..N); errors in the unit of y, effort in that of u.
+
+    max_error: (n_y,) max |e|;  rms: (n_y,) root mean square of e;  settled_error: (n_y,) max |e| in the settled window
+    effort: (n_u,) root mean square of u;  finite: () whether every y and u is finite
+    """
+
+    max_error: jax.Array
+    rms: jax.Array
+    settled_error: jax.Array
+    effort: jax.Array
+    finite: jax.Array
+
+
+def measure(trial: Trial, task: Task) -> Metrics:
+    """The metrics of one trial. A sample at which |e| or |u| is not finite makes the figures it enters not finite."""
+    e = jnp.abs(trial.e)
+    return Metrics(
+        max_error=jnp.max(e[1:], axis=0),
+        rms=jnp.sqrt(jnp.mean(e[1:] ** 2, axis=0)),
+        settled_error=jnp.max(e[task.settled], axis=0),
+        effort=jnp.sqrt(jnp.mean(trial.u**2, axis=0)),
+        finite=jnp.all(jnp.isfinite(trial.y)) & jnp.all(jnp.isfinite(trial.u)),
+    )

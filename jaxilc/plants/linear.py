@@ -1,0 +1,162 @@
+"""Linear plants: state space, difference equation, and any system of python-control."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import jax.scipy.linalg
+import numpy as np
+
+from ..pytree import leaf, pytree, static
+from .plant import Plant
+
+
+def zoh(A, B, dt):
+    """Exact zero-order hold: exp([[A, B], [0, 0]] dt) = [[A_d, B_d], [0, I]].
+
+    A: (n, n) [1/s], B: (n, n_u), dt [s] -> A_d (n, n), B_d (n, n_u)
+    """
+    n, m = B.shape
+    block = jnp.zeros((n + m, n + m), jnp.result_type(A, B)).at[:n, :n].set(A).at[:n, n:].set(B)
+    transition = jax.scipy.linalg.expm(block * dt)
+    return transition[:n, :n], transition[:n, n:]
+
+
+def matching(plant: Plant, own_dt: float, dt: float) -> Plant:
+    """`plant`, whose own sample time is `own_dt`, if that is the task's; else ValueError."""
+    if abs(own_dt - dt) > 1e-9 * dt:
+        raise ValueError(f"{type(plant).__name__} is sampled at {own_dt:g} s but the task at {dt:g} s; allowed is dt = {own_dt:g}")
+    return plant
+
+
+@pytree
+class StateSpace(Plant):
+    """x' = A x + B u, y = C x; continuous if `dt` is 0, else x[k+1] = A x[k] + B u[k].
+
+    A: (n, n), B: (n, n_u), C: (n_y, n);  x0: (n,) initial state, None for rest
+    dt: sample time the matrices belong to [s]; 0 for continuous time, then sampled exactly with a zero-order hold
+    """
+
+    A: jax.Array = leaf()
+    B: jax.Array = leaf()
+    C: jax.Array = leaf()
+    x0: jax.Array | None = leaf(None, optional=True)
+    dt: float = static(0.0, "[0, inf)")
+
+    def __post_init__(self):
+        n, m, p = self.A.shape[-1], self.B.shape[-1], self.C.shape[-2] if self.C.ndim > 1 else 0
+        if self.A.shape[-2:] != (n, n) or self.B.shape[-2:] != (n, m) or self.C.shape[-2:] != (p, n):
+            raise ValueError(
+                f"StateSpace: A {self.A.shape}, B {self.B.shape}, C {self.C.shape} do not fit; allowed are (n, n), (n, n_u), (n_y, n)"
+            )
+
+    @property
+    def n_u(self) -> int:
+        return self.B.shape[-1]
+
+    @property
+    def n_y(self) -> int:
+        return self.C.shape[-2]
+
+    def sampled(self, dt: float) -> StateSpace:
+        if self.dt:
+            return matching(self, self.dt, dt)
+        A, B = zoh(self.A, self.B, dt)
+        return StateSpace(A, B, self.C, self.x0, dt=dt)
+
+    def init(self):
+        return jnp.zeros_like(self.A, shape=self.A.shape[-1:]) if self.x0 is None else jnp.asarray(self.x0)
+
+    def step(self, x, u, dt):
+        return self.A @ x + self.B @ u
+
+    def output(self, x):
+        return self.C @ x
+
+
+@pytree
+class DifferenceEquation(Plant):
+    """y[k] = a_1 y[k-1] + ... + a_n y[k-n] + b_1 u[k-1] + ... + b_n u[k-n], one input, one output.
+
+    a, b: (n,) coefficients, signs as written above;  dt: sample time they belong to [s]
+    The state is the transposed direct form II, which needs no shifting registers of y and u.
+    """
+
+    a: jax.Array = leaf()
+    b: jax.Array = leaf()
+    dt: float = static(interval="(0, inf)")
+
+    def __post_init__(self):
+        if self.a.shape != self.b.shape or self.a.ndim < 1:
+            raise ValueError(f"DifferenceEquation: a {self.a.shape} and b {self.b.shape} must both have shape (n,); pad with zeros")
+
+    def sampled(self, dt: float) -> DifferenceEquation:
+        return matching(self, self.dt, dt)
+
+    def init(self):
+        return (jnp.zeros_like(self.a, shape=()),) * self.a.shape[0]
+
+    def step(self, x, u, dt):
+        # registers one by one: as an array, shifting them would cost a copy a sample
+        shifted = (*x[1:], 0.0)
+        return tuple(s + self.a[i] * x[0] + self.b[i] * u[0] for i, s in enumerate(shifted))
+
+    def output(self, x):
+        return x[0][None]
+
+
+def from_control(system, *, allow_unstable: bool = False) -> StateSpace:
+    """A plant from a python-control StateSpace or TransferFunction, SISO or MIMO, continuous or discrete.
+
+    A continuous system is sampled with a zero-order hold at the task's sample time; a discrete one keeps its own, which must be
+    the task's. A MIMO transfer function becomes one realisation per entry, side by side (not minimal, but exact).
+    Raises ValueError for an improper system, direct feedthrough, an unspecified sample time, or (unless `allow_unstable`) an
+    unstable system: feed it with the loop already closed, or say that the scheme stabilises it.
+    """
+    import control
+
+    if not isinstance(system, control.StateSpace | control.TransferFunction):
+        raise ValueError(f"from_control: {type(system).__name__} is not a control.StateSpace or control.TransferFunction")
+    if system.dt is None or system.dt is True:
+        raise ValueError(f"from_control: dt = {system.dt} leaves the sample time open; allowed are 0 (continuous) and a time in s")
+    A, B, C, D = _matrices(system)
+    if np.any(D):
+        raise ValueError(
+            f"from_control: direct feedthrough D = {D.tolist()}; u[k] acts on y[k+1] at the earliest, so D must be 0: "
+            "make the system strictly proper, or delay it by a sample"
+        )
+    poles = np.linalg.eigvals(A) if A.size else np.zeros(0)
+    growth = np.max(poles.real, initial=-np.inf) if system.dt == 0 else np.max(np.abs(poles), initial=0.0) - 1.0
+    if growth > 1e-7 and not allow_unstable:
+        where = "right of the imaginary axis" if system.dt == 0 else "outside the unit circle"
+        raise ValueError(
+            f"from_control: the system is unstable (a pole {growth:.3g} {where}); close a loop first or pass allow_unstable=True"
+        )
+    return StateSpace(A, B, C, dt=float(system.dt))
+
+
+def _matrices(system):
+    """A, B, C, D of a python-control system."""
+    import control
+
+    if isinstance(system, control.StateSpace):
+        return system.A, system.B, system.C, system.D
+    blocks = {}
+    for i in range(system.noutputs):
+        for j in range(system.ninputs):
+            num, den = np.atleast_1d(system.num[i][j]), np.atleast_1d(system.den[i][j])
+            if len(np.trim_zeros(num, "f")) > len(np.trim_zeros(den, "f")):
+                raise ValueError(f"from_control: entry ({i}, {j}) is improper (numerator of higher order than the denominator)")
+            blocks[i, j] = control.tf2ss(num, den)
+    return _side_by_side(blocks, system.noutputs, system.ninputs)
+
+
+def _side_by_side(blocks, n_y, n_u):
+    order = sum(b.nstates for b in blocks.values())
+    A, B, C, D = np.zeros((order, order)), np.zeros((order, n_u)), np.zeros((n_y, order)), np.zeros((n_y, n_u))
+    at = 0
+    for (i, j), block in blocks.items():
+        here = slice(at, at + block.nstates)
+        A[here, here], B[here, j], C[i, here], D[i, j] = block.A, block.B[:, 0], block.C[0], block.D[0, 0]
+        at = here.stop
+    return A, B, C, D

@@ -1,0 +1,34 @@
+"""What a plant is."""
+
+from __future__ import annotations
+
+from typing import Any
+
+State = Any
+
+
+class Plant:
+    """A plant steps. Its parameters are the fields of a `@pytree` class; a user's own plant subclasses this.
+
+    `step` gets the sample time, so a continuous plant may integrate over it; whatever depends on the sample time alone is worked
+    out in `sampled`, which runs once per simulation, outside the scans.
+    """
+
+    n_u: int = 1
+    n_y: int = 1
+
+    def sampled(self, dt: float) -> Plant:
+        """The plant prepared for sample time dt [s]."""
+        return self
+
+    def init(self) -> State:
+        """The state at rest before the first sample."""
+        raise NotImplementedError
+
+    def step(self, x: State, u, dt: float) -> State:
+        """The state one sample later under the input u (n_u,), held over the sample."""
+        raise NotImplementedError
+
+    def output(self, x: State):
+        """(n_y,) the output in state x. There is no feedthrough: u[k] acts on y[k+1]."""
+        raise NotImplementedError

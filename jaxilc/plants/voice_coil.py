@@ -1,0 +1,62 @@
+"""The voice-coil linear motor with its drive, as Cao 2019 and Dai 2014 identified it."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+
+from ..pytree import leaf, pytree
+from .linear import DifferenceEquation, zoh
+from .plant import Plant
+
+CAO_2019_EQ_29 = {"a": (2.2386, -1.6246, 0.385), "b": (0.0018, -0.0036, -0.0025)}
+DAI_2014_EQ_24 = {"a": (2.236, -1.6246, 0.385), "b": (0.0018, -0.0036, -0.0025)}
+
+
+@pytree
+class VoiceCoil(Plant):
+    """Motor and drive from voltage [V] to position [mm], one zero and three poles (Cao 2019, eq. 6 and 7).
+
+        G(s) = gain (s - zero) / ((s + poles_1)(s + poles_2)(s + poles_3))
+
+    gain: () [mm/(V s^2)];  zero: () [rad/s], positive: the plant is non-minimum phase;  poles: (3,) [rad/s], positive: stable
+    The DC gain is -4.798 mm/V although the first sample of the response to a positive step is positive.
+    """
+
+    gain: jax.Array = leaf(7437.7769)
+    zero: jax.Array = leaf(928.2)
+    poles: jax.Array = leaf((474.0, 474.0, 6.404), "(0, inf)")
+
+    def sampled(self, dt: float) -> DifferenceEquation:
+        """Exact zero-order hold as a difference equation: the poles map to exp(-p dt), the numerator follows from the first three
+        Markov parameters h_i = C A^(i-1) B, since b(z) = a(z) h(z)."""
+        p1, p2, p3 = self.poles[0], self.poles[1], self.poles[2]
+        # a cascade: two lags, then a lag carrying the zero; well scaled, and nothing singular when poles coincide
+        A = jnp.array([[-p1, 0.0, 0.0], [p2, -p2, 0.0], [0.0, p3, -p3]])
+        B = jnp.array([[1.0], [0.0], [0.0]]) * p1
+        # the cascade's output is p1 p2 p3 / prod(s + p); (s - zero) acts on it as x3' - zero x3
+        C = jnp.array([0.0, p3, -p3 - self.zero]) * self.gain / (p1 * p2 * p3)
+        A_d, B_d = zoh(A, B, dt)
+        h = [C @ B_d[:, 0], C @ A_d @ B_d[:, 0], C @ A_d @ A_d @ B_d[:, 0]]
+        z1, z2, z3 = jnp.exp(-p1 * dt), jnp.exp(-p2 * dt), jnp.exp(-p3 * dt)
+        a = jnp.stack([z1 + z2 + z3, -(z1 * z2 + z2 * z3 + z3 * z1), z1 * z2 * z3])
+        b = jnp.stack([h[0], h[1] - a[0] * h[0], h[2] - a[0] * h[1] - a[1] * h[0]])
+        return DifferenceEquation(a, b, dt=dt)
+
+
+def voice_coil(form: str = "exact") -> Plant:
+    """The motor of Cao 2019 in one of three forms.
+
+    `exact`:            eq. 7, sampled exactly at the task's sample time
+    `printed`:          the rounded difference equation 29 (DC gain -4.3 instead of -4.798), 1 ms
+    `dai_2014_printed`: Dai 2014, eq. 24, where 2.236 stands for 2.2386 and moves the DC gain to -1.19, 1 ms
+    Raises ValueError for another form.
+    """
+    match form:
+        case "exact":
+            return VoiceCoil()
+        case "printed":
+            return DifferenceEquation(**CAO_2019_EQ_29, dt=1e-3)
+        case "dai_2014_printed":
+            return DifferenceEquation(**DAI_2014_EQ_24, dt=1e-3)
+    raise ValueError(f"voice_coil: form = {form!r} is not one of 'exact', 'printed', 'dai_2014_printed'")

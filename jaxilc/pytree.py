@@ -1,0 +1,249 @@
+"""Dataclasses that are JAX pytrees: an object *is* its parameters.
+
+`@pytree` turns a class into a frozen dataclass whose float fields are leaves (batched by `vmap`, differentiated by `grad`)
+and whose `static` fields are part of the compiled program. Each field states its allowed range once; construction, the
+command line and the tuner all read it from there. Validation runs only when a user constructs an object: unflattening inside
+a transformation bypasses `__init__`, so tracers are never inspected.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Mapping
+from typing import Any, NamedTuple, dataclass_transform
+
+import jax
+import numpy as np
+
+_INTERVAL = re.compile(r"^([\[(])\s*(\S+)\s*,\s*(\S+)\s*([\])])$")
+_INDEX = re.compile(r"^(\w[\w-]*)((?:\[\d+\])*)$")
+
+
+class Interval(NamedTuple):
+    """An interval of the real line, written as in a paper: `(0, 1]`."""
+
+    low: float
+    high: float
+    closed_low: bool
+    closed_high: bool
+
+    @classmethod
+    def parse(cls, text: str) -> Interval:
+        match = _INTERVAL.match(text)
+        if not match:
+            raise ValueError(f"{text!r} is not an interval such as '(0, 1]'")
+        left, low, high, right = match.groups()
+        return cls(float(low), float(high), left == "[", right == "]")
+
+    def contains(self, value) -> bool:
+        """True if every element lies in the interval (NaN never does)."""
+        value = np.asarray(value)
+        above = value >= self.low if self.closed_low else value > self.low
+        below = value <= self.high if self.closed_high else value < self.high
+        return bool(np.all(above & below))
+
+    def __str__(self) -> str:
+        return f"{'[' if self.closed_low else '('}{self.low:g}, {self.high:g}{']' if self.closed_high else ')'}"
+
+
+def leaf(default=dataclasses.MISSING, interval: str = "(-inf, inf)", *, optional: bool = False) -> Any:
+    """A float leaf (scalar or array). With `optional`, None switches the feature off at no cost."""
+    metadata = {"kind": "leaf", "interval": Interval.parse(interval), "optional": optional}
+    return dataclasses.field(default=default, metadata=metadata)
+
+
+def static(default=dataclasses.MISSING, interval: str | None = None, *, choices: tuple = ()) -> Any:
+    """A static field: a length, a window, a mode. Changing it compiles another program."""
+    metadata = {"kind": "static", "interval": Interval.parse(interval) if interval else None, "choices": tuple(choices)}
+    return dataclasses.field(default=default, metadata=metadata)
+
+
+def part(default=dataclasses.MISSING) -> Any:
+    """A nested pytree (a plant in a machine, a scheme in a scheme), or None."""
+    return dataclasses.field(default=default, metadata={"kind": "part"})
+
+
+@dataclass_transform(frozen_default=True, field_specifiers=(leaf, static, part))
+def pytree(cls):
+    """Make `cls` a frozen dataclass and a pytree. Fields are declared with `leaf`, `static` or `part`.
+
+    Raises at construction: ValueError naming the class, the field, its value and the allowed range.
+    """
+    if "__post_init__" in cls.__dict__:
+        cls._own_check = cls.__post_init__
+
+    def __post_init__(self):
+        for field in dataclasses.fields(self):
+            object.__setattr__(self, field.name, _settled(type(self).__name__, field, getattr(self, field.name)))
+        if hasattr(self, "_own_check"):
+            self._own_check()
+
+    cls.__post_init__ = __post_init__
+    cls = dataclasses.dataclass(frozen=True, eq=False)(cls)
+    fields = dataclasses.fields(cls)
+    children = tuple(f.name for f in fields if _kind(f) != "static")
+    statics = tuple(f.name for f in fields if _kind(f) == "static")
+
+    def flatten(tree):
+        return tuple(getattr(tree, n) for n in children), tuple(getattr(tree, n) for n in statics)
+
+    def flatten_with_keys(tree):
+        values, aux = flatten(tree)
+        return tuple(zip(map(jax.tree_util.GetAttrKey, children), values, strict=True)), aux
+
+    def unflatten(aux, values):
+        tree = object.__new__(cls)
+        for name, value in zip(children, values, strict=True):
+            object.__setattr__(tree, name, value)
+        for name, value in zip(statics, aux, strict=True):
+            object.__setattr__(tree, name, value)
+        return tree
+
+    jax.tree_util.register_pytree_with_keys(cls, flatten_with_keys, unflatten, flatten)
+    return cls
+
+
+def named_leaves(tree) -> dict[str, Any]:
+    """Every leaf under its path, for instance `{"plant.gain": ..., "sensor.resolution": ...}`."""
+    return {_path_name(path): value for path, value in jax.tree_util.tree_flatten_with_path(tree)[0]}
+
+
+def settable(tree) -> dict[str, Any]:
+    """Every leaf *and* every static field under its path: what `replaced` accepts."""
+    found: dict[str, Any] = {}
+    for name in _names(tree):
+        value, field = _child(tree, name), _field(tree, name)
+        if _names(value):
+            found |= {f"{name}.{path}": v for path, v in settable(value).items()}
+        elif field is None or _kind(field) != "part":
+            found[name] = value
+    return found
+
+
+def interval_at(tree, path: str) -> Interval | None:
+    """The allowed range declared for the field at `path` (None for a field without one)."""
+    head, _, rest = path.partition(".")
+    name, _ = _split_index(head)
+    if rest:
+        return interval_at(_child(tree, name), rest)
+    field = _field(tree, name)
+    return field.metadata.get("interval") if field is not None else None
+
+
+def allowed_at(tree, path: str) -> str:
+    """What the field at `path` accepts, as text: a range, or a choice."""
+    head, _, rest = path.partition(".")
+    name, _ = _split_index(head)
+    if rest:
+        return allowed_at(_child(tree, name), rest)
+    field = _field(tree, name)
+    choices = field.metadata.get("choices") if field is not None else None
+    return " | ".join(map(str, choices)) if choices else str(interval_at(tree, path) or "")
+
+
+def get_at(tree, path: str):
+    """The leaf, element or static field at `path`: `"plant.poles[2]"`. Raises KeyError naming what exists."""
+    value = tree
+    for head in path.split("."):
+        name, index = _split_index(head)
+        if name not in _names(value):
+            raise KeyError(f"{path!r} is not a parameter here; known: {', '.join(settable(tree)) or 'none'}")
+        value = _child(value, name)
+        for i in index:
+            if not np.shape(value) or i >= len(value):
+                raise KeyError(f"{path!r}: {name} has shape {np.shape(value)}")
+            value = value[i]
+    return value
+
+
+def replaced(tree, changes: Mapping[str, Any]):
+    """A copy of `tree` with the fields or elements at the given paths replaced together; validated like a construction."""
+    inner: dict[str, dict[str, Any]] = {}
+    new: dict[str, Any] = {}
+    for path, value in changes.items():
+        get_at(tree, path)
+        head, _, rest = path.partition(".")
+        name, index = _split_index(head)
+        if rest:
+            inner.setdefault(name, {})[rest] = value
+        else:
+            new[name] = _with_element(new.get(name, _child(tree, name)), index, value) if index else value
+    new |= {name: replaced(_child(tree, name), below) for name, below in inner.items()}
+    return {**tree, **new} if isinstance(tree, dict) else dataclasses.replace(tree, **new)
+
+
+def _kind(field) -> str:
+    return field.metadata.get("kind", "part")
+
+
+def _settled(owner: str, field, value):
+    """The value a field really stores: floats as strongly typed arrays, everything inside its allowed range."""
+    kind = _kind(field)
+    if kind == "leaf":
+        if value is None and field.metadata["optional"]:
+            return None
+        value = _as_float(owner, field.name, value)
+        if not isinstance(value, jax.core.Tracer) and not field.metadata["interval"].contains(value):
+            raise ValueError(f"{owner}: {field.name} = {_show(value)} is outside its allowed range {field.metadata['interval']}")
+    elif kind == "static":
+        choices, interval = field.metadata["choices"], field.metadata["interval"]
+        if choices and value not in choices:
+            raise ValueError(f"{owner}: {field.name} = {value!r} is not one of {', '.join(map(repr, choices))}")
+        if interval is not None and not (np.isscalar(value) and not isinstance(value, str) and interval.contains(value)):
+            raise ValueError(f"{owner}: {field.name} = {value!r} is outside its allowed range {interval}")
+    return value
+
+
+def _as_float(owner: str, name: str, value):
+    if isinstance(value, jax.Array):
+        return value if jax.numpy.issubdtype(value.dtype, jax.numpy.floating) else value.astype(float)
+    try:
+        return np.asarray(value, dtype=getattr(value, "dtype", None) if np.asarray(value).dtype.kind == "f" else float)
+    except (TypeError, ValueError):
+        raise ValueError(f"{owner}: {name} = {value!r} is not a number or an array of numbers") from None
+
+
+def _show(value) -> str:
+    value = np.asarray(value)
+    return f"{value:g}" if value.ndim == 0 else np.array2string(value, threshold=8, precision=6)
+
+
+def _names(tree) -> list[str]:
+    if isinstance(tree, dict):
+        return list(tree)
+    return [f.name for f in dataclasses.fields(tree)] if dataclasses.is_dataclass(tree) else []
+
+
+def _field(tree, name):
+    return None if isinstance(tree, dict) else next((f for f in dataclasses.fields(tree) if f.name == name), None)
+
+
+def _child(tree, name):
+    return tree[name] if isinstance(tree, dict) else getattr(tree, name)
+
+
+def _split_index(head: str) -> tuple[str, tuple[int, ...]]:
+    match = _INDEX.match(head)
+    if not match:
+        raise KeyError(f"{head!r} is not a parameter name such as gain or poles[2]")
+    return match.group(1), tuple(int(i) for i in re.findall(r"\d+", match.group(2)))
+
+
+def _with_element(old, index, value):
+    if isinstance(old, jax.Array) or isinstance(value, jax.Array):
+        return jax.numpy.asarray(old).at[index].set(value)
+    new = np.array(old, dtype=float)
+    new[index] = value
+    return new
+
+
+def _path_name(path) -> str:
+    text = ""
+    for key in path:
+        match key:
+            case jax.tree_util.GetAttrKey(name=name) | jax.tree_util.DictKey(key=name):
+                text += f".{name}"
+            case jax.tree_util.SequenceKey(idx=i) | jax.tree_util.FlattenedIndexKey(key=i):
+                text += f"[{i}]"
+    return text.removeprefix(".")

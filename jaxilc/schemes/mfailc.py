@@ -1,0 +1,156 @@
+"""Model-free adaptive iterative learning control along the trial axis (Cao 2019): CFDL, PFDL and FFDL.
+
+All three are one scheme. The data model is a pseudo gradient Phi over a window of L_y output and L_u input increments between
+trials (eq. 18); CFDL is the window (0, 1), whose Phi is the scalar pseudo partial derivative, and PFDL is (0, L_u).
+Below, D x(k, j) = x(k, j) - x(k, j-1) is the increment between trials; several channels are taken one by one.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from ..pytree import leaf, pytree, static
+from ..signals import Sample, Task, Trial
+from .pid_type import need_lead
+from .pseudo_gradient import RESETS, need_window, pseudo_gradient, reset_estimate
+from .scheme import Scheme, ahead, limited, need_square, past
+
+
+class Memory(NamedTuple):
+    """What MFAILC knows after trial j.
+
+    u: (N, n) input of trial j;  y: (N+1, n) output of trial j;  e: (N, n) error the law learns from, e[k+1+lead]
+    phi: L_y+L_u estimates, each (N, n), for the coming trial;  seen: () 1 once a trial has been seen, else 0
+    """
+
+    u: jax.Array
+    y: jax.Array
+    e: jax.Array
+    phi: tuple[jax.Array, ...]
+    seen: jax.Array
+
+
+class Table(NamedTuple):
+    """u: (N, n) the law's part that is known before the trial;  y, u_last: (N, n) output and input of trial j-1
+    weights: L_y+L_u-1 of them, each (N, n), of the increments D y(k..k-L_y+1, j) and D u(k-1..k-L_u+1, j) of the running trial."""
+
+    u: jax.Array
+    y: jax.Array
+    u_last: jax.Array
+    weights: tuple[jax.Array, ...]
+
+
+class Window(NamedTuple):
+    """Increments of the running trial, newest first, each (n,): L_y-1 of the output and L_u-1 of the input.
+
+    Tuples of arrays rather than one array: in a loop over samples, shifting an array costs a copy."""
+
+    dy: tuple[jax.Array, ...]
+    du: tuple[jax.Array, ...]
+
+
+@pytree
+class FFDLMFAILC(Scheme):
+    """Full-form MFAILC (Cao 2019, eq. 25 and 27), with c = L_y + 1 the component of u(k):
+
+        u(k,j) = u(k,j-1) + phi_c / (lam + phi_c^2) [ rho_c e(k+1,j-1) - sum_{i<=L_y} rho_i phi_i D y(k-i+1,j)
+                                                      - sum_{i>c} rho_i phi_i D u(k+L_y-i+1,j) ]
+
+    D y(k,j) belongs to the running trial: FFDL acts as feedback within the trial, CFDL does not. The first trial applies u = 0,
+    the second uses phi0, the estimator has data from the third on. With a learning lead m, e and D y are taken m samples later;
+    where that lies beyond the end of the trial the error counts as zero and the estimate stays.
+
+    lam: () > 0 weight on the input increment [(y/u)^2];  rho: () or (L_y+L_u,) step factors in (0, 1]
+    eta: () estimator step in (0, 2];  mu: () > 0 [u^2], for L_y > 0 mixed units as in the paper
+    phi0: (L_y+L_u,) start value; Cao 2019 does not print it, and the outcome hangs on it
+    epsilon: () reset threshold;  limit: largest |u|, None for none;  L_y, L_u: windows;  lead: m;  reset: see `reset_estimate`
+    """
+
+    lam: jax.Array = leaf(1.2, "(0, inf)")
+    rho: jax.Array = leaf(0.98, "(0, 1]")
+    eta: jax.Array = leaf(1.0, "(0, 2]")
+    mu: jax.Array = leaf(1.1, "(0, inf)")
+    phi0: jax.Array = leaf((0.5, 0.0, -0.06, 0.0))
+    epsilon: jax.Array = leaf(1e-5, "(0, inf)")
+    limit: jax.Array | None = leaf(None, "(0, inf)", optional=True)
+    L_y: int = static(2, "[0, inf)")
+    L_u: int = static(2, "[1, inf)")
+    lead: int = static(0, "[0, inf)")
+    reset: str = static("book", choices=RESETS)
+
+    def __post_init__(self):
+        need_window(self)
+
+    def check(self, task: Task) -> None:
+        need_square(self, task)
+        need_lead(self, task)
+
+    def memory(self, task: Task) -> Memory:
+        N, n = task.N, task.inputs
+        phi = tuple(jnp.broadcast_to(p, (N, n)) for p in self._start())
+        return Memory(jnp.zeros((N, n)), jnp.zeros((N + 1, n)), jnp.zeros((N, n)), phi, jnp.zeros(()))
+
+    def learn(self, memory: Memory, trial: Trial) -> Memory:
+        du, dy = memory.seen * (trial.u - memory.u), memory.seen * (trial.y - memory.y)
+        outputs = [past(dy[:-1], i) for i in range(self.L_y)]
+        inputs = [past(du, i) for i in range(self.L_u)]
+        phi = pseudo_gradient(memory.phi, outputs + inputs, ahead(dy, 1 + self.lead), eta=self.eta, mu=self.mu)
+        phi = reset_estimate(phi, du, self._start(), component=self.L_y, epsilon=self.epsilon, mode=self.reset)
+        if self.lead:
+            phi = [jnp.concatenate([new[: -self.lead], old[-self.lead :]]) for new, old in zip(phi, memory.phi, strict=True)]
+        return Memory(trial.u, trial.y, ahead(trial.e, 1 + self.lead), tuple(phi), jnp.ones_like(memory.seen))
+
+    def table(self, memory: Memory, task: Task) -> Table:
+        c, rho = self.L_y, jnp.broadcast_to(self.rho, (self.L_y + self.L_u,))
+        lead = memory.phi[c]
+        gain = lead / (self.lam + lead**2)
+        weights = tuple(memory.seen * gain * rho[i] * memory.phi[i] for i in range(self.L_y + self.L_u) if i != c)
+        u = limited(memory.u + gain * rho[c] * memory.e, self.limit)
+        return Table(u, memory.y[:-1], memory.u, weights)
+
+    def init(self, task: Task) -> Window:
+        rest = jnp.zeros(task.inputs)
+        return Window((rest,) * max(self.L_y - 1, 0), (rest,) * (self.L_u - 1))
+
+    def act(self, window: Window, sample: Sample) -> tuple[Window, jax.Array]:
+        row = sample.row
+        if self.L_y + self.L_u == 1:
+            return window, row.u
+        dy = (sample.y - row.y, *window.dy)[: self.L_y]
+        u = row.u - sum(weight * increment for weight, increment in zip(row.weights, dy + window.du, strict=True))
+        u = limited(u, self.limit)
+        du = (u - row.u_last, *window.du)[: self.L_u - 1]
+        return Window(dy[: max(self.L_y - 1, 0)], du), u
+
+    def _start(self):
+        return jnp.atleast_1d(jnp.asarray(self.phi0))
+
+
+@pytree
+class PFDLMFAILC(FFDLMFAILC):
+    """Partial-form MFAILC: the full form without output increments, L_y = 0. phi0: (L_u,)"""
+
+    phi0: jax.Array = leaf((-0.065, 0.0))
+    L_y: int = static(0, "[0, 0]")
+
+
+@pytree
+class CFDLMFAILC(FFDLMFAILC):
+    """Compact-form MFAILC (Cao 2019, eq. 12 and 13): L_y = 0, L_u = 1, phi the pseudo partial derivative.
+
+        u(k,j) = u(k,j-1) + rho phi(k,j) / (lam + phi(k,j)^2) e(k+1,j-1)
+
+    An adaptive P-type law: on a dynamic plant the error can fall for some trials and then grow at any lam. A `Filtered` wrapper,
+    a learning lead or a stop rule makes it usable there. eta: () in (0, 1];  phi0: () or (1,)
+    """
+
+    lam: jax.Array = leaf(1.0, "(0, inf)")
+    rho: jax.Array = leaf(1.0, "(0, 1]")
+    eta: jax.Array = leaf(0.9, "(0, 1]")
+    mu: jax.Array = leaf(1.0, "(0, inf)")
+    phi0: jax.Array = leaf(-0.065)
+    L_y: int = static(0, "[0, 0]")
+    L_u: int = static(1, "[1, 1]")

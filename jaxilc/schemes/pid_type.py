@@ -1,0 +1,47 @@
+"""P-, PD- and PID-type iterative learning control: the classical laws with a fixed learning gain."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+
+from ..pytree import leaf, pytree, static
+from ..signals import Task, Trial
+from .scheme import Feedforward, Scheme, ahead, limited, need_square
+
+
+@pytree
+class PIDType(Scheme):
+    """Learns u_{j+1}[k] = (1 - leak) u_j[k] + gamma_p e_j[k+1+m] + gamma_i sum_{i<=k} e_j[i+1] + gamma_d (e_j[k+1+m] - e_j[k+m]).
+
+    The gains are per sample, as Cao 2019 (section IV-D) and Li 2020 (eq. 2) print theirs. `Filtered(scheme, filter)` adds the
+    robustness filter: u_{j+1} = Q(u_j + L e_j). Errors beyond the end of the trial count as zero.
+    gamma_p, gamma_i, gamma_d: () or (n,) [unit of u per unit of y];  leak: () forgetting in [0, 1)
+    lead: m, samples by which learning looks ahead beyond the one of u[k] -> y[k+1];  limit: largest |u| learned
+    """
+
+    gamma_p: jax.Array = leaf(0.0)
+    gamma_i: jax.Array = leaf(0.0)
+    gamma_d: jax.Array = leaf(0.0)
+    leak: jax.Array = leaf(0.0, "[0, 1)")
+    limit: jax.Array | None = leaf(None, "(0, inf)", optional=True)
+    lead: int = static(0, "[0, inf)")
+
+    def check(self, task: Task) -> None:
+        need_square(self, task)
+        need_lead(self, task)
+
+    def memory(self, task: Task) -> Feedforward:
+        return Feedforward(jnp.zeros((task.N, task.inputs)))
+
+    def learn(self, memory: Feedforward, trial: Trial) -> Feedforward:
+        e = trial.e
+        proportional = ahead(e, 1 + self.lead)
+        step = self.gamma_p * proportional + self.gamma_i * jnp.cumsum(e[1:], axis=0) + self.gamma_d * (proportional - ahead(e, self.lead))
+        return Feedforward(limited((1.0 - self.leak) * trial.u + step, self.limit))
+
+
+def need_lead(scheme, task: Task) -> None:
+    """Raises ValueError if the learning lead leaves nothing of the trial to learn from."""
+    if scheme.lead >= task.N:
+        raise ValueError(f"{type(scheme).__name__}: lead = {scheme.lead} is outside its allowed range [0, {task.N - 1}] for N = {task.N}")

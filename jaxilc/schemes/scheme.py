@@ -1,0 +1,81 @@
+"""What a scheme is: it acts within a trial and learns between trials."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from ..signals import Sample, Task, Trial
+
+Memory = Any
+State = Any
+
+
+class Feedforward(NamedTuple):
+    """The table of a scheme that only plays back what it learned. u: (N, n_u)"""
+
+    u: jax.Array
+
+
+class Scheme:
+    """A control scheme. Its weights are the fields of a `@pytree` class; a user's own scheme subclasses this.
+
+    Between trials a `memory` is carried (any pytree); within a trial a `state`. `table(memory, task)` is what the trial needs of the
+    memory, sample by sample, each leaf (N, ...); where it has a field `u`, that is the learned feedforward input.
+    Pure feedback overrides `init` and `act`; pure feedforward overrides `memory` and `learn`.
+    """
+
+    preview: int = 1  # samples of the reference ahead of k that `act` wants to see
+
+    def memory(self, task: Task) -> Memory:
+        """What is known before the first trial."""
+        return ()
+
+    def table(self, memory: Memory, task: Task) -> Any:
+        """The rows that `act` sees, one a sample."""
+        return memory
+
+    def init(self, task: Task) -> State:
+        """The state before the first sample of a trial."""
+        return ()
+
+    def act(self, state: State, sample: Sample) -> tuple[State, jax.Array]:
+        """The input u[k] (n_u,) and the state that goes with it."""
+        return state, sample.row.u
+
+    def signals(self, state: State) -> dict[str, jax.Array]:
+        """Internal signals worth recording, read off the state after `act`."""
+        return {}
+
+    def learn(self, memory: Memory, trial: Trial) -> Memory:
+        """What is known after a trial, simulated or measured."""
+        return memory
+
+    def check(self, task: Task) -> None:
+        """Raises ValueError where the scheme cannot do this task."""
+
+
+def need_square(scheme: Scheme, task: Task) -> None:
+    """Raises ValueError unless the task has as many inputs as outputs (schemes that work channel by channel)."""
+    if task.inputs != task.outputs:
+        raise ValueError(
+            f"{type(scheme).__name__} works channel by channel and needs as many inputs as outputs, not {task.inputs} and {task.outputs}; "
+            "pick the outputs it shall see with OnOutputs"
+        )
+
+
+def limited(u, limit):
+    """u within +-limit (no limit: None)."""
+    return u if limit is None else jnp.clip(u, -limit, limit)
+
+
+def ahead(signal, samples: int):
+    """signal[k + samples] for k = 0..N-1, from a (N+1, n) signal; zero where the trial has ended."""
+    return jnp.pad(signal[samples:], ((0, samples - 1), (0, 0))) if samples else signal[:-1]
+
+
+def past(signal, samples: int):
+    """signal[k - samples] of a (N, n) signal; zero before the trial."""
+    return signal if samples == 0 else jnp.pad(signal, ((samples, 0), (0, 0)))[:-samples]

@@ -1,0 +1,110 @@
+"""What passes between machine, scheme and learning: the task, one sample, one trial.
+
+Conventions everywhere: `k` counts samples 0..N, `j` counts trials 1..J. `u[k]` acts on `y[k+1]`; `y[0]` is measured before
+`u[0]` is applied. `e = r - y`.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from .pytree import leaf, pytree, static
+
+
+@pytree
+class Task:
+    """What the machine repeats.
+
+    reference: (N+1, n_y) desired output `r`; a flat (N+1,) array means one output
+    dt:        sample time [s]
+    settle:    (start, stop) [s], the part of the trial that counts as settled; None is its second half
+    inputs:    number of inputs n_u; None means as many as outputs
+    unit, input_unit: of y and of u, for labels only
+    Raises ValueError for a reference that is not finite, too short, or of more than two dimensions.
+    """
+
+    reference: jax.Array = leaf()
+    dt: float = static(interval="(0, inf)")
+    settle: tuple[float, float] | None = static(None)
+    inputs: int | None = static(None)
+    unit: str = static("")
+    input_unit: str = static("")
+
+    def __post_init__(self):
+        r = self.reference
+        if r.ndim == 1:
+            r = r[:, None]
+        if r.ndim != 2 or len(r) < 2:
+            raise ValueError(f"Task: reference has shape {self.reference.shape}; allowed are (N+1,) and (N+1, n_y) with N >= 1")
+        object.__setattr__(self, "reference", r)
+        object.__setattr__(self, "inputs", r.shape[1] if self.inputs is None else self.inputs)
+        if self.settle is not None:
+            start, stop = self.settle
+            if not 0 <= start < stop or start > self.duration:
+                raise ValueError(f"Task: settle = {self.settle} s is not a window within [0, {self.duration:g}] s")
+            object.__setattr__(self, "settle", (float(start), float(stop)))
+
+    @property
+    def N(self) -> int:
+        """Number of inputs samples; the outputs have N+1."""
+        return self.reference.shape[-2] - 1
+
+    @property
+    def outputs(self) -> int:
+        return self.reference.shape[-1]
+
+    @property
+    def duration(self) -> float:
+        return self.N * self.dt
+
+    @property
+    def time(self) -> np.ndarray:
+        """(N+1,) time of each output sample [s]."""
+        return np.arange(self.N + 1) * self.dt
+
+    @property
+    def settled(self) -> slice:
+        """The samples of the settled window."""
+        if self.settle is None:
+            return slice((self.N + 1) // 2, self.N + 1)
+        start, stop = self.settle
+        return slice(round(start / self.dt), min(round(stop / self.dt), self.N) + 1)
+
+
+class Sample(NamedTuple):
+    """What a scheme sees at sample `k`, when it must decide `u[k]`.
+
+    r:     (n_y,) reference r[k]
+    ahead: (preview, n_y) r[k+1], r[k+2], ... as far as the scheme's `preview` asks; held at its end value
+    y:     (n_y,) measured output y[k]
+    row:   the k-th row of the scheme's table
+    dt:    sample time [s]
+    """
+
+    r: jax.Array
+    ahead: jax.Array
+    y: jax.Array
+    row: Any
+    dt: float
+
+
+class Trial(NamedTuple):
+    """The record of a trial, simulated or measured.
+
+    r: (N+1, n_y) reference;  y: (N+1, n_y) measured output;  u: (N, n_u) input as the actuator applied it
+    dt: sample time [s];  signals: the scheme's own signals by name, each (N, ...); empty for a measured trial
+    """
+
+    r: jax.Array
+    y: jax.Array
+    u: jax.Array
+    dt: float
+    signals: dict[str, jax.Array] = {}  # noqa: RUF012  never written to
+
+    @property
+    def e(self) -> jax.Array:
+        """(N+1, n_y) tracking error r - y."""
+        return self.r - self.y
