@@ -1,0 +1,72 @@
+"""One machine under several schemes: every trial kept, as a dataset."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import jax
+import numpy as np
+
+from .learning import History, learn
+from .machine import Machine
+from .schemes import Scheme
+from .signals import Task, Trial
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+
+def run_schemes(
+    machine: Machine, schemes: Mapping[str, Scheme], task: Task, trials: int, *, key: jax.Array | None = None
+) -> tuple[xr.Dataset, dict[str, History]]:
+    """Learn with each scheme and keep every trial's signals.
+
+    Returns the dataset (dims scheme, trial and time, channel, input_time, input; r, y, e, u and the metrics) and the histories,
+    whose `memory` lets each scheme go on. Raises as `learn` does.
+    """
+    histories = {name: learn(machine, scheme, task, trials, key=key, save=_output_and_input) for name, scheme in schemes.items()}
+    return history_dataset(histories, task), histories
+
+
+def history_dataset(histories: Mapping[str, History], task: Task) -> xr.Dataset:
+    """The dataset of histories whose `saved` is (y, u) of each trial."""
+    import xarray as xr
+
+    def stacked(pick):
+        return np.stack([np.asarray(pick(h)) for h in histories.values()])
+
+    def of_y(dims, values):
+        return dims, values, {"units": task.unit}
+
+    def of_u(dims, values):
+        return dims, values, {"units": task.input_unit}
+
+    r, y, u = np.asarray(task.reference), stacked(lambda h: h.saved[0]), stacked(lambda h: h.saved[1])
+    per_output, per_input = ("scheme", "trial", "channel"), ("scheme", "trial", "input")
+    return xr.Dataset(
+        {
+            "r": of_y(("time", "channel"), r),
+            "y": of_y(("scheme", "trial", "time", "channel"), y),
+            "e": of_y(("scheme", "trial", "time", "channel"), r - y),
+            "u": of_u(("scheme", "trial", "input_time", "input"), u),
+            "max_error": of_y(per_output, stacked(lambda h: h.max_error)),
+            "rms": of_y(per_output, stacked(lambda h: h.rms)),
+            "settled_error": of_y(per_output, stacked(lambda h: h.settled_error)),
+            "effort": of_u(per_input, stacked(lambda h: h.effort)),
+            "finite": (("scheme", "trial"), stacked(lambda h: h.finite)),
+            "diverged_at": (("scheme",), stacked(lambda h: h.diverged_at)),
+        },
+        coords={
+            "scheme": np.array(list(histories), dtype=np.dtypes.StringDType()),
+            "trial": np.arange(1, y.shape[1] + 1),
+            "time": task.time,
+            "input_time": task.time[:-1],
+            "channel": np.arange(task.outputs),
+            "input": np.arange(task.inputs),
+        },
+    )
+
+
+def _output_and_input(trial: Trial):
+    return trial.y, trial.u

@@ -1,0 +1,155 @@
+"""Monte-Carlo sweeps: schemes against many uncertain machines, chunk by chunk into a labelled dataset."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .batch import LANES, tiled
+from .learning import check, learn
+from .machine import Machine
+from .results import Store, Variable, describe, environment
+from .schemes import Scheme
+from .signals import Task
+from .uncertainty import Uncertainty, draw, drawn_machine
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+SIGNALS = {"y": ("time", "channel"), "e": ("time", "channel"), "u": ("input_time", "input")}
+CHUNK = 256
+
+
+@dataclasses.dataclass(frozen=True)
+class Sweep:
+    """A sweep, fully specified: run it with `run`.
+
+    machine, task, trials: as for `learn`;  schemes: by name
+    uncertainty: distributions on the machine's named leaves;  samples, seed, sampling: see `uncertainty.draw`
+    keep: signals of the last trial to store, any of y, e, u (they are large);  chunk: samples computed and stored at a time
+    lanes: samples vectorised together, see `batch.tiled`; chunk, lanes and the number of devices belong to the configuration,
+    since sums in another order round otherwise
+    Raises ValueError, before anything is compiled or written, naming what does not fit.
+    """
+
+    machine: Machine
+    schemes: Mapping[str, Scheme]
+    task: Task
+    trials: int
+    uncertainty: Uncertainty
+    samples: int = 1024
+    seed: int = 0
+    sampling: str = "monte-carlo"
+    keep: tuple[str, ...] = ()
+    chunk: int = CHUNK
+    lanes: int = LANES
+
+    def __post_init__(self):
+        for name in ("trials", "chunk", "lanes"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"Sweep: {name} = {getattr(self, name)} is outside its allowed range [1, inf)")
+        for name in self.keep:
+            if name not in SIGNALS:
+                raise ValueError(f"Sweep: keep = {name!r} is not one of {', '.join(SIGNALS)}")
+        if not self.schemes:
+            raise ValueError("Sweep: schemes is empty; at least one is needed")
+        for scheme in self.schemes.values():
+            check(self.machine, scheme, self.task)
+        object.__setattr__(self, "drawn", draw(self.machine, self.uncertainty, self.samples, seed=self.seed, sampling=self.sampling))
+        object.__setattr__(self, "samples", len(next(iter(self.drawn.values()))) if self.drawn else self.samples)
+
+    def configuration(self) -> dict[str, Any]:
+        """All that determines the numbers, as JSON."""
+        fields = {f.name: describe(getattr(self, f.name)) for f in dataclasses.fields(self)}
+        return fields | {"environment": environment()}
+
+    def run(
+        self, out: str | Path | None = None, *, resume: bool = False, progress: Callable[[str, int, int], None] | None = None
+    ) -> xr.Dataset:
+        """Run what is not done yet and return the dataset (dims scheme, sample, trial; coordinates carry every drawn number).
+
+        out: where to keep it as a Zarr store, None for memory only;  resume: go on with the store at `out`
+        progress: called after each chunk with the scheme's name, the samples done and how many of them this call computed
+        Killed at any moment, a resumed run ends with the dataset of an uninterrupted one, bit for bit. Raises FileExistsError for
+        an `out` that exists without `resume`, ValueError for one made with another configuration.
+        """
+        configuration = self.configuration()
+        if resume and out is not None and Path(out).exists():
+            store = Store.resume(out, configuration)
+        else:
+            store = Store.create(out, self._variables(), self._coordinates(), self.chunk, configuration)
+        run_chunk = tiled(partial(_one_sample, names=tuple(self.uncertainty.items()), trials=self.trials, keep=self.keep), lanes=self.lanes)
+        for i, (name, scheme) in enumerate(self.schemes.items()):
+            for c, start in enumerate(range(0, self.samples, self.chunk)):
+                samples = slice(start, min(start + self.chunk, self.samples))
+                fresh = not store.is_done(i, c)
+                if fresh:
+                    store.write(i, c, samples, self._chunk(run_chunk, scheme, samples))
+                if progress is not None:
+                    progress(name, samples.stop, (samples.stop - start) if fresh else 0)
+        return store.dataset()
+
+    def machine_of(self, sample: int) -> Machine:
+        """The machine of one sample, rebuilt from its drawn numbers."""
+        return drawn_machine(self.machine, self.uncertainty, {name: values[sample] for name, values in self.drawn.items()})
+
+    def key_of(self, sample: int) -> jax.Array:
+        """The key of one sample's noise: it does not depend on chunks or on the number of samples."""
+        return jax.random.fold_in(jax.random.key(self.seed), sample)
+
+    def _chunk(self, run_chunk, scheme, samples: slice) -> dict[str, np.ndarray]:
+        # the last chunk is filled up to full size with its last sample, so that it runs the same program as the others
+        index = np.minimum(np.arange(samples.start, samples.start + min(self.chunk, self.samples)), self.samples - 1)
+        batch = (jnp.asarray(index), {name: jnp.asarray(values[index]) for name, values in self.drawn.items()})
+        results = run_chunk((self.machine, scheme, self.task, jax.random.key(self.seed)), batch)
+        return {name: np.asarray(value)[: samples.stop - samples.start] for name, value in results.items()}
+
+    def _variables(self) -> dict[str, Variable]:
+        channel = ("channel",) if self.task.outputs > 1 else ()
+        inputs = ("input",) if self.task.inputs > 1 else ()
+        per_trial, real = ("scheme", "sample", "trial"), "f8" if jax.config.jax_enable_x64 else "f4"
+        unit, input_unit = self.task.unit, self.task.input_unit
+        variables = {
+            "max_error": Variable(per_trial + channel, real, unit, "largest error of a trial"),
+            "rms": Variable(per_trial + channel, real, unit, "root mean square error of a trial"),
+            "settled_error": Variable(per_trial + channel, real, unit, "largest error in the settled window of a trial"),
+            "effort": Variable(per_trial + inputs, real, input_unit, "root mean square input of a trial"),
+            "finite": Variable(per_trial, "bool", "", "whether the trial stayed finite"),
+            "diverged_at": Variable(("scheme", "sample"), "i4", "", "first trial that was not finite, 0 if none"),
+        }
+        for name in self.keep:
+            time, dim = SIGNALS[name]
+            dims = ("scheme", "sample", time) + ((dim,) if (inputs if name == "u" else channel) else ())
+            variables[name] = Variable(dims, real, input_unit if name == "u" else unit, f"{name} of the last trial")
+        return variables
+
+    def _coordinates(self) -> dict[str, tuple]:
+        coordinates = {
+            "scheme": (("scheme",), np.array(list(self.schemes))),
+            "sample": (("sample",), np.arange(self.samples)),
+            "trial": (("trial",), np.arange(1, self.trials + 1)),
+            "channel": (("channel",), np.arange(self.task.outputs)),
+            "input": (("input",), np.arange(self.task.inputs)),
+            "time": (("time",), self.task.time),
+            "input_time": (("input_time",), self.task.time[:-1]),
+        }
+        used = {d for v in self._variables().values() for d in v.dims}
+        return {n: c for n, c in coordinates.items() if n in used} | {n: (("sample",), v) for n, v in self.drawn.items()}
+
+
+def _one_sample(common, one, *, names, trials: int, keep: tuple[str, ...]) -> dict[str, jax.Array]:
+    """The figures of one sample plant: what `tiled` runs."""
+    machine, scheme, task, key = common
+    index, values = one
+    machine = drawn_machine(machine, dict(names), values)
+    history = learn(machine, scheme, task, trials, key=jax.random.fold_in(key, index))
+    figures = history.metrics._asdict() | {name: getattr(history.final, name) for name in keep}
+    squeezed = {name: x[..., 0] if name != "finite" and x.shape[-1] == 1 else x for name, x in figures.items()}
+    return squeezed | {"diverged_at": history.diverged_at}

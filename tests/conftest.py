@@ -1,0 +1,22 @@
+"""JAX is started here, before any test module touches it."""
+
+import jaxilc.runtime
+
+jaxilc.runtime.setup()
+
+import pytest  # noqa: E402
+from cases import PLANTS, task_for  # noqa: E402
+
+from jaxilc.machine import Machine  # noqa: E402
+
+
+@pytest.fixture(scope="session")
+def task():
+    """One input, one output, 60 samples of 1 ms."""
+    return task_for(PLANTS["voice_coil_printed"], N=60)
+
+
+@pytest.fixture(scope="session")
+def machine():
+    """The printed voice coil, without noise."""
+    return Machine(PLANTS["voice_coil_printed"])

@@ -1,0 +1,154 @@
+"""Sweeps: equal to single runs, resumable bit for bit, refusing what does not fit; and their summary."""
+
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+import xarray as xr
+
+import jaxilc
+from jaxilc import Machine, Sensor, Sweep, Task, Uniform, summarise
+from jaxilc.batch import tiled
+from jaxilc.plants import StateSpace, voice_coil
+from jaxilc.schemes import CFDLMFAILC, PID
+
+TASK = Task(reference=np.sin(2 * np.pi * np.arange(61) / 60), dt=1e-3, unit="mm", input_unit="V")
+PLAN = Sweep(
+    Machine(voice_coil(), sensor=Sensor(noise=1e-4)),
+    {"learning": CFDLMFAILC(), "feedback": PID(kp=-5.0)},
+    TASK,
+    trials=4,
+    uncertainty={"plant.gain": Uniform(0.8, 1.2, relative=True), "plant.poles[2]": Uniform(5.0, 8.0)},
+    samples=11,
+    seed=7,
+    keep=("e", "u"),
+    chunk=4,
+    lanes=2,
+)
+
+
+@pytest.fixture(scope="module")
+def dataset():
+    return PLAN.run()
+
+
+def test_each_sample_can_be_rebuilt_and_run_alone(dataset):
+    for i in (0, 3, 10):
+        alone = jaxilc.learn(PLAN.machine_of(i), PLAN.schemes["learning"], TASK, 4, key=PLAN.key_of(i))
+        of_sweep = dataset.sel(scheme="learning", sample=i)
+        np.testing.assert_allclose(of_sweep["rms"], alone.rms[:, 0], rtol=1e-10)
+        np.testing.assert_allclose(of_sweep["e"], alone.final.e[:, 0], rtol=1e-10, atol=1e-14)
+        assert float(of_sweep["plant.poles[2]"]) == float(PLAN.machine_of(i).plant.poles[2])
+
+
+def test_the_dataset_is_labelled(dataset):
+    assert dataset["settled_error"].dims == ("scheme", "sample", "trial")
+    assert dataset["u"].dims == ("scheme", "sample", "input_time")
+    assert dataset["rms"].attrs["units"] == "mm"
+    assert set(dataset.coords) >= {"plant.gain", "plant.poles[2]", "scheme", "sample", "trial"}
+    configuration = dataset.attrs["configuration"]
+    assert configuration["seed"] == 7
+    assert configuration["environment"]["versions"]["jax"] == jax.__version__
+    assert configuration["schemes"]["learning"]["lam"] == 1.0
+
+
+def test_chunks_and_lanes_do_not_change_the_numbers(dataset):
+    other = dataclasses.replace(PLAN, chunk=11, lanes=5).run()
+    np.testing.assert_allclose(other["rms"], dataset["rms"], rtol=1e-12)
+
+
+def test_an_interrupted_sweep_resumes_to_the_same_dataset(tmp_path, dataset):
+    class Killed(Exception):
+        pass
+
+    def kill_after_second_chunk(name, done, fresh):
+        if done >= 8:
+            raise Killed
+
+    store = tmp_path / "store.zarr"
+    with pytest.raises(Killed):
+        PLAN.run(store, progress=kill_after_second_chunk)
+    assert bool(jaxilc.open_dataset(store)["finite"].sel(scheme="feedback").any()) is False
+    computed = []
+    resumed = PLAN.run(store, resume=True, progress=lambda name, done, fresh: computed.append(fresh))
+    assert computed == [0, 0, 3, 4, 4, 3]
+    xr.testing.assert_identical(resumed, dataset)
+    xr.testing.assert_identical(jaxilc.open_dataset(store), dataset)
+
+
+def test_a_store_of_another_configuration_is_refused(tmp_path):
+    store = tmp_path / "store.zarr"
+    PLAN.run(store)
+    with pytest.raises(FileExistsError, match="exists already"):
+        PLAN.run(store)
+    with pytest.raises(ValueError, match=r"another configuration; it differs in: seed: 7 there, 8 here"):
+        dataclasses.replace(PLAN, seed=8).run(store, resume=True)
+    longer = Task(reference=np.r_[TASK.reference, [[0.5]]], dt=1e-3)
+    with pytest.raises(ValueError, match=r"task.reference.shape"):
+        dataclasses.replace(PLAN, task=longer).run(store, resume=True)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ValueError, match="not a store that can be resumed"):
+        PLAN.run(tmp_path / "empty", resume=True)
+
+
+def test_several_channels_stay_apart():
+    two = StateSpace(np.diag([0.9, 0.8]), np.eye(2), np.eye(2), dt=1e-3)
+    task = Task(reference=np.ones((31, 2)), dt=1e-3)
+    plan = Sweep(Machine(two), {"pid": PID(kp=0.2)}, task, 2, {"plant.B": Uniform(0.9, 1.1, relative=True)}, samples=3, keep=("y", "u"))
+    dataset = plan.run()
+    assert dataset["rms"].dims == ("scheme", "sample", "trial", "channel")
+    assert dataset["u"].dims == ("scheme", "sample", "input_time", "input")
+    assert summarise(dataset, 1.0)[0].median.shape == (2,)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"trials": 0}, r"trials = 0 is outside its allowed range \[1, inf\)"),
+        ({"keep": ("x",)}, "keep = 'x' is not one of y, e, u"),
+        ({"schemes": {}}, "schemes is empty"),
+        ({"uncertainty": {"plant.mass": Uniform(1, 2)}}, "plant.mass.*known"),
+    ],
+)
+def test_bad_input_is_named_before_anything_runs(change, message):
+    with pytest.raises(ValueError, match=message):
+        dataclasses.replace(PLAN, **change)
+
+
+def test_tiles_equal_a_loop_whatever_the_batch_size():
+    run = tiled(lambda common, one: common * one**2, lanes=3)
+    for size in (1, 5, 12):
+        batch = np.arange(size, dtype=float)
+        np.testing.assert_array_equal(run(2.0, batch), 2.0 * batch**2)
+    with pytest.raises(ValueError, match=r"lanes = 0"):
+        tiled(lambda common, one: one, lanes=0)
+
+
+def made_up(errors):
+    errors = np.asarray(errors, float)[None]
+    finite = np.isfinite(errors)
+    dims = ("scheme", "sample", "trial")
+    return xr.Dataset({"settled_error": (dims, errors), "finite": (dims, finite)}, {"scheme": ["s"]})
+
+
+def test_summary_counts_yield_growth_and_divergence():
+    steady, growing, noisy, lost = [9, 2, 0.5], [9, 0.2, 0.8], [9, 0.5, 0.51], [9, np.inf, np.nan]
+    (row,) = summarise(made_up([steady, growing, noisy, lost]), tolerance=0.6)
+    assert row.yield_share == 0.5  # steady and noisy
+    assert row.semi_converged == 0.25  # growing; a rise of 2 % is not growth
+    assert row.diverged == 0.25
+    assert row.worst[-1] == np.inf
+    assert row.worst_sample[-1] == 3
+    assert row.median[0] == 9
+    # Wilson's interval for 2 of 4, from its closed form with z = 1.96
+    z, n, p = 1.959964, 4, 0.5
+    half = z * np.sqrt(p * (1 - p) / n + z**2 / 4 / n**2) / (1 + z**2 / n)
+    np.testing.assert_allclose([row.yield_low, row.yield_high], [0.5 - half, 0.5 + half], rtol=1e-5)
+
+
+def test_summary_names_what_is_wrong():
+    with pytest.raises(ValueError, match=r"tolerance = 0 is outside"):
+        summarise(made_up([[1.0]]), 0.0)
+    with pytest.raises(ValueError, match=r"figure = 'rms' is not one of finite, settled_error"):
+        summarise(made_up([[1.0]]), 1.0, figure="rms")

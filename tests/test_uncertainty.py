@@ -1,0 +1,101 @@
+"""Drawing uncertain machines: statistics, prefixes, corners, errors."""
+
+import jax
+import numpy as np
+import pytest
+
+from jaxilc import Actuator, LogUniform, Machine, Normal, Uniform
+from jaxilc.plants import voice_coil
+from jaxilc.uncertainty import draw, drawn_machine, with_spread
+
+MACHINE = Machine(voice_coil(), actuator=Actuator(limit=10.0))
+GAIN, SLOW = "plant.gain", "plant.poles[2]"
+UNCERTAINTY = {GAIN: Uniform(0.9, 1.1, relative=True), SLOW: Normal(6.4, 0.2), "actuator.limit": LogUniform(5.0, 20.0)}
+
+
+@pytest.mark.parametrize("sampling", ["monte-carlo", "latin-hypercube", "sobol"])
+def test_draws_have_the_distribution_asked_for(sampling):
+    S = 4097
+    drawn = draw(MACHINE, UNCERTAINTY, S, seed=3, sampling=sampling)
+    gain, slow, limit = (drawn[name][1:] for name in UNCERTAINTY)
+    six_errors = 6 / np.sqrt(S - 1)
+    assert gain.min() >= 0.9
+    assert gain.max() <= 1.1
+    assert abs(gain.mean() - 1.0) < six_errors * 0.2 / np.sqrt(12)
+    assert abs(slow.mean() - 6.4) < six_errors * 0.2
+    assert abs(slow.std() / 0.2 - 1.0) < six_errors
+    assert abs(np.log(limit).mean() - np.log(10.0)) < six_errors * np.log(4.0) / np.sqrt(12)
+
+
+def test_latin_hypercube_puts_one_draw_in_each_layer():
+    gain = draw(MACHINE, {GAIN: Uniform(0.0, 1.0, relative=True)}, 33, sampling="latin-hypercube")[GAIN][1:]
+    assert sorted(np.floor(gain * 32).astype(int)) == list(range(32))
+
+
+@pytest.mark.parametrize("sampling", ["monte-carlo", "latin-hypercube", "sobol", "corners"])
+def test_sample_0_is_nominal(sampling):
+    drawn = draw(MACHINE, UNCERTAINTY, 9, sampling=sampling)
+    assert [drawn[name][0] for name in UNCERTAINTY] == [1.0, 6.404, 10.0]
+
+
+@pytest.mark.parametrize("sampling", ["monte-carlo", "sobol"])
+def test_a_longer_draw_starts_with_the_shorter_one(sampling):
+    short, long = (draw(MACHINE, UNCERTAINTY, S, seed=5, sampling=sampling) for S in (100, 1000))
+    for name in UNCERTAINTY:
+        np.testing.assert_array_equal(long[name][:100], short[name])
+
+
+def test_seeds_differ():
+    assert not np.array_equal(*(draw(MACHINE, UNCERTAINTY, 9, seed=s)[GAIN] for s in (0, 1)))
+
+
+def test_corners_are_all_combinations_of_the_ends():
+    drawn = draw(MACHINE, {GAIN: Uniform(0.9, 1.1, relative=True), SLOW: Uniform(5.0, 7.0)}, 1, sampling="corners")
+    points = set(zip(drawn[GAIN][1:], drawn[SLOW][1:], strict=True))
+    assert points == {(0.9, 5.0), (0.9, 7.0), (1.1, 5.0), (1.1, 7.0)}
+
+
+def test_the_numbers_land_in_the_machine_also_under_vmap():
+    drawn = draw(MACHINE, UNCERTAINTY, 5)
+    batch = jax.vmap(lambda values: drawn_machine(MACHINE, UNCERTAINTY, values))(drawn)
+    np.testing.assert_allclose(batch.plant.gain, 7437.7769 * drawn[GAIN], rtol=1e-15)
+    np.testing.assert_allclose(batch.plant.poles[:, 2], drawn[SLOW], rtol=1e-15)
+    np.testing.assert_allclose(batch.plant.poles[:, 0], 474.0)
+    np.testing.assert_allclose(batch.actuator.limit, drawn["actuator.limit"])
+
+
+def test_spread_widens_the_relative_ones_only():
+    wide = with_spread(UNCERTAINTY, 0.3)
+    assert wide[GAIN].corners() == (0.7, 1.3)
+    assert wide[SLOW] == UNCERTAINTY[SLOW]
+
+
+@pytest.mark.parametrize(
+    ("uncertainty", "kwargs", "message"),
+    [
+        ({"plant.mass": Uniform(1, 2)}, {}, r"plant.mass.*known: plant.gain, plant.zero"),
+        ({"sensor.noise": Uniform(1, 2)}, {}, r"sensor.noise.*known"),
+        ({"actuator.rate": Uniform(1, 2)}, {}, r"actuator.rate = None is not a float leaf"),
+        ({"plant.poles": Uniform(1, 2)}, {}, r"plant.poles has shape \(3,\).*plant.poles\[0\]"),
+        ({SLOW: Uniform(-1.0, 7.0)}, {}, r"plant.poles\[2\] was drawn between -.* allowed is \(0, inf\)"),
+        (UNCERTAINTY, {"sampling": "halton"}, r"sampling = 'halton' is not one of monte-carlo"),
+        (UNCERTAINTY, {"samples": 0}, r"samples = 0 is outside its allowed range \[1, inf\)"),
+    ],
+)
+def test_bad_input_is_named(uncertainty, kwargs, message):
+    with pytest.raises(ValueError, match=message):
+        draw(MACHINE, uncertainty, **({"samples": 50} | kwargs))
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Uniform(2, 1), "Uniform: low = 2 must lie below high = 1"),
+        (lambda: Normal(0, 0), r"Normal: std = 0 is outside its allowed range \(0, inf\)"),
+        (lambda: LogUniform(0, 1), "LogUniform: low = 0 and high = 1"),
+        (lambda: with_spread(UNCERTAINTY, 1.5), r"spread = 1.5 is outside its allowed range \(0, 1\)"),
+    ],
+)
+def test_bad_distributions_are_named(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
