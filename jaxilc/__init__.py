@@ -1,0 +1,96 @@
+"""A differentiable batch simulator for iterative learning control of machine-tool feed drives.
+
+A plant steps. A scheme acts within a trial and learns between trials. `learn` repeats trials. Everything is a pytree of float
+arrays, so `vmap` runs thousands of plants at once and `grad` goes through the whole learning process.
+
+    import jaxilc
+    jaxilc.setup()                                     # float64, all cores
+    s = jaxilc.scenarios.load("cao-2019")
+    history = jaxilc.learn(s.machine, s.schemes["ffdl-mfailc"], s.task, trials=60)
+    history.settled_error                              # (60, 1), in mm
+
+The names below are imported on first use, so that `jaxilc --help` need not wait for JAX.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from . import figures, filters, plants, pytree, references, scenarios, schemes
+    from .batch import tiled
+    from .learning import History, feedforward, learn, measured_trial, next_memory
+    from .machine import Actuator, Disturbance, Machine, Sensor
+    from .metrics import Metrics, measure
+    from .results import open_dataset
+    from .runs import run_schemes
+    from .runtime import setup
+    from .signals import Sample, Task, Trial
+    from .summary import summarise
+    from .sweep import Sweep
+    from .trial import run_trial
+    from .uncertainty import LogUniform, Normal, Uniform
+
+_MODULES = ("figures", "filters", "plants", "pytree", "references", "scenarios", "schemes")
+_NAMES = {
+    "batch": ("tiled",),
+    "learning": ("History", "feedforward", "learn", "measured_trial", "next_memory"),
+    "machine": ("Actuator", "Disturbance", "Machine", "Sensor"),
+    "metrics": ("Metrics", "measure"),
+    "results": ("open_dataset",),
+    "runs": ("run_schemes",),
+    "runtime": ("setup",),
+    "signals": ("Sample", "Task", "Trial"),
+    "summary": ("summarise",),
+    "sweep": ("Sweep",),
+    "trial": ("run_trial",),
+    "uncertainty": ("LogUniform", "Normal", "Uniform"),
+}
+_HOME = {name: module for module, names in _NAMES.items() for name in names}
+
+__all__ = [
+    "Actuator",
+    "Disturbance",
+    "History",
+    "LogUniform",
+    "Machine",
+    "Metrics",
+    "Normal",
+    "Sample",
+    "Sensor",
+    "Sweep",
+    "Task",
+    "Trial",
+    "Uniform",
+    "feedforward",
+    "figures",
+    "filters",
+    "learn",
+    "measure",
+    "measured_trial",
+    "next_memory",
+    "open_dataset",
+    "plants",
+    "pytree",
+    "references",
+    "run_schemes",
+    "run_trial",
+    "scenarios",
+    "schemes",
+    "setup",
+    "summarise",
+    "tiled",
+]
+
+
+def __getattr__(name: str):
+    if name in _MODULES:
+        return importlib.import_module(f"{__name__}.{name}")
+    if name in _HOME:
+        return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__():
+    return __all__

@@ -1,0 +1,236 @@
+"""The command line: `jaxilc list | run | sweep`."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+app = typer.Typer(
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="Iterative learning control of machine-tool feed drives: simulate, sweep, tune.",
+)
+PIPED_WIDTH = 160  # columns where there is no terminal to ask
+out = Console(width=None if sys.stdout.isatty() else PIPED_WIDTH)
+err = Console(stderr=True)
+
+ScenarioName = Annotated[str, typer.Argument(metavar="SCENARIO", help="A scenario; `jaxilc list` names them.")]
+Schemes = Annotated[list[str] | None, typer.Option("--scheme", help="Scheme to use; repeatable. All if not given.")]
+Trials = Annotated[int | None, typer.Option(help="Trials J; the scenario's own if not given.")]
+Seed = Annotated[int, typer.Option(help="Seed of noise and of drawn machines.")]
+Set = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="PATH=VALUE", help="Set a leaf, a static field or an option of the scenario; repeatable."),
+]
+Out = Annotated[Path | None, typer.Option(help="Folder for figures and dataset.")]
+Json = Annotated[Path | None, typer.Option("--json", help="Write every printed figure to this file.")]
+Precision = Annotated[str, typer.Option(help="float64 or float32.")]
+
+
+@app.command("list")
+def list_(scenario: Annotated[str | None, typer.Argument(metavar="[SCENARIO]", help="Show all that can be set.")] = None) -> None:
+    """List the scenarios, or all that can be set in one.
+
+    Example: jaxilc list cao-2019
+    """
+    from . import scenarios
+
+    if scenario is not None:
+        loaded = scenarios.load(scenario)
+        table = Table("--set", "value", "allowed", title=loaded.title)
+        for option, default in scenarios.options(scenario).items():
+            table.add_row(option, str(default), "option of the scenario")
+        for path, value in loaded.settable().items():
+            table.add_row(path, _brief(value), loaded.allowed(path))
+        out.print(table)
+        return
+    table = Table("scenario", "title", "schemes", "trials", "samples N")
+    for name in scenarios.SCENARIOS:
+        loaded = scenarios.load(name)
+        table.add_row(name, loaded.title, ", ".join(loaded.schemes), str(loaded.trials), str(loaded.task.N))
+    out.print(table)
+
+
+@app.command()
+def run(
+    scenario: ScenarioName,
+    scheme: Schemes = None,
+    trials: Trials = None,
+    seed: Seed = 0,
+    set_: Set = None,
+    out_dir: Annotated[Path | None, typer.Option("--out", help="Folder for figures and dataset; out/run-SCENARIO if not given.")] = None,
+    json_file: Json = None,
+    precision: Precision = "float64",
+) -> None:
+    """Learn on the nominal machine: errors by trial beside the published ones, figures, dataset.
+
+    Example: jaxilc run cao-2019 --scheme ffdl-mfailc --set ffdl-mfailc.lam=0.5
+    """
+    _start(precision)
+    import jax
+
+    from . import figures, runs, tables
+
+    chosen = _scenario(scenario, scheme, trials, set_)
+    dataset, _ = runs.run_schemes(chosen.machine, chosen.schemes, chosen.task, chosen.trials, key=jax.random.key(seed))
+    numbers = tables.run_figures(chosen, dataset)
+    out.print(tables.run_table(chosen, numbers))
+    for line in tables.other_rows(chosen, numbers):
+        out.print(line, highlight=False)
+    for note in chosen.chosen:
+        out.print(f"chosen: {note}", style="dim", highlight=False)
+
+    folder = _folder(out_dir, f"run-{scenario}")
+    shown = {"scale": chosen.shown_scale, "unit": chosen.shown_unit}
+    paths = [figures.save(figures.error_by_trial(dataset, published=chosen.published, **shown), folder / "error-by-trial.png")]
+    some = [j for j in tables.shown_trials(chosen) if j in (2, 20, chosen.trials)] or [chosen.trials]
+    for name in chosen.schemes:
+        axes = figures.tracking(dataset, name, some, **shown)
+        paths.append(figures.save(axes, folder / f"tracking-{name}.png"))
+    dataset.to_zarr(folder / "dataset.zarr", mode="w", consolidated=False)
+    _written([*paths, folder / "dataset.zarr"], json_file, numbers)
+
+
+@app.command()
+def sweep(
+    scenario: ScenarioName,
+    scheme: Schemes = None,
+    trials: Trials = None,
+    samples: Annotated[int, typer.Option(help="Machines, the nominal one included.")] = 1024,
+    seed: Seed = 0,
+    spread: Annotated[float | None, typer.Option(help="Half-width of all relative uncertainties: 0.2 is 20 %.")] = None,
+    sampling: Annotated[str, typer.Option(help="monte-carlo, latin-hypercube, sobol or corners.")] = "monte-carlo",
+    tolerance: Annotated[float | None, typer.Option(help="Settled error that passes, in the shown unit.")] = None,
+    set_: Set = None,
+    out_dir: Annotated[Path | None, typer.Option("--out", help="Folder for figure and dataset; out/sweep-SCENARIO if not given.")] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with the dataset in the folder.")] = False,
+    keep: Annotated[list[str] | None, typer.Option(help="Store a signal of the last trial: y, e or u; repeatable.")] = None,
+    json_file: Json = None,
+    precision: Precision = "float64",
+) -> None:
+    """Schemes against many uncertain machines: yield, quantiles, worst case, figure, labelled dataset.
+
+    Example: jaxilc sweep cao-2019 --samples 4096 --spread 0.2 --out out/wide
+    """
+    _start(precision)
+    from . import figures, tables
+    from .summary import summarise
+    from .sweep import Sweep
+    from .uncertainty import with_spread
+
+    chosen = _scenario(scenario, scheme, trials, set_)
+    uncertainty = chosen.uncertainty if spread is None else with_spread(chosen.uncertainty, spread)
+    plan = Sweep(chosen.machine, chosen.schemes, chosen.task, chosen.trials, uncertainty, samples, seed, sampling, keep=tuple(keep or ()))
+    tolerance = (chosen.tolerance if tolerance is None else tolerance) / chosen.shown_scale
+    if not tolerance > 0:
+        raise ValueError(f"--tolerance {tolerance * chosen.shown_scale:g} is outside its allowed range (0, inf)")
+    folder = out_dir or Path("out") / f"sweep-{scenario}"
+    store = folder / "dataset.zarr"
+    if store.exists() and not resume:
+        raise FileExistsError(f"{store} exists already; add --resume to go on with it, or choose another --out")
+    dataset, seconds, steps = _with_progress(plan, _folder(folder, ""), store, resume)
+
+    numbers = tables.sweep_figures(chosen, summarise(dataset, tolerance), tolerance, plan.samples)
+    out.print(tables.yield_table(numbers))
+    out.print(tables.band_table(numbers))
+    if steps:
+        out.print(f"{steps:.3g} sample-steps in {seconds:.1f} s, compilation included: {steps / seconds:.3g} a second", highlight=False)
+    shown = {"scale": chosen.shown_scale, "unit": chosen.shown_unit}
+    path = figures.save(figures.error_band(dataset, tolerance=tolerance, **shown), folder / "error-band.png")
+    _written([path, store], json_file, numbers | {"sample_steps": steps, "seconds": seconds})
+
+
+def main() -> None:
+    """The console script. A user's mistake is one line on standard error and exit code 2, without a traceback."""
+    try:
+        app()
+    except (ValueError, FileExistsError, FileNotFoundError, PermissionError) as error:
+        if os.environ.get("JAXILC_TRACEBACK"):
+            raise
+        err.print(f"error: {error}", highlight=False, markup=False, soft_wrap=True)
+        sys.exit(2)
+
+
+def _start(precision: str) -> None:
+    from .runtime import setup
+
+    setup(precision=precision)
+
+
+def _scenario(name: str, schemes: list[str] | None, trials: int | None, settings: list[str] | None):
+    """The scenario as asked for; ValueError names what is allowed."""
+    import dataclasses
+
+    from . import scenarios
+
+    values = {}
+    for setting in settings or []:
+        path, equals, value = setting.partition("=")
+        if not equals:
+            raise ValueError(f"--set {setting!r} is not PATH=VALUE")
+        values[path.strip()] = value.strip()
+    known = scenarios.options(name) if name in scenarios.SCENARIOS else {}
+    chosen = scenarios.load(name, **{path: value for path, value in values.items() if path in known})
+    chosen = chosen.with_values({path: value for path, value in values.items() if path not in known})
+    if trials is not None:
+        if trials < 1:
+            raise ValueError(f"--trials {trials} is outside its allowed range [1, inf)")
+        chosen = dataclasses.replace(chosen, trials=trials)
+    return chosen.select(tuple(schemes or ()))
+
+
+def _with_progress(plan, folder: Path, store: Path, resume: bool):
+    """Run the plan behind a progress bar (on a terminal); the dataset, the seconds and the sample-steps it took."""
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rate]}"))
+    start, counted = time.perf_counter(), {}
+    with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=err, disable=not err.is_terminal) as bar:
+        bars = {name: bar.add_task(name, total=plan.samples, rate="") for name in plan.schemes}
+
+        def progress(name: str, done: int, fresh: int) -> None:
+            counted[name] = counted.get(name, 0) + fresh
+            steps = sum(counted.values()) * plan.trials * plan.task.N
+            bar.update(bars[name], completed=done, rate=f"{steps / (time.perf_counter() - start):.2g} steps/s")
+
+        try:
+            dataset = plan.run(store, resume=resume, progress=progress)
+        except KeyboardInterrupt:
+            err.print(f"stopped; {store} holds what is done: the same command with --resume goes on", highlight=False)
+            sys.exit(130)
+    return dataset, time.perf_counter() - start, sum(counted.values()) * plan.trials * plan.task.N
+
+
+def _folder(folder: Path | None, default: str) -> Path:
+    folder = folder or Path("out") / default
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def _written(paths: list[Path], json_file: Path | None, numbers: dict) -> None:
+    if json_file is not None:
+        json_file.parent.mkdir(parents=True, exist_ok=True)
+        json_file.write_text(json.dumps(numbers, indent=1, allow_nan=True) + "\n")
+        paths = [*paths, json_file]
+    out.print("written: " + ", ".join(map(str, paths)), highlight=False, soft_wrap=True)
+
+
+def _brief(value) -> str:
+    import numpy as np
+
+    if value is None or isinstance(value, str | int | tuple):
+        return str(value)
+    return np.array2string(np.asarray(value), precision=6, threshold=6)
+
+
+if __name__ == "__main__":
+    main()

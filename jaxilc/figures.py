@@ -1,0 +1,138 @@
+"""Figures as engineers read them. Each function takes a dataset and returns the axes it drew on.
+
+Schemes keep their colour and line style through all figures of a dataset, so that they can be told apart in print.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.axes import Axes
+
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")  # safe for the colour-blind
+DASHES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (3, 1, 1, 1)), (0, (1, 1)))
+
+
+def _style(dataset: xr.Dataset, scheme: str) -> dict:
+    i = [str(s) for s in dataset["scheme"].values].index(scheme)
+    return {"color": COLOURS[i % len(COLOURS)], "linestyle": DASHES[i % len(DASHES)]}
+
+
+def _axes(ax: Axes | None, rows: int = 1):
+    """The axes given, or those of a new figure without pyplot's global state."""
+    if ax is not None:
+        return ax
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.2, 1.6 + 2.6 * rows), layout="constrained", dpi=150)
+    return figure.subplots(rows, 1, sharex=True)
+
+
+def _names(dataset: xr.Dataset) -> list[str]:
+    return [str(s) for s in dataset["scheme"].values]
+
+
+def _worst_channel(array: xr.DataArray, *keep: str) -> xr.DataArray:
+    return array.max([d for d in array.dims if d not in keep])
+
+
+def error_by_trial(
+    dataset: xr.Dataset,
+    *,
+    figure: str = "settled_error",
+    scale: float = 1.0,
+    unit: str = "",
+    published: Iterable = (),
+    ax: Axes | None = None,
+) -> Axes:
+    """Error of one machine against the trial, log axis; printed values as open circles in the scheme's colour.
+
+    dataset: dims (scheme, trial);  scale, unit: of the errors shown;  published: rows with scheme, trial, quantity, value [unit]
+    """
+    ax = _axes(ax)
+    for name in _names(dataset):
+        errors = scale * _worst_channel(dataset[figure].sel(scheme=name), "trial")
+        ax.semilogy(dataset["trial"], errors, label=name, **_style(dataset, name))
+        printed = [(p.trial, p.value) for p in published if (p.scheme, p.quantity) == (name, figure) and p.trial]
+        if printed:
+            ax.plot(*zip(*printed, strict=True), "o", mfc="none", color=_style(dataset, name)["color"], label=f"{name}, published")
+    ax.set(xlabel="trial", ylabel=f"{figure.replace('_', ' ')} [{unit}]")
+    ax.grid(True, which="both", alpha=0.25)
+    ax.legend()
+    return ax
+
+
+def tracking(dataset: xr.Dataset, scheme: str, trials: Sequence[int], *, scale: float = 1.0, unit: str = "", ax=None):
+    """Output, error and input of one scheme against time, for chosen trials; three axes.
+
+    dataset: with y, e (scheme, trial, time, channel) and u (scheme, trial, input_time, input);  scale, unit: of the error shown
+    """
+    top, middle, bottom = axes = _axes(ax, rows=3)
+    chosen = dataset.sel(scheme=scheme)
+    shades = np.linspace(0.75, 0.0, len(trials))
+    for channel in range(dataset.sizes["channel"]):
+        top.plot(
+            dataset["time"], dataset["r"].isel(channel=channel), color="#999999", linewidth=3, label="reference" if channel == 0 else None
+        )
+    for trial, shade in zip(trials, shades, strict=True):
+        now, colour = chosen.sel(trial=trial), str(shade)
+        for channel in range(dataset.sizes["channel"]):
+            label = f"trial {trial}" if channel == 0 else None
+            top.plot(dataset["time"], now["y"].isel(channel=channel), color=colour, linewidth=1, linestyle=DASHES[channel % 4], label=label)
+            error = scale * now["e"].isel(channel=channel)
+            middle.plot(dataset["time"], error, color=colour, linewidth=1, linestyle=DASHES[channel % 4])
+        for i in range(dataset.sizes["input"]):
+            bottom.plot(dataset["input_time"], now["u"].isel(input=i), color=colour, linewidth=1, linestyle=DASHES[i % 4])
+    last = scale * np.nanmax(np.abs(chosen["e"].sel(trial=list(trials)[1:] or list(trials)).values), initial=0.0)
+    if np.isfinite(last) and last > 0:
+        middle.set_ylim(-1.2 * last, 1.2 * last)
+    top.set(ylabel=f"output [{dataset['y'].attrs.get('units', '')}]", title=scheme)
+    middle.set(ylabel=f"error [{unit}]")
+    bottom.set(ylabel=f"input [{dataset['u'].attrs.get('units', '')}]", xlabel="time [s]")
+    for axis in axes:
+        axis.grid(True, alpha=0.25)
+    top.legend(ncols=3, fontsize="small")
+    return axes
+
+
+def error_band(
+    dataset: xr.Dataset,
+    *,
+    figure: str = "settled_error",
+    tolerance: float | None = None,
+    scale: float = 1.0,
+    unit: str = "",
+    ax: Axes | None = None,
+) -> Axes:
+    """A sweep: median, 5-95 % band and worst sample against the trial, log axis, with the tolerance.
+
+    dataset: dims (scheme, sample, trial);  tolerance: in the unit of the dataset
+    """
+    from .summary import summarise
+
+    ax = _axes(ax)
+    for row in summarise(dataset, tolerance or 1.0, figure=figure):
+        style, trial = _style(dataset, row.scheme), dataset["trial"]
+        ax.semilogy(trial, scale * row.median, label=f"{row.scheme}: median, 5–95 %", **style)
+        ax.fill_between(trial, scale * row.low, scale * row.high, color=style["color"], alpha=0.2, linewidth=0)
+        ax.semilogy(trial, scale * row.worst, color=style["color"], linewidth=0.8, alpha=0.8, marker=".", markersize=3, linestyle="none")
+    ax.plot([], [], "k.", markersize=3, label="worst sample")
+    if tolerance is not None:
+        ax.axhline(scale * tolerance, color="k", linewidth=0.8, label=f"tolerance {scale * tolerance:g} {unit}")
+    ax.set(xlabel="trial", ylabel=f"{figure.replace('_', ' ')} [{unit}]", title=f"{dataset.sizes['sample']} machines")
+    ax.grid(True, which="both", alpha=0.25)
+    ax.legend(fontsize="small")
+    return ax
+
+
+def save(axes, path: str | Path) -> Path:
+    """Write the figure that holds the axes."""
+    figure = np.ravel(axes)[0].figure
+    figure.savefig(path)
+    return Path(path)

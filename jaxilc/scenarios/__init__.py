@@ -1,0 +1,38 @@
+"""The scenarios: one module for each paper."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+
+from .cao_2019 import cao_2019
+from .scenario import Published, Scenario
+
+SCENARIOS: dict[str, Callable[..., Scenario]] = {"cao-2019": cao_2019}
+
+__all__ = ["SCENARIOS", "Published", "Scenario", "load", "options"]
+
+
+def load(name: str, **chosen) -> Scenario:
+    """A scenario by name, with its options (`load("cao-2019", plant="printed")`).
+
+    Raises ValueError naming the allowed scenarios or options.
+    """
+    if name not in SCENARIOS:
+        raise ValueError(f"scenario = {name!r} is not one of {', '.join(SCENARIOS)}")
+    allowed = options(name)
+    for option in chosen:
+        if option not in allowed:
+            raise ValueError(f"{name}: option {option!r} is not one of {', '.join(allowed)}")
+    for option, value in chosen.items():
+        if isinstance(allowed[option], float):
+            try:
+                chosen[option] = float(value)
+            except (TypeError, ValueError):
+                raise ValueError(f"{name}: option {option} = {value!r} is not a number") from None
+    return SCENARIOS[name](**chosen)
+
+
+def options(name: str) -> dict[str, object]:
+    """The options of a scenario with their defaults."""
+    return {p.name: p.default for p in inspect.signature(SCENARIOS[name]).parameters.values()}

@@ -1,0 +1,103 @@
+"""What a scenario is: a machine, its task, schemes with their parameters, uncertainty, and what was published about it."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from ..machine import Machine
+from ..pytree import allowed_at, get_at, replaced, settable
+from ..schemes import Scheme
+from ..signals import Task
+from ..uncertainty import Uncertainty
+
+
+class Published(NamedTuple):
+    """A printed number: data to compare with, never fed back.
+
+    quantity: `settled_error`, `max_error` or `rms` [unit shown by the scenario];  trial: None for a scheme that does not learn
+    """
+
+    scheme: str
+    trial: int | None
+    quantity: str
+    value: float
+    source: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Scenario:
+    """A system of a paper, ready to run.
+
+    trials: J;  uncertainty: distributions on the machine's leaves;  tolerance: settled error that passes [shown unit]
+    published: printed results [shown unit];  chosen: what the paper leaves open, and what was chosen here, as text
+    shown_unit, shown_scale: errors are shown as shown_scale times the simulated ones, in shown_unit
+    show_trials: trials worth a row in a table or a curve in a figure
+    """
+
+    name: str
+    title: str
+    machine: Machine
+    task: Task
+    schemes: Mapping[str, Scheme]
+    trials: int
+    uncertainty: Uncertainty
+    published: tuple[Published, ...] = ()
+    chosen: tuple[str, ...] = ()
+    tolerance: float = 1.0
+    shown_unit: str = ""
+    shown_scale: float = 1.0
+    show_trials: tuple[int, ...] = ()
+
+    def select(self, names: tuple[str, ...]) -> Scenario:
+        """Only the schemes named; all if none is. Raises ValueError naming the allowed ones."""
+        for name in names:
+            if name not in self.schemes:
+                raise ValueError(f"scheme = {name!r} is not one of {', '.join(self.schemes)}")
+        return dataclasses.replace(self, schemes={n: self.schemes[n] for n in names}) if names else self
+
+    def settable(self) -> dict[str, object]:
+        """Everything `with_values` can set: `machine.…`, and each scheme's under its name, `ffdl-mfailc.lam`."""
+        found = {f"machine.{path}": value for path, value in settable(self.machine).items()}
+        return found | {f"{name}.{path}": value for name, scheme in self.schemes.items() for path, value in settable(scheme).items()}
+
+    def allowed(self, path: str) -> str:
+        """What `with_values` accepts at a path, as text."""
+        head, _, rest = path.partition(".")
+        return allowed_at(self.machine if head == "machine" else self.schemes[head], rest)
+
+    def with_values(self, settings: Mapping[str, object]) -> Scenario:
+        """This scenario with leaves or static fields replaced, all at once: {"ffdl-mfailc.lam": 0.5}.
+
+        Values may be text. Raises ValueError naming what can be set, or the allowed range.
+        """
+        objects = {"machine": self.machine, **self.schemes}
+        changes: dict[str, dict[str, object]] = {}
+        for path, value in settings.items():
+            head, _, rest = path.partition(".")
+            try:
+                changes.setdefault(head, {})[rest] = _typed(get_at(objects[head], rest), value, path)
+            except KeyError:
+                raise ValueError(f"{path!r} cannot be set; known: {', '.join(self.settable())}") from None
+        objects |= {name: replaced(objects[name], below) for name, below in changes.items()}
+        machine = objects.pop("machine")
+        return dataclasses.replace(self, machine=machine, schemes=objects)
+
+
+def _typed(old, value, path: str):
+    """`value`, which may be text, as what stands at the path: an int stays an int, a mode a mode, the rest are numbers."""
+    if not isinstance(value, str):
+        return value
+    if isinstance(old, str):
+        return value
+    try:
+        if isinstance(old, bool | int):
+            return int(value)
+        if value.lower() == "none":
+            return None
+        numbers = [float(part) for part in value.strip("()[] ").split(",")]
+    except ValueError:
+        kind = "a whole number" if isinstance(old, bool | int) else "a number, or numbers with commas between them"
+        raise ValueError(f"{path} = {value!r} is not {kind}") from None
+    return numbers if len(numbers) > 1 else numbers[0]

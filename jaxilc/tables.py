@@ -1,0 +1,139 @@
+"""What the command line prints, as plain numbers under stable keys and as tables."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from rich.table import Table
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from .scenarios import Scenario
+    from .summary import SchemeSummary
+
+FIGURES = ("settled_error", "max_error", "rms")
+
+
+def shown_trials(scenario: Scenario) -> list[int]:
+    """The trials worth a row: those of the scenario and the last."""
+    return sorted({j for j in scenario.show_trials if j <= scenario.trials} | {scenario.trials})
+
+
+def run_figures(scenario: Scenario, dataset: xr.Dataset) -> dict[str, Any]:
+    """A run's errors [shown unit] by scheme, figure and trial, beside the published ones; the largest channel counts."""
+    schemes: dict[str, Any] = {}
+    for name in scenario.schemes:
+        chosen = dataset.sel(scheme=name).max("channel", skipna=False)
+        figures = {f: {str(j): scenario.shown_scale * float(chosen[f].sel(trial=j)) for j in shown_trials(scenario)} for f in FIGURES}
+        published = []
+        for p in scenario.published:
+            if p.scheme == name:
+                trial = p.trial or 1
+                ours = scenario.shown_scale * float(chosen[p.quantity].sel(trial=trial)) if trial <= scenario.trials else None
+                published.append({"trial": p.trial, "quantity": p.quantity, "value": p.value, "source": p.source, "ours": ours})
+        schemes[name] = figures | {"diverged_at": int(chosen["diverged_at"]), "published": published}
+    return {"scenario": scenario.name, "trials": scenario.trials, "unit": scenario.shown_unit, "schemes": schemes}
+
+
+def run_table(scenario: Scenario, figures: dict[str, Any]) -> Table:
+    """Settled error by trial and scheme, the published value in brackets."""
+    table = Table(title=f"{scenario.title}\nsettled error [{scenario.shown_unit}] by trial, published value in brackets")
+    table.add_column("trial", justify="right")
+    for name in scenario.schemes:
+        table.add_column(name, justify="right")
+    for j in shown_trials(scenario):
+        cells = []
+        for rows in figures["schemes"].values():
+            printed = [p["value"] for p in rows["published"] if p["quantity"] == "settled_error" and p["trial"] == j]
+            cells.append(number(rows["settled_error"][str(j)]) + "".join(f" ({value:g})" for value in printed))
+        table.add_row(str(j), *cells)
+    return table
+
+
+def other_rows(scenario: Scenario, figures: dict[str, Any]) -> list[str]:
+    """The published figures that have no cell in `run_table`, a line each."""
+    in_table = {("settled_error", j) for j in shown_trials(scenario)}
+    lines = []
+    for name, rows in figures["schemes"].items():
+        for p in rows["published"]:
+            if p["ours"] is not None and (p["quantity"], p["trial"]) not in in_table:
+                what = p["quantity"].replace("_", " ") + (f" at trial {p['trial']}" if p["trial"] else "")
+                lines.append(f"{name}: {what} {number(p['ours'])} {scenario.shown_unit} (published {p['value']:g})")
+    return lines
+
+
+def sweep_figures(scenario: Scenario, summary: Sequence[SchemeSummary], tolerance: float, samples: int) -> dict[str, Any]:
+    """A sweep's summary [shown unit] by scheme; quantiles and the worst sample by trial."""
+    k = scenario.shown_scale
+    schemes = {
+        row.scheme: {
+            "yield": row.yield_share,
+            "yield_interval": [row.yield_low, row.yield_high],
+            "semi_converged": row.semi_converged,
+            "diverged": row.diverged,
+            "by_trial": {
+                str(j): {
+                    "median": k * float(row.median[j - 1]),
+                    "low": k * float(row.low[j - 1]),
+                    "high": k * float(row.high[j - 1]),
+                    "worst": k * float(row.worst[j - 1]),
+                    "worst_sample": int(row.worst_sample[j - 1]),
+                }
+                for j in shown_trials(scenario)
+            },
+        }
+        for row in summary
+    }
+    return {
+        "scenario": scenario.name,
+        "trials": scenario.trials,
+        "samples": samples,
+        "tolerance": k * tolerance,
+        "unit": scenario.shown_unit,
+        "schemes": schemes,
+    }
+
+
+def yield_table(figures: dict[str, Any]) -> Table:
+    """One row a scheme: yield with its interval, the last trial's spread, semi-convergence, divergence."""
+    last, unit = str(figures["trials"]), figures["unit"]
+    table = Table(title=f"{figures['samples']} machines, settled error of trial {last} within {figures['tolerance']:g} {unit}")
+    for column in ("scheme", "yield (95 % interval)", f"median [{unit}]", "5–95 %", "worst", "sample", "semi-converged", "diverged"):
+        table.add_column(column, justify="left" if column == "scheme" else "right")
+    for name, row in figures["schemes"].items():
+        at, (low, high) = row["by_trial"][last], row["yield_interval"]
+        table.add_row(
+            name,
+            f"{row['yield']:.1%} ({low:.1%} – {high:.1%})",
+            number(at["median"]),
+            f"{number(at['low'])} – {number(at['high'])}",
+            number(at["worst"]),
+            str(at["worst_sample"]),
+            f"{row['semi_converged']:.1%}",
+            f"{row['diverged']:.1%}",
+        )
+    return table
+
+
+def band_table(figures: dict[str, Any]) -> Table:
+    """Median and 95 % quantile by trial and scheme."""
+    table = Table(title=f"settled error [{figures['unit']}] by trial: median (95 % quantile)")
+    table.add_column("trial", justify="right")
+    for name in figures["schemes"]:
+        table.add_column(name, justify="right")
+    for j in next(iter(figures["schemes"].values()))["by_trial"]:
+        rows = [row["by_trial"][j] for row in figures["schemes"].values()]
+        table.add_row(j, *(f"{number(r['median'])} ({number(r['high'])})" for r in rows))
+    return table
+
+
+def number(value: float) -> str:
+    """Three significant digits, as one reads them."""
+    if not np.isfinite(value):
+        return "–"
+    if value == 0 or 1e-3 <= abs(value) < 1e5:
+        return np.format_float_positional(value, precision=3, fractional=False, trim="-")
+    return f"{value:.2e}"
