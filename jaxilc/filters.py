@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from .pytree import leaf, pytree, static
+from .pytree import known, leaf, pytree, static
 
 
 class Filter:
@@ -49,8 +49,8 @@ class ZeroPhaseButterworth(Filter):
     """
 
     cutoff: jax.Array = leaf(interval="(0, inf)")
-    order: int = static(2, "[1, inf)")
-    padding: int | None = static(None)
+    order: int = static(2, "[1, inf)", whole=True)
+    padding: int | None = static(None, "[0, inf)", whole=True, optional=True)
 
     @property
     def edge(self) -> int:
@@ -58,7 +58,7 @@ class ZeroPhaseButterworth(Filter):
         return 3 * (self.order + 1) if self.padding is None else self.padding
 
     def check(self, samples: int, dt: float) -> None:
-        if np.any(np.asarray(self.cutoff) >= 0.5 / dt):
+        if known(self) and np.any(np.asarray(self.cutoff) >= 0.5 / dt):
             raise ValueError(
                 f"ZeroPhaseButterworth: cutoff = {self.cutoff} Hz is outside its allowed range (0, {0.5 / dt:g}), Nyquist at dt = {dt:g} s"
             )

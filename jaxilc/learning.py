@@ -139,5 +139,8 @@ def next_memory(scheme: Scheme, task: Task, memory, y, u):
 
 
 def feedforward(scheme: Scheme, task: Task, memory) -> jax.Array:
-    """(N, n_u) the input that the scheme will play back in the next trial (feedback within the trial comes on top)."""
-    return scheme.table(memory, task).u
+    """(N, n_u) the input that the scheme will play back in the next trial; feedback within the trial comes on top.
+
+    Of `OnReference` it is the correction of the reference. Raises ValueError for a scheme that learns no feedforward.
+    """
+    return scheme.feedforward(memory, task)

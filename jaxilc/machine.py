@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from .plants import Plant
-from .pytree import leaf, part, pytree
+from .pytree import leaf, need_channels, part, pytree
 from .signals import Task
 
 
@@ -115,6 +115,14 @@ class Machine:
         for what, here, there in (("inputs", self.plant.n_u, task.inputs), ("outputs", self.plant.n_y, task.outputs)):
             if here != there:
                 raise ValueError(f"the task has {there} {what} but the plant {type(self.plant).__name__} has {here}")
+        for part_, names, channels in (
+            (self.actuator, ("limit", "rate", "resolution"), task.inputs),
+            (self.sensor, ("resolution", "noise"), task.outputs),
+            (self.disturbance, ("input_noise",), task.inputs),
+            (self.disturbance, ("output_noise",), task.outputs),
+        ):
+            if part_ is not None:
+                need_channels(part_, channels, *names)
         for name, shape in (("input", (task.N, task.inputs)), ("output", (task.N + 1, task.outputs))):
             signal = getattr(self.disturbance, name, None)
             if signal is not None and signal.shape[-2:] != shape:

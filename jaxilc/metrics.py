@@ -29,8 +29,14 @@ def measure(trial: Trial, task: Task) -> Metrics:
     e = jnp.abs(trial.e)
     return Metrics(
         max_error=jnp.max(e[1:], axis=0),
-        rms=jnp.sqrt(jnp.mean(e[1:] ** 2, axis=0)),
+        rms=_root_mean_square(e[1:]),
         settled_error=jnp.max(e[task.settled], axis=0),
-        effort=jnp.sqrt(jnp.mean(trial.u**2, axis=0)),
+        effort=_root_mean_square(trial.u),
         finite=jnp.all(jnp.isfinite(trial.y)) & jnp.all(jnp.isfinite(trial.u)),
     )
+
+
+def _root_mean_square(signal):
+    """(n,) of a (N, n) signal; the gradient where it is zero is zero, not NaN."""
+    mean = jnp.mean(signal**2, axis=0)
+    return jnp.where(mean > 0, jnp.sqrt(jnp.where(mean > 0, mean, 1.0)), 0.0 * mean)

@@ -53,9 +53,12 @@ def leaf(default=dataclasses.MISSING, interval: str = "(-inf, inf)", *, optional
     return dataclasses.field(default=default, metadata=metadata)
 
 
-def static(default=dataclasses.MISSING, interval: str | None = None, *, choices: tuple = ()) -> Any:
-    """A static field: a length, a window, a mode. Changing it compiles another program."""
-    metadata = {"kind": "static", "interval": Interval.parse(interval) if interval else None, "choices": tuple(choices)}
+def static(
+    default=dataclasses.MISSING, interval: str | None = None, *, choices: tuple = (), whole: bool = False, optional: bool = False
+) -> Any:
+    """A static field: a length, a window, a mode. Changing it compiles another program. `whole` admits whole numbers only."""
+    interval = Interval.parse(interval) if interval else None
+    metadata = {"kind": "static", "interval": interval, "choices": tuple(choices), "whole": whole, "optional": optional}
     return dataclasses.field(default=default, metadata=metadata)
 
 
@@ -173,6 +176,19 @@ def replaced(tree, changes: Mapping[str, Any]):
     return {**tree, **new} if isinstance(tree, dict) else dataclasses.replace(tree, **new)
 
 
+def known(tree) -> bool:
+    """Whether every leaf has a value that can be looked at, rather than being traced by a transformation."""
+    return not any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(tree))
+
+
+def need_channels(tree, channels: int, *names: str) -> None:
+    """Raises ValueError unless each named field is one number, or one for each channel, or absent."""
+    for name in names:
+        value = getattr(tree, name)
+        if value is not None and np.shape(value) not in ((), (channels,)):
+            raise ValueError(f"{type(tree).__name__}: {name} has shape {np.shape(value)}; allowed are () and ({channels},)")
+
+
 def _kind(field) -> str:
     return field.metadata.get("kind", "part")
 
@@ -187,21 +203,34 @@ def _settled(owner: str, field, value):
         if not isinstance(value, jax.core.Tracer) and not field.metadata["interval"].contains(value):
             raise ValueError(f"{owner}: {field.name} = {_show(value)} is outside its allowed range {field.metadata['interval']}")
     elif kind == "static":
-        choices, interval = field.metadata["choices"], field.metadata["interval"]
-        if choices and value not in choices:
-            raise ValueError(f"{owner}: {field.name} = {value!r} is not one of {', '.join(map(repr, choices))}")
-        if interval is not None and not (np.isscalar(value) and not isinstance(value, str) and interval.contains(value)):
-            raise ValueError(f"{owner}: {field.name} = {value!r} is outside its allowed range {interval}")
+        _check_static(owner, field, value)
     return value
 
 
+def _check_static(owner: str, field, value) -> None:
+    choices, interval, whole = (field.metadata[k] for k in ("choices", "interval", "whole"))
+    if value is None and field.metadata["optional"]:
+        return
+    if choices and value not in choices:
+        raise ValueError(f"{owner}: {field.name} = {value!r} is not one of {', '.join(map(repr, choices))}")
+    if interval is not None:
+        number = np.isscalar(value) and not isinstance(value, str | bool) and interval.contains(value)
+        if not number or (whole and not isinstance(value, int | np.integer)):
+            allowed = f"{interval}{' of whole numbers' if whole else ''}"
+            raise ValueError(f"{owner}: {field.name} = {value!r} is outside its allowed range {allowed}")
+
+
 def _as_float(owner: str, name: str, value):
-    if isinstance(value, jax.Array):
-        return value if jax.numpy.issubdtype(value.dtype, jax.numpy.floating) else value.astype(float)
+    if isinstance(value, jax.Array) and not jax.numpy.iscomplexobj(value):
+        floating = jax.numpy.issubdtype(value.dtype, jax.numpy.floating)
+        return jax.lax.convert_element_type(value, value.dtype if floating else float)  # also makes a weak type strong
     try:
-        return np.asarray(value, dtype=getattr(value, "dtype", None) if np.asarray(value).dtype.kind == "f" else float)
-    except (TypeError, ValueError):
-        raise ValueError(f"{owner}: {name} = {value!r} is not a number or an array of numbers") from None
+        plain = np.asarray(value)
+    except ValueError:  # ragged
+        plain = np.asarray(None)
+    if plain.dtype.kind not in "fiu":
+        raise ValueError(f"{owner}: {name} = {value!r} is not a number or an array of numbers")
+    return plain if plain.dtype.kind == "f" and hasattr(value, "dtype") else plain.astype(float)
 
 
 def _show(value) -> str:
@@ -233,7 +262,7 @@ def _split_index(head: str) -> tuple[str, tuple[int, ...]]:
 def _with_element(old, index, value):
     if isinstance(old, jax.Array) or isinstance(value, jax.Array):
         return jax.numpy.asarray(old).at[index].set(value)
-    new = np.array(old, dtype=float)
+    new = np.array(old)
     new[index] = value
     return new
 

@@ -29,7 +29,7 @@ class Task:
     reference: jax.Array = leaf()
     dt: float = static(interval="(0, inf)")
     settle: tuple[float, float] | None = static(None)
-    inputs: int | None = static(None)
+    inputs: int | None = static(None, "[1, inf)", whole=True, optional=True)
     unit: str = static("")
     input_unit: str = static("")
 

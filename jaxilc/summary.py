@@ -34,7 +34,7 @@ class SchemeSummary(NamedTuple):
     diverged: float
 
 
-def summarise(dataset: xr.Dataset, tolerance: float, *, figure: str = "settled_error", growth: float = 0.05) -> list[SchemeSummary]:
+def summarise(dataset: xr.Dataset, tolerance: float, *, figure: str = "settled_error", growth: float = 0.5) -> list[SchemeSummary]:
     """The summary of each scheme.
 
     tolerance: largest `figure` that passes, in its unit;  figure: a variable over (scheme, sample, trial); with several channels

@@ -44,11 +44,14 @@ class StateSpace(Plant):
     dt: float = static(0.0, "[0, inf)")
 
     def __post_init__(self):
-        n, m, p = self.A.shape[-1], self.B.shape[-1], self.C.shape[-2] if self.C.ndim > 1 else 0
-        if self.A.shape[-2:] != (n, n) or self.B.shape[-2:] != (n, m) or self.C.shape[-2:] != (p, n):
+        n = len(self.A) if self.A.ndim else 0
+        fits = self.A.shape == (n, n) and self.B.shape[:-1] == (n,) and self.C.shape[1:] == (n,) and self.B.ndim == self.C.ndim == 2
+        if not fits:
             raise ValueError(
                 f"StateSpace: A {self.A.shape}, B {self.B.shape}, C {self.C.shape} do not fit; allowed are (n, n), (n, n_u), (n_y, n)"
             )
+        if self.x0 is not None and self.x0.shape != (n,):
+            raise ValueError(f"StateSpace: x0 has shape {self.x0.shape}; allowed is ({n},)")
 
     @property
     def n_u(self) -> int:

@@ -27,6 +27,10 @@ class VoiceCoil(Plant):
     zero: jax.Array = leaf(928.2)
     poles: jax.Array = leaf((474.0, 474.0, 6.404), "(0, inf)")
 
+    def __post_init__(self):
+        if self.poles.shape != (3,):
+            raise ValueError(f"VoiceCoil: poles has shape {self.poles.shape}; allowed is (3,)")
+
     def sampled(self, dt: float) -> DifferenceEquation:
         """Exact zero-order hold as a difference equation: the poles map to exp(-p dt), the numerator follows from the first three
         Markov parameters h_i = C A^(i-1) B, since b(z) = a(z) h(z)."""

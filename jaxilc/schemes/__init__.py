@@ -1,6 +1,6 @@
 """Control schemes: feedback, learning, and compositions of them."""
 
-from .compose import Filtered, OnOutputs, WithFeedback
+from .compose import Filtered, OnOutputs, OnReference, WithFeedback
 from .mfac import CFDLMFAC, CFDLMFAPC, FFDLMFAC, PFDLMFAC
 from .mfailc import CFDLMFAILC, FFDLMFAILC, PFDLMFAILC
 from .pid import PID
@@ -18,6 +18,7 @@ __all__ = [
     "PID",
     "Filtered",
     "OnOutputs",
+    "OnReference",
     "PIDType",
     "Scheme",
     "WithFeedback",

@@ -6,11 +6,12 @@ import dataclasses
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 
 from ..filters import Filter
 from ..pytree import part, pytree, static
 from ..signals import Sample, Task, Trial
-from .scheme import Scheme, State
+from .scheme import Scheme, State, past
 
 
 class Pair(NamedTuple):
@@ -33,7 +34,7 @@ class WithFeedback(Scheme):
     """u = u_learning + u_feedback: learned feedforward over a feedback loop (the parallel structure of Li 2020, eq. 2).
 
     The learning part is shown the input less the feedback's share, so that it learns its own contribution only; the signal
-    `feedback` of the trial records that share.
+    `feedback` of the trial records that share. Signals of the parts appear as `learning.NAME` and `feedback.NAME`.
     """
 
     learning: Scheme = part()
@@ -54,7 +55,7 @@ class WithFeedback(Scheme):
         return Pair(self.learning.table(memory.learning, task), self.feedback.table(memory.feedback, task))
 
     def init(self, task: Task) -> PairState:
-        return PairState(self.learning.init(task), self.feedback.init(task), jax.numpy.zeros(task.inputs))
+        return PairState(self.learning.init(task), self.feedback.init(task), jnp.zeros(task.inputs))
 
     def act(self, state: PairState, sample: Sample):
         learning, u_learning = self.learning.act(state.learning, sample._replace(row=sample.row.learning))
@@ -62,13 +63,31 @@ class WithFeedback(Scheme):
         return PairState(learning, feedback, u_feedback), u_learning + u_feedback
 
     def signals(self, state: PairState):
-        return self.learning.signals(state.learning) | self.feedback.signals(state.feedback) | {"feedback": state.u}
+        return (
+            {"feedback": state.u}
+            | _of_part("learning", self.learning, state.learning)
+            | _of_part("feedback", self.feedback, state.feedback)
+        )
 
     def learn(self, memory: Pair, trial: Trial) -> Pair:
         if "feedback" not in trial.signals:
             raise ValueError("WithFeedback: the trial has no signal 'feedback' (N, n_u), so its learned part cannot be told from u")
-        own = trial._replace(u=trial.u - trial.signals["feedback"])
-        return Pair(self.learning.learn(memory.learning, own), self.feedback.learn(memory.feedback, trial))
+        of_learning, of_feedback = (trial._replace(signals=_below(name, trial.signals)) for name in ("learning", "feedback"))
+        own = of_learning._replace(u=trial.u - trial.signals["feedback"])
+        return Pair(self.learning.learn(memory.learning, own), self.feedback.learn(memory.feedback, of_feedback))
+
+    def feedforward(self, memory: Pair, task: Task):
+        return self.learning.feedforward(memory.learning, task)
+
+
+def _of_part(name: str, scheme: Scheme, state: State) -> dict[str, jax.Array]:
+    """The signals of a part, under its name."""
+    return {f"{name}.{signal}": value for signal, value in scheme.signals(state).items()}
+
+
+def _below(name: str, signals: dict[str, jax.Array]) -> dict[str, jax.Array]:
+    """The signals of a part, as it named them itself."""
+    return {signal.removeprefix(f"{name}."): value for signal, value in signals.items() if signal.startswith(f"{name}.")}
 
 
 @pytree
@@ -88,8 +107,7 @@ class Filtered(Scheme):
     def check(self, task: Task) -> None:
         self.scheme.check(task)
         self.filter.check(task.N, task.dt)
-        if not hasattr(jax.eval_shape(lambda: self.scheme.table(self.scheme.memory(task), task)), "u"):
-            raise ValueError(f"Filtered: {type(self.scheme).__name__} learns no feedforward input u that could be filtered")
+        need_feedforward(self, self.scheme, task)
 
     def memory(self, task: Task):
         return self.scheme.memory(task)
@@ -152,3 +170,78 @@ class OnOutputs(Scheme):
     def learn(self, memory, trial: Trial):
         seen = list(self.outputs)
         return self.scheme.learn(memory, trial._replace(r=trial.r[..., seen], y=trial.y[..., seen]))
+
+
+class ReferenceTable(NamedTuple):
+    """u: (N, n_y) correction w[k] of the reference r[k+1];  now: (N, n_y) that of r[k];  ahead: (N, preview, n_y) those of r[k+1], ...
+    feedback: the feedback's own table"""
+
+    u: jax.Array
+    now: jax.Array
+    ahead: jax.Array
+    feedback: Any
+
+
+class ReferenceState(NamedTuple):
+    """The feedback's state;  correction: (n_y,) w[k]"""
+
+    feedback: State
+    correction: jax.Array
+
+
+@pytree
+class OnReference(Scheme):
+    """The feedback follows r + w, and w is what is learned (the series structure of Li 2020, Fig. 1).
+
+    learning: pure feedforward, its `u` is the correction w, with w[k] added to r[k+1];  feedback: any scheme
+    The signal `correction` of the trial records w. The error is that from r itself.
+    """
+
+    learning: Scheme = part()
+    feedback: Scheme = part()
+
+    @property
+    def preview(self) -> int:
+        return self.feedback.preview
+
+    def _task(self, task: Task) -> Task:
+        return dataclasses.replace(task, inputs=task.outputs)
+
+    def check(self, task: Task) -> None:
+        need_feedforward(self, self.learning, self._task(task))
+        self.learning.check(self._task(task))
+        self.feedback.check(task)
+
+    def memory(self, task: Task) -> Pair:
+        return Pair(self.learning.memory(self._task(task)), self.feedback.memory(task))
+
+    def table(self, memory: Pair, task: Task) -> ReferenceTable:
+        w = self.learning.table(memory.learning, self._task(task)).u
+        held = jnp.pad(w, ((0, self.preview - 1), (0, 0)), mode="edge")
+        window = jnp.stack([held[i : i + task.N] for i in range(self.preview)], axis=1)
+        return ReferenceTable(w, past(w, 1), window, self.feedback.table(memory.feedback, task))
+
+    def init(self, task: Task) -> ReferenceState:
+        return ReferenceState(self.feedback.init(task), jnp.zeros(task.outputs))
+
+    def act(self, state: ReferenceState, sample: Sample):
+        row = sample.row
+        seen = sample._replace(r=sample.r + row.now, ahead=sample.ahead + row.ahead, row=row.feedback)
+        feedback, u = self.feedback.act(state.feedback, seen)
+        return ReferenceState(feedback, row.u), u
+
+    def signals(self, state: ReferenceState):
+        return {"correction": state.correction} | _of_part("feedback", self.feedback, state.feedback)
+
+    def learn(self, memory: Pair, trial: Trial) -> Pair:
+        if "correction" not in trial.signals:
+            raise ValueError("OnReference: the trial has no signal 'correction' (N, n_y), so what was learned cannot be told")
+        own = trial._replace(u=trial.signals["correction"], signals={})
+        of_feedback = trial._replace(signals=_below("feedback", trial.signals))
+        return Pair(self.learning.learn(memory.learning, own), self.feedback.learn(memory.feedback, of_feedback))
+
+
+def need_feedforward(scheme: Scheme, learning: Scheme, task: Task) -> None:
+    """Raises ValueError unless the table of `learning` has a feedforward signal `u`."""
+    if not hasattr(jax.eval_shape(lambda: learning.table(learning.memory(task), task)), "u"):
+        raise ValueError(f"{type(scheme).__name__}: {type(learning).__name__} learns no feedforward signal u")

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ..pytree import leaf, pytree, static
+from ..pytree import leaf, need_channels, pytree, static
 from ..signals import Sample, Task
 from .pseudo_gradient import RESETS, need_window, pseudo_gradient, reset_estimate
 from .scheme import Scheme, limited, need_square
@@ -49,8 +49,8 @@ class FFDLMFAC(Scheme):
     phi0: jax.Array = leaf((0.5, 0.0, -0.1, 0.0))
     epsilon: jax.Array = leaf(1e-5, "(0, inf)")
     limit: jax.Array | None = leaf(None, "(0, inf)", optional=True)
-    L_y: int = static(2, "[0, inf)")
-    L_u: int = static(2, "[1, inf)")
+    L_y: int = static(2, "[0, inf)", whole=True)
+    L_u: int = static(2, "[1, inf)", whole=True)
     reset: str = static("book", choices=RESETS)
 
     def __post_init__(self):
@@ -58,6 +58,7 @@ class FFDLMFAC(Scheme):
 
     def check(self, task: Task) -> None:
         need_square(self, task)
+        need_channels(self, task.inputs, "lam", "eta", "mu", "epsilon", "limit")
 
     def init(self, task: Task) -> State:
         rest = jnp.zeros(task.inputs)
@@ -142,9 +143,9 @@ class CFDLMFAPC(Scheme):
     theta_limit: jax.Array = leaf(10.0, "(0, inf)")
     theta0: jax.Array | None = leaf(None, optional=True)
     limit: jax.Array | None = leaf(None, "(0, inf)", optional=True)
-    P: int = static(10, "[1, inf)")
-    P_u: int = static(1, "[1, inf)")
-    n_p: int = static(3, "[1, inf)")
+    P: int = static(10, "[1, inf)", whole=True)
+    P_u: int = static(1, "[1, inf)", whole=True)
+    n_p: int = static(3, "[1, inf)", whole=True)
     reset: str = static("book", choices=RESETS)
     reference: str = static("preview", choices=("preview", "constant"))
 
@@ -160,6 +161,7 @@ class CFDLMFAPC(Scheme):
 
     def check(self, task: Task) -> None:
         need_square(self, task)
+        need_channels(self, task.inputs, "lam", "eta", "mu", "phi0", "epsilon", "delta", "theta_limit", "limit")
 
     def init(self, task: Task) -> PredictiveState:
         rest = jnp.zeros(task.inputs)

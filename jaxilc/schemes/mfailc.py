@@ -12,7 +12,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ..pytree import leaf, pytree, static
+from ..pytree import leaf, need_channels, pytree, static
 from ..signals import Sample, Task, Trial
 from .pid_type import need_lead
 from .pseudo_gradient import RESETS, need_window, pseudo_gradient, reset_estimate
@@ -76,9 +76,9 @@ class FFDLMFAILC(Scheme):
     phi0: jax.Array = leaf((0.5, 0.0, -0.06, 0.0))
     epsilon: jax.Array = leaf(1e-5, "(0, inf)")
     limit: jax.Array | None = leaf(None, "(0, inf)", optional=True)
-    L_y: int = static(2, "[0, inf)")
-    L_u: int = static(2, "[1, inf)")
-    lead: int = static(0, "[0, inf)")
+    L_y: int = static(2, "[0, inf)", whole=True)
+    L_u: int = static(2, "[1, inf)", whole=True)
+    lead: int = static(0, "[0, inf)", whole=True)
     reset: str = static("book", choices=RESETS)
 
     def __post_init__(self):
@@ -87,6 +87,7 @@ class FFDLMFAILC(Scheme):
     def check(self, task: Task) -> None:
         need_square(self, task)
         need_lead(self, task)
+        need_channels(self, task.inputs, "lam", "eta", "mu", "epsilon", "limit")
 
     def memory(self, task: Task) -> Memory:
         N, n = task.N, task.inputs
@@ -108,7 +109,9 @@ class FFDLMFAILC(Scheme):
         lead = memory.phi[c]
         gain = lead / (self.lam + lead**2)
         weights = tuple(memory.seen * gain * rho[i] * memory.phi[i] for i in range(self.L_y + self.L_u) if i != c)
-        u = limited(memory.u + gain * rho[c] * memory.e, self.limit)
+        u = memory.u + gain * rho[c] * memory.e
+        if not weights:
+            u = limited(u, self.limit)  # with weights, the running trial's increments come on top first
         return Table(u, memory.y[:-1], memory.u, weights)
 
     def init(self, task: Task) -> Window:
@@ -118,7 +121,7 @@ class FFDLMFAILC(Scheme):
     def act(self, window: Window, sample: Sample) -> tuple[Window, jax.Array]:
         row = sample.row
         if self.L_y + self.L_u == 1:
-            return window, row.u
+            return window, limited(row.u, self.limit)
         dy = (sample.y - row.y, *window.dy)[: self.L_y]
         u = row.u - sum(weight * increment for weight, increment in zip(row.weights, dy + window.du, strict=True))
         u = limited(u, self.limit)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ..pytree import leaf, pytree, static
+from ..pytree import leaf, need_channels, pytree, static
 from ..signals import Sample, Task
 from .scheme import Scheme, limited, need_square
 
@@ -43,6 +43,7 @@ class PID(Scheme):
 
     def check(self, task: Task) -> None:
         need_square(self, task)
+        need_channels(self, task.outputs, "kp", "ki", "kd", "tau", "limit")
 
     def init(self, task: Task) -> PIDState:
         return PIDState(*(jnp.zeros(task.outputs),) * 4)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from ..pytree import leaf, pytree, static
+from ..pytree import leaf, need_channels, pytree, static
 from ..signals import Task, Trial
 from .scheme import Feedforward, Scheme, ahead, limited, need_square
 
@@ -25,11 +25,12 @@ class PIDType(Scheme):
     gamma_d: jax.Array = leaf(0.0)
     leak: jax.Array = leaf(0.0, "[0, 1)")
     limit: jax.Array | None = leaf(None, "(0, inf)", optional=True)
-    lead: int = static(0, "[0, inf)")
+    lead: int = static(0, "[0, inf)", whole=True)
 
     def check(self, task: Task) -> None:
         need_square(self, task)
         need_lead(self, task)
+        need_channels(self, task.inputs, "gamma_p", "gamma_i", "gamma_d", "leak", "limit")
 
     def memory(self, task: Task) -> Feedforward:
         return Feedforward(jnp.zeros((task.N, task.inputs)))

@@ -37,6 +37,13 @@ class Scheme:
         """The rows that `act` sees, one a sample."""
         return memory
 
+    def feedforward(self, memory: Memory, task: Task) -> jax.Array:
+        """(N, n_u) the learned input that the next trial plays back. Raises ValueError for a scheme that learns none."""
+        table = self.table(memory, task)
+        if not hasattr(table, "u"):
+            raise ValueError(f"{type(self).__name__} learns no feedforward input")
+        return table.u
+
     def init(self, task: Task) -> State:
         """The state before the first sample of a trial."""
         return ()
