@@ -91,7 +91,7 @@ def run(
 
     folder = _folder(out_dir, f"run-{scenario}")
     shown = {"scale": chosen.shown_scale, "unit": chosen.shown_unit}
-    paths = [figures.save(figures.error_by_trial(dataset, published=chosen.published, **shown), folder / "error-by-trial.png")]
+    paths = [figures.save(figures.error_by_trial(dataset, published=chosen.due, **shown), folder / "error-by-trial.png")]
     some = [j for j in tables.shown_trials(chosen) if j in (2, 20, chosen.trials)] or [chosen.trials]
     for name in chosen.schemes:
         axes = figures.tracking(dataset, name, some, **shown)
@@ -147,6 +147,24 @@ def sweep(
     shown = {"scale": chosen.shown_scale, "unit": chosen.shown_unit}
     path = figures.save(figures.error_band(dataset, tolerance=tolerance, **shown), folder / "error-band.png")
     _written([path, store], json_file, numbers | {"sample_steps": steps, "seconds": seconds})
+
+
+@app.command()
+def reproduce(
+    scenario: Annotated[list[str] | None, typer.Argument(metavar="[SCENARIO]...", help="Scenarios; all if none is given.")] = None,
+    json_file: Json = None,
+    precision: Precision = "float64",
+) -> None:
+    """Every published number beside ours, with the ratio, a verdict and how the paper was read.
+
+    Example: jaxilc reproduce cao-2019 dai-2014 --json out/reproduce.json
+    """
+    _start(precision)
+    from . import reproduction, tables
+
+    numbers = [row.as_dict() for row in reproduction.reproduce(scenario or ())]
+    out.print(tables.reproduction_table(numbers))
+    _written([], json_file, numbers)
 
 
 def main() -> None:
@@ -216,12 +234,13 @@ def _folder(folder: Path | None, default: str) -> Path:
     return folder
 
 
-def _written(paths: list[Path], json_file: Path | None, numbers: dict) -> None:
+def _written(paths: list[Path], json_file: Path | None, numbers: dict | list) -> None:
     if json_file is not None:
         json_file.parent.mkdir(parents=True, exist_ok=True)
         json_file.write_text(json.dumps(numbers, indent=1, allow_nan=True) + "\n")
         paths = [*paths, json_file]
-    out.print("written: " + ", ".join(map(str, paths)), highlight=False, soft_wrap=True)
+    if paths:
+        out.print("written: " + ", ".join(map(str, paths)), highlight=False, soft_wrap=True)
 
 
 def _brief(value) -> str:

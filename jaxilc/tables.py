@@ -29,7 +29,7 @@ def run_figures(scenario: Scenario, dataset: xr.Dataset) -> dict[str, Any]:
         chosen = dataset.sel(scheme=name).max("channel", skipna=False)
         figures = {f: {str(j): scenario.shown_scale * float(chosen[f].sel(trial=j)) for j in shown_trials(scenario)} for f in FIGURES}
         published = []
-        for p in scenario.published:
+        for p in scenario.due:
             if p.scheme == name:
                 trial = p.trial or 1
                 ours = scenario.shown_scale * float(chosen[p.quantity].sel(trial=trial)) if trial <= scenario.trials else None
@@ -127,6 +127,20 @@ def band_table(figures: dict[str, Any]) -> Table:
     for j in next(iter(figures["schemes"].values()))["by_trial"]:
         rows = [row["by_trial"][j] for row in figures["schemes"].values()]
         table.add_row(j, *(f"{number(r['median'])} ({number(r['high'])})" for r in rows))
+    return table
+
+
+def reproduction_table(figures: Sequence[dict[str, Any]]) -> Table:
+    """One row a published number."""
+    met = {v: sum(f["verdict"] == v for f in figures) for v in ("met", "shape", "open")}
+    table = Table(title=f"{len(figures)} published numbers: {met['met']} met within 30 %, {met['shape']} in shape, {met['open']} open")
+    for column in ("scenario", "scheme", "trial", "quantity", "published", "ours", "ratio", "verdict", "source", "reading"):
+        table.add_column(column, justify="right" if column in ("trial", "published", "ours", "ratio") else "left")
+    for f in figures:
+        trial = "" if f["trial"] is None else str(f["trial"])
+        ours = (f"{f['value']:g} {f['unit']}", number(f["ours"]), f"{f['ratio']:.2f}")
+        reading = "; ".join([*(f"{k} {v}" for k, v in f["options"].items() if k != "plant"), f["reading"]])
+        table.add_row(f["scenario"], f["scheme"], trial, f["quantity"].replace("_", " "), *ours, f["verdict"], f["source"], reading)
     return table
 
 

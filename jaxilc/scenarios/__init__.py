@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
 import inspect
 from collections.abc import Callable
 
 from .cao_2019 import cao_2019
+from .cao_2019_rig import cao_2019_rig
+from .dai_2014 import dai_2014
 from .scenario import Published, Scenario
 
-SCENARIOS: dict[str, Callable[..., Scenario]] = {"cao-2019": cao_2019}
+SCENARIOS: dict[str, Callable[..., Scenario]] = {"cao-2019": cao_2019, "cao-2019-rig": cao_2019_rig, "dai-2014": dai_2014}
 
 __all__ = ["SCENARIOS", "Published", "Scenario", "load", "options"]
 
@@ -30,7 +33,7 @@ def load(name: str, **chosen) -> Scenario:
                 chosen[option] = float(value)
             except (TypeError, ValueError):
                 raise ValueError(f"{name}: option {option} = {value!r} is not a number") from None
-    return SCENARIOS[name](**chosen)
+    return dataclasses.replace(SCENARIOS[name](**chosen), options=allowed | chosen)
 
 
 def options(name: str) -> dict[str, object]:

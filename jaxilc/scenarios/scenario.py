@@ -17,6 +17,7 @@ class Published(NamedTuple):
     """A printed number: data to compare with, never fed back.
 
     quantity: `settled_error`, `max_error` or `rms` [unit shown by the scenario];  trial: None for a scheme that does not learn
+    options: of the scenario, under which the number was obtained;  reading: what the print leaves open there, and how it was read
     """
 
     scheme: str
@@ -24,6 +25,8 @@ class Published(NamedTuple):
     quantity: str
     value: float
     source: str
+    options: tuple[tuple[str, object], ...] = ()
+    reading: str = ""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,7 +36,7 @@ class Scenario:
     trials: J;  uncertainty: distributions on the machine's leaves;  tolerance: settled error that passes [shown unit]
     published: printed results [shown unit];  chosen: what the paper leaves open, and what was chosen here, as text
     shown_unit, shown_scale: errors are shown as shown_scale times the simulated ones, in shown_unit
-    show_trials: trials worth a row in a table or a curve in a figure
+    show_trials: trials worth a row in a table or a curve in a figure;  options: with which the scenario was loaded
     """
 
     name: str
@@ -49,6 +52,12 @@ class Scenario:
     shown_unit: str = ""
     shown_scale: float = 1.0
     show_trials: tuple[int, ...] = ()
+    options: Mapping[str, object] = dataclasses.field(default_factory=dict)
+
+    @property
+    def due(self) -> tuple[Published, ...]:
+        """The published rows that belong to this task: those of the same options, whichever form of the plant they were printed for."""
+        return tuple(p for p in self.published if all(k == "plant" or self.options.get(k) == v for k, v in p.options))
 
     def select(self, names: tuple[str, ...]) -> Scenario:
         """Only the schemes named; all if none is. Raises ValueError naming the allowed ones."""

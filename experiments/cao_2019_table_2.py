@@ -1,0 +1,26 @@
+"""Cao 2019, Table 2 and Fig. 15 to 18: CFDL-MFAILC against PID on the laboratory rig, five frequencies."""
+
+import output
+
+import jaxilc
+from jaxilc import figures, reproduction
+from jaxilc.scenarios.cao_2019_rig import TABLE_2
+
+jaxilc.setup()
+folder = output.folder(__file__)
+rows = reproduction.reproduce(["cao-2019-rig"])
+ax = output.axes()
+for scheme, colour in (("pid", "C0"), ("cfdl-mfailc", "C1")):
+    ours = [r.ours for r in rows if r.published.scheme == scheme]
+    ax.semilogy(list(TABLE_2), ours, "-", color=colour, label=scheme)
+    ax.plot(list(TABLE_2), [r.published.value for r in rows if r.published.scheme == scheme], "o", mfc="none", color=colour)
+ax.set(xlabel="frequency [Hz]", ylabel="settled error [µm]", title="lines: simulated; circles: Table 2")
+ax.grid(True, which="both", alpha=0.25)
+ax.legend()
+ax.figure.savefig(folder / "table-2.png")
+s = jaxilc.scenarios.load("cao-2019-rig", frequency=0.5)
+dataset, _ = jaxilc.run_schemes(s.machine, s.schemes, s.task, 10)
+for name, trials in {"pid": (1,), "cfdl-mfailc": (1, 2, 10)}.items():
+    axes = figures.tracking(dataset, name, trials, scale=s.shown_scale, unit=s.shown_unit)
+    figures.save(axes, folder / f"tracking-{name}.png")
+output.write_rows(folder / "rows.csv", [row.as_dict() for row in rows])

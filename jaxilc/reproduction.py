@@ -1,0 +1,84 @@
+"""Published numbers beside ours, with a verdict on each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+from . import scenarios
+from .learning import learn
+from .scenarios import Published, Scenario
+
+MET = 0.3
+
+
+class Row(NamedTuple):
+    """A published number and ours [the unit the scenario shows].
+
+    verdict: `met` within 30 %; `shape` where the row stands to every comparable row as in print, larger or smaller; else `open`
+    reading: what the paper leaves open and how it was read here
+    """
+
+    scenario: str
+    published: Published
+    ours: float
+    ratio: float
+    unit: str
+    verdict: str
+
+    def as_dict(self) -> dict[str, object]:
+        """The row flat, as JSON and CSV take it."""
+        of_print = self.published._asdict() | {"options": dict(self.published.options)}
+        return {"scenario": self.scenario} | of_print | {"ours": self.ours, "ratio": self.ratio, "unit": self.unit, "verdict": self.verdict}
+
+
+def reproduce(names: Iterable[str] = ()) -> list[Row]:
+    """Every published number of the scenarios named (all if none is), simulated anew.
+
+    Raises ValueError naming the allowed scenarios.
+    """
+    return [row for name in names or scenarios.SCENARIOS for row in _of_scenario(name)]
+
+
+def _of_scenario(name: str) -> list[Row]:
+    published = scenarios.load(name).published
+    settings = {p.options: scenarios.load(name, **dict(p.options)) for p in published}
+    ours = {}
+    for options, scenario in settings.items():
+        ours |= _simulated(scenario, [p for p in published if p.options == options])
+    values = [ours[p] for p in published]
+    return [
+        Row(name, p, value, value / p.value, settings[p.options].shown_unit, _verdict(i, published, values))
+        for i, (p, value) in enumerate(zip(published, values, strict=True))
+    ]
+
+
+def _simulated(scenario: Scenario, rows: list[Published]) -> dict[Published, float]:
+    """Our value for each row of one setting: each scheme learns once, as long as its last row asks for."""
+    ours = {}
+    for scheme in {p.scheme: None for p in rows}:
+        due = [p for p in rows if p.scheme == scheme]
+        history = learn(scenario.machine, scenario.schemes[scheme], scenario.task, max(p.trial or 1 for p in due))
+        for p in due:
+            error = np.max(np.asarray(getattr(history, p.quantity))[(p.trial or 1) - 1])
+            ours[p] = scenario.shown_scale * float(error)
+    return ours
+
+
+def _verdict(i: int, published: tuple[Published, ...], ours: list[float]) -> str:
+    here = published[i]
+    if abs(ours[i] / here.value - 1.0) <= MET:
+        return "met"
+    others = [k for k, p in enumerate(published) if k != i and _comparable(here, p) and p.value != here.value]
+    agree = [(ours[i] < ours[k]) == (here.value < published[k].value) for k in others]
+    return "shape" if agree and all(agree) and np.isfinite(ours[i]) else "open"
+
+
+def _comparable(a: Published, b: Published) -> bool:
+    """Whether an order between two rows means something: one scheme at several trials or settings, or several schemes at one."""
+    if a.quantity != b.quantity:
+        return False
+    one_scheme, one_setting = a.scheme == b.scheme, (a.trial, a.options) == (b.trial, b.options)
+    return one_scheme != one_setting
