@@ -22,7 +22,7 @@ class History(NamedTuple):
     """What learning left behind, J trials.
 
     metrics: each field with a leading axis of J;  saved: what `save` returned, likewise
-    diverged_at: () first trial (counted from 1) that was not finite, 0 if none
+    diverged_at: () number of the first trial that was not finite, 0 if none
     final: the last Trial;  memory: the state of knowledge to go on from
     """
 
@@ -66,19 +66,22 @@ def learn(
     *,
     key: jax.Array | None = None,
     memory: Any = None,
+    first: int = 1,
     save: Callable[[Trial], Any] | None = None,
 ) -> History:
     """Repeat the task, learning after each trial.
 
     trials: J >= 1;  key: of the noise, trial j uses `fold_in(key, j)`; None is a fixed key
-    memory: to go on from (`history.memory`), None to start afresh;  save: what to keep of each trial, besides its metrics
+    memory: to go on from (`history.memory`), None to start afresh;  first: number j of the first trial, so that the noise goes on too
+    save: what to keep of each trial, besides its metrics
     Differentiable and vmappable; the trial is a `jax.checkpoint`, so a gradient stores one memory per trial, not its samples.
     Raises ValueError, before anything is compiled, where machine, scheme and task do not fit.
     """
     if int(trials) != trials or trials < 1:
         raise ValueError(f"learn: trials = {trials!r} is outside its allowed range [1, inf)")
     check(machine, scheme, task)
-    return _learn(machine, scheme, task, int(trials), jax.random.key(0) if key is None else key, memory, save or _nothing)
+    key = jax.random.key(0) if key is None else key
+    return _learn(machine, scheme, task, int(trials), key, memory, jnp.asarray(first, int), save or _nothing)
 
 
 def check(machine: Machine, scheme: Scheme, task: Task) -> None:
@@ -89,7 +92,7 @@ def check(machine: Machine, scheme: Scheme, task: Task) -> None:
 
 
 @partial(jax.jit, static_argnames=("trials", "save"))
-def _learn(machine, scheme, task, trials, key, memory, save) -> History:
+def _learn(machine, scheme, task, trials, key, memory, first, save) -> History:
     machine = machine.sampled(task.dt)
     memory = scheme.memory(task) if memory is None else memory
 
@@ -103,8 +106,8 @@ def _learn(machine, scheme, task, trials, key, memory, save) -> History:
         return (memory, trial), kept
 
     blank = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), jax.eval_shape(trial_and_learning, memory, 1)[1])
-    (memory, final), (metrics, saved) = lax.scan(body, (memory, blank), jnp.arange(1, trials + 1))
-    diverged_at = jnp.where(jnp.all(metrics.finite), 0, jnp.argmin(metrics.finite) + 1)
+    (memory, final), (metrics, saved) = lax.scan(body, (memory, blank), first + jnp.arange(trials))
+    diverged_at = jnp.where(jnp.all(metrics.finite), 0, jnp.argmin(metrics.finite) + first)
     return History(metrics, saved, diverged_at, final, memory)
 
 
@@ -112,30 +115,33 @@ def _nothing(trial: Trial) -> None:
     return None
 
 
-def measured_trial(task: Task, y, u) -> Trial:
+def measured_trial(task: Task, y, u, **signals) -> Trial:
     """The record of a trial measured on a real machine.
 
     y: (N+1, n_y) or (N+1,) output, y[0] before the first input;  u: (N, n_u) or (N,) input as applied
+    signals: (N, n_u) or (N,) what the scheme needs besides, by name: `feedback`, the feedback's share of u, for `WithFeedback`
     Raises ValueError naming the signal where its length, channels or values are not those of the task.
     """
-    signals = {}
-    for name, values, shape in (("y", y, (task.N + 1, task.outputs)), ("u", u, (task.N, task.inputs))):
+    shapes = {"y": (task.N + 1, task.outputs)} | dict.fromkeys(("u", *signals), (task.N, task.inputs))
+    measured = {}
+    for name, values in {"y": y, "u": u, **signals}.items():
+        shape = shapes[name]
         values = np.asarray(values, dtype=float)
         values = values[:, None] if values.ndim == 1 else values
         if values.shape != shape:
             raise ValueError(f"measured_trial: {name} has shape {np.shape(values)}; this task needs {shape}")
         if not np.all(np.isfinite(values)):
             raise ValueError(f"measured_trial: {name} is not finite at sample {int(np.argmin(np.isfinite(values).all(axis=1)))}")
-        signals[name] = jnp.asarray(values)
-    return Trial(jnp.asarray(task.reference), signals["y"], signals["u"], task.dt)
+        measured[name] = jnp.asarray(values)
+    return Trial(jnp.asarray(task.reference), measured.pop("y"), measured.pop("u"), task.dt, measured)
 
 
-def next_memory(scheme: Scheme, task: Task, memory, y, u):
+def next_memory(scheme: Scheme, task: Task, memory, y, u, **signals):
     """One turn of the loop by hand: what the scheme knows after a measured trial; `feedforward` then gives the next input.
 
     Raises as `measured_trial` does.
     """
-    return scheme.learn(memory, measured_trial(task, y, u))
+    return scheme.learn(memory, measured_trial(task, y, u, **signals))
 
 
 def feedforward(scheme: Scheme, task: Task, memory) -> jax.Array:

@@ -20,7 +20,9 @@ def quantise(x, step):
 
 @pytree
 class Actuator:
-    """Saturation, rate limit and converter of the input: u = Q(clip(u_prev + clip(u - u_prev, -rate dt, rate dt), -limit, limit)).
+    """Rate limit, saturation and converter of the input, in this order:
+
+        v[k] = clip(v[k-1] + clip(u - v[k-1], -rate dt, rate dt), -limit, limit),    applied: clip(Q(v[k]), -limit, limit)
 
     limit:      () or (n_u,) largest |u| [unit of u]; gradient zero beyond it
     rate:       () or (n_u,) largest |du/dt| [unit of u per s]; gradient zero beyond it
@@ -31,13 +33,14 @@ class Actuator:
     rate: jax.Array | None = leaf(None, "(0, inf)", optional=True)
     resolution: jax.Array | None = leaf(None, "(0, inf)", optional=True)
 
-    def apply(self, u, u_last, dt):
-        """u: (n_u,) commanded, u_last: (n_u,) applied one sample before -> (n_u,) applied."""
-        if self.rate is not None:
-            u = u_last + jnp.clip(u - u_last, -self.rate * dt, self.rate * dt)
-        if self.limit is not None:
-            u = jnp.clip(u, -self.limit, self.limit)
-        return u if self.resolution is None else quantise(u, self.resolution)
+    def apply(self, u, v_last, dt):
+        """u: (n_u,) commanded, v_last: (n_u,) v of the sample before -> v (n_u,) and what is applied (n_u,)."""
+        v = u if self.rate is None else v_last + jnp.clip(u - v_last, -self.rate * dt, self.rate * dt)
+        v = self._within_limit(v)
+        return v, v if self.resolution is None else self._within_limit(quantise(v, self.resolution))
+
+    def _within_limit(self, u):
+        return u if self.limit is None else jnp.clip(u, -self.limit, self.limit)
 
 
 @pytree
@@ -93,8 +96,9 @@ class Machine:
         """This machine with its plant's sample-time dependent part worked out, once, outside the scans."""
         return Machine(self.plant.sampled(dt), self.actuator, self.sensor, self.disturbance)
 
-    def actuate(self, u, u_last, dt):
-        return u if self.actuator is None else self.actuator.apply(u, u_last, dt)
+    def actuate(self, u, v_last, dt):
+        """The actuator's state and the applied input, see `Actuator.apply`."""
+        return (u, u) if self.actuator is None else self.actuator.apply(u, v_last, dt)
 
     def measure(self, y, noise):
         return y if self.sensor is None else self.sensor.measure(y, noise)

@@ -14,7 +14,7 @@ class Metrics(NamedTuple):
     """Figures of one trial, over the samples the input can reach (k = 1..N); errors in the unit of y, effort in that of u.
 
     max_error: (n_y,) max |e|;  rms: (n_y,) root mean square of e;  settled_error: (n_y,) max |e| in the settled window
-    effort: (n_u,) root mean square of u;  finite: () whether every y and u is finite
+    effort: (n_u,) root mean square of u;  finite: () whether they all are, and every y and u
     """
 
     max_error: jax.Array
@@ -27,12 +27,13 @@ class Metrics(NamedTuple):
 def measure(trial: Trial, task: Task) -> Metrics:
     """The metrics of one trial. A sample at which |e| or |u| is not finite makes the figures it enters not finite."""
     e = jnp.abs(trial.e)
+    rms, effort = _root_mean_square(e[1:]), _root_mean_square(trial.u)
     return Metrics(
         max_error=jnp.max(e[1:], axis=0),
-        rms=_root_mean_square(e[1:]),
+        rms=rms,
         settled_error=jnp.max(e[task.settled], axis=0),
-        effort=_root_mean_square(trial.u),
-        finite=jnp.all(jnp.isfinite(trial.y)) & jnp.all(jnp.isfinite(trial.u)),
+        effort=effort,
+        finite=jnp.all(jnp.isfinite(rms)) & jnp.all(jnp.isfinite(effort)) & jnp.all(jnp.isfinite(e)),
     )
 
 

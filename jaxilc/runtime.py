@@ -26,6 +26,9 @@ def setup(*, precision: str = "float64", devices: int | None = None) -> None:
     if devices < 1:
         raise ValueError(f"setup: devices = {devices} is outside its allowed range [1, inf)")
     jax.config.update("jax_enable_x64", precision == "float64")
+    # XLA's pool has a thread per core. A batched LAPACK call on every device at once then waits for workers that all wait likewise;
+    # threads to spare are what prevents it. XLA reads this name.
+    os.environ.setdefault("NPROC", str(2 * max(cores, devices)))
     flags = os.environ.get("XLA_FLAGS", "")
     if "xla_backend_extra_options" not in flags:
         os.environ["XLA_FLAGS"] = f"{flags} {_WHOLE_LOOPS}".strip()

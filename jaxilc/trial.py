@@ -24,13 +24,13 @@ def run_trial(machine: Machine, scheme: Scheme, task: Task, memory, key) -> Tria
         future = future[:, None, :]
 
     def tick(carry, now):
-        x, state, u_last = carry
+        x, state, v_last = carry
         k, r_k, row, d_u, d_y, noise, next_r = now
         y = machine.measure(_plus(plant.output(x), d_y), noise)
         ahead = next_r if scheme.preview == 1 else lax.dynamic_slice_in_dim(future, k, scheme.preview)
         state, command = scheme.act(state, Sample(r_k, ahead, y, row, dt))
-        u = machine.actuate(command, u_last, dt)
-        return (plant.step(x, _plus(u, d_u), dt), state, u), (y, u, scheme.signals(state))
+        v, u = machine.actuate(command, v_last, dt)
+        return (plant.step(x, _plus(u, d_u), dt), state, v), (y, u, scheme.signals(state))
 
     rows = (
         jnp.arange(task.N),

@@ -4,6 +4,7 @@ from .friction import StribeckFriction
 from .linear import DifferenceEquation, StateSpace, from_control
 from .motor import Cogging, EndEffect, VoiceCoilMotor, voice_coil_motor
 from .plant import Plant
+from .process_model import ProcessModel
 from .voice_coil import VoiceCoil, voice_coil
 
 __all__ = [
@@ -11,6 +12,7 @@ __all__ = [
     "DifferenceEquation",
     "EndEffect",
     "Plant",
+    "ProcessModel",
     "StateSpace",
     "StribeckFriction",
     "VoiceCoil",

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from ..filters import Filter
 from ..pytree import part, pytree, static
 from ..signals import Sample, Task, Trial
-from .scheme import Scheme, State, past
+from .scheme import Scheme, State, limited, past
 
 
 class Pair(NamedTuple):
@@ -94,7 +94,8 @@ def _below(name: str, signals: dict[str, jax.Array]) -> dict[str, jax.Array]:
 class Filtered(Scheme):
     """u_{j+1} = Q(u_j + L e_j): a robustness filter on what any learning scheme is about to apply.
 
-    scheme: one whose table has a field `u`;  filter: zero-phase, applied to each channel of `u`
+    scheme: one whose table has a field `u`, and whose `limit`, if it has one, holds for the filtered u too
+    filter: zero-phase, applied to each channel of `u`
     """
 
     scheme: Scheme = part()
@@ -114,7 +115,7 @@ class Filtered(Scheme):
 
     def table(self, memory, task: Task):
         table = self.scheme.table(memory, task)
-        return table._replace(u=self.filter(table.u, task.dt))
+        return table._replace(u=limited(self.filter(table.u, task.dt), getattr(self.scheme, "limit", None)))
 
     def init(self, task: Task):
         return self.scheme.init(task)

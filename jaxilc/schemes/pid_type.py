@@ -15,7 +15,8 @@ class PIDType(Scheme):
     """Learns u_{j+1}[k] = (1 - leak) u_j[k] + gamma_p e_j[k+1+m] + gamma_i sum_{i<=k} e_j[i+1] + gamma_d (e_j[k+1+m] - e_j[k+m]).
 
     The gains are per sample, as Cao 2019 (section IV-D) and Li 2020 (eq. 2) print theirs. `Filtered(scheme, filter)` adds the
-    robustness filter: u_{j+1} = Q(u_j + L e_j). Errors beyond the end of the trial count as zero.
+    robustness filter: u_{j+1} = Q(u_j + L e_j). Errors and differences that lie beyond the end of the trial
+    count as zero.
     gamma_p, gamma_i, gamma_d: () or (n,) [unit of u per unit of y];  leak: () forgetting in [0, 1)
     lead: m, samples by which learning looks ahead beyond the one of u[k] -> y[k+1];  limit: largest |u| learned
     """
@@ -37,8 +38,8 @@ class PIDType(Scheme):
 
     def learn(self, memory: Feedforward, trial: Trial) -> Feedforward:
         e = trial.e
-        proportional = ahead(e, 1 + self.lead)
-        step = self.gamma_p * proportional + self.gamma_i * jnp.cumsum(e[1:], axis=0) + self.gamma_d * (proportional - ahead(e, self.lead))
+        difference = jnp.pad(jnp.diff(e, axis=0)[self.lead :], ((0, self.lead), (0, 0)))
+        step = self.gamma_p * ahead(e, 1 + self.lead) + self.gamma_i * jnp.cumsum(e[1:], axis=0) + self.gamma_d * difference
         return Feedforward(limited((1.0 - self.leak) * trial.u + step, self.limit))
 
 

@@ -1,0 +1,147 @@
+"""What holds for every plant and every scheme listed in cases.py."""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cases import ALGEBRA, CASES, DIFFERENCES, case, task_for
+
+from jaxilc import learning
+from jaxilc.learning import learn
+from jaxilc.machine import Machine
+from jaxilc.plants import StateSpace
+from jaxilc.pytree import named_leaves, replaced
+from jaxilc.schemes import PID, PIDType
+
+TRIALS = 4  # the estimators of MFAILC see their first data after two trials and act on it in the fourth
+SAMPLES = 3  # lanes of a batch
+
+
+class Run(NamedTuple):
+    """parts: {"machine", "scheme"};  history: of the parts;  lanes: the parts perturbed, leaves (SAMPLES, ...);
+    batch, gradient: vmapped history and gradient of the loss, of the lanes"""
+
+    parts: dict
+    task: Any
+    history: Any
+    lanes: dict
+    batch: Any
+    gradient: dict
+
+
+def of(parts, task):
+    return learn(parts["machine"], parts["scheme"], task, TRIALS)
+
+
+def loss(parts, task):
+    """Root mean square error of the last trial over all outputs, and the history."""
+    history = of(parts, task)
+    return jnp.sqrt(jnp.mean(history.rms[-1] ** 2)), history
+
+
+batched = jax.jit(jax.vmap(jax.value_and_grad(loss, has_aux=True), in_axes=(0, None)))
+
+
+@pytest.fixture(scope="module", params=CASES)
+def run(request) -> Run:
+    machine, scheme, task = case(request.param)
+    parts = {"machine": machine, "scheme": scheme}
+    shrink = np.random.default_rng(1).uniform(0.97, 1.0, (SAMPLES, len(jax.tree.leaves(parts))))
+    shrink[0] = 1.0
+    leaves, shape = jax.tree.flatten(parts)
+    lanes = shape.unflatten([np.stack([leaf * f for f in factors]) for leaf, factors in zip(leaves, shrink.T, strict=True)])
+    (_, batch), gradient = batched(lanes, task)
+    return Run(parts, task, of(parts, task), lanes, batch, gradient)
+
+
+def lane(tree, i):
+    return jax.tree.map(lambda leaf: leaf[i], tree)
+
+
+def assert_same(one, other):
+    for (name, a), b in zip(named_leaves(one).items(), named_leaves(other).values(), strict=True):
+        scale = np.max(np.abs(a), initial=0.0)
+        np.testing.assert_allclose(a, b, rtol=ALGEBRA["rtol"], atol=ALGEBRA["atol"] * max(scale, 1.0), err_msg=name)
+
+
+def test_leaves_are_strongly_typed_floats(run):
+    for tree in (run.parts, run.task, run.history.memory, run.history.final):
+        for name, leaf in named_leaves(tree).items():
+            assert jnp.issubdtype(jnp.result_type(leaf), jnp.floating), name
+            assert not jax.typeof(leaf).weak_type or name == "dt", name
+
+
+def test_jit_equals_no_jit(run):
+    dt = run.task.dt  # sampling is a matrix exponential, hundreds of operations: test_plants.py does that one
+    sampled = run.parts | {"machine": jax.jit(lambda machine: machine.sampled(dt))(run.parts["machine"])}
+    with jax.disable_jit():
+        assert_same(run.history, of(sampled, run.task))
+
+
+def test_vmap_equals_loop(run):
+    for i in range(SAMPLES):
+        assert_same(lane(run.batch, i), of(lane(run.lanes, i), run.task))
+    final = np.asarray(run.batch.rms)[:, -1]
+    assert np.all(final[1:] != final[0]), "the lanes should differ"
+
+
+def test_gradient_of_every_parameter_equals_finite_differences(run):
+    leaves, shape = jax.tree.flatten(run.parts)
+    for at, (name, gradient) in enumerate(named_leaves(run.gradient).items()):
+        gradient = np.asarray(gradient)[0]
+        assert np.all(np.isfinite(gradient)), name
+        # thresholds act by switching; the forecast of MFAPC (delta, theta) acts only with several moves
+        assert np.any(gradient != 0) or name.endswith(("epsilon", "theta_limit", "delta")), f"{name} has no effect in this case"
+        expected = np.empty_like(gradient)
+        for element in np.ndindex(gradient.shape):
+            step = 1e-6 * max(abs(leaves[at][element]), 0.1)
+            sides = []
+            for sign in (1, -1):
+                moved = np.array(leaves[at])
+                moved[element] += sign * step
+                sides.append(loss(shape.unflatten([*leaves[:at], moved, *leaves[at + 1 :]]), run.task)[0])
+            expected[element] = (sides[0] - sides[1]) / (2 * step)
+        np.testing.assert_allclose(gradient, expected, **DIFFERENCES, err_msg=name)
+
+
+def test_other_weights_do_not_retrace(run):
+    before = learning._learn._cache_size()
+    for turn in range(10):
+        parts = run.parts
+        for name, value in named_leaves(parts).items():
+            parts = replaced(parts, {name: np.asarray(value) * (1 - 0.001 * turn)})
+        of(parts, run.task)
+    assert learning._learn._cache_size() == before
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_dtype_is_preserved(run, precision):
+    with jax.enable_x64(precision == "float64"):
+        shapes = jax.eval_shape(lambda parts, task: learn(parts["machine"], parts["scheme"], task, 2), run.parts, run.task)
+    floats = {leaf.dtype for leaf in jax.tree.leaves(shapes) if jnp.issubdtype(leaf.dtype, jnp.floating)}
+    assert floats == {jnp.dtype(precision)}
+
+
+STATIC = StateSpace([[0.0]], [[1.0]], [[1.0]], dt=1e-3)  # y[k+1] = u[k]
+DIVERGING = {
+    "plant": (lambda pole: (Machine(StateSpace(pole[None, None], [[1.0]], [[1.0]], dt=1e-3)), PID(kp=0.1)), 1),
+    "feedback": (lambda gain: (Machine(STATIC), PID(kp=gain)), 1),
+    # e_j = (1 - gamma)^(j-1) r: with gamma = 1e45 and max r = 1 the square of the fifth trial's error passes the largest float, 1.8e308
+    "learning": (lambda gain: (Machine(STATIC), PIDType(gamma_p=gain)), 5),
+}
+
+
+@pytest.mark.parametrize("kind", DIVERGING)
+def test_a_diverged_lane_is_flagged_and_spoils_no_other(kind):
+    build, when = DIVERGING[kind]
+    task, trials = task_for(STATIC), np.arange(1, 11)
+    batch = jax.jit(jax.vmap(lambda strength: learn(*build(strength), task, len(trials))))
+    alone, together = batch(np.array([0.5, 0.6, 0.7])), batch(np.array([0.5, 1e45, 0.7]))
+    for i in (0, 2):
+        assert_same(lane(alone, i), lane(together, i))
+    np.testing.assert_array_equal(alone.diverged_at, [0, 0, 0])
+    np.testing.assert_array_equal(together.diverged_at, [0, when, 0])
+    np.testing.assert_array_equal(together.finite, [trials > 0, trials < when, trials > 0])
+    assert not np.any(np.isfinite(together.rms[1, when - 1 :]))

@@ -1,0 +1,254 @@
+"""The loop over trials, the same loop by hand, and what a trial is judged by."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.linalg
+import scipy.signal
+from cases import ALGEBRA, ARX, DT, PLANTS, PRINTED, SCHEMES
+
+from jaxilc.learning import feedforward, learn, measured_trial, next_memory
+from jaxilc.machine import Disturbance, Machine, Sensor
+from jaxilc.metrics import measure
+from jaxilc.plants import DifferenceEquation
+from jaxilc.pytree import leaf, pytree
+from jaxilc.schemes import CFDLMFAILC, PID, PIDType, Scheme, WithFeedback
+from jaxilc.signals import Task, Trial
+from jaxilc.trial import run_trial
+
+TRIALS = 5
+
+
+def errors(trial):
+    return trial.e
+
+
+def y_and_u(trial):
+    return {"y": trial.y, "u": trial.u}
+
+
+def assert_trees_close(one, other, **tolerance):
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, **(tolerance or ALGEBRA)), one, other)
+
+
+@pytest.mark.parametrize("name", ["pd_type", "ffdl_book", "p_type_over_pid"])
+def test_learn_is_the_loop_by_hand(name, machine, task):
+    """Trial j uses the key folded with j; the scheme learns after each trial."""
+    scheme, key = SCHEMES[name], jax.random.key(4)
+    noisy = Machine(machine.plant, sensor=Sensor(noise=1e-3), disturbance=Disturbance(input_noise=0.01))
+    history = learn(noisy, scheme, task, TRIALS, key=key, save=y_and_u)
+
+    one_trial, learn_from, judge = jax.jit(run_trial), jax.jit(type(scheme).learn), jax.jit(measure)
+    memory = scheme.memory(task)
+    for j in range(1, TRIALS + 1):
+        trial = one_trial(noisy, scheme, task, memory, jax.random.fold_in(key, j))
+        memory = learn_from(scheme, memory, trial)
+        assert_trees_close(jax.tree.map(lambda saved, j=j: saved[j - 1], history.saved), y_and_u(trial))
+        assert_trees_close(jax.tree.map(lambda figure, j=j: figure[j - 1], history.metrics), judge(trial, task))
+    assert_trees_close(history.memory, memory)
+    assert_trees_close(history.final, trial)
+    assert int(history.diverged_at) == 0
+
+
+@pytest.mark.parametrize("name", ["pd_type", "cfdl_sign", "p_type_fir", "cfdl_lead_limited"])
+def test_a_measured_machine_learns_as_the_simulated_one(name, machine, task):
+    """The machine of the loop by hand is a NumPy loop over eq. 29 that knows nothing of the package."""
+    scheme = SCHEMES[name]
+    history = learn(machine, scheme, task, TRIALS, save=y_and_u)
+    (a, b), memory = PRINTED, scheme.memory(task)
+    for j in range(TRIALS):
+        u = np.asarray(feedforward(scheme, task, memory))[:, 0]
+        y = np.zeros(task.N + 1)
+        for k in range(task.N):
+            y[k + 1] = sum(a[i] * y[k - i] + b[i] * u[k - i] for i in range(min(3, k + 1)))
+        np.testing.assert_allclose(history.saved["u"][j, :, 0], u, **ALGEBRA)
+        np.testing.assert_allclose(history.saved["y"][j, :, 0], y, **ALGEBRA)
+        memory = next_memory(scheme, task, memory, y, u)
+    assert_trees_close(history.memory, memory)
+    assert np.max(np.abs(u)) > 1
+
+
+@pytest.mark.parametrize("name", ["pid_position", "ffdl_book", "p_type_over_pid"])
+def test_going_on_from_a_memory_equals_one_long_run(name, machine, task):
+    scheme = SCHEMES[name]
+    whole = learn(machine, scheme, task, TRIALS)
+    first = learn(machine, scheme, task, 2)
+    rest = learn(machine, scheme, task, TRIALS - 2, memory=first.memory)
+    np.testing.assert_allclose(np.concatenate([first.rms, rest.rms]), whole.rms, **ALGEBRA)
+    assert_trees_close((rest.memory, rest.final), (whole.memory, whole.final))
+
+
+def test_cfdl_on_a_static_plant_contracts_by_d1_and_d2(task):
+    """y(k+1) = phi u(k): |e| falls by 1 - rho phi phi^/(lam + phi^^2), phi^ - phi by 1 - eta Du^2/(mu + Du^2), sample by sample."""
+    phi, start, lam, rho, eta, mu = 0.8, 0.5, 0.3, 0.7, 0.6, 0.4
+    scheme = CFDLMFAILC(phi0=start, lam=lam, rho=rho, eta=eta, mu=mu, reset="none")
+    machine, r = Machine(DifferenceEquation([0.0], [phi], dt=DT)), np.asarray(task.reference)[1:, 0]
+    memory, estimate, e = None, np.full(task.N, start), r
+    for _ in range(5):
+        history = learn(machine, scheme, task, 1, memory=memory)
+        np.testing.assert_allclose(history.final.e[1:, 0], e, **ALGEBRA)
+        before, memory = memory, history.memory
+        if before is not None:
+            du = np.asarray(memory.u - before.u)[:, 0]
+            estimate = phi + (1 - eta * du**2 / (mu + du**2)) * (estimate - phi)
+        np.testing.assert_allclose(np.ravel(memory.phi), estimate, **ALGEBRA)
+        e = (1 - rho * phi * estimate / (lam + estimate**2)) * e
+    assert np.max(np.abs(estimate - phi)) < 0.31
+    assert np.max(np.abs(e)) < 0.3
+
+
+@pytest.mark.parametrize("plant", [PRINTED, ARX])
+@pytest.mark.parametrize("m", [0, 2])
+def test_lifted_error_recursion(plant, m, task):
+    """e_{j+1} = ((1 - leak) I - G L) e_j + leak r with dense G (Markov parameters) and L, e = e(1..N)."""
+    (a, b), N, r = plant, task.N, np.asarray(task.reference)[1:, 0]
+    p, i, d, leak = *(np.sign(sum(b)) * np.array([0.6, 0.02, 1.5])), 0.1
+    scheme = PIDType(gamma_p=p, gamma_i=i, gamma_d=d, leak=leak, lead=m)
+    e = np.asarray(learn(Machine(DifferenceEquation(a, b, dt=DT)), scheme, task, TRIALS, save=errors).saved)[:, 1:, 0]
+    markov = scipy.signal.lfilter((0.0, *b), (1.0, *(-c for c in a)), np.eye(1, N + 1)[0])[1:]
+    G = scipy.linalg.toeplitz(markov, np.zeros(N))
+    L = p * np.eye(N, k=m) + i * np.tril(np.ones((N, N))) + d * (np.eye(N, k=m) - np.eye(N, k=m - 1))
+    np.testing.assert_allclose(e[0], r, atol=1e-15)
+    for j in range(TRIALS - 1):
+        np.testing.assert_allclose(e[j + 1], ((1 - leak) * np.eye(N) - G @ L) @ e[j] + leak * r, atol=1e-12 * np.max(np.abs(e)))
+    assert np.max(np.abs(e[1] - e[0])) > 0.05
+
+
+def test_feedforward_of_a_scheme_with_feedback_is_its_learned_part(machine, task):
+    """The feedback comes on top within the trial, so what a controller is loaded with is the learned share."""
+    learning, feedback = PIDType(gamma_p=-1.0, lead=2), PID(kp=-4.0)
+    scheme = WithFeedback(learning, feedback)
+    history = learn(machine, scheme, task, 3)
+    share = history.final.signals["feedback"]
+    np.testing.assert_allclose(share[:, 0], -4.0 * history.final.e[:-1, 0], **ALGEBRA)
+    before = learn(machine, scheme, task, 2).memory
+    np.testing.assert_allclose(feedforward(scheme, task, before), history.final.u - share, **ALGEBRA)
+
+
+def test_a_measured_trial_without_the_feedback_signal_is_refused(machine, task):
+    scheme = WithFeedback(PIDType(gamma_p=-1.0), PID(kp=-4.0))
+    with pytest.raises(ValueError, match="WithFeedback: the trial has no signal 'feedback'"):
+        next_memory(scheme, task, scheme.memory(task), np.zeros(task.N + 1), np.zeros(task.N))
+
+
+def test_save_keeps_what_it_returns(machine, task):
+    assert learn(machine, SCHEMES["p_type"], task, 3).saved is None
+    saved = learn(machine, SCHEMES["p_type"], task, 3, save=lambda trial: (trial.u[::10], jnp.max(trial.y))).saved
+    assert [s.shape for s in saved] == [(3, 6, 1), (3,)]
+
+
+def figures_by_hand(y, u, r, window):
+    e = [[r[k, i] - y[k, i] for k in range(len(r))] for i in range(r.shape[1])]
+    return {
+        "max_error": [max(abs(v) for v in channel[1:]) for channel in e],
+        "rms": [(sum(v * v for v in channel[1:]) / (len(channel) - 1)) ** 0.5 for channel in e],
+        "settled_error": [max(abs(channel[k]) for k in window) for channel in e],
+        "effort": [(sum(v * v for v in u[:, i]) / len(u)) ** 0.5 for i in range(u.shape[1])],
+        "finite": True,
+    }
+
+
+@pytest.mark.parametrize(
+    ("settle", "window"),
+    [(None, range(10, 21)), ((0.005, 0.012), range(5, 13)), ((0.0, 0.02), range(21)), ((0.02, 9.0), range(20, 21))],
+)
+def test_metrics_against_numpy(settle, window):
+    rng, N = np.random.default_rng(8), 20
+    r, y, u = rng.normal(size=(N + 1, 2)), rng.normal(size=(N + 1, 2)), rng.normal(size=(N, 3))
+    y[0] += 100.0  # no input can reach the first sample
+    figures = measure(Trial(r, y, u, DT, {}), Task(r, dt=DT, settle=settle, inputs=3))._asdict()
+    for name, expected in figures_by_hand(y, u, r, window).items():
+        np.testing.assert_allclose(figures[name], expected, rtol=1e-12, err_msg=name)
+    for spoiled in (y, u):
+        spoiled[5, 1] = np.nan
+        assert not measure(Trial(r, y, u, DT, {}), Task(r, dt=DT, inputs=3)).finite
+        spoiled[5, 1] = 0.0
+
+
+@pytest.mark.parametrize("figure", ["effort", "rms", "max_error", "settled_error"])
+def test_gradient_of_a_figure_that_is_zero_is_finite(figure):
+    """In the first trial u is 0 and so is the effort; a machine that meets r = 0 has no error. Tuning must survive both."""
+    machine, r = Machine(PLANTS["arx"]), np.zeros(11)
+    r[5:] = figure == "effort"
+
+    def total(lam):
+        return jnp.sum(getattr(learn(machine, CFDLMFAILC(phi0=0.3, lam=lam), Task(r, dt=DT), 3), figure))
+
+    assert np.isfinite(jax.grad(total)(0.5))
+
+
+@pytree
+class Looker(Scheme):
+    """Applies gain times the reference three samples ahead, and records what it saw."""
+
+    gain: jax.Array = leaf(2.0)
+    preview = 3
+
+    def init(self, task):
+        return jnp.zeros((3, task.outputs))
+
+    def act(self, state, sample):
+        return sample.ahead, self.gain * sample.ahead[2]
+
+    def signals(self, state):
+        return {"ahead": state}
+
+
+def test_preview_is_the_reference_ahead_held_at_its_end(machine):
+    r = np.arange(8.0)
+    final = learn(machine, Looker(), Task(r, dt=DT), 1).final
+    expected = [[min(k + i, 7) for i in (1, 2, 3)] for k in range(7)]
+    np.testing.assert_array_equal(final.signals["ahead"][..., 0], expected)
+    np.testing.assert_array_equal(final.u[:, 0], [2 * row[2] for row in expected])
+
+
+SHAPE = r"measured_trial: {} has shape {}; this task needs {}"
+MEASURED = {
+    "y_short": ({"y": np.zeros(60)}, SHAPE.format("y", r"\(60, 1\)", r"\(61, 1\)")),
+    "u_long": ({"u": np.zeros(61)}, SHAPE.format("u", r"\(61, 1\)", r"\(60, 1\)")),
+    "channels": ({"y": np.zeros((61, 2))}, SHAPE.format("y", r"\(61, 2\)", r"\(61, 1\)")),
+    "nan": ({"y": np.where(np.arange(61) == 7, np.nan, 0.0)}, "measured_trial: y is not finite at sample 7"),
+    "inf": ({"u": np.where(np.arange(60) >= 9, np.inf, 0.0)}, "measured_trial: u is not finite at sample 9"),
+}
+
+
+@pytest.mark.parametrize(("signals", "message"), MEASURED.values(), ids=MEASURED)
+def test_a_measured_trial_that_does_not_fit_is_named(signals, message, task):
+    with pytest.raises(ValueError, match=message):
+        measured_trial(task, **({"y": np.zeros(61), "u": np.zeros(60)} | signals))
+
+
+@pytest.mark.parametrize("trials", [0, -3, 2.5])
+def test_trials_must_be_a_positive_number(trials, machine, task):
+    with pytest.raises(ValueError, match=rf"learn: trials = {trials} is outside its allowed range \[1, inf\)"):
+        learn(machine, SCHEMES["p_type"], task, trials)
+
+
+TASKS = {
+    "too_short": ({"reference": np.zeros(1)}, r"Task: reference has shape \(1,\)"),
+    "three_axes": ({"reference": np.zeros((4, 4, 4))}, r"Task: reference has shape \(4, 4, 4\)"),
+    "nan": ({"reference": np.array([0.0, np.nan])}, r"Task: reference = .*nan.* is outside"),
+    "dt": ({"dt": 0.0}, r"Task: dt = 0.0 is outside its allowed range \(0, inf\)"),
+    "settle": ({"settle": (0.006, 0.002)}, r"Task: settle = \(0.006, 0.002\) s is not a window"),
+    "settle_late": ({"settle": (0.5, 0.7)}, r"Task: settle = \(0.5, 0.7\) s is not a window"),
+    "inputs": ({"inputs": 0}, r"Task: inputs = 0"),
+}
+
+
+@pytest.mark.parametrize(("fields", "message"), TASKS.values(), ids=TASKS)
+def test_a_task_that_cannot_be_is_named(fields, message):
+    with pytest.raises(ValueError, match=message):
+        Task(**({"reference": np.zeros(11), "dt": DT} | fields))
+
+
+def test_a_task_describes_itself():
+    task = Task(np.zeros((11, 2)), dt=DT)
+    assert (task.N, task.outputs, task.inputs, task.duration) == (10, 2, 2, pytest.approx(0.01))
+    np.testing.assert_allclose(task.time, np.arange(11) * 1e-3)
+    assert Task(np.zeros(11), dt=DT).reference.shape == (11, 1)
+
+
+def test_a_pure_feedback_has_nothing_to_load(task):
+    with pytest.raises(ValueError, match="PID"):
+        feedforward(PID(kp=1.0), task, ())

@@ -1,0 +1,193 @@
+"""Plants against python-control and the printed values."""
+
+import control
+import jax
+import numpy as np
+import pytest
+from cases import ALGEBRA, ARX, DT, PLANTS
+
+from jaxilc.learning import learn
+from jaxilc.machine import Machine
+from jaxilc.plants import DifferenceEquation, StateSpace, VoiceCoil, from_control, voice_coil
+from jaxilc.pytree import leaf, pytree
+from jaxilc.schemes import PID, Scheme
+from jaxilc.schemes.scheme import Feedforward
+from jaxilc.signals import Task
+
+N = 60
+U = np.random.default_rng(3).normal(size=(N, 2))
+
+
+@pytree
+class PlayBack(Scheme):
+    """The smallest scheme a user may write: it plays u (N, n_u) back, on any machine."""
+
+    u: jax.Array = leaf()
+
+    def memory(self, task):
+        return Feedforward(self.u)
+
+
+def response(plant, u, dt=DT):
+    """(N+1, n_y) output of the package for the input u (N, n_u)."""
+    task = Task(np.zeros((N + 1, plant.n_y)), dt=dt, inputs=plant.n_u)
+    return np.asarray(learn(Machine(plant), PlayBack(u.reshape(N, plant.n_u)), task, 1).final.y)
+
+
+def oracle(system, u, dt=DT):
+    """The same by python-control; (n_y, N+1) for the input held over the sample."""
+    discrete = control.sample_system(control.ss(system), dt, method="zoh") if system.isctime() else system
+    held = np.vstack([u, u[-1:]]).T
+    outputs = control.forced_response(discrete, np.arange(N + 1) * dt, held, squeeze=False).outputs
+    return outputs.T
+
+
+def voice_coil_tf(gain=7437.7769, zero=928.2, poles=(474.0, 474.0, 6.404)):
+    return control.tf([float(gain), -float(gain * zero)], np.poly([-float(p) for p in poles]))
+
+
+def dc_gain(plant, dt=DT):
+    d = plant.sampled(dt)
+    return float(np.sum(d.b) / (1 - np.sum(d.a)))
+
+
+def test_voice_coil_has_the_coefficients_of_the_paper():
+    d = voice_coil("exact").sampled(1e-3)
+    np.testing.assert_allclose(d.a, (2.23863097, -1.62458219, 0.38504156), atol=5e-9)
+    np.testing.assert_allclose(d.b, (0.00181091, -0.00363007, -0.00254555), atol=5e-9)
+    assert d.b[0] > 0
+    assert dc_gain(voice_coil()) == pytest.approx(-4.798, abs=5e-4)
+
+
+@pytest.mark.parametrize(("form", "gain"), [("printed", -4.3), ("dai_2014_printed", -4.3 * 0.0010 / 0.0036)])
+def test_printed_forms_have_another_dc_gain(form, gain):
+    """The sums of the printed coefficients: b -0.0043, 1 - sum(a) 0.0010 and (2.236 for 2.2386) 0.0036, thus -4.3 and -1.19."""
+    assert dc_gain(voice_coil(form)) == pytest.approx(gain, rel=1e-9)
+    assert form != "dai_2014_printed" or gain == pytest.approx(-1.19, abs=5e-3)
+
+
+COILS = {
+    "double_pole": {},
+    "distinct": {"poles": (300.0, 600.0, 20.0)},
+    "triple": {"poles": (50.0, 50.0, 50.0), "gain": 100.0},
+    "minimum_phase": {"zero": -900.0, "gain": -5000.0},
+}
+
+
+@pytest.mark.parametrize("weights", COILS.values(), ids=COILS)
+@pytest.mark.parametrize("dt", [1e-3, 2.5e-4])
+def test_voice_coil_is_the_zero_order_hold_of_its_transfer_function(weights, dt):
+    plant = VoiceCoil(**weights).sampled(dt)
+    system = voice_coil_tf(**{k: getattr(VoiceCoil(**weights), k) for k in ("gain", "zero", "poles")})
+    exact = control.ss2tf(control.c2d(control.ss(system), dt, method="zoh"))
+    np.testing.assert_allclose(plant.a, -exact.den[0][0][1:], rtol=1e-7)
+    np.testing.assert_allclose(plant.b, exact.num[0][0][-3:], rtol=1e-6, atol=1e-9 * np.max(np.abs(plant.b)))
+    np.testing.assert_allclose(response(plant, U[:, :1], dt), oracle(system, U[:, :1], dt), rtol=1e-7, atol=1e-9)
+
+
+def test_unknown_form_is_named():
+    with pytest.raises(ValueError, match=r"voice_coil: form = 'exakt' is not one of 'exact', 'printed', 'dai_2014_printed'"):
+        voice_coil("exakt")
+
+
+def test_difference_equation_steps_as_written():
+    (a1, a2), (b1, b2) = ARX
+    u, y = U[:, 0], np.zeros(N + 1)
+    for k in range(N):
+        y[k + 1] = a1 * y[k] + b1 * u[k] + (a2 * y[k - 1] + b2 * u[k - 1] if k else 0.0)
+    np.testing.assert_allclose(response(PLANTS["arx"], u)[:, 0], y, **ALGEBRA)
+
+
+def test_state_space_starts_from_x0():
+    plant = PLANTS["continuous"]
+    free = control.initial_response(control.ss(plant.A, plant.B, plant.C, 0), np.arange(N + 1) * DT, plant.x0).outputs
+    np.testing.assert_allclose(response(plant, np.zeros((N, 1)))[:, 0], free, rtol=1e-8, atol=1e-12)
+    assert np.max(np.abs(free)) > 0.01
+
+
+LAG, OSCILLATOR = control.tf([40.0], [1.0, 40.0]), control.tf([30.0, 1e4], [1.0, 60.0, 1e4])
+NONE = control.tf([0.0], [1.0], 0)
+SYSTEMS = {
+    "siso_tf": OSCILLATOR,
+    "siso_tf_discrete": control.tf([0.06, 0.03], [1.0, -1.6, 0.65], DT),
+    "siso_ss": control.ss([[0.0, 1.0], [-4e3, -80.0]], [[0.0], [4e3]], [[1.0, 0.0]], 0),
+    "siso_ss_discrete": control.ss([[0.9, 0.1], [-0.2, 0.8]], [[0.01], [0.1]], [[1.0, 0.5]], 0, DT),
+    "mimo_tf": control.combine_tf([[OSCILLATOR, -0.5 * LAG], [NONE, LAG * LAG]]),
+    "mimo_tf_discrete": control.combine_tf([[control.tf([0.1], [1, -0.9], DT), control.tf([0.2, -0.1], [1, -1.1, 0.3], DT)]]),
+    "mimo_ss": control.ss(*(np.asarray(getattr(PLANTS["mimo"], name)) for name in "ABC"), np.zeros((2, 2))),
+    "integrator": control.tf([1.0], [1.0, 0.0]),
+    "two_outputs": control.ss([[0.9, 0.1], [0.3, 0.6]], [[0.2], [0.0]], np.eye(2), 0, DT),
+}
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_from_control_responds_as_python_control(name):
+    system = SYSTEMS[name]
+    plant = from_control(system)
+    assert (plant.n_y, plant.n_u) == (system.noutputs, system.ninputs)
+    u = U[:, : plant.n_u]
+    y = oracle(system, u) if isinstance(system, control.StateSpace) or system.ninputs == system.noutputs == 1 else sum_of_entries(system, u)
+    np.testing.assert_allclose(response(plant, u), y, rtol=1e-8, atol=1e-10)
+    assert np.all(np.max(np.abs(y), axis=0) > 1e-3)
+
+
+def sum_of_entries(system, u):
+    """A MIMO transfer function entry by entry (python-control needs slycot to convert it whole)."""
+    return np.stack(
+        [sum(oracle(system[i, j], u[:, j : j + 1])[:, 0] for j in range(system.ninputs)) for i in range(system.noutputs)], axis=1
+    )
+
+
+ERRORS = {
+    "unstable": (control.tf([1.0], [1.0, -2.0]), r"unstable \(a pole 2 right of the imaginary axis\).*allow_unstable=True"),
+    "unstable_discrete": (control.tf([1.0], [1.0, -1.25], DT), r"unstable \(a pole 0.25 outside the unit circle\)"),
+    "improper": (control.tf([1.0, 0.0, 0.0], [1.0, 3.0]), r"entry \(0, 0\) is improper"),
+    "feedthrough_tf": (control.tf([1.0, 0.0], [1.0, 3.0]), r"direct feedthrough D = \[\[1.0\]\]"),
+    "feedthrough_ss": (control.ss([[-1.0]], [[1.0]], [[1.0]], [[2.0]]), r"direct feedthrough D = \[\[2.0\]\]"),
+    "dt_true": (control.tf([0.1], [1.0, -0.9], True), r"dt = True leaves the sample time open"),
+    "dt_none": (control.ss([[-1.0]], [[1.0]], [[1.0]], 0, None), r"dt = None leaves the sample time open"),
+    "frequency_data": (
+        control.frd([1.0, 0.5], [1.0, 2.0]),
+        r"FrequencyResponseData is not a control.StateSpace",
+    ),
+    "matrix": (np.eye(2), r"ndarray is not a control.StateSpace or control.TransferFunction"),
+}
+
+
+@pytest.mark.parametrize(("system", "message"), ERRORS.values(), ids=ERRORS)
+def test_from_control_names_what_it_cannot_take(system, message):
+    with pytest.raises(ValueError, match="from_control: .*" + message):
+        from_control(system)
+
+
+def test_unstable_plant_under_a_stabilising_loop():
+    """x' = 20 x + u under u = -120 x has its pole at -100: sampled, exp(20 dt) - 120 (exp(20 dt) - 1) / 20."""
+    plant = from_control(control.tf([1.0], [1.0, -20.0]), allow_unstable=True)
+    kicked = StateSpace(plant.A, plant.B, plant.C, np.ones(1) / plant.C[0], plant.dt)
+    y = learn(Machine(kicked), PID(kp=120.0), Task(np.zeros(N + 1), dt=DT), 1).final.y[:, 0]
+    growth = np.exp(20 * DT)
+    np.testing.assert_allclose(y, (growth - 6 * (growth - 1)) ** np.arange(N + 1), **ALGEBRA)
+
+
+@pytest.mark.parametrize("plant", [voice_coil("printed"), PLANTS["discrete"], from_control(SYSTEMS["siso_tf_discrete"])])
+def test_another_sample_time_is_refused(plant):
+    with pytest.raises(ValueError, match=rf"{type(plant).__name__} is sampled at 0.001 s but the task at 0.002 s; allowed is dt = 0.001"):
+        learn(Machine(plant), PID(), Task(np.zeros(9), dt=2e-3), 1)
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (lambda: StateSpace(np.eye(2), np.ones((3, 1)), np.ones((1, 2))), r"StateSpace: A \(2, 2\), B \(3, 1\), C \(1, 2\) do not fit"),
+        (lambda: StateSpace(np.eye(2), np.ones(2), np.ones((1, 2))), r"StateSpace: .*B \(2,\).* do not fit"),
+        (lambda: StateSpace(np.eye(2), np.ones((2, 1)), np.ones(2)), r"StateSpace: .*C \(2,\).* do not fit"),
+        (lambda: StateSpace(0.5, 1.0, 1.0), r"StateSpace: .*do not fit"),
+        (lambda: StateSpace(np.eye(2), np.ones((2, 1)), np.ones((1, 2)), x0=np.ones(3)), r"StateSpace: .*x0"),
+        (lambda: DifferenceEquation((1.0, 0.5), (1.0,), dt=DT), r"DifferenceEquation: a \(2,\) and b \(1,\) must both"),
+        (lambda: VoiceCoil(poles=(474.0, 6.404)), r"VoiceCoil: .*poles"),
+        (lambda: VoiceCoil(poles=(474.0, -6.404, 1.0)), r"VoiceCoil: poles = .* is outside its allowed range \(0, inf\)"),
+    ],
+)
+def test_misshapen_plants_are_refused_at_construction(build, message):
+    with pytest.raises(ValueError, match=message):
+        build()
