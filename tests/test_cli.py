@@ -45,7 +45,7 @@ def test_list_names_scenarios_and_all_that_can_be_set(jaxilc_command):
 def test_run_prints_ours_beside_the_published_and_writes_everything(jaxilc_command, tmp_path):
     code, out, _ = jaxilc_command("run", "cao-2019", "--trials", 20, "--scheme", "cfdl-mfailc", "--out", "here", "--json", "here/run.json")
     assert code == 0
-    assert "17.8 (18)" in out
+    assert "16.2 (18)" in out
     numbers = json.loads((tmp_path / "here/run.json").read_text())
     of_scheme = numbers["schemes"]["cfdl-mfailc"]
     dataset = xr.open_zarr(tmp_path / "here/dataset.zarr", consolidated=False, chunks=None)
@@ -90,7 +90,7 @@ def test_sweep_prints_the_yield_and_resumes(jaxilc_command, tmp_path):
     ("arguments", "message"),
     [
         (("run", "cao"), "scenario = 'cao' is not one of cao-2019"),
-        (("run", "cao-2019", "--scheme", "ilc"), "scheme = 'ilc' is not one of pid, cfdl-mfailc, pfdl-mfailc, ffdl-mfailc"),
+        (("run", "cao-2019", "--scheme", "ilc"), "scheme = 'ilc' is not one of pid, cfdl-mfailc, pfdl-mfailc, ffdl-mfailc, ilc-mfapc"),
         (("run", "cao-2019", "--trials", "0"), "--trials 0 is outside its allowed range [1, inf)"),
         (("run", "cao-2019", "--set", "lam=1"), "'lam' cannot be set; known: machine.plant.gain"),
         (("run", "cao-2019", "--set", "pid.kq=1"), "'pid.kq' cannot be set; known: "),
@@ -123,14 +123,22 @@ def test_a_mistake_is_one_line_that_names_what_is_allowed(jaxilc_command, tmp_pa
 
 def command(store, *more):
     program = "from jaxilc.cli import main; main()"
-    return [sys.executable, "-c", program, "sweep", "cao-2019", "--trials", "3", "--samples", "40", "--out", str(store), *more]
+    schemes = [part for name in ("pid", "cfdl-mfailc", "pfdl-mfailc") for part in ("--scheme", name)]
+    return [sys.executable, "-c", program, "sweep", "cao-2019", "--trials", "3", "--samples", "40", *schemes, "--out", str(store), *more]
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """The store of an uninterrupted sweep."""
+    store = tmp_path_factory.mktemp("sweep") / "whole"
+    subprocess.run(command(store), check=True, capture_output=True)
+    return store
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
-def test_a_killed_sweep_resumes_bit_for_bit(tmp_path, how):
-    whole, killed = tmp_path / "whole", tmp_path / "killed"
-    subprocess.run(command(whole), check=True, capture_output=True)
+def test_a_killed_sweep_resumes_bit_for_bit(tmp_path, whole, how):
+    killed = tmp_path / "killed"
     process = subprocess.Popen(command(killed), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     first_chunk = killed / "dataset.zarr" / "chunk_done" / "c" / "0" / "0"
     while not first_chunk.exists() and process.poll() is None:
@@ -144,3 +152,15 @@ def test_a_killed_sweep_resumes_bit_for_bit(tmp_path, how):
     again = subprocess.run(command(killed, "--resume"), check=True, capture_output=True, text=True)
     assert "sample-steps" in again.stdout
     xr.testing.assert_identical(*(jaxilc.open_dataset(d / "dataset.zarr") for d in (whole, killed)))
+
+
+def test_reproduce_prints_every_published_number_with_its_verdict(jaxilc_command, tmp_path):
+    code, out, _ = jaxilc_command("reproduce", "dai-2014", "--json", "rows.json")
+    assert code == 0
+    assert "4 published numbers" in out
+    rows = json.loads((tmp_path / "rows.json").read_text())
+    assert {r["verdict"] for r in rows} <= {"met", "shape", "open"}
+    assert all(r["reading"] and r["ratio"] == r["ours"] / r["value"] for r in rows)
+    code, _, err = jaxilc_command("reproduce", "dai")
+    assert code == 2
+    assert "scenario = 'dai' is not one of cao-2019" in err

@@ -1,0 +1,54 @@
+"""How JAX is started."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+import jaxilc
+
+
+def python(program, **environment):
+    kept = {name: value for name, value in os.environ.items() if name not in ("XLA_FLAGS", "NPROC")}
+    return subprocess.run([sys.executable, "-c", program], env=kept | environment, capture_output=True, text=True, timeout=60, check=True)
+
+
+def test_setup_takes_cores_precision_and_whole_loops_and_leaves_flags_alone():
+    program = (
+        "import jaxilc, jax, os; jaxilc.setup(devices=3); print(jax.device_count(), jax.config.jax_enable_x64, os.environ['XLA_FLAGS'])"
+    )
+    count, double, flags = python(program).stdout.split(maxsplit=2)
+    assert (count, double) == ("3", "True")
+    assert "xla_cpu_small_while_loop_byte_threshold" in flags
+    kept = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=7"
+    assert python(program, XLA_FLAGS=kept).stdout.split(maxsplit=2)[2].strip() == kept
+
+
+def test_importing_flips_nothing():
+    program = "import jaxilc, jax, os; jaxilc.scenarios.load('cao-2019'); print(jax.config.jax_enable_x64, 'XLA_FLAGS' in os.environ)"
+    assert python(program).stdout.split() == ["False", "False"]
+
+
+def test_setup_too_late_says_so():
+    program = "import jax; jax.numpy.ones(1) + 1; import jaxilc; jaxilc.setup(devices=3)"
+    assert "came after JAX had started" in python(program).stderr
+
+
+def test_batched_linear_algebra_on_every_device_does_not_deadlock():
+    """With a thread per core in XLA's pool this hung within a hundred calls."""
+    program = """
+import jaxilc; jaxilc.setup(devices=2)
+import jax, numpy as np
+run = jaxilc.tiled(lambda common, one: jax.numpy.linalg.qr(one)[0])
+batch = np.random.default_rng(0).normal(size=(256, 3000, 4))
+for _ in range(120):
+    run(0.0, batch).block_until_ready()
+"""
+    python(program)
+
+
+@pytest.mark.parametrize(("kwargs", "message"), [({"precision": "half"}, "precision = 'half'"), ({"devices": 0}, "devices = 0 is outside")])
+def test_bad_input_is_named(kwargs, message):
+    with pytest.raises(ValueError, match=message):
+        jaxilc.setup(**kwargs)
