@@ -13,7 +13,7 @@ from .batch import tiled
 
 
 class Fit(NamedTuple):
-    """values: by name, at the best minimum found;  residuals: (M,) there;  jacobian: (M, P) of them
+    """values: by name, at the best minimum found;  residuals: (M,) there;  jacobian: (M, P) of them by the values
     costs: (starts,) half the sum of squares at every start, sorted;  refined: the costs of the refined ones"""
 
     values: dict[str, float]
@@ -43,6 +43,9 @@ def fit(
     from scipy.stats import qmc
 
     names = list(ranges)
+    for name, count in (("starts", starts), ("refine", refine), ("lanes", lanes)):
+        if count < 1:
+            raise ValueError(f"fit: {name} = {count} is outside its allowed range [1, inf)")
     for name, (low, high) in ranges.items():
         if not low < high:
             raise ValueError(f"fit: the range ({low:g}, {high:g}) of {name} is empty")
@@ -57,12 +60,17 @@ def fit(
 
     def of_unit(_, unit):
         r = residuals(dict(zip(names, natural(unit), strict=True)))
+        # least_squares wants finite residuals everywhere; a start that has none is put last before it gets there
         return jnp.where(jnp.isfinite(r), r, 1e6)
 
+    def cost(common, unit):
+        r = residuals(dict(zip(names, natural(unit), strict=True)))
+        return jnp.where(jnp.all(jnp.isfinite(r)), 0.5 * jnp.sum(r**2), jnp.inf)
+
     scattered = qmc.LatinHypercube(len(names), rng=seed).random(starts)
-    costs = np.asarray(tiled(lambda common, one: 0.5 * jnp.sum(of_unit(common, one) ** 2), lanes=lanes)(0.0, jnp.asarray(scattered)))
+    costs = np.asarray(tiled(cost, lanes=lanes)(0.0, jnp.asarray(scattered)))
     order = np.argsort(costs)
-    if not costs[order[0]] < 1e11:
+    if not np.isfinite(costs[order[0]]):
         raise ValueError(f"fit: none of {starts} starts within {dict(ranges)} gives finite residuals")
     value, slope = jax.jit(of_unit), jax.jit(jax.jacfwd(of_unit, argnums=1))
     found = [
@@ -73,7 +81,7 @@ def fit(
     return Fit(
         dict(zip(names, map(float, natural(best.x)), strict=True)),
         best.fun,
-        best.jac,
+        best.jac @ np.linalg.inv(np.asarray(jax.jacfwd(natural)(jnp.asarray(best.x)))),
         costs[order],
         np.array(sorted(result.cost for result in found)),
     )

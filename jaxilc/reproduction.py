@@ -39,11 +39,11 @@ def reproduce(names: Iterable[str] = ()) -> list[Row]:
 
     Raises ValueError naming the allowed scenarios.
     """
-    return [row for name in names or scenarios.SCENARIOS for row in _of_scenario(name)]
+    chosen = {name: scenarios.load(name).published for name in names or scenarios.SCENARIOS}
+    return [row for name, published in chosen.items() for row in _of_scenario(name, published)]
 
 
-def _of_scenario(name: str) -> list[Row]:
-    published = scenarios.load(name).published
+def _of_scenario(name: str, published: tuple[Published, ...]) -> list[Row]:
     settings = {p.options: scenarios.load(name, **dict(p.options)) for p in published}
     ours = {}
     for options, scenario in settings.items():
@@ -68,17 +68,19 @@ def _simulated(scenario: Scenario, rows: list[Published]) -> dict[Published, flo
 
 
 def _verdict(i: int, published: tuple[Published, ...], ours: list[float]) -> str:
-    here = published[i]
+    here, ours = published[i], np.asarray(ours)
     if abs(ours[i] / here.value - 1.0) <= MET:
         return "met"
     others = [k for k, p in enumerate(published) if k != i and _comparable(here, p) and p.value != here.value]
-    agree = [(ours[i] < ours[k]) == (here.value < published[k].value) for k in others]
-    return "shape" if agree and all(agree) and np.isfinite(ours[i]) else "open"
+    agree = [np.isfinite(ours[[i, k]]).all() and np.sign(ours[i] - ours[k]) == np.sign(here.value - published[k].value) for k in others]
+    return "shape" if agree and all(agree) else "open"
 
 
 def _comparable(a: Published, b: Published) -> bool:
-    """Whether an order between two rows means something: one scheme at several trials or settings, or several schemes at one."""
-    if a.quantity != b.quantity:
-        return False
-    one_scheme, one_setting = a.scheme == b.scheme, (a.trial, a.options) == (b.trial, b.options)
-    return one_scheme != one_setting
+    """Whether an order between two rows means something: one scheme at several trials or settings, or several schemes at one.
+
+    A scheme that does not learn is the same at every trial.
+    """
+    one_trial = a.trial == b.trial or None in (a.trial, b.trial)
+    one_setting = one_trial and a.options == b.options
+    return a.quantity == b.quantity and (a.scheme == b.scheme) != one_setting

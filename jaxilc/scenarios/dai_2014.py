@@ -20,7 +20,7 @@ SETTINGS = {
 }
 
 PID_READING = "eq. 29's plant; ki multiplied by the sample time"
-MFAPC_READING = "eq. 29's plant; the reference is previewed and goes on beyond the settled window; phi0 fitted to this row"
+MFAPC_READING = "eq. 29's plant; the reference is previewed and goes on beyond the settled window"
 
 
 def _row(scheme: str, frequency: float, value: float, source: str, reading: str) -> Published:
@@ -29,9 +29,9 @@ def _row(scheme: str, frequency: float, value: float, source: str, reading: str)
 
 PUBLISHED = (
     _row("pid", 0.5, 0.023, "Fig. 3", PID_READING),
-    _row("cfdl-mfapc", 0.5, 0.0165, "Fig. 5", MFAPC_READING),
+    _row("cfdl-mfapc", 0.5, 0.0165, "Fig. 5", MFAPC_READING + "; phi0 fitted to this row"),
     _row("pid", 2.5, 0.061, "Fig. 7", PID_READING + ", and negative, since the printed 0.2 has the wrong sign; kd per sample"),
-    _row("cfdl-mfapc", 2.5, 0.047, "Fig. 9", MFAPC_READING + "; the loop is at its stability limit and its error erratic in phi0"),
+    _row("cfdl-mfapc", 2.5, 0.047, "Fig. 9", MFAPC_READING + "; the loop is at its stability limit, its error erratic in phi0"),
 )
 
 CHOSEN = (

@@ -105,6 +105,10 @@ class Filtered(Scheme):
     def preview(self) -> int:
         return self.scheme.preview
 
+    @property
+    def plays_back(self) -> bool:
+        return self.scheme.plays_back
+
     def check(self, task: Task) -> None:
         self.scheme.check(task)
         self.filter.check(task.N, task.dt)
@@ -209,8 +213,11 @@ class OnReference(Scheme):
         return dataclasses.replace(task, inputs=task.outputs)
 
     def check(self, task: Task) -> None:
-        need_feedforward(self, self.learning, self._task(task))
         self.learning.check(self._task(task))
+        need_feedforward(self, self.learning, self._task(task))
+        if not self.learning.plays_back:
+            name = type(self.learning).__name__
+            raise ValueError(f"OnReference: {name} acts within the trial; allowed are schemes that play back a learned signal")
         self.feedback.check(task)
 
     def memory(self, task: Task) -> Pair:

@@ -104,13 +104,12 @@ class CFDLMFAC(FFDLMFAC):
 
 
 class PredictiveState(NamedTuple):
-    """u, y, du: (n,) input, output and input increment one sample ago;  seen: () 1 once there is one, else 0
+    """u, y, du: (n,) input, output and input increment one sample ago; before the first, du = 0 and nothing is estimated
     phi: (n_p, n) estimates, newest first;  theta: (n_p, n) coefficients of their forecast"""
 
     u: jax.Array
     y: jax.Array
     du: jax.Array
-    seen: jax.Array
     phi: jax.Array
     theta: jax.Array
 
@@ -167,16 +166,15 @@ class CFDLMFAPC(Scheme):
         rest = jnp.zeros(task.inputs)
         shape = (self.n_p, task.inputs)
         phi, theta = jnp.broadcast_to(self.phi0, shape), jnp.broadcast_to(self._theta0(), shape)
-        return PredictiveState(rest, rest, rest, jnp.zeros(()), phi, theta)
+        return PredictiveState(rest, rest, rest, phi, theta)
 
     def act(self, state: PredictiveState, sample: Sample) -> tuple[PredictiveState, jax.Array]:
-        dy = state.seen * (sample.y - state.y)
-        (phi_now,) = pseudo_gradient([state.phi[0]], [state.du], dy, eta=self.eta, mu=self.mu)
+        (phi_now,) = pseudo_gradient([state.phi[0]], [state.du], sample.y - state.y, eta=self.eta, mu=self.mu)
         (phi_now,) = reset_estimate([phi_now], state.du, [self.phi0], component=0, epsilon=self.epsilon, mode=self.reset)
         theta = self._forecaster(state, phi_now)
         phi = jnp.concatenate([phi_now[None], state.phi[:-1]])
         u = limited(state.u + self._first_move(self._future(phi, theta), self._wanted(sample)), self.limit)
-        return PredictiveState(u, sample.y, u - state.u, jnp.ones_like(state.seen), phi, theta), u
+        return PredictiveState(u, sample.y, u - state.u, phi, theta), u
 
     def signals(self, state: PredictiveState):
         return {"phi": state.phi[0]}
@@ -193,11 +191,12 @@ class CFDLMFAPC(Scheme):
 
     def _future(self, phi, theta):
         """phi(k), ..., phi(k+P_u-1), each (n,), by eq. 15 and 16."""
+        mode = "none" if self.reset == "none" else "sign"
         past = [phi[i] for i in range(self.n_p)]
         future = past[:1]
         for _ in range(self.P_u - 1):
             ahead = sum(theta[i] * past[i] for i in range(self.n_p))
-            (ahead,) = reset_estimate([ahead], None, [self.phi0], component=0, epsilon=self.epsilon, mode="sign")
+            (ahead,) = reset_estimate([ahead], None, [self.phi0], component=0, epsilon=self.epsilon, mode=mode)
             past = [ahead, *past[:-1]]
             future.append(ahead)
         return future
@@ -215,5 +214,6 @@ class CFDLMFAPC(Scheme):
             return future[0] * wanted[0] / (self.P * future[0] ** 2 + self.lam)
         phi = jnp.stack(future, axis=-1)
         moves = jnp.arange(self.P_u)
-        normal = phi[:, :, None] * phi[:, None, :] * (self.P - jnp.maximum(moves[:, None], moves)) + self.lam * jnp.eye(self.P_u)
+        weight = jnp.broadcast_to(self.lam, phi.shape[:1])[:, None, None] * jnp.eye(self.P_u)
+        normal = phi[:, :, None] * phi[:, None, :] * (self.P - jnp.maximum(moves[:, None], moves)) + weight
         return jnp.linalg.solve(normal, (phi * wanted.T)[..., None])[:, 0, 0]

@@ -89,6 +89,10 @@ class FFDLMFAILC(Scheme):
         need_lead(self, task)
         need_channels(self, task.inputs, "lam", "eta", "mu", "epsilon", "limit")
 
+    @property
+    def plays_back(self) -> bool:
+        return self.L_y + self.L_u == 1
+
     def memory(self, task: Task) -> Memory:
         N, n = task.N, task.inputs
         phi = tuple(jnp.broadcast_to(p, (N, n)) for p in self._start())

@@ -29,6 +29,11 @@ class Scheme:
 
     preview: int = 1  # samples of the reference ahead of k that `act` wants to see
 
+    @property
+    def plays_back(self) -> bool:
+        """Whether `act` only plays back the table's `u`, whatever happens in the trial."""
+        return type(self).act is Scheme.act
+
     def memory(self, task: Task) -> Memory:
         """What is known before the first trial."""
         return ()
