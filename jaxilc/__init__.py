@@ -18,7 +18,7 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from . import figures, filters, plants, pytree, references, scenarios, schemes
+    from . import figures, filters, plants, pytree, references, scenarios, schemes, theory
     from .batch import tiled
     from .learning import History, feedforward, learn, measured_trial, next_memory
     from .machine import Actuator, Disturbance, Machine, Sensor
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from .trial import run_trial
     from .uncertainty import LogUniform, Normal, Uniform
 
-_MODULES = ("figures", "filters", "plants", "pytree", "references", "scenarios", "schemes")
+_MODULES = ("figures", "filters", "plants", "pytree", "references", "scenarios", "schemes", "theory")
 _NAMES = {
     "batch": ("tiled",),
     "learning": ("History", "feedforward", "learn", "measured_trial", "next_memory"),
@@ -80,6 +80,7 @@ __all__ = [
     "schemes",
     "setup",
     "summarise",
+    "theory",
     "tiled",
 ]
 

@@ -1,4 +1,4 @@
-"""The command line: `jaxilc list | run | sweep`."""
+"""The command line: `jaxilc list | run | sweep | certify | identify | reproduce`."""
 
 from __future__ import annotations
 
@@ -31,7 +31,8 @@ Set = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="PATH=VALUE", help="Set a leaf, a static field or an option of the scenario; repeatable."),
 ]
-Out = Annotated[Path | None, typer.Option(help="Folder for figures and dataset.")]
+Spread = Annotated[float | None, typer.Option(help="Half-width of all relative uncertainties: 0.2 is 20 %.")]
+Sampling = Annotated[str, typer.Option(help="monte-carlo, latin-hypercube, sobol or corners.")]
 Json = Annotated[Path | None, typer.Option("--json", help="Write every printed figure to this file.")]
 Precision = Annotated[str, typer.Option(help="float64 or float32.")]
 
@@ -107,8 +108,8 @@ def sweep(
     trials: Trials = None,
     samples: Annotated[int, typer.Option(help="Machines, the nominal one included.")] = 1024,
     seed: Seed = 0,
-    spread: Annotated[float | None, typer.Option(help="Half-width of all relative uncertainties: 0.2 is 20 %.")] = None,
-    sampling: Annotated[str, typer.Option(help="monte-carlo, latin-hypercube, sobol or corners.")] = "monte-carlo",
+    spread: Spread = None,
+    sampling: Sampling = "monte-carlo",
     tolerance: Annotated[float | None, typer.Option(help="Settled error that passes, in the shown unit.")] = None,
     set_: Set = None,
     out_dir: Annotated[Path | None, typer.Option("--out", help="Folder for figure and dataset; out/sweep-SCENARIO if not given.")] = None,
@@ -147,6 +148,86 @@ def sweep(
     shown = {"scale": chosen.shown_scale, "unit": chosen.shown_unit}
     path = figures.save(figures.error_band(dataset, tolerance=tolerance, **shown), folder / "error-band.png")
     _written([path, store], json_file, numbers | {"sample_steps": steps, "seconds": seconds})
+
+
+@app.command()
+def certify(
+    scenario: ScenarioName,
+    scheme: Schemes = None,
+    trials: Trials = None,
+    samples: Annotated[int, typer.Option(help="Machines, the nominal one included.")] = 64,
+    seed: Seed = 0,
+    spread: Spread = None,
+    sampling: Sampling = "monte-carlo",
+    set_: Set = None,
+    out_dir: Annotated[Path | None, typer.Option("--out", help="Folder for the figures; out/certify-SCENARIO if not given.")] = None,
+    json_file: Json = None,
+    precision: Precision = "float64",
+) -> None:
+    """Each machine's convergence from theory alone, then against simulation: verdicts, premises of the bounds, confusion table.
+
+    Example: jaxilc certify cao-2019 --scheme cfdl-mfailc --trials 200 --samples 256
+    """
+    _start(precision)
+    from . import figures, tables
+    from .schemes import FFDLMFAILC
+    from .theory import certify as of_machines
+    from .theory import premises
+    from .uncertainty import draw, with_spread
+
+    chosen = _scenario(scenario, scheme, trials, set_)
+    uncertainty = chosen.uncertainty if spread is None else with_spread(chosen.uncertainty, spread)
+    drawn = draw(chosen.machine, uncertainty, samples, seed=seed, sampling=sampling)
+    learning = {name: s for name, s in chosen.schemes.items() if s.learns}
+    if not learning:
+        raise ValueError(f"certify: none of {', '.join(chosen.schemes)} learns; there is nothing to certify")
+    folder, paths, numbers = _folder(out_dir, f"certify-{scenario}"), [], {}
+    for name, one in learning.items():
+        start = time.perf_counter()
+        common = (chosen.machine, one, chosen.task, chosen.trials, uncertainty, drawn)
+        found = of_machines(*common)
+        seconds = time.perf_counter() - start
+        shares = premises(*common) if isinstance(one, FFDLMFAILC) else None
+        numbers[name] = tables.certificate_figures(found, shares, seconds)
+        for table in tables.certificate_tables(name, chosen.trials, numbers[name]):
+            out.print(table)
+        axes = figures.certificate(found, scale=chosen.shown_scale, unit=chosen.shown_unit, title=name)
+        paths.append(figures.save(axes, folder / f"{name}.png"))
+        if len(found.broken_promises()):
+            err.print(f"{name}: machines {found.broken_promises().tolist()} were certified monotone and grew: please report this")
+    _written(paths, json_file, {"scenario": scenario, "trials": chosen.trials, "samples": samples, "schemes": numbers})
+
+
+@app.command()
+def identify(
+    record: Annotated[Path, typer.Argument(metavar="RECORD", help="Text file of columns with a header: time, input, output.")],
+    poles: Annotated[int, typer.Option(help="Real poles.")] = 1,
+    pairs: Annotated[int, typer.Option(help="Pairs of poles, real or complex.")] = 1,
+    zeros: Annotated[int, typer.Option(help="Real zeros, of either sign.")] = 1,
+    time_name: Annotated[str, typer.Option("--time", help="Column of the time [s].")] = "t",
+    input_name: Annotated[str, typer.Option("--input", help="Column of the input.")] = "u",
+    output_name: Annotated[str, typer.Option("--output", help="Column of the output.")] = "y",
+    out_dir: Annotated[Path | None, typer.Option("--out", help="Folder for the figures; out/identify if not given.")] = None,
+    json_file: Json = None,
+) -> None:
+    """A plant from a recorded experiment: parameters with 95 % intervals, fit, validation figure.
+
+    Example: jaxilc identify record.csv --poles 1 --pairs 1 --zeros 1
+    """
+    _start("float64")
+    from . import figures, identification, tables
+
+    measured = identification.read_record(record, time=time_name, input=input_name, output=output_name)
+    found = identification.identify(measured, poles=poles, pairs=pairs, zeros=zeros)
+    rows = found.summary()
+    out.print(tables.identification_table(str(record), rows))
+    if not found.white:
+        out.print("the residual is not white: another structure may fit better, and the intervals are too narrow", highlight=False)
+    folder = _folder(out_dir, "identify")
+    paths = [figures.save(figures.record_figure(measured), folder / "record.png")]
+    paths.append(figures.save(figures.validation_figure(measured, found), folder / "validation.png"))
+    numbers = {name: {"value": value, "low": low, "high": high} for name, value, low, high in rows}
+    _written(paths, json_file, numbers | {"white": bool(found.white), "converged": bool(found.converged)})
 
 
 @app.command()

@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.axes import Axes
 
+    from .identification import Identified, Record
+    from .theory import Certificate
+
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")  # safe for the colour-blind
 DASHES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (3, 1, 1, 1)), (0, (1, 1)))
 
@@ -131,8 +134,68 @@ def error_band(
     return ax
 
 
+def certificate(found: Certificate, *, scale: float = 1.0, unit: str = "", title: str = "", ax: Axes | None = None) -> Axes:
+    """Root mean square error by trial as theory predicts it and as it was simulated, every machine, log axis.
+
+    found: from `theory.certify`;  scale, unit: of the error shown
+    """
+    ax = _axes(ax)
+    trial = np.arange(1, found.predicted.shape[1] + 1)
+    for errors, colour, label in ((found.observed, COLOURS[0], "simulated"), (found.predicted, COLOURS[1], "predicted")):
+        shown = np.where(np.isfinite(errors) & (errors > 0), scale * errors, np.nan)
+        ax.semilogy(trial, shown.T, color=colour, linewidth=0.5, alpha=0.35)
+        ax.semilogy(trial, shown[0], color=colour, linewidth=2, label=f"{label} (thick: nominal)")
+    ax.set(xlabel="trial", ylabel=f"RMS error [{unit}]", title=f"{title}: {len(found.sigma)} machines")
+    ax.grid(True, which="both", alpha=0.25)
+    ax.legend(fontsize="small")
+    return ax
+
+
 def save(axes, path: str | Path) -> Path:
     """Write the figure that holds the axes."""
     figure = np.ravel(axes)[0].figure
     figure.savefig(path)
     return Path(path)
+
+
+def record_figure(record: Record, *, input_unit: str = "", output_unit: str = "", ax=None):
+    """An identification experiment against time, input over output (Cao 2019, Fig. 2 and 3); two axes."""
+    top, bottom = axes = _axes(ax, rows=2)
+    for axis, signal, style in ((top, record.u, {"drawstyle": "steps-post"}), (bottom, record.y, {})):
+        signal = np.reshape(signal, (len(signal), -1))
+        for i, values in enumerate(signal.T):
+            label = f"{i}" if signal.shape[1] > 1 else None
+            axis.plot(np.arange(len(signal)) * record.dt, values, color=COLOURS[i % len(COLOURS)], linewidth=0.8, label=label, **style)
+        if signal.shape[1] > 1:
+            axis.legend(ncols=4, fontsize="small")
+        axis.grid(True, alpha=0.25)
+    top.set(ylabel=f"input [{input_unit}]")
+    bottom.set(ylabel=f"output [{output_unit}]", xlabel="time [s]")
+    return axes
+
+
+def validation_figure(record: Record, identified: Identified, *, output_unit: str = "", scale: float = 1.0, unit: str = "", ax=None):
+    """Measured and simulated output, and their difference (Cao 2019, Fig. 4); the part that was not fitted is shaded; two axes.
+
+    scale, unit: of the residual shown
+    """
+    top, bottom = axes = _axes(ax, rows=2)
+    y = np.reshape(record.y, (len(record.y), -1))
+    time = np.arange(len(y)) * record.dt
+    for i in range(y.shape[1]):
+        name, colour = f" {i}" * (y.shape[1] > 1), COLOURS[i % len(COLOURS)]
+        fits = f"fit {identified.fit[i]:.2f} %"
+        if identified.samples < len(y):
+            fits += f", validation {identified.validation_fit[i]:.2f} %"
+        top.plot(time, y[:, i], color="#999999", linewidth=3, label=f"measured{name}")
+        top.plot(time, identified.simulated[:, i], color=colour, linewidth=1, label=f"simulated{name}: {fits}")
+        bottom.plot(time, scale * (y[:, i] - identified.simulated[:, i]), color=colour, linewidth=0.8)
+    for axis in axes:
+        axis.set_xlim(time[0], time[-1])
+        if identified.samples < len(y):
+            axis.axvspan(time[identified.samples], time[-1], color="#e69f00", alpha=0.12, linewidth=0, label="not fitted")
+        axis.grid(True, alpha=0.25)
+    top.set(ylabel=f"output [{output_unit}]")
+    bottom.set(ylabel=f"residual [{unit}]", xlabel="time [s]")
+    top.legend(ncols=3, fontsize="small", loc="lower right", bbox_to_anchor=(1.0, 1.0))
+    return axes

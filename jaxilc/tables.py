@@ -8,11 +8,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rich.table import Table
 
+from .theory import VERDICTS
+
 if TYPE_CHECKING:
     import xarray as xr
 
     from .scenarios import Scenario
     from .summary import SchemeSummary
+    from .theory import Certificate, PremiseShare
 
 FIGURES = ("settled_error", "max_error", "rms")
 
@@ -130,6 +133,49 @@ def band_table(figures: dict[str, Any]) -> Table:
     return table
 
 
+def certificate_figures(found: Certificate, shares: tuple[list[PremiseShare], dict[str, int]] | None, seconds: float) -> dict[str, Any]:
+    """Verdicts, how they compare with simulation, and the premises of the bounds where there are any."""
+    figures = {
+        "verdicts": {v: int(np.sum(found.verdict == v)) for v in VERDICTS},
+        "confusion": found.confusion(),
+        "linear": found.linear,
+        "sigma": {"min": float(np.min(found.sigma)), "median": float(np.median(found.sigma)), "max": float(np.max(found.sigma))},
+        "growth": {"median": float(np.median(found.growth)), "max": float(np.max(found.growth))},
+        "turning": {"predicted": float(np.median(found.turning)), "observed": float(np.median(found.observed_turning))},
+        "certified_yet_grew": found.broken_promises().tolist(),
+        "seconds_a_sample": seconds / len(found.sigma),
+    }
+    if shares is not None:
+        figures["premises"] = {p.name: {"held": p.held, "share_broken": p.share_broken} for p in shares[0]}
+        figures["bound"] = shares[1]
+    return figures
+
+
+def certificate_tables(name: str, trials: int, figures: dict[str, Any]) -> list[Table]:
+    """Predicted against observed verdicts, and the premises."""
+    sigma, growth, turning = figures["sigma"], figures["growth"], figures["turning"]
+    what = "linear law" if figures["linear"] else "estimates frozen at their start: a prediction, not a guarantee"
+    confusion = Table(
+        title=f"{name}, {trials} trials ({what})\nlargest singular value {sigma['min']:.4f} – {sigma['max']:.4f}, predicted growth up to "
+        f"{number(growth['max'])}, best trial (median) predicted {turning['predicted']:g}, observed {turning['observed']:g}"
+    )
+    confusion.add_column("theory says, of machines")
+    for verdict in VERDICTS:
+        confusion.add_column(f"simulated: {verdict}", justify="right")
+    for verdict, row in figures["confusion"].items():
+        confusion.add_row(f"{verdict} ({figures['verdicts'][verdict]})", *(str(row[v]) for v in VERDICTS))
+    tables = [confusion]
+    if "premises" in figures:
+        bound = ", ".join(f"{verdict} {count}" for verdict, count in figures["bound"].items())
+        premises = Table("premise", title=f"{name}: premises of the bound of Cao 2019, machines; the bound: {bound}")
+        premises.add_column("held on", justify="right")
+        premises.add_column("broken share of (k, j)", justify="right")
+        for premise, row in figures["premises"].items():
+            premises.add_row(premise, str(row["held"]), f"{row['share_broken']:.2%}")
+        tables.append(premises)
+    return tables
+
+
 def reproduction_table(figures: Sequence[dict[str, Any]]) -> Table:
     """One row a published number."""
     met = {v: sum(f["verdict"] == v for f in figures) for v in ("met", "shape", "open")}
@@ -141,6 +187,16 @@ def reproduction_table(figures: Sequence[dict[str, Any]]) -> Table:
         ours = (f"{f['value']:g} {f['unit']}", number(f["ours"]), f"{f['ratio']:.2f}")
         reading = "; ".join([*(f"{k} {v}" for k, v in f["options"].items() if k != "plant"), f["reading"]])
         table.add_row(f["scenario"], f["scheme"], trial, f["quantity"].replace("_", " "), *ours, f["verdict"], f["source"], reading)
+    return table
+
+
+def identification_table(title: str, rows: Sequence[tuple[str, float, float, float]]) -> Table:
+    """Identified quantities with their 95 % intervals."""
+    table = Table(title=f"{title}: identified, with 95 % intervals")
+    for column in ("quantity", "value", "low", "high"):
+        table.add_column(column, justify="left" if column == "quantity" else "right")
+    for name, *values in rows:
+        table.add_row(name, *(f"{v:.6g}" if np.isfinite(v) else "–" for v in values))
     return table
 
 

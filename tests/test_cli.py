@@ -164,3 +164,20 @@ def test_reproduce_prints_every_published_number_with_its_verdict(jaxilc_command
     code, _, err = jaxilc_command("reproduce", "dai")
     assert code == 2
     assert "scenario = 'dai' is not one of cao-2019" in err
+
+
+def test_certify_compares_theory_with_simulation(jaxilc_command, tmp_path):
+    arguments = ("certify", "cao-2019", "--scheme", "cfdl-mfailc", "--scheme", "pid", "--samples", 3, "--trials", 4, "--json", "c.json")
+    code, out, _ = jaxilc_command(*arguments)
+    assert code == 0
+    assert "constant sign of phi" in out
+    numbers = json.loads((tmp_path / "c.json").read_text())
+    assert list(numbers["schemes"]) == ["cfdl-mfailc"], "pid does not learn"
+    row = numbers["schemes"]["cfdl-mfailc"]
+    assert sum(row["verdicts"].values()) == 3
+    assert row["bound"] == {"holds": 0, "fails": 0, "not claimed": 3}
+    assert row["certified_yet_grew"] == []
+    assert (tmp_path / "out/certify-cao-2019/cfdl-mfailc.png").exists()
+    code, _, err = jaxilc_command("certify", "cao-2019", "--scheme", "pid")
+    assert code == 2
+    assert "none of pid learns" in err

@@ -15,12 +15,12 @@ from .plant import Plant
 class ProcessModel(Plant):
     """A stable transfer function by its physical parameters (Cao 2019, eq. 6, of any order).
 
-        G(s) = gain prod_i (1 - s / zeros_i) / (prod_i (1 + s / poles_i) prod_i (1 + 2 dampings_i s / frequencies_i + (s / frequencies_i)^2))
+        G(s) = gain prod_i (1 - s / zeros_i) / (prod_i (1 + s / poles_i) prod_i (1 + 2 zeta_i s / w_i + (s / w_i)^2))
 
     gain:  () DC gain [unit of y per unit of u]
     zeros: (m,) [rad/s], real and not 0; positive: in the right half plane, non-minimum phase
     poles: (n,) [rad/s], positive: stable;  m < n + 2 q, so that u[k] acts on y[k+1] at the earliest
-    frequencies, dampings: (q,) natural frequency [rad/s] and damping ratio of each pair of poles, both positive
+    frequencies, dampings: (q,) natural frequency w [rad/s] and damping ratio zeta of each pair of poles, both positive
 
     A pair is complex for a damping below 1, two real poles above, and at 1 the double pole that Cao 2019, eq. 7 has at 474 rad/s.
     There (frequency, damping) stays regular: the denominator is a smooth function of it with independent derivatives. Written as

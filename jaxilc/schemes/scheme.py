@@ -30,6 +30,11 @@ class Scheme:
     preview: int = 1  # samples of the reference ahead of k that `act` wants to see
 
     @property
+    def learns(self) -> bool:
+        """Whether anything is carried from trial to trial."""
+        return type(self).learn is not Scheme.learn
+
+    @property
     def plays_back(self) -> bool:
         """Whether `act` only plays back the table's `u`, whatever happens in the trial."""
         return type(self).act is Scheme.act

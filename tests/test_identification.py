@@ -1,0 +1,430 @@
+"""Identification against python-control, the true parameters and the statistics of noise."""
+
+import control
+import jax
+import numpy as np
+import pytest
+from cases import ALGEBRA, DIFFERENCES, SIGMAS
+
+from jaxilc import figures, identification
+from jaxilc.identification import Record, excite, identify, read_record, write_record
+from jaxilc.machine import Actuator, Machine, Sensor
+from jaxilc.plants import DifferenceEquation, ProcessModel, StateSpace, VoiceCoil, voice_coil
+from jaxilc.pytree import get_at
+from jaxilc.references import m_sequence
+
+DT = 1e-3
+U = m_sequence(9, hold=2, periods=3)  # (3066,) [V]
+ENCODER, NOISE = 1e-4, 2e-4  # [mm]
+TRUE = {
+    "gain": -7437.7769 * 928.2 / (474.0**2 * 6.404),  # -4.798
+    "zeros[0]": 928.2,
+    "poles[0]": 6.404,
+    "frequencies[0]": 474.0,
+    "dampings[0]": 1.0,
+    "bias": 0.0,
+}
+EQ_7 = ProcessModel(TRUE["gain"], [928.2], [6.404], [474.0], [1.0])
+MOTOR = Machine(voice_coil(), sensor=Sensor(ENCODER, NOISE))
+
+
+@pytest.fixture(scope="module")
+def record():
+    return excite(MOTOR, U, DT)
+
+
+@pytest.fixture(scope="module")
+def identified(record):
+    return identify(record)
+
+
+def inside(estimate, value):
+    return estimate.low <= value <= estimate.high
+
+
+def width(estimate):
+    return estimate.high - estimate.low
+
+
+# The process model ---------------------------------------------------------------------------------------------------------
+
+MODELS = {
+    "eq_7": EQ_7,
+    "lag": ProcessModel(2.0, [], [50.0]),
+    "two_lags_one_zero": ProcessModel(-1.5, [-80.0], [20.0, 300.0]),
+    "resonance": ProcessModel(0.7, [], [], [250.0], [0.02]),
+    "overdamped": ProcessModel(1.0, [], [], [100.0], [2.5]),
+    "everything": ProcessModel(3.0, [-40.0, 600.0, 90.0], [30.0, 500.0], [150.0, 700.0], [0.1, 0.6]),
+}
+
+
+def transfer_function(p):
+    num = float(p.gain) * control.tf([1.0], [1.0])
+    for z in p.zeros:
+        num *= control.tf([-1.0 / z, 1.0], [1.0])
+    for lag in p.poles:
+        num *= control.tf([1.0], [1.0 / lag, 1.0])
+    for w, zeta in zip(p.frequencies, p.dampings, strict=True):
+        num *= control.tf([1.0], [1.0 / w**2, 2.0 * zeta / w, 1.0])
+    return num
+
+
+@pytest.mark.parametrize("dt", [1e-3, 2.5e-4])
+@pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
+def test_process_model_responds_as_python_control(model, dt):
+    u = np.random.default_rng(1).normal(size=200)
+    discrete = control.c2d(control.ss(transfer_function(model)), dt, method="zoh")
+    expected = control.forced_response(discrete, np.arange(201) * dt, np.append(u, 0.0)).outputs
+    y = excite(Machine(model), u, dt).y[:, 0]
+    np.testing.assert_allclose(y, expected, rtol=1e-6, atol=1e-8 * np.max(np.abs(expected)))
+    assert np.max(np.abs(expected)) > 1e-3
+
+
+def test_process_model_is_eq_7_of_the_paper():
+    np.testing.assert_allclose(excite(Machine(EQ_7), U, DT).y, excite(Machine(voice_coil()), U, DT).y, rtol=1e-8, atol=1e-10)
+    assert TRUE["gain"] == pytest.approx(-4.798, abs=5e-4)
+
+
+@pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
+def test_all_poles_are_those_of_the_denominator(model):
+    poles = np.array(model.all_poles)
+    expected = control.poles(transfer_function(model))
+    np.testing.assert_allclose(np.sort_complex(np.poly(poles)), np.sort_complex(np.poly(expected)), rtol=1e-8)
+
+
+def test_regrouping_pairs_the_nearest_real_poles_and_keeps_the_response():
+    """Poles 6.4, 470, 480, with the slow one hidden in the pair."""
+    w, zeta = np.sqrt(6.4 * 470.0), (6.4 + 470.0) / (2 * np.sqrt(6.4 * 470.0))
+    hidden = ProcessModel(1.0, [900.0, -20.0], [480.0], [w, 50.0], [zeta, 0.3])
+    model = hidden.regrouped()
+    np.testing.assert_allclose(model.poles, [6.4], rtol=1e-10)
+    np.testing.assert_allclose(model.frequencies, [50.0, np.sqrt(470.0 * 480.0)], rtol=1e-10)
+    np.testing.assert_allclose(model.dampings, [0.3, 950.0 / (2 * np.sqrt(470.0 * 480.0))], rtol=1e-10)
+    np.testing.assert_array_equal(model.zeros, [-20.0, 900.0])
+    np.testing.assert_allclose(excite(Machine(model), U[:100], DT).y, excite(Machine(hidden), U[:100], DT).y, **ALGEBRA)
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (lambda: ProcessModel(1.0, [1.0], [2.0]), r"ProcessModel: 1 zeros over 1 poles; allowed are fewer zeros than poles"),
+        (lambda: ProcessModel(1.0), r"ProcessModel: 0 zeros over 0 poles"),
+        (lambda: ProcessModel(1.0, [0.0], [2.0, 3.0]), r"ProcessModel: zeros = 0 makes the DC gain 0"),
+        (lambda: ProcessModel(1.0, [], 2.0), r"ProcessModel: poles has shape \(\); allowed is one dimension"),
+        (lambda: ProcessModel(1.0, [], [], [2.0, 3.0], [1.0]), r"ProcessModel: frequencies \(2,\) and dampings \(1,\) must have one shape"),
+        (lambda: ProcessModel(1.0, [], [-2.0]), r"ProcessModel: poles = \[-2.\] is outside its allowed range \(0, inf\)"),
+    ],
+)
+def test_impossible_process_models_are_refused(build, message):
+    with pytest.raises(ValueError, match=message):
+        build()
+
+
+def test_derivatives_are_exact_and_independent_at_the_double_pole(record):
+    names = tuple(n for n in TRUE if n != "bias")
+    theta = np.array([TRUE[n] for n in names])
+    task, u = identification._task(EQ_7, record.u, DT), np.asarray(record.u)
+    J = np.asarray(identification._sensitivity(theta, names, EQ_7, task, u))[:, 0]
+    step = 1e-5 * np.diag(np.abs(theta))
+    outputs = [[identification._simulated(theta + s * h, names, EQ_7, task, u)[:, 0] for s in (1, -1)] for h in step]
+    differences = np.stack([np.asarray(a - b) / (2 * np.max(h)) for (a, b), h in zip(outputs, step, strict=True)], axis=1)
+    size = np.max(np.abs(J), axis=0)
+    np.testing.assert_allclose(J / size, differences / size, rtol=DIFFERENCES["rtol"], atol=1e-7)
+    assert np.linalg.cond(J / size) < 100
+
+
+# The experiment ------------------------------------------------------------------------------------------------------------
+
+
+def test_a_record_holds_the_input_as_applied_and_the_output_as_the_encoder_shows_it():
+    record = excite(Machine(EQ_7, Actuator(limit=0.5, resolution=0.4), Sensor(ENCODER)), U[:50], DT)
+    np.testing.assert_allclose(np.abs(record.u), 0.4, **ALGEBRA)
+    exact = excite(Machine(EQ_7), record.u, DT)
+    assert record.y.shape == (51, 1)
+    np.testing.assert_allclose(np.asarray(record.y) / ENCODER, np.round(record.y / ENCODER), atol=1e-9)
+    assert 0 < np.max(np.abs(record.y - exact.y)) <= ENCODER / 2 * (1 + 1e-9)
+
+
+def test_each_key_is_another_noise():
+    keys = jax.random.split(jax.random.key(3), 2)
+    noisy = jax.vmap(lambda key: excite(MOTOR, U[:50], DT, key=key).y)(keys)
+    np.testing.assert_array_equal(noisy[0], excite(MOTOR, U[:50], DT, key=keys[0]).y)
+    assert np.std(noisy[0] - noisy[1]) == pytest.approx(np.sqrt(2) * NOISE, rel=SIGMAS / np.sqrt(2 * 51))
+
+
+# The fit -------------------------------------------------------------------------------------------------------------------
+
+
+def test_eq_7_is_recovered_within_the_intervals(identified):
+    assert list(identified.parameters) == list(TRUE)
+    for name, value in TRUE.items():
+        assert inside(identified.parameters[name], value), name
+        if name != "bias":
+            assert width(identified.parameters[name]) < 5e-3 * abs(value), name
+            assert float(get_at(identified.plant, name)) == identified.parameters[name].value
+    assert identified.white
+    assert identified.converged
+    # what remains is the noise, and the rounding of the encoder
+    assert identified.samples == round(0.7 * 3067)
+    assert identified.residual_std[0] == pytest.approx(np.sqrt(NOISE**2 + ENCODER**2 / 12), rel=SIGMAS / np.sqrt(2 * identified.samples))
+    assert min(identified.fit[0], identified.validation_fit[0]) > 99.8
+
+
+def test_poles_have_intervals_even_where_they_meet(identified):
+    for pole, true in zip(identified.poles, (-6.404, -474.0, -474.0), strict=True):
+        assert inside(pole.real, true)
+        assert inside(pole.imag, 0.0)
+        assert inside(pole.real, pole.value.real)
+        assert inside(pole.imag, pole.value.imag)
+    # the split of a double pole goes with the square root of the damping's error, so it is far less certain than the frequency
+    assert width(identified.poles[1].real) > 5 * width(identified.parameters["frequencies[0]"])
+
+
+def test_figures_of_merit_are_those_of_the_simulated_output(record, identified):
+    y, n = np.asarray(record.y)[:, 0], identified.samples
+    simulated = excite(Machine(identified.plant), record.u, DT).y[:, 0] + identified.parameters["bias"].value
+    np.testing.assert_allclose(identified.simulated[:, 0], simulated, rtol=1e-9, atol=1e-12)
+    for part, fit in ((slice(n), identified.fit), (slice(n, None), identified.validation_fit)):
+        expected = 1 - np.sqrt(np.sum((y - simulated)[part] ** 2) / np.sum((y[part] - np.mean(y[part])) ** 2))
+        assert fit[0] == pytest.approx(100 * expected, abs=1e-9)
+    rows = {name: values for name, *values in identified.summary()}
+    assert rows["gain"] == list(identified.parameters["gain"])
+    assert rows["fit [%]"][0] == identified.fit[0]
+
+
+def test_another_seed_finds_the_same_minimum(record, identified):
+    again = identify(record, seed=7, starts=32)
+    for name, estimate in identified.parameters.items():
+        assert again.parameters[name].value == pytest.approx(estimate.value, abs=1e-3 * width(estimate)), name
+
+
+def test_intervals_cover_the_truth_as_often_as_they_say():
+    """100 noises: within 95 % of the time, and the errors in units of their standard deviation have the spread 1."""
+    seeds, machine = 100, Machine(EQ_7, sensor=Sensor(ENCODER, NOISE))
+    keys = jax.random.split(jax.random.key(1), seeds)
+    outputs = np.asarray(jax.vmap(lambda key: excite(machine, U, DT, key=key).y)(keys))
+    found = [identify(Record(U, y, DT), EQ_7) for y in outputs]
+    for i, (name, true) in enumerate(TRUE.items()):
+        covered = np.mean([inside(f.parameters[name], true) for f in found])
+        assert covered >= 0.95 - SIGMAS * np.sqrt(0.95 * 0.05 / seeds), name
+        errors = [(f.parameters[name].value - true) / np.sqrt(f.covariance[i, i]) for f in found]
+        assert np.std(errors) == pytest.approx(1.0, abs=SIGMAS / np.sqrt(2 * seeds)), name
+    assert np.mean([f.white for f in found]) > 0.9
+
+
+def test_intervals_scale_with_the_noise():
+    quiet, loud = (identify(excite(Machine(EQ_7, sensor=Sensor(noise=s * NOISE)), U, DT), EQ_7) for s in (1.0, 4.0))
+    for name in TRUE:
+        assert width(loud.parameters[name]) == pytest.approx(4 * width(quiet.parameters[name]), rel=0.02), name
+
+
+def test_too_low_an_order_shows(record, identified):
+    poor = identify(record, poles=1, pairs=0, zeros=0)
+    assert poor.validation_fit[0] < identified.validation_fit[0] - 10
+    assert poor.residual_std[0] > 100 * identified.residual_std[0]
+    assert not poor.white
+
+
+def test_a_lightly_damped_drive_is_found_without_a_start():
+    """Xu 2024: 2.229e7 / (s^2 + 70.16 s + 2.413e6), 247 Hz at a damping of 0.0226, encoder 1.2 nm."""
+    w, zeta = np.sqrt(2.413e6), 70.16 / (2 * np.sqrt(2.413e6))
+    servo = Machine(ProcessModel(2.229e7 / 2.413e6, [], [], [w], [zeta]), sensor=Sensor(1.2e-3, 5e-3))
+    found = identify(excite(servo, m_sequence(9, hold=3, periods=2), 1e-4), poles=0, pairs=1, zeros=0)
+    for name, true in {"gain": 2.229e7 / 2.413e6, "frequencies[0]": w, "dampings[0]": zeta}.items():
+        assert inside(found.parameters[name], true), name
+    for pole, sign in zip(found.poles, (1, -1), strict=True):
+        assert inside(pole.real, -zeta * w)
+        assert inside(pole.imag, sign * w * np.sqrt(1 - zeta**2))
+        assert width(pole.real) < 0.05 * zeta * w
+    assert found.white
+
+
+# A given plant ---------------------------------------------------------------------------------------------------------------
+
+
+def test_chosen_leaves_of_a_given_plant(record):
+    found = identify(record, VoiceCoil(gain=5000.0, zero=500.0), free=("gain", "zero"))
+    assert list(found.parameters) == ["gain", "zero", "bias"]
+    for name, true in (("gain", 7437.7769), ("zero", 928.2)):
+        assert inside(found.parameters[name], true), name
+    np.testing.assert_array_equal(found.plant.poles, VoiceCoil().poles)
+    assert found.poles == ()
+
+
+def test_one_element_of_a_leaf(record):
+    found = identify(record, VoiceCoil(poles=(474.0, 474.0, 20.0)), free="poles[2]", fit_share=1.0)
+    assert inside(found.parameters["poles[2]"], 6.404)
+    assert np.isnan(found.validation_fit[0])
+
+
+def test_difference_equation_from_its_rounded_coefficients(record):
+    """Cao 2019, eq. 29 as a start: the fit returns to what eq. 7 is at 1 ms, and to its DC gain."""
+    found = identify(record, voice_coil("printed"))
+    exact = voice_coil().sampled(DT)
+    for name in "ab":
+        for i in range(3):
+            assert inside(found.parameters[f"{name}[{i}]"], getattr(exact, name)[i]), (name, i)
+    assert isinstance(found.plant, DifferenceEquation)
+    assert np.sum(found.plant.b) / (1 - np.sum(found.plant.a)) == pytest.approx(-4.798, rel=1e-3)
+
+
+def test_what_the_record_cannot_tell_apart_has_no_interval():
+    """Of y = C x, x' = A x + B u only A and the product C B enter the output."""
+    lag = StateSpace([[-50.0]], [[50.0]], [[2.0]])
+    found = identify(excite(Machine(lag, sensor=Sensor(noise=1e-3)), U, DT), StateSpace([[-40.0]], [[50.0]], [[1.0]]))
+    assert inside(found.parameters["A[0][0]"], -50.0)
+    assert width(found.parameters["A[0][0]"]) < 1.0
+    for name in ("B[0][0]", "C[0][0]"):
+        assert width(found.parameters[name]) == np.inf
+    assert float(found.plant.B[0, 0] * found.plant.C[0, 0]) == pytest.approx(100.0, rel=0.01)
+
+
+def test_a_double_pole_needs_a_pair(record):
+    """Two equal entries of `poles` have the same derivative; the pair at the same place is determined to 0.2 %."""
+    twice = identify(record, ProcessModel(TRUE["gain"], [928.2], [6.404, 474.0, 474.0]))
+    assert width(twice.parameters["poles[0]"]) < 0.01
+    assert min(width(twice.parameters[f"poles[{i}]"]) for i in (1, 2)) > 0.02 * 474.0
+    pair = identify(record, EQ_7)
+    assert width(pair.parameters["frequencies[0]"]) < 2e-3 * 474.0
+
+
+def test_two_outputs_are_weighted_by_their_noise():
+    stage = StateSpace([[-50.0, 0.0], [200.0, -200.0]], [[50.0], [0.0]], [[1.0, 0.0], [0.0, 1.0]])
+    noise = np.array([1e-3, 5e-2])
+    start = StateSpace([[-30.0, 0.0], [200.0, -100.0]], [[50.0], [0.0]], [[1.0, 0.0], [0.0, 1.0]])
+    record = excite(Machine(stage, sensor=Sensor(noise=noise)), U, DT)
+    found = identify(record, start, free=("A[0][0]", "A[1][1]", "C[1][1]"))
+    for name, true in (("A[0][0]", -50.0), ("A[1][1]", -200.0), ("C[1][1]", 1.0), ("bias[0]", 0.0), ("bias[1]", 0.0)):
+        assert inside(found.parameters[name], true), name
+    np.testing.assert_allclose(found.residual_std, noise, rtol=SIGMAS / np.sqrt(2 * found.samples))
+    # the first output alone says as much of its pole as both together, since the second is fifty times noisier
+    alone = identify(record._replace(y=record.y[:, :1]), StateSpace(start.A[:1, :1], start.B[:1], [[1.0]]), free="A")
+    assert width(found.parameters["A[0][0]"]) == pytest.approx(width(alone.parameters["A[0][0]"]), rel=0.05)
+
+
+# Files ---------------------------------------------------------------------------------------------------------------------
+
+
+def test_a_record_survives_its_file(record, identified, tmp_path):
+    write_record(tmp_path / "record.csv", record)
+    read = read_record(tmp_path / "record.csv")
+    np.testing.assert_array_equal(read.u, record.u)
+    np.testing.assert_array_equal(read.y, record.y)
+    assert read.dt == DT
+    assert identify(read).parameters == identified.parameters
+
+
+def test_several_channels_and_foreign_columns(tmp_path):
+    two = Record(np.arange(6.0).reshape(3, 2), np.arange(8.0).reshape(4, 2) / 3, 0.02)
+    write_record(tmp_path / "two.csv", two, time="time", input="force", output="x")
+    read = read_record(tmp_path / "two.csv", time="time", input=("force_0", "force_1"), output=("x_1",))
+    np.testing.assert_array_equal(read.u, two.u)
+    np.testing.assert_array_equal(read.y, two.y[:, 1:])
+    (tmp_path / "scope.txt").write_text("\ufeffCH1 [V]; t [s] ;note;pos [mm]\n1;0.5;start;0\n\n-1;0.52;;0.25\n1;0.54;end;0.5\n")
+    read = read_record(tmp_path / "scope.txt", time="t [s]", input="CH1 [V]", output="pos [mm]")
+    np.testing.assert_array_equal(read.u, [[1.0], [-1.0]])
+    np.testing.assert_array_equal(read.y, [[0.0], [0.25], [0.5]])
+    assert read.dt == pytest.approx(0.02, rel=1e-12)
+
+
+FILES = {
+    "column": ("t,u,z\n0,1,2\n1,1,2\n", r"has no column 'y'; present are t, u, z"),
+    "empty": ("", r"has no column 't'; present are none"),
+    "text": ("t,u,y\n0,1,2\n1,x,2\n", r"line 3: u = 'x' is not a finite number"),
+    "nan": ("t,u,y\n0,1,2\n\n1,1,2\n2,1,nan\n", r"line 5: y = 'nan' is not a finite number"),
+    "short_row": ("t,u,y\n0,1,2\n1,1\n", r"line 3: y = '' is not a finite number"),
+    "backwards": ("t,u,y\n0,1,2\n1,1,2\n0.5,1,2\n2,1,2\n", r"line 4: t = 0.5 s does not increase from 1 s"),
+    "repeated": ("t,u,y\n0,1,2\n1,1,2\n1,1,2\n", r"line 4: t = 1 s does not increase from 1 s"),
+    "gap": (
+        "t,u,y\n0,1,2\n1,1,2\n2,1,2\n4,1,2\n",
+        r"line 5: t steps by 2 s where the sample time is dt = 1 s; allowed is a deviation of 1%",
+    ),
+    "one_row": ("t,u,y\n0,1,2\n", r"has 1 rows of data; allowed are at least 2"),
+}
+
+
+@pytest.mark.parametrize(("text", "message"), FILES.values(), ids=FILES)
+def test_a_bad_file_is_named_with_its_line(text, message, tmp_path):
+    path = tmp_path / "bad.csv"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=f"read_record: .*bad.csv.*{message}"):
+        read_record(path)
+
+
+# Errors --------------------------------------------------------------------------------------------------------------------
+
+GOOD = Record(U[:100], np.sin(np.arange(101.0)), DT)
+
+
+def spoiled(signal, k=17):
+    values = np.array(getattr(GOOD, signal))
+    values[k] = np.nan
+    return GOOD._replace(**{signal: values})
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: identify(spoiled("y")), r"y is not finite at sample 17"),
+        (lambda: identify(spoiled("u")), r"u is not finite at sample 17"),
+        (lambda: identify(GOOD._replace(y=GOOD.y[:-1])), r"u has 100 rows and y 100; allowed is one more row in y than in u"),
+        (
+            lambda: identify(GOOD._replace(y=np.zeros((101, 1, 1)))),
+            r"y has shape \(101, 1, 1\); allowed are \(rows,\) and \(rows, channels\)",
+        ),
+        (lambda: identify(GOOD._replace(dt=0.0)), r"dt = 0.0 is outside its allowed range \(0, inf\)"),
+        (lambda: identify(GOOD._replace(u=U[:20], y=GOOD.y[:21])), r"too short: 15 samples to fit 6 parameters; allowed are at least 30"),
+        (lambda: identify(GOOD._replace(y=np.ones(101))), r"output 0 is constant over the 71 samples to fit"),
+        (lambda: identify(GOOD._replace(u=np.zeros(100))), r"the input is 0 over the 71 samples to fit"),
+        (lambda: identify(GOOD, poles=-1), r"poles = -1 is outside its allowed range \[0, inf\)"),
+        (lambda: identify(GOOD, pairs=0.5), r"pairs = 0.5 is outside its allowed range \[0, inf\)"),
+        (lambda: identify(GOOD, zeros=3), r"zeros = 3 is outside its allowed range \[0, 3\), the order"),
+        (lambda: identify(GOOD, starts=0), r"starts = 0 is outside its allowed range \[1, inf\)"),
+        (lambda: identify(GOOD, fit_share=1.5), r"fit_share = 1.5 is outside its allowed range \(0, 1\]"),
+        (lambda: identify(GOOD, free=("gain",)), r"free = \['gain'\] names leaves of a plant, but no plant is given"),
+        (lambda: identify(GOOD, EQ_7, free=("gian",)), r"free = 'gian' is not a leaf of ProcessModel; known: gain, zeros, poles"),
+        (lambda: identify(GOOD, VoiceCoil(), free=("poles[3]",)), r"free = 'poles\[3\]': poles has shape \(3,\)"),
+        (lambda: identify(GOOD, EQ_7, free=()), r"free = \(\) leaves nothing to fit"),
+        (
+            lambda: identify(GOOD._replace(y=np.ones((101, 2))), EQ_7),
+            r"the record has 1 inputs and 2 outputs but the plant ProcessModel has 1 and 1",
+        ),
+        (
+            lambda: identify(GOOD, StateSpace([[1e5]], [[1.0]], [[1.0]]), free="B"),
+            r"the output of the given StateSpace does not stay finite",
+        ),
+    ],
+)
+def test_what_cannot_be_identified_is_named(call, message):
+    with pytest.raises(ValueError, match="identify: .*" + message):
+        call()
+
+
+def test_single_precision_is_refused():
+    with jax.enable_x64(False), pytest.raises(ValueError, match=r"identify: precision = 'float32' is not one of 'float64'"):
+        identify(GOOD)
+
+
+def test_an_excitation_that_does_not_fit_is_named():
+    with pytest.raises(ValueError, match=r"excite: u is not finite at sample 1"):
+        excite(MOTOR, [1.0, np.nan], DT)
+    with pytest.raises(ValueError, match=r"the task has 2 inputs but the plant VoiceCoil has 1"):
+        excite(MOTOR, np.ones((5, 2)), DT)
+    with pytest.raises(ValueError, match=r"VoiceCoil|sampled at 0.001 s"):
+        excite(Machine(voice_coil("printed")), U[:5], 2e-3)
+
+
+# Figures -------------------------------------------------------------------------------------------------------------------
+
+
+def test_figures_show_the_record_and_the_residual(record, identified, tmp_path):
+    top, bottom = figures.record_figure(record, input_unit="V", output_unit="mm")
+    np.testing.assert_array_equal(top.lines[0].get_ydata(), U)
+    np.testing.assert_allclose(bottom.lines[0].get_xdata()[-1], len(U) * DT)
+    assert bottom.get_ylabel() == "output [mm]"
+    top, bottom = figures.validation_figure(record, identified, output_unit="mm", scale=1e3, unit="µm")
+    np.testing.assert_allclose(bottom.lines[0].get_ydata(), 1e3 * (np.asarray(record.y) - identified.simulated)[:, 0])
+    assert bottom.get_ylabel() == "residual [µm]"
+    assert bottom.patches[0].get_x() == pytest.approx(identified.samples * DT)
+    assert "validation 99." in top.get_legend().get_texts()[1].get_text()
+    assert figures.save(top, tmp_path / "validation.png").stat().st_size > 10_000

@@ -1,0 +1,265 @@
+"""The lifted form against hand-written matrices, and what it predicts against what the simulation does."""
+
+import jax
+import numpy as np
+import pytest
+import scipy.linalg
+from cases import ARX, DT, PLANTS, task_for
+
+from jaxilc.filters import ZeroPhaseButterworth, ZeroPhaseFIR
+from jaxilc.learning import learn
+from jaxilc.machine import Actuator, Disturbance, Machine, Sensor
+from jaxilc.plants import StateSpace
+from jaxilc.schemes import CFDLMFAC, CFDLMFAILC, PID, Filtered, OnReference, PIDType, WithFeedback
+from jaxilc.theory import lifted
+from jaxilc.theory.condition import condition, linear_law, premise
+
+N = 40
+ARX_MACHINE, TASK = Machine(PLANTS["arx"]), task_for(PLANTS["arx"], N)
+LOOP = PID(kp=0.8, ki=20.0, kd=2e-4, tau=1e-3)
+
+
+def impulse_response(a, b, samples):
+    """h[k] = y[k+1] after u[0] = 1, by the difference equation."""
+    y = np.zeros(samples + 1)
+    for k in range(samples):
+        y[k + 1] = sum(a[i] * y[k - i] for i in range(len(a)) if k >= i) + (b[k] if k < len(b) else 0.0)
+    return y[1:]
+
+
+def toeplitz(h):
+    return scipy.linalg.toeplitz(h, np.zeros_like(h))
+
+
+def errors(trial):
+    return trial.e[1:], trial.u
+
+
+def run(machine, scheme, task, trials):
+    """(J, N n_y) errors and (J, N n_u) inputs as simulated."""
+    return tuple(np.asarray(s).reshape(trials, -1) for s in learn(machine, scheme, task, trials, save=errors).saved)
+
+
+def test_open_loop_matrix_is_the_toeplitz_matrix_of_the_impulse_response():
+    G = lifted.lifted_plant(ARX_MACHINE, None, TASK)
+    np.testing.assert_allclose(G, toeplitz(impulse_response(*ARX, N)), rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(lifted.lifted_plant(ARX_MACHINE, None, TASK, time_invariant=False), G, rtol=1e-12, atol=1e-15)
+
+
+def test_closed_loop_matrix_is_P_over_1_plus_C_P():
+    """With u_fb[k] from e[k], one sample before the row of y[k+1]: G = (I + P C S)^-1 P, S the delay of one sample."""
+    P, delay = toeplitz(impulse_response(*ARX, N)), np.eye(N, k=-1)
+    # the derivative s[k] = (tau s[k-1] + e[k] - e[k-1]) / (tau + dt), in powers of the delay
+    slope = np.linalg.solve((LOOP.tau + DT) * np.eye(N) - LOOP.tau * delay, np.eye(N) - delay)
+    C = LOOP.kp * np.eye(N) + LOOP.ki * DT * np.tri(N) + LOOP.kd * slope
+    G = lifted.lifted_plant(ARX_MACHINE, LOOP, TASK)
+    np.testing.assert_allclose(G, np.linalg.solve(np.eye(N) + P @ C @ delay, P), rtol=1e-10, atol=1e-13)
+    np.testing.assert_array_equal(lifted.lifted_plant(ARX_MACHINE, WithFeedback(PIDType(gamma_p=1.0), LOOP), TASK), G)
+    assert lifted.linear_trial(ARX_MACHINE, LOOP, TASK).held
+
+
+def test_the_adjoint_is_the_plant_run_backward_in_time():
+    """G^T = J G J for a time-invariant plant of one input and output, J reversing time: so vjp is a trial played backward."""
+    v = np.random.default_rng(0).normal(size=(N, 1))
+    _, pull = jax.vjp(lambda u: lifted.played_trial(ARX_MACHINE, None, TASK, None, u), np.zeros((N, 1)))
+    backward = lifted.played_trial(ARX_MACHINE, None, TASK, None, v[::-1])[::-1]
+    np.testing.assert_allclose(pull(v)[0], backward, rtol=1e-12, atol=1e-14)
+
+
+def test_a_nonlinear_loop_is_linearised_where_it_is_asked_to_be():
+    """Adaptive feedback and a limit: not Toeplitz, its columns are finite differences, and the premise of linearity is broken."""
+    machine = Machine(PLANTS["arx"], actuator=Actuator(limit=1.0))
+    feedback, about = CFDLMFAC(phi0=0.3, lam=0.5), 0.4 * np.sin(np.arange(N))[:, None]
+    G = lifted.lifted_plant(machine, feedback, TASK, about=about)
+    limited = np.diag(G) == 0.0
+    assert 3 < np.sum(limited) < N - 3, "the limit should act, though not always"
+    np.testing.assert_allclose(np.diag(G)[~limited], ARX[1][0], rtol=1e-12)
+    play = jax.jit(lambda w: lifted.played_trial(machine, feedback, TASK, (), w))
+    for k in (0, 7, N - 1):
+        step = np.zeros((N, 1))
+        step[k] = 1e-6
+        np.testing.assert_allclose(G[:, k], (play(about + step) - play(about - step))[:, 0] / 2e-6, rtol=1e-6, atol=1e-8)
+    broken = lifted.linear_trial(machine, feedback, TASK, about=about)
+    assert (broken.held, broken.share_broken) == (False, 1.0)
+
+
+def test_noise_is_left_out_and_what_repeats_is_not():
+    d = 0.1 * np.ones((N + 1, 1))
+    machine = Machine(PLANTS["arx"], sensor=Sensor(noise=0.1), disturbance=Disturbance(output=d, input_noise=0.2, output_noise=0.3))
+    np.testing.assert_allclose(lifted.lifted_plant(machine, None, TASK), lifted.lifted_plant(ARX_MACHINE, None, TASK), atol=1e-15)
+    np.testing.assert_allclose(lifted.played_trial(lifted.noiseless(machine), None, TASK, None, np.zeros((N, 1))), d[1:], atol=1e-15)
+
+
+LAWS = {
+    "p": PIDType(gamma_p=0.6),
+    "pid_lead": PIDType(gamma_p=0.6, gamma_i=0.02, gamma_d=0.4, lead=3),
+    "loop": WithFeedback(PIDType(gamma_p=0.6, gamma_d=0.4, lead=1), LOOP),
+    "series": OnReference(PIDType(gamma_p=0.5), PID(kp=0.8, ki=20.0)),
+}
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_the_error_of_the_next_trial_is_predicted(law):
+    """e_{j+1} = (I - G L) e_j to rounding, the law taken from the scheme and the loop from the simulator."""
+    scheme = LAWS[law]
+    e, _ = run(ARX_MACHINE, scheme, TASK, 4)
+    G, law = lifted.lifted_plant(ARX_MACHINE, scheme, TASK), lifted.learning_law(scheme, TASK)
+    M = lifted.error_map(G, law.L)
+    assert np.max(np.abs(e[1] - e[0])) > 1e-2
+    for j in range(3):
+        np.testing.assert_allclose(e[j + 1], M @ e[j], atol=1e-12 * np.max(np.abs(e)))
+    assert linear_law(scheme, TASK).held
+    assert lifted.linear_trial(ARX_MACHINE, scheme, TASK).held
+
+
+def test_two_inputs_and_outputs():
+    machine, task = Machine(PLANTS["mimo"]), task_for(PLANTS["mimo"], N)
+    scheme = PIDType(gamma_p=(2.0, 1.0), lead=1)
+    e, _ = run(machine, scheme, task, 3)
+    M = lifted.error_map(lifted.lifted_plant(machine, None, task), lifted.learning_law(scheme, task).L)
+    np.testing.assert_allclose(e[1:], (M @ e[:-1].T).T, atol=1e-12)
+
+
+FILTERED = {
+    "butterworth": Filtered(PIDType(gamma_p=0.6, lead=2, leak=0.1), ZeroPhaseButterworth(70.0, order=3)),
+    "two_filters_in_a_loop": WithFeedback(
+        Filtered(Filtered(PIDType(gamma_p=0.6), ZeroPhaseFIR((0.5, 0.25))), ZeroPhaseButterworth(150.0, padding=0)), LOOP
+    ),
+}
+
+
+@pytest.mark.parametrize("law", FILTERED)
+def test_the_change_of_the_input_is_predicted(law):
+    """u_{j+2} - u_{j+1} = Q (keep - L G)(u_{j+1} - u_j), of the learned part of the input."""
+    scheme = FILTERED[law]
+    feedback = isinstance(scheme, WithFeedback)
+    u = np.asarray(learn(ARX_MACHINE, scheme, TASK, 5, save=lambda t: t.u - t.signals["feedback"] if feedback else t.u).saved)[..., 0]
+    G, law = lifted.lifted_plant(ARX_MACHINE, scheme, TASK), lifted.learning_law(scheme, TASK)
+    steps = np.diff(u, axis=0)
+    assert np.max(np.abs(steps[2])) > 1e-2
+    for j in range(3):
+        np.testing.assert_allclose(steps[j + 1], lifted.input_map(G, law.L, Q=law.Q, keep=law.keep) @ steps[j], atol=1e-12)
+
+
+@pytest.mark.parametrize("lead", [0, 2])
+def test_the_error_under_mfailc_is_predicted_with_its_gain_of_each_trial(lead):
+    scheme = CFDLMFAILC(phi0=0.3, lam=0.2, mu=0.05, rho=0.8, reset="sign", lead=lead)
+    trials = 7
+    record = learn(ARX_MACHINE, scheme, TASK, trials, save=lambda t: t).saved
+    e, memory, phi = np.asarray(record.e)[:, 1:, 0], scheme.memory(TASK), []
+    for j in range(trials - 1):
+        memory = scheme.learn(memory, jax.tree.map(lambda x, j=j: x[j], record._replace(dt=np.full(trials, DT))))
+        phi.append(np.asarray(memory.phi[0]))
+    assert np.ptp(phi[-1]) > 0.05, "the estimate should have moved"
+    maps = lifted.mfailc_map(lifted.lifted_plant(ARX_MACHINE, None, TASK), np.array(phi), scheme.lam, scheme.rho, lead=lead)
+    for j in range(trials - 1):
+        np.testing.assert_allclose(e[j + 1], maps[j] @ e[j], atol=1e-12)
+    growth = lifted.transient_growth(maps)
+    assert np.all(np.linalg.norm(e[1:], axis=1) <= growth * np.linalg.norm(e[0]) * (1 + 1e-12))
+    np.testing.assert_allclose(growth[1], np.linalg.norm(maps[1] @ maps[0], 2))
+
+
+STATIC_GAIN = Machine(StateSpace([[0.0]], [[2.0]], [[1.0]], dt=DT))  # y[k+1] = 2 u[k]
+LAG = Machine(StateSpace([[0.3]], [[0.7]], [[1.0]], dt=DT))
+
+
+@pytest.mark.parametrize(("gamma", "factor"), [(0.3, 0.4), (0.8, 0.6), (1.2, 1.4)])
+def test_a_static_gain_by_hand(gamma, factor):
+    """e_{j+1} = (1 - 2 gamma) e_j: sigma_max, rho and every trial of the simulation are that number."""
+    task = task_for(STATIC_GAIN.plant, N)
+    found = lifted.learning_conditions(STATIC_GAIN, PIDType(gamma_p=gamma), task)
+    for name in ("monotone", "asymptotic", "monotone_error"):
+        np.testing.assert_allclose([found[name].value, found[name].margin], [factor, 1 - factor], atol=1e-12)
+        assert found[name].verdict == ("holds" if factor < 1 else "fails")
+    e, _ = run(STATIC_GAIN, PIDType(gamma_p=gamma), task, 5)
+    np.testing.assert_allclose(np.linalg.norm(e[1:], axis=1) / np.linalg.norm(e[:-1], axis=1), factor, rtol=1e-9)
+
+
+def test_what_is_predicted_to_be_monotone_is_and_what_is_predicted_to_diverge_does():
+    task = task_for(LAG.plant, N)
+    verdicts, ratios = {}, {}
+    for gamma in (0.5, 3.5):
+        found = lifted.learning_conditions(LAG, PIDType(gamma_p=gamma), task)
+        verdicts[gamma] = found["monotone"].verdict, found["asymptotic"].verdict
+        e, _ = run(LAG, PIDType(gamma_p=gamma), task, 30)
+        size = np.linalg.norm(e, axis=1)
+        ratios[gamma] = size[1:] / size[:-1]
+        assert np.all(ratios[gamma] <= found["monotone"].value * (1 + 1e-9))
+    assert verdicts == {0.5: ("holds", "holds"), 3.5: ("fails", "fails")}
+    assert np.max(ratios[0.5]) < 0.9
+    assert np.min(ratios[3.5][5:]) > 1.4, "rho = |1 - 0.7 gamma| = 1.45"
+
+
+def test_convergent_in_the_end_but_not_before():
+    """rho < 1 < sigma_max: the error grows by orders of magnitude before it falls, as the transient growth says."""
+    task, scheme = task_for(PLANTS["arx"], 60), PIDType(gamma_p=4.0)
+    found = lifted.learning_conditions(ARX_MACHINE, scheme, task)
+    assert (found["monotone"].verdict, found["asymptotic"].verdict) == ("fails", "holds")
+    M = lifted.error_map(lifted.lifted_plant(ARX_MACHINE, None, task), lifted.learning_law(scheme, task).L)
+    growth = lifted.transient_growth(M, 12)
+    e, _ = run(ARX_MACHINE, scheme, task, 13)
+    size = np.linalg.norm(e, axis=1)
+    assert np.all(size[1:] <= growth * size[0] * (1 + 1e-9))
+    assert size[12] > 100 * size[0]
+    assert lifted.transient(M, 12).verdict == "fails"
+    assert lifted.transient(M, 12, allowed=2 * growth[-1]).verdict == "holds"
+
+
+def test_spectral_radius_of_triangular_and_permuted_matrices_is_exact():
+    """Where a general eigenvalue routine errs in the first digit."""
+    task = task_for(PLANTS["arx"], 150)
+    M = lifted.error_map(lifted.lifted_plant(ARX_MACHINE, None, task), 8.0 * np.eye(150))
+    exact = 1 - 8.0 * ARX[1][0]
+    order = np.random.default_rng(0).permutation(150)
+    for matrix in (M, M.T, M[np.ix_(order, order)]):
+        np.testing.assert_allclose(lifted.spectral_radius(matrix), exact, rtol=1e-12)
+    twisted = scipy.linalg.block_diag(M, [[0.6, 0.8], [-0.8, 0.6]]) + np.eye(152, k=-2) * 1e-3
+    np.testing.assert_allclose(lifted.spectral_radius(np.stack([twisted, 2 * twisted])), [1.0, 2.0], rtol=1e-12)
+    full = np.linalg.qr(np.random.default_rng(1).normal(size=(150, 150)))[0]
+    rotated = full @ M @ full.T
+    assert abs(np.max(np.abs(np.linalg.eigvals(rotated))) - exact) > 0.1
+    assert lifted.asymptotic(rotated).verdict == "not claimed"
+    assert lifted.asymptotic(M).verdict == "holds"
+
+
+def test_nothing_is_claimed_where_a_premise_is_broken():
+    tight = Machine(PLANTS["arx"], actuator=Actuator(limit=0.1))
+    for machine, scheme, broken in (
+        (tight, PIDType(gamma_p=0.3), "machine and feedback linear"),
+        (ARX_MACHINE, PIDType(gamma_p=0.3, limit=0.1), "learning law linear and the same in each trial"),
+        (ARX_MACHINE, CFDLMFAILC(phi0=0.3), "learning law linear and the same in each trial"),
+    ):
+        found = lifted.learning_conditions(machine, scheme, TASK)["monotone"]
+        assert found.verdict == "not claimed"
+        assert not found.holds
+        assert [p.name for p in found.broken] == [broken]
+
+
+def test_verdicts_of_a_batch():
+    """One verdict for each plant, its own premises counted only; samples and trials are averaged."""
+    held = np.array([[True, True], [True, False], [True, True], [True, True]])
+    p = premise("constant sign", held, plants=True)
+    np.testing.assert_array_equal(p.share_broken, [0.0, 0.5, 0.0, 0.0])
+    found = condition(np.array([0.5, 0.5, 1.0, np.nan]), "a theorem", premises=[p])
+    np.testing.assert_array_equal(found.verdict, ["holds", "not claimed", "fails", "not claimed"])
+    np.testing.assert_array_equal(found.margin, [0.5, 0.5, 0.0, np.nan])
+    whole = premise("constant sign", held)
+    assert (whole.held, whole.share_broken) == (False, 0.125)
+    assert condition(0.5, "a theorem", premises=[whole]).verdict == "not claimed"
+    assert condition(0.5, "a theorem").holds
+
+
+BAD = {
+    "about has shape": lambda: lifted.lifted_plant(ARX_MACHINE, None, TASK, about=np.zeros(3)),
+    "learns no feedforward": lambda: lifted.learning_law(LOOP, TASK),
+    "phi has shape": lambda: lifted.mfailc_map(np.eye(4), np.zeros(3), 1.0),
+    "error_map: L has shape": lambda: lifted.error_map(np.eye(4), np.eye(3)),
+    "transient_growth: M": lambda: lifted.transient_growth(np.eye(4)),
+    "the task has 2 inputs": lambda: lifted.lifted_plant(ARX_MACHINE, None, task_for(PLANTS["mimo"], N)),
+}
+
+
+@pytest.mark.parametrize("message", BAD)
+def test_what_does_not_fit_is_named(message):
+    with pytest.raises(ValueError, match=message):
+        BAD[message]()
