@@ -46,14 +46,11 @@ def test_a_monotone_case_is_certified_with_the_dense_singular_value_and_never_gr
 
 
 def test_nothing_certified_monotone_grows_whatever_is_drawn():
-    rng = np.random.default_rng(1)
-    certificates = 0
-    for _ in range(6):
-        law = PIDType(gamma_p=rng.uniform(0.1, 3.5), gamma_d=rng.uniform(0.0, 1.0), lead=int(rng.integers(0, 2)))
-        found = certified(FIRST_ORDER, WithFeedback(law, PID(kp=rng.uniform(0.0, 1.0))), 12, B)
-        certificates += np.sum(found.verdict == "monotone")
-        assert not len(found.broken_promises())
-    assert 6 <= certificates < 36, "some are certified and some are not, or the test says nothing"
+    wide = {"plant.a": Uniform(0.2, 1.3, relative=True), "plant.b": Uniform(0.1, 8.0, relative=True)}
+    scheme = WithFeedback(PIDType(gamma_p=0.8), PID(kp=0.1))
+    found = certified(FIRST_ORDER, scheme, 12, wide, samples=64)
+    assert not len(found.broken_promises())
+    assert 10 <= np.sum(found.verdict == "monotone") <= 54, "some are certified and some are not, or the test says nothing"
 
 
 @pytest.mark.parametrize("scheme", [Filtered(PIDType(gamma_p=0.8), ZeroPhaseButterworth(100.0)), PIDType(gamma_p=0.8, leak=0.1)])

@@ -108,7 +108,9 @@ def test_lifted_error_recursion(plant, m, task):
     e = np.asarray(learn(Machine(DifferenceEquation(a, b, dt=DT)), scheme, task, TRIALS, save=errors).saved)[:, 1:, 0]
     markov = scipy.signal.lfilter((0.0, *b), (1.0, *(-c for c in a)), np.eye(1, N + 1)[0])[1:]
     G = scipy.linalg.toeplitz(markov, np.zeros(N))
-    L = p * np.eye(N, k=m) + i * np.tril(np.ones((N, N))) + d * (np.eye(N, k=m) - np.eye(N, k=m - 1))
+    D = np.eye(N, k=m) - np.eye(N, k=m - 1)
+    D[N - m :] = 0.0  # no difference reaches beyond the end of the trial
+    L = p * np.eye(N, k=m) + i * np.tril(np.ones((N, N))) + d * D
     np.testing.assert_allclose(e[0], r, atol=1e-15)
     for j in range(TRIALS - 1):
         np.testing.assert_allclose(e[j + 1], ((1 - leak) * np.eye(N) - G @ L) @ e[j] + leak * r, atol=1e-12 * np.max(np.abs(e)))

@@ -137,7 +137,9 @@ def ffdl_bounds(scheme: FFDLMFAILC, task: Task, y, u) -> FFDLBounds:
         d1=1.0 - eta * length**2 / (mu + length**2),
         mismatch=np.where(excited, np.abs(Dy - np.sum(estimate * DH, axis=0)), np.nan) / safe,
         observed=_ratio(np.asarray(task.reference)[None, 1:, 0] - y[:, 1:]),
-        condition=condition(b, "Cao 2019, Theorem 2: a pseudo gradient with |Phi(k,j)| <= b exists", limit=np.inf, premises=premises),
+        condition=condition(
+            b, "Cao 2019, Theorem 2: a pseudo gradient with |Phi(k,j)| <= b exists", limit=np.finfo(float).max, premises=premises
+        ),
     )
 
 

@@ -18,6 +18,7 @@ from ..schemes import Filtered, OnReference, Scheme, WithFeedback
 from ..signals import Task, Trial
 
 HOLDS, FAILS, NOT_CLAIMED = "holds", "fails", "not claimed"
+ROUNDING = 1000.0  # in units of the last place
 
 
 class Premise(NamedTuple):
@@ -73,13 +74,16 @@ def condition(value, theorem: str, *, limit: float = 1.0, premises: Iterable[Pre
 
         broken premise, or value not a number  ->  'not claimed';  value < limit  ->  'holds';  else  ->  'fails'
 
-    value: () or (S,);  premises: their `held` is () or (S,)
+    value: () or (S,);  premises: their `held` is () or (S,). What lies below the limit by rounding only does not hold: a singular value
+    that is 1 in theory, as of a law that leaves a sample alone, may come out as 1 - 1e-15.
     """
-    value, premises = np.asarray(value, dtype=float), tuple(premises)
+    value, premises = np.asarray(value), tuple(premises)
+    rounding = ROUNDING * np.finfo(value.dtype if value.dtype.kind == "f" else float).eps * abs(limit)
+    value = value.astype(float)
     claimed = ~np.isnan(value)
     for p in premises:
         claimed = claimed & p.held
-    verdict = np.where(claimed, np.where(value < limit, HOLDS, FAILS), NOT_CLAIMED)
+    verdict = np.where(claimed, np.where(value < limit - rounding, HOLDS, FAILS), NOT_CLAIMED)
     return Condition(_plain(value), _plain(limit - value), premises, theorem, _plain(verdict))
 
 

@@ -31,7 +31,7 @@ from .condition import Condition, Premise, condition, departure, is_linear, prem
 from .lifted import noiseless
 
 LEARNED = 3  # trials before the map is taken: by then an adaptive scheme of two-trial increments has seen data
-BLOCK = 10  # Lanczos steps between two looks at the residual
+BLOCK = 10  # Lanczos steps to the first look at the residual; later looks are further apart
 FIXED = 1e-6  # by how much of itself a trial may move a memory that counts as a fixed point
 ROUNDING = 100.0  # in units of the last place
 FLAGS = ("seen",)  # leaves of a memory that are no state: they only tell the first trial from the others
@@ -73,11 +73,11 @@ def learning_map(
 
     memory: where to linearise, None for that after 3 trials
     leaves: names of what varies, all else held ("u"; "learning.phi", which is all of phi[0], phi[1], ...); None for all but flags.
-            ("u",) is the map of the input; ("u", "y", "e") of MFAILC leaves out the estimates. They matter: at a fixed point without
-            error nothing moves phi, so the full map has the eigenvalue 1 there, once for each phi that no reset holds.
+            ("u", "y", "e") of MFAILC leaves out its estimates. It matters: at a fixed point without error nothing moves phi, so the
+            full map has the eigenvalue 1 there, once for each phi that no reset holds. Its u alone says nothing, as e goes with it.
     weights: {name: number} by which leaves are multiplied before they are compared, as u, y and phi have different units. Spectral
             radii do not depend on them, singular values do. Without one, a leaf is brought to the size of the output by
-            rms(y) / rms(leaf), or by 1 if either is zero; `y` and `e` keep their unit.
+            rms(y) / rms(leaf), or by 1 if either is zero; `y` and `e` keep their unit. The longest name that fits a leaf counts.
     Raises ValueError for a name that the memory has not, or a memory without anything that varies.
     """
     memory = learned_memory(machine, scheme, task) if memory is None else memory
@@ -144,12 +144,12 @@ class SingularValue(NamedTuple):
     direction: jax.Array
 
 
-def singular_value(f: Callable, at, *, steps: int = 300, tolerance: float = 1e-7, row=None) -> SingularValue:
+def singular_value(f: Callable, at, *, steps: int = 300, tolerance: float = 1e-6, row=None) -> SingularValue:
     """The largest singular value of the derivative J of f at a point, by Golub-Kahan-Lanczos bidiagonalisation.
 
         J V = U B,  J^T U = V B^T + beta v e^T     with U, V orthonormal (reorthogonalised in full, twice) and B bidiagonal
 
-    f, at: a `Map`;  steps: at most, and at most n;  tolerance: on residual / value, looked at every 10 steps
+    f, at: a `Map`;  steps: at most, and at most n;  tolerance: on residual / value, looked at now and then
     row: of an f with values (J, m), the trial to look at, counted from 0; None for all of the values
     J is linearised once; a step costs one `jvp` and one `vjp`. Storage: two (steps, n) arrays. Residuals overstate the error of the
     value where singular values lie apart; where they cluster (long trials), the value is found long before the vector.
@@ -165,7 +165,7 @@ def singular_value(f: Callable, at, *, steps: int = 300, tolerance: float = 1e-7
         """The direction that x adds to the basis, and how much; what rounding left over is no direction."""
         scale = jnp.linalg.norm(x)
         for _ in range(2):
-            x = x - basis.T @ (basis @ x)
+            x = x - (basis @ x) @ basis
         size = jnp.linalg.norm(x)
         size = jnp.where(size > ROUNDING * jnp.finfo(x.dtype).eps * scale, size, 0.0)
         return jnp.where(size > 0, x / jnp.where(size > 0, size, 1.0), 0.0), size
@@ -181,8 +181,11 @@ def singular_value(f: Callable, at, *, steps: int = 300, tolerance: float = 1e-7
         _, V, alpha, beta = now
         built = jnp.arange(steps) < k
         alpha, above = jnp.where(built, alpha, 0.0), jnp.where(built, beta, 0.0)
-        left, values, right = jnp.linalg.svd(jnp.diag(alpha) + jnp.diag(above[:-1] * built[1:], 1))
-        return values[0], above[k - 1] * jnp.abs(left[k - 1, 0]), right[0] @ V[:-1]
+        B = jnp.diag(alpha) + jnp.diag(above[:-1] * built[1:], 1)
+        squares, left = jnp.linalg.eigh(B @ B.T)  # 50 times as fast as an SVD, and as exact for the largest one
+        value, left = jnp.sqrt(jnp.maximum(squares[-1], 0.0)), left[:, -1]
+        right = B.T @ left / jnp.where(value > 0, value, 1.0)
+        return value, above[k - 1] * jnp.abs(left[k - 1]), right @ V[:-1]
 
     def more(now):
         _, k, (value, residual, _) = now
@@ -190,7 +193,7 @@ def singular_value(f: Callable, at, *, steps: int = 300, tolerance: float = 1e-7
 
     def work(now):
         state, k, _ = now
-        upto = jnp.minimum(k + BLOCK, steps)
+        upto = jnp.minimum(k + BLOCK + k // 4, steps)
         state = lax.fori_loop(k, upto, advance, state)
         return state, upto, ritz(state, upto)
 
@@ -218,7 +221,7 @@ def spectral_radius_of(f: Callable, at, *, steps: int = 100) -> SpectralRadius:
 
         J V = V H + h v e^T,  V orthonormal: eigenvalues of the (steps, steps) matrix H
 
-    f, at: a `Map` onto itself;  steps: at most n; with n it is exact up to rounding
+    f, at: a `Map` onto itself;  steps: at most n; with n it is exact up to rounding. Needs a backend that has `eig`, as the CPU has
     A second process on J^T gives the left eigenvector. Learning maps without a filter are far from normal: for I - gamma G any few
     steps, and rounding alone, show values near sup |1 - gamma z P| and not the one eigenvalue 1 - gamma C B; `doubt` is then large.
     """
@@ -233,7 +236,7 @@ def spectral_radius_of(f: Callable, at, *, steps: int = 100) -> SpectralRadius:
     return SpectralRadius(jnp.abs(theta), residual, doubt, steps)
 
 
-def error_growth(f: Callable, at, trials: int, *, steps: int = 300, tolerance: float = 1e-7) -> SingularValue:
+def error_growth(f: Callable, at, trials: int, *, steps: int = 300, tolerance: float = 1e-6) -> SingularValue:
     """The largest |e_{j+i}| / |e_j| for i = 1..J: fields with a leading axis of J. f, at: an `error_map` over J `trials`"""
     return lax.map(lambda row: singular_value(f, at, steps=steps, tolerance=tolerance, row=row), jnp.arange(trials))
 
@@ -273,7 +276,7 @@ def error_contracting(machine: Machine, scheme: Scheme, task: Task, memory: Any 
 
 
 @partial(jax.jit, static_argnames=("leaves", "steps", "tolerance"))
-def _singular_of_memory(machine, scheme, task, memory, weights, *, leaves=None, steps=300, tolerance=1e-7):
+def _singular_of_memory(machine, scheme, task, memory, weights, *, leaves=None, steps=300, tolerance=1e-6):
     map_ = learning_map(machine, scheme, task, memory, leaves=leaves, weights=weights)
     return singular_value(*map_, steps=steps, tolerance=tolerance), departure(*map_), _distance(map_)
 
@@ -285,7 +288,7 @@ def _radius_of_memory(machine, scheme, task, memory, *, leaves=None, steps=100):
 
 
 @partial(jax.jit, static_argnames=("trials", "steps", "tolerance"))
-def _singular_of_error(machine, scheme, task, memory, *, trials, steps=300, tolerance=1e-7):
+def _singular_of_error(machine, scheme, task, memory, *, trials, steps=300, tolerance=1e-6):
     map_ = error_map(machine, scheme, task, memory, trials=trials)
     return singular_value(*map_, steps=steps, tolerance=tolerance, row=trials - 1), departure(*map_)
 
@@ -352,9 +355,9 @@ def _arnoldi(apply, like, steps, near):
         x = apply(V[i])
         scale = jnp.linalg.norm(x)
         first = V @ x
-        x = x - V.T @ first
+        x = x - first @ V
         second = V @ x
-        x = x - V.T @ second
+        x = x - second @ V
         size = jnp.linalg.norm(x)
         size = jnp.where(size > ROUNDING * jnp.finfo(x.dtype).eps * scale, size, 0.0)  # what rounding left over is no direction
         H = H.at[:, i].set(first + second).at[i + 1, i].set(size)
@@ -372,9 +375,9 @@ def _names(name: str, leaf: str) -> bool:
 
 
 def _weight(leaf: str, value, weights: Mapping[str, Any], size_y):
-    for name, weight in weights.items():
-        if _names(name, leaf):
-            return weight
+    named = [name for name in weights if _names(name, leaf)]
+    if named:
+        return weights[max(named, key=len)]
     size = _rms(value)
     usable = (size > 0) & (size_y > 0) & (leaf.split(".")[-1] not in OF_OUTPUT)
     return jnp.where(usable, size_y / jnp.where(size > 0, size, 1.0), 1.0)

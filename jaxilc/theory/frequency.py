@@ -244,9 +244,9 @@ def family_condition(
     found = [np.asarray(x) for x in look(common, jnp.asarray(points))]
     if climbers:
         start = points[np.argsort(-found[0])[:climbers]]
-        climbed = _climbing(names, steps)(common, jnp.asarray(start))
+        climbed = np.asarray(_climbing(names, steps)(common, jnp.asarray(start)))
         points = np.concatenate([points, climbed])
-        found = [np.concatenate([a, b]) for a, b in zip(found, look(common, climbed), strict=True)]
+        found = [np.concatenate([a, b]) for a, b in zip(found, look(common, jnp.asarray(climbed)), strict=True)]
     values, critical, *loops = found
     at = {name: float(v) for (name, _), v in zip(names, points[np.argmax(values)], strict=True)}
     test = learning_condition(drawn_machine(machine, uncertainty, at), scheme, task, frequencies=np.asarray(common[3]))
