@@ -8,8 +8,9 @@ import output
 
 import jaxilc
 from jaxilc import Machine, Sensor, figures, references
-from jaxilc.identification import excite, identify, write_record
+from jaxilc.identification import identify
 from jaxilc.plants import voice_coil
+from jaxilc.records import excite, write_record
 
 jaxilc.setup()
 folder = output.folder(__file__)

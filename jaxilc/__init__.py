@@ -20,9 +20,12 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from . import figures, filters, plants, pytree, references, scenarios, schemes, theory
     from .batch import tiled
+    from .identification import identify
     from .learning import History, feedforward, learn, measured_trial, next_memory
     from .machine import Actuator, Disturbance, Machine, Sensor
     from .metrics import Metrics, measure
+    from .records import Record, excite, read_record, write_record
+    from .reproduction import reproduce
     from .results import open_dataset
     from .runs import run_schemes
     from .runtime import setup
@@ -35,9 +38,12 @@ if TYPE_CHECKING:
 _MODULES = ("figures", "filters", "plants", "pytree", "references", "scenarios", "schemes", "theory")
 _NAMES = {
     "batch": ("tiled",),
+    "identification": ("identify",),
     "learning": ("History", "feedforward", "learn", "measured_trial", "next_memory"),
     "machine": ("Actuator", "Disturbance", "Machine", "Sensor"),
     "metrics": ("Metrics", "measure"),
+    "records": ("Record", "excite", "read_record", "write_record"),
+    "reproduction": ("reproduce",),
     "results": ("open_dataset",),
     "runs": ("run_schemes",),
     "runtime": ("setup",),
@@ -57,15 +63,18 @@ __all__ = [
     "Machine",
     "Metrics",
     "Normal",
+    "Record",
     "Sample",
     "Sensor",
     "Sweep",
     "Task",
     "Trial",
     "Uniform",
+    "excite",
     "feedforward",
     "figures",
     "filters",
+    "identify",
     "learn",
     "measure",
     "measured_trial",
@@ -73,7 +82,9 @@ __all__ = [
     "open_dataset",
     "plants",
     "pytree",
+    "read_record",
     "references",
+    "reproduce",
     "run_schemes",
     "run_trial",
     "scenarios",
@@ -82,6 +93,7 @@ __all__ = [
     "summarise",
     "theory",
     "tiled",
+    "write_record",
 ]
 
 

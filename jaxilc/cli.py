@@ -216,8 +216,9 @@ def identify(
     """
     _start("float64")
     from . import figures, identification, tables
+    from .records import read_record
 
-    measured = identification.read_record(record, time=time_name, input=input_name, output=output_name)
+    measured = read_record(record, time=time_name, input=input_name, output=output_name)
     found = identification.identify(measured, poles=poles, pairs=pairs, zeros=zeros)
     rows = found.summary()
     out.print(tables.identification_table(str(record), rows))

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 import functools
 import re
 from collections.abc import Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 import jax
@@ -21,10 +19,8 @@ from .batch import tiled
 from .machine import Machine
 from .plants import Plant, ProcessModel
 from .pytree import Interval, get_at, interval_at, named_leaves, replaced
-from .schemes import Scheme
-from .schemes.scheme import Feedforward
-from .signals import Task, Trial
-from .trial import run_trial
+from .records import Record, as_columns, played, task_of
+from .signals import Task
 
 CONFIDENCE = 0.95
 SAMPLES_PER_PARAMETER = 5  # the intervals are asymptotic; with fewer samples they would mean nothing
@@ -32,15 +28,6 @@ LAGS = 20  # of the residual's autocorrelation
 DRAWS = 4000  # of the parameters, for the intervals of the poles
 REFINED = 16  # of the starts, those that fit best
 REWEIGHTINGS = 5  # of several outputs
-STEP_TOLERANCE = 0.01  # of the sample time, by which a step of a record's time may differ from the others
-
-
-class Record(NamedTuple):
-    """An experiment. u: (N, n_u) input held over each sample;  y: (N+1, n_y) output, y[0] before u[0];  dt: sample time [s]"""
-
-    u: jax.Array
-    y: jax.Array
-    dt: float
 
 
 class Estimate(NamedTuple):
@@ -98,117 +85,9 @@ class Identified(NamedTuple):
         return rows + [(n + f", output {i}" * several, float(v), np.nan, np.nan) for n, vs in figures.items() for i, v in enumerate(vs)]
 
 
-# Records -------------------------------------------------------------------------------------------------------------------
-
-
-def excite(machine: Machine, u, dt: float, *, key: jax.Array | None = None) -> Record:
-    """The open-loop experiment: play u back on the machine, from rest, and record it through its encoder.
-
-    u: (N, n_u) or (N,), for instance `references.m_sequence`;  dt: [s];  key: of the noise, None is a fixed one; may be vmapped
-    The record holds the input as the actuator applied it (limits, converter); an input disturbance stays unseen, as it would.
-    Raises ValueError for an input that is not finite or does not fit the plant.
-    """
-    u = _columns("excite", "u", u)
-    task = _task(machine.plant, u, dt)
-    machine.check(task)
-    trial = _played(machine, task, u, jax.random.key(0) if key is None else key)
-    return Record(trial.u, trial.y, dt)
-
-
-def read_record(path: str | Path, *, time: str = "t", input: str | Sequence[str] = "u", output: str | Sequence[str] = "y") -> Record:
-    """A record from a text file of columns with a header, separated by commas, semicolons or tabs; lengths and units are the user's.
-
-    Row k holds t[k], u[k], y[k]: y is measured at t[k], then u acts until t[k+1]. The last row's u is not used.
-    time, input, output: names of the columns; several names for several inputs or outputs
-    Raises ValueError naming file, line and column: a column that is missing, a value that is no number or not finite, a time that
-    does not increase or not by equal steps (to 1 %), fewer than 2 rows.
-    """
-    inputs, outputs = ([names] if isinstance(names, str) else list(names) for names in (input, output))
-    values, lines = _table(path, [time, *inputs, *outputs])
-    steps = np.diff(values[:, 0])
-    if len(steps) < 1:
-        raise ValueError(f"read_record: {path} has {len(values)} rows of data; allowed are at least 2")
-    if np.any(steps <= 0):
-        k = int(np.argmax(steps <= 0))
-        raise ValueError(
-            f"read_record: {path}, line {lines[k + 1]}: {time} = {values[k + 1, 0]:.9g} s does not increase from {values[k, 0]:.9g} s"
-        )
-    uneven = np.abs(steps / np.median(steps) - 1) > STEP_TOLERANCE
-    if np.any(uneven):
-        k = int(np.argmax(uneven))
-        raise ValueError(
-            f"read_record: {path}, line {lines[k + 1]}: {time} steps by {steps[k]:.6g} s where the sample time is "
-            f"dt = {np.median(steps):.6g} s; allowed is a deviation of {STEP_TOLERANCE:.0%}"
-        )
-    n = 1 + len(inputs)
-    return Record(values[:-1, 1:n], values[:, n:], float(f"{np.mean(steps):.12g}"))
-
-
-def write_record(path: str | Path, record: Record, *, time: str = "t", input: str = "u", output: str = "y") -> None:
-    """The record as `read_record` reads it; several inputs become u_0, u_1, ..., likewise outputs. The last row repeats the last u."""
-    u, y = _columns("write_record", "u", record.u), _columns("write_record", "y", record.y)
-    header = [time]
-    for name, signal in ((input, u), (output, y)):
-        header += [name] if signal.shape[1] == 1 else [f"{name}_{i}" for i in range(signal.shape[1])]
-    rows = np.hstack([np.arange(len(y))[:, None] * record.dt, np.vstack([u, u[-1:]]), y])
-    np.savetxt(path, rows, fmt="%.17g", delimiter=",", header=",".join(header), comments="")
-
-
-def _table(path, names) -> tuple[np.ndarray, list[int]]:
-    """(rows, names) values of the columns, and the line of each row."""
-    with open(path, newline="", encoding="utf-8-sig") as file:
-        head = file.readline()
-        delimiter = next((d for d in ",;\t" if d in head), ",")
-        header = [name.strip() for name in next(csv.reader([head], delimiter=delimiter), [])]
-        missing = [name for name in names if name not in header]
-        if missing:
-            raise ValueError(f"read_record: {path} has no column {missing[0]!r}; present are {', '.join(header) or 'none'}")
-        at, values, lines = [header.index(name) for name in names], [], []
-        for line, row in enumerate(csv.reader(file, delimiter=delimiter), 2):
-            if not any(cell.strip() for cell in row):
-                continue
-            values.append([_number(path, line, name, row[i].strip() if i < len(row) else "") for name, i in zip(names, at, strict=True)])
-            lines.append(line)
-    return np.array(values, float).reshape(-1, len(names)), lines
-
-
-def _number(path, line, name, text) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = np.nan
-    if not np.isfinite(value):
-        raise ValueError(f"read_record: {path}, line {line}: {name} = {text!r} is not a finite number")
-    return value
-
-
-def _columns(function, name, values) -> np.ndarray:
-    """(rows, channels), finite."""
-    values = np.asarray(values, dtype=float)
-    values = values[:, None] if values.ndim == 1 else values
-    if values.ndim != 2:
-        raise ValueError(f"{function}: {name} has shape {values.shape}; allowed are (rows,) and (rows, channels)")
-    if not np.all(np.isfinite(values)):
-        raise ValueError(f"{function}: {name} is not finite at sample {int(np.argmin(np.isfinite(values).all(axis=1)))}")
-    return values
-
-
-# Simulation ----------------------------------------------------------------------------------------------------------------
-
-
-def _task(plant: Plant, u, dt: float) -> Task:
-    return Task(np.zeros((len(u) + 1, plant.n_y)), dt=dt, inputs=u.shape[1])
-
-
-@jax.jit
-def _played(machine: Machine, task: Task, u, key) -> Trial:
-    """The trial that plays u back: the plain Scheme has nothing but a feedforward table."""
-    return run_trial(machine, Scheme(), task, Feedforward(u), key)
-
-
 def _output(values, names, plant, task, u):
     """(N+1, n_y) the plant's output without noise, its parameters `names` set to values (P,)."""
-    return _played(Machine(replaced(plant, dict(zip(names, values, strict=True)))), task, u, jax.random.key(0)).y
+    return played(Machine(replaced(plant, dict(zip(names, values, strict=True)))), task, u, jax.random.key(0)).y
 
 
 _simulated = jax.jit(_output, static_argnames="names")
@@ -404,7 +283,7 @@ def _inner_products(common, plant: ProcessModel):
     where a is the m-fold zero of the plant given, so that the numerator enters linearly."""
     task, u, y, fitted = common
     outputs = [
-        _played(Machine(dataclasses.replace(plant, zeros=plant.zeros[:k])), task, u, jax.random.key(0)).y[:, 0]
+        played(Machine(dataclasses.replace(plant, zeros=plant.zeros[:k])), task, u, jax.random.key(0)).y[:, 0]
         for k in range(plant.zeros.shape[0] + 1)
     ]
     columns = jnp.stack([jnp.ones_like(y[:, 0]), *outputs, y[:, 0]]) * fitted
@@ -516,7 +395,7 @@ def _poles_at(values, names, plant):
 
 def _checked(record: Record) -> Record:
     """The record as finite (rows, channels) arrays that belong together."""
-    u, y = _columns("identify", "u", record.u), _columns("identify", "y", record.y)
+    u, y = as_columns("identify", "u", record.u), as_columns("identify", "y", record.y)
     if len(y) != len(u) + 1:
         raise ValueError(f"identify: u has {len(u)} rows and y {len(y)}; allowed is one more row in y than in u")
     _require("dt", record.dt, 0 < record.dt < np.inf, "(0, inf)")
@@ -541,7 +420,7 @@ def _problem(record: Record, plant: Plant, names: tuple[str, ...], fit_share: fl
             raise ValueError(f"identify: output {i} is constant over the {samples} samples to fit; it says nothing about the plant")
     if not np.any(u):
         raise ValueError(f"identify: the input is 0 over the {samples} samples to fit; it excites nothing")
-    return _Problem(record, plant, _task(plant, record.u, record.dt), names, _Coordinates.of(plant, names), samples, np.std(y, axis=0))
+    return _Problem(record, plant, task_of(plant, record.u, record.dt), names, _Coordinates.of(plant, names), samples, np.std(y, axis=0))
 
 
 def _free(plant: Plant, free: Sequence[str] | None) -> tuple[str, ...]:

@@ -68,8 +68,8 @@ def test_the_error_map_of_a_linear_law_is_the_lifted_one():
 
 
 def test_the_error_map_of_two_inputs_and_outputs():
-    task, scheme = task_for(PLANTS["mimo"], 30), PIDType(gamma_p=(2.0, 1.0))
-    machine = Machine(PLANTS["mimo"])
+    plant = StateSpace([[0.9, 0.1], [-0.2, 0.8]], [[0.2, 0.05], [0.0, 0.3]], [[1.0, 0.1], [0.2, 1.0]], dt=DT)
+    machine, task, scheme = Machine(plant), task_for(plant, 30), PIDType(gamma_p=(2.0, 1.0))
     found = contraction.error_map(machine, scheme, task)
     M = lifted.error_map(lifted.lifted_plant(machine, None, task), lifted.learning_law(scheme, task).L)
     np.testing.assert_allclose(jax.jit(jax.jacfwd(found.f))(found.at)[0], M, atol=1e-12)

@@ -14,7 +14,7 @@ from cases import ARX, DT, PLANTS, task_for
 from jaxilc.filters import Filter, ZeroPhaseButterworth, ZeroPhaseFIR
 from jaxilc.learning import learn
 from jaxilc.machine import Actuator, Machine
-from jaxilc.plants import DifferenceEquation, StateSpace
+from jaxilc.plants import DifferenceEquation, StateSpace, from_control
 from jaxilc.pytree import get_at, leaf, part, pytree, replaced
 from jaxilc.schemes import CFDLMFAC, CFDLMFAILC, PID, Filtered, OnOutputs, OnReference, PIDType, Scheme, WithFeedback
 from jaxilc.schemes.scheme import Feedforward
@@ -153,9 +153,8 @@ def test_the_supremum_is_the_singular_value_of_a_long_trial(gamma):
 def test_the_critical_frequency_of_a_60_hz_loop(lead, published):
     """A loop of 60 Hz sampled at 5 kHz: ten samples of lead move the first crossing from about 53 to about 338 Hz (measured before)."""
     w, dt, gamma = 2 * np.pi * 60.0, 2e-4, 0.5
-    plant = StateSpace([[0.0, 1.0], [-w * w, -1.4 * w]], [[0.0], [w * w]], [[1.0, 0.0]])
-    found = frequency.learning_condition(Machine(plant), PIDType(gamma_p=gamma, lead=lead), Task(np.zeros(2001), dt=dt))
     P = control.sample_system(control.tf([w * w], [1.0, 1.4 * w, w * w]), dt, "zoh")
+    found = frequency.learning_condition(Machine(from_control(P)), PIDType(gamma_p=gamma, lead=lead), Task(np.zeros(401), dt=dt))
 
     def over(f):
         z = np.exp(2j * np.pi * f * dt)
@@ -286,40 +285,41 @@ def test_norm_optimal_condition_is_the_norm_of_the_lifted_map():
 
 
 def test_two_channels_take_the_largest_singular_value():
-    machine, task = Machine(PLANTS["mimo"]), task_for(PLANTS["mimo"], 200)
+    plant = StateSpace([[0.9, 0.1], [-0.2, 0.8]], [[0.2, 0.05], [0.0, 0.3]], [[1.0, 0.1], [0.2, 1.0]], dt=DT)
+    machine, task = Machine(plant), task_for(plant, 200)
     found = frequency.learning_condition(machine, PIDType(gamma_p=(2.0, 1.0)), task, frequencies=F)
-    M = np.eye(2) - np.diag([2.0, 1.0]) @ (Z[:, None, None] * of_plant(PLANTS["mimo"]))
+    M = np.eye(2) - np.diag([2.0, 1.0]) @ (Z[:, None, None] * of_plant(plant))
     np.testing.assert_allclose(found.magnitude, np.linalg.norm(M, 2, axis=(1, 2)), rtol=1e-9)
     model = frequency.norm_optimal_condition(machine, machine, None, task, w_e=1.0, w_u=0.1, w_delta=0.2, frequencies=F)
-    G = of_plant(PLANTS["mimo"])
+    G = of_plant(plant)
     H = np.conj(np.swapaxes(G, 1, 2)) @ G + 0.3 * np.eye(2)
     np.testing.assert_allclose(model.magnitude, np.linalg.norm(np.linalg.solve(H, 0.2 * np.eye(2)[None]), 2, axis=(1, 2)), rtol=1e-9)
 
 
-MOTOR = Machine(PLANTS["voice_coil_exact"])
-BOX = {
-    "plant.gain": Uniform(0.9, 1.1, relative=True),
-    "plant.zero": Uniform(0.9, 1.1, relative=True),
-    "plant.poles[2]": Normal(6.404, 0.3),
-}
-
-
 def test_ascent_finds_what_sampling_misses():
-    """The worst motor is a corner; no sample is one, and the ascent gets there."""
-    task = Task(np.zeros(201), dt=DT)
-    scheme = Filtered(PIDType(gamma_p=-0.3, lead=3), ZeroPhaseButterworth(20.0, padding=0))
-    options = {"samples": 12, "seed": 1, "frequencies": np.geomspace(1e-3, 500.0, 60)}
-    sampled = frequency.family_condition(MOTOR, BOX, scheme, task, climbers=0, **options)
-    climbed = frequency.family_condition(MOTOR, BOX, scheme, task, climbers=3, steps=25, **options)
+    """The worst plant of the box, by brute force, is a corner that no sample reaches; the ascent gets there."""
+    box = {"plant.b": Uniform(0.8, 1.2, relative=True), "plant.a[1]": Normal(-0.65, 0.005)}
+    task, f = task_for(PLANTS["arx"], 200), np.geomspace(0.5, 499.0, 80)
+    scheme = Filtered(PIDType(gamma_p=0.5, lead=3), ZeroPhaseButterworth(150.0, padding=0))
+    options = {"samples": 12, "seed": 1, "frequencies": f}
+    sampled = frequency.family_condition(ARX_MACHINE, box, scheme, task, climbers=0, **options)
+    climbed = frequency.family_condition(ARX_MACHINE, box, scheme, task, climbers=3, steps=25, **options)
     np.testing.assert_allclose(climbed.values[:12], sampled.values, rtol=1e-12)
-    assert np.max(climbed.values) >= np.max(sampled.values)
-    assert climbed.condition.value > sampled.condition.value + 1e-3
-    corner = {"plant.gain": 1.1, "plant.zero": 1.1, "plant.poles[2]": 5.804}
-    assert {name: round(v, 6) for name, v in climbed.at.items()} == corner
-    worst = replaced(MOTOR, {"plant.gain": 1.1 * MOTOR.plant.gain, "plant.zero": 1.1 * MOTOR.plant.zero, "plant.poles[2]": 5.804})
-    np.testing.assert_allclose(climbed.condition.value, frequency.learning_condition(worst, scheme, task).condition.value, rtol=1e-6)
-    assert all(v.min() >= 0.9 and v.max() <= 1.1 for name, v in climbed.drawn.items() if "poles" not in name)
-    assert climbed.condition.value > 1
+    assert sampled.condition.value <= climbed.condition.value - 1e-3
+    z, Q = np.exp(2j * np.pi * f * DT), np.asarray(frequency.filter_response(scheme.filter, task, f))
+    brute = {
+        (gain, a2): np.max(np.abs(Q * (1 - 0.5 * z**4 * transfer((ARX[0][0], a2), gain * np.asarray(ARX[1]))(z))))
+        for gain in np.linspace(0.8, 1.2, 9)
+        for a2 in np.linspace(-0.66, -0.64, 9)
+    }
+    worst = max(brute, key=brute.get)
+    np.testing.assert_allclose([climbed.at["plant.b"], climbed.at["plant.a[1]"]], worst, rtol=1e-6)
+    np.testing.assert_allclose(np.max(climbed.values), brute[worst], rtol=1e-9)
+    assert climbed.condition.value >= np.max(climbed.values), "refined between the frequencies"
+    for name, (low, high) in {"plant.b": (0.8, 1.2), "plant.a[1]": (-0.66, -0.64)}.items():
+        assert low <= np.min(climbed.drawn[name]) <= np.max(climbed.drawn[name]) <= high
+    rule = frequency.learning_condition(ARX_MACHINE, scheme, task, frequencies=f).condition.value
+    np.testing.assert_allclose(sampled.values[0], rule, rtol=1e-3)
 
 
 def test_unstable_plants_of_a_family_are_counted():

@@ -7,10 +7,11 @@ import pytest
 from cases import ALGEBRA, DIFFERENCES, SIGMAS
 
 from jaxilc import figures, identification
-from jaxilc.identification import Record, excite, identify, read_record, write_record
+from jaxilc.identification import identify
 from jaxilc.machine import Actuator, Machine, Sensor
 from jaxilc.plants import DifferenceEquation, ProcessModel, StateSpace, VoiceCoil, voice_coil
 from jaxilc.pytree import get_at
+from jaxilc.records import Record, excite, read_record, write_record
 from jaxilc.references import m_sequence
 
 DT = 1e-3
@@ -122,7 +123,7 @@ def test_impossible_process_models_are_refused(build, message):
 def test_derivatives_are_exact_and_independent_at_the_double_pole(record):
     names = tuple(n for n in TRUE if n != "bias")
     theta = np.array([TRUE[n] for n in names])
-    task, u = identification._task(EQ_7, record.u, DT), np.asarray(record.u)
+    task, u = identification.task_of(EQ_7, record.u, DT), np.asarray(record.u)
     J = np.asarray(identification._sensitivity(theta, names, EQ_7, task, u))[:, 0]
     step = 1e-5 * np.diag(np.abs(theta))
     outputs = [[identification._simulated(theta + s * h, names, EQ_7, task, u)[:, 0] for s in (1, -1)] for h in step]

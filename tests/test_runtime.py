@@ -52,3 +52,10 @@ for _ in range(120):
 def test_bad_input_is_named(kwargs, message):
     with pytest.raises(ValueError, match=message):
         jaxilc.setup(**kwargs)
+
+
+def test_every_public_name_is_there():
+    for name in jaxilc.__all__:
+        assert getattr(jaxilc, name) is not None
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        jaxilc.nothing

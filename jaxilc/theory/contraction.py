@@ -28,7 +28,7 @@ from ..signals import Task
 from ..trial import run_trial
 from ..uncertainty import Uncertainty, drawn_machine
 from .condition import Condition, Premise, condition, departure, is_linear, premise, ratio
-from .lifted import noiseless
+from .lifted import MARGIN, noiseless
 
 LEARNED = 3  # trials before the map is taken: by then an adaptive scheme of two-trial increments has seen data
 BLOCK = 10  # Lanczos steps to the first look at the residual; later looks are further apart
@@ -231,7 +231,7 @@ def spectral_radius_of(f: Callable, at, *, steps: int = 100) -> SpectralRadius:
     theta, x, residual, size = _arnoldi(push, at, steps, None)
     _, w, residual_left, _ = _arnoldi(lambda y: pull(y)[0], at, steps, theta)
     cosine = jnp.abs(jnp.sum(w * x))  # of J^T w = theta w, so without a conjugate
-    rounding = jnp.finfo(at.dtype).eps * size
+    rounding = MARGIN * jnp.finfo(at.dtype).eps * size
     doubt = jnp.maximum(jnp.maximum(residual, residual_left), rounding) / jnp.maximum(cosine, jnp.finfo(at.dtype).tiny)
     return SpectralRadius(jnp.abs(theta), residual, doubt, steps)
 

@@ -38,6 +38,8 @@ MONOTONE = (
 ASYMPTOTIC = "rho < 1: the deviation goes to zero in the end, whatever it does before (Bristow 2006; Norrlöf, Gunnarsson 2002)"
 TRANSIENT = "||M_j ... M_1|| bounds how large the deviation is after j trials, for any start (sub-multiplicativity; tight for each j)"
 
+MARGIN = 10.0  # on what rounding does to an eigenvalue, which is known to first order only
+
 
 def noiseless(machine: Machine) -> Machine:
     """The machine without what differs from trial to trial: noise of the sensors and of the disturbances."""
@@ -271,7 +273,7 @@ def _law(scheme, task, memory):
 
 
 def _radius(M):
-    """rho of (n, n), and how far rounding may have moved it: eps ||M|| over the cosine between left and right eigenvector.
+    """rho of (n, n), and how far rounding may have moved it: 10 eps ||M|| over the cosine between left and right eigenvector.
 
     Taken over the irreducible diagonal blocks: of a triangular matrix far from normal, and I - gamma G is one, the QR algorithm
     finds eigenvalues that are wrong in the first digit, while they are simply its diagonal.
@@ -286,7 +288,7 @@ def _radius(M):
         values, left, right = scipy.linalg.eig(block, left=True)
         top = np.argmax(np.abs(values))
         cosine = np.abs(np.vdot(left[:, top], right[:, top]))  # LAPACK gives unit vectors
-        found.append((np.abs(values[top]), np.finfo(M.dtype).eps * np.linalg.norm(block) / max(cosine, 1e-300)))
+        found.append((np.abs(values[top]), MARGIN * np.finfo(M.dtype).eps * np.linalg.norm(block) / max(cosine, 1e-300)))
     radius, doubt = max(found)
     return radius, max(doubt, max(sum(one) for one in found) - radius)
 
