@@ -116,17 +116,22 @@ def error_band(
 ) -> Axes:
     """A sweep: median, 5-95 % band and worst sample against the trial, log axis, with the tolerance.
 
+    What lies more than ten times above every median (an unstable machine) is off the scale.
     dataset: dims (scheme, sample, trial);  tolerance: in the unit of the dataset
     """
     from .summary import summarise
 
     ax = _axes(ax)
-    for row in summarise(dataset, tolerance or 1.0, figure=figure):
+    rows = summarise(dataset, tolerance or 1.0, figure=figure)
+    medians = np.concatenate([row.median for row in rows])
+    for row in rows:
         style, trial = _style(dataset, row.scheme), dataset["trial"]
         ax.semilogy(trial, scale * row.median, label=f"{row.scheme}: median, 5–95 %", **style)
         ax.fill_between(trial, scale * row.low, scale * row.high, color=style["color"], alpha=0.2, linewidth=0)
         ax.semilogy(trial, scale * row.worst, color=style["color"], linewidth=0.8, alpha=0.8, marker=".", markersize=3, linestyle="none")
     ax.plot([], [], "k.", markersize=3, label="worst sample")
+    if np.any(np.isfinite(medians)):
+        ax.set_ylim(top=10.0 * scale * np.max(medians[np.isfinite(medians)]))
     if tolerance is not None:
         ax.axhline(scale * tolerance, color="k", linewidth=0.8, label=f"tolerance {scale * tolerance:g} {unit}")
     ax.set(xlabel="trial", ylabel=f"{figure.replace('_', ' ')} [{unit}]", title=f"{dataset.sizes['sample']} machines")

@@ -220,6 +220,9 @@ def test_spectral_radius_of_triangular_and_permuted_matrices_is_exact():
     assert abs(np.max(np.abs(np.linalg.eigvals(rotated))) - exact) > 0.1
     assert lifted.asymptotic(rotated).verdict == "not claimed"
     assert lifted.asymptotic(M).verdict == "holds"
+    mild = full @ scipy.linalg.toeplitz([0.5, 0.3, *np.zeros(148)], np.zeros(150)) @ full.T
+    assert lifted._radius(mild)[1] > 1, "a Jordan block, whose eigenvalue no first-order estimate can tell"
+    assert lifted.asymptotic(np.stack([mild, rotated, 2 * np.eye(150)])).verdict.tolist() == ["holds", "not claimed", "fails"]
 
 
 def test_nothing_is_claimed_where_a_premise_is_broken():

@@ -260,11 +260,18 @@ def contracting(machine: Machine, scheme: Scheme, task: Task, memory: Any = None
 
 
 def attracting(machine: Machine, scheme: Scheme, task: Task, memory: Any = None, **options) -> Condition:
-    """The fixed point of the learning map attracts. options: `leaves` of `learning_map`, `steps` of `spectral_radius_of`"""
+    """The fixed point of the learning map attracts. options: `leaves` of `learning_map`, `steps` of `spectral_radius_of`
+
+    Where the eigenvalue is in doubt, it still is < 1 if the eighth power of the derivative contracts, since rho^8 <= ||J^8||.
+    """
     check(machine, scheme, task)
     found, *at = _radius_of_memory(machine, scheme, task, memory, **options)
     local, where = _local(*at)
-    return condition(found.value, ATTRACTION.format(where=where), premises=(local, _resolved(found.value, found.doubt, False)))
+    resolved = _resolved(found.value, found.doubt, False)
+    if not resolved.held and found.value < 1:
+        power = _singular_of_power(machine, scheme, task, memory, **options)
+        resolved = _resolved(power.value, power.residual, True)._replace(detail=f"||J^8|| = {float(power.value):.3g}")
+    return condition(found.value, ATTRACTION.format(where=where), premises=(local, resolved))
 
 
 def error_contracting(machine: Machine, scheme: Scheme, task: Task, memory: Any = None, *, trials: int = 1, **options) -> Condition:
@@ -285,6 +292,13 @@ def _singular_of_memory(machine, scheme, task, memory, weights, *, leaves=None, 
 def _radius_of_memory(machine, scheme, task, memory, *, leaves=None, steps=100):
     map_ = learning_map(machine, scheme, task, memory, leaves=leaves)
     return spectral_radius_of(*map_, steps=steps), departure(*map_), _distance(map_)
+
+
+@partial(jax.jit, static_argnames=("leaves", "steps"))
+def _singular_of_power(machine, scheme, task, memory, *, leaves=None, steps=100):
+    map_ = learning_map(machine, scheme, task, memory, leaves=leaves)
+    _, push = jax.linearize(*map_)
+    return singular_value(lambda x: lax.fori_loop(0, 8, lambda _, x: push(x), x), jnp.zeros_like(map_.at), steps=steps)
 
 
 @partial(jax.jit, static_argnames=("trials", "steps", "tolerance"))

@@ -174,13 +174,16 @@ def monotone(M, *, premises: Iterable[Premise] = ()) -> Condition:
 def asymptotic(M, *, premises: Iterable[Premise] = ()) -> Condition:
     """rho(M) < 1 of one (n, n) or several (S, n, n) maps.
 
-    Where a map is far from normal its eigenvalues cannot be had from its entries in floating point; that breaks a premise.
+    Where a map is far from normal its eigenvalues cannot be had from its entries in floating point. Then rho < 1 is claimed only if a
+    power of M contracts, since rho^k <= ||M^k||; else a premise is broken.
     """
     M = np.asarray(M)
-    found = np.reshape([_radius(m) for m in M.reshape(-1, *M.shape[-2:])], (*M.shape[:-2], 2))
-    value, doubt = found[..., 0], found[..., 1]
-    clear = premise("eigenvalues resolved", np.abs(value - 1.0) > doubt, f"rounding may move rho by {np.max(doubt):.1e}", plants=M.ndim > 2)
-    return condition(value, ASYMPTOTIC, premises=(*premises, clear))
+    maps = M.reshape(-1, *M.shape[-2:])
+    value, doubt = np.array([_radius(m) for m in maps]).T
+    clear = [abs(v - 1) > d or (v < 1 and _power_contracts(m)) for m, v, d in zip(maps, value, doubt, strict=True)]
+    detail = f"to first order rounding may move rho by {np.max(doubt):.1e}"
+    resolved = premise("eigenvalues resolved", np.reshape(clear, M.shape[:-2]), detail, plants=M.ndim > 2)
+    return condition(value.reshape(M.shape[:-2]), ASYMPTOTIC, premises=(*premises, resolved))
 
 
 def transient(M, trials: int | None = None, *, allowed: float = 1.0, premises: Iterable[Premise] = ()) -> Condition:
@@ -291,6 +294,19 @@ def _radius(M):
         found.append((np.abs(values[top]), MARGIN * np.finfo(M.dtype).eps * np.linalg.norm(block) / max(cosine, 1e-300)))
     radius, doubt = max(found)
     return radius, max(doubt, max(sum(one) for one in found) - radius)
+
+
+def _power_contracts(M) -> bool:
+    """Whether ||M^k|| < 1 for some k = 1, 2, 4, ..., 64, rounding of the powers included."""
+    power, size = M, np.linalg.norm(M, 2)
+    for k in 2 ** np.arange(7):
+        rounding = k * len(M) * np.finfo(M.dtype).eps * max(size, 1.0) ** k
+        if not rounding < 1:
+            return False
+        if np.linalg.norm(power, 2) + rounding < 1:
+            return True
+        power = power @ power
+    return False
 
 
 def _need_product(function, name, matrix, shape):
