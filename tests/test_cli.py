@@ -181,3 +181,19 @@ def test_certify_compares_theory_with_simulation(jaxilc_command, tmp_path):
     code, _, err = jaxilc_command("certify", "cao-2019", "--scheme", "pid")
     assert code == 2
     assert "none of pid learns" in err
+
+
+def test_identify_reads_a_record_and_names_what_is_wrong_with_it(jaxilc_command, tmp_path):
+    u = jaxilc.references.m_sequence(8, hold=2)
+    lag = jaxilc.plants.ProcessModel(gain=2.0, zeros=(), poles=(60.0,), frequencies=(), dampings=())
+    machine = jaxilc.Machine(lag, sensor=jaxilc.Sensor(noise=1e-3))
+    jaxilc.write_record("record.csv", jaxilc.excite(machine, u, 1e-3))
+    code, out, _ = jaxilc_command("identify", "record.csv", "--poles", 1, "--pairs", 0, "--zeros", 0, "--json", "found.json")
+    assert code == 0
+    assert "95 % intervals" in out
+    found = json.loads((tmp_path / "found.json").read_text())
+    assert found["poles[0]"]["low"] < 60.0 < found["poles[0]"]["high"]
+    assert (tmp_path / "out/identify/validation.png").exists()
+    code, _, err = jaxilc_command("identify", "record.csv", "--input", "voltage")
+    assert code == 2
+    assert "no column 'voltage'; present are t, u, y" in err

@@ -50,11 +50,18 @@ class Map(NamedTuple):
     at: jax.Array
 
 
+@jax.jit
+def _trial(machine, scheme, task, memory):
+    """A trial without noise."""
+    return run_trial(noiseless(machine), scheme, task, memory, jax.random.key(0))
+
+
 def step(machine: Machine, scheme: Scheme, task: Task, memory):
     """The memory after one more trial, without noise."""
-    return scheme.learn(memory, run_trial(noiseless(machine), scheme, task, memory, jax.random.key(0)))
+    return scheme.learn(memory, _trial(machine, scheme, task, memory))
 
 
+@partial(jax.jit, static_argnames="trials")
 def learned_memory(machine: Machine, scheme: Scheme, task: Task, trials: int = LEARNED):
     """The memory after so many trials from the start, without noise."""
     return lax.fori_loop(0, trials, lambda _, memory: step(machine, scheme, task, memory), scheme.memory(task))
@@ -90,7 +97,7 @@ def learning_map(
     varies = [v and jnp.issubdtype(value.dtype, jnp.floating) for v, value in zip(varies, values, strict=True)]
     if not any(varies):
         raise ValueError(f"learning_map: the memory of {type(scheme).__name__} has no floating leaf that varies")
-    size_y = _rms(run_trial(noiseless(machine), scheme, task, memory, jax.random.key(0)).y)
+    size_y = _rms(_trial(machine, scheme, task, memory).y)
     scales = [_weight(of, value, weights or {}, size_y) for of, value in zip(names, values, strict=True)]
     shape = jax.tree.structure(memory)
 
@@ -115,18 +122,16 @@ def error_map(machine: Machine, scheme: Scheme, task: Task, memory: Any = None, 
     under a linear loop G the derivative is (I - G L)^j; a scheme that adapts learns from the change as well, and that counts.
     memory: with which the trial is entered, None for that after 3 trials
     """
-    machine = noiseless(machine)
     memory = learned_memory(machine, scheme, task) if memory is None else memory
-    r, key = jnp.asarray(task.reference), jax.random.key(0)
-    first = run_trial(machine, scheme, task, memory, key)
+    r, first = jnp.asarray(task.reference), _trial(machine, scheme, task, memory)
 
     def f(e):
         y = jnp.concatenate([first.y[:1], r[1:] - e.reshape(task.N, -1)])
-        trial = run_trial(machine, _Prescribed(scheme), task, (memory, y), key)
+        trial = _trial(machine, _Prescribed(scheme), task, (memory, y))
         disturbed = _with_output(machine, y - trial.y)
 
         def following(memory, _):
-            trial = run_trial(disturbed, scheme, task, memory, key)
+            trial = _trial(disturbed, scheme, task, memory)
             return scheme.learn(memory, trial), trial.e[1:].ravel()
 
         return lax.scan(following, scheme.learn(memory, trial._replace(y=y)), length=trials)[1]
