@@ -12,12 +12,10 @@ from jax import lax
 
 from ..pytree import known, leaf, part, pytree, static
 from .friction import StribeckFriction
+from .integration import RK4_RADIUS, runge_kutta
 from .linear import StateSpace
 from .plant import Plant
 from .voice_coil import VoiceCoil
-
-# Runge-Kutta 4 damps every stable pole within this |pole| h: the stability region's smallest radius in the left half-plane is 2.616.
-RK4_RADIUS = 2.6
 
 # Cao 2019, section II-A, in SI. Not consistent with one force constant: 56.2 N/A times 8.66 A is 487 N, times 23 A is 1293 N.
 DTL85_708 = {
@@ -165,7 +163,7 @@ class VoiceCoilMotor(Plant):
         # a gradient recomputes the substeps of a sample instead of storing their 4 stages for every sample of the trial
         @jax.checkpoint
         def sample(motor, x, u):
-            return lax.scan(lambda x, _: (_runge_kutta(lambda z: motor._rates(z, u), x, dt / steps), None), x, length=steps)[0]
+            return lax.scan(lambda x, _: (runge_kutta(lambda z: motor._rates(z, u), x, dt / steps), None), x, length=steps)[0]
 
         return sample(self, x, u[0])
 
@@ -323,16 +321,3 @@ def voice_coil_motor(form: str = "identified") -> VoiceCoilMotor:
 
 def _clip(x, limit):
     return x if limit is None else jnp.clip(x, -limit, limit)
-
-
-def _runge_kutta(rates, x, h):
-    """One step of the classical Runge-Kutta method of order 4; x: any pytree."""
-
-    def moved(by, k):
-        return jax.tree.map(lambda a, b: a + by * b, x, k)
-
-    k1 = rates(x)
-    k2 = rates(moved(h / 2, k1))
-    k3 = rates(moved(h / 2, k2))
-    k4 = rates(moved(h, k3))
-    return jax.tree.map(lambda a, k1, k2, k3, k4: a + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4), x, k1, k2, k3, k4)

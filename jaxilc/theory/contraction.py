@@ -187,7 +187,7 @@ def singular_value(f: Callable, at, *, steps: int = 300, tolerance: float = 1e-6
         built = jnp.arange(steps) < k
         alpha, above = jnp.where(built, alpha, 0.0), jnp.where(built, beta, 0.0)
         B = jnp.diag(alpha) + jnp.diag(above[:-1] * built[1:], 1)
-        squares, left = jnp.linalg.eigh(B @ B.T)  # 50 times as fast as an SVD, and as exact for the largest one
+        squares, left = jnp.linalg.eigh(B @ B.T)  # many times as fast as an SVD, and as exact for the largest one
         value, left = jnp.sqrt(jnp.maximum(squares[-1], 0.0)), left[:, -1]
         right = B.T @ left / jnp.where(value > 0, value, 1.0)
         return value, above[k - 1] * jnp.abs(left[k - 1]), right @ V[:-1]
@@ -256,8 +256,11 @@ def over_plants(quantity: Callable[[Machine], Any], machine: Machine, uncertaint
 
 
 def contracting(machine: Machine, scheme: Scheme, task: Task, memory: Any = None, *, weights=None, **options) -> Condition:
-    """The learning map contracts in the norm of the weighted memory. weights, and of options `leaves`: of `learning_map`;
-    `steps`, `tolerance`: of `singular_value`"""
+    """The learning map contracts in the norm of the weighted memory.
+
+    weights, and of options `leaves`: as for `learning_map`;  options `steps`, `tolerance`: as for `singular_value`
+    Raises ValueError where machine, scheme and task do not fit, or for a name that the memory has not.
+    """
     check(machine, scheme, task)
     found, *at = _singular_of_memory(machine, scheme, task, memory, weights, **options)
     local, where = _local(*at)
@@ -265,7 +268,7 @@ def contracting(machine: Machine, scheme: Scheme, task: Task, memory: Any = None
 
 
 def attracting(machine: Machine, scheme: Scheme, task: Task, memory: Any = None, **options) -> Condition:
-    """The fixed point of the learning map attracts. options: `leaves` of `learning_map`, `steps` of `spectral_radius_of`
+    """The fixed point of the learning map attracts. options: `leaves` of `learning_map`, `steps` of `spectral_radius_of`; raises as above
 
     Where the eigenvalue is in doubt, it still is < 1 if the eighth power of the derivative contracts, since rho^8 <= ||J^8||.
     """
@@ -280,7 +283,10 @@ def attracting(machine: Machine, scheme: Scheme, task: Task, memory: Any = None,
 
 
 def error_contracting(machine: Machine, scheme: Scheme, task: Task, memory: Any = None, *, trials: int = 1, **options) -> Condition:
-    """A change of the error, however it is shaped, has become smaller `trials` trials later. options: `steps`, `tolerance`"""
+    """A change of the error, however it is shaped, has become smaller `trials` trials later; see `error_map`.
+
+    options: `steps`, `tolerance` of `singular_value`. Raises ValueError where machine, scheme and task do not fit.
+    """
     check(machine, scheme, task)
     found, departed = _singular_of_error(machine, scheme, task, memory, trials=trials, **options)
     theorem = ERROR.format(n=trials, where=EVERYWHERE if is_linear(departed) else NEARBY)

@@ -104,8 +104,10 @@ def law_response(scheme: Scheme, task: Task, frequencies) -> LawResponse:
     """
     z, channels = _z(frequencies, task.dt)[:, None], jnp.eye(task.inputs)
     match scheme:
-        case WithFeedback() | OnReference():
+        case WithFeedback():
             return law_response(scheme.learning, task, frequencies)
+        case OnReference():
+            return law_response(scheme.learning, dataclasses.replace(task, inputs=task.outputs), frequencies)
         case Filtered():
             inner = law_response(scheme.scheme, task, frequencies)
             return inner._replace(Q=filter_response(scheme.filter, task, frequencies) * inner.Q)
