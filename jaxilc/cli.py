@@ -82,7 +82,8 @@ def run(
     from . import figures, runs, tables
 
     chosen = _scenario(scenario, scheme, trials, set_)
-    dataset, _ = runs.run_schemes(chosen.machine, chosen.schemes, chosen.task, chosen.trials, key=jax.random.key(seed))
+    key = jax.random.key(seed)
+    dataset, _ = runs.run_schemes(chosen.machine, chosen.schemes, chosen.task, chosen.trials, key=key, quantities=chosen.functions)
     numbers = tables.run_figures(chosen, dataset)
     out.print(tables.run_table(chosen, numbers))
     for line in tables.other_rows(chosen, numbers):
@@ -92,7 +93,9 @@ def run(
 
     folder = _folder(out_dir, f"run-{scenario}")
     shown = {"scale": chosen.shown_scale, "unit": chosen.shown_unit}
-    paths = [figures.save(figures.error_by_trial(dataset, published=chosen.due, **shown), folder / "error-by-trial.png")]
+    scale, unit = chosen.shown(chosen.judged_by)
+    axes = figures.error_by_trial(dataset, figure=chosen.judged_by, published=chosen.due, scale=scale, unit=unit)
+    paths = [figures.save(axes, folder / "error-by-trial.png")]
     some = [j for j in tables.shown_trials(chosen) if j in (2, 20, chosen.trials)] or [chosen.trials]
     for name in chosen.schemes:
         axes = figures.tracking(dataset, name, some, **shown)
@@ -110,7 +113,7 @@ def sweep(
     seed: Seed = 0,
     spread: Spread = None,
     sampling: Sampling = "monte-carlo",
-    tolerance: Annotated[float | None, typer.Option(help="Settled error that passes, in the shown unit.")] = None,
+    tolerance: Annotated[float | None, typer.Option(help="Largest figure that passes, the one tables show, in its unit.")] = None,
     set_: Set = None,
     out_dir: Annotated[Path | None, typer.Option("--out", help="Folder for figure and dataset; out/sweep-SCENARIO if not given.")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with the dataset in the folder.")] = False,
@@ -130,23 +133,25 @@ def sweep(
 
     chosen = _scenario(scenario, scheme, trials, set_)
     uncertainty = chosen.uncertainty if spread is None else with_spread(chosen.uncertainty, spread)
-    plan = Sweep(chosen.machine, chosen.schemes, chosen.task, chosen.trials, uncertainty, samples, seed, sampling, keep=tuple(keep or ()))
-    tolerance = (chosen.tolerance if tolerance is None else tolerance) / chosen.shown_scale
+    common = (chosen.machine, chosen.schemes, chosen.task, chosen.trials, uncertainty, samples, seed, sampling)
+    plan = Sweep(*common, keep=tuple(keep or ()), quantities=chosen.functions)
+    scale, unit = chosen.shown(chosen.judged_by)
+    tolerance = (chosen.tolerance if tolerance is None else tolerance) / scale
     if not tolerance > 0:
-        raise ValueError(f"--tolerance {tolerance * chosen.shown_scale:g} is outside its allowed range (0, inf)")
+        raise ValueError(f"--tolerance {tolerance * scale:g} is outside its allowed range (0, inf)")
     folder = out_dir or Path("out") / f"sweep-{scenario}"
     store = folder / "dataset.zarr"
     if store.exists() and not resume:
         raise FileExistsError(f"{store} exists already; add --resume to go on with it, or choose another --out")
     dataset, seconds, steps = _with_progress(plan, _folder(folder, ""), store, resume)
 
-    numbers = tables.sweep_figures(chosen, summarise(dataset, tolerance), tolerance, plan.samples)
+    numbers = tables.sweep_figures(chosen, summarise(dataset, tolerance, figure=chosen.judged_by), tolerance, plan.samples)
     out.print(tables.yield_table(numbers))
     out.print(tables.band_table(numbers))
     if steps:
         out.print(f"{steps:.3g} sample-steps in {seconds:.1f} s, compilation included: {steps / seconds:.3g} a second", highlight=False)
-    shown = {"scale": chosen.shown_scale, "unit": chosen.shown_unit}
-    path = figures.save(figures.error_band(dataset, tolerance=tolerance, **shown), folder / "error-band.png")
+    axes = figures.error_band(dataset, figure=chosen.judged_by, tolerance=tolerance, scale=scale, unit=unit)
+    path = figures.save(axes, folder / "error-band.png")
     _written([path, store], json_file, numbers | {"sample_steps": steps, "seconds": seconds})
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from . import scenarios
 from .learning import learn
+from .metrics import Keep
 from .scenarios import Published, Scenario
 
 MET = 0.3
@@ -50,7 +51,7 @@ def _of_scenario(name: str, published: tuple[Published, ...]) -> list[Row]:
         ours |= _simulated(scenario, [p for p in published if p.options == options])
     values = [ours[p] for p in published]
     return [
-        Row(name, p, value, value / p.value, settings[p.options].shown_unit, _verdict(i, published, values))
+        Row(name, p, value, value / p.value, settings[p.options].shown(p.quantity)[1], _verdict(i, published, values))
         for i, (p, value) in enumerate(zip(published, values, strict=True))
     ]
 
@@ -60,10 +61,12 @@ def _simulated(scenario: Scenario, rows: list[Published]) -> dict[Published, flo
     ours = {}
     for scheme in {p.scheme: None for p in rows}:
         due = [p for p in rows if p.scheme == scheme]
-        history = learn(scenario.machine, scenario.schemes[scheme], scenario.task, max(p.trial or 1 for p in due))
+        trials, keep = max(p.trial or 1 for p in due), Keep.of(scenario.functions)
+        history = learn(scenario.machine, scenario.schemes[scheme], scenario.task, trials, save=keep)
+        figures = history.metrics._asdict() | history.saved
         for p in due:
-            error = np.max(np.asarray(getattr(history, p.quantity))[(p.trial or 1) - 1])
-            ours[p] = scenario.shown_scale * float(error)
+            largest = np.max(np.asarray(figures[p.quantity])[(p.trial or 1) - 1])
+            ours[p] = scenario.shown(p.quantity)[0] * float(largest)
     return ours
 
 

@@ -10,6 +10,7 @@ import dataclasses
 import hashlib
 import json
 from collections.abc import Mapping
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -132,6 +133,10 @@ def describe(value: Any) -> Any:
         return [describe(v) for v in value]
     if value is None or isinstance(value, str | bool | int):
         return value
+    if callable(value):
+        named = value.func if isinstance(value, partial) else value
+        settings = {"args": value.args, "keywords": value.keywords} if isinstance(value, partial) else {}
+        return f"{named.__module__}.{named.__qualname__}" + (f" with {describe(settings)}" if settings else "")
     array = np.asarray(value)
     if array.size <= 16:
         return array.tolist()

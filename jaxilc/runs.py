@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
 import jax
@@ -10,6 +10,7 @@ import numpy as np
 
 from .learning import History, learn
 from .machine import Machine
+from .metrics import Keep
 from .schemes import Scheme
 from .signals import Task, Trial
 
@@ -18,19 +19,27 @@ if TYPE_CHECKING:
 
 
 def run_schemes(
-    machine: Machine, schemes: Mapping[str, Scheme], task: Task, trials: int, *, key: jax.Array | None = None
+    machine: Machine,
+    schemes: Mapping[str, Scheme],
+    task: Task,
+    trials: int,
+    *,
+    key: jax.Array | None = None,
+    quantities: Mapping[str, Callable[[Trial], jax.Array]] | None = None,
 ) -> tuple[xr.Dataset, dict[str, History]]:
     """Learn with each scheme and keep every trial's signals.
 
-    Returns the dataset (dims scheme, trial and time, channel, input_time, input; r, y, e, u and the metrics) and the histories,
-    whose `memory` lets each scheme go on. Raises as `learn` does.
+    quantities: further figures, each a function of a trial to a number
+    Returns the dataset (dims scheme, trial and time, channel, input_time, input; r, y, e, u, the metrics and the quantities) and the
+    histories, whose `memory` lets each scheme go on. Raises as `learn` does.
     """
-    histories = {name: learn(machine, scheme, task, trials, key=key, save=_output_and_input) for name, scheme in schemes.items()}
+    keep = Keep.of(quantities or {}, "y", "u")
+    histories = {name: learn(machine, scheme, task, trials, key=key, save=keep) for name, scheme in schemes.items()}
     return history_dataset(histories, task), histories
 
 
 def history_dataset(histories: Mapping[str, History], task: Task) -> xr.Dataset:
-    """The dataset of histories whose `saved` is (y, u) of each trial."""
+    """The dataset of histories whose `saved` has y, u, and each quantity of each trial."""
     import xarray as xr
 
     def stacked(pick):
@@ -42,7 +51,8 @@ def history_dataset(histories: Mapping[str, History], task: Task) -> xr.Dataset:
     def of_u(dims, values):
         return dims, values, {"units": task.input_unit}
 
-    r, y, u = np.asarray(task.reference), stacked(lambda h: h.saved[0]), stacked(lambda h: h.saved[1])
+    r, y, u = np.asarray(task.reference), stacked(lambda h: h.saved["y"]), stacked(lambda h: h.saved["u"])
+    further = [name for name in next(iter(histories.values())).saved if name not in ("y", "u")]
     per_output, per_input = ("scheme", "trial", "channel"), ("scheme", "trial", "input")
     return xr.Dataset(
         {
@@ -56,6 +66,7 @@ def history_dataset(histories: Mapping[str, History], task: Task) -> xr.Dataset:
             "effort": of_u(per_input, stacked(lambda h: h.effort)),
             "finite": (("scheme", "trial"), stacked(lambda h: h.finite)),
             "diverged_at": (("scheme",), stacked(lambda h: h.diverged_at)),
+            **{name: (("scheme", "trial"), stacked(lambda h, name=name: h.saved[name])) for name in further},
         },
         coords={
             "scheme": np.array(list(histories), dtype=np.dtypes.StringDType()),
@@ -66,7 +77,3 @@ def history_dataset(histories: Mapping[str, History], task: Task) -> xr.Dataset:
             "input": np.arange(task.inputs),
         },
     )
-
-
-def _output_and_input(trial: Trial):
-    return trial.y, trial.u

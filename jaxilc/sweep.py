@@ -15,9 +15,10 @@ import numpy as np
 from .batch import LANES, tiled
 from .learning import check, learn
 from .machine import Machine
+from .metrics import Keep
 from .results import Store, Variable, describe, environment
 from .schemes import Scheme
-from .signals import Task
+from .signals import Task, Trial
 from .uncertainty import Uncertainty, draw, drawn_machine
 
 if TYPE_CHECKING:
@@ -34,6 +35,7 @@ class Sweep:
     machine, task, trials: as for `learn`;  schemes: by name
     uncertainty: distributions on the machine's named leaves;  samples, seed, sampling: see `uncertainty.draw`
     keep: signals of the last trial to store, any of y, e, u (they are large);  chunk: samples computed and stored at a time
+    quantities: further figures of each trial, by name, each a function of a trial to a number, known by its name in the configuration
     lanes: samples vectorised together, see `batch.tiled`; chunk, lanes and the number of devices belong to the configuration,
     since sums in another order round otherwise
     Raises ValueError, before anything is compiled or written, naming what does not fit.
@@ -50,6 +52,7 @@ class Sweep:
     keep: tuple[str, ...] = ()
     chunk: int = CHUNK
     lanes: int = LANES
+    quantities: Mapping[str, Callable[[Trial], jax.Array]] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self):
         for name in ("trials", "chunk", "lanes"):
@@ -60,6 +63,7 @@ class Sweep:
                 raise ValueError(f"Sweep: keep = {name!r} is not one of {', '.join(SIGNALS)}")
         if not self.schemes:
             raise ValueError("Sweep: schemes is empty; at least one is needed")
+        Keep.of(self.quantities)
         for scheme in self.schemes.values():
             check(self.machine, scheme, self.task)
         object.__setattr__(self, "drawn", draw(self.machine, self.uncertainty, self.samples, seed=self.seed, sampling=self.sampling))
@@ -85,7 +89,8 @@ class Sweep:
             store = Store.resume(out, configuration)
         else:
             store = Store.create(out, self._variables(), self._coordinates(), self.chunk, configuration)
-        run_chunk = tiled(partial(_one_sample, names=tuple(self.uncertainty.items()), trials=self.trials, keep=self.keep), lanes=self.lanes)
+        plan = {"names": tuple(self.uncertainty.items()), "trials": self.trials, "keep": self.keep, "save": Keep.of(self.quantities)}
+        run_chunk = tiled(partial(_one_sample, **plan), lanes=self.lanes)
         for i, (name, scheme) in enumerate(self.schemes.items()):
             for c, start in enumerate(range(0, self.samples, self.chunk)):
                 samples = slice(start, min(start + self.chunk, self.samples))
@@ -124,6 +129,7 @@ class Sweep:
             "finite": Variable(per_trial, "bool", "", "whether the trial stayed finite"),
             "diverged_at": Variable(("scheme", "sample"), "i4", "", "first trial that was not finite, 0 if none"),
         }
+        variables |= {name: Variable(per_trial, real, "", "figure of a trial") for name in self.quantities}
         for name in self.keep:
             time, dim = SIGNALS[name]
             dims = ("scheme", "sample", time) + ((dim,) if (inputs if name == "u" else channel) else ())
@@ -144,12 +150,12 @@ class Sweep:
         return {n: c for n, c in coordinates.items() if n in used} | {n: (("sample",), v) for n, v in self.drawn.items()}
 
 
-def _one_sample(common, one, *, names, trials: int, keep: tuple[str, ...]) -> dict[str, jax.Array]:
+def _one_sample(common, one, *, names, trials: int, keep: tuple[str, ...], save: Keep) -> dict[str, jax.Array]:
     """The figures of one sample plant: what `tiled` runs."""
     machine, scheme, task, key = common
     index, values = one
     machine = drawn_machine(machine, dict(names), values)
-    history = learn(machine, scheme, task, trials, key=jax.random.fold_in(key, index))
+    history = learn(machine, scheme, task, trials, key=jax.random.fold_in(key, index), save=save)
     figures = history.metrics._asdict() | {name: getattr(history.final, name) for name in keep}
     squeezed = {name: x[..., 0] if name != "finite" and x.shape[-1] == 1 else x for name, x in figures.items()}
-    return squeezed | {"diverged_at": history.diverged_at}
+    return squeezed | history.saved | {"diverged_at": history.diverged_at}

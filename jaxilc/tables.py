@@ -26,51 +26,54 @@ def shown_trials(scenario: Scenario) -> list[int]:
 
 
 def run_figures(scenario: Scenario, dataset: xr.Dataset) -> dict[str, Any]:
-    """A run's errors [shown unit] by scheme, figure and trial, beside the published ones; the largest channel counts."""
+    """A run's figures [shown unit] by scheme, figure and trial, beside the published ones; the largest channel counts."""
     schemes: dict[str, Any] = {}
     for name in scenario.schemes:
         chosen = dataset.sel(scheme=name).max("channel", skipna=False)
-        figures = {f: {str(j): scenario.shown_scale * float(chosen[f].sel(trial=j)) for j in shown_trials(scenario)} for f in FIGURES}
+        shown = {f: scenario.shown(f)[0] * chosen[f] for f in (*FIGURES, *scenario.quantities)}
+        figures = {f: {str(j): float(values.sel(trial=j)) for j in shown_trials(scenario)} for f, values in shown.items()}
         published = []
         for p in scenario.due:
             if p.scheme == name:
                 trial = p.trial or 1
-                ours = scenario.shown_scale * float(chosen[p.quantity].sel(trial=trial)) if trial <= scenario.trials else None
-                published.append({"trial": p.trial, "quantity": p.quantity, "value": p.value, "source": p.source, "ours": ours})
+                ours = float(shown[p.quantity].sel(trial=trial)) if trial <= scenario.trials else None
+                row = {"trial": p.trial, "quantity": p.quantity, "value": p.value, "unit": scenario.shown(p.quantity)[1]}
+                published.append(row | {"source": p.source, "ours": ours})
         schemes[name] = figures | {"diverged_at": int(chosen["diverged_at"]), "published": published}
     return {"scenario": scenario.name, "trials": scenario.trials, "unit": scenario.shown_unit, "schemes": schemes}
 
 
 def run_table(scenario: Scenario, figures: dict[str, Any]) -> Table:
-    """Settled error by trial and scheme, the published value in brackets."""
-    table = Table(title=f"{scenario.title}\nsettled error [{scenario.shown_unit}] by trial, published value in brackets")
+    """The figure the scenario is judged by, by trial and scheme, the published value in brackets."""
+    figure, (_, unit) = scenario.judged_by, scenario.shown(scenario.judged_by)
+    table = Table(title=f"{scenario.title}\n{figure.replace('_', ' ')} [{unit}] by trial, published value in brackets")
     table.add_column("trial", justify="right")
     for name in scenario.schemes:
         table.add_column(name, justify="right")
     for j in shown_trials(scenario):
         cells = []
         for rows in figures["schemes"].values():
-            printed = [p["value"] for p in rows["published"] if p["quantity"] == "settled_error" and p["trial"] == j]
-            cells.append(number(rows["settled_error"][str(j)]) + "".join(f" ({value:g})" for value in printed))
+            printed = [p["value"] for p in rows["published"] if p["quantity"] == figure and p["trial"] == j]
+            cells.append(number(rows[figure][str(j)]) + "".join(f" ({value:g})" for value in printed))
         table.add_row(str(j), *cells)
     return table
 
 
 def other_rows(scenario: Scenario, figures: dict[str, Any]) -> list[str]:
     """The published figures that have no cell in `run_table`, a line each."""
-    in_table = {("settled_error", j) for j in shown_trials(scenario)}
+    in_table = {(scenario.judged_by, j) for j in shown_trials(scenario)}
     lines = []
     for name, rows in figures["schemes"].items():
         for p in rows["published"]:
             if p["ours"] is not None and (p["quantity"], p["trial"]) not in in_table:
                 what = p["quantity"].replace("_", " ") + (f" at trial {p['trial']}" if p["trial"] else "")
-                lines.append(f"{name}: {what} {number(p['ours'])} {scenario.shown_unit} (published {p['value']:g})")
+                lines.append(f"{name}: {what} {number(p['ours'])} {p['unit']} (published {p['value']:g})")
     return lines
 
 
 def sweep_figures(scenario: Scenario, summary: Sequence[SchemeSummary], tolerance: float, samples: int) -> dict[str, Any]:
     """A sweep's summary [shown unit] by scheme; quantiles and the worst sample by trial."""
-    k = scenario.shown_scale
+    k, unit = scenario.shown(scenario.judged_by)
     schemes = {
         row.scheme: {
             "yield": row.yield_share,
@@ -95,7 +98,8 @@ def sweep_figures(scenario: Scenario, summary: Sequence[SchemeSummary], toleranc
         "trials": scenario.trials,
         "samples": samples,
         "tolerance": k * tolerance,
-        "unit": scenario.shown_unit,
+        "unit": unit,
+        "figure": scenario.judged_by.replace("_", " "),
         "schemes": schemes,
     }
 
@@ -103,7 +107,7 @@ def sweep_figures(scenario: Scenario, summary: Sequence[SchemeSummary], toleranc
 def yield_table(figures: dict[str, Any]) -> Table:
     """One row a scheme: yield with its interval, the last trial's spread, semi-convergence, divergence."""
     last, unit = str(figures["trials"]), figures["unit"]
-    table = Table(title=f"{figures['samples']} machines, settled error of trial {last} within {figures['tolerance']:g} {unit}")
+    table = Table(title=f"{figures['samples']} machines, {figures['figure']} of trial {last} within {figures['tolerance']:g} {unit}")
     for column in ("scheme", "yield (95 % interval)", f"median [{unit}]", "5–95 %", "worst", "sample", "semi-converged", "diverged"):
         table.add_column(column, justify="left" if column == "scheme" else "right")
     for name, row in figures["schemes"].items():
@@ -123,7 +127,7 @@ def yield_table(figures: dict[str, Any]) -> Table:
 
 def band_table(figures: dict[str, Any]) -> Table:
     """Median and 95 % quantile by trial and scheme."""
-    table = Table(title=f"settled error [{figures['unit']}] by trial: median (95 % quantile)")
+    table = Table(title=f"{figures['figure']} [{figures['unit']}] by trial: median (95 % quantile)")
     table.add_column("trial", justify="right")
     for name in figures["schemes"]:
         table.add_column(name, justify="right")

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 from ..machine import Machine
+from ..metrics import Metrics
 from ..pytree import allowed_at, get_at, replaced, settable
 from ..schemes import Scheme
-from ..signals import Task
+from ..signals import Task, Trial
 from ..uncertainty import Uncertainty
 
 
 class Published(NamedTuple):
     """A printed number: data to compare with, never fed back.
 
-    quantity: `settled_error`, `max_error` or `rms` [unit shown by the scenario];  trial: None for a scheme that does not learn
+    quantity: `settled_error`, `max_error`, `rms` or a quantity of the scenario [unit it is shown in]
+    trial: None for a scheme that does not learn
     options: of the scenario, under which the number was obtained;  reading: what the print leaves open there, and how it was read
     """
 
@@ -29,6 +31,17 @@ class Published(NamedTuple):
     reading: str = ""
 
 
+class Quantity(NamedTuple):
+    """A figure of a trial that this system is judged by, besides the metrics of every trial.
+
+    of: from a trial to a number;  unit, scale: it is shown as `scale` times the number, in `unit`; None for those of the errors
+    """
+
+    of: Callable[[Trial], object]
+    unit: str | None = None
+    scale: float | None = None
+
+
 @dataclasses.dataclass(frozen=True)
 class Scenario:
     """A system of a paper, ready to run.
@@ -37,6 +50,7 @@ class Scenario:
     published: printed results [shown unit];  chosen: what the paper leaves open, and what was chosen here, as text
     shown_unit, shown_scale: errors are shown as shown_scale times the simulated ones, in shown_unit
     show_trials: trials worth a row in a table or a curve in a figure;  options: with which the scenario was loaded
+    quantities: further figures of a trial, by name;  judged_by: the figure that tables show and the tolerance is for
     """
 
     name: str
@@ -53,6 +67,22 @@ class Scenario:
     shown_scale: float = 1.0
     show_trials: tuple[int, ...] = ()
     options: Mapping[str, object] = dataclasses.field(default_factory=dict)
+    quantities: Mapping[str, Quantity] = dataclasses.field(default_factory=dict)
+    judged_by: str = "settled_error"
+
+    @property
+    def functions(self) -> dict[str, Callable[[Trial], object]]:
+        """The quantities as functions of a trial."""
+        return {name: quantity.of for name, quantity in self.quantities.items()}
+
+    def shown(self, figure: str) -> tuple[float, str]:
+        """Scale and unit in which a figure is shown. Raises ValueError naming the figures there are."""
+        if figure in self.quantities:
+            _, unit, scale = self.quantities[figure]
+            return self.shown_scale if scale is None else scale, self.shown_unit if unit is None else unit
+        if figure not in Metrics._fields:
+            raise ValueError(f"figure = {figure!r} is not one of {', '.join((*Metrics._fields, *self.quantities))}")
+        return (1.0, self.task.input_unit) if figure == "effort" else (self.shown_scale, self.shown_unit)
 
     @property
     def due(self) -> tuple[Published, ...]:
