@@ -93,7 +93,7 @@ def check(machine: Machine, scheme: Scheme, task: Task) -> None:
 
 @partial(jax.jit, static_argnames=("trials", "save"))
 def _learn(machine, scheme, task, trials, key, memory, first, save) -> History:
-    machine = machine.sampled(task.dt)
+    machine, scheme = machine.sampled(task.dt), scheme.prepared(task)
     memory = scheme.memory(task) if memory is None else memory
 
     @jax.checkpoint

@@ -2,9 +2,29 @@
 
 import numpy as np
 
-from jaxilc.filters import ZeroPhaseButterworth, ZeroPhaseFIR
+from jaxilc.filters import ZeroPhaseButterworth, ZeroPhaseFIR, ZeroPhaseIIR
 from jaxilc.machine import Machine
-from jaxilc.plants import DifferenceEquation, ProcessModel, StateSpace, VoiceCoilMotor, voice_coil
+from jaxilc.plants import (
+    BallScrewDrive,
+    BoucWen,
+    Creep,
+    CuttingForce,
+    Dahl,
+    DifferenceEquation,
+    FastToolServo,
+    FlexibleMode,
+    FrictionTable,
+    LeadError,
+    PeriodicForce,
+    ProcessModel,
+    StateSpace,
+    StribeckFriction,
+    TimeVaryingStateSpace,
+    VoiceCoilMotor,
+    direct_model,
+    multivariable_model,
+    voice_coil,
+)
 from jaxilc.schemes import (
     CFDLMFAC,
     CFDLMFAILC,
@@ -15,12 +35,18 @@ from jaxilc.schemes import (
     PFDLMFAILC,
     PID,
     Filtered,
+    HigherOrder,
+    Ladder,
+    MultivariableILC,
+    NormOptimal,
     OnOutputs,
     OnReference,
     PIDType,
+    StopWhen,
     WithFeedback,
 )
 from jaxilc.signals import Task
+from jaxilc.switching import SwitchableFilter
 
 # The three tolerance tiers: rounding, central differences, and chance in units of one standard error.
 ALGEBRA = {"rtol": 1e-10, "atol": 1e-12}
@@ -30,6 +56,25 @@ SIGMAS = 6.0
 DT = 1e-3
 PRINTED = ((2.2386, -1.6246, 0.385), (0.0018, -0.0036, -0.0025))  # Cao 2019, eq. 29
 ARX = ((1.6, -0.65), (0.06, 0.03))  # stable, with its zero at -0.5: minimum phase
+SAMPLES = 32  # of a trial, unless a test asks for another number, or the case is of the slow ones
+FEW = 12
+
+# a light drive of 32 Hz antiresonance, soft enough for 1 ms: its speed loop is 50 Hz wide
+DRIVE = {
+    "motor_mass": 2.0,
+    "table_mass": 1.0,
+    "stiffness": 4e4,
+    "damping": 20.0,
+    "force_gain": 4.0,
+    "motor_damping": 3.0,
+    "table_damping": 2.0,
+    "command_scale": 10.0,
+}
+_GREASE = StribeckFriction(coulomb_force=2.0, static_force=3.0, transition_velocity=0.02, stribeck_velocity=0.05, viscous=1.0)
+_WAVE = 1 + 0.05 * np.sin(np.arange(FEW))[:, None, None]
+
+# a fast tool servo slow enough for 1 ms, with a gain of 1 um/V
+_SERVO = {"mass": 10.0, "damping": 1.3e-3, "conversion": 0.05, "longest_dt": DT}
 
 PLANTS = {
     "voice_coil_exact": voice_coil(),
@@ -42,9 +87,37 @@ PLANTS = {
     # an inactive limit has no gradient, so the motor goes without; a slow current loop takes one substep a sample
     "motor": VoiceCoilMotor(current_gain=30.0, substep=1e-3, current_limit=None, voltage_limit=None, speed_limit=None),
     "process_model": ProcessModel(gain=-4.8, zeros=(900.0,), poles=(6.4,), frequencies=(470.0,), dampings=(0.9,)),
+    "fast_tool_servo_linear": FastToolServo(
+        **_SERVO,
+        amplifier_bandwidth=80.0,
+        load=0.2,
+        drift=3.0,
+        mode=FlexibleMode(130.0, 0.05, -0.1),
+        creep=Creep((0.1,), (0.005,)),
+        periodic=PeriodicForce((0.1,), (40.0,), (0.3,)),
+    ),
+    "fast_tool_servo_nonlinear": FastToolServo(
+        **_SERVO,
+        hysteresis=BoucWen(0.3, 1.2, -0.3, exponent=1.6, substeps=1),
+        friction=Dahl(0.3, 0.1, exponent=1.4),
+        cutting=CuttingForce(0.3, -0.1, blur=0.2),
+    ),
+    "ball_screw": BallScrewDrive(**DRIVE),
+    "ball_screw_real": BallScrewDrive(
+        **DRIVE,
+        current_bandwidth=80.0,
+        motor_friction=_GREASE,
+        table_friction=_GREASE,
+        lead_error=LeadError(amplitude=2e-5, period=5e-4, phase=0.4),
+        compensation=FrictionTable.of(_GREASE, np.linspace(-0.1, 0.1, 7)),
+    ),
+    "time_varying": TimeVaryingStateSpace(
+        np.array([[0.9, 0.1], [-0.2, 0.8]]) * _WAVE, np.array([[0.05], [0.1]]) / _WAVE, np.array([[1.0, 0.5]]) * _WAVE[::-1], dt=DT
+    ),
     "motor_and_table": StateSpace([[0.9, 0.1], [0.3, 0.6]], [[0.2], [0.0]], [[1.0, 0.0], [0.0, 1.0]], dt=DT),
 }
 
+_NOMINAL = StateSpace([[0.87, 0.12], [0.33, 0.58]], [[0.22], [0.0]], np.eye(2), dt=DT)  # of motor_and_table
 _CFDL = {"phi0": -0.065, "lam": 0.02, "mu": 0.05, "rho": 0.9}
 _PFDL = {"phi0": (-0.065, 0.02), "lam": 0.02, "mu": 0.05, "rho": (0.9, 0.7)}
 _FFDL = {"phi0": (0.5, -0.1, -0.06, 0.03), "lam": 0.02, "mu": 0.05, "rho": (0.9, 0.6, 0.8, 0.7)}
@@ -72,24 +145,65 @@ SCHEMES = {
     "p_type_butterworth": Filtered(PIDType(gamma_p=-1.0), ZeroPhaseButterworth(80.0)),
     "cfdl_butterworth": Filtered(CFDLMFAILC(**_CFDL), ZeroPhaseButterworth(80.0, order=3)),
     "ffdl_fir": Filtered(FFDLMFAILC(**_FFDL), ZeroPhaseFIR((0.6, 0.2))),
+    "pid_feedforward": PID(kp=-8.0, ki=-40.0, kd=-2e-3, kv=-2e-3, ka=-2e-5),
+    "pid_feedforward_increment": PID(kp=-8.0, ki=-400.0, kd=-2e-3, limit=5.0, form="increment", kv=-2e-3, ka=-2e-5),
+    "higher_order": HigherOrder((0.7, 0.3), (-0.8, -0.4), lead=1),
+    "higher_order_leaky_limited": HigherOrder((0.6, 0.2, 0.1), ((-0.8,), (-0.4,), (-0.2,)), limit=1.2),
+    "p_type_switchable": Filtered(
+        PIDType(gamma_p=-1.0), SwitchableFilter((60.0, 150.0, 90.0), (0.0083, 0.0187), 0.006, order=1, padding=4)
+    ),
+    # a Butterworth of 80 Hz at 1 kHz
+    "p_type_iir": Filtered(PIDType(gamma_p=-1.0), ZeroPhaseIIR((0.0461, 0.0922, 0.0461), (1.0, -1.3073, 0.4918))),
+    # good enough, for the first time, in the third trial
+    "p_type_stop": StopWhen(Filtered(PIDType(gamma_p=-1.0), ZeroPhaseFIR()), max_error=0.85, rms=0.6, growth=0.5),
+    # the gain grows after the second trial, and after the third as far as it may
+    "p_type_ladder": Ladder(PIDType(gamma_p=-0.3, lead=1), repeats=1, growth_of_gain=1.2, largest=1.3, slow=0.5),
     "p_type_on_table": OnOutputs(PIDType(gamma_p=0.5, lead=1), (1,)),
+    "norm_optimal": NormOptimal(
+        StateSpace([[0.94, 0.03], [0.01, 0.9]], [[0.06, 0.01], [-0.02, 0.07]], [[1.0, 0.05], [0.25, 1.0]], dt=DT),
+        w_q=((4.0, 0.5), (0.5, 3.0)),
+        w_r=(0.02, 0.03),
+        w_s=0.001,
+    ),
+    "norm_optimal_lifted": NormOptimal(
+        StateSpace([[0.88, 0.12], [-0.15, 0.8]], [[0.02], [0.09]], [[1.0, 0.4]], dt=DT), w_r=0.05, w_s=0.01, limit=0.6, form="lifted"
+    ),
+    "dilc": WithFeedback(
+        OnOutputs(NormOptimal(direct_model(0.5, _NOMINAL), w_q=2.0, w_r=0.1, w_s=0.05), (1,)), OnOutputs(PID(kp=0.5, kd=1e-4), (0,))
+    ),
+    "milc": MultivariableILC(
+        NormOptimal(multivariable_model(0.5, _NOMINAL), w_q=(1.0, 2.0), w_r=((0.1, 0.02), (0.02, 0.3)), w_s=0.01),
+        PID(kp=0.5, kd=1e-4),
+        prefilter=ZeroPhaseFIR((0.6, 0.2)),
+    ),
 }
 
 # what runs: every scheme on a plant of its shape, and every plant under a scheme
-_PLANT_OF = {"p_type_on_table": "motor_and_table"}
-_SCHEME_OF = {"motor_and_table": OnOutputs(PID(kp=0.5, kd=1e-4), (0,))}
+_PLANT_OF = {
+    "p_type_on_table": "motor_and_table",
+    "norm_optimal": "mimo",
+    "norm_optimal_lifted": "discrete",
+    "dilc": "motor_and_table",
+    "milc": "motor_and_table",
+}
+_SCHEME_OF = {
+    "motor_and_table": OnOutputs(PID(kp=0.5, kd=1e-4), (0,)),
+    "ball_screw": OnOutputs(PID(kp=6.0, kd=1e-3), (0,)),
+    "ball_screw_real": OnOutputs(PID(kp=6.0, kd=1e-3), (0,)),
+}
+_FEW = {"norm_optimal", "norm_optimal_lifted", "dilc", "milc", "ball_screw", "ball_screw_real", "time_varying"}
 CASES = {name: (PLANTS[_PLANT_OF.get(name, "voice_coil_printed")], scheme) for name, scheme in SCHEMES.items()} | {
     name: (plant, _SCHEME_OF.get(name, PIDType(gamma_p=-0.5 if "coil" in name else 0.5))) for name, plant in PLANTS.items()
 }
 
 
-def task_for(plant, N=32):
+def task_for(plant, N=SAMPLES):
     """A smooth bump, a little higher for each further output."""
     bump = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(N + 1) / N)
     return Task(np.stack([(1 + 0.3 * i) * bump for i in range(plant.n_y)], axis=1), dt=DT, inputs=plant.n_u)
 
 
-def case(name, N=32):
+def case(name):
     """(machine, scheme, task) of a case."""
     plant, scheme = CASES[name]
-    return Machine(plant), scheme, task_for(plant, N)
+    return Machine(plant), scheme, task_for(plant, FEW if name in _FEW else SAMPLES)

@@ -59,21 +59,27 @@ def clip(u, limit):
     return u if limit is None else min(max(u, -limit), limit)
 
 
-def pid(form, kp, ki, kd, tau=0.0, limit=None):
-    """u = kp e + ki integral e dt + kd s, with tau s' + s = e' by the backward difference: tau (s - s_)/dt + s = (e - e_)/dt."""
+def pid(form, kp, ki, kd, tau=0.0, limit=None, kv=0.0, ka=0.0):
+    """u = kp e + ki integral e dt + kd s + f, with tau s' + s = e' by the backward difference: tau (s - s_)/dt + s = (e - e_)/dt.
+
+    f = kv r' + ka r'', central at the middle of the interval from k to k+1; r holds its ends."""
     was = {}
+    r = np.concatenate([R[:1], R, R[-1:]])  # r[k] is R[k-1]
+    velocity = np.diff(R) / DT
+    acceleration = (np.diff(r[2:]) - np.diff(r[:-2])) / (2 * DT**2)  # (r[k+2] - r[k+1] - (r[k] - r[k-1])) / (2 dt^2)
+    f = np.concatenate([kv * velocity + ka * acceleration, [0.0]])
 
     def feedback(k, e):
         e_, s_, u_, integral = (0.0, 0.0, 0.0, 0.0) if k == 0 else was["last"]
         s = (tau * s_ / DT + (e - e_) / DT) / (tau / DT + 1)
         if form == "increment":
-            u = clip(u_ + kp * (e - e_) + ki * DT * e + kd * (s - s_), limit)
+            u = clip(u_ + kp * (e - e_) + ki * DT * e + kd * (s - s_) + f[k] - (f[k - 1] if k else 0.0), limit)
         else:
-            u = kp * e + (integral + ki * DT * e) + kd * s
+            u = kp * e + (integral + ki * DT * e) + kd * s + f[k]
             winds_up = limit is not None and abs(u) > limit and math.copysign(1, u) == math.copysign(1, ki * e) and ki * e != 0
             integral = integral if winds_up else integral + ki * DT * e
             was["held"] = was.get("held", 0) + winds_up
-            u = clip(kp * e + integral + kd * s, limit)
+            u = clip(kp * e + integral + kd * s + f[k], limit)
         was["last"] = (e, s, u, integral)
         return u
 
@@ -154,7 +160,14 @@ def assert_equal(of_package, by_hand):
     assert np.max(np.abs(by_hand[1])) > 0.1
 
 
-PIDS = {"plain": {}, "limited": {"limit": 0.5}, "filtered_limited": {"tau": 2e-3, "limit": 0.5}}
+PIDS = {
+    "plain": {},
+    "limited": {"limit": 0.5},
+    "filtered_limited": {"tau": 2e-3, "limit": 0.5},
+    "velocity": {"kv": 0.02},
+    "velocity_acceleration_limited": {"kv": 0.02, "ka": -5e-5, "limit": 0.5},
+    "acceleration": {"ka": -5e-5},
+}
 
 
 @pytest.mark.parametrize("plant", PLANTS)
@@ -168,6 +181,35 @@ def test_pid(plant, form, options):
     if "limit" in options:
         assert 5 < np.sum(np.abs(by_hand[1]) == options["limit"]) < 2 * N - 5, "the limit should act, though not always"
         assert form == "increment" or feedback.was["held"] > 5, "anti-windup should act"
+
+
+def test_feedforward_of_the_reference_in_closed_form():
+    """An integrator follows exactly; a double integrator is moved by the mean acceleration, y[k] = (r[k+1] + 2 r[k] + r[k-1]) / 4."""
+    t = np.linspace(0.0, 1.0, N - 1)
+    r = np.concatenate([[0.0, 0.0], t**3 * (10 - 15 * t + 6 * t**2)])  # at rest for the first two samples
+    integrator = StateSpace([[0.0]], [[1.0]], [[1.0]])
+    y = learn(Machine(integrator), PID(kv=1.0), Task(r, dt=DT), 1).final.y[:, 0]
+    np.testing.assert_allclose(y, r, **ALGEBRA)
+    mass = StateSpace([[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], [[1.0, 0.0]])
+    y = learn(Machine(mass), PID(ka=1.0), Task(r, dt=DT), 1).final.y[:, 0]
+    held = np.append(r, r[-1])
+    np.testing.assert_allclose(y[1:], (held[2:] + 2 * held[1:-1] + held[:-2]) / 4, rtol=1e-9, atol=1e-11)
+    # with feedback on top, the error stays near the curvature of the reference within a sample, dt^2 r'' / 4
+    e = learn(Machine(mass), PID(kp=400.0, kd=40.0, ka=1.0), Task(r, dt=DT), 1).final.e[:, 0]
+    assert np.max(np.abs(e)) < 1.1 * np.max(np.abs(np.diff(r, 2))) / 4
+    assert np.max(np.abs(e)) < 1e-2 * np.max(np.abs(learn(Machine(mass), PID(kp=400.0, kd=40.0), Task(r, dt=DT), 1).final.e))
+
+
+@pytest.mark.parametrize("form", ["position", "increment"])
+def test_feedforward_is_the_feedbacks_share(form):
+    """The learning part is shown its own share only; gains of zero leave every number of plain PID as it is."""
+    gains, law = {"kp": 0.8, "ki": 20.0, "kd": 2e-4, "kv": 0.02, "ka": 1e-5}, PIDTypeLoop(gamma_p=0.6, lead=1)
+    scheme = WithFeedback(PIDType(gamma_p=0.6, lead=1), PID(**gains, form=form))
+    assert_equal(run("arx", scheme), loops("arx", law, pid(form, **gains)))
+    final = learn(Machine(DifferenceEquation(*ARX, dt=DT)), scheme, Task(R, dt=DT), 1).final
+    np.testing.assert_allclose(final.signals["feedback"], final.u, **ALGEBRA)
+    without = {k: v for k, v in gains.items() if k not in ("kv", "ka")}
+    np.testing.assert_array_equal(run("arx", PID(**without, kv=0.0, ka=0.0, form=form))[0], run("arx", PID(**without, form=form))[0])
 
 
 P_TYPES = {

@@ -1,23 +1,43 @@
 """Plants: each is its parameters, with a pure `init`, `step` and `output`."""
 
+from .ball_screw import BallScrewDrive, FrictionTable, LeadError
+from .fast_tool_servo import Creep, CuttingForce, FastToolServo, FlexibleMode, PeriodicForce, fast_tool_servo
 from .friction import StribeckFriction
-from .linear import DifferenceEquation, StateSpace, from_control
+from .hysteresis import BoucWen, Dahl, InputHysteresis
+from .interconnection import cascade, direct_model, multivariable_model
+from .linear import DifferenceEquation, StateSpace, TimeVaryingStateSpace, from_control
 from .motor import Cogging, EndEffect, VoiceCoilMotor, voice_coil_motor
 from .plant import Plant
 from .process_model import ProcessModel
 from .voice_coil import VoiceCoil, voice_coil
 
 __all__ = [
+    "BallScrewDrive",
+    "BoucWen",
     "Cogging",
+    "Creep",
+    "CuttingForce",
+    "Dahl",
     "DifferenceEquation",
     "EndEffect",
+    "FastToolServo",
+    "FlexibleMode",
+    "FrictionTable",
+    "InputHysteresis",
+    "LeadError",
+    "PeriodicForce",
     "Plant",
     "ProcessModel",
     "StateSpace",
     "StribeckFriction",
+    "TimeVaryingStateSpace",
     "VoiceCoil",
     "VoiceCoilMotor",
+    "cascade",
+    "direct_model",
+    "fast_tool_servo",
     "from_control",
+    "multivariable_model",
     "voice_coil",
     "voice_coil_motor",
 ]

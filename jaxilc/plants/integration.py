@@ -46,7 +46,8 @@ def exponential_runge_kutta(linear: Propagator, f: Callable, x, u, h):
         x' = z(h) + h/6 (E k1 + 2 E^(1/2) (k2 + k3) + k4)
 
     linear: `propagator(A, B, h)`;  f: (n,) -> (n,) all that is not linear;  x: (n,);  u: (n_u,)
-    The stiffness of A does not limit h, that of f does, as for Runge-Kutta 4.
+    The stiffness of A does not limit h, that of f does, as for Runge-Kutta 4. But a pole -a of A much faster than h answers an f of its
+    own with h/6 f in place of f / a: what is stiff should be driven by u, or by the rest of x, not by f.
     """
     (E, F), (E2, F2) = linear
     middle, end = E2 @ x + F2 @ u, E @ x + F @ u

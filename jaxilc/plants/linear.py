@@ -78,6 +78,56 @@ class StateSpace(Plant):
 
 
 @pytree
+class TimeVaryingStateSpace(Plant):
+    """x[k+1] = A[k] x[k] + B[k] u[k], y[k+1] = C[k] x[k+1], over one trial of N samples: a plant linearised along its motion.
+
+    A: (N, n, n), B: (N, n, n_u), C: (N, n_y, n), C[k] the output a sample after k;  dt: sample time [s]
+    It starts at rest, with y[0] = 0. Raises ValueError for shapes that do not fit, or a task of another sample time.
+    """
+
+    A: jax.Array = leaf()
+    B: jax.Array = leaf()
+    C: jax.Array = leaf()
+    dt: float = static(interval="(0, inf)")
+
+    def __post_init__(self):
+        shapes = [np.shape(M) for M in (self.A, self.B, self.C)]
+        (N, n), fits = shapes[0][:2] if len(shapes[0]) == 3 else (0, 0), all(len(s) == 3 for s in shapes)
+        if not (fits and shapes[0] == (N, n, n) and shapes[1][:2] == (N, n) and shapes[2][::2] == (N, n)):
+            raise ValueError(
+                f"TimeVaryingStateSpace: A {shapes[0]}, B {shapes[1]}, C {shapes[2]} do not fit; allowed are (N, n, n), (N, n, n_u), "
+                "(N, n_y, n)"
+            )
+
+    @property
+    def N(self) -> int:
+        return self.A.shape[-3]
+
+    @property
+    def n_u(self) -> int:
+        return self.B.shape[-1]
+
+    @property
+    def n_y(self) -> int:
+        return self.C.shape[-2]
+
+    def sampled(self, dt: float) -> TimeVaryingStateSpace:
+        return matching(self, self.dt, dt)
+
+    def init(self):
+        """The sample's number and the state."""
+        return jnp.zeros((), int), jnp.zeros_like(self.A, shape=self.A.shape[-1:])
+
+    def step(self, x, u, dt):
+        k, state = x
+        return k + 1, self.A[k] @ state + self.B[k] @ u
+
+    def output(self, x):
+        k, state = x
+        return jnp.where(k > 0, self.C[jnp.maximum(k - 1, 0)] @ state, 0.0)
+
+
+@pytree
 class DifferenceEquation(Plant):
     """y[k] = a_1 y[k-1] + ... + a_n y[k-n] + b_1 u[k-1] + ... + b_n u[k-n], one input, one output.
 
@@ -122,7 +172,7 @@ def from_control(system, *, allow_unstable: bool = False) -> StateSpace:
         raise ValueError(f"from_control: {type(system).__name__} is not a control.StateSpace or control.TransferFunction")
     if system.dt is None or system.dt is True:
         raise ValueError(f"from_control: dt = {system.dt} leaves the sample time open; allowed are 0 (continuous) and a time in s")
-    A, B, C, D = _matrices(system)
+    A, B, C, D = system_matrices(system)
     if np.any(D):
         raise ValueError(
             f"from_control: direct feedthrough D = {D.tolist()}; u[k] acts on y[k+1] at the earliest, so D must be 0: "
@@ -138,8 +188,8 @@ def from_control(system, *, allow_unstable: bool = False) -> StateSpace:
     return StateSpace(A, B, C, dt=float(system.dt))
 
 
-def _matrices(system):
-    """A, B, C, D of a python-control system."""
+def system_matrices(system):
+    """A, B, C, D of a python-control system. Raises ValueError for an improper one."""
     import control
 
     if isinstance(system, control.StateSpace):

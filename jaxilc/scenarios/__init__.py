@@ -9,11 +9,17 @@ from collections.abc import Callable
 from .cao_2019 import cao_2019
 from .cao_2019_rig import cao_2019_rig
 from .dai_2014 import dai_2014
-from .scenario import Published, Scenario
+from .milc_2024 import milc_2024
+from .scenario import Published, Quantity, Scenario
 
-SCENARIOS: dict[str, Callable[..., Scenario]] = {"cao-2019": cao_2019, "cao-2019-rig": cao_2019_rig, "dai-2014": dai_2014}
+SCENARIOS: dict[str, Callable[..., Scenario]] = {
+    "cao-2019": cao_2019,
+    "cao-2019-rig": cao_2019_rig,
+    "dai-2014": dai_2014,
+    "milc-2024": milc_2024,
+}
 
-__all__ = ["SCENARIOS", "Published", "Scenario", "load", "options"]
+__all__ = ["SCENARIOS", "Published", "Quantity", "Scenario", "load", "options"]
 
 
 def load(name: str, **chosen) -> Scenario:

@@ -1,8 +1,12 @@
 """Control schemes: feedback, learning, and compositions of them."""
 
-from .compose import Filtered, OnOutputs, OnReference, WithFeedback
+from .compose import ErrorFiltered, Filtered, OnOutputs, OnReference, WithFeedback
+from .guards import Ladder, StopWhen
+from .higher_order import HigherOrder
 from .mfac import CFDLMFAC, CFDLMFAPC, FFDLMFAC, PFDLMFAC
 from .mfailc import CFDLMFAILC, FFDLMFAILC, PFDLMFAILC
+from .multivariable import MultivariableILC
+from .norm_optimal import NormOptimal
 from .pid import PID
 from .pid_type import PIDType
 from .scheme import Scheme
@@ -16,10 +20,16 @@ __all__ = [
     "PFDLMFAC",
     "PFDLMFAILC",
     "PID",
+    "ErrorFiltered",
     "Filtered",
+    "HigherOrder",
+    "Ladder",
+    "MultivariableILC",
+    "NormOptimal",
     "OnOutputs",
     "OnReference",
     "PIDType",
     "Scheme",
+    "StopWhen",
     "WithFeedback",
 ]

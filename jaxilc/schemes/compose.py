@@ -64,15 +64,13 @@ class WithFeedback(Scheme):
 
     def signals(self, state: PairState):
         return (
-            {"feedback": state.u}
-            | _of_part("learning", self.learning, state.learning)
-            | _of_part("feedback", self.feedback, state.feedback)
+            {"feedback": state.u} | of_part("learning", self.learning, state.learning) | of_part("feedback", self.feedback, state.feedback)
         )
 
     def learn(self, memory: Pair, trial: Trial) -> Pair:
         if "feedback" not in trial.signals:
             raise ValueError("WithFeedback: the trial has no signal 'feedback' (N, n_u), so its learned part cannot be told from u")
-        of_learning, of_feedback = (trial._replace(signals=_below(name, trial.signals)) for name in ("learning", "feedback"))
+        of_learning, of_feedback = (trial._replace(signals=below(name, trial.signals)) for name in ("learning", "feedback"))
         own = of_learning._replace(u=trial.u - trial.signals["feedback"])
         return Pair(self.learning.learn(memory.learning, own), self.feedback.learn(memory.feedback, of_feedback))
 
@@ -80,46 +78,48 @@ class WithFeedback(Scheme):
         return self.learning.feedforward(memory.learning, task)
 
 
-def _of_part(name: str, scheme: Scheme, state: State) -> dict[str, jax.Array]:
+def of_part(name: str, scheme: Scheme, state: State) -> dict[str, jax.Array]:
     """The signals of a part, under its name."""
     return {f"{name}.{signal}": value for signal, value in scheme.signals(state).items()}
 
 
-def _below(name: str, signals: dict[str, jax.Array]) -> dict[str, jax.Array]:
+def below(name: str, signals: dict[str, jax.Array]) -> dict[str, jax.Array]:
     """The signals of a part, as it named them itself."""
     return {signal.removeprefix(f"{name}."): value for signal, value in signals.items() if signal.startswith(f"{name}.")}
 
 
-@pytree
-class Filtered(Scheme):
-    """u_{j+1} = Q(u_j + L e_j): a robustness filter on what any learning scheme is about to apply.
+class Around(Scheme):
+    """A scheme put around another, `scheme`, that does as that one does but for what it overrides."""
 
-    scheme: one whose table has a field `u`, and whose `limit`, if it has one, holds for the filtered u too
-    filter: zero-phase, applied to each channel of `u`
-    """
-
-    scheme: Scheme = part()
-    filter: Filter = part()
+    scheme: Scheme
 
     @property
     def preview(self) -> int:
         return self.scheme.preview
 
     @property
+    def learns(self) -> bool:
+        return self.scheme.learns
+
+    @property
     def plays_back(self) -> bool:
         return self.scheme.plays_back
 
+    @property
+    def limit(self):
+        return getattr(self.scheme, "limit", None)
+
     def check(self, task: Task) -> None:
         self.scheme.check(task)
-        self.filter.check(task.N, task.dt)
-        need_feedforward(self, self.scheme, task)
 
     def memory(self, task: Task):
         return self.scheme.memory(task)
 
     def table(self, memory, task: Task):
-        table = self.scheme.table(memory, task)
-        return table._replace(u=limited(self.filter(table.u, task.dt), getattr(self.scheme, "limit", None)))
+        return self.scheme.table(memory, task)
+
+    def feedforward(self, memory, task: Task):
+        return self.scheme.feedforward(memory, task)
 
     def init(self, task: Task):
         return self.scheme.init(task)
@@ -132,6 +132,50 @@ class Filtered(Scheme):
 
     def learn(self, memory, trial: Trial):
         return self.scheme.learn(memory, trial)
+
+
+@pytree
+class Filtered(Around):
+    """u_{j+1} = Q(u_j + L e_j): a robustness filter on what any learning scheme is about to apply.
+
+    scheme: one whose table has a field `u`, and whose `limit`, if it has one, holds for the filtered u too
+    filter: zero-phase, applied to each channel of `u`
+    """
+
+    scheme: Scheme = part()
+    filter: Filter = part()
+
+    def check(self, task: Task) -> None:
+        self.scheme.check(task)
+        self.filter.check(task.N, task.dt)
+        need_feedforward(self, self.scheme, task)
+
+    def table(self, memory, task: Task):
+        table = self.scheme.table(memory, task)
+        return table._replace(u=limited(self.filter(table.u, task.dt), self.limit))
+
+    def feedforward(self, memory, task: Task):
+        return self.table(memory, task).u
+
+
+@pytree
+class ErrorFiltered(Around):
+    """u_{j+1} = u_j + L F e_j: the error is filtered between trials, before any scheme learns from it (Li 2020, eq. 11 and Fig. 17).
+
+    What F blocks is not learned, but nothing that was learned is forgotten either: there the error is multiplied by 1 - P L F, about 1,
+    where `Filtered` leaves |Q (1 - P L)|. Noise that F lets through still adds up.
+    scheme: any that learns from the error;  filter: zero-phase, applied to each channel of e
+    """
+
+    scheme: Scheme = part()
+    filter: Filter = part()
+
+    def check(self, task: Task) -> None:
+        self.scheme.check(task)
+        self.filter.check(task.N + 1, task.dt)
+
+    def learn(self, memory, trial: Trial):
+        return self.scheme.learn(memory, trial._replace(y=trial.r - self.filter(trial.e, trial.dt)))
 
 
 @pytree
@@ -155,6 +199,9 @@ class OnOutputs(Scheme):
         if not self.outputs or not all(0 <= i < task.outputs for i in self.outputs):
             raise ValueError(f"OnOutputs: outputs = {self.outputs} is not a choice among the task's outputs 0..{task.outputs - 1}")
         self.scheme.check(self._task(task))
+
+    def prepared(self, task: Task) -> OnOutputs:
+        return dataclasses.replace(self, scheme=self.scheme.prepared(self._task(task)))
 
     def memory(self, task: Task):
         return self.scheme.memory(self._task(task))
@@ -220,6 +267,9 @@ class OnReference(Scheme):
             raise ValueError(f"OnReference: {name} acts within the trial; allowed are schemes that play back a learned signal")
         self.feedback.check(task)
 
+    def prepared(self, task: Task) -> OnReference:
+        return dataclasses.replace(self, learning=self.learning.prepared(self._task(task)), feedback=self.feedback.prepared(task))
+
     def memory(self, task: Task) -> Pair:
         return Pair(self.learning.memory(self._task(task)), self.feedback.memory(task))
 
@@ -239,13 +289,13 @@ class OnReference(Scheme):
         return ReferenceState(feedback, row.u), u
 
     def signals(self, state: ReferenceState):
-        return {"correction": state.correction} | _of_part("feedback", self.feedback, state.feedback)
+        return {"correction": state.correction} | of_part("feedback", self.feedback, state.feedback)
 
     def learn(self, memory: Pair, trial: Trial) -> Pair:
         if "correction" not in trial.signals:
             raise ValueError("OnReference: the trial has no signal 'correction' (N, n_y), so what was learned cannot be told")
         own = trial._replace(u=trial.signals["correction"], signals={})
-        of_feedback = trial._replace(signals=_below("feedback", trial.signals))
+        of_feedback = trial._replace(signals=below("feedback", trial.signals))
         return Pair(self.learning.learn(memory.learning, own), self.feedback.learn(memory.feedback, of_feedback))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import jax
@@ -38,6 +39,12 @@ class Scheme:
     def plays_back(self) -> bool:
         """Whether `act` only plays back the table's `u`, whatever happens in the trial."""
         return type(self).act is Scheme.act
+
+    def prepared(self, task: Task) -> Scheme:
+        """This scheme with what depends on its weights and the task alone worked out, once, outside the scans; parts likewise."""
+        parts = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)} if dataclasses.is_dataclass(self) else {}
+        ready = {name: one.prepared(task) for name, one in parts.items() if isinstance(one, Scheme)}
+        return dataclasses.replace(self, **ready) if ready else self
 
     def memory(self, task: Task) -> Memory:
         """What is known before the first trial."""

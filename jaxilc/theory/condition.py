@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..schemes import Filtered, OnReference, Scheme, WithFeedback
+from ..schemes import Filtered, Ladder, MultivariableILC, OnReference, Scheme, StopWhen, WithFeedback
 from ..signals import Task, Trial
 
 HOLDS, FAILS, NOT_CLAIMED = "holds", "fails", "not claimed"
@@ -136,6 +136,10 @@ def learner(scheme: Scheme, task: Task, memory: Any = None) -> tuple:
             return learner(scheme.learning, task, memory.learning)
         case OnReference():
             return learner(scheme.learning, dataclasses.replace(task, inputs=task.outputs), memory.learning)
+        case MultivariableILC():
+            return learner(scheme.learning, scheme.learning_task(task), memory.learning)
+        case StopWhen() | Ladder():
+            return learner(scheme.scheme, task, memory.scheme)
         case Filtered():
             filters, *law = learner(scheme.scheme, task, memory)
             return (scheme.filter, *filters), *law

@@ -20,11 +20,12 @@ from jax import lax
 from jax.flatten_util import ravel_pytree
 
 from ..batch import tiled
-from ..filters import Filter, ZeroPhaseButterworth, ZeroPhaseFIR, butterworth_sections
+from ..filters import Filter, ZeroPhaseButterworth, ZeroPhaseFIR, ZeroPhaseIIR, butterworth_sections
 from ..learning import check
 from ..machine import Machine
-from ..schemes import CFDLMFAILC, Filtered, OnReference, PIDType, Scheme, WithFeedback
+from ..schemes import CFDLMFAILC, ErrorFiltered, Filtered, Ladder, OnReference, PIDType, Scheme, StopWhen, WithFeedback
 from ..signals import Sample, Task
+from ..switching import SwitchableFilter
 from ..uncertainty import Uncertainty, draw, drawn_machine
 from .condition import Condition, Premise, condition, learner, linear, linear_law, next_input, premise, ratio
 from .lifted import input_map, learning_law, lifted_plant, noiseless, played_trial, sigma_max
@@ -111,6 +112,14 @@ def law_response(scheme: Scheme, task: Task, frequencies) -> LawResponse:
         case Filtered():
             inner = law_response(scheme.scheme, task, frequencies)
             return inner._replace(Q=filter_response(scheme.filter, task, frequencies) * inner.Q)
+        case StopWhen():
+            return law_response(scheme.scheme, task, frequencies)
+        case Ladder():
+            inner = law_response(scheme.scheme, task, frequencies)
+            return inner if scheme.slow is None else inner._replace(L=scheme.largest * inner.L)
+        case ErrorFiltered():
+            inner = law_response(scheme.scheme, task, frequencies)
+            return inner._replace(L=filter_response(scheme.filter, task, frequencies)[:, None, None] * inner.L)
         case PIDType():
             gain = (scheme.gamma_p * z + scheme.gamma_d * (z - 1)) * z**scheme.lead
             gain = gain + jnp.where(scheme.gamma_i == 0, 0.0, scheme.gamma_i * z**2 / (z - 1))
@@ -134,7 +143,10 @@ def law_response(scheme: Scheme, task: Task, frequencies) -> LawResponse:
 
 
 def filter_response(q: Filter, task: Task, frequencies) -> jax.Array:
-    """(F,) Q, real and of zero phase: taps_0 + 2 sum taps_i cos(i w), or the Butterworth's |H|^2; others by an impulse in mid-trial."""
+    """(F,) Q, real and of zero phase: taps_0 + 2 sum taps_i cos(i w), or |H|^2 of what runs both ways; others by an impulse in mid-trial.
+
+    Of a switchable filter it is the largest of its segments.
+    """
     z = _z(frequencies, task.dt)[:, None]
     match q:
         case ZeroPhaseFIR():
@@ -142,6 +154,12 @@ def filter_response(q: Filter, task: Task, frequencies) -> jax.Array:
         case ZeroPhaseButterworth():
             b0, b1, b2, a1, a2 = butterworth_sections(q.cutoff, task.dt, q.order).T
             return jnp.prod(jnp.abs((b0 * z**2 + b1 * z + b2) / (z**2 + a1 * z + a2)) ** 2, axis=1)
+        case ZeroPhaseIIR():
+            powers = z ** -jnp.arange(max(len(q.a), len(q.b)))
+            return jnp.abs((powers[:, : len(q.b)] @ q.b) / (powers[:, : len(q.a)] @ q.a)) ** 2
+        case SwitchableFilter():
+            of_segment = [ZeroPhaseButterworth(cutoff, order=q.order) for cutoff in q.cutoff]
+            return jnp.max(jnp.stack([filter_response(one, task, frequencies) for one in of_segment]), axis=0)
     impulse = q(jnp.zeros((task.N, 1)).at[task.N // 2].set(1.0), task.dt)
     return jnp.real(z ** -(jnp.arange(task.N) - task.N // 2) @ impulse[:, 0])
 
@@ -351,6 +369,9 @@ def _ends(machine, scheme, task, peak) -> Premise:
     (odd extension of a Butterworth) learning may grow there, slowly and without bound, where the frequency response promises the contrary.
     """
     name, (filters, law, *_) = "the ends of the trial learn like its middle", learner(scheme, task)
+    parts = jax.tree.leaves(scheme, is_leaf=lambda part: isinstance(part, SwitchableFilter))
+    if any(isinstance(part, SwitchableFilter) for part in parts):
+        return premise("filter the same throughout the trial", False, "its cutoff switches")
     if not filters and getattr(law, "lead", None) == 0:
         return premise(name, True, "law and filter are causal")
     samples = ENDS if task.N > ENDS and all(_serves(q, ENDS, task.dt) for q in filters) else task.N

@@ -25,7 +25,7 @@ from scipy.sparse.csgraph import connected_components
 from ..filters import Filter
 from ..learning import check
 from ..machine import Machine
-from ..schemes import OnReference, Scheme, WithFeedback
+from ..schemes import MultivariableILC, OnReference, Scheme, WithFeedback
 from ..schemes.compose import Pair
 from ..schemes.scheme import Feedforward
 from ..signals import Task
@@ -215,7 +215,8 @@ def _arguments(function, machine, scheme, task, about, memory):
     else:
         check(machine, scheme, task)
         memory = scheme.memory(task) if memory is None else memory
-    shape = (task.N, task.outputs if isinstance(scheme, OnReference) else task.inputs)
+    widths = {OnReference: task.outputs, MultivariableILC: 2}
+    shape = (task.N, widths.get(type(scheme), task.inputs))
     about = jnp.zeros(shape) if about is None else jnp.asarray(about, float)
     if about.shape != shape:
         raise ValueError(f"{function}: about has shape {about.shape}; this task needs {shape}")
@@ -223,7 +224,15 @@ def _arguments(function, machine, scheme, task, about, memory):
 
 
 def played_trial(machine, scheme, task, memory, w):
-    """(N, n_y) y[1..N] with the feedforward w added; of OnReference, to the reference."""
+    """(N, n_y) y[1..N] with the feedforward w added; of OnReference, to the reference.
+
+    Of MultivariableILC (N, 2) y_M - r and y_T, for w = (u, r).
+    """
+    if isinstance(scheme, MultivariableILC):
+        played = dataclasses.replace(scheme, learning=Scheme())
+        trial = run_trial(machine, played, task, Pair(Feedforward(w), memory.feedback), jax.random.key(0))
+        followed, seen = trial.signals["reference"], trial.y[1:, [scheme.motor_output, scheme.table_output]]
+        return jnp.stack([seen[:, 0] - followed[:, 0], seen[:, 1]], axis=1)
     if scheme is None:
         played, knows = Scheme(), Feedforward(w)
     elif isinstance(scheme, OnReference):

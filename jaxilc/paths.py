@@ -1,0 +1,302 @@
+"""Velocity planning along a tool path in the plane or in space.
+
+A curve is any callable that takes (M,) parameter values and returns (M, d) positions [mm]; some are in `contour`, and named here.
+Planning runs once, on the host, in float64; what comes out is a reference for `Task`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+from scipy.linalg import solveh_banded
+
+from .contour import butterfly, circle, line, nurbs, tabulated
+from .references import POSITIVE, _require
+
+__all__ = ["Plan", "butterfly", "circle", "line", "nurbs", "plan"]
+
+LONGEST = 1_000_000  # samples of a plan
+_GAUSS = (np.polynomial.legendre.leggauss(4)[0] + 1) / 2, np.polynomial.legendre.leggauss(4)[1] / 2
+
+
+class Plan(NamedTuple):
+    """A path planned in time, sampled at k dt, k = 0..N.
+
+    reference: (N+1, d) positions, each on the curve [mm];  parameter: (N+1,) of the curve
+    arc: (N+1,) length covered [mm];  speed, acceleration, jerk: (N+1,) its time derivatives [mm/s], [mm/s^2], [mm/s^3]
+    dt: [s]
+    """
+
+    reference: np.ndarray
+    parameter: np.ndarray
+    arc: np.ndarray
+    speed: np.ndarray
+    acceleration: np.ndarray
+    jerk: np.ndarray
+    dt: float
+
+    @property
+    def duration(self) -> float:
+        """N dt [s]."""
+        return (len(self.reference) - 1) * self.dt
+
+    @property
+    def time(self) -> np.ndarray:
+        """(N+1,) [s]."""
+        return np.arange(len(self.reference)) * self.dt
+
+
+def plan(curve, interval, *, feed, acceleration, jerk, dt, points=20001) -> Plan:
+    """Nearly time-optimal motion along the curve from rest to rest, within limits of feed, acceleration and jerk.
+
+    Look-ahead planning, forward and backward, gives a first profile; an interior-point method then shortens its time:
+
+        minimise T = int beta^(-1/2) dx    over beta(x) = (dx/dt)^2,    p(x) the path over the profile's own time x,  ' = d/dx
+        velocity   p' beta^(1/2)
+        acceleration  p'' beta + p' beta' / 2
+        jerk          beta^(1/2) (p''' beta + 3/2 p'' beta' + p' beta'' / 2)
+
+    Every iterate keeps the limits at all grid points (Newton steps on a logarithmic barrier, of a banded Hessian), so it may stop
+    anywhere. Last, time is stretched to whole samples, and further until the *sampled* reference keeps the limits: its differences
+    up to the third, the rest before and after included, as vectors or axis by axis, and those of the length covered; all of it
+    up to the rounding of positions, 32 eps max |p| / dt^3 in the jerk.
+
+    interval:     (first, last) parameter, first < last
+    feed:         largest path speed [mm/s]
+    acceleration: () largest length of the acceleration vector, centripetal part included, or (d,) of each axis [mm/s^2]
+    jerk:         () or (d,) likewise [mm/s^3]; where both are (), they also limit the derivatives of the path speed
+    dt:           [s];  points: of the table of the curve, spaced evenly in its parameter; splines of fifth order run through them
+    A jump of the curvature, as between line and arc, counts as a rise over one step h of the planning grid (2000 to 20000
+    steps): it is passed at about (jerk h / jump)^(1/2), so blend such paths where time matters.
+    Raises ValueError for a value outside its range, for a curve that is not finite, stands still, has a corner or cusp (there the
+    tool would have to stop: split the path, plan the parts) or bends too sharply for its table, and for more than a million samples.
+    """
+    u, q, arc = tabulated(curve, interval, points)
+    d = q.shape[1]
+    _require("plan", "feed", feed, POSITIVE, " mm/s")
+    _require("plan", "dt", dt, POSITIVE, " s")
+    for name, value, unit in (("acceleration", acceleration, " mm/s^2"), ("jerk", jerk, " mm/s^3")):
+        if np.shape(value) not in ((), (d,)):
+            raise ValueError(f"plan: {name} has shape {np.shape(value)}; allowed are () and ({d},)")
+        _require("plan", name, value, POSITIVE, unit)
+    groups = _groups(d, acceleration, jerk)
+    ramp, T, arc_at = _look_ahead(arc, q, feed, np.min(acceleration), np.min(jerk))
+    if not T / dt <= LONGEST:
+        limits = f"feed = {feed:g} mm/s, acceleration = {acceleration} mm/s^2, jerk = {jerk} mm/s^3"
+        raise ValueError(f"plan: {limits} need {T:.3g} s, {T / dt:.3g} samples of dt = {dt:g} s; allowed are up to {LONGEST}")
+    parameter_at = make_interp_spline(arc, u, 5)
+
+    at_rest = [(1, np.zeros(d + 1))]
+
+    def on_curve(s):
+        """(M, d+1) positions, and the arc length as one more axis."""
+        parameter = np.clip(parameter_at(s), u[0], u[-1])
+        parameter[s <= 0], parameter[s >= arc[-1]] = u[0], u[-1]
+        return np.column_stack([curve(parameter), s]), parameter
+
+    # The first solution becomes the time base of the second: then the grid is fine where the motion turned out to be slow.
+    for gap in (1e-1, 1e-2, 3e-4):
+        # Finer than the ramps need only costs digits: the Hessian's condition grows with the fourth power of G.
+        G = int(np.clip(np.ceil(T / np.clip(dt, ramp / 100, ramp / 8)), 2000, 20_000))
+        x = np.linspace(0.0, T, G + 1)
+        s = np.clip(arc_at(x), 0.0, arc[-1])
+        s[-1] = arc[-1]
+        # Cubic: its third derivative and that of beta jump together, between intervals, so that the limits hold within each.
+        path = make_interp_spline(x, on_curve(s)[0], 3, bc_type=(at_rest, at_rest))
+        profile = _Profile(_fastest(path, x[1], G, feed, groups, gap), x[1])
+        T, arc_at = profile.times[-1], lambda t, path=path, profile=profile: path(profile.at(t))[:, -1]
+
+    stretch = 1.0
+    while True:
+        N = int(np.ceil(T * stretch / dt - 1e-9))
+        stretch = N * dt / T
+        x = profile.at(np.arange(N + 1) / N * T)
+        s = np.clip(path(x)[:, -1], 0.0, arc[-1])
+        s[0], s[-1] = 0.0, arc[-1]
+        reference, parameter = on_curve(s)
+        excess = _excess(reference, dt, feed, groups)
+        if excess <= 1.0:
+            break
+        stretch *= max(excess, 1.0 + dt / T)
+    beta, slope, bend = profile.beta(x)
+    s1, s2, s3 = (path.derivative(i)(x)[:, -1] for i in (1, 2, 3))
+    motion = (
+        np.sqrt(beta) * s1 / stretch,
+        (s2 * beta + s1 * slope / 2) / stretch**2,
+        np.sqrt(beta) * (s3 * beta + 1.5 * s2 * slope + s1 * bend / 2) / stretch**3,
+    )
+    return Plan(reference[:, :-1], parameter, s, *motion, float(dt))
+
+
+def _groups(d, acceleration, jerk):
+    """(axes, acceleration, jerk) for each vector that is limited; axis d is the arc length."""
+    if np.ndim(acceleration) == 0 and np.ndim(jerk) == 0:
+        return [(np.arange(d), acceleration, jerk), (np.array([d]), acceleration, jerk)]
+    accelerations, jerks = np.broadcast_to(acceleration, d), np.broadcast_to(jerk, d)
+    return [(np.array([i]), accelerations[i], jerks[i]) for i in range(d)]
+
+
+def _look_ahead(arc, q, feed, acceleration, jerk):
+    """A first profile: ramp time [s], duration [s] and arc length at a time, a function.
+
+    Speed at most feed, (acceleration / |q''|)^(1/2), (jerk / |q'''|)^(1/3) over the arc length; v dv/ds within acceleration, forward
+    and backward; then averaged over the ramp time, which bounds its jerk. It need not keep the limits, only come near.
+    """
+    L = arc[-1]
+    acceleration = min(acceleration, np.sqrt(jerk * feed), np.cbrt(jerk**2 * L / 2))  # what a short move reaches
+    curve = make_interp_spline(arc, q, 5)
+    second, third = (np.maximum(np.linalg.norm(curve.derivative(i)(arc), axis=1), 1e-300) for i in (2, 3))
+    square = np.minimum(feed**2, np.minimum(acceleration / second, np.cbrt(jerk / third) ** 2))
+    square[[0, -1]] = 0.0
+    rise = 2 * acceleration * arc
+    square = np.minimum.accumulate(square - rise) + rise
+    square = np.minimum.accumulate((square + rise)[::-1])[::-1] - rise
+    v = np.sqrt(np.maximum(square, 0.0))
+    t = np.append(0.0, np.cumsum(2 * np.diff(arc) / (v[1:] + v[:-1])))
+    ramp = acceleration / jerk
+    T = t[-1] + ramp
+    speed = make_interp_spline(t, v, 1)  # exact at constant acceleration, so that the start from rest is a clean one
+    integral = speed.antiderivative(2)
+
+    def integral_at(x):
+        inside = np.clip(x, 0.0, t[-1])
+        return integral(inside) + (x > t[-1]) * L * (x - inside)
+
+    return ramp, T, lambda x: (integral_at(x) - integral_at(x - ramp)) / ramp
+
+
+def _fastest(path, h, G, feed, groups, gap):
+    """(G+2,) coefficients of the quadratic B-spline beta that minimises the time, to a relative gap, by a barrier method.
+
+    The limits are taken at both ends of each of the G intervals. A jerk beta^(1/2) l, l linear in beta, is within its limit where
+    1 / beta >= |l|^2; for a step 1 / beta is replaced by the square of the tangent of beta^(-1/2), which lies below it: this
+    makes the problem a convex one of the same gradient.
+    """
+    x = (np.arange(G)[:, None] + [0, 1]).ravel() * h
+    p1, p2, p3 = (path.derivative(i)(x) for i in (1, 2, 3))
+    # beta, beta' and beta'' from three coefficients, at the start and at the end of an interval
+    bend = [1 / h**2, -2 / h**2, 1 / h**2]
+    stencil = np.tile([[[0.5, 0.5, 0], [-1 / h, 1 / h, 0], bend], [[0, 0.5, 0.5], [0, -1 / h, 1 / h], bend]], (G, 1, 1))
+    # beta' = 0 at both ends, or the motion would start with a jump of acceleration
+    stencil[:2] = stencil[:2] @ [[0, 1, 0], [0, 1, 0], [0, 0, 1]]
+    stencil[-2:] = stencil[-2:] @ [[1, 0, 0], [0, 1, 0], [0, 1, 0]]
+    E = stencil[:, 0]
+    EE = E[:, :, None] * E[:, None, :]
+    speed = (p1[:, -1] / feed) ** 2
+    # Gram matrices of the linear forms: |a|^2 = C A C and |l|^2 = C J C, of limits 1 and 1 / beta, C the three coefficients
+    limited = []
+    for axes, acceleration, jerk in groups:
+        P1, P2, P3 = p1[:, axes], p2[:, axes], p3[:, axes]
+        A = np.stack([P2, P1 / 2, np.zeros_like(P1)], axis=-1) @ stencil / acceleration
+        J = np.stack([P3, 1.5 * P2, P1 / 2], axis=-1) @ stencil / jerk
+        limited += [(A.transpose(0, 2, 1) @ A, 0), (J.transpose(0, 2, 1) @ J, 1)]
+
+    def local(c):
+        """The three coefficients at each point, beta, and what is left of each limit, the speed's first; all > 0 within."""
+        C = np.repeat(np.lib.stride_tricks.sliding_window_view(c, 3), 2, axis=0)
+        beta = np.sum(E * C, axis=1)
+        left = [1 - speed * beta, *(1 - beta**of_jerk * np.einsum("gi,gij,gj->g", C, Q, C, optimize=True) for Q, of_jerk in limited)]
+        return C, beta, left
+
+    def cost(c, weight):
+        _, beta, left = local(c)
+        if not (min(c) > 0 and min(map(np.min, left)) > 0):
+            return np.inf
+        return weight * np.sum(beta**-0.5) - sum(np.sum(np.log(part)) for part in left)
+
+    def newton_step(c, weight):
+        C, beta, (left, *others) = local(c)
+        gradient = (speed / left - 0.5 * weight * beta**-1.5)[:, None] * E
+        hessian = ((speed / left) ** 2 + 0.75 * weight * beta**-2.5)[:, None, None] * EE
+        for (Q, of_jerk), left in zip(limited, others, strict=True):
+            slope, curvature = 2 * np.einsum("gij,gj->gi", Q, C), 2 * Q
+            if of_jerk:
+                left = left / beta
+                slope += beta[:, None] ** -2 * E
+                curvature = curvature - 0.5 * beta[:, None, None] ** -3 * EE
+                gradient -= E / beta[:, None]
+                hessian += EE / beta[:, None, None] ** 2
+            gradient += slope / left[:, None]
+            hessian += (slope[:, :, None] * slope[:, None, :] / left[:, None, None] + curvature) / left[:, None, None]
+        gradient, hessian = gradient.reshape(G, 2, 3).sum(axis=1), hessian.reshape(G, 2, 3, 3).sum(axis=1)
+        total, banded = np.zeros(G + 2), np.zeros((3, G + 2))
+        for i in range(3):
+            total[i : i + G] += gradient[:, i]
+            for j in range(i, 3):
+                banded[2 + i - j, j : j + G] += hessian[:, i, j]
+        banded[2, [0, -1]] = 1.0  # the outermost coefficients follow their neighbours
+        step = solveh_banded(banded, -total)
+        step[[0, -1]] = step[[1, -2]]
+        return step, -total @ step
+
+    # the given profile, slowed down into the limits
+    ones = np.ones((len(x), 3))
+    worst = [np.max(np.einsum("gi,gij,gj->g", ones, Q, ones)) ** (1 / (4 + 2 * of_jerk)) for Q, of_jerk in limited]
+    c = np.full(G + 2, 0.9 * max(np.sqrt(speed.max()), *worst) ** -2)
+    limits = len(x) * (1 + len(limited))
+    reached = 1.0
+    while reached > gap:
+        weight = limits / reached / np.sum(local(c)[1] ** -0.5)
+        for _ in range(30):
+            try:
+                step, decrease = newton_step(c, weight)
+            except np.linalg.LinAlgError:  # rounding, close to a limit; c keeps them all
+                return c
+            now, scale = cost(c, weight), 1.0
+            while not cost(c + scale * step, weight) <= now - 1e-4 * scale * decrease and scale > 1e-9:
+                scale /= 2
+            if scale <= 1e-9:
+                break
+            c = c + scale * step
+            if decrease < 0.1 * np.sqrt(G):
+                break
+        reached /= 8
+    return c
+
+
+class _Profile:
+    """The motion x(t) of dx/dt = beta(x)^(1/2)."""
+
+    def __init__(self, coefficients, h):
+        self.c, self.h = coefficients, h
+        self.G = len(coefficients) - 2
+        self.times = np.append(0.0, np.cumsum(self._time(np.arange(self.G), 1.0)))
+
+    def beta(self, x):
+        """beta and its two derivatives at x, (M,) each."""
+        g = np.clip((x / self.h).astype(int), 0, self.G - 1)
+        return self._beta(g, x / self.h - g)
+
+    def _beta(self, g, f):
+        """The same at the fraction f of interval g."""
+        a, b, c = self.c[g], self.c[g + 1], self.c[g + 2]
+        value = (a * (1 - f) ** 2 + c * f**2) / 2 + b * (0.75 - (f - 0.5) ** 2)
+        return value, (a * (f - 1) + c * f + b * (1 - 2 * f)) / self.h, (a - 2 * b + c) / self.h**2
+
+    def _time(self, g, f):
+        """Time from the start of interval g to its fraction f, by Gauss quadrature."""
+        return sum(weight * f * self.h / np.sqrt(self._beta(g, f * node)[0]) for node, weight in zip(*_GAUSS, strict=True))
+
+    def at(self, t):
+        """x at the times t, (M,), by Newton's method."""
+        g = np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, self.G - 1)
+        rest = t - self.times[g]
+        f = rest / (self.times[g + 1] - self.times[g])
+        for _ in range(4):
+            f = np.clip(f - (self._time(g, f) - rest) * np.sqrt(self._beta(g, f)[0]) / self.h, 0.0, 1.0)
+        return (g + f) * self.h
+
+
+def _excess(reference, dt, feed, groups):
+    """The factor by which time must be stretched for the differences of the sampled reference to keep every limit."""
+    held = np.pad(reference, ((3, 3), (0, 0)), mode="edge")
+    # Positions are rounded, and at a short dt their differences are mostly that, which no stretching would cure.
+    rounding = 32 * np.finfo(float).eps * np.max(np.abs(reference))
+    v, a, j = (np.maximum(np.abs(np.diff(held, i, axis=0)) - rounding, 0.0) / dt**i for i in (1, 2, 3))
+    excess = [np.max(v[:, -1]) / feed]
+    for axes, acceleration, jerk in groups:
+        excess += [np.max(np.linalg.norm(a[:, axes], axis=1) / acceleration) ** (1 / 2)]
+        excess += [np.max(np.linalg.norm(j[:, axes], axis=1) / jerk) ** (1 / 3)]
+    return max(excess)

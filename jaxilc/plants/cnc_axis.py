@@ -1,0 +1,67 @@
+"""A CNC axis as identified in Li 2020, and a machine of two axes."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from ..pytree import part, pytree
+from .linear import StateSpace
+from .plant import Plant
+
+SAMPLE_TIME = 2e-3  # [s]
+
+
+def cnc_axis(form: str = "double_integrator") -> StateSpace:
+    """The X axis of Li 2020 from control input to position [mm], sampled at 2 ms.
+
+    `printed`: eq. 3 as printed, x' = [[2.85, -1.35, 0.8502], [2, 0, 0], [0, 0.5, 0]] x + [0.25, 0, 0] u, y = [0.19, 0, -0.01899] x.
+        Its poles 1.0331, 0.9567 and 0.8602 are unstable, from the rounding of the last digit printed.
+    `double_integrator`: what that stands for, (z - 1)^2 (z - 0.85) with 0.85 for 0.8502: a force on a mass and a lag of 12.3 ms.
+    Both have CB = 0.0475 and need a feedback. Raises ValueError for another form.
+    """
+    coefficients = {"printed": 0.8502, "double_integrator": 0.85}
+    if form not in coefficients:
+        raise ValueError(f"cnc_axis: form = {form!r} is not one of {', '.join(map(repr, coefficients))}")
+    A = [[2.85, -1.35, coefficients[form]], [2.0, 0.0, 0.0], [0.0, 0.5, 0.0]]
+    return StateSpace(A, [[0.25], [0.0], [0.0]], [[0.19, 0.0, -0.01899]], dt=SAMPLE_TIME)
+
+
+class AxesState(NamedTuple):
+    """The states of the two axes."""
+
+    x: object
+    y: object
+
+
+@pytree
+class TwoAxes(Plant):
+    """Two axes side by side, each with its inputs and outputs: an XY table whose contour matters.
+
+    x, y: any plants; the inputs and outputs of x come first
+    """
+
+    x: Plant = part()
+    y: Plant = part()
+
+    @property
+    def n_u(self) -> int:
+        return self.x.n_u + self.y.n_u
+
+    @property
+    def n_y(self) -> int:
+        return self.x.n_y + self.y.n_y
+
+    def sampled(self, dt: float) -> TwoAxes:
+        return TwoAxes(self.x.sampled(dt), self.y.sampled(dt))
+
+    def init(self) -> AxesState:
+        return AxesState(self.x.init(), self.y.init())
+
+    def step(self, x: AxesState, u, dt: float) -> AxesState:
+        n = self.x.n_u
+        return AxesState(self.x.step(x.x, u[:n], dt), self.y.step(x.y, u[n:], dt))
+
+    def output(self, x: AxesState):
+        return jnp.concatenate([self.x.output(x.x), self.y.output(x.y)])

@@ -1,0 +1,76 @@
+"""Higher-order learning: from the errors of several trials, not only of the last."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..pytree import known, leaf, need_channels, pytree, static
+from ..signals import Task, Trial
+from .pid_type import need_lead
+from .scheme import Feedforward, Scheme, ahead, limited, need_square
+
+
+class Past(NamedTuple):
+    """u: (N, n) input of the trial to come;  inputs, errors: of the P-1 trials before the last, newest first, each (N, n);
+    zero before the first trial. An error is that from which its trial is learned, e[k+1+lead]."""
+
+    u: jax.Array
+    inputs: tuple[jax.Array, ...]
+    errors: tuple[jax.Array, ...]
+
+
+@pytree
+class HigherOrder(Scheme):
+    """P-type learning of order P (Bien and Huh 1989; Chen, Gong and Wen 1998; Li 2020, section 1):
+
+        u_{j+1}[k] = sum_{i<P} alpha_i u_{j-i}[k] + sum_{i<P} gamma_i e_{j-i}[k+1+m]
+
+    Trials before the first, and errors beyond the end of a trial, count as zero. P = 1 is `PIDType` with gamma_p alone.
+    alpha: (P,) of sum 1, so that what has been learned stays where the error is zero; a sum in (0, 1) forgets (leaky)
+    gamma: (P,), or (P, n) for each channel [unit of u per unit of y];  lead: m, as for `PIDType`;  limit: largest |u| learned
+    On a plant P(z) each frequency's error obeys e_{j+1} = sum_i (alpha_i - gamma_i z^(1+m) P) e_{j-i} + (1 - sum alpha) r, so it
+    converges if the roots s of s^P = sum_i (alpha_i - gamma_i z^(1+m) P) s^(P-1-i) lie within the unit circle, not always monotonically.
+    Raises ValueError for shapes that do not fit or a sum of alpha outside (0, 1].
+    """
+
+    alpha: jax.Array = leaf((1.0,))
+    gamma: jax.Array = leaf((0.0,))
+    limit: jax.Array | None = leaf(None, "(0, inf)", optional=True)
+    lead: int = static(0, "[0, inf)", whole=True)
+
+    def __post_init__(self):
+        P = self.alpha.shape[-1] if self.alpha.ndim == 1 else 0
+        if not P or self.gamma.ndim not in (1, 2) or len(self.gamma) != P:
+            raise ValueError(
+                f"HigherOrder: alpha {self.alpha.shape} and gamma {self.gamma.shape} do not fit; "
+                "allowed are (P,) and (P,) or (P, n) with P >= 1"
+            )
+        if known(self):
+            total = float(np.sum(self.alpha))
+            if not 0 < total <= 1 + 1e-6:  # a sum such as 0.7 + 0.2 + 0.1, in single precision
+                raise ValueError(f"HigherOrder: the sum of alpha = {total:g} is outside its allowed range (0, 1]")
+
+    def check(self, task: Task) -> None:
+        need_square(self, task)
+        need_lead(self, task)
+        need_channels(self, task.inputs, "limit")
+        if self.gamma.shape[1:] not in ((), (task.inputs,)):
+            P = self.gamma.shape[0]
+            raise ValueError(f"HigherOrder: gamma has shape {self.gamma.shape}; allowed are ({P},) and ({P}, {task.inputs})")
+
+    def memory(self, task: Task) -> Past:
+        rest = jnp.zeros((task.N, task.inputs))
+        before = (rest,) * (self.alpha.shape[0] - 1)
+        return Past(rest, before, before)
+
+    def table(self, memory: Past, task: Task) -> Feedforward:
+        return Feedforward(memory.u)
+
+    def learn(self, memory: Past, trial: Trial) -> Past:
+        inputs, errors = (trial.u, *memory.inputs), (ahead(trial.e, 1 + self.lead), *memory.errors)
+        u = sum(self.alpha[i] * inputs[i] + self.gamma[i] * errors[i] for i in range(len(inputs)))
+        return Past(limited(u, self.limit), inputs[:-1], errors[:-1])

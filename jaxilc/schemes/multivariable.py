@@ -1,0 +1,118 @@
+"""Multivariable learning of control and reference for a drive with a motor and a table side."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from ..filters import Filter
+from ..pytree import part, pytree, static
+from ..signals import Sample, Task, Trial
+from .compose import Pair, ReferenceTable, below, of_part
+from .scheme import Scheme, State, past
+
+
+class LearnedState(NamedTuple):
+    """feedback: its state;  u: (n_u,) the feedback's share;  reference: (1,) r[k+1], what the feedback will follow"""
+
+    feedback: State
+    u: jax.Array
+    reference: jax.Array
+
+
+@pytree
+class MultivariableILC(Scheme):
+    """MILC: learns the control u and the reference r of the position loop together (MILC 2024, eq. 23 to 29).
+
+        v = u_j + C_P (r_j - y_M),   errors (r_j - y_M, r_d - y_T),   start r_0 = r_d / P_Z, u_0 = 0
+
+    Learning on the table's error alone cannot bring the motor's and the table's error down together (Proposition 1 there): the
+    feedback, which wants y_M = r_d, fights what was learned. Here its reference moves along.
+
+    learning: of two inputs (u, r) and two outputs, usually `NormOptimal` with `plants.multivariable_model`; it plays back what it
+              learned, and its second input is the whole reference, as printed, not a correction
+    feedback: follows the learned reference with the motor;  prefilter: 1 / P_Z on the reference, None for r_0 = r_d
+    motor_output, table_output: their numbers among the task's outputs. The sample k = 0 keeps r_d[0].
+    Signals of a trial: `feedback`, its share of the input, and `reference`, r[k+1] as learned.
+    """
+
+    learning: Scheme = part()
+    feedback: Scheme = part()
+    prefilter: Filter | None = part(None)
+    motor_output: int = static(0, "[0, inf)", whole=True)
+    table_output: int = static(1, "[0, inf)", whole=True)
+
+    @property
+    def preview(self) -> int:
+        return self.feedback.preview
+
+    def learning_task(self, task: Task) -> Task:
+        """The task as the learning part sees it: two inputs, and both errors."""
+        return dataclasses.replace(task, reference=task.reference[:, [self.table_output, self.table_output]], inputs=2)
+
+    def _motor_task(self, task: Task) -> Task:
+        return dataclasses.replace(task, reference=task.reference[:, [self.motor_output]])
+
+    def check(self, task: Task) -> None:
+        if task.inputs != 1 or self.motor_output == self.table_output or max(self.motor_output, self.table_output) >= task.outputs:
+            raise ValueError(
+                f"MultivariableILC: motor_output = {self.motor_output} and table_output = {self.table_output} must be two of the task's "
+                f"{task.outputs} outputs, and its inputs one, not {task.inputs}"
+            )
+        self.learning.check(self.learning_task(task))
+        if not self.learning.plays_back:
+            name = type(self.learning).__name__
+            raise ValueError(f"MultivariableILC: {name} acts within the trial; allowed are schemes that play back a learned signal")
+        if not hasattr(jax.eval_shape(lambda: self.learning.memory(self.learning_task(task))), "u"):
+            raise ValueError(f"MultivariableILC: the memory of {type(self.learning).__name__} has no field u that could start at r_0")
+        self.feedback.check(self._motor_task(task))
+        if self.prefilter is not None:
+            self.prefilter.check(task.N + 1, task.dt)
+
+    def prepared(self, task: Task) -> MultivariableILC:
+        learning, feedback = self.learning.prepared(self.learning_task(task)), self.feedback.prepared(self._motor_task(task))
+        return dataclasses.replace(self, learning=learning, feedback=feedback)
+
+    def memory(self, task: Task) -> Pair:
+        learning = self.learning.memory(self.learning_task(task))
+        r = jnp.asarray(task.reference)[:, [self.table_output]]
+        r = r if self.prefilter is None else self.prefilter(r, task.dt)
+        return Pair(learning._replace(u=learning.u.at[:, 1:].set(r[1:])), self.feedback.memory(self._motor_task(task)))
+
+    def table(self, memory: Pair, task: Task) -> ReferenceTable:
+        learned = self.learning.table(memory.learning, self.learning_task(task)).u
+        u, r = learned[:, :1], learned[:, 1:]
+        held = jnp.pad(r, ((0, self.preview - 1), (0, 0)), mode="edge")
+        window = jnp.stack([held[i : i + task.N] for i in range(self.preview)], axis=1)
+        now = past(r, 1).at[0].set(task.reference[0, self.table_output])
+        return ReferenceTable(u, now, window, self.feedback.table(memory.feedback, self._motor_task(task)))
+
+    def feedforward(self, memory: Pair, task: Task):
+        """(N, 2) the learned input and reference r[k+1] of the next trial."""
+        return self.learning.feedforward(memory.learning, self.learning_task(task))
+
+    def init(self, task: Task) -> LearnedState:
+        return LearnedState(self.feedback.init(self._motor_task(task)), jnp.zeros(1), jnp.zeros(1))
+
+    def act(self, state: LearnedState, sample: Sample):
+        row = sample.row
+        seen = sample._replace(r=row.now, ahead=row.ahead, y=sample.y[self.motor_output][None], row=row.feedback)
+        feedback, u = self.feedback.act(state.feedback, seen)
+        return LearnedState(feedback, u, row.ahead[0]), row.u + u
+
+    def signals(self, state: LearnedState):
+        return {"feedback": state.u, "reference": state.reference} | of_part("feedback", self.feedback, state.feedback)
+
+    def learn(self, memory: Pair, trial: Trial) -> Pair:
+        for name in ("feedback", "reference"):
+            if name not in trial.signals:
+                raise ValueError(f"MultivariableILC: the trial has no signal {name!r} (N, 1), so what was learned cannot be told from it")
+        start, r = trial.r[:1, self.table_output, None], trial.signals["reference"]
+        y = trial.y[:, [self.motor_output, self.table_output]]
+        wanted = jnp.concatenate([jnp.concatenate([start, r]), trial.r[:, self.table_output, None]], axis=1)
+        own = Trial(wanted, y, jnp.concatenate([trial.u - trial.signals["feedback"], r], axis=1), trial.dt)
+        of_motor = trial._replace(r=wanted[:, :1], y=y[:, :1], signals=below("feedback", trial.signals))
+        return Pair(self.learning.learn(memory.learning, own), self.feedback.learn(memory.feedback, of_motor))

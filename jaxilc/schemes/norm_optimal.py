@@ -1,0 +1,221 @@
+"""Norm-optimal iterative learning control: each trial minimises a quadratic cost of the next error, by a nominal model."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.scipy.linalg import cho_factor, cho_solve
+
+from ..plants import StateSpace, TimeVaryingStateSpace
+from ..pytree import known, leaf, need_channels, part, pytree, static
+from ..signals import Task, Trial
+from .scheme import Feedforward, Scheme, limited
+
+LARGEST_LIFTED = 8192  # rows or columns of the dense form: half a gigabyte each for H and the factor, in float64
+
+
+class Recursion(NamedTuple):
+    """What the Riccati recursion leaves. K: (N, n_u, n) gain of the state's deviation;  G: (N, n_u, n_u) inverse of the input's cost"""
+
+    K: jax.Array
+    G: jax.Array
+
+
+class Lifted(NamedTuple):
+    """H: (N n_y, N n_u) the lifted model;  factor: Cholesky factor of H' W_q H + W_s + W_r"""
+
+    H: jax.Array
+    factor: jax.Array
+
+
+@pytree
+class NormOptimal(Scheme):
+    """The next input minimises, by the model H, the cost of the next trial (Amann, Owens, Rogers 1996; MILC 2024, eq. 5 to 8)
+
+        J = |e_{j+1}|^2_Wq + |u_{j+1} - u_j|^2_Wr + |u_{j+1}|^2_Ws,    e_{j+1} = e_j - H (u_{j+1} - u_j)
+        u_{j+1} = u_j + (H' W_q H + W_s + W_r)^-1 (H' W_q e_j - W_s u_j)
+
+    `riccati` solves it in time and memory linear in N. With d = u_{j+1} - u_j, x' = A x + B d from x[0] = 0, P[N] = 0, p[N] = 0:
+
+        Z = P[k+1] + C' w_q C,   G[k] = (B' Z B + w_r + w_s)^-1,   K[k] = G[k] B' Z A,   P[k] = A' Z (A - B K[k])
+        z = p[k+1] + C' w_q e_j[k+1],   g[k] = G[k] (B' z - w_s u_j[k]),   p[k] = A' z - K[k]' (B' z - w_s u_j[k])
+        d[k] = g[k] - K[k] x[k]
+
+    derived afresh (Appendix A of MILC 2024 has slips); `lifted` solves the same in dense form, N n_u and N n_y up to 8192.
+
+    model: n_u inputs to n_y outputs, of the task's sample time, u[k] acting on y[k+1]; stable, so of the closed loop under feedback.
+           Nominal: the machine may differ
+    w_q: () or (n_y,) or (n_y, n_y);  w_r, w_s: () or (n_u,) or (n_u, n_u), symmetric and positive semidefinite, w_r + w_s definite
+    limit: () or (n_u,) largest |u| learned, None for none
+    Raises ValueError for an unstable model, and weights that are not symmetric or not semidefinite. Differentiable in the weights and
+    in the model, through the recursion.
+    """
+
+    model: StateSpace | TimeVaryingStateSpace = part()
+    w_q: jax.Array = leaf(1.0)
+    w_r: jax.Array = leaf(0.0)
+    w_s: jax.Array = leaf(0.0)
+    limit: jax.Array | None = leaf(None, "(0, inf)", optional=True)
+    form: str = static("riccati", choices=("riccati", "lifted"))
+    solved: Any = part(None)
+
+    def __post_init__(self):
+        if not isinstance(self.model, StateSpace | TimeVaryingStateSpace):
+            raise ValueError(f"NormOptimal: model is a {type(self.model).__name__}; allowed are StateSpace and TimeVaryingStateSpace")
+        for name, size in (("w_q", self.model.n_y), ("w_r", self.model.n_u), ("w_s", self.model.n_u)):
+            self._check_weight(name, size)
+        if known((self.w_r, self.w_s)):
+            total = _eigenvalues(_matrix(self.w_r, self.model.n_u)) + _eigenvalues(_matrix(self.w_s, self.model.n_u))
+            both = _eigenvalues(_matrix(self.w_r, self.model.n_u) + _matrix(self.w_s, self.model.n_u))
+            if np.any(both <= 1e-14 * np.max(total)):
+                raise ValueError(f"NormOptimal: w_r + w_s has the eigenvalues {both}; allowed are positive ones only")
+        if isinstance(self.model, StateSpace) and known(self.model):
+            poles = np.linalg.eigvals(np.asarray(self.model.A))
+            growth = np.max(np.abs(poles) - 1 if self.model.dt else poles.real, initial=-1.0)
+            if growth > 1e-7:
+                where = "outside the unit circle" if self.model.dt else "right of the imaginary axis"
+                raise ValueError(
+                    f"NormOptimal: the model is unstable (a pole {growth:.3g} {where}); give the closed loop that the learned input meets"
+                )
+
+    def _check_weight(self, name: str, size: int) -> None:
+        weight = getattr(self, name)
+        if weight.shape not in ((), (size,), (size, size)):
+            raise ValueError(f"NormOptimal: {name} has shape {weight.shape}; allowed are (), ({size},) and ({size}, {size})")
+        if not known(weight):
+            return
+        W = np.asarray(_matrix(weight, size))
+        if not np.array_equal(W, W.T):
+            raise ValueError(f"NormOptimal: {name} = {W.tolist()} is not symmetric")
+        values = _eigenvalues(W)
+        if not np.all(values >= -1e-12 * np.max(np.abs(values))):
+            raise ValueError(f"NormOptimal: {name} has the eigenvalues {values}; allowed are none below 0")
+
+    def check(self, task: Task) -> None:
+        jax.eval_shape(lambda model: model.sampled(task.dt), self.model)
+        for what, of_model, of_task in (("inputs", self.model.n_u, task.inputs), ("outputs", self.model.n_y, task.outputs)):
+            if of_model != of_task:
+                raise ValueError(f"NormOptimal: the model has {of_model} {what} but the task {of_task}")
+        need_channels(self, task.inputs, "limit")
+        if isinstance(self.model, TimeVaryingStateSpace) and self.model.N != task.N:
+            raise ValueError(f"NormOptimal: the model is given for N = {self.model.N} samples but the task has N = {task.N}")
+        size = task.N * max(task.inputs, task.outputs)
+        if self.form == "lifted" and size > LARGEST_LIFTED:
+            raise ValueError(
+                f"NormOptimal: form = 'lifted' would need a dense matrix of {size} rows or columns; allowed are {LARGEST_LIFTED}: "
+                "use form = 'riccati', which gives the same input in memory linear in N"
+            )
+
+    def memory(self, task: Task) -> Feedforward:
+        return Feedforward(jnp.zeros((task.N, task.inputs)))
+
+    def prepared(self, task: Task) -> NormOptimal:
+        """With what depends on model and weights alone solved, once."""
+        if self.solved is not None:
+            return self
+        return dataclasses.replace(self, model=self.model.sampled(task.dt), solved=self._solve(task.N, task.dt))
+
+    def learn(self, memory: Feedforward, trial: Trial) -> Feedforward:
+        e, u = trial.e[1:], trial.u
+        solved = self._solve(len(u), trial.dt) if self.solved is None else self.solved
+        step = self._step_lifted if self.form == "lifted" else self._step_riccati
+        return Feedforward(limited(u + step(solved, e, u, trial.dt), self.limit))
+
+    def _weights(self):
+        """Symmetric parts, so that a gradient is symmetric too, and a step along it keeps the weight so, in either form."""
+        n_u, n_y = self.model.n_u, self.model.n_y
+        full = _matrix(self.w_q, n_y), _matrix(self.w_r, n_u), _matrix(self.w_s, n_u)
+        return tuple((W + W.T) / 2 for W in full)
+
+    def _solve(self, N: int, dt: float) -> Recursion | Lifted:
+        Q, R, S = self._weights()
+        if self.form == "lifted":
+            H = lifted_model(self.model, N, dt)
+            n_u, n_y = self.model.n_u, self.model.n_y
+            QH = jnp.einsum("pq,kqm->kpm", Q, H.reshape(N, n_y, -1)).reshape(H.shape)
+            return Lifted(H, cho_factor(H.T @ QH + jnp.kron(jnp.eye(N), jnp.reshape(R + S, (n_u, n_u))))[0])
+
+        def back(P, now):
+            A, B, C = now
+            Z = P + C.T @ Q @ C
+            G = _inverse(B.T @ Z @ B + R + S)
+            K = G @ B.T @ Z @ A
+            P = A.T @ Z @ (A - B @ K)
+            return (P + P.T) / 2, (K, G)
+
+        model = self.model.sampled(dt)
+        start = jnp.zeros_like(model.A, shape=model.A.shape[-1:] * 2)
+        return Recursion(*_scan(back, start, model, N, reverse=True)[1])
+
+    def _step_riccati(self, solved: Recursion, e, u, dt):
+        """(N, n_u) u_{j+1} - u_j."""
+        Q, _, S = self._weights()
+        model = self.model.sampled(dt)
+
+        def back(p, now):
+            (A, B, C), K, G, e_next, u_k = now
+            z = p + C.T @ (Q @ e_next)
+            force = B.T @ z - S @ u_k
+            return A.T @ z - K.T @ force, G @ force
+
+        def forth(x, now):
+            (A, B, _), K, g = now
+            d = g - K @ x
+            return A @ x + B @ d, d
+
+        rest = jnp.zeros_like(model.A, shape=model.A.shape[-1:])
+        g = _scan(back, rest, model, len(u), solved.K, solved.G, e, u, reverse=True)[1]
+        return _scan(forth, rest, model, len(u), solved.K, g)[1]
+
+    def _step_lifted(self, solved: Lifted, e, u, dt):
+        Q, _, S = self._weights()
+        pull = solved.H.T @ (e @ Q).reshape(-1) - (u @ S).reshape(-1)
+        return cho_solve((solved.factor, False), pull).reshape(u.shape)
+
+
+def lifted_model(model: StateSpace | TimeVaryingStateSpace, N: int, dt: float) -> jax.Array:
+    """(N n_y, N n_u) H of a model: y[1..N] = H u[0..N-1], block row k being y[k+1]."""
+    model = model.sampled(dt)
+    n_u, n_y = model.n_u, model.n_y
+
+    def forth(X, now):
+        (A, B, C), k = now
+        X = A @ X + lax.dynamic_update_slice_in_dim(jnp.zeros_like(X), B, k * n_u, axis=1)
+        return X, C @ X
+
+    start = jnp.zeros_like(model.A, shape=(model.A.shape[-1], N * n_u))
+    return _scan(forth, start, model, N, jnp.arange(N))[1].reshape(N * n_y, N * n_u)
+
+
+def _scan(f, start, model, N, *rows, reverse=False):
+    """Scan f over the rows with the model's matrices A, B and the C of the sample after, constant or of each sample."""
+    if isinstance(model, TimeVaryingStateSpace):
+        return lax.scan(
+            lambda c, now: f(c, (now[0], *now[1:]) if rows else now[0]), start, ((model.A, model.B, model.C), *rows), reverse=reverse
+        )
+    fixed = (model.A, model.B, model.C)
+    return lax.scan(lambda c, now: f(c, (fixed, *now) if rows else fixed), start, rows, length=N, reverse=reverse)
+
+
+def _matrix(weight, size: int):
+    """A weight given as a number, a diagonal or a matrix, as a matrix."""
+    return weight if jnp.ndim(weight) == 2 else weight * jnp.eye(size)
+
+
+def _eigenvalues(W):
+    return np.linalg.eigvalsh(np.asarray(W))
+
+
+def _inverse(M):
+    """Of a small symmetric matrix; in closed form up to two rows, since LAPACK costs more than the rest of a step."""
+    if M.shape[0] == 1:
+        return 1 / M
+    if M.shape[0] == 2:
+        (a, b), (_, d) = M
+        return jnp.stack([jnp.stack([d, -b]), jnp.stack([-b, a])]) / (a * d - b * b)
+    return jnp.linalg.inv(M)

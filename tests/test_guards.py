@@ -1,0 +1,265 @@
+"""Stop rule and ladder against their rules, applied by hand to trials without them."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cases import ALGEBRA, ARX, DIFFERENCES, DT, PRINTED
+
+from jaxilc.filters import ZeroPhaseFIR
+from jaxilc.learning import learn, next_memory
+from jaxilc.machine import Machine, Sensor
+from jaxilc.metrics import repeatability
+from jaxilc.plants import DifferenceEquation, StateSpace
+from jaxilc.schemes import (
+    CFDLMFAILC,
+    FFDLMFAILC,
+    PID,
+    Filtered,
+    Ladder,
+    OnReference,
+    PIDType,
+    StopWhen,
+    WithFeedback,
+)
+from jaxilc.signals import Task
+
+N = 40
+R = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(N + 1) / N) + 0.05 * np.sin(1.3 * np.arange(N + 1))
+TASK = Task(R, dt=DT)
+COIL, SERVO = (Machine(DifferenceEquation(*c, dt=DT)) for c in (PRINTED, ARX))
+TWO = Machine(StateSpace([[0.7, 0.1], [0.0, 0.5]], [[0.3, 0.0], [0.1, 0.5]], np.eye(2), dt=DT))
+TASK_2 = Task(np.stack([R, R[::-1]], axis=1), dt=DT)
+LAW = PIDType(gamma_p=-0.4)  # on the coil its error falls for four trials, then grows
+
+
+def everything(trial):
+    return trial.y, trial.u
+
+
+def run(machine, scheme, trials, task=TASK, **options):
+    """(J, N+1, n) outputs, (J, N, n) inputs and the history."""
+    history = learn(machine, scheme, task, trials, save=everything, **options)
+    return (*map(np.asarray, history.saved), history)
+
+
+def rms_of(y, r=TASK.reference):
+    return np.sqrt(np.mean((r - y)[1:] ** 2))
+
+
+def replayed(y, *, max_error=np.inf, rms=np.inf, growth=np.inf, trials):
+    """Indices of the unguarded trials that the stop rule runs: what it says, word by word."""
+    shown, best, j = [], 0, 0
+    for _ in range(trials):
+        shown.append(j)
+        e = np.abs(TASK.reference - y[j])[1:]
+        tolerances = [(np.max(e), max_error), (np.sqrt(np.mean(e**2)), rms)]
+        if any(np.isfinite(limit) for _, limit in tolerances) and all(found <= limit for found, limit in tolerances):
+            break
+        if rms_of(y[j]) > (1 + growth) * rms_of(y[best]):
+            j = best
+            break
+        best = j if rms_of(y[j]) < rms_of(y[best]) else best
+        j += 1
+    stopped = len(shown)
+    return shown + [j] * (trials - stopped), stopped
+
+
+RULES = {
+    "max_error": {"max_error": 0.9},
+    "rms": {"rms": 0.53},
+    "both": {"max_error": 0.86, "rms": 0.53},
+    "one_is_not_met": {"max_error": 0.1, "rms": 0.6},
+    "growth": {"growth": 0.1},
+    "at_once": {"growth": 0.0},
+    "tolerance_first": {"max_error": 0.9, "growth": 0.0},
+    "growth_first": {"max_error": 0.1, "growth": 0.01},
+}
+
+
+@pytest.fixture(scope="module")
+def unguarded():
+    return run(COIL, LAW, 9)
+
+
+@pytest.mark.parametrize("rule", RULES.values(), ids=RULES)
+def test_stop_rule(unguarded, rule):
+    shown, stopped = replayed(unguarded[0], **rule, trials=9)
+    y, u, history = run(COIL, StopWhen(LAW, **rule), 9)
+    np.testing.assert_allclose(y, unguarded[0][shown], **ALGEBRA)
+    np.testing.assert_allclose(u, unguarded[1][shown], **ALGEBRA)
+    fires = rule != RULES["one_is_not_met"]
+    assert (stopped < 9) == fires
+    assert (float(history.memory.frozen), float(history.memory.trials)) == (float(fires), stopped)
+    assert not fires or shown[-1] == {"rms": 2}.get(" ".join(rule), 3)
+
+
+def test_every_output_must_meet_its_own_tolerance():
+    law = PIDType(gamma_p=(0.8, 0.5))
+    errors = np.asarray(learn(TWO, law, TASK_2, 8).max_error)
+    assert np.all(errors[-1] < errors[0])
+    tolerance = errors[[2, 4], [0, 1]] * (1 + 1e-9)
+    first = int(np.argmax(np.all(errors <= tolerance, axis=1)))
+    assert first == 4
+    history = learn(TWO, StopWhen(law, max_error=tolerance), TASK_2, 8)
+    np.testing.assert_allclose(history.max_error, errors[[0, 1, 2, 3, 4, 4, 4, 4]], **ALGEBRA)
+
+
+def test_a_trial_that_is_not_finite_is_gone_back_from():
+    machine = Machine(StateSpace([[0.0]], [[1.0]], [[1.0]], dt=DT))  # y[k+1] = u[k], e_j = (1 - gamma)^(j-1) r
+    history = learn(machine, StopWhen(PIDType(gamma_p=1e200), growth=1e300), TASK, 5)
+    np.testing.assert_array_equal(history.finite, [True, False, True, True, True])
+    np.testing.assert_array_equal(history.rms[2:], np.tile(history.rms[0], (3, 1)))
+
+
+def test_gradient_of_a_frozen_trial_is_that_of_what_it_is_frozen_with():
+    """After the fifth trial it goes back to the memory that brought about the fourth."""
+
+    def last(law, trials):
+        return jnp.sum(learn(COIL, law, TASK, trials).rms[-1])
+
+    guarded = StopWhen(LAW, growth=0.0)
+    slope = jax.jit(jax.grad(last), static_argnums=1)
+    found, fourth = slope(guarded, 7), slope(LAW, 4)
+    np.testing.assert_allclose(found.scheme.gamma_p, fourth.gamma_p, **ALGEBRA)
+    ends = [float(last(StopWhen(PIDType(gamma_p=-0.4 + step), growth=0.0), 7)) for step in (1e-6, -1e-6)]
+    np.testing.assert_allclose(found.scheme.gamma_p, (ends[0] - ends[1]) / 2e-6, **DIFFERENCES)
+    assert found.growth == 0
+
+
+FEEDBACK = PID(kp=0.5, ki=5.0)
+LIMITED, SHARP = PIDType(gamma_p=0.6, lead=1, limit=0.7), ZeroPhaseFIR((1.4, -0.2))
+NESTS = {
+    "filter_outside": (lambda guard: Filtered(guard(LIMITED), SHARP), Filtered(LIMITED, SHARP)),
+    "filter_inside": (lambda guard: guard(Filtered(LIMITED, SHARP)), Filtered(LIMITED, SHARP)),
+    "over_feedback": (lambda guard: WithFeedback(guard(LIMITED), FEEDBACK), WithFeedback(LIMITED, FEEDBACK)),
+    "around_feedback": (lambda guard: guard(WithFeedback(LIMITED, FEEDBACK)), WithFeedback(LIMITED, FEEDBACK)),
+    "on_reference": (lambda guard: OnReference(guard(LIMITED), FEEDBACK), OnReference(LIMITED, FEEDBACK)),
+    "around_reference": (lambda guard: guard(OnReference(LIMITED, FEEDBACK)), OnReference(LIMITED, FEEDBACK)),
+    "mfailc": (lambda guard: guard(FFDLMFAILC(phi0=ARX[0] + ARX[1], lam=0.02)), FFDLMFAILC(phi0=ARX[0] + ARX[1], lam=0.02)),
+    "preview": (lambda guard: guard(PID(kp=0.5, ka=1e-4)), PID(kp=0.5, ka=1e-4)),
+}
+GUARDS = {
+    "stop": lambda scheme: StopWhen(scheme, max_error=1e-9, growth=10.0),
+    "ladder": lambda scheme: Ladder(scheme, 1),
+    "both": lambda scheme: StopWhen(Ladder(scheme, 1), rms=1e-9),
+}
+
+
+@pytest.mark.parametrize("guard", GUARDS)
+@pytest.mark.parametrize("nest", NESTS)
+def test_a_guard_with_nothing_to_do_changes_nothing(nest, guard):
+    build, plain = NESTS[nest]
+    guarded = build(GUARDS[guard])
+    y, u, history = run(SERVO, guarded, 4)
+    expected_y, expected_u, expected = run(SERVO, plain, 4)
+    np.testing.assert_allclose(y, expected_y, **ALGEBRA)
+    np.testing.assert_allclose(u, expected_u, **ALGEBRA)
+    assert history.final.signals.keys() == expected.final.signals.keys()
+    assert (guarded.learns, guarded.plays_back, guarded.preview) == (plain.learns, plain.plays_back, plain.preview)
+    if nest.startswith("filter"):
+        assert np.max(np.abs(u)) == 0.7, "the filter overshoots, but the limit of the scheme inside holds"
+    if plain.learns:
+        feedforward = guarded.feedforward(history.memory, TASK)
+        np.testing.assert_allclose(feedforward, plain.feedforward(expected.memory, TASK), **ALGEBRA)
+
+
+def test_guards_fire_within_each_other():
+    """Ladder inside: two repeats a table, and it stops after the table that is good enough. Outside: it judges the mean trial."""
+    y, _, _ = run(SERVO, PIDType(gamma_p=0.6, lead=1), 6)
+    errors = [np.max(np.abs(TASK.reference - one)) for one in y]
+    tolerance = 1.0001 * errors[2]
+    assert errors[1] > tolerance
+    law = PIDType(gamma_p=0.6, lead=1)
+    inside, _, _ = run(SERVO, StopWhen(Ladder(law, 2), max_error=tolerance), 8)
+    np.testing.assert_allclose(inside, y[[0, 0, 1, 1, 2, 2, 2, 2]], **ALGEBRA)
+    outside, _, history = run(SERVO, Ladder(StopWhen(law, max_error=tolerance), 2), 8)
+    np.testing.assert_allclose(outside, y[[0, 0, 1, 1, 2, 2, 2, 2]], **ALGEBRA)
+    assert float(history.memory.scheme.frozen) == 1
+
+
+NOISY = Machine(SERVO.plant, sensor=Sensor(noise=0.02))
+
+
+@pytest.mark.parametrize("feedback", [None, FEEDBACK], ids=["alone", "around_feedback"])
+def test_ladder_learns_from_the_mean_of_its_repeats(feedback):
+    gamma, repeats = 0.4, 3
+    law = PIDType(gamma_p=gamma)
+    scheme = Ladder(law if feedback is None else WithFeedback(law, feedback), repeats)
+    history = learn(NOISY, scheme, TASK, 4 * repeats, save=lambda trial: (trial.y, trial.u, trial.signals))
+    y, u, signals = jax.tree.map(np.asarray, history.saved)
+    w = u - signals["feedback"] if feedback else u
+    expected = np.zeros_like(w[0])
+    for block in range(4):
+        now = slice(block * repeats, (block + 1) * repeats)
+        np.testing.assert_allclose(w[now], np.broadcast_to(expected, w[now].shape), **ALGEBRA)
+        assert np.all(y[now][0] != y[now][1]), "noise should tell the repeats apart"
+        expected = expected + gamma * np.mean(TASK.reference[1:] - y[now][:, 1:], axis=0)
+    np.testing.assert_allclose(scheme.feedforward(history.memory, TASK), expected, **ALGEBRA)
+
+
+@pytest.mark.parametrize("law", ["p_type", "cfdl"])
+def test_gain_of_the_ladder(law):
+    """By hand: the scheme is shown r - gain (r - mean y), and the gain follows the rule."""
+    scheme = PIDType(gamma_p=0.3, lead=1) if law == "p_type" else CFDLMFAILC(phi0=0.5, lam=0.6, reset="sign")
+    ladder = Ladder(scheme, 2, growth_of_gain=1.5, largest=3.0, slow=0.6)
+    trials = 24
+    y, u, history = run(NOISY, ladder, trials)
+    memory, gain, last, gains = scheme.memory(TASK), 1.0, np.inf, []
+    for block in range(trials // 2):
+        now = slice(2 * block, 2 * block + 2)
+        np.testing.assert_allclose(u[now], np.broadcast_to(scheme.feedforward(memory, TASK), u[now].shape), rtol=1e-9, atol=1e-10)
+        mean = np.mean(y[now], axis=0)
+        rms = rms_of(mean)
+        if 0.6 * last < rms <= last:
+            gain = min(1.5 * gain, 3.0)
+        memory = next_memory(scheme, TASK, memory, TASK.reference - gain * (TASK.reference - mean), u[2 * block])
+        last, gains = rms, [*gains, gain]
+    assert float(history.memory.gain) == pytest.approx(gain)
+    assert {1.0, 1.5, 2.25, 3.0} <= set(gains), "all of the ladder should be seen"
+
+
+def test_ladder_by_hand_needs_the_signals_of_what_it_is_around():
+    scheme = Ladder(WithFeedback(PIDType(gamma_p=0.5), FEEDBACK), 2)
+    with pytest.raises(ValueError, match="no signal 'feedback'"):
+        next_memory(scheme, TASK, scheme.memory(TASK), np.zeros(N + 1), np.zeros(N))
+    share = np.linspace(0.0, 1.0, N)
+    memory = scheme.memory(TASK)
+    for factor in (1.0, 3.0):
+        memory = next_memory(scheme, TASK, memory, factor * np.ones(N + 1), factor * share, feedback=factor * share)
+    np.testing.assert_allclose(scheme.feedforward(memory, TASK)[:, 0], 0.5 * (R[1:] - 2.0), **ALGEBRA)
+
+
+def test_repeatability():
+    """Against the definition, and of a machine whose noise is known: the RMS of N samples of it spreads by sigma / sqrt(2 N)."""
+    rms = np.array([[0.031, 0.5], [0.033, 0.4], [0.032, 0.6]])
+    found = repeatability(rms)
+    np.testing.assert_allclose(found.mean, [0.032, 0.5], **ALGEBRA)
+    np.testing.assert_allclose(found.spread, [0.002, 0.2], **ALGEBRA)
+    np.testing.assert_allclose(found.share, [0.0625, 0.4], **ALGEBRA)
+    still = learn(NOISY, PID(), Task(np.zeros(2001), dt=DT), 10).rms
+    assert 0.5 * 0.02 / np.sqrt(4000) < float(repeatability(still).spread[0]) < 6 * 0.02 / np.sqrt(4000)
+
+
+ERRORS = {
+    "nothing": (lambda: StopWhen(LAW), "StopWhen: max_error, rms and growth are all None"),
+    "max_error": (lambda: StopWhen(LAW, max_error=0.0), r"StopWhen: max_error = 0 is outside its allowed range \(0, inf\)"),
+    "growth": (lambda: StopWhen(LAW, growth=-0.1), r"StopWhen: growth = -0.1 is outside its allowed range \[0, inf\)"),
+    "channels": (lambda: StopWhen(LAW, rms=(1.0, 2.0)), r"StopWhen: rms has shape \(2,\); allowed are \(\) and \(1,\)"),
+    "growth_shape": (lambda: StopWhen(LAW, growth=(0.1,)), r"StopWhen: growth has shape \(1,\); allowed is \(\)"),
+    "inner": (lambda: StopWhen(PIDType(lead=N), rms=1.0), f"PIDType: lead = {N} is outside"),
+    "no_table": (lambda: Filtered(StopWhen(PID(), rms=1.0), ZeroPhaseFIR()), "StopWhen learns no feedforward signal u"),
+    "repeats": (lambda: Ladder(LAW, 0), r"Ladder: repeats = 0 is outside its allowed range \[1, inf\) of whole numbers"),
+    "half": (lambda: Ladder(LAW, 2.5), "Ladder: repeats = 2.5"),
+    "factor": (lambda: Ladder(LAW, 2, growth_of_gain=0.9), r"Ladder: growth_of_gain = 0.9 is outside its allowed range \[1, inf\)"),
+    "slow": (lambda: Ladder(LAW, 2, slow=1.0), r"Ladder: slow = 1 is outside its allowed range \(0, 1\)"),
+    "slow_shape": (lambda: Ladder(LAW, 2, slow=(0.5, 0.5)), r"Ladder: slow has shape \(2,\)"),
+    "within_the_trial": (lambda: Ladder(WithFeedback(FFDLMFAILC(), PID()), 2, slow=0.9), "L_y = 2 of FFDLMFAILC"),
+    "one_run": (lambda: repeatability(np.ones((1, 2))), r"repeatability: rms has shape \(1, 2\)"),
+}
+
+
+@pytest.mark.parametrize(("build", "message"), ERRORS.values(), ids=ERRORS)
+def test_what_cannot_be_done_is_named(build, message):
+    with pytest.raises(ValueError, match=message):
+        build().check(TASK)
