@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from .signals import Task, Trial
 
@@ -53,12 +54,21 @@ class Keep:
     def of(cls, quantities: Mapping[str, Callable[[Trial], jax.Array]], *signals: str) -> Keep:
         """Raises ValueError for a quantity named as one of the metrics or a signal."""
         for name in quantities:
-            if name in (*Metrics._fields, "diverged_at", *Trial._fields, "e"):
+            if name in (*Metrics._fields, "diverged_at", "best_trial", *Trial._fields, "e"):
                 raise ValueError(f"quantity = {name!r} is a figure that every trial has; choose another name")
         return cls(signals, tuple(quantities.items()))
 
     def __call__(self, trial: Trial) -> dict[str, jax.Array]:
         return {name: getattr(trial, name) for name in self.signals} | {name: of(trial) for name, of in self.quantities}
+
+
+def best_trial(rms) -> np.ndarray:
+    """(J,) the trial with the smallest error among the first j = 1..J: where it stays behind, learning has turned.
+
+    rms: (J, n_y), the largest output counts; a trial that is not finite is never the best
+    """
+    errors = np.max(np.nan_to_num(np.asarray(rms, float), nan=np.inf), axis=1)
+    return 1 + np.array([np.argmin(errors[: j + 1]) for j in range(len(errors))])
 
 
 class Repeatability(NamedTuple):
@@ -80,6 +90,16 @@ def repeatability(rms) -> Repeatability:
         raise ValueError(f"repeatability: rms has shape {rms.shape}; allowed are (J,) and (J, n_y) with J >= 2")
     mean, spread = jnp.mean(rms, axis=0), jnp.max(rms, axis=0) - jnp.min(rms, axis=0)
     return Repeatability(mean, spread, spread / mean)
+
+
+def total_variation(signal):
+    """(n,) sum_k |x[k+1] - x[k]| of a (N, n) signal."""
+    return jnp.sum(jnp.abs(jnp.diff(signal, axis=0)), axis=0)
+
+
+def chattering(trial: Trial):
+    """(n_u,) total variation of u per second [unit of u per s]: for a smooth u about the mean of |u'|, for a switching one far above."""
+    return total_variation(trial.u) / (trial.u.shape[0] * trial.dt)
 
 
 def root_mean_square(signal):

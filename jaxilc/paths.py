@@ -75,6 +75,7 @@ def plan(curve, interval, *, feed, acceleration, jerk, dt, points=20001) -> Plan
     """
     u, q, arc = tabulated(curve, interval, points)
     d = q.shape[1]
+    at_rest = [(1, np.zeros(d + 1))]
     _require("plan", "feed", feed, POSITIVE, " mm/s")
     _require("plan", "dt", dt, POSITIVE, " s")
     for name, value, unit in (("acceleration", acceleration, " mm/s^2"), ("jerk", jerk, " mm/s^3")):
@@ -88,8 +89,6 @@ def plan(curve, interval, *, feed, acceleration, jerk, dt, points=20001) -> Plan
         raise ValueError(f"plan: {limits} need {T:.3g} s, {T / dt:.3g} samples of dt = {dt:g} s; allowed are up to {LONGEST}")
     parameter_at = make_interp_spline(arc, u, 5)
 
-    at_rest = [(1, np.zeros(d + 1))]
-
     def on_curve(s):
         """(M, d+1) positions, and the arc length as one more axis."""
         parameter = np.clip(parameter_at(s), u[0], u[-1])
@@ -101,8 +100,7 @@ def plan(curve, interval, *, feed, acceleration, jerk, dt, points=20001) -> Plan
         # Finer than the ramps need only costs digits: the Hessian's condition grows with the fourth power of G.
         G = int(np.clip(np.ceil(T / np.clip(dt, ramp / 100, ramp / 8)), 2000, 20_000))
         x = np.linspace(0.0, T, G + 1)
-        s = np.clip(arc_at(x), 0.0, arc[-1])
-        s[-1] = arc[-1]
+        s = np.append(np.clip(arc_at(x[:-1]), 0.0, arc[-1]), arc[-1])
         # Cubic: its third derivative and that of beta jump together, between intervals, so that the limits hold within each.
         path = make_interp_spline(x, on_curve(s)[0], 3, bc_type=(at_rest, at_rest))
         profile = _Profile(_fastest(path, x[1], G, feed, groups, gap), x[1])
@@ -157,8 +155,7 @@ def _look_ahead(arc, q, feed, acceleration, jerk):
     t = np.append(0.0, np.cumsum(2 * np.diff(arc) / (v[1:] + v[:-1])))
     ramp = acceleration / jerk
     T = t[-1] + ramp
-    speed = make_interp_spline(t, v, 1)  # exact at constant acceleration, so that the start from rest is a clean one
-    integral = speed.antiderivative(2)
+    integral = make_interp_spline(t, v, 1).antiderivative(2)  # exact at constant acceleration: the start from rest is a clean one
 
     def integral_at(x):
         inside = np.clip(x, 0.0, t[-1])

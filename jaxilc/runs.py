@@ -10,7 +10,7 @@ import numpy as np
 
 from .learning import History, learn
 from .machine import Machine
-from .metrics import Keep
+from .metrics import Keep, best_trial
 from .schemes import Scheme
 from .signals import Task, Trial
 
@@ -64,6 +64,7 @@ def history_dataset(histories: Mapping[str, History], task: Task) -> xr.Dataset:
             "rms": of_y(per_output, stacked(lambda h: h.rms)),
             "settled_error": of_y(per_output, stacked(lambda h: h.settled_error)),
             "effort": of_u(per_input, stacked(lambda h: h.effort)),
+            "best_trial": (("scheme", "trial"), stacked(lambda h: best_trial(h.rms))),
             "finite": (("scheme", "trial"), stacked(lambda h: h.finite)),
             "diverged_at": (("scheme",), stacked(lambda h: h.diverged_at)),
             **{name: (("scheme", "trial"), stacked(lambda h, name=name: h.saved[name])) for name in further},

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from .summary import SchemeSummary
     from .theory import Certificate, PremiseShare
 
-FIGURES = ("settled_error", "max_error", "rms")
+FIGURES = ("settled_error", "max_error", "rms", "best_trial")
 
 
 def shown_trials(scenario: Scenario) -> list[int]:
@@ -188,7 +188,7 @@ def reproduction_table(figures: Sequence[dict[str, Any]]) -> Table:
         table.add_column(column, justify="right" if column in ("trial", "published", "ours", "ratio") else "left")
     for f in figures:
         trial = "" if f["trial"] is None else str(f["trial"])
-        ours = (f"{f['value']:g} {f['unit']}", number(f["ours"]), f"{f['ratio']:.2f}")
+        ours = (f"{'< ' * f['at_most']}{f['value']:g} {f['unit']}", number(f["ours"]), f"{f['ratio']:.2f}")
         reading = "; ".join([*(f"{k} {v}" for k, v in f["options"].items() if k != "plant"), f["reading"]])
         table.add_row(f["scenario"], f["scheme"], trial, f["quantity"].replace("_", " "), *ours, f["verdict"], f["source"], reading)
     return table

@@ -1,6 +1,7 @@
 """Plants: each is its parameters, with a pure `init`, `step` and `output`."""
 
 from .ball_screw import BallScrewDrive, FrictionTable, LeadError
+from .cnc_axis import TwoAxes, cnc_axis
 from .fast_tool_servo import Creep, CuttingForce, FastToolServo, FlexibleMode, PeriodicForce, fast_tool_servo
 from .friction import StribeckFriction
 from .hysteresis import BoucWen, Dahl, InputHysteresis
@@ -31,9 +32,11 @@ __all__ = [
     "StateSpace",
     "StribeckFriction",
     "TimeVaryingStateSpace",
+    "TwoAxes",
     "VoiceCoil",
     "VoiceCoilMotor",
     "cascade",
+    "cnc_axis",
     "direct_model",
     "fast_tool_servo",
     "from_control",

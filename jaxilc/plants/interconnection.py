@@ -10,6 +10,7 @@ Everywhere u[k] acts on y[k+1], and a learned reference likewise: its row k is r
 
 from __future__ import annotations
 
+import jax
 import numpy as np
 
 from .linear import StateSpace, system_matrices
@@ -57,7 +58,7 @@ def _loop(function: str, C_P, P: StateSpace):
         raise ValueError(f"{function}: P is {P.n_u} -> {P.n_y} with dt = {P.dt:g}; allowed is a discrete drive 1 -> 2, see `cascade`")
     A_m, B_m, C = (np.asarray(M) for M in (P.A, P.B, P.C))
     C_M, C_T = C[:1], C[1:]
-    if np.isscalar(C_P):
+    if isinstance(C_P, int | float | np.ndarray | jax.Array):
         A_c, B_c, C_c, D_c = np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.array([[float(C_P)]])
     else:
         A_c, B_c, C_c, D_c = _block("C_P", C_P, P.dt)
@@ -83,7 +84,8 @@ def _block(name: str, system, dt: float):
     if isinstance(system, StateSpace):
         system = control.ss(*(np.asarray(M) for M in (system.A, system.B, system.C)), np.zeros((system.n_y, system.n_u)), system.dt)
     if not isinstance(system, control.StateSpace | control.TransferFunction) or (system.ninputs, system.noutputs) != (1, 1):
-        raise ValueError(f"{name} is not a system of one input and one output, of python-control or a StateSpace")
+        number = "a number, nor " if name == "C_P" else ""
+        raise ValueError(f"{name} is not {number}a system of one input and one output, of python-control or a StateSpace")
     if system.dt == 0:
         system = control.sample_system(control.ss(system), dt, "zoh")
     elif system.dt is None or system.dt is True or abs(system.dt - dt) > 1e-9 * dt:

@@ -17,9 +17,11 @@ from ..uncertainty import Uncertainty
 class Published(NamedTuple):
     """A printed number: data to compare with, never fed back.
 
-    quantity: `settled_error`, `max_error`, `rms` or a quantity of the scenario [unit it is shown in]
+    quantity: `settled_error`, `max_error`, `rms`, `best_trial` (the best of the first `trial` ones) or a quantity of the scenario, in
+    the unit it is shown in
     trial: None for a scheme that does not learn
     options: of the scenario, under which the number was obtained;  reading: what the print leaves open there, and how it was read
+    at_most: printed as "less than"
     """
 
     scheme: str
@@ -29,6 +31,7 @@ class Published(NamedTuple):
     source: str
     options: tuple[tuple[str, object], ...] = ()
     reading: str = ""
+    at_most: bool = False
 
 
 class Quantity(NamedTuple):
@@ -80,6 +83,8 @@ class Scenario:
         if figure in self.quantities:
             _, unit, scale = self.quantities[figure]
             return self.shown_scale if scale is None else scale, self.shown_unit if unit is None else unit
+        if figure == "best_trial":
+            return 1.0, ""
         if figure not in Metrics._fields:
             raise ValueError(f"figure = {figure!r} is not one of {', '.join((*Metrics._fields, *self.quantities))}")
         return (1.0, self.task.input_unit) if figure == "effort" else (self.shown_scale, self.shown_unit)

@@ -1,0 +1,175 @@
+"""Rate-independent hysteresis, as a function of voltage or of displacement: Bouc-Wen and Dahl.
+
+An operator turns the way x into its internal variable z by dz = slope(z, s) dx with s = sign(dx), whatever the speed. Two uses:
+`over(z, dx)` goes along a monotonic way at once, for an input that is held over each sample and jumps in between, where a rate would
+be an impulse; `slope` makes dz/dt = slope(z, sign(dx/dt)) dx/dt along a trajectory x(t). The slope jumps where the way turns, so
+z has a kink there and its gradient is one-sided: at dx = 0 it is that of a way up. All gradients are finite.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from ..pytree import known, leaf, part, pytree, static
+from .integration import runge_kutta
+from .plant import Plant
+
+
+@pytree
+class BoucWen:
+    """Hysteresis of Bouc (1967) and Wen (1976).
+
+        dz = A dx - beta |dx| z |z|^(n-1) - gamma dx |z|^n,    |z| <= z_max = (A / (beta + gamma))^(1/n)
+
+    initial_slope: () A, dz/dx at z = 0 [z/x];  beta, gamma: () [z/x / z^n]: beta alone dissipates, gamma bends the loop
+    exponent:      () n >= 1, how abruptly z saturates; None is n = 1, where `over` is exact and costs no power
+    substeps:      Runge-Kutta steps of `over` where n is given. It takes ways of more than 1.5 substeps characteristic lengths, after
+                   which z has reached z_max within 2 %, as that long, and so is stable for any jump
+    Raises ValueError for gamma beyond -beta < gamma <= beta, where z is unbounded or the loop yields energy.
+    """
+
+    initial_slope: jax.Array = leaf(interval="(0, inf)")
+    beta: jax.Array = leaf(interval="(0, inf)")
+    gamma: jax.Array = leaf(0.0)
+    exponent: jax.Array | None = leaf(None, "[1, inf)", optional=True)
+    substeps: int = static(4, "[1, inf)", whole=True)
+
+    def __post_init__(self):
+        if known(self) and not np.all((-self.beta < self.gamma) & (self.gamma <= self.beta)):
+            raise ValueError(f"BoucWen: gamma = {self.gamma} is outside its allowed range (-beta, beta], beta = {self.beta}")
+
+    @property
+    def limit(self):
+        """() z_max, the largest |z|."""
+        ratio = self.initial_slope / (self.beta + self.gamma)
+        return ratio if self.exponent is None else ratio ** (1 / self.exponent)
+
+    def slope(self, z, direction):
+        """dz/dx at z on the way in `direction`, 1 or -1. Both of any shape."""
+        size = jnp.abs(z)
+        drag = self.beta * direction * z + self.gamma * size
+        return self.initial_slope - (drag if self.exponent is None else drag * _power(size, self.exponent - 1))
+
+    def over(self, z, dx):
+        """z after the monotonic way dx from z. Both of any shape."""
+        s = _direction(dx)
+        w, way = s * z, s * dx  # mirrored, so that the way leads up
+        return s * (self._exactly(w, way) if self.exponent is None else self._numerically(w, way))
+
+    def _exactly(self, w, way):
+        """n = 1: dw/dx is linear on either side of w = 0, with the rate beta - gamma below and beta + gamma above."""
+        A, below, above = self.initial_slope, self.beta - self.gamma, self.beta + self.gamma
+        depth = jnp.where(w < 0, -w, 0.0)
+        to_zero = depth / A * _log1p_ratio(below * depth / A)
+        ends_below = way < to_zero
+        rate = jnp.where(ends_below, below, above)
+        way = jnp.where(ends_below, way, way - to_zero)
+        w = jnp.where(ends_below, w, w + depth)
+        return w + (A - rate * w) * way * _decay_ratio(rate * way)
+
+    def _numerically(self, w, way):
+        n = self.exponent
+        stiffest = n * (self.beta + jnp.abs(self.gamma)) * self.limit ** (n - 1)
+        h = jnp.minimum(way / self.substeps, 1.5 / stiffest)
+        return lax.fori_loop(0, self.substeps, lambda _, w: runge_kutta(lambda w: self.slope(w, 1.0), w, h), w)
+
+
+@pytree
+class Dahl:
+    """Friction of Dahl (1968): a spring at rest, a constant force in motion, and hysteresis in between.
+
+        dz = sigma |1 - s z / F_c|^i sign(1 - s z / F_c) dx,    s = sign(dx);    from rest with i = 1: z = F_c (1 - exp(-sigma x / F_c))
+
+    initial_slope: () sigma, dz/dx at z = 0 [z/x];  limit: () F_c, the largest |z|
+    exponent:      () i >= 1, ductile for large i; None is i = 1 and costs no power. `over` is exact for every i
+    """
+
+    initial_slope: jax.Array = leaf(interval="(0, inf)")
+    limit: jax.Array = leaf(interval="(0, inf)")
+    exponent: jax.Array | None = leaf(None, "[1, inf)", optional=True)
+
+    def slope(self, z, direction):
+        """dz/dx at z on the way in `direction`, 1 or -1. Both of any shape."""
+        left = 1.0 - direction * z / self.limit
+        return self.initial_slope * (left if self.exponent is None else left * _power(jnp.abs(left), self.exponent - 1))
+
+    def over(self, z, dx):
+        """z after the monotonic way dx from z, |z| <= F_c. Both of any shape."""
+        s = _direction(dx)
+        left, way = 1.0 - s * z / self.limit, self.initial_slope / self.limit * s * dx
+        if self.exponent is not None:
+            more = self.exponent - 1.0
+            way = way * _power(left, more)
+            way = way * _log1p_ratio(more * way)
+        return s * self.limit * (1.0 - left * jnp.exp(-way))
+
+
+class HystereticState(NamedTuple):
+    """plant: its state;  u, z: (n_u,) input of the sample before, and its hysteresis"""
+
+    plant: Any
+    u: jax.Array
+    z: jax.Array
+
+
+@pytree
+class InputHysteresis(Plant):
+    """Any plant with rate-independent hysteresis at its input: it is driven by u - z, channel by channel.
+
+    u is held over a sample and jumps at its start, and z with it: one update a sample, exact where `over` is.
+    """
+
+    plant: Plant = part()
+    hysteresis: BoucWen | Dahl = part()
+
+    @property
+    def n_u(self) -> int:
+        return self.plant.n_u
+
+    @property
+    def n_y(self) -> int:
+        return self.plant.n_y
+
+    def sampled(self, dt: float) -> InputHysteresis:
+        return InputHysteresis(self.plant.sampled(dt), self.hysteresis)
+
+    def init(self) -> HystereticState:
+        rest = jnp.zeros_like(self.hysteresis.initial_slope, shape=(self.n_u,))
+        return HystereticState(self.plant.init(), rest, rest)
+
+    def step(self, x: HystereticState, u, dt) -> HystereticState:
+        z = self.hysteresis.over(x.z, u - x.u)
+        return HystereticState(self.plant.step(x.plant, u - z, dt), u, z)
+
+    def output(self, x: HystereticState):
+        return self.plant.output(x.plant)
+
+
+def _direction(dx):
+    """1 or -1, and 1 at rest, so that a gradient at dx = 0 is the slope of the way up and not 0."""
+    return jnp.where(dx < 0, -1.0, 1.0)
+
+
+def _power(size, exponent):
+    """size^exponent for size >= 0, with finite derivatives also at 0, where that with respect to the exponent is 0 log 0."""
+    positive = size > 0
+    return jnp.where(positive, jnp.where(positive, size, 1.0) ** exponent, 0.0)
+
+
+def _decay_ratio(x):
+    """(1 - exp(-x)) / x, smooth through x = 0."""
+    small = jnp.abs(x) < 1e-5
+    safe = jnp.where(small, 1.0, x)
+    return jnp.where(small, 1.0 - x / 2 + x * x / 6, -jnp.expm1(-safe) / safe)
+
+
+def _log1p_ratio(x):
+    """log(1 + x) / x, smooth through x = 0."""
+    small = jnp.abs(x) < 1e-5
+    safe = jnp.where(small, 1.0, x)
+    return jnp.where(small, 1.0 - x / 2 + x * x / 3, jnp.log1p(safe) / safe)

@@ -1,0 +1,178 @@
+"""Li 2020: an axis of a CNC machine under iterative learning, which high-frequency noise makes diverge, and three cures.
+
+Li, Wang, Chen, Ma: Iterative Learning Controller Design for CNC Machine Tools, Journal of Harbin Institute of Technology (2020).
+Lengths in mm, input in the unit of the identified model, errors shown in µm. The first trial is under feedback alone.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache, partial
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from .. import paths
+from ..contour import contour_error
+from ..filters import ZeroPhaseButterworth
+from ..machine import Actuator, Disturbance, Machine, Sensor
+from ..metrics import root_mean_square
+from ..plants import TwoAxes, cnc_axis
+from ..plants.cnc_axis import SAMPLE_TIME
+from ..schemes import PID, ErrorFiltered, HigherOrder, Ladder, OnReference, PIDType, Scheme, StopWhen, WithFeedback
+from ..signals import Task
+from ..switching import segments
+from ..uncertainty import Uniform
+from .scenario import Published, Quantity, Scenario
+
+PROPORTIONAL, DERIVATIVE = 1.66, 16.9 * SAMPLE_TIME  # [1/mm], [s/mm]: the loop's spectral radius is 0.913
+SPEED_FEEDFORWARD = 0.72  # of the derivative's share, fitted to 18 µm
+CUTOFFS = (10.0, 50.0)  # [Hz], printed
+WIDTH = 13.8  # of the butterfly [mm], fitted to 60 µm
+REST = 497  # samples before the motion, with which its sharp points lie at samples 2915, 4788, 5248, 5708 and 7581
+
+
+class Setting(NamedTuple):
+    """What differs between the paper's runs, fitted to the numbers said.
+
+    gain: phi of the learning law;  noise: standard deviation of the encoder [mm];  trials: J;  pulse: of the repetitive disturbance
+    """
+
+    gain: float
+    noise: float
+    trials: int
+    pulse: float
+
+
+SETTINGS = {
+    "simulation": Setting(gain=0.45, noise=2.5e-4, trials=40, pulse=0.0),
+    "experiment": Setting(gain=1.0, noise=1.1e-3, trials=30, pulse=0.0),
+    "disturbance": Setting(gain=0.06, noise=0.0, trials=100, pulse=0.3),
+}
+
+
+def _row(setting, scheme, trial, quantity, value, source, reading, *, at_most=False) -> Published:
+    return Published(scheme, trial, quantity, value, source, (("setting", setting),), reading, at_most)
+
+
+PUBLISHED = (
+    _row("simulation", "feedback", None, "max_error", 60.0, "Fig. 7", "the width, and so the speed, of the path fitted to it"),
+    _row("simulation", "feedforward", None, "max_error", 18.0, "Fig. 8", "the share of speed feedforward fitted to it"),
+    _row("simulation", "p-type", 40, "best_trial", 22, "Fig. 14", "the encoder's noise fitted to it"),
+    _row(
+        "simulation", "fixed-filter", 9, "max_error", 10.0, "Fig. 25", "after 8 iterations; predicted, with the gain of the paper's Fig. 14"
+    ),
+    _row("disturbance", "p-type", 40, "rms", 10.0, "Fig. 12", "after 39 iterations; the learning gain fitted to it"),
+    _row("disturbance", "p-type", 100, "max_error", 5.0, "section 3.2", "the trial is not printed", at_most=True),
+    _row("experiment", "p-type", 1, "max_error", 70.0, "Fig. 36", "the encoder's noise fitted to it"),
+    *(
+        _row("experiment", "p-type", j, "max_error", value, "Fig. 36", "predicted" if j != 5 else "the learning gain fitted to it")
+        for j, value in {2: 40.0, 3: 20.0, 4: 15.0, 5: 10.0}.items()
+    ),
+    _row("experiment", "p-type", 4, "rms", 10.0, "Fig. 35", "predicted", at_most=True),
+    _row("experiment", "p-type", 30, "best_trial", 6, "Fig. 15", "predicted"),
+)
+
+CHOSEN = (
+    "the path is printed as a picture: the NURBS butterfly of the interpolator papers, planned so that its sharp points lie at samples "
+    "2915, 4788, 5248, 5708 and 7581 (printed: 2915, 5249, 6093, 7576), two numbers fitted; its width is fitted to the error of 60 µm",
+    "the position controller is not printed: proportional 1.66 and derivative 16.9 a sample on the measured position; speed feedforward "
+    "gives the derivative 72 % of the reference's speed",
+    "learning gain and noise are not printed and differ between the paper's runs: one or two numbers fitted in each setting",
+    "the repetitive disturbance is half a sine of 0.5 s at the input from sample 625",
+    "switching times from the instantaneous frequency of the reference (above 2 Hz); cutoffs 10 and 50 Hz as printed",
+    "the drive's saturation is not printed: 10 units, ten times what the path needs",
+)
+
+
+@lru_cache
+def butterfly_path(width: float = WIDTH) -> np.ndarray:
+    """(N+1, 2) the planned butterfly [mm], after a second of rest. width: [mm], which also scales feed, acceleration and jerk"""
+    limits = {"feed": width / 4.793, "acceleration": width / 0.09716, "jerk": width / 0.0009716}
+    planned = paths.plan(paths.butterfly(width), (0.0, 1.0), dt=SAMPLE_TIME, **limits)
+    return np.concatenate([np.zeros((REST, 2)), planned.reference])
+
+
+def position_loop(feedforward: float) -> PID:
+    """The position controller. feedforward: share of the reference's speed that its derivative is given, 0 for none of it, 1 for all"""
+    return PID(kp=PROPORTIONAL, kd=DERIVATIVE, kv=(feedforward - 1.0) * DERIVATIVE)
+
+
+def schemes_for(gain: float, reference: np.ndarray, tolerance: float = 2e-3) -> dict[str, Scheme]:
+    """The paper's schemes. gain: phi;  reference: (N+1,) or (N+1, n_y) [mm];  tolerance: at which learning stops, RMS [mm]"""
+    feedback, law = position_loop(0.0), PIDType(gamma_p=gain)
+    fixed = ZeroPhaseButterworth(CUTOFFS[0])
+    switchable = segments(reference, SAMPLE_TIME, cutoffs=CUTOFFS, threshold=2.0, shortest=0.05, width=0.05, window=0.2)
+    return {
+        "feedback": feedback,
+        "feedforward": position_loop(SPEED_FEEDFORWARD),
+        "p-type": WithFeedback(law, feedback),
+        "higher-order": WithFeedback(HigherOrder(alpha=(0.6, 0.4), gamma=(gain, 0.0)), feedback),
+        "fixed-filter": WithFeedback(ErrorFiltered(law, fixed), feedback),
+        "switchable": WithFeedback(ErrorFiltered(law, switchable), feedback),
+        "stop": StopWhen(WithFeedback(law, feedback), rms=tolerance, growth=0.02),
+        "ladder": Ladder(WithFeedback(law, feedback), repeats=5),
+        "series": OnReference(ErrorFiltered(PIDType(gamma_p=gain / PROPORTIONAL), fixed), feedback),
+    }
+
+
+def li_2020(setting: str = "simulation", plant: str = "double_integrator", axes: str = "x") -> Scenario:
+    """The runs of Li 2020, section 3 to 6, at 2 ms along a butterfly.
+
+    setting: `simulation`, `disturbance` (a repetitive one at sample 625) or `experiment`
+    plant: `double_integrator` or `printed` (eq. 3);  axes: `x`, or `xy`, whose second axis has 90 % of the gain
+    Raises ValueError for another setting, plant or choice of axes.
+    """
+    if setting not in SETTINGS:
+        raise ValueError(f"li-2020: setting = {setting!r} is not one of {', '.join(map(repr, SETTINGS))}")
+    if axes not in ("x", "xy"):
+        raise ValueError(f"li-2020: axes = {axes!r} is not one of 'x', 'xy'")
+    gain, noise, trials, pulse = SETTINGS[setting]
+    axis, path = cnc_axis(plant), butterfly_path()
+    two = axes == "xy"
+    r = path if two else path[:, :1]
+    machine = Machine(
+        TwoAxes(axis, cnc_axis(plant, gain=0.9)) if two else axis,
+        Actuator(limit=10.0),
+        Sensor(noise=noise) if noise else None,
+        Disturbance(input=half_sine(len(r) - 1, pulse) * np.ones(r.shape[1])) if pulse else None,
+    )
+    quantities = {"feedback_effort": Quantity(partial(share_of_effort, feedback=True), "", 1.0)}
+    quantities["learned_effort"] = Quantity(partial(share_of_effort, feedback=False), "", 1.0)
+    if two:
+        quantities["contour_max"] = Quantity(partial(contour_max, path=jnp.asarray(path)))
+    name = "plant.x.B" if two else "plant.B"
+    return Scenario(
+        name="li-2020",
+        title=f"CNC axis along a butterfly, {setting} (Li 2020)",
+        machine=machine,
+        task=Task(reference=r, dt=SAMPLE_TIME, unit="mm"),
+        schemes=schemes_for(gain, r),
+        trials=trials,
+        uncertainty={name: Uniform(0.9, 1.1, relative=True)},
+        published=PUBLISHED,
+        chosen=CHOSEN,
+        tolerance=5.0,
+        shown_unit="µm",
+        shown_scale=1e3,
+        show_trials=(1, 2, 3, 4, 5, 9, 15, 22, 30, 40, 60, 100),
+        quantities=quantities,
+        judged_by="rms",
+    )
+
+
+def half_sine(N: int, height: float, start: int = 625, width: int = 250) -> np.ndarray:
+    """(N, 1) zero but for half a sine over `width` samples from `start`."""
+    k = np.arange(N) - start
+    return np.where((k >= 0) & (k < width), height * np.sin(np.pi * k / width), 0.0)[:, None]
+
+
+def share_of_effort(trial, *, feedback: bool):
+    """Root mean square of the feedback's share of the input, or of what was learned; the largest axis (Li 2020, Fig. 37 and 38)."""
+    share = trial.signals.get("feedback", trial.u)
+    return jnp.max(root_mean_square(share if feedback else trial.u - share))
+
+
+def contour_max(trial, *, path):
+    """Largest distance of the measured position from the path."""
+    return jnp.max(jnp.abs(contour_error(trial.y, path, window=64)))
