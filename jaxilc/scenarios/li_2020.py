@@ -137,8 +137,7 @@ def li_2020(setting: str = "simulation", plant: str = "double_integrator", axes:
         Sensor(noise=noise) if noise else None,
         Disturbance(input=half_sine(len(r) - 1, pulse) * np.ones(r.shape[1])) if pulse else None,
     )
-    quantities = {"feedback_effort": Quantity(partial(share_of_effort, feedback=True), "", 1.0)}
-    quantities["learned_effort"] = Quantity(partial(share_of_effort, feedback=False), "", 1.0)
+    quantities = {"feedback_effort": Quantity(feedback_effort, "", 1.0), "learned_effort": Quantity(learned_effort, "", 1.0)}
     if two:
         quantities["contour_max"] = Quantity(partial(contour_max, path=jnp.asarray(path)))
     name = "plant.x.B" if two else "plant.B"
@@ -167,10 +166,14 @@ def half_sine(N: int, height: float, start: int = 625, width: int = 250) -> np.n
     return np.where((k >= 0) & (k < width), height * np.sin(np.pi * k / width), 0.0)[:, None]
 
 
-def share_of_effort(trial, *, feedback: bool):
-    """Root mean square of the feedback's share of the input, or of what was learned; the largest axis (Li 2020, Fig. 37 and 38)."""
-    share = trial.signals.get("feedback", trial.u)
-    return jnp.max(root_mean_square(share if feedback else trial.u - share))
+def feedback_effort(trial):
+    """Root mean square of the proportional share of the input; the damping on the speed counts to the drive (Li 2020, Fig. 38)."""
+    return PROPORTIONAL * jnp.max(root_mean_square(trial.e[:-1]))
+
+
+def learned_effort(trial):
+    """Root mean square of the learned share of the input; the largest axis (Li 2020, Fig. 37)."""
+    return jnp.max(root_mean_square(trial.u - trial.signals["feedback"])) if "feedback" in trial.signals else jnp.zeros(())
 
 
 def contour_max(trial, *, path):
