@@ -75,7 +75,9 @@ def test_what_is_faster_than_the_step_is_stable_but_not_accurate_under_f():
     h = 0.01
     for a, agree in ((20.0, True), (1e4, False)):
         linear = propagator(np.array([[-a]]), np.zeros((1, 1)), h)
-        x = jax.lax.fori_loop(0, 3000, lambda _, x, linear=linear: exponential_runge_kutta(linear, jnp.ones_like, x, jnp.zeros(1), h), jnp.zeros(1))
+        x = jax.lax.fori_loop(
+            0, 3000, lambda _, x, linear=linear: exponential_runge_kutta(linear, jnp.ones_like, x, jnp.zeros(1), h), jnp.zeros(1)
+        )
         e = np.exp(-a * h)
         np.testing.assert_allclose(x, h / 6 * (e + 4 * np.sqrt(e) + 1) / (1 - e), rtol=1e-10)
         assert (abs(x[0] * a - 1) < 1e-6) == agree

@@ -80,7 +80,9 @@ def relative(found, expected):
     return np.max(np.abs(np.asarray(found) - expected)) / np.max(np.abs(expected))
 
 
-@pytest.mark.parametrize(("kind", "weights"), [("invariant", "scalar"), ("invariant", "diagonal"), ("invariant", "full"), ("varying", "full")])
+@pytest.mark.parametrize(
+    ("kind", "weights"), [("invariant", "scalar"), ("invariant", "diagonal"), ("invariant", "full"), ("varying", "full")]
+)
 def test_riccati_is_lifted_is_the_equation(kind, weights):
     model = MODELS[kind]
     H, inputs = dense(model), {}
@@ -145,7 +147,8 @@ def test_a_limit_is_respected_and_learning_goes_on(form):
     for j in range(TRIALS - 1):
         np.testing.assert_allclose(u[j + 1], np.clip(next_input(scheme, H, e[j], u[j]), -limit, limit), atol=1e-9)
     at_limit = np.abs(u[-1]) == limit
-    assert np.all(at_limit.any(axis=0)) and np.mean(at_limit) < 0.5
+    assert np.all(at_limit.any(axis=0))
+    assert np.mean(at_limit) < 0.5
     assert np.linalg.norm(e[-1]) < 0.5 * np.linalg.norm(e[0])
     assert np.max(np.abs(u[-1] - u[1])[~at_limit]) > 0.05 * np.max(limit), "what is not at the limit should go on learning"
 
@@ -256,5 +259,14 @@ def test_models_need_not_be_square(form):
         scheme, task = NormOptimal(model, w_q=2.0, w_r=0.1, w_s=0.02, form=form), Task(REFERENCE, dt=DT, inputs=model.n_u)
         H, n_u = dense(model), model.n_u
         e, u = map(np.asarray, learn(Machine(model), scheme, task, 3, save=signals).saved)
-        new = np.linalg.solve(2 * H.T @ H + 0.12 * np.eye(N * n_u), (2 * H.T @ H + 0.1 * np.eye(N * n_u)) @ u[1].ravel() + 2 * H.T @ e[1].ravel())
+        new = np.linalg.solve(
+            2 * H.T @ H + 0.12 * np.eye(N * n_u), (2 * H.T @ H + 0.1 * np.eye(N * n_u)) @ u[1].ravel() + 2 * H.T @ e[1].ravel()
+        )
         assert relative(u[2].ravel(), new) < 1e-9
+
+
+def test_known_weights_are_looked_at_within_a_transformation_too():
+    learned = jax.jit(lambda gain: gain * learn(MACHINE, NormOptimal(MODEL, w_r=0.1), TASK, 2).rms)
+    np.testing.assert_allclose(learned(2.0), 2.0 * learn(MACHINE, NormOptimal(MODEL, w_r=0.1), TASK, 2).rms, rtol=1e-10)
+    with pytest.raises(ValueError, match=r"NormOptimal: w_r \+ w_s has the eigenvalues"):
+        jax.jit(lambda gain: gain * learn(MACHINE, NormOptimal(MODEL), TASK, 2).rms)(2.0)

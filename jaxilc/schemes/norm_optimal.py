@@ -116,15 +116,19 @@ class NormOptimal(Scheme):
 
     def prepared(self, task: Task) -> NormOptimal:
         """With what depends on model and weights alone solved, once."""
-        if self.solved is not None:
-            return self
-        return dataclasses.replace(self, model=self.model.sampled(task.dt), solved=self._solve(task.N, task.dt))
+        return self._prepared(task.N, task.dt)
 
     def learn(self, memory: Feedforward, trial: Trial) -> Feedforward:
         e, u = trial.e[1:], trial.u
-        solved = self._solve(len(u), trial.dt) if self.solved is None else self.solved
-        step = self._step_lifted if self.form == "lifted" else self._step_riccati
-        return Feedforward(limited(u + step(solved, e, u, trial.dt), self.limit))
+        ready = self._prepared(len(u), trial.dt)
+        step = ready._step_lifted(e, u) if self.form == "lifted" else ready._step_riccati(e, u)
+        return Feedforward(limited(u + step, self.limit))
+
+    def _prepared(self, N: int, dt: float) -> NormOptimal:
+        if self.solved is not None:
+            return self
+        model = self.model.sampled(dt)
+        return dataclasses.replace(self, model=model, solved=self._solve(model, N))
 
     def _weights(self):
         """Symmetric parts, so that a gradient is symmetric too, and a step along it keeps the weight so, in either form."""
@@ -132,11 +136,11 @@ class NormOptimal(Scheme):
         full = _matrix(self.w_q, n_y), _matrix(self.w_r, n_u), _matrix(self.w_s, n_u)
         return tuple((W + W.T) / 2 for W in full)
 
-    def _solve(self, N: int, dt: float) -> Recursion | Lifted:
+    def _solve(self, model: StateSpace | TimeVaryingStateSpace, N: int) -> Recursion | Lifted:
         Q, R, S = self._weights()
         if self.form == "lifted":
-            H = lifted_model(self.model, N, dt)
-            n_u, n_y = self.model.n_u, self.model.n_y
+            H = lifted_model(model, N, model.dt)
+            n_u, n_y = model.n_u, model.n_y
             QH = jnp.einsum("pq,kqm->kpm", Q, H.reshape(N, n_y, -1)).reshape(H.shape)
             return Lifted(H, cho_factor(H.T @ QH + jnp.kron(jnp.eye(N), jnp.reshape(R + S, (n_u, n_u))))[0])
 
@@ -148,14 +152,12 @@ class NormOptimal(Scheme):
             P = A.T @ Z @ (A - B @ K)
             return (P + P.T) / 2, (K, G)
 
-        model = self.model.sampled(dt)
         start = jnp.zeros_like(model.A, shape=model.A.shape[-1:] * 2)
         return Recursion(*_scan(back, start, model, N, reverse=True)[1])
 
-    def _step_riccati(self, solved: Recursion, e, u, dt):
+    def _step_riccati(self, e, u):
         """(N, n_u) u_{j+1} - u_j."""
-        Q, _, S = self._weights()
-        model = self.model.sampled(dt)
+        (Q, _, S), model, solved = self._weights(), self.model, self.solved
 
         def back(p, now):
             (A, B, C), K, G, e_next, u_k = now
@@ -172,8 +174,8 @@ class NormOptimal(Scheme):
         g = _scan(back, rest, model, len(u), solved.K, solved.G, e, u, reverse=True)[1]
         return _scan(forth, rest, model, len(u), solved.K, g)[1]
 
-    def _step_lifted(self, solved: Lifted, e, u, dt):
-        Q, _, S = self._weights()
+    def _step_lifted(self, e, u):
+        (Q, _, S), solved = self._weights(), self.solved
         pull = solved.H.T @ (e @ Q).reshape(-1) - (u @ S).reshape(-1)
         return cho_solve((solved.factor, False), pull).reshape(u.shape)
 
@@ -204,7 +206,7 @@ def _scan(f, start, model, N, *rows, reverse=False):
 
 def _matrix(weight, size: int):
     """A weight given as a number, a diagonal or a matrix, as a matrix."""
-    return weight if jnp.ndim(weight) == 2 else weight * jnp.eye(size)
+    return weight if weight.ndim == 2 else weight * np.eye(size, dtype=weight.dtype)
 
 
 def _eigenvalues(W):

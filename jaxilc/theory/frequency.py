@@ -23,7 +23,7 @@ from ..batch import tiled
 from ..filters import Filter, ZeroPhaseButterworth, ZeroPhaseFIR, ZeroPhaseIIR, butterworth_sections
 from ..learning import check
 from ..machine import Machine
-from ..schemes import CFDLMFAILC, ErrorFiltered, Filtered, Ladder, OnReference, PIDType, Scheme, StopWhen, WithFeedback
+from ..schemes import CFDLMFAILC, ErrorFiltered, Filtered, Ladder, MultivariableILC, OnReference, PIDType, Scheme, StopWhen, WithFeedback
 from ..signals import Sample, Task
 from ..switching import SwitchableFilter
 from ..uncertainty import Uncertainty, draw, drawn_machine
@@ -56,8 +56,11 @@ def linear_loop(machine: Machine, scheme: Scheme | None, task: Task) -> Loop:
 
     scheme: as for `lifted_plant`: feedback, or learning over feedback, which then sees its closed loop; None for the machine alone;
             of `OnReference` w corrects the reference
-    Pure: to be vmapped and differentiated. Raises ValueError for OnReference over a feedback that previews more than one sample.
+    Pure: to be vmapped and differentiated. Raises ValueError for OnReference over a feedback that previews more than one sample, and
+    for MultivariableILC.
     """
+    if isinstance(scheme, MultivariableILC):
+        raise ValueError("linear_loop: MultivariableILC learns input and reference; allowed are the conditions of `theory.lifted`")
     machine, dt = noiseless(machine).sampled(task.dt), task.dt
     series = isinstance(scheme, OnReference)
     if series and scheme.preview > 1:
