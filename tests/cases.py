@@ -121,8 +121,8 @@ PLANTS = {
 }
 
 _NOMINAL = StateSpace([[0.87, 0.12], [0.33, 0.58]], [[0.22], [0.0]], np.eye(2), dt=DT)  # of motor_and_table
-_SLIDING = {"a1": 3.6e3, "a2": 70.0, "b": 4.3e3, "k_n": 120.0, "lam1": 90.0, "lam2": 300.0}  # nearly the model of continuous
-_ADAPTIVE = _SLIDING | {"eta": 40.0, "phi": 3e4, "epsilon": 0.03, "Delta": 4.0}
+_SLIDING = {"a1": 5.8e4, "a2": 400.0, "b": 1.15e5, "k_n": 200.0, "lam1": 150.0, "lam2": 300.0}  # nearly the model of arx
+_ADAPTIVE = _SLIDING | {"eta": 1e3, "phi": 2e4, "epsilon": 0.03, "Delta": 6.0}
 _CFDL = {"phi0": -0.065, "lam": 0.02, "mu": 0.05, "rho": 0.9}
 _PFDL = {"phi0": (-0.065, 0.02), "lam": 0.02, "mu": 0.05, "rho": (0.9, 0.7)}
 _FFDL = {"phi0": (0.5, -0.1, -0.06, 0.03), "lam": 0.02, "mu": 0.05, "rho": (0.9, 0.6, 0.8, 0.7)}
@@ -181,11 +181,11 @@ SCHEMES = {
         PID(kp=0.5, kd=1e-4),
         prefilter=ZeroPhaseFIR((0.6, 0.2)),
     ),
-    "smc": SMC(**_SLIDING, eta=300.0, tau=5e-4),
-    "smc_hold_limited": SMC(**_SLIDING, eta=300.0, tau=5e-4, limit=1.1, centre="hold"),
+    "smc": SMC(**_SLIDING, eta=4e3, tau=5e-4),
+    "smc_hold_limited": SMC(**_SLIDING, eta=4e3, tau=5e-4, limit=0.6, centre="hold"),
     "asmc": ASMC(**_ADAPTIVE),
-    "asmc_carried_limited": ASMC(**_ADAPTIVE, tau=5e-4, limit=1.1, centre="hold", carry=True),
-    "ilc_asmc": WithFeedback(ExponentialPD(K_P=8e3, K_D=150.0, lam0=20.0, b=4.3e3, limit=0.5, lead=1), ASMC(**_ADAPTIVE)),
+    "asmc_carried_limited": ASMC(**_ADAPTIVE, tau=5e-4, limit=0.6, centre="hold", carry=True),
+    "ilc_asmc": WithFeedback(ExponentialPD(K_P=2e4, K_D=200.0, lam0=20.0, b=1.15e5, limit=0.05, lead=1), ASMC(**_ADAPTIVE)),
 }
 
 # what runs: every scheme on a plant of its shape, and every plant under a scheme
@@ -195,7 +195,7 @@ _PLANT_OF = {
     "norm_optimal_lifted": "discrete",
     "dilc": "motor_and_table",
     "milc": "motor_and_table",
-    **dict.fromkeys(("smc", "smc_hold_limited", "asmc", "asmc_carried_limited", "ilc_asmc"), "continuous"),
+    **dict.fromkeys(("smc", "smc_hold_limited", "asmc", "asmc_carried_limited", "ilc_asmc"), "arx"),
 }
 _SCHEME_OF = {
     "motor_and_table": OnOutputs(PID(kp=0.5, kd=1e-4), (0,)),

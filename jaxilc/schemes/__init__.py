@@ -1,6 +1,7 @@
 """Control schemes: feedback, learning, and compositions of them."""
 
 from .compose import ErrorFiltered, Filtered, OnOutputs, OnReference, WithFeedback
+from .exponential import ExponentialPD
 from .guards import Ladder, StopWhen
 from .higher_order import HigherOrder
 from .mfac import CFDLMFAC, CFDLMFAPC, FFDLMFAC, PFDLMFAC
@@ -10,8 +11,10 @@ from .norm_optimal import NormOptimal
 from .pid import PID
 from .pid_type import PIDType
 from .scheme import Scheme
+from .sliding_mode import ASMC, SMC
 
 __all__ = [
+    "ASMC",
     "CFDLMFAC",
     "CFDLMFAILC",
     "CFDLMFAPC",
@@ -20,7 +23,9 @@ __all__ = [
     "PFDLMFAC",
     "PFDLMFAILC",
     "PID",
+    "SMC",
     "ErrorFiltered",
+    "ExponentialPD",
     "Filtered",
     "HigherOrder",
     "Ladder",

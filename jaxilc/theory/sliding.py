@@ -1,0 +1,225 @@
+"""Sliding mode control and learning over it (Xu 2024): does sigma slide on a run, and does learning contract.
+
+    sigma' = f - eta_hat s(sigma) - k_n sigma,    V = sigma^2 / 2,    s = sgn, or sat(sigma / Delta) with a boundary layer
+    rho = 1 - (K_P + s K_D) exp(lam0 t) / (s (s + lam1 + lam2 / s)),    e_{j+1} = rho e_j + ...
+
+The paper takes the disturbance f to be bounded and rho to be below 1. Here f is what it turned out to be, and rho is evaluated, beside
+the factor that the sampled loop really has.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import NamedTuple
+
+import numpy as np
+
+from ..filters import ZeroPhaseFIR
+from ..learning import check
+from ..machine import Machine
+from ..pytree import named_leaves, replaced
+from ..schemes import ASMC, SMC, ExponentialPD, Filtered, Scheme, WithFeedback
+from ..schemes.compose import below
+from ..signals import Task, Trial
+from .condition import Condition, condition, learner, premise
+from .frequency import learning_condition
+
+SLIDING = (
+    "|f| < eta_hat + k_n Delta: V falls outside the boundary layer, so that sigma reaches it and stays (Xu 2024, eq. 9 and 17, without the "
+    "k_n Delta by which the reaching law helps at the edge of the layer; Delta = 0 for sgn, sampled: a band in proportion to dt)"
+)
+PRINTED = "sup |1 - (K_P + s K_D) exp(lam0 t) / ((s + K) (s + lam1 + lam2 / s))| < 1: the error falls in every trial (Xu 2024, eq. 36)"
+
+
+class Sliding(NamedTuple):
+    """How a trial slid.
+
+    V: (N, n) sigma^2 / 2 [y^2/s^2];  eta_hat: (N, n) switching gain [y/s^2]
+    disturbance: (N-1, n) realised f[k], k = 1..N-1 [y/s^2]: all that the law did not foresee, as mismatch, loads, the half sample by which
+        u acts late, limits, and b times a learned part of u
+    band: (n,) Delta, or the overshoot (eta_hat + 2 |f|) (dt + tau) of an input that is held, if that is wider [y/s]
+    towards: share of samples, of those outside the layer, with sigma[k] (sigma[k+1] - sigma[k]) <= 0;  falling: with V[k+1] <= V[k]
+    dominated: share of all samples with eta_hat > |f|;  reached: first sample from which on sigma stays in the band, N if it does not
+    condition: |f| / (eta_hat + k_n Delta) < 1 at every sample
+    """
+
+    V: np.ndarray
+    eta_hat: np.ndarray
+    disturbance: np.ndarray
+    band: np.ndarray
+    towards: float
+    falling: float
+    dominated: float
+    reached: int
+    condition: Condition
+
+
+def sliding(scheme: Scheme, trial: Trial) -> Sliding:
+    """The sliding condition along a trial of `SMC` or `ASMC`, alone or as the feedback of `WithFeedback`.
+
+        f[k] = e'' + lam1 e' + lam2 e + mean_{i=k-1,k} (eta_hat[i] s(sigma[i]) + k_n sigma[i])    (central differences of e = y - r)
+
+    The mean is over the two intervals that the second difference spans. trial: simulated, or measured with the signals `sigma` and
+    `eta_hat` (of WithFeedback: `feedback`, `feedback.sigma`, `feedback.eta_hat`).
+    Raises ValueError for another scheme, or a trial without these signals.
+    """
+    law, signals, u, dt = _feedback("sliding", scheme), trial.signals, trial.u, trial.dt
+    if isinstance(scheme, WithFeedback):
+        u, signals = signals.get("feedback", u), below("feedback", signals)
+    missing = [name for name in ("sigma", "eta_hat") if name not in signals]
+    if missing:
+        raise ValueError(f"sliding: the trial has no signal {' and '.join(map(repr, missing))} (N, n_u)")
+    sigma, eta_hat, e = (np.asarray(x, float) for x in (signals["sigma"], signals["eta_hat"], -trial.e))
+    layer = np.broadcast_to(getattr(law, "Delta", 0.0), sigma.shape[1:])
+    acted = eta_hat * np.asarray(law.switching(sigma)) + law.k_n * sigma
+    f = np.diff(e, 2, axis=0) / dt**2 + law.lam1 * (e[2:] - e[:-2]) / (2 * dt) + law.lam2 * e[1:-1] + (acted[1:] + acted[:-1]) / 2
+    size, gain, reserve = np.abs(f), eta_hat[1:], law.k_n * layer
+    value = np.max(np.divide(size, gain + reserve, out=np.where(size > 0, np.inf, 0.0), where=gain + reserve > 0))
+    band = np.maximum(layer, np.max(gain + 2 * size, axis=0) * (dt + law.tau))
+    now, V, step = sigma[:-1], sigma**2 / 2, np.diff(sigma, axis=0)
+    outside, beyond = np.abs(now) > layer, np.flatnonzero(np.any(np.abs(sigma) > band, axis=1))
+    steepest = law.lam1 + law.k_n + (np.max(eta_hat, axis=0) / layer if isinstance(law, ASMC) else 0.0)
+    within = True if law.limit is None else np.abs(np.asarray(u)) < law.limit
+    found = f"|f| up to {np.max(size):.4g}, eta_hat {np.min(eta_hat):.4g} to {np.max(eta_hat):.4g}, k_n Delta up to {np.max(reserve):.4g}"
+    premises = (
+        premise("u within its limit", within, f"limit {law.limit}; {found}"),
+        premise("sampled fast enough: (lam1 + k_n + eta_hat / Delta) dt < 2", steepest * dt < 2, f"{np.max(steepest) * dt:.3g}"),
+    )
+    return Sliding(
+        V=V,
+        eta_hat=eta_hat,
+        disturbance=f,
+        band=band,
+        towards=_share(now * step <= 0, outside),
+        falling=_share(V[1:] <= V[:-1], outside),
+        dominated=float(np.mean(gain > size)),
+        reached=int(beyond[-1]) + 1 if beyond.size else 0,
+        condition=condition(value, SLIDING, premises=premises),
+    )
+
+
+class ExponentialTest(NamedTuple):
+    """A condition over frequency and over the time within the trial. As |1 - g x| is convex in the gain g = exp(lam0 t), it is greatest
+    at one of the trial's ends, so only these are looked at.
+
+    condition: with its premises;  frequencies: (F,) [Hz];  curves: (2, F) at the trial's start and at its end
+    worst: frequency [Hz] and time: [s] of the supremum
+    """
+
+    condition: Condition
+    frequencies: np.ndarray
+    curves: np.ndarray
+    worst: float
+    time: float
+
+
+def printed_condition(scheme: WithFeedback, task: Task, *, reaching: float = 0.0, frequencies=None) -> ExponentialTest:
+    """|rho| < 1 of Xu 2024, eq. 36, in continuous time, for `WithFeedback(ExponentialPD(...), SMC(...) or ASMC(...))`.
+
+    reaching: K [1/s], 0 as printed. The proof counts k_n sigma + eta_hat sat(sigma) to the disturbance and has it unchanged from trial to
+              trial; but sigma changes, so the premise is broken unless both gains are zero. K = k_n + eta / Delta puts them where they
+              belong, into the loop, as long as sigma stays within the boundary layer.
+    frequencies: (F,) [Hz], None for 2000 from 1 / duration to Nyquist. With w = 2 pi f, G = exp(lam0 t) and K = 0, |rho| < 1 means
+              G (K_P^2 + w^2 K_D^2) < 2 (K_P lam2 + w^2 (K_D lam1 - K_P)): so with lam2 = 0.3 slow frequencies admit hardly any K_P.
+    Raises ValueError for another scheme, several channels, or frequencies that are not positive.
+    """
+    law, feedback = _learning("printed_condition", scheme, task), _feedback("printed_condition", scheme)
+    K_P, K_D, lam0, b_law, b, lam1, lam2, k_n = (
+        _number("printed_condition", v) for v in (law.K_P, law.K_D, law.lam0, law.b, feedback.b, feedback.lam1, feedback.lam2, feedback.k_n)
+    )
+    f = np.geomspace(1 / task.duration, 0.5 / task.dt, 2000) if frequencies is None else np.asarray(frequencies, float)
+    if f.ndim != 1 or not f.size or np.any(f <= 0):
+        raise ValueError(f"printed_condition: frequencies = {f} must be positive numbers [Hz]")
+    s = 2j * np.pi * f
+    gain = (K_P + s * K_D) * (b / b_law) / ((s + reaching) * (s + lam1 + lam2 / s))
+    curves = np.abs(1 - np.exp(lam0 * task.duration * np.arange(2))[:, None] * gain)
+    in_loop = k_n + np.max(feedback.eta / feedback.Delta) if isinstance(feedback, ASMC) else k_n
+    adapting = isinstance(feedback, ASMC) and np.any(np.asarray(feedback.phi) > 0)
+    switching = not isinstance(feedback, ASMC) and np.any(np.asarray(feedback.eta) > 0)
+    unchanged = not adapting and not switching and np.isclose(in_loop, reaching)
+    detail = f"sigma changes, and with it {in_loop:.4g} sigma, of which {reaching:.4g} sigma is in the loop; eta_hat adapts: {adapting}"
+    return _worst(f, curves, task, PRINTED, (premise("w_{j+1} = w_j: the same disturbance in each trial", unchanged, detail),))
+
+
+def within_layer(scheme: Scheme, eta_hat=None) -> Scheme:
+    """The scheme with its `ASMC` as it acts within the boundary layer: the linear `SMC` of eta = 0 and k_n + eta_hat / Delta for k_n.
+
+    eta_hat: () or (n,) at which the adaptation is frozen, None for its start value. An `SMC` becomes one without switching.
+    Raises ValueError for a scheme that is neither of them, nor `WithFeedback` over one.
+    """
+    if isinstance(scheme, WithFeedback):
+        return dataclasses.replace(scheme, feedback=within_layer(scheme.feedback, eta_hat))
+    feedback = _feedback("within_layer", scheme)
+    own = {field.name: getattr(feedback, field.name) for field in dataclasses.fields(SMC)}
+    steep = 0.0 if not isinstance(feedback, ASMC) else (feedback.eta if eta_hat is None else eta_hat) / feedback.Delta
+    return SMC(**own | {"eta": 0.0, "k_n": feedback.k_n + steep})
+
+
+def sampled_condition(
+    machine: Machine, scheme: WithFeedback, task: Task, *, trial: Trial | None = None, frequencies=None
+) -> ExponentialTest:
+    """sup |Q (1 - L P)| < 1 of the loop as it is sampled and acts within the boundary layer, at the least and the largest gain.
+
+    trial: on which to look whether sigma stays within the layer, and whose last eta_hat counts; None for the start value of eta_hat
+    frequencies: as for `learning_condition`. The gain is frozen in time; without that, `contraction` tells. The integral of sigma makes a
+    mode as slow as lam2 / lam1, of hardly any weight, beyond which no trial is long: with it, nothing is claimed; with lam2 = 0 it is.
+    Raises ValueError for another scheme, or where machine, scheme and task do not fit.
+    """
+    law, feedback = _learning("sampled_condition", scheme, task, filtered=True), _feedback("sampled_condition", scheme)
+    check(machine, scheme, task)
+    eta_hat, premises = None, ()
+    if trial is not None:
+        run = sliding(scheme, trial)
+        eta_hat, layer = run.eta_hat[-1], np.asarray(getattr(feedback, "Delta", 0.0))
+        size = np.sqrt(2 * run.V)
+        premises += (premise("sigma within the boundary layer", size <= layer, f"|sigma| up to {np.max(size):.4g}, layer {layer}"),)
+        premises += (premise("eta_hat at rest", run.eta_hat == eta_hat, f"{np.min(run.eta_hat):.4g} to {np.max(eta_hat):.4g}"),)
+    linear = within_layer(scheme, eta_hat)
+    path = next(name for name in named_leaves(linear.learning) if name.split(".")[-1] == "lam0").removesuffix("lam0")
+    tests, found = [], {}
+    for t in (0.0, task.duration):
+        gain = np.exp(np.asarray(law.lam0) * t)
+        frozen = replaced(linear.learning, {f"{path}K_P": law.K_P * gain, f"{path}K_D": law.K_D * gain, f"{path}lam0": 0.0 * gain})
+        # through a filter that does nothing, since the central difference looks a sample ahead even where lead = 0: the ends are to be seen
+        at_time = dataclasses.replace(linear, learning=Filtered(frozen, ZeroPhaseFIR((1.0,))))
+        tests.append(learning_condition(machine, at_time, task, frequencies=frequencies))
+        found |= {p.name: p for p in tests[-1].condition.premises if p.name not in found or not p.held}
+    first, last = tests
+    worse = last if last.condition.value > first.condition.value else first
+    held = condition(worse.condition.value, worse.condition.theorem, premises=(*found.values(), *premises))
+    curves = np.stack([first.magnitude, last.magnitude])
+    return ExponentialTest(held, first.frequencies, curves, worse.worst, task.duration if worse is last else 0.0)
+
+
+def _worst(f, curves, task, theorem, premises) -> ExponentialTest:
+    end, at = np.unravel_index(np.argmax(curves), curves.shape)
+    return ExponentialTest(condition(curves[end, at], theorem, premises=premises), f, curves, float(f[at]), end * task.duration)
+
+
+def _feedback(name: str, scheme: Scheme) -> SMC:
+    feedback = scheme.feedback if isinstance(scheme, WithFeedback) else scheme
+    if not isinstance(feedback, SMC):
+        raise ValueError(
+            f"{name}: {type(feedback).__name__} is no sliding mode control; allowed are SMC and ASMC, also within WithFeedback"
+        )
+    return feedback
+
+
+def _learning(name: str, scheme: Scheme, task: Task, *, filtered: bool = False) -> ExponentialPD:
+    filters, law, *_ = learner(scheme, task)
+    if not isinstance(scheme, WithFeedback) or not isinstance(law, ExponentialPD) or (filters and not filtered):
+        what = " -> ".join(type(part).__name__ for part in (scheme, *filters, law))
+        allowed = "WithFeedback(ExponentialPD(...), SMC(...))" + (", filtered or not" if filtered else "")
+        raise ValueError(f"{name}: {what} is not {allowed}")
+    return law
+
+
+def _number(name: str, value) -> float:
+    if np.size(value) != 1:
+        raise ValueError(f"{name}: a weight has shape {np.shape(value)}; allowed is one number")
+    return float(np.reshape(value, ()))
+
+
+def _share(holds, among) -> float:
+    """Of the samples in question, the share where it holds; 1 if there are none."""
+    return float(np.mean(holds[among])) if np.any(among) else 1.0
