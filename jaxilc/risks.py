@@ -1,0 +1,74 @@
+"""One number of the losses of many plants: what a robust tuning minimises."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+
+
+@dataclasses.dataclass(frozen=True)
+class Risk:
+    """rho(losses) of (S,) losses; `weights` are its derivatives by them. They are >= 0 and sum to 1."""
+
+    def __call__(self, losses) -> jax.Array:
+        raise NotImplementedError
+
+    def weights(self, losses) -> jax.Array:
+        """(S,) d rho / d losses."""
+        return jax.grad(lambda x: self(x))(losses)
+
+
+@dataclasses.dataclass(frozen=True)
+class Mean(Risk):
+    """The mean."""
+
+    def __call__(self, losses):
+        return jnp.mean(losses)
+
+
+@dataclasses.dataclass(frozen=True)
+class CVaR(Risk):
+    """Conditional value at risk: the mean of the worst share 1 - alpha (Rockafellar and Uryasev 2000); the last loss in it counts in part.
+
+    alpha: in [0, 1); 0 is the mean
+    """
+
+    alpha: float = 0.9
+
+    def __post_init__(self):
+        if not 0 <= self.alpha < 1:
+            raise ValueError(f"CVaR: alpha = {self.alpha:g} is outside its allowed range [0, 1)")
+
+    def __call__(self, losses):
+        worst_first = jnp.sort(losses)[::-1]
+        size = (1.0 - self.alpha) * losses.shape[0]
+        size = max(size, 1.0)  # fewer than one plant: the worst of them
+        share = jnp.clip(size - jnp.arange(losses.shape[0]), 0.0, 1.0)
+        return jnp.sum(share * worst_first) / size
+
+
+@dataclasses.dataclass(frozen=True)
+class Worst(Risk):
+    """The largest."""
+
+    def __call__(self, losses):
+        return jnp.max(losses)
+
+
+@dataclasses.dataclass(frozen=True)
+class SmoothMax(Risk):
+    """T log(mean exp(losses / T)): the mean for T towards infinity, the largest for T towards 0.
+
+    temperature: T > 0 [unit of the loss]
+    """
+
+    temperature: float = 0.3
+
+    def __post_init__(self):
+        if not self.temperature > 0:
+            raise ValueError(f"SmoothMax: temperature = {self.temperature:g} is outside its allowed range (0, inf)")
+
+    def __call__(self, losses):
+        return self.temperature * (jax.nn.logsumexp(losses / self.temperature) - jnp.log(losses.shape[0]))

@@ -1,0 +1,120 @@
+"""The worst plant of an uncertain set, found by climbing the gradient of a loss, and by chance for comparison.
+
+    maximise over t in [0, 1]^n:   loss( subject with each named leaf at its place t between the ends of its distribution )
+
+The set is the box between the `corners` of the distributions: the ends of a uniform one, two standard deviations of a normal one.
+The subject may be any pytree: a machine, or a dictionary of a machine and a phase, an initial state, a reference.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.stats import qmc
+
+from .batch import LANES, tiled
+from .uncertainty import LogUniform, Uncertainty, check, drawn_machine
+
+GRADIENT_COST = 3  # evaluations that a gradient costs on top of the loss
+GROW, SHRINK, FIRST, SMALLEST = 1.5, 0.4, 0.1, 1e-6  # Riedmiller 1993, with a little more haste
+
+
+class WorstCase(NamedTuple):
+    """values: by name, as `drawn_machine` takes them;  subject: rebuilt from them;  loss: there
+    evaluations: of the loss that the search was worth, a gradient counted as GRADIENT_COST
+    found: (starts,) the largest loss from each start;  best: (steps,) the largest loss so far"""
+
+    values: dict[str, float]
+    subject: Any
+    loss: float
+    evaluations: int
+    found: np.ndarray
+    best: np.ndarray
+
+
+def worst_case_search(
+    loss: Callable[[Any], jax.Array],
+    subject: Any,
+    uncertainty: Uncertainty,
+    *,
+    starts: int = 16,
+    steps: int = 30,
+    seed: int = 0,
+    lanes: int = LANES,
+) -> WorstCase:
+    """Projected ascent on the loss from scattered starts, the centre of the box first, in tiles.
+
+        t <- clip(t + step * sign(dloss/dt), 0, 1),    each coordinate's step * 1.5 while its slope keeps its sign, * 0.4 when it turns
+
+    loss: pure, of a subject to a number; `objectives.judge` makes one that diverging plants keep finite
+    Only signs of slopes are used (Rprop, Riedmiller 1993), so the loss may be of any size. A coordinate whose slope is not finite
+    stays where it is; a climb whose loss is not finite returns to its best place with smaller steps. What is found is a local
+    maximum in the box, no proof of more.
+    Raises ValueError for an uncertainty that is empty or does not fit the subject, or where no loss is finite.
+    """
+    for name, value in (("starts", starts), ("steps", steps), ("lanes", lanes)):
+        if value < 1:
+            raise ValueError(f"worst_case_search: {name} = {value} is outside its allowed range [1, inf)")
+    box = _Box(subject, uncertainty)
+    climb = tiled(lambda subject, t: jax.value_and_grad(lambda t: loss(drawn_machine(subject, uncertainty, box.values(t))))(t), lanes=lanes)
+    t = np.concatenate([np.full((1, box.n), 0.5), qmc.LatinHypercube(box.n, rng=seed).random(starts - 1)])
+    step, last = np.full_like(t, FIRST), np.zeros_like(t)
+    found, at, best = np.full(starts, -np.inf), t.copy(), np.zeros(steps)
+    for i in range(steps):
+        losses, slopes = map(np.asarray, climb(subject, jnp.asarray(t)))
+        better = np.isfinite(losses) & (losses > found)
+        found, at = np.where(better, losses, found), np.where(better[:, None], t, at)
+        best[i] = found.max()
+        lost = ~np.isfinite(losses)[:, None]
+        sign = np.where(lost, 0.0, np.sign(np.where(np.isfinite(slopes), slopes, 0.0)))
+        factor = np.where(sign * last > 0, GROW, np.where((sign * last < 0) | lost, SHRINK, 1.0))
+        step = np.clip(factor * step, SMALLEST, 0.5)
+        t, last = np.clip(np.where(lost, at, t) + step * sign, 0.0, 1.0), sign
+    return box.worst(at, found, starts * steps * (1 + GRADIENT_COST), best)
+
+
+def monte_carlo_search(
+    loss: Callable[[Any], jax.Array], subject: Any, uncertainty: Uncertainty, evaluations: int, *, seed: int = 0, lanes: int = LANES
+) -> WorstCase:
+    """The largest of so many losses drawn at random, evenly from the same box. Raises as `worst_case_search` does."""
+    if evaluations < 1:
+        raise ValueError(f"monte_carlo_search: evaluations = {evaluations} is outside its allowed range [1, inf)")
+    box = _Box(subject, uncertainty)
+    t = np.random.default_rng(seed).random((evaluations, box.n))
+    look = tiled(lambda subject, t: loss(drawn_machine(subject, uncertainty, box.values(t))), lanes=lanes)
+    losses = np.asarray(look(subject, jnp.asarray(t)))
+    losses = np.where(np.isfinite(losses), losses, -np.inf)
+    return box.worst(t, losses, evaluations, np.maximum.accumulate(losses))
+
+
+class _Box:
+    """The set, in coordinates from 0 to 1."""
+
+    def __init__(self, subject, uncertainty: Uncertainty):
+        if not uncertainty:
+            raise ValueError("worst_case_search: uncertainty is empty; at least one name is needed")
+        check(subject, uncertainty)
+        self.subject, self.uncertainty, self.n = subject, uncertainty, len(uncertainty)
+        for end in (0.0, 1.0):
+            drawn_machine(subject, uncertainty, self.values(np.full(self.n, end)))  # refuses what a leaf does not allow
+
+    def values(self, t) -> dict[str, Any]:
+        """The numbers at t (n,); those of a log-uniform distribution go by their logarithm."""
+        values = {}
+        for i, (name, distribution) in enumerate(self.uncertainty.items()):
+            low, high = distribution.corners()
+            log = isinstance(distribution, LogUniform)
+            values[name] = low ** (1 - t[i]) * high ** t[i] if log else (1 - t[i]) * low + t[i] * high  # exact at both ends
+        return values
+
+    def worst(self, t, losses, evaluations: int, best) -> WorstCase:
+        i = int(np.argmax(losses))
+        if not np.isfinite(losses[i]):
+            raise ValueError(f"worst_case_search: none of {len(losses)} losses is finite")
+        values = {name: float(value) for name, value in self.values(t[i]).items()}
+        subject = drawn_machine(self.subject, self.uncertainty, values)
+        return WorstCase(values, subject, float(losses[i]), evaluations, np.asarray(losses), np.asarray(best))

@@ -1,0 +1,137 @@
+"""Worst cases: closed forms at the end and in the middle of a range, the set respected, and against chance."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cases import ALGEBRA
+
+from jaxilc.learning import learn
+from jaxilc.machine import Disturbance, Machine
+from jaxilc.objectives import Final, judge
+from jaxilc.plants import StateSpace
+from jaxilc.pytree import leaf, pytree
+from jaxilc.schemes import PID, PIDType
+from jaxilc.signals import Task
+from jaxilc.uncertainty import LogUniform, Normal, Uniform
+from jaxilc.worst_case import GRADIENT_COST, monte_carlo_search, worst_case_search
+
+N = 40
+TIME = 2 * np.pi * np.arange(N + 1) / N
+TASK = Task(np.sin(TIME), dt=1e-3)
+STATIC = Machine(StateSpace([[0.0]], [[1.0]], [[1.0]], dt=1e-3))  # y[k+1] = u[k]
+PASSIVE = PID(kp=0.0)
+
+
+@pytree
+class Numbers:
+    """Something that has named leaves."""
+
+    x: object = leaf()
+
+
+def test_the_worst_gain_of_p_type_learning_is_an_end_of_its_range():
+    # e_5 = (1 - 0.9 g)^4 r: worst at the end of the range that is farther from 1 / 0.9, the low one
+    gains = {"plant.B": Uniform(0.5, 1.4, relative=True)}
+    found = worst_case_search(lambda machine: learn(machine, PIDType(gamma_p=0.9), TASK, 5).rms[-1, 0], STATIC, gains, starts=4, steps=12)
+    assert found.values == {"plant.B": 0.5}
+    np.testing.assert_allclose(found.loss, 0.55**4 * np.sqrt(0.5), rtol=1e-12)
+    # from the centre, where e_5 falls with the gain, and from a start above 1 / 0.9
+    assert found.found[0] == found.loss
+    again = worst_case_search(
+        lambda machine: judge(machine, PIDType(gamma_p=0.9), TASK, 5, Final("rms")), found.subject, gains, starts=2, steps=12
+    )
+    np.testing.assert_allclose(again.subject.plant.B, 0.25)
+
+
+def test_the_worst_phase_of_a_disturbance_is_inside_its_range():
+    # y = 0.3 sin(t + phase) against r = sin(t): the largest rms is that of opposite phase, (1 + 0.3) / sqrt(2)
+    def loss(subject):
+        output = 0.3 * jnp.sin(jnp.asarray(TIME) + subject["phase"].x)
+        machine = Machine(subject["plant"], disturbance=Disturbance(output=output[:, None]))
+        return learn(machine, PASSIVE, TASK, 1).rms[-1, 0]
+
+    subject = {"plant": STATIC.plant, "phase": Numbers(0.5)}
+    found = worst_case_search(loss, subject, {"phase.x": Uniform(0.0, 6.0)}, starts=3, steps=40)
+    np.testing.assert_allclose(found.values["phase.x"], np.pi, atol=1e-4)
+    np.testing.assert_allclose(found.loss, 1.3 * np.sqrt(0.5), rtol=1e-8)
+    np.testing.assert_array_equal(loss(found.subject), found.loss)
+    assert np.all(np.diff(found.best) >= 0)
+
+
+def test_a_linear_quadratic_case_has_its_worst_initial_state_at_the_far_end():
+    # |y|^2 of the free response is x0^T P x0: convex, so its maxima are corners, and several of them are local
+    A, C = np.array([[0.9, 0.2], [-0.3, 0.7]]), np.array([[1.0, 0.0]])
+    machine = Machine(StateSpace(A, [[0.0], [1.0]], C, x0=(0.1, 0.1), dt=1e-3))
+    task = Task(np.zeros(N + 1), dt=1e-3)
+    box = {"plant.x0[0]": Uniform(-1.0, 0.8), "plant.x0[1]": Uniform(-0.7, 1.5)}
+    found = worst_case_search(lambda machine: learn(machine, PASSIVE, task, 1).rms[-1, 0] ** 2, machine, box, starts=12, steps=15)
+    observed = np.stack([(C @ np.linalg.matrix_power(A, k))[0] for k in range(1, N + 1)])
+    corners = {(a, b): np.mean((observed @ [a, b]) ** 2) for a in (-1.0, 0.8) for b in (-0.7, 1.5)}
+    assert tuple(found.values.values()) == max(corners, key=corners.get)
+    np.testing.assert_allclose(found.loss, max(corners.values()), **ALGEBRA)
+
+
+def test_every_constraint_is_respected_in_every_step():
+    box = {"x[0]": Uniform(-2.0, 1.0), "x[1]": LogUniform(0.1, 10.0), "x[2]": Normal(1.0, 0.5), "x[3]": Uniform(0.5, 2.0)}
+    low, high = np.array([-2.0, 0.1, 0.0, 0.5]), np.array([1.0, 10.0, 2.0, 2.0])
+
+    def loss(subject):
+        outside = jnp.any((subject.x < low * (1 - 1e-12)) & (subject.x < low)) | jnp.any(subject.x > high * (1 + 1e-12))
+        return jnp.where(outside, 1e9, jnp.sum(subject.x))
+
+    subject = Numbers((0.0, 1.0, 1.0, 1.0))
+    found = worst_case_search(loss, subject, box, starts=5, steps=20)
+    np.testing.assert_allclose(list(found.values.values()), high)
+    assert monte_carlo_search(loss, subject, box, 500).loss < found.loss < 1e9
+
+
+def test_climbing_beats_chance_at_equal_cost():
+    # a smooth peak in eight dimensions, off the centre and off every axis: chance hardly comes near it
+    at = np.array([0.3, 0.8, 0.2, 0.9, 0.6, 0.1, 0.7, 0.4])
+
+    def loss(subject):
+        d = subject.x - at
+        return jnp.exp(-jnp.sum(d**2) - 0.5 * jnp.sum(d[1:] * d[:-1]))
+
+    box = {f"x[{i}]": Uniform(0.0, 1.0) for i in range(8)}
+    found = worst_case_search(loss, Numbers(np.full(8, 0.5)), box, starts=4, steps=40)
+    chance = monte_carlo_search(loss, Numbers(np.full(8, 0.5)), box, found.evaluations)
+    assert found.evaluations == chance.evaluations == 4 * 40 * (1 + GRADIENT_COST)
+    np.testing.assert_allclose(found.loss, 1.0, rtol=1e-6)
+    assert chance.loss < 0.95
+    np.testing.assert_array_equal(loss(chance.subject), chance.loss)
+    np.testing.assert_allclose(chance.best, np.maximum.accumulate(chance.found))
+
+
+def test_what_is_not_finite_is_neither_worst_nor_in_the_way():
+    def loss(subject):
+        return jnp.where(subject.x[0] > 0.8, jnp.nan, jnp.sqrt(jnp.abs(subject.x[0] - 0.2)) + subject.x[1])
+
+    box = {"x[0]": Uniform(0.0, 1.0), "x[1]": Uniform(0.0, 1.0)}
+    found = worst_case_search(loss, Numbers((0.5, 0.5)), box, starts=6, steps=40)
+    assert np.isfinite(found.loss)
+    assert found.values["x[1]"] == 1.0
+    np.testing.assert_allclose(found.values["x[0]"], 0.8, atol=0.02)
+    with pytest.raises(ValueError, match="none of 2 losses is finite"):
+        worst_case_search(lambda s: jnp.nan * s.x[0], Numbers((0.5, 0.5)), box, starts=2, steps=1)
+
+
+@pytest.mark.parametrize(
+    ("box", "options", "message"),
+    [
+        ({}, {}, "uncertainty is empty"),
+        ({"y": Uniform(0, 1)}, {}, r"uncertainty: 'y' is not a parameter here; known: x"),
+        ({"x": Uniform(0, 1)}, {"starts": 0}, r"starts = 0 is outside its allowed range \[1, inf\)"),
+        ({"x": Uniform(0, 1)}, {"steps": 0}, r"steps = 0 is outside its allowed range \[1, inf\)"),
+    ],
+)
+def test_bad_input_is_named(box, options, message):
+    with pytest.raises(ValueError, match=message):
+        worst_case_search(lambda s: s.x, Numbers(0.5), box, **options)
+
+
+def test_a_box_that_leaves_the_range_of_a_leaf_is_refused():
+    with pytest.raises(ValueError, match=r"leak = 1.2 is outside its allowed range \[0, 1\)"):
+        worst_case_search(lambda s: s.leak, PIDType(), {"leak": Uniform(0.1, 1.2)})
+    with pytest.raises(ValueError, match=r"evaluations = 0"):
+        monte_carlo_search(lambda s: s.leak, PIDType(), {"leak": Uniform(0.1, 0.2)}, 0)
