@@ -12,6 +12,7 @@ from .dai_2014 import dai_2014
 from .li_2020 import li_2020
 from .milc_2024 import milc_2024
 from .scenario import Published, Quantity, Scenario
+from .xu_2024 import xu_2024
 
 SCENARIOS: dict[str, Callable[..., Scenario]] = {
     "cao-2019": cao_2019,
@@ -19,6 +20,7 @@ SCENARIOS: dict[str, Callable[..., Scenario]] = {
     "dai-2014": dai_2014,
     "li-2020": li_2020,
     "milc-2024": milc_2024,
+    "xu-2024": xu_2024,
 }
 
 __all__ = ["SCENARIOS", "Published", "Quantity", "Scenario", "load", "options"]

@@ -375,7 +375,7 @@ def _ends(machine, scheme, task, peak) -> Premise:
     parts = jax.tree.leaves(scheme, is_leaf=lambda part: isinstance(part, SwitchableFilter))
     if any(isinstance(part, SwitchableFilter) for part in parts):
         return premise("filter the same throughout the trial", False, "its cutoff switches")
-    if not filters and getattr(law, "lead", None) == 0:
+    if not filters and isinstance(law, PIDType | CFDLMFAILC) and law.lead == 0:
         return premise(name, True, "law and filter are causal")
     samples = ENDS if task.N > ENDS and all(_serves(q, ENDS, task.dt) for q in filters) else task.N
     short = dataclasses.replace(task, reference=np.asarray(task.reference)[: samples + 1], settle=None)

@@ -1,0 +1,229 @@
+"""A learning campaign on a real machine: what was learned from each measured trial, kept in a journal, and the next input."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from . import trial_checks as checks
+from .exchange import Measured
+from .journal import Journal
+from .learning import measured_trial
+from .machine import Actuator
+from .metrics import measure
+from .playback import replay, tables
+from .pytree import named_leaves
+from .results import describe, differences, environment
+from .schemes import Scheme
+from .signals import Task, Trial
+from .trial_checks import Finding, Rules
+
+MEMORY, TRIAL = "memory.npz", "trial.npz"
+
+
+class Turn(NamedTuple):
+    """A measured trial and what follows from it; nothing is stored yet.
+
+    trial: its number;  record: with the signals of the scheme;  memory, tables: of the next trial;  figures: of this one
+    hashes: of what was measured and of what was played;  findings: what the checks found, refusals among them
+    learned: False for a trial that was only looked at;  source: its file
+    """
+
+    trial: int
+    record: Trial
+    memory: Any
+    tables: dict[str, np.ndarray]
+    figures: dict[str, Any]
+    hashes: dict[str, str]
+    findings: list[Finding]
+    learned: bool
+    source: str
+
+    @property
+    def refusals(self) -> list[str]:
+        return [f.text for f in self.findings if f.kind == "refusal"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Campaign:
+    """What is learned, for which task and actuator, and the journal. See `start` and `open`.
+
+    rules: what is refused;  recipe: JSON, how scheme, task and rules were made, kept for whoever goes on
+    """
+
+    journal: Journal
+    scheme: Scheme
+    task: Task
+    actuator: Actuator | None = None
+    rules: Rules = dataclasses.field(default_factory=Rules)
+    recipe: dict[str, Any] = dataclasses.field(default_factory=dict)
+
+    @classmethod
+    def start(
+        cls,
+        path: str | Path,
+        scheme: Scheme,
+        task: Task,
+        *,
+        actuator: Actuator | None = None,
+        rules: Rules | None = None,
+        recipe: dict[str, Any] | None = None,
+        dry_run: bool = False,
+    ) -> Campaign:
+        """A new campaign, before its first trial, in a folder of its own. dry_run: check, and store nothing
+
+        Raises FileExistsError if something is there; ValueError where scheme and task do not fit, and for a first table beyond a limit.
+        """
+        scheme.check(task)
+        campaign = cls(Journal(Path(path)), scheme, task, actuator, (rules or Rules()).checked(), recipe or {})
+        refuse(checks.beyond_limits(campaign.first_tables(), task, actuator, campaign.rules))
+        if not dry_run:
+            campaign.journal.create()
+            campaign._append({"event": "start", "trial": 0, "parent": None}, {MEMORY: _arrays(scheme.memory(task))})
+        return campaign
+
+    @classmethod
+    def open(
+        cls,
+        path: str | Path,
+        scheme: Scheme,
+        task: Task,
+        *,
+        actuator: Actuator | None = None,
+        rules: Rules | None = None,
+        recipe: dict[str, Any] | None = None,
+    ) -> Campaign:
+        """The campaign in a folder, to go on with. Raises ValueError if it was started with another configuration, naming what differs.
+
+        recipe: None keeps the one that is there
+        """
+        journal = Journal(Path(path))
+        last = journal.manifests()[-1]
+        campaign = cls(journal, scheme, task, actuator, (rules or Rules()).checked(), last["recipe"] if recipe is None else recipe)
+        found = differences(last["configuration"], campaign.configuration)
+        if found:
+            raise ValueError(f"{path} was started with another configuration; it differs in: {'; '.join(found)}")
+        return campaign
+
+    @property
+    def configuration(self) -> dict[str, Any]:
+        """What is learned depends on this: scheme, task and actuator; long arrays by their hash."""
+        return json.loads(json.dumps({name: describe(getattr(self, name)) for name in ("scheme", "task", "actuator")}))
+
+    @property
+    def trials(self) -> int:
+        """Trials measured, without what was undone."""
+        return self.journal.live()[-1]["trial"]
+
+    def memory(self, trial: int | None = None) -> Any:
+        """What the scheme knew after a trial, None for the last one. Raises ValueError for a trial that does not lie behind."""
+        template = self.scheme.memory(self.task)
+        found, names = self.journal.arrays(self._after(trial), MEMORY), list(_arrays(template))
+        if list(found) != names:
+            raise ValueError(f"{self.journal.path}: the memory holds {', '.join(found)}; this scheme needs {', '.join(names)}")
+        return jax.tree.unflatten(jax.tree.structure(template), [jnp.asarray(found[name]) for name in names])
+
+    def tables(self, trial: int | None = None) -> dict[str, np.ndarray]:
+        """What the machine plays after a trial, None for the last one; see `playback.tables`."""
+        return tables(self.scheme, self.memory(trial), self.task)
+
+    def first_tables(self) -> dict[str, np.ndarray]:
+        """What the machine plays in the first trial."""
+        return tables(self.scheme, self.scheme.memory(self.task), self.task)
+
+    def recordable(self) -> dict[str, tuple[int, int]]:
+        """The signals besides y and u that a measured trial may hold: the feedback's share, and the tables as they were played."""
+        return {"feedback": (self.task.N, self.task.inputs)} | {name: t.shape for name, t in self.tables().items() if name != "u"}
+
+    def turn(self, measured: Measured, *, learn: bool = True, replay_input: bool = False) -> Turn:
+        """What a measured trial leads to, checked by the rules; nothing is stored until `keep`.
+
+        learn: False looks at the trial only, and has the same table played again
+        replay_input: take the scheme's input over the measured output where the file has none
+        The feedback's share is `feedback` of the file if it has it, else the scheme's own law over the measured output (`replay`), as the
+        other signals of the scheme always are.
+        Raises ValueError for a trial without an input, and for one that has been learned from already.
+        """
+        scheme, task, live, rules, actuator = self.scheme, self.task, self.journal.live(), self.rules, self.actuator
+        memory, number = self.memory(), live[-1]["trial"] + 1
+        played = tables(scheme, memory, task)
+        commanded, signals = replay(scheme, task, memory, measured.y, actuator)
+        if measured.u is None and not replay_input:
+            raise ValueError(f"{measured.source} has no input u; record it, or add --replayed-input where the controller runs this scheme")
+        u = np.asarray(commanded) if measured.u is None else measured.u
+        given = {name: jnp.asarray(measured.others[name]) for name in ("feedback",) if name in measured.others}
+        record = measured_trial(task, measured.y, u)._replace(signals={**signals, **given})
+        hashes = {"measured": _hash(measured.y, u), "played": _hash(*played.values())}
+        for entry in live[1:]:
+            if entry["hashes"]["measured"] == hashes["measured"] and entry["hashes"]["played"] != hashes["played"]:
+                raise ValueError(f"{measured.source} is trial {entry['trial']}, which was learned from already; measure trial {number}")
+
+        error = checks.rms_over_all(record)
+        findings = checks.saturation(u, actuator, rules) + checks.as_played(measured.others, played, actuator)
+        if not given:
+            findings += checks.as_commanded(u, commanded, actuator, task)
+        if len(live) > 1 and live[-1]["hashes"]["played"] == hashes["played"]:
+            findings += checks.repeated(record, self.journal.arrays(live[-1], TRIAL)["y"], rules, task.unit)
+        findings += checks.grown(error, [(m["trial"], m["figures"]["error"]) for m in live[1:]], rules, task.unit)
+        following = _learned(scheme, task, memory, record) if learn else memory
+        following_tables = tables(scheme, following, task)
+        findings += checks.beyond_limits(following_tables, task, actuator, rules)
+        figures = {"error": error} | {name: np.asarray(value).tolist() for name, value in measure(record, task)._asdict().items()}
+        return Turn(number, record, following, following_tables, figures, hashes, findings, learn, measured.source)
+
+    def keep(self, turn: Turn) -> None:
+        """Store a turn; the campaign goes on from it. Raises ValueError if it has refusals, or does not follow on what is stored."""
+        refuse(turn.findings)
+        parent = self.journal.live()[-1]
+        if turn.trial != parent["trial"] + 1:
+            raise ValueError(f"{self.journal.path}: trial {turn.trial} does not follow on trial {parent['trial']}")
+        manifest = {name: getattr(turn, name) for name in ("trial", "learned", "source", "hashes", "figures", "findings")}
+        record = {"y": turn.record.y, "u": turn.record.u} | {f"signals {name}": s for name, s in turn.record.signals.items()}
+        self._append({"event": "trial", "parent": parent["serial"], **manifest}, {MEMORY: _arrays(turn.memory), TRIAL: record})
+
+    def undo(self, trial: int) -> None:
+        """Go back to what was known after a trial, 0 for the start. Raises ValueError for one that does not lie behind."""
+        self._append({"event": "undo", "trial": trial, "parent": None, "to": self._after(trial)["serial"]}, {})
+
+    def _after(self, trial: int | None) -> dict[str, Any]:
+        """The entry after a trial that lies behind, or where the campaign stands."""
+        live = self.journal.live()
+        if trial is None:
+            return live[-1]
+        if not 0 <= trial < live[-1]["trial"]:
+            last = live[-1]["trial"]
+            raise ValueError(f"trial = {trial} is not one to go back to; allowed are those before the last one, {last}")
+        return next(m for m in live if m["trial"] == trial)
+
+    def _append(self, manifest: dict[str, Any], arrays: dict[str, dict[str, Any]]) -> None:
+        configuration = self.configuration
+        digest = hashlib.sha256(json.dumps(configuration, sort_keys=True).encode()).hexdigest()
+        known = {"recipe": self.recipe, "configuration": configuration, "configuration_hash": digest, "environment": environment()}
+        self.journal.append(manifest | known, arrays)
+
+
+def refuse(findings: list[Finding]) -> None:
+    """Raises ValueError with what the checks refuse, if anything."""
+    texts = [f.text for f in findings if f.kind == "refusal"]
+    if texts:
+        raise ValueError("; ".join(texts))
+
+
+def _arrays(tree: Any) -> dict[str, Any]:
+    return {f"{i:03d} {name}": leaf for i, (name, leaf) in enumerate(named_leaves(tree).items())}
+
+
+def _hash(*arrays) -> str:
+    return hashlib.sha256(b"".join(np.ascontiguousarray(a, dtype=float).tobytes() for a in arrays)).hexdigest()
+
+
+@jax.jit
+def _learned(scheme: Scheme, task: Task, memory: Any, trial: Trial):
+    return scheme.prepared(task).learn(memory, trial)

@@ -1,0 +1,160 @@
+"""What is looked at before a measured trial is learned from, and before an input goes back to the machine."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from .machine import Actuator
+from .pytree import Interval
+from .signals import Task, Trial
+
+AT_LIMIT = 1e-3  # of the limit, within which an input counts as saturated
+AS_PLAYED = 1e-4  # of a table's peak, by which it may differ from what the machine recorded of it
+AS_COMMANDED = 0.01  # of the input's peak, by which the recorded input may differ from the replayed one
+LITTLE = 0.5  # of the error: a difference between repeated trials above it leaves little to learn
+
+
+class Rules(NamedTuple):
+    """What is refused. Numbers that are None are not looked at.
+
+    limit: largest |u| played, and at which an input counts as saturated; None takes the actuator's [unit of u]
+    correction: largest departure of a learned reference from the task's [unit of y]
+    saturation: share of samples at the limit, of any input;  accept_saturation: warn instead of refusing
+    repeatability: RMS difference of two trials of one table, over all outputs [unit of y]
+    growth: share by which the RMS error may exceed the last trial's, without a warning;  stop_on_growth: refuse instead of warning
+    """
+
+    limit: float | None = None
+    correction: float | None = None
+    saturation: float = 0.05
+    accept_saturation: bool = False
+    repeatability: float | None = None
+    growth: float = 0.02
+    stop_on_growth: bool = False
+
+    def checked(self) -> Rules:
+        """Itself. Raises ValueError for a number outside its range."""
+        ranges = {"saturation": "[0, 1]", "growth": "[0, inf)"} | dict.fromkeys(("limit", "correction", "repeatability"), "(0, inf)")
+        for name, allowed in ranges.items():
+            value = getattr(self, name)
+            if value is not None and not Interval.parse(allowed).contains(value):
+                raise ValueError(f"{name} = {value:g} is outside its allowed range {allowed}")
+        return self
+
+    def limits(self, actuator: Actuator | None, inputs: int) -> np.ndarray | None:
+        """(n_u,) the limit in force."""
+        limit = self.limit if self.limit is not None else getattr(actuator, "limit", None)
+        return None if limit is None else np.broadcast_to(np.asarray(limit, float), (inputs,))
+
+
+class Finding(NamedTuple):
+    """kind: `note`, `warning` or `refusal`;  text: what was found, with its numbers"""
+
+    kind: str
+    text: str
+
+
+def saturation(u, actuator: Actuator | None, rules: Rules) -> list[Finding]:
+    """The share of samples of the measured input (N, n_u) at the limit; learning there follows the limit, not the error."""
+    limits = rules.limits(actuator, u.shape[1])
+    if limits is None:
+        return [Finding("note", "saturation was not looked at: neither --limit nor the machine gives one")]
+    at = np.abs(u) >= limits - np.maximum(AT_LIMIT * limits, _resolution(actuator))
+    share, i = float(np.max(np.mean(at, axis=0))), int(np.argmax(np.mean(at, axis=0)))
+    if not share:
+        return []
+    text = f"input {i} is at its limit {limits[i]:g} in {share:.2%} of the samples, first at sample {int(np.argmax(at[:, i]))}"
+    if share > rules.saturation and not rules.accept_saturation:
+        return [Finding("refusal", f"{text}; allowed are {rules.saturation:.2%}, or --accept-saturation")]
+    return [Finding("warning", text)]
+
+
+def as_commanded(u, replayed, actuator: Actuator | None, task: Task) -> list[Finding]:
+    """The measured input against the one that the scheme, replayed over the measured output, would have given."""
+    off = np.max(np.abs(u - replayed), axis=1)
+    allowed = AS_COMMANDED * np.max(np.abs(u), initial=0.0) + np.max(_resolution(actuator))
+    if np.max(off) <= allowed:
+        return []
+    k, unit = int(np.argmax(off)), task.input_unit
+    return [
+        Finding(
+            "warning",
+            f"the measured input is up to {off[k]:.3g} {unit} away (sample {k}) from the scheme's over the measured output: was another "
+            "table played, or is the machine's feedback, its delay or its limit not the scheme's?",
+        )
+    ]
+
+
+def as_played(recorded: Mapping[str, np.ndarray], tables: Mapping[str, np.ndarray], actuator: Actuator | None) -> list[Finding]:
+    """What the machine recorded of the tables it played against what it was given."""
+    findings = []
+    for name in recorded.keys() & tables.keys():
+        off = np.max(np.abs(recorded[name] - tables[name]), axis=1)
+        allowed = AS_PLAYED * np.max(np.abs(tables[name])) + np.max(_resolution(actuator))
+        if np.max(off) > allowed:
+            k = int(np.argmax(off))
+            text = f"{name} is {off[k]:.3g} away at sample {k} from the table of this trial: another one was played"
+            findings.append(Finding("refusal", text))
+    return findings
+
+
+def repeated(trial: Trial, last_y, rules: Rules, unit: str) -> list[Finding]:
+    """Two trials of one table: what differs does not repeat and cannot be learned. last_y: (N+1, n_y) of the other trial"""
+    difference, error = _rms(np.asarray(trial.y) - last_y), _rms(trial.e)
+    text = f"the same table as in the last trial: RMS difference of the outputs {difference:.3g} {unit}, RMS error {error:.3g} {unit}"
+    if rules.repeatability is not None and difference > rules.repeatability:
+        return [Finding("refusal", f"{text}; allowed is {rules.repeatability:.3g} {unit}")]
+    return [Finding("warning" if difference > LITTLE * error else "note", text)]
+
+
+def grown(error: float, history: list[tuple[int, float]], rules: Rules, unit: str) -> list[Finding]:
+    """The error of this trial against the last one's. history: (trial, RMS error over all outputs) of those before, in order"""
+    if not history or error <= (1 + rules.growth) * history[-1][1]:
+        return []
+    last, (best, least) = history[-1][1], min(history, key=lambda row: row[1])
+    text = (
+        f"the RMS error grew from {last:.4g} to {error:.4g} {unit}, by {error / last - 1:.1%}; "
+        f"the best was trial {best} with {least:.4g} {unit}: --undo {best - 1} goes back to what it played"
+    )
+    return [Finding("refusal" if rules.stop_on_growth else "warning", text)]
+
+
+def beyond_limits(tables: Mapping[str, np.ndarray], task: Task, actuator: Actuator | None, rules: Rules) -> list[Finding]:
+    """The next tables against the input's limit and the largest correction of the reference."""
+    findings = []
+    for name, table in tables.items():
+        departure, unit, limits = table, task.input_unit, None
+        if name == "reference":
+            unit, departure = task.unit, table - np.asarray(task.reference)
+            if departure.shape != table.shape:  # one reference for several outputs: the one that it is nearest to
+                departure = departure[:, [np.argmin(np.max(np.abs(departure), axis=0))]]
+            limits = None if rules.correction is None else np.full(table.shape[1], rules.correction)
+        elif name in ("u", "feedforward", "table.u"):
+            limits = rules.limits(actuator, table.shape[1])
+        if not np.all(np.isfinite(table)):
+            k = int(np.argmin(np.isfinite(table).all(axis=1)))
+            findings.append(Finding("refusal", f"the next {name} is not finite at sample {k}"))
+        elif limits is not None and np.any(np.abs(departure) > limits):
+            k, i = np.unravel_index(int(np.argmax(np.abs(departure) / limits)), table.shape)
+            option = "--limit" if name != "reference" else "--largest-correction"
+            away = " away from the task's" if name == "reference" else ""
+            text = f"the next {name} is {departure[k, i]:.6g} {unit}{away} at sample {k}; allowed are +-{limits[i]:g} {unit} ({option})"
+            findings.append(Finding("refusal", text))
+    return findings
+
+
+def _resolution(actuator: Actuator | None):
+    step = getattr(actuator, "resolution", None)
+    return 0.0 if step is None else np.asarray(step, float)
+
+
+def rms_over_all(trial: Trial) -> float:
+    """Root mean square error over the samples k = 1..N and all outputs."""
+    return _rms(trial.e[1:])
+
+
+def _rms(signal) -> float:
+    return float(np.sqrt(np.mean(np.asarray(signal) ** 2)))

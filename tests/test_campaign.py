@@ -1,0 +1,452 @@
+"""A campaign on a machine that is only known by the files it reads and writes: 20 trials, kills, undo, and everything that is refused."""
+
+import csv
+import dataclasses
+import json
+import shutil
+import subprocess
+import sys
+from itertools import pairwise
+
+import control
+import jax
+import numpy as np
+import pytest
+import typer
+from cases import ALGEBRA, case
+from typer.testing import CliRunner
+
+from jaxilc import cli_machine, exchange, journal
+from jaxilc.campaign import Campaign
+from jaxilc.campaign_figures import campaign_figure
+from jaxilc.exchange import Measured
+from jaxilc.journal import Journal
+from jaxilc.learning import learn
+from jaxilc.machine import Sensor
+from jaxilc.plant_files import load_scenario
+from jaxilc.plants import from_control
+from jaxilc.schemes import Ladder, Scheme, WithFeedback
+from jaxilc.schemes.compose import Pair
+from jaxilc.schemes.scheme import Feedforward
+from jaxilc.trial import run_trial
+from jaxilc.trial_checks import Rules, beyond_limits
+
+TRIALS, KEY = 20, jax.random.key(3)
+FACTOR = 40  # by which the error of the session falls
+AXIS = """
+[plant]
+kind = "transfer_function"
+num = [4000.0]
+den = [1.0, 80.0, 4000.0]
+[machine.actuator]
+limit = 10.0
+resolution = 3e-4
+[task]
+dt = 0.001
+unit = "mm"
+input_unit = "V"
+[task.reference]
+function = "s_curve"
+positions = [0.0, 1.0, 0.0]
+velocity = 20.0
+acceleration = 600.0
+jerk = 3e4
+duration = 0.25
+[schemes.pid]
+class = "PID"
+kp = 1.0
+[schemes.ilc]
+class = "WithFeedback"
+feedback = { class = "PID", kp = 1.0, ki = 20.0 }
+[schemes.ilc.learning]
+class = "Filtered"
+scheme = { class = "PIDType", gamma_p = 0.6, gamma_d = 10.0, lead = 4 }
+filter = { class = "ZeroPhaseButterworth", cutoff = 60.0 }
+"""
+PROGRAM = "import sys; from jaxilc import cli, cli_machine; {} cli_machine.register(cli.app); cli.main()"
+
+
+def real_machine(axis):
+    """Not the machine of the file: another plant, an encoder and noise."""
+    plant = from_control(control.tf([4600.0], [1.0, 60.0, 4000.0]))
+    return dataclasses.replace(axis.machine, plant=plant, sensor=Sensor(resolution=1e-4, noise=5e-5))
+
+
+@jax.jit
+def _play(machine, feedback, task, u, key):
+    return run_trial(machine, WithFeedback(Scheme(), feedback), task, Pair(Feedforward(u), ()), key)
+
+
+def read_table(path):
+    """Columns of a file by their header."""
+    with open(path, newline="") as file:
+        header, *rows = csv.reader(file)
+    return dict(zip(header, np.array(rows, float).T, strict=True))
+
+
+def write_trial(path, t, r, y, u, units=("s", "mm", "mm", "V")):
+    """As a machine's trace: 17 digits, the last input empty."""
+    header = ",".join(f"{name} [{unit}]" for name, unit in zip("tryu", units, strict=True))
+    rows = [",".join(f"{v:.17g}" for v in row) for row in zip(t[:-1], r, y, u, strict=False)]
+    path.write_text("\n".join([header, *rows, f"{t[-1]:.17g},{r[-1]:.17g},{y[-1]:.17g},"]) + "\n")
+
+
+class Rig:
+    """The machine at the other end of the files. `measure` plays the table of a file and writes the trace of trial j."""
+
+    def __init__(self, folder):
+        self.folder = folder
+        self.file = folder / "axis.toml"
+        self.file.write_text(AXIS)
+        self.axis = load_scenario(self.file)
+        self.scheme, self.task, self.machine = self.axis.schemes["ilc"], self.axis.task, real_machine(self.axis)
+
+    def measure(self, table, trial, path, j_noise=None):
+        played = read_table(table)
+        u = played["feedforward [V]"][:-1, None]
+        key = jax.random.fold_in(KEY, trial if j_noise is None else j_noise)
+        y, u = (np.asarray(s)[:, 0] for s in _play(self.machine, self.scheme.feedback, self.task, u, key)[1:3])
+        write_trial(path, played["t [s]"], played["r [mm]"], y, u)
+        return y, u
+
+
+app = typer.Typer()
+cli_machine.register(app)
+
+
+def call(*arguments):
+    """Exit code, standard output and standard error of a command; a mistake raises."""
+    result = CliRunner().invoke(app, [str(a) for a in arguments])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result.exit_code, result.stdout, result.stderr
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory):
+    """A campaign of 20 trials driven through files only; the folder keeps every table and trace."""
+    folder = tmp_path_factory.mktemp("session")
+    rig = Rig(folder)
+    state, played = folder / "state", []
+    assert call("next", "--state", state, "--plant-file", rig.file, "--scheme", "ilc", "--out", folder / "next-1.csv")[0] == 0
+    for j in range(1, TRIALS + 1):
+        y, u = rig.measure(folder / f"next-{j}.csv", j, folder / f"trial-{j}.csv")
+        played.append((y, u))
+        arguments = ("next", "--state", state, "--measured", folder / f"trial-{j}.csv", "--out", folder / f"next-{j + 1}.csv")
+        if j == 7:  # once from the outside
+            program = PROGRAM.format("sys.argv[0] = 'jaxilc';")
+            done = subprocess.run([sys.executable, "-c", program, *map(str, arguments)], capture_output=True, text=True)
+            assert done.returncode == 0, done.stderr
+            assert "trial 7: RMS error" in done.stdout
+        else:
+            assert call(*arguments)[0] == 0
+    return rig, state, played
+
+
+@pytest.fixture
+def copied(session, tmp_path):
+    """The session's campaign, to go on with in another folder."""
+    rig, state, _ = session
+    shutil.copytree(state, tmp_path / "state")
+    return rig, tmp_path / "state", tmp_path
+
+
+def test_twenty_trials_through_files_are_the_loop_in_memory(session):
+    rig, state, played = session
+    history = learn(rig.machine, rig.scheme, rig.task, TRIALS, key=KEY, save=lambda trial: (trial.y, trial.u))
+    for ours, saved in zip(zip(*played, strict=True), history.saved, strict=True):
+        np.testing.assert_allclose(np.stack(ours)[..., None], saved, rtol=0, atol=1e-12)
+    memory = Campaign.open(state, rig.scheme, rig.task, actuator=rig.axis.machine.actuator).memory()
+    np.testing.assert_allclose(memory.learning.u, history.memory.learning.u, rtol=0, atol=1e-12)
+    rms = [np.sqrt(np.mean((rig.task.reference[1:, 0] - y[1:]) ** 2)) for y, _ in played]
+    assert rms[-1] < rms[0] / FACTOR
+    rows = Journal(state).log()
+    np.testing.assert_allclose([row["rms_error"] for row in rows[1:]], rms, rtol=1e-12)
+    assert [row["trial"] for row in rows] == list(range(TRIALS + 1))
+
+
+def test_the_log_is_printed_written_and_plotted(copied):
+    _, state, folder = copied
+    call("next", "--state", state, "--undo", 12, "--out", folder / "next.csv")
+    code, out, _ = call("trials", "--state", state, "--csv", folder / "log.csv", "--plot", folder / "log.png")
+    assert code == 0
+    assert out.count("trial, undone") == 8
+    with open(folder / "log.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["event"] for row in rows] == ["start"] + ["trial"] * TRIALS + ["undo"]
+    assert [row["live"] for row in rows] == ["True"] * 13 + ["False"] * 8 + ["False"]
+    assert (folder / "log.png").stat().st_size > 10_000
+    top, _ = campaign_figure(Journal(state).log(), unit="mm", input_unit="V")
+    counts = {line.get_label(): len(line.get_xdata()) for line in top.lines}
+    assert counts == {"rms error": 12, "rms error, undone": 8, "max error": 12, "max error, undone": 8}
+
+
+def test_undo_goes_back_to_the_table_that_was_played_and_on_from_there(copied, session):
+    rig, state, folder = copied
+    call("next", "--state", state, "--undo", 15, "--out", folder / "next.csv")
+    assert (folder / "next.csv").read_bytes() == (rig.folder / "next-16.csv").read_bytes()
+    rig.measure(folder / "next.csv", 16, folder / "again.csv")  # the very same trial, learned from once more
+    call("next", "--state", state, "--measured", folder / "again.csv", "--out", folder / "next.csv")
+    assert (folder / "next.csv").read_bytes() == (rig.folder / "next-17.csv").read_bytes()
+    call("next", "--state", state, "--undo", 0, "--out", folder / "next.csv")
+    assert (folder / "next.csv").read_bytes() == (rig.folder / "next-1.csv").read_bytes()
+    assert len(Journal(state).manifests()) == TRIALS + 4, "nothing is thrown away"
+    with pytest.raises(ValueError, match="trial = 0 is not one to go back to"):
+        call("next", "--state", state, "--undo", 0, "--out", folder / "next.csv")
+
+
+class Killed(BaseException):
+    """What no handler catches."""
+
+
+KILLED_IN = {
+    "arrays": (np, "savez"),
+    "manifest": (journal.json, "dumps"),
+    "rename": (journal.os, "rename"),
+    "table": (exchange.os, "replace"),
+}
+
+
+@pytest.mark.parametrize("when", KILLED_IN)
+def test_killed_at_any_moment_nothing_is_lost(copied, monkeypatch, when):
+    rig, state, folder = copied
+    rig.measure(rig.folder / "next-21.csv", 21, folder / "trial.csv")
+    before = {f: f.read_bytes() for f in state.rglob("*") if f.is_file()}
+
+    def killed(*_, **__):
+        raise Killed
+
+    with monkeypatch.context() as broken:
+        broken.setattr(journal.shutil, "rmtree", lambda *_, **__: None)  # a killed process tidies nothing up
+        broken.setattr(*KILLED_IN[when], killed)
+        with pytest.raises(Killed):
+            call("next", "--state", state, "--measured", folder / "trial.csv", "--out", folder / "next.csv")
+    assert all(f.read_bytes() == content for f, content in before.items())
+    assert not (folder / "next.csv").exists()
+    stored = when == "table"  # the entry was complete, its table was not
+    assert Journal(state).live()[-1]["trial"] == TRIALS + stored
+    arguments = ("--measured", folder / "trial.csv") * (not stored)
+    call("next", "--state", state, *arguments, "--out", folder / "next.csv")
+    assert Journal(state).live()[-1]["trial"] == TRIALS + 1
+    call("next", "--state", state, "--undo", TRIALS, "--out", folder / "other.csv")
+    call("next", "--state", state, "--measured", folder / "trial.csv", "--out", folder / "other.csv")
+    assert (folder / "next.csv").read_bytes() == (folder / "other.csv").read_bytes()
+
+
+def test_two_calls_at_once_are_one_entry(copied):
+    rig, state, folder = copied
+    rig.measure(rig.folder / "next-21.csv", 21, folder / "trial.csv")
+    campaign = Campaign.open(state, rig.scheme, rig.task, actuator=rig.axis.machine.actuator)
+    turn = campaign.turn(exchange.read_measured(folder / "trial.csv", rig.task))
+    quicker = Journal(state)
+    quicker.append({**quicker.manifests()[-1], "serial": 21, "parent": 20, "trial": 21}, {})
+    with pytest.raises(ValueError, match="trial 21 does not follow on trial 21"):
+        campaign.keep(turn)
+    stale = dataclasses.replace(quicker)
+    object.__setattr__(stale, "_entries", lambda: [None] * 21)
+    with pytest.raises(ValueError, match="entry 21 could not be written"):
+        stale.append({}, {})
+
+
+def test_a_dry_run_reports_and_changes_nothing(copied):
+    rig, state, folder = copied
+    rig.measure(rig.folder / "next-21.csv", 21, folder / "trial.csv")
+    before = sorted(folder.rglob("*"))
+    code, out, _ = call("next", "--state", state, "--measured", folder / "trial.csv", "--dry-run", "--out", folder / "next.csv")
+    assert code == 0
+    assert "trial 21: RMS error" in out
+    assert "dry run: nothing was written" in out
+    call("next", "--state", state, "--undo", 3, "--dry-run")
+    call("next", "--state", folder / "new", "--plant-file", rig.file, "--dry-run")
+    assert sorted(folder.rglob("*")) == before
+
+
+def test_a_trial_of_the_same_table_tells_how_repeatable_the_machine_is(copied):
+    rig, state, folder = copied
+    rig.measure(rig.folder / "next-21.csv", 21, folder / "trial.csv")
+    y21 = read_trace(folder / "trial.csv")
+    call("next", "--state", state, "--measured", folder / "trial.csv", "--no-learn", "--out", folder / "next.csv")
+    assert (folder / "next.csv").read_bytes() == (rig.folder / "next-21.csv").read_bytes()
+    rig.measure(folder / "next.csv", 22, folder / "again.csv")
+    difference = np.sqrt(np.mean((read_trace(folder / "again.csv") - y21) ** 2))
+    arguments = ("next", "--state", state, "--measured", folder / "again.csv", "--out", folder / "next.csv")
+    with pytest.raises(ValueError, match=r"RMS difference of the outputs .* allowed is 1e-06 mm"):
+        call(*arguments, "--repeatability", 1e-6)
+    code, out, _ = call(*arguments, "--repeatability", 1e-3)
+    assert code == 0
+    assert f"RMS difference of the outputs {difference:.3g} mm" in out
+    assert Journal(state).manifests()[-1]["recipe"]["rules"] == {"repeatability": 1e-3}, "kept for the calls to come"
+
+
+def read_trace(path):
+    return np.genfromtxt(path, delimiter=",", skip_header=1)[:, 2]
+
+
+def test_growth_and_saturation_warn_or_refuse_with_numbers(copied):
+    rig, state, folder = copied
+    y, u = rig.measure(rig.folder / "next-21.csv", 21, folder / "trial.csv")
+    t, r = rig.task.time, rig.task.reference[:, 0]
+    write_trial(folder / "worse.csv", t, r, y + 0.05, u)
+    arguments = ("next", "--state", state, "--out", folder / "next.csv", "--measured")
+    with pytest.raises(ValueError, match=r"the RMS error grew from .* by .*%; the best was trial 20 with .* --undo 19 goes back"):
+        call(*arguments, folder / "worse.csv", "--stop-on-growth")
+    _, _, err = call(*arguments, folder / "worse.csv", "--dry-run")
+    assert "warning: the RMS error grew" in err
+    assert "another table played" in err, "u is not what the feedback would have done about this y"
+    saturated = u.copy()
+    saturated[40:90] = 10.0
+    write_trial(folder / "saturated.csv", t, r, y, saturated)
+    with pytest.raises(ValueError, match=r"input 0 is at its limit 10 in 20.00% of the samples, first at sample 40; allowed are 5.00%"):
+        call(*arguments, folder / "saturated.csv")
+    with pytest.raises(ValueError, match="the next feedforward is") as error:  # saturation is accepted, what would come of it is not
+        call(*arguments, folder / "saturated.csv", "--accept-saturation")
+    assert "at its limit" not in str(error.value)
+    write_trial(folder / "saturated.csv", t, r, y, np.where(np.arange(len(u)) == 40, 10.0, u))
+    _, _, err = call(*arguments, folder / "saturated.csv", "--dry-run")
+    assert "warning: input 0 is at its limit 10 in 0.40% of the samples, first at sample 40" in err
+    assert Journal(state).live()[-1]["trial"] == TRIALS
+
+
+def test_an_input_beyond_the_limit_is_refused_by_sample_and_value(copied):
+    rig, state, folder = copied
+    table = read_table(rig.folder / "next-21.csv")["feedforward [V]"]
+    k = int(np.argmax(np.abs(table)))
+    limit = round(0.9 * abs(table[k]), 3)
+    rig.measure(rig.folder / "next-20.csv", 20, folder / "trial.csv")
+    call("next", "--state", state, "--undo", 19, "--out", folder / "next.csv")
+    arguments = ("next", "--state", state, "--measured", folder / "trial.csv", "--out", folder / "next.csv")
+    with pytest.raises(ValueError, match="the next feedforward") as error:
+        call(*arguments, "--limit", limit, "--accept-saturation")
+    assert f"is {table[k]:.6g} V at sample {k}; allowed are +-{limit:g} V (--limit)" in str(error.value)
+    assert Journal(state).live()[-1]["trial"] == 19
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda rows: rows[:100] + rows[101:], r"line 101: a gap of 1 samples before t = 0.1 s; allowed are steps of dt = 0.001 s"),
+        (lambda rows: rows[:-3], r"has 248 samples; this task needs N \+ 1 = 251"),
+        (lambda rows: rows[:1] + rows[1::2], r"is sampled at 0.002 s but the task at 0.001 s; nothing is resampled"),
+        (lambda rows: [*rows[:9], rows[8], *rows[9:]], r"line 10: t = 0.007 s does not increase from 0.007 s"),
+        (lambda rows: [rows[0].replace("y [mm]", "y"), *rows[1:]], r"y declares no unit; this task needs 'y \[mm\]'"),
+        (lambda rows: [rows[0].replace("y [mm]", "y [µm]"), *rows[1:]], r"y is in 'µm'; this task needs 'mm', and nothing is converted"),
+        (lambda rows: [rows[0].replace("y [mm]", "x [mm]"), *rows[1:]], r"has no column 'y'; present are t, r, x, u"),
+        (lambda rows: [rows[0].replace("u [V]", "i [A]"), *rows[1:]], r"has no input u; record it, or add --replayed-input"),
+        (lambda rows: [*rows[:50], cut(rows[50], 3), *rows[51:]], r"line 51: u is not a finite number"),
+        (lambda rows: [*rows[:50], cut(rows[50], 2, "nan"), *rows[51:]], r"line 51: y is not a finite number"),
+        (lambda rows: [*rows[:-1], cut(rows[-1], 2)], r"line 252: y is not a finite number"),
+        (lambda rows: [rows[0], *(cut(a, 1, b.split(",")[1]) for a, b in pairwise([*rows[1:], rows[-1]]))], "shifted by 1 samples"),
+    ],
+)
+def test_a_trace_that_is_not_of_this_task_is_refused(copied, change, message):
+    rig, state, folder = copied
+    rig.measure(rig.folder / "next-21.csv", 21, folder / "trial.csv")
+    (folder / "trial.csv").write_text("\n".join(change((folder / "trial.csv").read_text().splitlines())))
+    with pytest.raises(ValueError, match=message):
+        call("next", "--state", state, "--measured", folder / "trial.csv", "--out", folder / "next.csv")
+    assert Journal(state).live()[-1]["trial"] == TRIALS
+    assert not (folder / "next.csv").exists()
+
+
+def cut(row, i, value=""):
+    """A row of text with one cell replaced."""
+    cells = row.split(",")
+    return ",".join([*cells[:i], value, *cells[i + 1 :]])
+
+
+def test_mistakes_in_the_call_name_what_is_allowed(copied):
+    rig, state, folder = copied
+    trial, out = rig.folder / "trial-20.csv", folder / "next.csv"
+    start = ("next", "--state", folder / "new", "--plant-file", rig.file, "--out", out)
+    for arguments, message in (
+        (("next", "--state", state, "--measured", trial, "--out", out), "is trial 20, which was learned from already; measure trial 21"),
+        (("next", "--state", state, "--set", "ilc.feedback.kp=2", "--out", out), "it differs in: scheme.feedback.kp: 1.0 there, 2.0 here"),
+        (("next", "--state", state, "--measured", trial), "--out is missing"),
+        (("next", "--state", state, "--out", folder / "next.txt"), "is none of the formats .csv, .mat, .h"),
+        (("next", "--state", state, "--out", folder / "no/next.csv"), "the folder does not exist"),
+        (("next", "--state", state, "--out", out, "--undo", 20), "not one to go back to; allowed are those before the last one, 20"),
+        (("next", "--state", state, "--out", out, "--growth", -1), "growth = -1 is outside its allowed range [0, inf)"),
+        ((*start, "--scheme", "pid"), "scheme = 'pid' is not one of those that learn: ilc"),
+        ((*start, "--scenario", "cao-2019"), "--scenario and --plant-file exclude each other"),
+        (("next", "--state", folder / "new", "--out", out), "the first call needs --scenario or --plant-file"),
+        (("next", "--state", rig.folder, "--plant-file", rig.file, "--out", out), "exists already; choose another folder"),
+        (("next", "--state", folder / "new", "--scenario", "cao-2019", "--out", out), "None is not one of those that learn: cfdl-mfailc"),
+        ((*start, "--measured", trial), "holds no campaign; start one without --measured"),
+        (("trials", "--state", folder / "new"), "holds no campaign"),
+    ):
+        with pytest.raises((ValueError, FileExistsError, FileNotFoundError)) as error:
+            call(*arguments)
+        assert message in str(error.value)
+    assert not out.exists()
+    assert not (folder / "new").exists()
+
+
+def test_a_damaged_entry_is_named_and_can_be_left_behind(copied):
+    rig, state, folder = copied
+    damaged = state / "000020" / "memory.npz"
+    damaged.write_bytes(damaged.read_bytes()[:100])
+    with pytest.raises(ValueError, match=r"000020/memory.npz cannot be read .*--undo goes back to an earlier trial"):
+        call("next", "--state", state, "--out", folder / "next.csv")
+    call("next", "--state", state, "--undo", 19, "--out", folder / "next.csv")
+    assert (folder / "next.csv").read_bytes() == (rig.folder / "next-20.csv").read_bytes()
+    manifest = json.loads((state / "000020" / "manifest.json").read_text())
+    assert manifest["trial"] == 20
+    shutil.rmtree(state / "000003")
+    with pytest.raises(ValueError, match="000004 is entry 4 of format 1; needed are 3 and 1"):
+        call("next", "--state", state, "--out", folder / "next.csv")
+
+
+def _ladder():
+    machine, scheme, task = case("p_type_over_pid")
+    return machine, Ladder(scheme, repeats=2), task
+
+
+@pytest.mark.parametrize("name", ["p_type_on_reference", "milc", "dilc", "ffdl_sign", "asmc_over_ilc", "ladder"])
+def test_what_a_scheme_learns_from_y_and_u_alone_is_what_it_learns_in_simulation(tmp_path, name):
+    machine, scheme, task = _ladder() if name == "ladder" else case("ilc_asmc" if name == "asmc_over_ilc" else name)
+    campaign = Campaign.start(tmp_path / "state", scheme, task)
+    for j in range(1, 4):
+        trial = run_trial(machine, scheme, task, campaign.memory(), jax.random.fold_in(KEY, j))
+        turn = campaign.turn(Measured(np.asarray(trial.y), np.asarray(trial.u), {}, (), f"trial {j}"), replay_input=True)
+        assert not any("away" in f.text for f in turn.findings), "the replayed input is the one that was applied"
+        campaign.keep(turn)
+    expected = learn(machine, scheme, task, 3, key=KEY).memory
+    for ours, theirs in zip(jax.tree.leaves(campaign.memory()), jax.tree.leaves(expected), strict=True):
+        np.testing.assert_allclose(ours, theirs, **ALGEBRA)
+
+
+def test_a_learned_reference_is_held_to_its_largest_correction(tmp_path):
+    machine, scheme, task = case("p_type_on_reference")
+    campaign = Campaign.start(tmp_path / "state", scheme, task, rules=Rules(correction=0.01))
+    trial = run_trial(machine, scheme, task, campaign.memory(), KEY)
+    measured = Measured(np.asarray(trial.y), None, {}, (), "trial 1")
+    with pytest.raises(ValueError, match="trial 1 has no input u"):
+        campaign.turn(measured)
+    turn = campaign.turn(measured, replay_input=True)
+    correction = 0.4 * np.asarray(trial.e)[2:, 0]  # gamma_p e[k+1+lead]
+    k = int(np.argmax(np.abs(correction))) + 1  # w[k] is added to r[k+1]
+    assert f"the next reference is {correction[k - 1]:.6g}  away from the task's at sample {k}" in turn.refusals[0]
+    with pytest.raises(ValueError, match="the next reference"):
+        campaign.keep(turn)
+
+
+def test_every_table_is_looked_at_before_it_is_played():
+    _, _, task = case("milc")
+    r = np.asarray(task.reference)
+    rows = {"reference": r[:, 1:] + 0.2, "table.u": np.full((task.N, 1), -0.5), "table.weights[0]": np.zeros((task.N, 1))}
+    assert beyond_limits(rows, task, None, Rules()) == []
+    rows["table.weights[0]"][3] = np.nan
+    found = beyond_limits(rows, task, None, Rules(limit=0.4, correction=0.1))
+    assert [f.kind for f in found] == ["refusal"] * 3
+    assert "0.2  away from the task's" in found[0].text
+    assert "the next table.u is -0.5  at sample 0; allowed are +-0.4" in found[1].text
+    assert found[2].text == "the next table.weights[0] is not finite at sample 3"
+
+
+def test_a_table_that_was_not_the_one_to_play_is_refused(tmp_path):
+    machine, scheme, task = case("p_type_on_reference")
+    campaign = Campaign.start(tmp_path / "state", scheme, task)
+    trial = run_trial(machine, scheme, task, campaign.memory(), KEY)
+    other = np.asarray(task.reference) + 0.01
+    turn = campaign.turn(Measured(np.asarray(trial.y), np.asarray(trial.u), {"reference": other}, (), "trial 1"))
+    assert "reference is 0.01 away at sample" in turn.refusals[0]
