@@ -11,7 +11,7 @@ from jaxilc.scenarios.milc_2024 import TABLE_1, table_rms
 jaxilc.setup()
 folder = output.folder(__file__)
 s = jaxilc.scenarios.load("milc-2024")
-keep = jaxilc.metrics.Keep(("e", "u"), (*s.functions.items(), ("feedback", lambda trial: trial.signals["feedback"][:, 0])))
+keep = jaxilc.Keep(("e", "u"), (*s.functions.items(), ("feedback", lambda trial: trial.signals["feedback"][:, 0])))
 found = {name: jaxilc.learn(s.machine, scheme, s.task, s.trials, save=keep).saved for name, scheme in s.schemes.items()}
 quiet = dataclasses.replace(s.machine, sensor=None)
 found_quiet = {name: jaxilc.learn(quiet, scheme, s.task, s.trials, save=table_rms).saved for name, scheme in s.schemes.items()}

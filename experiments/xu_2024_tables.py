@@ -12,7 +12,7 @@ folder = output.folder(__file__)
 rows, histories = [], {}
 for name, table, load in (("Table 1", TABLE_1, 0.0), ("Table 2", TABLE_2, 1.0)):
     s = jaxilc.scenarios.load("xu-2024", load=load)
-    keep = jaxilc.metrics.Keep.of(s.functions, "e", "u")
+    keep = jaxilc.Keep.of(s.functions, "e", "u")
     for scheme, printed in table.items():
         history = jaxilc.learn(s.machine, s.schemes[scheme], s.task, s.trials, save=keep)
         histories[name, scheme] = history

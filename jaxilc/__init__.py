@@ -18,12 +18,15 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from . import figures, filters, plants, pytree, references, scenarios, schemes, theory
+    from . import figures, filters, inversion, objectives, paths, plants, pytree, references, risks, scenarios, schemes, theory
     from .batch import tiled
+    from .campaign import Campaign
+    from .contour import contour_error
     from .identification import identify
     from .learning import History, feedforward, learn, measured_trial, next_memory
     from .machine import Actuator, Disturbance, Machine, Sensor
-    from .metrics import Metrics, measure
+    from .metrics import Keep, Metrics, measure, repeatability
+    from .plant_files import load_scenario
     from .records import Record, excite, read_record, write_record
     from .reproduction import reproduce
     from .results import open_dataset
@@ -32,16 +35,26 @@ if TYPE_CHECKING:
     from .signals import Sample, Task, Trial
     from .summary import summarise
     from .sweep import Sweep
+    from .switching import SwitchableFilter, instantaneous_frequency, segments
+    from .trade_off import pareto
     from .trial import run_trial
+    from .tuning import Tuned, Tuning
     from .uncertainty import LogUniform, Normal, Uniform
+    from .worst_case import monte_carlo_search, worst_case_search
 
-_MODULES = ("figures", "filters", "plants", "pytree", "references", "scenarios", "schemes", "theory")
+_MODULES = (
+    *("figures", "filters", "inversion", "objectives", "paths", "plants", "pytree", "references", "risks", "scenarios", "schemes"),
+    "theory",
+)
 _NAMES = {
     "batch": ("tiled",),
+    "campaign": ("Campaign",),
+    "contour": ("contour_error",),
     "identification": ("identify",),
     "learning": ("History", "feedforward", "learn", "measured_trial", "next_memory"),
     "machine": ("Actuator", "Disturbance", "Machine", "Sensor"),
-    "metrics": ("Metrics", "measure"),
+    "metrics": ("Keep", "Metrics", "measure", "repeatability"),
+    "plant_files": ("load_scenario",),
     "records": ("Record", "excite", "read_record", "write_record"),
     "reproduction": ("reproduce",),
     "results": ("open_dataset",),
@@ -50,15 +63,21 @@ _NAMES = {
     "signals": ("Sample", "Task", "Trial"),
     "summary": ("summarise",),
     "sweep": ("Sweep",),
+    "switching": ("SwitchableFilter", "instantaneous_frequency", "segments"),
+    "trade_off": ("pareto",),
     "trial": ("run_trial",),
+    "tuning": ("Tuned", "Tuning"),
     "uncertainty": ("LogUniform", "Normal", "Uniform"),
+    "worst_case": ("monte_carlo_search", "worst_case_search"),
 }
 _HOME = {name: module for module, names in _NAMES.items() for name in names}
 
 __all__ = [
     "Actuator",
+    "Campaign",
     "Disturbance",
     "History",
+    "Keep",
     "LogUniform",
     "Machine",
     "Metrics",
@@ -67,32 +86,47 @@ __all__ = [
     "Sample",
     "Sensor",
     "Sweep",
+    "SwitchableFilter",
     "Task",
     "Trial",
+    "Tuned",
+    "Tuning",
     "Uniform",
+    "contour_error",
     "excite",
     "feedforward",
     "figures",
     "filters",
     "identify",
+    "instantaneous_frequency",
+    "inversion",
     "learn",
+    "load_scenario",
     "measure",
     "measured_trial",
+    "monte_carlo_search",
     "next_memory",
+    "objectives",
     "open_dataset",
+    "pareto",
+    "paths",
     "plants",
     "pytree",
     "read_record",
     "references",
+    "repeatability",
     "reproduce",
+    "risks",
     "run_schemes",
     "run_trial",
     "scenarios",
     "schemes",
+    "segments",
     "setup",
     "summarise",
     "theory",
     "tiled",
+    "worst_case_search",
     "write_record",
 ]
 

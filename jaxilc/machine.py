@@ -119,6 +119,7 @@ class Machine:
         for what, here, there in (("inputs", self.plant.n_u, task.inputs), ("outputs", self.plant.n_y, task.outputs)):
             if here != there:
                 raise ValueError(f"the task has {there} {what} but the plant {type(self.plant).__name__} has {here}")
+        self.plant.check(task)
         for part_, names, channels in (
             (self.actuator, ("limit", "rate", "resolution"), task.inputs),
             (self.sensor, ("resolution", "noise"), task.outputs),

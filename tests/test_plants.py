@@ -4,13 +4,13 @@ import control
 import jax
 import numpy as np
 import pytest
-from cases import ALGEBRA, ARX, DT, PLANTS
+from cases import ALGEBRA, ARX, DT, PLANTS, task_for
 
 from jaxilc.learning import learn
 from jaxilc.machine import Machine
 from jaxilc.plants import DifferenceEquation, StateSpace, VoiceCoil, from_control, voice_coil
 from jaxilc.pytree import leaf, pytree
-from jaxilc.schemes import PID, Scheme
+from jaxilc.schemes import PID, PIDType, Scheme
 from jaxilc.schemes.scheme import Feedforward
 from jaxilc.signals import Task
 
@@ -191,3 +191,9 @@ def test_another_sample_time_is_refused(plant):
 def test_misshapen_plants_are_refused_at_construction(build, message):
     with pytest.raises(ValueError, match=message):
         build()
+
+
+def test_a_time_varying_plant_belongs_to_trials_of_its_length():
+    plant = PLANTS["time_varying"]
+    with pytest.raises(ValueError, match=f"given for N = {plant.N} samples but the task has N = {plant.N + 4}"):
+        learn(Machine(plant), PIDType(gamma_p=0.1), task_for(plant, plant.N + 4), 1)

@@ -8,6 +8,7 @@ import jax.scipy.linalg
 import numpy as np
 
 from ..pytree import leaf, pytree, static
+from ..signals import Task
 from .plant import Plant
 
 
@@ -110,6 +111,10 @@ class TimeVaryingStateSpace(Plant):
     @property
     def n_y(self) -> int:
         return self.C.shape[-2]
+
+    def check(self, task: Task) -> None:
+        if self.N != task.N:
+            raise ValueError(f"TimeVaryingStateSpace: the plant is given for N = {self.N} samples but the task has N = {task.N}")
 
     def sampled(self, dt: float) -> TimeVaryingStateSpace:
         return matching(self, self.dt, dt)

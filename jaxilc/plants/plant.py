@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from ..signals import Task
+
 State = Any
 
 
@@ -20,6 +22,9 @@ class Plant:
     def sampled(self, dt: float) -> Plant:
         """The plant prepared for sample time dt [s]."""
         return self
+
+    def check(self, task: Task) -> None:
+        """Raises ValueError where the plant cannot do this task."""
 
     def init(self) -> State:
         """The state at rest before the first sample."""

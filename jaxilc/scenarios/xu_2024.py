@@ -108,7 +108,7 @@ def xu_2024(load: float = 0.0, disturbance: str = "none") -> Scenario:
         uncertainty={f"plant.{name}": Uniform(0.8, 1.2, relative=True) for name in names},
         published=PUBLISHED,
         chosen=CHOSEN,
-        tolerance=500.0,
+        tolerance=1000.0,
         shown_unit="nm",
         shown_scale=1e3,
         show_trials=(1, 2, 4, 6, 8, 10),
