@@ -33,19 +33,29 @@ left.legend(fontsize="small")
 left.figure.savefig(folder / "rmse-by-trial.png")
 output.write_rows(folder / "rows.csv", rows)
 
-# Fig. 36 to 39: learning takes over from the feedback, the sum stays
+
+# Fig. 36 to 39: learning takes over from the position controller, the sum stays
+def learned(trial):
+    return (trial.u - trial.signals["feedback"])[:, 0]
+
+
 s = loaded["experiment"]
-found = run(s, "fixed-filter", 5)
-shares = {name: np.asarray(found.saved[f"{name}_effort"]) for name in ("feedback", "learned")}
+keep = Keep(("e",), (*s.functions.items(), ("learned", learned)))
+found = jaxilc.learn(s.machine, s.schemes["fixed-filter"], s.task, 5, save=keep).saved
+shares = {name: np.asarray(found[f"{name}_effort"]) for name in ("feedback", "learned")}
 print("position controller's share, RMS by run:", np.round(shares["feedback"], 4), "what was learned:", np.round(shares["learned"], 4))
-top, bottom = output.axes(2, 1, size=(7.2, 6.0))
-for j, e in enumerate(np.asarray(found.saved["e"])):
-    top.plot(s.task.time, 1e3 * e[:, 0], lw=0.6, label=f"run {j + 1}")
-    bottom.plot(s.task.time[:-1], np.asarray(found.saved["u"])[j, :, 0], lw=0.6)
-top.set(ylabel="error [µm]", title="Fig. 36 and 39")
-top.legend(ncols=5, fontsize="small")
-bottom.set(xlabel="time [s]", ylabel="input")
-top.figure.savefig(folder / "figures-36-39.png")
+axes = output.axes(4, 1, size=(7.2, 10.0))
+for j in range(5):
+    e = np.asarray(found["e"])[j, :, 0]
+    share, w = PROPORTIONAL * e[:-1], np.asarray(found["learned"])[j]
+    for ax, signal in zip(axes, (1e3 * e[:-1], w, share, share + w), strict=True):
+        ax.plot(s.task.time[:-1], signal, lw=0.6, label=f"run {j + 1}")
+labels = ("error [µm] (Fig. 36)", "learned (Fig. 37)", "position controller (Fig. 38)", "sum (Fig. 39)")
+for ax, label in zip(axes, labels, strict=True):
+    ax.set(ylabel=label)
+axes[0].legend(ncols=5, fontsize="small")
+axes[-1].set(xlabel="time [s]")
+axes[0].figure.savefig(folder / "figures-36-39.png")
 
 # Fig. 11 to 13: the repetitive disturbance
 s = loaded["disturbance"]

@@ -1,0 +1,79 @@
+"""What the scenarios of MILC 2024 and Xu 2024 rest on, and that they give the printed numbers that their readings claim."""
+
+import control
+import numpy as np
+import pytest
+
+from jaxilc import scenarios
+from jaxilc.reproduction import reproduce
+from jaxilc.scenarios.milc_2024 import DT, FITTED, FORCE_GAIN, nominal_drive, path, position_gain
+from jaxilc.scenarios.xu_2024 import MODEL, servo
+
+
+def test_the_position_loop_is_50_hz_wide():
+    """-3 dB of the motor's loop by python-control: sampled mechanics, backward PI and difference, P position loop."""
+    drive = nominal_drive(FITTED["antiresonance"], FORCE_GAIN)
+    A, B, C = (np.asarray(M) for M in (drive.mechanics().A, drive.mechanics().B, drive.mechanics().C))
+    mechanics = control.sample_system(control.ss(A, B, 1e3 * C[:1], 0), DT, "zoh")
+    z = control.tf("z")
+    speed = control.tf([1, -1], [DT, 0], DT)
+    pi = float(drive.speed_gain) + float(drive.speed_integral_gain) * DT * z / (z - 1)
+    pi = control.tf(pi.num, pi.den, DT)
+    f = np.linspace(45, 55, 2001)
+    w = 2 * np.pi * f
+    at = {name: system(np.exp(1j * w * DT)) for name, system in (("x", mechanics), ("v", speed), ("pi", pi))}
+    forward = float(drive.force_gain) * at["pi"] * at["x"]  # from the deviation of the speed to the position
+    P_M = float(drive.command_scale) * forward / (1 + forward * at["v"])
+    closed = np.abs(position_gain(drive) * P_M / (1 + position_gain(drive) * P_M))
+    assert 49.5 < f[np.argmax(closed < np.sqrt(0.5))] < 50.5
+
+
+def test_the_path_rests_moves_forward_and_back():
+    r = path(FITTED["velocity"])
+    assert len(r) == 4001
+    assert np.all(r[:101] == 0)
+    assert r.max() == 10.0
+    assert r[-1] == 0.0
+    assert np.max(np.abs(np.diff(r))) / DT == pytest.approx(FITTED["velocity"], rel=1e-6)
+    assert np.max(np.abs(np.diff(r, 2))) / DT**2 < 6e3 * 1.01
+
+
+def test_table_1_of_milc_2024():
+    rows = {(r.published.scheme, r.published.trial, r.published.quantity): r for r in reproduce(["milc-2024"])}
+    missed = [key for key, row in rows.items() if row.verdict != "met"]
+    assert missed == [("dilc", 11, "table_max")], "one number of Table 1 is open, and the README says which"
+    ours = {key: row.ours for key, row in rows.items()}
+    assert ours["dilc", 11, "motor_rms"] > 10 * ours["milc", 11, "motor_rms"]
+
+
+def test_a_small_stroke_sees_the_identified_gain_of_the_servo():
+    """Whatever the hysteresis: 10 mV move the tool by b / a1 per volt, as identification found."""
+    tool = servo(0.06)
+    static = float(tool.conversion * tool.amplifier_gain / tool.stiffness) * (1 - float(tool.hysteresis.initial_slope))
+    assert static == pytest.approx(MODEL["b"] / MODEL["a1"], rel=1e-3)
+
+
+def test_tables_of_xu_2024():
+    rows = reproduce(["xu-2024"])
+    verdicts = {}
+    for row in rows:
+        verdicts.setdefault((row.published.source, row.published.scheme), []).append(row.verdict)
+    fitted = [("Table 1", name) for name in ("pid", "smc", "asmc")]
+    assert all(verdicts[key] == ["met", "met"] for key in (*fitted, ("Table 2", "asmc")))
+    ours = {(r.published.source, r.published.scheme, r.published.quantity): r.ours for r in rows}
+    for table in ("Table 1", "Table 2"):
+        for quantity in ("settled_error", "settled_rms"):
+            assert ours[table, "ilc-asmc", quantity] < ours[table, "asmc", quantity]
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "message"),
+    [
+        ("milc-2024", {"axis": "y"}, "axis = 'y' is not one of 'x', 'z'"),
+        ("xu-2024", {"disturbance": "loud"}, "disturbance = 'loud' is not one of 'none', 'multi'"),
+        ("xu-2024", {"load": 50.0}, r"load = 50 N is outside its allowed range \[-5, 5\]"),
+    ],
+)
+def test_options_are_refused(name, options, message):
+    with pytest.raises(ValueError, match=message):
+        scenarios.load(name, **options)
