@@ -9,10 +9,18 @@ import jaxilc.runtime
 
 jaxilc.runtime.setup()
 
+import jax  # noqa: E402
 import pytest  # noqa: E402
 from cases import PLANTS, task_for  # noqa: E402
 
 from jaxilc.machine import Machine  # noqa: E402
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _forget_compiled_programs():
+    """What a module compiled is of no use to the next one; all of it together takes gigabytes."""
+    yield
+    jax.clear_caches()
 
 
 @pytest.fixture(scope="session")
