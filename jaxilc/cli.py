@@ -1,8 +1,7 @@
-"""The command line: `jaxilc list | run | sweep | certify | identify | reproduce`."""
+"""The command line: `jaxilc list | run | sweep | certify | identify | reproduce`; `cli_tuning` and `cli_machine` have the others."""
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 import time
@@ -10,8 +9,30 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 from rich.table import Table
+
+from . import cli_machine, cli_tuning
+from .cli_common import (
+    Json,
+    Params,
+    Precision,
+    Sampling,
+    ScenarioName,
+    Schemes,
+    Seed,
+    Set,
+    Spread,
+    Trials,
+    begin,
+    chosen_scenario,
+    err,
+    folder_of,
+    out,
+    progress_bar,
+    spread_of,
+    stopped,
+    written,
+)
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -19,22 +40,6 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Iterative learning control of machine-tool feed drives: simulate, sweep, tune.",
 )
-PIPED_WIDTH = 160  # columns where there is no terminal to ask
-out = Console(width=None if sys.stdout.isatty() else PIPED_WIDTH)
-err = Console(stderr=True)
-
-ScenarioName = Annotated[str, typer.Argument(metavar="SCENARIO", help="A scenario; `jaxilc list` names them.")]
-Schemes = Annotated[list[str] | None, typer.Option("--scheme", help="Scheme to use; repeatable. All if not given.")]
-Trials = Annotated[int | None, typer.Option(help="Trials J; the scenario's own if not given.")]
-Seed = Annotated[int, typer.Option(help="Seed of noise and of drawn machines.")]
-Set = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="PATH=VALUE", help="Set a leaf, a static field or an option of the scenario; repeatable."),
-]
-Spread = Annotated[float | None, typer.Option(help="Half-width of all relative uncertainties: 0.2 is 20 %.")]
-Sampling = Annotated[str, typer.Option(help="monte-carlo, latin-hypercube, sobol or corners.")]
-Json = Annotated[Path | None, typer.Option("--json", help="Write every printed figure to this file.")]
-Precision = Annotated[str, typer.Option(help="float64 or float32.")]
 
 
 @app.command("list")
@@ -68,6 +73,7 @@ def run(
     trials: Trials = None,
     seed: Seed = 0,
     set_: Set = None,
+    params: Params = None,
     out_dir: Annotated[Path | None, typer.Option("--out", help="Folder for figures and dataset; out/run-SCENARIO if not given.")] = None,
     json_file: Json = None,
     precision: Precision = "float64",
@@ -76,12 +82,12 @@ def run(
 
     Example: jaxilc run cao-2019 --scheme ffdl-mfailc --set ffdl-mfailc.lam=0.5
     """
-    _start(precision)
+    begin(precision)
     import jax
 
     from . import figures, runs, tables
 
-    chosen = _scenario(scenario, scheme, trials, set_)
+    chosen = chosen_scenario(scenario, scheme, trials, set_, params)
     key = jax.random.key(seed)
     dataset, _ = runs.run_schemes(chosen.machine, chosen.schemes, chosen.task, chosen.trials, key=key, quantities=chosen.functions)
     numbers = tables.run_figures(chosen, dataset)
@@ -91,7 +97,7 @@ def run(
     for note in chosen.chosen:
         out.print(f"chosen: {note}", style="dim", highlight=False)
 
-    folder = _folder(out_dir, f"run-{scenario}")
+    folder = folder_of(out_dir, f"run-{scenario}")
     shown = {"scale": chosen.shown_scale, "unit": chosen.shown_unit}
     scale, unit = chosen.shown(chosen.judged_by)
     axes = figures.error_by_trial(dataset, figure=chosen.judged_by, published=chosen.due, scale=scale, unit=unit)
@@ -101,7 +107,7 @@ def run(
         axes = figures.tracking(dataset, name, some, **shown)
         paths.append(figures.save(axes, folder / f"tracking-{name}.png"))
     dataset.to_zarr(folder / "dataset.zarr", mode="w", consolidated=False)
-    _written([*paths, folder / "dataset.zarr"], json_file, numbers)
+    written([*paths, folder / "dataset.zarr"], json_file, numbers)
 
 
 @app.command()
@@ -115,6 +121,7 @@ def sweep(
     sampling: Sampling = "monte-carlo",
     tolerance: Annotated[float | None, typer.Option(help="Largest figure that passes, the one tables show, in its unit.")] = None,
     set_: Set = None,
+    params: Params = None,
     out_dir: Annotated[Path | None, typer.Option("--out", help="Folder for figure and dataset; out/sweep-SCENARIO if not given.")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with the dataset in the folder.")] = False,
     keep: Annotated[list[str] | None, typer.Option(help="Store a signal of the last trial: y, e or u; repeatable.")] = None,
@@ -125,14 +132,13 @@ def sweep(
 
     Example: jaxilc sweep cao-2019 --samples 4096 --spread 0.2 --out out/wide
     """
-    _start(precision)
+    begin(precision)
     from . import figures, tables
     from .summary import summarise
     from .sweep import Sweep
-    from .uncertainty import with_spread
 
-    chosen = _scenario(scenario, scheme, trials, set_)
-    uncertainty = chosen.uncertainty if spread is None else with_spread(chosen.uncertainty, spread)
+    chosen = chosen_scenario(scenario, scheme, trials, set_, params)
+    uncertainty = spread_of(chosen, spread)
     common = (chosen.machine, chosen.schemes, chosen.task, chosen.trials, uncertainty, samples, seed, sampling)
     plan = Sweep(*common, keep=tuple(keep or ()), quantities=chosen.functions)
     scale, unit = chosen.shown(chosen.judged_by)
@@ -143,7 +149,7 @@ def sweep(
     store = folder / "dataset.zarr"
     if store.exists() and not resume:
         raise FileExistsError(f"{store} exists already; add --resume to go on with it, or choose another --out")
-    dataset, seconds, steps = _with_progress(plan, _folder(folder, ""), store, resume)
+    dataset, seconds, steps = _with_progress(plan, folder_of(folder, ""), store, resume)
 
     numbers = tables.sweep_figures(chosen, summarise(dataset, tolerance, figure=chosen.judged_by), tolerance, plan.samples)
     out.print(tables.yield_table(numbers))
@@ -152,7 +158,7 @@ def sweep(
         out.print(f"{steps:.3g} sample-steps in {seconds:.1f} s, compilation included: {steps / seconds:.3g} a second", highlight=False)
     axes = figures.error_band(dataset, figure=chosen.judged_by, tolerance=tolerance, scale=scale, unit=unit)
     path = figures.save(axes, folder / "error-band.png")
-    _written([path, store], json_file, numbers | {"sample_steps": steps, "seconds": seconds})
+    written([path, store], json_file, numbers | {"sample_steps": steps, "seconds": seconds})
 
 
 @app.command()
@@ -165,6 +171,7 @@ def certify(
     spread: Spread = None,
     sampling: Sampling = "monte-carlo",
     set_: Set = None,
+    params: Params = None,
     out_dir: Annotated[Path | None, typer.Option("--out", help="Folder for the figures; out/certify-SCENARIO if not given.")] = None,
     json_file: Json = None,
     precision: Precision = "float64",
@@ -173,20 +180,20 @@ def certify(
 
     Example: jaxilc certify cao-2019 --scheme cfdl-mfailc --trials 200 --samples 256
     """
-    _start(precision)
+    begin(precision)
     from . import figures, tables
     from .schemes import FFDLMFAILC
     from .theory import certify as of_machines
     from .theory import premises
-    from .uncertainty import draw, with_spread
+    from .uncertainty import draw
 
-    chosen = _scenario(scenario, scheme, trials, set_)
-    uncertainty = chosen.uncertainty if spread is None else with_spread(chosen.uncertainty, spread)
+    chosen = chosen_scenario(scenario, scheme, trials, set_, params)
+    uncertainty = spread_of(chosen, spread)
     drawn = draw(chosen.machine, uncertainty, samples, seed=seed, sampling=sampling)
     learning = {name: s for name, s in chosen.schemes.items() if s.learns}
     if not learning:
         raise ValueError(f"certify: none of {', '.join(chosen.schemes)} learns; there is nothing to certify")
-    folder, paths, numbers = _folder(out_dir, f"certify-{scenario}"), [], {}
+    folder, paths, numbers = folder_of(out_dir, f"certify-{scenario}"), [], {}
     for name, one in learning.items():
         start = time.perf_counter()
         common = (chosen.machine, one, chosen.task, chosen.trials, uncertainty, drawn)
@@ -200,7 +207,7 @@ def certify(
         paths.append(figures.save(axes, folder / f"{name}.png"))
         if len(found.broken_promises()):
             err.print(f"{name}: machines {found.broken_promises().tolist()} were certified monotone and grew: please report this")
-    _written(paths, json_file, {"scenario": scenario, "trials": chosen.trials, "samples": samples, "schemes": numbers})
+    written(paths, json_file, {"scenario": scenario, "trials": chosen.trials, "samples": samples, "schemes": numbers})
 
 
 @app.command()
@@ -219,7 +226,7 @@ def identify(
 
     Example: jaxilc identify record.csv --poles 1 --pairs 1 --zeros 1
     """
-    _start("float64")
+    begin("float64")
     from . import figures, identification, tables
     from .records import read_record
 
@@ -229,11 +236,11 @@ def identify(
     out.print(tables.identification_table(str(record), rows))
     if not found.white:
         out.print("the residual is not white: another structure may fit better, and the intervals are too narrow", highlight=False)
-    folder = _folder(out_dir, "identify")
+    folder = folder_of(out_dir, "identify")
     paths = [figures.save(figures.record_figure(measured), folder / "record.png")]
     paths.append(figures.save(figures.validation_figure(measured, found), folder / "validation.png"))
     numbers = {name: {"value": value, "low": low, "high": high} for name, value, low, high in rows}
-    _written(paths, json_file, numbers | {"white": bool(found.white), "converged": bool(found.converged)})
+    written(paths, json_file, numbers | {"white": bool(found.white), "converged": bool(found.converged)})
 
 
 @app.command()
@@ -246,12 +253,16 @@ def reproduce(
 
     Example: jaxilc reproduce cao-2019 dai-2014 --json out/reproduce.json
     """
-    _start(precision)
+    begin(precision)
     from . import reproduction, tables
 
     numbers = [row.as_dict() for row in reproduction.reproduce(scenario or ())]
     out.print(tables.reproduction_table(numbers))
-    _written([], json_file, numbers)
+    written([], json_file, numbers)
+
+
+cli_tuning.register(app)
+cli_machine.register(app)
 
 
 def main() -> None:
@@ -265,41 +276,10 @@ def main() -> None:
         sys.exit(2)
 
 
-def _start(precision: str) -> None:
-    from .runtime import setup
-
-    setup(precision=precision)
-
-
-def _scenario(name: str, schemes: list[str] | None, trials: int | None, settings: list[str] | None):
-    """The scenario as asked for; ValueError names what is allowed."""
-    import dataclasses
-
-    from . import scenarios
-
-    values = {}
-    for setting in settings or []:
-        path, equals, value = setting.partition("=")
-        if not equals:
-            raise ValueError(f"--set {setting!r} is not PATH=VALUE")
-        values[path.strip()] = value.strip()
-    known = scenarios.options(name) if name in scenarios.SCENARIOS else {}
-    chosen = scenarios.load(name, **{path: value for path, value in values.items() if path in known})
-    chosen = chosen.with_values({path: value for path, value in values.items() if path not in known})
-    if trials is not None:
-        if trials < 1:
-            raise ValueError(f"--trials {trials} is outside its allowed range [1, inf)")
-        chosen = dataclasses.replace(chosen, trials=trials)
-    return chosen.select(tuple(schemes or ()))
-
-
 def _with_progress(plan, folder: Path, store: Path, resume: bool):
     """Run the plan behind a progress bar (on a terminal); the dataset, the seconds and the sample-steps it took."""
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rate]}"))
     start, counted = time.perf_counter(), {}
-    with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=err, disable=not err.is_terminal) as bar:
+    with progress_bar("rate") as bar:
         bars = {name: bar.add_task(name, total=plan.samples, rate="") for name in plan.schemes}
 
         def progress(name: str, done: int, fresh: int) -> None:
@@ -310,24 +290,8 @@ def _with_progress(plan, folder: Path, store: Path, resume: bool):
         try:
             dataset = plan.run(store, resume=resume, progress=progress)
         except KeyboardInterrupt:
-            err.print(f"stopped; {store} holds what is done: the same command with --resume goes on", highlight=False)
-            sys.exit(130)
+            stopped(store)
     return dataset, time.perf_counter() - start, sum(counted.values()) * plan.trials * plan.task.N
-
-
-def _folder(folder: Path | None, default: str) -> Path:
-    folder = folder or Path("out") / default
-    folder.mkdir(parents=True, exist_ok=True)
-    return folder
-
-
-def _written(paths: list[Path], json_file: Path | None, numbers: dict | list) -> None:
-    if json_file is not None:
-        json_file.parent.mkdir(parents=True, exist_ok=True)
-        json_file.write_text(json.dumps(numbers, indent=1, allow_nan=True) + "\n")
-        paths = [*paths, json_file]
-    if paths:
-        out.print("written: " + ", ".join(map(str, paths)), highlight=False, soft_wrap=True)
 
 
 def _brief(value) -> str:

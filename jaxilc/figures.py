@@ -5,7 +5,7 @@ Schemes keep their colour and line style through all figures of a dataset, so th
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from .identification import Identified
     from .records import Record
     from .theory import Certificate
+    from .trade_off import Point
+    from .tuning import Tuned
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")  # safe for the colour-blind
 DASHES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (3, 1, 1, 1)), (0, (1, 1)))
@@ -205,3 +207,53 @@ def validation_figure(record: Record, identified: Identified, *, output_unit: st
     bottom.set(ylabel=f"residual [{unit}]", xlabel="time [s]")
     top.legend(ncols=3, fontsize="small", loc="lower right", bbox_to_anchor=(1.0, 1.0))
     return axes
+
+
+def loss_by_step(tuned: Tuned, *, ax: Axes | None = None) -> Axes:
+    """A tuning: loss on the plants tuned on against the step, each start, and on the held-out ones where they were looked at."""
+    ax = _axes(ax)
+    for k, losses in enumerate(tuned.loss.T):
+        ax.plot(losses, color=COLOURS[0], linewidth=0.8, alpha=0.8, label="plants tuned on" if k == 0 else None)
+    for k, losses in enumerate(tuned.held_out.T):
+        looked = np.flatnonzero(np.isfinite(losses))
+        ax.plot(looked, losses[looked], "o--", color=COLOURS[1], markersize=3, linewidth=0.5, label="held-out plants" if k == 0 else None)
+    ax.plot(tuned.step, tuned.after, "k*", markersize=10, label="chosen")
+    ax.set(xlabel="step", ylabel="loss")
+    ax.grid(True, alpha=0.25)
+    ax.legend(fontsize="small")
+    return ax
+
+
+def worst_against_chance(drawn, found: Mapping[str, float], *, nominal: float, figure: str = "", unit: str = "", ax=None) -> Axes:
+    """A search for the worst machine: distribution of the figure over drawn machines, log axis, and what each search found.
+
+    drawn: (S,) figures of the machines drawn by chance;  found: largest figure by the name of the search;  nominal: figure
+    """
+    ax = _axes(ax)
+    drawn = np.asarray(drawn)
+    drawn = drawn[np.isfinite(drawn) & (drawn > 0)]
+    low, high = drawn.min(), drawn.max() * (1 + 1e-9)
+    ax.hist(drawn, bins=np.geomspace(low, high, 60) if high > 1.01 * low else 10, color="#999999", label=f"{len(drawn)} machines drawn")
+    ax.axvline(nominal, color="k", linewidth=0.8, label=f"nominal {nominal:.4g}")
+    for i, (name, value) in enumerate(found.items()):
+        if np.isfinite(value):
+            ax.axvline(value, color=COLOURS[i % len(COLOURS)], linestyle=DASHES[i % len(DASHES)], label=f"{name} {value:.4g}")
+    ax.set(xscale="log", yscale="log", xlabel=f"{figure.replace('_', ' ')} [{unit}]", ylabel="machines")
+    ax.grid(True, which="both", alpha=0.25)
+    ax.legend(fontsize="small")
+    return ax
+
+
+def pareto_front(points: Iterable[Point], *, first: str = "", second: str = "", ax: Axes | None = None) -> Axes:
+    """A trade-off: both objectives of each point, its share of the first one beside it.
+
+    points: from `trade_off.pareto`;  first, second: names of the objectives
+    """
+    ax = _axes(ax)
+    points = sorted(points, key=lambda p: p.first)
+    ax.plot([p.first for p in points], [p.second for p in points], "o-", color=COLOURS[0], drawstyle="steps-post")
+    for p in points:
+        ax.annotate(f"{p.share:g}", (p.first, p.second), textcoords="offset points", xytext=(6, 4), fontsize="small")
+    ax.set(xlabel=first, ylabel=second)
+    ax.grid(True, alpha=0.25)
+    return ax

@@ -1,0 +1,71 @@
+"""Parameter files: what was found for the schemes of a scenario, with how it was found. JSON:
+
+{"scenario": "cao-2019", "schemes": {"cfdl-mfailc": {"lam": 0.003, "lead": 3}}, "versions": {...}, "obtained": {...}}
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .pytree import settable
+from .results import environment
+from .scenarios import Scenario
+from .schemes import Scheme
+
+
+def differing(scheme: Scheme, printed: Scheme) -> dict[str, Any]:
+    """Leaves and static fields of a scheme that are not as in another one, by path, as JSON.
+
+    A leaf that the other one lacks is named too, so that what was set by hand before tuning is not lost.
+    """
+    before, now = settable(printed), settable(scheme)
+    changed = {path: value for path, value in now.items() if path not in before or not _same(value, before[path])}
+    return {path: _plain(value) for path, value in changed.items()}
+
+
+def write_parameters(path: Path, scenario: str, schemes: Mapping[str, Mapping[str, Any]], obtained: Mapping[str, Any]) -> Path:
+    """Write a parameter file.
+
+    schemes: values by the scheme's name and the path within it;  obtained: how, as JSON
+    """
+    content = {"scenario": scenario, "schemes": schemes, "versions": environment()["versions"], "obtained": obtained}
+    path.write_text(json.dumps(content, indent=1) + "\n")
+    return path
+
+
+def with_parameters(scenario: Scenario, path: Path) -> Scenario:
+    """The scenario with the values of a parameter file.
+
+    Raises ValueError for a file that is none, is of another scenario, or names what cannot be set; FileNotFoundError for none at all.
+    """
+    try:
+        content = json.loads(path.read_text())
+        name, schemes = content["scenario"], content["schemes"]
+        values = {f"{scheme}.{leaf}": value for scheme, of in schemes.items() for leaf, value in of.items()}
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise ValueError(f"{path} is not a parameter file: it needs `scenario` and `schemes`, as `jaxilc tune` writes them") from None
+    if name != scenario.name:
+        raise ValueError(f"{path} has parameters of {name!r}, not of {scenario.name!r}")
+    for scheme in schemes:
+        if scheme not in scenario.schemes:
+            raise ValueError(f"{path}: scheme = {scheme!r} is not one of {', '.join(scenario.schemes)}")
+    try:
+        return scenario.with_values(values)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def _same(one, other) -> bool:
+    if one is None or other is None or isinstance(one, str) or isinstance(other, str):
+        return one is other or (isinstance(one, str) and one == other)
+    return np.shape(one) == np.shape(other) and bool(np.all(np.asarray(one) == np.asarray(other)))
+
+
+def _plain(value):
+    """As JSON: numbers and lists of them, text, None."""
+    return value if value is None or isinstance(value, str | bool | int) else np.asarray(value).tolist()

@@ -1,0 +1,293 @@
+"""The command line for tuning: its numbers against the library's, parameter files, resuming, worst machines rebuilt, and mistakes."""
+
+import contextlib
+import io
+import json
+import sys
+from unittest import mock
+
+import jax
+import numpy as np
+import pytest
+from jax.experimental.compilation_cache import compilation_cache
+
+import jaxilc
+from jaxilc import descent, figures
+from jaxilc.cli import main
+from jaxilc.objectives import Contraction, Effort, EveryTrial, Final, Growth, Holding, InputRate, TrialsTo
+from jaxilc.parameters import differing, with_parameters, write_parameters
+from jaxilc.risks import CVaR, Mean, SmoothMax, Worst
+from jaxilc.tables import number
+from jaxilc.trade_off import Point
+from jaxilc.tuning import Tuning
+from jaxilc.tuning_options import objective_of, risk_of
+from jaxilc.uncertainty import with_spread
+from jaxilc.worst_case import monte_carlo_search
+
+SHORT = ("--set", "frequency=50")  # 20 samples a trial
+TUNE = (
+    *("tune", "cao-2019", "--scheme", "cfdl-mfailc", *SHORT, "--set", "cfdl-mfailc.lead=2"),
+    *("--weights", "lam,phi0", "--bounds", "lam=0.1:5", "--objective", "final+0.3*growth@max_error", "--risk", "cvar:0.5"),
+    *("--trials", 4, "--samples", 3, "--held-out", 2, "--steps", 3, "--unseen", 4, "--spread", 0.2),
+)
+
+
+def call(*arguments):
+    """Runs the command in this process: exit code, standard output, standard error."""
+    out, err, code = io.StringIO(), io.StringIO(), 0
+    with (
+        mock.patch.object(sys, "argv", ["jaxilc", *map(str, arguments)]),
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(err),
+    ):
+        try:
+            main()
+        except SystemExit as stop:
+            code = stop.code or 0
+    return code, out.getvalue(), err.getvalue()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiled_once(tmp_path_factory):
+    """The same tuning runs several times here; each would compile its own programs."""
+    settings = {"jax_compilation_cache_dir": str(tmp_path_factory.mktemp("programs")), "jax_persistent_cache_min_compile_time_secs": 0.0}
+    before = {name: getattr(jax.config, name) for name in settings}
+    for name, value in settings.items():
+        jax.config.update(name, value)
+    compilation_cache.reset_cache()
+    yield
+    for name, value in before.items():
+        jax.config.update(name, value)
+    compilation_cache.reset_cache()
+
+
+@pytest.fixture(scope="module")
+def scenario():
+    return jaxilc.scenarios.load("cao-2019", frequency=50)
+
+
+@pytest.fixture(scope="module")
+def tuned(tmp_path_factory):
+    """The folder of a tuning, and what it printed."""
+    folder = tmp_path_factory.mktemp("tune")
+    code, out, err = call(*TUNE, "--out", folder, "--json", folder / "numbers.json")
+    assert code == 0, err
+    return folder, out
+
+
+# tune ------------------------------------------------------------------------------------------------------------------------
+
+
+def test_tune_gives_the_numbers_of_the_library(tuned, scenario):
+    folder, out = tuned
+    s = scenario.with_values({"cfdl-mfailc.lead": 2})
+    problem = Tuning(
+        s.machine,
+        s.schemes["cfdl-mfailc"],
+        s.task,
+        4,
+        {"lam": (0.1, 5.0), "phi0": None},
+        with_spread(s.uncertainty, 0.2),
+        Final() + 0.3 * Growth("max_error"),
+        CVaR(0.5),
+        samples=3,
+        held_out=2,
+        steps=3,
+    )
+    found = problem.run()
+    numbers = json.loads((folder / "numbers.json").read_text())
+    assert {name: row["tuned"] for name, row in numbers["weights"].items()} == found.values
+    assert numbers["held_out"]["tuned"] == found.after < found.before == numbers["held_out"]["given"]
+    dataset = problem.compare(found, samples=4)
+    for figure in ("settled_error", "max_error"):
+        for which in ("given", "tuned"):
+            row, errors = numbers["figures"][figure][which]["2"], 1e3 * dataset[figure].sel(scheme=which, trial=2).values
+            np.testing.assert_allclose([row["worst"], row["median"]], [errors.max(), np.sort(errors)[1]], rtol=1e-12)
+    assert f"{numbers['weights']['phi0']['tuned']:.6g}" in out
+    for name in ("loss.png", "learning.png"):
+        assert (folder / name).stat().st_size > 10_000
+
+
+def test_a_parameter_file_reaches_other_commands_and_set_goes_on_top(tuned, scenario, tmp_path):
+    folder, _ = tuned
+    values = json.loads((folder / "params.json").read_text())["schemes"]["cfdl-mfailc"]
+    assert values.keys() == {"lam", "phi0", "lead"}, "what was set by hand belongs to what was tuned"
+    arguments = ("run", "cao-2019", *SHORT, "--scheme", "cfdl-mfailc", "--params", folder / "params.json", "--trials", 4)
+    code, _, err = call(*arguments, "--set", "cfdl-mfailc.lam=0.9", "--out", tmp_path / "run", "--json", tmp_path / "run.json")
+    assert code == 0, err
+    scheme = jaxilc.pytree.replaced(scenario.schemes["cfdl-mfailc"], values | {"lam": 0.9})
+    ours = 1e3 * jaxilc.learn(scenario.machine, scheme, scenario.task, 4).settled_error[-1, 0]
+    printed = json.loads((tmp_path / "run.json").read_text())["schemes"]["cfdl-mfailc"]["settled_error"]["4"]
+    np.testing.assert_allclose(printed, ours, rtol=1e-12)
+
+
+@pytest.mark.parametrize("command", ["sweep", "certify", "tune", "worst-case"])
+def test_every_command_names_a_parameter_file_of_another_scenario(command, tmp_path):
+    file = write_parameters(tmp_path / "p.json", "dai-2014", {"pid": {"kp": 1.0}}, {})
+    more = {"tune": ("--weights", "kp")}.get(command, ())
+    code, _, err = call(command, "cao-2019", "--scheme", "pid", "--params", file, *more, "--out", tmp_path / "out")
+    assert code == 2
+    assert f"{file} has parameters of 'dai-2014', not of 'cao-2019'" in err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_stopped_tuning_resumes_to_the_same_parameters(tuned, tmp_path, monkeypatch):
+    folder, _ = tuned
+    write, states = descent.Folder.write, []
+
+    def stop_at_two(self, state):
+        write(self, state)
+        states.append(state)
+        if len(states) == 2:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(descent.Folder, "write", stop_at_two)
+    code, _, err = call(*TUNE, "--out", tmp_path)
+    assert code == 130
+    assert "--resume goes on" in err
+    code, _, err = call(*TUNE, "--out", tmp_path)
+    assert code == 2
+    assert "add --resume" in err
+    code, _, err = call(*TUNE, "--out", tmp_path, "--resume")
+    assert code == 0, err
+    assert len(states) == 3
+    one, other = (json.loads((place / "params.json").read_text()) for place in (folder, tmp_path))
+    assert one == other
+
+
+# worst-case ------------------------------------------------------------------------------------------------------------------
+
+
+def test_worst_case_prints_machines_that_can_be_rebuilt(scenario, tmp_path):
+    arguments = ("worst-case", "cao-2019", *SHORT, "--scheme", "cfdl-mfailc", "--trial", 4, "--spread", 0.2, "--draws", 30)
+    code, out, err = call(*arguments, "--starts", 2, "--evaluations", 27, "--out", tmp_path / "worst")
+    assert code == 0, err
+    numbers = json.loads((tmp_path / "worst/worst-case.json").read_text())
+    scheme = scenario.schemes["cfdl-mfailc"]
+
+    def error(machine):
+        return 1e3 * float(jaxilc.learn(machine, scheme, scenario.task, 4).settled_error[-1, 0])
+
+    np.testing.assert_allclose(numbers["nominal"], error(scenario.machine), rtol=1e-12)
+    assert {name: row["evaluations"] for name, row in numbers["searches"].items()} == {"gradient": 24, "chance": 24, "more chance": 30}
+    for row in numbers["searches"].values():
+        settings = dict(setting.split("=") for setting in row["set"])
+        rebuilt = scenario.with_values(settings).machine
+        np.testing.assert_allclose(row["value"], error(rebuilt), rtol=1e-9)
+        for name, share in row["numbers"].items():
+            now, nominal = (jaxilc.pytree.get_at(m, name) for m in (rebuilt, scenario.machine))
+            np.testing.assert_allclose(now, share * nominal, rtol=1e-12)
+            assert 0.8 <= share <= 1.2
+        assert row["value"] > numbers["nominal"]
+        assert number(row["value"]) in out
+    chance = monte_carlo_search(
+        lambda machine: jaxilc.learn(machine, scheme, scenario.task, 4).settled_error[-1, 0],
+        scenario.machine,
+        with_spread(scenario.uncertainty, 0.2),
+        30,
+    )
+    row = numbers["searches"]["more chance"]
+    np.testing.assert_allclose(list(row["numbers"].values()), list(chance.values.values()), rtol=1e-12)
+    assert row["needed"] == 1 + np.argmax(chance.found)
+    assert numbers["searches"]["gradient"]["value"] > row["value"]
+    assert (tmp_path / "worst/worst-case.png").stat().st_size > 10_000
+
+
+# What is asked for -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "terms"),
+    [
+        ("final", ((1.0, Final("rms")),)),
+        ("2*final:20 + 0.3*final@max_error", ((2.0, Final("rms", 20)), (0.3, Final("max_error")))),
+        ("holding:5+every-trial@max_error", ((1.0, Holding(5, "rms")), (1.0, EveryTrial("max_error")))),
+        ("trials-to:5", ((1.0, TrialsTo(0.005, "rms")),)),
+        ("growth:3+effort:2+input-rate", ((1.0, Growth("rms", 3)), (1.0, Effort(2.0)), (1.0, InputRate(1.0)))),
+        ("0.1*contraction:0.9", ((0.1, Contraction(0.9)),)),
+    ],
+)
+def test_objectives_are_what_they_say(text, terms):
+    assert objective_of(text, "rms", 1e3).terms == terms
+
+
+def test_risks_are_what_they_say():
+    texts = ("mean", "worst", "cvar:0.8", "cvar", "smooth-max:0.1")
+    assert [risk_of(text) for text in texts] == [Mean(), Worst(), CVaR(0.8), CVaR(), SmoothMax(0.1)]
+
+
+@pytest.mark.parametrize(
+    ("command", "arguments", "message"),
+    [
+        ("tune", ("--weights", "gain"), "weights: 'gain' is not a parameter here; known: lam"),
+        ("tune", ("--weights", "lam", "--bounds", "eta=0:1"), "--bounds: 'eta' is not one of the weights lam"),
+        ("tune", ("--weights", "lam", "--bounds", "lam"), "--bounds 'lam' is not NAME=LOW:HIGH"),
+        ("tune", ("--weights", "lam", "--bounds", "lam=a:1"), "lam: 'a' is not a number"),
+        ("tune", ("--weights", "lam", "--bounds", "lam=2:3"), "the start lam = 1.0 is outside its bounds (2, 3)"),
+        ("tune", ("--weights", "lam", "--objective", "best"), "--objective: 'best' is not one of final[:trial], every-trial"),
+        ("tune", ("--weights", "lam", "--objective", "final:0"), "final: '0' is not the number of a trial"),
+        ("tune", ("--weights", "lam", "--objective", "final:100"), "trial = 100 is outside its allowed range [1, 80]"),
+        ("tune", ("--weights", "lam", "--objective", "final@speed"), "figure = 'speed' is not one of max_error, rms, settled_error"),
+        ("tune", ("--weights", "lam", "--objective", "-1*final"), "weight of final: -1 is outside its allowed range (0, inf)"),
+        ("tune", ("--weights", "lam", "--risk", "median"), "--risk 'median' is not one of mean, worst, cvar[:alpha]"),
+        ("tune", ("--weights", "lam", "--risk", "cvar:1"), "alpha = 1 is outside its allowed range [0, 1)"),
+        ("tune", ("--weights", "lam", "--optimiser", "sgd"), "optimiser = 'sgd' is not one of adam, lbfgs, least-squares"),
+        ("tune", ("--weights", "lam", "--steps", "0"), "steps = 0 is outside its allowed range [1, inf)"),
+        ("tune", ("--weights", "lam", "--unseen", "0"), "--unseen 0 is outside its allowed range [1, inf)"),
+        ("tune", ("--weights", "lam", "--spread", "2"), "spread = 2 is outside its allowed range (0, 1)"),
+        ("tune", ("--weights", "lam", "--params", "none.json"), "none.json"),
+        ("worst-case", ("--trial", "0"), "--trial 0 is outside its allowed range [1, inf)"),
+        ("worst-case", ("--evaluations", "10"), "--evaluations 10 is outside its allowed range [64, inf)"),
+        ("worst-case", ("--draws", "0"), "--draws 0 is outside its allowed range [1, inf)"),
+        ("worst-case", ("--starts", "0"), "starts = 0 is outside its allowed range [1, inf)"),
+    ],
+)
+def test_a_mistake_is_one_line_and_nothing_is_written(command, arguments, message, tmp_path):
+    code, _, err = call(command, "cao-2019", *SHORT, "--scheme", "cfdl-mfailc", *arguments, "--out", tmp_path / "out")
+    assert code == 2
+    assert message in err
+    assert err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+# Parameter files and figures -------------------------------------------------------------------------------------------------
+
+
+def test_a_parameter_file_holds_what_differs(scenario, tmp_path):
+    printed = scenario.schemes["ffdl-mfailc"]
+    changed = {"lam": 0.5, "phi0": [0.5, 0.0, -0.06], "L_u": 1, "reset": "none", "limit": 9.0}
+    values = differing(jaxilc.pytree.replaced(printed, changed), printed)
+    assert values == changed
+    file = write_parameters(tmp_path / "p.json", "cao-2019", {"ffdl-mfailc": values}, {"by": "hand"})
+    again = with_parameters(scenario, file).schemes["ffdl-mfailc"]
+    assert differing(again, printed) == changed
+    assert differing(printed, again) == {name: values for name, values in differing(printed, again).items() if name in changed}
+    assert json.loads(file.read_text())["versions"]["jaxilc"]
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("{", "is not a parameter file: it needs `scenario` and `schemes`"),
+        ("[1]", "is not a parameter file"),
+        ('{"schemes": {}}', "is not a parameter file"),
+        ('{"scenario": "cao-2019", "schemes": {"pid": 3}}', "is not a parameter file"),
+        ('{"scenario": "cao-2019", "schemes": {"smc": {"lam": 1}}}', "scheme = 'smc' is not one of pid, cfdl-mfailc"),
+        ('{"scenario": "cao-2019", "schemes": {"pid": {"kq": 1}}}', "'pid.kq' cannot be set; known: "),
+        ('{"scenario": "cao-2019", "schemes": {"cfdl-mfailc": {"lam": 0}}}', r"lam = 0 is outside its allowed range \(0, inf\)"),
+    ],
+)
+def test_a_bad_parameter_file_is_named(scenario, tmp_path, content, message):
+    file = tmp_path / "p.json"
+    file.write_text(content)
+    with pytest.raises(ValueError, match=rf"p\.json.*{message}"):
+        with_parameters(scenario, file)
+
+
+def test_figures_show_the_numbers_they_are_given():
+    axes = figures.pareto_front([Point(0.9, 1.0, 3.0, None), Point(0.1, 2.0, 1.0, None)], first="error", second="trials")
+    np.testing.assert_array_equal(axes.lines[0].get_xydata(), [[1, 3], [2, 1]])
+    assert [text.get_text() for text in axes.texts] == ["0.9", "0.1"]
+    axes = figures.worst_against_chance([1.0, 2.0, 2.5, np.inf, 30.0], {"gradient": 40.0}, nominal=1.5, unit="µm")
+    assert sum(bar.get_height() for bar in axes.patches) == 4
+    assert [line.get_xdata()[0] for line in axes.lines] == [1.5, 40.0]
