@@ -1,4 +1,4 @@
-"""The command line: `jaxilc list | run | sweep | certify | identify | reproduce`; `cli_tuning` and `cli_machine` have the others."""
+"""The command line: `jaxilc list | run | sweep | certify | identify | reproduce`; the other commands are in the modules `cli_...`."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from . import cli_machine, cli_tuning
+from . import cli_bench, cli_machine, cli_tuning
 from .cli_common import (
     Json,
     Params,
     Precision,
+    Report,
     Sampling,
     ScenarioName,
     Schemes,
@@ -49,11 +50,12 @@ def list_(scenario: Annotated[str | None, typer.Argument(metavar="[SCENARIO]", h
     Example: jaxilc list cao-2019
     """
     from . import scenarios
+    from .plant_files import load_scenario
 
     if scenario is not None:
-        loaded = scenarios.load(scenario)
+        loaded = load_scenario(scenario)
         table = Table("--set", "value", "allowed", title=loaded.title)
-        for option, default in scenarios.options(scenario).items():
+        for option, default in loaded.options.items():
             table.add_row(option, str(default), "option of the scenario")
         for path, value in loaded.settable().items():
             table.add_row(path, _brief(value), loaded.allowed(path))
@@ -76,6 +78,7 @@ def run(
     params: Params = None,
     out_dir: Annotated[Path | None, typer.Option("--out", help="Folder for figures and dataset; out/run-SCENARIO if not given.")] = None,
     json_file: Json = None,
+    report: Report = None,
     precision: Precision = "float64",
 ) -> None:
     """Learn on the nominal machine: errors by trial beside the published ones, figures, dataset.
@@ -86,18 +89,20 @@ def run(
     import jax
 
     from . import figures, runs, tables
+    from .report import command_report
 
     chosen = chosen_scenario(scenario, scheme, trials, set_, params)
     key = jax.random.key(seed)
     dataset, _ = runs.run_schemes(chosen.machine, chosen.schemes, chosen.task, chosen.trials, key=key, quantities=chosen.functions)
     numbers = tables.run_figures(chosen, dataset)
-    out.print(tables.run_table(chosen, numbers))
-    for line in tables.other_rows(chosen, numbers):
+    table, lines = tables.run_table(chosen, numbers), tables.other_rows(chosen, numbers)
+    out.print(table)
+    for line in lines:
         out.print(line, highlight=False)
     for note in chosen.chosen:
         out.print(f"chosen: {note}", style="dim", highlight=False)
 
-    folder = folder_of(out_dir, f"run-{scenario}")
+    folder = folder_of(out_dir, f"run-{chosen.name}")
     shown = {"scale": chosen.shown_scale, "unit": chosen.shown_unit}
     scale, unit = chosen.shown(chosen.judged_by)
     axes = figures.error_by_trial(dataset, figure=chosen.judged_by, published=chosen.due, scale=scale, unit=unit)
@@ -107,7 +112,8 @@ def run(
         axes = figures.tracking(dataset, name, some, **shown)
         paths.append(figures.save(axes, folder / f"tracking-{name}.png"))
     dataset.to_zarr(folder / "dataset.zarr", mode="w", consolidated=False)
-    written([*paths, folder / "dataset.zarr"], json_file, numbers)
+    page = command_report(report, "run", [table], paths, scenario=chosen, lines=lines)
+    written([*paths, *page, folder / "dataset.zarr"], json_file, numbers)
 
 
 @app.command()
@@ -126,6 +132,7 @@ def sweep(
     resume: Annotated[bool, typer.Option("--resume", help="Go on with the dataset in the folder.")] = False,
     keep: Annotated[list[str] | None, typer.Option(help="Store a signal of the last trial: y, e or u; repeatable.")] = None,
     json_file: Json = None,
+    report: Report = None,
     precision: Precision = "float64",
 ) -> None:
     """Schemes against many uncertain machines: yield, quantiles, worst case, figure, labelled dataset.
@@ -134,6 +141,7 @@ def sweep(
     """
     begin(precision)
     from . import figures, tables
+    from .report import command_report
     from .summary import summarise
     from .sweep import Sweep
 
@@ -145,20 +153,22 @@ def sweep(
     tolerance = (chosen.tolerance if tolerance is None else tolerance) / scale
     if not tolerance > 0:
         raise ValueError(f"--tolerance {tolerance * scale:g} is outside its allowed range (0, inf)")
-    folder = out_dir or Path("out") / f"sweep-{scenario}"
+    folder = out_dir or Path("out") / f"sweep-{chosen.name}"
     store = folder / "dataset.zarr"
     if store.exists() and not resume:
         raise FileExistsError(f"{store} exists already; add --resume to go on with it, or choose another --out")
     dataset, seconds, steps = _with_progress(plan, folder_of(folder, ""), store, resume)
 
     numbers = tables.sweep_figures(chosen, summarise(dataset, tolerance, figure=chosen.judged_by), tolerance, plan.samples)
-    out.print(tables.yield_table(numbers))
-    out.print(tables.band_table(numbers))
+    shown = [tables.yield_table(numbers), tables.band_table(numbers)]
+    for table in shown:
+        out.print(table)
     if steps:
         out.print(f"{steps:.3g} sample-steps in {seconds:.1f} s, compilation included: {steps / seconds:.3g} a second", highlight=False)
     axes = figures.error_band(dataset, figure=chosen.judged_by, tolerance=tolerance, scale=scale, unit=unit)
     path = figures.save(axes, folder / "error-band.png")
-    written([path, store], json_file, numbers | {"sample_steps": steps, "seconds": seconds})
+    page = command_report(report, "sweep", shown, [path], scenario=chosen, configuration=plan.configuration())
+    written([path, *page, store], json_file, numbers | {"sample_steps": steps, "seconds": seconds})
 
 
 @app.command()
@@ -193,7 +203,7 @@ def certify(
     learning = {name: s for name, s in chosen.schemes.items() if s.learns}
     if not learning:
         raise ValueError(f"certify: none of {', '.join(chosen.schemes)} learns; there is nothing to certify")
-    folder, paths, numbers = folder_of(out_dir, f"certify-{scenario}"), [], {}
+    folder, paths, numbers = folder_of(out_dir, f"certify-{chosen.name}"), [], {}
     for name, one in learning.items():
         start = time.perf_counter()
         common = (chosen.machine, one, chosen.task, chosen.trials, uncertainty, drawn)
@@ -263,6 +273,7 @@ def reproduce(
 
 cli_tuning.register(app)
 cli_machine.register(app)
+cli_bench.register(app)
 
 
 def main() -> None:

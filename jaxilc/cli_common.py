@@ -14,7 +14,7 @@ PIPED_WIDTH = 160  # columns where there is no terminal to ask
 out = Console(width=None if sys.stdout.isatty() else PIPED_WIDTH)
 err = Console(stderr=True)
 
-ScenarioName = Annotated[str, typer.Argument(metavar="SCENARIO", help="A scenario; `jaxilc list` names them.")]
+ScenarioName = Annotated[str, typer.Argument(metavar="SCENARIO", help="Of `jaxilc list`, or your own, a TOML or JSON file.")]
 Schemes = Annotated[list[str] | None, typer.Option("--scheme", help="Scheme to use; repeatable. All if not given.")]
 OneScheme = Annotated[str, typer.Option("--scheme", help="Scheme to use.")]
 Trials = Annotated[int | None, typer.Option(help="Trials J; the scenario's own if not given.")]
@@ -27,14 +27,16 @@ Params = Annotated[Path | None, typer.Option("--params", metavar="FILE", help="P
 Spread = Annotated[float | None, typer.Option(help="Half-width of all relative uncertainties: 0.2 is 20 %.")]
 Sampling = Annotated[str, typer.Option(help="monte-carlo, latin-hypercube, sobol or corners.")]
 Json = Annotated[Path | None, typer.Option("--json", help="Write every printed figure to this file.")]
+Report = Annotated[Path | None, typer.Option("--report", help="Write one self-contained HTML page to this file.")]
 Precision = Annotated[str, typer.Option(help="float64 or float32.")]
 
 
 def begin(precision: str) -> None:
-    """Start JAX."""
-    from .runtime import setup
+    """Start JAX, with compiled programs kept from one start to the next."""
+    from .runtime import keep_programs, setup
 
     setup(precision=precision)
+    keep_programs()
 
 
 def chosen_scenario(name: str, schemes: list[str] | None, trials: int | None, settings: list[str] | None, params: Path | None = None):
@@ -43,6 +45,7 @@ def chosen_scenario(name: str, schemes: list[str] | None, trials: int | None, se
 
     from . import scenarios
     from .parameters import with_parameters
+    from .plant_files import load_scenario
 
     values = {}
     for setting in settings or []:
@@ -51,7 +54,7 @@ def chosen_scenario(name: str, schemes: list[str] | None, trials: int | None, se
             raise ValueError(f"--set {setting!r} is not PATH=VALUE")
         values[path.strip()] = value.strip()
     known = scenarios.options(name) if name in scenarios.SCENARIOS else {}
-    chosen = scenarios.load(name, **{path: value for path, value in values.items() if path in known})
+    chosen = load_scenario(name, {path: value for path, value in values.items() if path in known})
     chosen = chosen if params is None else with_parameters(chosen, params)
     chosen = chosen.with_values({path: value for path, value in values.items() if path not in known})
     if trials is not None:

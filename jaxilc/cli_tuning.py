@@ -68,8 +68,9 @@ def tune(
     Example: jaxilc tune cao-2019 --scheme cfdl-mfailc --weights lam,eta,mu,phi0 --set cfdl-mfailc.lead=3 --objective holding:20
     """
     begin(precision)
-    from . import figures, scenarios, tuning_tables
+    from . import figures, tuning_tables
     from .parameters import differing, write_parameters
+    from .plant_files import load_scenario
     from .tuning import Tuning
 
     chosen = chosen_scenario(scenario, [scheme], trials, set_, params)
@@ -95,7 +96,7 @@ def tune(
     for name, value in (("unseen", unseen), ("compare-trials", compare_trials)):
         if value is not None and value < 1:
             raise ValueError(f"--{name} {value} is outside its allowed range [1, inf)")
-    folder = out_dir or Path("out") / f"tune-{scenario}"
+    folder = out_dir or Path("out") / f"tune-{chosen.name}"
     state = folder / "state"
     if state.exists() and not resume:
         raise FileExistsError(f"{state} exists already; add --resume to go on with it, or choose another --out")
@@ -111,7 +112,7 @@ def tune(
         err.print(f"{name} lay on an end of its range and started from {value:g}", highlight=False)
     if tuned.dropped.any():
         err.print(f"up to {int(tuned.dropped.max())} machines a step had no finite slope and were left out", highlight=False)
-    changed = differing(tuned.scheme, scenarios.load(scenario, **chosen.options).schemes[scheme])
+    changed = differing(tuned.scheme, load_scenario(scenario, chosen.options).schemes[scheme])
     obtained = {"command": "jaxilc tune", "options": dict(chosen.options), "held_out_loss": held, "configuration": problem.configuration()}
     paths = [write_parameters(folder / "params.json", chosen.name, {scheme: changed}, obtained)]
     paths.append(figures.save(figures.loss_by_step(tuned), folder / "loss.png"))
@@ -173,7 +174,7 @@ def worst_case(
         numbers["searches"][name] = row | {"numbers": case.values, "set": _settings(case.subject, uncertainty)}
     for table in tuning_tables.worst_case_tables(chosen, numbers):
         out.print(table)
-    folder = folder_of(out_dir, f"worst-case-{scenario}")
+    folder = folder_of(out_dir, f"worst-case-{chosen.name}")
     largest = found.get("more chance", found["chance"])
     worst = {name: row["value"] for name, row in numbers["searches"].items()}
     axes = figures.worst_against_chance(shown(largest.found), worst, nominal=numbers["nominal"], figure=chosen.judged_by, unit=unit)

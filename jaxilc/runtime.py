@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
+import platform
 import warnings
+from pathlib import Path
 
 import jax
 
@@ -30,14 +33,62 @@ def setup(*, precision: str = "float64", devices: int | None = None) -> None:
     # threads to spare are what prevents it. XLA reads this name.
     os.environ.setdefault("NPROC", str(2 * max(cores, devices)))
     flags = os.environ.get("XLA_FLAGS", "")
+    too_late = False
     if "xla_backend_extra_options" not in flags:
+        too_late = _started()
         os.environ["XLA_FLAGS"] = f"{flags} {_WHOLE_LOOPS}".strip()
     if "xla_force_host_platform_device_count" not in flags and jax.config.jax_num_cpu_devices != devices:
         try:
             jax.config.update("jax_num_cpu_devices", devices)
         except RuntimeError:
-            warnings.warn(
-                "jaxilc.setup() came after JAX had started: cores and loop compilation stay as they are. Call it before any computation.",
-                RuntimeWarning,
-                stacklevel=2,
-            )
+            too_late = True
+    if too_late:
+        warnings.warn(
+            "jaxilc.setup() came after JAX had started: cores and loop compilation stay as they are, and loops run several times slower. "
+            "Call it before any computation.",
+            RuntimeWarning,
+            stacklevel=2,
+        )
+
+
+def keep_programs() -> Path | None:
+    """Keep compiled programs on disk, so that the next start finds them; the folder, None where this is switched off.
+
+    They lie under the user's cache folder (XDG_CACHE_HOME, else ~/.cache), apart for each kind of processor, since a home may be
+    shared by several. JAXILC_CACHE names another folder; `off` keeps none. A folder that JAX was already given is left alone.
+    """
+    chosen = os.environ.get("JAXILC_CACHE", "")
+    if chosen == "off":
+        return None
+    given = jax.config.jax_compilation_cache_dir
+    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    folder = Path(given or chosen or home / "jaxilc" / f"{platform.machine()}-{_processor()}")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:  # a home that cannot be written to: go without
+        return None
+    jax.config.update("jax_compilation_cache_dir", str(folder))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+    return folder
+
+
+def _started() -> bool:
+    """Whether JAX has started its backends: from then on it takes no other number of devices."""
+    devices = jax.config.jax_num_cpu_devices
+    try:
+        jax.config.update("jax_num_cpu_devices", 2 if devices == 1 else 1)
+    except RuntimeError:
+        return True
+    jax.config.update("jax_num_cpu_devices", devices)
+    return False
+
+
+def _processor() -> str:
+    """The kind of processor: programs are compiled for exactly its instructions."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        known = next(line for line in lines if line.startswith(("flags", "Features")))
+    except (OSError, StopIteration):
+        known = platform.processor()
+    return hashlib.sha256(known.encode()).hexdigest()[:8]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -12,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from . import memory
 from .batch import LANES, tiled
 from .learning import check, learn
 from .machine import Machine
@@ -82,15 +84,19 @@ class Sweep:
         out: where to keep it as a Zarr store, None for memory only;  resume: go on with the store at `out`
         progress: called after each chunk with the scheme's name, the samples done and how many of them this call computed
         Killed at any moment, a resumed run ends with the dataset of an uninterrupted one, bit for bit. Raises FileExistsError for
-        an `out` that exists without `resume`, ValueError for one made with another configuration.
+        an `out` that exists without `resume`, ValueError for one made with another configuration, and ValueError, before anything is
+        written, for a chunk or a dataset larger than the memory there is, with the chunk that would fit.
         """
         configuration = self.configuration()
-        if resume and out is not None and Path(out).exists():
-            store = Store.resume(out, configuration)
-        else:
-            store = Store.create(out, self._variables(), self._coordinates(), self.chunk, configuration)
+        found = out is not None and Path(out).exists()
+        layout = (self._variables(), self._coordinates(), self.chunk, configuration)
+        store = None if not found else Store.resume(out, configuration) if resume else Store.create(out, *layout)
         plan = {"names": tuple(self.uncertainty.items()), "trials": self.trials, "keep": self.keep, "save": Keep.of(self.quantities)}
-        run_chunk = tiled(partial(_one_sample, **plan), lanes=self.lanes)
+        run_chunk = jax.jit(tiled(partial(_one_sample, **plan), lanes=self.lanes))
+        chunks = range(-(-self.samples // self.chunk))
+        pending = [s for i, s in enumerate(self.schemes.values()) if store is None or not all(store.is_done(i, c) for c in chunks)]
+        self._need_memory(run_chunk, pending, copies=2 if out is None else 1)
+        store = Store.create(out, *layout) if store is None else store
         for i, (name, scheme) in enumerate(self.schemes.items()):
             for c, start in enumerate(range(0, self.samples, self.chunk)):
                 samples = slice(start, min(start + self.chunk, self.samples))
@@ -109,11 +115,45 @@ class Sweep:
         """The key of one sample's noise: it does not depend on chunks or on the number of samples."""
         return jax.random.fold_in(jax.random.key(self.seed), sample)
 
-    def _chunk(self, run_chunk, scheme, samples: slice) -> dict[str, np.ndarray]:
+    def bytes_stored(self) -> int:
+        """Bytes of the whole dataset, before compression."""
+        sizes = {dims[0]: len(values) for name, (dims, values) in self._coordinates().items() if dims == (name,)}
+        return sum(np.dtype(v.dtype).itemsize * math.prod(sizes[d] for d in v.dims) for v in self._variables().values())
+
+    def _need_memory(self, run_chunk, schemes, *, copies: int) -> None:
+        """Compile a chunk of each scheme; ValueError where it does not fit beside `copies` of the dataset. Unknown memory is enough."""
+        host, device, stored = memory.host_bytes(), memory.device_bytes(), copies * self.bytes_stored()
+        if host is not None and stored > host:
+            raise ValueError(
+                f"Sweep: samples = {self.samples} make a dataset of {memory.shown(stored)} in memory, where {memory.shown(host)} are "
+                "available; take fewer samples, keep fewer signals, or split the sweep"
+            )
+        room = device if device is not None else None if host is None else host - stored
+        for scheme in schemes:
+            need = memory.program_bytes(run_chunk, *self._arguments(scheme, 0, self.chunk))
+            if room is not None and need > room:
+                raise ValueError(
+                    f"Sweep: chunk = {self.chunk} needs {memory.shown(need)} where {memory.shown(room)} are available; "
+                    f"{self._that_fits(run_chunk, scheme, need, room)}"
+                )
+
+    def _that_fits(self, run_chunk, scheme, need: int, room: int) -> str:
+        # what a chunk needs is a line in its size, from two tiles on; one tile needs no loop over them
+        tile, size = self.lanes * jax.device_count(), min(self.chunk, self.samples)
+        small = min(2 * tile, size)
+        least = memory.program_bytes(run_chunk, *self._arguments(scheme, 0, small)) if small < size else need
+        if least > room:
+            return f"{small} samples at a time need {memory.shown(least)} already; keep fewer signals, or shorten the trial"
+        return f"chunk = {int(small + (room - least) / (need - least) * (size - small)) // tile * tile} would fit"
+
+    def _arguments(self, scheme, start: int, chunk: int):
         # the last chunk is filled up to full size with its last sample, so that it runs the same program as the others
-        index = np.minimum(np.arange(samples.start, samples.start + min(self.chunk, self.samples)), self.samples - 1)
+        index = np.minimum(np.arange(start, start + min(chunk, self.samples)), self.samples - 1)
         batch = (jnp.asarray(index), {name: jnp.asarray(values[index]) for name, values in self.drawn.items()})
-        results = run_chunk((self.machine, scheme, self.task, jax.random.key(self.seed)), batch)
+        return (self.machine, scheme, self.task, jax.random.key(self.seed)), batch
+
+    def _chunk(self, run_chunk, scheme, samples: slice) -> dict[str, np.ndarray]:
+        results = run_chunk(*self._arguments(scheme, samples.start, self.chunk))
         return {name: np.asarray(value)[: samples.stop - samples.start] for name, value in results.items()}
 
     def _variables(self) -> dict[str, Variable]:

@@ -46,7 +46,7 @@ def run_figures(scenario: Scenario, dataset: xr.Dataset) -> dict[str, Any]:
 def run_table(scenario: Scenario, figures: dict[str, Any]) -> Table:
     """The figure the scenario is judged by, by trial and scheme, the published value in brackets."""
     figure, (_, unit) = scenario.judged_by, scenario.shown(scenario.judged_by)
-    table = Table(title=f"{scenario.title}\n{figure.replace('_', ' ')} [{unit}] by trial, published value in brackets")
+    table = Table(title=f"{scenario.title}\n{figure.replace('_', ' ')} \\[{unit}] by trial, published value in brackets")
     table.add_column("trial", justify="right")
     for name in scenario.schemes:
         table.add_column(name, justify="right")
@@ -108,7 +108,7 @@ def yield_table(figures: dict[str, Any]) -> Table:
     """One row a scheme: yield with its interval, the last trial's spread, semi-convergence, divergence."""
     last, unit = str(figures["trials"]), figures["unit"]
     table = Table(title=f"{figures['samples']} machines, {figures['figure']} of trial {last} within {figures['tolerance']:g} {unit}")
-    for column in ("scheme", "yield (95 % interval)", f"median [{unit}]", "5–95 %", "worst", "sample", "semi-converged", "diverged"):
+    for column in ("scheme", "yield (95 % interval)", f"median \\[{unit}]", "5–95 %", "worst", "sample", "semi-converged", "diverged"):
         table.add_column(column, justify="left" if column == "scheme" else "right")
     for name, row in figures["schemes"].items():
         at, (low, high) = row["by_trial"][last], row["yield_interval"]
@@ -127,7 +127,7 @@ def yield_table(figures: dict[str, Any]) -> Table:
 
 def band_table(figures: dict[str, Any]) -> Table:
     """Median and 95 % quantile by trial and scheme."""
-    table = Table(title=f"{figures['figure']} [{figures['unit']}] by trial: median (95 % quantile)")
+    table = Table(title=f"{figures['figure']} \\[{figures['unit']}] by trial: median (95 % quantile)")
     table.add_column("trial", justify="right")
     for name in figures["schemes"]:
         table.add_column(name, justify="right")

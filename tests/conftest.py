@@ -4,6 +4,7 @@ import os
 
 # Compiling dominates these tests; without LLVM's optimiser it takes two thirds of the time. `XLA_FLAGS= pytest` runs what ships.
 os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
+os.environ.setdefault("JAXILC_CACHE", "off")  # the command line would keep programs in the user's folder
 
 import jaxilc.runtime
 

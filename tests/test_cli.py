@@ -10,9 +10,10 @@ import time
 import numpy as np
 import pytest
 import xarray as xr
+from typer.testing import CliRunner
 
 import jaxilc
-from jaxilc.cli import main
+from jaxilc.cli import app, main
 
 
 @pytest.fixture
@@ -197,3 +198,13 @@ def test_identify_reads_a_record_and_names_what_is_wrong_with_it(jaxilc_command,
     code, _, err = jaxilc_command("identify", "record.csv", "--input", "voltage")
     assert code == 2
     assert "no column 'voltage'; present are t, u, y" in err
+
+
+def test_a_run_leaves_a_report(tmp_path):
+    """One page with the table, every figure embedded, and how it was asked for."""
+    page = tmp_path / "page.html"
+    result = CliRunner().invoke(app, ["run", "dai-2014", "--scheme", "pid", "--out", str(tmp_path / "run"), "--report", str(page)])
+    assert result.exit_code == 0, result.output
+    text = page.read_text(encoding="utf-8")
+    assert text.count("data:image/") == len(list((tmp_path / "run").glob("*.png")))
+    assert "settled error [mm]" in text

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 import scipy.signal
 from cases import ALGEBRA, DT
+from typer.testing import CliRunner
 
 from jaxilc import plants, references, scenarios
+from jaxilc.cli import app
 from jaxilc.learning import learn
 from jaxilc.machine import Machine
 from jaxilc.plant_files import load_scenario, read_scenario
@@ -279,3 +281,18 @@ def test_a_file_that_is_no_toml_or_json_is_named(tmp_path):
         (tmp_path / name).write_text("plant = = 1")
         with pytest.raises(ValueError, match=f"{name}: "):
             read_scenario(tmp_path / name)
+
+
+def test_every_command_accepts_a_file_in_a_scenario_s_place(tmp_path, monkeypatch):
+    """One run for each: the figures are those of the library, and what a file lacks is said."""
+    monkeypatch.chdir(tmp_path)
+    file = str(write(tmp_path, uncertainty={"plant.A": {"distribution": "uniform", "low": 0.99, "high": 1.01, "relative": True}}))
+    runner = CliRunner()
+    for command in (("list", file), ("run", file, "--trials", "3", "--json", "run.json"), ("sweep", file, "--samples", "3")):
+        result = runner.invoke(app, command)
+        assert result.exit_code == 0, result.output
+    loaded = load_scenario(file)
+    history = learn(loaded.machine, loaded.schemes["ilc"], loaded.task, 3)
+    shown = json.loads((tmp_path / "run.json").read_text())["schemes"]["ilc"]["rms"]["3"]
+    np.testing.assert_allclose(shown, loaded.shown_scale * float(history.rms[-1, 0]), rtol=1e-9)
+    assert (tmp_path / "out" / f"sweep-{loaded.name}" / "error-band.png").exists()

@@ -35,6 +35,44 @@ def test_setup_too_late_says_so():
     assert "came after JAX had started" in python(program).stderr
 
 
+def test_setup_too_late_for_loops_says_so_even_where_the_devices_are_given():
+    program = "import jax; jax.numpy.ones(1) + 1; import jaxilc; jaxilc.setup(); print(jax.device_count())"
+    given = "--xla_force_host_platform_device_count=2"
+    found = python(program, XLA_FLAGS=given)
+    assert found.stdout.split() == ["2"]
+    assert "loops run several times slower" in found.stderr
+    twice = "import jaxilc, jax; jaxilc.setup(); jax.numpy.ones(1) + 1; jaxilc.setup()"
+    assert python(twice, XLA_FLAGS=given).stderr == ""
+
+
+KEPT = """
+import jaxilc, jax; jaxilc.setup()
+from jaxilc.runtime import keep_programs
+hits = []
+jax.monitoring.register_event_listener(lambda name, **_: hits.append(name) if name.endswith("cache_hits") else None)
+folder = keep_programs()
+print(folder, len(hits), end=" ")
+print(float(jax.jit(lambda x: x @ x + 1.0)(jax.numpy.ones(3))), len(hits) > 0)
+"""
+
+
+def test_programs_are_found_again_by_the_next_start(tmp_path):
+    first, again = (python(KEPT, XDG_CACHE_HOME=str(tmp_path), JAXILC_CACHE="").stdout.split() for _ in range(2))
+    assert first[0].startswith(str(tmp_path / "jaxilc"))
+    assert (first[1:], again[1:]) == (["0", "4.0", "False"], ["0", "4.0", "True"])
+
+
+def test_keeping_programs_can_be_switched_off_and_sent_elsewhere(tmp_path):
+    home, other, unwritable = str(tmp_path / "home"), str(tmp_path / "other"), tmp_path / "file"
+    unwritable.write_text("")
+    assert python(KEPT, XDG_CACHE_HOME=home, JAXILC_CACHE="off").stdout.split()[0] == "None"
+    assert python(KEPT, XDG_CACHE_HOME=str(unwritable), JAXILC_CACHE="").stdout.split()[0] == "None"
+    assert not (tmp_path / "home").exists()
+    assert python(KEPT, XDG_CACHE_HOME=home, JAXILC_CACHE=other).stdout.split()[0] == other
+    assert python(KEPT, JAX_COMPILATION_CACHE_DIR=other, JAXILC_CACHE="").stdout.split()[0] == other
+    assert list((tmp_path / "other").iterdir())
+
+
 def test_batched_linear_algebra_on_every_device_does_not_deadlock():
     """With a thread per core in XLA's pool this hung within a hundred calls."""
     program = """

@@ -1,7 +1,7 @@
 """MILC 2024: a flexible ball-screw drive under direct and multivariable norm-optimal iterative learning control.
 
-Multivariable iterative learning control for flexible ball-screw feed drives (2024), section 5. Lengths in mm, input in V, errors shown
-in µm. The paper counts trials from 0; its trial 10 is the eleventh here.
+Multivariable Iterative Learning Control Design for Precision Control of Flexible Feed Drives, Sensors 24 (2024), section 5. Lengths in mm,
+input in V, errors shown in µm. The paper counts trials from 0; its trial 10 is the eleventh here.
 """
 
 from __future__ import annotations

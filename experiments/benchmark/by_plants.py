@@ -1,0 +1,61 @@
+"""The benchmark at 1 to 65,536 plants, written out row by row: nanoseconds per sample-step, ratios, compile time, memory.
+
+Takes half an hour on two cores. Numba is an opponent where it is installed, the C program where there is a compiler.
+"""
+
+import csv
+import sys
+from pathlib import Path
+
+import jaxilc
+
+PLANTS, TRIALS, SAMPLES = (1, 16, 1024, 65_536), 80, 2000
+WHOLE = 1024  # plants beyond which two turns are enough
+
+
+def rows(plants):
+    from jaxilc import bench, timing
+
+    opponents, notes = bench.opponents()
+    for note in notes:
+        print(note)
+    for size in plants:
+        repeats = 5 if size <= WHOLE else 2
+        found = {name: bench.compare(bench.setting(name, size, TRIALS, SAMPLES), opponents, repeats=repeats) for name in bench.SCHEMES}
+        found |= {name: {timing.OURS: bench.alone(name, size, repeats=repeats)} for name in bench.ALONE if size <= WHOLE}
+        found["plant"] = bench.compare_plant(bench.setting("cfdl", size, 1, SAMPLES), repeats=repeats)
+        for what, contenders in found.items():
+            for name, figures in timing.as_json(contenders).items():
+                ratios = sorted(figures["cpu_ratio"])
+                yield {
+                    "what": what,
+                    "contender": name,
+                    "plants": size,
+                    "ran": f"{figures['plants']} x {figures['trials']}",
+                    "ns best": figures["ns_best"],
+                    "ns median": figures["ns_median"],
+                    "cpu ns": figures["ns_cpu"],
+                    "times ours, median": sorted(figures["ratio"])[len(ratios) // 2],
+                    "times ours by cpu, median": ratios[len(ratios) // 2],
+                    "compile s": figures["compile_seconds"],
+                    "peak bytes": figures["peak_bytes"],
+                    "load": timing.machine()["load"][0],
+                }
+
+
+def main(plants=PLANTS):
+    jaxilc.setup()
+    path = Path("out") / "experiments" / "benchmark" / "by-plants.csv"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("w", newline="") as file:
+        for i, row in enumerate(rows(plants)):
+            writer = csv.DictWriter(file, list(row), lineterminator="\n")
+            if i == 0:
+                writer.writeheader()
+            writer.writerow(row)
+            file.flush()
+    print(f"written: {path}")
+
+
+if __name__ == "__main__":
+    main(tuple(map(int, sys.argv[1:])) or PLANTS)

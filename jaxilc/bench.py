@@ -1,0 +1,166 @@
+"""What `jaxilc bench` measures: the same learning run by others, which are in `peers`, and by jaxilc."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from . import peers, references, scenarios
+from .batch import LANES, tiled
+from .learning import learn
+from .machine import Machine
+from .peers import FIGURES, Peer, Problem
+from .plants import StateSpace
+from .pytree import replaced
+from .scenarios.xu_2024 import MODEL
+from .schemes import NormOptimal, Scheme
+from .schemes.scheme import Feedforward
+from .signals import Task
+from .timing import OURS, Cost, Entry, Row, cores, cost, in_turns
+from .trial import run_trial
+
+SCHEMES = {"cfdl": "cfdl-mfailc", "ffdl": "ffdl-mfailc"}
+ALONE = ("noilc", "ilc-asmc")
+SLOW = {"NumPy loop": (1, 20), "NumPy batch": (None, 5)}  # plants and trials that are enough to know the cost of a sample-step
+
+
+def opponents() -> tuple[dict[str, tuple[Peer, float]], list[str]]:
+    """The peers that are there, with the seconds it took to build each, and a note for each that is not."""
+    found, notes = {"NumPy loop": (peers.numpy_loop, 0.0), "NumPy batch": (peers.numpy_batch, 0.0)}, []
+    for name, make in {"Numba parallel": peers.numba_parallel, "C limit": partial(peers.c_program, cores())}.items():
+        start = time.perf_counter()
+        try:
+            found[name] = (make(), time.perf_counter() - start)
+        except (ImportError, OSError) as error:
+            notes.append(f"{name} left out: {error}")
+    return found, notes
+
+
+class Setting(NamedTuple):
+    """MFAILC on the motor of Cao 2019, eq. 29, whose gain is uncertain by 10 %. b: (S, 3) numerators of the plants"""
+
+    machine: Machine
+    scheme: Scheme
+    task: Task
+    trials: int
+    b: np.ndarray
+
+    @property
+    def problem(self) -> Problem:
+        s, a = self.scheme, self.machine.plant.a
+        weights = np.array([float(x) for x in (s.lam, s.rho, s.eta, s.mu, s.epsilon)])
+        settled = self.task.settled.start
+        return Problem(np.asarray(a), self.b, np.asarray(self.task.reference)[:, 0], self.trials, settled, weights, np.atleast_1d(s.phi0))
+
+    def ours(self, lanes: int = LANES) -> Callable[[], np.ndarray]:
+        """(S, J, 4) figures by `learn`, the plants tiled as a sweep tiles them."""
+        run = tiled(partial(_figures, leaf="plant.b", trials=self.trials), lanes=lanes)
+        common = (self.machine, self.scheme, self.task)
+        return lambda: np.asarray(run(common, self.b))
+
+
+def setting(scheme: str, plants: int, trials: int, samples: int) -> Setting:
+    """The scenario `cao-2019` of that size, one period of the sinusoid a trial. scheme: `cfdl` or `ffdl`, else ValueError."""
+    if scheme not in SCHEMES:
+        raise ValueError(f"bench: scheme = {scheme!r} is not one of {', '.join(SCHEMES)}")
+    for name, value, least in (("plants", plants, 1), ("trials", trials, 1), ("samples", samples, 4)):
+        if value < least:
+            raise ValueError(f"bench: {name} = {value} is outside its allowed range [{least}, inf)")
+    chosen = scenarios.load("cao-2019", plant="printed")
+    task = Task(_sinusoid(samples, chosen.task.dt), dt=chosen.task.dt)
+    b = np.asarray(chosen.machine.plant.b) * np.random.default_rng(0).uniform(0.9, 1.1, (plants, 1))
+    return Setting(chosen.machine, chosen.schemes[SCHEMES[scheme]], task, trials, b)
+
+
+def compare(of: Setting, opponents: Mapping[str, tuple[Peer, float]], *, repeats: int = 5) -> dict[str, Row]:
+    """Ours and every opponent on one setting. Raises ArithmeticError, naming it, where one of them has other numbers."""
+    whole, N, entries = of.problem, of.task.N, {}
+    for name, (peer, built) in opponents.items():
+        plants, trials = SLOW.get(name, (None, whole.trials))
+        problem = whole.part(plants or len(whole.b), trials)
+        entries[name] = Entry(partial(peer, problem), len(problem.b), problem.trials, N, built)
+    entries[OURS] = Entry(of.ours(), len(whole.b), whole.trials, N)
+    return in_turns(entries, repeats=repeats)
+
+
+def compare_plant(of: Setting, *, repeats: int = 5) -> dict[str, Row]:
+    """The plants alone, driven by one input: python-control, SciPy, and `run_trial`; outputs compared."""
+    import control
+    import scipy.signal
+
+    a, dt, N, S = np.asarray(of.machine.plant.a), of.task.dt, of.task.N, len(of.b)
+    u = np.random.default_rng(1).normal(size=N)
+    time_, few = np.arange(N + 1) * dt, min(S, 64)  # python-control takes a Python step a sample
+    denominator = np.append(1.0, -a)
+    systems = [control.tf(b, denominator, dt) for b in of.b[:few]]
+    systems = [control.ss(system) for system in systems]
+    run = tiled(_response)
+    common = (of.machine, of.task, u[:, None])
+    last = np.append(u, 0.0)
+    entries = {
+        "python-control": Entry(lambda: np.stack([control.forced_response(s, time_, last).outputs for s in systems])[..., None], few, 1, N),
+        "SciPy lfilter": Entry(
+            lambda: np.stack([scipy.signal.lfilter(np.append(0.0, b), denominator, last) for b in of.b])[..., None], S, 1, N
+        ),
+        OURS: Entry(lambda: np.asarray(run(common, of.b))[..., None], S, 1, N),
+    }
+    return in_turns(entries, repeats=repeats)
+
+
+def alone(name: str, plants: int, *, repeats: int = 5) -> Row:
+    """Ours without opponents: `noilc`, norm-optimal learning by the Riccati recursion on the drive of MILC 2024 with 10 % model error,
+    or `ilc-asmc`, the scheme of Xu 2024 on its identified model; ten trials of 2000 samples. Raises ValueError for another name."""
+    match name:
+        case "noilc":
+            chosen = scenarios.load("milc-2024")
+            plant = chosen.schemes["dilc"].learning.scheme.model
+            scheme, task = NormOptimal(plant, w_q=1.0, w_r=1e-4, w_s=1e-3), Task(_sinusoid(2000, plant.dt), dt=plant.dt)
+        case "ilc-asmc":
+            chosen = scenarios.load("xu-2024")
+            plant = StateSpace([[0.0, 1.0], [-MODEL["a1"], -MODEL["a2"]]], [[0.0], [MODEL["b"]]], [[1.0, 0.0]])
+            scheme, task = chosen.schemes["ilc-asmc"], Task(20 * _sinusoid(2000, chosen.task.dt), dt=chosen.task.dt)
+        case _:
+            raise ValueError(f"bench: scheme = {name!r} is not one of {', '.join(ALONE)}")
+    gains = np.random.default_rng(0).uniform(0.9, 1.1, (plants, 1, 1)) * np.asarray(plant.B)
+    run = tiled(partial(_figures, leaf="plant.B", trials=10))
+    common = (Machine(plant), scheme, task)
+    return in_turns({OURS: Entry(lambda: np.asarray(run(common, gains)), plants, 10, task.N)}, repeats=repeats)[OURS]
+
+
+def cost_by_size(scheme: str, plants: int, trials: int, samples: int, *, repeats: int = 5) -> dict[str, tuple[dict[int, float], Cost]]:
+    """Best seconds of our run against S, J and N, one varied at a time at a quarter, a half and all of its size, and the line."""
+    found = {}
+    whole = {"plants": plants, "trials": trials, "samples": samples}
+    for name, size in whole.items():
+        quarter = max(size // 4, 4)
+        calls = {s: setting(scheme, **whole | {name: s}).ours() for s in (quarter, 2 * quarter, 4 * quarter)}
+        rows = {s: [] for s in calls}
+        for turn in range(repeats + 1):
+            for s, call in calls.items():
+                start = time.perf_counter()
+                call()
+                if turn:
+                    rows[s].append(time.perf_counter() - start)
+        best = {s: min(times) for s, times in rows.items()}
+        found[name] = (best, cost(best, best.values()))
+    return found
+
+
+def _figures(common, one, *, leaf: str, trials: int):
+    machine, scheme, task = common
+    history = learn(replaced(machine, {leaf: one}), scheme, task, trials)
+    return jax.numpy.concatenate([getattr(history, name) for name in FIGURES], axis=-1)
+
+
+def _response(common, b):
+    machine, task, u = common
+    return run_trial(replaced(machine, {"plant.b": b}), Scheme(), task, Feedforward(u), jax.random.key(0)).y[:, 0]
+
+
+def _sinusoid(samples: int, dt: float) -> np.ndarray:
+    return np.asarray(references.sinusoid(1.0, 1 / (samples * dt), duration=samples * dt, dt=dt), float).ravel()

@@ -1,0 +1,129 @@
+/* MFAILC on a difference equation of third order, LANES plants to a register: the limit that `jaxilc bench` compares with.
+   Laws, reset and figures as in peers.py. One pass over the samples of a trial, in place; a tile of plants stays in the cache. */
+
+#include <math.h>
+#include <stdlib.h>
+
+typedef double vec __attribute__((vector_size(8 * LANES)));
+typedef long long mask __attribute__((vector_size(8 * LANES)));
+
+static inline vec all(double value) { return value - (vec){0}; }
+static inline vec choose(mask m, vec a, vec b) { return (vec)((m & (mask)a) | (~m & (mask)b)); }
+static inline vec magnitude(vec a) { return choose(a < 0.0, -a, a); }
+static inline vec larger(vec a, vec b) { return choose(a > b, a, b); }
+static inline mask useless(vec phi, double start, double epsilon) {
+    return (magnitude(phi) <= epsilon) | ((start > 0 ? phi : -phi) <= 0.0);
+}
+
+struct figures { vec largest, squares, late, effort; };
+
+static inline void judge(struct figures *f, vec e, vec u, int settled) {
+    vec size = magnitude(e);
+    f->largest = larger(size, f->largest);
+    f->squares += e * e;
+    f->effort += u * u;
+    if (settled) f->late = larger(size, f->late);
+}
+
+static void keep(const struct figures *f, int j, int first, int plants, int trials, int N, double *out) {
+    for (int l = 0; l < LANES && first + l < plants; l++) {
+        double *row = out + ((size_t)(first + l) * trials + j) * 4;
+        row[0] = f->largest[l];
+        row[1] = sqrt(f->squares[l] / N);
+        row[2] = f->late[l];
+        row[3] = sqrt(f->effort[l] / N);
+    }
+}
+
+static void gather(const double *b, int first, int plants, vec *lanes) {
+    for (int l = 0; l < LANES; l++) {
+        int s = first + l < plants ? first + l : plants - 1;
+        for (int i = 0; i < 3; i++) lanes[i][l] = b[3 * s + i];
+    }
+}
+
+static inline void step(vec *x, const double *a, const vec *b, vec u) {
+    vec y = x[0];
+    x[0] = x[1] + a[0] * y + b[0] * u;
+    x[1] = x[2] + a[1] * y + b[1] * u;
+    x[2] = a[2] * y + b[2] * u;
+}
+
+int cfdl(int plants, int trials, int N, int settled, int threads, const double *a, const double *b_all, const double *r,
+         const double *w, const double *phi0, double *out) {
+    const double lam = w[0], rho = w[1], eta = w[2], mu = w[3], epsilon = w[4];
+    int failed = 0;
+#pragma omp parallel num_threads(threads) reduction(| : failed)
+    {
+        struct row { vec u, u_last, y, phi; } *rows = aligned_alloc(64, (size_t)N * sizeof *rows);
+        failed |= rows == NULL;
+#pragma omp for schedule(dynamic)
+        for (int first = 0; first < plants; first += LANES) {
+            if (!rows) continue;
+            vec b[3];
+            gather(b_all, first, plants, b);
+            for (int k = 0; k < N; k++) rows[k] = (struct row){.phi = all(phi0[0])};
+            for (int j = 0; j < trials; j++) {
+                vec x[3] = {{0}};
+                struct figures f = {{0}};
+                for (int k = 0; k < N; k++) {
+                    struct row *now = rows + k;
+                    vec u = now->u, phi = now->phi;
+                    step(x, a, b, u);
+                    vec e = r[k + 1] - x[0];
+                    judge(&f, e, u, k + 1 >= settled);
+                    if (j) {
+                        vec du = u - now->u_last, dy = x[0] - now->y;
+                        phi += eta * du / (mu + du * du) * (dy - phi * du);
+                        phi = choose(useless(phi, phi0[0], epsilon), all(phi0[0]), phi);
+                    }
+                    *now = (struct row){u + rho * phi / (lam + phi * phi) * e, u, x[0], phi};
+                }
+                keep(&f, j, first, plants, trials, N, out);
+            }
+        }
+        free(rows);
+    }
+    return failed;
+}
+
+int ffdl(int plants, int trials, int N, int settled, int threads, const double *a, const double *b_all, const double *r,
+         const double *w, const double *phi0, double *out) {
+    const double lam = w[0], rho = w[1], eta = w[2], mu = w[3], epsilon = w[4];
+    int failed = 0;
+#pragma omp parallel num_threads(threads) reduction(| : failed)
+    {
+        struct row { vec u, y, phi[4]; } *rows = aligned_alloc(64, (size_t)N * sizeof *rows);
+        failed |= rows == NULL;
+#pragma omp for schedule(dynamic)
+        for (int first = 0; first < plants; first += LANES) {
+            if (!rows) continue;
+            vec b[3];
+            gather(b_all, first, plants, b);
+            for (int k = 0; k < N; k++) rows[k] = (struct row){.phi = {all(phi0[0]), all(phi0[1]), all(phi0[2]), all(phi0[3])}};
+            for (int j = 0; j < trials; j++) {
+                vec x[3] = {{0}}, h[4] = {{0}}; /* h: dy(k), dy(k-1), du(k), du(k-1) */
+                struct figures f = {{0}};
+                for (int k = 0; k < N; k++) {
+                    struct row *now = rows + k;
+                    vec *phi = now->phi, seen = phi[0] * h[0] + phi[1] * h[1] + phi[3] * h[3];
+                    if (j) h[2] = rho * phi[2] / (lam + phi[2] * phi[2]) * (r[k + 1] - now->y - seen);
+                    vec u = now->u + h[2];
+                    step(x, a, b, u);
+                    judge(&f, r[k + 1] - x[0], u, k + 1 >= settled);
+                    if (j) {
+                        vec dy = x[0] - now->y, size = mu + h[0] * h[0] + h[1] * h[1] + h[2] * h[2] + h[3] * h[3];
+                        vec miss = eta * (dy - seen - phi[2] * h[2]) / size;
+                        mask reset = useless(phi[2] + miss * h[2], phi0[2], epsilon);
+                        for (int i = 0; i < 4; i++) phi[i] = choose(reset, all(phi0[i]), phi[i] + miss * h[i]);
+                        h[1] = h[0], h[0] = dy, h[3] = h[2];
+                    }
+                    now->u = u, now->y = x[0];
+                }
+                keep(&f, j, first, plants, trials, N, out);
+            }
+        }
+        free(rows);
+    }
+    return failed;
+}

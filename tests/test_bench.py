@@ -1,0 +1,110 @@
+"""The benchmark: every opponent computes what we compute, wrong numbers are refused, costs and ratios are read off correctly."""
+
+import json
+
+import numpy as np
+import pytest
+import typer
+from cases import ALGEBRA
+from typer.testing import CliRunner
+
+from jaxilc import bench, cli_bench, timing
+
+OPPONENTS, NOTES = bench.opponents()
+
+
+@pytest.fixture(scope="module", params=["cfdl", "ffdl"])
+def small(request):
+    """(setting, our figures) of 3 plants, 6 trials of 40 samples."""
+    of = bench.setting(request.param, 3, 6, 40)
+    return of, of.ours(lanes=2)()
+
+
+@pytest.mark.parametrize("name", ["NumPy loop", "NumPy batch", "Numba parallel", "C limit"])
+def test_every_opponent_has_our_numbers(small, name):
+    if name not in OPPONENTS:
+        pytest.skip("; ".join(NOTES))
+    of, ours = small
+    theirs = OPPONENTS[name][0](of.problem)
+    assert ours.shape == (3, 6, 4)
+    np.testing.assert_allclose(theirs, ours, **ALGEBRA)
+    assert np.all(np.diff(ours[..., 1], axis=1) != 0)  # it learns
+    assert len(np.unique(ours[:, -1, 1])) == 3  # plants differ
+
+
+def test_the_reset_is_the_same_for_all():
+    """A start value of the wrong size, whose estimate changes sign."""
+    of = bench.setting("cfdl", 2, 12, 40)
+    of = of._replace(scheme=type(of.scheme)(lam=0.01, mu=1e-4, phi0=-1e-3, reset="sign"))
+    ours, problem = of.ours(lanes=1)(), of.problem
+    for name, (peer, _) in OPPONENTS.items():
+        np.testing.assert_allclose(peer(problem), ours, rtol=1e-8, err_msg=name)
+    never = of._replace(scheme=type(of.scheme)(lam=0.01, mu=1e-4, phi0=-1e-3, reset="none")).ours(lanes=1)()
+    assert np.max(np.abs(never - ours)) > 1e-6 * np.max(np.abs(ours))  # it did happen
+
+
+def entry(value, **changes):
+    return timing.Entry(lambda: np.full((2, 3, 4), value), 2, 3, 10)._replace(**changes)
+
+
+def test_wrong_numbers_are_refused():
+    with pytest.raises(ArithmeticError, match="other differs from jaxilc by 0\\.01"):
+        timing.in_turns({"other": entry(1.01), timing.OURS: entry(1.0)}, repeats=1)
+    with pytest.raises(ArithmeticError, match="other differs from jaxilc by nan"):
+        timing.in_turns({"other": entry(np.nan), timing.OURS: entry(1.0)}, repeats=1)
+
+
+def test_a_row_says_what_was_measured():
+    rows = timing.in_turns({"other": entry(1.0, built=7.0), timing.OURS: entry(1.0)}, repeats=3)
+    assert len(rows["other"].seconds) == len(rows["other"].cpu_seconds) == 3
+    assert rows["other"].compile_seconds >= 7.0
+    slow = rows["other"]._replace(seconds=(3e-6, 1e-6, 8e-6), steps=100)
+    ours = rows[timing.OURS]._replace(seconds=(1e-6, 1e-6, 1e-6), steps=50)
+    assert (slow.best, slow.median) == pytest.approx((10.0, 30.0))  # ns
+    np.testing.assert_allclose(slow.ratios(ours), [1.5, 0.5, 4.0])
+    assert json.dumps(timing.as_json({"other": slow, timing.OURS: ours}))
+
+
+def test_memory_of_a_call_is_seen():
+    peak = timing._Peak()
+    if peak.before is None:
+        pytest.skip("this system keeps no peak of memory")
+    touched = np.ones(8_000_000)
+    assert peak.bytes() >= 0.9 * touched.nbytes
+
+
+def test_the_cost_of_a_size_is_a_line():
+    found = timing.cost([1, 2, 4], [0.7, 1.2, 2.2])
+    assert (found.start, found.slope, found.residual) == pytest.approx((0.2, 0.5, 0.0), abs=1e-12)
+    assert timing.cost([1, 2, 3], [1.0, 1.0, 4.0]).residual == pytest.approx(0.25)  # off by 0.5, -1, 0.5 of 4
+
+
+def test_the_command(tmp_path):
+    app, file = typer.Typer(), tmp_path / "bench.json"
+    cli_bench.register(app)
+    small = ["--plants", "2", "--trials", "4", "--samples", "24", "--schemes", "cfdl", "--repeats", "1", "--json", str(file)]
+    result = CliRunner().invoke(app, small)
+    assert result.exit_code == 0, result.output
+    found = json.loads(file.read_text())
+    assert set(found["rows"]) == {"cfdl/2", "plant/2"}
+    assert {"python-control", "SciPy lfilter", timing.OURS} == set(found["rows"]["plant/2"])
+    assert set(found["cost"]["cfdl"]) == {"plants", "trials", "samples"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--plants", "1,x"], "--plants '1,x' is not whole numbers"),
+        (["--plants", "0"], "--plants '0' is not whole numbers"),
+        (["--schemes", "pid"], "--schemes 'pid' is not one of cfdl, ffdl, noilc, ilc-asmc"),
+        (["--trials", "0"], "trials = 0 is outside"),
+        (["--samples", "3"], "samples = 3 is outside"),
+        (["--repeats", "0"], "repeats = 0 is outside"),
+    ],
+)
+def test_bad_input_is_named(arguments, message):
+    app = typer.Typer()
+    cli_bench.register(app)
+    result = CliRunner().invoke(app, ["--plants", "1", "--schemes", "cfdl", "--trials", "2", "--samples", "8", *arguments])
+    assert isinstance(result.exception, ValueError)
+    assert message in str(result.exception)

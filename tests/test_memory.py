@@ -1,0 +1,97 @@
+"""Memory is planned: what a program takes is what its arrays say, and a sweep that would not fit says so before it starts."""
+
+import dataclasses
+import re
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxilc import Machine, Sweep, Task, Uniform, memory
+from jaxilc.plants import voice_coil
+from jaxilc.schemes import CFDLMFAILC
+
+TASK = Task(reference=np.sin(2 * np.pi * np.arange(201) / 200), dt=1e-3)
+PLAN = Sweep(
+    Machine(voice_coil("printed")),
+    {"learning": CFDLMFAILC()},
+    TASK,
+    trials=3,
+    uncertainty={"plant.b": Uniform(0.9, 1.1, relative=True)},
+    samples=64,
+    keep=("e", "u"),
+    chunk=64,
+    lanes=2,
+)
+TILE = 2 * jax.device_count()
+
+
+def with_memory(monkeypatch, size):
+    monkeypatch.setattr(memory, "host_bytes", lambda: size)
+
+
+def test_the_bytes_of_a_program_are_those_of_its_arrays():
+    run = jax.jit(lambda x: jnp.outer(x, x))
+    of_one_device = 8 * (100 + 100 * 100)
+    found = memory.program_bytes(run, jnp.ones(100)) / jax.device_count()
+    assert of_one_device <= found <= of_one_device + 2000
+
+
+def test_the_dataset_is_as_large_as_counted():
+    dataset = PLAN.run()
+    assert PLAN.bytes_stored() == sum(v.nbytes for v in dataset.data_vars.values())
+
+
+def test_a_chunk_that_does_not_fit_is_refused_with_one_that_does(monkeypatch, tmp_path):
+    # e and u of 64 samples are 205 kB among the program's results; of some 35 they fit, a tile's trials included
+    with_memory(monkeypatch, PLAN.bytes_stored() + 200_000)
+    store = tmp_path / "store.zarr"
+    with pytest.raises(ValueError, match=r"chunk = 64 needs .* kB where 200 kB are available; chunk = \d+ would fit") as refusal:
+        PLAN.run(store)
+    assert not store.exists()
+    chunk = int(re.search(r"chunk = (\d+) would fit", str(refusal.value))[1])
+    assert TILE <= chunk < 64
+    assert chunk % TILE == 0
+    dataclasses.replace(PLAN, chunk=chunk).run(store)
+    with pytest.raises(ValueError, match="would fit"):  # and it is the largest
+        dataclasses.replace(PLAN, chunk=chunk + 2 * TILE).run(tmp_path / "larger.zarr")
+
+
+def test_where_no_chunk_fits_it_says_so(monkeypatch, tmp_path):
+    with_memory(monkeypatch, PLAN.bytes_stored() + 1000)
+    with pytest.raises(ValueError, match=f"{2 * TILE} samples at a time need .* already"):
+        PLAN.run(tmp_path / "store.zarr")
+
+
+def test_a_dataset_that_does_not_fit_is_refused(monkeypatch, tmp_path):
+    with_memory(monkeypatch, int(1.5 * PLAN.bytes_stored()))
+    with pytest.raises(ValueError, match=r"samples = 64 make a dataset of .* in memory"):
+        PLAN.run()  # in memory it is there twice
+    with_memory(monkeypatch, PLAN.bytes_stored() - 1)
+    with pytest.raises(ValueError, match="samples = 64 make a dataset"):
+        PLAN.run(tmp_path / "store.zarr")
+
+
+def test_a_finished_store_needs_no_room_for_a_chunk(monkeypatch, tmp_path):
+    store = tmp_path / "store.zarr"
+    PLAN.run(store)
+    with_memory(monkeypatch, PLAN.bytes_stored() + 1000)
+    assert PLAN.run(store, resume=True).sizes["sample"] == 64
+
+
+def test_unknown_memory_is_enough(monkeypatch):
+    with_memory(monkeypatch, None)
+    assert PLAN.run().sizes["sample"] == 64
+
+
+def test_what_there_is_lies_within_the_machine():
+    with open("/proc/meminfo") as file:
+        total = 1024 * int(file.readline().split()[1])
+    assert 0 < memory.host_bytes() <= total
+    assert memory.device_bytes() is None  # a CPU's devices share the host's
+
+
+@pytest.mark.parametrize(("size", "text"), [(7, "7 B"), (1999, "2 kB"), (3.25e7, "32.5 MB"), (2.5e12, "2.5e+03 GB")])
+def test_sizes_are_readable(size, text):
+    assert memory.shown(size) == text

@@ -1,0 +1,189 @@
+"""The HTML report: parsed by parsers of the standard library, its numbers and pictures against what went in."""
+
+import base64
+import dataclasses
+import io
+import json
+import struct
+import sys
+import xml.etree.ElementTree as ET
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from rich.table import Table
+
+from jaxilc import learn, runs, scenarios, tables
+from jaxilc.report import command_report, html_report, write_report
+
+NASTY = "<script>alert('1')</script> & \"quotes\" \x1b[31mred\x1b[0m ]]> <!-- µm"
+VOID = {"meta", "img"}
+REFERRING = {"src", "href", "data", "action", "poster", "srcset", "background", "xlink:href"}
+
+
+class Page(HTMLParser):
+    """Elements, attributes and text of a page, and whether every element is closed in order."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.tags, self.references, self.balanced = [], [], [], True
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag, attributes):
+        self.tags.append(tag)
+        self.references += [value for name, value in attributes if name in REFERRING]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attributes):
+        self.handle_starttag(tag, attributes)
+        if tag not in VOID:
+            self.open.pop()
+
+    def handle_endtag(self, tag):
+        self.balanced &= bool(self.open) and self.open.pop() == tag
+
+
+def parsed(text):
+    """The tree of the page, after the checks that every page must pass."""
+    page = Page(text)
+    assert page.balanced
+    assert not page.open
+    assert not {"script", "link", "iframe", "object", "embed", "base"} & set(page.tags)
+    assert all(value.startswith("data:image/") for value in page.references)
+    tree = ET.fromstring(text.removeprefix("<!DOCTYPE html>"))
+    style = tree.find("head/style").text
+    assert "url(" not in style
+    assert "@import" not in style
+    return tree
+
+
+def cells(table):
+    """Headers and rows of a table element, as text."""
+    head = [c.text or "" for c in table.findall("thead/tr/th")]
+    return head, [[c.text or "" for c in row] for row in table.findall("tbody/tr")]
+
+
+def picture(image):
+    """Media type and bytes of an embedded figure."""
+    kind, data = image.get("src").removeprefix("data:").split(";base64,")
+    return kind, base64.b64decode(data, validate=True)
+
+
+def drawn_axes():
+    ax = Figure(figsize=(2.0, 1.0), dpi=50).subplots()
+    ax.plot([0, 1], [0, 1])
+    ax.set_title("error by trial")
+    return ax
+
+
+def table_of(tree, caption):
+    return next(t for t in tree.iter("table") if (t.findtext("caption") or "") == caption)
+
+
+def test_page_is_well_formed_and_escaped():
+    rows = (NASTY, [{NASTY: NASTY, "value": 1.5}])
+    configuration, notes = {NASTY: [NASTY, 1.5]}, {NASTY: [NASTY]}
+    tree = parsed(html_report(NASTY, {NASTY: NASTY}, [rows], [(NASTY, drawn_axes())], configuration, notes))
+    shown = NASTY.replace("\x1b", "\ufffd")
+    assert tree.findtext("head/title") == tree.findtext("body/h1") == shown
+    assert table_of(tree, shown) is not None
+    assert [i.get("alt") for i in tree.iter("img")] == [shown]
+    assert tree.findtext(".//figcaption") == tree.findtext(".//li") == shown
+    assert json.loads(tree.findtext(".//pre")) == configuration  # JSON escapes the terminal's sequence, so nothing is lost
+
+
+def test_rows_hold_the_numbers():
+    rows = [{"name": "a", "x": 1.25e-7, "n": 3}, {"name": "b", "x": float("nan"), "n": np.int64(-4), "late": np.float64(1 / 3)}]
+    tree = parsed(html_report("t", {}, [("numbers", rows)]))
+    table = table_of(tree, "numbers")
+    head, body = cells(table)
+    assert head == ["name", "x", "n", "late"]
+    assert [row[0] for row in body] == ["a", "b"]
+    assert float(body[0][1]) == 1.25e-7
+    assert np.isnan(float(body[1][1]))
+    assert [int(row[2]) for row in body] == [3, -4]
+    assert body[0][3] == ""
+    assert abs(float(body[1][3]) - 1 / 3) < 1e-6
+    assert [c.get("class") for c in table.find("thead/tr")] == [None, "n", "n", "n"]
+
+
+def test_brackets_of_a_rich_table_are_units_not_markup():
+    table = Table("median [mm]", "escaped \\[mm]", title="error [nm] by trial")
+    table.add_column("n", justify="right")
+    table.add_row("[1, 2]", "a", "7")
+    found = table_of(parsed(html_report("t", {}, [table])), "error [nm] by trial")
+    assert cells(found) == (["median [mm]", "escaped [mm]", "n"], [["[1, 2]", "a", "7"]])
+
+
+def test_every_figure_is_embedded(tmp_path):
+    ax = drawn_axes()
+    ax.figure.savefig(tmp_path / "error-band.png")
+    ax.figure.savefig(tmp_path / "second.svg")
+    pair = Figure().subplots(2, 1)
+    figures = [tmp_path / "error-band.png", ("a caption", str(tmp_path / "second.svg")), ax, pair]
+    tree = parsed(html_report("t", {}, figures=figures))
+    pictures = [picture(image) for image in tree.iter("img")]
+    assert [kind for kind, _ in pictures] == ["image/png", "image/svg+xml", "image/png", "image/png"]
+    assert pictures[0][1] == (tmp_path / "error-band.png").read_bytes()
+    assert pictures[1][1] == (tmp_path / "second.svg").read_bytes()
+    assert struct.unpack(">II", pictures[2][1][16:24]) == (400, 200)  # 2 in by 1 in at 200 dots an inch: the size in the header of a PNG
+    assert [f.text for f in tree.iter("figcaption")] == ["error band", "a caption", "error by trial", None]
+
+
+def test_figures_that_cannot_be_embedded_are_refused(tmp_path):
+    with pytest.raises(ValueError, match=r"figure .*a\.pdf is not one of \.png, \.svg"):
+        html_report("t", {}, figures=[tmp_path / "a.pdf"])
+    with pytest.raises(FileNotFoundError):
+        html_report("t", {}, figures=[tmp_path / "a.png"])
+
+
+def test_versions_are_those_installed():
+    import jax
+
+    rows = {row[0].text: row[1].text for table in parsed(html_report("t", {})).iter("table") for row in table.iter("tr")}
+    assert rows["jax"] == jax.__version__
+    assert rows["numpy"] == np.__version__
+    assert rows["Python"] == sys.version.split()[0]
+    assert rows["precision"] == "float64"
+
+
+def test_a_run_reported_as_the_command_line_does(tmp_path, monkeypatch):
+    chosen = dataclasses.replace(scenarios.load("dai-2014", plant="printed").select(("pid",)), trials=1)
+    dataset, _ = runs.run_schemes(chosen.machine, chosen.schemes, chosen.task, 1)
+    numbers = tables.run_figures(chosen, dataset)
+    drawn_axes().figure.savefig(tmp_path / "error-by-trial.png")
+    monkeypatch.setattr(sys, "argv", ["/somewhere/jaxilc", "run", "dai-2014", "--set", "name=a b"])
+    path = tmp_path / "new folder" / "report.html"
+    figures = [tmp_path / "error-by-trial.png", tmp_path / "dataset.zarr"]  # the store is no picture
+    assert command_report(path, "run", [tables.run_table(chosen, numbers)], figures, scenario=chosen, lines=["a line"]) == [path]
+    tree = parsed(path.read_text(encoding="utf-8"))
+    asked = {row[0].text: row[1].text for row in tree.find("body/section").iter("tr")}
+    assert asked["command"] == "jaxilc run dai-2014 --set 'name=a b'"
+    assert (asked["plant"], asked["schemes"], asked["trials"]) == ("printed", "pid", "1")
+    head, (row,) = cells(tree.findall("body/section")[1].find(".//table"))
+    assert head == ["trial", "pid"]
+    # the same number by another way, learning without the dataset; three digits are shown
+    error = float(np.max(np.asarray(learn(chosen.machine, chosen.schemes["pid"], chosen.task, 1).settled_error)))
+    assert row[0] == "1"
+    assert abs(float(row[1]) / error - 1) < 5e-3
+    assert len(list(tree.iter("img"))) == 1
+    lines = [li.text for li in tree.iter("li")]
+    assert lines == ["a line", *chosen.chosen]
+    assert json.loads(tree.findtext(".//pre"))["machine"]["plant"]["a"] == [2.2386, -1.6246, 0.385]
+
+
+def test_no_path_no_report():
+    assert command_report(None, "run", [], []) == []
+
+
+def test_writing_is_all_or_nothing(tmp_path):
+    path = write_report(tmp_path / "report.html", "first", {"a": 1})
+    before = path.read_text(encoding="utf-8")
+    with pytest.raises(FileNotFoundError):
+        write_report(path, "second", {}, figures=[tmp_path / "missing.png"])
+    assert path.read_text(encoding="utf-8") == before
+    assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
+    assert ET.parse(io.StringIO(before)).findtext("body/h1") == "first"
