@@ -156,7 +156,7 @@ def test_dai_2014():
         assert r.unit == "mm"
     pid = [r for r in rows if r.published.scheme == "pid"]
     assert [r.verdict for r in pid] == ["met", "met"]
-    # by an independent NumPy loop with eq. 29's coefficients (PAPERS.md, section 2)
+    # by an independent NumPy loop with eq. 29's coefficients
     np.testing.assert_allclose([r.ours for r in pid], [0.0250, 0.0617], atol=6e-5)
     flat = rows[0].as_dict()
     assert flat["options"] == {"plant": "printed", "frequency": 0.5}

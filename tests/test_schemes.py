@@ -1,4 +1,4 @@
-"""Each scheme against scalar loops over trials j and samples k, written from the papers' equations (PAPERS.md, section 1)."""
+"""Each scheme against scalar loops over trials j and samples k, written from the papers' equations."""
 
 import math
 
