@@ -113,7 +113,7 @@ def trials(
     """
     from rich.table import Table
 
-    from .cli import out as console
+    from .cli_common import out as console
     from .exchange import atomically
     from .journal import Journal
 
@@ -184,7 +184,7 @@ def _chosen(recipe: dict[str, Any]):
 
 def _report(turn, ignored, unit: str) -> None:
     """What was found about a measured trial: notes to standard output, warnings to standard error."""
-    from .cli import err, out
+    from .cli_common import err, out
 
     largest = ", ".join(f"{value:.6g}" for value in turn.figures["max_error"])
     out.print(f"trial {turn.trial}: RMS error {turn.figures['error']:.6g} {unit}, largest {largest} {unit}", highlight=False)
@@ -199,7 +199,7 @@ def _played(path: Path | None, tables, task, trial: int, number: str, dry_run: b
     """Write what the machine plays, and say what it is."""
     import numpy as np
 
-    from .cli import out
+    from .cli_common import out
     from .exchange import write_tables
     from .playback import unit_of
 

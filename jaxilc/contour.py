@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 
-from .references import POSITIVE, _require
+from .references import POSITIVE, require
 
 _BUTTERFLY_POINTS = """
 54.493 52.139 55.507 52.139 56.082 49.615 56.780 44.971 69.575 51.358 77.786 58.573 90.526 67.081 105.973 63.801 100.400 47.326
@@ -36,7 +36,7 @@ def line(start, end):
 
 def circle(radius, *, centre=(0.0, 0.0)):
     """Anticlockwise circle over the angle s [rad], from the point at s = 0 on the positive x-axis; radius: [mm];  centre: (2,) [mm]."""
-    _require("circle", "radius", radius, POSITIVE, " mm")
+    require("circle", "radius", radius, POSITIVE, " mm")
     return lambda s: np.asarray(centre) + radius * np.stack([np.cos(s), np.sin(s)], axis=-1)
 
 
@@ -53,7 +53,7 @@ def nurbs(points, knots, weights=None):
     if points.ndim != 2 or weights.shape != points.shape[:1] or knots.ndim != 1 or len(knots) < len(points) + 2:
         shapes = f"points {points.shape}, knots {knots.shape}, weights {weights.shape}"
         raise ValueError(f"nurbs: {shapes}; allowed are (n, d), (n + degree + 1,), (n,) with degree >= 1")
-    _require("nurbs", "weights", weights, POSITIVE)
+    require("nurbs", "weights", weights, POSITIVE)
     homogeneous = BSpline(knots, np.column_stack([points * weights[:, None], weights]), len(knots) - len(points) - 1)
 
     def curve(s):
@@ -72,7 +72,7 @@ def butterfly(width=_BUTTERFLY_WIDTH):
     Li 2020 shows its path only as a picture (Fig. 4) and prints no data: that it is this butterfly, and its size, are chosen here.
     width: over the wings [mm]; the default keeps the table's numbers, for a path of 383 mm, 58.9 mm high
     """
-    _require("butterfly", "width", width, POSITIVE, " mm")
+    require("butterfly", "width", width, POSITIVE, " mm")
     points = np.array(_BUTTERFLY_POINTS.split(), float).reshape(-1, 2)
     weights = [_BUTTERFLY_WEIGHTS.get(i, 1.0) for i in range(len(points))]
     return nurbs((points - points[0]) * (width / _BUTTERFLY_WIDTH), np.array(_BUTTERFLY_KNOTS.split(), float), weights)
@@ -82,7 +82,7 @@ def tabulated(curve, interval, points):
     """Parameter (M,), position (M, d) and arc length (M,) along the curve, or the ValueError that says what is wrong with it."""
     if len(interval) != 2 or not -np.inf < interval[0] < interval[1] < np.inf:
         raise ValueError(f"plan: interval = {interval} is not (first, last) with first < last")
-    _require("plan", "points", points, "[100, 1000000]", whole=True)
+    require("plan", "points", points, "[100, 1000000]", whole=True)
     u = np.linspace(*interval, points)
     q = np.asarray(curve(u), float)
     if q.ndim != 2 or len(q) != points or not q.shape[1]:

@@ -13,7 +13,7 @@ from scipy.interpolate import make_interp_spline
 from scipy.linalg import solveh_banded
 
 from .contour import butterfly, circle, line, nurbs, tabulated
-from .references import POSITIVE, _require
+from .references import POSITIVE, require
 
 __all__ = ["Plan", "butterfly", "circle", "line", "nurbs", "plan"]
 
@@ -76,12 +76,12 @@ def plan(curve, interval, *, feed, acceleration, jerk, dt, points=20001) -> Plan
     u, q, arc = tabulated(curve, interval, points)
     d = q.shape[1]
     at_rest = [(1, np.zeros(d + 1))]
-    _require("plan", "feed", feed, POSITIVE, " mm/s")
-    _require("plan", "dt", dt, POSITIVE, " s")
+    require("plan", "feed", feed, POSITIVE, " mm/s")
+    require("plan", "dt", dt, POSITIVE, " s")
     for name, value, unit in (("acceleration", acceleration, " mm/s^2"), ("jerk", jerk, " mm/s^3")):
         if np.shape(value) not in ((), (d,)):
             raise ValueError(f"plan: {name} has shape {np.shape(value)}; allowed are () and ({d},)")
-        _require("plan", name, value, POSITIVE, unit)
+        require("plan", name, value, POSITIVE, unit)
     groups = _groups(d, acceleration, jerk)
     ramp, T, arc_at = _look_ahead(arc, q, feed, np.min(acceleration), np.min(jerk))
     if not T / dt <= LONGEST:

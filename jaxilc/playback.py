@@ -40,10 +40,10 @@ def _compiled(scheme: Scheme, memory, task: Task) -> dict[str, Any]:
 
 def _tables(scheme: Scheme, table: Any, task: Task) -> dict[str, Any]:
     match scheme:
-        case Around():
-            return _tables(scheme.scheme, table, task)
         case OnOutputs():
             return _tables(scheme.scheme, table, scheme._task(task))
+        case Around():
+            return _tables(scheme.scheme, table, task)
         case WithFeedback():
             learned = {"feedforward" if name == "u" else name: t for name, t in _tables(scheme.learning, table.learning, task).items()}
             return learned | _of_feedback(scheme.feedback, table.feedback, task)

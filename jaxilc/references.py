@@ -24,10 +24,10 @@ def sinusoid(amplitude, frequency, *, duration, dt, phase=0.0, offset=0.0) -> np
     Raises ValueError for a value outside its range, or a duration that is not a whole number of samples.
     """
     time = _time("sinusoid", duration, dt)
-    _require("sinusoid", "amplitude", amplitude, FINITE, " mm")
-    _require("sinusoid", "frequency", frequency, f"(0, {0.5 / dt})", " Hz")
-    _require("sinusoid", "phase", phase, FINITE, " rad")
-    _require("sinusoid", "offset", offset, FINITE, " mm")
+    require("sinusoid", "amplitude", amplitude, FINITE, " mm")
+    require("sinusoid", "frequency", frequency, f"(0, {0.5 / dt})", " Hz")
+    require("sinusoid", "phase", phase, FINITE, " rad")
+    require("sinusoid", "offset", offset, FINITE, " mm")
     return offset + amplitude * np.sin(2 * np.pi * frequency * time + phase)
 
 
@@ -44,15 +44,15 @@ def multisine(amplitudes, frequencies, phases=None, *, duration, dt) -> np.ndarr
     """
     time = _time("multisine", duration, dt)
     a, f = np.asarray(amplitudes, float), np.asarray(frequencies, float)
-    _require("multisine", "amplitudes", a, POSITIVE, " mm")
-    _require("multisine", "frequencies", f, f"(0, {0.5 / dt})", " Hz")
+    require("multisine", "amplitudes", a, POSITIVE, " mm")
+    require("multisine", "frequencies", f, f"(0, {0.5 / dt})", " Hz")
     if phases is None:
         steps = np.cumsum(a**2) / np.sum(a**2)
         phases = np.pi / 2 - 2 * np.pi * (np.cumsum(steps) - steps)
     phi = np.asarray(phases, float)
     if a.ndim != 1 or not a.size or not a.shape == f.shape == phi.shape:
         raise ValueError(f"multisine: amplitudes {a.shape}, frequencies {f.shape}, phases {phi.shape} must have one shape (M,), M >= 1")
-    _require("multisine", "phases", phi, FINITE, " rad")
+    require("multisine", "phases", phi, FINITE, " rad")
     return np.sin(2 * np.pi * np.outer(time, f) + phi) @ a
 
 
@@ -65,9 +65,9 @@ def chirp(amplitude, f_start, f_stop, *, duration, dt, method="linear") -> np.nd
     Raises ValueError for a value outside its range, an unknown method, or a duration that is not a whole number of samples.
     """
     time = _time("chirp", duration, dt)
-    _require("chirp", "amplitude", amplitude, FINITE, " mm")
-    _require("chirp", "f_start", f_start, f"(0, {0.5 / dt})", " Hz")
-    _require("chirp", "f_stop", f_stop, f"(0, {0.5 / dt})", " Hz")
+    require("chirp", "amplitude", amplitude, FINITE, " mm")
+    require("chirp", "f_start", f_start, f"(0, {0.5 / dt})", " Hz")
+    require("chirp", "f_stop", f_stop, f"(0, {0.5 / dt})", " Hz")
     if method not in ("linear", "logarithmic"):
         raise ValueError(f"chirp: method = {method!r} is not one of 'linear', 'logarithmic'")
     growth = np.log(f_stop / f_start)
@@ -126,7 +126,7 @@ def s_curve_move(distance, *, velocity, acceleration, jerk) -> SCurveMove:
     distance: [mm], either sign;  velocity: [mm/s];  acceleration: [mm/s^2];  jerk: [mm/s^3], all three > 0
     Raises ValueError for a value outside its range.
     """
-    _require("s_curve_move", "distance", distance, FINITE, " mm")
+    require("s_curve_move", "distance", distance, FINITE, " mm")
     _require_limits("s_curve_move", velocity, acceleration, jerk)
     d = abs(float(distance))
     if d == 0:
@@ -151,10 +151,10 @@ def s_curve(positions, *, velocity, acceleration, jerk, dwell=0.0, dt, duration=
     positions = np.asarray(positions, float)
     if positions.ndim != 1 or len(positions) < 2:
         raise ValueError(f"s_curve: positions has shape {positions.shape}; allowed is (M,) with M >= 2")
-    _require("s_curve", "positions", positions, FINITE, " mm")
+    require("s_curve", "positions", positions, FINITE, " mm")
     _require_limits("s_curve", velocity, acceleration, jerk)
-    _require("s_curve", "dwell", dwell, NONNEGATIVE, " s")
-    _require("s_curve", "dt", dt, POSITIVE, " s")
+    require("s_curve", "dwell", dwell, NONNEGATIVE, " s")
+    require("s_curve", "dt", dt, POSITIVE, " s")
     moves = [s_curve_move(d, velocity=velocity, acceleration=acceleration, jerk=jerk) for d in np.diff(positions)]
     needed = sum(move.duration + dwell for move in moves)
     if duration is None:
@@ -180,11 +180,11 @@ def m_sequence(order, *, amplitude=1.0, hold=1, periods=1, seed=1) -> np.ndarray
     An input acts on y[1] .. y[N], so it has no sample N, unlike the references. Its sum over a period is hold amplitude, not 0.
     Raises ValueError for a value outside its range.
     """
-    _require("m_sequence", "order", order, "[2, 32]", whole=True)
-    _require("m_sequence", "amplitude", amplitude, FINITE)
-    _require("m_sequence", "hold", hold, "[1, inf)", whole=True)
-    _require("m_sequence", "periods", periods, "[1, inf)", whole=True)
-    _require("m_sequence", "seed", seed, f"[1, {2**order - 1}]", whole=True)
+    require("m_sequence", "order", order, "[2, 32]", whole=True)
+    require("m_sequence", "amplitude", amplitude, FINITE)
+    require("m_sequence", "hold", hold, "[1, inf)", whole=True)
+    require("m_sequence", "periods", periods, "[1, inf)", whole=True)
+    require("m_sequence", "seed", seed, f"[1, {2**order - 1}]", whole=True)
     bits, _ = scipy.signal.max_len_seq(order, state=[seed >> i & 1 for i in range(order)])
     return np.tile(np.repeat(amplitude * (2.0 * bits - 1.0), hold), periods)
 
@@ -206,13 +206,13 @@ def noncircular(*, duration, dt, spindle_speed, feed, ellipticity, bulge, length
     Raises ValueError for a value outside its range, or a duration in which Z leaves the length or that is not a whole number of samples.
     """
     time = _time("noncircular", duration, dt)
-    _require("noncircular", "spindle_speed", spindle_speed, f"(0, {0.25 / dt})", " rev/s")
-    _require("noncircular", "feed", feed, POSITIVE, " mm/rev")
+    require("noncircular", "spindle_speed", spindle_speed, f"(0, {0.25 / dt})", " rev/s")
+    require("noncircular", "feed", feed, POSITIVE, " mm/rev")
     if np.shape(ellipticity) != (2,):
         raise ValueError(f"noncircular: ellipticity has shape {np.shape(ellipticity)}; allowed is (2,)")
-    _require("noncircular", "ellipticity", ellipticity, NONNEGATIVE, " mm")
-    _require("noncircular", "bulge", bulge, NONNEGATIVE, " mm")
-    _require("noncircular", "length", length, POSITIVE, " mm")
+    require("noncircular", "ellipticity", ellipticity, NONNEGATIVE, " mm")
+    require("noncircular", "bulge", bulge, NONNEGATIVE, " mm")
+    require("noncircular", "length", length, POSITIVE, " mm")
     longest = length / (feed * spindle_speed)
     if duration > longest * (1 + 1e-9):
         raise ValueError(f"noncircular: duration = {duration:g} s is outside its allowed range (0, {longest:.9g}], else Z leaves length")
@@ -225,15 +225,15 @@ def noncircular(*, duration, dt, spindle_speed, feed, ellipticity, bulge, length
 
 def _time(function, duration, dt):
     """(N+1,) sample times, N = round(duration / dt)."""
-    _require(function, "dt", dt, POSITIVE, " s")
-    _require(function, "duration", duration, POSITIVE, " s")
+    require(function, "dt", dt, POSITIVE, " s")
+    require(function, "duration", duration, POSITIVE, " s")
     N = round(duration / dt)
     if N < 1 or abs(duration / dt - N) > 1e-6:
         raise ValueError(f"{function}: duration = {duration:g} s is not a whole number >= 1 of samples of dt = {dt:g} s")
     return np.arange(N + 1) * dt
 
 
-def _require(function, name, values, interval, unit="", *, whole=False):
+def require(function, name, values, interval, unit="", *, whole=False):
     """Every value in the interval, or a ValueError naming the first that is not."""
     interval = Interval.parse(interval)
     for i, value in np.ndenumerate(np.asarray(values, float)):
@@ -243,6 +243,6 @@ def _require(function, name, values, interval, unit="", *, whole=False):
 
 
 def _require_limits(function, velocity, acceleration, jerk):
-    _require(function, "velocity", velocity, POSITIVE, " mm/s")
-    _require(function, "acceleration", acceleration, POSITIVE, " mm/s^2")
-    _require(function, "jerk", jerk, POSITIVE, " mm/s^3")
+    require(function, "velocity", velocity, POSITIVE, " mm/s")
+    require(function, "acceleration", acceleration, POSITIVE, " mm/s^2")
+    require(function, "jerk", jerk, POSITIVE, " mm/s^3")

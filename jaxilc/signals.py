@@ -9,7 +9,9 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
 from .pytree import leaf, pytree, static
 
@@ -108,3 +110,8 @@ class Trial(NamedTuple):
     def e(self) -> jax.Array:
         """(N+1, n_y) tracking error r - y."""
         return self.r - self.y
+
+
+def quantise(x, step):
+    """Round to multiples of `step`. The gradient is straight-through: d quantise / dx = 1."""
+    return x + lax.stop_gradient(jnp.round(x / step) * step - x)

@@ -14,7 +14,7 @@ from jaxilc.learning import learn
 from jaxilc.machine import Machine, Sensor
 from jaxilc.metrics import Keep, best_trial, measure
 from jaxilc.plants import StateSpace, TwoAxes, cnc_axis
-from jaxilc.schemes import PID, ErrorFiltered, Filtered, PIDType, WithFeedback
+from jaxilc.schemes import PID, ErrorFiltered, Filtered, OnOutputs, PIDType, WithFeedback
 from jaxilc.signals import Task, Trial
 from jaxilc.switching import SwitchableFilter
 
@@ -122,3 +122,11 @@ def test_the_switchable_filter_of_the_scenario(s):
 def test_options_are_refused(option, value):
     with pytest.raises(ValueError, match=f"{value}.* is not one of"):
         scenarios.load("li-2020", **{option: value})
+
+
+def test_the_limit_of_a_law_that_sees_some_outputs_holds_behind_a_filter():
+    """What a filter makes of the learned input stays within the law's limit, also where that law is put on one output."""
+    plant = PLANTS["motor_and_table"]
+    scheme = Filtered(OnOutputs(PIDType(gamma_p=3.0, limit=0.4), (1,)), ZeroPhaseButterworth(150.0))
+    found = learn(Machine(plant), scheme, task_for(plant, 60), 6, save=Keep(("u",))).saved["u"]
+    assert np.max(np.abs(found)) == pytest.approx(0.4)

@@ -11,6 +11,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from ..pytree import known, leaf, part, pytree, static
+from ..signals import quantise
 from .friction import StribeckFriction
 from .integration import RK4_RADIUS, Propagator, exponential_runge_kutta, propagator
 from .linear import StateSpace, matching
@@ -210,7 +211,7 @@ class BallScrewDrive(Plant):
         """The force commanded at a sample [N], the integral and the measured position."""
         position = 1e3 * x.mechanics[0]
         if self.encoder_step is not None:
-            position = position + jax.lax.stop_gradient(jnp.round(position / self.encoder_step) * self.encoder_step - position)
+            position = quantise(position, self.encoder_step)
         command = self.command_scale * u
         deviation = command - (position - x.measured) / dt
         integral = x.integral + self.speed_integral_gain * dt * deviation

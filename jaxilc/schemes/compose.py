@@ -179,7 +179,7 @@ class ErrorFiltered(Around):
 
 
 @pytree
-class OnOutputs(Scheme):
+class OnOutputs(Around):
     """A scheme that sees only some of the outputs: a motor-side loop on a machine that also measures its table.
 
     scheme: acts on all inputs;  outputs: indices of the outputs it sees
@@ -187,10 +187,6 @@ class OnOutputs(Scheme):
 
     scheme: Scheme = part()
     outputs: tuple[int, ...] = static()
-
-    @property
-    def preview(self) -> int:
-        return self.scheme.preview
 
     def _task(self, task: Task) -> Task:
         return dataclasses.replace(task, reference=task.reference[..., list(self.outputs)])
@@ -209,15 +205,15 @@ class OnOutputs(Scheme):
     def table(self, memory, task: Task):
         return self.scheme.table(memory, self._task(task))
 
+    def feedforward(self, memory, task: Task):
+        return self.scheme.feedforward(memory, self._task(task))
+
     def init(self, task: Task):
         return self.scheme.init(self._task(task))
 
     def act(self, state, sample: Sample):
         seen = list(self.outputs)
         return self.scheme.act(state, sample._replace(r=sample.r[..., seen], ahead=sample.ahead[..., seen], y=sample.y[..., seen]))
-
-    def signals(self, state):
-        return self.scheme.signals(state)
 
     def learn(self, memory, trial: Trial):
         seen = list(self.outputs)
