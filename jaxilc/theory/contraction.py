@@ -64,6 +64,7 @@ def step(machine: Machine, scheme: Scheme, task: Task, memory):
 @partial(jax.jit, static_argnames="trials")
 def learned_memory(machine: Machine, scheme: Scheme, task: Task, trials: int = LEARNED):
     """The memory after so many trials from the start, without noise."""
+    scheme = scheme.prepared(task)
     return lax.fori_loop(0, trials, lambda _, memory: step(machine, scheme, task, memory), scheme.memory(task))
 
 
@@ -87,6 +88,7 @@ def learning_map(
             rms(y) / rms(leaf), or by 1 if either is zero; `y` and `e` keep their unit. The longest name that fits a leaf counts.
     Raises ValueError for a name that the memory has not, or a memory without anything that varies.
     """
+    scheme = scheme.prepared(task)
     memory = learned_memory(machine, scheme, task) if memory is None else memory
     found = named_leaves(memory)
     names, values = list(found), [jnp.asarray(v) for v in found.values()]
@@ -122,6 +124,7 @@ def error_map(machine: Machine, scheme: Scheme, task: Task, memory: Any = None, 
     under a linear loop G the derivative is (I - G L)^j; a scheme that adapts learns from the change as well, and that counts.
     memory: with which the trial is entered, None for that after 3 trials
     """
+    scheme = scheme.prepared(task)
     memory = learned_memory(machine, scheme, task) if memory is None else memory
     r, first = jnp.asarray(task.reference), _trial(machine, scheme, task, memory)
 
