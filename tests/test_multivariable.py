@@ -19,7 +19,7 @@ from jaxilc.metrics import Keep
 from jaxilc.plants import BallScrewDrive, StateSpace, cascade, direct_model, multivariable_model
 from jaxilc.schemes import PID, MultivariableILC, NormOptimal, OnOutputs, PIDType, WithFeedback
 from jaxilc.signals import Task
-from jaxilc.theory import frequency, lifted
+from jaxilc.theory import contraction, frequency, lifted
 
 N, TRIALS = 100, 30
 GAIN = 6.0  # C_P [V/mm]
@@ -433,3 +433,14 @@ def test_the_loop_by_hand_is_the_simulated_one():
     ready = scheme.prepared(TASK)
     for learned in (ready.learn, jax.jit(ready.learn)):
         assert relative(learned(scheme.memory(TASK), measured).learning.u, np.asarray(history.memory.learning.u)) < 1e-10
+
+
+@pytest.mark.parametrize("build", [direct, multivariable])
+def test_the_error_map_of_a_norm_optimal_scheme_is_what_learning_does(build):
+    """Its derivative, where no disturbance is, is the change from one simulated error to the next: the law is affine."""
+    machine, scheme = Machine(REAL), build()
+    memory = learn(machine, scheme, TASK, 2).memory
+    found = contraction.error_map(machine, scheme, TASK, memory)
+    here = np.asarray(found.f(found.at))[0]
+    following = learn(machine, scheme, TASK, 2, memory=memory, save=Keep(("e",))).saved["e"][1, 1:].ravel()
+    np.testing.assert_allclose(here, following, rtol=1e-8, atol=1e-10)
