@@ -18,8 +18,9 @@ def tiled(fn: Callable[[Any, Any], Any], *, lanes: int = LANES) -> Callable[[Any
     """A compiled `run(common, batch)` that gives fn(common, one) for each `one` along the leading axis of the batch's leaves.
 
     The batch is spread over all devices; each works through tiles of `lanes` elements, vectorised within a tile. A tile this
-    small keeps a trial in the cache, and a vectorised whole batch is several times slower on a CPU. Where the batch is no
-    multiple of lanes x devices, it is filled up with copies of its last element, whose results are dropped.
+    small keeps a trial in the cache, and a vectorised whole batch is several times slower on a CPU. A batch smaller than
+    lanes x devices makes one smaller tile for each device. What is left to fill a tile is copies of the last element, whose results
+    are dropped.
     Keep the returned function: it compiles once per shape of its arguments. Raises ValueError for lanes < 1.
     """
     if lanes < 1:
@@ -27,7 +28,7 @@ def tiled(fn: Callable[[Any, Any], Any], *, lanes: int = LANES) -> Callable[[Any
     mesh = Mesh(np.array(jax.devices()), ("tiles",))
 
     def on_device(common, share):
-        return lax.map(lambda one: fn(common, one), share, batch_size=lanes)
+        return lax.map(lambda one: fn(common, one), share, batch_size=min(lanes, _size(share)))
 
     spread = jax.jit(
         jax.shard_map(
@@ -40,11 +41,15 @@ def tiled(fn: Callable[[Any, Any], Any], *, lanes: int = LANES) -> Callable[[Any
     )
 
     def run(common, batch):
-        size = len(jax.tree.leaves(batch)[0])
-        tile = lanes * mesh.size
+        size = _size(batch)
+        tile = min(lanes, -(-size // mesh.size)) * mesh.size
         fill = -size % tile
         full = jax.tree.map(lambda x: jnp.concatenate([x, jnp.repeat(jnp.asarray(x)[-1:], fill, axis=0)]) if fill else x, batch)
         results = spread(common, full)
         return jax.tree.map(lambda x: x[:size], results) if fill else results
 
     return run
+
+
+def _size(batch) -> int:
+    return len(jax.tree.leaves(batch)[0])

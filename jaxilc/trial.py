@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from functools import partial
+
+import jax
 import jax.numpy as jnp
 from jax import lax
 
 from .machine import Machine
+from .metrics import Metrics, Tally
 from .schemes import Scheme
 from .signals import Sample, Task, Trial
 
@@ -16,39 +21,61 @@ def run_trial(machine: Machine, scheme: Scheme, task: Task, memory, key) -> Tria
     memory: what the scheme knows (`scheme.memory(task)` before the first trial);  key: of this trial's noise
     Pure; to be called inside `jit`. Fields of the returned `Trial` have N or N+1 rows.
     """
-    machine = machine.sampled(task.dt)
-    plant, dt, r = machine.plant, task.dt, jnp.asarray(task.reference)
-    draws = machine.draws(key, task)
-    future = jnp.pad(r[1:], ((0, scheme.preview - 1), (0, 0)), mode="edge")
-    if scheme.preview == 1:
-        future = future[:, None, :]
+    return run_and_measure(machine, scheme, task, memory, key)[0]
 
-    def tick(carry, now):
-        x, state, v_last = carry
-        k, r_k, row, d_u, d_y, noise, next_r = now
-        y = machine.measure(_plus(plant.output(x), d_y), noise)
-        ahead = next_r if scheme.preview == 1 else lax.dynamic_slice_in_dim(future, k, scheme.preview)
+
+def run_and_measure(machine: Machine, scheme: Scheme, task: Task, memory, key) -> tuple[Trial, Metrics]:
+    """`run_trial` with its metrics, which are gathered in the same pass."""
+    machine = machine.sampled(task.dt)
+    plant, dt, r, preview = machine.plant, task.dt, jnp.asarray(task.reference), scheme.preview
+    draws = machine.draws(key, task)
+    future = jnp.pad(r[1:], ((0, preview - 1), (0, 0)), mode="edge")
+
+    def tick(carry, now, *, settled):
+        x, state, v_last, y, tally = carry
+        k, r_k, next_r, row, d_u, d_y, noise = now
+        ahead = next_r[None] if preview == 1 else lax.dynamic_slice_in_dim(future, k, preview)
         state, command = scheme.act(state, Sample(r_k, ahead, y, row, dt))
         v, u = machine.actuate(command, v_last, dt)
-        return (plant.step(x, _plus(u, d_u), dt), state, v), (y, u, scheme.signals(state))
+        x = plant.step(x, _plus(u, d_u), dt)
+        y = machine.measure(_plus(plant.output(x), d_y), noise)
+        seen = lax.stop_gradient((next_r - y, u))
+        return (x, state, v, y, tally.add(*seen, settled)), (y, u, scheme.signals(state))
 
+    d_y, noise = draws.output, draws.sensor
+    x = plant.init()
+    y = machine.measure(_plus(plant.output(x), _at(d_y, 0)), _at(noise, 0))
+    tally = Tally.start(lax.stop_gradient(r[0] - y), task.inputs, task.settled.start == 0)
+    carry = (x, scheme.init(task), jnp.zeros(task.inputs), y, tally)
     rows = (
         jnp.arange(task.N),
         r[:-1],
+        r[1:],
         scheme.table(memory, task),
         draws.input,
-        *(None if d is None else d[:-1] for d in (draws.output, draws.sensor)),
-        future if scheme.preview == 1 else None,
+        _at(d_y, slice(1, None)),
+        _at(noise, slice(1, None)),
     )
-    start = (plant.init(), scheme.init(task), jnp.zeros(task.inputs))
-    (x, _, _), (y, u, signals) = lax.scan(tick, start, rows, length=task.N)
-    last = machine.measure(_plus(plant.output(x), _last(draws.output)), _last(draws.sensor))
-    return Trial(r, jnp.concatenate([y, last[None]]), u, dt, signals)
+    records = []
+    for samples, settled in _stretches(task):
+        carry, record = lax.scan(partial(tick, settled=settled), carry, jax.tree.map(lambda row: row[samples], rows))  # noqa: B023
+        records.append(record)
+    y_next, u, signals = jax.tree.map(lambda *parts: jnp.concatenate(parts), *records)
+    trial = Trial(r, jnp.concatenate([y[None], y_next]), u, dt, signals)
+    return trial, carry[-1].metrics(trial, task)
+
+
+def _stretches(task: Task) -> Iterator[tuple[slice, bool]]:
+    """The inputs that lead to samples before, within and after the settled window: scans of their own, so that none is asked."""
+    start, stop = max(task.settled.start - 1, 0), task.settled.stop - 1
+    for first, end, settled in ((0, start, False), (start, stop, True), (stop, task.N, False)):
+        if first < end:
+            yield slice(first, end), settled
 
 
 def _plus(signal, d):
     return signal if d is None else signal + d
 
 
-def _last(rows):
-    return None if rows is None else rows[-1]
+def _at(rows, index):
+    return None if rows is None else rows[index]

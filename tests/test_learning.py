@@ -14,7 +14,7 @@ from jaxilc.metrics import measure
 from jaxilc.plants import DifferenceEquation
 from jaxilc.pytree import leaf, pytree
 from jaxilc.schemes import CFDLMFAILC, PID, PIDType, Scheme, WithFeedback
-from jaxilc.signals import Task, Trial
+from jaxilc.signals import Task, Trial, product
 from jaxilc.trial import run_trial
 
 TRIALS = 5
@@ -134,6 +134,13 @@ def test_a_measured_trial_without_the_feedback_signal_is_refused(machine, task):
         next_memory(scheme, task, scheme.memory(task), np.zeros(task.N + 1), np.zeros(task.N))
 
 
+@pytest.mark.parametrize("shape", [(3, 1), (4, 8), (2, 12)])
+def test_small_products_are_products(shape):
+    rng = np.random.default_rng(1)
+    matrix, vector = rng.normal(size=shape), rng.normal(size=shape[1])
+    np.testing.assert_allclose(product(jnp.asarray(matrix), jnp.asarray(vector)), matrix @ vector, rtol=1e-13, atol=1e-13)
+
+
 def test_save_keeps_what_it_returns(machine, task):
     assert learn(machine, SCHEMES["p_type"], task, 3).saved is None
     saved = learn(machine, SCHEMES["p_type"], task, 3, save=lambda trial: (trial.u[::10], jnp.max(trial.y))).saved
@@ -166,6 +173,38 @@ def test_metrics_against_numpy(settle, window):
         spoiled[5, 1] = np.nan
         assert not measure(Trial(r, y, u, DT, {}), Task(r, dt=DT, inputs=3)).finite
         spoiled[5, 1] = 0.0
+
+
+@pytest.mark.parametrize(("settle", "window"), [((0.0, 9.0), range(61)), ((0.01, 0.02), range(10, 21)), ((0.059, 9.0), range(59, 61))])
+def test_metrics_gathered_while_learning_are_those_of_the_record(settle, window, machine, task):
+    """Settled windows that begin with the trial, lie within it, and end with it."""
+    task = Task(task.reference, dt=DT, settle=settle)
+    history = learn(machine, SCHEMES["ffdl_book"], task, 3, save=y_and_u)
+    for j in range(3):
+        y, u = (np.asarray(history.saved[name][j]) for name in "yu")
+        for name, expected in figures_by_hand(y, u, np.asarray(task.reference), window).items():
+            np.testing.assert_allclose(getattr(history.metrics, name)[j], expected, rtol=1e-12, err_msg=name)
+
+
+@pytest.mark.parametrize("settle", [(0.0, 0.02), (0.005, 0.012)])
+def test_gradient_of_the_metrics_is_that_of_their_definition(settle):
+    """By y and u, with a largest error that two samples share."""
+    rng, N = np.random.default_rng(8), 20
+    r, y, u = np.zeros((N + 1, 2)), rng.normal(size=(N + 1, 2)), rng.normal(size=(N, 1))
+    y[7, 0], y[9, 0] = 5.0, -5.0
+    task, weights = Task(r, dt=DT, settle=settle, inputs=1), rng.normal(size=7)
+
+    def by_definition(y, u):
+        e = r - y
+        rms, effort = jnp.sqrt(jnp.mean(e[1:] ** 2, axis=0)), jnp.sqrt(jnp.mean(u**2, axis=0))
+        return jnp.concatenate([jnp.max(jnp.abs(e[1:]), axis=0), rms, jnp.max(jnp.abs(e[task.settled]), axis=0), effort])
+
+    def ours(y, u):
+        return jnp.concatenate(measure(Trial(jnp.asarray(r), y, u, DT, {}), task)[:4])
+
+    for mode in (jax.jacrev, jax.jacfwd):
+        found, expected = (mode(lambda *signals, f=f: weights @ f(*signals), argnums=(0, 1))(y, u) for f in (ours, by_definition))
+        assert_trees_close(found, expected)
 
 
 @pytest.mark.parametrize("figure", ["effort", "rms", "max_error", "settled_error"])

@@ -25,6 +25,13 @@ def test_setup_takes_cores_precision_and_whole_loops_and_leaves_flags_alone():
     assert python(program, XLA_FLAGS=kept).stdout.split(maxsplit=2)[2].strip() == kept
 
 
+def test_options_that_an_accelerator_would_read_are_left_out_where_there_is_one():
+    program = "import jaxilc.runtime as r, os; r.entry_points = lambda group: [group]; r.setup(); print(os.environ['XLA_FLAGS'])"
+    assert "unroll" not in python(program).stdout
+    assert "unroll" in python(program, JAX_PLATFORMS="cpu").stdout
+    assert "unroll" in python(program.replace("[group]", "[]")).stdout
+
+
 def test_importing_flips_nothing():
     program = "import jaxilc, jax, os; jaxilc.scenarios.load('cao-2019'); print(jax.config.jax_enable_x64, 'XLA_FLAGS' in os.environ)"
     assert python(program).stdout.split() == ["False", "False"]

@@ -11,7 +11,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from ..pytree import known, leaf, part, pytree, static
-from ..signals import quantise
+from ..signals import product, quantise
 from .friction import StribeckFriction
 from .integration import RK4_RADIUS, Propagator, exponential_runge_kutta, propagator
 from .linear import StateSpace, matching
@@ -201,7 +201,7 @@ class BallScrewDrive(Plant):
         force, integral, measured = self._speed_loop(x, u[0], dt)
         if self.motor_friction is None and self.table_friction is None and self.lead_error is None:
             E, F = self.linear_part.whole
-            return DriveState(E @ x.mechanics + F[:, 0] * force, integral, measured)
+            return DriveState(product(E, x.mechanics) + F[:, 0] * force, integral, measured)
         return DriveState(exponential_runge_kutta(self.linear_part, self._nonlinear, x.mechanics, force[None], dt), integral, measured)
 
     def output(self, x: DriveState):

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import jax
 
+from ..signals import product
 from .linear import zoh
 
 # Runge-Kutta 4 damps every stable pole within this |pole| h: the stability region's smallest radius in the left half-plane is 2.616.
@@ -50,9 +51,9 @@ def exponential_runge_kutta(linear: Propagator, f: Callable, x, u, h):
     own with h/6 f in place of f / a: what is stiff should be driven by u, or by the rest of x, not by f.
     """
     (E, F), (E2, F2) = linear
-    middle, end = E2 @ x + F2 @ u, E @ x + F @ u
+    middle, end = product(E2, x) + product(F2, u), product(E, x) + product(F, u)
     k1 = f(x)
-    k2 = f(middle + h / 2 * (E2 @ k1))
+    k2 = f(middle + h / 2 * product(E2, k1))
     k3 = f(middle + h / 2 * k2)
-    k4 = f(end + h * (E2 @ k3))
-    return end + h / 6 * (E @ k1 + 2 * (E2 @ (k2 + k3)) + k4)
+    k4 = f(end + h * product(E2, k3))
+    return end + h / 6 * (product(E, k1) + 2 * product(E2, k2 + k3) + k4)

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import jax.scipy.linalg
 import numpy as np
 
-from ..pytree import leaf, pytree, static
-from ..signals import Task
+from ..pytree import leaf, part, pytree, static
+from ..signals import Task, product
 from .plant import Plant
 
 
@@ -72,10 +72,10 @@ class StateSpace(Plant):
         return jnp.zeros_like(self.A, shape=self.A.shape[-1:]) if self.x0 is None else jnp.asarray(self.x0)
 
     def step(self, x, u, dt):
-        return self.A @ x + self.B @ u
+        return product(self.A, x) + product(self.B, u)
 
     def output(self, x):
-        return self.C @ x
+        return product(self.C, x)
 
 
 @pytree
@@ -125,11 +125,11 @@ class TimeVaryingStateSpace(Plant):
 
     def step(self, x, u, dt):
         k, state = x
-        return k + 1, self.A[k] @ state + self.B[k] @ u
+        return k + 1, product(self.A[k], state) + product(self.B[k], u)
 
     def output(self, x):
         k, state = x
-        return jnp.where(k > 0, self.C[jnp.maximum(k - 1, 0)] @ state, 0.0)
+        return jnp.where(k > 0, product(self.C[jnp.maximum(k - 1, 0)], state), 0.0)
 
 
 @pytree
@@ -149,18 +149,31 @@ class DifferenceEquation(Plant):
             raise ValueError(f"DifferenceEquation: a {self.a.shape} and b {self.b.shape} must both have shape (n,); pad with zeros")
 
     def sampled(self, dt: float) -> DifferenceEquation:
-        return matching(self, self.dt, dt)
+        return _Taken(tuple(self.a), tuple(self.b), dt=matching(self, self.dt, dt).dt)
 
     def init(self):
-        return (jnp.zeros_like(self.a, shape=()),) * self.a.shape[0]
+        return tuple(jnp.zeros_like(a) for a in self.a)
 
     def step(self, x, u, dt):
         # registers one by one: as an array, shifting them would cost a copy a sample
-        shifted = (*x[1:], 0.0)
-        return tuple(s + self.a[i] * x[0] + self.b[i] * u[0] for i, s in enumerate(shifted))
+        return tuple(s + a * x[0] + b * u[0] for s, a, b in zip((*x[1:], 0.0), self.a, self.b, strict=True))
 
     def output(self, x):
         return x[0][None]
+
+
+@pytree
+class _Taken(DifferenceEquation):
+    """With coefficients one by one: picked from an array in a loop over samples, they keep a batch from being vectorised."""
+
+    a: tuple[jax.Array, ...] = part()
+    b: tuple[jax.Array, ...] = part()
+
+    def __post_init__(self):
+        """Nothing to check: they were, as arrays."""
+
+    def sampled(self, dt: float) -> DifferenceEquation:
+        return matching(self, self.dt, dt)
 
 
 def from_control(system, *, allow_unstable: bool = False) -> StateSpace:

@@ -13,7 +13,7 @@ from jax.scipy.linalg import cho_factor, cho_solve
 
 from ..plants import StateSpace, TimeVaryingStateSpace
 from ..pytree import known, leaf, need_channels, part, pytree, static
-from ..signals import Task, Trial
+from ..signals import Task, Trial, product
 from .scheme import Feedforward, Scheme, limited
 
 LARGEST_LIFTED = 8192  # rows or columns of the dense form: half a gigabyte each for H and the factor, in float64
@@ -161,14 +161,14 @@ class NormOptimal(Scheme):
 
         def back(p, now):
             (A, B, C), K, G, e_next, u_k = now
-            z = p + C.T @ (Q @ e_next)
-            force = B.T @ z - S @ u_k
-            return A.T @ z - K.T @ force, G @ force
+            z = p + product(C.T, product(Q, e_next))
+            force = product(B.T, z) - product(S, u_k)
+            return product(A.T, z) - product(K.T, force), product(G, force)
 
         def forth(x, now):
             (A, B, _), K, g = now
-            d = g - K @ x
-            return A @ x + B @ d, d
+            d = g - product(K, x)
+            return product(A, x) + product(B, d), d
 
         rest = jnp.zeros_like(model.A, shape=model.A.shape[-1:])
         g = _scan(back, rest, model, len(u), solved.K, solved.G, e, u, reverse=True)[1]
