@@ -207,6 +207,26 @@ def test_gradient_of_the_metrics_is_that_of_their_definition(settle):
         assert_trees_close(found, expected)
 
 
+def test_memory_of_a_gradient_grows_like_the_root_of_the_trials():
+    """B + J / B memories: 8 for J = 16, 16 for 64; the slope of 64 trials is that of 61 and 3, which are primes and stored one by one."""
+    machine, task = Machine(PLANTS["arx"]), Task(np.sin(np.arange(1001) / 50), dt=DT)
+
+    def last(lam, *trials):
+        memory, first, scheme = None, 1, CFDLMFAILC(phi0=0.3, lam=lam)
+        for J in trials:
+            history = learn(machine, scheme, task, J, memory=memory, first=first)
+            memory, first = history.memory, first + J
+        return history.rms[-1, 0]
+
+    def compiled(*trials):
+        return jax.jit(jax.grad(lambda lam: last(lam, *trials))).lower(0.5).compile()
+
+    few, many = compiled(16), compiled(64)
+    sizes = [program.memory_analysis().temp_size_in_bytes for program in (few, many)]
+    assert sizes[1] < 2.2 * sizes[0]
+    np.testing.assert_allclose(many(0.5), compiled(61, 3)(0.5), rtol=1e-9)
+
+
 @pytest.mark.parametrize("figure", ["effort", "rms", "max_error", "settled_error"])
 def test_gradient_of_a_figure_that_is_zero_is_finite(figure):
     """In the first trial u is 0 and so is the effort; a machine that meets r = 0 has no error. Tuning must survive both."""
