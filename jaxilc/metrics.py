@@ -72,15 +72,20 @@ def _of_signals_jvp(settled, signals, tangents):
     (tally, e, u), (_, de, du) = signals, tangents
 
     def of_largest(e, de, largest):
-        where = jnp.abs(e) == largest
-        return jnp.sum(jnp.where(where, jnp.sign(e), 0.0) * de, axis=0) / jnp.maximum(jnp.sum(where, axis=0), 1)
+        where = jnp.where(jnp.abs(e) == largest, jnp.sign(e), 0.0)
+        return _dot(where, de) / jnp.maximum(_dot(where, where), 1.0)
 
     return tally, Tally(
         of_largest(e[1:], de[1:], tally.max_error),
-        jnp.sum(2.0 * e[1:] * de[1:], axis=0),
+        2.0 * _dot(e[1:], de[1:]),
         of_largest(e[settled], de[settled], tally.settled_error),
-        jnp.sum(2.0 * u * du, axis=0),
+        2.0 * _dot(u, du),
     )
+
+
+def _dot(a, b):
+    """(n,) sum of a b over time. A sum over time of a product would be added up one by one."""
+    return jnp.einsum("kn,kn->n", a, b)
 
 
 def measure(trial: Trial, task: Task) -> Metrics:
