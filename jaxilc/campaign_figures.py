@@ -5,18 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from .figures import COLOURS, _axes
+from .figures.style import COLOURS, grid, labelled, new_axes, trial_axis
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-def campaign_figure(rows: Sequence[dict[str, Any]], *, unit: str = "", input_unit: str = "", ax: Sequence[Axes] | None = None):
+def campaign_figure(rows: Sequence[dict[str, Any]], *, unit: str = "", input_unit: str = "", ax: Sequence[Axes] | None = None) -> Any:
     """Error by trial, log axis, over the input's root mean square; two axes. Trials that were undone are open marks.
 
     rows: of `campaign.log`;  unit, input_unit: of y and of u
     """
-    top, bottom = axes = _axes(ax, rows=2)
+    top, bottom = axes = new_axes(ax, rows=2)
     measured = [row for row in rows if row["event"] == "trial"]
     channels = {prefix: [n for n in (measured[0] if measured else ()) if n.startswith(prefix)] for prefix in ("max_error_", "effort_")}
     for axis, names, colours in ((top, ["rms_error", *channels["max_error_"]], COLOURS), (bottom, channels["effort_"], COLOURS[2:])):
@@ -28,11 +28,11 @@ def campaign_figure(rows: Sequence[dict[str, Any]], *, unit: str = "", input_uni
                 axis.plot(*zip(*live, strict=True), "o-", color=colour, markersize=4, label=label)
             if undone:
                 axis.plot(*zip(*undone, strict=True), "o", mfc="none", color=colour, markersize=5, label=f"{label}, undone")
-    top.set(yscale="log", ylabel=f"error [{unit}]")
-    bottom.set(xlabel="trial", ylabel=f"input [{input_unit}]")
-    bottom.xaxis.get_major_locator().set_params(integer=True)
+    top.set(yscale="log", ylabel=labelled("error", unit))
+    bottom.set(ylabel=labelled("RMS input", input_unit))
+    trial_axis(bottom)
     for axis in axes:
-        axis.grid(True, which="both", alpha=0.25)
+        grid(axis)
         if axis.has_data():
             axis.legend(fontsize="small")
     return axes

@@ -54,7 +54,7 @@ for trial in (1, 2, 5, 10, 20, 30):
 # %%
 dataset, _ = jaxilc.run_schemes(machine, {"cfdl-mfailc": scheme}, task, 30)
 axes = figures.tracking(dataset, "cfdl-mfailc", (2, 10, 30), scale=1e3, unit="µm")
-axes[0].figure
+axes[0, 0].figure
 
 # %% [markdown]
 # ## Another weight

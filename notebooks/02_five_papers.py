@@ -105,6 +105,30 @@ ax_li = figures.error_by_trial(of_li, figure="rms", scale=1e3, unit="µm")
 ax_li.figure
 
 # %% [markdown]
+# Where does it grow? Around 80 Hz, where $|1 - \gamma z P|$ first exceeds 1, and all along the path: what grows is the encoder's noise,
+# while the errors of the path itself, below 20 Hz, are gone.
+
+# %%
+shown = {"scale": 1e3, "unit": "µm"}
+ax_spectrum = figures.spectrum(of_li, "p-type", (1, 6, 30), **shown)
+f, amplitude = ax_spectrum.lines[-1].get_data()
+assert 75 < f[np.argmax(amplitude)] < 95
+ax_spectrum.figure
+
+# %%
+maps = figures.time_frequency(of_li, "p-type", (1, 30), **shown)
+maps[0].figure
+
+# %% [markdown]
+# With a second axis of 90 % of the gain, what counts is the distance from the path, not the lag along it:
+
+# %%
+xy = jaxilc.scenarios.load("li-2020", axes="xy").select(("fixed-filter",))
+of_xy, _ = jaxilc.run_schemes(xy.machine, xy.schemes, xy.task, 8)
+ax_path, ax_contour = figures.contour(of_xy, "fixed-filter", (1, 8), **shown)
+ax_path.figure
+
+# %% [markdown]
 # ## Xu 2024, Table 1: four controllers
 #
 # Experiments of the paper; the numbers it leaves out are fitted to the rows of PID, SMC and ASMC, the learning gain to one of its own

@@ -24,14 +24,22 @@
 # $\gamma$ and the cutoff of $Q$. Too low, and little is learned; too high, and the error grows on some of the machines.
 
 # %%
+import dataclasses
+from functools import partial
+
+import jax
+import jax.numpy as jnp
 import numpy as np
+import scipy.integrate
 from matplotlib.figure import Figure
 
 import jaxilc
-from jaxilc import Machine, Sensor, Task, Tuning, Uniform, figures, plants, references, schemes
+from jaxilc import Actuator, Machine, Sensor, Task, Tuning, Uniform, figures, plants, references, schemes
 from jaxilc.filters import ZeroPhaseButterworth
 from jaxilc.objectives import Final, Growth
+from jaxilc.pytree import replaced
 from jaxilc.risks import CVaR
+from jaxilc.theory.contraction import error_map
 
 # %matplotlib inline
 # ruff: noqa: B018
@@ -112,4 +120,112 @@ for row in jaxilc.summarise(dataset, tolerance=0.02, figure="rms"):
     )
 
 # %% [markdown]
-# A gradient of any figure by any weight, of any machine, is also at hand by itself (notebook 01). On the command line: `jaxilc tune`.
+# A gradient of any figure by any weight, of any machine, is also at hand by itself (notebook 01). On the command line: `jaxilc tune`, and
+# for a budget of effort or of trials `jaxilc pareto`.
+#
+# ## Where a gradient misleads: resets
+#
+# The estimators of model-free adaptive schemes put an estimate back to its start value where it is of no use. The gradient of such a
+# switch is that of the branch taken: it knows nothing of samples that change sides as a weight moves. The test needs no step size:
+# integrated over a range of a weight, a slope must give the change of the loss, $\int_a^b J'\,\mathrm{d}\eta = J(b) - J(a)$. Here the
+# weight is the step $\eta$ of the estimator of CFDL-MFAILC.
+
+# %%
+quiet = Machine(axis)
+adaptive = schemes.CFDLMFAILC(phi0=0.3, lam=0.05, mu=0.01, epsilon=0.01, lead=12)
+
+
+def eighth_trial(eta, reset):
+    """Logarithm of the RMS error of the eighth trial."""
+    law = schemes.Filtered(dataclasses.replace(adaptive, eta=eta, reset=reset), ZeroPhaseButterworth(15.0))
+    return jnp.log(jaxilc.learn(quiet, law, task, 8).rms[-1, 0])
+
+
+path, missed = np.linspace(0.2, 1.0, 201), {}
+for reset in ("sign", "book", "smooth"):
+    values, slopes = jax.jit(jax.vmap(jax.value_and_grad(partial(eighth_trial, reset=reset))))(path)
+    change, integral = values[-1] - values[0], scipy.integrate.trapezoid(slopes, path)
+    missed[reset] = abs(change - integral)
+    print(f"{reset:6s} change {change:+.3f}, integral of the slope {integral:+.3f}, largest slope {np.abs(slopes).max():.1f}")
+assert missed["sign"] < 1e-3 < missed["smooth"] < 0.01 < 0.05 < missed["book"]
+
+# %% [markdown]
+# With `book` the slope sees half of what happens; `sign` resets nothing here and is exact. `reset="smooth"` blends the two branches over
+# widths of `epsilon`, and its slope is whole. It is another scheme, though, and the narrower `epsilon`, the steeper: tune with it, then
+# judge the weights with the reset that the machine will have.
+#
+# ## Saturation
+#
+# A clip has an exact slope, but a sample at the limit contributes nothing: the more of the trial is saturated, the less is left to
+# descend, until nothing is.
+
+# %%
+gain, cutoff, lead = "learning.scheme.gamma_p", "learning.filter.cutoff", "learning.scheme.lead"
+
+
+def limited(gamma, limit):
+    """Logarithm of the RMS error of the eighth trial, and its input."""
+    history = jaxilc.learn(Machine(axis, Actuator(limit=limit)), replaced(scheme, {gain: gamma}), task, 8)
+    return jnp.log(history.rms[-1, 0]), history.final.u
+
+
+value_and_slope = jax.jit(jax.value_and_grad(limited, has_aux=True))
+slopes = []
+for limit in (10.0, 0.8, 0.5, 0.2, 0.05):
+    (_, u), slope = value_and_slope(0.3, limit)
+    above, below = (value_and_slope(0.3 + h, limit)[0][0] for h in (1e-5, -1e-5))
+    share = np.mean(np.abs(u) > 0.999999 * limit)
+    slopes.append(abs(slope))
+    quotient = (above - below) / 2e-5
+    print(f"limit {limit:5.2f} V: {share:4.0%} of the samples saturated, slope {slope:+.5f}, difference quotient {quotient:+.5f}")
+assert np.all(np.diff(slopes) < 0)
+assert slopes[-1] < 1e-3 * slopes[0]
+
+# %% [markdown]
+# So start inside the limits: from smaller gains, or with wider limits that are then narrowed; an `Effort` term keeps it there.
+#
+# ## Long learning
+#
+# For a linear law $e_{j+1} = M e_j$ with $M = I - GL$, and $\mathrm{d}e_J/\mathrm{d}\gamma = \sum_i M^{J-2-i}\,M'\,M^i e_1$: the slope of
+# the last error grows as powers of the learning map do. With a lead of 12 samples they fade on this reference; with 4 samples learning
+# is semi-convergent, and the slope grows long after the error has stopped falling.
+
+# %%
+trials, growth = 60, Figure(figsize=(7.2, 4.2), layout="constrained", dpi=150).subplots()
+growing = replaced(scheme, {gain: 0.8, cutoff: 60.0, lead: 4})
+for name, law, colour in (("lead 4", growing, figures.COLOURS[1]), ("lead 12", replaced(growing, {lead: 12}), figures.COLOURS[0])):
+
+    def errors(gamma, law=law):
+        return jaxilc.learn(quiet, replaced(law, {gain: gamma}), task, trials, save=lambda trial: trial.e[1:, 0]).saved
+
+    e, slope = jax.jit(lambda gamma, errors=errors: jax.jvp(errors, (gamma,), (1.0,)))(0.8)
+    map_ = error_map(quiet, law, task)
+    M = np.asarray(jax.jit(jax.jacfwd(lambda e, map_=map_: map_.f(e)[-1]))(map_.at))
+    powers = [np.linalg.norm(np.linalg.matrix_power(M, j), 2) for j in range(trials - 1)]
+    lengths = np.linalg.norm(slope, axis=1)
+    growth.semilogy(np.arange(2, trials + 1), lengths[1:], color=colour, label=f"{name}: |de_j / dγ|")
+    growth.semilogy(np.arange(2, trials + 1), powers, color=colour, linestyle="--", label=f"{name}: largest singular value of $M^{{j-2}}$")
+    growth.semilogy(np.arange(1, trials + 1), np.linalg.norm(e, axis=1), color=colour, linestyle=":", label=f"{name}: |e_j|")
+    print(f"{name:7s} |de/dγ| of trials 20, 40, 60: {lengths[19]:.3g}, {lengths[39]:.3g}, {lengths[59]:.3g}; |M^58| = {powers[-1]:.3g}")
+growth.set(xlabel="trial j")
+growth.legend(fontsize="small")
+growth.figure
+
+# %% [markdown]
+# Two remedies are at hand, and neither is free. `clip` bounds the slope of each machine, so that one that diverges does not lead all;
+# it keeps the direction. `truncate=K` lets slopes through the last $K$ trials alone, which are fewer factors of $M$ and less to compute
+# and store, but another gradient: what the weight did in the trials before counts in the loss only.
+
+# %%
+law = replaced(growing, {gain: 0.3})
+options = {"weights": [gain], "objective": Final("rms"), "samples": 1, "held_out": 0}
+cut = {}
+for K in (2, 5, 10, 20):
+    problem = Tuning(quiet, law, task, 20, **options, truncate=K)
+    cut[K] = float(jax.jit(jax.grad(lambda gamma, problem=problem: problem.loss_of(quiet, {gain: gamma})))(0.3))
+    print(f"slope through the last {K:2d} of 20 trials: {cut[K]:+.3f}")
+assert abs(cut[2]) < 0.5 * abs(cut[20])
+
+# %% [markdown]
+# The loss is a logarithm, and so the whole slope here is a moderate number: long learning alone is no reason to truncate. Take it where
+# memory is short, and only if the truncated slope has the sign of the whole one.

@@ -126,10 +126,17 @@ ax.figure
 # its cutoff. A leak or a stop rule are other ways out (notebook 08).
 
 # %%
+tests = {"without a filter": test}
 for cutoff in (10.0, 30.0):
     filtered = schemes.Filtered(cfdl, ZeroPhaseButterworth(cutoff))
-    value = theory.frequency.learning_condition(motor.machine, filtered, motor.task).condition.value
-    print(f"cutoff {cutoff:5.0f} Hz: sup |Q (1 - gamma z P)| = {value:.4f}")
+    tests[f"Q of {cutoff:g} Hz"] = found = theory.frequency.learning_condition(motor.machine, filtered, motor.task)
+    print(f"cutoff {cutoff:5.0f} Hz: sup |Q (1 - gamma z P)| = {found.condition.value:.4f}")
+assert tests["Q of 10 Hz"].condition.value < 1 < tests["Q of 30 Hz"].condition.value
+axes = figures.frequency_tests(tests)
+axes[0].figure
+
+# %% [markdown]
+# A cutoff of 30 Hz still leaves a little above 1, at 6 to 8 Hz; one of 10 Hz leaves nothing.
 
 # %% [markdown]
 # "$\lambda > b^2/4$ guarantees convergence" is not a design rule for a feed drive; $|Q(1 - \gamma z P)| < 1$ is.

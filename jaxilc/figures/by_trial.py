@@ -1,0 +1,109 @@
+"""Errors against the trial, log axis."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .style import COLOURS, grid, labelled, legend_beside, marks_of, names_of, new_axes, style_of, trial_axis
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.axes import Axes
+
+    from ..theory import Certificate
+
+
+def error_by_trial(
+    dataset: xr.Dataset,
+    *,
+    figure: str = "settled_error",
+    scale: float = 1.0,
+    unit: str = "",
+    published: Iterable = (),
+    ax: Axes | None = None,
+) -> Axes:
+    """Error of one machine against the trial; printed values in the scheme's colour, as open circles, or as carets below a printed bound.
+
+    dataset: dims (scheme, trial);  figure: any variable over them;  scale, unit: of the errors shown
+    published: rows with scheme, trial (None: of a scheme that does not learn, at trial 1), quantity, value [unit], at_most
+    """
+    from matplotlib.markers import CARETDOWNBASE
+
+    ax = new_axes(ax)
+    published = [p for p in published if p.quantity == figure and (p.trial or 1) <= dataset.sizes["trial"]]
+    for i, name in enumerate(names_of(dataset)):
+        errors = dataset[figure].sel(scheme=name)
+        errors = scale * errors.max([d for d in errors.dims if d != "trial"])
+        ax.semilogy(dataset["trial"], errors, label=name, **style_of(i), **marks_of(i, len(errors)))
+        for p in published:
+            if p.scheme == name:
+                mark = {"marker": CARETDOWNBASE if p.at_most else "o", "markersize": 9 if p.at_most else 6}
+                ax.plot([p.trial or 1], [p.value], **mark, mfc="none", color=style_of(i)["color"])
+    if any(not p.at_most for p in published):
+        ax.plot([], [], "o", mfc="none", color="k", label="published")
+    if any(p.at_most for p in published):
+        ax.plot([], [], marker=CARETDOWNBASE, linestyle="none", markersize=9, mfc="none", color="k", label="published: less")
+    ax.set(ylabel=labelled(figure, unit))
+    trial_axis(ax)
+    grid(ax)
+    legend_beside(ax)
+    return ax
+
+
+def error_band(
+    dataset: xr.Dataset,
+    *,
+    figure: str = "settled_error",
+    tolerance: float | None = None,
+    scale: float = 1.0,
+    unit: str = "",
+    ax: Axes | None = None,
+) -> Axes:
+    """A sweep: median, 5-95 % band and worst sample against the trial, with the tolerance.
+
+    What lies more than ten times above every median (an unstable machine) is off the scale.
+    dataset: dims (scheme, sample, trial);  tolerance: in the unit of the dataset
+    """
+    from ..summary import summarise
+
+    ax = new_axes(ax)
+    rows, trial = summarise(dataset, tolerance or 1.0, figure=figure), dataset["trial"]
+    medians = np.concatenate([row.median for row in rows])
+    for i, row in enumerate(rows):
+        style, marks = style_of(i), marks_of(i, len(trial))
+        ax.semilogy(trial, scale * row.median, label=row.scheme, **style, **marks)
+        ax.fill_between(trial, scale * row.low, scale * row.high, color=style["color"], alpha=0.2, linewidth=0)
+        ax.semilogy(trial, scale * row.worst, **{**style, "linestyle": "none"}, **{**marks, "markevery": 1, "markersize": 2})
+    ax.plot([], [], color="k", label="median")
+    ax.fill_between([], [], [], color="k", alpha=0.2, linewidth=0, label="5–95 %")
+    ax.plot([], [], "k.", markersize=3, label="worst machine")
+    if tolerance is not None:
+        ax.axhline(scale * tolerance, color="k", linewidth=0.8, linestyle="--", label=f"tolerance {scale * tolerance:g} {unit}")
+    if np.any(np.isfinite(medians)):
+        ax.set_ylim(top=10.0 * scale * np.max(medians[np.isfinite(medians)]))
+    ax.set(ylabel=labelled(figure, unit), title=f"{dataset.sizes['sample']} machines")
+    trial_axis(ax)
+    grid(ax)
+    legend_beside(ax)
+    return ax
+
+
+def certificate(found: Certificate, *, scale: float = 1.0, unit: str = "", title: str = "", ax: Axes | None = None) -> Axes:
+    """Root mean square error by trial as theory predicts it and as it was simulated, every machine.
+
+    found: from `theory.certify`;  scale, unit: of the error shown
+    """
+    ax = new_axes(ax)
+    trial = np.arange(1, found.predicted.shape[1] + 1)
+    for errors, colour, dash, label in ((found.observed, COLOURS[0], "-", "simulated"), (found.predicted, COLOURS[1], "--", "predicted")):
+        shown = np.where(np.isfinite(errors) & (errors > 0), scale * errors, np.nan)
+        ax.semilogy(trial, shown.T, color=colour, linewidth=0.5, alpha=0.35, linestyle=dash)
+        ax.semilogy(trial, shown[0], color=colour, linewidth=2, linestyle=dash, label=f"{label} (thick: nominal)")
+    ax.set(ylabel=labelled("RMS error", unit), title=f"{title}: {len(found.sigma)} machines")
+    trial_axis(ax)
+    grid(ax)
+    ax.legend(fontsize="small")
+    return ax

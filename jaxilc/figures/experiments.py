@@ -1,0 +1,58 @@
+"""Identification: a recorded experiment, and the model against it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .style import COLOURS, grid, labelled, new_axes
+
+if TYPE_CHECKING:
+    from ..identification import Identified
+    from ..records import Record
+
+
+def record_figure(record: Record, *, input_unit: str = "", output_unit: str = "", ax=None) -> np.ndarray:
+    """An identification experiment against time, input over output (Cao 2019, Fig. 2 and 3); two axes."""
+    top, bottom = axes = new_axes(ax, rows=2)
+    for axis, signal, style in ((top, record.u, {"drawstyle": "steps-post"}), (bottom, record.y, {})):
+        signal = np.reshape(signal, (len(signal), -1))
+        for i, values in enumerate(signal.T):
+            label = f"{i}" if signal.shape[1] > 1 else None
+            axis.plot(np.arange(len(signal)) * record.dt, values, color=COLOURS[i % len(COLOURS)], linewidth=0.8, label=label, **style)
+        if signal.shape[1] > 1:
+            axis.legend(ncols=4, fontsize="small")
+        grid(axis)
+    top.set(ylabel=labelled("input", input_unit))
+    bottom.set(ylabel=labelled("output", output_unit), xlabel="time [s]")
+    return axes
+
+
+def validation_figure(
+    record: Record, identified: Identified, *, output_unit: str = "", scale: float = 1.0, unit: str = "", ax=None
+) -> np.ndarray:
+    """Measured and simulated output, and their difference (Cao 2019, Fig. 4); the part that was not fitted is shaded; two axes.
+
+    scale, unit: of the residual shown
+    """
+    top, bottom = axes = new_axes(ax, rows=2)
+    y = np.reshape(record.y, (len(record.y), -1))
+    time = np.arange(len(y)) * record.dt
+    for i in range(y.shape[1]):
+        name, colour = f" {i}" * (y.shape[1] > 1), COLOURS[i % len(COLOURS)]
+        fits = f"fit {identified.fit[i]:.2f} %"
+        if identified.samples < len(y):
+            fits += f", validation {identified.validation_fit[i]:.2f} %"
+        top.plot(time, y[:, i], color="#999999", linewidth=3, label=f"measured{name}")
+        top.plot(time, identified.simulated[:, i], color=colour, linewidth=1, label=f"simulated{name}: {fits}")
+        bottom.plot(time, scale * (y[:, i] - identified.simulated[:, i]), color=colour, linewidth=0.8)
+    for axis in axes:
+        axis.set_xlim(time[0], time[-1])
+        if identified.samples < len(y):
+            axis.axvspan(time[identified.samples], time[-1], color="#e69f00", alpha=0.12, linewidth=0, label="not fitted")
+        grid(axis)
+    top.set(ylabel=labelled("output", output_unit))
+    bottom.set(ylabel=labelled("residual", unit), xlabel="time [s]")
+    top.legend(ncols=3, fontsize="small", loc="lower right", bbox_to_anchor=(1.0, 1.0))
+    return axes

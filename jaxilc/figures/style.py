@@ -1,0 +1,89 @@
+"""What all figures share: colours, dashes, marks and shades, new axes, readable logarithmic ticks, labels with units."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.axes import Axes
+
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")  # safe for the colour-blind
+DASHES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (3, 1, 1, 1)), (0, (1, 1)))
+MARKS = ("s", "^", "D", "x", "P", "*", "p")  # circles are printed numbers
+
+
+def names_of(dataset: xr.Dataset) -> list[str]:
+    return [str(s) for s in dataset["scheme"].values]
+
+
+def style_of(i: int) -> dict[str, Any]:
+    """Colour and line style of the i-th scheme, the same for no other of the first 49."""
+    return {"color": COLOURS[i % len(COLOURS)], "linestyle": DASHES[(i + i // len(COLOURS)) % len(DASHES)]}
+
+
+def marks_of(i: int, points: int, marks: int = 8) -> dict[str, Any]:
+    """Open marks at some of the points of the i-th curve, others than those of its neighbours, so that curves on one another show."""
+    every = max(points // marks, 1)
+    return {"marker": MARKS[(i + i // len(MARKS)) % len(MARKS)], "markevery": (i % every, every), "markersize": 4, "mfc": "none"}
+
+
+def shades_of(trials: Sequence[int]) -> list[str]:
+    """A grey for each trial, the last one black."""
+    return [str(shade) for shade in np.linspace(0.75, 0.0, len(trials))] if len(trials) > 1 else ["0.0"] * len(trials)
+
+
+def new_axes(ax: Any, rows: int = 1, columns: int = 1, *, size: tuple[float, float] | None = None, **kwargs) -> Any:
+    """The axes given, or those of a new figure. size: [in], None for 2.6 in a row"""
+    if ax is not None:
+        return ax
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=size or (7.2, 1.6 + 2.6 * rows), layout="constrained", dpi=150)
+    shared: dict[str, Any] = {"sharex": columns == 1}
+    return figure.subplots(rows, columns, **(shared | kwargs))
+
+
+def labelled(name: str, unit: str) -> str:
+    """`settled error [µm]`"""
+    return name.replace("_", " ") + (f" [{unit}]" if unit else "")
+
+
+def grid(ax: Axes) -> None:
+    """A pale grid, and plain numbers on logarithmic axes, 1-2-5 where there are few decades; when all is drawn."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    ax.grid(True, alpha=0.25)
+    for axis in (ax.xaxis, ax.yaxis):
+        if axis.get_scale() == "log":
+            low, high = sorted(axis.get_view_interval())
+            few = high < 1e3 * low
+            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,)))
+            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+            axis.set_minor_formatter(NullFormatter())
+            if few:
+                axis.grid(True, which="minor", alpha=0.15)
+
+
+def trial_axis(ax: Axes) -> None:
+    """Whole numbers of trials along x."""
+    from matplotlib.ticker import MaxNLocator
+
+    ax.set_xlabel("trial")
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+
+
+def legend_beside(ax: Axes) -> None:
+    """The legend to the right of the axes, where it hides nothing."""
+    ax.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1.0, 1.02))
+
+
+def save(axes, path: str | Path) -> Path:
+    """Write the figure that holds the axes."""
+    figure = np.ravel(axes)[0].figure
+    figure.savefig(path)
+    return Path(path)
