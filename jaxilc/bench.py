@@ -5,33 +5,35 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
 from . import peers, references, scenarios
-from .batch import LANES, tiled
+from .batch import tiled
 from .learning import learn
 from .machine import Machine
 from .peers import FIGURES, Peer, Problem
-from .plants import StateSpace
+from .plants import InBlocks, StateSpace
 from .pytree import replaced
 from .scenarios.xu_2024 import MODEL
 from .schemes import NormOptimal, Scheme
 from .schemes.scheme import Feedforward
 from .signals import Task
-from .timing import OURS, Cost, Entry, Row, cores, cost, in_turns
+from .timing import OURS, Cost, Entry, Row, cores, cost, difference, in_turns
 from .trial import run_trial
 
 SCHEMES = {"cfdl": "cfdl-mfailc", "ffdl": "ffdl-mfailc"}
 ALONE = ("noilc", "ilc-asmc")
+BLOCKS = "jaxilc in blocks"
 SLOW = {"NumPy loop": (1, 20), "NumPy batch": (None, 5)}  # plants and trials that are enough to know the cost of a sample-step
 
 
 def opponents() -> tuple[dict[str, tuple[Peer, float]], list[str]]:
     """The peers that are there, with the seconds it took to build each, and a note for each that is not."""
-    found, notes = {"NumPy loop": (peers.numpy_loop, 0.0), "NumPy batch": (peers.numpy_batch, 0.0)}, []
+    found: dict[str, tuple[Peer, float]] = {"NumPy loop": (peers.numpy_loop, 0.0), "NumPy batch": (peers.numpy_batch, 0.0)}
+    notes: list[str] = []
     for name, make in {"Numba parallel": peers.numba_parallel, "C limit": partial(peers.c_program, cores())}.items():
         start = time.perf_counter()
         try:
@@ -44,8 +46,8 @@ def opponents() -> tuple[dict[str, tuple[Peer, float]], list[str]]:
 class Setting(NamedTuple):
     """MFAILC on the motor of Cao 2019, eq. 29, whose gain is uncertain by 10 %. b: (S, 3) numerators of the plants"""
 
-    machine: Machine
-    scheme: Scheme
+    machine: Any
+    scheme: Any
     task: Task
     trials: int
     b: np.ndarray
@@ -57,7 +59,7 @@ class Setting(NamedTuple):
         settled = self.task.settled.start
         return Problem(np.asarray(a), self.b, np.asarray(self.task.reference)[:, 0], self.trials, settled, weights, np.atleast_1d(s.phi0))
 
-    def ours(self, lanes: int = LANES) -> Callable[[], np.ndarray]:
+    def ours(self, lanes: int | None = None) -> Callable[[], np.ndarray]:
         """(S, J, 4) figures by `learn`, the plants tiled as a sweep tiles them."""
         run = tiled(partial(_figures, leaf="plant.b", trials=self.trials), lanes=lanes)
         common = (self.machine, self.scheme, self.task)
@@ -72,8 +74,9 @@ def setting(scheme: str, plants: int, trials: int, samples: int) -> Setting:
         if value < least:
             raise ValueError(f"bench: {name} = {value} is outside its allowed range [{least}, inf)")
     chosen = scenarios.load("cao-2019", plant="printed")
+    motor: Any = chosen.machine.plant
     task = Task(_sinusoid(samples, chosen.task.dt), dt=chosen.task.dt)
-    b = np.asarray(chosen.machine.plant.b) * np.random.default_rng(0).uniform(0.9, 1.1, (plants, 1))
+    b = np.asarray(motor.b) * np.random.default_rng(0).uniform(0.9, 1.1, (plants, 1))
     return Setting(chosen.machine, chosen.schemes[SCHEMES[scheme]], task, trials, b)
 
 
@@ -112,13 +115,37 @@ def compare_plant(of: Setting, *, repeats: int = 5) -> dict[str, Row]:
     return in_turns(entries, repeats=repeats)
 
 
+def compare_long(samples: int, *, repeats: int = 5) -> dict[str, Row]:
+    """One plant in one long trial: SciPy, `run_trial` step by step, and with the plant in blocks; outputs compared, to 1e-9.
+
+    Raises ArithmeticError for other numbers, ValueError for fewer than 4 samples.
+    """
+    import scipy.signal
+
+    of = setting("cfdl", 1, 1, samples)
+    u = np.random.default_rng(1).normal(size=(samples, 1))
+    b, a, last = np.append(0.0, of.machine.plant.b), np.append(1.0, -np.asarray(of.machine.plant.a)), np.append(u, 0.0)
+    run, common = jax.jit(_output), jax.device_put((of.task, u))
+    steps, in_blocks = jax.device_put((of.machine, Machine(InBlocks(of.machine.plant))))
+    calls = {
+        "SciPy lfilter": lambda: scipy.signal.lfilter(b, a, last)[None, :, None],
+        BLOCKS: lambda: np.asarray(run(in_blocks, *common))[None],
+        OURS: lambda: np.asarray(run(steps, *common))[None],
+    }
+    off = difference(calls[BLOCKS](), calls[OURS]())
+    if jax.config.jax_enable_x64 and not off <= 1e-9:
+        raise ArithmeticError(f"bench: {BLOCKS} differs from jaxilc by {off:.2g} of the largest output; allowed is 1e-09")
+    return in_turns({name: Entry(call, 1, 1, samples) for name, call in calls.items()}, repeats=repeats)
+
+
 def alone(name: str, plants: int, *, repeats: int = 5) -> Row:
     """Ours without opponents: `noilc`, norm-optimal learning by the Riccati recursion on the drive of MILC 2024 with 10 % model error,
     or `ilc-asmc`, the scheme of Xu 2024 on its identified model; ten trials of 2000 samples. Raises ValueError for another name."""
     match name:
         case "noilc":
             chosen = scenarios.load("milc-2024")
-            plant = chosen.schemes["dilc"].learning.scheme.model
+            dilc: Any = chosen.schemes["dilc"]
+            plant = dilc.learning.scheme.model
             scheme, task = NormOptimal(plant, w_q=1.0, w_r=1e-4, w_s=1e-3), Task(_sinusoid(2000, plant.dt), dt=plant.dt)
         case "ilc-asmc":
             chosen = scenarios.load("xu-2024")
@@ -159,7 +186,11 @@ def _figures(common, one, *, leaf: str, trials: int):
 
 def _response(common, b):
     machine, task, u = common
-    return run_trial(replaced(machine, {"plant.b": b}), Scheme(), task, Feedforward(u), jax.random.key(0)).y[:, 0]
+    return _output(replaced(machine, {"plant.b": b}), task, u)[:, 0]
+
+
+def _output(machine, task, u):
+    return run_trial(machine, Scheme(), task, Feedforward(u), jax.random.key(0)).y
 
 
 def _sinusoid(samples: int, dt: float) -> np.ndarray:

@@ -4,27 +4,30 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping
-from functools import partial
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing, nullcontext
+from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from . import memory
-from .batch import LANES, tiled
+from . import memory, results
+from .batch import OPEN, tiled, usual_lanes
 from .learning import check, learn
 from .machine import Machine
 from .metrics import Keep
-from .results import Store, Variable, describe, environment
+from .results import Store, Variable, describe
 from .schemes import Scheme
 from .signals import Task, Trial
 from .uncertainty import Uncertainty, draw, drawn_machine
 
 if TYPE_CHECKING:
     import xarray as xr
+    from distributed import Client
 
 SIGNALS = {"y": ("time", "channel"), "e": ("time", "channel"), "u": ("input_time", "input")}
 CHUNK = 256
@@ -36,10 +39,11 @@ class Sweep:
 
     machine, task, trials: as for `learn`;  schemes: by name
     uncertainty: distributions on the machine's named leaves;  samples, seed, sampling: see `uncertainty.draw`
-    keep: signals of the last trial to store, any of y, e, u (they are large);  chunk: samples computed and stored at a time
+    keep: signals of the last trial to store, any of y, e, u (they are large)
+    chunk: samples computed and stored at a time, None for 256, or a tile on each device if that is more
     quantities: further figures of each trial, by name, each a function of a trial to a number, known by its name in the configuration
-    lanes: samples vectorised together, see `batch.tiled`; chunk, lanes and the number of devices belong to the configuration,
-    since sums in another order round otherwise
+    lanes: samples vectorised together, None for what suits this backend, see `batch.tiled`; chunk, lanes and the number of devices
+    belong to the configuration, since sums in another order round otherwise
     Raises ValueError, before anything is compiled or written, naming what does not fit.
     """
 
@@ -52,11 +56,14 @@ class Sweep:
     seed: int = 0
     sampling: str = "monte-carlo"
     keep: tuple[str, ...] = ()
-    chunk: int = CHUNK
-    lanes: int = LANES
+    chunk: int = OPEN
+    lanes: int = OPEN
     quantities: Mapping[str, Callable[[Trial], jax.Array]] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self):
+        lanes = usual_lanes() if self.lanes is None else self.lanes
+        object.__setattr__(self, "lanes", lanes)
+        object.__setattr__(self, "chunk", max(CHUNK, lanes * jax.device_count()) if self.chunk is None else self.chunk)
         for name in ("trials", "chunk", "lanes"):
             if getattr(self, name) < 1:
                 raise ValueError(f"Sweep: {name} = {getattr(self, name)} is outside its allowed range [1, inf)")
@@ -68,44 +75,72 @@ class Sweep:
         Keep.of(self.quantities)
         for scheme in self.schemes.values():
             check(self.machine, scheme, self.task)
-        object.__setattr__(self, "drawn", draw(self.machine, self.uncertainty, self.samples, seed=self.seed, sampling=self.sampling))
         object.__setattr__(self, "samples", len(next(iter(self.drawn.values()))) if self.drawn else self.samples)
 
-    def configuration(self) -> dict[str, Any]:
-        """All that determines the numbers, as JSON."""
+    @cached_property
+    def drawn(self) -> dict[str, np.ndarray]:
+        """(samples,) drawn numbers by the leaf's name."""
+        return draw(self.machine, self.uncertainty, self.samples, seed=self.seed, sampling=self.sampling)
+
+    def configuration(self, environment: dict[str, Any] | None = None) -> dict[str, Any]:
+        """All that determines the numbers, as JSON.  environment: of the processes that compute, None for this one"""
         fields = {f.name: describe(getattr(self, f.name)) for f in dataclasses.fields(self)}
-        return fields | {"environment": environment()}
+        return fields | {"environment": environment or results.environment()}
 
     def run(
-        self, out: str | Path | None = None, *, resume: bool = False, progress: Callable[[str, int, int], None] | None = None
+        self,
+        out: str | Path | None = None,
+        *,
+        resume: bool = False,
+        progress: Callable[[str, int, int], None] | None = None,
+        cluster: str | Path | Client | None = None,
     ) -> xr.Dataset:
         """Run what is not done yet and return the dataset (dims scheme, sample, trial; coordinates carry every drawn number).
 
         out: where to keep it as a Zarr store, None for memory only;  resume: go on with the store at `out`
-        progress: called after each chunk with the scheme's name, the samples done and how many of them this call computed
+        progress: called after each chunk with the scheme's name, its samples done so far and how many of them this call computed
+        cluster: a Dask scheduler whose workers compute the chunks, as its address, the file it wrote, or a Client; see `cluster.workers`
         Killed at any moment, a resumed run ends with the dataset of an uninterrupted one, bit for bit. Raises FileExistsError for
         an `out` that exists without `resume`, ValueError for one made with another configuration, and ValueError, before anything is
-        written, for a chunk or a dataset larger than the memory there is, with the chunk that would fit.
+        written, for a chunk or a dataset larger than the memory there is, with the chunk that would fit. On a cluster also
+        `cluster.ChunkFailed`, for a chunk that no worker could compute.
         """
-        configuration = self.configuration()
+        if cluster is None:
+            computing = nullcontext(self.host())
+        else:
+            from .cluster import workers
+
+            computing = workers(self, cluster)
+        with computing as hosts:
+            return self._run(hosts, out, resume, progress or (lambda name, done, fresh: None))
+
+    def _run(self, hosts, out: str | Path | None, resume: bool, progress: Callable[[str, int, int], None]) -> xr.Dataset:
+        configuration = self.configuration(hosts.environment)
         found = out is not None and Path(out).exists()
         layout = (self._variables(), self._coordinates(), self.chunk, configuration)
         store = None if not found else Store.resume(out, configuration) if resume else Store.create(out, *layout)
-        plan = {"names": tuple(self.uncertainty.items()), "trials": self.trials, "keep": self.keep, "save": Keep.of(self.quantities)}
-        run_chunk = jax.jit(tiled(partial(_one_sample, **plan), lanes=self.lanes))
-        chunks = range(-(-self.samples // self.chunk))
-        pending = [s for i, s in enumerate(self.schemes.values()) if store is None or not all(store.is_done(i, c) for c in chunks)]
-        self._need_memory(run_chunk, pending, copies=2 if out is None else 1)
+        chunks = [
+            Chunk(i, name, number, start, min(start + self.chunk, self.samples))
+            for i, name in enumerate(self.schemes)
+            for number, start in enumerate(range(0, self.samples, self.chunk))
+        ]
+        pending = [c for c in chunks if store is None or not store.is_done(c.scheme, c.number)]
+        self._need_memory(hosts, tuple(dict.fromkeys(c.name for c in pending)), copies=2 if out is None else 1)
         store = Store.create(out, *layout) if store is None else store
-        for i, (name, scheme) in enumerate(self.schemes.items()):
-            for c, start in enumerate(range(0, self.samples, self.chunk)):
-                samples = slice(start, min(start + self.chunk, self.samples))
-                fresh = not store.is_done(i, c)
-                if fresh:
-                    store.write(i, c, samples, self._chunk(run_chunk, scheme, samples))
-                if progress is not None:
-                    progress(name, samples.stop, (samples.stop - start) if fresh else 0)
+        done = Counter()
+        for chunk in sorted(set(chunks) - set(pending)):
+            done[chunk.name] += chunk.size
+            progress(chunk.name, done[chunk.name], 0)
+        with closing(hosts.computed(pending)) as finished:
+            for chunk, values in finished:
+                store.write(chunk.scheme, chunk.number, slice(chunk.start, chunk.stop), values)
+                done[chunk.name] += chunk.size
+                progress(chunk.name, done[chunk.name], chunk.size)
         return store.dataset()
+
+    def host(self) -> Host:
+        """This process, ready to compute chunks."""
+        return Host(self)
 
     def machine_of(self, sample: int) -> Machine:
         """The machine of one sample, rebuilt from its drawn numbers."""
@@ -120,41 +155,30 @@ class Sweep:
         sizes = {dims[0]: len(values) for name, (dims, values) in self._coordinates().items() if dims == (name,)}
         return sum(np.dtype(v.dtype).itemsize * math.prod(sizes[d] for d in v.dims) for v in self._variables().values())
 
-    def _need_memory(self, run_chunk, schemes, *, copies: int) -> None:
+    def _need_memory(self, hosts, names: tuple[str, ...], *, copies: int) -> None:
         """Compile a chunk of each scheme; ValueError where it does not fit beside `copies` of the dataset. Unknown memory is enough."""
-        host, device, stored = memory.host_bytes(), memory.device_bytes(), copies * self.bytes_stored()
+        host, stored = memory.host_bytes(), copies * self.bytes_stored()
         if host is not None and stored > host:
             raise ValueError(
                 f"Sweep: samples = {self.samples} make a dataset of {memory.shown(stored)} in memory, where {memory.shown(host)} are "
                 "available; take fewer samples, keep fewer signals, or split the sweep"
             )
-        room = device if device is not None else None if host is None else host - stored
-        for scheme in schemes:
-            need = memory.program_bytes(run_chunk, *self._arguments(scheme, 0, self.chunk))
+        room, where = hosts.room(stored)
+        for name, need in hosts.chunk_bytes(names, self.chunk):
             if room is not None and need > room:
                 raise ValueError(
-                    f"Sweep: chunk = {self.chunk} needs {memory.shown(need)} where {memory.shown(room)} are available; "
-                    f"{self._that_fits(run_chunk, scheme, need, room)}"
+                    f"Sweep: chunk = {self.chunk} needs {memory.shown(need)} where {memory.shown(room)} are available{where}; "
+                    f"{self._that_fits(hosts, name, need, room)}"
                 )
 
-    def _that_fits(self, run_chunk, scheme, need: int, room: int) -> str:
+    def _that_fits(self, hosts, name: str, need: int, room: int) -> str:
         # what a chunk needs is a line in its size, from two tiles on; one tile needs no loop over them
-        tile, size = self.lanes * jax.device_count(), min(self.chunk, self.samples)
+        tile, size = self.lanes * hosts.environment["devices"], min(self.chunk, self.samples)
         small = min(2 * tile, size)
-        least = memory.program_bytes(run_chunk, *self._arguments(scheme, 0, small)) if small < size else need
+        least = next(hosts.chunk_bytes((name,), small))[1] if small < size else need
         if least > room:
             return f"{small} samples at a time need {memory.shown(least)} already; keep fewer signals, or shorten the trial"
         return f"chunk = {int(small + (room - least) / (need - least) * (size - small)) // tile * tile} would fit"
-
-    def _arguments(self, scheme, start: int, chunk: int):
-        # the last chunk is filled up to full size with its last sample, so that it runs the same program as the others
-        index = np.minimum(np.arange(start, start + min(chunk, self.samples)), self.samples - 1)
-        batch = (jnp.asarray(index), {name: jnp.asarray(values[index]) for name, values in self.drawn.items()})
-        return (self.machine, scheme, self.task, jax.random.key(self.seed)), batch
-
-    def _chunk(self, run_chunk, scheme, samples: slice) -> dict[str, np.ndarray]:
-        results = run_chunk(*self._arguments(scheme, samples.start, self.chunk))
-        return {name: np.asarray(value)[: samples.stop - samples.start] for name, value in results.items()}
 
     def _variables(self) -> dict[str, Variable]:
         channel = ("channel",) if self.task.outputs > 1 else ()
@@ -188,6 +212,62 @@ class Sweep:
         }
         used = {d for v in self._variables().values() for d in v.dims}
         return {n: c for n, c in coordinates.items() if n in used} | {n: (("sample",), v) for n, v in self.drawn.items()}
+
+
+class Chunk(NamedTuple):
+    """Samples of one scheme that are computed and stored together.
+
+    scheme: the scheme's place in the sweep;  name: its name;  number: of the chunk;  start, stop: its samples
+    """
+
+    scheme: int
+    name: str
+    number: int
+    start: int
+    stop: int
+
+    @property
+    def size(self) -> int:
+        return self.stop - self.start
+
+
+class Host:
+    """This process as the one that computes a sweep's chunks, on all its devices. Each worker of a cluster has one as well."""
+
+    def __init__(self, sweep: Sweep):
+        plan = {"names": tuple(sweep.uncertainty.items()), "trials": sweep.trials, "keep": sweep.keep, "save": Keep.of(sweep.quantities)}
+        self.sweep = sweep
+        self.environment = results.environment()
+        self._run = jax.jit(tiled(partial(_one_sample, **plan), lanes=sweep.lanes))
+
+    def room(self, stored: int) -> tuple[int | None, str]:
+        """Bytes there are for a chunk beside a dataset of `stored` bytes, None if unknown, and where that is."""
+        host, device = memory.host_bytes(), memory.device_bytes()
+        return (device if device is not None else None if host is None else host - stored), ""
+
+    def bytes_of(self, name: str, size: int) -> int:
+        """Bytes that `size` samples of a scheme take; they are compiled, not run."""
+        return memory.program_bytes(self._run, *self._arguments(name, 0, size))
+
+    def chunk_bytes(self, names: tuple[str, ...], size: int) -> Iterator[tuple[str, int]]:
+        """Name and `bytes_of` of each scheme, one after another."""
+        return ((name, self.bytes_of(name, size)) for name in names)
+
+    def compute(self, chunk: Chunk) -> dict[str, np.ndarray]:
+        """The figures of a chunk, each with its samples first."""
+        figures = self._run(*self._arguments(chunk.name, chunk.start, self.sweep.chunk))
+        return {name: np.asarray(value)[: chunk.size] for name, value in figures.items()}
+
+    def computed(self, chunks: list[Chunk]) -> Iterator[tuple[Chunk, dict[str, np.ndarray]]]:
+        """Each chunk with its figures, one after another."""
+        return ((chunk, self.compute(chunk)) for chunk in chunks)
+
+    def _arguments(self, name: str, start: int, size: int):
+        # the last chunk is filled up to full size with its last sample, so that it runs the same program as the others
+        sweep = self.sweep
+        index = np.minimum(np.arange(start, start + min(size, sweep.samples)), sweep.samples - 1)
+        batch = (jnp.asarray(index), {name: jnp.asarray(values[index]) for name, values in sweep.drawn.items()})
+        return (sweep.machine, sweep.schemes[name], sweep.task, jax.random.key(sweep.seed)), batch
 
 
 def _one_sample(common, one, *, names, trials: int, keep: tuple[str, ...], save: Keep) -> dict[str, jax.Array]:

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.stats import qmc
 
-from .batch import LANES, tiled
+from .batch import tiled
 from .uncertainty import LogUniform, Uncertainty, check, drawn_machine
 
 GRADIENT_COST = 3  # evaluations that a gradient costs on top of the loss
@@ -44,7 +44,7 @@ def worst_case_search(
     starts: int = 16,
     steps: int = 30,
     seed: int = 0,
-    lanes: int = LANES,
+    lanes: int | None = None,
 ) -> WorstCase:
     """Projected ascent on the loss from scattered starts, the centre of the box first, in tiles.
 
@@ -56,7 +56,7 @@ def worst_case_search(
     maximum in the box, no proof of more.
     Raises ValueError for an uncertainty that is empty or does not fit the subject, or where no loss is finite.
     """
-    for name, value in (("starts", starts), ("steps", steps), ("lanes", lanes)):
+    for name, value in (("starts", starts), ("steps", steps)):
         if value < 1:
             raise ValueError(f"worst_case_search: {name} = {value} is outside its allowed range [1, inf)")
     box = _Box(subject, uncertainty)
@@ -78,7 +78,7 @@ def worst_case_search(
 
 
 def monte_carlo_search(
-    loss: Callable[[Any], jax.Array], subject: Any, uncertainty: Uncertainty, evaluations: int, *, seed: int = 0, lanes: int = LANES
+    loss: Callable[[Any], jax.Array], subject: Any, uncertainty: Uncertainty, evaluations: int, *, seed: int = 0, lanes: int | None = None
 ) -> WorstCase:
     """The largest of so many losses drawn at random, evenly from the same box. Raises as `worst_case_search` does."""
     if evaluations < 1:

@@ -1,0 +1,276 @@
+"""A sweep over two worker processes: the dataset of one host whatever is killed, and what is refused."""
+
+import contextlib
+import dataclasses
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from functools import partial
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+import xarray as xr
+
+import jaxilc
+from jaxilc import Machine, Sensor, Sweep, Task, Uniform, cli, cluster, memory
+from jaxilc.plants import voice_coil
+from jaxilc.results import Store
+from jaxilc.schemes import CFDLMFAILC, PID
+
+distributed = pytest.importorskip("distributed")
+
+TASK = Task(reference=np.sin(2 * np.pi * np.arange(61) / 60), dt=1e-3, unit="mm", input_unit="V")
+PLAN = Sweep(
+    Machine(voice_coil(), sensor=Sensor(noise=1e-4)),
+    {"learning": CFDLMFAILC(), "feedback": PID(kp=-5.0)},
+    TASK,
+    trials=4,
+    uncertainty={"plant.gain": Uniform(0.8, 1.2, relative=True), "plant.poles[2]": Uniform(5.0, 8.0)},
+    samples=31,
+    seed=7,
+    keep=("e", "u"),
+    chunk=4,
+    lanes=2,
+)
+CHUNKS = [(scheme, chunk) for scheme in range(2) for chunk in range(8)]
+
+
+@pytest.fixture(scope="module")
+def client(tmp_path_factory):
+    """Two worker processes that are started again when they die; they inherit how JAX is set up here, and share what they compile."""
+    programs = {
+        "JAX_COMPILATION_CACHE_DIR": str(tmp_path_factory.mktemp("programs")),
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+        "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
+    }
+    options = {
+        "env": programs,
+        "processes": True,
+        "threads_per_worker": 1,
+        "dashboard_address": None,
+        "host": "127.0.0.1",
+        "memory_limit": 0,
+    }
+    with distributed.LocalCluster(n_workers=2, **options) as local, distributed.Client(local, set_as_default=False) as client:
+        yield client
+
+
+def until(condition):
+    deadline = time.monotonic() + 30
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+@pytest.fixture(scope="module")
+def alone():
+    """The dataset that this process makes."""
+    return PLAN.run()
+
+
+@pytest.fixture
+def written(monkeypatch):
+    """Every chunk that is written, in order."""
+    found, write = [], Store.write
+
+    def counted(self, scheme, chunk, samples, values):
+        found.append((scheme, chunk))
+        write(self, scheme, chunk, samples, values)
+
+    monkeypatch.setattr(Store, "write", counted)
+    return found
+
+
+def test_a_killed_workers_chunks_are_computed_again(tmp_path, client, alone, written):
+    killed = {}
+
+    def kill_one_that_computes(name, done, fresh):
+        if killed:
+            return
+        for address, pid in client.run(os.getpid).items():
+            os.kill(pid, signal.SIGSTOP)
+            time.sleep(0.3)  # what it had sent arrives
+            if client.processing().get(address):
+                os.kill(pid, signal.SIGKILL)
+                killed[address] = pid
+                return
+            os.kill(pid, signal.SIGCONT)
+
+    dataset = PLAN.run(tmp_path / "store.zarr", cluster=client, progress=kill_one_that_computes)
+    assert killed
+    xr.testing.assert_identical(dataset, alone)
+    assert sorted(written) == CHUNKS
+    xr.testing.assert_identical(PLAN.run(tmp_path / "store.zarr", resume=True), alone)  # a store like any other
+    client.wait_for_workers(2)
+
+
+def test_an_interrupted_sweep_cancels_its_tasks_and_resumes(tmp_path, client, alone, written):
+    def stop_after_three(name, done, fresh):
+        if len(written) == 3:
+            raise KeyboardInterrupt
+
+    store = tmp_path / "store.zarr"
+    with pytest.raises(KeyboardInterrupt):
+        PLAN.run(store, cluster=client, progress=stop_after_three)
+    until(lambda: not any(client.processing().values()))
+    first, progress = written.copy(), []
+    dataset = PLAN.run(store, resume=True, cluster=client, progress=lambda *call: progress.append(call))
+    xr.testing.assert_identical(dataset, alone)
+    assert len(first) == 3
+    assert sorted(written) == CHUNKS
+    assert sum(fresh for _, _, fresh in progress) == 2 * 31 - sum(3 if chunk == 7 else 4 for _, chunk in first)
+    assert {name: max(done for n, done, _ in progress if n == name) for name in PLAN.schemes} == {"learning": 31, "feedback": 31}
+
+
+def test_precision_goes_along(client):
+    jax.config.update("jax_enable_x64", False)
+    try:
+        single = dataclasses.replace(PLAN, schemes={"feedback": PID(kp=-5.0)})
+        alone, dataset = single.run(), single.run(cluster=client)
+    finally:
+        jax.config.update("jax_enable_x64", True)
+    assert dataset["rms"].dtype == np.float32
+    assert dataset.attrs["configuration"]["environment"]["precision"] == "float32"
+    xr.testing.assert_identical(dataset, alone)
+
+
+def seized(there, trial):
+    """0, unless a file is there."""
+
+    def look(_):
+        if Path(there).exists():
+            raise RuntimeError("the bearing has seized")
+        return np.zeros((), trial.y.dtype)
+
+    return jax.pure_callback(look, jax.ShapeDtypeStruct((), trial.y.dtype), trial.y[0, 0], vmap_method="sequential")
+
+
+def test_a_chunk_that_fails_for_good_is_named_and_the_others_stay(tmp_path, client, written):
+    there, store = tmp_path / "seized", tmp_path / "store.zarr"
+    plan = dataclasses.replace(PLAN, schemes={"feedback": PID(kp=-5.0)}, quantities={"seized": partial(seized, str(there))}, trials=1)
+    with pytest.raises(cluster.ChunkFailed, match=r"(?s)scheme 'feedback', chunk \d \(samples \d+ to \d+\) failed.*the bearing has seized"):
+        plan.run(store, cluster=client, progress=lambda *call: there.touch())
+    there.unlink()
+    first = written.copy()
+    assert 1 <= len(first) < 8
+    dataset = plan.run(store, resume=True, cluster=client)
+    assert sorted(written) == CHUNKS[:8]
+    xr.testing.assert_identical(dataset, plan.run())
+
+
+@contextlib.contextmanager
+def odd_worker(client):
+    """A worker with one device more."""
+    flags = f"{os.environ['XLA_FLAGS']} --xla_force_host_platform_device_count={jax.device_count() + 1}"
+    command = [sys.executable, "-m", "distributed.cli.dask_worker", client.scheduler.address, "--no-nanny", "--no-dashboard"]
+    process = subprocess.Popen(
+        [*command, "--nthreads", "1", "--memory-limit", "0"], env=os.environ | {"XLA_FLAGS": flags}, stderr=subprocess.DEVNULL
+    )
+    try:
+        client.wait_for_workers(3, timeout=60)
+        yield
+    finally:
+        process.kill()
+        process.wait()
+        until(lambda: len(client.nthreads()) == 2)
+
+
+def test_a_worker_that_would_round_differently_is_refused(tmp_path, client, written):
+    late, early = tmp_path / "late.zarr", tmp_path / "early.zarr"
+    devices = jax.device_count()
+    with contextlib.ExitStack() as stack:
+
+        def join(name, done, fresh):
+            if len(written) == 1:
+                stack.enter_context(odd_worker(client))
+
+        with pytest.raises(ValueError, match=rf"the worker tcp://\S+ is not like.*devices: {devices + 1} there, {devices} here"):
+            PLAN.run(late, cluster=client, progress=join)
+        assert written
+        written.clear()
+        with pytest.raises(ValueError, match=rf"the worker tcp://\S+ is not like tcp.*: devices: {devices + 1} there, {devices} here"):
+            PLAN.run(early, cluster=client)
+    assert not written
+    assert not early.exists()
+
+
+def with_memory(size):
+    memory.host_bytes = lambda: size
+
+
+def test_a_chunk_too_large_for_one_of_the_workers_is_refused(tmp_path, client):
+    small, _ = client.run(os.getpid)
+    client.run(with_memory, PLAN.bytes_stored() + 20_000, workers=[small])  # room for the dataset, and 10 kB for each of two
+    try:
+        with pytest.raises(ValueError, match=rf"chunk = 4 needs .* kB where 10 kB are available on the worker {small}; "):
+            PLAN.run(tmp_path / "store.zarr", cluster=client)
+    finally:
+        client.run(with_memory, None, workers=[small])
+    assert not (tmp_path / "store.zarr").exists()
+
+
+@pytest.mark.parametrize(
+    ("found", "room"),
+    [
+        ((1000, None, None), 400),  # shared by two, after the dataset
+        ((1000, None, 300), 300),
+        ((1000, 5000, 300), 5000),
+        ((None, None, None), None),
+    ],
+)
+def test_room_of_a_worker(found, room):
+    assert cluster.Found({}, socket.gethostname(), *found).room(200, 2) == room
+
+
+def test_classes_that_workers_cannot_import_are_named():
+    class Mine(PID):
+        pass
+
+    with pytest.raises(ValueError, match=r"workers cannot import test_cluster\..*Mine; put it into a module"):
+        dataclasses.replace(PLAN, schemes={"mine": Mine(kp=-5.0)}).run(cluster="tcp://127.0.0.1:9")
+
+
+def test_text_that_is_no_scheduler_is_refused(tmp_path):
+    (tmp_path / "file").write_text("[]")
+    with pytest.raises(ValueError, match="not a file that a Dask scheduler wrote"):
+        PLAN.run(cluster=tmp_path / "file")
+    for text in ("nowhere.json", "tcp://host"):
+        with pytest.raises(ValueError, match=f"cluster = '{text}' is neither an address such as"):
+            PLAN.run(cluster=text)
+
+
+def test_without_distributed_the_extra_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(ImportError, match=r"pip install 'jaxilc\[cluster\]'"):
+        PLAN.run(cluster="tcp://127.0.0.1:9")
+
+
+def sweep_command(monkeypatch, *arguments):
+    monkeypatch.setattr(sys, "argv", ["jaxilc", "sweep", "cao-2019", *map(str, arguments)])
+    try:
+        cli.main()
+    except SystemExit as stop:
+        return stop.code
+
+
+def test_the_command_takes_a_scheduler_file(monkeypatch, tmp_path, client):
+    monkeypatch.chdir(tmp_path)
+    Path("scheduler.json").write_text(json.dumps({"type": "Scheduler", "address": client.scheduler.address}))
+    small = ("--scheme", "pid", "--trials", 2, "--samples", 8)
+    assert not sweep_command(monkeypatch, *small, "--out", "many", "--dask", "scheduler.json")
+    assert not sweep_command(monkeypatch, *small, "--out", "alone")
+    xr.testing.assert_identical(*(jaxilc.open_dataset(tmp_path / out / "dataset.zarr") for out in ("many", "alone")))
+
+
+def test_a_scheduler_out_of_reach_is_one_line(monkeypatch, tmp_path, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(cluster, "PATIENCE", 0.5)
+    assert sweep_command(monkeypatch, "--scheme", "pid", "--dask", "tcp://127.0.0.1:9") == 2
+    assert "error: no Dask scheduler answers at tcp://127.0.0.1:9 within 0.5 s" in capsys.readouterr().err
+    assert not list(tmp_path.glob("out/*/*"))
