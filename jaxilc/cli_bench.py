@@ -19,6 +19,7 @@ def bench(
     trials: Annotated[int, typer.Option(help="Trials J.")] = 80,
     samples: Annotated[int, typer.Option(help="Samples N of a trial.")] = 2000,
     schemes: Annotated[str, typer.Option(help="cfdl, ffdl, with opponents; noilc, ilc-asmc, alone; with commas.")] = "cfdl,ffdl",
+    long: Annotated[int, typer.Option(help="Samples of one long trial of one plant, by steps and in blocks; 0 for none.")] = 100_000,
     repeats: Annotated[int, typer.Option(help="Turns; contenders take turns.")] = 5,
     json_file: Json = None,
     precision: Annotated[str, typer.Option(help="float64 or float32; opponents are in float64.")] = "float64",
@@ -40,6 +41,8 @@ def bench(
     for name in names:
         if name not in (*measured.SCHEMES, *measured.ALONE):
             raise ValueError(f"--schemes {name!r} is not one of {', '.join((*measured.SCHEMES, *measured.ALONE))}")
+    if long and long < 4:
+        raise ValueError(f"--long {long} is not 0 or a whole number from 4 on")
     opponents, notes = measured.opponents()
     numbers: dict = {"machine": machine(), "precision": precision, "trials": trials, "samples": samples, "rows": {}, "cost": {}}
     for note in notes:
@@ -56,6 +59,10 @@ def bench(
         rows = measured.compare_plant(measured.setting("cfdl", size, 1, samples), repeats=repeats)
         _print(rows, f"the plant alone, {size} plants", OURS)
         numbers["rows"][f"plant/{size}"] = as_json(rows)
+    if long:
+        rows = measured.compare_long(long, repeats=repeats)
+        _print(rows, f"one plant, one trial of {long} samples", OURS)
+        numbers["rows"][f"long/{long}"] = as_json(rows)
     for name in names:
         if name in measured.SCHEMES:
             of_size = measured.cost_by_size(name, max(sizes), trials, samples, repeats=repeats)

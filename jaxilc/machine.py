@@ -27,7 +27,7 @@ class Actuator:
     rate: jax.Array | None = leaf(None, "(0, inf)", optional=True)
     resolution: jax.Array | None = leaf(None, "(0, inf)", optional=True)
 
-    def apply(self, u, v_last, dt):
+    def apply(self, u, v_last, dt) -> tuple[jax.Array, jax.Array]:
         """u: (n_u,) commanded, v_last: (n_u,) v of the sample before -> v (n_u,) and what is applied (n_u,)."""
         v = u if self.rate is None else v_last + jnp.clip(u - v_last, -self.rate * dt, self.rate * dt)
         v = self._within_limit(v)
@@ -48,7 +48,7 @@ class Sensor:
     resolution: jax.Array | None = leaf(None, "(0, inf)", optional=True)
     noise: jax.Array | None = leaf(None, "[0, inf)", optional=True)
 
-    def measure(self, y, noise):
+    def measure(self, y, noise) -> jax.Array:
         if noise is not None:
             y = y + self.noise * noise
         return y if self.resolution is None else quantise(y, self.resolution)
@@ -86,15 +86,20 @@ class Machine:
     sensor: Sensor | None = part(None)
     disturbance: Disturbance | None = part(None)
 
+    @property
+    def answers_at_once(self) -> bool:
+        """Whether a whole trial follows from an input that is known before it: the plant has a `response`, and no rate is limited."""
+        return self.plant.response is not None and (self.actuator is None or self.actuator.rate is None)
+
     def sampled(self, dt: float) -> Machine:
         """This machine with its plant's sample-time dependent part worked out, once, outside the scans."""
         return Machine(self.plant.sampled(dt), self.actuator, self.sensor, self.disturbance)
 
-    def actuate(self, u, v_last, dt):
+    def actuate(self, u, v_last, dt) -> tuple[jax.Array, jax.Array]:
         """The actuator's state and the applied input, see `Actuator.apply`."""
         return (u, u) if self.actuator is None else self.actuator.apply(u, v_last, dt)
 
-    def measure(self, y, noise):
+    def measure(self, y, noise) -> jax.Array:
         return y if self.sensor is None else self.sensor.measure(y, noise)
 
     def draws(self, key, task: Task) -> Draws:

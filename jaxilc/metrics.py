@@ -90,11 +90,10 @@ def _dot(a, b):
 
 def measure(trial: Trial, task: Task) -> Metrics:
     """The metrics of one trial. A sample at which |e| or |u| is not finite makes the figures it enters not finite."""
-    e, settled = trial.e, np.zeros(task.N + 1, bool)
-    settled[task.settled] = True
-    tally = Tally.start(e[0], trial.u.shape[1], settled[0])
-    rows = lax.stop_gradient((e[1:], trial.u, jnp.asarray(settled[1:])))
-    return lax.scan(lambda tally, row: (tally.add(*row), None), tally, rows)[0].metrics(trial, task)
+    e, u = lax.stop_gradient((trial.e, trial.u))
+    size = jnp.abs(e)
+    whole = Tally(jnp.max(size[1:], axis=0), _dot(e[1:], e[1:]), jnp.max(size[task.settled], axis=0), _dot(u, u))
+    return whole.metrics(trial, task)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -149,17 +148,17 @@ def repeatability(rms) -> Repeatability:
     return Repeatability(mean, spread, spread / mean)
 
 
-def total_variation(signal):
+def total_variation(signal) -> jax.Array:
     """(n,) sum_k |x[k+1] - x[k]| of a (N, n) signal."""
     return jnp.sum(jnp.abs(jnp.diff(signal, axis=0)), axis=0)
 
 
-def chattering(trial: Trial):
+def chattering(trial: Trial) -> jax.Array:
     """(n_u,) total variation of u per second [unit of u per s]: for a smooth u about the mean of |u'|, for a switching one far above."""
     return total_variation(trial.u) / (trial.u.shape[0] * trial.dt)
 
 
-def root_mean_square(signal):
+def root_mean_square(signal) -> jax.Array:
     """(n,) of a (N, n) signal; the gradient where it is zero is zero, not NaN."""
     return _root(jnp.mean(signal**2, axis=0))
 

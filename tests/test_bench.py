@@ -54,6 +54,13 @@ def test_wrong_numbers_are_refused():
         timing.in_turns({"other": entry(np.nan), timing.OURS: entry(1.0)}, repeats=1)
 
 
+def test_other_numbers_in_blocks_are_refused(monkeypatch):
+    right = bench.InBlocks.response
+    monkeypatch.setattr(bench.InBlocks, "response", lambda plant, u, dt: (1 + 2e-9) * right(plant, u, dt))
+    with pytest.raises(ArithmeticError, match="jaxilc in blocks differs from jaxilc by 2e-09 of the largest output; allowed is 1e-09"):
+        bench.compare_long(100, repeats=1)
+
+
 def test_a_row_says_what_was_measured():
     rows = timing.in_turns({"other": entry(1.0, built=7.0), timing.OURS: entry(1.0)}, repeats=3)
     assert len(rows["other"].seconds) == len(rows["other"].cpu_seconds) == 3
@@ -82,12 +89,13 @@ def test_the_cost_of_a_size_is_a_line():
 def test_the_command(tmp_path):
     app, file = typer.Typer(), tmp_path / "bench.json"
     cli_bench.register(app)
-    small = ["--plants", "2", "--trials", "4", "--samples", "24", "--schemes", "cfdl", "--repeats", "1", "--json", str(file)]
-    result = CliRunner().invoke(app, small)
+    small = ["--plants", "2", "--trials", "4", "--samples", "24", "--long", "200", "--schemes", "cfdl", "--repeats", "1"]
+    result = CliRunner().invoke(app, [*small, "--json", str(file)])
     assert result.exit_code == 0, result.output
     found = json.loads(file.read_text())
-    assert set(found["rows"]) == {"cfdl/2", "plant/2"}
+    assert set(found["rows"]) == {"cfdl/2", "plant/2", "long/200"}
     assert {"python-control", "SciPy lfilter", timing.OURS} == set(found["rows"]["plant/2"])
+    assert {"SciPy lfilter", bench.BLOCKS, timing.OURS} == set(found["rows"]["long/200"])
     assert set(found["cost"]["cfdl"]) == {"plants", "trials", "samples"}
 
 
@@ -99,6 +107,7 @@ def test_the_command(tmp_path):
         (["--schemes", "pid"], "--schemes 'pid' is not one of cfdl, ffdl, noilc, ilc-asmc"),
         (["--trials", "0"], "trials = 0 is outside"),
         (["--samples", "3"], "samples = 3 is outside"),
+        (["--long", "3"], "--long 3 is not 0 or a whole number from 4 on"),
         (["--repeats", "0"], "repeats = 0 is outside"),
     ],
 )

@@ -1,6 +1,7 @@
 """Plants: each is its parameters, with a pure `init`, `step` and `output`."""
 
 from .ball_screw import BallScrewDrive, FrictionTable, LeadError
+from .blocks import InBlocks
 from .cnc_axis import TwoAxes, cnc_axis
 from .fast_tool_servo import Creep, CuttingForce, FastToolServo, FlexibleMode, PeriodicForce, fast_tool_servo
 from .friction import StribeckFriction
@@ -24,6 +25,7 @@ __all__ = [
     "FastToolServo",
     "FlexibleMode",
     "FrictionTable",
+    "InBlocks",
     "InputHysteresis",
     "LeadError",
     "PeriodicForce",

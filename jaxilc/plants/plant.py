@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
+import dataclasses
+from typing import Any, ClassVar
+
+import jax
 
 from ..signals import Task
 
@@ -14,10 +17,14 @@ class Plant:
 
     `step` gets the sample time, so a continuous plant may integrate over it; whatever depends on the sample time alone is worked
     out in `sampled`, which runs once per simulation, outside the scans.
+    response: `response(u, dt)`, of a plant that knows its outputs y[0..N] (N+1, n_y) from all inputs u (N, n_u) at once; asked for
+              where the input is known before the trial. None where it can only step.
     """
 
+    __dataclass_fields__: ClassVar[dict[str, dataclasses.Field]]  # `@pytree` makes a dataclass of each subclass
     n_u: int = 1
     n_y: int = 1
+    response: Any = None
 
     def sampled(self, dt: float) -> Plant:
         """The plant prepared for sample time dt [s]."""
@@ -34,6 +41,6 @@ class Plant:
         """The state one sample later under the input u (n_u,), held over the sample."""
         raise NotImplementedError
 
-    def output(self, x: State):
+    def output(self, x: State) -> jax.Array:
         """(n_y,) the output in state x. There is no feedthrough: u[k] acts on y[k+1]."""
         raise NotImplementedError
