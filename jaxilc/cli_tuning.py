@@ -2,33 +2,47 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from .cli_common import (
+    TERMS,
+    Bounds,
+    HeldOut,
     Json,
     OneScheme,
+    Optimiser,
+    OverMachines,
     Params,
     Precision,
+    Rate,
+    Report,
     Sampling,
     ScenarioName,
     Seed,
     Set,
     Spread,
+    Starts,
+    Steps,
     Trials,
+    TunedOn,
+    Unseen,
+    Weights,
     begin,
     chosen_scenario,
     err,
     folder_of,
+    folder_to_write,
     out,
     progress_bar,
     spread_of,
     stopped,
     written,
 )
-from .tuning_options import OBJECTIVES, RISKS, objective_of, risk_of, weights_of
+from .tuning_options import objective_of, risk_of, weights_of
 
 
 def register(app: typer.Typer) -> None:
@@ -40,27 +54,30 @@ def register(app: typer.Typer) -> None:
 def tune(
     scenario: ScenarioName,
     scheme: OneScheme,
-    weights: Annotated[str, typer.Option(metavar="A,B,C", help="Leaves or elements to tune: lam,phi0[0].")],
-    bounds: Annotated[list[str] | None, typer.Option(metavar="A=LOW:HIGH", help="Narrower than a leaf allows; repeatable.")] = None,
-    objective: Annotated[str, typer.Option(help=f"Sum of WEIGHT*NAME[:NUMBER][@FIGURE], NAME of {OBJECTIVES}.")] = "final",
-    risk: Annotated[str, typer.Option(help=f"Over the machines: {RISKS}.")] = "mean",
+    weights: Weights,
+    bounds: Bounds = None,
+    objective: Annotated[str, typer.Option(help=TERMS)] = "final",
+    risk: OverMachines = "mean",
     trials: Trials = None,
-    samples: Annotated[int, typer.Option(help="Machines to tune on, the nominal one included.")] = 32,
-    held_out: Annotated[int, typer.Option(help="Machines that choose among the steps.")] = 32,
-    unseen: Annotated[int, typer.Option(help="Machines of the comparison, the nominal one included.")] = 257,
+    samples: TunedOn = 32,
+    held_out: HeldOut = 32,
+    unseen: Unseen = 257,
     compare_trials: Annotated[int | None, typer.Option(help="Trials of the comparison; those of the tuning if not given.")] = None,
-    steps: Annotated[int, typer.Option(help="Steps at most.")] = 100,
-    starts: Annotated[int, typer.Option(help="Starts; the first is the weights as given.")] = 1,
-    rate: Annotated[float, typer.Option(help="Of adam: 0.1 is 10 % of a weight a step.")] = 0.1,
-    optimiser: Annotated[str, typer.Option(help="adam, lbfgs or least-squares.")] = "adam",
+    steps: Steps = 100,
+    starts: Starts = 1,
+    rate: Rate = 0.1,
+    optimiser: Optimiser = "adam",
     spread: Spread = None,
     sampling: Sampling = "sobol",
     seed: Seed = 0,
     set_: Set = None,
     params: Params = None,
-    out_dir: Annotated[Path | None, typer.Option("--out", help="Folder for all results; out/tune-SCENARIO if not given.")] = None,
+    out_dir: Annotated[
+        Path | None, typer.Option("--out", help="Folder for all results; out/tune-SCENARIO if not given.", callback=folder_to_write)
+    ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with the tuning in the folder.")] = False,
     json_file: Json = None,
+    report: Report = None,
     precision: Precision = "float64",
 ) -> None:
     """Weights by gradient through the learning, over many machines; given against tuned on machines never seen.
@@ -71,28 +88,12 @@ def tune(
     from . import figures, tuning_tables
     from .parameters import differing, write_parameters
     from .plant_files import load_scenario
-    from .tuning import Tuning
+    from .report import command_report
 
     chosen = chosen_scenario(scenario, [scheme], trials, set_, params)
-    problem = Tuning(
-        chosen.machine,
-        chosen.schemes[scheme],
-        chosen.task,
-        chosen.trials,
-        weights_of(weights, bounds),
-        spread_of(chosen, spread),
-        objective_of(objective, chosen.judged_by, chosen.shown(chosen.judged_by)[0]),
-        risk_of(risk),
-        samples=samples,
-        held_out=held_out,
-        steps=steps,
-        starts=starts,
-        rate=rate,
-        optimiser=optimiser,
-        sampling=sampling,
-        seed=seed,
-        quantities=chosen.functions,
-    )
+    options = {"steps": steps, "starts": starts, "rate": rate, "optimiser": optimiser, "samples": samples, "held_out": held_out}
+    options |= {"sampling": sampling, "seed": seed}
+    problem = problem_of(chosen, scheme, weights, bounds, spread, asked_for(chosen, objective), risk, **options)
     for name, value in (("unseen", unseen), ("compare-trials", compare_trials)):
         if value is not None and value < 1:
             raise ValueError(f"--{name} {value} is outside its allowed range [1, inf)")
@@ -104,14 +105,17 @@ def tune(
     dataset = problem.compare(tuned, trials=compare_trials, samples=unseen)
 
     numbers = tuning_tables.tuning_figures(chosen, scheme, tuned, dataset)
-    for table in tuning_tables.tuning_tables(chosen, numbers):
+    shown = tuning_tables.tuning_tables(chosen, numbers)
+    for table in shown:
         out.print(table)
     held = numbers["held_out"]
-    out.print(f"held-out loss {held['given']:.6g} -> {held['tuned']:.6g}, step {tuned.step} of {len(tuned.loss)}", highlight=False)
-    for name, value in tuned.nudged.items():
-        err.print(f"{name} lay on an end of its range and started from {value:g}", highlight=False)
+    result = f"held-out loss {held['given']:.6g} -> {held['tuned']:.6g}, step {tuned.step} of {len(tuned.loss)}"
+    out.print(result, highlight=False)
+    warnings = [f"{name} lay on an end of its range and started from {value:g}" for name, value in tuned.nudged.items()]
     if tuned.dropped.any():
-        err.print(f"up to {int(tuned.dropped.max())} machines a step had no finite slope and were left out", highlight=False)
+        warnings.append(f"up to {int(tuned.dropped.max())} machines a step had no finite slope and were left out")
+    for line in warnings:
+        err.print(line, highlight=False)
     changed = differing(tuned.scheme, load_scenario(scenario, chosen.options).schemes[scheme])
     obtained = {"command": "jaxilc tune", "options": dict(chosen.options), "held_out_loss": held, "configuration": problem.configuration()}
     paths = [write_parameters(folder / "params.json", chosen.name, {scheme: changed}, obtained)]
@@ -119,7 +123,10 @@ def tune(
     scale, unit = chosen.shown(chosen.judged_by)
     axes = figures.error_band(dataset, figure=chosen.judged_by, scale=scale, unit=unit)
     paths.append(figures.save(axes, folder / "learning.png"))
-    written(paths, json_file, numbers)
+    given = {"weights": weights, "objective": objective, "risk": risk}
+    lines = [result, *warnings]
+    page = command_report(report, "tune", shown, paths, scenario=chosen, configuration=problem.configuration(), lines=lines, asked=given)
+    written([*paths, *page], json_file, numbers)
 
 
 def worst_case(
@@ -134,8 +141,11 @@ def worst_case(
     seed: Seed = 0,
     set_: Set = None,
     params: Params = None,
-    out_dir: Annotated[Path | None, typer.Option("--out", help="Folder for all results; out/worst-case-SCENARIO if not given.")] = None,
+    out_dir: Annotated[
+        Path | None, typer.Option("--out", help="Folder for all results; out/worst-case-SCENARIO if not given.", callback=folder_to_write)
+    ] = None,
     json_file: Json = None,
+    report: Report = None,
     precision: Precision = "float64",
 ) -> None:
     """The worst machine of the uncertain set, by climbing the gradient of its error, against as many machines drawn by chance.
@@ -146,6 +156,7 @@ def worst_case(
     """
     begin(precision)
     from . import figures, tuning_tables
+    from .report import command_report
     from .worst_case import GRADIENT_COST, monte_carlo_search, worst_case_search
 
     if trial is not None and trial < 1:
@@ -163,7 +174,7 @@ def worst_case(
         found["more chance"] = monte_carlo_search(loss, chosen.machine, uncertainty, draws, seed=seed)
 
     unit = chosen.shown(chosen.judged_by)[1]
-    numbers = {"scenario": scenario, "scheme": scheme, "trial": chosen.trials, "figure": chosen.judged_by, "unit": unit}
+    numbers: dict[str, Any] = {"scenario": scenario, "scheme": scheme, "trial": chosen.trials, "figure": chosen.judged_by, "unit": unit}
     numbers |= {"seed": seed, "params": None if params is None else str(params), "given": list(set_ or [])}
     numbers |= {"nominal": figure_of(chosen.machine), "searches": {}}
     for name, case in found.items():
@@ -172,15 +183,33 @@ def worst_case(
         row = {"value": figure_of(case.subject), "loss": case.loss, "evaluations": case.evaluations}
         row |= {"needed": each * (1 + int(case.best.argmax())), "level_with_chance": level}
         numbers["searches"][name] = row | {"numbers": case.values, "set": _settings(case.subject, uncertainty)}
-    for table in tuning_tables.worst_case_tables(chosen, numbers):
+    shown_tables = tuning_tables.worst_case_tables(chosen, numbers)
+    for table in shown_tables:
         out.print(table)
     folder = folder_of(out_dir, f"worst-case-{chosen.name}")
     largest = found.get("more chance", found["chance"])
     worst = {name: row["value"] for name, row in numbers["searches"].items()}
     axes = figures.worst_against_chance(shown(largest.found), worst, nominal=numbers["nominal"], figure=chosen.judged_by, unit=unit)
-    written([figures.save(axes, folder / "worst-case.png")], folder / "worst-case.json", numbers)
+    path = figures.save(axes, folder / "worst-case.png")
+    wide = dataclasses.replace(chosen, uncertainty=uncertainty)
+    given = {"starts": starts, "steps": steps, "seed": seed}
+    page = command_report(report, "worst-case", shown_tables, [path], scenario=wide, asked=given)
+    written([path, *page], folder / "worst-case.json", numbers)
     if json_file is not None:
         written([], json_file, numbers)
+
+
+def asked_for(chosen, text: str, option: str = "--objective"):
+    """The objective of this text, by the figure that the scenario is judged by where it names none."""
+    return objective_of(text, chosen.judged_by, chosen.shown(chosen.judged_by)[0], option)
+
+
+def problem_of(chosen, scheme: str, weights: str, bounds: list[str] | None, spread: float | None, objective, risk: str, **options):
+    """The tuning problem as asked for. options: those of `Tuning`, by name"""
+    from .tuning import Tuning
+
+    asked = (weights_of(weights, bounds), spread_of(chosen, spread), objective, risk_of(risk))
+    return Tuning(chosen.machine, chosen.schemes[scheme], chosen.task, chosen.trials, *asked, quantities=chosen.functions, **options)
 
 
 def _with_progress(problem, state: Path, resume: bool):

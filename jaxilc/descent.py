@@ -95,13 +95,17 @@ def counted(losses):
 def repaired(losses, slopes, clip: float):
     """Losses and slopes that can be averaged, and which slopes were finite: (S,), (S, P), (S,).
 
-    A loss that is not finite is `counted`, a slope that is not counts as none; no slope is longer than `clip`.
+    A loss that is not finite is `counted`, a slope that is not counts as none; no slope is longer than `clip` times the median length,
+    or than `clip` where that is below 1, as it is once most plants are below an objective's floor. A chattering plant may have a slope
+    of 1e70 that points anywhere: so it has one voice among the others, and no absolute bound would know their size.
     """
     good = jnp.isfinite(losses) & jnp.all(jnp.isfinite(slopes), axis=1)
     slopes = jnp.where(good[:, None], slopes, 0.0)
-    largest = jnp.max(jnp.abs(slopes), axis=1, keepdims=True)
-    length = largest * jnp.linalg.norm(slopes / jnp.where(largest > 0, largest, 1.0), axis=1, keepdims=True)
-    return counted(losses), slopes * jnp.minimum(1.0, clip / jnp.where(length > 0, length, 1.0)), good
+    largest = jnp.max(jnp.abs(slopes), axis=1)
+    length = largest * jnp.linalg.norm(slopes / jnp.where(largest > 0, largest, 1.0)[:, None], axis=1)
+    median = jnp.sort(jnp.where(good, length, jnp.inf))[(jnp.sum(good) - 1) // 2]
+    longest = clip * jnp.maximum(1.0, median)
+    return counted(losses), slopes * jnp.minimum(1.0, longest / jnp.where(length > 0, length, 1.0))[:, None], good
 
 
 class Method(NamedTuple):

@@ -68,7 +68,7 @@ class Bounded(Guard):
     def memory(self, task: Task) -> Held:
         return Held(self.scheme.memory(task))
 
-    def act(self, state, sample: Sample):
+    def act(self, state, sample: Sample) -> tuple[Any, jax.Array]:
         return self.scheme.act(state, sample._replace(y=jnp.clip(sample.y, sample.r - self.level, sample.r + self.level)))
 
     def learn(self, memory: Held, trial: Trial) -> Held:
@@ -78,7 +78,7 @@ class Bounded(Guard):
         return Held(jax.tree.map(lambda old, new: jnp.where(passed, old, new), memory.scheme, learned))
 
 
-def peak(task: Task):
+def peak(task: Task) -> jax.Array:
     """(n_y,) largest |r| of each output; that of all outputs for one that shall stay at zero, and 1 if they all shall."""
     largest = jnp.max(jnp.abs(jnp.asarray(task.reference)), axis=0)
     overall = jnp.max(largest)

@@ -7,16 +7,16 @@ marked only after all of its arrays are written, so what is marked is there, whe
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import json
 from collections.abc import Mapping
-from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
+
+from .recipe import describe as describe  # of what a configuration is made
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -40,7 +40,7 @@ class Store:
     """A Zarr group of variables over named dimensions, filled in chunks along (scheme, sample). See `create` and `resume`."""
 
     def __init__(self, group: zarr.Group):
-        self.group = group
+        self.group: Any = group  # what an index finds in it is an array here, never another group
 
     @classmethod
     def create(
@@ -51,7 +51,7 @@ class Store:
         coordinates: name -> (dims, values); every dimension has one.  chunk: samples per region
         Raises FileExistsError if something is already there.
         """
-        import zarr
+        import zarr.storage
 
         if path is not None and Path(path).exists():
             raise FileExistsError(f"{path} exists already; resume it or choose another place")
@@ -123,30 +123,10 @@ def differences(found: Any, wanted: Any, path: str = "") -> list[str]:
     return [] if found == wanted else [f"{path}: {found} there, {wanted} here"]
 
 
-def describe(value: Any) -> Any:
-    """A JSON description that changes whenever the numbers do: classes, fields, and long arrays by shape and hash."""
-    if dataclasses.is_dataclass(value):
-        return {"class": type(value).__name__} | {f.name: describe(getattr(value, f.name)) for f in dataclasses.fields(value)}
-    if isinstance(value, Mapping):
-        return {str(k): describe(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [describe(v) for v in value]
-    if value is None or isinstance(value, str | bool | int):
-        return value
-    if callable(value):
-        named = value.func if isinstance(value, partial) else value
-        settings = {"args": value.args, "keywords": value.keywords} if isinstance(value, partial) else {}
-        return f"{named.__module__}.{named.__qualname__}" + (f" with {describe(settings)}" if settings else "")
-    array = np.asarray(value)
-    if array.size <= 16:
-        return array.tolist()
-    return {"shape": list(array.shape), "sha256": hashlib.sha256(np.ascontiguousarray(array, dtype=float)).hexdigest()}
-
-
-def environment() -> dict[str, Any]:
-    """What the numbers depend on besides the parameters: versions, backend, devices, precision."""
+def environment(*packages: str) -> dict[str, Any]:
+    """What the numbers depend on besides the parameters: versions, also of further `packages`, backend, devices, precision."""
     return {
-        "versions": {name: version(name) for name in ("jaxilc", "jax", "jaxlib", "numpy")},
+        "versions": {name: version(name) for name in ("jaxilc", "jax", "jaxlib", "numpy", *packages)},
         "backend": jax.default_backend(),
         "devices": jax.device_count(),
         "precision": "float64" if jax.config.jax_enable_x64 else "float32",

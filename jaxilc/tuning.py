@@ -5,9 +5,11 @@
 Loss and slope of each plant are computed in tiles, and only numbers leave them; the risk's derivatives by the plants' losses then
 weigh their slopes. The weights move through smooth maps of the real line onto their allowed ranges. What the loop does to gradients:
 
-    clips, quantisers, resets     their docstrings say what the gradient is: zero, straight-through, or that of the branch taken
+    clips, quantisers, resets     their docstrings say what the gradient is: zero, straight-through, or that of the branch taken;
+                                  `reset="smooth"` has the whole one (`schemes.pseudo_gradient`)
     a diverging learning process  `objectives.Bounded` holds it at a ceiling; the gradient is that of the trial that reached it
-    long learning                 a slope of log e grows with the number of trials where learning amplifies; `clip` bounds each plant's
+    long learning                 a slope of log e grows with the number of trials where learning amplifies; `clip` bounds each plant's,
+                                  `truncate` takes that of the last trials alone, which is another one
     a settled figure              does not see the start of a trial, where errors may grow unseen: add a term of `max_error`
     a slope that is not finite    that plant's slope is left out of the step, its loss counts, `dropped` says how many there were
 """
@@ -15,7 +17,8 @@ weigh their slopes. The weights move through smooth maps of the real line onto t
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,8 +26,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
+from jax import lax
 
-from .batch import LANES, tiled
+from .batch import OPEN, tiled, usual_lanes
 from .descent import (
     Bijection,
     Evaluation,
@@ -38,50 +42,25 @@ from .descent import (
     repaired,
     value_and_slope,
 )
-from .learning import check
+from .learning import History, check, learn
 from .machine import Machine
 from .metrics import Keep
-from .objectives import CEILING, Final, Objective, Sum, judge
-from .pytree import get_at, interval_at, named_leaves, replaced
-from .results import describe, environment
+from .objectives import CEILING, Bounded, Final, Objective, Run, Sum, judge
+from .pytree import replaced
+from .recipe import describe
+from .results import environment
 from .risks import Mean, Risk
 from .schemes import Scheme
 from .signals import Task, Trial
 from .sweep import Sweep
 from .uncertainty import Uncertainty, draw, drawn_machine
+from .weights import Asked, Tuned, Weights
 
 if TYPE_CHECKING:
     import xarray as xr
 
 FORWARD_UP_TO = 3  # weights
 OPTIMISERS = ("adam", "lbfgs", "least-squares")
-FAR = 12.0  # on the real line: where a weight might go, e^12 or 6e-6 from an end
-
-
-@dataclasses.dataclass(frozen=True)
-class Tuned:
-    """What tuning found.
-
-    values: by name, of the iterate with the best held-out loss;  scheme: with them;  start: by name, as given
-    loss, slope, dropped: (steps, K) training loss, length of its gradient, plants without a finite one, of each step and start
-    weights: by name, (steps, K) the values they belong to;  held_out: (steps + 1, K) held-out loss where it was looked at, else NaN
-    before, after: held-out loss with `start` and with `values`;  step: of the best iterate
-    nudged: values of `start` that lay on an end of their range, and where they were moved to;  reason: why it stopped
-    """
-
-    values: dict[str, float]
-    scheme: Scheme
-    start: dict[str, float]
-    loss: np.ndarray
-    slope: np.ndarray
-    dropped: np.ndarray
-    weights: dict[str, np.ndarray]
-    held_out: np.ndarray
-    before: float
-    after: float
-    step: int
-    nudged: dict[str, float]
-    reason: str
 
 
 @dataclasses.dataclass(frozen=True)
@@ -95,16 +74,19 @@ class Tuning:
     objective, risk: what is minimised;  quantities: further figures of a trial, by name, for the objective
     held_out: plants drawn with seed + 1 that choose among the iterates, 0 to choose by the training loss
     optimiser: adam (rate falls to zero over the steps, cosine), lbfgs (with line search), any optax transformation (a configuration
-               knows it by name only), or least-squares: Levenberg-Marquardt on the plants' losses, which minimises their mean square,
-               not the risk; needs losses >= 0
+               knows its functions by their code and what they close over, not by what they read from a module), or least-squares:
+               Levenberg-Marquardt on the plants' losses, which minimises their mean square, not the risk; needs losses >= 0
     rate: of adam, in units of the real line: 0.1 is 10 % of a positive weight;  steps: at most
     starts: K, the first is the scheme's own values, the others lie around it with standard deviation `scatter` on the real line
     validate_every: steps from one look at the held-out plants to the next;  patience: looks without improvement until it stops
     mode: forward or reverse differentiation; auto takes forward for up to FORWARD_UP_TO weights. Over 20 trials of 2000 samples on a
-          CPU, a forward gradient cost 1 + 2 P (CFDL-MFAILC) to 1 + 4 P (FFDL) runs without one; reverse 5 to 10 of any P, and memory
-          for what is learned in each trial
-    clip: largest length of one plant's slope;  ceiling: of the error, relative to the peak of the reference, see `Bounded`
-    lanes: samples vectorised together, over all starts
+          CPU, a forward gradient cost 2 + 2.5 P runs without one (CFDL- and FFDL-MFAILC), reverse 10 to 13 of any P, and memory for
+          what is learned, see `learn`
+    truncate: K, slopes go through the last K trials alone, None for all; the weights' part in what was learned before them is then left
+              out of the slope, not of the loss
+    clip: longest slope of one plant, in units of the median length over the plants, or of 1 if that is less; inf for no bound
+    ceiling: of the error, relative to the peak of the reference, see `Bounded`
+    lanes: samples vectorised together, over all starts; None for what suits this backend
     Raises ValueError, before anything is compiled, naming a weight that does not exist, is absent or static, bounds that are empty or
     not allowed, a start outside them.
     """
@@ -113,7 +95,7 @@ class Tuning:
     scheme: Scheme
     task: Task
     trials: int
-    weights: Mapping[str, tuple[float, float] | None] | Sequence[str]
+    weights: Asked
     uncertainty: Uncertainty = dataclasses.field(default_factory=dict)
     objective: Objective = dataclasses.field(default_factory=Final)
     risk: Risk = dataclasses.field(default_factory=Mean)
@@ -129,38 +111,48 @@ class Tuning:
     validate_every: int = 5
     patience: int = 6
     mode: str = "auto"
-    clip: float = 1e3
+    truncate: int | None = None
+    clip: float = 3.0
     ceiling: float = CEILING
-    lanes: int = LANES
+    lanes: int = OPEN
     quantities: Mapping[str, Callable[[Trial], jax.Array]] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self):
+        object.__setattr__(self, "lanes", usual_lanes() if self.lanes is None else self.lanes)
         for name, low in (("trials", 1), ("samples", 1), ("held_out", 0), ("steps", 1), ("starts", 1), ("validate_every", 1), ("lanes", 1)):
             if getattr(self, name) < low:
                 raise ValueError(f"Tuning: {name} = {getattr(self, name)} is outside its allowed range [{low}, inf)")
         for name in ("rate", "clip", "ceiling"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"Tuning: {name} = {getattr(self, name)} is outside its allowed range (0, inf)")
+        if self.truncate is not None and self.truncate < 1:
+            raise ValueError(f"Tuning: truncate = {self.truncate} is outside its allowed range [1, inf)")
         for name, choices in (("mode", ("auto", "forward", "reverse")), ("optimiser", OPTIMISERS)):
             if isinstance(getattr(self, name), str) and getattr(self, name) not in choices:
                 raise ValueError(f"Tuning: {name} = {getattr(self, name)!r} is not one of {', '.join(choices)}")
         check(self.machine, self.scheme, self.task)
-        given = self.weights if isinstance(self.weights, Mapping) else dict.fromkeys(self.weights)
-        if not given:
-            raise ValueError("Tuning: weights is empty; at least one is needed")
-        bounds = {element: b for name, of in given.items() for element, b in _elements(self.scheme, name, of).items()}
-        start = {name: float(get_at(self.scheme, name)) for name in bounds}
-        bijections = {name: Bijection(*b, abs(start[name]) or 1.0) for name, b in bounds.items()}
-        for name, bijection in bijections.items():
-            _need_room(self, name, bijection)
-        object.__setattr__(self, "bijections", bijections)
-        object.__setattr__(self, "start", start)
+        self._weights.need_room(self.machine, self.scheme, self.task)
         draw(self.machine, self.uncertainty, self.samples, seed=self.seed, sampling=self.sampling)
         jax.eval_shape(lambda: self.loss_of(self.machine, {}))
 
+    @cached_property
+    def _weights(self) -> Weights:
+        return Weights.of(self.scheme, self.weights)
+
+    @property
+    def start(self) -> dict[str, float]:
+        """The weights by name, as given."""
+        return self._weights.start
+
+    @property
+    def bijections(self) -> dict[str, Bijection]:
+        """The smooth maps of the real line onto the ranges of the weights, by name."""
+        return self._weights.bijections
+
     def configuration(self) -> dict[str, Any]:
         """All that determines the numbers, as JSON."""
-        return {f.name: describe(getattr(self, f.name)) for f in dataclasses.fields(self)} | {"environment": environment()}
+        described = {f.name: describe(getattr(self, f.name)) for f in dataclasses.fields(self)}
+        return described | {"environment": environment("optax")}
 
     def scheme_of(self, values: Mapping[str, Any]) -> Scheme:
         """The scheme with the weights of these names; also inside `jit`."""
@@ -169,8 +161,12 @@ class Tuning:
     def loss_of(self, machine: Machine, values: Mapping[str, Any], objective: Objective | None = None, *, key=None) -> jax.Array:
         """() the objective of one plant with these weights: what is differentiated. Pure."""
         objective = self.objective if objective is None else objective
-        scheme = self.scheme_of(values)
-        return judge(machine, scheme, self.task, self.trials, objective, key=key, ceiling=self.ceiling, save=Keep.of(self.quantities))
+        scheme, options = self.scheme_of(values), {"key": key, "save": Keep.of(self.quantities)}
+        if self.truncate is None or self.truncate >= self.trials:
+            return judge(machine, scheme, self.task, self.trials, objective, ceiling=self.ceiling, **options)
+        bounded = Bounded.around(scheme, self.task, self.ceiling)
+        history = _truncated(machine, bounded, self.task, self.trials, self.truncate, **options)
+        return objective(Run(machine, scheme, self.task, history, self.ceiling))
 
     def held_out_loss(self, values: Mapping[str, Any], objective: Objective | None = None) -> jax.Array:
         """() risk of the objective over the held-out plants with these weights, nominal terms included. Pure."""
@@ -190,11 +186,7 @@ class Tuning:
         Killed at any moment, a resumed run ends with the numbers of an uninterrupted one, bit for bit. Raises FileExistsError for an
         `out` that exists without `resume`, ValueError for one made with another configuration.
         """
-        inside = {name: b.inside(self.start[name]) for name, b in self.bijections.items()}
-        scattered = self.scatter * np.random.default_rng(self.seed).standard_normal((self.starts, len(inside)))
-        scattered[0] = 0.0
-        z = np.array([b.inverse(inside[name]) for name, b in self.bijections.items()]) + scattered
-        z = z.astype(jnp.result_type(float))
+        z = self._weights.starts(self.starts, self.scatter, self.seed)
         method = for_starts(self._method())
         held_out = jax.jit(jax.vmap(self.held_out_loss))
         now, reason = State.start(z, method.init(z), self.steps), ""
@@ -202,7 +194,7 @@ class Tuning:
         now = now if folder is None else folder.latest(now)
         while not reason:
             if now.step % self.validate_every == 0 or now.step == self.steps:
-                now = now.validated(jax.device_get(held_out(self._natural(now.z))))
+                now = now.validated(jax.device_get(held_out(self._weights.at(now.z))))
             if now.step == self.steps or now.stale > self.patience:
                 reason = "steps" if now.step == self.steps else "patience"
                 continue
@@ -215,30 +207,21 @@ class Tuning:
                 folder.write(now)
             if progress is not None:
                 progress(int(now.step), np.asarray(record.loss), float(now.best))
-        done = int(now.step)
-        values = {name: float(value) for name, value in self._natural(now.best_z).items()}
+        values = {name: float(value) for name, value in self._weights.at(now.best_z).items()}
         before, after = held_out({name: jnp.asarray([self.start[name], values[name]]) for name in values})
-        return Tuned(
-            values=values,
-            scheme=self.scheme_of(values),
-            start=dict(self.start),
-            loss=now.loss[:done],
-            slope=now.slope[:done],
-            dropped=now.dropped[:done],
-            weights={name: np.asarray(value) for name, value in self._natural(now.path[:done]).items()},
-            held_out=now.held_out[: done + 1],
-            before=float(before),
-            after=float(after),
-            step=int(now.best_step),
-            nudged={name: value for name, value in inside.items() if value != self.start[name]},
-            reason=reason,
-        )
+        return Tuned.of(now, self._weights, self.scheme, float(before), float(after), reason)
 
-    def compare(self, tuned: Tuned, *, trials: int | None = None, samples: int = 257) -> xr.Dataset:
-        """The scheme as given and as tuned, on plants that neither tuning nor choosing has seen (seed + 2): a sweep's dataset, for
-        `summarise`. trials: None for those of the tuning; sample 0 is the nominal plant."""
+    def compare(self, tuned: Tuned, *, trials: int | None = None, samples: int = 257, seed: int | None = None) -> xr.Dataset:
+        """The scheme as given and as tuned, on plants that neither tuning nor choosing has seen: a sweep's dataset, for `summarise`.
+
+        trials: None for those of the tuning;  samples: sample 0 is the nominal plant
+        seed: of the plants, None for that of the tuning + 2. Whoever changes a tuning after looking at a comparison has seen its plants
+        Raises ValueError for the seeds of the plants that were seen.
+        """
+        if seed in (self.seed, self.seed + 1):
+            raise ValueError(f"compare: seed = {seed} is one of {self.seed} and {self.seed + 1}, whose plants tuning or choosing has seen")
         schemes = {"given": self.scheme, "tuned": tuned.scheme}
-        options = {"samples": samples, "seed": self.seed + 2, "quantities": self.quantities}
+        options: dict[str, Any] = {"samples": samples, "seed": self.seed + 2 if seed is None else seed, "quantities": self.quantities}
         return Sweep(self.machine, schemes, self.task, trials or self.trials, self.uncertainty, **options).run()
 
     def _method(self) -> Method:
@@ -247,7 +230,7 @@ class Tuning:
         of_plants, of_nominal = _split(self.objective)
 
         def of_one(z, one):
-            return value_and_slope(lambda z: self._loss(self._natural(z), one, of_plants, self.seed), z, forward=forward)
+            return value_and_slope(lambda z: self._loss(self._weights.at(z), one, of_plants, self.seed), z, forward=forward)
 
         plants = self._plants(self.seed, self.samples, nominal=True)
         over_plants = self._tiled(of_one, plants)
@@ -259,7 +242,7 @@ class Tuning:
             value, gradient = self.risk(losses), omega @ slopes
             residuals, jacobian = losses / len(losses) ** 0.5, slopes / len(losses) ** 0.5
             if of_nominal.parts:
-                term, slope = jax.value_and_grad(lambda z: self.loss_of(self.machine, self._natural(z), of_nominal))(z)
+                term, slope = jax.value_and_grad(lambda z: self.loss_of(self.machine, self._weights.at(z), of_nominal))(z)
                 value, gradient = value + term, gradient + slope
                 residuals, jacobian = jnp.append(residuals, term), jnp.vstack([jacobian, slope])
             return Evaluation(value, gradient, residuals, jacobian, jnp.sum(~good).astype(losses.dtype))
@@ -269,10 +252,6 @@ class Tuning:
         named = {"adam": lambda: optax.adam(optax.cosine_decay_schedule(self.rate, self.steps)), "lbfgs": optax.lbfgs}
         return by_gradient(evaluate, named[self.optimiser]() if isinstance(self.optimiser, str) else self.optimiser)
 
-    def _natural(self, z) -> dict[str, jax.Array]:
-        """The weights by name of z (..., P)."""
-        return {name: b(z[..., i]) for i, (name, b) in enumerate(self.bijections.items())}
-
     def _loss(self, values, one, objective: Objective, seed: int):
         """The objective of one of `_plants`."""
         index, drawn = one
@@ -280,9 +259,8 @@ class Tuning:
         return self.loss_of(machine, values, objective, key=jax.random.fold_in(jax.random.key(seed), index))
 
     def _tiled(self, of_one, plants):
-        """Over the plants and, under `vmap`, all starts; no wider than there are plants for each device."""
-        lanes = min(self.lanes, -(-len(plants[0]) // jax.device_count()))
-        return tiled(of_one, lanes=max(1, lanes // self.starts))
+        """Over the plants and, under `vmap`, all starts."""
+        return tiled(of_one, lanes=max(1, min(self.lanes, -(-len(plants[0]) // jax.device_count())) // self.starts))
 
     def _plants(self, seed: int, size: int, *, nominal: bool):
         """Indices and drawn numbers of `size` plants, the nominal one among them or not: a batch for `tiled`."""
@@ -295,34 +273,15 @@ class Tuning:
 
 def _split(objective: Objective) -> tuple[Sum, Sum]:
     """What is asked of each plant, and what of the nominal one alone."""
-    terms = objective.terms
-    return tuple(Sum(tuple(t for t in terms if t[1].nominal is nominal)) for nominal in (False, True))
+    of_plants, of_nominal = (Sum(tuple(t for t in objective.terms if t[1].nominal is nominal)) for nominal in (False, True))
+    return of_plants, of_nominal
 
 
-def _elements(scheme: Scheme, name: str, bounds: tuple[float, float] | None) -> dict[str, tuple[float, float]]:
-    """The elements of a leaf by name, with their bounds. Raises ValueError as `Tuning` says."""
-    try:
-        value = get_at(scheme, name)
-    except KeyError as error:
-        raise ValueError(f"weights: {error.args[0]}") from None
-    if not any(name == of or name.startswith(f"{of}[") for of in named_leaves(scheme)):
-        raise ValueError(f"weights: {name} = {value!r} is not a float leaf of this scheme and cannot be tuned")
-    allowed = interval_at(scheme, name)
-    low, high = (allowed.low, allowed.high) if bounds is None else map(float, bounds)
-    if not low < high:
-        raise ValueError(f"weights: the bounds ({low:g}, {high:g}) of {name} are empty")
-    if low < allowed.low or high > allowed.high:
-        raise ValueError(f"weights: the bounds ({low:g}, {high:g}) of {name} leave its allowed range {allowed}")
-    if not np.all((low <= np.asarray(value)) & (np.asarray(value) <= high)):
-        raise ValueError(f"weights: the start {name} = {np.asarray(value)} is outside its bounds ({low:g}, {high:g})")
-    return {name + "".join(f"[{i}]" for i in index): (low, high) for index in np.ndindex(np.shape(value))}
-
-
-def _need_room(problem: Tuning, name: str, bijection: Bijection) -> None:
-    """Raises ValueError if the scheme refuses what the bounds of a weight allow, a filter a cutoff beyond Nyquist."""
-    for z in (-FAR, FAR):
-        value = float(bijection(z))
-        try:
-            check(problem.machine, problem.scheme_of({name: value}), problem.task)
-        except ValueError as error:
-            raise ValueError(f"weights: within its bounds {name} may become {value:g}; {error}. Give narrower bounds") from None
+def _truncated(machine: Machine, scheme: Scheme, task: Task, trials: int, last: int, **options) -> History:
+    """Learning, of which the gradient sees the last trials alone (truncated back-propagation: Williams and Peng 1990)."""
+    first = trials - last + 1
+    before = learn(*lax.stop_gradient((machine, scheme)), task, first - 1, **options)
+    after = learn(machine, scheme, task, last, memory=before.memory, first=first, **options)
+    metrics, saved = jax.tree.map(lambda *both: jnp.concatenate(both), (before.metrics, before.saved), (after.metrics, after.saved))
+    diverged_at = jnp.where(before.diverged_at > 0, before.diverged_at, after.diverged_at)
+    return after._replace(metrics=metrics, saved=saved, diverged_at=diverged_at)

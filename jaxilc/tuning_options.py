@@ -7,9 +7,10 @@ OBJECTIVES = ", ".join((*TERMS, "contraction[:sigma]"))
 RISKS = "mean, worst, cvar[:alpha], smooth-max[:temperature]"
 
 
-def objective_of(text: str, figure: str, scale: float):
-    """An objective from `final:20 + 0.3*final@max_error`. figure: where none is named;  scale: of tolerances as shown
+def objective_of(text: str, figure: str, scale: float, option: str = "--objective"):
+    """An objective from `final:20 + 0.3*final@max_error`.
 
+    figure: where none is named;  scale: of tolerances as shown;  option: of the command line that it was given to
     Raises ValueError naming what is allowed.
     """
     from . import objectives as o
@@ -30,7 +31,7 @@ def objective_of(text: str, figure: str, scale: float):
         rest, _, named = rest.partition("@")
         name, _, number = rest.strip().partition(":")
         if name not in kinds:
-            raise ValueError(f"--objective: {name!r} is not one of {OBJECTIVES}")
+            raise ValueError(f"{option}: {name!r} is not one of {OBJECTIVES}")
         one = kinds[name](named.strip() or figure, number or None)
         total = total + (_positive(f"weight of {name}", weight) if star else 1.0) * one
     return total
@@ -65,6 +66,18 @@ def weights_of(text: str, bounds: list[str] | None) -> dict[str, tuple[float, fl
             raise ValueError(f"--bounds: {name.strip()!r} is not one of the weights {', '.join(weights)}")
         weights[name.strip()] = (_number(name, low), _number(name, high))
     return weights
+
+
+def numbers_of(option: str, text: str, *, whole: bool = False) -> list[float]:
+    """Different numbers from `0.1,0.3`. Raises ValueError naming the option for what is no number, or is there twice."""
+    items = [item.strip() for item in text.split(",")]
+    numbers = [float(item) if whole and item.isdecimal() else _number(option, item) for item in items]
+    for item, value in zip(items, numbers, strict=True):
+        if whole and not (item.isdecimal() and value >= 1):
+            raise ValueError(f"{option}: {item!r} is not a number of trials")
+        if numbers.count(value) > 1:
+            raise ValueError(f"{option}: {item} is given more than once")
+    return numbers
 
 
 def _number(name: str, text: str | None) -> float:

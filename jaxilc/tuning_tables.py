@@ -5,10 +5,9 @@ from __future__ import annotations
 import dataclasses
 from typing import TYPE_CHECKING, Any
 
-from rich.table import Table
-
 from .summary import summarise
 from .tables import number, sweep_figures
+from .titled_table import Table
 
 if TYPE_CHECKING:
     import xarray as xr

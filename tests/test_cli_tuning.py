@@ -18,7 +18,7 @@ from jaxilc.objectives import Contraction, Effort, EveryTrial, Final, Growth, Ho
 from jaxilc.parameters import differing, with_parameters, write_parameters
 from jaxilc.risks import CVaR, Mean, SmoothMax, Worst
 from jaxilc.tables import number
-from jaxilc.trade_off import Point
+from jaxilc.trade_off import Point, pareto
 from jaxilc.tuning import Tuning
 from jaxilc.tuning_options import objective_of, risk_of
 from jaxilc.uncertainty import with_spread
@@ -29,6 +29,10 @@ TUNE = (
     *("tune", "cao-2019", "--scheme", "cfdl-mfailc", *SHORT, "--set", "cfdl-mfailc.lead=2"),
     *("--weights", "lam,phi0", "--bounds", "lam=0.1:5", "--objective", "final+0.3*growth@max_error", "--risk", "cvar:0.5"),
     *("--trials", 4, "--samples", 3, "--held-out", 2, "--steps", 3, "--unseen", 4, "--spread", 0.2),
+)
+PARETO = (
+    *("pareto", "cao-2019", "--scheme", "cfdl-mfailc", *SHORT, "--set", "cfdl-mfailc.lead=2"),
+    *("--weights", "lam,phi0", "--bounds", "lam=0.1:5", "--samples", 3, "--held-out", 2, "--steps", 2, "--spread", 0.2),
 )
 
 
@@ -155,6 +159,75 @@ def test_a_stopped_tuning_resumes_to_the_same_parameters(tuned, tmp_path, monkey
     assert one == other
 
 
+# pareto ----------------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_a_stopped_front_resumes_to_the_numbers_of_the_library(scenario, tmp_path, monkeypatch):
+    write, states = descent.Folder.write, []
+
+    def stop_in_the_second(self, state):
+        write(self, state)
+        states.append(self.file.parent.name)
+        if len(states) == 3:
+            raise KeyboardInterrupt
+
+    asked = (*PARETO, "--second", "effort", "--shares", "0.2,0.95", "--trials", 3, "--out", tmp_path)
+    monkeypatch.setattr(descent.Folder, "write", stop_in_the_second)
+    code, _, err = call(*asked)
+    assert code == 130
+    assert f"{tmp_path / 'state'} holds what is done" in " ".join(err.split())
+    code, _, err = call(*asked)
+    assert code == 2
+    assert "add --resume" in err
+    code, out, err = call(*asked, "--resume", "--json", tmp_path / "numbers.json", "--report", tmp_path / "page.html")
+    assert code == 0, err
+    assert states == ["share-0.2", "share-0.2", "share-0.95", "share-0.95"]
+
+    numbers = json.loads((tmp_path / "numbers.json").read_text())
+    problem = problem_of_pareto(scenario, 3)
+    points = pareto(problem, Final(), Effort(), (0.2, 0.95))
+    shares = [str(p.share) for p in points]
+    assert list(numbers["points"]) == ["given", *shares]
+    assert numbers["left_out"] == [share for share in (0.2, 0.95) if str(share) not in shares]
+    given = [float(problem.held_out_loss(problem.start, objective)) for objective in (Final(), Effort())]
+    np.testing.assert_allclose([numbers["points"]["given"][name] for name in ("first", "second")], given, rtol=1e-12)
+    for p in points:
+        assert numbers["points"][str(p.share)] == {"first": p.first, "second": p.second, "weights": p.tuned.values}
+        assert f"{p.second:.6g}" in out
+        params = json.loads((tmp_path / f"params-share-{p.share}.json").read_text())
+        assert params["schemes"]["cfdl-mfailc"] == p.tuned.values | {"lead": 2}
+    assert (tmp_path / "front.png").stat().st_size > 10_000
+    assert "share of first" in (tmp_path / "page.html").read_text()
+
+
+@pytest.mark.slow
+def test_budgets_of_trials_are_judged_at_their_own_trial(scenario, tmp_path):
+    code, out, err = call(*PARETO, "--budgets", "2,4", "--unseen", 1, "--out", tmp_path, "--json", tmp_path / "numbers.json")
+    assert code == 0, err
+    numbers = json.loads((tmp_path / "numbers.json").read_text())
+    for J in (2, 4):
+        row, problem = numbers["budgets"][str(J)], problem_of_pareto(scenario, J)
+        assert row["weights"] == problem.run().values
+        for which, scheme in (("given", problem.scheme), ("tuned", problem.scheme_of(row["weights"]))):
+            ours = 1e3 * float(jaxilc.learn(scenario.machine, scheme, scenario.task, J).settled_error[-1, 0])
+            np.testing.assert_allclose(row[which]["worst"], ours, rtol=1e-12)
+            assert number(ours) in out
+    assert (tmp_path / "trials.png").stat().st_size > 10_000
+    arguments = ("run", "cao-2019", *SHORT, "--scheme", "cfdl-mfailc", "--params", tmp_path / "params-4-trials.json", "--trials", 4)
+    code, _, err = call(*arguments, "--out", tmp_path / "run", "--json", tmp_path / "run.json")
+    assert code == 0, err
+    errors = json.loads((tmp_path / "run.json").read_text())["schemes"]["cfdl-mfailc"]["settled_error"]
+    np.testing.assert_allclose(errors["4"], numbers["budgets"]["4"]["tuned"]["worst"], rtol=1e-12)
+
+
+def problem_of_pareto(scenario, trials):
+    s = scenario.with_values({"cfdl-mfailc.lead": 2})
+    uncertainty = with_spread(s.uncertainty, 0.2)
+    options = {"samples": 3, "held_out": 2, "steps": 2}
+    return Tuning(s.machine, s.schemes["cfdl-mfailc"], s.task, trials, {"lam": (0.1, 5.0), "phi0": None}, uncertainty, **options)
+
+
 # worst-case ------------------------------------------------------------------------------------------------------------------
 
 
@@ -236,6 +309,21 @@ def test_risks_are_what_they_say():
         ("tune", ("--weights", "lam", "--unseen", "0"), "--unseen 0 is outside its allowed range [1, inf)"),
         ("tune", ("--weights", "lam", "--spread", "2"), "spread = 2 is outside its allowed range (0, 1)"),
         ("tune", ("--weights", "lam", "--params", "none.json"), "none.json"),
+        ("pareto", ("--weights", "lam"), "--second None and --budgets None: one of the two is needed, and not both"),
+        ("pareto", ("--weights", "lam", "--second", "effort", "--budgets", "5"), "one of the two is needed, and not both"),
+        ("pareto", ("--weights", "lam", "--budgets", "5", "--trials", "9"), "--trials 9 has no meaning beside --budgets 5"),
+        ("pareto", ("--weights", "lam", "--budgets", "5", "--shares", "0.1"), "--shares 0.1 has no meaning beside --budgets 5"),
+        ("pareto", ("--weights", "lam", "--budgets", "5,0"), "--budgets: '0' is not a number of trials"),
+        ("pareto", ("--weights", "lam", "--budgets", "5,5"), "--budgets: 5 is given more than once"),
+        ("pareto", ("--weights", "lam", "--budgets", "5", "--unseen", "0"), "--unseen 0 is outside its allowed range [1, inf)"),
+        ("pareto", ("--weights", "lam", "--second", "effort", "--shares", "a"), "--shares: 'a' is not a number"),
+        (
+            "pareto",
+            ("--weights", "lam", "--second", "effort", "--shares", "0.1,2"),
+            "shares = [0.1, 2.0] are not different numbers in [0, 1]",
+        ),
+        ("pareto", ("--weights", "lam", "--first", "best", "--second", "effort"), "--first: 'best' is not one of final[:trial]"),
+        ("pareto", ("--weights", "lam", "--first", "final", "--second", "best"), "--second: 'best' is not one of final[:trial]"),
         ("worst-case", ("--trial", "0"), "--trial 0 is outside its allowed range [1, inf)"),
         ("worst-case", ("--evaluations", "10"), "--evaluations 10 is outside its allowed range [64, inf)"),
         ("worst-case", ("--draws", "0"), "--draws 0 is outside its allowed range [1, inf)"),
@@ -288,6 +376,10 @@ def test_figures_show_the_numbers_they_are_given():
     axes = figures.pareto_front([Point(0.9, 1.0, 3.0, None), Point(0.1, 2.0, 1.0, None)], first="error", second="trials")
     np.testing.assert_array_equal(axes.lines[0].get_xydata(), [[1, 3], [2, 1]])
     assert [text.get_text() for text in axes.texts] == ["0.9", "0.1"]
+    axes = figures.pareto_front([Point(0.9, 1.0, 3.0, None)], given=(4.0, 5.0))
+    np.testing.assert_array_equal(axes.lines[1].get_xydata(), [[4, 5]])
+    axes = figures.final_error_by_trials([5, 20], [[2.0, 4.0], [1.0, 3.0]], [[0.5, 0.7], [0.2, 0.3]], figure="rms", unit="µm")
+    np.testing.assert_array_equal([line.get_ydata() for line in axes.lines], [[2, 1], [4, 3], [0.5, 0.2], [0.7, 0.3]])
     axes = figures.worst_against_chance([1.0, 2.0, 2.5, np.inf, 30.0], {"gradient": 40.0}, nominal=1.5, unit="µm")
     assert sum(bar.get_height() for bar in axes.patches) == 4
     assert [line.get_xdata()[0] for line in axes.lines] == [1.5, 40.0]

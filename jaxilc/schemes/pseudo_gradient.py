@@ -5,12 +5,13 @@ Along the trial axis (Cao 2019) and along the time axis (Dai 2014) it is the sam
 
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
 
-RESETS = ("book", "sign", "none")
+RESETS = ("book", "sign", "none", "smooth")
 
 
-def pseudo_gradient(phi, dh, dy, *, eta, mu):
+def pseudo_gradient(phi, dh, dy, *, eta, mu) -> list[jax.Array]:
     """One step of the pseudo-gradient estimator (Cao 2019, eq. 27; eq. 13 and Dai 2014, eq. 11 for a window of one).
 
         phi' = phi + eta dh / (mu + |dh|^2) (dy - phi . dh)
@@ -22,17 +23,26 @@ def pseudo_gradient(phi, dh, dy, *, eta, mu):
     return [p + step * h for p, h in zip(phi, dh, strict=True)]
 
 
-def reset_estimate(phi, du, phi0, *, component, epsilon, mode):
+def reset_estimate(phi, du, phi0, *, component, epsilon, mode) -> list[jax.Array]:
     """Put the estimate back to its start value phi0 where it is of no use (Dai 2014, eq. 12; Cao 2019 prints none).
 
     `book`: where |phi| <= epsilon, |du| <= epsilon, or sign phi != sign phi0 (phi: the component of u(k));
     `sign`: the same without the |du| clause, which can cause bursts;  `none`: never
     The gradient is that of the branch taken: zero through a reset estimate, and blind to the switching itself.
+    `smooth`: for tuning, the clauses of `book` blended over widths of epsilon, with the whole gradient and s(z) = 1 / (1 + e^-z):
+
+        phi0 + w (phi - phi0),      w = s(phi_c sign(phi0_c) / epsilon - 1) s(|du| / epsilon - 1)
+
+    The narrower, the nearer to `book` and the steeper: a slope of up to |phi - phi0| / (4 epsilon). Forecasts of CFDL-MFAPC, which
+    have no |du| clause, are still reset as by `sign`.
     """
     if mode == "none":
         return phi
-    lead, start = phi[component], phi0[component]
-    useless = (jnp.abs(lead) <= epsilon) | (jnp.sign(lead) != jnp.sign(start))
+    along = phi[component] * jnp.sign(phi0[component])
+    if mode == "smooth":
+        w = jax.nn.sigmoid(along / epsilon - 1.0) * jax.nn.sigmoid(jnp.abs(du) / epsilon - 1.0)
+        return [p0 + w * (p - p0) for p, p0 in zip(phi, phi0, strict=True)]
+    useless = ~(along > epsilon)  # both clauses in one; true of NaN
     if mode == "book":
         useless = useless | (jnp.abs(du) <= epsilon)
     return [jnp.where(useless, p0, p) for p, p0 in zip(phi, phi0, strict=True)]
