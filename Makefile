@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 PINNED := .ci/requirements.txt
 UV     := $(shell command -v uv 2>/dev/null)
 
-.PHONY: run test lint wheel clean
+.PHONY: run test docs wheel clean
 
 run: $(VENV)/.ready
 	$(BIN)/jaxilc sweep cao-2019 --out out/sweep-cao-2019 --resume
@@ -13,7 +13,12 @@ run: $(VENV)/.ready
 test: $(VENV)/.ready
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/ty check
+	JAX_PLATFORMS=cpu $(BIN)/python .ci/docs/render.py
 	$(BIN)/python -m pytest -n 2
+
+docs: $(VENV)/.ready
+	JAX_PLATFORMS=cpu $(BIN)/python .ci/docs/render.py out/docs
 
 wheel: $(VENV)/.ready
 	$(BIN)/python -m build --no-isolation --wheel

@@ -1,21 +1,21 @@
-"""The command line: `jaxilc list | run | sweep | certify | identify | reproduce`; the other commands are in the modules `cli_...`."""
+"""The command line: `jaxilc list | run | sweep`, and how it ends; the other commands are in the modules `cli_...`."""
 
 from __future__ import annotations
 
-import os
 import sys
 import time
+import traceback
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.table import Table
 
-from . import cli_bench, cli_machine, cli_tuning
+from . import cli_bench, cli_checks, cli_machine, cli_trade_off, cli_tuning
 from .cli_common import (
     Json,
     Params,
     Precision,
+    Refused,
     Report,
     Sampling,
     ScenarioName,
@@ -28,11 +28,25 @@ from .cli_common import (
     chosen_scenario,
     err,
     folder_of,
+    folder_to_write,
     out,
     progress_bar,
     spread_of,
     stopped,
+    text_of,
     written,
+)
+from .cli_completion import LISTED, scenarios_from
+from .cli_output import ended, speak, tracebacks
+from .titled_table import Table
+
+EXIT_CODES = (
+    "Exit codes:",
+    "0    done",
+    "1    an error of jaxilc itself, with its traceback; without one, a chunk of a sweep that no worker could compute",
+    "2    a mistake in what was asked: one line that names what is allowed",
+    "3    next: the measured trial, or the input after it, is refused",
+    "130  stopped by Ctrl-C: sweep, tune and pareto keep what is done, and go on with --resume",
 )
 
 app = typer.Typer(
@@ -40,31 +54,60 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Iterative learning control of machine-tool feed drives: simulate, sweep, tune.",
+    epilog="\n\n".join(EXIT_CODES),
 )
 
 
+def _version(asked: bool) -> None:
+    if asked:
+        from importlib.metadata import version
+        from platform import python_version
+
+        typer.echo(f"jaxilc {version('jaxilc')} (jax {version('jax')}, Python {python_version()})")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print warnings and errors only; files are written all the same.")] = False,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", "-v", help="Log versions, devices and every program compiled, with times; show tracebacks.")
+    ] = False,
+    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")] = False,
+) -> None:
+    """What holds for every command; before its name.
+
+    Example: jaxilc --quiet run cao-2019 --json out/run.json
+    """
+    speak(quiet=quiet, verbose=verbose)
+
+
 @app.command("list")
-def list_(scenario: Annotated[str | None, typer.Argument(metavar="[SCENARIO]", help="Show all that can be set.")] = None) -> None:
+def list_(
+    scenario: Annotated[
+        str | None, typer.Argument(metavar="[SCENARIO]", help="Show all that can be set.", autocompletion=scenarios_from)
+    ] = None,
+) -> None:
     """List the scenarios, or all that can be set in one.
 
     Example: jaxilc list cao-2019
     """
-    from . import scenarios
-    from .plant_files import load_scenario
-
-    if scenario is not None:
-        loaded = load_scenario(scenario)
-        table = Table("--set", "value", "allowed", title=loaded.title)
-        for option, default in loaded.options.items():
-            table.add_row(option, str(default), "option of the scenario")
-        for path, value in loaded.settable().items():
-            table.add_row(path, _brief(value), loaded.allowed(path))
+    if scenario is None:
+        table = Table("scenario", "title", "schemes", "trials", "samples N")
+        for name, (title, schemes, trials, samples) in LISTED.items():
+            table.add_row(name, title, ", ".join(schemes), str(trials), str(samples))
         out.print(table)
         return
-    table = Table("scenario", "title", "schemes", "trials", "samples N")
-    for name in scenarios.SCENARIOS:
-        loaded = scenarios.load(name)
-        table.add_row(name, loaded.title, ", ".join(loaded.schemes), str(loaded.trials), str(loaded.task.N))
+    begin("float64")
+    from .plant_files import load_scenario
+
+    with text_of(scenario):
+        loaded = load_scenario(scenario)
+    table = Table("--set", "value", "allowed", title=loaded.title)
+    for option, default in loaded.options.items():
+        table.add_row(option, str(default), "option of the scenario")
+    for path, value in loaded.settable().items():
+        table.add_row(path, _brief(value), loaded.allowed(path))
     out.print(table)
 
 
@@ -76,7 +119,9 @@ def run(
     seed: Seed = 0,
     set_: Set = None,
     params: Params = None,
-    out_dir: Annotated[Path | None, typer.Option("--out", help="Folder for figures and dataset; out/run-SCENARIO if not given.")] = None,
+    out_dir: Annotated[
+        Path | None, typer.Option("--out", help="Folder for figures and dataset; out/run-SCENARIO if not given.", callback=folder_to_write)
+    ] = None,
     json_file: Json = None,
     report: Report = None,
     precision: Precision = "float64",
@@ -88,7 +133,7 @@ def run(
     begin(precision)
     import jax
 
-    from . import figures, runs, tables
+    from . import figures, plants, runs, tables
     from .report import command_report
 
     chosen = chosen_scenario(scenario, scheme, trials, set_, params)
@@ -111,6 +156,13 @@ def run(
     for name in chosen.schemes:
         axes = figures.tracking(dataset, name, some, **shown)
         paths.append(figures.save(axes, folder / f"tracking-{name}.png"))
+        if chosen.schemes[name].learns:
+            for figure in (figures.spectrum, figures.time_frequency):
+                axes = figure(dataset, name, some, **shown)
+                paths.append(figures.save(axes, folder / f"{figure.__name__.replace('_', '-')}-{name}.png"))
+        if isinstance(chosen.machine.plant, plants.TwoAxes):
+            axes = figures.contour(dataset, name, some, **shown)
+            paths.append(figures.save(axes, folder / f"contour-{name}.png"))
     dataset.to_zarr(folder / "dataset.zarr", mode="w", consolidated=False)
     page = command_report(report, "run", [table], paths, scenario=chosen, lines=lines)
     written([*paths, *page, folder / "dataset.zarr"], json_file, numbers)
@@ -130,6 +182,10 @@ def sweep(
     params: Params = None,
     out_dir: Annotated[Path | None, typer.Option("--out", help="Folder for figure and dataset; out/sweep-SCENARIO if not given.")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with the dataset in the folder.")] = False,
+    dask: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Compute on the workers of this Dask scheduler: its address, or the file it wrote."),
+    ] = None,
     keep: Annotated[list[str] | None, typer.Option(help="Store a signal of the last trial: y, e or u; repeatable.")] = None,
     json_file: Json = None,
     report: Report = None,
@@ -157,7 +213,7 @@ def sweep(
     store = folder / "dataset.zarr"
     if store.exists() and not resume:
         raise FileExistsError(f"{store} exists already; add --resume to go on with it, or choose another --out")
-    dataset, seconds, steps = _with_progress(plan, folder_of(folder, ""), store, resume)
+    dataset, seconds, steps = _with_progress(plan, store, resume, dask)
 
     numbers = tables.sweep_figures(chosen, summarise(dataset, tolerance, figure=chosen.judged_by), tolerance, plan.samples)
     shown = [tables.yield_table(numbers), tables.band_table(numbers)]
@@ -167,111 +223,13 @@ def sweep(
         out.print(f"{steps:.3g} sample-steps in {seconds:.1f} s, compilation included: {steps / seconds:.3g} a second", highlight=False)
     axes = figures.error_band(dataset, figure=chosen.judged_by, tolerance=tolerance, scale=scale, unit=unit)
     path = figures.save(axes, folder / "error-band.png")
-    page = command_report(report, "sweep", shown, [path], scenario=chosen, configuration=plan.configuration())
+    page = command_report(report, "sweep", shown, [path], scenario=chosen, configuration=dataset.attrs["configuration"])
     written([path, *page, store], json_file, numbers | {"sample_steps": steps, "seconds": seconds})
 
 
-@app.command()
-def certify(
-    scenario: ScenarioName,
-    scheme: Schemes = None,
-    trials: Trials = None,
-    samples: Annotated[int, typer.Option(help="Machines, the nominal one included.")] = 64,
-    seed: Seed = 0,
-    spread: Spread = None,
-    sampling: Sampling = "monte-carlo",
-    set_: Set = None,
-    params: Params = None,
-    out_dir: Annotated[Path | None, typer.Option("--out", help="Folder for the figures; out/certify-SCENARIO if not given.")] = None,
-    json_file: Json = None,
-    precision: Precision = "float64",
-) -> None:
-    """Each machine's convergence from theory alone, then against simulation: verdicts, premises of the bounds, confusion table.
-
-    Example: jaxilc certify cao-2019 --scheme cfdl-mfailc --trials 200 --samples 256
-    """
-    begin(precision)
-    from . import figures, tables
-    from .schemes import FFDLMFAILC
-    from .theory import certify as of_machines
-    from .theory import premises
-    from .uncertainty import draw
-
-    chosen = chosen_scenario(scenario, scheme, trials, set_, params)
-    uncertainty = spread_of(chosen, spread)
-    drawn = draw(chosen.machine, uncertainty, samples, seed=seed, sampling=sampling)
-    learning = {name: s for name, s in chosen.schemes.items() if s.learns}
-    if not learning:
-        raise ValueError(f"certify: none of {', '.join(chosen.schemes)} learns; there is nothing to certify")
-    folder, paths, numbers = folder_of(out_dir, f"certify-{chosen.name}"), [], {}
-    for name, one in learning.items():
-        start = time.perf_counter()
-        common = (chosen.machine, one, chosen.task, chosen.trials, uncertainty, drawn)
-        found = of_machines(*common)
-        seconds = time.perf_counter() - start
-        shares = premises(*common) if isinstance(one, FFDLMFAILC) else None
-        numbers[name] = tables.certificate_figures(found, shares, seconds)
-        for table in tables.certificate_tables(name, chosen.trials, numbers[name]):
-            out.print(table)
-        axes = figures.certificate(found, scale=chosen.shown_scale, unit=chosen.shown_unit, title=name)
-        paths.append(figures.save(axes, folder / f"{name}.png"))
-        if len(found.broken_promises()):
-            err.print(f"{name}: machines {found.broken_promises().tolist()} were certified monotone and grew: please report this")
-    written(paths, json_file, {"scenario": scenario, "trials": chosen.trials, "samples": samples, "schemes": numbers})
-
-
-@app.command()
-def identify(
-    record: Annotated[Path, typer.Argument(metavar="RECORD", help="Text file of columns with a header: time, input, output.")],
-    poles: Annotated[int, typer.Option(help="Real poles.")] = 1,
-    pairs: Annotated[int, typer.Option(help="Pairs of poles, real or complex.")] = 1,
-    zeros: Annotated[int, typer.Option(help="Real zeros, of either sign.")] = 1,
-    time_name: Annotated[str, typer.Option("--time", help="Column of the time [s].")] = "t",
-    input_name: Annotated[str, typer.Option("--input", help="Column of the input.")] = "u",
-    output_name: Annotated[str, typer.Option("--output", help="Column of the output.")] = "y",
-    out_dir: Annotated[Path | None, typer.Option("--out", help="Folder for the figures; out/identify if not given.")] = None,
-    json_file: Json = None,
-) -> None:
-    """A plant from a recorded experiment: parameters with 95 % intervals, fit, validation figure.
-
-    Example: jaxilc identify record.csv --poles 1 --pairs 1 --zeros 1
-    """
-    begin("float64")
-    from . import figures, identification, tables
-    from .records import read_record
-
-    measured = read_record(record, time=time_name, input=input_name, output=output_name)
-    found = identification.identify(measured, poles=poles, pairs=pairs, zeros=zeros)
-    rows = found.summary()
-    out.print(tables.identification_table(str(record), rows))
-    if not found.white:
-        out.print("the residual is not white: another structure may fit better, and the intervals are too narrow", highlight=False)
-    folder = folder_of(out_dir, "identify")
-    paths = [figures.save(figures.record_figure(measured), folder / "record.png")]
-    paths.append(figures.save(figures.validation_figure(measured, found), folder / "validation.png"))
-    numbers = {name: {"value": value, "low": low, "high": high} for name, value, low, high in rows}
-    written(paths, json_file, numbers | {"white": bool(found.white), "converged": bool(found.converged)})
-
-
-@app.command()
-def reproduce(
-    scenario: Annotated[list[str] | None, typer.Argument(metavar="[SCENARIO]...", help="Scenarios; all if none is given.")] = None,
-    json_file: Json = None,
-    precision: Precision = "float64",
-) -> None:
-    """Every published number beside ours, with the ratio, a verdict and how the paper was read.
-
-    Example: jaxilc reproduce cao-2019 dai-2014 --json out/reproduce.json
-    """
-    begin(precision)
-    from . import reproduction, tables
-
-    numbers = [row.as_dict() for row in reproduction.reproduce(scenario or ())]
-    out.print(tables.reproduction_table(numbers))
-    written([], json_file, numbers)
-
-
+cli_checks.register(app)
 cli_tuning.register(app)
+cli_trade_off.register(app)
 cli_machine.register(app)
 cli_bench.register(app)
 
@@ -280,15 +238,26 @@ def main() -> None:
     """The console script. A user's mistake is one line on standard error and exit code 2, without a traceback."""
     try:
         app()
-    except (ValueError, FileExistsError, FileNotFoundError, PermissionError) as error:
-        if os.environ.get("JAXILC_TRACEBACK"):
-            raise
-        err.print(f"error: {error}", highlight=False, markup=False, soft_wrap=True)
-        sys.exit(2)
+    except (ValueError, OSError) as error:
+        if tracebacks():
+            err.print(traceback.format_exc(), highlight=False, markup=False, soft_wrap=True)
+        err.print(f"error: {_said(error)}", highlight=False, markup=False, soft_wrap=True)
+        sys.exit(3 if isinstance(error, Refused) else 2)
+    finally:
+        ended()
 
 
-def _with_progress(plan, folder: Path, store: Path, resume: bool):
+def _said(error: ValueError | OSError) -> str:
+    """The message; of a system's error, the file before what is wrong with it."""
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename2 or error.filename or 'input or output'}: {error.strerror.lower()}"
+    return str(error)
+
+
+def _with_progress(plan, store: Path, resume: bool, cluster: str | None):
     """Run the plan behind a progress bar (on a terminal); the dataset, the seconds and the sample-steps it took."""
+    from .cluster import ChunkFailed
+
     start, counted = time.perf_counter(), {}
     with progress_bar("rate") as bar:
         bars = {name: bar.add_task(name, total=plan.samples, rate="") for name in plan.schemes}
@@ -299,9 +268,17 @@ def _with_progress(plan, folder: Path, store: Path, resume: bool):
             bar.update(bars[name], completed=done, rate=f"{steps / (time.perf_counter() - start):.2g} steps/s")
 
         try:
-            dataset = plan.run(store, resume=resume, progress=progress)
+            dataset = plan.run(store, resume=resume, progress=progress, cluster=cluster)
         except KeyboardInterrupt:
             stopped(store)
+        except ImportError as error:
+            if cluster is None:
+                raise
+            raise ValueError(f"--dask: {error}") from None
+        except ChunkFailed as error:
+            err.print(f"error: {error}", highlight=False, markup=False, soft_wrap=True)
+            err.print(f"{store} holds what is done: the same command with --resume goes on", highlight=False, soft_wrap=True)
+            sys.exit(1)
     return dataset, time.perf_counter() - start, sum(counted.values()) * plan.trials * plan.task.N
 
 

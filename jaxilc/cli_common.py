@@ -3,32 +3,87 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
+from collections.abc import Generator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, NoReturn
 
 import typer
-from rich.console import Console
 
-PIPED_WIDTH = 160  # columns where there is no terminal to ask
-out = Console(width=None if sys.stdout.isatty() else PIPED_WIDTH)
-err = Console(stderr=True)
+from .cli_completion import of_list, scenarios_from, schemes_from
+from .cli_output import err, log_jax, out
+from .tuning_options import OBJECTIVES, RISKS
 
-ScenarioName = Annotated[str, typer.Argument(metavar="SCENARIO", help="Of `jaxilc list`, or your own, a TOML or JSON file.")]
-Schemes = Annotated[list[str] | None, typer.Option("--scheme", help="Scheme to use; repeatable. All if not given.")]
-OneScheme = Annotated[str, typer.Option("--scheme", help="Scheme to use.")]
+
+def file_to_write(path: Path | None) -> Path | None:
+    """The path. Raises ValueError if no file can be written there, before anything is computed for it."""
+    if path is not None and (path.is_dir() or not _may_write(path)):
+        raise ValueError(f"{path} cannot be written; allowed is a file in a folder that can")
+    return path
+
+
+def not_negative(seed: int) -> int:
+    """The seed. Raises ValueError for one that the generators refuse."""
+    if seed < 0:
+        raise ValueError(f"--seed {seed} is outside its allowed range [0, inf)")
+    return seed
+
+
+def folder_to_write(path: Path | None) -> Path | None:
+    """The path. Raises ValueError if no folder can be made there, before anything is computed for it."""
+    if path is not None and (not _may_write(path) or (path.exists() and not path.is_dir())):
+        raise ValueError(f"{path} cannot be a folder for results; allowed is one that can be made or written to")
+    return path
+
+
+def _may_write(path: Path) -> bool:
+    """Whether what is there, or else the nearest folder above it, can be written to."""
+    there = next(p for p in (path.absolute(), *path.absolute().parents) if p.exists())
+    return os.access(there, os.W_OK) and (there == path.absolute() or there.is_dir())
+
+
+ScenarioName = Annotated[
+    str, typer.Argument(metavar="SCENARIO", help="Of `jaxilc list`, or your own, a TOML or JSON file.", autocompletion=scenarios_from)
+]
+Schemes = Annotated[
+    list[str] | None, typer.Option("--scheme", help="Scheme to use; repeatable. All if not given.", autocompletion=schemes_from)
+]
+OneScheme = Annotated[str, typer.Option("--scheme", help="Scheme to use.", autocompletion=schemes_from)]
 Trials = Annotated[int | None, typer.Option(help="Trials J; the scenario's own if not given.")]
-Seed = Annotated[int, typer.Option(help="Seed of noise and of drawn machines.")]
+Seed = Annotated[int, typer.Option(help="Seed of noise and of drawn machines.", callback=not_negative)]
 Set = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="PATH=VALUE", help="Set a leaf, a static field or an option of the scenario; repeatable."),
 ]
 Params = Annotated[Path | None, typer.Option("--params", metavar="FILE", help="Parameters that `tune` wrote; --set goes on top of them.")]
 Spread = Annotated[float | None, typer.Option(help="Half-width of all relative uncertainties: 0.2 is 20 %.")]
-Sampling = Annotated[str, typer.Option(help="monte-carlo, latin-hypercube, sobol or corners.")]
-Json = Annotated[Path | None, typer.Option("--json", help="Write every printed figure to this file.")]
-Report = Annotated[Path | None, typer.Option("--report", help="Write one self-contained HTML page to this file.")]
-Precision = Annotated[str, typer.Option(help="float64 or float32.")]
+Sampling = Annotated[
+    str,
+    typer.Option(
+        help="monte-carlo, latin-hypercube, sobol or corners.",
+        autocompletion=of_list("monte-carlo", "latin-hypercube", "sobol", "corners"),
+    ),
+]
+Weights = Annotated[str, typer.Option(metavar="A,B,C", help="Leaves or elements to tune: lam,phi0[0].")]
+Bounds = Annotated[list[str] | None, typer.Option(metavar="A=LOW:HIGH", help="Narrower than a leaf allows; repeatable.")]
+TERMS = f"Sum of WEIGHT*NAME[:NUMBER][@FIGURE], NAME of {OBJECTIVES}."
+OverMachines = Annotated[str, typer.Option("--risk", help=f"Over the machines: {RISKS}.")]
+TunedOn = Annotated[int, typer.Option("--samples", help="Machines to tune on, the nominal one included.")]
+HeldOut = Annotated[int, typer.Option(help="Machines that choose among the steps.")]
+Unseen = Annotated[int, typer.Option(help="Machines of the comparison, the nominal one included.")]
+Steps = Annotated[int, typer.Option(help="Steps at most.")]
+Starts = Annotated[int, typer.Option(help="Starts; the first is the weights as given.")]
+Rate = Annotated[float, typer.Option(help="Of adam: 0.1 is 10 % of a weight a step.")]
+Optimiser = Annotated[str, typer.Option(help="adam, lbfgs or least-squares.", autocompletion=of_list("adam", "lbfgs", "least-squares"))]
+Json = Annotated[Path | None, typer.Option("--json", help="Write every printed figure to this file.", callback=file_to_write)]
+Report = Annotated[Path | None, typer.Option("--report", help="Write one self-contained HTML page to this file.", callback=file_to_write)]
+Precision = Annotated[str, typer.Option(help="float64 or float32.", autocompletion=of_list("float64", "float32"))]
+
+
+class Refused(ValueError):
+    """A measured trial, or the input that it leads to, that the checks refuse."""
 
 
 def begin(precision: str) -> None:
@@ -36,7 +91,7 @@ def begin(precision: str) -> None:
     from .runtime import keep_programs, setup
 
     setup(precision=precision)
-    keep_programs()
+    log_jax(keep_programs())
 
 
 def chosen_scenario(name: str, schemes: list[str] | None, trials: int | None, settings: list[str] | None, params: Path | None = None):
@@ -54,14 +109,28 @@ def chosen_scenario(name: str, schemes: list[str] | None, trials: int | None, se
             raise ValueError(f"--set {setting!r} is not PATH=VALUE")
         values[path.strip()] = value.strip()
     known = scenarios.options(name) if name in scenarios.SCENARIOS else {}
-    chosen = load_scenario(name, {path: value for path, value in values.items() if path in known})
-    chosen = chosen if params is None else with_parameters(chosen, params)
+    with text_of(name):
+        chosen = load_scenario(name, {path: value for path, value in values.items() if path in known})
+    if not chosen.schemes:
+        raise ValueError(f"{name} has no scheme; needed is a table [schemes.NAME] at least")
+    if params is not None:
+        with text_of(params):
+            chosen = with_parameters(chosen, params)
     chosen = chosen.with_values({path: value for path, value in values.items() if path not in known})
     if trials is not None:
         if trials < 1:
             raise ValueError(f"--trials {trials} is outside its allowed range [1, inf)")
         chosen = dataclasses.replace(chosen, trials=trials)
     return chosen.select(tuple(schemes or ()))
+
+
+@contextmanager
+def text_of(path: str | Path) -> Generator[None]:
+    """Reading of a text file. Raises ValueError naming the file where it is none."""
+    try:
+        yield
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path} is no text in UTF-8: {error.reason} {error.object[error.start]:#04x} at byte {error.start}") from None
 
 
 def spread_of(chosen, spread: float | None):
@@ -93,7 +162,7 @@ def progress_bar(field: str):
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn(f"{{task.fields[{field}]}}"))
-    return Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=err, disable=not err.is_terminal)
+    return Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=err, disable=out.quiet or not err.is_terminal)
 
 
 def stopped(store: Path) -> NoReturn:

@@ -9,12 +9,16 @@ from typing import Annotated, Any
 
 import typer
 
+from .cli_completion import of_list, scenarios_from, schemes_from
+
 Folder = Annotated[Path, typer.Option("--state", help="Folder of the campaign.")]
 Measured = Annotated[Path | None, typer.Option("--measured", metavar="TRIAL", help="Measured trial, .csv or .mat; none starts a campaign.")]
 Next = Annotated[Path | None, typer.Option("--out", metavar="NEXT", help="What the machine plays next: .csv, .mat or .h (C).")]
-ScenarioName = Annotated[str | None, typer.Option("--scenario", metavar="NAME|FILE", help="Scenario or plant file to start from.")]
+ScenarioName = Annotated[
+    str | None, typer.Option("--scenario", metavar="NAME|FILE", help="Scenario or plant file to start from.", autocompletion=scenarios_from)
+]
 PlantFile = Annotated[Path | None, typer.Option(help="Plant file (TOML or JSON) to start from.")]
-SchemeName = Annotated[str | None, typer.Option("--scheme", help="Scheme; not needed where only one learns.")]
+SchemeName = Annotated[str | None, typer.Option("--scheme", help="Scheme; not needed where only one learns.", autocompletion=schemes_from)]
 Set = Annotated[list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="Set a parameter of the scenario; repeatable.")]
 Limit = Annotated[float | None, typer.Option(help="Largest |input| played; the machine's own if not given.")]
 Correction = Annotated[float | None, typer.Option("--largest-correction", help="Largest departure of a learned reference.")]
@@ -49,7 +53,9 @@ def next_(
     no_learn: Annotated[bool, typer.Option("--no-learn", help="Look at the trial only; the same table is played again.")] = False,
     replayed_input: Annotated[bool, typer.Option("--replayed-input", help="Without u: the scheme's over the measured y.")] = False,
     undo: Annotated[int | None, typer.Option(metavar="J", help="Go back to what was known after trial J, 0 for the start.")] = None,
-    number: Annotated[str, typer.Option(help="Numbers of a C header: double or float.")] = "double",
+    number: Annotated[
+        str, typer.Option(help="Numbers of a C header: double or float.", autocompletion=of_list("double", "float"))
+    ] = "double",
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Check and report; write nothing.")] = False,
 ) -> None:
     """From a trial measured on a real machine to the input of the next one.
@@ -60,6 +66,7 @@ def next_(
     Example: jaxilc next --state x-axis --measured trial-3.csv --out trial-4.csv
     """
     from .campaign import Campaign, refuse
+    from .cli_common import Refused, text_of
     from .exchange import check_format, read_measured
     from .journal import Journal
     from .runtime import setup
@@ -92,10 +99,14 @@ def next_(
     if undo is not None and not dry_run:
         campaign.undo(undo)
     if measured is not None:
-        record = read_measured(measured, campaign.task, campaign.recordable())
+        with text_of(measured):
+            record = read_measured(measured, campaign.task, campaign.recordable())
         turn = campaign.turn(record, learn=not no_learn, replay_input=replayed_input)
         _report(turn, record.ignored, campaign.task.unit)
-        refuse(turn.findings)
+        try:
+            refuse(turn.findings)
+        except ValueError as error:
+            raise Refused(error) from None
         if not dry_run:
             campaign.keep(turn)
         tables, trial = turn.tables, turn.trial + 1
@@ -111,11 +122,10 @@ def trials(
 
     Example: jaxilc trials --state x-axis --csv log.csv --plot log.png
     """
-    from rich.table import Table
-
     from .cli_common import out as console
     from .exchange import atomically
     from .journal import Journal
+    from .titled_table import Table
 
     journal = Journal(state)
     rows = journal.log()
@@ -154,7 +164,7 @@ def _recipe(before, scenario, plant_file, scheme, settings, rules) -> dict[str, 
     source = scenario if plant_file is None else str(plant_file)
     if source is None and not before:
         raise ValueError("the first call needs --scenario or --plant-file")
-    if source is not None and source not in SCENARIOS:
+    if source is not None and source not in SCENARIOS and Path(source).suffix:
         source = str(Path(source).absolute())  # found again from wherever the next call comes
     values = dict(before.get("settings", {}))
     for setting in settings or []:
@@ -177,6 +187,8 @@ def _chosen(recipe: dict[str, Any]):
     chosen = load_scenario(recipe["scenario"], recipe["settings"])
     learning = [name for name, scheme in chosen.schemes.items() if scheme.learns]
     name = recipe["scheme"] or (learning[0] if len(learning) == 1 else None)
+    if name is None and learning:
+        raise ValueError(f"--scheme is missing; those that learn are {', '.join(learning)}")
     if name not in learning:
         raise ValueError(f"scheme = {name!r} is not one of those that learn: {', '.join(learning) or 'none'}")
     return name, chosen
@@ -205,7 +217,7 @@ def _played(path: Path | None, tables, task, trial: int, number: str, dry_run: b
 
     peaks = ", ".join(f"{name} up to {np.max(np.abs(table)):.6g} {unit_of(name, task)}".strip() for name, table in tables.items())
     out.print(f"next: trial {trial}, {peaks}", highlight=False, markup=False, soft_wrap=True)
-    if dry_run:
+    if dry_run or path is None:
         out.print("dry run: nothing was written", highlight=False)
         return
     write_tables(path, tables, task, trial=trial, number=number)

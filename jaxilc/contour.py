@@ -5,7 +5,9 @@ A curve is any callable that takes (M,) parameter values and returns (M, d) posi
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
+from typing import TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +16,7 @@ from scipy.interpolate import BSpline, make_interp_spline
 
 from .references import POSITIVE, require
 
+Curve: TypeAlias = Callable[[np.ndarray], np.ndarray]
 _BUTTERFLY_POINTS = """
 54.493 52.139 55.507 52.139 56.082 49.615 56.780 44.971 69.575 51.358 77.786 58.573 90.526 67.081 105.973 63.801 100.400 47.326
 94.567 39.913 92.369 30.485 83.440 33.757 91.892 28.509 89.444 20.393 83.218 15.446 87.621 4.830 80.945 9.267 79.834 14.535
@@ -28,19 +31,19 @@ _BUTTERFLY_KNOTS = """0 0 0 0 .0083 .0150 .0361 .0855 .1293 .1509 .1931 .2273 .2
 _BUTTERFLY_WIDTH = 97.1619  # of the curve with the table's numbers [mm]
 
 
-def line(start, end):
+def line(start, end) -> Curve:
     """The straight line from `start` to `end`, (d,) each [mm], over the interval (0, 1)."""
     start, end = np.asarray(start, float), np.asarray(end, float)
     return lambda s: start + np.multiply.outer(s, end - start)
 
 
-def circle(radius, *, centre=(0.0, 0.0)):
+def circle(radius, *, centre=(0.0, 0.0)) -> Curve:
     """Anticlockwise circle over the angle s [rad], from the point at s = 0 on the positive x-axis; radius: [mm];  centre: (2,) [mm]."""
     require("circle", "radius", radius, POSITIVE, " mm")
     return lambda s: np.asarray(centre) + radius * np.stack([np.cos(s), np.sin(s)], axis=-1)
 
 
-def nurbs(points, knots, weights=None):
+def nurbs(points, knots, weights=None) -> Curve:
     """Non-uniform rational B-spline over (knots[0], knots[-1]); its degree is len(knots) - len(points) - 1.
 
         C(s) = sum_i w_i N_i(s) P_i / sum_i w_i N_i(s)
@@ -63,7 +66,7 @@ def nurbs(points, knots, weights=None):
     return curve
 
 
-def butterfly(width=_BUTTERFLY_WIDTH):
+def butterfly(width=_BUTTERFLY_WIDTH) -> Curve:
     """The cubic NURBS butterfly of 51 control points that the papers on CNC interpolators use, over (0, 1).
 
     It runs clockwise from the head, (0, 0), and ends 0.001 mm beside it; symmetric about x = 0 but for roundings and for the two
@@ -78,7 +81,7 @@ def butterfly(width=_BUTTERFLY_WIDTH):
     return nurbs((points - points[0]) * (width / _BUTTERFLY_WIDTH), np.array(_BUTTERFLY_KNOTS.split(), float), weights)
 
 
-def tabulated(curve, interval, points):
+def tabulated(curve, interval, points) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Parameter (M,), position (M, d) and arc length (M,) along the curve, or the ValueError that says what is wrong with it."""
     if len(interval) != 2 or not -np.inf < interval[0] < interval[1] < np.inf:
         raise ValueError(f"plan: interval = {interval} is not (first, last) with first < last")
@@ -127,7 +130,7 @@ def _require_smooth(curve, u, q):
             raise ValueError(f"plan: the path turns by {np.degrees(seen):.3g} deg between two points of its table {at}; raise points")
 
 
-def contour_error(y, path, *, window: int):
+def contour_error(y, path, *, window: int) -> jax.Array:
     """(M,) normal distance of each measured point from the path; in the plane signed, positive on the left of the path.
 
         e_k = distance of y_k from the chords path_i path_{i+1},    i = max(c_k - window, 0) .. min(c_k + window, L) - 1

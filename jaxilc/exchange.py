@@ -74,8 +74,8 @@ def read_measured(path: str | Path, task: Task, others: Mapping[str, tuple[int, 
         signals[name] = values[:rows]
     if "r" in signals:
         _check_reference(path, signals["r"], found.places, task)
-    others = {name: values for name, values in signals.items() if name not in ("t", "r", "y", "u")}
-    return Measured(signals["y"], signals.get("u"), others, found.ignored, str(path))
+    besides = {name: values for name, values in signals.items() if name not in ("t", "r", "y", "u")}
+    return Measured(signals["y"], signals.get("u"), besides, found.ignored, str(path))
 
 
 def _read_text(path, shapes) -> _File:
@@ -102,9 +102,10 @@ def _channels(path, name: str, channels: int, names: list[str]) -> list[int] | N
     """Where the channels of a signal stand; None where it is not there and need not be."""
     spelled = [[f"{name}{i}", f"{name}_{i}"] + [name] * (channels == 1) for i in range(channels)]
     at = [next((names.index(s) for s in ways if s in names), None) for ways in spelled]
-    if None not in at:
-        return at
-    if name in ("t", "y") or any(i is not None for i in at):
+    found = [i for i in at if i is not None]
+    if len(found) == channels:
+        return found
+    if name in ("t", "y") or found:
         missing = spelled[at.index(None)][-1 if channels == 1 else 0]
         raise ValueError(f"{path} has no column {missing!r}; present are {', '.join(names) or 'none'}")
     return None

@@ -137,14 +137,14 @@ def need_padding(q, samples: int) -> None:
         raise ValueError(f"{name}: padding = {q.edge} is outside its allowed range [0, {samples - 1}] for N = {samples}")
 
 
-def forward_and_backward(one_pass, signal, edge: int):
+def forward_and_backward(one_pass, signal, edge: int) -> jax.Array:
     """A causal filter run over the (N, n) signal and back, with so many samples of odd extension at each end."""
     forward = one_pass(odd_extension(signal, edge))
     both = one_pass(forward[::-1])[::-1]
     return both[edge : both.shape[0] - edge]
 
 
-def butterworth_sections(cutoff, dt, order: int):
+def butterworth_sections(cutoff, dt, order: int) -> jax.Array:
     """(order/2 rounded up, 5) rows b0 b1 b2 a1 a2 of a Butterworth low-pass, each section of unit DC gain.
 
     Bilinear transform with prewarping, K = tan(pi cutoff dt); a pole pair at -cos t +- i sin t becomes
@@ -162,7 +162,7 @@ def butterworth_sections(cutoff, dt, order: int):
     return jnp.stack(rows)
 
 
-def odd_extension(signal, samples: int):
+def odd_extension(signal, samples: int) -> jax.Array:
     """The signal reflected through its end points by so many samples at each end (scipy's odd_ext)."""
     if samples == 0:
         return signal
@@ -171,7 +171,7 @@ def odd_extension(signal, samples: int):
     return jnp.concatenate([left, signal, right])
 
 
-def run_sections(sections, signal):
+def run_sections(sections, signal) -> jax.Array:
     """A cascade of second-order sections over a (N, n) signal, started in the steady state of its first sample."""
     settled, level = [], signal[0]
     for b0, b1, b2, a1, a2 in sections:

@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import re
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -249,7 +249,7 @@ class _Problem(NamedTuple):
 
 def _from_many_starts(problem: _Problem, starts: int, seed: int) -> _Minimum:
     """The best fit from many drawn structures: all are scored, the best refined, the winner regrouped and polished."""
-    drawn = _draw(problem.plant, problem.task, starts, seed)
+    drawn = _draw(cast(ProcessModel, problem.plant), problem.task, starts, seed)
     fitted = np.arange(problem.task.N + 1) < problem.samples
     products = np.asarray(_products()((problem.task, problem.record.u, problem.record.y, fitted), drawn))
     scored = [_numerator(product) for product in products]

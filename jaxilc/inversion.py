@@ -79,6 +79,8 @@ def output_ratio(system, dt: float | None = None, *, above: int = 1, below: int 
 class Inverse(Filter):
     """A prefilter designed for one sample time `dt` [s]; undoing a plant's phase, it is not zero-phase. Raises at another dt."""
 
+    dt: float
+
     def check(self, samples: int, dt: float) -> None:
         if known(dt) and abs(self.dt - dt) > 1e-9 * dt:
             raise ValueError(f"{type(self).__name__}: dt = {dt:g} s is not that of the design; allowed is dt = {self.dt:g}")

@@ -91,7 +91,8 @@ class Journal:
             unfinished.mkdir()
             for name, values in arrays.items():
                 with open(unfinished / name, "wb") as file:
-                    np.savez(file, **{key: np.asarray(value) for key, value in values.items()})
+                    kept: dict[str, Any] = {key: np.asarray(value) for key, value in values.items()}
+                    np.savez(file, **kept)
                     _to_disk(file)
             with open(unfinished / MANIFEST, "w", encoding="utf-8") as file:
                 file.write(json.dumps(common | dict(manifest), indent=1) + "\n")

@@ -144,7 +144,7 @@ def measured_trial(task: Task, y, u, **signals) -> Trial:
     return Trial(jnp.asarray(task.reference), measured.pop("y"), measured.pop("u"), task.dt, measured)
 
 
-def next_memory(scheme: Scheme, task: Task, memory, y, u, **signals):
+def next_memory(scheme: Scheme, task: Task, memory, y, u, **signals) -> Any:
     """One turn of the loop by hand: what the scheme knows after a measured trial; `feedforward` then gives the next input.
 
     Raises as `measured_trial` does.

@@ -171,82 +171,79 @@ def _fastest(path, h, G, feed, groups, gap):
     1 / beta >= |l|^2; for a step 1 / beta is replaced by the square of the tangent of beta^(-1/2), which lies below it: this
     makes the problem a convex one of the same gradient.
     """
-    x = (np.arange(G)[:, None] + [0, 1]).ravel() * h
-    p1, p2, p3 = (path.derivative(i)(x) for i in (1, 2, 3))
-    # beta, beta' and beta'' from three coefficients, at the start and at the end of an interval
+    x = np.add.outer([0, 1], np.arange(G)) * h
+    p1, p2, p3 = (np.moveaxis(path.derivative(i)(x), -1, 0).copy()[:, None] for i in (1, 2, 3))
+    # beta, beta' and beta'' from three coefficients, (3, 2, G) each
     bend = [1 / h**2, -2 / h**2, 1 / h**2]
-    stencil = np.tile([[[0.5, 0.5, 0], [-1 / h, 1 / h, 0], bend], [[0, 0.5, 0.5], [0, -1 / h, 1 / h], bend]], (G, 1, 1))
-    # beta' = 0 at both ends, or the motion would start with a jump of acceleration
-    stencil[:2] = stencil[:2] @ [[0, 1, 0], [0, 1, 0], [0, 0, 1]]
-    stencil[-2:] = stencil[-2:] @ [[1, 0, 0], [0, 1, 0], [0, 1, 0]]
-    E = stencil[:, 0]
-    EE = E[:, :, None] * E[:, None, :]
-    speed = (p1[:, -1] / feed) ** 2
-    # Gram matrices of the linear forms: |a|^2 = C A C and |l|^2 = C J C, of limits 1 and 1 / beta, C the three coefficients
-    limited = []
-    for axes, acceleration, jerk in groups:
-        P1, P2, P3 = p1[:, axes], p2[:, axes], p3[:, axes]
-        A = np.stack([P2, P1 / 2, np.zeros_like(P1)], axis=-1) @ stencil / acceleration
-        J = np.stack([P3, 1.5 * P2, P1 / 2], axis=-1) @ stencil / jerk
-        limited += [(A.transpose(0, 2, 1) @ A, 0), (J.transpose(0, 2, 1) @ J, 1)]
+    stencil = np.array([[[0.5, 0.5, 0], [-1 / h, 1 / h, 0], bend], [[0, 0.5, 0.5], [0, -1 / h, 1 / h], bend]])
+    stencil = np.repeat(stencil.transpose(1, 2, 0)[..., None], G, axis=-1)
+    # beta' = 0 at both ends, or the motion would start with a jump of acceleration: the outermost coefficient counts to its neighbour
+    for outermost, interval in ((0, 0), (2, -1)):
+        stencil[:, 1, :, interval] += stencil[:, outermost, :, interval]
+        stencil[:, outermost, :, interval] = 0.0
+    E, E1, E2 = stencil
+    speed = (p1[-1, 0] / feed) ** 2
+    # Gram matrices of the linear forms: |a|^2 and |l|^2 = C Q C, of limits 1 and 1 / beta, C the three coefficients
+    a, ell = p2 * E + p1 / 2 * E1, p3 * E + 1.5 * p2 * E1 + p1 / 2 * E2
+    forms = [a[axes] / acceleration for axes, acceleration, _ in groups] + [ell[axes] / jerk for axes, _, jerk in groups]
+    Q = np.stack([np.einsum("aieg,ajeg->ijeg", form, form) for form in forms])
+    n = len(groups)
+    rows, cols = np.triu_indices(3)  # all a symmetric matrix holds
+    weights = Q[:, rows, cols] * np.where(rows == cols, 1, 2)[:, None, None]
 
     def local(c):
-        """The three coefficients at each point, beta, and what is left of each limit, the speed's first; all > 0 within."""
-        C = np.repeat(np.lib.stride_tricks.sliding_window_view(c, 3), 2, axis=0)
-        beta = np.sum(E * C, axis=1)
-        left = [1 - speed * beta, *(1 - beta**of_jerk * np.einsum("gi,gij,gj->g", C, Q, C, optimize=True) for Q, of_jerk in limited)]
-        return C, beta, left
+        """The three coefficients of each interval, beta, and what is left of the speed's limit and of the others; all > 0 within."""
+        C = np.stack([c[:-2], c[1:-1], c[2:]])
+        beta = np.einsum("ieg,ig->eg", E, C)
+        used = np.einsum("lkeg,kg->leg", weights, C[rows] * C[cols])
+        used[n:] *= beta
+        return C, beta, 1 - speed * beta, 1 - used
 
     def cost(c, weight):
-        _, beta, left = local(c)
-        if not (min(c) > 0 and min(map(np.min, left)) > 0):
+        _, beta, left, others = local(c)
+        if not (c.min() > 0 and min(left.min(), others.min()) > 0):
             return np.inf
-        return weight * np.sum(beta**-0.5) - sum(np.sum(np.log(part)) for part in left)
+        return weight * np.sum(beta**-0.5) - sum(np.sum(np.log(part)) for part in (left, *others))
 
     def newton_step(c, weight):
-        C, beta, (left, *others) = local(c)
-        gradient = (speed / left - 0.5 * weight * beta**-1.5)[:, None] * E
-        hessian = ((speed / left) ** 2 + 0.75 * weight * beta**-2.5)[:, None, None] * EE
-        for (Q, of_jerk), left in zip(limited, others, strict=True):
-            slope, curvature = 2 * np.einsum("gij,gj->gi", Q, C), 2 * Q
-            if of_jerk:
-                left = left / beta
-                slope += beta[:, None] ** -2 * E
-                curvature = curvature - 0.5 * beta[:, None, None] ** -3 * EE
-                gradient -= E / beta[:, None]
-                hessian += EE / beta[:, None, None] ** 2
-            gradient += slope / left[:, None]
-            hessian += (slope[:, :, None] * slope[:, None, :] / left[:, None, None] + curvature) / left[:, None, None]
-        gradient, hessian = gradient.reshape(G, 2, 3).sum(axis=1), hessian.reshape(G, 2, 3, 3).sum(axis=1)
+        C, beta, left, others = local(c)
+        others[n:] /= beta
+        inverse = 1 / others
+        slope = 2 * np.einsum("lijeg,jg->lieg", Q, C)
+        slope[n:] += beta**-2 * E
+        slope *= inverse[:, None]
+        along = speed / left - 0.5 * weight * beta**-1.5 - n / beta
+        bend = (speed / left) ** 2 + 0.75 * weight * beta**-2.5 + n / beta**2 - 0.5 * beta**-3 * np.sum(inverse[n:], axis=0)
         total, banded = np.zeros(G + 2), np.zeros((3, G + 2))
         for i in range(3):
-            total[i : i + G] += gradient[:, i]
+            total[i : i + G] += np.sum(along * E[i], axis=0) + np.einsum("leg->g", slope[:, i])
             for j in range(i, 3):
-                banded[2 + i - j, j : j + G] += hessian[:, i, j]
+                outer = np.einsum("leg,leg->g", slope[:, i], slope[:, j]) + 2 * np.einsum("leg,leg->g", Q[:, i, j], inverse)
+                banded[2 + i - j, j : j + G] += outer + np.sum(bend * E[i] * E[j], axis=0)
         banded[2, [0, -1]] = 1.0  # the outermost coefficients follow their neighbours
         step = solveh_banded(banded, -total)
         step[[0, -1]] = step[[1, -2]]
-        return step, -total @ step
+        return step, -np.sum(total * step)  # a dot product would wait for BLAS threads
 
     # the given profile, slowed down into the limits
-    ones = np.ones((len(x), 3))
-    worst = [np.max(np.einsum("gi,gij,gj->g", ones, Q, ones)) ** (1 / (4 + 2 * of_jerk)) for Q, of_jerk in limited]
+    worst = np.max(np.sum(Q, axis=(1, 2)), axis=(1, 2)) ** np.repeat([1 / 4, 1 / 6], n)
     c = np.full(G + 2, 0.9 * max(np.sqrt(speed.max()), *worst) ** -2)
-    limits = len(x) * (1 + len(limited))
+    limits = x.size * (1 + 2 * n)
     reached = 1.0
     while reached > gap:
         weight = limits / reached / np.sum(local(c)[1] ** -0.5)
+        now = cost(c, weight)
         for _ in range(30):
             try:
                 step, decrease = newton_step(c, weight)
             except np.linalg.LinAlgError:  # rounding, close to a limit; c keeps them all
                 return c
-            now, scale = cost(c, weight), 1.0
-            while not cost(c + scale * step, weight) <= now - 1e-4 * scale * decrease and scale > 1e-9:
+            scale = 1.0
+            while not (tried := cost(c + scale * step, weight)) <= now - 1e-4 * scale * decrease and scale > 1e-9:
                 scale /= 2
             if scale <= 1e-9:
                 break
-            c = c + scale * step
+            c, now = c + scale * step, tried
             if decrease < 0.1 * np.sqrt(G):
                 break
         reached /= 8

@@ -260,7 +260,7 @@ def _reference(value: Any, where: str, folder: Path, dt: float) -> np.ndarray:
     record = read_record(path, time=time, input=column, output=column)
     if abs(record.dt / dt - 1) > 1e-6:
         raise ValueError(f"{where}: {path} is sampled at {record.dt:g} s but the task at {dt:g} s; nothing is resampled")
-    return record.y[:, 0]
+    return np.asarray(record.y)[:, 0]
 
 
 def _uncertainty(values: Any, where: str):

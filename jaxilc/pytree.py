@@ -10,13 +10,17 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Mapping
-from typing import Any, NamedTuple, dataclass_transform
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple, TypeAlias, TypeVar, dataclass_transform
 
 import jax
+import jax.core
 import numpy as np
+from jax.typing import ArrayLike
 
 _INTERVAL = re.compile(r"^([\[(])\s*(\S+)\s*,\s*(\S+)\s*([\])])$")
+Numbers: TypeAlias = ArrayLike | Sequence[Any] | None
+T = TypeVar("T")
 _INDEX = re.compile(r"^(\w[\w-]*)((?:\[\d+\])*)$")
 
 
@@ -47,34 +51,45 @@ class Interval(NamedTuple):
         return f"{'[' if self.closed_low else '('}{self.low:g}, {self.high:g}{']' if self.closed_high else ')'}"
 
 
-def leaf(default=dataclasses.MISSING, interval: str = "(-inf, inf)", *, optional: bool = False) -> Any:
+def _stored(value: Numbers) -> Any:
+    """What construction makes of a leaf, in the eyes of a type checker; `_settled` does it."""
+
+
+def leaf(
+    default: Any = dataclasses.MISSING,
+    interval: str = "(-inf, inf)",
+    *,
+    optional: bool = False,
+    converter: Callable[[Numbers], Any] = _stored,  # a type checker reads it: numbers and lists are accepted where an array is stored
+) -> Any:
     """A float leaf (scalar or array). With `optional`, None switches the feature off at no cost."""
     metadata = {"kind": "leaf", "interval": Interval.parse(interval), "optional": optional}
     return dataclasses.field(default=default, metadata=metadata)
 
 
 def static(
-    default=dataclasses.MISSING, interval: str | None = None, *, choices: tuple = (), whole: bool = False, optional: bool = False
+    default: Any = dataclasses.MISSING, interval: str | None = None, *, choices: tuple = (), whole: bool = False, optional: bool = False
 ) -> Any:
     """A static field: a length, a window, a mode. Changing it compiles another program. `whole` admits whole numbers only."""
-    interval = Interval.parse(interval) if interval else None
-    metadata = {"kind": "static", "interval": interval, "choices": tuple(choices), "whole": whole, "optional": optional}
+    parsed = Interval.parse(interval) if interval else None
+    metadata = {"kind": "static", "interval": parsed, "choices": tuple(choices), "whole": whole, "optional": optional}
     return dataclasses.field(default=default, metadata=metadata)
 
 
-def part(default=dataclasses.MISSING) -> Any:
+def part(default: Any = dataclasses.MISSING) -> Any:
     """A nested pytree (a plant in a machine, a scheme in a scheme), or None."""
     return dataclasses.field(default=default, metadata={"kind": "part"})
 
 
 @dataclass_transform(frozen_default=True, field_specifiers=(leaf, static, part))
-def pytree(cls):
-    """Make `cls` a frozen dataclass and a pytree. Fields are declared with `leaf`, `static` or `part`.
+def pytree(cls: type[T]) -> type[T]:
+    """Make the class a frozen dataclass and a pytree. Fields are declared with `leaf`, `static` or `part`.
 
     Raises at construction: ValueError naming the class, the field, its value and the allowed range.
     """
+    made: Any = cls
     if "__post_init__" in cls.__dict__:
-        cls._own_check = cls.__post_init__
+        made._own_check = made.__post_init__
 
     def __post_init__(self):
         for field in dataclasses.fields(self):
@@ -82,9 +97,9 @@ def pytree(cls):
         if hasattr(self, "_own_check"):
             self._own_check()
 
-    cls.__post_init__ = __post_init__
-    cls = dataclasses.dataclass(frozen=True, eq=False)(cls)
-    fields = dataclasses.fields(cls)
+    made.__post_init__ = __post_init__
+    made = dataclasses.dataclass(frozen=True, eq=False)(cls)
+    fields = dataclasses.fields(made)
     children = tuple(f.name for f in fields if _kind(f) != "static")
     statics = tuple(f.name for f in fields if _kind(f) == "static")
 
@@ -96,15 +111,15 @@ def pytree(cls):
         return tuple(zip(map(jax.tree_util.GetAttrKey, children), values, strict=True)), aux
 
     def unflatten(aux, values):
-        tree = object.__new__(cls)
+        tree = object.__new__(made)
         for name, value in zip(children, values, strict=True):
             object.__setattr__(tree, name, value)
         for name, value in zip(statics, aux, strict=True):
             object.__setattr__(tree, name, value)
         return tree
 
-    jax.tree_util.register_pytree_with_keys(cls, flatten_with_keys, unflatten, flatten)
-    return cls
+    jax.tree_util.register_pytree_with_keys(made, flatten_with_keys, unflatten, flatten)
+    return made
 
 
 def named_leaves(tree) -> dict[str, Any]:
@@ -145,7 +160,7 @@ def allowed_at(tree, path: str) -> str:
     return " | ".join(map(str, choices)) if choices else str(interval_at(tree, path) or "")
 
 
-def get_at(tree, path: str):
+def get_at(tree, path: str) -> Any:
     """The leaf, element or static field at `path`: `"plant.poles[2]"`. Raises KeyError naming what exists."""
     value = tree
     for head in path.split("."):
@@ -160,7 +175,7 @@ def get_at(tree, path: str):
     return value
 
 
-def replaced(tree, changes: Mapping[str, Any]):
+def replaced(tree, changes: Mapping[str, Any]) -> Any:
     """A copy of `tree` with the fields or elements at the given paths replaced together; validated like a construction."""
     inner: dict[str, dict[str, Any]] = {}
     new: dict[str, Any] = {}

@@ -23,8 +23,8 @@ STEP_TOLERANCE = 0.01  # of the sample time, by which a step of a record's time 
 class Record(NamedTuple):
     """An experiment. u: (N, n_u) input held over each sample;  y: (N+1, n_y) output, y[0] before u[0];  dt: sample time [s]"""
 
-    u: jax.Array
-    y: jax.Array
+    u: jax.Array | np.ndarray
+    y: jax.Array | np.ndarray
     dt: float
 
 

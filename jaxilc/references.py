@@ -94,7 +94,7 @@ class SCurveMove(NamedTuple):
         """Time from rest to rest [s]."""
         return sum(self.durations)
 
-    def at(self, t):
+    def at(self, t) -> tuple[np.ndarray, ...]:
         """Position, velocity, acceleration and jerk at the times `t` [s], each shaped like `t`; at rest outside the move.
 
         At a switching time the jerk is that of one of its two segments.
@@ -233,7 +233,7 @@ def _time(function, duration, dt):
     return np.arange(N + 1) * dt
 
 
-def require(function, name, values, interval, unit="", *, whole=False):
+def require(function, name, values, interval, unit="", *, whole=False) -> None:
     """Every value in the interval, or a ValueError naming the first that is not."""
     interval = Interval.parse(interval)
     for i, value in np.ndenumerate(np.asarray(values, float)):

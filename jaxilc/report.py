@@ -25,8 +25,6 @@ from .exchange import atomically
 from .results import describe, environment
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
     from .scenarios import Scenario
 
 MEDIA = {".png": "image/png", ".svg": "image/svg+xml"}
@@ -37,11 +35,11 @@ STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; color: #111; background: #fff; max-width: 68em; margin: 2em auto; padding: 0 1.5em; }
 h1 { font-size: 1.5em; } h2 { font-size: 1.15em; margin-top: 2em; border-bottom: 1px solid #999; }
 .wide { overflow-x: auto; margin: 1em 0; }
-table { border-collapse: collapse; font-size: 0.87em; }
+table { border-collapse: collapse; font-size: 0.87em; min-width: 26em; }
 caption { text-align: left; font-weight: 600; padding-bottom: 0.4em; white-space: pre-line; }
 th, td { border-bottom: 1px solid #ccc; padding: 0.2em 0.7em; text-align: left; vertical-align: top; }
-thead th { border-bottom: 2px solid #444; }
-.n { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
+thead th { border-bottom: 2px solid #444; vertical-align: bottom; }
+.n { text-align: right; font-variant-numeric: tabular-nums; } td.n { white-space: nowrap; }
 figure { margin: 1.5em 0; } img { max-width: min(100%, 52em); height: auto; } figcaption { font-size: 0.87em; color: #333; }
 pre, code { font: 0.85em/1.35 ui-monospace, monospace; } pre { white-space: pre-wrap; overflow-wrap: anywhere; }
 @media print {
@@ -113,24 +111,25 @@ def command_report(
     scenario: Scenario | None = None,
     configuration: Mapping[str, object] | None = None,
     lines: Sequence[str] = (),
+    asked: Mapping[str, object] | None = None,
 ) -> list[Path]:
     """The page of a command of the command line, and where it was written: [] if no path was given.
 
     figures: paths among which only pictures count;  scenario: as it was run, None for a command without one
-    configuration: None for that of the scenario;  lines: what was printed besides the tables
+    configuration: None for that of the scenario;  lines: what was printed besides the tables;  asked: worth a row besides the command
     """
     if path is None:
         return []
-    asked: dict[str, object] = {"command": shlex.join(["jaxilc", *sys.argv[1:]])}
+    rows: dict[str, object] = {"command": shlex.join(["jaxilc", *sys.argv[1:]])}
     if scenario is not None:
-        asked |= {"scenario": scenario.name, **scenario.options, "schemes": ", ".join(scenario.schemes), "trials": scenario.trials}
+        rows |= {"scenario": scenario.name, **scenario.options, "schemes": ", ".join(scenario.schemes), "trials": scenario.trials}
         parts = ("machine", "schemes", "task", "trials", "uncertainty")
         configuration = configuration or {name: describe(getattr(scenario, name)) for name in parts}
     return [
         write_report(
             path,
             f"jaxilc {command}" + (f": {scenario.title}" if scenario is not None else ""),
-            asked,
+            rows | dict(asked or {}),
             tables,
             [f for f in figures if not isinstance(f, str | Path) or Path(f).suffix in MEDIA],
             configuration,
@@ -201,7 +200,7 @@ def _caption(drawing: Drawing) -> str:
     return Path(drawing).stem.replace("-", " ") if isinstance(drawing, str | Path) else _first(drawing).get_title()
 
 
-def _first(axes) -> Axes:
+def _first(axes) -> Any:
     return np.ravel(axes)[0]
 
 

@@ -72,11 +72,11 @@ def _simulated(scenario: Scenario, rows: list[Published]) -> dict[Published, flo
 
 
 def _verdict(i: int, published: tuple[Published, ...], ours: list[float]) -> str:
-    here, ours = published[i], np.asarray(ours)
-    if abs(ours[i] / here.value - 1.0) <= MET or (here.at_most and ours[i] <= here.value):
+    here, x = published[i], np.asarray(ours)
+    if abs(x[i] / here.value - 1.0) <= MET or (here.at_most and x[i] <= here.value):
         return "met"
     others = [k for k, p in enumerate(published) if k != i and _comparable(here, p) and p.value != here.value]
-    agree = [np.isfinite(ours[[i, k]]).all() and np.sign(ours[i] - ours[k]) == np.sign(here.value - published[k].value) for k in others]
+    agree = [np.isfinite(x[[i, k]]).all() and np.sign(x[i] - x[k]) == np.sign(here.value - published[k].value) for k in others]
     return "shape" if agree and all(agree) else "open"
 
 

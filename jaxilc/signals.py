@@ -31,7 +31,7 @@ class Task:
     reference: jax.Array = leaf()
     dt: float = static(interval="(0, inf)")
     settle: tuple[float, float] | None = static(None)
-    inputs: int | None = static(None, "[1, inf)", whole=True, optional=True)
+    inputs: int = static(None, "[1, inf)", whole=True, optional=True)
     unit: str = static("")
     input_unit: str = static("")
 
@@ -112,12 +112,12 @@ class Trial(NamedTuple):
         return self.r - self.y
 
 
-def quantise(x, step):
+def quantise(x, step) -> jax.Array:
     """Round to multiples of `step`. The gradient is straight-through: d quantise / dx = 1."""
     return x + lax.stop_gradient(jnp.round(x / step) * step - x)
 
 
-def product(matrix, vector):
+def product(matrix, vector) -> jax.Array:
     """matrix @ vector; of up to 8 columns as their sum, which a loop over samples vectorises over a batch, up to twice as fast."""
     columns = matrix.shape[-1]
     if not 0 < columns <= 8:

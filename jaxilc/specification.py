@@ -33,7 +33,8 @@ class Table:
 
     def __init__(self, values: Any, where: str):
         if not isinstance(values, Mapping):
-            raise ValueError(f"{where} = {values!r} is not a table of keys and values")
+            what = f"{where} {values!r}" if where.endswith(":") else f"{where} = {values!r}"
+            raise ValueError(f"{what} is not a table of keys and values")
         self.values, self.where, self.read = dict(values), where, set()
 
     def __contains__(self, key: str) -> bool:
@@ -132,7 +133,7 @@ def built(values: Any, where: str, *, cls: type | None = None, plant: Plant | No
     if cls is None:
         cls = classes()[table.take("class", one_of(sorted(classes())))]
     hints, fields = typing.get_type_hints(cls), {}
-    for field in dataclasses.fields(cls):
+    for field in dataclasses.fields(typing.cast(Any, cls)):
         if field.name in _HIDDEN:
             continue
         kind = functools.partial(_field, field, hints[field.name], plant, dt)
@@ -183,7 +184,7 @@ def _nominal(where: str, plant: Plant | None, dt: float | None) -> plants.StateS
     """The file's own plant as a discrete linear model."""
     if plant is None or dt is None:
         raise ValueError(f"{where} = 'plant' has no plant to stand for")
-    linear = _named(where, lambda: plant.linear(dt) if hasattr(plant, "linear") else plant.sampled(dt))
+    linear = _named(where, lambda: getattr(plant, "linear", plant.sampled)(dt))
     if not isinstance(linear, plants.StateSpace):
         name = type(plant).__name__
         raise ValueError(f"{where} = 'plant' is a {name}, which is no linear model; allowed is a table with class = StateSpace")

@@ -45,7 +45,7 @@ def summarise(dataset: xr.Dataset, tolerance: float, *, figure: str = "settled_e
         raise ValueError(f"summarise: tolerance = {tolerance:g} is outside its allowed range (0, inf)")
     if figure not in dataset or not {"scheme", "sample", "trial"} <= set(dataset[figure].dims):
         names = [n for n, v in dataset.data_vars.items() if {"scheme", "sample", "trial"} <= set(v.dims)]
-        raise ValueError(f"summarise: figure = {figure!r} is not one of {', '.join(sorted(names))}")
+        raise ValueError(f"summarise: figure = {figure!r} is not one of {', '.join(sorted(map(str, names)))}")
     errors = dataset[figure]
     errors = errors.max([d for d in errors.dims if d not in ("scheme", "sample", "trial")], skipna=False)
     errors = errors.where(dataset["finite"]).transpose("scheme", "sample", "trial").fillna(np.inf)

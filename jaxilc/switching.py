@@ -62,7 +62,7 @@ class SwitchableFilter(Filter):
                 raise ValueError(f"SwitchableFilter: times[{i}] = {time:g} s is outside its allowed range (0, {end:g}), the trial")
         self._need_segments(np.concatenate([[0.0], self.times, [end]]), f" of a trial of {end:g} s")
 
-    def weights(self, samples: int, dt: float):
+    def weights(self, samples: int, dt: float) -> jax.Array:
         """(S, N) the share of each segment's filter at each sample; they sum to 1."""
         t, times = jnp.arange(samples) * dt, jnp.asarray(self.times)[:, None]
         # k dt is rounded: a sample that lies on a switching time shall not fall before it

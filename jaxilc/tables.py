@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from rich.table import Table
 
 from .theory import VERDICTS
+from .theory.condition import is_linear
+from .titled_table import Table
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -143,6 +144,7 @@ def certificate_figures(found: Certificate, shares: tuple[list[PremiseShare], di
         "verdicts": {v: int(np.sum(found.verdict == v)) for v in VERDICTS},
         "confusion": found.confusion(),
         "linear": found.linear,
+        "linear_errors": bool(np.all(is_linear(found.departure))),
         "sigma": {"min": float(np.min(found.sigma)), "median": float(np.median(found.sigma)), "max": float(np.max(found.sigma))},
         "growth": {"median": float(np.median(found.growth)), "max": float(np.max(found.growth))},
         "turning": {"predicted": float(np.median(found.turning)), "observed": float(np.median(found.observed_turning))},
@@ -158,7 +160,8 @@ def certificate_figures(found: Certificate, shares: tuple[list[PremiseShare], di
 def certificate_tables(name: str, trials: int, figures: dict[str, Any]) -> list[Table]:
     """Predicted against observed verdicts, and the premises."""
     sigma, growth, turning = figures["sigma"], figures["growth"], figures["turning"]
-    what = "linear law" if figures["linear"] else "estimates frozen at their start: a prediction, not a guarantee"
+    why = "estimates frozen at their start" if figures["linear_errors"] else "errors to come not linear in an error"
+    what = "linear law" if figures["linear"] else f"{why}: a prediction, not a guarantee"
     confusion = Table(
         title=f"{name}, {trials} trials ({what})\nlargest singular value {sigma['min']:.4f} – {sigma['max']:.4f}, predicted growth up to "
         f"{number(growth['max'])}, best trial (median) predicted {turning['predicted']:g}, observed {turning['observed']:g}"

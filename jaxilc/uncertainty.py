@@ -11,6 +11,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Mapping
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -34,7 +35,7 @@ class Uniform:
         if not self.low < self.high:
             raise ValueError(f"Uniform: low = {self.low:g} must lie below high = {self.high:g}")
 
-    def quantile(self, p):
+    def quantile(self, p) -> np.ndarray:
         """The value below which a share p of the draws lies."""
         return self.low + p * (self.high - self.low)
 
@@ -58,7 +59,7 @@ class Normal:
         if not self.std > 0:
             raise ValueError(f"Normal: std = {self.std:g} is outside its allowed range (0, inf)")
 
-    def quantile(self, p):
+    def quantile(self, p) -> np.ndarray:
         return self.mean + self.std * special.ndtri(np.clip(p, 1e-12, 1.0 - 1e-12))
 
     def corners(self) -> tuple[float, float]:
@@ -81,7 +82,7 @@ class LogUniform:
         if not 0 < self.low < self.high:
             raise ValueError(f"LogUniform: low = {self.low:g} and high = {self.high:g} must satisfy 0 < low < high")
 
-    def quantile(self, p):
+    def quantile(self, p) -> np.ndarray:
         return self.low * (self.high / self.low) ** p
 
     def corners(self) -> tuple[float, float]:
@@ -143,7 +144,7 @@ def draw(machine, uncertainty: Uncertainty, samples: int, *, seed: int = 0, samp
     return drawn
 
 
-def drawn_machine(machine, uncertainty: Uncertainty, values: Mapping[str, float]):
+def drawn_machine(machine, uncertainty: Uncertainty, values: Mapping[str, float]) -> Any:
     """The machine with one sample's numbers put in; also inside `jit` and `vmap`."""
     scale = {name: jnp.asarray(get_at(machine, name)) if d.relative else 1.0 for name, d in uncertainty.items()}
     return replaced(machine, {name: scale[name] * jnp.asarray(values[name]) for name in uncertainty})

@@ -370,7 +370,7 @@ def test_mistakes_in_the_call_name_what_is_allowed(copied):
         ((*start, "--scenario", "cao-2019"), "--scenario and --plant-file exclude each other"),
         (("next", "--state", folder / "new", "--out", out), "the first call needs --scenario or --plant-file"),
         (("next", "--state", rig.folder, "--plant-file", rig.file, "--out", out), "exists already; choose another folder"),
-        (("next", "--state", folder / "new", "--scenario", "cao-2019", "--out", out), "None is not one of those that learn: cfdl-mfailc"),
+        (("next", "--state", folder / "new", "--scenario", "cao-2019", "--out", out), "--scheme is missing; those that learn are cfdl"),
         ((*start, "--measured", trial), "holds no campaign; start one without --measured"),
         (("trials", "--state", folder / "new"), "holds no campaign"),
     ):

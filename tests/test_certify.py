@@ -1,10 +1,12 @@
 """Certificates against simulation: what is certified never grows, what is predicted to turn turns there."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import jaxilc
-from jaxilc import Machine, Task, Uniform
+from jaxilc import Actuator, Machine, Task, Uniform, tables
 from jaxilc.filters import ZeroPhaseButterworth
 from jaxilc.plants import DifferenceEquation, StateSpace
 from jaxilc.schemes import CFDLMFAILC, PID, Filtered, PIDType, WithFeedback
@@ -23,6 +25,10 @@ B = {"plant.b": Uniform(0.5, 1.5, relative=True)}
 
 def certified(machine, scheme, trials, uncertainty, samples=6):
     return certify(machine, scheme, TASK, trials, uncertainty, draw(machine, uncertainty, samples))
+
+
+def titled(found):
+    return tables.certificate_tables("scheme", 10, tables.certificate_figures(found, None, 1.0))[0].title
 
 
 def dense_error_map(machine, gain):
@@ -80,6 +86,19 @@ def test_an_adaptive_scheme_is_never_certified_monotone():
     found = certified(FIRST_ORDER, CFDLMFAILC(lam=1.0, phi0=0.3, reset="sign"), 10, B)
     assert np.all(found.sigma < 1)
     assert "monotone" not in set(found.verdict)
+    assert "estimates frozen at their start" in titled(found)
+
+
+def test_what_is_not_linear_is_predicted_and_never_certified():
+    """One law, where the limit of the input is never met and where it is."""
+    scheme = PIDType(gamma_p=0.8)
+    out_of_reach = replace(FIRST_ORDER, actuator=Actuator(limit=1e3))
+    assert set(certified(out_of_reach, scheme, 10, B).verdict) == {"monotone"}
+    found = certified(replace(FIRST_ORDER, actuator=Actuator(limit=0.3)), scheme, 10, B)
+    assert not found.linear
+    assert np.all(found.departure > 1e-3)
+    assert "monotone" not in set(found.verdict)
+    assert "not linear in an error" in titled(found)
 
 
 def test_frozen_stops_every_estimator_and_leaves_the_rest():

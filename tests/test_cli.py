@@ -1,7 +1,12 @@
 """The command line: what it prints and writes, what it refuses, and a sweep killed with SIGKILL."""
 
+import contextlib
+import inspect
+import io
 import json
 import os
+import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -10,10 +15,37 @@ import time
 import numpy as np
 import pytest
 import xarray as xr
+from rich.console import Console
+from typer.main import get_command
 from typer.testing import CliRunner
 
 import jaxilc
+from jaxilc import cli_common, cli_completion
 from jaxilc.cli import app, main
+
+PLANT = """
+[plant]
+kind = "transfer_function"
+num = [3.0]
+den = [1.0, 30.0]
+[task]
+dt = 0.001
+reference = { function = "sinusoid", amplitude = 1.0, frequency = 10.0, duration = 0.1 }
+"""
+LEARNER = """
+[schemes.ilc]
+class = "PIDType"
+gamma_p = 0.5
+"""
+UNCERTAIN = """
+[uncertainty."plant.B"]
+distribution = "uniform"
+low = 0.8
+high = 1.2
+relative = true
+"""
+PLAIN = {name: value for name, value in os.environ.items() if name not in ("FORCE_COLOR", "PY_COLORS", "GITHUB_ACTIONS", "NO_COLOR")}
+COLOUR = re.compile("\x1b\\[[0-9;]*3[0-7]")
 
 
 @pytest.fixture
@@ -112,9 +144,28 @@ def test_sweep_prints_the_yield_and_resumes(jaxilc_command, tmp_path):
         (("sweep", "cao-2019", "--sampling", "grid"), "sampling = 'grid' is not one of monte-carlo"),
         (("sweep", "cao-2019", "--tolerance", "-1"), "--tolerance -1 is outside its allowed range (0, inf)"),
         (("sweep", "cao-2019", "--keep", "z"), "keep = 'z' is not one of y, e, u"),
+        (("run", "dai-2014", "--set", "machine.plant=3"), "'machine.plant' cannot be set; known: machine.plant.gain"),
+        (("run", "dai-2014", "--params", "none.json"), "none.json: no such file or directory"),
+        (("run", "dai-2014", "--json", "."), ". cannot be written; allowed is a file in a folder that can"),
+        (("run", "dai-2014", "--report", "file/x.html"), "file/x.html cannot be written"),
+        (("run", "dai-2014", "--out", "file"), "file cannot be a folder for results"),
+        (("run", "dai-2014", "--seed", "-1"), "--seed -1 is outside its allowed range [0, inf)"),
+        (("run", "bare.toml"), "bare.toml has no scheme; needed is a table [schemes.NAME] at least"),
+        (("list", "file.toml"), "file.toml is no text in UTF-8: invalid start byte 0xff at byte 0"),
+        (("identify", "file"), "file is no text in UTF-8: invalid start byte 0xff at byte 0"),
+        (
+            ("certify", "cao-2019", "--scheme", "cfdl-mfailc", "--trials", "2"),
+            "--trials 2 is outside its allowed range [3, inf) of cfdl-mfailc",
+        ),
+        (("next", "--state", "s", "--out", "n.csv", "--scenario", "cao"), "scenario = 'cao' is not one of cao-2019"),
+        (("next", "--state", "s", "--out", "n.csv", "--scenario", "milc-2024"), "--scheme is missing; those that learn are dilc, milc"),
+        (("--quiet", "--verbose", "list"), "--quiet and --verbose exclude each other"),
     ],
 )
 def test_a_mistake_is_one_line_that_names_what_is_allowed(jaxilc_command, tmp_path, arguments, message):
+    for name in ("file", "file.toml"):
+        (tmp_path / name).write_bytes(b"\xff\xfe")
+    (tmp_path / "bare.toml").write_text(PLANT)
     code, _, err = jaxilc_command(*arguments)
     assert code == 2
     assert message in err
@@ -208,3 +259,155 @@ def test_a_run_leaves_a_report(tmp_path):
     text = page.read_text(encoding="utf-8")
     assert text.count("data:image/") == len(list((tmp_path / "run").glob("*.png")))
     assert "settled error [mm]" in text
+
+
+def examples():
+    """Every command with the examples of its help."""
+    for command in get_command(app).commands.values():
+        found = re.findall(r"Example: jaxilc (.+?)(?:\n\n|\Z)", inspect.cleandoc(command.callback.__doc__), flags=re.DOTALL)
+        assert found, f"{command.name} has no example"
+        yield from (pytest.param(command, shlex.split(example), id=command.name) for example in found)
+
+
+@pytest.mark.parametrize(("command", "words"), [*examples()])
+def test_the_example_of_a_command_is_one_of_it(command, words):
+    """Its options are there and their values are of the right kind; what is missing or too much raises."""
+    assert words[0] == command.name
+    with command.make_context(command.name, words[1:]) as context:
+        assert not context.args
+        if "scenario" in context.params and isinstance(context.params["scenario"], str):
+            schemes = jaxilc.scenarios.load(context.params["scenario"]).schemes
+            assert set(np.atleast_1d(context.params.get("scheme") or [])) <= set(schemes)
+
+
+@pytest.mark.slow
+def test_examples_that_are_quick_run(jaxilc_command, tmp_path):
+    lag = jaxilc.plants.ProcessModel(gain=2.0, zeros=(-300.0,), poles=(60.0,), frequencies=(30.0,), dampings=(0.4,))
+    machine = jaxilc.Machine(lag, sensor=jaxilc.Sensor(noise=1e-4))
+    jaxilc.write_record("record.csv", jaxilc.excite(machine, jaxilc.references.m_sequence(8, hold=8), 1e-3))
+    ran = []
+    for command, words in (p.values for p in examples()):
+        if command.name in ("list", "identify", "run"):
+            assert jaxilc_command(*words)[0] == 0
+            ran.append(command.name)
+    assert ran == ["list", "run", "identify"]
+
+
+def started(*words, **environment):
+    """The console script as another process: its result, without a terminal."""
+    program = "import sys; from jaxilc.cli import main; sys.argv[0] = 'jaxilc'; main()"
+    return subprocess.run([sys.executable, "-c", program, *words], capture_output=True, text=True, env=PLAIN | environment)
+
+
+@pytest.mark.parametrize("words", [("--help",), ("sweep", "--help"), ("--version",), ("list",)])
+def test_what_needs_no_jax_does_not_wait_for_it(words):
+    program = (
+        "import sys, atexit; atexit.register(lambda: print('jax' in sys.modules, 'numpy' in sys.modules, file=sys.stderr));"
+        "from jaxilc.cli import main; main()"
+    )
+    done = subprocess.run([sys.executable, "-c", program, *words], capture_output=True, text=True, env=PLAIN)
+    assert (done.returncode, done.stderr.split()) == (0, ["False", "False"])
+    assert "130  stopped by Ctrl-C" in done.stdout or words != ("--help",)
+
+
+def test_a_shell_completes_scenarios_schemes_and_choices(tmp_path):
+    loaded = {name: jaxilc.scenarios.load(name) for name in jaxilc.scenarios.SCENARIOS}
+    assert {name: (s.title, tuple(s.schemes), s.trials, s.task.N) for name, s in loaded.items()} == cli_completion.LISTED
+    (tmp_path / "mine.toml").write_text(PLANT + LEARNER)
+    for line, expected in (
+        ("jaxilc run cao-", ["cao-2019", "cao-2019-rig"]),
+        ("jaxilc tune cao-2019 --scheme c", ["cfdl-mfailc"]),
+        (f"jaxilc certify {tmp_path / 'mine.toml'} --scheme i", ["ilc"]),
+        ("jaxilc next --scenario milc-2024 --scheme m", ["milc"]),
+        ("jaxilc sweep cao-2019 --sampling so", ["sobol"]),
+        ("jaxilc run elsewhere/", []),  # the shell completes files
+    ):
+        environment = {"_JAXILC_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(len(line.split()) - 1)}
+        assert started(**environment).stdout.split() == expected
+    for shell in ("bash", "zsh", "fish"):
+        assert "jaxilc" in started(_JAXILC_COMPLETE=f"source_{shell}").stdout
+
+
+@pytest.mark.parametrize(("environment", "coloured"), [({}, True), ({"NO_COLOR": "1"}, False)])
+def test_colours_are_for_a_terminal_that_wants_them(environment, coloured):
+    pty = pytest.importorskip("pty")
+    ours, theirs = pty.openpty()
+    program = "import sys; from jaxilc.cli import main; sys.argv = ['jaxilc', '--help']; main()"
+    subprocess.run([sys.executable, "-c", program], stdout=theirs, env=PLAIN | environment | {"TERM": "xterm-256color"}, check=True)
+    os.close(theirs)
+    text = b""
+    with contextlib.suppress(OSError):  # the end of a terminal
+        while part := os.read(ours, 65536):
+            text += part
+    os.close(ours)
+    assert b"Exit codes" in text
+    assert bool(COLOUR.search(text.decode())) == coloured
+
+
+def test_nothing_but_text_where_there_is_no_terminal():
+    done = started("tune", "--help", TERM="xterm-256color")
+    assert "--weights" in done.stdout
+    assert "\x1b" not in done.stdout + done.stderr
+    wrong = started("run", "cao", TERM="xterm-256color")
+    assert wrong.returncode == 2
+    assert wrong.stderr.count("\n") == 1
+    assert "\x1b" not in wrong.stderr
+
+
+def test_progress_is_shown_on_a_terminal_alone(monkeypatch):
+    shown = {}
+    for terminal, quiet in ((True, False), (True, True), (False, False)):
+        text = io.StringIO()
+        monkeypatch.setattr(cli_common, "err", Console(file=text, force_terminal=terminal))
+        monkeypatch.setattr(cli_common.out, "quiet", quiet)
+        with cli_common.progress_bar("what") as bar:
+            bar.update(bar.add_task("trials", total=2, what="half"), completed=1)
+        shown[terminal, quiet] = text.getvalue()
+    assert "half" in shown[True, False]
+    assert (shown[True, True], shown[False, False]) == ("", "")
+
+
+def test_quiet_and_verbose(jaxilc_command, tmp_path):
+    (tmp_path / "mine.toml").write_text(PLANT + LEARNER)
+    run = ("run", "mine.toml", "--trials", 2, "--json", "run.json")
+    assert jaxilc_command("--quiet", *run) == (0, "", "")
+    assert json.loads((tmp_path / "run.json").read_text())["trials"] == 2
+    code, out, err = jaxilc_command("--verbose", *run)
+    assert code == 0
+    assert "written: " in out
+    assert "devices: " in err
+    assert re.search(r"\d s, of them .* for \d+ programs", err)
+    assert "Traceback" in jaxilc_command("--verbose", "run", "cao")[2]
+    assert "Traceback" not in jaxilc_command("run", "cao")[2]
+
+
+def test_a_refused_trial_has_its_own_exit_code(jaxilc_command, tmp_path):
+    (tmp_path / "mine.toml").write_text(PLANT + LEARNER)
+    assert jaxilc_command("next", "--state", "s", "--plant-file", "mine.toml", "--out", "1.csv")[0] == 0
+    times, r = np.arange(101) * 1e-3, np.sin(2 * np.pi * 10.0 * np.arange(101) * 1e-3)
+    reference = jaxilc.load_scenario("mine.toml").task.reference[:, 0]
+    rows = np.stack([times, np.asarray(reference), 0 * r, 0 * r], axis=1)
+    np.savetxt(tmp_path / "trial.csv", rows, delimiter=",", header="t [s],r,y,u", comments="")
+    code, _, err = jaxilc_command("next", "--state", "s", "--measured", "trial.csv", "--out", "2.csv", "--limit", 1e-3)
+    assert (code, "error: " in err) == (3, True)
+    assert not (tmp_path / "2.csv").exists()
+    assert jaxilc_command("next", "--state", "s", "--measured", "trial.csv", "--out", "2.csv")[0] == 0
+
+
+@pytest.mark.slow
+def test_certify_tune_and_worst_case_leave_reports(jaxilc_command, tmp_path):
+    (tmp_path / "mine.toml").write_text(PLANT + LEARNER + UNCERTAIN)
+    common = ("mine.toml", "--scheme", "ilc", "--report", "page.html")
+    small = ("--weights", "gamma_p", "--steps", 1, "--samples", 2, "--held-out", 2, "--unseen", 3, "--trials", 2)
+    for command, options, expected in (
+        ("certify", ("--samples", 3, "--trials", 3), ("theory says, of machines", "<td>3</td>")),
+        ("tune", small, ("held-out loss", "<td>gamma_p</td>")),
+        ("worst-case", ("--trial", 2, "--starts", 2, "--steps", 2), ("until level with chance", "machine.plant.B")),
+    ):
+        code, out, err = jaxilc_command(command, *common, *options)
+        assert code == 0, err
+        assert "page.html" in out
+        text = (tmp_path / "page.html").read_text(encoding="utf-8")
+        assert f"jaxilc {command} mine.toml" in text
+        assert "data:image/png" in text
+        assert all(part in text for part in expected)

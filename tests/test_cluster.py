@@ -8,6 +8,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from functools import partial
 from pathlib import Path
@@ -87,23 +88,25 @@ def written(monkeypatch):
     return found
 
 
-def test_a_killed_workers_chunks_are_computed_again(tmp_path, client, alone, written):
-    killed = {}
+def test_a_killed_workers_chunks_are_computed_again(tmp_path, client, alone, written, monkeypatch):
+    """A worker is stopped before more chunks are given out, and killed as soon as one of them is its own."""
+    address, pid = next(iter(client.run(os.getpid).items()))
+    killers, submit = [], cluster.Workers._submit
 
-    def kill_one_that_computes(name, done, fresh):
-        if killed:
-            return
-        for address, pid in client.run(os.getpid).items():
+    def kill():
+        until(lambda: client.processing().get(address))
+        os.kill(pid, signal.SIGKILL)
+
+    def stop_first(self, key, *rest):
+        if key[0] == "jaxilc-chunk" and len(written) >= 2 and not killers:
             os.kill(pid, signal.SIGSTOP)
-            time.sleep(0.3)  # what it had sent arrives
-            if client.processing().get(address):
-                os.kill(pid, signal.SIGKILL)
-                killed[address] = pid
-                return
-            os.kill(pid, signal.SIGCONT)
+            killers.append(threading.Thread(target=kill))
+            killers[0].start()
+        return submit(self, key, *rest)
 
-    dataset = PLAN.run(tmp_path / "store.zarr", cluster=client, progress=kill_one_that_computes)
-    assert killed
+    monkeypatch.setattr(cluster.Workers, "_submit", stop_first)
+    dataset = PLAN.run(tmp_path / "store.zarr", cluster=client)
+    killers[0].join()
     xr.testing.assert_identical(dataset, alone)
     assert sorted(written) == CHUNKS
     xr.testing.assert_identical(PLAN.run(tmp_path / "store.zarr", resume=True), alone)  # a store like any other

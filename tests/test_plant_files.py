@@ -283,6 +283,12 @@ def test_a_file_that_is_no_toml_or_json_is_named(tmp_path):
             read_scenario(tmp_path / name)
 
 
+def test_a_file_that_is_no_table_is_named(tmp_path):
+    (tmp_path / "list.json").write_text("[1]")
+    with pytest.raises(ValueError, match=r"list\.json: \[1\] is not a table of keys and values"):
+        read_scenario(tmp_path / "list.json")
+
+
 def test_every_command_accepts_a_file_in_a_scenario_s_place(tmp_path, monkeypatch):
     """One run for each: the figures are those of the library, and what a file lacks is said."""
     monkeypatch.chdir(tmp_path)

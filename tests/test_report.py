@@ -1,21 +1,26 @@
-"""The HTML report: parsed by parsers of the standard library, its numbers and pictures against what went in."""
+"""The HTML report: parsed by parsers of the standard library and shown by a browser; its numbers and pictures against what went in."""
 
 import base64
 import dataclasses
+import http.server
 import io
 import json
+import shutil
 import struct
+import subprocess
 import sys
+import threading
 import xml.etree.ElementTree as ET
 from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from matplotlib import image
 from matplotlib.figure import Figure
 from rich.table import Table
 
 from jaxilc import learn, runs, scenarios, tables
-from jaxilc.report import command_report, html_report, write_report
+from jaxilc.report import POLICY, command_report, html_report, write_report
 
 NASTY = "<script>alert('1')</script> & \"quotes\" \x1b[31mred\x1b[0m ]]> <!-- µm"
 VOID = {"meta", "img"}
@@ -187,3 +192,60 @@ def test_writing_is_all_or_nothing(tmp_path):
     assert path.read_text(encoding="utf-8") == before
     assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
     assert ET.parse(io.StringIO(before)).findtext("body/h1") == "first"
+
+
+# In a real browser -----------------------------------------------------------------------------------------------------------
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+BLUE = (12, 34, 210)  # of no style and no other figure
+
+
+def photographed(page, folder):
+    """(rows, columns, 3) what a browser shows of a page, in 0..255."""
+    silent = ("--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync", "--disable-quic")
+    shot = folder / "shot.png"
+    command = [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", *silent, f"--user-data-dir={folder / 'profile'}"]
+    subprocess.run([*command, "--window-size=900,1400", f"--screenshot={shot}", page.as_uri()], check=True, capture_output=True, timeout=60)
+    return np.round(255 * image.imread(shot)[:, :, :3]).astype(int)
+
+
+@pytest.fixture
+def server():
+    """The address of a server on this machine, and the paths it was asked for."""
+    asked = []
+
+    class Handler(http.server.BaseHTTPRequestHandler):
+        def do_GET(self):
+            asked.append(self.path)
+            self.send_error(404)
+
+        def log_message(self, *_):
+            pass
+
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler) as running:
+        thread = threading.Thread(target=running.serve_forever)
+        thread.start()
+        yield f"http://127.0.0.1:{running.server_port}", asked
+        running.shutdown()
+        thread.join()
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no chromium here")
+def test_a_browser_shows_every_figure_and_asks_nobody(tmp_path, server):
+    """Even where a reference to the outside had come into the page, its policy holds it back."""
+    address, asked = server
+    axes = [Figure(figsize=(2.0, 1.0), dpi=100, facecolor=tuple(c / 255 for c in BLUE)).subplots() for _ in range(2)]
+    for kind, ax in zip(("a.png", "b.svg"), axes, strict=True):
+        ax.figure.savefig(tmp_path / kind)
+    text = html_report("t", {"a": 1}, figures=[tmp_path / "a.png", tmp_path / "b.svg"])
+    foreign = (
+        f'<img src="{address}/picture"/><script src="{address}/script"></script><link rel="stylesheet" href="{address}/style"/></body>'
+    )
+    (tmp_path / "page.html").write_text(text.replace("</body>", foreign), encoding="utf-8")
+    blue = np.all(photographed(tmp_path / "page.html", tmp_path) == BLUE, axis=2)
+    rows = np.flatnonzero(blue.any(axis=1))
+    assert len(np.flatnonzero(np.diff(rows) > 20)) == 1, "two figures, one below the other"
+    assert asked == []
+    (tmp_path / "bare.html").write_text(text.replace("</body>", foreign).replace(POLICY, "default-src *"), encoding="utf-8")
+    photographed(tmp_path / "bare.html", tmp_path)
+    assert {"/picture", "/script", "/style"} <= set(asked), "or this test says nothing"

@@ -92,6 +92,29 @@ def test_a_store_of_another_configuration_is_refused(tmp_path):
         PLAN.run(tmp_path / "empty", resume=True)
 
 
+def largest_above(level, body="jnp.maximum(jnp.max(trial.e), level)", lines=0, file="one.py"):
+    """A figure of a trial, from a source of its own."""
+    source = "\n" * lines + f"import jax.numpy as jnp\ndef factory(level):\n    return lambda trial: {body}\n"
+    names = {"__name__": "figures"}
+    exec(compile(source, file, "exec"), names)
+    return names["factory"](level)
+
+
+def test_a_store_knows_its_quantities_by_what_they_do(tmp_path):
+    def plan(*args, **options):
+        return dataclasses.replace(PLAN, samples=2, keep=(), quantities={"own": largest_above(*args, **options)})
+
+    store = tmp_path / "store.zarr"
+    dataset = plan(0.1).run(store)
+    computed = []
+    moved = plan(0.1, lines=9, file="other.py").run(store, resume=True, progress=lambda name, done, fresh: computed.append(fresh))
+    assert computed == [0, 0]
+    xr.testing.assert_identical(moved, dataset)
+    for other in (plan(0.2), plan(0.1, body="jnp.maximum(jnp.min(trial.e), level)")):
+        with pytest.raises(ValueError, match=r"another configuration; it differs in: quantities.own"):
+            other.run(store, resume=True)
+
+
 def test_several_channels_stay_apart():
     two = StateSpace(np.diag([0.9, 0.8]), np.eye(2), np.eye(2), dt=1e-3)
     task = Task(reference=np.ones((31, 2)), dt=1e-3)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -29,7 +29,7 @@ class LeadError:
     period: jax.Array = leaf(interval="(0, inf)")
     phase: jax.Array = leaf(0.0)
 
-    def at(self, position):
+    def at(self, position) -> tuple[jax.Array, jax.Array]:
         """position: () [m] -> () l [m] and () dl/dx"""
         k = 2 * jnp.pi / self.period
         angle = k * position + self.phase
@@ -55,7 +55,7 @@ class FrictionTable:
         if known(self) and np.any(np.diff(self.velocity) <= 0):
             raise ValueError(f"FrictionTable: velocity = {np.asarray(self.velocity)} must increase")
 
-    def at(self, velocity):
+    def at(self, velocity) -> jax.Array:
         """velocity: () [m/s] -> () [N]"""
         return jnp.interp(velocity, self.velocity, self.force)
 
@@ -136,12 +136,12 @@ class BallScrewDrive(Plant):
                 )
 
     @property
-    def antiresonance(self):
+    def antiresonance(self) -> jax.Array:
         """() sqrt(k_s / m_T) / 2 pi [Hz]: undamped, where the table takes all of the motor's force."""
         return jnp.sqrt(self.stiffness / self.table_mass) / (2 * jnp.pi)
 
     @property
-    def resonance(self):
+    def resonance(self) -> jax.Array:
         """() sqrt(k_s (m_T + m_M) / (m_M m_T)) / 2 pi [Hz]: undamped, of the free drive."""
         m_M, m_T = self.motor_mass, self.table_mass
         return jnp.sqrt(self.stiffness * (m_T + m_M) / (m_M * m_T)) / (2 * jnp.pi)
@@ -199,12 +199,13 @@ class BallScrewDrive(Plant):
 
     def step(self, x: DriveState, u, dt: float) -> DriveState:
         force, integral, measured = self._speed_loop(x, u[0], dt)
+        linear = cast(Propagator, self.linear_part)
         if self.motor_friction is None and self.table_friction is None and self.lead_error is None:
-            E, F = self.linear_part.whole
+            E, F = linear.whole
             return DriveState(product(E, x.mechanics) + F[:, 0] * force, integral, measured)
-        return DriveState(exponential_runge_kutta(self.linear_part, self._nonlinear, x.mechanics, force[None], dt), integral, measured)
+        return DriveState(exponential_runge_kutta(linear, self._nonlinear, x.mechanics, force[None], dt), integral, measured)
 
-    def output(self, x: DriveState):
+    def output(self, x: DriveState) -> jax.Array:
         return 1e3 * jnp.stack([x.mechanics[0], x.mechanics[2]])
 
     def _speed_loop(self, x: DriveState, u, dt):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 
 from ..pytree import part, pytree
@@ -64,5 +65,5 @@ class TwoAxes(Plant):
         n = self.x.n_u
         return AxesState(self.x.step(x.x, u[:n], dt), self.y.step(x.y, u[n:], dt))
 
-    def output(self, x: AxesState):
+    def output(self, x: AxesState) -> jax.Array:
         return jnp.concatenate([self.x.output(x.x), self.y.output(x.y)])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -91,7 +91,7 @@ class CuttingForce:
     depth: jax.Array = leaf()
     blur: jax.Array = leaf(0.5, "(0, inf)")
 
-    def force(self, position):
+    def force(self, position) -> jax.Array:
         """position: () [um] -> () [N]"""
         d = self.depth + position
         return self.stiffness * (d + jnp.sqrt(d * d + self.blur**2)) / 2
@@ -241,14 +241,14 @@ class ForcedServo(Plant):
     def sampled(self, dt: float) -> ForcedServo:
         return matching(self, self.dt, dt)
 
-    def init(self):
+    def init(self) -> Any:
         return self.linear.init()
 
-    def step(self, x, u, dt):
+    def step(self, x, u, dt) -> Any:
         n, h = self.servo.substeps, self.dt / self.servo.substeps
         return lax.fori_loop(0, n, lambda _, x: exponential_runge_kutta(self.propagator, self._nonlinear, x, u, h), x)
 
-    def output(self, x):
+    def output(self, x) -> jax.Array:
         return self.linear.output(x)
 
     def _nonlinear(self, x):

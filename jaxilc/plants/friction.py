@@ -38,11 +38,11 @@ class StribeckFriction:
             )
 
     @property
-    def damping_at_rest(self):
+    def damping_at_rest(self) -> jax.Array:
         """() dF/dv at v = 0, where F is steepest: what an explicit integrator must be able to follow [N s/m]."""
         return self.static_force / self.transition_velocity + self.viscous
 
-    def force(self, velocity):
+    def force(self, velocity) -> jax.Array:
         """velocity: any shape [m/s] -> the same shape, the force to subtract from the driving one [N]."""
         v, F_c, F_s = velocity, self.coulomb_force, self.static_force
         level = F_c + (F_s - F_c) * jnp.exp(-((v / self.stribeck_velocity) ** 2))

@@ -44,22 +44,22 @@ class BoucWen:
             raise ValueError(f"BoucWen: gamma = {self.gamma} is outside its allowed range (-beta, beta], beta = {self.beta}")
 
     @property
-    def limit(self):
+    def limit(self) -> jax.Array:
         """() z_max, the largest |z|."""
         ratio = self.initial_slope / (self.beta + self.gamma)
         return ratio if self.exponent is None else ratio ** (1 / self.exponent)
 
-    def slope(self, z, direction):
+    def slope(self, z, direction) -> jax.Array:
         """dz/dx at z on the way in `direction`, 1 or -1. Both of any shape."""
         size = jnp.abs(z)
         drag = self.beta * direction * z + self.gamma * size
         return self.initial_slope - (drag if self.exponent is None else drag * _power(size, self.exponent - 1))
 
-    def over(self, z, dx):
+    def over(self, z, dx) -> jax.Array:
         """z after the monotonic way dx from z. Both of any shape."""
         s = _direction(dx)
         w, way = s * z, s * dx  # mirrored, so that the way leads up
-        return s * (self._exactly(w, way) if self.exponent is None else self._numerically(w, way))
+        return s * (self._exactly(w, way) if self.exponent is None else self._numerically(w, way, self.exponent))
 
     def _exactly(self, w, way):
         """n = 1: dw/dx is linear on either side of w = 0, with the rate beta - gamma below and beta + gamma above."""
@@ -72,8 +72,7 @@ class BoucWen:
         w = jnp.where(ends_below, w, w + depth)
         return w + (A - rate * w) * way * _decay_ratio(rate * way)
 
-    def _numerically(self, w, way):
-        n = self.exponent
+    def _numerically(self, w, way, n):
         stiffest = n * (self.beta + jnp.abs(self.gamma)) * self.limit ** (n - 1)
         h = jnp.minimum(way / self.substeps, 1.5 / stiffest)
         return lax.fori_loop(0, self.substeps, lambda _, w: runge_kutta(lambda w: self.slope(w, 1.0), w, h), w)
@@ -93,12 +92,12 @@ class Dahl:
     limit: jax.Array = leaf(interval="(0, inf)")
     exponent: jax.Array | None = leaf(None, "[1, inf)", optional=True)
 
-    def slope(self, z, direction):
+    def slope(self, z, direction) -> jax.Array:
         """dz/dx at z on the way in `direction`, 1 or -1. Both of any shape."""
         left = 1.0 - direction * z / self.limit
         return self.initial_slope * (left if self.exponent is None else left * _power(jnp.abs(left), self.exponent - 1))
 
-    def over(self, z, dx):
+    def over(self, z, dx) -> jax.Array:
         """z after the monotonic way dx from z, |z| <= F_c. Both of any shape."""
         s = _direction(dx)
         left, way = 1.0 - s * z / self.limit, self.initial_slope / self.limit * s * dx
@@ -146,7 +145,7 @@ class InputHysteresis(Plant):
         z = self.hysteresis.over(x.z, u - x.u)
         return HystereticState(self.plant.step(x.plant, u - z, dt), u, z)
 
-    def output(self, x: HystereticState):
+    def output(self, x: HystereticState) -> jax.Array:
         return self.plant.output(x.plant)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 
@@ -14,7 +14,7 @@ from .linear import zoh
 RK4_RADIUS = 2.6
 
 
-def runge_kutta(rates: Callable, x, h):
+def runge_kutta(rates: Callable, x, h) -> Any:
     """One step of length h [s] by the classical Runge-Kutta method of order 4. rates: x -> dx/dt;  x: any pytree"""
 
     def moved(by, k):
@@ -39,7 +39,7 @@ def propagator(A, B, h) -> Propagator:
     return Propagator(zoh(A, B, h), zoh(A, B, h / 2))
 
 
-def exponential_runge_kutta(linear: Propagator, f: Callable, x, u, h):
+def exponential_runge_kutta(linear: Propagator, f: Callable, x, u, h) -> Any:
     """One step of x' = A x + B u + f(x) with u held: Lawson's (1967) Runge-Kutta method of order 4, exact where f is zero.
 
         E = exp(A h), z(s) the solution of the linear part from x at time s

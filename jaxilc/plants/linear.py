@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any, TypeVar
+
 import jax
 import jax.numpy as jnp
 import jax.scipy.linalg
@@ -11,8 +13,10 @@ from ..pytree import leaf, part, pytree, static
 from ..signals import Task, product
 from .plant import Plant
 
+AnyPlant = TypeVar("AnyPlant", bound=Plant)
 
-def zoh(A, B, dt):
+
+def zoh(A, B, dt) -> tuple[jax.Array, jax.Array]:
     """Exact zero-order hold: exp([[A, B], [0, 0]] dt) = [[A_d, B_d], [0, I]].
 
     A: (n, n) [1/s], B: (n, n_u), dt [s] -> A_d (n, n), B_d (n, n_u)
@@ -23,7 +27,7 @@ def zoh(A, B, dt):
     return transition[:n, :n], transition[:n, n:]
 
 
-def matching(plant: Plant, own_dt: float, dt: float) -> Plant:
+def matching(plant: AnyPlant, own_dt: float, dt: float) -> AnyPlant:
     """`plant`, whose own sample time is `own_dt`, if that is the task's; else ValueError."""
     if abs(own_dt - dt) > 1e-9 * dt:
         raise ValueError(f"{type(plant).__name__} is sampled at {own_dt:g} s but the task at {dt:g} s; allowed is dt = {own_dt:g}")
@@ -68,13 +72,13 @@ class StateSpace(Plant):
         A, B = zoh(self.A, self.B, dt)
         return StateSpace(A, B, self.C, self.x0, dt=dt)
 
-    def init(self):
+    def init(self) -> Any:
         return jnp.zeros_like(self.A, shape=self.A.shape[-1:]) if self.x0 is None else jnp.asarray(self.x0)
 
-    def step(self, x, u, dt):
+    def step(self, x, u, dt) -> Any:
         return product(self.A, x) + product(self.B, u)
 
-    def output(self, x):
+    def output(self, x) -> jax.Array:
         return product(self.C, x)
 
 
@@ -119,15 +123,15 @@ class TimeVaryingStateSpace(Plant):
     def sampled(self, dt: float) -> TimeVaryingStateSpace:
         return matching(self, self.dt, dt)
 
-    def init(self):
+    def init(self) -> Any:
         """The sample's number and the state."""
         return jnp.zeros((), int), jnp.zeros_like(self.A, shape=self.A.shape[-1:])
 
-    def step(self, x, u, dt):
+    def step(self, x, u, dt) -> Any:
         k, state = x
         return k + 1, product(self.A[k], state) + product(self.B[k], u)
 
-    def output(self, x):
+    def output(self, x) -> jax.Array:
         k, state = x
         return jnp.where(k > 0, product(self.C[jnp.maximum(k - 1, 0)], state), 0.0)
 
@@ -151,14 +155,14 @@ class DifferenceEquation(Plant):
     def sampled(self, dt: float) -> DifferenceEquation:
         return _Taken(tuple(self.a), tuple(self.b), dt=matching(self, self.dt, dt).dt)
 
-    def init(self):
+    def init(self) -> Any:
         return tuple(jnp.zeros_like(a) for a in self.a)
 
-    def step(self, x, u, dt):
+    def step(self, x, u, dt) -> Any:
         # registers one by one: as an array, shifting them would cost a copy a sample
         return tuple(s + a * x[0] + b * u[0] for s, a, b in zip((*x[1:], 0.0), self.a, self.b, strict=True))
 
-    def output(self, x):
+    def output(self, x) -> jax.Array:
         return x[0][None]
 
 

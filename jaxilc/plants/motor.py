@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -40,7 +40,7 @@ class Cogging:
     pitch: jax.Array = leaf(interval="(0, inf)")
     phase: jax.Array = leaf(0.0)
 
-    def force(self, position):
+    def force(self, position) -> jax.Array:
         """position: () [m] -> () [N]"""
         return -self.amplitude * jnp.sin(2 * jnp.pi * position / self.pitch + self.phase)
 
@@ -59,11 +59,11 @@ class EndEffect:
     drop: jax.Array = leaf(interval="[0, 1)")
     buffer_stiffness: jax.Array | None = leaf(None, "(0, inf)", optional=True)
 
-    def factor(self, position):
+    def factor(self, position) -> jax.Array:
         """position: () [m] -> () what is left of the force constant"""
         return 1.0 - self.drop * (jnp.clip(position, -self.stroke, self.stroke) / self.stroke) ** 2
 
-    def force(self, position):
+    def force(self, position) -> jax.Array | float:
         """position: () [m] -> () force of the buffer [N]"""
         beyond = position - jnp.clip(position, -self.stroke, self.stroke)
         return 0.0 if self.buffer_stiffness is None else -self.buffer_stiffness * beyond
@@ -76,7 +76,7 @@ class MotorState(NamedTuple):
     speed: jax.Array
     current: jax.Array
     integral: jax.Array
-    delay: jax.Array | None
+    delay: Any
 
 
 class DriveSignals(NamedTuple):
@@ -167,7 +167,7 @@ class VoiceCoilMotor(Plant):
 
         return sample(self, x, u[0])
 
-    def output(self, x: MotorState):
+    def output(self, x: MotorState) -> jax.Array:
         return 1e3 * x.position[None]
 
     def drive(self, x: MotorState, u) -> DriveSignals:

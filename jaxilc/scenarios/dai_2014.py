@@ -5,6 +5,8 @@ Lengths in units of the reference's amplitude (1 mm), input in V, no learning: o
 
 from __future__ import annotations
 
+from typing import Any
+
 from .. import references
 from ..machine import Machine
 from ..plants import voice_coil
@@ -14,7 +16,7 @@ from .cao_2019 import motor_uncertainty
 from .scenario import Published, Scenario
 
 # by frequency [Hz]: periods simulated; PID gains, prediction horizon P and weight lam as printed; phi0 as chosen
-SETTINGS = {
+SETTINGS: dict[float, dict[str, Any]] = {
     0.5: {"periods": 4, "pid": {"kp": -10.0, "ki": 0.1}, "mfapc": {"P": 10, "lam": 45.0, "phi0": -0.12}},
     2.5: {"periods": 10, "pid": {"kp": -9.0, "ki": -0.2, "kd": 1e-3}, "mfapc": {"P": 250, "lam": 8700.0, "phi0": -0.238}},
 }

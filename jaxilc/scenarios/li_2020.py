@@ -9,6 +9,7 @@ from __future__ import annotations
 from functools import lru_cache, partial
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -166,16 +167,16 @@ def half_sine(N: int, height: float, start: int = 625, width: int = 250) -> np.n
     return np.where((k >= 0) & (k < width), height * np.sin(np.pi * k / width), 0.0)[:, None]
 
 
-def feedback_effort(trial):
+def feedback_effort(trial) -> jax.Array:
     """Root mean square of the proportional share of the input; the damping on the speed counts to the drive (Li 2020, Fig. 38)."""
     return PROPORTIONAL * jnp.max(root_mean_square(trial.e[:-1]))
 
 
-def learned_effort(trial):
+def learned_effort(trial) -> jax.Array:
     """Root mean square of the learned share of the input; the largest axis (Li 2020, Fig. 37)."""
     return jnp.max(root_mean_square(trial.u - trial.signals["feedback"])) if "feedback" in trial.signals else jnp.zeros(())
 
 
-def contour_max(trial, *, path):
+def contour_max(trial, *, path) -> jax.Array:
     """Largest distance of the measured position from the path."""
     return jnp.max(jnp.abs(contour_error(trial.y, path, window=64)))

@@ -6,6 +6,8 @@ import dataclasses
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
+import jax
+
 from ..machine import Machine
 from ..metrics import Metrics
 from ..pytree import allowed_at, get_at, replaced, settable
@@ -40,7 +42,7 @@ class Quantity(NamedTuple):
     of: from a trial to a number;  unit, scale: it is shown as `scale` times the number, in `unit`; None for those of the errors
     """
 
-    of: Callable[[Trial], object]
+    of: Callable[[Trial], jax.Array]
     unit: str | None = None
     scale: float | None = None
 
@@ -74,7 +76,7 @@ class Scenario:
     judged_by: str = "settled_error"
 
     @property
-    def functions(self) -> dict[str, Callable[[Trial], object]]:
+    def functions(self) -> dict[str, Callable[[Trial], jax.Array]]:
         """The quantities as functions of a trial."""
         return {name: quantity.of for name, quantity in self.quantities.items()}
 
@@ -121,7 +123,10 @@ class Scenario:
         for path, value in settings.items():
             head, _, rest = path.partition(".")
             try:
-                changes.setdefault(head, {})[rest] = _typed(get_at(objects[head], rest), value, path)
+                old = get_at(objects[head], rest)
+                if dataclasses.is_dataclass(old):  # a part, such as `machine.plant`
+                    raise KeyError(path)
+                changes.setdefault(head, {})[rest] = _typed(old, value, path)
             except KeyError:
                 raise ValueError(f"{path!r} cannot be set; known: {', '.join(self.settable())}") from None
         objects |= {name: replaced(objects[name], below) for name, below in changes.items()}

@@ -7,7 +7,9 @@ in V, errors shown in nm. The experiments are the paper's; the numbers that it l
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
+import jax
 import jax.numpy as jnp
 
 from .. import references
@@ -20,7 +22,7 @@ from ..uncertainty import Uniform
 from .scenario import Published, Quantity, Scenario
 
 DT = 1e-4
-MODEL = {"a1": 2.413e6, "a2": 70.16, "b": 2.229e7}  # printed; µm per V
+MODEL: dict[str, Any] = {"a1": 2.413e6, "a2": 70.16, "b": 2.229e7}  # printed; µm per V
 
 # Six numbers fitted to the six of the PID, SMC and ASMC rows of Table 1 (experiments/xu_2024_calibration.py): initial slope of the
 # hysteresis, integral gain of PID, eta of SMC, k_n of both, phi and Delta of ASMC. The learning gain is fitted to one more.
@@ -116,11 +118,11 @@ def xu_2024(load: float = 0.0, disturbance: str = "none") -> Scenario:
     )
 
 
-def settled_rms(trial):
+def settled_rms(trial) -> jax.Array:
     """Root mean square error from 0.1 s on."""
     return jnp.sqrt(jnp.mean(trial.e[round(0.1 / DT) :] ** 2))
 
 
-def chattering_of_input(trial):
+def chattering_of_input(trial) -> jax.Array:
     """Total variation of the input per second, see `metrics.chattering`."""
     return chattering(trial)[0]

@@ -57,12 +57,12 @@ class WithFeedback(Scheme):
     def init(self, task: Task) -> PairState:
         return PairState(self.learning.init(task), self.feedback.init(task), jnp.zeros(task.inputs))
 
-    def act(self, state: PairState, sample: Sample):
+    def act(self, state: PairState, sample: Sample) -> tuple[Any, jax.Array]:
         learning, u_learning = self.learning.act(state.learning, sample._replace(row=sample.row.learning))
         feedback, u_feedback = self.feedback.act(state.feedback, sample._replace(row=sample.row.feedback))
         return PairState(learning, feedback, u_feedback), u_learning + u_feedback
 
-    def signals(self, state: PairState):
+    def signals(self, state: PairState) -> dict[str, jax.Array]:
         return (
             {"feedback": state.u} | of_part("learning", self.learning, state.learning) | of_part("feedback", self.feedback, state.feedback)
         )
@@ -74,7 +74,7 @@ class WithFeedback(Scheme):
         own = of_learning._replace(u=trial.u - trial.signals["feedback"])
         return Pair(self.learning.learn(memory.learning, own), self.feedback.learn(memory.feedback, of_feedback))
 
-    def feedforward(self, memory: Pair, task: Task):
+    def feedforward(self, memory: Pair, task: Task) -> jax.Array:
         return self.learning.feedforward(memory.learning, task)
 
 
@@ -106,31 +106,31 @@ class Around(Scheme):
         return self.scheme.plays_back
 
     @property
-    def limit(self):
+    def limit(self) -> Any:
         return getattr(self.scheme, "limit", None)
 
     def check(self, task: Task) -> None:
         self.scheme.check(task)
 
-    def memory(self, task: Task):
+    def memory(self, task: Task) -> Any:
         return self.scheme.memory(task)
 
-    def table(self, memory, task: Task):
+    def table(self, memory, task: Task) -> Any:
         return self.scheme.table(memory, task)
 
-    def feedforward(self, memory, task: Task):
+    def feedforward(self, memory, task: Task) -> jax.Array:
         return self.scheme.feedforward(memory, task)
 
-    def init(self, task: Task):
+    def init(self, task: Task) -> Any:
         return self.scheme.init(task)
 
-    def act(self, state, sample: Sample):
+    def act(self, state, sample: Sample) -> tuple[Any, jax.Array]:
         return self.scheme.act(state, sample)
 
-    def signals(self, state):
+    def signals(self, state) -> dict[str, jax.Array]:
         return self.scheme.signals(state)
 
-    def learn(self, memory, trial: Trial):
+    def learn(self, memory, trial: Trial) -> Any:
         return self.scheme.learn(memory, trial)
 
 
@@ -150,11 +150,11 @@ class Filtered(Around):
         self.filter.check(task.N, task.dt)
         need_feedforward(self, self.scheme, task)
 
-    def table(self, memory, task: Task):
+    def table(self, memory, task: Task) -> Any:
         table = self.scheme.table(memory, task)
         return table._replace(u=limited(self.filter(table.u, task.dt), self.limit))
 
-    def feedforward(self, memory, task: Task):
+    def feedforward(self, memory, task: Task) -> jax.Array:
         return self.table(memory, task).u
 
 
@@ -174,7 +174,7 @@ class ErrorFiltered(Around):
         self.scheme.check(task)
         self.filter.check(task.N + 1, task.dt)
 
-    def learn(self, memory, trial: Trial):
+    def learn(self, memory, trial: Trial) -> Any:
         return self.scheme.learn(memory, trial._replace(y=trial.r - self.filter(trial.e, trial.dt)))
 
 
@@ -199,23 +199,23 @@ class OnOutputs(Around):
     def prepared(self, task: Task) -> OnOutputs:
         return dataclasses.replace(self, scheme=self.scheme.prepared(self._task(task)))
 
-    def memory(self, task: Task):
+    def memory(self, task: Task) -> Any:
         return self.scheme.memory(self._task(task))
 
-    def table(self, memory, task: Task):
+    def table(self, memory, task: Task) -> Any:
         return self.scheme.table(memory, self._task(task))
 
-    def feedforward(self, memory, task: Task):
+    def feedforward(self, memory, task: Task) -> jax.Array:
         return self.scheme.feedforward(memory, self._task(task))
 
-    def init(self, task: Task):
+    def init(self, task: Task) -> Any:
         return self.scheme.init(self._task(task))
 
-    def act(self, state, sample: Sample):
+    def act(self, state, sample: Sample) -> tuple[Any, jax.Array]:
         seen = list(self.outputs)
         return self.scheme.act(state, sample._replace(r=sample.r[..., seen], ahead=sample.ahead[..., seen], y=sample.y[..., seen]))
 
-    def learn(self, memory, trial: Trial):
+    def learn(self, memory, trial: Trial) -> Any:
         seen = list(self.outputs)
         return self.scheme.learn(memory, trial._replace(r=trial.r[..., seen], y=trial.y[..., seen]))
 
@@ -278,13 +278,13 @@ class OnReference(Scheme):
     def init(self, task: Task) -> ReferenceState:
         return ReferenceState(self.feedback.init(task), jnp.zeros(task.outputs))
 
-    def act(self, state: ReferenceState, sample: Sample):
+    def act(self, state: ReferenceState, sample: Sample) -> tuple[Any, jax.Array]:
         row = sample.row
         seen = sample._replace(r=sample.r + row.now, ahead=sample.ahead + row.ahead, row=row.feedback)
         feedback, u = self.feedback.act(state.feedback, seen)
         return ReferenceState(feedback, row.u), u
 
-    def signals(self, state: ReferenceState):
+    def signals(self, state: ReferenceState) -> dict[str, jax.Array]:
         return {"correction": state.correction} | of_part("feedback", self.feedback, state.feedback)
 
     def learn(self, memory: Pair, trial: Trial) -> Pair:

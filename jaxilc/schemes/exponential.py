@@ -47,5 +47,5 @@ class ExponentialPD(Scheme):
 
     def learn(self, memory: Feedforward, trial: Trial) -> Feedforward:
         t = jnp.arange(trial.u.shape[0])[:, None] * trial.dt
-        step = self.K_P * trial.e + self.K_D * jnp.gradient(trial.e, trial.dt, axis=0)
+        step = self.K_P * trial.e + self.K_D * jnp.asarray(jnp.gradient(trial.e, trial.dt, axis=0))
         return Feedforward(limited(trial.u + jnp.exp(self.lam0 * t) * ahead(step, 1 + self.lead) / self.b, self.limit))

@@ -18,10 +18,10 @@ from .scheme import Scheme
 class Guard(Around):
     """Within a trial it is the scheme it is put around; its memory holds that of the scheme as its field `scheme`."""
 
-    def table(self, memory, task: Task):
+    def table(self, memory, task: Task) -> Any:
         return self.scheme.table(memory.scheme, task)
 
-    def feedforward(self, memory, task: Task):
+    def feedforward(self, memory, task: Task) -> jax.Array:
         return self.scheme.feedforward(memory.scheme, task)
 
 
@@ -34,7 +34,7 @@ class StopMemory(NamedTuple):
     frozen: jax.Array
     trials: jax.Array
     best: Any
-    best_rms: jax.Array | None
+    best_rms: Any
 
 
 @pytree
@@ -112,8 +112,8 @@ class LadderMemory(NamedTuple):
     scheme: Any
     count: jax.Array
     sums: Sums
-    gain: jax.Array | None
-    rms: jax.Array | None
+    gain: Any
+    rms: Any
 
 
 @pytree

@@ -78,7 +78,7 @@ class FFDLMFAC(Scheme):
         du = (u - state.u, *state.du)[: self.L_u]
         return State(u, sample.y, jnp.ones_like(state.seen), dy, du, tuple(phi)), u
 
-    def signals(self, state: State):
+    def signals(self, state: State) -> dict[str, jax.Array]:
         return {"phi": state.phi[self.L_y]}
 
 
@@ -176,7 +176,7 @@ class CFDLMFAPC(Scheme):
         u = limited(state.u + self._first_move(self._future(phi, theta), self._wanted(sample)), self.limit)
         return PredictiveState(u, sample.y, u - state.u, phi, theta), u
 
-    def signals(self, state: PredictiveState):
+    def signals(self, state: PredictiveState) -> dict[str, jax.Array]:
         return {"phi": state.phi[0]}
 
     def _theta0(self):

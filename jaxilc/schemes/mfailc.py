@@ -122,14 +122,14 @@ class FFDLMFAILC(Scheme):
         rest = jnp.zeros(task.inputs)
         return Window((rest,) * max(self.L_y - 1, 0), (rest,) * (self.L_u - 1))
 
-    def act(self, window: Window, sample: Sample) -> tuple[Window, jax.Array]:
+    def act(self, state: Window, sample: Sample) -> tuple[Window, jax.Array]:
         row = sample.row
         if self.L_y + self.L_u == 1:
-            return window, limited(row.u, self.limit)
-        dy = (sample.y - row.y, *window.dy)[: self.L_y]
-        u = row.u - sum(weight * increment for weight, increment in zip(row.weights, dy + window.du, strict=True))
+            return state, limited(row.u, self.limit)
+        dy = (sample.y - row.y, *state.dy)[: self.L_y]
+        u = row.u - sum(weight * increment for weight, increment in zip(row.weights, dy + state.du, strict=True))
         u = limited(u, self.limit)
-        du = (u - row.u_last, *window.du)[: self.L_u - 1]
+        du = (u - row.u_last, *state.du)[: self.L_u - 1]
         return Window(dy[: max(self.L_y - 1, 0)], du), u
 
     def _start(self):

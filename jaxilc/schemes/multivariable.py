@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -90,20 +90,20 @@ class MultivariableILC(Scheme):
         now = past(r, 1).at[0].set(task.reference[0, self.table_output])
         return ReferenceTable(u, now, window, self.feedback.table(memory.feedback, self._motor_task(task)))
 
-    def feedforward(self, memory: Pair, task: Task):
+    def feedforward(self, memory: Pair, task: Task) -> jax.Array:
         """(N, 2) the learned input and reference r[k+1] of the next trial."""
         return self.learning.feedforward(memory.learning, self.learning_task(task))
 
     def init(self, task: Task) -> LearnedState:
         return LearnedState(self.feedback.init(self._motor_task(task)), jnp.zeros(1), jnp.zeros(1))
 
-    def act(self, state: LearnedState, sample: Sample):
+    def act(self, state: LearnedState, sample: Sample) -> tuple[Any, jax.Array]:
         row = sample.row
         seen = sample._replace(r=row.now, ahead=row.ahead, y=sample.y[self.motor_output][None], row=row.feedback)
         feedback, u = self.feedback.act(state.feedback, seen)
         return LearnedState(feedback, u, row.ahead[0]), row.u + u
 
-    def signals(self, state: LearnedState):
+    def signals(self, state: LearnedState) -> dict[str, jax.Array]:
         return {"feedback": state.u, "reference": state.reference} | of_part("feedback", self.feedback, state.feedback)
 
     def learn(self, memory: Pair, trial: Trial) -> Pair:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,8 +20,8 @@ class PIDState(NamedTuple):
     e: jax.Array
     slope: jax.Array
     u: jax.Array
-    r: jax.Array | None
-    feedforward: jax.Array | None
+    r: Any
+    feedforward: Any
 
 
 @pytree
@@ -65,7 +65,7 @@ class PID(Scheme):
         remembered = self.form == "increment" and (self.kv is not None or self.ka is not None)
         return PIDState(rest, rest, rest, rest, before, rest if remembered else None)
 
-    def act(self, state: PIDState, sample: Sample):
+    def act(self, state: PIDState, sample: Sample) -> tuple[Any, jax.Array]:
         e = sample.r - sample.y
         slope = (self.tau * state.slope + e - state.e) / (self.tau + sample.dt)
         f, r = self._feedforward(state, sample), None if self.ka is None else sample.r

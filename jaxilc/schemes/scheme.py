@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -28,6 +28,7 @@ class Scheme:
     Pure feedback overrides `init` and `act`; pure feedforward overrides `memory` and `learn`.
     """
 
+    __dataclass_fields__: ClassVar[dict[str, dataclasses.Field]]  # `@pytree` makes a dataclass of each subclass
     preview: int = 1  # samples of the reference ahead of k that `act` wants to see
 
     @property
@@ -90,16 +91,16 @@ def need_square(scheme: Scheme, task: Task) -> None:
         )
 
 
-def limited(u, limit):
+def limited(u, limit) -> jax.Array:
     """u within +-limit (no limit: None)."""
     return u if limit is None else jnp.clip(u, -limit, limit)
 
 
-def ahead(signal, samples: int):
+def ahead(signal, samples: int) -> jax.Array:
     """signal[k + samples] for k = 0..N-1, from a (N+1, n) signal; zero where the trial has ended."""
     return jnp.pad(signal[samples:], ((0, samples - 1), (0, 0))) if samples else signal[:-1]
 
 
-def past(signal, samples: int):
+def past(signal, samples: int) -> jax.Array:
     """signal[k - samples] of a (N, n) signal; zero before the trial."""
     return signal if samples == 0 else jnp.pad(signal, ((samples, 0), (0, 0)))[:-samples]

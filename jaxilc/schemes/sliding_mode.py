@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -75,7 +75,7 @@ class SMC(Scheme):
         rest, r = jnp.zeros(task.outputs), jnp.asarray(task.reference[0])
         return SlidingState(rest, rest, rest, r, r, rest, jnp.broadcast_to(self.eta, rest.shape))
 
-    def act(self, state: SlidingState, sample: Sample):
+    def act(self, state: SlidingState, sample: Sample) -> tuple[Any, jax.Array]:
         e = sample.y - sample.r
         slope = filtered_difference(state.slope, e, state.e, self.tau, sample.dt)
         wanted = self._equivalent(e, slope, state, sample)
@@ -91,10 +91,10 @@ class SMC(Scheme):
             u = limited(self._input(wanted, sigma, grown), self.limit)
         return SlidingState(total, e, slope, sample.r, state.r, sigma, grown), u
 
-    def signals(self, state: SlidingState):
+    def signals(self, state: SlidingState) -> dict[str, jax.Array]:
         return {"sigma": state.sigma, "eta_hat": state.eta_hat}
 
-    def switching(self, sigma):
+    def switching(self, sigma) -> jax.Array:
         """(n,) sgn(sigma), or what takes its place."""
         return jnp.sign(sigma)
 
@@ -164,24 +164,24 @@ class ASMC(SMC):
         super().check(task)
         need_channels(self, task.outputs, "phi", "epsilon", "Delta")
 
-    def memory(self, task: Task):
+    def memory(self, task: Task) -> Any:
         return Carried(jnp.broadcast_to(self.eta, (task.outputs,))) if self.carry else ()
 
-    def table(self, memory, task: Task):
+    def table(self, memory, task: Task) -> Any:
         return CarriedRows(jnp.zeros((task.N, task.outputs)).at[0].set(memory.eta_hat)) if self.carry else ()
 
     def init(self, task: Task) -> SlidingState:
         state = super().init(task)
         return state._replace(eta_hat=jnp.zeros_like(state.eta_hat)) if self.carry else state
 
-    def learn(self, memory, trial: Trial):
+    def learn(self, memory, trial: Trial) -> Any:
         if not self.carry:
             return memory
         if "eta_hat" not in trial.signals:
             raise ValueError("ASMC: the trial has no signal 'eta_hat' (N, n_u), so carry = True has nothing to go on from")
         return Carried(trial.signals["eta_hat"][-1])
 
-    def switching(self, sigma):
+    def switching(self, sigma) -> jax.Array:
         return jnp.clip(sigma / self.Delta, -1.0, 1.0)
 
     def _start(self, state: SlidingState, sample: Sample):

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import jax
 
-def filtered_difference(slope, x, x_last, tau, dt):
+
+def filtered_difference(slope, x, x_last, tau, dt) -> jax.Array:
     """One step of the backward difference behind a first-order low-pass: d/dt -> s / (tau s + 1) at s = (1 - z^-1) / dt.
 
         slope' = (tau slope + x - x_last) / (tau + dt),    H(z) = (1 - z^-1) / (tau + dt - tau z^-1)

@@ -173,7 +173,7 @@ def _estimates(scheme, task: Task, y, u):
 @jax.jit
 def _replayed(scheme, task: Task, y, u):
     def replay(memory, trial):
-        memory = scheme.learn(memory, Trial(jnp.asarray(task.reference), *trial, task.dt))
+        memory = scheme.learn(memory, Trial(jnp.asarray(task.reference), *trial, dt=task.dt))
         return memory, memory.phi
 
     return lax.scan(replay, scheme.memory(task), (y, u))[1]

@@ -8,8 +8,9 @@ Its errors then obey e_{j+1} = M e_j with M = I - G L, and three things follow:
     the recursion from e_1      over the trials asked for: it ends low, `converges with transient growth`; it has a best trial before
                                 the last and has since grown, `semi-converges`, with that trial; or it ends above its start, `diverges`
 
-Only the first is a guarantee, and it is claimed only for a scheme that really is linear; an adaptive one moves its gain, so its
-verdict is a prediction, and the confusion table says how good a one.
+Only the first is a guarantee, and it is claimed only where nothing adapts and the error of two trials to come really is linear in
+that of one: no friction, limit or quantiser is met, no rule stops or switches the learning. Elsewhere the verdict is a prediction, and
+the confusion table says how good a one.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from ..schemes import CFDLMFAILC, FFDLMFAILC, Scheme
 from ..signals import Task, Trial
 from ..uncertainty import Uncertainty, drawn_machine
 from .bounds import cfdl_bounds, ffdl_bounds
+from .condition import departure, is_linear
 from .contraction import error_map, singular_value
 from .lifted import noiseless
 
@@ -41,7 +43,8 @@ FROZEN = 1e-30  # an estimator step that moves nothing
 class Certificate(NamedTuple):
     """What theory says of each of S machines, and what simulation does.
 
-    verdict, observed_verdict: (S,) of `VERDICTS`;  linear: whether the scheme is, so that `monotone` can be claimed
+    verdict, observed_verdict: (S,) of `VERDICTS`;  linear: whether all is, on every machine, so that `monotone` can be claimed
+    departure: (S,) of the errors to come from linear in the error, as a share (`condition.departure`)
     sigma: (S,) largest singular value of M, from below;  doubt: (S,) within which it is resolved
     left_over: (S,) root mean square error that would follow on a trial without any
     predicted, observed: (S, J) root mean square error by trial;  turning, observed_turning: (S,) best trial
@@ -51,6 +54,7 @@ class Certificate(NamedTuple):
     verdict: np.ndarray
     observed_verdict: np.ndarray
     linear: bool
+    departure: np.ndarray
     sigma: np.ndarray
     doubt: np.ndarray
     left_over: np.ndarray
@@ -84,16 +88,18 @@ def certify(
     steps: of the Lanczos process for sigma, at most. Raises as `learn` does.
     """
     check(machine, scheme, task)
-    linear = frozen(scheme) is scheme
+    adapts = frozen(scheme) is not scheme
     run = tiled(partial(_of_one, names=tuple(uncertainty.items()), trials=trials, steps=steps))
     batch = {name: jnp.asarray(values) for name, values in drawn.items()} or {"": jnp.zeros(1)}
-    sigma, doubt, left_over, predicted, observed = (np.asarray(x) for x in run((machine, frozen(scheme), scheme, task), batch))
+    departed, sigma, doubt, left_over, predicted, observed = (np.asarray(x) for x in run((machine, frozen(scheme), scheme, task), batch))
+    linear = is_linear(departed) & (not adapts)
     certified = linear & (sigma + doubt < 1.0) & (left_over <= RISE * predicted[:, 0])
     verdict = [MONOTONE if sure else _classified(e, CONVERGES) for sure, e in zip(certified, predicted, strict=True)]
     return Certificate(
         verdict=np.array(verdict),
         observed_verdict=np.array([_classified(e, MONOTONE) for e in observed]),
-        linear=linear,
+        linear=bool(np.all(linear)),
+        departure=departed,
         sigma=sigma,
         doubt=doubt,
         left_over=left_over,
@@ -120,7 +126,7 @@ def premises(
 
     Machines whose run is not finite are left out of both.
     """
-    bounds = cfdl_bounds if isinstance(scheme, CFDLMFAILC) else ffdl_bounds
+    bounds: Any = cfdl_bounds if isinstance(scheme, CFDLMFAILC) else ffdl_bounds
     run = tiled(partial(_signals, names=tuple(uncertainty.items()), trials=trials))
     total = len(next(iter(drawn.values())))
     conditions = []
@@ -146,7 +152,8 @@ def _of_one(common, values, *, names, trials, steps):
     found = singular_value(lambda e: f(e)[0], at, steps=steps, tolerance=1e-4)
     predicted, observed = (_error(learn(machine, s, task, trials)) for s in (stopped, scheme))
     left_over = jnp.sqrt(jnp.mean(f(jnp.zeros_like(at))[0] ** 2))
-    return found.value, found.residual, left_over, predicted, observed
+    two_trials = departure(*error_map(machine, stopped, task, trials=2))
+    return two_trials, found.value, found.residual, left_over, predicted, observed
 
 
 def _error(history):

@@ -117,7 +117,7 @@ def is_linear(departed) -> np.ndarray:
     return departed <= np.sqrt(np.finfo(departed.dtype).eps)
 
 
-def ratio(a, b):
+def ratio(a, b) -> jax.Array:
     """a / b of two sizes, 0 where both are 0."""
     return jnp.where(a > 0, a / b, 0.0)
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 from functools import lru_cache, partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -66,7 +66,7 @@ def linear_loop(machine: Machine, scheme: Scheme | None, task: Task) -> Loop:
     if series and scheme.preview > 1:
         raise ValueError(f"linear_loop: OnReference with preview = {scheme.preview}; allowed is a feedback of preview 1")
     r, width = jnp.zeros(task.outputs), task.outputs if series else task.inputs
-    row = None if scheme is None else jax.tree.map(lambda rows: rows[0], scheme.table(scheme.memory(task), task))
+    row: Any = None if scheme is None else jax.tree.map(lambda rows: rows[0], scheme.table(scheme.memory(task), task))
     rest = (machine.plant.init(), None if scheme is None else scheme.init(task), jnp.zeros(task.inputs), jnp.zeros(width))
     flat, unravel = ravel_pytree(rest)
 

@@ -160,7 +160,7 @@ def transient_growth(M, trials: int | None = None) -> np.ndarray:
     if (M.ndim == 2) != (trials is not None) or M.ndim not in (2, 3) or (trials is not None and trials < 1):
         raise ValueError(f"transient_growth: M {M.shape}, trials = {trials}; allowed are (n, n) with trials in [1, inf), or (J, n, n)")
     product, norms = np.eye(M.shape[-1]), []
-    for m in M if M.ndim == 3 else (M,) * trials:
+    for m in M if M.ndim == 3 else (M,) * (trials or 0):
         product = m @ product
         norms.append(np.linalg.norm(product, 2))
     return np.array(norms)

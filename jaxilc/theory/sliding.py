@@ -10,7 +10,7 @@ the factor that the sampled loop really has.
 from __future__ import annotations
 
 import dataclasses
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -152,7 +152,8 @@ def within_layer(scheme: Scheme, eta_hat=None) -> Scheme:
     feedback = _feedback("within_layer", scheme)
     own = {field.name: getattr(feedback, field.name) for field in dataclasses.fields(SMC)}
     steep = 0.0 if not isinstance(feedback, ASMC) else (feedback.eta if eta_hat is None else eta_hat) / feedback.Delta
-    return SMC(**own | {"eta": 0.0, "k_n": feedback.k_n + steep})
+    changed: dict[str, Any] = own | {"eta": 0.0, "k_n": feedback.k_n + steep}
+    return SMC(**changed)
 
 
 def sampled_condition(
@@ -174,7 +175,7 @@ def sampled_condition(
         size = np.sqrt(2 * run.V)
         premises += (premise("sigma within the boundary layer", size <= layer, f"|sigma| up to {np.max(size):.4g}, layer {layer}"),)
         premises += (premise("eta_hat at rest", run.eta_hat == eta_hat, f"{np.min(run.eta_hat):.4g} to {np.max(eta_hat):.4g}"),)
-    linear = within_layer(scheme, eta_hat)
+    linear: Any = within_layer(scheme, eta_hat)
     path = next(name for name in named_leaves(linear.learning) if name.split(".")[-1] == "lam0").removesuffix("lam0")
     tests, found = [], {}
     for t in (0.0, task.duration):

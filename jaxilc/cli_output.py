@@ -1,0 +1,84 @@
+"""How much the command line says, and where: results to standard output, all else to standard error."""
+
+from __future__ import annotations
+
+import functools
+import logging
+import os
+import sys
+import time
+from collections import defaultdict
+from pathlib import Path
+
+from rich.console import Console
+
+PIPED_WIDTH = 160  # columns where there is no terminal to ask
+WORTH_A_LINE = 0.05  # seconds that a program takes to be compiled or found
+COMPILED, FOUND = "/jax/core/compile/backend_compile_duration", "/jax/compilation_cache/cache_hits"  # events of jax.monitoring
+
+out = Console(width=None if sys.stdout.isatty() else PIPED_WIDTH)
+err = Console(stderr=True)
+log = logging.getLogger("jaxilc")
+counted: defaultdict[str, float] = defaultdict(float)
+
+
+def speak(*, quiet: bool, verbose: bool) -> None:
+    """Say only warnings and errors, or log what happens besides. Raises ValueError for both."""
+    if quiet and verbose:
+        raise ValueError("--quiet and --verbose exclude each other")
+    out.quiet = quiet
+    log.handlers = [logging.StreamHandler(sys.stderr)] if verbose else []
+    log.setLevel(logging.INFO if verbose else logging.WARNING)
+    log.propagate = False
+    for handler in log.handlers:
+        handler.setFormatter(logging.Formatter("%(asctime)s.%(msecs)03d %(message)s", "%H:%M:%S"))
+    counted.clear()
+    counted["started"] = time.perf_counter()
+
+
+def tracebacks() -> bool:
+    """Whether a mistake is shown with its traceback."""
+    return log.isEnabledFor(logging.INFO) or bool(os.environ.get("JAXILC_TRACEBACK"))
+
+
+def log_jax(programs: Path | None) -> None:
+    """Log on what JAX runs, and from now on every program that takes its time. programs: the folder where they are kept"""
+    if not log.isEnabledFor(logging.INFO):
+        return
+    import jax
+
+    from .results import environment
+
+    found = environment()
+    versions = ", ".join(f"{name} {version}" for name, version in found.pop("versions").items())
+    log.info("%s", versions)
+    log.info("%s", ", ".join(f"{name}: {value}" for name, value in found.items()))
+    log.info("devices: %s; XLA_FLAGS: %s", ", ".join(map(str, jax.devices())), os.environ.get("XLA_FLAGS", ""))
+    log.info("compiled programs are kept in %s", programs or "no folder")
+    _follow()
+
+
+def ended() -> None:
+    """Log what the command took."""
+    if log.isEnabledFor(logging.INFO):
+        took = time.perf_counter() - counted["started"]
+        log.info("%.2f s, of them %.2f s for %d programs, %d found compiled", took, counted["s"], counted["programs"], counted["found"])
+
+
+@functools.cache
+def _follow() -> None:
+    """Count programs, and log those that take long; once a process, since listeners stay."""
+    from jax import monitoring
+
+    def compiled(event: str, duration_secs: float, **about: object) -> None:
+        if event == COMPILED:
+            counted["programs"] += 1
+            counted["s"] += duration_secs
+            if duration_secs >= WORTH_A_LINE:
+                log.info("%s: %.2f s", about.get("fun_name", "a program"), duration_secs)
+
+    def found(event: str, **_: object) -> None:
+        counted["found"] += event == FOUND
+
+    monitoring.register_event_duration_secs_listener(compiled)
+    monitoring.register_event_listener(found)
