@@ -27,7 +27,7 @@ from .trial import run_trial
 SCHEMES = {"cfdl": "cfdl-mfailc", "ffdl": "ffdl-mfailc"}
 ALONE = ("noilc", "ilc-asmc")
 BLOCKS = "jaxilc in blocks"
-SLOW = {"NumPy loop": (1, 20), "NumPy batch": (None, 5)}  # plants and trials that are enough to know the cost of a sample-step
+SLOW = {"NumPy loop": (1, 20), "NumPy batch": (1024, 5)}  # plants and trials that are enough to know the cost of a sample-step
 
 
 def opponents() -> tuple[dict[str, tuple[Peer, float]], list[str]]:

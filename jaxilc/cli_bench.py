@@ -65,7 +65,7 @@ def bench(
         numbers["rows"][f"long/{long}"] = as_json(rows)
     for name in names:
         if name in measured.SCHEMES:
-            of_size = measured.cost_by_size(name, max(sizes), trials, samples, repeats=repeats)
+            of_size = measured.cost_by_size(name, min(max(sizes), 1024), trials, samples, repeats=repeats)
             numbers["cost"][name] = {what: {"seconds": best, **line._asdict()} for what, (best, line) in of_size.items()}
             for what, (best, line) in of_size.items():
                 times = ", ".join(f"{size}: {seconds:.3g} s" for size, seconds in best.items())

@@ -41,7 +41,7 @@ class Sweep:
     uncertainty: distributions on the machine's named leaves;  samples, seed, sampling: see `uncertainty.draw`
     keep: signals of the last trial to store, any of y, e, u (they are large)
     chunk: samples computed and stored at a time, None for 256, or a tile on each device if that is more
-    quantities: further figures of each trial, by name, each a function of a trial to a number, known by its name in the configuration
+    quantities: further figures of each trial, by name, each a function of a trial to a number
     lanes: samples vectorised together, None for what suits this backend, see `batch.tiled`; chunk, lanes and the number of devices
     belong to the configuration, since sums in another order round otherwise
     Raises ValueError, before anything is compiled or written, naming what does not fit.
