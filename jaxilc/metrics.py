@@ -41,15 +41,15 @@ class Tally(NamedTuple):
     effort: jax.Array
 
     @classmethod
-    def start(cls, e, inputs: int, settled) -> Tally:
+    def start(cls, e, inputs: int, settled: bool) -> Tally:
         """e: (n_y,) error of sample 0, which no input can reach: it counts only where it is settled."""
         none = jnp.zeros_like(e)
-        return cls(none, none, jnp.where(settled, jnp.abs(e), none), jnp.zeros_like(e, shape=inputs))
+        return cls(none, none, jnp.abs(e) if settled else none, jnp.zeros_like(e, shape=inputs))
 
-    def add(self, e, u, settled) -> Tally:
+    def add(self, e, u, settled: bool) -> Tally:
         """The error (n_y,) of a sample, the input (n_u,) that led to it, and whether the sample is settled."""
         size = jnp.abs(e)
-        late = jnp.where(settled, jnp.maximum(self.settled_error, size), self.settled_error)
+        late = jnp.maximum(self.settled_error, size) if settled else self.settled_error
         return Tally(jnp.maximum(self.max_error, size), self.squares + e * e, late, self.effort + u * u)
 
     def metrics(self, trial: Trial, task: Task) -> Metrics:

@@ -56,8 +56,8 @@ def worst_case_search(
     maximum in the box, no proof of more.
     Raises ValueError for an uncertainty that is empty or does not fit the subject, or where no loss is finite.
     """
-    for name, value in (("starts", starts), ("steps", steps)):
-        if value < 1:
+    for name, value in (("starts", starts), ("steps", steps), ("lanes", lanes)):
+        if value is not None and value < 1:
             raise ValueError(f"worst_case_search: {name} = {value} is outside its allowed range [1, inf)")
     box = _Box(subject, uncertainty)
     climb = tiled(lambda subject, t: jax.value_and_grad(lambda t: loss(drawn_machine(subject, uncertainty, box.values(t))))(t), lanes=lanes)

@@ -13,6 +13,7 @@ jaxilc.runtime.setup()
 import jax  # noqa: E402
 import pytest  # noqa: E402
 from cases import PLANTS, task_for  # noqa: E402
+from jax.experimental.compilation_cache import compilation_cache  # noqa: E402
 
 from jaxilc.machine import Machine  # noqa: E402
 
@@ -22,6 +23,20 @@ def _forget_compiled_programs():
     """What a module compiled is of no use to the next one; all of it together takes gigabytes."""
     yield
     jax.clear_caches()
+
+
+@pytest.fixture(scope="module")
+def compiled_once(tmp_path_factory):
+    """For modules whose commands and problems would each compile the same programs again."""
+    settings = {"jax_compilation_cache_dir": str(tmp_path_factory.mktemp("programs")), "jax_persistent_cache_min_compile_time_secs": 0.0}
+    before = {name: getattr(jax.config, name) for name in settings}
+    for name, value in settings.items():
+        jax.config.update(name, value)
+    compilation_cache.reset_cache()
+    yield
+    for name, value in before.items():
+        jax.config.update(name, value)
+    compilation_cache.reset_cache()
 
 
 @pytest.fixture(scope="session")

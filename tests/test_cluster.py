@@ -16,29 +16,17 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
+import sweep_case
 import xarray as xr
 
 import jaxilc
-from jaxilc import Machine, Sensor, Sweep, Task, Uniform, cli, cluster, memory
-from jaxilc.plants import voice_coil
+from jaxilc import cli, cluster, memory
 from jaxilc.results import Store
-from jaxilc.schemes import CFDLMFAILC, PID
+from jaxilc.schemes import PID
 
 distributed = pytest.importorskip("distributed")
 
-TASK = Task(reference=np.sin(2 * np.pi * np.arange(61) / 60), dt=1e-3, unit="mm", input_unit="V")
-PLAN = Sweep(
-    Machine(voice_coil(), sensor=Sensor(noise=1e-4)),
-    {"learning": CFDLMFAILC(), "feedback": PID(kp=-5.0)},
-    TASK,
-    trials=4,
-    uncertainty={"plant.gain": Uniform(0.8, 1.2, relative=True), "plant.poles[2]": Uniform(5.0, 8.0)},
-    samples=31,
-    seed=7,
-    keep=("e", "u"),
-    chunk=4,
-    lanes=2,
-)
+PLAN = dataclasses.replace(sweep_case.PLAN, samples=31)
 CHUNKS = [(scheme, chunk) for scheme in range(2) for chunk in range(8)]
 
 

@@ -6,26 +6,13 @@ import jax
 import numpy as np
 import pytest
 import xarray as xr
+from sweep_case import PLAN, TASK
 
 import jaxilc
-from jaxilc import Machine, Sensor, Sweep, Task, Uniform, summarise
+from jaxilc import Machine, Sweep, Task, Uniform, summarise
 from jaxilc.batch import tiled
-from jaxilc.plants import StateSpace, voice_coil
-from jaxilc.schemes import CFDLMFAILC, PID
-
-TASK = Task(reference=np.sin(2 * np.pi * np.arange(61) / 60), dt=1e-3, unit="mm", input_unit="V")
-PLAN = Sweep(
-    Machine(voice_coil(), sensor=Sensor(noise=1e-4)),
-    {"learning": CFDLMFAILC(), "feedback": PID(kp=-5.0)},
-    TASK,
-    trials=4,
-    uncertainty={"plant.gain": Uniform(0.8, 1.2, relative=True), "plant.poles[2]": Uniform(5.0, 8.0)},
-    samples=11,
-    seed=7,
-    keep=("e", "u"),
-    chunk=4,
-    lanes=2,
-)
+from jaxilc.plants import StateSpace
+from jaxilc.schemes import PID
 
 
 @pytest.fixture(scope="module")

@@ -5,20 +5,14 @@ import dataclasses
 import jax
 import numpy as np
 import pytest
-from jax.experimental.compilation_cache import compilation_cache
+from gain_case import STATIC, TASK
 
-from jaxilc.machine import Machine
 from jaxilc.objectives import Effort, Final, Growth, Objective
-from jaxilc.plants import StateSpace
 from jaxilc.schemes import PIDType
-from jaxilc.signals import Task
 from jaxilc.trade_off import by_trials, pareto
 from jaxilc.tuning import Tuning
 
-N = 20
-TASK = Task(np.sin(2 * np.pi * np.arange(N + 1) / N), dt=1e-3)
-STATIC = Machine(StateSpace([[0.0]], [[1.0]], [[1.0]], dt=1e-3))  # y[k+1] = u[k], so u_2 = gamma_p r + gamma_d dr and e_2 = r - u_2
-R2 = 0.5  # mean square of the reference
+R2 = 0.5  # mean square of the reference; u_2 = gamma_p r + gamma_d dr, and e_2 = r - u_2
 GIVEN = {"gamma_p": 0.3, "gamma_d": 1.5}
 SCALE = 0.7
 
@@ -35,18 +29,7 @@ OPTIONS = {"samples": 1, "held_out": 0, "optimiser": "lbfgs", "steps": 15, "pati
 PROBLEM = Tuning(STATIC, PIDType(**GIVEN), TASK, 2, list(GIVEN), objective=SquaredError(), **OPTIONS)
 
 
-@pytest.fixture(scope="module", autouse=True)
-def compiled_once(tmp_path_factory):
-    """The same tunings run several times here; each would compile its own programs."""
-    settings = {"jax_compilation_cache_dir": str(tmp_path_factory.mktemp("programs")), "jax_persistent_cache_min_compile_time_secs": 0.0}
-    before = {name: getattr(jax.config, name) for name in settings}
-    for name, value in settings.items():
-        jax.config.update(name, value)
-    compilation_cache.reset_cache()
-    yield
-    for name, value in before.items():
-        jax.config.update(name, value)
-    compilation_cache.reset_cache()
+pytestmark = pytest.mark.usefixtures("compiled_once")
 
 
 def both(p, d):

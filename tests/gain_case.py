@@ -1,0 +1,32 @@
+"""Learning and tuning with a closed form: a static gain under P-type ILC, for the tests of tuning."""
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxilc.machine import Machine
+from jaxilc.objectives import Final
+from jaxilc.plants import StateSpace
+from jaxilc.schemes import PIDType
+from jaxilc.signals import Task
+from jaxilc.tuning import Tuning
+from jaxilc.uncertainty import Uniform
+
+N = 20
+TASK = Task(np.sin(2 * np.pi * np.arange(N + 1) / N), dt=1e-3)
+STATIC = Machine(StateSpace([[0.0]], [[1.0]], [[1.0]], dt=1e-3))  # y[k+1] = u[k], so e_j = (1 - gamma g)^(j-1) r with the gain g
+GAINS = {"plant.B": Uniform(0.6, 1.2, relative=True)}
+PROBLEM = Tuning(
+    STATIC,
+    PIDType(gamma_p=0.4),
+    TASK,
+    3,
+    ["gamma_p"],
+    GAINS,
+    Final("rms", floor=0.1),
+    samples=4,
+    held_out=3,
+    steps=8,
+    validate_every=3,
+    lanes=2,
+)
+LARGEST = {"largest": lambda trial: jnp.max(jnp.abs(trial.u))}

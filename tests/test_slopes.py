@@ -1,0 +1,305 @@
+"""Slopes through learning, against finite differences and closed forms; what divergence does to them."""
+
+import dataclasses
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import pytest
+import scipy.integrate
+import scipy.linalg
+import scipy.optimize
+from cases import ALGEBRA, DIFFERENCES, SCHEMES, case
+from gain_case import LARGEST, PROBLEM, STATIC, TASK, N
+
+from jaxilc import objectives, schemes
+from jaxilc.descent import Evaluation, by_gradient, for_starts, repaired, value_and_slope
+from jaxilc.learning import learn
+from jaxilc.machine import Machine, Sensor
+from jaxilc.objectives import (
+    Bounded,
+    Contraction,
+    Effort,
+    EveryTrial,
+    Final,
+    Growth,
+    Holding,
+    InputRate,
+    Objective,
+    Run,
+    TrialsTo,
+    judge,
+)
+from jaxilc.plants import StateSpace
+from jaxilc.schemes import CFDLMFAILC, FFDLMFAILC, PID, PIDType
+from jaxilc.schemes.pseudo_gradient import reset_estimate
+from jaxilc.signals import Task
+from jaxilc.uncertainty import Uniform
+
+EVERYTHING = (
+    Final()
+    + 0.7 * Final("rms", trial=2)
+    + 0.5 * EveryTrial("max_error")
+    + 0.2 * TrialsTo(0.6)
+    + 0.3 * Growth("rms")
+    + 0.1 * Effort(2.0)
+    + 0.4 * Holding(2)
+    + 0.2 * InputRate(50.0)
+)
+LEARNING = {name: scheme for name, scheme in SCHEMES.items() if scheme.learns}
+# each kind of scheme once; a StopWhen that has stopped learns nothing, so that its map is the same at any weights
+CONTRACTING = ("ffdl_book", "p_type_on_reference", "p_type_butterworth", "error_filtered", "higher_order", "p_type_ladder")
+CONTRACTING += ("p_type_on_table", "norm_optimal", "milc", "ilc_asmc")
+
+
+# Slopes ----------------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", LEARNING)
+def test_slope_of_every_objective_equals_finite_differences(name):
+    machine, scheme, task = case(name)
+    leaves, shape = jax.tree.flatten(scheme)
+    rng = np.random.default_rng(2)
+    direction = [0.1 * rng.standard_normal(np.shape(leaf)) * np.maximum(np.abs(leaf), 0.1) for leaf in leaves]
+
+    @jax.jit
+    def along(x):
+        def losses(x):
+            moved = shape.unflatten([leaf + x * d for leaf, d in zip(leaves, direction, strict=True)])
+            of = Run(machine, moved, task, learn(machine, Bounded.around(moved, task), task, 4))
+            return jnp.stack([weight * term(of) for weight, term in EVERYTHING.terms])
+
+        return jax.jvp(losses, (x,), (1.0,))
+
+    at, h = -0.003, 1e-6  # off the place where some schemes of the list sit on a switch
+    expected = (along(at + h)[0] - along(at - h)[0]) / (2 * h)
+    assert np.count_nonzero(expected) >= len(expected) - 1, "only Growth may be at rest"
+    np.testing.assert_allclose(along(at)[1], expected, **DIFFERENCES)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CONTRACTING)
+def test_slope_of_contraction_equals_finite_differences(name):
+    machine, scheme, task = case(name)
+    leaves, shape = jax.tree.flatten(scheme)
+    rng = np.random.default_rng(2)
+    direction = [0.1 * rng.standard_normal(np.shape(leaf)) * np.maximum(np.abs(leaf), 0.1) for leaf in leaves]
+    objective = Contraction(below=1e-3, steps=task.N * task.outputs)  # all Lanczos steps there are
+
+    @jax.jit
+    def along(x):
+        def loss(x):
+            moved = shape.unflatten([leaf + x * d for leaf, d in zip(leaves, direction, strict=True)])
+            return judge(machine, moved, task, 1, objective)
+
+        return jax.jvp(loss, (x,), (1.0,))
+
+    at, h = -0.003, 1e-5
+    expected = (along(at + h)[0] - along(at - h)[0]) / (2 * h)
+    assert expected != 0
+    np.testing.assert_allclose(along(at)[1], expected, rtol=2e-5, atol=DIFFERENCES["atol"])
+
+
+def test_every_objective_and_every_learning_scheme_is_among_them():
+    kinds = {kind for kind in vars(objectives).values() if isinstance(kind, type) and issubclass(kind, Objective)}
+    assert kinds - {type(term) for _, term in EVERYTHING.terms} == {Objective, type(EVERYTHING), Contraction}
+    listed = {type(part) for scheme in LEARNING.values() for part in parts_of(scheme)}
+    learning = {kind for kind in vars(schemes).values() if isinstance(kind, type) and issubclass(kind, schemes.Scheme)}
+    of_feedback = {schemes.FFDLMFAC, schemes.PFDLMFAC, schemes.CFDLMFAC, schemes.SMC}
+    assert learning - listed == {schemes.Scheme} | of_feedback
+    contracting = tuple({type(part) for name in CONTRACTING for part in parts_of(LEARNING[name])})
+    assert {kind for kind in listed if not issubclass(kind, contracting)} == {schemes.StopWhen}
+
+
+def parts_of(scheme):
+    """The scheme and those within."""
+    inner = [getattr(scheme, field.name) for field in dataclasses.fields(scheme)]
+    return [scheme, *(part for one in inner if isinstance(one, schemes.Scheme) for part in parts_of(one))]
+
+
+RESETS = {"phi0": -0.065, "lam": 0.02, "mu": 0.05, "epsilon": 0.01}
+
+
+def test_a_smooth_reset_has_the_slope_that_the_switch_hides():
+    # through both clauses: the integral of a slope is the change of the value, but for what a jump hides
+    epsilon, phi0 = 0.01, -0.065
+    path = np.linspace(-1.0, 1.0, 20001)
+
+    def estimate(x, mode):
+        (kept,) = reset_estimate([phi0 / 2 * x], 3 * epsilon * x, [phi0], component=0, epsilon=epsilon, mode=mode)
+        return kept
+
+    # `book` is phi0 up to x = 1/3, where |du| passes epsilon, and phi0 x / 2 from there: what its slope misses is the jump
+    for mode, hidden in (("smooth", 0.0), ("book", phi0 / 6 - phi0)):
+        value, slope = jax.vmap(jax.value_and_grad(partial(estimate, mode=mode)))(path)
+        missed = value[-1] - value[0] - scipy.integrate.trapezoid(slope, path)
+        np.testing.assert_allclose(missed, hidden, atol=2e-5)
+
+
+def test_a_smooth_reset_is_that_of_the_book_far_from_its_thresholds():
+    phi, du = jnp.array([-0.5, 0.4, -0.4, -0.5]), jnp.array([0.6, 0.6, -0.7, 0.6])
+    smooth, book = (reset_estimate([phi], du, [jnp.array(-0.3)], component=0, epsilon=0.01, mode=mode)[0] for mode in ("smooth", "book"))
+    np.testing.assert_array_equal(book, [-0.5, -0.3, -0.4, -0.5])
+    np.testing.assert_allclose(smooth, book, rtol=1e-12)
+
+
+def test_slopes_through_the_last_trials_alone_are_those_of_the_closed_form():
+    # e_J = (1 - gamma g)^(K-1) e_(J-K+1), the latter held: K - 1 of J - 1 factors have a slope
+    problem = dataclasses.replace(PROBLEM, uncertainty={}, trials=6, objective=Final("rms", floor=1e-9) + EveryTrial("rms", floor=1e-9))
+    for K in (1, 4, 9):
+        value, slope = jax.value_and_grad(lambda gamma: dataclasses.replace(problem, truncate=K).loss_of(STATIC, {"gamma_p": gamma}))(0.4)  # noqa: B023
+        factors = np.array([max(0, j - 1 - max(0, 6 - K)) for j in range(1, 7)])
+        np.testing.assert_allclose(slope, -(factors[-1] + np.mean(factors)) / 0.6, rtol=1e-9)
+        np.testing.assert_allclose(value, problem.loss_of(STATIC, {"gamma_p": 0.4}), rtol=1e-12)
+
+
+def test_truncation_changes_the_slope_and_nothing_else():
+    machine = dataclasses.replace(STATIC, sensor=Sensor(noise=1e-2))
+    scheme, objective = FFDLMFAILC(**RESETS | {"phi0": (0.1, 0.8)}, L_y=1, L_u=1), Final("rms") + TrialsTo(0.3)
+    whole = dataclasses.replace(PROBLEM, machine=machine, scheme=scheme, weights=["lam"], trials=5, objective=objective, quantities=LARGEST)
+    cut = dataclasses.replace(whole, truncate=3)
+    key = jax.random.key(3)
+    one, other = (jax.value_and_grad(lambda lam: p.loss_of(machine, {"lam": lam}, key=key))(0.02) for p in (whole, cut))  # noqa: B023
+    np.testing.assert_allclose(one[0], other[0], rtol=1e-12)
+    assert one[1] != other[1] != 0
+
+
+def test_forward_and_backward_slopes_agree():
+    def loss(z):
+        return judge(STATIC, PIDType(gamma_p=z[0], gamma_d=z[1], leak=z[2]), TASK, 4, EVERYTHING)
+
+    z = jnp.array([0.4, 0.1, 0.02])
+    (one, forward), (other, backward) = (value_and_slope(loss, z, forward=mode) for mode in (True, False))
+    np.testing.assert_allclose(one, other, **ALGEBRA)
+    np.testing.assert_allclose(forward, backward, rtol=1e-9, atol=1e-12)
+
+
+def test_contraction_and_its_slope_equal_those_of_the_dense_matrix():
+    A, B, C = np.array([[0.9, 0.1], [-0.2, 0.8]]), np.array([[0.01], [0.1]]), np.array([[1.0, 0.5]])
+    machine = Machine(StateSpace(A, B, C, dt=1e-3))
+    markov = [(C @ np.linalg.matrix_power(A, k) @ B)[0, 0] for k in range(N)]
+
+    def dense(gamma):
+        return np.log(np.linalg.svd(np.eye(N) - gamma * scipy.linalg.toeplitz(markov, np.zeros(N)))[1][0] / 0.5)
+
+    def margin(gamma):
+        return judge(machine, PIDType(gamma_p=gamma), TASK, 1, Contraction(below=0.5, steps=N))
+
+    value, slope = jax.jit(jax.value_and_grad(margin))(0.7)
+    np.testing.assert_allclose(value, dense(0.7), rtol=1e-8)
+    np.testing.assert_allclose(slope, (dense(0.7 + 1e-5) - dense(0.7 - 1e-5)) / 2e-5, rtol=1e-5)
+
+
+def test_terms_are_what_they_say():
+    errors = np.array([1.0, 0.3, 0.45, 0.45, 0.1])
+
+    def run(trial_errors):
+        # a scheme cannot be told to make these errors, so the figures are put into a real history
+        history = learn(STATIC, PIDType(gamma_p=0.5), TASK, len(trial_errors))
+        metrics = history.metrics._replace(settled_error=jnp.asarray(trial_errors)[:, None])
+        return Run(STATIC, PIDType(gamma_p=0.5), TASK, history._replace(metrics=metrics))
+
+    of = run(errors)
+    np.testing.assert_allclose(Final(floor=1e-9)(of), np.log(0.1 / 1e-9), rtol=1e-12)
+    np.testing.assert_allclose(EveryTrial(floor=1e-9)(of), np.mean(np.log(errors / 1e-9)), rtol=1e-12)
+    np.testing.assert_allclose(Holding(2, floor=1e-9)(of), np.log(0.45 / 1e-9), rtol=1e-12)
+    np.testing.assert_allclose(Growth()(of), np.log(0.45 / 0.3), rtol=1e-10)
+    np.testing.assert_allclose(Growth(after=3)(of), 0.0, atol=1e-10)
+    np.testing.assert_allclose(TrialsTo(0.4, width=1e-3)(of), 3.0, atol=1e-9)
+    np.testing.assert_allclose(TrialsTo(0.3)(of), np.sum(1 / (1 + (0.3 / errors) ** 2)), rtol=1e-9)
+    u = np.asarray(of.history.final.u)
+    np.testing.assert_allclose(Effort(2.0)(of), np.mean((u / 2.0) ** 2), rtol=1e-12)
+    np.testing.assert_allclose(InputRate(3.0)(of), np.mean((np.diff(u, axis=0) / 1e-3 / 3.0) ** 2), rtol=1e-12)
+    np.testing.assert_allclose((2.0 * (Final() + Growth()))(of), 2 * Final()(of) + 2 * Growth()(of), rtol=1e-12)
+    assert Final(floor=1e-3)(run(np.zeros(2))) == 0.0
+
+
+# Divergence ------------------------------------------------------------------------------------------------------------------
+
+
+def test_a_scheme_within_bounds_is_the_scheme():
+    for name in ("ffdl_book", "p_type_on_reference"):
+        machine, scheme, task = case(name)
+        bare, bounded = (learn(machine, s, task, 4) for s in (scheme, Bounded.around(scheme, task)))
+        np.testing.assert_array_equal(bare.rms, bounded.rms)
+
+
+def test_divergence_has_the_loss_of_the_trial_that_passed_the_ceiling_and_its_slope():
+    # gamma g = 3: |e_j| = 2^(j-1), above 1000 in the 11th trial, which all later ones repeat
+    def loss(gamma):
+        return judge(STATIC, PIDType(gamma_p=gamma), TASK, 200, Final("max_error"))
+
+    value, slope = jax.value_and_grad(loss)(3.0)
+    np.testing.assert_allclose(value, np.log(2.0**10 / 1e-6), rtol=1e-9)
+    np.testing.assert_allclose(slope, 10 / 2.0, rtol=1e-9)
+
+
+def test_divergence_outside_the_settled_window_is_seen():
+    # a reference that rests in its second half: nothing to learn there, while the first half diverges as before
+    task = Task(np.where(np.arange(N + 1) < N // 2, np.sin(2 * np.pi * np.arange(N + 1) / N), 0.0), dt=1e-3)
+    value = judge(STATIC, PIDType(gamma_p=3.0), task, 20, Final())
+    history = learn(STATIC, PIDType(gamma_p=3.0), task, 20)
+    assert history.settled_error[-1, 0] == 0.0
+    np.testing.assert_allclose(value, np.log(2.0**10 / 1e-6), rtol=1e-9)
+    assert judge(STATIC, PIDType(gamma_p=1.5), task, 20, Final()) == 0.0
+
+
+@pytest.mark.parametrize("strength", [3.0, 1e6, 1e30, 1e100])
+def test_no_divergence_gives_a_slope_that_is_not_finite(strength):
+    static, task = STATIC, TASK
+    lightly_damped, _, other = case("p_type")
+    for machine, scheme, of in (
+        (static, lambda x: PIDType(gamma_p=x), task),
+        (static, lambda x: PID(kp=x), task),  # blows up within the trial
+        (lightly_damped, lambda x: PIDType(gamma_p=-x), other),
+        (lightly_damped, lambda x: CFDLMFAILC(phi0=-0.06, lam=1e-3 / x), other),
+    ):
+        value, slope = jax.value_and_grad(lambda x: judge(machine, scheme(x), of, 40, Final() + EveryTrial()))(strength)  # noqa: B023
+        assert np.isfinite(value)
+        assert np.isfinite(slope)
+
+
+def test_a_plant_without_a_finite_slope_is_counted_and_left_out():
+    # of the two corners of the pole one overflows within the trial, whatever is done about it
+    machine = dataclasses.replace(STATIC, plant=StateSpace([[0.1]], [[1.0]], [[1.0]], dt=1e-3, x0=(0.1,)))
+    problem = dataclasses.replace(
+        PROBLEM, machine=machine, uncertainty={"plant.A[0][0]": Uniform(0.05, 1e60)}, sampling="corners", held_out=0, steps=2
+    )
+    tuned = problem.run()
+    np.testing.assert_array_equal(tuned.dropped, [[1], [1]])
+    assert np.all(np.isfinite(tuned.loss))
+    assert np.all(np.isfinite(tuned.slope) & (tuned.slope > 0))
+    assert tuned.values["gamma_p"] > 0.4
+
+
+def test_repaired_losses_and_slopes():
+    losses = jnp.array([1.0, jnp.nan, 2.0, 3.0, 0.5])
+    slopes = jnp.array([[3.0, 4.0], [1.0, 1.0], [jnp.inf, 0.0], [6e200, 8e200], [0.0, 0.5]])
+    losses, slopes, good = repaired(losses, slopes, clip=2.0)  # lengths 0.5, 5, 1e201
+    np.testing.assert_array_equal(good, [True, False, False, True, True])
+    np.testing.assert_array_equal(losses, [1, 3, 2, 3, 0.5])
+    np.testing.assert_allclose(slopes, [[3, 4], [0, 0], [0, 0], [6, 8], [0, 0.5]], rtol=1e-12)
+
+
+def test_a_plant_above_the_floor_is_heard_among_those_below_it():
+    slopes = np.array([[0.0], [0.0], [0.0], [2.0], [-50.0]])
+    np.testing.assert_allclose(repaired(jnp.zeros(5), slopes, clip=3.0)[1], [[0], [0], [0], [2], [-3]])
+    np.testing.assert_array_equal(repaired(jnp.full(2, jnp.nan), jnp.ones((2, 1)), clip=3.0)[1], 0.0)
+
+
+@pytest.mark.parametrize(("clip", "found"), [(3.0, True), (np.inf, False)])
+def test_chaotic_slopes_do_not_drown_the_others(clip, found):
+    # nine plants want z = 1; the slope of a tenth is huge and of either sign, as that of a chattering loop is
+    def evaluate(z):
+        slopes = jnp.append(jnp.full(9, 2.0 * (z[0] - 1.0)), 1e30 * jnp.sign(jnp.sin(1e4 * z[0])))[:, None]
+        losses, slopes, _ = repaired(jnp.append(jnp.full(9, (z[0] - 1.0) ** 2), 0.0), slopes, clip)
+        return Evaluation(jnp.mean(losses), jnp.mean(slopes, axis=0), losses, slopes, jnp.zeros(()))
+
+    method = for_starts(by_gradient(evaluate, optax.adam(optax.cosine_decay_schedule(0.1, 100))))
+    z = np.array([[-2.0]])
+    state = method.init(z)
+    for _ in range(100):
+        z, state, _ = method.step(z, state)
+    assert (abs(z[0, 0] - 1.0) < 0.1) == found
