@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from .layout import carried
 from .machine import Machine
 from .metrics import Metrics
 from .schemes import Scheme
@@ -104,12 +105,13 @@ def _learn(machine, scheme, task, trials, key, memory, first, save) -> History:
         return scheme.learn(memory, trial), trial, (metrics, save(trial))
 
     def body(carry, j):
-        memory, trial, kept = trial_and_learning(carry[0], j)
-        return (memory, trial), kept
+        memory, trial, kept = trial_and_learning(carried(carry[0]), j)
+        return (carried(memory), trial), kept
 
     blank = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), jax.eval_shape(trial_and_learning, memory, 1)[1])
     blocks = max(d for d in range(1, math.isqrt(trials) + 1) if trials % d == 0)
-    block = partial(lax.scan, body)
+    # two trials a turn: what one wrote the next reads, and nothing is copied to where it came from
+    block = partial(lax.scan, body, unroll=1 if trials // blocks % 2 else 2)
     # a gradient goes back block by block, each run again from the memory at its start
     (memory, final), kept = lax.scan(
         jax.checkpoint(block) if blocks > 1 else block, (memory, blank), (first + jnp.arange(trials)).reshape(blocks, -1)

@@ -46,10 +46,10 @@ class Tally(NamedTuple):
         none = jnp.zeros_like(e)
         return cls(none, none, jnp.abs(e) if settled else none, jnp.zeros_like(e, shape=inputs))
 
-    def add(self, e, u, settled: bool) -> Tally:
-        """The error (n_y,) of a sample, the input (n_u,) that led to it, and whether the sample is settled."""
+    def add(self, e, u, settled) -> Tally:
+        """The error (n_y,) of a sample, the input (n_u,) that led to it, and whether () the sample is settled."""
         size = jnp.abs(e)
-        late = jnp.maximum(self.settled_error, size) if settled else self.settled_error
+        late = jnp.where(settled, jnp.maximum(self.settled_error, size), self.settled_error)
         return Tally(jnp.maximum(self.max_error, size), self.squares + e * e, late, self.effort + u * u)
 
     def metrics(self, trial: Trial, task: Task) -> Metrics:

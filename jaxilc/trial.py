@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from functools import partial
-
-import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 
+from .layout import read
 from .machine import Machine
 from .metrics import Metrics, Tally, measure
 from .schemes import Scheme
@@ -33,9 +31,9 @@ def run_and_measure(machine: Machine, scheme: Scheme, task: Task, memory, key) -
     draws = machine.draws(key, task)
     future = jnp.pad(r[1:], ((0, preview - 1), (0, 0)), mode="edge")
 
-    def tick(carry, now, *, settled):
+    def tick(carry, now):
         x, state, v_last, y, tally = carry
-        k, r_k, next_r, row, d_u, d_y, noise = now
+        k, r_k, next_r, row, d_u, d_y, noise, settled = now
         ahead = next_r[None] if preview == 1 else lax.dynamic_slice_in_dim(future, k, preview)
         state, command = scheme.act(state, Sample(r_k, ahead, y, row, dt))
         v, u = machine.actuate(command, v_last, dt)
@@ -57,12 +55,9 @@ def run_and_measure(machine: Machine, scheme: Scheme, task: Task, memory, key) -
         draws.input,
         _at(d_y, slice(1, None)),
         _at(noise, slice(1, None)),
+        _is_settled(task)[1:],
     )
-    records = []
-    for samples, settled in _stretches(task):
-        carry, record = lax.scan(partial(tick, settled=settled), carry, jax.tree.map(lambda row: row[samples], rows))  # noqa: B023
-        records.append(record)
-    y_next, u, signals = jax.tree.map(lambda *parts: jnp.concatenate(parts), *records)
+    carry, (y_next, u, signals) = lax.scan(tick, carry, read(rows))
     trial = Trial(r, jnp.concatenate([y[None], y_next]), u, dt, signals)
     return trial, carry[-1].metrics(trial, task)
 
@@ -76,12 +71,11 @@ def _at_once(machine: Machine, command, task: Task, key) -> tuple[Trial, Metrics
     return trial, measure(trial, task)
 
 
-def _stretches(task: Task) -> Iterator[tuple[slice, bool]]:
-    """The inputs that lead to samples before, within and after the settled window: scans of their own, so that none is asked."""
-    start, stop = max(task.settled.start - 1, 0), task.settled.stop - 1
-    for first, end, settled in ((0, start, False), (start, stop, True), (stop, task.N, False)):
-        if first < end:
-            yield slice(first, end), settled
+def _is_settled(task: Task) -> np.ndarray:
+    """(N+1,) whether a sample lies in the settled window."""
+    settled = np.zeros(task.N + 1, bool)
+    settled[task.settled] = True
+    return settled
 
 
 def _plus(signal, d):

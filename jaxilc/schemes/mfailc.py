@@ -22,13 +22,12 @@ from .scheme import Scheme, ahead, limited, need_square, past
 class Memory(NamedTuple):
     """What MFAILC knows after trial j.
 
-    u: (N, n) input of trial j;  y: (N+1, n) output of trial j;  e: (N, n) error the law learns from, e[k+1+lead]
+    u: (N, n) input of trial j;  y: (N+1, n) output of trial j
     phi: L_y+L_u estimates, each (N, n), for the coming trial;  seen: () 1 once a trial has been seen, else 0
     """
 
     u: jax.Array
     y: jax.Array
-    e: jax.Array
     phi: tuple[jax.Array, ...]
     seen: jax.Array
 
@@ -96,7 +95,7 @@ class FFDLMFAILC(Scheme):
     def memory(self, task: Task) -> Memory:
         N, n = task.N, task.inputs
         phi = tuple(jnp.broadcast_to(p, (N, n)) for p in self._start())
-        return Memory(jnp.zeros((N, n)), jnp.zeros((N + 1, n)), jnp.zeros((N, n)), phi, jnp.zeros(()))
+        return Memory(jnp.zeros((N, n)), jnp.zeros((N + 1, n)), phi, jnp.zeros(()))
 
     def learn(self, memory: Memory, trial: Trial) -> Memory:
         du, dy = memory.seen * (trial.u - memory.u), memory.seen * (trial.y - memory.y)
@@ -106,14 +105,15 @@ class FFDLMFAILC(Scheme):
         phi = reset_estimate(phi, du, self._start(), component=self.L_y, epsilon=self.epsilon, mode=self.reset)
         if self.lead:
             phi = [jnp.concatenate([new[: -self.lead], old[-self.lead :]]) for new, old in zip(phi, memory.phi, strict=True)]
-        return Memory(trial.u, trial.y, ahead(trial.e, 1 + self.lead), tuple(phi), jnp.ones_like(memory.seen))
+        return Memory(trial.u, trial.y, tuple(phi), jnp.ones_like(memory.seen))
 
     def table(self, memory: Memory, task: Task) -> Table:
         c, rho = self.L_y, jnp.broadcast_to(self.rho, (self.L_y + self.L_u,))
         lead = memory.phi[c]
         gain = lead / (self.lam + lead**2)
         weights = tuple(memory.seen * gain * rho[i] * memory.phi[i] for i in range(self.L_y + self.L_u) if i != c)
-        u = memory.u + gain * rho[c] * memory.e
+        e = memory.seen * ahead(task.reference - memory.y, 1 + self.lead)
+        u = memory.u + gain * rho[c] * e
         if not weights:
             u = limited(u, self.limit)  # with weights, the running trial's increments come on top first
         return Table(u, memory.y[:-1], memory.u, weights)
