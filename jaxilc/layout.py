@@ -15,34 +15,32 @@ from jax.interpreters import ad, batching, mlir
 
 def carried(signals):
     """signals: a tree whose arrays of two or more axes have one row a sample, on their way from trial to trial"""
-    return _each(_lie, signals, turned=False)
+    return jax.tree.map(lambda x: _by_sample.bind(x, axis=0, turned=False) if jnp.ndim(x) > 1 else x, signals)
 
 
-def read(signals):
-    """The same on their way into a scan over samples."""
-    return _each(_lie, signals, turned=True)
+def scanned(signals):
+    """The same on their way into a scan over samples, or out of it."""
+    return jax.tree.map(lambda x: _by_sample.bind(x, axis=0, turned=True) if jnp.ndim(x) > 1 else x, signals)
 
 
-def _each(of, signals, **how):
-    return jax.tree.map(lambda x: of.bind(x, **how) if jnp.ndim(x) > 1 else x, signals)
-
-
-_lie = Primitive("lie")
-_lie.def_impl(lambda x, *, turned: x)
-_lie.def_abstract_eval(lambda x, *, turned: x)
-mlir.register_lowering(_lie, lambda ctx, x, *, turned: [x])
-ad.deflinear2(_lie, lambda ct, _, *, turned: [_lie.bind(ct, turned=turned)])
-
-
-def _batched(args, axes, *, turned):
-    """Rows of samples, each with the whole batch. XLA takes it in one of two forms: for a loop's carry as the layout of an array
-    whose axes stay, for a scan's rows as an array of turned axes."""
-    x = jnp.moveaxis(args[0], axes[0], 0)
-    rows_first = Layout(major_to_minor=(1, 0, *range(2, x.ndim)))
+def _placed(x, *, axis, turned):
+    """x: with the samples along `axis`. XLA takes the wish in one of two forms: of a loop's carry as a layout of the axes as they are,
+    of a scan's rows as an array of turned axes."""
+    if axis == 0:
+        return x
     if not turned:
-        return with_layout_constraint(x, rows_first), 0
-    rows = with_layout_constraint(jnp.moveaxis(x, 1, 0), Layout(major_to_minor=tuple(range(x.ndim))))
-    return jnp.moveaxis(rows, 1, 0), 0
+        return with_layout_constraint(x, Layout(major_to_minor=(axis, *(i for i in range(x.ndim) if i != axis))))
+    rows = with_layout_constraint(jnp.moveaxis(x, axis, 0), Layout(major_to_minor=tuple(range(x.ndim))))
+    return jnp.moveaxis(rows, 0, axis)
 
 
-batching.primitive_batchers[_lie] = _batched
+def _batched(args, dims, *, axis, turned):
+    return _by_sample.bind(jnp.moveaxis(args[0], dims[0], 0), axis=axis + 1, turned=turned), 0
+
+
+_by_sample = Primitive("by_sample")
+_by_sample.def_impl(lambda x, **_: x)
+_by_sample.def_abstract_eval(lambda x, **_: x)
+mlir.register_lowering(_by_sample, mlir.lower_fun(_placed, multiple_results=False))
+ad.deflinear2(_by_sample, lambda cotangent, _, **how: [_by_sample.bind(cotangent, **how)])
+batching.primitive_batchers[_by_sample] = _batched

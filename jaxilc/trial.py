@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from .layout import read
+from .layout import scanned
 from .machine import Machine
 from .metrics import Metrics, Tally, measure
 from .schemes import Scheme
@@ -57,7 +57,8 @@ def run_and_measure(machine: Machine, scheme: Scheme, task: Task, memory, key) -
         _at(noise, slice(1, None)),
         _is_settled(task)[1:],
     )
-    carry, (y_next, u, signals) = lax.scan(tick, carry, read(rows))
+    carry, record = lax.scan(tick, carry, scanned(rows))
+    y_next, u, signals = scanned(record)
     trial = Trial(r, jnp.concatenate([y[None], y_next]), u, dt, signals)
     return trial, carry[-1].metrics(trial, task)
 
