@@ -35,7 +35,7 @@ BLOCK = 10  # Lanczos steps to the first look at the residual; later looks are f
 FIXED = 1e-6  # by how much of itself a trial may move a memory that counts as a fixed point
 ROUNDING = 100.0  # in units of the last place
 FLAGS = ("seen",)  # leaves of a memory that are no state: they only tell the first trial from the others
-OF_OUTPUT = ("y", "e")  # leaves of a memory that have the unit of the output
+OF_OUTPUT = ("y",)  # leaves of a memory that have the unit of the output
 
 CONTRACTION = "largest singular value of the learning map < 1: it contracts in the 2-norm of the weighted memory (Banach), {where}"
 ERROR = "sup |e_(j+{n})| / |e_j| < 1 over all small changes of the error: the 2-norm of the error contracts in {n} trial(s), {where}"
@@ -81,11 +81,11 @@ def learning_map(
 
     memory: where to linearise, None for that after 3 trials
     leaves: names of what varies, all else held ("u"; "learning.phi", which is all of phi[0], phi[1], ...); None for all but flags.
-            ("u", "y", "e") of MFAILC leaves out its estimates. It matters: at a fixed point without error nothing moves phi, so the
-            full map has the eigenvalue 1 there, once for each phi that no reset holds. Its u alone says nothing, as e goes with it.
+            ("u", "y") of MFAILC leaves out its estimates. It matters: at a fixed point without error nothing moves phi, so the
+            full map has the eigenvalue 1 there, once for each phi that no reset holds. Its u alone says nothing, as y goes with it.
     weights: {name: number} by which leaves are multiplied before they are compared, as u, y and phi have different units. Spectral
             radii do not depend on them, singular values do. Without one, a leaf is brought to the size of the output by
-            rms(y) / rms(leaf), or by 1 if either is zero; `y` and `e` keep their unit. The longest name that fits a leaf counts.
+            rms(y) / rms(leaf), or by 1 if either is zero; `y` keeps its unit. The longest name that fits a leaf counts.
     Raises ValueError for a name that the memory has not, or a memory without anything that varies.
     """
     scheme = scheme.prepared(task)
