@@ -10,10 +10,15 @@ from importlib.metadata import entry_points
 from pathlib import Path
 
 import jax
+import jaxlib
 
 _WHOLE_LOOPS = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1000000000"
 # LLVM writes out a loop over the 8 or 16 plants of a tile before it would vectorise it, and so leaves it scalar; this keeps it a loop.
 _LANES_VECTORISED = ",-unroll-full-max-count=4"
+# XLA takes registers of 256 bits where a processor has wider ones. An option that it does not know ends the process, so it is given
+# to the versions of jaxlib alone that were seen to know it.
+_WIDE_REGISTERS = " --xla_cpu_prefer_vector_width=512"
+_KNOWN = ((0, 10), (0, 12))
 
 
 def setup(*, precision: str = "float64", devices: int | None = None) -> None:
@@ -39,7 +44,8 @@ def setup(*, precision: str = "float64", devices: int | None = None) -> None:
     too_late = False
     if "xla_backend_extra_options" not in flags:
         too_late = _started()
-        os.environ["XLA_FLAGS"] = f"{flags} {_WHOLE_LOOPS}{'' if _accelerated() else _LANES_VECTORISED}".strip()
+        options = _WHOLE_LOOPS if _accelerated() else _WHOLE_LOOPS + _LANES_VECTORISED + _wide_registers(flags)
+        os.environ["XLA_FLAGS"] = f"{flags} {options}".strip()
     if "xla_force_host_platform_device_count" not in flags and jax.config.jax_num_cpu_devices != devices:
         try:
             jax.config.update("jax_num_cpu_devices", devices)
@@ -74,6 +80,11 @@ def keep_programs() -> Path | None:
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
     return folder
+
+
+def _wide_registers(flags: str) -> str:
+    version = tuple(int(part) for part in jaxlib.__version__.split(".")[:2])
+    return _WIDE_REGISTERS if _KNOWN[0] <= version <= _KNOWN[1] and "xla_cpu_prefer_vector_width" not in flags else ""
 
 
 def _accelerated() -> bool:

@@ -32,6 +32,15 @@ def test_options_that_an_accelerator_would_read_are_left_out_where_there_is_one(
     assert "unroll" in python(program.replace("[group]", "[]")).stdout
 
 
+def test_wide_registers_are_asked_for_where_the_option_is_known_and_nobody_else_did():
+    program = "import jaxilc.runtime as r, os; {} r.setup(); print(os.environ['XLA_FLAGS'], r.jax.numpy.ones(2) + 1)"
+    cpu = {"JAX_PLATFORMS": "cpu"}
+    assert "prefer_vector_width=512" in python(program.format(""), **cpu).stdout
+    assert "prefer_vector_width" not in python(program.format("r.jaxlib.__version__ = '9.1.0';"), **cpu).stdout
+    asked = python(program.format(""), **cpu, XLA_FLAGS="--xla_cpu_prefer_vector_width=128").stdout
+    assert (asked.count("prefer_vector_width"), "=128" in asked) == (1, True)
+
+
 def test_importing_flips_nothing():
     program = "import jaxilc, jax, os; jaxilc.scenarios.load('cao-2019'); print(jax.config.jax_enable_x64, 'XLA_FLAGS' in os.environ)"
     assert python(program).stdout.split() == ["False", "False"]
