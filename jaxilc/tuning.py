@@ -79,9 +79,9 @@ class Tuning:
     rate: of adam, in units of the real line: 0.1 is 10 % of a positive weight;  steps: at most
     starts: K, the first is the scheme's own values, the others lie around it with standard deviation `scatter` on the real line
     validate_every: steps from one look at the held-out plants to the next;  patience: looks without improvement until it stops
-    mode: forward or reverse differentiation; auto takes forward for up to FORWARD_UP_TO weights. Over 20 trials of 2000 samples on a
-          CPU, a forward gradient cost 2 + 2.5 P runs without one (CFDL- and FFDL-MFAILC), reverse 10 to 13 of any P, and memory for
-          what is learned, see `learn`
+    mode: forward or reverse differentiation; auto takes forward for up to FORWARD_UP_TO weights. Over 80 trials of 2000 samples on a
+          CPU, a forward gradient cost 5, 8 and 13 runs without one for 1, 2 and 3 weights (CFDL-MFAILC; FFDL: 3, 6, 9), reverse 9
+          to 12 of any number, and memory for what is learned, see `learn`
     truncate: K, slopes go through the last K trials alone, None for all; the weights' part in what was learned before them is then left
               out of the slope, not of the loss
     clip: longest slope of one plant, in units of the median length over the plants, or of 1 if that is less; inf for no bound
