@@ -57,18 +57,24 @@ CONTRACTING += ("p_type_on_table", "norm_optimal", "milc", "ilc_asmc")
 # Slopes ----------------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", LEARNING)
-def test_slope_of_every_objective_equals_finite_differences(name):
-    machine, scheme, task = case(name)
+def line_through(scheme):
+    """x -> the scheme with all its leaves moved by x along one random direction, each by a tenth of its size at x = 1."""
     leaves, shape = jax.tree.flatten(scheme)
     rng = np.random.default_rng(2)
     direction = [0.1 * rng.standard_normal(np.shape(leaf)) * np.maximum(np.abs(leaf), 0.1) for leaf in leaves]
+    return lambda x: shape.unflatten([leaf + x * d for leaf, d in zip(leaves, direction, strict=True)])
+
+
+@pytest.mark.parametrize("name", LEARNING)
+def test_slope_of_every_objective_equals_finite_differences(name):
+    machine, scheme, task = case(name)
+    moved = line_through(scheme)
 
     @jax.jit
     def along(x):
         def losses(x):
-            moved = shape.unflatten([leaf + x * d for leaf, d in zip(leaves, direction, strict=True)])
-            of = Run(machine, moved, task, learn(machine, Bounded.around(moved, task), task, 4))
+            there = moved(x)
+            of = Run(machine, there, task, learn(machine, Bounded.around(there, task), task, 4))
             return jnp.stack([weight * term(of) for weight, term in EVERYTHING.terms])
 
         return jax.jvp(losses, (x,), (1.0,))
@@ -83,16 +89,13 @@ def test_slope_of_every_objective_equals_finite_differences(name):
 @pytest.mark.parametrize("name", CONTRACTING)
 def test_slope_of_contraction_equals_finite_differences(name):
     machine, scheme, task = case(name)
-    leaves, shape = jax.tree.flatten(scheme)
-    rng = np.random.default_rng(2)
-    direction = [0.1 * rng.standard_normal(np.shape(leaf)) * np.maximum(np.abs(leaf), 0.1) for leaf in leaves]
+    moved = line_through(scheme)
     objective = Contraction(below=1e-3, steps=task.N * task.outputs)  # all Lanczos steps there are
 
     @jax.jit
     def along(x):
         def loss(x):
-            moved = shape.unflatten([leaf + x * d for leaf, d in zip(leaves, direction, strict=True)])
-            return judge(machine, moved, task, 1, objective)
+            return judge(machine, moved(x), task, 1, objective)
 
         return jax.jvp(loss, (x,), (1.0,))
 
