@@ -71,14 +71,15 @@ def _of_signals(tally: Tally, e, u, settled: slice) -> Tally:
 def _of_signals_jvp(settled, signals, tangents):
     (tally, e, u), (_, de, du) = signals, tangents
 
-    def of_largest(e, de, largest):
-        where = jnp.where(jnp.abs(e) == largest, jnp.sign(e), 0.0)
-        return _dot(where, de) / jnp.maximum(_dot(where, where), 1.0)
+    def of_largest(e, de):
+        # by its index: the value in the tally may be rounded otherwise than the same error here, and then equals none of them
+        largest = jnp.argmax(jnp.abs(e), axis=0)
+        return _dot(jnp.where(jnp.arange(len(e))[:, None] == largest, jnp.sign(e), 0.0), de)
 
     return tally, Tally(
-        of_largest(e[1:], de[1:], tally.max_error),
+        of_largest(e[1:], de[1:]),
         2.0 * _dot(e[1:], de[1:]),
-        of_largest(e[settled], de[settled], tally.settled_error),
+        of_largest(e[settled], de[settled]),
         2.0 * _dot(u, du),
     )
 
