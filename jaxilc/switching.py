@@ -43,11 +43,6 @@ class SwitchableFilter(Filter):
         if known(self):
             self._need_segments(np.concatenate([[0.0], self.times]), "")
 
-    @property
-    def edge(self) -> int:
-        """Samples of odd extension at each end."""
-        return self._pass(1.0).edge
-
     def check(self, samples: int, dt: float) -> None:
         need_padding(self, samples)
         if not known(self):

@@ -29,6 +29,7 @@ from .scenario import Published, Quantity, Scenario
 PROPORTIONAL, DERIVATIVE = 1.66, 16.9 * SAMPLE_TIME  # [1/mm], [s/mm]: the loop's spectral radius is 0.913
 SPEED_FEEDFORWARD = 0.72  # of the derivative's share, fitted to 18 µm
 CUTOFFS = (10.0, 50.0)  # [Hz], printed
+FILTFILT = 9  # samples of odd extension, as `filtfilt` takes them for these filters
 WIDTH = 13.8  # of the butterfly [mm], fitted to 60 µm
 REST = 497  # samples before the motion, with which its sharp points lie at samples 2915, 4788, 5248, 5708 and 7581
 
@@ -102,8 +103,8 @@ def position_loop(feedforward: float) -> PID:
 def schemes_for(gain: float, reference: np.ndarray, tolerance: float = 2e-3) -> dict[str, Scheme]:
     """The paper's schemes. gain: phi;  reference: (N+1,) or (N+1, n_y) [mm];  tolerance: at which learning stops, RMS [mm]"""
     feedback, law = position_loop(0.0), PIDType(gamma_p=gain)
-    fixed = ZeroPhaseButterworth(CUTOFFS[0])
-    switchable = segments(reference, SAMPLE_TIME, cutoffs=CUTOFFS, threshold=2.0, shortest=0.05, width=0.05, window=0.2)
+    fixed = ZeroPhaseButterworth(CUTOFFS[0], padding=FILTFILT)
+    switchable = segments(reference, SAMPLE_TIME, cutoffs=CUTOFFS, threshold=2.0, shortest=0.05, width=0.05, window=0.2, padding=FILTFILT)
     return {
         "feedback": feedback,
         "feedforward": position_loop(SPEED_FEEDFORWARD),
