@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import NamedTuple
 
 import jax
@@ -9,7 +10,7 @@ import jax.numpy as jnp
 
 from .plants import Plant
 from .pytree import leaf, need_channels, part, pytree
-from .signals import Task, quantise
+from .signals import Limit, Task, Trial, quantise
 
 
 @pytree
@@ -32,6 +33,12 @@ class Actuator:
         v = u if self.rate is None else v_last + jnp.clip(u - v_last, -self.rate * dt, self.rate * dt)
         v = self._within_limit(v)
         return v, v if self.resolution is None else self._within_limit(quantise(v, self.resolution))
+
+    def limits(self, u, dt) -> dict[str, Limit]:
+        """By name, what must stay within its bound for the limits to change nothing. u: (N, n_u) commanded in a trial"""
+        rate = jnp.diff(u, axis=0, prepend=jnp.zeros_like(u[:1])) / dt
+        found = {"actuator.limit": (u, self.limit), "actuator.rate": (rate, self.rate)}
+        return {name: Limit(signal, bound) for name, (signal, bound) in found.items() if bound is not None}
 
     def _within_limit(self, u):
         return u if self.limit is None else jnp.clip(u, -self.limit, self.limit)
@@ -90,6 +97,23 @@ class Machine:
     def answers_at_once(self) -> bool:
         """Whether a whole trial follows from an input that is known before it: the plant has a `response`, and no rate is limited."""
         return self.plant.response is not None and (self.actuator is None or self.actuator.rate is None)
+
+    def unlimited(self) -> Machine:
+        """This machine without the limits of its actuator; the converter's step stays."""
+        actuator = self.actuator if self.actuator is None else dataclasses.replace(self.actuator, limit=None, rate=None)
+        return dataclasses.replace(self, actuator=actuator)
+
+    def noiseless(self) -> Machine:
+        """This machine without what differs from trial to trial: noise of the sensors and of the disturbances."""
+        sensor, disturbance = self.sensor, self.disturbance
+        sensor = None if sensor is None else dataclasses.replace(sensor, noise=None)
+        if disturbance is not None:
+            disturbance = dataclasses.replace(disturbance, input_noise=None, output_noise=None)
+        return dataclasses.replace(self, sensor=sensor, disturbance=disturbance)
+
+    def limits(self, trial: Trial) -> dict[str, Limit]:
+        """As of its `Actuator`, for the record of a trial of the `unlimited` machine."""
+        return {} if self.actuator is None else self.actuator.limits(trial.u, trial.dt)
 
     def sampled(self, dt: float) -> Machine:
         """This machine with its plant's sample-time dependent part worked out, once, outside the scans."""

@@ -112,6 +112,13 @@ class Trial(NamedTuple):
         return self.r - self.y
 
 
+class Limit(NamedTuple):
+    """What a limit acts on. signal: (K, n);  bound: () or (n,) largest |signal| that passes unchanged"""
+
+    signal: jax.Array
+    bound: jax.Array
+
+
 def quantise(x, step) -> jax.Array:
     """Round to multiples of `step`. The gradient is straight-through: d quantise / dx = 1."""
     return x + lax.stop_gradient(jnp.round(x / step) * step - x)

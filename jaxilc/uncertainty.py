@@ -13,6 +13,7 @@ import itertools
 from collections.abc import Mapping
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy import special
@@ -148,6 +149,14 @@ def drawn_machine(machine, uncertainty: Uncertainty, values: Mapping[str, float]
     """The machine with one sample's numbers put in; also inside `jit` and `vmap`."""
     scale = {name: jnp.asarray(get_at(machine, name)) if d.relative else 1.0 for name, d in uncertainty.items()}
     return replaced(machine, {name: scale[name] * jnp.asarray(values[name]) for name in uncertainty})
+
+
+def drawn_machines(machine, uncertainty: Uncertainty, drawn: Mapping[str, Any]) -> Any:
+    """All machines drawn as one, each leaf with a leading axis that counts them; the machine itself if nothing was drawn."""
+    if not drawn:
+        return jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], machine)
+    numbers = {name: jnp.asarray(values) for name, values in drawn.items()}
+    return jax.vmap(lambda values: drawn_machine(machine, uncertainty, values))(numbers)
 
 
 def _unit_cube(samples: int, dimensions: int, seed: int, sampling: str) -> np.ndarray:

@@ -10,8 +10,8 @@ import jax.numpy as jnp
 
 from ..filters import Filter
 from ..pytree import part, pytree, static
-from ..signals import Sample, Task, Trial
-from .scheme import Scheme, State, limited, past
+from ..signals import Limit, Sample, Task, Trial
+from .scheme import Scheme, State, limit_of, limited, limits_below, past
 
 
 class Pair(NamedTuple):
@@ -68,14 +68,43 @@ class WithFeedback(Scheme):
         )
 
     def learn(self, memory: Pair, trial: Trial) -> Pair:
+        own, of_feedback = self._shown(trial)
+        return Pair(self.learning.learn(memory.learning, own), self.feedback.learn(memory.feedback, of_feedback))
+
+    def _shown(self, trial: Trial) -> Pair:
+        """The trial as each part learns from it."""
         if "feedback" not in trial.signals:
             raise ValueError("WithFeedback: the trial has no signal 'feedback' (N, n_u), so its learned part cannot be told from u")
         of_learning, of_feedback = (trial._replace(signals=below(name, trial.signals)) for name in ("learning", "feedback"))
-        own = of_learning._replace(u=trial.u - trial.signals["feedback"])
-        return Pair(self.learning.learn(memory.learning, own), self.feedback.learn(memory.feedback, of_feedback))
+        return Pair(of_learning._replace(u=trial.u - trial.signals["feedback"]), of_feedback)
 
     def feedforward(self, memory: Pair, task: Task) -> jax.Array:
         return self.learning.feedforward(memory.learning, task)
+
+    @property
+    def trials_a_step(self) -> int:
+        return self.learning.trials_a_step
+
+    def limits(self, task: Task, memory: Pair, trial: Trial) -> dict[str, Limit]:
+        own, of_feedback = self._shown(trial)
+        of_feedback = of_feedback._replace(u=trial.signals["feedback"])
+        return limits_below("learning", self.learning.limits(task, memory.learning, own)) | limits_below(
+            "feedback", self.feedback.limits(task, memory.feedback, of_feedback)
+        )
+
+    def play(self, learned, memory: Pair, task: Task) -> Pair:
+        return Pair(self.learning.play(learned, memory.learning, task), self.feedback.table(memory.feedback, task))
+
+    def record(self, learned, e, task: Task) -> Trial:
+        trial = self.learning.record(learned, e, task)
+        own = {f"learning.{name}": signal for name, signal in trial.signals.items()}
+        return trial._replace(signals=silent_signals(self, task) | own)
+
+
+def silent_signals(scheme: Scheme, task: Task) -> dict[str, jax.Array]:
+    """The signals of a scheme over a trial in which they are all zero."""
+    shapes = jax.eval_shape(lambda: scheme.signals(scheme.init(task)))
+    return {name: jnp.zeros((task.N, *one.shape), one.dtype) for name, one in shapes.items()}
 
 
 def of_part(name: str, scheme: Scheme, state: State) -> dict[str, jax.Array]:
@@ -109,6 +138,10 @@ class Around(Scheme):
     def limit(self) -> Any:
         return getattr(self.scheme, "limit", None)
 
+    @property
+    def trials_a_step(self) -> int:
+        return self.scheme.trials_a_step
+
     def check(self, task: Task) -> None:
         self.scheme.check(task)
 
@@ -132,6 +165,15 @@ class Around(Scheme):
 
     def learn(self, memory, trial: Trial) -> Any:
         return self.scheme.learn(memory, trial)
+
+    def limits(self, task: Task, memory, trial: Trial) -> dict[str, Limit]:
+        return limits_below("scheme", self.scheme.limits(task, memory, trial))
+
+    def play(self, learned, memory, task: Task) -> Any:
+        return self.scheme.play(learned, memory, task)
+
+    def record(self, learned, e, task: Task) -> Trial:
+        return self.scheme.record(learned, e, task)
 
 
 @pytree
@@ -157,6 +199,11 @@ class Filtered(Around):
     def feedforward(self, memory, task: Task) -> jax.Array:
         return self.table(memory, task).u
 
+    def limits(self, task: Task, memory, trial: Trial) -> dict[str, Limit]:
+        free = self.unlimited()
+        filtered = limit_of(free.feedforward(free.learn(memory, trial), task), self.limit)
+        return super().limits(task, memory, trial) | limits_below("filtered", filtered)
+
 
 @pytree
 class ErrorFiltered(Around):
@@ -175,7 +222,13 @@ class ErrorFiltered(Around):
         self.filter.check(task.N + 1, task.dt)
 
     def learn(self, memory, trial: Trial) -> Any:
-        return self.scheme.learn(memory, trial._replace(y=trial.r - self.filter(trial.e, trial.dt)))
+        return self.scheme.learn(memory, self._shown(trial))
+
+    def limits(self, task: Task, memory, trial: Trial) -> dict[str, Limit]:
+        return super().limits(task, memory, self._shown(trial))
+
+    def _shown(self, trial: Trial) -> Trial:
+        return trial._replace(y=trial.r - self.filter(trial.e, trial.dt))
 
 
 @pytree
@@ -216,8 +269,21 @@ class OnOutputs(Around):
         return self.scheme.act(state, sample._replace(r=sample.r[..., seen], ahead=sample.ahead[..., seen], y=sample.y[..., seen]))
 
     def learn(self, memory, trial: Trial) -> Any:
+        return self.scheme.learn(memory, self._shown(trial))
+
+    def _shown(self, trial: Trial) -> Trial:
         seen = list(self.outputs)
-        return self.scheme.learn(memory, trial._replace(r=trial.r[..., seen], y=trial.y[..., seen]))
+        return trial._replace(r=trial.r[..., seen], y=trial.y[..., seen])
+
+    def limits(self, task: Task, memory, trial: Trial) -> dict[str, Limit]:
+        return super().limits(self._task(task), memory, self._shown(trial))
+
+    def play(self, learned, memory, task: Task) -> Any:
+        return self.scheme.play(learned, memory, self._task(task))
+
+    def record(self, learned, e, task: Task) -> Trial:
+        r = jnp.asarray(task.reference)
+        return self.scheme.record(learned, e[:, list(self.outputs)], self._task(task))._replace(r=r, y=r - e)
 
 
 class ReferenceTable(NamedTuple):
@@ -270,7 +336,10 @@ class OnReference(Scheme):
         return Pair(self.learning.memory(self._task(task)), self.feedback.memory(task))
 
     def table(self, memory: Pair, task: Task) -> ReferenceTable:
-        w = self.learning.table(memory.learning, self._task(task)).u
+        return self.play(self.learning.table(memory.learning, self._task(task)).u, memory, task)
+
+    def play(self, learned, memory: Pair, task: Task) -> ReferenceTable:
+        w = learned
         held = jnp.pad(w, ((0, self.preview - 1), (0, 0)), mode="edge")
         window = jnp.stack([held[i : i + task.N] for i in range(self.preview)], axis=1)
         return ReferenceTable(w, past(w, 1), window, self.feedback.table(memory.feedback, task))
@@ -288,11 +357,29 @@ class OnReference(Scheme):
         return {"correction": state.correction} | of_part("feedback", self.feedback, state.feedback)
 
     def learn(self, memory: Pair, trial: Trial) -> Pair:
+        own, of_feedback = self._shown(trial)
+        return Pair(self.learning.learn(memory.learning, own), self.feedback.learn(memory.feedback, of_feedback))
+
+    def _shown(self, trial: Trial) -> Pair:
+        """The trial as each part learns from it."""
         if "correction" not in trial.signals:
             raise ValueError("OnReference: the trial has no signal 'correction' (N, n_y), so what was learned cannot be told")
         own = trial._replace(u=trial.signals["correction"], signals={})
-        of_feedback = trial._replace(signals=below("feedback", trial.signals))
-        return Pair(self.learning.learn(memory.learning, own), self.feedback.learn(memory.feedback, of_feedback))
+        return Pair(own, trial._replace(signals=below("feedback", trial.signals)))
+
+    @property
+    def trials_a_step(self) -> int:
+        return self.learning.trials_a_step
+
+    def limits(self, task: Task, memory: Pair, trial: Trial) -> dict[str, Limit]:
+        own, of_feedback = self._shown(trial)
+        return limits_below("learning", self.learning.limits(self._task(task), memory.learning, own)) | limits_below(
+            "feedback", self.feedback.limits(task, memory.feedback, of_feedback)
+        )
+
+    def record(self, learned, e, task: Task) -> Trial:
+        r = jnp.asarray(task.reference)
+        return Trial(r, r - e, jnp.zeros((task.N, task.inputs)), task.dt, silent_signals(self, task) | {"correction": learned})
 
 
 def need_feedforward(scheme: Scheme, learning: Scheme, task: Task) -> None:

@@ -6,9 +6,9 @@ import jax
 import jax.numpy as jnp
 
 from ..pytree import leaf, need_channels, pytree, static
-from ..signals import Task, Trial
+from ..signals import Limit, Task, Trial
 from .pid_type import need_lead
-from .scheme import Feedforward, Scheme, ahead, limited, need_square
+from .scheme import Feedforward, Scheme, ahead, limit_of, limited, need_square
 from .sliding_mode import need_input_gain
 
 
@@ -33,6 +33,7 @@ class ExponentialPD(Scheme):
     b: jax.Array = leaf(1.0)
     limit: jax.Array | None = leaf(None, "(0, inf)", optional=True)
     lead: int = static(0, "[0, inf)", whole=True)
+    clips = ("limit",)
 
     def __post_init__(self):
         need_input_gain(self)
@@ -49,3 +50,6 @@ class ExponentialPD(Scheme):
         t = jnp.arange(trial.u.shape[0])[:, None] * trial.dt
         step = self.K_P * trial.e + self.K_D * jnp.asarray(jnp.gradient(trial.e, trial.dt, axis=0))
         return Feedforward(limited(trial.u + jnp.exp(self.lam0 * t) * ahead(step, 1 + self.lead) / self.b, self.limit))
+
+    def limits(self, task: Task, memory: Feedforward, trial: Trial) -> dict[str, Limit]:
+        return limit_of(self.unlimited().learn(memory, trial).u, self.limit)

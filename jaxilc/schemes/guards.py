@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from ..pytree import leaf, need_channels, part, pytree, static
-from ..signals import Task, Trial
+from ..signals import Limit, Task, Trial
 from .compose import Around
 from .mfailc import FFDLMFAILC
 from .scheme import Scheme
@@ -23,6 +23,15 @@ class Guard(Around):
 
     def feedforward(self, memory, task: Task) -> jax.Array:
         return self.scheme.feedforward(memory.scheme, task)
+
+    def frozen(self) -> Scheme:
+        return self.scheme.frozen()
+
+    def limits(self, task: Task, memory, trial: Trial) -> dict[str, Limit]:
+        return super().limits(task, memory.scheme, trial)
+
+    def play(self, learned, memory, task: Task) -> Any:
+        return self.scheme.play(learned, memory.scheme, task)
 
 
 class StopMemory(NamedTuple):
@@ -140,6 +149,10 @@ class Ladder(Guard):
     growth_of_gain: jax.Array = leaf(1.2, "[1, inf)")
     largest: jax.Array = leaf(2.0, "[1, inf)")
     slow: jax.Array | None = leaf(None, "(0, 1)", optional=True)
+
+    @property
+    def trials_a_step(self) -> int:
+        return self.repeats * self.scheme.trials_a_step
 
     def check(self, task: Task) -> None:
         _need_numbers(self, "growth_of_gain", "largest", "slow")

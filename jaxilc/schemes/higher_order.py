@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..pytree import known, leaf, need_channels, pytree, static
-from ..signals import Task, Trial
+from ..signals import Limit, Task, Trial
 from .pid_type import need_lead
-from .scheme import Feedforward, Scheme, ahead, limited, need_square
+from .scheme import Feedforward, Scheme, ahead, limit_of, limited, need_square
 
 
 class Past(NamedTuple):
@@ -41,6 +41,7 @@ class HigherOrder(Scheme):
     gamma: jax.Array = leaf((0.0,))
     limit: jax.Array | None = leaf(None, "(0, inf)", optional=True)
     lead: int = static(0, "[0, inf)", whole=True)
+    clips = ("limit",)
 
     def __post_init__(self):
         P = self.alpha.shape[-1] if self.alpha.ndim == 1 else 0
@@ -74,3 +75,6 @@ class HigherOrder(Scheme):
         inputs, errors = (trial.u, *memory.inputs), (ahead(trial.e, 1 + self.lead), *memory.errors)
         u = sum(self.alpha[i] * inputs[i] + self.gamma[i] * errors[i] for i in range(len(inputs)))
         return Past(limited(u, self.limit), inputs[:-1], errors[:-1])
+
+    def limits(self, task: Task, memory: Past, trial: Trial) -> dict[str, Limit]:
+        return limit_of(self.unlimited().learn(memory, trial).u, self.limit)

@@ -52,6 +52,8 @@ class FFDLMFAC(Scheme):
     L_y: int = static(2, "[0, inf)", whole=True)
     L_u: int = static(2, "[1, inf)", whole=True)
     reset: str = static("book", choices=RESETS)
+    estimator_steps = ("eta",)
+    clips = ("limit",)
 
     def __post_init__(self):
         need_window(self)
@@ -147,6 +149,8 @@ class CFDLMFAPC(Scheme):
     n_p: int = static(3, "[1, inf)", whole=True)
     reset: str = static("book", choices=RESETS)
     reference: str = static("preview", choices=("preview", "constant"))
+    estimator_steps = ("eta",)
+    clips = ("limit",)
 
     def __post_init__(self):
         if self.P_u > self.P:

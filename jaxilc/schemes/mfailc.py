@@ -79,6 +79,8 @@ class FFDLMFAILC(Scheme):
     L_u: int = static(2, "[1, inf)", whole=True)
     lead: int = static(0, "[0, inf)", whole=True)
     reset: str = static("book", choices=RESETS)
+    estimator_steps = ("eta",)
+    clips = ("limit",)
 
     def __post_init__(self):
         need_window(self)

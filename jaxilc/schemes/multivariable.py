@@ -10,9 +10,9 @@ import jax.numpy as jnp
 
 from ..filters import Filter
 from ..pytree import part, pytree, static
-from ..signals import Sample, Task, Trial
-from .compose import Pair, ReferenceTable, below, of_part
-from .scheme import Scheme, State, past
+from ..signals import Limit, Sample, Task, Trial
+from .compose import Pair, ReferenceTable, below, of_part, silent_signals
+from .scheme import Scheme, State, limits_below, past
 
 
 class LearnedState(NamedTuple):
@@ -83,7 +83,9 @@ class MultivariableILC(Scheme):
         return Pair(learning._replace(u=learning.u.at[:, 1:].set(r[1:])), self.feedback.memory(self._motor_task(task)))
 
     def table(self, memory: Pair, task: Task) -> ReferenceTable:
-        learned = self.learning.table(memory.learning, self.learning_task(task)).u
+        return self.play(self.learning.table(memory.learning, self.learning_task(task)).u, memory, task)
+
+    def play(self, learned, memory: Pair, task: Task) -> ReferenceTable:
         u, r = learned[:, :1], learned[:, 1:]
         held = jnp.pad(r, ((0, self.preview - 1), (0, 0)), mode="edge")
         window = jnp.stack([held[i : i + task.N] for i in range(self.preview)], axis=1)
@@ -107,6 +109,11 @@ class MultivariableILC(Scheme):
         return {"feedback": state.u, "reference": state.reference} | of_part("feedback", self.feedback, state.feedback)
 
     def learn(self, memory: Pair, trial: Trial) -> Pair:
+        own, of_motor = self._shown(trial)
+        return Pair(self.learning.learn(memory.learning, own), self.feedback.learn(memory.feedback, of_motor))
+
+    def _shown(self, trial: Trial) -> Pair:
+        """The trial as each part learns from it."""
         for name in ("feedback", "reference"):
             if name not in trial.signals:
                 raise ValueError(f"MultivariableILC: the trial has no signal {name!r} (N, 1), so what was learned cannot be told from it")
@@ -114,5 +121,19 @@ class MultivariableILC(Scheme):
         y = trial.y[:, [self.motor_output, self.table_output]]
         wanted = jnp.concatenate([jnp.concatenate([start, r]), trial.r[:, self.table_output, None]], axis=1)
         own = Trial(wanted, y, jnp.concatenate([trial.u - trial.signals["feedback"], r], axis=1), trial.dt)
-        of_motor = trial._replace(r=wanted[:, :1], y=y[:, :1], signals=below("feedback", trial.signals))
-        return Pair(self.learning.learn(memory.learning, own), self.feedback.learn(memory.feedback, of_motor))
+        return Pair(own, trial._replace(r=wanted[:, :1], y=y[:, :1], signals=below("feedback", trial.signals)))
+
+    @property
+    def trials_a_step(self) -> int:
+        return self.learning.trials_a_step
+
+    def limits(self, task: Task, memory: Pair, trial: Trial) -> dict[str, Limit]:
+        own, of_motor = self._shown(trial)
+        of_motor = of_motor._replace(u=trial.signals["feedback"])
+        return limits_below("learning", self.learning.limits(self.learning_task(task), memory.learning, own)) | limits_below(
+            "feedback", self.feedback.limits(self._motor_task(task), memory.feedback, of_motor)
+        )
+
+    def record(self, learned, e, task: Task) -> Trial:
+        r = jnp.asarray(task.reference)
+        return Trial(r, r - e, learned[:, :1], task.dt, silent_signals(self, task) | {"reference": learned[:, 1:]})

@@ -13,8 +13,8 @@ from jax.scipy.linalg import cho_factor, cho_solve
 
 from ..plants import StateSpace, TimeVaryingStateSpace
 from ..pytree import known, leaf, need_channels, part, pytree, static
-from ..signals import Task, Trial, product
-from .scheme import Feedforward, Scheme, limited
+from ..signals import Limit, Task, Trial, product
+from .scheme import Feedforward, Scheme, limit_of, limited
 
 LARGEST_LIFTED = 8192  # rows or columns of the dense form: half a gigabyte each for H and the factor, in float64
 
@@ -63,6 +63,7 @@ class NormOptimal(Scheme):
     limit: jax.Array | None = leaf(None, "(0, inf)", optional=True)
     form: str = static("riccati", choices=("riccati", "lifted"))
     solved: Any = part(None)
+    clips = ("limit",)
 
     def __post_init__(self):
         if not isinstance(self.model, StateSpace | TimeVaryingStateSpace):
@@ -123,6 +124,9 @@ class NormOptimal(Scheme):
         ready = self._prepared(len(u), trial.dt)
         step = ready._step_lifted(e, u) if self.form == "lifted" else ready._step_riccati(e, u)
         return Feedforward(limited(u + step, self.limit))
+
+    def limits(self, task: Task, memory: Feedforward, trial: Trial) -> dict[str, Limit]:
+        return limit_of(self.unlimited().learn(memory, trial).u, self.limit)
 
     def _prepared(self, N: int, dt: float) -> NormOptimal:
         if self.solved is not None:

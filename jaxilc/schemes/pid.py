@@ -50,6 +50,7 @@ class PID(Scheme):
     form: str = static("position", choices=("position", "increment"))
     kv: jax.Array | None = leaf(None, optional=True)
     ka: jax.Array | None = leaf(None, optional=True)
+    clips = ("limit",)
 
     @property
     def preview(self) -> int:

@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 
 from ..pytree import leaf, need_channels, pytree, static
-from ..signals import Task, Trial
-from .scheme import Feedforward, Scheme, ahead, limited, need_square
+from ..signals import Limit, Task, Trial
+from .scheme import Feedforward, Scheme, ahead, limit_of, limited, need_square
 
 
 @pytree
@@ -27,6 +27,7 @@ class PIDType(Scheme):
     leak: jax.Array = leaf(0.0, "[0, 1)")
     limit: jax.Array | None = leaf(None, "(0, inf)", optional=True)
     lead: int = static(0, "[0, inf)", whole=True)
+    clips = ("limit",)
 
     def check(self, task: Task) -> None:
         need_square(self, task)
@@ -41,6 +42,9 @@ class PIDType(Scheme):
         difference = jnp.pad(jnp.diff(e, axis=0)[self.lead :], ((0, self.lead), (0, 0)))
         step = self.gamma_p * ahead(e, 1 + self.lead) + self.gamma_i * jnp.cumsum(e[1:], axis=0) + self.gamma_d * difference
         return Feedforward(limited((1.0 - self.leak) * trial.u + step, self.limit))
+
+    def limits(self, task: Task, memory: Feedforward, trial: Trial) -> dict[str, Limit]:
+        return limit_of(self.unlimited().learn(memory, trial).u, self.limit)
 
 
 def need_lead(scheme, task: Task) -> None:

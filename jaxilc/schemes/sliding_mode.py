@@ -63,6 +63,7 @@ class SMC(Scheme):
     tau: jax.Array = leaf(0.0, "[0, inf)")
     limit: jax.Array | None = leaf(None, "(0, inf)", optional=True)
     centre: str = static("sample", choices=("sample", "hold"))
+    clips = ("limit",)
 
     def __post_init__(self):
         need_input_gain(self)
