@@ -94,9 +94,9 @@ def certify(
             shares = premises(*common) if isinstance(one, FFDLMFAILC) else None
             numbers[name] = tables.certificate_figures(found, shares, seconds)
             shown += tables.certificate_tables(name, chosen.trials, numbers[name])
+            lines.append(tables.certificate_sentence(name, chosen.trials, numbers[name], chosen.shown_scale, chosen.shown_unit))
             axes = figures.certificate(found, scale=chosen.shown_scale, unit=chosen.shown_unit, title=name)
             paths.append(figures.save(axes, folder / f"{name}.png"))
-            lines += _what_is_not_certified(name, found)
         bar.update(schemes, completed=len(learning))
     for table in shown:
         out.print(table)
@@ -107,9 +107,9 @@ def certify(
     pictures = [(f"{name}: error by trial, predicted and simulated", path) for name, path in zip(learning, paths, strict=True)]
     page = command_report(report, "certify", shown, pictures, scenario=wide, lines=lines, asked=asked)
     written([*paths, *page], json_file, {"scenario": scenario, "trials": chosen.trials, "samples": samples, "schemes": numbers})
-    broken = [name for name, row in numbers.items() if row["certified_yet_grew"]]
+    broken = [name for name, row in numbers.items() if row["contradicted"]]
     if broken:
-        err.print(f"{', '.join(broken)}: machines were certified monotone and grew: please report this", highlight=False)
+        err.print(f"{', '.join(broken)}: simulation contradicts what was claimed: please report this", highlight=False)
         raise typer.Exit(1)
 
 
@@ -174,14 +174,3 @@ def reproduce(
     table = tables.reproduction_table(numbers)
     out.print(table)
     written(command_report(report, "reproduce", [table]), json_file, numbers)
-
-
-def _what_is_not_certified(name: str, found) -> list[str]:
-    """Why theory can promise nothing about a scheme, in a line, if it cannot."""
-    from .theory.condition import is_linear
-
-    curved = int((~is_linear(found.departure)).sum())
-    if not curved:
-        return []
-    what = f"on {curved} of {len(found.departure)} machines the errors to come are not linear in an error, by up to"
-    return [f"{name}: {what} {found.departure.max():.1e}: nothing is certified there, theory's verdict is a prediction"]

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .theory import VERDICTS
-from .theory.condition import is_linear
+from .theory.certificates import CLAIMS, CONVERGES, COURSES, DIVERGES, GROWS, MONOTONE, NOTHING, TURNS
 from .titled_table import Table
 
 if TYPE_CHECKING:
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from .theory import Certificate, PremiseShare
 
 FIGURES = ("settled_error", "max_error", "rms", "best_trial")
+NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w])")
+COURSE_WORDS = {TURNS: "have a best trial and then turn", GROWS: "end above their start"}
 
 
 def shown_trials(scenario: Scenario) -> list[int]:
@@ -139,17 +141,20 @@ def band_table(figures: dict[str, Any]) -> Table:
 
 
 def certificate_figures(found: Certificate, shares: tuple[list[PremiseShare], dict[str, int]] | None, seconds: float) -> dict[str, Any]:
-    """Verdicts, how they compare with simulation, and the premises of the bounds where there are any."""
+    """Claims for the long run with their reasons, the course of J trials beside simulation, and the premises of the bounds, if any."""
+    claimed = np.isin(found.claim, (MONOTONE, CONVERGES))
     figures = {
-        "verdicts": {v: int(np.sum(found.verdict == v)) for v in VERDICTS},
+        "claims": {claim: int(np.sum(found.claim == claim)) for claim in CLAIMS},
+        "monotone_in_the_error": int(np.sum(found.of_error)),
+        "reasons": {claim: told(found.reason[found.claim == claim]) for claim in CLAIMS if np.any(found.claim == claim)},
+        "floor": float(np.max((found.floor + found.doubt)[claimed])) if np.any(claimed) else None,
+        "expected": {course: int(np.sum(found.expected == course)) for course in COURSES},
+        "observed": {course: int(np.sum(found.observed == course)) for course in COURSES},
         "confusion": found.confusion(),
-        "linear": found.linear,
-        "linear_errors": bool(np.all(is_linear(found.departure))),
-        "sigma": {"min": float(np.min(found.sigma)), "median": float(np.median(found.sigma)), "max": float(np.max(found.sigma))},
         "growth": {"median": float(np.median(found.growth)), "max": float(np.max(found.growth))},
         "turning": {"predicted": float(np.median(found.turning)), "observed": float(np.median(found.observed_turning))},
-        "certified_yet_grew": found.broken_promises().tolist(),
-        "seconds_a_sample": seconds / len(found.sigma),
+        "contradicted": found.broken_promises().tolist(),
+        "seconds_a_machine": seconds / len(found.claim),
     }
     if shares is not None:
         figures["premises"] = {p.name: {"held": p.held, "share_broken": p.share_broken} for p in shares[0]}
@@ -157,28 +162,60 @@ def certificate_figures(found: Certificate, shares: tuple[list[PremiseShare], di
     return figures
 
 
+def told(reasons) -> dict[str, int]:
+    """How often each reason is given; those that differ in their numbers alone as one, with the range of each number."""
+    groups: dict[str, list[list[float]]] = {}
+    for reason in reasons:
+        groups.setdefault(NUMBER.sub("{}", reason), []).append([float(x) for x in NUMBER.findall(reason)])
+    return {text.format(*map(_range, zip(*rows, strict=True))): len(rows) for text, rows in groups.items()}
+
+
+def certificate_sentence(name: str, trials: int, figures: dict[str, Any], scale: float, unit: str) -> str:
+    """What a certificate says, in words."""
+    claims, machines = figures["claims"], sum(figures["claims"].values())
+    certified = claims[MONOTONE] + claims[CONVERGES]
+    parts = []
+    if certified:
+        in_error, floor = figures["monotone_in_the_error"], scale * figures["floor"]
+        monotone = f"{claims[MONOTONE]} in every trial ({in_error} in the error itself)" if claims[MONOTONE] else ""
+        converging = f"{claims[CONVERGES]} in the end" if claims[CONVERGES] else ""
+        which = " and ".join(filter(None, (monotone, converging)))
+        left = f"it leaves an error of {number(floor)} {unit} at most"
+        parts.append(f"in the long run {certified} of {machines} machines come nearer to their limit, {which}; {left}")
+    if claims[DIVERGES]:
+        parts.append(f"{claims[DIVERGES]} diverge")
+    if claims[NOTHING]:
+        parts.append(f"of {claims[NOTHING]} nothing is claimed" if certified or claims[DIVERGES] else "of the long run nothing is claimed")
+    expected, observed, turning = figures["expected"], figures["observed"], figures["turning"]
+    bad = {c: (expected[c], observed[c]) for c in (TURNS, GROWS) if expected[c] or observed[c]}
+    courses = ", ".join(f"{e} machines {COURSE_WORDS[c]} by theory and {o} by simulation" for c, (e, o) in bad.items())
+    seen = courses or "the error of every machine ends lower than it began, by theory and by simulation"
+    best = f"; the best trial is {turning['predicted']:g} by theory and {turning['observed']:g} by simulation (median)" if bad else ""
+    return f"{name}: {', '.join(parts)}. Within {trials} trials {seen}{best}."
+
+
 def certificate_tables(name: str, trials: int, figures: dict[str, Any]) -> list[Table]:
-    """Predicted against observed verdicts, and the premises."""
-    sigma, growth, turning = figures["sigma"], figures["growth"], figures["turning"]
-    why = "estimates frozen at their start" if figures["linear_errors"] else "errors to come not linear in an error"
-    what = "linear law" if figures["linear"] else f"{why}: a prediction, not a guarantee"
-    confusion = Table(
-        title=f"{name}, {trials} trials ({what})\nlargest singular value {sigma['min']:.4f} – {sigma['max']:.4f}, predicted growth up to "
-        f"{number(growth['max'])}, best trial (median) predicted {turning['predicted']:g}, observed {turning['observed']:g}"
-    )
-    confusion.add_column("theory says, of machines")
-    for verdict in VERDICTS:
-        confusion.add_column(f"simulated: {verdict}", justify="right")
-    for verdict, row in figures["confusion"].items():
-        confusion.add_row(f"{verdict} ({figures['verdicts'][verdict]})", *(str(row[v]) for v in VERDICTS))
-    tables = [confusion]
+    """The claims with their reasons, the expected against the observed course, and the premises of the bounds."""
+    claims = Table("in the long run", "machines", "why", title=f"{name}: what is claimed, however many trials are run")
+    for claim, reasons in figures["reasons"].items():
+        for i, (reason, count) in enumerate(reasons.items()):
+            claims.add_row("" if i else claim, str(count), reason)
+    courses = Table(f"within {trials} trials, by theory", title=f"{name}: the error within {trials} trials, predicted and simulated")
+    for course in COURSES:
+        courses.add_column(f"simulated: {course}", justify="right")
+    for course, row in figures["confusion"].items():
+        courses.add_row(f"{course} ({figures['expected'][course]})", *(str(row[c]) for c in COURSES))
+    tables = [claims, courses]
     if "premises" in figures:
-        bound = ", ".join(f"{verdict} {count}" for verdict, count in figures["bound"].items())
-        premises = Table("premise", title=f"{name}: premises of the bound of Cao 2019, machines; the bound: {bound}")
-        premises.add_column("held on", justify="right")
-        premises.add_column("broken share of (k, j)", justify="right")
+        bound, machines = figures["bound"], sum(figures["bound"].values())
+        tested = "; ".join(f"it {verdict} on {count}" for verdict, count in bound.items() if count and verdict != "not claimed")
+        title = tested or f"it was claimed on none of {machines} machines, so nothing of it was tested"
+        premises = Table("premise", title=f"{name}: the bound of Cao 2019: {title}")
+        premises.add_column("held throughout on", justify="right")
+        premises.add_column("broken at, of samples and trials", justify="right")
         for premise, row in figures["premises"].items():
-            premises.add_row(premise, str(row["held"]), f"{row['share_broken']:.2%}")
+            held = f"{row['held']} of {machines}" if row["held"] else "no machine"
+            premises.add_row(premise, held, _share(row["share_broken"]))
         tables.append(premises)
     return tables
 
@@ -214,3 +251,13 @@ def number(value: float) -> str:
     if value == 0 or 1e-3 <= abs(value) < 1e5:
         return np.format_float_positional(value, precision=3, fractional=False, trim="-")
     return f"{value:.2e}"
+
+
+def _range(values) -> str:
+    low, high = (f"{end(values):.6g}" for end in (min, max))
+    return low if low == high else f"{low} to {high}"
+
+
+def _share(share: float) -> str:
+    """A share in percent; one that is not zero never reads as zero."""
+    return "nowhere" if share == 0 else "< 0.01 %" if share < 1e-4 else f"{100 * share:.2f} %"

@@ -31,7 +31,7 @@ def errors(trial):
     return trial.e[1:, 0]
 
 
-law_response = jax.jit(frequency.law_response)
+law_response = frequency.law_response
 response = jax.jit(lambda machine, scheme, task: frequency.response(frequency.linear_loop(machine, scheme, task), F, DT))
 
 
@@ -116,15 +116,15 @@ class Own(Filter):
 
 def test_laws_and_filters():
     task = Task(np.zeros(401), dt=DT)
-    law = law_response(PIDType(gamma_p=0.6, gamma_i=0.02, gamma_d=0.3, leak=0.1, lead=3), task, F)
-    np.testing.assert_allclose(law.L[:, 0, 0], 0.6 * Z**4 + 0.02 * Z / (1 - 1 / Z) + 0.3 * (Z**4 - Z**3), rtol=1e-12)
+    law = law_response(PIDType(gamma_p=0.6, gamma_d=0.3, leak=0.1, lead=3), task, F)
+    np.testing.assert_allclose(law.L[:, 0, 0], 0.6 * Z**4 + 0.3 * (Z**4 - Z**3), rtol=1e-12)
     np.testing.assert_allclose(law.keep[:, 0, 0], 0.9)
     law = law_response(CFDLMFAILC(phi0=0.3, lam=0.2, rho=0.5, lead=1), task, F)
     np.testing.assert_allclose(law.L[:, 0, 0], 0.5 * 0.3 / (0.2 + 0.09) * Z**2, rtol=1e-12)
     law = law_response(WithFeedback(Filtered(TwoAhead(), ZeroPhaseFIR((0.5, 0.2, 0.05))), PID()), task, F)
-    np.testing.assert_allclose(law.L[:, 0, 0], 0.5 * (0.7 * Z**2 + 0.3), rtol=1e-9)
-    np.testing.assert_allclose(law.keep[:, 0, 0], 0.9, rtol=1e-9)
-    np.testing.assert_allclose(law.Q, 0.5 + 0.4 * np.cos(2 * np.pi * F * DT) + 0.1 * np.cos(4 * np.pi * F * DT), rtol=1e-12)
+    Q = 0.5 + 0.4 * np.cos(2 * np.pi * F * DT) + 0.1 * np.cos(4 * np.pi * F * DT)
+    np.testing.assert_allclose(law.L[:, 0, 0], Q * 0.5 * (0.7 * Z**2 + 0.3), rtol=1e-9)
+    np.testing.assert_allclose(law.keep[:, 0, 0], Q * 0.9, rtol=1e-9)
     sections = scipy.signal.butter(3, 70.0, fs=1 / DT, output="sos")
     expected = np.abs(scipy.signal.sosfreqz(sections, F, fs=1 / DT)[1]) ** 2
     for q in (ZeroPhaseButterworth(70.0, order=3), Own(ZeroPhaseButterworth(70.0, order=3))):
@@ -150,8 +150,8 @@ def test_the_supremum_is_the_singular_value_of_a_long_trial(gamma):
     fine = np.linspace(1e-3, 500.0, 200001)
     z = np.exp(2j * np.pi * fine * DT)
     curve = np.abs(1 - gamma * z * P(z))
-    np.testing.assert_allclose(found.condition.value, curve.max(), rtol=1e-8)
-    np.testing.assert_allclose(found.worst, fine[np.argmax(curve)], atol=0.05)
+    assert curve.max() <= found.condition.value <= curve.max() * (1 + 1.1e-6), "enclosed from above"
+    np.testing.assert_allclose(found.worst, fine[np.argmax(curve)], atol=0.2)
     np.testing.assert_allclose(found.critical, fine[np.argmax(curve >= 1)], atol=0.01)
 
 
@@ -214,7 +214,7 @@ def test_the_ends_of_the_trial_are_looked_at():
     assert found["pinned"].value == found["free"].value < 0.7
     assert found["free"].verdict == "holds"
     assert found["pinned"].verdict == "not claimed"
-    assert [p.name for p in found["pinned"].broken] == ["the ends of the trial learn like its middle"]
+    assert [p.name for p in found["pinned"].broken] == ["the whole trial converges, its ends included"]
     rho = {name: lifted.learning_conditions(ARX_MACHINE, s, task)["asymptotic"].value for name, s in (("pinned", pinned), ("free", free))}
     assert rho["free"] < 0.7
     assert 1.001 < rho["pinned"] < 1.01
@@ -224,7 +224,6 @@ def test_the_ends_of_the_trial_are_looked_at():
 
 BROKEN = {
     "loop stable": (Machine(StateSpace([[1.0]], [[1.0]], [[1.0]], dt=DT)), PIDType(gamma_p=0.5)),
-    "trial longer than the memory of the loop": (Machine(StateSpace([[0.99]], [[0.01]], [[1.0]], dt=DT)), PIDType(gamma_p=0.5)),
     "loop linear and time invariant": (ARX_MACHINE, WithFeedback(PIDType(gamma_p=0.5), CFDLMFAC(phi0=0.3))),
     "learning law linear and the same in each trial": (ARX_MACHINE, CFDLMFAILC(phi0=0.3, reset="none")),
 }
@@ -241,8 +240,9 @@ def test_nothing_is_claimed_where_a_premise_is_broken(premise):
 def test_a_limit_breaks_the_premise_and_an_unused_integrator_does_not():
     task = task_for(PLANTS["arx"], 200)
     machine = Machine(PLANTS["arx"], actuator=Actuator(limit=0.5, rate=1e6))
-    broken = frequency.learning_condition(machine, PIDType(gamma_p=0.5), task).condition.broken
-    assert [p.name for p in broken] == ["loop linear and time invariant"]
+    filtered = Filtered(PIDType(gamma_p=0.5), ZeroPhaseButterworth(40.0))
+    broken = frequency.learning_condition(machine, filtered, task).condition.broken
+    assert [p.name for p in broken] == ["no limit is met in any trial to come"]
     loop = frequency.linear_loop(ARX_MACHINE, PID(kp=0.5, form="increment"), task)
     np.testing.assert_allclose(np.max(np.abs(np.linalg.eigvals(loop.A))), 1.0, atol=1e-9)
     A = np.array([[1.6 - 0.5 * 0.06, 1.0], [-0.65 - 0.5 * 0.03, 0.0]])
@@ -262,7 +262,7 @@ def test_robust_condition_is_the_worst_of_all_perturbed_plants():
     z, law = np.exp(2j * np.pi * f * DT), law_response(scheme, task, f)
     LP, W = np.asarray(law.L)[:, 0, 0] * transfer(*ARX)(z), weight(f)
     unit = np.exp(2j * np.pi * np.arange(720) / 720)[:, None]
-    perturbed = np.abs(law.Q * (1 - LP * (1 + W * unit)))
+    perturbed = np.abs(np.asarray(law.keep)[:, 0, 0] - LP * (1 + W * unit))
     np.testing.assert_allclose(found.magnitude, perturbed.max(axis=0), rtol=1e-4)
     nominal = frequency.learning_condition(ARX_MACHINE, scheme, task, frequencies=f)
     np.testing.assert_allclose(frequency.robust_condition(ARX_MACHINE, scheme, task, 0.0, frequencies=f).magnitude, nominal.magnitude)

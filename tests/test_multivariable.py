@@ -271,7 +271,7 @@ def test_theorem_2_the_nominal_plant_is_learned_monotonically(scheme, matrix):
     machine, H = Machine(NOMINAL), matrix(MODEL)
     found = lifted.learning_conditions(machine, scheme(), TASK)
     law = lifted.learning_law(scheme(), TASK)
-    M = lifted.input_map(lifted.lifted_plant(machine, scheme(), TASK), law.L, Q=law.Q, keep=law.keep)
+    M = lifted.input_map(lifted.lifted_plant(machine, scheme(), TASK), law.L, keep=law.keep)
     expected = np.linalg.inv(1e3 * H.T @ H + 0.011 * np.eye(len(M))) * 0.01
     np.testing.assert_allclose(M, expected, atol=1e-10)
     np.testing.assert_allclose(found["monotone"].value, 0.01 / (1e3 * np.linalg.svd(H)[1][-1] ** 2 + 0.011), rtol=1e-8)

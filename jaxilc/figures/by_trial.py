@@ -98,11 +98,11 @@ def certificate(found: Certificate, *, scale: float = 1.0, unit: str = "", title
     """
     ax = new_axes(ax)
     trial = np.arange(1, found.predicted.shape[1] + 1)
-    for errors, colour, dash, label in ((found.observed, COLOURS[0], "-", "simulated"), (found.predicted, COLOURS[1], "--", "predicted")):
+    for errors, colour, dash, label in ((found.simulated, COLOURS[0], "-", "simulated"), (found.predicted, COLOURS[1], "--", "predicted")):
         shown = np.where(np.isfinite(errors) & (errors > 0), scale * errors, np.nan)
         ax.semilogy(trial, shown.T, color=colour, linewidth=0.5, alpha=0.35, linestyle=dash)
         ax.semilogy(trial, shown[0], color=colour, linewidth=2, linestyle=dash, label=f"{label} (thick: nominal)")
-    ax.set(ylabel=labelled("RMS error", unit), title=f"{title}: {len(found.sigma)} machines")
+    ax.set(ylabel=labelled("RMS error", unit), title=f"{title}: {len(found.claim)} machines")
     trial_axis(ax)
     grid(ax)
     ax.legend(fontsize="small")

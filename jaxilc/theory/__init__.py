@@ -1,19 +1,24 @@
 """What theory says of a machine, a scheme and a task: conditions of convergence with their premises.
 
+    structure    what is linear in a program, read off the program;  linearity: of machine, feedback and learning law by name
+    loop, law    the loop and the learning law far from the ends of a trial;  enclosure: largest values over frequency, enclosed
+    frequency    |Q (keep - L P)| < 1: of one machine (by_frequency), for every plant within a bound (robust), for a set (family)
     lifted       G, L and Q as matrices of the simulator and the scheme; singular values, spectral radius, transient growth
-    frequency    |Q (1 - L z P)| < 1 and its robust versions, over one plant or a parametric set of plants
-    contraction  the gain of the learning step of any scheme, without a matrix
+    outlook      all trials to come of a linear law: its limit, how fast, which limits of the machine it meets
+    contraction  the gain of the learning step of any scheme, without a matrix;  iteration: by Lanczos and Arnoldi
+    certificates many machines at once, against simulation;  bounds: d1 and d2 of Cao 2019;  sliding: Xu 2024
 
 Each condition is a `Condition`: value, margin, premises, theorem, verdict.
 """
 
-from . import condition, contraction, frequency, lifted
-from .bounds import CFDLBounds, FFDLBounds, cfdl_bounds, ffdl_bounds
-from .certificates import VERDICTS, Certificate, PremiseShare, certify, premises
+from . import condition, contraction, frequency, lifted, outlook, structure
+from .bounds import CFDLBounds, FFDLBounds, PremiseShare, cfdl_bounds, ffdl_bounds, premises
+from .certificates import CLAIMS, COURSES, Certificate, certify
 from .condition import Condition, Premise
 
 __all__ = [
-    "VERDICTS",
+    "CLAIMS",
+    "COURSES",
     "CFDLBounds",
     "Certificate",
     "Condition",
@@ -27,5 +32,7 @@ __all__ = [
     "ffdl_bounds",
     "frequency",
     "lifted",
+    "outlook",
     "premises",
+    "structure",
 ]

@@ -8,15 +8,21 @@ premise held at every sample and trial.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from functools import partial
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from ..batch import tiled
+from ..learning import learn
+from ..machine import Machine
 from ..schemes import CFDLMFAILC, FFDLMFAILC
 from ..signals import Task, Trial
+from ..uncertainty import Uncertainty, drawn_machines
 from .condition import Condition, condition, premise
 
 INCREMENT = 1e-9  # increments below this share of the largest one are no excitation
@@ -60,8 +66,8 @@ def cfdl_bounds(scheme: CFDLMFAILC, task: Task, y, u) -> CFDLBounds:
     du, dy = np.diff(u, axis=0), np.diff(y[:, 1:], axis=0)
     excited, lipschitz = _excited(du, dy)
     phi = np.where(excited, dy, np.nan) / np.where(excited, du, 1.0)
-    (estimate,) = _estimates(scheme, task, y, u)
-    estimate = np.where(excited, estimate, np.nan)
+    (used,) = _estimates(scheme, task, y, u)
+    estimate = np.where(excited, used, np.nan)
     gain = phi * estimate / (lam + estimate**2)
     b, M1 = float(np.nanmax(np.abs(phi))), float(np.nanmin(gain))
     epsilon = float(scheme.epsilon)
@@ -77,7 +83,10 @@ def cfdl_bounds(scheme: CFDLMFAILC, task: Task, y, u) -> CFDLBounds:
         premise("phi bounded away from 0", ~excited | (np.abs(phi) > epsilon), f"smallest |phi| = {np.nanmin(np.abs(phi)):.4g}"),
         premise("sign of the estimate", ~excited | (np.sign(estimate) == sign), "sign phi_hat = sign phi"),
         premise("lam > b^2 / 4", ~excited | (phi**2 / 4.0 < lam), f"lam = {lam:.4g}, b^2 / 4 = {b**2 / 4.0:.4g}"),
-        premise("the law acts unlimited", _lawful(du, gain_of=estimate, lam=lam, rho=rho, e=e, lead=scheme.lead), "Du = gain e(k+1, j-1)"),
+        premise(
+            "the law acts in every trial, unlimited", _lawful(du, used, lam=lam, rho=rho, e=e, lead=scheme.lead), "Du = gain e(k+1, j-1)"
+        ),
+        premise("no lead: u(k) is learned from e(k+1)", scheme.lead == 0, f"lead = {scheme.lead}; eq. 15 compares e(k+1) alone"),
     )
     d2_worst = 1.0 - rho * M1
     return CFDLBounds(
@@ -129,7 +138,14 @@ def ffdl_bounds(scheme: FFDLMFAILC, task: Task, y, u) -> FFDLBounds:
     safe = np.where(excited, length, 1.0)
     gradient = np.where(excited, np.abs(Dy), np.nan) / safe
     b = float(np.nanmax(gradient))
-    premises = (premise("Lipschitz: |Dy(k+1)| <= b |DH(k)|", lipschitz, f"b = {b:.4g} where DH excites"),)
+    premises = (
+        premise("Lipschitz: |Dy(k+1)| <= b |DH(k)|", lipschitz, f"b = {b:.4g} where DH excites"),
+        premise(
+            "a statement on convergence",
+            False,
+            "any finite b fulfils it: Theorem 2 bounds the pseudo gradient and says nothing of the error",
+        ),
+    )
     return FFDLBounds(
         b=b,
         gradient=gradient,
@@ -138,9 +154,45 @@ def ffdl_bounds(scheme: FFDLMFAILC, task: Task, y, u) -> FFDLBounds:
         mismatch=np.where(excited, np.abs(Dy - np.sum(estimate * DH, axis=0)), np.nan) / safe,
         observed=_ratio(np.asarray(task.reference)[None, 1:, 0] - y[:, 1:]),
         condition=condition(
-            b, "Cao 2019, Theorem 2: a pseudo gradient with |Phi(k,j)| <= b exists", limit=np.finfo(float).max, premises=premises
+            b,
+            "Cao 2019, Theorem 2: a pseudo gradient with |Phi(k,j)| <= b exists. Nothing follows of the error",
+            limit=np.finfo(float).max,
+            premises=premises,
         ),
     )
+
+
+class PremiseShare(NamedTuple):
+    """A premise over S machines: on how many it held throughout, and the mean share of samples and trials that broke it."""
+
+    name: str
+    held: int
+    share_broken: float
+
+
+def premises(
+    machine: Machine, scheme: FFDLMFAILC, task: Task, trials: int, uncertainty: Uncertainty, drawn: Mapping[str, Any], *, chunk: int = 16
+) -> tuple[list[PremiseShare], dict[str, int]]:
+    """The premises of Cao 2019's bounds on each machine's run, and how often the bound itself holds, fails or is not claimed.
+
+    Machines whose run is not finite are left out of both.
+    """
+    bounds: Any = cfdl_bounds if isinstance(scheme, CFDLMFAILC) else ffdl_bounds
+    run, machines = tiled(partial(_signals, trials=trials)), drawn_machines(machine, uncertainty, drawn)
+    total, conditions = len(jax.tree.leaves(machines)[0]), []
+    for start in range(0, total, chunk):
+        batch = jax.tree.map(lambda leaf, start=start: leaf[start : start + chunk], machines)
+        for y, u in zip(*(np.asarray(s) for s in run((scheme, task), batch)), strict=True):
+            if np.all(np.isfinite(y)) and np.all(np.isfinite(u)):
+                conditions.append(bounds(scheme, task, y, u).condition)
+    names = [p.name for p in conditions[0].premises] if conditions else []
+    shares = [
+        PremiseShare(
+            name, sum(bool(c.premises[i].held) for c in conditions), float(np.mean([c.premises[i].share_broken for c in conditions]))
+        )
+        for i, name in enumerate(names)
+    ]
+    return shares, {v: sum(c.verdict == v for c in conditions) for v in ("holds", "fails", "not claimed")}
 
 
 def _run(name: str, task: Task, y, u):
@@ -179,10 +231,10 @@ def _replayed(scheme, task: Task, y, u):
     return lax.scan(replay, scheme.memory(task), (y, u))[1]
 
 
-def _lawful(du, *, gain_of, lam, rho, e, lead):
-    """Where the applied increment is that of the law: no limit, quantiser or filter came between."""
-    wanted = rho * gain_of / (lam + gain_of**2) * np.pad(e[:-1, lead:], ((0, 0), (0, lead)))
-    return np.isnan(gain_of) | (np.abs(du - wanted) <= 1e-6 * np.abs(wanted) + 1e-12)
+def _lawful(du, estimate, *, lam, rho, e, lead):
+    """Where the applied increment is that of the law: no limit, quantiser, filter or rule of when to learn came between."""
+    wanted = rho * estimate / (lam + estimate**2) * np.pad(e[:-1, lead:], ((0, 0), (0, lead)))
+    return np.abs(du - wanted) <= 1e-6 * np.abs(wanted) + INCREMENT * np.max(np.abs(wanted))
 
 
 def _ratio(e):
@@ -193,3 +245,11 @@ def _ratio(e):
 def _past(signal, samples: int):
     """signal[:, k - samples], zero before the trial."""
     return signal if samples == 0 else np.pad(signal, ((0, 0), (samples, 0)))[:, :-samples]
+
+
+def _signals(common, machine, *, trials):
+    return learn(machine.noiseless(), *common, trials, save=_y_and_u).saved
+
+
+def _y_and_u(trial: Trial):
+    return trial.y, trial.u

@@ -1,182 +1,195 @@
-"""A verdict on each uncertain machine from theory alone, and how it compares with simulation.
+"""What theory claims of each uncertain machine in the long run, what it expects within some trials, and what simulation does.
 
-Theory here is that of a linear learning law: an adaptive scheme is taken with its estimates frozen at their start, which makes it one.
-Its errors then obey e_{j+1} = M e_j with M = I - G L, and three things follow:
+Two questions, two answers. **The long run** does not depend on how many trials one cares to watch. It is claimed only where machine,
+feedback and learning law are linear and learn alike in every trial (`linearity`), and no limit is met in any trial to come (`outlook`):
 
-    sigma_max(M) < 1            the error falls in every trial, whatever the task: `monotone` (if no error leads to no error: with a
-                                leak or a filter Q it is the distance from a limit that falls, and nothing is claimed)
-    the recursion from e_1      over the trials asked for: it ends low, `converges with transient growth`; it has a best trial before
-                                the last and has since grown, `semi-converges`, with that trial; or it ends above its start, `diverges`
+    monotone     the error falls in every trial to come (sigma_max(I - G L) < 1), or, with a filter or a leak, which leave an error,
+                 the distance of what is learned from its limit does (sigma_max of the learning map < 1)
+    converges    it comes to its limit in the end: a power of the learning map contracts; what it does before is bounded
+    diverges     it grows without bound: an eigenvalue lies beyond 1, with its doubt, and there is no limit to stop it
+    not claimed  for a reason that is told
 
-Only the first is a guarantee, and it is claimed only where nothing adapts and the error of two trials to come really is linear in
-that of one: no friction, limit or quantiser is met, no rule stops or switches the learning. Elsewhere the verdict is a prediction, and
-the confusion table says how good a one.
+**Within J trials** theory predicts the error of each trial: an adaptive scheme is taken with its estimates frozen, rules and limits are
+left out, and what is not linear is linearised at the third trial. That is a prediction, and the confusion table says how good a one.
+
+    falls                 the error falls in every trial
+    falls, not always     it ends low, but grew between two trials
+    turns                 it has a best trial before the last and has since grown by a half: it semi-converges
+    grows                 it ends above its start
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 
-from ..batch import tiled
-from ..learning import check, learn
+from ..learning import check
 from ..machine import Machine
-from ..pytree import named_leaves, replaced
-from ..schemes import CFDLMFAILC, FFDLMFAILC, Scheme
-from ..signals import Task, Trial
-from ..uncertainty import Uncertainty, drawn_machine
-from .bounds import cfdl_bounds, ffdl_bounds
-from .condition import departure, is_linear
-from .contraction import error_map, singular_value
-from .lifted import noiseless
+from ..schemes import Scheme
+from ..signals import Task
+from ..uncertainty import Uncertainty, drawn_machines
+from .affine import limit_names, view_of
+from .as_map import Maps
+from .as_matrix import Matrices
+from .forecast import follow, predict, simulate
+from .linearity import keeps_all, learning_premises
+from .outlook import Outlook, maps_of, outlooks
 
-MONOTONE, CONVERGES, SEMI, DIVERGES = VERDICTS = ("monotone", "converges with transient growth", "semi-converges", "diverges")
+CLAIMS = MONOTONE, CONVERGES, DIVERGES, NOTHING = "monotone", "converges", "diverges", "not claimed"
+COURSES = FALLS, NOT_ALWAYS, TURNS, GROWS = "falls", "falls, not always", "turns", "grows"
 RISE = 1e-9  # a relative rise of the error that rounding explains
 GROWTH = 0.5  # relative rise above the best trial that counts as growing again
-FROZEN = 1e-30  # an estimator step that moves nothing
+EXACT = 1e-9  # share of the first error that counts as none left
 
 
 class Certificate(NamedTuple):
-    """What theory says of each of S machines, and what simulation does.
+    """What theory claims of S machines, what it expects of J trials, and what simulation does.
 
-    verdict, observed_verdict: (S,) of `VERDICTS`;  linear: whether all is, on every machine, so that `monotone` can be claimed
-    departure: (S,) of the errors to come from linear in the error, as a share (`condition.departure`)
-    sigma: (S,) largest singular value of M, from below;  doubt: (S,) within which it is resolved
-    left_over: (S,) root mean square error that would follow on a trial without any
-    predicted, observed: (S, J) root mean square error by trial;  turning, observed_turning: (S,) best trial
+    claim: (S,) of `CLAIMS`;  reason: (S,) on what a claim rests, or why nothing is claimed
+    of_error: (S,) whether `monotone` is of the error itself, else of the distance from the limit
+    sigma: (S,) bound of the largest singular value of the map that decides, inf where nothing is linear
+    floor: (S,) root mean square error left at the limit, NaN where none is claimed;  doubt: (S,) within which that is known
+    expected, observed: (S,) of `COURSES` by theory and by simulation, within J trials
+    predicted, simulated: (S, J) root mean square error by trial;  turning, observed_turning: (S,) best trial
     growth: (S,) largest rise of the predicted error above a lower one before it, as a factor
+    distance: (S, J) of what is learned from its limit by trial, as simulated; None where nothing is linear
+    outlook: of all trials to come, None where nothing is linear
     """
 
-    verdict: np.ndarray
-    observed_verdict: np.ndarray
-    linear: bool
-    departure: np.ndarray
+    claim: np.ndarray
+    reason: np.ndarray
+    of_error: np.ndarray
     sigma: np.ndarray
+    floor: np.ndarray
     doubt: np.ndarray
-    left_over: np.ndarray
-    predicted: np.ndarray
+    expected: np.ndarray
     observed: np.ndarray
+    predicted: np.ndarray
+    simulated: np.ndarray
     turning: np.ndarray
     observed_turning: np.ndarray
     growth: np.ndarray
+    distance: np.ndarray | None
+    outlook: Outlook | None
 
     def confusion(self) -> dict[str, dict[str, int]]:
-        """{predicted: {observed: machines}}"""
-        pairs = list(zip(self.verdict, self.observed_verdict, strict=True))
-        return {p: {o: sum(pair == (p, o) for pair in pairs) for o in VERDICTS} for p in VERDICTS}
+        """{expected: {observed: machines}}"""
+        pairs = list(zip(self.expected, self.observed, strict=True))
+        return {p: {o: sum(pair == (p, o) for pair in pairs) for o in COURSES} for p in COURSES}
 
     def broken_promises(self) -> np.ndarray:
-        """Indices of machines that were certified monotone and grew all the same: there must be none."""
-        return np.flatnonzero((self.verdict == MONOTONE) & (self.observed_verdict != MONOTONE))
+        """Indices of machines of which a claim was made that the simulation contradicts: there must be none."""
+        return np.flatnonzero([self._broken(i) for i in range(len(self.claim))])
 
-
-def frozen(scheme: Scheme) -> Scheme:
-    """The scheme with every estimator stopped at its start value: its learning law is then linear."""
-    steps = [path for path in named_leaves(scheme) if path.split(".")[-1] == "eta"]
-    return replaced(scheme, dict.fromkeys(steps, FROZEN)) if steps else scheme
+    def _broken(self, i: int) -> bool:
+        e, claim = self.simulated[i], self.claim[i]
+        if claim in (NOTHING, DIVERGES) or self.distance is None or self.outlook is None:
+            return bool(claim == DIVERGES and e[-1] < EXACT * e[0])
+        if claim == MONOTONE and self.of_error[i]:
+            return _rises(e, e[0])
+        k, q, g = (float(x[i]) for x in self.outlook.decay[:3])
+        far, sure = self.distance[i], float(self.outlook.radius[i])
+        bound = g * q ** (np.arange(len(far)) // k) * (far[0] + sure) + sure
+        return bool(np.any(far > bound * (1 + RISE) + EXACT * far[0]) or not np.all(np.isfinite(far)))
 
 
 def certify(
-    machine: Machine, scheme: Scheme, task: Task, trials: int, uncertainty: Uncertainty, drawn: Mapping[str, Any], *, steps: int = 60
+    machine: Machine, scheme: Scheme, task: Task, trials: int, uncertainty: Uncertainty, drawn: Mapping[str, Any], *, steps: int = 300
 ) -> Certificate:
-    """The certificate of each machine drawn (`uncertainty.draw`), without noise.
-
-    steps: of the Lanczos process for sigma, at most. Raises as `learn` does.
-    """
+    """The certificate of each machine drawn (`uncertainty.draw`), without noise; see `certify_each`."""
     check(machine, scheme, task)
-    adapts = frozen(scheme) is not scheme
-    run = tiled(partial(_of_one, names=tuple(uncertainty.items()), trials=trials, steps=steps))
-    batch = {name: jnp.asarray(values) for name, values in drawn.items()} or {"": jnp.zeros(1)}
-    departed, sigma, doubt, left_over, predicted, observed = (np.asarray(x) for x in run((machine, frozen(scheme), scheme, task), batch))
-    linear = is_linear(departed) & (not adapts)
-    certified = linear & (sigma + doubt < 1.0) & (left_over <= RISE * predicted[:, 0])
-    verdict = [MONOTONE if sure else _classified(e, CONVERGES) for sure, e in zip(certified, predicted, strict=True)]
+    return certify_each(drawn_machines(machine, uncertainty, drawn), scheme, task, trials, steps=steps)
+
+
+def certify_each(machines: Machine, scheme: Scheme, task: Task, trials: int, *, steps: int = 300) -> Certificate:
+    """The certificate of each of S machines, without noise.
+
+    machines: one whose leaves have a leading axis of S;  trials: J, of the prediction and the simulation; claims do not depend on it
+    steps: of the Lanczos process, at most. Raises as `learn` does.
+    """
+    machine = jax.tree.map(lambda leaf: leaf[0], machines)
+    check(machine, scheme, task)
+    predicted = predict(machines, scheme, task, trials)
+    broken = [p for p in learning_premises(machine, scheme, task) if not p.held]
+    if broken:
+        simulated = simulate(machines, scheme, task, trials)
+        size = len(simulated)
+        claim, reason, of_error = np.full(size, NOTHING), np.full(size, broken[0].detail, object), np.zeros(size, bool)
+        sigma, floor, doubt, distance, ahead = np.full(size, np.inf), np.full(size, np.nan), np.full(size, np.nan), None, None
+    else:
+        maps = maps_of(machines, scheme, task, steps)
+        ahead = outlooks(machines, scheme, task, maps=maps)
+        simulated, distance = follow(machines, scheme, task, trials, ahead.limit, view_of(scheme, task))
+        claim, reason, of_error, sigma = _claims(machines, scheme, task, ahead, maps)
+        lasts = np.isin(claim, (MONOTONE, CONVERGES))
+        floor, doubt = (np.where(lasts, np.where(of_error, 0.0, x), np.nan) for x in (ahead.floor, ahead.doubt))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        growth = np.max(np.nan_to_num(predicted / np.minimum.accumulate(predicted, axis=1), nan=np.inf), axis=1)
     return Certificate(
-        verdict=np.array(verdict),
-        observed_verdict=np.array([_classified(e, MONOTONE) for e in observed]),
-        linear=bool(np.all(linear)),
-        departure=departed,
+        claim=claim,
+        reason=reason,
+        of_error=of_error,
         sigma=sigma,
+        floor=floor,
         doubt=doubt,
-        left_over=left_over,
+        expected=np.array([course(e) for e in predicted]),
+        observed=np.array([course(e) for e in simulated]),
         predicted=predicted,
-        observed=observed,
+        simulated=simulated,
         turning=_best(predicted),
-        observed_turning=_best(observed),
-        growth=np.max(np.nan_to_num(predicted / np.minimum.accumulate(predicted, axis=1), nan=np.inf), axis=1),
+        observed_turning=_best(simulated),
+        growth=growth,
+        distance=distance,
+        outlook=ahead,
     )
 
 
-class PremiseShare(NamedTuple):
-    """A premise over S machines: on how many it held throughout, and the mean share of samples and trials that broke it."""
-
-    name: str
-    held: int
-    share_broken: float
-
-
-def premises(
-    machine: Machine, scheme: FFDLMFAILC, task: Task, trials: int, uncertainty: Uncertainty, drawn: Mapping[str, Any], *, chunk: int = 16
-) -> tuple[list[PremiseShare], dict[str, int]]:
-    """The premises of Cao 2019's bounds on each machine's run, and how often the bound itself holds, fails or is not claimed.
-
-    Machines whose run is not finite are left out of both.
-    """
-    bounds: Any = cfdl_bounds if isinstance(scheme, CFDLMFAILC) else ffdl_bounds
-    run = tiled(partial(_signals, names=tuple(uncertainty.items()), trials=trials))
-    total = len(next(iter(drawn.values())))
-    conditions = []
-    for start in range(0, total, chunk):
-        batch = {name: jnp.asarray(values[start : start + chunk]) for name, values in drawn.items()}
-        for y, u in zip(*(np.asarray(s) for s in run((machine, scheme, task), batch)), strict=True):
-            if np.all(np.isfinite(y)) and np.all(np.isfinite(u)):
-                conditions.append(bounds(scheme, task, y, u).condition)
-    names = [p.name for p in conditions[0].premises] if conditions else []
-    shares = [
-        PremiseShare(
-            name, sum(bool(c.premises[i].held) for c in conditions), float(np.mean([c.premises[i].share_broken for c in conditions]))
-        )
-        for i, name in enumerate(names)
-    ]
-    return shares, {v: sum(c.verdict == v for c in conditions) for v in ("holds", "fails", "not claimed")}
-
-
-def _of_one(common, values, *, names, trials, steps):
-    machine, stopped, scheme, task = common
-    machine = noiseless(drawn_machine(machine, dict(names), values))
-    f, at = error_map(machine, stopped, task)
-    found = singular_value(lambda e: f(e)[0], at, steps=steps, tolerance=1e-4)
-    predicted, observed = (_error(learn(machine, s, task, trials)) for s in (stopped, scheme))
-    left_over = jnp.sqrt(jnp.mean(f(jnp.zeros_like(at))[0] ** 2))
-    two_trials = departure(*error_map(machine, stopped, task, trials=2))
-    return two_trials, found.value, found.residual, left_over, predicted, observed
-
-
-def _error(history):
-    """(J,) root mean square over all outputs."""
-    return jnp.sqrt(jnp.mean(history.rms**2, axis=1))
-
-
-def _signals(common, values, *, names, trials):
-    machine, scheme, task = common
-    return learn(noiseless(drawn_machine(machine, dict(names), values)), scheme, task, trials, save=_y_and_u).saved
-
-
-def _y_and_u(trial: Trial):
-    return trial.y, trial.u
-
-
-def _classified(errors, falling: str) -> str:
-    """The verdict that an error curve shows; `falling` for one that falls in every trial."""
+def course(errors) -> str:
+    """What an error curve (J,) does: one of `COURSES`."""
     if not np.all(np.isfinite(errors)) or errors[-1] > errors[0] * (1 + RISE):
-        return DIVERGES
+        return GROWS
     if errors[-1] > (1.0 + GROWTH) * np.min(errors):
-        return SEMI
-    return falling if np.all(errors[1:] <= errors[:-1] * (1 + RISE)) else CONVERGES
+        return TURNS
+    return NOT_ALWAYS if _rises(errors, errors[0]) else FALLS
+
+
+# How it is done ------------------------------------------------------------------------------------------------------------
+
+
+def _claims(machines, scheme, task, ahead: Outlook, maps: Matrices | Maps):
+    """(S,) claims with their reasons, whether they are of the error, and the singular values that decide."""
+    size, decay = len(ahead.met), ahead.decay
+    of_errors = np.full(size, np.inf)
+    if keeps_all(scheme, task):
+        of_errors = maps.error_norm(scheme, task, view_of(scheme, task))
+    of_error = (of_errors < 1) & ahead.clear
+    monotone = of_error | (decay.monotone & ahead.clear)
+    converges = (decay.trials > 0) & ahead.clear & ~monotone
+    diverges = np.zeros(size, bool)
+    if not np.all(monotone | converges) and not limit_names(machines, scheme, task):
+        radius, doubt = maps.radius()
+        diverges = ~monotone & ~converges & (radius - doubt > 1)
+    claim = np.select([monotone, converges, diverges], [MONOTONE, CONVERGES, DIVERGES], NOTHING)
+    reason = [_reason(i, claim[i], of_error[i], of_errors[i], ahead) for i in range(size)]
+    return claim, np.array(reason, object), of_error, np.where(of_error, of_errors, decay.norm)
+
+
+def _reason(i: int, claim: str, of_error: bool, of_errors: float, ahead: Outlook) -> str:
+    if of_error:
+        return f"the error falls by {of_errors:.6g} in every trial"
+    if claim == DIVERGES:
+        return "an eigenvalue of the learning map lies beyond 1"
+    if claim != NOTHING or not ahead.decay.trials[i]:
+        return ahead.decay.told(i)
+    return ahead.told(i)
+
+
+def _rises(errors, first) -> bool:
+    """Whether an error curve rises between two trials, by more than rounding."""
+    return bool(np.any(errors[1:] > errors[:-1] * (1 + RISE) + 1e-13 * first) or not np.all(np.isfinite(errors)))
 
 
 def _best(errors) -> np.ndarray:

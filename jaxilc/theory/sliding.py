@@ -12,22 +12,27 @@ from __future__ import annotations
 import dataclasses
 from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
-from ..filters import ZeroPhaseFIR
 from ..learning import check
 from ..machine import Machine
-from ..pytree import named_leaves, replaced
+from ..plants import StateSpace
+from ..pytree import named_leaves, pytree, replaced
 from ..schemes import ASMC, SMC, ExponentialPD, Filtered, Scheme, WithFeedback
 from ..schemes.compose import below
 from ..signals import Task, Trial
-from .condition import Condition, condition, learner, premise
-from .frequency import learning_condition
+from ..uncertainty import drawn_machines
+from .by_frequency import learning_condition
+from .condition import Condition, Premise, condition, premise
+from .outlook import WHOLE, decays
 
 SLIDING = (
     "|f| < eta_hat + k_n Delta: V falls outside the boundary layer, so that sigma reaches it and stays (Xu 2024, eq. 9 and 17, without the "
     "k_n Delta by which the reaching law helps at the edge of the layer; Delta = 0 for sgn, sampled: a band in proportion to dt)"
 )
+SAMPLED = "the loop as it is sampled agrees"
 PRINTED = "sup |1 - (K_P + s K_D) exp(lam0 t) / ((s + K) (s + lam1 + lam2 / s))| < 1: the error falls in every trial (Xu 2024, eq. 36)"
 
 
@@ -38,6 +43,7 @@ class Sliding(NamedTuple):
     disturbance: (N-1, n) realised f[k], k = 1..N-1 [y/s^2]: all that the law did not foresee, as mismatch, loads, the half sample by which
         u acts late, limits, and b times a learned part of u
     band: (n,) Delta, or the overshoot (eta_hat + 2 |f|) (dt + tau) of an input that is held, if that is wider [y/s]
+    error_band: (n,) largest |e| that a sigma within the band can bring about [y]
     towards: share of samples, of those outside the layer, with sigma[k] (sigma[k+1] - sigma[k]) <= 0;  falling: with V[k+1] <= V[k]
     dominated: share of all samples with eta_hat > |f|;  reached: first sample from which on sigma stays in the band, N if it does not
     condition: |f| / (eta_hat + k_n Delta) < 1 at every sample
@@ -47,6 +53,7 @@ class Sliding(NamedTuple):
     eta_hat: np.ndarray
     disturbance: np.ndarray
     band: np.ndarray
+    error_band: np.ndarray
     towards: float
     falling: float
     dominated: float
@@ -81,15 +88,20 @@ def sliding(scheme: Scheme, trial: Trial) -> Sliding:
     steepest = law.lam1 + law.k_n + (np.max(eta_hat, axis=0) / layer if isinstance(law, ASMC) else 0.0)
     within = True if law.limit is None else np.abs(np.asarray(u)) < law.limit
     found = f"|f| up to {np.max(size):.4g}, eta_hat {np.min(eta_hat):.4g} to {np.max(eta_hat):.4g}, k_n Delta up to {np.max(reserve):.4g}"
+    error_band, inside = band * _error_of_sigma(law), np.abs(sigma) <= band
+    left = inside[:-1] & ~inside[1:]
+    of_error = f"within it |e| may be up to {np.max(error_band):.4g}, and was up to {np.max(np.abs(e)):.4g}"
     premises = (
         premise("u within its limit", within, f"limit {law.limit}; {found}"),
         premise("sampled fast enough: (lam1 + k_n + eta_hat / Delta) dt < 2", steepest * dt < 2, f"{np.max(steepest) * dt:.3g}"),
+        premise("sigma, once in its band, is seen to stay", ~left | (value >= 1), f"it leaves it {int(np.sum(left))} times; {of_error}"),
     )
     return Sliding(
         V=V,
         eta_hat=eta_hat,
         disturbance=f,
         band=band,
+        error_band=error_band,
         towards=_share(now * step <= 0, outside),
         falling=_share(V[1:] <= V[:-1], outside),
         dominated=float(np.mean(gain > size)),
@@ -138,13 +150,36 @@ def printed_condition(scheme: WithFeedback, task: Task, *, reaching: float = 0.0
     switching = not isinstance(feedback, ASMC) and np.any(np.asarray(feedback.eta) > 0)
     unchanged = not adapting and not switching and np.isclose(in_loop, reaching)
     detail = f"sigma changes, and with it {in_loop:.4g} sigma, of which {reaching:.4g} sigma is in the loop; eta_hat adapts: {adapting}"
-    return _worst(f, curves, task, PRINTED, (premise("w_{j+1} = w_j: the same disturbance in each trial", unchanged, detail),))
+    premises = (
+        premise("w_{j+1} = w_j: the same disturbance in each trial", unchanged, detail),
+        premise("learning without a lead, as printed", law.lead == 0, f"lead = {law.lead}"),
+        _sampled_too(scheme, feedback, task, np.max(curves)),
+    )
+    return _worst(f, curves, task, PRINTED, premises)
+
+
+def _sampled_too(scheme: WithFeedback, feedback: SMC, task: Task, value: float) -> Premise:
+    """The premise that the inequality, which is in continuous time, is borne out by the loop as it is sampled, on the nominal model."""
+    if value >= 1:
+        return premise(SAMPLED, True, "not asked, as the inequality fails")
+    a1, a2, b = (_number("printed_condition", v) for v in (feedback.a1, feedback.a2, feedback.b))
+    model = Machine(StateSpace([[0.0, 1.0], [-a1, -a2]], [[0.0], [b]], [[1.0, 0.0]]))
+    found = sampled_condition(model, scheme, task).condition
+    return premise(SAMPLED, found.holds, f"sup |1 - L P| = {found.value:.4g} of the model, {found.verdict}")
+
+
+@pytree
+class Reaching(SMC):
+    """`SMC` that only reaches and never switches: what is left of it within a boundary layer, and linear."""
+
+    def switching(self, sigma) -> jax.Array:
+        return jnp.zeros_like(sigma)
 
 
 def within_layer(scheme: Scheme, eta_hat=None) -> Scheme:
-    """The scheme with its `ASMC` as it acts within the boundary layer: the linear `SMC` of eta = 0 and k_n + eta_hat / Delta for k_n.
+    """The scheme with its `ASMC` as it acts within the boundary layer: the linear `Reaching` of k_n + eta_hat / Delta for k_n.
 
-    eta_hat: () or (n,) at which the adaptation is frozen, None for its start value. An `SMC` becomes one without switching.
+    eta_hat: () or (n,) at which the adaptation is frozen, None for its start value. An `SMC` loses its switching.
     Raises ValueError for a scheme that is neither of them, nor `WithFeedback` over one.
     """
     if isinstance(scheme, WithFeedback):
@@ -153,7 +188,7 @@ def within_layer(scheme: Scheme, eta_hat=None) -> Scheme:
     own = {field.name: getattr(feedback, field.name) for field in dataclasses.fields(SMC)}
     steep = 0.0 if not isinstance(feedback, ASMC) else (feedback.eta if eta_hat is None else eta_hat) / feedback.Delta
     changed: dict[str, Any] = own | {"eta": 0.0, "k_n": feedback.k_n + steep}
-    return SMC(**changed)
+    return Reaching(**changed)
 
 
 def sampled_condition(
@@ -162,8 +197,8 @@ def sampled_condition(
     """sup |Q (1 - L P)| < 1 of the loop as it is sampled and acts within the boundary layer, at the least and the largest gain.
 
     trial: on which to look whether sigma stays within the layer, and whose last eta_hat counts; None for the start value of eta_hat
-    frequencies: as for `learning_condition`. The gain is frozen in time; without that, `contraction` tells. The integral of sigma makes a
-    mode as slow as lam2 / lam1, of hardly any weight, beyond which no trial is long: with it, nothing is claimed; with lam2 = 0 it is.
+    frequencies: as for `learning_condition`
+    The curves are of a gain that is frozen in time. That it grows along the trial is looked at as well: the whole trial must converge.
     Raises ValueError for another scheme, or where machine, scheme and task do not fit.
     """
     law, feedback = _learning("sampled_condition", scheme, task, filtered=True), _feedback("sampled_condition", scheme)
@@ -180,14 +215,16 @@ def sampled_condition(
     tests, found = [], {}
     for t in (0.0, task.duration):
         gain = np.exp(np.asarray(law.lam0) * t)
-        frozen = replaced(linear.learning, {f"{path}K_P": law.K_P * gain, f"{path}K_D": law.K_D * gain, f"{path}lam0": 0.0 * gain})
-        # through a filter that does nothing, since the central difference looks a sample ahead even where lead = 0: the ends are to be seen
-        at_time = dataclasses.replace(linear, learning=Filtered(frozen, ZeroPhaseFIR((1.0,))))
-        tests.append(learning_condition(machine, at_time, task, frequencies=frequencies))
+        changes = {f"{path}K_P": law.K_P * gain, f"{path}K_D": law.K_D * gain, f"{path}lam0": 0.0 * gain}
+        frozen = dataclasses.replace(linear, learning=replaced(linear.learning, changes))
+        tests.append(learning_condition(machine, frozen, task, frequencies=frequencies))
         found |= {p.name: p for p in tests[-1].condition.premises if p.name not in found or not p.held}
+    decay = decays(drawn_machines(machine, {}, {}), linear, task)
+    fails = max(test.condition.value for test in tests) >= 1
+    growing = premise(f"{WHOLE}, with a gain that grows along it", fails or decay.trials[0] > 0, decay.told(0))
     first, last = tests
     worse = last if last.condition.value > first.condition.value else first
-    held = condition(worse.condition.value, worse.condition.theorem, premises=(*found.values(), *premises))
+    held = condition(worse.condition.value, worse.condition.theorem, premises=(*found.values(), growing, *premises))
     curves = np.stack([first.magnitude, last.magnitude])
     return ExponentialTest(held, first.frequencies, curves, worse.worst, task.duration if worse is last else 0.0)
 
@@ -207,12 +244,32 @@ def _feedback(name: str, scheme: Scheme) -> SMC:
 
 
 def _learning(name: str, scheme: Scheme, task: Task, *, filtered: bool = False) -> ExponentialPD:
-    filters, law, *_ = learner(scheme, task)
-    if not isinstance(scheme, WithFeedback) or not isinstance(law, ExponentialPD) or (filters and not filtered):
-        what = " -> ".join(type(part).__name__ for part in (scheme, *filters, law))
+    parts = [scheme]
+    if isinstance(scheme, WithFeedback):
+        parts.append(scheme.learning)
+        while filtered and isinstance(parts[-1], Filtered):
+            parts.append(parts[-1].scheme)
+    law = parts[-1]
+    if not isinstance(law, ExponentialPD):
+        what = " -> ".join(type(part).__name__ for part in parts)
         allowed = "WithFeedback(ExponentialPD(...), SMC(...))" + (", filtered or not" if filtered else "")
         raise ValueError(f"{name}: {what} is not {allowed}")
     return law
+
+
+def _error_of_sigma(law: SMC):
+    """(n,) sup |e| / sup |sigma| of sigma = e' + lam1 e + lam2 int e: the area under |its impulse response|, 1 / lam1 for lam2 = 0.
+
+    The step response (exp(-slow t) - exp(-fast t)) / (fast - slow) has humps, of which each is smaller than the last by the same
+    factor, if the roots are complex, and one if they are real. The area is its total variation, twice the sum of the humps.
+    """
+    lam1, lam2 = np.broadcast_arrays(np.asarray(law.lam1, float), np.asarray(law.lam2, float))
+    root = np.sqrt(lam1**2 * (1 + 1e-12) - 4 * lam2 + 0j)  # off the double root, where the quotients below are 0 / 0
+    fast, slow = (lam1 + root) / 2, np.where(lam2 > 0, (lam1 - root) / 2, 1.0)
+    top = np.real(np.log(fast / slow) / (fast - slow))
+    hump = np.abs((np.exp(-slow * top) - np.exp(-fast * top)) / (fast - slow))
+    following = np.exp(-np.pi * lam1 / np.maximum(np.abs(root.imag), 1e-3 * lam1))
+    return np.where(lam2 > 0, 2 * hump / (1 - following), 1 / lam1)
 
 
 def _number(name: str, value) -> float:

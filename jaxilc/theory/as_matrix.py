@@ -1,0 +1,122 @@
+"""The learning maps of many machines as matrices, for trials of a few hundred samples: norms, limits and eigenvalues by LAPACK."""
+
+from __future__ import annotations
+
+from functools import lru_cache, partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..batch import tiled
+from ..machine import Machine
+from ..schemes import Scheme
+from ..signals import Task
+from .affine import View, learning_of
+from .law import learning_law
+from .spectrum import radius_with_doubt
+
+MOST = 4000  # trials over which a limit is looked for
+WIDE = 1e-12  # relative width that covers the rounding of a norm
+
+
+class Matrices(NamedTuple):
+    """F(w) = M w + c, e(w) = E w + e0, and what limits act on, T w + t, of S machines.
+
+    start: (S, n) w of the first trial;  M: (S, n, n);  c: (S, n);  E: (S, N n_y, n);  e0: (S, N n_y)
+    T: {name: (S, K, n)}, t: {name: (S, K)} of each limit, in units of its bound
+    """
+
+    start: np.ndarray
+    M: np.ndarray
+    c: np.ndarray
+    E: np.ndarray
+    e0: np.ndarray
+    T: dict[str, np.ndarray]
+    t: dict[str, np.ndarray]
+
+    @classmethod
+    def of(cls, machines: Machine, scheme: Scheme, task: Task, view: View) -> Matrices:
+        """By linearising each trial and its learning at the start."""
+        found = cls(*jax.tree.map(np.asarray, _matrices(view)((scheme, task), machines)))
+        usable = np.isfinite(found.M).all(axis=(1, 2)) & np.isfinite(found.E).all(axis=(1, 2))
+        huge = np.sqrt(np.finfo(found.M.dtype).max)  # nothing can be claimed of a machine that overflows
+        M = np.where(usable[:, None, None], found.M, huge)
+        return found._replace(M=M, E=np.where(usable[:, None, None], found.E, 0.0), c=np.nan_to_num(found.c))
+
+    def norm(self, power: int) -> np.ndarray:
+        """(S,) an upper bound of ||M^power||."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            powers = np.nan_to_num(np.linalg.matrix_power(self.M, power), nan=np.inf)
+        return _norms(powers) * (1 + WIDE)
+
+    def late(self, power: int) -> np.ndarray:
+        """(S,) a lower bound of ||M^power||."""
+        return self.norm(power) * (1 - 2 * WIDE)
+
+    def error_norm(self, scheme: Scheme, task: Task, view: View) -> np.ndarray:
+        """(S,) an upper bound of ||I - G L||, G = -E, for the law of a scheme that keeps all that it has learned."""
+        L = learning_law(scheme.unlimited(), task).L[list(view.moving)]
+        return _norms(np.eye(self.E.shape[1]) + self.E @ L) * (1 + WIDE)
+
+    def limit(self):
+        """(S, n) w_inf, (S,) |F(w_inf) - w_inf|, (S,) the root mean square error there, (S,) ||E||"""
+        unit, limit = np.eye(self.M.shape[1]), np.zeros_like(self.c)
+        for i, (M, c) in enumerate(zip(self.M, self.c, strict=True)):
+            limit[i] = np.linalg.lstsq(unit - M, c)[0]
+        left = np.linalg.norm(np.einsum("sij,sj->si", self.M, limit) + self.c - limit, axis=1)
+        error = np.einsum("sij,sj->si", self.E, limit) + self.e0
+        return limit, left, np.sqrt(np.mean(error**2, axis=1)), _norms(self.E)
+
+    def radius(self):
+        """(S,) spectral radius of M, and by how much rounding may have moved it."""
+        return np.array([radius_with_doubt(M) for M in self.M]).T
+
+    def first_met(self, reach):
+        """(S,) the first trial that meets a limit (0: none seen), whether none ever is, and the number of the limit.
+
+        reach: (S,) of `Decay`
+        """
+        T, t = np.concatenate(list(self.T.values()), axis=1), np.concatenate(list(self.t.values()), axis=1)
+        owner = np.repeat(np.arange(len(self.t)), [one.shape[1] for one in self.t.values()])
+        rows, size = np.linalg.norm(T, axis=2), len(self.start)
+        met, clear, which = np.zeros(size, int), np.zeros(size, bool), np.zeros(size, int)
+        w, open_ = self.start, np.arange(size)
+        for j in range(1, MOST + 1):
+            with np.errstate(over="ignore", invalid="ignore"):
+                following = np.einsum("sij,sj->si", self.M[open_], w) + self.c[open_]
+                now = np.abs(np.einsum("sij,sj->si", T[open_], w) + t[open_])
+                moved = np.linalg.norm(following - w, axis=1)
+                later = now + np.where(moved > 0, reach[open_] * moved, 0.0)[:, None] * rows[open_]
+            top, beyond = np.max(now, axis=1), ~(np.max(now, axis=1) <= 1)
+            which[open_] = owner[np.argmax(np.nan_to_num(now, nan=np.inf), axis=1)]
+            met[open_[beyond]], clear[open_] = j, ~beyond & np.all(later <= 1, axis=1) & np.isfinite(top)
+            left = ~beyond & ~clear[open_]
+            open_, w = open_[left], following[left]
+            if not len(open_):
+                break
+        return met, clear, which
+
+
+@lru_cache(maxsize=4)  # what `tiled` returns compiles anew each time it is made
+def _matrices(view):
+    return tiled(partial(_of_one, view=view), lanes=1)
+
+
+def _of_one(common, machine, *, view):
+    found = learning_of(machine, *common, view)
+    outputs, push = jax.linearize(lambda w: (found.following(w), found.error(w), found.limits(w)), found.start)
+    slopes = jax.vmap(push, out_axes=-1)(jnp.eye(found.start.size))
+    offset = jax.tree.map(lambda value, slope: value - slope @ found.start, outputs, slopes)
+    (M, E, T), (c, e0, t) = slopes, offset
+    return found.start, M, c, E, e0, T, t
+
+
+def _norms(matrices) -> np.ndarray:
+    """(S,) largest singular values; infinite where a matrix overflows."""
+    found = np.full(len(matrices), np.inf)
+    for i, M in enumerate(matrices):
+        if np.all(np.isfinite(M)) and M.size:
+            found[i] = np.linalg.norm(M, 2)
+    return found

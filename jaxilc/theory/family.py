@@ -1,0 +1,142 @@
+"""A condition over a parametric set of plants: the worst of those that were tried, each enclosed over frequency."""
+
+from __future__ import annotations
+
+import itertools
+from functools import lru_cache, partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from ..batch import tiled
+from ..learning import check
+from ..machine import Machine
+from ..schemes import Scheme
+from ..signals import Task
+from ..uncertainty import Uncertainty, draw, drawn_machine, drawn_machines
+from .by_frequency import CAUSAL, LEARNING, STABLE, largest_of, lines, of_trial, parts_of
+from .condition import Condition, condition, premise
+from .law import at_points, law_of
+from .loop import Loop, linear_loop, minimal, on_circle, response
+
+TRIED = (
+    "sup |Q (keep - L P)| < 1 for each of the plants that were tried: samples of the box, its corners, and where gradient ascent from the "
+    "worst of them ended. Of the plants between them nothing is proved. For each one tried: "
+)
+CORNERS = 8  # names up to which all corners of the box are tried
+
+
+class FamilyTest(NamedTuple):
+    """A condition over a parametric set of plants.
+
+    condition: on the supremum over the plants tried and all frequencies;  at: the worst plant's numbers;  worst: its frequency [Hz]
+    values, critical: (S,) supremum and critical frequency [Hz] of each plant tried;  drawn: {name: (S,)} their numbers
+    """
+
+    condition: Condition
+    at: dict[str, float]
+    worst: float
+    values: np.ndarray
+    critical: np.ndarray
+    drawn: dict[str, np.ndarray]
+
+
+def family_condition(
+    machine: Machine,
+    uncertainty: Uncertainty,
+    scheme: Scheme,
+    task: Task,
+    *,
+    samples: int = 128,
+    sampling: str = "latin-hypercube",
+    seed: int = 0,
+    climbers: int = 8,
+    steps: int = 60,
+    frequencies=None,
+) -> FamilyTest:
+    """sup |Q (keep - L P)| over the box that the distributions' corners span: samples, corners, and gradient ascent from the worst.
+
+        p <- clip(p + h g / |g|),  g = d/dp max_w |Q (keep - L P(p))|    (h grows by 1.5 after a gain and is halved after a loss)
+
+    The ascent runs on the lines of each plant it starts from, and only keeps what is better; every plant that is tried is then enclosed
+    over all frequencies, so that the worst of them is the worst.
+    samples, sampling, seed: as for `uncertainty.draw`, moved into the box where a normal distribution leaves it
+    climbers: how many of the worst ascend, 0 for none;  steps: of each;  frequencies: lines of the ascent, None for a `grid`
+    What differs from plant to plant in the premises is looked at for every plant tried. Raises ValueError as `draw` does.
+    """
+    check(machine, scheme, task)
+    names, law = tuple(uncertainty.items()), law_of(scheme, task)
+    low, high = (np.array([end(d.corners()) for _, d in names]) for end in (min, max))
+    drawn = draw(machine, uncertainty, samples, seed=seed, sampling=sampling)
+    points = np.clip(np.stack([drawn[name] for name, _ in names], axis=1), low, high)
+    if len(names) <= CORNERS:
+        points = np.concatenate([points, np.array(list(itertools.product(*zip(low, high, strict=True))))])
+    common = (machine.unlimited(), scheme.unlimited(), task)
+
+    def tried(points):
+        matrices = (np.asarray(M) for M in _loops(names)(common, jnp.asarray(points)))
+        loops = [minimal(Loop(*one), task.N) for one in zip(*matrices, strict=True)]
+        found = [largest_of(law, loop, task, lines(task, frequencies, [loop])) for loop in loops]
+        return [np.array(x) for x in zip(*found, strict=True)]
+
+    values, worst, critical, radii = tried(points)
+    if climbers:
+        first = np.argsort(-values)[:climbers]
+        f = np.unique(np.concatenate([lines(task, frequencies, []), worst[first]]))
+        law_at = tuple(at_points(part, on_circle(f, task.dt)) for part in (law.keep, law.L))
+        fixed = (*common, jnp.asarray(f), law_at, jnp.asarray(low), jnp.asarray(high))
+        climbed = np.asarray(_climbing(names, steps)(fixed, jnp.asarray(points[first])))
+        points = np.concatenate([points, climbed])
+        values, worst, critical, radii = (np.concatenate(x) for x in zip((values, worst, critical, radii), tried(climbed), strict=True))
+    top = int(np.argmax(values))
+    at = {name: float(v) for (name, _), v in zip(names, points[top], strict=True)}
+    drawn, parts = {name: points[:, i] for i, (name, _) in enumerate(names)}, parts_of(machine, scheme, task)
+    stable = premise(STABLE, radii < 1 - 1e-9, f"largest |pole| {np.max(radii):.6g}")
+    held = [stable if p.name == STABLE else p for p in parts.premises]
+    if values[top] < 1:
+        held += of_trial(drawn_machines(machine, uncertainty, drawn), scheme, task, parts.causal)
+    found = condition(values[top], TRIED + (CAUSAL if parts.causal else LEARNING), premises=held)
+    return FamilyTest(found, at, float(worst[top]), values, critical, drawn)
+
+
+# How it is done ------------------------------------------------------------------------------------------------------------
+
+
+@lru_cache(maxsize=16)  # what `tiled` returns compiles anew each time it is made
+def _loops(names):
+    return tiled(partial(_loop_of, names=names))
+
+
+@lru_cache(maxsize=16)
+def _climbing(names, steps):
+    return tiled(partial(_climb, names=names, steps=steps))
+
+
+def _loop_of(common, point, *, names):
+    machine, scheme, task = common
+    return linear_loop(drawn_machine(machine, dict(names), {name: point[i] for i, (name, _) in enumerate(names)}), scheme, task)
+
+
+def _climb(common, start, *, names, steps):
+    """Where projected gradient ascent from `start` ends, both in the units of the numbers drawn; it runs in the unit box."""
+    machine, scheme, task, f, (keep, L), low, high = common
+
+    def peak(x):
+        loop = _loop_of((machine, scheme, task), low + (high - low) * x, names=names)
+        M = keep - L @ response(loop, f, task.dt)
+        return jnp.max(jnp.abs(M[:, 0, 0]) if M.shape[1:] == (1, 1) else jnp.linalg.svd(M, compute_uv=False)[:, 0])
+
+    def ascend(_, now):
+        x, value, g, h = now
+        free = jnp.where(((x <= 0) & (g < 0)) | ((x >= 1) & (g > 0)), 0.0, g)
+        moved = jnp.clip(x + h * free / jnp.maximum(jnp.linalg.norm(free), jnp.finfo(float).tiny), 0.0, 1.0)
+        there, slope = jax.value_and_grad(peak)(moved)
+        better = there > value
+        return jnp.where(better, moved, x), jnp.maximum(there, value), jnp.where(better, slope, g), h * jnp.where(better, 1.5, 0.5)
+
+    x = (start - low) / (high - low)
+    x = lax.fori_loop(0, steps, ascend, (x, *jax.value_and_grad(peak)(x), jnp.asarray(0.1)))[0]
+    return low + (high - low) * x

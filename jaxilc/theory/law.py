@@ -1,0 +1,193 @@
+"""The learning law of a scheme, filters included: as matrices for one trial, and far from its ends what it makes of an impulse.
+
+    u_{j+1} = keep u_j + L e_j,    keep(z) = sum_p keep_p z^p,    L(z) = sum_p L_p z^p
+
+u is what is learned and played back, e the error of the trial that played it. Every law is taken from the scheme's own `learn` and
+`feedforward`, by linearisation; an adaptive one is so frozen at its start. P-type learning of lead m and gain gamma has the one tap
+gamma of L at p = 1 + m, since u[k] is learned from e[k+1+m].
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..filters import Filter
+from ..schemes import Scheme
+from ..signals import Task
+from .condition import Premise, premise
+from .loop import on_circle
+from .trials import learned_shape, next_learned, shortened
+
+LONG = 4096  # samples of the trial in which the taps are looked at
+FORGOTTEN = 1e-12  # share of the largest tap that counts as nothing
+ALIKE = 1e-9  # relative difference between two places of the trial that rounding explains
+INVARIANT_LAW = "learning law the same throughout the trial"
+
+
+class Taps(NamedTuple):
+    """M(z) = sum_p taps_p z^p. powers: (K,) whole numbers;  taps: (K, n, m)"""
+
+    powers: np.ndarray
+    taps: np.ndarray
+
+
+class Law(NamedTuple):
+    """keep, L: `Taps`;  departure: by how much another place of the trial has other taps, relative;  tail: the last tap, relative"""
+
+    keep: Taps
+    L: Taps
+    departure: float
+    tail: float
+
+    @property
+    def invariant(self) -> Premise:
+        """The premise that the taps are those of every sample far from the ends."""
+        found = f"taps differ by {self.departure:.1e} over the trial; {self.tail:.1e} of the largest is left after half of it"
+        return premise(INVARIANT_LAW, self.departure <= ALIKE and self.tail <= FORGOTTEN**0.5, found)
+
+    @property
+    def causal(self) -> bool:
+        """Whether u_{j+1}[k] follows from u_j up to k and e_j up to k + 1, as far as the taps tell."""
+        return bool(np.all(self.keep.powers <= 0) and np.all(self.L.powers <= 1))
+
+    def cut_off(self, scheme: Scheme, task: Task) -> bool:
+        """Whether the law of this trial is that of the taps, with zeros beyond its ends: looked at for a random trial, as it is linear."""
+        random = np.random.default_rng(5)
+        u, e = random.standard_normal((task.N, _width(scheme, task))), random.standard_normal((task.N, task.outputs))
+        seen, expected = np.asarray(_pushed(scheme, task, u, e)), _convolved(self.keep, u) + _convolved(self.L, e, 1)
+        return bool(np.max(np.abs(seen - expected)) <= ALIKE * np.max(np.abs(expected), initial=1e-300))
+
+
+def law_of(scheme: Scheme, task: Task) -> Law:
+    """The law of a scheme with a feedforward. Raises ValueError for a scheme that learns none."""
+    task = _long(scheme, task)
+    width, N = _width(scheme, task), task.N
+    middle, beside = N // 2, N // 2 + max(N // 8, 1)
+    at = [tuple(map(np.asarray, _impulses(scheme, task, place))) for place in (middle, beside)]
+    (keep, L), moved = at[0], at[1]
+    shift, size = beside - middle, max(np.max(np.abs(keep), initial=0.0), np.max(np.abs(L), initial=0.0)) or 1.0
+    departure = max(np.max(np.abs(one[: N - shift] - other[shift:]), initial=0.0) for one, other in zip(at[0], moved, strict=True)) / size
+    tail = max(np.max(np.abs(rows[[0, -1]])) for rows in (keep, L)) / size
+    lag = middle - np.arange(N)
+    return Law(_trimmed(lag, keep.reshape(N, width, -1)), _trimmed(lag + 1, L.reshape(N, width, -1)), float(departure), float(tail))
+
+
+class LawMatrices(NamedTuple):
+    """u_{j+1} = keep u_j + L e_j + const. over one trial. keep: (N n_w, N n_w);  L: (N n_w, N n_y)"""
+
+    keep: np.ndarray
+    L: np.ndarray
+
+
+def learning_law(scheme: Scheme, task: Task, memory: Any = None) -> LawMatrices:
+    """The learning law of a scheme with a feedforward, by linearising its own `learn` and `feedforward`.
+
+    memory: what it knows, None for its start. A law that adapts (MFAILC) is frozen at what it knows; `linear_law` tells.
+    Raises ValueError for a scheme that learns no feedforward.
+    """
+    _width(scheme, task)
+    return LawMatrices(*map(np.asarray, _matrices(scheme, task, scheme.memory(task) if memory is None else memory)))
+
+
+class LawResponse(NamedTuple):
+    """keep: (F, n_w, n_w);  L: (F, n_w, n_y), the lead included"""
+
+    keep: jax.Array
+    L: jax.Array
+
+
+def law_response(scheme: Scheme, task: Task, frequencies) -> LawResponse:
+    """keep and L at frequencies (F,) [Hz]. Raises as `law_of`."""
+    law, z = law_of(scheme, task), on_circle(frequencies, task.dt)
+    return LawResponse(*(at_points(part, z) for part in (law.keep, law.L)))
+
+
+def at_points(of: Taps, z) -> jax.Array:
+    """(F, n, m) M(z) at the points z (F,)."""
+    return jnp.tensordot(z[:, None] ** of.powers, jnp.asarray(of.taps, complex), axes=1)
+
+
+def filter_response(q: Filter, task: Task, frequencies) -> jax.Array:
+    """(F,) Q(z) of a filter at frequencies [Hz], from its answer to an impulse in the middle of a long trial."""
+    N = max(LONG, task.N)
+    answer = np.asarray(_filtered(q, jnp.zeros((N, 1)).at[N // 2].set(1.0), task.dt))
+    return at_points(_trimmed(N // 2 - np.arange(N), answer[:, :, None]), on_circle(frequencies, task.dt))[:, 0, 0]
+
+
+# How it is done ------------------------------------------------------------------------------------------------------------
+
+
+def _width(scheme: Scheme, task: Task) -> int:
+    shape = learned_shape(scheme, task)
+    if shape is None:
+        raise ValueError(f"{type(scheme).__name__} learns no feedforward input")
+    return shape[1]
+
+
+def _long(scheme: Scheme, task: Task) -> Task:
+    """The task made long enough for the taps to die out, where the scheme admits another length at all."""
+    longer = shortened(task, max(LONG, task.N))
+    try:
+        scheme.check(longer)
+    except ValueError:
+        return task
+    return longer
+
+
+@partial(jax.jit, static_argnames="place")
+def _impulses(scheme, task, place):
+    """(N, n_w n_w) and (N, n_w n_y): what is learned from an impulse of what was played, and of the error, at a place of the trial."""
+    scheme = scheme.prepared(task)
+    at = jnp.zeros((task.N, _width(scheme, task))), jnp.zeros((task.N, task.outputs))
+    _, push = jax.linearize(lambda u, e: next_learned(scheme, task, scheme.memory(task), u, e), *at)
+
+    def answers(argument):
+        channels = at[argument].shape[1]
+        rows = [jnp.zeros((channels, *a.shape)) for a in at]
+        rows[argument] = rows[argument].at[:, place].set(jnp.eye(channels))
+        return jnp.moveaxis(jax.vmap(push)(*rows), 0, -1).reshape(task.N, -1)
+
+    return answers(0), answers(1)
+
+
+@jax.jit
+def _matrices(scheme, task, memory):
+    scheme = scheme.prepared(task)
+    u, e = jnp.zeros(learned_shape(scheme, task)), jnp.zeros((task.N, task.outputs))
+    keep, L = jax.jacfwd(partial(next_learned, scheme, task, memory), argnums=(0, 1))(u, e)
+    return keep.reshape(u.size, u.size), L.reshape(u.size, e.size)
+
+
+@jax.jit
+def _pushed(scheme, task, u, e):
+    """(N, n_w) what is learned from a change of what was played and of the error."""
+    scheme = scheme.prepared(task)
+    still = jnp.zeros_like(u), jnp.zeros_like(e)
+    return jax.jvp(lambda u, e: next_learned(scheme, task, scheme.memory(task), u, e), still, (u, e))[1]
+
+
+def _convolved(of: Taps, signal, late: int = 0):
+    """(N, n) sum_p taps_p signal[k + p - late], zero beyond the ends."""
+    N, found = len(signal), np.zeros((len(signal), of.taps.shape[1]))
+    for p, tap in zip(of.powers - late, of.taps, strict=True):
+        if abs(p) < N:
+            found[max(-p, 0) : N - max(p, 0)] += signal[max(p, 0) : N - max(-p, 0)] @ tap.T
+    return found
+
+
+def _trimmed(powers, taps) -> Taps:
+    """Without the taps that are zero, or next to it, at both ends of the row."""
+    size = np.max(np.abs(taps), axis=tuple(range(1, taps.ndim)))
+    counts = np.flatnonzero(size > np.finfo(float).tiny + 1e-17 * np.max(size, initial=0.0))
+    kept = slice(counts[0], counts[-1] + 1) if len(counts) else slice(0, 0)
+    return Taps(np.asarray(powers)[kept], taps[kept])
+
+
+@jax.jit
+def _filtered(q, signal, dt):
+    return q(signal, dt)

@@ -1,0 +1,129 @@
+"""Trials as theory runs them: without noise, playing a given signal in place of what was learned, or with a prescribed output."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+
+from ..machine import Disturbance, Machine
+from ..pytree import part, pytree
+from ..schemes import Scheme, WithFeedback
+from ..schemes.compose import Pair
+from ..schemes.scheme import Feedforward
+from ..signals import Task, Trial
+from ..trial import run_trial
+
+LEARNED = 3  # trials before a scheme that adapts is looked at: by then one of two-trial increments has seen data
+
+
+def trial_of(machine: Machine, scheme: Scheme, task: Task, memory) -> Trial:
+    """One trial without noise."""
+    return run_trial(machine.noiseless(), scheme, task, memory, jax.random.key(0))
+
+
+def step(machine: Machine, scheme: Scheme, task: Task, memory):
+    """The memory after one more trial, without noise."""
+    return scheme.learn(memory, trial_of(machine, scheme, task, memory))
+
+
+@partial(jax.jit, static_argnames="trials")
+def learned_memory(machine: Machine, scheme: Scheme, task: Task, trials: int = LEARNED):
+    """The memory after so many trials from the start, without noise."""
+    scheme = scheme.prepared(task)
+    return lax.fori_loop(0, trials, lambda _, memory: step(machine, scheme, task, memory), scheme.memory(task))
+
+
+def learned_shape(scheme: Scheme | None, task: Task) -> tuple[int, ...] | None:
+    """(N, m) of what a scheme learns and plays back, None for one that learns nothing of the kind."""
+    if scheme is None:
+        return None
+    try:
+        return jax.eval_shape(lambda: scheme.feedforward(scheme.memory(task), task)).shape
+    except ValueError:
+        return None
+
+
+def played(machine: Machine, scheme: Scheme | None, task: Task, memory, learned) -> Trial:
+    """A trial that plays `learned` (N, m) in place of what the scheme learned; the scheme acts within the trial as it does.
+
+    Of a scheme that learns nothing, `learned` (N, n_u) is added to its input; None is a machine without a scheme.
+    """
+    if scheme is None:
+        return trial_of(machine, Scheme(), task, Feedforward(learned))
+    if learned_shape(scheme, task) is None:
+        return trial_of(machine, WithFeedback(Scheme(), scheme), task, Pair(Feedforward(learned), memory))
+    return trial_of(machine, _Playing(scheme), task, (memory, learned))
+
+
+def next_learned(scheme: Scheme, task: Task, memory, learned, e):
+    """(N, m) what a scheme will play after a trial that played `learned` (N, m) with the errors e[1..N] (N, n_y).
+
+    e[0], which no input can reach, is zero. Raises ValueError for a scheme that learns no feedforward.
+    """
+    return scheme.feedforward(scheme.learn(memory, scheme.record(learned, jnp.pad(e, ((1, 0), (0, 0))), task)), task)
+
+
+def shortened(task: Task, samples: int) -> Task:
+    """The first so many samples of the task, or the task with its reference held at its end for longer."""
+    r = jnp.asarray(task.reference)
+    r = r[: samples + 1] if samples <= task.N else jnp.pad(r, ((0, samples - task.N), (0, 0)), mode="edge")
+    return dataclasses.replace(task, reference=r, settle=None)
+
+
+def with_output(machine: Machine, d) -> Machine:
+    """The machine with the repetitive disturbance d (N+1, n_y) of its output on top of its own."""
+    own = Disturbance() if machine.disturbance is None else machine.disturbance
+    return dataclasses.replace(machine, disturbance=dataclasses.replace(own, output=d if own.output is None else own.output + d))
+
+
+@pytree
+class _Inside(Scheme):
+    """A scheme within a trial, with another table than its own."""
+
+    scheme: Scheme = part()
+
+    @property
+    def preview(self) -> int:
+        return self.scheme.preview
+
+    @property
+    def plays_back(self) -> bool:
+        return self.scheme.plays_back
+
+    def init(self, task: Task) -> Any:
+        return self.scheme.init(task)
+
+    def act(self, state, sample) -> Any:
+        return self.scheme.act(state, sample)
+
+    def signals(self, state) -> dict[str, jax.Array]:
+        return self.scheme.signals(state)
+
+
+@pytree
+class _Playing(_Inside):
+    """Its memory is the scheme's, and what is played."""
+
+    def table(self, memory, task: Task) -> Any:
+        return self.scheme.play(memory[1], memory[0], task)
+
+
+@pytree
+class Prescribed(_Inside):
+    """A scheme that is shown a prescribed output instead of the measured one. Its memory is the scheme's, and that output (N+1, n_y)."""
+
+    @property
+    def plays_back(self) -> bool:
+        return False
+
+    def table(self, memory, task: Task) -> Any:
+        return self.scheme.table(memory[0], task), memory[1][:-1]
+
+    def act(self, state, sample) -> Any:
+        row, y = sample.row
+        return self.scheme.act(state, sample._replace(row=row, y=y))
