@@ -30,7 +30,7 @@ from .outlook import NO_LIMIT, WHOLE, decays, outlooks
 
 CAUSAL = (
     "sup |Q (keep - L P)| < 1, law and loop causal: in every trial what is learned comes nearer to its limit by this factor or more in "
-    "the 2-norm (Norrlöf, Gunnarsson 2002; Bristow 2006; Li 2020, eq. 9 for Q = keep = 1, where no error is left)"
+    "the 2-norm (Norrlöf, Gunnarsson 2002; Bristow 2006; Li 2020, eq. 9 for Q = keep = 1)"
 )
 LEARNING = (
     "sup |Q (keep - L P)| < 1: far from the ends of a long trial each frequency of what is learned comes nearer to its limit by this "

@@ -37,6 +37,7 @@ from .as_matrix import Matrices
 from .forecast import follow, predict, simulate
 from .linearity import keeps_all, learning_premises
 from .outlook import Outlook, maps_of, outlooks
+from .trials import starts_off
 
 CLAIMS = MONOTONE, CONVERGES, DIVERGES, NOTHING = "monotone", "converges", "diverges", "not claimed"
 COURSES = FALLS, NOT_ALWAYS, TURNS, GROWS = "falls", "falls, not always", "turns", "grows"
@@ -164,7 +165,8 @@ def _claims(machines, scheme, task, ahead: Outlook, maps: Matrices | Maps):
     size, decay = len(ahead.met), ahead.decay
     of_errors = np.full(size, np.inf)
     if keeps_all(scheme, task):
-        of_errors = maps.error_norm(scheme, task, view_of(scheme, task))
+        ends_at_zero = keeps_all(scheme, task, off=True) | ~np.asarray(jax.vmap(starts_off, in_axes=(0, None, None))(machines, scheme, task))
+        of_errors = np.where(ends_at_zero, maps.error_norm(scheme, task, view_of(scheme, task)), np.inf)
     of_error = (of_errors < 1) & ahead.clear
     monotone = of_error | (decay.monotone & ahead.clear)
     converges = (decay.trials > 0) & ahead.clear & ~monotone

@@ -25,12 +25,12 @@ from ..schemes import Scheme
 from ..signals import Task
 from ..uncertainty import drawn_machines
 from .affine import limit_names
-from .condition import Condition
+from .condition import Condition, premise
 from .law import learning_law
-from .linearity import linear_law, linear_trial
+from .linearity import keeps_all, linear_law, linear_trial
 from .outlook import outlooks
 from .spectrum import asymptotic, monotone, sigma_max, spectral_radius, transient, transient_growth
-from .trials import learned_shape, played
+from .trials import learned_shape, played, starts_off
 
 
 def lifted_plant(
@@ -56,6 +56,8 @@ def lifted_plant(
             return G
     return np.asarray(_columns(*arguments))
 
+
+NO_REST = "no error is left that the law reads"
 
 __all__ = [
     "asymptotic",
@@ -116,6 +118,8 @@ def learning_conditions(machine: Machine, scheme: Scheme, task: Task, *, about=N
     M = input_map(G, law.L, keep=law.keep)
     found = {"monotone": monotone(M, premises=premises), "asymptotic": asymptotic(M, premises=premises)}
     if np.array_equal(law.keep, np.eye(len(law.keep))):
+        ends_at_zero = keeps_all(scheme, task, off=True) or not bool(starts_off(machine, scheme, task))
+        premises = [*premises, premise(NO_REST, ends_at_zero, "" if ends_at_zero else "the law reads e[0], which no input reaches")]
         found["monotone_error"] = monotone(error_map(G, law.L), premises=premises)
     return found
 

@@ -109,22 +109,24 @@ def remembers(scheme: Scheme, task: Task) -> bool:
     return dependence(learned, (free.prepared(task), task), scheme.memory(task)).order != CONSTANT
 
 
-def keeps_all(scheme: Scheme, task: Task) -> bool:
+def keeps_all(scheme: Scheme, task: Task, *, off: bool = False) -> bool:
     """Whether a trial without error changes nothing of what is learned: no filter, no leak.
 
+    off: with an error at k = 0 all the same, which no input can reach; a derivative of the error reads it
     Looked at for a random input, which is enough of a linear law.
     """
     if remembers(scheme, task):
         return False
     free = scheme.unlimited().prepared(task)
-    w = np.random.default_rng(6).standard_normal(learned_shape(scheme, task))
-    kept = np.asarray(_after_no_error(free, task, w))
+    random = np.random.default_rng(6)
+    w, e0 = random.standard_normal(learned_shape(scheme, task)), random.standard_normal(task.outputs) * off
+    kept = np.asarray(_after_no_error(free, task, w, e0))
     return bool(np.max(np.abs(kept - w)) <= 1e-12 * np.max(np.abs(w)))
 
 
 @jax.jit
-def _after_no_error(scheme, task, w):
-    return next_learned(scheme, task, scheme.memory(task), w, jnp.zeros((task.N, task.outputs)))
+def _after_no_error(scheme, task, w, e0):
+    return next_learned(scheme, task, scheme.memory(task), w, jnp.zeros((task.N, task.outputs)), e0)
 
 
 def _output_played(fixed, learned):

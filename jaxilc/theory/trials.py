@@ -60,12 +60,19 @@ def played(machine: Machine, scheme: Scheme | None, task: Task, memory, learned)
     return trial_of(machine, _Playing(scheme), task, (memory, learned))
 
 
-def next_learned(scheme: Scheme, task: Task, memory, learned, e):
+def next_learned(scheme: Scheme, task: Task, memory, learned, e, e0: Any = 0.0):
     """(N, m) what a scheme will play after a trial that played `learned` (N, m) with the errors e[1..N] (N, n_y).
 
-    e[0], which no input can reach, is zero. Raises ValueError for a scheme that learns no feedforward.
+    e0: (n_y,) e[0], which no input can reach. Raises ValueError for a scheme that learns no feedforward.
     """
-    return scheme.feedforward(scheme.learn(memory, scheme.record(learned, jnp.pad(e, ((1, 0), (0, 0))), task)), task)
+    e = jnp.concatenate([jnp.broadcast_to(e0, (1, e.shape[1])), e])
+    return scheme.feedforward(scheme.learn(memory, scheme.record(learned, e, task)), task)
+
+
+@jax.jit
+def starts_off(machine: Machine, scheme: Scheme, task: Task):
+    """Whether a trial begins with an error, e[0] other than zero."""
+    return jnp.any(trial_of(machine, scheme, task, scheme.memory(task)).e[0] != 0)
 
 
 def shortened(task: Task, samples: int) -> Task:
