@@ -52,8 +52,8 @@ class ZeroPhaseButterworth(Filter):
         Q = 1 / (1 + (tan(pi f dt) / tan(pi cutoff dt))^(2 order))
 
     cutoff: () [Hz], -6 dB of the whole; differentiable.  order: of one pass, any order >= 1 (second-order sections)
-    padding: samples of odd extension at each end, as scipy's `sosfiltfilt` takes `padlen` (its default is 3 (order + 1), or order
-             less for an odd order); None mirrors the signal at its ends, see `mirrored`
+    padding: samples of odd extension at each end, as scipy's `sosfiltfilt` takes `padlen` (its default is 3 (order + 1));
+             None mirrors the signal at its ends, see `mirrored`
     """
 
     cutoff: jax.Array = leaf(interval="(0, inf)")

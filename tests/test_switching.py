@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.fft
 import scipy.signal
 from cases import ALGEBRA, DT
 
@@ -50,15 +51,16 @@ def test_each_segment_has_its_own_butterworth(order, width):
     for k in range(N):
         first, second = (share_after(np.round(k * DT, 9), time, width) for time in TIMES)
         expected[k] = (1 - first) * parts[0][k] + (first - second) * parts[1][k] + second * parts[2][k]
-    q = SwitchableFilter(CUTOFFS, TIMES, width, order)
+    q = SwitchableFilter(CUTOFFS, TIMES, width, order, padding=3 * (order + 1))
     q.check(N, DT)
     np.testing.assert_allclose(filtered(q, SIGNAL), expected, rtol=1e-8, atol=1e-8)
 
 
 def test_one_segment_is_a_butterworth():
-    np.testing.assert_allclose(filtered(SwitchableFilter((31.0,), order=4), SIGNAL), butterworth(31.0, 4), rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(filtered(SwitchableFilter((31.0,), order=4, padding=15), SIGNAL), butterworth(31.0, 4), rtol=1e-8, atol=1e-8)
     q = SwitchableFilter((31.0,), padding=5)
     np.testing.assert_allclose(filtered(q, SIGNAL), filtered(ZeroPhaseButterworth(31.0, padding=5), SIGNAL), **ALGEBRA)
+    np.testing.assert_allclose(filtered(SwitchableFilter((31.0,)), SIGNAL), filtered(ZeroPhaseButterworth(31.0), SIGNAL), **ALGEBRA)
 
 
 def test_a_change_makes_no_step_in_what_every_segment_passes():
@@ -109,11 +111,19 @@ IIR = {
 @pytest.mark.parametrize("name", IIR)
 def test_zero_phase_iir_is_filtfilt(name):
     b, a = IIR[name]
-    for padding in (None, 0, 11):
+    for padding in (3 * max(len(b), len(a)), 0, 11):
         q = ZeroPhaseIIR(b, a, padding)
         q.check(N, DT)
         expected = scipy.signal.filtfilt(b, a, SIGNAL, axis=0, padlen=padding)
         np.testing.assert_allclose(filtered(q, SIGNAL), expected, rtol=1e-8, atol=1e-8)
+
+
+@pytest.mark.parametrize("name", IIR)
+def test_mirrored_zero_phase_iir_weights_each_cosine(name):
+    b, a = IIR[name]
+    _, response = scipy.signal.freqz(b, a, np.arange(N) / (2 * N * DT), fs=1 / DT)
+    expected = scipy.fft.idct(np.abs(response[:, None]) ** 2 * scipy.fft.dct(SIGNAL, axis=0), axis=0)
+    np.testing.assert_allclose(filtered(ZeroPhaseIIR(b, a), SIGNAL), expected, rtol=1e-8, atol=1e-8)
 
 
 def test_a_gain_is_a_recursive_filter_too():
@@ -121,7 +131,7 @@ def test_a_gain_is_a_recursive_filter_too():
 
 
 def test_printed_filter_of_li_2020_is_a_third_order_butterworth_with_its_gain_lost_to_rounding():
-    q = ZeroPhaseIIR(**PRINTED_LI_2020)
+    q = ZeroPhaseIIR(**PRINTED_LI_2020, padding=12)
     np.testing.assert_allclose(filtered(q, SIGNAL), scipy.signal.filtfilt(q.b, q.a, SIGNAL, axis=0), rtol=1e-8, atol=1e-8)
     # impulse invariance: poles exp(s), numerator from the residues of the analog prototype
     w = 2 * np.pi * 0.0117
@@ -225,7 +235,7 @@ def test_switchable_filter_learns_the_fast_part_but_not_the_noise_of_the_slow_on
     for name, q in {"low": ZeroPhaseButterworth(low), "high": ZeroPhaseButterworth(high), "switchable": switchable}.items():
         history = learn(noisy, Filtered(law, q), task, 16)
         rms[name] = float(history.rms[-1, 0])
-        roughness[name] = np.std(np.diff(history.final.u[550:, 0]))
+        roughness[name] = np.std(np.diff(history.final.u[550:760, 0], 3))  # far from the end, and without the motion
     assert rms["switchable"] < 0.7 * rms["low"]
     assert roughness["switchable"] < 0.5 * roughness["high"]
 

@@ -19,13 +19,14 @@ from ..signals import Task
 from ..uncertainty import Uncertainty, draw, drawn_machine, drawn_machines
 from .by_frequency import CAUSAL, LEARNING, STABLE, largest_of, lines, of_trial, parts_of
 from .condition import Condition, condition, premise
-from .law import at_points, law_of
+from .law import Taps, at_points, law_of
 from .loop import Loop, linear_loop, minimal, on_circle, response
 
 TRIED = (
     "sup |Q (keep - L P)| < 1 for each of the plants that were tried: samples of the box, its corners, and where gradient ascent from the "
     "worst of them ended. Of the plants between them nothing is proved. For each one tried: "
 )
+BETWEEN = 65  # lines of the ascent between those next to the largest
 CORNERS = 8  # names up to which all corners of the box are tried
 
 
@@ -86,8 +87,8 @@ def family_condition(
     if climbers:
         first = np.argsort(-values)[:climbers]
         f = np.unique(np.concatenate([lines(task, frequencies, []), worst[first]]))
-        law_at = tuple(at_points(part, on_circle(f, task.dt)) for part in (law.keep, law.L))
-        fixed = (*common, jnp.asarray(f), law_at, jnp.asarray(low), jnp.asarray(high))
+        taps = tuple(Taps(*map(jnp.asarray, part)) for part in (law.keep, law.L))
+        fixed = (*common, jnp.asarray(f), taps, jnp.asarray(low), jnp.asarray(high))
         climbed = np.asarray(_climbing(names, steps)(fixed, jnp.asarray(points[first])))
         points = np.concatenate([points, climbed])
         values, worst, critical, radii = (np.concatenate(x) for x in zip((values, worst, critical, radii), tried(climbed), strict=True))
@@ -123,11 +124,21 @@ def _loop_of(common, point, *, names):
 def _climb(common, start, *, names, steps):
     """Where projected gradient ascent from `start` ends, both in the units of the numbers drawn; it runs in the unit box."""
     machine, scheme, task, f, (keep, L), low, high = common
+    z = on_circle(f, task.dt)
+    law = at_points(keep, z), at_points(L, z)
+
+    def sizes(loop, f, law):
+        M = law[0] - law[1] @ response(loop, f, task.dt)
+        return jnp.abs(M[:, 0, 0]) if M.shape[1:] == (1, 1) else jnp.linalg.svd(M, compute_uv=False)[:, 0]
 
     def peak(x):
+        """The largest size on the lines, and then between those around it, so that no line is a summit of its own."""
         loop = _loop_of((machine, scheme, task), low + (high - low) * x, names=names)
-        M = keep - L @ response(loop, f, task.dt)
-        return jnp.max(jnp.abs(M[:, 0, 0]) if M.shape[1:] == (1, 1) else jnp.linalg.svd(M, compute_uv=False)[:, 0])
+        i = jnp.argmax(sizes(loop, f, law))
+        between = jnp.linspace(f[jnp.maximum(i - 1, 0)], f[jnp.minimum(i + 1, len(f) - 1)], BETWEEN)
+        z = on_circle(between, task.dt)
+        found = sizes(loop, between, (at_points(keep, z), at_points(L, z)))
+        return found[jnp.argmax(found)]
 
     def ascend(_, now):
         x, value, g, h = now

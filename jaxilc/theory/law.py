@@ -25,6 +25,7 @@ from .trials import learned_shape, next_learned, shortened
 
 LONG = 4096  # samples of the trial in which the taps are looked at
 FORGOTTEN = 1e-12  # share of the largest tap that counts as nothing
+NEGLIGIBLE = 1e-13  # share of the largest tap that all taps left out at one end may add up to
 ALIKE = 1e-9  # relative difference between two places of the trial that rounding explains
 INVARIANT_LAW = "learning law the same throughout the trial"
 
@@ -181,10 +182,10 @@ def _convolved(of: Taps, signal, late: int = 0):
 
 
 def _trimmed(powers, taps) -> Taps:
-    """Without the taps that are zero, or next to it, at both ends of the row."""
+    """Without the taps at both ends of the row that are zero, or together next to it."""
     size = np.max(np.abs(taps), axis=tuple(range(1, taps.ndim)))
-    counts = np.flatnonzero(size > np.finfo(float).tiny + 1e-17 * np.max(size, initial=0.0))
-    kept = slice(counts[0], counts[-1] + 1) if len(counts) else slice(0, 0)
+    nothing = NEGLIGIBLE * np.max(size, initial=0.0)
+    kept = (np.cumsum(size) > nothing) & (np.cumsum(size[::-1])[::-1] > nothing)
     return Taps(np.asarray(powers)[kept], taps[kept])
 
 
