@@ -28,6 +28,7 @@ from ..signals import Task
 from ..uncertainty import Uncertainty, drawn_machine
 from .condition import Condition, Premise, condition, premise
 from .iteration import SingularValue, SpectralRadius, singular_value, spectral_radius_of
+from .linearity import linear_law
 from .structure import blind, obstacle
 from .trials import LEARNED, Prescribed, learned_memory, step, trial_of, with_output
 
@@ -192,7 +193,7 @@ def error_contracting(machine: Machine, scheme: Scheme, task: Task, memory: Any 
     found = _singular_of_error(machine, scheme, task, memory, trials=trials, **options)
     memory = learned_memory(machine, scheme, task) if memory is None else memory
     fixed, at = (machine, scheme, task, memory), jnp.zeros(task.N * task.outputs)
-    affine = not obstacle(partial(_errors, trials=trials), fixed, at)
+    affine = linear_law(scheme, task, memory).held and not obstacle(partial(_errors, trials=trials), fixed, at)
     theorem = ERROR.format(n=trials, which="" if affine else "small ", where=EVERYWHERE if affine else NEARBY)
     smooth = affine or not blind(partial(_errors, trials=trials), fixed, at)
     return condition(found.value, theorem, premises=(_differentiable(smooth), _bounded(found)))
@@ -232,7 +233,9 @@ def _where(machine, scheme, task, memory, leaves, distance) -> tuple[tuple[Premi
     """The premises under which a derivative at one memory says where learning goes, and where that is true."""
     memory = learned_memory(machine, scheme, task) if memory is None else memory
     fixed, at = (machine, scheme, task, memory), learning_map(machine, scheme, task, memory, leaves=leaves).at
-    why = obstacle(partial(_learned, leaves=leaves), fixed, at)
+    law = linear_law(scheme, task, memory)
+    why = "" if law.held else law.detail
+    why = obstacle(partial(_learned, leaves=leaves), fixed, at) or why
     found = f"{why or 'affine, read off its program'}; another trial moves the memory by {float(distance):.1e} of itself"
     local = premise("map affine, or taken at its fixed point", not why or distance <= FIXED, found)
     smooth = not why or not blind(partial(_learned, leaves=leaves), fixed, at)
