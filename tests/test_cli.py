@@ -226,9 +226,10 @@ def test_certify_compares_theory_with_simulation(jaxilc_command, tmp_path):
     numbers = json.loads((tmp_path / "c.json").read_text())
     assert list(numbers["schemes"]) == ["cfdl-mfailc"], "pid does not learn"
     row = numbers["schemes"]["cfdl-mfailc"]
-    assert sum(row["verdicts"].values()) == 3
+    assert sum(row["claims"].values()) == sum(row["observed"].values()) == 3
     assert row["bound"] == {"holds": 0, "fails": 0, "not claimed": 3}
-    assert row["certified_yet_grew"] == []
+    assert row["contradicted"] == []
+    assert "of the long run nothing is claimed" in " ".join(out.split())
     assert (tmp_path / "out/certify-cao-2019/cfdl-mfailc.png").exists()
     code, _, err = jaxilc_command("certify", "cao-2019", "--scheme", "pid")
     assert code == 2

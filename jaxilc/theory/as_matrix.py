@@ -40,7 +40,7 @@ class Matrices(NamedTuple):
     def of(cls, machines: Machine, scheme: Scheme, task: Task, view: View) -> Matrices:
         """By linearising each trial and its learning at the start."""
         found = cls(*jax.tree.map(np.asarray, _matrices(view)((scheme, task), machines)))
-        usable = np.isfinite(found.M).all(axis=(1, 2)) & np.isfinite(found.E).all(axis=(1, 2))
+        usable = np.array([np.isfinite(M).all() and np.isfinite(E).all() for M, E in zip(found.M, found.E, strict=True)])
         huge = np.sqrt(np.finfo(found.M.dtype).max)  # nothing can be claimed of a machine that overflows
         M = np.where(usable[:, None, None], found.M, huge)
         return found._replace(M=M, E=np.where(usable[:, None, None], found.E, 0.0), c=np.nan_to_num(found.c))

@@ -111,7 +111,7 @@ class Parts(NamedTuple):
 
     def nominal(self, centre, h) -> Arc:
         """Q (keep - L P) on arcs."""
-        return arc_of_taps(self.law.keep, centre, h) - self.gain(centre, h)
+        return arc_of_taps(self.law.keep, centre, h).minus(self.gain(centre, h))
 
 
 def parts_of(machine: Machine, scheme: Scheme, task: Task) -> Parts:
@@ -241,8 +241,8 @@ def _norm_optimal(G: Arc, G_t: Arc, w_e, w_u, w_delta, h) -> Arc:
     one = np.broadcast_to(np.eye(G.value.shape[-1]), (len(h), *(G.value.shape[-1],) * 2)).astype(complex)
     still = Arc(one, np.zeros_like(one), np.zeros(len(h)))
     pull = _scaled(G.adjoint, w_e)
-    H = pull.times(G, h) + _scaled(still, w_u + w_delta)
-    return H.inverse(h).times(_scaled(still, w_delta) + pull.times(G - G_t, h), h)
+    H = pull.times(G, h).plus(_scaled(still, w_u + w_delta))
+    return H.inverse(h).times(_scaled(still, w_delta).plus(pull.times(G.minus(G_t), h)), h)
 
 
 def _scaled(arc: Arc, factor) -> Arc:

@@ -165,7 +165,9 @@ def _claims(machines, scheme, task, ahead: Outlook, maps: Matrices | Maps):
     size, decay = len(ahead.met), ahead.decay
     of_errors = np.full(size, np.inf)
     if keeps_all(scheme, task):
-        ends_at_zero = keeps_all(scheme, task, off=True) | ~np.asarray(jax.vmap(starts_off, in_axes=(0, None, None))(machines, scheme, task))
+        ends_at_zero = keeps_all(scheme, task, off=True) | ~np.asarray(
+            jax.vmap(starts_off, in_axes=(0, None, None))(machines, scheme, task)
+        )
         of_errors = np.where(ends_at_zero, maps.error_norm(scheme, task, view_of(scheme, task)), np.inf)
     of_error = (of_errors < 1) & ahead.clear
     monotone = of_error | (decay.monotone & ahead.clear)

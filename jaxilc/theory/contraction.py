@@ -193,7 +193,7 @@ def error_contracting(machine: Machine, scheme: Scheme, task: Task, memory: Any 
     found = _singular_of_error(machine, scheme, task, memory, trials=trials, **options)
     memory = learned_memory(machine, scheme, task) if memory is None else memory
     fixed, at = (machine, scheme, task, memory), jnp.zeros(task.N * task.outputs)
-    affine = linear_law(scheme, task, memory).held and not obstacle(partial(_errors, trials=trials), fixed, at)
+    affine = bool(linear_law(scheme, task, memory).held) and not obstacle(partial(_errors, trials=trials), fixed, at)
     theorem = ERROR.format(n=trials, which="" if affine else "small ", where=EVERYWHERE if affine else NEARBY)
     smooth = affine or not blind(partial(_errors, trials=trials), fixed, at)
     return condition(found.value, theorem, premises=(_differentiable(smooth), _bounded(found)))

@@ -32,10 +32,10 @@ class Arc(NamedTuple):
     slope: np.ndarray
     curve: np.ndarray
 
-    def __sub__(self, other: Arc) -> Arc:
+    def minus(self, other: Arc) -> Arc:
         return Arc(self.value - other.value, self.slope - other.slope, self.curve + other.curve)
 
-    def __add__(self, other: Arc) -> Arc:
+    def plus(self, other: Arc) -> Arc:
         return Arc(self.value + other.value, self.slope + other.slope, self.curve + other.curve)
 
     def times(self, other: Arc, h) -> Arc:
@@ -112,11 +112,12 @@ def arc_of_loop(loop: Loop, centre, h) -> Arc:
     """
     z, unit = np.exp(1j * np.asarray(centre))[:, None, None], np.eye(len(loop.A))
     R = np.linalg.inv(z * unit - loop.A) if len(unit) else np.zeros((len(z), 0, 0))
-    CR, RB = loop.C @ R, R @ loop.B
+    B, C = np.asarray(loop.B), np.asarray(loop.C)
+    CR, RB = C @ R, R @ B
     away = h * size(R)
     grown = 1 / np.where(away < 1, 1 - away, np.nan)
     curve = 0.5 * grown**2 * size(CR) * size(RB) * (1 + 2 * grown * size(R))
-    return Arc(CR @ loop.B, -1j * z * (CR @ RB), np.where(away < 1, curve, np.inf))
+    return Arc(CR @ B, -1j * z * (CR @ RB), np.where(away < 1, curve, np.inf))
 
 
 def size(X) -> np.ndarray:

@@ -33,8 +33,8 @@ INVARIANT_LAW = "learning law the same throughout the trial"
 class Taps(NamedTuple):
     """M(z) = sum_p taps_p z^p. powers: (K,) whole numbers;  taps: (K, n, m)"""
 
-    powers: np.ndarray
-    taps: np.ndarray
+    powers: np.ndarray | jax.Array
+    taps: np.ndarray | jax.Array
 
 
 class Law(NamedTuple):

@@ -26,9 +26,9 @@ NEGLIGIBLE = (1e-10, 1e-14)  # shares of a direction that are tried for too litt
 class Loop(NamedTuple):
     """x[k+1] = A x[k] + B w[k], y[k] = C x[k]. A: (n, n), B: (n, n_w), C: (n_y, n)"""
 
-    A: jax.Array
-    B: jax.Array
-    C: jax.Array
+    A: jax.Array | np.ndarray
+    B: jax.Array | np.ndarray
+    C: jax.Array | np.ndarray
 
 
 class Now(NamedTuple):

@@ -112,7 +112,7 @@ def outlooks(machines: Machine, scheme: Scheme, task: Task, *, maps: Matrices | 
     limit, left, floor, gain = maps.limit()
     radius = np.where(left > 0, np.where(np.isfinite(decay.reach), decay.reach, np.inf) * left, 0.0)
     names = limit_names(machines, scheme, task)
-    met, clear, which = maps.first_met(decay.reach) if names else (np.zeros(len(left), int), np.ones(len(left), bool), None)
+    met, clear, which = maps.first_met(decay.reach) if names else (np.zeros(len(left), int), np.ones(len(left), bool), [])
     labels = [names[i] for i in which] if names else [""] * len(left)
     return Outlook(decay, limit, radius, floor, gain * radius / np.sqrt(task.N * task.outputs), met, clear, labels)
 
