@@ -25,7 +25,7 @@
 # | Is the model only roughly right? | yes | P-type with lead, or norm-optimal with a large weight on the change |
 # | No model at all? | | P-type, or MFAILC, whose sign of `phi0` must be that of the plant |
 # | Noise or disturbances that do not repeat? | yes | learn fast first, then slowly, and stop in time |
-# | Must the error fall in every trial, for certain? | yes | a filter $Q$ that certifies it (notebook 05), and the floor that it leaves |
+# | Must learning never go astray, for certain? | yes | a filter $Q$ that certifies it (notebook 05), and the floor that it leaves |
 # | Is the load on the far side of a flexible drive? | yes | learn input and reference together (MILC, notebook 02) |
 #
 # Whatever the choice: certify before (notebook 05), sweep over what you do not know (03), watch the error on the machine (07).
@@ -185,6 +185,8 @@ ax.figure
 # ## Before the machine
 #
 # 1. Run the same trial a few times without learning. The spread is your floor (`jaxilc.repeatability`).
-# 2. Choose lead and filter in simulation; check $|Q(1 - \gamma z P)| < 1$, over the uncertainty (`theory.frequency.family_condition`).
+# 2. Choose lead and filter in simulation; check $|Q(1 - \gamma z P)| < 1$ for every plant within a bound of the nominal one
+#    (`theory.frequency.robust_condition`), or for the corners of the uncertainty, samples of it and the worst that ascent finds
+#    (`family_condition`: of the plants between them it proves nothing). `jaxilc certify` says of each machine drawn where learning goes.
 # 3. Tune gain and cutoff on many machines (notebook 04).
 # 4. Start the campaign with limits on the input (notebook 07), and stop when the error stops falling (`StopWhen`).

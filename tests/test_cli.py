@@ -401,7 +401,7 @@ def test_certify_tune_and_worst_case_leave_reports(jaxilc_command, tmp_path):
     common = ("mine.toml", "--scheme", "ilc", "--report", "page.html")
     small = ("--weights", "gamma_p", "--steps", 1, "--samples", 2, "--held-out", 2, "--unseen", 3, "--trials", 2)
     for command, options, expected in (
-        ("certify", ("--samples", 3, "--trials", 3), ("theory says, of machines", "<td>3</td>")),
+        ("certify", ("--samples", 3, "--trials", 3), ("in the long run", "<td>3</td>")),
         ("tune", small, ("held-out loss", "<td>gamma_p</td>")),
         ("worst-case", ("--trial", 2, "--starts", 2, "--steps", 2), ("until level with chance", "machine.plant.B")),
     ):

@@ -276,7 +276,7 @@ def butterworth(u):
     return scipy.signal.sosfiltfilt(scipy.signal.butter(3, 70.0, fs=1 / DT, output="sos"), u)
 
 
-FILTERS = {"fir": (ZeroPhaseFIR((0.5, 0.2, 0.05)), fir), "butterworth": (ZeroPhaseButterworth(70.0, order=3), butterworth)}
+FILTERS = {"fir": (ZeroPhaseFIR((0.5, 0.2, 0.05)), fir), "butterworth": (ZeroPhaseButterworth(70.0, order=3, padding=12), butterworth)}
 
 
 @pytest.mark.parametrize("q", FILTERS)
