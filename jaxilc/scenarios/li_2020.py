@@ -17,7 +17,7 @@ from .. import paths
 from ..contour import contour_error
 from ..filters import ZeroPhaseButterworth
 from ..machine import Actuator, Disturbance, Machine, Sensor
-from ..metrics import root_mean_square
+from ..metrics import largest, root_mean_square
 from ..plants import TwoAxes, cnc_axis
 from ..plants.cnc_axis import SAMPLE_TIME
 from ..schemes import PID, ErrorFiltered, HigherOrder, Ladder, OnReference, PIDType, Scheme, StopWhen, WithFeedback
@@ -170,14 +170,14 @@ def half_sine(N: int, height: float, start: int = 625, width: int = 250) -> np.n
 
 def feedback_effort(trial) -> jax.Array:
     """Root mean square of the proportional share of the input; the damping on the speed counts to the drive (Li 2020, Fig. 38)."""
-    return PROPORTIONAL * jnp.max(root_mean_square(trial.e[:-1]))
+    return PROPORTIONAL * largest(root_mean_square(trial.e[:-1]))
 
 
 def learned_effort(trial) -> jax.Array:
     """Root mean square of the learned share of the input; the largest axis (Li 2020, Fig. 37)."""
-    return jnp.max(root_mean_square(trial.u - trial.signals["feedback"])) if "feedback" in trial.signals else jnp.zeros(())
+    return largest(root_mean_square(trial.u - trial.signals["feedback"])) if "feedback" in trial.signals else jnp.zeros(())
 
 
 def contour_max(trial, *, path) -> jax.Array:
     """Largest distance of the measured position from the path."""
-    return jnp.max(jnp.abs(contour_error(trial.y, path, window=64)))
+    return largest(jnp.abs(contour_error(trial.y, path, window=64)))

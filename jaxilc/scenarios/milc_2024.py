@@ -17,7 +17,7 @@ import numpy as np
 from .. import references
 from ..inversion import inverse, output_ratio
 from ..machine import Actuator, Machine, Sensor
-from ..metrics import root_mean_square
+from ..metrics import largest, root_mean_square
 from ..plants import BallScrewDrive, FrictionTable, LeadError, StateSpace, StribeckFriction, direct_model, multivariable_model
 from ..schemes import PID, MultivariableILC, NormOptimal, OnOutputs, WithFeedback
 from ..signals import Task
@@ -172,7 +172,7 @@ def table_rms(trial) -> jax.Array:
 
 def table_max(trial) -> jax.Array:
     """Largest error of the table."""
-    return jnp.max(jnp.abs(trial.e[1:, 1]))
+    return largest(jnp.abs(trial.e[1:, 1]))
 
 
 def motor_rms(trial, *, gain) -> jax.Array:
