@@ -162,7 +162,7 @@ def reproduce(
     report: Report = None,
     precision: Precision = "float64",
 ) -> None:
-    """Every published number beside ours, with the ratio, a verdict and how the paper was read.
+    """Every published number beside ours: ratio, verdict, how the paper was read, what was fitted, why it is open.
 
     Example: jaxilc reproduce cao-2019 dai-2014 --json out/reproduce.json
     """

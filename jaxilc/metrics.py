@@ -101,7 +101,8 @@ def measure(trial: Trial, task: Task) -> Metrics:
 class Keep:
     """A `save` for `learn`: a dictionary of signals and further figures of each trial. Equal ones share a compiled program.
 
-    signals: names of fields of `Trial`;  quantities: (name, function of a trial) pairs
+    signals: names of fields of `Trial`;  quantities: (name, function of a trial) pairs. One that shall be differentiated takes
+    `largest` in place of `jnp.max`.
     """
 
     signals: tuple[str, ...] = ()
@@ -117,6 +118,18 @@ class Keep:
 
     def __call__(self, trial: Trial) -> dict[str, jax.Array]:
         return {name: getattr(trial, name) for name in self.signals} | {name: of(trial) for name, of in self.quantities}
+
+
+def largest(x, axis: int | None = None) -> jax.Array:
+    """The largest value of x, or those along an axis, with a derivative that goes by its place; the first place where several are equal.
+
+    The derivative of `jnp.max` asks which of the values equal the largest. In a compiled program they may have been computed twice and
+    rounded differently, so that none does, and a part of the derivative is zero without a warning.
+    """
+    x, axis = (jnp.ravel(x), 0) if axis is None else (jnp.asarray(x), axis)
+    place = jnp.argmax(lax.stop_gradient(x), axis=axis, keepdims=True)
+    # by a choice and a sum: a gather has a scatter as its derivative, of which XLA's partitioner dies where x lies on many devices
+    return jnp.sum(jnp.where(lax.broadcasted_iota(place.dtype, x.shape, axis % x.ndim) == place, x, 0.0), axis=axis)
 
 
 def best_trial(rms) -> np.ndarray:

@@ -19,7 +19,7 @@ from jax import lax
 
 from .learning import History, learn
 from .machine import Machine
-from .metrics import Keep, Metrics
+from .metrics import Keep, Metrics, largest
 from .pytree import leaf, part, pytree
 from .schemes import Scheme
 from .schemes.guards import Guard
@@ -80,9 +80,9 @@ class Bounded(Guard):
 
 def peak(task: Task) -> jax.Array:
     """(n_y,) largest |r| of each output; that of all outputs for one that shall stay at zero, and 1 if they all shall."""
-    largest = jnp.max(jnp.abs(jnp.asarray(task.reference)), axis=0)
-    overall = jnp.max(largest)
-    return jnp.where(largest > 0, largest, jnp.where(overall > 0, overall, 1.0))
+    size = largest(jnp.abs(jnp.asarray(task.reference)), axis=0)
+    overall = largest(size)
+    return jnp.where(size > 0, size, jnp.where(overall > 0, overall, 1.0))
 
 
 def judge(
@@ -177,7 +177,7 @@ class Holding(Objective):
         x = levels(run, self.figure, self.floor)
         if not 1 <= self.first <= len(x):
             raise ValueError(f"Holding: first = {self.first} is outside its allowed range [1, {len(x)}]")
-        return jnp.max(x[self.first - 1 :])
+        return largest(x[self.first - 1 :])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -193,7 +193,7 @@ class TrialsTo(Objective):
 
     def __call__(self, run: Run):
         x = levels(run, self.figure, FLOOR)
-        limit = jnp.log(self.tolerance / jnp.max(peak(run.task)) / FLOOR)
+        limit = jnp.log(self.tolerance / largest(peak(run.task)) / FLOOR)
         return jnp.sum(jax.nn.sigmoid((x - limit) / self.width))
 
 
@@ -268,13 +268,13 @@ def levels(run: Run, figure: str, floor: float) -> jax.Array:
     Raises ValueError naming the figures there are.
     """
     history = run.history
-    anywhere = jnp.max(history.max_error / peak(run.task), axis=1)
+    anywhere = largest(history.max_error / peak(run.task), axis=1)
     if figure in Metrics._fields[:3]:
         x = getattr(history.metrics, figure) / peak(run.task)
     elif figure in (history.saved or {}):
-        x = history.saved[figure] / jnp.max(peak(run.task))
+        x = history.saved[figure] / largest(peak(run.task))
     else:
         raise ValueError(f"figure = {figure!r} is not one of {', '.join((*Metrics._fields[:3], *(history.saved or {})))}")
-    x = jnp.max(jnp.abs(x.reshape(len(x), -1)), axis=1)
+    x = largest(jnp.abs(x.reshape(len(x), -1)), axis=1)
     x = jnp.where(anywhere <= run.ceiling, x, jnp.maximum(x, anywhere))
     return 0.5 * jnp.log(x**2 + floor**2) - jnp.log(floor)

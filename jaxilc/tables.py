@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .reproduction import SHAPE
 from .theory.certificates import CLAIMS, CONVERGES, COURSES, DIVERGES, GROWS, MONOTONE, NOTHING, TURNS
 from .titled_table import Table
 
@@ -221,15 +222,17 @@ def certificate_tables(name: str, trials: int, figures: dict[str, Any]) -> list[
 
 
 def reproduction_table(figures: Sequence[dict[str, Any]]) -> Table:
-    """One row a published number."""
+    """One row a published number. reading: how the paper was read, what was fitted, and why a row is open"""
     met = {v: sum(f["verdict"] == v for f in figures) for v in ("met", "shape", "open")}
-    table = Table(title=f"{len(figures)} published numbers: {met['met']} met within 30 %, {met['shape']} in shape, {met['open']} open")
+    in_shape = f"{met['shape']} in shape (the printed order, within a factor of {SHAPE:g})"
+    table = Table(title=f"{len(figures)} published numbers: {met['met']} met within 30 %, {in_shape}, {met['open']} open")
     for column in ("scenario", "scheme", "trial", "quantity", "published", "ours", "ratio", "verdict", "source", "reading"):
         table.add_column(column, justify="right" if column in ("trial", "published", "ours", "ratio") else "left")
     for f in figures:
         trial = "" if f["trial"] is None else str(f["trial"])
         ours = (f"{'< ' * f['at_most']}{f['value']:g} {f['unit']}", number(f["ours"]), f"{f['ratio']:.2f}")
-        reading = "; ".join([*(f"{k} {v}" for k, v in f["options"].items() if k != "plant"), f["reading"]])
+        reading = [*(f"{k} {v}" for k, v in f["options"].items() if k != "plant"), f["reading"], f["fitted"]]
+        reading = "; ".join([*reading, f"open: {f['reason']}"] if f["reason"] else reading)
         table.add_row(f["scenario"], f["scheme"], trial, f["quantity"].replace("_", " "), *ours, f["verdict"], f["source"], reading)
     return table
 

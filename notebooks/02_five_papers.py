@@ -23,8 +23,9 @@
 # | `xu-2024` | piezo fast tool servo | PD-type with exponential gain over adaptive sliding mode |
 # | `milc-2024` | flexible ball-screw drive | norm-optimal: direct (DILC), multivariable (MILC) |
 #
-# A verdict is `met` within 30 %, `shape` where the number stands to every comparable one as in print, larger or smaller, else `open`.
-# What a paper leaves unprinted was chosen or fitted; each row says how it was read, and the fitted rows prove nothing.
+# A verdict is `met` within 30 %, `shape` where the number stands to every comparable one as in print, larger or smaller, and lies within a
+# factor of two of print, else `open`, with the reason. What a paper leaves unprinted was chosen or fitted; each row says how it was read
+# and what was fitted to which numbers, and a row that is among these proves nothing.
 
 # %%
 import numpy as np
@@ -44,7 +45,8 @@ def show(rows):
         less = "< " * p.at_most
         what = p.quantity.replace("_", " ")
         ours = f"{tables.number(row.ours):>7s} {row.unit}"
-        print(f"{p.scheme:12s} {trial:9s} {what:14s} printed {less}{p.value:<7g} ours {ours:10s} {row.verdict:5s} | {p.reading}")
+        read = "; ".join(part for part in (p.reading, str(p.fitted), row.reason) if part)
+        print(f"{p.scheme:12s} {trial:9s} {what:14s} printed {less}{p.value:<7g} ours {ours:10s} {row.verdict:5s} | {read}")
     print({verdict: sum(row.verdict == verdict for row in rows) for verdict in ("met", "shape", "open")})
 
 

@@ -11,7 +11,7 @@ from jaxilc.learning import check, learn
 from jaxilc.machine import Machine
 from jaxilc.plants import DifferenceEquation
 from jaxilc.reproduction import reproduce
-from jaxilc.scenarios import Published, Scenario
+from jaxilc.scenarios import Fit, Published, Scenario
 from jaxilc.schemes import PID, PIDType, Scheme
 from jaxilc.signals import Task
 
@@ -24,6 +24,10 @@ def row(value, scheme="law", trial=1, quantity="settled_error", options=()):
 
 
 def verdicts(rows, ours):
+    return [verdict for verdict, _ in judged(rows, ours)]
+
+
+def judged(rows, ours):
     return [reproduction._verdict(i, tuple(rows), list(ours)) for i in range(len(rows))]
 
 
@@ -47,9 +51,10 @@ TRIALS = [row(8.0, trial=10), row(4.0, trial=20), row(1.0, trial=30)]
 @pytest.mark.parametrize(
     ("ours", "expected"),
     [
-        ([80.0, 40.0, 10.0], ["shape", "shape", "shape"]),  # ten times too large, in the right order
-        ([80.0, 90.0, 10.0], ["open", "open", "shape"]),  # the first two change places
-        ([80.0, 4.0, 10.0], ["shape", "met", "open"]),  # `met` where the number is right, though its order is not
+        ([15.0, 7.5, 1.9], ["shape", "shape", "shape"]),  # almost twice, in the right order
+        ([4.1, 2.1, 0.55], ["shape", "shape", "shape"]),
+        ([4.1, 5.4, 1.9], ["open", "open", "shape"]),  # the first two change places
+        ([15.0, 4.0, 10.0], ["shape", "met", "open"]),  # `met` where the number is right, though its order is not
         ([20.0, 40.0, 80.0], ["open", "open", "open"]),
         ([8.0, 4.0, 10.0], ["met", "met", "open"]),
     ],
@@ -61,9 +66,27 @@ def test_shape_is_the_order_among_the_trials_of_a_scheme(ours, expected):
 def test_shape_among_schemes_and_among_settings():
     """Several schemes at one setting, or one scheme at several; a row is judged by all of them."""
     rows = [row(4.0, "a", None, options=FAST), row(2.0, "b", None, options=FAST), row(1.0, "a", None, options=SLOW)]
-    assert verdicts(rows, [40.0, 20.0, 10.0]) == ["shape", "shape", "shape"]
-    assert verdicts(rows, [40.0, 50.0, 10.0]) == ["open", "open", "shape"]
-    assert verdicts(rows, [40.0, 20.0, 50.0]) == ["open", "shape", "open"], "b at `fast` does not compare with a at `slow`"
+    assert verdicts(rows, [6.0, 3.0, 1.5]) == ["shape", "shape", "shape"]
+    assert verdicts(rows, [2.5, 3.5, 1.5]) == ["open", "open", "shape"]
+    assert verdicts(rows, [2.5, 1.2, 2.6]) == ["open", "shape", "open"], "b at `fast` does not compare with a at `slow`"
+
+
+def test_shape_is_bounded_in_size_and_what_lies_beyond_says_so():
+    """A curve in the printed order, but 3.62 times or 0.37 times as large as in print, has not its shape; twice and half are the ends."""
+    for factor, verdict in ((3.62, "open"), (0.37, "open"), (2.01, "open"), (0.49, "open"), (2.0, "shape"), (0.5, "shape"), (1.4, "shape")):
+        found = judged(TRIALS, [factor * p.value for p in TRIALS])
+        assert [one for one, _ in found] == [verdict] * 3, factor
+        reason = f"in the printed order, but {factor:.2f} times the printed number, beyond a factor of 2"
+        assert [told for _, told in found] == [reason if verdict == "open" else ""] * 3
+
+
+def test_an_open_row_says_why():
+    assert judged([row(1.0)], [3.0]) == [("open", "3.00 times the printed number, and no other row to compare with")]
+    assert judged([row(1.0)], [NAN]) == [("open", "ours is not finite")]
+    assert judged(TRIALS, [4.1, 5.4, 1.0])[:2] == [
+        ("open", "0.51 times the printed number, and not in the printed order with 1 of 2 comparable rows"),
+        ("open", "1.35 times the printed number, and not in the printed order with 1 of 2 comparable rows"),
+    ]
 
 
 @pytest.mark.parametrize(
@@ -76,18 +99,18 @@ def test_shape_among_schemes_and_among_settings():
     ],
 )
 def test_rows_without_an_order_in_print_give_no_shape(other):
-    assert verdicts([row(8.0), other], [80.0, 10.0])[0] == "open"
+    assert verdicts([row(8.0), other], [12.0, 1.5])[0] == "open"
 
 
 def test_a_comparison_with_a_diverged_row_is_no_agreement():
-    """Printed 8, 4, 1; ours 80, NaN, 10: that the second stands below the first cannot be said."""
+    """Printed 8, 4, 1; ours 12, NaN, 1.5: that the second stands below the first cannot be said."""
     for diverged in (NAN, np.inf):
-        assert verdicts(TRIALS, [80.0, diverged, 10.0])[0] == "open", diverged
+        assert verdicts(TRIALS, [12.0, diverged, 1.5])[0] == "open", diverged
 
 
 def test_an_error_that_does_not_move_has_not_the_printed_shape():
     """`larger or smaller as in print`: equal is neither, whichever of the two rows is judged."""
-    assert verdicts(TRIALS, [80.0, 80.0, 80.0]) == ["open", "open", "open"]
+    assert verdicts([row(8.0, trial=1), row(4.0, trial=2)], [5.5, 5.5]) == ["open", "open"]
 
 
 SCENARIOS = list(scenarios.SCENARIOS)
@@ -122,7 +145,35 @@ def test_every_published_row_can_be_simulated(scenario):
         assert p.value > 0, p
         assert p.source, p
         assert p.reading, p
+        assert isinstance(p.fitted, Fit), f"{p} does not say what was fitted, or that nothing was"
+        assert bool(p.fitted.names) == bool(p.fitted.to), p
+        assert p.fitted.names or not p.fitted.among, p
+        assert "fitted" not in p.reading, "that is said by `fitted`, in the same words for all"
         assert p in here.due, "a row is due under its own options"
+
+
+FREE = {  # numbers fitted to print, by scenario and scheme; li-2020's by row
+    "cao-2019": {"cfdl-mfailc": {1}, "ffdl-mfailc": {4}, "ilc-mfapc": {1}, "pid": {0}},
+    "cao-2019-rig": {"cfdl-mfailc": {0}, "pid": {0}},
+    "dai-2014": {"pid": {0}, "cfdl-mfapc": {1}},
+    "li-2020": {"feedback": {3}, "feedforward": {4}, "p-type": {4, 5}, "fixed-filter": {5}},
+    "milc-2024": {"dilc": {3}, "milc": {3}},
+    "xu-2024": {"pid": {6}, "smc": {6}, "asmc": {6}, "ilc-asmc": {7}},
+}
+AMONG = {"cao-2019": 11, "cao-2019-rig": 0, "dai-2014": 2, "li-2020": 6, "milc-2024": 3, "xu-2024": 7}
+
+
+def test_each_row_says_what_was_fitted(scenario):
+    """How many free numbers, to what, and whether the row is one of those that they were fitted to."""
+    found: dict[str, set] = {}
+    for p in scenario.published:
+        found.setdefault(p.scheme, set()).add(len(p.fitted.names))
+        said = str(p.fitted)
+        assert said == "nothing fitted" or f"{len(p.fitted.names)} free number" in said
+        assert ("among them" in said) == p.fitted.among
+        assert ("predicted" in said) == (bool(p.fitted.names) and not p.fitted.among)
+    assert found == FREE[scenario.name]
+    assert sum(p.fitted.among for p in scenario.published) == AMONG[scenario.name]
 
 
 def test_the_settings_of_published_rows_fit_together(scenario):
@@ -160,7 +211,12 @@ def test_dai_2014():
     np.testing.assert_allclose([r.ours for r in pid], [0.0250, 0.0617], atol=6e-5)
     flat = rows[0].as_dict()
     assert flat["options"] == {"plant": "printed", "frequency": 0.5}
-    assert {"scenario", "scheme", "trial", "quantity", "value", "source", "reading", "ours", "ratio", "unit", "verdict"} <= set(flat)
+    assert {"scenario", "scheme", "trial", "quantity", "value", "source", "reading", "fitted", "ours", "ratio", "unit", "verdict"} <= set(
+        flat
+    )
+    assert rows[1].as_dict()["fitted"] == "1 free number (phi0) fitted to this row alone; this row is among them"
+    assert [r.reason for r in rows[:3]] == ["", "", ""]
+    assert rows[3].reason.endswith("times the printed number, and not in the printed order with 1 of 2 comparable rows")
 
 
 N = 20
@@ -182,7 +238,7 @@ def made_up(monkeypatch):
     half = (("gain", 0.5),)
     published = (
         Published("learning", 2, "rms", ours("learning", 2, "rms"), "made up"),
-        Published("learning", 4, "rms", ours("learning", 4, "rms") / 10, "made up"),
+        Published("learning", 4, "rms", ours("learning", 4, "rms") / 1.9, "made up"),
         Published("learning", 4, "max_error", ours("learning", 4, "max_error") * 2, "made up"),
         Published("learning", 3, "rms", ours("learning", 3, "rms", 0.5) * 1.2, "made up", half),
         Published("feedback", None, "max_error", ours("feedback", 1, "max_error"), "made up"),
@@ -207,7 +263,7 @@ def test_rows_of_a_made_up_scenario(made_up):
     published, runs = made_up
     rows = reproduce(["made-up"])
     assert [r.published for r in rows] == list(published)
-    np.testing.assert_allclose([r.ratio for r in rows], [1.0, 10.0, 0.5, 1 / 1.2, 1.0], rtol=1e-9)
+    np.testing.assert_allclose([r.ratio for r in rows], [1.0, 1.9, 0.5, 1 / 1.2, 1.0], rtol=1e-9)
     assert [r.verdict for r in rows] == [
         "met",
         "shape",

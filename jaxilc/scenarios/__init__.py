@@ -11,7 +11,7 @@ from .cao_2019_rig import cao_2019_rig
 from .dai_2014 import dai_2014
 from .li_2020 import li_2020
 from .milc_2024 import milc_2024
-from .scenario import Published, Quantity, Scenario
+from .scenario import Fit, Published, Quantity, Scenario
 from .xu_2024 import xu_2024
 
 SCENARIOS: dict[str, Callable[..., Scenario]] = {
@@ -23,7 +23,7 @@ SCENARIOS: dict[str, Callable[..., Scenario]] = {
     "xu-2024": xu_2024,
 }
 
-__all__ = ["SCENARIOS", "Published", "Quantity", "Scenario", "load", "options"]
+__all__ = ["SCENARIOS", "Fit", "Published", "Quantity", "Scenario", "load", "options"]
 
 
 def load(name: str, **chosen) -> Scenario:

@@ -12,7 +12,7 @@ from ..plants import voice_coil
 from ..schemes import CFDLMFAILC, CFDLMFAPC, FFDLMFAILC, PFDLMFAILC, PID, PIDType, WithFeedback
 from ..signals import Task
 from ..uncertainty import Uniform
-from .scenario import Published, Scenario
+from .scenario import NOTHING, Fit, Published, Scenario
 
 TABLE_1 = {
     "cfdl-mfailc": {20: 18.0, 30: 11.0, 40: 5.5, 50: 2.5, 60: 1.5, 70: 0.5, 80: 0.3},
@@ -20,27 +20,40 @@ TABLE_1 = {
 }
 
 FITTED = {"cfdl-mfailc": (20, 40, 60, 80), "ffdl-mfailc": (20, 40, 60)}  # trials on which phi0 was fitted; the others judge it
+FITTED_MFAPC = Fit(("phi0",), "its four rows", among=True)
 ON_PRINTED_PLANT = (("plant", "printed"),)
+PID_READING = "ki multiplied by the sample time"
+MFAILC_READING = "eq. 29's plant; second half of the trial; reset `sign`"
+MFAPC_READING = "gains take the plant's sign; lam read as lam / P; of 16 readings the one nearest to the four rows"
 
 
-def _reading(scheme: str, trial: int) -> str:
-    role = "fitted" if trial in FITTED[scheme] else "judged"
-    return f"eq. 29's plant; second half of the trial; reset `sign`; phi0 fitted, this row {role}"
+def _fit(scheme: str, trial: int, quantity: str = "settled_error") -> Fit:
+    names = ("phi0",) if scheme == "cfdl-mfailc" else tuple(f"phi0[{i}]" for i in range(4))
+    to = f"its rows of Table 1 at trials {', '.join(map(str, FITTED[scheme]))}"
+    return Fit(names, to, quantity == "settled_error" and trial in FITTED[scheme])
+
+
+def _row(scheme: str, trial: int | None, quantity: str, value: float, source: str, reading: str, fitted: Fit) -> Published:
+    return Published(scheme, trial, quantity, value, source, ON_PRINTED_PLANT, reading, fitted=fitted)
 
 
 PUBLISHED = (
-    *(
-        Published(s, j, "settled_error", v, "Table 1", ON_PRINTED_PLANT, _reading(s, j))
-        for s, rows in TABLE_1.items()
-        for j, v in rows.items()
+    *(_row(s, j, "settled_error", v, "Table 1", MFAILC_READING, _fit(s, j)) for s, rows in TABLE_1.items() for j, v in rows.items()),
+    _row(
+        "cfdl-mfailc",
+        35,
+        "max_error",
+        10.0,
+        "section IV-A",
+        "over the whole trial, its start included",
+        _fit("cfdl-mfailc", 35, "max_error"),
     ),
-    Published("cfdl-mfailc", 35, "max_error", 10.0, "section IV-A", ON_PRINTED_PLANT, "over the whole trial, its start included"),
     *(
-        Published("ilc-mfapc", j, "settled_error", v, "section IV-D", ON_PRINTED_PLANT, "gains take the plant's sign; lam read as lam / P")
+        _row("ilc-mfapc", j, "settled_error", v, "section IV-D", MFAPC_READING, FITTED_MFAPC)
         for j, v in {10: 8.0, 15: 1.5, 20: 0.3, 30: 0.3}.items()
     ),
-    Published("pid", None, "max_error", 30.0, "section IV-C", ON_PRINTED_PLANT, "ki multiplied by the sample time"),
-    Published("pid", None, "settled_error", 23.0, "section IV-C", ON_PRINTED_PLANT, "ki multiplied by the sample time"),
+    _row("pid", None, "max_error", 30.0, "section IV-C", PID_READING, NOTHING),
+    _row("pid", None, "settled_error", 23.0, "section IV-C", PID_READING, NOTHING),
 )
 
 CHOSEN = (

@@ -13,7 +13,7 @@ from ..plants import voice_coil
 from ..schemes import CFDLMFAPC, PID
 from ..signals import Task
 from .cao_2019 import motor_uncertainty
-from .scenario import Published, Scenario
+from .scenario import NOTHING, Fit, Published, Scenario
 
 # by frequency [Hz]: periods simulated; PID gains, prediction horizon P and weight lam as printed; phi0 as chosen
 SETTINGS: dict[float, dict[str, Any]] = {
@@ -26,12 +26,14 @@ MFAPC_READING = "eq. 29's plant; the reference is previewed and goes on beyond t
 
 
 def _row(scheme: str, frequency: float, value: float, source: str, reading: str) -> Published:
-    return Published(scheme, None, "settled_error", value, source, (("plant", "printed"), ("frequency", frequency)), reading)
+    fitted = Fit(("phi0",), "this row alone", among=True) if scheme == "cfdl-mfapc" else NOTHING
+    options = (("plant", "printed"), ("frequency", frequency))
+    return Published(scheme, None, "settled_error", value, source, options, reading, fitted=fitted)
 
 
 PUBLISHED = (
     _row("pid", 0.5, 0.023, "Fig. 3", PID_READING),
-    _row("cfdl-mfapc", 0.5, 0.0165, "Fig. 5", MFAPC_READING + "; phi0 fitted to this row"),
+    _row("cfdl-mfapc", 0.5, 0.0165, "Fig. 5", MFAPC_READING),
     _row("pid", 2.5, 0.061, "Fig. 7", PID_READING + ", and negative, since the printed 0.2 has the wrong sign; kd per sample"),
     _row("cfdl-mfapc", 2.5, 0.047, "Fig. 9", MFAPC_READING + "; the loop is at its stability limit, its error erratic in phi0"),
 )

@@ -16,6 +16,27 @@ from ..signals import Task, Trial
 from ..uncertainty import Uncertainty
 
 
+class Fit(NamedTuple):
+    """What was fitted to print before a row could be simulated.
+
+    names: of the free numbers, none if nothing was fitted;  to: the printed numbers that they were fitted to
+    among: whether the row is one of these, and so proves nothing
+    """
+
+    names: tuple[str, ...] = ()
+    to: str = ""
+    among: bool = False
+
+    def __str__(self) -> str:
+        if not self.names:
+            return "nothing fitted"
+        free = f"{len(self.names)} free number{'s' * (len(self.names) > 1)} ({', '.join(self.names)})"
+        return f"{free} fitted to {self.to}; this row {'is among them' if self.among else 'is predicted'}"
+
+
+NOTHING = Fit()
+
+
 class Published(NamedTuple):
     """A printed number: data to compare with, never fed back.
 
@@ -23,7 +44,7 @@ class Published(NamedTuple):
     the unit it is shown in
     trial: None for a scheme that does not learn
     options: of the scenario, under which the number was obtained;  reading: what the print leaves open there, and how it was read
-    at_most: printed as "less than"
+    at_most: printed as "less than";  fitted: what was fitted to print for it, `NOTHING` if nothing was, None if that is not said
     """
 
     scheme: str
@@ -34,6 +55,7 @@ class Published(NamedTuple):
     options: tuple[tuple[str, object], ...] = ()
     reading: str = ""
     at_most: bool = False
+    fitted: Fit | None = None
 
 
 class Quantity(NamedTuple):

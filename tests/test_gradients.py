@@ -1,0 +1,137 @@
+"""Derivatives of compiled, batched programs against central differences: a small part of `experiments/gradients_under_attack.py`.
+
+The tests' programs are compiled without optimisation, which hides what rounds one number in two ways; these are compiled as shipped.
+"""
+
+import gradients_under_attack as attack
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import pytest
+from cases import case
+from jax.flatten_util import ravel_pytree
+
+from jaxilc import tiled
+from jaxilc.descent import for_starts
+from jaxilc.metrics import largest
+from jaxilc.objectives import Effort, EveryTrial, Final, Growth, Holding, InputRate, TrialsTo
+from jaxilc.risks import CVaR, Worst
+from jaxilc.tuning import Tuning
+from jaxilc.uncertainty import Uniform
+
+SHIPPED = {"xla_backend_optimization_level": 3}
+
+
+def compiled(f):
+    return jax.jit(f, compiler_options=SHIPPED)
+
+
+@pytest.mark.parametrize(("metric", "way"), [("max_error", "tiled"), ("settled_error", "vmap")])
+def test_no_derivative_of_a_largest_error_is_lost_where_c_is_batched(metric, way):
+    """Found by equality with the tally, 23 and 14 of the 24 derivatives were exactly zero."""
+    one = attack.configurations()["order 1"]
+    x, d = one.batch(np.random.default_rng(1))
+    along = attack.derivative(one, metric, "last")
+    ways = {"tiled": lambda batch: tiled(lambda _, machine: along(machine))((), batch), "vmap": jax.vmap(along)}
+    slopes = np.asarray(compiled(ways[way])(jax.tree.map(jnp.asarray, (x, d))))
+    expected = attack.differences(one, x, d)[metric, "last"]
+    assert not np.any(expected.kink)
+    assert np.all(slopes != 0)
+    assert not np.any(expected.wrong(slopes))
+
+
+def test_the_attack_sees_a_wrong_derivative_and_takes_either_side_of_a_kink():
+    left, right = np.array([1.0, 1.0, 1.0, -1.0]), np.array([1.0, 1.0, 1.0, 1.0])
+    at = attack.Differences(left, right, allowed=np.full(4, 1e-5), kink=left != right, shrunk=left != right)
+    np.testing.assert_array_equal(at.wrong(np.array([1.0, 0.0, 1.0001, 1.0])), [False, True, True, False])
+    np.testing.assert_array_equal(at.wrong(np.array([np.nan, -1.0, 1.0, 0.0])), [True, True, False, True])
+
+
+def test_switching_boundaries_and_cutoffs_through_learning():
+    """Each cutoff, each switching time and the width by itself, after five trials."""
+    one = attack.configurations()["switching"]
+    at = {name: np.asarray(attack.get_at(one.subject, name)) for name in one.leaves}
+    flat, unravel = ravel_pytree(at)
+    d = jax.vmap(unravel)(jnp.diag(flat))
+    x = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (len(flat), *leaf.shape)), at)
+    expected = attack.differences(one, x, d)
+    for metric in ("max_error", "rms"):
+        assert np.all(np.abs(expected[metric, "last"].left) > 1e-6), "each of them matters"
+        slopes = np.asarray(jax.jit(jax.vmap(attack.derivative(one, metric, "last")))((x, d)))
+        assert not np.any(expected[metric, "last"].wrong(slopes)), metric
+
+
+BOUNDS = {
+    "scheme.gamma_p": None,
+    "filter.cutoff": (10.0, 300.0),
+    "filter.times[0]": (0.0075, 0.011),
+    "filter.times[1]": (0.017, 0.023),
+    "filter.width": (0.001, 0.007),
+}
+ROBUST = {
+    "worst": (Worst(), "reverse", Holding(2) + 0.5 * Growth("max_error") + Final("rms")),
+    "cvar": (CVaR(0.6), "forward", EveryTrial("max_error") + TrialsTo(0.3) + 0.1 * Effort(2.0) + 0.2 * InputRate(50.0)),
+}
+
+
+@pytest.mark.parametrize("name", ROBUST)
+def test_the_loss_of_a_robust_tuning_has_the_slope_of_its_differences(name):
+    """Risk, objective and bounds of weights together, as the optimiser is given them; a descent at rate 1 moves by the gradient.
+
+    Five plants and three starts on two devices: of a scatter over them, as the derivative of a sort has it, XLA's partitioner died.
+    """
+    risk, mode, objective = ROBUST[name]
+    machine, scheme, task = case("p_type_switchable")
+    problem = Tuning(
+        machine,
+        scheme,
+        task,
+        3,
+        BOUNDS,
+        {"plant.b": Uniform(0.8, 1.2, relative=True)},
+        objective,
+        risk,
+        samples=5,
+        optimiser=optax.sgd(1.0),
+        mode=mode,
+        clip=np.inf,
+    )
+    method, z, h = for_starts(problem._method()), problem._weights.starts(1, 0.0, 0)[0], 1e-6
+    direction = np.random.default_rng(3).standard_normal(len(z))
+    starts = jnp.stack([z, z + h * direction, z - h * direction])
+    moved, _, record = method.step(starts, method.init(starts))
+    _, after, before = np.asarray(record.loss)
+    assert not np.any(record.dropped)
+    np.testing.assert_allclose(np.dot(z - moved[0], direction), (after - before) / (2 * h), rtol=2e-6)
+
+
+N, MACHINES = 60, 32
+
+
+def test_largest_keeps_every_part_of_its_derivative():
+    """Where `jnp.max` loses some: the error is a sum of products, which is rounded differently where it is computed again."""
+    rng = np.random.default_rng(0)
+    r, R = rng.standard_normal(N), rng.standard_normal((N, 3))
+    c = rng.standard_normal((MACHINES, 3))
+
+    def error(c):
+        x = jnp.asarray(R)
+        return c[0] * x[:, 0] + c[1] * x[:, 1] + c[2] * x[:, 2] - r
+
+    for f in (lambda e: jnp.abs(e), lambda e: e, lambda e: e**2):
+        slopes = jax.jit(jax.vmap(jax.grad(lambda c, f=f: largest(f(error(c))))))(c)
+        shipped = compiled(jax.vmap(jax.grad(lambda c, f=f: largest(f(error(c))))))(c)
+        e = c @ R.T - r
+        place = np.argmax(f(e), axis=1)
+        outer = jax.vmap(jax.grad(f))(jnp.asarray(e[np.arange(MACHINES), place]))
+        np.testing.assert_allclose(slopes, outer[:, None] * R[place], rtol=1e-10)
+        np.testing.assert_allclose(shipped, outer[:, None] * R[place], rtol=1e-10)
+
+
+def test_largest_is_the_largest():
+    x = np.random.default_rng(1).standard_normal((4, 5, 3))
+    for axis in (None, 0, 1, -1):
+        np.testing.assert_array_equal(largest(x, axis), np.max(x, axis=axis))
+    assert np.isnan(largest(np.array([1.0, np.nan, 2.0])))
+    np.testing.assert_array_equal(jax.grad(largest)(jnp.ones(3)), [1.0, 0.0, 0.0])
