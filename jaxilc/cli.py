@@ -134,6 +134,7 @@ def run(
     import jax
 
     from . import figures, plants, runs, tables
+    from .files import whole_folder
     from .report import command_report
 
     chosen = chosen_scenario(scenario, scheme, trials, set_, params)
@@ -163,7 +164,8 @@ def run(
         if isinstance(chosen.machine.plant, plants.TwoAxes):
             axes = figures.contour(dataset, name, some, **shown)
             paths.append(figures.save(axes, folder / f"contour-{name}.png"))
-    dataset.to_zarr(folder / "dataset.zarr", mode="w", consolidated=False)
+    with whole_folder(folder / "dataset.zarr", replace=True) as store:
+        dataset.to_zarr(store, consolidated=False)
     page = command_report(report, "run", [table], paths, scenario=chosen, lines=lines)
     written([*paths, *page, folder / "dataset.zarr"], json_file, numbers)
 

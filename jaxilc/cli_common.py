@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 from collections.abc import Generator
@@ -149,9 +148,11 @@ def folder_of(folder: Path | None, default: str) -> Path:
 
 def written(paths: list[Path], json_file: Path | None, numbers: dict | list) -> None:
     """Write the numbers, if that was asked for, and say what was written."""
+    from .sealed import write_json
+
     if json_file is not None:
         json_file.parent.mkdir(parents=True, exist_ok=True)
-        json_file.write_text(json.dumps(numbers, indent=1, allow_nan=True) + "\n")
+        write_json(json_file, numbers)
         paths = [*paths, json_file]
     if paths:
         out.print("written: " + ", ".join(map(str, paths)), highlight=False, soft_wrap=True)

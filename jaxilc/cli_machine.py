@@ -83,7 +83,7 @@ def next_(
     new = not journal.exists
     if new and (measured is not None or undo is not None):
         raise FileNotFoundError(f"{state} holds no campaign; start one without --measured and --undo")
-    before = {} if new else journal.manifests()[-1]["recipe"]
+    before = {} if new else journal.last_known()["recipe"]
     given = dict(zip(KEPT_RULES, (limit, largest_correction, saturation, repeatability, growth), strict=True))
     recipe = _recipe(before, scenario, plant_file, scheme, set_, {name: v for name, v in given.items() if v is not None})
     rules = Rules(**recipe["rules"], accept_saturation=accept_saturation, stop_on_growth=stop_on_growth)
@@ -123,7 +123,7 @@ def trials(
     Example: jaxilc trials --state x-axis --csv log.csv --plot log.png
     """
     from .cli_common import out as console
-    from .exchange import atomically
+    from .files import atomically
     from .journal import Journal
     from .titled_table import Table
 
@@ -149,7 +149,7 @@ def trials(
         from . import figures
         from .campaign_figures import campaign_figure
 
-        task = journal.manifests()[-1]["configuration"]["task"]
+        task = journal.last_known()["configuration"]["task"]
         written.append(figures.save(campaign_figure(rows, unit=task["unit"], input_unit=task["input_unit"]), plot))
     if written:
         console.print("written: " + ", ".join(map(str, written)), highlight=False, soft_wrap=True)
@@ -162,7 +162,7 @@ def _recipe(before, scenario, plant_file, scheme, settings, rules) -> dict[str, 
     if scenario is not None and plant_file is not None:
         raise ValueError("--scenario and --plant-file exclude each other")
     source = scenario if plant_file is None else str(plant_file)
-    if source is None and not before:
+    if source is None and "scenario" not in before:
         raise ValueError("the first call needs --scenario or --plant-file")
     if source is not None and source not in SCENARIOS and Path(source).suffix:
         source = str(Path(source).absolute())  # found again from wherever the next call comes

@@ -8,15 +8,15 @@ variables of the same names, several channels as columns, and a struct `units` w
 from __future__ import annotations
 
 import csv
-import os
 import re
 import unicodedata
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from .files import atomically
 from .playback import unit_of
 from .signals import Task
 
@@ -221,20 +221,6 @@ def check_format(path: str | Path, number: str = "double") -> None:
         raise ValueError(f"number = {number!r} is not one of 'double', 'float'")
     if not Path(path).absolute().parent.is_dir():
         raise ValueError(f"{path}: the folder does not exist")
-
-
-def atomically(path: str | Path, write: Callable) -> None:
-    """Write a file under another name, and rename it when it is on the disk: what has the name is always whole."""
-    path = Path(path)
-    unfinished = path.with_name(f".{path.name}.unfinished-{os.getpid()}")
-    try:
-        with open(unfinished, "wb") as file:
-            write(file)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(unfinished, path)
-    finally:
-        unfinished.unlink(missing_ok=True)
 
 
 def _as_text(tables, task: Task) -> str:

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ from .pytree import settable
 from .results import environment
 from .scenarios import Scenario
 from .schemes import Scheme
+from .sealed import read_json, write_json
 
 
 def differing(scheme: Scheme, printed: Scheme) -> dict[str, Any]:
@@ -34,7 +34,7 @@ def write_parameters(path: Path, scenario: str, schemes: Mapping[str, Mapping[st
     schemes: values by the scheme's name and the path within it;  obtained: how, as JSON
     """
     content = {"scenario": scenario, "schemes": schemes, "versions": environment()["versions"], "obtained": obtained}
-    path.write_text(json.dumps(content, indent=1) + "\n")
+    write_json(path, content)
     return path
 
 
@@ -44,7 +44,7 @@ def with_parameters(scenario: Scenario, path: Path) -> Scenario:
     Raises ValueError for a file that is none, is of another scenario, or names what cannot be set; FileNotFoundError for none at all.
     """
     try:
-        content = json.loads(path.read_text())
+        content = read_json(path)
         name, schemes = content["scenario"], content["schemes"]
         values = {f"{scheme}.{leaf}": value for scheme, of in schemes.items() for leaf, value in of.items()}
     except (ValueError, KeyError, TypeError, AttributeError):
