@@ -6,7 +6,7 @@ import dataclasses
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing, nullcontext
+from contextlib import ExitStack, closing, nullcontext
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -20,9 +20,10 @@ from .batch import OPEN, tiled, usual_lanes
 from .learning import check, learn
 from .machine import Machine
 from .metrics import Keep
-from .results import Store, Variable, describe
+from .results import describe
 from .schemes import Scheme
 from .signals import Task, Trial
+from .store import Layout, Store, Variable
 from .uncertainty import Uncertainty, draw, drawn_machine
 
 if TYPE_CHECKING:
@@ -115,28 +116,30 @@ class Sweep:
             return self._run(hosts, out, resume, progress or (lambda name, done, fresh: None))
 
     def _run(self, hosts, out: str | Path | None, resume: bool, progress: Callable[[str, int, int], None]) -> xr.Dataset:
-        configuration = self.configuration(hosts.environment)
+        layout = Layout(self._variables(), self._coordinates(), self.chunk, self.configuration(hosts.environment))
         found = out is not None and Path(out).exists()
-        layout = (self._variables(), self._coordinates(), self.chunk, configuration)
-        store = None if not found else Store.resume(out, configuration) if resume else Store.create(out, *layout)
+        if found and not resume:
+            raise FileExistsError(f"{out} exists already; resume it or choose another place")
         chunks = [
             Chunk(i, name, number, start, min(start + self.chunk, self.samples))
             for i, name in enumerate(self.schemes)
             for number, start in enumerate(range(0, self.samples, self.chunk))
         ]
-        pending = [c for c in chunks if store is None or not store.is_done(c.scheme, c.number)]
-        self._need_memory(hosts, tuple(dict.fromkeys(c.name for c in pending)), copies=2 if out is None else 1)
-        store = Store.create(out, *layout) if store is None else store
-        done = Counter()
-        for chunk in sorted(set(chunks) - set(pending)):
-            done[chunk.name] += chunk.size
-            progress(chunk.name, done[chunk.name], 0)
-        with closing(hosts.computed(pending)) as finished:
-            for chunk, values in finished:
-                store.write(chunk.scheme, chunk.number, slice(chunk.start, chunk.stop), values)
+        with ExitStack() as opened:
+            store = opened.enter_context(Store.resume(out, layout)) if found else None
+            pending = [c for c in chunks if store is None or not store.is_done(c.scheme, c.number)]
+            self._need_memory(hosts, tuple(dict.fromkeys(c.name for c in pending)), copies=2 if out is None else 1)
+            store = opened.enter_context(Store.create(out, layout)) if store is None else store
+            done = Counter()
+            for chunk in sorted(set(chunks) - set(pending)):
                 done[chunk.name] += chunk.size
-                progress(chunk.name, done[chunk.name], chunk.size)
-        return store.dataset()
+                progress(chunk.name, done[chunk.name], 0)
+            with closing(hosts.computed(pending)) as finished:
+                for chunk, values in finished:
+                    store.write(chunk.scheme, chunk.number, slice(chunk.start, chunk.stop), values)
+                    done[chunk.name] += chunk.size
+                    progress(chunk.name, done[chunk.name], chunk.size)
+            return store.dataset()
 
     def host(self) -> Host:
         """This process, ready to compute chunks."""
