@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -32,7 +33,6 @@ from .batch import OPEN, tiled, usual_lanes
 from .descent import (
     Bijection,
     Evaluation,
-    Folder,
     Method,
     State,
     by_gradient,
@@ -52,6 +52,7 @@ from .results import environment
 from .risks import Mean, Risk
 from .schemes import Scheme
 from .signals import Task, Trial
+from .states import Folder
 from .sweep import Sweep
 from .uncertainty import Uncertainty, draw, drawn_machine
 from .weights import Asked, Tuned, Weights
@@ -186,27 +187,25 @@ class Tuning:
         Killed at any moment, a resumed run ends with the numbers of an uninterrupted one, bit for bit. Raises FileExistsError for an
         `out` that exists without `resume`, ValueError for one made with another configuration.
         """
-        z = self._weights.starts(self.starts, self.scatter, self.seed)
-        method = for_starts(self._method())
-        held_out = jax.jit(jax.vmap(self.held_out_loss))
-        now, reason = State.start(z, method.init(z), self.steps), ""
-        folder = None if out is None else Folder(Path(out), self.configuration(), resume)
-        now = now if folder is None else folder.latest(now)
-        while not reason:
-            if now.step % self.validate_every == 0 or now.step == self.steps:
-                now = now.validated(jax.device_get(held_out(self._weights.at(now.z))))
-            if now.step == self.steps or now.stale > self.patience:
-                reason = "steps" if now.step == self.steps else "patience"
-                continue
-            z, inner, record = method.step(now.z, now.inner)
-            if not np.any(np.isfinite(record.loss)):
-                reason = "no plant has a finite loss"
-                continue
-            now = now.advanced(z, inner, record)
-            if folder is not None:
-                folder.write(now)
-            if progress is not None:
-                progress(int(now.step), np.asarray(record.loss), float(now.best))
+        z, (method, held_out) = self._weights.starts(self.starts, self.scatter, self.seed), self._programs
+        with nullcontext() if out is None else Folder(Path(out), self.configuration(), resume) as folder:
+            now, reason = State.start(z, method.init(z), self.steps), ""
+            now = now if folder is None else folder.latest(now)
+            while not reason:
+                if now.step % self.validate_every == 0 or now.step == self.steps:
+                    now = now.validated(jax.device_get(held_out(self._weights.at(now.z))))
+                if now.step == self.steps or now.stale > self.patience:
+                    reason = "steps" if now.step == self.steps else "patience"
+                    continue
+                z, inner, record = method.step(now.z, now.inner)
+                if not np.any(np.isfinite(record.loss)):
+                    reason = "no plant has a finite loss"
+                    continue
+                now = now.advanced(z, inner, record)
+                if folder is not None:
+                    folder.write(now)
+                if progress is not None:
+                    progress(int(now.step), np.asarray(record.loss), float(now.best))
         values = {name: float(value) for name, value in self._weights.at(now.best_z).items()}
         before, after = held_out({name: jnp.asarray([self.start[name], values[name]]) for name in values})
         return Tuned.of(now, self._weights, self.scheme, float(before), float(after), reason)
@@ -223,6 +222,11 @@ class Tuning:
         schemes = {"given": self.scheme, "tuned": tuned.scheme}
         options: dict[str, Any] = {"samples": samples, "seed": self.seed + 2 if seed is None else seed, "quantities": self.quantities}
         return Sweep(self.machine, schemes, self.task, trials or self.trials, self.uncertainty, **options).run()
+
+    @cached_property
+    def _programs(self) -> tuple[Method, Callable]:
+        """The optimiser for all starts, and the held-out losses; what is compiled is kept with the problem."""
+        return for_starts(self._method()), jax.jit(jax.vmap(self.held_out_loss))
 
     def _method(self) -> Method:
         """The optimiser on the training loss."""
