@@ -15,7 +15,7 @@ import numpy as np
 from . import trial_checks as checks
 from .exchange import Measured
 from .journal import BACK, Journal
-from .learning import measured_trial
+from .learning import check_length, measured_trial
 from .machine import Actuator
 from .metrics import measure
 from .playback import replay, tables
@@ -82,6 +82,7 @@ class Campaign:
 
         Raises FileExistsError if something is there; ValueError where scheme and task do not fit, and for a first table beyond a limit.
         """
+        check_length(task, scheme)
         scheme.check(task)
         campaign = cls(Journal(Path(path)), scheme, task, actuator, (rules or Rules()).checked(), recipe or {})
         refuse(checks.beyond_limits(campaign.first_tables(), task, actuator, campaign.rules))
@@ -168,7 +169,7 @@ class Campaign:
         error = checks.rms_over_all(record)
         for entry in live[1:]:
             if self._is_measured(entry, record, error, with_input=measured.u is not None):
-                raise ValueError(f"{measured.source} is trial {entry['trial']}, {_known(entry)}; measure trial {number}")
+                raise ValueError(f"{measured.source} is trial {entry['trial']}, {_known(entry)} measure trial {number}")
 
         findings = checks.saturation(u, actuator, rules) + checks.as_played(measured.others, played, actuator)
         if not given:
@@ -249,8 +250,8 @@ def _not_a_number(arrays: dict[str, Any]) -> str:
 def _known(entry: dict[str, Any]) -> str:
     """How a trial is known already."""
     if entry["learned"]:
-        return "which was learned from already"
-    return f"which was looked at already; --undo {entry['trial'] - 1} forgets it, to learn from it, or else"
+        return "which was learned from already;"
+    return f"which was looked at already; --undo {entry['trial'] - 1} forgets it, so that it can be learned from; or"
 
 
 def _hash(*arrays) -> str:

@@ -76,7 +76,7 @@ def whole_folder(path: str | Path, *, replace: bool = False) -> Generator[Path]:
 def only_one(folder: str | Path) -> Generator[None]:
     """Keep a folder to this process. Raises ValueError where another process is at work in it."""
     try:
-        lock = _locked(Path(folder))
+        lock = _locked(Path(os.path.realpath(folder)))
     except BlockingIOError:
         said = "is in use by another process; wait for its end, or choose another folder"
         raise ValueError(f"{folder} {said}") from None

@@ -53,6 +53,7 @@ class Folder:
             closing.enter_context(only_one(path))
             remove_leftovers(path)
             self._whole, self._damaged = _states(path)
+            self._newest_is_whole = STATE in self._whole
             differing = differences(self._configuration(), json.loads(self._recipe))
             if differing:
                 said = f"was made with another configuration; it differs in: {'; '.join(differing)}"
@@ -70,9 +71,10 @@ class Folder:
         leaves = {f"arr_{i}": leaf for i, leaf in enumerate(jax.tree.leaves(state))}
         content = archive(leaves | {"configuration": np.asarray(self._recipe)})
         atomically(self.path / FRESH, lambda file: file.write(content))
-        if (self.path / STATE).exists():
+        if self._newest_is_whole:  # else the state before it is all there is to fall back on
             os.replace(self.path / STATE, self.path / PREVIOUS)
         os.replace(self.path / FRESH, self.path / STATE)
+        self._newest_is_whole = True
         to_disk(self.path)
 
     def latest(self, state: State) -> State:
@@ -86,7 +88,7 @@ class Folder:
             log.warning("%s; the tuning goes on from the state before it", damage)
         if not self._whole:
             return state
-        newest = self._whole[0]
+        newest = next(iter(self._whole.values()))
         leaves = [newest[f"arr_{i}"] for i in range(len(newest) - 1)]
         return jax.tree.unflatten(jax.tree.structure(state), leaves)
 
@@ -99,18 +101,19 @@ class Folder:
             if not self._whole:
                 said = f"{self.path} is not a tuning that can be resumed; remove it and start again"
                 raise ValueError(said) from None
-        found = json.loads(str(self._whole[0]["configuration"]))
+        found = json.loads(str(next(iter(self._whole.values()))["configuration"]))
         log.warning("%s was missing or damaged, and is written again", file)
         write_json(file, sealed(found))
         return found
 
 
-def _states(path: Path) -> tuple[list[dict[str, Any]], list[str]]:
-    """The states that are whole, the newest first, and what is wrong with the others."""
-    whole, damaged = [], []
+def _states(path: Path) -> tuple[dict[str, dict[str, Any]], list[str]]:
+    """The states that are whole by name, the newest first, and what is wrong with the others."""
+    whole: dict[str, dict[str, Any]] = {}
+    damaged: list[str] = []
     for name in (STATE, PREVIOUS):
         try:
-            whole.append(read_arrays(path / name))
+            whole[name] = read_arrays(path / name)
         except FileNotFoundError:
             continue
         except Damaged as error:

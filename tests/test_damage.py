@@ -211,6 +211,15 @@ def test_a_damaged_tuning_falls_back_or_is_refused_in_one_line(tuned, tmp_path, 
         problem.run(tmp_path / "state", resume=True)
 
 
+def test_a_state_that_is_damaged_again_falls_back_again(tuned, tmp_path):
+    """What was damaged does not take the place of the state that was fallen back on."""
+    problem, folder, whole = tuned
+    shutil.copytree(folder, tmp_path / "state")
+    for content in (b"", b"PK"):
+        (tmp_path / "state/state.npz").write_bytes(content)
+        assert_equal(problem.run(tmp_path / "state", resume=True), whole)
+
+
 def test_two_tunings_do_not_share_a_folder(tuned, tmp_path):
     problem, folder, whole = tuned
     shutil.copytree(folder, tmp_path / "state")
@@ -343,7 +352,7 @@ def test_one_measured_trial_is_one_trial(copied):
     running.keep(running.turn(TRIALS[3], learn=False))
     for again in (TRIALS[3], rounded(TRIALS[3], 9)):
         for learn in (True, False):
-            with pytest.raises(ValueError, match="is trial 4, which was looked at already; --undo 3 forgets it, to learn from it"):
+            with pytest.raises(ValueError, match="is trial 4, which was looked at already; --undo 3 forgets it, so that it can be"):
                 opened(folder).turn(again, learn=learn)
     other = TRIALS[3]._replace(y=TRIALS[3].y * (1 + 1e-6))  # a machine's trials of one table differ by more
     assert opened(folder).turn(other).trial == 5
