@@ -82,7 +82,7 @@ def certify(
     for name, one in learning.items():
         if isinstance(one, FFDLMFAILC) and chosen.trials < NEEDED:
             raise ValueError(f"--trials {chosen.trials} is outside its allowed range [{NEEDED}, inf) of {name}, whose bounds are checked")
-    folder, paths, shown, numbers, lines = folder_of(out_dir, f"certify-{chosen.name}"), [], [], {}, []
+    paths, shown, numbers, lines = [], [], {}, []
     with progress_bar("scheme") as bar:
         schemes = bar.add_task("certify", total=len(learning), scheme="")
         for i, (name, one) in enumerate(learning.items()):
@@ -95,7 +95,7 @@ def certify(
             numbers[name] = tables.certificate_figures(found, shares, seconds)
             shown += tables.certificate_tables(name, chosen.trials, numbers[name])
             axes = figures.certificate(found, scale=chosen.shown_scale, unit=chosen.shown_unit, title=name)
-            paths.append(figures.save(axes, folder / f"{name}.png"))
+            paths.append(figures.save(axes, folder_of(out_dir, f"certify-{chosen.name}") / f"{name}.png"))
             lines += _what_is_not_certified(name, found)
         bar.update(schemes, completed=len(learning))
     for table in shown:

@@ -98,6 +98,7 @@ def tune(
         if value is not None and value < 1:
             raise ValueError(f"--{name} {value} is outside its allowed range [1, inf)")
     folder = out_dir or Path("out") / f"tune-{chosen.name}"
+    problem.comparison(trials=compare_trials, samples=unseen)  # refused now rather than after the tuning
     state = folder / "state"
     if state.exists() and not resume:
         raise FileExistsError(f"{state} exists already; add --resume to go on with it, or choose another --out")
@@ -168,6 +169,7 @@ def worst_case(
     uncertainty = spread_of(chosen, spread)
     loss, shown, figure_of = _judged(chosen, scheme)
     steps = steps if evaluations is None else evaluations // (starts * (1 + GRADIENT_COST))
+    _need_room(chosen, uncertainty, starts, steps, evaluations, draws)
     climbed = worst_case_search(loss, chosen.machine, uncertainty, starts=starts, steps=steps, seed=seed)
     found = {"gradient": climbed, "chance": monte_carlo_search(loss, chosen.machine, uncertainty, climbed.evaluations, seed=seed)}
     if draws is not None:
@@ -224,6 +226,22 @@ def _with_progress(problem, state: Path, resume: bool):
             return problem.run(state, resume=resume, progress=progress)
         except KeyboardInterrupt:
             stopped(state)
+
+
+def _need_room(chosen, uncertainty, starts: int, steps: int, evaluations: int | None, draws: int | None) -> None:
+    """Raises ValueError, before the climb, for a trial or a search by chance after it that does not fit into memory."""
+    from .learning import bytes_of_figures
+    from .memory import check_size
+    from .worst_case import GRADIENT_COST, bytes_of_a_draw
+
+    of_trial, each = bytes_of_figures(chosen.task), bytes_of_a_draw(uncertainty)
+    check_size("worst-case", lambda trial, starts: 4 * of_trial * trial * starts, trial=chosen.trials, starts=starts)
+    if evaluations is None:
+        cost = each * (1 + GRADIENT_COST)
+        check_size("worst-case", lambda starts, steps: cost * starts * steps, starts=starts, steps=steps)
+    for name, count in (("evaluations", evaluations), ("draws", draws)):
+        if count is not None:
+            check_size("worst-case", lambda **counts: each * sum(counts.values()), **{name: count})
 
 
 def _judged(chosen, scheme: str):

@@ -104,10 +104,11 @@ def repaired(losses, slopes, clip: float):
 
 
 class Method(NamedTuple):
-    """init(z) -> state;  step(z, state) -> (z, state, Step). Pure, for one start."""
+    """init(z) -> state;  step(z, state) -> (z, state, Step). Pure, for one start. programs: both, compiled for many starts"""
 
     init: Callable[[Any], Any]
     step: Callable[[Any, Any], tuple[Any, Any, Step]]
+    programs: tuple[Any, ...] = ()
 
 
 class Step(NamedTuple):
@@ -180,7 +181,14 @@ def for_starts(method: Method) -> Method:
 
     # brought home each time: where an array lies belongs to a compiled program too
     init = jax.jit(jax.vmap(method.init))
-    return Method(lambda z: jax.device_get(init(z)), lambda z, state: jax.device_get(step(z, state)))
+    programs = (init, step)
+    return Method(lambda z: jax.device_get(init(z)), lambda z, state: jax.device_get(step(z, state)), programs)
+
+
+def arguments_like(method: Method, z) -> tuple[Any, Any]:
+    """What the compiled step of a method `for_starts` takes, by its shapes: z (K, P) and the state; nothing is computed."""
+    state = jax.eval_shape(method.programs[0], z)
+    return z, jax.tree.map(lambda s: jax.ShapeDtypeStruct(s.shape, s.dtype), state)
 
 
 class State(NamedTuple):

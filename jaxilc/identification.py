@@ -139,6 +139,7 @@ def identify(
         _require("zeros", zeros, zeros < poles + 2 * pairs, f"[0, {poles + 2 * pairs}), the order")
         if free is not None:
             raise ValueError(f"identify: free = {list(free)} names leaves of a plant, but no plant is given")
+        _need_samples(round(fit_share * len(record.y)) * record.y.shape[1], 2 + zeros + poles + 2 * pairs)
         plant = ProcessModel(1.0, np.ones(zeros), np.ones(poles), np.ones(pairs), np.ones(pairs))
     problem = _problem(record, plant, _free(plant, free), fit_share)
     found = problem.solve(problem.start(plant)) if given else _from_many_starts(problem, starts, seed)
@@ -402,18 +403,23 @@ def _checked(record: Record) -> Record:
     return Record(u, y, float(record.dt))
 
 
+def _need_samples(samples: int, parameters: int) -> None:
+    """Raises ValueError for more parameters than a record can tell."""
+    if samples < SAMPLES_PER_PARAMETER * parameters:
+        raise ValueError(
+            f"identify: the record is too short: {samples} samples to fit {parameters} parameters; "
+            f"allowed are at least {SAMPLES_PER_PARAMETER * parameters}, {SAMPLES_PER_PARAMETER} a parameter"
+        )
+
+
 def _problem(record: Record, plant: Plant, names: tuple[str, ...], fit_share: float) -> _Problem:
     (N, n_u), (_, n_y) = record.u.shape, record.y.shape
     if (n_u, n_y) != (plant.n_u, plant.n_y):
         raise ValueError(
             f"identify: the record has {n_u} inputs and {n_y} outputs but the plant {type(plant).__name__} has {plant.n_u} and {plant.n_y}"
         )
-    samples, parameters = round(fit_share * (N + 1)), len(names) + n_y
-    if samples * n_y < SAMPLES_PER_PARAMETER * parameters:
-        raise ValueError(
-            f"identify: the record is too short: {samples * n_y} samples to fit {parameters} parameters; "
-            f"allowed are at least {SAMPLES_PER_PARAMETER * parameters}, {SAMPLES_PER_PARAMETER} a parameter"
-        )
+    samples = round(fit_share * (N + 1))
+    _need_samples(samples * n_y, len(names) + n_y)
     y, u = record.y[:samples], record.u[: samples - 1]
     for i in range(n_y):
         if np.ptp(y[:, i]) == 0:

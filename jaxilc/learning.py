@@ -14,10 +14,14 @@ from jax import lax
 
 from .layout import carried
 from .machine import Machine
+from .memory import check_size
 from .metrics import Metrics
 from .schemes import Scheme
 from .signals import Task, Trial
 from .trial import run_and_measure
+
+LITTLE = 2**24  # bytes, below which no size is looked at
+OF_A_TRIAL = 32  # signals of its length that a trial takes while it runs, its schedule and its copies among them
 
 
 class History(NamedTuple):
@@ -83,15 +87,32 @@ def learn(
     if int(trials) != trials or trials < 1:
         raise ValueError(f"learn: trials = {trials!r} is outside its allowed range [1, inf)")
     check(machine, scheme, task)
+    figures = bytes_of_figures(task)
+    if trials * figures > LITTLE:
+        check_size("learn", lambda trials: 2 * figures * trials, trials=trials)
     key = jax.random.key(0) if key is None else key
     return _learn(machine, scheme, task, int(trials), key, memory, jnp.asarray(first, int), save or _nothing)
 
 
 def check(machine: Machine, scheme: Scheme, task: Task) -> None:
-    """Raises ValueError, naming the parameter, where machine, scheme and task do not fit."""
+    """Raises ValueError, naming the parameter, where machine, scheme and task do not fit, and for a task that memory cannot hold."""
+    check_length(task, scheme)
     machine.check(task)
     scheme.check(task)
     jax.eval_shape(lambda m: m.plant.sampled(task.dt), machine)
+
+
+def bytes_of_figures(task: Task) -> int:
+    """Of the metrics of one trial of one machine."""
+    return 8 * (3 * task.outputs + task.inputs + 1)
+
+
+def check_length(task: Task, scheme: Scheme) -> None:
+    """Raises ValueError where a single trial of the task does not fit into memory, or what the scheme sees ahead of each sample."""
+    signals, seen = 8 * OF_A_TRIAL * max(task.outputs, task.inputs), 8 * 2 * task.outputs * (task.N + 1)
+    if task.N * signals + seen * scheme.preview > LITTLE:
+        check_size("one trial", lambda samples: signals * samples, samples=task.N)
+        check_size("one trial", lambda preview: seen * preview, preview=scheme.preview)
 
 
 @partial(jax.jit, static_argnames=("trials", "save"))
@@ -123,6 +144,16 @@ def _learn(machine, scheme, task, trials, key, memory, first, save) -> History:
 
 def _nothing(trial: Trial) -> None:
     return None
+
+
+def truncated(machine: Machine, scheme: Scheme, task: Task, trials: int, last: int, **options) -> History:
+    """Learning, of which the gradient sees the last trials alone (truncated back-propagation: Williams and Peng 1990)."""
+    first = trials - last + 1
+    before = learn(*lax.stop_gradient((machine, scheme)), task, first - 1, **options)
+    after = learn(machine, scheme, task, last, memory=before.memory, first=first, **options)
+    metrics, saved = jax.tree.map(lambda *both: jnp.concatenate(both), (before.metrics, before.saved), (after.metrics, after.saved))
+    diverged_at = jnp.where(before.diverged_at > 0, before.diverged_at, after.diverged_at)
+    return after._replace(metrics=metrics, saved=saved, diverged_at=diverged_at)
 
 
 def measured_trial(task: Task, y, u, **signals) -> Trial:

@@ -124,7 +124,8 @@ def best_trial(rms) -> np.ndarray:
     rms: (J, n_y), the largest output counts; a trial that is not finite is never the best
     """
     errors = np.max(np.nan_to_num(np.asarray(rms, float), nan=np.inf), axis=1)
-    return 1 + np.array([np.argmin(errors[: j + 1]) for j in range(len(errors))])
+    better = errors < np.concatenate([[np.inf], np.minimum.accumulate(errors)[:-1]])
+    return 1 + np.maximum.accumulate(np.where(better, np.arange(len(errors)), 0))
 
 
 class Repeatability(NamedTuple):

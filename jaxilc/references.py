@@ -11,9 +11,11 @@ from typing import NamedTuple
 import numpy as np
 import scipy.signal
 
+from .memory import check_size
 from .pytree import Interval
 
 FINITE, POSITIVE, NONNEGATIVE = "(-inf, inf)", "(0, inf)", "[0, inf)"
+ARRAYS = 32  # of the length of a reference, that making it and one trial of it take
 
 
 def sinusoid(amplitude, frequency, *, duration, dt, phase=0.0, offset=0.0) -> np.ndarray:
@@ -42,7 +44,7 @@ def multisine(amplitudes, frequencies, phases=None, *, duration, dt) -> np.ndarr
     The signal then starts away from zero, at sum_i amplitudes_i sin(phases_i); zero phases start at zero but peak higher.
     Raises ValueError for a value outside its range, shapes that differ, or a duration that is not a whole number of samples.
     """
-    time = _time("multisine", duration, dt)
+    time = _time("multisine", duration, dt, ARRAYS + 3 * np.size(amplitudes))
     a, f = np.asarray(amplitudes, float), np.asarray(frequencies, float)
     require("multisine", "amplitudes", a, POSITIVE, " mm")
     require("multisine", "frequencies", f, f"(0, {0.5 / dt})", " Hz")
@@ -185,6 +187,8 @@ def m_sequence(order, *, amplitude=1.0, hold=1, periods=1, seed=1) -> np.ndarray
     require("m_sequence", "hold", hold, "[1, inf)", whole=True)
     require("m_sequence", "periods", periods, "[1, inf)", whole=True)
     require("m_sequence", "seed", seed, f"[1, {2**order - 1}]", whole=True)
+    samples = periods * hold * 2**order
+    check_size(f"m_sequence: order = {order}", lambda samples: 8 * 4 * samples, samples=samples)
     bits, _ = scipy.signal.max_len_seq(order, state=[seed >> i & 1 for i in range(order)])
     return np.tile(np.repeat(amplitude * (2.0 * bits - 1.0), hold), periods)
 
@@ -223,12 +227,15 @@ def noncircular(*, duration, dt, spindle_speed, feed, ellipticity, bulge, length
     return y - y[0]
 
 
-def _time(function, duration, dt):
-    """(N+1,) sample times, N = round(duration / dt)."""
+def _time(function, duration, dt, arrays=ARRAYS):
+    """(N+1,) sample times, N = round(duration / dt). arrays: of that length that will be needed"""
     require(function, "dt", dt, POSITIVE, " s")
     require(function, "duration", duration, POSITIVE, " s")
-    N = round(duration / dt)
-    if N < 1 or abs(duration / dt - N) > 1e-6:
+    samples = float(duration) / float(dt)
+    said = f"{function}: duration = {duration:g} s"
+    check_size(said, lambda samples: 8 * arrays * samples, samples=samples)
+    N = round(samples)
+    if N < 1 or abs(samples - N) > 1e-6:
         raise ValueError(f"{function}: duration = {duration:g} s is not a whole number >= 1 of samples of dt = {dt:g} s")
     return np.arange(N + 1) * dt
 

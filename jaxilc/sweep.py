@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 SIGNALS = {"y": ("time", "channel"), "e": ("time", "channel"), "u": ("input_time", "input")}
 CHUNK = 256
+WORK = 4  # arrays as large as a figure of all samples and trials, to find and draw its quantiles
 
 
 @dataclasses.dataclass(frozen=True)
@@ -76,6 +77,7 @@ class Sweep:
         Keep.of(self.quantities)
         for scheme in self.schemes.values():
             check(self.machine, scheme, self.task)
+        self.need_room()
         object.__setattr__(self, "samples", len(next(iter(self.drawn.values()))) if self.drawn else self.samples)
 
     @cached_property
@@ -153,19 +155,27 @@ class Sweep:
         """The key of one sample's noise: it does not depend on chunks or on the number of samples."""
         return jax.random.fold_in(jax.random.key(self.seed), sample)
 
-    def bytes_stored(self) -> int:
-        """Bytes of the whole dataset, before compression."""
-        sizes = {dims[0]: len(values) for name, (dims, values) in self._coordinates().items() if dims == (name,)}
+    def bytes_stored(self, samples: float | None = None, trials: float | None = None) -> int:
+        """Bytes of the whole dataset, before compression. samples, trials: None for those of this sweep"""
+        sizes: dict[str, Any] = {"scheme": len(self.schemes), "channel": self.task.outputs, "input": self.task.inputs}
+        sizes |= {"sample": self.samples if samples is None else samples, "trial": self.trials if trials is None else trials}
+        sizes |= {"time": self.task.N + 1, "input_time": self.task.N}
         return sum(np.dtype(v.dtype).itemsize * math.prod(sizes[d] for d in v.dims) for v in self._variables().values())
+
+    def need_room(self, copies: int = 1) -> None:
+        """Raises ValueError, with how many samples or trials would fit, where so many copies of the dataset and its summary do not."""
+        drawn, summary = 8 * len(self.uncertainty), 8 * WORK * len(self.schemes) * self.task.outputs
+
+        def need(samples: float, trials: float) -> float:
+            return copies * self.bytes_stored(samples, trials) + drawn * samples + summary * samples * trials + 8 * trials
+
+        samples = 1 + 2 ** len(self.uncertainty) if self.sampling == "corners" else self.samples
+        memory.check_size("Sweep", need, samples=samples, trials=self.trials)
 
     def _need_memory(self, hosts, names: tuple[str, ...], *, copies: int) -> None:
         """Compile a chunk of each scheme; ValueError where it does not fit beside `copies` of the dataset. Unknown memory is enough."""
-        host, stored = memory.host_bytes(), copies * self.bytes_stored()
-        if host is not None and stored > host:
-            raise ValueError(
-                f"Sweep: samples = {self.samples} make a dataset of {memory.shown(stored)} in memory, where {memory.shown(host)} are "
-                "available; take fewer samples, keep fewer signals, or split the sweep"
-            )
+        self.need_room(copies)
+        stored = copies * self.bytes_stored()
         room, where = hosts.room(stored)
         for name, need in hosts.chunk_bytes(names, self.chunk):
             if room is not None and need > room:

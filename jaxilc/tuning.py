@@ -27,7 +27,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from jax import lax
 
 from .batch import OPEN, tiled, usual_lanes
 from .descent import (
@@ -35,6 +34,7 @@ from .descent import (
     Evaluation,
     Method,
     State,
+    arguments_like,
     by_gradient,
     by_least_squares,
     counted,
@@ -42,8 +42,9 @@ from .descent import (
     repaired,
     value_and_slope,
 )
-from .learning import History, check, learn
+from .learning import check, truncated
 from .machine import Machine
+from .memory import check_program
 from .metrics import Keep
 from .objectives import CEILING, Bounded, Final, Objective, Run, Sum, judge
 from .pytree import replaced
@@ -54,6 +55,7 @@ from .schemes import Scheme
 from .signals import Task, Trial
 from .states import Folder
 from .sweep import Sweep
+from .tuning_sizes import need_room
 from .uncertainty import Uncertainty, draw, drawn_machine
 from .weights import Asked, Tuned, Weights
 
@@ -133,6 +135,7 @@ class Tuning:
                 raise ValueError(f"Tuning: {name} = {getattr(self, name)!r} is not one of {', '.join(choices)}")
         check(self.machine, self.scheme, self.task)
         self._weights.need_room(self.machine, self.scheme, self.task)
+        need_room(self)
         draw(self.machine, self.uncertainty, self.samples, seed=self.seed, sampling=self.sampling)
         jax.eval_shape(lambda: self.loss_of(self.machine, {}))
 
@@ -166,7 +169,7 @@ class Tuning:
         if self.truncate is None or self.truncate >= self.trials:
             return judge(machine, scheme, self.task, self.trials, objective, ceiling=self.ceiling, **options)
         bounded = Bounded.around(scheme, self.task, self.ceiling)
-        history = _truncated(machine, bounded, self.task, self.trials, self.truncate, **options)
+        history = truncated(machine, bounded, self.task, self.trials, self.truncate, **options)
         return objective(Run(machine, scheme, self.task, history, self.ceiling))
 
     def held_out_loss(self, values: Mapping[str, Any], objective: Objective | None = None) -> jax.Array:
@@ -188,6 +191,8 @@ class Tuning:
         `out` that exists without `resume`, ValueError for one made with another configuration.
         """
         z, (method, held_out) = self._weights.starts(self.starts, self.scatter, self.seed), self._programs
+        fewer = "take fewer trials, starts or lanes, or a shorter trial"
+        check_program("Tuning: a step of all starts", fewer, method.programs[1], *arguments_like(method, z))
         with nullcontext() if out is None else Folder(Path(out), self.configuration(), resume) as folder:
             now, reason = State.start(z, method.init(z), self.steps), ""
             now = now if folder is None else folder.latest(now)
@@ -217,11 +222,22 @@ class Tuning:
         seed: of the plants, None for that of the tuning + 2. Whoever changes a tuning after looking at a comparison has seen its plants
         Raises ValueError for the seeds of the plants that were seen.
         """
+        return self.comparison({"given": self.scheme, "tuned": tuned.scheme}, trials=trials, samples=samples, seed=seed).run()
+
+    def comparison(
+        self, schemes: Mapping[str, Scheme] | None = None, *, trials: int | None = None, samples: int = 257, seed: int | None = None
+    ) -> Sweep:
+        """The sweep of schemes over plants that nobody has seen, as `compare` has it; None for the one given and another like it.
+
+        Raises as `compare` does, and ValueError for more plants or trials than fit into memory: ask before tuning for hours.
+        """
         if seed in (self.seed, self.seed + 1):
             raise ValueError(f"compare: seed = {seed} is one of {self.seed} and {self.seed + 1}, whose plants tuning or choosing has seen")
-        schemes = {"given": self.scheme, "tuned": tuned.scheme}
+        schemes = {"given": self.scheme, "tuned": self.scheme} if schemes is None else schemes
         options: dict[str, Any] = {"samples": samples, "seed": self.seed + 2 if seed is None else seed, "quantities": self.quantities}
-        return Sweep(self.machine, schemes, self.task, trials or self.trials, self.uncertainty, **options).run()
+        planned = Sweep(self.machine, schemes, self.task, trials or self.trials, self.uncertainty, **options)
+        planned.need_room(copies=2)  # in memory the dataset is there twice
+        return planned
 
     @cached_property
     def _programs(self) -> tuple[Method, Callable]:
@@ -279,13 +295,3 @@ def _split(objective: Objective) -> tuple[Sum, Sum]:
     """What is asked of each plant, and what of the nominal one alone."""
     of_plants, of_nominal = (Sum(tuple(t for t in objective.terms if t[1].nominal is nominal)) for nominal in (False, True))
     return of_plants, of_nominal
-
-
-def _truncated(machine: Machine, scheme: Scheme, task: Task, trials: int, last: int, **options) -> History:
-    """Learning, of which the gradient sees the last trials alone (truncated back-propagation: Williams and Peng 1990)."""
-    first = trials - last + 1
-    before = learn(*lax.stop_gradient((machine, scheme)), task, first - 1, **options)
-    after = learn(machine, scheme, task, last, memory=before.memory, first=first, **options)
-    metrics, saved = jax.tree.map(lambda *both: jnp.concatenate(both), (before.metrics, before.saved), (after.metrics, after.saved))
-    diverged_at = jnp.where(before.diverged_at > 0, before.diverged_at, after.diverged_at)
-    return after._replace(metrics=metrics, saved=saved, diverged_at=diverged_at)

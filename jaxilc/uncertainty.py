@@ -18,8 +18,10 @@ import numpy as np
 from scipy import special
 from scipy.stats import qmc
 
+from .memory import check_size
 from .pytree import get_at, interval_at, replaced
 
+COPIES = 6  # of all numbers, while they are drawn
 SAMPLINGS = ("monte-carlo", "latin-hypercube", "sobol", "corners")
 
 
@@ -133,6 +135,8 @@ def draw(machine, uncertainty: Uncertainty, samples: int, *, seed: int = 0, samp
     if samples < 1:
         raise ValueError(f"samples = {samples} is outside its allowed range [1, inf)")
     check(machine, uncertainty)
+    if sampling != "corners":
+        check_size(sampling, lambda samples: bytes_drawn(machine, uncertainty, samples), samples=samples)
     if sampling == "corners":
         drawn = _corners(uncertainty)
     else:
@@ -142,6 +146,12 @@ def draw(machine, uncertainty: Uncertainty, samples: int, *, seed: int = 0, samp
     drawn = {name: np.concatenate([[first[name]], values]) for name, values in drawn.items()}
     _within_ranges(machine, uncertainty, drawn)
     return drawn
+
+
+def bytes_drawn(machine, uncertainty: Uncertainty, samples: float) -> float:
+    """What drawing so many takes, at most."""
+    largest = max((np.size(get_at(machine, name)) for name in uncertainty), default=0)
+    return 8 * samples * (COPIES * len(uncertainty) + 2 * largest)
 
 
 def drawn_machine(machine, uncertainty: Uncertainty, values: Mapping[str, float]) -> Any:

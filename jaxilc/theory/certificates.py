@@ -19,12 +19,14 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..batch import tiled
 from ..learning import check, learn
 from ..machine import Machine
+from ..memory import check_program, check_size
 from ..pytree import named_leaves, replaced
 from ..schemes import CFDLMFAILC, FFDLMFAILC, Scheme
 from ..signals import Task, Trial
@@ -38,6 +40,8 @@ MONOTONE, CONVERGES, SEMI, DIVERGES = VERDICTS = ("monotone", "converges with tr
 RISE = 1e-9  # a relative rise of the error that rounding explains
 GROWTH = 0.5  # relative rise above the best trial that counts as growing again
 FROZEN = 1e-30  # an estimator step that moves nothing
+CHUNK = 16  # machines whose signals are looked at together
+COPIES = 12  # of what is found of a machine, until it is drawn
 
 
 class Certificate(NamedTuple):
@@ -85,13 +89,17 @@ def certify(
 ) -> Certificate:
     """The certificate of each machine drawn (`uncertainty.draw`), without noise.
 
-    steps: of the Lanczos process for sigma, at most. Raises as `learn` does.
+    steps: of the Lanczos process for sigma, at most
+    Raises as `learn` does, and ValueError, before anything runs, for more machines or trials than fit into memory.
     """
     check(machine, scheme, task)
+    _need_room(scheme, task, trials, drawn)
     adapts = frozen(scheme) is not scheme
-    run = tiled(partial(_of_one, names=tuple(uncertainty.items()), trials=trials, steps=steps))
+    run = jax.jit(tiled(partial(_of_one, names=tuple(uncertainty.items()), trials=trials, steps=steps)))
     batch = {name: jnp.asarray(values) for name, values in drawn.items()} or {"": jnp.zeros(1)}
-    departed, sigma, doubt, left_over, predicted, observed = (np.asarray(x) for x in run((machine, frozen(scheme), scheme, task), batch))
+    common = (machine, frozen(scheme), scheme, task)
+    check_program("certify: a batch of machines", "take fewer trials, or a shorter one", run, common, batch)
+    departed, sigma, doubt, left_over, predicted, observed = (np.asarray(x) for x in run(common, batch))
     linear = is_linear(departed) & (not adapts)
     certified = linear & (sigma + doubt < 1.0) & (left_over <= RISE * predicted[:, 0])
     verdict = [MONOTONE if sure else _classified(e, CONVERGES) for sure, e in zip(certified, predicted, strict=True)]
@@ -120,12 +128,13 @@ class PremiseShare(NamedTuple):
 
 
 def premises(
-    machine: Machine, scheme: FFDLMFAILC, task: Task, trials: int, uncertainty: Uncertainty, drawn: Mapping[str, Any], *, chunk: int = 16
+    machine: Machine, scheme: FFDLMFAILC, task: Task, trials: int, uncertainty: Uncertainty, drawn: Mapping[str, Any], *, chunk: int = CHUNK
 ) -> tuple[list[PremiseShare], dict[str, int]]:
     """The premises of Cao 2019's bounds on each machine's run, and how often the bound itself holds, fails or is not claimed.
 
     Machines whose run is not finite are left out of both.
     """
+    _need_room(scheme, task, trials, drawn, chunk)
     bounds: Any = cfdl_bounds if isinstance(scheme, CFDLMFAILC) else ffdl_bounds
     run = tiled(partial(_signals, names=tuple(uncertainty.items()), trials=trials))
     total = len(next(iter(drawn.values())))
@@ -143,6 +152,17 @@ def premises(
         for i, name in enumerate(names)
     ]
     return shares, {v: sum(c.verdict == v for c in conditions) for v in ("holds", "fails", "not claimed")}
+
+
+def _need_room(scheme: Scheme, task: Task, trials: int, drawn: Mapping[str, Any], chunk: int = CHUNK) -> None:
+    """Raises ValueError where what is found of every machine, or the signals of a chunk of them, do not fit into memory."""
+    signals = chunk * (task.N + 1) * (task.outputs + task.inputs) if isinstance(scheme, FFDLMFAILC) else 0
+
+    def need(samples: float, trials: float) -> float:
+        return COPIES * 8 * (trials * (2 * samples + signals) + 6 * samples)
+
+    samples = len(next(iter(drawn.values()))) if drawn else 1
+    check_size("certify", need, samples=samples, trials=trials)
 
 
 def _of_one(common, values, *, names, trials, steps):
