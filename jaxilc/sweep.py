@@ -103,10 +103,10 @@ class Sweep:
         out: where to keep it as a Zarr store, None for memory only;  resume: go on with the store at `out`
         progress: called after each chunk with the scheme's name, its samples done so far and how many of them this call computed
         cluster: a Dask scheduler whose workers compute the chunks, as its address, the file it wrote, or a Client; see `cluster.workers`
-        Killed at any moment, a resumed run ends with the dataset of an uninterrupted one, bit for bit. Raises FileExistsError for
-        an `out` that exists without `resume`, ValueError for one made with another configuration, and ValueError, before anything is
-        written, for a chunk or a dataset larger than the memory there is, with the chunk that would fit. On a cluster also
-        `cluster.ChunkFailed`, for a chunk that no worker could compute.
+        Killed at any moment, a resumed run ends with the dataset of an uninterrupted one, bit for bit; what is damaged in the store is
+        computed again. Raises FileExistsError for an `out` that exists without `resume`, ValueError for one that is in use, is no store,
+        or was made with another configuration, and, before anything is written, for a chunk or a dataset larger than the memory there is,
+        with what would fit. On a cluster also `cluster.ChunkFailed`, for a chunk that no worker could compute.
         """
         if cluster is None:
             computing = nullcontext(self.host())
@@ -162,15 +162,18 @@ class Sweep:
         sizes |= {"time": self.task.N + 1, "input_time": self.task.N}
         return sum(np.dtype(v.dtype).itemsize * math.prod(sizes[d] for d in v.dims) for v in self._variables().values())
 
-    def need_room(self, copies: int = 1) -> None:
-        """Raises ValueError, with how many samples or trials would fit, where so many copies of the dataset and its summary do not."""
+    def need_room(self, copies: int = 1, samples: int | None = None, trials: int | None = None) -> None:
+        """Raises ValueError, with how many samples or trials would fit, where so many copies of the dataset and its summary do not.
+
+        samples, trials: None for those of this sweep
+        """
         drawn, summary = 8 * len(self.uncertainty), 8 * WORK * len(self.schemes) * self.task.outputs
 
         def need(samples: float, trials: float) -> float:
             return copies * self.bytes_stored(samples, trials) + drawn * samples + summary * samples * trials + 8 * trials
 
-        samples = 1 + 2 ** len(self.uncertainty) if self.sampling == "corners" else self.samples
-        memory.check_size("Sweep", need, samples=samples, trials=self.trials)
+        drawn_anyway = 1 + 2 ** len(self.uncertainty) if self.sampling == "corners" else self.samples
+        memory.check_size("Sweep", need, samples=samples or drawn_anyway, trials=trials or self.trials)
 
     def _need_memory(self, hosts, names: tuple[str, ...], *, copies: int) -> None:
         """Compile a chunk of each scheme; ValueError where it does not fit beside `copies` of the dataset. Unknown memory is enough."""
@@ -190,7 +193,7 @@ class Sweep:
         small = min(2 * tile, size)
         least = next(hosts.chunk_bytes((name,), small))[1] if small < size else need
         if least > room:
-            return f"{small} samples at a time need {memory.shown(least)} already; keep fewer signals, or shorten the trial"
+            return f"{small} samples at a time need {memory.shown(least)} already; keep fewer signals, take fewer trials, or shorten them"
         return f"chunk = {int(small + (room - least) / (need - least) * (size - small)) // tile * tile} would fit"
 
     def _variables(self) -> dict[str, Variable]:

@@ -187,8 +187,9 @@ class Tuning:
 
         out: a folder for the state after each step, None for memory only;  resume: go on with the state at `out`
         progress: called after each step with its number, the (K,) training losses and the best held-out loss so far
-        Killed at any moment, a resumed run ends with the numbers of an uninterrupted one, bit for bit. Raises FileExistsError for an
-        `out` that exists without `resume`, ValueError for one made with another configuration.
+        Killed at any moment, a resumed run ends with the numbers of an uninterrupted one, bit for bit; a damaged state is left for the
+        one before it. Raises FileExistsError for an `out` that exists without `resume`, ValueError for one that is in use, is damaged
+        beyond that, or was made with another configuration, and for a step that memory cannot hold.
         """
         z, (method, held_out) = self._weights.starts(self.starts, self.scatter, self.seed), self._programs
         fewer = "take fewer trials, starts or lanes, or a shorter trial"
@@ -234,10 +235,10 @@ class Tuning:
         if seed in (self.seed, self.seed + 1):
             raise ValueError(f"compare: seed = {seed} is one of {self.seed} and {self.seed + 1}, whose plants tuning or choosing has seen")
         schemes = {"given": self.scheme, "tuned": self.scheme} if schemes is None else schemes
-        options: dict[str, Any] = {"samples": samples, "seed": self.seed + 2 if seed is None else seed, "quantities": self.quantities}
-        planned = Sweep(self.machine, schemes, self.task, trials or self.trials, self.uncertainty, **options)
-        planned.need_room(copies=2)  # in memory the dataset is there twice
-        return planned
+        options: dict[str, Any] = {"seed": self.seed + 2 if seed is None else seed, "quantities": self.quantities}
+        planned = Sweep(self.machine, schemes, self.task, 1, self.uncertainty, samples=1, **options)
+        planned.need_room(copies=2, samples=samples, trials=trials or self.trials)  # in memory the dataset is there twice
+        return dataclasses.replace(planned, samples=samples, trials=trials or self.trials)
 
     @cached_property
     def _programs(self) -> tuple[Method, Callable]:
