@@ -84,6 +84,8 @@ class Sample(NamedTuple):
     y:     (n_y,) measured output y[k]
     row:   the k-th row of the scheme's table
     dt:    sample time [s]
+    applied: (n_u,) what the actuator made of the input of the sample before, zero at k = 0; None where there is no actuator, or where
+           nobody can tell, so that it is what was commanded
     """
 
     r: jax.Array
@@ -91,6 +93,7 @@ class Sample(NamedTuple):
     y: jax.Array
     row: Any
     dt: float
+    applied: jax.Array | None = None
 
 
 class Trial(NamedTuple):
