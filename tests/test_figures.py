@@ -1,6 +1,8 @@
 """What the figures show, read back from their axes: signals of known amplitude, time and frequency, closed forms. No pixels."""
 
+import ast
 import itertools
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -269,6 +271,18 @@ def test_labels_do_not_overlap():
             assert not any(a.overlaps(b) for a, b in itertools.combinations(boxes, 2)), ax.get_title()
     ax = drawn[0]
     assert not ax.get_legend().get_window_extent().overlaps(ax.get_window_extent())
+
+
+def test_a_legend_has_its_place():
+    """Matplotlib's "best" place is searched for among all points that are drawn, and warns where that takes long on a busy machine."""
+    calls = [
+        (file.name, node.lineno, {k.arg for k in node.keywords})
+        for file in Path(figures.__file__).parents[1].rglob("*.py")
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "legend"
+    ]
+    assert len(calls) > 2
+    assert [call[:2] for call in calls if "loc" not in call[2]] == []
 
 
 def test_a_run_has_what_the_figures_need(tmp_path):

@@ -105,5 +105,5 @@ def certificate(found: Certificate, *, scale: float = 1.0, unit: str = "", title
     ax.set(ylabel=labelled("RMS error", unit), title=f"{title}: {len(found.sigma)} machines")
     trial_axis(ax)
     grid(ax)
-    ax.legend(fontsize="small")
+    legend_beside(ax)
     return ax

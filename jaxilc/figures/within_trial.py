@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .style import COLOURS, DASHES, grid, labelled, new_axes, shades_of
+from .style import COLOURS, DASHES, grid, labelled, legend_beside, new_axes, shades_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -132,7 +132,7 @@ def contour(
     bottom.set(xlabel=labelled("length along the path", length), ylabel=labelled("contour error", unit), xlim=(0.0, arc[-1]))
     for axis in axes:
         grid(axis)
-    top.legend(fontsize="small")
+    legend_beside(top)
     return axes
 
 
