@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Callable, Hashable
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import jax
@@ -18,6 +18,8 @@ from .metrics import Metrics
 from .schemes import Scheme
 from .signals import Task, Trial
 from .trial import run_and_measure
+
+PROGRAMS = 8  # of different `save` that stay compiled
 
 
 class History(NamedTuple):
@@ -82,9 +84,11 @@ def learn(
     """
     if int(trials) != trials or trials < 1:
         raise ValueError(f"learn: trials = {trials!r} is outside its allowed range [1, inf)")
+    if save is not None and not (callable(save) and isinstance(save, Hashable)):
+        raise ValueError(f"learn: save = {save!r} is not a function of a trial; allowed are functions, and objects that can be hashed")
     check(machine, scheme, task)
     key = jax.random.key(0) if key is None else key
-    return _learn(machine, scheme, task, int(trials), key, memory, jnp.asarray(first, int), save or _nothing)
+    return _program(save or _nothing)(machine, scheme, task, int(trials), key, memory, jnp.asarray(first, int))
 
 
 def check(machine: Machine, scheme: Scheme, task: Task) -> None:
@@ -94,7 +98,12 @@ def check(machine: Machine, scheme: Scheme, task: Task) -> None:
     jax.eval_shape(lambda m: m.plant.sampled(task.dt), machine)
 
 
-@partial(jax.jit, static_argnames=("trials", "save"))
+@lru_cache(maxsize=PROGRAMS)
+def _program(save: Callable[[Trial], Any]) -> Any:
+    """`_learn` to be compiled with this `save`. Each new lambda is another one, so those that were used longest ago are let go."""
+    return jax.jit(partial(_learn, save=save), static_argnames="trials")
+
+
 def _learn(machine, scheme, task, trials, key, memory, first, save) -> History:
     machine, scheme = machine.sampled(task.dt), scheme.prepared(task)
     memory = scheme.memory(task) if memory is None else memory

@@ -108,13 +108,13 @@ def test_gradient_of_every_parameter_equals_finite_differences(run):
 
 
 def test_other_weights_do_not_retrace(run):
-    before = learning._learn._cache_size()
+    before = learning._program(learning._nothing)._cache_size()
     for turn in range(10):
         parts = run.parts
         for name, value in named_leaves(parts).items():
             parts = replaced(parts, {name: np.asarray(value) * (1 - 0.001 * turn)})
         of(parts, run.task)
-    assert learning._learn._cache_size() == before
+    assert learning._program(learning._nothing)._cache_size() == before
 
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])

@@ -11,8 +11,8 @@ from cases import ALGEBRA, ARX, DT
 from jaxilc.learning import learn
 from jaxilc.machine import Actuator, Machine
 from jaxilc.objectives import Bounded
-from jaxilc.playback import replay
 from jaxilc.plants import DifferenceEquation
+from jaxilc.playback import replay
 from jaxilc.schemes import FFDLMFAILC, PFDLMFAILC, PID, OnOutputs, WithFeedback
 from jaxilc.signals import Task
 from jaxilc.trial import run_trial

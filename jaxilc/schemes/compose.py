@@ -34,7 +34,8 @@ class WithFeedback(Scheme):
     """u = u_learning + u_feedback: learned feedforward over a feedback loop (the parallel structure of Li 2020, eq. 2).
 
     The learning part is shown the input less the feedback's share, so that it learns its own contribution only, also within the trial:
-    what an actuator takes away counts as taken from the learned part. The signal `feedback` of the trial records that share. Signals of the parts appear as `learning.NAME` and `feedback.NAME`.
+    what an actuator takes away counts as taken from the learned part. The signal `feedback` of the trial records that share. Signals
+    of the parts appear as `learning.NAME` and `feedback.NAME`.
     """
 
     learning: Scheme = part()
