@@ -140,7 +140,7 @@ def run(
     key = jax.random.key(seed)
     dataset, _ = runs.run_schemes(chosen.machine, chosen.schemes, chosen.task, chosen.trials, key=key, quantities=chosen.functions)
     numbers = tables.run_figures(chosen, dataset)
-    table, lines = tables.run_table(chosen, numbers), tables.other_rows(chosen, numbers)
+    table, lines = tables.run_table(chosen, numbers), [*tables.course_lines(numbers), *tables.other_rows(chosen, numbers)]
     out.print(table)
     for line in lines:
         out.print(line, highlight=False)
@@ -216,7 +216,7 @@ def sweep(
     dataset, seconds, steps = _with_progress(plan, store, resume, dask)
 
     numbers = tables.sweep_figures(chosen, summarise(dataset, tolerance, figure=chosen.judged_by), tolerance, plan.samples)
-    shown = [tables.yield_table(numbers), tables.band_table(numbers)]
+    shown = [tables.yield_table(numbers), tables.spread_table(numbers), tables.band_table(numbers)]
     for table in shown:
         out.print(table)
     if steps:

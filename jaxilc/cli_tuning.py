@@ -231,9 +231,10 @@ def _judged(chosen, scheme: str):
     import jax.numpy as jnp
     import numpy as np
 
+    from .divergence import peak
     from .learning import learn
     from .metrics import Keep
-    from .objectives import Final, judge, peak
+    from .objectives import Final, judge
 
     figure, keep, law = chosen.judged_by, Keep.of(chosen.functions), chosen.schemes[scheme]
     scale, objective = chosen.shown(figure)[0], Final(figure)
@@ -249,7 +250,7 @@ def _judged(chosen, scheme: str):
     def figure_of(machine) -> float:
         history = learn(machine, law, chosen.task, chosen.trials, save=keep)
         values = history.saved[figure] if figure in history.saved else getattr(history, figure)
-        return scale * float(jnp.max(values[-1])) if history.finite[-1] else float("inf")
+        return scale * float(jnp.max(values[-1])) if not history.diverged[-1] else float("inf")
 
     return loss, shown, figure_of
 

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from .divergence import course
 from .layout import carried
 from .machine import Machine
 from .metrics import Metrics
@@ -26,13 +27,15 @@ class History(NamedTuple):
     """What learning left behind, J trials.
 
     metrics: each field with a leading axis of J;  saved: what `save` returned, likewise
-    diverged_at: () number of the first trial that was not finite, 0 if none
+    diverged, diverged_at, grown_from: (J,), (), () how learning went, see `divergence.Course`
     final: the last Trial;  memory: the state of knowledge to go on from
     """
 
     metrics: Metrics
     saved: Any
+    diverged: jax.Array
     diverged_at: jax.Array
+    grown_from: jax.Array
     final: Trial
     memory: Any
 
@@ -126,8 +129,7 @@ def _learn(machine, scheme, task, trials, key, memory, first, save) -> History:
         jax.checkpoint(block) if blocks > 1 else block, (memory, blank), (first + jnp.arange(trials)).reshape(blocks, -1)
     )
     metrics, saved = jax.tree.map(lambda rows: rows.reshape(trials, *rows.shape[2:]), kept)
-    diverged_at = jnp.where(jnp.all(metrics.finite), 0, jnp.argmin(metrics.finite) + first)
-    return History(metrics, saved, diverged_at, final, memory)
+    return History(metrics, saved, *course(metrics, task, first), final, memory)
 
 
 def _nothing(trial: Trial) -> None:

@@ -17,6 +17,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
+from .divergence import CEILING, peak
 from .learning import History, learn
 from .machine import Machine
 from .metrics import Keep, Metrics
@@ -25,7 +26,6 @@ from .schemes import Scheme
 from .schemes.guards import Guard
 from .signals import Sample, Task, Trial
 
-CEILING = 1e3
 FLOOR = 1e-6
 
 
@@ -76,13 +76,6 @@ class Bounded(Guard):
         seen = trial._replace(y=jnp.clip(trial.y, trial.r - self.level, trial.r + self.level))
         learned = self.scheme.learn(memory.scheme, seen)
         return Held(jax.tree.map(lambda old, new: jnp.where(passed, old, new), memory.scheme, learned))
-
-
-def peak(task: Task) -> jax.Array:
-    """(n_y,) largest |r| of each output; that of all outputs for one that shall stay at zero, and 1 if they all shall."""
-    largest = jnp.max(jnp.abs(jnp.asarray(task.reference)), axis=0)
-    overall = jnp.max(largest)
-    return jnp.where(largest > 0, largest, jnp.where(overall > 0, overall, 1.0))
 
 
 def judge(

@@ -66,7 +66,9 @@ def history_dataset(histories: Mapping[str, History], task: Task) -> xr.Dataset:
             "effort": of_u(per_input, stacked(lambda h: h.effort)),
             "best_trial": (("scheme", "trial"), stacked(lambda h: best_trial(h.rms))),
             "finite": (("scheme", "trial"), stacked(lambda h: h.finite)),
+            "diverged": (("scheme", "trial"), stacked(lambda h: h.diverged)),
             "diverged_at": (("scheme",), stacked(lambda h: h.diverged_at)),
+            "grown_from": (("scheme",), stacked(lambda h: h.grown_from)),
             **{name: (("scheme", "trial"), stacked(lambda h, name=name: h.saved[name])) for name in further},
         },
         coords={

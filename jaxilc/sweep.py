@@ -17,6 +17,7 @@ import numpy as np
 
 from . import memory, results
 from .batch import OPEN, tiled, usual_lanes
+from .divergence import Course
 from .learning import check, learn
 from .machine import Machine
 from .metrics import Keep
@@ -191,7 +192,9 @@ class Sweep:
             "settled_error": Variable(per_trial + channel, real, unit, "largest error in the settled window of a trial"),
             "effort": Variable(per_trial + inputs, real, input_unit, "root mean square input of a trial"),
             "finite": Variable(per_trial, "bool", "", "whether the trial stayed finite"),
-            "diverged_at": Variable(("scheme", "sample"), "i4", "", "first trial that was not finite, 0 if none"),
+            "diverged": Variable(per_trial, "bool", "", "whether the trial diverged: not finite, or an error far beyond the reference"),
+            "diverged_at": Variable(("scheme", "sample"), "i4", "", "first trial that diverged, 0 if none"),
+            "grown_from": Variable(("scheme", "sample"), "i4", "", "trial from which on the rms error stays far above its least, or 0"),
         }
         variables |= {name: Variable(per_trial, real, "", "figure of a trial") for name in self.quantities}
         for name in self.keep:
@@ -278,4 +281,4 @@ def _one_sample(common, one, *, names, trials: int, keep: tuple[str, ...], save:
     history = learn(machine, scheme, task, trials, key=jax.random.fold_in(key, index), save=save)
     figures = history.metrics._asdict() | {name: getattr(history.final, name) for name in keep}
     squeezed = {name: x[..., 0] if name != "finite" and x.shape[-1] == 1 else x for name, x in figures.items()}
-    return squeezed | history.saved | {"diverged_at": history.diverged_at}
+    return squeezed | history.saved | {name: getattr(history, name) for name in Course._fields}

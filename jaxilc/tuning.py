@@ -42,10 +42,11 @@ from .descent import (
     repaired,
     value_and_slope,
 )
+from .divergence import CEILING, course
 from .learning import History, check, learn
 from .machine import Machine
 from .metrics import Keep
-from .objectives import CEILING, Bounded, Final, Objective, Run, Sum, judge
+from .objectives import Bounded, Final, Objective, Run, Sum, judge
 from .pytree import replaced
 from .recipe import describe
 from .results import environment
@@ -283,5 +284,4 @@ def _truncated(machine: Machine, scheme: Scheme, task: Task, trials: int, last: 
     before = learn(*lax.stop_gradient((machine, scheme)), task, first - 1, **options)
     after = learn(machine, scheme, task, last, memory=before.memory, first=first, **options)
     metrics, saved = jax.tree.map(lambda *both: jnp.concatenate(both), (before.metrics, before.saved), (after.metrics, after.saved))
-    diverged_at = jnp.where(before.diverged_at > 0, before.diverged_at, after.diverged_at)
-    return after._replace(metrics=metrics, saved=saved, diverged_at=diverged_at)
+    return after._replace(metrics=metrics, saved=saved, **course(metrics, task)._asdict())
