@@ -10,6 +10,7 @@ import xarray as xr
 
 from jaxilc import figures
 from jaxilc.figures.style import marks_of, style_of
+from jaxilc.figures.within_trial import _around_the_largest
 from jaxilc.machine import Machine
 from jaxilc.plants import DifferenceEquation, TwoAxes
 from jaxilc.runs import run_schemes
@@ -243,6 +244,14 @@ def test_a_short_trial_is_drawn(samples, tmp_path):
     dataset = dataset_of([circle_at(1.0)[: samples + 1]], circle_at(2.0)[: samples + 1])
     for figure in (figures.tracking, figures.spectrum, figures.time_frequency, figures.contour):
         figures.save(figure(dataset, "a", (1,)), tmp_path / "figure.png")
+
+
+def test_a_zoom_at_the_end_of_the_trial_lies_within_it():
+    """Of each length some samples round so that start and length add up to more than the end."""
+    for samples in range(10, 60):
+        time = np.arange(samples + 1) * DT
+        low, high = _around_the_largest(time, np.arange(samples + 1.0)[:, None])
+        assert time[0] <= low < high <= time[-1]
 
 
 def test_labels_do_not_overlap():
