@@ -159,9 +159,8 @@ def worst_case(
     from .report import command_report
     from .worst_case import GRADIENT_COST, monte_carlo_search, worst_case_search
 
-    if trial is not None and trial < 1:
-        raise ValueError(f"--trial {trial} is outside its allowed range [1, inf)")
-    for name, value, low in (("draws", draws, 1), ("evaluations", evaluations, starts * (1 + GRADIENT_COST))):
+    at_least_one = (("trial", trial, 1), ("starts", starts, 1), ("steps", steps, 1), ("draws", draws, 1))
+    for name, value, low in (*at_least_one, ("evaluations", evaluations, starts * (1 + GRADIENT_COST))):
         if value is not None and value < low:
             raise ValueError(f"--{name} {value} is outside its allowed range [{low}, inf)")
     chosen = chosen_scenario(scenario, [scheme], trial, set_, params)

@@ -14,7 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 
-from .references import POSITIVE, require
+from .ranges import require
+from .references import POSITIVE
 
 Curve: TypeAlias = Callable[[np.ndarray], np.ndarray]
 _BUTTERFLY_POINTS = """
@@ -56,7 +57,7 @@ def nurbs(points, knots, weights=None) -> Curve:
     if points.ndim != 2 or weights.shape != points.shape[:1] or knots.ndim != 1 or len(knots) < len(points) + 2:
         shapes = f"points {points.shape}, knots {knots.shape}, weights {weights.shape}"
         raise ValueError(f"nurbs: {shapes}; allowed are (n, d), (n + degree + 1,), (n,) with degree >= 1")
-    require("nurbs", "weights", weights, POSITIVE)
+    require("nurbs", "weights", weights, POSITIVE, many=True)
     homogeneous = BSpline(knots, np.column_stack([points * weights[:, None], weights]), len(knots) - len(points) - 1)
 
     def curve(s):

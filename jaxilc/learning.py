@@ -8,6 +8,7 @@ from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import jax
+import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -16,6 +17,8 @@ from .divergence import course
 from .layout import carried
 from .machine import Machine
 from .metrics import Metrics
+from .plants import Plant
+from .ranges import brief, require
 from .schemes import Scheme
 from .signals import Task, Trial
 from .trial import run_and_measure
@@ -85,8 +88,9 @@ def learn(
     its root (20 for J = 100; a prime J takes J).
     Raises ValueError, before anything is compiled, where machine, scheme and task do not fit.
     """
-    if int(trials) != trials or trials < 1:
-        raise ValueError(f"learn: trials = {trials!r} is outside its allowed range [1, inf)")
+    require("learn", "trials", trials, "[1, inf)", whole=True)
+    if not isinstance(first, jax.core.Tracer):
+        require("learn", "first", first, "[1, inf)", whole=True)
     if save is not None and not (callable(save) and isinstance(save, Hashable)):
         raise ValueError(f"learn: save = {save!r} is not a function of a trial; allowed are functions, and objects that can be hashed")
     check(machine, scheme, task)
@@ -96,9 +100,25 @@ def learn(
 
 def check(machine: Machine, scheme: Scheme, task: Task) -> None:
     """Raises ValueError, naming the parameter, where machine, scheme and task do not fit."""
+    for name, given, wanted in (("machine", machine, Machine), ("scheme", scheme, Scheme), ("task", task, Task)):
+        if not isinstance(given, wanted):
+            raise ValueError(f"{name} = {brief(given)} is a {type(given).__name__}; allowed is a {wanted.__name__}")
     machine.check(task)
     scheme.check(task)
-    jax.eval_shape(lambda m: m.plant.sampled(task.dt), machine)
+    before, after, y = _one_step.eval_shape(machine.plant, task.dt)
+    name, shapes = type(machine.plant).__name__, [jax.tree.map(lambda x: x.shape, state) for state in (before, after)]
+    if shapes[0] != shapes[1]:
+        raise ValueError(f"{name}: a step makes a state of {brief(shapes[1])} of one of {brief(shapes[0])}; allowed is the same again")
+    if y.shape != (machine.plant.n_y,):
+        raise ValueError(f"{name}: the output has shape {y.shape}; allowed is (n_y,) = ({machine.plant.n_y},)")
+
+
+@partial(jax.jit, static_argnames="dt")
+def _one_step(plant: Plant, dt: float) -> Any:
+    """State at rest and after a step, and the output."""
+    plant = plant.sampled(dt)
+    x = plant.init()
+    return x, plant.step(x, jnp.zeros(plant.n_u), dt), plant.output(x)
 
 
 @lru_cache(maxsize=PROGRAMS)

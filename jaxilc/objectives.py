@@ -22,6 +22,7 @@ from .learning import History, learn
 from .machine import Machine
 from .metrics import Keep, Metrics
 from .pytree import leaf, part, pytree
+from .ranges import require
 from .schemes import Scheme
 from .schemes.guards import Guard
 from .signals import Sample, Task, Trial
@@ -94,6 +95,10 @@ def judge(
     return objective(Run(machine, scheme, task, history, ceiling))
 
 
+_POSITIVE, _COUNT = ("(0, inf)", False), ("[1, inf)", True)
+_RANGES = dict.fromkeys(("floor", "tolerance", "width", "scale", "below"), _POSITIVE)
+_RANGES |= dict.fromkeys(("trial", "first", "after", "trials", "steps"), _COUNT)
+
 # Objectives ----------------------------------------------------------------------------------------------------------------
 
 
@@ -102,6 +107,13 @@ class Objective:
     """A function of a `Run` to a number. `nominal`: it is asked of the nominal plant only, and no risk is taken of it."""
 
     nominal: ClassVar[bool] = False
+
+    def __post_init__(self):
+        """Raises ValueError, naming the field, for a number that no objective could have."""
+        for field in dataclasses.fields(self):
+            value, (allowed, whole) = getattr(self, field.name), _RANGES.get(field.name, ("", False))
+            if allowed and not (value is None and field.default is None):
+                require(type(self).__name__, field.name, value, allowed, whole=whole)
 
     def __call__(self, run: Run) -> jax.Array:
         raise NotImplementedError

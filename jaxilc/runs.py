@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import jax
 import numpy as np
 
-from .learning import History, learn
+from .learning import History, check, learn
 from .machine import Machine
 from .metrics import Keep, best_trial
 from .schemes import Scheme
@@ -34,6 +34,8 @@ def run_schemes(
     histories, whose `memory` lets each scheme go on. Raises as `learn` does.
     """
     keep = Keep.of(quantities or {}, "y", "u")
+    for scheme in schemes.values():
+        check(machine, scheme, task)
     histories = {name: learn(machine, scheme, task, trials, key=key, save=keep) for name, scheme in schemes.items()}
     return history_dataset(histories, task), histories
 

@@ -21,6 +21,7 @@ from .divergence import Course
 from .learning import check, learn
 from .machine import Machine
 from .metrics import Keep
+from .ranges import SEEDS, brief, require
 from .results import Store, Variable, describe
 from .schemes import Scheme
 from .signals import Task, Trial
@@ -62,15 +63,20 @@ class Sweep:
     quantities: Mapping[str, Callable[[Trial], jax.Array]] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self):
-        lanes = usual_lanes() if self.lanes is None else self.lanes
-        object.__setattr__(self, "lanes", lanes)
-        object.__setattr__(self, "chunk", max(CHUNK, lanes * jax.device_count()) if self.chunk is None else self.chunk)
-        for name in ("trials", "chunk", "lanes"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"Sweep: {name} = {getattr(self, name)} is outside its allowed range [1, inf)")
+        object.__setattr__(self, "lanes", usual_lanes() if self.lanes is None else self.lanes)
+        require("Sweep", "lanes", self.lanes, "[1, inf)", whole=True)
+        object.__setattr__(self, "chunk", max(CHUNK, self.lanes * jax.device_count()) if self.chunk is None else self.chunk)
+        for name in ("trials", "samples", "chunk"):
+            require("Sweep", name, getattr(self, name), "[1, inf)", whole=True)
+        require("Sweep", "seed", self.seed, SEEDS, whole=True)
+        if not isinstance(self.keep, tuple | list):
+            raise ValueError(f"Sweep: keep = {brief(self.keep)} is a {type(self.keep).__name__}; allowed are some of {', '.join(SIGNALS)}")
+        object.__setattr__(self, "keep", tuple(self.keep))
         for name in self.keep:
-            if name not in SIGNALS:
-                raise ValueError(f"Sweep: keep = {name!r} is not one of {', '.join(SIGNALS)}")
+            if not isinstance(name, str) or name not in SIGNALS:
+                raise ValueError(f"Sweep: keep = {brief(name)} is not one of {', '.join(SIGNALS)}")
+        if not isinstance(self.schemes, Mapping):
+            raise ValueError(f"Sweep: schemes = {brief(self.schemes)} is a {type(self.schemes).__name__}; allowed are schemes by name")
         if not self.schemes:
             raise ValueError("Sweep: schemes is empty; at least one is needed")
         Keep.of(self.quantities)

@@ -17,6 +17,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from .batch import tiled
+from .ranges import SEEDS, require
 from .uncertainty import LogUniform, Uncertainty, check, drawn_machine
 
 GRADIENT_COST = 3  # evaluations that a gradient costs on top of the loss
@@ -57,8 +58,9 @@ def worst_case_search(
     Raises ValueError for an uncertainty that is empty or does not fit the subject, or where no loss is finite.
     """
     for name, value in (("starts", starts), ("steps", steps), ("lanes", lanes)):
-        if value is not None and value < 1:
-            raise ValueError(f"worst_case_search: {name} = {value} is outside its allowed range [1, inf)")
+        if value is not None:
+            require("worst_case_search", name, value, "[1, inf)", whole=True)
+    require("worst_case_search", "seed", seed, SEEDS, whole=True)
     box = _Box(subject, uncertainty)
     climb = tiled(lambda subject, t: jax.value_and_grad(lambda t: loss(drawn_machine(subject, uncertainty, box.values(t))))(t), lanes=lanes)
     t = np.concatenate([np.full((1, box.n), 0.5), qmc.LatinHypercube(box.n, rng=seed).random(starts - 1)])
@@ -81,8 +83,8 @@ def monte_carlo_search(
     loss: Callable[[Any], jax.Array], subject: Any, uncertainty: Uncertainty, evaluations: int, *, seed: int = 0, lanes: int | None = None
 ) -> WorstCase:
     """The largest of so many losses drawn at random, evenly from the same box. Raises as `worst_case_search` does."""
-    if evaluations < 1:
-        raise ValueError(f"monte_carlo_search: evaluations = {evaluations} is outside its allowed range [1, inf)")
+    require("monte_carlo_search", "evaluations", evaluations, "[1, inf)", whole=True)
+    require("monte_carlo_search", "seed", seed, SEEDS, whole=True)
     box = _Box(subject, uncertainty)
     t = np.random.default_rng(seed).random((evaluations, box.n))
     look = tiled(lambda subject, t: loss(drawn_machine(subject, uncertainty, box.values(t))), lanes=lanes)

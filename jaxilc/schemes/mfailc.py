@@ -82,8 +82,8 @@ class FFDLMFAILC(Scheme):
     phi0: jax.Array = leaf((0.5, 0.0, -0.06, 0.0))
     epsilon: jax.Array = leaf(1e-5, "(0, inf)")
     limit: jax.Array | None = leaf(None, "(0, inf)", optional=True)
-    L_y: int = static(2, "[0, inf)", whole=True)
-    L_u: int = static(2, "[1, inf)", whole=True)
+    L_y: int = static(2, "[0, 500]", whole=True)
+    L_u: int = static(2, "[1, 500]", whole=True)
     lead: int = static(0, "[0, inf)", whole=True)
     reset: str = static("book", choices=RESETS)
 

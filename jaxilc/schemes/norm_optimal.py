@@ -13,6 +13,7 @@ from jax.scipy.linalg import cho_factor, cho_solve
 
 from ..plants import StateSpace, TimeVaryingStateSpace
 from ..pytree import known, leaf, need_channels, part, pytree, static
+from ..ranges import brief
 from ..signals import Task, Trial, product
 from .scheme import Feedforward, Scheme, limited
 
@@ -66,8 +67,8 @@ class NormOptimal(Scheme):
     solved: Any = part(None)
 
     def __post_init__(self):
-        if not isinstance(self.model, StateSpace | TimeVaryingStateSpace):
-            raise ValueError(f"NormOptimal: model is a {type(self.model).__name__}; allowed are StateSpace and TimeVaryingStateSpace")
+        if not isinstance(self.solved, Recursion | Lifted | None):
+            raise ValueError(f"NormOptimal: solved = {brief(self.solved)} is a {type(self.solved).__name__}; allowed is None")
         for name, size in (("w_q", self.model.n_y), ("w_r", self.model.n_u), ("w_s", self.model.n_u)):
             self._check_weight(name, size)
         if known((self.w_r, self.w_s)):
