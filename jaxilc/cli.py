@@ -33,7 +33,6 @@ from .cli_common import (
     progress_bar,
     spread_of,
     stopped,
-    text_of,
     written,
 )
 from .cli_completion import LISTED, scenarios_from
@@ -101,8 +100,7 @@ def list_(
     begin("float64")
     from .plant_files import load_scenario
 
-    with text_of(scenario):
-        loaded = load_scenario(scenario)
+    loaded = load_scenario(scenario)
     table = Table("--set", "value", "allowed", title=loaded.title)
     for option, default in loaded.options.items():
         table.add_row(option, str(default), "option of the scenario")
@@ -248,10 +246,10 @@ def main() -> None:
 
 
 def _said(error: ValueError | OSError) -> str:
-    """The message; of a system's error, the file before what is wrong with it."""
+    """The message in one line; of a system's error, the file before what is wrong with it."""
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename2 or error.filename or 'input or output'}: {error.strerror.lower()}"
-    return str(error)
+    return " ".join(str(error).split("\n"))
 
 
 def _with_progress(plan, store: Path, resume: bool, cluster: str | None):

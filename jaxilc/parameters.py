@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 
 from .pytree import settable
+from .ranges import brief
+from .reading import read_tree
 from .results import environment
 from .scenarios import Scenario
 from .schemes import Scheme
@@ -43,14 +45,14 @@ def with_parameters(scenario: Scenario, path: Path) -> Scenario:
 
     Raises ValueError for a file that is none, is of another scenario, or names what cannot be set; FileNotFoundError for none at all.
     """
+    content = read_tree(path)
     try:
-        content = json.loads(path.read_text())
         name, schemes = content["scenario"], content["schemes"]
         values = {f"{scheme}.{leaf}": value for scheme, of in schemes.items() for leaf, value in of.items()}
-    except (ValueError, KeyError, TypeError, AttributeError):
+    except (KeyError, TypeError, AttributeError):
         raise ValueError(f"{path} is not a parameter file: it needs `scenario` and `schemes`, as `jaxilc tune` writes them") from None
     if name != scenario.name:
-        raise ValueError(f"{path} has parameters of {name!r}, not of {scenario.name!r}")
+        raise ValueError(f"{path} has parameters of {brief(name)}, not of {scenario.name!r}")
     for scheme in schemes:
         if scheme not in scenario.schemes:
             raise ValueError(f"{path}: scheme = {scheme!r} is not one of {', '.join(scenario.schemes)}")
