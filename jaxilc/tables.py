@@ -53,7 +53,7 @@ def run_figures(scenario: Scenario, dataset: xr.Dataset) -> dict[str, Any]:
 def run_table(scenario: Scenario, figures: dict[str, Any]) -> Table:
     """The figure the scenario is judged by, by trial and scheme, the published value in brackets."""
     figure, (_, unit) = scenario.judged_by, scenario.shown(scenario.judged_by)
-    table = Table(title=f"{scenario.title}\n{figure.replace('_', ' ')} \\[{unit}] by trial, published value in brackets")
+    table = Table(title=f"{scenario.title}\n{figure.replace('_', ' ')} [{unit}] by trial, published value in brackets")
     table.add_column("trial", justify="right")
     for name in scenario.schemes:
         table.add_column(name, justify="right")
@@ -144,7 +144,7 @@ def yield_table(figures: dict[str, Any]) -> Table:
 def spread_table(figures: dict[str, Any]) -> Table:
     """One row a scheme: quantiles of the last trial over the machines, and the worst one."""
     last = str(figures["trials"])
-    table = Table(title=f"{figures['figure']} \\[{figures['unit']}] of trial {last}")
+    table = Table(title=f"{figures['figure']} [{figures['unit']}] of trial {last}")
     for column in ("scheme", "median", "5 %", "95 %", "worst", "its sample"):
         table.add_column(column, justify="left" if column == "scheme" else "right")
     for name, row in figures["schemes"].items():
@@ -160,7 +160,7 @@ def _share(share: float, trial: int) -> str:
 
 def band_table(figures: dict[str, Any]) -> Table:
     """Median and 95 % quantile by trial and scheme."""
-    table = Table(title=f"{figures['figure']} \\[{figures['unit']}] by trial: median (95 % quantile)")
+    table = Table(title=f"{figures['figure']} [{figures['unit']}] by trial: median (95 % quantile)")
     table.add_column("trial", justify="right")
     for name in figures["schemes"]:
         table.add_column(name, justify="right")

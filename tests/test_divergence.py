@@ -132,7 +132,7 @@ def test_tables_and_figures_say_so(swept):
         scenarios.load("cao-2019"), schemes=plan.schemes, task=TASK, trials=TRIALS, show_trials=(1, 5), published=(), judged_by="rms"
     )
     figures_ = tables.sweep_figures(scenario, summarise(dataset, 0.1, figure="rms"), 0.1, plan.samples)
-    cells = {column.header: list(column.cells) for column in tables.yield_table(figures_).columns}
+    cells = {str(column.header): list(column.cells) for column in tables.yield_table(figures_).columns}
     assert str(cells["diverged (from)"][0]) == "0.0%"
     assert f"({figures_['schemes']['growing']['diverged_at']})" in str(cells["diverged (from)"][1])
     assert f"({figures_['schemes']['growing']['grown_from']})" in str(cells["grown (from)"][1])
