@@ -45,12 +45,13 @@ def with_parameters(scenario: Scenario, path: Path) -> Scenario:
 
     Raises ValueError for a file that is none, is of another scenario, or names what cannot be set; FileNotFoundError for none at all.
     """
-    content = read_tree(path)
     try:
+        content = read_tree(path, ".json")
         name, schemes = content["scenario"], content["schemes"]
         values = {f"{scheme}.{leaf}": value for scheme, of in schemes.items() for leaf, value in of.items()}
-    except (KeyError, TypeError, AttributeError):
-        raise ValueError(f"{path} is not a parameter file: it needs `scenario` and `schemes`, as `jaxilc tune` writes them") from None
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        why = f" ({str(error).removeprefix(f'{path}: ')})" if isinstance(error, ValueError) else ""
+        raise ValueError(f"{path} is not a parameter file: it needs `scenario` and `schemes`, as `jaxilc tune` writes them{why}") from None
     if name != scenario.name:
         raise ValueError(f"{path} has parameters of {brief(name)}, not of {scenario.name!r}")
     for scheme in schemes:

@@ -43,9 +43,12 @@ def read_text(path: str | Path, largest: int) -> str:
         raise ValueError(f"{path} is no text in UTF-8: {error.reason} {error.object[error.start]:#04x} at byte {error.start}") from None
 
 
-def read_tree(path: str | Path) -> Any:
-    """What a TOML or JSON file holds. Raises as `read_text`, and ValueError for a file that is none, or is nested too deeply."""
-    parser = PARSERS.get(Path(path).suffix)
+def read_tree(path: str | Path, kind: str | None = None) -> Any:
+    """What a TOML or JSON file holds. kind: `.toml` or `.json`, None to go by its name
+
+    Raises as `read_text`, and ValueError for a file that is none, or is nested too deeply.
+    """
+    parser = PARSERS.get(kind or Path(path).suffix)
     if parser is None:
         raise ValueError(f"{path} is not one of {', '.join(PARSERS)}")
     text = read_text(path, LARGEST_TREE)

@@ -27,6 +27,7 @@ READERS = {
     "plant.toml": read_scenario,
     "plant.json": read_scenario,
     "params.json": lambda path: with_parameters(load("dai-2014"), path),
+    "params": lambda path: with_parameters(load("dai-2014"), path),
     "record.csv": read_record,
     "trial.csv": lambda path: read_measured(path, TASK),
     "trial.mat": lambda path: read_measured(path, TASK),
