@@ -29,7 +29,6 @@ from .cli_common import (
     out,
     progress_bar,
     spread_of,
-    text_of,
     written,
 )
 from .cli_completion import scenarios_from
@@ -136,8 +135,7 @@ def identify(
     from .records import read_record
     from .report import command_report
 
-    with text_of(record):
-        measured = read_record(record, time=time_name, input=input_name, output=output_name)
+    measured = read_record(record, time=time_name, input=input_name, output=output_name)
     found = identification.identify(measured, poles=poles, pairs=pairs, zeros=zeros)
     rows = found.summary()
     table = tables.identification_table(str(record), rows)

@@ -66,7 +66,7 @@ def next_(
     Example: jaxilc next --state x-axis --measured trial-3.csv --out trial-4.csv
     """
     from .campaign import Campaign, refuse
-    from .cli_common import Refused, text_of
+    from .cli_common import Refused
     from .exchange import check_format, read_measured
     from .journal import Journal
     from .runtime import setup
@@ -99,8 +99,7 @@ def next_(
     if undo is not None and not dry_run:
         campaign.undo(undo)
     if measured is not None:
-        with text_of(measured):
-            record = read_measured(measured, campaign.task, campaign.recordable())
+        record = read_measured(measured, campaign.task, campaign.recordable())
         turn = campaign.turn(record, learn=not no_learn, replay_input=replayed_input)
         _report(turn, record.ignored, campaign.task.unit)
         try:

@@ -160,9 +160,8 @@ def worst_case(
     from .report import command_report
     from .worst_case import GRADIENT_COST, monte_carlo_search, worst_case_search
 
-    if trial is not None and trial < 1:
-        raise ValueError(f"--trial {trial} is outside its allowed range [1, inf)")
-    for name, value, low in (("draws", draws, 1), ("evaluations", evaluations, starts * (1 + GRADIENT_COST))):
+    at_least_one = (("trial", trial, 1), ("starts", starts, 1), ("steps", steps, 1), ("draws", draws, 1))
+    for name, value, low in (*at_least_one, ("evaluations", evaluations, starts * (1 + GRADIENT_COST))):
         if value is not None and value < low:
             raise ValueError(f"--{name} {value} is outside its allowed range [{low}, inf)")
     chosen = chosen_scenario(scenario, [scheme], trial, set_, params)
@@ -249,9 +248,10 @@ def _judged(chosen, scheme: str):
     import jax.numpy as jnp
     import numpy as np
 
+    from .divergence import peak
     from .learning import learn
     from .metrics import Keep
-    from .objectives import Final, judge, peak
+    from .objectives import Final, judge
 
     figure, keep, law = chosen.judged_by, Keep.of(chosen.functions), chosen.schemes[scheme]
     scale, objective = chosen.shown(figure)[0], Final(figure)
@@ -267,7 +267,7 @@ def _judged(chosen, scheme: str):
     def figure_of(machine) -> float:
         history = learn(machine, law, chosen.task, chosen.trials, save=keep)
         values = history.saved[figure] if figure in history.saved else getattr(history, figure)
-        return scale * float(jnp.max(values[-1])) if history.finite[-1] else float("inf")
+        return scale * float(jnp.max(values[-1])) if not history.diverged[-1] else float("inf")
 
     return loss, shown, figure_of
 

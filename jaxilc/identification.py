@@ -18,12 +18,14 @@ from scipy.stats import qmc
 from .batch import tiled
 from .machine import Machine
 from .plants import Plant, ProcessModel
-from .pytree import Interval, get_at, interval_at, named_leaves, replaced
+from .pytree import get_at, interval_at, named_leaves, replaced
+from .ranges import SEEDS, Interval, require
 from .records import Record, as_columns, played, task_of
 from .signals import Task
 
 CONFIDENCE = 0.95
 SAMPLES_PER_PARAMETER = 5  # the intervals are asymptotic; with fewer samples they would mean nothing
+MOST = 50  # poles, pairs or zeros: what a record can tell apart is far less
 LAGS = 20  # of the residual's autocorrelation
 DRAWS = 4000  # of the parameters, for the intervals of the poles
 REFINED = 16  # of the starts, those that fit best
@@ -130,12 +132,13 @@ def identify(
     if not jax.config.jax_enable_x64:  # in float32 the simulation's rounding is larger than an encoder's noise
         raise ValueError("identify: precision = 'float32' is not one of 'float64'; call jaxilc.setup() first")
     record = _checked(record)
-    _require("fit_share", fit_share, 0 < fit_share <= 1, "(0, 1]")
+    require("identify", "fit_share", fit_share, "(0, 1]")
+    require("identify", "seed", seed, SEEDS, whole=True)
     given = plant is not None
     if not given:
         for name, value in (("poles", poles), ("pairs", pairs), ("zeros", zeros)):
-            _require(name, value, value == int(value) >= 0, "[0, inf)")
-        _require("starts", starts, starts == int(starts) >= 1, "[1, inf)")
+            require("identify", name, value, f"[0, {MOST}]", whole=True)
+        require("identify", "starts", starts, "[1, inf)", whole=True)
         _require("zeros", zeros, zeros < poles + 2 * pairs, f"[0, {poles + 2 * pairs}), the order")
         if free is not None:
             raise ValueError(f"identify: free = {list(free)} names leaves of a plant, but no plant is given")

@@ -110,7 +110,7 @@ class Keep:
     def of(cls, quantities: Mapping[str, Callable[[Trial], jax.Array]], *signals: str) -> Keep:
         """Raises ValueError for a quantity named as one of the metrics or a signal."""
         for name in quantities:
-            if name in (*Metrics._fields, "diverged_at", "best_trial", *Trial._fields, "e"):
+            if name in (*Metrics._fields, "diverged", "diverged_at", "grown_from", "best_trial", *Trial._fields, "e"):
                 raise ValueError(f"quantity = {name!r} is a figure that every trial has; choose another name")
         return cls(signals, tuple(quantities.items()))
 

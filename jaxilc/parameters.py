@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from .pytree import settable
+from .ranges import brief
 from .results import environment
 from .scenarios import Scenario
 from .schemes import Scheme
@@ -47,10 +48,11 @@ def with_parameters(scenario: Scenario, path: Path) -> Scenario:
         content = read_json(path)
         name, schemes = content["scenario"], content["schemes"]
         values = {f"{scheme}.{leaf}": value for scheme, of in schemes.items() for leaf, value in of.items()}
-    except (ValueError, KeyError, TypeError, AttributeError):
-        raise ValueError(f"{path} is not a parameter file: it needs `scenario` and `schemes`, as `jaxilc tune` writes them") from None
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        why = f" ({str(error).removeprefix(f'{path}: ')})" if isinstance(error, ValueError) else ""
+        raise ValueError(f"{path} is not a parameter file: it needs `scenario` and `schemes`, as `jaxilc tune` writes them{why}") from None
     if name != scenario.name:
-        raise ValueError(f"{path} has parameters of {name!r}, not of {scenario.name!r}")
+        raise ValueError(f"{path} has parameters of {brief(name)}, not of {scenario.name!r}")
     for scheme in schemes:
         if scheme not in scenario.schemes:
             raise ValueError(f"{path}: scheme = {scheme!r} is not one of {', '.join(scenario.schemes)}")

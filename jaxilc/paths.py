@@ -13,7 +13,8 @@ from scipy.interpolate import make_interp_spline
 from scipy.linalg import solveh_banded
 
 from .contour import butterfly, circle, line, nurbs, tabulated
-from .references import POSITIVE, require
+from .ranges import require
+from .references import POSITIVE
 
 __all__ = ["Plan", "butterfly", "circle", "line", "nurbs", "plan"]
 
@@ -81,7 +82,7 @@ def plan(curve, interval, *, feed, acceleration, jerk, dt, points=20001) -> Plan
     for name, value, unit in (("acceleration", acceleration, " mm/s^2"), ("jerk", jerk, " mm/s^3")):
         if np.shape(value) not in ((), (d,)):
             raise ValueError(f"plan: {name} has shape {np.shape(value)}; allowed are () and ({d},)")
-        require("plan", name, value, POSITIVE, unit)
+        require("plan", name, value, POSITIVE, unit, many=True)
     groups = _groups(d, acceleration, jerk)
     ramp, T, arc_at = _look_ahead(arc, q, feed, np.min(acceleration), np.min(jerk))
     if not T / dt <= LONGEST:

@@ -7,6 +7,8 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 
+from .ranges import require
+
 
 @dataclasses.dataclass(frozen=True)
 class Risk:
@@ -38,8 +40,7 @@ class CVaR(Risk):
     alpha: float = 0.9
 
     def __post_init__(self):
-        if not 0 <= self.alpha < 1:
-            raise ValueError(f"CVaR: alpha = {self.alpha:g} is outside its allowed range [0, 1)")
+        require("CVaR", "alpha", self.alpha, "[0, 1)")
 
     def __call__(self, losses):
         worst_first = jnp.sort(losses)[::-1]
@@ -67,8 +68,7 @@ class SmoothMax(Risk):
     temperature: float = 0.3
 
     def __post_init__(self):
-        if not self.temperature > 0:
-            raise ValueError(f"SmoothMax: temperature = {self.temperature:g} is outside its allowed range (0, inf)")
+        require("SmoothMax", "temperature", self.temperature, "(0, inf)")
 
     def __call__(self, losses):
         return self.temperature * (jax.nn.logsumexp(losses / self.temperature) - jnp.log(losses.shape[0]))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import jax
 import numpy as np
 
-from .learning import History, learn
+from .learning import History, check, learn
 from .machine import Machine
 from .memory import check_size
 from .metrics import Keep, best_trial
@@ -38,6 +38,8 @@ def run_schemes(
     histories, whose `memory` lets each scheme go on. Raises as `learn` does, and ValueError, before anything runs, for more trials
     than fit into memory.
     """
+    for scheme in schemes.values():
+        check(machine, scheme, task)
     keep, signals = Keep.of(quantities or {}, "y", "u"), (task.N + 1) * (task.outputs + task.inputs)
     each = 8 * COPIES * signals * len(schemes)
     check_size("run", lambda trials: each * trials, trials=trials)
@@ -73,7 +75,9 @@ def history_dataset(histories: Mapping[str, History], task: Task) -> xr.Dataset:
             "effort": of_u(per_input, stacked(lambda h: h.effort)),
             "best_trial": (("scheme", "trial"), stacked(lambda h: best_trial(h.rms))),
             "finite": (("scheme", "trial"), stacked(lambda h: h.finite)),
+            "diverged": (("scheme", "trial"), stacked(lambda h: h.diverged)),
             "diverged_at": (("scheme",), stacked(lambda h: h.diverged_at)),
+            "grown_from": (("scheme",), stacked(lambda h: h.grown_from)),
             **{name: (("scheme", "trial"), stacked(lambda h, name=name: h.saved[name])) for name in further},
         },
         coords={

@@ -17,9 +17,11 @@ from typing import Any, cast
 import numpy as np
 
 from .files import atomically
+from .reading import read_bytes, read_tree
 
 NOT_FINITE = {"Infinity": math.inf, "-Infinity": -math.inf, "NaN": math.nan}
 SEAL = "sha256"
+LARGEST_ARCHIVE = 2**36  # bytes
 LENGTH = 2  # bytes in which a zip archive says how long its comment is, which comes last
 
 
@@ -46,9 +48,9 @@ def write_json(path: str | Path, value: Any) -> None:
 def read_json(path: str | Path) -> Any:
     """The value in a file of JSON. Raises Damaged naming a file that holds none, OSError."""
     try:
-        return _with_numbers(json.loads(Path(path).read_bytes()))
-    except (ValueError, RecursionError) as error:
-        raise Damaged(f"{path} is damaged: it is no JSON ({error})") from None
+        return _with_numbers(read_tree(path, ".json"))
+    except ValueError as error:
+        raise Damaged(f"{path} is damaged: {str(error).removeprefix(f'{path}: ')}") from None
 
 
 def sealed(content: Mapping[str, Any]) -> dict[str, Any]:
@@ -81,7 +83,10 @@ def read_arrays(path: str | Path, *, checked: bool = True) -> dict[str, np.ndarr
 
     checked: False takes a .npz file without a checksum as well
     """
-    found = Path(path).read_bytes()
+    try:
+        found = read_bytes(path, LARGEST_ARCHIVE)
+    except ValueError as error:
+        raise Damaged(str(error)) from None
     seal = _sha256(b"")
     whole, end = found[: -len(seal) - LENGTH], found[-len(seal) - LENGTH :]
     seal = _sha256(whole + bytes(LENGTH)).encode()

@@ -17,9 +17,11 @@ import numpy as np
 
 from . import memory, results
 from .batch import OPEN, tiled, usual_lanes
+from .divergence import Course
 from .learning import check, learn
 from .machine import Machine
 from .metrics import Keep
+from .ranges import SEEDS, brief, require
 from .results import describe
 from .schemes import Scheme
 from .signals import Task, Trial
@@ -63,15 +65,20 @@ class Sweep:
     quantities: Mapping[str, Callable[[Trial], jax.Array]] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self):
-        lanes = usual_lanes() if self.lanes is None else self.lanes
-        object.__setattr__(self, "lanes", lanes)
-        object.__setattr__(self, "chunk", max(CHUNK, lanes * jax.device_count()) if self.chunk is None else self.chunk)
-        for name in ("trials", "chunk", "lanes"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"Sweep: {name} = {getattr(self, name)} is outside its allowed range [1, inf)")
+        object.__setattr__(self, "lanes", usual_lanes() if self.lanes is None else self.lanes)
+        require("Sweep", "lanes", self.lanes, "[1, inf)", whole=True)
+        object.__setattr__(self, "chunk", max(CHUNK, self.lanes * jax.device_count()) if self.chunk is None else self.chunk)
+        for name in ("trials", "samples", "chunk"):
+            require("Sweep", name, getattr(self, name), "[1, inf)", whole=True)
+        require("Sweep", "seed", self.seed, SEEDS, whole=True)
+        if not isinstance(self.keep, tuple | list):
+            raise ValueError(f"Sweep: keep = {brief(self.keep)} is a {type(self.keep).__name__}; allowed are some of {', '.join(SIGNALS)}")
+        object.__setattr__(self, "keep", tuple(self.keep))
         for name in self.keep:
-            if name not in SIGNALS:
-                raise ValueError(f"Sweep: keep = {name!r} is not one of {', '.join(SIGNALS)}")
+            if not isinstance(name, str) or name not in SIGNALS:
+                raise ValueError(f"Sweep: keep = {brief(name)} is not one of {', '.join(SIGNALS)}")
+        if not isinstance(self.schemes, Mapping):
+            raise ValueError(f"Sweep: schemes = {brief(self.schemes)} is a {type(self.schemes).__name__}; allowed are schemes by name")
         if not self.schemes:
             raise ValueError("Sweep: schemes is empty; at least one is needed")
         Keep.of(self.quantities)
@@ -207,7 +214,9 @@ class Sweep:
             "settled_error": Variable(per_trial + channel, real, unit, "largest error in the settled window of a trial"),
             "effort": Variable(per_trial + inputs, real, input_unit, "root mean square input of a trial"),
             "finite": Variable(per_trial, "bool", "", "whether the trial stayed finite"),
-            "diverged_at": Variable(("scheme", "sample"), "i4", "", "first trial that was not finite, 0 if none"),
+            "diverged": Variable(per_trial, "bool", "", "whether the trial diverged: not finite, or an error far beyond the reference"),
+            "diverged_at": Variable(("scheme", "sample"), "i4", "", "first trial that diverged, 0 if none"),
+            "grown_from": Variable(("scheme", "sample"), "i4", "", "trial from which on the rms error stays far above its least, or 0"),
         }
         variables |= {name: Variable(per_trial, real, "", "figure of a trial") for name in self.quantities}
         for name in self.keep:
@@ -294,4 +303,4 @@ def _one_sample(common, one, *, names, trials: int, keep: tuple[str, ...], save:
     history = learn(machine, scheme, task, trials, key=jax.random.fold_in(key, index), save=save)
     figures = history.metrics._asdict() | {name: getattr(history.final, name) for name in keep}
     squeezed = {name: x[..., 0] if name != "finite" and x.shape[-1] == 1 else x for name, x in figures.items()}
-    return squeezed | history.saved | {"diverged_at": history.diverged_at}
+    return squeezed | history.saved | {name: getattr(history, name) for name in Course._fields}

@@ -42,12 +42,14 @@ from .descent import (
     repaired,
     value_and_slope,
 )
+from .divergence import CEILING
 from .learning import check, truncated
 from .machine import Machine
 from .memory import check_program
 from .metrics import Keep
-from .objectives import CEILING, Bounded, Final, Objective, Run, Sum, judge
+from .objectives import Bounded, Final, Objective, Run, Sum, judge
 from .pytree import replaced
+from .ranges import SEEDS, require
 from .recipe import describe
 from .results import environment
 from .risks import Mean, Risk
@@ -123,13 +125,13 @@ class Tuning:
     def __post_init__(self):
         object.__setattr__(self, "lanes", usual_lanes() if self.lanes is None else self.lanes)
         for name, low in (("trials", 1), ("samples", 1), ("held_out", 0), ("steps", 1), ("starts", 1), ("validate_every", 1), ("lanes", 1)):
-            if getattr(self, name) < low:
-                raise ValueError(f"Tuning: {name} = {getattr(self, name)} is outside its allowed range [{low}, inf)")
-        for name in ("rate", "clip", "ceiling"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"Tuning: {name} = {getattr(self, name)} is outside its allowed range (0, inf)")
-        if self.truncate is not None and self.truncate < 1:
-            raise ValueError(f"Tuning: truncate = {self.truncate} is outside its allowed range [1, inf)")
+            require("Tuning", name, getattr(self, name), f"[{low}, inf)", whole=True)
+        for name, allowed in (("rate", "(0, inf)"), ("clip", "(0, inf]"), ("ceiling", "(0, inf)"), ("scatter", "[0, inf)")):
+            require("Tuning", name, getattr(self, name), allowed)
+        require("Tuning", "patience", self.patience, "[0, inf)", whole=True)
+        require("Tuning", "seed", self.seed, SEEDS, whole=True)
+        if self.truncate is not None:
+            require("Tuning", "truncate", self.truncate, "[1, inf)", whole=True)
         for name, choices in (("mode", ("auto", "forward", "reverse")), ("optimiser", OPTIMISERS)):
             if isinstance(getattr(self, name), str) and getattr(self, name) not in choices:
                 raise ValueError(f"Tuning: {name} = {getattr(self, name)!r} is not one of {', '.join(choices)}")
@@ -236,9 +238,9 @@ class Tuning:
             raise ValueError(f"compare: seed = {seed} is one of {self.seed} and {self.seed + 1}, whose plants tuning or choosing has seen")
         schemes = {"given": self.scheme, "tuned": self.scheme} if schemes is None else schemes
         options: dict[str, Any] = {"seed": self.seed + 2 if seed is None else seed, "quantities": self.quantities}
-        planned = Sweep(self.machine, schemes, self.task, 1, self.uncertainty, samples=1, **options)
-        planned.need_room(copies=2, samples=samples, trials=trials or self.trials)  # in memory the dataset is there twice
-        return dataclasses.replace(planned, samples=samples, trials=trials or self.trials)
+        planned = Sweep(self.machine, schemes, self.task, trials or self.trials, self.uncertainty, samples=samples, **options)
+        planned.need_room(copies=2)  # in memory the dataset is there twice
+        return planned
 
     @cached_property
     def _programs(self) -> tuple[Method, Callable]:

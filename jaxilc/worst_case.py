@@ -18,6 +18,7 @@ from scipy.stats import qmc
 
 from .batch import tiled
 from .memory import check_program, check_size
+from .ranges import SEEDS, require
 from .uncertainty import LogUniform, Uncertainty, check, drawn_machine
 
 GRADIENT_COST = 3  # evaluations that a gradient costs on top of the loss
@@ -59,8 +60,9 @@ def worst_case_search(
     Raises ValueError for an uncertainty that is empty or does not fit the subject, or where no loss is finite.
     """
     for name, value in (("starts", starts), ("steps", steps), ("lanes", lanes)):
-        if value is not None and value < 1:
-            raise ValueError(f"worst_case_search: {name} = {value} is outside its allowed range [1, inf)")
+        if value is not None:
+            require("worst_case_search", name, value, "[1, inf)", whole=True)
+    require("worst_case_search", "seed", seed, SEEDS, whole=True)
     box = _Box(subject, uncertainty)
     check_size("worst_case_search", lambda starts, steps: 8 * (COPIES * box.n * starts + 2 * steps), starts=starts, steps=steps)
     climb = jax.jit(
@@ -88,8 +90,8 @@ def monte_carlo_search(
     loss: Callable[[Any], jax.Array], subject: Any, uncertainty: Uncertainty, evaluations: int, *, seed: int = 0, lanes: int | None = None
 ) -> WorstCase:
     """The largest of so many losses drawn at random, evenly from the same box. Raises as `worst_case_search` does."""
-    if evaluations < 1:
-        raise ValueError(f"monte_carlo_search: evaluations = {evaluations} is outside its allowed range [1, inf)")
+    require("monte_carlo_search", "evaluations", evaluations, "[1, inf)", whole=True)
+    require("monte_carlo_search", "seed", seed, SEEDS, whole=True)
     box = _Box(subject, uncertainty)
     each = bytes_of_a_draw(uncertainty)
     check_size("monte_carlo_search", lambda evaluations: each * evaluations, evaluations=evaluations)

@@ -315,7 +315,7 @@ def test_risks_are_what_they_say():
         ("worst-case", ("--trial", "0"), "--trial 0 is outside its allowed range [1, inf)"),
         ("worst-case", ("--evaluations", "10"), "--evaluations 10 is outside its allowed range [64, inf)"),
         ("worst-case", ("--draws", "0"), "--draws 0 is outside its allowed range [1, inf)"),
-        ("worst-case", ("--starts", "0"), "starts = 0 is outside its allowed range [1, inf)"),
+        ("worst-case", ("--starts", "0"), "--starts 0 is outside its allowed range [1, inf)"),
     ],
 )
 def test_a_mistake_is_one_line_and_nothing_is_written(command, arguments, message, tmp_path):

@@ -84,6 +84,11 @@ def legend_beside(ax: Axes) -> None:
     ax.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1.0, 1.02))
 
 
+def legend_above(ax: Axes, columns: int = 2) -> None:
+    """The legend over axes without a title, for names that are long."""
+    ax.legend(fontsize="small", loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns)
+
+
 def save(axes, path: str | Path) -> Path:
     """Write the figure that holds the axes, whole or not at all, in the format of the file's name."""
     figure, kind = np.ravel(axes)[0].figure, Path(path).suffix.removeprefix(".") or None

@@ -55,7 +55,7 @@ class InBlocks(Plant):
     """
 
     plant: Plant = part()
-    length: int = static(32, "[2, inf)", whole=True)
+    length: int = static(32, "[2, 1e4]", whole=True)
 
     @property
     def n_u(self) -> int:

@@ -33,8 +33,9 @@ class PairState(NamedTuple):
 class WithFeedback(Scheme):
     """u = u_learning + u_feedback: learned feedforward over a feedback loop (the parallel structure of Li 2020, eq. 2).
 
-    The learning part is shown the input less the feedback's share, so that it learns its own contribution only; the signal
-    `feedback` of the trial records that share. Signals of the parts appear as `learning.NAME` and `feedback.NAME`.
+    The learning part is shown the input less the feedback's share, so that it learns its own contribution only, also within the trial:
+    what an actuator takes away counts as taken from the learned part. The signal `feedback` of the trial records that share. Signals
+    of the parts appear as `learning.NAME` and `feedback.NAME`.
     """
 
     learning: Scheme = part()
@@ -58,7 +59,8 @@ class WithFeedback(Scheme):
         return PairState(self.learning.init(task), self.feedback.init(task), jnp.zeros(task.inputs))
 
     def act(self, state: PairState, sample: Sample) -> tuple[Any, jax.Array]:
-        learning, u_learning = self.learning.act(state.learning, sample._replace(row=sample.row.learning))
+        own = None if sample.applied is None else sample.applied - state.u
+        learning, u_learning = self.learning.act(state.learning, sample._replace(row=sample.row.learning, applied=own))
         feedback, u_feedback = self.feedback.act(state.feedback, sample._replace(row=sample.row.feedback))
         return PairState(learning, feedback, u_feedback), u_learning + u_feedback
 

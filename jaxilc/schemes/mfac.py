@@ -50,8 +50,8 @@ class FFDLMFAC(Scheme):
     phi0: jax.Array = leaf((0.5, 0.0, -0.1, 0.0))
     epsilon: jax.Array = leaf(1e-5, "(0, inf)")
     limit: jax.Array | None = leaf(None, "(0, inf)", optional=True)
-    L_y: int = static(2, "[0, inf)", whole=True)
-    L_u: int = static(2, "[1, inf)", whole=True)
+    L_y: int = static(2, "[0, 500]", whole=True)
+    L_u: int = static(2, "[1, 500]", whole=True)
     reset: str = static("book", choices=RESETS)
 
     def __post_init__(self):
@@ -143,9 +143,9 @@ class CFDLMFAPC(Scheme):
     theta_limit: jax.Array = leaf(10.0, "(0, inf)")
     theta0: jax.Array | None = leaf(None, optional=True)
     limit: jax.Array | None = leaf(None, "(0, inf)", optional=True)
-    P: int = static(10, "[1, inf)", whole=True)
-    P_u: int = static(1, "[1, inf)", whole=True)
-    n_p: int = static(3, "[1, inf)", whole=True)
+    P: int = static(10, "[1, 1e6]", whole=True)
+    P_u: int = static(1, "[1, 500]", whole=True)
+    n_p: int = static(3, "[1, 500]", whole=True)
     reset: str = static("book", choices=RESETS)
     reference: str = static("preview", choices=("preview", "constant"))
 
