@@ -9,6 +9,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
+from .files import atomically
 from .machine import Machine
 from .plants import Plant
 from .reading import read_columns
@@ -78,7 +79,7 @@ def write_record(path: str | Path, record: Record, *, time: str = "t", input: st
     for name, signal in ((input, u), (output, y)):
         header += [name] if signal.shape[1] == 1 else [f"{name}_{i}" for i in range(signal.shape[1])]
     rows = np.hstack([np.arange(len(y))[:, None] * record.dt, np.vstack([u, u[-1:]]), y])
-    np.savetxt(path, rows, fmt="%.17g", delimiter=",", header=",".join(header), comments="")
+    atomically(path, lambda file: np.savetxt(file, rows, fmt="%.17g", delimiter=",", header=",".join(header), comments=""))
 
 
 def _table(path, names) -> tuple[np.ndarray, list[int]]:

@@ -26,7 +26,7 @@ from .results import describe
 from .schemes import Scheme
 from .signals import Task, Trial
 from .store import Layout, Store, Variable
-from .uncertainty import Uncertainty, draw, drawn_machine
+from .uncertainty import Uncertainty, draw, drawn_machine, drawn_samples
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -71,10 +71,8 @@ class Sweep:
         for name in ("trials", "samples", "chunk"):
             require("Sweep", name, getattr(self, name), "[1, inf)", whole=True)
         require("Sweep", "seed", self.seed, SEEDS, whole=True)
-        if not isinstance(self.keep, tuple | list):
-            raise ValueError(f"Sweep: keep = {brief(self.keep)} is a {type(self.keep).__name__}; allowed are some of {', '.join(SIGNALS)}")
-        object.__setattr__(self, "keep", tuple(self.keep))
-        for name in self.keep:
+        object.__setattr__(self, "keep", tuple(self.keep) if isinstance(self.keep, list) else self.keep)
+        for name in self.keep if isinstance(self.keep, tuple) else [self.keep]:
             if not isinstance(name, str) or name not in SIGNALS:
                 raise ValueError(f"Sweep: keep = {brief(name)} is not one of {', '.join(SIGNALS)}")
         if not isinstance(self.schemes, Mapping):
@@ -169,24 +167,19 @@ class Sweep:
         sizes |= {"time": self.task.N + 1, "input_time": self.task.N}
         return sum(np.dtype(v.dtype).itemsize * math.prod(sizes[d] for d in v.dims) for v in self._variables().values())
 
-    def need_room(self, copies: int = 1, samples: int | None = None, trials: int | None = None) -> None:
-        """Raises ValueError, with how many samples or trials would fit, where so many copies of the dataset and its summary do not.
-
-        samples, trials: None for those of this sweep
-        """
+    def need_room(self, copies: int = 1) -> None:
+        """Raises ValueError, with how many samples or trials would fit, where so many copies of the dataset and its summary do not."""
         drawn, summary = 8 * len(self.uncertainty), 8 * WORK * len(self.schemes) * self.task.outputs
 
         def need(samples: float, trials: float) -> float:
             return copies * self.bytes_stored(samples, trials) + drawn * samples + summary * samples * trials + 8 * trials
 
-        drawn_anyway = 1 + 2 ** len(self.uncertainty) if self.sampling == "corners" else self.samples
-        memory.check_size("Sweep", need, samples=samples or drawn_anyway, trials=trials or self.trials)
+        memory.check_size("Sweep", need, samples=drawn_samples(self.uncertainty, self.samples, self.sampling), trials=self.trials)
 
     def _need_memory(self, hosts, names: tuple[str, ...], *, copies: int) -> None:
         """Compile a chunk of each scheme; ValueError where it does not fit beside `copies` of the dataset. Unknown memory is enough."""
         self.need_room(copies)
-        stored = copies * self.bytes_stored()
-        room, where = hosts.room(stored)
+        room, where = hosts.room(copies * self.bytes_stored())
         for name, need in hosts.chunk_bytes(names, self.chunk):
             if room is not None and need > room:
                 raise ValueError(

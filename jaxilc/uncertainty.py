@@ -164,8 +164,7 @@ def draw(machine, uncertainty: Uncertainty, samples: int, *, seed: int = 0, samp
     require("draw", "samples", samples, "[1, inf)", whole=True)
     require("draw", "seed", seed, SEEDS, whole=True)
     check(machine, uncertainty)
-    if sampling != "corners":
-        check_size(sampling, lambda samples: bytes_drawn(machine, uncertainty, samples), samples=samples)
+    check_size(sampling, lambda samples: bytes_drawn(machine, uncertainty, samples), samples=drawn_samples(uncertainty, samples, sampling))
     if sampling == "corners":
         drawn = _corners(uncertainty)
     else:
@@ -175,6 +174,11 @@ def draw(machine, uncertainty: Uncertainty, samples: int, *, seed: int = 0, samp
     drawn = {name: np.concatenate([[first[name]], values]) for name, values in drawn.items()}
     _within_ranges(machine, uncertainty, drawn)
     return drawn
+
+
+def drawn_samples(uncertainty: Uncertainty, samples: int, sampling: str) -> int:
+    """How many machines `draw` gives: the nominal one and the others, which of corners are as many as there are."""
+    return 1 + 2 ** len(uncertainty) if sampling == "corners" else samples
 
 
 def bytes_drawn(machine, uncertainty: Uncertainty, samples: float) -> float:

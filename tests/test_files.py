@@ -130,7 +130,7 @@ def test_json_is_strict_and_reads_back(tmp_path):
     assert np.isnan(found["rows"][0])
     assert unsealed(sealed(numbers)) == strictly(text)
     (tmp_path / "a.json").write_text("[" * 100_000)
-    with pytest.raises(Damaged, match=r"a\.json is damaged: it is no JSON"):
+    with pytest.raises(Damaged, match=r"a\.json is damaged: tables or lists are nested too deeply"):
         read_json(tmp_path / "a.json")
 
 

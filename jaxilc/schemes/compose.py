@@ -33,9 +33,8 @@ class PairState(NamedTuple):
 class WithFeedback(Scheme):
     """u = u_learning + u_feedback: learned feedforward over a feedback loop (the parallel structure of Li 2020, eq. 2).
 
-    The learning part is shown the input less the feedback's share, so that it learns its own contribution only, also within the trial:
-    what an actuator takes away counts as taken from the learned part. The signal `feedback` of the trial records that share. Signals
-    of the parts appear as `learning.NAME` and `feedback.NAME`.
+    The learning part is shown the input less the feedback's share, so that it learns its own contribution only: what an actuator takes
+    away counts as taken from it. The trial's signal `feedback` is that share; those of the parts are `learning.NAME`, `feedback.NAME`.
     """
 
     learning: Scheme = part()
@@ -65,9 +64,8 @@ class WithFeedback(Scheme):
         return PairState(learning, feedback, u_feedback), u_learning + u_feedback
 
     def signals(self, state: PairState) -> dict[str, jax.Array]:
-        return (
-            {"feedback": state.u} | of_part("learning", self.learning, state.learning) | of_part("feedback", self.feedback, state.feedback)
-        )
+        learning = of_part("learning", self.learning, state.learning)
+        return {"feedback": state.u} | learning | of_part("feedback", self.feedback, state.feedback)
 
     def learn(self, memory: Pair, trial: Trial) -> Pair:
         if "feedback" not in trial.signals:
@@ -292,9 +290,8 @@ class OnReference(Scheme):
     def learn(self, memory: Pair, trial: Trial) -> Pair:
         if "correction" not in trial.signals:
             raise ValueError("OnReference: the trial has no signal 'correction' (N, n_y), so what was learned cannot be told")
-        own = trial._replace(u=trial.signals["correction"], signals={})
-        of_feedback = trial._replace(signals=below("feedback", trial.signals))
-        return Pair(self.learning.learn(memory.learning, own), self.feedback.learn(memory.feedback, of_feedback))
+        learning = self.learning.learn(memory.learning, trial._replace(u=trial.signals["correction"], signals={}))
+        return Pair(learning, self.feedback.learn(memory.feedback, trial._replace(signals=below("feedback", trial.signals))))
 
 
 def need_feedforward(scheme: Scheme, learning: Scheme, task: Task) -> None:

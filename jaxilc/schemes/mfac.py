@@ -11,7 +11,6 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ..memory import check_size
 from ..pytree import leaf, need_channels, pytree, static
 from ..signals import Sample, Task
 from .pseudo_gradient import RESETS, need_window, pseudo_gradient, reset_estimate
@@ -162,8 +161,6 @@ class CFDLMFAPC(Scheme):
     def check(self, task: Task) -> None:
         need_square(self, task)
         need_channels(self, task.inputs, "lam", "eta", "mu", "phi0", "epsilon", "delta", "theta_limit", "limit")
-
-        check_size("CFDLMFAPC", lambda P_u, n_p: 64 * (self.P_u * P_u + self.n_p * n_p) * task.inputs, P_u=self.P_u, n_p=self.n_p)
 
     def init(self, task: Task) -> PredictiveState:
         rest = jnp.zeros(task.inputs)
