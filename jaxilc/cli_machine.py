@@ -83,7 +83,7 @@ def next_(
     new = not journal.exists
     if new and (measured is not None or undo is not None):
         raise FileNotFoundError(f"{state} holds no campaign; start one without --measured and --undo")
-    before = {} if new else journal.last_known()["recipe"]
+    before = {} if new else _kept(journal)
     given = dict(zip(KEPT_RULES, (limit, largest_correction, saturation, repeatability, growth), strict=True))
     recipe = _recipe(before, scenario, plant_file, scheme, set_, {name: v for name, v in given.items() if v is not None})
     rules = Rules(**recipe["rules"], accept_saturation=accept_saturation, stop_on_growth=stop_on_growth)
@@ -148,10 +148,25 @@ def trials(
         from . import figures
         from .campaign_figures import campaign_figure
 
-        task = journal.last_known()["configuration"]["task"]
-        written.append(figures.save(campaign_figure(rows, unit=task["unit"], input_unit=task["input_unit"]), plot))
+        task = journal.last_known()["configuration"].get("task")
+        unit, input_unit = (str(task.get(name, "")) if isinstance(task, dict) else "" for name in ("unit", "input_unit"))
+        written.append(figures.save(campaign_figure(rows, unit=unit, input_unit=input_unit), plot))
     if written:
         console.print("written: " + ", ".join(map(str, written)), highlight=False, soft_wrap=True)
+
+
+def _kept(journal) -> dict[str, Any]:
+    """The recipe of a campaign. Raises ValueError for what `jaxilc next` does not write."""
+    from .ranges import is_number
+
+    recipe = journal.last_known()["recipe"]
+    kinds = {"scenario": str, "scheme": str, "settings": dict, "rules": dict}
+    rules = recipe.get("rules", {})
+    if not all(isinstance(recipe.get(name, kind()), kind) for name, kind in kinds.items()) or not all(
+        name in KEPT_RULES and is_number(value) for name, value in rules.items()
+    ):
+        raise ValueError(f"{journal.path} was not started by `jaxilc next`, or its last recipe is damaged; --undo cannot mend it")
+    return recipe
 
 
 def _recipe(before, scenario, plant_file, scheme, settings, rules) -> dict[str, Any]:

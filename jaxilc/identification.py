@@ -17,6 +17,7 @@ from scipy.stats import qmc
 
 from .batch import tiled
 from .machine import Machine
+from .memory import check_size
 from .plants import Plant, ProcessModel
 from .pytree import get_at, interval_at, named_leaves, replaced
 from .ranges import SEEDS, Interval, require
@@ -253,6 +254,8 @@ class _Problem(NamedTuple):
 
 def _from_many_starts(problem: _Problem, starts: int, seed: int) -> _Minimum:
     """The best fit from many drawn structures: all are scored, the best refined, the winner regrouped and polished."""
+    each = 8 * (100 + 8 * len(problem.names) ** 2)  # numbers drawn, and products of all pairs of what they simulate
+    check_size("identify", lambda starts: each * starts, starts=starts)
     drawn = _draw(cast(ProcessModel, problem.plant), problem.task, starts, seed)
     fitted = np.arange(problem.task.N + 1) < problem.samples
     products = np.asarray(_products()((problem.task, problem.record.u, problem.record.y, fitted), drawn))

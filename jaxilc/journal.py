@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from .files import UNFINISHED, whole_folder
+from .ranges import is_number
 from .sealed import Damaged, archive, json_text, read_arrays, read_json, sealed, unsealed
 
 FORMAT, UNCHECKED = 2, 1  # the first format had no checksums, and no copy of the manifest
@@ -24,6 +25,7 @@ MANIFEST, COPY = "manifest.json", "manifest.copy.json"
 DAMAGED = "damaged"  # the event of an entry that cannot be read
 BACK = "--undo goes back to an earlier trial"
 _ENTRY = re.compile(r"^\d{6}$")
+_FIGURES = ("rms", "max_error", "settled_error", "effort")  # of each channel
 _NEEDED = {"trial": int, "recipe": dict, "configuration": dict}
 _NEEDED_OF = {
     "start": {},
@@ -110,12 +112,12 @@ class Journal:
         live = {m["serial"] for m in _led_to(manifests, manifests[-1])} if _is_whole(manifests, manifests[-1]) else set()
         rows = []
         for m in manifests:
-            figures = m.get("figures", {})
+            figures, findings = (m.get(name, {}) if m["event"] == "trial" else {} for name in ("figures", "findings"))
             row = {name: m.get(name, "") for name in ("serial", "time", "event", "trial", "learned", "source")}
             row |= {"live": m["serial"] in live, "rms_error": figures.get("error", "")}
-            for name in ("rms", "max_error", "settled_error", "effort"):
+            for name in _FIGURES:
                 row |= {f"{name}_{i}": value for i, value in enumerate(figures.get(name, ()))}
-            warnings = [text for kind, text in m.get("findings", ()) if kind == "warning"]
+            warnings = [text for kind, text in findings if kind == "warning"]
             warnings += [m["wrong"]] if "wrong" in m else []
             rows.append(row | {"warnings": "; ".join(warnings)})
         return rows
@@ -145,7 +147,7 @@ def _checked(content: Any, serial: int) -> dict[str, Any]:
     if (manifest.get("format"), manifest.get("serial")) not in ((FORMAT, serial), (UNCHECKED, serial)):
         found = f"entry {manifest.get('serial')} of format {manifest.get('format')}"
         raise Damaged(f"it is {found}; needed are {serial} and {FORMAT}")
-    kinds = _NEEDED_OF.get(manifest.get("event", ""))
+    kinds = _NEEDED_OF.get(str(manifest.get("event")))
     if kinds is None:
         raise Damaged(f"its event {manifest.get('event')!r} is none of {', '.join(_NEEDED_OF)}")
     for name, kind in {**_NEEDED, **kinds}.items():
@@ -153,10 +155,22 @@ def _checked(content: Any, serial: int) -> dict[str, Any]:
             raise Damaged(f"its {name!r} is missing, or not of the kind {kind.__name__}")
     if "figures" in kinds and not isinstance(manifest["figures"].get("error"), float):
         raise Damaged("its 'figures' hold no error")
+    if "figures" in kinds and not all(_are_numbers(manifest["figures"].get(name, [])) for name in _FIGURES):
+        raise Damaged("its 'figures' are not numbers of each channel")
+    if "findings" in kinds and not all(map(_is_finding, manifest["findings"])):
+        raise Damaged("its 'findings' are not pairs of a kind and a text")
     for name in ("parent", "to"):
         if name in kinds and not 0 <= manifest[name] < serial:
             raise Damaged(f"its {name!r} is {manifest[name]}; allowed are entries before it")
     return manifest
+
+
+def _are_numbers(value: Any) -> bool:
+    return isinstance(value, list) and all(map(is_number, value))
+
+
+def _is_finding(value: Any) -> bool:
+    return isinstance(value, list) and len(value) == 2 and all(isinstance(x, str) for x in value)
 
 
 def _led_to(manifests: Sequence[dict[str, Any]], last: dict[str, Any]) -> list[dict[str, Any]]:

@@ -153,9 +153,11 @@ def _look_ahead(arc, q, feed, acceleration, jerk):
     square = np.minimum.accumulate(square - rise) + rise
     square = np.minimum.accumulate((square + rise)[::-1])[::-1] - rise
     v = np.sqrt(np.maximum(square, 0.0))
-    t = np.append(0.0, np.cumsum(2 * np.diff(arc) / (v[1:] + v[:-1])))
-    ramp = acceleration / jerk
-    T = t[-1] + ramp
+    with np.errstate(divide="ignore"):  # a feed so slow that rounding leaves none
+        t = np.append(0.0, np.cumsum(2 * np.diff(arc) / (v[1:] + v[:-1])))
+    ramp, T = acceleration / jerk, t[-1] + acceleration / jerk
+    if not np.isfinite(T):
+        return ramp, T, np.zeros_like
     integral = make_interp_spline(t, v, 1).antiderivative(2)  # exact at constant acceleration: the start from rest is a clean one
 
     def integral_at(x):

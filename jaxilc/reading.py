@@ -11,7 +11,7 @@ import json
 import os
 import stat
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -54,23 +54,27 @@ def read_tree(path: str | Path, kind: str | None = None) -> Any:
     parser = PARSERS.get(kind or Path(path).suffix)
     if parser is None:
         raise ValueError(f"{path} is not one of {', '.join(PARSERS)}")
-    text = read_text(path, LARGEST_TREE)
+    return tree_of(read_text(path, LARGEST_TREE), parser, path)
+
+
+def tree_of(text: str, parser: Callable[[str], Any], source: Any) -> Any:
+    """What a text holds. Raises ValueError, naming where it is from, for one that is none, or is nested too deeply."""
     try:
         tree = parser(text)
     except RecursionError:
-        tree = _too_deep(path)
+        tree = _too_deep(source)
     except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
+        raise ValueError(f"{source}: {error}") from None
     level = [tree]
     for _ in range(DEEPEST):
         level = [x for of in level if isinstance(of, dict | list) for x in (of.values() if isinstance(of, dict) else of)]
         if not level:
             return tree
-    return _too_deep(path)
+    return _too_deep(source)
 
 
-def _too_deep(path) -> Any:
-    raise ValueError(f"{path}: tables or lists are nested too deeply; allowed are {DEEPEST} levels")
+def _too_deep(source) -> Any:
+    raise ValueError(f"{source}: tables or lists are nested too deeply; allowed are {DEEPEST} levels")
 
 
 def read_columns(path: str | Path) -> tuple[list[str], Iterator[tuple[int, list[str]]]]:

@@ -13,7 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from .pytree import leaf, pytree, static
+from .pytree import known, leaf, pytree, static
+
+SMALLEST = 1e-15  # largest |r| of a reference that is not zero
 
 
 @pytree
@@ -25,10 +27,11 @@ class Task:
     settle:    (start, stop) [s], the part of the trial that counts as settled; None is its second half
     inputs:    number of inputs n_u; None means as many as outputs
     unit, input_unit: of y and of u, for labels only
-    Raises ValueError for a reference that is not finite, too short, or of more than two dimensions.
+    Raises ValueError for a reference that is not finite, too short, of more than two dimensions, or so large or small that the squares
+    of its errors would leave the range of single precision.
     """
 
-    reference: jax.Array = leaf()
+    reference: jax.Array = leaf(interval="[-1e12, 1e12]")
     dt: float = static(interval="[1e-12, 1e+09]")
     settle: tuple[float, float] | None = static(None)
     inputs: int = static(None, "[1, inf)", whole=True, optional=True)
@@ -41,6 +44,8 @@ class Task:
             r = r[:, None]
         if r.ndim != 2 or len(r) < 2:
             raise ValueError(f"Task: reference has shape {self.reference.shape}; allowed are (N+1,) and (N+1, n_y) with N >= 1")
+        if known(r) and 0 < np.max(np.abs(r)) < SMALLEST:
+            raise ValueError(f"Task: reference is {np.max(np.abs(r)):g} at most; allowed is none at all, or one from {SMALLEST:g} on")
         object.__setattr__(self, "reference", r)
         object.__setattr__(self, "inputs", r.shape[1] if self.inputs is None else self.inputs)
         if self.settle is not None:

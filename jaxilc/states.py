@@ -18,6 +18,7 @@ import numpy as np
 
 from .descent import State
 from .files import atomically, only_one, remove_leftovers, to_disk, whole_folder
+from .reading import tree_of
 from .results import differences
 from .sealed import (
     Damaged,
@@ -88,23 +89,32 @@ class Folder:
             log.warning("%s; the tuning goes on from the state before it", damage)
         if not self._whole:
             return state
-        newest = next(iter(self._whole.values()))
-        leaves = [newest[f"arr_{i}"] for i in range(len(newest) - 1)]
-        return jax.tree.unflatten(jax.tree.structure(state), leaves)
+        name, newest = next(iter(self._whole.items()))
+        leaves, structure = jax.tree.flatten(state)
+        found = [newest.get(f"arr_{i}") for i in range(len(leaves))]
+        if [_kind(leaf) for leaf in found] != [_kind(leaf) for leaf in leaves]:
+            said = f"{self.path / name} is not a state of this tuning"
+            raise ValueError(f"{said}; remove {self.path} and start again")
+        return jax.tree.unflatten(structure, found)
 
     def _configuration(self) -> dict[str, Any]:
         """The configuration of the folder; where its file is damaged, from a state, and mended."""
-        file = self.path / CONFIGURATION
+        file, found = self.path / CONFIGURATION, None
         try:
             return as_json(unsealed(read_json(file)))
         except (OSError, Damaged):
-            if not self._whole:
-                said = f"{self.path} is not a tuning that can be resumed; remove it and start again"
-                raise ValueError(said) from None
-        found = json.loads(str(next(iter(self._whole.values()))["configuration"]))
+            for name, state in list(self._whole.items())[:1]:
+                found = tree_of(str(state.get("configuration")), json.loads, self.path / name)
+        if not isinstance(found, dict):
+            said = f"{self.path} is not a tuning that can be resumed; remove it and start again"
+            raise ValueError(said)
         log.warning("%s was missing or damaged, and is written again", file)
         write_json(file, sealed(found))
         return found
+
+
+def _kind(leaf: Any) -> tuple[Any, ...]:
+    return np.shape(leaf), np.asarray(leaf).dtype
 
 
 def _states(path: Path) -> tuple[dict[str, dict[str, Any]], list[str]]:

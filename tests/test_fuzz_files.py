@@ -3,7 +3,6 @@
 See fuzz.py for how to run more. A file is refused with a ValueError, or read to something finite; nothing else.
 """
 
-import copy
 import json
 
 import jax
@@ -11,7 +10,7 @@ import numpy as np
 import pytest
 import scipy.io
 from cases import DT
-from fuzz import DEEP, PLAIN, fuzz, pick
+from fuzz import bytes_damaged, damaged, dumped, fuzz, pick
 
 from jaxilc import learning, references
 from jaxilc.exchange import read_measured
@@ -68,70 +67,6 @@ FILES = (
         "schemes": {"on": {"class": "OnOutputs", "outputs": [0], "scheme": {"class": "CFDLMFAPC", "P": 5}}},
     },
 )
-KEYS = ("x", "class", "kind", "distribution", "function", "csv", "", "a/b", "\x1b[0m", "machine")
-BYTES = (b"\x00", b"\xff", b"[", b"{" * 50, b'"', b"1e999", b"nan", b"\r", b"\n\n", b",", b";", b"\xc3\xa9")
-
-
-def places(tree, path=()):
-    """Every place in nested tables and lists."""
-    inside = tree.items() if isinstance(tree, dict) else enumerate(tree) if isinstance(tree, list) else ()
-    for key, value in inside:
-        yield (*path, key)
-        yield from places(value, (*path, key))
-
-
-def damaged(rng, tree):
-    """A copy with a value replaced, removed, doubled, wrapped, or under another name."""
-    tree = copy.deepcopy(tree)
-    for _ in range(1 + rng.integers(2)):
-        found = list(places(tree))
-        if not found:
-            return tree
-        *path, key = pick(rng, found)
-        owner = tree
-        for part in path:
-            owner = owner[part]
-        match rng.integers(7):
-            case 0 | 1 | 2:
-                value = pick(rng, PLAIN)
-                if value is DEEP:
-                    owner[key] = value
-                    return tree
-                owner[key] = copy.deepcopy(value)
-            case 3:
-                del owner[key]
-            case 4 if isinstance(owner, dict):
-                owner[pick(rng, KEYS)] = owner.pop(key)
-            case 5:
-                owner[key] = pick(rng, ([owner[key]], {"a": owner[key]}, -1, str(owner[key])))
-            case _ if isinstance(owner[key], int | float):
-                owner[key] = owner[key] * pick(rng, (-1, 0, 1e6, 1e-6, 1e300, 2))
-    return tree
-
-
-def dumped(tree):
-    try:
-        return json.dumps(tree)
-    except (RecursionError, ValueError):  # deeper than JSON's writer goes, or a number of thousands of digits
-        return "[" * 100_000
-
-
-def bytes_damaged(rng, content):
-    content = bytearray(content)
-    for _ in range(1 + rng.integers(4)):
-        at = int(rng.integers(len(content))) if content else 0
-        match rng.integers(5):
-            case 0 if content:
-                content[at] ^= 1 << int(rng.integers(8))
-            case 1:
-                content = content[:at]
-            case 2:
-                content[at:at] = pick(rng, BYTES)
-            case 3:
-                content[at : at + int(rng.integers(20))] = b""
-            case _:
-                content[at:at] = content[at : at + int(rng.integers(200))]
-    return bytes(content)
 
 
 @pytest.fixture

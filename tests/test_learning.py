@@ -300,6 +300,8 @@ TASKS = {
     "too_short": ({"reference": np.zeros(1)}, r"Task: reference has shape \(1,\)"),
     "three_axes": ({"reference": np.zeros((4, 4, 4))}, r"Task: reference has shape \(4, 4, 4\)"),
     "nan": ({"reference": np.array([0.0, np.nan])}, r"Task: reference = .*nan.* is outside"),
+    "huge": ({"reference": np.array([0.0, 1e300])}, r"Task: reference = .* is outside its allowed range \[-1e\+12, 1e\+12\]"),
+    "tiny": ({"reference": np.array([0.0, 1e-300])}, r"Task: reference is 1e-300 at most; allowed is none at all, or one from 1e-15 on"),
     "dt": ({"dt": 0.0}, r"Task: dt = 0.0 is outside its allowed range \[1e-12, 1e\+09\]"),
     "dt_huge": ({"dt": 1e300}, r"Task: dt = 1e\+300 is outside its allowed range \[1e-12, 1e\+09\]"),
     "settle_open": ({"settle": (0.0, np.inf)}, r"Task: settle = \(0.0, inf\) s is not a window"),

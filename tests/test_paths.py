@@ -230,6 +230,12 @@ REFUSED = {
     "axes": (ellipse, (0.0, 1.0), {"jerk": (1.0, 2.0, 3.0)}, r"jerk has shape \(3,\); allowed are \(\) and \(2,\)"),
     "points": (ellipse, (0.0, 1.0), {"points": 5}, r"points = 5 is outside"),
     "endless": (ellipse, (0.0, 1.0), {"jerk": 1e-12}, r"jerk = 1e-12 mm/s\^3 need .* samples of dt = 0\.001 s; allowed are up to"),
+    "a standstill": (
+        ellipse,
+        (0.0, 1.0),
+        {"feed": 1e-9},
+        r"feed = 1e-09 mm/s, .* need inf s, inf samples of dt = 0\.001 s; allowed are up to",
+    ),
 }
 
 

@@ -30,7 +30,7 @@ ROOM = 2 * 10**9
 HUGE = 10**12
 LONG = {"duration": 1e9, "dt": 1e-3}
 MACHINE, SCHEME, TASK = case("cfdl_sign")
-WIDE = {name: np.zeros(64) for name in GAINS}
+RECORD = Record(np.sin(np.arange(400.0))[:, None], np.sin(np.arange(401.0))[:, None], 1e-3)
 
 
 def of_problem(**options):
@@ -74,6 +74,7 @@ REFUSED = {
     "s_curve": (lambda: references.s_curve([0, 1], velocity=1e-9, acceleration=1.0, jerk=1.0, dt=1e-3), "samples"),
     "m_sequence": (lambda: references.m_sequence(32, hold=1000), "samples"),
     "preview": (lambda: learn(MACHINE, CFDLMFAPC(P=10**6), Task(np.zeros(400), dt=1e-3), 1), "preview"),
+    "fits from starts": (lambda: identify(RECORD, starts=10**9), "starts"),
     "blocks": (lambda: learn(dataclasses.replace(MACHINE, plant=InBlocks(plants.voice_coil("printed"), 10**4)), SCHEME, TASK, 1), "length"),
     "a long task": (lambda: learn(MACHINE, SCHEME, Task(np.zeros(10**7), dt=1e-3), 1), "samples"),
 }
