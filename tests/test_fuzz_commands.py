@@ -119,7 +119,6 @@ def settings_kept():
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "p.toml").write_text(PLANT)
     time = np.arange(200) * 1e-3
     record = np.column_stack([time, np.sin(40 * time), np.sin(40 * time - 0.1)])
     np.savetxt(tmp_path / "record.csv", record, delimiter=",", header="t,u,y", comments="")
@@ -141,6 +140,7 @@ def test_commands(folder, monkeypatch):
     flags = {name: {max(p.opts, key=len) for p in c.params if getattr(p, "is_flag", False)} for name, c in known.items()}
 
     def attempt(rng):
+        (folder / "p.toml").write_text(PLANT)  # what was written over it last is not of interest
         arguments = list(pick(rng, COMMANDS))
         name = arguments[0]
         for _ in range(1 + rng.integers(3)):
