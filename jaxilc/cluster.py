@@ -232,8 +232,8 @@ def _address(cluster: str | Path) -> str:
     if Path(cluster).is_file():
         try:
             return str(read_tree(cluster, ".json")["address"])
-        except (ValueError, KeyError, TypeError):
-            raise ValueError(f"cluster = {str(cluster)!r} is not a file that a Dask scheduler wrote") from None
+        except (ValueError, KeyError, TypeError) as error:
+            raise ValueError(f"cluster = {str(cluster)!r} is not a file that a Dask scheduler wrote ({error})") from None
     if not re.fullmatch(r"(\w+://)?[^/\s]+:\d+", str(cluster)):
         raise ValueError(f"cluster = {str(cluster)!r} is neither an address such as tcp://host:8786 nor a scheduler's file that is there")
     return str(cluster)

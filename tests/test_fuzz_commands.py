@@ -119,6 +119,7 @@ def settings_kept():
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "p.toml").write_text(PLANT)
     time = np.arange(200) * 1e-3
     record = np.column_stack([time, np.sin(40 * time), np.sin(40 * time - 0.1)])
     np.savetxt(tmp_path / "record.csv", record, delimiter=",", header="t,u,y", comments="")
@@ -134,13 +135,39 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
+FOUND = f"""
+run p.toml --seed {10**23}
+sweep p.toml --seed {10**23}
+run p.toml --set mf.lead={10**23}
+run p.toml --set ilc.gamma_p={"1" * 5000}
+identify record.csv --poles {10**12}
+identify record.csv --poles 1 --pairs 0 --zeros {10**12}
+run deep.json
+run p.toml --params deep.json
+sweep p.toml --samples {10**12}
+tune p.toml {TUNED} --starts {10**12}
+tune p.toml {TUNED} --steps {10**12}
+certify p.toml --samples {10**12}
+worst-case p.toml --scheme ilc --starts {10**12}
+bench --plants {10**12} --long 0
+"""
+
+
+@pytest.mark.parametrize("line", FOUND.strip().split("\n"), ids=lambda line: line[:50])
+def test_what_was_found(line, folder, monkeypatch):
+    """These ended in a traceback, or were not seen to be too much."""
+    (folder / "deep.json").write_text("[" * 100_000)
+    monkeypatch.setattr(sys, "argv", ["jaxilc", *line.split()])
+    assert ended() == 2
+
+
 def test_commands(folder, monkeypatch):
     known = typer.main.get_command(cli.app).commands
     options = {name: [max(p.opts, key=len) for p in c.params if p.param_type_name == "option"] for name, c in known.items()}
     flags = {name: {max(p.opts, key=len) for p in c.params if getattr(p, "is_flag", False)} for name, c in known.items()}
 
     def attempt(rng):
-        (folder / "p.toml").write_text(PLANT)  # what was written over it last is not of interest
+        (folder / "p.toml").write_text(PLANT)  # whatever was written over it
         arguments = list(pick(rng, COMMANDS))
         name = arguments[0]
         for _ in range(1 + rng.integers(3)):

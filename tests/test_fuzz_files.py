@@ -74,10 +74,10 @@ def folder(tmp_path, monkeypatch):
     """Here trials are short; how long one may be is planned elsewhere."""
     whole = references._time
 
-    def of_moderate_length(function, duration, dt):
+    def of_moderate_length(function, duration, dt, *arrays):
         if np.all(np.asarray(duration, float) > 1e5 * np.asarray(dt, float)):
             raise ValueError(f"{function}: too long for this test")
-        return whole(function, duration, dt)
+        return whole(function, duration, dt, *arrays)
 
     monkeypatch.setattr(references, "_time", of_moderate_length)
     time = np.arange(51) * DT

@@ -12,6 +12,7 @@ import pytest
 import scipy.io
 from cases import DT
 
+from jaxilc import cluster
 from jaxilc.cli_completion import schemes_from
 from jaxilc.exchange import read_measured
 from jaxilc.mat_files import Other, read_mat
@@ -28,6 +29,7 @@ READERS = {
     "plant.json": read_scenario,
     "params.json": lambda path: with_parameters(load("dai-2014"), path),
     "params": lambda path: with_parameters(load("dai-2014"), path),
+    "scheduler.json": cluster._address,
     "record.csv": read_record,
     "trial.csv": lambda path: read_measured(path, TASK),
     "trial.mat": lambda path: read_measured(path, TASK),
@@ -53,7 +55,7 @@ def test_what_is_no_file_is_refused_at_once(tmp_path, name, kind):
     assert schemes_from(context, "") == [], "a shell that completes is not held up either"
 
 
-@pytest.mark.parametrize("name", ["plant.toml", "plant.json", "params.json"])
+@pytest.mark.parametrize("name", ["plant.toml", "plant.json", "params.json", "scheduler.json"])
 @pytest.mark.parametrize("depth", [DEEPEST + 1, 900, 100_000])
 def test_deep_nesting_is_refused(tmp_path, name, depth):
     path = tmp_path / name
