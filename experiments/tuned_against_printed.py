@@ -134,7 +134,7 @@ def errors_of(s, case: Case, problem: Tuning, tuned: Tuned):
     schemes = {"printed": s.schemes[case.scheme], "structure": problem.scheme, "tuned": case.finish(tuned.scheme)}
     options = {"samples": case.unseen, "seed": JUDGED_SEED, "quantities": s.functions}
     dataset = jaxilc.Sweep(problem.machine, schemes, problem.task, max(trials), problem.uncertainty, **options).run()
-    return {f: s.shown_scale * dataset[f].where(dataset["finite"], np.inf) for f in dict.fromkeys((figure, "max_error"))}
+    return {f: s.shown_scale * dataset[f].where(~dataset["diverged"], np.inf) for f in dict.fromkeys((figure, "max_error"))}
 
 
 def lowest_of(s, case: Case, problem: Tuning, scheme: Scheme) -> tuple[float, float]:

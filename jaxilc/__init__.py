@@ -29,10 +29,10 @@ if TYPE_CHECKING:
     from .plant_files import load_scenario
     from .records import Record, excite, read_record, write_record
     from .reproduction import reproduce
-    from .results import open_dataset
     from .runs import run_schemes
     from .runtime import setup
     from .signals import Sample, Task, Trial
+    from .store import open_dataset
     from .summary import summarise
     from .sweep import Sweep
     from .switching import SwitchableFilter, instantaneous_frequency, segments
@@ -57,7 +57,7 @@ _NAMES = {
     "plant_files": ("load_scenario",),
     "records": ("Record", "excite", "read_record", "write_record"),
     "reproduction": ("reproduce",),
-    "results": ("open_dataset",),
+    "store": ("open_dataset",),
     "runs": ("run_schemes",),
     "runtime": ("setup",),
     "signals": ("Sample", "Task", "Trial"),

@@ -11,6 +11,8 @@ import numpy as np
 from jax import lax
 from jax.sharding import Mesh, PartitionSpec
 
+from .ranges import require
+
 LANES = {"cpu": 16}  # measured; a trial of 16 plants still fits the cache of a core
 WIDE = 4096  # on other backends, which were not measured
 OPEN: Any = None  # the default of a field that is chosen at construction, and never None from then on
@@ -31,8 +33,7 @@ def tiled(fn: Callable[[Any, Any], Any], *, lanes: int | None = None) -> Callabl
     Keep the returned function: it compiles once per shape of its arguments. Raises ValueError for lanes < 1.
     """
     lanes = usual_lanes() if lanes is None else lanes
-    if lanes < 1:
-        raise ValueError(f"tiled: lanes = {lanes} is outside its allowed range [1, inf)")
+    require("tiled", "lanes", lanes, "[1, inf)", whole=True)
     mesh = Mesh(np.array(jax.devices()), ("tiles",))
 
     def on_device(common, share):

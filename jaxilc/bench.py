@@ -14,6 +14,7 @@ from . import peers, references, scenarios
 from .batch import tiled
 from .learning import learn
 from .machine import Machine
+from .memory import check_size
 from .peers import FIGURES, Peer, Problem
 from .plants import InBlocks, StateSpace
 from .pytree import replaced
@@ -73,11 +74,23 @@ def setting(scheme: str, plants: int, trials: int, samples: int) -> Setting:
     for name, value, least in (("plants", plants, 1), ("trials", trials, 1), ("samples", samples, 4)):
         if value < least:
             raise ValueError(f"bench: {name} = {value} is outside its allowed range [{least}, inf)")
+    need_room(plants, trials, samples)
     chosen = scenarios.load("cao-2019", plant="printed")
     motor: Any = chosen.machine.plant
     task = Task(_sinusoid(samples, chosen.task.dt), dt=chosen.task.dt)
     b = np.asarray(motor.b) * np.random.default_rng(0).uniform(0.9, 1.1, (plants, 1))
     return Setting(chosen.machine, chosen.schemes[SCHEMES[scheme]], task, trials, b)
+
+
+def need_room(plants: int, trials: int, samples: int) -> None:
+    """Raises ValueError where the contenders do not fit into memory together: figures of every trial, signals of a few plants, and
+    the outputs of the plants alone."""
+
+    def need(plants: float, trials: float, samples: float) -> float:
+        of_signals = 20 * min(plants, SLOW["NumPy batch"][0]) + 6 * plants
+        return 8 * (32 * plants * trials + of_signals * samples)
+
+    check_size("bench", need, plants=plants, trials=trials, samples=samples)
 
 
 def compare(of: Setting, opponents: Mapping[str, tuple[Peer, float]], *, repeats: int = 5) -> dict[str, Row]:

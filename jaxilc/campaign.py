@@ -14,14 +14,15 @@ import numpy as np
 
 from . import trial_checks as checks
 from .exchange import Measured
-from .journal import Journal
-from .learning import measured_trial
+from .journal import BACK, Journal
+from .learning import check_length, measured_trial
 from .machine import Actuator
 from .metrics import measure
 from .playback import replay, tables
 from .pytree import named_leaves
 from .results import describe, differences, environment
 from .schemes import Scheme
+from .sealed import as_json
 from .signals import Task, Trial
 from .trial_checks import Finding, Rules
 
@@ -81,6 +82,7 @@ class Campaign:
 
         Raises FileExistsError if something is there; ValueError where scheme and task do not fit, and for a first table beyond a limit.
         """
+        check_length(task, scheme)
         scheme.check(task)
         campaign = cls(Journal(Path(path)), scheme, task, actuator, (rules or Rules()).checked(), recipe or {})
         refuse(checks.beyond_limits(campaign.first_tables(), task, actuator, campaign.rules))
@@ -105,9 +107,9 @@ class Campaign:
         recipe: None keeps the one that is there
         """
         journal = Journal(Path(path))
-        last = journal.manifests()[-1]
+        last = journal.last_known()
         campaign = cls(journal, scheme, task, actuator, (rules or Rules()).checked(), last["recipe"] if recipe is None else recipe)
-        found = differences(last["configuration"], campaign.configuration)
+        found = differences(as_json(last["configuration"]), campaign.configuration)
         if found:
             raise ValueError(f"{path} was started with another configuration; it differs in: {'; '.join(found)}")
         return campaign
@@ -115,7 +117,7 @@ class Campaign:
     @property
     def configuration(self) -> dict[str, Any]:
         """What is learned depends on this: scheme, task and actuator; long arrays by their hash."""
-        return json.loads(json.dumps({name: describe(getattr(self, name)) for name in ("scheme", "task", "actuator")}))
+        return as_json({name: describe(getattr(self, name)) for name in ("scheme", "task", "actuator")})
 
     @property
     def trials(self) -> int:
@@ -124,11 +126,14 @@ class Campaign:
 
     def memory(self, trial: int | None = None) -> Any:
         """What the scheme knew after a trial, None for the last one. Raises ValueError for a trial that does not lie behind."""
-        template = self.scheme.memory(self.task)
-        found, names = self.journal.arrays(self._after(trial), MEMORY), list(_arrays(template))
-        if list(found) != names:
-            raise ValueError(f"{self.journal.path}: the memory holds {', '.join(found)}; this scheme needs {', '.join(names)}")
-        return jax.tree.unflatten(jax.tree.structure(template), [jnp.asarray(found[name]) for name in names])
+        template, entry = self.scheme.memory(self.task), self._after(trial)
+        found, needed = self.journal.arrays(entry, MEMORY), _arrays(template)
+        if _shapes(found) != _shapes(needed):
+            raise ValueError(f"{self.journal.path}: the memory holds {_shapes(found)}; this scheme needs {_shapes(needed)}; {BACK}")
+        wrong = _not_a_number(found)
+        if wrong:
+            raise ValueError(f"{self.journal.path}: the memory after trial {entry['trial']} is not a number in {wrong}; {BACK}")
+        return jax.tree.unflatten(jax.tree.structure(template), [jnp.asarray(found[name]) for name in needed])
 
     def tables(self, trial: int | None = None) -> dict[str, np.ndarray]:
         """What the machine plays after a trial, None for the last one; see `playback.tables`."""
@@ -149,7 +154,7 @@ class Campaign:
         replay_input: take the scheme's input over the measured output where the file has none
         The feedback's share is `feedback` of the file if it has it, else the scheme's own law over the measured output (`replay`), as the
         other signals of the scheme always are.
-        Raises ValueError for a trial without an input, and for one that has been learned from already.
+        Raises ValueError for a trial without an input, and for one that was measured already, however its file was rounded.
         """
         scheme, task, live, rules, actuator = self.scheme, self.task, self.journal.live(), self.rules, self.actuator
         memory, number = self.memory(), live[-1]["trial"] + 1
@@ -161,18 +166,21 @@ class Campaign:
         given = {name: jnp.asarray(measured.others[name]) for name in ("feedback",) if name in measured.others}
         record = measured_trial(task, measured.y, u)._replace(signals={**signals, **given})
         hashes = {"measured": _hash(measured.y, u), "played": _hash(*played.values())}
-        for entry in live[1:]:
-            if entry["hashes"]["measured"] == hashes["measured"] and entry["hashes"]["played"] != hashes["played"]:
-                raise ValueError(f"{measured.source} is trial {entry['trial']}, which was learned from already; measure trial {number}")
-
         error = checks.rms_over_all(record)
+        for entry in live[1:]:
+            if self._is_measured(entry, record, error, with_input=measured.u is not None):
+                raise ValueError(f"{measured.source} is trial {entry['trial']}, {_known(entry)} measure trial {number}")
+
         findings = checks.saturation(u, actuator, rules) + checks.as_played(measured.others, played, actuator)
         if not given:
             findings += checks.as_commanded(u, commanded, actuator, task)
-        if len(live) > 1 and live[-1]["hashes"]["played"] == hashes["played"]:
+        if len(live) > 1 and live[-1]["hashes"].get("played") == hashes["played"]:
             findings += checks.repeated(record, self.journal.arrays(live[-1], TRIAL)["y"], rules, task.unit)
         findings += checks.grown(error, [(m["trial"], m["figures"]["error"]) for m in live[1:]], rules, task.unit)
         following = _learned(scheme, task, memory, record) if learn else memory
+        wrong = _not_a_number(_arrays(following))
+        if wrong:
+            findings.append(Finding("refusal", f"what would be learned is not a number in {wrong}"))
         following_tables = tables(scheme, following, task)
         findings += checks.beyond_limits(following_tables, task, actuator, rules)
         figures = {"error": error} | {name: np.asarray(value).tolist() for name, value in measure(record, task)._asdict().items()}
@@ -194,13 +202,23 @@ class Campaign:
 
     def _after(self, trial: int | None) -> dict[str, Any]:
         """The entry after a trial that lies behind, or where the campaign stands."""
-        live = self.journal.live()
         if trial is None:
-            return live[-1]
-        if not 0 <= trial < live[-1]["trial"]:
-            last = live[-1]["trial"]
+            return self.journal.live()[-1]
+        behind = {m["trial"]: m for m in self.journal.behind()}
+        if trial not in behind:
+            last = max(behind, default=-1) + 1
             raise ValueError(f"trial = {trial} is not one to go back to; allowed are those before the last one, {last}")
-        return next(m for m in live if m["trial"] == trial)
+        return behind[trial]
+
+    def _is_measured(self, entry: dict[str, Any], record: Trial, error: float, *, with_input: bool) -> bool:
+        """Whether a measured trial is that of an entry, up to the digits that a file may lose.
+
+        error: its RMS error, which tells most trials apart without their file;  with_input: the input was measured, too
+        """
+        if abs(entry["figures"]["error"] - error) > checks.same_up_to(record.y):
+            return False
+        found = self.journal.arrays(entry, TRIAL)
+        return checks.same(found["y"], record.y) and (not with_input or checks.same(found["u"], record.u))
 
     def _append(self, manifest: dict[str, Any], arrays: dict[str, dict[str, Any]]) -> None:
         configuration = self.configuration
@@ -218,6 +236,22 @@ def refuse(findings: list[Finding]) -> None:
 
 def _arrays(tree: Any) -> dict[str, Any]:
     return {f"{i:03d} {name}": leaf for i, (name, leaf) in enumerate(named_leaves(tree).items())}
+
+
+def _shapes(arrays: dict[str, Any]) -> str:
+    return ", ".join(f"{name} {np.shape(values)}" for name, values in arrays.items())
+
+
+def _not_a_number(arrays: dict[str, Any]) -> str:
+    """The first array that holds NaN, by name; infinite is what was never seen, such as the best error before the first trial."""
+    return next((name for name, values in arrays.items() if np.any(np.isnan(np.asarray(values)))), "")
+
+
+def _known(entry: dict[str, Any]) -> str:
+    """How a trial is known already."""
+    if entry["learned"]:
+        return "which was learned from already;"
+    return f"which was looked at already; --undo {entry['trial'] - 1} forgets it, so that it can be learned from; or"
 
 
 def _hash(*arrays) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from .figures.style import COLOURS, grid, labelled, new_axes, trial_axis
+from .figures.style import COLOURS, grid, labelled, legend_beside, new_axes, trial_axis
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -34,5 +34,5 @@ def campaign_figure(rows: Sequence[dict[str, Any]], *, unit: str = "", input_uni
     for axis in axes:
         grid(axis)
         if axis.has_data():
-            axis.legend(fontsize="small")
+            legend_beside(axis)
     return axes

@@ -33,7 +33,6 @@ from .cli_common import (
     progress_bar,
     spread_of,
     stopped,
-    text_of,
     written,
 )
 from .cli_completion import LISTED, scenarios_from
@@ -101,8 +100,7 @@ def list_(
     begin("float64")
     from .plant_files import load_scenario
 
-    with text_of(scenario):
-        loaded = load_scenario(scenario)
+    loaded = load_scenario(scenario)
     table = Table("--set", "value", "allowed", title=loaded.title)
     for option, default in loaded.options.items():
         table.add_row(option, str(default), "option of the scenario")
@@ -134,13 +132,14 @@ def run(
     import jax
 
     from . import figures, plants, runs, tables
+    from .files import whole_folder
     from .report import command_report
 
     chosen = chosen_scenario(scenario, scheme, trials, set_, params)
     key = jax.random.key(seed)
     dataset, _ = runs.run_schemes(chosen.machine, chosen.schemes, chosen.task, chosen.trials, key=key, quantities=chosen.functions)
     numbers = tables.run_figures(chosen, dataset)
-    table, lines = tables.run_table(chosen, numbers), tables.other_rows(chosen, numbers)
+    table, lines = tables.run_table(chosen, numbers), [*tables.course_lines(numbers), *tables.other_rows(chosen, numbers)]
     out.print(table)
     for line in lines:
         out.print(line, highlight=False)
@@ -163,7 +162,8 @@ def run(
         if isinstance(chosen.machine.plant, plants.TwoAxes):
             axes = figures.contour(dataset, name, some, **shown)
             paths.append(figures.save(axes, folder / f"contour-{name}.png"))
-    dataset.to_zarr(folder / "dataset.zarr", mode="w", consolidated=False)
+    with whole_folder(folder / "dataset.zarr", replace=True) as store:
+        dataset.to_zarr(store, consolidated=False)
     page = command_report(report, "run", [table], paths, scenario=chosen, lines=lines)
     written([*paths, *page, folder / "dataset.zarr"], json_file, numbers)
 
@@ -216,7 +216,7 @@ def sweep(
     dataset, seconds, steps = _with_progress(plan, store, resume, dask)
 
     numbers = tables.sweep_figures(chosen, summarise(dataset, tolerance, figure=chosen.judged_by), tolerance, plan.samples)
-    shown = [tables.yield_table(numbers), tables.band_table(numbers)]
+    shown = [tables.yield_table(numbers), tables.spread_table(numbers), tables.band_table(numbers)]
     for table in shown:
         out.print(table)
     if steps:
@@ -248,10 +248,10 @@ def main() -> None:
 
 
 def _said(error: ValueError | OSError) -> str:
-    """The message; of a system's error, the file before what is wrong with it."""
+    """The message in one line; of a system's error, the file before what is wrong with it."""
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename2 or error.filename or 'input or output'}: {error.strerror.lower()}"
-    return str(error)
+    return " ".join(str(error).split("\n"))
 
 
 def _with_progress(plan, store: Path, resume: bool, cluster: str | None):

@@ -43,6 +43,9 @@ def bench(
             raise ValueError(f"--schemes {name!r} is not one of {', '.join((*measured.SCHEMES, *measured.ALONE))}")
     if long and long < 4:
         raise ValueError(f"--long {long} is not 0 or a whole number from 4 on")
+    for size in sizes:
+        measured.need_room(size, trials, samples)
+    measured.need_room(1, 1, long)
     opponents, notes = measured.opponents()
     numbers: dict = {"machine": machine(), "precision": precision, "trials": trials, "samples": samples, "rows": {}, "cost": {}}
     for note in notes:

@@ -29,7 +29,6 @@ from .cli_common import (
     out,
     progress_bar,
     spread_of,
-    text_of,
     written,
 )
 from .cli_completion import scenarios_from
@@ -82,7 +81,7 @@ def certify(
     for name, one in learning.items():
         if isinstance(one, FFDLMFAILC) and chosen.trials < NEEDED:
             raise ValueError(f"--trials {chosen.trials} is outside its allowed range [{NEEDED}, inf) of {name}, whose bounds are checked")
-    folder, paths, shown, numbers, lines = folder_of(out_dir, f"certify-{chosen.name}"), [], [], {}, []
+    paths, shown, numbers, lines = [], [], {}, []
     with progress_bar("scheme") as bar:
         schemes = bar.add_task("certify", total=len(learning), scheme="")
         for i, (name, one) in enumerate(learning.items()):
@@ -96,7 +95,7 @@ def certify(
             shown += tables.certificate_tables(name, chosen.trials, numbers[name])
             lines.append(tables.certificate_sentence(name, chosen.trials, numbers[name], chosen.shown_scale, chosen.shown_unit))
             axes = figures.certificate(found, scale=chosen.shown_scale, unit=chosen.shown_unit, title=name)
-            paths.append(figures.save(axes, folder / f"{name}.png"))
+            paths.append(figures.save(axes, folder_of(out_dir, f"certify-{chosen.name}") / f"{name}.png"))
         bar.update(schemes, completed=len(learning))
     for table in shown:
         out.print(table)
@@ -136,8 +135,7 @@ def identify(
     from .records import read_record
     from .report import command_report
 
-    with text_of(record):
-        measured = read_record(record, time=time_name, input=input_name, output=output_name)
+    measured = read_record(record, time=time_name, input=input_name, output=output_name)
     found = identification.identify(measured, poles=poles, pairs=pairs, zeros=zeros)
     rows = found.summary()
     table = tables.identification_table(str(record), rows)

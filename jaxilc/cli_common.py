@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import os
 import sys
-from collections.abc import Generator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, NoReturn
 
@@ -24,10 +21,12 @@ def file_to_write(path: Path | None) -> Path | None:
     return path
 
 
-def not_negative(seed: int) -> int:
+def seed_in_range(seed: int) -> int:
     """The seed. Raises ValueError for one that the generators refuse."""
-    if seed < 0:
-        raise ValueError(f"--seed {seed} is outside its allowed range [0, inf)")
+    from .ranges import SEEDS, Interval, brief
+
+    if not Interval.parse(SEEDS).contains(seed):
+        raise ValueError(f"--seed {brief(seed)} is outside its allowed range {SEEDS}")
     return seed
 
 
@@ -52,7 +51,7 @@ Schemes = Annotated[
 ]
 OneScheme = Annotated[str, typer.Option("--scheme", help="Scheme to use.", autocompletion=schemes_from)]
 Trials = Annotated[int | None, typer.Option(help="Trials J; the scenario's own if not given.")]
-Seed = Annotated[int, typer.Option(help="Seed of noise and of drawn machines.", callback=not_negative)]
+Seed = Annotated[int, typer.Option(help="Seed of noise and of drawn machines.", callback=seed_in_range)]
 Set = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="PATH=VALUE", help="Set a leaf, a static field or an option of the scenario; repeatable."),
@@ -109,28 +108,19 @@ def chosen_scenario(name: str, schemes: list[str] | None, trials: int | None, se
             raise ValueError(f"--set {setting!r} is not PATH=VALUE")
         values[path.strip()] = value.strip()
     known = scenarios.options(name) if name in scenarios.SCENARIOS else {}
-    with text_of(name):
-        chosen = load_scenario(name, {path: value for path, value in values.items() if path in known})
+    chosen = load_scenario(name, {path: value for path, value in values.items() if path in known})
     if not chosen.schemes:
         raise ValueError(f"{name} has no scheme; needed is a table [schemes.NAME] at least")
     if params is not None:
-        with text_of(params):
-            chosen = with_parameters(chosen, params)
+        chosen = with_parameters(chosen, params)
     chosen = chosen.with_values({path: value for path, value in values.items() if path not in known})
     if trials is not None:
         if trials < 1:
             raise ValueError(f"--trials {trials} is outside its allowed range [1, inf)")
         chosen = dataclasses.replace(chosen, trials=trials)
-    return chosen.select(tuple(schemes or ()))
-
-
-@contextmanager
-def text_of(path: str | Path) -> Generator[None]:
-    """Reading of a text file. Raises ValueError naming the file where it is none."""
-    try:
-        yield
-    except UnicodeDecodeError as error:
-        raise ValueError(f"{path} is no text in UTF-8: {error.reason} {error.object[error.start]:#04x} at byte {error.start}") from None
+    chosen = chosen.select(tuple(schemes or ()))
+    chosen.check()
+    return chosen
 
 
 def spread_of(chosen, spread: float | None):
@@ -149,9 +139,11 @@ def folder_of(folder: Path | None, default: str) -> Path:
 
 def written(paths: list[Path], json_file: Path | None, numbers: dict | list) -> None:
     """Write the numbers, if that was asked for, and say what was written."""
+    from .sealed import write_json
+
     if json_file is not None:
         json_file.parent.mkdir(parents=True, exist_ok=True)
-        json_file.write_text(json.dumps(numbers, indent=1, allow_nan=True) + "\n")
+        write_json(json_file, numbers)
         paths = [*paths, json_file]
     if paths:
         out.print("written: " + ", ".join(map(str, paths)), highlight=False, soft_wrap=True)
@@ -161,7 +153,12 @@ def progress_bar(field: str):
     """A progress bar that also shows a field of its tasks; silent where there is no terminal."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn(f"{{task.fields[{field}]}}"))
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn(f"{{task.fields[{field}]}}", markup=False),
+    )
     return Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=err, disable=out.quiet or not err.is_terminal)
 
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
-import tomllib
 from collections.abc import Callable
-from pathlib import Path
 from typing import NamedTuple
 
 import typer
+
+from .reading import read_tree
 
 
 class Listed(NamedTuple):
@@ -60,8 +59,7 @@ def of_list(*words: str) -> Callable[[str], list[str]]:
 
 
 def _of_file(path: str) -> list[str]:
-    reader = {".toml": tomllib.loads, ".json": json.loads}.get(Path(path).suffix)
     try:
-        return list(reader(Path(path).read_text(encoding="utf-8"))["schemes"]) if reader else []
+        return list(read_tree(path)["schemes"])
     except (OSError, ValueError, KeyError, TypeError):  # not there, or not finished: nothing to complete
         return []

@@ -66,7 +66,7 @@ def next_(
     Example: jaxilc next --state x-axis --measured trial-3.csv --out trial-4.csv
     """
     from .campaign import Campaign, refuse
-    from .cli_common import Refused, text_of
+    from .cli_common import Refused
     from .exchange import check_format, read_measured
     from .journal import Journal
     from .runtime import setup
@@ -83,7 +83,7 @@ def next_(
     new = not journal.exists
     if new and (measured is not None or undo is not None):
         raise FileNotFoundError(f"{state} holds no campaign; start one without --measured and --undo")
-    before = {} if new else journal.manifests()[-1]["recipe"]
+    before = {} if new else _kept(journal)
     given = dict(zip(KEPT_RULES, (limit, largest_correction, saturation, repeatability, growth), strict=True))
     recipe = _recipe(before, scenario, plant_file, scheme, set_, {name: v for name, v in given.items() if v is not None})
     rules = Rules(**recipe["rules"], accept_saturation=accept_saturation, stop_on_growth=stop_on_growth)
@@ -99,8 +99,7 @@ def next_(
     if undo is not None and not dry_run:
         campaign.undo(undo)
     if measured is not None:
-        with text_of(measured):
-            record = read_measured(measured, campaign.task, campaign.recordable())
+        record = read_measured(measured, campaign.task, campaign.recordable())
         turn = campaign.turn(record, learn=not no_learn, replay_input=replayed_input)
         _report(turn, record.ignored, campaign.task.unit)
         try:
@@ -123,7 +122,7 @@ def trials(
     Example: jaxilc trials --state x-axis --csv log.csv --plot log.png
     """
     from .cli_common import out as console
-    from .exchange import atomically
+    from .files import atomically
     from .journal import Journal
     from .titled_table import Table
 
@@ -149,10 +148,25 @@ def trials(
         from . import figures
         from .campaign_figures import campaign_figure
 
-        task = journal.manifests()[-1]["configuration"]["task"]
-        written.append(figures.save(campaign_figure(rows, unit=task["unit"], input_unit=task["input_unit"]), plot))
+        task = journal.last_known()["configuration"].get("task")
+        unit, input_unit = (str(task.get(name, "")) if isinstance(task, dict) else "" for name in ("unit", "input_unit"))
+        written.append(figures.save(campaign_figure(rows, unit=unit, input_unit=input_unit), plot))
     if written:
         console.print("written: " + ", ".join(map(str, written)), highlight=False, soft_wrap=True)
+
+
+def _kept(journal) -> dict[str, Any]:
+    """The recipe of a campaign. Raises ValueError for what `jaxilc next` does not write."""
+    from .ranges import is_number
+
+    recipe = journal.last_known()["recipe"]
+    kinds = {"scenario": str, "scheme": str, "settings": dict, "rules": dict}
+    rules = recipe.get("rules", {})
+    if not all(isinstance(recipe.get(name, kind()), kind) for name, kind in kinds.items()) or not all(
+        name in KEPT_RULES and is_number(value) for name, value in rules.items()
+    ):
+        raise ValueError(f"{journal.path} was not started by `jaxilc next`, or its last recipe is damaged; --undo cannot mend it")
+    return recipe
 
 
 def _recipe(before, scenario, plant_file, scheme, settings, rules) -> dict[str, Any]:
@@ -162,7 +176,7 @@ def _recipe(before, scenario, plant_file, scheme, settings, rules) -> dict[str, 
     if scenario is not None and plant_file is not None:
         raise ValueError("--scenario and --plant-file exclude each other")
     source = scenario if plant_file is None else str(plant_file)
-    if source is None and not before:
+    if source is None and "scenario" not in before:
         raise ValueError("the first call needs --scenario or --plant-file")
     if source is not None and source not in SCENARIOS and Path(source).suffix:
         source = str(Path(source).absolute())  # found again from wherever the next call comes

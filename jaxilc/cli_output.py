@@ -10,7 +10,7 @@ import time
 from collections import defaultdict
 from pathlib import Path
 
-from rich.console import Console
+from .titled_table import Console
 
 PIPED_WIDTH = 160  # columns where there is no terminal to ask
 WORTH_A_LINE = 0.05  # seconds that a program takes to be compiled or found

@@ -148,15 +148,14 @@ def _by_trials(chosen, scenario: str, scheme: str, problem, budgets: list[int], 
     """Numbers, table and files of one tuning for each number of trials, all judged on the same unseen machines."""
     from . import figures
     from .summary import summarise
-    from .sweep import Sweep
     from .tables import number
     from .titled_table import Table
     from .trade_off import by_trials
 
+    problem.comparison(dict.fromkeys(("given", *map(str, budgets)), problem.scheme), trials=max(budgets), samples=unseen)  # refused now
     found = _with_progress(partial(by_trials, problem, budgets), len(budgets), problem.steps, folder / "state", resume)
     schemes = {"given": problem.scheme} | {str(J): tuned.scheme for J, tuned in found.items()}
-    options: dict[str, Any] = {"samples": unseen, "seed": problem.seed + 2, "quantities": problem.quantities}  # as `Tuning.compare` has it
-    dataset = Sweep(problem.machine, schemes, problem.task, max(budgets), problem.uncertainty, **options).run()
+    dataset = problem.comparison(schemes, trials=max(budgets), samples=unseen).run()
     figure, (scale, unit) = chosen.judged_by, chosen.shown(chosen.judged_by)
     summary = {row.scheme: row for row in summarise(dataset, 1.0, figure=figure)}
 

@@ -98,6 +98,7 @@ def tune(
         if value is not None and value < 1:
             raise ValueError(f"--{name} {value} is outside its allowed range [1, inf)")
     folder = out_dir or Path("out") / f"tune-{chosen.name}"
+    problem.comparison(trials=compare_trials, samples=unseen)  # refused now rather than after the tuning
     state = folder / "state"
     if state.exists() and not resume:
         raise FileExistsError(f"{state} exists already; add --resume to go on with it, or choose another --out")
@@ -159,15 +160,15 @@ def worst_case(
     from .report import command_report
     from .worst_case import GRADIENT_COST, monte_carlo_search, worst_case_search
 
-    if trial is not None and trial < 1:
-        raise ValueError(f"--trial {trial} is outside its allowed range [1, inf)")
-    for name, value, low in (("draws", draws, 1), ("evaluations", evaluations, starts * (1 + GRADIENT_COST))):
+    at_least_one = (("trial", trial, 1), ("starts", starts, 1), ("steps", steps, 1), ("draws", draws, 1))
+    for name, value, low in (*at_least_one, ("evaluations", evaluations, starts * (1 + GRADIENT_COST))):
         if value is not None and value < low:
             raise ValueError(f"--{name} {value} is outside its allowed range [{low}, inf)")
     chosen = chosen_scenario(scenario, [scheme], trial, set_, params)
     uncertainty = spread_of(chosen, spread)
     loss, shown, figure_of = _judged(chosen, scheme)
     steps = steps if evaluations is None else evaluations // (starts * (1 + GRADIENT_COST))
+    _need_room(chosen, uncertainty, starts, steps, evaluations, draws)
     climbed = worst_case_search(loss, chosen.machine, uncertainty, starts=starts, steps=steps, seed=seed)
     found = {"gradient": climbed, "chance": monte_carlo_search(loss, chosen.machine, uncertainty, climbed.evaluations, seed=seed)}
     if draws is not None:
@@ -226,14 +227,31 @@ def _with_progress(problem, state: Path, resume: bool):
             stopped(state)
 
 
+def _need_room(chosen, uncertainty, starts: int, steps: int, evaluations: int | None, draws: int | None) -> None:
+    """Raises ValueError, before the climb, for a trial or a search by chance after it that does not fit into memory."""
+    from .learning import bytes_of_figures
+    from .memory import check_size
+    from .worst_case import GRADIENT_COST, bytes_of_a_draw
+
+    of_trial, each = bytes_of_figures(chosen.task), bytes_of_a_draw(uncertainty)
+    check_size("worst-case", lambda trial, starts: 4 * of_trial * trial * starts, trial=chosen.trials, starts=starts)
+    if evaluations is None:
+        cost = each * (1 + GRADIENT_COST)
+        check_size("worst-case", lambda starts, steps: cost * starts * steps, starts=starts, steps=steps)
+    for name, count in (("evaluations", evaluations), ("draws", draws)):
+        if count is not None:
+            check_size("worst-case", lambda **counts: each * sum(counts.values()), **{name: count})
+
+
 def _judged(chosen, scheme: str):
     """The loss of a machine, that loss as the figure that is shown, and the figure of a machine itself."""
     import jax.numpy as jnp
     import numpy as np
 
+    from .divergence import peak
     from .learning import learn
     from .metrics import Keep
-    from .objectives import Final, judge, peak
+    from .objectives import Final, judge
 
     figure, keep, law = chosen.judged_by, Keep.of(chosen.functions), chosen.schemes[scheme]
     scale, objective = chosen.shown(figure)[0], Final(figure)
@@ -249,7 +267,7 @@ def _judged(chosen, scheme: str):
     def figure_of(machine) -> float:
         history = learn(machine, law, chosen.task, chosen.trials, save=keep)
         values = history.saved[figure] if figure in history.saved else getattr(history, figure)
-        return scale * float(jnp.max(values[-1])) if history.finite[-1] else float("inf")
+        return scale * float(jnp.max(values[-1])) if not history.diverged[-1] else float("inf")
 
     return loss, shown, figure_of
 

@@ -28,6 +28,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import jax
 
 from . import memory
+from .reading import read_tree
 from .results import differences, environment
 from .runtime import setup
 
@@ -230,9 +231,9 @@ def _common(environments: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
 def _address(cluster: str | Path) -> str:
     if Path(cluster).is_file():
         try:
-            return json.loads(Path(cluster).read_text())["address"]
-        except (ValueError, KeyError, TypeError):
-            raise ValueError(f"cluster = {str(cluster)!r} is not a file that a Dask scheduler wrote") from None
+            return str(read_tree(cluster, ".json")["address"])
+        except (ValueError, KeyError, TypeError) as error:
+            raise ValueError(f"cluster = {str(cluster)!r} is not a file that a Dask scheduler wrote ({error})") from None
     if not re.fullmatch(r"(\w+://)?[^/\s]+:\d+", str(cluster)):
         raise ValueError(f"cluster = {str(cluster)!r} is neither an address such as tcp://host:8786 nor a scheduler's file that is there")
     return str(cluster)

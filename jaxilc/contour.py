@@ -14,7 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 
-from .references import POSITIVE, require
+from .ranges import require
+from .references import POSITIVE
 
 Curve: TypeAlias = Callable[[np.ndarray], np.ndarray]
 _BUTTERFLY_POINTS = """
@@ -56,7 +57,7 @@ def nurbs(points, knots, weights=None) -> Curve:
     if points.ndim != 2 or weights.shape != points.shape[:1] or knots.ndim != 1 or len(knots) < len(points) + 2:
         shapes = f"points {points.shape}, knots {knots.shape}, weights {weights.shape}"
         raise ValueError(f"nurbs: {shapes}; allowed are (n, d), (n + degree + 1,), (n,) with degree >= 1")
-    require("nurbs", "weights", weights, POSITIVE)
+    require("nurbs", "weights", weights, POSITIVE, many=True)
     homogeneous = BSpline(knots, np.column_stack([points * weights[:, None], weights]), len(knots) - len(points) - 1)
 
     def curve(s):
@@ -130,7 +131,7 @@ def _require_smooth(curve, u, q):
             raise ValueError(f"plan: the path turns by {np.degrees(seen):.3g} deg between two points of its table {at}; raise points")
 
 
-def contour_error(y, path, *, window: int) -> jax.Array:
+def contour_error(y, path, *, window: int, closed: bool | None = None) -> jax.Array:
     """(M,) normal distance of each measured point from the path; in the plane signed, positive on the left of the path.
 
         e_k = distance of y_k from the chords path_i path_{i+1},    i = max(c_k - window, 0) .. min(c_k + window, L) - 1
@@ -141,27 +142,32 @@ def contour_error(y, path, *, window: int) -> jax.Array:
     window: half width in points of the path, static: the cost is M window, and a lag up to it is looked through. Of a larger lag
             the distance to the end of the window is returned, which is too large, never too small; where the path comes near
             itself a wide window may find the other branch.
+    closed: whether the window goes on over the path's ends, so that a tool that lags at the start is measured from the path's last
+            part; None: where the ends meet, to a millionth of the path's width
     The path between points is their chord, which errs by curvature h^2 / 8 at a spacing h. The sign needs corners below 90 deg.
     Differentiable in y and path and vmappable: the gradient is the path's unit normal, or at a corner points away from it; it is
     zero at zero distance from a corner or, in space, from the path.
-    Raises ValueError where the shapes do not fit or window is not a whole number >= 1.
+    Raises ValueError where the shapes do not fit, window is not a whole number >= 1, or closed is not True, False or None.
     """
+    if closed is not None and not isinstance(closed, bool):
+        raise ValueError(f"contour_error: closed = {closed!r} is not one of True, False, None")
     if isinstance(window, bool) or not isinstance(window, int | np.integer) or window < 1:
         raise ValueError(f"contour_error: window = {window!r} is outside its allowed range [1, inf) of whole numbers")
     shape, path_shape = np.shape(y), np.shape(path)
     if len(shape) != 2 or len(path_shape) != 2 or shape[1] != path_shape[1] or shape[1] < 2 or path_shape[0] < 2 or not shape[0]:
         raise ValueError(f"contour_error: y {shape} and path {path_shape} must be (M, d) and (L+1, d) with d >= 2, L >= 1")
-    return _contour_error(jnp.asarray(y), jnp.asarray(path), int(window))
+    return _contour_error(jnp.asarray(y), jnp.asarray(path), int(window), closed)
 
 
-@partial(jax.jit, static_argnums=2)
-def _contour_error(y, path, window):
+@partial(jax.jit, static_argnums=(2, 3))
+def _contour_error(y, path, window, closed):
     last = len(path) - 1
     centres = np.rint(np.arange(len(y)) * (last / max(len(y) - 1, 1))).astype(int)
     width = min(2 * window, last)
-    # Near the ends the window is moved inside, which widens it: harmless, and every sample then has as many chords.
-    first = np.clip(centres - window, 0, last - width)
-    chords = first[:, None] + np.arange(width)
+    # Near the ends of an open path the window is moved inside, which widens it: harmless, and every sample then has as many chords.
+    inside_it, over_it = np.clip(centres - window, 0, last - width), centres - width // 2
+    first = jnp.where(_meet(path) if closed is None else closed, over_it, inside_it)
+    chords = (first[:, None] + np.arange(width)) % last
     start, step = path[:-1], path[1:] - path[:-1]
 
     def away(i, point):
@@ -174,7 +180,7 @@ def _contour_error(y, path, window):
     candidates, _, squared = away(chords, y[:, None])
     # A path that dwells has chords of no direction; they may only be chosen where there is nothing else.
     best = jnp.argmin(jnp.where(squared > 0, jnp.sum(candidates**2, axis=-1), jnp.inf), axis=1)
-    i = jnp.take_along_axis(jnp.asarray(chords), best[:, None], axis=1)[:, 0]
+    i = jnp.take_along_axis(chords, best[:, None], axis=1)[:, 0]
     apart, inside, squared = away(i, y)
     distance = _length(apart)
     if y.shape[1] > 2:
@@ -182,6 +188,11 @@ def _contour_error(y, path, window):
     tangent = step[i] / jnp.sqrt(jnp.where(squared > 0, squared, 1.0))[:, None]
     left = tangent[:, 0] * apart[:, 1] - tangent[:, 1] * apart[:, 0]
     return jnp.where(inside, left, jnp.where(left < 0, -distance, distance))
+
+
+def _meet(path):
+    """() whether the path ends where it starts."""
+    return jnp.max(jnp.abs(path[-1] - path[0])) <= 1e-6 * jnp.max(jnp.ptp(path, axis=0))
 
 
 def _length(vectors):

@@ -1,4 +1,4 @@
-"""Descent on a loss of few numbers that is dear to evaluate: coordinates, steps of the optimisers, and a state that survives a kill.
+"""Descent on a loss of few numbers that is dear to evaluate: coordinates, steps of the optimisers, and their state.
 
 Nothing here knows what is tuned. An `evaluate(z)` gives an `Evaluation`; a method has `init(z)` and `step(z, state)`, both pure.
 """
@@ -6,10 +6,7 @@ Nothing here knows what is tuned. An `evaluate(z)` gives an `Evaluation`; a meth
 from __future__ import annotations
 
 import dataclasses
-import json
-import os
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -17,8 +14,6 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 from jax import lax
-
-from .results import differences
 
 HAIR = 1e-6  # of the unit interval: how near a value may come to an end of its range
 FAR = 60.0  # on the real line, beyond which exponentials stay
@@ -109,10 +104,11 @@ def repaired(losses, slopes, clip: float):
 
 
 class Method(NamedTuple):
-    """init(z) -> state;  step(z, state) -> (z, state, Step). Pure, for one start."""
+    """init(z) -> state;  step(z, state) -> (z, state, Step). Pure, for one start. programs: both, compiled for many starts"""
 
     init: Callable[[Any], Any]
     step: Callable[[Any, Any], tuple[Any, Any, Step]]
+    programs: tuple[Any, ...] = ()
 
 
 class Step(NamedTuple):
@@ -185,7 +181,14 @@ def for_starts(method: Method) -> Method:
 
     # brought home each time: where an array lies belongs to a compiled program too
     init = jax.jit(jax.vmap(method.init))
-    return Method(lambda z: jax.device_get(init(z)), lambda z, state: jax.device_get(step(z, state)))
+    programs = (init, step)
+    return Method(lambda z: jax.device_get(init(z)), lambda z, state: jax.device_get(step(z, state)), programs)
+
+
+def arguments_like(method: Method, z) -> tuple[Any, Any]:
+    """What the compiled step of a method `for_starts` takes, by its shapes: z (K, P) and the state; nothing is computed."""
+    state = jax.eval_shape(method.programs[0], z)
+    return z, jax.tree.map(lambda s: jax.ShapeDtypeStruct(s.shape, s.dtype), state)
 
 
 class State(NamedTuple):
@@ -232,38 +235,3 @@ class State(NamedTuple):
         for kept, value in zip((self.loss, self.slope, self.dropped, self.path), (*record, self.z), strict=True):
             kept[step] = value
         return self._replace(step=self.step + 1, z=z, inner=inner)
-
-
-class Folder:
-    """The folder of a descent: its configuration, and the newest state, replaced as a whole."""
-
-    def __init__(self, path: Path, configuration: dict[str, Any], resume: bool):
-        """Raises FileExistsError, or ValueError if it was made with another configuration, as `Tuning.run` says."""
-        self.file = path / "state.npz"
-        described, wanted = path / "configuration.json", json.loads(json.dumps(configuration))
-        if not path.exists():
-            path.mkdir(parents=True)
-            described.write_text(json.dumps(wanted, indent=1))
-            return
-        if not resume:
-            raise FileExistsError(f"{path} exists already; resume it or choose another place")
-        try:
-            found = json.loads(described.read_text())
-        except (OSError, ValueError):
-            raise ValueError(f"{path} is not a tuning that can be resumed; remove it and start again") from None
-        differing = differences(found, wanted)
-        if differing:
-            raise ValueError(f"{path} was made with another configuration; it differs in: {'; '.join(differing)}")
-
-    def write(self, state: State) -> None:
-        fresh = self.file.with_suffix(".fresh.npz")
-        np.savez(fresh, *jax.tree.leaves(state))
-        os.replace(fresh, self.file)
-
-    def latest(self, state: State) -> State:
-        """The newest state, or the one given if there is none."""
-        if not self.file.exists():
-            return state
-        with np.load(self.file) as found:
-            leaves = [found[f"arr_{i}"] for i in range(len(found.files))]
-        return jax.tree.unflatten(jax.tree.structure(state), leaves)

@@ -7,17 +7,19 @@ variables of the same names, several channels as columns, and a struct `units` w
 
 from __future__ import annotations
 
-import csv
-import os
+import itertools
 import re
 import unicodedata
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from .files import atomically
+from .mat_files import ROOM, Other, read_mat
 from .playback import unit_of
+from .reading import read_columns
 from .signals import Task
 
 STEP_TOLERANCE = 0.01  # of the sample time, by which a single step may differ
@@ -79,11 +81,12 @@ def read_measured(path: str | Path, task: Task, others: Mapping[str, tuple[int, 
 
 
 def _read_text(path, shapes) -> _File:
-    with open(path, newline="", encoding="utf-8-sig") as file:
-        head = file.readline()
-        delimiter = next((d for d in ";\t," if d in head), ",")
-        header = [_HEADER.match(cell.strip()) for cell in next(csv.reader([head], delimiter=delimiter), [])]
-        rows = [(line, row) for line, row in enumerate(csv.reader(file, delimiter=delimiter), 2) if any(cell.strip() for cell in row)]
+    header, lines = read_columns(path)
+    header = [_HEADER.match(cell) for cell in header]
+    most = 2 * shapes["t"][0] + 1000
+    rows = list(itertools.islice(lines, most + 1))
+    if len(rows) > most:
+        raise ValueError(f"{path} has more than {most} rows of data; this task needs N + 1 = {shapes['t'][0]}")
     names, units = [m[1] if m else "" for m in header], [m[2] if m else None for m in header]
     columns, used = {}, set()
     for name, (_, channels) in shapes.items():
@@ -119,29 +122,28 @@ def _number(text: str) -> float:
 
 
 def _read_mat(path, shapes) -> _File:
-    from scipy.io import loadmat
-
-    try:
-        contents = loadmat(path, simplify_cells=True)
-    except NotImplementedError:
-        raise ValueError(f"{path} is a MATLAB file of version 7.3; allowed are those saved with -v7") from None
+    needed = 8 * sum(rows * channels for rows, channels in shapes.values())
+    contents = read_mat(path, ROOM + 32 * needed)  # it may hold much besides
     units = contents.get("units")
     if not isinstance(units, dict):
         raise ValueError(f"{path} has no struct 'units'; declare them there: units.y = 'mm'")
     columns = {}
-    for name, (_, channels) in shapes.items():
+    for name, (rows, channels) in shapes.items():
         if name not in contents:
             if name in ("t", "y"):
-                present = ", ".join(n for n in contents if not n.startswith("__"))
-                raise ValueError(f"{path} has no variable {name!r}; present are {present}")
+                raise ValueError(f"{path} has no variable {name!r}; present are {', '.join(contents)}")
             continue
-        values = np.asarray(contents[name])
-        if channels == 1 and (values.ndim == 1 or 1 in values.shape):
+        values, unit, allowed = contents[name], units.get(name), f"allowed are real numbers in {channels} columns"
+        if not isinstance(values, np.ndarray):
+            raise ValueError(f"{path}: {name} is {values.said if isinstance(values, Other) else 'no array'}; {allowed}")
+        if channels == 1 and values.ndim == 2 and 1 in values.shape:
             values = values.reshape(-1, 1)
-        if values.dtype.kind not in "fiu" or values.ndim != 2 or values.shape[1] != channels:
-            raise ValueError(f"{path}: {name} has shape {values.shape}; allowed are real numbers in {channels} columns")
-        columns[name] = values.astype(float), units.get(name)
-    ignored = tuple(n for n in contents if not n.startswith("__") and n not in (*shapes, "units"))
+        if values.ndim != 2 or values.shape[1] != channels or len(values) > 2 * rows + 1000:
+            raise ValueError(f"{path}: {name} has shape {values.shape}; {allowed}")
+        if not isinstance(unit, str | None):
+            raise ValueError(f"{path}: units.{name} is {unit.said if isinstance(unit, Other) else 'no text'}")
+        columns[name] = values.astype(float), unit
+    ignored = tuple(n for n in contents if n not in (*shapes, "units"))
     return _File(columns, [f"sample {k}" for k in range(len(columns["t"][0]))], ignored)
 
 
@@ -221,20 +223,6 @@ def check_format(path: str | Path, number: str = "double") -> None:
         raise ValueError(f"number = {number!r} is not one of 'double', 'float'")
     if not Path(path).absolute().parent.is_dir():
         raise ValueError(f"{path}: the folder does not exist")
-
-
-def atomically(path: str | Path, write: Callable) -> None:
-    """Write a file under another name, and rename it when it is on the disk: what has the name is always whole."""
-    path = Path(path)
-    unfinished = path.with_name(f".{path.name}.unfinished-{os.getpid()}")
-    try:
-        with open(unfinished, "wb") as file:
-            write(file)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(unfinished, path)
-    finally:
-        unfinished.unlink(missing_ok=True)
 
 
 def _as_text(tables, task: Task) -> str:

@@ -57,7 +57,7 @@ class ZeroPhaseButterworth(Filter):
     """
 
     cutoff: jax.Array = leaf(interval="(0, inf)")
-    order: int = static(2, "[1, inf)", whole=True)
+    order: int = static(2, "[1, 100]", whole=True)
     padding: int | None = static(None, "[0, inf)", whole=True, optional=True)
 
     def check(self, samples: int, dt: float) -> None:

@@ -17,13 +17,16 @@ from scipy.stats import qmc
 
 from .batch import tiled
 from .machine import Machine
+from .memory import check_size
 from .plants import Plant, ProcessModel
-from .pytree import Interval, get_at, interval_at, named_leaves, replaced
+from .pytree import get_at, interval_at, named_leaves, replaced
+from .ranges import SEEDS, Interval, require
 from .records import Record, as_columns, played, task_of
 from .signals import Task
 
 CONFIDENCE = 0.95
 SAMPLES_PER_PARAMETER = 5  # the intervals are asymptotic; with fewer samples they would mean nothing
+MOST = 50  # poles, pairs or zeros: what a record can tell apart is far less
 LAGS = 20  # of the residual's autocorrelation
 DRAWS = 4000  # of the parameters, for the intervals of the poles
 REFINED = 16  # of the starts, those that fit best
@@ -130,15 +133,17 @@ def identify(
     if not jax.config.jax_enable_x64:  # in float32 the simulation's rounding is larger than an encoder's noise
         raise ValueError("identify: precision = 'float32' is not one of 'float64'; call jaxilc.setup() first")
     record = _checked(record)
-    _require("fit_share", fit_share, 0 < fit_share <= 1, "(0, 1]")
+    require("identify", "fit_share", fit_share, "(0, 1]")
+    require("identify", "seed", seed, SEEDS, whole=True)
     given = plant is not None
     if not given:
         for name, value in (("poles", poles), ("pairs", pairs), ("zeros", zeros)):
-            _require(name, value, value == int(value) >= 0, "[0, inf)")
-        _require("starts", starts, starts == int(starts) >= 1, "[1, inf)")
+            require("identify", name, value, f"[0, {MOST}]", whole=True)
+        require("identify", "starts", starts, "[1, inf)", whole=True)
         _require("zeros", zeros, zeros < poles + 2 * pairs, f"[0, {poles + 2 * pairs}), the order")
         if free is not None:
             raise ValueError(f"identify: free = {list(free)} names leaves of a plant, but no plant is given")
+        _need_samples(round(fit_share * len(record.y)) * record.y.shape[1], 2 + zeros + poles + 2 * pairs)
         plant = ProcessModel(1.0, np.ones(zeros), np.ones(poles), np.ones(pairs), np.ones(pairs))
     problem = _problem(record, plant, _free(plant, free), fit_share)
     found = problem.solve(problem.start(plant)) if given else _from_many_starts(problem, starts, seed)
@@ -249,6 +254,8 @@ class _Problem(NamedTuple):
 
 def _from_many_starts(problem: _Problem, starts: int, seed: int) -> _Minimum:
     """The best fit from many drawn structures: all are scored, the best refined, the winner regrouped and polished."""
+    each = 8 * (100 + 8 * len(problem.names) ** 2)  # numbers drawn, and products of all pairs of what they simulate
+    check_size("identify", lambda starts: each * starts, starts=starts)
     drawn = _draw(cast(ProcessModel, problem.plant), problem.task, starts, seed)
     fitted = np.arange(problem.task.N + 1) < problem.samples
     products = np.asarray(_products()((problem.task, problem.record.u, problem.record.y, fitted), drawn))
@@ -402,18 +409,23 @@ def _checked(record: Record) -> Record:
     return Record(u, y, float(record.dt))
 
 
+def _need_samples(samples: int, parameters: int) -> None:
+    """Raises ValueError for more parameters than a record can tell."""
+    if samples < SAMPLES_PER_PARAMETER * parameters:
+        raise ValueError(
+            f"identify: the record is too short: {samples} samples to fit {parameters} parameters; "
+            f"allowed are at least {SAMPLES_PER_PARAMETER * parameters}, {SAMPLES_PER_PARAMETER} a parameter"
+        )
+
+
 def _problem(record: Record, plant: Plant, names: tuple[str, ...], fit_share: float) -> _Problem:
     (N, n_u), (_, n_y) = record.u.shape, record.y.shape
     if (n_u, n_y) != (plant.n_u, plant.n_y):
         raise ValueError(
             f"identify: the record has {n_u} inputs and {n_y} outputs but the plant {type(plant).__name__} has {plant.n_u} and {plant.n_y}"
         )
-    samples, parameters = round(fit_share * (N + 1)), len(names) + n_y
-    if samples * n_y < SAMPLES_PER_PARAMETER * parameters:
-        raise ValueError(
-            f"identify: the record is too short: {samples * n_y} samples to fit {parameters} parameters; "
-            f"allowed are at least {SAMPLES_PER_PARAMETER * parameters}, {SAMPLES_PER_PARAMETER} a parameter"
-        )
+    samples = round(fit_share * (N + 1))
+    _need_samples(samples * n_y, len(names) + n_y)
     y, u = record.y[:samples], record.u[: samples - 1]
     for i in range(n_y):
         if np.ptp(y[:, i]) == 0:

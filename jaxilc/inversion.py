@@ -18,7 +18,8 @@ import scipy.signal
 from .filters import Filter, run_sections
 from .plants import StateSpace
 from .plants.linear import system_matrices
-from .pytree import Interval, known, leaf, pytree, static
+from .pytree import known, leaf, pytree, static
+from .ranges import Interval, require
 
 CIRCLE = 1e-6  # zeros nearer to the unit circle count as on it: they would need more than a million samples of rest
 EPS = np.finfo(float).eps
@@ -80,10 +81,16 @@ class Inverse(Filter):
     """A prefilter designed for one sample time `dt` [s]; undoing a plant's phase, it is not zero-phase. Raises at another dt."""
 
     dt: float
+    advance: int
 
     def check(self, samples: int, dt: float) -> None:
         if known(dt) and abs(self.dt - dt) > 1e-9 * dt:
             raise ValueError(f"{type(self).__name__}: dt = {dt:g} s is not that of the design; allowed is dt = {self.dt:g}")
+        for name, columns in (("forward", (5,)), ("backward", (5,)), ("gain", ())):
+            shape = np.shape(getattr(self, name, np.zeros((0, 5))))
+            if len(shape) != 2 * len(columns) or shape[-1:] != columns:
+                raise ValueError(f"{type(self).__name__}: {name} has shape {shape}; allowed is {'(m, 5)' if columns else '()'}")
+        require(type(self).__name__, "advance", self.advance, f"[{-samples}, {samples}]", whole=True)
 
 
 @pytree
@@ -110,7 +117,7 @@ class StableInverse(Inverse):
     gain: jax.Array = leaf()
     advance: int = static(whole=True)
     dt: float = static(interval="(0, inf)")
-    extension: int = static(0, "[0, inf)", whole=True)
+    extension: int = static(0, "[0, 1e7]", whole=True)
 
     def __call__(self, signal, dt):
         self.check(signal.shape[0], dt)

@@ -1,28 +1,37 @@
 """The journal of a campaign: a folder of entries 000000, 000001, ..., each a manifest (JSON) and arrays (npz), only ever appended to.
 
 An entry is written under another name and renamed when it is on the disk: killed at any moment, the journal is whole. To undo is an
-entry too, which points back, so nothing that was measured is lost.
+entry too, which points back, so nothing that was measured is lost. Every file has a checksum, and the manifest is there twice: damage
+is found, and an entry that cannot be read is left behind by going back to a trial before it.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import datetime
-import json
-import os
 import re
-import shutil
-import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-FORMAT = 1
-MANIFEST = "manifest.json"
-UNFINISHED = ".unfinished"
+from .files import UNFINISHED, whole_folder
+from .ranges import is_number
+from .sealed import Damaged, archive, json_text, read_arrays, read_json, sealed, unsealed
+
+FORMAT, UNCHECKED = 2, 1  # the first format had no checksums, and no copy of the manifest
+MANIFEST, COPY = "manifest.json", "manifest.copy.json"
+DAMAGED = "damaged"  # the event of an entry that cannot be read
+BACK = "--undo goes back to an earlier trial"
 _ENTRY = re.compile(r"^\d{6}$")
+_FIGURES = ("rms", "max_error", "settled_error", "effort")  # of each channel
+_NEEDED = {"trial": int, "recipe": dict, "configuration": dict}
+_NEEDED_OF = {
+    "start": {},
+    "trial": {"parent": int, "hashes": dict, "figures": dict, "findings": list, "source": str, "learned": bool},
+    "undo": {"to": int},
+}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,7 +39,8 @@ class Journal:
     """The entries in a folder, which need not exist yet.
 
     A manifest holds `serial`, `time`, `event` (start, trial or undo), `trial` (the last one measured), and `parent`, the serial of the
-    entry it follows on; that of an undo holds `to`, the serial it goes back to.
+    entry it follows on; that of an undo holds `to`, the serial it goes back to. Where an entry cannot be read, the event is `damaged`,
+    and `wrong` says why.
     """
 
     path: Path
@@ -42,88 +52,144 @@ class Journal:
 
     def create(self) -> None:
         """Make the folder. Raises FileExistsError if there is one with something in it."""
-        if self.path.exists() and (not self.path.is_dir() or any(not f.name.startswith(UNFINISHED) for f in self.path.iterdir())):
+        if self.path.exists() and (not self.path.is_dir() or any(UNFINISHED not in f.name for f in self.path.iterdir())):
             raise FileExistsError(f"{self.path} exists already; choose another folder, or go on with the campaign there")
         self.path.mkdir(parents=True, exist_ok=True)
 
     def manifests(self) -> list[dict[str, Any]]:
-        """Of all entries, in order. Raises FileNotFoundError where there are none, ValueError where one is damaged or missing."""
+        """Of all entries, in order. Raises FileNotFoundError where there are none, ValueError where not one can be read."""
         if not self.exists:
             raise FileNotFoundError(f"{self.path} holds no campaign; start one without --measured")
-        manifests = []
-        for entry in self._entries():
-            try:
-                manifest = json.loads((entry / MANIFEST).read_text(encoding="utf-8"))
-            except (OSError, ValueError) as error:
-                raise ValueError(f"{entry / MANIFEST} cannot be read ({error})") from None
-            if (manifest["format"], manifest["serial"]) != (FORMAT, len(manifests)):
-                raise ValueError(
-                    f"{entry} is entry {manifest['serial']} of format {manifest['format']}; needed are {len(manifests)} and {FORMAT}"
-                )
-            manifests.append(manifest)
+        manifests = [self._manifest(serial) for serial in range(self._next())]
+        if all(m["event"] == DAMAGED for m in manifests):
+            raise ValueError(f"{manifests[0]['wrong']}, nor any other entry; start a campaign in another folder")
         return manifests
 
+    def last_known(self) -> dict[str, Any]:
+        """The last manifest that can be read. Raises as `manifests` does."""
+        return next(m for m in reversed(self.manifests()) if m["event"] != DAMAGED)
+
     def live(self) -> list[dict[str, Any]]:
-        """The manifests that led to where the campaign stands, from the start on, without what was undone."""
+        """The manifests that led to where the campaign stands, from the start on, without what was undone.
+
+        Raises ValueError where one of them is damaged.
+        """
         manifests = self.manifests()
-        last = manifests[-1]
-        chain = [manifests[last["to"]] if last["event"] == "undo" else last]
-        while chain[0]["parent"] is not None:
-            chain.insert(0, manifests[chain[0]["parent"]])
-        return chain
+        return _led_to(manifests, manifests[-1])
+
+    def behind(self) -> list[dict[str, Any]]:
+        """The manifests to go back to: those of `live` before the last one; where one of them is damaged, all that are whole."""
+        manifests = self.manifests()
+        try:
+            return _led_to(manifests, manifests[-1])[:-1]
+        except Damaged:
+            return [m for m in manifests if m["event"] in ("start", "trial") and _is_whole(manifests, m)]
 
     def arrays(self, manifest: Mapping[str, Any], name: str) -> dict[str, np.ndarray]:
         """What an entry's file holds. Raises ValueError for one that is damaged."""
         file = self.path / f"{manifest['serial']:06d}" / name
         try:
-            with open(file, "rb") as stored, np.load(stored, allow_pickle=False) as arrays:
-                return dict(arrays)
-        except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-            raise ValueError(f"{file} cannot be read ({error}); --undo goes back to an earlier trial") from None
+            return read_arrays(file, checked=manifest.get("format") != UNCHECKED)
+        except (OSError, Damaged) as error:
+            raise ValueError(f"{file} cannot be read ({_said(error)}); {BACK}") from None
 
     def append(self, manifest: Mapping[str, Any], arrays: Mapping[str, Mapping[str, Any]]) -> None:
         """One more entry. arrays: of each file. Raises ValueError where it cannot be written; the journal then is as it was."""
-        serial = len(self._entries())
+        serial = self._next()
         common = {"format": FORMAT, "serial": serial, "time": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")}
-        unfinished = self.path / f"{UNFINISHED}-{os.getpid()}-{serial}"
         try:
-            shutil.rmtree(unfinished, ignore_errors=True)
-            unfinished.mkdir()
-            for name, values in arrays.items():
-                with open(unfinished / name, "wb") as file:
-                    kept: dict[str, Any] = {key: np.asarray(value) for key, value in values.items()}
-                    np.savez(file, **kept)
-                    _to_disk(file)
-            with open(unfinished / MANIFEST, "w", encoding="utf-8") as file:
-                file.write(json.dumps(common | dict(manifest), indent=1) + "\n")
-                _to_disk(file)
-            os.rename(unfinished, self.path / f"{serial:06d}")  # fails where another process was quicker
+            with whole_folder(self.path / f"{serial:06d}") as unfinished:  # fails where another process was quicker
+                for name, values in arrays.items():
+                    (unfinished / name).write_bytes(archive(values))
+                for name in (MANIFEST, COPY):
+                    (unfinished / name).write_text(json_text(sealed(common | dict(manifest))), encoding="utf-8")
         except OSError as error:
             raise ValueError(f"{self.path}: entry {serial} could not be written ({error.strerror}); the campaign is as it was") from None
-        finally:
-            shutil.rmtree(unfinished, ignore_errors=True)
-        if hasattr(os, "O_DIRECTORY"):  # the renaming itself, on the disk
-            folder = os.open(self.path, os.O_DIRECTORY)
-            os.fsync(folder)
-            os.close(folder)
 
     def log(self) -> list[dict[str, Any]]:
         """A row for every entry, in order: what happened, the trial, its figures, and whether it still counts (`live`)."""
-        live = {m["serial"] for m in self.live()}
+        manifests = self.manifests()
+        live = {m["serial"] for m in _led_to(manifests, manifests[-1])} if _is_whole(manifests, manifests[-1]) else set()
         rows = []
-        for m in self.manifests():
-            figures = m.get("figures", {})
+        for m in manifests:
+            figures, findings = (m.get(name, {}) if m["event"] == "trial" else {} for name in ("figures", "findings"))
             row = {name: m.get(name, "") for name in ("serial", "time", "event", "trial", "learned", "source")}
             row |= {"live": m["serial"] in live, "rms_error": figures.get("error", "")}
-            for name in ("rms", "max_error", "settled_error", "effort"):
+            for name in _FIGURES:
                 row |= {f"{name}_{i}": value for i, value in enumerate(figures.get(name, ()))}
-            rows.append(row | {"warnings": "; ".join(text for kind, text in m.get("findings", ()) if kind == "warning")})
+            warnings = [text for kind, text in findings if kind == "warning"]
+            warnings += [m["wrong"]] if "wrong" in m else []
+            rows.append(row | {"warnings": "; ".join(warnings)})
         return rows
 
     def _entries(self) -> list[Path]:
         return sorted(f for f in self.path.iterdir() if _ENTRY.match(f.name))
 
+    def _next(self) -> int:
+        """The serial of the next entry."""
+        entries = self._entries()
+        return int(entries[-1].name) + 1 if entries else 0
 
-def _to_disk(file) -> None:
-    file.flush()
-    os.fsync(file.fileno())
+    def _manifest(self, serial: int) -> dict[str, Any]:
+        entry, wrong = self.path / f"{serial:06d}", []
+        for name in (MANIFEST, COPY):
+            try:
+                return _checked(read_json(entry / name), serial)
+            except (OSError, Damaged) as error:
+                wrong.append(f"{entry / name} cannot be read ({_said(error)})")
+        return {"serial": serial, "event": DAMAGED, "trial": 0, "wrong": wrong[0]}
+
+
+def _checked(content: Any, serial: int) -> dict[str, Any]:
+    """The manifest of an entry. Raises Damaged naming what is wrong with it."""
+    unchecked = isinstance(content, dict) and content.get("format") == UNCHECKED
+    manifest = content if unchecked else unsealed(content)
+    if (manifest.get("format"), manifest.get("serial")) not in ((FORMAT, serial), (UNCHECKED, serial)):
+        found = f"entry {manifest.get('serial')} of format {manifest.get('format')}"
+        raise Damaged(f"it is {found}; needed are {serial} and {FORMAT}")
+    kinds = _NEEDED_OF.get(str(manifest.get("event")))
+    if kinds is None:
+        raise Damaged(f"its event {manifest.get('event')!r} is none of {', '.join(_NEEDED_OF)}")
+    for name, kind in {**_NEEDED, **kinds}.items():
+        if not isinstance(manifest.get(name), kind):
+            raise Damaged(f"its {name!r} is missing, or not of the kind {kind.__name__}")
+    if "figures" in kinds and not isinstance(manifest["figures"].get("error"), float):
+        raise Damaged("its 'figures' hold no error")
+    if "figures" in kinds and not all(_are_numbers(manifest["figures"].get(name, [])) for name in _FIGURES):
+        raise Damaged("its 'figures' are not numbers of each channel")
+    if "findings" in kinds and not all(map(_is_finding, manifest["findings"])):
+        raise Damaged("its 'findings' are not pairs of a kind and a text")
+    for name in ("parent", "to"):
+        if name in kinds and not 0 <= manifest[name] < serial:
+            raise Damaged(f"its {name!r} is {manifest[name]}; allowed are entries before it")
+    return manifest
+
+
+def _are_numbers(value: Any) -> bool:
+    return isinstance(value, list) and all(map(is_number, value))
+
+
+def _is_finding(value: Any) -> bool:
+    return isinstance(value, list) and len(value) == 2 and all(isinstance(x, str) for x in value)
+
+
+def _led_to(manifests: Sequence[dict[str, Any]], last: dict[str, Any]) -> list[dict[str, Any]]:
+    """The manifests from the start to where `last` stands. Raises Damaged where one of them is."""
+    chain = [manifests[last["to"]] if last["event"] == "undo" else last]
+    while chain[0]["event"] == "trial":
+        chain.insert(0, manifests[chain[0]["parent"]])
+    if chain[0]["serial"] != 0:  # entry 0 is the start, and can be told from its place
+        wrong = chain[0].get("wrong", f"entry {chain[0]['serial']} is no trial to go on from")
+        raise Damaged(f"{wrong}; {BACK}")
+    return chain
+
+
+def _is_whole(manifests: Sequence[dict[str, Any]], last: dict[str, Any]) -> bool:
+    try:
+        return bool(_led_to(manifests, last))
+    except Damaged:
+        return False
+
+
+def _said(error: Exception) -> str:
+    return getattr(error, "strerror", None) or str(error)

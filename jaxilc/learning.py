@@ -3,34 +3,45 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Callable, Hashable
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import jax
+import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from .divergence import course
 from .layout import carried
 from .machine import Machine
+from .memory import check_size
 from .metrics import Metrics
+from .plants import Plant
+from .ranges import brief, require
 from .schemes import Scheme
 from .signals import Task, Trial
 from .trial import run_and_measure
+
+LITTLE = 2**24  # bytes, below which no size is looked at
+OF_A_TRIAL = 32  # signals of its length that a trial takes while it runs, its schedule and its copies among them
+PROGRAMS = 8  # of different `save` that stay compiled
 
 
 class History(NamedTuple):
     """What learning left behind, J trials.
 
     metrics: each field with a leading axis of J;  saved: what `save` returned, likewise
-    diverged_at: () number of the first trial that was not finite, 0 if none
+    diverged, diverged_at, grown_from: (J,), (), () how learning went, see `divergence.Course`
     final: the last Trial;  memory: the state of knowledge to go on from
     """
 
     metrics: Metrics
     saved: Any
+    diverged: jax.Array
     diverged_at: jax.Array
+    grown_from: jax.Array
     final: Trial
     memory: Any
 
@@ -80,21 +91,62 @@ def learn(
     its root (20 for J = 100; a prime J takes J).
     Raises ValueError, before anything is compiled, where machine, scheme and task do not fit.
     """
-    if int(trials) != trials or trials < 1:
-        raise ValueError(f"learn: trials = {trials!r} is outside its allowed range [1, inf)")
+    require("learn", "trials", trials, "[1, inf)", whole=True)
+    if not isinstance(first, jax.core.Tracer):
+        require("learn", "first", first, "[1, inf)", whole=True)
+    if save is not None and not (callable(save) and isinstance(save, Hashable)):
+        raise ValueError(f"learn: save = {save!r} is not a function of a trial; allowed are functions, and objects that can be hashed")
     check(machine, scheme, task)
+    figures = bytes_of_figures(task)
+    if trials * figures > LITTLE:
+        check_size("learn", lambda trials: 2 * figures * trials, trials=trials)
     key = jax.random.key(0) if key is None else key
-    return _learn(machine, scheme, task, int(trials), key, memory, jnp.asarray(first, int), save or _nothing)
+    return _program(save or _nothing)(machine, scheme, task, int(trials), key, memory, jnp.asarray(first, int))
 
 
 def check(machine: Machine, scheme: Scheme, task: Task) -> None:
-    """Raises ValueError, naming the parameter, where machine, scheme and task do not fit."""
+    """Raises ValueError, naming the parameter, where machine, scheme and task do not fit, and for a task that memory cannot hold."""
+    for name, given, wanted in (("machine", machine, Machine), ("scheme", scheme, Scheme), ("task", task, Task)):
+        if not isinstance(given, wanted):
+            raise ValueError(f"{name} = {brief(given)} is a {type(given).__name__}; allowed is a {wanted.__name__}")
+    check_length(task, scheme)
     machine.check(task)
     scheme.check(task)
-    jax.eval_shape(lambda m: m.plant.sampled(task.dt), machine)
+    before, after, y = _one_step.eval_shape(machine.plant, task.dt)
+    name, shapes = type(machine.plant).__name__, [jax.tree.map(lambda x: x.shape, state) for state in (before, after)]
+    if shapes[0] != shapes[1]:
+        raise ValueError(f"{name}: a step makes a state of {brief(shapes[1])} of one of {brief(shapes[0])}; allowed is the same again")
+    if y.shape != (machine.plant.n_y,):
+        raise ValueError(f"{name}: the output has shape {y.shape}; allowed is (n_y,) = ({machine.plant.n_y},)")
 
 
-@partial(jax.jit, static_argnames=("trials", "save"))
+@partial(jax.jit, static_argnames="dt")
+def _one_step(plant: Plant, dt: float) -> Any:
+    """State at rest and after a step, and the output."""
+    plant = plant.sampled(dt)
+    x = plant.init()
+    return x, plant.step(x, jnp.zeros(plant.n_u), dt), plant.output(x)
+
+
+@lru_cache(maxsize=PROGRAMS)
+def _program(save: Callable[[Trial], Any]) -> Any:
+    """`_learn` to be compiled with this `save`. Each new lambda is another one, so those that were used longest ago are let go."""
+    return jax.jit(partial(_learn, save=save), static_argnames="trials")
+
+
+def bytes_of_figures(task: Task) -> int:
+    """Of the metrics of one trial of one machine."""
+    return 8 * (3 * task.outputs + task.inputs + 1)
+
+
+def check_length(task: Task, scheme: Scheme) -> None:
+    """Raises ValueError where a single trial of the task does not fit into memory, or what the scheme sees ahead of each sample."""
+    signals, seen = 8 * OF_A_TRIAL * max(task.outputs, task.inputs), 8 * 2 * task.outputs * (task.N + 1)
+    if task.N * signals + seen * scheme.preview > LITTLE:
+        check_size("one trial", lambda samples: signals * samples, samples=task.N)
+        check_size("one trial", lambda preview: seen * preview, preview=scheme.preview)
+
+
 def _learn(machine, scheme, task, trials, key, memory, first, save) -> History:
     machine, scheme = machine.sampled(task.dt), scheme.prepared(task)
     memory = scheme.memory(task) if memory is None else memory
@@ -117,12 +169,20 @@ def _learn(machine, scheme, task, trials, key, memory, first, save) -> History:
         jax.checkpoint(block) if blocks > 1 else block, (memory, blank), (first + jnp.arange(trials)).reshape(blocks, -1)
     )
     metrics, saved = jax.tree.map(lambda rows: rows.reshape(trials, *rows.shape[2:]), kept)
-    diverged_at = jnp.where(jnp.all(metrics.finite), 0, jnp.argmin(metrics.finite) + first)
-    return History(metrics, saved, diverged_at, final, memory)
+    return History(metrics, saved, *course(metrics, task, first), final, memory)
 
 
 def _nothing(trial: Trial) -> None:
     return None
+
+
+def truncated(machine: Machine, scheme: Scheme, task: Task, trials: int, last: int, **options) -> History:
+    """Learning, of which the gradient sees the last trials alone (truncated back-propagation: Williams and Peng 1990)."""
+    first = trials - last + 1
+    before = learn(*lax.stop_gradient((machine, scheme)), task, first - 1, **options)
+    after = learn(machine, scheme, task, last, memory=before.memory, first=first, **options)
+    metrics, saved = jax.tree.map(lambda *both: jnp.concatenate(both), (before.metrics, before.saved), (after.metrics, after.saved))
+    return after._replace(metrics=metrics, saved=saved, **course(metrics, task)._asdict())
 
 
 def measured_trial(task: Task, y, u, **signals) -> Trial:

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from .plants import Plant
-from .pytree import leaf, need_channels, part, pytree
+from .pytree import leaf, need_channels, need_scalars, part, pytree
 from .signals import Limit, Task, Trial, quantise
 
 
@@ -142,6 +142,7 @@ class Machine:
         for what, here, there in (("inputs", self.plant.n_u, task.inputs), ("outputs", self.plant.n_y, task.outputs)):
             if here != there:
                 raise ValueError(f"the task has {there} {what} but the plant {type(self.plant).__name__} has {here}")
+        need_scalars(self.plant)
         self.plant.check(task)
         for part_, names, channels in (
             (self.actuator, ("limit", "rate", "resolution"), task.inputs),

@@ -1,40 +1,99 @@
-"""How much memory a compiled program takes, and how much there is."""
+"""How much memory a thing takes, how much there is, and the refusal of what would not fit."""
 
 from __future__ import annotations
 
+import math
 import os
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import jax
 
+try:
+    import resource
+except ImportError:  # Windows limits processes in other ways
+    resource = None
 
-def program_bytes(run, *arguments) -> int:
-    """Bytes that a jitted function takes on all devices for its arguments, results and what lies between; it is compiled, not run.
+GROUPS = Path("/sys/fs/cgroup")
+OF_PROCESS = Path("/proc/self")
+OF_GROUP_1 = ("memory.limit_in_bytes", "memory.usage_in_bytes")
+OF_GROUP_2 = ("memory.max", "memory.current")
+SPARE = 256 * 2**20  # bytes of address space that compilers, threads and libraries may still take
 
-    Calling it later with arguments of these shapes does not compile it again.
+
+def check_size(what: str, need: Callable[..., float], **counts: float) -> None:
+    """Raises ValueError where the bytes that so much of something needs are not there.
+
+    need: bytes, a function of the counts by their names, linear in each of them
+    The message says of each count how much of it would fit, as long as the others stay.
+    """
+    room = host_bytes()
+    if room is None or need(**counts) <= room:
+        return
+    given = " and ".join(f"{name} = {count:.15g}" for name, count in counts.items())
+    fits = {name: _fitting(need, counts, name, room) for name in counts}
+    some = [f"{name} = {fit:.15g}" for name, fit in fits.items() if fit >= 1]
+    taken = f"{given} take {shown(need(**counts))} of memory, where {shown(room)} are available"
+    instead = f"{' or '.join(some)} would fit" if some else "not even 1 would fit"
+    raise ValueError(f"{what}: {taken}; {instead}")
+
+
+def check_program(what: str, instead: str, run, *arguments, devices: int | None = None) -> None:
+    """Raises ValueError where a jitted function does not fit; it is compiled, not run.
+
+    instead: what would;  devices: that it runs on, None for all
+    """
+    host, on_devices = host_bytes(), device_bytes()
+    room = host if on_devices is None else on_devices
+    need = 0 if room is None else program_bytes(run, *arguments, devices=devices)
+    if room is not None and need > room:
+        available = f"where {shown(room)} are available"
+        raise ValueError(f"{what} takes {shown(need)} of memory, {available}; {instead}")
+
+
+def program_bytes(run, *arguments, devices: int | None = None) -> int:
+    """Bytes that a jitted function takes on its devices for its arguments, its results and what lies
+    between; it is compiled, not run.
+
+    devices: None for all. Calling it later with arguments of these shapes compiles nothing again.
     """
     found = run.lower(*arguments).compile().memory_analysis()  # of one device
-    return jax.device_count() * (found.argument_size_in_bytes + found.output_size_in_bytes + found.temp_size_in_bytes)
+    devices = jax.device_count() if devices is None else devices
+    signals = found.argument_size_in_bytes + found.output_size_in_bytes
+    return devices * (signals + found.temp_size_in_bytes)
 
 
 def host_bytes() -> int | None:
-    """Bytes of memory that are free or can be made free, under the limit of the control group (SLURM, containers); None if unknown."""
-    found = [_system()]
-    try:
-        group = Path("/sys/fs/cgroup")
-        found.append(int((group / "memory.max").read_text()) - int((group / "memory.current").read_text()))
-    except (OSError, ValueError):  # no control group, or one without a limit
-        pass
-    known = [size for size in found if size is not None]
-    return min(known) if known else None
+    """Bytes of memory that are free or can be made free, None if unknown.
+
+    Under the limits of the process (ulimit -v) and of its control groups (SLURM, containers).
+    """
+    known = [size for size in (_system(), *_of_process(), *_of_groups()) if size is not None]
+    return max(0, min(known)) if known else None
 
 
 def device_bytes() -> int | None:
-    """Bytes free on all devices together where they have memory of their own; None on a CPU, and if unknown."""
+    """Bytes free on all devices together where they have memory of their own; None on a CPU, and
+    if unknown."""
     stats = [device.memory_stats() for device in jax.devices() if device.platform != "cpu"]
     if not stats or not all(stats):
         return None
     return sum(s["bytes_limit"] - s["bytes_in_use"] for s in stats)
+
+
+def shown(size: float) -> str:
+    """A size as text, in the unit that fits."""
+    for unit in ("B", "kB", "MB"):
+        if size < 1000:
+            return f"{size:.3g} {unit}"
+        size /= 1000
+    return f"{size:.3g} GB"
+
+
+def _fitting(need: Callable[..., float], counts: Mapping[str, float], name: str, room: int) -> int:
+    """How much of one count fits."""
+    none, one = (need(**{**counts, name: count}) for count in (0, 1))
+    return math.floor((room - none) / (one - none)) if none < room and one > none else 0
 
 
 def _system() -> int | None:
@@ -50,10 +109,51 @@ def _system() -> int | None:
         return None
 
 
-def shown(size: float) -> str:
-    """A size as text, in the unit that fits."""
-    for unit in ("B", "kB", "MB"):
-        if size < 1000:
-            return f"{size:.3g} {unit}"
-        size /= 1000
-    return f"{size:.3g} GB"
+def _of_process() -> Iterator[int]:
+    """What the limits of this process leave: of its address space, and of its data."""
+    if resource is None:
+        return
+    for limit, field in ((resource.RLIMIT_AS, "VmSize"), (resource.RLIMIT_DATA, "VmData")):
+        allowed = resource.getrlimit(limit)[0]
+        if allowed != resource.RLIM_INFINITY:
+            left = max(0, allowed - _status(field))
+            yield left - min(SPARE, left // 4)
+
+
+def _status(field: str) -> int:
+    """Bytes, of a line of /proc/self/status; 0 where there is none."""
+    try:
+        lines = (OF_PROCESS / "status").read_text().splitlines()
+        return next(1024 * int(line.split()[1]) for line in lines if line.startswith(f"{field}:"))
+    except (OSError, StopIteration, ValueError):
+        return 0
+
+
+def _of_groups() -> Iterator[int]:
+    """What each control group leaves that this process is in, and each above it."""
+    try:
+        lines = (OF_PROCESS / "cgroup").read_text().splitlines()
+    except OSError:
+        return
+    for line in lines:
+        _, controllers, path = line.split(":", 2)
+        if controllers and "memory" not in controllers.split(","):
+            continue
+        root = GROUPS / controllers if controllers else GROUPS  # of version 1, or of version 2
+        limit, used = OF_GROUP_1 if controllers else OF_GROUP_2
+        group = root / path.lstrip("/")
+        for folder in (group, *(above for above in group.parents if above.is_relative_to(root))):
+            try:
+                left = int((folder / limit).read_text()) - int((folder / used).read_text())
+                yield left + _reclaimable(folder)
+            except (OSError, ValueError):  # no such group here, or one without a limit
+                continue
+
+
+def _reclaimable(group: Path) -> int:
+    """Bytes of files that nobody has read for a while, which a group gives back when it is short."""
+    try:
+        rows = dict(line.split() for line in (group / "memory.stat").read_text().splitlines())
+        return int(rows.get("total_inactive_file", rows.get("inactive_file", 0)))
+    except (OSError, ValueError):
+        return 0

@@ -112,7 +112,7 @@ class Keep:
     def of(cls, quantities: Mapping[str, Callable[[Trial], jax.Array]], *signals: str) -> Keep:
         """Raises ValueError for a quantity named as one of the metrics or a signal."""
         for name in quantities:
-            if name in (*Metrics._fields, "diverged_at", "best_trial", *Trial._fields, "e"):
+            if name in (*Metrics._fields, "diverged", "diverged_at", "grown_from", "best_trial", *Trial._fields, "e"):
                 raise ValueError(f"quantity = {name!r} is a figure that every trial has; choose another name")
         return cls(signals, tuple(quantities.items()))
 
@@ -138,7 +138,8 @@ def best_trial(rms) -> np.ndarray:
     rms: (J, n_y), the largest output counts; a trial that is not finite is never the best
     """
     errors = np.max(np.nan_to_num(np.asarray(rms, float), nan=np.inf), axis=1)
-    return 1 + np.array([np.argmin(errors[: j + 1]) for j in range(len(errors))])
+    better = errors < np.concatenate([[np.inf], np.minimum.accumulate(errors)[:-1]])
+    return 1 + np.maximum.accumulate(np.where(better, np.arange(len(errors)), 0))
 
 
 class Repeatability(NamedTuple):

@@ -17,15 +17,16 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
+from .divergence import CEILING, peak
 from .learning import History, learn
 from .machine import Machine
 from .metrics import Keep, Metrics, largest
 from .pytree import leaf, part, pytree
+from .ranges import require
 from .schemes import Scheme
 from .schemes.guards import Guard
 from .signals import Sample, Task, Trial
 
-CEILING = 1e3
 FLOOR = 1e-6
 
 
@@ -78,13 +79,6 @@ class Bounded(Guard):
         return Held(jax.tree.map(lambda old, new: jnp.where(passed, old, new), memory.scheme, learned))
 
 
-def peak(task: Task) -> jax.Array:
-    """(n_y,) largest |r| of each output; that of all outputs for one that shall stay at zero, and 1 if they all shall."""
-    size = largest(jnp.abs(jnp.asarray(task.reference)), axis=0)
-    overall = largest(size)
-    return jnp.where(size > 0, size, jnp.where(overall > 0, overall, 1.0))
-
-
 def judge(
     machine: Machine,
     scheme: Scheme,
@@ -101,6 +95,10 @@ def judge(
     return objective(Run(machine, scheme, task, history, ceiling))
 
 
+_POSITIVE, _COUNT = ("(0, inf)", False), ("[1, inf)", True)
+_RANGES = dict.fromkeys(("floor", "tolerance", "width", "scale", "below"), _POSITIVE)
+_RANGES |= dict.fromkeys(("trial", "first", "after", "trials", "steps"), _COUNT)
+
 # Objectives ----------------------------------------------------------------------------------------------------------------
 
 
@@ -109,6 +107,13 @@ class Objective:
     """A function of a `Run` to a number. `nominal`: it is asked of the nominal plant only, and no risk is taken of it."""
 
     nominal: ClassVar[bool] = False
+
+    def __post_init__(self):
+        """Raises ValueError, naming the field, for a number that no objective could have."""
+        for field in dataclasses.fields(self):
+            value, (allowed, whole) = getattr(self, field.name), _RANGES.get(field.name, ("", False))
+            if allowed and not (value is None and field.default is None):
+                require(type(self).__name__, field.name, value, allowed, whole=whole)
 
     def __call__(self, run: Run) -> jax.Array:
         raise NotImplementedError

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,9 +12,11 @@ from typing import Any
 import numpy as np
 
 from .pytree import settable
+from .ranges import brief
 from .results import environment
 from .scenarios import Scenario
 from .schemes import Scheme
+from .sealed import read_json, write_json
 
 
 def differing(scheme: Scheme, printed: Scheme) -> dict[str, Any]:
@@ -34,7 +35,7 @@ def write_parameters(path: Path, scenario: str, schemes: Mapping[str, Mapping[st
     schemes: values by the scheme's name and the path within it;  obtained: how, as JSON
     """
     content = {"scenario": scenario, "schemes": schemes, "versions": environment()["versions"], "obtained": obtained}
-    path.write_text(json.dumps(content, indent=1) + "\n")
+    write_json(path, content)
     return path
 
 
@@ -44,13 +45,14 @@ def with_parameters(scenario: Scenario, path: Path) -> Scenario:
     Raises ValueError for a file that is none, is of another scenario, or names what cannot be set; FileNotFoundError for none at all.
     """
     try:
-        content = json.loads(path.read_text())
+        content = read_json(path)
         name, schemes = content["scenario"], content["schemes"]
         values = {f"{scheme}.{leaf}": value for scheme, of in schemes.items() for leaf, value in of.items()}
-    except (ValueError, KeyError, TypeError, AttributeError):
-        raise ValueError(f"{path} is not a parameter file: it needs `scenario` and `schemes`, as `jaxilc tune` writes them") from None
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        why = f" ({str(error).removeprefix(f'{path}: ')})" if isinstance(error, ValueError) else ""
+        raise ValueError(f"{path} is not a parameter file: it needs `scenario` and `schemes`, as `jaxilc tune` writes them{why}") from None
     if name != scenario.name:
-        raise ValueError(f"{path} has parameters of {name!r}, not of {scenario.name!r}")
+        raise ValueError(f"{path} has parameters of {brief(name)}, not of {scenario.name!r}")
     for scheme in schemes:
         if scheme not in scenario.schemes:
             raise ValueError(f"{path}: scheme = {scheme!r} is not one of {', '.join(scenario.schemes)}")

@@ -13,7 +13,8 @@ from scipy.interpolate import make_interp_spline
 from scipy.linalg import solveh_banded
 
 from .contour import butterfly, circle, line, nurbs, tabulated
-from .references import POSITIVE, require
+from .ranges import require
+from .references import POSITIVE
 
 __all__ = ["Plan", "butterfly", "circle", "line", "nurbs", "plan"]
 
@@ -81,7 +82,7 @@ def plan(curve, interval, *, feed, acceleration, jerk, dt, points=20001) -> Plan
     for name, value, unit in (("acceleration", acceleration, " mm/s^2"), ("jerk", jerk, " mm/s^3")):
         if np.shape(value) not in ((), (d,)):
             raise ValueError(f"plan: {name} has shape {np.shape(value)}; allowed are () and ({d},)")
-        require("plan", name, value, POSITIVE, unit)
+        require("plan", name, value, POSITIVE, unit, many=True)
     groups = _groups(d, acceleration, jerk)
     ramp, T, arc_at = _look_ahead(arc, q, feed, np.min(acceleration), np.min(jerk))
     if not T / dt <= LONGEST:
@@ -152,9 +153,11 @@ def _look_ahead(arc, q, feed, acceleration, jerk):
     square = np.minimum.accumulate(square - rise) + rise
     square = np.minimum.accumulate((square + rise)[::-1])[::-1] - rise
     v = np.sqrt(np.maximum(square, 0.0))
-    t = np.append(0.0, np.cumsum(2 * np.diff(arc) / (v[1:] + v[:-1])))
-    ramp = acceleration / jerk
-    T = t[-1] + ramp
+    with np.errstate(divide="ignore"):  # a feed so slow that rounding leaves none
+        t = np.append(0.0, np.cumsum(2 * np.diff(arc) / (v[1:] + v[:-1])))
+    ramp, T = acceleration / jerk, t[-1] + acceleration / jerk
+    if not np.isfinite(T):
+        return ramp, T, np.zeros_like
     integral = make_interp_spline(t, v, 1).antiderivative(2)  # exact at constant acceleration: the start from rest is a clean one
 
     def integral_at(x):

@@ -39,27 +39,29 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import json
-import tomllib
-from collections.abc import Mapping
+import re
+import warnings
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.signal import BadCoefficients
 
 from . import identification, learning, plants, references, scenarios
 from .machine import Actuator, Disturbance, Machine, Sensor
 from .plants import Plant, from_control
+from .ranges import brief, require
+from .reading import PARSERS, read_tree
 from .records import read_record
 from .scenarios import Scenario
 from .signals import Task
-from .specification import Table, built, called, classes, flag, list_of, number, numbers, one_of, scheme, text, whole
+from .specification import Table, built, called, classes, flag, list_of, list_of_numbers, number, numbers, one_of, scheme, text, whole
 from .uncertainty import LogUniform, Normal, Uniform
 from .uncertainty import check as check_uncertainty
 
 REFERENCES = ("sinusoid", "multisine", "chirp", "s_curve", "noncircular")
 DISTRIBUTIONS = {"uniform": Uniform, "normal": Normal, "log_uniform": LogUniform}
-READERS = {".toml": tomllib.loads, ".json": json.loads}
 
 
 def load_scenario(name: str | Path, settings: Mapping[str, object] | None = None) -> Scenario:
@@ -72,45 +74,42 @@ def load_scenario(name: str | Path, settings: Mapping[str, object] | None = None
     if str(name) in scenarios.SCENARIOS:
         known = scenarios.options(str(name))
         chosen = scenarios.load(str(name), **{path: settings.pop(path) for path in list(settings) if path in known})
-    elif Path(name).suffix in READERS:
+    elif Path(name).suffix in PARSERS:
         chosen = read_scenario(name)
     else:
         allowed = ", ".join(scenarios.SCENARIOS)
-        raise ValueError(f"scenario = {str(name)!r} is not one of {allowed}, nor a file {' or '.join(READERS)}")
+        raise ValueError(f"scenario = {brief(str(name))} is not one of {allowed}, nor a file {' or '.join(PARSERS)}")
     return chosen.with_values(settings)
 
 
 def read_scenario(path: str | Path) -> Scenario:
-    """The scenario that a file describes, see the module. Raises FileNotFoundError, and ValueError naming the key that is wrong."""
+    """The scenario that a file describes, see the module. Raises FileNotFoundError, and ValueError naming the key that is wrong.
+
+    Its name, if it gives none, is that of the file, with dashes for what a name cannot have.
+    """
     path = Path(path)
-    try:
-        values = READERS[path.suffix](path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, json.JSONDecodeError) as error:
-        raise ValueError(f"{path}: {error}") from None
-    file = Table(values, f"{path}:")
+    file = Table(read_tree(path), f"{path}:")
+    stem = re.sub(r"[^\w .+()-]", "-", path.stem).lstrip(" _-.+()")[:50].strip() or "plant"
     notes: list[str] = []
     plant = file.take("plant", lambda v, at: _plant(v, at, path.parent, notes))
     task = file.take("task", lambda v, at: _task(v, at, path.parent, plant))
     machine = file.take("machine", lambda v, at: _machine(v, at, plant), Machine(plant))
     found = file.take("schemes", lambda v, at: {n: scheme(s, f"{at}.{n}", plant, task.dt) for n, s in Table(v, at).values.items()}, {})
     uncertainty = file.take("uncertainty", lambda v, at: dict(_uncertainty(v, at)), {})
-    made = Scenario(
-        name=file.take("name", text, path.stem),
-        title=file.take("title", text, f"{path.stem}: {type(plant).__name__}"),
-        machine=machine,
-        task=task,
-        schemes=found,
-        trials=file.take("trials", whole, 20),
-        uncertainty=uncertainty,
-        chosen=tuple(notes),
-        tolerance=file.take("tolerance", number, 1.0),
-        shown_unit=file.take("shown_unit", text, task.unit),
-        shown_scale=file.take("shown_scale", number, 1.0),
-        show_trials=tuple(file.take("show_trials", list_of(whole), [])),
-    )
+    given: dict[str, Any] = {
+        "name": file.take("name", text, stem),
+        "title": file.take("title", text, f"{stem}: {type(plant).__name__}"),
+        "trials": file.take("trials", whole, 20),
+        "tolerance": file.take("tolerance", number, 1.0),
+        "shown_unit": file.take("shown_unit", text, task.unit),
+        "shown_scale": file.take("shown_scale", number, 1.0),
+        "show_trials": tuple(file.take("show_trials", list_of(whole), [])),
+    }
     file.done()
-    if made.trials < 1:
-        raise ValueError(f"{path}: trials = {made.trials} is outside its allowed range [1, inf)")
+    for name, allowed in (("trials", "[1, inf)"), ("tolerance", "(0, inf)"), ("shown_scale", "(0, inf)"), ("show_trials", "[1, inf)")):
+        _check(path, "", lambda name=name, allowed=allowed: require("", name, given[name], allowed, many=name == "show_trials"))
+    parts: dict[str, Any] = {"machine": machine, "task": task, "schemes": found, "uncertainty": uncertainty}
+    made = _check(path, "", lambda: Scenario(**given, **parts, chosen=tuple(notes)))
     _check(path, "machine", lambda: machine.check(task))
     _check(path, "uncertainty", lambda: check_uncertainty(machine, uncertainty))
     for name, one in found.items():
@@ -118,11 +117,11 @@ def read_scenario(path: str | Path) -> Scenario:
     return made
 
 
-def _check(path: Path, where: str, check) -> None:
+def _check(path: Path, where: str, check: Callable[[], Any]) -> Any:
     try:
-        check()
+        return check()
     except ValueError as error:
-        raise ValueError(f"{path}: {where}: {error}") from None
+        raise ValueError(": ".join(part for part in (str(path), where, str(error).removeprefix(": ")) if part)) from None
 
 
 # Plants -------------------------------------------------------------------------------------------------------------------
@@ -138,8 +137,10 @@ def _plant(values: Any, where: str, folder: Path, notes: list[str]) -> Plant:
     if kind in kinds:
         allow_unstable = table.take("allow_unstable", flag, False)
         try:
-            return from_control(kinds[kind](table), allow_unstable=allow_unstable)
-        except ValueError as error:
+            with warnings.catch_warnings():
+                warnings.simplefilter("error", BadCoefficients)
+                return from_control(kinds[kind](table), allow_unstable=allow_unstable)
+        except (ValueError, BadCoefficients) as error:
             said = str(error).removeprefix("from_control: ")
             raise ValueError(said if where in said else f"{where}: {said}") from None
     return built({key: value for key, value in table.values.items() if key != "kind"}, where, cls=getattr(plants, kind))
@@ -151,11 +152,19 @@ def _transfer_function(table: Table):
 
     def polynomial(value, where):
         several = isinstance(value, list) and value and isinstance(value[0], list)
-        return list_of(list_of(numbers))(value, where) if several else numbers(value, where)
+        if several:
+            return list_of(list_of(list_of_numbers))(value, where)
+        coefficients = np.atleast_1d(numbers(value, where))
+        if coefficients.ndim != 1 or not coefficients.size:
+            raise ValueError(f"{where} = {brief(value)} is not a list of coefficients")
+        return coefficients
 
-    num, den, dt = table.take("num", polynomial), table.take("den", polynomial), table.take("dt", number, 0.0)
+    num, den, dt = table.take("num", polynomial), table.take("den", polynomial), table.take("dt", _sample_time, 0.0)
     table.done()
-    return control.tf(num, den, dt)
+    try:
+        return control.tf(num, den, dt)
+    except (TypeError, IndexError) as error:
+        raise ValueError(f"{table.where}: num and den do not fit: {error}") from None
 
 
 def _zeros_poles_gain(table: Table):
@@ -165,7 +174,7 @@ def _zeros_poles_gain(table: Table):
     from scipy.signal import zpk2sos
 
     zeros, poles = (table.take(key, list_of(_root), []) for key in ("zeros", "poles"))
-    gain, dt = table.take("gain", number), table.take("dt", number, 0.0)
+    gain, dt = table.take("gain", number), table.take("dt", _sample_time, 0.0)
     table.done()
     if len(zeros) >= len(poles):
         raise ValueError(f"{table.where}: {len(zeros)} zeros over {len(poles)} poles; allowed are fewer zeros than poles")
@@ -175,6 +184,13 @@ def _zeros_poles_gain(table: Table):
         raise ValueError(f"{table.where}: {error}") from None
     chain = [control.ss(control.tf(np.trim_zeros(row[:3], "f"), np.trim_zeros(row[3:], "f"), dt)) for row in sections]
     return functools.reduce(lambda system, section: section * system, chain)
+
+
+def _sample_time(value: Any, where: str) -> float:
+    dt = number(value, where)
+    if dt < 0:
+        raise ValueError(f"{where} = {dt:g} is outside its allowed range [0, inf), 0 for continuous time")
+    return dt
 
 
 def _root(value: Any, where: str) -> complex:
@@ -188,12 +204,15 @@ def _state_space(table: Table):
     import control
 
     A, B, C = (np.atleast_2d(table.take(key, numbers)) for key in ("A", "B", "C"))
-    D, dt = table.take("D", numbers, np.zeros((len(C), B.shape[1]))), table.take("dt", number, 0.0)
+    n, dt = len(A), table.take("dt", _sample_time, 0.0)
+    D = table.take("D", numbers, None)
     table.done()
-    n = len(A)
-    if A.shape != (n, n) or B.shape[0] != n or C.shape[1] != n:
+    if A.shape != (n, n) or B.ndim != 2 or C.ndim != 2 or B.shape[0] != n or C.shape[1] != n:
         raise ValueError(f"{table.where}: A {A.shape}, B {B.shape}, C {C.shape} do not fit; allowed are (n, n), (n, n_u), (n_y, n)")
-    return control.ss(A, B, C, np.atleast_2d(D), dt)
+    D = np.zeros((len(C), B.shape[1])) if D is None else np.atleast_2d(D)
+    if D.shape != (len(C), B.shape[1]):
+        raise ValueError(f"{table.where}: D has shape {D.shape}; allowed is {(len(C), B.shape[1])}")
+    return control.ss(A, B, C, D, dt)
 
 
 def _identified(table: Table, folder: Path, notes: list[str]) -> Plant:

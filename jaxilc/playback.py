@@ -84,10 +84,11 @@ def replay(scheme: Scheme, task: Task, memory, y, actuator: Actuator | None = No
     windows = jnp.stack([future[i : i + task.N] for i in range(scheme.preview)], axis=1)
 
     def tick(carry, now):
-        state, v_last = carry
-        state, u = scheme.act(state, Sample(*now, task.dt))
+        state, v_last, u_last = carry
+        state, u = scheme.act(state, Sample(*now, task.dt, u_last))
         v, u = (u, u) if actuator is None else actuator.apply(u, v_last, task.dt)
-        return (state, v), (u, scheme.signals(state))
+        return (state, v, None if actuator is None else u), (u, scheme.signals(state))
 
-    rows = (r[:-1], windows, jnp.asarray(y)[:-1], scheme.table(memory, task))
-    return lax.scan(tick, (scheme.init(task), jnp.zeros(task.inputs)), rows, length=task.N)[1]
+    rows, rest = (r[:-1], windows, jnp.asarray(y)[:-1], scheme.table(memory, task)), jnp.zeros(task.inputs)
+    start = (scheme.init(task), rest, None if actuator is None else rest)
+    return lax.scan(tick, start, rows, length=task.N)[1]

@@ -11,44 +11,17 @@ from __future__ import annotations
 import dataclasses
 import re
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple, TypeAlias, TypeVar, dataclass_transform
+from typing import Any, TypeAlias, TypeVar, dataclass_transform
 
-import jax
 import jax.core
 import numpy as np
 from jax.typing import ArrayLike
 
-_INTERVAL = re.compile(r"^([\[(])\s*(\S+)\s*,\s*(\S+)\s*([\])])$")
+from .ranges import Interval, allowed, annotations_of, as_numbers, brief, fits, is_number, is_whole, shown
+
 Numbers: TypeAlias = ArrayLike | Sequence[Any] | None
 T = TypeVar("T")
 _INDEX = re.compile(r"^(\w[\w-]*)((?:\[\d+\])*)$")
-
-
-class Interval(NamedTuple):
-    """An interval of the real line, written as in a paper: `(0, 1]`."""
-
-    low: float
-    high: float
-    closed_low: bool
-    closed_high: bool
-
-    @classmethod
-    def parse(cls, text: str) -> Interval:
-        match = _INTERVAL.match(text)
-        if not match:
-            raise ValueError(f"{text!r} is not an interval such as '(0, 1]'")
-        left, low, high, right = match.groups()
-        return cls(float(low), float(high), left == "[", right == "]")
-
-    def contains(self, value) -> bool:
-        """True if every element lies in the interval (NaN never does)."""
-        value = np.asarray(value)
-        above = value >= self.low if self.closed_low else value > self.low
-        below = value <= self.high if self.closed_high else value < self.high
-        return bool(np.all(above & below))
-
-    def __str__(self) -> str:
-        return f"{'[' if self.closed_low else '('}{self.low:g}, {self.high:g}{']' if self.closed_high else ')'}"
 
 
 def _stored(value: Numbers) -> Any:
@@ -67,23 +40,38 @@ def leaf(
     return dataclasses.field(default=default, metadata=metadata)
 
 
+def scalar(
+    default: Any = dataclasses.MISSING,
+    interval: str = "(-inf, inf)",
+    *,
+    optional: bool = False,
+    converter: Callable[[Numbers], Any] = _stored,
+) -> Any:
+    """A float leaf that is one number, such as a mass; `need_scalars` says so, since a batch of objects has many of each."""
+    metadata = {"kind": "leaf", "interval": Interval.parse(interval), "optional": optional, "scalar": True}
+    return dataclasses.field(default=default, metadata=metadata)
+
+
 def static(
     default: Any = dataclasses.MISSING, interval: str | None = None, *, choices: tuple = (), whole: bool = False, optional: bool = False
 ) -> Any:
-    """A static field: a length, a window, a mode. Changing it compiles another program. `whole` admits whole numbers only."""
+    """A static field: a length, a window, a mode, of the kind that it is annotated with. Changing it compiles another program.
+
+    `whole` admits whole numbers only. Lists become tuples.
+    """
     parsed = Interval.parse(interval) if interval else None
     metadata = {"kind": "static", "interval": parsed, "choices": tuple(choices), "whole": whole, "optional": optional}
     return dataclasses.field(default=default, metadata=metadata)
 
 
 def part(default: Any = dataclasses.MISSING) -> Any:
-    """A nested pytree (a plant in a machine, a scheme in a scheme), or None."""
+    """A nested pytree (a plant in a machine, a scheme in a scheme), of the class or the classes that it is annotated with."""
     return dataclasses.field(default=default, metadata={"kind": "part"})
 
 
-@dataclass_transform(frozen_default=True, field_specifiers=(leaf, static, part))
+@dataclass_transform(frozen_default=True, field_specifiers=(leaf, scalar, static, part))
 def pytree(cls: type[T]) -> type[T]:
-    """Make the class a frozen dataclass and a pytree. Fields are declared with `leaf`, `static` or `part`.
+    """Make the class a frozen dataclass and a pytree. Fields are declared with `leaf`, `scalar`, `static` or `part`.
 
     Raises at construction: ValueError naming the class, the field, its value and the allowed range.
     """
@@ -93,7 +81,7 @@ def pytree(cls: type[T]) -> type[T]:
 
     def __post_init__(self):
         for field in dataclasses.fields(self):
-            object.__setattr__(self, field.name, _settled(type(self).__name__, field, getattr(self, field.name)))
+            object.__setattr__(self, field.name, _settled(type(self), field, getattr(self, field.name)))
         if hasattr(self, "_own_check"):
             self._own_check()
 
@@ -141,23 +129,21 @@ def settable(tree) -> dict[str, Any]:
 
 def interval_at(tree, path: str) -> Interval | None:
     """The allowed range declared for the field at `path` (None for a field without one)."""
-    head, _, rest = path.partition(".")
-    name, _ = _split_index(head)
-    if rest:
-        return interval_at(_child(tree, name), rest)
-    field = _field(tree, name)
+    _, field = _field_at(tree, path)
     return field.metadata.get("interval") if field is not None else None
 
 
 def allowed_at(tree, path: str) -> str:
     """What the field at `path` accepts, as text: a range, or a choice."""
-    head, _, rest = path.partition(".")
-    name, _ = _split_index(head)
-    if rest:
-        return allowed_at(_child(tree, name), rest)
-    field = _field(tree, name)
+    _, field = _field_at(tree, path)
     choices = field.metadata.get("choices") if field is not None else None
     return " | ".join(map(str, choices)) if choices else str(interval_at(tree, path) or "")
+
+
+def kind_at(tree, path: str) -> tuple[str, Any]:
+    """`leaf`, `static` or `part`, and the annotation, of the field at `path`; an element is of its field's kind."""
+    owner, field = _field_at(tree, path)
+    return ("part", Any) if field is None else (_kind(field), annotations_of(type(owner)).get(field.name, Any))
 
 
 def get_at(tree, path: str) -> Any:
@@ -204,53 +190,63 @@ def need_channels(tree, channels: int, *names: str) -> None:
             raise ValueError(f"{type(tree).__name__}: {name} has shape {np.shape(value)}; allowed are () and ({channels},)")
 
 
+def need_scalars(tree) -> None:
+    """Raises ValueError for a `scalar` of the tree, or of a part of it, that is several numbers."""
+    for name in _names(tree):
+        value, field = _child(tree, name), _field(tree, name)
+        if field is not None and field.metadata.get("scalar") and np.shape(value):
+            given = "" if isinstance(value, jax.core.Tracer) else f" = {shown(value)}"
+            raise ValueError(f"{type(tree).__name__}: {name}{given} has shape {np.shape(value)}; allowed is one number")
+        need_scalars(value)
+
+
 def _kind(field) -> str:
     return field.metadata.get("kind", "part")
 
 
-def _settled(owner: str, field, value):
-    """The value a field really stores: floats as strongly typed arrays, everything inside its allowed range."""
-    kind = _kind(field)
+def _settled(cls: type, field, value):
+    """The value a field really stores: floats as strongly typed arrays, everything of its kind and inside its allowed range."""
+    owner, kind = cls.__name__, _kind(field)
     if kind == "leaf":
-        if value is None and field.metadata["optional"]:
-            return None
-        value = _as_float(owner, field.name, value)
-        if not isinstance(value, jax.core.Tracer) and not field.metadata["interval"].contains(value):
-            raise ValueError(f"{owner}: {field.name} = {_show(value)} is outside its allowed range {field.metadata['interval']}")
-    elif kind == "static":
-        _check_static(owner, field, value)
+        return None if value is None and field.metadata["optional"] else _checked_leaf(owner, field, value)
+    wanted = annotations_of(cls).get(field.name, Any)
+    if kind == "static":
+        value = tuple(value) if isinstance(value, list) else value
+        _check_static(owner, field, value, wanted)
+    elif not fits(value, wanted):
+        given = "" if dataclasses.is_dataclass(value) and not isinstance(value, type) else f" = {brief(value)}"
+        raise ValueError(f"{owner}: {field.name}{given} is a {type(value).__name__}; {allowed(wanted)}")
     return value
 
 
-def _check_static(owner: str, field, value) -> None:
+def _checked_leaf(owner: str, field, value):
+    value = _as_float(owner, field.name, value)
+    if not isinstance(value, jax.core.Tracer) and not field.metadata["interval"].contains(value):
+        raise ValueError(f"{owner}: {field.name} = {shown(value)} is outside its allowed range {field.metadata['interval']}")
+    return value
+
+
+def _check_static(owner: str, field, value, wanted) -> None:
     choices, interval, whole = (field.metadata[k] for k in ("choices", "interval", "whole"))
     if value is None and field.metadata["optional"]:
         return
-    if choices and value not in choices:
-        raise ValueError(f"{owner}: {field.name} = {value!r} is not one of {', '.join(map(repr, choices))}")
-    if interval is not None:
-        number = np.isscalar(value) and not isinstance(value, str | bool) and interval.contains(value)
-        if not number or (whole and not isinstance(value, int | np.integer)):
-            allowed = f"{interval}{' of whole numbers' if whole else ''}"
-            raise ValueError(f"{owner}: {field.name} = {value!r} is outside its allowed range {allowed}")
+    if choices and not (fits(value, wanted) and value in choices):
+        raise ValueError(f"{owner}: {field.name} = {brief(value)} is not one of {', '.join(map(repr, choices))}")
+    if interval is not None and not (is_number(value) and interval.contains(value) and (is_whole(value) or not whole)):
+        said = f"{interval}{' of whole numbers' if whole else ''}"
+        raise ValueError(f"{owner}: {field.name} = {brief(value)} is outside its allowed range {said}")
+    if not fits(value, wanted):
+        raise ValueError(f"{owner}: {field.name} = {brief(value)} is a {type(value).__name__}; {allowed(wanted)}")
 
 
 def _as_float(owner: str, name: str, value):
-    if isinstance(value, jax.Array) and not jax.numpy.iscomplexobj(value):
+    if isinstance(value, jax.Array) and jax.numpy.issubdtype(value.dtype, jax.numpy.number) and not jax.numpy.iscomplexobj(value):
         floating = jax.numpy.issubdtype(value.dtype, jax.numpy.floating)
         return jax.lax.convert_element_type(value, value.dtype if floating else float)  # also makes a weak type strong
-    try:
-        plain = np.asarray(value)
-    except ValueError:  # ragged
-        plain = np.asarray(None)
-    if plain.dtype.kind not in "fiu":
-        raise ValueError(f"{owner}: {name} = {value!r} is not a number or an array of numbers")
-    return plain if plain.dtype.kind == "f" and hasattr(value, "dtype") else plain.astype(float)
-
-
-def _show(value) -> str:
-    value = np.asarray(value)
-    return f"{value:g}" if value.ndim == 0 else np.array2string(value, threshold=8, precision=6)
+    found = None if isinstance(value, jax.Array) else as_numbers(value)
+    if found is None:
+        raise ValueError(f"{owner}: {name} = {brief(value)} is not a number or an array of numbers")
+    return found
 
 
 def _names(tree) -> list[str]:
@@ -261,6 +257,13 @@ def _names(tree) -> list[str]:
 
 def _field(tree, name):
     return None if isinstance(tree, dict) else next((f for f in dataclasses.fields(tree) if f.name == name), None)
+
+
+def _field_at(tree, path: str):
+    """The object that has the field at `path`, and that field."""
+    head, _, rest = path.partition(".")
+    name, _ = _split_index(head)
+    return _field_at(_child(tree, name), rest) if rest else (tree, _field(tree, name))
 
 
 def _child(tree, name):
@@ -278,7 +281,10 @@ def _with_element(old, index, value):
     if isinstance(old, jax.Array) or isinstance(value, jax.Array):
         return jax.numpy.asarray(old).at[index].set(value)
     new = np.array(old)
-    new[index] = value
+    try:
+        new[index] = value
+    except TypeError:
+        raise ValueError(f"{brief(value)} is not a number, which an element must be") from None
     return new
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -10,8 +9,10 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
+from .files import atomically
 from .machine import Machine
 from .plants import Plant
+from .reading import read_columns
 from .schemes import Scheme
 from .schemes.scheme import Feedforward
 from .signals import Task, Trial
@@ -78,24 +79,19 @@ def write_record(path: str | Path, record: Record, *, time: str = "t", input: st
     for name, signal in ((input, u), (output, y)):
         header += [name] if signal.shape[1] == 1 else [f"{name}_{i}" for i in range(signal.shape[1])]
     rows = np.hstack([np.arange(len(y))[:, None] * record.dt, np.vstack([u, u[-1:]]), y])
-    np.savetxt(path, rows, fmt="%.17g", delimiter=",", header=",".join(header), comments="")
+    atomically(path, lambda file: np.savetxt(file, rows, fmt="%.17g", delimiter=",", header=",".join(header), comments=""))
 
 
 def _table(path, names) -> tuple[np.ndarray, list[int]]:
     """(rows, names) values of the columns, and the line of each row."""
-    with open(path, newline="", encoding="utf-8-sig") as file:
-        head = file.readline()
-        delimiter = next((d for d in ",;\t" if d in head), ",")
-        header = [name.strip() for name in next(csv.reader([head], delimiter=delimiter), [])]
-        missing = [name for name in names if name not in header]
-        if missing:
-            raise ValueError(f"read_record: {path} has no column {missing[0]!r}; present are {', '.join(header) or 'none'}")
-        at, values, lines = [header.index(name) for name in names], [], []
-        for line, row in enumerate(csv.reader(file, delimiter=delimiter), 2):
-            if not any(cell.strip() for cell in row):
-                continue
-            values.append([_number(path, line, name, row[i].strip() if i < len(row) else "") for name, i in zip(names, at, strict=True)])
-            lines.append(line)
+    header, rows = read_columns(path)
+    missing = [name for name in names if name not in header]
+    if missing:
+        raise ValueError(f"read_record: {path} has no column {missing[0]!r}; present are {', '.join(header) or 'none'}")
+    at, values, lines = [header.index(name) for name in names], [], []
+    for line, row in rows:
+        values.append([_number(path, line, name, row[i].strip() if i < len(row) else "") for name, i in zip(names, at, strict=True)])
+        lines.append(line)
     return np.array(values, float).reshape(-1, len(names)), lines
 
 

@@ -11,9 +11,11 @@ from typing import NamedTuple
 import numpy as np
 import scipy.signal
 
-from .pytree import Interval
+from .memory import check_size
+from .ranges import require
 
 FINITE, POSITIVE, NONNEGATIVE = "(-inf, inf)", "(0, inf)", "[0, inf)"
+ARRAYS = 32  # of the length of a reference, that making it and one trial of it take
 
 
 def sinusoid(amplitude, frequency, *, duration, dt, phase=0.0, offset=0.0) -> np.ndarray:
@@ -42,17 +44,17 @@ def multisine(amplitudes, frequencies, phases=None, *, duration, dt) -> np.ndarr
     The signal then starts away from zero, at sum_i amplitudes_i sin(phases_i); zero phases start at zero but peak higher.
     Raises ValueError for a value outside its range, shapes that differ, or a duration that is not a whole number of samples.
     """
-    time = _time("multisine", duration, dt)
+    require("multisine", "amplitudes", amplitudes, POSITIVE, " mm", many=True)
+    time = _time("multisine", duration, dt, ARRAYS + 3 * np.size(amplitudes))
+    require("multisine", "frequencies", frequencies, f"(0, {0.5 / dt})", " Hz", many=True)
     a, f = np.asarray(amplitudes, float), np.asarray(frequencies, float)
-    require("multisine", "amplitudes", a, POSITIVE, " mm")
-    require("multisine", "frequencies", f, f"(0, {0.5 / dt})", " Hz")
     if phases is None:
         steps = np.cumsum(a**2) / np.sum(a**2)
         phases = np.pi / 2 - 2 * np.pi * (np.cumsum(steps) - steps)
+    require("multisine", "phases", phases, FINITE, " rad", many=True)
     phi = np.asarray(phases, float)
     if a.ndim != 1 or not a.size or not a.shape == f.shape == phi.shape:
         raise ValueError(f"multisine: amplitudes {a.shape}, frequencies {f.shape}, phases {phi.shape} must have one shape (M,), M >= 1")
-    require("multisine", "phases", phi, FINITE, " rad")
     return np.sin(2 * np.pi * np.outer(time, f) + phi) @ a
 
 
@@ -148,10 +150,10 @@ def s_curve(positions, *, velocity, acceleration, jerk, dwell=0.0, dt, duration=
     Raises ValueError for a value outside its range, fewer than two positions, or a duration that is too short for the moves or
     not a whole number of samples.
     """
+    require("s_curve", "positions", positions, FINITE, " mm", many=True)
     positions = np.asarray(positions, float)
     if positions.ndim != 1 or len(positions) < 2:
         raise ValueError(f"s_curve: positions has shape {positions.shape}; allowed is (M,) with M >= 2")
-    require("s_curve", "positions", positions, FINITE, " mm")
     _require_limits("s_curve", velocity, acceleration, jerk)
     require("s_curve", "dwell", dwell, NONNEGATIVE, " s")
     require("s_curve", "dt", dt, POSITIVE, " s")
@@ -185,6 +187,8 @@ def m_sequence(order, *, amplitude=1.0, hold=1, periods=1, seed=1) -> np.ndarray
     require("m_sequence", "hold", hold, "[1, inf)", whole=True)
     require("m_sequence", "periods", periods, "[1, inf)", whole=True)
     require("m_sequence", "seed", seed, f"[1, {2**order - 1}]", whole=True)
+    samples = periods * hold * 2**order
+    check_size(f"m_sequence: order = {order}", lambda samples: 8 * 4 * samples, samples=samples)
     bits, _ = scipy.signal.max_len_seq(order, state=[seed >> i & 1 for i in range(order)])
     return np.tile(np.repeat(amplitude * (2.0 * bits - 1.0), hold), periods)
 
@@ -208,9 +212,9 @@ def noncircular(*, duration, dt, spindle_speed, feed, ellipticity, bulge, length
     time = _time("noncircular", duration, dt)
     require("noncircular", "spindle_speed", spindle_speed, f"(0, {0.25 / dt})", " rev/s")
     require("noncircular", "feed", feed, POSITIVE, " mm/rev")
+    require("noncircular", "ellipticity", ellipticity, NONNEGATIVE, " mm", many=True)
     if np.shape(ellipticity) != (2,):
         raise ValueError(f"noncircular: ellipticity has shape {np.shape(ellipticity)}; allowed is (2,)")
-    require("noncircular", "ellipticity", ellipticity, NONNEGATIVE, " mm")
     require("noncircular", "bulge", bulge, NONNEGATIVE, " mm")
     require("noncircular", "length", length, POSITIVE, " mm")
     longest = length / (feed * spindle_speed)
@@ -223,23 +227,17 @@ def noncircular(*, duration, dt, spindle_speed, feed, ellipticity, bulge, length
     return y - y[0]
 
 
-def _time(function, duration, dt):
-    """(N+1,) sample times, N = round(duration / dt)."""
+def _time(function, duration, dt, arrays=ARRAYS):
+    """(N+1,) sample times, N = round(duration / dt). arrays: of that length that will be needed"""
     require(function, "dt", dt, POSITIVE, " s")
     require(function, "duration", duration, POSITIVE, " s")
-    N = round(duration / dt)
-    if N < 1 or abs(duration / dt - N) > 1e-6:
+    samples = float(duration) / float(dt)
+    said = f"{function}: duration = {duration:g} s"
+    check_size(said, lambda samples: 8 * arrays * samples, samples=samples)
+    N = round(samples)
+    if N < 1 or abs(samples - N) > 1e-6:
         raise ValueError(f"{function}: duration = {duration:g} s is not a whole number >= 1 of samples of dt = {dt:g} s")
     return np.arange(N + 1) * dt
-
-
-def require(function, name, values, interval, unit="", *, whole=False) -> None:
-    """Every value in the interval, or a ValueError naming the first that is not."""
-    interval = Interval.parse(interval)
-    for i, value in np.ndenumerate(np.asarray(values, float)):
-        if not interval.contains(value) or (whole and not isinstance(values, int | np.integer)):
-            allowed = f"allowed range {interval}{' of whole numbers' * whole}"
-            raise ValueError(f"{function}: {name}{list(i) or ''} = {value:g}{unit} is outside its {allowed}")
 
 
 def _require_limits(function, velocity, acceleration, jerk):

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rich.table import Table
 
-from .exchange import atomically
+from .files import atomically
 from .results import describe, environment
 
 if TYPE_CHECKING:

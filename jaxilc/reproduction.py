@@ -69,7 +69,7 @@ def _of_scenario(name: str, published: tuple[Published, ...]) -> list[Row]:
 
 
 def _simulated(scenario: Scenario, rows: list[Published]) -> dict[Published, float]:
-    """Our value for each row of one setting: each scheme learns once, as long as its last row asks for."""
+    """Our value for each row of one setting, infinite for a trial that diverged: each scheme learns once, as long as its last row asks."""
     ours = {}
     for scheme in {p.scheme: None for p in rows}:
         due = [p for p in rows if p.scheme == scheme]
@@ -77,7 +77,8 @@ def _simulated(scenario: Scenario, rows: list[Published]) -> dict[Published, flo
         history = learn(scenario.machine, scenario.schemes[scheme], scenario.task, trials, save=keep)
         figures = history.metrics._asdict() | history.saved | {"best_trial": best_trial(history.rms)}
         for p in due:
-            largest = np.max(np.asarray(figures[p.quantity])[(p.trial or 1) - 1])
+            trial = (p.trial or 1) - 1
+            largest = np.inf if history.diverged[trial] else np.max(np.asarray(figures[p.quantity])[trial])
             ours[p] = scenario.shown(p.quantity)[0] * float(largest)
     return ours
 

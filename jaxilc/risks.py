@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from .metrics import largest
+from .ranges import require
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,8 +42,7 @@ class CVaR(Risk):
     alpha: float = 0.9
 
     def __post_init__(self):
-        if not 0 <= self.alpha < 1:
-            raise ValueError(f"CVaR: alpha = {self.alpha:g} is outside its allowed range [0, 1)")
+        require("CVaR", "alpha", self.alpha, "[0, 1)")
 
     def __call__(self, losses):
         size = (1.0 - self.alpha) * losses.shape[0]
@@ -71,8 +71,7 @@ class SmoothMax(Risk):
     temperature: float = 0.3
 
     def __post_init__(self):
-        if not self.temperature > 0:
-            raise ValueError(f"SmoothMax: temperature = {self.temperature:g} is outside its allowed range (0, inf)")
+        require("SmoothMax", "temperature", self.temperature, "(0, inf)")
 
     def __call__(self, losses):
         return self.temperature * (jax.nn.logsumexp(losses / self.temperature) - jnp.log(losses.shape[0]))

@@ -8,14 +8,18 @@ from typing import TYPE_CHECKING
 import jax
 import numpy as np
 
-from .learning import History, learn
+from .learning import History, check, learn
 from .machine import Machine
+from .memory import check_size
 from .metrics import Keep, best_trial
 from .schemes import Scheme
 from .signals import Task, Trial
 
 if TYPE_CHECKING:
     import xarray as xr
+
+
+COPIES = 4  # of y and u: as learned, stacked over the schemes, the error, and on their way to the disk
 
 
 def run_schemes(
@@ -31,9 +35,14 @@ def run_schemes(
 
     quantities: further figures, each a function of a trial to a number
     Returns the dataset (dims scheme, trial and time, channel, input_time, input; r, y, e, u, the metrics and the quantities) and the
-    histories, whose `memory` lets each scheme go on. Raises as `learn` does.
+    histories, whose `memory` lets each scheme go on. Raises as `learn` does, and ValueError, before anything runs, for more trials
+    than fit into memory.
     """
-    keep = Keep.of(quantities or {}, "y", "u")
+    for scheme in schemes.values():
+        check(machine, scheme, task)
+    keep, signals = Keep.of(quantities or {}, "y", "u"), (task.N + 1) * (task.outputs + task.inputs)
+    each = 8 * COPIES * signals * len(schemes)
+    check_size("run", lambda trials: each * trials, trials=trials)
     histories = {name: learn(machine, scheme, task, trials, key=key, save=keep) for name, scheme in schemes.items()}
     return history_dataset(histories, task), histories
 
@@ -66,7 +75,9 @@ def history_dataset(histories: Mapping[str, History], task: Task) -> xr.Dataset:
             "effort": of_u(per_input, stacked(lambda h: h.effort)),
             "best_trial": (("scheme", "trial"), stacked(lambda h: best_trial(h.rms))),
             "finite": (("scheme", "trial"), stacked(lambda h: h.finite)),
+            "diverged": (("scheme", "trial"), stacked(lambda h: h.diverged)),
             "diverged_at": (("scheme",), stacked(lambda h: h.diverged_at)),
+            "grown_from": (("scheme",), stacked(lambda h: h.grown_from)),
             **{name: (("scheme", "trial"), stacked(lambda h, name=name: h.saved[name])) for name in further},
         },
         coords={

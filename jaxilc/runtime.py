@@ -12,6 +12,8 @@ from pathlib import Path
 import jax
 import jaxlib
 
+from .ranges import require
+
 _WHOLE_LOOPS = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1000000000"
 # LLVM writes out a loop over the 8 or 16 plants of a tile before it would vectorise it, and so leaves it scalar; this keeps it a loop.
 _LANES_VECTORISED = ",-unroll-full-max-count=4"
@@ -34,8 +36,7 @@ def setup(*, precision: str = "float64", devices: int | None = None) -> None:
         raise ValueError(f"setup: precision = {precision!r} is not one of 'float64', 'float32'")
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     devices = cores if devices is None else devices
-    if devices < 1:
-        raise ValueError(f"setup: devices = {devices} is outside its allowed range [1, inf)")
+    require("setup", "devices", devices, "[1, 4096]", whole=True)
     jax.config.update("jax_enable_x64", precision == "float64")
     # XLA's pool has a thread per core. A batched LAPACK call on every device at once then waits for workers that all wait likewise;
     # threads to spare are what prevents it. XLA reads this name.
@@ -70,16 +71,20 @@ def keep_programs() -> Path | None:
     if chosen == "off":
         return None
     given = jax.config.jax_compilation_cache_dir
-    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    folder = Path(given or chosen or home / "jaxilc" / f"{platform.machine()}-{_processor()}")
     try:
+        folder = Path(given or chosen or _users_cache() / "jaxilc" / f"{platform.machine()}-{_processor()}")
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError:  # a home that cannot be written to: go without
+    except (OSError, RuntimeError, ValueError):  # no home at all, one that cannot be written to, or no name of a folder: go without
         return None
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
     return folder
+
+
+def _users_cache() -> Path:
+    """Raises RuntimeError for a user without a home, as containers have them."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
 
 
 def _wide_registers(flags: str) -> str:

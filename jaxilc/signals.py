@@ -13,7 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from .pytree import leaf, pytree, static
+from .pytree import known, leaf, pytree, static
+
+SMALLEST = 1e-15  # largest |r| of a reference that is not zero
 
 
 @pytree
@@ -21,15 +23,16 @@ class Task:
     """What the machine repeats.
 
     reference: (N+1, n_y) desired output `r`; a flat (N+1,) array means one output
-    dt:        sample time [s]
+    dt:        sample time [s], from a picosecond to decades
     settle:    (start, stop) [s], the part of the trial that counts as settled; None is its second half
     inputs:    number of inputs n_u; None means as many as outputs
     unit, input_unit: of y and of u, for labels only
-    Raises ValueError for a reference that is not finite, too short, or of more than two dimensions.
+    Raises ValueError for a reference that is not finite, too short, of more than two dimensions, or so large or small that the squares
+    of its errors would leave the range of single precision.
     """
 
-    reference: jax.Array = leaf()
-    dt: float = static(interval="(0, inf)")
+    reference: jax.Array = leaf(interval="[-1e12, 1e12]")
+    dt: float = static(interval="[1e-12, 1e+09]")
     settle: tuple[float, float] | None = static(None)
     inputs: int = static(None, "[1, inf)", whole=True, optional=True)
     unit: str = static("")
@@ -41,11 +44,13 @@ class Task:
             r = r[:, None]
         if r.ndim != 2 or len(r) < 2:
             raise ValueError(f"Task: reference has shape {self.reference.shape}; allowed are (N+1,) and (N+1, n_y) with N >= 1")
+        if known(r) and 0 < np.max(np.abs(r)) < SMALLEST:
+            raise ValueError(f"Task: reference is {np.max(np.abs(r)):g} at most; allowed is none at all, or one from {SMALLEST:g} on")
         object.__setattr__(self, "reference", r)
         object.__setattr__(self, "inputs", r.shape[1] if self.inputs is None else self.inputs)
         if self.settle is not None:
             start, stop = self.settle
-            if not 0 <= start < stop or start > self.duration:
+            if not 0 <= start < stop < float("inf") or start > self.duration:
                 raise ValueError(f"Task: settle = {self.settle} s is not a window within [0, {self.duration:g}] s")
             object.__setattr__(self, "settle", (float(start), float(stop)))
 
@@ -84,6 +89,8 @@ class Sample(NamedTuple):
     y:     (n_y,) measured output y[k]
     row:   the k-th row of the scheme's table
     dt:    sample time [s]
+    applied: (n_u,) what the actuator made of the input of the sample before, zero at k = 0; None where there is no actuator, or where
+           nobody can tell, so that it is what was commanded
     """
 
     r: jax.Array
@@ -91,6 +98,7 @@ class Sample(NamedTuple):
     y: jax.Array
     row: Any
     dt: float
+    applied: jax.Array | None = None
 
 
 class Trial(NamedTuple):

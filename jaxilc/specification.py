@@ -14,6 +14,7 @@ import numpy as np
 
 from . import filters, plants, schemes, switching
 from .plants import Plant
+from .ranges import as_numbers, brief, is_whole
 from .schemes import Scheme
 
 _HIDDEN = {"solved"}  # worked out by the scheme itself
@@ -33,7 +34,7 @@ class Table:
 
     def __init__(self, values: Any, where: str):
         if not isinstance(values, Mapping):
-            what = f"{where} {values!r}" if where.endswith(":") else f"{where} = {values!r}"
+            what = f"{where} {brief(values)}" if where.endswith(":") else f"{where} = {brief(values)}"
             raise ValueError(f"{what} is not a table of keys and values")
         self.values, self.where, self.read = dict(values), where, set()
 
@@ -63,46 +64,53 @@ class Table:
 
 
 def number(value: Any, where: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ValueError(f"{where} = {value!r} is not a number")
-    return float(value)
+    return float(_finite(value, where, "a number", ())[()])
 
 
 def whole(value: Any, where: str) -> int:
-    if isinstance(value, bool) or not isinstance(value, int):
-        raise ValueError(f"{where} = {value!r} is not a whole number")
+    if not is_whole(value):
+        raise ValueError(f"{where} = {brief(value)} is not a whole number")
     return value
 
 
 def text(value: Any, where: str) -> str:
     if not isinstance(value, str):
-        raise ValueError(f"{where} = {value!r} is not text")
+        raise ValueError(f"{where} = {brief(value)} is not text")
     return value
 
 
 def flag(value: Any, where: str) -> bool:
     if not isinstance(value, bool):
-        raise ValueError(f"{where} = {value!r} is not true or false")
+        raise ValueError(f"{where} = {brief(value)} is not true or false")
     return value
 
 
 def numbers(value: Any, where: str) -> np.ndarray:
-    """A number, or nested lists of numbers of one shape."""
-    try:
-        array = np.asarray(value)
-    except ValueError:  # ragged
-        array = np.asarray(None)
-    if isinstance(value, bool) or (array.dtype.kind not in "fiu" and value != []):
-        raise ValueError(f"{where} = {value!r} is not a number or a list of numbers")
-    return array.astype(float)
+    """A number, or nested lists of numbers of one shape; all finite."""
+    return _finite(value, where, "a number or a list of numbers")
+
+
+def list_of_numbers(value: Any, where: str) -> np.ndarray:
+    """One list of finite numbers."""
+    return _finite(value, where, "a list of numbers", (-1,))
+
+
+def _finite(value: Any, where: str, said: str, shape: tuple | None = None) -> np.ndarray:
+    """The value as an array of the shape, () or (-1,), any if None."""
+    found = None if isinstance(value, bool | np.bool_ | str) else as_numbers(value)
+    if found is None or (shape is not None and found.ndim != len(shape)):
+        raise ValueError(f"{where} = {brief(value)} is not {said}")
+    if not np.all(np.isfinite(found)):
+        raise ValueError(f"{where} = {brief(value)} is not finite")
+    return found
 
 
 def one_of(choices: Iterable[str]) -> Callable[[Any, str], str]:
     """The kind of a value that is one of these words."""
 
     def kind(value: Any, where: str) -> str:
-        if value not in choices:
-            raise ValueError(f"{where} = {value!r} is not one of {', '.join(choices)}")
+        if not isinstance(value, str) or value not in choices:
+            raise ValueError(f"{where} = {brief(value)} is not one of {', '.join(choices)}")
         return value
 
     return kind
@@ -113,7 +121,7 @@ def list_of(kind: Callable[[Any, str], Any]) -> Callable[[Any, str], list]:
 
     def of_list(value: Any, where: str) -> list:
         if not isinstance(value, list):
-            raise ValueError(f"{where} = {value!r} is not a list")
+            raise ValueError(f"{where} = {brief(value)} is not a list")
         return [kind(element, f"{where}[{i}]") for i, element in enumerate(value)]
 
     return of_list
@@ -216,6 +224,7 @@ def called(function: Callable, table: Table, **given: Any) -> Any:
 def _named(where: str, make: Callable[[], Any]) -> Any:
     """What `make` makes; what is wrong with it is said with the place in the file."""
     try:
-        return make()
+        with np.errstate(all="ignore"):  # what is not finite in the end is refused where it is used
+            return make()
     except (ValueError, TypeError) as error:
         raise ValueError(f"{where}: {error}") from None

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from .divergence import GROWTH, grown_from
+
 if TYPE_CHECKING:
     import xarray as xr
 
@@ -13,12 +15,13 @@ QUANTILES = (0.05, 0.5, 0.95)
 
 
 class SchemeSummary(NamedTuple):
-    """One scheme over all samples; errors in the unit of the dataset, a diverged sample counts as infinite.
+    """One scheme over all samples; errors in the unit of the dataset, infinite in a trial that diverged (see `divergence`).
 
     yield_share, yield_low, yield_high: share of samples within tolerance at the last trial, with its 95 % Wilson interval
     median, low, high, worst, worst_sample: (J,) by trial: quantiles 50, 5, 95 %, largest error and the sample it belongs to
-    semi_converged: share of samples whose best trial comes before the last and whose error has since grown by more than `growth`
-    diverged: share of samples that became not finite
+    semi_converged: share of samples that have grown: above 1 + `growth` times their best at the last trial, though none diverged
+    grown_from: the earliest trial from which on one of these stays above, 0 if there are none
+    diverged: share of samples of which any trial diverged;  diverged_at: the earliest of these trials, 0 if there are none
     """
 
     scheme: str
@@ -31,10 +34,12 @@ class SchemeSummary(NamedTuple):
     worst: np.ndarray
     worst_sample: np.ndarray
     semi_converged: float
+    grown_from: int
     diverged: float
+    diverged_at: int
 
 
-def summarise(dataset: xr.Dataset, tolerance: float, *, figure: str = "settled_error", growth: float = 0.5) -> list[SchemeSummary]:
+def summarise(dataset: xr.Dataset, tolerance: float, *, figure: str = "settled_error", growth: float = GROWTH) -> list[SchemeSummary]:
     """The summary of each scheme.
 
     tolerance: largest `figure` that passes, in its unit;  figure: a variable over (scheme, sample, trial); with several channels
@@ -48,7 +53,8 @@ def summarise(dataset: xr.Dataset, tolerance: float, *, figure: str = "settled_e
         raise ValueError(f"summarise: figure = {figure!r} is not one of {', '.join(sorted(map(str, names)))}")
     errors = dataset[figure]
     errors = errors.max([d for d in errors.dims if d not in ("scheme", "sample", "trial")], skipna=False)
-    errors = errors.where(dataset["finite"]).transpose("scheme", "sample", "trial").fillna(np.inf)
+    sound = dataset["finite"] & ~dataset["diverged"] if "diverged" in dataset else dataset["finite"]
+    errors = errors.where(sound).transpose("scheme", "sample", "trial").fillna(np.inf)
     return [_one_scheme(str(name), errors.sel(scheme=name).values, tolerance, growth) for name in dataset["scheme"].values]
 
 
@@ -58,8 +64,7 @@ def _one_scheme(name: str, errors: np.ndarray, tolerance: float, growth: float) 
     passed, samples = int(np.sum(errors[:, -1] <= tolerance)), len(errors)
     interval = binomtest(passed, samples).proportion_ci(method="wilson")
     low, median, high = np.quantile(errors, QUANTILES, axis=0, method="inverted_cdf")
-    finite = np.isfinite(errors).all(axis=1)
-    grew = errors[:, -1] > (1.0 + growth) * errors.min(axis=1)
+    since, lost = grown_from(errors, growth), ~np.isfinite(errors)
     return SchemeSummary(
         scheme=name,
         yield_share=passed / samples,
@@ -70,6 +75,8 @@ def _one_scheme(name: str, errors: np.ndarray, tolerance: float, growth: float) 
         high=high,
         worst=errors.max(axis=0),
         worst_sample=errors.argmax(axis=0),
-        semi_converged=float(np.mean(grew & finite)),
-        diverged=float(np.mean(~finite)),
+        semi_converged=float(np.mean(since > 0)),
+        grown_from=int(min(since[since > 0], default=0)),
+        diverged=float(np.mean(lost.any(axis=1))),
+        diverged_at=1 + int(lost.any(axis=0).argmax()) if lost.any() else 0,
     )

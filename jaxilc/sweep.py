@@ -6,7 +6,7 @@ import dataclasses
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing, nullcontext
+from contextlib import ExitStack, closing, nullcontext
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -17,13 +17,16 @@ import numpy as np
 
 from . import memory, results
 from .batch import OPEN, tiled, usual_lanes
+from .divergence import Course
 from .learning import check, learn
 from .machine import Machine
 from .metrics import Keep
-from .results import Store, Variable, describe
+from .ranges import SEEDS, brief, require
+from .results import describe
 from .schemes import Scheme
 from .signals import Task, Trial
-from .uncertainty import Uncertainty, draw, drawn_machine
+from .store import Layout, Store, Variable
+from .uncertainty import Uncertainty, draw, drawn_machine, drawn_samples
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -31,6 +34,7 @@ if TYPE_CHECKING:
 
 SIGNALS = {"y": ("time", "channel"), "e": ("time", "channel"), "u": ("input_time", "input")}
 CHUNK = 256
+WORK = 4  # arrays as large as a figure of all samples and trials, to find and draw its quantiles
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,20 +65,24 @@ class Sweep:
     quantities: Mapping[str, Callable[[Trial], jax.Array]] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self):
-        lanes = usual_lanes() if self.lanes is None else self.lanes
-        object.__setattr__(self, "lanes", lanes)
-        object.__setattr__(self, "chunk", max(CHUNK, lanes * jax.device_count()) if self.chunk is None else self.chunk)
-        for name in ("trials", "chunk", "lanes"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"Sweep: {name} = {getattr(self, name)} is outside its allowed range [1, inf)")
-        for name in self.keep:
-            if name not in SIGNALS:
-                raise ValueError(f"Sweep: keep = {name!r} is not one of {', '.join(SIGNALS)}")
+        object.__setattr__(self, "lanes", usual_lanes() if self.lanes is None else self.lanes)
+        require("Sweep", "lanes", self.lanes, "[1, inf)", whole=True)
+        object.__setattr__(self, "chunk", max(CHUNK, self.lanes * jax.device_count()) if self.chunk is None else self.chunk)
+        for name in ("trials", "samples", "chunk"):
+            require("Sweep", name, getattr(self, name), "[1, inf)", whole=True)
+        require("Sweep", "seed", self.seed, SEEDS, whole=True)
+        object.__setattr__(self, "keep", tuple(self.keep) if isinstance(self.keep, list) else self.keep)
+        for name in self.keep if isinstance(self.keep, tuple) else [self.keep]:
+            if not isinstance(name, str) or name not in SIGNALS:
+                raise ValueError(f"Sweep: keep = {brief(name)} is not one of {', '.join(SIGNALS)}")
+        if not isinstance(self.schemes, Mapping):
+            raise ValueError(f"Sweep: schemes = {brief(self.schemes)} is a {type(self.schemes).__name__}; allowed are schemes by name")
         if not self.schemes:
             raise ValueError("Sweep: schemes is empty; at least one is needed")
         Keep.of(self.quantities)
         for scheme in self.schemes.values():
             check(self.machine, scheme, self.task)
+        self.need_room()
         object.__setattr__(self, "samples", len(next(iter(self.drawn.values()))) if self.drawn else self.samples)
 
     @cached_property
@@ -100,10 +108,10 @@ class Sweep:
         out: where to keep it as a Zarr store, None for memory only;  resume: go on with the store at `out`
         progress: called after each chunk with the scheme's name, its samples done so far and how many of them this call computed
         cluster: a Dask scheduler whose workers compute the chunks, as its address, the file it wrote, or a Client; see `cluster.workers`
-        Killed at any moment, a resumed run ends with the dataset of an uninterrupted one, bit for bit. Raises FileExistsError for
-        an `out` that exists without `resume`, ValueError for one made with another configuration, and ValueError, before anything is
-        written, for a chunk or a dataset larger than the memory there is, with the chunk that would fit. On a cluster also
-        `cluster.ChunkFailed`, for a chunk that no worker could compute.
+        Killed at any moment, a resumed run ends with the dataset of an uninterrupted one, bit for bit; what is damaged in the store is
+        computed again. Raises FileExistsError for an `out` that exists without `resume`, ValueError for one that is in use, is no store,
+        or was made with another configuration, and, before anything is written, for a chunk or a dataset larger than the memory there is,
+        with what would fit. On a cluster also `cluster.ChunkFailed`, for a chunk that no worker could compute.
         """
         if cluster is None:
             computing = nullcontext(self.host())
@@ -115,28 +123,30 @@ class Sweep:
             return self._run(hosts, out, resume, progress or (lambda name, done, fresh: None))
 
     def _run(self, hosts, out: str | Path | None, resume: bool, progress: Callable[[str, int, int], None]) -> xr.Dataset:
-        configuration = self.configuration(hosts.environment)
+        layout = Layout(self._variables(), self._coordinates(), self.chunk, self.configuration(hosts.environment))
         found = out is not None and Path(out).exists()
-        layout = (self._variables(), self._coordinates(), self.chunk, configuration)
-        store = None if not found else Store.resume(out, configuration) if resume else Store.create(out, *layout)
+        if found and not resume:
+            raise FileExistsError(f"{out} exists already; resume it or choose another place")
         chunks = [
             Chunk(i, name, number, start, min(start + self.chunk, self.samples))
             for i, name in enumerate(self.schemes)
             for number, start in enumerate(range(0, self.samples, self.chunk))
         ]
-        pending = [c for c in chunks if store is None or not store.is_done(c.scheme, c.number)]
-        self._need_memory(hosts, tuple(dict.fromkeys(c.name for c in pending)), copies=2 if out is None else 1)
-        store = Store.create(out, *layout) if store is None else store
-        done = Counter()
-        for chunk in sorted(set(chunks) - set(pending)):
-            done[chunk.name] += chunk.size
-            progress(chunk.name, done[chunk.name], 0)
-        with closing(hosts.computed(pending)) as finished:
-            for chunk, values in finished:
-                store.write(chunk.scheme, chunk.number, slice(chunk.start, chunk.stop), values)
+        with ExitStack() as opened:
+            store = opened.enter_context(Store.resume(out, layout)) if found else None
+            pending = [c for c in chunks if store is None or not store.is_done(c.scheme, c.number)]
+            self._need_memory(hosts, tuple(dict.fromkeys(c.name for c in pending)), copies=2 if out is None else 1)
+            store = opened.enter_context(Store.create(out, layout)) if store is None else store
+            done = Counter()
+            for chunk in sorted(set(chunks) - set(pending)):
                 done[chunk.name] += chunk.size
-                progress(chunk.name, done[chunk.name], chunk.size)
-        return store.dataset()
+                progress(chunk.name, done[chunk.name], 0)
+            with closing(hosts.computed(pending)) as finished:
+                for chunk, values in finished:
+                    store.write(chunk.scheme, chunk.number, slice(chunk.start, chunk.stop), values)
+                    done[chunk.name] += chunk.size
+                    progress(chunk.name, done[chunk.name], chunk.size)
+            return store.dataset()
 
     def host(self) -> Host:
         """This process, ready to compute chunks."""
@@ -150,20 +160,26 @@ class Sweep:
         """The key of one sample's noise: it does not depend on chunks or on the number of samples."""
         return jax.random.fold_in(jax.random.key(self.seed), sample)
 
-    def bytes_stored(self) -> int:
-        """Bytes of the whole dataset, before compression."""
-        sizes = {dims[0]: len(values) for name, (dims, values) in self._coordinates().items() if dims == (name,)}
+    def bytes_stored(self, samples: float | None = None, trials: float | None = None) -> int:
+        """Bytes of the whole dataset, before compression. samples, trials: None for those of this sweep"""
+        sizes: dict[str, Any] = {"scheme": len(self.schemes), "channel": self.task.outputs, "input": self.task.inputs}
+        sizes |= {"sample": self.samples if samples is None else samples, "trial": self.trials if trials is None else trials}
+        sizes |= {"time": self.task.N + 1, "input_time": self.task.N}
         return sum(np.dtype(v.dtype).itemsize * math.prod(sizes[d] for d in v.dims) for v in self._variables().values())
+
+    def need_room(self, copies: int = 1) -> None:
+        """Raises ValueError, with how many samples or trials would fit, where so many copies of the dataset and its summary do not."""
+        drawn, summary = 8 * len(self.uncertainty), 8 * WORK * len(self.schemes) * self.task.outputs
+
+        def need(samples: float, trials: float) -> float:
+            return copies * self.bytes_stored(samples, trials) + drawn * samples + summary * samples * trials + 8 * trials
+
+        memory.check_size("Sweep", need, samples=drawn_samples(self.uncertainty, self.samples, self.sampling), trials=self.trials)
 
     def _need_memory(self, hosts, names: tuple[str, ...], *, copies: int) -> None:
         """Compile a chunk of each scheme; ValueError where it does not fit beside `copies` of the dataset. Unknown memory is enough."""
-        host, stored = memory.host_bytes(), copies * self.bytes_stored()
-        if host is not None and stored > host:
-            raise ValueError(
-                f"Sweep: samples = {self.samples} make a dataset of {memory.shown(stored)} in memory, where {memory.shown(host)} are "
-                "available; take fewer samples, keep fewer signals, or split the sweep"
-            )
-        room, where = hosts.room(stored)
+        self.need_room(copies)
+        room, where = hosts.room(copies * self.bytes_stored())
         for name, need in hosts.chunk_bytes(names, self.chunk):
             if room is not None and need > room:
                 raise ValueError(
@@ -177,7 +193,7 @@ class Sweep:
         small = min(2 * tile, size)
         least = next(hosts.chunk_bytes((name,), small))[1] if small < size else need
         if least > room:
-            return f"{small} samples at a time need {memory.shown(least)} already; keep fewer signals, or shorten the trial"
+            return f"{small} samples at a time need {memory.shown(least)} already; keep fewer signals, take fewer trials, or shorten them"
         return f"chunk = {int(small + (room - least) / (need - least) * (size - small)) // tile * tile} would fit"
 
     def _variables(self) -> dict[str, Variable]:
@@ -191,7 +207,9 @@ class Sweep:
             "settled_error": Variable(per_trial + channel, real, unit, "largest error in the settled window of a trial"),
             "effort": Variable(per_trial + inputs, real, input_unit, "root mean square input of a trial"),
             "finite": Variable(per_trial, "bool", "", "whether the trial stayed finite"),
-            "diverged_at": Variable(("scheme", "sample"), "i4", "", "first trial that was not finite, 0 if none"),
+            "diverged": Variable(per_trial, "bool", "", "whether the trial diverged: not finite, or an error far beyond the reference"),
+            "diverged_at": Variable(("scheme", "sample"), "i4", "", "first trial that diverged, 0 if none"),
+            "grown_from": Variable(("scheme", "sample"), "i4", "", "trial from which on the rms error stays far above its least, or 0"),
         }
         variables |= {name: Variable(per_trial, real, "", "figure of a trial") for name in self.quantities}
         for name in self.keep:
@@ -278,4 +296,4 @@ def _one_sample(common, one, *, names, trials: int, keep: tuple[str, ...], save:
     history = learn(machine, scheme, task, trials, key=jax.random.fold_in(key, index), save=save)
     figures = history.metrics._asdict() | {name: getattr(history.final, name) for name in keep}
     squeezed = {name: x[..., 0] if name != "finite" and x.shape[-1] == 1 else x for name, x in figures.items()}
-    return squeezed | history.saved | {"diverged_at": history.diverged_at}
+    return squeezed | history.saved | {name: getattr(history, name) for name in Course._fields}

@@ -8,7 +8,8 @@ import numpy as np
 import scipy.signal
 
 from .filters import Filter, ZeroPhaseButterworth, need_padding
-from .pytree import Interval, known, leaf, pytree, static
+from .pytree import known, leaf, pytree, static
+from .ranges import Interval
 
 
 @pytree
@@ -30,7 +31,7 @@ class SwitchableFilter(Filter):
     cutoff: jax.Array = leaf(interval="(0, inf)")
     times: jax.Array = leaf((), "(0, inf)")
     width: jax.Array = leaf(0.0, "[0, inf)")
-    order: int = static(2, "[1, inf)", whole=True)
+    order: int = static(2, "[1, 100]", whole=True)
     padding: int | None = static(None, "[0, inf)", whole=True, optional=True)
 
     def __post_init__(self):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .divergence import CEILING, GROWTH
 from .reproduction import SHAPE
 from .theory.certificates import CLAIMS, CONVERGES, COURSES, DIVERGES, GROWS, MONOTONE, NOTHING, TURNS
 from .titled_table import Table
@@ -30,11 +31,15 @@ def shown_trials(scenario: Scenario) -> list[int]:
 
 
 def run_figures(scenario: Scenario, dataset: xr.Dataset) -> dict[str, Any]:
-    """A run's figures [shown unit] by scheme, figure and trial, beside the published ones; the largest channel counts."""
+    """A run's figures [shown unit] by scheme, figure and trial, beside the published ones; the largest channel counts.
+
+    The errors of a trial that diverged are infinite (see `divergence`).
+    """
     schemes: dict[str, Any] = {}
     for name in scenario.schemes:
         chosen = dataset.sel(scheme=name).max("channel", skipna=False)
         shown = {f: scenario.shown(f)[0] * chosen[f] for f in (*FIGURES, *scenario.quantities)}
+        shown |= {f: shown[f].where(~chosen["diverged"], np.inf) for f in shown if f != "best_trial"}
         figures = {f: {str(j): float(values.sel(trial=j)) for j in shown_trials(scenario)} for f, values in shown.items()}
         published = []
         for p in scenario.due:
@@ -43,14 +48,15 @@ def run_figures(scenario: Scenario, dataset: xr.Dataset) -> dict[str, Any]:
                 ours = float(shown[p.quantity].sel(trial=trial)) if trial <= scenario.trials else None
                 row = {"trial": p.trial, "quantity": p.quantity, "value": p.value, "unit": scenario.shown(p.quantity)[1]}
                 published.append(row | {"source": p.source, "ours": ours})
-        schemes[name] = figures | {"diverged_at": int(chosen["diverged_at"]), "published": published}
+        course = {name: int(chosen[name]) for name in ("diverged_at", "grown_from")}
+        schemes[name] = figures | course | {"published": published}
     return {"scenario": scenario.name, "trials": scenario.trials, "unit": scenario.shown_unit, "schemes": schemes}
 
 
 def run_table(scenario: Scenario, figures: dict[str, Any]) -> Table:
     """The figure the scenario is judged by, by trial and scheme, the published value in brackets."""
     figure, (_, unit) = scenario.judged_by, scenario.shown(scenario.judged_by)
-    table = Table(title=f"{scenario.title}\n{figure.replace('_', ' ')} \\[{unit}] by trial, published value in brackets")
+    table = Table(title=f"{scenario.title}\n{figure.replace('_', ' ')} [{unit}] by trial, published value in brackets")
     table.add_column("trial", justify="right")
     for name in scenario.schemes:
         table.add_column(name, justify="right")
@@ -75,6 +81,17 @@ def other_rows(scenario: Scenario, figures: dict[str, Any]) -> list[str]:
     return lines
 
 
+def course_lines(figures: dict[str, Any]) -> list[str]:
+    """Where learning went wrong in a run: a line for each scheme that diverged or has grown."""
+    lines = []
+    for name, rows in figures["schemes"].items():
+        if rows["diverged_at"]:
+            lines.append(f"{name}: diverged at trial {rows['diverged_at']}: not finite, or an error of {CEILING:g} times the reference")
+        elif rows["grown_from"]:
+            lines.append(f"{name}: from trial {rows['grown_from']} on the rms error is more than {1 + GROWTH:g} times its least")
+    return lines
+
+
 def sweep_figures(scenario: Scenario, summary: Sequence[SchemeSummary], tolerance: float, samples: int) -> dict[str, Any]:
     """A sweep's summary [shown unit] by scheme; quantiles and the worst sample by trial."""
     k, unit = scenario.shown(scenario.judged_by)
@@ -83,7 +100,9 @@ def sweep_figures(scenario: Scenario, summary: Sequence[SchemeSummary], toleranc
             "yield": row.yield_share,
             "yield_interval": [row.yield_low, row.yield_high],
             "semi_converged": row.semi_converged,
+            "grown_from": row.grown_from,
             "diverged": row.diverged,
+            "diverged_at": row.diverged_at,
             "by_trial": {
                 str(j): {
                     "median": k * float(row.median[j - 1]),
@@ -109,29 +128,42 @@ def sweep_figures(scenario: Scenario, summary: Sequence[SchemeSummary], toleranc
 
 
 def yield_table(figures: dict[str, Any]) -> Table:
-    """One row a scheme: yield with its interval, the last trial's spread, semi-convergence, divergence."""
-    last, unit = str(figures["trials"]), figures["unit"]
+    """One row a scheme: yield with its interval, and which shares have grown again or diverged, from which trial on."""
+    last, unit = figures["trials"], figures["unit"]
     table = Table(title=f"{figures['samples']} machines, {figures['figure']} of trial {last} within {figures['tolerance']:g} {unit}")
-    for column in ("scheme", "yield (95 % interval)", f"median \\[{unit}]", "5–95 %", "worst", "sample", "semi-converged", "diverged"):
+    for column in ("scheme", "yield (95 % interval)", "grown (from)", "diverged (from)"):
         table.add_column(column, justify="left" if column == "scheme" else "right")
     for name, row in figures["schemes"].items():
-        at, (low, high) = row["by_trial"][last], row["yield_interval"]
+        low, high = row["yield_interval"]
         table.add_row(
             name,
             f"{row['yield']:.1%} ({low:.1%} – {high:.1%})",
-            number(at["median"]),
-            f"{number(at['low'])} – {number(at['high'])}",
-            number(at["worst"]),
-            str(at["worst_sample"]),
-            f"{row['semi_converged']:.1%}",
-            f"{row['diverged']:.1%}",
+            _share(row["semi_converged"], row["grown_from"]),
+            _share(row["diverged"], row["diverged_at"]),
         )
     return table
 
 
+def spread_table(figures: dict[str, Any]) -> Table:
+    """One row a scheme: quantiles of the last trial over the machines, and the worst one."""
+    last = str(figures["trials"])
+    table = Table(title=f"{figures['figure']} [{figures['unit']}] of trial {last}")
+    for column in ("scheme", "median", "5 %", "95 %", "worst", "its sample"):
+        table.add_column(column, justify="left" if column == "scheme" else "right")
+    for name, row in figures["schemes"].items():
+        at = row["by_trial"][last]
+        table.add_row(name, *(number(at[of]) for of in ("median", "low", "high", "worst")), str(at["worst_sample"]))
+    return table
+
+
+def _share(share: float, trial: int) -> str:
+    """`5.2% (43)`: of the machines, and from which trial on the first of them."""
+    return f"{share:.1%}" + (f" ({trial})" if trial else "")
+
+
 def band_table(figures: dict[str, Any]) -> Table:
     """Median and 95 % quantile by trial and scheme."""
-    table = Table(title=f"{figures['figure']} \\[{figures['unit']}] by trial: median (95 % quantile)")
+    table = Table(title=f"{figures['figure']} [{figures['unit']}] by trial: median (95 % quantile)")
     table.add_column("trial", justify="right")
     for name in figures["schemes"]:
         table.add_column(name, justify="right")
@@ -216,7 +248,7 @@ def certificate_tables(name: str, trials: int, figures: dict[str, Any]) -> list[
         premises.add_column("broken at, of samples and trials", justify="right")
         for premise, row in figures["premises"].items():
             held = f"{row['held']} of {machines}" if row["held"] else "no machine"
-            premises.add_row(premise, held, _share(row["share_broken"]))
+            premises.add_row(premise, held, _of_all(row["share_broken"]))
         tables.append(premises)
     return tables
 
@@ -248,9 +280,9 @@ def identification_table(title: str, rows: Sequence[tuple[str, float, float, flo
 
 
 def number(value: float) -> str:
-    """Three significant digits, as one reads them."""
+    """Three significant digits, as one reads them; ∞ for an error that diverged."""
     if not np.isfinite(value):
-        return "–"
+        return "∞" if value == np.inf else "–"
     if value == 0 or 1e-3 <= abs(value) < 1e5:
         return np.format_float_positional(value, precision=3, fractional=False, trim="-")
     return f"{value:.2e}"
@@ -261,6 +293,6 @@ def _range(values) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def _share(share: float) -> str:
+def _of_all(share: float) -> str:
     """A share in percent; one that is not zero never reads as zero."""
     return "nowhere" if share == 0 else "< 0.01 %" if share < 1e-4 else f"{100 * share:.2f} %"

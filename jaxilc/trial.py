@@ -32,21 +32,21 @@ def run_and_measure(machine: Machine, scheme: Scheme, task: Task, memory, key) -
     future = jnp.pad(r[1:], ((0, preview - 1), (0, 0)), mode="edge")
 
     def tick(carry, now):
-        x, state, v_last, y, tally = carry
+        x, state, v_last, u_last, y, tally = carry
         k, r_k, next_r, row, d_u, d_y, noise, settled = now
         ahead = next_r[None] if preview == 1 else lax.dynamic_slice_in_dim(future, k, preview)
-        state, command = scheme.act(state, Sample(r_k, ahead, y, row, dt))
+        state, command = scheme.act(state, Sample(r_k, ahead, y, row, dt, u_last))
         v, u = machine.actuate(command, v_last, dt)
         x = plant.step(x, _plus(u, d_u), dt)
         y = machine.measure(_plus(plant.output(x), d_y), noise)
         seen = lax.stop_gradient((next_r - y, u))
-        return (x, state, v, y, tally.add(*seen, settled)), (y, u, scheme.signals(state))
+        return (x, state, v, None if unaltered else u, y, tally.add(*seen, settled)), (y, u, scheme.signals(state))
 
-    d_y, noise = draws.output, draws.sensor
-    x = plant.init()
+    d_y, noise, unaltered = draws.output, draws.sensor, machine.actuator is None
+    x, rest = plant.init(), jnp.zeros(task.inputs)
     y = machine.measure(_plus(plant.output(x), _at(d_y, 0)), _at(noise, 0))
     tally = Tally.start(lax.stop_gradient(r[0] - y), task.inputs, task.settled.start == 0)
-    carry = (x, scheme.init(task), jnp.zeros(task.inputs), y, tally)
+    carry = (x, scheme.init(task), rest, None if unaltered else rest, y, tally)
     rows = (
         jnp.arange(task.N),
         r[:-1],

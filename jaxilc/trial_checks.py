@@ -8,12 +8,13 @@ from typing import NamedTuple
 import numpy as np
 
 from .machine import Actuator
-from .pytree import Interval
+from .ranges import Interval
 from .signals import Task, Trial
 
 AT_LIMIT = 1e-3  # of the limit, within which an input counts as saturated
 AS_PLAYED = 1e-4  # of a table's peak, by which it may differ from what the machine recorded of it
 AS_COMMANDED = 0.01  # of the input's peak, by which the recorded input may differ from the replayed one
+SAME = 1e-8  # of a signal's peak, by which two files of one trial may differ: one of them was rounded to 9 digits
 LITTLE = 0.5  # of the error: a difference between repeated trials above it leaves little to learn
 
 
@@ -149,6 +150,16 @@ def beyond_limits(tables: Mapping[str, np.ndarray], task: Task, actuator: Actuat
 def _resolution(actuator: Actuator | None):
     step = getattr(actuator, "resolution", None)
     return 0.0 if step is None else np.asarray(step, float)
+
+
+def same(one, other) -> bool:
+    """Whether two records of a signal are one measurement: no two trials of a machine are alike to so many digits."""
+    return np.shape(one) == np.shape(other) and bool(np.max(np.abs(np.asarray(one) - other)) <= same_up_to(one))
+
+
+def same_up_to(signal) -> float:
+    """By how much two records of one signal may differ."""
+    return SAME * float(np.max(np.abs(signal)))
 
 
 def rms_over_all(trial: Trial) -> float:

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,15 +27,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from jax import lax
 
 from .batch import OPEN, tiled, usual_lanes
 from .descent import (
     Bijection,
     Evaluation,
-    Folder,
     Method,
     State,
+    arguments_like,
     by_gradient,
     by_least_squares,
     counted,
@@ -42,17 +42,22 @@ from .descent import (
     repaired,
     value_and_slope,
 )
-from .learning import History, check, learn
+from .divergence import CEILING
+from .learning import check, truncated
 from .machine import Machine
+from .memory import check_program
 from .metrics import Keep
-from .objectives import CEILING, Bounded, Final, Objective, Run, Sum, judge
+from .objectives import Bounded, Final, Objective, Run, Sum, judge
 from .pytree import replaced
+from .ranges import SEEDS, require
 from .recipe import describe
 from .results import environment
 from .risks import Mean, Risk
 from .schemes import Scheme
 from .signals import Task, Trial
+from .states import Folder
 from .sweep import Sweep
+from .tuning_sizes import need_room
 from .uncertainty import Uncertainty, draw, drawn_machine
 from .weights import Asked, Tuned, Weights
 
@@ -120,18 +125,19 @@ class Tuning:
     def __post_init__(self):
         object.__setattr__(self, "lanes", usual_lanes() if self.lanes is None else self.lanes)
         for name, low in (("trials", 1), ("samples", 1), ("held_out", 0), ("steps", 1), ("starts", 1), ("validate_every", 1), ("lanes", 1)):
-            if getattr(self, name) < low:
-                raise ValueError(f"Tuning: {name} = {getattr(self, name)} is outside its allowed range [{low}, inf)")
-        for name in ("rate", "clip", "ceiling"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"Tuning: {name} = {getattr(self, name)} is outside its allowed range (0, inf)")
-        if self.truncate is not None and self.truncate < 1:
-            raise ValueError(f"Tuning: truncate = {self.truncate} is outside its allowed range [1, inf)")
+            require("Tuning", name, getattr(self, name), f"[{low}, inf)", whole=True)
+        for name, allowed in (("rate", "(0, inf)"), ("clip", "(0, inf]"), ("ceiling", "(0, inf)"), ("scatter", "[0, inf)")):
+            require("Tuning", name, getattr(self, name), allowed)
+        require("Tuning", "patience", self.patience, "[0, inf)", whole=True)
+        require("Tuning", "seed", self.seed, SEEDS, whole=True)
+        if self.truncate is not None:
+            require("Tuning", "truncate", self.truncate, "[1, inf)", whole=True)
         for name, choices in (("mode", ("auto", "forward", "reverse")), ("optimiser", OPTIMISERS)):
             if isinstance(getattr(self, name), str) and getattr(self, name) not in choices:
                 raise ValueError(f"Tuning: {name} = {getattr(self, name)!r} is not one of {', '.join(choices)}")
         check(self.machine, self.scheme, self.task)
         self._weights.need_room(self.machine, self.scheme, self.task)
+        need_room(self)
         draw(self.machine, self.uncertainty, self.samples, seed=self.seed, sampling=self.sampling)
         jax.eval_shape(lambda: self.loss_of(self.machine, {}))
 
@@ -165,7 +171,7 @@ class Tuning:
         if self.truncate is None or self.truncate >= self.trials:
             return judge(machine, scheme, self.task, self.trials, objective, ceiling=self.ceiling, **options)
         bounded = Bounded.around(scheme, self.task, self.ceiling)
-        history = _truncated(machine, bounded, self.task, self.trials, self.truncate, **options)
+        history = truncated(machine, bounded, self.task, self.trials, self.truncate, **options)
         return objective(Run(machine, scheme, self.task, history, self.ceiling))
 
     def held_out_loss(self, values: Mapping[str, Any], objective: Objective | None = None) -> jax.Array:
@@ -183,30 +189,31 @@ class Tuning:
 
         out: a folder for the state after each step, None for memory only;  resume: go on with the state at `out`
         progress: called after each step with its number, the (K,) training losses and the best held-out loss so far
-        Killed at any moment, a resumed run ends with the numbers of an uninterrupted one, bit for bit. Raises FileExistsError for an
-        `out` that exists without `resume`, ValueError for one made with another configuration.
+        Killed at any moment, a resumed run ends with the numbers of an uninterrupted one, bit for bit; a damaged state is left for the
+        one before it. Raises FileExistsError for an `out` that exists without `resume`, ValueError for one that is in use, is damaged
+        beyond that, or was made with another configuration, and for a step that memory cannot hold.
         """
-        z = self._weights.starts(self.starts, self.scatter, self.seed)
-        method = for_starts(self._method())
-        held_out = jax.jit(jax.vmap(self.held_out_loss))
-        now, reason = State.start(z, method.init(z), self.steps), ""
-        folder = None if out is None else Folder(Path(out), self.configuration(), resume)
-        now = now if folder is None else folder.latest(now)
-        while not reason:
-            if now.step % self.validate_every == 0 or now.step == self.steps:
-                now = now.validated(jax.device_get(held_out(self._weights.at(now.z))))
-            if now.step == self.steps or now.stale > self.patience:
-                reason = "steps" if now.step == self.steps else "patience"
-                continue
-            z, inner, record = method.step(now.z, now.inner)
-            if not np.any(np.isfinite(record.loss)):
-                reason = "no plant has a finite loss"
-                continue
-            now = now.advanced(z, inner, record)
-            if folder is not None:
-                folder.write(now)
-            if progress is not None:
-                progress(int(now.step), np.asarray(record.loss), float(now.best))
+        z, (method, held_out) = self._weights.starts(self.starts, self.scatter, self.seed), self._programs
+        fewer = "take fewer trials, starts or lanes, or a shorter trial"
+        check_program("Tuning: a step of all starts", fewer, method.programs[1], *arguments_like(method, z))
+        with nullcontext() if out is None else Folder(Path(out), self.configuration(), resume) as folder:
+            now, reason = State.start(z, method.init(z), self.steps), ""
+            now = now if folder is None else folder.latest(now)
+            while not reason:
+                if now.step % self.validate_every == 0 or now.step == self.steps:
+                    now = now.validated(jax.device_get(held_out(self._weights.at(now.z))))
+                if now.step == self.steps or now.stale > self.patience:
+                    reason = "steps" if now.step == self.steps else "patience"
+                    continue
+                z, inner, record = method.step(now.z, now.inner)
+                if not np.any(np.isfinite(record.loss)):
+                    reason = "no plant has a finite loss"
+                    continue
+                now = now.advanced(z, inner, record)
+                if folder is not None:
+                    folder.write(now)
+                if progress is not None:
+                    progress(int(now.step), np.asarray(record.loss), float(now.best))
         values = {name: float(value) for name, value in self._weights.at(now.best_z).items()}
         before, after = held_out({name: jnp.asarray([self.start[name], values[name]]) for name in values})
         return Tuned.of(now, self._weights, self.scheme, float(before), float(after), reason)
@@ -218,11 +225,27 @@ class Tuning:
         seed: of the plants, None for that of the tuning + 2. Whoever changes a tuning after looking at a comparison has seen its plants
         Raises ValueError for the seeds of the plants that were seen.
         """
+        return self.comparison({"given": self.scheme, "tuned": tuned.scheme}, trials=trials, samples=samples, seed=seed).run()
+
+    def comparison(
+        self, schemes: Mapping[str, Scheme] | None = None, *, trials: int | None = None, samples: int = 257, seed: int | None = None
+    ) -> Sweep:
+        """The sweep of schemes over plants that nobody has seen, as `compare` has it; None for the one given and another like it.
+
+        Raises as `compare` does, and ValueError for more plants or trials than fit into memory: ask before tuning for hours.
+        """
         if seed in (self.seed, self.seed + 1):
             raise ValueError(f"compare: seed = {seed} is one of {self.seed} and {self.seed + 1}, whose plants tuning or choosing has seen")
-        schemes = {"given": self.scheme, "tuned": tuned.scheme}
-        options: dict[str, Any] = {"samples": samples, "seed": self.seed + 2 if seed is None else seed, "quantities": self.quantities}
-        return Sweep(self.machine, schemes, self.task, trials or self.trials, self.uncertainty, **options).run()
+        schemes = {"given": self.scheme, "tuned": self.scheme} if schemes is None else schemes
+        options: dict[str, Any] = {"seed": self.seed + 2 if seed is None else seed, "quantities": self.quantities}
+        planned = Sweep(self.machine, schemes, self.task, trials or self.trials, self.uncertainty, samples=samples, **options)
+        planned.need_room(copies=2)  # in memory the dataset is there twice
+        return planned
+
+    @cached_property
+    def _programs(self) -> tuple[Method, Callable]:
+        """The optimiser for all starts, and the held-out losses; what is compiled is kept with the problem."""
+        return for_starts(self._method()), jax.jit(jax.vmap(self.held_out_loss))
 
     def _method(self) -> Method:
         """The optimiser on the training loss."""
@@ -275,13 +298,3 @@ def _split(objective: Objective) -> tuple[Sum, Sum]:
     """What is asked of each plant, and what of the nominal one alone."""
     of_plants, of_nominal = (Sum(tuple(t for t in objective.terms if t[1].nominal is nominal)) for nominal in (False, True))
     return of_plants, of_nominal
-
-
-def _truncated(machine: Machine, scheme: Scheme, task: Task, trials: int, last: int, **options) -> History:
-    """Learning, of which the gradient sees the last trials alone (truncated back-propagation: Williams and Peng 1990)."""
-    first = trials - last + 1
-    before = learn(*lax.stop_gradient((machine, scheme)), task, first - 1, **options)
-    after = learn(machine, scheme, task, last, memory=before.memory, first=first, **options)
-    metrics, saved = jax.tree.map(lambda *both: jnp.concatenate(both), (before.metrics, before.saved), (after.metrics, after.saved))
-    diverged_at = jnp.where(before.diverged_at > 0, before.diverged_at, after.diverged_at)
-    return after._replace(metrics=metrics, saved=saved, diverged_at=diverged_at)

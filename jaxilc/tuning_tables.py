@@ -61,7 +61,7 @@ def tuning_tables(scenario: Scenario, figures: dict[str, Any]) -> list[Table]:
 
 def worst_case_tables(scenario: Scenario, figures: dict[str, Any]) -> list[Table]:
     """What each search found and what it cost; the numbers of the worst machine."""
-    what = f"{figures['figure'].replace('_', ' ')} \\[{figures['unit']}] at trial {figures['trial']}"
+    what = f"{figures['figure'].replace('_', ' ')} [{figures['unit']}] at trial {figures['trial']}"
     title = f"{scenario.title}\n{figures['scheme']}: largest {what}, nominal {number(figures['nominal'])}"
     table = Table("search", title=title)
     for column in ("found", "evaluations", "of them until found", "until level with chance"):

@@ -19,8 +19,11 @@ import numpy as np
 from scipy import special
 from scipy.stats import qmc
 
+from .memory import check_size
 from .pytree import get_at, interval_at, replaced
+from .ranges import SEEDS, brief, is_number, require
 
+COPIES = 6  # of all numbers, while they are drawn
 SAMPLINGS = ("monte-carlo", "latin-hypercube", "sobol", "corners")
 
 
@@ -33,8 +36,10 @@ class Uniform:
     relative: bool = False
 
     def __post_init__(self):
+        _need_numbers(self, low="(-inf, inf)", high="(-inf, inf)")
         if not self.low < self.high:
             raise ValueError(f"Uniform: low = {self.low:g} must lie below high = {self.high:g}")
+        _need_finite(self)
 
     def quantile(self, p) -> np.ndarray:
         """The value below which a share p of the draws lies."""
@@ -57,8 +62,8 @@ class Normal:
     relative: bool = False
 
     def __post_init__(self):
-        if not self.std > 0:
-            raise ValueError(f"Normal: std = {self.std:g} is outside its allowed range (0, inf)")
+        _need_numbers(self, mean="(-inf, inf)", std="(0, inf)")
+        _need_finite(self)
 
     def quantile(self, p) -> np.ndarray:
         return self.mean + self.std * special.ndtri(np.clip(p, 1e-12, 1.0 - 1e-12))
@@ -80,8 +85,10 @@ class LogUniform:
     relative: bool = False
 
     def __post_init__(self):
+        _need_numbers(self, low="(-inf, inf)", high="(-inf, inf)")
         if not 0 < self.low < self.high:
             raise ValueError(f"LogUniform: low = {self.low:g} and high = {self.high:g} must satisfy 0 < low < high")
+        _need_finite(self)
 
     def quantile(self, p) -> np.ndarray:
         return self.low * (self.high / self.low) ** p
@@ -97,8 +104,28 @@ Distribution = Uniform | Normal | LogUniform
 Uncertainty = Mapping[str, Distribution]
 
 
+def _need_numbers(distribution, **ranges: str) -> None:
+    """Raises ValueError unless each field is one number in its range, and `relative` True or False."""
+    name = type(distribution).__name__
+    for field, interval in ranges.items():
+        require(name, field, getattr(distribution, field), interval)
+        object.__setattr__(distribution, field, float(getattr(distribution, field)))
+    if not isinstance(distribution.relative, bool | np.bool_):
+        raise ValueError(f"{name}: relative = {brief(distribution.relative)} is not one of True, False")
+
+
+def _need_finite(distribution) -> None:
+    """Raises ValueError where what is drawn would not be a finite number, as between 1e-300 and 1e300 by their ratio."""
+    with np.errstate(all="ignore"):
+        ends = [*distribution.quantile(np.array([0.0, 1.0])), *distribution.corners()]
+    if not np.all(np.isfinite(ends)):
+        raise ValueError(f"{distribution} reaches beyond the largest float; allowed are finite draws")
+
+
 def with_spread(uncertainty: Uncertainty, half_width: float) -> dict[str, Distribution]:
     """The same names, every relative distribution at +-half_width (0.2 is 20 %). Raises ValueError outside (0, 1)."""
+    if not is_number(half_width):
+        raise ValueError(f"spread = {brief(half_width)} is not a number")
     if not 0 < half_width < 1:
         raise ValueError(f"spread = {half_width:g} is outside its allowed range (0, 1)")
     return {name: d.spread(half_width) if d.relative else d for name, d in uncertainty.items()}
@@ -110,8 +137,12 @@ def nominal(machine, uncertainty: Uncertainty) -> dict[str, float]:
 
 
 def check(machine, uncertainty: Uncertainty) -> None:
-    """Raises ValueError naming a leaf that does not exist, is absent, or cannot take an absolute value."""
+    """Raises ValueError naming a leaf that does not exist, is absent, or cannot take an absolute value, and what is no distribution."""
+    if not isinstance(uncertainty, Mapping):
+        raise ValueError(f"uncertainty = {brief(uncertainty)} is a {type(uncertainty).__name__}; allowed are names with distributions")
     for name, distribution in uncertainty.items():
+        if not callable(getattr(distribution, "quantile", None)):
+            raise ValueError(f"uncertainty: {name} = {brief(distribution)} is no distribution; allowed are Uniform, Normal and LogUniform")
         try:
             value = get_at(machine, name)
         except KeyError as error:
@@ -130,10 +161,11 @@ def draw(machine, uncertainty: Uncertainty, samples: int, *, seed: int = 0, samp
     Raises ValueError for an unknown name or sampling, and where a draw leaves the allowed range of its leaf.
     """
     if sampling not in SAMPLINGS:
-        raise ValueError(f"sampling = {sampling!r} is not one of {', '.join(SAMPLINGS)}")
-    if samples < 1:
-        raise ValueError(f"samples = {samples} is outside its allowed range [1, inf)")
+        raise ValueError(f"sampling = {brief(sampling)} is not one of {', '.join(SAMPLINGS)}")
+    require("draw", "samples", samples, "[1, inf)", whole=True)
+    require("draw", "seed", seed, SEEDS, whole=True)
     check(machine, uncertainty)
+    check_size(sampling, lambda samples: bytes_drawn(machine, uncertainty, samples), samples=drawn_samples(uncertainty, samples, sampling))
     if sampling == "corners":
         drawn = _corners(uncertainty)
     else:
@@ -143,6 +175,17 @@ def draw(machine, uncertainty: Uncertainty, samples: int, *, seed: int = 0, samp
     drawn = {name: np.concatenate([[first[name]], values]) for name, values in drawn.items()}
     _within_ranges(machine, uncertainty, drawn)
     return drawn
+
+
+def drawn_samples(uncertainty: Uncertainty, samples: int, sampling: str) -> int:
+    """How many machines `draw` gives: the nominal one and the others, which of corners are as many as there are."""
+    return 1 + 2 ** len(uncertainty) if sampling == "corners" else samples
+
+
+def bytes_drawn(machine, uncertainty: Uncertainty, samples: float) -> float:
+    """What drawing so many takes, at most."""
+    largest = max((np.size(get_at(machine, name)) for name in uncertainty), default=0)
+    return 8 * samples * (COPIES * len(uncertainty) + 2 * largest)
 
 
 def drawn_machine(machine, uncertainty: Uncertainty, values: Mapping[str, float]) -> Any:

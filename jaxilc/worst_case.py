@@ -17,9 +17,12 @@ import numpy as np
 from scipy.stats import qmc
 
 from .batch import tiled
+from .memory import check_program, check_size
+from .ranges import SEEDS, require
 from .uncertainty import LogUniform, Uncertainty, check, drawn_machine
 
 GRADIENT_COST = 3  # evaluations that a gradient costs on top of the loss
+COPIES = 8  # of the places of all climbs, and of all draws, and of what was found there
 GROW, SHRINK, FIRST, SMALLEST = 1.5, 0.4, 0.1, 1e-6  # Riedmiller 1993, with a little more haste
 
 
@@ -57,10 +60,16 @@ def worst_case_search(
     Raises ValueError for an uncertainty that is empty or does not fit the subject, or where no loss is finite.
     """
     for name, value in (("starts", starts), ("steps", steps), ("lanes", lanes)):
-        if value is not None and value < 1:
-            raise ValueError(f"worst_case_search: {name} = {value} is outside its allowed range [1, inf)")
+        if value is not None:
+            require("worst_case_search", name, value, "[1, inf)", whole=True)
+    require("worst_case_search", "seed", seed, SEEDS, whole=True)
     box = _Box(subject, uncertainty)
-    climb = tiled(lambda subject, t: jax.value_and_grad(lambda t: loss(drawn_machine(subject, uncertainty, box.values(t))))(t), lanes=lanes)
+    check_size("worst_case_search", lambda starts, steps: 8 * (COPIES * box.n * starts + 2 * steps), starts=starts, steps=steps)
+    climb = jax.jit(
+        tiled(lambda subject, t: jax.value_and_grad(lambda t: loss(drawn_machine(subject, uncertainty, box.values(t))))(t), lanes=lanes)
+    )
+    start = jax.ShapeDtypeStruct((starts, box.n), jnp.result_type(float))
+    check_program("worst_case_search: a step of all starts", "take fewer starts or trials, or a shorter one", climb, subject, start)
     t = np.concatenate([np.full((1, box.n), 0.5), qmc.LatinHypercube(box.n, rng=seed).random(starts - 1)])
     step, last = np.full_like(t, FIRST), np.zeros_like(t)
     found, at, best = np.full(starts, -np.inf), t.copy(), np.zeros(steps)
@@ -81,14 +90,21 @@ def monte_carlo_search(
     loss: Callable[[Any], jax.Array], subject: Any, uncertainty: Uncertainty, evaluations: int, *, seed: int = 0, lanes: int | None = None
 ) -> WorstCase:
     """The largest of so many losses drawn at random, evenly from the same box. Raises as `worst_case_search` does."""
-    if evaluations < 1:
-        raise ValueError(f"monte_carlo_search: evaluations = {evaluations} is outside its allowed range [1, inf)")
+    require("monte_carlo_search", "evaluations", evaluations, "[1, inf)", whole=True)
+    require("monte_carlo_search", "seed", seed, SEEDS, whole=True)
     box = _Box(subject, uncertainty)
+    each = bytes_of_a_draw(uncertainty)
+    check_size("monte_carlo_search", lambda evaluations: each * evaluations, evaluations=evaluations)
     t = np.random.default_rng(seed).random((evaluations, box.n))
     look = tiled(lambda subject, t: loss(drawn_machine(subject, uncertainty, box.values(t))), lanes=lanes)
     losses = np.asarray(look(subject, jnp.asarray(t)))
     losses = np.where(np.isfinite(losses), losses, -np.inf)
     return box.worst(t, losses, evaluations, np.maximum.accumulate(losses))
+
+
+def bytes_of_a_draw(uncertainty: Uncertainty) -> float:
+    """What one evaluation of `monte_carlo_search` takes, besides the learning itself."""
+    return 8 * COPIES * (len(uncertainty) + 1)
 
 
 class _Box:

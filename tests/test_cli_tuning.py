@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 import jaxilc
-from jaxilc import descent, figures
+from jaxilc import figures
+from jaxilc import states as of_tuning
 from jaxilc.cli import main
 from jaxilc.objectives import Contraction, Effort, EveryTrial, Final, Growth, Holding, InputRate, TrialsTo
 from jaxilc.parameters import differing, with_parameters, write_parameters
@@ -124,7 +125,7 @@ def test_every_command_names_a_parameter_file_of_another_scenario(command, tmp_p
 
 def test_a_stopped_tuning_resumes_to_the_same_parameters(tuned, tmp_path, monkeypatch):
     folder, _ = tuned
-    write, states = descent.Folder.write, []
+    write, states = of_tuning.Folder.write, []
 
     def stop_at_two(self, state):
         write(self, state)
@@ -132,7 +133,7 @@ def test_a_stopped_tuning_resumes_to_the_same_parameters(tuned, tmp_path, monkey
         if len(states) == 2:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(descent.Folder, "write", stop_at_two)
+    monkeypatch.setattr(of_tuning.Folder, "write", stop_at_two)
     code, _, err = call(*TUNE, "--out", tmp_path)
     assert code == 130
     assert "--resume goes on" in err
@@ -151,16 +152,16 @@ def test_a_stopped_tuning_resumes_to_the_same_parameters(tuned, tmp_path, monkey
 
 @pytest.mark.slow
 def test_a_stopped_front_resumes_to_the_numbers_of_the_library(scenario, tmp_path, monkeypatch):
-    write, states = descent.Folder.write, []
+    write, states = of_tuning.Folder.write, []
 
     def stop_in_the_second(self, state):
         write(self, state)
-        states.append(self.file.parent.name)
+        states.append(self.path.name)
         if len(states) == 3:
             raise KeyboardInterrupt
 
     asked = (*PARETO, "--second", "effort", "--shares", "0.2,0.95", "--trials", 3, "--out", tmp_path)
-    monkeypatch.setattr(descent.Folder, "write", stop_in_the_second)
+    monkeypatch.setattr(of_tuning.Folder, "write", stop_in_the_second)
     code, _, err = call(*asked)
     assert code == 130
     assert f"{tmp_path / 'state'} holds what is done" in " ".join(err.split())
@@ -314,7 +315,7 @@ def test_risks_are_what_they_say():
         ("worst-case", ("--trial", "0"), "--trial 0 is outside its allowed range [1, inf)"),
         ("worst-case", ("--evaluations", "10"), "--evaluations 10 is outside its allowed range [64, inf)"),
         ("worst-case", ("--draws", "0"), "--draws 0 is outside its allowed range [1, inf)"),
-        ("worst-case", ("--starts", "0"), "starts = 0 is outside its allowed range [1, inf)"),
+        ("worst-case", ("--starts", "0"), "--starts 0 is outside its allowed range [1, inf)"),
     ],
 )
 def test_a_mistake_is_one_line_and_nothing_is_written(command, arguments, message, tmp_path):

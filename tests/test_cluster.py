@@ -21,8 +21,8 @@ import xarray as xr
 
 import jaxilc
 from jaxilc import cli, cluster, memory
-from jaxilc.results import Store
 from jaxilc.schemes import PID
+from jaxilc.store import Store
 
 distributed = pytest.importorskip("distributed")
 

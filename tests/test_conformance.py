@@ -108,13 +108,13 @@ def test_gradient_of_every_parameter_equals_finite_differences(run):
 
 
 def test_other_weights_do_not_retrace(run):
-    before = learning._learn._cache_size()
+    before = learning._program(learning._nothing)._cache_size()
     for turn in range(10):
         parts = run.parts
         for name, value in named_leaves(parts).items():
             parts = replaced(parts, {name: np.asarray(value) * (1 - 0.001 * turn)})
         of(parts, run.task)
-    assert learning._learn._cache_size() == before
+    assert learning._program(learning._nothing)._cache_size() == before
 
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
@@ -127,22 +127,24 @@ def test_dtype_is_preserved(run, precision):
 
 STATIC = StateSpace([[0.0]], [[1.0]], [[1.0]], dt=1e-3)  # y[k+1] = u[k]
 DIVERGING = {
-    "plant": (lambda pole: (Machine(StateSpace(pole[None, None], [[1.0]], [[1.0]], dt=1e-3)), PID(kp=0.1)), 1),
-    "feedback": (lambda gain: (Machine(STATIC), PID(kp=gain)), 1),
-    # e_j = (1 - gamma)^(j-1) r: with gamma = 1e45 and max r = 1 the square of the fifth trial's error passes the largest float, 1.8e308
-    "learning": (lambda gain: (Machine(STATIC), PIDType(gamma_p=gain)), 5),
+    "plant": (lambda pole: (Machine(StateSpace(pole[None, None], [[1.0]], [[1.0]], dt=1e-3)), PID(kp=0.1)), 1, 1),
+    "feedback": (lambda gain: (Machine(STATIC), PID(kp=gain)), 1, 1),
+    # e_j = (1 - gamma)^(j-1) r: with gamma = 1e45 and max r = 1 the second trial's error passes a thousand times the reference, and the
+    # square of the fifth trial's the largest float, 1.8e308
+    "learning": (lambda gain: (Machine(STATIC), PIDType(gamma_p=gain)), 2, 5),
 }
 
 
 @pytest.mark.parametrize("kind", DIVERGING)
 def test_a_diverged_lane_is_flagged_and_spoils_no_other(kind):
-    build, when = DIVERGING[kind]
+    build, diverged, when = DIVERGING[kind]
     task, trials = task_for(STATIC), np.arange(1, 11)
     batch = jax.jit(jax.vmap(lambda strength: learn(*build(strength), task, len(trials))))
     alone, together = batch(np.array([0.5, 0.6, 0.7])), batch(np.array([0.5, 1e45, 0.7]))
     for i in (0, 2):
         assert_same(lane(alone, i), lane(together, i))
     np.testing.assert_array_equal(alone.diverged_at, [0, 0, 0])
-    np.testing.assert_array_equal(together.diverged_at, [0, when, 0])
+    np.testing.assert_array_equal(together.diverged_at, [0, diverged, 0])
+    np.testing.assert_array_equal(together.diverged, [trials < 0, trials >= diverged, trials < 0])
     np.testing.assert_array_equal(together.finite, [trials > 0, trials < when, trials > 0])
     assert not np.any(np.isfinite(together.rms[1, when - 1 :]))

@@ -1,6 +1,8 @@
 """What the figures show, read back from their axes: signals of known amplitude, time and frequency, closed forms. No pixels."""
 
+import ast
 import itertools
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ import xarray as xr
 
 from jaxilc import figures
 from jaxilc.figures.style import marks_of, style_of
+from jaxilc.figures.within_trial import _around_the_largest
 from jaxilc.machine import Machine
 from jaxilc.plants import DifferenceEquation, TwoAxes
 from jaxilc.runs import run_schemes
@@ -243,6 +246,14 @@ def test_a_short_trial_is_drawn(samples, tmp_path):
         figures.save(figure(dataset, "a", (1,)), tmp_path / "figure.png")
 
 
+def test_a_zoom_at_the_end_of_the_trial_lies_within_it():
+    """Of each length some samples round so that start and length add up to more than the end."""
+    for samples in range(10, 60):
+        time = np.arange(samples + 1) * DT
+        low, high = _around_the_largest(time, np.arange(samples + 1.0)[:, None])
+        assert time[0] <= low < high <= time[-1]
+
+
 def test_labels_do_not_overlap():
     """Of as many schemes as a scenario has: tick labels, axis labels and the legend each have their own place."""
     dataset = dataset_of([sinusoid(a, 10.0) for a in (4.0, 2.0, 1e-3)])
@@ -269,6 +280,18 @@ def test_labels_do_not_overlap():
             assert not any(a.overlaps(b) for a, b in itertools.combinations(boxes, 2)), ax.get_title()
     ax = drawn[0]
     assert not ax.get_legend().get_window_extent().overlaps(ax.get_window_extent())
+
+
+def test_a_legend_has_its_place():
+    """Matplotlib's "best" place is searched for among all points that are drawn, and warns where that takes long on a busy machine."""
+    calls = [
+        (file.name, node.lineno, {k.arg for k in node.keywords})
+        for file in Path(figures.__file__).parents[1].rglob("*.py")
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "legend"
+    ]
+    assert len(calls) > 2
+    assert [call[:2] for call in calls if "loc" not in call[2]] == []
 
 
 def test_a_run_has_what_the_figures_need(tmp_path):

@@ -117,7 +117,7 @@ BUTTERWORTH, FIR = ZeroPhaseButterworth, ZeroPhaseFIR
 ERRORS = {
     "nyquist": (lambda: BUTTERWORTH(500.0), r"ZeroPhaseButterworth: cutoff = 500(\.0)? Hz is outside its allowed range \(0, 500\)"),
     "negative": (lambda: BUTTERWORTH(-1.0), r"ZeroPhaseButterworth: cutoff = -1 is outside its allowed range \(0, inf\)"),
-    "order": (lambda: BUTTERWORTH(50.0, order=0), r"ZeroPhaseButterworth: order = 0 is outside its allowed range \[1, inf\)"),
+    "order": (lambda: BUTTERWORTH(50.0, order=0), r"ZeroPhaseButterworth: order = 0 is outside its allowed range \[1, 100\]"),
     "order_half": (lambda: BUTTERWORTH(50.0, order=2.5), r"ZeroPhaseButterworth: order = 2.5"),
     "padding": (lambda: BUTTERWORTH(50.0, padding=90), r"padding = 90 is outside its allowed range \[0, 89\] for N = 90"),
     "negative_padding": (lambda: BUTTERWORTH(50.0, padding=-1), r"padding = -1 is outside its allowed range"),

@@ -249,7 +249,7 @@ ERRORS = {
     "growth_shape": (lambda: StopWhen(LAW, growth=(0.1,)), r"StopWhen: growth has shape \(1,\); allowed is \(\)"),
     "inner": (lambda: StopWhen(PIDType(lead=N), rms=1.0), f"PIDType: lead = {N} is outside"),
     "no_table": (lambda: Filtered(StopWhen(PID(), rms=1.0), ZeroPhaseFIR()), "StopWhen learns no feedforward signal u"),
-    "repeats": (lambda: Ladder(LAW, 0), r"Ladder: repeats = 0 is outside its allowed range \[1, inf\) of whole numbers"),
+    "repeats": (lambda: Ladder(LAW, 0), r"Ladder: repeats = 0 is outside its allowed range \[1, 1e\+09\] of whole numbers"),
     "half": (lambda: Ladder(LAW, 2.5), "Ladder: repeats = 2.5"),
     "factor": (lambda: Ladder(LAW, 2, growth_of_gain=0.9), r"Ladder: growth_of_gain = 0.9 is outside its allowed range \[1, inf\)"),
     "slow": (lambda: Ladder(LAW, 2, slow=1.0), r"Ladder: slow = 1 is outside its allowed range \(0, 1\)"),

@@ -280,17 +280,35 @@ def test_a_measured_trial_that_does_not_fit_is_named(signals, message, task):
         measured_trial(task, **({"y": np.zeros(61), "u": np.zeros(60)} | signals))
 
 
-@pytest.mark.parametrize("trials", [0, -3, 2.5])
+@pytest.mark.parametrize("trials", [0, -3, 2.5, None, "3", True])
 def test_trials_must_be_a_positive_number(trials, machine, task):
-    with pytest.raises(ValueError, match=rf"learn: trials = {trials} is outside its allowed range \[1, inf\)"):
+    said = rf"{trials!r} is not a number" if trials in (None, "3", True) else rf"{trials} is outside its allowed range \[1, inf\)"
+    with pytest.raises(ValueError, match=f"learn: trials = {said}"):
         learn(machine, SCHEMES["p_type"], task, trials)
+    with pytest.raises(ValueError, match="learn: first = "):
+        learn(machine, SCHEMES["p_type"], task, 1, first=trials)
+
+
+@pytest.mark.parametrize("name", ["machine", "scheme", "task"])
+def test_what_is_to_learn_is_what_it_is_called(name, machine, task):
+    asked = {"machine": machine, "scheme": SCHEMES["p_type"], "task": task} | {name: -np.inf}
+    with pytest.raises(ValueError, match=f"{name} = -inf is a float; allowed is a {name.capitalize()}"):
+        learn(**asked, trials=1)
 
 
 TASKS = {
     "too_short": ({"reference": np.zeros(1)}, r"Task: reference has shape \(1,\)"),
     "three_axes": ({"reference": np.zeros((4, 4, 4))}, r"Task: reference has shape \(4, 4, 4\)"),
     "nan": ({"reference": np.array([0.0, np.nan])}, r"Task: reference = .*nan.* is outside"),
-    "dt": ({"dt": 0.0}, r"Task: dt = 0.0 is outside its allowed range \(0, inf\)"),
+    "huge": ({"reference": np.array([0.0, 1e300])}, r"Task: reference = .* is outside its allowed range \[-1e\+12, 1e\+12\]"),
+    "tiny": ({"reference": np.array([0.0, 1e-300])}, r"Task: reference is 1e-300 at most; allowed is none at all, or one from 1e-15 on"),
+    "dt": ({"dt": 0.0}, r"Task: dt = 0.0 is outside its allowed range \[1e-12, 1e\+09\]"),
+    "dt_huge": ({"dt": 1e300}, r"Task: dt = 1e\+300 is outside its allowed range \[1e-12, 1e\+09\]"),
+    "settle_open": ({"settle": (0.0, np.inf)}, r"Task: settle = \(0.0, inf\) s is not a window"),
+    "settle_one": ({"settle": 0.005}, r"Task: settle = 0.005 is a float; allowed are a tuple \(a number, a number\) and None"),
+    "settle_word": ({"settle": "late"}, "Task: settle = 'late' is a str; allowed are"),
+    "unit": ({"unit": 3}, "Task: unit = 3 is a int; allowed is text"),
+    "complex": ({"dt": 1j}, "Task: dt = 1j is outside its allowed range"),
     "settle": ({"settle": (0.006, 0.002)}, r"Task: settle = \(0.006, 0.002\) s is not a window"),
     "settle_late": ({"settle": (0.5, 0.7)}, r"Task: settle = \(0.5, 0.7\) s is not a window"),
     "inputs": ({"inputs": 0}, r"Task: inputs = 0"),

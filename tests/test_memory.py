@@ -59,24 +59,28 @@ def test_a_chunk_that_does_not_fit_is_refused_with_one_that_does(monkeypatch, tm
 
 
 def test_where_no_chunk_fits_it_says_so(monkeypatch, tmp_path):
-    with_memory(monkeypatch, PLAN.bytes_stored() + 1000)
+    with_memory(monkeypatch, PLAN.bytes_stored() + 10_000)
     with pytest.raises(ValueError, match=f"{2 * TILE} samples at a time need .* already"):
         PLAN.run(tmp_path / "store.zarr")
 
 
 def test_a_dataset_that_does_not_fit_is_refused(monkeypatch, tmp_path):
     with_memory(monkeypatch, int(1.5 * PLAN.bytes_stored()))
-    with pytest.raises(ValueError, match=r"samples = 64 make a dataset of .* in memory"):
+    with pytest.raises(ValueError, match=r"Sweep: samples = 64 and trials = 3 take .* of memory, where .* would fit") as refusal:
         PLAN.run()  # in memory it is there twice
+    samples = int(re.search(r"samples = (\d+) would fit", str(refusal.value))[1])
+    dataclasses.replace(PLAN, samples=samples).need_room(copies=2)
+    with pytest.raises(ValueError, match="would fit"):  # and it is the largest
+        dataclasses.replace(PLAN, samples=samples + 1).need_room(copies=2)
     with_memory(monkeypatch, PLAN.bytes_stored() - 1)
-    with pytest.raises(ValueError, match="samples = 64 make a dataset"):
+    with pytest.raises(ValueError, match="samples = 64 and trials = 3 take"):
         PLAN.run(tmp_path / "store.zarr")
 
 
 def test_a_finished_store_needs_no_room_for_a_chunk(monkeypatch, tmp_path):
     store = tmp_path / "store.zarr"
     PLAN.run(store)
-    with_memory(monkeypatch, PLAN.bytes_stored() + 1000)
+    with_memory(monkeypatch, PLAN.bytes_stored() + 10_000)
     assert PLAN.run(store, resume=True).sizes["sample"] == 64
 
 

@@ -210,6 +210,21 @@ def test_bad_weights_and_models_are_named(message):
         NormOptimal(**{"model": MODEL} | BAD[message])
 
 
+@pytest.mark.parametrize("precision", [np.float32, np.float64])
+def test_a_weight_is_symmetric_up_to_rounding(precision):
+    """A congruence T' D T, as a change of units gives, is symmetric in exact arithmetic only; its symmetric part counts."""
+    rng, turned = np.random.default_rng(2), []
+    while len(turned) < 20:
+        T, D = rng.standard_normal((2, 2)).astype(precision), np.diag(rng.uniform(0.0, 3.0, 2)).astype(precision)
+        W = (T.T @ D) @ T
+        turned += [W] if np.any(W != W.T) else []
+    for W in turned:
+        NormOptimal(MODEL, w_q=W, w_r=W, w_s=0.1)
+    W = turned[0].astype(float)
+    ours = [learn(Machine(MODEL), NormOptimal(MODEL, w_q=V, w_r=V, w_s=0.1), TASK, 2).memory.u for V in (W, (W + W.T) / 2)]
+    np.testing.assert_array_equal(*ours)
+
+
 LONG = Task(np.zeros((LARGEST_LIFTED // 2 + 2, 2)), dt=DT)
 MISFITS = {
     "StateSpace is sampled at 0.001 s but the task at 0.002 s": ({}, dataclasses.replace(TASK, dt=2e-3)),

@@ -230,6 +230,12 @@ REFUSED = {
     "axes": (ellipse, (0.0, 1.0), {"jerk": (1.0, 2.0, 3.0)}, r"jerk has shape \(3,\); allowed are \(\) and \(2,\)"),
     "points": (ellipse, (0.0, 1.0), {"points": 5}, r"points = 5 is outside"),
     "endless": (ellipse, (0.0, 1.0), {"jerk": 1e-12}, r"jerk = 1e-12 mm/s\^3 need .* samples of dt = 0\.001 s; allowed are up to"),
+    "a standstill": (
+        ellipse,
+        (0.0, 1.0),
+        {"feed": 1e-9},
+        r"feed = 1e-09 mm/s, .* need inf s, inf samples of dt = 0\.001 s; allowed are up to",
+    ),
 }
 
 
@@ -262,7 +268,7 @@ def test_on_a_circle_it_is_the_error_of_the_radius():
     lagging = ANGLES - 0.02  # a lag along the path is no contour error
     y = radius[:, None] * circle(1.0)(lagging)
     error = contour_error(y, circle(10.0)(ANGLES), window=5)
-    assert_allclose(error[5:], (10 - radius)[5:], atol=10 * (1 - np.cos(np.pi / 400)) * 1.01)
+    assert_allclose(error, 10 - radius, atol=10 * (1 - np.cos(np.pi / 400)) * 1.01)
     assert np.max(np.abs(y - circle(10.0)(ANGLES))) > 0.15
 
 
@@ -315,6 +321,26 @@ def test_a_denser_path_is_found_in_proportion(measured):
     y, path = measured
     dense = butterfly()(np.linspace(0.22, 0.3, 481))
     assert_allclose(contour_error(y, dense, window=40), contour_error(y, path, window=10), atol=5e-3)
+
+
+def test_a_closed_path_has_no_start():
+    """A tool that lags on an ellipse is measured from the path's last part first, and is as far from it there as anywhere else."""
+    path = np.stack([4.0 * np.cos(ANGLES), 1.5 * np.sin(ANGLES)], axis=-1)
+    lagging = ANGLES - 0.07 + 0.03 * np.sin(5 * ANGLES)
+    y = np.stack([4.0 * np.cos(lagging), 1.5 * np.sin(lagging)], axis=-1) + 0.01 * np.cos(7 * ANGLES)[:, None]
+    expected = [brute_force(point, path) for point in y]
+    for of in (contour_error, jax.jit(contour_error, static_argnames="window")):
+        assert_allclose(np.abs(of(y, path, window=12)), expected, **ALGEBRA)
+    ahead = y[np.minimum(np.arange(401) + 20, 400)]
+    assert_allclose(np.abs(contour_error(ahead, path, window=25)), [brute_force(point, path) for point in ahead], **ALGEBRA)
+    as_if_open = np.abs(contour_error(y, path, window=12, closed=False))
+    assert_allclose(as_if_open[12:], expected[12:], **ALGEBRA)
+    assert np.max(as_if_open) > 0.08 > 5 * np.max(expected)
+    nearly = path + 1e-4 * np.linspace(0, 1, 401)[:, None]  # its ends do not meet, but it can be said that it goes on
+    assert np.max(np.abs(contour_error(y, nearly, window=12))) > 0.08
+    assert_allclose(np.abs(contour_error(y, nearly, window=12, closed=True)), expected, atol=2e-4)
+    with pytest.raises(ValueError, match="contour_error: closed = 1 is not one of True, False, None"):
+        contour_error(y, path, window=12, closed=1)
 
 
 def test_a_path_that_dwells_is_no_obstacle():

@@ -268,6 +268,14 @@ def pid(**fields):
         ({"uncertainty": {"plant.B": {"distribution": "uniform", "low": 1.0}}}, "uncertainty.plant.B.high is missing"),
         ({"uncertainty": {"plant.B": {"distribution": "uniform", "low": 3.0, "high": 2.0}}}, "uncertainty.plant.B: Uniform: low = 3"),
         ({"trials": 0}, r"trials = 0 is outside its allowed range \[1, inf\)"),
+        ({"plant": PLANT | {"num": [[1, 2]]}}, r"plant.num\[0\]\[0\] = 1 is not a list of numbers"),
+        ({"plant": PLANT | {"num": [[[1, 2]]], "den": [1.0, 2.0]}}, r"plant: direct feedthrough D"),
+        (
+            {"plant": {"kind": "zeros_poles_gain", "zeros": [float("nan")], "poles": [-1, -2], "gain": 1}},
+            r"plant.zeros\[0\] = nan is not finite",
+        ),
+        ({"plant": PLANT | {"dt": -1.0}}, r"plant.dt = -1 is outside its allowed range \[0, inf\)"),
+        ({"task": TASK | {"dt": 1e300}}, "task"),
         ({"trials": 2.5}, "trials = 2.5 is not a whole number"),
     ],
 )

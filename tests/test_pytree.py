@@ -6,12 +6,26 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cases import DT
+from cases import DT, PLANTS
 
+from jaxilc.filters import ZeroPhaseFIR
+from jaxilc.learning import check
 from jaxilc.machine import Actuator, Machine, Sensor
-from jaxilc.plants import VoiceCoil, voice_coil
+from jaxilc.plants import TwoAxes, VoiceCoil, voice_coil
 from jaxilc.pytree import Interval, get_at, interval_at, leaf, named_leaves, part, pytree, replaced, settable, static
-from jaxilc.schemes import CFDLMFAILC, FFDLMFAILC, PFDLMFAILC, PID, OnOutputs, PIDType, WithFeedback
+from jaxilc.schemes import (
+    ASMC,
+    CFDLMFAILC,
+    FFDLMFAILC,
+    PFDLMFAILC,
+    PID,
+    Filtered,
+    NormOptimal,
+    OnOutputs,
+    PIDType,
+    Scheme,
+    WithFeedback,
+)
 from jaxilc.signals import Task
 
 MACHINE = Machine(VoiceCoil(), Actuator(limit=5.0), Sensor(resolution=1e-4))
@@ -47,6 +61,23 @@ REFUSED = {
     "window_pfdl": (lambda: PFDLMFAILC(L_y=1), r"PFDLMFAILC: L_y = 1 is outside its allowed range \[0, 0\]"),
     "phi0": (lambda: FFDLMFAILC(phi0=(0.5, 0.1)), r"FFDLMFAILC: phi0 has shape \(2,\); L_y = 2 and L_u = 2 need \(4,\)"),
     "rho_length": (lambda: FFDLMFAILC(rho=(0.5, 0.5)), r"FFDLMFAILC: rho has shape \(2,\)"),
+    "part": (lambda: WithFeedback(PIDType(), -np.inf), "WithFeedback: feedback = -inf is a float; allowed is Scheme"),
+    "part_of_two_axes": (lambda: TwoAxes(voice_coil(), -np.inf), "TwoAxes: y = -inf is a float; allowed is Plant"),
+    "part_of_another_kind": (lambda: Machine(PID()), "Machine: plant is a PID; allowed is Plant"),
+    "part_as_its_class": (lambda: Filtered(PID, ZeroPhaseFIR()), r"Filtered: scheme = <class .*PID'> is a type; allowed is Scheme"),
+    "part_missing": (lambda: Filtered(PIDType(), None), "Filtered: filter = None is a NoneType; allowed is Filter"),
+    "part_or_none": (lambda: Machine(voice_coil(), 3.0), "Machine: actuator = 3.0 is a float; allowed are Actuator and None"),
+    "one_of_two_parts": (lambda: NormOptimal(PLANTS["arx"]), "model is a DifferenceEquation; allowed are StateSpace and TimeVarying"),
+    "static_kind": (
+        lambda: OnOutputs(PID(), 1e6),
+        r"OnOutputs: outputs = 1000000.0 is a float; allowed is a tuple \(a whole number, ...\)",
+    ),
+    "static_elements": (lambda: OnOutputs(PID(), (0, 1.0)), r"OnOutputs: outputs = \(0, 1.0\) is a tuple; allowed is a tuple"),
+    "static_long": (lambda: PIDType(lead=10**5000), "PIDType: lead = a int too long to show is outside its allowed range"),
+    "static_complex": (lambda: PIDType(lead=1j), "PIDType: lead = 1j is outside its allowed range"),
+    "static_flag": (lambda: ASMC(1.0, 1.0, 1.0, carry=1), "ASMC: carry = 1 is not one of False, True"),
+    "leaf_long": (lambda: PID(kp=10**400), "PID: kp = 1000.* is not a number"),
+    "leaf_key": (lambda: PID(kp=jax.random.key(0)), "PID: kp = .* is not a number"),
     "outputs": (lambda: OnOutputs(PID(), (0, 2)).check(Task(np.zeros((9, 2)), dt=DT)), r"OnOutputs: outputs = \(0, 2\).*0..1"),
 }
 
@@ -55,6 +86,25 @@ REFUSED = {
 def test_construction_names_class_field_value_and_range(build, message):
     with pytest.raises(ValueError, match=message):
         build()
+
+
+def test_numbers_that_must_be_single_are_looked_at_with_the_task():
+    """A batch of machines has many of each number, so it is not their construction that refuses them."""
+    task = Task(np.zeros(9), dt=DT)
+    batch = Machine(VoiceCoil(zero=(900.0, 950.0)))
+    with pytest.raises(ValueError, match=r"VoiceCoil: zero = \[900. 950.\] has shape \(2,\); allowed is one number"):
+        check(batch, PID(), task)
+    jax.vmap(lambda zero: check(replaced(batch, {"plant.zero": zero}), PID(), task) or zero)(batch.plant.zero)
+
+
+def test_a_user_s_own_class_fits_where_its_base_does_and_unknown_names_are_not_held_against_it():
+    @pytree
+    class Own(Scheme):
+        inside: "NameOfNowhere" = part()  # noqa: F821
+        law: Scheme = part(PIDType())
+
+    assert WithFeedback(Own(PID()), PID()).learning.inside is not None
+    assert Filtered(Own(3.0), ZeroPhaseFIR()).scheme.inside == 3.0
 
 
 def test_replace_validates_as_construction_does():

@@ -300,7 +300,7 @@ def test_elements_and_arrays_are_tuned_by_name_and_ends_are_left():
         ({"mode": "sideways"}, "mode = 'sideways' is not one of auto, forward, reverse"),
         ({"steps": 0}, r"steps = 0 is outside its allowed range \[1, inf\)"),
         ({"truncate": 0}, r"truncate = 0 is outside its allowed range \[1, inf\)"),
-        ({"clip": 0.0}, r"clip = 0.0 is outside its allowed range \(0, inf\)"),
+        ({"clip": 0.0}, r"clip = 0 is outside its allowed range \(0, inf\]"),
         ({"objective": Final("speed")}, "figure = 'speed' is not one of max_error, rms, settled_error"),
         ({"objective": Holding(9)}, r"first = 9 is outside its allowed range \[1, 3\]"),
         ({"objective": Final(trial=9)}, r"trial = 9 is outside its allowed range \[1, 3\]"),

@@ -80,6 +80,12 @@ def test_spread_widens_the_relative_ones_only():
         ({SLOW: Uniform(-1.0, 7.0)}, {}, r"plant.poles\[2\] was drawn between -.* allowed is \(0, inf\)"),
         (UNCERTAINTY, {"sampling": "halton"}, r"sampling = 'halton' is not one of monte-carlo"),
         (UNCERTAINTY, {"samples": 0}, r"samples = 0 is outside its allowed range \[1, inf\)"),
+        (UNCERTAINTY, {"samples": 2.5}, r"samples = 2.5 is outside its allowed range \[1, inf\) of whole numbers"),
+        (UNCERTAINTY, {"samples": None}, "samples = None is not a number"),
+        (UNCERTAINTY, {"seed": 2**70}, r"seed = 1.18059e\+21 is outside its allowed range \[0, 9e\+18\] of whole numbers"),
+        (UNCERTAINTY, {"seed": -1}, r"seed = -1 is outside its allowed range"),
+        ({GAIN: 0.1}, {}, "plant.gain = 0.1 is no distribution; allowed are Uniform, Normal and LogUniform"),
+        ([GAIN], {}, r"uncertainty = \['plant.gain'\] is a list; allowed are names with distributions"),
     ],
 )
 def test_bad_input_is_named(uncertainty, kwargs, message):
@@ -93,6 +99,14 @@ def test_bad_input_is_named(uncertainty, kwargs, message):
         (lambda: Uniform(2, 1), "Uniform: low = 2 must lie below high = 1"),
         (lambda: Normal(0, 0), r"Normal: std = 0 is outside its allowed range \(0, inf\)"),
         (lambda: LogUniform(0, 1), "LogUniform: low = 0 and high = 1"),
+        (lambda: Normal(np.nan, 1.0), r"Normal: mean = nan is outside its allowed range \(-inf, inf\)"),
+        (lambda: Normal(0.0, np.inf), r"Normal: std = inf is outside its allowed range \(0, inf\)"),
+        (lambda: Uniform(-np.inf, 1.0), "Uniform: low = -inf is outside"),
+        (lambda: Uniform("0", 1.0), "Uniform: low = '0' is not a number"),
+        (lambda: Uniform(0.0, 1.0, relative=2), "Uniform: relative = 2 is not one of True, False"),
+        (lambda: Uniform(-1.5e308, 1.5e308), "reaches beyond the largest float"),
+        (lambda: LogUniform(1e-300, 1e300), "reaches beyond the largest float"),
+        (lambda: with_spread(UNCERTAINTY, None), "spread = None is not a number"),
         (lambda: with_spread(UNCERTAINTY, 1.5), r"spread = 1.5 is outside its allowed range \(0, 1\)"),
     ],
 )

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .style import DASHES, grid, labelled, marks_of, new_axes, shades_of, style_of
+from .style import DASHES, grid, labelled, legend_above, legend_beside, marks_of, new_axes, shades_of, style_of
 from .within_trial import signal_of
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ def spectrum(
     ax.set_ylim(bottom=max(ax.get_ylim()[0], ax.get_ylim()[1] * 1e-7))
     ax.set(xlabel="frequency [Hz]", ylabel=labelled("amplitude of the error", unit), title=scheme, xlim=(f[1], f[-1]))
     grid(ax)
-    ax.legend(fontsize="small")
+    legend_beside(ax)
     return ax
 
 
@@ -112,7 +112,7 @@ def frequency_tests(tests: Mapping[str, FrequencyTest], *, ax=None) -> Axes:
     for axis in axes:
         axis.axhline(1.0, color="k", linewidth=0.8)
         grid(axis)
-    axes[0].legend(fontsize="small")
+    legend_above(axes[0])
     return axes
 
 

@@ -27,7 +27,8 @@ def error_by_trial(
 ) -> Axes:
     """Error of one machine against the trial; printed values in the scheme's colour, as open circles, or as carets below a printed bound.
 
-    dataset: dims (scheme, trial);  figure: any variable over them;  scale, unit: of the errors shown
+    A trial that diverged is left out, and the legend says when it happened; likewise from when on an error has grown.
+    dataset: dims (scheme, trial), as of `run_schemes`;  figure: any variable over them;  scale, unit: of the errors shown
     published: rows with scheme, trial (None: of a scheme that does not learn, at trial 1), quantity, value [unit], at_most
     """
     from matplotlib.markers import CARETDOWNBASE
@@ -37,7 +38,9 @@ def error_by_trial(
     for i, name in enumerate(names_of(dataset)):
         errors = dataset[figure].sel(scheme=name)
         errors = scale * errors.max([d for d in errors.dims if d != "trial"])
-        ax.semilogy(dataset["trial"], errors, label=name, **style_of(i), **marks_of(i, len(errors)))
+        if "diverged" in dataset:
+            errors = errors.where(~dataset["diverged"].sel(scheme=name))
+        ax.semilogy(dataset["trial"], errors, label=name + _course(dataset, name), **style_of(i), **marks_of(i, len(errors)))
         for p in published:
             if p.scheme == name:
                 mark = {"marker": CARETDOWNBASE if p.at_most else "o", "markersize": 9 if p.at_most else 6}
@@ -64,7 +67,8 @@ def error_band(
 ) -> Axes:
     """A sweep: median, 5-95 % band and worst sample against the trial, with the tolerance.
 
-    What lies more than ten times above every median (an unstable machine) is off the scale.
+    The legend has the share of machines that diverged, which are infinitely bad in every quantile. What lies more than ten times above
+    every median (an unstable machine) is off the scale.
     dataset: dims (scheme, sample, trial);  tolerance: in the unit of the dataset
     """
     from ..summary import summarise
@@ -74,7 +78,8 @@ def error_band(
     medians = np.concatenate([row.median for row in rows])
     for i, row in enumerate(rows):
         style, marks = style_of(i), marks_of(i, len(trial))
-        ax.semilogy(trial, scale * row.median, label=row.scheme, **style, **marks)
+        lost = f" ({row.diverged:.1%} diverged)" if row.diverged else ""
+        ax.semilogy(trial, scale * row.median, label=row.scheme + lost, **style, **marks)
         ax.fill_between(trial, scale * row.low, scale * row.high, color=style["color"], alpha=0.2, linewidth=0)
         ax.semilogy(trial, scale * row.worst, **{**style, "linestyle": "none"}, **{**marks, "markevery": 1, "markersize": 2})
     ax.plot([], [], color="k", label="median")
@@ -91,6 +96,15 @@ def error_band(
     return ax
 
 
+def _course(dataset: xr.Dataset, name: str) -> str:
+    """How a scheme's learning ended, if not well, for its legend."""
+    for what, since in (("diverged", "diverged_at"), ("grown", "grown_from")):
+        trial = int(dataset[since].sel(scheme=name)) if since in dataset else 0
+        if trial:
+            return f" ({what} from trial {trial} on)" if what == "grown" else f" ({what} at trial {trial})"
+    return ""
+
+
 def certificate(found: Certificate, *, scale: float = 1.0, unit: str = "", title: str = "", ax: Axes | None = None) -> Axes:
     """Root mean square error by trial as theory predicts it and as it was simulated, every machine.
 
@@ -105,5 +119,5 @@ def certificate(found: Certificate, *, scale: float = 1.0, unit: str = "", title
     ax.set(ylabel=labelled("RMS error", unit), title=f"{title}: {len(found.claim)} machines")
     trial_axis(ax)
     grid(ax)
-    ax.legend(fontsize="small")
+    legend_beside(ax)
     return ax

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .style import COLOURS, grid, labelled, new_axes
+from .style import COLOURS, grid, labelled, legend_beside, new_axes
 
 if TYPE_CHECKING:
     from ..identification import Identified
@@ -22,7 +22,7 @@ def record_figure(record: Record, *, input_unit: str = "", output_unit: str = ""
             label = f"{i}" if signal.shape[1] > 1 else None
             axis.plot(np.arange(len(signal)) * record.dt, values, color=COLOURS[i % len(COLOURS)], linewidth=0.8, label=label, **style)
         if signal.shape[1] > 1:
-            axis.legend(ncols=4, fontsize="small")
+            legend_beside(axis)
         grid(axis)
     top.set(ylabel=labelled("input", input_unit))
     bottom.set(ylabel=labelled("output", output_unit), xlabel="time [s]")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .style import COLOURS, DASHES, MARKS, grid, labelled, new_axes
+from .style import COLOURS, DASHES, MARKS, grid, labelled, legend_above, legend_beside, new_axes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,7 +27,7 @@ def loss_by_step(tuned: Tuned, *, ax: Axes | None = None) -> Axes:
     ax.plot(tuned.step, tuned.after, "k*", markersize=10, label="chosen")
     ax.set(xlabel="step", ylabel="loss")
     grid(ax)
-    ax.legend(fontsize="small")
+    legend_beside(ax)
     return ax
 
 
@@ -47,7 +47,7 @@ def worst_against_chance(drawn, found: Mapping[str, float], *, nominal: float, f
             ax.axvline(value, color=COLOURS[i % len(COLOURS)], linestyle=DASHES[i % len(DASHES)], label=f"{name} {value:.4g}")
     ax.set(xscale="log", yscale="log", xlabel=labelled(figure, unit), ylabel="machines")
     grid(ax)
-    ax.legend(fontsize="small")
+    legend_above(ax)
     return ax
 
 
@@ -72,7 +72,7 @@ def pareto_front(
         ax.annotate(f"{p.share:g}", (p.first, p.second), textcoords="offset points", xytext=(6, 4), fontsize="small")
     if given is not None:
         ax.plot(*given, "o", mfc="none", color=COLOURS[1], label="given")
-    ax.legend(fontsize="small")
+    legend_above(ax)
     ax.set(xlabel=first, ylabel=second)
     grid(ax)
     return ax
@@ -90,5 +90,5 @@ def final_error_by_trials(trials: Sequence[int], given, tuned, *, figure: str = 
             ax.semilogy(trials, np.asarray(values)[:, column], **shown)
     ax.set(xticks=list(trials), xlabel="number of trials", ylabel=f"{labelled(figure, unit)} of the last trial")
     grid(ax)
-    ax.legend(fontsize="small")
+    legend_above(ax)
     return ax

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..files import atomically
+
 if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.axes import Axes
@@ -82,8 +84,13 @@ def legend_beside(ax: Axes) -> None:
     ax.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1.0, 1.02))
 
 
+def legend_above(ax: Axes, columns: int = 2) -> None:
+    """The legend over axes without a title, for names that are long."""
+    ax.legend(fontsize="small", loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns)
+
+
 def save(axes, path: str | Path) -> Path:
-    """Write the figure that holds the axes."""
-    figure = np.ravel(axes)[0].figure
-    figure.savefig(path)
+    """Write the figure that holds the axes, whole or not at all, in the format of the file's name."""
+    figure, kind = np.ravel(axes)[0].figure, Path(path).suffix.removeprefix(".") or None
+    atomically(path, lambda file: figure.savefig(file, format=kind))
     return Path(path)

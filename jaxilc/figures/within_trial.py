@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .style import COLOURS, DASHES, grid, labelled, new_axes, shades_of
+from .style import COLOURS, DASHES, grid, labelled, legend_beside, new_axes, shades_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -132,7 +132,7 @@ def contour(
     bottom.set(xlabel=labelled("length along the path", length), ylabel=labelled("contour error", unit), xlim=(0.0, arc[-1]))
     for axis in axes:
         grid(axis)
-    top.legend(fontsize="small")
+    legend_beside(top)
     return axes
 
 
@@ -145,7 +145,7 @@ def _around_the_largest(time, e) -> tuple[float, float]:
     half = min(max(0.5 * ZOOM * time[-1], 2.0 * time[1]), 0.5 * time[-1])
     at = time[np.argmax(np.max(np.nan_to_num(np.abs(e)), axis=1))]
     low = np.clip(at - half, time[0], time[-1] - 2 * half)
-    return low, low + 2 * half
+    return low, min(low + 2 * half, time[-1])  # the sum may round to just beyond the end
 
 
 def _fit(axis, lines) -> None:

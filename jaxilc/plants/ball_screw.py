@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from ..pytree import known, leaf, part, pytree, static
+from ..pytree import known, leaf, part, pytree, scalar, static
 from ..signals import product, quantise
 from .friction import StribeckFriction
 from .integration import RK4_RADIUS, Propagator, exponential_runge_kutta, propagator
@@ -25,9 +25,9 @@ class LeadError:
     amplitude: () A [m];  period: () [m], the pitch or a part of it;  phase: () [rad]
     """
 
-    amplitude: jax.Array = leaf(interval="[0, inf)")
-    period: jax.Array = leaf(interval="(0, inf)")
-    phase: jax.Array = leaf(0.0)
+    amplitude: jax.Array = scalar(interval="[0, inf)")
+    period: jax.Array = scalar(interval="(0, inf)")
+    phase: jax.Array = scalar(0.0)
 
     def at(self, position) -> tuple[jax.Array, jax.Array]:
         """position: () [m] -> () l [m] and () dl/dx"""
@@ -102,19 +102,19 @@ class BallScrewDrive(Plant):
 
     n_y = 2
 
-    motor_mass: jax.Array = leaf(interval="(0, inf)")
-    table_mass: jax.Array = leaf(interval="(0, inf)")
-    stiffness: jax.Array = leaf(interval="(0, inf)")
-    damping: jax.Array = leaf(interval="[0, inf)")
-    force_gain: jax.Array = leaf(interval="(0, inf)")
-    motor_damping: jax.Array = leaf(0.0, "[0, inf)")
-    table_damping: jax.Array = leaf(0.0, "[0, inf)")
-    speed_gain: jax.Array = leaf(0.216, "[0, inf)")
-    speed_integral_gain: jax.Array = leaf(8.18, "[0, inf)")
-    command_scale: jax.Array = leaf(1.0)
-    current_bandwidth: jax.Array | None = leaf(None, "(0, inf)", optional=True)
-    force_limit: jax.Array | None = leaf(None, "(0, inf)", optional=True)
-    encoder_step: jax.Array | None = leaf(None, "(0, inf)", optional=True)
+    motor_mass: jax.Array = scalar(interval="(0, inf)")
+    table_mass: jax.Array = scalar(interval="(0, inf)")
+    stiffness: jax.Array = scalar(interval="(0, inf)")
+    damping: jax.Array = scalar(interval="[0, inf)")
+    force_gain: jax.Array = scalar(interval="(0, inf)")
+    motor_damping: jax.Array = scalar(0.0, "[0, inf)")
+    table_damping: jax.Array = scalar(0.0, "[0, inf)")
+    speed_gain: jax.Array = scalar(0.216, "[0, inf)")
+    speed_integral_gain: jax.Array = scalar(8.18, "[0, inf)")
+    command_scale: jax.Array = scalar(1.0)
+    current_bandwidth: jax.Array | None = scalar(None, "(0, inf)", optional=True)
+    force_limit: jax.Array | None = scalar(None, "(0, inf)", optional=True)
+    encoder_step: jax.Array | None = scalar(None, "(0, inf)", optional=True)
     motor_friction: StribeckFriction | None = part(None)
     table_friction: StribeckFriction | None = part(None)
     lead_error: LeadError | None = part(None)

@@ -10,6 +10,7 @@ import numpy as np
 from jax import lax
 from jax.flatten_util import ravel_pytree
 
+from ..memory import check_size
 from ..pytree import part, pytree, static
 from ..signals import Task, product
 from .cnc_axis import TwoAxes
@@ -54,7 +55,7 @@ class InBlocks(Plant):
     """
 
     plant: Plant = part()
-    length: int = static(32, "[2, inf)", whole=True)
+    length: int = static(32, "[2, 1e4]", whole=True)
 
     @property
     def n_u(self) -> int:
@@ -66,6 +67,8 @@ class InBlocks(Plant):
 
     def check(self, task: Task) -> None:
         self.plant.check(task)
+        of_a_row = 8 * 4 * self.length * self.n_u * self.n_y
+        check_size("InBlocks", lambda length: of_a_row * length, length=self.length)
 
     def sampled(self, dt: float) -> InBlocks:
         plant = self.plant.sampled(dt)

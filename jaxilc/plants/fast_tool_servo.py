@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..pytree import known, leaf, part, pytree, static
+from ..pytree import known, leaf, part, pytree, scalar, static
 from .hysteresis import BoucWen, Dahl, InputHysteresis
 from .integration import Propagator, exponential_runge_kutta, propagator
 from .linear import StateSpace, matching
@@ -42,9 +42,9 @@ class FlexibleMode:
     two resonances (drive and encoder move alike), negative: none, and the phase falls on. Excited by the drive, not by forces on the tool.
     """
 
-    frequency: jax.Array = leaf(interval="(0, inf)")
-    damping: jax.Array = leaf(interval="(0, 1)")
-    share: jax.Array = leaf()
+    frequency: jax.Array = scalar(interval="(0, inf)")
+    damping: jax.Array = scalar(interval="(0, 1)")
+    share: jax.Array = scalar()
 
 
 @pytree
@@ -87,9 +87,9 @@ class CuttingForce:
     blur: () width of the transition at the surface [um], not less than the tool moves in a step of the integrator
     """
 
-    stiffness: jax.Array = leaf(interval="[0, inf)")
-    depth: jax.Array = leaf()
-    blur: jax.Array = leaf(0.5, "(0, inf)")
+    stiffness: jax.Array = scalar(interval="[0, inf)")
+    depth: jax.Array = scalar()
+    blur: jax.Array = scalar(0.5, "(0, inf)")
 
     def force(self, position) -> jax.Array:
         """position: () [um] -> () [N]"""
@@ -123,21 +123,21 @@ class FastToolServo(Plant):
     apart hardly show the oscillation that a scheme has to damp), or a hysteresis with A >= 1, which would reverse the gain.
     """
 
-    mass: jax.Array = leaf(MASS, "(0, inf)")
-    damping: jax.Array = leaf(1e-6 * A2 * MASS, "[0, inf)")
-    stiffness: jax.Array = leaf(STIFFNESS, "(0, inf)")
-    conversion: jax.Array = leaf(1e-6 * B * MASS / AMPLIFIER_GAIN, "(0, inf)")
-    amplifier_gain: jax.Array = leaf(AMPLIFIER_GAIN, "(0, inf)")
-    amplifier_bandwidth: jax.Array | None = leaf(None, "(0, inf)", optional=True)
-    load: jax.Array | None = leaf(None, optional=True)
-    drift: jax.Array | None = leaf(None, optional=True)
+    mass: jax.Array = scalar(MASS, "(0, inf)")
+    damping: jax.Array = scalar(1e-6 * A2 * MASS, "[0, inf)")
+    stiffness: jax.Array = scalar(STIFFNESS, "(0, inf)")
+    conversion: jax.Array = scalar(1e-6 * B * MASS / AMPLIFIER_GAIN, "(0, inf)")
+    amplifier_gain: jax.Array = scalar(AMPLIFIER_GAIN, "(0, inf)")
+    amplifier_bandwidth: jax.Array | None = scalar(None, "(0, inf)", optional=True)
+    load: jax.Array | None = scalar(None, optional=True)
+    drift: jax.Array | None = scalar(None, optional=True)
     hysteresis: BoucWen | Dahl | None = part(None)
     friction: BoucWen | Dahl | None = part(None)
     mode: FlexibleMode | None = part(None)
     creep: Creep | None = part(None)
     cutting: CuttingForce | None = part(None)
     periodic: PeriodicForce | None = part(None)
-    substeps: int = static(1, "[1, inf)", whole=True)
+    substeps: int = static(1, "[1, 1e4]", whole=True)
     longest_dt: float = static(2e-4, "(0, inf)")
 
     def __post_init__(self):

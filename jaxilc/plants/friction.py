@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..pytree import known, leaf, pytree
+from ..pytree import known, pytree, scalar
 
 
 @pytree
@@ -24,11 +24,11 @@ class StribeckFriction:
     For a rotary axis read N m and rad/s. Raises ValueError for a static force below the Coulomb force.
     """
 
-    coulomb_force: jax.Array = leaf(interval="[0, inf)")
-    static_force: jax.Array = leaf(interval="[0, inf)")
-    stribeck_velocity: jax.Array = leaf(0.01, "(0, inf)")
-    viscous: jax.Array = leaf(0.0, "[0, inf)")
-    transition_velocity: jax.Array = leaf(5e-4, "(0, inf)")
+    coulomb_force: jax.Array = scalar(interval="[0, inf)")
+    static_force: jax.Array = scalar(interval="[0, inf)")
+    stribeck_velocity: jax.Array = scalar(0.01, "(0, inf)")
+    viscous: jax.Array = scalar(0.0, "[0, inf)")
+    transition_velocity: jax.Array = scalar(5e-4, "(0, inf)")
 
     def __post_init__(self):
         if known(self) and np.any(np.asarray(self.static_force) < np.asarray(self.coulomb_force)):

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..pytree import known, leaf, part, pytree, static
+from ..pytree import known, part, pytree, scalar, static
 from .integration import runge_kutta
 from .plant import Plant
 
@@ -33,11 +33,11 @@ class BoucWen:
     Raises ValueError for gamma beyond -beta < gamma <= beta, where z is unbounded or the loop yields energy.
     """
 
-    initial_slope: jax.Array = leaf(interval="(0, inf)")
-    beta: jax.Array = leaf(interval="(0, inf)")
-    gamma: jax.Array = leaf(0.0)
-    exponent: jax.Array | None = leaf(None, "[1, inf)", optional=True)
-    substeps: int = static(4, "[1, inf)", whole=True)
+    initial_slope: jax.Array = scalar(interval="(0, inf)")
+    beta: jax.Array = scalar(interval="(0, inf)")
+    gamma: jax.Array = scalar(0.0)
+    exponent: jax.Array | None = scalar(None, "[1, inf)", optional=True)
+    substeps: int = static(4, "[1, 1e4]", whole=True)
 
     def __post_init__(self):
         if known(self) and not np.all((-self.beta < self.gamma) & (self.gamma <= self.beta)):
@@ -88,9 +88,9 @@ class Dahl:
     exponent:      () i >= 1, ductile for large i; None is i = 1 and costs no power. `over` is exact for every i
     """
 
-    initial_slope: jax.Array = leaf(interval="(0, inf)")
-    limit: jax.Array = leaf(interval="(0, inf)")
-    exponent: jax.Array | None = leaf(None, "[1, inf)", optional=True)
+    initial_slope: jax.Array = scalar(interval="(0, inf)")
+    limit: jax.Array = scalar(interval="(0, inf)")
+    exponent: jax.Array | None = scalar(None, "[1, inf)", optional=True)
 
     def slope(self, z, direction) -> jax.Array:
         """dz/dx at z on the way in `direction`, 1 or -1. Both of any shape."""

@@ -170,8 +170,8 @@ class DifferenceEquation(Plant):
 class _Taken(DifferenceEquation):
     """With coefficients one by one: picked from an array in a loop over samples, they keep a batch from being vectorised."""
 
-    a: tuple[jax.Array, ...] = part()
-    b: tuple[jax.Array, ...] = part()
+    a: tuple[Any, ...] = part()
+    b: tuple[Any, ...] = part()
 
     def __post_init__(self):
         """Nothing to check: they were, as arrays."""

@@ -10,12 +10,15 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..pytree import known, leaf, part, pytree, static
+from ..pytree import known, part, pytree, scalar, static
+from ..signals import Task
 from .friction import StribeckFriction
 from .integration import RK4_RADIUS, runge_kutta
 from .linear import StateSpace
 from .plant import Plant
 from .voice_coil import VoiceCoil
+
+MOST_STEPS = 10_000  # of the integrator in a sample
 
 # Cao 2019, section II-A, in SI. Not consistent with one force constant: 56.2 N/A times 8.66 A is 487 N, times 23 A is 1293 N.
 DTL85_708 = {
@@ -36,9 +39,9 @@ class Cogging:
     amplitude: () A [N];  pitch: () period [m];  phase: () [rad], 0 makes x = 0 a stable rest
     """
 
-    amplitude: jax.Array = leaf(interval="[0, inf)")
-    pitch: jax.Array = leaf(interval="(0, inf)")
-    phase: jax.Array = leaf(0.0)
+    amplitude: jax.Array = scalar(interval="[0, inf)")
+    pitch: jax.Array = scalar(interval="(0, inf)")
+    phase: jax.Array = scalar(0.0)
 
     def force(self, position) -> jax.Array:
         """position: () [m] -> () [N]"""
@@ -55,9 +58,9 @@ class EndEffect:
     buffer_stiffness: () k_b [N/m], None for no buffer
     """
 
-    stroke: jax.Array = leaf(interval="(0, inf)")
-    drop: jax.Array = leaf(interval="[0, 1)")
-    buffer_stiffness: jax.Array | None = leaf(None, "(0, inf)", optional=True)
+    stroke: jax.Array = scalar(interval="(0, inf)")
+    drop: jax.Array = scalar(interval="[0, 1)")
+    buffer_stiffness: jax.Array | None = scalar(None, "(0, inf)", optional=True)
 
     def factor(self, position) -> jax.Array:
         """position: () [m] -> () what is left of the force constant"""
@@ -123,22 +126,22 @@ class VoiceCoilMotor(Plant):
     Raises ValueError, where the values are known, for a substep that the fastest pole makes unstable.
     """
 
-    mass: jax.Array = leaf(3.0, "(0, inf)")
-    resistance: jax.Array = leaf(4.0, "(0, inf)")
-    inductance: jax.Array = leaf(0.02, "(0, inf)")
-    force_constant: jax.Array = leaf(56.2, "(0, inf)")
-    viscous_damping: jax.Array = leaf(10.0, "[0, inf)")
-    stiffness: jax.Array | None = leaf(None, "[0, inf)", optional=True)
-    current_gain: jax.Array = leaf(247.0, "(0, inf)")
-    speed_gain: jax.Array = leaf(48.5, "(0, inf)")
-    speed_integral_gain: jax.Array = leaf(11602.0, "(0, inf)")
-    setpoint_weight: jax.Array = leaf(0.0, "[0, 1]")
-    command_scale: jax.Array = leaf(-0.0299)
-    holding_gain: jax.Array = leaf(6.232, "[0, inf)")
-    command_delay: jax.Array | None = leaf(1e-3, "(0, inf)", optional=True)
-    current_limit: jax.Array | None = leaf(23.0, "(0, inf)", optional=True)
-    voltage_limit: jax.Array | None = leaf(560.0, "(0, inf)", optional=True)
-    speed_limit: jax.Array | None = leaf(3.44, "(0, inf)", optional=True)
+    mass: jax.Array = scalar(3.0, "(0, inf)")
+    resistance: jax.Array = scalar(4.0, "(0, inf)")
+    inductance: jax.Array = scalar(0.02, "(0, inf)")
+    force_constant: jax.Array = scalar(56.2, "(0, inf)")
+    viscous_damping: jax.Array = scalar(10.0, "[0, inf)")
+    stiffness: jax.Array | None = scalar(None, "[0, inf)", optional=True)
+    current_gain: jax.Array = scalar(247.0, "(0, inf)")
+    speed_gain: jax.Array = scalar(48.5, "(0, inf)")
+    speed_integral_gain: jax.Array = scalar(11602.0, "(0, inf)")
+    setpoint_weight: jax.Array = scalar(0.0, "[0, 1]")
+    command_scale: jax.Array = scalar(-0.0299)
+    holding_gain: jax.Array = scalar(6.232, "[0, inf)")
+    command_delay: jax.Array | None = scalar(1e-3, "(0, inf)", optional=True)
+    current_limit: jax.Array | None = scalar(23.0, "(0, inf)", optional=True)
+    voltage_limit: jax.Array | None = scalar(560.0, "(0, inf)", optional=True)
+    speed_limit: jax.Array | None = scalar(3.44, "(0, inf)", optional=True)
     friction: StribeckFriction | None = part(None)
     cogging: Cogging | None = part(None)
     end_effect: EndEffect | None = part(None)
@@ -152,6 +155,12 @@ class VoiceCoilMotor(Plant):
                     f"VoiceCoilMotor: substep = {self.substep:g} s is unstable for the fastest pole, {fastest:.4g} rad/s; "
                     f"its allowed range with these parameters is (0, {RK4_RADIUS / fastest:.3g}]"
                 )
+
+    def check(self, task: Task) -> None:
+        least = task.dt / MOST_STEPS
+        if self.substep < least:
+            allowed = f"[{least:g}, inf), {MOST_STEPS} steps a sample of dt = {task.dt:g} s"
+            raise ValueError(f"VoiceCoilMotor: substep = {self.substep:g} s is outside its allowed range {allowed}")
 
     def init(self) -> MotorState:
         rest = jnp.zeros_like(self.mass, shape=())

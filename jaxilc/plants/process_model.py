@@ -7,7 +7,7 @@ import jax.core
 import jax.numpy as jnp
 import numpy as np
 
-from ..pytree import leaf, pytree
+from ..pytree import leaf, pytree, scalar
 from .linear import StateSpace, zoh
 from .plant import Plant
 
@@ -29,7 +29,7 @@ class ProcessModel(Plant):
     Raises ValueError where the shapes do not fit, a zero is 0 or the model is not strictly proper.
     """
 
-    gain: jax.Array = leaf(1.0)
+    gain: jax.Array = scalar(1.0)
     zeros: jax.Array = leaf(())
     poles: jax.Array = leaf((), "(0, inf)")
     frequencies: jax.Array = leaf((), "(0, inf)")

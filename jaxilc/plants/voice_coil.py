@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from ..pytree import leaf, pytree
+from ..pytree import leaf, pytree, scalar
 from .linear import DifferenceEquation, zoh
 from .plant import Plant
 
@@ -23,8 +23,8 @@ class VoiceCoil(Plant):
     The DC gain is -4.798 mm/V although the first sample of the response to a positive step is positive.
     """
 
-    gain: jax.Array = leaf(7437.7769)
-    zero: jax.Array = leaf(928.2)
+    gain: jax.Array = scalar(7437.7769)
+    zero: jax.Array = scalar(928.2)
     poles: jax.Array = leaf((474.0, 474.0, 6.404), "(0, inf)")
 
     def __post_init__(self):

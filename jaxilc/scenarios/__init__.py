@@ -6,6 +6,7 @@ import dataclasses
 import inspect
 from collections.abc import Callable
 
+from ..ranges import brief
 from .cao_2019 import cao_2019
 from .cao_2019_rig import cao_2019_rig
 from .dai_2014 import dai_2014
@@ -36,13 +37,15 @@ def load(name: str, **chosen) -> Scenario:
     allowed = options(name)
     for option in chosen:
         if option not in allowed:
-            raise ValueError(f"{name}: option {option!r} is not one of {', '.join(allowed)}")
+            raise ValueError(f"{name}: option {brief(option)} is not one of {', '.join(allowed)}")
     for option, value in chosen.items():
+        if isinstance(allowed[option], str) and not isinstance(value, str):
+            raise ValueError(f"{name}: option {option} = {brief(value)} is not text")
         if isinstance(allowed[option], float):
             try:
                 chosen[option] = float(value)
-            except (TypeError, ValueError):
-                raise ValueError(f"{name}: option {option} = {value!r} is not a number") from None
+            except (TypeError, ValueError, OverflowError):
+                raise ValueError(f"{name}: option {option} = {brief(value)} is not a number") from None
     return dataclasses.replace(SCENARIOS[name](**chosen), options=allowed | chosen)
 
 

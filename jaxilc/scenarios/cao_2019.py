@@ -75,8 +75,8 @@ def cao_2019(plant: str = "exact", reference: str = "sinusoid", frequency: float
     Raises ValueError for another plant or reference, or a frequency that does not fit the sample time.
     """
     dt = 1e-3
-    if not 0 < frequency <= 50:
-        raise ValueError(f"cao-2019: frequency = {frequency:g} Hz is outside its allowed range (0, 50]")
+    if not 0.01 <= frequency <= 50:
+        raise ValueError(f"cao-2019: frequency = {frequency:g} Hz is outside its allowed range [0.01, 50]")
     match reference:
         case "sinusoid":
             r = references.sinusoid(1.0, frequency, duration=round(1 / frequency / dt) * dt, dt=dt)

@@ -41,8 +41,8 @@ def cao_2019_rig(frequency: float = 0.5) -> Scenario:
     frequency: of the sinusoid, a whole number of periods in 10 s [Hz]
     Raises ValueError for a frequency outside (0, 5].
     """
-    if not 0 < frequency <= 5:
-        raise ValueError(f"cao-2019-rig: frequency = {frequency:g} Hz is outside its allowed range (0, 5]")
+    if not 0.01 <= frequency <= 5:
+        raise ValueError(f"cao-2019-rig: frequency = {frequency:g} Hz is outside its allowed range [0.01, 5]")
     motor = dataclasses.replace(
         voice_coil_motor(),
         command_scale=3.44 / 10.0,

@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 import dataclasses
+import re
+import typing
 from collections.abc import Callable, Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 
+from ..learning import check
 from ..machine import Machine
 from ..metrics import Metrics
-from ..pytree import allowed_at, get_at, replaced, settable
+from ..printable import printable
+from ..pytree import allowed_at, get_at, kind_at, replaced, settable
+from ..ranges import brief, named
 from ..schemes import Scheme
 from ..signals import Task, Trial
 from ..uncertainty import Uncertainty
+
+_NAME = re.compile(r"[^\W_][\w +-]{0,49}")  # of a scheme: part of a path of parameters and of files' names
+_FREE_NAME = re.compile(r"[^\W_][\w .+()-]{0,49}")  # of a scenario: part of files' names
 
 
 class Fit(NamedTuple):
@@ -78,6 +86,7 @@ class Scenario:
     shown_unit, shown_scale: errors are shown as shown_scale times the simulated ones, in shown_unit
     show_trials: trials worth a row in a table or a curve in a figure;  options: with which the scenario was loaded
     quantities: further figures of a trial, by name;  judged_by: the figure that tables show and the tolerance is for
+    Names become parts of files' names and of paths, titles and units are printed: raises ValueError for characters that they cannot have.
     """
 
     name: str
@@ -96,6 +105,18 @@ class Scenario:
     options: Mapping[str, object] = dataclasses.field(default_factory=dict)
     quantities: Mapping[str, Quantity] = dataclasses.field(default_factory=dict)
     judged_by: str = "settled_error"
+
+    def __post_init__(self):
+        _need_name("name", self.name, _FREE_NAME, "letters, digits, spaces and _ . + - ( )")
+        for name in self.schemes:
+            _need_name("scheme", name, _NAME, "letters, digits, spaces and _ + -")
+            if name == "machine":
+                raise ValueError("scheme = 'machine' is the name of the machine's own parameters; choose another")
+        units = {"unit": self.task.unit, "input_unit": self.task.input_unit, "shown_unit": self.shown_unit}
+        for what, text, forbidden in (("title", self.title, ""), *((name, unit, '[],;$"\\') for name, unit in units.items())):
+            if printable(text) != text or any(c in text for c in ("\n", *forbidden)) or (forbidden and "*/" in text):
+                besides = f", without {' '.join(forbidden)} and */" if forbidden else ""
+                raise ValueError(f"{what} = {brief(text)} cannot be shown; allowed are printable characters in one line{besides}")
 
     @property
     def functions(self) -> dict[str, Callable[[Trial], jax.Array]]:
@@ -125,6 +146,14 @@ class Scenario:
                 raise ValueError(f"scheme = {name!r} is not one of {', '.join(self.schemes)}")
         return dataclasses.replace(self, schemes={n: self.schemes[n] for n in names}) if names else self
 
+    def check(self) -> None:
+        """Raises ValueError, naming the scheme, where one does not fit the machine and the task."""
+        for name, scheme in self.schemes.items():
+            try:
+                check(self.machine, scheme, self.task)
+            except ValueError as error:
+                raise ValueError(f"{name}: {error}") from None
+
     def settable(self) -> dict[str, object]:
         """Everything `with_values` can set: `machine.…`, and each scheme's under its name, `ffdl-mfailc.lam`."""
         found = {f"machine.{path}": value for path, value in settable(self.machine).items()}
@@ -145,10 +174,8 @@ class Scenario:
         for path, value in settings.items():
             head, _, rest = path.partition(".")
             try:
-                old = get_at(objects[head], rest)
-                if dataclasses.is_dataclass(old):  # a part, such as `machine.plant`
-                    raise KeyError(path)
-                changes.setdefault(head, {})[rest] = _typed(old, value, path)
+                get_at(objects[head], rest)
+                changes.setdefault(head, {})[rest] = _typed(objects[head], rest, value, path)
             except KeyError:
                 raise ValueError(f"{path!r} cannot be set; known: {', '.join(self.settable())}") from None
         objects |= {name: replaced(objects[name], below) for name, below in changes.items()}
@@ -156,19 +183,36 @@ class Scenario:
         return dataclasses.replace(self, machine=machine, schemes=objects)
 
 
-def _typed(old, value, path: str):
-    """`value`, which may be text, as what stands at the path: an int stays an int, a mode a mode, the rest are numbers."""
+def _typed(tree, path: str, value, shown: str):
+    """`value`, which may be text, as the field at the path has it: a static field by what it is annotated with, the rest are numbers."""
+    kind, annotation = kind_at(tree, path)
+    if kind == "part":
+        raise KeyError(path)
     if not isinstance(value, str):
         return value
-    if isinstance(old, str):
+    choices = [one for one in (typing.get_args(annotation) or (annotation,)) if one is not type(None)]
+    if kind == "static" and str in choices:
         return value
+    if value.lower() == "none":
+        return None
+    parts = [part.strip() for part in value.strip("()[] ").split(",")]
     try:
-        if isinstance(old, bool | int):
-            return int(value)
-        if value.lower() == "none":
-            return None
-        numbers = [float(part) for part in value.strip("()[] ").split(",")]
-    except ValueError:
-        kind = "a whole number" if isinstance(old, bool | int) else "a number, or numbers with commas between them"
-        raise ValueError(f"{path} = {value!r} is not {kind}") from None
-    return numbers if len(numbers) > 1 else numbers[0]
+        if kind == "leaf" or typing.get_origin(annotation) is not tuple:
+            read = float if kind == "leaf" else _READ.get(choices[0], float)
+            numbers = [read(part) for part in parts]
+            return numbers if len(numbers) > 1 else numbers[0]
+        return tuple(_READ.get(choices[0], float)(part) for part in parts if part)
+    except (ValueError, KeyError):
+        said = "a number, or numbers with commas between them" if kind == "leaf" else named(annotation)
+        raise ValueError(f"{shown} = {brief(value)} is not {said}") from None
+
+
+_READ: dict[Any, Callable[[str], Any]] = {
+    int: int,
+    bool: lambda text: {"true": True, "1": True, "false": False, "0": False}[text.lower()],
+}
+
+
+def _need_name(what: str, name: str, allowed: re.Pattern, said: str) -> None:
+    if not allowed.fullmatch(name) or name.strip() != name:
+        raise ValueError(f"{what} = {brief(name)} is no name; allowed are up to 50 of {said}, a letter or digit first")

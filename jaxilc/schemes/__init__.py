@@ -1,6 +1,6 @@
 """Control schemes: feedback, learning, and compositions of them."""
 
-from .compose import ErrorFiltered, Filtered, OnOutputs, OnReference, WithFeedback
+from .compose import ErrorFiltered, Filtered, OnOutputs, WithFeedback
 from .exponential import ExponentialPD
 from .guards import Ladder, StopWhen
 from .higher_order import HigherOrder
@@ -8,6 +8,7 @@ from .mfac import CFDLMFAC, CFDLMFAPC, FFDLMFAC, PFDLMFAC
 from .mfailc import CFDLMFAILC, FFDLMFAILC, PFDLMFAILC
 from .multivariable import MultivariableILC
 from .norm_optimal import NormOptimal
+from .on_reference import OnReference
 from .pid import PID
 from .pid_type import PIDType
 from .scheme import Scheme

@@ -145,7 +145,7 @@ class Ladder(Guard):
     """
 
     scheme: Scheme = part()
-    repeats: int = static(interval="[1, inf)", whole=True)
+    repeats: int = static(interval="[1, 1e9]", whole=True)
     growth_of_gain: jax.Array = leaf(1.2, "[1, inf)")
     largest: jax.Array = leaf(2.0, "[1, inf)")
     slow: jax.Array | None = leaf(None, "(0, 1)", optional=True)

@@ -45,10 +45,12 @@ class Table(NamedTuple):
 class Window(NamedTuple):
     """Increments of the running trial, newest first, each (n,): L_y-1 of the output and L_u-1 of the input.
 
+    u_last: (n,) what was applied in trial j-1 at the sample before
     Tuples of arrays rather than one array: in a loop over samples, shifting an array costs a copy."""
 
     dy: tuple[jax.Array, ...]
     du: tuple[jax.Array, ...]
+    u_last: jax.Array
 
 
 @pytree
@@ -61,6 +63,11 @@ class FFDLMFAILC(Scheme):
     D y(k,j) belongs to the running trial: FFDL acts as feedback within the trial, CFDL does not. The first trial applies u = 0,
     the second uses phi0, the estimator has data from the third on. With a learning lead m, e and D y are taken m samples later;
     where that lies beyond the end of the trial the error counts as zero and the estimate stays.
+
+    Every u above is the input as the actuator applied it, of both trials: u(k,j-1) and the increments between trials come from
+    `Trial.u`, those within the running trial from `Sample.applied`. Only what this sample adds is a command, which the actuator then
+    limits, slows or rounds. A controller that cannot know what its actuator applies takes what it commanded; record that as the
+    trial's u as well, so that both increments are of the commanded input.
 
     lam: () > 0 weight on the input increment [(y/u)^2];  rho: () or (L_y+L_u,) step factors in (0, 1]
     eta: () estimator step in (0, 2];  mu: () > 0 [u^2], for L_y > 0 mixed units as in the paper
@@ -75,8 +82,8 @@ class FFDLMFAILC(Scheme):
     phi0: jax.Array = leaf((0.5, 0.0, -0.06, 0.0))
     epsilon: jax.Array = leaf(1e-5, "(0, inf)")
     limit: jax.Array | None = leaf(None, "(0, inf)", optional=True)
-    L_y: int = static(2, "[0, inf)", whole=True)
-    L_u: int = static(2, "[1, inf)", whole=True)
+    L_y: int = static(2, "[0, 500]", whole=True)
+    L_u: int = static(2, "[1, 500]", whole=True)
     lead: int = static(0, "[0, inf)", whole=True)
     reset: str = static("book", choices=RESETS)
     estimator_steps = ("eta",)
@@ -122,17 +129,19 @@ class FFDLMFAILC(Scheme):
 
     def init(self, task: Task) -> Window:
         rest = jnp.zeros(task.inputs)
-        return Window((rest,) * max(self.L_y - 1, 0), (rest,) * (self.L_u - 1))
+        return Window((rest,) * max(self.L_y - 1, 0), (rest,) * (self.L_u - 1), rest)
 
     def act(self, state: Window, sample: Sample) -> tuple[Window, jax.Array]:
         row = sample.row
         if self.L_y + self.L_u == 1:
             return state, limited(row.u, self.limit)
-        dy = (sample.y - row.y, *state.dy)[: self.L_y]
-        u = row.u - sum(weight * increment for weight, increment in zip(row.weights, dy + state.du, strict=True))
+        dy, du = (sample.y - row.y, *state.dy)[: self.L_y], state.du
+        if du and sample.applied is not None:  # what was commanded a sample ago has become this
+            du = (sample.applied - state.u_last, *du[1:])
+        u = row.u - sum(weight * increment for weight, increment in zip(row.weights, dy + du, strict=True))
         u = limited(u, self.limit)
-        du = (u - row.u_last, *state.du)[: self.L_u - 1]
-        return Window(dy[: max(self.L_y - 1, 0)], du), u
+        du = (u - row.u_last, *du)[: self.L_u - 1]
+        return Window(dy[: max(self.L_y - 1, 0)], du, row.u_last), u
 
     def _start(self):
         return jnp.atleast_1d(jnp.asarray(self.phi0))

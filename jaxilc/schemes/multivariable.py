@@ -11,7 +11,8 @@ import jax.numpy as jnp
 from ..filters import Filter
 from ..pytree import part, pytree, static
 from ..signals import Limit, Sample, Task, Trial
-from .compose import Pair, ReferenceTable, below, of_part, silent_signals
+from .compose import Pair, below, of_part, silent_signals
+from .on_reference import ReferenceTable
 from .scheme import Scheme, State, limits_below, past
 
 

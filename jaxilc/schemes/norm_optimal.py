@@ -13,6 +13,7 @@ from jax.scipy.linalg import cho_factor, cho_solve
 
 from ..plants import StateSpace, TimeVaryingStateSpace
 from ..pytree import known, leaf, need_channels, part, pytree, static
+from ..ranges import brief
 from ..signals import Limit, Task, Trial, product
 from .scheme import Feedforward, Scheme, limit_of, limited
 
@@ -50,7 +51,8 @@ class NormOptimal(Scheme):
 
     model: n_u inputs to n_y outputs, of the task's sample time, u[k] acting on y[k+1]; stable, so of the closed loop under feedback.
            Nominal: the machine may differ
-    w_q: () or (n_y,) or (n_y, n_y);  w_r, w_s: () or (n_u,) or (n_u, n_u), symmetric and positive semidefinite, w_r + w_s definite
+    w_q: () or (n_y,) or (n_y, n_y);  w_r, w_s: () or (n_u,) or (n_u, n_u), positive semidefinite, w_r + w_s definite; symmetric up to
+         rounding, as a product A' A is: its symmetric part counts
     limit: () or (n_u,) largest |u| learned, None for none
     Raises ValueError for an unstable model, and weights that are not symmetric or not semidefinite. Differentiable in the weights and
     in the model, through the recursion.
@@ -66,8 +68,8 @@ class NormOptimal(Scheme):
     clips = ("limit",)
 
     def __post_init__(self):
-        if not isinstance(self.model, StateSpace | TimeVaryingStateSpace):
-            raise ValueError(f"NormOptimal: model is a {type(self.model).__name__}; allowed are StateSpace and TimeVaryingStateSpace")
+        if not isinstance(self.solved, Recursion | Lifted | None):
+            raise ValueError(f"NormOptimal: solved = {brief(self.solved)} is a {type(self.solved).__name__}; allowed is None")
         for name, size in (("w_q", self.model.n_y), ("w_r", self.model.n_u), ("w_s", self.model.n_u)):
             self._check_weight(name, size)
         if known((self.w_r, self.w_s)):
@@ -91,10 +93,11 @@ class NormOptimal(Scheme):
         if not known(weight):
             return
         W = np.asarray(_matrix(weight, size))
-        if not np.array_equal(W, W.T):
+        rounding = max(1e-6, np.sqrt(np.finfo(W.dtype).eps))  # half of the digits, of single precision at least
+        if np.max(np.abs(W - W.T)) > rounding * np.max(np.abs(W)):
             raise ValueError(f"NormOptimal: {name} = {W.tolist()} is not symmetric")
         values = _eigenvalues(W)
-        if not np.all(values >= -1e-12 * np.max(np.abs(values))):
+        if not np.all(values >= -max(1e-12, size * np.finfo(W.dtype).eps) * np.max(np.abs(values))):
             raise ValueError(f"NormOptimal: {name} has the eigenvalues {values}; allowed are none below 0")
 
     def check(self, task: Task) -> None:
@@ -214,7 +217,9 @@ def _matrix(weight, size: int):
 
 
 def _eigenvalues(W):
-    return np.linalg.eigvalsh(np.asarray(W))
+    """Of the symmetric part."""
+    W = np.asarray(W)
+    return np.linalg.eigvalsh((W + W.T) / 2)
 
 
 def _inverse(M):

@@ -74,7 +74,7 @@ class SMC(Scheme):
 
     def init(self, task: Task) -> SlidingState:
         rest, r = jnp.zeros(task.outputs), jnp.asarray(task.reference[0])
-        return SlidingState(rest, rest, rest, r, r, rest, jnp.broadcast_to(self.eta, rest.shape))
+        return SlidingState(rest, rest, rest, r, r, rest, self.eta + rest)
 
     def act(self, state: SlidingState, sample: Sample) -> tuple[Any, jax.Array]:
         e = sample.y - sample.r

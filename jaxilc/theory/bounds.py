@@ -20,11 +20,13 @@ from jax import lax
 from ..batch import tiled
 from ..learning import learn
 from ..machine import Machine
+from ..memory import check_size
 from ..schemes import CFDLMFAILC, FFDLMFAILC
 from ..signals import Task, Trial
 from ..uncertainty import Uncertainty, drawn_machines
 from .condition import Condition, condition, premise
 
+COPIES = 12  # of the signals of a run, while its bounds are looked at
 INCREMENT = 1e-9  # increments below this share of the largest one are no excitation
 
 
@@ -175,8 +177,10 @@ def premises(
 ) -> tuple[list[PremiseShare], dict[str, int]]:
     """The premises of Cao 2019's bounds on each machine's run, and how often the bound itself holds, fails or is not claimed.
 
-    Machines whose run is not finite are left out of both.
+    Machines whose run is not finite are left out of both. Raises ValueError for trials whose signals do not fit into memory.
     """
+    signals = COPIES * 8 * chunk * (task.N + 1) * (task.outputs + task.inputs)
+    check_size("certify: the bounds of Cao 2019", lambda trials: signals * trials, trials=trials)
     bounds: Any = cfdl_bounds if isinstance(scheme, CFDLMFAILC) else ffdl_bounds
     run, machines = tiled(partial(_signals, trials=trials)), drawn_machines(machine, uncertainty, drawn)
     total, conditions = len(jax.tree.leaves(machines)[0]), []

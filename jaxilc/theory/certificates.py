@@ -26,8 +26,10 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from ..divergence import GROWTH
 from ..learning import check
 from ..machine import Machine
+from ..memory import check_size
 from ..schemes import Scheme
 from ..signals import Task
 from ..uncertainty import Uncertainty, drawn_machines
@@ -36,14 +38,14 @@ from .as_map import Maps
 from .as_matrix import Matrices
 from .forecast import follow, predict, simulate
 from .linearity import keeps_all, learning_premises
-from .outlook import Outlook, maps_of, outlooks
+from .outlook import Outlook, joined, maps_of, outlooks, that_fit
 from .trials import starts_off
 
 CLAIMS = MONOTONE, CONVERGES, DIVERGES, NOTHING = "monotone", "converges", "diverges", "not claimed"
 COURSES = FALLS, NOT_ALWAYS, TURNS, GROWS = "falls", "falls, not always", "turns", "grows"
 RISE = 1e-9  # a relative rise of the error that rounding explains
-GROWTH = 0.5  # relative rise above the best trial that counts as growing again
 EXACT = 1e-9  # share of the first error that counts as none left
+COPIES = 64  # bytes for each trial of each machine: three curves, with what lies between
 
 
 class Certificate(NamedTuple):
@@ -109,10 +111,17 @@ def certify_each(machines: Machine, scheme: Scheme, task: Task, trials: int, *, 
     """The certificate of each of S machines, without noise.
 
     machines: one whose leaves have a leading axis of S;  trials: J, of the prediction and the simulation; claims do not depend on it
-    steps: of the Lanczos process, at most. Raises as `learn` does.
+    steps: of the Lanczos process, at most
+    Raises as `learn` does, and ValueError, before anything runs, for more machines or trials than fit into memory.
     """
+    check(jax.tree.map(lambda leaf: leaf[0], machines), scheme, task)
+    count = len(jax.tree.leaves(machines)[0])
+    check_size("certify", lambda machines, trials: COPIES * machines * trials, machines=count, trials=trials)
+    return joined([_certified(some, scheme, task, trials, steps) for some in that_fit(machines, task)])
+
+
+def _certified(machines: Machine, scheme: Scheme, task: Task, trials: int, steps: int) -> Certificate:
     machine = jax.tree.map(lambda leaf: leaf[0], machines)
-    check(machine, scheme, task)
     predicted = predict(machines, scheme, task, trials)
     broken = [p for p in learning_premises(machine, scheme, task) if not p.held]
     if broken:

@@ -16,8 +16,9 @@ Noise is left out.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
 from ..machine import Machine
@@ -32,6 +33,7 @@ POWERS = (1, 4, 16, 64)  # of M that are looked at, until one contracts
 STEPS = 300  # of the Lanczos process, at most
 DENSE = 512  # rows up to which M is taken as a matrix
 ROUNDING = 1e3  # in units of the last place
+ROOM = 2**27  # bytes of the dense matrices of the machines that are looked at together
 NO_LIMIT = "no limit is met in any trial to come"
 WHOLE = "the whole trial converges, its ends included"
 
@@ -84,7 +86,7 @@ class Outlook(NamedTuple):
     doubt: np.ndarray
     met: np.ndarray
     clear: np.ndarray
-    which: list[str]
+    which: np.ndarray
 
     def of_limits(self, machine: int) -> Premise:
         """The premise that all stays as linear as without limits."""
@@ -105,21 +107,35 @@ def maps_of(machines: Machine, scheme: Scheme, task: Task, steps: int = STEPS) -
     return Matrices.of(machines, scheme, task, view) if dense else Maps(machines, scheme, task, view, steps)
 
 
+def that_fit(machines: Machine, task: Task) -> list[Machine]:
+    """The machines in parts whose dense matrices fit into `ROOM`."""
+    chunk = max(1, ROOM // max(1, 8 * task.N**2 * task.inputs * task.outputs))
+    count = len(jax.tree.leaves(machines)[0])
+    return [jax.tree.map(lambda leaf, at=at: leaf[at : at + chunk], machines) for at in range(0, count, chunk)]
+
+
+def joined(parts: list[Any]) -> Any:
+    """What was found of parts of the machines, as found of all."""
+    return parts[0] if len(parts) == 1 else jax.tree.map(lambda *several: np.concatenate(several), *parts)
+
+
 def outlooks(machines: Machine, scheme: Scheme, task: Task, *, maps: Matrices | Maps | None = None) -> Outlook:
     """The outlook of each machine. Its premises are for `linearity` to look at: here all is taken to be linear."""
-    maps = maps_of(machines, scheme, task) if maps is None else maps
+    if maps is None:
+        return joined([outlooks(some, scheme, task, maps=maps_of(some, scheme, task)) for some in that_fit(machines, task)])
     decay = decays(machines, scheme, task, maps=maps)
     limit, left, floor, gain = maps.limit()
     radius = np.where(left > 0, np.where(np.isfinite(decay.reach), decay.reach, np.inf) * left, 0.0)
     names = limit_names(machines, scheme, task)
     met, clear, which = maps.first_met(decay.reach) if names else (np.zeros(len(left), int), np.ones(len(left), bool), [])
-    labels = [names[i] for i in which] if names else [""] * len(left)
+    labels = np.array([names[i] for i in which] if names else [""] * len(left))
     return Outlook(decay, limit, radius, floor, gain * radius / np.sqrt(task.N * task.outputs), met, clear, labels)
 
 
 def decays(machines: Machine, scheme: Scheme, task: Task, *, maps: Matrices | Maps | None = None) -> Decay:
     """How the distance from the limit falls on each machine."""
-    maps = maps_of(machines, scheme, task) if maps is None else maps
+    if maps is None:
+        return joined([decays(some, scheme, task, maps=maps_of(some, scheme, task)) for some in that_fit(machines, task)])
     norm, late = maps.norm(1), maps.late(POWERS[-1])
     trials, factor, growth = np.zeros(len(norm), int), np.full(len(norm), np.inf), np.full(len(norm), np.inf)
     between, eps = np.ones(len(norm)), np.finfo(norm.dtype).eps

@@ -1,0 +1,28 @@
+"""A Zarr store in a folder, in which every value is whole and on the disk before the next one."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+from zarr.core.buffer import Buffer
+from zarr.storage import LocalStore
+
+from .files import atomically, to_disk
+
+
+class DurableStore(LocalStore):
+    """Of what Zarr's own store writes, a power failure may keep the mark and lose the numbers."""
+
+    async def set(self, key: str, value: Buffer) -> None:
+        await asyncio.to_thread(write_file, self.root, key, value.to_bytes())
+
+
+def write_file(root: Path, key: str, content: bytes) -> None:
+    """Write a file below a folder, with the folders between them, and bring all to the disk."""
+    path = root / key
+    made = [folder for folder in path.parents if not folder.exists()]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    atomically(path, lambda file: file.write(content))
+    for folder in made:
+        to_disk(folder.parent)

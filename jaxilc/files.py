@@ -1,0 +1,160 @@
+"""Files and folders that are whole or not there, whenever the process is killed or the power fails.
+
+What is written has another name first, `.unfinished-...` in the same folder, and is renamed when it
+is on the disk. As long as a process writes there, it holds a lock on that name. A name without a
+lock was left by a process that was killed, and whoever writes into the folder next removes it.
+Where a file system cannot lock, such as a folder on NFS, nothing is removed and nothing is refused.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import secrets
+import shutil
+from collections.abc import Callable, Generator
+from pathlib import Path
+from typing import BinaryIO
+
+try:
+    import fcntl
+except ImportError:  # Windows has other locks; there, nothing is removed and nothing is refused
+    fcntl = None
+
+UNFINISHED = ".unfinished-"
+STREAMS = ("/dev/std", "/dev/fd/", "/proc/")  # names of what the process has open already
+
+
+def atomically(path: str | Path, write: Callable[[BinaryIO], object]) -> None:
+    """Write a file whole or not at all; `write` is given the open file. A link is followed.
+
+    A pipe or a device, which cannot be replaced, is written to directly.
+    """
+    path = Path(path)
+    if (path.exists() and not path.is_file()) or str(path.absolute()).startswith(STREAMS):
+        with open(path, "wb") as file:
+            write(file)
+        return
+    path = Path(os.path.realpath(path))
+    with _aside(path.parent, Path.touch) as unfinished:
+        with open(unfinished, "wb") as file:
+            write(file)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(unfinished, path)
+    to_disk(path.parent)
+
+
+@contextlib.contextmanager
+def whole_folder(path: str | Path, *, replace: bool = False) -> Generator[Path]:
+    """A folder to fill, which gets its name when the block ends well. Folders above it are made.
+
+    replace: put it in place of the folder that has the name, which is removed
+    Raises FileExistsError where something else has the name by then.
+    """
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with _aside(path.parent, Path.mkdir) as unfinished:
+        yield unfinished
+        for folder, _, names in os.walk(unfinished):
+            for name in names:
+                to_disk(Path(folder, name))
+            to_disk(Path(folder))
+        if replace and path.exists():
+            with _aside(path.parent, Path.mkdir) as old:
+                os.rename(path, old)
+                os.rename(unfinished, path)
+        elif path.exists():
+            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
+        else:
+            os.rename(unfinished, path)
+    to_disk(path.parent)
+
+
+@contextlib.contextmanager
+def only_one(folder: str | Path) -> Generator[None]:
+    """Keep a folder to this process. Raises ValueError where another process is at work in it."""
+    try:
+        lock = _locked(Path(os.path.realpath(folder)))
+    except BlockingIOError:
+        said = "is in use by another process; wait for its end, or choose another folder"
+        raise ValueError(f"{folder} {said}") from None
+    try:
+        yield
+    finally:
+        _unlock(lock)
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove what processes that were killed left in a folder. What is being written stays."""
+    for left in folder.glob(f"*{UNFINISHED}*"):
+        with contextlib.suppress(BlockingIOError):  # another process is writing there
+            lock = _locked(left)
+            if lock is not None:
+                _remove(left)
+                _unlock(lock)
+
+
+def to_disk(path: Path) -> None:
+    """Bring a file, or the names in a folder, to the disk."""
+    if path.is_dir() and not hasattr(os, "O_DIRECTORY"):
+        return  # the system opens no folders
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+@contextlib.contextmanager
+def _aside(folder: Path, make: Callable[[Path], object]) -> Generator[Path]:
+    """A name of our own in a folder, made and locked; what still has it at the end is removed."""
+    remove_leftovers(folder)
+    while True:
+        name = folder / f"{UNFINISHED}{os.getpid()}-{secrets.token_hex(4)}"
+        make(name)
+        with contextlib.suppress(BlockingIOError):  # another process took it for a leftover
+            lock = _locked(name)
+            if name.exists():
+                break
+            _unlock(lock)
+    try:
+        yield name
+    finally:
+        _remove(name)
+        _unlock(lock)
+
+
+def _locked(path: Path) -> int | None:
+    """A descriptor that locks a file or folder until it is closed; None where there is no lock.
+
+    Raises BlockingIOError where another process, or another place in this one, holds the lock.
+    """
+    if fcntl is None:
+        return None
+    try:  # a lock on NFS needs a file that may be written to; a pipe must not make us wait
+        access = os.O_RDONLY if path.is_dir() else os.O_RDWR
+        descriptor = os.open(path, access | os.O_NOFOLLOW | os.O_NONBLOCK)
+    except OSError:
+        return None
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        os.close(descriptor)
+        if isinstance(error, BlockingIOError):
+            raise
+        return None
+    return descriptor
+
+
+def _unlock(lock: int | None) -> None:
+    if lock is not None:
+        os.close(lock)
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        path.unlink(missing_ok=True)

@@ -1,0 +1,150 @@
+"""What a parameter may be: intervals as papers write them, kinds as annotations name them, and the one line that says so."""
+
+from __future__ import annotations
+
+import functools
+import numbers
+import re
+import types
+import typing
+from typing import Any, NamedTuple
+
+import numpy as np
+
+_INTERVAL = re.compile(r"^([\[(])\s*(\S+)\s*,\s*(\S+)\s*([\])])$")
+_LONG = 60  # characters of a value that a message shows
+SEEDS = "[0, 9e18]"  # what the generators of numbers take, with room for the seeds next to it
+
+
+class Interval(NamedTuple):
+    """An interval of the real line, written as in a paper: `(0, 1]`."""
+
+    low: float
+    high: float
+    closed_low: bool
+    closed_high: bool
+
+    @classmethod
+    def parse(cls, text: str) -> Interval:
+        match = _INTERVAL.match(text)
+        if not match:
+            raise ValueError(f"{text!r} is not an interval such as '(0, 1]'")
+        left, low, high, right = match.groups()
+        return cls(float(low), float(high), left == "[", right == "]")
+
+    def contains(self, value) -> bool:
+        """True if every element lies in the interval (NaN never does)."""
+        value = np.asarray(value)
+        value = value.astype(float) if value.dtype.kind == "f" and value.itemsize < 4 else value  # half precision ends at 65,504
+        above = value >= self.low if self.closed_low else value > self.low
+        below = value <= self.high if self.closed_high else value < self.high
+        return bool(np.all(above & below))
+
+    def __str__(self) -> str:
+        return f"{'[' if self.closed_low else '('}{self.low:g}, {self.high:g}{']' if self.closed_high else ')'}"
+
+
+def require(owner: str, name: str, values: Any, interval: str, unit: str = "", *, whole: bool = False, many: bool = False) -> None:
+    """A number in the interval, or a ValueError. whole: it is to be a whole one;  many: an array of numbers, of which the first that is
+    not in the interval is named"""
+    wanted = Interval.parse(interval)
+    found = None if isinstance(values, bool | np.bool_) else as_numbers(values)
+    if found is None or (found.ndim and not many):
+        raise ValueError(f"{owner}: {name} = {brief(values)} is not a number{' or an array of numbers' * many}")
+    for i, value in np.ndenumerate(found):
+        if not wanted.contains(value) or (whole and not is_whole(values)):
+            said = f"{value:g}{unit} is outside its allowed range {wanted}{' of whole numbers' * whole}"
+            raise ValueError(f"{owner}: {name}{list(i) or ''} = {said}")
+
+
+def as_numbers(value: Any) -> np.ndarray | None:
+    """The value as an array of floats, one of half to double precision as it is; None if it is not made of real numbers."""
+    try:
+        array = np.asarray(value)
+        if array.dtype == object and array.size and all(isinstance(x, int) for x in array.flat):  # too long for an integer of NumPy
+            return array.astype(float)
+    except (ValueError, TypeError, OverflowError, RecursionError):  # of unequal rows, or within itself
+        return None
+    if array.dtype.kind not in "fiu":
+        return None
+    kept = hasattr(value, "dtype") and array.dtype.kind == "f" and array.dtype.itemsize <= 8
+    return array if kept else array.astype(float)
+
+
+def is_number(value: Any) -> bool:
+    """Whether it is one real number that a float can be; True and False are none."""
+    try:
+        return isinstance(value, numbers.Real) and not isinstance(value, bool) and float(value) is not None
+    except OverflowError:
+        return False
+
+
+def is_whole(value: Any) -> bool:
+    """Whether it is one whole number by its kind, as 2 is and 2.0 is not."""
+    return isinstance(value, numbers.Integral) and not isinstance(value, bool)
+
+
+def brief(value: Any) -> str:
+    """The value as text of one short line."""
+    try:
+        text = repr(value)
+    except (ValueError, RecursionError):  # thousands of digits, or within itself
+        text = f"a {type(value).__name__} too long to show"
+    text = " ".join(text.split())
+    return text if len(text) <= _LONG else f"{text[: _LONG - 4]} ..."
+
+
+def shown(values: Any) -> str:
+    """A number, or the numbers of an array, in a few characters."""
+    values = np.asarray(values)
+    return f"{values:g}" if values.ndim == 0 else np.array2string(values, threshold=8, precision=6).replace("\n", "")
+
+
+# Kinds, as annotations name them ---------------------------------------------------------------------------------------------
+
+
+@functools.cache
+def annotations_of(cls: type) -> dict[str, Any]:
+    """What the fields of a class are annotated with; nothing where a name cannot be looked up, as one that a function defines."""
+    try:
+        return typing.get_type_hints(cls)
+    except (NameError, AttributeError, TypeError, SyntaxError):
+        return {}
+
+
+def fits(value: Any, kind: Any) -> bool:
+    """Whether a value is what an annotation says. One that is understood as no kind, such as Any, takes everything."""
+    origin, inside = typing.get_origin(kind), typing.get_args(kind)
+    if origin in (typing.Union, types.UnionType):
+        return any(fits(value, one) for one in inside)
+    if origin is tuple:
+        if not isinstance(value, tuple):
+            return False
+        if len(inside) == 2 and inside[1] is ...:
+            return all(fits(x, inside[0]) for x in value)
+        return len(value) == len(inside) and all(map(fits, value, inside))
+    if kind is None:
+        return value is None
+    if kind in (int, float):
+        return is_whole(value) if kind is int else is_number(value)
+    try:
+        return kind is Any or isinstance(value, origin or kind)
+    except TypeError:  # of what is no class, nothing can be said
+        return True
+
+
+def allowed(kind: Any) -> str:
+    """`allowed is Scheme`, the end of a message about what is of another kind."""
+    words = named(kind)
+    return f"allowed {'are' if ' and ' in words else 'is'} {words}"
+
+
+def named(kind: Any) -> str:
+    """A kind in words."""
+    origin, inside = typing.get_origin(kind), typing.get_args(kind)
+    if origin in (typing.Union, types.UnionType):
+        return " and ".join(map(named, inside))
+    if origin is tuple:
+        return "a tuple (" + ", ".join("..." if one is ... else named(one) for one in inside) + ")"
+    words = {int: "a whole number", float: "a number", str: "text", bool: "True or False", type(None): "None"}
+    return words.get(kind) or getattr(kind, "__name__", str(kind))

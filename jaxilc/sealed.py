@@ -1,0 +1,125 @@
+"""Strict JSON, and JSON and arrays with a checksum of all their bytes: what was damaged is refused.
+
+JSON has no numbers that are not finite. They stand there as the strings "Infinity", "-Infinity" and
+"NaN", which `float` understands, and `read_json` gives them back as numbers.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from .files import atomically
+from .reading import read_bytes, read_tree
+
+NOT_FINITE = {"Infinity": math.inf, "-Infinity": -math.inf, "NaN": math.nan}
+SEAL = "sha256"
+LARGEST_ARCHIVE = 2**36  # bytes
+LENGTH = 2  # bytes in which a zip archive says how long its comment is, which comes last
+
+
+class Damaged(ValueError):
+    """A file that is not what was written."""
+
+
+def json_text(value: Any) -> str:
+    """The value as strict JSON, a line for each entry."""
+    return json.dumps(_strict(value), indent=1, allow_nan=False) + "\n"
+
+
+def as_json(value: Any) -> Any:
+    """The value as it reads from a file of strict JSON."""
+    return json.loads(json_text(value))
+
+
+def write_json(path: str | Path, value: Any) -> None:
+    """Write a file of strict JSON, whole or not at all."""
+    text = json_text(value).encode()
+    atomically(path, lambda file: file.write(text))
+
+
+def read_json(path: str | Path) -> Any:
+    """The value in a file of JSON. Raises Damaged naming a file that holds none, OSError."""
+    try:
+        return _with_numbers(read_tree(path, ".json"))
+    except ValueError as error:
+        raise Damaged(f"{path} is damaged: {str(error).removeprefix(f'{path}: ')}") from None
+
+
+def sealed(content: Mapping[str, Any]) -> dict[str, Any]:
+    """The content as strict JSON has it, with a checksum of it."""
+    return {**as_json(content), SEAL: _sha256(json_text(content).encode())}
+
+
+def unsealed(found: Any) -> dict[str, Any]:
+    """What `sealed` was given. Raises Damaged where the checksum is missing or another one."""
+    seal = found.get(SEAL) if isinstance(found, dict) else None
+    content = {name: of for name, of in found.items() if name != SEAL} if seal else {}
+    if seal is None:
+        raise Damaged("its checksum is missing")
+    if seal != _sha256(json_text(content).encode()):
+        raise Damaged("its checksum is that of another content")
+    return content
+
+
+def archive(arrays: Mapping[str, Any]) -> bytes:
+    """A .npz file that holds a checksum of itself, as the comment of the archive."""
+    file, named = io.BytesIO(), {name: np.asarray(value) for name, value in arrays.items()}
+    np.savez(file, **cast(dict[str, Any], named))
+    whole = file.getvalue()
+    seal = _sha256(whole).encode()
+    return whole[:-LENGTH] + _length(seal) + seal
+
+
+def read_arrays(path: str | Path, *, checked: bool = True) -> dict[str, np.ndarray]:
+    """The arrays of a file that `archive` made. Raises Damaged naming what is wrong, OSError.
+
+    checked: False takes a .npz file without a checksum as well
+    """
+    try:
+        found = read_bytes(path, LARGEST_ARCHIVE)
+    except ValueError as error:
+        raise Damaged(str(error)) from None
+    seal = _sha256(b"")
+    whole, end = found[: -len(seal) - LENGTH], found[-len(seal) - LENGTH :]
+    seal = _sha256(whole + bytes(LENGTH)).encode()
+    if checked and end != _length(seal) + seal:
+        raise Damaged(f"{path} is damaged: its checksum is missing, or that of another content")
+    try:
+        with np.load(io.BytesIO(found), allow_pickle=False) as arrays:
+            return dict(arrays)
+    except Exception as error:  # what NumPy and zipfile make of bytes that are no archive
+        raise Damaged(f"{path} is damaged: it holds no arrays ({error})") from None
+
+
+def _strict(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(name): _strict(of) for name, of in value.items()}
+    if isinstance(value, list | tuple):
+        return [_strict(of) for of in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return "NaN" if math.isnan(value) else "Infinity" if value > 0 else "-Infinity"
+    return value
+
+
+def _with_numbers(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _with_numbers(of) for name, of in value.items()}
+    if isinstance(value, list):
+        return [_with_numbers(of) for of in value]
+    return NOT_FINITE.get(value, value) if isinstance(value, str) else value
+
+
+def _sha256(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
+
+
+def _length(comment: bytes) -> bytes:
+    return len(comment).to_bytes(LENGTH, "little")

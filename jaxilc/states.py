@@ -1,0 +1,131 @@
+"""The folder of a descent: its configuration, its newest state, and the one before to fall back on.
+
+All three have checksums. A state holds the configuration as well, so that no single damaged file
+loses a tuning: it goes on from what is whole, and ends with the same numbers, bit for bit.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from .descent import State
+from .files import atomically, only_one, remove_leftovers, to_disk, whole_folder
+from .reading import tree_of
+from .results import differences
+from .sealed import (
+    Damaged,
+    archive,
+    as_json,
+    json_text,
+    read_arrays,
+    read_json,
+    sealed,
+    unsealed,
+    write_json,
+)
+
+CONFIGURATION = "configuration.json"
+STATE, PREVIOUS, FRESH = "state.npz", "previous.npz", "fresh.npz"
+
+log = logging.getLogger("jaxilc")
+
+
+class Folder:
+    """The folder of a descent. While it is open, no other process can open it."""
+
+    def __init__(self, path: Path, configuration: dict[str, Any], resume: bool):
+        """Raises FileExistsError, and ValueError for a folder that is in use, is not of a tuning,
+        or was made with another configuration, as `Tuning.run` says."""
+        self.path, self._recipe = path, json_text(configuration)
+        if not path.exists():
+            with whole_folder(path) as unfinished:
+                write_json(unfinished / CONFIGURATION, sealed(configuration))
+        elif not resume:
+            raise FileExistsError(f"{path} exists already; resume it or choose another place")
+        with ExitStack() as closing:
+            closing.enter_context(only_one(path))
+            remove_leftovers(path)
+            self._whole, self._damaged = _states(path)
+            self._newest_is_whole = STATE in self._whole
+            differing = differences(self._configuration(), json.loads(self._recipe))
+            if differing:
+                said = f"was made with another configuration; it differs in: {'; '.join(differing)}"
+                raise ValueError(f"{path} {said}")
+            self._closing = closing.pop_all()
+
+    def __enter__(self) -> Folder:
+        return self
+
+    def __exit__(self, *_) -> None:
+        self._closing.close()
+
+    def write(self, state: State) -> None:
+        """Make this the newest state; at any moment at least one of the two is whole."""
+        leaves = {f"arr_{i}": leaf for i, leaf in enumerate(jax.tree.leaves(state))}
+        content = archive(leaves | {"configuration": np.asarray(self._recipe)})
+        atomically(self.path / FRESH, lambda file: file.write(content))
+        if self._newest_is_whole:  # else the state before it is all there is to fall back on
+            os.replace(self.path / STATE, self.path / PREVIOUS)
+        os.replace(self.path / FRESH, self.path / STATE)
+        self._newest_is_whole = True
+        to_disk(self.path)
+
+    def latest(self, state: State) -> State:
+        """The newest state that is whole, or the one given if there was none before it.
+
+        Raises ValueError where both that there were are damaged.
+        """
+        if self._damaged and not self._whole and (self.path / PREVIOUS).exists():
+            raise ValueError(f"{'; '.join(self._damaged)}; remove {self.path} and start again")
+        for damage in self._damaged:
+            log.warning("%s; the tuning goes on from the state before it", damage)
+        if not self._whole:
+            return state
+        name, newest = next(iter(self._whole.items()))
+        leaves, structure = jax.tree.flatten(state)
+        found = [newest.get(f"arr_{i}") for i in range(len(leaves))]
+        if [_kind(leaf) for leaf in found] != [_kind(leaf) for leaf in leaves]:
+            said = f"{self.path / name} is not a state of this tuning"
+            raise ValueError(f"{said}; remove {self.path} and start again")
+        return jax.tree.unflatten(structure, found)
+
+    def _configuration(self) -> dict[str, Any]:
+        """The configuration of the folder; where its file is damaged, from a state, and mended."""
+        file, found = self.path / CONFIGURATION, None
+        try:
+            return as_json(unsealed(read_json(file)))
+        except (OSError, Damaged):
+            for name, state in list(self._whole.items())[:1]:
+                found = tree_of(str(state.get("configuration")), json.loads, self.path / name)
+        if not isinstance(found, dict):
+            said = f"{self.path} is not a tuning that can be resumed; remove it and start again"
+            raise ValueError(said)
+        log.warning("%s was missing or damaged, and is written again", file)
+        write_json(file, sealed(found))
+        return found
+
+
+def _kind(leaf: Any) -> tuple[Any, ...]:
+    return np.shape(leaf), np.asarray(leaf).dtype
+
+
+def _states(path: Path) -> tuple[dict[str, dict[str, Any]], list[str]]:
+    """The states that are whole by name, the newest first, and what is wrong with the others."""
+    whole: dict[str, dict[str, Any]] = {}
+    damaged: list[str] = []
+    for name in (STATE, PREVIOUS):
+        try:
+            whole[name] = read_arrays(path / name)
+        except FileNotFoundError:
+            continue
+        except Damaged as error:
+            damaged.append(str(error))
+    return whole, damaged

@@ -1,0 +1,271 @@
+"""Labelled results: a Zarr store filled region by region, opened as an xarray dataset.
+
+A store holds one array per figure, its coordinates, the configuration that made it, and for every
+chunk that is complete a mark: a checksum of the chunk's numbers and of the configuration. A chunk
+is marked when all of its arrays are on the disk. So a mark vouches for the numbers themselves:
+whoever resumes or opens a store reads them again, and what is missing, cut short or altered is
+found. The bytes of each file have a checksum, too (crc32c), for readers that know nothing of marks.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import logging
+from collections.abc import Mapping
+from contextlib import ExitStack
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .files import only_one, remove_leftovers, whole_folder
+from .results import differences
+from .sealed import Damaged, as_json, json_text, read_json, sealed, unsealed
+
+if TYPE_CHECKING:
+    import xarray as xr
+    import zarr
+
+DONE = "chunk_done"
+METADATA = "zarr.json"
+VOUCHING = (METADATA, f"{DONE}/{METADATA}")  # these files hold the checksums of the others
+UNFILLED = {"f": np.nan, "i": -1, "u": 0, "b": False, "U": ""}  # where nothing was computed
+
+log = logging.getLogger("jaxilc")
+
+
+@dataclasses.dataclass(frozen=True)
+class Variable:
+    """An array of the dataset: its dimensions and dtype, and what it is."""
+
+    dims: tuple[str, ...]
+    dtype: str
+    unit: str = ""
+    description: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class Layout:
+    """All of a store that is known before anything is computed.
+
+    coordinates: name -> (dims, values); every dimension has one
+    chunk: samples per region;  configuration: all that determines the numbers, as JSON
+    """
+
+    variables: Mapping[str, Variable]
+    coordinates: Mapping[str, tuple]
+    chunk: int
+    configuration: Mapping[str, Any]
+
+    @cached_property
+    def sizes(self) -> dict[str, int]:
+        """By dimension."""
+        return {dims[0]: len(v) for name, (dims, v) in self.coordinates.items() if dims == (name,)}
+
+    @cached_property
+    def recipe(self) -> dict[str, Any]:
+        """The configuration, as it reads from a file."""
+        return as_json(self.configuration)
+
+    def files(self) -> dict[str, Any]:
+        """The files of a store without any figures, by name, as Zarr has them in memory."""
+        from zarr import create_group
+        from zarr.storage import MemoryStore
+
+        files: dict[str, Any] = {}
+        group, sizes = create_group(MemoryStore(files)), self.sizes
+        along = sizes | {"scheme": 1, "sample": min(self.chunk, sizes["sample"])}
+        for name, of in self.variables.items():
+            shape, chunks = (tuple(by[d] for d in of.dims) for by in (sizes, along))
+            array = _array(group, name, np.dtype(of.dtype), of.dims, shape, chunks)
+            array.attrs.update({"units": of.unit, "description": of.description})
+        for name, (dims, values) in self.coordinates.items():
+            values = np.asarray(values)
+            array = _array(group, name, values.dtype, dims, values.shape, values.shape)
+            array[...] = values.astype(object) if values.dtype.kind == "U" else values
+        marks = (sizes["scheme"], -(-sizes["sample"] // self.chunk))
+        marked = _array(group, DONE, np.dtype("u8"), ("scheme", "chunk"), marks, (1, 1))
+        sums = {name: _sum(f.to_bytes()) for name, f in files.items() if name not in VOUCHING}
+        known = {"configuration": self.recipe, "chunk": self.chunk, "checksums": sums}
+        for place in (group, marked):  # twice: a flipped bit in one of them does not lose the store
+            place.attrs.update(sealed(known))
+        return files
+
+
+class Store:
+    """A Zarr store of a layout, filled in chunks along (scheme, sample). See `create`, `resume`.
+
+    While it is open, no other process can resume it.
+    """
+
+    def __init__(self, store: Any, layout: Layout, closing: ExitStack):
+        import zarr
+
+        self.layout, self._store, self._closing = layout, store, closing
+        with zarr.config.set({"array.write_empty_chunks": True}):  # NaN is a figure, too
+            group = zarr.open_group(store, mode="r+")
+            self._arrays: dict[str, Any] = {name: group[name] for name in (*layout.variables, DONE)}
+
+    @classmethod
+    def create(cls, path: str | Path | None, layout: Layout) -> Store:
+        """A new store; path None keeps it in memory.
+
+        Raises FileExistsError if something is already there.
+        """
+        if path is None:
+            from zarr.storage import MemoryStore
+
+            return cls(MemoryStore(layout.files()), layout, ExitStack())
+        if Path(path).exists():
+            raise FileExistsError(f"{path} exists already; resume it or choose another place")
+        from .durable import DurableStore
+
+        with whole_folder(path) as unfinished:
+            for name, content in layout.files().items():
+                (unfinished / name).parent.mkdir(parents=True, exist_ok=True)
+                (unfinished / name).write_bytes(content.to_bytes())
+        with ExitStack() as closing:
+            closing.enter_context(only_one(path))
+            return cls(DurableStore(Path(path)), layout, closing.pop_all())
+
+    @classmethod
+    def resume(cls, path: str | Path, layout: Layout) -> Store:
+        """The store at `path`, to go on with. All that is known beforehand is mended there.
+
+        Raises ValueError if it is none, was made with another configuration, or is in use.
+        """
+        from .durable import DurableStore, write_file
+
+        path = Path(path)
+        with ExitStack() as closing:
+            closing.enter_context(only_one(path))
+            differing = differences(_configuration(path), layout.recipe)
+            if differing:
+                said = f"was made with another configuration; it differs in: {'; '.join(differing)}"
+                raise ValueError(f"{path} {said}")
+            remove_leftovers(path)
+            for name, content in layout.files().items():
+                file, wanted = path / name, content.to_bytes()
+                if not file.is_file() or file.read_bytes() != wanted:
+                    log.warning("%s was missing or damaged, and is written again", file)
+                    write_file(path, name, wanted)
+            return cls(DurableStore(path), layout, closing.pop_all())
+
+    def __enter__(self) -> Store:
+        return self
+
+    def __exit__(self, *_) -> None:
+        self._closing.close()
+
+    def is_done(self, scheme: int, chunk: int) -> bool:
+        """Whether a chunk is there as it was marked: its figures are read, and compared."""
+        try:
+            mark = int(self._arrays[DONE][scheme, chunk])
+            if not mark:
+                return False
+            samples = _samples(chunk, self.layout.chunk, self.layout.sizes["sample"])
+            figures = {name: self._arrays[name][scheme, samples] for name in self.layout.variables}
+            if mark == _mark(self.layout.recipe, figures):
+                return True
+            wrong = "its figures are not those that were marked"
+        except Exception as error:  # whatever becomes of damaged bytes in a codec
+            wrong = str(error)
+        log.warning("chunk %d of scheme %d is damaged and computed again: %s", chunk, scheme, wrong)
+        return False
+
+    def write(self, scheme: int, chunk: int, samples: slice, values: Mapping[str, Any]) -> None:
+        """One finished chunk of one scheme; values have the samples first."""
+        figures = {n: np.asarray(value, self._arrays[n].dtype) for n, value in values.items()}
+        for name, value in figures.items():
+            self._arrays[name][scheme, samples] = value
+        self._arrays[DONE][scheme, chunk] = _mark(self.layout.recipe, figures)
+
+    def dataset(self) -> xr.Dataset:
+        return _labelled(_loaded(self._store), self.layout.recipe)
+
+
+def open_dataset(path: str | Path) -> xr.Dataset:
+    """The dataset of a store, complete or not: where no chunk is, NaN stands, -1, or False.
+
+    Raises FileNotFoundError, and ValueError naming what is not as it was written.
+    """
+    path = Path(path)
+    if not path.is_dir():
+        raise FileNotFoundError(f"{path} is not a dataset of results")
+    try:
+        known = unsealed(read_json(path / METADATA)["attributes"])
+        for name, checksum in known["checksums"].items():
+            if _sum((path / name).read_bytes()) != checksum:
+                raise Damaged(f"{name} is not as it was written")
+        dataset = _loaded(str(path))
+        _check_marks(dataset, known["configuration"], known["chunk"])
+    except Exception as error:  # whatever becomes of damaged bytes in a codec
+        raise Damaged(f"{path} is damaged: {error}; resuming the sweep mends it") from None
+    return _labelled(dataset, known["configuration"])
+
+
+def _configuration(path: Path) -> dict[str, Any]:
+    """Of a store, from one of the two places. Raises ValueError where neither holds it."""
+    for name in VOUCHING:
+        try:
+            return as_json(unsealed(read_json(path / name)["attributes"])["configuration"])
+        except (OSError, ValueError, KeyError, TypeError):
+            continue
+    raise ValueError(f"{path} is not a store that can be resumed; remove it and start again")
+
+
+def _check_marks(dataset: xr.Dataset, recipe: Mapping[str, Any], chunk: int) -> None:
+    """Raises Damaged for a chunk that is not as it was marked."""
+    figures = [name for name, array in dataset.data_vars.items() if "units" in array.attrs]
+    for (scheme, number), mark in np.ndenumerate(dataset[DONE].values):
+        samples = _samples(number, chunk, dataset.sizes["sample"])
+        found = {str(name): dataset[name].values[scheme, samples] for name in figures}
+        if mark and mark != _mark(recipe, found):
+            name = dataset["scheme"].values[scheme]
+            raise Damaged(f"chunk {number} of scheme {name!r} is not as it was marked")
+
+
+def _samples(chunk: int, size: int, samples: int) -> slice:
+    return slice(chunk * size, min((chunk + 1) * size, samples))
+
+
+def _mark(recipe: Mapping[str, Any], figures: Mapping[str, np.ndarray]) -> int:
+    """A checksum of a chunk's figures and of what made them; never 0, which is no mark."""
+    found = hashlib.blake2b(json_text(recipe).encode(), digest_size=8)
+    for name in sorted(figures):
+        found.update(name.encode() + figures[name].tobytes())
+    return int.from_bytes(found.digest(), "little") or 1
+
+
+def _sum(content: bytes) -> str:
+    return hashlib.blake2b(content, digest_size=16).hexdigest()
+
+
+def _array(group: zarr.Group, name: str, dtype: np.dtype, dims, shape, chunks) -> Any:
+    from zarr.codecs import Crc32cCodec, ZstdCodec
+
+    return group.create_array(
+        name,
+        shape=shape,
+        chunks=chunks,
+        dtype=str if dtype.kind == "U" else dtype,
+        fill_value=UNFILLED[dtype.kind],
+        compressors=[ZstdCodec(level=0), Crc32cCodec()],
+        dimension_names=dims,
+    )
+
+
+def _loaded(store: Any) -> xr.Dataset:
+    import xarray as xr
+
+    return xr.open_zarr(store, chunks=None, consolidated=False).load()
+
+
+def _labelled(dataset: xr.Dataset, recipe: Mapping[str, Any]) -> xr.Dataset:
+    """The dataset without what only the store needs, its coordinates known as such."""
+    dataset = dataset.drop_vars(DONE)
+    dataset.attrs = {"configuration": dict(recipe)}
+    known = [name for name, array in dataset.data_vars.items() if "units" not in array.attrs]
+    return dataset.set_coords(known)

@@ -1,0 +1,107 @@
+"""Killed between any two things that are done to its folder, a sweep, a tuning and a campaign go on to the same numbers."""
+
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+import xarray as xr
+from cases import case
+from crash_points import recorded
+from gain_case import PROBLEM
+from store_case import filled
+from sweep_case import PLAN
+
+from jaxilc import files, trade_off
+from jaxilc.campaign import Campaign
+from jaxilc.exchange import Measured
+from jaxilc.files import UNFINISHED
+from jaxilc.store import open_dataset
+from jaxilc.sweep import Sweep
+from jaxilc.tuning import Tuning
+
+
+def nothing_left_over(folder):
+    return not list(folder.rglob(f"*{UNFINISHED}*"))
+
+
+@pytest.fixture
+def without_waiting(monkeypatch):
+    """Nothing waits for the disk: a kill loses nothing that was written, only a power failure does."""
+    monkeypatch.setattr(files.os, "fsync", lambda _: None)
+
+
+def test_a_store_is_filled_from_every_state_of_its_folder(tmp_path, without_waiting):
+    with recorded(tmp_path / "out", tmp_path) as states:
+        whole, written = filled(tmp_path / "out" / "store.zarr")
+    assert written == [0, 1]
+    assert len(states) > 60
+    left = []
+    for state in states:
+        dataset, written = filled(state / "store.zarr")
+        xr.testing.assert_identical(dataset, whole)
+        xr.testing.assert_identical(open_dataset(state / "store.zarr"), whole)
+        assert nothing_left_over(state)
+        left.append(len(written))
+    assert left == sorted(left, reverse=True), "what is marked is not computed again"
+    assert left[-1] == 0
+
+
+def test_a_sweep_resumes_from_states_of_its_folder(tmp_path, without_waiting, monkeypatch):
+    small = dataclasses.replace(PLAN, schemes={"feedback": PLAN.schemes["feedback"]}, samples=5, chunk=3, keep=(), trials=2)
+    host = small.host()
+    monkeypatch.setattr(Sweep, "host", lambda self: host)  # compiled once
+    with recorded(tmp_path / "out", tmp_path) as states:
+        whole = small.run(tmp_path / "out" / "store.zarr")
+    for state in states[5::20]:
+        xr.testing.assert_identical(small.run(state / "store.zarr", resume=True), whole)
+        assert nothing_left_over(state)
+
+
+def assert_equal(one, other):
+    for field in dataclasses.fields(one):
+        if field.name != "scheme":
+            jax.tree.map(np.testing.assert_array_equal, getattr(one, field.name), getattr(other, field.name))
+
+
+def test_a_tuning_resumes_from_every_state_of_its_folder(tmp_path):
+    problem = dataclasses.replace(PROBLEM, steps=3)
+    with recorded(tmp_path / "out", tmp_path) as states:
+        whole = problem.run(tmp_path / "out" / "state")
+    assert len(states) > 20
+    for state in states:
+        assert_equal(problem.run(state / "state", resume=True), whole)
+        assert nothing_left_over(state)
+
+
+def test_a_trade_off_resumes_from_every_state_of_its_folder(tmp_path, monkeypatch):
+    problem, programs = dataclasses.replace(PROBLEM, steps=1), {}
+    make = Tuning._programs.func
+    monkeypatch.setattr(Tuning, "_programs", property(lambda self: programs.setdefault(self.trials, make(self))))
+    with recorded(tmp_path / "out", tmp_path) as states:
+        whole = trade_off.by_trials(problem, (2, 3), tmp_path / "out" / "state")
+    assert len(states) > 20
+    for state in states:
+        resumed = trade_off.by_trials(problem, (2, 3), state / "state", resume=True)
+        for J in (2, 3):
+            assert_equal(resumed[J], whole[J])
+
+
+def test_a_campaign_goes_on_from_every_state_of_its_folder(tmp_path, without_waiting):
+    _, scheme, task = case("p_type")
+    measured = [Measured(0.1 * j * np.asarray(task.reference), np.full((task.N, 1), 0.1 * j), {}, (), f"trial {j}") for j in (1, 2)]
+
+    def go_on(folder):
+        """What is learned from two trials, however many were learned from already."""
+        begun = folder.is_dir() and any(not f.name.startswith(UNFINISHED) for f in folder.iterdir())
+        campaign = Campaign.open(folder, scheme, task) if begun else Campaign.start(folder, scheme, task)
+        for trial in measured[campaign.trials :]:
+            campaign.keep(campaign.turn(trial))
+        return campaign.memory()
+
+    with recorded(tmp_path / "out", tmp_path) as states:
+        whole = go_on(tmp_path / "out" / "state")
+    assert len(states) > 40
+    for state in states:
+        jax.tree.map(np.testing.assert_array_equal, go_on(state / "state"), whole)
+        assert nothing_left_over(state)

@@ -1,0 +1,116 @@
+"""Damaged stores: whatever bit is flipped, whatever is cut off or gone, no number is another one without a word."""
+
+import dataclasses
+import logging
+import os
+import shutil
+
+import pytest
+import xarray as xr
+from fuzz import files_of, flipped, fuzz, refusal
+from store_case import filled
+from sweep_case import PLAN
+
+from jaxilc import files, open_dataset, summarise
+from jaxilc.sweep import Sweep
+
+
+@pytest.fixture(autouse=True)
+def quickly_and_quietly(monkeypatch, caplog):
+    monkeypatch.setattr(files.os, "fsync", lambda _: None)  # a kill loses nothing that was written, only a power failure does
+    caplog.set_level(logging.ERROR, "jaxilc")
+
+
+def test_a_flipped_bit_in_a_store_is_refused_or_computed_again(tmp_path):
+    whole, _ = filled(tmp_path / "store.zarr")
+
+    def attempt(rng):
+        store = flipped(rng, tmp_path / "store.zarr", tmp_path / "flipped.zarr")
+        said = refusal(lambda: xr.testing.assert_identical(open_dataset(store), whole))
+        assert said is None or "flipped.zarr is damaged" in said
+        dataset, _ = filled(store)
+        xr.testing.assert_identical(dataset, whole)
+        assert files_of(store) == files_of(tmp_path / "store.zarr")
+        xr.testing.assert_identical(open_dataset(store), whole)
+
+    fuzz(28, attempt, ())
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory):
+    """A small sweep, its finished store and its dataset; its chunks are compiled once."""
+    plan = dataclasses.replace(PLAN, schemes={"feedback": PLAN.schemes["feedback"]}, samples=5, chunk=3, keep=(), trials=2)
+    host, store = plan.host(), tmp_path_factory.mktemp("swept") / "store.zarr"
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(Sweep, "host", lambda self: host)
+        yield plan, store, plan.run(store)
+
+
+def cut(file):
+    file.write_bytes(file.read_bytes()[:-7])
+
+
+DAMAGES = {
+    "settled_error/c/0/1/0": os.remove,
+    "rms/c/0/0/0": cut,
+    "diverged_at/c/0/0": os.remove,
+    "finite/c/0/1/0": cut,
+    "chunk_done": shutil.rmtree,
+    "chunk_done/c/0/0": cut,
+    "chunk_done/zarr.json": os.remove,
+    "plant.gain/c/0": os.remove,
+    "sample": shutil.rmtree,
+    "scheme/c/0": cut,
+    "zarr.json": lambda file: file.write_text("{"),
+}
+
+
+@pytest.mark.parametrize("damaged", DAMAGES)
+def test_what_is_gone_or_cut_short_is_refused_and_computed_again(swept, tmp_path, damaged):
+    plan, store, dataset = swept
+    shutil.copytree(store, tmp_path / "store.zarr")
+    DAMAGES[damaged](tmp_path / "store.zarr" / damaged)
+    with pytest.raises(ValueError, match=r"store.zarr is damaged: .*; resuming the sweep mends it"):
+        open_dataset(tmp_path / "store.zarr")
+    if damaged.startswith("settled_error"):  # whoever reads it with xarray alone sees a hole, not zeros that pass every tolerance
+        read = xr.open_zarr(tmp_path / "store.zarr", chunks=None, consolidated=False)
+        assert summarise(read, 1e9)[0].yield_share == 0.6
+    resumed = plan.run(tmp_path / "store.zarr", resume=True)
+    xr.testing.assert_identical(resumed, dataset)
+    assert resumed["settled_error"].values.tobytes() == dataset["settled_error"].values.tobytes()
+
+
+def test_a_store_without_its_configuration_is_refused(swept, tmp_path):
+    plan, store, _ = swept
+    shutil.copytree(store, tmp_path / "store.zarr")
+    for name in ("zarr.json", "chunk_done/zarr.json"):
+        cut(tmp_path / "store.zarr" / name)
+    with pytest.raises(ValueError, match="not a store that can be resumed; remove it and start again"):
+        plan.run(tmp_path / "store.zarr", resume=True)
+
+
+def test_a_chunk_is_marked_when_its_figures_are_on_the_disk(tmp_path, monkeypatch):
+    done = []
+    replace = os.replace
+
+    def noted(what, path):
+        replace(what, path)
+        done.append(path)
+
+    monkeypatch.setattr(files.os, "fsync", lambda descriptor: done.append(os.readlink(f"/proc/self/fd/{descriptor}")))
+    monkeypatch.setattr(files.os, "replace", noted)
+    filled(tmp_path / "store.zarr")
+    store = tmp_path / "store.zarr"
+    for chunk in (0, 1):
+        mark = done.index(store / f"chunk_done/c/0/{chunk}")
+        for name in ("rms", "finite"):
+            renamed = done.index(store / f"{name}/c/0/{chunk}")
+            assert files.UNFINISHED in done[renamed - 1], "the file is on the disk before it has its name"
+            assert str(store / f"{name}/c/0") in done[renamed:mark], "and its name before the mark"
+
+
+def test_a_store_is_in_use_by_one_process_at_a_time(swept, tmp_path):
+    plan, store, _ = swept
+    with files.only_one(store), pytest.raises(ValueError, match=r"store.zarr is in use by another process; wait for its end"):
+        plan.run(store, resume=True)
+    assert plan.run(store, resume=True).sizes["sample"] == 5

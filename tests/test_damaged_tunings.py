@@ -1,0 +1,122 @@
+"""Damaged folders of a tuning: it ends with the same numbers, or is refused in one line."""
+
+import dataclasses
+import json
+import logging
+import shutil
+
+import jax
+import numpy as np
+import pytest
+from fuzz import damaged, dumped, files_of, flipped, fuzz, pick
+from gain_case import PROBLEM
+
+from jaxilc import files
+from jaxilc.sealed import archive, read_arrays
+from jaxilc.states import Folder
+
+
+@pytest.fixture(autouse=True)
+def quickly_and_quietly(monkeypatch, caplog):
+    monkeypatch.setattr(files.os, "fsync", lambda _: None)  # a kill loses nothing that was written, only a power failure does
+    caplog.set_level(logging.ERROR, "jaxilc")
+
+
+class Killed(Exception):
+    pass
+
+
+@pytest.fixture(scope="module")
+def tuned(tmp_path_factory):
+    """A problem, the folder of a tuning that was stopped after the third of four steps, and what it would have ended with."""
+    problem, folder = dataclasses.replace(PROBLEM, steps=4, clip=np.inf), tmp_path_factory.mktemp("tuned") / "state"
+
+    def stop(step, losses, best):
+        if step == 3:
+            raise Killed
+
+    with pytest.raises(Killed):
+        problem.run(folder, progress=stop)
+    return problem, folder, problem.run()
+
+
+def assert_equal(one, other):
+    for field in dataclasses.fields(one):
+        if field.name != "scheme":
+            jax.tree.map(np.testing.assert_array_equal, getattr(one, field.name), getattr(other, field.name))
+
+
+def test_a_flipped_bit_in_a_tuning_changes_nothing(tuned, tmp_path):
+    problem, folder, whole = tuned
+
+    def attempt(rng):
+        assert_equal(problem.run(flipped(rng, folder, tmp_path / "state"), resume=True), whole)
+
+    fuzz(30, attempt, ())
+
+
+def test_a_state_of_something_else_is_refused(tuned, tmp_path):
+    """With checksums that are right: another tuning's, or one that somebody has made."""
+    problem, folder, _ = tuned
+    names = ("state.npz", "previous.npz")
+    state = {name: read_arrays(folder / name) for name in names}
+
+    def attempt(rng):
+        shutil.rmtree(tmp_path / "state", ignore_errors=True)
+        shutil.copytree(folder, tmp_path / "state")
+        name = pick(rng, names[: 1 + rng.integers(2)])
+        arrays = dict(state[name])
+        array = pick(rng, list(arrays))
+        match rng.integers(4):
+            case 0:
+                del arrays[array]
+            case 1:
+                arrays[array] = np.zeros((3, 3))
+            case 2:
+                arrays[array] = arrays[array].astype(pick(rng, ("U300", "c16", "?")))
+            case _:
+                configuration = dumped(damaged(rng, json.loads(str(arrays["configuration"]))))
+                arrays["configuration"] = np.asarray(pick(rng, (configuration, "null", "[]", "{")))
+                (tmp_path / "state/configuration.json").unlink()
+        (tmp_path / "state" / name).write_bytes(archive(arrays))
+        problem.run(tmp_path / "state", resume=True)
+
+    fuzz(30, attempt)
+
+
+@pytest.mark.parametrize("content", [b"", b"{}", b"[]", b"null", b'{"sha256": 1}', b"\xff"])
+def test_a_damaged_tuning_falls_back_or_is_refused_in_one_line(tuned, tmp_path, content):
+    problem, folder, whole = tuned
+    names = {name.name for name in files_of(folder)}
+    assert names == {"configuration.json", "state.npz", "previous.npz"}
+    for name in names:
+        shutil.copytree(folder, tmp_path / name)
+        (tmp_path / name / name).write_bytes(content)
+        assert_equal(problem.run(tmp_path / name, resume=True), whole)
+    shutil.copytree(folder, tmp_path / "state")
+    for name in names - {"configuration.json"}:
+        (tmp_path / "state" / name).write_bytes(content)
+    with pytest.raises(ValueError, match=r"state.npz is damaged: .*; remove .*state and start again") as refusal:
+        problem.run(tmp_path / "state", resume=True)
+    assert "\n" not in str(refusal.value)
+    (tmp_path / "state/configuration.json").write_bytes(content)
+    with pytest.raises(ValueError, match="not a tuning that can be resumed"):
+        problem.run(tmp_path / "state", resume=True)
+
+
+def test_a_state_that_is_damaged_again_falls_back_again(tuned, tmp_path):
+    """What was damaged does not take the place of the state that was fallen back on."""
+    problem, folder, whole = tuned
+    shutil.copytree(folder, tmp_path / "state")
+    for content in (b"", b"PK"):
+        (tmp_path / "state/state.npz").write_bytes(content)
+        assert_equal(problem.run(tmp_path / "state", resume=True), whole)
+
+
+def test_two_tunings_do_not_share_a_folder(tuned, tmp_path):
+    problem, folder, whole = tuned
+    shutil.copytree(folder, tmp_path / "state")
+    used = pytest.raises(ValueError, match="state is in use by another process; wait for its end, or choose another folder")
+    with Folder(tmp_path / "state", problem.configuration(), True), used:
+        problem.run(tmp_path / "state", resume=True)
+    assert_equal(problem.run(tmp_path / "state", resume=True), whole)

@@ -1,0 +1,150 @@
+"""Files and folders are whole or not there at every moment, leftovers go, and JSON is strict."""
+
+import json
+import os
+import subprocess
+import sys
+import threading
+
+import numpy as np
+import pytest
+import xarray as xr
+from crash_points import recorded
+from matplotlib.figure import Figure
+
+from jaxilc import cli_common, figures, files
+from jaxilc.files import UNFINISHED, atomically, whole_folder
+from jaxilc.parameters import write_parameters
+from jaxilc.report import write_report
+from jaxilc.sealed import Damaged, archive, read_arrays, read_json, sealed, unsealed, write_json
+
+
+def names(folder):
+    return sorted(f.name for f in folder.iterdir())
+
+
+def strictly(text):
+    return json.loads(text, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
+
+
+def test_results_are_whole_at_every_moment(tmp_path):
+    dataset, axes = xr.Dataset({"rms": ("trial", np.arange(3.0))}), Figure().subplots()
+    out, numbers = tmp_path / "out", {"worst": float("inf"), "rows": [float("nan")] * 50}
+    with recorded(out, tmp_path) as states:
+        for _ in range(2):  # the second time in place of the first
+            cli_common.written([], out / "numbers.json", numbers)
+            write_parameters(out / "params.json", "axis", {"pid": {"kp": 1.0}}, {})
+            figures.save(axes, out / "figure.png")
+            write_report(out / "page.html", "title", {"asked": 1})
+            with whole_folder(out / "dataset.zarr", replace=True) as store:
+                dataset.to_zarr(store, consolidated=False)
+    found = dict.fromkeys(names(out), 0)
+    for state in states:
+        for path in state.iterdir():
+            if not path.name.startswith(UNFINISHED):
+                found[path.name] += 1
+        for path in state.glob("*.json"):
+            strictly(path.read_text())
+        for path in state.glob("*.png"):
+            assert path.read_bytes().endswith(b"IEND\xaeB`\x82")
+        for path in state.glob("*.html"):
+            assert path.read_text().endswith("</html>\n")
+        for path in state.glob("*.zarr"):
+            xr.testing.assert_identical(xr.open_zarr(path, chunks=None, consolidated=False).load(), dataset)
+    assert all(found.values())
+
+
+def test_what_killed_processes_left_is_removed_and_what_is_being_written_stays(tmp_path):
+    program = "import sys, time; from pathlib import Path; from jaxilc import files\n"
+    program += "with files.whole_folder(Path(sys.argv[1]) / 'store') as unfinished: print(unfinished.name, flush=True); time.sleep(60)"
+    writer = subprocess.Popen([sys.executable, "-c", program, str(tmp_path)], stdout=subprocess.PIPE, text=True)
+    running = writer.stdout.readline().strip()
+    for left in (f"{UNFINISHED}1-old", ".next.csv.unfinished-12"):
+        (tmp_path / left).write_text("half")
+    (tmp_path / f"{UNFINISHED}2-21").mkdir()
+    (tmp_path / f"{UNFINISHED}2-21" / "manifest.json").write_text("half")
+    write_json(tmp_path / "a.json", 1)
+    assert names(tmp_path) == [running, "a.json"]
+    writer.kill()
+    writer.wait()
+    writer.stdout.close()
+    write_json(tmp_path / "a.json", 2)
+    assert names(tmp_path) == ["a.json"]
+
+
+def test_what_fails_while_it_is_written_leaves_what_was_there(tmp_path):
+    def fails(file):
+        file.write(b"half")
+        raise KeyboardInterrupt
+
+    write_json(tmp_path / "a.json", "first")
+    with pytest.raises(KeyboardInterrupt):
+        atomically(tmp_path / "a.json", fails)
+    with pytest.raises(KeyboardInterrupt), whole_folder(tmp_path / "folder") as unfinished, open(unfinished / "file", "wb") as file:
+        fails(file)
+    assert names(tmp_path) == ["a.json"]
+    assert read_json(tmp_path / "a.json") == "first"
+    with pytest.raises(FileExistsError), whole_folder(tmp_path / "a.json"):
+        pass
+
+
+def test_a_name_that_another_process_takes_for_a_leftover_is_given_up(tmp_path, monkeypatch):
+    locked, tried = files._locked, []
+
+    def too_late(path):
+        """The first name is removed by another process before it is locked."""
+        tried.append(path)
+        if len(tried) == 1:
+            path.unlink()
+        return locked(path)
+
+    monkeypatch.setattr(files, "_locked", too_late)
+    write_json(tmp_path / "a.json", 3)
+    assert len(set(tried)) == 2
+    assert read_json(tmp_path / "a.json") == 3
+
+
+def test_links_are_followed_and_pipes_are_written_to(tmp_path):
+    (tmp_path / "real.json").write_text("0")
+    (tmp_path / "link.json").symlink_to(tmp_path / "real.json")
+    write_json(tmp_path / "link.json", 1)
+    assert (tmp_path / "link.json").is_symlink()
+    assert read_json(tmp_path / "real.json") == 1
+    os.mkfifo(tmp_path / "pipe")
+    read = []
+    reader = threading.Thread(target=lambda: read.append((tmp_path / "pipe").read_text()))
+    reader.start()
+    write_json(tmp_path / "pipe", 2)
+    reader.join()
+    assert read == ["2\n"]
+
+
+def test_json_is_strict_and_reads_back(tmp_path):
+    numbers = {"worst": np.inf, "rows": [float("nan"), (-np.inf, 1.5)], "figure": {"3": 0.1}}
+    write_json(tmp_path / "a.json", numbers)
+    text = (tmp_path / "a.json").read_text()
+    assert strictly(text) == {"worst": "Infinity", "rows": ["NaN", ["-Infinity", 1.5]], "figure": {"3": 0.1}}
+    assert float(strictly(text)["worst"]) == np.inf
+    found = read_json(tmp_path / "a.json")
+    assert found["worst"] == np.inf
+    assert np.isnan(found["rows"][0])
+    assert unsealed(sealed(numbers)) == strictly(text)
+    (tmp_path / "a.json").write_text("[" * 100_000)
+    with pytest.raises(Damaged, match=r"a\.json is damaged: tables or lists are nested too deeply"):
+        read_json(tmp_path / "a.json")
+
+
+def test_an_archive_is_read_by_numpy_and_holds_a_checksum(tmp_path):
+    arrays = {"y [0]": np.arange(3.0), "text": np.asarray("µ")}
+    file = tmp_path / "a.npz"
+    file.write_bytes(archive(arrays))
+    with np.load(file) as plain:
+        np.testing.assert_equal(dict(plain), arrays)
+    np.testing.assert_equal(read_arrays(file), arrays)
+    np.savez(file, **arrays)
+    np.testing.assert_equal(read_arrays(file, checked=False), arrays)
+    with pytest.raises(Damaged, match=r"a\.npz is damaged: its checksum is missing"):
+        read_arrays(file)
+    file.write_bytes(b"PK")
+    with pytest.raises(Damaged, match=r"a\.npz is damaged: it holds no arrays"):
+        read_arrays(file, checked=False)

@@ -1,0 +1,184 @@
+"""Every command with options that nobody wants, up to where it would compute: done, or a mistake in one line, and exit code 1 never.
+
+See fuzz.py for how to run more.
+"""
+
+import contextlib
+import os
+import shlex
+import sys
+
+import jax
+import numpy as np
+import pytest
+import typer
+from fuzz import fuzz, pick
+
+from jaxilc import bench, cli, identification, learning, runtime, theory, worst_case
+from jaxilc.sweep import Sweep
+from jaxilc.tuning import Tuning
+
+PLANT = """
+trials = 3
+[plant]
+kind = "state_space"
+A = [[0.5]]
+B = [[1.0]]
+C = [[1.0]]
+dt = 0.001
+[task]
+dt = 0.001
+reference = { function = "sinusoid", amplitude = 1.0, frequency = 50.0, duration = 0.02 }
+[schemes.ilc]
+class = "PIDType"
+gamma_p = 0.3
+[schemes.mf]
+class = "CFDLMFAILC"
+[uncertainty."plant.B"]
+distribution = "uniform"
+low = 0.98
+high = 1.02
+relative = true
+"""
+TUNED = "--scheme ilc --weights gamma_p --samples 4 --held-out 3 --unseen 4 --steps 2"
+COMMANDS = [
+    shlex.split(line)
+    for line in f"""
+run p.toml
+sweep p.toml --samples 4
+certify p.toml --samples 4
+tune p.toml {TUNED}
+pareto p.toml {TUNED} --budgets 2,3
+worst-case p.toml --scheme ilc --starts 2 --steps 2
+identify record.csv --poles 1 --pairs 0 --zeros 0
+next --state campaign --scenario p.toml --scheme ilc --out n.csv
+trials --state campaign
+list p.toml
+bench --plants 1 --trials 2 --samples 8 --long 0 --repeats 1 --schemes cfdl
+""".strip().split("\n")
+]
+NUMBERS = ("0", "-1", "1", "2", "1.5", "1e9", str(10**9), str(10**12), str(10**23), "1e300", "1e-300", "nan", "inf", "-inf", "1,2", "1:2")
+NAMES = (
+    "",
+    "x",
+    "lam",
+    "gamma_p",
+    "plant.B",
+    "ilc",
+    "ilc,mf",
+    "cao-2019",
+    "final",
+    "final:0",
+    "2*final+effort",
+    "effort",
+    "cvar:0.5",
+    "worst",
+)
+CHOICES = (
+    "sobol",
+    "corners",
+    "lbfgs",
+    "least-squares",
+    "float32",
+    "settled_error",
+    "growth",
+    "none",
+    "a=b",
+    "ilc.gamma_p=nan",
+    "ilc.lead=3",
+)
+FILES = ("p.toml", "bad.json", "bad.toml", "fifo", "folder", "../x", "/dev/null", "/dev/zero", "o.mat", "o.h", "record.csv", "-", "--")
+LETTERS = ("\x1b[31m", "[bold]", ":x:", "\u202e", "\n", "\udcff", "é", "a" * 300)
+
+
+class Computes(BaseException):
+    """All that was asked for was allowed."""
+
+
+def computes(*_, **__):
+    raise Computes
+
+
+def ended():
+    """The exit code of the command."""
+    try:
+        return cli.main()
+    except SystemExit as stop:
+        return stop.code
+
+
+@pytest.fixture(autouse=True)
+def settings_kept():
+    """Commands set up JAX for the rest of the process."""
+    kept = jax.config.jax_enable_compilation_cache
+    yield
+    runtime.setup()
+    jax.config.update("jax_enable_compilation_cache", kept)
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "p.toml").write_text(PLANT)
+    time = np.arange(200) * 1e-3
+    record = np.column_stack([time, np.sin(40 * time), np.sin(40 * time - 0.1)])
+    np.savetxt(tmp_path / "record.csv", record, delimiter=",", header="t,u,y", comments="")
+    (tmp_path / "bad.json").write_text("{}")
+    (tmp_path / "bad.toml").write_text("x = [")
+    (tmp_path / "folder").mkdir()
+    os.mkfifo(tmp_path / "fifo")
+    for owner, name in (
+        *((learning, "_program"), (Sweep, "run"), (Tuning, "run"), (theory, "certify"), (worst_case, "worst_case_search")),
+        *((identification, "_problem"), (bench, "compare"), (bench, "alone"), (bench, "compare_long")),
+    ):
+        monkeypatch.setattr(owner, name, computes)
+    return tmp_path
+
+
+FOUND = f"""
+run p.toml --seed {10**23}
+sweep p.toml --seed {10**23}
+run p.toml --set mf.lead={10**23}
+run p.toml --set ilc.gamma_p={"1" * 5000}
+identify record.csv --poles {10**12}
+identify record.csv --poles 1 --pairs 0 --zeros {10**12}
+run deep.json
+run p.toml --params deep.json
+sweep p.toml --samples {10**12}
+tune p.toml {TUNED} --starts {10**12}
+tune p.toml {TUNED} --steps {10**12}
+certify p.toml --samples {10**12}
+worst-case p.toml --scheme ilc --starts {10**12}
+bench --plants {10**12} --long 0
+"""
+
+
+@pytest.mark.parametrize("line", FOUND.strip().split("\n"), ids=lambda line: line[:50])
+def test_what_was_found(line, folder, monkeypatch):
+    """These ended in a traceback, or were not seen to be too much."""
+    (folder / "deep.json").write_text("[" * 100_000)
+    monkeypatch.setattr(sys, "argv", ["jaxilc", *line.split()])
+    assert ended() == 2
+
+
+def test_commands(folder, monkeypatch):
+    known = typer.main.get_command(cli.app).commands
+    options = {name: [max(p.opts, key=len) for p in c.params if p.param_type_name == "option"] for name, c in known.items()}
+    flags = {name: {max(p.opts, key=len) for p in c.params if getattr(p, "is_flag", False)} for name, c in known.items()}
+
+    def attempt(rng):
+        (folder / "p.toml").write_text(PLANT)  # whatever was written over it
+        arguments = list(pick(rng, COMMANDS))
+        name = arguments[0]
+        for _ in range(1 + rng.integers(3)):
+            option = pick(rng, [o for o in options[name] if o != "--dask"] or [None])
+            value = pick(rng, pick(rng, (NUMBERS, NAMES, CHOICES, FILES, LETTERS)))
+            if option is None or rng.random() < 0.1:
+                arguments[1] = value
+            else:
+                arguments += [option] if option in flags[name] else [option, value]
+        monkeypatch.setattr(sys, "argv", ["jaxilc", *arguments])
+        with contextlib.suppress(Computes):
+            assert ended() in (None, 0, 2, 3), arguments
+
+    fuzz(100, attempt, ())

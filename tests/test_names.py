@@ -1,0 +1,152 @@
+"""Names, titles and units: part of files' names, of paths of parameters and of what a terminal prints, so checked before anything runs."""
+
+import dataclasses
+import json
+import re
+import sys
+
+import pytest
+
+from jaxilc import figures, scenarios
+from jaxilc.cli import main
+from jaxilc.plant_files import read_scenario
+from jaxilc.runs import run_schemes
+from jaxilc.schemes import PID
+
+FILE = {
+    "plant": {"kind": "transfer_function", "num": [3.0], "den": [1.0, 30.0]},
+    "task": {"dt": 0.001, "reference": {"function": "sinusoid", "amplitude": 1.0, "frequency": 10.0, "duration": 0.1}},
+    "schemes": {"ilc": {"class": "PIDType", "gamma_p": 0.5}},
+}
+
+
+def write(folder, file="axis.json", /, **changes):
+    path = folder / file
+    path.write_text(json.dumps(FILE | changes), encoding="utf-8", errors="surrogatepass")
+    return path
+
+
+BAD_NAMES = (
+    "x/../../../escaped",
+    "/tmp/x",
+    "..",
+    ".hidden",
+    "",
+    " x",
+    "a\\b",
+    "a\nb",
+    "\x1b[31mred",
+    "a:b",
+    "[bold]",
+    "a" * 51,
+    "\ud800",
+    "_x",
+    "-x",
+)
+GOOD_NAMES = ("axis", "X-Achse 2", "Förderachse_3", "两轴", "v1.2 (copy)")
+
+
+@pytest.mark.parametrize("name", BAD_NAMES)
+def test_a_name_that_a_file_cannot_have_is_refused_when_it_is_read(tmp_path, name):
+    with pytest.raises(ValueError, match=r"axis\.json: name = .* is no name; allowed are up to 50 of letters, digits, spaces and"):
+        read_scenario(write(tmp_path, name=name))
+    schemes = {name: FILE["schemes"]["ilc"]}
+    with pytest.raises(ValueError, match=r"axis\.json: scheme = .* is no name; allowed are up to 50 of letters, digits, spaces and _ \+ -"):
+        read_scenario(write(tmp_path, schemes=schemes))
+
+
+def test_a_scheme_is_not_called_as_the_machine_is_nor_with_a_dot(tmp_path):
+    for name, said in (("machine", "the name of the machine's own parameters"), ("v1.2", "is no name")):
+        with pytest.raises(ValueError, match=said):
+            read_scenario(write(tmp_path, schemes={name: FILE["schemes"]["ilc"]}))
+
+
+@pytest.mark.parametrize("name", GOOD_NAMES)
+def test_names_of_people_are_kept(tmp_path, name):
+    assert read_scenario(write(tmp_path, name=name)).name == name
+    assert read_scenario(write(tmp_path, f"{name}.json")).name == name
+
+
+@pytest.mark.parametrize(
+    ("file", "name"), [("a[b]:c.json", "a-b--c"), ("\x1b[31m.json", "31m"), ("---.json", "plant"), ("x" * 90 + ".json", "x" * 50)]
+)
+def test_a_file_of_another_name_gives_one_that_is_allowed(tmp_path, file, name):
+    made = read_scenario(write(tmp_path, file))
+    assert made.name == name
+    assert made.title == f"{name}: StateSpace"
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"title": "\x1b[2J"}, r"title = '\\x1b\[2J' cannot be shown; allowed are printable characters in one line"),
+        ({"title": "two\nlines"}, "title = .* cannot be shown"),
+        ({"title": "\u202eright to left"}, "title = .* cannot be shown"),
+        ({"shown_unit": "mm]"}, r"shown_unit = 'mm\]' cannot be shown; allowed are .* without \[ \]"),
+        ({"task": FILE["task"] | {"unit": "m;m"}}, "unit = 'm;m' cannot be shown"),
+        ({"task": FILE["task"] | {"unit": "$x$"}}, "unit = .* cannot be shown"),
+        ({"task": FILE["task"] | {"input_unit": "*/ int x;"}}, "input_unit = .* cannot be shown"),
+        ({"tolerance": -1.0}, r"tolerance = -1 is outside its allowed range \(0, inf\)"),
+        ({"shown_scale": 0.0}, r"shown_scale = 0 is outside its allowed range \(0, inf\)"),
+        ({"show_trials": [0]}, r"show_trials\[0\] = 0 is outside its allowed range \[1, inf\)"),
+    ],
+)
+def test_what_cannot_be_shown_is_refused(tmp_path, changes, message):
+    with pytest.raises(ValueError, match=message):
+        read_scenario(write(tmp_path, **changes))
+
+
+def test_a_scenario_made_in_python_is_held_to_the_same():
+    with pytest.raises(ValueError, match="scheme = 'a/b' is no name"):
+        dataclasses.replace(scenarios.load("dai-2014"), schemes={"a/b": PID()})
+
+
+@pytest.fixture
+def command(monkeypatch, capsys, tmp_path):
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments):
+        monkeypatch.setattr(sys, "argv", ["jaxilc", *map(str, arguments)])
+        code = 0
+        try:
+            main()
+        except SystemExit as ended:
+            code = ended.code
+        return code, *capsys.readouterr()
+
+    return call
+
+
+def test_a_name_that_leads_elsewhere_writes_nothing(command, tmp_path):
+    (tmp_path / "inside").mkdir()
+    for changes in ({"name": "x/../../../escaped"}, {"schemes": {"a/b": FILE["schemes"]["ilc"]}}):
+        path = write(tmp_path / "inside", **changes)
+        code, out, err = command("run", path, "--trials", "2")
+        assert code == 2
+        assert out == ""
+        assert err.count("\n") == 1
+        assert "is no name; allowed are" in err
+    assert sorted(p.name for p in tmp_path.rglob("*")) == ["axis.json", "inside"]
+
+
+def test_brackets_and_colons_of_the_user_are_printed_as_they_are(command, tmp_path):
+    title = "[bold]Axis[/nothing] :x: [mm]"
+    out_dir = tmp_path / "o[b]:x:"
+    code, out, err = command("run", write(tmp_path, title=title), "--out", out_dir)
+    assert (code, err) == (0, "")
+    assert title in out
+    assert re.search(r"written: .*o\[b\]:x:/error-by-trial\.png", out)
+    code, _, err = command("run", tmp_path / "[red]none[/].json")
+    assert code == 2
+    assert "[red]none[/].json: no such file" in err
+    code, _, err = command("run", "cao-2019", "--scheme", "\x1b[31m:x:")
+    assert code == 2
+    assert r"scheme = '\x1b[31m:x:' is not one of" in err
+
+
+def test_every_scheme_of_a_figure_has_a_place_in_its_legend(tmp_path):
+    scenario = read_scenario(write(tmp_path, schemes={"X 1+2": FILE["schemes"]["ilc"]}))
+    dataset, _ = run_schemes(scenario.machine, scenario.schemes, scenario.task, 2)
+    axes = figures.error_by_trial(dataset, figure="rms")
+    figures.save(axes, tmp_path / "error.png")
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["X 1+2"]
