@@ -34,7 +34,7 @@ class Maps(NamedTuple):
 
     def norm(self, power: int) -> np.ndarray:
         """(S,) an upper bound of ||M^power||."""
-        return self._found(_norm_of_power, jnp.asarray(power), steps=self.steps if power == 1 else min(self.steps, FEW))
+        return self._bounded(_norm_of_power, jnp.asarray(power), self.steps if power == 1 else FEW)
 
     def late(self, power: int) -> np.ndarray:
         """(S,) a lower bound of ||M^power||: what it makes of a random unit vector."""
@@ -42,7 +42,7 @@ class Maps(NamedTuple):
 
     def error_norm(self, scheme: Scheme, task: Task, view: View) -> np.ndarray:
         """(S,) an upper bound of ||I - G L||, for the law of a scheme that keeps all that it has learned."""
-        return self._found(_error_norm, steps=self.steps)
+        return self._bounded(_error_norm, None, self.steps)
 
     def limit(self):
         """(S, n) w_inf, (S,) |F(w_inf) - w_inf|, (S,) the root mean square error there, (S,) an upper bound of its gain by w"""
@@ -62,6 +62,16 @@ class Maps(NamedTuple):
     @property
     def _count(self) -> int:
         return len(jax.tree.leaves(self.machines)[0])
+
+    def _bounded(self, function, extra, most: int) -> np.ndarray:
+        """(S,) upper bounds of a norm: with few steps, and with more where these do not tell whether it is below 1."""
+        for steps in (FEW, most):
+            value, bound = (
+                np.nan_to_num(x, nan=np.inf) for x in self._run(function, steps=steps)((self.scheme, self.task, extra), self.machines)
+            )
+            if most <= FEW or not np.any((value < 1) & (bound >= 1)):
+                break
+        return bound
 
     def _found(self, function, extra=None, **options) -> np.ndarray:
         found = np.asarray(self._run(function, **options)((self.scheme, self.task, extra), self.machines))
@@ -88,7 +98,7 @@ def _norm_of_power(common, machine, *, view, steps):
     pull = jax.linear_transpose(push, found.start)
     forth = lambda v: lax.fori_loop(0, power, lambda _, v: push(v), v)  # noqa: E731
     back = lambda w: lax.fori_loop(0, power, lambda _, w: pull(w)[0], w)  # noqa: E731
-    return largest(forth, back, found.start, found.start.size, steps=steps, tolerance=0.0).bound
+    return _value_and_bound(largest(forth, back, found.start, found.start.size, steps=steps, tolerance=0.0))
 
 
 def _of_random(common, machine, *, view):
@@ -109,7 +119,11 @@ def _error_norm(common, machine, *, view, steps):
     forth = lambda e: e + to_error(of_error(e.reshape(at.shape)))  # noqa: E731
     flat = at.ravel()
     back = jax.linear_transpose(forth, flat)
-    return largest(forth, lambda w: back(w)[0], flat, flat.size, steps=steps, tolerance=0.0).bound
+    return _value_and_bound(largest(forth, lambda w: back(w)[0], flat, flat.size, steps=steps, tolerance=0.0))
+
+
+def _value_and_bound(found):
+    return found.value, found.bound
 
 
 def _limit(common, machine, *, view, rounds: int = 4):

@@ -108,9 +108,9 @@ def maps_of(machines: Machine, scheme: Scheme, task: Task, steps: int = STEPS) -
 
 
 def that_fit(machines: Machine, task: Task) -> list[Machine]:
-    """The machines in parts whose dense matrices fit into `ROOM`."""
-    chunk = max(1, ROOM // max(1, 8 * task.N**2 * task.inputs * task.outputs))
-    count = len(jax.tree.leaves(machines)[0])
+    """The machines in parts whose matrices fit into `ROOM`, where they are dense."""
+    count, rows = len(jax.tree.leaves(machines)[0]), task.N * max(task.inputs, task.outputs)
+    chunk = max(1, ROOM // (8 * rows**2)) if rows <= DENSE else count
     return [jax.tree.map(lambda leaf, at=at: leaf[at : at + chunk], machines) for at in range(0, count, chunk)]
 
 
