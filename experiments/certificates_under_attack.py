@@ -261,13 +261,13 @@ def in_short(reason: str) -> str:
     return reason
 
 
-def main(count: int) -> None:
+def main(count: int, names: list[str]) -> None:
     jaxilc.setup()
     folder, rng = output.folder(__file__), np.random.default_rng(16)
     sizes = {(1, False): count * 7 // 16, (1, True): count * 7 // 16, (2, False): count // 16, (2, True): count // 16}
     groups = [stacked(rng, size, channels, limited) for (channels, limited), size in sizes.items()]
     oracles, rows, reasons = matrices(), [], []
-    for name in laws(1):
+    for name in names or laws(1):
         row, why = attacked(name, groups, oracles.get(name))
         rows.append(row)
         reasons += [{"law": name, "why nothing is claimed": reason, "machines": times} for reason, times in why.most_common()]
@@ -279,4 +279,4 @@ def main(count: int) -> None:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else MACHINES)
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else MACHINES, sys.argv[2:])  # how many machines, and which laws; all if none is named
