@@ -271,7 +271,7 @@ def main(count: int, names: list[str]) -> None:
         row, why = attacked(name, groups, oracles.get(name))
         rows.append(row)
         reasons += [{"law": name, "why nothing is claimed": reason, "machines": times} for reason, times in why.most_common()]
-        print(row, flush=True)
+        print(row, dict(why), flush=True)
     output.write_rows(folder / "laws.csv", rows)
     output.write_rows(folder / "abstentions.csv", reasons)
     total = {key: sum(row[key] or 0 for row in rows) for key in ("contradicted", *JUDGED)}
