@@ -60,7 +60,7 @@ def certify(
     report: Report = None,
     precision: Precision = "float64",
 ) -> None:
-    """Each machine's convergence from theory alone, then against simulation: verdicts, premises of the bounds, confusion table.
+    """What theory claims of each machine in the long run, and what it predicts of J trials, beside simulation; premises of the bounds.
 
     Example: jaxilc certify cao-2019 --scheme cfdl-mfailc --trials 200 --samples 256
     """
@@ -70,6 +70,7 @@ def certify(
     from .schemes import FFDLMFAILC
     from .theory import certify as of_machines
     from .theory import premises
+    from .theory.bounds import need_room
     from .uncertainty import draw
 
     chosen = chosen_scenario(scenario, scheme, trials, set_, params)
@@ -79,7 +80,10 @@ def certify(
     if not learning:
         raise ValueError(f"certify: none of {', '.join(chosen.schemes)} learns; there is nothing to certify")
     for name, one in learning.items():
-        if isinstance(one, FFDLMFAILC) and chosen.trials < NEEDED:
+        if not isinstance(one, FFDLMFAILC):
+            continue
+        need_room(chosen.task, chosen.trials)
+        if chosen.trials < NEEDED:
             raise ValueError(f"--trials {chosen.trials} is outside its allowed range [{NEEDED}, inf) of {name}, whose bounds are checked")
     paths, shown, numbers, lines = [], [], {}, []
     with progress_bar("scheme") as bar:

@@ -50,7 +50,7 @@ def test_two_axes_are_two_machines():
 def test_learning_from_a_filtered_error():
     """u_{j+1}[k] = u_j[k] + gamma (F e_j)[k+1] with scipy's zero-phase filter."""
     task, cutoff, gamma = task_for(PLANTS["arx"], 80), 60.0, 0.4
-    scheme = ErrorFiltered(PIDType(gamma_p=gamma), ZeroPhaseButterworth(cutoff))
+    scheme = ErrorFiltered(PIDType(gamma_p=gamma), ZeroPhaseButterworth(cutoff, padding=9))
     found = learn(Machine(PLANTS["arx"]), scheme, task, 4, save=Keep(("e", "u"))).saved
     sections = scipy.signal.butter(2, cutoff, fs=1 / DT, output="sos")
     for j in range(3):

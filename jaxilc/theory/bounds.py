@@ -26,6 +26,7 @@ from ..signals import Task, Trial
 from ..uncertainty import Uncertainty, drawn_machines
 from .condition import Condition, condition, premise
 
+CHUNK = 16  # machines whose signals are looked at together
 COPIES = 12  # of the signals of a run, while its bounds are looked at
 INCREMENT = 1e-9  # increments below this share of the largest one are no excitation
 
@@ -173,14 +174,13 @@ class PremiseShare(NamedTuple):
 
 
 def premises(
-    machine: Machine, scheme: FFDLMFAILC, task: Task, trials: int, uncertainty: Uncertainty, drawn: Mapping[str, Any], *, chunk: int = 16
+    machine: Machine, scheme: FFDLMFAILC, task: Task, trials: int, uncertainty: Uncertainty, drawn: Mapping[str, Any], *, chunk: int = CHUNK
 ) -> tuple[list[PremiseShare], dict[str, int]]:
     """The premises of Cao 2019's bounds on each machine's run, and how often the bound itself holds, fails or is not claimed.
 
     Machines whose run is not finite are left out of both. Raises ValueError for trials whose signals do not fit into memory.
     """
-    signals = COPIES * 8 * chunk * (task.N + 1) * (task.outputs + task.inputs)
-    check_size("certify: the bounds of Cao 2019", lambda trials: signals * trials, trials=trials)
+    need_room(task, trials, chunk)
     bounds: Any = cfdl_bounds if isinstance(scheme, CFDLMFAILC) else ffdl_bounds
     run, machines = tiled(partial(_signals, trials=trials)), drawn_machines(machine, uncertainty, drawn)
     total, conditions = len(jax.tree.leaves(machines)[0]), []
@@ -197,6 +197,12 @@ def premises(
         for i, name in enumerate(names)
     ]
     return shares, {v: sum(c.verdict == v for c in conditions) for v in ("holds", "fails", "not claimed")}
+
+
+def need_room(task: Task, trials: int, chunk: int = CHUNK) -> None:
+    """Raises ValueError for trials whose signals, of a chunk of machines, do not fit into memory."""
+    signals = COPIES * 8 * chunk * (task.N + 1) * (task.outputs + task.inputs)
+    check_size("certify: the bounds of Cao 2019", lambda trials: signals * trials, trials=trials)
 
 
 def _run(name: str, task: Task, y, u):

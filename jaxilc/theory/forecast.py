@@ -61,7 +61,7 @@ def _following(trials, view):
 
 
 def _predict(common, machine, *, trials):
-    """(J,) root mean square errors: the first trials as simulated, then by the learning map linearised after them."""
+    """(J,) root mean square errors, one number a trial: the first trials as simulated, then by the learning map linearised after them."""
     scheme, task = common
     machine, scheme = machine.unlimited(), scheme.prepared(task)
 
@@ -74,7 +74,7 @@ def _predict(common, machine, *, trials):
         return _floats(step(machine, scheme, task, whole))[0], after(whole)
 
     def simulated(memory, _):
-        return step(machine, scheme, task, memory), after(memory)
+        return step(machine, scheme, task, memory), _rms(after(memory))
 
     memory, first = lax.scan(simulated, scheme.memory(task), length=FIRST)
     floats, back = _floats(memory)
@@ -83,10 +83,14 @@ def _predict(common, machine, *, trials):
 
     def turn(d, _):
         step_of_memory, of_error = push(d)
-        return jax.tree.map(jnp.add, moved, step_of_memory), error + of_error
+        return jax.tree.map(jnp.add, moved, step_of_memory), _rms(error + of_error)
 
     _, later = lax.scan(turn, jax.tree.map(jnp.zeros_like, floats), length=max(trials - FIRST, 1))
-    return jnp.sqrt(jnp.mean(jnp.concatenate([first, later]) ** 2, axis=(1, 2)))[:trials]
+    return jnp.concatenate([first, later])[:trials]
+
+
+def _rms(error):
+    return jnp.sqrt(jnp.mean(error**2))
 
 
 def _floats(memory):
@@ -113,7 +117,7 @@ def _follow(common, one, *, trials, view):
     def turn(memory, _):
         w = known_as(memory, scheme, task, view)
         trial = trial_of(machine, scheme, task, memory)
-        return scheme.learn(memory, trial), (jnp.sqrt(jnp.mean(trial.e[1:] ** 2)), jnp.linalg.norm(w - limit))
+        return scheme.learn(memory, trial), (_rms(trial.e[1:]), jnp.linalg.norm(w - limit))
 
     return lax.scan(turn, scheme.memory(task), length=trials)[1]
 

@@ -110,7 +110,7 @@ def _shares(parts, lines):
 
 def _causal(magnitude, N: int, width: int):
     """(N width, N width) the lower triangular operator of minimum phase with this magnitude (POINTS+1,) at equidistant angles."""
-    cepstrum = np.fft.irfft(np.log(np.maximum(magnitude, 1e-9 * np.max(magnitude, initial=1e-300))))
+    cepstrum = np.fft.irfft(np.log(np.maximum(magnitude, 1e-9 * np.max(magnitude, initial=1e-200))))
     folded = np.concatenate([cepstrum[:1], 2 * cepstrum[1:POINTS], cepstrum[POINTS : POINTS + 1], np.zeros(POINTS - 1)])
     taps = np.fft.irfft(np.exp(np.fft.rfft(folded)))[:N]
     return np.kron(scipy.linalg.toeplitz(taps, np.zeros(N)), np.eye(width))
