@@ -213,7 +213,7 @@ def certificate_sentence(name: str, trials: int, figures: dict[str, Any], scale:
         monotone = f"{claims[MONOTONE]} in every trial ({in_error} in the error itself)" if claims[MONOTONE] else ""
         converging = f"{claims[CONVERGES]} in the end" if claims[CONVERGES] else ""
         which = " and ".join(filter(None, (monotone, converging)))
-        left = f"it leaves an error of {number(floor)} {unit} at most"
+        left = f"it leaves an error of {number(floor)} {unit}".rstrip() + " at most"
         parts.append(f"in the long run {certified} of {machines} machines come nearer to their limit, {which}; {left}")
     if claims[DIVERGES]:
         parts.append(f"{claims[DIVERGES]} diverge")
@@ -233,9 +233,9 @@ def certificate_tables(name: str, trials: int, figures: dict[str, Any]) -> list[
     for claim, reasons in figures["reasons"].items():
         for i, (reason, count) in enumerate(reasons.items()):
             claims.add_row("" if i else claim, str(count), reason)
-    courses = Table(f"within {trials} trials, by theory", title=f"{name}: the error within {trials} trials, predicted and simulated")
+    courses = Table("by theory", title=f"{name}: machines by what their error does within {trials} trials, by theory and simulated")
     for course in COURSES:
-        courses.add_column(f"simulated: {course}", justify="right")
+        courses.add_column(course, justify="right")
     for course, row in figures["confusion"].items():
         courses.add_row(f"{course} ({figures['expected'][course]})", *(str(row[c]) for c in COURSES))
     tables = [claims, courses]

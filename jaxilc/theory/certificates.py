@@ -192,7 +192,7 @@ def _claims(machines, scheme, task, ahead: Outlook, maps: Matrices | Maps):
 
 def _reason(i: int, claim: str, of_error: bool, of_errors: float, ahead: Outlook) -> str:
     if of_error:
-        return f"the error falls by {of_errors:.6g} in every trial"
+        return f"the error falls to {of_errors:.6g} of itself in every trial, or below"
     if claim == DIVERGES:
         return "an eigenvalue of the learning map lies beyond 1"
     if claim != NOTHING or not ahead.decay.trials[i]:
