@@ -12,7 +12,7 @@ from jaxilc import Actuator, Disturbance, Machine, Task, Uniform, tables
 from jaxilc.filters import ZeroPhaseButterworth
 from jaxilc.plants import DifferenceEquation, StateSpace
 from jaxilc.schemes import CFDLMFAILC, PID, Filtered, HigherOrder, NormOptimal, PIDType, StopWhen, WithFeedback
-from jaxilc.theory import certify, premises
+from jaxilc.theory import certify, outlook, premises
 from jaxilc.theory.certificates import certify_each, course
 from jaxilc.uncertainty import draw
 
@@ -189,6 +189,23 @@ def test_the_prediction_is_the_simulation_where_all_is_linear(scheme):
     found = certified(FIRST_ORDER, scheme, 12, B, samples=3)
     np.testing.assert_allclose(found.predicted, found.simulated, rtol=1e-7, atol=1e-12)
     assert not len(found.broken_promises())
+
+
+def test_machines_in_parts_are_certified_as_all_at_once(monkeypatch):
+    """As where the dense matrices of all do not fit, whatever is claimed of them; also where nothing is linear."""
+    machines = random_limited(np.random.default_rng(3), 5)
+    for scheme in (PIDType(gamma_p=0.3), CFDLMFAILC(lam=1.0, phi0=0.3, reset="sign")):
+        whole = certify_each(machines, scheme, TASK, 6)
+        with monkeypatch.context() as few:
+            few.setattr(outlook, "ROOM", 2 * 8 * N**2)
+            parts = certify_each(machines, scheme, TASK, 6)
+        assert jax.tree.structure(parts) == jax.tree.structure(whole)
+        for one, other in zip(jax.tree.leaves(parts), jax.tree.leaves(whole), strict=True):
+            if np.issubdtype(np.asarray(other).dtype, np.floating):
+                np.testing.assert_allclose(one, other, rtol=1e-7, atol=1e-11)
+            else:
+                assert np.shape(one) == np.shape(other)
+        np.testing.assert_array_equal(parts.claim, whole.claim)
 
 
 @pytest.mark.parametrize(

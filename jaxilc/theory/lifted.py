@@ -32,6 +32,23 @@ from .outlook import outlooks
 from .spectrum import asymptotic, monotone, sigma_max, spectral_radius, transient, transient_growth
 from .trials import learned_shape, played, starts_off
 
+__all__ = [
+    "asymptotic",
+    "error_map",
+    "input_map",
+    "learning_conditions",
+    "learning_law",
+    "lifted_plant",
+    "mfailc_map",
+    "monotone",
+    "sigma_max",
+    "spectral_radius",
+    "transient",
+    "transient_growth",
+]
+
+NO_REST = "no error is left that the law reads"
+
 
 def lifted_plant(
     machine: Machine, scheme: Scheme | None, task: Task, *, about=None, memory: Any = None, time_invariant: bool | None = None
@@ -55,24 +72,6 @@ def lifted_plant(
         if time_invariant or miss <= np.sqrt(np.finfo(G.dtype).eps) * np.max(np.abs(answer)):
             return G
     return np.asarray(_columns(*arguments))
-
-
-NO_REST = "no error is left that the law reads"
-
-__all__ = [
-    "asymptotic",
-    "error_map",
-    "input_map",
-    "learning_conditions",
-    "learning_law",
-    "lifted_plant",
-    "mfailc_map",
-    "monotone",
-    "sigma_max",
-    "spectral_radius",
-    "transient",
-    "transient_growth",
-]
 
 
 def error_map(G, L) -> np.ndarray:
