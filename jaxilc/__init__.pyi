@@ -1,0 +1,98 @@
+from . import (
+    figures,
+    filters,
+    inversion,
+    objectives,
+    paths,
+    plants,
+    pytree,
+    references,
+    report,
+    risks,
+    scenarios,
+    schemes,
+    theory,
+    uncertainty,
+)
+from .batch import tiled
+from .campaign import Campaign
+from .contour import contour_error
+from .identification import identify
+from .learning import History, feedforward, learn, measured_trial, next_memory
+from .machine import Actuator, Disturbance, Machine, Sensor
+from .metrics import Keep, Metrics, measure, repeatability
+from .plant_files import load_scenario
+from .records import Record, excite, read_record, write_record
+from .reproduction import reproduce
+from .runs import run_schemes
+from .runtime import setup
+from .signals import Sample, Task, Trial
+from .store import open_dataset
+from .summary import summarise
+from .sweep import Sweep
+from .switching import SwitchableFilter, instantaneous_frequency, segments
+from .trade_off import pareto
+from .trial import run_trial
+from .tuning import Tuned, Tuning
+from .uncertainty import LogUniform, Normal, Uniform
+from .worst_case import monte_carlo_search, worst_case_search
+
+__all__ = [
+    "Actuator",
+    "Campaign",
+    "Disturbance",
+    "History",
+    "Keep",
+    "LogUniform",
+    "Machine",
+    "Metrics",
+    "Normal",
+    "Record",
+    "Sample",
+    "Sensor",
+    "Sweep",
+    "SwitchableFilter",
+    "Task",
+    "Trial",
+    "Tuned",
+    "Tuning",
+    "Uniform",
+    "contour_error",
+    "excite",
+    "feedforward",
+    "figures",
+    "filters",
+    "identify",
+    "instantaneous_frequency",
+    "inversion",
+    "learn",
+    "load_scenario",
+    "measure",
+    "measured_trial",
+    "monte_carlo_search",
+    "next_memory",
+    "objectives",
+    "open_dataset",
+    "pareto",
+    "paths",
+    "plants",
+    "pytree",
+    "read_record",
+    "references",
+    "repeatability",
+    "report",
+    "reproduce",
+    "risks",
+    "run_schemes",
+    "run_trial",
+    "scenarios",
+    "schemes",
+    "segments",
+    "setup",
+    "summarise",
+    "theory",
+    "tiled",
+    "uncertainty",
+    "worst_case_search",
+    "write_record",
+]
