@@ -27,7 +27,7 @@ from jaxilc.filters import ZeroPhaseButterworth
 from jaxilc.machine import Actuator
 from jaxilc.metrics import Keep
 from jaxilc.plants import DifferenceEquation, StateSpace
-from jaxilc.pytree import get_at, replaced
+from jaxilc.pytree.named_paths import get_at, replaced
 from jaxilc.schemes import CFDLMFAILC, FFDLMFAILC, PID, Filtered, HigherOrder, PIDType, WithFeedback
 from jaxilc.switching import SwitchableFilter
 

@@ -26,7 +26,7 @@ import output
 import jaxilc
 from jaxilc.metrics import Keep
 from jaxilc.objectives import Final, Growth, Holding, Objective
-from jaxilc.pytree import replaced
+from jaxilc.pytree.named_paths import replaced
 from jaxilc.risks import CVaR, Mean
 from jaxilc.schemes import Scheme, StopWhen
 from jaxilc.tuning import Tuned, Tuning

@@ -17,7 +17,7 @@ from .machine import Machine
 from .memory import check_size
 from .peers import FIGURES, Peer, Problem
 from .plants import InBlocks, StateSpace
-from .pytree import replaced
+from .pytree.named_paths import replaced
 from .scenarios.xu_2024 import MODEL
 from .schemes import NormOptimal, Scheme
 from .schemes.scheme import Feedforward

@@ -19,7 +19,7 @@ from .learning import check_length, measured_trial
 from .machine import Actuator
 from .metrics import measure
 from .playback import replay, tables
-from .pytree import named_leaves
+from .pytree.named_paths import named_leaves
 from .results import describe, differences, environment
 from .schemes import Scheme
 from .sealed import as_json

@@ -23,7 +23,7 @@ def file_to_write(path: Path | None) -> Path | None:
 
 def seed_in_range(seed: int) -> int:
     """The seed. Raises ValueError for one that the generators refuse."""
-    from .ranges import SEEDS, Interval, brief
+    from .pytree.ranges import SEEDS, Interval, brief
 
     if not Interval.parse(SEEDS).contains(seed):
         raise ValueError(f"--seed {brief(seed)} is outside its allowed range {SEEDS}")

@@ -157,7 +157,7 @@ def trials(
 
 def _kept(journal) -> dict[str, Any]:
     """The recipe of a campaign. Raises ValueError for what `jaxilc next` does not write."""
-    from .ranges import is_number
+    from .pytree.ranges import is_number
 
     recipe = journal.last_known()["recipe"]
     kinds = {"scenario": str, "scheme": str, "settings": dict, "rules": dict}

@@ -276,7 +276,7 @@ def _settings(machine, uncertainty) -> list[str]:
     """The leaves that were drawn, element by element, as --set takes them."""
     import numpy as np
 
-    from .pytree import get_at
+    from .pytree.named_paths import get_at
 
     found = []
     for name in uncertainty:

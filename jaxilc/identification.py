@@ -19,8 +19,8 @@ from .batch import tiled
 from .machine import Machine
 from .memory import check_size
 from .plants import Plant, ProcessModel
-from .pytree import get_at, interval_at, named_leaves, replaced
-from .ranges import SEEDS, Interval, require
+from .pytree.named_paths import get_at, interval_at, named_leaves, replaced
+from .pytree.ranges import SEEDS, Interval, require
 from .records import Record, as_columns, played, task_of
 from .signals import Task
 

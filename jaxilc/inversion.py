@@ -18,8 +18,9 @@ import scipy.signal
 from .filters import Filter, run_sections
 from .plants import StateSpace
 from .plants.linear import system_matrices
-from .pytree import known, leaf, pytree, static
-from .ranges import Interval, require
+from .pytree.fields import leaf, pytree, static
+from .pytree.needs import known
+from .pytree.ranges import Interval, require
 
 CIRCLE = 1e-6  # zeros nearer to the unit circle count as on it: they would need more than a million samples of rest
 EPS = np.finfo(float).eps

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from .files import UNFINISHED, whole_folder
-from .ranges import is_number
+from .pytree.ranges import is_number
 from .sealed import Damaged, archive, json_text, read_arrays, read_json, sealed, unsealed
 
 FORMAT, UNCHECKED = 2, 1  # the first format had no checksums, and no copy of the manifest

@@ -19,7 +19,7 @@ from .machine import Machine
 from .memory import check_size
 from .metrics import Metrics
 from .plants import Plant
-from .ranges import brief, require
+from .pytree.ranges import brief, require
 from .schemes import Scheme
 from .signals import Task, Trial
 from .trial import run_and_measure

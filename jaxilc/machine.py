@@ -9,7 +9,8 @@ import jax
 import jax.numpy as jnp
 
 from .plants import Plant
-from .pytree import leaf, need_channels, need_scalars, part, pytree
+from .pytree.fields import leaf, part, pytree
+from .pytree.needs import need_channels, need_scalars
 from .signals import Limit, Task, Trial, quantise
 
 

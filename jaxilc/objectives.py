@@ -21,8 +21,8 @@ from .divergence import CEILING, peak
 from .learning import History, learn
 from .machine import Machine
 from .metrics import Keep, Metrics, largest
-from .pytree import leaf, part, pytree
-from .ranges import require
+from .pytree.fields import leaf, part, pytree
+from .pytree.ranges import require
 from .schemes import Scheme
 from .schemes.guards import Guard
 from .signals import Sample, Task, Trial

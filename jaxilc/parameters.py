@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from .pytree import settable
-from .ranges import brief
+from .pytree.named_paths import settable
+from .pytree.ranges import brief
 from .results import environment
 from .scenarios import Scenario
 from .schemes import Scheme

@@ -13,7 +13,7 @@ from scipy.interpolate import make_interp_spline
 from scipy.linalg import solveh_banded
 
 from .contour import butterfly, circle, line, nurbs, tabulated
-from .ranges import require
+from .pytree.ranges import require
 from .references import POSITIVE
 
 __all__ = ["Plan", "butterfly", "circle", "line", "nurbs", "plan"]

@@ -51,7 +51,7 @@ from scipy.signal import BadCoefficients
 from . import identification, learning, plants, references, scenarios
 from .machine import Actuator, Disturbance, Machine, Sensor
 from .plants import Plant, from_control
-from .ranges import brief, require
+from .pytree.ranges import brief, require
 from .reading import PARSERS, read_tree
 from .records import read_record
 from .scenarios import Scenario

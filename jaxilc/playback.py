@@ -10,7 +10,7 @@ import numpy as np
 from jax import lax
 
 from .machine import Actuator
-from .pytree import named_leaves
+from .pytree.named_paths import named_leaves
 from .schemes import MultivariableILC, OnOutputs, OnReference, Scheme, WithFeedback
 from .schemes.compose import Around
 from .signals import Sample, Task

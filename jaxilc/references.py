@@ -12,7 +12,7 @@ import numpy as np
 import scipy.signal
 
 from .memory import check_size
-from .ranges import require
+from .pytree.ranges import require
 
 FINITE, POSITIVE, NONNEGATIVE = "(-inf, inf)", "(0, inf)", "[0, inf)"
 ARRAYS = 32  # of the length of a reference, that making it and one trial of it take

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from .metrics import largest
-from .ranges import require
+from .pytree.ranges import require
 
 
 @dataclasses.dataclass(frozen=True)

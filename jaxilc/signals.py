@@ -13,7 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from .pytree import known, leaf, pytree, static
+from .pytree.fields import leaf, pytree, static
+from .pytree.needs import known
 
 SMALLEST = 1e-15  # largest |r| of a reference that is not zero
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from . import filters, plants, schemes, switching
 from .plants import Plant
-from .ranges import as_numbers, brief, is_whole
+from .pytree.ranges import as_numbers, brief, is_whole
 from .schemes import Scheme
 
 _HIDDEN = {"solved"}  # worked out by the scheme itself

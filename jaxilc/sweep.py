@@ -21,7 +21,7 @@ from .divergence import Course
 from .learning import check, learn
 from .machine import Machine
 from .metrics import Keep
-from .ranges import SEEDS, brief, require
+from .pytree.ranges import SEEDS, brief, require
 from .results import describe
 from .schemes import Scheme
 from .signals import Task, Trial

@@ -8,8 +8,9 @@ import numpy as np
 import scipy.signal
 
 from .filters import Filter, ZeroPhaseButterworth, need_padding
-from .pytree import known, leaf, pytree, static
-from .ranges import Interval
+from .pytree.fields import leaf, pytree, static
+from .pytree.needs import known
+from .pytree.ranges import Interval
 
 
 @pytree

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .machine import Actuator
-from .ranges import Interval
+from .pytree.ranges import Interval
 from .signals import Task, Trial
 
 AT_LIMIT = 1e-3  # of the limit, within which an input counts as saturated

@@ -48,8 +48,8 @@ from .machine import Machine
 from .memory import check_program
 from .metrics import Keep
 from .objectives import Bounded, Final, Objective, Run, Sum, judge
-from .pytree import replaced
-from .ranges import SEEDS, require
+from .pytree.named_paths import replaced
+from .pytree.ranges import SEEDS, require
 from .recipe import describe
 from .results import environment
 from .risks import Mean, Risk

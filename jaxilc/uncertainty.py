@@ -20,8 +20,8 @@ from scipy import special
 from scipy.stats import qmc
 
 from .memory import check_size
-from .pytree import get_at, interval_at, replaced
-from .ranges import SEEDS, brief, is_number, require
+from .pytree.named_paths import get_at, interval_at, replaced
+from .pytree.ranges import SEEDS, brief, is_number, require
 
 COPIES = 6  # of all numbers, while they are drawn
 SAMPLINGS = ("monte-carlo", "latin-hypercube", "sobol", "corners")

@@ -16,7 +16,7 @@ import numpy as np
 from .descent import Bijection, State
 from .learning import check
 from .machine import Machine
-from .pytree import get_at, interval_at, named_leaves, replaced
+from .pytree.named_paths import get_at, interval_at, named_leaves, replaced
 from .schemes import Scheme
 from .signals import Task
 

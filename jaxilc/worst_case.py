@@ -18,7 +18,7 @@ from scipy.stats import qmc
 
 from .batch import tiled
 from .memory import check_program, check_size
-from .ranges import SEEDS, require
+from .pytree.ranges import SEEDS, require
 from .uncertainty import LogUniform, Uncertainty, check, drawn_machine
 
 GRADIENT_COST = 3  # evaluations that a gradient costs on top of the loss

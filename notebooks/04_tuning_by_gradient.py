@@ -37,7 +37,7 @@ import jaxilc
 from jaxilc import Actuator, Machine, Sensor, Task, Tuning, Uniform, figures, plants, references, schemes
 from jaxilc.filters import ZeroPhaseButterworth
 from jaxilc.objectives import Final, Growth
-from jaxilc.pytree import replaced
+from jaxilc.pytree.named_paths import replaced
 from jaxilc.risks import CVaR
 from jaxilc.theory.contraction import error_map
 

@@ -15,7 +15,7 @@ from jaxilc.learning import learn
 from jaxilc.machine import Machine
 from jaxilc.plants import BallScrewDrive, FrictionTable, LeadError, StribeckFriction
 from jaxilc.plants.ball_screw import DriveState
-from jaxilc.pytree import replaced
+from jaxilc.pytree.named_paths import replaced
 from jaxilc.schemes import PID, OnOutputs
 
 N = 100

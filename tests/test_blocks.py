@@ -11,7 +11,7 @@ from cases import ALGEBRA, ARX, DT, PLANTS, PRINTED, task_for
 from jaxilc.learning import learn
 from jaxilc.machine import Actuator, Disturbance, Machine, Sensor
 from jaxilc.plants import DifferenceEquation, InBlocks, StateSpace, TwoAxes, VoiceCoil, blocks
-from jaxilc.pytree import replaced
+from jaxilc.pytree.named_paths import replaced
 from jaxilc.schemes import CFDLMFAILC, PID, PIDType, Scheme, WithFeedback
 from jaxilc.schemes.scheme import Feedforward
 from jaxilc.signals import Task

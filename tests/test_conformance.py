@@ -12,7 +12,7 @@ from jaxilc import learning
 from jaxilc.learning import learn
 from jaxilc.machine import Machine
 from jaxilc.plants import StateSpace
-from jaxilc.pytree import named_leaves, replaced
+from jaxilc.pytree.named_paths import named_leaves, replaced
 from jaxilc.schemes import PID, PIDType
 
 THRESHOLDS = ("epsilon", "theta_limit", "delta", "max_error", "growth", "slow", "scheme.rms")

@@ -13,7 +13,7 @@ from jaxilc.filters import ZeroPhaseFIR
 from jaxilc.learning import learn
 from jaxilc.machine import Disturbance, Machine, Sensor
 from jaxilc.plants import StateSpace
-from jaxilc.pytree import named_leaves
+from jaxilc.pytree.named_paths import named_leaves
 from jaxilc.schemes import CFDLMFAILC, CFDLMFAPC, FFDLMFAILC, PID, Filtered, PIDType, WithFeedback
 from jaxilc.signals import Task
 from jaxilc.theory import contraction, frequency, lifted

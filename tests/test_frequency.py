@@ -15,7 +15,8 @@ from jaxilc.filters import Filter, ZeroPhaseButterworth, ZeroPhaseFIR
 from jaxilc.learning import learn
 from jaxilc.machine import Actuator, Machine
 from jaxilc.plants import DifferenceEquation, ProcessModel, StateSpace, from_control
-from jaxilc.pytree import get_at, leaf, part, pytree, replaced
+from jaxilc.pytree.fields import leaf, part, pytree
+from jaxilc.pytree.named_paths import get_at, replaced
 from jaxilc.schemes import CFDLMFAC, CFDLMFAILC, PID, Filtered, OnOutputs, OnReference, PIDType, Scheme, WithFeedback
 from jaxilc.schemes.scheme import Feedforward
 from jaxilc.signals import Task

@@ -12,7 +12,7 @@ from jaxilc.learning import feedforward, learn, measured_trial, next_memory
 from jaxilc.machine import Disturbance, Machine, Sensor
 from jaxilc.metrics import measure
 from jaxilc.plants import DifferenceEquation
-from jaxilc.pytree import leaf, pytree
+from jaxilc.pytree.fields import leaf, pytree
 from jaxilc.schemes import CFDLMFAILC, PID, PIDType, Scheme, WithFeedback
 from jaxilc.signals import Task, Trial, product
 from jaxilc.trial import run_trial

@@ -12,7 +12,7 @@ from jax.flatten_util import ravel_pytree
 from jaxilc.filters import ZeroPhaseButterworth, ZeroPhaseFIR
 from jaxilc.machine import Actuator, Machine, Sensor
 from jaxilc.plants import DifferenceEquation, StateSpace
-from jaxilc.pytree import leaf, part, pytree
+from jaxilc.pytree.fields import leaf, part, pytree
 from jaxilc.schemes import (
     CFDLMFAC,
     CFDLMFAILC,

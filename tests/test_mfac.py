@@ -11,7 +11,7 @@ from cases import ALGEBRA, ARX, DIFFERENCES, DT, PRINTED
 from jaxilc.learning import check
 from jaxilc.machine import Disturbance, Machine
 from jaxilc.plants import DifferenceEquation, StateSpace
-from jaxilc.pytree import named_leaves
+from jaxilc.pytree.named_paths import named_leaves
 from jaxilc.schemes import CFDLMFAC, CFDLMFAPC, FFDLMFAC, PFDLMFAC
 from jaxilc.signals import Task
 from jaxilc.trial import run_trial

@@ -16,7 +16,8 @@ from jaxilc.learning import learn
 from jaxilc.machine import Machine
 from jaxilc.plants import Cogging, EndEffect, StateSpace, StribeckFriction, VoiceCoil, VoiceCoilMotor, voice_coil_motor
 from jaxilc.plants.motor import DTL85_708, MotorState
-from jaxilc.pytree import get_at, named_leaves, pytree, replaced
+from jaxilc.pytree.fields import pytree
+from jaxilc.pytree.named_paths import get_at, named_leaves, replaced
 from jaxilc.schemes import CFDLMFAILC
 from jaxilc.signals import Task
 

@@ -9,7 +9,7 @@ from cases import ALGEBRA, ARX, DT, PLANTS, task_for
 from jaxilc.learning import learn
 from jaxilc.machine import Machine
 from jaxilc.plants import DifferenceEquation, StateSpace, VoiceCoil, from_control, voice_coil
-from jaxilc.pytree import leaf, pytree
+from jaxilc.pytree.fields import leaf, pytree
 from jaxilc.schemes import PID, PIDType, Scheme
 from jaxilc.schemes.scheme import Feedforward
 from jaxilc.signals import Task

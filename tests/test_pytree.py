@@ -12,7 +12,8 @@ from jaxilc.filters import ZeroPhaseFIR
 from jaxilc.learning import check
 from jaxilc.machine import Actuator, Machine, Sensor
 from jaxilc.plants import TwoAxes, VoiceCoil, voice_coil
-from jaxilc.pytree import Interval, get_at, interval_at, leaf, named_leaves, part, pytree, replaced, settable, static
+from jaxilc.pytree.fields import Interval, leaf, part, pytree, static
+from jaxilc.pytree.named_paths import get_at, interval_at, named_leaves, replaced, settable
 from jaxilc.schemes import (
     ASMC,
     CFDLMFAILC,

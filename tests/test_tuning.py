@@ -23,7 +23,7 @@ from jaxilc.objectives import (
     Objective,
 )
 from jaxilc.plants import StateSpace
-from jaxilc.pytree import get_at
+from jaxilc.pytree.named_paths import get_at
 from jaxilc.recipe import describe
 from jaxilc.risks import CVaR, Mean, SmoothMax, Worst
 from jaxilc.schemes import Filtered, PIDType

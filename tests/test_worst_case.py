@@ -9,7 +9,7 @@ from jaxilc.learning import learn
 from jaxilc.machine import Disturbance, Machine
 from jaxilc.objectives import Final, judge
 from jaxilc.plants import StateSpace
-from jaxilc.pytree import leaf, pytree
+from jaxilc.pytree.fields import leaf, pytree
 from jaxilc.schemes import PID, PIDType
 from jaxilc.signals import Task
 from jaxilc.uncertainty import LogUniform, Normal, Uniform

@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from ..pytree import known, leaf, part, pytree, scalar, static
+from ..pytree.fields import leaf, part, pytree, scalar, static
+from ..pytree.needs import known
 from ..signals import product, quantise
 from .friction import StribeckFriction
 from .integration import RK4_RADIUS, Propagator, exponential_runge_kutta, propagator

@@ -11,7 +11,7 @@ from jax import lax
 from jax.flatten_util import ravel_pytree
 
 from ..memory import check_size
-from ..pytree import part, pytree, static
+from ..pytree.fields import part, pytree, static
 from ..signals import Task, product
 from .cnc_axis import TwoAxes
 from .linear import DifferenceEquation, StateSpace

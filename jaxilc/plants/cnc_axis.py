@@ -7,7 +7,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ..pytree import part, pytree
+from ..pytree.fields import part, pytree
 from .linear import StateSpace
 from .plant import Plant
 

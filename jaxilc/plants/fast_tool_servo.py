@@ -11,7 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..pytree import known, leaf, part, pytree, scalar, static
+from ..pytree.fields import leaf, part, pytree, scalar, static
+from ..pytree.needs import known
 from .hysteresis import BoucWen, Dahl, InputHysteresis
 from .integration import Propagator, exponential_runge_kutta, propagator
 from .linear import StateSpace, matching

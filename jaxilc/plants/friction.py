@@ -6,7 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..pytree import known, pytree, scalar
+from ..pytree.fields import pytree, scalar
+from ..pytree.needs import known
 
 
 @pytree

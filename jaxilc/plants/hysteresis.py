@@ -15,7 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..pytree import known, part, pytree, scalar, static
+from ..pytree.fields import part, pytree, scalar, static
+from ..pytree.needs import known
 from .integration import runge_kutta
 from .plant import Plant
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import jax.scipy.linalg
 import numpy as np
 
-from ..pytree import leaf, part, pytree, static
+from ..pytree.fields import leaf, part, pytree, static
 from ..signals import Task, product
 from .plant import Plant
 

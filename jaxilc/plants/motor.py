@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..pytree import known, part, pytree, scalar, static
+from ..pytree.fields import part, pytree, scalar, static
+from ..pytree.needs import known
 from ..signals import Task
 from .friction import StribeckFriction
 from .integration import RK4_RADIUS, runge_kutta

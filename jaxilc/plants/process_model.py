@@ -7,7 +7,7 @@ import jax.core
 import jax.numpy as jnp
 import numpy as np
 
-from ..pytree import leaf, pytree, scalar
+from ..pytree.fields import leaf, pytree, scalar
 from .linear import StateSpace, zoh
 from .plant import Plant
 

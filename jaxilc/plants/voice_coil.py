@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from ..pytree import leaf, pytree, scalar
+from ..pytree.fields import leaf, pytree, scalar
 from .linear import DifferenceEquation, zoh
 from .plant import Plant
 

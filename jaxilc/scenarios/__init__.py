@@ -6,7 +6,7 @@ import dataclasses
 import inspect
 from collections.abc import Callable
 
-from ..ranges import brief
+from ..pytree.ranges import brief
 from .cao_2019 import cao_2019
 from .cao_2019_rig import cao_2019_rig
 from .dai_2014 import dai_2014

@@ -14,8 +14,8 @@ from ..learning import check
 from ..machine import Machine
 from ..metrics import Metrics
 from ..printable import printable
-from ..pytree import allowed_at, get_at, kind_at, replaced, settable
-from ..ranges import brief, named
+from ..pytree.named_paths import allowed_at, get_at, kind_at, replaced, settable
+from ..pytree.ranges import brief, named
 from ..schemes import Scheme
 from ..signals import Task, Trial
 from ..uncertainty import Uncertainty

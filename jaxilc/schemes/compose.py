@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from ..filters import Filter
-from ..pytree import part, pytree, static
+from ..pytree.fields import part, pytree, static
 from ..signals import Limit, Sample, Task, Trial
 from .scheme import Scheme, State, limit_of, limited, limits_below
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from ..pytree import leaf, need_channels, pytree, static
+from ..pytree.fields import leaf, pytree, static
+from ..pytree.needs import need_channels
 from ..signals import Limit, Task, Trial
 from .pid_type import need_lead
 from .scheme import Feedforward, Scheme, ahead, limit_of, limited, need_square

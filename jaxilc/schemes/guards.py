@@ -8,7 +8,8 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from ..pytree import leaf, need_channels, part, pytree, static
+from ..pytree.fields import leaf, part, pytree, static
+from ..pytree.needs import need_channels
 from ..signals import Limit, Task, Trial
 from .compose import Around
 from .mfailc import FFDLMFAILC

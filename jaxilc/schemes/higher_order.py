@@ -8,7 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..pytree import known, leaf, need_channels, pytree, static
+from ..pytree.fields import leaf, pytree, static
+from ..pytree.needs import known, need_channels
 from ..signals import Limit, Task, Trial
 from .pid_type import need_lead
 from .scheme import Feedforward, Scheme, ahead, limit_of, limited, need_square

@@ -11,7 +11,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ..pytree import leaf, need_channels, pytree, static
+from ..pytree.fields import leaf, pytree, static
+from ..pytree.needs import need_channels
 from ..signals import Sample, Task
 from .pseudo_gradient import RESETS, need_window, pseudo_gradient, reset_estimate
 from .scheme import Scheme, limited, need_square

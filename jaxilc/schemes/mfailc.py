@@ -12,7 +12,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ..pytree import leaf, need_channels, pytree, static
+from ..pytree.fields import leaf, pytree, static
+from ..pytree.needs import need_channels
 from ..signals import Sample, Task, Trial
 from .pid_type import need_lead
 from .pseudo_gradient import RESETS, need_window, pseudo_gradient, reset_estimate

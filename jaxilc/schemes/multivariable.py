@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from ..filters import Filter
-from ..pytree import part, pytree, static
+from ..pytree.fields import part, pytree, static
 from ..signals import Limit, Sample, Task, Trial
 from .compose import Pair, below, of_part, silent_signals
 from .on_reference import ReferenceTable

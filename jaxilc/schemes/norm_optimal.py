@@ -12,8 +12,9 @@ from jax import lax
 from jax.scipy.linalg import cho_factor, cho_solve
 
 from ..plants import StateSpace, TimeVaryingStateSpace
-from ..pytree import known, leaf, need_channels, part, pytree, static
-from ..ranges import brief
+from ..pytree.fields import leaf, part, pytree, static
+from ..pytree.needs import known, need_channels
+from ..pytree.ranges import brief
 from ..signals import Limit, Task, Trial, product
 from .scheme import Feedforward, Scheme, limit_of, limited
 

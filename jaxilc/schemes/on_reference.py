@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ..pytree import part, pytree
+from ..pytree.fields import part, pytree
 from ..signals import Limit, Sample, Task, Trial
 from .compose import Pair, below, need_feedforward, of_part, silent_signals
 from .scheme import Scheme, State, limits_below, past

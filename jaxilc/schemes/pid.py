@@ -7,7 +7,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ..pytree import leaf, need_channels, pytree, static
+from ..pytree.fields import leaf, pytree, static
+from ..pytree.needs import need_channels
 from ..signals import Sample, Task
 from .scheme import Scheme, limited, need_square
 

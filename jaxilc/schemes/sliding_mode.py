@@ -8,7 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..pytree import known, leaf, need_channels, pytree, static
+from ..pytree.fields import leaf, pytree, static
+from ..pytree.needs import known, need_channels
 from ..signals import Sample, Task, Trial
 from .scheme import Scheme, limited, need_square
 from .velocity import filtered_difference

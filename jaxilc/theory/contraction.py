@@ -22,7 +22,7 @@ from jax import lax
 from ..batch import tiled
 from ..learning import check
 from ..machine import Machine
-from ..pytree import named_leaves
+from ..pytree.named_paths import named_leaves
 from ..schemes import Scheme
 from ..signals import Task
 from ..uncertainty import Uncertainty, drawn_machine

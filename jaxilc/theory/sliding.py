@@ -19,7 +19,8 @@ import numpy as np
 from ..learning import check
 from ..machine import Machine
 from ..plants import StateSpace
-from ..pytree import named_leaves, pytree, replaced
+from ..pytree.fields import pytree
+from ..pytree.named_paths import named_leaves, replaced
 from ..schemes import ASMC, SMC, ExponentialPD, Filtered, Scheme, WithFeedback
 from ..schemes.compose import below
 from ..signals import Task, Trial

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from ..machine import Disturbance, Machine
-from ..pytree import part, pytree
+from ..pytree.fields import part, pytree
 from ..schemes import Scheme, WithFeedback
 from ..schemes.compose import Pair
 from ..schemes.scheme import Feedforward

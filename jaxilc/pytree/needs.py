@@ -1,0 +1,33 @@
+"""What code may need of a pytree before it computes: known values, a number for each channel, one number alone."""
+
+from __future__ import annotations
+
+import jax
+import jax.core
+import numpy as np
+
+from .named_paths import child_of, field_names, field_of
+from .ranges import shown
+
+
+def known(tree) -> bool:
+    """Whether every leaf has a value that can be looked at, rather than being traced by a transformation."""
+    return not any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(tree))
+
+
+def need_channels(tree, channels: int, *names: str) -> None:
+    """Raises ValueError unless each named field is one number, or one for each channel, or absent."""
+    for name in names:
+        value = getattr(tree, name)
+        if value is not None and np.shape(value) not in ((), (channels,)):
+            raise ValueError(f"{type(tree).__name__}: {name} has shape {np.shape(value)}; allowed are () and ({channels},)")
+
+
+def need_scalars(tree) -> None:
+    """Raises ValueError for a `scalar` of the tree, or of a part of it, that is several numbers."""
+    for name in field_names(tree):
+        value, field = child_of(tree, name), field_of(tree, name)
+        if field is not None and field.metadata.get("scalar") and np.shape(value):
+            given = "" if isinstance(value, jax.core.Tracer) else f" = {shown(value)}"
+            raise ValueError(f"{type(tree).__name__}: {name}{given} has shape {np.shape(value)}; allowed is one number")
+        need_scalars(value)
