@@ -14,7 +14,6 @@ from . import (
     theory,
     uncertainty,
 )
-from .batch import tiled
 from .campaign import Campaign
 from .contour import contour_error
 from .identification import identify
@@ -25,7 +24,8 @@ from .plant_files import load_scenario
 from .records import Record, excite, read_record, write_record
 from .reproduction import reproduce
 from .runs import run_schemes
-from .runtime import setup
+from .runtime.start import setup
+from .runtime.tiles import tiled
 from .signals import Sample, Task, Trial
 from .store import open_dataset
 from .summary import summarise

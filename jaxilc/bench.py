@@ -11,13 +11,13 @@ import jax
 import numpy as np
 
 from . import peers, references, scenarios
-from .batch import tiled
 from .learning import learn
 from .machine import Machine
-from .memory import check_size
 from .peers import FIGURES, Peer, Problem
 from .plants import InBlocks, StateSpace
 from .pytree.named_paths import replaced
+from .runtime.capacity import check_size
+from .runtime.tiles import tiled
 from .scenarios.xu_2024 import MODEL
 from .schemes import NormOptimal, Scheme
 from .schemes.scheme import Feedforward

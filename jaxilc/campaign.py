@@ -20,7 +20,7 @@ from .machine import Actuator
 from .metrics import measure
 from .playback import replay, tables
 from .pytree.named_paths import named_leaves
-from .results import describe, differences, environment
+from .runtime.provenance import describe, differences, environment
 from .schemes import Scheme
 from .sealed import as_json
 from .signals import Task, Trial

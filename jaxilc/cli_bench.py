@@ -28,7 +28,7 @@ def bench(
 
     Example: jaxilc bench --plants 1024 --json out/bench.json
     """
-    from .runtime import setup
+    from .runtime.start import setup
 
     setup(precision=precision)
     import jax

@@ -87,7 +87,7 @@ class Refused(ValueError):
 
 def begin(precision: str) -> None:
     """Start JAX, with compiled programs kept from one start to the next."""
-    from .runtime import keep_programs, setup
+    from .runtime.start import keep_programs, setup
 
     setup(precision=precision)
     log_jax(keep_programs())

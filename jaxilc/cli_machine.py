@@ -69,7 +69,7 @@ def next_(
     from .cli_common import Refused
     from .exchange import check_format, read_measured
     from .journal import Journal
-    from .runtime import setup
+    from .runtime.start import setup
     from .trial_checks import Rules
 
     setup(precision="float64")

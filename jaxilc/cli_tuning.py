@@ -230,7 +230,7 @@ def _with_progress(problem, state: Path, resume: bool):
 def _need_room(chosen, uncertainty, starts: int, steps: int, evaluations: int | None, draws: int | None) -> None:
     """Raises ValueError, before the climb, for a trial or a search by chance after it that does not fit into memory."""
     from .learning import bytes_of_figures
-    from .memory import check_size
+    from .runtime.capacity import check_size
     from .worst_case import GRADIENT_COST, bytes_of_a_draw
 
     of_trial, each = bytes_of_figures(chosen.task), bytes_of_a_draw(uncertainty)

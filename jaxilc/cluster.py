@@ -27,10 +27,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 
-from . import memory
 from .reading import read_tree
-from .results import differences, environment
-from .runtime import setup
+from .runtime import capacity
+from .runtime.provenance import differences, environment
+from .runtime.start import setup
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -186,7 +186,7 @@ def _found(precision: str, worker) -> Found:
         if limit is not None:  # beyond this share of it Dask kills a worker
             share = dask.config.get("distributed.worker.memory.terminate") or 1.0
             limit = max(0, int(share * limit) - psutil.Process().memory_info().rss)
-        return Found(environment(), socket.gethostname(), memory.host_bytes(), memory.device_bytes(), limit)
+        return Found(environment(), socket.gethostname(), capacity.host_bytes(), capacity.device_bytes(), limit)
 
 
 def _on_worker(plan: bytes, precision: str, expected: dict[str, Any], method: str, arguments: tuple) -> Any:

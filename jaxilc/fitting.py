@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .batch import tiled
+from .runtime.tiles import tiled
 
 
 class Fit(NamedTuple):

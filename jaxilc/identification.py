@@ -15,13 +15,13 @@ import scipy.optimize
 import scipy.special
 from scipy.stats import qmc
 
-from .batch import tiled
 from .machine import Machine
-from .memory import check_size
 from .plants import Plant, ProcessModel
 from .pytree.named_paths import get_at, interval_at, named_leaves, replaced
 from .pytree.ranges import SEEDS, Interval, require
 from .records import Record, as_columns, played, task_of
+from .runtime.capacity import check_size
+from .runtime.tiles import tiled
 from .signals import Task
 
 CONFIDENCE = 0.95

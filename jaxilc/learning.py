@@ -16,10 +16,10 @@ from jax import lax
 from .divergence import course
 from .layout import carried
 from .machine import Machine
-from .memory import check_size
 from .metrics import Metrics
 from .plants import Plant
 from .pytree.ranges import brief, require
+from .runtime.capacity import check_size
 from .schemes import Scheme
 from .signals import Task, Trial
 from .trial import run_and_measure

@@ -13,7 +13,7 @@ import numpy as np
 
 from .pytree.named_paths import settable
 from .pytree.ranges import brief
-from .results import environment
+from .runtime.provenance import environment
 from .scenarios import Scenario
 from .schemes import Scheme
 from .sealed import read_json, write_json

@@ -22,7 +22,7 @@ import numpy as np
 from rich.table import Table
 
 from .files import atomically
-from .results import describe, environment
+from .runtime.provenance import describe, environment
 
 if TYPE_CHECKING:
     from .scenarios import Scenario

@@ -10,8 +10,8 @@ import numpy as np
 
 from .learning import History, check, learn
 from .machine import Machine
-from .memory import check_size
 from .metrics import Keep, best_trial
+from .runtime.capacity import check_size
 from .schemes import Scheme
 from .signals import Task, Trial
 

@@ -19,7 +19,7 @@ import numpy as np
 from .descent import State
 from .files import atomically, only_one, remove_leftovers, to_disk, whole_folder
 from .reading import tree_of
-from .results import differences
+from .runtime.provenance import differences
 from .sealed import (
     Damaged,
     archive,

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .files import only_one, remove_leftovers, whole_folder
-from .results import differences
+from .runtime.provenance import differences
 from .sealed import Damaged, as_json, json_text, read_json, sealed, unsealed
 
 if TYPE_CHECKING:

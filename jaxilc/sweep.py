@@ -15,14 +15,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from . import memory, results
-from .batch import OPEN, tiled, usual_lanes
 from .divergence import Course
 from .learning import check, learn
 from .machine import Machine
 from .metrics import Keep
 from .pytree.ranges import SEEDS, brief, require
-from .results import describe
+from .runtime import capacity, provenance
+from .runtime.provenance import describe
+from .runtime.tiles import OPEN, tiled, usual_lanes
 from .schemes import Scheme
 from .signals import Task, Trial
 from .store import Layout, Store, Variable
@@ -93,7 +93,7 @@ class Sweep:
     def configuration(self, environment: dict[str, Any] | None = None) -> dict[str, Any]:
         """All that determines the numbers, as JSON.  environment: of the processes that compute, None for this one"""
         fields = {f.name: describe(getattr(self, f.name)) for f in dataclasses.fields(self)}
-        return fields | {"environment": environment or results.environment()}
+        return fields | {"environment": environment or provenance.environment()}
 
     def run(
         self,
@@ -174,7 +174,7 @@ class Sweep:
         def need(samples: float, trials: float) -> float:
             return copies * self.bytes_stored(samples, trials) + drawn * samples + summary * samples * trials + 8 * trials
 
-        memory.check_size("Sweep", need, samples=drawn_samples(self.uncertainty, self.samples, self.sampling), trials=self.trials)
+        capacity.check_size("Sweep", need, samples=drawn_samples(self.uncertainty, self.samples, self.sampling), trials=self.trials)
 
     def _need_memory(self, hosts, names: tuple[str, ...], *, copies: int) -> None:
         """Compile a chunk of each scheme; ValueError where it does not fit beside `copies` of the dataset. Unknown memory is enough."""
@@ -183,7 +183,7 @@ class Sweep:
         for name, need in hosts.chunk_bytes(names, self.chunk):
             if room is not None and need > room:
                 raise ValueError(
-                    f"Sweep: chunk = {self.chunk} needs {memory.shown(need)} where {memory.shown(room)} are available{where}; "
+                    f"Sweep: chunk = {self.chunk} needs {capacity.shown(need)} where {capacity.shown(room)} are available{where}; "
                     f"{self._that_fits(hosts, name, need, room)}"
                 )
 
@@ -193,7 +193,7 @@ class Sweep:
         small = min(2 * tile, size)
         least = next(hosts.chunk_bytes((name,), small))[1] if small < size else need
         if least > room:
-            return f"{small} samples at a time need {memory.shown(least)} already; keep fewer signals, take fewer trials, or shorten them"
+            return f"{small} samples at a time need {capacity.shown(least)} already; keep fewer signals, take fewer trials, or shorten them"
         return f"chunk = {int(small + (room - least) / (need - least) * (size - small)) // tile * tile} would fit"
 
     def _variables(self) -> dict[str, Variable]:
@@ -255,17 +255,17 @@ class Host:
     def __init__(self, sweep: Sweep):
         plan = {"names": tuple(sweep.uncertainty.items()), "trials": sweep.trials, "keep": sweep.keep, "save": Keep.of(sweep.quantities)}
         self.sweep = sweep
-        self.environment = results.environment()
+        self.environment = provenance.environment()
         self._run = jax.jit(tiled(partial(_one_sample, **plan), lanes=sweep.lanes))
 
     def room(self, stored: int) -> tuple[int | None, str]:
         """Bytes there are for a chunk beside a dataset of `stored` bytes, None if unknown, and where that is."""
-        host, device = memory.host_bytes(), memory.device_bytes()
+        host, device = capacity.host_bytes(), capacity.device_bytes()
         return (device if device is not None else None if host is None else host - stored), ""
 
     def bytes_of(self, name: str, size: int) -> int:
         """Bytes that `size` samples of a scheme take; they are compiled, not run."""
-        return memory.program_bytes(self._run, *self._arguments(name, 0, size))
+        return capacity.program_bytes(self._run, *self._arguments(name, 0, size))
 
     def chunk_bytes(self, names: tuple[str, ...], size: int) -> Iterator[tuple[str, int]]:
         """Name and `bytes_of` of each scheme, one after another."""

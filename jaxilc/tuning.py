@@ -28,7 +28,6 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from .batch import OPEN, tiled, usual_lanes
 from .descent import (
     Bijection,
     Evaluation,
@@ -45,14 +44,15 @@ from .descent import (
 from .divergence import CEILING
 from .learning import check, truncated
 from .machine import Machine
-from .memory import check_program
 from .metrics import Keep
 from .objectives import Bounded, Final, Objective, Run, Sum, judge
 from .pytree.named_paths import replaced
 from .pytree.ranges import SEEDS, require
-from .recipe import describe
-from .results import environment
 from .risks import Mean, Risk
+from .runtime.capacity import check_program
+from .runtime.provenance import environment
+from .runtime.recipe import describe
+from .runtime.tiles import OPEN, tiled, usual_lanes
 from .schemes import Scheme
 from .signals import Task, Trial
 from .states import Folder

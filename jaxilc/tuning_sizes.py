@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import jax
 
 from .learning import bytes_of_figures
-from .memory import check_size
+from .runtime.capacity import check_size
 from .uncertainty import bytes_drawn, check
 
 if TYPE_CHECKING:

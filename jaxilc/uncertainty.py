@@ -19,9 +19,9 @@ import numpy as np
 from scipy import special
 from scipy.stats import qmc
 
-from .memory import check_size
 from .pytree.named_paths import get_at, interval_at, replaced
 from .pytree.ranges import SEEDS, brief, is_number, require
+from .runtime.capacity import check_size
 
 COPIES = 6  # of all numbers, while they are drawn
 SAMPLINGS = ("monte-carlo", "latin-hypercube", "sobol", "corners")

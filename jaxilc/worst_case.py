@@ -16,9 +16,9 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.stats import qmc
 
-from .batch import tiled
-from .memory import check_program, check_size
 from .pytree.ranges import SEEDS, require
+from .runtime.capacity import check_program, check_size
+from .runtime.tiles import tiled
 from .uncertainty import LogUniform, Uncertainty, check, drawn_machine
 
 GRADIENT_COST = 3  # evaluations that a gradient costs on top of the loss

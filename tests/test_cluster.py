@@ -19,7 +19,8 @@ import sweep_case
 import xarray as xr
 
 import jaxilc
-from jaxilc import cli, cluster, memory
+from jaxilc import cli, cluster
+from jaxilc.runtime import capacity
 from jaxilc.schemes import PID
 from jaxilc.store import Store
 
@@ -192,7 +193,7 @@ def test_a_worker_that_would_round_differently_is_refused(tmp_path, client, writ
 
 
 def with_memory(size):
-    memory.host_bytes = lambda: size
+    capacity.host_bytes = lambda: size
 
 
 def test_a_chunk_too_large_for_one_of_the_workers_is_refused(tmp_path, client):

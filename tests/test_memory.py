@@ -8,8 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxilc import Machine, Sweep, Task, Uniform, memory
+from jaxilc import Machine, Sweep, Task, Uniform
 from jaxilc.plants import voice_coil
+from jaxilc.runtime import capacity
 from jaxilc.schemes import CFDLMFAILC
 
 TASK = Task(reference=np.sin(2 * np.pi * np.arange(201) / 200), dt=1e-3)
@@ -28,13 +29,13 @@ TILE = 2 * jax.device_count()
 
 
 def with_memory(monkeypatch, size):
-    monkeypatch.setattr(memory, "host_bytes", lambda: size)
+    monkeypatch.setattr(capacity, "host_bytes", lambda: size)
 
 
 def test_the_bytes_of_a_program_are_those_of_its_arrays():
     run = jax.jit(lambda x: jnp.outer(x, x))
     of_one_device = 8 * (100 + 100 * 100)
-    found = memory.program_bytes(run, jnp.ones(100)) / jax.device_count()
+    found = capacity.program_bytes(run, jnp.ones(100)) / jax.device_count()
     assert of_one_device <= found <= of_one_device + 2000
 
 
@@ -92,10 +93,10 @@ def test_unknown_memory_is_enough(monkeypatch):
 def test_what_there_is_lies_within_the_machine():
     with open("/proc/meminfo") as file:
         total = 1024 * int(file.readline().split()[1])
-    assert 0 < memory.host_bytes() <= total
-    assert memory.device_bytes() is None  # a CPU's devices share the host's
+    assert 0 < capacity.host_bytes() <= total
+    assert capacity.device_bytes() is None  # a CPU's devices share the host's
 
 
 @pytest.mark.parametrize(("size", "text"), [(7, "7 B"), (1999, "2 kB"), (3.25e7, "32.5 MB"), (2.5e12, "2.5e+03 GB")])
 def test_sizes_are_readable(size, text):
-    assert memory.shown(size) == text
+    assert capacity.shown(size) == text

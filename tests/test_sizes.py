@@ -13,12 +13,13 @@ from cases import case
 from gain_case import GAINS, PROBLEM, STATIC
 from sweep_case import PLAN
 
-from jaxilc import bench, memory, plants, references
+from jaxilc import bench, plants, references
 from jaxilc.identification import identify
 from jaxilc.learning import learn
 from jaxilc.plants import InBlocks
 from jaxilc.records import Record
 from jaxilc.runs import run_schemes
+from jaxilc.runtime import capacity
 from jaxilc.schemes import CFDLMFAPC
 from jaxilc.signals import Task
 from jaxilc.theory import certify, premises
@@ -82,7 +83,7 @@ REFUSED = {
 
 @pytest.mark.parametrize("name", REFUSED)
 def test_a_size_that_does_not_fit_is_refused_with_what_would(monkeypatch, name):
-    monkeypatch.setattr(memory, "host_bytes", lambda: ROOM)
+    monkeypatch.setattr(capacity, "host_bytes", lambda: ROOM)
     call, parameter = REFUSED[name]
     with pytest.raises(ValueError, match=rf"of memory, where 2 GB are available; .*\b{parameter} = \d+.* would fit") as refusal:
         call()
@@ -98,7 +99,7 @@ def test_more_parameters_than_a_record_tells_are_refused_before_they_are_made():
 
 
 def test_a_program_that_does_not_fit_is_refused_before_it_runs(monkeypatch, tmp_path):
-    monkeypatch.setattr(memory, "host_bytes", lambda: 2000)
+    monkeypatch.setattr(capacity, "host_bytes", lambda: 2000)
     problem = dataclasses.replace(PROBLEM, uncertainty={}, samples=1, held_out=0, steps=1)
     with pytest.raises(ValueError, match=r"a step of all starts takes .* of memory, where 2 kB are available; take fewer trials"):
         problem.run(tmp_path / "state")
@@ -106,42 +107,42 @@ def test_a_program_that_does_not_fit_is_refused_before_it_runs(monkeypatch, tmp_
 
 
 def test_what_would_fit_fits_and_no_more(monkeypatch):
-    monkeypatch.setattr(memory, "host_bytes", lambda: 1000)
+    monkeypatch.setattr(capacity, "host_bytes", lambda: 1000)
 
     def need(plants, trials):
         return 3 * plants * trials + 7 * trials + 20
 
     with pytest.raises(ValueError, match=r"a: plants = 90 and trials = 5 take 1.41 kB of memory, where 1 kB are available") as refusal:
-        memory.check_size("a", need, plants=90, trials=5)
+        capacity.check_size("a", need, plants=90, trials=5)
     fits = {name: int(value) for name, value in re.findall(r"(\w+) = (\d+)", str(refusal.value).split(";")[1])}
     assert fits == {"plants": 63, "trials": 3}
-    memory.check_size("a", need, plants=63, trials=5)
-    memory.check_size("a", need, plants=90, trials=3)
+    capacity.check_size("a", need, plants=63, trials=5)
+    capacity.check_size("a", need, plants=90, trials=3)
     for counts in ({"plants": 64, "trials": 5}, {"plants": 90, "trials": 4}):
         with pytest.raises(ValueError, match="would fit"):
-            memory.check_size("a", need, **counts)
+            capacity.check_size("a", need, **counts)
     with pytest.raises(ValueError, match="not even 1 would fit"):
-        memory.check_size("a", lambda plants: 2000 + plants, plants=3)
+        capacity.check_size("a", lambda plants: 2000 + plants, plants=3)
 
 
 def test_the_limits_of_control_groups_count(monkeypatch, tmp_path):
     groups, process = tmp_path / "cgroup", tmp_path / "self"
     process.mkdir()
-    monkeypatch.setattr(memory, "GROUPS", groups)
-    monkeypatch.setattr(memory, "OF_PROCESS", process)
+    monkeypatch.setattr(capacity, "GROUPS", groups)
+    monkeypatch.setattr(capacity, "OF_PROCESS", process)
     (process / "cgroup").write_text("4:memory:/job/step\n3:cpuset:/\n0::/job/step\n")
-    assert list(memory._of_groups()) == []
+    assert list(capacity._of_groups()) == []
     for folder, names, limit in (
-        ("memory/job", memory.OF_GROUP_1, "5000"),
-        ("job", memory.OF_GROUP_2, "9000"),
-        ("job/step", memory.OF_GROUP_2, "max"),
+        ("memory/job", capacity.OF_GROUP_1, "5000"),
+        ("job", capacity.OF_GROUP_2, "9000"),
+        ("job/step", capacity.OF_GROUP_2, "max"),
     ):
         (groups / folder).mkdir(parents=True)
         for name, value in zip(names, (limit, "1000"), strict=True):
             (groups / folder / name).write_text(value + "\n")
     (groups / "job" / "memory.stat").write_text("anon 300\ninactive_file 50\n")
-    assert list(memory._of_groups()) == [4000, 8050]
-    assert memory.host_bytes() == 4000
+    assert list(capacity._of_groups()) == [4000, 8050]
+    assert capacity.host_bytes() == 4000
 
 
 COMMANDS = """

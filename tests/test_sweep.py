@@ -10,8 +10,8 @@ from sweep_case import PLAN, TASK
 
 import jaxilc
 from jaxilc import Machine, Sweep, Task, Uniform, summarise
-from jaxilc.batch import tiled
 from jaxilc.plants import StateSpace
+from jaxilc.runtime.tiles import tiled
 from jaxilc.schemes import PID
 
 

@@ -24,8 +24,8 @@ from jaxilc.objectives import (
 )
 from jaxilc.plants import StateSpace
 from jaxilc.pytree.named_paths import get_at
-from jaxilc.recipe import describe
 from jaxilc.risks import CVaR, Mean, SmoothMax, Worst
+from jaxilc.runtime.recipe import describe
 from jaxilc.schemes import Filtered, PIDType
 from jaxilc.uncertainty import Uniform
 

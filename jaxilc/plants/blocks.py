@@ -10,8 +10,8 @@ import numpy as np
 from jax import lax
 from jax.flatten_util import ravel_pytree
 
-from ..memory import check_size
 from ..pytree.fields import part, pytree, static
+from ..runtime.capacity import check_size
 from ..signals import Task, product
 from .cnc_axis import TwoAxes
 from .linear import DifferenceEquation, StateSpace

@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..batch import tiled, usual_lanes
 from ..machine import Machine
+from ..runtime.tiles import tiled, usual_lanes
 from ..schemes import Scheme
 from ..signals import Task
 from .affine import View, learning_of, limits_as_one

@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..batch import tiled
 from ..machine import Machine
+from ..runtime.tiles import tiled
 from ..schemes import Scheme
 from ..signals import Task
 from .affine import View, learning_of

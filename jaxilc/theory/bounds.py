@@ -17,10 +17,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..batch import tiled
 from ..learning import learn
 from ..machine import Machine
-from ..memory import check_size
+from ..runtime.capacity import check_size
+from ..runtime.tiles import tiled
 from ..schemes import CFDLMFAILC, FFDLMFAILC
 from ..signals import Task, Trial
 from ..uncertainty import Uncertainty, drawn_machines

@@ -29,7 +29,7 @@ import numpy as np
 from ..divergence import GROWTH
 from ..learning import check
 from ..machine import Machine
-from ..memory import check_size
+from ..runtime.capacity import check_size
 from ..schemes import Scheme
 from ..signals import Task
 from ..uncertainty import Uncertainty, drawn_machines

@@ -19,10 +19,10 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from ..batch import tiled
 from ..learning import check
 from ..machine import Machine
 from ..pytree.named_paths import named_leaves
+from ..runtime.tiles import tiled
 from ..schemes import Scheme
 from ..signals import Task
 from ..uncertainty import Uncertainty, drawn_machine

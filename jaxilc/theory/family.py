@@ -11,9 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..batch import tiled
 from ..learning import check
 from ..machine import Machine
+from ..runtime.tiles import tiled
 from ..schemes import Scheme
 from ..signals import Task
 from ..uncertainty import Uncertainty, draw, drawn_machine, drawn_machines

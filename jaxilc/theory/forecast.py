@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..batch import tiled
 from ..learning import learn
 from ..machine import Machine
+from ..runtime.tiles import tiled
 from ..schemes import Scheme
 from ..signals import Task
 from .affine import View, known_as

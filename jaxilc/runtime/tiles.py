@@ -11,7 +11,7 @@ import numpy as np
 from jax import lax
 from jax.sharding import Mesh, PartitionSpec
 
-from .pytree.ranges import require
+from ..pytree.ranges import require
 
 LANES = {"cpu": 16}  # measured; a trial of 16 plants still fits the cache of a core
 WIDE = 4096  # on other backends, which were not measured

@@ -12,7 +12,7 @@ from pathlib import Path
 import jax
 import jaxlib
 
-from .pytree.ranges import require
+from ..pytree.ranges import require
 
 _WHOLE_LOOPS = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1000000000"
 # LLVM writes out a loop over the 8 or 16 plants of a tile before it would vectorise it, and so leaves it scalar; this keeps it a loop.
