@@ -22,8 +22,8 @@ from .playback import replay, tables
 from .pytree.named_paths import named_leaves
 from .runtime.provenance import describe, differences, environment
 from .schemes import Scheme
-from .sealed import as_json
 from .signals import Task, Trial
+from .storage.sealed import as_json
 from .trial_checks import Finding, Rules
 
 MEMORY, TRIAL = "memory.npz", "trial.npz"

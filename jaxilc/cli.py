@@ -132,8 +132,8 @@ def run(
     import jax
 
     from . import figures, plants, runs, tables
-    from .files import whole_folder
     from .report import command_report
+    from .storage.files import whole_folder
 
     chosen = chosen_scenario(scenario, scheme, trials, set_, params)
     key = jax.random.key(seed)

@@ -139,7 +139,7 @@ def folder_of(folder: Path | None, default: str) -> Path:
 
 def written(paths: list[Path], json_file: Path | None, numbers: dict | list) -> None:
     """Write the numbers, if that was asked for, and say what was written."""
-    from .sealed import write_json
+    from .storage.sealed import write_json
 
     if json_file is not None:
         json_file.parent.mkdir(parents=True, exist_ok=True)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import typer
 
-from .reading import read_tree
+from .storage.reading import read_tree
 
 
 class Listed(NamedTuple):

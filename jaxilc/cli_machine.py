@@ -122,8 +122,8 @@ def trials(
     Example: jaxilc trials --state x-axis --csv log.csv --plot log.png
     """
     from .cli_common import out as console
-    from .files import atomically
     from .journal import Journal
+    from .storage.files import atomically
     from .titled_table import Table
 
     journal = Journal(state)

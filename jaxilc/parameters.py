@@ -16,7 +16,7 @@ from .pytree.ranges import brief
 from .runtime.provenance import environment
 from .scenarios import Scenario
 from .schemes import Scheme
-from .sealed import read_json, write_json
+from .storage.sealed import read_json, write_json
 
 
 def differing(scheme: Scheme, printed: Scheme) -> dict[str, Any]:

@@ -52,11 +52,11 @@ from . import identification, learning, plants, references, scenarios
 from .machine import Actuator, Disturbance, Machine, Sensor
 from .plants import Plant, from_control
 from .pytree.ranges import brief, require
-from .reading import PARSERS, read_tree
 from .records import read_record
 from .scenarios import Scenario
 from .signals import Task
 from .specification import Table, built, called, classes, flag, list_of, list_of_numbers, number, numbers, one_of, scheme, text, whole
+from .storage.reading import PARSERS, read_tree
 from .uncertainty import LogUniform, Normal, Uniform
 from .uncertainty import check as check_uncertainty
 

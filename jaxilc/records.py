@@ -9,13 +9,13 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from .files import atomically
 from .machine import Machine
 from .plants import Plant
-from .reading import read_columns
 from .schemes import Scheme
 from .schemes.scheme import Feedforward
 from .signals import Task, Trial
+from .storage.files import atomically
+from .storage.reading import read_columns
 from .trial import run_trial
 
 STEP_TOLERANCE = 0.01  # of the sample time, by which a step of a record's time may differ from the others

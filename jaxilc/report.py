@@ -21,8 +21,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rich.table import Table
 
-from .files import atomically
 from .runtime.provenance import describe, environment
+from .storage.files import atomically
 
 if TYPE_CHECKING:
     from .scenarios import Scenario

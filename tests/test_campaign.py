@@ -16,7 +16,7 @@ import typer
 from cases import ALGEBRA, case
 from typer.testing import CliRunner
 
-from jaxilc import cli_machine, exchange, files, journal
+from jaxilc import cli_machine, exchange, journal
 from jaxilc.campaign import Campaign
 from jaxilc.campaign_figures import campaign_figure
 from jaxilc.exchange import Measured
@@ -28,6 +28,7 @@ from jaxilc.plants import from_control
 from jaxilc.schemes import Ladder, Scheme, WithFeedback
 from jaxilc.schemes.compose import Pair
 from jaxilc.schemes.scheme import Feedforward
+from jaxilc.storage import files
 from jaxilc.trial import run_trial
 from jaxilc.trial_checks import Rules, beyond_limits
 

@@ -12,10 +12,11 @@ from gain_case import PROBLEM
 from store_case import filled
 from sweep_case import PLAN
 
-from jaxilc import files, trade_off
+from jaxilc import trade_off
 from jaxilc.campaign import Campaign
 from jaxilc.exchange import Measured
-from jaxilc.files import UNFINISHED
+from jaxilc.storage import files
+from jaxilc.storage.files import UNFINISHED
 from jaxilc.store import open_dataset
 from jaxilc.sweep import Sweep
 from jaxilc.tuning import Tuning

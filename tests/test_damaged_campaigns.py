@@ -14,11 +14,12 @@ from cases import case
 from fuzz import damaged, dumped, flipped, fuzz, pick, refusal
 
 from jaxilc import campaign as of_campaign
-from jaxilc import cli, files
+from jaxilc import cli
 from jaxilc.campaign import Campaign
 from jaxilc.exchange import Measured
 from jaxilc.journal import Journal
-from jaxilc.sealed import archive, read_arrays, sealed
+from jaxilc.storage import files
+from jaxilc.storage.sealed import archive, read_arrays, sealed
 
 
 @pytest.fixture(autouse=True)

@@ -11,7 +11,8 @@ from fuzz import files_of, flipped, fuzz, refusal
 from store_case import filled
 from sweep_case import PLAN
 
-from jaxilc import files, open_dataset, summarise
+from jaxilc import open_dataset, summarise
+from jaxilc.storage import files
 from jaxilc.sweep import Sweep
 
 

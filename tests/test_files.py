@@ -12,11 +12,12 @@ import xarray as xr
 from crash_points import recorded
 from matplotlib.figure import Figure
 
-from jaxilc import cli_common, figures, files
-from jaxilc.files import UNFINISHED, atomically, whole_folder
+from jaxilc import cli_common, figures
 from jaxilc.parameters import write_parameters
 from jaxilc.report import write_report
-from jaxilc.sealed import Damaged, archive, read_arrays, read_json, sealed, unsealed, write_json
+from jaxilc.storage import files
+from jaxilc.storage.files import UNFINISHED, atomically, whole_folder
+from jaxilc.storage.sealed import Damaged, archive, read_arrays, read_json, sealed, unsealed, write_json
 
 
 def names(folder):

@@ -15,13 +15,13 @@ from cases import DT
 from jaxilc import cluster
 from jaxilc.cli_completion import schemes_from
 from jaxilc.exchange import read_measured
-from jaxilc.mat_files import Other, read_mat
 from jaxilc.parameters import with_parameters
 from jaxilc.plant_files import read_scenario
-from jaxilc.reading import DEEPEST, read_tree
 from jaxilc.records import read_record
 from jaxilc.scenarios import load
 from jaxilc.signals import Task
+from jaxilc.storage.mat_files import Other, read_mat
+from jaxilc.storage.reading import DEEPEST, read_tree
 
 TASK = Task(np.sin(0.3 * np.arange(21)), dt=DT, unit="mm", input_unit="V")
 READERS = {

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..files import atomically
+from ..storage.files import atomically
 
 if TYPE_CHECKING:
     import xarray as xr

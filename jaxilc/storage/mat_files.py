@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from .pytree.ranges import brief
+from ..pytree.ranges import brief
 from .reading import read_bytes
 
 ROOM = 64_000_000  # bytes of a file, and of what it unpacks to, where nobody asks for more
