@@ -7,10 +7,11 @@ import jax
 import output
 
 import jaxilc
-from jaxilc import Machine, Sensor, figures, references
+from jaxilc import Machine, Sensor, figures
 from jaxilc.identification import identify
 from jaxilc.plants import voice_coil
 from jaxilc.records import excite, write_record
+from jaxilc.signals import references
 
 jaxilc.setup()
 folder = output.folder(__file__)

@@ -1,21 +1,5 @@
-from . import (
-    figures,
-    filters,
-    inversion,
-    objectives,
-    paths,
-    plants,
-    pytree,
-    references,
-    report,
-    risks,
-    scenarios,
-    schemes,
-    theory,
-    uncertainty,
-)
+from . import figures, filters, inversion, objectives, plants, pytree, report, risks, scenarios, schemes, theory, uncertainty
 from .campaign import Campaign
-from .contour import contour_error
 from .identification import identify
 from .learning import History, feedforward, learn, measured_trial, next_memory
 from .machine import Actuator, Disturbance, Machine, Sensor
@@ -26,7 +10,9 @@ from .reproduction import reproduce
 from .runs import run_schemes
 from .runtime.start import setup
 from .runtime.tiles import tiled
-from .signals import Sample, Task, Trial
+from .signals import paths, references
+from .signals.contour import contour_error
+from .signals.task import Sample, Task, Trial
 from .store import open_dataset
 from .summary import summarise
 from .sweep import Sweep

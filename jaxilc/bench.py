@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from . import peers, references, scenarios
+from . import peers, scenarios
 from .learning import learn
 from .machine import Machine
 from .peers import FIGURES, Peer, Problem
@@ -21,7 +21,8 @@ from .runtime.tiles import tiled
 from .scenarios.xu_2024 import MODEL
 from .schemes import NormOptimal, Scheme
 from .schemes.scheme import Feedforward
-from .signals import Task
+from .signals import references
+from .signals.task import Task
 from .timing import OURS, Cost, Entry, Row, cores, cost, difference, in_turns
 from .trial import run_trial
 

@@ -22,7 +22,7 @@ from .playback import replay, tables
 from .pytree.named_paths import named_leaves
 from .runtime.provenance import describe, differences, environment
 from .schemes import Scheme
-from .signals import Task, Trial
+from .signals.task import Task, Trial
 from .storage.sealed import as_json
 from .trial_checks import Finding, Rules
 

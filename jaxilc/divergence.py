@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 
 from .metrics import Metrics
-from .signals import Task
+from .signals.task import Task
 
 CEILING = 1e3  # times the peak of the reference: largest error of a trial that has not diverged
 GROWTH = 0.5  # relative rise above the best trial's error that counts as growing again

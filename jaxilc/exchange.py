@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .playback import unit_of
-from .signals import Task
+from .signals.task import Task
 from .storage.files import atomically
 from .storage.mat_files import ROOM, Other, read_mat
 from .storage.reading import read_columns

@@ -22,7 +22,7 @@ from .pytree.ranges import SEEDS, Interval, require
 from .records import Record, as_columns, played, task_of
 from .runtime.capacity import check_size
 from .runtime.tiles import tiled
-from .signals import Task
+from .signals.task import Task
 
 CONFIDENCE = 0.95
 SAMPLES_PER_PARAMETER = 5  # the intervals are asymptotic; with fewer samples they would mean nothing

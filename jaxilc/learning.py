@@ -21,7 +21,7 @@ from .plants import Plant
 from .pytree.ranges import brief, require
 from .runtime.capacity import check_size
 from .schemes import Scheme
-from .signals import Task, Trial
+from .signals.task import Task, Trial
 from .trial import run_and_measure
 
 LITTLE = 2**24  # bytes, below which no size is looked at

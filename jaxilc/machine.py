@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from .plants import Plant
 from .pytree.fields import leaf, part, pytree
 from .pytree.needs import need_channels, need_scalars
-from .signals import Limit, Task, Trial, quantise
+from .signals.task import Limit, Task, Trial, quantise
 
 
 @pytree

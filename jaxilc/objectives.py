@@ -25,7 +25,7 @@ from .pytree.fields import leaf, part, pytree
 from .pytree.ranges import require
 from .schemes import Scheme
 from .schemes.guards import Guard
-from .signals import Sample, Task, Trial
+from .signals.task import Sample, Task, Trial
 
 FLOOR = 1e-6
 

@@ -48,13 +48,14 @@ from typing import Any
 import numpy as np
 from scipy.signal import BadCoefficients
 
-from . import identification, learning, plants, references, scenarios
+from . import identification, learning, plants, scenarios
 from .machine import Actuator, Disturbance, Machine, Sensor
 from .plants import Plant, from_control
 from .pytree.ranges import brief, require
 from .records import read_record
 from .scenarios import Scenario
-from .signals import Task
+from .signals import references
+from .signals.task import Task
 from .specification import Table, built, called, classes, flag, list_of, list_of_numbers, number, numbers, one_of, scheme, text, whole
 from .storage.reading import PARSERS, read_tree
 from .uncertainty import LogUniform, Normal, Uniform

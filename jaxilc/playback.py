@@ -13,7 +13,7 @@ from .machine import Actuator
 from .pytree.named_paths import named_leaves
 from .schemes import MultivariableILC, OnOutputs, OnReference, Scheme, WithFeedback
 from .schemes.compose import Around
-from .signals import Sample, Task
+from .signals.task import Sample, Task
 
 
 def tables(scheme: Scheme, memory, task: Task) -> dict[str, np.ndarray]:

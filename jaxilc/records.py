@@ -13,7 +13,7 @@ from .machine import Machine
 from .plants import Plant
 from .schemes import Scheme
 from .schemes.scheme import Feedforward
-from .signals import Task, Trial
+from .signals.task import Task, Trial
 from .storage.files import atomically
 from .storage.reading import read_columns
 from .trial import run_trial

@@ -13,7 +13,7 @@ from .machine import Machine
 from .metrics import Keep, best_trial
 from .runtime.capacity import check_size
 from .schemes import Scheme
-from .signals import Task, Trial
+from .signals.task import Task, Trial
 
 if TYPE_CHECKING:
     import xarray as xr

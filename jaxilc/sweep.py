@@ -24,7 +24,7 @@ from .runtime import capacity, provenance
 from .runtime.provenance import describe
 from .runtime.tiles import OPEN, tiled, usual_lanes
 from .schemes import Scheme
-from .signals import Task, Trial
+from .signals.task import Task, Trial
 from .store import Layout, Store, Variable
 from .uncertainty import Uncertainty, draw, drawn_machine, drawn_samples
 

@@ -10,7 +10,7 @@ from .layout import scanned
 from .machine import Machine
 from .metrics import Metrics, Tally, measure
 from .schemes import Scheme
-from .signals import Sample, Task, Trial
+from .signals.task import Sample, Task, Trial
 
 
 def run_trial(machine: Machine, scheme: Scheme, task: Task, memory, key) -> Trial:

@@ -9,7 +9,7 @@ import numpy as np
 
 from .machine import Actuator
 from .pytree.ranges import Interval
-from .signals import Task, Trial
+from .signals.task import Task, Trial
 
 AT_LIMIT = 1e-3  # of the limit, within which an input counts as saturated
 AS_PLAYED = 1e-4  # of a table's peak, by which it may differ from what the machine recorded of it

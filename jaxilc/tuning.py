@@ -54,7 +54,7 @@ from .runtime.provenance import environment
 from .runtime.recipe import describe
 from .runtime.tiles import OPEN, tiled, usual_lanes
 from .schemes import Scheme
-from .signals import Task, Trial
+from .signals.task import Task, Trial
 from .states import Folder
 from .sweep import Sweep
 from .tuning_sizes import need_room

@@ -18,7 +18,7 @@ from .learning import check
 from .machine import Machine
 from .pytree.named_paths import get_at, interval_at, named_leaves, replaced
 from .schemes import Scheme
-from .signals import Task
+from .signals.task import Task
 
 FAR = 12.0  # on the real line: where a weight might go, e^12 or 6e-6 from an end
 

@@ -30,7 +30,8 @@ import jax
 import jax.numpy as jnp
 
 import jaxilc
-from jaxilc import Machine, Task, figures, learn, plants, references, schemes
+from jaxilc import Machine, Task, figures, learn, plants, schemes
+from jaxilc.signals import references
 
 # %matplotlib inline
 # ruff: noqa: B018

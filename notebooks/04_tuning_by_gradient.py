@@ -34,11 +34,12 @@ import scipy.integrate
 from matplotlib.figure import Figure
 
 import jaxilc
-from jaxilc import Actuator, Machine, Sensor, Task, Tuning, Uniform, figures, plants, references, schemes
+from jaxilc import Actuator, Machine, Sensor, Task, Tuning, Uniform, figures, plants, schemes
 from jaxilc.filters import ZeroPhaseButterworth
 from jaxilc.objectives import Final, Growth
 from jaxilc.pytree.named_paths import replaced
 from jaxilc.risks import CVaR
+from jaxilc.signals import references
 from jaxilc.theory.contraction import error_map
 
 # %matplotlib inline

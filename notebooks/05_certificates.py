@@ -29,8 +29,9 @@
 import numpy as np
 
 import jaxilc
-from jaxilc import Machine, Task, figures, learn, plants, references, schemes, theory
+from jaxilc import Machine, Task, figures, learn, plants, schemes, theory
 from jaxilc.filters import ZeroPhaseButterworth
+from jaxilc.signals import references
 from jaxilc.uncertainty import draw
 
 # %matplotlib inline

@@ -26,10 +26,11 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxilc
-from jaxilc import Machine, Task, Uniform, figures, references
+from jaxilc import Machine, Task, Uniform, figures
 from jaxilc.plants import Plant
 from jaxilc.pytree.fields import leaf, pytree
 from jaxilc.schemes import PID, PIDType, Scheme, WithFeedback
+from jaxilc.signals import references
 
 # %matplotlib inline
 # ruff: noqa: B018

@@ -37,10 +37,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import jaxilc
-from jaxilc import Disturbance, Machine, Sensor, Task, figures, plants, references
+from jaxilc import Disturbance, Machine, Sensor, Task, figures, plants
 from jaxilc.filters import ZeroPhaseButterworth
 from jaxilc.metrics import Keep
 from jaxilc.schemes import CFDLMFAILC, PID, Filtered, NormOptimal, PIDType, WithFeedback
+from jaxilc.signals import references
 from jaxilc.theory import frequency
 
 # %matplotlib inline

@@ -49,7 +49,7 @@ from jaxilc.schemes import (
     StopWhen,
     WithFeedback,
 )
-from jaxilc.signals import Task
+from jaxilc.signals.task import Task
 from jaxilc.switching import SwitchableFilter
 
 # The three tolerance tiers: rounding, central differences, and chance in units of one standard error.

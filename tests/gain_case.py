@@ -7,7 +7,7 @@ from jaxilc.machine import Machine
 from jaxilc.objectives import Final
 from jaxilc.plants import StateSpace
 from jaxilc.schemes import PIDType
-from jaxilc.signals import Task
+from jaxilc.signals.task import Task
 from jaxilc.tuning import Tuning
 from jaxilc.uncertainty import Uniform
 

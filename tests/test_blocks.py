@@ -14,7 +14,7 @@ from jaxilc.plants import DifferenceEquation, InBlocks, StateSpace, TwoAxes, Voi
 from jaxilc.pytree.named_paths import replaced
 from jaxilc.schemes import CFDLMFAILC, PID, PIDType, Scheme, WithFeedback
 from jaxilc.schemes.scheme import Feedforward
-from jaxilc.signals import Task
+from jaxilc.signals.task import Task
 from jaxilc.trial import run_trial
 
 RNG = np.random.default_rng(0)

@@ -24,7 +24,7 @@ from jaxilc.schemes import (
     StopWhen,
     WithFeedback,
 )
-from jaxilc.signals import Task
+from jaxilc.signals.task import Task
 from jaxilc.theory import cfdl_bounds, contraction, frequency, lifted, sliding
 from jaxilc.theory.enclosure import arc_of_loop, size, supremum
 from jaxilc.theory.loop import Loop

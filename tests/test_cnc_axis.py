@@ -15,7 +15,7 @@ from jaxilc.machine import Machine, Sensor
 from jaxilc.metrics import Keep, best_trial, measure
 from jaxilc.plants import StateSpace, TwoAxes, cnc_axis
 from jaxilc.schemes import PID, ErrorFiltered, Filtered, OnOutputs, PIDType, WithFeedback
-from jaxilc.signals import Task, Trial
+from jaxilc.signals.task import Task, Trial
 from jaxilc.switching import SwitchableFilter
 
 

@@ -15,7 +15,7 @@ from jaxilc.machine import Disturbance, Machine, Sensor
 from jaxilc.plants import StateSpace
 from jaxilc.pytree.named_paths import named_leaves
 from jaxilc.schemes import CFDLMFAILC, CFDLMFAPC, FFDLMFAILC, PID, Filtered, PIDType, WithFeedback
-from jaxilc.signals import Task
+from jaxilc.signals.task import Task
 from jaxilc.theory import contraction, frequency, lifted
 from jaxilc.uncertainty import Uniform, draw, drawn_machine
 

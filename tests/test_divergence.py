@@ -17,7 +17,7 @@ from jaxilc.plants import StateSpace
 from jaxilc.runs import run_schemes
 from jaxilc.scenarios import Published
 from jaxilc.schemes import PIDType
-from jaxilc.signals import Task
+from jaxilc.signals.task import Task
 from jaxilc.summary import summarise
 from jaxilc.sweep import Sweep
 from jaxilc.tuning import Tuning

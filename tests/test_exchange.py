@@ -17,7 +17,7 @@ from jaxilc.playback import replay, tables
 from jaxilc.schemes import OnOutputs, Scheme, WithFeedback
 from jaxilc.schemes.compose import Pair
 from jaxilc.schemes.scheme import Feedforward
-from jaxilc.signals import Task
+from jaxilc.signals.task import Task
 from jaxilc.trial import run_trial
 
 N = 20

@@ -27,7 +27,7 @@ from jaxilc.plants import (
     fast_tool_servo,
 )
 from jaxilc.schemes import PIDType
-from jaxilc.signals import Task
+from jaxilc.signals.task import Task
 
 DT = 1e-4
 N = 100

@@ -16,7 +16,7 @@ from jaxilc.plants import DifferenceEquation, TwoAxes
 from jaxilc.runs import run_schemes
 from jaxilc.scenarios.scenario import Published
 from jaxilc.schemes import PIDType
-from jaxilc.signals import Task
+from jaxilc.signals.task import Task
 from jaxilc.theory import frequency
 from jaxilc.theory.condition import condition
 

@@ -12,7 +12,7 @@ from cases import ALGEBRA, DT
 
 from jaxilc.filters import ZeroPhaseButterworth, ZeroPhaseFIR, ZeroPhaseIIR, butterworth_sections
 from jaxilc.schemes import Filtered, PIDType
-from jaxilc.signals import Task
+from jaxilc.signals.task import Task
 
 N = 90
 SIGNAL = np.cumsum(np.random.default_rng(2).normal(size=(N, 2)), axis=0) + 5.0  # neither starts nor ends at zero

@@ -12,7 +12,7 @@ from jaxilc.learning import learn
 from jaxilc.machine import Machine
 from jaxilc.plants import DifferenceEquation
 from jaxilc.schemes import CFDLMFAILC
-from jaxilc.signals import Task
+from jaxilc.signals.task import Task
 
 NAMES = ("a", "b", "c")
 DESIGN = np.random.default_rng(0).normal(size=(12, 3))

@@ -19,7 +19,7 @@ from jaxilc.pytree.fields import leaf, part, pytree
 from jaxilc.pytree.named_paths import get_at, replaced
 from jaxilc.schemes import CFDLMFAC, CFDLMFAILC, PID, Filtered, OnOutputs, OnReference, PIDType, Scheme, WithFeedback
 from jaxilc.schemes.scheme import Feedforward
-from jaxilc.signals import Task
+from jaxilc.signals.task import Task
 from jaxilc.theory import frequency, lifted
 from jaxilc.uncertainty import Normal, Uniform
 

@@ -11,7 +11,7 @@ from jaxilc import learning, objectives, risks
 from jaxilc.machine import Actuator, Disturbance, Machine, Sensor
 from jaxilc.plants import StateSpace
 from jaxilc.schemes import PIDType
-from jaxilc.signals import Task
+from jaxilc.signals.task import Task
 from jaxilc.sweep import Sweep
 from jaxilc.tuning import Tuning
 from jaxilc.uncertainty import LogUniform, Normal, Uniform, check, with_spread

@@ -12,13 +12,14 @@ import scipy.io
 from cases import DT
 from fuzz import bytes_damaged, damaged, dumped, fuzz, pick
 
-from jaxilc import learning, references
+from jaxilc import learning
 from jaxilc.exchange import read_measured
 from jaxilc.parameters import with_parameters
 from jaxilc.plant_files import read_scenario
 from jaxilc.records import read_record
 from jaxilc.scenarios import load
-from jaxilc.signals import Task
+from jaxilc.signals import references
+from jaxilc.signals.task import Task
 
 TASK = {"dt": 0.001, "unit": "mm", "input_unit": "V"}
 SINE = {"function": "sinusoid", "amplitude": 1.0, "frequency": 10.0, "duration": 0.05}

@@ -22,7 +22,7 @@ from jaxilc.schemes import (
     StopWhen,
     WithFeedback,
 )
-from jaxilc.signals import Task
+from jaxilc.signals.task import Task
 
 N = 40
 R = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(N + 1) / N) + 0.05 * np.sin(1.3 * np.arange(N + 1))

@@ -8,7 +8,7 @@ from jaxilc.learning import learn
 from jaxilc.machine import Machine
 from jaxilc.plants import DifferenceEquation, StateSpace
 from jaxilc.schemes import HigherOrder, PIDType
-from jaxilc.signals import Task
+from jaxilc.signals.task import Task
 
 N = 40
 R = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(N + 1) / N) + 0.05 * np.sin(1.3 * np.arange(N + 1))

@@ -12,7 +12,7 @@ from jaxilc.machine import Actuator, Machine, Sensor
 from jaxilc.plants import DifferenceEquation, ProcessModel, StateSpace, VoiceCoil, voice_coil
 from jaxilc.pytree.named_paths import get_at
 from jaxilc.records import Record, excite, read_record, write_record
-from jaxilc.references import m_sequence
+from jaxilc.signals.references import m_sequence
 
 DT = 1e-3
 U = m_sequence(9, hold=2, periods=3)  # (3066,) [V]

@@ -10,7 +10,7 @@ from cases import ALGEBRA, DIFFERENCES, DT
 
 from jaxilc.inversion import ZPETC, Factors, StableInverse, factors, inverse, output_ratio, stable_inverse, zpetc
 from jaxilc.plants import StateSpace
-from jaxilc.references import s_curve
+from jaxilc.signals.references import s_curve
 
 N = 120
 PAIR = 0.95 * np.exp(0.9j)

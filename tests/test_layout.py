@@ -13,7 +13,7 @@ from jaxilc.learning import learn
 from jaxilc.machine import Machine
 from jaxilc.plants import DifferenceEquation
 from jaxilc.schemes import CFDLMFAILC, FFDLMFAILC
-from jaxilc.signals import Task
+from jaxilc.signals.task import Task
 
 SINE = Task(np.sin(2 * np.pi * np.arange(51) / 50), dt=1e-3)
 X = jnp.asarray(np.random.default_rng(0).normal(size=(3, 5, 2)))

@@ -14,7 +14,7 @@ from jaxilc.metrics import measure
 from jaxilc.plants import DifferenceEquation
 from jaxilc.pytree.fields import leaf, pytree
 from jaxilc.schemes import CFDLMFAILC, PID, PIDType, Scheme, WithFeedback
-from jaxilc.signals import Task, Trial, product
+from jaxilc.signals.task import Task, Trial, product
 from jaxilc.trial import run_trial
 
 TRIALS = 5

@@ -11,7 +11,7 @@ from jaxilc.learning import learn
 from jaxilc.machine import Actuator, Disturbance, Machine, Sensor, quantise
 from jaxilc.plants import DifferenceEquation, StateSpace
 from jaxilc.schemes import CFDLMFAILC, PID, Filtered, PIDType
-from jaxilc.signals import Task
+from jaxilc.signals.task import Task
 
 DELAY = DifferenceEquation((0.0,), (1.0,), dt=DT)  # y[k+1] = u[k]
 ZERO = PID()

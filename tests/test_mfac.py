@@ -13,7 +13,7 @@ from jaxilc.machine import Disturbance, Machine
 from jaxilc.plants import DifferenceEquation, StateSpace
 from jaxilc.pytree.named_paths import named_leaves
 from jaxilc.schemes import CFDLMFAC, CFDLMFAPC, FFDLMFAC, PFDLMFAC
-from jaxilc.signals import Task
+from jaxilc.signals.task import Task
 from jaxilc.trial import run_trial
 
 N = 70

@@ -14,7 +14,7 @@ from jaxilc.objectives import Bounded
 from jaxilc.plants import DifferenceEquation
 from jaxilc.playback import replay
 from jaxilc.schemes import FFDLMFAILC, PFDLMFAILC, PID, OnOutputs, WithFeedback
-from jaxilc.signals import Task
+from jaxilc.signals.task import Task
 from jaxilc.trial import run_trial
 
 N, TRIALS, SETS = 40, 5, 12

@@ -19,7 +19,7 @@ from jaxilc.plants.motor import DTL85_708, MotorState
 from jaxilc.pytree.fields import pytree
 from jaxilc.pytree.named_paths import get_at, named_leaves, replaced
 from jaxilc.schemes import CFDLMFAILC
-from jaxilc.signals import Task
+from jaxilc.signals.task import Task
 
 UNLIMITED = {"current_limit": None, "voltage_limit": None, "speed_limit": None}
 N = 80

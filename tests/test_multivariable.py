@@ -18,7 +18,7 @@ from jaxilc.machine import Actuator, Machine
 from jaxilc.metrics import Keep
 from jaxilc.plants import BallScrewDrive, StateSpace, cascade, direct_model, multivariable_model
 from jaxilc.schemes import PID, MultivariableILC, NormOptimal, OnOutputs, PIDType, WithFeedback
-from jaxilc.signals import Task
+from jaxilc.signals.task import Task
 from jaxilc.theory import contraction, frequency, lifted
 
 N, TRIALS = 100, 30

@@ -13,7 +13,7 @@ from jaxilc.machine import Machine
 from jaxilc.plants import StateSpace, TimeVaryingStateSpace
 from jaxilc.schemes import NormOptimal
 from jaxilc.schemes.norm_optimal import LARGEST_LIFTED
-from jaxilc.signals import Task
+from jaxilc.signals.task import Task
 
 N, TRIALS = 24, 5
 RANDOM = np.random.default_rng(5)

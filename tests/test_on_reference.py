@@ -11,7 +11,7 @@ from jaxilc.learning import feedforward, learn, measured_trial, next_memory
 from jaxilc.machine import Machine
 from jaxilc.plants import DifferenceEquation, StateSpace
 from jaxilc.schemes import CFDLMFAC, CFDLMFAILC, CFDLMFAPC, FFDLMFAILC, PID, Filtered, OnOutputs, OnReference, PIDType, WithFeedback
-from jaxilc.signals import Task
+from jaxilc.signals.task import Task
 
 N, TRIALS = 40, 5
 K = np.arange(N + 1)

@@ -11,14 +11,14 @@ import pytest
 from cases import ALGEBRA, DIFFERENCES
 from numpy.testing import assert_allclose, assert_array_equal
 
-from jaxilc.contour import contour_error
 from jaxilc.learning import learn
 from jaxilc.machine import Machine
-from jaxilc.paths import butterfly, circle, line, nurbs, plan
 from jaxilc.plants import StateSpace
-from jaxilc.references import s_curve_move
 from jaxilc.schemes import PIDType
-from jaxilc.signals import Task
+from jaxilc.signals.contour import contour_error
+from jaxilc.signals.paths import butterfly, circle, line, nurbs, plan
+from jaxilc.signals.references import s_curve_move
+from jaxilc.signals.task import Task
 
 LIMITS = {"feed": 100.0, "acceleration": 2000.0, "jerk": 1e5}
 GENTLE = {"feed": 30.0, "acceleration": 300.0, "jerk": 8e3}

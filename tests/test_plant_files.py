@@ -9,13 +9,14 @@ import scipy.signal
 from cases import ALGEBRA, DT
 from typer.testing import CliRunner
 
-from jaxilc import plants, references, scenarios
+from jaxilc import plants, scenarios
 from jaxilc.cli import app
 from jaxilc.learning import learn
 from jaxilc.machine import Machine
 from jaxilc.plant_files import load_scenario, read_scenario
 from jaxilc.records import excite, write_record
 from jaxilc.schemes import PID, Filtered, Ladder, MultivariableILC, NormOptimal, OnOutputs, PIDType, StopWhen, WithFeedback
+from jaxilc.signals import references
 from jaxilc.specification import classes
 from jaxilc.uncertainty import LogUniform, Normal, Uniform, draw
 

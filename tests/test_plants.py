@@ -12,7 +12,7 @@ from jaxilc.plants import DifferenceEquation, StateSpace, VoiceCoil, from_contro
 from jaxilc.pytree.fields import leaf, pytree
 from jaxilc.schemes import PID, PIDType, Scheme
 from jaxilc.schemes.scheme import Feedforward
-from jaxilc.signals import Task
+from jaxilc.signals.task import Task
 
 N = 60
 U = np.random.default_rng(3).normal(size=(N, 2))

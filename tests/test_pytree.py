@@ -27,7 +27,7 @@ from jaxilc.schemes import (
     Scheme,
     WithFeedback,
 )
-from jaxilc.signals import Task
+from jaxilc.signals.task import Task
 
 MACHINE = Machine(VoiceCoil(), Actuator(limit=5.0), Sensor(resolution=1e-4))
 BOTH = {"machine": MACHINE, "scheme": WithFeedback(PIDType(gamma_p=-1.0, lead=2), PID(kp=-4.0))}

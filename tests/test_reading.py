@@ -19,7 +19,7 @@ from jaxilc.parameters import with_parameters
 from jaxilc.plant_files import read_scenario
 from jaxilc.records import read_record
 from jaxilc.scenarios import load
-from jaxilc.signals import Task
+from jaxilc.signals.task import Task
 from jaxilc.storage.mat_files import Other, read_mat
 from jaxilc.storage.reading import DEEPEST, read_tree
 

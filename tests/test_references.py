@@ -10,7 +10,7 @@ import scipy.optimize
 import scipy.signal
 from numpy.testing import assert_allclose, assert_array_equal
 
-from jaxilc.references import SCurveMove, chirp, m_sequence, multisine, noncircular, s_curve, s_curve_move, sinusoid
+from jaxilc.signals.references import SCurveMove, chirp, m_sequence, multisine, noncircular, s_curve, s_curve_move, sinusoid
 
 LIMITS = {"velocity": 100.0, "acceleration": 2000.0, "jerk": 1e5}
 # distance [mm], limits, and the closed-form time [s] of each of the four cases

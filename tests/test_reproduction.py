@@ -13,7 +13,7 @@ from jaxilc.plants import DifferenceEquation
 from jaxilc.reproduction import reproduce
 from jaxilc.scenarios import Fit, Published, Scenario
 from jaxilc.schemes import PID, PIDType, Scheme
-from jaxilc.signals import Task
+from jaxilc.signals.task import Task
 
 NAN = float("nan")
 FAST, SLOW = (("speed", "fast"),), (("speed", "slow"),)

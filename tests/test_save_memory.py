@@ -11,7 +11,7 @@ import pytest
 from jaxilc import learning
 from jaxilc.learning import learn
 from jaxilc.schemes import PIDType
-from jaxilc.signals import Task
+from jaxilc.signals.task import Task
 
 CALLS = 6
 LITTLE = 1.5e6  # bytes a call; a program takes twice as much, on a longer trial several times

@@ -12,7 +12,7 @@ from jaxilc.learning import learn
 from jaxilc.machine import Machine
 from jaxilc.plants import DifferenceEquation, StateSpace
 from jaxilc.schemes import CFDLMFAILC, FFDLMFAILC, PFDLMFAILC, PID, Filtered, OnOutputs, PIDType, WithFeedback
-from jaxilc.signals import Task
+from jaxilc.signals.task import Task
 
 N, TRIALS = 60, 6
 R = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(N + 1) / N) + 0.05 * np.sin(1.3 * np.arange(N + 1))

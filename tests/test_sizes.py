@@ -13,7 +13,7 @@ from cases import case
 from gain_case import GAINS, PROBLEM, STATIC
 from sweep_case import PLAN
 
-from jaxilc import bench, plants, references
+from jaxilc import bench, plants
 from jaxilc.identification import identify
 from jaxilc.learning import learn
 from jaxilc.plants import InBlocks
@@ -21,7 +21,8 @@ from jaxilc.records import Record
 from jaxilc.runs import run_schemes
 from jaxilc.runtime import capacity
 from jaxilc.schemes import CFDLMFAPC
-from jaxilc.signals import Task
+from jaxilc.signals import references
+from jaxilc.signals.task import Task
 from jaxilc.theory import certify, premises
 from jaxilc.trade_off import by_trials
 from jaxilc.uncertainty import draw

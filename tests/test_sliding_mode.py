@@ -17,7 +17,7 @@ from jaxilc.metrics import chattering, total_variation
 from jaxilc.plants import StateSpace
 from jaxilc.schemes import ASMC, PID, SMC, ExponentialPD, Filtered, PIDType, WithFeedback
 from jaxilc.schemes.velocity import filtered_difference
-from jaxilc.signals import Task, Trial
+from jaxilc.signals.task import Task, Trial
 from jaxilc.theory import contraction, frequency
 from jaxilc.theory.sliding import printed_condition, sampled_condition, sliding, within_layer
 from jaxilc.trial import run_trial

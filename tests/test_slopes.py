@@ -35,7 +35,7 @@ from jaxilc.objectives import (
 from jaxilc.plants import StateSpace
 from jaxilc.schemes import CFDLMFAILC, FFDLMFAILC, PID, PIDType
 from jaxilc.schemes.pseudo_gradient import reset_estimate
-from jaxilc.signals import Task
+from jaxilc.signals.task import Task
 from jaxilc.uncertainty import Uniform
 
 EVERYTHING = (

@@ -14,9 +14,9 @@ from jaxilc.filters import PRINTED_LI_2020, ZeroPhaseButterworth, ZeroPhaseIIR
 from jaxilc.learning import learn
 from jaxilc.machine import Machine, Sensor
 from jaxilc.plants import StateSpace
-from jaxilc.references import chirp
 from jaxilc.schemes import Filtered, PIDType
-from jaxilc.signals import Task
+from jaxilc.signals.references import chirp
+from jaxilc.signals.task import Task
 from jaxilc.switching import SwitchableFilter, cutoffs_below, instantaneous_frequency, segments
 from jaxilc.theory.frequency import learning_condition
 

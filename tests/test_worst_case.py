@@ -11,7 +11,7 @@ from jaxilc.objectives import Final, judge
 from jaxilc.plants import StateSpace
 from jaxilc.pytree.fields import leaf, pytree
 from jaxilc.schemes import PID, PIDType
-from jaxilc.signals import Task
+from jaxilc.signals.task import Task
 from jaxilc.uncertainty import LogUniform, Normal, Uniform
 from jaxilc.worst_case import GRADIENT_COST, monte_carlo_search, worst_case_search
 

@@ -106,7 +106,7 @@ def contour(
     """
     import jax
 
-    from ..contour import contour_error
+    from ..signals.contour import contour_error
 
     signals = [tuple(signal_of(dataset, name, scheme, j) for name in ("y", "e")) for j in trials]
     path = _reference(dataset, *signals[0])

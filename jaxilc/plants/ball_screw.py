@@ -12,7 +12,7 @@ from jax.flatten_util import ravel_pytree
 
 from ..pytree.fields import leaf, part, pytree, scalar, static
 from ..pytree.needs import known
-from ..signals import product, quantise
+from ..signals.task import product, quantise
 from .friction import StribeckFriction
 from .integration import RK4_RADIUS, Propagator, exponential_runge_kutta, propagator
 from .linear import StateSpace, matching

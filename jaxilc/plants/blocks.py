@@ -12,7 +12,7 @@ from jax.flatten_util import ravel_pytree
 
 from ..pytree.fields import part, pytree, static
 from ..runtime.capacity import check_size
-from ..signals import Task, product
+from ..signals.task import Task, product
 from .cnc_axis import TwoAxes
 from .linear import DifferenceEquation, StateSpace
 from .plant import Plant

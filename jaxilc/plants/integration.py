@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import jax
 
-from ..signals import product
+from ..signals.task import product
 from .linear import zoh
 
 # Runge-Kutta 4 damps every stable pole within this |pole| h: the stability region's smallest radius in the left half-plane is 2.616.

@@ -10,7 +10,7 @@ import jax.scipy.linalg
 import numpy as np
 
 from ..pytree.fields import leaf, part, pytree, static
-from ..signals import Task, product
+from ..signals.task import Task, product
 from .plant import Plant
 
 AnyPlant = TypeVar("AnyPlant", bound=Plant)

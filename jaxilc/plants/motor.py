@@ -12,7 +12,7 @@ from jax import lax
 
 from ..pytree.fields import part, pytree, scalar, static
 from ..pytree.needs import known
-from ..signals import Task
+from ..signals.task import Task
 from .friction import StribeckFriction
 from .integration import RK4_RADIUS, runge_kutta
 from .linear import StateSpace

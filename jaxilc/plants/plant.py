@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 import jax
 
-from ..signals import Task
+from ..signals.task import Task
 
 State = Any
 

@@ -6,11 +6,11 @@ IEEE Access 7 (2019). Lengths in mm, input in V, errors shown in µm.
 
 from __future__ import annotations
 
-from .. import references
 from ..machine import Machine
 from ..plants import voice_coil
 from ..schemes import CFDLMFAILC, CFDLMFAPC, FFDLMFAILC, PFDLMFAILC, PID, PIDType, WithFeedback
-from ..signals import Task
+from ..signals import references
+from ..signals.task import Task
 from ..uncertainty import Uniform
 from .scenario import NOTHING, Fit, Published, Scenario
 

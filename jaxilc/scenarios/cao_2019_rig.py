@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import dataclasses
 
-from .. import references
 from ..filters import ZeroPhaseButterworth
 from ..machine import Actuator, Machine, Sensor
 from ..plants import StribeckFriction, voice_coil_motor
 from ..schemes import CFDLMFAILC, PID, Filtered, WithFeedback
-from ..signals import Task
+from ..signals import references
+from ..signals.task import Task
 from ..uncertainty import Uniform
 from .scenario import NOTHING, Published, Scenario
 

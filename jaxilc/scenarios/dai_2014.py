@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from .. import references
 from ..machine import Machine
 from ..plants import voice_coil
 from ..schemes import CFDLMFAPC, PID
-from ..signals import Task
+from ..signals import references
+from ..signals.task import Task
 from .cao_2019 import motor_uncertainty
 from .scenario import NOTHING, Fit, Published, Scenario
 

@@ -13,15 +13,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .. import paths
-from ..contour import contour_error
 from ..filters import ZeroPhaseButterworth
 from ..machine import Actuator, Disturbance, Machine, Sensor
 from ..metrics import largest, root_mean_square
 from ..plants import TwoAxes, cnc_axis
 from ..plants.cnc_axis import SAMPLE_TIME
 from ..schemes import PID, ErrorFiltered, HigherOrder, Ladder, OnReference, PIDType, Scheme, StopWhen, WithFeedback
-from ..signals import Task
+from ..signals import paths
+from ..signals.contour import contour_error
+from ..signals.task import Task
 from ..switching import segments
 from ..uncertainty import Uniform
 from .scenario import Fit, Published, Quantity, Scenario

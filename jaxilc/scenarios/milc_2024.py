@@ -14,13 +14,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .. import references
 from ..inversion import inverse, output_ratio
 from ..machine import Actuator, Machine, Sensor
 from ..metrics import largest, root_mean_square
 from ..plants import BallScrewDrive, FrictionTable, LeadError, StateSpace, StribeckFriction, direct_model, multivariable_model
 from ..schemes import PID, MultivariableILC, NormOptimal, OnOutputs, WithFeedback
-from ..signals import Task
+from ..signals import references
+from ..signals.task import Task
 from ..uncertainty import Uniform
 from .scenario import Fit, Published, Quantity, Scenario
 

@@ -17,7 +17,7 @@ from ..printable import printable
 from ..pytree.named_paths import allowed_at, get_at, kind_at, replaced, settable
 from ..pytree.ranges import brief, named
 from ..schemes import Scheme
-from ..signals import Task, Trial
+from ..signals.task import Task, Trial
 from ..uncertainty import Uncertainty
 
 _NAME = re.compile(r"[^\W_][\w +-]{0,49}")  # of a scheme: part of a path of parameters and of files' names

@@ -12,12 +12,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from .. import references
 from ..machine import Actuator, Machine, Sensor
 from ..metrics import chattering
 from ..plants import BoucWen, FastToolServo, PeriodicForce, fast_tool_servo
 from ..schemes import ASMC, PID, SMC, ExponentialPD, Scheme, WithFeedback
-from ..signals import Task
+from ..signals import references
+from ..signals.task import Task
 from ..uncertainty import Uniform
 from .scenario import Fit, Published, Quantity, Scenario
 

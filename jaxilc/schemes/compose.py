@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from ..filters import Filter
 from ..pytree.fields import part, pytree, static
-from ..signals import Limit, Sample, Task, Trial
+from ..signals.task import Limit, Sample, Task, Trial
 from .scheme import Scheme, State, limit_of, limited, limits_below
 
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from ..pytree.fields import leaf, pytree, static
 from ..pytree.needs import need_channels
-from ..signals import Limit, Task, Trial
+from ..signals.task import Limit, Task, Trial
 from .pid_type import need_lead
 from .scheme import Feedforward, Scheme, ahead, limit_of, limited, need_square
 from .sliding_mode import need_input_gain

@@ -10,7 +10,7 @@ from jax import lax
 
 from ..pytree.fields import leaf, part, pytree, static
 from ..pytree.needs import need_channels
-from ..signals import Limit, Task, Trial
+from ..signals.task import Limit, Task, Trial
 from .compose import Around
 from .mfailc import FFDLMFAILC
 from .scheme import Scheme

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..pytree.fields import leaf, pytree, static
 from ..pytree.needs import known, need_channels
-from ..signals import Limit, Task, Trial
+from ..signals.task import Limit, Task, Trial
 from .pid_type import need_lead
 from .scheme import Feedforward, Scheme, ahead, limit_of, limited, need_square
 

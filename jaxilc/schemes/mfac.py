@@ -13,7 +13,7 @@ import jax.numpy as jnp
 
 from ..pytree.fields import leaf, pytree, static
 from ..pytree.needs import need_channels
-from ..signals import Sample, Task
+from ..signals.task import Sample, Task
 from .pseudo_gradient import RESETS, need_window, pseudo_gradient, reset_estimate
 from .scheme import Scheme, limited, need_square
 

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 
 from ..pytree.fields import leaf, pytree, static
 from ..pytree.needs import need_channels
-from ..signals import Sample, Task, Trial
+from ..signals.task import Sample, Task, Trial
 from .pid_type import need_lead
 from .pseudo_gradient import RESETS, need_window, pseudo_gradient, reset_estimate
 from .scheme import Scheme, ahead, limited, need_square, past

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from ..filters import Filter
 from ..pytree.fields import part, pytree, static
-from ..signals import Limit, Sample, Task, Trial
+from ..signals.task import Limit, Sample, Task, Trial
 from .compose import Pair, below, of_part, silent_signals
 from .on_reference import ReferenceTable
 from .scheme import Scheme, State, limits_below, past

@@ -15,7 +15,7 @@ from ..plants import StateSpace, TimeVaryingStateSpace
 from ..pytree.fields import leaf, part, pytree, static
 from ..pytree.needs import known, need_channels
 from ..pytree.ranges import brief
-from ..signals import Limit, Task, Trial, product
+from ..signals.task import Limit, Task, Trial, product
 from .scheme import Feedforward, Scheme, limit_of, limited
 
 LARGEST_LIFTED = 8192  # rows or columns of the dense form: half a gigabyte each for H and the factor, in float64

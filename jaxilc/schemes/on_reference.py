@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from ..pytree.fields import part, pytree
-from ..signals import Limit, Sample, Task, Trial
+from ..signals.task import Limit, Sample, Task, Trial
 from .compose import Pair, below, need_feedforward, of_part, silent_signals
 from .scheme import Scheme, State, limits_below, past
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from ..pytree.fields import leaf, pytree, static
 from ..pytree.needs import need_channels
-from ..signals import Sample, Task
+from ..signals.task import Sample, Task
 from .scheme import Scheme, limited, need_square
 
 

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ..signals import Limit, Sample, Task, Trial
+from ..signals.task import Limit, Sample, Task, Trial
 
 Memory = Any
 State = Any

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..pytree.fields import leaf, pytree, static
 from ..pytree.needs import known, need_channels
-from ..signals import Sample, Task, Trial
+from ..signals.task import Sample, Task, Trial
 from .scheme import Scheme, limited, need_square
 from .velocity import filtered_difference
 

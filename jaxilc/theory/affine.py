@@ -17,7 +17,7 @@ from jax.flatten_util import ravel_pytree
 
 from ..machine import Machine
 from ..schemes import Scheme
-from ..signals import Task
+from ..signals.task import Task
 from .linearity import remembers
 from .trials import learned_shape, next_learned, played, trial_of
 

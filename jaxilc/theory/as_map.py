@@ -13,7 +13,7 @@ from jax import lax
 from ..machine import Machine
 from ..runtime.tiles import tiled, usual_lanes
 from ..schemes import Scheme
-from ..signals import Task
+from ..signals.task import Task
 from .affine import View, learning_of, limits_as_one
 from .iteration import krylov, largest, spectral_radius_of
 from .trials import next_learned

@@ -12,7 +12,7 @@ import numpy as np
 from ..machine import Machine
 from ..runtime.tiles import tiled
 from ..schemes import Scheme
-from ..signals import Task
+from ..signals.task import Task
 from .affine import View, learning_of
 from .law import learning_law
 from .spectrum import radius_with_doubt

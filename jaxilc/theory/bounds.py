@@ -22,7 +22,7 @@ from ..machine import Machine
 from ..runtime.capacity import check_size
 from ..runtime.tiles import tiled
 from ..schemes import CFDLMFAILC, FFDLMFAILC
-from ..signals import Task, Trial
+from ..signals.task import Task, Trial
 from ..uncertainty import Uncertainty, drawn_machines
 from .condition import Condition, condition, premise
 

@@ -18,7 +18,7 @@ from ..learning import check
 from ..machine import Machine
 from ..plants import StateSpace
 from ..schemes import NormOptimal, Scheme, WithFeedback
-from ..signals import Task
+from ..signals.task import Task
 from ..uncertainty import drawn_machines
 from .affine import limit_names
 from .condition import Condition, Premise, condition, premise

@@ -31,7 +31,7 @@ from ..learning import check
 from ..machine import Machine
 from ..runtime.capacity import check_size
 from ..schemes import Scheme
-from ..signals import Task
+from ..signals.task import Task
 from ..uncertainty import Uncertainty, drawn_machines
 from .affine import limit_names, view_of
 from .as_map import Maps

@@ -24,7 +24,7 @@ from ..machine import Machine
 from ..pytree.named_paths import named_leaves
 from ..runtime.tiles import tiled
 from ..schemes import Scheme
-from ..signals import Task
+from ..signals.task import Task
 from ..uncertainty import Uncertainty, drawn_machine
 from .condition import Condition, Premise, condition, premise
 from .iteration import SingularValue, SpectralRadius, singular_value, spectral_radius_of

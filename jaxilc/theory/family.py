@@ -15,7 +15,7 @@ from ..learning import check
 from ..machine import Machine
 from ..runtime.tiles import tiled
 from ..schemes import Scheme
-from ..signals import Task
+from ..signals.task import Task
 from ..uncertainty import Uncertainty, draw, drawn_machine, drawn_machines
 from .by_frequency import CAUSAL, LEARNING, STABLE, largest_of, lines, of_trial, parts_of
 from .condition import Condition, condition, premise

@@ -13,7 +13,7 @@ from ..learning import learn
 from ..machine import Machine
 from ..runtime.tiles import tiled
 from ..schemes import Scheme
-from ..signals import Task
+from ..signals.task import Task
 from .affine import View, known_as
 from .trials import step, trial_of
 

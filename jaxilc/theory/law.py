@@ -18,7 +18,7 @@ import numpy as np
 
 from ..filters import Filter
 from ..schemes import Scheme
-from ..signals import Task
+from ..signals.task import Task
 from .condition import Premise, premise
 from .loop import on_circle
 from .trials import learned_shape, next_learned, shortened

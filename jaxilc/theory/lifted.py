@@ -22,7 +22,7 @@ from jax import lax
 from ..learning import check
 from ..machine import Machine
 from ..schemes import Scheme
-from ..signals import Task
+from ..signals.task import Task
 from ..uncertainty import drawn_machines
 from .affine import limit_names
 from .condition import Condition, premise

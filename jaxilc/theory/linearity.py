@@ -18,7 +18,7 @@ import numpy as np
 from ..machine import Machine
 from ..playback import replay
 from ..schemes import Scheme
-from ..signals import Task
+from ..signals.task import Task
 from .condition import Premise, premise
 from .loop import tick_of
 from .structure import CONSTANT, dependence, obstacle

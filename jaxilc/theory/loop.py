@@ -16,7 +16,7 @@ from jax.flatten_util import ravel_pytree
 
 from ..machine import Machine
 from ..schemes import Scheme
-from ..signals import Sample, Task
+from ..signals.task import Sample, Task
 from .trials import learned_shape, shortened
 
 LOST = 1e-9  # of the largest |y| in a trial, by leaving out states that hardly show

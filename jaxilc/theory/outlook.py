@@ -23,7 +23,7 @@ import numpy as np
 
 from ..machine import Machine
 from ..schemes import Scheme
-from ..signals import Task
+from ..signals.task import Task
 from .affine import limit_names, view_of
 from .as_map import Maps
 from .as_matrix import Matrices

@@ -20,7 +20,7 @@ import scipy.linalg
 
 from ..machine import Machine
 from ..schemes import Scheme
-from ..signals import Task
+from ..signals.task import Task
 from ..uncertainty import drawn_machines
 from .affine import limit_names
 from .by_frequency import FrequencyTest, on_supremum, parts_of, weight_on

@@ -23,7 +23,7 @@ from ..pytree.fields import pytree
 from ..pytree.named_paths import named_leaves, replaced
 from ..schemes import ASMC, SMC, ExponentialPD, Filtered, Scheme, WithFeedback
 from ..schemes.compose import below
-from ..signals import Task, Trial
+from ..signals.task import Task, Trial
 from ..uncertainty import drawn_machines
 from .by_frequency import learning_condition
 from .condition import Condition, Premise, condition, premise

@@ -15,7 +15,7 @@ from ..pytree.fields import part, pytree
 from ..schemes import Scheme, WithFeedback
 from ..schemes.compose import Pair
 from ..schemes.scheme import Feedforward
-from ..signals import Task, Trial
+from ..signals.task import Task, Trial
 from ..trial import run_trial
 
 LEARNED = 3  # trials before a scheme that adapts is looked at: by then one of two-trial increments has seen data

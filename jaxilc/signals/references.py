@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 import scipy.signal
 
-from .pytree.ranges import require
-from .runtime.capacity import check_size
+from ..pytree.ranges import require
+from ..runtime.capacity import check_size
 
 FINITE, POSITIVE, NONNEGATIVE = "(-inf, inf)", "(0, inf)", "[0, inf)"
 ARRAYS = 32  # of the length of a reference, that making it and one trial of it take

@@ -12,8 +12,8 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.linalg import solveh_banded
 
+from ..pytree.ranges import require
 from .contour import butterfly, circle, line, nurbs, tabulated
-from .pytree.ranges import require
 from .references import POSITIVE
 
 __all__ = ["Plan", "butterfly", "circle", "line", "nurbs", "plan"]

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 
-from .pytree.ranges import require
+from ..pytree.ranges import require
 from .references import POSITIVE
 
 Curve: TypeAlias = Callable[[np.ndarray], np.ndarray]

@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from .pytree.fields import leaf, pytree, static
-from .pytree.needs import known
+from ..pytree.fields import leaf, pytree, static
+from ..pytree.needs import known
 
 SMALLEST = 1e-15  # largest |r| of a reference that is not zero
 
