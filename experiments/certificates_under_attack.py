@@ -21,7 +21,8 @@ import scipy.signal
 
 import jaxilc
 from jaxilc import Actuator, Disturbance, Machine, Task
-from jaxilc.filters import ZeroPhaseButterworth, ZeroPhaseFIR
+from jaxilc.filters.switching import SwitchableFilter
+from jaxilc.filters.zero_phase import ZeroPhaseButterworth, ZeroPhaseFIR
 from jaxilc.plants import StateSpace
 from jaxilc.schemes import (
     CFDLMFAC,
@@ -40,7 +41,6 @@ from jaxilc.schemes import (
     StopWhen,
     WithFeedback,
 )
-from jaxilc.switching import SwitchableFilter
 from jaxilc.theory.certificates import CLAIMS, certify_each
 
 MACHINES, TRIALS, DT, SAMPLES, ORDER = 2048, 1500, 1e-3, 40, 10

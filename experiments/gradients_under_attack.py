@@ -23,13 +23,13 @@ import output
 
 import jaxilc
 from jaxilc import Machine, Task, learn, tiled
-from jaxilc.filters import ZeroPhaseButterworth
+from jaxilc.filters.switching import SwitchableFilter
+from jaxilc.filters.zero_phase import ZeroPhaseButterworth
 from jaxilc.machine import Actuator
 from jaxilc.metrics import Keep
 from jaxilc.plants import DifferenceEquation, StateSpace
 from jaxilc.pytree.named_paths import get_at, replaced
 from jaxilc.schemes import CFDLMFAILC, FFDLMFAILC, PID, Filtered, HigherOrder, PIDType, WithFeedback
-from jaxilc.switching import SwitchableFilter
 
 METRICS, LOSSES, MACHINES = ("max_error", "settled_error", "rms"), ("last", "summed"), 24
 STEPS = (1e-5, 1e-6, 1e-7)  # of the differences, relative to the leaf

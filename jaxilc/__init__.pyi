@@ -1,5 +1,7 @@
-from . import figures, filters, inversion, objectives, plants, pytree, report, risks, scenarios, schemes, theory, uncertainty
+from . import figures, filters, objectives, plants, pytree, report, risks, scenarios, schemes, theory, uncertainty
 from .campaign import Campaign
+from .filters import inversion
+from .filters.switching import SwitchableFilter, instantaneous_frequency, segments
 from .identification import identify
 from .learning import History, feedforward, learn, measured_trial, next_memory
 from .machine import Actuator, Disturbance, Machine, Sensor
@@ -16,7 +18,6 @@ from .signals.task import Sample, Task, Trial
 from .store import open_dataset
 from .summary import summarise
 from .sweep import Sweep
-from .switching import SwitchableFilter, instantaneous_frequency, segments
 from .trade_off import pareto
 from .trial import run_trial
 from .tuning import Tuned, Tuning

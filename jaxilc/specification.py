@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from . import filters, plants, schemes, switching
+from . import filters, plants, schemes
+from .filters import switching
 from .plants import Plant
 from .pytree.ranges import as_numbers, brief, is_whole
 from .schemes import Scheme

@@ -35,7 +35,7 @@ from matplotlib.figure import Figure
 
 import jaxilc
 from jaxilc import Actuator, Machine, Sensor, Task, Tuning, Uniform, figures, plants, schemes
-from jaxilc.filters import ZeroPhaseButterworth
+from jaxilc.filters.zero_phase import ZeroPhaseButterworth
 from jaxilc.objectives import Final, Growth
 from jaxilc.pytree.named_paths import replaced
 from jaxilc.risks import CVaR

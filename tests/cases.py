@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from jaxilc.filters import ZeroPhaseButterworth, ZeroPhaseFIR, ZeroPhaseIIR
+from jaxilc.filters.switching import SwitchableFilter
+from jaxilc.filters.zero_phase import ZeroPhaseButterworth, ZeroPhaseFIR, ZeroPhaseIIR
 from jaxilc.machine import Machine
 from jaxilc.plants import (
     BallScrewDrive,
@@ -50,7 +51,6 @@ from jaxilc.schemes import (
     WithFeedback,
 )
 from jaxilc.signals.task import Task
-from jaxilc.switching import SwitchableFilter
 
 # The three tolerance tiers: rounding, central differences, and chance in units of one standard error.
 ALGEBRA = {"rtol": 1e-10, "atol": 1e-12}

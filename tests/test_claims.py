@@ -9,7 +9,7 @@ import scipy.linalg
 from cases import DT, PLANTS, task_for
 
 from jaxilc import scenarios
-from jaxilc.filters import ZeroPhaseButterworth
+from jaxilc.filters.zero_phase import ZeroPhaseButterworth
 from jaxilc.learning import learn
 from jaxilc.machine import Actuator, Machine, Sensor
 from jaxilc.plants import DifferenceEquation, StateSpace, TimeVaryingStateSpace

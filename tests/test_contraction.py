@@ -9,7 +9,7 @@ import pytest
 import scipy.linalg
 from cases import DT, PLANTS, task_for
 
-from jaxilc.filters import ZeroPhaseFIR
+from jaxilc.filters.zero_phase import ZeroPhaseFIR
 from jaxilc.learning import learn
 from jaxilc.machine import Disturbance, Machine, Sensor
 from jaxilc.plants import StateSpace

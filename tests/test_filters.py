@@ -10,7 +10,7 @@ import scipy.fft
 import scipy.signal
 from cases import ALGEBRA, DT
 
-from jaxilc.filters import ZeroPhaseButterworth, ZeroPhaseFIR, ZeroPhaseIIR, butterworth_sections
+from jaxilc.filters.zero_phase import ZeroPhaseButterworth, ZeroPhaseFIR, ZeroPhaseIIR, butterworth_sections
 from jaxilc.schemes import Filtered, PIDType
 from jaxilc.signals.task import Task
 

@@ -11,7 +11,7 @@ import scipy.optimize
 import scipy.signal
 from cases import ARX, DT, PLANTS, task_for
 
-from jaxilc.filters import Filter, ZeroPhaseButterworth, ZeroPhaseFIR
+from jaxilc.filters.zero_phase import Filter, ZeroPhaseButterworth, ZeroPhaseFIR
 from jaxilc.learning import learn
 from jaxilc.machine import Actuator, Machine
 from jaxilc.plants import DifferenceEquation, ProcessModel, StateSpace, from_control

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from cases import ALGEBRA, ARX, DIFFERENCES, DT, PRINTED
 
-from jaxilc.filters import ZeroPhaseFIR
+from jaxilc.filters.zero_phase import ZeroPhaseFIR
 from jaxilc.learning import learn, next_memory
 from jaxilc.machine import Machine, Sensor
 from jaxilc.metrics import repeatability

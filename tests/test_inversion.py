@@ -8,7 +8,7 @@ import pytest
 import scipy.signal
 from cases import ALGEBRA, DIFFERENCES, DT
 
-from jaxilc.inversion import ZPETC, Factors, StableInverse, factors, inverse, output_ratio, stable_inverse, zpetc
+from jaxilc.filters.inversion import ZPETC, Factors, StableInverse, factors, inverse, output_ratio, stable_inverse, zpetc
 from jaxilc.plants import StateSpace
 from jaxilc.signals.references import s_curve
 

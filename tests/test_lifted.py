@@ -6,7 +6,7 @@ import pytest
 import scipy.linalg
 from cases import ARX, DT, PLANTS, task_for
 
-from jaxilc.filters import ZeroPhaseButterworth, ZeroPhaseFIR
+from jaxilc.filters.zero_phase import ZeroPhaseButterworth, ZeroPhaseFIR
 from jaxilc.learning import learn
 from jaxilc.machine import Actuator, Disturbance, Machine, Sensor
 from jaxilc.plants import StateSpace

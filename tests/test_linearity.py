@@ -9,7 +9,7 @@ import pytest
 from cases import ARX, CASES, DT, PLANTS, SCHEMES, case, task_for
 from jax.flatten_util import ravel_pytree
 
-from jaxilc.filters import ZeroPhaseButterworth, ZeroPhaseFIR
+from jaxilc.filters.zero_phase import ZeroPhaseButterworth, ZeroPhaseFIR
 from jaxilc.machine import Actuator, Machine, Sensor
 from jaxilc.plants import DifferenceEquation, StateSpace
 from jaxilc.pytree.fields import leaf, part, pytree

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from cases import ALGEBRA, ARX, DT, PLANTS, SIGMAS
 
-from jaxilc.filters import ZeroPhaseFIR
+from jaxilc.filters.zero_phase import ZeroPhaseFIR
 from jaxilc.learning import learn
 from jaxilc.machine import Actuator, Disturbance, Machine, Sensor, quantise
 from jaxilc.plants import DifferenceEquation, StateSpace

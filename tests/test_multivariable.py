@@ -12,7 +12,7 @@ import scipy.linalg
 import scipy.signal
 from cases import ALGEBRA, DRIVE, DT
 
-from jaxilc.inversion import inverse, output_ratio
+from jaxilc.filters.inversion import inverse, output_ratio
 from jaxilc.learning import learn, measured_trial
 from jaxilc.machine import Actuator, Machine
 from jaxilc.metrics import Keep

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from cases import ALGEBRA, ARX, DIFFERENCES, DT
 
-from jaxilc.filters import ZeroPhaseFIR
+from jaxilc.filters.zero_phase import ZeroPhaseFIR
 from jaxilc.learning import feedforward, learn, measured_trial, next_memory
 from jaxilc.machine import Machine
 from jaxilc.plants import DifferenceEquation, StateSpace

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from cases import DT, PLANTS
 
-from jaxilc.filters import ZeroPhaseFIR
+from jaxilc.filters.zero_phase import ZeroPhaseFIR
 from jaxilc.learning import check
 from jaxilc.machine import Actuator, Machine, Sensor
 from jaxilc.plants import TwoAxes, VoiceCoil, voice_coil

@@ -7,7 +7,7 @@ import pytest
 import scipy.signal
 from cases import ALGEBRA, ARX, DT, PRINTED
 
-from jaxilc.filters import ZeroPhaseButterworth, ZeroPhaseFIR
+from jaxilc.filters.zero_phase import ZeroPhaseButterworth, ZeroPhaseFIR
 from jaxilc.learning import learn
 from jaxilc.machine import Machine
 from jaxilc.plants import DifferenceEquation, StateSpace

@@ -10,7 +10,7 @@ import pytest
 import scipy.signal
 from cases import ALGEBRA
 
-from jaxilc.filters import ZeroPhaseFIR
+from jaxilc.filters.zero_phase import ZeroPhaseFIR
 from jaxilc.learning import check, learn, measured_trial
 from jaxilc.machine import Disturbance, Machine
 from jaxilc.metrics import chattering, total_variation

@@ -10,14 +10,14 @@ import scipy.fft
 import scipy.signal
 from cases import ALGEBRA, DT
 
-from jaxilc.filters import PRINTED_LI_2020, ZeroPhaseButterworth, ZeroPhaseIIR
+from jaxilc.filters.switching import SwitchableFilter, cutoffs_below, instantaneous_frequency, segments
+from jaxilc.filters.zero_phase import PRINTED_LI_2020, ZeroPhaseButterworth, ZeroPhaseIIR
 from jaxilc.learning import learn
 from jaxilc.machine import Machine, Sensor
 from jaxilc.plants import StateSpace
 from jaxilc.schemes import Filtered, PIDType
 from jaxilc.signals.references import chirp
 from jaxilc.signals.task import Task
-from jaxilc.switching import SwitchableFilter, cutoffs_below, instantaneous_frequency, segments
 from jaxilc.theory.frequency import learning_condition
 
 N = 90

@@ -15,7 +15,7 @@ from cases import CASES
 from gain_case import PROBLEM, STATIC
 
 from jaxilc.descent import Bijection, Evaluation, by_gradient, by_least_squares, for_starts
-from jaxilc.filters import ZeroPhaseButterworth, ZeroPhaseFIR
+from jaxilc.filters.zero_phase import ZeroPhaseButterworth, ZeroPhaseFIR
 from jaxilc.machine import Sensor
 from jaxilc.objectives import (
     Final,

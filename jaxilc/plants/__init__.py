@@ -6,9 +6,9 @@ from .cnc_axis import TwoAxes, cnc_axis
 from .fast_tool_servo import Creep, CuttingForce, FastToolServo, FlexibleMode, PeriodicForce, fast_tool_servo
 from .friction import StribeckFriction
 from .hysteresis import BoucWen, Dahl, InputHysteresis
-from .interconnection import cascade, direct_model, multivariable_model
 from .linear import DifferenceEquation, StateSpace, TimeVaryingStateSpace, from_control
 from .motor import Cogging, EndEffect, VoiceCoilMotor, voice_coil_motor
+from .nominal_models import cascade, direct_model, multivariable_model
 from .plant import Plant
 from .process_model import ProcessModel
 from .voice_coil import VoiceCoil, voice_coil

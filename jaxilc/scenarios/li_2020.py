@@ -13,7 +13,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..filters import ZeroPhaseButterworth
+from ..filters.switching import segments
+from ..filters.zero_phase import ZeroPhaseButterworth
 from ..machine import Actuator, Disturbance, Machine, Sensor
 from ..metrics import largest, root_mean_square
 from ..plants import TwoAxes, cnc_axis
@@ -22,7 +23,6 @@ from ..schemes import PID, ErrorFiltered, HigherOrder, Ladder, OnReference, PIDT
 from ..signals import paths
 from ..signals.contour import contour_error
 from ..signals.task import Task
-from ..switching import segments
 from ..uncertainty import Uniform
 from .scenario import Fit, Published, Quantity, Scenario
 

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..inversion import inverse, output_ratio
+from ..filters.inversion import inverse, output_ratio
 from ..machine import Actuator, Machine, Sensor
 from ..metrics import largest, root_mean_square
 from ..plants import BallScrewDrive, FrictionTable, LeadError, StateSpace, StribeckFriction, direct_model, multivariable_model

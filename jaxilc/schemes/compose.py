@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ..filters import Filter
+from ..filters.zero_phase import Filter
 from ..pytree.fields import part, pytree, static
 from ..signals.task import Limit, Sample, Task, Trial
 from .scheme import Scheme, State, limit_of, limited, limits_below

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..filters import Filter
+from ..filters.zero_phase import Filter
 from ..schemes import Scheme
 from ..signals.task import Task
 from .condition import Premise, premise

@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.signal
 
-from .filters import Filter, ZeroPhaseButterworth, need_padding
-from .pytree.fields import leaf, pytree, static
-from .pytree.needs import known
-from .pytree.ranges import Interval
+from ..pytree.fields import leaf, pytree, static
+from ..pytree.needs import known
+from ..pytree.ranges import Interval
+from .zero_phase import Filter, ZeroPhaseButterworth, need_padding
 
 
 @pytree

@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from .pytree.fields import leaf, pytree, static
-from .pytree.needs import known
+from ..pytree.fields import leaf, pytree, static
+from ..pytree.needs import known
 
 
 class Filter:

@@ -15,12 +15,12 @@ import numpy as np
 import scipy.linalg
 import scipy.signal
 
-from .filters import Filter, run_sections
-from .plants import StateSpace
-from .plants.linear import system_matrices
-from .pytree.fields import leaf, pytree, static
-from .pytree.needs import known
-from .pytree.ranges import Interval, require
+from ..plants import StateSpace
+from ..plants.linear import system_matrices
+from ..pytree.fields import leaf, pytree, static
+from ..pytree.needs import known
+from ..pytree.ranges import Interval, require
+from .zero_phase import Filter, run_sections
 
 CIRCLE = 1e-6  # zeros nearer to the unit circle count as on it: they would need more than a million samples of rest
 EPS = np.finfo(float).eps
