@@ -25,8 +25,8 @@ import jaxilc
 from jaxilc import Machine, Task, learn, tiled
 from jaxilc.filters.switching import SwitchableFilter
 from jaxilc.filters.zero_phase import ZeroPhaseButterworth
-from jaxilc.machine import Actuator
-from jaxilc.metrics import Keep
+from jaxilc.learning.machine import Actuator
+from jaxilc.learning.metrics import Keep
 from jaxilc.plants import DifferenceEquation, StateSpace
 from jaxilc.pytree.named_paths import get_at, replaced
 from jaxilc.schemes import CFDLMFAILC, FFDLMFAILC, PID, Filtered, HigherOrder, PIDType, WithFeedback

@@ -24,7 +24,7 @@ import numpy as np
 import output
 
 import jaxilc
-from jaxilc.metrics import Keep
+from jaxilc.learning.metrics import Keep
 from jaxilc.objectives import Final, Growth, Holding, Objective
 from jaxilc.pytree.named_paths import replaced
 from jaxilc.risks import CVaR, Mean

@@ -3,9 +3,10 @@ from .campaign import Campaign
 from .filters import inversion
 from .filters.switching import SwitchableFilter, instantaneous_frequency, segments
 from .identification import identify
-from .learning import History, feedforward, learn, measured_trial, next_memory
-from .machine import Actuator, Disturbance, Machine, Sensor
-from .metrics import Keep, Metrics, measure, repeatability
+from .learning.machine import Actuator, Disturbance, Machine, Sensor
+from .learning.metrics import Keep, Metrics, measure, repeatability
+from .learning.over_trials import History, feedforward, learn, measured_trial, next_memory
+from .learning.within_trial import run_trial
 from .plant_files import load_scenario
 from .records import Record, excite, read_record, write_record
 from .reproduction import reproduce
@@ -19,7 +20,6 @@ from .store import open_dataset
 from .summary import summarise
 from .sweep import Sweep
 from .trade_off import pareto
-from .trial import run_trial
 from .tuning import Tuned, Tuning
 from .uncertainty import LogUniform, Normal, Uniform
 from .worst_case import monte_carlo_search, worst_case_search

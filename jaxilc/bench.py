@@ -11,8 +11,9 @@ import jax
 import numpy as np
 
 from . import peers, scenarios
-from .learning import learn
-from .machine import Machine
+from .learning.machine import Machine
+from .learning.over_trials import learn
+from .learning.within_trial import run_trial
 from .peers import FIGURES, Peer, Problem
 from .plants import InBlocks, StateSpace
 from .pytree.named_paths import replaced
@@ -24,7 +25,6 @@ from .schemes.scheme import Feedforward
 from .signals import references
 from .signals.task import Task
 from .timing import OURS, Cost, Entry, Row, cores, cost, difference, in_turns
-from .trial import run_trial
 
 SCHEMES = {"cfdl": "cfdl-mfailc", "ffdl": "ffdl-mfailc"}
 ALONE = ("noilc", "ilc-asmc")

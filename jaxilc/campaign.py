@@ -15,9 +15,9 @@ import numpy as np
 from . import trial_checks as checks
 from .exchange import Measured
 from .journal import BACK, Journal
-from .learning import check_length, measured_trial
-from .machine import Actuator
-from .metrics import measure
+from .learning.machine import Actuator
+from .learning.metrics import measure
+from .learning.over_trials import check_length, measured_trial
 from .playback import replay, tables
 from .pytree.named_paths import named_leaves
 from .runtime.provenance import describe, differences, environment

@@ -229,7 +229,7 @@ def _with_progress(problem, state: Path, resume: bool):
 
 def _need_room(chosen, uncertainty, starts: int, steps: int, evaluations: int | None, draws: int | None) -> None:
     """Raises ValueError, before the climb, for a trial or a search by chance after it that does not fit into memory."""
-    from .learning import bytes_of_figures
+    from .learning.over_trials import bytes_of_figures
     from .runtime.capacity import check_size
     from .worst_case import GRADIENT_COST, bytes_of_a_draw
 
@@ -248,9 +248,9 @@ def _judged(chosen, scheme: str):
     import jax.numpy as jnp
     import numpy as np
 
-    from .divergence import peak
-    from .learning import learn
-    from .metrics import Keep
+    from .learning.divergence import peak
+    from .learning.metrics import Keep
+    from .learning.over_trials import learn
     from .objectives import Final, judge
 
     figure, keep, law = chosen.judged_by, Keep.of(chosen.functions), chosen.schemes[scheme]

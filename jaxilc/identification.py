@@ -15,7 +15,7 @@ import scipy.optimize
 import scipy.special
 from scipy.stats import qmc
 
-from .machine import Machine
+from .learning.machine import Machine
 from .plants import Plant, ProcessModel
 from .pytree.named_paths import get_at, interval_at, named_leaves, replaced
 from .pytree.ranges import SEEDS, Interval, require

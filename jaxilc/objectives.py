@@ -17,10 +17,10 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from .divergence import CEILING, peak
-from .learning import History, learn
-from .machine import Machine
-from .metrics import Keep, Metrics, largest
+from .learning.divergence import CEILING, peak
+from .learning.machine import Machine
+from .learning.metrics import Keep, Metrics, largest
+from .learning.over_trials import History, learn
 from .pytree.fields import leaf, part, pytree
 from .pytree.ranges import require
 from .schemes import Scheme

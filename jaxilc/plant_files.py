@@ -49,7 +49,7 @@ import numpy as np
 from scipy.signal import BadCoefficients
 
 from . import identification, learning, plants, scenarios
-from .machine import Actuator, Disturbance, Machine, Sensor
+from .learning.machine import Actuator, Disturbance, Machine, Sensor
 from .plants import Plant, from_control
 from .pytree.ranges import brief, require
 from .records import read_record

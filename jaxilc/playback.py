@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from .machine import Actuator
+from .learning.machine import Actuator
 from .pytree.named_paths import named_leaves
 from .schemes import MultivariableILC, OnOutputs, OnReference, Scheme, WithFeedback
 from .schemes.compose import Around

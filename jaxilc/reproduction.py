@@ -17,8 +17,8 @@ from typing import NamedTuple
 import numpy as np
 
 from . import scenarios
-from .learning import learn
-from .metrics import Keep, best_trial
+from .learning.metrics import Keep, best_trial
+from .learning.over_trials import learn
 from .scenarios import Published, Scenario
 
 MET = 0.3

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from .metrics import largest
+from .learning.metrics import largest
 from .pytree.ranges import require
 
 

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import jax
 import numpy as np
 
-from .learning import History, check, learn
-from .machine import Machine
-from .metrics import Keep, best_trial
+from .learning.machine import Machine
+from .learning.metrics import Keep, best_trial
+from .learning.over_trials import History, check, learn
 from .runtime.capacity import check_size
 from .schemes import Scheme
 from .signals.task import Task, Trial

@@ -15,10 +15,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .divergence import Course
-from .learning import check, learn
-from .machine import Machine
-from .metrics import Keep
+from .learning.divergence import Course
+from .learning.machine import Machine
+from .learning.metrics import Keep
+from .learning.over_trials import check, learn
 from .pytree.ranges import SEEDS, brief, require
 from .runtime import capacity, provenance
 from .runtime.provenance import describe

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .machine import Actuator
+from .learning.machine import Actuator
 from .pytree.ranges import Interval
 from .signals.task import Task, Trial
 

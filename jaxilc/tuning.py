@@ -41,10 +41,10 @@ from .descent import (
     repaired,
     value_and_slope,
 )
-from .divergence import CEILING
-from .learning import check, truncated
-from .machine import Machine
-from .metrics import Keep
+from .learning.divergence import CEILING
+from .learning.machine import Machine
+from .learning.metrics import Keep
+from .learning.over_trials import check, truncated
 from .objectives import Bounded, Final, Objective, Run, Sum, judge
 from .pytree.named_paths import replaced
 from .pytree.ranges import SEEDS, require

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import jax
 
-from .learning import bytes_of_figures
+from .learning.over_trials import bytes_of_figures
 from .runtime.capacity import check_size
 from .uncertainty import bytes_drawn, check
 

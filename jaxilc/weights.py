@@ -14,8 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from .descent import Bijection, State
-from .learning import check
-from .machine import Machine
+from .learning.machine import Machine
+from .learning.over_trials import check
 from .pytree.named_paths import get_at, interval_at, named_leaves, replaced
 from .schemes import Scheme
 from .signals.task import Task

@@ -39,7 +39,7 @@ from matplotlib.figure import Figure
 import jaxilc
 from jaxilc import Disturbance, Machine, Sensor, Task, figures, plants
 from jaxilc.filters.zero_phase import ZeroPhaseButterworth
-from jaxilc.metrics import Keep
+from jaxilc.learning.metrics import Keep
 from jaxilc.schemes import CFDLMFAILC, PID, Filtered, NormOptimal, PIDType, WithFeedback
 from jaxilc.signals import references
 from jaxilc.theory import frequency

@@ -4,7 +4,7 @@ import numpy as np
 
 from jaxilc.filters.switching import SwitchableFilter
 from jaxilc.filters.zero_phase import ZeroPhaseButterworth, ZeroPhaseFIR, ZeroPhaseIIR
-from jaxilc.machine import Machine
+from jaxilc.learning.machine import Machine
 from jaxilc.plants import (
     BallScrewDrive,
     BoucWen,

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 
-from jaxilc.machine import Machine
+from jaxilc.learning.machine import Machine
 from jaxilc.objectives import Final
 from jaxilc.plants import StateSpace
 from jaxilc.schemes import PIDType

@@ -11,8 +11,8 @@ import pytest
 import scipy.integrate
 from cases import ALGEBRA, DRIVE, DT, task_for
 
-from jaxilc.learning import learn
-from jaxilc.machine import Machine
+from jaxilc.learning.machine import Machine
+from jaxilc.learning.over_trials import learn
 from jaxilc.plants import BallScrewDrive, FrictionTable, LeadError, StribeckFriction
 from jaxilc.plants.ball_screw import DriveState
 from jaxilc.pytree.named_paths import replaced

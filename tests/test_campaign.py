@@ -21,15 +21,15 @@ from jaxilc.campaign import Campaign
 from jaxilc.campaign_figures import campaign_figure
 from jaxilc.exchange import Measured
 from jaxilc.journal import Journal
-from jaxilc.learning import learn
-from jaxilc.machine import Sensor
+from jaxilc.learning.machine import Sensor
+from jaxilc.learning.over_trials import learn
+from jaxilc.learning.within_trial import run_trial
 from jaxilc.plant_files import load_scenario
 from jaxilc.plants import from_control
 from jaxilc.schemes import Ladder, Scheme, WithFeedback
 from jaxilc.schemes.compose import Pair
 from jaxilc.schemes.scheme import Feedforward
 from jaxilc.storage import files
-from jaxilc.trial import run_trial
 from jaxilc.trial_checks import Rules, beyond_limits
 
 TRIALS, KEY = 20, jax.random.key(3)

@@ -10,8 +10,8 @@ from cases import DT, PLANTS, task_for
 
 from jaxilc import scenarios
 from jaxilc.filters.zero_phase import ZeroPhaseButterworth
-from jaxilc.learning import learn
-from jaxilc.machine import Actuator, Machine, Sensor
+from jaxilc.learning.machine import Actuator, Machine, Sensor
+from jaxilc.learning.over_trials import learn
 from jaxilc.plants import DifferenceEquation, StateSpace, TimeVaryingStateSpace
 from jaxilc.schemes import (
     CFDLMFAILC,

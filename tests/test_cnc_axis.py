@@ -11,9 +11,9 @@ from cases import ALGEBRA, DT, PLANTS, task_for
 from jaxilc import scenarios
 from jaxilc.filters.switching import SwitchableFilter
 from jaxilc.filters.zero_phase import ZeroPhaseButterworth
-from jaxilc.learning import learn
-from jaxilc.machine import Machine, Sensor
-from jaxilc.metrics import Keep, best_trial, measure
+from jaxilc.learning.machine import Machine, Sensor
+from jaxilc.learning.metrics import Keep, best_trial, measure
+from jaxilc.learning.over_trials import learn
 from jaxilc.plants import StateSpace, TwoAxes, cnc_axis
 from jaxilc.schemes import PID, ErrorFiltered, Filtered, OnOutputs, PIDType, WithFeedback
 from jaxilc.signals.task import Task, Trial

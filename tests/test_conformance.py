@@ -9,8 +9,8 @@ import pytest
 from cases import ALGEBRA, CASES, DIFFERENCES, case, task_for
 
 from jaxilc import learning
-from jaxilc.learning import learn
-from jaxilc.machine import Machine
+from jaxilc.learning.machine import Machine
+from jaxilc.learning.over_trials import learn
 from jaxilc.plants import StateSpace
 from jaxilc.pytree.named_paths import named_leaves, replaced
 from jaxilc.schemes import PID, PIDType

@@ -10,8 +10,8 @@ import scipy.linalg
 from cases import DT, PLANTS, task_for
 
 from jaxilc.filters.zero_phase import ZeroPhaseFIR
-from jaxilc.learning import learn
-from jaxilc.machine import Disturbance, Machine, Sensor
+from jaxilc.learning.machine import Disturbance, Machine, Sensor
+from jaxilc.learning.over_trials import learn
 from jaxilc.plants import StateSpace
 from jaxilc.pytree.named_paths import named_leaves
 from jaxilc.schemes import CFDLMFAILC, CFDLMFAPC, FFDLMFAILC, PID, Filtered, PIDType, WithFeedback

@@ -9,10 +9,11 @@ import pytest
 import xarray as xr
 from cases import DT, task_for
 
-from jaxilc import divergence, figures, reproduction, scenarios, tables
-from jaxilc.learning import learn
-from jaxilc.machine import Machine
-from jaxilc.metrics import Keep, Metrics
+from jaxilc import figures, reproduction, scenarios, tables
+from jaxilc.learning import divergence
+from jaxilc.learning.machine import Machine
+from jaxilc.learning.metrics import Keep, Metrics
+from jaxilc.learning.over_trials import learn
 from jaxilc.plants import StateSpace
 from jaxilc.runs import run_schemes
 from jaxilc.scenarios import Published

@@ -11,14 +11,14 @@ import scipy.io
 from cases import ALGEBRA, DT, case
 
 from jaxilc.exchange import read_measured, write_tables
-from jaxilc.learning import learn
-from jaxilc.machine import Actuator
+from jaxilc.learning.machine import Actuator
+from jaxilc.learning.over_trials import learn
+from jaxilc.learning.within_trial import run_trial
 from jaxilc.playback import replay, tables
 from jaxilc.schemes import OnOutputs, Scheme, WithFeedback
 from jaxilc.schemes.compose import Pair
 from jaxilc.schemes.scheme import Feedforward
 from jaxilc.signals.task import Task
-from jaxilc.trial import run_trial
 
 N = 20
 K = np.arange(N + 1)

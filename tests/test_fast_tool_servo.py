@@ -12,8 +12,8 @@ from cases import ALGEBRA
 from jax import lax
 from scipy.integrate import solve_ivp
 
-from jaxilc.learning import learn
-from jaxilc.machine import Machine
+from jaxilc.learning.machine import Machine
+from jaxilc.learning.over_trials import learn
 from jaxilc.plants import (
     BoucWen,
     Creep,

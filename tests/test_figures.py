@@ -11,7 +11,7 @@ import xarray as xr
 from jaxilc import figures
 from jaxilc.figures.style import marks_of, style_of
 from jaxilc.figures.within_trial import _around_the_largest
-from jaxilc.machine import Machine
+from jaxilc.learning.machine import Machine
 from jaxilc.plants import DifferenceEquation, TwoAxes
 from jaxilc.runs import run_schemes
 from jaxilc.scenarios.scenario import Published

@@ -8,8 +8,8 @@ import scipy.optimize
 from cases import ARX, DT
 
 from jaxilc.fitting import fit
-from jaxilc.learning import learn
-from jaxilc.machine import Machine
+from jaxilc.learning.machine import Machine
+from jaxilc.learning.over_trials import learn
 from jaxilc.plants import DifferenceEquation
 from jaxilc.schemes import CFDLMFAILC
 from jaxilc.signals.task import Task

@@ -12,8 +12,8 @@ import scipy.signal
 from cases import ARX, DT, PLANTS, task_for
 
 from jaxilc.filters.zero_phase import Filter, ZeroPhaseButterworth, ZeroPhaseFIR
-from jaxilc.learning import learn
-from jaxilc.machine import Actuator, Machine
+from jaxilc.learning.machine import Actuator, Machine
+from jaxilc.learning.over_trials import learn
 from jaxilc.plants import DifferenceEquation, ProcessModel, StateSpace, from_control
 from jaxilc.pytree.fields import leaf, part, pytree
 from jaxilc.pytree.named_paths import get_at, replaced

@@ -8,7 +8,7 @@ from cases import CASES, DT, case
 from fuzz import HOSTILE, fuzz, pick
 
 from jaxilc import learning, objectives, risks
-from jaxilc.machine import Actuator, Disturbance, Machine, Sensor
+from jaxilc.learning.machine import Actuator, Disturbance, Machine, Sensor
 from jaxilc.plants import StateSpace
 from jaxilc.schemes import PIDType
 from jaxilc.signals.task import Task

@@ -14,7 +14,7 @@ from jax.flatten_util import ravel_pytree
 
 from jaxilc import tiled
 from jaxilc.descent import for_starts
-from jaxilc.metrics import largest
+from jaxilc.learning.metrics import largest
 from jaxilc.objectives import Effort, EveryTrial, Final, Growth, Holding, InputRate, TrialsTo
 from jaxilc.risks import CVaR, Worst
 from jaxilc.tuning import Tuning

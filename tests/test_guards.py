@@ -7,9 +7,9 @@ import pytest
 from cases import ALGEBRA, ARX, DIFFERENCES, DT, PRINTED
 
 from jaxilc.filters.zero_phase import ZeroPhaseFIR
-from jaxilc.learning import learn, next_memory
-from jaxilc.machine import Machine, Sensor
-from jaxilc.metrics import repeatability
+from jaxilc.learning.machine import Machine, Sensor
+from jaxilc.learning.metrics import repeatability
+from jaxilc.learning.over_trials import learn, next_memory
 from jaxilc.plants import DifferenceEquation, StateSpace
 from jaxilc.schemes import (
     CFDLMFAILC,

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from cases import ALGEBRA, ARX, DT
 
-from jaxilc.learning import learn
-from jaxilc.machine import Machine
+from jaxilc.learning.machine import Machine
+from jaxilc.learning.over_trials import learn
 from jaxilc.plants import DifferenceEquation, StateSpace
 from jaxilc.schemes import HigherOrder, PIDType
 from jaxilc.signals.task import Task

@@ -8,7 +8,7 @@ from cases import ALGEBRA, DIFFERENCES, SIGMAS
 
 from jaxilc import figures, identification
 from jaxilc.identification import identify
-from jaxilc.machine import Actuator, Machine, Sensor
+from jaxilc.learning.machine import Actuator, Machine, Sensor
 from jaxilc.plants import DifferenceEquation, ProcessModel, StateSpace, VoiceCoil, voice_coil
 from jaxilc.pytree.named_paths import get_at
 from jaxilc.records import Record, excite, read_record, write_record

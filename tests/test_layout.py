@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from jax import lax
 
-from jaxilc.layout import carried, scanned
-from jaxilc.learning import learn
-from jaxilc.machine import Machine
+from jaxilc.learning.machine import Machine
+from jaxilc.learning.over_trials import learn
+from jaxilc.learning.sample_layout import carried, scanned
 from jaxilc.plants import DifferenceEquation
 from jaxilc.schemes import CFDLMFAILC, FFDLMFAILC
 from jaxilc.signals.task import Task

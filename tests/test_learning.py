@@ -8,14 +8,14 @@ import scipy.linalg
 import scipy.signal
 from cases import ALGEBRA, ARX, DT, PLANTS, PRINTED, SCHEMES
 
-from jaxilc.learning import feedforward, learn, measured_trial, next_memory
-from jaxilc.machine import Disturbance, Machine, Sensor
-from jaxilc.metrics import measure
+from jaxilc.learning.machine import Disturbance, Machine, Sensor
+from jaxilc.learning.metrics import measure
+from jaxilc.learning.over_trials import feedforward, learn, measured_trial, next_memory
+from jaxilc.learning.within_trial import run_trial
 from jaxilc.plants import DifferenceEquation
 from jaxilc.pytree.fields import leaf, pytree
 from jaxilc.schemes import CFDLMFAILC, PID, PIDType, Scheme, WithFeedback
 from jaxilc.signals.task import Task, Trial, product
-from jaxilc.trial import run_trial
 
 TRIALS = 5
 

@@ -7,8 +7,8 @@ import scipy.linalg
 from cases import ARX, DT, PLANTS, task_for
 
 from jaxilc.filters.zero_phase import ZeroPhaseButterworth, ZeroPhaseFIR
-from jaxilc.learning import learn
-from jaxilc.machine import Actuator, Disturbance, Machine, Sensor
+from jaxilc.learning.machine import Actuator, Disturbance, Machine, Sensor
+from jaxilc.learning.over_trials import learn
 from jaxilc.plants import StateSpace
 from jaxilc.schemes import CFDLMFAC, CFDLMFAILC, PID, Filtered, OnReference, PIDType, WithFeedback
 from jaxilc.theory import lifted

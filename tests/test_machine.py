@@ -7,8 +7,8 @@ import pytest
 from cases import ALGEBRA, ARX, DT, PLANTS, SIGMAS
 
 from jaxilc.filters.zero_phase import ZeroPhaseFIR
-from jaxilc.learning import learn
-from jaxilc.machine import Actuator, Disturbance, Machine, Sensor, quantise
+from jaxilc.learning.machine import Actuator, Disturbance, Machine, Sensor, quantise
+from jaxilc.learning.over_trials import learn
 from jaxilc.plants import DifferenceEquation, StateSpace
 from jaxilc.schemes import CFDLMFAILC, PID, Filtered, PIDType
 from jaxilc.signals.task import Task

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from cases import ALGEBRA, ARX, DIFFERENCES, DT, PRINTED
 
-from jaxilc.learning import check
-from jaxilc.machine import Disturbance, Machine
+from jaxilc.learning.machine import Disturbance, Machine
+from jaxilc.learning.over_trials import check
+from jaxilc.learning.within_trial import run_trial
 from jaxilc.plants import DifferenceEquation, StateSpace
 from jaxilc.pytree.named_paths import named_leaves
 from jaxilc.schemes import CFDLMFAC, CFDLMFAPC, FFDLMFAC, PFDLMFAC
 from jaxilc.signals.task import Task
-from jaxilc.trial import run_trial
 
 N = 70
 K = np.arange(N + 1)

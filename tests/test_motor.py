@@ -12,8 +12,8 @@ import pytest
 from cases import ALGEBRA, DIFFERENCES, DT
 from jax import lax
 
-from jaxilc.learning import learn
-from jaxilc.machine import Machine
+from jaxilc.learning.machine import Machine
+from jaxilc.learning.over_trials import learn
 from jaxilc.plants import Cogging, EndEffect, StateSpace, StribeckFriction, VoiceCoil, VoiceCoilMotor, voice_coil_motor
 from jaxilc.plants.motor import DTL85_708, MotorState
 from jaxilc.pytree.fields import pytree

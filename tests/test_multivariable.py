@@ -13,9 +13,9 @@ import scipy.signal
 from cases import ALGEBRA, DRIVE, DT
 
 from jaxilc.filters.inversion import inverse, output_ratio
-from jaxilc.learning import learn, measured_trial
-from jaxilc.machine import Actuator, Machine
-from jaxilc.metrics import Keep
+from jaxilc.learning.machine import Actuator, Machine
+from jaxilc.learning.metrics import Keep
+from jaxilc.learning.over_trials import learn, measured_trial
 from jaxilc.plants import BallScrewDrive, StateSpace, cascade, direct_model, multivariable_model
 from jaxilc.schemes import PID, MultivariableILC, NormOptimal, OnOutputs, PIDType, WithFeedback
 from jaxilc.signals.task import Task

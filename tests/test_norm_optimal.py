@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from cases import DIFFERENCES, DT, PLANTS
 
-from jaxilc.learning import learn
-from jaxilc.machine import Machine
+from jaxilc.learning.machine import Machine
+from jaxilc.learning.over_trials import learn
 from jaxilc.plants import StateSpace, TimeVaryingStateSpace
 from jaxilc.schemes import NormOptimal
 from jaxilc.schemes.norm_optimal import LARGEST_LIFTED

@@ -7,8 +7,8 @@ import pytest
 from cases import ALGEBRA, ARX, DIFFERENCES, DT
 
 from jaxilc.filters.zero_phase import ZeroPhaseFIR
-from jaxilc.learning import feedforward, learn, measured_trial, next_memory
-from jaxilc.machine import Machine
+from jaxilc.learning.machine import Machine
+from jaxilc.learning.over_trials import feedforward, learn, measured_trial, next_memory
 from jaxilc.plants import DifferenceEquation, StateSpace
 from jaxilc.schemes import CFDLMFAC, CFDLMFAILC, CFDLMFAPC, FFDLMFAILC, PID, Filtered, OnOutputs, OnReference, PIDType, WithFeedback
 from jaxilc.signals.task import Task

@@ -11,8 +11,8 @@ import pytest
 from cases import ALGEBRA, DIFFERENCES
 from numpy.testing import assert_allclose, assert_array_equal
 
-from jaxilc.learning import learn
-from jaxilc.machine import Machine
+from jaxilc.learning.machine import Machine
+from jaxilc.learning.over_trials import learn
 from jaxilc.plants import StateSpace
 from jaxilc.schemes import PIDType
 from jaxilc.signals.contour import contour_error

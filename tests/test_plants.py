@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from cases import ALGEBRA, ARX, DT, PLANTS, task_for
 
-from jaxilc.learning import learn
-from jaxilc.machine import Machine
+from jaxilc.learning.machine import Machine
+from jaxilc.learning.over_trials import learn
 from jaxilc.plants import DifferenceEquation, StateSpace, VoiceCoil, from_control, voice_coil
 from jaxilc.pytree.fields import leaf, pytree
 from jaxilc.schemes import PID, PIDType, Scheme

@@ -9,8 +9,8 @@ import pytest
 from cases import DT, PLANTS
 
 from jaxilc.filters.zero_phase import ZeroPhaseFIR
-from jaxilc.learning import check
-from jaxilc.machine import Actuator, Machine, Sensor
+from jaxilc.learning.machine import Actuator, Machine, Sensor
+from jaxilc.learning.over_trials import check
 from jaxilc.plants import TwoAxes, VoiceCoil, voice_coil
 from jaxilc.pytree.fields import Interval, leaf, part, pytree, static
 from jaxilc.pytree.named_paths import get_at, interval_at, named_leaves, replaced, settable

@@ -7,8 +7,8 @@ import pytest
 from cases import ARX, DT
 
 from jaxilc import reproduction, scenarios
-from jaxilc.learning import check, learn
-from jaxilc.machine import Machine
+from jaxilc.learning.machine import Machine
+from jaxilc.learning.over_trials import check, learn
 from jaxilc.plants import DifferenceEquation
 from jaxilc.reproduction import reproduce
 from jaxilc.scenarios import Fit, Published, Scenario

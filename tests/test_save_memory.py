@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jaxilc import learning
-from jaxilc.learning import learn
+from jaxilc.learning.over_trials import learn
 from jaxilc.schemes import PIDType
 from jaxilc.signals.task import Task
 
@@ -42,7 +42,7 @@ def test_a_new_lambda_a_call_does_not_fill_the_memory(machine, monkeypatch):
 
 
 def test_equal_ones_and_none_share_a_program(machine, task):
-    from jaxilc.metrics import Keep
+    from jaxilc.learning.metrics import Keep
 
     assert learning._program(Keep(("y",))) is learning._program(Keep(("y",)))
     with pytest.raises(ValueError, match=r"learn: save = \[1\] is not a function of a trial"):

@@ -8,8 +8,8 @@ import scipy.signal
 from cases import ALGEBRA, ARX, DT, PRINTED
 
 from jaxilc.filters.zero_phase import ZeroPhaseButterworth, ZeroPhaseFIR
-from jaxilc.learning import learn
-from jaxilc.machine import Machine
+from jaxilc.learning.machine import Machine
+from jaxilc.learning.over_trials import learn
 from jaxilc.plants import DifferenceEquation, StateSpace
 from jaxilc.schemes import CFDLMFAILC, FFDLMFAILC, PFDLMFAILC, PID, Filtered, OnOutputs, PIDType, WithFeedback
 from jaxilc.signals.task import Task

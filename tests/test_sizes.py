@@ -15,7 +15,7 @@ from sweep_case import PLAN
 
 from jaxilc import bench, plants
 from jaxilc.identification import identify
-from jaxilc.learning import learn
+from jaxilc.learning.over_trials import learn
 from jaxilc.plants import InBlocks
 from jaxilc.records import Record
 from jaxilc.runs import run_schemes

@@ -11,16 +11,16 @@ import scipy.signal
 from cases import ALGEBRA
 
 from jaxilc.filters.zero_phase import ZeroPhaseFIR
-from jaxilc.learning import check, learn, measured_trial
-from jaxilc.machine import Disturbance, Machine
-from jaxilc.metrics import chattering, total_variation
+from jaxilc.learning.machine import Disturbance, Machine
+from jaxilc.learning.metrics import chattering, total_variation
+from jaxilc.learning.over_trials import check, learn, measured_trial
+from jaxilc.learning.within_trial import run_trial
 from jaxilc.plants import StateSpace
 from jaxilc.schemes import ASMC, PID, SMC, ExponentialPD, Filtered, PIDType, WithFeedback
 from jaxilc.schemes.velocity import filtered_difference
 from jaxilc.signals.task import Task, Trial
 from jaxilc.theory import contraction, frequency
 from jaxilc.theory.sliding import printed_condition, sampled_condition, sliding, within_layer
-from jaxilc.trial import run_trial
 
 # Xu 2024, section 5.2, in um and V
 A1, A2, B = 2.413e6, 70.16, 2.229e7

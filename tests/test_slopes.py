@@ -16,8 +16,8 @@ from gain_case import LARGEST, PROBLEM, STATIC, TASK, N
 
 from jaxilc import objectives, schemes
 from jaxilc.descent import Evaluation, by_gradient, for_starts, repaired, value_and_slope
-from jaxilc.learning import learn
-from jaxilc.machine import Machine, Sensor
+from jaxilc.learning.machine import Machine, Sensor
+from jaxilc.learning.over_trials import learn
 from jaxilc.objectives import (
     Bounded,
     Contraction,

@@ -12,8 +12,8 @@ from cases import ALGEBRA, DT
 
 from jaxilc.filters.switching import SwitchableFilter, cutoffs_below, instantaneous_frequency, segments
 from jaxilc.filters.zero_phase import PRINTED_LI_2020, ZeroPhaseButterworth, ZeroPhaseIIR
-from jaxilc.learning import learn
-from jaxilc.machine import Machine, Sensor
+from jaxilc.learning.machine import Machine, Sensor
+from jaxilc.learning.over_trials import learn
 from jaxilc.plants import StateSpace
 from jaxilc.schemes import Filtered, PIDType
 from jaxilc.signals.references import chirp

@@ -16,7 +16,7 @@ from gain_case import PROBLEM, STATIC
 
 from jaxilc.descent import Bijection, Evaluation, by_gradient, by_least_squares, for_starts
 from jaxilc.filters.zero_phase import ZeroPhaseButterworth, ZeroPhaseFIR
-from jaxilc.machine import Sensor
+from jaxilc.learning.machine import Sensor
 from jaxilc.objectives import (
     Final,
     Holding,

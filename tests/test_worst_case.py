@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from cases import ALGEBRA
 
-from jaxilc.learning import learn
-from jaxilc.machine import Disturbance, Machine
+from jaxilc.learning.machine import Disturbance, Machine
+from jaxilc.learning.over_trials import learn
 from jaxilc.objectives import Final, judge
 from jaxilc.plants import StateSpace
 from jaxilc.pytree.fields import leaf, pytree

@@ -6,7 +6,7 @@ IEEE Access 7 (2019). Lengths in mm, input in V, errors shown in µm.
 
 from __future__ import annotations
 
-from ..machine import Machine
+from ..learning.machine import Machine
 from ..plants import voice_coil
 from ..schemes import CFDLMFAILC, CFDLMFAPC, FFDLMFAILC, PFDLMFAILC, PID, PIDType, WithFeedback
 from ..signals import references

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 
 from ..filters.zero_phase import ZeroPhaseButterworth
-from ..machine import Actuator, Machine, Sensor
+from ..learning.machine import Actuator, Machine, Sensor
 from ..plants import StribeckFriction, voice_coil_motor
 from ..schemes import CFDLMFAILC, PID, Filtered, WithFeedback
 from ..signals import references

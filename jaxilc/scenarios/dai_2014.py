@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from ..machine import Machine
+from ..learning.machine import Machine
 from ..plants import voice_coil
 from ..schemes import CFDLMFAPC, PID
 from ..signals import references

@@ -15,8 +15,8 @@ import numpy as np
 
 from ..filters.switching import segments
 from ..filters.zero_phase import ZeroPhaseButterworth
-from ..machine import Actuator, Disturbance, Machine, Sensor
-from ..metrics import largest, root_mean_square
+from ..learning.machine import Actuator, Disturbance, Machine, Sensor
+from ..learning.metrics import largest, root_mean_square
 from ..plants import TwoAxes, cnc_axis
 from ..plants.cnc_axis import SAMPLE_TIME
 from ..schemes import PID, ErrorFiltered, HigherOrder, Ladder, OnReference, PIDType, Scheme, StopWhen, WithFeedback

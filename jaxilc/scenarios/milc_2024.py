@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..filters.inversion import inverse, output_ratio
-from ..machine import Actuator, Machine, Sensor
-from ..metrics import largest, root_mean_square
+from ..learning.machine import Actuator, Machine, Sensor
+from ..learning.metrics import largest, root_mean_square
 from ..plants import BallScrewDrive, FrictionTable, LeadError, StateSpace, StribeckFriction, direct_model, multivariable_model
 from ..schemes import PID, MultivariableILC, NormOptimal, OnOutputs, WithFeedback
 from ..signals import references

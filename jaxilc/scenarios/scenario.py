@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 
 import jax
 
-from ..learning import check
-from ..machine import Machine
-from ..metrics import Metrics
+from ..learning.machine import Machine
+from ..learning.metrics import Metrics
+from ..learning.over_trials import check
 from ..printable import printable
 from ..pytree.named_paths import allowed_at, get_at, kind_at, replaced, settable
 from ..pytree.ranges import brief, named

@@ -12,8 +12,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from ..machine import Actuator, Machine, Sensor
-from ..metrics import chattering
+from ..learning.machine import Actuator, Machine, Sensor
+from ..learning.metrics import chattering
 from ..plants import BoucWen, FastToolServo, PeriodicForce, fast_tool_servo
 from ..schemes import ASMC, PID, SMC, ExponentialPD, Scheme, WithFeedback
 from ..signals import references

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from ..machine import Machine
+from ..learning.machine import Machine
 from ..schemes import Scheme
 from ..signals.task import Task
 from .linearity import remembers

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..machine import Machine
+from ..learning.machine import Machine
 from ..runtime.tiles import tiled, usual_lanes
 from ..schemes import Scheme
 from ..signals.task import Task

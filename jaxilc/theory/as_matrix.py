@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..machine import Machine
+from ..learning.machine import Machine
 from ..runtime.tiles import tiled
 from ..schemes import Scheme
 from ..signals.task import Task

@@ -17,8 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..learning import learn
-from ..machine import Machine
+from ..learning.machine import Machine
+from ..learning.over_trials import learn
 from ..runtime.capacity import check_size
 from ..runtime.tiles import tiled
 from ..schemes import CFDLMFAILC, FFDLMFAILC

@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from ..learning import check
-from ..machine import Machine
+from ..learning.machine import Machine
+from ..learning.over_trials import check
 from ..plants import StateSpace
 from ..schemes import NormOptimal, Scheme, WithFeedback
 from ..signals.task import Task

@@ -26,9 +26,9 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from ..divergence import GROWTH
-from ..learning import check
-from ..machine import Machine
+from ..learning.divergence import GROWTH
+from ..learning.machine import Machine
+from ..learning.over_trials import check
 from ..runtime.capacity import check_size
 from ..schemes import Scheme
 from ..signals.task import Task

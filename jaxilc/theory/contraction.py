@@ -19,8 +19,8 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from ..learning import check
-from ..machine import Machine
+from ..learning.machine import Machine
+from ..learning.over_trials import check
 from ..pytree.named_paths import named_leaves
 from ..runtime.tiles import tiled
 from ..schemes import Scheme

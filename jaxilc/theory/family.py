@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..learning import check
-from ..machine import Machine
+from ..learning.machine import Machine
+from ..learning.over_trials import check
 from ..runtime.tiles import tiled
 from ..schemes import Scheme
 from ..signals.task import Task

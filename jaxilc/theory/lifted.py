@@ -19,8 +19,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..learning import check
-from ..machine import Machine
+from ..learning.machine import Machine
+from ..learning.over_trials import check
 from ..schemes import Scheme
 from ..signals.task import Task
 from ..uncertainty import drawn_machines

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..machine import Machine
+from ..learning.machine import Machine
 from ..playback import replay
 from ..schemes import Scheme
 from ..signals.task import Task

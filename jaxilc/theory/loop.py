@@ -14,7 +14,7 @@ import numpy as np
 import scipy.linalg
 from jax.flatten_util import ravel_pytree
 
-from ..machine import Machine
+from ..learning.machine import Machine
 from ..schemes import Scheme
 from ..signals.task import Sample, Task
 from .trials import learned_shape, shortened

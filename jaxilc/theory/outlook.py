@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from ..machine import Machine
+from ..learning.machine import Machine
 from ..schemes import Scheme
 from ..signals.task import Task
 from .affine import limit_names, view_of

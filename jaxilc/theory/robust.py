@@ -18,7 +18,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.linalg
 
-from ..machine import Machine
+from ..learning.machine import Machine
 from ..schemes import Scheme
 from ..signals.task import Task
 from ..uncertainty import drawn_machines

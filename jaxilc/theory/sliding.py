@@ -16,8 +16,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..learning import check
-from ..machine import Machine
+from ..learning.machine import Machine
+from ..learning.over_trials import check
 from ..plants import StateSpace
 from ..pytree.fields import pytree
 from ..pytree.named_paths import named_leaves, replaced

@@ -10,13 +10,13 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from ..machine import Disturbance, Machine
+from ..learning.machine import Disturbance, Machine
+from ..learning.within_trial import run_trial
 from ..pytree.fields import part, pytree
 from ..schemes import Scheme, WithFeedback
 from ..schemes.compose import Pair
 from ..schemes.scheme import Feedforward
 from ..signals.task import Task, Trial
-from ..trial import run_trial
 
 LEARNED = 3  # trials before a scheme that adapts is looked at: by then one of two-trial increments has seen data
 

@@ -13,16 +13,16 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from ..plants import Plant
+from ..pytree.ranges import brief, require
+from ..runtime.capacity import check_size
+from ..schemes import Scheme
+from ..signals.task import Task, Trial
 from .divergence import course
-from .layout import carried
 from .machine import Machine
 from .metrics import Metrics
-from .plants import Plant
-from .pytree.ranges import brief, require
-from .runtime.capacity import check_size
-from .schemes import Scheme
-from .signals.task import Task, Trial
-from .trial import run_and_measure
+from .sample_layout import carried
+from .within_trial import run_and_measure
 
 LITTLE = 2**24  # bytes, below which no size is looked at
 OF_A_TRIAL = 32  # signals of its length that a trial takes while it runs, its schedule and its copies among them

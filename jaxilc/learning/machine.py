@@ -8,10 +8,10 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from .plants import Plant
-from .pytree.fields import leaf, part, pytree
-from .pytree.needs import need_channels, need_scalars
-from .signals.task import Limit, Task, Trial, quantise
+from ..plants import Plant
+from ..pytree.fields import leaf, part, pytree
+from ..pytree.needs import need_channels, need_scalars
+from ..signals.task import Limit, Task, Trial, quantise
 
 
 @pytree

@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from ..signals.task import Task
 from .metrics import Metrics
-from .signals.task import Task
 
 CEILING = 1e3  # times the peak of the reference: largest error of a trial that has not diverged
 GROWTH = 0.5  # relative rise above the best trial's error that counts as growing again

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from .signals.task import Task, Trial
+from ..signals.task import Task, Trial
 
 
 class Metrics(NamedTuple):

@@ -6,11 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from .layout import scanned
+from ..schemes import Scheme
+from ..signals.task import Sample, Task, Trial
 from .machine import Machine
 from .metrics import Metrics, Tally, measure
-from .schemes import Scheme
-from .signals.task import Sample, Task, Trial
+from .sample_layout import scanned
 
 
 def run_trial(machine: Machine, scheme: Scheme, task: Task, memory, key) -> Trial:

@@ -1,0 +1,27 @@
+from .machine import Actuator, Disturbance, Machine, Sensor
+from .metrics import Keep, Metrics, Repeatability, best_trial, chattering, measure, repeatability, root_mean_square, total_variation
+from .over_trials import History, feedforward, learn, measured_trial, next_memory, truncated
+from .within_trial import run_trial
+
+__all__ = [
+    "Actuator",
+    "Disturbance",
+    "History",
+    "Keep",
+    "Machine",
+    "Metrics",
+    "Repeatability",
+    "Sensor",
+    "best_trial",
+    "chattering",
+    "feedforward",
+    "learn",
+    "measure",
+    "measured_trial",
+    "next_memory",
+    "repeatability",
+    "root_mean_square",
+    "run_trial",
+    "total_variation",
+    "truncated",
+]
