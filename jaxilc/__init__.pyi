@@ -10,15 +10,15 @@ from .learning.within_trial import run_trial
 from .plant_files import load_scenario
 from .records import Record, excite, read_record, write_record
 from .reproduction import reproduce
-from .runs import run_schemes
 from .runtime.start import setup
 from .runtime.tiles import tiled
 from .signals import paths, references
 from .signals.contour import contour_error
 from .signals.task import Sample, Task, Trial
-from .store import open_dataset
-from .summary import summarise
-from .sweep import Sweep
+from .sweeps.runs import run_schemes
+from .sweeps.store import open_dataset
+from .sweeps.summary import summarise
+from .sweeps.sweep import Sweep
 from .trade_off import pareto
 from .tuning import Tuned, Tuning
 from .uncertainty import LogUniform, Normal, Uniform

@@ -131,9 +131,10 @@ def run(
     begin(precision)
     import jax
 
-    from . import figures, plants, runs, tables
+    from . import figures, plants, tables
     from .report import command_report
     from .storage.files import whole_folder
+    from .sweeps import runs
 
     chosen = chosen_scenario(scenario, scheme, trials, set_, params)
     key = jax.random.key(seed)
@@ -198,8 +199,8 @@ def sweep(
     begin(precision)
     from . import figures, tables
     from .report import command_report
-    from .summary import summarise
-    from .sweep import Sweep
+    from .sweeps.summary import summarise
+    from .sweeps.sweep import Sweep
 
     chosen = chosen_scenario(scenario, scheme, trials, set_, params)
     uncertainty = spread_of(chosen, spread)
@@ -256,7 +257,7 @@ def _said(error: ValueError | OSError) -> str:
 
 def _with_progress(plan, store: Path, resume: bool, cluster: str | None):
     """Run the plan behind a progress bar (on a terminal); the dataset, the seconds and the sample-steps it took."""
-    from .cluster import ChunkFailed
+    from .sweeps.cluster import ChunkFailed
 
     start, counted = time.perf_counter(), {}
     with progress_bar("rate") as bar:

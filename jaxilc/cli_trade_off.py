@@ -147,7 +147,7 @@ def _front(chosen, scenario: str, scheme: str, problem, second, shares, folder: 
 def _by_trials(chosen, scenario: str, scheme: str, problem, budgets: list[int], unseen: int, folder: Path, resume: bool):
     """Numbers, table and files of one tuning for each number of trials, all judged on the same unseen machines."""
     from . import figures
-    from .summary import summarise
+    from .sweeps.summary import summarise
     from .tables import number
     from .titled_table import Table
     from .trade_off import by_trials

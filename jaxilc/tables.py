@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from .scenarios import Scenario
-    from .summary import SchemeSummary
+    from .sweeps.summary import SchemeSummary
     from .theory import Certificate, PremiseShare
 
 FIGURES = ("settled_error", "max_error", "rms", "best_trial")

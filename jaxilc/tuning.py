@@ -56,7 +56,7 @@ from .runtime.tiles import OPEN, tiled, usual_lanes
 from .schemes import Scheme
 from .signals.task import Task, Trial
 from .states import Folder
-from .sweep import Sweep
+from .sweeps.sweep import Sweep
 from .tuning_sizes import need_room
 from .uncertainty import Uncertainty, draw, drawn_machine
 from .weights import Asked, Tuned, Weights

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import TYPE_CHECKING, Any
 
-from .summary import summarise
+from .sweeps.summary import summarise
 from .tables import number, sweep_figures
 from .titled_table import Table
 

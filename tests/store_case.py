@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from jaxilc.store import Layout, Store, Variable
+from jaxilc.sweeps.store import Layout, Store, Variable
 
 LAYOUT = Layout(
     {"rms": Variable(("scheme", "sample"), "f8"), "finite": Variable(("scheme", "sample"), "bool")},

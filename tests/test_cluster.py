@@ -19,10 +19,11 @@ import sweep_case
 import xarray as xr
 
 import jaxilc
-from jaxilc import cli, cluster
+from jaxilc import cli
 from jaxilc.runtime import capacity
 from jaxilc.schemes import PID
-from jaxilc.store import Store
+from jaxilc.sweeps import cluster
+from jaxilc.sweeps.store import Store
 
 distributed = pytest.importorskip("distributed")
 

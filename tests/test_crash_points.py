@@ -17,8 +17,8 @@ from jaxilc.campaign import Campaign
 from jaxilc.exchange import Measured
 from jaxilc.storage import files
 from jaxilc.storage.files import UNFINISHED
-from jaxilc.store import open_dataset
-from jaxilc.sweep import Sweep
+from jaxilc.sweeps.store import open_dataset
+from jaxilc.sweeps.sweep import Sweep
 from jaxilc.tuning import Tuning
 
 

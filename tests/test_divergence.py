@@ -15,12 +15,12 @@ from jaxilc.learning.machine import Machine
 from jaxilc.learning.metrics import Keep, Metrics
 from jaxilc.learning.over_trials import learn
 from jaxilc.plants import StateSpace
-from jaxilc.runs import run_schemes
 from jaxilc.scenarios import Published
 from jaxilc.schemes import PIDType
 from jaxilc.signals.task import Task
-from jaxilc.summary import summarise
-from jaxilc.sweep import Sweep
+from jaxilc.sweeps.runs import run_schemes
+from jaxilc.sweeps.summary import summarise
+from jaxilc.sweeps.sweep import Sweep
 from jaxilc.tuning import Tuning
 from jaxilc.uncertainty import Uniform
 

@@ -15,7 +15,7 @@ import typer
 from fuzz import fuzz, pick
 
 from jaxilc import bench, cli, identification, learning, runtime, theory, worst_case
-from jaxilc.sweep import Sweep
+from jaxilc.sweeps.sweep import Sweep
 from jaxilc.tuning import Tuning
 
 PLANT = """

@@ -12,7 +12,7 @@ from jaxilc.learning.machine import Actuator, Disturbance, Machine, Sensor
 from jaxilc.plants import StateSpace
 from jaxilc.schemes import PIDType
 from jaxilc.signals.task import Task
-from jaxilc.sweep import Sweep
+from jaxilc.sweeps.sweep import Sweep
 from jaxilc.tuning import Tuning
 from jaxilc.uncertainty import LogUniform, Normal, Uniform, check, with_spread
 

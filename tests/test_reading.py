@@ -12,7 +12,6 @@ import pytest
 import scipy.io
 from cases import DT
 
-from jaxilc import cluster
 from jaxilc.cli_completion import schemes_from
 from jaxilc.exchange import read_measured
 from jaxilc.parameters import with_parameters
@@ -22,6 +21,7 @@ from jaxilc.scenarios import load
 from jaxilc.signals.task import Task
 from jaxilc.storage.mat_files import Other, read_mat
 from jaxilc.storage.reading import DEEPEST, read_tree
+from jaxilc.sweeps import cluster
 
 TASK = Task(np.sin(0.3 * np.arange(21)), dt=DT, unit="mm", input_unit="V")
 READERS = {

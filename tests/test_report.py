@@ -19,8 +19,9 @@ from matplotlib import image
 from matplotlib.figure import Figure
 from rich.table import Table
 
-from jaxilc import learn, runs, scenarios, tables
+from jaxilc import learn, scenarios, tables
 from jaxilc.report import POLICY, command_report, html_report, write_report
+from jaxilc.sweeps import runs
 
 NASTY = "<script>alert('1')</script> & \"quotes\" \x1b[31mred\x1b[0m ]]> <!-- µm"
 VOID = {"meta", "img"}

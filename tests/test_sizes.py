@@ -18,11 +18,11 @@ from jaxilc.identification import identify
 from jaxilc.learning.over_trials import learn
 from jaxilc.plants import InBlocks
 from jaxilc.records import Record
-from jaxilc.runs import run_schemes
 from jaxilc.runtime import capacity
 from jaxilc.schemes import CFDLMFAPC
 from jaxilc.signals import references
 from jaxilc.signals.task import Task
+from jaxilc.sweeps.runs import run_schemes
 from jaxilc.theory import certify, premises
 from jaxilc.trade_off import by_trials
 from jaxilc.uncertainty import draw

@@ -71,7 +71,7 @@ def error_band(
     every median (an unstable machine) is off the scale.
     dataset: dims (scheme, sample, trial);  tolerance: in the unit of the dataset
     """
-    from ..summary import summarise
+    from ..sweeps.summary import summarise
 
     ax = new_axes(ax)
     rows, trial = summarise(dataset, tolerance or 1.0, figure=figure), dataset["trial"]

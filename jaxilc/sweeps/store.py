@@ -20,9 +20,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .runtime.provenance import differences
-from .storage.files import only_one, remove_leftovers, whole_folder
-from .storage.sealed import Damaged, as_json, json_text, read_json, sealed, unsealed
+from ..runtime.provenance import differences
+from ..storage.files import only_one, remove_leftovers, whole_folder
+from ..storage.sealed import Damaged, as_json, json_text, read_json, sealed, unsealed
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -120,7 +120,7 @@ class Store:
             return cls(MemoryStore(layout.files()), layout, ExitStack())
         if Path(path).exists():
             raise FileExistsError(f"{path} exists already; resume it or choose another place")
-        from .storage.durable import DurableStore
+        from ..storage.durable import DurableStore
 
         with whole_folder(path) as unfinished:
             for name, content in layout.files().items():
@@ -136,7 +136,7 @@ class Store:
 
         Raises ValueError if it is none, was made with another configuration, or is in use.
         """
-        from .storage.durable import DurableStore, write_file
+        from ..storage.durable import DurableStore, write_file
 
         path = Path(path)
         with ExitStack() as closing:

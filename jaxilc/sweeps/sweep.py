@@ -15,18 +15,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .learning.divergence import Course
-from .learning.machine import Machine
-from .learning.metrics import Keep
-from .learning.over_trials import check, learn
-from .pytree.ranges import SEEDS, brief, require
-from .runtime import capacity, provenance
-from .runtime.provenance import describe
-from .runtime.tiles import OPEN, tiled, usual_lanes
-from .schemes import Scheme
-from .signals.task import Task, Trial
+from ..learning.divergence import Course
+from ..learning.machine import Machine
+from ..learning.metrics import Keep
+from ..learning.over_trials import check, learn
+from ..pytree.ranges import SEEDS, brief, require
+from ..runtime import capacity, provenance
+from ..runtime.provenance import describe
+from ..runtime.tiles import OPEN, tiled, usual_lanes
+from ..schemes import Scheme
+from ..signals.task import Task, Trial
+from ..uncertainty import Uncertainty, draw, drawn_machine, drawn_samples
 from .store import Layout, Store, Variable
-from .uncertainty import Uncertainty, draw, drawn_machine, drawn_samples
 
 if TYPE_CHECKING:
     import xarray as xr

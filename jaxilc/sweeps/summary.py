@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from .learning.divergence import GROWTH, grown_from
+from ..learning.divergence import GROWTH, grown_from
 
 if TYPE_CHECKING:
     import xarray as xr

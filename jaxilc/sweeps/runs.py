@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 import jax
 import numpy as np
 
-from .learning.machine import Machine
-from .learning.metrics import Keep, best_trial
-from .learning.over_trials import History, check, learn
-from .runtime.capacity import check_size
-from .schemes import Scheme
-from .signals.task import Task, Trial
+from ..learning.machine import Machine
+from ..learning.metrics import Keep, best_trial
+from ..learning.over_trials import History, check, learn
+from ..runtime.capacity import check_size
+from ..schemes import Scheme
+from ..signals.task import Task, Trial
 
 if TYPE_CHECKING:
     import xarray as xr

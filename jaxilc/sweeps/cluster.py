@@ -27,10 +27,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 
-from .runtime import capacity
-from .runtime.provenance import differences, environment
-from .runtime.start import setup
-from .storage.reading import read_tree
+from ..runtime import capacity
+from ..runtime.provenance import differences, environment
+from ..runtime.start import setup
+from ..storage.reading import read_tree
 
 if TYPE_CHECKING:
     from distributed import Client, Future
