@@ -8,9 +8,9 @@ import output
 
 import jaxilc
 from jaxilc import Machine, Sensor, figures
-from jaxilc.identification import identify
+from jaxilc.identification.estimation import identify
+from jaxilc.identification.records import excite, write_record
 from jaxilc.plants import voice_coil
-from jaxilc.records import excite, write_record
 from jaxilc.signals import references
 
 jaxilc.setup()

@@ -2,13 +2,13 @@ from . import figures, filters, objectives, plants, pytree, report, risks, scena
 from .campaign import Campaign
 from .filters import inversion
 from .filters.switching import SwitchableFilter, instantaneous_frequency, segments
-from .identification import identify
+from .identification.estimation import identify
+from .identification.records import Record, excite, read_record, write_record
 from .learning.machine import Actuator, Disturbance, Machine, Sensor
 from .learning.metrics import Keep, Metrics, measure, repeatability
 from .learning.over_trials import History, feedforward, learn, measured_trial, next_memory
 from .learning.within_trial import run_trial
 from .plant_files import load_scenario
-from .records import Record, excite, read_record, write_record
 from .reproduction import reproduce
 from .runtime.start import setup
 from .runtime.tiles import tiled

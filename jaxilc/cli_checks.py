@@ -136,7 +136,7 @@ def identify(
     """
     begin("float64")
     from . import figures, identification, tables
-    from .records import read_record
+    from .identification.records import read_record
     from .report import command_report
 
     measured = read_record(record, time=time_name, input=input_name, output=output_name)

@@ -49,10 +49,10 @@ import numpy as np
 from scipy.signal import BadCoefficients
 
 from . import identification, learning, plants, scenarios
+from .identification.records import read_record
 from .learning.machine import Actuator, Disturbance, Machine, Sensor
 from .plants import Plant, from_control
 from .pytree.ranges import brief, require
-from .records import read_record
 from .scenarios import Scenario
 from .signals import references
 from .signals.task import Task

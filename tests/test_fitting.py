@@ -7,7 +7,7 @@ import pytest
 import scipy.optimize
 from cases import ARX, DT
 
-from jaxilc.fitting import fit
+from jaxilc.identification.fitting import fit
 from jaxilc.learning.machine import Machine
 from jaxilc.learning.over_trials import learn
 from jaxilc.plants import DifferenceEquation

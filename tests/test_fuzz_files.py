@@ -14,9 +14,9 @@ from fuzz import bytes_damaged, damaged, dumped, fuzz, pick
 
 from jaxilc import learning
 from jaxilc.exchange import read_measured
+from jaxilc.identification.records import read_record
 from jaxilc.parameters import with_parameters
 from jaxilc.plant_files import read_scenario
-from jaxilc.records import read_record
 from jaxilc.scenarios import load
 from jaxilc.signals import references
 from jaxilc.signals.task import Task

@@ -7,11 +7,11 @@ import pytest
 from cases import ALGEBRA, DIFFERENCES, SIGMAS
 
 from jaxilc import figures, identification
-from jaxilc.identification import identify
+from jaxilc.identification.estimation import identify
+from jaxilc.identification.records import Record, excite, read_record, write_record
 from jaxilc.learning.machine import Actuator, Machine, Sensor
 from jaxilc.plants import DifferenceEquation, ProcessModel, StateSpace, VoiceCoil, voice_coil
 from jaxilc.pytree.named_paths import get_at
-from jaxilc.records import Record, excite, read_record, write_record
 from jaxilc.signals.references import m_sequence
 
 DT = 1e-3

@@ -11,10 +11,10 @@ from typer.testing import CliRunner
 
 from jaxilc import plants, scenarios
 from jaxilc.cli import app
+from jaxilc.identification.records import excite, write_record
 from jaxilc.learning.machine import Machine
 from jaxilc.learning.over_trials import learn
 from jaxilc.plant_files import load_scenario, read_scenario
-from jaxilc.records import excite, write_record
 from jaxilc.schemes import PID, Filtered, Ladder, MultivariableILC, NormOptimal, OnOutputs, PIDType, StopWhen, WithFeedback
 from jaxilc.signals import references
 from jaxilc.specification import classes

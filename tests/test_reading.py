@@ -14,9 +14,9 @@ from cases import DT
 
 from jaxilc.cli_completion import schemes_from
 from jaxilc.exchange import read_measured
+from jaxilc.identification.records import read_record
 from jaxilc.parameters import with_parameters
 from jaxilc.plant_files import read_scenario
-from jaxilc.records import read_record
 from jaxilc.scenarios import load
 from jaxilc.signals.task import Task
 from jaxilc.storage.mat_files import Other, read_mat

@@ -14,10 +14,10 @@ from gain_case import GAINS, PROBLEM, STATIC
 from sweep_case import PLAN
 
 from jaxilc import bench, plants
-from jaxilc.identification import identify
+from jaxilc.identification.estimation import identify
+from jaxilc.identification.records import Record
 from jaxilc.learning.over_trials import learn
 from jaxilc.plants import InBlocks
-from jaxilc.records import Record
 from jaxilc.runtime import capacity
 from jaxilc.schemes import CFDLMFAPC
 from jaxilc.signals import references

@@ -9,8 +9,8 @@ import numpy as np
 from .style import COLOURS, grid, labelled, legend_beside, new_axes
 
 if TYPE_CHECKING:
-    from ..identification import Identified
-    from ..records import Record
+    from ..identification.estimation import Identified
+    from ..identification.records import Record
 
 
 def record_figure(record: Record, *, input_unit: str = "", output_unit: str = "", ax=None) -> np.ndarray:

@@ -9,14 +9,14 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from .learning.machine import Machine
-from .learning.within_trial import run_trial
-from .plants import Plant
-from .schemes import Scheme
-from .schemes.scheme import Feedforward
-from .signals.task import Task, Trial
-from .storage.files import atomically
-from .storage.reading import read_columns
+from ..learning.machine import Machine
+from ..learning.within_trial import run_trial
+from ..plants import Plant
+from ..schemes import Scheme
+from ..schemes.scheme import Feedforward
+from ..signals.task import Task, Trial
+from ..storage.files import atomically
+from ..storage.reading import read_columns
 
 STEP_TOLERANCE = 0.01  # of the sample time, by which a step of a record's time may differ from the others
 

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .runtime.tiles import tiled
+from ..runtime.tiles import tiled
 
 
 class Fit(NamedTuple):

@@ -15,14 +15,14 @@ import scipy.optimize
 import scipy.special
 from scipy.stats import qmc
 
-from .learning.machine import Machine
-from .plants import Plant, ProcessModel
-from .pytree.named_paths import get_at, interval_at, named_leaves, replaced
-from .pytree.ranges import SEEDS, Interval, require
+from ..learning.machine import Machine
+from ..plants import Plant, ProcessModel
+from ..pytree.named_paths import get_at, interval_at, named_leaves, replaced
+from ..pytree.ranges import SEEDS, Interval, require
+from ..runtime.capacity import check_size
+from ..runtime.tiles import tiled
+from ..signals.task import Task
 from .records import Record, as_columns, played, task_of
-from .runtime.capacity import check_size
-from .runtime.tiles import tiled
-from .signals.task import Task
 
 CONFIDENCE = 0.95
 SAMPLES_PER_PARAMETER = 5  # the intervals are asymptotic; with fewer samples they would mean nothing

@@ -1,0 +1,5 @@
+"""Identification: records of a machine, and plants fitted to them."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
