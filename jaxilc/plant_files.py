@@ -48,9 +48,10 @@ from typing import Any
 import numpy as np
 from scipy.signal import BadCoefficients
 
-from . import identification, learning, plants, scenarios
+from . import identification, plants, scenarios
 from .identification.records import read_record
 from .learning.machine import Actuator, Disturbance, Machine, Sensor
+from .learning.over_trials import check
 from .plants import Plant, from_control
 from .pytree.ranges import brief, require
 from .scenarios import Scenario
@@ -114,7 +115,7 @@ def read_scenario(path: str | Path) -> Scenario:
     _check(path, "machine", lambda: machine.check(task))
     _check(path, "uncertainty", lambda: check_uncertainty(machine, uncertainty))
     for name, one in found.items():
-        _check(path, f"schemes.{name}", lambda one=one: learning.check(machine, one, task))
+        _check(path, f"schemes.{name}", lambda one=one: check(machine, one, task))
     return made
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from cases import ALGEBRA, CASES, DIFFERENCES, case, task_for
 
-from jaxilc import learning
+from jaxilc.learning import over_trials
 from jaxilc.learning.machine import Machine
 from jaxilc.learning.over_trials import learn
 from jaxilc.plants import StateSpace
@@ -108,13 +108,13 @@ def test_gradient_of_every_parameter_equals_finite_differences(run):
 
 
 def test_other_weights_do_not_retrace(run):
-    before = learning._program(learning._nothing)._cache_size()
+    before = over_trials._program(over_trials._nothing)._cache_size()
     for turn in range(10):
         parts = run.parts
         for name, value in named_leaves(parts).items():
             parts = replaced(parts, {name: np.asarray(value) * (1 - 0.001 * turn)})
         of(parts, run.task)
-    assert learning._program(learning._nothing)._cache_size() == before
+    assert over_trials._program(over_trials._nothing)._cache_size() == before
 
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from cases import ALGEBRA, DIFFERENCES, SIGMAS
 
-from jaxilc import figures, identification
+from jaxilc import figures
+from jaxilc.identification import estimation
 from jaxilc.identification.estimation import identify
 from jaxilc.identification.records import Record, excite, read_record, write_record
 from jaxilc.learning.machine import Actuator, Machine, Sensor
@@ -123,10 +124,10 @@ def test_impossible_process_models_are_refused(build, message):
 def test_derivatives_are_exact_and_independent_at_the_double_pole(record):
     names = tuple(n for n in TRUE if n != "bias")
     theta = np.array([TRUE[n] for n in names])
-    task, u = identification.task_of(EQ_7, record.u, DT), np.asarray(record.u)
-    J = np.asarray(identification._sensitivity(theta, names, EQ_7, task, u))[:, 0]
+    task, u = estimation.task_of(EQ_7, record.u, DT), np.asarray(record.u)
+    J = np.asarray(estimation._sensitivity(theta, names, EQ_7, task, u))[:, 0]
     step = 1e-5 * np.diag(np.abs(theta))
-    outputs = [[identification._simulated(theta + s * h, names, EQ_7, task, u)[:, 0] for s in (1, -1)] for h in step]
+    outputs = [[estimation._simulated(theta + s * h, names, EQ_7, task, u)[:, 0] for s in (1, -1)] for h in step]
     differences = np.stack([np.asarray(a - b) / (2 * np.max(h)) for (a, b), h in zip(outputs, step, strict=True)], axis=1)
     size = np.max(np.abs(J), axis=0)
     np.testing.assert_allclose(J / size, differences / size, rtol=DIFFERENCES["rtol"], atol=1e-7)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jaxilc import learning
+from jaxilc.learning import over_trials
 from jaxilc.learning.over_trials import learn
 from jaxilc.schemes import PIDType
 from jaxilc.signals.task import Task
@@ -30,7 +30,7 @@ def test_a_new_lambda_a_call_does_not_fill_the_memory(machine, monkeypatch):
         saved.append(weakref.ref(save))
         learn(machine, PIDType(gamma_p=-0.5), task, 2, save=save)
 
-    for _ in range(learning.PROGRAMS + 1):
+    for _ in range(over_trials.PROGRAMS + 1):
         call()
     gc.collect()
     before = resident()
@@ -38,12 +38,12 @@ def test_a_new_lambda_a_call_does_not_fill_the_memory(machine, monkeypatch):
         call()
     gc.collect()
     assert resident() - before < CALLS * LITTLE
-    assert sum(save() is not None for save in saved) <= learning.PROGRAMS
+    assert sum(save() is not None for save in saved) <= over_trials.PROGRAMS
 
 
 def test_equal_ones_and_none_share_a_program(machine, task):
     from jaxilc.learning.metrics import Keep
 
-    assert learning._program(Keep(("y",))) is learning._program(Keep(("y",)))
+    assert over_trials._program(Keep(("y",))) is over_trials._program(Keep(("y",)))
     with pytest.raises(ValueError, match=r"learn: save = \[1\] is not a function of a trial"):
         learn(machine, PIDType(), task, 2, save=[1])

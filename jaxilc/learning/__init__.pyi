@@ -1,6 +1,6 @@
 from .machine import Actuator, Disturbance, Machine, Sensor
 from .metrics import Keep, Metrics, Repeatability, best_trial, chattering, measure, repeatability, root_mean_square, total_variation
-from .over_trials import History, feedforward, learn, measured_trial, next_memory, truncated
+from .over_trials import History, check, feedforward, learn, measured_trial, next_memory, truncated
 from .within_trial import run_trial
 
 __all__ = [
@@ -14,6 +14,7 @@ __all__ = [
     "Sensor",
     "best_trial",
     "chattering",
+    "check",
     "feedforward",
     "learn",
     "measure",
