@@ -25,11 +25,11 @@ import output
 
 import jaxilc
 from jaxilc.learning.metrics import Keep
-from jaxilc.objectives import Final, Growth, Holding, Objective
 from jaxilc.pytree.named_paths import replaced
-from jaxilc.risks import CVaR, Mean
 from jaxilc.schemes import Scheme, StopWhen
-from jaxilc.tuning import Tuned, Tuning
+from jaxilc.tuning.objectives import Final, Growth, Holding, Objective
+from jaxilc.tuning.problem import Tuned, Tuning
+from jaxilc.tuning.risks import CVaR, Mean
 from jaxilc.uncertainty import draw, drawn_machine
 
 JUDGED_SEED = 20261121

@@ -7,10 +7,10 @@ import output
 
 import jaxilc
 from jaxilc import figures
-from jaxilc.objectives import Final, TrialsTo, judge, peak
-from jaxilc.trade_off import pareto
-from jaxilc.tuning import Tuning
-from jaxilc.worst_case import GRADIENT_COST, monte_carlo_search, worst_case_search
+from jaxilc.tuning.objectives import Final, TrialsTo, judge, peak
+from jaxilc.tuning.problem import Tuning
+from jaxilc.tuning.trade_off import pareto
+from jaxilc.tuning.worst_case import GRADIENT_COST, monte_carlo_search, worst_case_search
 
 jaxilc.setup()
 folder = output.folder(__file__)

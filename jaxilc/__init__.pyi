@@ -1,4 +1,4 @@
-from . import figures, filters, objectives, plants, pytree, report, risks, scenarios, schemes, theory, uncertainty
+from . import figures, filters, plants, pytree, report, scenarios, schemes, theory, uncertainty
 from .campaign import Campaign
 from .filters import inversion
 from .filters.switching import SwitchableFilter, instantaneous_frequency, segments
@@ -19,10 +19,11 @@ from .sweeps.runs import run_schemes
 from .sweeps.store import open_dataset
 from .sweeps.summary import summarise
 from .sweeps.sweep import Sweep
-from .trade_off import pareto
-from .tuning import Tuned, Tuning
+from .tuning import objectives, risks
+from .tuning.problem import Tuned, Tuning
+from .tuning.trade_off import pareto
+from .tuning.worst_case import monte_carlo_search, worst_case_search
 from .uncertainty import LogUniform, Normal, Uniform
-from .worst_case import monte_carlo_search, worst_case_search
 
 __all__ = [
     "Actuator",

@@ -85,7 +85,7 @@ def pareto(
     """
     begin(precision)
     from .report import command_report
-    from .trade_off import SHARES
+    from .tuning.trade_off import SHARES
 
     if (second is None) == (budgets is None):
         raise ValueError(f"--second {second} and --budgets {budgets}: one of the two is needed, and not both")
@@ -123,7 +123,7 @@ def _front(chosen, scenario: str, scheme: str, problem, second, shares, folder: 
     """Numbers, table and files of a front of two objectives."""
     from . import figures
     from .titled_table import Table
-    from .trade_off import held_out_losses, pareto
+    from .tuning.trade_off import held_out_losses, pareto
 
     first = problem.objective
     points = _with_progress(partial(pareto, problem, first, second, shares), len(shares), problem.steps, folder / "state", resume)
@@ -150,7 +150,7 @@ def _by_trials(chosen, scenario: str, scheme: str, problem, budgets: list[int], 
     from .sweeps.summary import summarise
     from .tables import number
     from .titled_table import Table
-    from .trade_off import by_trials
+    from .tuning.trade_off import by_trials
 
     problem.comparison(dict.fromkeys(("given", *map(str, budgets)), problem.scheme), trials=max(budgets), samples=unseen)  # refused now
     found = _with_progress(partial(by_trials, problem, budgets), len(budgets), problem.steps, folder / "state", resume)

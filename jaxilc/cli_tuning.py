@@ -158,7 +158,7 @@ def worst_case(
     begin(precision)
     from . import figures, tuning_tables
     from .report import command_report
-    from .worst_case import GRADIENT_COST, monte_carlo_search, worst_case_search
+    from .tuning.worst_case import GRADIENT_COST, monte_carlo_search, worst_case_search
 
     at_least_one = (("trial", trial, 1), ("starts", starts, 1), ("steps", steps, 1), ("draws", draws, 1))
     for name, value, low in (*at_least_one, ("evaluations", evaluations, starts * (1 + GRADIENT_COST))):
@@ -207,7 +207,7 @@ def asked_for(chosen, text: str, option: str = "--objective"):
 
 def problem_of(chosen, scheme: str, weights: str, bounds: list[str] | None, spread: float | None, objective, risk: str, **options):
     """The tuning problem as asked for. options: those of `Tuning`, by name"""
-    from .tuning import Tuning
+    from .tuning.problem import Tuning
 
     asked = (weights_of(weights, bounds), spread_of(chosen, spread), objective, risk_of(risk))
     return Tuning(chosen.machine, chosen.schemes[scheme], chosen.task, chosen.trials, *asked, quantities=chosen.functions, **options)
@@ -231,7 +231,7 @@ def _need_room(chosen, uncertainty, starts: int, steps: int, evaluations: int | 
     """Raises ValueError, before the climb, for a trial or a search by chance after it that does not fit into memory."""
     from .learning.over_trials import bytes_of_figures
     from .runtime.capacity import check_size
-    from .worst_case import GRADIENT_COST, bytes_of_a_draw
+    from .tuning.worst_case import GRADIENT_COST, bytes_of_a_draw
 
     of_trial, each = bytes_of_figures(chosen.task), bytes_of_a_draw(uncertainty)
     check_size("worst-case", lambda trial, starts: 4 * of_trial * trial * starts, trial=chosen.trials, starts=starts)
@@ -251,7 +251,7 @@ def _judged(chosen, scheme: str):
     from .learning.divergence import peak
     from .learning.metrics import Keep
     from .learning.over_trials import learn
-    from .objectives import Final, judge
+    from .tuning.objectives import Final, judge
 
     figure, keep, law = chosen.judged_by, Keep.of(chosen.functions), chosen.schemes[scheme]
     scale, objective = chosen.shown(figure)[0], Final(figure)

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from .scenarios import Scenario
-    from .tuning import Tuned
+    from .tuning.problem import Tuned
 
 WHICH = ("given", "tuned")
 

@@ -36,11 +36,11 @@ from matplotlib.figure import Figure
 import jaxilc
 from jaxilc import Actuator, Machine, Sensor, Task, Tuning, Uniform, figures, plants, schemes
 from jaxilc.filters.zero_phase import ZeroPhaseButterworth
-from jaxilc.objectives import Final, Growth
 from jaxilc.pytree.named_paths import replaced
-from jaxilc.risks import CVaR
 from jaxilc.signals import references
 from jaxilc.theory.contraction import error_map
+from jaxilc.tuning.objectives import Final, Growth
+from jaxilc.tuning.risks import CVaR
 
 # %matplotlib inline
 # ruff: noqa: B018

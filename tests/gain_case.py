@@ -4,11 +4,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxilc.learning.machine import Machine
-from jaxilc.objectives import Final
 from jaxilc.plants import StateSpace
 from jaxilc.schemes import PIDType
 from jaxilc.signals.task import Task
-from jaxilc.tuning import Tuning
+from jaxilc.tuning.objectives import Final
+from jaxilc.tuning.problem import Tuning
 from jaxilc.uncertainty import Uniform
 
 N = 20

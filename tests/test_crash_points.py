@@ -12,14 +12,14 @@ from gain_case import PROBLEM
 from store_case import filled
 from sweep_case import PLAN
 
-from jaxilc import trade_off
 from jaxilc.campaign import Campaign
 from jaxilc.exchange import Measured
 from jaxilc.storage import files
 from jaxilc.storage.files import UNFINISHED
 from jaxilc.sweeps.store import open_dataset
 from jaxilc.sweeps.sweep import Sweep
-from jaxilc.tuning import Tuning
+from jaxilc.tuning import trade_off
+from jaxilc.tuning.problem import Tuning
 
 
 def nothing_left_over(folder):

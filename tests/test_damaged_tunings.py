@@ -11,9 +11,9 @@ import pytest
 from fuzz import damaged, dumped, files_of, flipped, fuzz, pick
 from gain_case import PROBLEM
 
-from jaxilc.states import Folder
 from jaxilc.storage import files
 from jaxilc.storage.sealed import archive, read_arrays
+from jaxilc.tuning.states import Folder
 
 
 @pytest.fixture(autouse=True)

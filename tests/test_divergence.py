@@ -21,7 +21,7 @@ from jaxilc.signals.task import Task
 from jaxilc.sweeps.runs import run_schemes
 from jaxilc.sweeps.summary import summarise
 from jaxilc.sweeps.sweep import Sweep
-from jaxilc.tuning import Tuning
+from jaxilc.tuning.problem import Tuning
 from jaxilc.uncertainty import Uniform
 
 STATIC = StateSpace([[0.0]], [[1.0]], [[1.0]], dt=DT)  # y[k+1] = u[k], so e_j = (1 - gamma)^(j-1) r

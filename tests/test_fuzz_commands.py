@@ -14,9 +14,10 @@ import pytest
 import typer
 from fuzz import fuzz, pick
 
-from jaxilc import bench, cli, identification, learning, runtime, theory, worst_case
+from jaxilc import bench, cli, identification, learning, runtime, theory
 from jaxilc.sweeps.sweep import Sweep
-from jaxilc.tuning import Tuning
+from jaxilc.tuning import worst_case
+from jaxilc.tuning.problem import Tuning
 
 PLANT = """
 trials = 3

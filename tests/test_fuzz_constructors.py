@@ -7,13 +7,14 @@ import numpy as np
 from cases import CASES, DT, case
 from fuzz import HOSTILE, fuzz, pick
 
-from jaxilc import learning, objectives, risks
+from jaxilc import learning
 from jaxilc.learning.machine import Actuator, Disturbance, Machine, Sensor
 from jaxilc.plants import StateSpace
 from jaxilc.schemes import PIDType
 from jaxilc.signals.task import Task
 from jaxilc.sweeps.sweep import Sweep
-from jaxilc.tuning import Tuning
+from jaxilc.tuning import objectives, risks
+from jaxilc.tuning.problem import Tuning
 from jaxilc.uncertainty import LogUniform, Normal, Uniform, check, with_spread
 
 NAMES = list(CASES)

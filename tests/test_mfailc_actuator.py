@@ -11,11 +11,11 @@ from cases import ALGEBRA, ARX, DT
 from jaxilc.learning.machine import Actuator, Machine
 from jaxilc.learning.over_trials import learn
 from jaxilc.learning.within_trial import run_trial
-from jaxilc.objectives import Bounded
 from jaxilc.plants import DifferenceEquation
 from jaxilc.playback import replay
 from jaxilc.schemes import FFDLMFAILC, PFDLMFAILC, PID, OnOutputs, WithFeedback
 from jaxilc.signals.task import Task
+from jaxilc.tuning.objectives import Bounded
 
 N, TRIALS, SETS = 40, 5, 12
 R = 0.6 * np.sin(2 * np.pi * np.arange(N + 1) / N) + 0.2 * np.sin(0.9 * np.arange(N + 1))

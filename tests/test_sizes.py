@@ -24,9 +24,9 @@ from jaxilc.signals import references
 from jaxilc.signals.task import Task
 from jaxilc.sweeps.runs import run_schemes
 from jaxilc.theory import certify, premises
-from jaxilc.trade_off import by_trials
+from jaxilc.tuning.trade_off import by_trials
+from jaxilc.tuning.worst_case import monte_carlo_search, worst_case_search
 from jaxilc.uncertainty import draw
-from jaxilc.worst_case import monte_carlo_search, worst_case_search
 
 ROOM = 2 * 10**9
 HUGE = 10**12

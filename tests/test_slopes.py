@@ -14,11 +14,16 @@ import scipy.optimize
 from cases import ALGEBRA, DIFFERENCES, SCHEMES, case
 from gain_case import LARGEST, PROBLEM, STATIC, TASK, N
 
-from jaxilc import objectives, schemes
-from jaxilc.descent import Evaluation, by_gradient, for_starts, repaired, value_and_slope
+from jaxilc import schemes
 from jaxilc.learning.machine import Machine, Sensor
 from jaxilc.learning.over_trials import learn
-from jaxilc.objectives import (
+from jaxilc.plants import StateSpace
+from jaxilc.schemes import CFDLMFAILC, FFDLMFAILC, PID, PIDType
+from jaxilc.schemes.pseudo_gradient import reset_estimate
+from jaxilc.signals.task import Task
+from jaxilc.tuning import objectives
+from jaxilc.tuning.descent import Evaluation, by_gradient, for_starts, repaired, value_and_slope
+from jaxilc.tuning.objectives import (
     Bounded,
     Contraction,
     Effort,
@@ -32,10 +37,6 @@ from jaxilc.objectives import (
     TrialsTo,
     judge,
 )
-from jaxilc.plants import StateSpace
-from jaxilc.schemes import CFDLMFAILC, FFDLMFAILC, PID, PIDType
-from jaxilc.schemes.pseudo_gradient import reset_estimate
-from jaxilc.signals.task import Task
 from jaxilc.uncertainty import Uniform
 
 EVERYTHING = (

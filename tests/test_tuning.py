@@ -14,19 +14,15 @@ import scipy.optimize
 from cases import CASES
 from gain_case import PROBLEM, STATIC
 
-from jaxilc.descent import Bijection, Evaluation, by_gradient, by_least_squares, for_starts
 from jaxilc.filters.zero_phase import ZeroPhaseButterworth, ZeroPhaseFIR
 from jaxilc.learning.machine import Sensor
-from jaxilc.objectives import (
-    Final,
-    Holding,
-    Objective,
-)
 from jaxilc.plants import StateSpace
 from jaxilc.pytree.named_paths import get_at
-from jaxilc.risks import CVaR, Mean, SmoothMax, Worst
 from jaxilc.runtime.recipe import describe
 from jaxilc.schemes import Filtered, PIDType
+from jaxilc.tuning.descent import Bijection, Evaluation, by_gradient, by_least_squares, for_starts
+from jaxilc.tuning.objectives import Final, Holding, Objective
+from jaxilc.tuning.risks import CVaR, Mean, SmoothMax, Worst
 from jaxilc.uncertainty import Uniform
 
 # Risks -----------------------------------------------------------------------------------------------------------------------

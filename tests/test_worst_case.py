@@ -7,13 +7,13 @@ from cases import ALGEBRA
 
 from jaxilc.learning.machine import Disturbance, Machine
 from jaxilc.learning.over_trials import learn
-from jaxilc.objectives import Final, judge
 from jaxilc.plants import StateSpace
 from jaxilc.pytree.fields import leaf, pytree
 from jaxilc.schemes import PID, PIDType
 from jaxilc.signals.task import Task
+from jaxilc.tuning.objectives import Final, judge
+from jaxilc.tuning.worst_case import GRADIENT_COST, monte_carlo_search, worst_case_search
 from jaxilc.uncertainty import LogUniform, Normal, Uniform
-from jaxilc.worst_case import GRADIENT_COST, monte_carlo_search, worst_case_search
 
 N = 40
 TIME = 2 * np.pi * np.arange(N + 1) / N

@@ -12,8 +12,8 @@ from .style import COLOURS, DASHES, MARKS, grid, labelled, legend_above, legend_
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from ..trade_off import Point
-    from ..tuning import Tuned
+    from ..tuning.problem import Tuned
+    from ..tuning.trade_off import Point
 
 
 def loss_by_step(tuned: Tuned, *, ax: Axes | None = None) -> Axes:

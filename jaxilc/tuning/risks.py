@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from .learning.metrics import largest
-from .pytree.ranges import require
+from ..learning.metrics import largest
+from ..pytree.ranges import require
 
 
 @dataclasses.dataclass(frozen=True)

@@ -13,12 +13,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..learning.machine import Machine
+from ..learning.over_trials import check
+from ..pytree.named_paths import get_at, interval_at, named_leaves, replaced
+from ..schemes import Scheme
+from ..signals.task import Task
 from .descent import Bijection, State
-from .learning.machine import Machine
-from .learning.over_trials import check
-from .pytree.named_paths import get_at, interval_at, named_leaves, replaced
-from .schemes import Scheme
-from .signals.task import Task
 
 FAR = 12.0  # on the real line: where a weight might go, e^12 or 6e-6 from an end
 

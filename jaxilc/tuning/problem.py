@@ -28,6 +28,20 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
+from ..learning.divergence import CEILING
+from ..learning.machine import Machine
+from ..learning.metrics import Keep
+from ..learning.over_trials import check, truncated
+from ..pytree.named_paths import replaced
+from ..pytree.ranges import SEEDS, require
+from ..runtime.capacity import check_program
+from ..runtime.provenance import environment
+from ..runtime.recipe import describe
+from ..runtime.tiles import OPEN, tiled, usual_lanes
+from ..schemes import Scheme
+from ..signals.task import Task, Trial
+from ..sweeps.sweep import Sweep
+from ..uncertainty import Uncertainty, draw, drawn_machine
 from .descent import (
     Bijection,
     Evaluation,
@@ -41,24 +55,10 @@ from .descent import (
     repaired,
     value_and_slope,
 )
-from .learning.divergence import CEILING
-from .learning.machine import Machine
-from .learning.metrics import Keep
-from .learning.over_trials import check, truncated
 from .objectives import Bounded, Final, Objective, Run, Sum, judge
-from .pytree.named_paths import replaced
-from .pytree.ranges import SEEDS, require
 from .risks import Mean, Risk
-from .runtime.capacity import check_program
-from .runtime.provenance import environment
-from .runtime.recipe import describe
-from .runtime.tiles import OPEN, tiled, usual_lanes
-from .schemes import Scheme
-from .signals.task import Task, Trial
+from .sizes import need_room
 from .states import Folder
-from .sweeps.sweep import Sweep
-from .tuning_sizes import need_room
-from .uncertainty import Uncertainty, draw, drawn_machine
 from .weights import Asked, Tuned, Weights
 
 if TYPE_CHECKING:

@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING
 
 import jax
 
-from .learning.over_trials import bytes_of_figures
-from .runtime.capacity import check_size
-from .uncertainty import bytes_drawn, check
+from ..learning.over_trials import bytes_of_figures
+from ..runtime.capacity import check_size
+from ..uncertainty import bytes_drawn, check
 
 if TYPE_CHECKING:
-    from .tuning import Tuning
+    from .problem import Tuning
 
 COPIES = 6  # of what is kept of each step: in the state, in its file, on the way there
 

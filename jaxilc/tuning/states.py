@@ -16,11 +16,11 @@ from typing import Any
 import jax
 import numpy as np
 
+from ..runtime.provenance import differences
+from ..storage.files import atomically, only_one, remove_leftovers, to_disk, whole_folder
+from ..storage.reading import tree_of
+from ..storage.sealed import Damaged, archive, as_json, json_text, read_arrays, read_json, sealed, unsealed, write_json
 from .descent import State
-from .runtime.provenance import differences
-from .storage.files import atomically, only_one, remove_leftovers, to_disk, whole_folder
-from .storage.reading import tree_of
-from .storage.sealed import Damaged, archive, as_json, json_text, read_arrays, read_json, sealed, unsealed, write_json
 
 CONFIGURATION = "configuration.json"
 STATE, PREVIOUS, FRESH = "state.npz", "previous.npz", "fresh.npz"

@@ -17,15 +17,15 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from .learning.divergence import CEILING, peak
-from .learning.machine import Machine
-from .learning.metrics import Keep, Metrics, largest
-from .learning.over_trials import History, learn
-from .pytree.fields import leaf, part, pytree
-from .pytree.ranges import require
-from .schemes import Scheme
-from .schemes.guards import Guard
-from .signals.task import Sample, Task, Trial
+from ..learning.divergence import CEILING, peak
+from ..learning.machine import Machine
+from ..learning.metrics import Keep, Metrics, largest
+from ..learning.over_trials import History, learn
+from ..pytree.fields import leaf, part, pytree
+from ..pytree.ranges import require
+from ..schemes import Scheme
+from ..schemes.guards import Guard
+from ..signals.task import Sample, Task, Trial
 
 FLOOR = 1e-6
 
@@ -253,7 +253,7 @@ class Contraction(Objective):
     nominal: ClassVar[bool] = True
 
     def __call__(self, run: Run):
-        from .theory.contraction import error_map, singular_value
+        from ..theory.contraction import error_map, singular_value
 
         def last_of(scheme):
             map_ = error_map(run.machine, scheme, run.task, trials=self.trials)

@@ -16,10 +16,10 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.stats import qmc
 
-from .pytree.ranges import SEEDS, require
-from .runtime.capacity import check_program, check_size
-from .runtime.tiles import tiled
-from .uncertainty import LogUniform, Uncertainty, check, drawn_machine
+from ..pytree.ranges import SEEDS, require
+from ..runtime.capacity import check_program, check_size
+from ..runtime.tiles import tiled
+from ..uncertainty import LogUniform, Uncertainty, check, drawn_machine
 
 GRADIENT_COST = 3  # evaluations that a gradient costs on top of the loss
 COPIES = 8  # of the places of all climbs, and of all draws, and of what was found there

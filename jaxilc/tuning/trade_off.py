@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .objectives import Objective
-from .tuning import Tuned, Tuning
+from .problem import Tuned, Tuning
 
 SHARES = (0.1, 0.3, 0.5, 0.7, 0.9)
 Progress = Callable[[str, int, np.ndarray, float], None]  # name of the tuning, then what `Tuning.run` tells

@@ -1,0 +1,14 @@
+from . import objectives, risks
+from .problem import Tuned, Tuning
+from .trade_off import pareto
+from .worst_case import monte_carlo_search, worst_case_search
+
+__all__ = [
+    "Tuned",
+    "Tuning",
+    "monte_carlo_search",
+    "objectives",
+    "pareto",
+    "risks",
+    "worst_case_search",
+]
