@@ -1,7 +1,7 @@
 from . import figures, filters, plants, pytree, report, scenarios, schemes, theory, uncertainty
-from .campaign import Campaign
 from .filters import inversion
 from .filters.switching import SwitchableFilter, instantaneous_frequency, segments
+from .hardware.campaign import Campaign
 from .identification.estimation import identify
 from .identification.records import Record, excite, read_record, write_record
 from .learning.machine import Actuator, Disturbance, Machine, Sensor

@@ -65,12 +65,12 @@ def next_(
 
     Example: jaxilc next --state x-axis --measured trial-3.csv --out trial-4.csv
     """
-    from .campaign import Campaign, refuse
     from .cli_common import Refused
-    from .exchange import check_format, read_measured
-    from .journal import Journal
+    from .hardware.campaign import Campaign, refuse
+    from .hardware.checks import Rules
+    from .hardware.journal import Journal
+    from .hardware.trial_files import check_format, read_measured
     from .runtime.start import setup
-    from .trial_checks import Rules
 
     setup(precision="float64")
     if out is not None:
@@ -122,7 +122,7 @@ def trials(
     Example: jaxilc trials --state x-axis --csv log.csv --plot log.png
     """
     from .cli_common import out as console
-    from .journal import Journal
+    from .hardware.journal import Journal
     from .storage.files import atomically
     from .titled_table import Table
 
@@ -226,8 +226,8 @@ def _played(path: Path | None, tables, task, trial: int, number: str, dry_run: b
     import numpy as np
 
     from .cli_common import out
-    from .exchange import write_tables
-    from .playback import unit_of
+    from .hardware.playback import unit_of
+    from .hardware.trial_files import write_tables
 
     peaks = ", ".join(f"{name} up to {np.max(np.abs(table)):.6g} {unit_of(name, task)}".strip() for name, table in tables.items())
     out.print(f"next: trial {trial}, {peaks}", highlight=False, markup=False, soft_wrap=True)

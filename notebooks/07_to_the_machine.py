@@ -34,8 +34,9 @@ import jax
 import numpy as np
 
 import jaxilc
-from jaxilc import Campaign, Machine, Sensor, exchange, load_scenario, plants
+from jaxilc import Campaign, Machine, Sensor, load_scenario, plants
 from jaxilc.campaign_figures import campaign_figure
+from jaxilc.hardware import trial_files
 from jaxilc.schemes import Scheme, WithFeedback
 from jaxilc.schemes.compose import Pair
 from jaxilc.schemes.scheme import Feedforward
@@ -114,13 +115,13 @@ def machine_plays(table, trace, number):
 
 # %%
 campaign = Campaign.start(folder / "x-axis", scheme, task, actuator=axis.machine.actuator)
-exchange.write_tables(folder / "next-1.csv", campaign.tables(), task, trial=1)
+trial_files.write_tables(folder / "next-1.csv", campaign.tables(), task, trial=1)
 for j in range(1, 21):
     machine_plays(folder / f"next-{j}.csv", folder / f"trial-{j}.csv", j)
-    measured = exchange.read_measured(folder / f"trial-{j}.csv", task, campaign.recordable())
+    measured = trial_files.read_measured(folder / f"trial-{j}.csv", task, campaign.recordable())
     turn = campaign.turn(measured)
     campaign.keep(turn)  # refuses what the checks refuse: saturation, an input beyond the limit, a gap
-    exchange.write_tables(folder / f"next-{j + 1}.csv", turn.tables, task, trial=j + 1)
+    trial_files.write_tables(folder / f"next-{j + 1}.csv", turn.tables, task, trial=j + 1)
     if j in (1, 2, 5, 10, 15, 20):
         print(f"trial {j:2d}: RMS error {1e3 * turn.figures['error']:8.3f} µm", "; ".join(f.text for f in turn.findings))
 errors = [row["rms_error"] for row in campaign.journal.log() if row["event"] == "trial"]
@@ -135,7 +136,7 @@ assert errors[-1] < errors[0] / 10
 
 # %%
 try:
-    campaign.turn(exchange.read_measured(folder / "trial-3.csv", task, campaign.recordable()))
+    campaign.turn(trial_files.read_measured(folder / "trial-3.csv", task, campaign.recordable()))
 except ValueError as error:
     print(error)
 
@@ -146,7 +147,7 @@ except ValueError as error:
 text = (folder / "trial-20.csv").read_text()
 (folder / "metres.csv").write_text(text.replace("y [mm]", "y [m]"))
 try:
-    exchange.read_measured(folder / "metres.csv", task)
+    trial_files.read_measured(folder / "metres.csv", task)
 except ValueError as error:
     print(str(error).removeprefix(f"{folder}/"))
 
@@ -158,7 +159,7 @@ except ValueError as error:
 # %%
 campaign.undo(18)
 machine_plays(folder / "next-19.csv", folder / "trial-19-again.csv", 100)
-again = campaign.turn(exchange.read_measured(folder / "trial-19-again.csv", task, campaign.recordable()))
+again = campaign.turn(trial_files.read_measured(folder / "trial-19-again.csv", task, campaign.recordable()))
 campaign.keep(again)
 print(f"trial {again.trial} again: RMS error {1e3 * again.figures['error']:.3f} µm")
 top, bottom = campaign_figure(campaign.journal.log(), unit="mm", input_unit="V")
@@ -172,7 +173,7 @@ top.figure
 # %%
 memory = scheme.memory(task)
 for j in range(1, 19):
-    record = exchange.read_measured(folder / f"trial-{j}.csv", task)
+    record = trial_files.read_measured(folder / f"trial-{j}.csv", task)
     _, signals = jaxilc.playback.replay(scheme, task, memory, record.y, axis.machine.actuator)
     memory = jaxilc.next_memory(scheme, task, memory, record.y, record.u, feedback=signals["feedback"])
 by_hand = np.asarray(jaxilc.feedforward(scheme, task, memory))

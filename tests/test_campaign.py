@@ -16,11 +16,13 @@ import typer
 from cases import ALGEBRA, case
 from typer.testing import CliRunner
 
-from jaxilc import cli_machine, exchange, journal
-from jaxilc.campaign import Campaign
+from jaxilc import cli_machine
 from jaxilc.campaign_figures import campaign_figure
-from jaxilc.exchange import Measured
-from jaxilc.journal import Journal
+from jaxilc.hardware import journal, trial_files
+from jaxilc.hardware.campaign import Campaign
+from jaxilc.hardware.checks import Rules, beyond_limits
+from jaxilc.hardware.journal import Journal
+from jaxilc.hardware.trial_files import Measured
 from jaxilc.learning.machine import Sensor
 from jaxilc.learning.over_trials import learn
 from jaxilc.learning.within_trial import run_trial
@@ -30,7 +32,6 @@ from jaxilc.schemes import Ladder, Scheme, WithFeedback
 from jaxilc.schemes.compose import Pair
 from jaxilc.schemes.scheme import Feedforward
 from jaxilc.storage import files
-from jaxilc.trial_checks import Rules, beyond_limits
 
 TRIALS, KEY = 20, jax.random.key(3)
 FACTOR = 40  # by which the error of the session falls
@@ -238,7 +239,7 @@ def test_two_calls_at_once_are_one_entry(copied):
     rig, state, folder = copied
     rig.measure(rig.folder / "next-21.csv", 21, folder / "trial.csv")
     campaign = Campaign.open(state, rig.scheme, rig.task, actuator=rig.axis.machine.actuator)
-    turn = campaign.turn(exchange.read_measured(folder / "trial.csv", rig.task))
+    turn = campaign.turn(trial_files.read_measured(folder / "trial.csv", rig.task))
     quicker = Journal(state)
     quicker.append({**quicker.manifests()[-1], "serial": 21, "parent": 20, "trial": 21}, {})
     with pytest.raises(ValueError, match="trial 21 does not follow on trial 21"):

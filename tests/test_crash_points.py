@@ -12,8 +12,8 @@ from gain_case import PROBLEM
 from store_case import filled
 from sweep_case import PLAN
 
-from jaxilc.campaign import Campaign
-from jaxilc.exchange import Measured
+from jaxilc.hardware.campaign import Campaign
+from jaxilc.hardware.trial_files import Measured
 from jaxilc.storage import files
 from jaxilc.storage.files import UNFINISHED
 from jaxilc.sweeps.store import open_dataset

@@ -10,11 +10,11 @@ import pytest
 import scipy.io
 from cases import ALGEBRA, DT, case
 
-from jaxilc.exchange import read_measured, write_tables
+from jaxilc.hardware.playback import replay, tables
+from jaxilc.hardware.trial_files import read_measured, write_tables
 from jaxilc.learning.machine import Actuator
 from jaxilc.learning.over_trials import learn
 from jaxilc.learning.within_trial import run_trial
-from jaxilc.playback import replay, tables
 from jaxilc.schemes import OnOutputs, Scheme, WithFeedback
 from jaxilc.schemes.compose import Pair
 from jaxilc.schemes.scheme import Feedforward

@@ -13,7 +13,7 @@ from cases import DT
 from fuzz import bytes_damaged, damaged, dumped, fuzz, pick
 
 from jaxilc import learning
-from jaxilc.exchange import read_measured
+from jaxilc.hardware.trial_files import read_measured
 from jaxilc.identification.records import read_record
 from jaxilc.parameters import with_parameters
 from jaxilc.plant_files import read_scenario

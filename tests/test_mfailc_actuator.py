@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from cases import ALGEBRA, ARX, DT
 
+from jaxilc.hardware.playback import replay
 from jaxilc.learning.machine import Actuator, Machine
 from jaxilc.learning.over_trials import learn
 from jaxilc.learning.within_trial import run_trial
 from jaxilc.plants import DifferenceEquation
-from jaxilc.playback import replay
 from jaxilc.schemes import FFDLMFAILC, PFDLMFAILC, PID, OnOutputs, WithFeedback
 from jaxilc.signals.task import Task
 from jaxilc.tuning.objectives import Bounded

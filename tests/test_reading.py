@@ -13,7 +13,7 @@ import scipy.io
 from cases import DT
 
 from jaxilc.cli_completion import schemes_from
-from jaxilc.exchange import read_measured
+from jaxilc.hardware.trial_files import read_measured
 from jaxilc.identification.records import read_record
 from jaxilc.parameters import with_parameters
 from jaxilc.plant_files import read_scenario

@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .learning.machine import Actuator
-from .pytree.ranges import Interval
-from .signals.task import Task, Trial
+from ..learning.machine import Actuator
+from ..pytree.ranges import Interval
+from ..signals.task import Task, Trial
 
 AT_LIMIT = 1e-3  # of the limit, within which an input counts as saturated
 AS_PLAYED = 1e-4  # of a table's peak, by which it may differ from what the machine recorded of it

@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from .pytree.ranges import is_number
-from .storage.files import UNFINISHED, whole_folder
-from .storage.sealed import Damaged, archive, json_text, read_arrays, read_json, sealed, unsealed
+from ..pytree.ranges import is_number
+from ..storage.files import UNFINISHED, whole_folder
+from ..storage.sealed import Damaged, archive, json_text, read_arrays, read_json, sealed, unsealed
 
 FORMAT, UNCHECKED = 2, 1  # the first format had no checksums, and no copy of the manifest
 MANIFEST, COPY = "manifest.json", "manifest.copy.json"

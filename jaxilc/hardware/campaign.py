@@ -12,19 +12,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from . import trial_checks as checks
-from .exchange import Measured
+from ..learning.machine import Actuator
+from ..learning.metrics import measure
+from ..learning.over_trials import check_length, measured_trial
+from ..pytree.named_paths import named_leaves
+from ..runtime.provenance import describe, differences, environment
+from ..schemes import Scheme
+from ..signals.task import Task, Trial
+from ..storage.sealed import as_json
+from . import checks as checks
+from .checks import Finding, Rules
 from .journal import BACK, Journal
-from .learning.machine import Actuator
-from .learning.metrics import measure
-from .learning.over_trials import check_length, measured_trial
 from .playback import replay, tables
-from .pytree.named_paths import named_leaves
-from .runtime.provenance import describe, differences, environment
-from .schemes import Scheme
-from .signals.task import Task, Trial
-from .storage.sealed import as_json
-from .trial_checks import Finding, Rules
+from .trial_files import Measured
 
 MEMORY, TRIAL = "memory.npz", "trial.npz"
 

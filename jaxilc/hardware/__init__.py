@@ -1,0 +1,5 @@
+"""Learning on a real machine: campaigns, their journal, and the files that pass between package and machine."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,17 @@
+from .campaign import Campaign, Turn
+from .checks import Finding, Rules
+from .journal import Journal
+from .playback import replay
+from .trial_files import Measured, read_measured, write_tables
+
+__all__ = [
+    "Campaign",
+    "Finding",
+    "Journal",
+    "Measured",
+    "Rules",
+    "Turn",
+    "read_measured",
+    "replay",
+    "write_tables",
+]
