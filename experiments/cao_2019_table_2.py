@@ -3,7 +3,8 @@
 import output
 
 import jaxilc
-from jaxilc import figures, reproduction
+from jaxilc import figures
+from jaxilc.scenarios import reproduction
 from jaxilc.scenarios.cao_2019_rig import TABLE_2
 
 jaxilc.setup()

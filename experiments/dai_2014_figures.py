@@ -3,7 +3,8 @@
 import output
 
 import jaxilc
-from jaxilc import figures, reproduction
+from jaxilc import figures
+from jaxilc.scenarios import reproduction
 
 jaxilc.setup()
 folder = output.folder(__file__)

@@ -8,10 +8,10 @@ from .learning.machine import Actuator, Disturbance, Machine, Sensor
 from .learning.metrics import Keep, Metrics, measure, repeatability
 from .learning.over_trials import History, feedforward, learn, measured_trial, next_memory
 from .learning.within_trial import run_trial
-from .plant_files import load_scenario
-from .reproduction import reproduce
 from .runtime.start import setup
 from .runtime.tiles import tiled
+from .scenarios.from_file import load_scenario
+from .scenarios.reproduction import reproduce
 from .signals import paths, references
 from .signals.contour import contour_error
 from .signals.task import Sample, Task, Trial

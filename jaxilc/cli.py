@@ -35,8 +35,9 @@ from .cli_common import (
     stopped,
     written,
 )
-from .cli_completion import LISTED, scenarios_from
+from .cli_completion import scenarios_from
 from .cli_output import ended, speak, tracebacks
+from .scenarios.catalogue import LISTED
 from .titled_table import Table
 
 EXIT_CODES = (
@@ -98,7 +99,7 @@ def list_(
         out.print(table)
         return
     begin("float64")
-    from .plant_files import load_scenario
+    from .scenarios.from_file import load_scenario
 
     loaded = load_scenario(scenario)
     table = Table("--set", "value", "allowed", title=loaded.title)

@@ -169,8 +169,9 @@ def reproduce(
     Example: jaxilc reproduce cao-2019 dai-2014 --json out/reproduce.json
     """
     begin(precision)
-    from . import reproduction, tables
+    from . import tables
     from .report import command_report
+    from .scenarios import reproduction
 
     numbers = [row.as_dict() for row in reproduction.reproduce(scenario or ())]
     table = tables.reproduction_table(numbers)

@@ -98,8 +98,8 @@ def chosen_scenario(name: str, schemes: list[str] | None, trials: int | None, se
     import dataclasses
 
     from . import scenarios
-    from .parameters import with_parameters
-    from .plant_files import load_scenario
+    from .scenarios.from_file import load_scenario
+    from .scenarios.parameters import with_parameters
 
     values = {}
     for setting in settings or []:

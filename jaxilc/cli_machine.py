@@ -196,7 +196,7 @@ def _recipe(before, scenario, plant_file, scheme, settings, rules) -> dict[str, 
 
 def _chosen(recipe: dict[str, Any]):
     """The name of the scheme and the scenario."""
-    from .plant_files import load_scenario
+    from .scenarios.from_file import load_scenario
 
     chosen = load_scenario(recipe["scenario"], recipe["settings"])
     learning = [name for name, scheme in chosen.schemes.items() if scheme.learns]

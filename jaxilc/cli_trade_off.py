@@ -182,8 +182,8 @@ def _by_trials(chosen, scenario: str, scheme: str, problem, budgets: list[int], 
 
 def _parameters(chosen, scenario: str, scheme: str, tuned, path: Path, row: dict) -> Path:
     """The parameter file of one point."""
-    from .parameters import differing, write_parameters
-    from .plant_files import load_scenario
+    from .scenarios.from_file import load_scenario
+    from .scenarios.parameters import differing, write_parameters
 
     changed = differing(tuned.scheme, load_scenario(scenario, chosen.options).schemes[scheme])
     obtained = {"command": "jaxilc pareto", "options": dict(chosen.options), "point": row}

@@ -86,9 +86,9 @@ def tune(
     """
     begin(precision)
     from . import figures, tuning_tables
-    from .parameters import differing, write_parameters
-    from .plant_files import load_scenario
     from .report import command_report
+    from .scenarios.from_file import load_scenario
+    from .scenarios.parameters import differing, write_parameters
 
     chosen = chosen_scenario(scenario, [scheme], trials, set_, params)
     options = {"steps": steps, "starts": starts, "rate": rate, "optimiser": optimiser, "samples": samples, "held_out": held_out}

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .learning.divergence import CEILING, GROWTH
-from .reproduction import SHAPE
+from .scenarios.reproduction import SHAPE
 from .theory.certificates import CLAIMS, CONVERGES, COURSES, DIVERGES, GROWS, MONOTONE, NOTHING, TURNS
 from .titled_table import Table
 

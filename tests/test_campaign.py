@@ -26,8 +26,8 @@ from jaxilc.hardware.trial_files import Measured
 from jaxilc.learning.machine import Sensor
 from jaxilc.learning.over_trials import learn
 from jaxilc.learning.within_trial import run_trial
-from jaxilc.plant_files import load_scenario
 from jaxilc.plants import from_control
+from jaxilc.scenarios.from_file import load_scenario
 from jaxilc.schemes import Ladder, Scheme, WithFeedback
 from jaxilc.schemes.compose import Pair
 from jaxilc.schemes.scheme import Feedforward

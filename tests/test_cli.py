@@ -20,8 +20,9 @@ from typer.main import get_command
 from typer.testing import CliRunner
 
 import jaxilc
-from jaxilc import cli_common, cli_completion
+from jaxilc import cli_common
 from jaxilc.cli import app, main
+from jaxilc.scenarios.catalogue import LISTED
 
 PLANT = """
 [plant]
@@ -318,7 +319,7 @@ def test_what_needs_no_jax_does_not_wait_for_it(words):
 
 def test_a_shell_completes_scenarios_schemes_and_choices(tmp_path):
     loaded = {name: jaxilc.scenarios.load(name) for name in jaxilc.scenarios.SCENARIOS}
-    assert {name: (s.title, tuple(s.schemes), s.trials, s.task.N) for name, s in loaded.items()} == cli_completion.LISTED
+    assert {name: (s.title, tuple(s.schemes), s.trials, s.task.N) for name, s in loaded.items()} == LISTED
     (tmp_path / "mine.toml").write_text(PLANT + LEARNER)
     for line, expected in (
         ("jaxilc run cao-", ["cao-2019", "cao-2019-rig"]),

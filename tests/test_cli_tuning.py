@@ -12,7 +12,7 @@ import pytest
 import jaxilc
 from jaxilc import figures
 from jaxilc.cli import main
-from jaxilc.parameters import differing, with_parameters, write_parameters
+from jaxilc.scenarios.parameters import differing, with_parameters, write_parameters
 from jaxilc.tables import number
 from jaxilc.tuning import states as of_tuning
 from jaxilc.tuning.objectives import Contraction, Effort, EveryTrial, Final, Growth, Holding, InputRate, TrialsTo

@@ -9,13 +9,13 @@ import pytest
 import xarray as xr
 from cases import DT, task_for
 
-from jaxilc import figures, reproduction, scenarios, tables
+from jaxilc import figures, scenarios, tables
 from jaxilc.learning import divergence
 from jaxilc.learning.machine import Machine
 from jaxilc.learning.metrics import Keep, Metrics
 from jaxilc.learning.over_trials import learn
 from jaxilc.plants import StateSpace
-from jaxilc.scenarios import Published
+from jaxilc.scenarios import Published, reproduction
 from jaxilc.schemes import PIDType
 from jaxilc.signals.task import Task
 from jaxilc.sweeps.runs import run_schemes

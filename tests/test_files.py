@@ -13,8 +13,8 @@ from crash_points import recorded
 from matplotlib.figure import Figure
 
 from jaxilc import cli_common, figures
-from jaxilc.parameters import write_parameters
 from jaxilc.report import write_report
+from jaxilc.scenarios.parameters import write_parameters
 from jaxilc.storage import files
 from jaxilc.storage.files import UNFINISHED, atomically, whole_folder
 from jaxilc.storage.sealed import Damaged, archive, read_arrays, read_json, sealed, unsealed, write_json

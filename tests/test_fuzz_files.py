@@ -15,9 +15,9 @@ from fuzz import bytes_damaged, damaged, dumped, fuzz, pick
 from jaxilc import learning
 from jaxilc.hardware.trial_files import read_measured
 from jaxilc.identification.records import read_record
-from jaxilc.parameters import with_parameters
-from jaxilc.plant_files import read_scenario
 from jaxilc.scenarios import load
+from jaxilc.scenarios.from_file import read_scenario
+from jaxilc.scenarios.parameters import with_parameters
 from jaxilc.signals import references
 from jaxilc.signals.task import Task
 

@@ -9,7 +9,7 @@ import pytest
 
 from jaxilc import figures, scenarios
 from jaxilc.cli import main
-from jaxilc.plant_files import read_scenario
+from jaxilc.scenarios.from_file import read_scenario
 from jaxilc.schemes import PID
 from jaxilc.sweeps.runs import run_schemes
 

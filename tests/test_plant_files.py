@@ -14,10 +14,10 @@ from jaxilc.cli import app
 from jaxilc.identification.records import excite, write_record
 from jaxilc.learning.machine import Machine
 from jaxilc.learning.over_trials import learn
-from jaxilc.plant_files import load_scenario, read_scenario
+from jaxilc.scenarios.from_file import load_scenario, read_scenario
+from jaxilc.scenarios.specification import classes
 from jaxilc.schemes import PID, Filtered, Ladder, MultivariableILC, NormOptimal, OnOutputs, PIDType, StopWhen, WithFeedback
 from jaxilc.signals import references
-from jaxilc.specification import classes
 from jaxilc.uncertainty import LogUniform, Normal, Uniform, draw
 
 NUM, DEN = [4000.0], [1.0, 80.0, 4000.0]

@@ -15,9 +15,9 @@ from cases import DT
 from jaxilc.cli_completion import schemes_from
 from jaxilc.hardware.trial_files import read_measured
 from jaxilc.identification.records import read_record
-from jaxilc.parameters import with_parameters
-from jaxilc.plant_files import read_scenario
 from jaxilc.scenarios import load
+from jaxilc.scenarios.from_file import read_scenario
+from jaxilc.scenarios.parameters import with_parameters
 from jaxilc.signals.task import Task
 from jaxilc.storage.mat_files import Other, read_mat
 from jaxilc.storage.reading import DEEPEST, read_tree

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from cases import ARX, DT
 
-from jaxilc import reproduction, scenarios
+from jaxilc import scenarios
 from jaxilc.learning.machine import Machine
 from jaxilc.learning.over_trials import check, learn
 from jaxilc.plants import DifferenceEquation
-from jaxilc.reproduction import reproduce
-from jaxilc.scenarios import Fit, Published, Scenario
+from jaxilc.scenarios import Fit, Published, Scenario, reproduction
+from jaxilc.scenarios.reproduction import reproduce
 from jaxilc.schemes import PID, PIDType, Scheme
 from jaxilc.signals.task import Task
 

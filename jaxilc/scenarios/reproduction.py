@@ -16,10 +16,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from . import scenarios
-from .learning.metrics import Keep, best_trial
-from .learning.over_trials import learn
-from .scenarios import Published, Scenario
+from .. import scenarios
+from ..learning.metrics import Keep, best_trial
+from ..learning.over_trials import learn
+from . import Published, Scenario
 
 MET = 0.3
 SHAPE = 2.0

@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from .pytree.named_paths import settable
-from .pytree.ranges import brief
-from .runtime.provenance import environment
-from .scenarios import Scenario
-from .schemes import Scheme
-from .storage.sealed import read_json, write_json
+from ..pytree.named_paths import settable
+from ..pytree.ranges import brief
+from ..runtime.provenance import environment
+from ..schemes import Scheme
+from ..storage.sealed import read_json, write_json
+from . import Scenario
 
 
 def differing(scheme: Scheme, printed: Scheme) -> dict[str, Any]:

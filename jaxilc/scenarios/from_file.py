@@ -48,19 +48,19 @@ from typing import Any
 import numpy as np
 from scipy.signal import BadCoefficients
 
-from . import identification, plants, scenarios
-from .identification.records import read_record
-from .learning.machine import Actuator, Disturbance, Machine, Sensor
-from .learning.over_trials import check
-from .plants import Plant, from_control
-from .pytree.ranges import brief, require
-from .scenarios import Scenario
-from .signals import references
-from .signals.task import Task
+from .. import identification, plants, scenarios
+from ..identification.records import read_record
+from ..learning.machine import Actuator, Disturbance, Machine, Sensor
+from ..learning.over_trials import check
+from ..plants import Plant, from_control
+from ..pytree.ranges import brief, require
+from ..signals import references
+from ..signals.task import Task
+from ..storage.reading import PARSERS, read_tree
+from ..uncertainty import LogUniform, Normal, Uniform
+from ..uncertainty import check as check_uncertainty
+from . import Scenario
 from .specification import Table, built, called, classes, flag, list_of, list_of_numbers, number, numbers, one_of, scheme, text, whole
-from .storage.reading import PARSERS, read_tree
-from .uncertainty import LogUniform, Normal, Uniform
-from .uncertainty import check as check_uncertainty
 
 REFERENCES = ("sinusoid", "multisine", "chirp", "s_curve", "noncircular")
 DISTRIBUTIONS = {"uniform": Uniform, "normal": Normal, "log_uniform": LogUniform}

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from . import filters, plants, schemes
-from .filters import switching
-from .plants import Plant
-from .pytree.ranges import as_numbers, brief, is_whole
-from .schemes import Scheme
+from .. import filters, plants, schemes
+from ..filters import switching
+from ..plants import Plant
+from ..pytree.ranges import as_numbers, brief, is_whole
+from ..schemes import Scheme
 
 _HIDDEN = {"solved"}  # worked out by the scheme itself
 _MODELS = {"direct_model": plants.direct_model, "multivariable_model": plants.multivariable_model}

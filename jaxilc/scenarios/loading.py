@@ -1,0 +1,52 @@
+"""A scenario by its name, with its options."""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+from collections.abc import Callable
+
+from ..pytree.ranges import brief
+from .cao_2019 import cao_2019
+from .cao_2019_rig import cao_2019_rig
+from .dai_2014 import dai_2014
+from .li_2020 import li_2020
+from .milc_2024 import milc_2024
+from .scenario import Scenario
+from .xu_2024 import xu_2024
+
+SCENARIOS: dict[str, Callable[..., Scenario]] = {
+    "cao-2019": cao_2019,
+    "cao-2019-rig": cao_2019_rig,
+    "dai-2014": dai_2014,
+    "li-2020": li_2020,
+    "milc-2024": milc_2024,
+    "xu-2024": xu_2024,
+}
+
+
+def load(name: str, **chosen) -> Scenario:
+    """A scenario by name, with its options (`load("cao-2019", plant="printed")`).
+
+    Raises ValueError naming the allowed scenarios or options.
+    """
+    if name not in SCENARIOS:
+        raise ValueError(f"scenario = {name!r} is not one of {', '.join(SCENARIOS)}")
+    allowed = options(name)
+    for option in chosen:
+        if option not in allowed:
+            raise ValueError(f"{name}: option {brief(option)} is not one of {', '.join(allowed)}")
+    for option, value in chosen.items():
+        if isinstance(allowed[option], str) and not isinstance(value, str):
+            raise ValueError(f"{name}: option {option} = {brief(value)} is not text")
+        if isinstance(allowed[option], float):
+            try:
+                chosen[option] = float(value)
+            except (TypeError, ValueError, OverflowError):
+                raise ValueError(f"{name}: option {option} = {brief(value)} is not a number") from None
+    return dataclasses.replace(SCENARIOS[name](**chosen), options=allowed | chosen)
+
+
+def options(name: str) -> dict[str, object]:
+    """The options of a scenario with their defaults."""
+    return {p.name: p.default for p in inspect.signature(SCENARIOS[name]).parameters.values()}
