@@ -10,20 +10,21 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from . import peers, scenarios
-from .learning.machine import Machine
-from .learning.over_trials import learn
-from .learning.within_trial import run_trial
+from .. import scenarios
+from ..learning.machine import Machine
+from ..learning.over_trials import learn
+from ..learning.within_trial import run_trial
+from ..plants import InBlocks, StateSpace
+from ..pytree.named_paths import replaced
+from ..runtime.capacity import check_size
+from ..runtime.tiles import tiled
+from ..scenarios.xu_2024 import MODEL
+from ..schemes import NormOptimal, Scheme
+from ..schemes.scheme import Feedforward
+from ..signals import references
+from ..signals.task import Task
+from . import peers
 from .peers import FIGURES, Peer, Problem
-from .plants import InBlocks, StateSpace
-from .pytree.named_paths import replaced
-from .runtime.capacity import check_size
-from .runtime.tiles import tiled
-from .scenarios.xu_2024 import MODEL
-from .schemes import NormOptimal, Scheme
-from .schemes.scheme import Feedforward
-from .signals import references
-from .signals.task import Task
 from .timing import OURS, Cost, Entry, Row, cores, cost, difference, in_turns
 
 SCHEMES = {"cfdl": "cfdl-mfailc", "ffdl": "ffdl-mfailc"}
