@@ -1,4 +1,5 @@
-from . import figures, filters, plants, pytree, report, scenarios, schemes, theory, uncertainty
+from . import figures, filters, plants, pytree, scenarios, schemes, theory, uncertainty
+from .figures import report
 from .filters import inversion
 from .filters.switching import SwitchableFilter, instantaneous_frequency, segments
 from .hardware.campaign import Campaign

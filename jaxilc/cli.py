@@ -133,7 +133,7 @@ def run(
     import jax
 
     from . import figures, plants, tables
-    from .report import command_report
+    from .figures.report import command_report
     from .storage.files import whole_folder
     from .sweeps import runs
 
@@ -199,7 +199,7 @@ def sweep(
     """
     begin(precision)
     from . import figures, tables
-    from .report import command_report
+    from .figures.report import command_report
     from .sweeps.summary import summarise
     from .sweeps.sweep import Sweep
 

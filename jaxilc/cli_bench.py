@@ -33,8 +33,8 @@ def bench(
     setup(precision=precision)
     import jax
 
-    from . import bench as measured
-    from .timing import OURS, as_json, machine
+    from .bench import contests as measured
+    from .bench.timing import OURS, as_json, machine
 
     jax.config.update("jax_enable_compilation_cache", False)  # compiling is measured too
     sizes, names = _numbers(plants), [name.strip() for name in schemes.split(",")]

@@ -66,7 +66,7 @@ def certify(
     """
     begin(precision)
     from . import figures, tables
-    from .report import command_report
+    from .figures.report import command_report
     from .schemes import FFDLMFAILC
     from .theory import certify as of_machines
     from .theory import premises
@@ -136,8 +136,8 @@ def identify(
     """
     begin("float64")
     from . import figures, identification, tables
+    from .figures.report import command_report
     from .identification.records import read_record
-    from .report import command_report
 
     measured = read_record(record, time=time_name, input=input_name, output=output_name)
     found = identification.identify(measured, poles=poles, pairs=pairs, zeros=zeros)
@@ -170,7 +170,7 @@ def reproduce(
     """
     begin(precision)
     from . import tables
-    from .report import command_report
+    from .figures.report import command_report
     from .scenarios import reproduction
 
     numbers = [row.as_dict() for row in reproduction.reproduce(scenario or ())]

@@ -146,7 +146,7 @@ def trials(
         written.append(table)
     if plot is not None:
         from . import figures
-        from .campaign_figures import campaign_figure
+        from .figures.campaign import campaign_figure
 
         task = journal.last_known()["configuration"].get("task")
         unit, input_unit = (str(task.get(name, "")) if isinstance(task, dict) else "" for name in ("unit", "input_unit"))

@@ -84,7 +84,7 @@ def pareto(
     --second effort --trials 15 --steps 20
     """
     begin(precision)
-    from .report import command_report
+    from .figures.report import command_report
     from .tuning.trade_off import SHARES
 
     if (second is None) == (budgets is None):

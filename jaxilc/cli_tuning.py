@@ -86,7 +86,7 @@ def tune(
     """
     begin(precision)
     from . import figures, tuning_tables
-    from .report import command_report
+    from .figures.report import command_report
     from .scenarios.from_file import load_scenario
     from .scenarios.parameters import differing, write_parameters
 
@@ -157,7 +157,7 @@ def worst_case(
     """
     begin(precision)
     from . import figures, tuning_tables
-    from .report import command_report
+    from .figures.report import command_report
     from .tuning.worst_case import GRADIENT_COST, monte_carlo_search, worst_case_search
 
     at_least_one = (("trial", trial, 1), ("starts", starts, 1), ("steps", steps, 1), ("draws", draws, 1))

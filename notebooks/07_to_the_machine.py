@@ -35,7 +35,7 @@ import numpy as np
 
 import jaxilc
 from jaxilc import Campaign, Machine, Sensor, load_scenario, plants
-from jaxilc.campaign_figures import campaign_figure
+from jaxilc.figures.campaign import campaign_figure
 from jaxilc.hardware import trial_files
 from jaxilc.schemes import Scheme, WithFeedback
 from jaxilc.schemes.compose import Pair

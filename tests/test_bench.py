@@ -8,7 +8,8 @@ import typer
 from cases import ALGEBRA
 from typer.testing import CliRunner
 
-from jaxilc import bench, cli_bench, timing
+from jaxilc import bench, cli_bench
+from jaxilc.bench import contests, timing
 
 OPPONENTS, NOTES = bench.opponents()
 
@@ -55,8 +56,8 @@ def test_wrong_numbers_are_refused():
 
 
 def test_other_numbers_in_blocks_are_refused(monkeypatch):
-    right = bench.InBlocks.response
-    monkeypatch.setattr(bench.InBlocks, "response", lambda plant, u, dt: (1 + 2e-9) * right(plant, u, dt))
+    right = contests.InBlocks.response
+    monkeypatch.setattr(contests.InBlocks, "response", lambda plant, u, dt: (1 + 2e-9) * right(plant, u, dt))
     with pytest.raises(ArithmeticError, match="jaxilc in blocks differs from jaxilc by 2e-09 of the largest output; allowed is 1e-09"):
         bench.compare_long(100, repeats=1)
 
@@ -95,7 +96,7 @@ def test_the_command(tmp_path):
     found = json.loads(file.read_text())
     assert set(found["rows"]) == {"cfdl/2", "plant/2", "long/200"}
     assert {"python-control", "SciPy lfilter", timing.OURS} == set(found["rows"]["plant/2"])
-    assert {"SciPy lfilter", bench.BLOCKS, timing.OURS} == set(found["rows"]["long/200"])
+    assert {"SciPy lfilter", contests.BLOCKS, timing.OURS} == set(found["rows"]["long/200"])
     assert set(found["cost"]["cfdl"]) == {"plants", "trials", "samples"}
 
 

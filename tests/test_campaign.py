@@ -17,7 +17,7 @@ from cases import ALGEBRA, case
 from typer.testing import CliRunner
 
 from jaxilc import cli_machine
-from jaxilc.campaign_figures import campaign_figure
+from jaxilc.figures.campaign import campaign_figure
 from jaxilc.hardware import journal, trial_files
 from jaxilc.hardware.campaign import Campaign
 from jaxilc.hardware.checks import Rules, beyond_limits

@@ -13,7 +13,7 @@ from crash_points import recorded
 from matplotlib.figure import Figure
 
 from jaxilc import cli_common, figures
-from jaxilc.report import write_report
+from jaxilc.figures.report import write_report
 from jaxilc.scenarios.parameters import write_parameters
 from jaxilc.storage import files
 from jaxilc.storage.files import UNFINISHED, atomically, whole_folder

@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from rich.table import Table
 
 from jaxilc import learn, scenarios, tables
-from jaxilc.report import POLICY, command_report, html_report, write_report
+from jaxilc.figures.report import POLICY, command_report, html_report, write_report
 from jaxilc.sweeps import runs
 
 NASTY = "<script>alert('1')</script> & \"quotes\" \x1b[31mred\x1b[0m ]]> <!-- µm"

@@ -14,7 +14,8 @@ WHOLE = 1024  # plants beyond which two turns are enough
 
 
 def rows(plants):
-    from jaxilc import bench, timing
+    from jaxilc import bench
+    from jaxilc.bench import timing
 
     opponents, notes = bench.opponents()
     for note in notes:

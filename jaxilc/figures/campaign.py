@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from .figures.style import COLOURS, grid, labelled, legend_beside, new_axes, trial_axis
+from .style import COLOURS, grid, labelled, legend_beside, new_axes, trial_axis
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

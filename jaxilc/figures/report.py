@@ -21,11 +21,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rich.table import Table
 
-from .runtime.provenance import describe, environment
-from .storage.files import atomically
+from ..runtime.provenance import describe, environment
+from ..storage.files import atomically
 
 if TYPE_CHECKING:
-    from .scenarios import Scenario
+    from ..scenarios import Scenario
 
 MEDIA = {".png": "image/png", ".svg": "image/svg+xml"}
 DPI = 200  # of axes that are drawn for the page
