@@ -31,7 +31,8 @@
 import numpy as np
 
 import jaxilc
-from jaxilc import figures, tables
+from jaxilc import figures
+from jaxilc.cli import tables
 
 # %matplotlib inline
 # ruff: noqa: B018

@@ -8,8 +8,9 @@ import typer
 from cases import ALGEBRA
 from typer.testing import CliRunner
 
-from jaxilc import bench, cli_bench
+from jaxilc import bench
 from jaxilc.bench import contests, timing
+from jaxilc.cli import bench as command
 
 OPPONENTS, NOTES = bench.opponents()
 
@@ -89,7 +90,7 @@ def test_the_cost_of_a_size_is_a_line():
 
 def test_the_command(tmp_path):
     app, file = typer.Typer(), tmp_path / "bench.json"
-    cli_bench.register(app)
+    command.register(app)
     small = ["--plants", "2", "--trials", "4", "--samples", "24", "--long", "200", "--schemes", "cfdl", "--repeats", "1"]
     result = CliRunner().invoke(app, [*small, "--json", str(file)])
     assert result.exit_code == 0, result.output
@@ -114,7 +115,7 @@ def test_the_command(tmp_path):
 )
 def test_bad_input_is_named(arguments, message):
     app = typer.Typer()
-    cli_bench.register(app)
+    command.register(app)
     result = CliRunner().invoke(app, ["--plants", "1", "--schemes", "cfdl", "--trials", "2", "--samples", "8", *arguments])
     assert isinstance(result.exception, ValueError)
     assert message in str(result.exception)

@@ -16,7 +16,7 @@ import typer
 from cases import ALGEBRA, case
 from typer.testing import CliRunner
 
-from jaxilc import cli_machine
+from jaxilc.cli import hardware
 from jaxilc.figures.campaign import campaign_figure
 from jaxilc.hardware import journal, trial_files
 from jaxilc.hardware.campaign import Campaign
@@ -65,7 +65,7 @@ class = "Filtered"
 scheme = { class = "PIDType", gamma_p = 0.6, gamma_d = 10.0, lead = 4 }
 filter = { class = "ZeroPhaseButterworth", cutoff = 60.0 }
 """
-PROGRAM = "import sys; from jaxilc import cli, cli_machine; {} cli_machine.register(cli.app); cli.main()"
+PROGRAM = "import sys; from jaxilc.cli import entry, hardware; {} hardware.register(entry.app); entry.main()"
 
 
 def real_machine(axis):
@@ -113,7 +113,7 @@ class Rig:
 
 
 app = typer.Typer()
-cli_machine.register(app)
+hardware.register(app)
 
 
 def call(*arguments):

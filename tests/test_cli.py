@@ -20,8 +20,8 @@ from typer.main import get_command
 from typer.testing import CliRunner
 
 import jaxilc
-from jaxilc import cli_common
-from jaxilc.cli import app, main
+from jaxilc.cli import options as shared
+from jaxilc.cli.entry import app, main
 from jaxilc.scenarios.catalogue import LISTED
 
 PLANT = """
@@ -365,9 +365,9 @@ def test_progress_is_shown_on_a_terminal_alone(monkeypatch):
     shown = {}
     for terminal, quiet in ((True, False), (True, True), (False, False)):
         text = io.StringIO()
-        monkeypatch.setattr(cli_common, "err", Console(file=text, force_terminal=terminal))
-        monkeypatch.setattr(cli_common.out, "quiet", quiet)
-        with cli_common.progress_bar("what") as bar:
+        monkeypatch.setattr(shared, "err", Console(file=text, force_terminal=terminal))
+        monkeypatch.setattr(shared.out, "quiet", quiet)
+        with shared.progress_bar("what") as bar:
             bar.update(bar.add_task("trials", total=2, what="half"), completed=1)
         shown[terminal, quiet] = text.getvalue()
     assert "half" in shown[True, False]

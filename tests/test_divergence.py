@@ -9,7 +9,8 @@ import pytest
 import xarray as xr
 from cases import DT, task_for
 
-from jaxilc import figures, scenarios, tables
+from jaxilc import figures, scenarios
+from jaxilc.cli import tables
 from jaxilc.learning import divergence
 from jaxilc.learning.machine import Machine
 from jaxilc.learning.metrics import Keep, Metrics

@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from jaxilc import figures, scenarios
-from jaxilc.cli import main
+from jaxilc.cli.entry import main
 from jaxilc.scenarios.from_file import read_scenario
 from jaxilc.schemes import PID
 from jaxilc.sweeps.runs import run_schemes

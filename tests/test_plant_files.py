@@ -10,7 +10,7 @@ from cases import ALGEBRA, DT
 from typer.testing import CliRunner
 
 from jaxilc import plants, scenarios
-from jaxilc.cli import app
+from jaxilc.cli.entry import app
 from jaxilc.identification.records import excite, write_record
 from jaxilc.learning.machine import Machine
 from jaxilc.learning.over_trials import learn

@@ -12,7 +12,7 @@ import pytest
 import scipy.io
 from cases import DT
 
-from jaxilc.cli_completion import schemes_from
+from jaxilc.cli.completion import schemes_from
 from jaxilc.hardware.trial_files import read_measured
 from jaxilc.identification.records import read_record
 from jaxilc.scenarios import load

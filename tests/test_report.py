@@ -19,7 +19,8 @@ from matplotlib import image
 from matplotlib.figure import Figure
 from rich.table import Table
 
-from jaxilc import learn, scenarios, tables
+from jaxilc import learn, scenarios
+from jaxilc.cli import tables
 from jaxilc.figures.report import POLICY, command_report, html_report, write_report
 from jaxilc.sweeps import runs
 

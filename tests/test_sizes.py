@@ -186,20 +186,21 @@ class = "PIDType"
 LIMITED = """
 import json, resource, sys, time
 import jax
-from jaxilc import cli, memory, runtime
-runtime.setup()
+from jaxilc.cli import entry
+from jaxilc.runtime import capacity, start
+start.setup()
 jax.numpy.zeros(3).block_until_ready()
-limit = memory._status("VmSize") + memory.SPARE + 10**9  # of which 10^9 bytes are for us
+limit = capacity._status("VmSize") + capacity.SPARE + 10**9  # of which 10^9 bytes are for us
 resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
-assert memory.host_bytes() <= 10**9
-cli.setup = runtime.setup = lambda **_: None
+assert capacity.host_bytes() <= 10**9
+start.setup = lambda **_: None
 said = []
-cli.err = type("Said", (), {"print": lambda self, text, **_: said.append(text), "is_terminal": False})()
+entry.err = type("Said", (), {"print": lambda self, text, **_: said.append(text), "is_terminal": False})()
 for command in sys.stdin.read().split("\\n"):
     sys.argv, start = ["jaxilc", *command.split()], time.perf_counter()
     code = 0
     try:
-        cli.main()
+        entry.main()
     except SystemExit as stop:
         code = stop.code
     print(json.dumps([command, code, said.pop() if said else "", time.perf_counter() - start]), file=sys.stderr, flush=True)

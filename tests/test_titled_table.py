@@ -7,9 +7,9 @@ import re
 import pytest
 from rich.console import Console
 
-from jaxilc.printable import printable
-from jaxilc.titled_table import Console as Plain
-from jaxilc.titled_table import Table
+from jaxilc.cli.titled_table import Console as Plain
+from jaxilc.cli.titled_table import Table
+from jaxilc.storage.printable import printable
 
 TITLE = "Voice-coil motor for noncircular turning\nsettled error [µm] by trial, published value in brackets"
 

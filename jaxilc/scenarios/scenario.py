@@ -13,11 +13,11 @@ import jax
 from ..learning.machine import Machine
 from ..learning.metrics import Metrics
 from ..learning.over_trials import check
-from ..printable import printable
 from ..pytree.named_paths import allowed_at, get_at, kind_at, replaced, settable
 from ..pytree.ranges import brief, named
 from ..schemes import Scheme
 from ..signals.task import Task, Trial
+from ..storage.printable import printable
 from ..uncertainty import Uncertainty
 
 _NAME = re.compile(r"[^\W_][\w +-]{0,49}")  # of a scheme: part of a path of parameters and of files' names

@@ -9,7 +9,8 @@ from typing import Annotated
 
 import typer
 
-from .cli_common import (
+from .completion import scenarios_from
+from .options import (
     Json,
     Params,
     Precision,
@@ -31,7 +32,6 @@ from .cli_common import (
     spread_of,
     written,
 )
-from .cli_completion import scenarios_from
 
 NEEDED = 3  # trials for the premises of a bound, which are on increments between increments
 
@@ -65,13 +65,14 @@ def certify(
     Example: jaxilc certify cao-2019 --scheme cfdl-mfailc --trials 200 --samples 256
     """
     begin(precision)
-    from . import figures, tables
-    from .figures.report import command_report
-    from .schemes import FFDLMFAILC
-    from .theory import certify as of_machines
-    from .theory import premises
-    from .theory.bounds import need_room
-    from .uncertainty import draw
+    from .. import figures
+    from ..figures.report import command_report
+    from ..schemes import FFDLMFAILC
+    from ..theory import certify as of_machines
+    from ..theory import premises
+    from ..theory.bounds import need_room
+    from ..uncertainty import draw
+    from . import tables
 
     chosen = chosen_scenario(scenario, scheme, trials, set_, params)
     uncertainty = spread_of(chosen, spread)
@@ -135,9 +136,10 @@ def identify(
     Example: jaxilc identify record.csv --poles 1 --pairs 1 --zeros 1
     """
     begin("float64")
-    from . import figures, identification, tables
-    from .figures.report import command_report
-    from .identification.records import read_record
+    from .. import figures, identification
+    from ..figures.report import command_report
+    from ..identification.records import read_record
+    from . import tables
 
     measured = read_record(record, time=time_name, input=input_name, output=output_name)
     found = identification.identify(measured, poles=poles, pairs=pairs, zeros=zeros)
@@ -169,9 +171,9 @@ def reproduce(
     Example: jaxilc reproduce cao-2019 dai-2014 --json out/reproduce.json
     """
     begin(precision)
+    from ..figures.report import command_report
+    from ..scenarios import reproduction
     from . import tables
-    from .figures.report import command_report
-    from .scenarios import reproduction
 
     numbers = [row.as_dict() for row in reproduction.reproduce(scenario or ())]
     table = tables.reproduction_table(numbers)

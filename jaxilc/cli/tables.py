@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .learning.divergence import CEILING, GROWTH
-from .scenarios.reproduction import SHAPE
-from .theory.certificates import CLAIMS, CONVERGES, COURSES, DIVERGES, GROWS, MONOTONE, NOTHING, TURNS
+from ..learning.divergence import CEILING, GROWTH
+from ..scenarios.reproduction import SHAPE
+from ..theory.certificates import CLAIMS, CONVERGES, COURSES, DIVERGES, GROWS, MONOTONE, NOTHING, TURNS
 from .titled_table import Table
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from .scenarios import Scenario
-    from .sweeps.summary import SchemeSummary
-    from .theory import Certificate, PremiseShare
+    from ..scenarios import Scenario
+    from ..sweeps.summary import SchemeSummary
+    from ..theory import Certificate, PremiseShare
 
 FIGURES = ("settled_error", "max_error", "rms", "best_trial")
 NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w])")

@@ -9,9 +9,9 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from .cli_completion import of_list, scenarios_from, schemes_from
-from .cli_output import err, log_jax, out
-from .tuning_options import OBJECTIVES, RISKS
+from .completion import of_list, scenarios_from, schemes_from
+from .console import err, log_jax, out
+from .terms import OBJECTIVES, RISKS
 
 
 def file_to_write(path: Path | None) -> Path | None:
@@ -23,7 +23,7 @@ def file_to_write(path: Path | None) -> Path | None:
 
 def seed_in_range(seed: int) -> int:
     """The seed. Raises ValueError for one that the generators refuse."""
-    from .pytree.ranges import SEEDS, Interval, brief
+    from ..pytree.ranges import SEEDS, Interval, brief
 
     if not Interval.parse(SEEDS).contains(seed):
         raise ValueError(f"--seed {brief(seed)} is outside its allowed range {SEEDS}")
@@ -87,7 +87,7 @@ class Refused(ValueError):
 
 def begin(precision: str) -> None:
     """Start JAX, with compiled programs kept from one start to the next."""
-    from .runtime.start import keep_programs, setup
+    from ..runtime.start import keep_programs, setup
 
     setup(precision=precision)
     log_jax(keep_programs())
@@ -97,9 +97,9 @@ def chosen_scenario(name: str, schemes: list[str] | None, trials: int | None, se
     """The scenario as asked for: its options, then the parameter file, then the settings. ValueError names what is allowed."""
     import dataclasses
 
-    from . import scenarios
-    from .scenarios.from_file import load_scenario
-    from .scenarios.parameters import with_parameters
+    from .. import scenarios
+    from ..scenarios.from_file import load_scenario
+    from ..scenarios.parameters import with_parameters
 
     values = {}
     for setting in settings or []:
@@ -125,7 +125,7 @@ def chosen_scenario(name: str, schemes: list[str] | None, trials: int | None, se
 
 def spread_of(chosen, spread: float | None):
     """The scenario's uncertainty, as wide as asked for."""
-    from .uncertainty import with_spread
+    from ..uncertainty import with_spread
 
     return chosen.uncertainty if spread is None else with_spread(chosen.uncertainty, spread)
 
@@ -139,7 +139,7 @@ def folder_of(folder: Path | None, default: str) -> Path:
 
 def written(paths: list[Path], json_file: Path | None, numbers: dict | list) -> None:
     """Write the numbers, if that was asked for, and say what was written."""
-    from .storage.sealed import write_json
+    from ..storage.sealed import write_json
 
     if json_file is not None:
         json_file.parent.mkdir(parents=True, exist_ok=True)

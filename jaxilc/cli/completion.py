@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import typer
 
-from .scenarios.catalogue import SCHEMES
-from .storage.reading import read_tree
+from ..scenarios.catalogue import SCHEMES
+from ..storage.reading import read_tree
 
 
 def scenarios_from(incomplete: str) -> list[str]:

@@ -5,15 +5,15 @@ from __future__ import annotations
 import dataclasses
 from typing import TYPE_CHECKING, Any
 
-from .sweeps.summary import summarise
+from ..sweeps.summary import summarise
 from .tables import number, sweep_figures
 from .titled_table import Table
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from .scenarios import Scenario
-    from .tuning.problem import Tuned
+    from ..scenarios import Scenario
+    from ..tuning.problem import Tuned
 
 WHICH = ("given", "tuned")
 

@@ -10,7 +10,7 @@ import rich.table
 from rich.console import ConsoleOptions, RenderResult
 from rich.text import Text
 
-from .printable import printable
+from ..storage.printable import printable
 
 
 class Console(rich.console.Console):

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from .cli_common import (
+from .options import (
     TERMS,
     Bounds,
     HeldOut,
@@ -38,8 +38,8 @@ from .cli_common import (
     stopped,
     written,
 )
-from .cli_tuning import asked_for, problem_of
-from .tuning_options import numbers_of
+from .terms import numbers_of
+from .tune import asked_for, problem_of
 
 
 def register(app: typer.Typer) -> None:
@@ -84,8 +84,8 @@ def pareto(
     --second effort --trials 15 --steps 20
     """
     begin(precision)
-    from .figures.report import command_report
-    from .tuning.trade_off import SHARES
+    from ..figures.report import command_report
+    from ..tuning.trade_off import SHARES
 
     if (second is None) == (budgets is None):
         raise ValueError(f"--second {second} and --budgets {budgets}: one of the two is needed, and not both")
@@ -121,9 +121,9 @@ def pareto(
 
 def _front(chosen, scenario: str, scheme: str, problem, second, shares, folder: Path, resume: bool):
     """Numbers, table and files of a front of two objectives."""
-    from . import figures
+    from .. import figures
+    from ..tuning.trade_off import held_out_losses, pareto
     from .titled_table import Table
-    from .tuning.trade_off import held_out_losses, pareto
 
     first = problem.objective
     points = _with_progress(partial(pareto, problem, first, second, shares), len(shares), problem.steps, folder / "state", resume)
@@ -146,11 +146,11 @@ def _front(chosen, scenario: str, scheme: str, problem, second, shares, folder: 
 
 def _by_trials(chosen, scenario: str, scheme: str, problem, budgets: list[int], unseen: int, folder: Path, resume: bool):
     """Numbers, table and files of one tuning for each number of trials, all judged on the same unseen machines."""
-    from . import figures
-    from .sweeps.summary import summarise
+    from .. import figures
+    from ..sweeps.summary import summarise
+    from ..tuning.trade_off import by_trials
     from .tables import number
     from .titled_table import Table
-    from .tuning.trade_off import by_trials
 
     problem.comparison(dict.fromkeys(("given", *map(str, budgets)), problem.scheme), trials=max(budgets), samples=unseen)  # refused now
     found = _with_progress(partial(by_trials, problem, budgets), len(budgets), problem.steps, folder / "state", resume)
@@ -182,8 +182,8 @@ def _by_trials(chosen, scenario: str, scheme: str, problem, budgets: list[int], 
 
 def _parameters(chosen, scenario: str, scheme: str, tuned, path: Path, row: dict) -> Path:
     """The parameter file of one point."""
-    from .scenarios.from_file import load_scenario
-    from .scenarios.parameters import differing, write_parameters
+    from ..scenarios.from_file import load_scenario
+    from ..scenarios.parameters import differing, write_parameters
 
     changed = differing(tuned.scheme, load_scenario(scenario, chosen.options).schemes[scheme])
     obtained = {"command": "jaxilc pareto", "options": dict(chosen.options), "point": row}

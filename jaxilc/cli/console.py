@@ -47,7 +47,7 @@ def log_jax(programs: Path | None) -> None:
         return
     import jax
 
-    from .runtime.provenance import environment
+    from ..runtime.provenance import environment
 
     found = environment()
     versions = ", ".join(f"{name} {version}" for name, version in found.pop("versions").items())

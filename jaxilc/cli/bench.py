@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from .cli_common import Json, out, written
+from .options import Json, out, written
 
 
 def register(app: typer.Typer) -> None:
@@ -28,13 +28,13 @@ def bench(
 
     Example: jaxilc bench --plants 1024 --json out/bench.json
     """
-    from .runtime.start import setup
+    from ..runtime.start import setup
 
     setup(precision=precision)
     import jax
 
-    from .bench import contests as measured
-    from .bench.timing import OURS, as_json, machine
+    from ..bench import contests as measured
+    from ..bench.timing import OURS, as_json, machine
 
     jax.config.update("jax_enable_compilation_cache", False)  # compiling is measured too
     sizes, names = _numbers(plants), [name.strip() for name in schemes.split(",")]

@@ -10,8 +10,11 @@ from typing import Annotated
 
 import typer
 
-from . import cli_bench, cli_checks, cli_machine, cli_trade_off, cli_tuning
-from .cli_common import (
+from ..scenarios.catalogue import LISTED
+from . import bench, checks, hardware, pareto, tune
+from .completion import scenarios_from
+from .console import ended, speak, tracebacks
+from .options import (
     Json,
     Params,
     Precision,
@@ -35,9 +38,6 @@ from .cli_common import (
     stopped,
     written,
 )
-from .cli_completion import scenarios_from
-from .cli_output import ended, speak, tracebacks
-from .scenarios.catalogue import LISTED
 from .titled_table import Table
 
 EXIT_CODES = (
@@ -99,7 +99,7 @@ def list_(
         out.print(table)
         return
     begin("float64")
-    from .scenarios.from_file import load_scenario
+    from ..scenarios.from_file import load_scenario
 
     loaded = load_scenario(scenario)
     table = Table("--set", "value", "allowed", title=loaded.title)
@@ -132,10 +132,11 @@ def run(
     begin(precision)
     import jax
 
-    from . import figures, plants, tables
-    from .figures.report import command_report
-    from .storage.files import whole_folder
-    from .sweeps import runs
+    from .. import figures, plants
+    from ..figures.report import command_report
+    from ..storage.files import whole_folder
+    from ..sweeps import runs
+    from . import tables
 
     chosen = chosen_scenario(scenario, scheme, trials, set_, params)
     key = jax.random.key(seed)
@@ -198,10 +199,11 @@ def sweep(
     Example: jaxilc sweep cao-2019 --samples 4096 --spread 0.2 --out out/wide
     """
     begin(precision)
-    from . import figures, tables
-    from .figures.report import command_report
-    from .sweeps.summary import summarise
-    from .sweeps.sweep import Sweep
+    from .. import figures
+    from ..figures.report import command_report
+    from ..sweeps.summary import summarise
+    from ..sweeps.sweep import Sweep
+    from . import tables
 
     chosen = chosen_scenario(scenario, scheme, trials, set_, params)
     uncertainty = spread_of(chosen, spread)
@@ -229,11 +231,11 @@ def sweep(
     written([path, *page, store], json_file, numbers | {"sample_steps": steps, "seconds": seconds})
 
 
-cli_checks.register(app)
-cli_tuning.register(app)
-cli_trade_off.register(app)
-cli_machine.register(app)
-cli_bench.register(app)
+checks.register(app)
+tune.register(app)
+pareto.register(app)
+hardware.register(app)
+bench.register(app)
 
 
 def main() -> None:
@@ -258,7 +260,7 @@ def _said(error: ValueError | OSError) -> str:
 
 def _with_progress(plan, store: Path, resume: bool, cluster: str | None):
     """Run the plan behind a progress bar (on a terminal); the dataset, the seconds and the sample-steps it took."""
-    from .sweeps.cluster import ChunkFailed
+    from ..sweeps.cluster import ChunkFailed
 
     start, counted = time.perf_counter(), {}
     with progress_bar("rate") as bar:

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from .cli_completion import of_list, scenarios_from, schemes_from
+from .completion import of_list, scenarios_from, schemes_from
 
 Folder = Annotated[Path, typer.Option("--state", help="Folder of the campaign.")]
 Measured = Annotated[Path | None, typer.Option("--measured", metavar="TRIAL", help="Measured trial, .csv or .mat; none starts a campaign.")]
@@ -65,12 +65,12 @@ def next_(
 
     Example: jaxilc next --state x-axis --measured trial-3.csv --out trial-4.csv
     """
-    from .cli_common import Refused
-    from .hardware.campaign import Campaign, refuse
-    from .hardware.checks import Rules
-    from .hardware.journal import Journal
-    from .hardware.trial_files import check_format, read_measured
-    from .runtime.start import setup
+    from ..hardware.campaign import Campaign, refuse
+    from ..hardware.checks import Rules
+    from ..hardware.journal import Journal
+    from ..hardware.trial_files import check_format, read_measured
+    from ..runtime.start import setup
+    from .options import Refused
 
     setup(precision="float64")
     if out is not None:
@@ -121,9 +121,9 @@ def trials(
 
     Example: jaxilc trials --state x-axis --csv log.csv --plot log.png
     """
-    from .cli_common import out as console
-    from .hardware.journal import Journal
-    from .storage.files import atomically
+    from ..hardware.journal import Journal
+    from ..storage.files import atomically
+    from .options import out as console
     from .titled_table import Table
 
     journal = Journal(state)
@@ -145,8 +145,8 @@ def trials(
         atomically(table, lambda file: file.write(text.getvalue().encode()))
         written.append(table)
     if plot is not None:
-        from . import figures
-        from .figures.campaign import campaign_figure
+        from .. import figures
+        from ..figures.campaign import campaign_figure
 
         task = journal.last_known()["configuration"].get("task")
         unit, input_unit = (str(task.get(name, "")) if isinstance(task, dict) else "" for name in ("unit", "input_unit"))
@@ -157,7 +157,7 @@ def trials(
 
 def _kept(journal) -> dict[str, Any]:
     """The recipe of a campaign. Raises ValueError for what `jaxilc next` does not write."""
-    from .pytree.ranges import is_number
+    from ..pytree.ranges import is_number
 
     recipe = journal.last_known()["recipe"]
     kinds = {"scenario": str, "scheme": str, "settings": dict, "rules": dict}
@@ -171,7 +171,7 @@ def _kept(journal) -> dict[str, Any]:
 
 def _recipe(before, scenario, plant_file, scheme, settings, rules) -> dict[str, Any]:
     """How scheme and task are made: as before, but for what is given anew."""
-    from .scenarios import SCENARIOS
+    from ..scenarios import SCENARIOS
 
     if scenario is not None and plant_file is not None:
         raise ValueError("--scenario and --plant-file exclude each other")
@@ -196,7 +196,7 @@ def _recipe(before, scenario, plant_file, scheme, settings, rules) -> dict[str, 
 
 def _chosen(recipe: dict[str, Any]):
     """The name of the scheme and the scenario."""
-    from .scenarios.from_file import load_scenario
+    from ..scenarios.from_file import load_scenario
 
     chosen = load_scenario(recipe["scenario"], recipe["settings"])
     learning = [name for name, scheme in chosen.schemes.items() if scheme.learns]
@@ -210,7 +210,7 @@ def _chosen(recipe: dict[str, Any]):
 
 def _report(turn, ignored, unit: str) -> None:
     """What was found about a measured trial: notes to standard output, warnings to standard error."""
-    from .cli_common import err, out
+    from .options import err, out
 
     largest = ", ".join(f"{value:.6g}" for value in turn.figures["max_error"])
     out.print(f"trial {turn.trial}: RMS error {turn.figures['error']:.6g} {unit}, largest {largest} {unit}", highlight=False)
@@ -225,9 +225,9 @@ def _played(path: Path | None, tables, task, trial: int, number: str, dry_run: b
     """Write what the machine plays, and say what it is."""
     import numpy as np
 
-    from .cli_common import out
-    from .hardware.playback import unit_of
-    from .hardware.trial_files import write_tables
+    from ..hardware.playback import unit_of
+    from ..hardware.trial_files import write_tables
+    from .options import out
 
     peaks = ", ".join(f"{name} up to {np.max(np.abs(table)):.6g} {unit_of(name, task)}".strip() for name, table in tables.items())
     out.print(f"next: trial {trial}, {peaks}", highlight=False, markup=False, soft_wrap=True)

@@ -13,7 +13,7 @@ def objective_of(text: str, figure: str, scale: float, option: str = "--objectiv
     figure: where none is named;  scale: of tolerances as shown;  option: of the command line that it was given to
     Raises ValueError naming what is allowed.
     """
-    from .tuning import objectives as o
+    from ..tuning import objectives as o
 
     kinds = {
         "final": lambda f, x: o.Final(f, None if x is None else _whole("final", x)),
@@ -39,7 +39,7 @@ def objective_of(text: str, figure: str, scale: float, option: str = "--objectiv
 
 def risk_of(text: str):
     """A risk from `cvar:0.9`. Raises ValueError naming what is allowed."""
-    from .tuning import risks
+    from ..tuning import risks
 
     name, _, number = text.strip().partition(":")
     match name, number:

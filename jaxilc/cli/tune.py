@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from .cli_common import (
+from .options import (
     TERMS,
     Bounds,
     HeldOut,
@@ -42,7 +42,7 @@ from .cli_common import (
     stopped,
     written,
 )
-from .tuning_options import objective_of, risk_of, weights_of
+from .terms import objective_of, risk_of, weights_of
 
 
 def register(app: typer.Typer) -> None:
@@ -85,10 +85,11 @@ def tune(
     Example: jaxilc tune cao-2019 --scheme cfdl-mfailc --weights lam,eta,mu,phi0 --set cfdl-mfailc.lead=3 --objective holding:20
     """
     begin(precision)
-    from . import figures, tuning_tables
-    from .figures.report import command_report
-    from .scenarios.from_file import load_scenario
-    from .scenarios.parameters import differing, write_parameters
+    from .. import figures
+    from ..figures.report import command_report
+    from ..scenarios.from_file import load_scenario
+    from ..scenarios.parameters import differing, write_parameters
+    from . import tuning_tables
 
     chosen = chosen_scenario(scenario, [scheme], trials, set_, params)
     options = {"steps": steps, "starts": starts, "rate": rate, "optimiser": optimiser, "samples": samples, "held_out": held_out}
@@ -156,9 +157,10 @@ def worst_case(
     Example: jaxilc worst-case cao-2019 --scheme cfdl-mfailc --trial 40 --draws 10000
     """
     begin(precision)
-    from . import figures, tuning_tables
-    from .figures.report import command_report
-    from .tuning.worst_case import GRADIENT_COST, monte_carlo_search, worst_case_search
+    from .. import figures
+    from ..figures.report import command_report
+    from ..tuning.worst_case import GRADIENT_COST, monte_carlo_search, worst_case_search
+    from . import tuning_tables
 
     at_least_one = (("trial", trial, 1), ("starts", starts, 1), ("steps", steps, 1), ("draws", draws, 1))
     for name, value, low in (*at_least_one, ("evaluations", evaluations, starts * (1 + GRADIENT_COST))):
@@ -207,7 +209,7 @@ def asked_for(chosen, text: str, option: str = "--objective"):
 
 def problem_of(chosen, scheme: str, weights: str, bounds: list[str] | None, spread: float | None, objective, risk: str, **options):
     """The tuning problem as asked for. options: those of `Tuning`, by name"""
-    from .tuning.problem import Tuning
+    from ..tuning.problem import Tuning
 
     asked = (weights_of(weights, bounds), spread_of(chosen, spread), objective, risk_of(risk))
     return Tuning(chosen.machine, chosen.schemes[scheme], chosen.task, chosen.trials, *asked, quantities=chosen.functions, **options)
@@ -229,9 +231,9 @@ def _with_progress(problem, state: Path, resume: bool):
 
 def _need_room(chosen, uncertainty, starts: int, steps: int, evaluations: int | None, draws: int | None) -> None:
     """Raises ValueError, before the climb, for a trial or a search by chance after it that does not fit into memory."""
-    from .learning.over_trials import bytes_of_figures
-    from .runtime.capacity import check_size
-    from .tuning.worst_case import GRADIENT_COST, bytes_of_a_draw
+    from ..learning.over_trials import bytes_of_figures
+    from ..runtime.capacity import check_size
+    from ..tuning.worst_case import GRADIENT_COST, bytes_of_a_draw
 
     of_trial, each = bytes_of_figures(chosen.task), bytes_of_a_draw(uncertainty)
     check_size("worst-case", lambda trial, starts: 4 * of_trial * trial * starts, trial=chosen.trials, starts=starts)
@@ -248,10 +250,10 @@ def _judged(chosen, scheme: str):
     import jax.numpy as jnp
     import numpy as np
 
-    from .learning.divergence import peak
-    from .learning.metrics import Keep
-    from .learning.over_trials import learn
-    from .tuning.objectives import Final, judge
+    from ..learning.divergence import peak
+    from ..learning.metrics import Keep
+    from ..learning.over_trials import learn
+    from ..tuning.objectives import Final, judge
 
     figure, keep, law = chosen.judged_by, Keep.of(chosen.functions), chosen.schemes[scheme]
     scale, objective = chosen.shown(figure)[0], Final(figure)
@@ -276,7 +278,7 @@ def _settings(machine, uncertainty) -> list[str]:
     """The leaves that were drawn, element by element, as --set takes them."""
     import numpy as np
 
-    from .pytree.named_paths import get_at
+    from ..pytree.named_paths import get_at
 
     found = []
     for name in uncertainty:

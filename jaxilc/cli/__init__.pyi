@@ -1,0 +1,6 @@
+from .entry import app, main
+
+__all__ = [
+    "app",
+    "main",
+]
