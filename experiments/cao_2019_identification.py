@@ -8,8 +8,7 @@ import output
 
 import jaxilc
 from jaxilc import Machine, Sensor, figures
-from jaxilc.identification.estimation import identify
-from jaxilc.identification.records import excite, write_record
+from jaxilc.identification import excite, identify, write_record
 from jaxilc.plants import voice_coil
 from jaxilc.signals import references
 

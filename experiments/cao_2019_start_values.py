@@ -10,7 +10,7 @@ import numpy as np
 import output
 
 import jaxilc
-from jaxilc.identification.fitting import fit
+from jaxilc.identification import fit
 from jaxilc.scenarios.cao_2019 import FITTED, TABLE_1
 
 jaxilc.setup()

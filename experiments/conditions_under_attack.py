@@ -15,7 +15,7 @@ import scipy.signal
 
 import jaxilc
 from jaxilc import Machine, Task
-from jaxilc.filters.zero_phase import ZeroPhaseButterworth
+from jaxilc.filters import ZeroPhaseButterworth
 from jaxilc.plants import ProcessModel, StateSpace
 from jaxilc.schemes import Filtered, PIDType
 from jaxilc.theory import frequency

@@ -23,12 +23,10 @@ import output
 
 import jaxilc
 from jaxilc import Machine, Task, learn, tiled
-from jaxilc.filters.switching import SwitchableFilter
-from jaxilc.filters.zero_phase import ZeroPhaseButterworth
-from jaxilc.learning.machine import Actuator
-from jaxilc.learning.metrics import Keep
+from jaxilc.filters import SwitchableFilter, ZeroPhaseButterworth
+from jaxilc.learning import Actuator, Keep
 from jaxilc.plants import DifferenceEquation, StateSpace
-from jaxilc.pytree.named_paths import get_at, replaced
+from jaxilc.pytree import get_at, replaced
 from jaxilc.schemes import CFDLMFAILC, FFDLMFAILC, PID, Filtered, HigherOrder, PIDType, WithFeedback
 
 METRICS, LOSSES, MACHINES = ("max_error", "settled_error", "rms"), ("last", "summed"), 24

@@ -4,7 +4,7 @@ import numpy as np
 import output
 
 import jaxilc
-from jaxilc.learning.metrics import Keep, best_trial
+from jaxilc.learning import Keep, best_trial
 from jaxilc.scenarios.li_2020 import DERIVATIVE, PROPORTIONAL, SETTINGS
 from jaxilc.theory import frequency
 

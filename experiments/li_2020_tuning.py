@@ -4,8 +4,8 @@ import numpy as np
 import output
 
 import jaxilc
+from jaxilc.tuning import Tuning
 from jaxilc.tuning.objectives import Final
-from jaxilc.tuning.problem import Tuning
 
 TRIALS = 20
 LAW, FILTER = "learning.scheme.gamma_p", "learning.filter"

@@ -21,7 +21,7 @@ from jaxilc.scenarios.milc_2024 import (
     real_machine,
 )
 from jaxilc.schemes import PID, OnOutputs
-from jaxilc.signals.task import Task
+from jaxilc.signals import Task
 from jaxilc.theory import frequency
 
 jaxilc.setup()

@@ -7,8 +7,8 @@ import numpy as np
 import output
 
 import jaxilc
+from jaxilc.tuning import Tuning
 from jaxilc.tuning.objectives import EveryTrial, Final
-from jaxilc.tuning.problem import Tuning
 from jaxilc.uncertainty import Uniform
 
 TRIALS = 6

@@ -24,11 +24,11 @@ import numpy as np
 import output
 
 import jaxilc
-from jaxilc.learning.metrics import Keep
-from jaxilc.pytree.named_paths import replaced
+from jaxilc.learning import Keep
+from jaxilc.pytree import replaced
 from jaxilc.schemes import Scheme, StopWhen
+from jaxilc.tuning import Tuned, Tuning
 from jaxilc.tuning.objectives import Final, Growth, Holding, Objective
-from jaxilc.tuning.problem import Tuned, Tuning
 from jaxilc.tuning.risks import CVaR, Mean
 from jaxilc.uncertainty import draw, drawn_machine
 

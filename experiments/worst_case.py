@@ -7,10 +7,9 @@ import output
 
 import jaxilc
 from jaxilc import figures
+from jaxilc.tuning import Tuning, monte_carlo_search, pareto, worst_case_search
 from jaxilc.tuning.objectives import Final, TrialsTo, judge, peak
-from jaxilc.tuning.problem import Tuning
-from jaxilc.tuning.trade_off import pareto
-from jaxilc.tuning.worst_case import GRADIENT_COST, monte_carlo_search, worst_case_search
+from jaxilc.tuning.worst_case import GRADIENT_COST
 
 jaxilc.setup()
 folder = output.folder(__file__)

@@ -9,7 +9,7 @@ import output
 import scipy.optimize
 
 import jaxilc
-from jaxilc.identification.fitting import fit
+from jaxilc.identification import fit
 from jaxilc.scenarios.xu_2024 import TABLE_1, TABLE_2, schemes_for, servo, settled_rms
 
 jaxilc.setup()

@@ -35,8 +35,8 @@ from matplotlib.figure import Figure
 
 import jaxilc
 from jaxilc import Actuator, Machine, Sensor, Task, Tuning, Uniform, figures, plants, schemes
-from jaxilc.filters.zero_phase import ZeroPhaseButterworth
-from jaxilc.pytree.named_paths import replaced
+from jaxilc.filters import ZeroPhaseButterworth
+from jaxilc.pytree import replaced
 from jaxilc.signals import references
 from jaxilc.theory.contraction import error_map
 from jaxilc.tuning.objectives import Final, Growth

@@ -30,7 +30,7 @@ import numpy as np
 
 import jaxilc
 from jaxilc import Machine, Task, figures, learn, plants, schemes, theory
-from jaxilc.filters.zero_phase import ZeroPhaseButterworth
+from jaxilc.filters import ZeroPhaseButterworth
 from jaxilc.signals import references
 from jaxilc.uncertainty import draw
 

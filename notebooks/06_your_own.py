@@ -28,7 +28,7 @@ import numpy as np
 import jaxilc
 from jaxilc import Machine, Task, Uniform, figures
 from jaxilc.plants import Plant
-from jaxilc.pytree.fields import leaf, pytree
+from jaxilc.pytree import leaf, pytree
 from jaxilc.schemes import PID, PIDType, Scheme, WithFeedback
 from jaxilc.signals import references
 

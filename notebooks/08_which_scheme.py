@@ -38,8 +38,8 @@ from matplotlib.figure import Figure
 
 import jaxilc
 from jaxilc import Disturbance, Machine, Sensor, Task, figures, plants
-from jaxilc.filters.zero_phase import ZeroPhaseButterworth
-from jaxilc.learning.metrics import Keep
+from jaxilc.filters import ZeroPhaseButterworth
+from jaxilc.learning import Keep
 from jaxilc.schemes import CFDLMFAILC, PID, Filtered, NormOptimal, PIDType, WithFeedback
 from jaxilc.signals import references
 from jaxilc.theory import frequency

@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from jaxilc.filters.switching import SwitchableFilter
-from jaxilc.filters.zero_phase import ZeroPhaseButterworth, ZeroPhaseFIR, ZeroPhaseIIR
-from jaxilc.learning.machine import Machine
+from jaxilc.filters import SwitchableFilter, ZeroPhaseButterworth, ZeroPhaseFIR, ZeroPhaseIIR
+from jaxilc.learning import Machine
 from jaxilc.plants import (
     BallScrewDrive,
     BoucWen,
@@ -50,7 +49,7 @@ from jaxilc.schemes import (
     StopWhen,
     WithFeedback,
 )
-from jaxilc.signals.task import Task
+from jaxilc.signals import Task
 
 # The three tolerance tiers: rounding, central differences, and chance in units of one standard error.
 ALGEBRA = {"rtol": 1e-10, "atol": 1e-12}

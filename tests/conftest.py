@@ -15,7 +15,7 @@ import pytest  # noqa: E402
 from cases import PLANTS, task_for  # noqa: E402
 from jax.experimental.compilation_cache import compilation_cache  # noqa: E402
 
-from jaxilc.learning.machine import Machine  # noqa: E402
+from jaxilc.learning import Machine  # noqa: E402
 
 
 @pytest.fixture(scope="module", autouse=True)

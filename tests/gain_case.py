@@ -3,12 +3,12 @@
 import jax.numpy as jnp
 import numpy as np
 
-from jaxilc.learning.machine import Machine
+from jaxilc.learning import Machine
 from jaxilc.plants import StateSpace
 from jaxilc.schemes import PIDType
-from jaxilc.signals.task import Task
+from jaxilc.signals import Task
+from jaxilc.tuning import Tuning
 from jaxilc.tuning.objectives import Final
-from jaxilc.tuning.problem import Tuning
 from jaxilc.uncertainty import Uniform
 
 N = 20

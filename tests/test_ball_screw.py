@@ -11,11 +11,10 @@ import pytest
 import scipy.integrate
 from cases import ALGEBRA, DRIVE, DT, task_for
 
-from jaxilc.learning.machine import Machine
-from jaxilc.learning.over_trials import learn
+from jaxilc.learning import Machine, learn
 from jaxilc.plants import BallScrewDrive, FrictionTable, LeadError, StribeckFriction
 from jaxilc.plants.ball_screw import DriveState
-from jaxilc.pytree.named_paths import replaced
+from jaxilc.pytree import replaced
 from jaxilc.schemes import PID, OnOutputs
 
 N = 100

@@ -8,14 +8,12 @@ import pytest
 import scipy.signal
 from cases import ALGEBRA, ARX, DT, PLANTS, PRINTED, task_for
 
-from jaxilc.learning.machine import Actuator, Disturbance, Machine, Sensor
-from jaxilc.learning.over_trials import learn
-from jaxilc.learning.within_trial import run_trial
+from jaxilc.learning import Actuator, Disturbance, Machine, Sensor, learn, run_trial
 from jaxilc.plants import DifferenceEquation, InBlocks, StateSpace, TwoAxes, VoiceCoil, blocks
-from jaxilc.pytree.named_paths import replaced
+from jaxilc.pytree import replaced
 from jaxilc.schemes import CFDLMFAILC, PID, PIDType, Scheme, WithFeedback
 from jaxilc.schemes.scheme import Feedforward
-from jaxilc.signals.task import Task
+from jaxilc.signals import Task
 
 RNG = np.random.default_rng(0)
 POLES = (0.99, 0.95, 0.8, 0.97 * np.exp(0.2j), 0.97 * np.exp(-0.2j), 0.5)

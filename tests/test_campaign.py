@@ -18,16 +18,11 @@ from typer.testing import CliRunner
 
 from jaxilc.cli import hardware
 from jaxilc.figures.campaign import campaign_figure
-from jaxilc.hardware import journal, trial_files
-from jaxilc.hardware.campaign import Campaign
-from jaxilc.hardware.checks import Rules, beyond_limits
-from jaxilc.hardware.journal import Journal
-from jaxilc.hardware.trial_files import Measured
-from jaxilc.learning.machine import Sensor
-from jaxilc.learning.over_trials import learn
-from jaxilc.learning.within_trial import run_trial
+from jaxilc.hardware import Campaign, Journal, Measured, Rules, journal, trial_files
+from jaxilc.hardware.checks import beyond_limits
+from jaxilc.learning import Sensor, learn, run_trial
 from jaxilc.plants import from_control
-from jaxilc.scenarios.from_file import load_scenario
+from jaxilc.scenarios import load_scenario
 from jaxilc.schemes import Ladder, Scheme, WithFeedback
 from jaxilc.schemes.compose import Pair
 from jaxilc.schemes.scheme import Feedforward

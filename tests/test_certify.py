@@ -10,7 +10,7 @@ import pytest
 import jaxilc
 from jaxilc import Actuator, Disturbance, Machine, Task, Uniform
 from jaxilc.cli import tables
-from jaxilc.filters.zero_phase import ZeroPhaseButterworth
+from jaxilc.filters import ZeroPhaseButterworth
 from jaxilc.plants import DifferenceEquation, StateSpace
 from jaxilc.schemes import CFDLMFAILC, PID, Filtered, HigherOrder, NormOptimal, PIDType, StopWhen, WithFeedback
 from jaxilc.theory import certify, outlook, premises

@@ -9,9 +9,8 @@ import scipy.linalg
 from cases import DT, PLANTS, task_for
 
 from jaxilc import scenarios
-from jaxilc.filters.zero_phase import ZeroPhaseButterworth
-from jaxilc.learning.machine import Actuator, Machine, Sensor
-from jaxilc.learning.over_trials import learn
+from jaxilc.filters import ZeroPhaseButterworth
+from jaxilc.learning import Actuator, Machine, Sensor, learn
 from jaxilc.plants import DifferenceEquation, StateSpace, TimeVaryingStateSpace
 from jaxilc.schemes import (
     CFDLMFAILC,
@@ -24,7 +23,7 @@ from jaxilc.schemes import (
     StopWhen,
     WithFeedback,
 )
-from jaxilc.signals.task import Task
+from jaxilc.signals import Task
 from jaxilc.theory import cfdl_bounds, contraction, frequency, lifted, sliding
 from jaxilc.theory.enclosure import arc_of_loop, size, supremum
 from jaxilc.theory.loop import Loop

@@ -20,9 +20,9 @@ from typer.main import get_command
 from typer.testing import CliRunner
 
 import jaxilc
+from jaxilc.cli import app, main
 from jaxilc.cli import options as shared
-from jaxilc.cli.entry import app, main
-from jaxilc.scenarios.catalogue import LISTED
+from jaxilc.scenarios import LISTED
 
 PLANT = """
 [plant]

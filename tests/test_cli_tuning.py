@@ -11,16 +11,15 @@ import pytest
 
 import jaxilc
 from jaxilc import figures
-from jaxilc.cli.entry import main
+from jaxilc.cli import main
 from jaxilc.cli.tables import number
 from jaxilc.cli.terms import objective_of, risk_of
 from jaxilc.scenarios.parameters import differing, with_parameters, write_parameters
+from jaxilc.tuning import Tuning, monte_carlo_search, pareto
 from jaxilc.tuning import states as of_tuning
 from jaxilc.tuning.objectives import Contraction, Effort, EveryTrial, Final, Growth, Holding, InputRate, TrialsTo
-from jaxilc.tuning.problem import Tuning
 from jaxilc.tuning.risks import CVaR, Mean, SmoothMax, Worst
-from jaxilc.tuning.trade_off import Point, pareto
-from jaxilc.tuning.worst_case import monte_carlo_search
+from jaxilc.tuning.trade_off import Point
 from jaxilc.uncertainty import with_spread
 
 SHORT = ("--set", "frequency=50")  # 20 samples a trial

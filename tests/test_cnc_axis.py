@@ -9,14 +9,11 @@ import scipy.signal
 from cases import ALGEBRA, DT, PLANTS, task_for
 
 from jaxilc import scenarios
-from jaxilc.filters.switching import SwitchableFilter
-from jaxilc.filters.zero_phase import ZeroPhaseButterworth
-from jaxilc.learning.machine import Machine, Sensor
-from jaxilc.learning.metrics import Keep, best_trial, measure
-from jaxilc.learning.over_trials import learn
+from jaxilc.filters import SwitchableFilter, ZeroPhaseButterworth
+from jaxilc.learning import Keep, Machine, Sensor, best_trial, learn, measure
 from jaxilc.plants import StateSpace, TwoAxes, cnc_axis
 from jaxilc.schemes import PID, ErrorFiltered, Filtered, OnOutputs, PIDType, WithFeedback
-from jaxilc.signals.task import Task, Trial
+from jaxilc.signals import Task, Trial
 
 
 @pytest.mark.parametrize(("form", "poles"), [("printed", (0.8602, 0.9567, 1.0331)), ("double_integrator", (0.85, 1.0, 1.0))])

@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 from cases import ALGEBRA, CASES, DIFFERENCES, case, task_for
 
-from jaxilc.learning import over_trials
-from jaxilc.learning.machine import Machine
-from jaxilc.learning.over_trials import learn
+from jaxilc.learning import Machine, learn, over_trials
 from jaxilc.plants import StateSpace
-from jaxilc.pytree.named_paths import named_leaves, replaced
+from jaxilc.pytree import named_leaves, replaced
 from jaxilc.schemes import PID, PIDType
 
 THRESHOLDS = ("epsilon", "theta_limit", "delta", "max_error", "growth", "slow", "scheme.rms")

@@ -9,13 +9,12 @@ import pytest
 import scipy.linalg
 from cases import DT, PLANTS, task_for
 
-from jaxilc.filters.zero_phase import ZeroPhaseFIR
-from jaxilc.learning.machine import Disturbance, Machine, Sensor
-from jaxilc.learning.over_trials import learn
+from jaxilc.filters import ZeroPhaseFIR
+from jaxilc.learning import Disturbance, Machine, Sensor, learn
 from jaxilc.plants import StateSpace
-from jaxilc.pytree.named_paths import named_leaves
+from jaxilc.pytree import named_leaves
 from jaxilc.schemes import CFDLMFAILC, CFDLMFAPC, FFDLMFAILC, PID, Filtered, PIDType, WithFeedback
-from jaxilc.signals.task import Task
+from jaxilc.signals import Task
 from jaxilc.theory import contraction, frequency, lifted
 from jaxilc.uncertainty import Uniform, draw, drawn_machine
 

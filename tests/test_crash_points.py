@@ -12,14 +12,11 @@ from gain_case import PROBLEM
 from store_case import filled
 from sweep_case import PLAN
 
-from jaxilc.hardware.campaign import Campaign
-from jaxilc.hardware.trial_files import Measured
+from jaxilc.hardware import Campaign, Measured
 from jaxilc.storage import files
 from jaxilc.storage.files import UNFINISHED
-from jaxilc.sweeps.store import open_dataset
-from jaxilc.sweeps.sweep import Sweep
-from jaxilc.tuning import trade_off
-from jaxilc.tuning.problem import Tuning
+from jaxilc.sweeps import Sweep, open_dataset
+from jaxilc.tuning import Tuning, trade_off
 
 
 def nothing_left_over(folder):

@@ -14,10 +14,8 @@ from cases import case
 from fuzz import damaged, dumped, flipped, fuzz, pick, refusal
 
 from jaxilc import cli
+from jaxilc.hardware import Campaign, Journal, Measured
 from jaxilc.hardware import campaign as of_campaign
-from jaxilc.hardware.campaign import Campaign
-from jaxilc.hardware.journal import Journal
-from jaxilc.hardware.trial_files import Measured
 from jaxilc.storage import files
 from jaxilc.storage.sealed import archive, read_arrays, sealed
 

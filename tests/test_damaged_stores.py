@@ -13,7 +13,7 @@ from sweep_case import PLAN
 
 from jaxilc import open_dataset, summarise
 from jaxilc.storage import files
-from jaxilc.sweeps.sweep import Sweep
+from jaxilc.sweeps import Sweep
 
 
 @pytest.fixture(autouse=True)

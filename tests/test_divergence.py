@@ -11,18 +11,13 @@ from cases import DT, task_for
 
 from jaxilc import figures, scenarios
 from jaxilc.cli import tables
-from jaxilc.learning import divergence
-from jaxilc.learning.machine import Machine
-from jaxilc.learning.metrics import Keep, Metrics
-from jaxilc.learning.over_trials import learn
+from jaxilc.learning import Keep, Machine, Metrics, divergence, learn
 from jaxilc.plants import StateSpace
 from jaxilc.scenarios import Published, reproduction
 from jaxilc.schemes import PIDType
-from jaxilc.signals.task import Task
-from jaxilc.sweeps.runs import run_schemes
-from jaxilc.sweeps.summary import summarise
-from jaxilc.sweeps.sweep import Sweep
-from jaxilc.tuning.problem import Tuning
+from jaxilc.signals import Task
+from jaxilc.sweeps import Sweep, run_schemes, summarise
+from jaxilc.tuning import Tuning
 from jaxilc.uncertainty import Uniform
 
 STATIC = StateSpace([[0.0]], [[1.0]], [[1.0]], dt=DT)  # y[k+1] = u[k], so e_j = (1 - gamma)^(j-1) r

@@ -10,15 +10,13 @@ import pytest
 import scipy.io
 from cases import ALGEBRA, DT, case
 
-from jaxilc.hardware.playback import replay, tables
-from jaxilc.hardware.trial_files import read_measured, write_tables
-from jaxilc.learning.machine import Actuator
-from jaxilc.learning.over_trials import learn
-from jaxilc.learning.within_trial import run_trial
+from jaxilc.hardware import read_measured, replay, write_tables
+from jaxilc.hardware.playback import tables
+from jaxilc.learning import Actuator, learn, run_trial
 from jaxilc.schemes import OnOutputs, Scheme, WithFeedback
 from jaxilc.schemes.compose import Pair
 from jaxilc.schemes.scheme import Feedforward
-from jaxilc.signals.task import Task
+from jaxilc.signals import Task
 
 N = 20
 K = np.arange(N + 1)

@@ -12,8 +12,7 @@ from cases import ALGEBRA
 from jax import lax
 from scipy.integrate import solve_ivp
 
-from jaxilc.learning.machine import Machine
-from jaxilc.learning.over_trials import learn
+from jaxilc.learning import Machine, learn
 from jaxilc.plants import (
     BoucWen,
     Creep,
@@ -27,7 +26,7 @@ from jaxilc.plants import (
     fast_tool_servo,
 )
 from jaxilc.schemes import PIDType
-from jaxilc.signals.task import Task
+from jaxilc.signals import Task
 
 DT = 1e-4
 N = 100

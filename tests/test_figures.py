@@ -11,12 +11,12 @@ import xarray as xr
 from jaxilc import figures
 from jaxilc.figures.style import marks_of, style_of
 from jaxilc.figures.within_trial import _around_the_largest
-from jaxilc.learning.machine import Machine
+from jaxilc.learning import Machine
 from jaxilc.plants import DifferenceEquation, TwoAxes
-from jaxilc.scenarios.scenario import Published
+from jaxilc.scenarios import Published
 from jaxilc.schemes import PIDType
-from jaxilc.signals.task import Task
-from jaxilc.sweeps.runs import run_schemes
+from jaxilc.signals import Task
+from jaxilc.sweeps import run_schemes
 from jaxilc.theory import frequency
 from jaxilc.theory.condition import condition
 

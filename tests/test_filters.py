@@ -10,9 +10,10 @@ import scipy.fft
 import scipy.signal
 from cases import ALGEBRA, DT
 
-from jaxilc.filters.zero_phase import ZeroPhaseButterworth, ZeroPhaseFIR, ZeroPhaseIIR, butterworth_sections
+from jaxilc.filters import ZeroPhaseButterworth, ZeroPhaseFIR, ZeroPhaseIIR
+from jaxilc.filters.zero_phase import butterworth_sections
 from jaxilc.schemes import Filtered, PIDType
-from jaxilc.signals.task import Task
+from jaxilc.signals import Task
 
 N = 90
 SIGNAL = np.cumsum(np.random.default_rng(2).normal(size=(N, 2)), axis=0) + 5.0  # neither starts nor ends at zero

@@ -7,12 +7,11 @@ import pytest
 import scipy.optimize
 from cases import ARX, DT
 
-from jaxilc.identification.fitting import fit
-from jaxilc.learning.machine import Machine
-from jaxilc.learning.over_trials import learn
+from jaxilc.identification import fit
+from jaxilc.learning import Machine, learn
 from jaxilc.plants import DifferenceEquation
 from jaxilc.schemes import CFDLMFAILC
-from jaxilc.signals.task import Task
+from jaxilc.signals import Task
 
 NAMES = ("a", "b", "c")
 DESIGN = np.random.default_rng(0).normal(size=(12, 3))

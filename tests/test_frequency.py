@@ -11,15 +11,13 @@ import scipy.optimize
 import scipy.signal
 from cases import ARX, DT, PLANTS, task_for
 
-from jaxilc.filters.zero_phase import Filter, ZeroPhaseButterworth, ZeroPhaseFIR
-from jaxilc.learning.machine import Actuator, Machine
-from jaxilc.learning.over_trials import learn
+from jaxilc.filters import Filter, ZeroPhaseButterworth, ZeroPhaseFIR
+from jaxilc.learning import Actuator, Machine, learn
 from jaxilc.plants import DifferenceEquation, ProcessModel, StateSpace, from_control
-from jaxilc.pytree.fields import leaf, part, pytree
-from jaxilc.pytree.named_paths import get_at, replaced
+from jaxilc.pytree import get_at, leaf, part, pytree, replaced
 from jaxilc.schemes import CFDLMFAC, CFDLMFAILC, PID, Filtered, OnOutputs, OnReference, PIDType, Scheme, WithFeedback
 from jaxilc.schemes.scheme import Feedforward
-from jaxilc.signals.task import Task
+from jaxilc.signals import Task
 from jaxilc.theory import frequency, lifted
 from jaxilc.uncertainty import Normal, Uniform
 

@@ -15,9 +15,8 @@ import typer
 from fuzz import fuzz, pick
 
 from jaxilc import bench, cli, identification, learning, runtime, theory
-from jaxilc.sweeps.sweep import Sweep
-from jaxilc.tuning import worst_case
-from jaxilc.tuning.problem import Tuning
+from jaxilc.sweeps import Sweep
+from jaxilc.tuning import Tuning, worst_case
 
 PLANT = """
 trials = 3

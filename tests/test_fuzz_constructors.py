@@ -8,13 +8,12 @@ from cases import CASES, DT, case
 from fuzz import HOSTILE, fuzz, pick
 
 from jaxilc import learning
-from jaxilc.learning.machine import Actuator, Disturbance, Machine, Sensor
+from jaxilc.learning import Actuator, Disturbance, Machine, Sensor
 from jaxilc.plants import StateSpace
 from jaxilc.schemes import PIDType
-from jaxilc.signals.task import Task
-from jaxilc.sweeps.sweep import Sweep
-from jaxilc.tuning import objectives, risks
-from jaxilc.tuning.problem import Tuning
+from jaxilc.signals import Task
+from jaxilc.sweeps import Sweep
+from jaxilc.tuning import Tuning, objectives, risks
 from jaxilc.uncertainty import LogUniform, Normal, Uniform, check, with_spread
 
 NAMES = list(CASES)

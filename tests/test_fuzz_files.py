@@ -13,13 +13,12 @@ from cases import DT
 from fuzz import bytes_damaged, damaged, dumped, fuzz, pick
 
 from jaxilc import learning
-from jaxilc.hardware.trial_files import read_measured
-from jaxilc.identification.records import read_record
+from jaxilc.hardware import read_measured
+from jaxilc.identification import read_record
 from jaxilc.scenarios import load
 from jaxilc.scenarios.from_file import read_scenario
 from jaxilc.scenarios.parameters import with_parameters
-from jaxilc.signals import references
-from jaxilc.signals.task import Task
+from jaxilc.signals import Task, references
 
 TASK = {"dt": 0.001, "unit": "mm", "input_unit": "V"}
 SINE = {"function": "sinusoid", "amplitude": 1.0, "frequency": 10.0, "duration": 0.05}

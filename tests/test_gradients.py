@@ -14,9 +14,9 @@ from jax.flatten_util import ravel_pytree
 
 from jaxilc import tiled
 from jaxilc.learning.metrics import largest
+from jaxilc.tuning import Tuning
 from jaxilc.tuning.descent import for_starts
 from jaxilc.tuning.objectives import Effort, EveryTrial, Final, Growth, Holding, InputRate, TrialsTo
-from jaxilc.tuning.problem import Tuning
 from jaxilc.tuning.risks import CVaR, Worst
 from jaxilc.uncertainty import Uniform
 

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 from cases import ALGEBRA, ARX, DIFFERENCES, DT, PRINTED
 
-from jaxilc.filters.zero_phase import ZeroPhaseFIR
-from jaxilc.learning.machine import Machine, Sensor
-from jaxilc.learning.metrics import repeatability
-from jaxilc.learning.over_trials import learn, next_memory
+from jaxilc.filters import ZeroPhaseFIR
+from jaxilc.learning import Machine, Sensor, learn, next_memory, repeatability
 from jaxilc.plants import DifferenceEquation, StateSpace
 from jaxilc.schemes import (
     CFDLMFAILC,
@@ -22,7 +20,7 @@ from jaxilc.schemes import (
     StopWhen,
     WithFeedback,
 )
-from jaxilc.signals.task import Task
+from jaxilc.signals import Task
 
 N = 40
 R = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(N + 1) / N) + 0.05 * np.sin(1.3 * np.arange(N + 1))

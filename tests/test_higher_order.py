@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from cases import ALGEBRA, ARX, DT
 
-from jaxilc.learning.machine import Machine
-from jaxilc.learning.over_trials import learn
+from jaxilc.learning import Machine, learn
 from jaxilc.plants import DifferenceEquation, StateSpace
 from jaxilc.schemes import HigherOrder, PIDType
-from jaxilc.signals.task import Task
+from jaxilc.signals import Task
 
 N = 40
 R = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(N + 1) / N) + 0.05 * np.sin(1.3 * np.arange(N + 1))

@@ -7,12 +7,10 @@ import pytest
 from cases import ALGEBRA, DIFFERENCES, SIGMAS
 
 from jaxilc import figures
-from jaxilc.identification import estimation
-from jaxilc.identification.estimation import identify
-from jaxilc.identification.records import Record, excite, read_record, write_record
-from jaxilc.learning.machine import Actuator, Machine, Sensor
+from jaxilc.identification import Record, estimation, excite, identify, read_record, write_record
+from jaxilc.learning import Actuator, Machine, Sensor
 from jaxilc.plants import DifferenceEquation, ProcessModel, StateSpace, VoiceCoil, voice_coil
-from jaxilc.pytree.named_paths import get_at
+from jaxilc.pytree import get_at
 from jaxilc.signals.references import m_sequence
 
 DT = 1e-3

@@ -8,7 +8,8 @@ import pytest
 import scipy.signal
 from cases import ALGEBRA, DIFFERENCES, DT
 
-from jaxilc.filters.inversion import ZPETC, Factors, StableInverse, factors, inverse, output_ratio, stable_inverse, zpetc
+from jaxilc.filters import ZPETC, StableInverse, factors, inverse, output_ratio, stable_inverse, zpetc
+from jaxilc.filters.inversion import Factors
 from jaxilc.plants import StateSpace
 from jaxilc.signals.references import s_curve
 

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from jax import lax
 
-from jaxilc.learning.machine import Machine
-from jaxilc.learning.over_trials import learn
+from jaxilc.learning import Machine, learn
 from jaxilc.learning.sample_layout import carried, scanned
 from jaxilc.plants import DifferenceEquation
 from jaxilc.schemes import CFDLMFAILC, FFDLMFAILC
-from jaxilc.signals.task import Task
+from jaxilc.signals import Task
 
 SINE = Task(np.sin(2 * np.pi * np.arange(51) / 50), dt=1e-3)
 X = jnp.asarray(np.random.default_rng(0).normal(size=(3, 5, 2)))

@@ -8,14 +8,12 @@ import scipy.linalg
 import scipy.signal
 from cases import ALGEBRA, ARX, DT, PLANTS, PRINTED, SCHEMES
 
-from jaxilc.learning.machine import Disturbance, Machine, Sensor
-from jaxilc.learning.metrics import measure
-from jaxilc.learning.over_trials import feedforward, learn, measured_trial, next_memory
-from jaxilc.learning.within_trial import run_trial
+from jaxilc.learning import Disturbance, Machine, Sensor, feedforward, learn, measure, measured_trial, next_memory, run_trial
 from jaxilc.plants import DifferenceEquation
-from jaxilc.pytree.fields import leaf, pytree
+from jaxilc.pytree import leaf, pytree
 from jaxilc.schemes import CFDLMFAILC, PID, PIDType, Scheme, WithFeedback
-from jaxilc.signals.task import Task, Trial, product
+from jaxilc.signals import Task, Trial
+from jaxilc.signals.task import product
 
 TRIALS = 5
 

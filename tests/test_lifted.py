@@ -6,9 +6,8 @@ import pytest
 import scipy.linalg
 from cases import ARX, DT, PLANTS, task_for
 
-from jaxilc.filters.zero_phase import ZeroPhaseButterworth, ZeroPhaseFIR
-from jaxilc.learning.machine import Actuator, Disturbance, Machine, Sensor
-from jaxilc.learning.over_trials import learn
+from jaxilc.filters import ZeroPhaseButterworth, ZeroPhaseFIR
+from jaxilc.learning import Actuator, Disturbance, Machine, Sensor, learn
 from jaxilc.plants import StateSpace
 from jaxilc.schemes import CFDLMFAC, CFDLMFAILC, PID, Filtered, OnReference, PIDType, WithFeedback
 from jaxilc.theory import lifted

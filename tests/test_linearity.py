@@ -9,10 +9,10 @@ import pytest
 from cases import ARX, CASES, DT, PLANTS, SCHEMES, case, task_for
 from jax.flatten_util import ravel_pytree
 
-from jaxilc.filters.zero_phase import ZeroPhaseButterworth, ZeroPhaseFIR
-from jaxilc.learning.machine import Actuator, Machine, Sensor
+from jaxilc.filters import ZeroPhaseButterworth, ZeroPhaseFIR
+from jaxilc.learning import Actuator, Machine, Sensor
 from jaxilc.plants import DifferenceEquation, StateSpace
-from jaxilc.pytree.fields import leaf, part, pytree
+from jaxilc.pytree import leaf, part, pytree
 from jaxilc.schemes import (
     CFDLMFAC,
     CFDLMFAILC,

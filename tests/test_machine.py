@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from cases import ALGEBRA, ARX, DT, PLANTS, SIGMAS
 
-from jaxilc.filters.zero_phase import ZeroPhaseFIR
-from jaxilc.learning.machine import Actuator, Disturbance, Machine, Sensor, quantise
-from jaxilc.learning.over_trials import learn
+from jaxilc.filters import ZeroPhaseFIR
+from jaxilc.learning import Actuator, Disturbance, Machine, Sensor, learn
+from jaxilc.learning.machine import quantise
 from jaxilc.plants import DifferenceEquation, StateSpace
 from jaxilc.schemes import CFDLMFAILC, PID, Filtered, PIDType
-from jaxilc.signals.task import Task
+from jaxilc.signals import Task
 
 DELAY = DifferenceEquation((0.0,), (1.0,), dt=DT)  # y[k+1] = u[k]
 ZERO = PID()

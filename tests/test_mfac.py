@@ -8,13 +8,11 @@ import numpy as np
 import pytest
 from cases import ALGEBRA, ARX, DIFFERENCES, DT, PRINTED
 
-from jaxilc.learning.machine import Disturbance, Machine
-from jaxilc.learning.over_trials import check
-from jaxilc.learning.within_trial import run_trial
+from jaxilc.learning import Disturbance, Machine, check, run_trial
 from jaxilc.plants import DifferenceEquation, StateSpace
-from jaxilc.pytree.named_paths import named_leaves
+from jaxilc.pytree import named_leaves
 from jaxilc.schemes import CFDLMFAC, CFDLMFAPC, FFDLMFAC, PFDLMFAC
-from jaxilc.signals.task import Task
+from jaxilc.signals import Task
 
 N = 70
 K = np.arange(N + 1)

@@ -8,13 +8,11 @@ import numpy as np
 import pytest
 from cases import ALGEBRA, ARX, DT
 
-from jaxilc.hardware.playback import replay
-from jaxilc.learning.machine import Actuator, Machine
-from jaxilc.learning.over_trials import learn
-from jaxilc.learning.within_trial import run_trial
+from jaxilc.hardware import replay
+from jaxilc.learning import Actuator, Machine, learn, run_trial
 from jaxilc.plants import DifferenceEquation
 from jaxilc.schemes import FFDLMFAILC, PFDLMFAILC, PID, OnOutputs, WithFeedback
-from jaxilc.signals.task import Task
+from jaxilc.signals import Task
 from jaxilc.tuning.objectives import Bounded
 
 N, TRIALS, SETS = 40, 5, 12

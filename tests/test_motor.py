@@ -12,14 +12,12 @@ import pytest
 from cases import ALGEBRA, DIFFERENCES, DT
 from jax import lax
 
-from jaxilc.learning.machine import Machine
-from jaxilc.learning.over_trials import learn
+from jaxilc.learning import Machine, learn
 from jaxilc.plants import Cogging, EndEffect, StateSpace, StribeckFriction, VoiceCoil, VoiceCoilMotor, voice_coil_motor
 from jaxilc.plants.motor import DTL85_708, MotorState
-from jaxilc.pytree.fields import pytree
-from jaxilc.pytree.named_paths import get_at, named_leaves, replaced
+from jaxilc.pytree import get_at, named_leaves, pytree, replaced
 from jaxilc.schemes import CFDLMFAILC
-from jaxilc.signals.task import Task
+from jaxilc.signals import Task
 
 UNLIMITED = {"current_limit": None, "voltage_limit": None, "speed_limit": None}
 N = 80

@@ -12,13 +12,11 @@ import scipy.linalg
 import scipy.signal
 from cases import ALGEBRA, DRIVE, DT
 
-from jaxilc.filters.inversion import inverse, output_ratio
-from jaxilc.learning.machine import Actuator, Machine
-from jaxilc.learning.metrics import Keep
-from jaxilc.learning.over_trials import learn, measured_trial
+from jaxilc.filters import inverse, output_ratio
+from jaxilc.learning import Actuator, Keep, Machine, learn, measured_trial
 from jaxilc.plants import BallScrewDrive, StateSpace, cascade, direct_model, multivariable_model
 from jaxilc.schemes import PID, MultivariableILC, NormOptimal, OnOutputs, PIDType, WithFeedback
-from jaxilc.signals.task import Task
+from jaxilc.signals import Task
 from jaxilc.theory import contraction, frequency, lifted
 
 N, TRIALS = 100, 30

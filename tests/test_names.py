@@ -8,10 +8,10 @@ import sys
 import pytest
 
 from jaxilc import figures, scenarios
-from jaxilc.cli.entry import main
+from jaxilc.cli import main
 from jaxilc.scenarios.from_file import read_scenario
 from jaxilc.schemes import PID
-from jaxilc.sweeps.runs import run_schemes
+from jaxilc.sweeps import run_schemes
 
 FILE = {
     "plant": {"kind": "transfer_function", "num": [3.0], "den": [1.0, 30.0]},

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from cases import DIFFERENCES, DT, PLANTS
 
-from jaxilc.learning.machine import Machine
-from jaxilc.learning.over_trials import learn
+from jaxilc.learning import Machine, learn
 from jaxilc.plants import StateSpace, TimeVaryingStateSpace
 from jaxilc.schemes import NormOptimal
 from jaxilc.schemes.norm_optimal import LARGEST_LIFTED
-from jaxilc.signals.task import Task
+from jaxilc.signals import Task
 
 N, TRIALS = 24, 5
 RANDOM = np.random.default_rng(5)

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 from cases import ALGEBRA, ARX, DIFFERENCES, DT
 
-from jaxilc.filters.zero_phase import ZeroPhaseFIR
-from jaxilc.learning.machine import Machine
-from jaxilc.learning.over_trials import feedforward, learn, measured_trial, next_memory
+from jaxilc.filters import ZeroPhaseFIR
+from jaxilc.learning import Machine, feedforward, learn, measured_trial, next_memory
 from jaxilc.plants import DifferenceEquation, StateSpace
 from jaxilc.schemes import CFDLMFAC, CFDLMFAILC, CFDLMFAPC, FFDLMFAILC, PID, Filtered, OnOutputs, OnReference, PIDType, WithFeedback
-from jaxilc.signals.task import Task
+from jaxilc.signals import Task
 
 N, TRIALS = 40, 5
 K = np.arange(N + 1)

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from jaxilc import scenarios
+from jaxilc.scenarios import reproduce
 from jaxilc.scenarios.milc_2024 import DT, FITTED, FORCE_GAIN, nominal_drive, path, position_gain
-from jaxilc.scenarios.reproduction import reproduce
 from jaxilc.scenarios.xu_2024 import MODEL, servo
 
 

@@ -11,14 +11,12 @@ import pytest
 from cases import ALGEBRA, DIFFERENCES
 from numpy.testing import assert_allclose, assert_array_equal
 
-from jaxilc.learning.machine import Machine
-from jaxilc.learning.over_trials import learn
+from jaxilc.learning import Machine, learn
 from jaxilc.plants import StateSpace
 from jaxilc.schemes import PIDType
-from jaxilc.signals.contour import contour_error
+from jaxilc.signals import Task, contour_error
 from jaxilc.signals.paths import butterfly, circle, line, nurbs, plan
 from jaxilc.signals.references import s_curve_move
-from jaxilc.signals.task import Task
 
 LIMITS = {"feed": 100.0, "acceleration": 2000.0, "jerk": 1e5}
 GENTLE = {"feed": 30.0, "acceleration": 300.0, "jerk": 8e3}

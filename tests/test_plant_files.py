@@ -10,11 +10,11 @@ from cases import ALGEBRA, DT
 from typer.testing import CliRunner
 
 from jaxilc import plants, scenarios
-from jaxilc.cli.entry import app
-from jaxilc.identification.records import excite, write_record
-from jaxilc.learning.machine import Machine
-from jaxilc.learning.over_trials import learn
-from jaxilc.scenarios.from_file import load_scenario, read_scenario
+from jaxilc.cli import app
+from jaxilc.identification import excite, write_record
+from jaxilc.learning import Machine, learn
+from jaxilc.scenarios import load_scenario
+from jaxilc.scenarios.from_file import read_scenario
 from jaxilc.scenarios.specification import classes
 from jaxilc.schemes import PID, Filtered, Ladder, MultivariableILC, NormOptimal, OnOutputs, PIDType, StopWhen, WithFeedback
 from jaxilc.signals import references

@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 from cases import ALGEBRA, ARX, DT, PLANTS, task_for
 
-from jaxilc.learning.machine import Machine
-from jaxilc.learning.over_trials import learn
+from jaxilc.learning import Machine, learn
 from jaxilc.plants import DifferenceEquation, StateSpace, VoiceCoil, from_control, voice_coil
-from jaxilc.pytree.fields import leaf, pytree
+from jaxilc.pytree import leaf, pytree
 from jaxilc.schemes import PID, PIDType, Scheme
 from jaxilc.schemes.scheme import Feedforward
-from jaxilc.signals.task import Task
+from jaxilc.signals import Task
 
 N = 60
 U = np.random.default_rng(3).normal(size=(N, 2))

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from cases import DT, PLANTS
 
-from jaxilc.filters.zero_phase import ZeroPhaseFIR
-from jaxilc.learning.machine import Actuator, Machine, Sensor
-from jaxilc.learning.over_trials import check
+from jaxilc.filters import ZeroPhaseFIR
+from jaxilc.learning import Actuator, Machine, Sensor, check
 from jaxilc.plants import TwoAxes, VoiceCoil, voice_coil
-from jaxilc.pytree.fields import Interval, leaf, part, pytree, static
-from jaxilc.pytree.named_paths import get_at, interval_at, named_leaves, replaced, settable
+from jaxilc.pytree import get_at, interval_at, leaf, named_leaves, part, pytree, replaced, settable, static
+from jaxilc.pytree.fields import Interval
 from jaxilc.schemes import (
     ASMC,
     CFDLMFAILC,
@@ -27,7 +26,7 @@ from jaxilc.schemes import (
     Scheme,
     WithFeedback,
 )
-from jaxilc.signals.task import Task
+from jaxilc.signals import Task
 
 MACHINE = Machine(VoiceCoil(), Actuator(limit=5.0), Sensor(resolution=1e-4))
 BOTH = {"machine": MACHINE, "scheme": WithFeedback(PIDType(gamma_p=-1.0, lead=2), PID(kp=-4.0))}

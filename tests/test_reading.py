@@ -13,12 +13,12 @@ import scipy.io
 from cases import DT
 
 from jaxilc.cli.completion import schemes_from
-from jaxilc.hardware.trial_files import read_measured
-from jaxilc.identification.records import read_record
+from jaxilc.hardware import read_measured
+from jaxilc.identification import read_record
 from jaxilc.scenarios import load
 from jaxilc.scenarios.from_file import read_scenario
 from jaxilc.scenarios.parameters import with_parameters
-from jaxilc.signals.task import Task
+from jaxilc.signals import Task
 from jaxilc.storage.mat_files import Other, read_mat
 from jaxilc.storage.reading import DEEPEST, read_tree
 from jaxilc.sweeps import cluster

@@ -7,13 +7,11 @@ import pytest
 from cases import ARX, DT
 
 from jaxilc import scenarios
-from jaxilc.learning.machine import Machine
-from jaxilc.learning.over_trials import check, learn
+from jaxilc.learning import Machine, check, learn
 from jaxilc.plants import DifferenceEquation
-from jaxilc.scenarios import Fit, Published, Scenario, reproduction
-from jaxilc.scenarios.reproduction import reproduce
+from jaxilc.scenarios import Fit, Published, Scenario, reproduce, reproduction
 from jaxilc.schemes import PID, PIDType, Scheme
-from jaxilc.signals.task import Task
+from jaxilc.signals import Task
 
 NAN = float("nan")
 FAST, SLOW = (("speed", "fast"),), (("speed", "slow"),)

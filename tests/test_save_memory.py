@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jaxilc.learning import over_trials
-from jaxilc.learning.over_trials import learn
+from jaxilc.learning import learn, over_trials
 from jaxilc.schemes import PIDType
-from jaxilc.signals.task import Task
+from jaxilc.signals import Task
 
 CALLS = 6
 LITTLE = 1.5e6  # bytes a call; a program takes twice as much, on a longer trial several times
@@ -42,7 +41,7 @@ def test_a_new_lambda_a_call_does_not_fill_the_memory(machine, monkeypatch):
 
 
 def test_equal_ones_and_none_share_a_program(machine, task):
-    from jaxilc.learning.metrics import Keep
+    from jaxilc.learning import Keep
 
     assert over_trials._program(Keep(("y",))) is over_trials._program(Keep(("y",)))
     with pytest.raises(ValueError, match=r"learn: save = \[1\] is not a function of a trial"):

@@ -7,12 +7,11 @@ import pytest
 import scipy.signal
 from cases import ALGEBRA, ARX, DT, PRINTED
 
-from jaxilc.filters.zero_phase import ZeroPhaseButterworth, ZeroPhaseFIR
-from jaxilc.learning.machine import Machine
-from jaxilc.learning.over_trials import learn
+from jaxilc.filters import ZeroPhaseButterworth, ZeroPhaseFIR
+from jaxilc.learning import Machine, learn
 from jaxilc.plants import DifferenceEquation, StateSpace
 from jaxilc.schemes import CFDLMFAILC, FFDLMFAILC, PFDLMFAILC, PID, Filtered, OnOutputs, PIDType, WithFeedback
-from jaxilc.signals.task import Task
+from jaxilc.signals import Task
 
 N, TRIALS = 60, 6
 R = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(N + 1) / N) + 0.05 * np.sin(1.3 * np.arange(N + 1))

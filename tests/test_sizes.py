@@ -14,18 +14,16 @@ from gain_case import GAINS, PROBLEM, STATIC
 from sweep_case import PLAN
 
 from jaxilc import bench, plants
-from jaxilc.identification.estimation import identify
-from jaxilc.identification.records import Record
-from jaxilc.learning.over_trials import learn
+from jaxilc.identification import Record, identify
+from jaxilc.learning import learn
 from jaxilc.plants import InBlocks
 from jaxilc.runtime import capacity
 from jaxilc.schemes import CFDLMFAPC
-from jaxilc.signals import references
-from jaxilc.signals.task import Task
-from jaxilc.sweeps.runs import run_schemes
+from jaxilc.signals import Task, references
+from jaxilc.sweeps import run_schemes
 from jaxilc.theory import certify, premises
+from jaxilc.tuning import monte_carlo_search, worst_case_search
 from jaxilc.tuning.trade_off import by_trials
-from jaxilc.tuning.worst_case import monte_carlo_search, worst_case_search
 from jaxilc.uncertainty import draw
 
 ROOM = 2 * 10**9

@@ -10,15 +10,12 @@ import pytest
 import scipy.signal
 from cases import ALGEBRA
 
-from jaxilc.filters.zero_phase import ZeroPhaseFIR
-from jaxilc.learning.machine import Disturbance, Machine
-from jaxilc.learning.metrics import chattering, total_variation
-from jaxilc.learning.over_trials import check, learn, measured_trial
-from jaxilc.learning.within_trial import run_trial
+from jaxilc.filters import ZeroPhaseFIR
+from jaxilc.learning import Disturbance, Machine, chattering, check, learn, measured_trial, run_trial, total_variation
 from jaxilc.plants import StateSpace
 from jaxilc.schemes import ASMC, PID, SMC, ExponentialPD, Filtered, PIDType, WithFeedback
 from jaxilc.schemes.velocity import filtered_difference
-from jaxilc.signals.task import Task, Trial
+from jaxilc.signals import Task, Trial
 from jaxilc.theory import contraction, frequency
 from jaxilc.theory.sliding import printed_condition, sampled_condition, sliding, within_layer
 

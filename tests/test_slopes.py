@@ -15,12 +15,11 @@ from cases import ALGEBRA, DIFFERENCES, SCHEMES, case
 from gain_case import LARGEST, PROBLEM, STATIC, TASK, N
 
 from jaxilc import schemes
-from jaxilc.learning.machine import Machine, Sensor
-from jaxilc.learning.over_trials import learn
+from jaxilc.learning import Machine, Sensor, learn
 from jaxilc.plants import StateSpace
 from jaxilc.schemes import CFDLMFAILC, FFDLMFAILC, PID, PIDType
 from jaxilc.schemes.pseudo_gradient import reset_estimate
-from jaxilc.signals.task import Task
+from jaxilc.signals import Task
 from jaxilc.tuning import objectives
 from jaxilc.tuning.descent import Evaluation, by_gradient, for_starts, repaired, value_and_slope
 from jaxilc.tuning.objectives import (

@@ -11,7 +11,7 @@ from sweep_case import PLAN, TASK
 import jaxilc
 from jaxilc import Machine, Sweep, Task, Uniform, summarise
 from jaxilc.plants import StateSpace
-from jaxilc.runtime.tiles import tiled
+from jaxilc.runtime import tiled
 from jaxilc.schemes import PID
 
 

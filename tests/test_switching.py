@@ -10,14 +10,13 @@ import scipy.fft
 import scipy.signal
 from cases import ALGEBRA, DT
 
-from jaxilc.filters.switching import SwitchableFilter, cutoffs_below, instantaneous_frequency, segments
-from jaxilc.filters.zero_phase import PRINTED_LI_2020, ZeroPhaseButterworth, ZeroPhaseIIR
-from jaxilc.learning.machine import Machine, Sensor
-from jaxilc.learning.over_trials import learn
+from jaxilc.filters import SwitchableFilter, ZeroPhaseButterworth, ZeroPhaseIIR, cutoffs_below, instantaneous_frequency, segments
+from jaxilc.filters.zero_phase import PRINTED_LI_2020
+from jaxilc.learning import Machine, Sensor, learn
 from jaxilc.plants import StateSpace
 from jaxilc.schemes import Filtered, PIDType
+from jaxilc.signals import Task
 from jaxilc.signals.references import chirp
-from jaxilc.signals.task import Task
 from jaxilc.theory.frequency import learning_condition
 
 N = 90

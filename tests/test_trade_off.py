@@ -8,9 +8,9 @@ import pytest
 from gain_case import STATIC, TASK
 
 from jaxilc.schemes import PIDType
+from jaxilc.tuning import Tuning, pareto
 from jaxilc.tuning.objectives import Effort, Final, Growth, Objective
-from jaxilc.tuning.problem import Tuning
-from jaxilc.tuning.trade_off import by_trials, pareto
+from jaxilc.tuning.trade_off import by_trials
 
 R2 = 0.5  # mean square of the reference; u_2 = gamma_p r + gamma_d dr, and e_2 = r - u_2
 GIVEN = {"gamma_p": 0.3, "gamma_d": 1.5}

@@ -14,10 +14,10 @@ import scipy.optimize
 from cases import CASES
 from gain_case import PROBLEM, STATIC
 
-from jaxilc.filters.zero_phase import ZeroPhaseButterworth, ZeroPhaseFIR
-from jaxilc.learning.machine import Sensor
+from jaxilc.filters import ZeroPhaseButterworth, ZeroPhaseFIR
+from jaxilc.learning import Sensor
 from jaxilc.plants import StateSpace
-from jaxilc.pytree.named_paths import get_at
+from jaxilc.pytree import get_at
 from jaxilc.runtime.recipe import describe
 from jaxilc.schemes import Filtered, PIDType
 from jaxilc.tuning.descent import Bijection, Evaluation, by_gradient, by_least_squares, for_starts

@@ -5,14 +5,14 @@ import numpy as np
 import pytest
 from cases import ALGEBRA
 
-from jaxilc.learning.machine import Disturbance, Machine
-from jaxilc.learning.over_trials import learn
+from jaxilc.learning import Disturbance, Machine, learn
 from jaxilc.plants import StateSpace
-from jaxilc.pytree.fields import leaf, pytree
+from jaxilc.pytree import leaf, pytree
 from jaxilc.schemes import PID, PIDType
-from jaxilc.signals.task import Task
+from jaxilc.signals import Task
+from jaxilc.tuning import monte_carlo_search, worst_case_search
 from jaxilc.tuning.objectives import Final, judge
-from jaxilc.tuning.worst_case import GRADIENT_COST, monte_carlo_search, worst_case_search
+from jaxilc.tuning.worst_case import GRADIENT_COST
 from jaxilc.uncertainty import LogUniform, Normal, Uniform
 
 N = 40
