@@ -225,8 +225,8 @@ def _played(path: Path | None, tables, task, trial: int, number: str, dry_run: b
     """Write what the machine plays, and say what it is."""
     import numpy as np
 
-    from ..hardware.playback import unit_of
     from ..hardware.trial_files import write_tables
+    from ..learning.playback import unit_of
     from .options import out
 
     peaks = ", ".join(f"{name} up to {np.max(np.abs(table)):.6g} {unit_of(name, task)}".strip() for name, table in tables.items())

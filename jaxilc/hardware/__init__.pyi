@@ -1,7 +1,6 @@
 from .campaign import Campaign, Turn
 from .checks import Finding, Rules
 from .journal import Journal
-from .playback import replay
 from .trial_files import Measured, read_measured, write_tables
 
 __all__ = [
@@ -12,6 +11,5 @@ __all__ = [
     "Rules",
     "Turn",
     "read_measured",
-    "replay",
     "write_tables",
 ]

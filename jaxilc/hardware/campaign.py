@@ -15,6 +15,7 @@ import numpy as np
 from ..learning.machine import Actuator
 from ..learning.metrics import measure
 from ..learning.over_trials import check_length, measured_trial
+from ..learning.playback import replay, tables
 from ..pytree.named_paths import named_leaves
 from ..runtime.provenance import describe, differences, environment
 from ..schemes import Scheme
@@ -23,7 +24,6 @@ from ..storage.sealed import as_json
 from . import checks as checks
 from .checks import Finding, Rules
 from .journal import BACK, Journal
-from .playback import replay, tables
 from .trial_files import Measured
 
 MEMORY, TRIAL = "memory.npz", "trial.npz"

@@ -16,11 +16,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..learning.playback import unit_of
 from ..signals.task import Task
 from ..storage.files import atomically
 from ..storage.mat_files import ROOM, Other, read_mat
 from ..storage.reading import read_columns
-from .playback import unit_of
 
 STEP_TOLERANCE = 0.01  # of the sample time, by which a single step may differ
 RATE_TOLERANCE = 1e-3  # of the sample time, by which the median step may differ

@@ -15,8 +15,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..hardware.playback import replay
 from ..learning.machine import Machine
+from ..learning.playback import replay
 from ..schemes import Scheme
 from ..signals.task import Task
 from .condition import Premise, premise

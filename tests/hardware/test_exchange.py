@@ -11,8 +11,8 @@ import scipy.io
 from cases import ALGEBRA, DT, case
 
 from jaxilc.hardware import read_measured, replay, write_tables
-from jaxilc.hardware.playback import tables
 from jaxilc.learning import Actuator, learn, run_trial
+from jaxilc.learning.playback import tables
 from jaxilc.schemes import OnOutputs, Scheme, WithFeedback
 from jaxilc.schemes.compose import Pair
 from jaxilc.schemes.scheme import Feedforward

@@ -9,11 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..learning.machine import Actuator
 from ..pytree.named_paths import named_leaves
 from ..schemes import MultivariableILC, OnOutputs, OnReference, Scheme, WithFeedback
 from ..schemes.compose import Around
 from ..signals.task import Sample, Task
+from .machine import Actuator
 
 
 def tables(scheme: Scheme, memory, task: Task) -> dict[str, np.ndarray]:
