@@ -1,6 +1,8 @@
-"""Cao 2019, section II-B and Fig. 2 to 4: excite the motor of eq. 7 with an M-sequence, record it, identify eq. 6 again.
+"""Cao 2019, section II-B and Fig. 2 to 4: excite the motor of eq. 7 with an M-sequence, record it,
+identify eq. 6 again.
 
-The record has the encoder's step of 0.1 µm and 0.1 µm of noise. The structure is that of eq. 6, with the double pole as a pair.
+The record has the encoder's step of 0.1 µm and 0.1 µm of noise. The structure is that of eq. 6,
+with the double pole as a pair.
 """
 
 import jax
@@ -20,14 +22,38 @@ record = excite(machine, u, 1e-3, key=jax.random.key(2019))
 write_record(folder / "record.csv", record)
 found = identify(record)
 # of eq. 7, as eq. 6 has them
-TRUE = {"gain": -7437.7769 * 928.2 / (474.0**2 * 6.404), "zeros[0]": 928.2, "poles[0]": 6.404, "frequencies[0]": 474.0, "dampings[0]": 1.0}
-figures.save(figures.record_figure(record, input_unit="V", output_unit="mm"), folder / "figures-2-3.png")
-figures.save(figures.validation_figure(record, found, output_unit="mm", scale=1e3, unit="µm"), folder / "figure-4.png")
-repeats = [identify(excite(machine, u, 1e-3, key=jax.random.key(i)), found.plant) for i in range(20)]
+TRUE = {
+    "gain": -7437.7769 * 928.2 / (474.0**2 * 6.404),
+    "zeros[0]": 928.2,
+    "poles[0]": 6.404,
+    "frequencies[0]": 474.0,
+    "dampings[0]": 1.0,
+}
+figures.save(
+    figures.record_figure(record, input_unit="V", output_unit="mm"), folder / "figures-2-3.png"
+)
+figures.save(
+    figures.validation_figure(record, found, output_unit="mm", scale=1e3, unit="µm"),
+    folder / "figure-4.png",
+)
+repeats = [
+    identify(excite(machine, u, 1e-3, key=jax.random.key(i)), found.plant) for i in range(20)
+]
 rows = []
 for name, true in TRUE.items():
     value, low, high = found.parameters[name]
     caught = sum(r.parameters[name].low <= true <= r.parameters[name].high for r in repeats)
-    rows.append({"quantity": name, "identified": value, "low": low, "high": high, "true": true, "caught by 20 intervals of 95 %": caught})
+    rows.append(
+        {
+            "quantity": name,
+            "identified": value,
+            "low": low,
+            "high": high,
+            "true": true,
+            "caught by 20 intervals of 95 %": caught,
+        }
+    )
 output.write_rows(folder / "rows.csv", rows)
-print(f"fit {found.fit[0]:.3f} %, on the validation part {found.validation_fit[0]:.3f} %; residual white: {found.white}")
+print(
+    f"fit {found.fit[0]:.3f} %, on the validation part {found.validation_fit[0]:.3f} %; residual white: {found.white}"
+)

@@ -1,7 +1,9 @@
-"""Cao 2019, section IV-D: which reading of ILC-MFAPC (gains 0.2, 0, 1 and lam = 2, P = 10) meets its printed errors?
+"""Cao 2019, section IV-D: which reading of ILC-MFAPC (gains 0.2, 0, 1 and lam = 2, P = 10) meets
+its printed errors?
 
-Structures: learned input added to the feedback's (parallel) or to the reference (series). Gains with either sign, the derivative
-gain per sample or per second. lam as the paper's lam / P or as printed. For each, 80 start values of the PPD; the best is shown.
+Structures: learned input added to the feedback's (parallel) or to the reference (series). Gains
+with either sign, the derivative gain per sample or per second. lam as the paper's lam / P or as
+printed. For each, 80 start values of the PPD; the best is shown.
 """
 
 import itertools
@@ -28,11 +30,15 @@ for structure, sign, per_sample, lam in readings:
         return s.shown_scale * jaxilc.learn(machine, scheme, s.task, 30).settled_error[:, 0]
 
     by_trial = np.asarray(jaxilc.tiled(errors)(s.machine, starts))
-    misfit = np.abs(np.log(by_trial[:, np.array(list(PRINTED)) - 1] / np.array(list(PRINTED.values())))).max(axis=1)
+    misfit = np.abs(
+        np.log(by_trial[:, np.array(list(PRINTED)) - 1] / np.array(list(PRINTED.values())))
+    ).max(axis=1)
     best = int(np.argmin(jnp.nan_to_num(misfit, nan=np.inf, posinf=np.inf)))
     name = f"{structure.__name__}, sign {sign:+g}, {'per sample' if per_sample == 1 else 'per second'}, lam {lam:g}"
     found = {f"trial {j}": float(by_trial[best, j - 1]) for j in PRINTED}
-    rows.append({"reading": name, "phi0": float(starts[best]), "misfit": float(misfit[best])} | found)
+    rows.append(
+        {"reading": name, "phi0": float(starts[best]), "misfit": float(misfit[best])} | found
+    )
     if misfit[best] < 3:
         ax.semilogy(np.arange(1, 31), by_trial[best], label=f"{name}, phi0 = {starts[best]:.2g}")
 ax.plot(list(PRINTED), list(PRINTED.values()), "ko", mfc="none", label="published")

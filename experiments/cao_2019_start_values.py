@@ -1,4 +1,5 @@
-"""Cao 2019, Table 1: the start values of the estimates, which are not printed, by least squares through the whole learning process.
+"""Cao 2019, Table 1: the start values of the estimates, which are not printed, by least squares
+through the whole learning process.
 
 Fitted on every other row of the table, judged on the rest; one free number for CFDL, four for FFDL.
 """
@@ -18,14 +19,24 @@ folder = output.folder(__file__)
 s = jaxilc.scenarios.load("cao-2019", plant="printed")
 RANGES = {
     "cfdl-mfailc": {"phi": (-1.0, -0.01)},
-    "ffdl-mfailc": {"phi_y1": (-1.5, 1.5), "phi_y2": (-1.5, 1.5), "phi_u1": (-0.5, -0.01), "phi_u2": (-0.5, 0.5)},
+    "ffdl-mfailc": {
+        "phi_y1": (-1.5, 1.5),
+        "phi_y2": (-1.5, 1.5),
+        "phi_u1": (-0.5, -0.01),
+        "phi_u2": (-0.5, 0.5),
+    },
 }
 
 
 def errors(name, reset, values):
     """(J,) settled errors [µm] from the start values given."""
-    scheme = dataclasses.replace(s.schemes[name], phi0=jnp.stack([jnp.asarray(values[n]) for n in RANGES[name]]), reset=reset)
-    return s.shown_scale * jaxilc.learn(s.machine, scheme, s.task, max(TABLE_1[name])).settled_error[:, 0]
+    scheme = dataclasses.replace(
+        s.schemes[name], phi0=jnp.stack([jnp.asarray(values[n]) for n in RANGES[name]]), reset=reset
+    )
+    return (
+        s.shown_scale
+        * jaxilc.learn(s.machine, scheme, s.task, max(TABLE_1[name])).settled_error[:, 0]
+    )
 
 
 rows, ax = [], output.axes()
@@ -43,7 +54,14 @@ for name, ranges in RANGES.items():
         ax.semilogy(np.arange(1, len(ours) + 1), ours, label=f"{name}, {reset}, phi0 = {start}")
         for j, value in table.items():
             role = "fitted" if j in fitted else "judged"
-            row = {"scheme": name, "reset": reset, "phi0": start, "trial": j, "role": role, "published": value}
+            row = {
+                "scheme": name,
+                "reset": reset,
+                "phi0": start,
+                "trial": j,
+                "role": role,
+                "published": value,
+            }
             rows.append(row | {"ours": float(ours[j - 1]), "ratio": float(ours[j - 1] / value)})
     ax.plot(list(table), list(table.values()), "o", mfc="none", label=f"{name}, published")
 ax.set(xlabel="trial", ylabel="settled error [µm]")
@@ -53,4 +71,6 @@ ax.figure.savefig(folder / "start-values.png")
 output.write_rows(folder / "rows.csv", rows)
 judged = [r for r in rows if r["role"] == "judged" and r["reset"] == "sign"]
 met = sum(abs(r["ratio"] - 1) <= 0.3 for r in judged)
-print(f"reset `sign`: 5 free numbers fitted to 7 printed ones; of the {len(judged)} judged rows {met} are met within 30 %")
+print(
+    f"reset `sign`: 5 free numbers fitted to 7 printed ones; of the {len(judged)} judged rows {met} are met within 30 %"
+)

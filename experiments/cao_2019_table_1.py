@@ -1,4 +1,6 @@
-"""Cao 2019, Table 1 and Fig. 5 to 12: errors by trial of CFDL-, FFDL-MFAILC, ILC-MFAPC and PID on eq. 29's plant."""
+"""Cao 2019, Table 1 and Fig. 5 to 12: errors by trial of CFDL-, FFDL-MFAILC, ILC-MFAPC and PID on
+eq. 29's plant.
+"""
 
 import output
 
@@ -12,7 +14,17 @@ s = jaxilc.scenarios.load("cao-2019", plant="printed")
 dataset, _ = jaxilc.run_schemes(s.machine, s.schemes, s.task, s.trials)
 shown = {"scale": s.shown_scale, "unit": s.shown_unit}
 figures.save(figures.error_by_trial(dataset, published=s.due, **shown), folder / "table-1.png")
-figures.save(figures.error_by_trial(dataset, figure="max_error", published=s.due, **shown), folder / "figure-5.png")
-for name, trials in {"cfdl-mfailc": (2, 35, 80), "ffdl-mfailc": (2, 30, 60), "ilc-mfapc": (2, 10, 30), "pid": (1,)}.items():
+figures.save(
+    figures.error_by_trial(dataset, figure="max_error", published=s.due, **shown),
+    folder / "figure-5.png",
+)
+for name, trials in {
+    "cfdl-mfailc": (2, 35, 80),
+    "ffdl-mfailc": (2, 30, 60),
+    "ilc-mfapc": (2, 10, 30),
+    "pid": (1,),
+}.items():
     figures.save(figures.tracking(dataset, name, trials, **shown), folder / f"tracking-{name}.png")
-output.write_rows(folder / "rows.csv", [row.as_dict() for row in reproduction.reproduce(["cao-2019"])])
+output.write_rows(
+    folder / "rows.csv", [row.as_dict() for row in reproduction.reproduce(["cao-2019"])]
+)

@@ -1,4 +1,6 @@
-"""Cao 2019, Table 2 and Fig. 15 to 18: CFDL-MFAILC against PID on the laboratory rig, five frequencies."""
+"""Cao 2019, Table 2 and Fig. 15 to 18: CFDL-MFAILC against PID on the laboratory rig, five
+frequencies.
+"""
 
 import output
 
@@ -14,8 +16,16 @@ ax = output.axes()
 for scheme, colour in (("pid", "C0"), ("cfdl-mfailc", "C1")):
     ours = [r.ours for r in rows if r.published.scheme == scheme]
     ax.semilogy(list(TABLE_2), ours, "-", color=colour, label=scheme)
-    ax.plot(list(TABLE_2), [r.published.value for r in rows if r.published.scheme == scheme], "o", mfc="none", color=colour)
-ax.set(xlabel="frequency [Hz]", ylabel="settled error [µm]", title="lines: simulated; circles: Table 2")
+    ax.plot(
+        list(TABLE_2),
+        [r.published.value for r in rows if r.published.scheme == scheme],
+        "o",
+        mfc="none",
+        color=colour,
+    )
+ax.set(
+    xlabel="frequency [Hz]", ylabel="settled error [µm]", title="lines: simulated; circles: Table 2"
+)
 ax.grid(True, which="both", alpha=0.25)
 ax.legend()
 ax.figure.savefig(folder / "table-2.png")

@@ -1,12 +1,15 @@
-"""Certificates under attack: random machines under every learning law, each claim against 1500 simulated trials.
+"""Certificates under attack: random machines under every learning law, each claim against 1500
+simulated trials.
 
-Machines of order 1 to 6, some with a delay, resonances of damping down to 0.003 or zeros outside the unit circle, every second one with
-limits of input and rate, every eighth with two inputs and outputs; a disturbance that repeats on each output. Counted for each law: what
-is claimed, what of it the simulation contradicts, and why nothing is claimed of the rest.
+Machines of order 1 to 6, some with a delay, resonances of damping down to 0.003 or zeros outside
+the unit circle, every second one with limits of input and rate, every eighth with two inputs and
+outputs; a disturbance that repeats on each output. Counted for each law: what is claimed, what of
+it the simulation contradicts, and why nothing is claimed of the rest.
 
-Where a claim is due is decided by another calculation, with matrices that NumPy and SciPy make of the equations: learning is truly
-monotone if sigma_max(keep - L G) < 1 on what learning moves, or sigma_max(I - G L) < 1 where nothing is forgotten and the law reads
-nothing of e[0], and no limit is met in 1500 trials of u_{j+1} = keep u_j + L e_j.
+Where a claim is due is decided by another calculation, with matrices that NumPy and SciPy make of
+the equations: learning is truly monotone if sigma_max(keep - L G) < 1 on what learning moves, or
+sigma_max(I - G L) < 1 where nothing is forgotten and the law reads nothing of e[0], and no limit is
+met in 1500 trials of u_{j+1} = keep u_j + L e_j.
 """
 
 import sys
@@ -54,7 +57,10 @@ REASONS = (
     "learns no feedforward",
 )
 P, Q = PIDType(gamma_p=0.5), ZeroPhaseButterworth(80.0)
-MODEL = {1: StateSpace([[0.8]], [[0.2]], [[1.0]], dt=DT), 2: StateSpace(0.8 * np.eye(2), 0.2 * np.eye(2), np.eye(2), dt=DT)}
+MODEL = {
+    1: StateSpace([[0.8]], [[0.2]], [[1.0]], dt=DT),
+    2: StateSpace(0.8 * np.eye(2), 0.2 * np.eye(2), np.eye(2), dt=DT),
+}
 
 
 def laws(channels: int) -> dict:
@@ -69,7 +75,9 @@ def laws(channels: int) -> dict:
         "exponential": ExponentialPD(K_P=0.1, lam0=20.0),
         "exponential, steep": ExponentialPD(K_P=0.1, lam0=60.0, K_D=1e-4),
         "Q": Filtered(PIDType(gamma_p=0.5, lead=2), Q),
-        "Q, odd extension": Filtered(PIDType(gamma_p=0.5, lead=2), ZeroPhaseButterworth(80.0, padding=9)),
+        "Q, odd extension": Filtered(
+            PIDType(gamma_p=0.5, lead=2), ZeroPhaseButterworth(80.0, padding=9)
+        ),
         "Q, FIR": Filtered(PIDType(gamma_p=0.5, lead=1), ZeroPhaseFIR((0.4, 0.2, 0.1))),
         "Q, limit": Filtered(PIDType(gamma_p=0.5, lead=2, limit=3.0), Q),
         "Q, switchable": Filtered(P, SwitchableFilter((50.0, 120.0), (0.02,), 0.01)),
@@ -90,7 +98,8 @@ def laws(channels: int) -> dict:
     }
 
 
-# Machines ----------------------------------------------------------------------------------------------------------------------
+# Machines
+# ----------------------------------------------------------------------------------------------------------------------
 
 
 def random_plant(rng):
@@ -103,29 +112,48 @@ def random_plant(rng):
             pole = np.exp((-zeta + 1j * np.sqrt(1 - zeta**2)) * w * DT)
             poles += [pole, pole.conj()]
         else:
-            poles.append(np.exp(-2 * np.pi * 10 ** rng.uniform(0.5, 2.7) * DT) * rng.choice([1, 1, 1, -0.5]))
+            poles.append(
+                np.exp(-2 * np.pi * 10 ** rng.uniform(0.5, 2.7) * DT) * rng.choice([1, 1, 1, -0.5])
+            )
     outside = kind == "nonminimum phase"
-    zeros = [rng.uniform(1.05, 3) * rng.choice([1, -1]) if outside else rng.uniform(-0.95, 0.95) for _ in range(rng.integers(0, order))]
+    zeros = [
+        rng.uniform(1.05, 3) * rng.choice([1, -1]) if outside else rng.uniform(-0.95, 0.95)
+        for _ in range(rng.integers(0, order))
+    ]
     bottom = np.concatenate([np.poly(poles).real, np.zeros(rng.choice([0, 0, 0, 1, 2]))])
     top = np.atleast_1d(np.poly(zeros)).real
     A, B, C, _ = scipy.signal.tf2ss(top, bottom)
     z = np.exp(1j * np.linspace(1e-3, np.pi, 400))
     response = np.abs(np.polyval(top, z) / np.polyval(bottom, z))
-    reference = {"slow": response[0], "peak": np.max(response), "first": np.max(np.abs(scipy.signal.dimpulse((top, bottom, DT))[1][0]))}
+    reference = {
+        "slow": response[0],
+        "peak": np.max(response),
+        "first": np.max(np.abs(scipy.signal.dimpulse((top, bottom, DT))[1][0])),
+    }
     size = reference[rng.choice(list(reference))]
     sign = np.sign(np.polyval(top, 1) / np.polyval(bottom, 1)) if rng.random() < 0.9 else 1.0
     m, padded = len(A), (np.zeros((ORDER, ORDER)), np.zeros((ORDER, 1)), np.zeros((1, ORDER)))
-    padded[0][:m, :m], padded[1][:m], padded[2][:, :m] = A, B, C * sign / size * rng.uniform(0.3, 1.5)
+    padded[0][:m, :m], padded[1][:m], padded[2][:, :m] = (
+        A,
+        B,
+        C * sign / size * rng.uniform(0.3, 1.5),
+    )
     return padded
 
 
 def plants(rng, count: int, channels: int):
-    """(A, B, C) with a leading axis; of two channels, four plants side by side, those across a tenth as strong."""
+    """(A, B, C) with a leading axis; of two channels, four plants side by side, those across a
+    tenth as strong.
+    """
     if channels == 1:
-        return tuple(np.stack(M) for M in zip(*(random_plant(rng) for _ in range(count)), strict=True))
+        return tuple(
+            np.stack(M) for M in zip(*(random_plant(rng) for _ in range(count)), strict=True)
+        )
     found = []
     for _ in range(count):
-        (A1, B1, C1), (A2, B2, C2), (A3, B3, C3), (A4, B4, C4) = (random_plant(rng) for _ in range(4))
+        (A1, B1, C1), (A2, B2, C2), (A3, B3, C3), (A4, B4, C4) = (
+            random_plant(rng) for _ in range(4)
+        )
         o, weak = np.zeros_like(B1), 10 ** rng.uniform(-2, -0.3)
         B = np.block([[B1, o], [o, B2], [o, weak * B3], [weak * B4, o]])
         C = np.block([[C1, o.T, C3, o.T], [o.T, C2, o.T, C4]])
@@ -137,16 +165,22 @@ def stacked(rng, count: int, channels: int, limited: bool):
     """Machines with a leading axis, and their task."""
     A, B, C = plants(rng, count, channels)
     d = 0.1 * rng.standard_normal((count, SAMPLES + 1, channels))
-    limits = [10 ** rng.uniform(-0.5, 2.5, count), 10 ** rng.uniform(2, 5, count)] if limited else []
+    limits = (
+        [10 ** rng.uniform(-0.5, 2.5, count), 10 ** rng.uniform(2, 5, count)] if limited else []
+    )
     machine = Machine(
-        StateSpace(A[0], B[0], C[0], dt=DT), Actuator(limit=1.0, rate=1.0) if limited else None, None, Disturbance(output=d[0])
+        StateSpace(A[0], B[0], C[0], dt=DT),
+        Actuator(limit=1.0, rate=1.0) if limited else None,
+        None,
+        Disturbance(output=d[0]),
     )
     bump = np.sin(np.pi * np.arange(SAMPLES + 1) / SAMPLES) ** 2
     task = Task(bump[:, None] * (1 + 0.5 * np.arange(channels)), dt=DT, inputs=channels)
     return jax.tree.unflatten(jax.tree.structure(machine), [A, B, C, *limits, d]), task
 
 
-# What is true, by other means ----------------------------------------------------------------------------------------------------
+# What is true, by other means
+# ----------------------------------------------------------------------------------------------------
 
 
 def shifted(m: int):
@@ -162,12 +196,21 @@ def difference():
 def filter_matrix(kind: str):
     if kind == "mirrored":
         f = np.arange(SAMPLES) / (2 * SAMPLES * DT)
-        _, response = scipy.signal.sosfreqz(scipy.signal.butter(2, 80.0, fs=1 / DT, output="sos"), f, fs=1 / DT)
-        return scipy.fft.idct(np.abs(response[:, None]) ** 2 * scipy.fft.dct(np.eye(SAMPLES), axis=0), axis=0)
+        _, response = scipy.signal.sosfreqz(
+            scipy.signal.butter(2, 80.0, fs=1 / DT, output="sos"), f, fs=1 / DT
+        )
+        return scipy.fft.idct(
+            np.abs(response[:, None]) ** 2 * scipy.fft.dct(np.eye(SAMPLES), axis=0), axis=0
+        )
     if kind == "odd":
-        return scipy.signal.sosfiltfilt(scipy.signal.butter(2, 80.0, fs=1 / DT, output="sos"), np.eye(SAMPLES), axis=0, padlen=9)
+        return scipy.signal.sosfiltfilt(
+            scipy.signal.butter(2, 80.0, fs=1 / DT, output="sos"), np.eye(SAMPLES), axis=0, padlen=9
+        )
     held = np.pad(np.eye(SAMPLES), ((2, 2), (0, 0)), mode="edge")
-    return sum(tap * held[2 + i : 2 + i + SAMPLES] for i, tap in zip(range(-2, 3), (0.1, 0.2, 0.4, 0.2, 0.1), strict=True))
+    return sum(
+        tap * held[2 + i : 2 + i + SAMPLES]
+        for i, tap in zip(range(-2, 3), (0.1, 0.2, 0.4, 0.2, 0.1), strict=True)
+    )
 
 
 def matrices() -> dict:
@@ -196,9 +239,13 @@ def truly_monotone(machines, task, law) -> np.ndarray:
     moved = np.any(np.concatenate([keep - np.eye(len(keep)), L], axis=1) != 0, axis=1)
     found = []
     for i in range(len(machines.plant.A)):
-        G = lifted(*(np.asarray(M[i]) for M in (machines.plant.A, machines.plant.B, machines.plant.C)))
+        G = lifted(
+            *(np.asarray(M[i]) for M in (machines.plant.A, machines.plant.B, machines.plant.C))
+        )
         M = (keep - L @ G)[np.ix_(moved, moved)]
-        error = (np.asarray(task.reference) - np.asarray(machines.disturbance.output[i]))[1:].ravel()
+        error = (np.asarray(task.reference) - np.asarray(machines.disturbance.output[i]))[
+            1:
+        ].ravel()
         kept = np.array_equal(keep, np.eye(len(keep))) and not reads_start
         true = np.linalg.norm(M, 2) < 1 or (kept and np.linalg.norm(np.eye(len(G)) - G @ L, 2) < 1)
         found.append(true and within_limits(machines.actuator, i, keep, L, G, error, channels))
@@ -211,7 +258,10 @@ def lifted(A, B, C):
     for _ in range(SAMPLES):
         markov.append(C @ x)
         x = A @ x
-    rows = [[markov[i - j] if i >= j else np.zeros_like(markov[0]) for j in range(SAMPLES)] for i in range(SAMPLES)]
+    rows = [
+        [markov[i - j] if i >= j else np.zeros_like(markov[0]) for j in range(SAMPLES)]
+        for i in range(SAMPLES)
+    ]
     return np.block(rows)
 
 
@@ -221,13 +271,17 @@ def within_limits(actuator, i, keep, L, G, error, channels) -> bool:
     limit, rate = float(actuator.limit[i]), float(actuator.rate[i])
     u = np.zeros(len(G))
     for _ in range(TRIALS):
-        if np.max(np.abs(u)) > limit or np.max(np.abs(np.diff(u.reshape(-1, channels), axis=0, prepend=0.0))) > rate * DT:
+        if (
+            np.max(np.abs(u)) > limit
+            or np.max(np.abs(np.diff(u.reshape(-1, channels), axis=0, prepend=0.0))) > rate * DT
+        ):
             return False
         u = keep @ u + L @ (error - G @ u)
     return True
 
 
-# The attack ----------------------------------------------------------------------------------------------------------------------
+# The attack
+# ----------------------------------------------------------------------------------------------------------------------
 
 
 def attacked(name: str, groups, oracle) -> tuple[dict, Counter]:
@@ -236,11 +290,18 @@ def attacked(name: str, groups, oracle) -> tuple[dict, Counter]:
     for machines, task in groups:
         found = certify_each(machines, laws(task.outputs)[name], task, TRIALS)
         claims.update(found.claim.tolist())
-        reasons.update(in_short(why) for why, claim in zip(found.reason, found.claim, strict=True) if claim == "not claimed")
+        reasons.update(
+            in_short(why)
+            for why, claim in zip(found.reason, found.claim, strict=True)
+            if claim == "not claimed"
+        )
         broken += len(found.broken_promises())
         if oracle is not None:
             due = truly_monotone(machines, task, oracle)
-            true, certified = true + int(np.sum(due)), certified + int(np.sum(due & (found.claim == "monotone")))
+            true, certified = (
+                true + int(np.sum(due)),
+                certified + int(np.sum(due & (found.claim == "monotone"))),
+            )
     row = {"law": name} | {claim: claims[claim] for claim in CLAIMS} | {"contradicted": broken}
     return row | {
         "truly monotone": true if oracle is not None else "",
@@ -264,13 +325,21 @@ def in_short(reason: str) -> str:
 def main(count: int, names: list[str]) -> None:
     jaxilc.setup()
     folder, rng = output.folder(__file__), np.random.default_rng(16)
-    sizes = {(1, False): count * 7 // 16, (1, True): count * 7 // 16, (2, False): count // 16, (2, True): count // 16}
+    sizes = {
+        (1, False): count * 7 // 16,
+        (1, True): count * 7 // 16,
+        (2, False): count // 16,
+        (2, True): count // 16,
+    }
     groups = [stacked(rng, size, channels, limited) for (channels, limited), size in sizes.items()]
     oracles, rows, reasons = matrices(), [], []
     for name in names or laws(1):
         row, why = attacked(name, groups, oracles.get(name))
         rows.append(row)
-        reasons += [{"law": name, "why nothing is claimed": reason, "machines": times} for reason, times in why.most_common()]
+        reasons += [
+            {"law": name, "why nothing is claimed": reason, "machines": times}
+            for reason, times in why.most_common()
+        ]
         print(row, dict(why), flush=True)
     output.write_rows(folder / "laws.csv", rows)
     output.write_rows(folder / "abstentions.csv", reasons)
@@ -279,4 +348,6 @@ def main(count: int, names: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else MACHINES, sys.argv[2:])  # how many machines, and which laws; all if none is named
+    main(
+        int(sys.argv[1]) if len(sys.argv) > 1 else MACHINES, sys.argv[2:]
+    )  # how many machines, and which laws; all if none is named

@@ -1,8 +1,11 @@
-"""Conditions on the frequency response under attack: are their maxima the maxima, do they hold on the whole trial, do they abstain.
+"""Conditions on the frequency response under attack: are their maxima the maxima, do they hold on
+the whole trial, do they abstain.
 
-norm-optimal  120 pairs of a model and a machine, each with a resonance of its own, against a dense row of lines around both
+norm-optimal  120 pairs of a model and a machine, each with a resonance of its own, against a dense
+row of lines around both
 family        60 boxes of a gain and a resonance, against a grid of plants and lines
-filtered      60 servo loops under a Butterworth filter and a lead, against eigenvalues of the dense learning matrix
+filtered      60 servo loops under a Butterworth filter and a lead, against eigenvalues of the dense
+learning matrix
 robust        the same with a plant that is uncertain by 10 %, against perturbed plants
 light damping 150 machines of damping 0.003 to 0.1 in trials of 600 samples
 """
@@ -29,7 +32,9 @@ def task_of(samples: int) -> Task:
 
 
 def held(modes, gain=1.0):
-    """(A, B, C) of gain prod w^2 / (s^2 + 2 zeta w s + w^2) sampled with a hold, by SciPy. modes: [(w, zeta)]"""
+    """(A, B, C) of gain prod w^2 / (s^2 + 2 zeta w s + w^2) sampled with a hold, by SciPy. modes:
+    [(w, zeta)]
+    """
     top, bottom = gain, np.array([1.0])
     for w, zeta in modes:
         top, bottom = top * w * w, np.polymul(bottom, [1.0, 2 * zeta * w, w * w])
@@ -57,7 +62,9 @@ def q_response(cutoff, f):
 
 
 def radius(plant, law: Filtered, samples: int) -> float:
-    """Spectral radius of Q (I - L G) for a P-type law with a lead under a mirrored filter, by NumPy."""
+    """Spectral radius of Q (I - L G) for a P-type law with a lead under a mirrored filter, by
+    NumPy.
+    """
     A, B, C = plant
     markov = np.array([(C @ x)[0, 0] for x in _powers(A, B, samples)])
     G = scipy.linalg.toeplitz(markov, np.zeros(samples))
@@ -80,48 +87,101 @@ def norm_optimal(rng, count=120) -> dict:
         model, machine = (held([mode]) for mode in modes)
         w_e, w_u, w_delta = 1.0, 10 ** rng.uniform(-3, -0.5), 10 ** rng.uniform(-2, 0)
         of = [Machine(StateSpace(*one, dt=DT)) for one in (model, machine)]
-        found = frequency.norm_optimal_condition(*of, None, task_of(100), w_e=w_e, w_u=w_u, w_delta=w_delta).condition
+        found = frequency.norm_optimal_condition(
+            *of, None, task_of(100), w_e=w_e, w_u=w_u, w_delta=w_delta
+        ).condition
         f = lines(*modes)
         G, G_t = response(model, f), response(machine, f)
         brute = np.max(np.abs(w_delta + np.conj(G) * (G - G_t)) / (np.abs(G) ** 2 + w_u + w_delta))
         low, holds = low + (found.value < brute * (1 - 1e-9)), holds + found.holds
-    return {"condition": "norm-optimal", "tried": count, "value too low": low, "holds": holds, "contradicted": "", "abstained below 1": ""}
+    return {
+        "condition": "norm-optimal",
+        "tried": count,
+        "value too low": low,
+        "holds": holds,
+        "contradicted": "",
+        "abstained below 1": "",
+    }
 
 
 def family(rng, count=60) -> dict:
     low = holds = 0
     for _ in range(count):
-        modes = [(rng.uniform(100, 400), rng.uniform(0.3, 0.9)), (rng.uniform(400, 1500), 10 ** rng.uniform(-2.3, -0.7))]
+        modes = [
+            (rng.uniform(100, 400), rng.uniform(0.3, 0.9)),
+            (rng.uniform(400, 1500), 10 ** rng.uniform(-2.3, -0.7)),
+        ]
         (slow, _), (w, zeta) = modes
         plant = ProcessModel(gain=1.0, frequencies=(slow, w), dampings=(modes[0][1], zeta))
-        box = {"plant.gain": Uniform(0.85, 1.15, relative=True), "plant.frequencies[1]": Uniform(0.8 * w, 1.2 * w)}
+        box = {
+            "plant.gain": Uniform(0.85, 1.15, relative=True),
+            "plant.frequencies[1]": Uniform(0.8 * w, 1.2 * w),
+        }
         gamma, lead, cutoff = rng.uniform(0.2, 0.8), int(rng.integers(0, 8)), rng.uniform(30, 150)
         law = Filtered(PIDType(gamma_p=gamma, lead=lead), ZeroPhaseButterworth(cutoff))
-        found = frequency.family_condition(Machine(plant), box, law, task_of(200), samples=32).condition
+        found = frequency.family_condition(
+            Machine(plant), box, law, task_of(200), samples=32
+        ).condition
         brute = 0.0
         for share in np.linspace(0.8, 1.2, 21):
             f = lines((share * w, zeta))
-            P, zL = response(held([modes[0], (share * w, zeta)]), f), gamma * np.exp(2j * np.pi * f * DT * (1 + lead))
-            brute = max(brute, *(np.max(q_response(cutoff, f) * np.abs(1 - zL * gain * P)) for gain in (0.85, 1.0, 1.15)))
+            P, zL = (
+                response(held([modes[0], (share * w, zeta)]), f),
+                gamma * np.exp(2j * np.pi * f * DT * (1 + lead)),
+            )
+            brute = max(
+                brute,
+                *(
+                    np.max(q_response(cutoff, f) * np.abs(1 - zL * gain * P))
+                    for gain in (0.85, 1.0, 1.15)
+                ),
+            )
         low, holds = low + (found.value < brute * (1 - 1e-6)), holds + found.holds
-    return {"condition": "family", "tried": count, "value too low": low, "holds": holds, "contradicted": "", "abstained below 1": ""}
+    return {
+        "condition": "family",
+        "tried": count,
+        "value too low": low,
+        "holds": holds,
+        "contradicted": "",
+        "abstained below 1": "",
+    }
 
 
 def filtered(rng, count=60) -> list[dict]:
     rows = {name: [0, 0, 0] for name in ("filtered", "robust")}
     for _ in range(count):
-        modes = [(rng.uniform(60, 500), rng.uniform(0.2, 0.9)), (rng.uniform(300, 2500), 10 ** rng.uniform(-2, -0.5))]
+        modes = [
+            (rng.uniform(60, 500), rng.uniform(0.2, 0.9)),
+            (rng.uniform(300, 2500), 10 ** rng.uniform(-2, -0.5)),
+        ]
         plant = held(modes)
-        law = Filtered(PIDType(gamma_p=rng.uniform(0.2, 0.9), lead=int(rng.integers(0, 9))), ZeroPhaseButterworth(rng.uniform(20, 120)))
+        law = Filtered(
+            PIDType(gamma_p=rng.uniform(0.2, 0.9), lead=int(rng.integers(0, 9))),
+            ZeroPhaseButterworth(rng.uniform(20, 120)),
+        )
         machine, task = Machine(StateSpace(*plant, dt=DT)), task_of(200)
         for name, found, tried in (
             ("filtered", frequency.learning_condition(machine, law, task).condition, [plant]),
-            ("robust", frequency.robust_condition(machine, law, task, 0.1).condition, perturbed(rng, plant)),
+            (
+                "robust",
+                frequency.robust_condition(machine, law, task, 0.1).condition,
+                perturbed(rng, plant),
+            ),
         ):
             broken = found.holds and max(radius(one, law, 200) for one in tried) >= 1
-            rows[name] = [x + y for x, y in zip(rows[name], (found.holds, broken, found.value < 1 and not found.holds), strict=True)]
+            rows[name] = [
+                x + y
+                for x, y in zip(
+                    rows[name],
+                    (found.holds, broken, found.value < 1 and not found.holds),
+                    strict=True,
+                )
+            ]
     names = "holds", "contradicted", "abstained below 1"
-    return [{"condition": c, "tried": count, "value too low": ""} | dict(zip(names, row, strict=True)) for c, row in rows.items()]
+    return [
+        {"condition": c, "tried": count, "value too low": ""} | dict(zip(names, row, strict=True))
+        for c, row in rows.items()
+    ]
 
 
 def perturbed(rng, plant, count=4):
@@ -139,8 +199,13 @@ def light_damping(rng, count=150) -> dict:
     holds = broken = abstained = 0
     for _ in range(count):
         plant = held([(rng.uniform(150, 1500), 10 ** rng.uniform(-2.5, -1))])
-        law = Filtered(PIDType(gamma_p=rng.uniform(0.2, 0.8), lead=int(rng.integers(0, 3))), ZeroPhaseButterworth(rng.uniform(10, 60)))
-        found = frequency.learning_condition(Machine(StateSpace(*plant, dt=DT)), law, task_of(600)).condition
+        law = Filtered(
+            PIDType(gamma_p=rng.uniform(0.2, 0.8), lead=int(rng.integers(0, 3))),
+            ZeroPhaseButterworth(rng.uniform(10, 60)),
+        )
+        found = frequency.learning_condition(
+            Machine(StateSpace(*plant, dt=DT)), law, task_of(600)
+        ).condition
         broken += found.holds and radius(plant, law, 600) >= 1
         holds, abstained = holds + found.holds, abstained + (found.value < 1 and not found.holds)
     counts = {"holds": holds, "contradicted": broken, "abstained below 1": abstained}

@@ -1,8 +1,11 @@
-"""Dai 2014, Fig. 9: is there a reading of the 2.5 Hz row (CFDL-MFAPC, P = 250, lam = 8700, error 0.047) that meets it?
+"""Dai 2014, Fig. 9: is there a reading of the 2.5 Hz row (CFDL-MFAPC, P = 250, lam = 8700, error
+0.047) that meets it?
 
-Every combination of plant, control horizon, reference over the horizon and 160 start values of the PPD is simulated for ten periods.
-What is printed for each: the smallest error, the share of start values within 30 % of the print, and how the error at the best start
-value answers to a change of 1 % of it. A reading would have to meet the print over a range of start values to count.
+Every combination of plant, control horizon, reference over the horizon and 160 start values of the
+PPD is simulated for ten periods.
+What is printed for each: the smallest error, the share of start values within 30 % of the print,
+and how the error at the best start value answers to a change of 1 % of it. A reading would have to
+meet the print over a range of start values to count.
 """
 
 import itertools
@@ -21,7 +24,9 @@ task = jaxilc.scenarios.load("dai-2014", frequency=2.5).task
 PRINTED = 0.047
 starts = -np.geomspace(0.01, 400.0, 160)
 rows, ax = [], output.axes()
-for plant, P_u, reference in itertools.product(("exact", "printed", "dai_2014_printed"), (1, 2, 5), ("preview", "constant")):
+for plant, P_u, reference in itertools.product(
+    ("exact", "printed", "dai_2014_printed"), (1, 2, 5), ("preview", "constant")
+):
 
     def settled_error(machine, phi0, P_u=P_u, reference=reference):
         scheme = CFDLMFAPC(P=250, P_u=P_u, lam=8700.0, phi0=phi0, reference=reference)
@@ -47,7 +52,9 @@ for plant, P_u, reference in itertools.product(("exact", "printed", "dai_2014_pr
     if P_u == 1:
         ax.loglog(-starts, errors, label=f"{plant}, {reference}")
 ax.axhline(PRINTED, color="k", linewidth=0.8, label="published")
-ax.set(xlabel="-phi0", ylabel="settled error [mm]", ylim=(0.02, 10), title="2.5 Hz, P = 250, P_u = 1")
+ax.set(
+    xlabel="-phi0", ylabel="settled error [mm]", ylim=(0.02, 10), title="2.5 Hz, P = 250, P_u = 1"
+)
 ax.legend(fontsize="small")
 ax.grid(True, which="both", alpha=0.25)
 ax.figure.savefig(folder / "start-values.png")

@@ -1,17 +1,22 @@
-"""Derivatives through learning under attack: twelve configurations, three metrics, 24 machines at once, against central differences.
+"""Derivatives through learning under attack: twelve configurations, three metrics, 24 machines at
+once, against central differences.
 
-In each configuration some leaves of the plant, the actuator or the scheme are batched, and the metric of the last trial, and the sum
-over all trials, is differentiated along a random direction of each machine in three ways: in tiles, as one `jit(vmap(grad))`, and
-machine by machine without either. 12 x 3 x 24 = 864 derivatives for each way and each of the two losses.
+In each configuration some leaves of the plant, the actuator or the scheme are batched, and the
+metric of the last trial, and the sum over all trials, is differentiated along a random direction of
+each machine in three ways: in tiles, as one `jit(vmap(grad))`, and machine by machine without
+either. 12 x 3 x 24 = 864 derivatives for each way and each of the two losses.
 
-A largest error has kinks where another sample becomes the largest, a limit where another sample meets it. They are recognised and not
-hidden in a tolerance: where the differences to either side disagree by more than curvature explains, which halves with the step, or
-another sample is the largest, the step shrinks. What is still a kink at the smallest step is counted, and its derivative must be that
-of one of the two sides.
+A largest error has kinks where another sample becomes the largest, a limit where another sample
+meets it. They are recognised and not
+hidden in a tolerance: where the differences to either side disagree by more than curvature
+explains, which halves with the step, or another sample is the largest, the step shrinks. What is
+still a kink at the smallest step is counted, and its derivative must be that of one of the two
+sides.
 
-Measured (two cores, AVX-512, jax 0.10.2): 0 of 2 x 864 wrong in each of the three ways, 18 beside a kink, none at one. When the largest
-error was found by equality, each of the 24 derivatives of a summed largest error was wrong in three configurations (order 1,
-Butterworth, switching; 23 of 24 for one metric), compiled by jit(vmap(grad)).
+Measured (two cores, AVX-512, jax 0.10.2): 0 of 2 x 864 wrong in each of the three ways, 18 beside a
+kink, none at one. When the largest error was found by equality, each of the 24 derivatives of a
+summed largest error was wrong in three configurations (order 1, Butterworth, switching; 23 of 24
+for one metric), compiled by jit(vmap(grad)).
 """
 
 from typing import Any, NamedTuple
@@ -32,12 +37,16 @@ from jaxilc.schemes import CFDLMFAILC, FFDLMFAILC, PID, Filtered, HigherOrder, P
 METRICS, LOSSES, MACHINES = ("max_error", "settled_error", "rms"), ("last", "summed"), 24
 STEPS = (1e-5, 1e-6, 1e-7)  # of the differences, relative to the leaf
 AGREED = 1e-5  # how far a derivative and a difference may lie apart, relative to the latter,
-ROUNDING = 1e-14  # and what rounding leaves of a metric, absolute: the references are of the size of one
+ROUNDING = (
+    1e-14  # and what rounding leaves of a metric, absolute: the references are of the size of one
+)
 DT = 1e-3
 
 
 class Configuration(NamedTuple):
-    """subject: {"machine": ..., "scheme": ...};  trials: J;  leaves: the names in it that are batched;  outputs: of its reference"""
+    """subject: {"machine": ..., "scheme": ...};  trials: J;  leaves: the names in it that are
+    batched;  outputs: of its reference
+    """
 
     subject: dict[str, Any]
     trials: int
@@ -48,7 +57,11 @@ class Configuration(NamedTuple):
     @property
     def task(self) -> Task:
         bump = np.sin(2 * np.pi * np.arange(self.samples + 1) / self.samples) ** 2
-        return Task(np.stack([(1 + 0.3 * i) * bump for i in range(self.outputs)], axis=1), dt=DT, inputs=self.outputs)
+        return Task(
+            np.stack([(1 + 0.3 * i) * bump for i in range(self.outputs)], axis=1),
+            dt=DT,
+            inputs=self.outputs,
+        )
 
     def history(self, x, save=None):
         """x: the batched leaves by name"""
@@ -62,8 +75,13 @@ class Configuration(NamedTuple):
     def batch(self, rng) -> tuple[dict, dict]:
         """Leaves of `MACHINES` machines, 5 % around those given, and a direction for each."""
         at = {name: np.asarray(get_at(self.subject, name)) for name in self.leaves}
-        x = {name: value * (1 + 0.05 * rng.uniform(-1, 1, (MACHINES, *value.shape))) for name, value in at.items()}
-        return x, {name: rng.standard_normal(value.shape) * np.abs(value) for name, value in x.items()}
+        x = {
+            name: value * (1 + 0.05 * rng.uniform(-1, 1, (MACHINES, *value.shape)))
+            for name, value in at.items()
+        }
+        return x, {
+            name: rng.standard_normal(value.shape) * np.abs(value) for name, value in x.items()
+        }
 
 
 def configurations() -> dict[str, Configuration]:
@@ -71,22 +89,38 @@ def configurations() -> dict[str, Configuration]:
     rng = np.random.default_rng(0)
 
     def stable(order):
-        A = np.diag(rng.uniform(0.3, 0.9, order)) + 0.1 * rng.standard_normal((order, order)) * (order > 1)
+        A = np.diag(rng.uniform(0.3, 0.9, order)) + 0.1 * rng.standard_normal((order, order)) * (
+            order > 1
+        )
         A *= 0.9 / max(0.9, np.max(np.abs(np.linalg.eigvals(A))))
         B, C = rng.standard_normal((order, 1)), rng.standard_normal((1, order))
         plant = StateSpace(A, B, C, dt=DT)
         return plant, 0.3 / (C @ B).item()
 
     def of(plant, scheme, trials, *leaves, actuator=None, **options):
-        return Configuration({"machine": Machine(plant, actuator), "scheme": scheme}, trials, leaves, **options)
+        return Configuration(
+            {"machine": Machine(plant, actuator), "scheme": scheme}, trials, leaves, **options
+        )
 
     (first, g1), (second, g2), (third, g3), (fourth, g4) = map(stable, (1, 2, 3, 4))
-    two = StateSpace([[0.7, 0.1], [0.05, 0.6]], [[0.3, 0.05], [-0.02, 0.4]], [[1.0, 0.1], [0.2, 1.0]], dt=DT)
+    two = StateSpace(
+        [[0.7, 0.1], [0.05, 0.6]], [[0.3, 0.05], [-0.02, 0.4]], [[1.0, 0.1], [0.2, 1.0]], dt=DT
+    )
     arx = DifferenceEquation((1.6, -0.65), (0.06, 0.03), dt=DT)
     cfdl = CFDLMFAILC(lam=0.2, eta=0.9, mu=0.05, rho=0.9, phi0=0.065, reset="none")
-    ffdl = FFDLMFAILC(lam=0.02, eta=0.9, mu=0.05, rho=0.9, phi0=(0.5, -0.1, 0.06, 0.03), reset="none")
+    ffdl = FFDLMFAILC(
+        lam=0.02, eta=0.9, mu=0.05, rho=0.9, phi0=(0.5, -0.1, 0.06, 0.03), reset="none"
+    )
     switching = SwitchableFilter((60.0, 150.0, 90.0), (0.0183, 0.0387), 0.006, padding=9)
-    largest = float(jnp.max(jnp.abs(learn(Machine(second), PIDType(gamma_p=g2), Configuration({}, 1, ()).task, 8).final.u)))
+    largest = float(
+        jnp.max(
+            jnp.abs(
+                learn(
+                    Machine(second), PIDType(gamma_p=g2), Configuration({}, 1, ()).task, 8
+                ).final.u
+            )
+        )
+    )
     over_pid = WithFeedback(PIDType(gamma_p=g3), PID(kp=g3 / 3))
     return {
         "order 1": of(first, PIDType(gamma_p=g1), 8, "machine.plant.C"),
@@ -94,23 +128,55 @@ def configurations() -> dict[str, Configuration]:
         "order 2, 100 samples": of(second, PIDType(gamma_p=g2), 8, "machine.plant.A", samples=100),
         "order 4": of(fourth, PIDType(gamma_p=g4), 3, "machine.plant.B", "machine.plant.C"),
         "two by two": of(two, PIDType(gamma_p=0.5), 5, "machine.plant.C", outputs=2),
-        "limit": of(second, PIDType(gamma_p=g2), 8, "machine.actuator.limit", "machine.plant.B", actuator=Actuator(limit=0.6 * largest)),
-        "rate": of(second, PIDType(gamma_p=g2), 5, "machine.actuator.rate", "machine.plant.C", actuator=Actuator(rate=0.06 * largest / DT)),
-        "CFDL-MFAILC": of(arx, cfdl, 8, *(f"scheme.{name}" for name in ("lam", "eta", "mu", "rho", "phi0"))),
-        "FFDL-MFAILC": of(arx, ffdl, 5, "scheme.lam", "scheme.rho", "scheme.phi0", "machine.plant.b"),
-        "higher order": of(arx, HigherOrder((0.7, 0.3), (2.0, 1.0)), 5, "scheme.alpha", "scheme.gamma", "machine.plant.a"),
+        "limit": of(
+            second,
+            PIDType(gamma_p=g2),
+            8,
+            "machine.actuator.limit",
+            "machine.plant.B",
+            actuator=Actuator(limit=0.6 * largest),
+        ),
+        "rate": of(
+            second,
+            PIDType(gamma_p=g2),
+            5,
+            "machine.actuator.rate",
+            "machine.plant.C",
+            actuator=Actuator(rate=0.06 * largest / DT),
+        ),
+        "CFDL-MFAILC": of(
+            arx, cfdl, 8, *(f"scheme.{name}" for name in ("lam", "eta", "mu", "rho", "phi0"))
+        ),
+        "FFDL-MFAILC": of(
+            arx, ffdl, 5, "scheme.lam", "scheme.rho", "scheme.phi0", "machine.plant.b"
+        ),
+        "higher order": of(
+            arx,
+            HigherOrder((0.7, 0.3), (2.0, 1.0)),
+            5,
+            "scheme.alpha",
+            "scheme.gamma",
+            "machine.plant.a",
+        ),
         "Butterworth": of(
-            first, Filtered(PIDType(gamma_p=g1), ZeroPhaseButterworth(80.0)), 5, "scheme.filter.cutoff", "scheme.scheme.gamma_p"
+            first,
+            Filtered(PIDType(gamma_p=g1), ZeroPhaseButterworth(80.0)),
+            5,
+            "scheme.filter.cutoff",
+            "scheme.scheme.gamma_p",
         ),
         "switching": of(
-            first, Filtered(PIDType(gamma_p=g1), switching), 5, *(f"scheme.filter.{name}" for name in ("cutoff", "times", "width"))
+            first,
+            Filtered(PIDType(gamma_p=g1), switching),
+            5,
+            *(f"scheme.filter.{name}" for name in ("cutoff", "times", "width")),
         ),
     }
 
 
 class Differences(NamedTuple):
-    """Of one metric and loss, (S,) each: the difference to the left and to the right, how far a derivative may lie off, whether it is a
-    kink, and whether the step had to shrink."""
+    """Of one metric and loss, (S,) each: the difference to the left and to the right, how far a
+    derivative may lie off, whether it is a kink, and whether the step had to shrink."""
 
     left: np.ndarray
     right: np.ndarray
@@ -119,9 +185,13 @@ class Differences(NamedTuple):
     shrunk: np.ndarray
 
     def wrong(self, slope) -> np.ndarray:
-        """(S,) whether a derivative is neither the central difference nor, at a kink, that of one side."""
+        """(S,) whether a derivative is neither the central difference nor, at a kink, that of one
+        side.
+        """
         central = np.abs(slope - (self.left + self.right) / 2) <= self.allowed
-        one_sided = np.minimum(np.abs(slope - self.left), np.abs(slope - self.right)) <= self.allowed
+        one_sided = (
+            np.minimum(np.abs(slope - self.left), np.abs(slope - self.right)) <= self.allowed
+        )
         return ~np.where(self.kink, one_sided, central)
 
 
@@ -133,28 +203,48 @@ def differences(case: Configuration, x, d) -> dict[tuple[str, str], Differences]
         size = jnp.abs(history.saved["e"])
         by_trial = {metric: jnp.sum(getattr(history.metrics, metric), axis=1) for metric in METRICS}
         largest = jnp.argmax(size[:, 1:], axis=1), jnp.argmax(size[:, case.task.settled], axis=1)
-        return {(m, "last"): v[-1] for m, v in by_trial.items()} | {(m, "summed"): jnp.sum(v) for m, v in by_trial.items()}, largest
+        return {(m, "last"): v[-1] for m, v in by_trial.items()} | {
+            (m, "summed"): jnp.sum(v) for m, v in by_trial.items()
+        }, largest
 
     run = tiled(lambda _, one: look(one))
 
     def at(h):
-        return jax.tree.map(np.asarray, run((), {name: jnp.asarray(x[name] + h * d[name]) for name in x}))
+        return jax.tree.map(
+            np.asarray, run((), {name: jnp.asarray(x[name] + h * d[name]) for name in x})
+        )
 
     here, found = at(0.0)[0], {}
     for h in STEPS:
-        (after, which_after), (before, which_before), (nearer, _), (nearer_before, _) = at(h), at(-h), at(h / 2), at(-h / 2)
-        moved = [np.any(one != other, axis=(1, 2)) for one, other in zip(which_after, which_before, strict=True)]
+        (after, which_after), (before, which_before), (nearer, _), (nearer_before, _) = (
+            at(h),
+            at(-h),
+            at(h / 2),
+            at(-h / 2),
+        )
+        moved = [
+            np.any(one != other, axis=(1, 2))
+            for one, other in zip(which_after, which_before, strict=True)
+        ]
         for (metric, loss), value in here.items():
             key = metric, loss
             left, right = (value - before[key]) / h, (after[key] - value) / h
-            allowed = AGREED * np.abs(left + right) / 2 + ROUNDING * np.maximum(1.0, np.abs(value)) / h
+            allowed = (
+                AGREED * np.abs(left + right) / 2 + ROUNDING * np.maximum(1.0, np.abs(value)) / h
+            )
             bend, nearer_bend = right - left, 2 * (nearer[key] - 2 * value + nearer_before[key]) / h
-            kink = np.abs(bend - 2 * nearer_bend) > 6 * allowed  # curvature halves with the step, and what a kink turns does not
-            kink |= np.abs((left + right) / 2 - (nearer[key] - nearer_before[key]) / h) > allowed / 2  # or the step is too long
+            kink = (
+                np.abs(bend - 2 * nearer_bend) > 6 * allowed
+            )  # curvature halves with the step, and what a kink turns does not
+            kink |= (
+                np.abs((left + right) / 2 - (nearer[key] - nearer_before[key]) / h) > allowed / 2
+            )  # or the step is too long
             kink |= moved[METRICS.index(metric)] if metric != "rms" else False
             now = Differences(left, right, allowed, kink, np.full(kink.shape, h < STEPS[0]))
             old = found.get(key, now)
-            found[key] = Differences(*(np.where(old.kink, n, o) for n, o in zip(now, old, strict=True)))
+            found[key] = Differences(
+                *(np.where(old.kink, n, o) for n, o in zip(now, old, strict=True))
+            )
     return found
 
 
@@ -186,18 +276,33 @@ def main():
         x, d = case.batch(np.random.default_rng(1))
         expected = differences(case, x, d)
         for (metric, loss), at in expected.items():
-            row = {"configuration": name, "metric": metric, "loss": loss, "step shrunk": int(at.shrunk.sum()), "kinks": int(at.kink.sum())}
+            row = {
+                "configuration": name,
+                "metric": metric,
+                "loss": loss,
+                "step shrunk": int(at.shrunk.sum()),
+                "kinks": int(at.kink.sum()),
+            }
             for way, slope in slopes(case, metric, loss, x, d).items():
-                row |= {f"{way}: wrong": int(at.wrong(slope).sum()), f"{way}: zero": int((slope == 0).sum())}
+                row |= {
+                    f"{way}: wrong": int(at.wrong(slope).sum()),
+                    f"{way}: zero": int((slope == 0).sum()),
+                }
             rows.append(row)
             jax.clear_caches()
     output.write_rows(folder / "rows.csv", rows)
     total = MACHINES * len(rows) // len(LOSSES)
     for loss in LOSSES:
         of = [row for row in rows if row["loss"] == loss]
-        wrong = {way.removesuffix(": wrong"): sum(row[way] for row in of) for way in rows[0] if way.endswith(": wrong")}
+        wrong = {
+            way.removesuffix(": wrong"): sum(row[way] for row in of)
+            for way in rows[0]
+            if way.endswith(": wrong")
+        }
         kinks = f"{sum(row['step shrunk'] for row in of)} beside a kink, {sum(row['kinks'] for row in of)} at a kink"
-        print(f"{loss}: of {total} derivatives, {kinks}, wrong: {', '.join(f'{n} {way}' for way, n in wrong.items())}")
+        print(
+            f"{loss}: of {total} derivatives, {kinks}, wrong: {', '.join(f'{n} {way}' for way, n in wrong.items())}"
+        )
 
 
 if __name__ == "__main__":

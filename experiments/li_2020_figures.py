@@ -1,4 +1,6 @@
-"""Li 2020: RMSE by trial without a filter, with a fixed and with a switchable one; who controls; the theory against the simulation."""
+"""Li 2020: RMSE by trial without a filter, with a fixed and with a switchable one; who controls;
+the theory against the simulation.
+"""
 
 import numpy as np
 import output
@@ -14,7 +16,9 @@ loaded = {setting: jaxilc.scenarios.load("li-2020", setting=setting) for setting
 
 
 def run(s, name, trials=None):
-    return jaxilc.learn(s.machine, s.schemes[name], s.task, trials or s.trials, save=Keep.of(s.functions, "e", "u"))
+    return jaxilc.learn(
+        s.machine, s.schemes[name], s.task, trials or s.trials, save=Keep.of(s.functions, "e", "u")
+    )
 
 
 rows, (left, right) = [], output.axes(1, 2, size=(10.0, 4.2))
@@ -26,7 +30,16 @@ for ax, setting in ((left, "simulation"), (right, "experiment")):
         ax.semilogy(np.arange(1, 41), rms, label=name)
         best = int(best_trial(rms[:, None])[-1])
         error = 1e3 * float(np.max(np.abs(np.asarray(found.saved["e"])[-1])))
-        rows.append({"setting": setting, "scheme": name, "best trial": best, "best RMS": rms[best - 1], "RMS 40": rms[-1], "max 40": error})
+        rows.append(
+            {
+                "setting": setting,
+                "scheme": name,
+                "best trial": best,
+                "best RMS": rms[best - 1],
+                "RMS 40": rms[-1],
+                "max 40": error,
+            }
+        )
     ax.set(xlabel="trial (ladder: rung of 5)", ylabel="RMSE [µm]", title=setting)
     ax.grid(True, which="both", alpha=0.25)
 left.legend(fontsize="small")
@@ -43,14 +56,24 @@ s = loaded["experiment"]
 keep = Keep(("e",), (*s.functions.items(), ("learned", learned)))
 found = jaxilc.learn(s.machine, s.schemes["fixed-filter"], s.task, 5, save=keep).saved
 shares = {name: np.asarray(found[f"{name}_effort"]) for name in ("feedback", "learned")}
-print("position controller's share, RMS by run:", np.round(shares["feedback"], 4), "what was learned:", np.round(shares["learned"], 4))
+print(
+    "position controller's share, RMS by run:",
+    np.round(shares["feedback"], 4),
+    "what was learned:",
+    np.round(shares["learned"], 4),
+)
 axes = output.axes(4, 1, size=(7.2, 10.0))
 for j in range(5):
     e = np.asarray(found["e"])[j, :, 0]
     share, w = PROPORTIONAL * e[:-1], np.asarray(found["learned"])[j]
     for ax, signal in zip(axes, (1e3 * e[:-1], w, share, share + w), strict=True):
         ax.plot(s.task.time[:-1], signal, lw=0.6, label=f"run {j + 1}")
-labels = ("error [µm] (Fig. 36)", "learned (Fig. 37)", "position controller (Fig. 38)", "sum (Fig. 39)")
+labels = (
+    "error [µm] (Fig. 36)",
+    "learned (Fig. 37)",
+    "position controller (Fig. 38)",
+    "sum (Fig. 39)",
+)
 for ax, label in zip(axes, labels, strict=True):
     ax.set(ylabel=label)
 axes[0].legend(ncols=5, fontsize="small")
@@ -62,7 +85,9 @@ s = loaded["disturbance"]
 found = run(s, "p-type")
 ax = output.axes()
 for j in (1, 10, 40, 100):
-    ax.plot(s.task.time, 1e3 * np.asarray(found.saved["e"])[j - 1, :, 0], lw=0.8, label=f"trial {j}")
+    ax.plot(
+        s.task.time, 1e3 * np.asarray(found.saved["e"])[j - 1, :, 0], lw=0.8, label=f"trial {j}"
+    )
 ax.set(xlabel="time [s]", ylabel="error [µm]", title="a repetitive disturbance from sample 625")
 ax.legend()
 ax.figure.savefig(folder / "disturbance.png")
@@ -70,11 +95,20 @@ ax.figure.savefig(folder / "disturbance.png")
 # the contour error of two axes, fixed filter
 s = jaxilc.scenarios.load("li-2020", setting="experiment", axes="xy")
 found = run(s, "fixed-filter", 10)
-axis_error, contour = (1e3 * np.asarray(x) for x in (np.max(np.asarray(found.max_error), axis=1), found.saved["contour_max"]))
-print("two axes, by trial: largest axis error", np.round(axis_error, 1), "largest contour error [µm]", np.round(contour, 1))
+axis_error, contour = (
+    1e3 * np.asarray(x)
+    for x in (np.max(np.asarray(found.max_error), axis=1), found.saved["contour_max"])
+)
+print(
+    "two axes, by trial: largest axis error",
+    np.round(axis_error, 1),
+    "largest contour error [µm]",
+    np.round(contour, 1),
+)
 
-# The theory: |1 - CB phi|, condition (9) and its critical frequency, and from them the trial at which the error turns. In frequency,
-# e_{j+1} = M e_j - S (n_{j+1} - n_j) with M = 1 - phi z G/(1 + C G), S = 1/(1 + C G) and n_j the noise of trial j, so
+# The theory: |1 - CB phi|, condition (9) and its critical frequency, and from them the trial at
+# which the error turns. In frequency, e_{j+1} = M e_j - S (n_{j+1} - n_j) with M = 1 - phi z G/(1 +
+# C G), S = 1/(1 + C G) and n_j the noise of trial j, so
 #     |e_j|^2 = |M|^(2j-2) |e_1|^2 + |S|^2 |n|^2 (1 + |M - 1|^2 (1 - |M|^(2j-2)) / (1 - |M|^2))   in the mean
 for setting in ("simulation", "experiment"):
     s, phi, noise = loaded[setting], SETTINGS[setting].gain, SETTINGS[setting].noise
@@ -83,7 +117,11 @@ for setting in ("simulation", "experiment"):
     first = np.asarray(jaxilc.learn(quiet, s.schemes["feedback"], s.task, 1).final.e)[:, 0]
     f = np.fft.rfftfreq(len(first), s.task.dt)
     z = np.exp(2j * np.pi * f * s.task.dt)
-    P = np.asarray(frequency.response(frequency.linear_loop(quiet, s.schemes["p-type"], s.task), f[1:], s.task.dt))[:, 0, 0]
+    P = np.asarray(
+        frequency.response(
+            frequency.linear_loop(quiet, s.schemes["p-type"], s.task), f[1:], s.task.dt
+        )
+    )[:, 0, 0]
     M, S = 1 - phi * z[1:] * P, 1 - (PROPORTIONAL + DERIVATIVE / s.task.dt * (1 - 1 / z[1:])) * P
     j = np.arange(1, s.trials + 1)[:, None]
     power = np.abs(M) ** (2 * (j - 1))
@@ -93,6 +131,12 @@ for setting in ("simulation", "experiment"):
     simulated = np.asarray(run(s, "p-type").rms)
     turning = best_trial(predicted[:, None])[-1], best_trial(simulated)[-1]
     ratio = predicted / simulated[:, 0]
-    print(f"{setting}: phi = {phi:g}, |1 - CB phi| = {abs(1 - 0.0475 * phi):.4f}, sup |1 - phi z G/(1 + C G)| = {test.condition.value:.4f}")
-    print(f"    critical frequency {test.critical:.1f} Hz; the error turns at trial {turning[0]} in theory, {turning[1]} in simulation")
-    print(f"    RMSE predicted / simulated, over the trials: {np.min(ratio):.3f} to {np.max(ratio):.3f}")
+    print(
+        f"{setting}: phi = {phi:g}, |1 - CB phi| = {abs(1 - 0.0475 * phi):.4f}, sup |1 - phi z G/(1 + C G)| = {test.condition.value:.4f}"
+    )
+    print(
+        f"    critical frequency {test.critical:.1f} Hz; the error turns at trial {turning[0]} in theory, {turning[1]} in simulation"
+    )
+    print(
+        f"    RMSE predicted / simulated, over the trials: {np.min(ratio):.3f} to {np.max(ratio):.3f}"
+    )

@@ -1,4 +1,6 @@
-"""Li 2020: cutoffs, switching times and learning gain by gradient, against the printed 10/50/10 Hz, on plants and noise never seen."""
+"""Li 2020: cutoffs, switching times and learning gain by gradient, against the printed 10/50/10 Hz,
+on plants and noise never seen.
+"""
 
 import numpy as np
 import output
@@ -14,12 +16,27 @@ LAW, FILTER = "learning.scheme.gamma_p", "learning.filter"
 def problem(s) -> Tuning:
     """Of the scenario: the switchable filter, which starts with the printed cutoffs."""
     found = s.schemes["switchable"].learning.filter
-    gap = 0.4 * np.min(np.diff(np.concatenate([[0.0], found.times, [s.task.duration]]))) - found.width / 2
+    gap = (
+        0.4 * np.min(np.diff(np.concatenate([[0.0], found.times, [s.task.duration]])))
+        - found.width / 2
+    )
     weights = {LAW: (0.05, 1.5)}
     weights |= {f"{FILTER}.cutoff[{i}]": (2.0, 200.0) for i in range(len(found.cutoff))}
-    weights |= {f"{FILTER}.times[{i}]": (float(t - max(gap, 1e-3)), float(t + max(gap, 1e-3))) for i, t in enumerate(found.times)}
+    weights |= {
+        f"{FILTER}.times[{i}]": (float(t - max(gap, 1e-3)), float(t + max(gap, 1e-3)))
+        for i, t in enumerate(found.times)
+    }
     options = {"samples": 8, "held_out": 8, "steps": 40, "rate": 0.15, "mode": "reverse"}
-    return Tuning(s.machine, s.schemes["switchable"], s.task, TRIALS, weights, s.uncertainty, Final("rms"), **options)
+    return Tuning(
+        s.machine,
+        s.schemes["switchable"],
+        s.task,
+        TRIALS,
+        weights,
+        s.uncertainty,
+        Final("rms"),
+        **options,
+    )
 
 
 def main() -> None:
@@ -27,18 +44,29 @@ def main() -> None:
     s = jaxilc.scenarios.load("li-2020")
     of = problem(s)
     tuned = of.run()
-    schemes = {"none": s.schemes["p-type"], "fixed 10 Hz": s.schemes["fixed-filter"], "switchable 10/50/10 Hz": of.scheme}
+    schemes = {
+        "none": s.schemes["p-type"],
+        "fixed 10 Hz": s.schemes["fixed-filter"],
+        "switchable 10/50/10 Hz": of.scheme,
+    }
     schemes |= {"tuned": tuned.scheme}
-    dataset = jaxilc.Sweep(s.machine, schemes, s.task, TRIALS, of.uncertainty, samples=32, seed=of.seed + 2).run()
+    dataset = jaxilc.Sweep(
+        s.machine, schemes, s.task, TRIALS, of.uncertainty, samples=32, seed=of.seed + 2
+    ).run()
     rms = 1e3 * dataset["rms"]
     rows = []
     for name in schemes:
         of_scheme = rms.sel(scheme=name)
-        row = {"scheme": name} | {f"median RMSE {j}": float(of_scheme.sel(trial=j).median()) for j in (1, 5, 10, 15, TRIALS)}
+        row = {"scheme": name} | {
+            f"median RMSE {j}": float(of_scheme.sel(trial=j).median())
+            for j in (1, 5, 10, 15, TRIALS)
+        }
         rows.append(row | {"worst": float(of_scheme.sel(trial=TRIALS).max())})
     output.write_rows(folder / "rows.csv", rows)
     print("tuned:", {name: float(f"{value:.4g}") for name, value in tuned.values.items()})
-    print(f"held-out loss {tuned.before:.4f} -> {tuned.after:.4f}, step {tuned.step}, {tuned.reason}")
+    print(
+        f"held-out loss {tuned.before:.4f} -> {tuned.after:.4f}, step {tuned.step}, {tuned.reason}"
+    )
 
     ax = output.axes()
     for name in schemes:

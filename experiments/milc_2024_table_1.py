@@ -1,4 +1,6 @@
-"""MILC 2024, Table 1 and Fig. 9 to 11: direct and multivariable learning, and Proposition 1 on every trial of the direct one."""
+"""MILC 2024, Table 1 and Fig. 9 to 11: direct and multivariable learning, and Proposition 1 on
+every trial of the direct one.
+"""
 
 import dataclasses
 
@@ -11,27 +13,74 @@ from jaxilc.scenarios.milc_2024 import TABLE_1, table_rms
 jaxilc.setup()
 folder = output.folder(__file__)
 s = jaxilc.scenarios.load("milc-2024")
-keep = jaxilc.Keep(("e", "u"), (*s.functions.items(), ("feedback", lambda trial: trial.signals["feedback"][:, 0])))
-found = {name: jaxilc.learn(s.machine, scheme, s.task, s.trials, save=keep).saved for name, scheme in s.schemes.items()}
+keep = jaxilc.Keep(
+    ("e", "u"), (*s.functions.items(), ("feedback", lambda trial: trial.signals["feedback"][:, 0]))
+)
+found = {
+    name: jaxilc.learn(s.machine, scheme, s.task, s.trials, save=keep).saved
+    for name, scheme in s.schemes.items()
+}
 quiet = dataclasses.replace(s.machine, sensor=None)
-found_quiet = {name: jaxilc.learn(quiet, scheme, s.task, s.trials, save=table_rms).saved for name, scheme in s.schemes.items()}
+found_quiet = {
+    name: jaxilc.learn(quiet, scheme, s.task, s.trials, save=table_rms).saved
+    for name, scheme in s.schemes.items()
+}
 
 rows = []
 for name, printed in TABLE_1.items():
     for (trial, quantity), value in printed.items():
         ours = 1e3 * float(found[name][quantity][trial - 1])
-        rows.append({"scheme": name, "trial": trial - 1, "quantity": quantity, "published": value, "ours": ours, "ratio": ours / value})
+        rows.append(
+            {
+                "scheme": name,
+                "trial": trial - 1,
+                "quantity": quantity,
+                "published": value,
+                "ours": ours,
+                "ratio": ours / value,
+            }
+        )
 output.write_rows(folder / "rows.csv", rows)
 
 ax = output.axes()
 trials = np.arange(s.trials)  # counted as in the paper
 for name, colour in (("dilc", "#0072b2"), ("milc", "#d55e00")):
-    ax.semilogy(trials, 1e3 * np.asarray(found[name]["table_rms"]), "o-", color=colour, label=f"{name}, table")
-    ax.semilogy(trials, 1e3 * np.asarray(found[name]["motor_rms"]), "s--", color=colour, label=f"{name}, motor")
-    ax.semilogy(trials, 1e3 * np.asarray(found_quiet[name]), ":", color=colour, label=f"{name}, table, without noise")
+    ax.semilogy(
+        trials,
+        1e3 * np.asarray(found[name]["table_rms"]),
+        "o-",
+        color=colour,
+        label=f"{name}, table",
+    )
+    ax.semilogy(
+        trials,
+        1e3 * np.asarray(found[name]["motor_rms"]),
+        "s--",
+        color=colour,
+        label=f"{name}, motor",
+    )
+    ax.semilogy(
+        trials,
+        1e3 * np.asarray(found_quiet[name]),
+        ":",
+        color=colour,
+        label=f"{name}, table, without noise",
+    )
     for quantity, marker in (("table_rms", "o"), ("motor_rms", "s")):
-        ax.plot([0, 10], [TABLE_1[name][j, quantity] for j in (1, 11)], marker, mfc="none", ms=11, color=colour, ls="none")
-ax.set(xlabel="trial (0: feedback alone)", ylabel="RMS error [µm]", title="Fig. 9; large open markers: published")
+        ax.plot(
+            [0, 10],
+            [TABLE_1[name][j, quantity] for j in (1, 11)],
+            marker,
+            mfc="none",
+            ms=11,
+            color=colour,
+            ls="none",
+        )
+ax.set(
+    xlabel="trial (0: feedback alone)",
+    ylabel="RMS error [µm]",
+    title="Fig. 9; large open markers: published",
+)
 ax.grid(True, which="both", alpha=0.25)
 ax.legend(fontsize="small")
 ax.figure.savefig(folder / "figure-9.png")
@@ -39,8 +88,20 @@ ax.figure.savefig(folder / "figure-9.png")
 top, bottom = output.axes(2, 1, size=(7.2, 6.0))
 time = s.task.time
 for name, colour in (("dilc", "#0072b2"), ("milc", "#d55e00")):
-    top.plot(time, 1e3 * np.asarray(found[name]["e"])[-1, :, 1], color=colour, lw=0.6, label=f"{name}: table's error, trial 10")
-    bottom.plot(time[:-1], np.asarray(found[name]["feedback"])[-1], color=colour, lw=0.6, label=f"{name}: feedback's share, trial 10")
+    top.plot(
+        time,
+        1e3 * np.asarray(found[name]["e"])[-1, :, 1],
+        color=colour,
+        lw=0.6,
+        label=f"{name}: table's error, trial 10",
+    )
+    bottom.plot(
+        time[:-1],
+        np.asarray(found[name]["feedback"])[-1],
+        color=colour,
+        lw=0.6,
+        label=f"{name}: feedback's share, trial 10",
+    )
 top.set(ylabel="error [µm]", title="Fig. 10 and 11")
 bottom.set(ylabel="input [V]", xlabel="time [s]")
 for ax in (top, bottom):
@@ -50,9 +111,12 @@ top.figure.savefig(folder / "figures-10-11.png")
 
 effort = {name: float(kept["feedback_effort"][-1]) for name, kept in found.items()}
 times = effort["dilc"] / effort["milc"]
-print(f"feedback effort in trial 10: dilc {effort['dilc']:.4f} V, milc {effort['milc']:.4f} V, {times:.0f} times less")
+print(
+    f"feedback effort in trial 10: dilc {effort['dilc']:.4f} V, milc {effort['milc']:.4f} V, {times:.0f} times less"
+)
 
-# Proposition 1 (a): e_z = P_Z e_c + (1 - P_Z) r_d, so |(1 - P_Z) r_d| <= |e_z| + |P_Z| |e_c|, and where e_z = 0, e_c = (1 - 1/P_Z) r_d
+# Proposition 1 (a): e_z = P_Z e_c + (1 - P_Z) r_d, so |(1 - P_Z) r_d| <= |e_z| + |P_Z| |e_c|, and
+# where e_z = 0, e_c = (1 - 1/P_Z) r_d
 numerator, denominator = (np.asarray(p) for p in quiet.plant.transmission())
 length = 4 * len(time)
 f = np.fft.rfftfreq(length, s.task.dt)
@@ -64,8 +128,14 @@ def rms(spectrum):
     return 1e3 * np.linalg.norm(np.fft.irfft(spectrum)) / np.sqrt(len(time))
 
 
-sums = np.sqrt(np.mean(e[:, :, 1] ** 2, axis=1)) + np.max(np.abs(P_Z)) * np.sqrt(np.mean(e[:, :, 0] ** 2, axis=1))
+sums = np.sqrt(np.mean(e[:, :, 1] ** 2, axis=1)) + np.max(np.abs(P_Z)) * np.sqrt(
+    np.mean(e[:, :, 0] ** 2, axis=1)
+)
 least, bound = sums.min(), rms((1 - P_Z) * r)
-print(f"Proposition 1 (a): |(1 - P_Z) r_d| = {bound:.2f} µm RMS; |e_z| + |P_Z| |e_c| is {least:.1f} at least over the trials")
+print(
+    f"Proposition 1 (a): |(1 - P_Z) r_d| = {bound:.2f} µm RMS; |e_z| + |P_Z| |e_c| is {least:.1f} at least over the trials"
+)
 left, stalled = rms((1 - 1 / P_Z) * r), rows[3]["ours"]
-print(f"motor error left where the table has none: |(1 - 1/P_Z) r_d| = {left:.2f} µm RMS; dilc stalls at {stalled:.2f}")
+print(
+    f"motor error left where the table has none: |(1 - 1/P_Z) r_d| = {left:.2f} µm RMS; dilc stalls at {stalled:.2f}"
+)

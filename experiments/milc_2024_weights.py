@@ -1,4 +1,6 @@
-"""MILC 2024: w_q, w_r and w_s by gradient through the learning and the Riccati recursion, over uncertain stiffness and table mass."""
+"""MILC 2024: w_q, w_r and w_s by gradient through the learning and the Riccati recursion, over
+uncertain stiffness and table mass.
+"""
 
 import dataclasses
 from functools import partial
@@ -21,11 +23,25 @@ def problem(s, name: str) -> Tuning:
     if (
         name == "milc"
     ):  # the penalty on the learned reference gets a weight of its own: as printed, it also pulls the whole reference to zero
-        scheme = dataclasses.replace(scheme, learning=dataclasses.replace(scheme.learning, w_s=np.full(2, scheme.learning.w_s)))
+        scheme = dataclasses.replace(
+            scheme,
+            learning=dataclasses.replace(scheme.learning, w_s=np.full(2, scheme.learning.w_s)),
+        )
     weights = {f"{path}{w}": bounds for w, bounds in BOUNDS.items()}
-    uncertainty = {f"plant.{leaf}": Uniform(0.8, 1.2, relative=True) for leaf in ("stiffness", "table_mass")}
+    uncertainty = {
+        f"plant.{leaf}": Uniform(0.8, 1.2, relative=True) for leaf in ("stiffness", "table_mass")
+    }
     options = {"samples": 16, "held_out": 16, "steps": 60, "rate": 0.3, "quantities": s.functions}
-    return Tuning(s.machine, scheme, s.task, TRIALS, weights, uncertainty, EveryTrial("table_rms") + Final("table_rms"), **options)
+    return Tuning(
+        s.machine,
+        scheme,
+        s.task,
+        TRIALS,
+        weights,
+        uncertainty,
+        EveryTrial("table_rms") + Final("table_rms"),
+        **options,
+    )
 
 
 def problem_of(name: str):
@@ -42,24 +58,40 @@ def main() -> None:
         tuned = of.run()
         table = 1e3 * of.compare(tuned, samples=64)["table_rms"]
         for which in table["scheme"].values:
-            median, worst = (getattr(table.sel(scheme=which), how)("sample").values for how in ("median", "max"))
+            median, worst = (
+                getattr(table.sel(scheme=which), how)("sample").values for how in ("median", "max")
+            )
             ax.semilogy(np.arange(1, TRIALS + 1), median, label=f"{which}: median")
             ax.semilogy(np.arange(1, TRIALS + 1), worst, "--", label=f"{which}: worst")
-            row = {"scheme": name, "weights": which, "loss": tuned.before if which == "given" else tuned.after}
-            row |= {f"median {j}": float(median[j - 1]) for j in (2, 3, TRIALS)} | {f"worst {TRIALS}": float(worst[-1])}
+            row = {
+                "scheme": name,
+                "weights": which,
+                "loss": tuned.before if which == "given" else tuned.after,
+            }
+            row |= {f"median {j}": float(median[j - 1]) for j in (2, 3, TRIALS)} | {
+                f"worst {TRIALS}": float(worst[-1])
+            }
             rows.append(row | (tuned.start if which == "given" else tuned.values))
         ax.set(title=f"{name}: 64 drives never seen", xlabel="trial", ylabel="table RMS [µm]")
         ax.grid(True, which="both", alpha=0.25)
         ax.legend(fontsize="small")
     axes[0].figure.savefig(folder / "tuned.png")
     for row in rows:
-        print("  ".join(f"{k} {v:.4g}" if isinstance(v, float) else f"{k} {v}" for k, v in row.items()))
+        print(
+            "  ".join(
+                f"{k} {v:.4g}" if isinstance(v, float) else f"{k} {v}" for k, v in row.items()
+            )
+        )
     noise, step = float(s.machine.sensor.noise[1]), float(s.machine.sensor.resolution[1])
     floor = 1e3 * np.sqrt(noise**2 + step**2 / 12)
-    print(f"the table's encoder alone, its noise and step, measures {floor:.4f} µm RMS: no weights get below")
+    print(
+        f"the table's encoder alone, its noise and step, measures {floor:.4f} µm RMS: no weights get below"
+    )
     for row in rows:
         excess = np.sqrt(row[f"median {TRIALS}"] ** 2 - floor**2)
-        print(f"{row['scheme']}, {row['weights']}: {excess:.3f} µm RMS beyond the encoder's floor at trial {TRIALS}")
+        print(
+            f"{row['scheme']}, {row['weights']}: {excess:.3f} µm RMS beyond the encoder's floor at trial {TRIALS}"
+        )
 
 
 if __name__ == "__main__":

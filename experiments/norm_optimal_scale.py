@@ -1,6 +1,8 @@
-"""Norm-optimal learning by the Riccati recursion against the dense lifted form: difference, time and memory by trial length.
+"""Norm-optimal learning by the Riccati recursion against the dense lifted form: difference, time
+and memory by trial length.
 
-MILC of two inputs and two outputs on the drive of MILC 2024, ten trials; each measurement in a process of its own.
+MILC of two inputs and two outputs on the drive of MILC 2024, ten trials; each measurement in a
+process of its own.
 """
 
 import dataclasses
@@ -15,7 +17,9 @@ LENGTHS, LONGEST, TRIALS = (250, 1000, 4000), 100_000, 10
 
 
 def measure(form, N):
-    """Seconds to compile and to run ten trials, peak memory [MB] beyond that of an idle process, and the learned signals (N, 2)."""
+    """Seconds to compile and to run ten trials, peak memory [MB] beyond that of an idle process,
+    and the learned signals (N, 2).
+    """
     import jax
 
     import jaxilc
@@ -27,27 +31,57 @@ def measure(form, N):
     scheme = s.schemes["milc"]
     scheme = dataclasses.replace(scheme, learning=dataclasses.replace(scheme.learning, form=form))
     machine = dataclasses.replace(s.machine, sensor=None)
-    jaxilc.learn(machine, s.schemes["milc"], dataclasses.replace(task, reference=task.reference[:3]), 1)
+    jaxilc.learn(
+        machine, s.schemes["milc"], dataclasses.replace(task, reference=task.reference[:3]), 1
+    )
     idle = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     start = time.perf_counter()
-    compiled = jax.jit(lambda machine, scheme, task: jaxilc.learn(machine, scheme, task, TRIALS)).lower(machine, scheme, task).compile()
+    compiled = (
+        jax.jit(lambda machine, scheme, task: jaxilc.learn(machine, scheme, task, TRIALS))
+        .lower(machine, scheme, task)
+        .compile()
+    )
     built = time.perf_counter()
     history = jax.block_until_ready(compiled(machine, scheme, task))
     done = time.perf_counter()
     peak = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - idle) / 1024
-    return built - start, done - built, peak, np.asarray(history.memory.learning.u), np.asarray(history.rms)[-1, 1]
+    return (
+        built - start,
+        done - built,
+        peak,
+        np.asarray(history.memory.learning.u),
+        np.asarray(history.rms)[-1, 1],
+    )
 
 
 def main():
     folder, rows = output.folder(__file__), []
     with multiprocessing.get_context("spawn").Pool(1, maxtasksperchild=1) as pool:
         for N in (*LENGTHS, LONGEST):
-            found = {form: pool.apply(measure, (form, N)) for form in ("lifted", "riccati") if N != LONGEST or form == "riccati"}
+            found = {
+                form: pool.apply(measure, (form, N))
+                for form in ("lifted", "riccati")
+                if N != LONGEST or form == "riccati"
+            }
             for form, (compile_s, run_s, peak, learned, rms) in found.items():
-                row = {"N": N, "form": form, "compile s": compile_s, "run s": run_s, "peak MB": peak, "table RMS um": 1e3 * rms}
+                row = {
+                    "N": N,
+                    "form": form,
+                    "compile s": compile_s,
+                    "run s": run_s,
+                    "peak MB": peak,
+                    "table RMS um": 1e3 * rms,
+                }
                 other = found.get("lifted", found["riccati"])[3]
                 difference = np.max(np.abs(learned - other), axis=0) / np.max(np.abs(other), axis=0)
-                rows.append(row | {"relative difference": float(np.max(difference)) if len(found) > 1 else float("nan")})
+                rows.append(
+                    row
+                    | {
+                        "relative difference": float(np.max(difference))
+                        if len(found) > 1
+                        else float("nan")
+                    }
+                )
     output.write_rows(folder / "rows.csv", rows)
 
 

@@ -1,4 +1,6 @@
-"""Worst machines by climbing the gradient, against 10,000 draws, in evaluations; and a trade-off between speed and final error."""
+"""Worst machines by climbing the gradient, against 10,000 draws, in evaluations; and a trade-off
+between speed and final error.
+"""
 
 import time
 
@@ -13,7 +15,11 @@ from jaxilc.tuning.worst_case import GRADIENT_COST
 
 jaxilc.setup()
 folder = output.folder(__file__)
-DRAWS, STARTS, STEPS = 10_000, 32, 10  # 1 % of the box makes dai-2014's PID unstable: 8 starts do not find it
+DRAWS, STARTS, STEPS = (
+    10_000,
+    32,
+    10,
+)  # 1 % of the box makes dai-2014's PID unstable: 8 starts do not find it
 CASES = (("cao-2019", "cfdl-mfailc", 20), ("cao-2019", "ffdl-mfailc", 30), ("dai-2014", "pid", 1))
 
 rows = []
@@ -35,15 +41,39 @@ for scenario, name, trials in CASES:
     equal = chance.best[climbed.evaluations - 1]
     each = STARTS * (1 + GRADIENT_COST)
     level = int(np.argmax(climbed.best >= chance.loss)) + 1 if climbed.loss >= chance.loss else None
-    row = {"case": f"{scenario} {name}", "trial": trials, "unit": s.shown_unit, "nominal": float(shown(loss(s.machine)))}
-    row |= {"gradient": float(shown(climbed.loss)), "evaluations": climbed.evaluations, "chance, as many": float(shown(equal))}
-    row |= {f"chance, {DRAWS}": float(shown(chance.loss)), "gradient level with them after": "never" if level is None else each * level}
+    row = {
+        "case": f"{scenario} {name}",
+        "trial": trials,
+        "unit": s.shown_unit,
+        "nominal": float(shown(loss(s.machine))),
+    }
+    row |= {
+        "gradient": float(shown(climbed.loss)),
+        "evaluations": climbed.evaluations,
+        "chance, as many": float(shown(equal)),
+    }
+    row |= {
+        f"chance, {DRAWS}": float(shown(chance.loss)),
+        "gradient level with them after": "never" if level is None else each * level,
+    }
     row |= {"seconds gradient": seconds[0], "seconds chance": seconds[1]}
-    row |= {"corner": sum(value in d.corners() for value, d in zip(climbed.values.values(), s.uncertainty.values(), strict=True))}
+    row |= {
+        "corner": sum(
+            value in d.corners()
+            for value, d in zip(climbed.values.values(), s.uncertainty.values(), strict=True)
+        )
+    }
     rows.append(row | {"uncertain numbers": len(climbed.values)})
-    found = {f"gradient, {climbed.evaluations}": row["gradient"], f"chance, {DRAWS}": row[f"chance, {DRAWS}"]}
+    found = {
+        f"gradient, {climbed.evaluations}": row["gradient"],
+        f"chance, {DRAWS}": row[f"chance, {DRAWS}"],
+    }
     axes = figures.worst_against_chance(
-        shown(chance.found), found, nominal=row["nominal"], figure=f"settled error, {name}, trial {trials}", unit=s.shown_unit
+        shown(chance.found),
+        found,
+        nominal=row["nominal"],
+        figure=f"settled error, {name}, trial {trials}",
+        unit=s.shown_unit,
     )
     figures.save(axes, folder / f"{scenario}-{name}.png")
 output.write_rows(folder / "rows.csv", rows)
@@ -66,7 +96,14 @@ points = pareto(problem, TrialsTo(0.02), Final("max_error"), (0.03, 0.2, 0.8))
 front = []
 for p in points:
     largest = 1e3 * float(np.max(peak(s.task))) * 1e-6 * np.exp(p.second)
-    front.append({"share": p.share, "trials above 20 µm": p.first, "max error at trial 40 [µm]": largest} | p.tuned.values)
+    front.append(
+        {"share": p.share, "trials above 20 µm": p.first, "max error at trial 40 [µm]": largest}
+        | p.tuned.values
+    )
 output.write_rows(folder / "front.csv", front)
-axes = figures.pareto_front(points, first="trials with a settled error above 20 µm", second="log of the largest error of trial 40")
+axes = figures.pareto_front(
+    points,
+    first="trials with a settled error above 20 µm",
+    second="log of the largest error of trial 40",
+)
 figures.save(axes, folder / "front.png")

@@ -1,6 +1,8 @@
-"""Xu 2024: what is not printed, fitted to the PID, SMC and ASMC rows of Table 1; the learning gain to one number of its row.
+"""Xu 2024: what is not printed, fitted to the PID, SMC and ASMC rows of Table 1; the learning gain
+to one number of its row.
 
-Six free numbers for six printed ones, then one for one. The rest of the learning row and the whole of Table 2 are predicted.
+Six free numbers for six printed ones, then one for one. The rest of the learning row and the whole
+of Table 2 are predicted.
 """
 
 import jax.numpy as jnp
@@ -16,8 +18,16 @@ jaxilc.setup()
 folder = output.folder(__file__)
 s = jaxilc.scenarios.load("xu-2024")
 ROWS = ("pid", "smc", "asmc")
-# a k_n below 1000 fits a little better, but leaves the loop without margin against 20 % more gain, which hysteresis alone may add
-RANGES = {"A": (0.01, 0.15), "ki": (300.0, 1200.0), "eta": (1e5, 3e6), "k_n": (1e3, 5e3), "phi": (1e4, 1e6), "Delta": (500.0, 5e3)}
+# a k_n below 1000 fits a little better, but leaves the loop without margin against 20 % more gain,
+# which hysteresis alone may add
+RANGES = {
+    "A": (0.01, 0.15),
+    "ki": (300.0, 1200.0),
+    "eta": (1e5, 3e6),
+    "k_n": (1e3, 5e3),
+    "phi": (1e4, 1e6),
+    "Delta": (500.0, 5e3),
+}
 
 
 def errors(A, scheme, trials=1, load=None):
@@ -29,7 +39,9 @@ def errors(A, scheme, trials=1, load=None):
 
 def residuals(values):
     schemes = schemes_for(values)
-    return jnp.concatenate([jnp.log(errors(values["A"], schemes[name]) / jnp.array(TABLE_1[name])) for name in ROWS])
+    return jnp.concatenate(
+        [jnp.log(errors(values["A"], schemes[name]) / jnp.array(TABLE_1[name])) for name in ROWS]
+    )
 
 
 best = fit(residuals, RANGES, starts=128, refine=6)
@@ -38,7 +50,9 @@ print("fitted, with costs of the best minima", np.round(best.refined, 4), fitted
 
 
 def too_much(share):
-    """log of ours over printed, largest error of the tenth trial, from the side of too little learning."""
+    """log of ours over printed, largest error of the tenth trial, from the side of too little
+    learning.
+    """
     found = float(errors(fitted["A"], schemes_for(fitted, share)["ilc-asmc"], 10)[0])
     return np.log(found / TABLE_1["ilc-asmc"][0])
 
@@ -52,8 +66,21 @@ print("share of the inverse learned in a trial:", share)
 rows = []
 for table, load, name in ((TABLE_1, None, "Table 1"), (TABLE_2, 1.0, "Table 2")):
     for scheme, printed in table.items():
-        ours = np.asarray(errors(fitted["A"], schemes_for(fitted, share)[scheme], 10 if scheme == "ilc-asmc" else 1, load))
-        role = "fitted" if load is None and scheme in ROWS else "predicted but for one number" if load is None else "predicted"
+        ours = np.asarray(
+            errors(
+                fitted["A"],
+                schemes_for(fitted, share)[scheme],
+                10 if scheme == "ilc-asmc" else 1,
+                load,
+            )
+        )
+        role = (
+            "fitted"
+            if load is None and scheme in ROWS
+            else "predicted but for one number"
+            if load is None
+            else "predicted"
+        )
         row = {"table": name, "scheme": scheme, "max published": printed[0], "max": float(ours[0])}
         rows.append(row | {"RMS published": printed[1], "RMS": float(ours[1]), "role": role})
 output.write_rows(folder / "rows.csv", rows)

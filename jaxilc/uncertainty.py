@@ -1,9 +1,11 @@
 """Uncertain plants: distributions on named leaves of a machine, and how samples of them are drawn.
 
-    {"plant.gain": Uniform(0.9, 1.1, relative=True), "plant.poles[2]": Normal(6.4, 0.5), "actuator.limit": LogUniform(5, 20)}
+    {"plant.gain": Uniform(0.9, 1.1, relative=True), "plant.poles[2]": Normal(6.4, 0.5),
+    "actuator.limit": LogUniform(5, 20)}
 
-One number is drawn for each name. A relative one scales the leaf (all of it, if it is an array); an absolute one replaces a
-scalar or a single element. Sample 0 is always the nominal machine. Drawing happens on the host, in float64, from a seed.
+One number is drawn for each name. A relative one scales the leaf (all of it, if it is an array); an
+absolute one replaces a scalar or a single element. Sample 0 is always the nominal machine. Drawing
+happens on the host, in float64, from a seed.
 """
 
 from __future__ import annotations
@@ -87,7 +89,9 @@ class LogUniform:
     def __post_init__(self):
         _need_numbers(self, low="(-inf, inf)", high="(-inf, inf)")
         if not 0 < self.low < self.high:
-            raise ValueError(f"LogUniform: low = {self.low:g} and high = {self.high:g} must satisfy 0 < low < high")
+            raise ValueError(
+                f"LogUniform: low = {self.low:g} and high = {self.high:g} must satisfy 0 < low < high"
+            )
         _need_finite(self)
 
     def quantile(self, p) -> np.ndarray:
@@ -111,19 +115,27 @@ def _need_numbers(distribution, **ranges: str) -> None:
         require(name, field, getattr(distribution, field), interval)
         object.__setattr__(distribution, field, float(getattr(distribution, field)))
     if not isinstance(distribution.relative, bool | np.bool_):
-        raise ValueError(f"{name}: relative = {brief(distribution.relative)} is not one of True, False")
+        raise ValueError(
+            f"{name}: relative = {brief(distribution.relative)} is not one of True, False"
+        )
 
 
 def _need_finite(distribution) -> None:
-    """Raises ValueError where what is drawn would not be a finite number, as between 1e-300 and 1e300 by their ratio."""
+    """Raises ValueError where what is drawn would not be a finite number, as between 1e-300 and
+    1e300 by their ratio.
+    """
     with np.errstate(all="ignore"):
         ends = [*distribution.quantile(np.array([0.0, 1.0])), *distribution.corners()]
     if not np.all(np.isfinite(ends)):
-        raise ValueError(f"{distribution} reaches beyond the largest float; allowed are finite draws")
+        raise ValueError(
+            f"{distribution} reaches beyond the largest float; allowed are finite draws"
+        )
 
 
 def with_spread(uncertainty: Uncertainty, half_width: float) -> dict[str, Distribution]:
-    """The same names, every relative distribution at +-half_width (0.2 is 20 %). Raises ValueError outside (0, 1)."""
+    """The same names, every relative distribution at +-half_width (0.2 is 20 %). Raises ValueError
+    outside (0, 1).
+    """
     if not is_number(half_width):
         raise ValueError(f"spread = {brief(half_width)} is not a number")
     if not 0 < half_width < 1:
@@ -132,40 +144,62 @@ def with_spread(uncertainty: Uncertainty, half_width: float) -> dict[str, Distri
 
 
 def nominal(machine, uncertainty: Uncertainty) -> dict[str, float]:
-    """The numbers that leave the machine as it is: 1 for a relative distribution, else the leaf's value."""
-    return {name: 1.0 if d.relative else float(get_at(machine, name)) for name, d in uncertainty.items()}
+    """The numbers that leave the machine as it is: 1 for a relative distribution, else the leaf's
+    value.
+    """
+    return {
+        name: 1.0 if d.relative else float(get_at(machine, name)) for name, d in uncertainty.items()
+    }
 
 
 def check(machine, uncertainty: Uncertainty) -> None:
-    """Raises ValueError naming a leaf that does not exist, is absent, or cannot take an absolute value, and what is no distribution."""
+    """Raises ValueError naming a leaf that does not exist, is absent, or cannot take an absolute
+    value, and what is no distribution.
+    """
     if not isinstance(uncertainty, Mapping):
-        raise ValueError(f"uncertainty = {brief(uncertainty)} is a {type(uncertainty).__name__}; allowed are names with distributions")
+        raise ValueError(
+            f"uncertainty = {brief(uncertainty)} is a {type(uncertainty).__name__}; allowed are names with distributions"
+        )
     for name, distribution in uncertainty.items():
         if not callable(getattr(distribution, "quantile", None)):
-            raise ValueError(f"uncertainty: {name} = {brief(distribution)} is no distribution; allowed are Uniform, Normal and LogUniform")
+            raise ValueError(
+                f"uncertainty: {name} = {brief(distribution)} is no distribution; allowed are Uniform, Normal and LogUniform"
+            )
         try:
             value = get_at(machine, name)
         except KeyError as error:
             raise ValueError(f"uncertainty: {error.args[0]}") from None
         if value is None or np.asarray(value).dtype.kind != "f":
-            raise ValueError(f"uncertainty: {name} = {value!r} is not a float leaf of this machine and cannot be drawn")
+            raise ValueError(
+                f"uncertainty: {name} = {value!r} is not a float leaf of this machine and cannot be drawn"
+            )
         if np.ndim(value) and not distribution.relative:
-            raise ValueError(f"uncertainty: {name} has shape {np.shape(value)}; an absolute distribution needs one element, say {name}[0]")
+            raise ValueError(
+                f"uncertainty: {name} has shape {np.shape(value)}; an absolute distribution needs one element, say {name}[0]"
+            )
 
 
-def draw(machine, uncertainty: Uncertainty, samples: int, *, seed: int = 0, sampling: str = "monte-carlo") -> dict[str, np.ndarray]:
+def draw(
+    machine, uncertainty: Uncertainty, samples: int, *, seed: int = 0, sampling: str = "monte-carlo"
+) -> dict[str, np.ndarray]:
     """(S,) numbers for each name; the first is nominal.
 
     samples: S >= 1 with the nominal one; `corners` takes 1 + 2^n and ignores it
-    sampling: monte-carlo (a longer draw starts with the shorter one), latin-hypercube, sobol (scrambled, likewise a prefix), corners
-    Raises ValueError for an unknown name or sampling, and where a draw leaves the allowed range of its leaf.
+    sampling: monte-carlo (a longer draw starts with the shorter one), latin-hypercube, sobol
+    (scrambled, likewise a prefix), corners
+    Raises ValueError for an unknown name or sampling, and where a draw leaves the allowed range of
+    its leaf.
     """
     if sampling not in SAMPLINGS:
         raise ValueError(f"sampling = {brief(sampling)} is not one of {', '.join(SAMPLINGS)}")
     require("draw", "samples", samples, "[1, inf)", whole=True)
     require("draw", "seed", seed, SEEDS, whole=True)
     check(machine, uncertainty)
-    check_size(sampling, lambda samples: bytes_drawn(machine, uncertainty, samples), samples=drawn_samples(uncertainty, samples, sampling))
+    check_size(
+        sampling,
+        lambda samples: bytes_drawn(machine, uncertainty, samples),
+        samples=drawn_samples(uncertainty, samples, sampling),
+    )
     if sampling == "corners":
         drawn = _corners(uncertainty)
     else:
@@ -178,7 +212,9 @@ def draw(machine, uncertainty: Uncertainty, samples: int, *, seed: int = 0, samp
 
 
 def drawn_samples(uncertainty: Uncertainty, samples: int, sampling: str) -> int:
-    """How many machines `draw` gives: the nominal one and the others, which of corners are as many as there are."""
+    """How many machines `draw` gives: the nominal one and the others, which of corners are as many
+    as there are.
+    """
     return 1 + 2 ** len(uncertainty) if sampling == "corners" else samples
 
 
@@ -190,12 +226,19 @@ def bytes_drawn(machine, uncertainty: Uncertainty, samples: float) -> float:
 
 def drawn_machine(machine, uncertainty: Uncertainty, values: Mapping[str, float]) -> Any:
     """The machine with one sample's numbers put in; also inside `jit` and `vmap`."""
-    scale = {name: jnp.asarray(get_at(machine, name)) if d.relative else 1.0 for name, d in uncertainty.items()}
-    return replaced(machine, {name: scale[name] * jnp.asarray(values[name]) for name in uncertainty})
+    scale = {
+        name: jnp.asarray(get_at(machine, name)) if d.relative else 1.0
+        for name, d in uncertainty.items()
+    }
+    return replaced(
+        machine, {name: scale[name] * jnp.asarray(values[name]) for name in uncertainty}
+    )
 
 
 def drawn_machines(machine, uncertainty: Uncertainty, drawn: Mapping[str, Any]) -> Any:
-    """All machines drawn as one, each leaf with a leading axis that counts them; the machine itself if nothing was drawn."""
+    """All machines drawn as one, each leaf with a leading axis that counts them; the machine itself
+    if nothing was drawn.
+    """
     if not drawn:
         return jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], machine)
     numbers = {name: jnp.asarray(values) for name, values in drawn.items()}
@@ -209,7 +252,9 @@ def _unit_cube(samples: int, dimensions: int, seed: int, sampling: str) -> np.nd
         case "latin-hypercube":
             return qmc.LatinHypercube(dimensions, rng=seed).random(samples)
         case "sobol":
-            return qmc.Sobol(dimensions, rng=seed).random_base2(int(np.ceil(np.log2(samples))))[:samples]
+            return qmc.Sobol(dimensions, rng=seed).random_base2(int(np.ceil(np.log2(samples))))[
+                :samples
+            ]
     return np.random.default_rng(seed).random((samples, dimensions))
 
 
@@ -218,13 +263,21 @@ def _corners(uncertainty: Uncertainty) -> dict[str, np.ndarray]:
         raise ValueError(
             f"sampling = 'corners' of {len(uncertainty)} names would be 2^{len(uncertainty)} samples; allowed are at most 16 names"
         )
-    points = np.array(list(itertools.product(*(d.corners() for d in uncertainty.values())))).reshape(-1, len(uncertainty))
+    points = np.array(
+        list(itertools.product(*(d.corners() for d in uncertainty.values())))
+    ).reshape(-1, len(uncertainty))
     return {name: points[:, i] for i, name in enumerate(uncertainty)}
 
 
 def _within_ranges(machine, uncertainty, drawn) -> None:
     for name, distribution in uncertainty.items():
         allowed = interval_at(machine, name)
-        values = np.multiply.outer(drawn[name], get_at(machine, name)) if distribution.relative else drawn[name]
+        values = (
+            np.multiply.outer(drawn[name], get_at(machine, name))
+            if distribution.relative
+            else drawn[name]
+        )
         if allowed is not None and not allowed.contains(values):
-            raise ValueError(f"uncertainty: {name} was drawn between {values.min():g} and {values.max():g}; allowed is {allowed}")
+            raise ValueError(
+                f"uncertainty: {name} was drawn between {values.min():g} and {values.max():g}; allowed is {allowed}"
+            )

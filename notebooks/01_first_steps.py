@@ -13,15 +13,16 @@
 # %% [markdown]
 # # First steps
 #
-# A machine that repeats one motion makes nearly the same error every time. *Iterative learning control* (ILC) keeps the input of the last
-# trial and corrects it by what went wrong:
+# A machine that repeats one motion makes nearly the same error every time. *Iterative learning
+# control* (ILC) keeps the input of the last trial and corrects it by what went wrong:
 #
 # $$u_{j+1}[k] = u_j[k] + \text{(learning law of } e_j), \qquad e_j[k] = r[k] - y_j[k]$$
 #
-# with $k$ the sample, $j$ the trial, $r$ the reference, $y$ the measured output, $u$ the input. `u[k]` acts on `y[k+1]`.
+# with $k$ the sample, $j$ the trial, $r$ the reference, $y$ the measured output, $u$ the input.
+# `u[k]` acts on `y[k+1]`.
 #
-# One plant, one scheme, ten lines: a voice-coil motor that moves a turning tool by 1 mm at 0.5 Hz (Cao 2019), under model-free adaptive
-# ILC. Lengths are in mm, the input in volts.
+# One plant, one scheme, ten lines: a voice-coil motor that moves a turning tool by 1 mm at 0.5 Hz
+# (Cao 2019), under model-free adaptive ILC. Lengths are in mm, the input in volts.
 
 # %%
 import dataclasses
@@ -44,13 +45,17 @@ machine = Machine(plants.voice_coil())
 scheme = schemes.CFDLMFAILC(lam=1.0, eta=0.9, mu=1.0, rho=1.0, phi0=-0.0682, reset="sign")
 history = learn(machine, scheme, task, trials=30)
 for trial in (1, 2, 5, 10, 20, 30):
-    print(f"trial {trial:2d}: largest error in the second half of the trial {1e3 * history.settled_error[trial - 1, 0]:7.1f} µm")
+    print(
+        f"trial {trial:2d}: largest error in the second half of the trial {1e3 * history.settled_error[trial - 1, 0]:7.1f} µm"
+    )
 
 # %% [markdown]
-# The first trial plays nothing, so its error is the whole millimetre. Each later one plays what the one before has taught.
+# The first trial plays nothing, so its error is the whole millimetre. Each later one plays what the
+# one before has taught.
 #
-# `history` holds the figures of every trial (`settled_error`, `max_error`, `rms`, `effort`), the last trial's signals (`history.final`)
-# and what the scheme knows now (`history.memory`, to go on from).
+# `history` holds the figures of every trial (`settled_error`, `max_error`, `rms`, `effort`), the
+# last trial's signals (`history.final`) and what the scheme knows now (`history.memory`, to go on
+# from).
 
 # %%
 dataset, _ = jaxilc.run_schemes(machine, {"cfdl-mfailc": scheme}, task, 30)
@@ -60,8 +65,8 @@ axes[0, 0].figure
 # %% [markdown]
 # ## Another weight
 #
-# Every weight is a field. A variant is a copy with another value, checked like a construction: `lam=-1` is refused, with the range
-# allowed.
+# Every weight is a field. A variant is a copy with another value, checked like a construction:
+# `lam=-1` is refused, with the range allowed.
 
 # %%
 variants = {f"lam = {lam:g}": dataclasses.replace(scheme, lam=lam) for lam in (0.3, 1.0, 3.0)}
@@ -76,8 +81,9 @@ except ValueError as error:
     print(error)
 
 # %% [markdown]
-# A small `lam` learns fast. It is no free lunch: on this motor the error of every such law grows again after enough trials, the sooner
-# the smaller `lam` is (notebook 05 says why, and how to know beforehand).
+# A small `lam` learns fast. It is no free lunch: on this motor the error of every such law grows
+# again after enough trials, the sooner the smaller `lam` is (notebook 05 says why, and how to know
+# beforehand).
 #
 # ## Many machines, and gradients
 #
@@ -91,7 +97,10 @@ def last_error(gain, lam):
 
 
 gains = machine.plant.gain * jnp.linspace(0.8, 1.2, 5)
-print("RMS error of trial 10, gain of the motor -20 % to +20 % [µm]:", 1e3 * jax.vmap(last_error, (0, None))(gains, 1.0))
+print(
+    "RMS error of trial 10, gain of the motor -20 % to +20 % [µm]:",
+    1e3 * jax.vmap(last_error, (0, None))(gains, 1.0),
+)
 value, slope = jax.value_and_grad(last_error, argnums=1)(machine.plant.gain, 1.0)
 print(f"RMS error of trial 10: {1e3 * value:.2f} µm, its slope by lam: {1e3 * slope:.2f} µm")
 assert slope > 0  # a smaller lam learns faster, here

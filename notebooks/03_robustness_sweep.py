@@ -13,8 +13,9 @@
 # %% [markdown]
 # # A robustness sweep, read from Zarr
 #
-# A learning law that works on the model must work on the machine. A *sweep* learns with several schemes on many machines whose parameters
-# are drawn at random, and keeps every figure of every trial in a labelled dataset.
+# A learning law that works on the model must work on the machine. A *sweep* learns with several
+# schemes on many machines whose parameters are drawn at random, and keeps every figure of every
+# trial in a labelled dataset.
 
 # %%
 import shutil
@@ -31,23 +32,32 @@ from jaxilc import Sweep, figures, summarise
 jaxilc.setup()
 
 # %% [markdown]
-# The voice-coil motor of Cao 2019 with ±10 % on its gain, its zero and each of its poles; 128 machines, the nominal one first. The
-# scenario brings machine, task, schemes and uncertainty. A distribution goes on any named number of the machine:
-# `{"plant.gain": jaxilc.Uniform(0.9, 1.1, relative=True)}`.
+# The voice-coil motor of Cao 2019 with ±10 % on its gain, its zero and each of its poles; 128
+# machines, the nominal one first. The scenario brings machine, task, schemes and uncertainty. A
+# distribution goes on any named number of the machine: `{"plant.gain": jaxilc.Uniform(0.9, 1.1,
+# relative=True)}`.
 
 # %%
 scenario = jaxilc.scenarios.load("cao-2019").select(("pid", "cfdl-mfailc", "ffdl-mfailc"))
 for name, distribution in scenario.uncertainty.items():
     print(name, distribution)
-sweep = Sweep(scenario.machine, scenario.schemes, scenario.task, trials=40, uncertainty=scenario.uncertainty, samples=128)
+sweep = Sweep(
+    scenario.machine,
+    scenario.schemes,
+    scenario.task,
+    trials=40,
+    uncertainty=scenario.uncertainty,
+    samples=128,
+)
 folder = Path(tempfile.mkdtemp())
 sweep.run(folder / "motor.zarr")
 print("arrays on disk:", sorted(p.name for p in (folder / "motor.zarr").iterdir() if p.is_dir()))
 
 # %% [markdown]
-# The store is written chunk by chunk: a killed sweep goes on with `sweep.run(path, resume=True)` and ends bit for bit as an uninterrupted
-# one. Anything that reads Zarr opens it; `open_dataset` gives an `xarray.Dataset` with dimensions `scheme, sample, trial`, and every
-# drawn number is a coordinate.
+# The store is written chunk by chunk: a killed sweep goes on with `sweep.run(path, resume=True)`
+# and ends bit for bit as an uninterrupted one. Anything that reads Zarr opens it; `open_dataset`
+# gives an `xarray.Dataset` with dimensions `scheme, sample, trial`, and every drawn number is a
+# coordinate.
 
 # %%
 dataset = jaxilc.open_dataset(folder / "motor.zarr")
@@ -61,7 +71,8 @@ ax.figure
 # %% [markdown]
 # ## Yield
 #
-# The share of machines within tolerance at the last trial, with its 95 % Wilson interval: 128 machines do not prove 100 %.
+# The share of machines within tolerance at the last trial, with its 95 % Wilson interval: 128
+# machines do not prove 100 %.
 
 # %%
 for row in summarise(dataset, tolerance):
@@ -71,8 +82,9 @@ for row in summarise(dataset, tolerance):
     )
 
 # %% [markdown]
-# PID with the printed gains is on the edge of stability: some of these motors are unstable under it. CFDL-MFAILC plays back a table and
-# closes no loop within a trial, so each single trial of it is as stable as the motor itself.
+# PID with the printed gains is on the edge of stability: some of these motors are unstable under
+# it. CFDL-MFAILC plays back a table and closes no loop within a trial, so each single trial of it
+# is as stable as the motor itself.
 #
 # ## Which parameter matters?
 #
@@ -83,7 +95,9 @@ last = dataset["settled_error"].sel(scheme="cfdl-mfailc", trial=40)
 ranks = {name: np.argsort(np.argsort(np.asarray(dataset[name]))) for name in scenario.uncertainty}
 of_error = np.argsort(np.argsort(np.asarray(last)))
 for name, of_parameter in ranks.items():
-    print(f"rank correlation of the error with {name:15s} {np.corrcoef(of_error, of_parameter)[0, 1]:+.2f}")
+    print(
+        f"rank correlation of the error with {name:15s} {np.corrcoef(of_error, of_parameter)[0, 1]:+.2f}"
+    )
 
 # %% [markdown]
 # ## The worst machine, rebuilt
@@ -95,11 +109,14 @@ worst = int(np.argmax(last.values))
 machine = sweep.machine_of(worst)
 print({name: float(dataset[name][worst]) for name in scenario.uncertainty})
 again = jaxilc.learn(machine, scenario.schemes["cfdl-mfailc"], scenario.task, 40)
-print(f"machine {worst}: {1e3 * float(last[worst]):.4f} µm in the dataset, {1e3 * float(again.settled_error[-1, 0]):.4f} µm again")
+print(
+    f"machine {worst}: {1e3 * float(last[worst]):.4f} µm in the dataset, {1e3 * float(again.settled_error[-1, 0]):.4f} µm again"
+)
 np.testing.assert_allclose(float(again.settled_error[-1, 0]), float(last[worst]), rtol=1e-6)
 
 # %%
 shutil.rmtree(folder)
 
 # %% [markdown]
-# On the command line: `jaxilc sweep cao-2019 --samples 4096 --spread 0.2 --out out/wide`, and `--resume` after a kill.
+# On the command line: `jaxilc sweep cao-2019 --samples 4096 --spread 0.2 --out out/wide`, and
+# `--resume` after a kill.

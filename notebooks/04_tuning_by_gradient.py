@@ -13,15 +13,19 @@
 # %% [markdown]
 # # Tuning by gradient
 #
-# The whole learning process, trial after trial, is one differentiable function of the weights. So the weights can be tuned by descent:
+# The whole learning process, trial after trial, is one differentiable function of the weights. So
+# the weights can be tuned by descent:
 #
-# $$\min_w \; \mathrm{risk}\big(J_1(w), \dots, J_S(w)\big), \qquad J_s = \text{objective of learning on machine } s$$
+# $$\min_w \; \mathrm{risk}\big(J_1(w), \dots, J_S(w)\big), \qquad J_s = \text{objective of learning
+# on machine } s$$
 #
 # over many uncertain machines at once, and judged on machines that the tuning has never seen.
 #
-# The example: a feed axis with a lag at 10 Hz and a lightly damped resonance at 64 Hz under PI control, P-type learning with a lead of 12
-# samples and a zero-phase low-pass filter $Q$ on what is learned, $u_{j+1} = Q(u_j + \gamma\,e_j[k+13])$. Two numbers to choose: the gain
-# $\gamma$ and the cutoff of $Q$. Too low, and little is learned; too high, and the error grows on some of the machines.
+# The example: a feed axis with a lag at 10 Hz and a lightly damped resonance at 64 Hz under PI
+# control, P-type learning with a lead of 12 samples and a zero-phase low-pass filter $Q$ on what is
+# learned, $u_{j+1} = Q(u_j + \gamma\,e_j[k+13])$. Two numbers to choose: the gain $\gamma$ and the
+# cutoff of $Q$. Too low, and little is learned; too high, and the error grows on some of the
+# machines.
 
 # %%
 import dataclasses
@@ -47,7 +51,9 @@ from jaxilc.tuning.risks import CVaR
 jaxilc.setup()
 
 # %%
-reference = references.s_curve((0.0, 1.0, 0.0), velocity=20.0, acceleration=600.0, jerk=3e4, dt=1e-3, duration=0.25)
+reference = references.s_curve(
+    (0.0, 1.0, 0.0), velocity=20.0, acceleration=600.0, jerk=3e4, dt=1e-3, duration=0.25
+)
 task = Task(reference, dt=1e-3, unit="mm", input_unit="V")
 axis = plants.ProcessModel(gain=1.0, frequencies=(60.0, 400.0), dampings=(0.6, 0.05))  # [rad/s]
 machine = Machine(axis, sensor=Sensor(noise=5e-4))
@@ -56,9 +62,10 @@ scheme = schemes.WithFeedback(law, schemes.PID(kp=0.8, ki=15.0))
 print("what can be tuned:", ", ".join(jaxilc.pytree.named_leaves(scheme)))
 
 # %% [markdown]
-# Gain and resonance are known to ±20 %. The objective is the logarithm of the last trial's RMS error, with a penalty on growth from
-# trial to trial; the risk is the mean of the worst quarter of the machines (CVaR). Adam takes 25 steps; every fifth, machines that it
-# has not seen choose the best iterate.
+# Gain and resonance are known to ±20 %. The objective is the logarithm of the last trial's RMS
+# error, with a penalty on growth from trial to trial; the risk is the mean of the worst quarter of
+# the machines (CVaR). Adam takes 25 steps; every fifth, machines that it has not seen choose the
+# best iterate.
 
 # %%
 problem = Tuning(
@@ -67,7 +74,10 @@ problem = Tuning(
     task,
     trials=12,
     weights={"learning.scheme.gamma_p": (0.05, 2.0), "learning.filter.cutoff": (5.0, 200.0)},
-    uncertainty={"plant.gain": Uniform(0.8, 1.2, relative=True), "plant.frequencies[1]": Uniform(0.8, 1.2, relative=True)},
+    uncertainty={
+        "plant.gain": Uniform(0.8, 1.2, relative=True),
+        "plant.frequencies[1]": Uniform(0.8, 1.2, relative=True),
+    },
     objective=Final("rms") + 0.5 * Growth("rms"),
     risk=CVaR(0.75),
     samples=16,
@@ -79,13 +89,16 @@ tuned = problem.run()
 print("given:", tuned.start)
 print("tuned:", {name: round(value, 3) for name, value in tuned.values.items()})
 factor = np.exp(tuned.before - tuned.after)
-print(f"held-out loss {tuned.before:.3f} -> {tuned.after:.3f}: the error of the worst quarter divided by {factor:.1f}")
+print(
+    f"held-out loss {tuned.before:.3f} -> {tuned.after:.3f}: the error of the worst quarter divided by {factor:.1f}"
+)
 assert tuned.after < tuned.before
 
 # %% [markdown]
 # ## How it went
 #
-# The loss of each step, on the machines of the tuning and on the held-out ones, and the way of the weights.
+# The loss of each step, on the machines of the tuning and on the held-out ones, and the way of the
+# weights.
 
 # %%
 top, bottom = Figure(figsize=(7.2, 5.0), layout="constrained", dpi=150).subplots(2, 1, sharex=True)
@@ -95,7 +108,9 @@ looked = np.flatnonzero(np.isfinite(held_out))
 top.plot(looked, held_out[looked], "o--", color=figures.COLOURS[1], label="held out")
 top.set(ylabel="loss, logarithm of the error")
 top.legend()
-for (name, values), colour, dash in zip(tuned.weights.items(), figures.COLOURS, figures.DASHES, strict=False):
+for (name, values), colour, dash in zip(
+    tuned.weights.items(), figures.COLOURS, figures.DASHES, strict=False
+):
     bottom.semilogy(values[:, 0], color=colour, linestyle=dash, label=name)
 bottom.set(xlabel="step", ylabel="weight")
 bottom.legend()
@@ -104,8 +119,9 @@ bottom.figure
 # %% [markdown]
 # ## On machines that nobody has seen
 #
-# `compare` is a sweep of the given and the tuned scheme over fresh machines, here for twice as many trials as were tuned for: a tuning
-# that looks at 12 trials knows nothing of the thirteenth, so look.
+# `compare` is a sweep of the given and the tuned scheme over fresh machines, here for twice as many
+# trials as were tuned for: a tuning that looks at 12 trials knows nothing of the thirteenth, so
+# look.
 
 # %%
 dataset = problem.compare(tuned, trials=24, samples=65)
@@ -121,15 +137,17 @@ for row in jaxilc.summarise(dataset, tolerance=0.02, figure="rms"):
     )
 
 # %% [markdown]
-# A gradient of any figure by any weight, of any machine, is also at hand by itself (notebook 01). On the command line: `jaxilc tune`, and
-# for a budget of effort or of trials `jaxilc pareto`.
+# A gradient of any figure by any weight, of any machine, is also at hand by itself (notebook 01).
+# On the command line: `jaxilc tune`, and for a budget of effort or of trials `jaxilc pareto`.
 #
 # ## Where a gradient misleads: resets
 #
-# The estimators of model-free adaptive schemes put an estimate back to its start value where it is of no use. The gradient of such a
-# switch is that of the branch taken: it knows nothing of samples that change sides as a weight moves. The test needs no step size:
-# integrated over a range of a weight, a slope must give the change of the loss, $\int_a^b J'\,\mathrm{d}\eta = J(b) - J(a)$. Here the
-# weight is the step $\eta$ of the estimator of CFDL-MFAILC.
+# The estimators of model-free adaptive schemes put an estimate back to its start value where it is
+# of no use. The gradient of such a
+# switch is that of the branch taken: it knows nothing of samples that change sides as a weight
+# moves. The test needs no step size: integrated over a range of a weight, a slope must give the
+# change of the loss, $\int_a^b J'\,\mathrm{d}\eta = J(b) - J(a)$. Here the weight is the step
+# $\eta$ of the estimator of CFDL-MFAILC.
 
 # %%
 quiet = Machine(axis)
@@ -138,7 +156,9 @@ adaptive = schemes.CFDLMFAILC(phi0=0.3, lam=0.05, mu=0.01, epsilon=0.01, lead=12
 
 def eighth_trial(eta, reset):
     """Logarithm of the RMS error of the eighth trial."""
-    law = schemes.Filtered(dataclasses.replace(adaptive, eta=eta, reset=reset), ZeroPhaseButterworth(15.0))
+    law = schemes.Filtered(
+        dataclasses.replace(adaptive, eta=eta, reset=reset), ZeroPhaseButterworth(15.0)
+    )
     return jnp.log(jaxilc.learn(quiet, law, task, 8).rms[-1, 0])
 
 
@@ -147,18 +167,21 @@ for reset in ("sign", "book", "smooth"):
     values, slopes = jax.jit(jax.vmap(jax.value_and_grad(partial(eighth_trial, reset=reset))))(path)
     change, integral = values[-1] - values[0], scipy.integrate.trapezoid(slopes, path)
     missed[reset] = abs(change - integral)
-    print(f"{reset:6s} change {change:+.3f}, integral of the slope {integral:+.3f}, largest slope {np.abs(slopes).max():.1f}")
+    print(
+        f"{reset:6s} change {change:+.3f}, integral of the slope {integral:+.3f}, largest slope {np.abs(slopes).max():.1f}"
+    )
 assert missed["sign"] < 1e-3 < missed["smooth"] < 0.01 < 0.05 < missed["book"]
 
 # %% [markdown]
-# With `book` the slope sees half of what happens; `sign` resets nothing here and is exact. `reset="smooth"` blends the two branches over
-# widths of `epsilon`, and its slope is whole. It is another scheme, though, and the narrower `epsilon`, the steeper: tune with it, then
-# judge the weights with the reset that the machine will have.
+# With `book` the slope sees half of what happens; `sign` resets nothing here and is exact.
+# `reset="smooth"` blends the two branches over widths of `epsilon`, and its slope is whole. It is
+# another scheme, though, and the narrower `epsilon`, the steeper: tune with it, then judge the
+# weights with the reset that the machine will have.
 #
 # ## Saturation
 #
-# A clip has an exact slope, but a sample at the limit contributes nothing: the more of the trial is saturated, the less is left to
-# descend, until nothing is.
+# A clip has an exact slope, but a sample at the limit contributes nothing: the more of the trial is
+# saturated, the less is left to descend, until nothing is.
 
 # %%
 gain, cutoff, lead = "learning.scheme.gamma_p", "learning.filter.cutoff", "learning.scheme.lead"
@@ -166,7 +189,9 @@ gain, cutoff, lead = "learning.scheme.gamma_p", "learning.filter.cutoff", "learn
 
 def limited(gamma, limit):
     """Logarithm of the RMS error of the eighth trial, and its input."""
-    history = jaxilc.learn(Machine(axis, Actuator(limit=limit)), replaced(scheme, {gain: gamma}), task, 8)
+    history = jaxilc.learn(
+        Machine(axis, Actuator(limit=limit)), replaced(scheme, {gain: gamma}), task, 8
+    )
     return jnp.log(history.rms[-1, 0]), history.final.u
 
 
@@ -178,43 +203,69 @@ for limit in (10.0, 0.8, 0.5, 0.2, 0.05):
     share = np.mean(np.abs(u) > 0.999999 * limit)
     slopes.append(abs(slope))
     quotient = (above - below) / 2e-5
-    print(f"limit {limit:5.2f} V: {share:4.0%} of the samples saturated, slope {slope:+.5f}, difference quotient {quotient:+.5f}")
+    print(
+        f"limit {limit:5.2f} V: {share:4.0%} of the samples saturated, slope {slope:+.5f}, difference quotient {quotient:+.5f}"
+    )
 assert np.all(np.diff(slopes) < 0)
 assert slopes[-1] < 1e-3 * slopes[0]
 
 # %% [markdown]
-# So start inside the limits: from smaller gains, or with wider limits that are then narrowed; an `Effort` term keeps it there.
+# So start inside the limits: from smaller gains, or with wider limits that are then narrowed; an
+# `Effort` term keeps it there.
 #
 # ## Long learning
 #
-# For a linear law $e_{j+1} = M e_j$ with $M = I - GL$, and $\mathrm{d}e_J/\mathrm{d}\gamma = \sum_i M^{J-2-i}\,M'\,M^i e_1$: the slope of
-# the last error grows as powers of the learning map do. With a lead of 12 samples they fade on this reference; with 4 samples learning
-# is semi-convergent, and the slope grows long after the error has stopped falling.
+# For a linear law $e_{j+1} = M e_j$ with $M = I - GL$, and $\mathrm{d}e_J/\mathrm{d}\gamma = \sum_i
+# M^{J-2-i}\,M'\,M^i e_1$: the slope of the last error grows as powers of the learning map do. With
+# a lead of 12 samples they fade on this reference; with 4 samples learning is semi-convergent, and
+# the slope grows long after the error has stopped falling.
 
 # %%
 trials, growth = 60, Figure(figsize=(7.2, 4.2), layout="constrained", dpi=150).subplots()
 growing = replaced(scheme, {gain: 0.8, cutoff: 60.0, lead: 4})
-for name, law, colour in (("lead 4", growing, figures.COLOURS[1]), ("lead 12", replaced(growing, {lead: 12}), figures.COLOURS[0])):
+for name, law, colour in (
+    ("lead 4", growing, figures.COLOURS[1]),
+    ("lead 12", replaced(growing, {lead: 12}), figures.COLOURS[0]),
+):
 
     def errors(gamma, law=law):
-        return jaxilc.learn(quiet, replaced(law, {gain: gamma}), task, trials, save=lambda trial: trial.e[1:, 0]).saved
+        return jaxilc.learn(
+            quiet, replaced(law, {gain: gamma}), task, trials, save=lambda trial: trial.e[1:, 0]
+        ).saved
 
     e, slope = jax.jit(lambda gamma, errors=errors: jax.jvp(errors, (gamma,), (1.0,)))(0.8)
     map_ = error_map(quiet, law, task)
     M = np.asarray(jax.jit(jax.jacfwd(lambda e, map_=map_: map_.f(e)[-1]))(map_.at))
     powers = [np.linalg.norm(np.linalg.matrix_power(M, j), 2) for j in range(trials - 1)]
     lengths = np.linalg.norm(slope, axis=1)
-    growth.semilogy(np.arange(2, trials + 1), lengths[1:], color=colour, label=f"{name}: |de_j / dγ|")
-    growth.semilogy(np.arange(2, trials + 1), powers, color=colour, linestyle="--", label=f"{name}: largest singular value of $M^{{j-2}}$")
-    growth.semilogy(np.arange(1, trials + 1), np.linalg.norm(e, axis=1), color=colour, linestyle=":", label=f"{name}: |e_j|")
-    print(f"{name:7s} |de/dγ| of trials 20, 40, 60: {lengths[19]:.3g}, {lengths[39]:.3g}, {lengths[59]:.3g}; |M^58| = {powers[-1]:.3g}")
+    growth.semilogy(
+        np.arange(2, trials + 1), lengths[1:], color=colour, label=f"{name}: |de_j / dγ|"
+    )
+    growth.semilogy(
+        np.arange(2, trials + 1),
+        powers,
+        color=colour,
+        linestyle="--",
+        label=f"{name}: largest singular value of $M^{{j-2}}$",
+    )
+    growth.semilogy(
+        np.arange(1, trials + 1),
+        np.linalg.norm(e, axis=1),
+        color=colour,
+        linestyle=":",
+        label=f"{name}: |e_j|",
+    )
+    print(
+        f"{name:7s} |de/dγ| of trials 20, 40, 60: {lengths[19]:.3g}, {lengths[39]:.3g}, {lengths[59]:.3g}; |M^58| = {powers[-1]:.3g}"
+    )
 growth.set(xlabel="trial j")
 growth.legend(fontsize="small")
 growth.figure
 
 # %% [markdown]
-# Two remedies are at hand, and neither is free. `clip` bounds the slope of each machine, so that one that diverges does not lead all;
-# it keeps the direction. `truncate=K` lets slopes through the last $K$ trials alone, which are fewer factors of $M$ and less to compute
+# Two remedies are at hand, and neither is free. `clip` bounds the slope of each machine, so that
+# one that diverges does not lead all; it keeps the direction. `truncate=K` lets slopes through the
+# last $K$ trials alone, which are fewer factors of $M$ and less to compute
 # and store, but another gradient: what the weight did in the trials before counts in the loss only.
 
 # %%
@@ -223,10 +274,13 @@ options = {"weights": [gain], "objective": Final("rms"), "samples": 1, "held_out
 cut = {}
 for K in (2, 5, 10, 20):
     problem = Tuning(quiet, law, task, 20, **options, truncate=K)
-    cut[K] = float(jax.jit(jax.grad(lambda gamma, problem=problem: problem.loss_of(quiet, {gain: gamma})))(0.3))
+    cut[K] = float(
+        jax.jit(jax.grad(lambda gamma, problem=problem: problem.loss_of(quiet, {gain: gamma})))(0.3)
+    )
     print(f"slope through the last {K:2d} of 20 trials: {cut[K]:+.3f}")
 assert abs(cut[2]) < 0.5 * abs(cut[20])
 
 # %% [markdown]
-# The loss is a logarithm, and so the whole slope here is a moderate number: long learning alone is no reason to truncate. Take it where
-# memory is short, and only if the truncated slope has the sign of the whole one.
+# The loss is a logarithm, and so the whole slope here is a moderate number: long learning alone is
+# no reason to truncate. Take it where memory is short, and only if the truncated slope has the sign
+# of the whole one.

@@ -16,14 +16,17 @@
 # For the compact-form law (CFDL-MFAILC; Cao 2019, eq. 12 and 13)
 #
 # $$u_j = u_{j-1} + \frac{\rho\,\hat\varphi_j}{\lambda + \hat\varphi_j^2}\, e_{j-1}[k+1], \qquad
-#   \hat\varphi_{j} = \hat\varphi_{j-1} + \frac{\eta\,\Delta u}{\mu + \Delta u^2}\,(\Delta y - \hat\varphi_{j-1} \Delta u)$$
+# \hat\varphi_{j} = \hat\varphi_{j-1} + \frac{\eta\,\Delta u}{\mu + \Delta u^2}\,(\Delta y -
+# \hat\varphi_{j-1} \Delta u)$$
 #
-# the theory promises two contractions: $d_1 = 1 - \eta\,\Delta u^2/(\mu + \Delta u^2)$ of the estimate's error, and
-# $d_2 = |1 - \rho\varphi\hat\varphi/(\lambda + \hat\varphi^2)|$ of the tracking error, $|e_j[k+1]| \le d_2\,|e_{j-1}[k+1]|$. Here
-# $\varphi = \Delta y[k+1] / \Delta u[k]$ is the *pseudo partial derivative*, and the premises are that it is bounded, keeps its sign and
+# the theory promises two contractions: $d_1 = 1 - \eta\,\Delta u^2/(\mu + \Delta u^2)$ of the
+# estimate's error, and $d_2 = |1 - \rho\varphi\hat\varphi/(\lambda + \hat\varphi^2)|$ of the
+# tracking error, $|e_j[k+1]| \le d_2\,|e_{j-1}[k+1]|$. Here $\varphi = \Delta y[k+1] / \Delta u[k]$
+# is the *pseudo partial derivative*, and the premises are that it is bounded, keeps its sign and
 # stays away from zero, and $\lambda > b^2/4$ with $b = \max|\varphi|$.
 #
-# `jaxilc` computes $\varphi$ as it turned out to be, and claims a bound only where every premise held at every sample and trial.
+# `jaxilc` computes $\varphi$ as it turned out to be, and claims a bound only where every premise
+# held at every sample and trial.
 
 # %%
 import numpy as np
@@ -60,11 +63,13 @@ def report(found):
 # %% [markdown]
 # ## Where they hold: a static plant
 #
-# $y[k+1] = 0.8\,u[k]$. Every premise holds, $\varphi = 0.8$ everywhere, and the error of each sample falls by $d_2$ or more in every
-# trial.
+# $y[k+1] = 0.8\,u[k]$. Every premise holds, $\varphi = 0.8$ everywhere, and the error of each
+# sample falls by $d_2$ or more in every trial.
 
 # %%
-task = Task(references.sinusoid(1.0, 2.0, duration=0.5, dt=1e-3), dt=1e-3, unit="mm", input_unit="V")
+task = Task(
+    references.sinusoid(1.0, 2.0, duration=0.5, dt=1e-3), dt=1e-3, unit="mm", input_unit="V"
+)
 static = Machine(plants.DifferenceEquation(a=(0.0,), b=(0.8,), dt=1e-3))
 scheme = schemes.CFDLMFAILC(lam=1.0, eta=0.9, mu=1.0, rho=1.0, phi0=0.5, reset="sign")
 holding = bounds_of(static, scheme, task, 15)
@@ -75,9 +80,9 @@ assert np.nanmax(holding.observed[:, 1:]) <= holding.d2_worst + 1e-9
 # %% [markdown]
 # ## Where they do not: a motor
 #
-# On a dynamic plant $\Delta y[k+1]$ depends on all earlier $\Delta u$ of the trial, so $\varphi$ is no property of the plant. On the
-# voice-coil motor it changes its sign at a large share of the samples. Nothing is claimed, although the error falls in each of these
-# trials.
+# On a dynamic plant $\Delta y[k+1]$ depends on all earlier $\Delta u$ of the trial, so $\varphi$ is
+# no property of the plant. On the voice-coil motor it changes its sign at a large share of the
+# samples. Nothing is claimed, although the error falls in each of these trials.
 
 # %%
 motor = jaxilc.scenarios.load("cao-2019", frequency=2.0)  # 500 samples
@@ -89,21 +94,27 @@ assert broken.condition.verdict == "not claimed"
 # %% [markdown]
 # ## What does decide
 #
-# Frozen at its start value, the law is P-type with $\gamma = \rho\hat\varphi/(\lambda + \hat\varphi^2)$ and linear, $e_{j+1} = (I - G
-# L)\,e_j$, and its largest singular value tells whether the error falls in *every* trial; in the frequency domain, whether $|1 - \gamma z
-# P(z)| < 1$ at every frequency. On a lagging plant it never is at all frequencies: beyond the first crossing, errors grow by a few per
+# Frozen at its start value, the law is P-type with $\gamma = \rho\hat\varphi/(\lambda +
+# \hat\varphi^2)$ and linear, $e_{j+1} = (I - G L)\,e_j$, and its largest singular value tells
+# whether the error falls in *every* trial; in the frequency domain, whether $|1 - \gamma z P(z)| <
+# 1$ at every frequency. On a lagging plant it never is at all frequencies: beyond the first
+# crossing, errors grow by a few per
 # cent a trial.
 
 # %%
 phi0, lam, rho = (float(np.squeeze(v)) for v in (cfdl.phi0, cfdl.lam, cfdl.rho))
 p_type = schemes.PIDType(gamma_p=rho * phi0 / (lam + phi0**2))
 test = theory.frequency.learning_condition(motor.machine, p_type, motor.task)
-print(f"sup |1 - gamma z P| = {test.condition.value:.4f}; crosses 1 at {test.critical:.1f} Hz; verdict: {test.condition.verdict}")
+print(
+    f"sup |1 - gamma z P| = {test.condition.value:.4f}; crosses 1 at {test.critical:.1f} Hz; verdict: {test.condition.verdict}"
+)
 
 # %% [markdown]
-# So the error falls, turns, and grows: it *semi-converges*. `certify` answers two questions of each of many machines. What is claimed of
-# the long run holds however many trials are run, and is nothing where no theorem applies, as to a law that adapts. What the error does
-# within $J$ trials is predicted from theory alone, and simulation is the judge. Small here: 8 machines, 120 trials; first the adaptive law,
+# So the error falls, turns, and grows: it *semi-converges*. `certify` answers two questions of each
+# of many machines. What is claimed of the long run holds however many trials are run, and is
+# nothing where no theorem applies, as to a law that adapts. What the error does within $J$ trials
+# is predicted from theory alone, and simulation is the judge. Small here: 8 machines, 120 trials;
+# first the adaptive law,
 # then the P-type law that it starts as.
 
 # %%
@@ -111,36 +122,63 @@ names = {name: motor.uncertainty[name] for name in ("plant.gain", "plant.poles[2
 drawn = draw(motor.machine, names, 8)
 certificates = {}
 for name, scheme in {"CFDL-MFAILC": cfdl, "P-type": p_type}.items():
-    found = certificates[name] = theory.certify(motor.machine, scheme, motor.task, 120, names, drawn)
+    found = certificates[name] = theory.certify(
+        motor.machine, scheme, motor.task, 120, names, drawn
+    )
     print(f"{name}: {found.claim[0]}, since {found.reason[0]}")
     print("    turning trial predicted", found.turning, "observed", found.observed_turning)
     assert len(found.broken_promises()) == 0  # no claim was contradicted
-np.testing.assert_array_equal(certificates["P-type"].turning, certificates["P-type"].observed_turning)
-ax = figures.certificate(certificates["CFDL-MFAILC"], scale=1e3, unit="µm", title="CFDL-MFAILC on the voice-coil motor at 2 Hz")
+np.testing.assert_array_equal(
+    certificates["P-type"].turning, certificates["P-type"].observed_turning
+)
+ax = figures.certificate(
+    certificates["CFDL-MFAILC"],
+    scale=1e3,
+    unit="µm",
+    title="CFDL-MFAILC on the voice-coil motor at 2 Hz",
+)
 ax.figure
 
 # %% [markdown]
-# Of the linear law the prediction is exact. The adaptive law moves its estimates, so that nothing is claimed of it: here it turns some
-# thirty trials before the frozen law does. (At the paper's own 0.5 Hz the two differ by three trials of eighty.)
+# Of the linear law the prediction is exact. The adaptive law moves its estimates, so that nothing
+# is claimed of it: here it turns some thirty trials before the frozen law does. (At the paper's own
+# 0.5 Hz the two differ by three trials of eighty.)
 
 # %% [markdown]
 # ## The cure, certified
 #
-# A low-pass filter $Q$ on what is learned, in front of the crossing, restores $|Q(1 - \gamma z P)| < 1$, at the price of what lies above
-# its cutoff: what is learned then comes nearer to its limit in every trial, and the limit leaves an error. A leak or a stop rule are other
-# ways out (notebook 08).
+# A low-pass filter $Q$ on what is learned, in front of the crossing, restores $|Q(1 - \gamma z P)|
+# < 1$, at the price of what lies above
+# its cutoff: what is learned then comes nearer to its limit in every trial, and the limit leaves an
+# error. A leak or a stop rule are other ways out (notebook 08).
 
 # %%
 tests = {"without a filter": test}
 for cutoff in (10.0, 30.0):
     filtered = schemes.Filtered(p_type, ZeroPhaseButterworth(cutoff))
-    tests[f"Q of {cutoff:g} Hz"] = found = theory.frequency.learning_condition(motor.machine, filtered, motor.task)
-    print(f"cutoff {cutoff:5.0f} Hz: sup |Q (1 - gamma z P)| = {found.condition.value:.4f}; verdict: {found.condition.verdict}")
+    tests[f"Q of {cutoff:g} Hz"] = found = theory.frequency.learning_condition(
+        motor.machine, filtered, motor.task
+    )
+    print(
+        f"cutoff {cutoff:5.0f} Hz: sup |Q (1 - gamma z P)| = {found.condition.value:.4f}; verdict: {found.condition.verdict}"
+    )
 assert tests["Q of 10 Hz"].condition.holds
 assert tests["Q of 30 Hz"].condition.value > 1
-certified = theory.certify(motor.machine, schemes.Filtered(p_type, ZeroPhaseButterworth(10.0)), motor.task, 120, names, drawn)
+certified = theory.certify(
+    motor.machine,
+    schemes.Filtered(p_type, ZeroPhaseButterworth(10.0)),
+    motor.task,
+    120,
+    names,
+    drawn,
+)
 print(f"cutoff 10 Hz: {', '.join(np.unique(certified.claim))}; {certified.reason[0]}")
-print("    error left [µm]", np.round(1e3 * certified.floor, 2), "after 120 trials", np.round(1e3 * certified.simulated[:, -1], 2))
+print(
+    "    error left [µm]",
+    np.round(1e3 * certified.floor, 2),
+    "after 120 trials",
+    np.round(1e3 * certified.simulated[:, -1], 2),
+)
 assert len(certified.broken_promises()) == 0
 assert "not claimed" not in certified.claim
 axes = figures.frequency_tests(tests)
@@ -150,5 +188,6 @@ axes[0].figure
 # A cutoff of 30 Hz still leaves a little above 1, at 6 to 8 Hz; one of 10 Hz leaves nothing.
 
 # %% [markdown]
-# "$\lambda > b^2/4$ guarantees convergence" is not a design rule for a feed drive; $|Q(1 - \gamma z P)| < 1$ is.
+# "$\lambda > b^2/4$ guarantees convergence" is not a design rule for a feed drive; $|Q(1 - \gamma z
+# P)| < 1$ is.
 # On the command line: `jaxilc certify cao-2019 --scheme cfdl-mfailc --trials 200`.

@@ -13,9 +13,9 @@
 # %% [markdown]
 # # Your own plant and your own scheme
 #
-# Both are classes of a few lines; nothing in the package changes. A plant says where it rests, how it steps and what it measures; a
-# scheme says what it remembers and how it learns. `@pytree` makes the fields the parameters: checked, batched by `vmap`, differentiated
-# by `grad`.
+# Both are classes of a few lines; nothing in the package changes. A plant says where it rests, how
+# it steps and what it measures; a scheme says what it remembers and how it learns. `@pytree` makes
+# the fields the parameters: checked, batched by `vmap`, differentiated by `grad`.
 
 # %%
 import dataclasses
@@ -41,7 +41,8 @@ jaxilc.setup()
 #
 # $$m\ddot x = K u - d\dot x - F_c \tanh(\dot x / v_s)$$
 #
-# position $x$ in mm, input in volts. Semi-implicit Euler at the task's sample time is enough here; the speed is stepped first.
+# position $x$ in mm, input in volts. Semi-implicit Euler at the task's sample time is enough here;
+# the speed is stepped first.
 
 
 # %%
@@ -59,7 +60,11 @@ class BeltAxis(Plant):
         return jnp.zeros(2)  # position, speed
 
     def step(self, x, u, dt):
-        force = self.force * u[0] - self.damping * 1e-3 * x[1] - self.friction * jnp.tanh(x[1] / self.speed)
+        force = (
+            self.force * u[0]
+            - self.damping * 1e-3 * x[1]
+            - self.friction * jnp.tanh(x[1] / self.speed)
+        )
         v = x[1] + dt * 1e3 * force / self.mass
         return jnp.stack([x[0] + dt * v, v])
 
@@ -72,7 +77,8 @@ class BeltAxis(Plant):
 #
 # $$\Delta_{j+1} = \beta\,\Delta_j + \gamma\,e_j[k+1+m], \qquad u_{j+1} = u_j + \Delta_{j+1}$$
 #
-# a heavy ball along the trials: what kept being wrong is corrected faster. Its memory is two signals.
+# a heavy ball along the trials: what kept being wrong is corrected faster. Its memory is two
+# signals.
 
 
 # %%
@@ -105,7 +111,9 @@ class HeavyBall(Scheme):
 # With $\beta = 0$ it must be the package's own P-type law, number for number.
 
 # %%
-reference = references.s_curve((0.0, 5.0, 0.0), velocity=80.0, acceleration=2000.0, jerk=1e5, dwell=0.05, dt=1e-3)
+reference = references.s_curve(
+    (0.0, 5.0, 0.0), velocity=80.0, acceleration=2000.0, jerk=1e5, dwell=0.05, dt=1e-3
+)
 task = Task(reference, dt=1e-3, unit="mm", input_unit="V")
 machine, feedback = Machine(BeltAxis()), PID(kp=0.5, kd=0.01)
 learning = {
@@ -117,7 +125,9 @@ over_feedback = {name: WithFeedback(scheme, feedback) for name, scheme in learni
 dataset, histories = jaxilc.run_schemes(machine, over_feedback, task, 15)
 rms = {name: 1e3 * np.asarray(history.rms)[:, 0] for name, history in histories.items()}
 for name, errors in rms.items():
-    print(f"{name:22s} RMS error, trials 1, 5, 15: {errors[0]:7.1f} {errors[4]:7.2f} {errors[14]:7.3f} µm")
+    print(
+        f"{name:22s} RMS error, trials 1, 5, 15: {errors[0]:7.1f} {errors[4]:7.2f} {errors[14]:7.3f} µm"
+    )
 np.testing.assert_allclose(rms["heavy ball, beta 0"], rms["P-type"], rtol=1e-9)
 assert all(errors[14] < errors[0] / 5 for errors in rms.values())
 ax = figures.error_by_trial(dataset, figure="rms", scale=1e3, unit="µm")
@@ -132,7 +142,9 @@ ax.figure
 # %%
 def last_error(friction, beta):
     axis = Machine(BeltAxis(friction=friction))
-    return jaxilc.learn(axis, WithFeedback(HeavyBall(gamma=0.15, beta=beta, lead=12), feedback), task, 8).rms[-1, 0]
+    return jaxilc.learn(
+        axis, WithFeedback(HeavyBall(gamma=0.15, beta=beta, lead=12), feedback), task, 8
+    ).rms[-1, 0]
 
 
 frictions = jnp.linspace(0.0, 20.0, 5)
@@ -144,25 +156,33 @@ print("RMS error of trial 8 by friction [µm]:", np.round(1e3 * np.asarray(batch
 # %% [markdown]
 # ## They differentiate
 #
-# The slope of the last error by $\beta$, through eight trials of your plant under your scheme, against finite differences.
+# The slope of the last error by $\beta$, through eight trials of your plant under your scheme,
+# against finite differences.
 
 # %%
 slope = float(jax.grad(last_error, argnums=1)(8.0, 0.2))
 h = 1e-5
 difference = float((last_error(8.0, 0.2 + h) - last_error(8.0, 0.2 - h)) / (2 * h))
-print(f"d RMS / d beta = {1e3 * slope:.4f} µm by gradient, {1e3 * difference:.4f} µm by differences")
+print(
+    f"d RMS / d beta = {1e3 * slope:.4f} µm by gradient, {1e3 * difference:.4f} µm by differences"
+)
 np.testing.assert_allclose(slope, difference, rtol=1e-4)
 
 # %% [markdown]
 # ## Everything else works on them
 #
-# A sweep, for instance, over named numbers of the new plant; `Tuning`, `theory.lifted`, `worst_case_search` likewise.
+# A sweep, for instance, over named numbers of the new plant; `Tuning`, `theory.lifted`,
+# `worst_case_search` likewise.
 
 # %%
 uncertainty = {"plant.friction": Uniform(4.0, 16.0), "plant.mass": Uniform(0.8, 1.2, relative=True)}
-swept = jaxilc.Sweep(machine, over_feedback, task, trials=15, uncertainty=uncertainty, samples=64).run()
+swept = jaxilc.Sweep(
+    machine, over_feedback, task, trials=15, uncertainty=uncertainty, samples=64
+).run()
 for row in jaxilc.summarise(swept, tolerance=0.02, figure="rms"):
-    print(f"{row.scheme:22s} median {1e3 * row.median[-1]:.2f} µm, worst {1e3 * row.worst[-1]:.2f} µm of {swept.sizes['sample']} machines")
+    print(
+        f"{row.scheme:22s} median {1e3 * row.median[-1]:.2f} µm, worst {1e3 * row.worst[-1]:.2f} µm of {swept.sizes['sample']} machines"
+    )
 
 # %% [markdown]
 # A parameter outside its declared range is refused by name:

@@ -13,12 +13,13 @@
 # %% [markdown]
 # # From simulation to the machine
 #
-# On a real machine the loop runs through files: the controller plays a table, records the trial, and `jaxilc` makes the next table of
-# it. The scheme is the one that was simulated. A *campaign* is a folder that remembers what was learned from each trial; it checks each
-# measured trial before it learns, writes atomically, and can go back to any earlier trial.
+# On a real machine the loop runs through files: the controller plays a table, records the trial,
+# and `jaxilc` makes the next table of it. The scheme is the one that was simulated. A *campaign* is
+# a folder that remembers what was learned from each trial; it checks each measured trial before it
+# learns, writes atomically, and can go back to any earlier trial.
 #
-# Here the "machine" is another program that we only know by its files: a plant of other parameters, with noise. On the command line the
-# same is
+# Here the "machine" is another program that we only know by its files: a plant of other parameters,
+# with noise. On the command line the same is
 #
 #     jaxilc next --state x-axis --plant-file axis.toml --scheme ilc --out next-1.csv
 #     jaxilc next --state x-axis --measured trial-1.csv --out next-2.csv
@@ -50,8 +51,8 @@ folder = Path(tempfile.mkdtemp())
 # %% [markdown]
 # ## The axis, as we believe it to be
 #
-# A plant file in TOML: model, limits, task, scheme. A model is not needed for learning as such; here it served to choose the gain, the
-# lead of four samples and the cutoff of 60 Hz in simulation.
+# A plant file in TOML: model, limits, task, scheme. A model is not needed for learning as such;
+# here it served to choose the gain, the lead of four samples and the cutoff of 60 Hz in simulation.
 
 # %%
 (folder / "axis.toml").write_text("""
@@ -86,11 +87,16 @@ scheme, task = axis.schemes["ilc"], axis.task
 # %% [markdown]
 # ## The machine at the other end
 #
-# It reads the table, adds it to the input of its own PI feedback, and writes a trace: time, reference, output, input, each with its
-# unit. Its gain is 15 % higher than ours and its damping 25 % lower, and its encoder is noisy.
+# It reads the table, adds it to the input of its own PI feedback, and writes a trace: time,
+# reference, output, input, each with its unit. Its gain is 15 % higher than ours and its damping 25
+# % lower, and its encoder is noisy.
 
 # %%
-real = Machine(plants.from_control(control.tf([4600.0], [1.0, 60.0, 4000.0])), axis.machine.actuator, Sensor(resolution=1e-4, noise=5e-5))
+real = Machine(
+    plants.from_control(control.tf([4600.0], [1.0, 60.0, 4000.0])),
+    axis.machine.actuator,
+    Sensor(resolution=1e-4, noise=5e-5),
+)
 their_loop = WithFeedback(Scheme(), scheme.feedback)
 
 
@@ -107,7 +113,9 @@ def machine_plays(table, trace, number):
     y, u = their_trial(played["feedforward [V]"][:-1, None], jax.random.key(number))
     u = np.append(np.asarray(u)[:, 0], 0.0)
     columns = np.stack([played["t [s]"], played["r [mm]"], np.asarray(y)[:, 0], u], axis=1)
-    np.savetxt(trace, columns, fmt="%.17g", delimiter=",", header="t [s],r [mm],y [mm],u [V]", comments="")
+    np.savetxt(
+        trace, columns, fmt="%.17g", delimiter=",", header="t [s],r [mm],y [mm],u [V]", comments=""
+    )
 
 
 # %% [markdown]
@@ -120,10 +128,15 @@ for j in range(1, 21):
     machine_plays(folder / f"next-{j}.csv", folder / f"trial-{j}.csv", j)
     measured = trial_files.read_measured(folder / f"trial-{j}.csv", task, campaign.recordable())
     turn = campaign.turn(measured)
-    campaign.keep(turn)  # refuses what the checks refuse: saturation, an input beyond the limit, a gap
+    campaign.keep(
+        turn
+    )  # refuses what the checks refuse: saturation, an input beyond the limit, a gap
     trial_files.write_tables(folder / f"next-{j + 1}.csv", turn.tables, task, trial=j + 1)
     if j in (1, 2, 5, 10, 15, 20):
-        print(f"trial {j:2d}: RMS error {1e3 * turn.figures['error']:8.3f} µm", "; ".join(f.text for f in turn.findings))
+        print(
+            f"trial {j:2d}: RMS error {1e3 * turn.figures['error']:8.3f} µm",
+            "; ".join(f.text for f in turn.findings),
+        )
 errors = [row["rms_error"] for row in campaign.journal.log() if row["event"] == "trial"]
 assert errors[-1] < errors[0] / 10
 
@@ -141,7 +154,8 @@ except ValueError as error:
     print(error)
 
 # %% [markdown]
-# A trace of another unit, or of another sample time, is refused too; nothing is converted or resampled.
+# A trace of another unit, or of another sample time, is refused too; nothing is converted or
+# resampled.
 
 # %%
 text = (folder / "trial-20.csv").read_text()
@@ -159,7 +173,9 @@ except ValueError as error:
 # %%
 campaign.undo(18)
 machine_plays(folder / "next-19.csv", folder / "trial-19-again.csv", 100)
-again = campaign.turn(trial_files.read_measured(folder / "trial-19-again.csv", task, campaign.recordable()))
+again = campaign.turn(
+    trial_files.read_measured(folder / "trial-19-again.csv", task, campaign.recordable())
+)
 campaign.keep(again)
 print(f"trial {again.trial} again: RMS error {1e3 * again.figures['error']:.3f} µm")
 top, bottom = campaign_figure(campaign.journal.log(), unit="mm", input_unit="V")
@@ -168,14 +184,17 @@ top.figure
 # %% [markdown]
 # ## The same by hand
 #
-# Without the campaign's folder and checks, three calls: `scheme.memory`, `feedforward`, `next_memory`. They must give the same table.
+# Without the campaign's folder and checks, three calls: `scheme.memory`, `feedforward`,
+# `next_memory`. They must give the same table.
 
 # %%
 memory = scheme.memory(task)
 for j in range(1, 19):
     record = trial_files.read_measured(folder / f"trial-{j}.csv", task)
     _, signals = jaxilc.playback.replay(scheme, task, memory, record.y, axis.machine.actuator)
-    memory = jaxilc.next_memory(scheme, task, memory, record.y, record.u, feedback=signals["feedback"])
+    memory = jaxilc.next_memory(
+        scheme, task, memory, record.y, record.u, feedback=signals["feedback"]
+    )
 by_hand = np.asarray(jaxilc.feedforward(scheme, task, memory))
 np.testing.assert_allclose(by_hand, campaign.tables(18)["feedforward"], rtol=1e-9, atol=1e-12)
 print("largest learned input:", np.round(np.max(np.abs(by_hand)), 4), "V")

@@ -13,9 +13,9 @@
 # %% [markdown]
 # # Which scheme for my machine?
 #
-# A page of decisions, each backed by a small simulation on one axis: a lag at 10 Hz, a lightly damped resonance at 64 Hz, PI feedback at
-# 1 kHz, a move of 1 mm and back in a quarter of a second. Other machines have other numbers; the *order* of what matters is what carries
-# over.
+# A page of decisions, each backed by a small simulation on one axis: a lag at 10 Hz, a lightly
+# damped resonance at 64 Hz, PI feedback at 1 kHz, a move of 1 mm and back in a quarter of a second.
+# Other machines have other numbers; the *order* of what matters is what carries over.
 #
 # | question | if so | then |
 # |---|---|---|
@@ -28,7 +28,8 @@
 # | Must learning never go astray, for certain? | yes | a filter $Q$ that certifies it (notebook 05), and the floor that it leaves |
 # | Is the load on the far side of a flexible drive? | yes | learn input and reference together (MILC, notebook 02) |
 #
-# Whatever the choice: certify before (notebook 05), sweep over what you do not know (03), watch the error on the machine (07).
+# Whatever the choice: certify before (notebook 05), sweep over what you do not know (03), watch the
+# error on the machine (07).
 
 # %%
 import dataclasses
@@ -49,19 +50,33 @@ from jaxilc.theory import frequency
 jaxilc.setup()
 
 # %%
-reference = references.s_curve((0.0, 1.0, 0.0), velocity=20.0, acceleration=600.0, jerk=3e4, dt=1e-3, duration=0.25)
+reference = references.s_curve(
+    (0.0, 1.0, 0.0), velocity=20.0, acceleration=600.0, jerk=3e4, dt=1e-3, duration=0.25
+)
 task = Task(reference, dt=1e-3, unit="mm", input_unit="V")
-axis, pid = plants.ProcessModel(gain=1.0, frequencies=(60.0, 400.0), dampings=(0.6, 0.05)), PID(kp=0.8, ki=15.0)
+axis, pid = (
+    plants.ProcessModel(gain=1.0, frequencies=(60.0, 400.0), dampings=(0.6, 0.05)),
+    PID(kp=0.8, ki=15.0),
+)
 TRIALS = 60
 
 
 def machine(noise=0.0, disturbance=0.0, **changed):
-    return Machine(dataclasses.replace(axis, **changed), sensor=Sensor(noise=noise), disturbance=Disturbance(input_noise=disturbance))
+    return Machine(
+        dataclasses.replace(axis, **changed),
+        sensor=Sensor(noise=noise),
+        disturbance=Disturbance(input_noise=disturbance),
+    )
 
 
 def errors_of(scheme, on):
     """(TRIALS, N+1) error of every trial [µm]."""
-    return 1e3 * np.asarray(jaxilc.learn(on, scheme, task, TRIALS, save=Keep.of({}, "e")).saved["e"])[..., 0]
+    return (
+        1e3
+        * np.asarray(jaxilc.learn(on, scheme, task, TRIALS, save=Keep.of({}, "e")).saved["e"])[
+            ..., 0
+        ]
+    )
 
 
 def rms(scheme, on):
@@ -75,7 +90,10 @@ def row(name, errors):
     print(f"{name:44s} {cells}   best {errors[best]:.3g} at trial {best + 1}")
 
 
-nominal, other = machine(), machine(gain=1.15, frequencies=np.array((60.0, 280.0)))  # the resonance at 45 Hz instead of 64
+nominal, other = (
+    machine(),
+    machine(gain=1.15, frequencies=np.array((60.0, 280.0))),
+)  # the resonance at 45 Hz instead of 64
 noisy, shaken = machine(noise=2e-3), machine(disturbance=0.3)
 p_type = WithFeedback(PIDType(gamma_p=0.5), pid)
 lead = WithFeedback(PIDType(gamma_p=0.5, lead=12), pid)
@@ -88,29 +106,35 @@ assert np.ptp(feedback_only) < 1e-9 * feedback_only[0]  # it repeats exactly, so
 # %% [markdown]
 # ## 1. Lead first
 #
-# The error of the P-type law without lead falls to a third and then grows without bound: beyond 12 Hz $|1 - \gamma z P| > 1$. Twelve
-# samples of lead move that to 97 Hz, where there is little left to amplify.
+# The error of the P-type law without lead falls to a third and then grows without bound: beyond 12
+# Hz $|1 - \gamma z P| > 1$. Twelve samples of lead move that to 97 Hz, where there is little left
+# to amplify.
 
 # %%
 without, with_lead = rms(p_type, nominal), rms(lead, nominal)
 row("P-type", without)
 row("P-type, lead of 12 samples", with_lead)
-loop = frequency.linear_loop(Machine(axis), pid, task)  # from what is learned to the output, under feedback
+loop = frequency.linear_loop(
+    Machine(axis), pid, task
+)  # from what is learned to the output, under feedback
 f = np.linspace(0.5, 500.0, 1000)
 P, z = np.asarray(frequency.response(loop, f, task.dt))[:, 0, 0], np.exp(2j * np.pi * f * task.dt)
 for m in (0, 12):
     gain = np.abs(1 - 0.5 * z ** (1 + m) * P)
     first = f[np.argmax(gain > 1)]
-    print(f"lead of {m:2d} samples: sup |1 - gamma z^(1+m) P| = {np.max(gain):.4f}, first above 1 at {first:.1f} Hz")
+    print(
+        f"lead of {m:2d} samples: sup |1 - gamma z^(1+m) P| = {np.max(gain):.4f}, first above 1 at {first:.1f} Hz"
+    )
 assert without[-1] > 10 * np.min(without)
 assert with_lead[-1] < 1e-2 * feedback_only[0]
 
 # %% [markdown]
 # ## 2. A model is worth trials, as long as it is right
 #
-# Norm-optimal learning minimises $|e_{j+1}|^2_{w_q} + |u_{j+1} - u_j|^2_{w_r} + |u_{j+1}|^2_{w_s}$ with a model of the closed loop. With
-# the true model five trials do. With the resonance at 45 Hz instead of 64 and 15 % more gain it diverges, while P-type with lead does not
-# notice. A weight $w_r$ a thousand times larger makes it cautious.
+# Norm-optimal learning minimises $|e_{j+1}|^2_{w_q} + |u_{j+1} - u_j|^2_{w_r} + |u_{j+1}|^2_{w_s}$
+# with a model of the closed loop. With the true model five trials do. With the resonance at 45 Hz
+# instead of 64 and 15 % more gain it diverges, while P-type with lead does not notice. A weight
+# $w_r$ a thousand times larger makes it cautious.
 
 # %%
 model = plants.StateSpace(loop.A, loop.B, loop.C, dt=task.dt)
@@ -130,12 +154,15 @@ assert lead_other[-1] < 1e-2 * lead_other[0]
 # %% [markdown]
 # ## 3. No model: mind the sign
 #
-# MFAILC estimates its gain from the trials. With `phi0` of the plant's sign it does what P-type with a tuned gain does; with the other
-# sign it diverges, and the reset keeps it there.
+# MFAILC estimates its gain from the trials. With `phi0` of the plant's sign it does what P-type
+# with a tuned gain does; with the other sign it diverges, and the reset keeps it there.
 
 # %%
 adaptive = WithFeedback(CFDLMFAILC(phi0=0.5, lam=1.0, lead=12), pid)
-right_sign, wrong_sign = rms(adaptive, nominal), rms(WithFeedback(CFDLMFAILC(phi0=-0.5, lam=1.0, lead=12), pid), nominal)
+right_sign, wrong_sign = (
+    rms(adaptive, nominal),
+    rms(WithFeedback(CFDLMFAILC(phi0=-0.5, lam=1.0, lead=12), pid), nominal),
+)
 row("CFDL-MFAILC with lead", right_sign)
 row("CFDL-MFAILC with lead, phi0 of the wrong sign", wrong_sign)
 assert right_sign[-1] < 1e-2 * right_sign[0]
@@ -144,9 +171,11 @@ assert wrong_sign[-1] > wrong_sign[0]
 # %% [markdown]
 # ## 4. What does not repeat
 #
-# White noise of 2 µm at the encoder, and a random force on the input. What is new in each trial is the spread of the error under feedback
-# alone. Learning copies a share of it into the next trial, so the error settles above that spread, the more so the faster the law. Half the
-# speed comes nearer to it on the shaken machine, and is still on its way on the noisy one: learn fast first, then slowly. A filter $Q$ of
+# White noise of 2 µm at the encoder, and a random force on the input. What is new in each trial is
+# the spread of the error under feedback alone. Learning copies a share of it into the next trial,
+# so the error settles above that spread, the more so the faster the law. Half the speed comes
+# nearer to it on the shaken machine, and is still on its way on the noisy one: learn fast first,
+# then slowly. A filter $Q$ of
 # 25 Hz costs a floor of its own: what lies above its cutoff is not learned.
 
 # %%
@@ -154,7 +183,9 @@ slow = WithFeedback(PIDType(gamma_p=0.25, lead=12), pid)
 floor = {}
 for where, on in {"noisy": noisy, "shaken": shaken}.items():
     e = errors_of(pid, on)
-    floor["new in each trial", where] = np.sqrt(np.mean((e - np.mean(e, axis=0)) ** 2) * TRIALS / (TRIALS - 1))
+    floor["new in each trial", where] = np.sqrt(
+        np.mean((e - np.mean(e, axis=0)) ** 2) * TRIALS / (TRIALS - 1)
+    )
     for name, scheme in {"slow P-type": slow, "P-type": lead, "norm-optimal": norm_optimal}.items():
         errors = rms(scheme, on)
         floor[name, where] = np.sqrt(np.mean(errors[-15:] ** 2))
@@ -162,7 +193,9 @@ for where, on in {"noisy": noisy, "shaken": shaken}.items():
 row("P-type with lead and Q, no noise at all", rms(filtered, nominal))
 for key, value in floor.items():
     print(f"RMS over the last 15 trials [µm]: {', '.join(key):28s} {value:.3g}")
-shaken_floors = [floor[name, "shaken"] for name in ("new in each trial", "slow P-type", "P-type", "norm-optimal")]
+shaken_floors = [
+    floor[name, "shaken"] for name in ("new in each trial", "slow P-type", "P-type", "norm-optimal")
+]
 assert shaken_floors == sorted(shaken_floors)
 
 # %%
@@ -175,7 +208,9 @@ curves = {
     "norm-optimal, wrong model": wrong_model,
     "CFDL-MFAILC, lead": right_sign,
 }
-for (name, errors), colour, dash in zip(curves.items(), figures.COLOURS, figures.DASHES, strict=False):
+for (name, errors), colour, dash in zip(
+    curves.items(), figures.COLOURS, figures.DASHES, strict=False
+):
     ax.semilogy(np.arange(1, TRIALS + 1), errors, color=colour, linestyle=dash, label=name)
 ax.set(xlabel="trial", ylabel="RMS error [µm]", ylim=(5e-3, 1e4))
 ax.grid(True, which="both", alpha=0.25)
@@ -185,9 +220,13 @@ ax.figure
 # %% [markdown]
 # ## Before the machine
 #
-# 1. Run the same trial a few times without learning. The spread is your floor (`jaxilc.repeatability`).
-# 2. Choose lead and filter in simulation; check $|Q(1 - \gamma z P)| < 1$ for every plant within a bound of the nominal one
-#    (`theory.frequency.robust_condition`), or for the corners of the uncertainty, samples of it and the worst that ascent finds
-#    (`family_condition`: of the plants between them it proves nothing). `jaxilc certify` says of each machine drawn where learning goes.
+# 1. Run the same trial a few times without learning. The spread is your floor
+#    (`jaxilc.repeatability`).
+# 2. Choose lead and filter in simulation; check $|Q(1 - \gamma z P)| < 1$ for every plant within a
+# bound of the nominal one (`theory.frequency.robust_condition`), or for the corners of the
+# uncertainty, samples of it and the worst that ascent finds
+# (`family_condition`: of the plants between them it proves nothing). `jaxilc certify` says of each
+# machine drawn where learning goes.
 # 3. Tune gain and cutoff on many machines (notebook 04).
-# 4. Start the campaign with limits on the input (notebook 07), and stop when the error stops falling (`StopWhen`).
+# 4. Start the campaign with limits on the input (notebook 07), and stop when the error stops
+#    falling (`StopWhen`).

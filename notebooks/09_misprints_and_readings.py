@@ -13,9 +13,9 @@
 # %% [markdown]
 # # The papers' misprints and readings
 #
-# Five papers, and what in their print does not fit together. Each entry says how it is read here; where it is cheap, the number is
-# recomputed. What was *chosen* because a paper does not print it is listed by `jaxilc.scenarios.load(name).chosen`, at the end of this
-# page.
+# Five papers, and what in their print does not fit together. Each entry says how it is read here;
+# where it is cheap, the number is recomputed. What was *chosen* because a paper does not print it
+# is listed by `jaxilc.scenarios.load(name).chosen`, at the end of this page.
 
 # %%
 import control
@@ -36,9 +36,10 @@ def dc_gain(a, b):
 # %% [markdown]
 # ## Cao 2019: voice-coil motor
 #
-# **Equations 7 and 29 are not the same motor.** The identified model is $G(s) = 7437.7769\,(s - 928.2)/((s+474)^2(s+6.404))$; the
-# difference equation is its zero-order hold at 1 ms, rounded. The rounding moves the DC gain by a tenth, since $1 - \sum a$ is a
-# difference of near numbers, and splits the double pole in two. Both forms are kept: `exact` and `printed`.
+# **Equations 7 and 29 are not the same motor.** The identified model is $G(s) = 7437.7769\,(s -
+# 928.2)/((s+474)^2(s+6.404))$; the difference equation is its zero-order hold at 1 ms, rounded. The
+# rounding moves the DC gain by a tenth, since $1 - \sum a$ is a difference of near numbers, and
+# splits the double pole in two. Both forms are kept: `exact` and `printed`.
 
 # %%
 G = control.zpk([928.2], [-474.0, -474.0, -6.404], 7437.7769)
@@ -47,34 +48,42 @@ num, den = (np.squeeze(x) for x in control.tfdata(control.tf(sampled)))
 exact = {"a": -den[1:], "b": num[-3:]}
 for name, form in {"exact": exact, "eq. 29": CAO_2019_EQ_29}.items():
     a, b = np.asarray(form["a"]), np.asarray(form["b"])
-    print(f"{name:7s} a = {np.round(a, 6)}, b = {np.round(b, 6)}, DC gain {dc_gain(a, b):.4f}, poles {np.round(np.roots(np.r_[1, -a]), 5)}")
-print(f"DC gain of eq. 7: {float(np.real(G(0))):.4f} mm/V; first sample of the step response: {num[-3]:+.6f} mm/V")
+    print(
+        f"{name:7s} a = {np.round(a, 6)}, b = {np.round(b, 6)}, DC gain {dc_gain(a, b):.4f}, poles {np.round(np.roots(np.r_[1, -a]), 5)}"
+    )
+print(
+    f"DC gain of eq. 7: {float(np.real(G(0))):.4f} mm/V; first sample of the step response: {num[-3]:+.6f} mm/V"
+)
 assert abs(dc_gain(**exact) - float(np.real(G(0)))) < 1e-3
 assert abs(dc_gain(**CAO_2019_EQ_29) + 4.3) < 1e-6
 
 # %% [markdown]
-# The first sample of the step response is positive and the DC gain negative. So the sign of the pseudo partial derivative depends on
-# where one looks; $\hat\varphi(\cdot, 1)$ is not printed, and a positive one diverges.
+# The first sample of the step response is positive and the DC gain negative. So the sign of the
+# pseudo partial derivative depends on where one looks; $\hat\varphi(\cdot, 1)$ is not printed, and
+# a positive one diverges.
 #
-# **Equation 15** prints the contraction as $|\rho\varphi\hat\varphi/(\lambda + \hat\varphi^2)|$; a "1 −" is missing. On the static plant
-# $y[k+1] = \varphi u[k]$ one trial decides which is right:
+# **Equation 15** prints the contraction as $|\rho\varphi\hat\varphi/(\lambda + \hat\varphi^2)|$; a
+# "1 −" is missing. On the static plant $y[k+1] = \varphi u[k]$ one trial decides which is right:
 
 # %%
 phi, estimate, lam, rho, e = 0.8, 0.5, 1.0, 1.0, 1.0
 gain = rho * estimate / (lam + estimate**2)
 after = e - phi * gain * e
-print(f"|e_j / e_j-1| = {abs(after / e):.4f};  with '1 -': {abs(1 - gain * phi):.4f};  as printed: {abs(gain * phi):.4f}")
+print(
+    f"|e_j / e_j-1| = {abs(after / e):.4f};  with '1 -': {abs(1 - gain * phi):.4f};  as printed: {abs(gain * phi):.4f}"
+)
 assert np.isclose(abs(after / e), abs(1 - gain * phi))
 
 # %% [markdown]
-# **No reset is printed.** The theory's book has one, of three clauses, and Dai 2014 (eq. 12) prints it. The clause on a small $|\Delta
-# u|$ can cause bursts; the scenario uses the clause on the sign only (`reset="sign"`).
+# **No reset is printed.** The theory's book has one, of three clauses, and Dai 2014 (eq. 12) prints
+# it. The clause on a small $|\Delta u|$ can cause bursts; the scenario uses the clause on the sign
+# only (`reset="sign"`).
 #
-# **Table 2** prints 0.3 Hz three times; 0.3, 0.4 and 0.5 Hz are meant, the errors rise with the frequency. The denominator of $G(z)$
-# prints $z$ where $z^2$ is meant.
+# **Table 2** prints 0.3 Hz three times; 0.3, 0.4 and 0.5 Hz are meant, the errors rise with the
+# frequency. The denominator of $G(z)$ prints $z$ where $z^2$ is meant.
 #
-# **PID** is printed without its form. In position form with $K_i$ multiplied by the sample time it gives 22 µm for the printed 23 to 30
-# µm.
+# **PID** is printed without its form. In position form with $K_i$ multiplied by the sample time it
+# gives 22 µm for the printed 23 to 30 µm.
 #
 # ## Dai 2014: predictive control of the same motor
 #
@@ -86,7 +95,8 @@ for name, form in {"Cao 2019, eq. 29": CAO_2019_EQ_29, "Dai 2014, eq. 24": DAI_2
 assert abs(dc_gain(**DAI_2014_EQ_24) + 1.19) < 0.01
 
 # %% [markdown]
-# **Equation 17** prints $(A_1^T A_1\,\lambda I)^{-1}$; a "+" is missing. With it, one control move ($P_u = 1$) gives equation 10 exactly:
+# **Equation 17** prints $(A_1^T A_1\,\lambda I)^{-1}$; a "+" is missing. With it, one control move
+# ($P_u = 1$) gives equation 10 exactly:
 
 # %%
 P, lam, phi = 10, 45.0, -0.12
@@ -102,19 +112,24 @@ assert np.isclose(matrix_law, scalar_law, rtol=1e-12)
 #
 # ## Li 2020: CNC axis
 #
-# **Equation 3** prints a state matrix whose poles are rounding errors away from a double integrator with a lag, $(z-1)^2(z-0.85)$, and
-# unstable as they stand:
+# **Equation 3** prints a state matrix whose poles are rounding errors away from a double integrator
+# with a lag, $(z-1)^2(z-0.85)$, and unstable as they stand:
 
 # %%
 A = np.array([[2.85, -1.35, 0.8502], [2.0, 0.0, 0.0], [0.0, 0.5, 0.0]])
 print("poles as printed:", np.round(np.sort(np.abs(np.linalg.eigvals(A)))[::-1], 4))
-print("characteristic polynomial:", np.round(np.poly(A), 4), "  (z-1)^2 (z-0.85):", np.round(np.poly([1, 1, 0.85]), 4))
+print(
+    "characteristic polynomial:",
+    np.round(np.poly(A), 4),
+    "  (z-1)^2 (z-0.85):",
+    np.round(np.poly([1, 1, 0.85]), 4),
+)
 assert np.max(np.abs(np.poly(A) - np.poly([1, 1, 0.85]))) < 1e-3
 assert np.max(np.abs(np.linalg.eigvals(A))) > 1.03
 
 # %% [markdown]
-# **The "fourth-order" filter** has three poles: to the digits printed, a *third*-order Butterworth by impulse invariance, of 10 Hz at a
-# sample rate of 855 Hz. Its DC gain is not 1.
+# **The "fourth-order" filter** has three poles: to the digits printed, a *third*-order Butterworth
+# by impulse invariance, of 10 Hz at a sample rate of 855 Hz. Its DC gain is not 1.
 
 # %%
 a, b = np.array([1, -2.8531, 2.7167, -0.8633]), np.array([0, 0.00018896, 0.00017992])
@@ -126,14 +141,15 @@ print(f"DC gain of the print: {np.sum(b) / np.sum(a):.2f}")
 assert np.max(np.abs(a - invariant)) < 3e-4
 
 # %% [markdown]
-# **Equation 12**, the switchable filter, prints its first interval three times; cutoffs $w_a, w_b, w_a$ on $[0, S_1), [S_1, S_2), [S_2,
-# N]$ are meant.
+# **Equation 12**, the switchable filter, prints its first interval three times; cutoffs $w_a, w_b,
+# w_a$ on $[0, S_1), [S_1, S_2), [S_2, N]$ are meant.
 #
 # ## Xu 2024: fast tool servo
 #
-# **The error changes its sign** between the sections: $e = y - y_d$ in the sliding mode, $y_d - y$ in the learning law. **The saturation
-# function** is $\sigma/\Delta$ inside the layer and the sign outside; the prose has them the wrong way round. **$u_k$ in (25) to (27)**
-# is read as the learned part of the input, not the whole. The printed percentages confirm the stroke of 20 µm:
+# **The error changes its sign** between the sections: $e = y - y_d$ in the sliding mode, $y_d - y$
+# in the learning law. **The saturation function** is $\sigma/\Delta$ inside the layer and the sign
+# outside; the prose has them the wrong way round. **$u_k$ in (25) to (27)** is read as the learned
+# part of the input, not the whole. The printed percentages confirm the stroke of 20 µm:
 
 # %%
 for name, error, percent in (("ASMC", 987.91, 4.94), ("ILC-ASMC", 268.87, 1.34)):
@@ -143,25 +159,33 @@ for name, error, percent in (("ASMC", 987.91, 4.94), ("ILC-ASMC", 268.87, 1.34))
 # %% [markdown]
 # ## MILC 2024: flexible ball-screw drive
 #
-# **Equation 10** prints the motor's acceleration in the table's equation, and **$P_Z$** with $c_T + c_M$ where $c_s + c_T$ follows. Two
-# masses, numbers of any size, and the transfer function from motor to table decide:
+# **Equation 10** prints the motor's acceleration in the table's equation, and **$P_Z$** with $c_T +
+# c_M$ where $c_s + c_T$ follows. Two masses, numbers of any size, and the transfer function from
+# motor to table decide:
 
 # %%
 m_M, m_T, k, c_s, c_T, c_M = 2.0, 3.0, 5e3, 7.0, 11.0, 13.0
 A = np.array(
-    [[0, 0, 1, 0], [0, 0, 0, 1], [-k / m_M, k / m_M, -(c_M + c_s) / m_M, c_s / m_M], [k / m_T, -k / m_T, c_s / m_T, -(c_T + c_s) / m_T]]
+    [
+        [0, 0, 1, 0],
+        [0, 0, 0, 1],
+        [-k / m_M, k / m_M, -(c_M + c_s) / m_M, c_s / m_M],
+        [k / m_T, -k / m_T, c_s / m_T, -(c_T + c_s) / m_T],
+    ]
 )
 drive = control.ss(A, [[0], [0], [1 / m_M], [0]], [[1, 0, 0, 0], [0, 1, 0, 0]], 0)
 s = 2j * np.pi * 5.0
 motor, table = np.squeeze(drive(s))
 for name, c in (("c_s + c_T", c_s + c_T), ("c_T + c_M, as printed", c_T + c_M)):
-    print(f"|P_Z| at 5 Hz with {name}: {abs((c_s * s + k) / (m_T * s**2 + c * s + k)):.5f};  of the two masses: {abs(table / motor):.5f}")
+    print(
+        f"|P_Z| at 5 Hz with {name}: {abs((c_s * s + k) / (m_T * s**2 + c * s + k)):.5f};  of the two masses: {abs(table / motor):.5f}"
+    )
 assert np.isclose(table / motor, (c_s * s + k) / (m_T * s**2 + (c_s + c_T) * s + k))
 
 # %% [markdown]
-# **Appendix A**, the recursion for norm-optimal learning, has slips; it is derived afresh in `jaxilc.schemes.NormOptimal` and agrees
-# with the dense form to rounding. **The unit of the input** is not printed, and decides how the printed weights act: 50 mm/s per volt is
-# chosen.
+# **Appendix A**, the recursion for norm-optimal learning, has slips; it is derived afresh in
+# `jaxilc.schemes.NormOptimal` and agrees with the dense form to rounding. **The unit of the input**
+# is not printed, and decides how the printed weights act: 50 mm/s per volt is chosen.
 #
 # ## What was chosen, and what was fitted
 #

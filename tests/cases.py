@@ -1,4 +1,6 @@
-"""Every plant and every scheme once, by name; listing one here gives it every test of test_conformance.py."""
+"""Every plant and every scheme once, by name; listing one here gives it every test of
+test_conformance.py.
+"""
 
 import numpy as np
 
@@ -51,7 +53,8 @@ from jaxilc.schemes import (
 )
 from jaxilc.signals import Task
 
-# The three tolerance tiers: rounding, central differences, and chance in units of one standard error.
+# The three tolerance tiers: rounding, central differences, and chance in units of one standard
+# error.
 ALGEBRA = {"rtol": 1e-10, "atol": 1e-12}
 DIFFERENCES = {"rtol": 2e-6, "atol": 1e-8}
 SIGMAS = 6.0
@@ -73,7 +76,13 @@ DRIVE = {
     "table_damping": 2.0,
     "command_scale": 10.0,
 }
-_GREASE = StribeckFriction(coulomb_force=2.0, static_force=3.0, transition_velocity=0.02, stribeck_velocity=0.05, viscous=1.0)
+_GREASE = StribeckFriction(
+    coulomb_force=2.0,
+    static_force=3.0,
+    transition_velocity=0.02,
+    stribeck_velocity=0.05,
+    viscous=1.0,
+)
 _WAVE = 1 + 0.05 * np.sin(np.arange(FEW))[:, None, None]
 
 # a fast tool servo slow enough for 1 ms, with a gain of 1 um/V
@@ -84,12 +93,21 @@ PLANTS = {
     "voice_coil_printed": voice_coil("printed"),
     "voice_coil_dai": voice_coil("dai_2014_printed"),
     "arx": DifferenceEquation(*ARX, dt=DT),
-    "continuous": StateSpace([[0.0, 1.0], [-4e3, -80.0]], [[0.0], [4e3]], [[1.0, 0.0]], x0=(0.02, -1.0)),
+    "continuous": StateSpace(
+        [[0.0, 1.0], [-4e3, -80.0]], [[0.0], [4e3]], [[1.0, 0.0]], x0=(0.02, -1.0)
+    ),
     "discrete": StateSpace([[0.9, 0.1], [-0.2, 0.8]], [[0.01], [0.1]], [[1.0, 0.5]], dt=DT),
-    "mimo": StateSpace([[-50.0, 20.0], [5.0, -90.0]], [[50.0, 5.0], [-10.0, 80.0]], [[1.0, 0.1], [0.2, 1.0]]),
-    # an inactive limit has no gradient, so the motor goes without; a slow current loop takes one substep a sample
-    "motor": VoiceCoilMotor(current_gain=30.0, substep=1e-3, current_limit=None, voltage_limit=None, speed_limit=None),
-    "process_model": ProcessModel(gain=-4.8, zeros=(900.0,), poles=(6.4,), frequencies=(470.0,), dampings=(0.9,)),
+    "mimo": StateSpace(
+        [[-50.0, 20.0], [5.0, -90.0]], [[50.0, 5.0], [-10.0, 80.0]], [[1.0, 0.1], [0.2, 1.0]]
+    ),
+    # an inactive limit has no gradient, so the motor goes without; a slow current loop takes one
+    # substep a sample
+    "motor": VoiceCoilMotor(
+        current_gain=30.0, substep=1e-3, current_limit=None, voltage_limit=None, speed_limit=None
+    ),
+    "process_model": ProcessModel(
+        gain=-4.8, zeros=(900.0,), poles=(6.4,), frequencies=(470.0,), dampings=(0.9,)
+    ),
     "fast_tool_servo_linear": FastToolServo(
         **_SERVO,
         amplifier_bandwidth=80.0,
@@ -115,13 +133,27 @@ PLANTS = {
         compensation=FrictionTable.of(_GREASE, np.linspace(-0.1, 0.1, 7)),
     ),
     "time_varying": TimeVaryingStateSpace(
-        np.array([[0.9, 0.1], [-0.2, 0.8]]) * _WAVE, np.array([[0.05], [0.1]]) / _WAVE, np.array([[1.0, 0.5]]) * _WAVE[::-1], dt=DT
+        np.array([[0.9, 0.1], [-0.2, 0.8]]) * _WAVE,
+        np.array([[0.05], [0.1]]) / _WAVE,
+        np.array([[1.0, 0.5]]) * _WAVE[::-1],
+        dt=DT,
     ),
-    "motor_and_table": StateSpace([[0.9, 0.1], [0.3, 0.6]], [[0.2], [0.0]], [[1.0, 0.0], [0.0, 1.0]], dt=DT),
+    "motor_and_table": StateSpace(
+        [[0.9, 0.1], [0.3, 0.6]], [[0.2], [0.0]], [[1.0, 0.0], [0.0, 1.0]], dt=DT
+    ),
 }
 
-_NOMINAL = StateSpace([[0.87, 0.12], [0.33, 0.58]], [[0.22], [0.0]], np.eye(2), dt=DT)  # of motor_and_table
-_SLIDING = {"a1": 5.8e4, "a2": 400.0, "b": 1.15e5, "k_n": 200.0, "lam1": 150.0, "lam2": 300.0}  # nearly the model of arx
+_NOMINAL = StateSpace(
+    [[0.87, 0.12], [0.33, 0.58]], [[0.22], [0.0]], np.eye(2), dt=DT
+)  # of motor_and_table
+_SLIDING = {
+    "a1": 5.8e4,
+    "a2": 400.0,
+    "b": 1.15e5,
+    "k_n": 200.0,
+    "lam1": 150.0,
+    "lam2": 300.0,
+}  # nearly the model of arx
 _ADAPTIVE = _SLIDING | {"eta": 1e3, "phi": 2e4, "epsilon": 0.03, "Delta": 6.0}
 _CFDL = {"phi0": -0.065, "lam": 0.02, "mu": 0.05, "rho": 0.9}
 _PFDL = {"phi0": (-0.065, 0.02), "lam": 0.02, "mu": 0.05, "rho": (0.9, 0.7)}
@@ -132,55 +164,104 @@ SCHEMES = {
     "pid_position": PID(kp=-8.0, ki=-40.0, kd=-2e-3),
     "pid_increment": PID(kp=-8.0, ki=-40.0, kd=-2e-3, form="increment"),
     "pid_position_limited": PID(kp=-8.0, ki=-400.0, kd=-2e-3, tau=2e-3, limit=6.0),
-    "pid_increment_limited": PID(kp=-8.0, ki=-400.0, kd=-2e-3, tau=2e-3, limit=6.0, form="increment"),
+    "pid_increment_limited": PID(
+        kp=-8.0, ki=-400.0, kd=-2e-3, tau=2e-3, limit=6.0, form="increment"
+    ),
     "p_type": PIDType(gamma_p=-1.0),
     "pd_type": PIDType(gamma_p=-1.0, gamma_d=-3.0, lead=2),
-    "pid_type_leaky_limited": PIDType(gamma_p=-1.0, gamma_i=-0.05, gamma_d=-3.0, leak=0.05, limit=1.7, lead=3),
-    **{f"{name}_{mode}": law(**weights, reset=mode) for name, (law, weights) in _MFAILC.items() for mode in ("book", "sign", "none")},
-    **{f"{name}_lead_limited": law(**weights, reset="sign", lead=2, limit=2.0) for name, (law, weights) in _MFAILC.items()},
+    "pid_type_leaky_limited": PIDType(
+        gamma_p=-1.0, gamma_i=-0.05, gamma_d=-3.0, leak=0.05, limit=1.7, lead=3
+    ),
+    **{
+        f"{name}_{mode}": law(**weights, reset=mode)
+        for name, (law, weights) in _MFAILC.items()
+        for mode in ("book", "sign", "none")
+    },
+    **{
+        f"{name}_lead_limited": law(**weights, reset="sign", lead=2, limit=2.0)
+        for name, (law, weights) in _MFAILC.items()
+    },
     "cfdl_smooth": CFDLMFAILC(phi0=-0.065, lam=0.02, mu=0.05, epsilon=0.02, reset="smooth"),
-    "ffdl_smooth": FFDLMFAILC(phi0=(0.5, -0.1, -0.06, 0.03), lam=0.02, mu=0.05, epsilon=0.02, reset="smooth"),
+    "ffdl_smooth": FFDLMFAILC(
+        phi0=(0.5, -0.1, -0.06, 0.03), lam=0.02, mu=0.05, epsilon=0.02, reset="smooth"
+    ),
     "cfdl_mfac": CFDLMFAC(lam=0.3, phi0=-0.1, reset="sign"),
     "pfdl_mfac": PFDLMFAC(lam=0.3, phi0=(-0.1, 0.02), rho=(0.9, 0.6), reset="sign"),
-    "ffdl_mfac": FFDLMFAC(lam=0.3, phi0=(0.5, -0.1, -0.1, 0.02), rho=(0.9, 0.6, 0.8, 0.7), reset="none"),
+    "ffdl_mfac": FFDLMFAC(
+        lam=0.3, phi0=(0.5, -0.1, -0.1, 0.02), rho=(0.9, 0.6, 0.8, 0.7), reset="none"
+    ),
     "cfdl_mfapc": CFDLMFAPC(lam=3.0, phi0=-0.1, P=5, reset="sign"),
-    "cfdl_mfapc_moves": CFDLMFAPC(lam=3.0, phi0=-0.1, P=5, P_u=3, n_p=2, theta0=(0.8, 0.1), reset="sign", reference="constant"),
-    "ilc_mfapc": WithFeedback(PIDType(gamma_p=-0.2, gamma_d=-1.0), CFDLMFAPC(lam=3.0, phi0=-0.1, P=5, reset="sign")),
-    "p_type_on_reference": OnReference(PIDType(gamma_p=0.4, lead=1), CFDLMFAPC(lam=3.0, phi0=-0.1, P=4, reset="sign")),
-    "p_type_over_pid": WithFeedback(PIDType(gamma_p=-1.0, lead=2), PID(kp=-4.0, ki=-40.0, kd=-2e-3)),
+    "cfdl_mfapc_moves": CFDLMFAPC(
+        lam=3.0, phi0=-0.1, P=5, P_u=3, n_p=2, theta0=(0.8, 0.1), reset="sign", reference="constant"
+    ),
+    "ilc_mfapc": WithFeedback(
+        PIDType(gamma_p=-0.2, gamma_d=-1.0), CFDLMFAPC(lam=3.0, phi0=-0.1, P=5, reset="sign")
+    ),
+    "p_type_on_reference": OnReference(
+        PIDType(gamma_p=0.4, lead=1), CFDLMFAPC(lam=3.0, phi0=-0.1, P=4, reset="sign")
+    ),
+    "p_type_over_pid": WithFeedback(
+        PIDType(gamma_p=-1.0, lead=2), PID(kp=-4.0, ki=-40.0, kd=-2e-3)
+    ),
     "p_type_fir": Filtered(PIDType(gamma_p=-1.0), ZeroPhaseFIR((0.4, 0.2, 0.1))),
     "p_type_butterworth": Filtered(PIDType(gamma_p=-1.0), ZeroPhaseButterworth(80.0)),
     "cfdl_butterworth": Filtered(CFDLMFAILC(**_CFDL), ZeroPhaseButterworth(80.0, order=3)),
     "error_filtered": ErrorFiltered(PIDType(gamma_p=-1.0, lead=1), ZeroPhaseFIR((0.6, 0.2))),
     "ffdl_fir": Filtered(FFDLMFAILC(**_FFDL), ZeroPhaseFIR((0.6, 0.2))),
     "pid_feedforward": PID(kp=-8.0, ki=-40.0, kd=-2e-3, kv=-2e-3, ka=-2e-5),
-    "pid_feedforward_increment": PID(kp=-8.0, ki=-400.0, kd=-2e-3, limit=5.0, form="increment", kv=-2e-3, ka=-2e-5),
+    "pid_feedforward_increment": PID(
+        kp=-8.0, ki=-400.0, kd=-2e-3, limit=5.0, form="increment", kv=-2e-3, ka=-2e-5
+    ),
     "higher_order": HigherOrder((0.7, 0.3), (-0.8, -0.4), lead=1),
-    "higher_order_leaky_limited": HigherOrder((0.6, 0.2, 0.1), ((-0.8,), (-0.4,), (-0.2,)), limit=1.2),
+    "higher_order_leaky_limited": HigherOrder(
+        (0.6, 0.2, 0.1), ((-0.8,), (-0.4,), (-0.2,)), limit=1.2
+    ),
     "p_type_switchable": Filtered(
-        PIDType(gamma_p=-1.0), SwitchableFilter((60.0, 150.0, 90.0), (0.0083, 0.0187), 0.006, order=1, padding=4)
+        PIDType(gamma_p=-1.0),
+        SwitchableFilter((60.0, 150.0, 90.0), (0.0083, 0.0187), 0.006, order=1, padding=4),
     ),
     # a Butterworth of 80 Hz at 1 kHz
-    "p_type_iir": Filtered(PIDType(gamma_p=-1.0), ZeroPhaseIIR((0.0461, 0.0922, 0.0461), (1.0, -1.3073, 0.4918))),
+    "p_type_iir": Filtered(
+        PIDType(gamma_p=-1.0), ZeroPhaseIIR((0.0461, 0.0922, 0.0461), (1.0, -1.3073, 0.4918))
+    ),
     # good enough, for the first time, in the third trial
-    "p_type_stop": StopWhen(Filtered(PIDType(gamma_p=-1.0), ZeroPhaseFIR()), max_error=0.85, rms=0.6, growth=0.5),
+    "p_type_stop": StopWhen(
+        Filtered(PIDType(gamma_p=-1.0), ZeroPhaseFIR()), max_error=0.85, rms=0.6, growth=0.5
+    ),
     # the gain grows after the second trial, and after the third as far as it may
-    "p_type_ladder": Ladder(PIDType(gamma_p=-0.3, lead=1), repeats=1, growth_of_gain=1.2, largest=1.3, slow=0.5),
+    "p_type_ladder": Ladder(
+        PIDType(gamma_p=-0.3, lead=1), repeats=1, growth_of_gain=1.2, largest=1.3, slow=0.5
+    ),
     "p_type_on_table": OnOutputs(PIDType(gamma_p=0.5, lead=1), (1,)),
     "norm_optimal": NormOptimal(
-        StateSpace([[0.94, 0.03], [0.01, 0.9]], [[0.06, 0.01], [-0.02, 0.07]], [[1.0, 0.05], [0.25, 1.0]], dt=DT),
+        StateSpace(
+            [[0.94, 0.03], [0.01, 0.9]],
+            [[0.06, 0.01], [-0.02, 0.07]],
+            [[1.0, 0.05], [0.25, 1.0]],
+            dt=DT,
+        ),
         w_q=((4.0, 0.5), (0.5, 3.0)),
         w_r=(0.02, 0.03),
         w_s=0.001,
     ),
     "norm_optimal_lifted": NormOptimal(
-        StateSpace([[0.88, 0.12], [-0.15, 0.8]], [[0.02], [0.09]], [[1.0, 0.4]], dt=DT), w_r=0.05, w_s=0.01, limit=0.6, form="lifted"
+        StateSpace([[0.88, 0.12], [-0.15, 0.8]], [[0.02], [0.09]], [[1.0, 0.4]], dt=DT),
+        w_r=0.05,
+        w_s=0.01,
+        limit=0.6,
+        form="lifted",
     ),
     "dilc": WithFeedback(
-        OnOutputs(NormOptimal(direct_model(0.5, _NOMINAL), w_q=2.0, w_r=0.1, w_s=0.05), (1,)), OnOutputs(PID(kp=0.5, kd=1e-4), (0,))
+        OnOutputs(NormOptimal(direct_model(0.5, _NOMINAL), w_q=2.0, w_r=0.1, w_s=0.05), (1,)),
+        OnOutputs(PID(kp=0.5, kd=1e-4), (0,)),
     ),
     "milc": MultivariableILC(
-        NormOptimal(multivariable_model(0.5, _NOMINAL), w_q=(1.0, 2.0), w_r=((0.1, 0.02), (0.02, 0.3)), w_s=0.01),
+        NormOptimal(
+            multivariable_model(0.5, _NOMINAL),
+            w_q=(1.0, 2.0),
+            w_r=((0.1, 0.02), (0.02, 0.3)),
+            w_s=0.01,
+        ),
         PID(kp=0.5, kd=1e-4),
         prefilter=ZeroPhaseFIR((0.6, 0.2)),
     ),
@@ -188,7 +269,10 @@ SCHEMES = {
     "smc_hold_limited": SMC(**_SLIDING, eta=4e3, tau=5e-4, limit=0.6, centre="hold"),
     "asmc": ASMC(**_ADAPTIVE),
     "asmc_carried_limited": ASMC(**_ADAPTIVE, tau=5e-4, limit=0.6, centre="hold", carry=True),
-    "ilc_asmc": WithFeedback(ExponentialPD(K_P=2e4, K_D=200.0, lam0=20.0, b=1.15e5, limit=0.05, lead=1), ASMC(**_ADAPTIVE)),
+    "ilc_asmc": WithFeedback(
+        ExponentialPD(K_P=2e4, K_D=200.0, lam0=20.0, b=1.15e5, limit=0.05, lead=1),
+        ASMC(**_ADAPTIVE),
+    ),
 }
 
 # what runs: every scheme on a plant of its shape, and every plant under a scheme
@@ -205,16 +289,30 @@ _SCHEME_OF = {
     "ball_screw": OnOutputs(PID(kp=6.0, kd=1e-3), (0,)),
     "ball_screw_real": OnOutputs(PID(kp=6.0, kd=1e-3), (0,)),
 }
-_FEW = {"norm_optimal", "norm_optimal_lifted", "dilc", "milc", "ball_screw", "ball_screw_real", "time_varying"}
-CASES = {name: (PLANTS[_PLANT_OF.get(name, "voice_coil_printed")], scheme) for name, scheme in SCHEMES.items()} | {
-    name: (plant, _SCHEME_OF.get(name, PIDType(gamma_p=-0.5 if "coil" in name else 0.5))) for name, plant in PLANTS.items()
+_FEW = {
+    "norm_optimal",
+    "norm_optimal_lifted",
+    "dilc",
+    "milc",
+    "ball_screw",
+    "ball_screw_real",
+    "time_varying",
+}
+CASES = {
+    name: (PLANTS[_PLANT_OF.get(name, "voice_coil_printed")], scheme)
+    for name, scheme in SCHEMES.items()
+} | {
+    name: (plant, _SCHEME_OF.get(name, PIDType(gamma_p=-0.5 if "coil" in name else 0.5)))
+    for name, plant in PLANTS.items()
 }
 
 
 def task_for(plant, N=SAMPLES):
     """A smooth bump, a little higher for each further output."""
     bump = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(N + 1) / N)
-    return Task(np.stack([(1 + 0.3 * i) * bump for i in range(plant.n_y)], axis=1), dt=DT, inputs=plant.n_u)
+    return Task(
+        np.stack([(1 + 0.3 * i) * bump for i in range(plant.n_y)], axis=1), dt=DT, inputs=plant.n_u
+    )
 
 
 def case(name):

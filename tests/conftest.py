@@ -2,9 +2,12 @@
 
 import os
 
-# Compiling dominates these tests; without LLVM's optimiser it takes two thirds of the time. `XLA_FLAGS= pytest` runs what ships.
+# Compiling dominates these tests; without LLVM's optimiser it takes two thirds of the time.
+# `XLA_FLAGS= pytest` runs what ships.
 os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
-os.environ.setdefault("JAXILC_CACHE", "off")  # the command line would keep programs in the user's folder
+os.environ.setdefault(
+    "JAXILC_CACHE", "off"
+)  # the command line would keep programs in the user's folder
 
 import jaxilc.runtime
 
@@ -28,7 +31,10 @@ def _forget_compiled_programs():
 @pytest.fixture(scope="module")
 def compiled_once(tmp_path_factory):
     """For modules whose commands and problems would each compile the same programs again."""
-    settings = {"jax_compilation_cache_dir": str(tmp_path_factory.mktemp("programs")), "jax_persistent_cache_min_compile_time_secs": 0.0}
+    settings = {
+        "jax_compilation_cache_dir": str(tmp_path_factory.mktemp("programs")),
+        "jax_persistent_cache_min_compile_time_secs": 0.0,
+    }
     before = {name: getattr(jax.config, name) for name in settings}
     for name, value in settings.items():
         jax.config.update(name, value)

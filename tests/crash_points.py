@@ -1,8 +1,10 @@
-"""Every state of a folder that a kill could leave behind: a copy before each thing that is done there.
+"""Every state of a folder that a kill could leave behind: a copy before each thing that is done
+there.
 
-Python tells of each file that is opened, each folder made and each name changed (`sys.addaudithook`),
-before it happens. Of a file that was opened for writing, copies are taken with nothing and with half
-of what was written by the time of the next event. States that are alike are kept once.
+Python tells of each file that is opened, each folder made and each name changed
+(`sys.addaudithook`), before it happens. Of a file that was opened for writing, copies are taken
+with nothing and with half of what was written by the time of the next event. States that are alike
+are kept once.
 """
 
 import hashlib
@@ -12,7 +14,14 @@ import sys
 import threading
 from contextlib import contextmanager
 
-CHANGES = {"os.mkdir": 0, "os.rename": 0, "os.remove": 0, "os.rmdir": 0, "os.link": 0, "os.truncate": 0}
+CHANGES = {
+    "os.mkdir": 0,
+    "os.rename": 0,
+    "os.remove": 0,
+    "os.rmdir": 0,
+    "os.link": 0,
+    "os.truncate": 0,
+}
 WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC
 
 
@@ -21,7 +30,12 @@ class Recorder:
 
     def __init__(self, root, kept):
         self.root, self.kept, self.snapshots = str(root), kept, []
-        self.seen, self.written, self.lock, self.busy = set(), None, threading.Lock(), threading.local()
+        self.seen, self.written, self.lock, self.busy = (
+            set(),
+            None,
+            threading.Lock(),
+            threading.local(),
+        )
 
     def __call__(self, event, arguments):
         if getattr(self.busy, "now", False):
@@ -48,7 +62,10 @@ class Recorder:
             os.truncate(folder / cut[0], cut[1])
         state = hashlib.sha256()
         for path in sorted(folder.rglob("*")):
-            state.update(str(path.relative_to(folder)).encode() + (path.read_bytes() if path.is_file() else b"/"))
+            state.update(
+                str(path.relative_to(folder)).encode()
+                + (path.read_bytes() if path.is_file() else b"/")
+            )
         if state.digest() in self.seen:
             shutil.rmtree(folder)
         else:

@@ -13,7 +13,9 @@ from jaxilc.uncertainty import Uniform
 
 N = 20
 TASK = Task(np.sin(2 * np.pi * np.arange(N + 1) / N), dt=1e-3)
-STATIC = Machine(StateSpace([[0.0]], [[1.0]], [[1.0]], dt=1e-3))  # y[k+1] = u[k], so e_j = (1 - gamma g)^(j-1) r with the gain g
+STATIC = Machine(
+    StateSpace([[0.0]], [[1.0]], [[1.0]], dt=1e-3)
+)  # y[k+1] = u[k], so e_j = (1 - gamma g)^(j-1) r with the gain g
 GAINS = {"plant.B": Uniform(0.6, 1.2, relative=True)}
 PROBLEM = Tuning(
     STATIC,

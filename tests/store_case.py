@@ -1,4 +1,6 @@
-"""A small store and a way to fill it, whatever is there already, for the tests of kills and of damage."""
+"""A small store and a way to fill it, whatever is there already, for the tests of kills and of
+damage.
+"""
 
 import numpy as np
 
@@ -10,15 +12,22 @@ LAYOUT = Layout(
     chunk=3,
     configuration={"seed": 1},
 )
-FIGURES = {"rms": np.array([0.1, np.nan, 0.0, np.inf, 2.0]), "finite": np.array([True, False, True, False, True])}
+FIGURES = {
+    "rms": np.array([0.1, np.nan, 0.0, np.inf, 2.0]),
+    "finite": np.array([True, False, True, False, True]),
+}
 
 
 def filled(path):
-    """The store at a place, whatever is there by now, filled to the end; its dataset, and the chunks that were written."""
+    """The store at a place, whatever is there by now, filled to the end; its dataset, and the
+    chunks that were written.
+    """
     written = []
     with Store.resume(path, LAYOUT) if path.exists() else Store.create(path, LAYOUT) as store:
         for chunk, samples in enumerate((slice(0, 3), slice(3, 5))):
             if not store.is_done(0, chunk):
-                store.write(0, chunk, samples, {name: values[samples] for name, values in FIGURES.items()})
+                store.write(
+                    0, chunk, samples, {name: values[samples] for name, values in FIGURES.items()}
+                )
                 written.append(chunk)
         return store.dataset(), written

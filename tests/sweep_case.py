@@ -12,7 +12,10 @@ PLAN = Sweep(
     {"learning": CFDLMFAILC(), "feedback": PID(kp=-5.0)},
     TASK,
     trials=4,
-    uncertainty={"plant.gain": Uniform(0.8, 1.2, relative=True), "plant.poles[2]": Uniform(5.0, 8.0)},
+    uncertainty={
+        "plant.gain": Uniform(0.8, 1.2, relative=True),
+        "plant.poles[2]": Uniform(5.0, 8.0),
+    },
     samples=11,
     seed=7,
     keep=("e", "u"),

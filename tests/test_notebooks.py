@@ -1,4 +1,6 @@
-"""The notebooks, each executed as a notebook: no display, no network, nothing left behind, every figure shown."""
+"""The notebooks, each executed as a notebook: no display, no network, nothing left behind, every
+figure shown.
+"""
 
 import os
 import re
@@ -45,22 +47,34 @@ def test_cells_are_those_of_the_percent_format(path):
 
 
 @pytest.mark.parametrize(
-    "path", [pytest.param(p, marks=[] if p.name[:2] in QUICK else pytest.mark.slow) for p in NOTEBOOKS], ids=lambda path: path.stem
+    "path",
+    [pytest.param(p, marks=[] if p.name[:2] in QUICK else pytest.mark.slow) for p in NOTEBOOKS],
+    ids=lambda path: path.stem,
 )
 def test_runs_as_a_notebook(path, tmp_path):
     jupytext, nbclient = pytest.importorskip("jupytext"), pytest.importorskip("nbclient")
     nbformat, _ = pytest.importorskip("nbformat"), pytest.importorskip("ipykernel")
-    folders = {name: tmp_path / name for name in ("TMPDIR", "IPYTHONDIR", "JUPYTER_RUNTIME_DIR", "here")}
+    folders = {
+        name: tmp_path / name for name in ("TMPDIR", "IPYTHONDIR", "JUPYTER_RUNTIME_DIR", "here")
+    }
     for folder in folders.values():
         folder.mkdir()
     here = folders.pop("here")
-    environment = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "MPLBACKEND")}
+    environment = {
+        name: value for name, value in os.environ.items() if name not in ("DISPLAY", "MPLBACKEND")
+    }
     notebook = jupytext.read(path)
     notebook.cells.insert(0, nbformat.v4.new_code_cell(FIRST))
-    client = nbclient.NotebookClient(notebook, timeout=LIMIT, resources={"metadata": {"path": str(here)}})
+    client = nbclient.NotebookClient(
+        notebook, timeout=LIMIT, resources={"metadata": {"path": str(here)}}
+    )
     client.execute(env=environment | {name: str(folder) for name, folder in folders.items()})
     outputs = [output for cell in notebook.cells for output in cell.get("outputs", ())]
-    assert sum("image/png" in output.get("data", ()) for output in outputs) == FIGURES[path.name[:2]]
+    assert (
+        sum("image/png" in output.get("data", ()) for output in outputs) == FIGURES[path.name[:2]]
+    )
     assert [output.text for output in outputs if output.get("name") == "stderr"] == []
     assert list(here.iterdir()) == []
-    assert [p.name for p in folders["TMPDIR"].iterdir() if not p.name.startswith("matplotlib")] == []
+    assert [
+        p.name for p in folders["TMPDIR"].iterdir() if not p.name.startswith("matplotlib")
+    ] == []

@@ -10,7 +10,11 @@ from jaxilc.uncertainty import draw, drawn_machine, with_spread
 
 MACHINE = Machine(voice_coil(), actuator=Actuator(limit=10.0))
 GAIN, SLOW = "plant.gain", "plant.poles[2]"
-UNCERTAINTY = {GAIN: Uniform(0.9, 1.1, relative=True), SLOW: Normal(6.4, 0.2), "actuator.limit": LogUniform(5.0, 20.0)}
+UNCERTAINTY = {
+    GAIN: Uniform(0.9, 1.1, relative=True),
+    SLOW: Normal(6.4, 0.2),
+    "actuator.limit": LogUniform(5.0, 20.0),
+}
 
 
 @pytest.mark.parametrize("sampling", ["monte-carlo", "latin-hypercube", "sobol"])
@@ -28,7 +32,9 @@ def test_draws_have_the_distribution_asked_for(sampling):
 
 
 def test_latin_hypercube_puts_one_draw_in_each_layer():
-    gain = draw(MACHINE, {GAIN: Uniform(0.0, 1.0, relative=True)}, 33, sampling="latin-hypercube")[GAIN][1:]
+    gain = draw(MACHINE, {GAIN: Uniform(0.0, 1.0, relative=True)}, 33, sampling="latin-hypercube")[
+        GAIN
+    ][1:]
     assert sorted(np.floor(gain * 32).astype(int)) == list(range(32))
 
 
@@ -50,7 +56,12 @@ def test_seeds_differ():
 
 
 def test_corners_are_all_combinations_of_the_ends():
-    drawn = draw(MACHINE, {GAIN: Uniform(0.9, 1.1, relative=True), SLOW: Uniform(5.0, 7.0)}, 1, sampling="corners")
+    drawn = draw(
+        MACHINE,
+        {GAIN: Uniform(0.9, 1.1, relative=True), SLOW: Uniform(5.0, 7.0)},
+        1,
+        sampling="corners",
+    )
     points = set(zip(drawn[GAIN][1:], drawn[SLOW][1:], strict=True))
     assert points == {(0.9, 5.0), (0.9, 7.0), (1.1, 5.0), (1.1, 7.0)}
 
@@ -77,15 +88,35 @@ def test_spread_widens_the_relative_ones_only():
         ({"sensor.noise": Uniform(1, 2)}, {}, r"sensor.noise.*known"),
         ({"actuator.rate": Uniform(1, 2)}, {}, r"actuator.rate = None is not a float leaf"),
         ({"plant.poles": Uniform(1, 2)}, {}, r"plant.poles has shape \(3,\).*plant.poles\[0\]"),
-        ({SLOW: Uniform(-1.0, 7.0)}, {}, r"plant.poles\[2\] was drawn between -.* allowed is \(0, inf\)"),
+        (
+            {SLOW: Uniform(-1.0, 7.0)},
+            {},
+            r"plant.poles\[2\] was drawn between -.* allowed is \(0, inf\)",
+        ),
         (UNCERTAINTY, {"sampling": "halton"}, r"sampling = 'halton' is not one of monte-carlo"),
         (UNCERTAINTY, {"samples": 0}, r"samples = 0 is outside its allowed range \[1, inf\)"),
-        (UNCERTAINTY, {"samples": 2.5}, r"samples = 2.5 is outside its allowed range \[1, inf\) of whole numbers"),
+        (
+            UNCERTAINTY,
+            {"samples": 2.5},
+            r"samples = 2.5 is outside its allowed range \[1, inf\) of whole numbers",
+        ),
         (UNCERTAINTY, {"samples": None}, "samples = None is not a number"),
-        (UNCERTAINTY, {"seed": 2**70}, r"seed = 1.18059e\+21 is outside its allowed range \[0, 9e\+18\] of whole numbers"),
+        (
+            UNCERTAINTY,
+            {"seed": 2**70},
+            r"seed = 1.18059e\+21 is outside its allowed range \[0, 9e\+18\] of whole numbers",
+        ),
         (UNCERTAINTY, {"seed": -1}, r"seed = -1 is outside its allowed range"),
-        ({GAIN: 0.1}, {}, "plant.gain = 0.1 is no distribution; allowed are Uniform, Normal and LogUniform"),
-        ([GAIN], {}, r"uncertainty = \['plant.gain'\] is a list; allowed are names with distributions"),
+        (
+            {GAIN: 0.1},
+            {},
+            "plant.gain = 0.1 is no distribution; allowed are Uniform, Normal and LogUniform",
+        ),
+        (
+            [GAIN],
+            {},
+            r"uncertainty = \['plant.gain'\] is a list; allowed are names with distributions",
+        ),
     ],
 )
 def test_bad_input_is_named(uncertainty, kwargs, message):
@@ -99,7 +130,10 @@ def test_bad_input_is_named(uncertainty, kwargs, message):
         (lambda: Uniform(2, 1), "Uniform: low = 2 must lie below high = 1"),
         (lambda: Normal(0, 0), r"Normal: std = 0 is outside its allowed range \(0, inf\)"),
         (lambda: LogUniform(0, 1), "LogUniform: low = 0 and high = 1"),
-        (lambda: Normal(np.nan, 1.0), r"Normal: mean = nan is outside its allowed range \(-inf, inf\)"),
+        (
+            lambda: Normal(np.nan, 1.0),
+            r"Normal: mean = nan is outside its allowed range \(-inf, inf\)",
+        ),
         (lambda: Normal(0.0, np.inf), r"Normal: std = inf is outside its allowed range \(0, inf\)"),
         (lambda: Uniform(-np.inf, 1.0), "Uniform: low = -inf is outside"),
         (lambda: Uniform("0", 1.0), "Uniform: low = '0' is not a number"),
@@ -107,7 +141,10 @@ def test_bad_input_is_named(uncertainty, kwargs, message):
         (lambda: Uniform(-1.5e308, 1.5e308), "reaches beyond the largest float"),
         (lambda: LogUniform(1e-300, 1e300), "reaches beyond the largest float"),
         (lambda: with_spread(UNCERTAINTY, None), "spread = None is not a number"),
-        (lambda: with_spread(UNCERTAINTY, 1.5), r"spread = 1.5 is outside its allowed range \(0, 1\)"),
+        (
+            lambda: with_spread(UNCERTAINTY, 1.5),
+            r"spread = 1.5 is outside its allowed range \(0, 1\)",
+        ),
     ],
 )
 def test_bad_distributions_are_named(make, message):

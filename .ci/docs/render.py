@@ -1,4 +1,6 @@
-"""The library's pages, by pdoc, where a warning is an error: `render.py FOLDER`; without a folder, whether they can be made."""
+"""The library's pages, by pdoc, where a warning is an error: `render.py FOLDER`; without a folder,
+whether they can be made.
+"""
 
 import sys
 import tempfile
@@ -12,7 +14,9 @@ import jaxilc
 
 
 def settle(found) -> None:
-    """Put a NamedTuple's annotations on its constructor, where pdoc looks for them, and drop `Alias for field number 0`."""
+    """Put a NamedTuple's annotations on its constructor, where pdoc looks for them, and drop `Alias
+    for field number 0`.
+    """
     if isinstance(found, type) and issubclass(found, tuple) and hasattr(found, "_fields"):
         found.__new__.__annotations__ = typing.get_type_hints(found)
         for field in found._fields:

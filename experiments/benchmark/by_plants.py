@@ -1,6 +1,8 @@
-"""The benchmark at 1 to 65,536 plants, written out row by row: nanoseconds per sample-step, ratios, compile time, memory.
+"""The benchmark at 1 to 65,536 plants, written out row by row: nanoseconds per sample-step, ratios,
+compile time, memory.
 
-Takes half an hour on two cores. Numba is an opponent where it is installed, the C program where there is a compiler.
+Takes half an hour on two cores. Numba is an opponent where it is installed, the C program where
+there is a compiler.
 """
 
 import csv
@@ -22,9 +24,20 @@ def rows(plants):
         print(note)
     for size in plants:
         repeats = 5 if size <= WHOLE else 2
-        found = {name: bench.compare(bench.setting(name, size, TRIALS, SAMPLES), opponents, repeats=repeats) for name in bench.SCHEMES}
-        found |= {name: {timing.OURS: bench.alone(name, size, repeats=repeats)} for name in bench.ALONE if size <= WHOLE}
-        found["plant"] = bench.compare_plant(bench.setting("cfdl", size, 1, SAMPLES), repeats=repeats)
+        found = {
+            name: bench.compare(
+                bench.setting(name, size, TRIALS, SAMPLES), opponents, repeats=repeats
+            )
+            for name in bench.SCHEMES
+        }
+        found |= {
+            name: {timing.OURS: bench.alone(name, size, repeats=repeats)}
+            for name in bench.ALONE
+            if size <= WHOLE
+        }
+        found["plant"] = bench.compare_plant(
+            bench.setting("cfdl", size, 1, SAMPLES), repeats=repeats
+        )
         for what, contenders in found.items():
             for name, figures in timing.as_json(contenders).items():
                 ratios = sorted(figures["cpu_ratio"])

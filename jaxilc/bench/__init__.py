@@ -1,4 +1,6 @@
-"""What `jaxilc bench` measures: the same learning run by peers and by jaxilc, numbers compared before times."""
+"""What `jaxilc bench` measures: the same learning run by peers and by jaxilc, numbers compared
+before times.
+"""
 
 import lazy_loader
 

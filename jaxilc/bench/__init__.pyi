@@ -1,5 +1,15 @@
 from . import timing
-from .contests import ALONE, SCHEMES, alone, compare, compare_long, compare_plant, cost_by_size, opponents, setting
+from .contests import (
+    ALONE,
+    SCHEMES,
+    alone,
+    compare,
+    compare_long,
+    compare_plant,
+    cost_by_size,
+    opponents,
+    setting,
+)
 
 __all__ = [
     "ALONE",

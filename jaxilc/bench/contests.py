@@ -1,4 +1,6 @@
-"""What `jaxilc bench` measures: the same learning run by others, which are in `peers`, and by jaxilc."""
+"""What `jaxilc bench` measures: the same learning run by others, which are in `peers`, and by
+jaxilc.
+"""
 
 from __future__ import annotations
 
@@ -30,14 +32,25 @@ from .timing import OURS, Cost, Entry, Row, cores, cost, difference, in_turns
 SCHEMES = {"cfdl": "cfdl-mfailc", "ffdl": "ffdl-mfailc"}
 ALONE = ("noilc", "ilc-asmc")
 BLOCKS = "jaxilc in blocks"
-SLOW = {"NumPy loop": (1, 20), "NumPy batch": (1024, 5)}  # plants and trials that are enough to know the cost of a sample-step
+SLOW = {
+    "NumPy loop": (1, 20),
+    "NumPy batch": (1024, 5),
+}  # plants and trials that are enough to know the cost of a sample-step
 
 
 def opponents() -> tuple[dict[str, tuple[Peer, float]], list[str]]:
-    """The peers that are there, with the seconds it took to build each, and a note for each that is not."""
-    found: dict[str, tuple[Peer, float]] = {"NumPy loop": (peers.numpy_loop, 0.0), "NumPy batch": (peers.numpy_batch, 0.0)}
+    """The peers that are there, with the seconds it took to build each, and a note for each that is
+    not.
+    """
+    found: dict[str, tuple[Peer, float]] = {
+        "NumPy loop": (peers.numpy_loop, 0.0),
+        "NumPy batch": (peers.numpy_batch, 0.0),
+    }
     notes: list[str] = []
-    for name, make in {"Numba parallel": peers.numba_parallel, "C limit": partial(peers.c_program, cores())}.items():
+    for name, make in {
+        "Numba parallel": peers.numba_parallel,
+        "C limit": partial(peers.c_program, cores()),
+    }.items():
         start = time.perf_counter()
         try:
             found[name] = (make(), time.perf_counter() - start)
@@ -47,7 +60,9 @@ def opponents() -> tuple[dict[str, tuple[Peer, float]], list[str]]:
 
 
 class Setting(NamedTuple):
-    """MFAILC on the motor of Cao 2019, eq. 29, whose gain is uncertain by 10 %. b: (S, 3) numerators of the plants"""
+    """MFAILC on the motor of Cao 2019, eq. 29, whose gain is uncertain by 10 %. b: (S, 3)
+    numerators of the plants
+    """
 
     machine: Any
     scheme: Any
@@ -60,7 +75,15 @@ class Setting(NamedTuple):
         s, a = self.scheme, self.machine.plant.a
         weights = np.array([float(x) for x in (s.lam, s.rho, s.eta, s.mu, s.epsilon)])
         settled = self.task.settled.start
-        return Problem(np.asarray(a), self.b, np.asarray(self.task.reference)[:, 0], self.trials, settled, weights, np.atleast_1d(s.phi0))
+        return Problem(
+            np.asarray(a),
+            self.b,
+            np.asarray(self.task.reference)[:, 0],
+            self.trials,
+            settled,
+            weights,
+            np.atleast_1d(s.phi0),
+        )
 
     def ours(self, lanes: int | None = None) -> Callable[[], np.ndarray]:
         """(S, J, 4) figures by `learn`, the plants tiled as a sweep tiles them."""
@@ -70,10 +93,16 @@ class Setting(NamedTuple):
 
 
 def setting(scheme: str, plants: int, trials: int, samples: int) -> Setting:
-    """The scenario `cao-2019` of that size, one period of the sinusoid a trial. scheme: `cfdl` or `ffdl`, else ValueError."""
+    """The scenario `cao-2019` of that size, one period of the sinusoid a trial. scheme: `cfdl` or
+    `ffdl`, else ValueError.
+    """
     if scheme not in SCHEMES:
         raise ValueError(f"bench: scheme = {scheme!r} is not one of {', '.join(SCHEMES)}")
-    for name, value, least in (("plants", plants, 1), ("trials", trials, 1), ("samples", samples, 4)):
+    for name, value, least in (
+        ("plants", plants, 1),
+        ("trials", trials, 1),
+        ("samples", samples, 4),
+    ):
         if value < least:
             raise ValueError(f"bench: {name} = {value} is outside its allowed range [{least}, inf)")
     need_room(plants, trials, samples)
@@ -85,8 +114,8 @@ def setting(scheme: str, plants: int, trials: int, samples: int) -> Setting:
 
 
 def need_room(plants: int, trials: int, samples: int) -> None:
-    """Raises ValueError where the contenders do not fit into memory together: figures of every trial, signals of a few plants, and
-    the outputs of the plants alone."""
+    """Raises ValueError where the contenders do not fit into memory together: figures of every
+    trial, signals of a few plants, and the outputs of the plants alone."""
 
     def need(plants: float, trials: float, samples: float) -> float:
         of_signals = 20 * min(plants, SLOW["NumPy batch"][0]) + 6 * plants
@@ -95,8 +124,12 @@ def need_room(plants: int, trials: int, samples: int) -> None:
     check_size("bench", need, plants=plants, trials=trials, samples=samples)
 
 
-def compare(of: Setting, opponents: Mapping[str, tuple[Peer, float]], *, repeats: int = 5) -> dict[str, Row]:
-    """Ours and every opponent on one setting. Raises ArithmeticError, naming it, where one of them has other numbers."""
+def compare(
+    of: Setting, opponents: Mapping[str, tuple[Peer, float]], *, repeats: int = 5
+) -> dict[str, Row]:
+    """Ours and every opponent on one setting. Raises ArithmeticError, naming it, where one of them
+    has other numbers.
+    """
     whole, N, entries = of.problem, of.task.N, {}
     for name, (peer, built) in opponents.items():
         plants, trials = SLOW.get(name, (None, whole.trials))
@@ -107,7 +140,9 @@ def compare(of: Setting, opponents: Mapping[str, tuple[Peer, float]], *, repeats
 
 
 def compare_plant(of: Setting, *, repeats: int = 5) -> dict[str, Row]:
-    """The plants alone, driven by one input: python-control, SciPy, and `run_trial`; outputs compared."""
+    """The plants alone, driven by one input: python-control, SciPy, and `run_trial`; outputs
+    compared.
+    """
     import control
     import scipy.signal
 
@@ -121,9 +156,21 @@ def compare_plant(of: Setting, *, repeats: int = 5) -> dict[str, Row]:
     common = (of.machine, of.task, u[:, None])
     last = np.append(u, 0.0)
     entries = {
-        "python-control": Entry(lambda: np.stack([control.forced_response(s, time_, last).outputs for s in systems])[..., None], few, 1, N),
+        "python-control": Entry(
+            lambda: np.stack([control.forced_response(s, time_, last).outputs for s in systems])[
+                ..., None
+            ],
+            few,
+            1,
+            N,
+        ),
         "SciPy lfilter": Entry(
-            lambda: np.stack([scipy.signal.lfilter(np.append(0.0, b), denominator, last) for b in of.b])[..., None], S, 1, N
+            lambda: np.stack(
+                [scipy.signal.lfilter(np.append(0.0, b), denominator, last) for b in of.b]
+            )[..., None],
+            S,
+            1,
+            N,
         ),
         OURS: Entry(lambda: np.asarray(run(common, of.b))[..., None], S, 1, N),
     }
@@ -131,7 +178,8 @@ def compare_plant(of: Setting, *, repeats: int = 5) -> dict[str, Row]:
 
 
 def compare_long(samples: int, *, repeats: int = 5) -> dict[str, Row]:
-    """One plant in one long trial: SciPy, `run_trial` step by step, and with the plant in blocks; outputs compared, to 1e-9.
+    """One plant in one long trial: SciPy, `run_trial` step by step, and with the plant in blocks;
+    outputs compared, to 1e-9.
 
     Raises ArithmeticError for other numbers, ValueError for fewer than 4 samples.
     """
@@ -139,7 +187,11 @@ def compare_long(samples: int, *, repeats: int = 5) -> dict[str, Row]:
 
     of = setting("cfdl", 1, 1, samples)
     u = np.random.default_rng(1).normal(size=(samples, 1))
-    b, a, last = np.append(0.0, of.machine.plant.b), np.append(1.0, -np.asarray(of.machine.plant.a)), np.append(u, 0.0)
+    b, a, last = (
+        np.append(0.0, of.machine.plant.b),
+        np.append(1.0, -np.asarray(of.machine.plant.a)),
+        np.append(u, 0.0),
+    )
     run, common = jax.jit(_output), jax.device_put((of.task, u))
     steps, in_blocks = jax.device_put((of.machine, Machine(InBlocks(of.machine.plant))))
     calls = {
@@ -149,38 +201,61 @@ def compare_long(samples: int, *, repeats: int = 5) -> dict[str, Row]:
     }
     off = difference(calls[BLOCKS](), calls[OURS]())
     if jax.config.jax_enable_x64 and not off <= 1e-9:
-        raise ArithmeticError(f"bench: {BLOCKS} differs from jaxilc by {off:.2g} of the largest output; allowed is 1e-09")
-    return in_turns({name: Entry(call, 1, 1, samples) for name, call in calls.items()}, repeats=repeats)
+        raise ArithmeticError(
+            f"bench: {BLOCKS} differs from jaxilc by {off:.2g} of the largest output; allowed is 1e-09"
+        )
+    return in_turns(
+        {name: Entry(call, 1, 1, samples) for name, call in calls.items()}, repeats=repeats
+    )
 
 
 def alone(name: str, plants: int, *, repeats: int = 5) -> Row:
-    """Ours without opponents: `noilc`, norm-optimal learning by the Riccati recursion on the drive of MILC 2024 with 10 % model error,
-    or `ilc-asmc`, the scheme of Xu 2024 on its identified model; ten trials of 2000 samples. Raises ValueError for another name."""
+    """Ours without opponents: `noilc`, norm-optimal learning by the Riccati recursion on the drive
+    of MILC 2024 with 10 % model error, or `ilc-asmc`, the scheme of Xu 2024 on its identified
+    model; ten trials of 2000 samples. Raises ValueError for another name.
+    """
     match name:
         case "noilc":
             chosen = scenarios.load("milc-2024")
             dilc: Any = chosen.schemes["dilc"]
             plant = dilc.learning.scheme.model
-            scheme, task = NormOptimal(plant, w_q=1.0, w_r=1e-4, w_s=1e-3), Task(_sinusoid(2000, plant.dt), dt=plant.dt)
+            scheme, task = (
+                NormOptimal(plant, w_q=1.0, w_r=1e-4, w_s=1e-3),
+                Task(_sinusoid(2000, plant.dt), dt=plant.dt),
+            )
         case "ilc-asmc":
             chosen = scenarios.load("xu-2024")
-            plant = StateSpace([[0.0, 1.0], [-MODEL["a1"], -MODEL["a2"]]], [[0.0], [MODEL["b"]]], [[1.0, 0.0]])
-            scheme, task = chosen.schemes["ilc-asmc"], Task(20 * _sinusoid(2000, chosen.task.dt), dt=chosen.task.dt)
+            plant = StateSpace(
+                [[0.0, 1.0], [-MODEL["a1"], -MODEL["a2"]]], [[0.0], [MODEL["b"]]], [[1.0, 0.0]]
+            )
+            scheme, task = (
+                chosen.schemes["ilc-asmc"],
+                Task(20 * _sinusoid(2000, chosen.task.dt), dt=chosen.task.dt),
+            )
         case _:
             raise ValueError(f"bench: scheme = {name!r} is not one of {', '.join(ALONE)}")
     gains = np.random.default_rng(0).uniform(0.9, 1.1, (plants, 1, 1)) * np.asarray(plant.B)
     run = tiled(partial(_figures, leaf="plant.B", trials=10))
     common = (Machine(plant), scheme, task)
-    return in_turns({OURS: Entry(lambda: np.asarray(run(common, gains)), plants, 10, task.N)}, repeats=repeats)[OURS]
+    return in_turns(
+        {OURS: Entry(lambda: np.asarray(run(common, gains)), plants, 10, task.N)}, repeats=repeats
+    )[OURS]
 
 
-def cost_by_size(scheme: str, plants: int, trials: int, samples: int, *, repeats: int = 5) -> dict[str, tuple[dict[int, float], Cost]]:
-    """Best seconds of our run against S, J and N, one varied at a time at a quarter, a half and all of its size, and the line."""
+def cost_by_size(
+    scheme: str, plants: int, trials: int, samples: int, *, repeats: int = 5
+) -> dict[str, tuple[dict[int, float], Cost]]:
+    """Best seconds of our run against S, J and N, one varied at a time at a quarter, a half and all
+    of its size, and the line.
+    """
     found = {}
     whole = {"plants": plants, "trials": trials, "samples": samples}
     for name, size in whole.items():
         quarter = max(size // 4, 4)
-        calls = {s: setting(scheme, **whole | {name: s}).ours() for s in (quarter, 2 * quarter, 4 * quarter)}
+        calls = {
+            s: setting(scheme, **whole | {name: s}).ours()
+            for s in (quarter, 2 * quarter, 4 * quarter)
+        }
         rows = {s: [] for s in calls}
         for turn in range(repeats + 1):
             for s, call in calls.items():
@@ -209,4 +284,6 @@ def _output(machine, task, u):
 
 
 def _sinusoid(samples: int, dt: float) -> np.ndarray:
-    return np.asarray(references.sinusoid(1.0, 1 / (samples * dt), duration=samples * dt, dt=dt), float).ravel()
+    return np.asarray(
+        references.sinusoid(1.0, 1 / (samples * dt), duration=samples * dt, dt=dt), float
+    ).ravel()

@@ -1,7 +1,8 @@
 """How programs are timed against each other: numbers compared first, then turn by turn.
 
-On a machine that is also used otherwise, times of one run differ more than the programs do: contenders take turns, a ratio is the
-median over the turns, and the processor time of all threads, which waiting for a core does not enter, stands beside the clock's.
+On a machine that is also used otherwise, times of one run differ more than the programs do:
+contenders take turns, a ratio is the median over the turns, and the processor time of all threads,
+which waiting for a core does not enter, stands beside the clock's.
 """
 
 from __future__ import annotations
@@ -21,9 +22,11 @@ TOLERANCE = {"float64": 1e-8, "float32": 2e-2}  # of the largest figure of its k
 class Row(NamedTuple):
     """What one contender took.
 
-    plants, trials: it ran (a slow one runs a part);  difference: largest from ours, as a share of the largest figure of its kind
-    compile_seconds: the first call beyond a later one, with building it;  seconds, cpu_seconds: of each turn, by the clock and of the
-    processors;  peak_bytes: None where unknown;  steps: sample-steps of a turn
+    plants, trials: it ran (a slow one runs a part);  difference: largest from ours, as a share of
+    the largest figure of its kind
+    compile_seconds: the first call beyond a later one, with building it;  seconds, cpu_seconds: of
+    each turn, by the clock and of the processors;  peak_bytes: None where unknown;  steps:
+    sample-steps of a turn
     """
 
     name: str
@@ -52,8 +55,14 @@ class Row(NamedTuple):
         return 1e9 * min(self.cpu_seconds) / self.steps
 
     def ratios(self, ours: Row, clock: str = "seconds") -> np.ndarray:
-        """Turn by turn, how many times what we took this contender took, for the same work. clock: `seconds` or `cpu_seconds`"""
-        return np.array(getattr(self, clock)) / self.steps / (np.array(getattr(ours, clock)) / ours.steps)
+        """Turn by turn, how many times what we took this contender took, for the same work. clock:
+        `seconds` or `cpu_seconds`
+        """
+        return (
+            np.array(getattr(self, clock))
+            / self.steps
+            / (np.array(getattr(ours, clock)) / ours.steps)
+        )
 
 
 class Entry(NamedTuple):
@@ -98,7 +107,9 @@ def in_turns(entries: Mapping[str, Entry], *, repeats: int) -> dict[str, Row]:
     off = {name: difference(result, results[OURS]) for name, result in results.items()}
     for name, value in off.items():
         if not value <= limit:
-            raise ArithmeticError(f"bench: {name} differs from jaxilc by {value:.2g} of the largest figure; allowed is {limit:g}")
+            raise ArithmeticError(
+                f"bench: {name} differs from jaxilc by {value:.2g} of the largest figure; allowed is {limit:g}"
+            )
     turns: dict[str, list[tuple[float, float]]] = {name: [] for name in entries}
     for _ in range(repeats):
         for name, entry in entries.items():
@@ -122,14 +133,18 @@ def in_turns(entries: Mapping[str, Entry], *, repeats: int) -> dict[str, Row]:
 
 
 def difference(part: np.ndarray, whole: np.ndarray) -> float:
-    """Largest difference of a part (S', J', n) from the first of the whole (S, J, n), each of the n over its largest; NaN if any is."""
+    """Largest difference of a part (S', J', n) from the first of the whole (S, J, n), each of the n
+    over its largest; NaN if any is.
+    """
     whole = whole[: part.shape[0], : part.shape[1]]
     largest = np.max(np.abs(whole), axis=(0, 1))
     return float(np.max(np.abs(part - whole) / np.where(largest > 0, largest, 1.0)))
 
 
 class Cost(NamedTuple):
-    """seconds = start + slope x, fitted over sizes of one kind; residual: the largest, as a share of the largest time."""
+    """seconds = start + slope x, fitted over sizes of one kind; residual: the largest, as a share
+    of the largest time.
+    """
 
     start: float
     slope: float
@@ -140,7 +155,9 @@ def cost(sizes: Iterable[int], seconds: Iterable[float]) -> Cost:
     """Fit a line through the times measured at two sizes or more."""
     x, t = np.array(list(sizes), float), np.array(list(seconds), float)
     slope, start = np.polyfit(x, t, 1)
-    return Cost(float(start), float(slope), float(np.max(np.abs(start + slope * x - t)) / np.max(t)))
+    return Cost(
+        float(start), float(slope), float(np.max(np.abs(start + slope * x - t)) / np.max(t))
+    )
 
 
 def as_json(rows: Mapping[str, Row]) -> dict[str, Any]:
@@ -160,7 +177,9 @@ def as_json(rows: Mapping[str, Row]) -> dict[str, Any]:
 
 
 class _Peak:
-    """Largest resident memory from here on, beyond what there is now. Linux keeps it and lets it be set back."""
+    """Largest resident memory from here on, beyond what there is now. Linux keeps it and lets it be
+    set back.
+    """
 
     def __init__(self):
         try:

@@ -1,4 +1,6 @@
-"""The command line that compares: `jaxilc certify` with theory, `jaxilc identify` with a record, `jaxilc reproduce` with print."""
+"""The command line that compares: `jaxilc certify` with theory, `jaxilc identify` with a record,
+`jaxilc reproduce` with print.
+"""
 
 from __future__ import annotations
 
@@ -54,13 +56,19 @@ def certify(
     set_: Set = None,
     params: Params = None,
     out_dir: Annotated[
-        Path | None, typer.Option("--out", help="Folder for the figures; out/certify-SCENARIO if not given.", callback=folder_to_write)
+        Path | None,
+        typer.Option(
+            "--out",
+            help="Folder for the figures; out/certify-SCENARIO if not given.",
+            callback=folder_to_write,
+        ),
     ] = None,
     json_file: Json = None,
     report: Report = None,
     precision: Precision = "float64",
 ) -> None:
-    """What theory claims of each machine in the long run, and what it predicts of J trials, beside simulation; premises of the bounds.
+    """What theory claims of each machine in the long run, and what it predicts of J trials, beside
+    simulation; premises of the bounds.
 
     Example: jaxilc certify cao-2019 --scheme cfdl-mfailc --trials 200 --samples 256
     """
@@ -79,13 +87,17 @@ def certify(
     drawn = draw(chosen.machine, uncertainty, samples, seed=seed, sampling=sampling)
     learning = {name: s for name, s in chosen.schemes.items() if s.learns}
     if not learning:
-        raise ValueError(f"certify: none of {', '.join(chosen.schemes)} learns; there is nothing to certify")
+        raise ValueError(
+            f"certify: none of {', '.join(chosen.schemes)} learns; there is nothing to certify"
+        )
     for name, one in learning.items():
         if not isinstance(one, FFDLMFAILC):
             continue
         need_room(chosen.task, chosen.trials)
         if chosen.trials < NEEDED:
-            raise ValueError(f"--trials {chosen.trials} is outside its allowed range [{NEEDED}, inf) of {name}, whose bounds are checked")
+            raise ValueError(
+                f"--trials {chosen.trials} is outside its allowed range [{NEEDED}, inf) of {name}, whose bounds are checked"
+            )
     paths, shown, numbers, lines = [], [], {}, []
     with progress_bar("scheme") as bar:
         schemes = bar.add_task("certify", total=len(learning), scheme="")
@@ -98,9 +110,17 @@ def certify(
             shares = premises(*common) if isinstance(one, FFDLMFAILC) else None
             numbers[name] = tables.certificate_figures(found, shares, seconds)
             shown += tables.certificate_tables(name, chosen.trials, numbers[name])
-            lines.append(tables.certificate_sentence(name, chosen.trials, numbers[name], chosen.shown_scale, chosen.shown_unit))
-            axes = figures.certificate(found, scale=chosen.shown_scale, unit=chosen.shown_unit, title=name)
-            paths.append(figures.save(axes, folder_of(out_dir, f"certify-{chosen.name}") / f"{name}.png"))
+            lines.append(
+                tables.certificate_sentence(
+                    name, chosen.trials, numbers[name], chosen.shown_scale, chosen.shown_unit
+                )
+            )
+            axes = figures.certificate(
+                found, scale=chosen.shown_scale, unit=chosen.shown_unit, title=name
+            )
+            paths.append(
+                figures.save(axes, folder_of(out_dir, f"certify-{chosen.name}") / f"{name}.png")
+            )
         bar.update(schemes, completed=len(learning))
     for table in shown:
         out.print(table)
@@ -108,17 +128,34 @@ def certify(
         out.print(line, highlight=False, markup=False, soft_wrap=True)
     asked = {"samples": samples, "seed": seed, "sampling": sampling}
     wide = dataclasses.replace(chosen, uncertainty=uncertainty)
-    pictures = [(f"{name}: error by trial, predicted and simulated", path) for name, path in zip(learning, paths, strict=True)]
-    page = command_report(report, "certify", shown, pictures, scenario=wide, lines=lines, asked=asked)
-    written([*paths, *page], json_file, {"scenario": scenario, "trials": chosen.trials, "samples": samples, "schemes": numbers})
+    pictures = [
+        (f"{name}: error by trial, predicted and simulated", path)
+        for name, path in zip(learning, paths, strict=True)
+    ]
+    page = command_report(
+        report, "certify", shown, pictures, scenario=wide, lines=lines, asked=asked
+    )
+    written(
+        [*paths, *page],
+        json_file,
+        {"scenario": scenario, "trials": chosen.trials, "samples": samples, "schemes": numbers},
+    )
     broken = [name for name, row in numbers.items() if row["contradicted"]]
     if broken:
-        err.print(f"{', '.join(broken)}: simulation contradicts what was claimed: please report this", highlight=False)
+        err.print(
+            f"{', '.join(broken)}: simulation contradicts what was claimed: please report this",
+            highlight=False,
+        )
         raise typer.Exit(1)
 
 
 def identify(
-    record: Annotated[Path, typer.Argument(metavar="RECORD", help="Text file of columns with a header: time, input, output.")],
+    record: Annotated[
+        Path,
+        typer.Argument(
+            metavar="RECORD", help="Text file of columns with a header: time, input, output."
+        ),
+    ],
     poles: Annotated[int, typer.Option(help="Real poles.")] = 1,
     pairs: Annotated[int, typer.Option(help="Pairs of poles, real or complex.")] = 1,
     zeros: Annotated[int, typer.Option(help="Real zeros, of either sign.")] = 1,
@@ -126,7 +163,12 @@ def identify(
     input_name: Annotated[str, typer.Option("--input", help="Column of the input.")] = "u",
     output_name: Annotated[str, typer.Option("--output", help="Column of the output.")] = "y",
     out_dir: Annotated[
-        Path | None, typer.Option("--out", help="Folder for the figures; out/identify if not given.", callback=folder_to_write)
+        Path | None,
+        typer.Option(
+            "--out",
+            help="Folder for the figures; out/identify if not given.",
+            callback=folder_to_write,
+        ),
     ] = None,
     json_file: Json = None,
     report: Report = None,
@@ -145,28 +187,48 @@ def identify(
     found = identification.identify(measured, poles=poles, pairs=pairs, zeros=zeros)
     rows = found.summary()
     table = tables.identification_table(str(record), rows)
-    lines = ["the residual is not white: another structure may fit better, and the intervals are too narrow"] * (not found.white)
+    lines = [
+        "the residual is not white: another structure may fit better, and the intervals are too narrow"
+    ] * (not found.white)
     out.print(table)
     for line in lines:
         out.print(line, highlight=False)
     folder = folder_of(out_dir, "identify")
     paths = [figures.save(figures.record_figure(measured), folder / "record.png")]
-    paths.append(figures.save(figures.validation_figure(measured, found), folder / "validation.png"))
+    paths.append(
+        figures.save(figures.validation_figure(measured, found), folder / "validation.png")
+    )
     numbers = {name: {"value": value, "low": low, "high": high} for name, value, low, high in rows}
-    page = command_report(report, "identify", [table], paths, lines=lines, asked={"poles": poles, "pairs": pairs, "zeros": zeros})
-    written([*paths, *page], json_file, numbers | {"white": bool(found.white), "converged": bool(found.converged)})
+    page = command_report(
+        report,
+        "identify",
+        [table],
+        paths,
+        lines=lines,
+        asked={"poles": poles, "pairs": pairs, "zeros": zeros},
+    )
+    written(
+        [*paths, *page],
+        json_file,
+        numbers | {"white": bool(found.white), "converged": bool(found.converged)},
+    )
 
 
 def reproduce(
     scenario: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[SCENARIO]...", help="Scenarios; all if none is given.", autocompletion=scenarios_from),
+        typer.Argument(
+            metavar="[SCENARIO]...",
+            help="Scenarios; all if none is given.",
+            autocompletion=scenarios_from,
+        ),
     ] = None,
     json_file: Json = None,
     report: Report = None,
     precision: Precision = "float64",
 ) -> None:
-    """Every published number beside ours: ratio, verdict, how the paper was read, what was fitted, why it is open.
+    """Every published number beside ours: ratio, verdict, how the paper was read, what was fitted,
+    why it is open.
 
     Example: jaxilc reproduce cao-2019 dai-2014 --json out/reproduce.json
     """

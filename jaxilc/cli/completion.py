@@ -17,8 +17,12 @@ def scenarios_from(incomplete: str) -> list[str]:
 
 def schemes_from(ctx: typer.Context, incomplete: str) -> list[str]:
     """Schemes of the scenario that stands in the command, or of the file that does, that begin so."""
-    scenario = ctx.params.get("scenario") or next(iter(ctx.args), "")  # while an option waits for its value, arguments stay unread
-    return [name for name in SCHEMES.get(scenario) or _of_file(scenario) if name.startswith(incomplete)]
+    scenario = ctx.params.get("scenario") or next(
+        iter(ctx.args), ""
+    )  # while an option waits for its value, arguments stay unread
+    return [
+        name for name in SCHEMES.get(scenario) or _of_file(scenario) if name.startswith(incomplete)
+    ]
 
 
 def of_list(*words: str) -> Callable[[str], list[str]]:
@@ -29,5 +33,10 @@ def of_list(*words: str) -> Callable[[str], list[str]]:
 def _of_file(path: str) -> list[str]:
     try:
         return list(read_tree(path)["schemes"])
-    except (OSError, ValueError, KeyError, TypeError):  # not there, or not finished: nothing to complete
+    except (
+        OSError,
+        ValueError,
+        KeyError,
+        TypeError,
+    ):  # not there, or not finished: nothing to complete
         return []

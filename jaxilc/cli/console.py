@@ -1,4 +1,6 @@
-"""How much the command line says, and where: results to standard output, all else to standard error."""
+"""How much the command line says, and where: results to standard output, all else to standard
+error.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,10 @@ from .titled_table import Console
 
 PIPED_WIDTH = 160  # columns where there is no terminal to ask
 WORTH_A_LINE = 0.05  # seconds that a program takes to be compiled or found
-COMPILED, FOUND = "/jax/core/compile/backend_compile_duration", "/jax/compilation_cache/cache_hits"  # events of jax.monitoring
+COMPILED, FOUND = (
+    "/jax/core/compile/backend_compile_duration",
+    "/jax/compilation_cache/cache_hits",
+)  # events of jax.monitoring
 
 out = Console(width=None if sys.stdout.isatty() else PIPED_WIDTH)
 err = Console(stderr=True)
@@ -42,7 +47,9 @@ def tracebacks() -> bool:
 
 
 def log_jax(programs: Path | None) -> None:
-    """Log on what JAX runs, and from now on every program that takes its time. programs: the folder where they are kept"""
+    """Log on what JAX runs, and from now on every program that takes its time. programs: the folder
+    where they are kept
+    """
     if not log.isEnabledFor(logging.INFO):
         return
     import jax
@@ -53,7 +60,11 @@ def log_jax(programs: Path | None) -> None:
     versions = ", ".join(f"{name} {version}" for name, version in found.pop("versions").items())
     log.info("%s", versions)
     log.info("%s", ", ".join(f"{name}: {value}" for name, value in found.items()))
-    log.info("devices: %s; XLA_FLAGS: %s", ", ".join(map(str, jax.devices())), os.environ.get("XLA_FLAGS", ""))
+    log.info(
+        "devices: %s; XLA_FLAGS: %s",
+        ", ".join(map(str, jax.devices())),
+        os.environ.get("XLA_FLAGS", ""),
+    )
     log.info("compiled programs are kept in %s", programs or "no folder")
     _follow()
 
@@ -62,7 +73,13 @@ def ended() -> None:
     """Log what the command took."""
     if log.isEnabledFor(logging.INFO):
         took = time.perf_counter() - counted["started"]
-        log.info("%.2f s, of them %.2f s for %d programs, %d found compiled", took, counted["s"], counted["programs"], counted["found"])
+        log.info(
+            "%.2f s, of them %.2f s for %d programs, %d found compiled",
+            took,
+            counted["s"],
+            counted["programs"],
+            counted["found"],
+        )
 
 
 @functools.cache

@@ -1,4 +1,6 @@
-"""The command line: `jaxilc list | run | sweep`, and how it ends; the other commands are in the modules `cli_...`."""
+"""The command line: `jaxilc list | run | sweep`, and how it ends; the other commands are in the
+modules `cli_...`.
+"""
 
 from __future__ import annotations
 
@@ -69,11 +71,26 @@ def _version(asked: bool) -> None:
 
 @app.callback()
 def options(
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print warnings and errors only; files are written all the same.")] = False,
-    verbose: Annotated[
-        bool, typer.Option("--verbose", "-v", help="Log versions, devices and every program compiled, with times; show tracebacks.")
+    quiet: Annotated[
+        bool,
+        typer.Option(
+            "--quiet", "-q", help="Print warnings and errors only; files are written all the same."
+        ),
     ] = False,
-    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")] = False,
+    verbose: Annotated[
+        bool,
+        typer.Option(
+            "--verbose",
+            "-v",
+            help="Log versions, devices and every program compiled, with times; show tracebacks.",
+        ),
+    ] = False,
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_version, is_eager=True, help="Show the version and exit."
+        ),
+    ] = False,
 ) -> None:
     """What holds for every command; before its name.
 
@@ -85,7 +102,10 @@ def options(
 @app.command("list")
 def list_(
     scenario: Annotated[
-        str | None, typer.Argument(metavar="[SCENARIO]", help="Show all that can be set.", autocompletion=scenarios_from)
+        str | None,
+        typer.Argument(
+            metavar="[SCENARIO]", help="Show all that can be set.", autocompletion=scenarios_from
+        ),
     ] = None,
 ) -> None:
     """List the scenarios, or all that can be set in one.
@@ -119,7 +139,12 @@ def run(
     set_: Set = None,
     params: Params = None,
     out_dir: Annotated[
-        Path | None, typer.Option("--out", help="Folder for figures and dataset; out/run-SCENARIO if not given.", callback=folder_to_write)
+        Path | None,
+        typer.Option(
+            "--out",
+            help="Folder for figures and dataset; out/run-SCENARIO if not given.",
+            callback=folder_to_write,
+        ),
     ] = None,
     json_file: Json = None,
     report: Report = None,
@@ -140,9 +165,19 @@ def run(
 
     chosen = chosen_scenario(scenario, scheme, trials, set_, params)
     key = jax.random.key(seed)
-    dataset, _ = runs.run_schemes(chosen.machine, chosen.schemes, chosen.task, chosen.trials, key=key, quantities=chosen.functions)
+    dataset, _ = runs.run_schemes(
+        chosen.machine,
+        chosen.schemes,
+        chosen.task,
+        chosen.trials,
+        key=key,
+        quantities=chosen.functions,
+    )
     numbers = tables.run_figures(chosen, dataset)
-    table, lines = tables.run_table(chosen, numbers), [*tables.course_lines(numbers), *tables.other_rows(chosen, numbers)]
+    table, lines = (
+        tables.run_table(chosen, numbers),
+        [*tables.course_lines(numbers), *tables.other_rows(chosen, numbers)],
+    )
     out.print(table)
     for line in lines:
         out.print(line, highlight=False)
@@ -152,16 +187,22 @@ def run(
     folder = folder_of(out_dir, f"run-{chosen.name}")
     shown = {"scale": chosen.shown_scale, "unit": chosen.shown_unit}
     scale, unit = chosen.shown(chosen.judged_by)
-    axes = figures.error_by_trial(dataset, figure=chosen.judged_by, published=chosen.due, scale=scale, unit=unit)
+    axes = figures.error_by_trial(
+        dataset, figure=chosen.judged_by, published=chosen.due, scale=scale, unit=unit
+    )
     paths = [figures.save(axes, folder / "error-by-trial.png")]
-    some = [j for j in tables.shown_trials(chosen) if j in (2, 20, chosen.trials)] or [chosen.trials]
+    some = [j for j in tables.shown_trials(chosen) if j in (2, 20, chosen.trials)] or [
+        chosen.trials
+    ]
     for name in chosen.schemes:
         axes = figures.tracking(dataset, name, some, **shown)
         paths.append(figures.save(axes, folder / f"tracking-{name}.png"))
         if chosen.schemes[name].learns:
             for figure in (figures.spectrum, figures.time_frequency):
                 axes = figure(dataset, name, some, **shown)
-                paths.append(figures.save(axes, folder / f"{figure.__name__.replace('_', '-')}-{name}.png"))
+                paths.append(
+                    figures.save(axes, folder / f"{figure.__name__.replace('_', '-')}-{name}.png")
+                )
         if isinstance(chosen.machine.plant, plants.TwoAxes):
             axes = figures.contour(dataset, name, some, **shown)
             paths.append(figures.save(axes, folder / f"contour-{name}.png"))
@@ -180,21 +221,38 @@ def sweep(
     seed: Seed = 0,
     spread: Spread = None,
     sampling: Sampling = "monte-carlo",
-    tolerance: Annotated[float | None, typer.Option(help="Largest figure that passes, the one tables show, in its unit.")] = None,
+    tolerance: Annotated[
+        float | None,
+        typer.Option(help="Largest figure that passes, the one tables show, in its unit."),
+    ] = None,
     set_: Set = None,
     params: Params = None,
-    out_dir: Annotated[Path | None, typer.Option("--out", help="Folder for figure and dataset; out/sweep-SCENARIO if not given.")] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with the dataset in the folder.")] = False,
+    out_dir: Annotated[
+        Path | None,
+        typer.Option(
+            "--out", help="Folder for figure and dataset; out/sweep-SCENARIO if not given."
+        ),
+    ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with the dataset in the folder.")
+    ] = False,
     dask: Annotated[
         str | None,
-        typer.Option(metavar="ADDRESS", help="Compute on the workers of this Dask scheduler: its address, or the file it wrote."),
+        typer.Option(
+            metavar="ADDRESS",
+            help="Compute on the workers of this Dask scheduler: its address, or the file it wrote.",
+        ),
     ] = None,
-    keep: Annotated[list[str] | None, typer.Option(help="Store a signal of the last trial: y, e or u; repeatable.")] = None,
+    keep: Annotated[
+        list[str] | None,
+        typer.Option(help="Store a signal of the last trial: y, e or u; repeatable."),
+    ] = None,
     json_file: Json = None,
     report: Report = None,
     precision: Precision = "float64",
 ) -> None:
-    """Schemes against many uncertain machines: yield, quantiles, worst case, figure, labelled dataset.
+    """Schemes against many uncertain machines: yield, quantiles, worst case, figure, labelled
+    dataset.
 
     Example: jaxilc sweep cao-2019 --samples 4096 --spread 0.2 --out out/wide
     """
@@ -207,7 +265,16 @@ def sweep(
 
     chosen = chosen_scenario(scenario, scheme, trials, set_, params)
     uncertainty = spread_of(chosen, spread)
-    common = (chosen.machine, chosen.schemes, chosen.task, chosen.trials, uncertainty, samples, seed, sampling)
+    common = (
+        chosen.machine,
+        chosen.schemes,
+        chosen.task,
+        chosen.trials,
+        uncertainty,
+        samples,
+        seed,
+        sampling,
+    )
     plan = Sweep(*common, keep=tuple(keep or ()), quantities=chosen.functions)
     scale, unit = chosen.shown(chosen.judged_by)
     tolerance = (chosen.tolerance if tolerance is None else tolerance) / scale
@@ -216,18 +283,34 @@ def sweep(
     folder = out_dir or Path("out") / f"sweep-{chosen.name}"
     store = folder / "dataset.zarr"
     if store.exists() and not resume:
-        raise FileExistsError(f"{store} exists already; add --resume to go on with it, or choose another --out")
+        raise FileExistsError(
+            f"{store} exists already; add --resume to go on with it, or choose another --out"
+        )
     dataset, seconds, steps = _with_progress(plan, store, resume, dask)
 
-    numbers = tables.sweep_figures(chosen, summarise(dataset, tolerance, figure=chosen.judged_by), tolerance, plan.samples)
+    numbers = tables.sweep_figures(
+        chosen, summarise(dataset, tolerance, figure=chosen.judged_by), tolerance, plan.samples
+    )
     shown = [tables.yield_table(numbers), tables.spread_table(numbers), tables.band_table(numbers)]
     for table in shown:
         out.print(table)
     if steps:
-        out.print(f"{steps:.3g} sample-steps in {seconds:.1f} s, compilation included: {steps / seconds:.3g} a second", highlight=False)
-    axes = figures.error_band(dataset, figure=chosen.judged_by, tolerance=tolerance, scale=scale, unit=unit)
+        out.print(
+            f"{steps:.3g} sample-steps in {seconds:.1f} s, compilation included: {steps / seconds:.3g} a second",
+            highlight=False,
+        )
+    axes = figures.error_band(
+        dataset, figure=chosen.judged_by, tolerance=tolerance, scale=scale, unit=unit
+    )
     path = figures.save(axes, folder / "error-band.png")
-    page = command_report(report, "sweep", shown, [path], scenario=chosen, configuration=dataset.attrs["configuration"])
+    page = command_report(
+        report,
+        "sweep",
+        shown,
+        [path],
+        scenario=chosen,
+        configuration=dataset.attrs["configuration"],
+    )
     written([path, *page, store], json_file, numbers | {"sample_steps": steps, "seconds": seconds})
 
 
@@ -239,7 +322,9 @@ bench.register(app)
 
 
 def main() -> None:
-    """The console script. A user's mistake is one line on standard error and exit code 2, without a traceback."""
+    """The console script. A user's mistake is one line on standard error and exit code 2, without a
+    traceback.
+    """
     try:
         app()
     except (ValueError, OSError) as error:
@@ -259,7 +344,9 @@ def _said(error: ValueError | OSError) -> str:
 
 
 def _with_progress(plan, store: Path, resume: bool, cluster: str | None):
-    """Run the plan behind a progress bar (on a terminal); the dataset, the seconds and the sample-steps it took."""
+    """Run the plan behind a progress bar (on a terminal); the dataset, the seconds and the
+    sample-steps it took.
+    """
     from ..sweeps.cluster import ChunkFailed
 
     start, counted = time.perf_counter(), {}
@@ -269,7 +356,11 @@ def _with_progress(plan, store: Path, resume: bool, cluster: str | None):
         def progress(name: str, done: int, fresh: int) -> None:
             counted[name] = counted.get(name, 0) + fresh
             steps = sum(counted.values()) * plan.trials * plan.task.N
-            bar.update(bars[name], completed=done, rate=f"{steps / (time.perf_counter() - start):.2g} steps/s")
+            bar.update(
+                bars[name],
+                completed=done,
+                rate=f"{steps / (time.perf_counter() - start):.2g} steps/s",
+            )
 
         try:
             dataset = plan.run(store, resume=resume, progress=progress, cluster=cluster)
@@ -281,7 +372,11 @@ def _with_progress(plan, store: Path, resume: bool, cluster: str | None):
             raise ValueError(f"--dask: {error}") from None
         except ChunkFailed as error:
             err.print(f"error: {error}", highlight=False, markup=False, soft_wrap=True)
-            err.print(f"{store} holds what is done: the same command with --resume goes on", highlight=False, soft_wrap=True)
+            err.print(
+                f"{store} holds what is done: the same command with --resume goes on",
+                highlight=False,
+                soft_wrap=True,
+            )
             sys.exit(1)
     return dataset, time.perf_counter() - start, sum(counted.values()) * plan.trials * plan.task.N
 

@@ -12,21 +12,65 @@ import typer
 from .completion import of_list, scenarios_from, schemes_from
 
 Folder = Annotated[Path, typer.Option("--state", help="Folder of the campaign.")]
-Measured = Annotated[Path | None, typer.Option("--measured", metavar="TRIAL", help="Measured trial, .csv or .mat; none starts a campaign.")]
-Next = Annotated[Path | None, typer.Option("--out", metavar="NEXT", help="What the machine plays next: .csv, .mat or .h (C).")]
+Measured = Annotated[
+    Path | None,
+    typer.Option(
+        "--measured", metavar="TRIAL", help="Measured trial, .csv or .mat; none starts a campaign."
+    ),
+]
+Next = Annotated[
+    Path | None,
+    typer.Option(
+        "--out", metavar="NEXT", help="What the machine plays next: .csv, .mat or .h (C)."
+    ),
+]
 ScenarioName = Annotated[
-    str | None, typer.Option("--scenario", metavar="NAME|FILE", help="Scenario or plant file to start from.", autocompletion=scenarios_from)
+    str | None,
+    typer.Option(
+        "--scenario",
+        metavar="NAME|FILE",
+        help="Scenario or plant file to start from.",
+        autocompletion=scenarios_from,
+    ),
 ]
 PlantFile = Annotated[Path | None, typer.Option(help="Plant file (TOML or JSON) to start from.")]
-SchemeName = Annotated[str | None, typer.Option("--scheme", help="Scheme; not needed where only one learns.", autocompletion=schemes_from)]
-Set = Annotated[list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="Set a parameter of the scenario; repeatable.")]
-Limit = Annotated[float | None, typer.Option(help="Largest |input| played; the machine's own if not given.")]
-Correction = Annotated[float | None, typer.Option("--largest-correction", help="Largest departure of a learned reference.")]
-Share = Annotated[float | None, typer.Option("--saturation", help="Share of samples at the limit that is accepted.")]
-Repeatability = Annotated[float | None, typer.Option(help="Largest RMS difference of two trials of one table.")]
-Growth = Annotated[float | None, typer.Option(help="Share by which the RMS error may grow without a warning.")]
+SchemeName = Annotated[
+    str | None,
+    typer.Option(
+        "--scheme", help="Scheme; not needed where only one learns.", autocompletion=schemes_from
+    ),
+]
+Set = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set", metavar="PATH=VALUE", help="Set a parameter of the scenario; repeatable."
+    ),
+]
+Limit = Annotated[
+    float | None, typer.Option(help="Largest |input| played; the machine's own if not given.")
+]
+Correction = Annotated[
+    float | None,
+    typer.Option("--largest-correction", help="Largest departure of a learned reference."),
+]
+Share = Annotated[
+    float | None,
+    typer.Option("--saturation", help="Share of samples at the limit that is accepted."),
+]
+Repeatability = Annotated[
+    float | None, typer.Option(help="Largest RMS difference of two trials of one table.")
+]
+Growth = Annotated[
+    float | None, typer.Option(help="Share by which the RMS error may grow without a warning.")
+]
 
-KEPT_RULES = ("limit", "correction", "saturation", "repeatability", "growth")  # from the first call on, until given anew
+KEPT_RULES = (
+    "limit",
+    "correction",
+    "saturation",
+    "repeatability",
+    "growth",
+)  # from the first call on, until given anew
 
 
 def register(app: typer.Typer) -> None:
@@ -48,20 +92,40 @@ def next_(
     saturation: Share = None,
     repeatability: Repeatability = None,
     growth: Growth = None,
-    accept_saturation: Annotated[bool, typer.Option("--accept-saturation", help="Learn in spite of saturation.")] = False,
-    stop_on_growth: Annotated[bool, typer.Option("--stop-on-growth", help="Refuse a trial whose error grew.")] = False,
-    no_learn: Annotated[bool, typer.Option("--no-learn", help="Look at the trial only; the same table is played again.")] = False,
-    replayed_input: Annotated[bool, typer.Option("--replayed-input", help="Without u: the scheme's over the measured y.")] = False,
-    undo: Annotated[int | None, typer.Option(metavar="J", help="Go back to what was known after trial J, 0 for the start.")] = None,
+    accept_saturation: Annotated[
+        bool, typer.Option("--accept-saturation", help="Learn in spite of saturation.")
+    ] = False,
+    stop_on_growth: Annotated[
+        bool, typer.Option("--stop-on-growth", help="Refuse a trial whose error grew.")
+    ] = False,
+    no_learn: Annotated[
+        bool,
+        typer.Option("--no-learn", help="Look at the trial only; the same table is played again."),
+    ] = False,
+    replayed_input: Annotated[
+        bool, typer.Option("--replayed-input", help="Without u: the scheme's over the measured y.")
+    ] = False,
+    undo: Annotated[
+        int | None,
+        typer.Option(metavar="J", help="Go back to what was known after trial J, 0 for the start."),
+    ] = None,
     number: Annotated[
-        str, typer.Option(help="Numbers of a C header: double or float.", autocompletion=of_list("double", "float"))
+        str,
+        typer.Option(
+            help="Numbers of a C header: double or float.",
+            autocompletion=of_list("double", "float"),
+        ),
     ] = "double",
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Check and report; write nothing.")] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Check and report; write nothing.")
+    ] = False,
 ) -> None:
     """From a trial measured on a real machine to the input of the next one.
 
-    The first call, without --measured, starts the campaign; a later one without it writes the next input once more.
-    What the machine plays: `u` is its whole input, `feedforward` is added to its feedback, `reference` takes the place of the task's.
+    The first call, without --measured, starts the campaign; a later one without it writes the next
+    input once more.
+    What the machine plays: `u` is its whole input, `feedforward` is added to its feedback,
+    `reference` takes the place of the task's.
 
     Example: jaxilc next --state x-axis --measured trial-3.csv --out trial-4.csv
     """
@@ -82,11 +146,24 @@ def next_(
     journal = Journal(state)
     new = not journal.exists
     if new and (measured is not None or undo is not None):
-        raise FileNotFoundError(f"{state} holds no campaign; start one without --measured and --undo")
+        raise FileNotFoundError(
+            f"{state} holds no campaign; start one without --measured and --undo"
+        )
     before = {} if new else _kept(journal)
-    given = dict(zip(KEPT_RULES, (limit, largest_correction, saturation, repeatability, growth), strict=True))
-    recipe = _recipe(before, scenario, plant_file, scheme, set_, {name: v for name, v in given.items() if v is not None})
-    rules = Rules(**recipe["rules"], accept_saturation=accept_saturation, stop_on_growth=stop_on_growth)
+    given = dict(
+        zip(KEPT_RULES, (limit, largest_correction, saturation, repeatability, growth), strict=True)
+    )
+    recipe = _recipe(
+        before,
+        scenario,
+        plant_file,
+        scheme,
+        set_,
+        {name: v for name, v in given.items() if v is not None},
+    )
+    rules = Rules(
+        **recipe["rules"], accept_saturation=accept_saturation, stop_on_growth=stop_on_growth
+    )
     recipe["scheme"], chosen = _chosen(recipe)
     subject = (state, chosen.schemes[recipe["scheme"]], chosen.task)
     common = {"actuator": chosen.machine.actuator, "rules": rules, "recipe": recipe}
@@ -115,7 +192,9 @@ def next_(
 def trials(
     state: Folder,
     table: Annotated[Path | None, typer.Option("--csv", help="Write the log to this file.")] = None,
-    plot: Annotated[Path | None, typer.Option(help="Plot error and input by trial to this file.")] = None,
+    plot: Annotated[
+        Path | None, typer.Option(help="Plot error and input by trial to this file.")
+    ] = None,
 ) -> None:
     """The log of a campaign: every trial with its figures, undone ones included.
 
@@ -128,18 +207,44 @@ def trials(
 
     journal = Journal(state)
     rows = journal.log()
-    shown = Table("entry", "trial", "event", "rms error", "max error", "effort", "file", "warnings", title=str(state))
+    shown = Table(
+        "entry",
+        "trial",
+        "event",
+        "rms error",
+        "max error",
+        "effort",
+        "file",
+        "warnings",
+        title=str(state),
+    )
     for row in rows:
-        figures = [" ".join(f"{v:.4g}" for name, v in row.items() if name.startswith(start)) for start in ("max_error", "effort")]
+        figures = [
+            " ".join(f"{v:.4g}" for name, v in row.items() if name.startswith(start))
+            for start in ("max_error", "effort")
+        ]
         undone = row["event"] == "trial" and not row["live"]
         event = f"{row['event']}{'' if row['learned'] in ('', True) else ', not learned'}{', undone' if undone else ''}"
         error = f"{row['rms_error']:.4g}" if row["rms_error"] != "" else ""
-        shown.add_row(str(row["serial"]), str(row["trial"]), event, error, *figures, str(row["source"]), row["warnings"])
+        shown.add_row(
+            str(row["serial"]),
+            str(row["trial"]),
+            event,
+            error,
+            *figures,
+            str(row["source"]),
+            row["warnings"],
+        )
     console.print(shown)
     written = []
     if table is not None:
         text = io.StringIO()
-        writer = csv.DictWriter(text, list(dict.fromkeys(name for row in rows for name in row)), restval="", lineterminator="\n")
+        writer = csv.DictWriter(
+            text,
+            list(dict.fromkeys(name for row in rows for name in row)),
+            restval="",
+            lineterminator="\n",
+        )
         writer.writeheader()
         writer.writerows(rows)
         atomically(table, lambda file: file.write(text.getvalue().encode()))
@@ -149,7 +254,10 @@ def trials(
         from ..figures.campaign import campaign_figure
 
         task = journal.last_known()["configuration"].get("task")
-        unit, input_unit = (str(task.get(name, "")) if isinstance(task, dict) else "" for name in ("unit", "input_unit"))
+        unit, input_unit = (
+            str(task.get(name, "")) if isinstance(task, dict) else ""
+            for name in ("unit", "input_unit")
+        )
         written.append(figures.save(campaign_figure(rows, unit=unit, input_unit=input_unit), plot))
     if written:
         console.print("written: " + ", ".join(map(str, written)), highlight=False, soft_wrap=True)
@@ -162,10 +270,12 @@ def _kept(journal) -> dict[str, Any]:
     recipe = journal.last_known()["recipe"]
     kinds = {"scenario": str, "scheme": str, "settings": dict, "rules": dict}
     rules = recipe.get("rules", {})
-    if not all(isinstance(recipe.get(name, kind()), kind) for name, kind in kinds.items()) or not all(
-        name in KEPT_RULES and is_number(value) for name, value in rules.items()
-    ):
-        raise ValueError(f"{journal.path} was not started by `jaxilc next`, or its last recipe is damaged; --undo cannot mend it")
+    if not all(
+        isinstance(recipe.get(name, kind()), kind) for name, kind in kinds.items()
+    ) or not all(name in KEPT_RULES and is_number(value) for name, value in rules.items()):
+        raise ValueError(
+            f"{journal.path} was not started by `jaxilc next`, or its last recipe is damaged; --undo cannot mend it"
+        )
     return recipe
 
 
@@ -204,7 +314,9 @@ def _chosen(recipe: dict[str, Any]):
     if name is None and learning:
         raise ValueError(f"--scheme is missing; those that learn are {', '.join(learning)}")
     if name not in learning:
-        raise ValueError(f"scheme = {name!r} is not one of those that learn: {', '.join(learning) or 'none'}")
+        raise ValueError(
+            f"scheme = {name!r} is not one of those that learn: {', '.join(learning) or 'none'}"
+        )
     return name, chosen
 
 
@@ -213,12 +325,17 @@ def _report(turn, ignored, unit: str) -> None:
     from .options import err, out
 
     largest = ", ".join(f"{value:.6g}" for value in turn.figures["max_error"])
-    out.print(f"trial {turn.trial}: RMS error {turn.figures['error']:.6g} {unit}, largest {largest} {unit}", highlight=False)
+    out.print(
+        f"trial {turn.trial}: RMS error {turn.figures['error']:.6g} {unit}, largest {largest} {unit}",
+        highlight=False,
+    )
     if ignored:
         out.print(f"not used: {', '.join(ignored)}", highlight=False, markup=False)
     for kind, text in turn.findings:
         if kind != "refusal":
-            (err if kind == "warning" else out).print(f"{kind}: {text}", highlight=False, markup=False, soft_wrap=True)
+            (err if kind == "warning" else out).print(
+                f"{kind}: {text}", highlight=False, markup=False, soft_wrap=True
+            )
 
 
 def _played(path: Path | None, tables, task, trial: int, number: str, dry_run: bool) -> None:
@@ -229,7 +346,10 @@ def _played(path: Path | None, tables, task, trial: int, number: str, dry_run: b
     from ..learning.playback import unit_of
     from .options import out
 
-    peaks = ", ".join(f"{name} up to {np.max(np.abs(table)):.6g} {unit_of(name, task)}".strip() for name, table in tables.items())
+    peaks = ", ".join(
+        f"{name} up to {np.max(np.abs(table)):.6g} {unit_of(name, task)}".strip()
+        for name, table in tables.items()
+    )
     out.print(f"next: trial {trial}, {peaks}", highlight=False, markup=False, soft_wrap=True)
     if dry_run or path is None:
         out.print("dry run: nothing was written", highlight=False)

@@ -1,4 +1,6 @@
-"""What the commands of the command line share: consoles, options, and how a scenario is asked for and results are left behind."""
+"""What the commands of the command line share: consoles, options, and how a scenario is asked for
+and results are left behind.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,9 @@ from .terms import OBJECTIVES, RISKS
 
 
 def file_to_write(path: Path | None) -> Path | None:
-    """The path. Raises ValueError if no file can be written there, before anything is computed for it."""
+    """The path. Raises ValueError if no file can be written there, before anything is computed for
+    it.
+    """
     if path is not None and (path.is_dir() or not _may_write(path)):
         raise ValueError(f"{path} cannot be written; allowed is a file in a folder that can")
     return path
@@ -31,9 +35,13 @@ def seed_in_range(seed: int) -> int:
 
 
 def folder_to_write(path: Path | None) -> Path | None:
-    """The path. Raises ValueError if no folder can be made there, before anything is computed for it."""
+    """The path. Raises ValueError if no folder can be made there, before anything is computed for
+    it.
+    """
     if path is not None and (not _may_write(path) or (path.exists() and not path.is_dir())):
-        raise ValueError(f"{path} cannot be a folder for results; allowed is one that can be made or written to")
+        raise ValueError(
+            f"{path} cannot be a folder for results; allowed is one that can be made or written to"
+        )
     return path
 
 
@@ -44,20 +52,43 @@ def _may_write(path: Path) -> bool:
 
 
 ScenarioName = Annotated[
-    str, typer.Argument(metavar="SCENARIO", help="Of `jaxilc list`, or your own, a TOML or JSON file.", autocompletion=scenarios_from)
+    str,
+    typer.Argument(
+        metavar="SCENARIO",
+        help="Of `jaxilc list`, or your own, a TOML or JSON file.",
+        autocompletion=scenarios_from,
+    ),
 ]
 Schemes = Annotated[
-    list[str] | None, typer.Option("--scheme", help="Scheme to use; repeatable. All if not given.", autocompletion=schemes_from)
+    list[str] | None,
+    typer.Option(
+        "--scheme", help="Scheme to use; repeatable. All if not given.", autocompletion=schemes_from
+    ),
 ]
-OneScheme = Annotated[str, typer.Option("--scheme", help="Scheme to use.", autocompletion=schemes_from)]
+OneScheme = Annotated[
+    str, typer.Option("--scheme", help="Scheme to use.", autocompletion=schemes_from)
+]
 Trials = Annotated[int | None, typer.Option(help="Trials J; the scenario's own if not given.")]
-Seed = Annotated[int, typer.Option(help="Seed of noise and of drawn machines.", callback=seed_in_range)]
+Seed = Annotated[
+    int, typer.Option(help="Seed of noise and of drawn machines.", callback=seed_in_range)
+]
 Set = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="PATH=VALUE", help="Set a leaf, a static field or an option of the scenario; repeatable."),
+    typer.Option(
+        "--set",
+        metavar="PATH=VALUE",
+        help="Set a leaf, a static field or an option of the scenario; repeatable.",
+    ),
 ]
-Params = Annotated[Path | None, typer.Option("--params", metavar="FILE", help="Parameters that `tune` wrote; --set goes on top of them.")]
-Spread = Annotated[float | None, typer.Option(help="Half-width of all relative uncertainties: 0.2 is 20 %.")]
+Params = Annotated[
+    Path | None,
+    typer.Option(
+        "--params", metavar="FILE", help="Parameters that `tune` wrote; --set goes on top of them."
+    ),
+]
+Spread = Annotated[
+    float | None, typer.Option(help="Half-width of all relative uncertainties: 0.2 is 20 %.")
+]
 Sampling = Annotated[
     str,
     typer.Option(
@@ -65,20 +96,43 @@ Sampling = Annotated[
         autocompletion=of_list("monte-carlo", "latin-hypercube", "sobol", "corners"),
     ),
 ]
-Weights = Annotated[str, typer.Option(metavar="A,B,C", help="Leaves or elements to tune: lam,phi0[0].")]
-Bounds = Annotated[list[str] | None, typer.Option(metavar="A=LOW:HIGH", help="Narrower than a leaf allows; repeatable.")]
+Weights = Annotated[
+    str, typer.Option(metavar="A,B,C", help="Leaves or elements to tune: lam,phi0[0].")
+]
+Bounds = Annotated[
+    list[str] | None,
+    typer.Option(metavar="A=LOW:HIGH", help="Narrower than a leaf allows; repeatable."),
+]
 TERMS = f"Sum of WEIGHT*NAME[:NUMBER][@FIGURE], NAME of {OBJECTIVES}."
 OverMachines = Annotated[str, typer.Option("--risk", help=f"Over the machines: {RISKS}.")]
-TunedOn = Annotated[int, typer.Option("--samples", help="Machines to tune on, the nominal one included.")]
+TunedOn = Annotated[
+    int, typer.Option("--samples", help="Machines to tune on, the nominal one included.")
+]
 HeldOut = Annotated[int, typer.Option(help="Machines that choose among the steps.")]
 Unseen = Annotated[int, typer.Option(help="Machines of the comparison, the nominal one included.")]
 Steps = Annotated[int, typer.Option(help="Steps at most.")]
 Starts = Annotated[int, typer.Option(help="Starts; the first is the weights as given.")]
 Rate = Annotated[float, typer.Option(help="Of adam: 0.1 is 10 % of a weight a step.")]
-Optimiser = Annotated[str, typer.Option(help="adam, lbfgs or least-squares.", autocompletion=of_list("adam", "lbfgs", "least-squares"))]
-Json = Annotated[Path | None, typer.Option("--json", help="Write every printed figure to this file.", callback=file_to_write)]
-Report = Annotated[Path | None, typer.Option("--report", help="Write one self-contained HTML page to this file.", callback=file_to_write)]
-Precision = Annotated[str, typer.Option(help="float64 or float32.", autocompletion=of_list("float64", "float32"))]
+Optimiser = Annotated[
+    str,
+    typer.Option(
+        help="adam, lbfgs or least-squares.",
+        autocompletion=of_list("adam", "lbfgs", "least-squares"),
+    ),
+]
+Json = Annotated[
+    Path | None,
+    typer.Option("--json", help="Write every printed figure to this file.", callback=file_to_write),
+]
+Report = Annotated[
+    Path | None,
+    typer.Option(
+        "--report", help="Write one self-contained HTML page to this file.", callback=file_to_write
+    ),
+]
+Precision = Annotated[
+    str, typer.Option(help="float64 or float32.", autocompletion=of_list("float64", "float32"))
+]
 
 
 class Refused(ValueError):
@@ -93,8 +147,16 @@ def begin(precision: str) -> None:
     log_jax(keep_programs())
 
 
-def chosen_scenario(name: str, schemes: list[str] | None, trials: int | None, settings: list[str] | None, params: Path | None = None):
-    """The scenario as asked for: its options, then the parameter file, then the settings. ValueError names what is allowed."""
+def chosen_scenario(
+    name: str,
+    schemes: list[str] | None,
+    trials: int | None,
+    settings: list[str] | None,
+    params: Path | None = None,
+):
+    """The scenario as asked for: its options, then the parameter file, then the settings.
+    ValueError names what is allowed.
+    """
     import dataclasses
 
     from .. import scenarios
@@ -113,7 +175,9 @@ def chosen_scenario(name: str, schemes: list[str] | None, trials: int | None, se
         raise ValueError(f"{name} has no scheme; needed is a table [schemes.NAME] at least")
     if params is not None:
         chosen = with_parameters(chosen, params)
-    chosen = chosen.with_values({path: value for path, value in values.items() if path not in known})
+    chosen = chosen.with_values(
+        {path: value for path, value in values.items() if path not in known}
+    )
     if trials is not None:
         if trials < 1:
             raise ValueError(f"--trials {trials} is outside its allowed range [1, inf)")
@@ -151,7 +215,14 @@ def written(paths: list[Path], json_file: Path | None, numbers: dict | list) -> 
 
 def progress_bar(field: str):
     """A progress bar that also shows a field of its tasks; silent where there is no terminal."""
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
 
     columns = (
         TextColumn("{task.description}", markup=False),
@@ -159,10 +230,19 @@ def progress_bar(field: str):
         MofNCompleteColumn(),
         TextColumn(f"{{task.fields[{field}]}}", markup=False),
     )
-    return Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=err, disable=out.quiet or not err.is_terminal)
+    return Progress(
+        *columns,
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=err,
+        disable=out.quiet or not err.is_terminal,
+    )
 
 
 def stopped(store: Path) -> NoReturn:
     """Say how to go on after Ctrl-C, and end."""
-    err.print(f"stopped; {store} holds what is done: the same command with --resume goes on", highlight=False)
+    err.print(
+        f"stopped; {store} holds what is done: the same command with --resume goes on",
+        highlight=False,
+    )
     sys.exit(130)

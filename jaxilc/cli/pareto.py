@@ -52,9 +52,19 @@ def pareto(
     scheme: OneScheme,
     weights: Weights,
     first: Annotated[str, typer.Option(help=f"Objective. {TERMS}")] = "final",
-    second: Annotated[str | None, typer.Option(help="Objective that competes with it, written alike.")] = None,
-    shares: Annotated[str | None, typer.Option(metavar="A,B,C", help="Of the first objective; 0.1,0.3,0.5,0.7,0.9 if not given.")] = None,
-    budgets: Annotated[str | None, typer.Option(metavar="J,K,L", help="In place of --second: numbers of trials to tune for.")] = None,
+    second: Annotated[
+        str | None, typer.Option(help="Objective that competes with it, written alike.")
+    ] = None,
+    shares: Annotated[
+        str | None,
+        typer.Option(
+            metavar="A,B,C", help="Of the first objective; 0.1,0.3,0.5,0.7,0.9 if not given."
+        ),
+    ] = None,
+    budgets: Annotated[
+        str | None,
+        typer.Option(metavar="J,K,L", help="In place of --second: numbers of trials to tune for."),
+    ] = None,
     bounds: Bounds = None,
     risk: OverMachines = "mean",
     trials: Trials = None,
@@ -70,17 +80,26 @@ def pareto(
     seed: Seed = 0,
     set_: Set = None,
     params: Params = None,
-    out_dir: Annotated[Path | None, typer.Option("--out", help="Folder for all results; out/pareto-SCENARIO if not given.")] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with its tunings; shares and budgets may be added.")] = False,
+    out_dir: Annotated[
+        Path | None,
+        typer.Option("--out", help="Folder for all results; out/pareto-SCENARIO if not given."),
+    ] = None,
+    resume: Annotated[
+        bool,
+        typer.Option("--resume", help="Go on with its tunings; shares and budgets may be added."),
+    ] = False,
     json_file: Json = None,
     report: Report = None,
     precision: Precision = "float64",
 ) -> None:
-    """Design under a budget: two objectives against each other (--second), or the first against the number of trials (--budgets).
+    """Design under a budget: two objectives against each other (--second), or the first against the
+    number of trials (--budgets).
 
-    Each point of either is a tuning by itself, from the weights as given, and leaves a parameter file.
+    Each point of either is a tuning by itself, from the weights as given, and leaves a parameter
+    file.
 
-    Example: jaxilc pareto li-2020 --scheme fixed-filter --weights learning.filter.cutoff --bounds learning.filter.cutoff=2:200
+    Example: jaxilc pareto li-2020 --scheme fixed-filter --weights learning.filter.cutoff --bounds
+    learning.filter.cutoff=2:200
     --second effort --trials 15 --steps 20
     """
     begin(precision)
@@ -88,34 +107,74 @@ def pareto(
     from ..tuning.trade_off import SHARES
 
     if (second is None) == (budgets is None):
-        raise ValueError(f"--second {second} and --budgets {budgets}: one of the two is needed, and not both")
+        raise ValueError(
+            f"--second {second} and --budgets {budgets}: one of the two is needed, and not both"
+        )
     for name, value, other in (("shares", shares, budgets), ("trials", trials, budgets)):
         if value is not None and other is not None:
             raise ValueError(f"--{name} {value} has no meaning beside --budgets {other}")
     if unseen < 1:
         raise ValueError(f"--unseen {unseen} is outside its allowed range [1, inf)")
-    allotted = None if budgets is None else [int(J) for J in numbers_of("--budgets", budgets, whole=True)]
+    allotted = (
+        None if budgets is None else [int(J) for J in numbers_of("--budgets", budgets, whole=True)]
+    )
     trials = max(allotted) if allotted else trials
     chosen = chosen_scenario(scenario, [scheme], trials, set_, params)
-    options = {"steps": steps, "starts": starts, "rate": rate, "optimiser": optimiser, "samples": samples, "held_out": held_out}
+    options = {
+        "steps": steps,
+        "starts": starts,
+        "rate": rate,
+        "optimiser": optimiser,
+        "samples": samples,
+        "held_out": held_out,
+    }
     options |= {"sampling": sampling, "seed": seed}
-    problem = problem_of(chosen, scheme, weights, bounds, spread, asked_for(chosen, first, "--first"), risk, **options)
+    problem = problem_of(
+        chosen,
+        scheme,
+        weights,
+        bounds,
+        spread,
+        asked_for(chosen, first, "--first"),
+        risk,
+        **options,
+    )
     folder = out_dir or Path("out") / f"pareto-{chosen.name}"
     state = folder / "state"
     if state.exists() and not resume:
-        raise FileExistsError(f"{state} exists already; add --resume to go on with it, or choose another --out")
+        raise FileExistsError(
+            f"{state} exists already; add --resume to go on with it, or choose another --out"
+        )
     asked = (chosen, scenario, scheme, problem)
     if allotted:
         numbers, table, paths = _by_trials(*asked, allotted, unseen, folder, resume)
     else:
         swept = SHARES if shares is None else numbers_of("--shares", shares)
-        numbers, table, paths = _front(*asked, asked_for(chosen, str(second), "--second"), swept, folder, resume)
+        numbers, table, paths = _front(
+            *asked, asked_for(chosen, str(second), "--second"), swept, folder, resume
+        )
     out.print(table)
-    lines = [f"share {share} is left out: another point is no worse in either objective" for share in numbers.get("left_out", [])]
+    lines = [
+        f"share {share} is left out: another point is no worse in either objective"
+        for share in numbers.get("left_out", [])
+    ]
     for line in lines:
         out.print(line, highlight=False)
-    numbers = {"scenario": chosen.name, "scheme": scheme, "first": first, "second": second} | numbers
-    page = command_report(report, "pareto", [table], paths, scenario=chosen, configuration=problem.configuration(), lines=lines)
+    numbers = {
+        "scenario": chosen.name,
+        "scheme": scheme,
+        "first": first,
+        "second": second,
+    } | numbers
+    page = command_report(
+        report,
+        "pareto",
+        [table],
+        paths,
+        scenario=chosen,
+        configuration=problem.configuration(),
+        lines=lines,
+    )
     written([*paths, *page], json_file, numbers)
 
 
@@ -126,17 +185,38 @@ def _front(chosen, scenario: str, scheme: str, problem, second, shares, folder: 
     from .titled_table import Table
 
     first = problem.objective
-    points = _with_progress(partial(pareto, problem, first, second, shares), len(shares), problem.steps, folder / "state", resume)
+    points = _with_progress(
+        partial(pareto, problem, first, second, shares),
+        len(shares),
+        problem.steps,
+        folder / "state",
+        resume,
+    )
     given = held_out_losses(problem, first, second)(problem.start).tolist()
     rows = {"given": {"first": given[0], "second": given[1], "weights": problem.start}}
-    rows |= {str(p.share): {"first": p.first, "second": p.second, "weights": p.tuned.values} for p in points}
-    table = Table("share of first", title=f"{chosen.title}\n{scheme}, {chosen.trials} trials: objectives on held-out machines")
+    rows |= {
+        str(p.share): {"first": p.first, "second": p.second, "weights": p.tuned.values}
+        for p in points
+    }
+    table = Table(
+        "share of first",
+        title=f"{chosen.title}\n{scheme}, {chosen.trials} trials: objectives on held-out machines",
+    )
     for column in ("first", "second", *problem.start):
         table.add_column(column, justify="right")
     for name, row in rows.items():
-        table.add_row(name, *(f"{x:.6g}" for x in (row["first"], row["second"], *row["weights"].values())))
-    names: dict[str, Any] = {"first": "first objective, held out", "second": "second objective, held out"}
-    paths = [figures.save(figures.pareto_front(points, **names, given=tuple(given)), folder / "front.png")]
+        table.add_row(
+            name, *(f"{x:.6g}" for x in (row["first"], row["second"], *row["weights"].values()))
+        )
+    names: dict[str, Any] = {
+        "first": "first objective, held out",
+        "second": "second objective, held out",
+    }
+    paths = [
+        figures.save(
+            figures.pareto_front(points, **names, given=tuple(given)), folder / "front.png"
+        )
+    ]
     for p in points:
         file = folder / f"params-share-{p.share}.json"
         paths.append(_parameters(chosen, scenario, scheme, p.tuned, file, rows[str(p.share)]))
@@ -144,23 +224,43 @@ def _front(chosen, scenario: str, scheme: str, problem, second, shares, folder: 
     return {"trials": chosen.trials, "points": rows, "left_out": left}, table, paths
 
 
-def _by_trials(chosen, scenario: str, scheme: str, problem, budgets: list[int], unseen: int, folder: Path, resume: bool):
-    """Numbers, table and files of one tuning for each number of trials, all judged on the same unseen machines."""
+def _by_trials(
+    chosen,
+    scenario: str,
+    scheme: str,
+    problem,
+    budgets: list[int],
+    unseen: int,
+    folder: Path,
+    resume: bool,
+):
+    """Numbers, table and files of one tuning for each number of trials, all judged on the same
+    unseen machines.
+    """
     from .. import figures
     from ..sweeps.summary import summarise
     from ..tuning.trade_off import by_trials
     from .tables import number
     from .titled_table import Table
 
-    problem.comparison(dict.fromkeys(("given", *map(str, budgets)), problem.scheme), trials=max(budgets), samples=unseen)  # refused now
-    found = _with_progress(partial(by_trials, problem, budgets), len(budgets), problem.steps, folder / "state", resume)
+    problem.comparison(
+        dict.fromkeys(("given", *map(str, budgets)), problem.scheme),
+        trials=max(budgets),
+        samples=unseen,
+    )  # refused now
+    found = _with_progress(
+        partial(by_trials, problem, budgets), len(budgets), problem.steps, folder / "state", resume
+    )
     schemes = {"given": problem.scheme} | {str(J): tuned.scheme for J, tuned in found.items()}
     dataset = problem.comparison(schemes, trials=max(budgets), samples=unseen).run()
     figure, (scale, unit) = chosen.judged_by, chosen.shown(chosen.judged_by)
     summary = {row.scheme: row for row in summarise(dataset, 1.0, figure=figure)}
 
     def at(name: str, J: int) -> dict[str, float]:
-        return {of: scale * float(getattr(summary[name], of)[J - 1]) for of in ("median", "high", "worst")}
+        return {
+            of: scale * float(getattr(summary[name], of)[J - 1])
+            for of in ("median", "high", "worst")
+        }
 
     rows, which = {}, ("given", "tuned")
     for J, tuned in found.items():
@@ -171,12 +271,26 @@ def _by_trials(chosen, scenario: str, scheme: str, problem, budgets: list[int], 
     for column in ("J", *which, *problem.start):
         table.add_column(column, justify="right")
     for J, row in rows.items():
-        cells = (f"{number(row[of]['median'])} ({number(row[of]['high'])}, {number(row[of]['worst'])})" for of in which)
+        cells = (
+            f"{number(row[of]['median'])} ({number(row[of]['high'])}, {number(row[of]['worst'])})"
+            for of in which
+        )
         table.add_row(J, *cells, *(f"{value:.6g}" for value in row["weights"].values()))
-    errors: dict[str, Any] = {of: [[row[of]["median"], row[of]["worst"]] for row in rows.values()] for of in which}
-    paths = [figures.save(figures.final_error_by_trials(budgets, **errors, figure=figure, unit=unit), folder / "trials.png")]
+    errors: dict[str, Any] = {
+        of: [[row[of]["median"], row[of]["worst"]] for row in rows.values()] for of in which
+    }
+    paths = [
+        figures.save(
+            figures.final_error_by_trials(budgets, **errors, figure=figure, unit=unit),
+            folder / "trials.png",
+        )
+    ]
     for J, tuned in found.items():
-        paths.append(_parameters(chosen, scenario, scheme, tuned, folder / f"params-{J}-trials.json", rows[str(J)]))
+        paths.append(
+            _parameters(
+                chosen, scenario, scheme, tuned, folder / f"params-{J}-trials.json", rows[str(J)]
+            )
+        )
     return {"figure": figure, "unit": unit, "samples": unseen, "budgets": rows}, table, paths
 
 
@@ -197,8 +311,12 @@ def _with_progress(tunings, count: int, steps: int, state: Path, resume: bool):
 
         def progress(name: str, step: int, losses, best: float) -> None:
             if name not in bars:
-                bars[name] = bar.add_task(f"{name} ({len(bars) + 1} of {count})", total=steps, loss="")
-            bar.update(bars[name], completed=step, loss=f"loss {losses.min():.4g}, held out {best:.4g}")
+                bars[name] = bar.add_task(
+                    f"{name} ({len(bars) + 1} of {count})", total=steps, loss=""
+                )
+            bar.update(
+                bars[name], completed=step, loss=f"loss {losses.min():.4g}, held out {best:.4g}"
+            )
 
         try:
             return tunings(state, resume=resume, progress=progress)

@@ -1,8 +1,18 @@
-"""What is tuned for, as one writes it on the command line: `final:20 + 0.3*final@max_error`, `cvar:0.9`, `lam=0.01:10`."""
+"""What is tuned for, as one writes it on the command line: `final:20 + 0.3*final@max_error`,
+`cvar:0.9`, `lam=0.01:10`.
+"""
 
 from __future__ import annotations
 
-TERMS = ("final[:trial]", "every-trial", "holding[:trial]", "trials-to:tolerance", "growth[:trial]", "effort[:scale]", "input-rate[:scale]")
+TERMS = (
+    "final[:trial]",
+    "every-trial",
+    "holding[:trial]",
+    "trials-to:tolerance",
+    "growth[:trial]",
+    "effort[:scale]",
+    "input-rate[:scale]",
+)
 OBJECTIVES = ", ".join((*TERMS, "contraction[:sigma]"))
 RISKS = "mean, worst, cvar[:alpha], smooth-max[:temperature]"
 
@@ -10,7 +20,8 @@ RISKS = "mean, worst, cvar[:alpha], smooth-max[:temperature]"
 def objective_of(text: str, figure: str, scale: float, option: str = "--objective"):
     """An objective from `final:20 + 0.3*final@max_error`.
 
-    figure: where none is named;  scale: of tolerances as shown;  option: of the command line that it was given to
+    figure: where none is named;  scale: of tolerances as shown;  option: of the command line that
+    it was given to
     Raises ValueError naming what is allowed.
     """
     from ..tuning import objectives as o
@@ -23,7 +34,9 @@ def objective_of(text: str, figure: str, scale: float, option: str = "--objectiv
         "growth": lambda f, x: o.Growth(f, 1 if x is None else _whole("growth", x)),
         "effort": lambda f, x: o.Effort(1.0 if x is None else _positive("effort", x)),
         "input-rate": lambda f, x: o.InputRate(1.0 if x is None else _positive("input-rate", x)),
-        "contraction": lambda f, x: o.Contraction(1.0 if x is None else _positive("contraction", x)),
+        "contraction": lambda f, x: o.Contraction(
+            1.0 if x is None else _positive("contraction", x)
+        ),
     }
     total = o.Sum(())
     for term in text.split("+"):
@@ -55,23 +68,33 @@ def risk_of(text: str):
 
 
 def weights_of(text: str, bounds: list[str] | None) -> dict[str, tuple[float, float] | None]:
-    """Names with their bounds, None for all that a leaf allows. Raises ValueError for bounds that are none or of no weight."""
-    weights: dict[str, tuple[float, float] | None] = {name.strip(): None for name in text.split(",") if name.strip()}
+    """Names with their bounds, None for all that a leaf allows. Raises ValueError for bounds that
+    are none or of no weight.
+    """
+    weights: dict[str, tuple[float, float] | None] = {
+        name.strip(): None for name in text.split(",") if name.strip()
+    }
     for bound in bounds or []:
         name, equals, ends = bound.partition("=")
         low, colon, high = ends.partition(":")
         if not (equals and colon):
             raise ValueError(f"--bounds {bound!r} is not NAME=LOW:HIGH")
         if name.strip() not in weights:
-            raise ValueError(f"--bounds: {name.strip()!r} is not one of the weights {', '.join(weights)}")
+            raise ValueError(
+                f"--bounds: {name.strip()!r} is not one of the weights {', '.join(weights)}"
+            )
         weights[name.strip()] = (_number(name, low), _number(name, high))
     return weights
 
 
 def numbers_of(option: str, text: str, *, whole: bool = False) -> list[float]:
-    """Different numbers from `0.1,0.3`. Raises ValueError naming the option for what is no number, or is there twice."""
+    """Different numbers from `0.1,0.3`. Raises ValueError naming the option for what is no number,
+    or is there twice.
+    """
     items = [item.strip() for item in text.split(",")]
-    numbers = [float(item) if whole and item.isdecimal() else _number(option, item) for item in items]
+    numbers = [
+        float(item) if whole and item.isdecimal() else _number(option, item) for item in items
+    ]
     for item, value in zip(items, numbers, strict=True):
         if whole and not (item.isdecimal() and value >= 1):
             raise ValueError(f"{option}: {item!r} is not a number of trials")

@@ -14,7 +14,9 @@ from ..storage.printable import printable
 
 
 class Console(rich.console.Console):
-    """A console of rich that takes no text for markup: titles, names and paths are the user's, and shown as they are."""
+    """A console of rich that takes no text for markup: titles, names and paths are the user's, and
+    shown as they are.
+    """
 
     def __init__(self, **options: Any):
         super().__init__(markup=False, emoji=False, **options)
@@ -24,7 +26,8 @@ class Console(rich.console.Console):
 
 
 class Table(rich.table.Table):
-    """A table of rich under its title, which is as wide as it needs to be: rich folds it to the width of the table.
+    """A table of rich under its title, which is as wide as it needs to be: rich folds it to the
+    width of the table.
 
     Title, headers and cells are text as it stands, for every console.
     """
@@ -38,7 +41,9 @@ class Table(rich.table.Table):
     def add_row(self, *cells: Any, **options: Any) -> None:
         super().add_row(*map(_plain, cells), **options)
 
-    def __rich_console__(self, console: rich.console.Console, options: ConsoleOptions) -> RenderResult:
+    def __rich_console__(
+        self, console: rich.console.Console, options: ConsoleOptions
+    ) -> RenderResult:
         if self.title:
             yield Text(str(self.title), style="table.title")
         bare = copy.copy(self)

@@ -1,4 +1,6 @@
-"""What `jaxilc tune` and `jaxilc worst-case` print, as plain numbers under stable keys and as tables."""
+"""What `jaxilc tune` and `jaxilc worst-case` print, as plain numbers under stable keys and as
+tables.
+"""
 
 from __future__ import annotations
 
@@ -18,21 +20,35 @@ if TYPE_CHECKING:
 WHICH = ("given", "tuned")
 
 
-def tuning_figures(scenario: Scenario, scheme: str, tuned: Tuned, dataset: xr.Dataset) -> dict[str, Any]:
-    """Weights, held-out losses, and by figure, `given` or `tuned`, and trial the quantiles [shown unit] over a comparison's machines."""
+def tuning_figures(
+    scenario: Scenario, scheme: str, tuned: Tuned, dataset: xr.Dataset
+) -> dict[str, Any]:
+    """Weights, held-out losses, and by figure, `given` or `tuned`, and trial the quantiles [shown
+    unit] over a comparison's machines.
+    """
     trials, samples = dataset.sizes["trial"], dataset.sizes["sample"]
     by_figure = {}
     for figure in dict.fromkeys((scenario.judged_by, "max_error")):
         now = dataclasses.replace(scenario, judged_by=figure, trials=trials)
         of = sweep_figures(now, summarise(dataset, 1.0, figure=figure), 1.0, samples)["schemes"]
-        by_figure[figure] = {"unit": scenario.shown(figure)[1]} | {which: of[which]["by_trial"] for which in WHICH}
+        by_figure[figure] = {"unit": scenario.shown(figure)[1]} | {
+            which: of[which]["by_trial"] for which in WHICH
+        }
     return {
         "scenario": scenario.name,
         "scheme": scheme,
         "trials": trials,
         "samples": samples,
-        "weights": {name: {"given": tuned.start[name], "tuned": value} for name, value in tuned.values.items()},
-        "held_out": {"given": tuned.before, "tuned": tuned.after, "step": tuned.step, "reason": tuned.reason},
+        "weights": {
+            name: {"given": tuned.start[name], "tuned": value}
+            for name, value in tuned.values.items()
+        },
+        "held_out": {
+            "given": tuned.before,
+            "tuned": tuned.after,
+            "step": tuned.step,
+            "reason": tuned.reason,
+        },
         "figures": by_figure,
     }
 
@@ -44,7 +60,11 @@ def tuning_tables(scenario: Scenario, figures: dict[str, Any]) -> list[Table]:
         weights.add_column(column, justify="right")
     weights.add_column("allowed")
     for name, row in figures["weights"].items():
-        weights.add_row(name, *(f"{row[which]:.6g}" for which in WHICH), scenario.allowed(f"{figures['scheme']}.{name}"))
+        weights.add_row(
+            name,
+            *(f"{row[which]:.6g}" for which in WHICH),
+            scenario.allowed(f"{figures['scheme']}.{name}"),
+        )
     found = [weights]
     for figure, rows in figures["figures"].items():
         what = f"{figure.replace('_', ' ')} [{rows['unit']}] of {figures['samples']} machines never seen"
@@ -53,7 +73,10 @@ def tuning_tables(scenario: Scenario, figures: dict[str, Any]) -> list[Table]:
             table.add_column(column, justify="right")
         for j in rows["given"]:
             given, tuned = (rows[which][j] for which in WHICH)
-            cells = (f"{number(row['median'])} ({number(row['high'])}, {number(row['worst'])})" for row in (given, tuned))
+            cells = (
+                f"{number(row['median'])} ({number(row['high'])}, {number(row['worst'])})"
+                for row in (given, tuned)
+            )
             table.add_row(j, *cells, *(_ratio(given[q], tuned[q]) for q in ("median", "worst")))
         found.append(table)
     return found
@@ -68,7 +91,13 @@ def worst_case_tables(scenario: Scenario, figures: dict[str, Any]) -> list[Table
         table.add_column(column, justify="right")
     for name, row in figures["searches"].items():
         level = row["level_with_chance"]
-        table.add_row(name, number(row["value"]), str(row["evaluations"]), str(row["needed"]), "never" if level is None else str(level))
+        table.add_row(
+            name,
+            number(row["value"]),
+            str(row["evaluations"]),
+            str(row["needed"]),
+            "never" if level is None else str(level),
+        )
     worst = max(figures["searches"].values(), key=lambda row: row["loss"])
     rebuilt = Table("--set", title="the worst machine")
     for setting in worst["set"]:

@@ -1,4 +1,5 @@
-"""Figures as engineers read them. Each function takes a dataset, or what its name says, and returns the axes it drew on.
+"""Figures as engineers read them. Each function takes a dataset, or what its name says, and returns
+the axes it drew on.
 
     by_trial      errors against the trial: one machine, many machines, theory against simulation
     within_trial  signals against time with a zoom, and the contour of two axes
@@ -6,8 +7,8 @@
     searches      tunings, trade-offs, worst machines
     experiments   identification: the record, and the model against it
 
-Schemes keep colour, line style and mark through all figures of a dataset, trials are shades of grey, so that both can be told apart in
-print. Figures are made without pyplot's global state.
+Schemes keep colour, line style and mark through all figures of a dataset, trials are shades of
+grey, so that both can be told apart in print. Figures are made without pyplot's global state.
 """
 
 from .by_frequency import frequency_tests, spectrum, time_frequency

@@ -1,4 +1,6 @@
-"""Errors and learning by frequency: spectrum, time-frequency map, and the curve that decides on convergence."""
+"""Errors and learning by frequency: spectrum, time-frequency map, and the curve that decides on
+convergence.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .style import DASHES, grid, labelled, legend_above, legend_beside, marks_of, new_axes, shades_of, style_of
+from .style import (
+    DASHES,
+    grid,
+    labelled,
+    legend_above,
+    legend_beside,
+    marks_of,
+    new_axes,
+    shades_of,
+    style_of,
+)
 from .within_trial import signal_of
 
 if TYPE_CHECKING:
@@ -20,13 +32,21 @@ DECADES = 4  # of amplitude that a map shows
 
 
 def spectrum(
-    dataset: xr.Dataset, scheme: str, trials: Sequence[int], *, scale: float = 1.0, unit: str = "", ax: Axes | None = None
+    dataset: xr.Dataset,
+    scheme: str,
+    trials: Sequence[int],
+    *,
+    scale: float = 1.0,
+    unit: str = "",
+    ax: Axes | None = None,
 ) -> Axes:
-    """Amplitude of the error against frequency for chosen trials, logarithmic; other outputs than the first are dashed.
+    """Amplitude of the error against frequency for chosen trials, logarithmic; other outputs than
+    the first are dashed.
 
-    A sinusoid of whole periods shows its amplitude at its frequency (Hann window, one-sided, coherent gain taken out). Noise of standard
-    deviation s has lines of about s (6 / N)^(1/2). Of the lines within a sixtieth of a decade the largest is drawn. The first sample, which
-    no input reaches, and the mean are left out.
+    A sinusoid of whole periods shows its amplitude at its frequency (Hann window, one-sided,
+    coherent gain taken out). Noise of standard deviation s has lines of about s (6 / N)^(1/2). Of
+    the lines within a sixtieth of a decade the largest is drawn. The first sample, which no input
+    reaches, and the mean are left out.
     dataset: with e, as for `signal_of`, which says what is raised;  scale, unit: of the error shown
     """
     from scipy.signal import periodogram
@@ -34,13 +54,32 @@ def spectrum(
     ax, time = new_axes(ax), dataset["time"].values
     for trial, shade in zip(trials, shades_of(trials), strict=True):
         e = scale * signal_of(dataset, "e", scheme, trial)[1:]
-        f, power = periodogram(e, 1.0 / (time[1] - time[0]), window="hann", detrend="constant", scaling="spectrum", axis=0)
+        f, power = periodogram(
+            e,
+            1.0 / (time[1] - time[0]),
+            window="hann",
+            detrend="constant",
+            scaling="spectrum",
+            axis=0,
+        )
         for i, amplitude in enumerate(np.sqrt(2.0 * np.where(power > 0, power, np.nan)[1:]).T):
             at = 1 + _peaks(f[1:], amplitude)
             label = f"trial {trial}" + f", output {i}" * (len(power.T) > 1)
-            ax.loglog(f[at], amplitude[at - 1], color=shade, linestyle=DASHES[i % len(DASHES)], linewidth=1, label=label)
+            ax.loglog(
+                f[at],
+                amplitude[at - 1],
+                color=shade,
+                linestyle=DASHES[i % len(DASHES)],
+                linewidth=1,
+                label=label,
+            )
     ax.set_ylim(bottom=max(ax.get_ylim()[0], ax.get_ylim()[1] * 1e-7))
-    ax.set(xlabel="frequency [Hz]", ylabel=labelled("amplitude of the error", unit), title=scheme, xlim=(f[1], f[-1]))
+    ax.set(
+        xlabel="frequency [Hz]",
+        ylabel=labelled("amplitude of the error", unit),
+        title=scheme,
+        xlim=(f[1], f[-1]),
+    )
     grid(ax)
     legend_beside(ax)
     return ax
@@ -56,12 +95,16 @@ def time_frequency(
     unit: str = "",
     ax=None,
 ) -> np.ndarray:
-    """Amplitude of the error over time and frequency, a map for each trial in the same colours; the axes, one a trial.
+    """Amplitude of the error over time and frequency, a map for each trial in the same colours; the
+    axes, one a trial.
 
-    Short-time Fourier transform under a Hann window, scaled as `spectrum`; of several outputs the largest amplitude.
-    dataset: with e, as for `signal_of`;  window: [s], None for a sixteenth of the trial: half of it is what times are told apart by,
-    two over it what frequencies are;  scale, unit: of the error shown
-    Raises ValueError for a window shorter than 8 samples or longer than the trial, and as `signal_of` does.
+    Short-time Fourier transform under a Hann window, scaled as `spectrum`; of several outputs the
+    largest amplitude.
+    dataset: with e, as for `signal_of`;  window: [s], None for a sixteenth of the trial: half of it
+    is what times are told apart by, two over it what frequencies are;  scale, unit: of the error
+    shown
+    Raises ValueError for a window shorter than 8 samples or longer than the trial, and as
+    `signal_of` does.
     """
     from matplotlib.colors import LogNorm
     from scipy.signal import ShortTimeFFT
@@ -71,9 +114,16 @@ def time_frequency(
     least = min(8, N)
     samples = max(N // 16, least) if window is None else round(window / dt)
     if not least <= samples <= N:
-        raise ValueError(f"time_frequency: window = {samples * dt:g} s is outside its allowed range [{least * dt:g}, {N * dt:g}] s")
+        raise ValueError(
+            f"time_frequency: window = {samples * dt:g} s is outside its allowed range [{least * dt:g}, {N * dt:g}] s"
+        )
     transform = ShortTimeFFT.from_window(
-        "hann", 1.0 / dt, samples, samples - max(samples // 8, 1), fft_mode="onesided2X", scale_to="magnitude"
+        "hann",
+        1.0 / dt,
+        samples,
+        samples - max(samples // 8, 1),
+        fft_mode="onesided2X",
+        scale_to="magnitude",
     )
     slices = {"p0": 0, "p1": N // transform.hop + 1}
     maps = []
@@ -84,31 +134,70 @@ def time_frequency(
     top = np.max(maps, where=np.isfinite(maps), initial=0.0) or 1.0
     colours = LogNorm(top * 10.0**-DECADES, top)
     for axis, trial, amplitude in zip(axes, trials, maps, strict=True):
-        shown = axis.pcolormesh(transform.t(N, **slices), transform.f[1:], amplitude, norm=colours, cmap="viridis", rasterized=True)
-        axis.set(yscale="log", ylabel="frequency [Hz]", title=f"{scheme}, trial {trial}", xlim=(0.0, N * dt))
+        shown = axis.pcolormesh(
+            transform.t(N, **slices),
+            transform.f[1:],
+            amplitude,
+            norm=colours,
+            cmap="viridis",
+            rasterized=True,
+        )
+        axis.set(
+            yscale="log",
+            ylabel="frequency [Hz]",
+            title=f"{scheme}, trial {trial}",
+            xlim=(0.0, N * dt),
+        )
         grid(axis)
     axes[-1].set_xlabel("time [s]")
-    axes[0].figure.colorbar(shown, ax=list(axes), label=labelled("amplitude of the error", unit), extend="min", format="{x:g}")
+    axes[0].figure.colorbar(
+        shown,
+        ax=list(axes),
+        label=labelled("amplitude of the error", unit),
+        extend="min",
+        format="{x:g}",
+    )
     return axes
 
 
 def frequency_tests(tests: Mapping[str, FrequencyTest], *, ax=None) -> Axes:
-    """What must stay below 1, |Q (keep - L P)|, against frequency, over the same near 1; marked where it first reaches 1; two axes.
+    """What must stay below 1, |Q (keep - L P)|, against frequency, over the same near 1; marked
+    where it first reaches 1; two axes.
 
-    tests: by name, of `theory.frequency.learning_condition`, `robust_condition` or `norm_optimal_condition`
-    Four decades below the Nyquist frequency are shown.
+    tests: by name, of `theory.frequency.learning_condition`, `robust_condition` or
+    `norm_optimal_condition` Four decades below the Nyquist frequency are shown.
     """
     axes = new_axes(ax, 2)
     for i, (name, test) in enumerate(tests.items()):
-        magnitude, style = np.where(np.isfinite(test.magnitude), test.magnitude, np.nan), style_of(i)
+        magnitude, style = (
+            np.where(np.isfinite(test.magnitude), test.magnitude, np.nan),
+            style_of(i),
+        )
         reached = f"1 at {test.critical:.3g} Hz, " if np.isfinite(test.critical) else ""
         for axis in axes:
-            axis.semilogx(test.frequencies, magnitude, **style, label=f"{name}: {reached}at most {test.condition.value:.6g}")
+            axis.semilogx(
+                test.frequencies,
+                magnitude,
+                **style,
+                label=f"{name}: {reached}at most {test.condition.value:.6g}",
+            )
             if np.isfinite(test.critical):
-                axis.plot(test.critical, 1.0, **marks_of(i, 1) | {"markersize": 7}, color=style["color"], linestyle="none")
+                axis.plot(
+                    test.critical,
+                    1.0,
+                    **marks_of(i, 1) | {"markersize": 7},
+                    color=style["color"],
+                    linestyle="none",
+                )
     above = max(min(max(test.condition.value for test in tests.values()) - 1.0, 0.5), 0.01)
-    axes[0].set(ylabel="|Q (1 − L P)|", ylim=(0.0, None), xlim=(1e-4 * test.frequencies[-1], test.frequencies[-1]))
-    axes[1].set(ylabel="near 1", ylim=(1.0 - 3.0 * above, 1.0 + 1.5 * above), xlabel="frequency [Hz]")
+    axes[0].set(
+        ylabel="|Q (1 − L P)|",
+        ylim=(0.0, None),
+        xlim=(1e-4 * test.frequencies[-1], test.frequencies[-1]),
+    )
+    axes[1].set(
+        ylabel="near 1", ylim=(1.0 - 3.0 * above, 1.0 + 1.5 * above), xlabel="frequency [Hz]"
+    )
     for axis in axes:
         axis.axhline(1.0, color="k", linewidth=0.8)
         grid(axis)
@@ -118,5 +207,7 @@ def frequency_tests(tests: Mapping[str, FrequencyTest], *, ax=None) -> Axes:
 
 def _peaks(f, amplitude):
     """Which lines are the largest within their sixtieth of a decade."""
-    groups = np.split(np.arange(len(f)), np.flatnonzero(np.diff(np.floor(60 * np.log10(f / f[0])))) + 1)
+    groups = np.split(
+        np.arange(len(f)), np.flatnonzero(np.diff(np.floor(60 * np.log10(f / f[0])))) + 1
+    )
     return np.array([group[np.argmax(np.nan_to_num(amplitude[group]))] for group in groups])

@@ -7,7 +7,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .style import COLOURS, grid, labelled, legend_beside, marks_of, names_of, new_axes, style_of, trial_axis
+from .style import (
+    COLOURS,
+    grid,
+    labelled,
+    legend_beside,
+    marks_of,
+    names_of,
+    new_axes,
+    style_of,
+    trial_axis,
+)
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -25,30 +35,54 @@ def error_by_trial(
     published: Iterable = (),
     ax: Axes | None = None,
 ) -> Axes:
-    """Error of one machine against the trial; printed values in the scheme's colour, as open circles, or as carets below a printed bound.
+    """Error of one machine against the trial; printed values in the scheme's colour, as open
+    circles, or as carets below a printed bound.
 
-    A trial that diverged is left out, and the legend says when it happened; likewise from when on an error has grown.
-    dataset: dims (scheme, trial), as of `run_schemes`;  figure: any variable over them;  scale, unit: of the errors shown
-    published: rows with scheme, trial (None: of a scheme that does not learn, at trial 1), quantity, value [unit], at_most
+    A trial that diverged is left out, and the legend says when it happened; likewise from when on
+    an error has grown.
+    dataset: dims (scheme, trial), as of `run_schemes`;  figure: any variable over them;  scale,
+    unit: of the errors shown
+    published: rows with scheme, trial (None: of a scheme that does not learn, at trial 1),
+    quantity, value [unit], at_most
     """
     from matplotlib.markers import CARETDOWNBASE
 
     ax = new_axes(ax)
-    published = [p for p in published if p.quantity == figure and (p.trial or 1) <= dataset.sizes["trial"]]
+    published = [
+        p for p in published if p.quantity == figure and (p.trial or 1) <= dataset.sizes["trial"]
+    ]
     for i, name in enumerate(names_of(dataset)):
         errors = dataset[figure].sel(scheme=name)
         errors = scale * errors.max([d for d in errors.dims if d != "trial"])
         if "diverged" in dataset:
             errors = errors.where(~dataset["diverged"].sel(scheme=name))
-        ax.semilogy(dataset["trial"], errors, label=name + _course(dataset, name), **style_of(i), **marks_of(i, len(errors)))
+        ax.semilogy(
+            dataset["trial"],
+            errors,
+            label=name + _course(dataset, name),
+            **style_of(i),
+            **marks_of(i, len(errors)),
+        )
         for p in published:
             if p.scheme == name:
-                mark = {"marker": CARETDOWNBASE if p.at_most else "o", "markersize": 9 if p.at_most else 6}
+                mark = {
+                    "marker": CARETDOWNBASE if p.at_most else "o",
+                    "markersize": 9 if p.at_most else 6,
+                }
                 ax.plot([p.trial or 1], [p.value], **mark, mfc="none", color=style_of(i)["color"])
     if any(not p.at_most for p in published):
         ax.plot([], [], "o", mfc="none", color="k", label="published")
     if any(p.at_most for p in published):
-        ax.plot([], [], marker=CARETDOWNBASE, linestyle="none", markersize=9, mfc="none", color="k", label="published: less")
+        ax.plot(
+            [],
+            [],
+            marker=CARETDOWNBASE,
+            linestyle="none",
+            markersize=9,
+            mfc="none",
+            color="k",
+            label="published: less",
+        )
     ax.set(ylabel=labelled(figure, unit))
     trial_axis(ax)
     grid(ax)
@@ -67,8 +101,8 @@ def error_band(
 ) -> Axes:
     """A sweep: median, 5-95 % band and worst sample against the trial, with the tolerance.
 
-    The legend has the share of machines that diverged, which are infinitely bad in every quantile. What lies more than ten times above
-    every median (an unstable machine) is off the scale.
+    The legend has the share of machines that diverged, which are infinitely bad in every quantile.
+    What lies more than ten times above every median (an unstable machine) is off the scale.
     dataset: dims (scheme, sample, trial);  tolerance: in the unit of the dataset
     """
     from ..sweeps.summary import summarise
@@ -80,13 +114,26 @@ def error_band(
         style, marks = style_of(i), marks_of(i, len(trial))
         lost = f" ({row.diverged:.1%} diverged)" if row.diverged else ""
         ax.semilogy(trial, scale * row.median, label=row.scheme + lost, **style, **marks)
-        ax.fill_between(trial, scale * row.low, scale * row.high, color=style["color"], alpha=0.2, linewidth=0)
-        ax.semilogy(trial, scale * row.worst, **{**style, "linestyle": "none"}, **{**marks, "markevery": 1, "markersize": 2})
+        ax.fill_between(
+            trial, scale * row.low, scale * row.high, color=style["color"], alpha=0.2, linewidth=0
+        )
+        ax.semilogy(
+            trial,
+            scale * row.worst,
+            **{**style, "linestyle": "none"},
+            **{**marks, "markevery": 1, "markersize": 2},
+        )
     ax.plot([], [], color="k", label="median")
     ax.fill_between([], [], [], color="k", alpha=0.2, linewidth=0, label="5–95 %")
     ax.plot([], [], "k.", markersize=3, label="worst machine")
     if tolerance is not None:
-        ax.axhline(scale * tolerance, color="k", linewidth=0.8, linestyle="--", label=f"tolerance {scale * tolerance:g} {unit}")
+        ax.axhline(
+            scale * tolerance,
+            color="k",
+            linewidth=0.8,
+            linestyle="--",
+            label=f"tolerance {scale * tolerance:g} {unit}",
+        )
     if np.any(np.isfinite(medians)):
         ax.set_ylim(top=10.0 * scale * np.max(medians[np.isfinite(medians)]))
     ax.set(ylabel=labelled(figure, unit), title=f"{dataset.sizes['sample']} machines")
@@ -101,21 +148,42 @@ def _course(dataset: xr.Dataset, name: str) -> str:
     for what, since in (("diverged", "diverged_at"), ("grown", "grown_from")):
         trial = int(dataset[since].sel(scheme=name)) if since in dataset else 0
         if trial:
-            return f" ({what} from trial {trial} on)" if what == "grown" else f" ({what} at trial {trial})"
+            return (
+                f" ({what} from trial {trial} on)"
+                if what == "grown"
+                else f" ({what} at trial {trial})"
+            )
     return ""
 
 
-def certificate(found: Certificate, *, scale: float = 1.0, unit: str = "", title: str = "", ax: Axes | None = None) -> Axes:
+def certificate(
+    found: Certificate,
+    *,
+    scale: float = 1.0,
+    unit: str = "",
+    title: str = "",
+    ax: Axes | None = None,
+) -> Axes:
     """Root mean square error by trial as theory predicts it and as it was simulated, every machine.
 
     found: from `theory.certify`;  scale, unit: of the error shown
     """
     ax = new_axes(ax)
     trial = np.arange(1, found.predicted.shape[1] + 1)
-    for errors, colour, dash, label in ((found.simulated, COLOURS[0], "-", "simulated"), (found.predicted, COLOURS[1], "--", "predicted")):
+    for errors, colour, dash, label in (
+        (found.simulated, COLOURS[0], "-", "simulated"),
+        (found.predicted, COLOURS[1], "--", "predicted"),
+    ):
         shown = np.where(np.isfinite(errors) & (errors > 0), scale * errors, np.nan)
         ax.semilogy(trial, shown.T, color=colour, linewidth=0.5, alpha=0.35, linestyle=dash)
-        ax.semilogy(trial, shown[0], color=colour, linewidth=2, linestyle=dash, label=f"{label} (thick: nominal)")
+        ax.semilogy(
+            trial,
+            shown[0],
+            color=colour,
+            linewidth=2,
+            linestyle=dash,
+            label=f"{label} (thick: nominal)",
+        )
     ax.set(ylabel=labelled("RMS error", unit), title=f"{title}: {len(found.claim)} machines")
     trial_axis(ax)
     grid(ax)

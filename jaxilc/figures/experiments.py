@@ -13,14 +13,28 @@ if TYPE_CHECKING:
     from ..identification.records import Record
 
 
-def record_figure(record: Record, *, input_unit: str = "", output_unit: str = "", ax=None) -> np.ndarray:
-    """An identification experiment against time, input over output (Cao 2019, Fig. 2 and 3); two axes."""
+def record_figure(
+    record: Record, *, input_unit: str = "", output_unit: str = "", ax=None
+) -> np.ndarray:
+    """An identification experiment against time, input over output (Cao 2019, Fig. 2 and 3); two
+    axes.
+    """
     top, bottom = axes = new_axes(ax, rows=2)
-    for axis, signal, style in ((top, record.u, {"drawstyle": "steps-post"}), (bottom, record.y, {})):
+    for axis, signal, style in (
+        (top, record.u, {"drawstyle": "steps-post"}),
+        (bottom, record.y, {}),
+    ):
         signal = np.reshape(signal, (len(signal), -1))
         for i, values in enumerate(signal.T):
             label = f"{i}" if signal.shape[1] > 1 else None
-            axis.plot(np.arange(len(signal)) * record.dt, values, color=COLOURS[i % len(COLOURS)], linewidth=0.8, label=label, **style)
+            axis.plot(
+                np.arange(len(signal)) * record.dt,
+                values,
+                color=COLOURS[i % len(COLOURS)],
+                linewidth=0.8,
+                label=label,
+                **style,
+            )
         if signal.shape[1] > 1:
             legend_beside(axis)
         grid(axis)
@@ -30,9 +44,16 @@ def record_figure(record: Record, *, input_unit: str = "", output_unit: str = ""
 
 
 def validation_figure(
-    record: Record, identified: Identified, *, output_unit: str = "", scale: float = 1.0, unit: str = "", ax=None
+    record: Record,
+    identified: Identified,
+    *,
+    output_unit: str = "",
+    scale: float = 1.0,
+    unit: str = "",
+    ax=None,
 ) -> np.ndarray:
-    """Measured and simulated output, and their difference (Cao 2019, Fig. 4); the part that was not fitted is shaded; two axes.
+    """Measured and simulated output, and their difference (Cao 2019, Fig. 4); the part that was not
+    fitted is shaded; two axes.
 
     scale, unit: of the residual shown
     """
@@ -45,12 +66,27 @@ def validation_figure(
         if identified.samples < len(y):
             fits += f", validation {identified.validation_fit[i]:.2f} %"
         top.plot(time, y[:, i], color="#999999", linewidth=3, label=f"measured{name}")
-        top.plot(time, identified.simulated[:, i], color=colour, linewidth=1, label=f"simulated{name}: {fits}")
-        bottom.plot(time, scale * (y[:, i] - identified.simulated[:, i]), color=colour, linewidth=0.8)
+        top.plot(
+            time,
+            identified.simulated[:, i],
+            color=colour,
+            linewidth=1,
+            label=f"simulated{name}: {fits}",
+        )
+        bottom.plot(
+            time, scale * (y[:, i] - identified.simulated[:, i]), color=colour, linewidth=0.8
+        )
     for axis in axes:
         axis.set_xlim(time[0], time[-1])
         if identified.samples < len(y):
-            axis.axvspan(time[identified.samples], time[-1], color="#e69f00", alpha=0.12, linewidth=0, label="not fitted")
+            axis.axvspan(
+                time[identified.samples],
+                time[-1],
+                color="#e69f00",
+                alpha=0.12,
+                linewidth=0,
+                label="not fitted",
+            )
         grid(axis)
     top.set(ylabel=labelled("output", output_unit))
     bottom.set(ylabel=labelled("residual", unit), xlabel="time [s]")

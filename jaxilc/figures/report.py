@@ -1,7 +1,8 @@
-"""One self-contained HTML page of a run, a sweep, a certificate or a tuning: it opens offline, and prints.
+"""One self-contained HTML page of a run, a sweep, a certificate or a tuning: it opens offline, and
+prints.
 
-The page is well-formed XML, and nothing in it refers to anything outside of it: figures are embedded, the style is inline, and a content
-security policy has the browser refuse the rest.
+The page is well-formed XML, and nothing in it refers to anything outside of it: figures are
+embedded, the style is inline, and a content security policy has the browser refuse the rest.
 """
 
 from __future__ import annotations
@@ -63,21 +64,35 @@ def html_report(
 ) -> str:
     """The page as text.
 
-    asked: what was asked for, by name;  tables: of `rich`, whose strings are taken as they stand, or (caption, rows by column name)
+    asked: what was asked for, by name;  tables: of `rich`, whose strings are taken as they stand,
+    or (caption, rows by column name)
     figures: a PNG or SVG file, or axes, with or without a caption before it: (caption, figure)
-    configuration: all that determines the numbers, as JSON takes it;  notes: paragraphs under a heading
-    Raises ValueError naming a figure that is neither PNG nor SVG, FileNotFoundError for one that is not there.
+    configuration: all that determines the numbers, as JSON takes it;  notes: paragraphs under a
+    heading
+    Raises ValueError naming a figure that is neither PNG nor SVG, FileNotFoundError for one that is
+    not there.
     """
     sections = [
         ("What was asked", [_named(asked)]),
-        ("Tables", [_table(*(_of_rich(t) if isinstance(t, Table) else _of_rows(*t))) for t in tables]),
+        (
+            "Tables",
+            [_table(*(_of_rich(t) if isinstance(t, Table) else _of_rows(*t))) for t in tables],
+        ),
         ("Figures", [_figure(*(f if isinstance(f, tuple) else (_caption(f), f))) for f in figures]),
         *(
-            (heading, [_element("ul", *(_element("li", _text(line)) for line in lines))] if lines else [])
+            (
+                heading,
+                [_element("ul", *(_element("li", _text(line)) for line in lines))] if lines else [],
+            )
             for heading, lines in (notes or {}).items()
         ),
         ("Versions", [_named(_versions())]),
-        ("Configuration", [_element("pre", _text(json.dumps(configuration, indent=1, ensure_ascii=False)))] if configuration else []),
+        (
+            "Configuration",
+            [_element("pre", _text(json.dumps(configuration, indent=1, ensure_ascii=False)))]
+            if configuration
+            else [],
+        ),
     ]
     body = [_element("h1", _text(title))]
     for heading, parts in sections:
@@ -90,12 +105,18 @@ def html_report(
         _element("title", _text(title)),
         _element("style", STYLE),
     )
-    page = _element("html", _element("head", *head), _element("body", *body)).replace("<html>", '<html lang="en">', 1)
+    page = _element("html", _element("head", *head), _element("body", *body)).replace(
+        "<html>", '<html lang="en">', 1
+    )
     return f"<!DOCTYPE html>\n{page}\n"
 
 
-def write_report(path: str | Path, title: str, asked: Mapping[str, object], *parts, **named) -> Path:
-    """Write the page of `html_report`, whose arguments follow the path, all or nothing; the folder is made."""
+def write_report(
+    path: str | Path, title: str, asked: Mapping[str, object], *parts, **named
+) -> Path:
+    """Write the page of `html_report`, whose arguments follow the path, all or nothing; the folder
+    is made.
+    """
     page = html_report(title, asked, *parts, **named).encode()
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     atomically(path, lambda file: file.write(page))
@@ -115,14 +136,21 @@ def command_report(
 ) -> list[Path]:
     """The page of a command of the command line, and where it was written: [] if no path was given.
 
-    figures: paths among which only pictures count;  scenario: as it was run, None for a command without one
-    configuration: None for that of the scenario;  lines: what was printed besides the tables;  asked: worth a row besides the command
+    figures: paths among which only pictures count;  scenario: as it was run, None for a command
+    without one
+    configuration: None for that of the scenario;  lines: what was printed besides the tables;
+    asked: worth a row besides the command
     """
     if path is None:
         return []
     rows: dict[str, object] = {"command": shlex.join(["jaxilc", *sys.argv[1:]])}
     if scenario is not None:
-        rows |= {"scenario": scenario.name, **scenario.options, "schemes": ", ".join(scenario.schemes), "trials": scenario.trials}
+        rows |= {
+            "scenario": scenario.name,
+            **scenario.options,
+            "schemes": ", ".join(scenario.schemes),
+            "trials": scenario.trials,
+        }
         parts = ("machine", "schemes", "task", "trials", "uncertainty")
         configuration = configuration or {name: describe(getattr(scenario, name)) for name in parts}
     return [
@@ -133,7 +161,12 @@ def command_report(
             tables,
             [f for f in figures if not isinstance(f, str | Path) or Path(f).suffix in MEDIA],
             configuration,
-            {"Also": lines, "Chosen where the paper leaves it open": scenario.chosen if scenario is not None else ()},
+            {
+                "Also": lines,
+                "Chosen where the paper leaves it open": scenario.chosen
+                if scenario is not None
+                else (),
+            },
         )
     ]
 
@@ -141,7 +174,11 @@ def command_report(
 def _versions() -> dict[str, object]:
     found = environment()
     known = {name: value for name, value in found.items() if name != "versions"}
-    return found["versions"] | {"Python": platform.python_version(), "system": platform.platform()} | known
+    return (
+        found["versions"]
+        | {"Python": platform.python_version(), "system": platform.platform()}
+        | known
+    )
 
 
 def _of_rich(table: Table) -> tuple[str, list[str], list[bool], list[list[str]]]:
@@ -155,32 +192,49 @@ def _of_rich(table: Table) -> tuple[str, list[str], list[bool], list[list[str]]]
     )
 
 
-def _of_rows(caption: str, rows: Sequence[Mapping[str, object]]) -> tuple[str, list[str], list[bool], list[list[str]]]:
+def _of_rows(
+    caption: str, rows: Sequence[Mapping[str, object]]
+) -> tuple[str, list[str], list[bool], list[list[str]]]:
     names = list(dict.fromkeys(name for row in rows for name in row))
     numeric = [any(_is_number(row.get(name)) for row in rows) for name in names]
     return caption, names, numeric, [[_value(row.get(name)) for name in names] for row in rows]
 
 
-def _table(caption: str, headers: Sequence[str], numeric: Sequence[bool], rows: Sequence[Sequence[str]]) -> str:
+def _table(
+    caption: str, headers: Sequence[str], numeric: Sequence[bool], rows: Sequence[Sequence[str]]
+) -> str:
     def row(tag, cells):
         opened = (f'<{tag} class="n">' if right else f"<{tag}>" for right in numeric)
-        return _element("tr", *(f"{start}{_text(cell)}</{tag}>" for start, cell in zip(opened, cells, strict=True)))
+        return _element(
+            "tr",
+            *(f"{start}{_text(cell)}</{tag}>" for start, cell in zip(opened, cells, strict=True)),
+        )
 
     parts = [_element("caption", _text(caption))] if caption else []
-    parts += [_element("thead", row("th", headers)), _element("tbody", *(row("td", cells) for cells in rows))]
+    parts += [
+        _element("thead", row("th", headers)),
+        _element("tbody", *(row("td", cells) for cells in rows)),
+    ]
     return f'<div class="wide">{_element("table", *parts)}</div>'
 
 
 def _named(values: Mapping[str, object]) -> str:
     """Two columns, name and value."""
-    rows = (_element("tr", _element("th", _text(name)), _element("td", _text(_value(value)))) for name, value in values.items())
+    rows = (
+        _element("tr", _element("th", _text(name)), _element("td", _text(_value(value))))
+        for name, value in values.items()
+    )
     return f'<div class="wide">{_element("table", _element("tbody", *rows))}</div>'
 
 
 def _figure(caption: str, drawing: Drawing) -> str:
     kind, data = _picture(drawing)
     source = f"data:{kind};base64,{base64.b64encode(data).decode()}"
-    return _element("figure", f'<img src="{source}" alt="{_text(caption)}"/>', _element("figcaption", _text(caption)))
+    return _element(
+        "figure",
+        f'<img src="{source}" alt="{_text(caption)}"/>',
+        _element("figcaption", _text(caption)),
+    )
 
 
 def _picture(drawing: Drawing) -> tuple[str, bytes]:
@@ -197,7 +251,11 @@ def _picture(drawing: Drawing) -> tuple[str, bytes]:
 
 def _caption(drawing: Drawing) -> str:
     """The name of a file, the title of axes."""
-    return Path(drawing).stem.replace("-", " ") if isinstance(drawing, str | Path) else _first(drawing).get_title()
+    return (
+        Path(drawing).stem.replace("-", " ")
+        if isinstance(drawing, str | Path)
+        else _first(drawing).get_title()
+    )
 
 
 def _first(axes) -> Any:
@@ -205,14 +263,24 @@ def _first(axes) -> Any:
 
 
 def _plain(cell: object) -> str:
-    """The text of a cell of a table of `rich`. Brackets are units, not markup; where they are escaped, the backslash goes."""
-    return cell.replace("\\[", "[") if isinstance(cell, str) else getattr(cell, "plain", "" if cell is None else str(cell))
+    """The text of a cell of a table of `rich`. Brackets are units, not markup; where they are
+    escaped, the backslash goes.
+    """
+    return (
+        cell.replace("\\[", "[")
+        if isinstance(cell, str)
+        else getattr(cell, "plain", "" if cell is None else str(cell))
+    )
 
 
 def _value(value: object) -> str:
     if value is None:
         return ""
-    return f"{value:.6g}" if _is_number(value) and not isinstance(value, int | np.integer) else str(value)
+    return (
+        f"{value:.6g}"
+        if _is_number(value) and not isinstance(value, int | np.integer)
+        else str(value)
+    )
 
 
 def _is_number(value: object) -> bool:
@@ -220,7 +288,9 @@ def _is_number(value: object) -> bool:
 
 
 def _text(text: str) -> str:
-    """Escaped; what XML cannot hold, such as an escape sequence of a terminal, becomes a replacement character."""
+    """Escaped; what XML cannot hold, such as an escape sequence of a terminal, becomes a
+    replacement character.
+    """
     return html.escape(NOT_IN_XML.sub("\ufffd", text))
 
 

@@ -17,13 +17,29 @@ if TYPE_CHECKING:
 
 
 def loss_by_step(tuned: Tuned, *, ax: Axes | None = None) -> Axes:
-    """A tuning: loss on the plants tuned on against the step, each start, and on the held-out ones where they were looked at."""
+    """A tuning: loss on the plants tuned on against the step, each start, and on the held-out ones
+    where they were looked at.
+    """
     ax = new_axes(ax)
     for k, losses in enumerate(tuned.loss.T):
-        ax.plot(losses, color=COLOURS[0], linewidth=0.8, alpha=0.8, label="plants tuned on" if k == 0 else None)
+        ax.plot(
+            losses,
+            color=COLOURS[0],
+            linewidth=0.8,
+            alpha=0.8,
+            label="plants tuned on" if k == 0 else None,
+        )
     for k, losses in enumerate(tuned.held_out.T):
         looked = np.flatnonzero(np.isfinite(losses))
-        ax.plot(looked, losses[looked], "o--", color=COLOURS[1], markersize=3, linewidth=0.5, label="held-out plants" if k == 0 else None)
+        ax.plot(
+            looked,
+            losses[looked],
+            "o--",
+            color=COLOURS[1],
+            markersize=3,
+            linewidth=0.5,
+            label="held-out plants" if k == 0 else None,
+        )
     ax.plot(tuned.step, tuned.after, "k*", markersize=10, label="chosen")
     ax.set(xlabel="step", ylabel="loss")
     grid(ax)
@@ -31,20 +47,34 @@ def loss_by_step(tuned: Tuned, *, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def worst_against_chance(drawn, found: Mapping[str, float], *, nominal: float, figure: str = "", unit: str = "", ax=None) -> Axes:
-    """A search for the worst machine: distribution of the figure over drawn machines, log axis, and what each search found.
+def worst_against_chance(
+    drawn, found: Mapping[str, float], *, nominal: float, figure: str = "", unit: str = "", ax=None
+) -> Axes:
+    """A search for the worst machine: distribution of the figure over drawn machines, log axis, and
+    what each search found.
 
-    drawn: (S,) figures of the machines drawn by chance;  found: largest figure by the name of the search;  nominal: figure
+    drawn: (S,) figures of the machines drawn by chance;  found: largest figure by the name of the
+    search;  nominal: figure
     """
     ax = new_axes(ax)
     drawn = np.asarray(drawn)
     drawn = drawn[np.isfinite(drawn) & (drawn > 0)]
     low, high = drawn.min(), drawn.max() * (1 + 1e-9)
-    ax.hist(drawn, bins=np.geomspace(low, high, 60) if high > 1.01 * low else 10, color="#999999", label=f"{len(drawn)} machines drawn")
+    ax.hist(
+        drawn,
+        bins=np.geomspace(low, high, 60) if high > 1.01 * low else 10,
+        color="#999999",
+        label=f"{len(drawn)} machines drawn",
+    )
     ax.axvline(nominal, color="k", linewidth=0.8, label=f"nominal {nominal:.4g}")
     for i, (name, value) in enumerate(found.items()):
         if np.isfinite(value):
-            ax.axvline(value, color=COLOURS[i % len(COLOURS)], linestyle=DASHES[i % len(DASHES)], label=f"{name} {value:.4g}")
+            ax.axvline(
+                value,
+                color=COLOURS[i % len(COLOURS)],
+                linestyle=DASHES[i % len(DASHES)],
+                label=f"{name} {value:.4g}",
+            )
     ax.set(xscale="log", yscale="log", xlabel=labelled(figure, unit), ylabel="machines")
     grid(ax)
     legend_above(ax)
@@ -52,11 +82,17 @@ def worst_against_chance(drawn, found: Mapping[str, float], *, nominal: float, f
 
 
 def pareto_front(
-    points: Iterable[Point], *, first: str = "", second: str = "", given: tuple[float, float] | None = None, ax: Axes | None = None
+    points: Iterable[Point],
+    *,
+    first: str = "",
+    second: str = "",
+    given: tuple[float, float] | None = None,
+    ax: Axes | None = None,
 ) -> Axes:
     """A trade-off: both objectives of each point, its share of the first one beside it.
 
-    points: from `trade_off.pareto`;  first, second: names of the objectives;  given: both with the weights as given
+    points: from `trade_off.pareto`;  first, second: names of the objectives;  given: both with the
+    weights as given
     """
     ax = new_axes(ax)
     points = sorted(points, key=lambda p: p.first)
@@ -69,7 +105,13 @@ def pareto_front(
         label="tuned; beside: share of the first",
     )
     for p in points:
-        ax.annotate(f"{p.share:g}", (p.first, p.second), textcoords="offset points", xytext=(6, 4), fontsize="small")
+        ax.annotate(
+            f"{p.share:g}",
+            (p.first, p.second),
+            textcoords="offset points",
+            xytext=(6, 4),
+            fontsize="small",
+        )
     if given is not None:
         ax.plot(*given, "o", mfc="none", color=COLOURS[1], label="given")
     legend_above(ax)
@@ -78,17 +120,32 @@ def pareto_front(
     return ax
 
 
-def final_error_by_trials(trials: Sequence[int], given, tuned, *, figure: str = "", unit: str = "", ax: Axes | None = None) -> Axes:
-    """What is reached by trial J: the weights as given against those tuned for J trials, log axis; worst machine dashed.
+def final_error_by_trials(
+    trials: Sequence[int], given, tuned, *, figure: str = "", unit: str = "", ax: Axes | None = None
+) -> Axes:
+    """What is reached by trial J: the weights as given against those tuned for J trials, log axis;
+    worst machine dashed.
 
     trials: (n,) J;  given, tuned: (n, 2) median and worst over machines [unit]
     """
     ax = new_axes(ax)
-    for name, values, colour in (("given", given, COLOURS[1]), ("tuned for that many trials", tuned, COLOURS[0])):
+    for name, values, colour in (
+        ("given", given, COLOURS[1]),
+        ("tuned for that many trials", tuned, COLOURS[0]),
+    ):
         for column, quantile in enumerate(("median", "worst")):
-            shown = {"color": colour, "marker": MARKS[column], "linestyle": DASHES[column], "label": f"{name}, {quantile}"}
+            shown = {
+                "color": colour,
+                "marker": MARKS[column],
+                "linestyle": DASHES[column],
+                "label": f"{name}, {quantile}",
+            }
             ax.semilogy(trials, np.asarray(values)[:, column], **shown)
-    ax.set(xticks=list(trials), xlabel="number of trials", ylabel=f"{labelled(figure, unit)} of the last trial")
+    ax.set(
+        xticks=list(trials),
+        xlabel="number of trials",
+        ylabel=f"{labelled(figure, unit)} of the last trial",
+    )
     grid(ax)
     legend_above(ax)
     return ax

@@ -1,4 +1,6 @@
-"""What all figures share: colours, dashes, marks and shades, new axes, readable logarithmic ticks, labels with units."""
+"""What all figures share: colours, dashes, marks and shades, new axes, readable logarithmic ticks,
+labels with units.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,15 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.axes import Axes
 
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")  # safe for the colour-blind
+COLOURS = (
+    "#0072b2",
+    "#d55e00",
+    "#009e73",
+    "#cc79a7",
+    "#56b4e9",
+    "#e69f00",
+    "#000000",
+)  # safe for the colour-blind
 DASHES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (3, 1, 1, 1)), (0, (1, 1)))
 MARKS = ("s", "^", "D", "x", "P", "*", "p")  # circles are printed numbers
 
@@ -25,21 +35,37 @@ def names_of(dataset: xr.Dataset) -> list[str]:
 
 def style_of(i: int) -> dict[str, Any]:
     """Colour and line style of the i-th scheme, the same for no other of the first 49."""
-    return {"color": COLOURS[i % len(COLOURS)], "linestyle": DASHES[(i + i // len(COLOURS)) % len(DASHES)]}
+    return {
+        "color": COLOURS[i % len(COLOURS)],
+        "linestyle": DASHES[(i + i // len(COLOURS)) % len(DASHES)],
+    }
 
 
 def marks_of(i: int, points: int, marks: int = 8) -> dict[str, Any]:
-    """Open marks at some of the points of the i-th curve, others than those of its neighbours, so that curves on one another show."""
+    """Open marks at some of the points of the i-th curve, others than those of its neighbours, so
+    that curves on one another show.
+    """
     every = max(points // marks, 1)
-    return {"marker": MARKS[(i + i // len(MARKS)) % len(MARKS)], "markevery": (i % every, every), "markersize": 4, "mfc": "none"}
+    return {
+        "marker": MARKS[(i + i // len(MARKS)) % len(MARKS)],
+        "markevery": (i % every, every),
+        "markersize": 4,
+        "mfc": "none",
+    }
 
 
 def shades_of(trials: Sequence[int]) -> list[str]:
     """A grey for each trial, the last one black."""
-    return [str(shade) for shade in np.linspace(0.75, 0.0, len(trials))] if len(trials) > 1 else ["0.0"] * len(trials)
+    return (
+        [str(shade) for shade in np.linspace(0.75, 0.0, len(trials))]
+        if len(trials) > 1
+        else ["0.0"] * len(trials)
+    )
 
 
-def new_axes(ax: Any, rows: int = 1, columns: int = 1, *, size: tuple[float, float] | None = None, **kwargs) -> Any:
+def new_axes(
+    ax: Any, rows: int = 1, columns: int = 1, *, size: tuple[float, float] | None = None, **kwargs
+) -> Any:
     """The axes given, or those of a new figure. size: [in], None for 2.6 in a row"""
     if ax is not None:
         return ax
@@ -56,7 +82,9 @@ def labelled(name: str, unit: str) -> str:
 
 
 def grid(ax: Axes) -> None:
-    """A pale grid, and plain numbers on logarithmic axes, 1-2-5 where there are few decades; when all is drawn."""
+    """A pale grid, and plain numbers on logarithmic axes, 1-2-5 where there are few decades; when
+    all is drawn.
+    """
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     ax.grid(True, alpha=0.25)

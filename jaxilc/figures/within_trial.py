@@ -1,4 +1,6 @@
-"""What happens within chosen trials: tracking against time with a zoom, and the contour of two axes."""
+"""What happens within chosen trials: tracking against time with a zoom, and the contour of two
+axes.
+"""
 
 from __future__ import annotations
 
@@ -20,16 +22,23 @@ SHOWN = 0.1  # of the width of a path, as which its largest contour error is dra
 def signal_of(dataset: xr.Dataset, name: str, scheme: str, trial: int) -> np.ndarray:
     """(N+1, channels) y or e, or (N, inputs) u, of one trial of one machine.
 
-    dataset: of `run_schemes`, or one sample of a sweep that kept the signal, which is that of the last trial: `dataset.sel(sample=17)`
+    dataset: of `run_schemes`, or one sample of a sweep that kept the signal, which is that of the
+    last trial: `dataset.sel(sample=17)`
     Raises ValueError naming what there is.
     """
     if name not in dataset:
-        raise ValueError(f"the dataset has no signal {name!r}; a sweep stores those it is told to keep")
+        raise ValueError(
+            f"the dataset has no signal {name!r}; a sweep stores those it is told to keep"
+        )
     if scheme not in dataset["scheme"]:
-        raise ValueError(f"scheme = {scheme!r} is not one of {', '.join(map(str, dataset['scheme'].values))}")
+        raise ValueError(
+            f"scheme = {scheme!r} is not one of {', '.join(map(str, dataset['scheme'].values))}"
+        )
     found, last = dataset[name].sel(scheme=scheme), int(dataset["trial"][-1])
     if "sample" in found.dims:
-        raise ValueError(f"{name} has {found.sizes['sample']} samples; choose one, as in dataset.sel(sample=0)")
+        raise ValueError(
+            f"{name} has {found.sizes['sample']} samples; choose one, as in dataset.sel(sample=0)"
+        )
     kept = [int(j) for j in found["trial"]] if "trial" in found.dims else [last]
     if trial not in kept:
         raise ValueError(f"trial = {trial} is not one of those kept, {kept[0]} to {kept[-1]}")
@@ -47,29 +56,57 @@ def tracking(
     unit: str = "",
     ax=None,
 ) -> np.ndarray:
-    """Output, error of each channel and input of one scheme against time, for chosen trials, and a zoom beside each; axes (rows, 2).
+    """Output, error of each channel and input of one scheme against time, for chosen trials, and a
+    zoom beside each; axes (rows, 2).
 
     dataset: with y, e, u, as for `signal_of`;  scale, unit: of the error shown
-    zoom: (from, to) [s]; None for a twentieth of the trial, around the largest error of the last trial chosen
-    The errors' scale leaves the first trial chosen out, if there is another.
+    zoom: (from, to) [s]; None for a twentieth of the trial, around the largest error of the last
+    trial chosen The errors' scale leaves the first trial chosen out, if there is another.
     Raises ValueError for a zoom that does not lie within the trial, and as `signal_of` does.
     """
     from matplotlib.ticker import MaxNLocator
 
-    signals = [tuple(signal_of(dataset, name, scheme, j) for name in ("y", "e", "u")) for j in trials]
+    signals = [
+        tuple(signal_of(dataset, name, scheme, j) for name in ("y", "e", "u")) for j in trials
+    ]
     time, shades = dataset["time"].values, shades_of(trials)
     low, high = _around_the_largest(time, signals[-1][1]) if zoom is None else zoom
     if not time[0] <= low < high <= time[-1]:
-        raise ValueError(f"tracking: zoom = ({low:g}, {high:g}) is not a part of the trial, {time[0]:g} to {time[-1]:g} s")
+        raise ValueError(
+            f"tracking: zoom = ({low:g}, {high:g}) is not a part of the trial, {time[0]:g} to {time[-1]:g} s"
+        )
     channels = signals[0][1].shape[1]
-    axes = new_axes(ax, channels + 2, 2, size=(7.2, 1.2 + 1.8 * (channels + 2)), sharex="col", width_ratios=(2, 1))
+    axes = new_axes(
+        ax,
+        channels + 2,
+        2,
+        size=(7.2, 1.2 + 1.8 * (channels + 2)),
+        sharex="col",
+        width_ratios=(2, 1),
+    )
     for column, part in zip(axes.T, (time >= time[0], (time >= low) & (time <= high)), strict=True):
-        column[0].plot(time[part], _reference(dataset, *signals[0][:2])[part], color="#999999", linewidth=3, label="reference")
+        column[0].plot(
+            time[part],
+            _reference(dataset, *signals[0][:2])[part],
+            color="#999999",
+            linewidth=3,
+            label="reference",
+        )
         for (y, e, u), j, shade in zip(signals, trials, shades, strict=True):
             for axis, values in zip(column, (y, *(scale * e.T[..., None]), u), strict=True):
                 for i, line in enumerate(values.T):
-                    at, label = np.flatnonzero(part[: len(line)]), f"output {i}" if i else f"trial {j}"
-                    axis.plot(time[at], line[at], color=shade, linestyle=DASHES[i % 4], linewidth=1, label=label)
+                    at, label = (
+                        np.flatnonzero(part[: len(line)]),
+                        f"output {i}" if i else f"trial {j}",
+                    )
+                    axis.plot(
+                        time[at],
+                        line[at],
+                        color=shade,
+                        linestyle=DASHES[i % 4],
+                        linewidth=1,
+                        label=label,
+                    )
         for channel, axis in enumerate(column[1:-1]):
             _fit(axis, [scale * e[part, channel] for _, e, _ in signals[1:] or signals])
         column[-1].set(xlabel="time [s]", xlim=time[part][[0, -1]])
@@ -98,11 +135,15 @@ def contour(
     unit: str = "",
     ax=None,
 ) -> np.ndarray:
-    """The path of two axes and the motion about it, its distance from the path magnified, over the contour error along the path; two axes.
+    """The path of two axes and the motion about it, its distance from the path magnified, over the
+    contour error along the path; two axes.
 
-    dataset: with y, e of two channels, as for `signal_of`;  window: of `contour_error`;  scale, unit: of the error shown
-    magnification: None for the 1-2-5 number that draws the largest error as 5 to 10 % of the path's width
-    Raises ValueError for another number of channels, for a sweep's sample that diverged, and as `signal_of` does.
+    dataset: with y, e of two channels, as for `signal_of`;  window: of `contour_error`;  scale,
+    unit: of the error shown
+    magnification: None for the 1-2-5 number that draws the largest error as 5 to 10 % of the path's
+    width
+    Raises ValueError for another number of channels, for a sweep's sample that diverged, and as
+    `signal_of` does.
     """
     import jax
 
@@ -111,9 +152,13 @@ def contour(
     signals = [tuple(signal_of(dataset, name, scheme, j) for name in ("y", "e")) for j in trials]
     path = _reference(dataset, *signals[0])
     if path.shape[1] != 2:
-        raise ValueError(f"contour: the dataset has {path.shape[1]} outputs; allowed are 2, the axes of a plane")
+        raise ValueError(
+            f"contour: the dataset has {path.shape[1]} outputs; allowed are 2, the axes of a plane"
+        )
     if not np.all(np.isfinite(path)):
-        raise ValueError(f"contour: trial {trials[0]} diverged, and a sweep does not keep the path; choose another sample")
+        raise ValueError(
+            f"contour: trial {trials[0]} diverged, and a sweep does not keep the path; choose another sample"
+        )
     errors = [np.asarray(contour_error(y, path, window=window)) for y, _ in signals]
     # the gradient of the distance is its direction, so this is the vector from the path to the tool
     away = jax.grad(lambda y: 0.5 * (contour_error(y, path, window=window) ** 2).sum())
@@ -124,12 +169,22 @@ def contour(
     arc = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
     top.plot(*path.T, color=COLOURS[1], linewidth=0.8, label="path", zorder=3)
     for (y, _), error, j, shade in zip(signals, errors, trials, shades_of(trials), strict=True):
-        top.plot(*(y + (m - 1.0) * np.asarray(away(y))).T, color=shade, linewidth=0.5, label=f"trial {j}")
+        top.plot(
+            *(y + (m - 1.0) * np.asarray(away(y))).T, color=shade, linewidth=0.5, label=f"trial {j}"
+        )
         bottom.plot(arc, scale * error, color=shade, linewidth=0.8, label=f"trial {j}")
     length = dataset["y"].attrs.get("units", "")
-    top.set(xlabel=labelled("x", length), ylabel=labelled("y", length), title=f"{scheme}: contour error drawn {m:g} times")
+    top.set(
+        xlabel=labelled("x", length),
+        ylabel=labelled("y", length),
+        title=f"{scheme}: contour error drawn {m:g} times",
+    )
     top.set_aspect("equal", adjustable="datalim")
-    bottom.set(xlabel=labelled("length along the path", length), ylabel=labelled("contour error", unit), xlim=(0.0, arc[-1]))
+    bottom.set(
+        xlabel=labelled("length along the path", length),
+        ylabel=labelled("contour error", unit),
+        xlim=(0.0, arc[-1]),
+    )
     for axis in axes:
         grid(axis)
     legend_beside(top)
@@ -163,7 +218,13 @@ def _one_two_five(value: float) -> float:
 
 def _legend_below(axis) -> None:
     """One entry a name, under all axes of the figure."""
-    named = {label: handle for handle, label in reversed(list(zip(*axis.get_legend_handles_labels(), strict=True)))}
+    named = {
+        label: handle
+        for handle, label in reversed(list(zip(*axis.get_legend_handles_labels(), strict=True)))
+    }
     axis.figure.legend(
-        *zip(*((h, n) for n, h in reversed(named.items())), strict=True), loc="outside lower center", ncols=6, fontsize="small"
+        *zip(*((h, n) for n, h in reversed(named.items())), strict=True),
+        loc="outside lower center",
+        ncols=6,
+        fontsize="small",
     )

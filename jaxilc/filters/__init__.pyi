@@ -1,5 +1,14 @@
 from . import inversion
-from .inversion import ZPETC, Inverse, StableInverse, factors, inverse, output_ratio, stable_inverse, zpetc
+from .inversion import (
+    ZPETC,
+    Inverse,
+    StableInverse,
+    factors,
+    inverse,
+    output_ratio,
+    stable_inverse,
+    zpetc,
+)
 from .switching import SwitchableFilter, cutoffs_below, instantaneous_frequency, segments
 from .zero_phase import Filter, ZeroPhaseButterworth, ZeroPhaseFIR, ZeroPhaseIIR
 

@@ -1,8 +1,9 @@
 """Zero-phase filters for whole trials: the robustness filter Q of iterative learning control.
 
-What a recursive filter takes a signal to be beyond the ends of the trial decides on learning there. The odd extension of scipy's
-`filtfilt` pins the end values and passes more than it is given: of 323 random servo loops with |Q (1 - L P)| < 0.97 at every
-frequency, P-type learning with a lead grew at the ends on 131. Mirrored at its ends, a signal never comes out larger where |Q| <= 1.
+What a recursive filter takes a signal to be beyond the ends of the trial decides on learning there.
+The odd extension of scipy's `filtfilt` pins the end values and passes more than it is given: of 323
+random servo loops with |Q (1 - L P)| < 0.97 at every frequency, P-type learning with a lead grew at
+the ends on 131. Mirrored at its ends, a signal never comes out larger where |Q| <= 1.
 """
 
 from __future__ import annotations
@@ -17,18 +18,23 @@ from ..pytree.needs import known
 
 
 class Filter:
-    """Maps a (N, n) signal of sample time dt [s] to one of the same shape, channel by channel, without phase shift."""
+    """Maps a (N, n) signal of sample time dt [s] to one of the same shape, channel by channel,
+    without phase shift.
+    """
 
     def __call__(self, signal, dt):
         raise NotImplementedError
 
     def check(self, samples: int, dt: float) -> None:
-        """Raises ValueError where the filter cannot serve trials of so many samples at this sample time."""
+        """Raises ValueError where the filter cannot serve trials of so many samples at this sample
+        time.
+        """
 
 
 @pytree
 class ZeroPhaseFIR(Filter):
-    """Q(z) = taps_0 + sum_i taps_i (z^i + z^-i), symmetric by construction; beyond its ends the signal keeps its end values.
+    """Q(z) = taps_0 + sum_i taps_i (z^i + z^-i), symmetric by construction; beyond its ends the
+    signal keeps its end values.
 
     taps: (m+1,) centre tap first; taps_0 + 2 sum taps_i = 1 for unit DC gain
     """
@@ -37,13 +43,17 @@ class ZeroPhaseFIR(Filter):
 
     def check(self, samples: int, dt: float) -> None:
         if self.taps.ndim != 1 or len(self.taps) > samples:
-            raise ValueError(f"ZeroPhaseFIR: taps has shape {self.taps.shape}; allowed is (m+1,) with m < N = {samples}")
+            raise ValueError(
+                f"ZeroPhaseFIR: taps has shape {self.taps.shape}; allowed is (m+1,) with m < N = {samples}"
+            )
 
     def __call__(self, signal, dt):
         reach = self.taps.shape[0] - 1
         padded = jnp.pad(signal, ((reach, reach), (0, 0)), mode="edge")
         kernel = jnp.concatenate([self.taps[:0:-1], self.taps])
-        return jax.vmap(lambda channel: jnp.convolve(channel, kernel, mode="valid"), in_axes=1, out_axes=1)(padded)
+        return jax.vmap(
+            lambda channel: jnp.convolve(channel, kernel, mode="valid"), in_axes=1, out_axes=1
+        )(padded)
 
 
 @pytree
@@ -52,8 +62,10 @@ class ZeroPhaseButterworth(Filter):
 
         Q = 1 / (1 + (tan(pi f dt) / tan(pi cutoff dt))^(2 order))
 
-    cutoff: () [Hz], -6 dB of the whole; differentiable.  order: of one pass, any order >= 1 (second-order sections)
-    padding: samples of odd extension at each end, as scipy's `sosfiltfilt` takes `padlen` (its default is 3 (order + 1));
+    cutoff: () [Hz], -6 dB of the whole; differentiable.  order: of one pass, any order >= 1
+    (second-order sections)
+    padding: samples of odd extension at each end, as scipy's `sosfiltfilt` takes `padlen` (its
+    default is 3 (order + 1));
              None mirrors the signal at its ends, see `mirrored`
     """
 
@@ -73,29 +85,40 @@ class ZeroPhaseButterworth(Filter):
             with np.errstate(divide="ignore"):
                 octaves = np.log(np.tan(half_angles(len(signal))))  # -inf at rest
             # 1 / (1 + ratio^(2 order)) without a power that could overflow
-            return mirrored(signal, jax.nn.sigmoid(2 * self.order * (jnp.log(jnp.tan(jnp.pi * self.cutoff * dt)) - octaves)))
+            return mirrored(
+                signal,
+                jax.nn.sigmoid(
+                    2 * self.order * (jnp.log(jnp.tan(jnp.pi * self.cutoff * dt)) - octaves)
+                ),
+            )
         sections = butterworth_sections(self.cutoff, dt, self.order)
         return forward_and_backward(lambda x: run_sections(sections, x), signal, self.padding)
 
 
-# Li 2020, section 4: printed as a fourth-order Butterworth at 10 Hz, for `ZeroPhaseIIR(**PRINTED_LI_2020)`. See there.
+# Li 2020, section 4: printed as a fourth-order Butterworth at 10 Hz, for
+# `ZeroPhaseIIR(**PRINTED_LI_2020)`. See there.
 PRINTED_LI_2020 = {"b": (0.0, 0.00018896, 0.00017992), "a": (1.0, -2.8531, 2.7167, -0.8633)}
 
 
 @pytree
 class ZeroPhaseIIR(Filter):
-    """A given recursive filter run forward and backward (Li 2020, eq. 10 and 11), as scipy's `filtfilt` does:
+    """A given recursive filter run forward and backward (Li 2020, eq. 10 and 11), as scipy's
+    `filtfilt` does:
 
-        a_0 y[k] = b_0 x[k] + ... + b_m x[k-m] - a_1 y[k-1] - ... - a_n y[k-n],    of the whole |B/A|^2 at zero phase
+        a_0 y[k] = b_0 x[k] + ... + b_m x[k-m] - a_1 y[k-1] - ... - a_n y[k-n],    of the whole
+        |B/A|^2 at zero phase
 
     b: (m+1,), a: (n+1,) coefficients, poles inside the unit circle
-    padding: samples of odd extension at each end (`filtfilt` takes 3 max(m+1, n+1)), both passes then start in the steady state of
+    padding: samples of odd extension at each end (`filtfilt` takes 3 max(m+1, n+1)), both passes
+    then start in the steady state of
              their first sample; None mirrors the signal at its ends, see `mirrored`
-    Transfer functions lose digits beyond order 6: `ZeroPhaseButterworth` designs by second-order sections.
+    Transfer functions lose digits beyond order 6: `ZeroPhaseButterworth` designs by second-order
+    sections.
 
-    The coefficients printed in Li 2020 (`PRINTED_LI_2020`) want care. They are of third order, not fourth: a Butterworth by impulse
-    invariance at cutoff / sample rate = 0.0117, so 10 Hz at 855 Hz, whereas the paper's samples are 2 ms, where it is 5.85 Hz. And
-    sum(a) = 0.0003 has one digit left after rounding: the DC gain of a pass is 1.23, so 1.51 forward and backward. A robustness
+    The coefficients printed in Li 2020 (`PRINTED_LI_2020`) want care. They are of third order, not
+    fourth: a Butterworth by impulse invariance at cutoff / sample rate = 0.0117, so 10 Hz at 855
+    Hz, whereas the paper's samples are 2 ms, where it is 5.85 Hz. And sum(a) = 0.0003 has one digit
+    left after rounding: the DC gain of a pass is 1.23, so 1.51 forward and backward. A robustness
     filter multiplies what was learned by that in every trial; dividing b by 1.23 repairs it.
     Raises ValueError for empty coefficients, a_0 = 0, or a pole on or outside the unit circle.
     """
@@ -107,13 +130,17 @@ class ZeroPhaseIIR(Filter):
     def __post_init__(self):
         for name in ("b", "a"):
             if getattr(self, name).ndim != 1 or not getattr(self, name).size:
-                raise ValueError(f"ZeroPhaseIIR: {name} has shape {getattr(self, name).shape}; allowed is (n+1,)")
+                raise ValueError(
+                    f"ZeroPhaseIIR: {name} has shape {getattr(self, name).shape}; allowed is (n+1,)"
+                )
         if known(self):
             if self.a[0] == 0:
                 raise ValueError("ZeroPhaseIIR: a[0] = 0; allowed is any other number")
             radius = np.max(np.abs(np.roots(self.a)), initial=0.0)
             if radius >= 1:
-                raise ValueError(f"ZeroPhaseIIR: a = {self.a} has a pole of magnitude {radius:.6g}; allowed is below 1")
+                raise ValueError(
+                    f"ZeroPhaseIIR: a = {self.a} has a pole of magnitude {radius:.6g}; allowed is below 1"
+                )
 
     def check(self, samples: int, dt: float) -> None:
         need_padding(self, samples)
@@ -121,10 +148,16 @@ class ZeroPhaseIIR(Filter):
     def __call__(self, signal, dt):
         if self.padding is None:
             z = jnp.exp(2j * half_angles(len(signal)))
-            above, below = (jnp.polyval(c[::-1].astype(z.dtype), 1 / z) for c in map(jnp.asarray, (self.b, self.a)))
+            above, below = (
+                jnp.polyval(c[::-1].astype(z.dtype), 1 / z)
+                for c in map(jnp.asarray, (self.b, self.a))
+            )
             return mirrored(signal, jnp.abs(above / below) ** 2)
         order = max(self.a.shape[0], self.b.shape[0]) - 1
-        b, a = (jnp.pad(c / self.a[0], (0, order + 1 - c.shape[0])) for c in map(jnp.asarray, (self.b, self.a)))
+        b, a = (
+            jnp.pad(c / self.a[0], (0, order + 1 - c.shape[0]))
+            for c in map(jnp.asarray, (self.b, self.a))
+        )
         # register i of the transposed direct form, at rest under a constant input of 1
         rest = jnp.cumsum((b - a * jnp.sum(b) / jnp.sum(a))[:0:-1])[::-1]
 
@@ -140,38 +173,50 @@ class ZeroPhaseIIR(Filter):
 
 
 def need_padding(q, samples: int) -> None:
-    """Raises ValueError if a filter's odd extension is longer than the trial it would be taken from."""
+    """Raises ValueError if a filter's odd extension is longer than the trial it would be taken
+    from.
+    """
     if q.padding is not None and q.padding >= samples:
         name = type(q).__name__
-        raise ValueError(f"{name}: padding = {q.padding} is outside its allowed range [0, {samples - 1}] for N = {samples}")
+        raise ValueError(
+            f"{name}: padding = {q.padding} is outside its allowed range [0, {samples - 1}] for N = {samples}"
+        )
 
 
 def half_angles(samples: int) -> np.ndarray:
-    """(N+1,) pi f dt of the frequencies that `mirrored` takes its response at: 0 to half of the Nyquist angle pi."""
+    """(N+1,) pi f dt of the frequencies that `mirrored` takes its response at: 0 to half of the
+    Nyquist angle pi.
+    """
     return np.pi * np.arange(samples + 1) / (2 * samples)
 
 
 def mirrored(signal, response) -> jax.Array:
-    """The (N, n) signal through a zero-phase filter, the signal going on beyond its ends as its mirror image, for ever.
+    """The (N, n) signal through a zero-phase filter, the signal going on beyond its ends as its
+    mirror image, for ever.
 
-    response: (N+1,) Q, real, at the frequencies i / (2 N dt). In the basis of cosines (DCT-II) it is the multiplication by Q: a
-    symmetric matrix whose eigenvalues are values of Q, so that nothing comes out larger where |Q| <= 1. A constant passes by Q(0).
+    response: (N+1,) Q, real, at the frequencies i / (2 N dt). In the basis of cosines (DCT-II) it
+    is the multiplication by Q: a symmetric matrix whose eigenvalues are values of Q, so that
+    nothing comes out larger where |Q| <= 1. A constant passes by Q(0).
     """
     both = jnp.fft.rfft(jnp.concatenate([signal, signal[::-1]]), axis=0)
     return jnp.fft.irfft(both * response[:, None], n=2 * len(signal), axis=0)[: len(signal)]
 
 
 def forward_and_backward(one_pass, signal, edge: int) -> jax.Array:
-    """A causal filter run over the (N, n) signal and back, with so many samples of odd extension at each end."""
+    """A causal filter run over the (N, n) signal and back, with so many samples of odd extension at
+    each end.
+    """
     forward = one_pass(odd_extension(signal, edge))
     both = one_pass(forward[::-1])[::-1]
     return both[edge : both.shape[0] - edge]
 
 
 def butterworth_sections(cutoff, dt, order: int) -> jax.Array:
-    """(order/2 rounded up, 5) rows b0 b1 b2 a1 a2 of a Butterworth low-pass, each section of unit DC gain.
+    """(order/2 rounded up, 5) rows b0 b1 b2 a1 a2 of a Butterworth low-pass, each section of unit
+    DC gain.
 
-    Bilinear transform with prewarping, K = tan(pi cutoff dt); a pole pair at -cos t +- i sin t becomes
+    Bilinear transform with prewarping, K = tan(pi cutoff dt); a pole pair at -cos t +- i sin t
+    becomes
         K^2 (1 + z^-1)^2 / ((1 + 2 K cos t + K^2) + 2 (K^2 - 1) z^-1 + (1 - 2 K cos t + K^2) z^-2)
     """
     K = jnp.tan(jnp.pi * cutoff * dt)
@@ -179,7 +224,10 @@ def butterworth_sections(cutoff, dt, order: int) -> jax.Array:
     for i in range(order // 2):
         damping = 2.0 * np.cos(np.pi * (order - 1 - 2 * i) / (2 * order))
         scale = 1.0 + damping * K + K**2
-        rows.append(jnp.stack([K**2, 2.0 * K**2, K**2, 2.0 * (K**2 - 1.0), 1.0 - damping * K + K**2]) / scale)
+        rows.append(
+            jnp.stack([K**2, 2.0 * K**2, K**2, 2.0 * (K**2 - 1.0), 1.0 - damping * K + K**2])
+            / scale
+        )
     if order % 2:
         zero = jnp.zeros_like(K)
         rows.append(jnp.stack([K, K, zero, K - 1.0, zero]) / (1.0 + K))
@@ -196,7 +244,9 @@ def odd_extension(signal, samples: int) -> jax.Array:
 
 
 def run_sections(sections, signal) -> jax.Array:
-    """A cascade of second-order sections over a (N, n) signal, started in the steady state of its first sample."""
+    """A cascade of second-order sections over a (N, n) signal, started in the steady state of its
+    first sample.
+    """
     settled, level = [], signal[0]
     for b0, b1, b2, a1, a2 in sections:
         gain = (b0 + b1 + b2) / (1.0 + a1 + a2)

@@ -1,4 +1,6 @@
-"""Learning on a real machine: campaigns, their journal, and the files that pass between package and machine."""
+"""Learning on a real machine: campaigns, their journal, and the files that pass between package and
+machine.
+"""
 
 import lazy_loader
 

@@ -1,4 +1,6 @@
-"""What is looked at before a measured trial is learned from, and before an input goes back to the machine."""
+"""What is looked at before a measured trial is learned from, and before an input goes back to the
+machine.
+"""
 
 from __future__ import annotations
 
@@ -13,19 +15,26 @@ from ..signals.task import Task, Trial
 
 AT_LIMIT = 1e-3  # of the limit, within which an input counts as saturated
 AS_PLAYED = 1e-4  # of a table's peak, by which it may differ from what the machine recorded of it
-AS_COMMANDED = 0.01  # of the input's peak, by which the recorded input may differ from the replayed one
-SAME = 1e-8  # of a signal's peak, by which two files of one trial may differ: one of them was rounded to 9 digits
+AS_COMMANDED = (
+    0.01  # of the input's peak, by which the recorded input may differ from the replayed one
+)
+# of a signal's peak, by which two files of one trial may differ: one of them was rounded to 9
+# digits
+SAME = 1e-8
 LITTLE = 0.5  # of the error: a difference between repeated trials above it leaves little to learn
 
 
 class Rules(NamedTuple):
     """What is refused. Numbers that are None are not looked at.
 
-    limit: largest |u| played, and at which an input counts as saturated; None takes the actuator's [unit of u]
+    limit: largest |u| played, and at which an input counts as saturated; None takes the actuator's
+    [unit of u]
     correction: largest departure of a learned reference from the task's [unit of y]
-    saturation: share of samples at the limit, of any input;  accept_saturation: warn instead of refusing
+    saturation: share of samples at the limit, of any input;  accept_saturation: warn instead of
+    refusing
     repeatability: RMS difference of two trials of one table, over all outputs [unit of y]
-    growth: share by which the RMS error may exceed the last trial's, without a warning;  stop_on_growth: refuse instead of warning
+    growth: share by which the RMS error may exceed the last trial's, without a warning;
+    stop_on_growth: refuse instead of warning
     """
 
     limit: float | None = None
@@ -38,7 +47,9 @@ class Rules(NamedTuple):
 
     def checked(self) -> Rules:
         """Itself. Raises ValueError for a number outside its range."""
-        ranges = {"saturation": "[0, 1]", "growth": "[0, inf)"} | dict.fromkeys(("limit", "correction", "repeatability"), "(0, inf)")
+        ranges = {"saturation": "[0, 1]", "growth": "[0, inf)"} | dict.fromkeys(
+            ("limit", "correction", "repeatability"), "(0, inf)"
+        )
         for name, allowed in ranges.items():
             value = getattr(self, name)
             if value is not None and not Interval.parse(allowed).contains(value):
@@ -59,22 +70,34 @@ class Finding(NamedTuple):
 
 
 def saturation(u, actuator: Actuator | None, rules: Rules) -> list[Finding]:
-    """The share of samples of the measured input (N, n_u) at the limit; learning there follows the limit, not the error."""
+    """The share of samples of the measured input (N, n_u) at the limit; learning there follows the
+    limit, not the error.
+    """
     limits = rules.limits(actuator, u.shape[1])
     if limits is None:
-        return [Finding("note", "saturation was not looked at: neither --limit nor the machine gives one")]
+        return [
+            Finding(
+                "note", "saturation was not looked at: neither --limit nor the machine gives one"
+            )
+        ]
     at = np.abs(u) >= limits - np.maximum(AT_LIMIT * limits, _resolution(actuator))
     share, i = float(np.max(np.mean(at, axis=0))), int(np.argmax(np.mean(at, axis=0)))
     if not share:
         return []
     text = f"input {i} is at its limit {limits[i]:g} in {share:.2%} of the samples, first at sample {int(np.argmax(at[:, i]))}"
     if share > rules.saturation and not rules.accept_saturation:
-        return [Finding("refusal", f"{text}; allowed are {rules.saturation:.2%}, or --accept-saturation")]
+        return [
+            Finding(
+                "refusal", f"{text}; allowed are {rules.saturation:.2%}, or --accept-saturation"
+            )
+        ]
     return [Finding("warning", text)]
 
 
 def as_commanded(u, replayed, actuator: Actuator | None, task: Task) -> list[Finding]:
-    """The measured input against the one that the scheme, replayed over the measured output, would have given."""
+    """The measured input against the one that the scheme, replayed over the measured output, would
+    have given.
+    """
     off = np.max(np.abs(u - replayed), axis=1)
     allowed = AS_COMMANDED * np.max(np.abs(u), initial=0.0) + np.max(_resolution(actuator))
     if np.max(off) <= allowed:
@@ -89,7 +112,9 @@ def as_commanded(u, replayed, actuator: Actuator | None, task: Task) -> list[Fin
     ]
 
 
-def as_played(recorded: Mapping[str, np.ndarray], tables: Mapping[str, np.ndarray], actuator: Actuator | None) -> list[Finding]:
+def as_played(
+    recorded: Mapping[str, np.ndarray], tables: Mapping[str, np.ndarray], actuator: Actuator | None
+) -> list[Finding]:
     """What the machine recorded of the tables it played against what it was given."""
     findings = []
     for name in recorded.keys() & tables.keys():
@@ -103,7 +128,9 @@ def as_played(recorded: Mapping[str, np.ndarray], tables: Mapping[str, np.ndarra
 
 
 def repeated(trial: Trial, last_y, rules: Rules, unit: str) -> list[Finding]:
-    """Two trials of one table: what differs does not repeat and cannot be learned. last_y: (N+1, n_y) of the other trial"""
+    """Two trials of one table: what differs does not repeat and cannot be learned. last_y: (N+1,
+    n_y) of the other trial
+    """
     difference, error = _rms(np.asarray(trial.y) - last_y), _rms(trial.e)
     text = f"the same table as in the last trial: RMS difference of the outputs {difference:.3g} {unit}, RMS error {error:.3g} {unit}"
     if rules.repeatability is not None and difference > rules.repeatability:
@@ -112,7 +139,9 @@ def repeated(trial: Trial, last_y, rules: Rules, unit: str) -> list[Finding]:
 
 
 def grown(error: float, history: list[tuple[int, float]], rules: Rules, unit: str) -> list[Finding]:
-    """The error of this trial against the last one's. history: (trial, RMS error over all outputs) of those before, in order"""
+    """The error of this trial against the last one's. history: (trial, RMS error over all outputs)
+    of those before, in order
+    """
     if not history or error <= (1 + rules.growth) * history[-1][1]:
         return []
     last, (best, least) = history[-1][1], min(history, key=lambda row: row[1])
@@ -123,14 +152,18 @@ def grown(error: float, history: list[tuple[int, float]], rules: Rules, unit: st
     return [Finding("refusal" if rules.stop_on_growth else "warning", text)]
 
 
-def beyond_limits(tables: Mapping[str, np.ndarray], task: Task, actuator: Actuator | None, rules: Rules) -> list[Finding]:
+def beyond_limits(
+    tables: Mapping[str, np.ndarray], task: Task, actuator: Actuator | None, rules: Rules
+) -> list[Finding]:
     """The next tables against the input's limit and the largest correction of the reference."""
     findings = []
     for name, table in tables.items():
         departure, unit, limits = table, task.input_unit, None
         if name == "reference":
             unit, departure = task.unit, table - np.asarray(task.reference)
-            if departure.shape != table.shape:  # one reference for several outputs: the one that it is nearest to
+            if (
+                departure.shape != table.shape
+            ):  # one reference for several outputs: the one that it is nearest to
                 departure = departure[:, [np.argmin(np.max(np.abs(departure), axis=0))]]
             limits = None if rules.correction is None else np.full(table.shape[1], rules.correction)
         elif name in ("u", "feedforward", "table.u"):
@@ -153,8 +186,12 @@ def _resolution(actuator: Actuator | None):
 
 
 def same(one, other) -> bool:
-    """Whether two records of a signal are one measurement: no two trials of a machine are alike to so many digits."""
-    return np.shape(one) == np.shape(other) and bool(np.max(np.abs(np.asarray(one) - other)) <= same_up_to(one))
+    """Whether two records of a signal are one measurement: no two trials of a machine are alike to
+    so many digits.
+    """
+    return np.shape(one) == np.shape(other) and bool(
+        np.max(np.abs(np.asarray(one) - other)) <= same_up_to(one)
+    )
 
 
 def same_up_to(signal) -> float:

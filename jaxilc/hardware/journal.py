@@ -1,8 +1,10 @@
-"""The journal of a campaign: a folder of entries 000000, 000001, ..., each a manifest (JSON) and arrays (npz), only ever appended to.
+"""The journal of a campaign: a folder of entries 000000, 000001, ..., each a manifest (JSON) and
+arrays (npz), only ever appended to.
 
-An entry is written under another name and renamed when it is on the disk: killed at any moment, the journal is whole. To undo is an
-entry too, which points back, so nothing that was measured is lost. Every file has a checksum, and the manifest is there twice: damage
-is found, and an entry that cannot be read is left behind by going back to a trial before it.
+An entry is written under another name and renamed when it is on the disk: killed at any moment, the
+journal is whole. To undo is an entry too, which points back, so nothing that was measured is lost.
+Every file has a checksum, and the manifest is there twice: damage is found, and an entry that
+cannot be read is left behind by going back to a trial before it.
 """
 
 from __future__ import annotations
@@ -29,7 +31,14 @@ _FIGURES = ("rms", "max_error", "settled_error", "effort")  # of each channel
 _NEEDED = {"trial": int, "recipe": dict, "configuration": dict}
 _NEEDED_OF = {
     "start": {},
-    "trial": {"parent": int, "hashes": dict, "figures": dict, "findings": list, "source": str, "learned": bool},
+    "trial": {
+        "parent": int,
+        "hashes": dict,
+        "figures": dict,
+        "findings": list,
+        "source": str,
+        "learned": bool,
+    },
     "undo": {"to": int},
 }
 
@@ -38,9 +47,10 @@ _NEEDED_OF = {
 class Journal:
     """The entries in a folder, which need not exist yet.
 
-    A manifest holds `serial`, `time`, `event` (start, trial or undo), `trial` (the last one measured), and `parent`, the serial of the
-    entry it follows on; that of an undo holds `to`, the serial it goes back to. Where an entry cannot be read, the event is `damaged`,
-    and `wrong` says why.
+    A manifest holds `serial`, `time`, `event` (start, trial or undo), `trial` (the last one
+    measured), and `parent`, the serial of the entry it follows on; that of an undo holds `to`, the
+    serial it goes back to. Where an entry cannot be read, the event is `damaged`, and `wrong` says
+    why.
     """
 
     path: Path
@@ -52,17 +62,25 @@ class Journal:
 
     def create(self) -> None:
         """Make the folder. Raises FileExistsError if there is one with something in it."""
-        if self.path.exists() and (not self.path.is_dir() or any(UNFINISHED not in f.name for f in self.path.iterdir())):
-            raise FileExistsError(f"{self.path} exists already; choose another folder, or go on with the campaign there")
+        if self.path.exists() and (
+            not self.path.is_dir() or any(UNFINISHED not in f.name for f in self.path.iterdir())
+        ):
+            raise FileExistsError(
+                f"{self.path} exists already; choose another folder, or go on with the campaign there"
+            )
         self.path.mkdir(parents=True, exist_ok=True)
 
     def manifests(self) -> list[dict[str, Any]]:
-        """Of all entries, in order. Raises FileNotFoundError where there are none, ValueError where not one can be read."""
+        """Of all entries, in order. Raises FileNotFoundError where there are none, ValueError where
+        not one can be read.
+        """
         if not self.exists:
             raise FileNotFoundError(f"{self.path} holds no campaign; start one without --measured")
         manifests = [self._manifest(serial) for serial in range(self._next())]
         if all(m["event"] == DAMAGED for m in manifests):
-            raise ValueError(f"{manifests[0]['wrong']}, nor any other entry; start a campaign in another folder")
+            raise ValueError(
+                f"{manifests[0]['wrong']}, nor any other entry; start a campaign in another folder"
+            )
         return manifests
 
     def last_known(self) -> dict[str, Any]:
@@ -70,7 +88,8 @@ class Journal:
         return next(m for m in reversed(self.manifests()) if m["event"] != DAMAGED)
 
     def live(self) -> list[dict[str, Any]]:
-        """The manifests that led to where the campaign stands, from the start on, without what was undone.
+        """The manifests that led to where the campaign stands, from the start on, without what was
+        undone.
 
         Raises ValueError where one of them is damaged.
         """
@@ -78,12 +97,16 @@ class Journal:
         return _led_to(manifests, manifests[-1])
 
     def behind(self) -> list[dict[str, Any]]:
-        """The manifests to go back to: those of `live` before the last one; where one of them is damaged, all that are whole."""
+        """The manifests to go back to: those of `live` before the last one; where one of them is
+        damaged, all that are whole.
+        """
         manifests = self.manifests()
         try:
             return _led_to(manifests, manifests[-1])[:-1]
         except Damaged:
-            return [m for m in manifests if m["event"] in ("start", "trial") and _is_whole(manifests, m)]
+            return [
+                m for m in manifests if m["event"] in ("start", "trial") and _is_whole(manifests, m)
+            ]
 
     def arrays(self, manifest: Mapping[str, Any], name: str) -> dict[str, np.ndarray]:
         """What an entry's file holds. Raises ValueError for one that is damaged."""
@@ -94,26 +117,49 @@ class Journal:
             raise ValueError(f"{file} cannot be read ({_said(error)}); {BACK}") from None
 
     def append(self, manifest: Mapping[str, Any], arrays: Mapping[str, Mapping[str, Any]]) -> None:
-        """One more entry. arrays: of each file. Raises ValueError where it cannot be written; the journal then is as it was."""
+        """One more entry. arrays: of each file. Raises ValueError where it cannot be written; the
+        journal then is as it was.
+        """
         serial = self._next()
-        common = {"format": FORMAT, "serial": serial, "time": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")}
+        common = {
+            "format": FORMAT,
+            "serial": serial,
+            "time": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        }
         try:
-            with whole_folder(self.path / f"{serial:06d}") as unfinished:  # fails where another process was quicker
+            with whole_folder(
+                self.path / f"{serial:06d}"
+            ) as unfinished:  # fails where another process was quicker
                 for name, values in arrays.items():
                     (unfinished / name).write_bytes(archive(values))
                 for name in (MANIFEST, COPY):
-                    (unfinished / name).write_text(json_text(sealed(common | dict(manifest))), encoding="utf-8")
+                    (unfinished / name).write_text(
+                        json_text(sealed(common | dict(manifest))), encoding="utf-8"
+                    )
         except OSError as error:
-            raise ValueError(f"{self.path}: entry {serial} could not be written ({error.strerror}); the campaign is as it was") from None
+            raise ValueError(
+                f"{self.path}: entry {serial} could not be written ({error.strerror}); the campaign is as it was"
+            ) from None
 
     def log(self) -> list[dict[str, Any]]:
-        """A row for every entry, in order: what happened, the trial, its figures, and whether it still counts (`live`)."""
+        """A row for every entry, in order: what happened, the trial, its figures, and whether it
+        still counts (`live`).
+        """
         manifests = self.manifests()
-        live = {m["serial"] for m in _led_to(manifests, manifests[-1])} if _is_whole(manifests, manifests[-1]) else set()
+        live = (
+            {m["serial"] for m in _led_to(manifests, manifests[-1])}
+            if _is_whole(manifests, manifests[-1])
+            else set()
+        )
         rows = []
         for m in manifests:
-            figures, findings = (m.get(name, {}) if m["event"] == "trial" else {} for name in ("figures", "findings"))
-            row = {name: m.get(name, "") for name in ("serial", "time", "event", "trial", "learned", "source")}
+            figures, findings = (
+                m.get(name, {}) if m["event"] == "trial" else {} for name in ("figures", "findings")
+            )
+            row = {
+                name: m.get(name, "")
+                for name in ("serial", "time", "event", "trial", "learned", "source")
+            }
             row |= {"live": m["serial"] in live, "rms_error": figures.get("error", "")}
             for name in _FIGURES:
                 row |= {f"{name}_{i}": value for i, value in enumerate(figures.get(name, ()))}
@@ -144,7 +190,10 @@ def _checked(content: Any, serial: int) -> dict[str, Any]:
     """The manifest of an entry. Raises Damaged naming what is wrong with it."""
     unchecked = isinstance(content, dict) and content.get("format") == UNCHECKED
     manifest = content if unchecked else unsealed(content)
-    if (manifest.get("format"), manifest.get("serial")) not in ((FORMAT, serial), (UNCHECKED, serial)):
+    if (manifest.get("format"), manifest.get("serial")) not in (
+        (FORMAT, serial),
+        (UNCHECKED, serial),
+    ):
         found = f"entry {manifest.get('serial')} of format {manifest.get('format')}"
         raise Damaged(f"it is {found}; needed are {serial} and {FORMAT}")
     kinds = _NEEDED_OF.get(str(manifest.get("event")))
@@ -155,7 +204,9 @@ def _checked(content: Any, serial: int) -> dict[str, Any]:
             raise Damaged(f"its {name!r} is missing, or not of the kind {kind.__name__}")
     if "figures" in kinds and not isinstance(manifest["figures"].get("error"), float):
         raise Damaged("its 'figures' hold no error")
-    if "figures" in kinds and not all(_are_numbers(manifest["figures"].get(name, [])) for name in _FIGURES):
+    if "figures" in kinds and not all(
+        _are_numbers(manifest["figures"].get(name, [])) for name in _FIGURES
+    ):
         raise Damaged("its 'figures' are not numbers of each channel")
     if "findings" in kinds and not all(map(_is_finding, manifest["findings"])):
         raise Damaged("its 'findings' are not pairs of a kind and a text")

@@ -1,8 +1,11 @@
-"""Files between the package and a machine: a measured trial in, from CSV or MATLAB; the next input out, as CSV, MATLAB or C.
+"""Files between the package and a machine: a measured trial in, from CSV or MATLAB; the next input
+out, as CSV, MATLAB or C.
 
-A table of text has a header that declares units, `t [s], r [mm], y [mm], u [V]`; several channels are y0, y1, ... Row k holds what
-belongs to t[k]: y is measured there, then u acts until t[k+1], so the last row's u means nothing and may be empty. A .mat file has
-variables of the same names, several channels as columns, and a struct `units` with a field for each.
+A table of text has a header that declares units, `t [s], r [mm], y [mm], u [V]`; several channels
+are y0, y1, ... Row k holds what
+belongs to t[k]: y is measured there, then u acts until t[k+1], so the last row's u means nothing
+and may be empty. A .mat file has variables of the same names, several channels as columns, and a
+struct `units` with a field for each.
 """
 
 from __future__ import annotations
@@ -32,7 +35,8 @@ _HEADER = re.compile(r"^([^\[\]]+?)\s*(?:\[([^\[\]]*)\])?$")
 class Measured(NamedTuple):
     """A trial as a machine recorded it, of the task's length, sample time and units.
 
-    y: (N+1, n_y);  u: (N, n_u), None where the file has none;  others: further signals asked for, by name
+    y: (N+1, n_y);  u: (N, n_u), None where the file has none;  others: further signals asked for,
+    by name
     ignored: columns that mean nothing here;  source: the file
     """
 
@@ -44,29 +48,46 @@ class Measured(NamedTuple):
 
 
 class _File(NamedTuple):
-    """columns: name -> (rows, channels) values, unit (None: not declared);  places: of each row, for messages;  ignored: names"""
+    """columns: name -> (rows, channels) values, unit (None: not declared);  places: of each row,
+    for messages;  ignored: names
+    """
 
     columns: dict[str, tuple[np.ndarray, str | None]]
     places: list[str]
     ignored: tuple[str, ...]
 
 
-def read_measured(path: str | Path, task: Task, others: Mapping[str, tuple[int, int]] | None = None) -> Measured:
-    """A measured trial of the task, from a .mat file or a text file of columns (commas, semicolons or tabs).
+def read_measured(
+    path: str | Path, task: Task, others: Mapping[str, tuple[int, int]] | None = None
+) -> Measured:
+    """A measured trial of the task, from a .mat file or a text file of columns (commas, semicolons
+    or tabs).
 
-    Needs t and y; takes r, which must be the task's, u, and `others`, name -> (rows, channels), if they are there.
-    Raises ValueError naming file, place and signal: a column missing, a unit not declared or not the task's, a value that is not finite,
-    a gap or an uneven step of the time, another sample time or length (nothing is resampled), another reference.
+    Needs t and y; takes r, which must be the task's, u, and `others`, name -> (rows, channels), if
+    they are there.
+    Raises ValueError naming file, place and signal: a column missing, a unit not declared or not
+    the task's, a value that is not finite, a gap or an uneven step of the time, another sample time
+    or length (nothing is resampled), another reference.
     """
     N = task.N
-    shapes = {"t": (N + 1, 1), "y": (N + 1, task.outputs), "r": (N + 1, task.outputs), "u": (N, task.inputs), **(others or {})}
+    shapes = {
+        "t": (N + 1, 1),
+        "y": (N + 1, task.outputs),
+        "r": (N + 1, task.outputs),
+        "u": (N, task.inputs),
+        **(others or {}),
+    }
     found = _read_mat(path, shapes) if Path(path).suffix == ".mat" else _read_text(path, shapes)
     for name, (values, unit) in found.columns.items():
         _check_unit(path, name, unit, unit_of(name, task))
         short = shapes[name][0] == N
-        bad = ~np.isfinite(values[:-1] if short and len(values) == len(found.places) else values).all(axis=1)
+        bad = ~np.isfinite(
+            values[:-1] if short and len(values) == len(found.places) else values
+        ).all(axis=1)
         if np.any(bad):
-            raise ValueError(f"{path}, {found.places[int(np.argmax(bad))]}: {name} is not a finite number")
+            raise ValueError(
+                f"{path}, {found.places[int(np.argmax(bad))]}: {name} is not a finite number"
+            )
     _check_time(path, found.columns["t"][0][:, 0], found.places, task)
     signals = {}
     for name, (values, _) in found.columns.items():
@@ -86,7 +107,9 @@ def _read_text(path, shapes) -> _File:
     most = 2 * shapes["t"][0] + 1000
     rows = list(itertools.islice(lines, most + 1))
     if len(rows) > most:
-        raise ValueError(f"{path} has more than {most} rows of data; this task needs N + 1 = {shapes['t'][0]}")
+        raise ValueError(
+            f"{path} has more than {most} rows of data; this task needs N + 1 = {shapes['t'][0]}"
+        )
     names, units = [m[1] if m else "" for m in header], [m[2] if m else None for m in header]
     columns, used = {}, set()
     for name, (_, channels) in shapes.items():
@@ -95,10 +118,16 @@ def _read_text(path, shapes) -> _File:
             continue
         used.update(at)
         if len({_plain(units[i] or "") for i in at}) > 1:
-            raise ValueError(f"{path}: the channels of {name} have the units {', '.join(str(units[i]) for i in at)}; allowed is one")
+            raise ValueError(
+                f"{path}: the channels of {name} have the units {', '.join(str(units[i]) for i in at)}; allowed is one"
+            )
         values = [[_number(row[i].strip() if i < len(row) else "") for i in at] for _, row in rows]
         columns[name] = np.array(values, float).reshape(-1, channels), units[at[0]]
-    return _File(columns, [f"line {line}" for line, _ in rows], tuple(n for i, n in enumerate(names) if i not in used))
+    return _File(
+        columns,
+        [f"line {line}" for line, _ in rows],
+        tuple(n for i, n in enumerate(names) if i not in used),
+    )
 
 
 def _channels(path, name: str, channels: int, names: list[str]) -> list[int] | None:
@@ -110,7 +139,9 @@ def _channels(path, name: str, channels: int, names: list[str]) -> list[int] | N
         return found
     if name in ("t", "y") or found:
         missing = spelled[at.index(None)][-1 if channels == 1 else 0]
-        raise ValueError(f"{path} has no column {missing!r}; present are {', '.join(names) or 'none'}")
+        raise ValueError(
+            f"{path} has no column {missing!r}; present are {', '.join(names) or 'none'}"
+        )
     return None
 
 
@@ -131,17 +162,27 @@ def _read_mat(path, shapes) -> _File:
     for name, (rows, channels) in shapes.items():
         if name not in contents:
             if name in ("t", "y"):
-                raise ValueError(f"{path} has no variable {name!r}; present are {', '.join(contents)}")
+                raise ValueError(
+                    f"{path} has no variable {name!r}; present are {', '.join(contents)}"
+                )
             continue
-        values, unit, allowed = contents[name], units.get(name), f"allowed are real numbers in {channels} columns"
+        values, unit, allowed = (
+            contents[name],
+            units.get(name),
+            f"allowed are real numbers in {channels} columns",
+        )
         if not isinstance(values, np.ndarray):
-            raise ValueError(f"{path}: {name} is {values.said if isinstance(values, Other) else 'no array'}; {allowed}")
+            raise ValueError(
+                f"{path}: {name} is {values.said if isinstance(values, Other) else 'no array'}; {allowed}"
+            )
         if channels == 1 and values.ndim == 2 and 1 in values.shape:
             values = values.reshape(-1, 1)
         if values.ndim != 2 or values.shape[1] != channels or len(values) > 2 * rows + 1000:
             raise ValueError(f"{path}: {name} has shape {values.shape}; {allowed}")
         if not isinstance(unit, str | None):
-            raise ValueError(f"{path}: units.{name} is {unit.said if isinstance(unit, Other) else 'no text'}")
+            raise ValueError(
+                f"{path}: units.{name} is {unit.said if isinstance(unit, Other) else 'no text'}"
+            )
         columns[name] = values.astype(float), unit
     ignored = tuple(n for n in contents if n not in (*shapes, "units"))
     return _File(columns, [f"sample {k}" for k in range(len(columns["t"][0]))], ignored)
@@ -157,7 +198,9 @@ def _check_unit(path, name: str, declared: str | None, wanted: str) -> None:
     if declared is None and wanted:
         raise ValueError(f"{path}: {name} declares no unit; this task needs '{name} [{wanted}]'")
     if _plain(declared or "") != _plain(wanted):
-        raise ValueError(f"{path}: {name} is in {declared!r}; this task needs {wanted!r}, and nothing is converted")
+        raise ValueError(
+            f"{path}: {name} is in {declared!r}; this task needs {wanted!r}, and nothing is converted"
+        )
 
 
 def _check_time(path, t, places, task: Task) -> None:
@@ -166,21 +209,31 @@ def _check_time(path, t, places, task: Task) -> None:
         raise ValueError(f"{path} has {len(t)} rows of data; this task needs N + 1 = {task.N + 1}")
     if np.any(steps <= 0):
         k = int(np.argmax(steps <= 0))
-        raise ValueError(f"{path}, {places[k + 1]}: t = {t[k + 1]:.9g} s does not increase from {t[k]:.9g} s")
+        raise ValueError(
+            f"{path}, {places[k + 1]}: t = {t[k + 1]:.9g} s does not increase from {t[k]:.9g} s"
+        )
     median = float(np.median(steps))
     if abs(median / dt - 1) > RATE_TOLERANCE:
-        raise ValueError(f"{path} is sampled at {median:.6g} s but the task at {dt:.6g} s; nothing is resampled: record it at the task's")
+        raise ValueError(
+            f"{path} is sampled at {median:.6g} s but the task at {dt:.6g} s; nothing is resampled: record it at the task's"
+        )
     uneven = np.abs(steps / dt - 1) > STEP_TOLERANCE
     if np.any(uneven):
         k = int(np.argmax(uneven))
         missing = round(steps[k] / dt) - 1
         what = f"a gap of {missing} samples" if missing > 0 else f"a step of {steps[k]:.6g} s"
-        raise ValueError(f"{path}, {places[k + 1]}: {what} before t = {t[k + 1]:.9g} s; allowed are steps of dt = {dt:.6g} s")
+        raise ValueError(
+            f"{path}, {places[k + 1]}: {what} before t = {t[k + 1]:.9g} s; allowed are steps of dt = {dt:.6g} s"
+        )
     if len(t) != task.N + 1:
-        raise ValueError(f"{path} has {len(t)} samples; this task needs N + 1 = {task.N + 1}, neither more nor fewer")
+        raise ValueError(
+            f"{path} has {len(t)} samples; this task needs N + 1 = {task.N + 1}, neither more nor fewer"
+        )
     drift = t[-1] - t[0] - task.N * dt
     if abs(drift) > dt / 2:
-        raise ValueError(f"{path}: the clock drifts by {drift:.3g} s over the trial; allowed is half a sample, {dt / 2:.3g} s")
+        raise ValueError(
+            f"{path}: the clock drifts by {drift:.3g} s over the trial; allowed is half a sample, {dt / 2:.3g} s"
+        )
 
 
 def _check_reference(path, r, places, task: Task) -> None:
@@ -189,21 +242,36 @@ def _check_reference(path, r, places, task: Task) -> None:
     off = np.max(np.abs(r - wanted), axis=1)
     if np.any(off > allowed):
         k = int(np.argmax(off))
-        shifted = [s for s in range(1, 4) for a, b in ((r[s:], wanted[:-s]), (r[:-s], wanted[s:])) if np.max(np.abs(a - b)) <= allowed]
+        shifted = [
+            s
+            for s in range(1, 4)
+            for a, b in ((r[s:], wanted[:-s]), (r[:-s], wanted[s:]))
+            if np.max(np.abs(a - b)) <= allowed
+        ]
         hint = f"; it is that reference shifted by {shifted[0]} samples" if shifted else ""
         raise ValueError(
             f"{path}, {places[k]}: r is {off[k]:.3g} {task.unit} away from the task's reference; allowed is {allowed:.3g} {task.unit}{hint}"
         )
 
 
-# Writing -------------------------------------------------------------------------------------------------------------------
+# Writing
+# -------------------------------------------------------------------------------------------------------------------
 
 
-def write_tables(path: str | Path, tables: Mapping[str, np.ndarray], task: Task, *, trial: int, number: str = "double") -> None:
-    """What `playback.tables` gives, in the format of the file's name: .csv, .mat or .h. Written whole or not at all.
+def write_tables(
+    path: str | Path,
+    tables: Mapping[str, np.ndarray],
+    task: Task,
+    *,
+    trial: int,
+    number: str = "double",
+) -> None:
+    """What `playback.tables` gives, in the format of the file's name: .csv, .mat or .h. Written
+    whole or not at all.
 
-    trial: the one it is for;  number: of a C header, `double` or `float`. CSV and MATLAB hold t and r too, and so N+1 rows; those that
-    are (N, n) repeat their last row in CSV. Numbers keep every digit. Raises ValueError for another format.
+    trial: the one it is for;  number: of a C header, `double` or `float`. CSV and MATLAB hold t and
+    r too, and so N+1 rows; those that are (N, n) repeat their last row in CSV. Numbers keep every
+    digit. Raises ValueError for another format.
     """
     check_format(path, number)
     match Path(path).suffix:
@@ -212,7 +280,9 @@ def write_tables(path: str | Path, tables: Mapping[str, np.ndarray], task: Task,
         case ".mat":
             atomically(path, lambda file: _save_mat(file, tables, task, trial))
         case _:
-            atomically(path, lambda file: file.write(_as_header(tables, task, trial, number).encode()))
+            atomically(
+                path, lambda file: file.write(_as_header(tables, task, trial, number).encode())
+            )
 
 
 def check_format(path: str | Path, number: str = "double") -> None:
@@ -239,21 +309,37 @@ def _as_text(tables, task: Task) -> str:
 def _save_mat(file, tables, task: Task, trial: int) -> None:
     from scipy.io import savemat
 
-    signals = {"t": task.time[:, None], "r": np.asarray(task.reference)} | {_identifier(name): t for name, t in tables.items()}
+    signals = {"t": task.time[:, None], "r": np.asarray(task.reference)} | {
+        _identifier(name): t for name, t in tables.items()
+    }
     units = {_identifier(name): unit_of(name, task) for name in ("t", "r", *tables)}
     savemat(file, {**signals, "units": units, "trial": float(trial), "dt": task.dt})
 
 
 def _as_header(tables, task: Task, trial: int, number: str) -> str:
-    lines = [f"/* What the machine plays in trial {trial}, written by jaxilc. Row k holds from k dt to (k+1) dt. */", ""]
-    lines += ["#ifndef JAXILC_NEXT_H", "#define JAXILC_NEXT_H", "", f"#define JAXILC_TRIAL {trial}", f"#define JAXILC_SAMPLES {task.N}"]
+    lines = [
+        f"/* What the machine plays in trial {trial}, written by jaxilc. Row k holds from k dt to (k+1) dt. */",
+        "",
+    ]
+    lines += [
+        "#ifndef JAXILC_NEXT_H",
+        "#define JAXILC_NEXT_H",
+        "",
+        f"#define JAXILC_TRIAL {trial}",
+        f"#define JAXILC_SAMPLES {task.N}",
+    ]
     lines += [f"#define JAXILC_SAMPLE_TIME {task.dt!r} /* s */", ""]
     for name, table in tables.items():
         sizes = f"[{len(table)}]" + (f"[{table.shape[1]}]" if table.shape[1] > 1 else "")
         lines.append(f"/* {name} [{unit_of(name, task) or '-'}], trial {trial} */")
         rows = [", ".join(_literal(v, number) for v in row) for row in table]
         rows = [f"{{{row}}}" for row in rows] if table.shape[1] > 1 else rows
-        lines += [f"static const {number} jaxilc_{_identifier(name)}{sizes} = {{", *(f"  {row}," for row in rows), "};", ""]
+        lines += [
+            f"static const {number} jaxilc_{_identifier(name)}{sizes} = {{",
+            *(f"  {row}," for row in rows),
+            "};",
+            "",
+        ]
     return "\n".join([*lines, "#endif", ""])
 
 

@@ -1,4 +1,6 @@
-"""Identification: excite a machine, record it, fit a plant to the record, and say how far to trust it (Cao 2019, section II-B)."""
+"""Identification: excite a machine, record it, fit a plant to the record, and say how far to trust
+it (Cao 2019, section II-B).
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ from ..signals.task import Task
 from .records import Record, as_columns, played, task_of
 
 CONFIDENCE = 0.95
-SAMPLES_PER_PARAMETER = 5  # the intervals are asymptotic; with fewer samples they would mean nothing
+SAMPLES_PER_PARAMETER = (
+    5  # the intervals are asymptotic; with fewer samples they would mean nothing
+)
 MOST = 50  # poles, pairs or zeros: what a record can tell apart is far less
 LAGS = 20  # of the residual's autocorrelation
 DRAWS = 4000  # of the parameters, for the intervals of the poles
@@ -34,7 +38,9 @@ REWEIGHTINGS = 5  # of several outputs
 
 
 class Estimate(NamedTuple):
-    """A number with its 95 % confidence interval; an infinite one where the record does not determine the number."""
+    """A number with its 95 % confidence interval; an infinite one where the record does not
+    determine the number.
+    """
 
     value: float
     low: float
@@ -52,16 +58,26 @@ class PoleEstimate(NamedTuple):
 class Identified(NamedTuple):
     """What identification found.
 
-    plant: with the fitted values;  parameters: by path, and `bias`, the output at rest (`bias[i]` of several outputs)
-    covariance: (P, P) of the parameters in this order, inf on the diagonal of one that the record does not determine
-    poles:   of a ProcessModel; intervals from draws of the parameters, since a double pole is no smooth function of them
-    samples: output samples 0 .. samples-1 were fitted, the others validate;  simulated: (N+1, n_y) the plant's output, with the bias
-    fit, validation_fit: (n_y,) 100 (1 - |y - simulated| / |y - mean y|) [%], 100 is perfect; validation nan if all was fitted
-    residual_std: (n_y,) of y - simulated over the fitted part, with the degrees of freedom that are left
-    whiteness: (n_y,) share of the residual's autocorrelations, lags 1 .. 20, within +-1.96 / sqrt(samples); 0.95 expected
-    white: whether all shares reach 0.8, which white noise misses once in 400 times. If not, the structure is too poor, or the
-           noise is coloured or no noise (rounding alone): the plant may still be good, but the intervals are too narrow
-    converged: whether the optimiser met its tolerances; a structure too rich for the record may creep on without end
+    plant: with the fitted values;  parameters: by path, and `bias`, the output at rest (`bias[i]`
+    of several outputs)
+    covariance: (P, P) of the parameters in this order, inf on the diagonal of one that the record
+    does not determine
+    poles:   of a ProcessModel; intervals from draws of the parameters, since a double pole is no
+    smooth function of them
+    samples: output samples 0 .. samples-1 were fitted, the others validate;  simulated: (N+1, n_y)
+    the plant's output, with the bias
+    fit, validation_fit: (n_y,) 100 (1 - |y - simulated| / |y - mean y|) [%], 100 is perfect;
+    validation nan if all was fitted
+    residual_std: (n_y,) of y - simulated over the fitted part, with the degrees of freedom that are
+    left
+    whiteness: (n_y,) share of the residual's autocorrelations, lags 1 .. 20, within +-1.96 /
+    sqrt(samples); 0.95 expected
+    white: whether all shares reach 0.8, which white noise misses once in 400 times. If not, the
+    structure is too poor, or the
+           noise is coloured or no noise (rounding alone): the plant may still be good, but the
+           intervals are too narrow
+    converged: whether the optimiser met its tolerances; a structure too rich for the record may
+    creep on without end
     """
 
     plant: Plant
@@ -78,26 +94,42 @@ class Identified(NamedTuple):
     converged: bool
 
     def summary(self) -> list[tuple[str, float, float, float]]:
-        """Rows (quantity, value, low, high) to print; low and high are nan where there is no interval."""
+        """Rows (quantity, value, low, high) to print; low and high are nan where there is no
+        interval.
+        """
         rows = [(name, *estimate) for name, estimate in self.parameters.items()]
         for i, pole in enumerate(self.poles, 1):
-            rows += [(f"pole {i}, real part", *pole.real), (f"pole {i}, imaginary part", *pole.imag)]
-        figures = {"fit [%]": self.fit, "fit of the validation part [%]": self.validation_fit, "residual std": self.residual_std}
+            rows += [
+                (f"pole {i}, real part", *pole.real),
+                (f"pole {i}, imaginary part", *pole.imag),
+            ]
+        figures = {
+            "fit [%]": self.fit,
+            "fit of the validation part [%]": self.validation_fit,
+            "residual std": self.residual_std,
+        }
         figures["share of residual autocorrelations within bounds"] = self.whiteness
         several = len(self.fit) > 1
-        return rows + [(n + f", output {i}" * several, float(v), np.nan, np.nan) for n, vs in figures.items() for i, v in enumerate(vs)]
+        return rows + [
+            (n + f", output {i}" * several, float(v), np.nan, np.nan)
+            for n, vs in figures.items()
+            for i, v in enumerate(vs)
+        ]
 
 
 def _output(values, names, plant, task, u):
     """(N+1, n_y) the plant's output without noise, its parameters `names` set to values (P,)."""
-    return played(Machine(replaced(plant, dict(zip(names, values, strict=True)))), task, u, jax.random.key(0)).y
+    return played(
+        Machine(replaced(plant, dict(zip(names, values, strict=True)))), task, u, jax.random.key(0)
+    ).y
 
 
 _simulated = jax.jit(_output, static_argnames="names")
 _sensitivity = jax.jit(jax.jacfwd(_output), static_argnames="names")  # (N+1, n_y, P), exact
 
 
-# The fit -------------------------------------------------------------------------------------------------------------------
+# The fit
+# -------------------------------------------------------------------------------------------------------------------
 
 
 def identify(
@@ -114,24 +146,35 @@ def identify(
 ) -> Identified:
     """Fit a plant to a record by prediction-error least squares through the simulator.
 
-        minimise over theta, bias:  sum_k |y[k] - bias - y_sim[k](theta)|^2,    covariance = sigma^2 (J^T J)^-1
+        minimise over theta, bias:  sum_k |y[k] - bias - y_sim[k](theta)|^2,    covariance = sigma^2
+        (J^T J)^-1
 
-    The prediction is the simulated output, from rest (output error): with white Gaussian noise on the output, as of an encoder
-    in open loop, this is maximum likelihood. J is exact, by forward differentiation of the simulation. Several outputs are
-    weighted by the inverse of their residual standard deviations, in turns (maximum likelihood where their noises are independent).
+    The prediction is the simulated output, from rest (output error): with white Gaussian noise on
+    the output, as of an encoder in open loop, this is maximum likelihood. J is exact, by forward
+    differentiation of the simulation. Several outputs are weighted by the inverse of their residual
+    standard deviations, in turns (maximum likelihood where their noises are independent).
 
-    plant:     None for a ProcessModel of so many `poles`, `pairs` of poles and `zeros` (1, 1, 1 is Cao 2019, eq. 6), whose starts
-               are automatic; else any plant, fitted from its own values in the leaves or elements `free` (all if None)
-    fit_share: (0, 1], share of the record that is fitted; the rest, simulated on without a break, validates
-    starts:    structures drawn, log-uniformly between 1 / duration and half the Nyquist frequency, of which the best are refined;
+    plant:     None for a ProcessModel of so many `poles`, `pairs` of poles and `zeros` (1, 1, 1 is
+    Cao 2019, eq. 6), whose starts
+               are automatic; else any plant, fitted from its own values in the leaves or elements
+               `free` (all if None)
+    fit_share: (0, 1], share of the record that is fitted; the rest, simulated on without a break,
+    validates
+    starts:    structures drawn, log-uniformly between 1 / duration and half the Nyquist frequency,
+    of which the best are refined;
                with several lightly damped pairs take more
     seed:      of these draws
-    Intervals are +- Student's t times the standard deviation, to first order in the parameters. float64 only.
-    Raises ValueError for a record that is not finite, does not fit the plant, is too short for the parameters, or says nothing
-    (constant output, zero input), and for a value outside its range.
+    Intervals are +- Student's t times the standard deviation, to first order in the parameters.
+    float64 only.
+    Raises ValueError for a record that is not finite, does not fit the plant, is too short for the
+    parameters, or says nothing (constant output, zero input), and for a value outside its range.
     """
-    if not jax.config.jax_enable_x64:  # in float32 the simulation's rounding is larger than an encoder's noise
-        raise ValueError("identify: precision = 'float32' is not one of 'float64'; call jaxilc.setup() first")
+    if (
+        not jax.config.jax_enable_x64
+    ):  # in float32 the simulation's rounding is larger than an encoder's noise
+        raise ValueError(
+            "identify: precision = 'float32' is not one of 'float64'; call jaxilc.setup() first"
+        )
     record = _checked(record)
     require("identify", "fit_share", fit_share, "(0, 1]")
     require("identify", "seed", seed, SEEDS, whole=True)
@@ -142,11 +185,17 @@ def identify(
         require("identify", "starts", starts, "[1, inf)", whole=True)
         _require("zeros", zeros, zeros < poles + 2 * pairs, f"[0, {poles + 2 * pairs}), the order")
         if free is not None:
-            raise ValueError(f"identify: free = {list(free)} names leaves of a plant, but no plant is given")
-        _need_samples(round(fit_share * len(record.y)) * record.y.shape[1], 2 + zeros + poles + 2 * pairs)
+            raise ValueError(
+                f"identify: free = {list(free)} names leaves of a plant, but no plant is given"
+            )
+        _need_samples(
+            round(fit_share * len(record.y)) * record.y.shape[1], 2 + zeros + poles + 2 * pairs
+        )
         plant = ProcessModel(1.0, np.ones(zeros), np.ones(poles), np.ones(pairs), np.ones(pairs))
     problem = _problem(record, plant, _free(plant, free), fit_share)
-    found = problem.solve(problem.start(plant)) if given else _from_many_starts(problem, starts, seed)
+    found = (
+        problem.solve(problem.start(plant)) if given else _from_many_starts(problem, starts, seed)
+    )
     for _ in range(REWEIGHTINGS if plant.n_y > 1 else 0):
         spread = np.std(problem.residual(found.theta)[: problem.samples], axis=0)
         problem = problem._replace(scale=np.maximum(spread, 1e-12 * problem.scale))
@@ -155,8 +204,10 @@ def identify(
 
 
 class _Coordinates(NamedTuple):
-    """What the optimiser works on: the logarithm of a value that must be positive, the reciprocal of a ProcessModel's zero, which
-    so may change sign through infinity, and any other value as it is, within bounds. log, reciprocal: (P,) which are which"""
+    """What the optimiser works on: the logarithm of a value that must be positive, the reciprocal
+    of a ProcessModel's zero, which so may change sign through infinity, and any other value as it
+    is, within bounds. log, reciprocal: (P,) which are which
+    """
 
     log: np.ndarray
     reciprocal: np.ndarray
@@ -169,14 +220,24 @@ class _Coordinates(NamedTuple):
         free = Interval(-np.inf, np.inf, False, False)
         allowed = [interval_at(plant, name) or free for name in names] + [free] * plant.n_y
         log = np.array([tuple(a) == (0.0, np.inf, False, False) for a in allowed])
-        reciprocal = np.array([isinstance(plant, ProcessModel) and n.startswith("zeros") for n in names] + [False] * plant.n_y)
-        return cls(log, reciprocal, np.where(log, -np.inf, [a.low for a in allowed]), np.array([a.high for a in allowed]))
+        reciprocal = np.array(
+            [isinstance(plant, ProcessModel) and n.startswith("zeros") for n in names]
+            + [False] * plant.n_y
+        )
+        return cls(
+            log,
+            reciprocal,
+            np.where(log, -np.inf, [a.low for a in allowed]),
+            np.array([a.high for a in allowed]),
+        )
 
     def from_values(self, theta):
         return self._mapped(theta, np.log)
 
     def to_values(self, x):
-        with np.errstate(over="ignore", divide="ignore"):  # a step too far is not finite, and the optimiser then shortens it
+        with np.errstate(
+            over="ignore", divide="ignore"
+        ):  # a step too far is not finite, and the optimiser then shortens it
             return self._mapped(x, np.exp)
 
     def slope(self, theta):
@@ -191,7 +252,9 @@ class _Coordinates(NamedTuple):
 
 
 class _Minimum(NamedTuple):
-    """Where the optimiser stopped, and whether by its tolerances rather than its budget of simulations."""
+    """Where the optimiser stopped, and whether by its tolerances rather than its budget of
+    simulations.
+    """
 
     theta: np.ndarray
     cost: float
@@ -199,7 +262,9 @@ class _Minimum(NamedTuple):
 
 
 class _Problem(NamedTuple):
-    """The least-squares problem. theta: (P,) the values of the plant's elements `names`, then the n_y biases; scale: (n_y,) of y"""
+    """The least-squares problem. theta: (P,) the values of the plant's elements `names`, then the
+    n_y biases; scale: (n_y,) of y
+    """
 
     record: Record
     plant: Plant
@@ -212,7 +277,10 @@ class _Problem(NamedTuple):
     def simulated(self, theta):
         """(N+1, n_y)"""
         n = len(self.names)
-        return np.asarray(_simulated(theta[:n], self.names, self.plant, self.task, self.record.u)) + theta[n:]
+        return (
+            np.asarray(_simulated(theta[:n], self.names, self.plant, self.task, self.record.u))
+            + theta[n:]
+        )
 
     def residual(self, theta):
         """(N+1, n_y)"""
@@ -221,15 +289,21 @@ class _Problem(NamedTuple):
     def sensitivity(self, theta):
         """(samples, n_y, P) derivatives of the simulated output, exact."""
         n, n_y = len(self.names), self.plant.n_y
-        of_plant = np.asarray(_sensitivity(theta[:n], self.names, self.plant, self.task, self.record.u))[: self.samples]
-        return np.concatenate([of_plant, np.broadcast_to(np.eye(n_y), (self.samples, n_y, n_y))], axis=2)
+        of_plant = np.asarray(
+            _sensitivity(theta[:n], self.names, self.plant, self.task, self.record.u)
+        )[: self.samples]
+        return np.concatenate(
+            [of_plant, np.broadcast_to(np.eye(n_y), (self.samples, n_y, n_y))], axis=2
+        )
 
     def start(self, plant):
         """theta of a plant, with the biases that suit it."""
         values = [float(get_at(plant, name)) for name in self.names]
         bias = np.mean(self.residual(np.array(values + [0.0] * plant.n_y))[: self.samples], axis=0)
         if not np.all(np.isfinite(bias)):
-            raise ValueError(f"identify: the output of the given {type(plant).__name__} does not stay finite over this record")
+            raise ValueError(
+                f"identify: the output of the given {type(plant).__name__} does not stay finite over this record"
+            )
         return np.array([*values, *bias])
 
     def plant_at(self, theta):
@@ -244,30 +318,56 @@ class _Problem(NamedTuple):
 
         def jacobian(x):
             theta = to_values(x)
-            return (self.sensitivity(theta) / scale[:, None]).reshape(-1, len(theta)) * self.coordinates.slope(theta)
+            return (self.sensitivity(theta) / scale[:, None]).reshape(
+                -1, len(theta)
+            ) * self.coordinates.slope(theta)
 
         bounds = (self.coordinates.low, self.coordinates.high)
         options = {"ftol": 1e-12, "xtol": 1e-10, "gtol": 1e-12, "max_nfev": 200} | options
-        found = scipy.optimize.least_squares(residual, self.coordinates.from_values(theta), jacobian, bounds, x_scale="jac", **options)
+        found = scipy.optimize.least_squares(
+            residual,
+            self.coordinates.from_values(theta),
+            jacobian,
+            bounds,
+            x_scale="jac",
+            **options,
+        )
         return _Minimum(to_values(found.x), found.cost, found.status > 0)
 
 
 def _from_many_starts(problem: _Problem, starts: int, seed: int) -> _Minimum:
-    """The best fit from many drawn structures: all are scored, the best refined, the winner regrouped and polished."""
-    each = 8 * (100 + 8 * len(problem.names) ** 2)  # numbers drawn, and products of all pairs of what they simulate
+    """The best fit from many drawn structures: all are scored, the best refined, the winner
+    regrouped and polished.
+    """
+    each = 8 * (
+        100 + 8 * len(problem.names) ** 2
+    )  # numbers drawn, and products of all pairs of what they simulate
     check_size("identify", lambda starts: each * starts, starts=starts)
     drawn = _draw(cast(ProcessModel, problem.plant), problem.task, starts, seed)
     fitted = np.arange(problem.task.N + 1) < problem.samples
-    products = np.asarray(_products()((problem.task, problem.record.u, problem.record.y, fitted), drawn))
+    products = np.asarray(
+        _products()((problem.task, problem.record.u, problem.record.y, fitted), drawn)
+    )
     scored = [_numerator(product) for product in products]
-    best = [i for i in sorted(range(starts), key=lambda i: scored[i][0])[:REFINED] if np.isfinite(scored[i][0])]
-    begin = [problem.start(_with_numerator(jax.tree.map(lambda leaf, i=i: leaf[i], drawn), scored[i][1])) for i in best]
-    winner = min((problem.solve(theta, ftol=1e-4, max_nfev=30) for theta in begin), key=lambda found: found.cost)
+    best = [
+        i
+        for i in sorted(range(starts), key=lambda i: scored[i][0])[:REFINED]
+        if np.isfinite(scored[i][0])
+    ]
+    begin = [
+        problem.start(_with_numerator(jax.tree.map(lambda leaf, i=i: leaf[i], drawn), scored[i][1]))
+        for i in best
+    ]
+    winner = min(
+        (problem.solve(theta, ftol=1e-4, max_nfev=30) for theta in begin),
+        key=lambda found: found.cost,
+    )
     return problem.solve(problem.start(problem.plant_at(winner.theta).regrouped()))
 
 
 def _draw(shape: ProcessModel, task: Task, starts: int, seed: int) -> ProcessModel:
-    """(starts, ...) denominators: rates log-uniform between 1 / duration and half the Nyquist frequency, dampings likewise in 0.05 .. 2.
+    """(starts, ...) denominators: rates log-uniform between 1 / duration and half the Nyquist
+    frequency, dampings likewise in 0.05 .. 2.
 
     The zeros are put where the poles are on average, for `_inner_products` to start from.
     """
@@ -276,7 +376,9 @@ def _draw(shape: ProcessModel, task: Task, starts: int, seed: int) -> ProcessMod
     slowest, fastest = 1 / task.duration, 0.5 * np.pi / task.dt
     rates = slowest * (fastest / slowest) ** unit[:, : n + q]
     zeros = np.repeat(np.exp(np.mean(np.log(rates), axis=1, keepdims=True)), m, axis=1)
-    return ProcessModel(np.ones(starts), zeros, rates[:, :n], rates[:, n:], 0.05 * 40 ** unit[:, n + q :])
+    return ProcessModel(
+        np.ones(starts), zeros, rates[:, :n], rates[:, n:], 0.05 * 40 ** unit[:, n + q :]
+    )
 
 
 @functools.cache
@@ -286,11 +388,15 @@ def _products():
 
 
 def _inner_products(common, plant: ProcessModel):
-    """(m+3, m+3) between 1, the outputs w_0 .. w_m and y over the fitted samples; w_k is simulated with the numerator (1 - s / a)^k,
-    where a is the m-fold zero of the plant given, so that the numerator enters linearly."""
+    """(m+3, m+3) between 1, the outputs w_0 .. w_m and y over the fitted samples; w_k is simulated
+    with the numerator (1 - s / a)^k, where a is the m-fold zero of the plant given, so that the
+    numerator enters linearly.
+    """
     task, u, y, fitted = common
     outputs = [
-        played(Machine(dataclasses.replace(plant, zeros=plant.zeros[:k])), task, u, jax.random.key(0)).y[:, 0]
+        played(
+            Machine(dataclasses.replace(plant, zeros=plant.zeros[:k])), task, u, jax.random.key(0)
+        ).y[:, 0]
         for k in range(plant.zeros.shape[0] + 1)
     ]
     columns = jnp.stack([jnp.ones_like(y[:, 0]), *outputs, y[:, 0]]) * fitted
@@ -298,32 +404,46 @@ def _inner_products(common, plant: ProcessModel):
 
 
 def _numerator(products):
-    """Sum of squares that the best bias and numerator leave, and the weights (m+1,) of that numerator."""
+    """Sum of squares that the best bias and numerator leave, and the weights (m+1,) of that
+    numerator.
+    """
     if not np.all(np.isfinite(products)):
         return np.inf, None
     size = np.sqrt(np.maximum(np.diag(products)[:-1], np.finfo(float).tiny))
-    weights = np.linalg.lstsq(products[:-1, :-1] / np.outer(size, size), products[:-1, -1] / size)[0] / size
+    weights = (
+        np.linalg.lstsq(products[:-1, :-1] / np.outer(size, size), products[:-1, -1] / size)[0]
+        / size
+    )
     return float(products[-1, -1] - weights @ products[:-1, -1]), weights[1:]
 
 
 def _with_numerator(plant: ProcessModel, weights) -> ProcessModel:
-    """The plant with the numerator sum_k weights_k (1 - s / a)^k. Of a complex pair of zeros, which a ProcessModel cannot have, it
-    gets two real ones apart by the imaginary part: two equal ones would have equal derivatives and stay equal."""
+    """The plant with the numerator sum_k weights_k (1 - s / a)^k. Of a complex pair of zeros, which
+    a ProcessModel cannot have, it gets two real ones apart by the imaginary part: two equal ones
+    would have equal derivatives and stay equal.
+    """
     roots = np.polynomial.polynomial.polyroots(weights)
     a = plant.zeros[0] if len(roots) else 1.0
     return dataclasses.replace(plant, gain=np.sum(weights), zeros=a * (1 - roots.real - roots.imag))
 
 
-# What comes out -----------------------------------------------------------------------------------------------------------
+# What comes out
+# -----------------------------------------------------------------------------------------------------------
 
 
 def _judged(problem: _Problem, found: _Minimum) -> Identified:
     theta, samples, y = found.theta, problem.samples, problem.record.y
     residual, J = problem.residual(theta), problem.sensitivity(theta) / problem.scale[:, None]
     freedom = samples * problem.plant.n_y - len(theta)
-    covariance = np.sum((residual[:samples] / problem.scale) ** 2) / freedom * _inverse_of_normal(J.reshape(-1, len(theta)))
+    covariance = (
+        np.sum((residual[:samples] / problem.scale) ** 2)
+        / freedom
+        * _inverse_of_normal(J.reshape(-1, len(theta)))
+    )
     half = scipy.special.stdtrit(freedom, 0.5 + CONFIDENCE / 2) * np.sqrt(np.diag(covariance))
-    biases = ["bias"] if problem.plant.n_y == 1 else [f"bias[{i}]" for i in range(problem.plant.n_y)]
+    biases = (
+        ["bias"] if problem.plant.n_y == 1 else [f"bias[{i}]" for i in range(problem.plant.n_y)]
+    )
     named = zip((*problem.names, *biases), theta, half, strict=True)
     whiteness = np.array([_whiteness(residual[:samples, i]) for i in range(problem.plant.n_y)])
     return Identified(
@@ -343,8 +463,8 @@ def _judged(problem: _Problem, found: _Minimum) -> Identified:
 
 
 def _inverse_of_normal(J):
-    """(J^T J)^-1 from the singular values of J with its columns scaled to length 1; a parameter that enters a direction without
-    effect gets inf on the diagonal and 0 beside it."""
+    """(J^T J)^-1 from the singular values of J with its columns scaled to length 1; a parameter
+    that enters a direction without effect gets inf on the diagonal and 0 beside it."""
     length = np.linalg.norm(J, axis=0)
     length[length == 0] = 1.0
     _, s, directions = np.linalg.svd(np.linalg.qr(J / length, mode="r"))
@@ -361,7 +481,9 @@ def _fit(y, residual):
     """(n_y,) 100 (1 - |residual| / |y - mean y|) [%]"""
     if len(y) < 2:
         return np.full(y.shape[1], np.nan)
-    return 100 * (1 - np.linalg.norm(residual, axis=0) / np.linalg.norm(y - np.mean(y, axis=0), axis=0))
+    return 100 * (
+        1 - np.linalg.norm(residual, axis=0) / np.linalg.norm(y - np.mean(y, axis=0), axis=0)
+    )
 
 
 def _whiteness(residual) -> float:
@@ -373,38 +495,61 @@ def _whiteness(residual) -> float:
 
 
 def _poles(problem: _Problem, theta, covariance) -> tuple[PoleEstimate, ...]:
-    """The poles with the quantiles of draws from the normal distribution of the parameters that they depend on."""
-    which = [i for i, name in enumerate(problem.names) if name.startswith(("poles", "frequencies", "dampings"))]
+    """The poles with the quantiles of draws from the normal distribution of the parameters that
+    they depend on.
+    """
+    which = [
+        i
+        for i, name in enumerate(problem.names)
+        if name.startswith(("poles", "frequencies", "dampings"))
+    ]
     names, covariance = tuple(problem.names[i] for i in which), covariance[np.ix_(which, which)]
     known = bool(np.all(np.isfinite(covariance)))
     draws = np.zeros((DRAWS, len(which)))
     if known:
         std = np.sqrt(np.diag(covariance))
         size, directions = np.linalg.eigh(covariance / np.outer(std, std))
-        draws = np.random.default_rng(0).normal(size=draws.shape) @ (directions * np.sqrt(np.maximum(size, 0.0))).T * std
-    poles = np.asarray(_poles_at(theta[which] + np.vstack([np.zeros(len(which)), draws]), names, problem.plant))
+        draws = (
+            np.random.default_rng(0).normal(size=draws.shape)
+            @ (directions * np.sqrt(np.maximum(size, 0.0))).T
+            * std
+        )
+    poles = np.asarray(
+        _poles_at(theta[which] + np.vstack([np.zeros(len(which)), draws]), names, problem.plant)
+    )
 
     def estimates(part):
         tails = np.quantile(part[1:], (0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2), axis=0).T
-        return [Estimate(v, *(tail if known else (-np.inf, np.inf))) for v, tail in zip(part[0].tolist(), tails.tolist(), strict=True)]
+        return [
+            Estimate(v, *(tail if known else (-np.inf, np.inf)))
+            for v, tail in zip(part[0].tolist(), tails.tolist(), strict=True)
+        ]
 
-    return tuple(PoleEstimate(*row) for row in zip(poles[0].tolist(), estimates(poles.real), estimates(poles.imag), strict=True))
+    return tuple(
+        PoleEstimate(*row)
+        for row in zip(poles[0].tolist(), estimates(poles.real), estimates(poles.imag), strict=True)
+    )
 
 
 @functools.partial(jax.jit, static_argnames="names")
 def _poles_at(values, names, plant):
     """(rows, poles) of the plant with its parameters `names` set to each row of values."""
-    return jax.vmap(lambda row: replaced(plant, dict(zip(names, row, strict=True))).all_poles)(values)
+    return jax.vmap(lambda row: replaced(plant, dict(zip(names, row, strict=True))).all_poles)(
+        values
+    )
 
 
-# Checks ---------------------------------------------------------------------------------------------------------------------
+# Checks
+# ---------------------------------------------------------------------------------------------------------------------
 
 
 def _checked(record: Record) -> Record:
     """The record as finite (rows, channels) arrays that belong together."""
     u, y = as_columns("identify", "u", record.u), as_columns("identify", "y", record.y)
     if len(y) != len(u) + 1:
-        raise ValueError(f"identify: u has {len(u)} rows and y {len(y)}; allowed is one more row in y than in u")
+        raise ValueError(
+            f"identify: u has {len(u)} rows and y {len(y)}; allowed is one more row in y than in u"
+        )
     _require("dt", record.dt, 0 < record.dt < np.inf, "(0, inf)")
     return Record(u, y, float(record.dt))
 
@@ -429,10 +574,22 @@ def _problem(record: Record, plant: Plant, names: tuple[str, ...], fit_share: fl
     y, u = record.y[:samples], record.u[: samples - 1]
     for i in range(n_y):
         if np.ptp(y[:, i]) == 0:
-            raise ValueError(f"identify: output {i} is constant over the {samples} samples to fit; it says nothing about the plant")
+            raise ValueError(
+                f"identify: output {i} is constant over the {samples} samples to fit; it says nothing about the plant"
+            )
     if not np.any(u):
-        raise ValueError(f"identify: the input is 0 over the {samples} samples to fit; it excites nothing")
-    return _Problem(record, plant, task_of(plant, record.u, record.dt), names, _Coordinates.of(plant, names), samples, np.std(y, axis=0))
+        raise ValueError(
+            f"identify: the input is 0 over the {samples} samples to fit; it excites nothing"
+        )
+    return _Problem(
+        record,
+        plant,
+        task_of(plant, record.u, record.dt),
+        names,
+        _Coordinates.of(plant, names),
+        samples,
+        np.std(y, axis=0),
+    )
 
 
 def _free(plant: Plant, free: Sequence[str] | None) -> tuple[str, ...]:
@@ -440,7 +597,9 @@ def _free(plant: Plant, free: Sequence[str] | None) -> tuple[str, ...]:
     leaves, names = named_leaves(plant), []
     for path in [free] if isinstance(free, str) else leaves if free is None else free:
         if path not in leaves and re.sub(r"(\[\d+\])+$", "", path) not in leaves:
-            raise ValueError(f"identify: free = {path!r} is not a leaf of {type(plant).__name__}; known: {', '.join(leaves) or 'none'}")
+            raise ValueError(
+                f"identify: free = {path!r} is not a leaf of {type(plant).__name__}; known: {', '.join(leaves) or 'none'}"
+            )
         try:
             shape = np.shape(get_at(plant, path))
         except KeyError as error:

@@ -13,8 +13,11 @@ from ..runtime.tiles import tiled
 
 
 class Fit(NamedTuple):
-    """values: by name, at the best minimum found;  residuals: (M,) there;  jacobian: (M, P) of them by the values
-    costs: (starts,) half the sum of squares at every start, sorted;  refined: the costs of the refined ones"""
+    """values: by name, at the best minimum found;  residuals: (M,) there;  jacobian: (M, P) of them
+    by the values
+    costs: (starts,) half the sum of squares at every start, sorted;  refined: the costs of the
+    refined ones
+    """
 
     values: dict[str, float]
     residuals: np.ndarray
@@ -32,11 +35,13 @@ def fit(
     seed: int = 0,
     lanes: int = 8,
 ) -> Fit:
-    """Minimise 1/2 |residuals(values)|^2 within ranges: scattered starts in tiles, the best ones refined by trust-region Gauss-Newton.
+    """Minimise 1/2 |residuals(values)|^2 within ranges: scattered starts in tiles, the best ones
+    refined by trust-region Gauss-Newton.
 
-    residuals: pure, of named scalars;  ranges: (low, high) by name; one that does not contain 0 is searched by its logarithm
-    The Jacobian is that of forward-mode differentiation through the whole simulation, so the resets and clips inside have their
-    piecewise gradients; many starts are what gets across their jumps. Starts that are not finite count as infinitely bad.
+    residuals: pure, of named scalars;  ranges: (low, high) by name; one that does not contain 0 is
+    searched by its logarithm The Jacobian is that of forward-mode differentiation through the whole
+    simulation, so the resets and clips inside have their piecewise gradients; many starts are what
+    gets across their jumps. Starts that are not finite count as infinitely bad.
     Raises ValueError for an empty range, or if no start is finite.
     """
     from scipy.optimize import least_squares
@@ -55,12 +60,15 @@ def fit(
     def natural(unit):
         """Values from the unit cube."""
         near, far = np.where(sign < 0, -high, low), np.where(sign < 0, -low, high)
-        logarithmic = sign * near * (np.where(sign == 0, 1.0, far) / np.where(sign == 0, 1.0, near)) ** unit
+        logarithmic = (
+            sign * near * (np.where(sign == 0, 1.0, far) / np.where(sign == 0, 1.0, near)) ** unit
+        )
         return jnp.where(sign == 0, low + unit * (high - low), logarithmic)
 
     def of_unit(_, unit):
         r = residuals(dict(zip(names, natural(unit), strict=True)))
-        # least_squares wants finite residuals everywhere; a start that has none is put last before it gets there
+        # least_squares wants finite residuals everywhere; a start that has none is put last before
+        # it gets there
         return jnp.where(jnp.isfinite(r), r, 1e6)
 
     def cost(common, unit):
@@ -71,10 +79,18 @@ def fit(
     costs = np.asarray(tiled(cost, lanes=lanes)(0.0, jnp.asarray(scattered)))
     order = np.argsort(costs)
     if not np.isfinite(costs[order[0]]):
-        raise ValueError(f"fit: none of {starts} starts within {dict(ranges)} gives finite residuals")
+        raise ValueError(
+            f"fit: none of {starts} starts within {dict(ranges)} gives finite residuals"
+        )
     value, slope = jax.jit(of_unit), jax.jit(jax.jacfwd(of_unit, argnums=1))
     found = [
-        least_squares(lambda u: np.asarray(value(0.0, u)), scattered[i], lambda u: np.asarray(slope(0.0, u)), (0.0, 1.0), max_nfev=60)
+        least_squares(
+            lambda u: np.asarray(value(0.0, u)),
+            scattered[i],
+            lambda u: np.asarray(slope(0.0, u)),
+            (0.0, 1.0),
+            max_nfev=60,
+        )
         for i in order[:refine]
     ]
     best = min(found, key=lambda result: result.cost)

@@ -1,4 +1,6 @@
-"""Learning: one trial of a machine under a scheme, the scan over trials, and what a trial is judged by."""
+"""Learning: one trial of a machine under a scheme, the scan over trials, and what a trial is judged
+by.
+"""
 
 import lazy_loader
 

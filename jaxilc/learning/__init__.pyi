@@ -1,5 +1,15 @@
 from .machine import Actuator, Disturbance, Machine, Sensor
-from .metrics import Keep, Metrics, Repeatability, best_trial, chattering, measure, repeatability, root_mean_square, total_variation
+from .metrics import (
+    Keep,
+    Metrics,
+    Repeatability,
+    best_trial,
+    chattering,
+    measure,
+    repeatability,
+    root_mean_square,
+    total_variation,
+)
 from .over_trials import History, check, feedforward, learn, measured_trial, next_memory, truncated
 from .playback import replay
 from .within_trial import run_trial

@@ -1,4 +1,6 @@
-"""The machine around a plant: actuator, sensors, disturbances. Each part is optional and costs nothing when absent."""
+"""The machine around a plant: actuator, sensors, disturbances. Each part is optional and costs
+nothing when absent.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,8 @@ from ..signals.task import Limit, Task, Trial, quantise
 class Actuator:
     """Rate limit, saturation and converter of the input, in this order:
 
-        v[k] = clip(v[k-1] + clip(u - v[k-1], -rate dt, rate dt), -limit, limit),    applied: clip(Q(v[k]), -limit, limit)
+        v[k] = clip(v[k-1] + clip(u - v[k-1], -rate dt, rate dt), -limit, limit),    applied:
+        clip(Q(v[k]), -limit, limit)
 
     limit:      () or (n_u,) largest |u| [unit of u]; gradient zero beyond it
     rate:       () or (n_u,) largest |du/dt| [unit of u per s]; gradient zero beyond it
@@ -30,16 +33,28 @@ class Actuator:
     resolution: jax.Array | None = leaf(None, "(0, inf)", optional=True)
 
     def apply(self, u, v_last, dt) -> tuple[jax.Array, jax.Array]:
-        """u: (n_u,) commanded, v_last: (n_u,) v of the sample before -> v (n_u,) and what is applied (n_u,)."""
-        v = u if self.rate is None else v_last + jnp.clip(u - v_last, -self.rate * dt, self.rate * dt)
+        """u: (n_u,) commanded, v_last: (n_u,) v of the sample before -> v (n_u,) and what is
+        applied (n_u,).
+        """
+        v = (
+            u
+            if self.rate is None
+            else v_last + jnp.clip(u - v_last, -self.rate * dt, self.rate * dt)
+        )
         v = self._within_limit(v)
         return v, v if self.resolution is None else self._within_limit(quantise(v, self.resolution))
 
     def limits(self, u, dt) -> dict[str, Limit]:
-        """By name, what must stay within its bound for the limits to change nothing. u: (N, n_u) commanded in a trial"""
+        """By name, what must stay within its bound for the limits to change nothing. u: (N, n_u)
+        commanded in a trial
+        """
         rate = jnp.diff(u, axis=0, prepend=jnp.zeros_like(u[:1])) / dt
         found = {"actuator.limit": (u, self.limit), "actuator.rate": (rate, self.rate)}
-        return {name: Limit(signal, bound) for name, (signal, bound) in found.items() if bound is not None}
+        return {
+            name: Limit(signal, bound)
+            for name, (signal, bound) in found.items()
+            if bound is not None
+        }
 
     def _within_limit(self, u):
         return u if self.limit is None else jnp.clip(u, -self.limit, self.limit)
@@ -64,9 +79,11 @@ class Sensor:
 
 @pytree
 class Disturbance:
-    """What acts on the machine besides the input; the repetitive part is the same in each trial, the noise is drawn anew.
+    """What acts on the machine besides the input; the repetitive part is the same in each trial,
+    the noise is drawn anew.
 
-    input:        (N, n_u) repetitive, added to the plant's input;   output: (N+1, n_y) repetitive, added to the plant's output
+    input:        (N, n_u) repetitive, added to the plant's input;   output: (N+1, n_y) repetitive,
+    added to the plant's output
     input_noise:  () or (n_u,) standard deviation of the non-repetitive part at the input
     output_noise: () or (n_y,) the same at the output (true motion, unlike the sensor's noise)
     """
@@ -96,16 +113,26 @@ class Machine:
 
     @property
     def answers_at_once(self) -> bool:
-        """Whether a whole trial follows from an input that is known before it: the plant has a `response`, and no rate is limited."""
-        return self.plant.response is not None and (self.actuator is None or self.actuator.rate is None)
+        """Whether a whole trial follows from an input that is known before it: the plant has a
+        `response`, and no rate is limited.
+        """
+        return self.plant.response is not None and (
+            self.actuator is None or self.actuator.rate is None
+        )
 
     def unlimited(self) -> Machine:
         """This machine without the limits of its actuator; the converter's step stays."""
-        actuator = self.actuator if self.actuator is None else dataclasses.replace(self.actuator, limit=None, rate=None)
+        actuator = (
+            self.actuator
+            if self.actuator is None
+            else dataclasses.replace(self.actuator, limit=None, rate=None)
+        )
         return dataclasses.replace(self, actuator=actuator)
 
     def noiseless(self) -> Machine:
-        """This machine without what differs from trial to trial: noise of the sensors and of the disturbances."""
+        """This machine without what differs from trial to trial: noise of the sensors and of the
+        disturbances.
+        """
         sensor, disturbance = self.sensor, self.disturbance
         sensor = None if sensor is None else dataclasses.replace(sensor, noise=None)
         if disturbance is not None:
@@ -117,7 +144,9 @@ class Machine:
         return {} if self.actuator is None else self.actuator.limits(trial.u, trial.dt)
 
     def sampled(self, dt: float) -> Machine:
-        """This machine with its plant's sample-time dependent part worked out, once, outside the scans."""
+        """This machine with its plant's sample-time dependent part worked out, once, outside the
+        scans.
+        """
         return Machine(self.plant.sampled(dt), self.actuator, self.sensor, self.disturbance)
 
     def actuate(self, u, v_last, dt) -> tuple[jax.Array, jax.Array]:
@@ -140,9 +169,14 @@ class Machine:
 
     def check(self, task: Task) -> None:
         """Raises ValueError where machine and task do not fit: channels, lengths, sample time."""
-        for what, here, there in (("inputs", self.plant.n_u, task.inputs), ("outputs", self.plant.n_y, task.outputs)):
+        for what, here, there in (
+            ("inputs", self.plant.n_u, task.inputs),
+            ("outputs", self.plant.n_y, task.outputs),
+        ):
             if here != there:
-                raise ValueError(f"the task has {there} {what} but the plant {type(self.plant).__name__} has {here}")
+                raise ValueError(
+                    f"the task has {there} {what} but the plant {type(self.plant).__name__} has {here}"
+                )
         need_scalars(self.plant)
         self.plant.check(task)
         for part_, names, channels in (
@@ -153,10 +187,15 @@ class Machine:
         ):
             if part_ is not None:
                 need_channels(part_, channels, *names)
-        for name, shape in (("input", (task.N, task.inputs)), ("output", (task.N + 1, task.outputs))):
+        for name, shape in (
+            ("input", (task.N, task.inputs)),
+            ("output", (task.N + 1, task.outputs)),
+        ):
             signal = getattr(self.disturbance, name, None)
             if signal is not None and signal.shape[-2:] != shape:
-                raise ValueError(f"Disturbance: {name} has shape {signal.shape}; this task needs {shape}")
+                raise ValueError(
+                    f"Disturbance: {name} has shape {signal.shape}; this task needs {shape}"
+                )
 
 
 def _total(name, repetitive, std, key, shape):

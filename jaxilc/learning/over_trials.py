@@ -25,7 +25,8 @@ from .sample_layout import carried
 from .within_trial import run_and_measure
 
 LITTLE = 2**24  # bytes, below which no size is looked at
-OF_A_TRIAL = 32  # signals of its length that a trial takes while it runs, its schedule and its copies among them
+# signals of its length that a trial takes while it runs, its schedule and its copies among them
+OF_A_TRIAL = 32
 PROGRAMS = 8  # of different `save` that stay compiled
 
 
@@ -85,39 +86,59 @@ def learn(
     """Repeat the task, learning after each trial.
 
     trials: J >= 1;  key: of the noise, trial j uses `fold_in(key, j)`; None is a fixed key
-    memory: to go on from (`history.memory`), None to start afresh;  first: number j of the first trial, so that the noise goes on too
+    memory: to go on from (`history.memory`), None to start afresh;  first: number j of the first
+    trial, so that the noise goes on too
     save: what to keep of each trial, besides its metrics
-    Differentiable and vmappable; a gradient stores no samples, but the memories of B + J / B trials, B the largest divisor of J up to
-    its root (20 for J = 100; a prime J takes J).
+    Differentiable and vmappable; a gradient stores no samples, but the memories of B + J / B
+    trials, B the largest divisor of J up to its root (20 for J = 100; a prime J takes J).
     Raises ValueError, before anything is compiled, where machine, scheme and task do not fit.
     """
     require("learn", "trials", trials, "[1, inf)", whole=True)
     if not isinstance(first, jax.core.Tracer):
         require("learn", "first", first, "[1, inf)", whole=True)
     if save is not None and not (callable(save) and isinstance(save, Hashable)):
-        raise ValueError(f"learn: save = {save!r} is not a function of a trial; allowed are functions, and objects that can be hashed")
+        raise ValueError(
+            f"learn: save = {save!r} is not a function of a trial; allowed are functions, and objects that can be hashed"
+        )
     check(machine, scheme, task)
     figures = bytes_of_figures(task)
     if trials * figures > LITTLE:
         check_size("learn", lambda trials: 2 * figures * trials, trials=trials)
     key = jax.random.key(0) if key is None else key
-    return _program(save or _nothing)(machine, scheme, task, int(trials), key, memory, jnp.asarray(first, int))
+    return _program(save or _nothing)(
+        machine, scheme, task, int(trials), key, memory, jnp.asarray(first, int)
+    )
 
 
 def check(machine: Machine, scheme: Scheme, task: Task) -> None:
-    """Raises ValueError, naming the parameter, where machine, scheme and task do not fit, and for a task that memory cannot hold."""
-    for name, given, wanted in (("machine", machine, Machine), ("scheme", scheme, Scheme), ("task", task, Task)):
+    """Raises ValueError, naming the parameter, where machine, scheme and task do not fit, and for a
+    task that memory cannot hold.
+    """
+    for name, given, wanted in (
+        ("machine", machine, Machine),
+        ("scheme", scheme, Scheme),
+        ("task", task, Task),
+    ):
         if not isinstance(given, wanted):
-            raise ValueError(f"{name} = {brief(given)} is a {type(given).__name__}; allowed is a {wanted.__name__}")
+            raise ValueError(
+                f"{name} = {brief(given)} is a {type(given).__name__}; allowed is a {wanted.__name__}"
+            )
     check_length(task, scheme)
     machine.check(task)
     scheme.check(task)
     before, after, y = _one_step.eval_shape(machine.plant, task.dt)
-    name, shapes = type(machine.plant).__name__, [jax.tree.map(lambda x: x.shape, state) for state in (before, after)]
+    name, shapes = (
+        type(machine.plant).__name__,
+        [jax.tree.map(lambda x: x.shape, state) for state in (before, after)],
+    )
     if shapes[0] != shapes[1]:
-        raise ValueError(f"{name}: a step makes a state of {brief(shapes[1])} of one of {brief(shapes[0])}; allowed is the same again")
+        raise ValueError(
+            f"{name}: a step makes a state of {brief(shapes[1])} of one of {brief(shapes[0])}; allowed is the same again"
+        )
     if y.shape != (machine.plant.n_y,):
-        raise ValueError(f"{name}: the output has shape {y.shape}; allowed is (n_y,) = ({machine.plant.n_y},)")
+        raise ValueError(
+            f"{name}: the output has shape {y.shape}; allowed is (n_y,) = ({machine.plant.n_y},)"
+        )
 
 
 @partial(jax.jit, static_argnames="dt")
@@ -130,7 +151,9 @@ def _one_step(plant: Plant, dt: float) -> Any:
 
 @lru_cache(maxsize=PROGRAMS)
 def _program(save: Callable[[Trial], Any]) -> Any:
-    """`_learn` to be compiled with this `save`. Each new lambda is another one, so those that were used longest ago are let go."""
+    """`_learn` to be compiled with this `save`. Each new lambda is another one, so those that were
+    used longest ago are let go.
+    """
     return jax.jit(partial(_learn, save=save), static_argnames="trials")
 
 
@@ -140,8 +163,13 @@ def bytes_of_figures(task: Task) -> int:
 
 
 def check_length(task: Task, scheme: Scheme) -> None:
-    """Raises ValueError where a single trial of the task does not fit into memory, or what the scheme sees ahead of each sample."""
-    signals, seen = 8 * OF_A_TRIAL * max(task.outputs, task.inputs), 8 * 2 * task.outputs * (task.N + 1)
+    """Raises ValueError where a single trial of the task does not fit into memory, or what the
+    scheme sees ahead of each sample.
+    """
+    signals, seen = (
+        8 * OF_A_TRIAL * max(task.outputs, task.inputs),
+        8 * 2 * task.outputs * (task.N + 1),
+    )
     if task.N * signals + seen * scheme.preview > LITTLE:
         check_size("one trial", lambda samples: signals * samples, samples=task.N)
         check_size("one trial", lambda preview: seen * preview, preview=scheme.preview)
@@ -160,13 +188,17 @@ def _learn(machine, scheme, task, trials, key, memory, first, save) -> History:
         memory, trial, kept = trial_and_learning(carried(carry[0]), j)
         return (carried(memory), trial), kept
 
-    blank = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), jax.eval_shape(trial_and_learning, memory, 1)[1])
+    blank = jax.tree.map(
+        lambda s: jnp.zeros(s.shape, s.dtype), jax.eval_shape(trial_and_learning, memory, 1)[1]
+    )
     blocks = max(d for d in range(1, math.isqrt(trials) + 1) if trials % d == 0)
     # two trials a turn: what one wrote the next reads, and nothing is copied to where it came from
     block = partial(lax.scan, body, unroll=1 if trials // blocks % 2 else 2)
     # a gradient goes back block by block, each run again from the memory at its start
     (memory, final), kept = lax.scan(
-        jax.checkpoint(block) if blocks > 1 else block, (memory, blank), (first + jnp.arange(trials)).reshape(blocks, -1)
+        jax.checkpoint(block) if blocks > 1 else block,
+        (memory, blank),
+        (first + jnp.arange(trials)).reshape(blocks, -1),
     )
     metrics, saved = jax.tree.map(lambda rows: rows.reshape(trials, *rows.shape[2:]), kept)
     return History(metrics, saved, *course(metrics, task, first), final, memory)
@@ -176,38 +208,58 @@ def _nothing(trial: Trial) -> None:
     return None
 
 
-def truncated(machine: Machine, scheme: Scheme, task: Task, trials: int, last: int, **options) -> History:
-    """Learning, of which the gradient sees the last trials alone (truncated back-propagation: Williams and Peng 1990)."""
+def truncated(
+    machine: Machine, scheme: Scheme, task: Task, trials: int, last: int, **options
+) -> History:
+    """Learning, of which the gradient sees the last trials alone (truncated back-propagation:
+    Williams and Peng 1990).
+    """
     first = trials - last + 1
     before = learn(*lax.stop_gradient((machine, scheme)), task, first - 1, **options)
     after = learn(machine, scheme, task, last, memory=before.memory, first=first, **options)
-    metrics, saved = jax.tree.map(lambda *both: jnp.concatenate(both), (before.metrics, before.saved), (after.metrics, after.saved))
+    metrics, saved = jax.tree.map(
+        lambda *both: jnp.concatenate(both),
+        (before.metrics, before.saved),
+        (after.metrics, after.saved),
+    )
     return after._replace(metrics=metrics, saved=saved, **course(metrics, task)._asdict())
 
 
 def measured_trial(task: Task, y, u, **signals) -> Trial:
     """The record of a trial measured on a real machine.
 
-    y: (N+1, n_y) or (N+1,) output, y[0] before the first input;  u: (N, n_u) or (N,) input as applied
-    signals: (N, n_u) or (N,) what the scheme needs besides, by name: `feedback`, the feedback's share of u, for `WithFeedback`
-    Raises ValueError naming the signal where its length, channels or values are not those of the task.
+    y: (N+1, n_y) or (N+1,) output, y[0] before the first input;  u: (N, n_u) or (N,) input as
+    applied
+    signals: (N, n_u) or (N,) what the scheme needs besides, by name: `feedback`, the feedback's
+    share of u, for `WithFeedback`
+    Raises ValueError naming the signal where its length, channels or values are not those of the
+    task.
     """
-    shapes = {"y": (task.N + 1, task.outputs)} | dict.fromkeys(("u", *signals), (task.N, task.inputs))
+    shapes = {"y": (task.N + 1, task.outputs)} | dict.fromkeys(
+        ("u", *signals), (task.N, task.inputs)
+    )
     measured = {}
     for name, values in {"y": y, "u": u, **signals}.items():
         shape = shapes[name]
         values = np.asarray(values, dtype=float)
         values = values[:, None] if values.ndim == 1 else values
         if values.shape != shape:
-            raise ValueError(f"measured_trial: {name} has shape {np.shape(values)}; this task needs {shape}")
+            raise ValueError(
+                f"measured_trial: {name} has shape {np.shape(values)}; this task needs {shape}"
+            )
         if not np.all(np.isfinite(values)):
-            raise ValueError(f"measured_trial: {name} is not finite at sample {int(np.argmin(np.isfinite(values).all(axis=1)))}")
+            raise ValueError(
+                f"measured_trial: {name} is not finite at sample {int(np.argmin(np.isfinite(values).all(axis=1)))}"
+            )
         measured[name] = jnp.asarray(values)
-    return Trial(jnp.asarray(task.reference), measured.pop("y"), measured.pop("u"), task.dt, measured)
+    return Trial(
+        jnp.asarray(task.reference), measured.pop("y"), measured.pop("u"), task.dt, measured
+    )
 
 
 def next_memory(scheme: Scheme, task: Task, memory, y, u, **signals) -> Any:
-    """One turn of the loop by hand: what the scheme knows after a measured trial; `feedforward` then gives the next input.
+    """One turn of the loop by hand: what the scheme knows after a measured trial; `feedforward`
+    then gives the next input.
 
     Raises as `measured_trial` does.
     """
@@ -215,8 +267,10 @@ def next_memory(scheme: Scheme, task: Task, memory, y, u, **signals) -> Any:
 
 
 def feedforward(scheme: Scheme, task: Task, memory) -> jax.Array:
-    """(N, n_u) the input that the scheme will play back in the next trial; feedback within the trial comes on top.
+    """(N, n_u) the input that the scheme will play back in the next trial; feedback within the
+    trial comes on top.
 
-    Of `OnReference` it is the correction of the reference. Raises ValueError for a scheme that learns no feedforward.
+    Of `OnReference` it is the correction of the reference. Raises ValueError for a scheme that
+    learns no feedforward.
     """
     return scheme.feedforward(memory, task)

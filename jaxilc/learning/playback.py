@@ -1,4 +1,6 @@
-"""What a real machine plays of a scheme in the next trial, and what the scheme's feedback did in a measured one."""
+"""What a real machine plays of a scheme in the next trial, and what the scheme's feedback did in a
+measured one.
+"""
 
 from __future__ import annotations
 
@@ -21,16 +23,21 @@ def tables(scheme: Scheme, memory, task: Task) -> dict[str, np.ndarray]:
 
         u             the whole input, of a scheme that only plays back
         feedforward   what is added to the input of the feedback
-        reference     what the feedback follows in place of the task's reference, of a scheme that learns one
-        table.NAME    rows of a law that acts within the trial, such as FFDL-MFAILC, which the controller must then run
-        feedback.NAME likewise of a feedback that learns
+        reference     what the feedback follows in place of the task's reference, of a scheme that
+        learns one
+        table.NAME    rows of a law that acts within the trial, such as FFDL-MFAILC, which the
+        controller must then run feedback.NAME likewise of a feedback that learns
 
     Raises ValueError for a scheme that learns nothing.
     """
     found = _compiled(scheme, memory, task)
     if not scheme.learns or not found:
-        raise ValueError(f"{type(scheme).__name__} learns nothing that a machine could play; allowed are schemes that learn")
-    return {name: np.asarray(values, float).reshape(len(values), -1) for name, values in found.items()}
+        raise ValueError(
+            f"{type(scheme).__name__} learns nothing that a machine could play; allowed are schemes that learn"
+        )
+    return {
+        name: np.asarray(values, float).reshape(len(values), -1) for name, values in found.items()
+    }
 
 
 @jax.jit
@@ -45,14 +52,19 @@ def _tables(scheme: Scheme, table: Any, task: Task) -> dict[str, Any]:
         case Around():
             return _tables(scheme.scheme, table, task)
         case WithFeedback():
-            learned = {"feedforward" if name == "u" else name: t for name, t in _tables(scheme.learning, table.learning, task).items()}
+            learned = {
+                "feedforward" if name == "u" else name: t
+                for name, t in _tables(scheme.learning, table.learning, task).items()
+            }
             return learned | _of_feedback(scheme.feedback, table.feedback, task)
         case OnReference():
             reference = jnp.asarray(task.reference).at[1:].add(table.u)
             return {"reference": reference} | _of_feedback(scheme.feedback, table.feedback, task)
         case MultivariableILC():
             reference = jnp.concatenate([table.now, table.ahead[-1:, 0]])
-            return {"feedforward": table.u, "reference": reference} | _of_feedback(scheme.feedback, table.feedback, task)
+            return {"feedforward": table.u, "reference": reference} | _of_feedback(
+                scheme.feedback, table.feedback, task
+            )
     if scheme.plays_back and hasattr(table, "u"):
         return {"u": table.u}
     return {f"table.{name}": leaf for name, leaf in named_leaves(table).items()}
@@ -67,16 +79,20 @@ def unit_of(name: str, task: Task) -> str:
     last = name.rpartition(".")[2]
     if last in ("r", "y", "reference"):
         return task.unit
-    return {"t": "s"}.get(last, task.input_unit if last in ("u", "u_last", "feedforward", "feedback") else "")
+    return {"t": "s"}.get(
+        last, task.input_unit if last in ("u", "u_last", "feedforward", "feedback") else ""
+    )
 
 
 @jax.jit
 def replay(scheme: Scheme, task: Task, memory, y, actuator: Actuator | None = None):
-    """The scheme's `act` over a measured output: its input (N, n_u), as the actuator would have applied it, and its signals by name.
+    """The scheme's `act` over a measured output: its input (N, n_u), as the actuator would have
+    applied it, and its signals by name.
 
     y: (N+1, n_y) measured;  memory: of the trial in which it was measured
-    `act` sees nothing of the machine but y, so this is what the feedback contributed in that trial, exactly, wherever the controller
-    runs the same law on the same samples. A feedback that is not the scheme's, such as a drive's own loops, belongs to the machine.
+    `act` sees nothing of the machine but y, so this is what the feedback contributed in that trial,
+    exactly, wherever the controller runs the same law on the same samples. A feedback that is not
+    the scheme's, such as a drive's own loops, belongs to the machine.
     """
     scheme = scheme.prepared(task)
     r = jnp.asarray(task.reference)
@@ -89,6 +105,9 @@ def replay(scheme: Scheme, task: Task, memory, y, actuator: Actuator | None = No
         v, u = (u, u) if actuator is None else actuator.apply(u, v_last, task.dt)
         return (state, v, None if actuator is None else u), (u, scheme.signals(state))
 
-    rows, rest = (r[:-1], windows, jnp.asarray(y)[:-1], scheme.table(memory, task)), jnp.zeros(task.inputs)
+    rows, rest = (
+        (r[:-1], windows, jnp.asarray(y)[:-1], scheme.table(memory, task)),
+        jnp.zeros(task.inputs),
+    )
     start = (scheme.init(task), rest, None if actuator is None else rest)
     return lax.scan(tick, start, rows, length=task.N)[1]

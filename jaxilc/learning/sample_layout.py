@@ -1,7 +1,9 @@
-"""Where the samples of a batch lie in memory: under `vmap`, those of all its members at one instant side by side.
+"""Where the samples of a batch lie in memory: under `vmap`, those of all its members at one instant
+side by side.
 
-XLA would keep each member's samples together, as `vmap` numbers them, and turn every signal about on its way into the loop over time
-and out of it, on a CPU a quarter of the time of CFDL-MFAILC. Both functions return what they are given, and matter only under `vmap`.
+XLA would keep each member's samples together, as `vmap` numbers them, and turn every signal about
+on its way into the loop over time and out of it, on a CPU a quarter of the time of CFDL-MFAILC.
+Both functions return what they are given, and matter only under `vmap`.
 """
 
 from __future__ import annotations
@@ -14,23 +16,33 @@ from jax.interpreters import ad, batching, mlir
 
 
 def carried(signals):
-    """signals: a tree whose arrays of two or more axes have one row a sample, on their way from trial to trial"""
-    return jax.tree.map(lambda x: _by_sample.bind(x, axis=0, turned=False) if jnp.ndim(x) > 1 else x, signals)
+    """signals: a tree whose arrays of two or more axes have one row a sample, on their way from
+    trial to trial
+    """
+    return jax.tree.map(
+        lambda x: _by_sample.bind(x, axis=0, turned=False) if jnp.ndim(x) > 1 else x, signals
+    )
 
 
 def scanned(signals):
     """The same on their way into a scan over samples, or out of it."""
-    return jax.tree.map(lambda x: _by_sample.bind(x, axis=0, turned=True) if jnp.ndim(x) > 1 else x, signals)
+    return jax.tree.map(
+        lambda x: _by_sample.bind(x, axis=0, turned=True) if jnp.ndim(x) > 1 else x, signals
+    )
 
 
 def _placed(x, *, axis, turned):
-    """x: with the samples along `axis`. XLA takes the wish in one of two forms: of a loop's carry as a layout of the axes as they are,
-    of a scan's rows as an array of turned axes."""
+    """x: with the samples along `axis`. XLA takes the wish in one of two forms: of a loop's carry
+    as a layout of the axes as they are, of a scan's rows as an array of turned axes."""
     if axis == 0:
         return x
     if not turned:
-        return with_layout_constraint(x, Layout(major_to_minor=(axis, *(i for i in range(x.ndim) if i != axis))))
-    rows = with_layout_constraint(jnp.moveaxis(x, axis, 0), Layout(major_to_minor=tuple(range(x.ndim))))
+        return with_layout_constraint(
+            x, Layout(major_to_minor=(axis, *(i for i in range(x.ndim) if i != axis)))
+        )
+    rows = with_layout_constraint(
+        jnp.moveaxis(x, axis, 0), Layout(major_to_minor=tuple(range(x.ndim)))
+    )
     return jnp.moveaxis(rows, 0, axis)
 
 

@@ -16,13 +16,16 @@ from .sample_layout import scanned
 def run_trial(machine: Machine, scheme: Scheme, task: Task, memory, key) -> Trial:
     """The machine under the scheme for one trial of the task, from rest.
 
-    memory: what the scheme knows (`scheme.memory(task)` before the first trial);  key: of this trial's noise
-    Pure; to be called inside `jit`. Fields of the returned `Trial` have N or N+1 rows.
+    memory: what the scheme knows (`scheme.memory(task)` before the first trial);  key: of this
+    trial's noise Pure; to be called inside `jit`. Fields of the returned `Trial` have N or N+1
+    rows.
     """
     return run_and_measure(machine, scheme, task, memory, key)[0]
 
 
-def run_and_measure(machine: Machine, scheme: Scheme, task: Task, memory, key) -> tuple[Trial, Metrics]:
+def run_and_measure(
+    machine: Machine, scheme: Scheme, task: Task, memory, key
+) -> tuple[Trial, Metrics]:
     """`run_trial` with its metrics, which are gathered in the same pass."""
     machine = machine.sampled(task.dt)
     if machine.answers_at_once and scheme.plays_back and not scheme.signals(scheme.init(task)):
@@ -40,7 +43,11 @@ def run_and_measure(machine: Machine, scheme: Scheme, task: Task, memory, key) -
         x = plant.step(x, _plus(u, d_u), dt)
         y = machine.measure(_plus(plant.output(x), d_y), noise)
         seen = lax.stop_gradient((next_r - y, u))
-        return (x, state, v, None if unaltered else u, y, tally.add(*seen, settled)), (y, u, scheme.signals(state))
+        return (x, state, v, None if unaltered else u, y, tally.add(*seen, settled)), (
+            y,
+            u,
+            scheme.signals(state),
+        )
 
     d_y, noise, unaltered = draws.output, draws.sensor, machine.actuator is None
     x, rest = plant.init(), jnp.zeros(task.inputs)
@@ -64,10 +71,14 @@ def run_and_measure(machine: Machine, scheme: Scheme, task: Task, memory, key) -
 
 
 def _at_once(machine: Machine, command, task: Task, key) -> tuple[Trial, Metrics]:
-    """The trial of a plant that knows its outputs from all inputs at once. command: (N, n_u) what the scheme plays back"""
+    """The trial of a plant that knows its outputs from all inputs at once. command: (N, n_u) what
+    the scheme plays back
+    """
     draws = machine.draws(key, task)
     u = machine.actuate(command, command, task.dt)[1]
-    y = machine.measure(_plus(machine.plant.response(_plus(u, draws.input), task.dt), draws.output), draws.sensor)
+    y = machine.measure(
+        _plus(machine.plant.response(_plus(u, draws.input), task.dt), draws.output), draws.sensor
+    )
     trial = Trial(jnp.asarray(task.reference), y, u, task.dt)
     return trial, measure(trial, task)
 

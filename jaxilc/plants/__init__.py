@@ -3,7 +3,14 @@
 from .ball_screw import BallScrewDrive, FrictionTable, LeadError
 from .blocks import InBlocks
 from .cnc_axis import TwoAxes, cnc_axis
-from .fast_tool_servo import Creep, CuttingForce, FastToolServo, FlexibleMode, PeriodicForce, fast_tool_servo
+from .fast_tool_servo import (
+    Creep,
+    CuttingForce,
+    FastToolServo,
+    FlexibleMode,
+    PeriodicForce,
+    fast_tool_servo,
+)
 from .friction import StribeckFriction
 from .hysteresis import BoucWen, Dahl, InputHysteresis
 from .linear import DifferenceEquation, StateSpace, TimeVaryingStateSpace, from_control

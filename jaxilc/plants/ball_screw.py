@@ -1,4 +1,6 @@
-"""A flexible ball-screw drive: two masses, a spring, friction, and the drive's speed and current loops (MILC 2024, section 3 and 5)."""
+"""A flexible ball-screw drive: two masses, a spring, friction, and the drive's speed and current
+loops (MILC 2024, section 3 and 5).
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,8 @@ from .plant import Plant
 
 @pytree
 class LeadError:
-    """The screw's deviation from its nominal lead, periodic in the motor's position: l(x) = A sin(2 pi x / period + phase).
+    """The screw's deviation from its nominal lead, periodic in the motor's position: l(x) = A sin(2
+    pi x / period + phase).
 
     amplitude: () A [m];  period: () [m], the pitch or a part of it;  phase: () [rad]
     """
@@ -39,7 +42,8 @@ class LeadError:
 
 @pytree
 class FrictionTable:
-    """Look-up table of the drive that compensates friction: the force to add at a commanded velocity, interpolated.
+    """Look-up table of the drive that compensates friction: the force to add at a commanded
+    velocity, interpolated.
 
     velocity: (M,) increasing [m/s];  force: (M,) [N]; beyond the ends the end values hold
     Raises ValueError for a velocity that does not increase, or shapes that differ.
@@ -49,7 +53,11 @@ class FrictionTable:
     force: jax.Array = leaf()
 
     def __post_init__(self):
-        if self.velocity.ndim != 1 or self.velocity.shape != self.force.shape or len(self.velocity) < 2:
+        if (
+            self.velocity.ndim != 1
+            or self.velocity.shape != self.force.shape
+            or len(self.velocity) < 2
+        ):
             raise ValueError(
                 f"FrictionTable: velocity {self.velocity.shape} and force {self.force.shape} must both have shape (M,), M >= 2"
             )
@@ -62,14 +70,19 @@ class FrictionTable:
 
     @classmethod
     def of(cls, friction: StribeckFriction, velocity) -> FrictionTable:
-        """The table that an identification experiment at the velocities given (M,) [m/s] would leave."""
+        """The table that an identification experiment at the velocities given (M,) [m/s] would
+        leave.
+        """
         velocity = np.asarray(velocity, float)
         return cls(velocity, np.asarray(friction.force(velocity)))
 
 
 class DriveState(NamedTuple):
-    """mechanics: (4,) or (5,) x_M [m], v_M [m/s], x_T [m], v_T [m/s], and the force [N] where it lags
-    integral: () of the speed controller [V];  measured: () motor position as measured a sample ago [mm]"""
+    """mechanics: (4,) or (5,) x_M [m], v_M [m/s], x_T [m], v_T [m/s], and the force [N] where it
+    lags
+    integral: () of the speed controller [V];  measured: () motor position as measured a sample ago
+    [mm]
+    """
 
     mechanics: jax.Array
     integral: jax.Array
@@ -78,27 +91,36 @@ class DriveState(NamedTuple):
 
 @pytree
 class BallScrewDrive(Plant):
-    """Two-mass ball-screw drive from velocity command [V] to motor and table position [mm] (MILC 2024, eq. 10, 41 and 42).
+    """Two-mass ball-screw drive from velocity command [V] to motor and table position [mm] (MILC
+    2024, eq. 10, 41 and 42).
 
         m_M dv_M/dt = -c_M v_M - F_s (1 + l'(x_M)) - F_friction,M(v_M) + F
-        m_T dv_T/dt = -c_T v_T + F_s - F_friction,T(v_T),    F_s = k_s s + c_s ds/dt,  s = x_M + l(x_M) - x_T
-        F* = clip(g w + F_table(S u), F_max),  w = K_vp d + q,  d = S u - v,  q[k] = q[k-1] + K_vi dt d      every sample
-        v[k] = (y_M[k] - y_M[k-1]) / dt,  F follows F* as a first-order lag (the current loop), F* is held over a sample
+        m_T dv_T/dt = -c_T v_T + F_s - F_friction,T(v_T),    F_s = k_s s + c_s ds/dt,  s = x_M +
+        l(x_M) - x_T
+        F* = clip(g w + F_table(S u), F_max),  w = K_vp d + q,  d = S u - v,  q[k] = q[k-1] + K_vi
+        dt d      every sample v[k] = (y_M[k] - y_M[k-1]) / dt,  F follows F* as a first-order lag
+        (the current loop), F* is held over a sample
 
-    The print has the motor's acceleration in the table's equation; the table's is meant. Its position is the backward sum of the speed
-    (G_i), which is what v as a backward difference of the encoder says; a change of position between samples is exact here.
+    The print has the motor's acceleration in the table's equation; the table's is meant. Its
+    position is the backward sum of the speed (G_i), which is what v as a backward difference of the
+    encoder says; a change of position between samples is exact here.
     The outputs are x_M and x_T: the motor's position as the nominal lead has it, and the table's.
 
-    motor_mass: () m_M [kg], rotor and screw as seen at the table, J (2 pi / pitch)^2;  table_mass: () m_T [kg]
-    stiffness: () k_s [N/m];  damping: () c_s [N s/m];  motor_damping, table_damping: () c_M, c_T [N s/m]
+    motor_mass: () m_M [kg], rotor and screw as seen at the table, J (2 pi / pitch)^2;  table_mass:
+    () m_T [kg]
+    stiffness: () k_s [N/m];  damping: () c_s [N s/m];  motor_damping, table_damping: () c_M, c_T [N
+    s/m]
     force_gain: () g [N/V];  speed_gain: () K_vp [V s/mm];  speed_integral_gain: () K_vi [V/mm]
     command_scale: () S [mm/(s V)];  current_bandwidth: () of the force's lag [Hz], None for none
-    force_limit: () F_max [N], None for none; the integral stops while the limit is hit. A clip: beyond it the gradient is zero
-    encoder_step: () of the motor position that v is taken from [mm], None for none; gradient straight-through
-    motor_friction, table_friction, lead_error, compensation (F_table): None for none
+    force_limit: () F_max [N], None for none; the integral stops while the limit is hit. A clip:
+    beyond it the gradient is zero
+    encoder_step: () of the motor position that v is taken from [mm], None for none; gradient
+    straight-through motor_friction, table_friction, lead_error, compensation (F_table): None for
+    none
     longest_dt: sample times beyond are refused where there is friction [s]
     linear_part, dt: of the mechanics once sampled, see `sampled`; until then None and 0
-    Raises ValueError, where the values are known, for friction that an explicit step of longest_dt cannot follow.
+    Raises ValueError, where the values are known, for friction that an explicit step of longest_dt
+    cannot follow.
     """
 
     n_y = 2
@@ -127,9 +149,16 @@ class BallScrewDrive(Plant):
     def __post_init__(self):
         if not known(self):
             return
-        for name, mass in (("motor_friction", self.motor_mass), ("table_friction", self.table_mass)):
+        for name, mass in (
+            ("motor_friction", self.motor_mass),
+            ("table_friction", self.table_mass),
+        ):
             friction = jax.tree.map(np.asarray, getattr(self, name))
-            pole = 0.0 if friction is None else float(np.max(friction.damping_at_rest / np.asarray(mass)))
+            pole = (
+                0.0
+                if friction is None
+                else float(np.max(friction.damping_at_rest / np.asarray(mass)))
+            )
             if pole * self.longest_dt > RK4_RADIUS:
                 raise ValueError(
                     f"BallScrewDrive: {name} damps at rest with {pole:.4g} 1/s, more than an explicit step of longest_dt = "
@@ -148,7 +177,9 @@ class BallScrewDrive(Plant):
         return jnp.sqrt(self.stiffness * (m_T + m_M) / (m_M * m_T)) / (2 * jnp.pi)
 
     def mechanics(self) -> StateSpace:
-        """Force [N] to x_M and x_T [m] without friction and lead error, in continuous time; the current loop included."""
+        """Force [N] to x_M and x_T [m] without friction and lead error, in continuous time; the
+        current loop included.
+        """
         m_M, m_T, k, c = self.motor_mass, self.table_mass, self.stiffness, self.damping
         lag = 0.0 if self.current_bandwidth is None else 2 * jnp.pi * self.current_bandwidth
         A = [
@@ -161,42 +192,69 @@ class BallScrewDrive(Plant):
         n = 4 if self.current_bandwidth is None else 5
         B = [0.0, 1 / m_M, 0.0, 0.0] if n == 4 else [0.0, 0.0, 0.0, 0.0, lag]
         C = np.eye(n)[[0, 2]]
-        return StateSpace(jnp.stack([jnp.stack(list(map(jnp.asarray, row[:n]))) for row in A[:n]]), jnp.stack(B)[:, None], C)
+        return StateSpace(
+            jnp.stack([jnp.stack(list(map(jnp.asarray, row[:n]))) for row in A[:n]]),
+            jnp.stack(B)[:, None],
+            C,
+        )
 
     def transmission(self) -> tuple[jax.Array, jax.Array]:
-        """Numerator (2,) and denominator (3,) of P_Z(s), from x_M to x_T, high order first (MILC 2024, eq. 12, c_T for its c_M):
+        """Numerator (2,) and denominator (3,) of P_Z(s), from x_M to x_T, high order first (MILC
+        2024, eq. 12, c_T for its c_M):
 
         P_Z = (c_s s + k_s) / (m_T s^2 + (c_s + c_T) s + k_s)
         """
-        return jnp.stack([self.damping, self.stiffness]), jnp.stack([self.table_mass, self.damping + self.table_damping, self.stiffness])
+        return jnp.stack([self.damping, self.stiffness]), jnp.stack(
+            [self.table_mass, self.damping + self.table_damping, self.stiffness]
+        )
 
     def linear(self, dt: float) -> StateSpace:
-        """The drive without friction, lead error, limit and encoder step, sampled at dt [s]: velocity command to both positions.
+        """The drive without friction, lead error, limit and encoder step, sampled at dt [s]:
+        velocity command to both positions.
 
-        The speed loop is closed, the position loop open. What a model-based scheme is given; differentiable in every parameter.
+        The speed loop is closed, the position loop open. What a model-based scheme is given;
+        differentiable in every parameter.
         """
         absent = dict.fromkeys(
-            ("force_limit", "encoder_step", "motor_friction", "table_friction", "lead_error", "compensation", "linear_part")
+            (
+                "force_limit",
+                "encoder_step",
+                "motor_friction",
+                "table_friction",
+                "lead_error",
+                "compensation",
+                "linear_part",
+            )
         )
         plant = dataclasses.replace(self, **absent, dt=0.0).sampled(dt)
         rest, unravel = ravel_pytree(plant.init())
-        A, B = jax.jacfwd(lambda x, u: ravel_pytree(plant.step(unravel(x), u, dt))[0], (0, 1))(rest, jnp.zeros(1))
+        A, B = jax.jacfwd(lambda x, u: ravel_pytree(plant.step(unravel(x), u, dt))[0], (0, 1))(
+            rest, jnp.zeros(1)
+        )
         return StateSpace(A, B, jax.jacfwd(lambda x: plant.output(unravel(x)))(rest), dt=dt)
 
     def sampled(self, dt: float) -> BallScrewDrive:
-        """The drive for sample time dt. Raises ValueError for dt beyond `longest_dt` where there is friction."""
-        if (self.motor_friction is not None or self.table_friction is not None) and dt > self.longest_dt * (1 + 1e-9):
+        """The drive for sample time dt. Raises ValueError for dt beyond `longest_dt` where there is
+        friction.
+        """
+        if (
+            self.motor_friction is not None or self.table_friction is not None
+        ) and dt > self.longest_dt * (1 + 1e-9):
             raise ValueError(
                 f"BallScrewDrive: dt = {dt:g} s is outside its allowed range (0, {self.longest_dt:g}] with friction, see longest_dt"
             )
         if self.dt:
             return matching(self, self.dt, dt)
         mechanics = self.mechanics()
-        return dataclasses.replace(self, linear_part=propagator(mechanics.A, mechanics.B, dt), dt=float(dt))
+        return dataclasses.replace(
+            self, linear_part=propagator(mechanics.A, mechanics.B, dt), dt=float(dt)
+        )
 
     def init(self) -> DriveState:
         n = 4 if self.current_bandwidth is None else 5
-        return DriveState(jnp.zeros_like(self.table_mass, shape=(n,)), *(jnp.zeros_like(self.table_mass),) * 2)
+        return DriveState(
+            jnp.zeros_like(self.table_mass, shape=(n,)), *(jnp.zeros_like(self.table_mass),) * 2
+        )
 
     def step(self, x: DriveState, u, dt: float) -> DriveState:
         force, integral, measured = self._speed_loop(x, u[0], dt)
@@ -204,7 +262,11 @@ class BallScrewDrive(Plant):
         if self.motor_friction is None and self.table_friction is None and self.lead_error is None:
             E, F = linear.whole
             return DriveState(product(E, x.mechanics) + F[:, 0] * force, integral, measured)
-        return DriveState(exponential_runge_kutta(linear, self._nonlinear, x.mechanics, force[None], dt), integral, measured)
+        return DriveState(
+            exponential_runge_kutta(linear, self._nonlinear, x.mechanics, force[None], dt),
+            integral,
+            measured,
+        )
 
     def output(self, x: DriveState) -> jax.Array:
         return 1e3 * jnp.stack([x.mechanics[0], x.mechanics[2]])
@@ -237,6 +299,17 @@ class BallScrewDrive(Plant):
             lead, slope = self.lead_error.at(x_M)
             linear = self.stiffness * (x_M - x_T) + self.damping * (v_M - v_T)
             spring = linear + self.stiffness * lead + self.damping * slope * v_M
-            on_motor, on_table = on_motor + linear - spring * (1.0 + slope), on_table + spring - linear
+            on_motor, on_table = (
+                on_motor + linear - spring * (1.0 + slope),
+                on_table + spring - linear,
+            )
         still = jnp.zeros_like(v_M)
-        return jnp.stack([still, on_motor / self.motor_mass, still, on_table / self.table_mass, *([still] * (len(mechanics) - 4))])
+        return jnp.stack(
+            [
+                still,
+                on_motor / self.motor_mass,
+                still,
+                on_table / self.table_mass,
+                *([still] * (len(mechanics) - 4)),
+            ]
+        )

@@ -1,4 +1,6 @@
-"""The piezo fast tool servo (Xu 2024, eq. 1 to 4): servo, amplifier, hysteresis, creep, flexible mode and the forces on its tool."""
+"""The piezo fast tool servo (Xu 2024, eq. 1 to 4): servo, amplifier, hysteresis, creep, flexible
+mode and the forces on its tool.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,9 @@ SAMPLES_PER_PERIOD = 5
 
 
 class ServoCoefficients(NamedTuple):
-    """y'' = -a1 y - a2 y' + b u + f (Xu 2024, eq. 4): what a model-based scheme is given. a1 [1/s^2], a2 [1/s], b [um/(V s^2)]"""
+    """y'' = -a1 y - a2 y' + b u + f (Xu 2024, eq. 4): what a model-based scheme is given. a1
+    [1/s^2], a2 [1/s], b [um/(V s^2)]
+    """
 
     a1: jax.Array
     a2: jax.Array
@@ -35,12 +39,14 @@ class ServoCoefficients(NamedTuple):
 
 @pytree
 class FlexibleMode:
-    """A resonance beside the servo's, which the second-order model leaves out (Xu 2024, section 5.2).
+    """A resonance beside the servo's, which the second-order model leaves out (Xu 2024, section
+    5.2).
 
         G_mode(s) = share G(0) w^2 / (s^2 + 2 zeta w s + w^2), added to G(s)
 
-    frequency: () w / 2 pi [Hz];  damping: () zeta;  share: () of the servo's static deflection; positive: an antiresonance lies between the
-    two resonances (drive and encoder move alike), negative: none, and the phase falls on. Excited by the drive, not by forces on the tool.
+    frequency: () w / 2 pi [Hz];  damping: () zeta;  share: () of the servo's static deflection;
+    positive: an antiresonance lies between the two resonances (drive and encoder move alike),
+    negative: none, and the phase falls on. Excited by the drive, not by forces on the tool.
     """
 
     frequency: jax.Array = scalar(interval="(0, inf)")
@@ -50,9 +56,11 @@ class FlexibleMode:
 
 @pytree
 class Creep:
-    """The piezo goes on extending under a held voltage: tau_i y_i' = share_i G(0) v - y_i, summed and added to the output.
+    """The piezo goes on extending under a held voltage: tau_i y_i' = share_i G(0) v - y_i, summed
+    and added to the output.
 
-    A few operators spaced by decades stand for the logarithmic law y (1 + c log10(t / t_0)), each with the share c.
+    A few operators spaced by decades stand for the logarithmic law y (1 + c log10(t / t_0)), each
+    with the share c.
     shares: (n,) of the servo's static deflection;  time_constants: (n,) tau [s]
     """
 
@@ -65,7 +73,8 @@ class Creep:
 
 @pytree
 class PeriodicForce:
-    """Force on the tool against +y: F(t) = sum_i a_i sin(2 pi f_i t + phase_i), t from the start of the trial: it repeats in each.
+    """Force on the tool against +y: F(t) = sum_i a_i sin(2 pi f_i t + phase_i), t from the start of
+    the trial: it repeats in each.
 
     amplitudes: (n,) [N];  frequencies: (n,) [Hz];  phases: (n,) [rad]
     """
@@ -80,12 +89,14 @@ class PeriodicForce:
 
 @pytree
 class CuttingForce:
-    """Force of the cut against +y, proportional to the depth of cut while the tool is in the workpiece.
+    """Force of the cut against +y, proportional to the depth of cut while the tool is in the
+    workpiece.
 
         F(y) = K p(depth + y),    p(d) = (d + sqrt(d^2 + blur^2)) / 2, a smooth max(d, 0)
 
     stiffness: () K, force per depth of cut [N/um];  depth: () of cut at y = 0 [um]
-    blur: () width of the transition at the surface [um], not less than the tool moves in a step of the integrator
+    blur: () width of the transition at the surface [um], not less than the tool moves in a step of
+    the integrator
     """
 
     stiffness: jax.Array = scalar(interval="[0, inf)")
@@ -100,28 +111,41 @@ class CuttingForce:
 
 @pytree
 class FastToolServo(Plant):
-    """Piezo stack with its amplifier and flexure, from control voltage [V] to tool position [um] (Xu 2024, eq. 1 to 3).
+    """Piezo stack with its amplifier and flexure, from control voltage [V] to tool position [um]
+    (Xu 2024, eq. 1 to 3).
 
-        m y'' + k_c y' + k_f y = T k_b v - F_friction - F_cut(y) - F_load - F_periodic(t),    v = u - H(u)
+        m y'' + k_c y' + k_f y = T k_b v - F_friction - F_cut(y) - F_load - F_periodic(t),    v = u
+        - H(u)
 
-    mass: () m [kg];  damping: () k_c [N s/um];  stiffness: () k_f [N/um];  conversion: () T, force per volt at the piezo [N/V]
+    mass: () m [kg];  damping: () k_c [N s/um];  stiffness: () k_f [N/um];  conversion: () T, force
+    per volt at the piezo [N/V]
     amplifier_gain: () k_b;  amplifier_bandwidth: () of a first-order lag after v [Hz]
-    hysteresis: H, a `BoucWen` or `Dahl` of the voltage, z in V;  friction: the same of the position, z in N
-    cutting, periodic, load: forces against +y; load () is constant [N];  mode, creep: added to y;  drift: () of the output [um/s]
-    substeps: equal steps of the integrator in a sample;  longest_dt: sample times beyond are refused [s]
-    None for none: an absent part costs nothing. A disturbance given as a signal, such as Xu 2024, Fig. 10, belongs in `Disturbance`.
+    hysteresis: H, a `BoucWen` or `Dahl` of the voltage, z in V;  friction: the same of the
+    position, z in N
+    cutting, periodic, load: forces against +y; load () is constant [N];  mode, creep: added to y;
+    drift: () of the output [um/s]
+    substeps: equal steps of the integrator in a sample;  longest_dt: sample times beyond are
+    refused [s]
+    None for none: an absent part costs nothing. A disturbance given as a signal, such as Xu 2024,
+    Fig. 10, belongs in `Disturbance`.
 
-    Printed are only the ratios a1 = k_f/m, a2 = k_c/m and b = k_b T/m, see `coefficients`; b contains the amplifier's 20. Chosen is
-    k_f = 1 N/um, so that the 1 N of Xu 2024, Table 2, moves the free tool by 1 um, 5 % of its 20 um. Then m = 0.414 kg, T = 0.462 N/V.
+    Printed are only the ratios a1 = k_f/m, a2 = k_c/m and b = k_b T/m, see `coefficients`; b
+    contains the amplifier's 20. Chosen is k_f = 1 N/um, so that the 1 N of Xu 2024, Table 2, moves
+    the free tool by 1 um, 5 % of its 20 um. Then m = 0.414 kg, T = 0.462 N/V.
 
-    A piezo is hysteretic between voltage and charge, hardly between charge and force (Goldfarb and Celanovic 1997), so H belongs to the
-    voltage. As u is held over a sample, z jumps with it and rests: one exact update a sample. It sees u ahead of the amplifier's lag.
-    The slope A of a small stroke makes the static gain (1 - A) T k_b / k_f; a large one tends to T k_b / k_f. `friction` is for guides,
-    or for H as a force of the position (Xu and Li 2010, with Dahl's model); it moves on within the sample.
+    A piezo is hysteretic between voltage and charge, hardly between charge and force (Goldfarb and
+    Celanovic 1997), so H belongs to the voltage. As u is held over a sample, z jumps with it and
+    rests: one exact update a sample. It sees u ahead of the amplifier's lag. The slope A of a small
+    stroke makes the static gain (1 - A) T k_b / k_f; a large one tends to T k_b / k_f. `friction`
+    is for guides,
+    or for H as a force of the position (Xu and Li 2010, with Dahl's model); it moves on within the
+    sample.
 
-    All that is linear is exact at any sample time, friction and cutting force are integrated, see `sampled`.
-    Raises ValueError, where the values are known, for a `longest_dt` above a fifth of the period of the fastest mode (samples farther
-    apart hardly show the oscillation that a scheme has to damp), or a hysteresis with A >= 1, which would reverse the gain.
+    All that is linear is exact at any sample time, friction and cutting force are integrated, see
+    `sampled`.
+    Raises ValueError, where the values are known, for a `longest_dt` above a fifth of the period of
+    the fastest mode (samples farther apart hardly show the oscillation that a scheme has to damp),
+    or a hysteresis with A >= 1, which would reverse the gain.
     """
 
     mass: jax.Array = scalar(MASS, "(0, inf)")
@@ -144,8 +168,15 @@ class FastToolServo(Plant):
     def __post_init__(self):
         if not known(self):
             return
-        parts = (self.friction, "initial_slope"), (self.cutting, "stiffness"), (self.mode, "frequency"), (self.periodic, "frequencies")
-        sprung, cut, *forced = (0.0 if part_ is None else getattr(part_, name) for part_, name in parts)
+        parts = (
+            (self.friction, "initial_slope"),
+            (self.cutting, "stiffness"),
+            (self.mode, "frequency"),
+            (self.periodic, "frequencies"),
+        )
+        sprung, cut, *forced = (
+            0.0 if part_ is None else getattr(part_, name) for part_, name in parts
+        )
         resonance = np.sqrt(1e6 * (self.stiffness + sprung + cut) / self.mass) / (2 * np.pi)
         fastest = max(float(np.max(f)) for f in (resonance, *forced))
         longest = 1 / (SAMPLES_PER_PERIOD * fastest)
@@ -156,20 +187,29 @@ class FastToolServo(Plant):
             )
         slope = 0.0 if self.hysteresis is None else np.max(self.hysteresis.initial_slope)
         if slope >= 1:
-            raise ValueError(f"FastToolServo: hysteresis.initial_slope = {slope:g} is outside its allowed range (0, 1), in V of z per V")
+            raise ValueError(
+                f"FastToolServo: hysteresis.initial_slope = {slope:g} is outside its allowed range (0, 1), in V of z per V"
+            )
 
     @property
     def coefficients(self) -> ServoCoefficients:
         """a1, a2, b of these parameters, each ()."""
         per_newton = 1e6 / self.mass
-        return ServoCoefficients(self.stiffness * per_newton, self.damping * per_newton, self.amplifier_gain * self.conversion * per_newton)
+        return ServoCoefficients(
+            self.stiffness * per_newton,
+            self.damping * per_newton,
+            self.amplifier_gain * self.conversion * per_newton,
+        )
 
     def linear(self) -> StateSpace:
-        """The plant in continuous time without hysteresis and cutting force, its friction a spring of its initial slope.
+        """The plant in continuous time without hysteresis and cutting force, its friction a spring
+        of its initial slope.
 
-        States: position, and speed over w = (k_f/m)^(1/2), both in um, since exp(A dt) of a badly scaled A loses digits; then, of the
-        parts present: friction z [N], amplifier [V], position and scaled speed of the mode [um], creep [um], a sine and a cosine of
-        each periodic force [N], and for load or drift a constant 1 and the drift [um]. What the input does not drive starts from x0.
+        States: position, and speed over w = (k_f/m)^(1/2), both in um, since exp(A dt) of a badly
+        scaled A loses digits; then, of the
+        parts present: friction z [N], amplifier [V], position and scaled speed of the mode [um],
+        creep [um], a sine and a cosine of each periodic force [N], and for load or drift a constant
+        1 and the drift [um]. What the input does not drive starts from x0.
         """
         a1, a2, b = self.coefficients
         w = jnp.sqrt(a1)
@@ -187,7 +227,12 @@ class FastToolServo(Plant):
         A[1, u] = b / w
         if self.mode is not None:
             x, speed, w = new(), new(), 2 * math.pi * self.mode.frequency
-            A |= {(x, speed): w, (speed, x): -w, (speed, speed): -2 * self.mode.damping * w, (speed, u): self.mode.share * gain * w}
+            A |= {
+                (x, speed): w,
+                (speed, x): -w,
+                (speed, speed): -2 * self.mode.damping * w,
+                (speed, u): self.mode.share * gain * w,
+            }
             outputs.append(x)
         if self.creep is not None:
             for share, tau in zip(self.creep.shares, self.creep.time_constants, strict=True):
@@ -196,7 +241,9 @@ class FastToolServo(Plant):
                 outputs.append(x)
         if self.periodic is not None:
             forces = self.periodic
-            for a, f, phase in zip(forces.amplitudes, forces.frequencies, forces.phases, strict=True):
+            for a, f, phase in zip(
+                forces.amplitudes, forces.frequencies, forces.phases, strict=True
+            ):
                 sine, cosine, w = new(), new(), 2 * math.pi * f
                 A |= {(sine, cosine): w, (cosine, sine): -w, (1, sine): -per_newton}
                 start |= {(sine,): a * jnp.sin(phase), (cosine,): a * jnp.cos(phase)}
@@ -212,16 +259,21 @@ class FastToolServo(Plant):
         n = new()
         A_B = _filled(A, (n, n + 1), self.mass)
         C = _filled({(0, x): 1.0 for x in outputs}, (1, n), self.mass)
-        return StateSpace(A_B[:, :n], A_B[:, n:], C, _filled(start, (n,), self.mass) if start else None)
+        return StateSpace(
+            A_B[:, :n], A_B[:, n:], C, _filled(start, (n,), self.mass) if start else None
+        )
 
     def sampled(self, dt: float) -> Plant:
         """The plant for sample time dt: a plain `StateSpace` as long as it is linear.
 
-        Under a cutting force the error falls as (dt / substeps)^4; with friction as its square, from the kink at each turn.
+        Under a cutting force the error falls as (dt / substeps)^4; with friction as its square,
+        from the kink at each turn.
         Raises ValueError for dt beyond `longest_dt`.
         """
         if dt > self.longest_dt * (1 + 1e-9):
-            raise ValueError(f"FastToolServo: dt = {dt:g} s is outside its allowed range (0, {self.longest_dt:g}], see longest_dt")
+            raise ValueError(
+                f"FastToolServo: dt = {dt:g} s is outside its allowed range (0, {self.longest_dt:g}], see longest_dt"
+            )
         plant = self.linear()
         if self.friction is None and self.cutting is None:
             plant = plant.sampled(dt)
@@ -232,7 +284,9 @@ class FastToolServo(Plant):
 
 @pytree
 class ForcedServo(Plant):
-    """A `FastToolServo` with friction or cutting force, for one sample time. linear: in continuous time, with its propagator"""
+    """A `FastToolServo` with friction or cutting force, for one sample time. linear: in continuous
+    time, with its propagator
+    """
 
     linear: StateSpace = part()
     propagator: Propagator = part()
@@ -247,7 +301,9 @@ class ForcedServo(Plant):
 
     def step(self, x, u, dt) -> Any:
         n, h = self.servo.substeps, self.dt / self.servo.substeps
-        return lax.fori_loop(0, n, lambda _, x: exponential_runge_kutta(self.propagator, self._nonlinear, x, u, h), x)
+        return lax.fori_loop(
+            0, n, lambda _, x: exponential_runge_kutta(self.propagator, self._nonlinear, x, u, h), x
+        )
 
     def output(self, x) -> jax.Array:
         return self.linear.output(x)
@@ -268,10 +324,13 @@ def fast_tool_servo(form: str = "identified") -> FastToolServo:
     """The servo of Xu 2024 in one of two forms.
 
     `identified`: G(s) of section 5.2, linear
-    `full`:       with what the section names and leaves out, at values that are chosen and wait for a fit: Bouc-Wen hysteresis (a loop
-                  as wide as 8 % of the stroke at 20 um, z_max = 0.25 V), a mode that raises the gain at 900 Hz by 40 %, creep
-                  of 1.5 % a decade of time. The conversion is 1 / (1 - A) larger, so that G(s) is the response to small strokes, with
-                  which it was identified. The amplifier is a constant, as in section 2.2; loads and cutting are the task's to add.
+    `full`:       with what the section names and leaves out, at values that are chosen and wait for
+    a fit: Bouc-Wen hysteresis (a loop
+                  as wide as 8 % of the stroke at 20 um, z_max = 0.25 V), a mode that raises the
+                  gain at 900 Hz by 40 %, creep of 1.5 % a decade of time. The conversion is 1 / (1
+                  - A) larger, so that G(s) is the response to small strokes, with which it was
+                  identified. The amplifier is a constant, as in section 2.2; loads and cutting are
+                  the task's to add.
     Raises ValueError for another form.
     """
     match form:
@@ -291,7 +350,9 @@ def fast_tool_servo(form: str = "identified") -> FastToolServo:
 def _filled(entries, shape, like):
     """Zeros of that shape and the type of `like`, with the entries {index: value}."""
     blank = jnp.zeros_like(like, shape=shape)
-    return blank.at[tuple(np.array(list(entries)).T)].set(jnp.stack([jnp.asarray(a, blank.dtype) for a in entries.values()]))
+    return blank.at[tuple(np.array(list(entries)).T)].set(
+        jnp.stack([jnp.asarray(a, blank.dtype) for a in entries.values()])
+    )
 
 
 def _need_alike(tree, *names):

@@ -1,9 +1,11 @@
 """Rate-independent hysteresis, as a function of voltage or of displacement: Bouc-Wen and Dahl.
 
-An operator turns the way x into its internal variable z by dz = slope(z, s) dx with s = sign(dx), whatever the speed. Two uses:
-`over(z, dx)` goes along a monotonic way at once, for an input that is held over each sample and jumps in between, where a rate would
-be an impulse; `slope` makes dz/dt = slope(z, sign(dx/dt)) dx/dt along a trajectory x(t). The slope jumps where the way turns, so
-z has a kink there and its gradient is one-sided: at dx = 0 it is that of a way up. All gradients are finite.
+An operator turns the way x into its internal variable z by dz = slope(z, s) dx with s = sign(dx),
+whatever the speed. Two uses: `over(z, dx)` goes along a monotonic way at once, for an input that is
+held over each sample and jumps in between, where a rate would be an impulse; `slope` makes dz/dt =
+slope(z, sign(dx/dt)) dx/dt along a trajectory x(t). The slope jumps where the way turns, so z has a
+kink there and its gradient is one-sided: at dx = 0 it is that of a way up. All gradients are
+finite.
 """
 
 from __future__ import annotations
@@ -25,13 +27,18 @@ from .plant import Plant
 class BoucWen:
     """Hysteresis of Bouc (1967) and Wen (1976).
 
-        dz = A dx - beta |dx| z |z|^(n-1) - gamma dx |z|^n,    |z| <= z_max = (A / (beta + gamma))^(1/n)
+        dz = A dx - beta |dx| z |z|^(n-1) - gamma dx |z|^n,    |z| <= z_max = (A / (beta +
+        gamma))^(1/n)
 
-    initial_slope: () A, dz/dx at z = 0 [z/x];  beta, gamma: () [z/x / z^n]: beta alone dissipates, gamma bends the loop
-    exponent:      () n >= 1, how abruptly z saturates; None is n = 1, where `over` is exact and costs no power
-    substeps:      Runge-Kutta steps of `over` where n is given. It takes ways of more than 1.5 substeps characteristic lengths, after
+    initial_slope: () A, dz/dx at z = 0 [z/x];  beta, gamma: () [z/x / z^n]: beta alone dissipates,
+    gamma bends the loop
+    exponent:      () n >= 1, how abruptly z saturates; None is n = 1, where `over` is exact and
+    costs no power
+    substeps:      Runge-Kutta steps of `over` where n is given. It takes ways of more than 1.5
+    substeps characteristic lengths, after
                    which z has reached z_max within 2 %, as that long, and so is stable for any jump
-    Raises ValueError for gamma beyond -beta < gamma <= beta, where z is unbounded or the loop yields energy.
+    Raises ValueError for gamma beyond -beta < gamma <= beta, where z is unbounded or the loop
+    yields energy.
     """
 
     initial_slope: jax.Array = scalar(interval="(0, inf)")
@@ -42,7 +49,9 @@ class BoucWen:
 
     def __post_init__(self):
         if known(self) and not np.all((-self.beta < self.gamma) & (self.gamma <= self.beta)):
-            raise ValueError(f"BoucWen: gamma = {self.gamma} is outside its allowed range (-beta, beta], beta = {self.beta}")
+            raise ValueError(
+                f"BoucWen: gamma = {self.gamma} is outside its allowed range (-beta, beta], beta = {self.beta}"
+            )
 
     @property
     def limit(self) -> jax.Array:
@@ -54,16 +63,24 @@ class BoucWen:
         """dz/dx at z on the way in `direction`, 1 or -1. Both of any shape."""
         size = jnp.abs(z)
         drag = self.beta * direction * z + self.gamma * size
-        return self.initial_slope - (drag if self.exponent is None else drag * _power(size, self.exponent - 1))
+        return self.initial_slope - (
+            drag if self.exponent is None else drag * _power(size, self.exponent - 1)
+        )
 
     def over(self, z, dx) -> jax.Array:
         """z after the monotonic way dx from z. Both of any shape."""
         s = _direction(dx)
         w, way = s * z, s * dx  # mirrored, so that the way leads up
-        return s * (self._exactly(w, way) if self.exponent is None else self._numerically(w, way, self.exponent))
+        return s * (
+            self._exactly(w, way)
+            if self.exponent is None
+            else self._numerically(w, way, self.exponent)
+        )
 
     def _exactly(self, w, way):
-        """n = 1: dw/dx is linear on either side of w = 0, with the rate beta - gamma below and beta + gamma above."""
+        """n = 1: dw/dx is linear on either side of w = 0, with the rate beta - gamma below and beta
+        + gamma above.
+        """
         A, below, above = self.initial_slope, self.beta - self.gamma, self.beta + self.gamma
         depth = jnp.where(w < 0, -w, 0.0)
         to_zero = depth / A * _log1p_ratio(below * depth / A)
@@ -76,17 +93,22 @@ class BoucWen:
     def _numerically(self, w, way, n):
         stiffest = n * (self.beta + jnp.abs(self.gamma)) * self.limit ** (n - 1)
         h = jnp.minimum(way / self.substeps, 1.5 / stiffest)
-        return lax.fori_loop(0, self.substeps, lambda _, w: runge_kutta(lambda w: self.slope(w, 1.0), w, h), w)
+        return lax.fori_loop(
+            0, self.substeps, lambda _, w: runge_kutta(lambda w: self.slope(w, 1.0), w, h), w
+        )
 
 
 @pytree
 class Dahl:
-    """Friction of Dahl (1968): a spring at rest, a constant force in motion, and hysteresis in between.
+    """Friction of Dahl (1968): a spring at rest, a constant force in motion, and hysteresis in
+    between.
 
-        dz = sigma |1 - s z / F_c|^i sign(1 - s z / F_c) dx,    s = sign(dx);    from rest with i = 1: z = F_c (1 - exp(-sigma x / F_c))
+        dz = sigma |1 - s z / F_c|^i sign(1 - s z / F_c) dx,    s = sign(dx);    from rest with i =
+        1: z = F_c (1 - exp(-sigma x / F_c))
 
     initial_slope: () sigma, dz/dx at z = 0 [z/x];  limit: () F_c, the largest |z|
-    exponent:      () i >= 1, ductile for large i; None is i = 1 and costs no power. `over` is exact for every i
+    exponent:      () i >= 1, ductile for large i; None is i = 1 and costs no power. `over` is exact
+    for every i
     """
 
     initial_slope: jax.Array = scalar(interval="(0, inf)")
@@ -96,7 +118,9 @@ class Dahl:
     def slope(self, z, direction) -> jax.Array:
         """dz/dx at z on the way in `direction`, 1 or -1. Both of any shape."""
         left = 1.0 - direction * z / self.limit
-        return self.initial_slope * (left if self.exponent is None else left * _power(jnp.abs(left), self.exponent - 1))
+        return self.initial_slope * (
+            left if self.exponent is None else left * _power(jnp.abs(left), self.exponent - 1)
+        )
 
     def over(self, z, dx) -> jax.Array:
         """z after the monotonic way dx from z, |z| <= F_c. Both of any shape."""
@@ -119,9 +143,11 @@ class HystereticState(NamedTuple):
 
 @pytree
 class InputHysteresis(Plant):
-    """Any plant with rate-independent hysteresis at its input: it is driven by u - z, channel by channel.
+    """Any plant with rate-independent hysteresis at its input: it is driven by u - z, channel by
+    channel.
 
-    u is held over a sample and jumps at its start, and z with it: one update a sample, exact where `over` is.
+    u is held over a sample and jumps at its start, and z with it: one update a sample, exact where
+    `over` is.
     """
 
     plant: Plant = part()
@@ -156,7 +182,9 @@ def _direction(dx):
 
 
 def _power(size, exponent):
-    """size^exponent for size >= 0, with finite derivatives also at 0, where that with respect to the exponent is 0 log 0."""
+    """size^exponent for size >= 0, with finite derivatives also at 0, where that with respect to
+    the exponent is 0 log 0.
+    """
     positive = size > 0
     return jnp.where(positive, jnp.where(positive, size, 1.0) ** exponent, 0.0)
 

@@ -10,12 +10,15 @@ import jax
 from ..signals.task import product
 from .linear import zoh
 
-# Runge-Kutta 4 damps every stable pole within this |pole| h: the stability region's smallest radius in the left half-plane is 2.616.
+# Runge-Kutta 4 damps every stable pole within this |pole| h: the stability region's smallest radius
+# in the left half-plane is 2.616.
 RK4_RADIUS = 2.6
 
 
 def runge_kutta(rates: Callable, x, h) -> Any:
-    """One step of length h [s] by the classical Runge-Kutta method of order 4. rates: x -> dx/dt;  x: any pytree"""
+    """One step of length h [s] by the classical Runge-Kutta method of order 4. rates: x -> dx/dt;
+    x: any pytree
+    """
 
     def moved(by, k):
         return jax.tree.map(lambda a, b: a + by * b, x, k)
@@ -24,31 +27,39 @@ def runge_kutta(rates: Callable, x, h) -> Any:
     k2 = rates(moved(h / 2, k1))
     k3 = rates(moved(h / 2, k2))
     k4 = rates(moved(h, k3))
-    return jax.tree.map(lambda a, k1, k2, k3, k4: a + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4), x, k1, k2, k3, k4)
+    return jax.tree.map(
+        lambda a, k1, k2, k3, k4: a + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4), x, k1, k2, k3, k4
+    )
 
 
 class Propagator(NamedTuple):
-    """exp(A h) and what an input held over the step adds, for a step and for half of it: A (n, n), B (n, n_u) each."""
+    """exp(A h) and what an input held over the step adds, for a step and for half of it: A (n, n),
+    B (n, n_u) each.
+    """
 
     whole: tuple[jax.Array, jax.Array]
     half: tuple[jax.Array, jax.Array]
 
 
 def propagator(A, B, h) -> Propagator:
-    """The linear part of x' = A x + B u + f(x), worked out once for steps of length h [s]. A: (n, n), B: (n, n_u)"""
+    """The linear part of x' = A x + B u + f(x), worked out once for steps of length h [s]. A: (n,
+    n), B: (n, n_u)
+    """
     return Propagator(zoh(A, B, h), zoh(A, B, h / 2))
 
 
 def exponential_runge_kutta(linear: Propagator, f: Callable, x, u, h) -> Any:
-    """One step of x' = A x + B u + f(x) with u held: Lawson's (1967) Runge-Kutta method of order 4, exact where f is zero.
+    """One step of x' = A x + B u + f(x) with u held: Lawson's (1967) Runge-Kutta method of order 4,
+    exact where f is zero.
 
         E = exp(A h), z(s) the solution of the linear part from x at time s
-        k1 = f(x), k2 = f(z(h/2) + h/2 E^(1/2) k1), k3 = f(z(h/2) + h/2 k2), k4 = f(z(h) + h E^(1/2) k3)
-        x' = z(h) + h/6 (E k1 + 2 E^(1/2) (k2 + k3) + k4)
+        k1 = f(x), k2 = f(z(h/2) + h/2 E^(1/2) k1), k3 = f(z(h/2) + h/2 k2), k4 = f(z(h) + h E^(1/2)
+        k3) x' = z(h) + h/6 (E k1 + 2 E^(1/2) (k2 + k3) + k4)
 
     linear: `propagator(A, B, h)`;  f: (n,) -> (n,) all that is not linear;  x: (n,);  u: (n_u,)
-    The stiffness of A does not limit h, that of f does, as for Runge-Kutta 4. But a pole -a of A much faster than h answers an f of its
-    own with h/6 f in place of f / a: what is stiff should be driven by u, or by the rest of x, not by f.
+    The stiffness of A does not limit h, that of f does, as for Runge-Kutta 4. But a pole -a of A
+    much faster than h answers an f of its own with h/6 f in place of f / a: what is stiff should be
+    driven by u, or by the rest of x, not by f.
     """
     (E, F), (E2, F2) = linear
     middle, end = product(E2, x) + product(F2, u), product(E, x) + product(F, u)

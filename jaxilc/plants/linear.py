@@ -30,7 +30,9 @@ def zoh(A, B, dt) -> tuple[jax.Array, jax.Array]:
 def matching(plant: AnyPlant, own_dt: float, dt: float) -> AnyPlant:
     """`plant`, whose own sample time is `own_dt`, if that is the task's; else ValueError."""
     if abs(own_dt - dt) > 1e-9 * dt:
-        raise ValueError(f"{type(plant).__name__} is sampled at {own_dt:g} s but the task at {dt:g} s; allowed is dt = {own_dt:g}")
+        raise ValueError(
+            f"{type(plant).__name__} is sampled at {own_dt:g} s but the task at {dt:g} s; allowed is dt = {own_dt:g}"
+        )
     return plant
 
 
@@ -39,7 +41,8 @@ class StateSpace(Plant):
     """x' = A x + B u, y = C x; continuous if `dt` is 0, else x[k+1] = A x[k] + B u[k].
 
     A: (n, n), B: (n, n_u), C: (n_y, n);  x0: (n,) initial state, None for rest
-    dt: sample time the matrices belong to [s]; 0 for continuous time, then sampled exactly with a zero-order hold
+    dt: sample time the matrices belong to [s]; 0 for continuous time, then sampled exactly with a
+    zero-order hold
     """
 
     A: jax.Array = leaf()
@@ -50,7 +53,12 @@ class StateSpace(Plant):
 
     def __post_init__(self):
         n = len(self.A) if self.A.ndim else 0
-        fits = self.A.shape == (n, n) and self.B.shape[:-1] == (n,) and self.C.shape[1:] == (n,) and self.B.ndim == self.C.ndim == 2
+        fits = (
+            self.A.shape == (n, n)
+            and self.B.shape[:-1] == (n,)
+            and self.C.shape[1:] == (n,)
+            and self.B.ndim == self.C.ndim == 2
+        )
         if not fits:
             raise ValueError(
                 f"StateSpace: A {self.A.shape}, B {self.B.shape}, C {self.C.shape} do not fit; allowed are (n, n), (n, n_u), (n_y, n)"
@@ -73,7 +81,11 @@ class StateSpace(Plant):
         return StateSpace(A, B, self.C, self.x0, dt=dt)
 
     def init(self) -> Any:
-        return jnp.zeros_like(self.A, shape=self.A.shape[-1:]) if self.x0 is None else jnp.asarray(self.x0)
+        return (
+            jnp.zeros_like(self.A, shape=self.A.shape[-1:])
+            if self.x0 is None
+            else jnp.asarray(self.x0)
+        )
 
     def step(self, x, u, dt) -> Any:
         return product(self.A, x) + product(self.B, u)
@@ -84,10 +96,12 @@ class StateSpace(Plant):
 
 @pytree
 class TimeVaryingStateSpace(Plant):
-    """x[k+1] = A[k] x[k] + B[k] u[k], y[k+1] = C[k] x[k+1], over one trial of N samples: a plant linearised along its motion.
+    """x[k+1] = A[k] x[k] + B[k] u[k], y[k+1] = C[k] x[k+1], over one trial of N samples: a plant
+    linearised along its motion.
 
-    A: (N, n, n), B: (N, n, n_u), C: (N, n_y, n), C[k] the output a sample after k;  dt: sample time [s]
-    It starts at rest, with y[0] = 0. Raises ValueError for shapes that do not fit, or a task of another sample time.
+    A: (N, n, n), B: (N, n, n_u), C: (N, n_y, n), C[k] the output a sample after k;  dt: sample time
+    [s] It starts at rest, with y[0] = 0. Raises ValueError for shapes that do not fit, or a task of
+    another sample time.
     """
 
     A: jax.Array = leaf()
@@ -97,8 +111,13 @@ class TimeVaryingStateSpace(Plant):
 
     def __post_init__(self):
         shapes = [np.shape(M) for M in (self.A, self.B, self.C)]
-        (N, n), fits = shapes[0][:2] if len(shapes[0]) == 3 else (0, 0), all(len(s) == 3 for s in shapes)
-        if not (fits and shapes[0] == (N, n, n) and shapes[1][:2] == (N, n) and shapes[2][::2] == (N, n)):
+        (N, n), fits = (
+            shapes[0][:2] if len(shapes[0]) == 3 else (0, 0),
+            all(len(s) == 3 for s in shapes),
+        )
+        if not (
+            fits and shapes[0] == (N, n, n) and shapes[1][:2] == (N, n) and shapes[2][::2] == (N, n)
+        ):
             raise ValueError(
                 f"TimeVaryingStateSpace: A {shapes[0]}, B {shapes[1]}, C {shapes[2]} do not fit; allowed are (N, n, n), (N, n, n_u), "
                 "(N, n_y, n)"
@@ -118,7 +137,9 @@ class TimeVaryingStateSpace(Plant):
 
     def check(self, task: Task) -> None:
         if self.N != task.N:
-            raise ValueError(f"TimeVaryingStateSpace: the plant is given for N = {self.N} samples but the task has N = {task.N}")
+            raise ValueError(
+                f"TimeVaryingStateSpace: the plant is given for N = {self.N} samples but the task has N = {task.N}"
+            )
 
     def sampled(self, dt: float) -> TimeVaryingStateSpace:
         return matching(self, self.dt, dt)
@@ -150,7 +171,9 @@ class DifferenceEquation(Plant):
 
     def __post_init__(self):
         if self.a.shape != self.b.shape or self.a.ndim < 1:
-            raise ValueError(f"DifferenceEquation: a {self.a.shape} and b {self.b.shape} must both have shape (n,); pad with zeros")
+            raise ValueError(
+                f"DifferenceEquation: a {self.a.shape} and b {self.b.shape} must both have shape (n,); pad with zeros"
+            )
 
     def sampled(self, dt: float) -> DifferenceEquation:
         return _Taken(tuple(self.a), tuple(self.b), dt=matching(self, self.dt, dt).dt)
@@ -160,7 +183,9 @@ class DifferenceEquation(Plant):
 
     def step(self, x, u, dt) -> Any:
         # registers one by one: as an array, shifting them would cost a copy a sample
-        return tuple(s + a * x[0] + b * u[0] for s, a, b in zip((*x[1:], 0.0), self.a, self.b, strict=True))
+        return tuple(
+            s + a * x[0] + b * u[0] for s, a, b in zip((*x[1:], 0.0), self.a, self.b, strict=True)
+        )
 
     def output(self, x) -> jax.Array:
         return x[0][None]
@@ -168,7 +193,9 @@ class DifferenceEquation(Plant):
 
 @pytree
 class _Taken(DifferenceEquation):
-    """With coefficients one by one: picked from an array in a loop over samples, they keep a batch from being vectorised."""
+    """With coefficients one by one: picked from an array in a loop over samples, they keep a batch
+    from being vectorised.
+    """
 
     a: tuple[Any, ...] = part()
     b: tuple[Any, ...] = part()
@@ -181,19 +208,26 @@ class _Taken(DifferenceEquation):
 
 
 def from_control(system, *, allow_unstable: bool = False) -> StateSpace:
-    """A plant from a python-control StateSpace or TransferFunction, SISO or MIMO, continuous or discrete.
+    """A plant from a python-control StateSpace or TransferFunction, SISO or MIMO, continuous or
+    discrete.
 
-    A continuous system is sampled with a zero-order hold at the task's sample time; a discrete one keeps its own, which must be
-    the task's. A MIMO transfer function becomes one realisation per entry, side by side (not minimal, but exact).
-    Raises ValueError for an improper system, direct feedthrough, an unspecified sample time, or (unless `allow_unstable`) an
+    A continuous system is sampled with a zero-order hold at the task's sample time; a discrete one
+    keeps its own, which must be the task's. A MIMO transfer function becomes one realisation per
+    entry, side by side (not minimal, but exact).
+    Raises ValueError for an improper system, direct feedthrough, an unspecified sample time, or
+    (unless `allow_unstable`) an
     unstable system: feed it with the loop already closed, or say that the scheme stabilises it.
     """
     import control
 
     if not isinstance(system, control.StateSpace | control.TransferFunction):
-        raise ValueError(f"from_control: {type(system).__name__} is not a control.StateSpace or control.TransferFunction")
+        raise ValueError(
+            f"from_control: {type(system).__name__} is not a control.StateSpace or control.TransferFunction"
+        )
     if system.dt is None or system.dt is True:
-        raise ValueError(f"from_control: dt = {system.dt} leaves the sample time open; allowed are 0 (continuous) and a time in s")
+        raise ValueError(
+            f"from_control: dt = {system.dt} leaves the sample time open; allowed are 0 (continuous) and a time in s"
+        )
     A, B, C, D = system_matrices(system)
     if np.any(D):
         raise ValueError(
@@ -201,7 +235,11 @@ def from_control(system, *, allow_unstable: bool = False) -> StateSpace:
             "make the system strictly proper, or delay it by a sample"
         )
     poles = np.linalg.eigvals(A) if A.size else np.zeros(0)
-    growth = np.max(poles.real, initial=-np.inf) if system.dt == 0 else np.max(np.abs(poles), initial=0.0) - 1.0
+    growth = (
+        np.max(poles.real, initial=-np.inf)
+        if system.dt == 0
+        else np.max(np.abs(poles), initial=0.0) - 1.0
+    )
     if growth > 1e-7 and not allow_unstable:
         where = "right of the imaginary axis" if system.dt == 0 else "outside the unit circle"
         raise ValueError(
@@ -221,17 +259,29 @@ def system_matrices(system):
         for j in range(system.ninputs):
             num, den = np.atleast_1d(system.num[i][j]), np.atleast_1d(system.den[i][j])
             if len(np.trim_zeros(num, "f")) > len(np.trim_zeros(den, "f")):
-                raise ValueError(f"from_control: entry ({i}, {j}) is improper (numerator of higher order than the denominator)")
+                raise ValueError(
+                    f"from_control: entry ({i}, {j}) is improper (numerator of higher order than the denominator)"
+                )
             blocks[i, j] = control.tf2ss(num, den)
     return _side_by_side(blocks, system.noutputs, system.ninputs)
 
 
 def _side_by_side(blocks, n_y, n_u):
     order = sum(b.nstates for b in blocks.values())
-    A, B, C, D = np.zeros((order, order)), np.zeros((order, n_u)), np.zeros((n_y, order)), np.zeros((n_y, n_u))
+    A, B, C, D = (
+        np.zeros((order, order)),
+        np.zeros((order, n_u)),
+        np.zeros((n_y, order)),
+        np.zeros((n_y, n_u)),
+    )
     at = 0
     for (i, j), block in blocks.items():
         here = slice(at, at + block.nstates)
-        A[here, here], B[here, j], C[i, here], D[i, j] = block.A, block.B[:, 0], block.C[0], block.D[0, 0]
+        A[here, here], B[here, j], C[i, here], D[i, j] = (
+            block.A,
+            block.B[:, 0],
+            block.C[0],
+            block.D[0, 0],
+        )
         at = here.stop
     return A, B, C, D

@@ -1,4 +1,6 @@
-"""The voice-coil linear motor from its physics: coil, carriage and the drive's current and speed loops (Cao 2019, eq. 1 to 6)."""
+"""The voice-coil linear motor from its physics: coil, carriage and the drive's current and speed
+loops (Cao 2019, eq. 1 to 6).
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,8 @@ from .voice_coil import VoiceCoil
 
 MOST_STEPS = 10_000  # of the integrator in a sample
 
-# Cao 2019, section II-A, in SI. Not consistent with one force constant: 56.2 N/A times 8.66 A is 487 N, times 23 A is 1293 N.
+# Cao 2019, section II-A, in SI. Not consistent with one force constant: 56.2 N/A times 8.66 A is
+# 487 N, times 23 A is 1293 N.
 DTL85_708 = {
     "continuous_force": 980.0,
     "peak_force": 1520.0,
@@ -35,7 +38,8 @@ DTL85_708 = {
 
 @pytree
 class Cogging:
-    """Force of the magnets on the iron, periodic in the position: F(x) = -A sin(2 pi x / pitch + phase).
+    """Force of the magnets on the iron, periodic in the position: F(x) = -A sin(2 pi x / pitch +
+    phase).
 
     amplitude: () A [N];  pitch: () period [m];  phase: () [rad], 0 makes x = 0 a stable rest
     """
@@ -51,9 +55,11 @@ class Cogging:
 
 @pytree
 class EndEffect:
-    """Toward the ends of the stroke the coil leaves the field, and beyond them the carriage meets a buffer.
+    """Toward the ends of the stroke the coil leaves the field, and beyond them the carriage meets a
+    buffer.
 
-        k_f(x) = k_f (1 - drop (x/x_max)^2) within |x| <= x_max, constant beyond;   F(x) = -k_b (x - clip(x, -x_max, x_max))
+        k_f(x) = k_f (1 - drop (x/x_max)^2) within |x| <= x_max, constant beyond;   F(x) = -k_b (x -
+        clip(x, -x_max, x_max))
 
     stroke: () x_max, half the stroke [m];  drop: () part of the force constant lost at the end
     buffer_stiffness: () k_b [N/m], None for no buffer
@@ -74,7 +80,9 @@ class EndEffect:
 
 
 class MotorState(NamedTuple):
-    """position [m], speed [m/s], coil current [A], integral part of the speed controller [A], state of the delay [V] or None."""
+    """position [m], speed [m/s], coil current [A], integral part of the speed controller [A], state
+    of the delay [V] or None.
+    """
 
     position: jax.Array
     speed: jax.Array
@@ -84,7 +92,9 @@ class MotorState(NamedTuple):
 
 
 class DriveSignals(NamedTuple):
-    """What the drive commands: speed [m/s], current before the limit and after it [A], terminal voltage [V]."""
+    """What the drive commands: speed [m/s], current before the limit and after it [A], terminal
+    voltage [V].
+    """
 
     speed: jax.Array
     wanted_current: jax.Array
@@ -94,37 +104,56 @@ class DriveSignals(NamedTuple):
 
 @pytree
 class VoiceCoilMotor(Plant):
-    """Voice-coil motor with its drive, from speed command [V] to position [mm] (Cao 2019, eq. 1 to 5).
+    """Voice-coil motor with its drive, from speed command [V] to position [mm] (Cao 2019, eq. 1 to
+    5).
 
-        U = L di/dt + R i + k_f(x) v                       coil (1); in SI the back-EMF constant is the force constant N B l
-        m dv/dt = k_f(x) i - d v - k x - F_friction(v) + F_cogging(x) + F_buffer(x),  dx/dt = v    carriage (2)
+        U = L di/dt + R i + k_f(x) v                       coil (1); in SI the back-EMF constant is
+        the force constant N B l
+        m dv/dt = k_f(x) i - d v - k x - F_friction(v) + F_cogging(x) + F_buffer(x),  dx/dt = v
+        carriage (2)
         U = clip(K_c (i* - i), U_max)                      P current loop
         i* = clip(i°, i_max),  i° = b K_p v* - K_p v + q   PI speed loop (5)
-        dq/dt = K_i (v* - v) + (K_i/K_p) (i* - i°)         its integral, anti-windup by back-calculation
-        v* = clip(S w - k_h x, v_max),  w = (2 - T s)/(2 + T s) u    command: scale, hold, delay T (first-order Padé)
+        dq/dt = K_i (v* - v) + (K_i/K_p) (i* - i°)         its integral, anti-windup by
+        back-calculation
+        v* = clip(S w - k_h x, v_max),  w = (2 - T s)/(2 + T s) u    command: scale, hold, delay T
+        (first-order Padé)
 
-    mass: () m, everything that moves [kg];  resistance: () R [ohm];  inductance: () L [H];  force_constant: () k_f [N/A]
-    viscous_damping: () d [N s/m];  stiffness: () k of cables or a weight-balancing spring [N/m], None for none
+    mass: () m, everything that moves [kg];  resistance: () R [ohm];  inductance: () L [H];
+    force_constant: () k_f [N/A]
+    viscous_damping: () d [N s/m];  stiffness: () k of cables or a weight-balancing spring [N/m],
+    None for none
     current_gain: () K_c [V/A];  speed_gain: () K_p [A s/m];  speed_integral_gain: () K_i [A/m]
-    setpoint_weight: () b, the part of the command that the proportional part sees: 1 is eq. 5, 0 leaves no zero (I-P controller)
-    command_scale: () S [m/(s V)];  holding_gain: () k_h [1/s];  command_delay: () T [s], None for none
-    current_limit: () i_max [A];  voltage_limit: () U_max of the bus [V];  speed_limit: () v_max [m/s]; None for none.
+    setpoint_weight: () b, the part of the command that the proportional part sees: 1 is eq. 5, 0
+    leaves no zero (I-P controller)
+    command_scale: () S [m/(s V)];  holding_gain: () k_h [1/s];  command_delay: () T [s], None for
+    none
+    current_limit: () i_max [A];  voltage_limit: () U_max of the bus [V];  speed_limit: () v_max
+    [m/s]; None for none.
     A limit is a clip: beyond it the gradient is zero.
     friction, cogging, end_effect: None for none
-    substep: longest step of the integrator, Runge-Kutta of order 4 [s]; a sample takes ceil(dt / substep) equal steps
+    substep: longest step of the integrator, Runge-Kutta of order 4 [s]; a sample takes ceil(dt /
+    substep) equal steps
 
-    Printed for the DTL85/708: force constant, 23 A (peak), 3.44 m/s. Inferred: 3.0 kg, since 56.2 N/A 23 A / 3.0 kg = 430.9 is the
-    printed 431 m/s^2. Chosen: R, L (L/R = 5 ms, iron-core motors of this size), d, 560 V (the rectified 400 V supply of the drive).
-    K_c makes the current loop 2 kHz wide, as printed; T is one sample. K_p, K_i, k_h and S are then placed for eq. 7; see `reduced`
-    for how close, and `voice_coil_motor("printed")` for the printed 500 Hz speed loop, whose poles lie far from eq. 7.
+    Printed for the DTL85/708: force constant, 23 A (peak), 3.44 m/s. Inferred: 3.0 kg, since 56.2
+    N/A 23 A / 3.0 kg = 430.9 is the printed 431 m/s^2. Chosen: R, L (L/R = 5 ms, iron-core motors
+    of this size), d, 560 V (the rectified 400 V supply of the drive). K_c makes the current loop 2
+    kHz wide, as printed; T is one sample. K_p, K_i, k_h and S are then placed for eq. 7; see
+    `reduced`
+    for how close, and `voice_coil_motor("printed")` for the printed 500 Hz speed loop, whose poles
+    lie far from eq. 7.
 
-    Two features of eq. 7 are in no block of the paper. A PI speed loop leaves a free integrator from command to position, whatever its
-    gains; neither a spring (the integral part pushes it away) nor a leaky integrator (nothing restores the position) makes that a
-    pole at -6.4 rad/s, only both or a feedback of the position do. Here the drive holds the carriage at mid-stroke with the gain k_h,
-    as an M-sequence test on a carriage free to drift would need. And the zero of the PI controller lies in the left half-plane, that
-    of eq. 7 in the right one: it stands for the delay and the current loop, T + 0.09 ms, and the PI's zero is absent (b = 0).
+    Two features of eq. 7 are in no block of the paper. A PI speed loop leaves a free integrator
+    from command to position, whatever its gains; neither a spring (the integral part pushes it
+    away) nor a leaky integrator (nothing restores the position) makes that a pole at -6.4 rad/s,
+    only both or a feedback of the position do. Here the drive holds the carriage at mid-stroke with
+    the gain k_h,
+    as an M-sequence test on a carriage free to drift would need. And the zero of the PI controller
+    lies in the left half-plane, that
+    of eq. 7 in the right one: it stands for the delay and the current loop, T + 0.09 ms, and the
+    PI's zero is absent (b = 0).
 
-    Raises ValueError, where the values are known, for a substep that the fastest pole makes unstable.
+    Raises ValueError, where the values are known, for a substep that the fastest pole makes
+    unstable.
     """
 
     mass: jax.Array = scalar(3.0, "(0, inf)")
@@ -161,7 +190,9 @@ class VoiceCoilMotor(Plant):
         least = task.dt / MOST_STEPS
         if self.substep < least:
             allowed = f"[{least:g}, inf), {MOST_STEPS} steps a sample of dt = {task.dt:g} s"
-            raise ValueError(f"VoiceCoilMotor: substep = {self.substep:g} s is outside its allowed range {allowed}")
+            raise ValueError(
+                f"VoiceCoilMotor: substep = {self.substep:g} s is outside its allowed range {allowed}"
+            )
 
     def init(self) -> MotorState:
         rest = jnp.zeros_like(self.mass, shape=())
@@ -170,10 +201,15 @@ class VoiceCoilMotor(Plant):
     def step(self, x: MotorState, u, dt) -> MotorState:
         steps = max(math.ceil(dt / self.substep - 1e-9), 1)
 
-        # a gradient recomputes the substeps of a sample instead of storing their 4 stages for every sample of the trial
+        # a gradient recomputes the substeps of a sample instead of storing their 4 stages for every
+        # sample of the trial
         @jax.checkpoint
         def sample(motor, x, u):
-            return lax.scan(lambda x, _: (runge_kutta(lambda z: motor._rates(z, u), x, dt / steps), None), x, length=steps)[0]
+            return lax.scan(
+                lambda x, _: (runge_kutta(lambda z: motor._rates(z, u), x, dt / steps), None),
+                x,
+                length=steps,
+            )[0]
 
         return sample(self, x, u[0])
 
@@ -187,7 +223,12 @@ class VoiceCoilMotor(Plant):
         speed = _clip(self.command_scale * w - self.holding_gain * x.position, self.speed_limit)
         wanted = b * K_p * speed - K_p * x.speed + x.integral
         current = _clip(wanted, self.current_limit)
-        return DriveSignals(speed, wanted, current, _clip(self.current_gain * (current - x.current), self.voltage_limit))
+        return DriveSignals(
+            speed,
+            wanted,
+            current,
+            _clip(self.current_gain * (current - x.current), self.voltage_limit),
+        )
 
     def _rates(self, x: MotorState, u) -> MotorState:
         """Time derivatives of the state."""
@@ -212,25 +253,34 @@ class VoiceCoilMotor(Plant):
         )
 
     def linear(self) -> StateSpace:
-        """The motor at mid-stroke without limits, friction, cogging and end effect: exact, of full order, in continuous time.
+        """The motor at mid-stroke without limits, friction, cogging and end effect: exact, of full
+        order, in continuous time.
 
         The state is that of `MotorState`; differentiable in every parameter.
         """
-        A, B, C = self._matrices(jnp, self.viscous_damping, 0.0 if self.stiffness is None else self.stiffness)
+        A, B, C = self._matrices(
+            jnp, self.viscous_damping, 0.0 if self.stiffness is None else self.stiffness
+        )
         return StateSpace(A, B[:, None], C[None, :])
 
     def reduced(self) -> VoiceCoil | StateSpace:
-        """The third-order form, Cao 2019, eq. 6: the three slowest poles of `linear()`, and one zero.
+        """The third-order form, Cao 2019, eq. 6: the three slowest poles of `linear()`, and one
+        zero.
 
-            G(s) = N(s) / (D_slow(s) D_fast(s))  ->  (c_0 + c_1 s) / D_slow(s),   N(s) / D_fast(s) = c_0 + c_1 s + O(s^2)
+            G(s) = N(s) / (D_slow(s) D_fast(s))  ->  (c_0 + c_1 s) / D_slow(s),   N(s) / D_fast(s) =
+            c_0 + c_1 s + O(s^2)
 
-        Poles are kept, so it is stable when the motor is, and G and its slope agree at s = 0: DC gain (or, with a free integrator,
-        velocity gain) and total delay. What is fast - current loop, delay - merges into the zero, at about +1/(T + L/(R + K_c)).
-        The default motor reduces to eq. 7 with its DC gain within 0.1 %, its poles within 2 % (482, 467 and 6.404 rad/s) and its zero
-        within 1 % (920.6): 1 % in frequency response up to 200 Hz. The full motor departs from that as the square of the frequency,
-        by 2 % at 30 Hz and 5.5 % at 50 Hz, where the delay of a reduced zero also amplifies.
-        A `VoiceCoil` where the poles are real and stable, else the same form as a `StateSpace`. For design: not differentiable.
-        Raises ValueError where the third and fourth pole are a conjugate pair, so that no third-order form exists.
+        Poles are kept, so it is stable when the motor is, and G and its slope agree at s = 0: DC
+        gain (or, with a free integrator, velocity gain) and total delay. What is fast - current
+        loop, delay - merges into the zero, at about +1/(T + L/(R + K_c)). The default motor reduces
+        to eq. 7 with its DC gain within 0.1 %, its poles within 2 % (482, 467 and 6.404 rad/s) and
+        its zero
+        within 1 % (920.6): 1 % in frequency response up to 200 Hz. The full motor departs from that
+        as the square of the frequency, by 2 % at 30 Hz and 5.5 % at 50 Hz, where the delay of a
+        reduced zero also amplifies. A `VoiceCoil` where the poles are real and stable, else the
+        same form as a `StateSpace`. For design: not differentiable.
+        Raises ValueError where the third and fourth pole are a conjugate pair, so that no
+        third-order form exists.
         """
         N, D = self._polynomials()
         poles = np.roots(D)
@@ -247,31 +297,63 @@ class VoiceCoilMotor(Plant):
         # rounding alone splits a double pole by 1e-8 of its size into a pair
         if np.all(np.abs(slow.imag) <= 1e-6 * np.abs(slow)) and np.all(slow.real < 0) and c_1 != 0:
             return VoiceCoil(gain=c_1, zero=-c_0 / c_1, poles=-slow.real[::-1])
-        return StateSpace(np.vstack([np.eye(2, 3, 1), -D_slow[:0:-1]]), np.eye(3)[:, 2:], np.array([[c_0, c_1, 0.0]]))
+        return StateSpace(
+            np.vstack([np.eye(2, 3, 1), -D_slow[:0:-1]]),
+            np.eye(3)[:, 2:],
+            np.array([[c_0, c_1, 0.0]]),
+        )
 
     def _matrices(self, xp, d, k):
-        """A (..., n, n), B (..., n), C (n,) of the linear motor with damping d and stiffness k, by NumPy or jax.numpy."""
-        m, R, L, k_f, K_c = self.mass, self.resistance, self.inductance, self.force_constant, self.current_gain
-        K_p, K_i, b, S, k_h = self.speed_gain, self.speed_integral_gain, self.setpoint_weight, self.command_scale, self.holding_gain
+        """A (..., n, n), B (..., n), C (n,) of the linear motor with damping d and stiffness k, by
+        NumPy or jax.numpy.
+        """
+        m, R, L, k_f, K_c = (
+            self.mass,
+            self.resistance,
+            self.inductance,
+            self.force_constant,
+            self.current_gain,
+        )
+        K_p, K_i, b, S, k_h = (
+            self.speed_gain,
+            self.speed_integral_gain,
+            self.setpoint_weight,
+            self.command_scale,
+            self.holding_gain,
+        )
         delayed = self.command_delay is not None
         # the Padé form has a feedthrough: w = 2 z - u
         of_z, of_u, lag = (2.0, -1.0, 2 / self.command_delay) if delayed else (0.0, 1.0, 0.0)
         A = [
             [0.0, 1.0, 0.0, 0.0, 0.0],
             [-k / m, -d / m, k_f / m, 0.0, 0.0],
-            [-K_c * b * K_p * k_h / L, -(K_c * K_p + k_f) / L, -(R + K_c) / L, K_c / L, K_c * b * K_p * S * of_z / L],
+            [
+                -K_c * b * K_p * k_h / L,
+                -(K_c * K_p + k_f) / L,
+                -(R + K_c) / L,
+                K_c / L,
+                K_c * b * K_p * S * of_z / L,
+            ],
             [-K_i * k_h, -K_i, 0.0, 0.0, K_i * S * of_z],
             [0.0, 0.0, 0.0, 0.0, -lag],
         ]
         B = [0.0, 0.0, K_c * b * K_p * S * of_u / L, K_i * S * of_u, lag]
         n = 5 if delayed else 4
-        entries = xp.broadcast_arrays(*(xp.asarray(a) for row in A[:n] for a in row[:n]), *(xp.asarray(a) for a in B[:n]))
+        entries = xp.broadcast_arrays(
+            *(xp.asarray(a) for row in A[:n] for a in row[:n]), *(xp.asarray(a) for a in B[:n])
+        )
         entries = xp.stack(entries, -1)
         shape = entries.shape[:-1]
-        return entries[..., : n * n].reshape(*shape, n, n), entries[..., n * n :], xp.asarray([1e3] + [0.0] * (n - 1))
+        return (
+            entries[..., : n * n].reshape(*shape, n, n),
+            entries[..., n * n :],
+            xp.asarray([1e3] + [0.0] * (n - 1)),
+        )
 
     def _fastest_pole(self) -> float:
-        """Largest |pole| [rad/s] free and where friction, cogging and buffer are stiffest; over all elements of batched leaves."""
+        """Largest |pole| [rad/s] free and where friction, cogging and buffer are stiffest; over all
+        elements of batched leaves.
+        """
         d, k = self.viscous_damping, 0.0 if self.stiffness is None else self.stiffness
         stiff_d, stiff_k = d, k
         if self.friction is not None:
@@ -287,18 +369,29 @@ class VoiceCoilMotor(Plant):
         """N (high order first) and D of the full-order transfer function [mm/V], in closed form:
 
             N = 1000 S k_f K_c (b K_p s + K_i) (2/T - s)
-            D = [s (L s + R + K_c)(m s^2 + d s + k) + k_f^2 s^2 + k_f K_c (K_p s^2 + (K_i + b K_p k_h) s + K_i k_h)] (2/T + s)
+            D = [s (L s + R + K_c)(m s^2 + d s + k) + k_f^2 s^2 + k_f K_c (K_p s^2 + (K_i + b K_p
+            k_h) s + K_i k_h)] (2/T + s)
 
         without the last factors where there is no delay.
         """
-        names = ("mass", "resistance", "inductance", "force_constant", "viscous_damping", "current_gain", "speed_gain")
+        names = (
+            "mass",
+            "resistance",
+            "inductance",
+            "force_constant",
+            "viscous_damping",
+            "current_gain",
+            "speed_gain",
+        )
         m, R, L, k_f, d, K_c, K_p = (float(getattr(self, name)) for name in names)
         names = ("speed_integral_gain", "setpoint_weight", "command_scale", "holding_gain")
         K_i, b, S, k_h = (float(getattr(self, name)) for name in names)
         k = 0.0 if self.stiffness is None else float(self.stiffness)
         N = 1e3 * S * k_f * K_c * np.array([b * K_p, K_i])
         D = np.polymul([L, R + K_c, 0.0], [m, d, k])
-        D[2:] += np.array([k_f**2 + k_f * K_c * K_p, k_f * K_c * (K_i + b * K_p * k_h), k_f * K_c * K_i * k_h])
+        D[2:] += np.array(
+            [k_f**2 + k_f * K_c * K_p, k_f * K_c * (K_i + b * K_p * k_h), k_f * K_c * K_i * k_h]
+        )
         if self.command_delay is not None:
             lag = 2 / float(self.command_delay)
             N, D = np.polymul(N, [-1.0, lag]), np.polymul(D, [1.0, lag])
@@ -308,10 +401,12 @@ class VoiceCoilMotor(Plant):
 def voice_coil_motor(form: str = "identified") -> VoiceCoilMotor:
     """The motor DTL85/708 of Cao 2019 with one of two tunings of its drive.
 
-    `identified`: the poles, zero and gain of eq. 7; its speed loop follows a command up to 49 Hz only
-    `printed`:    section II-A taken at its word: PI speed loop of 500 Hz (eq. 5, -3 dB), current loop of 2 kHz, free integrator,
-                  no delay; the velocity gain is that of eq. 7. A step of 0.6 V already takes the whole bus voltage; `reduced` is
-                  within 3 % up to 50 Hz
+    `identified`: the poles, zero and gain of eq. 7; its speed loop follows a command up to 49 Hz
+    only
+    `printed`:    section II-A taken at its word: PI speed loop of 500 Hz (eq. 5, -3 dB), current
+    loop of 2 kHz, free integrator,
+                  no delay; the velocity gain is that of eq. 7. A step of 0.6 V already takes the
+                  whole bus voltage; `reduced` is within 3 % up to 50 Hz
     Raises ValueError for another form.
     """
     match form:

@@ -13,15 +13,20 @@ State = Any
 
 
 class Plant:
-    """A plant steps. Its parameters are the fields of a `@pytree` class; a user's own plant subclasses this.
+    """A plant steps. Its parameters are the fields of a `@pytree` class; a user's own plant
+    subclasses this.
 
-    `step` gets the sample time, so a continuous plant may integrate over it; whatever depends on the sample time alone is worked
-    out in `sampled`, which runs once per simulation, outside the scans.
-    response: `response(u, dt)`, of a plant that knows its outputs y[0..N] (N+1, n_y) from all inputs u (N, n_u) at once; asked for
+    `step` gets the sample time, so a continuous plant may integrate over it; whatever depends on
+    the sample time alone is worked out in `sampled`, which runs once per simulation, outside the
+    scans.
+    response: `response(u, dt)`, of a plant that knows its outputs y[0..N] (N+1, n_y) from all
+    inputs u (N, n_u) at once; asked for
               where the input is known before the trial. None where it can only step.
     """
 
-    __dataclass_fields__: ClassVar[dict[str, dataclasses.Field]]  # `@pytree` makes a dataclass of each subclass
+    __dataclass_fields__: ClassVar[
+        dict[str, dataclasses.Field]
+    ]  # `@pytree` makes a dataclass of each subclass
     n_u: int = 1
     n_y: int = 1
     response: Any = None

@@ -16,16 +16,20 @@ from .plant import Plant
 class ProcessModel(Plant):
     """A stable transfer function by its physical parameters (Cao 2019, eq. 6, of any order).
 
-        G(s) = gain prod_i (1 - s / zeros_i) / (prod_i (1 + s / poles_i) prod_i (1 + 2 zeta_i s / w_i + (s / w_i)^2))
+        G(s) = gain prod_i (1 - s / zeros_i) / (prod_i (1 + s / poles_i) prod_i (1 + 2 zeta_i s /
+        w_i + (s / w_i)^2))
 
     gain:  () DC gain [unit of y per unit of u]
     zeros: (m,) [rad/s], real and not 0; positive: in the right half plane, non-minimum phase
     poles: (n,) [rad/s], positive: stable;  m < n + 2 q, so that u[k] acts on y[k+1] at the earliest
-    frequencies, dampings: (q,) natural frequency w [rad/s] and damping ratio zeta of each pair of poles, both positive
+    frequencies, dampings: (q,) natural frequency w [rad/s] and damping ratio zeta of each pair of
+    poles, both positive
 
-    A pair is complex for a damping below 1, two real poles above, and at 1 the double pole that Cao 2019, eq. 7 has at 474 rad/s.
-    There (frequency, damping) stays regular: the denominator is a smooth function of it with independent derivatives. Written as
-    two entries of `poles` the derivatives with respect to both would be equal and no fit could tell them apart.
+    A pair is complex for a damping below 1, two real poles above, and at 1 the double pole that Cao
+    2019, eq. 7 has at 474 rad/s.
+    There (frequency, damping) stays regular: the denominator is a smooth function of it with
+    independent derivatives. Written as two entries of `poles` the derivatives with respect to both
+    would be equal and no fit could tell them apart.
     Raises ValueError where the shapes do not fit, a zero is 0 or the model is not strictly proper.
     """
 
@@ -38,15 +42,21 @@ class ProcessModel(Plant):
     def __post_init__(self):
         for name in ("zeros", "poles", "frequencies", "dampings"):
             if not np.ndim(getattr(self, name)):
-                raise ValueError(f"ProcessModel: {name} has shape (); allowed is one dimension, such as (1,)")
+                raise ValueError(
+                    f"ProcessModel: {name} has shape (); allowed is one dimension, such as (1,)"
+                )
         if self.frequencies.shape != self.dampings.shape:
             raise ValueError(
                 f"ProcessModel: frequencies {self.frequencies.shape} and dampings {self.dampings.shape} must have one shape (q,)"
             )
         if self.zeros.shape[-1] >= self.order:
-            raise ValueError(f"ProcessModel: {self.zeros.shape[-1]} zeros over {self.order} poles; allowed are fewer zeros than poles")
+            raise ValueError(
+                f"ProcessModel: {self.zeros.shape[-1]} zeros over {self.order} poles; allowed are fewer zeros than poles"
+            )
         if not isinstance(self.zeros, jax.core.Tracer) and np.any(np.asarray(self.zeros) == 0):
-            raise ValueError("ProcessModel: zeros = 0 makes the DC gain 0; allowed is any other value")
+            raise ValueError(
+                "ProcessModel: zeros = 0 makes the DC gain 0; allowed is any other value"
+            )
 
     @property
     def order(self) -> int:
@@ -54,16 +64,25 @@ class ProcessModel(Plant):
 
     @property
     def all_poles(self) -> jax.Array:
-        """(n + 2 q,) complex poles [rad/s], in the left half plane; a pair's are -frequency (damping -+ sqrt(damping^2 - 1))."""
+        """(n + 2 q,) complex poles [rad/s], in the left half plane; a pair's are -frequency
+        (damping -+ sqrt(damping^2 - 1)).
+        """
         w, zeta = jnp.asarray(self.frequencies), jnp.asarray(self.dampings)
         apart = w * jnp.sqrt((zeta - 1.0) * (zeta + 1.0) + 0j)
-        return jnp.concatenate([-jnp.asarray(self.poles) + 0j, jnp.stack([-zeta * w + apart, -zeta * w - apart], axis=-1).reshape(-1)])
+        return jnp.concatenate(
+            [
+                -jnp.asarray(self.poles) + 0j,
+                jnp.stack([-zeta * w + apart, -zeta * w - apart], axis=-1).reshape(-1),
+            ]
+        )
 
     def regrouped(self) -> ProcessModel:
-        """The same transfer function in the one form that identification reports; not for use inside `jit`.
+        """The same transfer function in the one form that identification reports; not for use
+        inside `jit`.
 
-        A pair of damping >= 1 is two real poles and can trade one of them for one of `poles` without any change of G. Here such
-        pairs are made of the real poles nearest to each other in ratio, and zeros, poles and pairs are sorted.
+        A pair of damping >= 1 is two real poles and can trade one of them for one of `poles`
+        without any change of G. Here such pairs are made of the real poles nearest to each other in
+        ratio, and zeros, poles and pairs are sorted.
         """
         w, zeta = np.asarray(self.frequencies), np.asarray(self.dampings)
         real = zeta >= 1
@@ -78,12 +97,18 @@ class ProcessModel(Plant):
         return ProcessModel(self.gain, np.sort(self.zeros), np.array(single), frequencies, dampings)
 
     def sampled(self, dt: float) -> StateSpace:
-        """Exact zero-order hold of a cascade of lags of unit DC gain, whose states all have the size of the input.
+        """Exact zero-order hold of a cascade of lags of unit DC gain, whose states all have the
+        size of the input.
 
-        Its last state w obeys w^(k) = C0 A^k x for k < order, since C0 A^k B = 0 for k < order - 1, so the numerator acts on it as
-        C = gain C0 prod_i (I - A / zeros_i), exactly and whether or not poles coincide.
+        Its last state w obeys w^(k) = C0 A^k x for k < order, since C0 A^k B = 0 for k < order - 1,
+        so the numerator acts on it as C = gain C0 prod_i (I - A / zeros_i), exactly and whether or
+        not poles coincide.
         """
-        n, order, dtype = self.poles.shape[-1], self.order, jnp.result_type(self.gain, self.poles, self.frequencies)
+        n, order, dtype = (
+            self.poles.shape[-1],
+            self.order,
+            jnp.result_type(self.gain, self.poles, self.frequencies),
+        )
         A, B = jnp.zeros((order, order), dtype), jnp.zeros((order, 1), dtype)
         rates = [*self.poles, *jnp.repeat(jnp.asarray(self.frequencies), 2)]
         for i, rate in enumerate(rates):

@@ -15,12 +15,14 @@ DAI_2014_EQ_24 = {"a": (2.236, -1.6246, 0.385), "b": (0.0018, -0.0036, -0.0025)}
 
 @pytree
 class VoiceCoil(Plant):
-    """Motor and drive from voltage [V] to position [mm], one zero and three poles (Cao 2019, eq. 6 and 7).
+    """Motor and drive from voltage [V] to position [mm], one zero and three poles (Cao 2019, eq. 6
+    and 7).
 
         G(s) = gain (s - zero) / ((s + poles_1)(s + poles_2)(s + poles_3))
 
-    gain: () [mm/(V s^2)];  zero: () [rad/s], positive: the plant is non-minimum phase;  poles: (3,) [rad/s], positive: stable
-    The DC gain is -4.798 mm/V although the first sample of the response to a positive step is positive.
+    gain: () [mm/(V s^2)];  zero: () [rad/s], positive: the plant is non-minimum phase;  poles: (3,)
+    [rad/s], positive: stable The DC gain is -4.798 mm/V although the first sample of the response
+    to a positive step is positive.
     """
 
     gain: jax.Array = scalar(7437.7769)
@@ -32,10 +34,13 @@ class VoiceCoil(Plant):
             raise ValueError(f"VoiceCoil: poles has shape {self.poles.shape}; allowed is (3,)")
 
     def sampled(self, dt: float) -> DifferenceEquation:
-        """Exact zero-order hold as a difference equation: the poles map to exp(-p dt), the numerator follows from the first three
-        Markov parameters h_i = C A^(i-1) B, since b(z) = a(z) h(z)."""
+        """Exact zero-order hold as a difference equation: the poles map to exp(-p dt), the
+        numerator follows from the first three Markov parameters h_i = C A^(i-1) B, since b(z) =
+        a(z) h(z).
+        """
         p1, p2, p3 = self.poles[0], self.poles[1], self.poles[2]
-        # a cascade: two lags, then a lag carrying the zero; well scaled, and nothing singular when poles coincide
+        # a cascade: two lags, then a lag carrying the zero; well scaled, and nothing singular when
+        # poles coincide
         A = jnp.array([[-p1, 0.0, 0.0], [p2, -p2, 0.0], [0.0, p3, -p3]])
         B = jnp.array([[1.0], [0.0], [0.0]]) * p1
         # the cascade's output is p1 p2 p3 / prod(s + p); (s - zero) acts on it as x3' - zero x3
@@ -53,7 +58,8 @@ def voice_coil(form: str = "exact") -> Plant:
 
     `exact`:            eq. 7, sampled exactly at the task's sample time
     `printed`:          the rounded difference equation 29 (DC gain -4.3 instead of -4.798), 1 ms
-    `dai_2014_printed`: Dai 2014, eq. 24, where 2.236 stands for 2.2386 and moves the DC gain to -1.19, 1 ms
+    `dai_2014_printed`: Dai 2014, eq. 24, where 2.236 stands for 2.2386 and moves the DC gain to
+    -1.19, 1 ms
     Raises ValueError for another form.
     """
     match form:
@@ -63,4 +69,6 @@ def voice_coil(form: str = "exact") -> Plant:
             return DifferenceEquation(**CAO_2019_EQ_29, dt=1e-3)
         case "dai_2014_printed":
             return DifferenceEquation(**DAI_2014_EQ_24, dt=1e-3)
-    raise ValueError(f"voice_coil: form = {form!r} is not one of 'exact', 'printed', 'dai_2014_printed'")
+    raise ValueError(
+        f"voice_coil: form = {form!r} is not one of 'exact', 'printed', 'dai_2014_printed'"
+    )

@@ -1,4 +1,6 @@
-"""Dataclasses that are JAX pytrees: their fields, the intervals that values must lie in, and their fields by name."""
+"""Dataclasses that are JAX pytrees: their fields, the intervals that values must lie in, and their
+fields by name.
+"""
 
 import lazy_loader
 

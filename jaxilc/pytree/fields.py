@@ -1,9 +1,10 @@
 """Dataclasses that are JAX pytrees: an object *is* its parameters.
 
-`@pytree` turns a class into a frozen dataclass whose float fields are leaves (batched by `vmap`, differentiated by `grad`)
-and whose `static` fields are part of the compiled program. Each field states its allowed range once; construction, the
-command line and the tuner all read it from there. Validation runs only when a user constructs an object: unflattening inside
-a transformation bypasses `__init__`, so tracers are never inspected.
+`@pytree` turns a class into a frozen dataclass whose float fields are leaves (batched by `vmap`,
+differentiated by `grad`) and whose `static` fields are part of the compiled program. Each field
+states its allowed range once; construction, the command line and the tuner all read it from there.
+Validation runs only when a user constructs an object: unflattening inside a transformation bypasses
+`__init__`, so tracers are never inspected.
 """
 
 from __future__ import annotations
@@ -15,7 +16,17 @@ from typing import Any, TypeAlias, TypeVar, dataclass_transform
 import jax.core
 from jax.typing import ArrayLike
 
-from .ranges import Interval, allowed, annotations_of, as_numbers, brief, fits, is_number, is_whole, shown
+from .ranges import (
+    Interval,
+    allowed,
+    annotations_of,
+    as_numbers,
+    brief,
+    fits,
+    is_number,
+    is_whole,
+    shown,
+)
 
 Numbers: TypeAlias = ArrayLike | Sequence[Any] | None
 T = TypeVar("T")
@@ -30,7 +41,9 @@ def leaf(
     interval: str = "(-inf, inf)",
     *,
     optional: bool = False,
-    converter: Callable[[Numbers], Any] = _stored,  # a type checker reads it: numbers and lists are accepted where an array is stored
+    converter: Callable[
+        [Numbers], Any
+    ] = _stored,  # a type checker reads it: numbers and lists are accepted where an array is stored
 ) -> Any:
     """A float leaf (scalar or array). With `optional`, None switches the feature off at no cost."""
     metadata = {"kind": "leaf", "interval": Interval.parse(interval), "optional": optional}
@@ -44,31 +57,53 @@ def scalar(
     optional: bool = False,
     converter: Callable[[Numbers], Any] = _stored,
 ) -> Any:
-    """A float leaf that is one number, such as a mass; `need_scalars` says so, since a batch of objects has many of each."""
-    metadata = {"kind": "leaf", "interval": Interval.parse(interval), "optional": optional, "scalar": True}
+    """A float leaf that is one number, such as a mass; `need_scalars` says so, since a batch of
+    objects has many of each.
+    """
+    metadata = {
+        "kind": "leaf",
+        "interval": Interval.parse(interval),
+        "optional": optional,
+        "scalar": True,
+    }
     return dataclasses.field(default=default, metadata=metadata)
 
 
 def static(
-    default: Any = dataclasses.MISSING, interval: str | None = None, *, choices: tuple = (), whole: bool = False, optional: bool = False
+    default: Any = dataclasses.MISSING,
+    interval: str | None = None,
+    *,
+    choices: tuple = (),
+    whole: bool = False,
+    optional: bool = False,
 ) -> Any:
-    """A static field: a length, a window, a mode, of the kind that it is annotated with. Changing it compiles another program.
+    """A static field: a length, a window, a mode, of the kind that it is annotated with. Changing
+    it compiles another program.
 
     `whole` admits whole numbers only. Lists become tuples.
     """
     parsed = Interval.parse(interval) if interval else None
-    metadata = {"kind": "static", "interval": parsed, "choices": tuple(choices), "whole": whole, "optional": optional}
+    metadata = {
+        "kind": "static",
+        "interval": parsed,
+        "choices": tuple(choices),
+        "whole": whole,
+        "optional": optional,
+    }
     return dataclasses.field(default=default, metadata=metadata)
 
 
 def part(default: Any = dataclasses.MISSING) -> Any:
-    """A nested pytree (a plant in a machine, a scheme in a scheme), of the class or the classes that it is annotated with."""
+    """A nested pytree (a plant in a machine, a scheme in a scheme), of the class or the classes
+    that it is annotated with.
+    """
     return dataclasses.field(default=default, metadata={"kind": "part"})
 
 
 @dataclass_transform(frozen_default=True, field_specifiers=(leaf, scalar, static, part))
 def pytree(cls: type[T]) -> type[T]:
-    """Make the class a frozen dataclass and a pytree. Fields are declared with `leaf`, `scalar`, `static` or `part`.
+    """Make the class a frozen dataclass and a pytree. Fields are declared with `leaf`, `scalar`,
+    `static` or `part`.
 
     Raises at construction: ValueError naming the class, the field, its value and the allowed range.
     """
@@ -78,7 +113,9 @@ def pytree(cls: type[T]) -> type[T]:
 
     def __post_init__(self):
         for field in dataclasses.fields(self):
-            object.__setattr__(self, field.name, _settled(type(self), field, getattr(self, field.name)))
+            object.__setattr__(
+                self, field.name, _settled(type(self), field, getattr(self, field.name))
+            )
         if hasattr(self, "_own_check"):
             self._own_check()
 
@@ -112,24 +149,38 @@ def kind_of(field) -> str:
 
 
 def _settled(cls: type, field, value):
-    """The value a field really stores: floats as strongly typed arrays, everything of its kind and inside its allowed range."""
+    """The value a field really stores: floats as strongly typed arrays, everything of its kind and
+    inside its allowed range.
+    """
     owner, kind = cls.__name__, kind_of(field)
     if kind == "leaf":
-        return None if value is None and field.metadata["optional"] else _checked_leaf(owner, field, value)
+        return (
+            None
+            if value is None and field.metadata["optional"]
+            else _checked_leaf(owner, field, value)
+        )
     wanted = annotations_of(cls).get(field.name, Any)
     if kind == "static":
         value = tuple(value) if isinstance(value, list) else value
         _check_static(owner, field, value, wanted)
     elif not fits(value, wanted):
-        given = "" if dataclasses.is_dataclass(value) and not isinstance(value, type) else f" = {brief(value)}"
-        raise ValueError(f"{owner}: {field.name}{given} is a {type(value).__name__}; {allowed(wanted)}")
+        given = (
+            ""
+            if dataclasses.is_dataclass(value) and not isinstance(value, type)
+            else f" = {brief(value)}"
+        )
+        raise ValueError(
+            f"{owner}: {field.name}{given} is a {type(value).__name__}; {allowed(wanted)}"
+        )
     return value
 
 
 def _checked_leaf(owner: str, field, value):
     value = _as_float(owner, field.name, value)
     if not isinstance(value, jax.core.Tracer) and not field.metadata["interval"].contains(value):
-        raise ValueError(f"{owner}: {field.name} = {shown(value)} is outside its allowed range {field.metadata['interval']}")
+        raise ValueError(
+            f"{owner}: {field.name} = {shown(value)} is outside its allowed range {field.metadata['interval']}"
+        )
     return value
 
 
@@ -138,18 +189,32 @@ def _check_static(owner: str, field, value, wanted) -> None:
     if value is None and field.metadata["optional"]:
         return
     if choices and not (fits(value, wanted) and value in choices):
-        raise ValueError(f"{owner}: {field.name} = {brief(value)} is not one of {', '.join(map(repr, choices))}")
-    if interval is not None and not (is_number(value) and interval.contains(value) and (is_whole(value) or not whole)):
+        raise ValueError(
+            f"{owner}: {field.name} = {brief(value)} is not one of {', '.join(map(repr, choices))}"
+        )
+    if interval is not None and not (
+        is_number(value) and interval.contains(value) and (is_whole(value) or not whole)
+    ):
         said = f"{interval}{' of whole numbers' if whole else ''}"
-        raise ValueError(f"{owner}: {field.name} = {brief(value)} is outside its allowed range {said}")
+        raise ValueError(
+            f"{owner}: {field.name} = {brief(value)} is outside its allowed range {said}"
+        )
     if not fits(value, wanted):
-        raise ValueError(f"{owner}: {field.name} = {brief(value)} is a {type(value).__name__}; {allowed(wanted)}")
+        raise ValueError(
+            f"{owner}: {field.name} = {brief(value)} is a {type(value).__name__}; {allowed(wanted)}"
+        )
 
 
 def _as_float(owner: str, name: str, value):
-    if isinstance(value, jax.Array) and jax.numpy.issubdtype(value.dtype, jax.numpy.number) and not jax.numpy.iscomplexobj(value):
+    if (
+        isinstance(value, jax.Array)
+        and jax.numpy.issubdtype(value.dtype, jax.numpy.number)
+        and not jax.numpy.iscomplexobj(value)
+    ):
         floating = jax.numpy.issubdtype(value.dtype, jax.numpy.floating)
-        return jax.lax.convert_element_type(value, value.dtype if floating else float)  # also makes a weak type strong
+        return jax.lax.convert_element_type(
+            value, value.dtype if floating else float
+        )  # also makes a weak type strong
     found = None if isinstance(value, jax.Array) else as_numbers(value)
     if found is None:
         raise ValueError(f"{owner}: {name} = {brief(value)} is not a number or an array of numbers")

@@ -1,4 +1,6 @@
-"""The fields of nested pytrees under their paths, such as `plant.poles[2]`: listed, looked up, replaced."""
+"""The fields of nested pytrees under their paths, such as `plant.poles[2]`: listed, looked up,
+replaced.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,9 @@ _INDEX = re.compile(r"^(\w[\w-]*)((?:\[\d+\])*)$")
 
 def named_leaves(tree) -> dict[str, Any]:
     """Every leaf under its path, for instance `{"plant.gain": ..., "sensor.resolution": ...}`."""
-    return {_path_name(path): value for path, value in jax.tree_util.tree_flatten_with_path(tree)[0]}
+    return {
+        _path_name(path): value for path, value in jax.tree_util.tree_flatten_with_path(tree)[0]
+    }
 
 
 def settable(tree) -> dict[str, Any]:
@@ -47,18 +51,28 @@ def allowed_at(tree, path: str) -> str:
 
 
 def kind_at(tree, path: str) -> tuple[str, Any]:
-    """`leaf`, `static` or `part`, and the annotation, of the field at `path`; an element is of its field's kind."""
+    """`leaf`, `static` or `part`, and the annotation, of the field at `path`; an element is of its
+    field's kind.
+    """
     owner, field = _field_at(tree, path)
-    return ("part", Any) if field is None else (kind_of(field), annotations_of(type(owner)).get(field.name, Any))
+    return (
+        ("part", Any)
+        if field is None
+        else (kind_of(field), annotations_of(type(owner)).get(field.name, Any))
+    )
 
 
 def get_at(tree, path: str) -> Any:
-    """The leaf, element or static field at `path`: `"plant.poles[2]"`. Raises KeyError naming what exists."""
+    """The leaf, element or static field at `path`: `"plant.poles[2]"`. Raises KeyError naming what
+    exists.
+    """
     value = tree
     for head in path.split("."):
         name, index = _split_index(head)
         if name not in field_names(value):
-            raise KeyError(f"{path!r} is not a parameter here; known: {', '.join(settable(tree)) or 'none'}")
+            raise KeyError(
+                f"{path!r} is not a parameter here; known: {', '.join(settable(tree)) or 'none'}"
+            )
         value = child_of(value, name)
         for i in index:
             if not np.shape(value) or i >= len(value):
@@ -68,7 +82,9 @@ def get_at(tree, path: str) -> Any:
 
 
 def replaced(tree, changes: Mapping[str, Any]) -> Any:
-    """A copy of `tree` with the fields or elements at the given paths replaced together; validated like a construction."""
+    """A copy of `tree` with the fields or elements at the given paths replaced together; validated
+    like a construction.
+    """
     inner: dict[str, dict[str, Any]] = {}
     new: dict[str, Any] = {}
     for path, value in changes.items():
@@ -78,7 +94,9 @@ def replaced(tree, changes: Mapping[str, Any]) -> Any:
         if rest:
             inner.setdefault(name, {})[rest] = value
         else:
-            new[name] = _with_element(new.get(name, child_of(tree, name)), index, value) if index else value
+            new[name] = (
+                _with_element(new.get(name, child_of(tree, name)), index, value) if index else value
+            )
     new |= {name: replaced(child_of(tree, name), below) for name, below in inner.items()}
     return {**tree, **new} if isinstance(tree, dict) else dataclasses.replace(tree, **new)
 
@@ -90,7 +108,11 @@ def field_names(tree) -> list[str]:
 
 
 def field_of(tree, name):
-    return None if isinstance(tree, dict) else next((f for f in dataclasses.fields(tree) if f.name == name), None)
+    return (
+        None
+        if isinstance(tree, dict)
+        else next((f for f in dataclasses.fields(tree) if f.name == name), None)
+    )
 
 
 def _field_at(tree, path: str):

@@ -1,4 +1,6 @@
-"""What code may need of a pytree before it computes: known values, a number for each channel, one number alone."""
+"""What code may need of a pytree before it computes: known values, a number for each channel, one
+number alone.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,9 @@ from .ranges import shown
 
 
 def known(tree) -> bool:
-    """Whether every leaf has a value that can be looked at, rather than being traced by a transformation."""
+    """Whether every leaf has a value that can be looked at, rather than being traced by a
+    transformation.
+    """
     return not any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(tree))
 
 
@@ -20,7 +24,9 @@ def need_channels(tree, channels: int, *names: str) -> None:
     for name in names:
         value = getattr(tree, name)
         if value is not None and np.shape(value) not in ((), (channels,)):
-            raise ValueError(f"{type(tree).__name__}: {name} has shape {np.shape(value)}; allowed are () and ({channels},)")
+            raise ValueError(
+                f"{type(tree).__name__}: {name} has shape {np.shape(value)}; allowed are () and ({channels},)"
+            )
 
 
 def need_scalars(tree) -> None:
@@ -29,5 +35,7 @@ def need_scalars(tree) -> None:
         value, field = child_of(tree, name), field_of(tree, name)
         if field is not None and field.metadata.get("scalar") and np.shape(value):
             given = "" if isinstance(value, jax.core.Tracer) else f" = {shown(value)}"
-            raise ValueError(f"{type(tree).__name__}: {name}{given} has shape {np.shape(value)}; allowed is one number")
+            raise ValueError(
+                f"{type(tree).__name__}: {name}{given} has shape {np.shape(value)}; allowed is one number"
+            )
         need_scalars(value)

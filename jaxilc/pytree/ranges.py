@@ -1,4 +1,6 @@
-"""What a parameter may be: intervals as papers write them, kinds as annotations name them, and the one line that says so."""
+"""What a parameter may be: intervals as papers write them, kinds as annotations name them, and the
+one line that says so.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,9 @@ class Interval(NamedTuple):
     def contains(self, value) -> bool:
         """True if every element lies in the interval (NaN never does)."""
         value = np.asarray(value)
-        value = value.astype(float) if value.dtype.kind == "f" and value.itemsize < 4 else value  # half precision ends at 65,504
+        value = (
+            value.astype(float) if value.dtype.kind == "f" and value.itemsize < 4 else value
+        )  # half precision ends at 65,504
         above = value >= self.low if self.closed_low else value > self.low
         below = value <= self.high if self.closed_high else value < self.high
         return bool(np.all(above & below))
@@ -44,13 +48,24 @@ class Interval(NamedTuple):
         return f"{'[' if self.closed_low else '('}{self.low:g}, {self.high:g}{']' if self.closed_high else ')'}"
 
 
-def require(owner: str, name: str, values: Any, interval: str, unit: str = "", *, whole: bool = False, many: bool = False) -> None:
-    """A number in the interval, or a ValueError. whole: it is to be a whole one;  many: an array of numbers, of which the first that is
-    not in the interval is named"""
+def require(
+    owner: str,
+    name: str,
+    values: Any,
+    interval: str,
+    unit: str = "",
+    *,
+    whole: bool = False,
+    many: bool = False,
+) -> None:
+    """A number in the interval, or a ValueError. whole: it is to be a whole one;  many: an array of
+    numbers, of which the first that is not in the interval is named"""
     wanted = Interval.parse(interval)
     found = None if isinstance(values, bool | np.bool_) else as_numbers(values)
     if found is None or (found.ndim and not many):
-        raise ValueError(f"{owner}: {name} = {brief(values)} is not a number{' or an array of numbers' * many}")
+        raise ValueError(
+            f"{owner}: {name} = {brief(values)} is not a number{' or an array of numbers' * many}"
+        )
     for i, value in np.ndenumerate(found):
         if not wanted.contains(value) or (whole and not is_whole(values)):
             said = f"{value:g}{unit} is outside its allowed range {wanted}{' of whole numbers' * whole}"
@@ -58,12 +73,21 @@ def require(owner: str, name: str, values: Any, interval: str, unit: str = "", *
 
 
 def as_numbers(value: Any) -> np.ndarray | None:
-    """The value as an array of floats, one of half to double precision as it is; None if it is not made of real numbers."""
+    """The value as an array of floats, one of half to double precision as it is; None if it is not
+    made of real numbers.
+    """
     try:
         array = np.asarray(value)
-        if array.dtype == object and array.size and all(isinstance(x, int) for x in array.flat):  # too long for an integer of NumPy
+        if (
+            array.dtype == object and array.size and all(isinstance(x, int) for x in array.flat)
+        ):  # too long for an integer of NumPy
             return array.astype(float)
-    except (ValueError, TypeError, OverflowError, RecursionError):  # of unequal rows, or within itself
+    except (
+        ValueError,
+        TypeError,
+        OverflowError,
+        RecursionError,
+    ):  # of unequal rows, or within itself
         return None
     if array.dtype.kind not in "fiu":
         return None
@@ -74,7 +98,11 @@ def as_numbers(value: Any) -> np.ndarray | None:
 def is_number(value: Any) -> bool:
     """Whether it is one real number that a float can be; True and False are none."""
     try:
-        return isinstance(value, numbers.Real) and not isinstance(value, bool) and float(value) is not None
+        return (
+            isinstance(value, numbers.Real)
+            and not isinstance(value, bool)
+            and float(value) is not None
+        )
     except OverflowError:
         return False
 
@@ -97,15 +125,22 @@ def brief(value: Any) -> str:
 def shown(values: Any) -> str:
     """A number, or the numbers of an array, in a few characters."""
     values = np.asarray(values)
-    return f"{values:g}" if values.ndim == 0 else np.array2string(values, threshold=8, precision=6).replace("\n", "")
+    return (
+        f"{values:g}"
+        if values.ndim == 0
+        else np.array2string(values, threshold=8, precision=6).replace("\n", "")
+    )
 
 
-# Kinds, as annotations name them ---------------------------------------------------------------------------------------------
+# Kinds, as annotations name them
+# ---------------------------------------------------------------------------------------------
 
 
 @functools.cache
 def annotations_of(cls: type) -> dict[str, Any]:
-    """What the fields of a class are annotated with; nothing where a name cannot be looked up, as one that a function defines."""
+    """What the fields of a class are annotated with; nothing where a name cannot be looked up, as
+    one that a function defines.
+    """
     try:
         return typing.get_type_hints(cls)
     except (NameError, AttributeError, TypeError, SyntaxError):
@@ -113,7 +148,9 @@ def annotations_of(cls: type) -> dict[str, Any]:
 
 
 def fits(value: Any, kind: Any) -> bool:
-    """Whether a value is what an annotation says. One that is understood as no kind, such as Any, takes everything."""
+    """Whether a value is what an annotation says. One that is understood as no kind, such as Any,
+    takes everything.
+    """
     origin, inside = typing.get_origin(kind), typing.get_args(kind)
     if origin in (typing.Union, types.UnionType):
         return any(fits(value, one) for one in inside)
@@ -146,5 +183,11 @@ def named(kind: Any) -> str:
         return " and ".join(map(named, inside))
     if origin is tuple:
         return "a tuple (" + ", ".join("..." if one is ... else named(one) for one in inside) + ")"
-    words = {int: "a whole number", float: "a number", str: "text", bool: "True or False", type(None): "None"}
+    words = {
+        int: "a whole number",
+        float: "a number",
+        str: "text",
+        bool: "True or False",
+        type(None): "None",
+    }
     return words.get(kind) or getattr(kind, "__name__", str(kind))

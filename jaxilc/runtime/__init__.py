@@ -1,4 +1,6 @@
-"""How JAX is started, how a batch is spread over devices, how much memory there is, and what numbers depend on."""
+"""How JAX is started, how a batch is spread over devices, how much memory there is, and what
+numbers depend on.
+"""
 
 import lazy_loader
 

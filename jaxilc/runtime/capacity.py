@@ -52,8 +52,8 @@ def check_program(what: str, instead: str, run, *arguments, devices: int | None 
 
 
 def program_bytes(run, *arguments, devices: int | None = None) -> int:
-    """Bytes that a jitted function takes on its devices for its arguments, its results and what lies
-    between; it is compiled, not run.
+    """Bytes that a jitted function takes on its devices for its arguments, its results and what
+    lies between; it is compiled, not run.
 
     devices: None for all. Calling it later with arguments of these shapes compiles nothing again.
     """

@@ -14,14 +14,22 @@ def differences(found: Any, wanted: Any, path: str = "") -> list[str]:
     """Where two configurations differ, one line each: `seed: 1 there, 2 here`."""
     if isinstance(found, dict) and isinstance(wanted, dict):
         names = sorted(found.keys() | wanted.keys())
-        return [line for n in names for line in differences(found.get(n), wanted.get(n), f"{path}.{n}" if path else n)]
+        return [
+            line
+            for n in names
+            for line in differences(found.get(n), wanted.get(n), f"{path}.{n}" if path else n)
+        ]
     return [] if found == wanted else [f"{path}: {found} there, {wanted} here"]
 
 
 def environment(*packages: str) -> dict[str, Any]:
-    """What the numbers depend on besides the parameters: versions, also of further `packages`, backend, devices, precision."""
+    """What the numbers depend on besides the parameters: versions, also of further `packages`,
+    backend, devices, precision.
+    """
     return {
-        "versions": {name: version(name) for name in ("jaxilc", "jax", "jaxlib", "numpy", *packages)},
+        "versions": {
+            name: version(name) for name in ("jaxilc", "jax", "jaxlib", "numpy", *packages)
+        },
         "backend": jax.default_backend(),
         "devices": jax.device_count(),
         "precision": "float64" if jax.config.jax_enable_x64 else "float32",

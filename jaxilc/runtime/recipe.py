@@ -1,4 +1,6 @@
-"""What determines numbers, as JSON, so that a resumed run can tell whether it was started with the same."""
+"""What determines numbers, as JSON, so that a resumed run can tell whether it was started with the
+same.
+"""
 
 from __future__ import annotations
 
@@ -14,11 +16,13 @@ import numpy as np
 
 
 def describe(value: Any, *, within: tuple[int, ...] = ()) -> Any:
-    """A description that changes whenever the numbers do: classes, fields, long arrays by shape and hash, functions by their code.
+    """A description that changes whenever the numbers do: classes, fields, long arrays by shape and
+    hash, functions by their code.
 
-    Functions, and what is made of them such as an optax transformation, are known by names, code and the values they close over: two of
-    one name differ where their settings do. Where they stand in a file does not count. Not seen is what a function reads from its module,
-    what code it calls there, and an object that has no attributes; the code differs between versions of Python.
+    Functions, and what is made of them such as an optax transformation, are known by names, code
+    and the values they close over: two of one name differ where their settings do. Where they stand
+    in a file does not count. Not seen is what a function reads from its module, what code it calls
+    there, and an object that has no attributes; the code differs between versions of Python.
     within: what this is a part of, for what refers to itself
     """
     again = partial(describe, within=(*within, id(value)))
@@ -33,7 +37,9 @@ def describe(value: Any, *, within: tuple[int, ...] = ()) -> Any:
     if isinstance(value, list | tuple):
         return [again(of) for of in value]
     if dataclasses.is_dataclass(value):
-        return {"class": type(value).__name__} | {f.name: again(getattr(value, f.name)) for f in dataclasses.fields(value)}
+        return {"class": type(value).__name__} | {
+            f.name: again(getattr(value, f.name)) for f in dataclasses.fields(value)
+        }
     if isinstance(value, partial):
         return {"partial": again([value.func, value.args, value.keywords])}
     if _name(value).startswith("jax."):
@@ -43,7 +49,9 @@ def describe(value: Any, *, within: tuple[int, ...] = ()) -> Any:
     return {
         "name": _name(value),
         "body": hashlib.sha256(repr(_body(value.__code__)).encode()).hexdigest(),
-        "settings": again((value.__defaults__, value.__kwdefaults__, getattr(value, "__self__", None))),
+        "settings": again(
+            (value.__defaults__, value.__kwdefaults__, getattr(value, "__self__", None))
+        ),
         "closes over": [again(cell.cell_contents) for cell in value.__closure__ or ()],
     }
 
@@ -51,7 +59,10 @@ def describe(value: Any, *, within: tuple[int, ...] = ()) -> Any:
 def _of_array(array: np.ndarray) -> Any:
     if array.size <= 16:
         return array.tolist()
-    return {"shape": list(array.shape), "sha256": hashlib.sha256(np.asarray(array, dtype=float).tobytes()).hexdigest()}
+    return {
+        "shape": list(array.shape),
+        "sha256": hashlib.sha256(np.asarray(array, dtype=float).tobytes()).hexdigest(),
+    }
 
 
 def _name(value: Any) -> str:
@@ -62,6 +73,15 @@ def _name(value: Any) -> str:
 
 
 def _body(code) -> tuple:
-    """Instructions, names and constants, also of the functions within; nothing that tells where they lie in a file or in memory."""
-    constants = [_body(c) if hasattr(c, "co_code") else sorted(map(repr, c)) if isinstance(c, frozenset) else c for c in code.co_consts]
+    """Instructions, names and constants, also of the functions within; nothing that tells where
+    they lie in a file or in memory.
+    """
+    constants = [
+        _body(c)
+        if hasattr(c, "co_code")
+        else sorted(map(repr, c))
+        if isinstance(c, frozenset)
+        else c
+        for c in code.co_consts
+    ]
     return code.co_code, code.co_names, constants

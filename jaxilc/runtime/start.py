@@ -15,10 +15,11 @@ import jaxlib
 from ..pytree.ranges import require
 
 _WHOLE_LOOPS = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1000000000"
-# LLVM writes out a loop over the 8 or 16 plants of a tile before it would vectorise it, and so leaves it scalar; this keeps it a loop.
+# LLVM writes out a loop over the 8 or 16 plants of a tile before it would vectorise it, and so
+# leaves it scalar; this keeps it a loop.
 _LANES_VECTORISED = ",-unroll-full-max-count=4"
-# XLA takes registers of 256 bits where a processor has wider ones. An option that it does not know ends the process, so it is given
-# to the versions of jaxlib alone that were seen to know it.
+# XLA takes registers of 256 bits where a processor has wider ones. An option that it does not know
+# ends the process, so it is given to the versions of jaxlib alone that were seen to know it.
 _WIDE_REGISTERS = " --xla_cpu_prefer_vector_width=512"
 _KNOWN = ((0, 10), (0, 12))
 
@@ -27,27 +28,38 @@ def setup(*, precision: str = "float64", devices: int | None = None) -> None:
     """Choose the precision and make every CPU core a device, with loops compiled whole.
 
     precision: `float64` or `float32`;  devices: CPU devices, None for one per core
-    XLA otherwise dispatches every small operation of a loop by itself, several times slower; options already present in
-    XLA_FLAGS are left alone, and where JAX has an accelerator, only those are set that it ignores. Must run before JAX computes
-    anything: if it did not, the precision still takes effect and a RuntimeWarning says that the rest could not.
+    XLA otherwise dispatches every small operation of a loop by itself, several times slower;
+    options already present in XLA_FLAGS are left alone, and where JAX has an accelerator, only
+    those are set that it ignores. Must run before JAX computes
+    anything: if it did not, the precision still takes effect and a RuntimeWarning says that the
+    rest could not.
     Raises ValueError for another precision or devices < 1.
     """
     if precision not in ("float64", "float32"):
         raise ValueError(f"setup: precision = {precision!r} is not one of 'float64', 'float32'")
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    cores = (
+        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    )
     devices = cores if devices is None else devices
     require("setup", "devices", devices, "[1, 4096]", whole=True)
     jax.config.update("jax_enable_x64", precision == "float64")
-    # XLA's pool has a thread per core. A batched LAPACK call on every device at once then waits for workers that all wait likewise;
-    # threads to spare are what prevents it. XLA reads this name.
+    # XLA's pool has a thread per core. A batched LAPACK call on every device at once then waits for
+    # workers that all wait likewise; threads to spare are what prevents it. XLA reads this name.
     os.environ.setdefault("NPROC", str(2 * max(cores, devices)))
     flags = os.environ.get("XLA_FLAGS", "")
     too_late = False
     if "xla_backend_extra_options" not in flags:
         too_late = _started()
-        options = _WHOLE_LOOPS if _accelerated() else _WHOLE_LOOPS + _LANES_VECTORISED + _wide_registers(flags)
+        options = (
+            _WHOLE_LOOPS
+            if _accelerated()
+            else _WHOLE_LOOPS + _LANES_VECTORISED + _wide_registers(flags)
+        )
         os.environ["XLA_FLAGS"] = f"{flags} {options}".strip()
-    if "xla_force_host_platform_device_count" not in flags and jax.config.jax_num_cpu_devices != devices:
+    if (
+        "xla_force_host_platform_device_count" not in flags
+        and jax.config.jax_num_cpu_devices != devices
+    ):
         try:
             jax.config.update("jax_num_cpu_devices", devices)
         except RuntimeError:
@@ -62,19 +74,27 @@ def setup(*, precision: str = "float64", devices: int | None = None) -> None:
 
 
 def keep_programs() -> Path | None:
-    """Keep compiled programs on disk, so that the next start finds them; the folder, None where this is switched off.
+    """Keep compiled programs on disk, so that the next start finds them; the folder, None where
+    this is switched off.
 
-    They lie under the user's cache folder (XDG_CACHE_HOME, else ~/.cache), apart for each kind of processor, since a home may be
-    shared by several. JAXILC_CACHE names another folder; `off` keeps none. A folder that JAX was already given is left alone.
+    They lie under the user's cache folder (XDG_CACHE_HOME, else ~/.cache), apart for each kind of
+    processor, since a home may be shared by several. JAXILC_CACHE names another folder; `off` keeps
+    none. A folder that JAX was already given is left alone.
     """
     chosen = os.environ.get("JAXILC_CACHE", "")
     if chosen == "off":
         return None
     given = jax.config.jax_compilation_cache_dir
     try:
-        folder = Path(given or chosen or _users_cache() / "jaxilc" / f"{platform.machine()}-{_processor()}")
+        folder = Path(
+            given or chosen or _users_cache() / "jaxilc" / f"{platform.machine()}-{_processor()}"
+        )
         folder.mkdir(parents=True, exist_ok=True)
-    except (OSError, RuntimeError, ValueError):  # no home at all, one that cannot be written to, or no name of a folder: go without
+    except (
+        OSError,
+        RuntimeError,
+        ValueError,
+    ):  # no home at all, one that cannot be written to, or no name of a folder: go without
         return None
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
@@ -89,7 +109,11 @@ def _users_cache() -> Path:
 
 def _wide_registers(flags: str) -> str:
     version = tuple(int(part) for part in jaxlib.__version__.split(".")[:2])
-    return _WIDE_REGISTERS if _KNOWN[0] <= version <= _KNOWN[1] and "xla_cpu_prefer_vector_width" not in flags else ""
+    return (
+        _WIDE_REGISTERS
+        if _KNOWN[0] <= version <= _KNOWN[1] and "xla_cpu_prefer_vector_width" not in flags
+        else ""
+    )
 
 
 def _accelerated() -> bool:

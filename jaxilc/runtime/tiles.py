@@ -15,7 +15,9 @@ from ..pytree.ranges import require
 
 LANES = {"cpu": 16}  # measured; a trial of 16 plants still fits the cache of a core
 WIDE = 4096  # on other backends, which were not measured
-OPEN: Any = None  # the default of a field that is chosen at construction, and never None from then on
+OPEN: Any = (
+    None  # the default of a field that is chosen at construction, and never None from then on
+)
 
 
 def usual_lanes() -> int:
@@ -24,13 +26,17 @@ def usual_lanes() -> int:
 
 
 def tiled(fn: Callable[[Any, Any], Any], *, lanes: int | None = None) -> Callable[[Any, Any], Any]:
-    """A compiled `run(common, batch)` that gives fn(common, one) for each `one` along the leading axis of the batch's leaves.
+    """A compiled `run(common, batch)` that gives fn(common, one) for each `one` along the leading
+    axis of the batch's leaves.
 
-    The batch is spread over all devices; each works through tiles of `lanes` elements (None: `usual_lanes`), vectorised within a
-    tile. One as small as 16 keeps a trial in the cache, and a vectorised whole batch is several times slower on a CPU. A batch smaller than
-    lanes x devices makes one smaller tile for each device. What is left to fill a tile is copies of the last element, whose results
+    The batch is spread over all devices; each works through tiles of `lanes` elements (None:
+    `usual_lanes`), vectorised within a tile. One as small as 16 keeps a trial in the cache, and a
+    vectorised whole batch is several times slower on a CPU. A batch smaller than lanes x devices
+    makes one smaller tile for each device. What is left to fill a tile is copies of the last
+    element, whose results
     are dropped.
-    Keep the returned function: it compiles once per shape of its arguments. Raises ValueError for lanes < 1.
+    Keep the returned function: it compiles once per shape of its arguments. Raises ValueError for
+    lanes < 1.
     """
     lanes = usual_lanes() if lanes is None else lanes
     require("tiled", "lanes", lanes, "[1, inf)", whole=True)
@@ -53,7 +59,12 @@ def tiled(fn: Callable[[Any, Any], Any], *, lanes: int | None = None) -> Callabl
         size = _size(batch)
         tile = min(lanes, -(-size // mesh.size)) * mesh.size
         fill = -size % tile
-        full = jax.tree.map(lambda x: jnp.concatenate([x, jnp.repeat(jnp.asarray(x)[-1:], fill, axis=0)]) if fill else x, batch)
+        full = jax.tree.map(
+            lambda x: (
+                jnp.concatenate([x, jnp.repeat(jnp.asarray(x)[-1:], fill, axis=0)]) if fill else x
+            ),
+            batch,
+        )
         results = spread(common, full)
         return jax.tree.map(lambda x: x[:size], results) if fill else results
 

@@ -1,7 +1,8 @@
-"""Cao 2019: a voice-coil motor for noncircular turning under model-free adaptive iterative learning control.
+"""Cao 2019: a voice-coil motor for noncircular turning under model-free adaptive iterative learning
+control.
 
-Cao, Hou, Zhao, Zhang: Model Free Adaptive Iterative Learning Control for Tool Feed System in Noncircular Turning,
-IEEE Access 7 (2019). Lengths in mm, input in V, errors shown in µm.
+Cao, Hou, Zhao, Zhang: Model Free Adaptive Iterative Learning Control for Tool Feed System in
+Noncircular Turning, IEEE Access 7 (2019). Lengths in mm, input in V, errors shown in µm.
 """
 
 from __future__ import annotations
@@ -16,10 +17,21 @@ from .scenario import NOTHING, Fit, Published, Scenario
 
 TABLE_1 = {
     "cfdl-mfailc": {20: 18.0, 30: 11.0, 40: 5.5, 50: 2.5, 60: 1.5, 70: 0.5, 80: 0.3},
-    "ffdl-mfailc": {20: 13.0, 30: 2.5, 40: 0.5, 50: 0.2, 60: 0.15, 70: 0.15, 80: 0.15},  # "no change" after 60
+    "ffdl-mfailc": {
+        20: 13.0,
+        30: 2.5,
+        40: 0.5,
+        50: 0.2,
+        60: 0.15,
+        70: 0.15,
+        80: 0.15,
+    },  # "no change" after 60
 }
 
-FITTED = {"cfdl-mfailc": (20, 40, 60, 80), "ffdl-mfailc": (20, 40, 60)}  # trials on which phi0 was fitted; the others judge it
+FITTED = {
+    "cfdl-mfailc": (20, 40, 60, 80),
+    "ffdl-mfailc": (20, 40, 60),
+}  # trials on which phi0 was fitted; the others judge it
 FITTED_MFAPC = Fit(("phi0",), "its four rows", among=True)
 ON_PRINTED_PLANT = (("plant", "printed"),)
 PID_READING = "ki multiplied by the sample time"
@@ -33,12 +45,26 @@ def _fit(scheme: str, trial: int, quantity: str = "settled_error") -> Fit:
     return Fit(names, to, quantity == "settled_error" and trial in FITTED[scheme])
 
 
-def _row(scheme: str, trial: int | None, quantity: str, value: float, source: str, reading: str, fitted: Fit) -> Published:
-    return Published(scheme, trial, quantity, value, source, ON_PRINTED_PLANT, reading, fitted=fitted)
+def _row(
+    scheme: str,
+    trial: int | None,
+    quantity: str,
+    value: float,
+    source: str,
+    reading: str,
+    fitted: Fit,
+) -> Published:
+    return Published(
+        scheme, trial, quantity, value, source, ON_PRINTED_PLANT, reading, fitted=fitted
+    )
 
 
 PUBLISHED = (
-    *(_row(s, j, "settled_error", v, "Table 1", MFAILC_READING, _fit(s, j)) for s, rows in TABLE_1.items() for j, v in rows.items()),
+    *(
+        _row(s, j, "settled_error", v, "Table 1", MFAILC_READING, _fit(s, j))
+        for s, rows in TABLE_1.items()
+        for j, v in rows.items()
+    ),
     _row(
         "cfdl-mfailc",
         35,
@@ -70,13 +96,17 @@ def cao_2019(plant: str = "exact", reference: str = "sinusoid", frequency: float
     """The simulations of Cao 2019, section IV: 1 mm at 0.5 Hz, 1 ms, one period a trial.
 
     plant: `exact` (eq. 7), `printed` (eq. 29) or `dai_2014_printed`
-    reference: `sinusoid`, or `piston`, the middle-convex varying-oval piston of eq. 28, whose ellipse turns at `frequency` / 2
+    reference: `sinusoid`, or `piston`, the middle-convex varying-oval piston of eq. 28, whose
+    ellipse turns at `frequency` / 2
     frequency: of the tool's motion [Hz]
-    Raises ValueError for another plant or reference, or a frequency that does not fit the sample time.
+    Raises ValueError for another plant or reference, or a frequency that does not fit the sample
+    time.
     """
     dt = 1e-3
     if not 0.01 <= frequency <= 50:
-        raise ValueError(f"cao-2019: frequency = {frequency:g} Hz is outside its allowed range [0.01, 50]")
+        raise ValueError(
+            f"cao-2019: frequency = {frequency:g} Hz is outside its allowed range [0.01, 50]"
+        )
     match reference:
         case "sinusoid":
             r = references.sinusoid(1.0, frequency, duration=round(1 / frequency / dt) * dt, dt=dt)
@@ -91,7 +121,9 @@ def cao_2019(plant: str = "exact", reference: str = "sinusoid", frequency: float
                 length=1.0,
             )
         case _:
-            raise ValueError(f"cao-2019: reference = {reference!r} is not one of 'sinusoid', 'piston'")
+            raise ValueError(
+                f"cao-2019: reference = {reference!r} is not one of 'sinusoid', 'piston'"
+            )
     return Scenario(
         name="cao-2019",
         title="Voice-coil motor for noncircular turning, MFAILC (Cao 2019)",
@@ -99,9 +131,20 @@ def cao_2019(plant: str = "exact", reference: str = "sinusoid", frequency: float
         task=Task(reference=r, dt=dt, unit="mm", input_unit="V"),
         schemes={
             "pid": PID(kp=-11.3, ki=-0.028),
-            "cfdl-mfailc": CFDLMFAILC(lam=1.0, eta=0.9, mu=1.0, rho=1.0, phi0=-0.0682, reset="sign"),
-            "pfdl-mfailc": PFDLMFAILC(lam=1.2, eta=1.0, mu=1.1, rho=0.98, phi0=(-0.0682, 0.0), reset="sign"),
-            "ffdl-mfailc": FFDLMFAILC(lam=1.2, eta=1.0, mu=1.1, rho=0.98, phi0=(0.753, -0.0547, -0.0811, 0.498), reset="sign"),
+            "cfdl-mfailc": CFDLMFAILC(
+                lam=1.0, eta=0.9, mu=1.0, rho=1.0, phi0=-0.0682, reset="sign"
+            ),
+            "pfdl-mfailc": PFDLMFAILC(
+                lam=1.2, eta=1.0, mu=1.1, rho=0.98, phi0=(-0.0682, 0.0), reset="sign"
+            ),
+            "ffdl-mfailc": FFDLMFAILC(
+                lam=1.2,
+                eta=1.0,
+                mu=1.1,
+                rho=0.98,
+                phi0=(0.753, -0.0547, -0.0811, 0.498),
+                reset="sign",
+            ),
             "ilc-mfapc": WithFeedback(
                 learning=PIDType(gamma_p=-0.2, gamma_i=0.0, gamma_d=-1.0),
                 feedback=CFDLMFAPC(P=10, lam=20.0, eta=0.9, mu=1.0, phi0=-0.00064),
@@ -119,7 +162,11 @@ def cao_2019(plant: str = "exact", reference: str = "sinusoid", frequency: float
 
 
 def motor_uncertainty(plant: str) -> dict[str, Uniform]:
-    """±10 % on what identification leaves uncertain; the rounded difference equations only allow their gain to move, since a change
-    of 10 % in a coefficient of `a` would be another motor."""
-    names = ("plant.gain", "plant.zero", "plant.poles[0]", "plant.poles[1]", "plant.poles[2]") if plant == "exact" else ("plant.b",)
+    """±10 % on what identification leaves uncertain; the rounded difference equations only allow
+    their gain to move, since a change of 10 % in a coefficient of `a` would be another motor."""
+    names = (
+        ("plant.gain", "plant.zero", "plant.poles[0]", "plant.poles[1]", "plant.poles[2]")
+        if plant == "exact"
+        else ("plant.b",)
+    )
     return {name: Uniform(0.9, 1.1, relative=True) for name in names}

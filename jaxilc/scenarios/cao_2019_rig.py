@@ -1,7 +1,7 @@
 """Cao 2019, section V: the laboratory rig, CFDL-MFAILC against PID at five frequencies.
 
-The machine is the physical motor with its drive, not the identified model: in the experiment the loop gains are positive. Lengths in
-mm, input in V, errors shown in µm.
+The machine is the physical motor with its drive, not the identified model: in the experiment the
+loop gains are positive. Lengths in mm, input in V, errors shown in µm.
 """
 
 from __future__ import annotations
@@ -17,14 +17,32 @@ from ..signals.task import Task
 from ..uncertainty import Uniform
 from .scenario import NOTHING, Published, Scenario
 
-TABLE_2 = {0.1: (4.0, 10.0), 0.2: (7.0, 15.0), 0.3: (9.0, 19.0), 0.4: (12.0, 23.0), 0.5: (16.0, 28.0)}  # Hz: CFDL, PID [µm]
+TABLE_2 = {
+    0.1: (4.0, 10.0),
+    0.2: (7.0, 15.0),
+    0.3: (9.0, 19.0),
+    0.4: (12.0, 23.0),
+    0.5: (16.0, 28.0),
+}  # Hz: CFDL, PID [µm]
 PID_READING = "10 V command the printed top speed of 3.44 m/s"
 CFDL_READING = "over the printed PID, with a 6 Hz zero-phase filter; without them it diverges"
 
 PUBLISHED = tuple(
-    Published(scheme, trial, "settled_error", value, "Table 2", (("frequency", frequency),), reading, fitted=NOTHING)
+    Published(
+        scheme,
+        trial,
+        "settled_error",
+        value,
+        "Table 2",
+        (("frequency", frequency),),
+        reading,
+        fitted=NOTHING,
+    )
     for frequency, (learned, plain) in TABLE_2.items()
-    for scheme, trial, value, reading in (("cfdl-mfailc", 80, learned, CFDL_READING), ("pid", None, plain, PID_READING))
+    for scheme, trial, value, reading in (
+        ("cfdl-mfailc", 80, learned, CFDL_READING),
+        ("pid", None, plain, PID_READING),
+    )
 )
 
 CHOSEN = (
@@ -36,13 +54,16 @@ CHOSEN = (
 
 
 def cao_2019_rig(frequency: float = 0.5) -> Scenario:
-    """The experiments of Cao 2019: 1 mm, 1 ms, 10 s a trial, encoder of 0.1 µm, 16-bit converter of ±10 V, friction.
+    """The experiments of Cao 2019: 1 mm, 1 ms, 10 s a trial, encoder of 0.1 µm, 16-bit converter of
+    ±10 V, friction.
 
     frequency: of the sinusoid, a whole number of periods in 10 s [Hz]
     Raises ValueError for a frequency outside (0, 5].
     """
     if not 0.01 <= frequency <= 5:
-        raise ValueError(f"cao-2019-rig: frequency = {frequency:g} Hz is outside its allowed range [0.01, 5]")
+        raise ValueError(
+            f"cao-2019-rig: frequency = {frequency:g} Hz is outside its allowed range [0.01, 5]"
+        )
     motor = dataclasses.replace(
         voice_coil_motor(),
         command_scale=3.44 / 10.0,
@@ -54,13 +75,30 @@ def cao_2019_rig(frequency: float = 0.5) -> Scenario:
     return Scenario(
         name="cao-2019-rig",
         title=f"Voice-coil motor on the laboratory rig at {frequency:g} Hz (Cao 2019)",
-        machine=Machine(motor, Actuator(limit=10.0, resolution=20.0 / 2**16), Sensor(resolution=1e-4)),
-        task=Task(reference=references.sinusoid(1.0, frequency, duration=10.0, dt=1e-3), dt=1e-3, unit="mm", input_unit="V"),
-        schemes={"pid": pid, "cfdl-mfailc": WithFeedback(Filtered(learning, ZeroPhaseButterworth(6.0, padding=300)), pid)},
+        machine=Machine(
+            motor, Actuator(limit=10.0, resolution=20.0 / 2**16), Sensor(resolution=1e-4)
+        ),
+        task=Task(
+            reference=references.sinusoid(1.0, frequency, duration=10.0, dt=1e-3),
+            dt=1e-3,
+            unit="mm",
+            input_unit="V",
+        ),
+        schemes={
+            "pid": pid,
+            "cfdl-mfailc": WithFeedback(
+                Filtered(learning, ZeroPhaseButterworth(6.0, padding=300)), pid
+            ),
+        },
         trials=80,
         uncertainty={
             name: Uniform(0.9, 1.1, relative=True)
-            for name in ("plant.mass", "plant.command_scale", "plant.friction.coulomb_force", "plant.speed_gain")
+            for name in (
+                "plant.mass",
+                "plant.command_scale",
+                "plant.friction.coulomb_force",
+                "plant.speed_gain",
+            )
         },
         published=PUBLISHED,
         chosen=CHOSEN,

@@ -1,4 +1,6 @@
-"""The scenarios in short, as text: to list or complete their names, nobody need wait for JAX or for a path to be planned."""
+"""The scenarios in short, as text: to list or complete their names, nobody need wait for JAX or for
+a path to be planned.
+"""
 
 from __future__ import annotations
 
@@ -21,17 +23,45 @@ LISTED = {
         trials=80,
         samples=2000,
     ),
-    "cao-2019-rig": Listed("Voice-coil motor on the laboratory rig at 0.5 Hz (Cao 2019)", ("pid", "cfdl-mfailc"), 80, 10_000),
-    "dai-2014": Listed("Voice-coil motor under predictive MFAC at 0.5 Hz (Dai 2014)", ("pid", "cfdl-mfapc"), 1, 8000),
+    "cao-2019-rig": Listed(
+        "Voice-coil motor on the laboratory rig at 0.5 Hz (Cao 2019)",
+        ("pid", "cfdl-mfailc"),
+        80,
+        10_000,
+    ),
+    "dai-2014": Listed(
+        "Voice-coil motor under predictive MFAC at 0.5 Hz (Dai 2014)",
+        ("pid", "cfdl-mfapc"),
+        1,
+        8000,
+    ),
     "li-2020": Listed(
         "CNC axis along a butterfly, simulation (Li 2020)",
-        ("feedback", "feedforward", "p-type", "higher-order", "fixed-filter", "switchable", "stop", "ladder", "series"),
+        (
+            "feedback",
+            "feedforward",
+            "p-type",
+            "higher-order",
+            "fixed-filter",
+            "switchable",
+            "stop",
+            "ladder",
+            "series",
+        ),
         trials=40,
         samples=9998,
     ),
-    "milc-2024": Listed("Flexible ball-screw drive, direct and multivariable norm-optimal ILC (MILC 2024)", ("dilc", "milc"), 11, 4000),
+    "milc-2024": Listed(
+        "Flexible ball-screw drive, direct and multivariable norm-optimal ILC (MILC 2024)",
+        ("dilc", "milc"),
+        11,
+        4000,
+    ),
     "xu-2024": Listed(
-        "Piezo fast tool servo, adaptive sliding mode and iterative learning (Xu 2024)", ("pid", "smc", "asmc", "ilc-asmc"), 10, 5000
+        "Piezo fast tool servo, adaptive sliding mode and iterative learning (Xu 2024)",
+        ("pid", "smc", "asmc", "ilc-asmc"),
+        10,
+        5000,
     ),
 }
 SCHEMES = {name: listed.schemes for name, listed in LISTED.items()}

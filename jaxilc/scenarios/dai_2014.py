@@ -1,6 +1,8 @@
-"""Dai 2014: the voice-coil motor of Cao 2019 under predictive model-free adaptive control, against PID.
+"""Dai 2014: the voice-coil motor of Cao 2019 under predictive model-free adaptive control, against
+PID.
 
-Lengths in units of the reference's amplitude (1 mm), input in V, no learning: one trial of several periods, errors of the last but one.
+Lengths in units of the reference's amplitude (1 mm), input in V, no learning: one trial of several
+periods, errors of the last but one.
 """
 
 from __future__ import annotations
@@ -15,10 +17,19 @@ from ..signals.task import Task
 from .cao_2019 import motor_uncertainty
 from .scenario import NOTHING, Fit, Published, Scenario
 
-# by frequency [Hz]: periods simulated; PID gains, prediction horizon P and weight lam as printed; phi0 as chosen
+# by frequency [Hz]: periods simulated; PID gains, prediction horizon P and weight lam as printed;
+# phi0 as chosen
 SETTINGS: dict[float, dict[str, Any]] = {
-    0.5: {"periods": 4, "pid": {"kp": -10.0, "ki": 0.1}, "mfapc": {"P": 10, "lam": 45.0, "phi0": -0.12}},
-    2.5: {"periods": 10, "pid": {"kp": -9.0, "ki": -0.2, "kd": 1e-3}, "mfapc": {"P": 250, "lam": 8700.0, "phi0": -0.238}},
+    0.5: {
+        "periods": 4,
+        "pid": {"kp": -10.0, "ki": 0.1},
+        "mfapc": {"P": 10, "lam": 45.0, "phi0": -0.12},
+    },
+    2.5: {
+        "periods": 10,
+        "pid": {"kp": -9.0, "ki": -0.2, "kd": 1e-3},
+        "mfapc": {"P": 250, "lam": 8700.0, "phi0": -0.238},
+    },
 }
 
 PID_READING = "eq. 29's plant; ki multiplied by the sample time"
@@ -34,8 +45,20 @@ def _row(scheme: str, frequency: float, value: float, source: str, reading: str)
 PUBLISHED = (
     _row("pid", 0.5, 0.023, "Fig. 3", PID_READING),
     _row("cfdl-mfapc", 0.5, 0.0165, "Fig. 5", MFAPC_READING),
-    _row("pid", 2.5, 0.061, "Fig. 7", PID_READING + ", and negative, since the printed 0.2 has the wrong sign; kd per sample"),
-    _row("cfdl-mfapc", 2.5, 0.047, "Fig. 9", MFAPC_READING + "; the loop is at its stability limit, its error erratic in phi0"),
+    _row(
+        "pid",
+        2.5,
+        0.061,
+        "Fig. 7",
+        PID_READING + ", and negative, since the printed 0.2 has the wrong sign; kd per sample",
+    ),
+    _row(
+        "cfdl-mfapc",
+        2.5,
+        0.047,
+        "Fig. 9",
+        MFAPC_READING + "; the loop is at its stability limit, its error erratic in phi0",
+    ),
 )
 
 CHOSEN = (
@@ -48,7 +71,8 @@ CHOSEN = (
 def dai_2014(plant: str = "exact", frequency: float = 0.5) -> Scenario:
     """The simulations of Dai 2014, section 3.
 
-    plant: `exact`, `printed` (Cao 2019, eq. 29) or `dai_2014_printed` (eq. 24);  frequency: 0.5 or 2.5 Hz
+    plant: `exact`, `printed` (Cao 2019, eq. 29) or `dai_2014_printed` (eq. 24);  frequency: 0.5 or
+    2.5 Hz
     Raises ValueError for another plant or frequency.
     """
     if frequency not in SETTINGS:
@@ -63,7 +87,10 @@ def dai_2014(plant: str = "exact", frequency: float = 0.5) -> Scenario:
         task=Task(
             reference=references.sinusoid(1.0, frequency, duration=duration, dt=dt),
             dt=dt,
-            settle=(duration - 2 * period, duration - period),  # the last period ends where there is nothing left to preview
+            settle=(
+                duration - 2 * period,
+                duration - period,
+            ),  # the last period ends where there is nothing left to preview
             unit="mm",
             input_unit="V",
         ),

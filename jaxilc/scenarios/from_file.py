@@ -1,10 +1,12 @@
-"""A user's own machine from a TOML or JSON file: plant, limits, task, schemes and uncertainty, as a `Scenario`.
+"""A user's own machine from a TOML or JSON file: plant, limits, task, schemes and uncertainty, as a
+`Scenario`.
 
-    trials = 20                              # all keys before the first table are optional: name, title, trials, tolerance,
+    trials = 20                              # all keys before the first table are optional: name,
+    title, trials, tolerance,
                                              # shown_unit, shown_scale, show_trials
     [plant]
-    kind = "transfer_function"               # or zeros_poles_gain, state_space, identified, or a class of jaxilc.plants
-    num = [4000.0]
+    kind = "transfer_function"               # or zeros_poles_gain, state_space, identified, or a
+    class of jaxilc.plants num = [4000.0]
     den = [1.0, 80.0, 4000.0]                # dt = 0.001 for one in z; none, in s
 
     [machine.actuator]                       # limit, rate, resolution
@@ -18,19 +20,21 @@
     dt = 0.001
     unit = "mm"
     input_unit = "V"
-    [task.reference]                         # a function of jaxilc.references with its parameters, or csv = FILE and column = NAME;
+    [task.reference]                         # a function of jaxilc.references with its parameters,
+    or csv = FILE and column = NAME;
     function = "sinusoid"                    # [[task.reference]] for each of several outputs
     amplitude = 1.0
     frequency = 0.5
     duration = 2.0
 
-    [schemes.ilc]                            # class = any of jaxilc.schemes; its fields, its parts as tables
-    class = "WithFeedback"
+    [schemes.ilc]                            # class = any of jaxilc.schemes; its fields, its parts
+    as tables class = "WithFeedback"
     learning = { class = "PIDType", gamma_p = 0.5, lead = 2 }
     feedback = { class = "PID", kp = 1.0 }
 
-    [uncertainty]                            # distribution = uniform (low, high), normal (mean, std) or log_uniform (low, high)
-    "plant.B" = { distribution = "uniform", low = 0.9, high = 1.1, relative = true }
+    [uncertainty]                            # distribution = uniform (low, high), normal (mean,
+    std) or log_uniform (low, high) "plant.B" = { distribution = "uniform", low = 0.9, high = 1.1,
+    relative = true }
 
 Paths are relative to the file. A key that means nothing is refused, with those that are allowed.
 """
@@ -60,7 +64,21 @@ from ..storage.reading import PARSERS, read_tree
 from ..uncertainty import LogUniform, Normal, Uniform
 from ..uncertainty import check as check_uncertainty
 from . import Scenario
-from .specification import Table, built, called, classes, flag, list_of, list_of_numbers, number, numbers, one_of, scheme, text, whole
+from .specification import (
+    Table,
+    built,
+    called,
+    classes,
+    flag,
+    list_of,
+    list_of_numbers,
+    number,
+    numbers,
+    one_of,
+    scheme,
+    text,
+    whole,
+)
 
 REFERENCES = ("sinusoid", "multisine", "chirp", "s_curve", "noncircular")
 DISTRIBUTIONS = {"uniform": Uniform, "normal": Normal, "log_uniform": LogUniform}
@@ -70,22 +88,28 @@ def load_scenario(name: str | Path, settings: Mapping[str, object] | None = None
     """A scenario by its name, or from a TOML or JSON file.
 
     settings: options of a scenario and paths within it, as `--set` takes them; values may be text
-    Raises ValueError naming the scenarios there are, what can be set, or the file's key that is wrong and what is allowed.
+    Raises ValueError naming the scenarios there are, what can be set, or the file's key that is
+    wrong and what is allowed.
     """
     settings = dict(settings or {})
     if str(name) in scenarios.SCENARIOS:
         known = scenarios.options(str(name))
-        chosen = scenarios.load(str(name), **{path: settings.pop(path) for path in list(settings) if path in known})
+        chosen = scenarios.load(
+            str(name), **{path: settings.pop(path) for path in list(settings) if path in known}
+        )
     elif Path(name).suffix in PARSERS:
         chosen = read_scenario(name)
     else:
         allowed = ", ".join(scenarios.SCENARIOS)
-        raise ValueError(f"scenario = {brief(str(name))} is not one of {allowed}, nor a file {' or '.join(PARSERS)}")
+        raise ValueError(
+            f"scenario = {brief(str(name))} is not one of {allowed}, nor a file {' or '.join(PARSERS)}"
+        )
     return chosen.with_values(settings)
 
 
 def read_scenario(path: str | Path) -> Scenario:
-    """The scenario that a file describes, see the module. Raises FileNotFoundError, and ValueError naming the key that is wrong.
+    """The scenario that a file describes, see the module. Raises FileNotFoundError, and ValueError
+    naming the key that is wrong.
 
     Its name, if it gives none, is that of the file, with dashes for what a name cannot have.
     """
@@ -96,7 +120,13 @@ def read_scenario(path: str | Path) -> Scenario:
     plant = file.take("plant", lambda v, at: _plant(v, at, path.parent, notes))
     task = file.take("task", lambda v, at: _task(v, at, path.parent, plant))
     machine = file.take("machine", lambda v, at: _machine(v, at, plant), Machine(plant))
-    found = file.take("schemes", lambda v, at: {n: scheme(s, f"{at}.{n}", plant, task.dt) for n, s in Table(v, at).values.items()}, {})
+    found = file.take(
+        "schemes",
+        lambda v, at: {
+            n: scheme(s, f"{at}.{n}", plant, task.dt) for n, s in Table(v, at).values.items()
+        },
+        {},
+    )
     uncertainty = file.take("uncertainty", lambda v, at: dict(_uncertainty(v, at)), {})
     given: dict[str, Any] = {
         "name": file.take("name", text, stem),
@@ -108,9 +138,25 @@ def read_scenario(path: str | Path) -> Scenario:
         "show_trials": tuple(file.take("show_trials", list_of(whole), [])),
     }
     file.done()
-    for name, allowed in (("trials", "[1, inf)"), ("tolerance", "(0, inf)"), ("shown_scale", "(0, inf)"), ("show_trials", "[1, inf)")):
-        _check(path, "", lambda name=name, allowed=allowed: require("", name, given[name], allowed, many=name == "show_trials"))
-    parts: dict[str, Any] = {"machine": machine, "task": task, "schemes": found, "uncertainty": uncertainty}
+    for name, allowed in (
+        ("trials", "[1, inf)"),
+        ("tolerance", "(0, inf)"),
+        ("shown_scale", "(0, inf)"),
+        ("show_trials", "[1, inf)"),
+    ):
+        _check(
+            path,
+            "",
+            lambda name=name, allowed=allowed: require(
+                "", name, given[name], allowed, many=name == "show_trials"
+            ),
+        )
+    parts: dict[str, Any] = {
+        "machine": machine,
+        "task": task,
+        "schemes": found,
+        "uncertainty": uncertainty,
+    }
     made = _check(path, "", lambda: Scenario(**given, **parts, chosen=tuple(notes)))
     _check(path, "machine", lambda: machine.check(task))
     _check(path, "uncertainty", lambda: check_uncertainty(machine, uncertainty))
@@ -123,15 +169,22 @@ def _check(path: Path, where: str, check: Callable[[], Any]) -> Any:
     try:
         return check()
     except ValueError as error:
-        raise ValueError(": ".join(part for part in (str(path), where, str(error).removeprefix(": ")) if part)) from None
+        raise ValueError(
+            ": ".join(part for part in (str(path), where, str(error).removeprefix(": ")) if part)
+        ) from None
 
 
-# Plants -------------------------------------------------------------------------------------------------------------------
+# Plants
+# -------------------------------------------------------------------------------------------------------------------
 
 
 def _plant(values: Any, where: str, folder: Path, notes: list[str]) -> Plant:
     table = Table(values, where)
-    kinds = {"transfer_function": _transfer_function, "zeros_poles_gain": _zeros_poles_gain, "state_space": _state_space}
+    kinds = {
+        "transfer_function": _transfer_function,
+        "zeros_poles_gain": _zeros_poles_gain,
+        "state_space": _state_space,
+    }
     named = sorted(name for name, c in classes().items() if issubclass(c, Plant))
     kind = table.take("kind", one_of((*kinds, "identified", *named)))
     if kind == "identified":
@@ -145,11 +198,17 @@ def _plant(values: Any, where: str, folder: Path, notes: list[str]) -> Plant:
         except (ValueError, BadCoefficients) as error:
             said = str(error).removeprefix("from_control: ")
             raise ValueError(said if where in said else f"{where}: {said}") from None
-    return built({key: value for key, value in table.values.items() if key != "kind"}, where, cls=getattr(plants, kind))
+    return built(
+        {key: value for key, value in table.values.items() if key != "kind"},
+        where,
+        cls=getattr(plants, kind),
+    )
 
 
 def _transfer_function(table: Table):
-    """Descending powers of s, or of z with dt; num and den of several channels are lists [output][input] of lists."""
+    """Descending powers of s, or of z with dt; num and den of several channels are lists
+    [output][input] of lists.
+    """
     import control
 
     def polynomial(value, where):
@@ -161,7 +220,11 @@ def _transfer_function(table: Table):
             raise ValueError(f"{where} = {brief(value)} is not a list of coefficients")
         return coefficients
 
-    num, den, dt = table.take("num", polynomial), table.take("den", polynomial), table.take("dt", _sample_time, 0.0)
+    num, den, dt = (
+        table.take("num", polynomial),
+        table.take("den", polynomial),
+        table.take("dt", _sample_time, 0.0),
+    )
     table.done()
     try:
         return control.tf(num, den, dt)
@@ -170,8 +233,10 @@ def _transfer_function(table: Table):
 
 
 def _zeros_poles_gain(table: Table):
-    """gain prod (s - zeros) / prod (s - poles); complex ones as [re, im], with their conjugates. A chain of sections of second order,
-    since the coefficients of one polynomial lose the digits of poles that lie close together."""
+    """gain prod (s - zeros) / prod (s - poles); complex ones as [re, im], with their conjugates. A
+    chain of sections of second order, since the coefficients of one polynomial lose the digits of
+    poles that lie close together.
+    """
     import control
     from scipy.signal import zpk2sos
 
@@ -179,19 +244,28 @@ def _zeros_poles_gain(table: Table):
     gain, dt = table.take("gain", number), table.take("dt", _sample_time, 0.0)
     table.done()
     if len(zeros) >= len(poles):
-        raise ValueError(f"{table.where}: {len(zeros)} zeros over {len(poles)} poles; allowed are fewer zeros than poles")
+        raise ValueError(
+            f"{table.where}: {len(zeros)} zeros over {len(poles)} poles; allowed are fewer zeros than poles"
+        )
     try:
-        sections = zpk2sos(zeros, poles, gain, analog=True)  # so that it takes z, too, for a variable like any other
+        sections = zpk2sos(
+            zeros, poles, gain, analog=True
+        )  # so that it takes z, too, for a variable like any other
     except ValueError as error:
         raise ValueError(f"{table.where}: {error}") from None
-    chain = [control.ss(control.tf(np.trim_zeros(row[:3], "f"), np.trim_zeros(row[3:], "f"), dt)) for row in sections]
+    chain = [
+        control.ss(control.tf(np.trim_zeros(row[:3], "f"), np.trim_zeros(row[3:], "f"), dt))
+        for row in sections
+    ]
     return functools.reduce(lambda system, section: section * system, chain)
 
 
 def _sample_time(value: Any, where: str) -> float:
     dt = number(value, where)
     if dt < 0:
-        raise ValueError(f"{where} = {dt:g} is outside its allowed range [0, inf), 0 for continuous time")
+        raise ValueError(
+            f"{where} = {dt:g} is outside its allowed range [0, inf), 0 for continuous time"
+        )
     return dt
 
 
@@ -210,7 +284,9 @@ def _state_space(table: Table):
     D = table.take("D", numbers, None)
     table.done()
     if A.shape != (n, n) or B.ndim != 2 or C.ndim != 2 or B.shape[0] != n or C.shape[1] != n:
-        raise ValueError(f"{table.where}: A {A.shape}, B {B.shape}, C {C.shape} do not fit; allowed are (n, n), (n, n_u), (n_y, n)")
+        raise ValueError(
+            f"{table.where}: A {A.shape}, B {B.shape}, C {C.shape} do not fit; allowed are (n, n), (n, n_u), (n_y, n)"
+        )
     D = np.zeros((len(C), B.shape[1])) if D is None else np.atleast_2d(D)
     if D.shape != (len(C), B.shape[1]):
         raise ValueError(f"{table.where}: D has shape {D.shape}; allowed is {(len(C), B.shape[1])}")
@@ -220,22 +296,33 @@ def _state_space(table: Table):
 def _identified(table: Table, folder: Path, notes: list[str]) -> Plant:
     """A ProcessModel fitted to a record; keys as the options of `jaxilc identify`."""
     record = folder / table.take("record", text)
-    columns = {key: table.take(key, text, default) for key, default in (("time", "t"), ("input", "u"), ("output", "y"))}
+    columns = {
+        key: table.take(key, text, default)
+        for key, default in (("time", "t"), ("input", "u"), ("output", "y"))
+    }
     structure = {key: table.take(key, whole, 1) for key in ("poles", "pairs", "zeros")}
     table.done()
     found = identification.identify(read_record(record, **columns), **structure)
-    values = ", ".join(f"{name} = {estimate.value:.6g}" for name, estimate in found.parameters.items())
-    notes.append(f"the plant was identified from {record.name}: {values}; fit {float(np.min(found.fit)):.4g} %")
+    values = ", ".join(
+        f"{name} = {estimate.value:.6g}" for name, estimate in found.parameters.items()
+    )
+    notes.append(
+        f"the plant was identified from {record.name}: {values}; fit {float(np.min(found.fit)):.4g} %"
+    )
     return found.plant
 
 
-# Machine, task, uncertainty -----------------------------------------------------------------------------------------------
+# Machine, task, uncertainty
+# -----------------------------------------------------------------------------------------------
 
 
 def _machine(values: Any, where: str, plant: Plant) -> Machine:
     table = Table(values, where)
     parts = {"actuator": Actuator, "sensor": Sensor, "disturbance": Disturbance}
-    made = {key: table.take(key, lambda v, at, cls=cls: built(v, at, cls=cls), None) for key, cls in parts.items()}
+    made = {
+        key: table.take(key, lambda v, at, cls=cls: built(v, at, cls=cls), None)
+        for key, cls in parts.items()
+    }
     table.done()
     return Machine(plant, **made)
 
@@ -248,9 +335,14 @@ def _task(values: Any, where: str, folder: Path, plant: Plant) -> Task:
 
     def reference(value, at):
         each = value if isinstance(value, list) else [value]
-        columns = [_reference(v, f"{at}[{i}]" if isinstance(value, list) else at, folder, dt) for i, v in enumerate(each)]
+        columns = [
+            _reference(v, f"{at}[{i}]" if isinstance(value, list) else at, folder, dt)
+            for i, v in enumerate(each)
+        ]
         if len({len(column) for column in columns}) > 1:
-            raise ValueError(f"{at}: the outputs have {', '.join(str(len(c)) for c in columns)} samples; allowed is one length")
+            raise ValueError(
+                f"{at}: the outputs have {', '.join(str(len(c)) for c in columns)} samples; allowed is one length"
+            )
         return np.stack(columns, axis=1)
 
     fields = {
@@ -262,7 +354,9 @@ def _task(values: Any, where: str, folder: Path, plant: Plant) -> Task:
     }
     table.done()
     if fields["settle"] is not None and len(fields["settle"]) != 2:
-        raise ValueError(f"{table.at('settle')} = {list(fields['settle'])} is not a pair [start, stop]")
+        raise ValueError(
+            f"{table.at('settle')} = {list(fields['settle'])} is not a pair [start, stop]"
+        )
     try:
         return Task(**fields, dt=dt)
     except ValueError as error:
@@ -280,7 +374,9 @@ def _reference(value: Any, where: str, folder: Path, dt: float) -> np.ndarray:
     table.done()
     record = read_record(path, time=time, input=column, output=column)
     if abs(record.dt / dt - 1) > 1e-6:
-        raise ValueError(f"{where}: {path} is sampled at {record.dt:g} s but the task at {dt:g} s; nothing is resampled")
+        raise ValueError(
+            f"{where}: {path} is sampled at {record.dt:g} s but the task at {dt:g} s; nothing is resampled"
+        )
     return np.asarray(record.y)[:, 0]
 
 
@@ -290,10 +386,16 @@ def _uncertainty(values: Any, where: str):
     for name in table.values:
         below = Table(table.values[name], table.at(name))
         if "distribution" not in below:
-            yield from ((f"{name}.{rest}", one) for rest, one in _uncertainty(below.values, below.where))
+            yield from (
+                (f"{name}.{rest}", one) for rest, one in _uncertainty(below.values, below.where)
+            )
             continue
         cls = DISTRIBUTIONS[below.take("distribution", one_of(DISTRIBUTIONS))]
-        fields = {f.name: below.take(f.name, number) for f in dataclasses.fields(cls) if f.name != "relative"}
+        fields = {
+            f.name: below.take(f.name, number)
+            for f in dataclasses.fields(cls)
+            if f.name != "relative"
+        }
         fields["relative"] = below.take("relative", flag, False)
         below.done()
         try:

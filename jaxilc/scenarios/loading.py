@@ -43,7 +43,9 @@ def load(name: str, **chosen) -> Scenario:
             try:
                 chosen[option] = float(value)
             except (TypeError, ValueError, OverflowError):
-                raise ValueError(f"{name}: option {option} = {brief(value)} is not a number") from None
+                raise ValueError(
+                    f"{name}: option {option} = {brief(value)} is not a number"
+                ) from None
     return dataclasses.replace(SCENARIOS[name](**chosen), options=allowed | chosen)
 
 

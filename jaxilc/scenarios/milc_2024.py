@@ -1,7 +1,9 @@
-"""MILC 2024: a flexible ball-screw drive under direct and multivariable norm-optimal iterative learning control.
+"""MILC 2024: a flexible ball-screw drive under direct and multivariable norm-optimal iterative
+learning control.
 
-Multivariable Iterative Learning Control Design for Precision Control of Flexible Feed Drives, Sensors 24 (2024), section 5. Lengths in mm,
-input in V, errors shown in µm. The paper counts trials from 0; its trial 10 is the eleventh here.
+Multivariable Iterative Learning Control Design for Precision Control of Flexible Feed Drives,
+Sensors 24 (2024), section 5. Lengths in mm, input in V, errors shown in µm. The paper counts trials
+from 0; its trial 10 is the eleventh here.
 """
 
 from __future__ import annotations
@@ -17,7 +19,15 @@ import numpy as np
 from ..filters.inversion import inverse, output_ratio
 from ..learning.machine import Actuator, Machine, Sensor
 from ..learning.metrics import largest, root_mean_square
-from ..plants import BallScrewDrive, FrictionTable, LeadError, StateSpace, StribeckFriction, direct_model, multivariable_model
+from ..plants import (
+    BallScrewDrive,
+    FrictionTable,
+    LeadError,
+    StateSpace,
+    StribeckFriction,
+    direct_model,
+    multivariable_model,
+)
 from ..schemes import PID, MultivariableILC, NormOptimal, OnOutputs, WithFeedback
 from ..signals import references
 from ..signals.task import Task
@@ -31,23 +41,53 @@ PITCH = {"x": 10.0, "z": 12.0}  # [mm]
 PULSE = 52e-6 / (2 * np.pi)  # of the motor's encoder [revolutions]
 TABLE_STEP = 0.25e-3  # of the linear encoder [mm]
 
-# Fitted to three numbers of the DILC row (experiments/milc_2024_calibration.py): 201.00, 5.39 and 0.55 µm.
+# Fitted to three numbers of the DILC row (experiments/milc_2024_calibration.py): 201.00, 5.39 and
+# 0.55 µm.
 FITTED = {"velocity": 68.71, "antiresonance": 77.28, "noise": 0.5236e-3}  # [mm/s], [Hz], [mm]
-FORCE_GAIN = 113.8  # [N/V], makes the position loop of the motor 50 Hz wide (-3 dB) with this antiresonance
+FORCE_GAIN = (
+    113.8  # [N/V], makes the position loop of the motor 50 Hz wide (-3 dB) with this antiresonance
+)
 
 TABLE_1 = {
-    "dilc": {(1, "table_rms"): 201.00, (1, "motor_rms"): 204.21, (11, "table_rms"): 0.55, (11, "motor_rms"): 5.39, (11, "table_max"): 3.57},
-    "milc": {(1, "table_rms"): 196.46, (1, "motor_rms"): 199.81, (11, "table_rms"): 0.46, (11, "motor_rms"): 0.40, (11, "table_max"): 2.06},
+    "dilc": {
+        (1, "table_rms"): 201.00,
+        (1, "motor_rms"): 204.21,
+        (11, "table_rms"): 0.55,
+        (11, "motor_rms"): 5.39,
+        (11, "table_max"): 3.57,
+    },
+    "milc": {
+        (1, "table_rms"): 196.46,
+        (1, "motor_rms"): 199.81,
+        (11, "table_rms"): 0.46,
+        (11, "motor_rms"): 0.40,
+        (11, "table_max"): 2.06,
+    },
 }
 FITTED_ROWS = {("dilc", 1, "table_rms"), ("dilc", 11, "table_rms"), ("dilc", 11, "motor_rms")}
 
 
 def _row(scheme: str, trial: int, quantity: str, value: float) -> Published:
-    fit = Fit(tuple(FITTED), "three numbers of the DILC row", (scheme, trial, quantity) in FITTED_ROWS)
-    return Published(scheme, trial, quantity, value, "Table 1", (("axis", "x"),), f"the paper's trial {trial - 1}", fitted=fit)
+    fit = Fit(
+        tuple(FITTED), "three numbers of the DILC row", (scheme, trial, quantity) in FITTED_ROWS
+    )
+    return Published(
+        scheme,
+        trial,
+        quantity,
+        value,
+        "Table 1",
+        (("axis", "x"),),
+        f"the paper's trial {trial - 1}",
+        fitted=fit,
+    )
 
 
-PUBLISHED = tuple(_row(scheme, trial, quantity, value) for scheme, rows in TABLE_1.items() for (trial, quantity), value in rows.items())
+PUBLISHED = tuple(
+    _row(scheme, trial, quantity, value)
+    for scheme, rows in TABLE_1.items()
+    for (trial, quantity), value in rows.items()
+)
 
 CHOSEN = (
     "masses, stiffness, damping and force gain are not printed: 30 kg on each side, 3 % damping, a torque filter of 350 Hz and a force "
@@ -80,7 +120,9 @@ def nominal_drive(antiresonance: float, force_gain: float) -> BallScrewDrive:
 
 
 def real_machine(drive: BallScrewDrive, noise: float, pitch: float = 10.0) -> Machine:
-    """The drive with what its model leaves out. noise: standard deviation on the table [mm];  pitch: [mm]"""
+    """The drive with what its model leaves out. noise: standard deviation on the table [mm];
+    pitch: [mm]
+    """
     friction = StribeckFriction(coulomb_force=20.0, static_force=26.0, transition_velocity=1e-3)
     compensated = dataclasses.replace(friction, coulomb_force=0.9 * 20.0, static_force=0.9 * 26.0)
     motor_step = PULSE * pitch
@@ -103,7 +145,9 @@ def position_gain(drive: BallScrewDrive) -> float:
 
 @jax.jit
 def linear_model(drive: BallScrewDrive) -> StateSpace:
-    """The drive as the model-based schemes are given it, at 4 kHz. Compiled as one: it is ninety programs operation by operation."""
+    """The drive as the model-based schemes are given it, at 4 kHz. Compiled as one: it is ninety
+    programs operation by operation.
+    """
     return drive.linear(DT)
 
 
@@ -118,17 +162,30 @@ def multivariable_ilc(drive: BallScrewDrive) -> MultivariableILC:
     """MILC: learns control and reference on both errors."""
     gain, model = position_gain(drive), linear_model(drive)
     learning = NormOptimal(multivariable_model(gain, model), **WEIGHTS)
-    return MultivariableILC(learning, PID(kp=gain), prefilter=inverse(output_ratio(drive.mechanics(), DT)))
+    return MultivariableILC(
+        learning, PID(kp=gain), prefilter=inverse(output_ratio(drive.mechanics(), DT))
+    )
 
 
 def path(velocity: float) -> np.ndarray:
-    """25 ms of rest, which the prefilter needs to start early, then forward and back. velocity: [mm/s]"""
-    move = references.s_curve([0.0, 10.0, 0.0], velocity=velocity, acceleration=6e3, jerk=6e5, dwell=0.3, dt=DT, duration=0.975)
+    """25 ms of rest, which the prefilter needs to start early, then forward and back. velocity:
+    [mm/s]
+    """
+    move = references.s_curve(
+        [0.0, 10.0, 0.0],
+        velocity=velocity,
+        acceleration=6e3,
+        jerk=6e5,
+        dwell=0.3,
+        dt=DT,
+        duration=0.975,
+    )
     return np.concatenate([np.zeros(100), move])
 
 
 def milc_2024(axis: str = "x") -> Scenario:
-    """The experiments of MILC 2024, section 5: ten trials of learning after one under feedback alone, 4 kHz.
+    """The experiments of MILC 2024, section 5: ten trials of learning after one under feedback
+    alone, 4 kHz.
 
     axis: `x`, a screw of 10 mm pitch, or `z`, of 12 mm
     Raises ValueError for another axis.
@@ -144,7 +201,10 @@ def milc_2024(axis: str = "x") -> Scenario:
         task=Task(reference=np.stack([r, r], axis=1), dt=DT, inputs=1, unit="mm", input_unit="V"),
         schemes={"dilc": direct_ilc(drive), "milc": multivariable_ilc(drive)},
         trials=11,
-        uncertainty={f"plant.{name}": Uniform(0.9, 1.1, relative=True) for name in ("stiffness", "table_mass", "motor_mass", "force_gain")},
+        uncertainty={
+            f"plant.{name}": Uniform(0.9, 1.1, relative=True)
+            for name in ("stiffness", "table_mass", "motor_mass", "force_gain")
+        },
         published=PUBLISHED,
         chosen=CHOSEN,
         tolerance=1.0,
@@ -172,7 +232,9 @@ def table_max(trial) -> jax.Array:
 
 
 def motor_rms(trial, *, gain) -> jax.Array:
-    """Root mean square of what the position loop sees, its share of the input over its gain: of r_j - y_M."""
+    """Root mean square of what the position loop sees, its share of the input over its gain: of r_j
+    - y_M.
+    """
     return feedback_effort(trial) / gain
 
 

@@ -1,6 +1,7 @@
 """Parameter files: what was found for the schemes of a scenario, with how it was found. JSON:
 
-{"scenario": "cao-2019", "schemes": {"cfdl-mfailc": {"lam": 0.003, "lead": 3}}, "versions": {...}, "obtained": {...}}
+{"scenario": "cao-2019", "schemes": {"cfdl-mfailc": {"lam": 0.003, "lead": 3}}, "versions": {...},
+"obtained": {...}}
 """
 
 from __future__ import annotations
@@ -22,19 +23,31 @@ from . import Scenario
 def differing(scheme: Scheme, printed: Scheme) -> dict[str, Any]:
     """Leaves and static fields of a scheme that are not as in another one, by path, as JSON.
 
-    A leaf that the other one lacks is named too, so that what was set by hand before tuning is not lost.
+    A leaf that the other one lacks is named too, so that what was set by hand before tuning is not
+    lost.
     """
     before, now = settable(printed), settable(scheme)
-    changed = {path: value for path, value in now.items() if path not in before or not _same(value, before[path])}
+    changed = {
+        path: value
+        for path, value in now.items()
+        if path not in before or not _same(value, before[path])
+    }
     return {path: _plain(value) for path, value in changed.items()}
 
 
-def write_parameters(path: Path, scenario: str, schemes: Mapping[str, Mapping[str, Any]], obtained: Mapping[str, Any]) -> Path:
+def write_parameters(
+    path: Path, scenario: str, schemes: Mapping[str, Mapping[str, Any]], obtained: Mapping[str, Any]
+) -> Path:
     """Write a parameter file.
 
     schemes: values by the scheme's name and the path within it;  obtained: how, as JSON
     """
-    content = {"scenario": scenario, "schemes": schemes, "versions": environment()["versions"], "obtained": obtained}
+    content = {
+        "scenario": scenario,
+        "schemes": schemes,
+        "versions": environment()["versions"],
+        "obtained": obtained,
+    }
     write_json(path, content)
     return path
 
@@ -42,20 +55,29 @@ def write_parameters(path: Path, scenario: str, schemes: Mapping[str, Mapping[st
 def with_parameters(scenario: Scenario, path: Path) -> Scenario:
     """The scenario with the values of a parameter file.
 
-    Raises ValueError for a file that is none, is of another scenario, or names what cannot be set; FileNotFoundError for none at all.
+    Raises ValueError for a file that is none, is of another scenario, or names what cannot be set;
+    FileNotFoundError for none at all.
     """
     try:
         content = read_json(path)
         name, schemes = content["scenario"], content["schemes"]
-        values = {f"{scheme}.{leaf}": value for scheme, of in schemes.items() for leaf, value in of.items()}
+        values = {
+            f"{scheme}.{leaf}": value
+            for scheme, of in schemes.items()
+            for leaf, value in of.items()
+        }
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         why = f" ({str(error).removeprefix(f'{path}: ')})" if isinstance(error, ValueError) else ""
-        raise ValueError(f"{path} is not a parameter file: it needs `scenario` and `schemes`, as `jaxilc tune` writes them{why}") from None
+        raise ValueError(
+            f"{path} is not a parameter file: it needs `scenario` and `schemes`, as `jaxilc tune` writes them{why}"
+        ) from None
     if name != scenario.name:
         raise ValueError(f"{path} has parameters of {brief(name)}, not of {scenario.name!r}")
     for scheme in schemes:
         if scheme not in scenario.schemes:
-            raise ValueError(f"{path}: scheme = {scheme!r} is not one of {', '.join(scenario.schemes)}")
+            raise ValueError(
+                f"{path}: scheme = {scheme!r} is not one of {', '.join(scenario.schemes)}"
+            )
     try:
         return scenario.with_values(values)
     except ValueError as error:
@@ -70,4 +92,8 @@ def _same(one, other) -> bool:
 
 def _plain(value):
     """As JSON: numbers and lists of them, text, None."""
-    return value if value is None or isinstance(value, str | bool | int) else np.asarray(value).tolist()
+    return (
+        value
+        if value is None or isinstance(value, str | bool | int)
+        else np.asarray(value).tolist()
+    )

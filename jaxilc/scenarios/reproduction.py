@@ -1,12 +1,15 @@
 """Published numbers beside ours, with a verdict on each.
 
     met      within 30 % of print, or below where the print says less than
-    shape    the row stands to every comparable row as in print, larger or smaller, and is at most twice and at least half of print
+    shape    the row stands to every comparable row as in print, larger or smaller, and is at most
+    twice and at least half of print
     open     neither; the reason is told
 
-Why a factor of two: the order alone would accept any size. Two is 6 dB, the gain margin that a loop is usually given at least, so that
-whoever designs with that reserve is not misled by a curve of the same shape; and it is the step from one row to the next in the printed
-tables of errors by trial (Cao 2019, Table 1: from 18 to 0.3 µm in six steps), so that a row beyond it is another row's number.
+Why a factor of two: the order alone would accept any size. Two is 6 dB, the gain margin that a loop
+is usually given at least, so that whoever designs with that reserve is not misled by a curve of the
+same shape; and it is the step from one row to the next in the printed tables of errors by trial
+(Cao 2019, Table 1: from 18 to 0.3 µm in six steps), so that a row beyond it is another row's
+number.
 """
 
 from __future__ import annotations
@@ -28,8 +31,9 @@ SHAPE = 2.0
 class Row(NamedTuple):
     """A published number and ours [the unit the scenario shows].
 
-    verdict: `met`, `shape` or `open`, as this module says;  reason: why a row is open, empty for the others
-    What the paper leaves open, how it was read and what was fitted stands in `published`.
+    verdict: `met`, `shape` or `open`, as this module says;  reason: why a row is open, empty for
+    the others What the paper leaves open, how it was read and what was fitted stands in
+    `published`.
     """
 
     scenario: str
@@ -43,8 +47,15 @@ class Row(NamedTuple):
     def as_dict(self) -> dict[str, object]:
         """The row flat, as JSON and CSV take it."""
         fitted = "" if self.published.fitted is None else str(self.published.fitted)
-        of_print = self.published._asdict() | {"options": dict(self.published.options), "fitted": fitted}
-        return {"scenario": self.scenario} | of_print | {name: getattr(self, name) for name in self._fields[2:]}
+        of_print = self.published._asdict() | {
+            "options": dict(self.published.options),
+            "fitted": fitted,
+        }
+        return (
+            {"scenario": self.scenario}
+            | of_print
+            | {name: getattr(self, name) for name in self._fields[2:]}
+        )
 
 
 def reproduce(names: Iterable[str] = ()) -> list[Row]:
@@ -63,22 +74,39 @@ def _of_scenario(name: str, published: tuple[Published, ...]) -> list[Row]:
         ours |= _simulated(scenario, [p for p in published if p.options == options])
     values = [ours[p] for p in published]
     return [
-        Row(name, p, value, value / p.value, settings[p.options].shown(p.quantity)[1], *_verdict(i, published, values))
+        Row(
+            name,
+            p,
+            value,
+            value / p.value,
+            settings[p.options].shown(p.quantity)[1],
+            *_verdict(i, published, values),
+        )
         for i, (p, value) in enumerate(zip(published, values, strict=True))
     ]
 
 
 def _simulated(scenario: Scenario, rows: list[Published]) -> dict[Published, float]:
-    """Our value for each row of one setting, infinite for a trial that diverged: each scheme learns once, as long as its last row asks."""
+    """Our value for each row of one setting, infinite for a trial that diverged: each scheme learns
+    once, as long as its last row asks.
+    """
     ours = {}
     for scheme in {p.scheme: None for p in rows}:
         due = [p for p in rows if p.scheme == scheme]
         trials, keep = max(p.trial or 1 for p in due), Keep.of(scenario.functions)
-        history = learn(scenario.machine, scenario.schemes[scheme], scenario.task, trials, save=keep)
-        figures = history.metrics._asdict() | history.saved | {"best_trial": best_trial(history.rms)}
+        history = learn(
+            scenario.machine, scenario.schemes[scheme], scenario.task, trials, save=keep
+        )
+        figures = (
+            history.metrics._asdict() | history.saved | {"best_trial": best_trial(history.rms)}
+        )
         for p in due:
             trial = (p.trial or 1) - 1
-            largest = np.inf if history.diverged[trial] else np.max(np.asarray(figures[p.quantity])[trial])
+            largest = (
+                np.inf
+                if history.diverged[trial]
+                else np.max(np.asarray(figures[p.quantity])[trial])
+            )
             ours[p] = scenario.shown(p.quantity)[0] * float(largest)
     return ours
 
@@ -91,20 +119,34 @@ def _verdict(i: int, published: tuple[Published, ...], ours: list[float]) -> tup
         return "met", ""
     if not np.isfinite(ratio):
         return "open", "ours is not finite"
-    others = [k for k, p in enumerate(published) if k != i and _comparable(here, p) and p.value != here.value]
-    against = [k for k in others if not (np.isfinite(x[k]) and np.sign(x[i] - x[k]) == np.sign(here.value - published[k].value))]
+    others = [
+        k
+        for k, p in enumerate(published)
+        if k != i and _comparable(here, p) and p.value != here.value
+    ]
+    against = [
+        k
+        for k in others
+        if not (
+            np.isfinite(x[k]) and np.sign(x[i] - x[k]) == np.sign(here.value - published[k].value)
+        )
+    ]
     size = f"{ratio:.2f} times the printed number"
     if not others:
         return "open", f"{size}, and no other row to compare with"
     if against:
-        return "open", f"{size}, and not in the printed order with {len(against)} of {len(others)} comparable rows"
+        return (
+            "open",
+            f"{size}, and not in the printed order with {len(against)} of {len(others)} comparable rows",
+        )
     if not 1 / SHAPE <= ratio <= SHAPE:
         return "open", f"in the printed order, but {size}, beyond a factor of {SHAPE:g}"
     return "shape", ""
 
 
 def _comparable(a: Published, b: Published) -> bool:
-    """Whether an order between two rows means something: one scheme at several trials or settings, or several schemes at one.
+    """Whether an order between two rows means something: one scheme at several trials or settings,
+    or several schemes at one.
 
     A scheme that does not learn is the same at every trial.
     """

@@ -1,4 +1,6 @@
-"""What a scenario is: a machine, its task, schemes with their parameters, uncertainty, and what was published about it."""
+"""What a scenario is: a machine, its task, schemes with their parameters, uncertainty, and what was
+published about it.
+"""
 
 from __future__ import annotations
 
@@ -20,14 +22,17 @@ from ..signals.task import Task, Trial
 from ..storage.printable import printable
 from ..uncertainty import Uncertainty
 
-_NAME = re.compile(r"[^\W_][\w +-]{0,49}")  # of a scheme: part of a path of parameters and of files' names
+_NAME = re.compile(
+    r"[^\W_][\w +-]{0,49}"
+)  # of a scheme: part of a path of parameters and of files' names
 _FREE_NAME = re.compile(r"[^\W_][\w .+()-]{0,49}")  # of a scenario: part of files' names
 
 
 class Fit(NamedTuple):
     """What was fitted to print before a row could be simulated.
 
-    names: of the free numbers, none if nothing was fitted;  to: the printed numbers that they were fitted to
+    names: of the free numbers, none if nothing was fitted;  to: the printed numbers that they were
+    fitted to
     among: whether the row is one of these, and so proves nothing
     """
 
@@ -38,7 +43,9 @@ class Fit(NamedTuple):
     def __str__(self) -> str:
         if not self.names:
             return "nothing fitted"
-        free = f"{len(self.names)} free number{'s' * (len(self.names) > 1)} ({', '.join(self.names)})"
+        free = (
+            f"{len(self.names)} free number{'s' * (len(self.names) > 1)} ({', '.join(self.names)})"
+        )
         return f"{free} fitted to {self.to}; this row {'is among them' if self.among else 'is predicted'}"
 
 
@@ -48,11 +55,13 @@ NOTHING = Fit()
 class Published(NamedTuple):
     """A printed number: data to compare with, never fed back.
 
-    quantity: `settled_error`, `max_error`, `rms`, `best_trial` (the best of the first `trial` ones) or a quantity of the scenario, in
-    the unit it is shown in
+    quantity: `settled_error`, `max_error`, `rms`, `best_trial` (the best of the first `trial` ones)
+    or a quantity of the scenario, in the unit it is shown in
     trial: None for a scheme that does not learn
-    options: of the scenario, under which the number was obtained;  reading: what the print leaves open there, and how it was read
-    at_most: printed as "less than";  fitted: what was fitted to print for it, `NOTHING` if nothing was, None if that is not said
+    options: of the scenario, under which the number was obtained;  reading: what the print leaves
+    open there, and how it was read
+    at_most: printed as "less than";  fitted: what was fitted to print for it, `NOTHING` if nothing
+    was, None if that is not said
     """
 
     scheme: str
@@ -69,7 +78,8 @@ class Published(NamedTuple):
 class Quantity(NamedTuple):
     """A figure of a trial that this system is judged by, besides the metrics of every trial.
 
-    of: from a trial to a number;  unit, scale: it is shown as `scale` times the number, in `unit`; None for those of the errors
+    of: from a trial to a number;  unit, scale: it is shown as `scale` times the number, in `unit`;
+    None for those of the errors
     """
 
     of: Callable[[Trial], jax.Array]
@@ -81,12 +91,16 @@ class Quantity(NamedTuple):
 class Scenario:
     """A system of a paper, ready to run.
 
-    trials: J;  uncertainty: distributions on the machine's leaves;  tolerance: settled error that passes [shown unit]
-    published: printed results [shown unit];  chosen: what the paper leaves open, and what was chosen here, as text
+    trials: J;  uncertainty: distributions on the machine's leaves;  tolerance: settled error that
+    passes [shown unit]
+    published: printed results [shown unit];  chosen: what the paper leaves open, and what was
+    chosen here, as text
     shown_unit, shown_scale: errors are shown as shown_scale times the simulated ones, in shown_unit
-    show_trials: trials worth a row in a table or a curve in a figure;  options: with which the scenario was loaded
-    quantities: further figures of a trial, by name;  judged_by: the figure that tables show and the tolerance is for
-    Names become parts of files' names and of paths, titles and units are printed: raises ValueError for characters that they cannot have.
+    show_trials: trials worth a row in a table or a curve in a figure;  options: with which the
+    scenario was loaded
+    quantities: further figures of a trial, by name;  judged_by: the figure that tables show and the
+    tolerance is for Names become parts of files' names and of paths, titles and units are printed:
+    raises ValueError for characters that they cannot have.
     """
 
     name: str
@@ -111,12 +125,27 @@ class Scenario:
         for name in self.schemes:
             _need_name("scheme", name, _NAME, "letters, digits, spaces and _ + -")
             if name == "machine":
-                raise ValueError("scheme = 'machine' is the name of the machine's own parameters; choose another")
-        units = {"unit": self.task.unit, "input_unit": self.task.input_unit, "shown_unit": self.shown_unit}
-        for what, text, forbidden in (("title", self.title, ""), *((name, unit, '[],;$"\\') for name, unit in units.items())):
-            if printable(text) != text or any(c in text for c in ("\n", *forbidden)) or (forbidden and "*/" in text):
+                raise ValueError(
+                    "scheme = 'machine' is the name of the machine's own parameters; choose another"
+                )
+        units = {
+            "unit": self.task.unit,
+            "input_unit": self.task.input_unit,
+            "shown_unit": self.shown_unit,
+        }
+        for what, text, forbidden in (
+            ("title", self.title, ""),
+            *((name, unit, '[],;$"\\') for name, unit in units.items()),
+        ):
+            if (
+                printable(text) != text
+                or any(c in text for c in ("\n", *forbidden))
+                or (forbidden and "*/" in text)
+            ):
                 besides = f", without {' '.join(forbidden)} and */" if forbidden else ""
-                raise ValueError(f"{what} = {brief(text)} cannot be shown; allowed are printable characters in one line{besides}")
+                raise ValueError(
+                    f"{what} = {brief(text)} cannot be shown; allowed are printable characters in one line{besides}"
+                )
 
     @property
     def functions(self) -> dict[str, Callable[[Trial], jax.Array]]:
@@ -124,27 +153,48 @@ class Scenario:
         return {name: quantity.of for name, quantity in self.quantities.items()}
 
     def shown(self, figure: str) -> tuple[float, str]:
-        """Scale and unit in which a figure is shown. Raises ValueError naming the figures there are."""
+        """Scale and unit in which a figure is shown. Raises ValueError naming the figures there
+        are.
+        """
         if figure in self.quantities:
             _, unit, scale = self.quantities[figure]
-            return self.shown_scale if scale is None else scale, self.shown_unit if unit is None else unit
+            return (
+                self.shown_scale if scale is None else scale,
+                self.shown_unit if unit is None else unit,
+            )
         if figure == "best_trial":
             return 1.0, ""
         if figure not in Metrics._fields:
-            raise ValueError(f"figure = {figure!r} is not one of {', '.join((*Metrics._fields, *self.quantities))}")
-        return (1.0, self.task.input_unit) if figure == "effort" else (self.shown_scale, self.shown_unit)
+            raise ValueError(
+                f"figure = {figure!r} is not one of {', '.join((*Metrics._fields, *self.quantities))}"
+            )
+        return (
+            (1.0, self.task.input_unit)
+            if figure == "effort"
+            else (self.shown_scale, self.shown_unit)
+        )
 
     @property
     def due(self) -> tuple[Published, ...]:
-        """The published rows that belong to this task: those of the same options, whichever form of the plant they were printed for."""
-        return tuple(p for p in self.published if all(k == "plant" or self.options.get(k) == v for k, v in p.options))
+        """The published rows that belong to this task: those of the same options, whichever form of
+        the plant they were printed for.
+        """
+        return tuple(
+            p
+            for p in self.published
+            if all(k == "plant" or self.options.get(k) == v for k, v in p.options)
+        )
 
     def select(self, names: tuple[str, ...]) -> Scenario:
         """Only the schemes named; all if none is. Raises ValueError naming the allowed ones."""
         for name in names:
             if name not in self.schemes:
                 raise ValueError(f"scheme = {name!r} is not one of {', '.join(self.schemes)}")
-        return dataclasses.replace(self, schemes={n: self.schemes[n] for n in names}) if names else self
+        return (
+            dataclasses.replace(self, schemes={n: self.schemes[n] for n in names})
+            if names
+            else self
+        )
 
     def check(self) -> None:
         """Raises ValueError, naming the scheme, where one does not fit the machine and the task."""
@@ -155,9 +205,15 @@ class Scenario:
                 raise ValueError(f"{name}: {error}") from None
 
     def settable(self) -> dict[str, object]:
-        """Everything `with_values` can set: `machine.…`, and each scheme's under its name, `ffdl-mfailc.lam`."""
+        """Everything `with_values` can set: `machine.…`, and each scheme's under its name,
+        `ffdl-mfailc.lam`.
+        """
         found = {f"machine.{path}": value for path, value in settable(self.machine).items()}
-        return found | {f"{name}.{path}": value for name, scheme in self.schemes.items() for path, value in settable(scheme).items()}
+        return found | {
+            f"{name}.{path}": value
+            for name, scheme in self.schemes.items()
+            for path, value in settable(scheme).items()
+        }
 
     def allowed(self, path: str) -> str:
         """What `with_values` accepts at a path, as text."""
@@ -165,7 +221,8 @@ class Scenario:
         return allowed_at(self.machine if head == "machine" else self.schemes[head], rest)
 
     def with_values(self, settings: Mapping[str, object]) -> Scenario:
-        """This scenario with leaves or static fields replaced, all at once: {"ffdl-mfailc.lam": 0.5}.
+        """This scenario with leaves or static fields replaced, all at once: {"ffdl-mfailc.lam":
+        0.5}.
 
         Values may be text. Raises ValueError naming what can be set, or the allowed range.
         """
@@ -177,20 +234,26 @@ class Scenario:
                 get_at(objects[head], rest)
                 changes.setdefault(head, {})[rest] = _typed(objects[head], rest, value, path)
             except KeyError:
-                raise ValueError(f"{path!r} cannot be set; known: {', '.join(self.settable())}") from None
+                raise ValueError(
+                    f"{path!r} cannot be set; known: {', '.join(self.settable())}"
+                ) from None
         objects |= {name: replaced(objects[name], below) for name, below in changes.items()}
         machine = objects.pop("machine")
         return dataclasses.replace(self, machine=machine, schemes=objects)
 
 
 def _typed(tree, path: str, value, shown: str):
-    """`value`, which may be text, as the field at the path has it: a static field by what it is annotated with, the rest are numbers."""
+    """`value`, which may be text, as the field at the path has it: a static field by what it is
+    annotated with, the rest are numbers.
+    """
     kind, annotation = kind_at(tree, path)
     if kind == "part":
         raise KeyError(path)
     if not isinstance(value, str):
         return value
-    choices = [one for one in (typing.get_args(annotation) or (annotation,)) if one is not type(None)]
+    choices = [
+        one for one in (typing.get_args(annotation) or (annotation,)) if one is not type(None)
+    ]
     if kind == "static" and str in choices:
         return value
     if value.lower() == "none":
@@ -203,7 +266,9 @@ def _typed(tree, path: str, value, shown: str):
             return numbers if len(numbers) > 1 else numbers[0]
         return tuple(_READ.get(choices[0], float)(part) for part in parts if part)
     except (ValueError, KeyError):
-        said = "a number, or numbers with commas between them" if kind == "leaf" else named(annotation)
+        said = (
+            "a number, or numbers with commas between them" if kind == "leaf" else named(annotation)
+        )
         raise ValueError(f"{shown} = {brief(value)} is not {said}") from None
 
 
@@ -215,4 +280,6 @@ _READ: dict[Any, Callable[[str], Any]] = {
 
 def _need_name(what: str, name: str, allowed: re.Pattern, said: str) -> None:
     if not allowed.fullmatch(name) or name.strip() != name:
-        raise ValueError(f"{what} = {brief(name)} is no name; allowed are up to 50 of {said}, a letter or digit first")
+        raise ValueError(
+            f"{what} = {brief(name)} is no name; allowed are up to 50 of {said}, a letter or digit first"
+        )

@@ -1,4 +1,6 @@
-"""Objects of the package from plain tables, as a TOML or JSON file holds them: a class by its name, its fields as keys."""
+"""Objects of the package from plain tables, as a TOML or JSON file holds them: a class by its name,
+its fields as keys.
+"""
 
 from __future__ import annotations
 
@@ -26,16 +28,26 @@ _MODELS = {"direct_model": plants.direct_model, "multivariable_model": plants.mu
 def classes() -> dict[str, type]:
     """Every class a file may name: schemes, filters, plants and their parts."""
     found = {name: getattr(module, name) for module in (schemes, plants) for name in module.__all__}
-    found |= {name: value for module in (filters, switching) for name, value in vars(module).items()}
-    return {n: c for n, c in found.items() if dataclasses.is_dataclass(c) and c.__module__.startswith(__package__)}
+    found |= {
+        name: value for module in (filters, switching) for name, value in vars(module).items()
+    }
+    return {
+        n: c
+        for n, c in found.items()
+        if dataclasses.is_dataclass(c) and c.__module__.startswith(__package__)
+    }
 
 
 class Table:
-    """A table of a file, read key by key and by kind. `where` names it in messages; `done` refuses what was not read."""
+    """A table of a file, read key by key and by kind. `where` names it in messages; `done` refuses
+    what was not read.
+    """
 
     def __init__(self, values: Any, where: str):
         if not isinstance(values, Mapping):
-            what = f"{where} {brief(values)}" if where.endswith(":") else f"{where} = {brief(values)}"
+            what = (
+                f"{where} {brief(values)}" if where.endswith(":") else f"{where} = {brief(values)}"
+            )
             raise ValueError(f"{what} is not a table of keys and values")
         self.values, self.where, self.read = dict(values), where, set()
 
@@ -45,23 +57,32 @@ class Table:
     def at(self, key: str) -> str:
         return f"{self.where}{' ' if self.where.endswith(':') else '.'}{key}"
 
-    def take(self, key: str, kind: Callable[[Any, str], Any], default: Any = dataclasses.MISSING) -> Any:
-        """The value of a key, made by `kind(value, where)`. Raises ValueError where a key without default is missing."""
+    def take(
+        self, key: str, kind: Callable[[Any, str], Any], default: Any = dataclasses.MISSING
+    ) -> Any:
+        """The value of a key, made by `kind(value, where)`. Raises ValueError where a key without
+        default is missing.
+        """
         self.read.add(key)
         if key in self.values:
             return kind(self.values[key], self.at(key))
         if default is dataclasses.MISSING:
-            raise ValueError(f"{self.at(key)} is missing; present are {', '.join(self.values) or 'none'}")
+            raise ValueError(
+                f"{self.at(key)} is missing; present are {', '.join(self.values) or 'none'}"
+            )
         return default
 
     def done(self) -> None:
         """Raises ValueError for a key that nobody asked for, naming those that are allowed."""
         for key in self.values:
             if key not in self.read:
-                raise ValueError(f"{self.at(key)} is not a key here; allowed are {', '.join(sorted(self.read)) or 'none'}")
+                raise ValueError(
+                    f"{self.at(key)} is not a key here; allowed are {', '.join(sorted(self.read)) or 'none'}"
+                )
 
 
-# Kinds of values ----------------------------------------------------------------------------------------------------------
+# Kinds of values
+# ----------------------------------------------------------------------------------------------------------
 
 
 def number(value: Any, where: str) -> float:
@@ -128,15 +149,26 @@ def list_of(kind: Callable[[Any, str], Any]) -> Callable[[Any, str], list]:
     return of_list
 
 
-# Objects ------------------------------------------------------------------------------------------------------------------
+# Objects
+# ------------------------------------------------------------------------------------------------------------------
 
 
-def built(values: Any, where: str, *, cls: type | None = None, plant: Plant | None = None, dt: float | None = None) -> Any:
-    """The object that a table describes: `class` names its class (where `cls` does not), the other keys are fields of it.
+def built(
+    values: Any,
+    where: str,
+    *,
+    cls: type | None = None,
+    plant: Plant | None = None,
+    dt: float | None = None,
+) -> Any:
+    """The object that a table describes: `class` names its class (where `cls` does not), the other
+    keys are fields of it.
 
-    plant, dt: what the text "plant" stands for in a nominal model, at the task's sample time. A model may also be a table with
-    `function` = "direct_model" or "multivariable_model", `C_P` and `P`.
-    Raises ValueError naming the key: an unknown class or field, a field missing, a value of another kind or outside its range.
+    plant, dt: what the text "plant" stands for in a nominal model, at the task's sample time. A
+    model may also be a table with `function` = "direct_model" or "multivariable_model", `C_P` and
+    `P`.
+    Raises ValueError naming the key: an unknown class or field, a field missing, a value of another
+    kind or outside its range.
     """
     table = Table(values, where)
     if cls is None:
@@ -146,7 +178,11 @@ def built(values: Any, where: str, *, cls: type | None = None, plant: Plant | No
         if field.name in _HIDDEN:
             continue
         kind = functools.partial(_field, field, hints[field.name], plant, dt)
-        value = table.take(field.name, kind, dataclasses.MISSING if field.default is dataclasses.MISSING else _DEFAULT)
+        value = table.take(
+            field.name,
+            kind,
+            dataclasses.MISSING if field.default is dataclasses.MISSING else _DEFAULT,
+        )
         if value is not _DEFAULT:
             fields[field.name] = value
     table.done()
@@ -156,7 +192,14 @@ def built(values: Any, where: str, *, cls: type | None = None, plant: Plant | No
 _DEFAULT = object()
 
 
-def _field(field: dataclasses.Field, hint: Any, plant: Plant | None, dt: float | None, value: Any, where: str) -> Any:
+def _field(
+    field: dataclasses.Field,
+    hint: Any,
+    plant: Plant | None,
+    dt: float | None,
+    value: Any,
+    where: str,
+) -> Any:
     kind = field.metadata.get("kind", "part")
     if kind == "leaf":
         return numbers(value, where)
@@ -177,14 +220,23 @@ def _kinds(hint: Any) -> str:
     """The classes that a part may be of, by name."""
     wanted = tuple(c for c in typing.get_args(hint) or (hint,) if c is not type(None))
     subclasses = [name for name, c in classes().items() if issubclass(c, wanted)]
-    return f"a table with class = {' | '.join(sorted(subclasses))}" if subclasses else ", ".join(c.__name__ for c in wanted)
+    return (
+        f"a table with class = {' | '.join(sorted(subclasses))}"
+        if subclasses
+        else ", ".join(c.__name__ for c in wanted)
+    )
 
 
 def _model(values: Mapping, where: str, plant: Plant | None, dt: float | None) -> plants.StateSpace:
     table = Table(values, where)
     function = _MODELS[table.take("function", one_of(sorted(_MODELS)))]
     gain = table.take("C_P", number)
-    model = table.take("P", lambda v, at: _nominal(at, plant, dt) if v == "plant" else built(v, at, cls=plants.StateSpace))
+    model = table.take(
+        "P",
+        lambda v, at: (
+            _nominal(at, plant, dt) if v == "plant" else built(v, at, cls=plants.StateSpace)
+        ),
+    )
     table.done()
     return _named(where, lambda: function(gain, model))
 
@@ -196,7 +248,9 @@ def _nominal(where: str, plant: Plant | None, dt: float | None) -> plants.StateS
     linear = _named(where, lambda: getattr(plant, "linear", plant.sampled)(dt))
     if not isinstance(linear, plants.StateSpace):
         name = type(plant).__name__
-        raise ValueError(f"{where} = 'plant' is a {name}, which is no linear model; allowed is a table with class = StateSpace")
+        raise ValueError(
+            f"{where} = 'plant' is a {name}, which is no linear model; allowed is a table with class = StateSpace"
+        )
     return linear
 
 
@@ -209,13 +263,17 @@ def scheme(values: Any, where: str, plant: Plant, dt: float) -> Scheme:
 
 
 def called(function: Callable, table: Table, **given: Any) -> Any:
-    """A function called with what is left of a table as its arguments. Raises ValueError naming the argument that does not fit."""
+    """A function called with what is left of a table as its arguments. Raises ValueError naming the
+    argument that does not fit.
+    """
     arguments = {}
     for name, parameter in inspect.signature(function).parameters.items():
         if name in given:
             continue
         default = dataclasses.MISSING if parameter.default is parameter.empty else _DEFAULT
-        value = table.take(name, lambda v, at: v if isinstance(v, str) else numbers(v, at)[()], default)
+        value = table.take(
+            name, lambda v, at: v if isinstance(v, str) else numbers(v, at)[()], default
+        )
         if value is not _DEFAULT:
             arguments[name] = value
     table.done()

@@ -1,7 +1,9 @@
-"""Xu 2024: a piezo fast tool servo under PID, sliding mode, adaptive sliding mode, and iterative learning with the latter.
+"""Xu 2024: a piezo fast tool servo under PID, sliding mode, adaptive sliding mode, and iterative
+learning with the latter.
 
-Xu et al.: adaptive sliding mode control with closed-loop iterative learning for a fast tool servo (2024), section 5. Lengths in µm, input
-in V, errors shown in nm. The experiments are the paper's; the numbers that it leaves out are fitted, see `FITTED`.
+Xu et al.: adaptive sliding mode control with closed-loop iterative learning for a fast tool servo
+(2024), section 5. Lengths in µm, input in V, errors shown in nm. The experiments are the paper's;
+the numbers that it leaves out are fitted, see `FITTED`.
 """
 
 from __future__ import annotations
@@ -24,12 +26,18 @@ from .scenario import Fit, Published, Quantity, Scenario
 DT = 1e-4
 MODEL: dict[str, Any] = {"a1": 2.413e6, "a2": 70.16, "b": 2.229e7}  # printed; µm per V
 
-# Six numbers fitted to the six of the PID, SMC and ASMC rows of Table 1 (experiments/xu_2024_calibration.py): initial slope of the
-# hysteresis, integral gain of PID, eta of SMC, k_n of both, phi and Delta of ASMC. The learning gain is fitted to one more.
+# Six numbers fitted to the six of the PID, SMC and ASMC rows of Table 1
+# (experiments/xu_2024_calibration.py): initial slope of the hysteresis, integral gain of PID, eta
+# of SMC, k_n of both, phi and Delta of ASMC. The learning gain is fitted to one more.
 FITTED = {"A": 0.05924, "ki": 664.3, "eta": 1.359e6, "k_n": 1003.0, "phi": 1.509e5, "Delta": 1265.0}
 LEARNING = 0.6744  # share of the inverse of the reaching dynamics that is learned in a trial
 
-TABLE_1 = {"pid": (806.24, 549.84), "smc": (874.85, 366.09), "asmc": (511.84, 228.91), "ilc-asmc": (84.95, 56.21)}  # nm: max, RMS
+TABLE_1 = {
+    "pid": (806.24, 549.84),
+    "smc": (874.85, 366.09),
+    "asmc": (511.84, 228.91),
+    "ilc-asmc": (84.95, 56.21),
+}  # nm: max, RMS
 TABLE_2 = {"asmc": (987.91, 338.77), "ilc-asmc": (268.87, 120.76)}
 LEARNED_TRIAL = 10
 READING = "after the start, from 0.1 s on"
@@ -37,7 +45,11 @@ READING = "after the start, from 0.1 s on"
 
 def _fit(scheme: str, quantity: str, load: float) -> Fit:
     """Of the six numbers, and for what learns of a seventh."""
-    names, to, learns = tuple(FITTED), "the six numbers of PID, SMC and ASMC in Table 1", scheme == "ilc-asmc"
+    names, to, learns = (
+        tuple(FITTED),
+        "the six numbers of PID, SMC and ASMC in Table 1",
+        scheme == "ilc-asmc",
+    )
     if learns:
         names, to = (*names, "learning gain"), f"{to} and the largest error of ILC-ASMC there"
     return Fit(names, to, load == 0.0 and (not learns or quantity == "settled_error"))
@@ -46,8 +58,20 @@ def _fit(scheme: str, quantity: str, load: float) -> Fit:
 def _rows(table, source, load):
     for scheme, values in table.items():
         for quantity, value in zip(("settled_error", "settled_rms"), values, strict=True):
-            trial, options = LEARNED_TRIAL if scheme == "ilc-asmc" else None, (("load", load), ("disturbance", "none"))
-            yield Published(scheme, trial, quantity, value, source, options, READING, fitted=_fit(scheme, quantity, load))
+            trial, options = (
+                LEARNED_TRIAL if scheme == "ilc-asmc" else None,
+                (("load", load), ("disturbance", "none")),
+            )
+            yield Published(
+                scheme,
+                trial,
+                quantity,
+                value,
+                source,
+                options,
+                READING,
+                fitted=_fit(scheme, quantity, load),
+            )
 
 
 PUBLISHED = (*_rows(TABLE_1, "Table 1", 0.0), *_rows(TABLE_2, "Table 2", 1.0))
@@ -70,7 +94,9 @@ def servo(A: float, load: float | None = None, disturbance: str = "none") -> Fas
     Its gain for small strokes is the identified one, whatever A is.
     """
     form = fast_tool_servo("full")
-    periodic = PeriodicForce(amplitudes=(1.0, 0.6, 0.4), frequencies=(20.0, 65.0, 110.0), phases=(0.0, 1.0, 2.0))
+    periodic = PeriodicForce(
+        amplitudes=(1.0, 0.6, 0.4), frequencies=(20.0, 65.0, 110.0), phases=(0.0, 1.0, 2.0)
+    )
     return dataclasses.replace(
         form,
         conversion=fast_tool_servo().conversion / (1 - A),
@@ -84,7 +110,9 @@ def schemes_for(fitted: dict[str, float], learning: float = LEARNING) -> dict[st
     """The paper's four controllers from the fitted numbers."""
     lam1, k_n = 500.0, fitted["k_n"]
     asmc = ASMC(**MODEL, phi=fitted["phi"], Delta=fitted["Delta"], k_n=k_n, epsilon=0.1)
-    exponential = ExponentialPD(K_P=learning * lam1 * k_n, K_D=learning * (lam1 + k_n), lam0=1.0, b=MODEL["b"])
+    exponential = ExponentialPD(
+        K_P=learning * lam1 * k_n, K_D=learning * (lam1 + k_n), lam0=1.0, b=MODEL["b"]
+    )
     return {
         "pid": PID(kp=0.3, ki=fitted["ki"], kd=1.6e-4),
         "smc": SMC(**MODEL, eta=fitted["eta"], k_n=k_n),
@@ -96,21 +124,37 @@ def schemes_for(fitted: dict[str, float], learning: float = LEARNING) -> dict[st
 def xu_2024(load: float = 0.0, disturbance: str = "none") -> Scenario:
     """The experiments of Xu 2024, section 5.3: 20 µm at 40 Hz for 0.5 s, 10 kHz, ten trials.
 
-    load: constant force on the tool [N], 1 in Table 2;  disturbance: `none`, or `multi`, a periodic force of three frequencies (Fig. 10)
-    Raises ValueError for another disturbance, or a load beyond 5 N, which is a quarter of the stroke.
+    load: constant force on the tool [N], 1 in Table 2;  disturbance: `none`, or `multi`, a periodic
+    force of three frequencies (Fig. 10)
+    Raises ValueError for another disturbance, or a load beyond 5 N, which is a quarter of the
+    stroke.
     """
     if disturbance not in ("none", "multi"):
         raise ValueError(f"xu-2024: disturbance = {disturbance!r} is not one of 'none', 'multi'")
     if not abs(load) <= 5:
         raise ValueError(f"xu-2024: load = {load:g} N is outside its allowed range [-5, 5]")
-    names = ["stiffness", "damping", "conversion", "hysteresis.initial_slope", *(["load"] if load else [])]
+    names = [
+        "stiffness",
+        "damping",
+        "conversion",
+        "hysteresis.initial_slope",
+        *(["load"] if load else []),
+    ]
     return Scenario(
         name="xu-2024",
         title="Piezo fast tool servo, adaptive sliding mode and iterative learning (Xu 2024)",
         machine=Machine(
-            servo(FITTED["A"], load or None, disturbance), Actuator(limit=10.0, resolution=20.0 / 2**16), Sensor(resolution=1.2e-3)
+            servo(FITTED["A"], load or None, disturbance),
+            Actuator(limit=10.0, resolution=20.0 / 2**16),
+            Sensor(resolution=1.2e-3),
         ),
-        task=Task(references.sinusoid(20.0, 40.0, duration=0.5, dt=DT), dt=DT, settle=(0.1, 0.5), unit="µm", input_unit="V"),
+        task=Task(
+            references.sinusoid(20.0, 40.0, duration=0.5, dt=DT),
+            dt=DT,
+            settle=(0.1, 0.5),
+            unit="µm",
+            input_unit="V",
+        ),
         schemes=schemes_for(FITTED),
         trials=10,
         uncertainty={f"plant.{name}": Uniform(0.8, 1.2, relative=True) for name in names},
@@ -120,7 +164,10 @@ def xu_2024(load: float = 0.0, disturbance: str = "none") -> Scenario:
         shown_unit="nm",
         shown_scale=1e3,
         show_trials=(1, 2, 4, 6, 8, 10),
-        quantities={"settled_rms": Quantity(settled_rms), "chattering": Quantity(chattering_of_input, "V/s", 1.0)},
+        quantities={
+            "settled_rms": Quantity(settled_rms),
+            "chattering": Quantity(chattering_of_input, "V/s", 1.0),
+        },
     )
 
 

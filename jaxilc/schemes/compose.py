@@ -31,10 +31,12 @@ class PairState(NamedTuple):
 
 @pytree
 class WithFeedback(Scheme):
-    """u = u_learning + u_feedback: learned feedforward over a feedback loop (the parallel structure of Li 2020, eq. 2).
+    """u = u_learning + u_feedback: learned feedforward over a feedback loop (the parallel structure
+    of Li 2020, eq. 2).
 
-    The learning part is shown the input less the feedback's share, so that it learns its own contribution only: what an actuator takes
-    away counts as taken from it. The trial's signal `feedback` is that share; those of the parts are `learning.NAME`, `feedback.NAME`.
+    The learning part is shown the input less the feedback's share, so that it learns its own
+    contribution only: what an actuator takes away counts as taken from it. The trial's signal
+    `feedback` is that share; those of the parts are `learning.NAME`, `feedback.NAME`.
     """
 
     learning: Scheme = part()
@@ -52,15 +54,21 @@ class WithFeedback(Scheme):
         return Pair(self.learning.memory(task), self.feedback.memory(task))
 
     def table(self, memory: Pair, task: Task) -> Pair:
-        return Pair(self.learning.table(memory.learning, task), self.feedback.table(memory.feedback, task))
+        return Pair(
+            self.learning.table(memory.learning, task), self.feedback.table(memory.feedback, task)
+        )
 
     def init(self, task: Task) -> PairState:
         return PairState(self.learning.init(task), self.feedback.init(task), jnp.zeros(task.inputs))
 
     def act(self, state: PairState, sample: Sample) -> tuple[Any, jax.Array]:
         own = None if sample.applied is None else sample.applied - state.u
-        learning, u_learning = self.learning.act(state.learning, sample._replace(row=sample.row.learning, applied=own))
-        feedback, u_feedback = self.feedback.act(state.feedback, sample._replace(row=sample.row.feedback))
+        learning, u_learning = self.learning.act(
+            state.learning, sample._replace(row=sample.row.learning, applied=own)
+        )
+        feedback, u_feedback = self.feedback.act(
+            state.feedback, sample._replace(row=sample.row.feedback)
+        )
         return PairState(learning, feedback, u_feedback), u_learning + u_feedback
 
     def signals(self, state: PairState) -> dict[str, jax.Array]:
@@ -69,13 +77,20 @@ class WithFeedback(Scheme):
 
     def learn(self, memory: Pair, trial: Trial) -> Pair:
         own, of_feedback = self._shown(trial)
-        return Pair(self.learning.learn(memory.learning, own), self.feedback.learn(memory.feedback, of_feedback))
+        return Pair(
+            self.learning.learn(memory.learning, own),
+            self.feedback.learn(memory.feedback, of_feedback),
+        )
 
     def _shown(self, trial: Trial) -> Pair:
         """The trial as each part learns from it."""
         if "feedback" not in trial.signals:
-            raise ValueError("WithFeedback: the trial has no signal 'feedback' (N, n_u), so its learned part cannot be told from u")
-        of_learning, of_feedback = (trial._replace(signals=below(name, trial.signals)) for name in ("learning", "feedback"))
+            raise ValueError(
+                "WithFeedback: the trial has no signal 'feedback' (N, n_u), so its learned part cannot be told from u"
+            )
+        of_learning, of_feedback = (
+            trial._replace(signals=below(name, trial.signals)) for name in ("learning", "feedback")
+        )
         return Pair(of_learning._replace(u=trial.u - trial.signals["feedback"]), of_feedback)
 
     def feedforward(self, memory: Pair, task: Task) -> jax.Array:
@@ -88,12 +103,15 @@ class WithFeedback(Scheme):
     def limits(self, task: Task, memory: Pair, trial: Trial) -> dict[str, Limit]:
         own, of_feedback = self._shown(trial)
         of_feedback = of_feedback._replace(u=trial.signals["feedback"])
-        return limits_below("learning", self.learning.limits(task, memory.learning, own)) | limits_below(
-            "feedback", self.feedback.limits(task, memory.feedback, of_feedback)
-        )
+        return limits_below(
+            "learning", self.learning.limits(task, memory.learning, own)
+        ) | limits_below("feedback", self.feedback.limits(task, memory.feedback, of_feedback))
 
     def play(self, learned, memory: Pair, task: Task) -> Pair:
-        return Pair(self.learning.play(learned, memory.learning, task), self.feedback.table(memory.feedback, task))
+        return Pair(
+            self.learning.play(learned, memory.learning, task),
+            self.feedback.table(memory.feedback, task),
+        )
 
     def record(self, learned, e, task: Task) -> Trial:
         trial = self.learning.record(learned, e, task)
@@ -114,7 +132,11 @@ def of_part(name: str, scheme: Scheme, state: State) -> dict[str, jax.Array]:
 
 def below(name: str, signals: dict[str, jax.Array]) -> dict[str, jax.Array]:
     """The signals of a part, as it named them itself."""
-    return {signal.removeprefix(f"{name}."): value for signal, value in signals.items() if signal.startswith(f"{name}.")}
+    return {
+        signal.removeprefix(f"{name}."): value
+        for signal, value in signals.items()
+        if signal.startswith(f"{name}.")
+    }
 
 
 class Around(Scheme):
@@ -180,7 +202,8 @@ class Around(Scheme):
 class Filtered(Around):
     """u_{j+1} = Q(u_j + L e_j): a robustness filter on what any learning scheme is about to apply.
 
-    scheme: one whose table has a field `u`, and whose `limit`, if it has one, holds for the filtered u too
+    scheme: one whose table has a field `u`, and whose `limit`, if it has one, holds for the
+    filtered u too
     filter: zero-phase, applied to each channel of `u`
     """
 
@@ -207,10 +230,12 @@ class Filtered(Around):
 
 @pytree
 class ErrorFiltered(Around):
-    """u_{j+1} = u_j + L F e_j: the error is filtered between trials, before any scheme learns from it (Li 2020, eq. 11 and Fig. 17).
+    """u_{j+1} = u_j + L F e_j: the error is filtered between trials, before any scheme learns from
+    it (Li 2020, eq. 11 and Fig. 17).
 
-    What F blocks is not learned, but nothing that was learned is forgotten either: there the error is multiplied by 1 - P L F, about 1,
-    where `Filtered` leaves |Q (1 - P L)|. Noise that F lets through still adds up.
+    What F blocks is not learned, but nothing that was learned is forgotten either: there the error
+    is multiplied by 1 - P L F, about 1, where `Filtered` leaves |Q (1 - P L)|. Noise that F lets
+    through still adds up.
     scheme: any that learns from the error;  filter: zero-phase, applied to each channel of e
     """
 
@@ -233,7 +258,8 @@ class ErrorFiltered(Around):
 
 @pytree
 class OnOutputs(Around):
-    """A scheme that sees only some of the outputs: a motor-side loop on a machine that also measures its table.
+    """A scheme that sees only some of the outputs: a motor-side loop on a machine that also
+    measures its table.
 
     scheme: acts on all inputs;  outputs: indices of the outputs it sees
     """
@@ -246,7 +272,9 @@ class OnOutputs(Around):
 
     def check(self, task: Task) -> None:
         if not self.outputs or not all(0 <= i < task.outputs for i in self.outputs):
-            raise ValueError(f"OnOutputs: outputs = {self.outputs} is not a choice among the task's outputs 0..{task.outputs - 1}")
+            raise ValueError(
+                f"OnOutputs: outputs = {self.outputs} is not a choice among the task's outputs 0..{task.outputs - 1}"
+            )
         self.scheme.check(self._task(task))
 
     def prepared(self, task: Task) -> OnOutputs:
@@ -266,7 +294,12 @@ class OnOutputs(Around):
 
     def act(self, state, sample: Sample) -> tuple[Any, jax.Array]:
         seen = list(self.outputs)
-        return self.scheme.act(state, sample._replace(r=sample.r[..., seen], ahead=sample.ahead[..., seen], y=sample.y[..., seen]))
+        return self.scheme.act(
+            state,
+            sample._replace(
+                r=sample.r[..., seen], ahead=sample.ahead[..., seen], y=sample.y[..., seen]
+            ),
+        )
 
     def learn(self, memory, trial: Trial) -> Any:
         return self.scheme.learn(memory, self._shown(trial))
@@ -283,10 +316,14 @@ class OnOutputs(Around):
 
     def record(self, learned, e, task: Task) -> Trial:
         r = jnp.asarray(task.reference)
-        return self.scheme.record(learned, e[:, list(self.outputs)], self._task(task))._replace(r=r, y=r - e)
+        return self.scheme.record(learned, e[:, list(self.outputs)], self._task(task))._replace(
+            r=r, y=r - e
+        )
 
 
 def need_feedforward(scheme: Scheme, learning: Scheme, task: Task) -> None:
     """Raises ValueError unless the table of `learning` has a feedforward signal `u`."""
     if not hasattr(jax.eval_shape(lambda: learning.table(learning.memory(task), task)), "u"):
-        raise ValueError(f"{type(scheme).__name__}: {type(learning).__name__} learns no feedforward signal u")
+        raise ValueError(
+            f"{type(scheme).__name__}: {type(learning).__name__} learns no feedforward signal u"
+        )

@@ -1,4 +1,6 @@
-"""When to learn, and from what: the stop rule and the ladder (Li 2020, sections 4 and 6.2), around any scheme that learns."""
+"""When to learn, and from what: the stop rule and the ladder (Li 2020, sections 4 and 6.2), around
+any scheme that learns.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ from .scheme import Scheme
 
 
 class Guard(Around):
-    """Within a trial it is the scheme it is put around; its memory holds that of the scheme as its field `scheme`."""
+    """Within a trial it is the scheme it is put around; its memory holds that of the scheme as its
+    field `scheme`.
+    """
 
     def table(self, memory, task: Task) -> Any:
         return self.scheme.table(memory.scheme, task)
@@ -36,9 +40,12 @@ class Guard(Around):
 
 
 class StopMemory(NamedTuple):
-    """scheme: memory of the scheme, of the trial to come;  frozen: () 1 once learning has stopped, else 0
+    """scheme: memory of the scheme, of the trial to come;  frozen: () 1 once learning has stopped,
+    else 0
     trials: () trials looked at until it stopped, that one included
-    best: memory that brought about the best trial so far;  best_rms: () its error; both None without `growth`"""
+    best: memory that brought about the best trial so far;  best_rms: () its error; both None
+    without `growth`
+    """
 
     scheme: Any
     frozen: jax.Array
@@ -49,15 +56,20 @@ class StopMemory(NamedTuple):
 
 @pytree
 class StopWhen(Guard):
-    """Learning that stops for good once a trial is good enough, or before the error grows (Li 2020, Fig. 19 and section 6.3).
+    """Learning that stops for good once a trial is good enough, or before the error grows (Li 2020,
+    Fig. 19 and section 6.3).
 
         max |e_j| <= max_error and RMS(e_j) <= rms     keep the memory that brought about trial j
-        RMS(e_j) > (1 + growth) min_{i<j} RMS(e_i)     go back to the memory that brought about the best trial
+        RMS(e_j) > (1 + growth) min_{i<j} RMS(e_i)     go back to the memory that brought about the
+        best trial
 
-    over the samples k = 1..N. From then on each trial plays back the same table; noise is not looked at again.
-    max_error, rms: () or (n_y,) tolerances [unit of y], None for none; every output must meet those that are given
-    growth: () >= 0, None for never; its RMS is over all outputs together, and a trial that is not finite has grown
-    What is compared carries no gradient, so that in a tolerance is zero. A frozen trial's gradient is that of the memory it is frozen
+    over the samples k = 1..N. From then on each trial plays back the same table; noise is not
+    looked at again.
+    max_error, rms: () or (n_y,) tolerances [unit of y], None for none; every output must meet those
+    that are given
+    growth: () >= 0, None for never; its RMS is over all outputs together, and a trial that is not
+    finite has grown What is compared carries no gradient, so that in a tolerance is zero. A frozen
+    trial's gradient is that of the memory it is frozen
     with: the trials learned from until then, and nothing of those that were discarded.
     Raises ValueError if there is nothing to stop it.
     """
@@ -69,7 +81,9 @@ class StopWhen(Guard):
 
     def __post_init__(self):
         if self.max_error is None and self.rms is None and self.growth is None:
-            raise ValueError("StopWhen: max_error, rms and growth are all None; at least one must be given")
+            raise ValueError(
+                "StopWhen: max_error, rms and growth are all None; at least one must be given"
+            )
 
     def check(self, task: Task) -> None:
         need_channels(self, task.outputs, "max_error", "rms")
@@ -92,7 +106,10 @@ class StopWhen(Guard):
             grown = ~stay & ~(rms <= (1 + lax.stop_gradient(self.growth)) * memory.best_rms)
             following = _choose(grown, memory.best, following)
             better = rms < memory.best_rms
-            best, best_rms = _choose(better, memory.scheme, memory.best), jnp.where(better, rms, memory.best_rms)
+            best, best_rms = (
+                _choose(better, memory.scheme, memory.best),
+                jnp.where(better, rms, memory.best_rms),
+            )
             stop = stay | grown
         trials = memory.trials + jnp.where(frozen, 0.0, 1.0)
         return StopMemory(following, stop.astype(memory.frozen.dtype), trials, best, best_rms)
@@ -108,7 +125,9 @@ class StopWhen(Guard):
 
 
 class Sums(NamedTuple):
-    """Sums over the repeats so far of y (N+1, n_y), u (N, n_u) and the signals by name, each (N, ...)."""
+    """Sums over the repeats so far of y (N+1, n_y), u (N, n_u) and the signals by name, each (N,
+    ...).
+    """
 
     y: jax.Array
     u: jax.Array
@@ -116,8 +135,11 @@ class Sums(NamedTuple):
 
 
 class LadderMemory(NamedTuple):
-    """scheme: memory of the scheme;  count: () repeats so far of the present table;  sums: over them
-    gain: () on the error;  rms: () of the mean trial last learned from, inf before; both None where the gain is fixed"""
+    """scheme: memory of the scheme;  count: () repeats so far of the present table;  sums: over
+    them
+    gain: () on the error;  rms: () of the mean trial last learned from, inf before; both None where
+    the gain is fixed
+    """
 
     scheme: Any
     count: jax.Array
@@ -128,21 +150,25 @@ class LadderMemory(NamedTuple):
 
 @pytree
 class Ladder(Guard):
-    """Each table is run R times, and learned from once, by the mean trial (ladder-type learning, Li 2020, section 6.2).
+    """Each table is run R times, and learned from once, by the mean trial (ladder-type learning, Li
+    2020, section 6.2).
 
-    Noise that does not repeat enters what is learned with 1/sqrt(R) of its size. Between, the memory of the scheme stays.
-    With `slow` the gain of learning adapts: where the mean trial's RMS error has fallen since the last one, but to more than `slow`
-    of it, the gain grows, and stays in force:
+    Noise that does not repeat enters what is learned with 1/sqrt(R) of its size. Between, the
+    memory of the scheme stays. With `slow` the gain of learning adapts: where the mean trial's RMS
+    error has fallen since the last one, but to more than `slow` of it, the gain grows, and stays in
+    force:
 
-        slow < RMS_i / RMS_{i-1} <= 1:    gain' = min(growth_of_gain gain, largest),    from gain = 1
+        slow < RMS_i / RMS_{i-1} <= 1:    gain' = min(growth_of_gain gain, largest),    from gain =
+        1
 
-    The paper prints no rule. An error that has *risen* leaves the gain alone here, since more gain is not what it lacks.
-    For any scheme the gain is on the error it is shown, y' = r - gain (r - y). An adaptive law takes that for a plant that reacts
-    differently, and adapts to it as well.
+    The paper prints no rule. An error that has *risen* leaves the gain alone here, since more gain
+    is not what it lacks. For any scheme the gain is on the error it is shown, y' = r - gain (r -
+    y). An adaptive law takes that for a plant that reacts differently, and adapts to it as well.
 
-    repeats: R;  growth_of_gain: () >= 1;  largest: () >= 1;  slow: () in (0, 1), None for a gain of 1
-    What is compared carries no gradient, so that in `slow` is zero.
-    Raises ValueError, for an adapted gain, around FFDL-MFAILC, which compares the running trial with the output it was shown.
+    repeats: R;  growth_of_gain: () >= 1;  largest: () >= 1;  slow: () in (0, 1), None for a gain of
+    1 What is compared carries no gradient, so that in `slow` is zero.
+    Raises ValueError, for an adapted gain, around FFDL-MFAILC, which compares the running trial
+    with the output it was shown.
     """
 
     scheme: Scheme = part()
@@ -169,22 +195,34 @@ class Ladder(Guard):
         signals = jax.eval_shape(lambda: self.scheme.signals(self.scheme.init(task)))
         blank = {name: jnp.zeros((task.N, *s.shape), s.dtype) for name, s in signals.items()}
         sums = Sums(jnp.zeros((task.N + 1, task.outputs)), jnp.zeros((task.N, task.inputs)), blank)
-        adapted = (None, None) if self.slow is None else (jnp.ones(()), jnp.full((), jnp.inf, float))
+        adapted = (
+            (None, None) if self.slow is None else (jnp.ones(()), jnp.full((), jnp.inf, float))
+        )
         return LadderMemory(self.scheme.memory(task), jnp.zeros(()), sums, *adapted)
 
     def learn(self, memory: LadderMemory, trial: Trial) -> LadderMemory:
         # a measured trial may lack signals; the scheme shall see that it does
         names = [name for name in memory.sums.signals if name in trial.signals]
-        now = Sums(trial.y, trial.u, memory.sums.signals | {name: trial.signals[name] for name in names})
+        now = Sums(
+            trial.y, trial.u, memory.sums.signals | {name: trial.signals[name] for name in names}
+        )
         sums = _choose(memory.count == 0, now, jax.tree.map(jnp.add, memory.sums, now))
         count = memory.count + 1
         full = count >= self.repeats
         y, u, signals = jax.tree.map(lambda total: total / self.repeats, sums)
-        mean, gain, rms = trial._replace(y=y, u=u, signals={name: signals[name] for name in names}), None, None
+        mean, gain, rms = (
+            trial._replace(y=y, u=u, signals={name: signals[name] for name in names}),
+            None,
+            None,
+        )
         if self.slow is not None:
             now_rms = _root_mean_square(lax.stop_gradient(mean.e[1:]))
             slowly = (now_rms > lax.stop_gradient(self.slow) * memory.rms) & (now_rms <= memory.rms)
-            gain = jnp.where(full & slowly, jnp.minimum(self.growth_of_gain * memory.gain, self.largest), memory.gain)
+            gain = jnp.where(
+                full & slowly,
+                jnp.minimum(self.growth_of_gain * memory.gain, self.largest),
+                memory.gain,
+            )
             rms = jnp.where(full, now_rms, memory.rms)
             mean = mean._replace(y=mean.r - gain * mean.e)
         learned = _choose(full, self.scheme.learn(memory.scheme, mean), memory.scheme)
@@ -196,7 +234,9 @@ def _need_numbers(scheme: Scheme, *names: str) -> None:
     for name in names:
         value = getattr(scheme, name)
         if value is not None and value.shape != ():
-            raise ValueError(f"{type(scheme).__name__}: {name} has shape {value.shape}; allowed is ()")
+            raise ValueError(
+                f"{type(scheme).__name__}: {name} has shape {value.shape}; allowed is ()"
+            )
 
 
 def _choose(condition, one, other):

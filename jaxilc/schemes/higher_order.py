@@ -16,8 +16,10 @@ from .scheme import Feedforward, Scheme, ahead, limit_of, limited, need_square
 
 
 class Past(NamedTuple):
-    """u: (N, n) input of the trial to come;  inputs, errors: of the P-1 trials before the last, newest first, each (N, n);
-    zero before the first trial. An error is that from which its trial is learned, e[k+1+lead]."""
+    """u: (N, n) input of the trial to come;  inputs, errors: of the P-1 trials before the last,
+    newest first, each (N, n); zero before the first trial. An error is that from which its trial is
+    learned, e[k+1+lead].
+    """
 
     u: jax.Array
     inputs: tuple[jax.Array, ...]
@@ -30,11 +32,14 @@ class HigherOrder(Scheme):
 
         u_{j+1}[k] = sum_{i<P} alpha_i u_{j-i}[k] + sum_{i<P} gamma_i e_{j-i}[k+1+m]
 
-    Trials before the first, and errors beyond the end of a trial, count as zero. P = 1 is `PIDType` with gamma_p alone.
-    alpha: (P,) of sum 1, so that what has been learned stays where the error is zero; a sum in (0, 1) forgets (leaky)
-    gamma: (P,), or (P, n) for each channel [unit of u per unit of y];  lead: m, as for `PIDType`;  limit: largest |u| learned
-    On a plant P(z) each frequency's error obeys e_{j+1} = sum_i (alpha_i - gamma_i z^(1+m) P) e_{j-i} + (1 - sum alpha) r, so it
-    converges if the roots s of s^P = sum_i (alpha_i - gamma_i z^(1+m) P) s^(P-1-i) lie within the unit circle, not always monotonically.
+    Trials before the first, and errors beyond the end of a trial, count as zero. P = 1 is `PIDType`
+    with gamma_p alone.
+    alpha: (P,) of sum 1, so that what has been learned stays where the error is zero; a sum in (0,
+    1) forgets (leaky)
+    gamma: (P,), or (P, n) for each channel [unit of u per unit of y];  lead: m, as for `PIDType`;
+    limit: largest |u| learned On a plant P(z) each frequency's error obeys e_{j+1} = sum_i (alpha_i
+    - gamma_i z^(1+m) P) e_{j-i} + (1 - sum alpha) r, so it converges if the roots s of s^P = sum_i
+    (alpha_i - gamma_i z^(1+m) P) s^(P-1-i) lie within the unit circle, not always monotonically.
     Raises ValueError for shapes that do not fit or a sum of alpha outside (0, 1].
     """
 
@@ -54,7 +59,9 @@ class HigherOrder(Scheme):
         if known(self):
             total = float(np.sum(self.alpha))
             if not 0 < total <= 1 + 1e-6:  # a sum such as 0.7 + 0.2 + 0.1, in single precision
-                raise ValueError(f"HigherOrder: the sum of alpha = {total:g} is outside its allowed range (0, 1]")
+                raise ValueError(
+                    f"HigherOrder: the sum of alpha = {total:g} is outside its allowed range (0, 1]"
+                )
 
     def check(self, task: Task) -> None:
         need_square(self, task)
@@ -62,7 +69,9 @@ class HigherOrder(Scheme):
         need_channels(self, task.inputs, "limit")
         if self.gamma.shape[1:] not in ((), (task.inputs,)):
             P = self.gamma.shape[0]
-            raise ValueError(f"HigherOrder: gamma has shape {self.gamma.shape}; allowed are ({P},) and ({P}, {task.inputs})")
+            raise ValueError(
+                f"HigherOrder: gamma has shape {self.gamma.shape}; allowed are ({P},) and ({P}, {task.inputs})"
+            )
 
     def memory(self, task: Task) -> Past:
         rest = jnp.zeros((task.N, task.inputs))

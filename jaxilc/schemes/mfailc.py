@@ -1,8 +1,10 @@
-"""Model-free adaptive iterative learning control along the trial axis (Cao 2019): CFDL, PFDL and FFDL.
+"""Model-free adaptive iterative learning control along the trial axis (Cao 2019): CFDL, PFDL and
+FFDL.
 
-All three are one scheme. The data model is a pseudo gradient Phi over a window of L_y output and L_u input increments between
-trials (eq. 18); CFDL is the window (0, 1), whose Phi is the scalar pseudo partial derivative, and PFDL is (0, L_u).
-Below, D x(k, j) = x(k, j) - x(k, j-1) is the increment between trials; several channels are taken one by one.
+All three are one scheme. The data model is a pseudo gradient Phi over a window of L_y output and
+L_u input increments between trials (eq. 18); CFDL is the window (0, 1), whose Phi is the scalar
+pseudo partial derivative, and PFDL is (0, L_u). Below, D x(k, j) = x(k, j) - x(k, j-1) is the
+increment between trials; several channels are taken one by one.
 """
 
 from __future__ import annotations
@@ -24,7 +26,8 @@ class Memory(NamedTuple):
     """What MFAILC knows after trial j.
 
     u: (N, n) input of trial j;  y: (N+1, n) output of trial j
-    phi: L_y+L_u estimates, each (N, n), for the coming trial;  seen: () 1 once a trial has been seen, else 0
+    phi: L_y+L_u estimates, each (N, n), for the coming trial;  seen: () 1 once a trial has been
+    seen, else 0
     """
 
     u: jax.Array
@@ -34,8 +37,11 @@ class Memory(NamedTuple):
 
 
 class Table(NamedTuple):
-    """u: (N, n) the law's part that is known before the trial;  y, u_last: (N, n) output and input of trial j-1
-    weights: L_y+L_u-1 of them, each (N, n), of the increments D y(k..k-L_y+1, j) and D u(k-1..k-L_u+1, j) of the running trial."""
+    """u: (N, n) the law's part that is known before the trial;  y, u_last: (N, n) output and input
+    of trial j-1
+    weights: L_y+L_u-1 of them, each (N, n), of the increments D y(k..k-L_y+1, j) and D
+    u(k-1..k-L_u+1, j) of the running trial.
+    """
 
     u: jax.Array
     y: jax.Array
@@ -44,10 +50,12 @@ class Table(NamedTuple):
 
 
 class Window(NamedTuple):
-    """Increments of the running trial, newest first, each (n,): L_y-1 of the output and L_u-1 of the input.
+    """Increments of the running trial, newest first, each (n,): L_y-1 of the output and L_u-1 of
+    the input.
 
     u_last: (n,) what was applied in trial j-1 at the sample before
-    Tuples of arrays rather than one array: in a loop over samples, shifting an array costs a copy."""
+    Tuples of arrays rather than one array: in a loop over samples, shifting an array costs a copy.
+    """
 
     dy: tuple[jax.Array, ...]
     du: tuple[jax.Array, ...]
@@ -58,22 +66,28 @@ class Window(NamedTuple):
 class FFDLMFAILC(Scheme):
     """Full-form MFAILC (Cao 2019, eq. 25 and 27), with c = L_y + 1 the component of u(k):
 
-        u(k,j) = u(k,j-1) + phi_c / (lam + phi_c^2) [ rho_c e(k+1,j-1) - sum_{i<=L_y} rho_i phi_i D y(k-i+1,j)
+        u(k,j) = u(k,j-1) + phi_c / (lam + phi_c^2) [ rho_c e(k+1,j-1) - sum_{i<=L_y} rho_i phi_i D
+        y(k-i+1,j)
                                                       - sum_{i>c} rho_i phi_i D u(k+L_y-i+1,j) ]
 
-    D y(k,j) belongs to the running trial: FFDL acts as feedback within the trial, CFDL does not. The first trial applies u = 0,
-    the second uses phi0, the estimator has data from the third on. With a learning lead m, e and D y are taken m samples later;
-    where that lies beyond the end of the trial the error counts as zero and the estimate stays.
+    D y(k,j) belongs to the running trial: FFDL acts as feedback within the trial, CFDL does not.
+    The first trial applies u = 0, the second uses phi0, the estimator has data from the third on.
+    With a learning lead m, e and D y are taken m samples later; where that lies beyond the end of
+    the trial the error counts as zero and the estimate stays.
 
-    Every u above is the input as the actuator applied it, of both trials: u(k,j-1) and the increments between trials come from
-    `Trial.u`, those within the running trial from `Sample.applied`. Only what this sample adds is a command, which the actuator then
-    limits, slows or rounds. A controller that cannot know what its actuator applies takes what it commanded; record that as the
+    Every u above is the input as the actuator applied it, of both trials: u(k,j-1) and the
+    increments between trials come from `Trial.u`, those within the running trial from
+    `Sample.applied`. Only what this sample adds is a command, which the actuator then limits, slows
+    or rounds. A controller that cannot know what its actuator applies takes what it commanded;
+    record that as the
     trial's u as well, so that both increments are of the commanded input.
 
-    lam: () > 0 weight on the input increment [(y/u)^2];  rho: () or (L_y+L_u,) step factors in (0, 1]
+    lam: () > 0 weight on the input increment [(y/u)^2];  rho: () or (L_y+L_u,) step factors in (0,
+    1]
     eta: () estimator step in (0, 2];  mu: () > 0 [u^2], for L_y > 0 mixed units as in the paper
     phi0: (L_y+L_u,) start value; Cao 2019 does not print it, and the outcome hangs on it
-    epsilon: () reset threshold;  limit: largest |u|, None for none;  L_y, L_u: windows;  lead: m;  reset: see `reset_estimate`
+    epsilon: () reset threshold;  limit: largest |u|, None for none;  L_y, L_u: windows;  lead: m;
+    reset: see `reset_estimate`
     """
 
     lam: jax.Array = leaf(1.2, "(0, inf)")
@@ -111,21 +125,34 @@ class FFDLMFAILC(Scheme):
         du, dy = memory.seen * (trial.u - memory.u), memory.seen * (trial.y - memory.y)
         outputs = [past(dy[:-1], i) for i in range(self.L_y)]
         inputs = [past(du, i) for i in range(self.L_u)]
-        phi = pseudo_gradient(memory.phi, outputs + inputs, ahead(dy, 1 + self.lead), eta=self.eta, mu=self.mu)
-        phi = reset_estimate(phi, du, self._start(), component=self.L_y, epsilon=self.epsilon, mode=self.reset)
+        phi = pseudo_gradient(
+            memory.phi, outputs + inputs, ahead(dy, 1 + self.lead), eta=self.eta, mu=self.mu
+        )
+        phi = reset_estimate(
+            phi, du, self._start(), component=self.L_y, epsilon=self.epsilon, mode=self.reset
+        )
         if self.lead:
-            phi = [jnp.concatenate([new[: -self.lead], old[-self.lead :]]) for new, old in zip(phi, memory.phi, strict=True)]
+            phi = [
+                jnp.concatenate([new[: -self.lead], old[-self.lead :]])
+                for new, old in zip(phi, memory.phi, strict=True)
+            ]
         return Memory(trial.u, trial.y, tuple(phi), jnp.ones_like(memory.seen))
 
     def table(self, memory: Memory, task: Task) -> Table:
         c, rho = self.L_y, jnp.broadcast_to(self.rho, (self.L_y + self.L_u,))
         lead = memory.phi[c]
         gain = lead / (self.lam + lead**2)
-        weights = tuple(memory.seen * gain * rho[i] * memory.phi[i] for i in range(self.L_y + self.L_u) if i != c)
+        weights = tuple(
+            memory.seen * gain * rho[i] * memory.phi[i]
+            for i in range(self.L_y + self.L_u)
+            if i != c
+        )
         e = memory.seen * ahead(task.reference - memory.y, 1 + self.lead)
         u = memory.u + gain * rho[c] * e
         if not weights:
-            u = limited(u, self.limit)  # with weights, the running trial's increments come on top first
+            u = limited(
+                u, self.limit
+            )  # with weights, the running trial's increments come on top first
         return Table(u, memory.y[:-1], memory.u, weights)
 
     def init(self, task: Task) -> Window:
@@ -139,7 +166,9 @@ class FFDLMFAILC(Scheme):
         dy, du = (sample.y - row.y, *state.dy)[: self.L_y], state.du
         if du and sample.applied is not None:  # what was commanded a sample ago has become this
             du = (sample.applied - state.u_last, *du[1:])
-        u = row.u - sum(weight * increment for weight, increment in zip(row.weights, dy + du, strict=True))
+        u = row.u - sum(
+            weight * increment for weight, increment in zip(row.weights, dy + du, strict=True)
+        )
         u = limited(u, self.limit)
         du = (u - row.u_last, *du)[: self.L_u - 1]
         return Window(dy[: max(self.L_y - 1, 0)], du, row.u_last), u
@@ -158,12 +187,14 @@ class PFDLMFAILC(FFDLMFAILC):
 
 @pytree
 class CFDLMFAILC(FFDLMFAILC):
-    """Compact-form MFAILC (Cao 2019, eq. 12 and 13): L_y = 0, L_u = 1, phi the pseudo partial derivative.
+    """Compact-form MFAILC (Cao 2019, eq. 12 and 13): L_y = 0, L_u = 1, phi the pseudo partial
+    derivative.
 
         u(k,j) = u(k,j-1) + rho phi(k,j) / (lam + phi(k,j)^2) e(k+1,j-1)
 
-    An adaptive P-type law: on a dynamic plant the error can fall for some trials and then grow at any lam. A `Filtered` wrapper,
-    a learning lead or a stop rule makes it usable there. eta: () in (0, 1];  phi0: () or (1,)
+    An adaptive P-type law: on a dynamic plant the error can fall for some trials and then grow at
+    any lam. A `Filtered` wrapper, a learning lead or a stop rule makes it usable there. eta: () in
+    (0, 1];  phi0: () or (1,)
     """
 
     lam: jax.Array = leaf(1.0, "(0, inf)")

@@ -17,7 +17,9 @@ from .scheme import Scheme, State, limits_below, past
 
 
 class LearnedState(NamedTuple):
-    """feedback: its state;  u: (n_u,) the feedback's share;  reference: (1,) r[k+1], what the feedback will follow"""
+    """feedback: its state;  u: (n_u,) the feedback's share;  reference: (1,) r[k+1], what the
+    feedback will follow
+    """
 
     feedback: State
     u: jax.Array
@@ -26,17 +28,22 @@ class LearnedState(NamedTuple):
 
 @pytree
 class MultivariableILC(Scheme):
-    """MILC: learns the control u and the reference r of the position loop together (MILC 2024, eq. 23 to 29).
+    """MILC: learns the control u and the reference r of the position loop together (MILC 2024, eq.
+    23 to 29).
 
         v = u_j + C_P (r_j - y_M),   errors (r_j - y_M, r_d - y_T),   start r_0 = r_d / P_Z, u_0 = 0
 
-    Learning on the table's error alone cannot bring the motor's and the table's error down together (Proposition 1 there): the
-    feedback, which wants y_M = r_d, fights what was learned. Here its reference moves along.
+    Learning on the table's error alone cannot bring the motor's and the table's error down together
+    (Proposition 1 there): the feedback, which wants y_M = r_d, fights what was learned. Here its
+    reference moves along.
 
-    learning: of two inputs (u, r) and two outputs, usually `NormOptimal` with `plants.multivariable_model`; it plays back what it
+    learning: of two inputs (u, r) and two outputs, usually `NormOptimal` with
+    `plants.multivariable_model`; it plays back what it
               learned, and its second input is the whole reference, as printed, not a correction
-    feedback: follows the learned reference with the motor;  prefilter: 1 / P_Z on the reference, None for r_0 = r_d
-    motor_output, table_output: their numbers among the task's outputs. The sample k = 0 keeps r_d[0].
+    feedback: follows the learned reference with the motor;  prefilter: 1 / P_Z on the reference,
+    None for r_0 = r_d
+    motor_output, table_output: their numbers among the task's outputs. The sample k = 0 keeps
+    r_d[0].
     Signals of a trial: `feedback`, its share of the input, and `reference`, r[k+1] as learned.
     """
 
@@ -52,13 +59,19 @@ class MultivariableILC(Scheme):
 
     def learning_task(self, task: Task) -> Task:
         """The task as the learning part sees it: two inputs, and both errors."""
-        return dataclasses.replace(task, reference=task.reference[:, [self.table_output, self.table_output]], inputs=2)
+        return dataclasses.replace(
+            task, reference=task.reference[:, [self.table_output, self.table_output]], inputs=2
+        )
 
     def _motor_task(self, task: Task) -> Task:
         return dataclasses.replace(task, reference=task.reference[:, [self.motor_output]])
 
     def check(self, task: Task) -> None:
-        if task.inputs != 1 or self.motor_output == self.table_output or max(self.motor_output, self.table_output) >= task.outputs:
+        if (
+            task.inputs != 1
+            or self.motor_output == self.table_output
+            or max(self.motor_output, self.table_output) >= task.outputs
+        ):
             raise ValueError(
                 f"MultivariableILC: motor_output = {self.motor_output} and table_output = {self.table_output} must be two of the task's "
                 f"{task.outputs} outputs, and its inputs one, not {task.inputs}"
@@ -66,32 +79,46 @@ class MultivariableILC(Scheme):
         self.learning.check(self.learning_task(task))
         if not self.learning.plays_back:
             name = type(self.learning).__name__
-            raise ValueError(f"MultivariableILC: {name} acts within the trial; allowed are schemes that play back a learned signal")
+            raise ValueError(
+                f"MultivariableILC: {name} acts within the trial; allowed are schemes that play back a learned signal"
+            )
         if not hasattr(jax.eval_shape(lambda: self.learning.memory(self.learning_task(task))), "u"):
-            raise ValueError(f"MultivariableILC: the memory of {type(self.learning).__name__} has no field u that could start at r_0")
+            raise ValueError(
+                f"MultivariableILC: the memory of {type(self.learning).__name__} has no field u that could start at r_0"
+            )
         self.feedback.check(self._motor_task(task))
         if self.prefilter is not None:
             self.prefilter.check(task.N + 1, task.dt)
 
     def prepared(self, task: Task) -> MultivariableILC:
-        learning, feedback = self.learning.prepared(self.learning_task(task)), self.feedback.prepared(self._motor_task(task))
+        learning, feedback = (
+            self.learning.prepared(self.learning_task(task)),
+            self.feedback.prepared(self._motor_task(task)),
+        )
         return dataclasses.replace(self, learning=learning, feedback=feedback)
 
     def memory(self, task: Task) -> Pair:
         learning = self.learning.memory(self.learning_task(task))
         r = jnp.asarray(task.reference)[:, [self.table_output]]
         r = r if self.prefilter is None else self.prefilter(r, task.dt)
-        return Pair(learning._replace(u=learning.u.at[:, 1:].set(r[1:])), self.feedback.memory(self._motor_task(task)))
+        return Pair(
+            learning._replace(u=learning.u.at[:, 1:].set(r[1:])),
+            self.feedback.memory(self._motor_task(task)),
+        )
 
     def table(self, memory: Pair, task: Task) -> ReferenceTable:
-        return self.play(self.learning.table(memory.learning, self.learning_task(task)).u, memory, task)
+        return self.play(
+            self.learning.table(memory.learning, self.learning_task(task)).u, memory, task
+        )
 
     def play(self, learned, memory: Pair, task: Task) -> ReferenceTable:
         u, r = learned[:, :1], learned[:, 1:]
         held = jnp.pad(r, ((0, self.preview - 1), (0, 0)), mode="edge")
         window = jnp.stack([held[i : i + task.N] for i in range(self.preview)], axis=1)
         now = past(r, 1).at[0].set(task.reference[0, self.table_output])
-        return ReferenceTable(u, now, window, self.feedback.table(memory.feedback, self._motor_task(task)))
+        return ReferenceTable(
+            u, now, window, self.feedback.table(memory.feedback, self._motor_task(task))
+        )
 
     def feedforward(self, memory: Pair, task: Task) -> jax.Array:
         """(N, 2) the learned input and reference r[k+1] of the next trial."""
@@ -102,27 +129,43 @@ class MultivariableILC(Scheme):
 
     def act(self, state: LearnedState, sample: Sample) -> tuple[Any, jax.Array]:
         row = sample.row
-        seen = sample._replace(r=row.now, ahead=row.ahead, y=sample.y[self.motor_output][None], row=row.feedback)
+        seen = sample._replace(
+            r=row.now, ahead=row.ahead, y=sample.y[self.motor_output][None], row=row.feedback
+        )
         feedback, u = self.feedback.act(state.feedback, seen)
         return LearnedState(feedback, u, row.ahead[0]), row.u + u
 
     def signals(self, state: LearnedState) -> dict[str, jax.Array]:
-        return {"feedback": state.u, "reference": state.reference} | of_part("feedback", self.feedback, state.feedback)
+        return {"feedback": state.u, "reference": state.reference} | of_part(
+            "feedback", self.feedback, state.feedback
+        )
 
     def learn(self, memory: Pair, trial: Trial) -> Pair:
         own, of_motor = self._shown(trial)
-        return Pair(self.learning.learn(memory.learning, own), self.feedback.learn(memory.feedback, of_motor))
+        return Pair(
+            self.learning.learn(memory.learning, own),
+            self.feedback.learn(memory.feedback, of_motor),
+        )
 
     def _shown(self, trial: Trial) -> Pair:
         """The trial as each part learns from it."""
         for name in ("feedback", "reference"):
             if name not in trial.signals:
-                raise ValueError(f"MultivariableILC: the trial has no signal {name!r} (N, 1), so what was learned cannot be told from it")
+                raise ValueError(
+                    f"MultivariableILC: the trial has no signal {name!r} (N, 1), so what was learned cannot be told from it"
+                )
         start, r = trial.r[:1, self.table_output, None], trial.signals["reference"]
         y = trial.y[:, [self.motor_output, self.table_output]]
-        wanted = jnp.concatenate([jnp.concatenate([start, r]), trial.r[:, self.table_output, None]], axis=1)
-        own = Trial(wanted, y, jnp.concatenate([trial.u - trial.signals["feedback"], r], axis=1), trial.dt)
-        return Pair(own, trial._replace(r=wanted[:, :1], y=y[:, :1], signals=below("feedback", trial.signals)))
+        wanted = jnp.concatenate(
+            [jnp.concatenate([start, r]), trial.r[:, self.table_output, None]], axis=1
+        )
+        own = Trial(
+            wanted, y, jnp.concatenate([trial.u - trial.signals["feedback"], r], axis=1), trial.dt
+        )
+        return Pair(
+            own,
+            trial._replace(r=wanted[:, :1], y=y[:, :1], signals=below("feedback", trial.signals)),
+        )
 
     @property
     def trials_a_step(self) -> int:
@@ -131,10 +174,18 @@ class MultivariableILC(Scheme):
     def limits(self, task: Task, memory: Pair, trial: Trial) -> dict[str, Limit]:
         own, of_motor = self._shown(trial)
         of_motor = of_motor._replace(u=trial.signals["feedback"])
-        return limits_below("learning", self.learning.limits(self.learning_task(task), memory.learning, own)) | limits_below(
+        return limits_below(
+            "learning", self.learning.limits(self.learning_task(task), memory.learning, own)
+        ) | limits_below(
             "feedback", self.feedback.limits(self._motor_task(task), memory.feedback, of_motor)
         )
 
     def record(self, learned, e, task: Task) -> Trial:
         r = jnp.asarray(task.reference)
-        return Trial(r, r - e, learned[:, :1], task.dt, silent_signals(self, task) | {"reference": learned[:, 1:]})
+        return Trial(
+            r,
+            r - e,
+            learned[:, :1],
+            task.dt,
+            silent_signals(self, task) | {"reference": learned[:, 1:]},
+        )

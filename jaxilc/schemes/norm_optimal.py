@@ -1,4 +1,6 @@
-"""Norm-optimal iterative learning control: each trial minimises a quadratic cost of the next error, by a nominal model."""
+"""Norm-optimal iterative learning control: each trial minimises a quadratic cost of the next error,
+by a nominal model.
+"""
 
 from __future__ import annotations
 
@@ -18,11 +20,15 @@ from ..pytree.ranges import brief
 from ..signals.task import Limit, Task, Trial, product
 from .scheme import Feedforward, Scheme, limit_of, limited
 
-LARGEST_LIFTED = 8192  # rows or columns of the dense form: half a gigabyte each for H and the factor, in float64
+LARGEST_LIFTED = (
+    8192  # rows or columns of the dense form: half a gigabyte each for H and the factor, in float64
+)
 
 
 class Recursion(NamedTuple):
-    """What the Riccati recursion leaves. K: (N, n_u, n) gain of the state's deviation;  G: (N, n_u, n_u) inverse of the input's cost"""
+    """What the Riccati recursion leaves. K: (N, n_u, n) gain of the state's deviation;  G: (N, n_u,
+    n_u) inverse of the input's cost
+    """
 
     K: jax.Array
     G: jax.Array
@@ -37,26 +43,32 @@ class Lifted(NamedTuple):
 
 @pytree
 class NormOptimal(Scheme):
-    """The next input minimises, by the model H, the cost of the next trial (Amann, Owens, Rogers 1996; MILC 2024, eq. 5 to 8)
+    """The next input minimises, by the model H, the cost of the next trial (Amann, Owens, Rogers
+    1996; MILC 2024, eq. 5 to 8)
 
-        J = |e_{j+1}|^2_Wq + |u_{j+1} - u_j|^2_Wr + |u_{j+1}|^2_Ws,    e_{j+1} = e_j - H (u_{j+1} - u_j)
-        u_{j+1} = u_j + (H' W_q H + W_s + W_r)^-1 (H' W_q e_j - W_s u_j)
+        J = |e_{j+1}|^2_Wq + |u_{j+1} - u_j|^2_Wr + |u_{j+1}|^2_Ws,    e_{j+1} = e_j - H (u_{j+1} -
+        u_j) u_{j+1} = u_j + (H' W_q H + W_s + W_r)^-1 (H' W_q e_j - W_s u_j)
 
-    `riccati` solves it in time and memory linear in N. With d = u_{j+1} - u_j, x' = A x + B d from x[0] = 0, P[N] = 0, p[N] = 0:
+    `riccati` solves it in time and memory linear in N. With d = u_{j+1} - u_j, x' = A x + B d from
+    x[0] = 0, P[N] = 0, p[N] = 0:
 
-        Z = P[k+1] + C' w_q C,   G[k] = (B' Z B + w_r + w_s)^-1,   K[k] = G[k] B' Z A,   P[k] = A' Z (A - B K[k])
-        z = p[k+1] + C' w_q e_j[k+1],   g[k] = G[k] (B' z - w_s u_j[k]),   p[k] = A' z - K[k]' (B' z - w_s u_j[k])
-        d[k] = g[k] - K[k] x[k]
+        Z = P[k+1] + C' w_q C,   G[k] = (B' Z B + w_r + w_s)^-1,   K[k] = G[k] B' Z A,   P[k] = A' Z
+        (A - B K[k])
+        z = p[k+1] + C' w_q e_j[k+1],   g[k] = G[k] (B' z - w_s u_j[k]),   p[k] = A' z - K[k]' (B' z
+        - w_s u_j[k]) d[k] = g[k] - K[k] x[k]
 
-    derived afresh (Appendix A of MILC 2024 has slips); `lifted` solves the same in dense form, N n_u and N n_y up to 8192.
+    derived afresh (Appendix A of MILC 2024 has slips); `lifted` solves the same in dense form, N
+    n_u and N n_y up to 8192.
 
-    model: n_u inputs to n_y outputs, of the task's sample time, u[k] acting on y[k+1]; stable, so of the closed loop under feedback.
+    model: n_u inputs to n_y outputs, of the task's sample time, u[k] acting on y[k+1]; stable, so
+    of the closed loop under feedback.
            Nominal: the machine may differ
-    w_q: () or (n_y,) or (n_y, n_y);  w_r, w_s: () or (n_u,) or (n_u, n_u), positive semidefinite, w_r + w_s definite; symmetric up to
+    w_q: () or (n_y,) or (n_y, n_y);  w_r, w_s: () or (n_u,) or (n_u, n_u), positive semidefinite,
+    w_r + w_s definite; symmetric up to
          rounding, as a product A' A is: its symmetric part counts
     limit: () or (n_u,) largest |u| learned, None for none
-    Raises ValueError for an unstable model, and weights that are not symmetric or not semidefinite. Differentiable in the weights and
-    in the model, through the recursion.
+    Raises ValueError for an unstable model, and weights that are not symmetric or not semidefinite.
+    Differentiable in the weights and in the model, through the recursion.
     """
 
     model: StateSpace | TimeVaryingStateSpace = part()
@@ -70,19 +82,33 @@ class NormOptimal(Scheme):
 
     def __post_init__(self):
         if not isinstance(self.solved, Recursion | Lifted | None):
-            raise ValueError(f"NormOptimal: solved = {brief(self.solved)} is a {type(self.solved).__name__}; allowed is None")
-        for name, size in (("w_q", self.model.n_y), ("w_r", self.model.n_u), ("w_s", self.model.n_u)):
+            raise ValueError(
+                f"NormOptimal: solved = {brief(self.solved)} is a {type(self.solved).__name__}; allowed is None"
+            )
+        for name, size in (
+            ("w_q", self.model.n_y),
+            ("w_r", self.model.n_u),
+            ("w_s", self.model.n_u),
+        ):
             self._check_weight(name, size)
         if known((self.w_r, self.w_s)):
-            total = _eigenvalues(_matrix(self.w_r, self.model.n_u)) + _eigenvalues(_matrix(self.w_s, self.model.n_u))
-            both = _eigenvalues(_matrix(self.w_r, self.model.n_u) + _matrix(self.w_s, self.model.n_u))
+            total = _eigenvalues(_matrix(self.w_r, self.model.n_u)) + _eigenvalues(
+                _matrix(self.w_s, self.model.n_u)
+            )
+            both = _eigenvalues(
+                _matrix(self.w_r, self.model.n_u) + _matrix(self.w_s, self.model.n_u)
+            )
             if np.any(both <= 1e-14 * np.max(total)):
-                raise ValueError(f"NormOptimal: w_r + w_s has the eigenvalues {both}; allowed are positive ones only")
+                raise ValueError(
+                    f"NormOptimal: w_r + w_s has the eigenvalues {both}; allowed are positive ones only"
+                )
         if isinstance(self.model, StateSpace) and known(self.model):
             poles = np.linalg.eigvals(np.asarray(self.model.A))
             growth = np.max(np.abs(poles) - 1 if self.model.dt else poles.real, initial=-1.0)
             if growth > 1e-7:
-                where = "outside the unit circle" if self.model.dt else "right of the imaginary axis"
+                where = (
+                    "outside the unit circle" if self.model.dt else "right of the imaginary axis"
+                )
                 raise ValueError(
                     f"NormOptimal: the model is unstable (a pole {growth:.3g} {where}); give the closed loop that the learned input meets"
                 )
@@ -90,25 +116,38 @@ class NormOptimal(Scheme):
     def _check_weight(self, name: str, size: int) -> None:
         weight = getattr(self, name)
         if weight.shape not in ((), (size,), (size, size)):
-            raise ValueError(f"NormOptimal: {name} has shape {weight.shape}; allowed are (), ({size},) and ({size}, {size})")
+            raise ValueError(
+                f"NormOptimal: {name} has shape {weight.shape}; allowed are (), ({size},) and ({size}, {size})"
+            )
         if not known(weight):
             return
         W = np.asarray(_matrix(weight, size))
-        rounding = max(1e-6, np.sqrt(np.finfo(W.dtype).eps))  # half of the digits, of single precision at least
+        rounding = max(
+            1e-6, np.sqrt(np.finfo(W.dtype).eps)
+        )  # half of the digits, of single precision at least
         if np.max(np.abs(W - W.T)) > rounding * np.max(np.abs(W)):
             raise ValueError(f"NormOptimal: {name} = {W.tolist()} is not symmetric")
         values = _eigenvalues(W)
         if not np.all(values >= -max(1e-12, size * np.finfo(W.dtype).eps) * np.max(np.abs(values))):
-            raise ValueError(f"NormOptimal: {name} has the eigenvalues {values}; allowed are none below 0")
+            raise ValueError(
+                f"NormOptimal: {name} has the eigenvalues {values}; allowed are none below 0"
+            )
 
     def check(self, task: Task) -> None:
         jax.eval_shape(lambda model: model.sampled(task.dt), self.model)
-        for what, of_model, of_task in (("inputs", self.model.n_u, task.inputs), ("outputs", self.model.n_y, task.outputs)):
+        for what, of_model, of_task in (
+            ("inputs", self.model.n_u, task.inputs),
+            ("outputs", self.model.n_y, task.outputs),
+        ):
             if of_model != of_task:
-                raise ValueError(f"NormOptimal: the model has {of_model} {what} but the task {of_task}")
+                raise ValueError(
+                    f"NormOptimal: the model has {of_model} {what} but the task {of_task}"
+                )
         need_channels(self, task.inputs, "limit")
         if isinstance(self.model, TimeVaryingStateSpace) and self.model.N != task.N:
-            raise ValueError(f"NormOptimal: the model is given for N = {self.model.N} samples but the task has N = {task.N}")
+            raise ValueError(
+                f"NormOptimal: the model is given for N = {self.model.N} samples but the task has N = {task.N}"
+            )
         size = task.N * max(task.inputs, task.outputs)
         if self.form == "lifted" and size > LARGEST_LIFTED:
             raise ValueError(
@@ -139,7 +178,9 @@ class NormOptimal(Scheme):
         return dataclasses.replace(self, model=model, solved=self._solve(model, N))
 
     def _weights(self):
-        """Symmetric parts, so that a gradient is symmetric too, and a step along it keeps the weight so, in either form."""
+        """Symmetric parts, so that a gradient is symmetric too, and a step along it keeps the
+        weight so, in either form.
+        """
         n_u, n_y = self.model.n_u, self.model.n_y
         full = _matrix(self.w_q, n_y), _matrix(self.w_r, n_u), _matrix(self.w_s, n_u)
         return tuple((W + W.T) / 2 for W in full)
@@ -150,7 +191,9 @@ class NormOptimal(Scheme):
             H = lifted_model(model, N, model.dt)
             n_u, n_y = model.n_u, model.n_y
             QH = jnp.einsum("pq,kqm->kpm", Q, H.reshape(N, n_y, -1)).reshape(H.shape)
-            return Lifted(H, cho_factor(H.T @ QH + jnp.kron(jnp.eye(N), jnp.reshape(R + S, (n_u, n_u))))[0])
+            return Lifted(
+                H, cho_factor(H.T @ QH + jnp.kron(jnp.eye(N), jnp.reshape(R + S, (n_u, n_u))))[0]
+            )
 
         def back(P, now):
             A, B, C = now
@@ -203,13 +246,24 @@ def lifted_model(model: StateSpace | TimeVaryingStateSpace, N: int, dt: float) -
 
 
 def _scan(f, start, model, N, *rows, reverse=False):
-    """Scan f over the rows with the model's matrices A, B and the C of the sample after, constant or of each sample."""
+    """Scan f over the rows with the model's matrices A, B and the C of the sample after, constant
+    or of each sample.
+    """
     if isinstance(model, TimeVaryingStateSpace):
         return lax.scan(
-            lambda c, now: f(c, (now[0], *now[1:]) if rows else now[0]), start, ((model.A, model.B, model.C), *rows), reverse=reverse
+            lambda c, now: f(c, (now[0], *now[1:]) if rows else now[0]),
+            start,
+            ((model.A, model.B, model.C), *rows),
+            reverse=reverse,
         )
     fixed = (model.A, model.B, model.C)
-    return lax.scan(lambda c, now: f(c, (fixed, *now) if rows else fixed), start, rows, length=N, reverse=reverse)
+    return lax.scan(
+        lambda c, now: f(c, (fixed, *now) if rows else fixed),
+        start,
+        rows,
+        length=N,
+        reverse=reverse,
+    )
 
 
 def _matrix(weight, size: int):
@@ -224,7 +278,9 @@ def _eigenvalues(W):
 
 
 def _inverse(M):
-    """Of a small symmetric matrix; in closed form up to two rows, since LAPACK costs more than the rest of a step."""
+    """Of a small symmetric matrix; in closed form up to two rows, since LAPACK costs more than the
+    rest of a step.
+    """
     if M.shape[0] == 1:
         return 1 / M
     if M.shape[0] == 2:

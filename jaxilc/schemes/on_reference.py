@@ -15,7 +15,8 @@ from .scheme import Scheme, State, limits_below, past
 
 
 class ReferenceTable(NamedTuple):
-    """u: (N, n_y) correction w[k] of the reference r[k+1];  now: (N, n_y) that of r[k];  ahead: (N, preview, n_y) those of r[k+1], ...
+    """u: (N, n_y) correction w[k] of the reference r[k+1];  now: (N, n_y) that of r[k];  ahead: (N,
+    preview, n_y) those of r[k+1], ...
     feedback: the feedback's own table"""
 
     u: jax.Array
@@ -33,10 +34,11 @@ class ReferenceState(NamedTuple):
 
 @pytree
 class OnReference(Scheme):
-    """The feedback follows r + w, and w is what is learned (the series structure of Li 2020, Fig. 1).
+    """The feedback follows r + w, and w is what is learned (the series structure of Li 2020, Fig.
+    1).
 
-    learning: pure feedforward, its `u` is the correction w, with w[k] added to r[k+1];  feedback: any scheme
-    The signal `correction` of the trial records w. The error is that from r itself.
+    learning: pure feedforward, its `u` is the correction w, with w[k] added to r[k+1];  feedback:
+    any scheme The signal `correction` of the trial records w. The error is that from r itself.
     """
 
     learning: Scheme = part()
@@ -54,11 +56,17 @@ class OnReference(Scheme):
         need_feedforward(self, self.learning, self._task(task))
         if not self.learning.plays_back:
             name = type(self.learning).__name__
-            raise ValueError(f"OnReference: {name} acts within the trial; allowed are schemes that play back a learned signal")
+            raise ValueError(
+                f"OnReference: {name} acts within the trial; allowed are schemes that play back a learned signal"
+            )
         self.feedback.check(task)
 
     def prepared(self, task: Task) -> OnReference:
-        return dataclasses.replace(self, learning=self.learning.prepared(self._task(task)), feedback=self.feedback.prepared(task))
+        return dataclasses.replace(
+            self,
+            learning=self.learning.prepared(self._task(task)),
+            feedback=self.feedback.prepared(task),
+        )
 
     def memory(self, task: Task) -> Pair:
         return Pair(self.learning.memory(self._task(task)), self.feedback.memory(task))
@@ -77,7 +85,9 @@ class OnReference(Scheme):
 
     def act(self, state: ReferenceState, sample: Sample) -> tuple[Any, jax.Array]:
         row = sample.row
-        seen = sample._replace(r=sample.r + row.now, ahead=sample.ahead + row.ahead, row=row.feedback)
+        seen = sample._replace(
+            r=sample.r + row.now, ahead=sample.ahead + row.ahead, row=row.feedback
+        )
         feedback, u = self.feedback.act(state.feedback, seen)
         return ReferenceState(feedback, row.u), u
 
@@ -86,12 +96,17 @@ class OnReference(Scheme):
 
     def learn(self, memory: Pair, trial: Trial) -> Pair:
         own, of_feedback = self._shown(trial)
-        return Pair(self.learning.learn(memory.learning, own), self.feedback.learn(memory.feedback, of_feedback))
+        return Pair(
+            self.learning.learn(memory.learning, own),
+            self.feedback.learn(memory.feedback, of_feedback),
+        )
 
     def _shown(self, trial: Trial) -> Pair:
         """The trial as each part learns from it."""
         if "correction" not in trial.signals:
-            raise ValueError("OnReference: the trial has no signal 'correction' (N, n_y), so what was learned cannot be told")
+            raise ValueError(
+                "OnReference: the trial has no signal 'correction' (N, n_y), so what was learned cannot be told"
+            )
         own = trial._replace(u=trial.signals["correction"], signals={})
         return Pair(own, trial._replace(signals=below("feedback", trial.signals)))
 
@@ -101,10 +116,16 @@ class OnReference(Scheme):
 
     def limits(self, task: Task, memory: Pair, trial: Trial) -> dict[str, Limit]:
         own, of_feedback = self._shown(trial)
-        return limits_below("learning", self.learning.limits(self._task(task), memory.learning, own)) | limits_below(
-            "feedback", self.feedback.limits(task, memory.feedback, of_feedback)
-        )
+        return limits_below(
+            "learning", self.learning.limits(self._task(task), memory.learning, own)
+        ) | limits_below("feedback", self.feedback.limits(task, memory.feedback, of_feedback))
 
     def record(self, learned, e, task: Task) -> Trial:
         r = jnp.asarray(task.reference)
-        return Trial(r, r - e, jnp.zeros((task.N, task.inputs)), task.dt, silent_signals(self, task) | {"correction": learned})
+        return Trial(
+            r,
+            r - e,
+            jnp.zeros((task.N, task.inputs)),
+            task.dt,
+            silent_signals(self, task) | {"correction": learned},
+        )

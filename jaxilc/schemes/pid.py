@@ -14,8 +14,11 @@ from .scheme import Scheme, limited, need_square
 
 
 class PIDState(NamedTuple):
-    """integral: (n,) [unit of u];  e, slope, u: (n,) error, filtered de/dt and input of the sample before
-    r, feedforward: (n,) reference and feedforward of the sample before; None where nothing needs them"""
+    """integral: (n,) [unit of u];  e, slope, u: (n,) error, filtered de/dt and input of the sample
+    before
+    r, feedforward: (n,) reference and feedforward of the sample before; None where nothing needs
+    them
+    """
 
     integral: jax.Array
     e: jax.Array
@@ -27,20 +30,25 @@ class PIDState(NamedTuple):
 
 @pytree
 class PID(Scheme):
-    """PID with derivative filter, feedforward of the reference, input limit and anti-windup, channel by channel.
+    """PID with derivative filter, feedforward of the reference, input limit and anti-windup,
+    channel by channel.
 
         position:  u[k] = kp e[k] + ki dt sum_{i<=k} e[i] + kd s[k] + f[k]
-        increment: u[k] = u[k-1] + kp (e[k] - e[k-1]) + ki dt e[k] + kd (s[k] - s[k-1]) + f[k] - f[k-1]
-        s[k] = (tau s[k-1] + e[k] - e[k-1]) / (tau + dt), which is the backward difference of e for tau = 0
-        f[k] = kv (r[k+1] - r[k]) / dt + ka (r[k+2] - r[k+1] - r[k] + r[k-1]) / (2 dt^2)
+        increment: u[k] = u[k-1] + kp (e[k] - e[k-1]) + ki dt e[k] + kd (s[k] - s[k-1]) + f[k] -
+        f[k-1] s[k] = (tau s[k-1] + e[k] - e[k-1]) / (tau + dt), which is the backward difference of
+        e for tau = 0 f[k] = kv (r[k+1] - r[k]) / dt + ka (r[k+2] - r[k+1] - r[k] + r[k-1]) / (2
+        dt^2)
 
-    Before the first sample e = 0 and f = 0. Where u hits `limit`, the position form stops integrating unless the error drives it back
-    (conditional integration); the increment form starts from the limited u and so needs no more.
-    f is velocity and acceleration feedforward, central for the middle of the interval over which u[k] is held: so an integrator
-    follows exactly with kv alone, and a double integrator with ka alone at zero phase, y[k] = (r[k+1] + 2 r[k] + r[k-1]) / 4. The
-    reference holds its ends before and after the trial. f is nothing learned: under `WithFeedback` it belongs to the feedback's share.
-    kp [u/y], ki [u/(y s)], kd [u s/y]: () or (n,);  tau: derivative filter [s];  limit: largest |u|, None for none
-    kv [u s/y], ka [u s^2/y]: () or (n,), None for none; ka previews two samples
+    Before the first sample e = 0 and f = 0. Where u hits `limit`, the position form stops
+    integrating unless the error drives it back (conditional integration); the increment form starts
+    from the limited u and so needs no more. f is velocity and acceleration feedforward, central for
+    the middle of the interval over which u[k] is held: so an integrator follows exactly with kv
+    alone, and a double integrator with ka alone at zero phase, y[k] = (r[k+1] + 2 r[k] + r[k-1]) /
+    4. The
+    reference holds its ends before and after the trial. f is nothing learned: under `WithFeedback`
+    it belongs to the feedback's share. kp [u/y], ki [u/(y s)], kd [u s/y]: () or (n,);  tau:
+    derivative filter [s];  limit: largest |u|, None for none kv [u s/y], ka [u s^2/y]: () or (n,),
+    None for none; ka previews two samples
     """
 
     kp: jax.Array = leaf(0.0)
@@ -72,7 +80,12 @@ class PID(Scheme):
         slope = (self.tau * state.slope + e - state.e) / (self.tau + sample.dt)
         f, r = self._feedforward(state, sample), None if self.ka is None else sample.r
         if self.form == "increment":
-            u = state.u + self.kp * (e - state.e) + self.ki * sample.dt * e + self.kd * (slope - state.slope)
+            u = (
+                state.u
+                + self.kp * (e - state.e)
+                + self.ki * sample.dt * e
+                + self.kd * (slope - state.slope)
+            )
             u = limited(u if f is None else u + (f - state.feedforward), self.limit)
             return PIDState(state.integral, e, slope, u, r, f), u
         integral = state.integral + self.ki * sample.dt * e
@@ -89,7 +102,9 @@ class PID(Scheme):
         if self.kv is not None:
             f = self.kv * (sample.ahead[0] - sample.r) / dt
         if self.ka is not None:
-            f = _plus(self.ka * (sample.ahead[1] - sample.ahead[0] - sample.r + state.r) / (2 * dt**2), f)
+            f = _plus(
+                self.ka * (sample.ahead[1] - sample.ahead[0] - sample.r + state.r) / (2 * dt**2), f
+            )
         return f
 
 

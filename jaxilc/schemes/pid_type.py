@@ -13,13 +13,16 @@ from .scheme import Feedforward, Scheme, ahead, limit_of, limited, need_square
 
 @pytree
 class PIDType(Scheme):
-    """Learns u_{j+1}[k] = (1 - leak) u_j[k] + gamma_p e_j[k+1+m] + gamma_i sum_{i<=k} e_j[i+1] + gamma_d (e_j[k+1+m] - e_j[k+m]).
+    """Learns u_{j+1}[k] = (1 - leak) u_j[k] + gamma_p e_j[k+1+m] + gamma_i sum_{i<=k} e_j[i+1] +
+    gamma_d (e_j[k+1+m] - e_j[k+m]).
 
-    The gains are per sample, as Cao 2019 (section IV-D) and Li 2020 (eq. 2) print theirs. `Filtered(scheme, filter)` adds the
-    robustness filter: u_{j+1} = Q(u_j + L e_j). Errors and differences that lie beyond the end of the trial
-    count as zero.
+    The gains are per sample, as Cao 2019 (section IV-D) and Li 2020 (eq. 2) print theirs.
+    `Filtered(scheme, filter)` adds the
+    robustness filter: u_{j+1} = Q(u_j + L e_j). Errors and differences that lie beyond the end of
+    the trial count as zero.
     gamma_p, gamma_i, gamma_d: () or (n,) [unit of u per unit of y];  leak: () forgetting in [0, 1)
-    lead: m, samples by which learning looks ahead beyond the one of u[k] -> y[k+1];  limit: largest |u| learned
+    lead: m, samples by which learning looks ahead beyond the one of u[k] -> y[k+1];  limit: largest
+    |u| learned
     """
 
     gamma_p: jax.Array = leaf(0.0)
@@ -41,7 +44,11 @@ class PIDType(Scheme):
     def learn(self, memory: Feedforward, trial: Trial) -> Feedforward:
         e = trial.e
         difference = jnp.pad(jnp.diff(e, axis=0)[self.lead :], ((0, self.lead), (0, 0)))
-        step = self.gamma_p * ahead(e, 1 + self.lead) + self.gamma_i * jnp.cumsum(e[1:], axis=0) + self.gamma_d * difference
+        step = (
+            self.gamma_p * ahead(e, 1 + self.lead)
+            + self.gamma_i * jnp.cumsum(e[1:], axis=0)
+            + self.gamma_d * difference
+        )
         return Feedforward(limited((1.0 - self.leak) * trial.u + step, self.limit))
 
     def limits(self, task: Task, memory: Feedforward, trial: Trial) -> dict[str, Limit]:
@@ -51,4 +58,6 @@ class PIDType(Scheme):
 def need_lead(scheme, task: Task) -> None:
     """Raises ValueError if the learning lead leaves nothing of the trial to learn from."""
     if scheme.lead >= task.N:
-        raise ValueError(f"{type(scheme).__name__}: lead = {scheme.lead} is outside its allowed range [0, {task.N - 1}] for N = {task.N}")
+        raise ValueError(
+            f"{type(scheme).__name__}: lead = {scheme.lead} is outside its allowed range [0, {task.N - 1}] for N = {task.N}"
+        )

@@ -23,19 +23,26 @@ class Feedforward(NamedTuple):
 
 
 class Scheme:
-    """A control scheme. Its weights are the fields of a `@pytree` class; a user's own scheme subclasses this.
+    """A control scheme. Its weights are the fields of a `@pytree` class; a user's own scheme
+    subclasses this.
 
-    Between trials a `memory` is carried (any pytree); within a trial a `state`. `table(memory, task)` is what the trial needs of the
-    memory, sample by sample, each leaf (N, ...); where it has a field `u`, that is the learned feedforward input.
-    Pure feedback overrides `init` and `act`; pure feedforward overrides `memory` and `learn`.
+    Between trials a `memory` is carried (any pytree); within a trial a `state`. `table(memory,
+    task)` is what the trial needs of the memory, sample by sample, each leaf (N, ...); where it has
+    a field `u`, that is the learned feedforward input. Pure feedback overrides `init` and `act`;
+    pure feedforward overrides `memory` and `learn`.
 
     Theory reads off the program itself whether a scheme is linear and learns alike in every trial
-    (`theory.structure`). What it cannot read off, the scheme says: `estimator_steps` (see `frozen`),
-    `clips` (see `limits`), `trials_a_step`; and, where it is made of schemes, `play` and `record`.
+    (`theory.structure`). What it cannot read off, the scheme says: `estimator_steps` (see
+    `frozen`), `clips` (see `limits`), `trials_a_step`; and, where it is made of schemes, `play` and
+    `record`.
     """
 
-    __dataclass_fields__: ClassVar[dict[str, dataclasses.Field]]  # `@pytree` makes a dataclass of each subclass
-    estimator_steps: ClassVar[tuple[str, ...]] = ()  # fields that are the step of an estimator: at 0 nothing adapts
+    __dataclass_fields__: ClassVar[
+        dict[str, dataclasses.Field]
+    ]  # `@pytree` makes a dataclass of each subclass
+    estimator_steps: ClassVar[
+        tuple[str, ...]
+    ] = ()  # fields that are the step of an estimator: at 0 nothing adapts
     clips: ClassVar[tuple[str, ...]] = ()  # fields that are a limit, which None takes away
     preview: int = 1  # samples of the reference ahead of k that `act` wants to see
     trials_a_step: int = 1  # trials that are run before it learns once
@@ -51,12 +58,18 @@ class Scheme:
         return type(self).act is Scheme.act
 
     def prepared(self, task: Task) -> Scheme:
-        """This scheme with what depends on its weights and the task alone worked out, once, outside the scans; parts likewise."""
+        """This scheme with what depends on its weights and the task alone worked out, once, outside
+        the scans; parts likewise.
+        """
         return self._changed(lambda part: part.prepared(task), {})
 
     def frozen(self) -> Scheme:
-        """The linear law that this scheme starts as: estimators stopped at their start values, rules of when to learn left out."""
-        stopped = {name: STOPPED * jnp.ones_like(getattr(self, name)) for name in self.estimator_steps}
+        """The linear law that this scheme starts as: estimators stopped at their start values,
+        rules of when to learn left out.
+        """
+        stopped = {
+            name: STOPPED * jnp.ones_like(getattr(self, name)) for name in self.estimator_steps
+        }
         return self._changed(lambda part: part.frozen(), stopped)
 
     def unlimited(self) -> Scheme:
@@ -65,7 +78,11 @@ class Scheme:
 
     def _changed(self, of_part: Callable[[Scheme], Scheme], own: dict[str, Any]) -> Scheme:
         """This scheme with each scheme that it is made of changed, and fields of its own."""
-        parts = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)} if dataclasses.is_dataclass(self) else {}
+        parts = (
+            {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+            if dataclasses.is_dataclass(self)
+            else {}
+        )
         new = {name: of_part(one) for name, one in parts.items() if isinstance(one, Scheme)} | own
         return dataclasses.replace(self, **new) if new else self
 
@@ -78,7 +95,9 @@ class Scheme:
         return memory
 
     def feedforward(self, memory: Memory, task: Task) -> jax.Array:
-        """(N, n_u) the learned input that the next trial plays back. Raises ValueError for a scheme that learns none."""
+        """(N, n_u) the learned input that the next trial plays back. Raises ValueError for a scheme
+        that learns none.
+        """
         table = self.table(memory, task)
         if not hasattr(table, "u"):
             raise ValueError(f"{type(self).__name__} learns no feedforward input")
@@ -104,16 +123,21 @@ class Scheme:
         """By name, what must stay within its bound for the limits of this scheme to change nothing.
 
         memory, trial: with which a trial was entered, and its record, under the `unlimited` scheme
-        A field `limit` is taken to be the largest |u| within a trial; a scheme that limits what it learns says so.
+        A field `limit` is taken to be the largest |u| within a trial; a scheme that limits what it
+        learns says so.
         """
         return limit_of(trial.u, getattr(self, "limit", None)) if "limit" in self.clips else {}
 
     def play(self, learned, memory: Memory, task: Task) -> Any:
-        """The `table` of a trial that plays `learned` (of the shape of `feedforward`) in place of what was learned."""
+        """The `table` of a trial that plays `learned` (of the shape of `feedforward`) in place of
+        what was learned.
+        """
         return self.table(memory, task)._replace(u=learned)
 
     def record(self, learned, e, task: Task) -> Trial:
-        """The record of a trial that played `learned` with the error e (N+1, n_y), as `learn` takes it; a feedback added nothing."""
+        """The record of a trial that played `learned` with the error e (N+1, n_y), as `learn` takes
+        it; a feedback added nothing.
+        """
         r = jnp.asarray(task.reference)
         return Trial(r, r - e, learned, task.dt)
 
@@ -122,7 +146,9 @@ class Scheme:
 
 
 def need_square(scheme: Scheme, task: Task) -> None:
-    """Raises ValueError unless the task has as many inputs as outputs (schemes that work channel by channel)."""
+    """Raises ValueError unless the task has as many inputs as outputs (schemes that work channel by
+    channel).
+    """
     if task.inputs != task.outputs:
         raise ValueError(
             f"{type(scheme).__name__} works channel by channel and needs as many inputs as outputs, not {task.inputs} and {task.outputs}; "

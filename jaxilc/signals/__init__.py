@@ -1,4 +1,6 @@
-"""What passes between machine, scheme and learning: the task with its reference, one sample, one trial."""
+"""What passes between machine, scheme and learning: the task with its reference, one sample, one
+trial.
+"""
 
 import lazy_loader
 

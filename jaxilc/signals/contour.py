@@ -1,4 +1,5 @@
-"""Contours: curves as callables with a check of their shape, and the distance of a measured motion from one.
+"""Contours: curves as callables with a check of their shape, and the distance of a measured motion
+from one.
 
 A curve is any callable that takes (M,) parameter values and returns (M, d) positions [mm].
 """
@@ -25,7 +26,18 @@ _BUTTERFLY_POINTS = """
 52.060 24.994 53.305 36.359 48.992 22.122 44.814 16.865 38.802 12.551 32.911 8.521 29.152 14.535 28.040 9.267 21.364 4.830
 25.768 15.447 19.539 20.391 17.097 28.512 25.537 33.750 16.602 30.496 14.199 39.803 8.668 47.408 3.000 63.794 18.465 67.084
 31.197 58.572 39.411 51.358 52.204 44.971 52.904 49.614 53.478 52.139 54.492 52.139"""
-_BUTTERFLY_WEIGHTS = {3: 1.2, 11: 2.0, 14: 5.0, 15: 3.0, 17: 1.1, 33: 1.1, 35: 3.0, 36: 5.0, 39: 2.0, 47: 1.2}  # the others are 1
+_BUTTERFLY_WEIGHTS = {
+    3: 1.2,
+    11: 2.0,
+    14: 5.0,
+    15: 3.0,
+    17: 1.1,
+    33: 1.1,
+    35: 3.0,
+    36: 5.0,
+    39: 2.0,
+    47: 1.2,
+}  # the others are 1
 _BUTTERFLY_KNOTS = """0 0 0 0 .0083 .0150 .0361 .0855 .1293 .1509 .1931 .2273 .2435 .2561 .2692 .2889 .3170 .3316 .3482 .3553 .3649
 .3837 .4005 .4269 .4510 .4660 .4891 .5000 .5109 .5340 .5489 .5731 .5994 .6163 .6351 .6447 .6518 .6683 .6830 .7111 .7307 .7439 .7565
 .7729 .8069 .8491 .8707 .9145 .9639 .9850 .9917 1 1 1 1"""
@@ -39,26 +51,39 @@ def line(start, end) -> Curve:
 
 
 def circle(radius, *, centre=(0.0, 0.0)) -> Curve:
-    """Anticlockwise circle over the angle s [rad], from the point at s = 0 on the positive x-axis; radius: [mm];  centre: (2,) [mm]."""
+    """Anticlockwise circle over the angle s [rad], from the point at s = 0 on the positive x-axis;
+    radius: [mm];  centre: (2,) [mm].
+    """
     require("circle", "radius", radius, POSITIVE, " mm")
     return lambda s: np.asarray(centre) + radius * np.stack([np.cos(s), np.sin(s)], axis=-1)
 
 
 def nurbs(points, knots, weights=None) -> Curve:
-    """Non-uniform rational B-spline over (knots[0], knots[-1]); its degree is len(knots) - len(points) - 1.
+    """Non-uniform rational B-spline over (knots[0], knots[-1]); its degree is len(knots) -
+    len(points) - 1.
 
         C(s) = sum_i w_i N_i(s) P_i / sum_i w_i N_i(s)
 
-    points: (n, d) control points [mm];  knots: clamped, not falling;  weights: (n,) > 0, None for all one
+    points: (n, d) control points [mm];  knots: clamped, not falling;  weights: (n,) > 0, None for
+    all one
     Raises ValueError where the shapes do not fit or a weight is not positive.
     """
     points, knots = np.asarray(points, float), np.asarray(knots, float)
     weights = np.ones(len(points)) if weights is None else np.asarray(weights, float)
-    if points.ndim != 2 or weights.shape != points.shape[:1] or knots.ndim != 1 or len(knots) < len(points) + 2:
+    if (
+        points.ndim != 2
+        or weights.shape != points.shape[:1]
+        or knots.ndim != 1
+        or len(knots) < len(points) + 2
+    ):
         shapes = f"points {points.shape}, knots {knots.shape}, weights {weights.shape}"
-        raise ValueError(f"nurbs: {shapes}; allowed are (n, d), (n + degree + 1,), (n,) with degree >= 1")
+        raise ValueError(
+            f"nurbs: {shapes}; allowed are (n, d), (n + degree + 1,), (n,) with degree >= 1"
+        )
     require("nurbs", "weights", weights, POSITIVE, many=True)
-    homogeneous = BSpline(knots, np.column_stack([points * weights[:, None], weights]), len(knots) - len(points) - 1)
+    homogeneous = BSpline(
+        knots, np.column_stack([points * weights[:, None], weights]), len(knots) - len(points) - 1
+    )
 
     def curve(s):
         h = homogeneous(s)
@@ -68,36 +93,50 @@ def nurbs(points, knots, weights=None) -> Curve:
 
 
 def butterfly(width=_BUTTERFLY_WIDTH) -> Curve:
-    """The cubic NURBS butterfly of 51 control points that the papers on CNC interpolators use, over (0, 1).
+    """The cubic NURBS butterfly of 51 control points that the papers on CNC interpolators use, over
+    (0, 1).
 
-    It runs clockwise from the head, (0, 0), and ends 0.001 mm beside it; symmetric about x = 0 but for roundings and for the two
-    control points of 0.2 mm that the table holds differently for the wings. Curvature is continuous; it peaks at the notches of the wings,
-    s = 0.256 and 0.744 (radius 0.023 mm at the default width), and beside the tail, s = 0.450 and 0.550 (0.054 mm).
-    Li 2020 shows its path only as a picture (Fig. 4) and prints no data: that it is this butterfly, and its size, are chosen here.
-    width: over the wings [mm]; the default keeps the table's numbers, for a path of 383 mm, 58.9 mm high
+    It runs clockwise from the head, (0, 0), and ends 0.001 mm beside it; symmetric about x = 0 but
+    for roundings and for the two control points of 0.2 mm that the table holds differently for the
+    wings. Curvature is continuous; it peaks at the notches of the wings, s = 0.256 and 0.744
+    (radius 0.023 mm at the default width), and beside the tail, s = 0.450 and 0.550 (0.054 mm). Li
+    2020 shows its path only as a picture (Fig. 4) and prints no data: that it is this butterfly,
+    and its size, are chosen here.
+    width: over the wings [mm]; the default keeps the table's numbers, for a path of 383 mm, 58.9 mm
+    high
     """
     require("butterfly", "width", width, POSITIVE, " mm")
     points = np.array(_BUTTERFLY_POINTS.split(), float).reshape(-1, 2)
     weights = [_BUTTERFLY_WEIGHTS.get(i, 1.0) for i in range(len(points))]
-    return nurbs((points - points[0]) * (width / _BUTTERFLY_WIDTH), np.array(_BUTTERFLY_KNOTS.split(), float), weights)
+    return nurbs(
+        (points - points[0]) * (width / _BUTTERFLY_WIDTH),
+        np.array(_BUTTERFLY_KNOTS.split(), float),
+        weights,
+    )
 
 
 def tabulated(curve, interval, points) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Parameter (M,), position (M, d) and arc length (M,) along the curve, or the ValueError that says what is wrong with it."""
+    """Parameter (M,), position (M, d) and arc length (M,) along the curve, or the ValueError that
+    says what is wrong with it.
+    """
     if len(interval) != 2 or not -np.inf < interval[0] < interval[1] < np.inf:
         raise ValueError(f"plan: interval = {interval} is not (first, last) with first < last")
     require("plan", "points", points, "[100, 1000000]", whole=True)
     u = np.linspace(*interval, points)
     q = np.asarray(curve(u), float)
     if q.ndim != 2 or len(q) != points or not q.shape[1]:
-        raise ValueError(f"plan: the curve gives shape {q.shape} for ({points},) parameters; allowed is ({points}, d)")
+        raise ValueError(
+            f"plan: the curve gives shape {q.shape} for ({points},) parameters; allowed is ({points}, d)"
+        )
     finite = np.isfinite(q).all(axis=1)
     if not finite.all():
         raise ValueError(f"plan: the curve is not finite at parameter {u[np.argmin(finite)]:g}")
     chords = np.linalg.norm(np.diff(q, axis=0), axis=1)
     shortest = np.argmin(chords)
     if not chords[shortest] > 1e-9 * np.mean(chords):
-        raise ValueError(f"plan: the curve stands still from parameter {u[shortest]:.9g} to {u[shortest + 1]:.9g}, at {q[shortest]} mm")
+        raise ValueError(
+            f"plan: the curve stands still from parameter {u[shortest]:.9g} to {u[shortest + 1]:.9g}, at {q[shortest]} mm"
+        )
     _require_smooth(curve, u, q)
     speed = np.linalg.norm(make_interp_spline(u, q, 5).derivative()(u), axis=1)
     arc = make_interp_spline(u, speed, 5).antiderivative()(u)
@@ -112,7 +151,9 @@ def _turns(q):
 
 
 def _require_smooth(curve, u, q):
-    """Look closer at every local maximum of turning: on a smooth curve the angle shrinks with the step, at a corner it stays."""
+    """Look closer at every local maximum of turning: on a smooth curve the angle shrinks with the
+    step, at a corner it stays.
+    """
     turn = _turns(q)
     wide = np.pad(turn, 1)
     i = np.flatnonzero((turn >= wide[:-2]) & (turn >= wide[2:]) & (turn > 1e-3))
@@ -126,36 +167,58 @@ def _require_smooth(curve, u, q):
     for where, angle, seen in zip(centre, closer, turn[i], strict=True):
         at = f"at parameter {where:.9g}, position {np.round(np.asarray(curve(np.array([where])))[0], 6)} mm"
         if angle > seen / 2:
-            raise ValueError(f"plan: the path has a corner or cusp of {np.degrees(angle):.3g} deg {at}; split the path there")
+            raise ValueError(
+                f"plan: the path has a corner or cusp of {np.degrees(angle):.3g} deg {at}; split the path there"
+            )
         if seen > 0.5:
-            raise ValueError(f"plan: the path turns by {np.degrees(seen):.3g} deg between two points of its table {at}; raise points")
+            raise ValueError(
+                f"plan: the path turns by {np.degrees(seen):.3g} deg between two points of its table {at}; raise points"
+            )
 
 
 def contour_error(y, path, *, window: int, closed: bool | None = None) -> jax.Array:
-    """(M,) normal distance of each measured point from the path; in the plane signed, positive on the left of the path.
+    """(M,) normal distance of each measured point from the path; in the plane signed, positive on
+    the left of the path.
 
-        e_k = distance of y_k from the chords path_i path_{i+1},    i = max(c_k - window, 0) .. min(c_k + window, L) - 1
+        e_k = distance of y_k from the chords path_i path_{i+1},    i = max(c_k - window, 0) ..
+        min(c_k + window, L) - 1
 
-    where L is the path's last index and c_k = round(k L / (M - 1)), k itself for the reference of a trial. Unlike the tracking
-    error it does not see a lag along the path.
-    y:      (M, d) measured positions [mm];  path: (L+1, d) points along the path, a reference or denser, not moving with y
-    window: half width in points of the path, static: the cost is M window, and a lag up to it is looked through. Of a larger lag
-            the distance to the end of the window is returned, which is too large, never too small; where the path comes near
-            itself a wide window may find the other branch.
-    closed: whether the window goes on over the path's ends, so that a tool that lags at the start is measured from the path's last
+    where L is the path's last index and c_k = round(k L / (M - 1)), k itself for the reference of a
+    trial. Unlike the tracking error it does not see a lag along the path.
+    y:      (M, d) measured positions [mm];  path: (L+1, d) points along the path, a reference or
+    denser, not moving with y
+    window: half width in points of the path, static: the cost is M window, and a lag up to it is
+    looked through. Of a larger lag
+            the distance to the end of the window is returned, which is too large, never too small;
+            where the path comes near itself a wide window may find the other branch.
+    closed: whether the window goes on over the path's ends, so that a tool that lags at the start
+    is measured from the path's last
             part; None: where the ends meet, to a millionth of the path's width
-    The path between points is their chord, which errs by curvature h^2 / 8 at a spacing h. The sign needs corners below 90 deg.
-    Differentiable in y and path and vmappable: the gradient is the path's unit normal, or at a corner points away from it; it is
-    zero at zero distance from a corner or, in space, from the path.
-    Raises ValueError where the shapes do not fit, window is not a whole number >= 1, or closed is not True, False or None.
+    The path between points is their chord, which errs by curvature h^2 / 8 at a spacing h. The sign
+    needs corners below 90 deg. Differentiable in y and path and vmappable: the gradient is the
+    path's unit normal, or at a corner points away from it; it is zero at zero distance from a
+    corner or, in space, from the path.
+    Raises ValueError where the shapes do not fit, window is not a whole number >= 1, or closed is
+    not True, False or None.
     """
     if closed is not None and not isinstance(closed, bool):
         raise ValueError(f"contour_error: closed = {closed!r} is not one of True, False, None")
     if isinstance(window, bool) or not isinstance(window, int | np.integer) or window < 1:
-        raise ValueError(f"contour_error: window = {window!r} is outside its allowed range [1, inf) of whole numbers")
+        raise ValueError(
+            f"contour_error: window = {window!r} is outside its allowed range [1, inf) of whole numbers"
+        )
     shape, path_shape = np.shape(y), np.shape(path)
-    if len(shape) != 2 or len(path_shape) != 2 or shape[1] != path_shape[1] or shape[1] < 2 or path_shape[0] < 2 or not shape[0]:
-        raise ValueError(f"contour_error: y {shape} and path {path_shape} must be (M, d) and (L+1, d) with d >= 2, L >= 1")
+    if (
+        len(shape) != 2
+        or len(path_shape) != 2
+        or shape[1] != path_shape[1]
+        or shape[1] < 2
+        or path_shape[0] < 2
+        or not shape[0]
+    ):
+        raise ValueError(
+            f"contour_error: y {shape} and path {path_shape} must be (M, d) and (L+1, d) with d >= 2, L >= 1"
+        )
     return _contour_error(jnp.asarray(y), jnp.asarray(path), int(window), closed)
 
 
@@ -164,21 +227,27 @@ def _contour_error(y, path, window, closed):
     last = len(path) - 1
     centres = np.rint(np.arange(len(y)) * (last / max(len(y) - 1, 1))).astype(int)
     width = min(2 * window, last)
-    # Near the ends of an open path the window is moved inside, which widens it: harmless, and every sample then has as many chords.
+    # Near the ends of an open path the window is moved inside, which widens it: harmless, and every
+    # sample then has as many chords.
     inside_it, over_it = np.clip(centres - window, 0, last - width), centres - width // 2
     first = jnp.where(_meet(path) if closed is None else closed, over_it, inside_it)
     chords = (first[:, None] + np.arange(width)) % last
     start, step = path[:-1], path[1:] - path[:-1]
 
     def away(i, point):
-        """The vector to the point from the nearest one of chord i, and whether that lies inside the chord."""
+        """The vector to the point from the nearest one of chord i, and whether that lies inside the
+        chord.
+        """
         squared = jnp.sum(step[i] ** 2, axis=-1)
-        along = jnp.sum((point - start[i]) * step[i], axis=-1) / jnp.where(squared > 0, squared, 1.0)
+        along = jnp.sum((point - start[i]) * step[i], axis=-1) / jnp.where(
+            squared > 0, squared, 1.0
+        )
         nearest = start[i] + jnp.clip(along, 0.0, 1.0)[..., None] * step[i]
         return point - nearest, (along > 0) & (along < 1), squared
 
     candidates, _, squared = away(chords, y[:, None])
-    # A path that dwells has chords of no direction; they may only be chosen where there is nothing else.
+    # A path that dwells has chords of no direction; they may only be chosen where there is nothing
+    # else.
     best = jnp.argmin(jnp.where(squared > 0, jnp.sum(candidates**2, axis=-1), jnp.inf), axis=1)
     i = jnp.take_along_axis(chords, best[:, None], axis=1)[:, 0]
     apart, inside, squared = away(i, y)

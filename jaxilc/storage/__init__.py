@@ -1,1 +1,3 @@
-"""Files that are whole or not there, files with checksums, and files from outside that are read with care."""
+"""Files that are whole or not there, files with checksums, and files from outside that are read
+with care.
+"""

@@ -1,10 +1,13 @@
-"""Reading .mat files of MATLAB 5 to 7 (-v6, -v7): arrays of real numbers, and structures of text, which is all that a trial has.
+"""Reading .mat files of MATLAB 5 to 7 (-v6, -v7): arrays of real numbers, and structures of text,
+which is all that a trial has.
 
-SciPy's reader believes the sizes that a file declares and takes memory for them. Here everything is checked against the bytes that are
-there, and what a compressed element unpacks to is bounded, so that a damaged file is a ValueError and nothing else.
+SciPy's reader believes the sizes that a file declares and takes memory for them. Here everything is
+checked against the bytes that are there, and what a compressed element unpacks to is bounded, so
+that a damaged file is a ValueError and nothing else.
 
     file:     128 bytes of header, the last two of which tell the order of bytes, then elements
-    element:  type and size, 4 bytes each, then data up to a multiple of 8 bytes; or both in 2 bytes each, then up to 4 bytes of data
+    element:  type and size, 4 bytes each, then data up to a multiple of 8 bytes; or both in 2 bytes
+    each, then up to 4 bytes of data
     array:    an element of elements: flags, dimensions, name, then what its class needs
 """
 
@@ -24,7 +27,18 @@ from .reading import read_bytes
 
 ROOM = 64_000_000  # bytes of a file, and of what it unpacks to, where nobody asks for more
 HEADER, ARRAY, COMPRESSED = 128, 14, 15
-STORED = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}  # types of elements
+STORED = {
+    1: "i1",
+    2: "u1",
+    3: "i2",
+    4: "u2",
+    5: "i4",
+    6: "u4",
+    7: "f4",
+    9: "f8",
+    12: "i8",
+    13: "u8",
+}  # types of elements
 TEXTS = {1: "utf-8", 2: "utf-8", 4: "utf-16", 16: "utf-8", 17: "utf-16", 18: "utf-32"}
 STRUCTURE, TEXT, OBJECT, NUMBERS = 2, 4, 17, range(6, 16)  # classes of arrays
 COMPLEX = 0x08  # among the flags
@@ -38,14 +52,18 @@ class Other:
 
 
 def read_mat(path: str | Path, room: int = ROOM) -> dict[str, Any]:
-    """The variables of a file by name: arrays of numbers with two dimensions or more, text, structures as dictionaries, and `Other`.
+    """The variables of a file by name: arrays of numbers with two dimensions or more, text,
+    structures as dictionaries, and `Other`.
 
-    Raises ValueError, naming the file, for one of another version, a damaged one, and one that unpacks to more than `room` bytes.
+    Raises ValueError, naming the file, for one of another version, a damaged one, and one that
+    unpacks to more than `room` bytes.
     """
     content = read_bytes(path, room)
     mark = content[HEADER - 2 : HEADER]
     if content[:4] == b"\x89HDF" or content[HEADER - 4 : HEADER - 2] in (b"\x00\x02", b"\x02\x00"):
-        raise ValueError(f"{path} is a MATLAB file of version 7.3; allowed are those saved with -v7")
+        raise ValueError(
+            f"{path} is a MATLAB file of version 7.3; allowed are those saved with -v7"
+        )
     if mark not in (b"IM", b"MI"):
         raise ValueError(f"{path} is no MATLAB file of version 5 to 7, as -v6 and -v7 save them")
     order = "<" if mark == b"IM" else ">"
@@ -104,13 +122,17 @@ def _array(data: memoryview, order: str, depth: int = 0) -> tuple[str, Any]:
         raise ValueError(f"an array of dimensions {brief(dims)}")
     name, size = _need(parts, order, "name", "S").tobytes().decode("latin-1"), math.prod(dims)
     if kind == OBJECT:
-        return name, Other("an object, such as text in double quotes; allowed is text in single ones")
+        return name, Other(
+            "an object, such as text in double quotes; allowed is text in single ones"
+        )
     if kind in NUMBERS:
         if flags >> 8 & COMPLEX:
             return name, Other("complex numbers")
         values = _need(parts, order, "numbers", "iuf")
         if len(values) != size:
-            raise ValueError(f"{brief(name)} has {len(values):,} numbers where {size:,} are declared")
+            raise ValueError(
+                f"{brief(name)} has {len(values):,} numbers where {size:,} are declared"
+            )
         return name, values.astype(values.dtype.newbyteorder("=")).reshape(dims, order="F")
     if kind == TEXT:
         return name, _text(parts, order, size, name)
@@ -139,11 +161,17 @@ def _text(parts: Iterator[tuple[int, memoryview]], order: str, size: int, name: 
 
 
 def _structure(parts: Iterator[tuple[int, memoryview]], order: str, depth: int) -> dict[str, Any]:
-    lengths, names = _need(parts, order, "length of names", "iu"), _need(parts, order, "names", "S").tobytes()
+    lengths, names = (
+        _need(parts, order, "length of names", "iu"),
+        _need(parts, order, "names", "S").tobytes(),
+    )
     length = int(lengths[0]) if len(lengths) else 0
     if length < 1:
         raise ValueError(f"a structure whose names have {length} letters")
-    fields = [names[i : i + length].split(b"\0")[0].decode("latin-1") for i in range(0, len(names), length)]
+    fields = [
+        names[i : i + length].split(b"\0")[0].decode("latin-1")
+        for i in range(0, len(names), length)
+    ]
     found = {}
     for field in fields:
         kind, data = next(parts, (0, memoryview(b"")))

@@ -1,6 +1,8 @@
-"""Files from outside, read so that none can stop or fill the process: a regular file, of a bounded size, as text, tree or table.
+"""Files from outside, read so that none can stop or fill the process: a regular file, of a bounded
+size, as text, tree or table.
 
-What is wrong is a ValueError that names the file; a file that is not there, or may not be read, is an OSError.
+What is wrong is a ValueError that names the file; a file that is not there, or may not be read, is
+an OSError.
 """
 
 from __future__ import annotations
@@ -23,14 +25,22 @@ PARSERS = {".toml": tomllib.loads, ".json": json.loads}
 
 
 def read_bytes(path: str | Path, largest: int) -> bytes:
-    """All of a file. Raises ValueError for a device, a pipe, a folder, and a file of more bytes than `largest`."""
+    """All of a file. Raises ValueError for a device, a pipe, a folder, and a file of more bytes
+    than `largest`.
+    """
     # without waiting: to open a pipe would wait for whoever writes to it
-    descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    descriptor = os.open(
+        path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+    )
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         os.close(descriptor)
-        raise ValueError(f"{path} is no file, nor a link to one; allowed is no device, pipe or folder")
+        raise ValueError(
+            f"{path} is no file, nor a link to one; allowed is no device, pipe or folder"
+        )
     content = bytearray()
-    with open(descriptor, "rb") as file:  # block by block, since a single read would take memory for all that is allowed
+    with open(
+        descriptor, "rb"
+    ) as file:  # block by block, since a single read would take memory for all that is allowed
         while block := file.read(BLOCK):
             content += block
             if len(content) > largest:
@@ -39,11 +49,15 @@ def read_bytes(path: str | Path, largest: int) -> bytes:
 
 
 def read_text(path: str | Path, largest: int) -> str:
-    """All of a text file in UTF-8, with or without a mark at its start. Raises as `read_bytes`, and ValueError for what is no text."""
+    """All of a text file in UTF-8, with or without a mark at its start. Raises as `read_bytes`, and
+    ValueError for what is no text.
+    """
     try:
         return read_bytes(path, largest).decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise ValueError(f"{path} is no text in UTF-8: {error.reason} {error.object[error.start]:#04x} at byte {error.start}") from None
+        raise ValueError(
+            f"{path} is no text in UTF-8: {error.reason} {error.object[error.start]:#04x} at byte {error.start}"
+        ) from None
 
 
 def read_tree(path: str | Path, kind: str | None = None) -> Any:
@@ -58,7 +72,9 @@ def read_tree(path: str | Path, kind: str | None = None) -> Any:
 
 
 def tree_of(text: str, parser: Callable[[str], Any], source: Any) -> Any:
-    """What a text holds. Raises ValueError, naming where it is from, for one that is none, or is nested too deeply."""
+    """What a text holds. Raises ValueError, naming where it is from, for one that is none, or is
+    nested too deeply.
+    """
     try:
         tree = parser(text)
     except RecursionError:
@@ -67,21 +83,30 @@ def tree_of(text: str, parser: Callable[[str], Any], source: Any) -> Any:
         raise ValueError(f"{source}: {error}") from None
     level = [tree]
     for _ in range(DEEPEST):
-        level = [x for of in level if isinstance(of, dict | list) for x in (of.values() if isinstance(of, dict) else of)]
+        level = [
+            x
+            for of in level
+            if isinstance(of, dict | list)
+            for x in (of.values() if isinstance(of, dict) else of)
+        ]
         if not level:
             return tree
     return _too_deep(source)
 
 
 def _too_deep(source) -> Any:
-    raise ValueError(f"{source}: tables or lists are nested too deeply; allowed are {DEEPEST} levels")
+    raise ValueError(
+        f"{source}: tables or lists are nested too deeply; allowed are {DEEPEST} levels"
+    )
 
 
 def read_columns(path: str | Path) -> tuple[list[str], Iterator[tuple[int, list[str]]]]:
-    """The header of a text file of columns, and its rows that are not empty with their lines, one after another.
+    """The header of a text file of columns, and its rows that are not empty with their lines, one
+    after another.
 
-    Columns are separated by semicolons, tabs or commas, whichever of these comes first in this order in the header. Raises as
-    `read_text`, and ValueError, also while rows are taken, for a line that is no row.
+    Columns are separated by semicolons, tabs or commas, whichever of these comes first in this
+    order in the header. Raises as `read_text`, and ValueError, also while rows are taken, for a
+    line that is no row.
     """
     text = read_text(path, LARGEST_TABLE)
     head = text[: text.find("\n") + 1 or len(text)]

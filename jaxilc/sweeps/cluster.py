@@ -1,10 +1,13 @@
-"""A sweep over many hosts: workers of a Dask cluster compute its chunks, the calling process alone writes them.
+"""A sweep over many hosts: workers of a Dask cluster compute its chunks, the calling process alone
+writes them.
 
-Whatever runs Dask will do: SLURM, Kubernetes, SSH, two shells. The scheduler and all workers need this package and the modules of
-the user's own classes; no files are shared. A chunk whose worker dies is computed again by another one.
+Whatever runs Dask will do: SLURM, Kubernetes, SSH, two shells. The scheduler and all workers need
+this package and the modules of the user's own classes; no files are shared. A chunk whose worker
+dies is computed again by another one.
 
-Sums in another order round otherwise, so the workers must be alike: the same versions, backend, number of devices. With that, and
-processors of one kind, the dataset is the one that such a host makes alone, bit for bit.
+Sums in another order round otherwise, so the workers must be alike: the same versions, backend,
+number of devices. With that, and processors of one kind, the dataset is the one that such a host
+makes alone, bit for bit.
 """
 
 from __future__ import annotations
@@ -38,7 +41,8 @@ if TYPE_CHECKING:
     from .sweep import Chunk, Host, Sweep
 
 PATIENCE = 30.0  # seconds until a scheduler must have answered
-ARRIVAL = 120.0  # seconds until a first worker must have joined: on many nodes at once, Python starts slowly
+# seconds until a first worker must have joined: on many nodes at once, Python starts slowly
+ARRIVAL = 120.0
 AHEAD = 2  # chunks given to each worker: one to compute and one to go on with
 LARGE = "1GB"  # of a sweep's drawn numbers, before Dask warns; it does at 10 MB
 
@@ -55,16 +59,21 @@ class UnlikeWorkers(ValueError):
 
 @contextmanager
 def workers(sweep: Sweep, cluster: str | Path | Client) -> Generator[Workers]:
-    """The workers of a Dask cluster, ready for a sweep, as `Sweep.run` uses them; its tasks are cancelled at the end.
+    """The workers of a Dask cluster, ready for a sweep, as `Sweep.run` uses them; its tasks are
+    cancelled at the end.
 
-    cluster: the scheduler's address (`tcp://host:8786`), the file it wrote (`--scheduler-file`), or a Client, which stays open
-    Raises ImportError without `distributed`, ConnectionError where no scheduler answers or no worker joins, ValueError for a text
-    that is neither, for workers that are not alike, and for a sweep of classes that workers cannot import.
+    cluster: the scheduler's address (`tcp://host:8786`), the file it wrote (`--scheduler-file`), or
+    a Client, which stays open
+    Raises ImportError without `distributed`, ConnectionError where no scheduler answers or no
+    worker joins, ValueError for a text that is neither, for workers that are not alike, and for a
+    sweep of classes that workers cannot import.
     """
     try:
         from distributed import Client
     except ImportError:
-        raise ImportError("a sweep over a cluster needs dask.distributed: pip install 'jaxilc[cluster]'") from None
+        raise ImportError(
+            "a sweep over a cluster needs dask.distributed: pip install 'jaxilc[cluster]'"
+        ) from None
     _check_importable(sweep)
     if isinstance(cluster, Client):
         yield Workers(cluster, sweep)
@@ -73,13 +82,16 @@ def workers(sweep: Sweep, cluster: str | Path | Client) -> Generator[Workers]:
     try:
         client = Client(address, timeout=PATIENCE, set_as_default=False)
     except OSError:
-        raise ConnectionError(f"no Dask scheduler answers at {address} within {PATIENCE:g} s") from None
+        raise ConnectionError(
+            f"no Dask scheduler answers at {address} within {PATIENCE:g} s"
+        ) from None
     with client:
         yield Workers(client, sweep)
 
 
 class Workers:
-    """What `Sweep.run` needs of the processes that compute; the same as `sweep.Host`, on many hosts.
+    """What `Sweep.run` needs of the processes that compute; the same as `sweep.Host`, on many
+    hosts.
 
     environment: of all workers. One that joins later with another one refuses its first chunk.
     """
@@ -91,27 +103,46 @@ class Workers:
         self.client = client
         self._precision = "float64" if jax.config.jax_enable_x64 else "float32"
         self._found = self._describe()
-        self.environment = _common({address: found.environment for address, found in self._found.items()})
+        self.environment = _common(
+            {address: found.environment for address, found in self._found.items()}
+        )
         self._run = uuid.uuid4().hex
         with dask.config.set({"distributed.admin.large-graph-warning-threshold": LARGE}):
             # a task rather than scattered data, which would be lost with the workers that hold it
-            self._plan = client.submit(bytes, cloudpickle.dumps(sweep), key=f"jaxilc-plan-{self._run}")
+            self._plan = client.submit(
+                bytes, cloudpickle.dumps(sweep), key=f"jaxilc-plan-{self._run}"
+            )
 
     def room(self, stored: int) -> tuple[int | None, str]:
-        """Bytes there are for a chunk on the worker that has least, None if unknown, and which one that is."""
+        """Bytes there are for a chunk on the worker that has least, None if unknown, and which one
+        that is.
+        """
         sharing = Counter(found.host for found in self._found.values())
-        rooms = {address: found.room(stored, sharing[found.host]) for address, found in self._found.items()}
+        rooms = {
+            address: found.room(stored, sharing[found.host])
+            for address, found in self._found.items()
+        }
         known = {address: room for address, room in rooms.items() if room is not None}
         least = min(known, key=lambda address: known[address], default=None)
         return (None, "") if least is None else (known[least], f" on the worker {least}")
 
     def chunk_bytes(self, names: tuple[str, ...], size: int) -> Iterator[tuple[str, int]]:
-        """Name and `Host.bytes_of` of each scheme; the schemes are compiled by several workers at once."""
-        futures = {name: self._submit(("jaxilc-compile", self._run, name, size), "bytes_of", name, size) for name in names}
-        return ((name, _result(future, f"compiling scheme {name!r}")) for name, future in futures.items())
+        """Name and `Host.bytes_of` of each scheme; the schemes are compiled by several workers at
+        once.
+        """
+        futures = {
+            name: self._submit(("jaxilc-compile", self._run, name, size), "bytes_of", name, size)
+            for name in names
+        }
+        return (
+            (name, _result(future, f"compiling scheme {name!r}"))
+            for name, future in futures.items()
+        )
 
     def computed(self, chunks: list[Chunk]) -> Iterator[tuple[Chunk, dict[str, Any]]]:
-        """Each chunk with its figures, as they are finished. Few are under way at a time, so that neither side fills its memory."""
+        """Each chunk with its figures, as they are finished. Few are under way at a time, so that
+        neither side fills its memory.
+        """
         from distributed import as_completed
 
         waiting, running, finished = iter(chunks), {}, as_completed(loop=self.client.loop)
@@ -119,7 +150,9 @@ class Workers:
         def fill():
             many = AHEAD * max(1, len(self.client.nthreads()))
             for chunk in islice(waiting, max(0, many - len(running))):
-                future = self._submit(("jaxilc-chunk", self._run, chunk.scheme, chunk.number), "compute", chunk)
+                future = self._submit(
+                    ("jaxilc-chunk", self._run, chunk.scheme, chunk.number), "compute", chunk
+                )
                 running[future] = chunk
                 finished.add(future)
 
@@ -139,22 +172,30 @@ class Workers:
                 self.client.cancel(list(running))
 
     def _submit(self, key: tuple, method: str, *arguments) -> Future:
-        return self.client.submit(_on_worker, self._plan, self._precision, self.environment, method, arguments, key=key)
+        return self.client.submit(
+            _on_worker, self._plan, self._precision, self.environment, method, arguments, key=key
+        )
 
     def _describe(self) -> dict[str, Found]:
         try:
             self.client.wait_for_workers(1, timeout=ARRIVAL)
         except TimeoutError:
-            raise ConnectionError(f"no worker joined the Dask scheduler within {ARRIVAL:g} s") from None
+            raise ConnectionError(
+                f"no worker joined the Dask scheduler within {ARRIVAL:g} s"
+            ) from None
         found = self.client.run(_describe, self._precision, on_error="return")
         for address, answer in found.items():
             if isinstance(answer, Exception):
-                raise UnlikeWorkers(f"the worker {address} cannot run jaxilc: {type(answer).__name__}: {answer}")
+                raise UnlikeWorkers(
+                    f"the worker {address} cannot run jaxilc: {type(answer).__name__}: {answer}"
+                )
         return found
 
 
 class Found(NamedTuple):
-    """A worker. environment: see `results.environment`;  host: its name;  free, on_devices, limit: bytes, None where unknown or none"""
+    """A worker. environment: see `results.environment`;  host: its name;  free, on_devices, limit:
+    bytes, None where unknown or none
+    """
 
     environment: dict[str, Any]
     host: str
@@ -163,7 +204,9 @@ class Found(NamedTuple):
     limit: int | None
 
     def room(self, stored: int, sharing: int) -> int | None:
-        """Bytes for a chunk where `sharing` workers are on this host; beside the dataset, if the calling process is there as well."""
+        """Bytes for a chunk where `sharing` workers are on this host; beside the dataset, if the
+        calling process is there as well.
+        """
         if self.on_devices is not None:
             return self.on_devices
         beside = stored if self.host == socket.gethostname() else 0
@@ -172,7 +215,8 @@ class Found(NamedTuple):
 
 
 async def _describe(precision: str, dask_worker=None) -> Found:
-    # in a thread: starting JAX, or waiting for another sweep's chunk, must not keep the worker from answering the scheduler
+    # in a thread: starting JAX, or waiting for another sweep's chunk, must not keep the worker from
+    # answering the scheduler
     return await asyncio.to_thread(_found, precision, dask_worker)
 
 
@@ -186,11 +230,21 @@ def _found(precision: str, worker) -> Found:
         if limit is not None:  # beyond this share of it Dask kills a worker
             share = dask.config.get("distributed.worker.memory.terminate") or 1.0
             limit = max(0, int(share * limit) - psutil.Process().memory_info().rss)
-        return Found(environment(), socket.gethostname(), capacity.host_bytes(), capacity.device_bytes(), limit)
+        return Found(
+            environment(),
+            socket.gethostname(),
+            capacity.host_bytes(),
+            capacity.device_bytes(),
+            limit,
+        )
 
 
-def _on_worker(plan: bytes, precision: str, expected: dict[str, Any], method: str, arguments: tuple) -> Any:
-    """A method of the sweep's `Host` in this worker. One at a time: a chunk takes all devices, whatever the worker's threads."""
+def _on_worker(
+    plan: bytes, precision: str, expected: dict[str, Any], method: str, arguments: tuple
+) -> Any:
+    """A method of the sweep's `Host` in this worker. One at a time: a chunk takes all devices,
+    whatever the worker's threads.
+    """
     from distributed import get_worker
 
     with _ONE_AT_A_TIME:
@@ -198,7 +252,9 @@ def _on_worker(plan: bytes, precision: str, expected: dict[str, Any], method: st
         host = _host(plan, precision)
         differing = differences(host.environment, expected)
         if differing:
-            raise UnlikeWorkers(f"the worker {get_worker().address} is not like those of this sweep: {'; '.join(differing)}")
+            raise UnlikeWorkers(
+                f"the worker {get_worker().address} is not like those of this sweep: {'; '.join(differing)}"
+            )
         return getattr(host, method)(*arguments)
 
 
@@ -214,16 +270,23 @@ def _result(future: Future, what: str) -> Any:
     except UnlikeWorkers:
         raise
     except Exception as error:
-        raise ChunkFailed(f"{what} failed on the cluster: {type(error).__name__}: {error}") from error
+        raise ChunkFailed(
+            f"{what} failed on the cluster: {type(error).__name__}: {error}"
+        ) from error
 
 
 def _common(environments: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
-    """The environment that all workers have. Raises UnlikeWorkers naming those that differ from most."""
+    """The environment that all workers have. Raises UnlikeWorkers naming those that differ from
+    most.
+    """
     texts = {address: json.dumps(found, sort_keys=True) for address, found in environments.items()}
     ((most, _),) = Counter(texts.values()).most_common(1)
     alike, odd = next(a for a in texts if texts[a] == most), [a for a in texts if texts[a] != most]
     if odd:
-        lines = [f"the worker {a} is not like {alike}: {'; '.join(differences(environments[a], environments[alike]))}" for a in odd]
+        lines = [
+            f"the worker {a} is not like {alike}: {'; '.join(differences(environments[a], environments[alike]))}"
+            for a in odd
+        ]
         raise UnlikeWorkers("; ".join(lines))
     return environments[alike]
 
@@ -233,9 +296,13 @@ def _address(cluster: str | Path) -> str:
         try:
             return str(read_tree(cluster, ".json")["address"])
         except (ValueError, KeyError, TypeError) as error:
-            raise ValueError(f"cluster = {str(cluster)!r} is not a file that a Dask scheduler wrote ({error})") from None
+            raise ValueError(
+                f"cluster = {str(cluster)!r} is not a file that a Dask scheduler wrote ({error})"
+            ) from None
     if not re.fullmatch(r"(\w+://)?[^/\s]+:\d+", str(cluster)):
-        raise ValueError(f"cluster = {str(cluster)!r} is neither an address such as tcp://host:8786 nor a scheduler's file that is there")
+        raise ValueError(
+            f"cluster = {str(cluster)!r} is neither an address such as tcp://host:8786 nor a scheduler's file that is there"
+        )
     return str(cluster)
 
 

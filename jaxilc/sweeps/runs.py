@@ -19,7 +19,9 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
-COPIES = 4  # of y and u: as learned, stacked over the schemes, the error, and on their way to the disk
+COPIES = (
+    4  # of y and u: as learned, stacked over the schemes, the error, and on their way to the disk
+)
 
 
 def run_schemes(
@@ -34,16 +36,19 @@ def run_schemes(
     """Learn with each scheme and keep every trial's signals.
 
     quantities: further figures, each a function of a trial to a number
-    Returns the dataset (dims scheme, trial and time, channel, input_time, input; r, y, e, u, the metrics and the quantities) and the
-    histories, whose `memory` lets each scheme go on. Raises as `learn` does, and ValueError, before anything runs, for more trials
-    than fit into memory.
+    Returns the dataset (dims scheme, trial and time, channel, input_time, input; r, y, e, u, the
+    metrics and the quantities) and the histories, whose `memory` lets each scheme go on. Raises as
+    `learn` does, and ValueError, before anything runs, for more trials than fit into memory.
     """
     for scheme in schemes.values():
         check(machine, scheme, task)
     keep, signals = Keep.of(quantities or {}, "y", "u"), (task.N + 1) * (task.outputs + task.inputs)
     each = 8 * COPIES * signals * len(schemes)
     check_size("run", lambda trials: each * trials, trials=trials)
-    histories = {name: learn(machine, scheme, task, trials, key=key, save=keep) for name, scheme in schemes.items()}
+    histories = {
+        name: learn(machine, scheme, task, trials, key=key, save=keep)
+        for name, scheme in schemes.items()
+    }
     return history_dataset(histories, task), histories
 
 
@@ -60,7 +65,11 @@ def history_dataset(histories: Mapping[str, History], task: Task) -> xr.Dataset:
     def of_u(dims, values):
         return dims, values, {"units": task.input_unit}
 
-    r, y, u = np.asarray(task.reference), stacked(lambda h: h.saved["y"]), stacked(lambda h: h.saved["u"])
+    r, y, u = (
+        np.asarray(task.reference),
+        stacked(lambda h: h.saved["y"]),
+        stacked(lambda h: h.saved["u"]),
+    )
     further = [name for name in next(iter(histories.values())).saved if name not in ("y", "u")]
     per_output, per_input = ("scheme", "trial", "channel"), ("scheme", "trial", "input")
     return xr.Dataset(
@@ -78,7 +87,10 @@ def history_dataset(histories: Mapping[str, History], task: Task) -> xr.Dataset:
             "diverged": (("scheme", "trial"), stacked(lambda h: h.diverged)),
             "diverged_at": (("scheme",), stacked(lambda h: h.diverged_at)),
             "grown_from": (("scheme",), stacked(lambda h: h.grown_from)),
-            **{name: (("scheme", "trial"), stacked(lambda h, name=name: h.saved[name])) for name in further},
+            **{
+                name: (("scheme", "trial"), stacked(lambda h, name=name: h.saved[name]))
+                for name in further
+            },
         },
         coords={
             "scheme": np.array(list(histories), dtype=np.dtypes.StringDType()),

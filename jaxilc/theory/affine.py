@@ -1,8 +1,11 @@
-"""One trial and its learning as a map of what is played: from w_j, what is learned so far, to w_{j+1} = F(w_j), limits left out.
+"""One trial and its learning as a map of what is played: from w_j, what is learned so far, to
+w_{j+1} = F(w_j), limits left out.
 
-Where learning depends on the last trial alone, w is what the scheme plays back, its `feedforward`, as far as learning ever changes
-it: with a lead, the last samples stay what they are for ever, and are no deviation from anything. A scheme that remembers more, as
-learning of higher order does, has all that it knows for w. For a linear law on a linear machine F is affine; see `linearity`.
+Where learning depends on the last trial alone, w is what the scheme plays back, its `feedforward`,
+as far as learning ever changes
+it: with a lead, the last samples stay what they are for ever, and are no deviation from anything. A
+scheme that remembers more, as learning of higher order does, has all that it knows for w. For a
+linear law on a linear machine F is affine; see `linearity`.
 """
 
 from __future__ import annotations
@@ -23,15 +26,20 @@ from .trials import learned_shape, next_learned, played, trial_of
 
 
 class View(NamedTuple):
-    """What w is. whole: all that the scheme knows, in place of its feedforward;  moving: (n,) which entries of either learning changes"""
+    """What w is. whole: all that the scheme knows, in place of its feedforward;  moving: (n,) which
+    entries of either learning changes
+    """
 
     whole: bool
     moving: tuple[int, ...]
 
 
 class Learning(NamedTuple):
-    """Flat w (n,) in all of them. start: the w of the first trial;  following: F;  error: w -> (N n_y,) e[1..N] of its trial
-    limits: w -> {name: what a limit acts on in the trial of w and in learning from it, in units of its bound}"""
+    """Flat w (n,) in all of them. start: the w of the first trial;  following: F;  error: w -> (N
+    n_y,) e[1..N] of its trial
+    limits: w -> {name: what a limit acts on in the trial of w and in learning from it, in units of
+    its bound}
+    """
 
     start: jax.Array
     following: Callable[[jax.Array], jax.Array]
@@ -66,16 +74,25 @@ def learning_of(machine: Machine, scheme: Scheme, task: Task, view: View) -> Lea
 
 def known_as(memory, scheme: Scheme, task: Task, view: View) -> jax.Array:
     """(n,) the w of a memory."""
-    return ravel_pytree(memory if view.whole else scheme.feedforward(memory, task))[0][np.array(view.moving)]
+    return ravel_pytree(memory if view.whole else scheme.feedforward(memory, task))[0][
+        np.array(view.moving)
+    ]
 
 
 def view_of(scheme: Scheme, task: Task) -> View:
-    """What w is for a linear law. That learning leaves a sample alone is seen at a random input and error, which is enough then."""
+    """What w is for a linear law. That learning leaves a sample alone is seen at a random input and
+    error, which is enough then.
+    """
     if remembers(scheme, task):
-        size = sum(leaf.size for leaf in jax.tree.leaves(jax.eval_shape(lambda: scheme.memory(task))))
+        size = sum(
+            leaf.size for leaf in jax.tree.leaves(jax.eval_shape(lambda: scheme.memory(task)))
+        )
         return View(True, tuple(range(size)))
     random = np.random.default_rng(7)
-    w, e = random.standard_normal(learned_shape(scheme, task)), random.standard_normal((task.N, task.outputs))
+    w, e = (
+        random.standard_normal(learned_shape(scheme, task)),
+        random.standard_normal((task.N, task.outputs)),
+    )
     moved = np.asarray(_moved(scheme.unlimited(), task, w, e)).ravel()
     return View(False, tuple(np.flatnonzero(np.abs(moved) > 1e-14 * np.abs(w).max()).tolist()))
 
@@ -84,7 +101,11 @@ def view_of(scheme: Scheme, task: Task) -> View:
 def _moved(scheme, task, w, e):
     scheme = scheme.prepared(task)
     memory = scheme.memory(task)
-    return next_learned(scheme, task, memory, w, e) - next_learned(scheme, task, memory, 0 * w, 0 * e) - w
+    return (
+        next_learned(scheme, task, memory, w, e)
+        - next_learned(scheme, task, memory, 0 * w, 0 * e)
+        - w
+    )
 
 
 def limit_names(machines: Machine, scheme: Scheme, task: Task) -> list[str]:

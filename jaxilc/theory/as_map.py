@@ -1,4 +1,6 @@
-"""The learning maps of many machines without a matrix, for trials of any length: norms bounded by Lanczos, limits by minimal residuals."""
+"""The learning maps of many machines without a matrix, for trials of any length: norms bounded by
+Lanczos, limits by minimal residuals.
+"""
 
 from __future__ import annotations
 
@@ -41,22 +43,39 @@ class Maps(NamedTuple):
         return self._found(_of_random, jnp.asarray(power))
 
     def error_norm(self, scheme: Scheme, task: Task, view: View) -> np.ndarray:
-        """(S,) an upper bound of ||I - G L||, for the law of a scheme that keeps all that it has learned."""
+        """(S,) an upper bound of ||I - G L||, for the law of a scheme that keeps all that it has
+        learned.
+        """
         return self._bounded(_error_norm, None, self.steps)
 
     def limit(self):
-        """(S, n) w_inf, (S,) |F(w_inf) - w_inf|, (S,) the root mean square error there, (S,) an upper bound of its gain by w"""
-        return tuple(map(np.asarray, self._run(_limit)((self.scheme, self.task, None), self.machines)))
+        """(S, n) w_inf, (S,) |F(w_inf) - w_inf|, (S,) the root mean square error there, (S,) an
+        upper bound of its gain by w
+        """
+        return tuple(
+            map(np.asarray, self._run(_limit)((self.scheme, self.task, None), self.machines))
+        )
 
     def radius(self):
-        """(S,) spectral radius of M and its doubt, to first order; zero and infinite on a backend without `eig`."""
+        """(S,) spectral radius of M and its doubt, to first order; zero and infinite on a backend
+        without `eig`.
+        """
         if jax.default_backend() != "cpu":
             return np.zeros(self._count), np.full(self._count, np.inf)
-        return tuple(map(np.asarray, self._run(_radius, lanes=4)((self.scheme, self.task, None), self.machines)))
+        return tuple(
+            map(
+                np.asarray,
+                self._run(_radius, lanes=4)((self.scheme, self.task, None), self.machines),
+            )
+        )
 
     def first_met(self, reach):
-        """(S,) the first trial that meets a limit (0: none seen), whether none ever is, and the number of the limit."""
-        found = self._run(_first_met)((self.scheme, self.task, None), (self.machines, jnp.asarray(reach)))
+        """(S,) the first trial that meets a limit (0: none seen), whether none ever is, and the
+        number of the limit.
+        """
+        found = self._run(_first_met)(
+            (self.scheme, self.task, None), (self.machines, jnp.asarray(reach))
+        )
         return tuple(map(np.asarray, found))
 
     @property
@@ -64,23 +83,32 @@ class Maps(NamedTuple):
         return len(jax.tree.leaves(self.machines)[0])
 
     def _bounded(self, function, extra, most: int) -> np.ndarray:
-        """(S,) upper bounds of a norm: with few steps, and with more where these do not tell whether it is below 1."""
+        """(S,) upper bounds of a norm: with few steps, and with more where these do not tell
+        whether it is below 1.
+        """
         for steps in (FEW, most):
             value, bound = (
-                np.nan_to_num(x, nan=np.inf) for x in self._run(function, steps=steps)((self.scheme, self.task, extra), self.machines)
+                np.nan_to_num(x, nan=np.inf)
+                for x in self._run(function, steps=steps)(
+                    (self.scheme, self.task, extra), self.machines
+                )
             )
             if most <= FEW or not np.any((value < 1) & (bound >= 1)):
                 break
         return bound
 
     def _found(self, function, extra=None, **options) -> np.ndarray:
-        found = np.asarray(self._run(function, **options)((self.scheme, self.task, extra), self.machines))
+        found = np.asarray(
+            self._run(function, **options)((self.scheme, self.task, extra), self.machines)
+        )
         return np.nan_to_num(found, nan=np.inf)
 
     def _run(self, function, lanes: int | None = None, **options):
         size = len(self.view.moving)
         room = max(1, TILE // (16 * min(options.get("steps", FEW), size) * size))
-        return _compiled(function, self.view, lanes or min(usual_lanes(), room), tuple(options.items()))
+        return _compiled(
+            function, self.view, lanes or min(usual_lanes(), room), tuple(options.items())
+        )
 
 
 @lru_cache(maxsize=32)  # what `tiled` returns compiles anew each time it is made
@@ -88,7 +116,8 @@ def _compiled(function, view, lanes, options):
     return tiled(partial(function, view=view, **dict(options)), lanes=lanes)
 
 
-# One machine at a time -------------------------------------------------------------------------------------------------------
+# One machine at a time
+# -------------------------------------------------------------------------------------------------------
 
 
 def _norm_of_power(common, machine, *, view, steps):
@@ -98,7 +127,9 @@ def _norm_of_power(common, machine, *, view, steps):
     pull = jax.linear_transpose(push, found.start)
     forth = lambda v: lax.fori_loop(0, power, lambda _, v: push(v), v)  # noqa: E731
     back = lambda w: lax.fori_loop(0, power, lambda _, w: pull(w)[0], w)  # noqa: E731
-    return _value_and_bound(largest(forth, back, found.start, found.start.size, steps=steps, tolerance=0.0))
+    return _value_and_bound(
+        largest(forth, back, found.start, found.start.size, steps=steps, tolerance=0.0)
+    )
 
 
 def _of_random(common, machine, *, view):
@@ -114,12 +145,16 @@ def _error_norm(common, machine, *, view, steps):
     found, free = learning_of(machine, scheme, task, view), scheme.unlimited().prepared(task)
     at = jnp.zeros((task.N, task.outputs))
     memory, learned = free.memory(task), free.feedforward(free.memory(task), task)
-    _, of_error = jax.linearize(lambda e: next_learned(free, task, memory, learned, e).ravel()[np.array(view.moving)], at)
+    _, of_error = jax.linearize(
+        lambda e: next_learned(free, task, memory, learned, e).ravel()[np.array(view.moving)], at
+    )
     _, to_error = jax.linearize(found.error, found.start)
     forth = lambda e: e + to_error(of_error(e.reshape(at.shape)))  # noqa: E731
     flat = at.ravel()
     back = jax.linear_transpose(forth, flat)
-    return _value_and_bound(largest(forth, lambda w: back(w)[0], flat, flat.size, steps=steps, tolerance=0.0))
+    return _value_and_bound(
+        largest(forth, lambda w: back(w)[0], flat, flat.size, steps=steps, tolerance=0.0)
+    )
 
 
 def _value_and_bound(found):
@@ -161,7 +196,13 @@ def _first_met(common, one, *, view):
         top = jnp.stack([jnp.max(jnp.abs(signal)) for signal in found.limits(w).values()])
         moved = jnp.linalg.norm(following - w)
         later = jnp.max(top) + gain * jnp.where(moved > 0, reach * moved, 0.0)
-        return j + 1, following, jnp.where(~(jnp.max(top) <= 1), j, met), later <= 1, jnp.argmax(top)
+        return (
+            j + 1,
+            following,
+            jnp.where(~(jnp.max(top) <= 1), j, met),
+            later <= 1,
+            jnp.argmax(top),
+        )
 
     def going_on(now):
         j, _, met, clear, _ = now

@@ -1,4 +1,6 @@
-"""The learning maps of many machines as matrices, for trials of a few hundred samples: norms, limits and eigenvalues by LAPACK."""
+"""The learning maps of many machines as matrices, for trials of a few hundred samples: norms,
+limits and eigenvalues by LAPACK.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,8 @@ WIDE = 1e-12  # relative width that covers the rounding of a norm
 class Matrices(NamedTuple):
     """F(w) = M w + c, e(w) = E w + e0, and what limits act on, T w + t, of S machines.
 
-    start: (S, n) w of the first trial;  M: (S, n, n);  c: (S, n);  E: (S, N n_y, n);  e0: (S, N n_y)
+    start: (S, n) w of the first trial;  M: (S, n, n);  c: (S, n);  E: (S, N n_y, n);  e0: (S, N
+    n_y)
     T: {name: (S, K, n)}, t: {name: (S, K)} of each limit, in units of its bound
     """
 
@@ -40,10 +43,19 @@ class Matrices(NamedTuple):
     def of(cls, machines: Machine, scheme: Scheme, task: Task, view: View) -> Matrices:
         """By linearising each trial and its learning at the start."""
         found = cls(*jax.tree.map(np.asarray, _matrices(view)((scheme, task), machines)))
-        usable = np.array([np.isfinite(M).all() and np.isfinite(E).all() for M, E in zip(found.M, found.E, strict=True)])
-        huge = np.sqrt(np.finfo(found.M.dtype).max)  # nothing can be claimed of a machine that overflows
+        usable = np.array(
+            [
+                np.isfinite(M).all() and np.isfinite(E).all()
+                for M, E in zip(found.M, found.E, strict=True)
+            ]
+        )
+        huge = np.sqrt(
+            np.finfo(found.M.dtype).max
+        )  # nothing can be claimed of a machine that overflows
         M = np.where(usable[:, None, None], found.M, huge)
-        return found._replace(M=M, E=np.where(usable[:, None, None], found.E, 0.0), c=np.nan_to_num(found.c))
+        return found._replace(
+            M=M, E=np.where(usable[:, None, None], found.E, 0.0), c=np.nan_to_num(found.c)
+        )
 
     def norm(self, power: int) -> np.ndarray:
         """(S,) an upper bound of ||M^power||."""
@@ -56,7 +68,9 @@ class Matrices(NamedTuple):
         return self.norm(power) * (1 - 2 * WIDE)
 
     def error_norm(self, scheme: Scheme, task: Task, view: View) -> np.ndarray:
-        """(S,) an upper bound of ||I - G L||, G = -E, for the law of a scheme that keeps all that it has learned."""
+        """(S,) an upper bound of ||I - G L||, G = -E, for the law of a scheme that keeps all that
+        it has learned.
+        """
         L = learning_law(scheme.unlimited(), task).L[list(view.moving)]
         return _norms(np.eye(self.E.shape[1]) + self.E @ L) * (1 + WIDE)
 
@@ -74,11 +88,15 @@ class Matrices(NamedTuple):
         return np.array([radius_with_doubt(M) for M in self.M]).T
 
     def first_met(self, reach):
-        """(S,) the first trial that meets a limit (0: none seen), whether none ever is, and the number of the limit.
+        """(S,) the first trial that meets a limit (0: none seen), whether none ever is, and the
+        number of the limit.
 
         reach: (S,) of `Decay`
         """
-        T, t = np.concatenate(list(self.T.values()), axis=1), np.concatenate(list(self.t.values()), axis=1)
+        T, t = (
+            np.concatenate(list(self.T.values()), axis=1),
+            np.concatenate(list(self.t.values()), axis=1),
+        )
         owner = np.repeat(np.arange(len(self.t)), [one.shape[1] for one in self.t.values()])
         rows, size = np.linalg.norm(T, axis=2), len(self.start)
         met, clear, which = np.zeros(size, int), np.zeros(size, bool), np.zeros(size, int)
@@ -91,7 +109,10 @@ class Matrices(NamedTuple):
                 later = now + np.where(moved > 0, reach[open_] * moved, 0.0)[:, None] * rows[open_]
             top, beyond = np.max(now, axis=1), ~(np.max(now, axis=1) <= 1)
             which[open_] = owner[np.argmax(np.nan_to_num(now, nan=np.inf), axis=1)]
-            met[open_[beyond]], clear[open_] = j, ~beyond & np.all(later <= 1, axis=1) & np.isfinite(top)
+            met[open_[beyond]], clear[open_] = (
+                j,
+                ~beyond & np.all(later <= 1, axis=1) & np.isfinite(top),
+            )
             left = ~beyond & ~clear[open_]
             open_, w = open_[left], following[left]
             if not len(open_):
@@ -106,7 +127,9 @@ def _matrices(view):
 
 def _of_one(common, machine, *, view):
     found = learning_of(machine, *common, view)
-    outputs, push = jax.linearize(lambda w: (found.following(w), found.error(w), found.limits(w)), found.start)
+    outputs, push = jax.linearize(
+        lambda w: (found.following(w), found.error(w), found.limits(w)), found.start
+    )
     slopes = jax.vmap(push, out_axes=-1)(jnp.eye(found.start.size))
     offset = jax.tree.map(lambda value, slope: value - slope @ found.start, outputs, slopes)
     (M, E, T), (c, e0, t) = slopes, offset

@@ -1,8 +1,10 @@
 """The contraction bounds d1 and d2 of Cao 2019, as realised on a run, with every premise checked.
 
-The theory takes D y(k+1, j) = phi(k, j) D u(k, j) for a pseudo partial derivative phi that is bounded, of constant sign and away from
-zero. On a static plant that holds. On a dynamic one D y(k+1, j) depends on the whole past of D u(., j), so phi can change its sign
-and grow without bound, and the bounds do not apply. Here phi is what it turned out to be, and a bound is claimed only where every
+The theory takes D y(k+1, j) = phi(k, j) D u(k, j) for a pseudo partial derivative phi that is
+bounded, of constant sign and away from zero. On a static plant that holds. On a dynamic one D
+y(k+1, j) depends on the whole past of D u(., j), so phi can change its sign and grow without bound,
+and the bounds do not apply. Here phi is what it turned out to be, and a bound is claimed only where
+every
 premise held at every sample and trial.
 """
 
@@ -32,12 +34,14 @@ INCREMENT = 1e-9  # increments below this share of the largest one are no excita
 
 
 class CFDLBounds(NamedTuple):
-    """The bounds on each sample k and trial j = 2..J; arrays (J-1, N), NaN where the input increment is no excitation.
+    """The bounds on each sample k and trial j = 2..J; arrays (J-1, N), NaN where the input
+    increment is no excitation.
 
     phi: realised PPD D y(k+1,j) / D u(k,j);  estimate: phi_hat(k,j) as the law used it
     b: () largest |phi|;  lam_min: () b^2 / 4;  M1: () smallest phi phi_hat / (lam + phi_hat^2)
     d1, d2: realised 1 - eta du^2 / (mu + du^2) and |1 - rho phi phi_hat / (lam + phi_hat^2)|
-    d1_worst: () 1 - eta epsilon^2 / (mu + epsilon^2), which is all that eq. 14 promises;  d2_worst: () 1 - rho M1 (eq. 15)
+    d1_worst: () 1 - eta epsilon^2 / (mu + epsilon^2), which is all that eq. 14 promises;  d2_worst:
+    () 1 - rho M1 (eq. 15)
     ppd_bound, ppd_error: d1 |error of trial j-1| + 2 b, and |phi_hat - phi|
     observed: |e(k+1,j)| / |e(k+1,j-1)|;  condition: eq. 15 with its premises
     """
@@ -58,7 +62,8 @@ class CFDLBounds(NamedTuple):
 
 
 def cfdl_bounds(scheme: CFDLMFAILC, task: Task, y, u) -> CFDLBounds:
-    """d1 and d2 of a run of CFDL-MFAILC on one machine with one input and one output (Cao 2019, eq. 13 to 15).
+    """d1 and d2 of a run of CFDL-MFAILC on one machine with one input and one output (Cao 2019, eq.
+    13 to 15).
 
     y: (J, N+1, 1) outputs and u: (J, N, 1) inputs of the trials, J >= 3, from the first one on
     Raises ValueError for shapes that are not those of the task, or a run that is not finite.
@@ -82,14 +87,36 @@ def cfdl_bounds(scheme: CFDLMFAILC, task: Task, y, u) -> CFDLBounds:
     reference_sign = np.sign(np.nansum(sign)) or 1.0
     premises = (
         premise("Lipschitz: |Dy(k+1)| <= b |Du(k)|", lipschitz, f"b = {b:.4g} where Du excites"),
-        premise("constant sign of phi", ~excited | (sign == reference_sign), f"phi within [{np.nanmin(phi):.4g}, {np.nanmax(phi):.4g}]"),
-        premise("phi bounded away from 0", ~excited | (np.abs(phi) > epsilon), f"smallest |phi| = {np.nanmin(np.abs(phi)):.4g}"),
-        premise("sign of the estimate", ~excited | (np.sign(estimate) == sign), "sign phi_hat = sign phi"),
-        premise("lam > b^2 / 4", ~excited | (phi**2 / 4.0 < lam), f"lam = {lam:.4g}, b^2 / 4 = {b**2 / 4.0:.4g}"),
         premise(
-            "the law acts in every trial, unlimited", _lawful(du, used, lam=lam, rho=rho, e=e, lead=scheme.lead), "Du = gain e(k+1, j-1)"
+            "constant sign of phi",
+            ~excited | (sign == reference_sign),
+            f"phi within [{np.nanmin(phi):.4g}, {np.nanmax(phi):.4g}]",
         ),
-        premise("no lead: u(k) is learned from e(k+1)", scheme.lead == 0, f"lead = {scheme.lead}; eq. 15 compares e(k+1) alone"),
+        premise(
+            "phi bounded away from 0",
+            ~excited | (np.abs(phi) > epsilon),
+            f"smallest |phi| = {np.nanmin(np.abs(phi)):.4g}",
+        ),
+        premise(
+            "sign of the estimate",
+            ~excited | (np.sign(estimate) == sign),
+            "sign phi_hat = sign phi",
+        ),
+        premise(
+            "lam > b^2 / 4",
+            ~excited | (phi**2 / 4.0 < lam),
+            f"lam = {lam:.4g}, b^2 / 4 = {b**2 / 4.0:.4g}",
+        ),
+        premise(
+            "the law acts in every trial, unlimited",
+            _lawful(du, used, lam=lam, rho=rho, e=e, lead=scheme.lead),
+            "Du = gain e(k+1, j-1)",
+        ),
+        premise(
+            "no lead: u(k) is learned from e(k+1)",
+            scheme.lead == 0,
+            f"lead = {scheme.lead}; eq. 15 compares e(k+1) alone",
+        ),
     )
     d2_worst = 1.0 - rho * M1
     return CFDLBounds(
@@ -105,17 +132,22 @@ def cfdl_bounds(scheme: CFDLMFAILC, task: Task, y, u) -> CFDLBounds:
         ppd_bound=bound,
         ppd_error=ppd_error,
         observed=_ratio(e),
-        condition=condition(d2_worst, "Cao 2019, eq. 15: |e(k+1,j)| <= d2 |e(k+1,j-1)|", premises=premises),
+        condition=condition(
+            d2_worst, "Cao 2019, eq. 15: |e(k+1,j)| <= d2 |e(k+1,j-1)|", premises=premises
+        ),
     )
 
 
 class FFDLBounds(NamedTuple):
-    """What Theorem 2 of Cao 2019 promises of the pseudo gradient, on each sample k and trial j = 2..J; arrays (J-1, N).
+    """What Theorem 2 of Cao 2019 promises of the pseudo gradient, on each sample k and trial j =
+    2..J; arrays (J-1, N).
 
     b: () largest |Dy(k+1,j)| / |DH(k,j)|, which bounds the shortest pseudo gradient, Dy DH / |DH|^2
     gradient: |Dy| / |DH|, its length;  estimate: length of Phi_hat(k,j)
-    d1: 1 - eta |DH|^2 / (mu + |DH|^2), the estimator's contraction along DH (across DH it contracts nothing)
-    mismatch: |Dy - Phi_hat . DH| / |DH|, what the estimate misses along DH;  observed: |e(k+1,j)| / |e(k+1,j-1)|
+    d1: 1 - eta |DH|^2 / (mu + |DH|^2), the estimator's contraction along DH (across DH it contracts
+    nothing)
+    mismatch: |Dy - Phi_hat . DH| / |DH|, what the estimate misses along DH;  observed: |e(k+1,j)| /
+    |e(k+1,j-1)|
     condition: the boundedness of the pseudo gradient with its premise
     """
 
@@ -129,11 +161,15 @@ class FFDLBounds(NamedTuple):
 
 
 def ffdl_bounds(scheme: FFDLMFAILC, task: Task, y, u) -> FFDLBounds:
-    """The pseudo gradient of a run of FFDL- or PFDL-MFAILC on one machine (Cao 2019, eq. 17, 18 and 27). As `cfdl_bounds`."""
+    """The pseudo gradient of a run of FFDL- or PFDL-MFAILC on one machine (Cao 2019, eq. 17, 18 and
+    27). As `cfdl_bounds`.
+    """
     y, u = _run("ffdl_bounds", task, y, u)
     eta, mu = float(scheme.eta), float(scheme.mu)
     du, dy = np.diff(u, axis=0), np.diff(y, axis=0)
-    windows = [_past(dy[:, :-1], i) for i in range(scheme.L_y)] + [_past(du, i) for i in range(scheme.L_u)]
+    windows = [_past(dy[:, :-1], i) for i in range(scheme.L_y)] + [
+        _past(du, i) for i in range(scheme.L_u)
+    ]
     DH, Dy = np.stack(windows), dy[:, 1:]
     length = np.sqrt(np.sum(DH**2, axis=0))
     excited, lipschitz = _excited(length, Dy)
@@ -166,7 +202,9 @@ def ffdl_bounds(scheme: FFDLMFAILC, task: Task, y, u) -> FFDLBounds:
 
 
 class PremiseShare(NamedTuple):
-    """A premise over S machines: on how many it held throughout, and the mean share of samples and trials that broke it."""
+    """A premise over S machines: on how many it held throughout, and the mean share of samples and
+    trials that broke it.
+    """
 
     name: str
     held: int
@@ -174,15 +212,27 @@ class PremiseShare(NamedTuple):
 
 
 def premises(
-    machine: Machine, scheme: FFDLMFAILC, task: Task, trials: int, uncertainty: Uncertainty, drawn: Mapping[str, Any], *, chunk: int = CHUNK
+    machine: Machine,
+    scheme: FFDLMFAILC,
+    task: Task,
+    trials: int,
+    uncertainty: Uncertainty,
+    drawn: Mapping[str, Any],
+    *,
+    chunk: int = CHUNK,
 ) -> tuple[list[PremiseShare], dict[str, int]]:
-    """The premises of Cao 2019's bounds on each machine's run, and how often the bound itself holds, fails or is not claimed.
+    """The premises of Cao 2019's bounds on each machine's run, and how often the bound itself
+    holds, fails or is not claimed.
 
-    Machines whose run is not finite are left out of both. Raises ValueError for trials whose signals do not fit into memory.
+    Machines whose run is not finite are left out of both. Raises ValueError for trials whose
+    signals do not fit into memory.
     """
     need_room(task, trials, chunk)
     bounds: Any = cfdl_bounds if isinstance(scheme, CFDLMFAILC) else ffdl_bounds
-    run, machines = tiled(partial(_signals, trials=trials)), drawn_machines(machine, uncertainty, drawn)
+    run, machines = (
+        tiled(partial(_signals, trials=trials)),
+        drawn_machines(machine, uncertainty, drawn),
+    )
     total, conditions = len(jax.tree.leaves(machines)[0]), []
     for start in range(0, total, chunk):
         batch = jax.tree.map(lambda leaf, start=start: leaf[start : start + chunk], machines)
@@ -192,11 +242,15 @@ def premises(
     names = [p.name for p in conditions[0].premises] if conditions else []
     shares = [
         PremiseShare(
-            name, sum(bool(c.premises[i].held) for c in conditions), float(np.mean([c.premises[i].share_broken for c in conditions]))
+            name,
+            sum(bool(c.premises[i].held) for c in conditions),
+            float(np.mean([c.premises[i].share_broken for c in conditions])),
         )
         for i, name in enumerate(names)
     ]
-    return shares, {v: sum(c.verdict == v for c in conditions) for v in ("holds", "fails", "not claimed")}
+    return shares, {
+        v: sum(c.verdict == v for c in conditions) for v in ("holds", "fails", "not claimed")
+    }
 
 
 def need_room(task: Task, trials: int, chunk: int = CHUNK) -> None:
@@ -209,7 +263,9 @@ def _run(name: str, task: Task, y, u):
     """(J, N+1) and (J, N) of a run, checked."""
     y, u = np.asarray(y, float), np.asarray(u, float)
     if task.inputs != 1 or task.outputs != 1:
-        raise ValueError(f"{name}: the task has {task.inputs} inputs and {task.outputs} outputs; allowed is one of each")
+        raise ValueError(
+            f"{name}: the task has {task.inputs} inputs and {task.outputs} outputs; allowed is one of each"
+        )
     J = len(y)
     if y.shape != (J, task.N + 1, 1) or u.shape != (J, task.N, 1) or J < 3:
         raise ValueError(
@@ -221,7 +277,9 @@ def _run(name: str, task: Task, y, u):
 
 
 def _excited(cause, effect):
-    """Where the cause is large enough to divide by, and where the effect is bounded by it: not an effect without a cause."""
+    """Where the cause is large enough to divide by, and where the effect is bounded by it: not an
+    effect without a cause.
+    """
     excited = np.abs(cause) > INCREMENT * max(np.max(np.abs(cause)), 1e-300)
     still = np.abs(effect) <= INCREMENT * max(np.max(np.abs(effect)), 1e-300)
     return excited, excited | still
@@ -229,7 +287,9 @@ def _excited(cause, effect):
 
 def _estimates(scheme, task: Task, y, u):
     """L arrays (J-1, N): the estimates that trial j = 2..J used, replayed from the record."""
-    return [np.asarray(phi)[..., 0] for phi in _replayed(scheme, task, y[:-1, :, None], u[:-1, :, None])]
+    return [
+        np.asarray(phi)[..., 0] for phi in _replayed(scheme, task, y[:-1, :, None], u[:-1, :, None])
+    ]
 
 
 @jax.jit
@@ -242,7 +302,9 @@ def _replayed(scheme, task: Task, y, u):
 
 
 def _lawful(du, estimate, *, lam, rho, e, lead):
-    """Where the applied increment is that of the law: no limit, quantiser, filter or rule of when to learn came between."""
+    """Where the applied increment is that of the law: no limit, quantiser, filter or rule of when
+    to learn came between.
+    """
     wanted = rho * estimate / (lam + estimate**2) * np.pad(e[:-1, lead:], ((0, 0), (0, lead)))
     return np.abs(du - wanted) <= 1e-6 * np.abs(wanted) + INCREMENT * np.max(np.abs(wanted))
 

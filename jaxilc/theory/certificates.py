@@ -1,20 +1,27 @@
-"""What theory claims of each uncertain machine in the long run, what it expects within some trials, and what simulation does.
+"""What theory claims of each uncertain machine in the long run, what it expects within some trials,
+and what simulation does.
 
-Two questions, two answers. **The long run** does not depend on how many trials one cares to watch. It is claimed only where machine,
-feedback and learning law are linear and learn alike in every trial (`linearity`), and no limit is met in any trial to come (`outlook`):
+Two questions, two answers. **The long run** does not depend on how many trials one cares to watch.
+It is claimed only where machine, feedback and learning law are linear and learn alike in every
+trial (`linearity`), and no limit is met in any trial to come (`outlook`):
 
-    monotone     the error falls in every trial to come (sigma_max(I - G L) < 1), or, with a filter or a leak, which leave an error,
-                 the distance of what is learned from its limit does (sigma_max of the learning map < 1)
-    converges    it comes to its limit in the end: a power of the learning map contracts; what it does before is bounded
-    diverges     it grows without bound: an eigenvalue lies beyond 1, with its doubt, and there is no limit to stop it
-    not claimed  for a reason that is told
+    monotone     the error falls in every trial to come (sigma_max(I - G L) < 1), or, with a filter
+    or a leak, which leave an error,
+                 the distance of what is learned from its limit does (sigma_max of the learning map
+                 < 1)
+    converges    it comes to its limit in the end: a power of the learning map contracts; what it
+    does before is bounded
+    diverges     it grows without bound: an eigenvalue lies beyond 1, with its doubt, and there is
+    no limit to stop it not claimed  for a reason that is told
 
-**Within J trials** theory predicts the error of each trial: an adaptive scheme is taken with its estimates frozen, rules and limits are
-left out, and what is not linear is linearised at the third trial. That is a prediction, and the confusion table says how good a one.
+**Within J trials** theory predicts the error of each trial: an adaptive scheme is taken with its
+estimates frozen, rules and limits are left out, and what is not linear is linearised at the third
+trial. That is a prediction, and the confusion table says how good a one.
 
     falls                 the error falls in every trial
     falls, not always     it ends low, but grew between two trials
-    turns                 it has a best trial before the last and has since grown by a half: it semi-converges
+    turns                 it has a best trial before the last and has since grown by a half: it
+    semi-converges
     grows                 it ends above its start
 """
 
@@ -53,12 +60,16 @@ class Certificate(NamedTuple):
 
     claim: (S,) of `CLAIMS`;  reason: (S,) on what a claim rests, or why nothing is claimed
     of_error: (S,) whether `monotone` is of the error itself, else of the distance from the limit
-    sigma: (S,) bound of the largest singular value of the map that decides, inf where nothing is linear
-    floor: (S,) root mean square error left at the limit, NaN where none is claimed;  doubt: (S,) within which that is known
+    sigma: (S,) bound of the largest singular value of the map that decides, inf where nothing is
+    linear
+    floor: (S,) root mean square error left at the limit, NaN where none is claimed;  doubt: (S,)
+    within which that is known
     expected, observed: (S,) of `COURSES` by theory and by simulation, within J trials
-    predicted, simulated: (S, J) root mean square error by trial;  turning, observed_turning: (S,) best trial
+    predicted, simulated: (S, J) root mean square error by trial;  turning, observed_turning: (S,)
+    best trial
     growth: (S,) largest rise of the predicted error above a lower one before it, as a factor
-    distance: (S, J) of what is learned from its limit by trial, as simulated; None where nothing is linear
+    distance: (S, J) of what is learned from its limit by trial, as simulated; None where nothing is
+    linear
     outlook: of all trials to come, None where nothing is linear
     """
 
@@ -84,7 +95,9 @@ class Certificate(NamedTuple):
         return {p: {o: sum(pair == (p, o) for pair in pairs) for o in COURSES} for p in COURSES}
 
     def broken_promises(self) -> np.ndarray:
-        """Indices of machines of which a claim was made that the simulation contradicts: there must be none."""
+        """Indices of machines of which a claim was made that the simulation contradicts: there must
+        be none.
+        """
         return np.flatnonzero([self._broken(i) for i in range(len(self.claim))])
 
     def _broken(self, i: int) -> bool:
@@ -96,48 +109,90 @@ class Certificate(NamedTuple):
         k, q, g = (float(x[i]) for x in self.outlook.decay[:3])
         far, sure = self.distance[i], float(self.outlook.radius[i])
         bound = g * q ** (np.arange(len(far)) // k) * (far[0] + sure) + sure
-        return bool(np.any(far > bound * (1 + RISE) + EXACT * far[0]) or not np.all(np.isfinite(far)))
+        return bool(
+            np.any(far > bound * (1 + RISE) + EXACT * far[0]) or not np.all(np.isfinite(far))
+        )
 
 
 def certify(
-    machine: Machine, scheme: Scheme, task: Task, trials: int, uncertainty: Uncertainty, drawn: Mapping[str, Any], *, steps: int = 300
+    machine: Machine,
+    scheme: Scheme,
+    task: Task,
+    trials: int,
+    uncertainty: Uncertainty,
+    drawn: Mapping[str, Any],
+    *,
+    steps: int = 300,
 ) -> Certificate:
-    """The certificate of each machine drawn (`uncertainty.draw`), without noise; see `certify_each`."""
+    """The certificate of each machine drawn (`uncertainty.draw`), without noise; see
+    `certify_each`.
+    """
     check(machine, scheme, task)
-    return certify_each(drawn_machines(machine, uncertainty, drawn), scheme, task, trials, steps=steps)
+    return certify_each(
+        drawn_machines(machine, uncertainty, drawn), scheme, task, trials, steps=steps
+    )
 
 
-def certify_each(machines: Machine, scheme: Scheme, task: Task, trials: int, *, steps: int = 300) -> Certificate:
+def certify_each(
+    machines: Machine, scheme: Scheme, task: Task, trials: int, *, steps: int = 300
+) -> Certificate:
     """The certificate of each of S machines, without noise.
 
-    machines: one whose leaves have a leading axis of S;  trials: J, of the prediction and the simulation; claims do not depend on it
+    machines: one whose leaves have a leading axis of S;  trials: J, of the prediction and the
+    simulation; claims do not depend on it
     steps: of the Lanczos process, at most
-    Raises as `learn` does, and ValueError, before anything runs, for more machines or trials than fit into memory.
+    Raises as `learn` does, and ValueError, before anything runs, for more machines or trials than
+    fit into memory.
     """
     check(jax.tree.map(lambda leaf: leaf[0], machines), scheme, task)
     count = len(jax.tree.leaves(machines)[0])
-    check_size("certify", lambda machines, trials: COPIES * machines * trials, machines=count, trials=trials)
-    return joined([_certified(some, scheme, task, trials, steps) for some in that_fit(machines, task)])
+    check_size(
+        "certify",
+        lambda machines, trials: COPIES * machines * trials,
+        machines=count,
+        trials=trials,
+    )
+    return joined(
+        [_certified(some, scheme, task, trials, steps) for some in that_fit(machines, task)]
+    )
 
 
-def _certified(machines: Machine, scheme: Scheme, task: Task, trials: int, steps: int) -> Certificate:
+def _certified(
+    machines: Machine, scheme: Scheme, task: Task, trials: int, steps: int
+) -> Certificate:
     machine = jax.tree.map(lambda leaf: leaf[0], machines)
     predicted = predict(machines, scheme, task, trials)
     broken = [p for p in learning_premises(machine, scheme, task) if not p.held]
     if broken:
         simulated = simulate(machines, scheme, task, trials)
         size = len(simulated)
-        claim, reason, of_error = np.full(size, NOTHING), np.full(size, broken[0].detail, object), np.zeros(size, bool)
-        sigma, floor, doubt, distance, ahead = np.full(size, np.inf), np.full(size, np.nan), np.full(size, np.nan), None, None
+        claim, reason, of_error = (
+            np.full(size, NOTHING),
+            np.full(size, broken[0].detail, object),
+            np.zeros(size, bool),
+        )
+        sigma, floor, doubt, distance, ahead = (
+            np.full(size, np.inf),
+            np.full(size, np.nan),
+            np.full(size, np.nan),
+            None,
+            None,
+        )
     else:
         maps = maps_of(machines, scheme, task, steps)
         ahead = outlooks(machines, scheme, task, maps=maps)
-        simulated, distance = follow(machines, scheme, task, trials, ahead.limit, view_of(scheme, task))
+        simulated, distance = follow(
+            machines, scheme, task, trials, ahead.limit, view_of(scheme, task)
+        )
         claim, reason, of_error, sigma = _claims(machines, scheme, task, ahead, maps)
         lasts = np.isin(claim, (MONOTONE, CONVERGES))
-        floor, doubt = (np.where(lasts, np.where(of_error, 0.0, x), np.nan) for x in (ahead.floor, ahead.doubt))
+        floor, doubt = (
+            np.where(lasts, np.where(of_error, 0.0, x), np.nan) for x in (ahead.floor, ahead.doubt)
+        )
     with np.errstate(invalid="ignore", divide="ignore"):
-        growth = np.max(np.nan_to_num(predicted / np.minimum.accumulate(predicted, axis=1), nan=np.inf), axis=1)
+        growth = np.max(
+            np.nan_to_num(predicted / np.minimum.accumulate(predicted, axis=1), nan=np.inf), axis=1
+        )
     return Certificate(
         claim=claim,
         reason=reason,
@@ -166,18 +221,23 @@ def course(errors) -> str:
     return NOT_ALWAYS if _rises(errors, errors[0]) else FALLS
 
 
-# How it is done ------------------------------------------------------------------------------------------------------------
+# How it is done
+# ------------------------------------------------------------------------------------------------------------
 
 
 def _claims(machines, scheme, task, ahead: Outlook, maps: Matrices | Maps):
-    """(S,) claims with their reasons, whether they are of the error, and the singular values that decide."""
+    """(S,) claims with their reasons, whether they are of the error, and the singular values that
+    decide.
+    """
     size, decay = len(ahead.met), ahead.decay
     of_errors = np.full(size, np.inf)
     if keeps_all(scheme, task):
         ends_at_zero = keeps_all(scheme, task, off=True) | ~np.asarray(
             jax.vmap(starts_off, in_axes=(0, None, None))(machines, scheme, task)
         )
-        of_errors = np.where(ends_at_zero, maps.error_norm(scheme, task, view_of(scheme, task)), np.inf)
+        of_errors = np.where(
+            ends_at_zero, maps.error_norm(scheme, task, view_of(scheme, task)), np.inf
+        )
     of_error = (of_errors < 1) & ahead.clear
     monotone = of_error | (decay.monotone & ahead.clear)
     converges = (decay.trials > 0) & ahead.clear & ~monotone
@@ -202,7 +262,10 @@ def _reason(i: int, claim: str, of_error: bool, of_errors: float, ahead: Outlook
 
 def _rises(errors, first) -> bool:
     """Whether an error curve rises between two trials, by more than rounding."""
-    return bool(np.any(errors[1:] > errors[:-1] * (1 + RISE) + 1e-13 * first) or not np.all(np.isfinite(errors)))
+    return bool(
+        np.any(errors[1:] > errors[:-1] * (1 + RISE) + 1e-13 * first)
+        or not np.all(np.isfinite(errors))
+    )
 
 
 def _best(errors) -> np.ndarray:

@@ -1,8 +1,9 @@
-"""One shape for every condition of convergence: a number, how far it is from its limit, and what the claim rests on.
+"""One shape for every condition of convergence: a number, how far it is from its limit, and what
+the claim rests on.
 
-A condition claims nothing where a premise of its theorem is broken. The numbers come from compiled code, the verdict is given here,
-outside of it, where they are known. Premises are looked at, not assumed: `linearity` reads them off the program, `outlook` bounds all
-trials to come.
+A condition claims nothing where a premise of its theorem is broken. The numbers come from compiled
+code, the verdict is given here, outside of it, where they are known. Premises are looked at, not
+assumed: `linearity` reads them off the program, `outlook` bounds all trials to come.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ class Premise(NamedTuple):
     """What a theorem presumes.
 
     name: as in "plant stable";  detail: what was looked at, and what was found
-    held: () or (S,) whether it holds throughout, for each of S plants;  share_broken: the share of samples, trials or plants without it
+    held: () or (S,) whether it holds throughout, for each of S plants;  share_broken: the share of
+    samples, trials or plants without it
     """
 
     name: str
@@ -34,7 +36,8 @@ class Condition(NamedTuple):
 
     value: () or (S,) what was computed;  margin: limit - value, positive where the condition holds
     premises: of the theorem;  theorem: what follows from the condition, and its source
-    verdict: 'holds', 'fails' or 'not claimed', of each plant where there are several ((S,) array of text)
+    verdict: 'holds', 'fails' or 'not claimed', of each plant where there are several ((S,) array of
+    text)
     """
 
     value: float | np.ndarray
@@ -57,23 +60,32 @@ class Condition(NamedTuple):
 def premise(name: str, holds, detail: str = "", *, plants: bool = False) -> Premise:
     """A premise from what was looked at.
 
-    holds: booleans of any shape, such as (J, N) of trials and samples;  plants: whether the first axis counts plants
+    holds: booleans of any shape, such as (J, N) of trials and samples;  plants: whether the first
+    axis counts plants
     """
     holds = np.asarray(holds, dtype=bool)
     within = tuple(range(1 if plants else 0, holds.ndim))
-    return Premise(name, _plain(np.all(holds, axis=within)), _plain(np.mean(~holds, axis=within)), detail)
+    return Premise(
+        name, _plain(np.all(holds, axis=within)), _plain(np.mean(~holds, axis=within)), detail
+    )
 
 
-def condition(value, theorem: str, *, limit: float = 1.0, premises: Iterable[Premise] = ()) -> Condition:
+def condition(
+    value, theorem: str, *, limit: float = 1.0, premises: Iterable[Premise] = ()
+) -> Condition:
     """The condition `value < limit` with its verdict.
 
-        broken premise, or value not a number  ->  'not claimed';  value < limit  ->  'holds';  else  ->  'fails'
+        broken premise, or value not a number  ->  'not claimed';  value < limit  ->  'holds';  else
+        ->  'fails'
 
-    value: () or (S,);  premises: their `held` is () or (S,). What lies below the limit by rounding only does not hold: a singular value
-    that is 1 in theory, as of a law that leaves a sample alone, may come out as 1 - 1e-15.
+    value: () or (S,);  premises: their `held` is () or (S,). What lies below the limit by rounding
+    only does not hold: a singular value that is 1 in theory, as of a law that leaves a sample
+    alone, may come out as 1 - 1e-15.
     """
     value, premises = np.asarray(value), tuple(premises)
-    rounding = ROUNDING * np.finfo(value.dtype if value.dtype.kind == "f" else float).eps * abs(limit)
+    rounding = (
+        ROUNDING * np.finfo(value.dtype if value.dtype.kind == "f" else float).eps * abs(limit)
+    )
     value = value.astype(float)
     claimed = ~np.isnan(value)
     for p in premises:

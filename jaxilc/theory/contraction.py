@@ -1,12 +1,17 @@
-"""Contraction of any scheme without a matrix: one trial and its learning as a map, its gain and growth by Lanczos and Arnoldi.
+"""Contraction of any scheme without a matrix: one trial and its learning as a map, its gain and
+growth by Lanczos and Arnoldi.
 
-    memory -> trial -> next memory          `learning_map`: all a scheme knows, estimates included, or the parts of it that are named
-    e_j -> e_{j+1}, ..., e_{j+J}            `error_map`: what becomes of the error of a trial; I - G L for a linear law, in any scheme
+    memory -> trial -> next memory          `learning_map`: all a scheme knows, estimates included,
+    or the parts of it that are named
+    e_j -> e_{j+1}, ..., e_{j+J}            `error_map`: what becomes of the error of a trial; I - G
+    L for a linear law, in any scheme
 
-Both are differentiated through the simulator, forward (`jvp`) and backward (`vjp`), at the cost of a trial each. The scheme may adapt,
-switch and be nonlinear: what is found is then true near the memory it was found at, as far as the simulation has the derivative that
-JAX gives it; a rounding has none. It is true everywhere where the map is affine, which is read off its program (`structure`). All
-functions down to `over_plants` are pure and may be vmapped over machines.
+Both are differentiated through the simulator, forward (`jvp`) and backward (`vjp`), at the cost of
+a trial each. The scheme may adapt,
+switch and be nonlinear: what is found is then true near the memory it was found at, as far as the
+simulation has the derivative that JAX gives it; a rounding has none. It is true everywhere where
+the map is affine, which is read off its program (`structure`). All functions down to `over_plants`
+are pure and may be vmapped over machines.
 """
 
 from __future__ import annotations
@@ -50,7 +55,9 @@ __all__ = [
 ]
 
 FIXED = 1e-6  # by how much of itself a trial may move a memory that counts as a fixed point
-FLAGS = ("seen",)  # leaves of a memory that are no state: they only tell the first trial from the others
+FLAGS = (
+    "seen",
+)  # leaves of a memory that are no state: they only tell the first trial from the others
 OF_OUTPUT = ("y",)  # leaves of a memory that have the unit of the output
 
 CONTRACTION = "largest singular value of the learning map < 1: it contracts in the 2-norm of the weighted memory (Banach), {where}"
@@ -80,12 +87,16 @@ def learning_map(
     """One trial and its learning, as a map on the weighted memory.
 
     memory: where to linearise, None for that after 3 trials
-    leaves: names of what varies, all else held ("u"; "learning.phi", which is all of phi[0], phi[1], ...); None for all but flags.
-            ("u", "y") of MFAILC leaves out its estimates. It matters: at a fixed point without error nothing moves phi, so the
-            full map has the eigenvalue 1 there, once for each phi that no reset holds. Its u alone says nothing, as y goes with it.
-    weights: {name: number} by which leaves are multiplied before they are compared, as u, y and phi have different units. Spectral
-            radii do not depend on them, singular values do. Without one, a leaf is brought to the size of the output by
-            rms(y) / rms(leaf), or by 1 if either is zero; `y` keeps its unit. The longest name that fits a leaf counts.
+    leaves: names of what varies, all else held ("u"; "learning.phi", which is all of phi[0],
+    phi[1], ...); None for all but flags.
+            ("u", "y") of MFAILC leaves out its estimates. It matters: at a fixed point without
+            error nothing moves phi, so the full map has the eigenvalue 1 there, once for each phi
+            that no reset holds. Its u alone says nothing, as y goes with it.
+    weights: {name: number} by which leaves are multiplied before they are compared, as u, y and phi
+    have different units. Spectral
+            radii do not depend on them, singular values do. Without one, a leaf is brought to the
+            size of the output by rms(y) / rms(leaf), or by 1 if either is zero; `y` keeps its unit.
+            The longest name that fits a leaf counts.
     Raises ValueError for a name that the memory has not, or a memory without anything that varies.
     """
     scheme = scheme.prepared(task)
@@ -94,17 +105,37 @@ def learning_map(
     names, values = list(found), [jnp.asarray(v) for v in found.values()]
     for name in (*(leaves or ()), *(weights or ())):
         if not any(_names(name, of) for of in names):
-            raise ValueError(f"learning_map: {name!r} is not in this memory; known: {', '.join(names) or 'nothing'}")
-    varies = [any(_names(name, of) for name in leaves) if leaves is not None else of.split(".")[-1] not in FLAGS for of in names]
-    varies = [v and jnp.issubdtype(value.dtype, jnp.floating) for v, value in zip(varies, values, strict=True)]
+            raise ValueError(
+                f"learning_map: {name!r} is not in this memory; known: {', '.join(names) or 'nothing'}"
+            )
+    varies = [
+        any(_names(name, of) for name in leaves)
+        if leaves is not None
+        else of.split(".")[-1] not in FLAGS
+        for of in names
+    ]
+    varies = [
+        v and jnp.issubdtype(value.dtype, jnp.floating)
+        for v, value in zip(varies, values, strict=True)
+    ]
     if not any(varies):
-        raise ValueError(f"learning_map: the memory of {type(scheme).__name__} has no floating leaf that varies")
+        raise ValueError(
+            f"learning_map: the memory of {type(scheme).__name__} has no floating leaf that varies"
+        )
     size_y = _rms(trial_of(machine, scheme, task, memory).y)
-    scales = [_weight(of, value, weights or {}, size_y) for of, value in zip(names, values, strict=True)]
+    scales = [
+        _weight(of, value, weights or {}, size_y) for of, value in zip(names, values, strict=True)
+    ]
     shape = jax.tree.structure(memory)
 
     def flat(of_memory):
-        return jnp.concatenate([(w * v).ravel() for v, w, free in zip(jax.tree.leaves(of_memory), scales, varies, strict=True) if free])
+        return jnp.concatenate(
+            [
+                (w * v).ravel()
+                for v, w, free in zip(jax.tree.leaves(of_memory), scales, varies, strict=True)
+                if free
+            ]
+        )
 
     def unflat(x):
         rest, at = [], 0
@@ -116,12 +147,16 @@ def learning_map(
     return Map(lambda x: flat(step(machine, scheme, task, unflat(x))), flat(memory))
 
 
-def error_map(machine: Machine, scheme: Scheme, task: Task, memory: Any = None, *, trials: int = 1) -> Map:
-    """From the error e[1..N] of a trial, (N n_y,), to that of each of the next `trials` trials, (J, N n_y).
+def error_map(
+    machine: Machine, scheme: Scheme, task: Task, memory: Any = None, *, trials: int = 1
+) -> Map:
+    """From the error e[1..N] of a trial, (N n_y,), to that of each of the next `trials` trials, (J,
+    N n_y).
 
-    Another error comes with the repetitive disturbance of the output that causes it, which then stays: it is the error, not the
-    input, that is prescribed. That trial is run with the prescribed output fed back, so nothing has to be inverted. For a linear law
-    under a linear loop G the derivative is (I - G L)^j; a scheme that adapts learns from the change as well, and that counts.
+    Another error comes with the repetitive disturbance of the output that causes it, which then
+    stays: it is the error, not the input, that is prescribed. That trial is run with the prescribed
+    output fed back, so nothing has to be inverted. For a linear law under a linear loop G the
+    derivative is (I - G L)^j; a scheme that adapts learns from the change as well, and that counts.
     memory: with which the trial is entered, None for that after 3 trials
     """
     scheme = scheme.prepared(task)
@@ -142,36 +177,64 @@ def error_map(machine: Machine, scheme: Scheme, task: Task, memory: Any = None, 
     return Map(f, first.e[1:].ravel())
 
 
-def error_growth(f: Callable, at, trials: int, *, steps: int = 300, tolerance: float = 1e-6) -> SingularValue:
-    """The largest |e_{j+i}| / |e_j| for i = 1..J: fields with a leading axis of J. f, at: an `error_map` over J `trials`"""
-    return lax.map(lambda row: singular_value(f, at, steps=steps, tolerance=tolerance, row=row), jnp.arange(trials))
+def error_growth(
+    f: Callable, at, trials: int, *, steps: int = 300, tolerance: float = 1e-6
+) -> SingularValue:
+    """The largest |e_{j+i}| / |e_j| for i = 1..J: fields with a leading axis of J. f, at: an
+    `error_map` over J `trials`
+    """
+    return lax.map(
+        lambda row: singular_value(f, at, steps=steps, tolerance=tolerance, row=row),
+        jnp.arange(trials),
+    )
 
 
-def over_plants(quantity: Callable[[Machine], Any], machine: Machine, uncertainty: Uncertainty, drawn: Mapping[str, Any], lanes: int = 4):
-    """quantity(machine) for every plant drawn, tiled over devices; `drawn` as from `uncertainty.draw`."""
-    run = tiled(lambda common, values: quantity(drawn_machine(common, uncertainty, values)), lanes=lanes)
+def over_plants(
+    quantity: Callable[[Machine], Any],
+    machine: Machine,
+    uncertainty: Uncertainty,
+    drawn: Mapping[str, Any],
+    lanes: int = 4,
+):
+    """quantity(machine) for every plant drawn, tiled over devices; `drawn` as from
+    `uncertainty.draw`.
+    """
+    run = tiled(
+        lambda common, values: quantity(drawn_machine(common, uncertainty, values)), lanes=lanes
+    )
     return run(machine, {name: jnp.asarray(values) for name, values in drawn.items()})
 
 
-# Conditions: not for use inside compiled code ------------------------------------------------------------------------------
+# Conditions: not for use inside compiled code
+# ------------------------------------------------------------------------------
 
 
-def contracting(machine: Machine, scheme: Scheme, task: Task, memory: Any = None, *, weights=None, **options) -> Condition:
+def contracting(
+    machine: Machine, scheme: Scheme, task: Task, memory: Any = None, *, weights=None, **options
+) -> Condition:
     """The learning map contracts in the norm of the weighted memory.
 
-    weights, and of options `leaves`: as for `learning_map`;  options `steps`, `tolerance`: as for `iteration.singular_value`
-    Raises ValueError where machine, scheme and task do not fit, or for a name that the memory has not.
+    weights, and of options `leaves`: as for `learning_map`;  options `steps`, `tolerance`: as for
+    `iteration.singular_value`
+    Raises ValueError where machine, scheme and task do not fit, or for a name that the memory has
+    not.
     """
     check(machine, scheme, task)
     found, distance = _singular_of_memory(machine, scheme, task, memory, weights, **options)
     premises, where = _where(machine, scheme, task, memory, options.get("leaves"), distance)
-    return condition(found.value, CONTRACTION.format(where=where), premises=(*premises, _bounded(found)))
+    return condition(
+        found.value, CONTRACTION.format(where=where), premises=(*premises, _bounded(found))
+    )
 
 
-def attracting(machine: Machine, scheme: Scheme, task: Task, memory: Any = None, **options) -> Condition:
-    """The fixed point of the learning map attracts. options: `leaves` of `learning_map`, `steps` of `spectral_radius_of`; raises as above
+def attracting(
+    machine: Machine, scheme: Scheme, task: Task, memory: Any = None, **options
+) -> Condition:
+    """The fixed point of the learning map attracts. options: `leaves` of `learning_map`, `steps` of
+    `spectral_radius_of`; raises as above
 
-    Where the eigenvalue is in doubt, it still is < 1 if the eighth power of the derivative contracts, since rho^8 <= ||J^8||.
+    Where the eigenvalue is in doubt, it still is < 1 if the eighth power of the derivative
+    contracts, since rho^8 <= ||J^8||.
     """
     check(machine, scheme, task)
     found, distance = _radius_of_memory(machine, scheme, task, memory, **options)
@@ -184,23 +247,33 @@ def attracting(machine: Machine, scheme: Scheme, task: Task, memory: Any = None,
     return condition(found.value, ATTRACTION.format(where=where), premises=(*premises, resolved))
 
 
-def error_contracting(machine: Machine, scheme: Scheme, task: Task, memory: Any = None, *, trials: int = 1, **options) -> Condition:
-    """A change of the error, however it is shaped, has become smaller `trials` trials later; see `error_map`.
+def error_contracting(
+    machine: Machine, scheme: Scheme, task: Task, memory: Any = None, *, trials: int = 1, **options
+) -> Condition:
+    """A change of the error, however it is shaped, has become smaller `trials` trials later; see
+    `error_map`.
 
-    options: `steps`, `tolerance` of `iteration.singular_value`. Raises ValueError where machine, scheme and task do not fit.
+    options: `steps`, `tolerance` of `iteration.singular_value`. Raises ValueError where machine,
+    scheme and task do not fit.
     """
     check(machine, scheme, task)
     found = _singular_of_error(machine, scheme, task, memory, trials=trials, **options)
     memory = learned_memory(machine, scheme, task) if memory is None else memory
     fixed, at = (machine, scheme, task, memory), jnp.zeros(task.N * task.outputs)
-    affine = bool(linear_law(scheme, task, memory).held) and not obstacle(partial(_errors, trials=trials), fixed, at)
-    theorem = ERROR.format(n=trials, which="" if affine else "small ", where=EVERYWHERE if affine else NEARBY)
+    affine = bool(linear_law(scheme, task, memory).held) and not obstacle(
+        partial(_errors, trials=trials), fixed, at
+    )
+    theorem = ERROR.format(
+        n=trials, which="" if affine else "small ", where=EVERYWHERE if affine else NEARBY
+    )
     smooth = affine or not blind(partial(_errors, trials=trials), fixed, at)
     return condition(found.value, theorem, premises=(_differentiable(smooth), _bounded(found)))
 
 
 @partial(jax.jit, static_argnames=("leaves", "steps", "tolerance"))
-def _singular_of_memory(machine, scheme, task, memory, weights, *, leaves=None, steps=300, tolerance=0.0):
+def _singular_of_memory(
+    machine, scheme, task, memory, weights, *, leaves=None, steps=300, tolerance=0.0
+):
     map_ = learning_map(machine, scheme, task, memory, leaves=leaves, weights=weights)
     return singular_value(*map_, steps=steps, tolerance=tolerance), _distance(map_)
 
@@ -215,12 +288,19 @@ def _radius_of_memory(machine, scheme, task, memory, *, leaves=None, steps=100):
 def _singular_of_power(machine, scheme, task, memory, *, leaves=None, steps=100):
     map_ = learning_map(machine, scheme, task, memory, leaves=leaves)
     _, push = jax.linearize(*map_)
-    return singular_value(lambda x: lax.fori_loop(0, 8, lambda _, x: push(x), x), jnp.zeros_like(map_.at), steps=steps)
+    return singular_value(
+        lambda x: lax.fori_loop(0, 8, lambda _, x: push(x), x), jnp.zeros_like(map_.at), steps=steps
+    )
 
 
 @partial(jax.jit, static_argnames=("trials", "steps", "tolerance"))
 def _singular_of_error(machine, scheme, task, memory, *, trials, steps=300, tolerance=0.0):
-    return singular_value(*error_map(machine, scheme, task, memory, trials=trials), steps=steps, tolerance=tolerance, row=trials - 1)
+    return singular_value(
+        *error_map(machine, scheme, task, memory, trials=trials),
+        steps=steps,
+        tolerance=tolerance,
+        row=trials - 1,
+    )
 
 
 def _distance(map_: Map):
@@ -230,9 +310,14 @@ def _distance(map_: Map):
 
 
 def _where(machine, scheme, task, memory, leaves, distance) -> tuple[tuple[Premise, Premise], str]:
-    """The premises under which a derivative at one memory says where learning goes, and where that is true."""
+    """The premises under which a derivative at one memory says where learning goes, and where that
+    is true.
+    """
     memory = learned_memory(machine, scheme, task) if memory is None else memory
-    fixed, at = (machine, scheme, task, memory), learning_map(machine, scheme, task, memory, leaves=leaves).at
+    fixed, at = (
+        (machine, scheme, task, memory),
+        learning_map(machine, scheme, task, memory, leaves=leaves).at,
+    )
     law = linear_law(scheme, task, memory)
     why = "" if law.held else law.detail
     why = obstacle(partial(_learned, leaves=leaves), fixed, at) or why
@@ -243,7 +328,11 @@ def _where(machine, scheme, task, memory, leaves, distance) -> tuple[tuple[Premi
 
 
 def _differentiable(smooth: bool) -> Premise:
-    return premise(DIFFERENTIABLE, smooth, "read off its program" if smooth else "something is rounded, and its derivative made up")
+    return premise(
+        DIFFERENTIABLE,
+        smooth,
+        "read off its program" if smooth else "something is rounded, and its derivative made up",
+    )
 
 
 def _learned(fixed, at, *, leaves):
@@ -257,10 +346,13 @@ def _errors(fixed, at, *, trials):
 def _bounded(found: SingularValue) -> Premise:
     """The premise that the iteration came close enough to tell the value from 1."""
     clear = found.bound < 1 or found.value >= 1
-    return premise(RESOLVED, clear, f"{float(found.value):.9g}, and at most {float(found.bound):.9g}")
+    return premise(
+        RESOLVED, clear, f"{float(found.value):.9g}, and at most {float(found.bound):.9g}"
+    )
 
 
-# How it is done ------------------------------------------------------------------------------------------------------------
+# How it is done
+# ------------------------------------------------------------------------------------------------------------
 
 
 def _names(name: str, leaf: str) -> bool:

@@ -1,11 +1,14 @@
-"""The largest value of a frequency response, enclosed: no frequency is missed between the lines of a grid.
+"""The largest value of a frequency response, enclosed: no frequency is missed between the lines of
+a grid.
 
-On an arc of angles |theta - centre| <= h, theta = 2 pi f dt, a response is enclosed by a line and what it may depart from it,
+On an arc of angles |theta - centre| <= h, theta = 2 pi f dt, a response is enclosed by a line and
+what it may depart from it,
 
     |X(theta) - X0 - (theta - centre) X1| <= c (theta - centre)^2
 
-with c from the resolvent of a loop or the taps of a law. |X0 + t X1| is convex in t, so it is largest at an end of the arc. Arcs whose
-bound lies above the largest value found so far are split, until none is left but within a tolerance (branch and bound).
+with c from the resolvent of a loop or the taps of a law. |X0 + t X1| is convex in t, so it is
+largest at an end of the arc. Arcs whose bound lies above the largest value found so far are split,
+until none is left but within a tolerance (branch and bound).
 """
 
 from __future__ import annotations
@@ -41,7 +44,12 @@ class Arc(NamedTuple):
     def times(self, other: Arc, h) -> Arc:
         """The product of two responses on arcs of half width h (F,)."""
         a, b = (np.stack([size(part.value), size(part.slope)]) for part in (self, other))
-        curve = a[0] * other.curve + self.curve * b[0] + a[1] * b[1] + h * (a[1] * other.curve + self.curve * b[1])
+        curve = (
+            a[0] * other.curve
+            + self.curve * b[0]
+            + a[1] * b[1]
+            + h * (a[1] * other.curve + self.curve * b[1])
+        )
         slope = self.slope @ other.value + self.value @ other.slope
         return Arc(self.value @ other.value, slope, curve + h**2 * self.curve * other.curve)
 
@@ -51,7 +59,9 @@ class Arc(NamedTuple):
         return Arc(*(np.conj(np.swapaxes(x, -1, -2)) for x in self[:2]), self.curve)
 
     def inverse(self, h) -> Arc:
-        """The inverse of a square response, on arcs of half width h (F,); unbounded where it may be singular."""
+        """The inverse of a square response, on arcs of half width h (F,); unbounded where it may be
+        singular.
+        """
         inverse = np.linalg.inv(self.value)
         away = size(inverse) * (h * size(self.slope) + h**2 * self.curve)
         reach = size(inverse) / np.where(away < 1, 1 - away, np.nan)
@@ -76,14 +86,20 @@ class Supremum(NamedTuple):
 def supremum(bounds: Callable, low: float, high: float, tolerance: float = TOLERANCE) -> Supremum:
     """The largest value of a function of the angle on [low, high], in [0, pi].
 
-    bounds: from the centres (F,) and half widths (F,) of arcs to the values (F,) at the centres and upper bounds (F,) over the arcs
+    bounds: from the centres (F,) and half widths (F,) of arcs to the values (F,) at the centres and
+    upper bounds (F,) over the arcs
     """
     edges = np.linspace(low, high, ARCS + 1)
     centre, h = (edges[1:] + edges[:-1]) / 2, np.diff(edges) / 2
     best, where, done, looked = -np.inf, low, -np.inf, 0
     while len(centre):
-        found = [bounds(centre[i : i + CHUNK], h[i : i + CHUNK]) for i in range(0, len(centre), CHUNK)]
-        value, upper = (np.nan_to_num(np.concatenate(x), nan=np.inf, posinf=np.inf) for x in zip(*found, strict=True))
+        found = [
+            bounds(centre[i : i + CHUNK], h[i : i + CHUNK]) for i in range(0, len(centre), CHUNK)
+        ]
+        value, upper = (
+            np.nan_to_num(np.concatenate(x), nan=np.inf, posinf=np.inf)
+            for x in zip(*found, strict=True)
+        )
         looked += len(centre)
         top = np.argmax(value)
         if value[top] > best:
@@ -93,7 +109,9 @@ def supremum(bounds: Callable, low: float, high: float, tolerance: float = TOLER
         if not np.isfinite(best) or looked > MOST:
             return Supremum(best, max(done, float(np.max(upper[left], initial=best))), where)
         h = np.repeat(h[left] / 4, 4)
-        centre = (centre[left][:, None] + np.array([-3.0, -1.0, 1.0, 3.0]) * h[::4][: np.sum(left), None]).ravel()
+        centre = (
+            centre[left][:, None] + np.array([-3.0, -1.0, 1.0, 3.0]) * h[::4][: np.sum(left), None]
+        ).ravel()
     return Supremum(best, max(best, min(done, best * (1 + tolerance))), where)
 
 
@@ -106,7 +124,8 @@ def arc_of_taps(of: Taps, centre, h) -> Arc:
 
 
 def arc_of_loop(loop: Loop, centre, h) -> Arc:
-    """A stable loop, best balanced, on arcs: P = C R B with the resolvent R = (z I - A)^-1, and with |R| bounded on the arc
+    """A stable loop, best balanced, on arcs: P = C R B with the resolvent R = (z I - A)^-1, and
+    with |R| bounded on the arc
 
     d/dtheta P = -i z C R R B,      |d^2/dtheta^2 P| <= |C R| |R B| (1 + 2 |R|)
     """
@@ -133,14 +152,19 @@ def size(X) -> np.ndarray:
 
 
 def balanced(loop: Loop) -> Loop:
-    """A stable loop in coordinates in which each state is reached as well as it is seen; the resolvent is then as small as it can be.
+    """A stable loop in coordinates in which each state is reached as well as it is seen; the
+    resolvent is then as small as it can be.
 
-    States of which rounding would decide are left out: what they add to P is less than 1e-13 of its largest value.
+    States of which rounding would decide are left out: what they add to P is less than 1e-13 of its
+    largest value.
     """
     A, B, C = (np.asarray(M, float) for M in loop)
     if not len(A):
         return loop
-    reached, seen = scipy.linalg.solve_discrete_lyapunov(A, B @ B.T), scipy.linalg.solve_discrete_lyapunov(A.T, C.T @ C)
+    reached, seen = (
+        scipy.linalg.solve_discrete_lyapunov(A, B @ B.T),
+        scipy.linalg.solve_discrete_lyapunov(A.T, C.T @ C),
+    )
     roots = [_root(W) for W in (reached, seen)]
     U, s, Vt = np.linalg.svd(roots[1].T @ roots[0])
     kept = s > 1e-13 / max(len(s), 1) * s[0] if s[0] > 0 else np.zeros(len(s), bool)

@@ -1,4 +1,6 @@
-"""A condition over a parametric set of plants: the worst of those that were tried, each enclosed over frequency."""
+"""A condition over a parametric set of plants: the worst of those that were tried, each enclosed
+over frequency.
+"""
 
 from __future__ import annotations
 
@@ -33,8 +35,10 @@ CORNERS = 8  # names up to which all corners of the box are tried
 class FamilyTest(NamedTuple):
     """A condition over a parametric set of plants.
 
-    condition: on the supremum over the plants tried and all frequencies;  at: the worst plant's numbers;  worst: its frequency [Hz]
-    values, critical: (S,) supremum and critical frequency [Hz] of each plant tried;  drawn: {name: (S,)} their numbers
+    condition: on the supremum over the plants tried and all frequencies;  at: the worst plant's
+    numbers;  worst: its frequency [Hz]
+    values, critical: (S,) supremum and critical frequency [Hz] of each plant tried;  drawn: {name:
+    (S,)} their numbers
     """
 
     condition: Condition
@@ -58,15 +62,20 @@ def family_condition(
     steps: int = 60,
     frequencies=None,
 ) -> FamilyTest:
-    """sup |Q (keep - L P)| over the box that the distributions' corners span: samples, corners, and gradient ascent from the worst.
+    """sup |Q (keep - L P)| over the box that the distributions' corners span: samples, corners, and
+    gradient ascent from the worst.
 
-        p <- clip(p + h g / |g|),  g = d/dp max_w |Q (keep - L P(p))|    (h grows by 1.5 after a gain and is halved after a loss)
+        p <- clip(p + h g / |g|),  g = d/dp max_w |Q (keep - L P(p))|    (h grows by 1.5 after a
+        gain and is halved after a loss)
 
-    The ascent runs on the lines of each plant it starts from, and only keeps what is better; every plant that is tried is then enclosed
-    over all frequencies, so that the worst of them is the worst.
-    samples, sampling, seed: as for `uncertainty.draw`, moved into the box where a normal distribution leaves it
-    climbers: how many of the worst ascend, 0 for none;  steps: of each;  frequencies: lines of the ascent, None for a `grid`
-    What differs from plant to plant in the premises is looked at for every plant tried. Raises ValueError as `draw` does.
+    The ascent runs on the lines of each plant it starts from, and only keeps what is better; every
+    plant that is tried is then enclosed over all frequencies, so that the worst of them is the
+    worst.
+    samples, sampling, seed: as for `uncertainty.draw`, moved into the box where a normal
+    distribution leaves it
+    climbers: how many of the worst ascend, 0 for none;  steps: of each;  frequencies: lines of the
+    ascent, None for a `grid` What differs from plant to plant in the premises is looked at for
+    every plant tried. Raises ValueError as `draw` does.
     """
     check(machine, scheme, task)
     names, law = tuple(uncertainty.items()), law_of(scheme, task)
@@ -74,7 +83,9 @@ def family_condition(
     drawn = draw(machine, uncertainty, samples, seed=seed, sampling=sampling)
     points = np.clip(np.stack([drawn[name] for name, _ in names], axis=1), low, high)
     if len(names) <= CORNERS:
-        points = np.concatenate([points, np.array(list(itertools.product(*zip(low, high, strict=True))))])
+        points = np.concatenate(
+            [points, np.array(list(itertools.product(*zip(low, high, strict=True))))]
+        )
     common = (machine.unlimited(), scheme.unlimited(), task)
 
     def tried(points):
@@ -91,10 +102,16 @@ def family_condition(
         fixed = (*common, jnp.asarray(f), taps, jnp.asarray(low), jnp.asarray(high))
         climbed = np.asarray(_climbing(names, steps)(fixed, jnp.asarray(points[first])))
         points = np.concatenate([points, climbed])
-        values, worst, critical, radii = (np.concatenate(x) for x in zip((values, worst, critical, radii), tried(climbed), strict=True))
+        values, worst, critical, radii = (
+            np.concatenate(x)
+            for x in zip((values, worst, critical, radii), tried(climbed), strict=True)
+        )
     top = int(np.argmax(values))
     at = {name: float(v) for (name, _), v in zip(names, points[top], strict=True)}
-    drawn, parts = {name: points[:, i] for i, (name, _) in enumerate(names)}, parts_of(machine, scheme, task)
+    drawn, parts = (
+        {name: points[:, i] for i, (name, _) in enumerate(names)},
+        parts_of(machine, scheme, task),
+    )
     stable = premise(STABLE, radii < 1 - 1e-9, f"largest |pole| {np.max(radii):.6g}")
     held = [stable if p.name == STABLE else p for p in parts.premises]
     if values[top] < 1:
@@ -103,7 +120,8 @@ def family_condition(
     return FamilyTest(found, at, float(worst[top]), values, critical, drawn)
 
 
-# How it is done ------------------------------------------------------------------------------------------------------------
+# How it is done
+# ------------------------------------------------------------------------------------------------------------
 
 
 @lru_cache(maxsize=16)  # what `tiled` returns compiles anew each time it is made
@@ -118,21 +136,33 @@ def _climbing(names, steps):
 
 def _loop_of(common, point, *, names):
     machine, scheme, task = common
-    return linear_loop(drawn_machine(machine, dict(names), {name: point[i] for i, (name, _) in enumerate(names)}), scheme, task)
+    return linear_loop(
+        drawn_machine(machine, dict(names), {name: point[i] for i, (name, _) in enumerate(names)}),
+        scheme,
+        task,
+    )
 
 
 def _climb(common, start, *, names, steps):
-    """Where projected gradient ascent from `start` ends, both in the units of the numbers drawn; it runs in the unit box."""
+    """Where projected gradient ascent from `start` ends, both in the units of the numbers drawn; it
+    runs in the unit box.
+    """
     machine, scheme, task, f, (keep, L), low, high = common
     z = on_circle(f, task.dt)
     law = at_points(keep, z), at_points(L, z)
 
     def sizes(loop, f, law):
         M = law[0] - law[1] @ response(loop, f, task.dt)
-        return jnp.abs(M[:, 0, 0]) if M.shape[1:] == (1, 1) else jnp.linalg.svd(M, compute_uv=False)[:, 0]
+        return (
+            jnp.abs(M[:, 0, 0])
+            if M.shape[1:] == (1, 1)
+            else jnp.linalg.svd(M, compute_uv=False)[:, 0]
+        )
 
     def peak(x):
-        """The largest size on the lines, and then between those around it, so that no line is a summit of its own."""
+        """The largest size on the lines, and then between those around it, so that no line is a
+        summit of its own.
+        """
         loop = _loop_of((machine, scheme, task), low + (high - low) * x, names=names)
         i = jnp.argmax(sizes(loop, f, law))
         between = jnp.linspace(f[jnp.maximum(i - 1, 0)], f[jnp.minimum(i + 1, len(f) - 1)], BETWEEN)
@@ -143,10 +173,17 @@ def _climb(common, start, *, names, steps):
     def ascend(_, now):
         x, value, g, h = now
         free = jnp.where(((x <= 0) & (g < 0)) | ((x >= 1) & (g > 0)), 0.0, g)
-        moved = jnp.clip(x + h * free / jnp.maximum(jnp.linalg.norm(free), jnp.finfo(float).tiny), 0.0, 1.0)
+        moved = jnp.clip(
+            x + h * free / jnp.maximum(jnp.linalg.norm(free), jnp.finfo(float).tiny), 0.0, 1.0
+        )
         there, slope = jax.value_and_grad(peak)(moved)
         better = there > value
-        return jnp.where(better, moved, x), jnp.maximum(there, value), jnp.where(better, slope, g), h * jnp.where(better, 1.5, 0.5)
+        return (
+            jnp.where(better, moved, x),
+            jnp.maximum(there, value),
+            jnp.where(better, slope, g),
+            h * jnp.where(better, 1.5, 0.5),
+        )
 
     x = (start - low) / (high - low)
     x = lax.fori_loop(0, steps, ascend, (x, *jax.value_and_grad(peak)(x), jnp.asarray(0.1)))[0]

@@ -17,14 +17,17 @@ from ..signals.task import Task
 from .affine import View, known_as
 from .trials import step, trial_of
 
-FIRST = 2  # trials simulated before the prediction takes over: from the third on a law of two-trial increments is what it will be
+# trials simulated before the prediction takes over: from the third on a law of two-trial
+# increments is what it will be
+FIRST = 2
 
 
 def predict(machines: Machine, scheme: Scheme, task: Task, trials: int) -> np.ndarray:
-    """(S, J) root mean square errors by linear theory: two trials, then the learning map linearised at what they left.
+    """(S, J) root mean square errors by linear theory: two trials, then the learning map linearised
+    at what they left.
 
-    Estimates are frozen at their start, rules of when to learn and limits are left out. Where a scheme runs several trials before it
-    learns once, each error stands that often.
+    Estimates are frozen at their start, rules of when to learn and limits are left out. Where a
+    scheme runs several trials before it learns once, each error stands that often.
     """
     run = _predicting(-(-trials // scheme.trials_a_step))
     found = np.asarray(run((scheme.frozen().unlimited(), task), machines))
@@ -36,13 +39,18 @@ def simulate(machines: Machine, scheme: Scheme, task: Task, trials: int) -> np.n
     return np.asarray(_simulating(trials)((scheme, task), machines))
 
 
-def follow(machines: Machine, scheme: Scheme, task: Task, trials: int, limit, view: View) -> tuple[np.ndarray, np.ndarray]:
-    """(S, J) root mean square errors as simulated, and (S, J) distances of what is played from a limit (S, n), see `affine`."""
+def follow(
+    machines: Machine, scheme: Scheme, task: Task, trials: int, limit, view: View
+) -> tuple[np.ndarray, np.ndarray]:
+    """(S, J) root mean square errors as simulated, and (S, J) distances of what is played from a
+    limit (S, n), see `affine`.
+    """
     errors, distance = _following(trials, view)((scheme, task), (machines, jnp.asarray(limit)))
     return np.asarray(errors), np.asarray(distance)
 
 
-# One machine at a time -------------------------------------------------------------------------------------------------------
+# One machine at a time
+# -------------------------------------------------------------------------------------------------------
 
 
 @lru_cache(maxsize=16)  # what `tiled` returns compiles anew each time it is made
@@ -61,7 +69,9 @@ def _following(trials, view):
 
 
 def _predict(common, machine, *, trials):
-    """(J,) root mean square errors, one number a trial: the first trials as simulated, then by the learning map linearised after them."""
+    """(J,) root mean square errors, one number a trial: the first trials as simulated, then by the
+    learning map linearised after them.
+    """
     scheme, task = common
     machine, scheme = machine.unlimited(), scheme.prepared(task)
 
@@ -94,7 +104,9 @@ def _rms(error):
 
 
 def _floats(memory):
-    """The floating leaves of a memory that are signals, and the way back; counters and flags are held."""
+    """The floating leaves of a memory that are signals, and the way back; counters and flags are
+    held.
+    """
     leaves, shape = jax.tree.flatten(memory)
     free = [jnp.issubdtype(jnp.result_type(x), jnp.floating) and jnp.ndim(x) > 0 for x in leaves]
 

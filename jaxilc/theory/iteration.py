@@ -1,4 +1,6 @@
-"""Singular values and eigenvalues of a linear map that is given by what it does to a vector: Lanczos and Arnoldi. Pure."""
+"""Singular values and eigenvalues of a linear map that is given by what it does to a vector:
+Lanczos and Arnoldi. Pure.
+"""
 
 from __future__ import annotations
 
@@ -17,8 +19,10 @@ CHANCE = 1e-9  # with which the largest singular value may lie above its bound
 
 
 class SingularValue(NamedTuple):
-    """value: () largest singular value, never above the true one;  residual: () |J^T u - value v|, within which a singular value lies
-    bound: () that the true one does not exceed, but with a chance of 1e-9 over the start of the process
+    """value: () largest singular value, never above the true one;  residual: () |J^T u - value v|,
+    within which a singular value lies
+    bound: () that the true one does not exceed, but with a chance of 1e-9 over the start of the
+    process
     steps: () of the Lanczos process;  direction: (n,) v, the unit change that grows most"""
 
     value: jax.Array
@@ -28,36 +32,60 @@ class SingularValue(NamedTuple):
     direction: jax.Array
 
 
-def singular_value(f: Callable, at, *, steps: int = 300, tolerance: float = 1e-6, row=None) -> SingularValue:
+def singular_value(
+    f: Callable, at, *, steps: int = 300, tolerance: float = 1e-6, row=None
+) -> SingularValue:
     """The largest singular value of the derivative J of f at a point; see `largest`.
 
-    f: from (n,) to (m,) or (J, m);  row: of an f with values (J, m), the row to look at, counted from 0; None for all of the values
+    f: from (n,) to (m,) or (J, m);  row: of an f with values (J, m), the row to look at, counted
+    from 0; None for all of the values
     """
     here, push = jax.linearize(f, at)
     pull = jax.linear_transpose(push, at)
     if row is None:
-        return largest(lambda v: push(v).ravel(), lambda w: pull(w.reshape(here.shape))[0], at, here.size, steps=steps, tolerance=tolerance)
+        return largest(
+            lambda v: push(v).ravel(),
+            lambda w: pull(w.reshape(here.shape))[0],
+            at,
+            here.size,
+            steps=steps,
+            tolerance=tolerance,
+        )
     place = lambda w: jnp.zeros_like(here).at[row].set(w)  # noqa: E731
-    return largest(lambda v: push(v)[row], lambda w: pull(place(w))[0], at, here[0].size, steps=steps, tolerance=tolerance)
+    return largest(
+        lambda v: push(v)[row],
+        lambda w: pull(place(w))[0],
+        at,
+        here[0].size,
+        steps=steps,
+        tolerance=tolerance,
+    )
 
 
-def largest(push: Callable, pull: Callable, like, m: int, *, steps: int = 300, tolerance: float = 1e-6) -> SingularValue:
+def largest(
+    push: Callable, pull: Callable, like, m: int, *, steps: int = 300, tolerance: float = 1e-6
+) -> SingularValue:
     """The largest singular value of J by Golub-Kahan-Lanczos bidiagonalisation from a random start.
 
-        J V = U B,  J^T U = V B^T + beta v e^T     with U, V orthonormal (reorthogonalised in full, twice) and B bidiagonal
+        J V = U B,  J^T U = V B^T + beta v e^T     with U, V orthonormal (reorthogonalised in full,
+        twice) and B bidiagonal
 
     push, pull: v -> J v from (n,) to (m,), and w -> J^T w;  like: (n,) of the type of v
-    steps: at most, and at most n or m;  tolerance: on residual / value, looked at now and then; 0 takes all steps
-    The residual is small where a singular value was found, though it need not be the largest. That it is, within a factor, follows from
-    the random start: after k steps the largest one exceeds value / sqrt(1 - c) with a chance below 1.648 sqrt(n) exp(-(2 k - 1) sqrt(c))
-    (Kuczynski and Wozniakowski 1992), and not at all where the process has come to its end.
+    steps: at most, and at most n or m;  tolerance: on residual / value, looked at now and then; 0
+    takes all steps The residual is small where a singular value was found, though it need not be
+    the largest. That it is, within a factor, follows from
+    the random start: after k steps the largest one exceeds value / sqrt(1 - c) with a chance below
+    1.648 sqrt(n) exp(-(2 k - 1) sqrt(c)) (Kuczynski and Wozniakowski 1992), and not at all where
+    the process has come to its end.
     Storage: two (steps, n) arrays.
     """
     n = like.size
     steps = min(steps, n, m)
 
     def fresh(x, basis):
-        """The direction that x adds to the basis, and how much; what rounding left over is no direction."""
+        """The direction that x adds to the basis, and how much; what rounding left over is no
+        direction.
+        """
         scale = jnp.linalg.norm(x)
         for _ in range(2):
             x = x - (basis @ x) @ basis
@@ -76,11 +104,15 @@ def largest(push: Callable, pull: Callable, like, m: int, *, steps: int = 300, t
         built = jnp.arange(steps) < k
         alpha, above = jnp.where(built, alpha, 0.0), jnp.where(built, beta, 0.0)
         B = jnp.diag(alpha) + jnp.diag(above[:-1] * built[1:], 1)
-        squares, left = jnp.linalg.eigh(B @ B.T)  # many times as fast as an SVD, and as exact for the largest one
+        squares, left = jnp.linalg.eigh(
+            B @ B.T
+        )  # many times as fast as an SVD, and as exact for the largest one
         value, left = jnp.sqrt(jnp.maximum(squares[-1], 0.0)), left[:, -1]
         right = B.T @ left / jnp.where(value > 0, value, 1.0)
         exhausted = (k >= min(n, m)) | (jnp.min(jnp.where(built, beta, jnp.inf)) == 0)
-        bound = jnp.where(exhausted, value * (1 + steps * jnp.finfo(value.dtype).eps), value * _excess(k, n))
+        bound = jnp.where(
+            exhausted, value * (1 + steps * jnp.finfo(value.dtype).eps), value * _excess(k, n)
+        )
         return value, above[k - 1] * jnp.abs(left[k - 1]), bound, right @ V[:-1]
 
     def more(now):
@@ -95,15 +127,28 @@ def largest(push: Callable, pull: Callable, like, m: int, *, steps: int = 300, t
 
     start = jax.random.normal(jax.random.key(0), (n,), like.dtype)
     V = jnp.zeros((steps + 1, n), like.dtype).at[0].set(start / jnp.linalg.norm(start))
-    state = (jnp.zeros((steps, m), like.dtype), V, jnp.zeros(steps, like.dtype), jnp.zeros(steps, like.dtype))
-    unknown = (jnp.zeros((), like.dtype), *(jnp.full((), jnp.inf, like.dtype),) * 2, jnp.zeros(n, like.dtype))
-    _, k, (value, residual, bound, direction) = lax.while_loop(more, work, (state, jnp.asarray(0), unknown))
+    state = (
+        jnp.zeros((steps, m), like.dtype),
+        V,
+        jnp.zeros(steps, like.dtype),
+        jnp.zeros(steps, like.dtype),
+    )
+    unknown = (
+        jnp.zeros((), like.dtype),
+        *(jnp.full((), jnp.inf, like.dtype),) * 2,
+        jnp.zeros(n, like.dtype),
+    )
+    _, k, (value, residual, bound, direction) = lax.while_loop(
+        more, work, (state, jnp.asarray(0), unknown)
+    )
     return SingularValue(value, residual, bound, k, direction)
 
 
 class SpectralRadius(NamedTuple):
-    """value: () |theta| of the dominant Ritz value;  residual: () |J x - theta x| for its unit vector x
-    doubt: () residual, or rounding, over the cosine between left and right eigenvector: by how much theta may be off to first order
+    """value: () |theta| of the dominant Ritz value;  residual: () |J x - theta x| for its unit
+    vector x
+    doubt: () residual, or rounding, over the cosine between left and right eigenvector: by how much
+    theta may be off to first order
     steps: of the Arnoldi process"""
 
     value: jax.Array
@@ -113,13 +158,15 @@ class SpectralRadius(NamedTuple):
 
 
 def spectral_radius_of(f: Callable, at, *, steps: int = 100) -> SpectralRadius:
-    """The spectral radius of the derivative J of f at a point, real or complex eigenvalues, by Arnoldi's process.
+    """The spectral radius of the derivative J of f at a point, real or complex eigenvalues, by
+    Arnoldi's process.
 
         J V = V H + h v e^T,  V orthonormal: eigenvalues of the (steps, steps) matrix H
 
-    f: from (n,) onto itself;  steps: at most n; with n it is exact up to rounding. Needs a backend that has `eig`, as the CPU has
-    A second process on J^T gives the left eigenvector. Learning maps without a filter are far from normal: for I - gamma G any few
-    steps, and rounding alone, show values near sup |1 - gamma z P| and not the one eigenvalue 1 - gamma C B; `doubt` is then large.
+    f: from (n,) onto itself;  steps: at most n; with n it is exact up to rounding. Needs a backend
+    that has `eig`, as the CPU has A second process on J^T gives the left eigenvector. Learning maps
+    without a filter are far from normal: for I - gamma G any few steps, and rounding alone, show
+    values near sup |1 - gamma z P| and not the one eigenvalue 1 - gamma C B; `doubt` is then large.
     """
     _, push = jax.linearize(f, at)
     pull = jax.linear_transpose(push, at)
@@ -128,31 +175,47 @@ def spectral_radius_of(f: Callable, at, *, steps: int = 100) -> SpectralRadius:
     _, w, residual_left, _ = _arnoldi(lambda y: pull(y)[0], at, steps, theta)
     cosine = jnp.abs(jnp.sum(w * x))  # of J^T w = theta w, so without a conjugate
     rounding = MARGIN * jnp.finfo(at.dtype).eps * size
-    doubt = jnp.maximum(jnp.maximum(residual, residual_left), rounding) / jnp.maximum(cosine, jnp.finfo(at.dtype).tiny)
+    doubt = jnp.maximum(jnp.maximum(residual, residual_left), rounding) / jnp.maximum(
+        cosine, jnp.finfo(at.dtype).tiny
+    )
     return SpectralRadius(jnp.abs(theta), residual, doubt, steps)
 
 
 def _excess(k, n: int):
-    """By how much the largest singular value may exceed what k steps from a random start found, as a factor."""
+    """By how much the largest singular value may exceed what k steps from a random start found, as
+    a factor.
+    """
     c = ((math.log(1.648 * math.sqrt(n) / CHANCE)) / jnp.maximum(2.0 * k - 1.0, 1.0)) ** 2
     return jnp.where(c < 1, 1 / jnp.sqrt(jnp.maximum(1 - c, 1e-12)), jnp.inf)
 
 
 def _arnoldi(apply, like, steps, near):
-    """The dominant Ritz value (or that nearest to `near`), its unit vector, its residual, and the Frobenius norm of H."""
+    """The dominant Ritz value (or that nearest to `near`), its unit vector, its residual, and the
+    Frobenius norm of H.
+    """
     V, H = krylov(apply, jax.random.normal(jax.random.key(1), like.shape, like.dtype), steps)
     values, vectors = jnp.linalg.eig(H[:-1])
     i = jnp.argmax(jnp.abs(values)) if near is None else jnp.argmin(jnp.abs(values - near))
-    return values[i], vectors[:, i] @ V[:-1], H[-1, -1] * jnp.abs(vectors[-1, i]), jnp.linalg.norm(H)
+    return (
+        values[i],
+        vectors[:, i] @ V[:-1],
+        H[-1, -1] * jnp.abs(vectors[-1, i]),
+        jnp.linalg.norm(H),
+    )
 
 
 def krylov(apply: Callable, start, steps: int) -> tuple[jax.Array, jax.Array]:
-    """V (steps + 1, n), orthonormal rows, and H (steps + 1, steps) with J V^T = V^T H, by Arnoldi's process from `start` (n,).
+    """V (steps + 1, n), orthonormal rows, and H (steps + 1, steps) with J V^T = V^T H, by Arnoldi's
+    process from `start` (n,).
 
     apply: v -> J v. Where the process comes to its end before, the rows of V beyond are zero.
     """
     size = jnp.linalg.norm(start)
-    V = jnp.zeros((steps + 1, start.size), start.dtype).at[0].set(jnp.where(size > 0, start / jnp.where(size > 0, size, 1.0), 0.0))
+    V = (
+        jnp.zeros((steps + 1, start.size), start.dtype)
+        .at[0]
+        .set(jnp.where(size > 0, start / jnp.where(size > 0, size, 1.0), 0.0))
+    )
 
     def advance(i, now):
         V, H = now
@@ -163,7 +226,9 @@ def krylov(apply: Callable, start, steps: int) -> tuple[jax.Array, jax.Array]:
         second = V @ x
         x = x - second @ V
         size = jnp.linalg.norm(x)
-        size = jnp.where(size > ROUNDING * jnp.finfo(x.dtype).eps * scale, size, 0.0)  # what rounding left over is no direction
+        size = jnp.where(
+            size > ROUNDING * jnp.finfo(x.dtype).eps * scale, size, 0.0
+        )  # what rounding left over is no direction
         H = H.at[:, i].set(first + second).at[i + 1, i].set(size)
         return V.at[i + 1].set(jnp.where(size > 0, x / jnp.where(size > 0, size, 1.0), 0.0)), H
 

@@ -1,10 +1,12 @@
-"""The learning law of a scheme, filters included: as matrices for one trial, and far from its ends what it makes of an impulse.
+"""The learning law of a scheme, filters included: as matrices for one trial, and far from its ends
+what it makes of an impulse.
 
     u_{j+1} = keep u_j + L e_j,    keep(z) = sum_p keep_p z^p,    L(z) = sum_p L_p z^p
 
-u is what is learned and played back, e the error of the trial that played it. Every law is taken from the scheme's own `learn` and
-`feedforward`, by linearisation; an adaptive one is so frozen at its start. P-type learning of lead m and gain gamma has the one tap
-gamma of L at p = 1 + m, since u[k] is learned from e[k+1+m].
+u is what is learned and played back, e the error of the trial that played it. Every law is taken
+from the scheme's own `learn` and `feedforward`, by linearisation; an adaptive one is so frozen at
+its start. P-type learning of lead m and gain gamma has the one tap gamma of L at p = 1 + m, since
+u[k] is learned from e[k+1+m].
 """
 
 from __future__ import annotations
@@ -38,7 +40,9 @@ class Taps(NamedTuple):
 
 
 class Law(NamedTuple):
-    """keep, L: `Taps`;  departure: by how much another place of the trial has other taps, relative;  tail: the last tap, relative"""
+    """keep, L: `Taps`;  departure: by how much another place of the trial has other taps, relative;
+    tail: the last tap, relative
+    """
 
     keep: Taps
     L: Taps
@@ -49,7 +53,9 @@ class Law(NamedTuple):
     def invariant(self) -> Premise:
         """The premise that the taps are those of every sample far from the ends."""
         found = f"taps differ by {self.departure:.1e} over the trial; {self.tail:.1e} of the largest is left after half of it"
-        return premise(INVARIANT_LAW, self.departure <= ALIKE and self.tail <= FORGOTTEN**0.5, found)
+        return premise(
+            INVARIANT_LAW, self.departure <= ALIKE and self.tail <= FORGOTTEN**0.5, found
+        )
 
     @property
     def causal(self) -> bool:
@@ -57,11 +63,21 @@ class Law(NamedTuple):
         return bool(np.all(self.keep.powers <= 0) and np.all(self.L.powers <= 1))
 
     def cut_off(self, scheme: Scheme, task: Task) -> bool:
-        """Whether the law of this trial is that of the taps, with zeros beyond its ends: looked at for a random trial, as it is linear."""
+        """Whether the law of this trial is that of the taps, with zeros beyond its ends: looked at
+        for a random trial, as it is linear.
+        """
         random = np.random.default_rng(5)
-        u, e = random.standard_normal((task.N, _width(scheme, task))), random.standard_normal((task.N, task.outputs))
-        seen, expected = np.asarray(_pushed(scheme, task, u, e)), _convolved(self.keep, u) + _convolved(self.L, e, 1)
-        return bool(np.max(np.abs(seen - expected)) <= ALIKE * np.max(np.abs(expected), initial=1e-300))
+        u, e = (
+            random.standard_normal((task.N, _width(scheme, task))),
+            random.standard_normal((task.N, task.outputs)),
+        )
+        seen, expected = (
+            np.asarray(_pushed(scheme, task, u, e)),
+            _convolved(self.keep, u) + _convolved(self.L, e, 1),
+        )
+        return bool(
+            np.max(np.abs(seen - expected)) <= ALIKE * np.max(np.abs(expected), initial=1e-300)
+        )
 
 
 def law_of(scheme: Scheme, task: Task) -> Law:
@@ -71,11 +87,25 @@ def law_of(scheme: Scheme, task: Task) -> Law:
     middle, beside = N // 2, N // 2 + max(N // 8, 1)
     at = [tuple(map(np.asarray, _impulses(scheme, task, place))) for place in (middle, beside)]
     (keep, L), moved = at[0], at[1]
-    shift, size = beside - middle, max(np.max(np.abs(keep), initial=0.0), np.max(np.abs(L), initial=0.0)) or 1.0
-    departure = max(np.max(np.abs(one[: N - shift] - other[shift:]), initial=0.0) for one, other in zip(at[0], moved, strict=True)) / size
+    shift, size = (
+        beside - middle,
+        max(np.max(np.abs(keep), initial=0.0), np.max(np.abs(L), initial=0.0)) or 1.0,
+    )
+    departure = (
+        max(
+            np.max(np.abs(one[: N - shift] - other[shift:]), initial=0.0)
+            for one, other in zip(at[0], moved, strict=True)
+        )
+        / size
+    )
     tail = max(np.max(np.abs(rows[[0, -1]])) for rows in (keep, L)) / size
     lag = middle - np.arange(N)
-    return Law(_trimmed(lag, keep.reshape(N, width, -1)), _trimmed(lag + 1, L.reshape(N, width, -1)), float(departure), float(tail))
+    return Law(
+        _trimmed(lag, keep.reshape(N, width, -1)),
+        _trimmed(lag + 1, L.reshape(N, width, -1)),
+        float(departure),
+        float(tail),
+    )
 
 
 class LawMatrices(NamedTuple):
@@ -86,13 +116,17 @@ class LawMatrices(NamedTuple):
 
 
 def learning_law(scheme: Scheme, task: Task, memory: Any = None) -> LawMatrices:
-    """The learning law of a scheme with a feedforward, by linearising its own `learn` and `feedforward`.
+    """The learning law of a scheme with a feedforward, by linearising its own `learn` and
+    `feedforward`.
 
-    memory: what it knows, None for its start. A law that adapts (MFAILC) is frozen at what it knows; `linear_law` tells.
+    memory: what it knows, None for its start. A law that adapts (MFAILC) is frozen at what it
+    knows; `linear_law` tells.
     Raises ValueError for a scheme that learns no feedforward.
     """
     _width(scheme, task)
-    return LawMatrices(*map(np.asarray, _matrices(scheme, task, scheme.memory(task) if memory is None else memory)))
+    return LawMatrices(
+        *map(np.asarray, _matrices(scheme, task, scheme.memory(task) if memory is None else memory))
+    )
 
 
 class LawResponse(NamedTuple):
@@ -114,13 +148,18 @@ def at_points(of: Taps, z) -> jax.Array:
 
 
 def filter_response(q: Filter, task: Task, frequencies) -> jax.Array:
-    """(F,) Q(z) of a filter at frequencies [Hz], from its answer to an impulse in the middle of a long trial."""
+    """(F,) Q(z) of a filter at frequencies [Hz], from its answer to an impulse in the middle of a
+    long trial.
+    """
     N = max(LONG, task.N)
     answer = np.asarray(_filtered(q, jnp.zeros((N, 1)).at[N // 2].set(1.0), task.dt))
-    return at_points(_trimmed(N // 2 - np.arange(N), answer[:, :, None]), on_circle(frequencies, task.dt))[:, 0, 0]
+    return at_points(
+        _trimmed(N // 2 - np.arange(N), answer[:, :, None]), on_circle(frequencies, task.dt)
+    )[:, 0, 0]
 
 
-# How it is done ------------------------------------------------------------------------------------------------------------
+# How it is done
+# ------------------------------------------------------------------------------------------------------------
 
 
 def _width(scheme: Scheme, task: Task) -> int:
@@ -131,7 +170,9 @@ def _width(scheme: Scheme, task: Task) -> int:
 
 
 def _long(scheme: Scheme, task: Task) -> Task:
-    """The task made long enough for the taps to die out, where the scheme admits another length at all."""
+    """The task made long enough for the taps to die out, where the scheme admits another length at
+    all.
+    """
     longer = shortened(task, max(LONG, task.N))
     try:
         scheme.check(longer)
@@ -142,7 +183,9 @@ def _long(scheme: Scheme, task: Task) -> Task:
 
 @partial(jax.jit, static_argnames="place")
 def _impulses(scheme, task, place):
-    """(N, n_w n_w) and (N, n_w n_y): what is learned from an impulse of what was played, and of the error, at a place of the trial."""
+    """(N, n_w n_w) and (N, n_w n_y): what is learned from an impulse of what was played, and of the
+    error, at a place of the trial.
+    """
     scheme = scheme.prepared(task)
     at = jnp.zeros((task.N, _width(scheme, task))), jnp.zeros((task.N, task.outputs))
     _, push = jax.linearize(lambda u, e: next_learned(scheme, task, scheme.memory(task), u, e), *at)
@@ -169,7 +212,9 @@ def _pushed(scheme, task, u, e):
     """(N, n_w) what is learned from a change of what was played and of the error."""
     scheme = scheme.prepared(task)
     still = jnp.zeros_like(u), jnp.zeros_like(e)
-    return jax.jvp(lambda u, e: next_learned(scheme, task, scheme.memory(task), u, e), still, (u, e))[1]
+    return jax.jvp(
+        lambda u, e: next_learned(scheme, task, scheme.memory(task), u, e), still, (u, e)
+    )[1]
 
 
 def _convolved(of: Taps, signal, late: int = 0):

@@ -1,10 +1,14 @@
-"""The premises under which linear theory is more than a prediction, each read off the program of the part that it is about.
+"""The premises under which linear theory is more than a prediction, each read off the program of
+the part that it is about.
 
-    loop      a sample: state and input -> next state, the same at each sample          `invariant_loop`
-    trial     what is played -> the output of a trial                                   `linear_trial`
-    learning  what is known, and a trial -> what is known next, the same in each trial  `linear_law`
+    loop      a sample: state and input -> next state, the same at each sample
+    `invariant_loop`
+    trial     what is played -> the output of a trial
+    `linear_trial` learning  what is known, and a trial -> what is known next, the same in each
+    trial  `linear_law`
 
-Limits are left out of all of them (`unlimited`): they are no obstacle as long as none is met, which is for `outlook` to say.
+Limits are left out of all of them (`unlimited`): they are no obstacle as long as none is met, which
+is for `outlook` to say.
 """
 
 from __future__ import annotations
@@ -30,9 +34,11 @@ INVARIANT = "loop linear and time invariant"
 
 
 def linear_law(scheme: Scheme, task: Task, memory: Any = None) -> Premise:
-    """That what a scheme knows next is an affine function of what it knows and of the trial, the same after every trial.
+    """That what a scheme knows next is an affine function of what it knows and of the trial, the
+    same after every trial.
 
-    An estimator, a rule that stops or switches the learning, or learning only in some of the trials breaks it.
+    An estimator, a rule that stops or switches the learning, or learning only in some of the trials
+    breaks it.
     """
     free, what = scheme.unlimited(), type(scheme).__name__
     memory = scheme.memory(task) if memory is None else memory
@@ -40,21 +46,35 @@ def linear_law(scheme: Scheme, task: Task, memory: Any = None) -> Premise:
     if shape is None:
         return premise(ONE_LAW, False, f"{what} learns no feedforward")
     trial = free.record(jnp.zeros(shape), jnp.zeros((task.N + 1, task.outputs)), task)
-    signals = {"u": trial.u, "y": trial.y, **{f"signals.{name}": s for name, s in trial.signals.items()}}
+    signals = {
+        "u": trial.u,
+        "y": trial.y,
+        **{f"signals.{name}": s for name, s in trial.signals.items()},
+    }
 
     def learned(fixed, varying):
         scheme, task = fixed
         memory, signals = varying
-        of_scheme = {name.removeprefix("signals."): s for name, s in signals.items() if name.startswith("signals.")}
+        of_scheme = {
+            name.removeprefix("signals."): s
+            for name, s in signals.items()
+            if name.startswith("signals.")
+        }
         r = jnp.asarray(task.reference)
-        following = scheme.learn(memory, trial._replace(r=r, y=signals["y"], u=signals["u"], signals=of_scheme))
+        following = scheme.learn(
+            memory, trial._replace(r=r, y=signals["y"], u=signals["u"], signals=of_scheme)
+        )
         return following, scheme.feedforward(following, task)
 
     why = obstacle(learned, (free.prepared(task), task), (memory, signals))
-    return premise(ONE_LAW, not why, f"{what} learns by {why}" if why else f"{what}, read off its program")
+    return premise(
+        ONE_LAW, not why, f"{what} learns by {why}" if why else f"{what}, read off its program"
+    )
 
 
-def linear_trial(machine: Machine, scheme: Scheme | None, task: Task, *, memory: Any = None) -> Premise:
+def linear_trial(
+    machine: Machine, scheme: Scheme | None, task: Task, *, memory: Any = None
+) -> Premise:
     """That the output of a trial is an affine function of what is played in it."""
     free = None if scheme is None else scheme.unlimited()
     memory = memory if scheme is None or memory is not None else scheme.memory(task)
@@ -73,31 +93,46 @@ def nonlinear_part(machine: Machine, scheme: Scheme | None, task: Task, memory: 
     if scheme is None:
         return ""
     memory = scheme.memory(task) if memory is None else memory
-    why = obstacle(_input_replayed, (scheme.unlimited(), task, memory), jnp.zeros((task.N + 1, task.outputs)))
+    why = obstacle(
+        _input_replayed, (scheme.unlimited(), task, memory), jnp.zeros((task.N + 1, task.outputs))
+    )
     return f"{type(scheme).__name__} acts within the trial by {why}" if why else ""
 
 
 def invariant_loop(machine: Machine, scheme: Scheme | None, task: Task) -> Premise:
-    """That machine and feedback do the same linear thing at each sample, so that `linear_loop` holds for all of them."""
+    """That machine and feedback do the same linear thing at each sample, so that `linear_loop`
+    holds for all of them.
+    """
     free = None if scheme is None else scheme.unlimited()
     tick, fixed, varying = tick_of(machine.unlimited(), free, task)
     why = obstacle(tick, fixed, varying)
     if why:
-        why = nonlinear_part(machine, scheme, task) or f"{why}, which makes it another loop at each sample"
+        why = (
+            nonlinear_part(machine, scheme, task)
+            or f"{why}, which makes it another loop at each sample"
+        )
     return premise(INVARIANT, not why, why or "read off the program of a sample")
 
 
 def learning_premises(machine: Machine, scheme: Scheme, task: Task) -> tuple[Premise, Premise]:
-    """That a trial and what is learned from it is one affine map of what is known, in every trial; the parts by name."""
-    whole = obstacle(_step, (machine.unlimited(), scheme.unlimited().prepared(task), task), scheme.memory(task))
+    """That a trial and what is learned from it is one affine map of what is known, in every trial;
+    the parts by name.
+    """
+    whole = obstacle(
+        _step, (machine.unlimited(), scheme.unlimited().prepared(task), task), scheme.memory(task)
+    )
     found = linear_trial(machine, scheme, task), linear_law(scheme, task)
     if whole and all(p.held for p in found):
-        return found[0], premise(ONE_LAW, False, f"a trial and learning from it is no linear map, by {whole}")
+        return found[0], premise(
+            ONE_LAW, False, f"a trial and learning from it is no linear map, by {whole}"
+        )
     return found
 
 
 def remembers(scheme: Scheme, task: Task) -> bool:
-    """Whether what is learned depends on more than the last trial: on earlier trials, estimates, counters."""
+    """Whether what is learned depends on more than the last trial: on earlier trials, estimates,
+    counters.
+    """
     free, shape = scheme.unlimited(), learned_shape(scheme, task)
     trial = free.record(jnp.zeros(shape), jnp.zeros((task.N + 1, task.outputs)), task)
 
@@ -112,14 +147,17 @@ def remembers(scheme: Scheme, task: Task) -> bool:
 def keeps_all(scheme: Scheme, task: Task, *, off: bool = False) -> bool:
     """Whether a trial without error changes nothing of what is learned: no filter, no leak.
 
-    off: with an error at k = 0 all the same, which no input can reach; a derivative of the error reads it
-    Looked at for a random input, which is enough of a linear law.
+    off: with an error at k = 0 all the same, which no input can reach; a derivative of the error
+    reads it Looked at for a random input, which is enough of a linear law.
     """
     if remembers(scheme, task):
         return False
     free = scheme.unlimited().prepared(task)
     random = np.random.default_rng(6)
-    w, e0 = random.standard_normal(learned_shape(scheme, task)), random.standard_normal(task.outputs) * off
+    w, e0 = (
+        random.standard_normal(learned_shape(scheme, task)),
+        random.standard_normal(task.outputs) * off,
+    )
     kept = np.asarray(_after_no_error(free, task, w, e0))
     return bool(np.max(np.abs(kept - w)) <= 1e-12 * np.max(np.abs(w)))
 

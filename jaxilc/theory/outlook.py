@@ -1,17 +1,19 @@
-"""All trials to come of a linear law on a linear machine: where learning goes, how fast, and which limits it meets on the way.
+"""All trials to come of a linear law on a linear machine: where learning goes, how fast, and which
+limits it meets on the way.
 
-One trial and its learning take what is played, w, to F(w) = M w + c, with limits left out (`affine`). So
-w_j - w_inf = M^(j-1) (w_1 - w_inf), and
+One trial and its learning take what is played, w, to F(w) = M w + c, with limits left out
+(`affine`). So w_j - w_inf = M^(j-1) (w_1 - w_inf), and
 
     ||M^i|| <= growth * factor^(i // trials)    with factor < 1
 
-says at once that learning converges, what it can do before (`Decay`), and within which distance of w_j all later trials stay:
+says at once that learning converges, what it can do before (`Decay`), and within which distance of
+w_j all later trials stay:
 
     ||w_i - w_j|| <= reach ||w_(j+1) - w_j||,    reach = growth * trials / (1 - factor)
 
-A limit that no trial within that distance can meet is never met. Otherwise the first trial that meets one is told, or that one cannot
-be excluded. M is taken as a matrix up to 512 rows, and beyond as a map whose norms are bounded from above (`iteration.largest`).
-Noise is left out.
+A limit that no trial within that distance can meet is never met. Otherwise the first trial that
+meets one is told, or that one cannot be excluded. M is taken as a matrix up to 512 rows, and beyond
+as a map whose norms are bounded from above (`iteration.largest`). Noise is left out.
 """
 
 from __future__ import annotations
@@ -39,7 +41,8 @@ WHOLE = "the whole trial converges, its ends included"
 
 
 class Decay(NamedTuple):
-    """||M^i|| <= growth factor^(i // trials). Each (S,), of S machines; trials is 0, factor and growth infinite, where none was found.
+    """||M^i|| <= growth factor^(i // trials). Each (S,), of S machines; trials is 0, factor and
+    growth infinite, where none was found.
 
     norm: (S,) an upper bound of ||M||
     """
@@ -56,17 +59,21 @@ class Decay(NamedTuple):
 
     def told(self, machine: int) -> str:
         """The decay of one machine in a sentence."""
-        k, factor, growth = int(self.trials[machine]), float(self.factor[machine]), float(self.growth[machine])
+        k, factor, growth = (
+            int(self.trials[machine]),
+            float(self.factor[machine]),
+            float(self.growth[machine]),
+        )
         if not k:
             return f"no power of the learning map up to {POWERS[-1]} contracts; the norm of one trial is up to {self.norm[machine]:.6g}"
         before = f", and grows at most {growth:.3g} times before" if growth > 1 else ""
-        return (
-            f"the distance from the limit falls to {factor:.6g} of itself in {'every trial' if k == 1 else f'{k} trials'}, or below{before}"
-        )
+        return f"the distance from the limit falls to {factor:.6g} of itself in {'every trial' if k == 1 else f'{k} trials'}, or below{before}"
 
     @property
     def reach(self) -> np.ndarray:
-        """(S,) how far later trials stray from w_j, in units of ||w_(j+1) - w_j||; infinite without a decay"""
+        """(S,) how far later trials stray from w_j, in units of ||w_(j+1) - w_j||; infinite without
+        a decay
+        """
         found = self.trials > 0
         growth, left = np.where(found, self.growth, 1.0), np.where(found, 1 - self.factor, 1.0)
         return np.where(found, growth * self.trials / left, np.inf)
@@ -75,9 +82,12 @@ class Decay(NamedTuple):
 class Outlook(NamedTuple):
     """What linear theory says of all trials to come of S machines.
 
-    decay: of the distance from the limit;  limit: (S, n) w_inf;  radius: (S,) within which it is known
-    floor: (S,) root mean square error that is left at the limit;  doubt: (S,) within which that is known
-    met: (S,) first trial that meets a limit, 0 if none was seen to;  clear: (S,) whether none ever is
+    decay: of the distance from the limit;  limit: (S, n) w_inf;  radius: (S,) within which it is
+    known
+    floor: (S,) root mean square error that is left at the limit;  doubt: (S,) within which that is
+    known
+    met: (S,) first trial that meets a limit, 0 if none was seen to;  clear: (S,) whether none ever
+    is
     which: name of the limit that comes first, of each machine
     """
 
@@ -99,47 +109,95 @@ class Outlook(NamedTuple):
         if self.clear[machine]:
             return "none can be"
         name = self.which[machine] or "a limit"
-        return f"{name} is met in trial {self.met[machine]}" if self.met[machine] else f"that {name} is met later cannot be excluded"
+        return (
+            f"{name} is met in trial {self.met[machine]}"
+            if self.met[machine]
+            else f"that {name} is met later cannot be excluded"
+        )
 
 
 def maps_of(machines: Machine, scheme: Scheme, task: Task, steps: int = STEPS) -> Matrices | Maps:
     """M, c, and what belongs to them, of each machine (`uncertainty.drawn_machines`)."""
     view = view_of(scheme, task)
     dense = len(view.moving) <= DENSE
-    return Matrices.of(machines, scheme, task, view) if dense else Maps(machines, scheme, task, view, steps)
+    return (
+        Matrices.of(machines, scheme, task, view)
+        if dense
+        else Maps(machines, scheme, task, view, steps)
+    )
 
 
 def that_fit(machines: Machine, task: Task) -> list[Machine]:
     """The machines in parts whose matrices fit into `ROOM`, where they are dense."""
     count, rows = len(jax.tree.leaves(machines)[0]), task.N * max(task.inputs, task.outputs)
     chunk = max(1, ROOM // (8 * rows**2)) if rows <= DENSE else count
-    return [jax.tree.map(lambda leaf, at=at: leaf[at : at + chunk], machines) for at in range(0, count, chunk)]
+    return [
+        jax.tree.map(lambda leaf, at=at: leaf[at : at + chunk], machines)
+        for at in range(0, count, chunk)
+    ]
 
 
 def joined(parts: list[Any]) -> Any:
     """What was found of parts of the machines, as found of all."""
-    return parts[0] if len(parts) == 1 else jax.tree.map(lambda *several: np.concatenate(several), *parts)
+    return (
+        parts[0]
+        if len(parts) == 1
+        else jax.tree.map(lambda *several: np.concatenate(several), *parts)
+    )
 
 
-def outlooks(machines: Machine, scheme: Scheme, task: Task, *, maps: Matrices | Maps | None = None) -> Outlook:
-    """The outlook of each machine. Its premises are for `linearity` to look at: here all is taken to be linear."""
+def outlooks(
+    machines: Machine, scheme: Scheme, task: Task, *, maps: Matrices | Maps | None = None
+) -> Outlook:
+    """The outlook of each machine. Its premises are for `linearity` to look at: here all is taken
+    to be linear.
+    """
     if maps is None:
-        return joined([outlooks(some, scheme, task, maps=maps_of(some, scheme, task)) for some in that_fit(machines, task)])
+        return joined(
+            [
+                outlooks(some, scheme, task, maps=maps_of(some, scheme, task))
+                for some in that_fit(machines, task)
+            ]
+        )
     decay = decays(machines, scheme, task, maps=maps)
     limit, left, floor, gain = maps.limit()
     radius = np.where(left > 0, np.where(np.isfinite(decay.reach), decay.reach, np.inf) * left, 0.0)
     names = limit_names(machines, scheme, task)
-    met, clear, which = maps.first_met(decay.reach) if names else (np.zeros(len(left), int), np.ones(len(left), bool), [])
+    met, clear, which = (
+        maps.first_met(decay.reach)
+        if names
+        else (np.zeros(len(left), int), np.ones(len(left), bool), [])
+    )
     labels = np.array([names[i] for i in which] if names else [""] * len(left))
-    return Outlook(decay, limit, radius, floor, gain * radius / np.sqrt(task.N * task.outputs), met, clear, labels)
+    return Outlook(
+        decay,
+        limit,
+        radius,
+        floor,
+        gain * radius / np.sqrt(task.N * task.outputs),
+        met,
+        clear,
+        labels,
+    )
 
 
-def decays(machines: Machine, scheme: Scheme, task: Task, *, maps: Matrices | Maps | None = None) -> Decay:
+def decays(
+    machines: Machine, scheme: Scheme, task: Task, *, maps: Matrices | Maps | None = None
+) -> Decay:
     """How the distance from the limit falls on each machine."""
     if maps is None:
-        return joined([decays(some, scheme, task, maps=maps_of(some, scheme, task)) for some in that_fit(machines, task)])
+        return joined(
+            [
+                decays(some, scheme, task, maps=maps_of(some, scheme, task))
+                for some in that_fit(machines, task)
+            ]
+        )
     norm, late = maps.norm(1), maps.late(POWERS[-1])
-    trials, factor, growth = np.zeros(len(norm), int), np.full(len(norm), np.inf), np.full(len(norm), np.inf)
+    trials, factor, growth = (
+        np.zeros(len(norm), int),
+        np.full(len(norm), np.inf),
+        np.full(len(norm), np.inf),
+    )
     between, eps = np.ones(len(norm)), np.finfo(norm.dtype).eps
     for power, following in zip(POWERS, (*POWERS[1:], 0), strict=True):
         of_power = norm if power == 1 else maps.norm(power)

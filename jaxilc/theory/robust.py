@@ -1,16 +1,20 @@
-"""Learning on every plant P (1 + W D) with a stable D of |D| <= 1: by frequency, and over a whole trial with its ends.
+"""Learning on every plant P (1 + W D) with a stable D of |D| <= 1: by frequency, and over a whole
+trial with its ends.
 
-Frequency by frequency |Q (keep - L P)| + |Q L P W| < 1 is enough, far from the ends of a long trial, and everywhere for a causal law.
-With a lead or a zero-phase filter the ends need a proof of their own. On a trial of N samples M = X + Y D with
+Frequency by frequency |Q (keep - L P)| + |Q L P W| < 1 is enough, far from the ends of a long
+trial, and everywhere for a causal law. With a lead or a zero-phase filter the ends need a proof of
+their own. On a trial of N samples M = X + Y D with
 
     X = Q (keep - L G),   Y = -Q L G W,   D lower triangular and Toeplitz, |D v| <= |v| for each v
 
-W the causal operator of minimum phase. D commutes with each causal Psi, so that |Psi D v| <= |Psi v|. If a matrix R fulfils
+W the causal operator of minimum phase. D commutes with each causal Psi, so that |Psi D v| <= |Psi
+v|. If a matrix R fulfils
 
     R >= Psi'Psi + X'R X + X'R Y (Psi'Psi - Y'R Y)^-1 Y'R X,    Psi'Psi > Y'R Y
 
-then |M v|_R <= |v|_R for all those D at once (S-procedure). With strictness, learning converges on each plant. |Psi|^2 is taken as
-the share |Y| / (|X| + |Y|) of each frequency, and R is found by iterating the right-hand side from the identity.
+then |M v|_R <= |v|_R for all those D at once (S-procedure). With strictness, learning converges on
+each plant. |Psi|^2 is taken as the share |Y| / (|X| + |Y|) of each frequency, and R is found by
+iterating the right-hand side from the identity.
 """
 
 from __future__ import annotations
@@ -43,30 +47,47 @@ SLACK = 1e-3  # by which R is made larger in each iteration
 ITERATIONS = 200
 
 
-def robust_condition(machine: Machine, scheme: Scheme, task: Task, weight, *, frequencies=None) -> FrequencyTest:
+def robust_condition(
+    machine: Machine, scheme: Scheme, task: Task, weight, *, frequencies=None
+) -> FrequencyTest:
     """sup_w |Q| (|keep - L P| + |L P W|) < 1, for all plants P (1 + W D), |D| <= 1.
 
-    weight: |W|, a number or a function of f [Hz], taken as constant from line to line;  frequencies: as for `learning_condition`
+    weight: |W|, a number or a function of f [Hz], taken as constant from line to line;
+    frequencies: as for `learning_condition`
     Raises ValueError where machine, scheme and task do not fit, or for a weight that is negative.
     """
     parts = parts_of(machine, scheme, task)
     lines = weight_on(weight, np.linspace(0, np.pi, POINTS + 1), 0.0, task.dt)
     if not np.all(lines >= 0):
-        raise ValueError(f"robust_condition: weight is {np.min(lines):g} at some frequency; allowed is [0, inf)")
+        raise ValueError(
+            f"robust_condition: weight is {np.min(lines):g} at some frequency; allowed is [0, inf)"
+        )
 
     def bounds(centre, h):
         nominal, gain = parts.nominal(centre, h), parts.gain(centre, h)
         W = weight_on(weight, centre, h, task.dt)
         at_ends = np.max(nominal.ends(h) + W * gain.ends(h), axis=0)
-        return size(nominal.value) + W * size(gain.value), at_ends + h**2 * (nominal.curve + W * gain.curve)
+        return size(nominal.value) + W * size(gain.value), at_ends + h**2 * (
+            nominal.curve + W * gain.curve
+        )
 
     limits = limit_names(drawn_machines(machine, {}, {}), scheme, task)
-    unlimited = premise(NO_LIMIT, not limits, f"{', '.join(limits)}: whether one is met depends on the plant" if limits else "none")
+    unlimited = premise(
+        NO_LIMIT,
+        not limits,
+        f"{', '.join(limits)}: whether one is met depends on the plant" if limits else "none",
+    )
 
     def of_whole():
-        return [premise(WHOLE, True, "law and loop are causal") if parts.causal else _whole_trial(machine, scheme, task, parts, lines)]
+        return [
+            premise(WHOLE, True, "law and loop are causal")
+            if parts.causal
+            else _whole_trial(machine, scheme, task, parts, lines)
+        ]
 
-    return on_supremum(bounds, ROBUST, [parts.loop], task, [*parts.premises, unlimited], of_whole, frequencies)
+    return on_supremum(
+        bounds, ROBUST, [parts.loop], task, [*parts.premises, unlimited], of_whole, frequencies
+    )
 
 
 def _whole_trial(machine: Machine, scheme: Scheme, task: Task, parts, lines) -> Premise:
@@ -78,7 +99,11 @@ def _whole_trial(machine: Machine, scheme: Scheme, task: Task, parts, lines) -> 
         return premise(WHOLE, False, f"looked at in {short.N} samples, where {error}")
     memory = _memory(parts)
     if short.N < task.N and memory > short.N // 2:
-        return premise(WHOLE, False, f"looked at in {short.N} samples, but loop and law take {memory} to forget")
+        return premise(
+            WHOLE,
+            False,
+            f"looked at in {short.N} samples, but loop and law take {memory} to forget",
+        )
     machine, scheme = machine.unlimited(), scheme.unlimited()
     G, law = lifted_plant(machine, scheme, short), learning_law(scheme, short)
     width = G.shape[1] // short.N
@@ -103,15 +128,25 @@ def _memory(parts) -> int:
 def _shares(parts, lines):
     """(POINTS+1,) |Y| / (|X| + |Y|) of each frequency, kept away from 0 and 1."""
     angle = np.linspace(0, np.pi, POINTS + 1)
-    nominal, gain = (size(arc.value) for arc in (parts.nominal(angle, np.zeros_like(angle)), parts.gain(angle, np.zeros_like(angle))))
+    nominal, gain = (
+        size(arc.value)
+        for arc in (
+            parts.nominal(angle, np.zeros_like(angle)),
+            parts.gain(angle, np.zeros_like(angle)),
+        )
+    )
     total = nominal + lines * gain
     return np.clip(lines * gain / np.maximum(total, 1e-300), SLACK, 1 - SLACK) * np.max(total) ** 2
 
 
 def _causal(magnitude, N: int, width: int):
-    """(N width, N width) the lower triangular operator of minimum phase with this magnitude (POINTS+1,) at equidistant angles."""
+    """(N width, N width) the lower triangular operator of minimum phase with this magnitude
+    (POINTS+1,) at equidistant angles.
+    """
     cepstrum = np.fft.irfft(np.log(np.maximum(magnitude, 1e-9 * np.max(magnitude, initial=1e-200))))
-    folded = np.concatenate([cepstrum[:1], 2 * cepstrum[1:POINTS], cepstrum[POINTS : POINTS + 1], np.zeros(POINTS - 1)])
+    folded = np.concatenate(
+        [cepstrum[:1], 2 * cepstrum[1:POINTS], cepstrum[POINTS : POINTS + 1], np.zeros(POINTS - 1)]
+    )
     taps = np.fft.irfft(np.exp(np.fft.rfft(folded)))[:N]
     return np.kron(scipy.linalg.toeplitz(taps, np.zeros(N)), np.eye(width))
 

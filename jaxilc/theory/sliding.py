@@ -1,10 +1,12 @@
-"""Sliding mode control and learning over it (Xu 2024): does sigma slide on a run, and does learning contract.
+"""Sliding mode control and learning over it (Xu 2024): does sigma slide on a run, and does learning
+contract.
 
-    sigma' = f - eta_hat s(sigma) - k_n sigma,    V = sigma^2 / 2,    s = sgn, or sat(sigma / Delta) with a boundary layer
+    sigma' = f - eta_hat s(sigma) - k_n sigma,    V = sigma^2 / 2,    s = sgn, or sat(sigma / Delta)
+    with a boundary layer
     rho = 1 - (K_P + s K_D) exp(lam0 t) / (s (s + lam1 + lam2 / s)),    e_{j+1} = rho e_j + ...
 
-The paper takes the disturbance f to be bounded and rho to be below 1. Here f is what it turned out to be, and rho is evaluated, beside
-the factor that the sampled loop really has.
+The paper takes the disturbance f to be bounded and rho to be below 1. Here f is what it turned out
+to be, and rho is evaluated, beside the factor that the sampled loop really has.
 """
 
 from __future__ import annotations
@@ -41,12 +43,16 @@ class Sliding(NamedTuple):
     """How a trial slid.
 
     V: (N, n) sigma^2 / 2 [y^2/s^2];  eta_hat: (N, n) switching gain [y/s^2]
-    disturbance: (N-1, n) realised f[k], k = 1..N-1 [y/s^2]: all that the law did not foresee, as mismatch, loads, the half sample by which
+    disturbance: (N-1, n) realised f[k], k = 1..N-1 [y/s^2]: all that the law did not foresee, as
+    mismatch, loads, the half sample by which
         u acts late, limits, and b times a learned part of u
-    band: (n,) Delta, or the overshoot (eta_hat + 2 |f|) (dt + tau) of an input that is held, if that is wider [y/s]
+    band: (n,) Delta, or the overshoot (eta_hat + 2 |f|) (dt + tau) of an input that is held, if
+    that is wider [y/s]
     error_band: (n,) largest |e| that a sigma within the band can bring about [y]
-    towards: share of samples, of those outside the layer, with sigma[k] (sigma[k+1] - sigma[k]) <= 0;  falling: with V[k+1] <= V[k]
-    dominated: share of all samples with eta_hat > |f|;  reached: first sample from which on sigma stays in the band, N if it does not
+    towards: share of samples, of those outside the layer, with sigma[k] (sigma[k+1] - sigma[k]) <=
+    0;  falling: with V[k+1] <= V[k]
+    dominated: share of all samples with eta_hat > |f|;  reached: first sample from which on sigma
+    stays in the band, N if it does not
     condition: |f| / (eta_hat + k_n Delta) < 1 at every sample
     """
 
@@ -63,12 +69,15 @@ class Sliding(NamedTuple):
 
 
 def sliding(scheme: Scheme, trial: Trial) -> Sliding:
-    """The sliding condition along a trial of `SMC` or `ASMC`, alone or as the feedback of `WithFeedback`.
+    """The sliding condition along a trial of `SMC` or `ASMC`, alone or as the feedback of
+    `WithFeedback`.
 
-        f[k] = e'' + lam1 e' + lam2 e + mean_{i=k-1,k} (eta_hat[i] s(sigma[i]) + k_n sigma[i])    (central differences of e = y - r)
+        f[k] = e'' + lam1 e' + lam2 e + mean_{i=k-1,k} (eta_hat[i] s(sigma[i]) + k_n sigma[i])
+        (central differences of e = y - r)
 
-    The mean is over the two intervals that the second difference spans. trial: simulated, or measured with the signals `sigma` and
-    `eta_hat` (of WithFeedback: `feedback`, `feedback.sigma`, `feedback.eta_hat`).
+    The mean is over the two intervals that the second difference spans. trial: simulated, or
+    measured with the signals `sigma` and `eta_hat` (of WithFeedback: `feedback`, `feedback.sigma`,
+    `feedback.eta_hat`).
     Raises ValueError for another scheme, or a trial without these signals.
     """
     law, signals, u, dt = _feedback("sliding", scheme), trial.signals, trial.u, trial.dt
@@ -76,17 +85,32 @@ def sliding(scheme: Scheme, trial: Trial) -> Sliding:
         u, signals = signals.get("feedback", u), below("feedback", signals)
     missing = [name for name in ("sigma", "eta_hat") if name not in signals]
     if missing:
-        raise ValueError(f"sliding: the trial has no signal {' and '.join(map(repr, missing))} (N, n_u)")
-    sigma, eta_hat, e = (np.asarray(x, float) for x in (signals["sigma"], signals["eta_hat"], -trial.e))
+        raise ValueError(
+            f"sliding: the trial has no signal {' and '.join(map(repr, missing))} (N, n_u)"
+        )
+    sigma, eta_hat, e = (
+        np.asarray(x, float) for x in (signals["sigma"], signals["eta_hat"], -trial.e)
+    )
     layer = np.broadcast_to(getattr(law, "Delta", 0.0), sigma.shape[1:])
     acted = eta_hat * np.asarray(law.switching(sigma)) + law.k_n * sigma
-    f = np.diff(e, 2, axis=0) / dt**2 + law.lam1 * (e[2:] - e[:-2]) / (2 * dt) + law.lam2 * e[1:-1] + (acted[1:] + acted[:-1]) / 2
+    f = (
+        np.diff(e, 2, axis=0) / dt**2
+        + law.lam1 * (e[2:] - e[:-2]) / (2 * dt)
+        + law.lam2 * e[1:-1]
+        + (acted[1:] + acted[:-1]) / 2
+    )
     size, gain, reserve = np.abs(f), eta_hat[1:], law.k_n * layer
-    value = np.max(np.divide(size, gain + reserve, out=np.where(size > 0, np.inf, 0.0), where=gain + reserve > 0))
+    value = np.max(
+        np.divide(
+            size, gain + reserve, out=np.where(size > 0, np.inf, 0.0), where=gain + reserve > 0
+        )
+    )
     band = np.maximum(layer, np.max(gain + 2 * size, axis=0) * (dt + law.tau))
     now, V, step = sigma[:-1], sigma**2 / 2, np.diff(sigma, axis=0)
     outside, beyond = np.abs(now) > layer, np.flatnonzero(np.any(np.abs(sigma) > band, axis=1))
-    steepest = law.lam1 + law.k_n + (np.max(eta_hat, axis=0) / layer if isinstance(law, ASMC) else 0.0)
+    steepest = (
+        law.lam1 + law.k_n + (np.max(eta_hat, axis=0) / layer if isinstance(law, ASMC) else 0.0)
+    )
     within = True if law.limit is None else np.abs(np.asarray(u)) < law.limit
     found = f"|f| up to {np.max(size):.4g}, eta_hat {np.min(eta_hat):.4g} to {np.max(eta_hat):.4g}, k_n Delta up to {np.max(reserve):.4g}"
     error_band, inside = band * _error_of_sigma(law), np.abs(sigma) <= band
@@ -94,8 +118,16 @@ def sliding(scheme: Scheme, trial: Trial) -> Sliding:
     of_error = f"within it |e| may be up to {np.max(error_band):.4g}, and was up to {np.max(np.abs(e)):.4g}"
     premises = (
         premise("u within its limit", within, f"limit {law.limit}; {found}"),
-        premise("sampled fast enough: (lam1 + k_n + eta_hat / Delta) dt < 2", steepest * dt < 2, f"{np.max(steepest) * dt:.3g}"),
-        premise("sigma, once in its band, is seen to stay", ~left | (value >= 1), f"it leaves it {int(np.sum(left))} times; {of_error}"),
+        premise(
+            "sampled fast enough: (lam1 + k_n + eta_hat / Delta) dt < 2",
+            steepest * dt < 2,
+            f"{np.max(steepest) * dt:.3g}",
+        ),
+        premise(
+            "sigma, once in its band, is seen to stay",
+            ~left | (value >= 1),
+            f"it leaves it {int(np.sum(left))} times; {of_error}",
+        ),
     )
     return Sliding(
         V=V,
@@ -112,10 +144,11 @@ def sliding(scheme: Scheme, trial: Trial) -> Sliding:
 
 
 class ExponentialTest(NamedTuple):
-    """A condition over frequency and over the time within the trial. As |1 - g x| is convex in the gain g = exp(lam0 t), it is greatest
-    at one of the trial's ends, so only these are looked at.
+    """A condition over frequency and over the time within the trial. As |1 - g x| is convex in the
+    gain g = exp(lam0 t), it is greatest at one of the trial's ends, so only these are looked at.
 
-    condition: with its premises;  frequencies: (F,) [Hz];  curves: (2, F) at the trial's start and at its end
+    condition: with its premises;  frequencies: (F,) [Hz];  curves: (2, F) at the trial's start and
+    at its end
     worst: frequency [Hz] and time: [s] of the supremum
     """
 
@@ -126,21 +159,45 @@ class ExponentialTest(NamedTuple):
     time: float
 
 
-def printed_condition(scheme: WithFeedback, task: Task, *, reaching: float = 0.0, frequencies=None) -> ExponentialTest:
-    """|rho| < 1 of Xu 2024, eq. 36, in continuous time, for `WithFeedback(ExponentialPD(...), SMC(...) or ASMC(...))`.
+def printed_condition(
+    scheme: WithFeedback, task: Task, *, reaching: float = 0.0, frequencies=None
+) -> ExponentialTest:
+    """|rho| < 1 of Xu 2024, eq. 36, in continuous time, for `WithFeedback(ExponentialPD(...),
+    SMC(...) or ASMC(...))`.
 
-    reaching: K [1/s], 0 as printed. The proof counts k_n sigma + eta_hat sat(sigma) to the disturbance and has it unchanged from trial to
-              trial; but sigma changes, so the premise is broken unless both gains are zero. K = k_n + eta / Delta puts them where they
-              belong, into the loop, as long as sigma stays within the boundary layer.
-    frequencies: (F,) [Hz], None for 2000 from 1 / duration to Nyquist. With w = 2 pi f, G = exp(lam0 t) and K = 0, |rho| < 1 means
-              G (K_P^2 + w^2 K_D^2) < 2 (K_P lam2 + w^2 (K_D lam1 - K_P)): so with lam2 = 0.3 slow frequencies admit hardly any K_P.
+    reaching: K [1/s], 0 as printed. The proof counts k_n sigma + eta_hat sat(sigma) to the
+    disturbance and has it unchanged from trial to
+              trial; but sigma changes, so the premise is broken unless both gains are zero. K = k_n
+              + eta / Delta puts them where they belong, into the loop, as long as sigma stays
+              within the boundary layer.
+    frequencies: (F,) [Hz], None for 2000 from 1 / duration to Nyquist. With w = 2 pi f, G =
+    exp(lam0 t) and K = 0, |rho| < 1 means
+              G (K_P^2 + w^2 K_D^2) < 2 (K_P lam2 + w^2 (K_D lam1 - K_P)): so with lam2 = 0.3 slow
+              frequencies admit hardly any K_P.
     Raises ValueError for another scheme, several channels, or frequencies that are not positive.
     """
-    law, feedback = _learning("printed_condition", scheme, task), _feedback("printed_condition", scheme)
-    K_P, K_D, lam0, b_law, b, lam1, lam2, k_n = (
-        _number("printed_condition", v) for v in (law.K_P, law.K_D, law.lam0, law.b, feedback.b, feedback.lam1, feedback.lam2, feedback.k_n)
+    law, feedback = (
+        _learning("printed_condition", scheme, task),
+        _feedback("printed_condition", scheme),
     )
-    f = np.geomspace(1 / task.duration, 0.5 / task.dt, 2000) if frequencies is None else np.asarray(frequencies, float)
+    K_P, K_D, lam0, b_law, b, lam1, lam2, k_n = (
+        _number("printed_condition", v)
+        for v in (
+            law.K_P,
+            law.K_D,
+            law.lam0,
+            law.b,
+            feedback.b,
+            feedback.lam1,
+            feedback.lam2,
+            feedback.k_n,
+        )
+    )
+    f = (
+        np.geomspace(1 / task.duration, 0.5 / task.dt, 2000)
+        if frequencies is None
+        else np.asarray(frequencies, float)
+    )
     if f.ndim != 1 or not f.size or np.any(f <= 0):
         raise ValueError(f"printed_condition: frequencies = {f} must be positive numbers [Hz]")
     s = 2j * np.pi * f
@@ -160,79 +217,136 @@ def printed_condition(scheme: WithFeedback, task: Task, *, reaching: float = 0.0
 
 
 def _sampled_too(scheme: WithFeedback, feedback: SMC, task: Task, value: float) -> Premise:
-    """The premise that the inequality, which is in continuous time, is borne out by the loop as it is sampled, on the nominal model."""
+    """The premise that the inequality, which is in continuous time, is borne out by the loop as it
+    is sampled, on the nominal model.
+    """
     if value >= 1:
         return premise(SAMPLED, True, "not asked, as the inequality fails")
     a1, a2, b = (_number("printed_condition", v) for v in (feedback.a1, feedback.a2, feedback.b))
     model = Machine(StateSpace([[0.0, 1.0], [-a1, -a2]], [[0.0], [b]], [[1.0, 0.0]]))
     found = sampled_condition(model, scheme, task).condition
-    return premise(SAMPLED, found.holds, f"sup |1 - L P| = {found.value:.4g} of the model, {found.verdict}")
+    return premise(
+        SAMPLED, found.holds, f"sup |1 - L P| = {found.value:.4g} of the model, {found.verdict}"
+    )
 
 
 @pytree
 class Reaching(SMC):
-    """`SMC` that only reaches and never switches: what is left of it within a boundary layer, and linear."""
+    """`SMC` that only reaches and never switches: what is left of it within a boundary layer, and
+    linear.
+    """
 
     def switching(self, sigma) -> jax.Array:
         return jnp.zeros_like(sigma)
 
 
 def within_layer(scheme: Scheme, eta_hat=None) -> Scheme:
-    """The scheme with its `ASMC` as it acts within the boundary layer: the linear `Reaching` of k_n + eta_hat / Delta for k_n.
+    """The scheme with its `ASMC` as it acts within the boundary layer: the linear `Reaching` of k_n
+    + eta_hat / Delta for k_n.
 
-    eta_hat: () or (n,) at which the adaptation is frozen, None for its start value. An `SMC` loses its switching.
+    eta_hat: () or (n,) at which the adaptation is frozen, None for its start value. An `SMC` loses
+    its switching.
     Raises ValueError for a scheme that is neither of them, nor `WithFeedback` over one.
     """
     if isinstance(scheme, WithFeedback):
         return dataclasses.replace(scheme, feedback=within_layer(scheme.feedback, eta_hat))
     feedback = _feedback("within_layer", scheme)
     own = {field.name: getattr(feedback, field.name) for field in dataclasses.fields(SMC)}
-    steep = 0.0 if not isinstance(feedback, ASMC) else (feedback.eta if eta_hat is None else eta_hat) / feedback.Delta
+    steep = (
+        0.0
+        if not isinstance(feedback, ASMC)
+        else (feedback.eta if eta_hat is None else eta_hat) / feedback.Delta
+    )
     changed: dict[str, Any] = own | {"eta": 0.0, "k_n": feedback.k_n + steep}
     return Reaching(**changed)
 
 
 def sampled_condition(
-    machine: Machine, scheme: WithFeedback, task: Task, *, trial: Trial | None = None, frequencies=None
+    machine: Machine,
+    scheme: WithFeedback,
+    task: Task,
+    *,
+    trial: Trial | None = None,
+    frequencies=None,
 ) -> ExponentialTest:
-    """sup |Q (1 - L P)| < 1 of the loop as it is sampled and acts within the boundary layer, at the least and the largest gain.
+    """sup |Q (1 - L P)| < 1 of the loop as it is sampled and acts within the boundary layer, at the
+    least and the largest gain.
 
-    trial: on which to look whether sigma stays within the layer, and whose last eta_hat counts; None for the start value of eta_hat
+    trial: on which to look whether sigma stays within the layer, and whose last eta_hat counts;
+    None for the start value of eta_hat
     frequencies: as for `learning_condition`
-    The curves are of a gain that is frozen in time. That it grows along the trial is looked at as well: the whole trial must converge.
+    The curves are of a gain that is frozen in time. That it grows along the trial is looked at as
+    well: the whole trial must converge.
     Raises ValueError for another scheme, or where machine, scheme and task do not fit.
     """
-    law, feedback = _learning("sampled_condition", scheme, task, filtered=True), _feedback("sampled_condition", scheme)
+    law, feedback = (
+        _learning("sampled_condition", scheme, task, filtered=True),
+        _feedback("sampled_condition", scheme),
+    )
     check(machine, scheme, task)
     eta_hat, premises = None, ()
     if trial is not None:
         run = sliding(scheme, trial)
         eta_hat, layer = run.eta_hat[-1], np.asarray(getattr(feedback, "Delta", 0.0))
         size = np.sqrt(2 * run.V)
-        premises += (premise("sigma within the boundary layer", size <= layer, f"|sigma| up to {np.max(size):.4g}, layer {layer}"),)
-        premises += (premise("eta_hat at rest", run.eta_hat == eta_hat, f"{np.min(run.eta_hat):.4g} to {np.max(eta_hat):.4g}"),)
+        premises += (
+            premise(
+                "sigma within the boundary layer",
+                size <= layer,
+                f"|sigma| up to {np.max(size):.4g}, layer {layer}",
+            ),
+        )
+        premises += (
+            premise(
+                "eta_hat at rest",
+                run.eta_hat == eta_hat,
+                f"{np.min(run.eta_hat):.4g} to {np.max(eta_hat):.4g}",
+            ),
+        )
     linear: Any = within_layer(scheme, eta_hat)
-    path = next(name for name in named_leaves(linear.learning) if name.split(".")[-1] == "lam0").removesuffix("lam0")
+    path = next(
+        name for name in named_leaves(linear.learning) if name.split(".")[-1] == "lam0"
+    ).removesuffix("lam0")
     tests, found = [], {}
     for t in (0.0, task.duration):
         gain = np.exp(np.asarray(law.lam0) * t)
-        changes = {f"{path}K_P": law.K_P * gain, f"{path}K_D": law.K_D * gain, f"{path}lam0": 0.0 * gain}
+        changes = {
+            f"{path}K_P": law.K_P * gain,
+            f"{path}K_D": law.K_D * gain,
+            f"{path}lam0": 0.0 * gain,
+        }
         frozen = dataclasses.replace(linear, learning=replaced(linear.learning, changes))
         tests.append(learning_condition(machine, frozen, task, frequencies=frequencies))
-        found |= {p.name: p for p in tests[-1].condition.premises if p.name not in found or not p.held}
+        found |= {
+            p.name: p for p in tests[-1].condition.premises if p.name not in found or not p.held
+        }
     decay = decays(drawn_machines(machine, {}, {}), linear, task)
     fails = max(test.condition.value for test in tests) >= 1
-    growing = premise(f"{WHOLE}, with a gain that grows along it", fails or decay.trials[0] > 0, decay.told(0))
+    growing = premise(
+        f"{WHOLE}, with a gain that grows along it", fails or decay.trials[0] > 0, decay.told(0)
+    )
     first, last = tests
     worse = last if last.condition.value > first.condition.value else first
-    held = condition(worse.condition.value, worse.condition.theorem, premises=(*found.values(), growing, *premises))
+    held = condition(
+        worse.condition.value,
+        worse.condition.theorem,
+        premises=(*found.values(), growing, *premises),
+    )
     curves = np.stack([first.magnitude, last.magnitude])
-    return ExponentialTest(held, first.frequencies, curves, worse.worst, task.duration if worse is last else 0.0)
+    return ExponentialTest(
+        held, first.frequencies, curves, worse.worst, task.duration if worse is last else 0.0
+    )
 
 
 def _worst(f, curves, task, theorem, premises) -> ExponentialTest:
     end, at = np.unravel_index(np.argmax(curves), curves.shape)
-    return ExponentialTest(condition(curves[end, at], theorem, premises=premises), f, curves, float(f[at]), end * task.duration)
+    return ExponentialTest(
+        condition(curves[end, at], theorem, premises=premises),
+        f,
+        curves,
+        float(f[at]),
+        end * task.duration,
+    )
 
 
 def _feedback(name: str, scheme: Scheme) -> SMC:
@@ -253,19 +367,25 @@ def _learning(name: str, scheme: Scheme, task: Task, *, filtered: bool = False) 
     law = parts[-1]
     if not isinstance(law, ExponentialPD):
         what = " -> ".join(type(part).__name__ for part in parts)
-        allowed = "WithFeedback(ExponentialPD(...), SMC(...))" + (", filtered or not" if filtered else "")
+        allowed = "WithFeedback(ExponentialPD(...), SMC(...))" + (
+            ", filtered or not" if filtered else ""
+        )
         raise ValueError(f"{name}: {what} is not {allowed}")
     return law
 
 
 def _error_of_sigma(law: SMC):
-    """(n,) sup |e| / sup |sigma| of sigma = e' + lam1 e + lam2 int e: the area under |its impulse response|, 1 / lam1 for lam2 = 0.
+    """(n,) sup |e| / sup |sigma| of sigma = e' + lam1 e + lam2 int e: the area under |its impulse
+    response|, 1 / lam1 for lam2 = 0.
 
-    The step response (exp(-slow t) - exp(-fast t)) / (fast - slow) has humps, of which each is smaller than the last by the same
-    factor, if the roots are complex, and one if they are real. The area is its total variation, twice the sum of the humps.
+    The step response (exp(-slow t) - exp(-fast t)) / (fast - slow) has humps, of which each is
+    smaller than the last by the same factor, if the roots are complex, and one if they are real.
+    The area is its total variation, twice the sum of the humps.
     """
     lam1, lam2 = np.broadcast_arrays(np.asarray(law.lam1, float), np.asarray(law.lam2, float))
-    root = np.sqrt(lam1**2 * (1 + 1e-12) - 4 * lam2 + 0j)  # off the double root, where the quotients below are 0 / 0
+    root = np.sqrt(
+        lam1**2 * (1 + 1e-12) - 4 * lam2 + 0j
+    )  # off the double root, where the quotients below are 0 / 0
     fast, slow = (lam1 + root) / 2, np.where(lam2 > 0, (lam1 - root) / 2, 1.0)
     top = np.real(np.log(fast / slow) / (fast - slow))
     hump = np.abs((np.exp(-slow * top) - np.exp(-fast * top)) / (fast - slow))

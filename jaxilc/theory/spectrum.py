@@ -1,4 +1,6 @@
-"""Singular values, eigenvalues and transient growth of learning maps given as matrices, and the conditions on them."""
+"""Singular values, eigenvalues and transient growth of learning maps given as matrices, and the
+conditions on them.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ def sigma_max(M) -> np.ndarray:
 
 
 def spectral_radius(M) -> np.ndarray:
-    """(...) largest |eigenvalue| of (..., n, n); of triangular matrices, also permuted and block by block, exactly."""
+    """(...) largest |eigenvalue| of (..., n, n); of triangular matrices, also permuted and block by
+    block, exactly.
+    """
     M = np.asarray(M)
     return np.reshape([radius_with_doubt(m)[0] for m in M.reshape(-1, *M.shape[-2:])], M.shape[:-2])
 
@@ -33,11 +37,18 @@ def spectral_radius(M) -> np.ndarray:
 def transient_growth(M, trials: int | None = None) -> np.ndarray:
     """(J,) ||M_j ... M_1||_2 for j = 1..J, by how much a deviation can have grown after j trials.
 
-    M: (n, n), the same in each trial, then `trials` is J; or (J, n, n), the map of each trial. Raises ValueError for anything else.
+    M: (n, n), the same in each trial, then `trials` is J; or (J, n, n), the map of each trial.
+    Raises ValueError for anything else.
     """
     M = np.asarray(M)
-    if (M.ndim == 2) != (trials is not None) or M.ndim not in (2, 3) or (trials is not None and trials < 1):
-        raise ValueError(f"transient_growth: M {M.shape}, trials = {trials}; allowed are (n, n) with trials in [1, inf), or (J, n, n)")
+    if (
+        (M.ndim == 2) != (trials is not None)
+        or M.ndim not in (2, 3)
+        or (trials is not None and trials < 1)
+    ):
+        raise ValueError(
+            f"transient_growth: M {M.shape}, trials = {trials}; allowed are (n, n) with trials in [1, inf), or (J, n, n)"
+        )
     product, norms = np.eye(M.shape[-1]), []
     for m in M if M.ndim == 3 else (M,) * (trials or 0):
         product = m @ product
@@ -46,35 +57,51 @@ def transient_growth(M, trials: int | None = None) -> np.ndarray:
 
 
 def monotone(M, *, premises: Iterable[Premise] = ()) -> Condition:
-    """sigma_max(M) < 1 of one (n, n) or several (S, n, n) maps of the input's or the error's deviation."""
+    """sigma_max(M) < 1 of one (n, n) or several (S, n, n) maps of the input's or the error's
+    deviation.
+    """
     return condition(sigma_max(M), MONOTONE, premises=premises)
 
 
 def asymptotic(M, *, premises: Iterable[Premise] = ()) -> Condition:
     """rho(M) < 1 of one (n, n) or several (S, n, n) maps.
 
-    Where a map is far from normal its eigenvalues cannot be had from its entries in floating point. Then rho < 1 is claimed only if a
-    power of M contracts, since rho^k <= ||M^k||; else a premise is broken.
+    Where a map is far from normal its eigenvalues cannot be had from its entries in floating point.
+    Then rho < 1 is claimed only if a power of M contracts, since rho^k <= ||M^k||; else a premise
+    is broken.
     """
     M = np.asarray(M)
     maps = M.reshape(-1, *M.shape[-2:])
     value, doubt = np.array([radius_with_doubt(m) for m in maps]).T
-    clear = [abs(v - 1) > d or (v < 1 and _power_contracts(m)) for m, v, d in zip(maps, value, doubt, strict=True)]
+    clear = [
+        abs(v - 1) > d or (v < 1 and _power_contracts(m))
+        for m, v, d in zip(maps, value, doubt, strict=True)
+    ]
     detail = f"to first order rounding may move rho by {np.max(doubt):.1e}"
-    resolved = premise("eigenvalues resolved", np.reshape(clear, M.shape[:-2]), detail, plants=M.ndim > 2)
+    resolved = premise(
+        "eigenvalues resolved", np.reshape(clear, M.shape[:-2]), detail, plants=M.ndim > 2
+    )
     return condition(value.reshape(M.shape[:-2]), ASYMPTOTIC, premises=(*premises, resolved))
 
 
-def transient(M, trials: int | None = None, *, allowed: float = 1.0, premises: Iterable[Premise] = ()) -> Condition:
-    """max_j ||M_j ... M_1||_2 < allowed: no deviation ever grows by this factor. M, trials: as for `transient_growth`"""
-    return condition(np.max(transient_growth(M, trials)), TRANSIENT, limit=allowed, premises=premises)
+def transient(
+    M, trials: int | None = None, *, allowed: float = 1.0, premises: Iterable[Premise] = ()
+) -> Condition:
+    """max_j ||M_j ... M_1||_2 < allowed: no deviation ever grows by this factor. M, trials: as for
+    `transient_growth`
+    """
+    return condition(
+        np.max(transient_growth(M, trials)), TRANSIENT, limit=allowed, premises=premises
+    )
 
 
 def radius_with_doubt(M) -> tuple[float, float]:
-    """rho of (n, n), and how far rounding may have moved it: 10 eps ||M|| over the cosine between left and right eigenvector.
+    """rho of (n, n), and how far rounding may have moved it: 10 eps ||M|| over the cosine between
+    left and right eigenvector.
 
-    Taken over the irreducible diagonal blocks: of a triangular matrix far from normal, and I - gamma G is one, the QR algorithm
-    finds eigenvalues that are wrong in the first digit, while they are simply its diagonal.
+    Taken over the irreducible diagonal blocks: of a triangular matrix far from normal, and I -
+    gamma G is one, the QR algorithm finds eigenvalues that are wrong in the first digit, while they
+    are simply its diagonal.
     """
     if not np.all(np.isfinite(M)):
         return np.nan, np.nan
@@ -86,7 +113,12 @@ def radius_with_doubt(M) -> tuple[float, float]:
         values, left, right = scipy.linalg.eig(block, left=True)
         top = np.argmax(np.abs(values))
         cosine = np.abs(np.vdot(left[:, top], right[:, top]))  # LAPACK gives unit vectors
-        found.append((np.abs(values[top]), MARGIN * np.finfo(M.dtype).eps * np.linalg.norm(block) / max(cosine, 1e-300)))
+        found.append(
+            (
+                np.abs(values[top]),
+                MARGIN * np.finfo(M.dtype).eps * np.linalg.norm(block) / max(cosine, 1e-300),
+            )
+        )
     radius, doubt = max(found)
     return radius, max(doubt, max(sum(one) for one in found) - radius)
 

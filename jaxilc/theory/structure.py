@@ -1,14 +1,16 @@
-"""Which outputs of a program are affine functions of its inputs: read off the program itself, operation by operation.
+"""Which outputs of a program are affine functions of its inputs: read off the program itself,
+operation by operation.
 
-Trying a map at a few points cannot show that it is linear: the limit that matters lies beyond them. Here the program that JAX
-traced is followed instead. Each value in it is found to be
+Trying a map at a few points cannot show that it is linear: the limit that matters lies beyond them.
+Here the program that JAX traced is followed instead. Each value in it is found to be
 
     constant     the same whatever the inputs are
     affine       M x + c of the inputs x, with M and c constant
     otherwise    with the operation that made it so, such as a product of two signals or a rounding
 
-An operation that is not known to keep a value affine counts as one that does not. So an answer "affine" is a proof, for plants
-and schemes of the package as for a user's own; an answer "otherwise" is not: x * x - x * x is not seen to be 0.
+An operation that is not known to keep a value affine counts as one that does not. So an answer
+"affine" is a proof, for plants and schemes of the package as for a user's own; an answer
+"otherwise" is not: x * x - x * x is not seen to be 0.
 """
 
 from __future__ import annotations
@@ -26,7 +28,8 @@ class Dependence(NamedTuple):
     """How a value depends on the inputs.
 
     order: CONSTANT, AFFINE or OTHERWISE;  why: the operation that made it OTHERWISE, in words
-    blind: whether a derivative misses a part of it, because of `stop_gradient` (as of a quantiser, straight through)
+    blind: whether a derivative misses a part of it, because of `stop_gradient` (as of a quantiser,
+    straight through)
     """
 
     order: int = CONSTANT
@@ -79,15 +82,26 @@ WORDS = {
 
 
 def dependence(f: Callable, fixed: Any, varying: Any) -> Any:
-    """The `Dependence` of each output of f(fixed, varying) on `varying`, in the shape of the output. f: pure, as for `jax.jit`"""
+    """The `Dependence` of each output of f(fixed, varying) on `varying`, in the shape of the
+    output. f: pure, as for `jax.jit`
+    """
     closed, shape = jax.make_jaxpr(f, return_shape=True)(fixed, varying)
-    known = [Dependence()] * len(jax.tree.leaves(fixed)) + [Dependence(AFFINE)] * len(jax.tree.leaves(varying))
-    return jax.tree.unflatten(jax.tree.structure(shape), _through(closed.jaxpr, [Dependence()] * len(closed.consts), known))
+    known = [Dependence()] * len(jax.tree.leaves(fixed)) + [Dependence(AFFINE)] * len(
+        jax.tree.leaves(varying)
+    )
+    return jax.tree.unflatten(
+        jax.tree.structure(shape),
+        _through(closed.jaxpr, [Dependence()] * len(closed.consts), known),
+    )
 
 
 def obstacle(f: Callable, fixed: Any, varying: Any) -> str:
-    """What keeps f(fixed, varying) from being affine in `varying`, in words; empty if it is. Whole numbers and flags must be constant."""
-    found = jax.tree.leaves(dependence(f, fixed, varying), is_leaf=lambda x: isinstance(x, Dependence))
+    """What keeps f(fixed, varying) from being affine in `varying`, in words; empty if it is. Whole
+    numbers and flags must be constant.
+    """
+    found = jax.tree.leaves(
+        dependence(f, fixed, varying), is_leaf=lambda x: isinstance(x, Dependence)
+    )
     shapes = jax.tree.leaves(jax.eval_shape(f, fixed, varying))
     for one, shape in zip(found, shapes, strict=True):
         allowed = AFFINE if jnp.issubdtype(shape.dtype, jnp.inexact) else CONSTANT
@@ -97,20 +111,29 @@ def obstacle(f: Callable, fixed: Any, varying: Any) -> str:
 
 
 def blind(f: Callable, fixed: Any, varying: Any) -> bool:
-    """Whether the derivative of f(fixed, varying) by `varying` misses a part that is not differentiated, such as rounding."""
-    found = jax.tree.leaves(dependence(f, fixed, varying), is_leaf=lambda x: isinstance(x, Dependence))
+    """Whether the derivative of f(fixed, varying) by `varying` misses a part that is not
+    differentiated, such as rounding.
+    """
+    found = jax.tree.leaves(
+        dependence(f, fixed, varying), is_leaf=lambda x: isinstance(x, Dependence)
+    )
     return any(one.blind for one in found)
 
 
-# How it is done ------------------------------------------------------------------------------------------------------------
+# How it is done
+# ------------------------------------------------------------------------------------------------------------
 
 
-def _through(program, of_consts: Sequence[Dependence], of_inputs: Sequence[Dependence]) -> list[Dependence]:
+def _through(
+    program, of_consts: Sequence[Dependence], of_inputs: Sequence[Dependence]
+) -> list[Dependence]:
     """What becomes of the inputs of a jaxpr."""
     known = dict(zip([*program.constvars, *program.invars], [*of_consts, *of_inputs], strict=True))
 
     def look(variable) -> Dependence:
-        return Dependence() if hasattr(variable, "val") else known[variable]  # a literal has its value with it
+        return (
+            Dependence() if hasattr(variable, "val") else known[variable]
+        )  # a literal has its value with it
 
     for step in program.eqns:
         known |= zip(step.outvars, _after(step, [look(v) for v in step.invars]), strict=True)
@@ -126,22 +149,32 @@ def _after(step, operands: list[Dependence]) -> list[Dependence]:
         return LOOPS_AND_CALLS[name](step, operands)
     inner = _called(step)
     if inner is not None:
-        return _through(inner.jaxpr if hasattr(inner, "jaxpr") else inner, [Dependence()] * len(getattr(inner, "consts", ())), operands)
+        return _through(
+            inner.jaxpr if hasattr(inner, "jaxpr") else inner,
+            [Dependence()] * len(getattr(inner, "consts", ())),
+            operands,
+        )
     together = _joined(operands)
     if name == "optimization_barrier":
         return operands
     if name == "stop_gradient":
         return [together._replace(blind=True)] * results
-    keeps = name in LINEAR or _to_float(step) or (name == "select_n" and operands[0].order == CONSTANT)
+    keeps = (
+        name in LINEAR or _to_float(step) or (name == "select_n" and operands[0].order == CONSTANT)
+    )
     if name in BILINEAR:
         keeps = sum(one.order > CONSTANT for one in operands) == 1
     if name in LINEAR_IN:
-        keeps = all(one.order == CONSTANT for i, one in enumerate(operands) if i not in LINEAR_IN[name])
+        keeps = all(
+            one.order == CONSTANT for i, one in enumerate(operands) if i not in LINEAR_IN[name]
+        )
     if not keeps and together.order == AFFINE:
         why = WORDS["cond"] if name in DECISIONS else WORDS.get(name, name)
         together = Dependence(OTHERWISE, why, together.blind)
     if name in DECISIONS:
-        together = together._replace(blind=False)  # the derivative of what only decides is zero, and rightly so
+        together = together._replace(
+            blind=False
+        )  # the derivative of what only decides is zero, and rightly so
     if name == "select_n":
         together = together._replace(blind=any(one.blind for one in operands[1:]))
     return [together] * results
@@ -154,29 +187,47 @@ def _joined(several: Sequence[Dependence]) -> Dependence:
 
 
 def _to_float(step) -> bool:
-    kinds = [v.aval.dtype for v in (*step.invars, *step.outvars)] if step.primitive.name == "convert_element_type" else []
+    kinds = (
+        [v.aval.dtype for v in (*step.invars, *step.outvars)]
+        if step.primitive.name == "convert_element_type"
+        else []
+    )
     return bool(kinds) and all(jnp.issubdtype(kind, jnp.inexact) for kind in kinds)
 
 
 def _called(step):
-    """The program that an operation only calls (jit, checkpoint, a function with a derivative of its own), None for others."""
+    """The program that an operation only calls (jit, checkpoint, a function with a derivative of
+    its own), None for others.
+    """
     inner = [p for p in step.params.values() if hasattr(p, "eqns") or hasattr(p, "jaxpr")]
-    fits = [p for p in inner if len((p.jaxpr if hasattr(p, "jaxpr") else p).invars) == len(step.invars)]
+    fits = [
+        p for p in inner if len((p.jaxpr if hasattr(p, "jaxpr") else p).invars) == len(step.invars)
+    ]
     return fits[0] if len(inner) == 1 and fits else None
 
 
 def _scan(step, operands):
     fixed, carried = step.params["num_consts"], step.params["num_consts"] + step.params["num_carry"]
-    return _repeated(step.params["jaxpr"], operands[:fixed], operands[fixed:carried], operands[carried:])
+    return _repeated(
+        step.params["jaxpr"], operands[:fixed], operands[fixed:carried], operands[carried:]
+    )
 
 
 def _while(step, operands):
     of_condition, of_body = step.params["cond_nconsts"], step.params["body_nconsts"]
     carry = operands[of_condition + of_body :]
-    following = _repeated(step.params["body_jaxpr"], operands[of_condition : of_condition + of_body], carry, [])
+    following = _repeated(
+        step.params["body_jaxpr"], operands[of_condition : of_condition + of_body], carry, []
+    )
     decides = step.params["cond_jaxpr"]
-    found = _through(decides.jaxpr, [Dependence()] * len(decides.consts), [*operands[:of_condition], *following])
-    return following if found[0].order == CONSTANT else [Dependence(OTHERWISE, WORDS["while"])] * len(following)
+    found = _through(
+        decides.jaxpr, [Dependence()] * len(decides.consts), [*operands[:of_condition], *following]
+    )
+    return (
+        following
+        if found[0].order == CONSTANT
+        else [Dependence(OTHERWISE, WORDS["while"])] * len(following)
+    )
 
 
 def _repeated(body, fixed, carry, rows):
@@ -191,9 +242,15 @@ def _repeated(body, fixed, carry, rows):
 
 def _cond(step, operands):
     decides, *rest = operands
-    branches = [_through(b.jaxpr, [Dependence()] * len(b.consts), rest) for b in step.params["branches"]]
+    branches = [
+        _through(b.jaxpr, [Dependence()] * len(b.consts), rest) for b in step.params["branches"]
+    ]
     joined = [_joined(several) for several in zip(*branches, strict=True)]
-    return joined if decides.order == CONSTANT else [Dependence(OTHERWISE, WORDS["cond"], one.blind) for one in joined]
+    return (
+        joined
+        if decides.order == CONSTANT
+        else [Dependence(OTHERWISE, WORDS["cond"], one.blind) for one in joined]
+    )
 
 
 LOOPS_AND_CALLS = {"scan": _scan, "while": _while, "cond": _cond}

@@ -1,4 +1,6 @@
-"""Trials as theory runs them: without noise, playing a given signal in place of what was learned, or with a prescribed output."""
+"""Trials as theory runs them: without noise, playing a given signal in place of what was learned,
+or with a prescribed output.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,9 @@ from ..schemes.compose import Pair
 from ..schemes.scheme import Feedforward
 from ..signals.task import Task, Trial
 
-LEARNED = 3  # trials before a scheme that adapts is looked at: by then one of two-trial increments has seen data
+# trials before a scheme that adapts is looked at: by then one of two-trial increments has seen
+# data
+LEARNED = 3
 
 
 def trial_of(machine: Machine, scheme: Scheme, task: Task, memory) -> Trial:
@@ -35,7 +39,9 @@ def step(machine: Machine, scheme: Scheme, task: Task, memory):
 def learned_memory(machine: Machine, scheme: Scheme, task: Task, trials: int = LEARNED):
     """The memory after so many trials from the start, without noise."""
     scheme = scheme.prepared(task)
-    return lax.fori_loop(0, trials, lambda _, memory: step(machine, scheme, task, memory), scheme.memory(task))
+    return lax.fori_loop(
+        0, trials, lambda _, memory: step(machine, scheme, task, memory), scheme.memory(task)
+    )
 
 
 def learned_shape(scheme: Scheme | None, task: Task) -> tuple[int, ...] | None:
@@ -49,21 +55,27 @@ def learned_shape(scheme: Scheme | None, task: Task) -> tuple[int, ...] | None:
 
 
 def played(machine: Machine, scheme: Scheme | None, task: Task, memory, learned) -> Trial:
-    """A trial that plays `learned` (N, m) in place of what the scheme learned; the scheme acts within the trial as it does.
+    """A trial that plays `learned` (N, m) in place of what the scheme learned; the scheme acts
+    within the trial as it does.
 
-    Of a scheme that learns nothing, `learned` (N, n_u) is added to its input; None is a machine without a scheme.
+    Of a scheme that learns nothing, `learned` (N, n_u) is added to its input; None is a machine
+    without a scheme.
     """
     if scheme is None:
         return trial_of(machine, Scheme(), task, Feedforward(learned))
     if learned_shape(scheme, task) is None:
-        return trial_of(machine, WithFeedback(Scheme(), scheme), task, Pair(Feedforward(learned), memory))
+        return trial_of(
+            machine, WithFeedback(Scheme(), scheme), task, Pair(Feedforward(learned), memory)
+        )
     return trial_of(machine, _Playing(scheme), task, (memory, learned))
 
 
 def next_learned(scheme: Scheme, task: Task, memory, learned, e, e0: Any = 0.0):
-    """(N, m) what a scheme will play after a trial that played `learned` (N, m) with the errors e[1..N] (N, n_y).
+    """(N, m) what a scheme will play after a trial that played `learned` (N, m) with the errors
+    e[1..N] (N, n_y).
 
-    e0: (n_y,) e[0], which no input can reach. Raises ValueError for a scheme that learns no feedforward.
+    e0: (n_y,) e[0], which no input can reach. Raises ValueError for a scheme that learns no
+    feedforward.
     """
     e = jnp.concatenate([jnp.broadcast_to(e0, (1, e.shape[1])), e])
     return scheme.feedforward(scheme.learn(memory, scheme.record(learned, e, task)), task)
@@ -76,16 +88,25 @@ def starts_off(machine: Machine, scheme: Scheme, task: Task):
 
 
 def shortened(task: Task, samples: int) -> Task:
-    """The first so many samples of the task, or the task with its reference held at its end for longer."""
+    """The first so many samples of the task, or the task with its reference held at its end for
+    longer.
+    """
     r = jnp.asarray(task.reference)
-    r = r[: samples + 1] if samples <= task.N else jnp.pad(r, ((0, samples - task.N), (0, 0)), mode="edge")
+    r = (
+        r[: samples + 1]
+        if samples <= task.N
+        else jnp.pad(r, ((0, samples - task.N), (0, 0)), mode="edge")
+    )
     return dataclasses.replace(task, reference=r, settle=None)
 
 
 def with_output(machine: Machine, d) -> Machine:
     """The machine with the repetitive disturbance d (N+1, n_y) of its output on top of its own."""
     own = Disturbance() if machine.disturbance is None else machine.disturbance
-    return dataclasses.replace(machine, disturbance=dataclasses.replace(own, output=d if own.output is None else own.output + d))
+    return dataclasses.replace(
+        machine,
+        disturbance=dataclasses.replace(own, output=d if own.output is None else own.output + d),
+    )
 
 
 @pytree
@@ -122,7 +143,9 @@ class _Playing(_Inside):
 
 @pytree
 class Prescribed(_Inside):
-    """A scheme that is shown a prescribed output instead of the measured one. Its memory is the scheme's, and that output (N+1, n_y)."""
+    """A scheme that is shown a prescribed output instead of the measured one. Its memory is the
+    scheme's, and that output (N+1, n_y).
+    """
 
     @property
     def plays_back(self) -> bool:

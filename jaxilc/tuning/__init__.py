@@ -1,4 +1,6 @@
-"""Tuning: weights by gradients through the whole learning process, budgets, and the worst machine of a set."""
+"""Tuning: weights by gradients through the whole learning process, budgets, and the worst machine
+of a set.
+"""
 
 import lazy_loader
 

@@ -14,7 +14,9 @@ from ..pytree.ranges import require
 
 @dataclasses.dataclass(frozen=True)
 class Risk:
-    """rho(losses) of (S,) losses; `weights` are its derivatives by them. They are >= 0 and sum to 1."""
+    """rho(losses) of (S,) losses; `weights` are its derivatives by them. They are >= 0 and sum to
+    1.
+    """
 
     def __call__(self, losses) -> jax.Array:
         raise NotImplementedError
@@ -34,7 +36,8 @@ class Mean(Risk):
 
 @dataclasses.dataclass(frozen=True)
 class CVaR(Risk):
-    """Conditional value at risk: the mean of the worst share 1 - alpha (Rockafellar and Uryasev 2000); the last loss in it counts in part.
+    """Conditional value at risk: the mean of the worst share 1 - alpha (Rockafellar and Uryasev
+    2000); the last loss in it counts in part.
 
     alpha: in [0, 1); 0 is the mean
     """
@@ -47,7 +50,8 @@ class CVaR(Risk):
     def __call__(self, losses):
         size = (1.0 - self.alpha) * losses.shape[0]
         size = max(size, 1.0)  # fewer than one plant: the worst of them
-        # by places: sorted losses have a scatter as their derivative, of which XLA's partitioner dies where they lie on many devices
+        # by places: sorted losses have a scatter as their derivative, of which XLA's partitioner
+        # dies where they lie on many devices
         place = jnp.argsort(jnp.argsort(-lax.stop_gradient(losses)))
         share = jnp.clip(size - place, 0.0, 1.0)
         return jnp.sum(share * losses) / size
@@ -74,4 +78,6 @@ class SmoothMax(Risk):
         require("SmoothMax", "temperature", self.temperature, "(0, inf)")
 
     def __call__(self, losses):
-        return self.temperature * (jax.nn.logsumexp(losses / self.temperature) - jnp.log(losses.shape[0]))
+        return self.temperature * (
+            jax.nn.logsumexp(losses / self.temperature) - jnp.log(losses.shape[0])
+        )

@@ -19,7 +19,17 @@ import numpy as np
 from ..runtime.provenance import differences
 from ..storage.files import atomically, only_one, remove_leftovers, to_disk, whole_folder
 from ..storage.reading import tree_of
-from ..storage.sealed import Damaged, archive, as_json, json_text, read_arrays, read_json, sealed, unsealed, write_json
+from ..storage.sealed import (
+    Damaged,
+    archive,
+    as_json,
+    json_text,
+    read_arrays,
+    read_json,
+    sealed,
+    unsealed,
+    write_json,
+)
 from .descent import State
 
 CONFIGURATION = "configuration.json"

@@ -1,4 +1,5 @@
-"""The weights that are tuned, and what tuning found for them: float leaves of a scheme, or elements of them.
+"""The weights that are tuned, and what tuning found for them: float leaves of a scheme, or elements
+of them.
 
 Each has an open range, and a place z on the real line, where an optimiser may move it.
 """
@@ -22,26 +23,36 @@ from .descent import Bijection, State
 
 FAR = 12.0  # on the real line: where a weight might go, e^12 or 6e-6 from an end
 
-Asked = Mapping[str, tuple[float, float] | None] | Sequence[str]  # names with their bounds, None for all that a leaf allows
+Asked = (
+    Mapping[str, tuple[float, float] | None] | Sequence[str]
+)  # names with their bounds, None for all that a leaf allows
 
 
 @dataclasses.dataclass(frozen=True)
 class Weights:
-    """P weights by name. bijections: z, on the real line, to the weight;  start: values in the scheme, ends of a range among them"""
+    """P weights by name. bijections: z, on the real line, to the weight;  start: values in the
+    scheme, ends of a range among them
+    """
 
     bijections: dict[str, Bijection]
     start: dict[str, float]
 
     @classmethod
     def of(cls, scheme: Scheme, asked: Asked) -> Weights:
-        """Raises ValueError, naming a weight that does not exist, is absent or static, bounds that are empty or not allowed, a start
-        outside them."""
+        """Raises ValueError, naming a weight that does not exist, is absent or static, bounds that
+        are empty or not allowed, a start outside them."""
         asked = asked if isinstance(asked, Mapping) else dict.fromkeys(asked)
         if not asked:
             raise ValueError("Tuning: weights is empty; at least one is needed")
-        bounds = {element: b for name, of in asked.items() for element, b in _elements(scheme, name, of).items()}
+        bounds = {
+            element: b
+            for name, of in asked.items()
+            for element, b in _elements(scheme, name, of).items()
+        }
         start = {name: float(get_at(scheme, name)) for name in bounds}
-        return cls({name: Bijection(*b, abs(start[name]) or 1.0) for name, b in bounds.items()}, start)
+        return cls(
+            {name: Bijection(*b, abs(start[name]) or 1.0) for name, b in bounds.items()}, start
+        )
 
     def at(self, z) -> dict[str, jax.Array]:
         """The weights by name of z (..., P)."""
@@ -56,29 +67,40 @@ class Weights:
         """(count, P) z of the start, and around it with the standard deviation `scatter`."""
         scattered = scatter * np.random.default_rng(seed).standard_normal((count, len(self.start)))
         scattered[0] = 0.0
-        z = np.array([b.inverse(self.inside[name]) for name, b in self.bijections.items()]) + scattered
+        z = (
+            np.array([b.inverse(self.inside[name]) for name, b in self.bijections.items()])
+            + scattered
+        )
         return z.astype(jnp.result_type(float))
 
     def need_room(self, machine: Machine, scheme: Scheme, task: Task) -> None:
-        """Raises ValueError if the scheme refuses what the bounds of a weight allow, a filter a cutoff beyond Nyquist."""
+        """Raises ValueError if the scheme refuses what the bounds of a weight allow, a filter a
+        cutoff beyond Nyquist.
+        """
         for name, bijection in self.bijections.items():
             for z in (-FAR, FAR):
                 value = float(bijection(z))
                 try:
                     check(machine, replaced(scheme, {name: value}), task)
                 except ValueError as error:
-                    raise ValueError(f"weights: within its bounds {name} may become {value:g}; {error}. Give narrower bounds") from None
+                    raise ValueError(
+                        f"weights: within its bounds {name} may become {value:g}; {error}. Give narrower bounds"
+                    ) from None
 
 
 @dataclasses.dataclass(frozen=True)
 class Tuned:
     """What tuning found.
 
-    values: by name, of the iterate with the best held-out loss;  scheme: with them;  start: by name, as given
-    loss, slope, dropped: (steps, K) training loss, length of its gradient, plants without a finite one, of each step and start
-    weights: by name, (steps, K) the values they belong to;  held_out: (steps + 1, K) held-out loss where it was looked at, else NaN
+    values: by name, of the iterate with the best held-out loss;  scheme: with them;  start: by
+    name, as given
+    loss, slope, dropped: (steps, K) training loss, length of its gradient, plants without a finite
+    one, of each step and start
+    weights: by name, (steps, K) the values they belong to;  held_out: (steps + 1, K) held-out loss
+    where it was looked at, else NaN
     before, after: held-out loss with `start` and with `values`;  step: of the best iterate
-    nudged: values of `start` that lay on an end of their range, and where they were moved to;  reason: why it stopped
+    nudged: values of `start` that lay on an end of their range, and where they were moved to;
+    reason: why it stopped
     """
 
     values: dict[str, float]
@@ -96,7 +118,15 @@ class Tuned:
     reason: str
 
     @classmethod
-    def of(cls, state: State, weights: Weights, scheme: Scheme, before: float, after: float, reason: str) -> Tuned:
+    def of(
+        cls,
+        state: State,
+        weights: Weights,
+        scheme: Scheme,
+        before: float,
+        after: float,
+        reason: str,
+    ) -> Tuned:
         """What the descent that ended in `state` found for the weights of a scheme."""
         done = int(state.step)
         values = {name: float(value) for name, value in weights.at(state.best_z).items()}
@@ -107,30 +137,47 @@ class Tuned:
             loss=state.loss[:done],
             slope=state.slope[:done],
             dropped=state.dropped[:done],
-            weights={name: np.asarray(value) for name, value in weights.at(state.path[:done]).items()},
+            weights={
+                name: np.asarray(value) for name, value in weights.at(state.path[:done]).items()
+            },
             held_out=state.held_out[: done + 1],
             before=before,
             after=after,
             step=int(state.best_step),
-            nudged={name: value for name, value in weights.inside.items() if value != weights.start[name]},
+            nudged={
+                name: value
+                for name, value in weights.inside.items()
+                if value != weights.start[name]
+            },
             reason=reason,
         )
 
 
-def _elements(scheme: Scheme, name: str, bounds: tuple[float, float] | None) -> dict[str, tuple[float, float]]:
+def _elements(
+    scheme: Scheme, name: str, bounds: tuple[float, float] | None
+) -> dict[str, tuple[float, float]]:
     """The elements of a leaf by name, with their bounds. Raises ValueError as `Weights.of` says."""
     try:
         value = get_at(scheme, name)
     except KeyError as error:
         raise ValueError(f"weights: {error.args[0]}") from None
     if not any(name == of or name.startswith(f"{of}[") for of in named_leaves(scheme)):
-        raise ValueError(f"weights: {name} = {value!r} is not a float leaf of this scheme and cannot be tuned")
+        raise ValueError(
+            f"weights: {name} = {value!r} is not a float leaf of this scheme and cannot be tuned"
+        )
     allowed: Any = interval_at(scheme, name)  # a float leaf has one
     low, high = (allowed.low, allowed.high) if bounds is None else map(float, bounds)
     if not low < high:
         raise ValueError(f"weights: the bounds ({low:g}, {high:g}) of {name} are empty")
     if low < allowed.low or high > allowed.high:
-        raise ValueError(f"weights: the bounds ({low:g}, {high:g}) of {name} leave its allowed range {allowed}")
+        raise ValueError(
+            f"weights: the bounds ({low:g}, {high:g}) of {name} leave its allowed range {allowed}"
+        )
     if not np.all((low <= np.asarray(value)) & (np.asarray(value) <= high)):
-        raise ValueError(f"weights: the start {name} = {np.asarray(value)} is outside its bounds ({low:g}, {high:g})")
-    return {name + "".join(f"[{i}]" for i in index): (low, high) for index in np.ndindex(np.shape(value))}
+        raise ValueError(
+            f"weights: the start {name} = {np.asarray(value)} is outside its bounds ({low:g}, {high:g})"
+        )
+    return {
+        name + "".join(f"[{i}]" for i in index): (low, high)
+        for index in np.ndindex(np.shape(value))
+    }

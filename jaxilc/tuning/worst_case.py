@@ -1,9 +1,13 @@
-"""The worst plant of an uncertain set, found by climbing the gradient of a loss, and by chance for comparison.
+"""The worst plant of an uncertain set, found by climbing the gradient of a loss, and by chance for
+comparison.
 
-    maximise over t in [0, 1]^n:   loss( subject with each named leaf at its place t between the ends of its distribution )
+    maximise over t in [0, 1]^n:   loss( subject with each named leaf at its place t between the
+    ends of its distribution )
 
-The set is the box between the `corners` of the distributions: the ends of a uniform one, two standard deviations of a normal one.
-The subject may be any pytree: a machine, or a dictionary of a machine and a phase, an initial state, a reference.
+The set is the box between the `corners` of the distributions: the ends of a uniform one, two
+standard deviations of a normal one.
+The subject may be any pytree: a machine, or a dictionary of a machine and a phase, an initial
+state, a reference.
 """
 
 from __future__ import annotations
@@ -51,26 +55,47 @@ def worst_case_search(
 ) -> WorstCase:
     """Projected ascent on the loss from scattered starts, the centre of the box first, in tiles.
 
-        t <- clip(t + step * sign(dloss/dt), 0, 1),    each coordinate's step * 1.5 while its slope keeps its sign, * 0.4 when it turns
+        t <- clip(t + step * sign(dloss/dt), 0, 1),    each coordinate's step * 1.5 while its slope
+        keeps its sign, * 0.4 when it turns
 
-    loss: pure, of a subject to a number; `objectives.judge` makes one that diverging plants keep finite
-    Only signs of slopes are used (Rprop, Riedmiller 1993), so the loss may be of any size. A coordinate whose slope is not finite
-    stays where it is; a climb whose loss is not finite returns to its best place with smaller steps. What is found is a local
-    maximum in the box, no proof of more.
-    Raises ValueError for an uncertainty that is empty or does not fit the subject, or where no loss is finite.
+    loss: pure, of a subject to a number; `objectives.judge` makes one that diverging plants keep
+    finite Only signs of slopes are used (Rprop, Riedmiller 1993), so the loss may be of any size. A
+    coordinate whose slope is not finite stays where it is; a climb whose loss is not finite returns
+    to its best place with smaller steps. What is found is a local maximum in the box, no proof of
+    more.
+    Raises ValueError for an uncertainty that is empty or does not fit the subject, or where no loss
+    is finite.
     """
     for name, value in (("starts", starts), ("steps", steps), ("lanes", lanes)):
         if value is not None:
             require("worst_case_search", name, value, "[1, inf)", whole=True)
     require("worst_case_search", "seed", seed, SEEDS, whole=True)
     box = _Box(subject, uncertainty)
-    check_size("worst_case_search", lambda starts, steps: 8 * (COPIES * box.n * starts + 2 * steps), starts=starts, steps=steps)
+    check_size(
+        "worst_case_search",
+        lambda starts, steps: 8 * (COPIES * box.n * starts + 2 * steps),
+        starts=starts,
+        steps=steps,
+    )
     climb = jax.jit(
-        tiled(lambda subject, t: jax.value_and_grad(lambda t: loss(drawn_machine(subject, uncertainty, box.values(t))))(t), lanes=lanes)
+        tiled(
+            lambda subject, t: jax.value_and_grad(
+                lambda t: loss(drawn_machine(subject, uncertainty, box.values(t)))
+            )(t),
+            lanes=lanes,
+        )
     )
     start = jax.ShapeDtypeStruct((starts, box.n), jnp.result_type(float))
-    check_program("worst_case_search: a step of all starts", "take fewer starts or trials, or a shorter one", climb, subject, start)
-    t = np.concatenate([np.full((1, box.n), 0.5), qmc.LatinHypercube(box.n, rng=seed).random(starts - 1)])
+    check_program(
+        "worst_case_search: a step of all starts",
+        "take fewer starts or trials, or a shorter one",
+        climb,
+        subject,
+        start,
+    )
+    t = np.concatenate(
+        [np.full((1, box.n), 0.5), qmc.LatinHypercube(box.n, rng=seed).random(starts - 1)]
+    )
     step, last = np.full_like(t, FIRST), np.zeros_like(t)
     found, at, best = np.full(starts, -np.inf), t.copy(), np.zeros(steps)
     for i in range(steps):
@@ -87,16 +112,28 @@ def worst_case_search(
 
 
 def monte_carlo_search(
-    loss: Callable[[Any], jax.Array], subject: Any, uncertainty: Uncertainty, evaluations: int, *, seed: int = 0, lanes: int | None = None
+    loss: Callable[[Any], jax.Array],
+    subject: Any,
+    uncertainty: Uncertainty,
+    evaluations: int,
+    *,
+    seed: int = 0,
+    lanes: int | None = None,
 ) -> WorstCase:
-    """The largest of so many losses drawn at random, evenly from the same box. Raises as `worst_case_search` does."""
+    """The largest of so many losses drawn at random, evenly from the same box. Raises as
+    `worst_case_search` does.
+    """
     require("monte_carlo_search", "evaluations", evaluations, "[1, inf)", whole=True)
     require("monte_carlo_search", "seed", seed, SEEDS, whole=True)
     box = _Box(subject, uncertainty)
     each = bytes_of_a_draw(uncertainty)
-    check_size("monte_carlo_search", lambda evaluations: each * evaluations, evaluations=evaluations)
+    check_size(
+        "monte_carlo_search", lambda evaluations: each * evaluations, evaluations=evaluations
+    )
     t = np.random.default_rng(seed).random((evaluations, box.n))
-    look = tiled(lambda subject, t: loss(drawn_machine(subject, uncertainty, box.values(t))), lanes=lanes)
+    look = tiled(
+        lambda subject, t: loss(drawn_machine(subject, uncertainty, box.values(t))), lanes=lanes
+    )
     losses = np.asarray(look(subject, jnp.asarray(t)))
     losses = np.where(np.isfinite(losses), losses, -np.inf)
     return box.worst(t, losses, evaluations, np.maximum.accumulate(losses))
@@ -116,7 +153,9 @@ class _Box:
         check(subject, uncertainty)
         self.subject, self.uncertainty, self.n = subject, uncertainty, len(uncertainty)
         for end in (0.0, 1.0):
-            drawn_machine(subject, uncertainty, self.values(np.full(self.n, end)))  # refuses what a leaf does not allow
+            drawn_machine(
+                subject, uncertainty, self.values(np.full(self.n, end))
+            )  # refuses what a leaf does not allow
 
     def values(self, t) -> dict[str, Any]:
         """The numbers at t (n,); those of a log-uniform distribution go by their logarithm."""
@@ -124,7 +163,9 @@ class _Box:
         for i, (name, distribution) in enumerate(self.uncertainty.items()):
             low, high = distribution.corners()
             log = isinstance(distribution, LogUniform)
-            values[name] = low ** (1 - t[i]) * high ** t[i] if log else (1 - t[i]) * low + t[i] * high  # exact at both ends
+            values[name] = (
+                low ** (1 - t[i]) * high ** t[i] if log else (1 - t[i]) * low + t[i] * high
+            )  # exact at both ends
         return values
 
     def worst(self, t, losses, evaluations: int, best) -> WorstCase:
@@ -133,4 +174,6 @@ class _Box:
             raise ValueError(f"worst_case_search: none of {len(losses)} losses is finite")
         values = {name: float(value) for name, value in self.values(t[i]).items()}
         subject = drawn_machine(self.subject, self.uncertainty, values)
-        return WorstCase(values, subject, float(losses[i]), evaluations, np.asarray(losses), np.asarray(best))
+        return WorstCase(
+            values, subject, float(losses[i]), evaluations, np.asarray(losses), np.asarray(best)
+        )

@@ -1,4 +1,6 @@
-"""The benchmark: every opponent computes what we compute, wrong numbers are refused, costs and ratios are read off correctly."""
+"""The benchmark: every opponent computes what we compute, wrong numbers are refused, costs and
+ratios are read off correctly.
+"""
 
 import json
 
@@ -41,7 +43,9 @@ def test_the_reset_is_the_same_for_all():
     ours, problem = of.ours(lanes=1)(), of.problem
     for name, (peer, _) in OPPONENTS.items():
         np.testing.assert_allclose(peer(problem), ours, rtol=1e-8, err_msg=name)
-    never = of._replace(scheme=type(of.scheme)(lam=0.01, mu=1e-4, phi0=-1e-3, reset="none")).ours(lanes=1)()
+    never = of._replace(scheme=type(of.scheme)(lam=0.01, mu=1e-4, phi0=-1e-3, reset="none")).ours(
+        lanes=1
+    )()
     assert np.max(np.abs(never - ours)) > 1e-6 * np.max(np.abs(ours))  # it did happen
 
 
@@ -58,8 +62,13 @@ def test_wrong_numbers_are_refused():
 
 def test_other_numbers_in_blocks_are_refused(monkeypatch):
     right = contests.InBlocks.response
-    monkeypatch.setattr(contests.InBlocks, "response", lambda plant, u, dt: (1 + 2e-9) * right(plant, u, dt))
-    with pytest.raises(ArithmeticError, match="jaxilc in blocks differs from jaxilc by 2e-09 of the largest output; allowed is 1e-09"):
+    monkeypatch.setattr(
+        contests.InBlocks, "response", lambda plant, u, dt: (1 + 2e-9) * right(plant, u, dt)
+    )
+    with pytest.raises(
+        ArithmeticError,
+        match="jaxilc in blocks differs from jaxilc by 2e-09 of the largest output; allowed is 1e-09",
+    ):
         bench.compare_long(100, repeats=1)
 
 
@@ -85,13 +94,28 @@ def test_memory_of_a_call_is_seen():
 def test_the_cost_of_a_size_is_a_line():
     found = timing.cost([1, 2, 4], [0.7, 1.2, 2.2])
     assert (found.start, found.slope, found.residual) == pytest.approx((0.2, 0.5, 0.0), abs=1e-12)
-    assert timing.cost([1, 2, 3], [1.0, 1.0, 4.0]).residual == pytest.approx(0.25)  # off by 0.5, -1, 0.5 of 4
+    assert timing.cost([1, 2, 3], [1.0, 1.0, 4.0]).residual == pytest.approx(
+        0.25
+    )  # off by 0.5, -1, 0.5 of 4
 
 
 def test_the_command(tmp_path):
     app, file = typer.Typer(), tmp_path / "bench.json"
     command.register(app)
-    small = ["--plants", "2", "--trials", "4", "--samples", "24", "--long", "200", "--schemes", "cfdl", "--repeats", "1"]
+    small = [
+        "--plants",
+        "2",
+        "--trials",
+        "4",
+        "--samples",
+        "24",
+        "--long",
+        "200",
+        "--schemes",
+        "cfdl",
+        "--repeats",
+        "1",
+    ]
     result = CliRunner().invoke(app, [*small, "--json", str(file)])
     assert result.exit_code == 0, result.output
     found = json.loads(file.read_text())
@@ -116,6 +140,8 @@ def test_the_command(tmp_path):
 def test_bad_input_is_named(arguments, message):
     app = typer.Typer()
     command.register(app)
-    result = CliRunner().invoke(app, ["--plants", "1", "--schemes", "cfdl", "--trials", "2", "--samples", "8", *arguments])
+    result = CliRunner().invoke(
+        app, ["--plants", "1", "--schemes", "cfdl", "--trials", "2", "--samples", "8", *arguments]
+    )
     assert isinstance(result.exception, ValueError)
     assert message in str(result.exception)

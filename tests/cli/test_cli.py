@@ -45,7 +45,11 @@ low = 0.8
 high = 1.2
 relative = true
 """
-PLAIN = {name: value for name, value in os.environ.items() if name not in ("FORCE_COLOR", "PY_COLORS", "GITHUB_ACTIONS", "NO_COLOR")}
+PLAIN = {
+    name: value
+    for name, value in os.environ.items()
+    if name not in ("FORCE_COLOR", "PY_COLORS", "GITHUB_ACTIONS", "NO_COLOR")
+}
 COLOUR = re.compile("\x1b\\[[0-9;]*3[0-7]")
 
 
@@ -77,13 +81,27 @@ def test_list_names_scenarios_and_all_that_can_be_set(jaxilc_command):
 
 
 def test_run_prints_ours_beside_the_published_and_writes_everything(jaxilc_command, tmp_path):
-    code, out, _ = jaxilc_command("run", "cao-2019", "--trials", 20, "--scheme", "cfdl-mfailc", "--out", "here", "--json", "here/run.json")
+    code, out, _ = jaxilc_command(
+        "run",
+        "cao-2019",
+        "--trials",
+        20,
+        "--scheme",
+        "cfdl-mfailc",
+        "--out",
+        "here",
+        "--json",
+        "here/run.json",
+    )
     assert code == 0
     assert "16.2 (18)" in out
     numbers = json.loads((tmp_path / "here/run.json").read_text())
     of_scheme = numbers["schemes"]["cfdl-mfailc"]
     dataset = xr.open_zarr(tmp_path / "here/dataset.zarr", consolidated=False, chunks=None)
-    np.testing.assert_allclose(of_scheme["settled_error"]["20"], 1e3 * dataset["settled_error"].sel(scheme="cfdl-mfailc", trial=20)[0])
+    np.testing.assert_allclose(
+        of_scheme["settled_error"]["20"],
+        1e3 * dataset["settled_error"].sel(scheme="cfdl-mfailc", trial=20)[0],
+    )
     by_hand = np.abs(dataset["e"].sel(scheme="cfdl-mfailc", trial=20).values[1000:]).max()
     np.testing.assert_allclose(of_scheme["settled_error"]["20"], 1e3 * by_hand)
     assert [p["ours"] is None for p in of_scheme["published"] if p["trial"] == 30] == [True]
@@ -92,19 +110,47 @@ def test_run_prints_ours_beside_the_published_and_writes_everything(jaxilc_comma
 
 
 def test_settings_reach_leaves_statics_and_options_together(jaxilc_command, tmp_path):
-    settings = ("plant=printed", "ffdl-mfailc.L_y=1", "ffdl-mfailc.phi0=0.5,-0.06,0", "ffdl-mfailc.reset=sign", "machine.plant.b[0]=0.002")
+    settings = (
+        "plant=printed",
+        "ffdl-mfailc.L_y=1",
+        "ffdl-mfailc.phi0=0.5,-0.06,0",
+        "ffdl-mfailc.reset=sign",
+        "machine.plant.b[0]=0.002",
+    )
     flags = [part for s in settings for part in ("--set", s)]
-    code, _, _ = jaxilc_command("run", "cao-2019", "--scheme", "ffdl-mfailc", "--trials", 3, "--json", "a.json", *flags)
+    code, _, _ = jaxilc_command(
+        "run", "cao-2019", "--scheme", "ffdl-mfailc", "--trials", 3, "--json", "a.json", *flags
+    )
     assert code == 0
     s = jaxilc.scenarios.load("cao-2019", plant="printed")
-    s = s.with_values({"ffdl-mfailc.L_y": 1, "ffdl-mfailc.phi0": (0.5, -0.06, 0), "ffdl-mfailc.reset": "sign", "machine.plant.b[0]": 0.002})
+    s = s.with_values(
+        {
+            "ffdl-mfailc.L_y": 1,
+            "ffdl-mfailc.phi0": (0.5, -0.06, 0),
+            "ffdl-mfailc.reset": "sign",
+            "machine.plant.b[0]": 0.002,
+        }
+    )
     ours = jaxilc.learn(s.machine, s.schemes["ffdl-mfailc"], s.task, 3).rms[-1, 0]
     printed = json.loads((tmp_path / "a.json").read_text())["schemes"]["ffdl-mfailc"]["rms"]["3"]
     np.testing.assert_allclose(printed, 1e3 * ours, rtol=1e-12)
 
 
 def test_sweep_prints_the_yield_and_resumes(jaxilc_command, tmp_path):
-    sweep = ("sweep", "cao-2019", "--scheme", "cfdl-mfailc", "--trials", 3, "--samples", 8, "--spread", 0.2, "--json", "sweep.json")
+    sweep = (
+        "sweep",
+        "cao-2019",
+        "--scheme",
+        "cfdl-mfailc",
+        "--trials",
+        3,
+        "--samples",
+        8,
+        "--spread",
+        0.2,
+        "--json",
+        "sweep.json",
+    )
     code, out, _ = jaxilc_command(*sweep, "--tolerance", 640)
     assert code == 0
     assert "8 machines" in out
@@ -124,51 +170,122 @@ def test_sweep_prints_the_yield_and_resumes(jaxilc_command, tmp_path):
     ("arguments", "message"),
     [
         (("run", "cao"), "scenario = 'cao' is not one of cao-2019"),
-        (("run", "cao-2019", "--scheme", "ilc"), "scheme = 'ilc' is not one of pid, cfdl-mfailc, pfdl-mfailc, ffdl-mfailc, ilc-mfapc"),
+        (
+            ("run", "cao-2019", "--scheme", "ilc"),
+            "scheme = 'ilc' is not one of pid, cfdl-mfailc, pfdl-mfailc, ffdl-mfailc, ilc-mfapc",
+        ),
         (("run", "cao-2019", "--trials", "0"), "--trials 0 is outside its allowed range [1, inf)"),
         (("run", "cao-2019", "--set", "lam=1"), "'lam' cannot be set; known: machine.plant.gain"),
         (("run", "cao-2019", "--set", "pid.kq=1"), "'pid.kq' cannot be set; known: "),
-        (("run", "cao-2019", "--set", "machine.plant.poles[3]=1"), "'machine.plant.poles[3]' cannot be set"),
+        (
+            ("run", "cao-2019", "--set", "machine.plant.poles[3]=1"),
+            "'machine.plant.poles[3]' cannot be set",
+        ),
         (("run", "cao-2019", "--set", "pid.kp"), "--set 'pid.kp' is not PATH=VALUE"),
         (("run", "cao-2019", "--set", "pid.kp=big"), "pid.kp = 'big' is not a number"),
-        (("run", "cao-2019", "--set", "ffdl-mfailc.L_u=1.5"), "ffdl-mfailc.L_u = '1.5' is not a whole number"),
-        (("run", "cao-2019", "--set", "cfdl-mfailc.lam=0"), "lam = 0 is outside its allowed range (0, inf)"),
-        (("run", "cao-2019", "--set", "cfdl-mfailc.eta=1.5"), "eta = 1.5 is outside its allowed range (0, 1]"),
-        (("run", "cao-2019", "--set", "cfdl-mfailc.reset=never"), "reset = 'never' is not one of 'book', 'sign', 'none'"),
-        (("run", "cao-2019", "--set", "cfdl-mfailc.lead=5000"), "lead = 5000 is outside its allowed range [0, 1999]"),
-        (("run", "cao-2019", "--set", "plant=ideal"), "form = 'ideal' is not one of 'exact', 'printed', 'dai_2014_printed'"),
-        (("run", "cao-2019", "--set", "reference=square"), "reference = 'square' is not one of 'sinusoid', 'piston'"),
+        (
+            ("run", "cao-2019", "--set", "ffdl-mfailc.L_u=1.5"),
+            "ffdl-mfailc.L_u = '1.5' is not a whole number",
+        ),
+        (
+            ("run", "cao-2019", "--set", "cfdl-mfailc.lam=0"),
+            "lam = 0 is outside its allowed range (0, inf)",
+        ),
+        (
+            ("run", "cao-2019", "--set", "cfdl-mfailc.eta=1.5"),
+            "eta = 1.5 is outside its allowed range (0, 1]",
+        ),
+        (
+            ("run", "cao-2019", "--set", "cfdl-mfailc.reset=never"),
+            "reset = 'never' is not one of 'book', 'sign', 'none'",
+        ),
+        (
+            ("run", "cao-2019", "--set", "cfdl-mfailc.lead=5000"),
+            "lead = 5000 is outside its allowed range [0, 1999]",
+        ),
+        (
+            ("run", "cao-2019", "--set", "plant=ideal"),
+            "form = 'ideal' is not one of 'exact', 'printed', 'dai_2014_printed'",
+        ),
+        (
+            ("run", "cao-2019", "--set", "reference=square"),
+            "reference = 'square' is not one of 'sinusoid', 'piston'",
+        ),
         (("run", "cao-2019", "--set", "frequency=fast"), "frequency = 'fast' is not a number"),
-        (("run", "cao-2019", "--precision", "half"), "precision = 'half' is not one of 'float64', 'float32'"),
-        (("sweep", "cao-2019", "--samples", "0"), "samples = 0 is outside its allowed range [1, inf)"),
+        (
+            ("run", "cao-2019", "--precision", "half"),
+            "precision = 'half' is not one of 'float64', 'float32'",
+        ),
+        (
+            ("sweep", "cao-2019", "--samples", "0"),
+            "samples = 0 is outside its allowed range [1, inf)",
+        ),
         (("sweep", "cao-2019", "--spread", "2"), "spread = 2 is outside its allowed range (0, 1)"),
-        (("sweep", "cao-2019", "--sampling", "grid"), "sampling = 'grid' is not one of monte-carlo"),
-        (("sweep", "cao-2019", "--tolerance", "-1"), "--tolerance -1 is outside its allowed range (0, inf)"),
+        (
+            ("sweep", "cao-2019", "--sampling", "grid"),
+            "sampling = 'grid' is not one of monte-carlo",
+        ),
+        (
+            ("sweep", "cao-2019", "--tolerance", "-1"),
+            "--tolerance -1 is outside its allowed range (0, inf)",
+        ),
         (("sweep", "cao-2019", "--keep", "z"), "keep = 'z' is not one of y, e, u"),
-        (("run", "dai-2014", "--set", "machine.plant=3"), "'machine.plant' cannot be set; known: machine.plant.gain"),
+        (
+            ("run", "dai-2014", "--set", "machine.plant=3"),
+            "'machine.plant' cannot be set; known: machine.plant.gain",
+        ),
         (("run", "dai-2014", "--params", "none.json"), "none.json: no such file or directory"),
-        (("run", "dai-2014", "--json", "."), ". cannot be written; allowed is a file in a folder that can"),
+        (
+            ("run", "dai-2014", "--json", "."),
+            ". cannot be written; allowed is a file in a folder that can",
+        ),
         (("run", "dai-2014", "--report", "file/x.html"), "file/x.html cannot be written"),
         (("run", "dai-2014", "--out", "file"), "file cannot be a folder for results"),
         (("run", "dai-2014", "--seed", "-1"), "--seed -1 is outside its allowed range [0, 9e18]"),
-        (("run", "dai-2014", "--seed", "9" * 23), "--seed 99999999999999999999999 is outside its allowed range [0, 9e18]"),
-        (("run", "milc-2024", "--set", "dilc.learning.outputs=1e6"), "dilc.learning.outputs = '1e6' is not a tuple (a whole number, ...)"),
-        (("sweep", "cao-2019", "--set", "machine.plant.zero=(1,2,3)"), "zero = [1. 2. 3.] has shape (3,); allowed is one number"),
-        (("worst-case", "cao-2019", "--scheme", "pid", "--starts", "0"), "--starts 0 is outside its allowed range [1, inf)"),
-        (("worst-case", "cao-2019", "--scheme", "pid", "--starts", "0", "--evaluations", "9"), "--starts 0 is outside"),
-        (("run", "bare.toml"), "bare.toml has no scheme; needed is a table [schemes.NAME] at least"),
+        (
+            ("run", "dai-2014", "--seed", "9" * 23),
+            "--seed 99999999999999999999999 is outside its allowed range [0, 9e18]",
+        ),
+        (
+            ("run", "milc-2024", "--set", "dilc.learning.outputs=1e6"),
+            "dilc.learning.outputs = '1e6' is not a tuple (a whole number, ...)",
+        ),
+        (
+            ("sweep", "cao-2019", "--set", "machine.plant.zero=(1,2,3)"),
+            "zero = [1. 2. 3.] has shape (3,); allowed is one number",
+        ),
+        (
+            ("worst-case", "cao-2019", "--scheme", "pid", "--starts", "0"),
+            "--starts 0 is outside its allowed range [1, inf)",
+        ),
+        (
+            ("worst-case", "cao-2019", "--scheme", "pid", "--starts", "0", "--evaluations", "9"),
+            "--starts 0 is outside",
+        ),
+        (
+            ("run", "bare.toml"),
+            "bare.toml has no scheme; needed is a table [schemes.NAME] at least",
+        ),
         (("list", "file.toml"), "file.toml is no text in UTF-8: invalid start byte 0xff at byte 0"),
         (("identify", "file"), "file is no text in UTF-8: invalid start byte 0xff at byte 0"),
         (
             ("certify", "cao-2019", "--scheme", "cfdl-mfailc", "--trials", "2"),
             "--trials 2 is outside its allowed range [3, inf) of cfdl-mfailc",
         ),
-        (("next", "--state", "s", "--out", "n.csv", "--scenario", "cao"), "scenario = 'cao' is not one of cao-2019"),
-        (("next", "--state", "s", "--out", "n.csv", "--scenario", "milc-2024"), "--scheme is missing; those that learn are dilc, milc"),
+        (
+            ("next", "--state", "s", "--out", "n.csv", "--scenario", "cao"),
+            "scenario = 'cao' is not one of cao-2019",
+        ),
+        (
+            ("next", "--state", "s", "--out", "n.csv", "--scenario", "milc-2024"),
+            "--scheme is missing; those that learn are dilc, milc",
+        ),
         (("--quiet", "--verbose", "list"), "--quiet and --verbose exclude each other"),
     ],
 )
-def test_a_mistake_is_one_line_that_names_what_is_allowed(jaxilc_command, tmp_path, arguments, message):
+def test_a_mistake_is_one_line_that_names_what_is_allowed(
+    jaxilc_command, tmp_path, arguments, message
+):
     for name in ("file", "file.toml"):
         (tmp_path / name).write_bytes(b"\xff\xfe")
     (tmp_path / "bare.toml").write_text(PLANT)
@@ -181,8 +298,24 @@ def test_a_mistake_is_one_line_that_names_what_is_allowed(jaxilc_command, tmp_pa
 
 def command(store, *more):
     program = "from jaxilc.cli import main; main()"
-    schemes = [part for name in ("pid", "cfdl-mfailc", "pfdl-mfailc") for part in ("--scheme", name)]
-    return [sys.executable, "-c", program, "sweep", "cao-2019", "--trials", "3", "--samples", "40", *schemes, "--out", str(store), *more]
+    schemes = [
+        part for name in ("pid", "cfdl-mfailc", "pfdl-mfailc") for part in ("--scheme", name)
+    ]
+    return [
+        sys.executable,
+        "-c",
+        program,
+        "sweep",
+        "cao-2019",
+        "--trials",
+        "3",
+        "--samples",
+        "40",
+        *schemes,
+        "--out",
+        str(store),
+        *more,
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -197,7 +330,9 @@ def whole(tmp_path_factory):
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
 def test_a_killed_sweep_resumes_bit_for_bit(tmp_path, whole, how):
     killed = tmp_path / "killed"
-    process = subprocess.Popen(command(killed), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        command(killed), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
     first_chunk = killed / "dataset.zarr" / "chunk_done" / "c" / "0" / "0"
     while not first_chunk.exists() and process.poll() is None:
         time.sleep(0.01)
@@ -225,7 +360,20 @@ def test_reproduce_prints_every_published_number_with_its_verdict(jaxilc_command
 
 
 def test_certify_compares_theory_with_simulation(jaxilc_command, tmp_path):
-    arguments = ("certify", "cao-2019", "--scheme", "cfdl-mfailc", "--scheme", "pid", "--samples", 3, "--trials", 4, "--json", "c.json")
+    arguments = (
+        "certify",
+        "cao-2019",
+        "--scheme",
+        "cfdl-mfailc",
+        "--scheme",
+        "pid",
+        "--samples",
+        3,
+        "--trials",
+        4,
+        "--json",
+        "c.json",
+    )
     code, out, _ = jaxilc_command(*arguments)
     assert code == 0
     assert "constant sign of phi" in out
@@ -247,7 +395,9 @@ def test_identify_reads_a_record_and_names_what_is_wrong_with_it(jaxilc_command,
     lag = jaxilc.plants.ProcessModel(gain=2.0, zeros=(), poles=(60.0,), frequencies=(), dampings=())
     machine = jaxilc.Machine(lag, sensor=jaxilc.Sensor(noise=1e-3))
     jaxilc.write_record("record.csv", jaxilc.excite(machine, u, 1e-3))
-    code, out, _ = jaxilc_command("identify", "record.csv", "--poles", 1, "--pairs", 0, "--zeros", 0, "--json", "found.json")
+    code, out, _ = jaxilc_command(
+        "identify", "record.csv", "--poles", 1, "--pairs", 0, "--zeros", 0, "--json", "found.json"
+    )
     assert code == 0
     assert "95 % intervals" in out
     found = json.loads((tmp_path / "found.json").read_text())
@@ -261,7 +411,19 @@ def test_identify_reads_a_record_and_names_what_is_wrong_with_it(jaxilc_command,
 def test_a_run_leaves_a_report(tmp_path):
     """One page with the table, every figure embedded, and how it was asked for."""
     page = tmp_path / "page.html"
-    result = CliRunner().invoke(app, ["run", "dai-2014", "--scheme", "pid", "--out", str(tmp_path / "run"), "--report", str(page)])
+    result = CliRunner().invoke(
+        app,
+        [
+            "run",
+            "dai-2014",
+            "--scheme",
+            "pid",
+            "--out",
+            str(tmp_path / "run"),
+            "--report",
+            str(page),
+        ],
+    )
     assert result.exit_code == 0, result.output
     text = page.read_text(encoding="utf-8")
     assert text.count("data:image/") == len(list((tmp_path / "run").glob("*.png")))
@@ -271,14 +433,22 @@ def test_a_run_leaves_a_report(tmp_path):
 def examples():
     """Every command with the examples of its help."""
     for command in get_command(app).commands.values():
-        found = re.findall(r"Example: jaxilc (.+?)(?:\n\n|\Z)", inspect.cleandoc(command.callback.__doc__), flags=re.DOTALL)
+        found = re.findall(
+            r"Example: jaxilc (.+?)(?:\n\n|\Z)",
+            inspect.cleandoc(command.callback.__doc__),
+            flags=re.DOTALL,
+        )
         assert found, f"{command.name} has no example"
-        yield from (pytest.param(command, shlex.split(example), id=command.name) for example in found)
+        yield from (
+            pytest.param(command, shlex.split(example), id=command.name) for example in found
+        )
 
 
 @pytest.mark.parametrize(("command", "words"), [*examples()])
 def test_the_example_of_a_command_is_one_of_it(command, words):
-    """Its options are there and their values are of the right kind; what is missing or too much raises."""
+    """Its options are there and their values are of the right kind; what is missing or too much
+    raises.
+    """
     assert words[0] == command.name
     with command.make_context(command.name, words[1:]) as context:
         assert not context.args
@@ -289,9 +459,13 @@ def test_the_example_of_a_command_is_one_of_it(command, words):
 
 @pytest.mark.slow
 def test_examples_that_are_quick_run(jaxilc_command, tmp_path):
-    lag = jaxilc.plants.ProcessModel(gain=2.0, zeros=(-300.0,), poles=(60.0,), frequencies=(30.0,), dampings=(0.4,))
+    lag = jaxilc.plants.ProcessModel(
+        gain=2.0, zeros=(-300.0,), poles=(60.0,), frequencies=(30.0,), dampings=(0.4,)
+    )
     machine = jaxilc.Machine(lag, sensor=jaxilc.Sensor(noise=1e-4))
-    jaxilc.write_record("record.csv", jaxilc.excite(machine, jaxilc.references.m_sequence(8, hold=8), 1e-3))
+    jaxilc.write_record(
+        "record.csv", jaxilc.excite(machine, jaxilc.references.m_sequence(8, hold=8), 1e-3)
+    )
     ran = []
     for command, words in (p.values for p in examples()):
         if command.name in ("list", "identify", "run"):
@@ -303,7 +477,12 @@ def test_examples_that_are_quick_run(jaxilc_command, tmp_path):
 def started(*words, **environment):
     """The console script as another process: its result, without a terminal."""
     program = "import sys; from jaxilc.cli import main; sys.argv[0] = 'jaxilc'; main()"
-    return subprocess.run([sys.executable, "-c", program, *words], capture_output=True, text=True, env=PLAIN | environment)
+    return subprocess.run(
+        [sys.executable, "-c", program, *words],
+        capture_output=True,
+        text=True,
+        env=PLAIN | environment,
+    )
 
 
 @pytest.mark.parametrize("words", [("--help",), ("sweep", "--help"), ("--version",), ("list",)])
@@ -312,14 +491,18 @@ def test_what_needs_no_jax_does_not_wait_for_it(words):
         "import sys, atexit; atexit.register(lambda: print('jax' in sys.modules, 'numpy' in sys.modules, file=sys.stderr));"
         "from jaxilc.cli import main; main()"
     )
-    done = subprocess.run([sys.executable, "-c", program, *words], capture_output=True, text=True, env=PLAIN)
+    done = subprocess.run(
+        [sys.executable, "-c", program, *words], capture_output=True, text=True, env=PLAIN
+    )
     assert (done.returncode, done.stderr.split()) == (0, ["False", "False"])
     assert "130  stopped by Ctrl-C" in done.stdout or words != ("--help",)
 
 
 def test_a_shell_completes_scenarios_schemes_and_choices(tmp_path):
     loaded = {name: jaxilc.scenarios.load(name) for name in jaxilc.scenarios.SCENARIOS}
-    assert {name: (s.title, tuple(s.schemes), s.trials, s.task.N) for name, s in loaded.items()} == LISTED
+    assert {
+        name: (s.title, tuple(s.schemes), s.trials, s.task.N) for name, s in loaded.items()
+    } == LISTED
     (tmp_path / "mine.toml").write_text(PLANT + LEARNER)
     for line, expected in (
         ("jaxilc run cao-", ["cao-2019", "cao-2019-rig"]),
@@ -329,7 +512,11 @@ def test_a_shell_completes_scenarios_schemes_and_choices(tmp_path):
         ("jaxilc sweep cao-2019 --sampling so", ["sobol"]),
         ("jaxilc run elsewhere/", []),  # the shell completes files
     ):
-        environment = {"_JAXILC_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(len(line.split()) - 1)}
+        environment = {
+            "_JAXILC_COMPLETE": "complete_bash",
+            "COMP_WORDS": line,
+            "COMP_CWORD": str(len(line.split()) - 1),
+        }
         assert started(**environment).stdout.split() == expected
     for shell in ("bash", "zsh", "fish"):
         assert "jaxilc" in started(_JAXILC_COMPLETE=f"source_{shell}").stdout
@@ -340,7 +527,12 @@ def test_colours_are_for_a_terminal_that_wants_them(environment, coloured):
     pty = pytest.importorskip("pty")
     ours, theirs = pty.openpty()
     program = "import sys; from jaxilc.cli import main; sys.argv = ['jaxilc', '--help']; main()"
-    subprocess.run([sys.executable, "-c", program], stdout=theirs, env=PLAIN | environment | {"TERM": "xterm-256color"}, check=True)
+    subprocess.run(
+        [sys.executable, "-c", program],
+        stdout=theirs,
+        env=PLAIN | environment | {"TERM": "xterm-256color"},
+        check=True,
+    )
     os.close(theirs)
     text = b""
     with contextlib.suppress(OSError):  # the end of a terminal
@@ -390,26 +582,50 @@ def test_quiet_and_verbose(jaxilc_command, tmp_path):
 
 def test_a_refused_trial_has_its_own_exit_code(jaxilc_command, tmp_path):
     (tmp_path / "mine.toml").write_text(PLANT + LEARNER)
-    assert jaxilc_command("next", "--state", "s", "--plant-file", "mine.toml", "--out", "1.csv")[0] == 0
+    assert (
+        jaxilc_command("next", "--state", "s", "--plant-file", "mine.toml", "--out", "1.csv")[0]
+        == 0
+    )
     times, r = np.arange(101) * 1e-3, np.sin(2 * np.pi * 10.0 * np.arange(101) * 1e-3)
     reference = jaxilc.load_scenario("mine.toml").task.reference[:, 0]
     rows = np.stack([times, np.asarray(reference), 0 * r, 0 * r], axis=1)
     np.savetxt(tmp_path / "trial.csv", rows, delimiter=",", header="t [s],r,y,u", comments="")
-    code, _, err = jaxilc_command("next", "--state", "s", "--measured", "trial.csv", "--out", "2.csv", "--limit", 1e-3)
+    code, _, err = jaxilc_command(
+        "next", "--state", "s", "--measured", "trial.csv", "--out", "2.csv", "--limit", 1e-3
+    )
     assert (code, "error: " in err) == (3, True)
     assert not (tmp_path / "2.csv").exists()
-    assert jaxilc_command("next", "--state", "s", "--measured", "trial.csv", "--out", "2.csv")[0] == 0
+    assert (
+        jaxilc_command("next", "--state", "s", "--measured", "trial.csv", "--out", "2.csv")[0] == 0
+    )
 
 
 @pytest.mark.slow
 def test_certify_tune_and_worst_case_leave_reports(jaxilc_command, tmp_path):
     (tmp_path / "mine.toml").write_text(PLANT + LEARNER + UNCERTAIN)
     common = ("mine.toml", "--scheme", "ilc", "--report", "page.html")
-    small = ("--weights", "gamma_p", "--steps", 1, "--samples", 2, "--held-out", 2, "--unseen", 3, "--trials", 2)
+    small = (
+        "--weights",
+        "gamma_p",
+        "--steps",
+        1,
+        "--samples",
+        2,
+        "--held-out",
+        2,
+        "--unseen",
+        3,
+        "--trials",
+        2,
+    )
     for command, options, expected in (
         ("certify", ("--samples", 3, "--trials", 3), ("in the long run", "<td>3</td>")),
         ("tune", small, ("held-out loss", "<td>gamma_p</td>")),
-        ("worst-case", ("--trial", 2, "--starts", 2, "--steps", 2), ("until level with chance", "machine.plant.B")),
+        (
+            "worst-case",
+            ("--trial", 2, "--starts", 2, "--steps", 2),
+            ("until level with chance", "machine.plant.B"),
+        ),
     ):
         code, out, err = jaxilc_command(command, *common, *options)
         assert code == 0, err

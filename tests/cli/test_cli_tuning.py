@@ -1,4 +1,6 @@
-"""The command line for tuning: its numbers against the library's, parameter files, resuming, worst machines rebuilt, and mistakes."""
+"""The command line for tuning: its numbers against the library's, parameter files, resuming, worst
+machines rebuilt, and mistakes.
+"""
 
 import contextlib
 import io
@@ -17,7 +19,16 @@ from jaxilc.cli.terms import objective_of, risk_of
 from jaxilc.scenarios.parameters import differing, with_parameters, write_parameters
 from jaxilc.tuning import Tuning, monte_carlo_search, pareto
 from jaxilc.tuning import states as of_tuning
-from jaxilc.tuning.objectives import Contraction, Effort, EveryTrial, Final, Growth, Holding, InputRate, TrialsTo
+from jaxilc.tuning.objectives import (
+    Contraction,
+    Effort,
+    EveryTrial,
+    Final,
+    Growth,
+    Holding,
+    InputRate,
+    TrialsTo,
+)
 from jaxilc.tuning.risks import CVaR, Mean, SmoothMax, Worst
 from jaxilc.tuning.trade_off import Point
 from jaxilc.uncertainty import with_spread
@@ -25,12 +36,34 @@ from jaxilc.uncertainty import with_spread
 SHORT = ("--set", "frequency=50")  # 20 samples a trial
 TUNE = (
     *("tune", "cao-2019", "--scheme", "cfdl-mfailc", *SHORT, "--set", "cfdl-mfailc.lead=2"),
-    *("--weights", "lam,phi0", "--bounds", "lam=0.1:5", "--objective", "final+0.3*growth@max_error", "--risk", "cvar:0.5"),
+    *(
+        "--weights",
+        "lam,phi0",
+        "--bounds",
+        "lam=0.1:5",
+        "--objective",
+        "final+0.3*growth@max_error",
+        "--risk",
+        "cvar:0.5",
+    ),
     *("--trials", 4, "--samples", 3, "--held-out", 2, "--steps", 3, "--unseen", 4, "--spread", 0.2),
 )
 PARETO = (
     *("pareto", "cao-2019", "--scheme", "cfdl-mfailc", *SHORT, "--set", "cfdl-mfailc.lead=2"),
-    *("--weights", "lam,phi0", "--bounds", "lam=0.1:5", "--samples", 3, "--held-out", 2, "--steps", 2, "--spread", 0.2),
+    *(
+        "--weights",
+        "lam,phi0",
+        "--bounds",
+        "lam=0.1:5",
+        "--samples",
+        3,
+        "--held-out",
+        2,
+        "--steps",
+        2,
+        "--spread",
+        0.2,
+    ),
 )
 
 
@@ -66,7 +99,8 @@ def tuned(tmp_path_factory):
     return folder, out
 
 
-# tune ------------------------------------------------------------------------------------------------------------------------
+# tune
+# ------------------------------------------------------------------------------------------------------------------------
 
 
 def test_tune_gives_the_numbers_of_the_library(tuned, scenario):
@@ -88,12 +122,19 @@ def test_tune_gives_the_numbers_of_the_library(tuned, scenario):
     found = problem.run()
     numbers = json.loads((folder / "numbers.json").read_text())
     assert {name: row["tuned"] for name, row in numbers["weights"].items()} == found.values
-    assert numbers["held_out"]["tuned"] == found.after < found.before == numbers["held_out"]["given"]
+    assert (
+        numbers["held_out"]["tuned"] == found.after < found.before == numbers["held_out"]["given"]
+    )
     dataset = problem.compare(found, samples=4)
     for figure in ("settled_error", "max_error"):
         for which in ("given", "tuned"):
-            row, errors = numbers["figures"][figure][which]["2"], 1e3 * dataset[figure].sel(scheme=which, trial=2).values
-            np.testing.assert_allclose([row["worst"], row["median"]], [errors.max(), np.sort(errors)[1]], rtol=1e-12)
+            row, errors = (
+                numbers["figures"][figure][which]["2"],
+                1e3 * dataset[figure].sel(scheme=which, trial=2).values,
+            )
+            np.testing.assert_allclose(
+                [row["worst"], row["median"]], [errors.max(), np.sort(errors)[1]], rtol=1e-12
+            )
     assert f"{numbers['weights']['phi0']['tuned']:.6g}" in out
     for name in ("loss.png", "learning.png"):
         assert (folder / name).stat().st_size > 10_000
@@ -102,13 +143,35 @@ def test_tune_gives_the_numbers_of_the_library(tuned, scenario):
 def test_a_parameter_file_reaches_other_commands_and_set_goes_on_top(tuned, scenario, tmp_path):
     folder, _ = tuned
     values = json.loads((folder / "params.json").read_text())["schemes"]["cfdl-mfailc"]
-    assert values.keys() == {"lam", "phi0", "lead"}, "what was set by hand belongs to what was tuned"
-    arguments = ("run", "cao-2019", *SHORT, "--scheme", "cfdl-mfailc", "--params", folder / "params.json", "--trials", 4)
-    code, _, err = call(*arguments, "--set", "cfdl-mfailc.lam=0.9", "--out", tmp_path / "run", "--json", tmp_path / "run.json")
+    assert values.keys() == {"lam", "phi0", "lead"}, (
+        "what was set by hand belongs to what was tuned"
+    )
+    arguments = (
+        "run",
+        "cao-2019",
+        *SHORT,
+        "--scheme",
+        "cfdl-mfailc",
+        "--params",
+        folder / "params.json",
+        "--trials",
+        4,
+    )
+    code, _, err = call(
+        *arguments,
+        "--set",
+        "cfdl-mfailc.lam=0.9",
+        "--out",
+        tmp_path / "run",
+        "--json",
+        tmp_path / "run.json",
+    )
     assert code == 0, err
     scheme = jaxilc.pytree.replaced(scenario.schemes["cfdl-mfailc"], values | {"lam": 0.9})
     ours = 1e3 * jaxilc.learn(scenario.machine, scheme, scenario.task, 4).settled_error[-1, 0]
-    printed = json.loads((tmp_path / "run.json").read_text())["schemes"]["cfdl-mfailc"]["settled_error"]["4"]
+    printed = json.loads((tmp_path / "run.json").read_text())["schemes"]["cfdl-mfailc"][
+        "settled_error"
+    ]["4"]
     np.testing.assert_allclose(printed, ours, rtol=1e-12)
 
 
@@ -116,7 +179,9 @@ def test_a_parameter_file_reaches_other_commands_and_set_goes_on_top(tuned, scen
 def test_every_command_names_a_parameter_file_of_another_scenario(command, tmp_path):
     file = write_parameters(tmp_path / "p.json", "dai-2014", {"pid": {"kp": 1.0}}, {})
     more = {"tune": ("--weights", "kp")}.get(command, ())
-    code, _, err = call(command, "cao-2019", "--scheme", "pid", "--params", file, *more, "--out", tmp_path / "out")
+    code, _, err = call(
+        command, "cao-2019", "--scheme", "pid", "--params", file, *more, "--out", tmp_path / "out"
+    )
     assert code == 2
     assert f"{file} has parameters of 'dai-2014', not of 'cao-2019'" in err
     assert not (tmp_path / "out").exists()
@@ -146,7 +211,8 @@ def test_a_stopped_tuning_resumes_to_the_same_parameters(tuned, tmp_path, monkey
     assert one == other
 
 
-# pareto ----------------------------------------------------------------------------------------------------------------------
+# pareto
+# ----------------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
@@ -159,7 +225,17 @@ def test_a_stopped_front_resumes_to_the_numbers_of_the_library(scenario, tmp_pat
         if len(states) == 3:
             raise KeyboardInterrupt
 
-    asked = (*PARETO, "--second", "effort", "--shares", "0.2,0.95", "--trials", 3, "--out", tmp_path)
+    asked = (
+        *PARETO,
+        "--second",
+        "effort",
+        "--shares",
+        "0.2,0.95",
+        "--trials",
+        3,
+        "--out",
+        tmp_path,
+    )
     monkeypatch.setattr(of_tuning.Folder, "write", stop_in_the_second)
     code, _, err = call(*asked)
     assert code == 130
@@ -167,7 +243,9 @@ def test_a_stopped_front_resumes_to_the_numbers_of_the_library(scenario, tmp_pat
     code, _, err = call(*asked)
     assert code == 2
     assert "add --resume" in err
-    code, out, err = call(*asked, "--resume", "--json", tmp_path / "numbers.json", "--report", tmp_path / "page.html")
+    code, out, err = call(
+        *asked, "--resume", "--json", tmp_path / "numbers.json", "--report", tmp_path / "page.html"
+    )
     assert code == 0, err
     assert states == ["share-0.2", "share-0.2", "share-0.95", "share-0.95"]
 
@@ -177,10 +255,18 @@ def test_a_stopped_front_resumes_to_the_numbers_of_the_library(scenario, tmp_pat
     shares = [str(p.share) for p in points]
     assert list(numbers["points"]) == ["given", *shares]
     assert numbers["left_out"] == [share for share in (0.2, 0.95) if str(share) not in shares]
-    given = [float(problem.held_out_loss(problem.start, objective)) for objective in (Final(), Effort())]
-    np.testing.assert_allclose([numbers["points"]["given"][name] for name in ("first", "second")], given, rtol=1e-12)
+    given = [
+        float(problem.held_out_loss(problem.start, objective)) for objective in (Final(), Effort())
+    ]
+    np.testing.assert_allclose(
+        [numbers["points"]["given"][name] for name in ("first", "second")], given, rtol=1e-12
+    )
     for p in points:
-        assert numbers["points"][str(p.share)] == {"first": p.first, "second": p.second, "weights": p.tuned.values}
+        assert numbers["points"][str(p.share)] == {
+            "first": p.first,
+            "second": p.second,
+            "weights": p.tuned.values,
+        }
         assert f"{p.second:.6g}" in out
         params = json.loads((tmp_path / f"params-share-{p.share}.json").read_text())
         assert params["schemes"]["cfdl-mfailc"] == p.tuned.values | {"lead": 2}
@@ -190,21 +276,48 @@ def test_a_stopped_front_resumes_to_the_numbers_of_the_library(scenario, tmp_pat
 
 @pytest.mark.slow
 def test_budgets_of_trials_are_judged_at_their_own_trial(scenario, tmp_path):
-    code, out, err = call(*PARETO, "--budgets", "2,4", "--unseen", 1, "--out", tmp_path, "--json", tmp_path / "numbers.json")
+    code, out, err = call(
+        *PARETO,
+        "--budgets",
+        "2,4",
+        "--unseen",
+        1,
+        "--out",
+        tmp_path,
+        "--json",
+        tmp_path / "numbers.json",
+    )
     assert code == 0, err
     numbers = json.loads((tmp_path / "numbers.json").read_text())
     for J in (2, 4):
         row, problem = numbers["budgets"][str(J)], problem_of_pareto(scenario, J)
         assert row["weights"] == problem.run().values
-        for which, scheme in (("given", problem.scheme), ("tuned", problem.scheme_of(row["weights"]))):
-            ours = 1e3 * float(jaxilc.learn(scenario.machine, scheme, scenario.task, J).settled_error[-1, 0])
+        for which, scheme in (
+            ("given", problem.scheme),
+            ("tuned", problem.scheme_of(row["weights"])),
+        ):
+            ours = 1e3 * float(
+                jaxilc.learn(scenario.machine, scheme, scenario.task, J).settled_error[-1, 0]
+            )
             np.testing.assert_allclose(row[which]["worst"], ours, rtol=1e-12)
             assert number(ours) in out
     assert (tmp_path / "trials.png").stat().st_size > 10_000
-    arguments = ("run", "cao-2019", *SHORT, "--scheme", "cfdl-mfailc", "--params", tmp_path / "params-4-trials.json", "--trials", 4)
+    arguments = (
+        "run",
+        "cao-2019",
+        *SHORT,
+        "--scheme",
+        "cfdl-mfailc",
+        "--params",
+        tmp_path / "params-4-trials.json",
+        "--trials",
+        4,
+    )
     code, _, err = call(*arguments, "--out", tmp_path / "run", "--json", tmp_path / "run.json")
     assert code == 0, err
-    errors = json.loads((tmp_path / "run.json").read_text())["schemes"]["cfdl-mfailc"]["settled_error"]
+    errors = json.loads((tmp_path / "run.json").read_text())["schemes"]["cfdl-mfailc"][
+        "settled_error"
+    ]
     np.testing.assert_allclose(errors["4"], numbers["budgets"]["4"]["tuned"]["worst"], rtol=1e-12)
 
 
@@ -212,15 +325,38 @@ def problem_of_pareto(scenario, trials):
     s = scenario.with_values({"cfdl-mfailc.lead": 2})
     uncertainty = with_spread(s.uncertainty, 0.2)
     options = {"samples": 3, "held_out": 2, "steps": 2}
-    return Tuning(s.machine, s.schemes["cfdl-mfailc"], s.task, trials, {"lam": (0.1, 5.0), "phi0": None}, uncertainty, **options)
+    return Tuning(
+        s.machine,
+        s.schemes["cfdl-mfailc"],
+        s.task,
+        trials,
+        {"lam": (0.1, 5.0), "phi0": None},
+        uncertainty,
+        **options,
+    )
 
 
-# worst-case ------------------------------------------------------------------------------------------------------------------
+# worst-case
+# ------------------------------------------------------------------------------------------------------------------
 
 
 def test_worst_case_prints_machines_that_can_be_rebuilt(scenario, tmp_path):
-    arguments = ("worst-case", "cao-2019", *SHORT, "--scheme", "cfdl-mfailc", "--trial", 4, "--spread", 0.2, "--draws", 30)
-    code, out, err = call(*arguments, "--starts", 2, "--evaluations", 27, "--out", tmp_path / "worst")
+    arguments = (
+        "worst-case",
+        "cao-2019",
+        *SHORT,
+        "--scheme",
+        "cfdl-mfailc",
+        "--trial",
+        4,
+        "--spread",
+        0.2,
+        "--draws",
+        30,
+    )
+    code, out, err = call(
+        *arguments, "--starts", 2, "--evaluations", 27, "--out", tmp_path / "worst"
+    )
     assert code == 0, err
     numbers = json.loads((tmp_path / "worst/worst-case.json").read_text())
     scheme = scenario.schemes["cfdl-mfailc"]
@@ -229,7 +365,11 @@ def test_worst_case_prints_machines_that_can_be_rebuilt(scenario, tmp_path):
         return 1e3 * float(jaxilc.learn(machine, scheme, scenario.task, 4).settled_error[-1, 0])
 
     np.testing.assert_allclose(numbers["nominal"], error(scenario.machine), rtol=1e-12)
-    assert {name: row["evaluations"] for name, row in numbers["searches"].items()} == {"gradient": 24, "chance": 24, "more chance": 30}
+    assert {name: row["evaluations"] for name, row in numbers["searches"].items()} == {
+        "gradient": 24,
+        "chance": 24,
+        "more chance": 30,
+    }
     for row in numbers["searches"].values():
         settings = dict(setting.split("=") for setting in row["set"])
         rebuilt = scenario.with_values(settings).machine
@@ -247,13 +387,16 @@ def test_worst_case_prints_machines_that_can_be_rebuilt(scenario, tmp_path):
         30,
     )
     row = numbers["searches"]["more chance"]
-    np.testing.assert_allclose(list(row["numbers"].values()), list(chance.values.values()), rtol=1e-12)
+    np.testing.assert_allclose(
+        list(row["numbers"].values()), list(chance.values.values()), rtol=1e-12
+    )
     assert row["needed"] == 1 + np.argmax(chance.found)
     assert numbers["searches"]["gradient"]["value"] > row["value"]
     assert (tmp_path / "worst/worst-case.png").stat().st_size > 10_000
 
 
-# What is asked for -----------------------------------------------------------------------------------------------------------
+# What is asked for
+# -----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -261,9 +404,15 @@ def test_worst_case_prints_machines_that_can_be_rebuilt(scenario, tmp_path):
     [
         ("final", ((1.0, Final("rms")),)),
         ("2*final:20 + 0.3*final@max_error", ((2.0, Final("rms", 20)), (0.3, Final("max_error")))),
-        ("holding:5+every-trial@max_error", ((1.0, Holding(5, "rms")), (1.0, EveryTrial("max_error")))),
+        (
+            "holding:5+every-trial@max_error",
+            ((1.0, Holding(5, "rms")), (1.0, EveryTrial("max_error"))),
+        ),
         ("trials-to:5", ((1.0, TrialsTo(0.005, "rms")),)),
-        ("growth:3+effort:2+input-rate", ((1.0, Growth("rms", 3)), (1.0, Effort(2.0)), (1.0, InputRate(1.0)))),
+        (
+            "growth:3+effort:2+input-rate",
+            ((1.0, Growth("rms", 3)), (1.0, Effort(2.0)), (1.0, InputRate(1.0))),
+        ),
         ("0.1*contraction:0.9", ((0.1, Contraction(0.9)),)),
     ],
 )
@@ -280,52 +429,158 @@ def test_risks_are_what_they_say():
     ("command", "arguments", "message"),
     [
         ("tune", ("--weights", "gain"), "weights: 'gain' is not a parameter here; known: lam"),
-        ("tune", ("--weights", "lam", "--bounds", "eta=0:1"), "--bounds: 'eta' is not one of the weights lam"),
+        (
+            "tune",
+            ("--weights", "lam", "--bounds", "eta=0:1"),
+            "--bounds: 'eta' is not one of the weights lam",
+        ),
         ("tune", ("--weights", "lam", "--bounds", "lam"), "--bounds 'lam' is not NAME=LOW:HIGH"),
         ("tune", ("--weights", "lam", "--bounds", "lam=a:1"), "lam: 'a' is not a number"),
-        ("tune", ("--weights", "lam", "--bounds", "lam=2:3"), "the start lam = 1.0 is outside its bounds (2, 3)"),
-        ("tune", ("--weights", "lam", "--objective", "best"), "--objective: 'best' is not one of final[:trial], every-trial"),
-        ("tune", ("--weights", "lam", "--objective", "final:0"), "final: '0' is not the number of a trial"),
-        ("tune", ("--weights", "lam", "--objective", "final:100"), "trial = 100 is outside its allowed range [1, 80]"),
-        ("tune", ("--weights", "lam", "--objective", "final@speed"), "figure = 'speed' is not one of max_error, rms, settled_error"),
-        ("tune", ("--weights", "lam", "--objective", "-1*final"), "weight of final: -1 is outside its allowed range (0, inf)"),
-        ("tune", ("--weights", "lam", "--risk", "median"), "--risk 'median' is not one of mean, worst, cvar[:alpha]"),
-        ("tune", ("--weights", "lam", "--risk", "cvar:1"), "alpha = 1 is outside its allowed range [0, 1)"),
-        ("tune", ("--weights", "lam", "--optimiser", "sgd"), "optimiser = 'sgd' is not one of adam, lbfgs, least-squares"),
-        ("tune", ("--weights", "lam", "--steps", "0"), "steps = 0 is outside its allowed range [1, inf)"),
-        ("tune", ("--weights", "lam", "--unseen", "0"), "--unseen 0 is outside its allowed range [1, inf)"),
-        ("tune", ("--weights", "lam", "--spread", "2"), "spread = 2 is outside its allowed range (0, 1)"),
+        (
+            "tune",
+            ("--weights", "lam", "--bounds", "lam=2:3"),
+            "the start lam = 1.0 is outside its bounds (2, 3)",
+        ),
+        (
+            "tune",
+            ("--weights", "lam", "--objective", "best"),
+            "--objective: 'best' is not one of final[:trial], every-trial",
+        ),
+        (
+            "tune",
+            ("--weights", "lam", "--objective", "final:0"),
+            "final: '0' is not the number of a trial",
+        ),
+        (
+            "tune",
+            ("--weights", "lam", "--objective", "final:100"),
+            "trial = 100 is outside its allowed range [1, 80]",
+        ),
+        (
+            "tune",
+            ("--weights", "lam", "--objective", "final@speed"),
+            "figure = 'speed' is not one of max_error, rms, settled_error",
+        ),
+        (
+            "tune",
+            ("--weights", "lam", "--objective", "-1*final"),
+            "weight of final: -1 is outside its allowed range (0, inf)",
+        ),
+        (
+            "tune",
+            ("--weights", "lam", "--risk", "median"),
+            "--risk 'median' is not one of mean, worst, cvar[:alpha]",
+        ),
+        (
+            "tune",
+            ("--weights", "lam", "--risk", "cvar:1"),
+            "alpha = 1 is outside its allowed range [0, 1)",
+        ),
+        (
+            "tune",
+            ("--weights", "lam", "--optimiser", "sgd"),
+            "optimiser = 'sgd' is not one of adam, lbfgs, least-squares",
+        ),
+        (
+            "tune",
+            ("--weights", "lam", "--steps", "0"),
+            "steps = 0 is outside its allowed range [1, inf)",
+        ),
+        (
+            "tune",
+            ("--weights", "lam", "--unseen", "0"),
+            "--unseen 0 is outside its allowed range [1, inf)",
+        ),
+        (
+            "tune",
+            ("--weights", "lam", "--spread", "2"),
+            "spread = 2 is outside its allowed range (0, 1)",
+        ),
         ("tune", ("--weights", "lam", "--params", "none.json"), "none.json"),
-        ("pareto", ("--weights", "lam"), "--second None and --budgets None: one of the two is needed, and not both"),
-        ("pareto", ("--weights", "lam", "--second", "effort", "--budgets", "5"), "one of the two is needed, and not both"),
-        ("pareto", ("--weights", "lam", "--budgets", "5", "--trials", "9"), "--trials 9 has no meaning beside --budgets 5"),
-        ("pareto", ("--weights", "lam", "--budgets", "5", "--shares", "0.1"), "--shares 0.1 has no meaning beside --budgets 5"),
-        ("pareto", ("--weights", "lam", "--budgets", "5,0"), "--budgets: '0' is not a number of trials"),
-        ("pareto", ("--weights", "lam", "--budgets", "5,5"), "--budgets: 5 is given more than once"),
-        ("pareto", ("--weights", "lam", "--budgets", "5", "--unseen", "0"), "--unseen 0 is outside its allowed range [1, inf)"),
-        ("pareto", ("--weights", "lam", "--second", "effort", "--shares", "a"), "--shares: 'a' is not a number"),
+        (
+            "pareto",
+            ("--weights", "lam"),
+            "--second None and --budgets None: one of the two is needed, and not both",
+        ),
+        (
+            "pareto",
+            ("--weights", "lam", "--second", "effort", "--budgets", "5"),
+            "one of the two is needed, and not both",
+        ),
+        (
+            "pareto",
+            ("--weights", "lam", "--budgets", "5", "--trials", "9"),
+            "--trials 9 has no meaning beside --budgets 5",
+        ),
+        (
+            "pareto",
+            ("--weights", "lam", "--budgets", "5", "--shares", "0.1"),
+            "--shares 0.1 has no meaning beside --budgets 5",
+        ),
+        (
+            "pareto",
+            ("--weights", "lam", "--budgets", "5,0"),
+            "--budgets: '0' is not a number of trials",
+        ),
+        (
+            "pareto",
+            ("--weights", "lam", "--budgets", "5,5"),
+            "--budgets: 5 is given more than once",
+        ),
+        (
+            "pareto",
+            ("--weights", "lam", "--budgets", "5", "--unseen", "0"),
+            "--unseen 0 is outside its allowed range [1, inf)",
+        ),
+        (
+            "pareto",
+            ("--weights", "lam", "--second", "effort", "--shares", "a"),
+            "--shares: 'a' is not a number",
+        ),
         (
             "pareto",
             ("--weights", "lam", "--second", "effort", "--shares", "0.1,2"),
             "shares = [0.1, 2.0] are not different numbers in [0, 1]",
         ),
-        ("pareto", ("--weights", "lam", "--first", "best", "--second", "effort"), "--first: 'best' is not one of final[:trial]"),
-        ("pareto", ("--weights", "lam", "--first", "final", "--second", "best"), "--second: 'best' is not one of final[:trial]"),
+        (
+            "pareto",
+            ("--weights", "lam", "--first", "best", "--second", "effort"),
+            "--first: 'best' is not one of final[:trial]",
+        ),
+        (
+            "pareto",
+            ("--weights", "lam", "--first", "final", "--second", "best"),
+            "--second: 'best' is not one of final[:trial]",
+        ),
         ("worst-case", ("--trial", "0"), "--trial 0 is outside its allowed range [1, inf)"),
-        ("worst-case", ("--evaluations", "10"), "--evaluations 10 is outside its allowed range [64, inf)"),
+        (
+            "worst-case",
+            ("--evaluations", "10"),
+            "--evaluations 10 is outside its allowed range [64, inf)",
+        ),
         ("worst-case", ("--draws", "0"), "--draws 0 is outside its allowed range [1, inf)"),
         ("worst-case", ("--starts", "0"), "--starts 0 is outside its allowed range [1, inf)"),
     ],
 )
 def test_a_mistake_is_one_line_and_nothing_is_written(command, arguments, message, tmp_path):
-    code, _, err = call(command, "cao-2019", *SHORT, "--scheme", "cfdl-mfailc", *arguments, "--out", tmp_path / "out")
+    code, _, err = call(
+        command,
+        "cao-2019",
+        *SHORT,
+        "--scheme",
+        "cfdl-mfailc",
+        *arguments,
+        "--out",
+        tmp_path / "out",
+    )
     assert code == 2
     assert message in err
     assert err.count("\n") == 1
     assert not (tmp_path / "out").exists()
 
 
-# Parameter files and figures -------------------------------------------------------------------------------------------------
+# Parameter files and figures
+# -------------------------------------------------------------------------------------------------
 
 
 def test_a_parameter_file_holds_what_differs(scenario, tmp_path):
@@ -333,10 +588,14 @@ def test_a_parameter_file_holds_what_differs(scenario, tmp_path):
     changed = {"lam": 0.5, "phi0": [0.5, 0.0, -0.06], "L_u": 1, "reset": "none", "limit": 9.0}
     values = differing(jaxilc.pytree.replaced(printed, changed), printed)
     assert values == changed
-    file = write_parameters(tmp_path / "p.json", "cao-2019", {"ffdl-mfailc": values}, {"by": "hand"})
+    file = write_parameters(
+        tmp_path / "p.json", "cao-2019", {"ffdl-mfailc": values}, {"by": "hand"}
+    )
     again = with_parameters(scenario, file).schemes["ffdl-mfailc"]
     assert differing(again, printed) == changed
-    assert differing(printed, again) == {name: values for name, values in differing(printed, again).items() if name in changed}
+    assert differing(printed, again) == {
+        name: values for name, values in differing(printed, again).items() if name in changed
+    }
     assert json.loads(file.read_text())["versions"]["jaxilc"]
 
 
@@ -347,9 +606,18 @@ def test_a_parameter_file_holds_what_differs(scenario, tmp_path):
         ("[1]", "is not a parameter file"),
         ('{"schemes": {}}', "is not a parameter file"),
         ('{"scenario": "cao-2019", "schemes": {"pid": 3}}', "is not a parameter file"),
-        ('{"scenario": "cao-2019", "schemes": {"smc": {"lam": 1}}}', "scheme = 'smc' is not one of pid, cfdl-mfailc"),
-        ('{"scenario": "cao-2019", "schemes": {"pid": {"kq": 1}}}', "'pid.kq' cannot be set; known: "),
-        ('{"scenario": "cao-2019", "schemes": {"cfdl-mfailc": {"lam": 0}}}', r"lam = 0 is outside its allowed range \(0, inf\)"),
+        (
+            '{"scenario": "cao-2019", "schemes": {"smc": {"lam": 1}}}',
+            "scheme = 'smc' is not one of pid, cfdl-mfailc",
+        ),
+        (
+            '{"scenario": "cao-2019", "schemes": {"pid": {"kq": 1}}}',
+            "'pid.kq' cannot be set; known: ",
+        ),
+        (
+            '{"scenario": "cao-2019", "schemes": {"cfdl-mfailc": {"lam": 0}}}',
+            r"lam = 0 is outside its allowed range \(0, inf\)",
+        ),
     ],
 )
 def test_a_bad_parameter_file_is_named(scenario, tmp_path, content, message):
@@ -360,13 +628,21 @@ def test_a_bad_parameter_file_is_named(scenario, tmp_path, content, message):
 
 
 def test_figures_show_the_numbers_they_are_given():
-    axes = figures.pareto_front([Point(0.9, 1.0, 3.0, None), Point(0.1, 2.0, 1.0, None)], first="error", second="trials")
+    axes = figures.pareto_front(
+        [Point(0.9, 1.0, 3.0, None), Point(0.1, 2.0, 1.0, None)], first="error", second="trials"
+    )
     np.testing.assert_array_equal(axes.lines[0].get_xydata(), [[1, 3], [2, 1]])
     assert [text.get_text() for text in axes.texts] == ["0.9", "0.1"]
     axes = figures.pareto_front([Point(0.9, 1.0, 3.0, None)], given=(4.0, 5.0))
     np.testing.assert_array_equal(axes.lines[1].get_xydata(), [[4, 5]])
-    axes = figures.final_error_by_trials([5, 20], [[2.0, 4.0], [1.0, 3.0]], [[0.5, 0.7], [0.2, 0.3]], figure="rms", unit="µm")
-    np.testing.assert_array_equal([line.get_ydata() for line in axes.lines], [[2, 1], [4, 3], [0.5, 0.2], [0.7, 0.3]])
-    axes = figures.worst_against_chance([1.0, 2.0, 2.5, np.inf, 30.0], {"gradient": 40.0}, nominal=1.5, unit="µm")
+    axes = figures.final_error_by_trials(
+        [5, 20], [[2.0, 4.0], [1.0, 3.0]], [[0.5, 0.7], [0.2, 0.3]], figure="rms", unit="µm"
+    )
+    np.testing.assert_array_equal(
+        [line.get_ydata() for line in axes.lines], [[2, 1], [4, 3], [0.5, 0.2], [0.7, 0.3]]
+    )
+    axes = figures.worst_against_chance(
+        [1.0, 2.0, 2.5, np.inf, 30.0], {"gradient": 40.0}, nominal=1.5, unit="µm"
+    )
     assert sum(bar.get_height() for bar in axes.patches) == 4
     assert [line.get_xdata()[0] for line in axes.lines] == [1.5, 40.0]

@@ -1,4 +1,5 @@
-"""Every command with options that nobody wants, up to where it would compute: done, or a mistake in one line, and exit code 1 never.
+"""Every command with options that nobody wants, up to where it would compute: done, or a mistake in
+one line, and exit code 1 never.
 
 See fuzz.py for how to run more.
 """
@@ -57,7 +58,24 @@ list p.toml
 bench --plants 1 --trials 2 --samples 8 --long 0 --repeats 1 --schemes cfdl
 """.strip().split("\n")
 ]
-NUMBERS = ("0", "-1", "1", "2", "1.5", "1e9", str(10**9), str(10**12), str(10**23), "1e300", "1e-300", "nan", "inf", "-inf", "1,2", "1:2")
+NUMBERS = (
+    "0",
+    "-1",
+    "1",
+    "2",
+    "1.5",
+    "1e9",
+    str(10**9),
+    str(10**12),
+    str(10**23),
+    "1e300",
+    "1e-300",
+    "nan",
+    "inf",
+    "-inf",
+    "1,2",
+    "1:2",
+)
 NAMES = (
     "",
     "x",
@@ -87,7 +105,21 @@ CHOICES = (
     "ilc.gamma_p=nan",
     "ilc.lead=3",
 )
-FILES = ("p.toml", "bad.json", "bad.toml", "fifo", "folder", "../x", "/dev/null", "/dev/zero", "o.mat", "o.h", "record.csv", "-", "--")
+FILES = (
+    "p.toml",
+    "bad.json",
+    "bad.toml",
+    "fifo",
+    "folder",
+    "../x",
+    "/dev/null",
+    "/dev/zero",
+    "o.mat",
+    "o.h",
+    "record.csv",
+    "-",
+    "--",
+)
 LETTERS = ("\x1b[31m", "[bold]", ":x:", "\u202e", "\n", "\udcff", "é", "a" * 300)
 
 
@@ -128,8 +160,19 @@ def folder(tmp_path, monkeypatch):
     (tmp_path / "folder").mkdir()
     os.mkfifo(tmp_path / "fifo")
     for owner, name in (
-        *((learning, "_program"), (Sweep, "run"), (Tuning, "run"), (theory, "certify"), (worst_case, "worst_case_search")),
-        *((identification, "_problem"), (bench, "compare"), (bench, "alone"), (bench, "compare_long")),
+        *(
+            (learning, "_program"),
+            (Sweep, "run"),
+            (Tuning, "run"),
+            (theory, "certify"),
+            (worst_case, "worst_case_search"),
+        ),
+        *(
+            (identification, "_problem"),
+            (bench, "compare"),
+            (bench, "alone"),
+            (bench, "compare_long"),
+        ),
     ):
         monkeypatch.setattr(owner, name, computes)
     return tmp_path
@@ -163,8 +206,14 @@ def test_what_was_found(line, folder, monkeypatch):
 
 def test_commands(folder, monkeypatch):
     known = typer.main.get_command(cli.app).commands
-    options = {name: [max(p.opts, key=len) for p in c.params if p.param_type_name == "option"] for name, c in known.items()}
-    flags = {name: {max(p.opts, key=len) for p in c.params if getattr(p, "is_flag", False)} for name, c in known.items()}
+    options = {
+        name: [max(p.opts, key=len) for p in c.params if p.param_type_name == "option"]
+        for name, c in known.items()
+    }
+    flags = {
+        name: {max(p.opts, key=len) for p in c.params if getattr(p, "is_flag", False)}
+        for name, c in known.items()
+    }
 
     def attempt(rng):
         (folder / "p.toml").write_text(PLANT)  # whatever was written over it

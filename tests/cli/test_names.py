@@ -1,4 +1,6 @@
-"""Names, titles and units: part of files' names, of paths of parameters and of what a terminal prints, so checked before anything runs."""
+"""Names, titles and units: part of files' names, of paths of parameters and of what a terminal
+prints, so checked before anything runs.
+"""
 
 import dataclasses
 import json
@@ -15,7 +17,10 @@ from jaxilc.sweeps import run_schemes
 
 FILE = {
     "plant": {"kind": "transfer_function", "num": [3.0], "den": [1.0, 30.0]},
-    "task": {"dt": 0.001, "reference": {"function": "sinusoid", "amplitude": 1.0, "frequency": 10.0, "duration": 0.1}},
+    "task": {
+        "dt": 0.001,
+        "reference": {"function": "sinusoid", "amplitude": 1.0, "frequency": 10.0, "duration": 0.1},
+    },
     "schemes": {"ilc": {"class": "PIDType", "gamma_p": 0.5}},
 }
 
@@ -48,15 +53,24 @@ GOOD_NAMES = ("axis", "X-Achse 2", "Förderachse_3", "两轴", "v1.2 (copy)")
 
 @pytest.mark.parametrize("name", BAD_NAMES)
 def test_a_name_that_a_file_cannot_have_is_refused_when_it_is_read(tmp_path, name):
-    with pytest.raises(ValueError, match=r"axis\.json: name = .* is no name; allowed are up to 50 of letters, digits, spaces and"):
+    with pytest.raises(
+        ValueError,
+        match=r"axis\.json: name = .* is no name; allowed are up to 50 of letters, digits, spaces and",
+    ):
         read_scenario(write(tmp_path, name=name))
     schemes = {name: FILE["schemes"]["ilc"]}
-    with pytest.raises(ValueError, match=r"axis\.json: scheme = .* is no name; allowed are up to 50 of letters, digits, spaces and _ \+ -"):
+    with pytest.raises(
+        ValueError,
+        match=r"axis\.json: scheme = .* is no name; allowed are up to 50 of letters, digits, spaces and _ \+ -",
+    ):
         read_scenario(write(tmp_path, schemes=schemes))
 
 
 def test_a_scheme_is_not_called_as_the_machine_is_nor_with_a_dot(tmp_path):
-    for name, said in (("machine", "the name of the machine's own parameters"), ("v1.2", "is no name")):
+    for name, said in (
+        ("machine", "the name of the machine's own parameters"),
+        ("v1.2", "is no name"),
+    ):
         with pytest.raises(ValueError, match=said):
             read_scenario(write(tmp_path, schemes={name: FILE["schemes"]["ilc"]}))
 
@@ -68,7 +82,13 @@ def test_names_of_people_are_kept(tmp_path, name):
 
 
 @pytest.mark.parametrize(
-    ("file", "name"), [("a[b]:c.json", "a-b--c"), ("\x1b[31m.json", "31m"), ("---.json", "plant"), ("x" * 90 + ".json", "x" * 50)]
+    ("file", "name"),
+    [
+        ("a[b]:c.json", "a-b--c"),
+        ("\x1b[31m.json", "31m"),
+        ("---.json", "plant"),
+        ("x" * 90 + ".json", "x" * 50),
+    ],
 )
 def test_a_file_of_another_name_gives_one_that_is_allowed(tmp_path, file, name):
     made = read_scenario(write(tmp_path, file))
@@ -79,10 +99,16 @@ def test_a_file_of_another_name_gives_one_that_is_allowed(tmp_path, file, name):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"title": "\x1b[2J"}, r"title = '\\x1b\[2J' cannot be shown; allowed are printable characters in one line"),
+        (
+            {"title": "\x1b[2J"},
+            r"title = '\\x1b\[2J' cannot be shown; allowed are printable characters in one line",
+        ),
         ({"title": "two\nlines"}, "title = .* cannot be shown"),
         ({"title": "\u202eright to left"}, "title = .* cannot be shown"),
-        ({"shown_unit": "mm]"}, r"shown_unit = 'mm\]' cannot be shown; allowed are .* without \[ \]"),
+        (
+            {"shown_unit": "mm]"},
+            r"shown_unit = 'mm\]' cannot be shown; allowed are .* without \[ \]",
+        ),
         ({"task": FILE["task"] | {"unit": "m;m"}}, "unit = 'm;m' cannot be shown"),
         ({"task": FILE["task"] | {"unit": "$x$"}}, "unit = .* cannot be shown"),
         ({"task": FILE["task"] | {"input_unit": "*/ int x;"}}, "input_unit = .* cannot be shown"),

@@ -21,7 +21,10 @@ def test_a_title_is_not_folded_to_the_width_of_its_table():
     with console.capture() as shown:
         console.print(table)
     lines = [line.rstrip() for line in shown.get().splitlines()]
-    assert lines[:2] == ["Voice-coil motor for noncircular turning", "settled error [µm] by trial, published value in brackets"]
+    assert lines[:2] == [
+        "Voice-coil motor for noncircular turning",
+        "settled error [µm] by trial, published value in brackets",
+    ]
     assert len(lines) == 7
     assert all(len(line) == len("┃ trial ┃ pid  ┃") for line in lines[2:])
     assert str(table.title) == TITLE  # which a report reads
@@ -33,10 +36,15 @@ AS_IT_STANDS = "[bold]x[/nothing] :x: \\x1b[31mred\\x07 \\u202ereversed\\ud800 [
 
 @pytest.mark.parametrize("terminal", [False, True])
 def test_text_of_the_user_is_shown_as_it_stands(terminal):
-    """Neither markup nor emoji, and no code that a terminal would act on, in tables, lines and headers, on our consoles or another."""
+    """Neither markup nor emoji, and no code that a terminal would act on, in tables, lines and
+    headers, on our consoles or another.
+    """
     table = Table("header " + HOSTILE, title="title " + HOSTILE)
     table.add_row("cell " + HOSTILE)
-    for console in (Plain(width=200, force_terminal=terminal, color_system=None), Console(width=200, color_system=None)):
+    for console in (
+        Plain(width=200, force_terminal=terminal, color_system=None),
+        Console(width=200, color_system=None),
+    ):
         with console.capture() as shown:
             console.print(table)
             if isinstance(console, Plain):

@@ -1,4 +1,6 @@
-"""What the figures show, read back from their axes: signals of known amplitude, time and frequency, closed forms. No pixels."""
+"""What the figures show, read back from their axes: signals of known amplitude, time and frequency,
+closed forms. No pixels.
+"""
 
 import ast
 import itertools
@@ -55,13 +57,17 @@ def sinusoid(amplitude, hertz):
     return (amplitude * np.sin(2 * np.pi * hertz * TIME))[:, None]
 
 
-# Against the trial -------------------------------------------------------------------------------------------------------------
+# Against the trial
+# -------------------------------------------------------------------------------------------------------------
 
 
 def test_no_two_of_49_schemes_look_alike():
     styles = [tuple(style_of(i).values()) for i in range(49)]
     assert len(set(styles)) == 49
-    in_grey = [(style_of(i)["linestyle"], marks_of(i, 80)["marker"], marks_of(i, 80)["markevery"]) for i in range(9)]
+    in_grey = [
+        (style_of(i)["linestyle"], marks_of(i, 80)["marker"], marks_of(i, 80)["markevery"])
+        for i in range(9)
+    ]
     assert len(set(in_grey)) == 9  # the most schemes that a scenario has
 
 
@@ -76,38 +82,63 @@ def test_a_printed_bound_is_no_printed_number():
         Published("b", 1, "rms", 6.0, ""),
     ]
     ax = figures.error_by_trial(dataset, figure="rms", scale=1e3, unit="µm", published=rows)
-    drawn = [(*line.get_xydata()[0], line.get_marker()) for line in ax.lines if len(line.get_xydata()) == 1]
+    drawn = [
+        (*line.get_xydata()[0], line.get_marker())
+        for line in ax.lines
+        if len(line.get_xydata()) == 1
+    ]
     circles, others = [d[:2] for d in drawn if d[2] == "o"], [d for d in drawn if d[2] != "o"]
     assert circles == [(1, 3.0), (1, 7.0)]
     assert [d[:2] for d in others] == [(2, 1.5)]
-    np.testing.assert_allclose(line_of(ax, "a").get_ydata(), np.array([4e3, 2e3]) / np.sqrt(2), rtol=1e-3)
+    np.testing.assert_allclose(
+        line_of(ax, "a").get_ydata(), np.array([4e3, 2e3]) / np.sqrt(2), rtol=1e-3
+    )
     assert ax.get_ylabel() == "rms [µm]"
-    assert [t.get_text() for t in ax.get_legend().get_texts()] == ["a", "published", "published: less"]
+    assert [t.get_text() for t in ax.get_legend().get_texts()] == [
+        "a",
+        "published",
+        "published: less",
+    ]
 
 
-# Within a trial ----------------------------------------------------------------------------------------------------------------
+# Within a trial
+# ----------------------------------------------------------------------------------------------------------------
 
 
 def test_tracking_zooms_in_on_the_largest_error():
     bump = 5e-3 * np.exp(-(((TIME - 0.7) / 0.01) ** 2))[:, None]
     reference, u = sinusoid(1.0, 1.0), np.stack([np.full((1000, 1), 0.5), np.full((1000, 1), 0.25)])
-    axes = figures.tracking(dataset_of([np.ones((1001, 1)), bump], reference, u), "a", (1, 2), scale=1e3, unit="µm")
+    axes = figures.tracking(
+        dataset_of([np.ones((1001, 1)), bump], reference, u), "a", (1, 2), scale=1e3, unit="µm"
+    )
     assert axes.shape == (3, 2)
     low, high = axes[1, 1].get_xlim()
     assert (low, high) == pytest.approx((0.675, 0.725))
-    assert axes[1, 1].get_ylim()[1] == pytest.approx(6.0)  # the first trial, 1 mm, does not set the scale
+    assert axes[1, 1].get_ylim()[1] == pytest.approx(
+        6.0
+    )  # the first trial, 1 mm, does not set the scale
     for column in axes.T:
         error, output = line_of(column[1], "trial 2"), line_of(column[0], "trial 2")
-        np.testing.assert_allclose(error.get_ydata(), 1e3 * np.interp(error.get_xdata(), TIME, bump[:, 0]), atol=1e-9)
-        np.testing.assert_allclose(output.get_ydata(), np.interp(output.get_xdata(), TIME, (reference - bump)[:, 0]), atol=1e-12)
+        np.testing.assert_allclose(
+            error.get_ydata(), 1e3 * np.interp(error.get_xdata(), TIME, bump[:, 0]), atol=1e-9
+        )
+        np.testing.assert_allclose(
+            output.get_ydata(),
+            np.interp(output.get_xdata(), TIME, (reference - bump)[:, 0]),
+            atol=1e-12,
+        )
         assert set(line_of(column[2], "trial 2").get_ydata()) == {0.25}
     assert len(line_of(axes[1, 0], "trial 2").get_xdata()) == 1001
     assert [ax.get_ylabel() for ax in axes[:, 0]] == ["output [mm]", "error [µm]", "input [V]"]
-    assert figures.tracking(dataset_of([bump]), "a", (1,), zoom=(0.1, 0.2))[0, 1].get_xlim() == pytest.approx((0.1, 0.2))
+    assert figures.tracking(dataset_of([bump]), "a", (1,), zoom=(0.1, 0.2))[
+        0, 1
+    ].get_xlim() == pytest.approx((0.1, 0.2))
 
 
 def test_each_output_has_its_own_error():
-    axes = figures.tracking(dataset_of([np.hstack([sinusoid(1.0, 5.0), sinusoid(1e-3, 5.0)])]), "a", (1,))
+    axes = figures.tracking(
+        dataset_of([np.hstack([sinusoid(1.0, 5.0), sinusoid(1e-3, 5.0)])]), "a", (1,)
+    )
     assert axes.shape == (4, 2)
     assert [axes[i, 0].get_ylim()[1] for i in (1, 2)] == pytest.approx([1.2, 1.2e-3])
 
@@ -115,11 +146,17 @@ def test_each_output_has_its_own_error():
 def test_a_sample_of_a_sweep_is_drawn_and_what_it_lacks_is_said():
     whole = dataset_of([sinusoid(2.0, 10.0)] * 3)
     kept = (
-        whole.drop_vars("r").isel(trial=-1, drop=True).squeeze("channel").expand_dims(sample=[0, 1], axis=1).assign_coords(trial=[1, 2, 3])
+        whole.drop_vars("r")
+        .isel(trial=-1, drop=True)
+        .squeeze("channel")
+        .expand_dims(sample=[0, 1], axis=1)
+        .assign_coords(trial=[1, 2, 3])
     )
     ax = figures.spectrum(kept.sel(sample=1), "a", (3,))
     assert np.max(ax.lines[0].get_ydata()) == pytest.approx(2.0)
-    assert figures.tracking(kept.sel(sample=1), "a", (3,))[0, 0].lines[0].get_ydata() == pytest.approx(np.zeros(1001), abs=1e-12)
+    assert figures.tracking(kept.sel(sample=1), "a", (3,))[0, 0].lines[
+        0
+    ].get_ydata() == pytest.approx(np.zeros(1001), abs=1e-12)
     for dataset, trial, scheme, message in (
         (kept, 3, "a", "choose one, as in dataset.sel"),
         (kept.sel(sample=0), 2, "a", "trial = 2 is not one of those kept, 3 to 3"),
@@ -139,12 +176,18 @@ def circle_at(radius):
 
 
 def test_the_contour_error_is_drawn_magnified():
-    """A circle run 10 µm too large, a hundredth of a turn late: the distance is 10 µm everywhere, the lag does not show."""
+    """A circle run 10 µm too large, a hundredth of a turn late: the distance is 10 µm everywhere,
+    the lag does not show.
+    """
     path, late = circle_at(20.0), 10
     motion = circle_at(20.01)[np.maximum(np.arange(len(TIME)) - late, 0)]
-    top, bottom = figures.contour(dataset_of([path - motion], path), "a", (1,), scale=1e3, unit="µm")
+    top, bottom = figures.contour(
+        dataset_of([path - motion], path), "a", (1,), scale=1e3, unit="µm"
+    )
     error = line_of(bottom, "trial 1")
-    np.testing.assert_allclose(error.get_ydata(), -10.0, atol=0.11)  # outside is right; a chord's sagitta is 0.1 µm
+    np.testing.assert_allclose(
+        error.get_ydata(), -10.0, atol=0.11
+    )  # outside is right; a chord's sagitta is 0.1 µm
     assert error.get_xdata()[-1] == pytest.approx(2 * np.pi * 20.0, rel=1e-5)
     magnification = float(top.get_title().split()[-2])
     assert magnification == 200.0  # 2 mm: 5 % of the 40 mm; 500 would be 12.5 %
@@ -154,13 +197,16 @@ def test_the_contour_error_is_drawn_magnified():
         figures.contour(dataset_of([sinusoid(1.0, 1.0)]), "a", (1,))
 
 
-# By frequency ------------------------------------------------------------------------------------------------------------------
+# By frequency
+# ------------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("amplitude", "hertz"), [(3e-3, 7.0), (0.2, 125.0)])
 def test_a_sinusoid_shows_its_amplitude_at_its_frequency(amplitude, hertz):
     other = sinusoid(0.1 * amplitude, 40.0)
-    ax = figures.spectrum(dataset_of([sinusoid(amplitude, hertz) + other + 5.0]), "a", (1,), scale=1e3, unit="µm")
+    ax = figures.spectrum(
+        dataset_of([sinusoid(amplitude, hertz) + other + 5.0]), "a", (1,), scale=1e3, unit="µm"
+    )
     f, shown = line_of(ax, "trial 1").get_data()
     assert f[np.argmax(shown)] == pytest.approx(hertz)
     assert np.max(shown) == pytest.approx(1e3 * amplitude, rel=1e-9)
@@ -169,12 +215,18 @@ def test_a_sinusoid_shows_its_amplitude_at_its_frequency(amplitude, hertz):
 
 
 def test_lines_of_noise_are_those_that_the_docstring_says():
-    """In power they average to 6 s^2 / N; the lowest lines, fewer than one in a sixtieth of a decade, are drawn one by one."""
+    """In power they average to 6 s^2 / N; the lowest lines, fewer than one in a sixtieth of a
+    decade, are drawn one by one.
+    """
     noise = np.random.default_rng(1).normal(size=(100, 1001, 1))
-    lines = [figures.spectrum(dataset_of([one]), "a", (1,)).lines[0].get_xydata()[2:20] for one in noise]
+    lines = [
+        figures.spectrum(dataset_of([one]), "a", (1,)).lines[0].get_xydata()[2:20] for one in noise
+    ]
     assert [f for f, _ in lines[0]] == pytest.approx(np.arange(3, 21))
     power = np.mean([line[:, 1] ** 2 for line in lines])
-    assert power == pytest.approx(6 / 1000, rel=6 * np.sqrt(2.0 / (100 * 18)))  # neighbours share a Hann window: half as many
+    assert power == pytest.approx(
+        6 / 1000, rel=6 * np.sqrt(2.0 / (100 * 18))
+    )  # neighbours share a Hann window: half as many
 
 
 def shown_in(ax):
@@ -187,14 +239,18 @@ def shown_in(ax):
 
 def test_the_map_finds_when_the_frequency_switches():
     switching = np.where(TIME[:, None] < 0.5, sinusoid(2.0, 50.0), sinusoid(0.5, 200.0))
-    (ax,) = figures.time_frequency(dataset_of([switching]), "a", (1,), window=0.1, scale=1e3, unit="µm")
+    (ax,) = figures.time_frequency(
+        dataset_of([switching]), "a", (1,), window=0.1, scale=1e3, unit="µm"
+    )
     t, f, amplitude = shown_in(ax)
     for when, hertz, height in (((0.06, 0.44), 50.0, 2e3), ((0.56, 0.94), 200.0, 500.0)):
         among = amplitude[:, (t > when[0]) & (t < when[1])]
         np.testing.assert_allclose(f[np.argmax(among, axis=0)], hertz)
         np.testing.assert_allclose(np.max(among, axis=0), height, rtol=1e-6)
     low, high = (amplitude[np.argmin(np.abs(f - hertz))] for hertz in (50.0, 200.0))
-    assert t[np.argmax(high / 500.0 > low / 2e3)] == pytest.approx(0.5, abs=0.013)  # a step of the map
+    assert t[np.argmax(high / 500.0 > low / 2e3)] == pytest.approx(
+        0.5, abs=0.013
+    )  # a step of the map
 
 
 def test_the_map_follows_a_chirp_and_shares_its_colours_among_trials():
@@ -203,40 +259,62 @@ def test_the_map_follows_a_chirp_and_shares_its_colours_among_trials():
     for ax in axes:
         t, f, amplitude = shown_in(ax)
         middle = (t > 0.1) & (t < 0.9)
-        np.testing.assert_allclose(f[np.argmax(amplitude, axis=0)][middle], 50.0 + 200.0 * t[middle], atol=16.2)  # a line: 1 / 62 ms
+        np.testing.assert_allclose(
+            f[np.argmax(amplitude, axis=0)][middle], 50.0 + 200.0 * t[middle], atol=16.2
+        )  # a line: 1 / 62 ms
     first, second = (ax.collections[0] for ax in axes)
     assert first.norm is second.norm
-    with pytest.raises(ValueError, match=r"window = 0.005 s is outside its allowed range \[0.008, 1\] s"):
+    with pytest.raises(
+        ValueError, match=r"window = 0.005 s is outside its allowed range \[0.008, 1\] s"
+    ):
         figures.time_frequency(dataset_of([chirp]), "a", (1,), window=0.005)
 
 
 def test_the_crossing_is_marked_where_the_closed_form_has_it():
-    """P = b z^(-1-d) under u + gamma e[k+1]: |1 - g z^-d|^2 = 1 - 2 g cos(d w) + g^2, g = gamma b, is 1 where cos(d w) = g / 2."""
+    """P = b z^(-1-d) under u + gamma e[k+1]: |1 - g z^-d|^2 = 1 - 2 g cos(d w) + g^2, g = gamma b,
+    is 1 where cos(d w) = g / 2.
+    """
     d, gain, gamma = 3, 0.8, 0.5
     plant = DifferenceEquation(a=(0.0,) * (d + 1), b=(0.0,) * d + (gain,), dt=DT)
     machine, task = Machine(plant), Task(np.zeros((201, 1)), dt=DT)
     critical = np.arccos(0.5 * gamma * gain) / (2 * np.pi * d * DT)
     late = frequency.learning_condition(machine, PIDType(gamma_p=gamma), task)
-    led = frequency.FrequencyTest(condition(0.6, ""), late.frequencies, np.full(len(late.frequencies), 0.6), 1.0, np.inf)
+    led = frequency.FrequencyTest(
+        condition(0.6, ""), late.frequencies, np.full(len(late.frequencies), 0.6), 1.0, np.inf
+    )
     axes = figures.frequency_tests({"late": late, "led": led})
     for ax in axes:
-        marks = [line.get_xydata()[0] for line in ax.lines if line.get_marker() not in ("None", None, "")]
+        marks = [
+            line.get_xydata()[0] for line in ax.lines if line.get_marker() not in ("None", None, "")
+        ]
         assert len(marks) == 1  # with the lead it is 1 - g everywhere
         np.testing.assert_allclose(marks[0], (critical, 1.0), rtol=1e-4)
         f, magnitude = ax.lines[0].get_data()
-        np.testing.assert_allclose(magnitude, np.abs(1 - gamma * gain * np.exp(-2j * np.pi * f * DT * d)), rtol=1e-9)
+        np.testing.assert_allclose(
+            magnitude, np.abs(1 - gamma * gain * np.exp(-2j * np.pi * f * DT * d)), rtol=1e-9
+        )
     texts = [t.get_text() for t in axes[0].get_legend().get_texts()]
     assert texts == [f"late: 1 at {critical:.3g} Hz, at most 1.4", "led: at most 0.6"]
 
 
-# All of them -------------------------------------------------------------------------------------------------------------------
+# All of them
+# -------------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("errors", [np.zeros((1001, 2)), np.full((1001, 2), np.nan), np.where(TIME[:, None] < 0.5, 1e150, [[np.nan, 0]])])
+@pytest.mark.parametrize(
+    "errors",
+    [
+        np.zeros((1001, 2)),
+        np.full((1001, 2), np.nan),
+        np.where(TIME[:, None] < 0.5, 1e150, [[np.nan, 0]]),
+    ],
+)
 def test_what_is_zero_or_diverged_is_drawn_without_complaint(errors, tmp_path):
     dataset = dataset_of([errors], np.hstack([sinusoid(1.0, 1.0), sinusoid(1.0, 2.0)]))
     for figure in (figures.tracking, figures.spectrum, figures.time_frequency, figures.contour):
-        assert figures.save(figure(dataset, "a", (1,)), tmp_path / "figure.png").stat().st_size > 5_000
+        assert (
+            figures.save(figure(dataset, "a", (1,)), tmp_path / "figure.png").stat().st_size > 5_000
+        )
 
 
 @pytest.mark.parametrize("samples", [5, 20])
@@ -255,13 +333,22 @@ def test_a_zoom_at_the_end_of_the_trial_lies_within_it():
 
 
 def test_labels_do_not_overlap():
-    """Of as many schemes as a scenario has: tick labels, axis labels and the legend each have their own place."""
+    """Of as many schemes as a scenario has: tick labels, axis labels and the legend each have their
+    own place.
+    """
     dataset = dataset_of([sinusoid(a, 10.0) for a in (4.0, 2.0, 1e-3)])
     names = [f"scheme-number-{i}" for i in range(9)]
     dataset = xr.concat(
-        [dataset.assign_coords(scheme=[name]) for name in names], "scheme", data_vars="minimal", coords="minimal", compat="equals"
+        [dataset.assign_coords(scheme=[name]) for name in names],
+        "scheme",
+        data_vars="minimal",
+        coords="minimal",
+        compat="equals",
     )
-    rows = [Published(names[0], 1, "rms", 2.0, ""), Published(names[0], 2, "rms", 1.0, "", at_most=True)]
+    rows = [
+        Published(names[0], 1, "rms", 2.0, ""),
+        Published(names[0], 2, "rms", 1.0, "", at_most=True),
+    ]
     drawn = (
         figures.error_by_trial(dataset, figure="rms", published=rows),
         figures.tracking(dataset, names[1], (1, 2, 3)),
@@ -273,29 +360,46 @@ def test_labels_do_not_overlap():
         axes[0].figure.canvas.draw()
         for ax in axes:
             view = ax.get_window_extent()
-            ticks = [[label.get_window_extent() for label in axis.get_ticklabels() if label.get_text()] for axis in (ax.xaxis, ax.yaxis)]
-            boxes = [box for box in ticks[0] if view.x0 <= (box.x0 + box.x1) / 2 <= view.x1]  # others are not drawn
+            ticks = [
+                [label.get_window_extent() for label in axis.get_ticklabels() if label.get_text()]
+                for axis in (ax.xaxis, ax.yaxis)
+            ]
+            boxes = [
+                box for box in ticks[0] if view.x0 <= (box.x0 + box.x1) / 2 <= view.x1
+            ]  # others are not drawn
             boxes += [box for box in ticks[1] if view.y0 <= (box.y0 + box.y1) / 2 <= view.y1]
-            boxes += [axis.label.get_window_extent() for axis in (ax.xaxis, ax.yaxis) if axis.label.get_text()]
-            assert not any(a.overlaps(b) for a, b in itertools.combinations(boxes, 2)), ax.get_title()
+            boxes += [
+                axis.label.get_window_extent()
+                for axis in (ax.xaxis, ax.yaxis)
+                if axis.label.get_text()
+            ]
+            assert not any(a.overlaps(b) for a, b in itertools.combinations(boxes, 2)), (
+                ax.get_title()
+            )
     ax = drawn[0]
     assert not ax.get_legend().get_window_extent().overlaps(ax.get_window_extent())
 
 
 def test_a_legend_has_its_place():
-    """Matplotlib's "best" place is searched for among all points that are drawn, and warns where that takes long on a busy machine."""
+    """Matplotlib's "best" place is searched for among all points that are drawn, and warns where
+    that takes long on a busy machine.
+    """
     calls = [
         (file.name, node.lineno, {k.arg for k in node.keywords})
         for file in Path(figures.__file__).parents[1].rglob("*.py")
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "legend"
+        if isinstance(node, ast.Call)
+        and isinstance(node.func, ast.Attribute)
+        and node.func.attr == "legend"
     ]
     assert len(calls) > 2
     assert [call[:2] for call in calls if "loc" not in call[2]] == []
 
 
 def test_a_run_has_what_the_figures_need(tmp_path):
-    task = Task(np.hstack([sinusoid(1.0, 2.0), sinusoid(1.0, 3.0)])[:201], dt=DT, unit="mm", input_unit="V")
+    task = Task(
+        np.hstack([sinusoid(1.0, 2.0), sinusoid(1.0, 3.0)])[:201], dt=DT, unit="mm", input_unit="V"
+    )
     axis = DifferenceEquation(a=(0.9,), b=(0.1,), dt=DT)
     machine = Machine(TwoAxes(axis, axis))
     dataset, _ = run_schemes(machine, {"a": PIDType(gamma_p=0.1)}, task, 2)

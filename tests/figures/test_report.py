@@ -1,4 +1,6 @@
-"""The HTML report: parsed by parsers of the standard library and shown by a browser; its numbers and pictures against what went in."""
+"""The HTML report: parsed by parsers of the standard library and shown by a browser; its numbers
+and pictures against what went in.
+"""
 
 import base64
 import dataclasses
@@ -93,17 +95,24 @@ def table_of(tree, caption):
 def test_page_is_well_formed_and_escaped():
     rows = (NASTY, [{NASTY: NASTY, "value": 1.5}])
     configuration, notes = {NASTY: [NASTY, 1.5]}, {NASTY: [NASTY]}
-    tree = parsed(html_report(NASTY, {NASTY: NASTY}, [rows], [(NASTY, drawn_axes())], configuration, notes))
+    tree = parsed(
+        html_report(NASTY, {NASTY: NASTY}, [rows], [(NASTY, drawn_axes())], configuration, notes)
+    )
     shown = NASTY.replace("\x1b", "\ufffd")
     assert tree.findtext("head/title") == tree.findtext("body/h1") == shown
     assert table_of(tree, shown) is not None
     assert [i.get("alt") for i in tree.iter("img")] == [shown]
     assert tree.findtext(".//figcaption") == tree.findtext(".//li") == shown
-    assert json.loads(tree.findtext(".//pre")) == configuration  # JSON escapes the terminal's sequence, so nothing is lost
+    assert (
+        json.loads(tree.findtext(".//pre")) == configuration
+    )  # JSON escapes the terminal's sequence, so nothing is lost
 
 
 def test_rows_hold_the_numbers():
-    rows = [{"name": "a", "x": 1.25e-7, "n": 3}, {"name": "b", "x": float("nan"), "n": np.int64(-4), "late": np.float64(1 / 3)}]
+    rows = [
+        {"name": "a", "x": 1.25e-7, "n": 3},
+        {"name": "b", "x": float("nan"), "n": np.int64(-4), "late": np.float64(1 / 3)},
+    ]
     tree = parsed(html_report("t", {}, [("numbers", rows)]))
     table = table_of(tree, "numbers")
     head, body = cells(table)
@@ -133,11 +142,24 @@ def test_every_figure_is_embedded(tmp_path):
     figures = [tmp_path / "error-band.png", ("a caption", str(tmp_path / "second.svg")), ax, pair]
     tree = parsed(html_report("t", {}, figures=figures))
     pictures = [picture(image) for image in tree.iter("img")]
-    assert [kind for kind, _ in pictures] == ["image/png", "image/svg+xml", "image/png", "image/png"]
+    assert [kind for kind, _ in pictures] == [
+        "image/png",
+        "image/svg+xml",
+        "image/png",
+        "image/png",
+    ]
     assert pictures[0][1] == (tmp_path / "error-band.png").read_bytes()
     assert pictures[1][1] == (tmp_path / "second.svg").read_bytes()
-    assert struct.unpack(">II", pictures[2][1][16:24]) == (400, 200)  # 2 in by 1 in at 200 dots an inch: the size in the header of a PNG
-    assert [f.text for f in tree.iter("figcaption")] == ["error band", "a caption", "error by trial", None]
+    assert struct.unpack(">II", pictures[2][1][16:24]) == (
+        400,
+        200,
+    )  # 2 in by 1 in at 200 dots an inch: the size in the header of a PNG
+    assert [f.text for f in tree.iter("figcaption")] == [
+        "error band",
+        "a caption",
+        "error by trial",
+        None,
+    ]
 
 
 def test_figures_that_cannot_be_embedded_are_refused(tmp_path):
@@ -150,7 +172,11 @@ def test_figures_that_cannot_be_embedded_are_refused(tmp_path):
 def test_versions_are_those_installed():
     import jax
 
-    rows = {row[0].text: row[1].text for table in parsed(html_report("t", {})).iter("table") for row in table.iter("tr")}
+    rows = {
+        row[0].text: row[1].text
+        for table in parsed(html_report("t", {})).iter("table")
+        for row in table.iter("tr")
+    }
     assert rows["jax"] == jax.__version__
     assert rows["numpy"] == np.__version__
     assert rows["Python"] == sys.version.split()[0]
@@ -158,14 +184,21 @@ def test_versions_are_those_installed():
 
 
 def test_a_run_reported_as_the_command_line_does(tmp_path, monkeypatch):
-    chosen = dataclasses.replace(scenarios.load("dai-2014", plant="printed").select(("pid",)), trials=1)
+    chosen = dataclasses.replace(
+        scenarios.load("dai-2014", plant="printed").select(("pid",)), trials=1
+    )
     dataset, _ = runs.run_schemes(chosen.machine, chosen.schemes, chosen.task, 1)
     numbers = tables.run_figures(chosen, dataset)
     drawn_axes().figure.savefig(tmp_path / "error-by-trial.png")
     monkeypatch.setattr(sys, "argv", ["/somewhere/jaxilc", "run", "dai-2014", "--set", "name=a b"])
     path = tmp_path / "new folder" / "report.html"
-    figures = [tmp_path / "error-by-trial.png", tmp_path / "dataset.zarr"]  # the store is no picture
-    assert command_report(path, "run", [tables.run_table(chosen, numbers)], figures, scenario=chosen, lines=["a line"]) == [path]
+    figures = [
+        tmp_path / "error-by-trial.png",
+        tmp_path / "dataset.zarr",
+    ]  # the store is no picture
+    assert command_report(
+        path, "run", [tables.run_table(chosen, numbers)], figures, scenario=chosen, lines=["a line"]
+    ) == [path]
     tree = parsed(path.read_text(encoding="utf-8"))
     asked = {row[0].text: row[1].text for row in tree.find("body/section").iter("tr")}
     assert asked["command"] == "jaxilc run dai-2014 --set 'name=a b'"
@@ -173,7 +206,11 @@ def test_a_run_reported_as_the_command_line_does(tmp_path, monkeypatch):
     head, (row,) = cells(tree.findall("body/section")[1].find(".//table"))
     assert head == ["trial", "pid"]
     # the same number by another way, learning without the dataset; three digits are shown
-    error = float(np.max(np.asarray(learn(chosen.machine, chosen.schemes["pid"], chosen.task, 1).settled_error)))
+    error = float(
+        np.max(
+            np.asarray(learn(chosen.machine, chosen.schemes["pid"], chosen.task, 1).settled_error)
+        )
+    )
     assert row[0] == "1"
     assert abs(float(row[1]) / error - 1) < 5e-3
     assert len(list(tree.iter("img"))) == 1
@@ -196,18 +233,39 @@ def test_writing_is_all_or_nothing(tmp_path):
     assert ET.parse(io.StringIO(before)).findtext("body/h1") == "first"
 
 
-# In a real browser -----------------------------------------------------------------------------------------------------------
+# In a real browser
+# -----------------------------------------------------------------------------------------------------------
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+CHROMIUM = (
+    shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+)
 BLUE = (12, 34, 210)  # of no style and no other figure
 
 
 def photographed(page, folder):
     """(rows, columns, 3) what a browser shows of a page, in 0..255."""
-    silent = ("--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync", "--disable-quic")
+    silent = (
+        "--no-first-run",
+        "--disable-background-networking",
+        "--disable-component-update",
+        "--disable-sync",
+        "--disable-quic",
+    )
     shot = folder / "shot.png"
-    command = [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", *silent, f"--user-data-dir={folder / 'profile'}"]
-    subprocess.run([*command, "--window-size=900,1400", f"--screenshot={shot}", page.as_uri()], check=True, capture_output=True, timeout=60)
+    command = [
+        CHROMIUM,
+        "--headless",
+        "--no-sandbox",
+        "--disable-gpu",
+        *silent,
+        f"--user-data-dir={folder / 'profile'}",
+    ]
+    subprocess.run(
+        [*command, "--window-size=900,1400", f"--screenshot={shot}", page.as_uri()],
+        check=True,
+        capture_output=True,
+        timeout=60,
+    )
     return np.round(255 * image.imread(shot)[:, :, :3]).astype(int)
 
 
@@ -236,18 +294,21 @@ def server():
 def test_a_browser_shows_every_figure_and_asks_nobody(tmp_path, server):
     """Even where a reference to the outside had come into the page, its policy holds it back."""
     address, asked = server
-    axes = [Figure(figsize=(2.0, 1.0), dpi=100, facecolor=tuple(c / 255 for c in BLUE)).subplots() for _ in range(2)]
+    axes = [
+        Figure(figsize=(2.0, 1.0), dpi=100, facecolor=tuple(c / 255 for c in BLUE)).subplots()
+        for _ in range(2)
+    ]
     for kind, ax in zip(("a.png", "b.svg"), axes, strict=True):
         ax.figure.savefig(tmp_path / kind)
     text = html_report("t", {"a": 1}, figures=[tmp_path / "a.png", tmp_path / "b.svg"])
-    foreign = (
-        f'<img src="{address}/picture"/><script src="{address}/script"></script><link rel="stylesheet" href="{address}/style"/></body>'
-    )
+    foreign = f'<img src="{address}/picture"/><script src="{address}/script"></script><link rel="stylesheet" href="{address}/style"/></body>'
     (tmp_path / "page.html").write_text(text.replace("</body>", foreign), encoding="utf-8")
     blue = np.all(photographed(tmp_path / "page.html", tmp_path) == BLUE, axis=2)
     rows = np.flatnonzero(blue.any(axis=1))
     assert len(np.flatnonzero(np.diff(rows) > 20)) == 1, "two figures, one below the other"
     assert asked == []
-    (tmp_path / "bare.html").write_text(text.replace("</body>", foreign).replace(POLICY, "default-src *"), encoding="utf-8")
+    (tmp_path / "bare.html").write_text(
+        text.replace("</body>", foreign).replace(POLICY, "default-src *"), encoding="utf-8"
+    )
     photographed(tmp_path / "bare.html", tmp_path)
     assert {"/picture", "/script", "/style"} <= set(asked), "or this test says nothing"

@@ -16,7 +16,9 @@ from jaxilc.schemes import Filtered, PIDType
 from jaxilc.signals import Task
 
 N = 90
-SIGNAL = np.cumsum(np.random.default_rng(2).normal(size=(N, 2)), axis=0) + 5.0  # neither starts nor ends at zero
+SIGNAL = (
+    np.cumsum(np.random.default_rng(2).normal(size=(N, 2)), axis=0) + 5.0
+)  # neither starts nor ends at zero
 
 
 @jax.jit
@@ -30,17 +32,25 @@ def test_butterworth_is_sosfiltfilt(order):
         sections = scipy.signal.butter(order, cutoff, fs=1 / DT, output="sos")
         expected = scipy.signal.sosfiltfilt(sections, SIGNAL, axis=0)
         np.testing.assert_allclose(
-            filtered(ZeroPhaseButterworth(cutoff, order, 3 * (order + 1)), SIGNAL), expected, rtol=1e-8, atol=1e-8, err_msg=cutoff
+            filtered(ZeroPhaseButterworth(cutoff, order, 3 * (order + 1)), SIGNAL),
+            expected,
+            rtol=1e-8,
+            atol=1e-8,
+            err_msg=cutoff,
         )
 
 
 @pytest.mark.parametrize("order", [1, 2, 7])
 def test_mirrored_at_its_ends_a_signal_is_weighted_by_q_cosine_by_cosine(order):
-    """By scipy's transform of cosines, and by filtering forth and back a signal that is mirrored again and again."""
+    """By scipy's transform of cosines, and by filtering forth and back a signal that is mirrored
+    again and again.
+    """
     for cutoff in (9.0, 120.0, 499.0):
         sections = scipy.signal.butter(order, cutoff, fs=1 / DT, output="sos")
         _, response = scipy.signal.sosfreqz(sections, np.arange(N) / (2 * N * DT), fs=1 / DT)
-        expected = scipy.fft.idct(np.abs(response[:, None]) ** 2 * scipy.fft.dct(SIGNAL, axis=0), axis=0)
+        expected = scipy.fft.idct(
+            np.abs(response[:, None]) ** 2 * scipy.fft.dct(SIGNAL, axis=0), axis=0
+        )
         found = filtered(ZeroPhaseButterworth(cutoff, order), SIGNAL)
         np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-8, err_msg=cutoff)
         if cutoff == 499.0:  # its pole next to -1 forgets too slowly
@@ -50,20 +60,27 @@ def test_mirrored_at_its_ends_a_signal_is_weighted_by_q_cosine_by_cosine(order):
         np.testing.assert_allclose(found, far, rtol=1e-6, atol=1e-6, err_msg=cutoff)
 
 
-@pytest.mark.parametrize("q", [ZeroPhaseButterworth(40.0), ZeroPhaseIIR(*scipy.signal.butter(3, 200.0, fs=1 / DT))])
+@pytest.mark.parametrize(
+    "q", [ZeroPhaseButterworth(40.0), ZeroPhaseIIR(*scipy.signal.butter(3, 200.0, fs=1 / DT))]
+)
 def test_mirrored_nothing_comes_out_larger_and_a_constant_stays(q):
     """The odd extension passes more than it is given at the ends, so that learning can grow there."""
     matrix = np.asarray(filtered(q, jnp.eye(N)))
     np.testing.assert_allclose(matrix, matrix.T, atol=1e-12)
     assert np.linalg.norm(matrix, 2) <= 1 + 1e-12
     np.testing.assert_allclose(matrix.sum(axis=1), 1.0, atol=1e-9)
-    assert np.linalg.norm(np.asarray(filtered(dataclasses.replace(q, padding=9), jnp.eye(N))), 2) > 1.02
+    assert (
+        np.linalg.norm(np.asarray(filtered(dataclasses.replace(q, padding=9), jnp.eye(N))), 2)
+        > 1.02
+    )
 
 
 @pytest.mark.parametrize("padding", [0, 1, 7, N - 1])
 def test_butterworth_takes_scipys_padding(padding):
     sections = scipy.signal.butter(3, 60.0, fs=1 / DT, output="sos")
-    expected = scipy.signal.sosfiltfilt(sections, SIGNAL, axis=0, padtype="odd" if padding else None, padlen=padding)
+    expected = scipy.signal.sosfiltfilt(
+        sections, SIGNAL, axis=0, padtype="odd" if padding else None, padlen=padding
+    )
     q = ZeroPhaseButterworth(60.0, order=3, padding=padding)
     q.check(N, DT)
     np.testing.assert_allclose(filtered(q, SIGNAL), expected, rtol=1e-10, atol=1e-10)
@@ -102,7 +119,9 @@ def test_butterworth_keeps_a_straight_line_and_is_symmetric_in_time():
     assert np.argmax(filtered(q, bump)) == 30
 
 
-@pytest.mark.parametrize("taps", [(1.0,), (0.5, 0.25), (0.3, 0.2, 0.1, 0.05), np.full(N, 1 / (2 * N - 1))])
+@pytest.mark.parametrize(
+    "taps", [(1.0,), (0.5, 0.25), (0.3, 0.2, 0.1, 0.05), np.full(N, 1 / (2 * N - 1))]
+)
 def test_fir_is_the_symmetric_sum_with_held_ends(taps):
     expected = np.zeros_like(SIGNAL)
     for k in range(N):
@@ -116,13 +135,31 @@ def test_fir_is_the_symmetric_sum_with_held_ends(taps):
 
 BUTTERWORTH, FIR = ZeroPhaseButterworth, ZeroPhaseFIR
 ERRORS = {
-    "nyquist": (lambda: BUTTERWORTH(500.0), r"ZeroPhaseButterworth: cutoff = 500(\.0)? Hz is outside its allowed range \(0, 500\)"),
-    "negative": (lambda: BUTTERWORTH(-1.0), r"ZeroPhaseButterworth: cutoff = -1 is outside its allowed range \(0, inf\)"),
-    "order": (lambda: BUTTERWORTH(50.0, order=0), r"ZeroPhaseButterworth: order = 0 is outside its allowed range \[1, 100\]"),
+    "nyquist": (
+        lambda: BUTTERWORTH(500.0),
+        r"ZeroPhaseButterworth: cutoff = 500(\.0)? Hz is outside its allowed range \(0, 500\)",
+    ),
+    "negative": (
+        lambda: BUTTERWORTH(-1.0),
+        r"ZeroPhaseButterworth: cutoff = -1 is outside its allowed range \(0, inf\)",
+    ),
+    "order": (
+        lambda: BUTTERWORTH(50.0, order=0),
+        r"ZeroPhaseButterworth: order = 0 is outside its allowed range \[1, 100\]",
+    ),
     "order_half": (lambda: BUTTERWORTH(50.0, order=2.5), r"ZeroPhaseButterworth: order = 2.5"),
-    "padding": (lambda: BUTTERWORTH(50.0, padding=90), r"padding = 90 is outside its allowed range \[0, 89\] for N = 90"),
-    "negative_padding": (lambda: BUTTERWORTH(50.0, padding=-1), r"padding = -1 is outside its allowed range"),
-    "taps": (lambda: FIR(np.ones(91)), r"ZeroPhaseFIR: taps has shape \(91,\); allowed is \(m\+1,\) with m < N = 90"),
+    "padding": (
+        lambda: BUTTERWORTH(50.0, padding=90),
+        r"padding = 90 is outside its allowed range \[0, 89\] for N = 90",
+    ),
+    "negative_padding": (
+        lambda: BUTTERWORTH(50.0, padding=-1),
+        r"padding = -1 is outside its allowed range",
+    ),
+    "taps": (
+        lambda: FIR(np.ones(91)),
+        r"ZeroPhaseFIR: taps has shape \(91,\); allowed is \(m\+1,\) with m < N = 90",
+    ),
     "taps_matrix": (lambda: FIR(np.ones((2, 2))), r"ZeroPhaseFIR: taps has shape \(2, 2\)"),
     "taps_scalar": (lambda: FIR(1.0), r"ZeroPhaseFIR: taps has shape \(\)"),
 }

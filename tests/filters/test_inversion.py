@@ -1,4 +1,6 @@
-"""Feedforward inversion against forward simulation by scipy and python-control, and a two-sided convolution."""
+"""Feedforward inversion against forward simulation by scipy and python-control, and a two-sided
+convolution.
+"""
 
 import control
 import jax
@@ -8,7 +10,15 @@ import pytest
 import scipy.signal
 from cases import ALGEBRA, DIFFERENCES, DT
 
-from jaxilc.filters import ZPETC, StableInverse, factors, inverse, output_ratio, stable_inverse, zpetc
+from jaxilc.filters import (
+    ZPETC,
+    StableInverse,
+    factors,
+    inverse,
+    output_ratio,
+    stable_inverse,
+    zpetc,
+)
 from jaxilc.filters.inversion import Factors
 from jaxilc.plants import StateSpace
 from jaxilc.signals.references import s_curve
@@ -33,13 +43,16 @@ NON_MINIMUM_PHASE = {
     "unstable": ((1.3, 0.2), (1.1, -1.4, 0.3), 2.0),
 }
 PLANTS = {
-    name: Factors(np.array(z, complex), np.array(p, complex), k, DT) for name, (z, p, k) in (MINIMUM_PHASE | NON_MINIMUM_PHASE).items()
+    name: Factors(np.array(z, complex), np.array(p, complex), k, DT)
+    for name, (z, p, k) in (MINIMUM_PHASE | NON_MINIMUM_PHASE).items()
 }
 
 
 def polynomials(P):
     """Numerator and denominator of P, high order first."""
-    return P.gain * np.real(np.atleast_1d(np.poly(P.zeros))), np.real(np.atleast_1d(np.poly(P.poles)))
+    return P.gain * np.real(np.atleast_1d(np.poly(P.zeros))), np.real(
+        np.atleast_1d(np.poly(P.poles))
+    )
 
 
 def moving(rest, N=N, level=5.0, seed=3):
@@ -62,7 +75,9 @@ def simulated(P, r_0):
 
 
 def two_sided(P, r, half=3000):
-    """The one inverse whose impulse response is bounded both ways in time, sampled from its frequency response; ends held for ever."""
+    """The one inverse whose impulse response is bounded both ways in time, sampled from its
+    frequency response; ends held for ever.
+    """
     b, a = polynomials(P)
     z = np.exp(2j * np.pi * np.fft.fftfreq(2 * half))
     h = np.fft.fftshift(np.fft.ifft(np.polyval(a, z) / np.polyval(b, z)).real)
@@ -89,10 +104,14 @@ def test_minimum_phase_is_inverted_exactly(name):
 
 @pytest.mark.parametrize("name", PLANTS)
 def test_stable_inversion_is_the_bounded_two_sided_inverse(name):
-    """At a reference that moves at both ends: what is cut off is not missed, and beyond the ends it is held."""
+    """At a reference that moves at both ends: what is cut off is not missed, and beyond the ends it
+    is held.
+    """
     P, r = PLANTS[name], moving(rest=1)
     expected = two_sided(P, r[:, 0])
-    np.testing.assert_allclose(applied(stable_inverse(P), r)[:, 0], expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
+    np.testing.assert_allclose(
+        applied(stable_inverse(P), r)[:, 0], expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max()
+    )
 
 
 @pytest.mark.parametrize("name", ["real", "negative", "pair", "slow"])
@@ -114,9 +133,16 @@ def test_error_of_missing_pre_actuation_falls_with_the_rest_before_the_motion(na
 def test_extension_leaves_the_ratio_of_the_slowest_zeros_to_its_power():
     P, r = PLANTS["slow"], moving(rest=1)
     exact, extensions = two_sided(P, r[:, 0]), np.arange(10, 61, 10)
-    errors = [np.max(np.abs(applied(stable_inverse(P, extension=int(n)), r)[:, 0] - exact)) for n in extensions]
-    np.testing.assert_allclose(np.polyfit(extensions, np.log(errors), 1)[0], np.log(0.9 / 1.2), rtol=1e-2)
-    assert stable_inverse(P).extension == 3 + int(np.ceil(np.log(np.finfo(float).eps) / np.log(0.9 / 1.2)))
+    errors = [
+        np.max(np.abs(applied(stable_inverse(P, extension=int(n)), r)[:, 0] - exact))
+        for n in extensions
+    ]
+    np.testing.assert_allclose(
+        np.polyfit(extensions, np.log(errors), 1)[0], np.log(0.9 / 1.2), rtol=1e-2
+    )
+    assert stable_inverse(P).extension == 3 + int(
+        np.ceil(np.log(np.finfo(float).eps) / np.log(0.9 / 1.2))
+    )
 
 
 def response(q, omega, samples=2400):
@@ -154,20 +180,31 @@ def test_zpetc_has_no_phase_error_and_the_size_of_the_mirrored_zeros(zeros, radi
 
 
 def test_zpetc_keeps_the_ends_held():
-    """r at rest, moving within the trial, at rest again: y is |B_u|^2 / B_u(1)^2 r, a symmetric sum, at every sample."""
+    """r at rest, moving within the trial, at rest again: y is |B_u|^2 / B_u(1)^2 r, a symmetric
+    sum, at every sample.
+    """
     P, r = PLANTS["real"], moving(rest=10)
     r[90:] = r[90]
     taps = np.convolve([1.0, -1.5], [-1.5, 1.0]) / (1 - 1.5) ** 2
     expected = np.convolve(np.pad(r[:, 0], 1, mode="edge"), taps, mode="valid")
-    np.testing.assert_allclose(simulated(P, np.asarray(applied(zpetc(P), r))[:, 0]), expected, **ALGEBRA)
+    np.testing.assert_allclose(
+        simulated(P, np.asarray(applied(zpetc(P), r))[:, 0]), expected, **ALGEBRA
+    )
 
 
 @pytest.mark.parametrize(
     ("degree", "expected"),
-    [(1, ()), (2, (-1.0,)), (3, (-2 - np.sqrt(3), -2 + np.sqrt(3))), (4, (-5 - 2 * np.sqrt(6), -1.0, -5 + 2 * np.sqrt(6)))],
+    [
+        (1, ()),
+        (2, (-1.0,)),
+        (3, (-2 - np.sqrt(3), -2 + np.sqrt(3))),
+        (4, (-5 - 2 * np.sqrt(6), -1.0, -5 + 2 * np.sqrt(6))),
+    ],
 )
 def test_sampling_zeros_of_integrators(degree, expected):
-    """Those of s^-n (Åström, Hagander, Sternby 1984); the gain, the first sample of the step response, is dt^n / n!."""
+    """Those of s^-n (Åström, Hagander, Sternby 1984); the gain, the first sample of the step
+    response, is dt^n / n!.
+    """
     chain = StateSpace(np.eye(degree, k=1), np.eye(degree)[:, -1:], np.eye(degree)[:1])
     P = factors(chain, DT)
     np.testing.assert_allclose(sorted(P.zeros.real), sorted(expected), rtol=1e-10)
@@ -179,7 +216,15 @@ def test_every_kind_of_system_has_the_same_factors():
     ss = control.ss(tf)
     continuous, discrete = StateSpace(ss.A, ss.B, ss.C), control.sample_system(ss, DT)
     (zero,), poles = discrete.zeros(), np.sort_complex(discrete.poles())
-    for system in (tf, ss, continuous, discrete, continuous.sampled(DT), control.ss2tf(discrete), factors(discrete)):
+    for system in (
+        tf,
+        ss,
+        continuous,
+        discrete,
+        continuous.sampled(DT),
+        control.ss2tf(discrete),
+        factors(discrete),
+    ):
         P = factors(system, DT)
         np.testing.assert_allclose(P.zeros, [zero], rtol=1e-9)
         np.testing.assert_allclose(np.sort_complex(P.poles), poles, rtol=1e-9)
@@ -187,16 +232,23 @@ def test_every_kind_of_system_has_the_same_factors():
     through = control.ss(discrete.A, discrete.B, discrete.C, 0.5, DT)
     z = np.exp(0.3j)
     P = factors(through)
-    assert P.gain * np.prod(z - P.zeros) / np.prod(z - P.poles) == pytest.approx(through(z), rel=1e-10)
-    delayed = control.ss(control.tf([1.0], [1.0, 0.0, 0.0], DT)) * discrete  # two samples of dead time more
-    T = np.linalg.qr(np.random.default_rng(7).normal(size=(delayed.nstates,) * 2))[0]  # after which C B is 1e-17 and not 0
+    assert P.gain * np.prod(z - P.zeros) / np.prod(z - P.poles) == pytest.approx(
+        through(z), rel=1e-10
+    )
+    delayed = (
+        control.ss(control.tf([1.0], [1.0, 0.0, 0.0], DT)) * discrete
+    )  # two samples of dead time more
+    T = np.linalg.qr(np.random.default_rng(7).normal(size=(delayed.nstates,) * 2))[
+        0
+    ]  # after which C B is 1e-17 and not 0
     for system in (delayed, control.ss(T.T @ delayed.A @ T, T.T @ delayed.B, delayed.C @ T, 0, DT)):
         P = factors(system)
         assert len(P.poles) - len(P.zeros) == 3
         np.testing.assert_allclose(P.zeros, [zero], rtol=1e-9)
 
 
-# a two-mass drive: 30 kg each, 70 Hz antiresonance of damping ratio 0.02, current loop of 1 kHz, 4 kHz samples; from force to positions
+# a two-mass drive: 30 kg each, 70 Hz antiresonance of damping ratio 0.02, current loop of 1 kHz, 4
+# kHz samples; from force to positions
 FAST = 1 / 4000
 m, c_T, c_M, lag = 30.0, 50.0, 100.0, 2 * np.pi * 1000.0
 k_s = m * (2 * np.pi * 70.0) ** 2
@@ -213,27 +265,38 @@ DRIVE = StateSpace(
     [[0.0], [0.0], [0.0], [0.0], [lag]],
     np.eye(5)[[0, 2]],
 )
-MOVE = np.pad(s_curve([0.0, 10.0], velocity=200.0, acceleration=4000.0, jerk=2e5, dwell=0.02, dt=FAST), (200, 0))[:, None]
+MOVE = np.pad(
+    s_curve([0.0, 10.0], velocity=200.0, acceleration=4000.0, jerk=2e5, dwell=0.02, dt=FAST),
+    (200, 0),
+)[:, None]
 
 
 def positions(force):
-    """(N, 2) motor and table position of the drive under a held force (N,), sampled and simulated by python-control."""
+    """(N, 2) motor and table position of the drive under a held force (N,), sampled and simulated
+    by python-control.
+    """
     drive = control.sample_system(control.ss(DRIVE.A, DRIVE.B, DRIVE.C, 0), FAST)
     return control.forced_response(drive, np.arange(len(force)) * FAST, force).outputs.T
 
 
 @pytest.mark.parametrize("method", ["stable", "zpetc"])
 def test_table_follows_an_s_curve_through_the_inverse_of_the_transmission(method):
-    """Sampled as it stands P_Z has its one zero at -0.21, so both inverses are exact: 1e-12 of the 10 mm is some thousand roundings."""
+    """Sampled as it stands P_Z has its one zero at -0.21, so both inverses are exact: 1e-12 of the
+    10 mm is some thousand roundings.
+    """
     r_0 = np.asarray(applied(inverse(P_Z, FAST, method), MOVE))[:, 0]
     held = control.sample_system(control.ss(P_Z), FAST)
     y = control.forced_response(held, np.arange(len(r_0)) * FAST, r_0).outputs
     np.testing.assert_allclose(y, MOVE[:, 0], atol=1e-11)
-    assert np.max(np.abs(r_0 - MOVE[:, 0])) > 0.01, "the motor must lead the table by the spring's deflection"
+    assert np.max(np.abs(r_0 - MOVE[:, 0])) > 0.01, (
+        "the motor must lead the table by the spring's deflection"
+    )
 
 
 def test_ratio_of_two_outputs_recovers_one_from_the_other():
-    """Zeros outside the circle in both: -1.2 and -11.4 of the table's, -2.7 of the motor's, so the ratio itself is unstable."""
+    """Zeros outside the circle in both: -1.2 and -11.4 of the table's, -2.7 of the motor's, so the
+    ratio itself is unstable.
+    """
     ratio = output_ratio(DRIVE, FAST)
     assert np.sum(np.abs(ratio.zeros) > 1) == 2
     assert np.sum(np.abs(ratio.poles) > 1) == 1
@@ -248,17 +311,24 @@ def test_ratio_of_two_outputs_recovers_one_from_the_other():
 
 
 def test_held_motor_position_puts_the_table_half_a_sample_ahead():
-    """The force that makes the motor follow r_0 exactly, from its own inverse; then the table follows r only with the ratio's r_0."""
+    """The force that makes the motor follow r_0 exactly, from its own inverse; then the table
+    follows r only with the ratio's r_0.
+    """
     motor = stable_inverse(StateSpace(DRIVE.A, DRIVE.B, DRIVE.C[:1]), FAST)
     error = {}
-    for name, design in (("ratio", stable_inverse(output_ratio(DRIVE, FAST))), ("held", stable_inverse(P_Z, FAST))):
+    for name, design in (
+        ("ratio", stable_inverse(output_ratio(DRIVE, FAST))),
+        ("held", stable_inverse(P_Z, FAST)),
+    ):
         r_0 = applied(design, MOVE)
         y = positions(np.asarray(applied(motor, r_0))[:, 0])
         np.testing.assert_allclose(y[:, 0], r_0[:, 0], atol=1e-10)
         error[name] = y[:, 1] - MOVE[:, 0]
     velocity = np.gradient(MOVE[:, 0], FAST)
     np.testing.assert_allclose(error["ratio"], 0.0, atol=1e-10)
-    np.testing.assert_allclose(error["held"], velocity * FAST / 2, atol=0.01 * velocity.max() * FAST / 2)
+    np.testing.assert_allclose(
+        error["held"], velocity * FAST / 2, atol=0.01 * velocity.max() * FAST / 2
+    )
     assert error["held"].max() > 0.02  # mm
 
 
@@ -271,7 +341,9 @@ def test_gradient_with_respect_to_the_reference_equals_finite_differences(name):
 
     @jax.jit
     def level(r):
-        return jnp.mean(jnp.sin(q(r, DT)) ** 2)  # not linear in r, so that the gradient depends on it
+        return jnp.mean(
+            jnp.sin(q(r, DT)) ** 2
+        )  # not linear in r, so that the gradient depends on it
 
     gradient = np.asarray(jax.jit(jax.grad(level))(r))
     assert np.all(np.isfinite(gradient))
@@ -290,9 +362,13 @@ def test_jit_vmap_and_channels_agree(name):
     with jax.disable_jit():
         np.testing.assert_allclose(q(jnp.asarray(r[0, -5:]), DT), applied(q, r[0, -5:]), **ALGEBRA)
     np.testing.assert_allclose(jax.jit(jax.vmap(lambda x: q(x, DT)))(r), one_by_one, **ALGEBRA)
-    np.testing.assert_allclose(applied(q, np.concatenate(r, axis=1)), np.concatenate(one_by_one, axis=1), **ALGEBRA)
+    np.testing.assert_allclose(
+        applied(q, np.concatenate(r, axis=1)), np.concatenate(one_by_one, axis=1), **ALGEBRA
+    )
     lanes = jax.tree.map(lambda x: np.stack([x, x, x]), q)
-    np.testing.assert_allclose(jax.jit(jax.vmap(lambda q, x: q(x, DT)))(lanes, r), one_by_one, **ALGEBRA)
+    np.testing.assert_allclose(
+        jax.jit(jax.vmap(lambda q, x: q(x, DT)))(lanes, r), one_by_one, **ALGEBRA
+    )
     with jax.enable_x64(False):
         assert jax.eval_shape(lambda x: q(x, DT), jnp.zeros((40, 1))).dtype == jnp.float32
 
@@ -303,26 +379,80 @@ def tf(numerator, denominator=(1.0, -0.5, 0.0), dt=DT):
 
 TWO = StateSpace([[0.9]], [[1.0]], [[1.0], [2.0]], dt=DT)
 ERRORS = {
-    "circle": (lambda: stable_inverse(tf([1.0, 1.0])), r"stable_inverse: the zero z = -1.* lies on the unit circle.*ZPETC"),
-    "dc_stable": (lambda: stable_inverse(tf([1.0, -1.0])), r"stable_inverse: the zero z = 1.* lies on the unit circle"),
-    "near_circle": (lambda: stable_inverse(tf([1.0, 1.0 + 5e-7])), r"allowed is a distance of 1e-06"),
-    "dc_zpetc": (lambda: zpetc(tf([1.0, -1.0])), r"zpetc: the system has a zero at z = 1; allowed is a DC gain other than 0"),
-    "radius": (lambda: zpetc(tf([1.0]), radius=1.2), r"zpetc: radius = 1.2 is outside its allowed range \(0, 1\]"),
-    "extension": (lambda: stable_inverse(tf([1.0]), extension=-1), r"StableInverse: extension = -1 is outside its allowed range"),
-    "method": (lambda: inverse(tf([1.0]), method="exact"), r"inverse: method = 'exact' is not one of 'stable', 'zpetc'"),
-    "mimo": (lambda: inverse(TWO), r"factors: the system has 1 inputs and 2 outputs; allowed is one of each"),
-    "mimo_control": (lambda: inverse(control.ss(0.9 * np.eye(2), np.eye(2), np.eye(2), 0, DT)), r"has 2 inputs and 2 outputs"),
+    "circle": (
+        lambda: stable_inverse(tf([1.0, 1.0])),
+        r"stable_inverse: the zero z = -1.* lies on the unit circle.*ZPETC",
+    ),
+    "dc_stable": (
+        lambda: stable_inverse(tf([1.0, -1.0])),
+        r"stable_inverse: the zero z = 1.* lies on the unit circle",
+    ),
+    "near_circle": (
+        lambda: stable_inverse(tf([1.0, 1.0 + 5e-7])),
+        r"allowed is a distance of 1e-06",
+    ),
+    "dc_zpetc": (
+        lambda: zpetc(tf([1.0, -1.0])),
+        r"zpetc: the system has a zero at z = 1; allowed is a DC gain other than 0",
+    ),
+    "radius": (
+        lambda: zpetc(tf([1.0]), radius=1.2),
+        r"zpetc: radius = 1.2 is outside its allowed range \(0, 1\]",
+    ),
+    "extension": (
+        lambda: stable_inverse(tf([1.0]), extension=-1),
+        r"StableInverse: extension = -1 is outside its allowed range",
+    ),
+    "method": (
+        lambda: inverse(tf([1.0]), method="exact"),
+        r"inverse: method = 'exact' is not one of 'stable', 'zpetc'",
+    ),
+    "mimo": (
+        lambda: inverse(TWO),
+        r"factors: the system has 1 inputs and 2 outputs; allowed is one of each",
+    ),
+    "mimo_control": (
+        lambda: inverse(control.ss(0.9 * np.eye(2), np.eye(2), np.eye(2), 0, DT)),
+        r"has 2 inputs and 2 outputs",
+    ),
     "zero": (lambda: inverse(tf([0.0])), r"factors: the system is zero"),
-    "unreached": (lambda: inverse(StateSpace(0.9 * np.eye(2), [[1.0], [0.0]], [[0.0, 1.0]], dt=DT)), r"factors: the system is zero"),
-    "continuous": (lambda: inverse(tf([1.0], dt=0)), r"factors: dt = None is outside the allowed range \(0, inf\)"),
-    "negative": (lambda: inverse(tf([1.0], dt=0), -1.0), r"factors: dt = -1.0 is outside the allowed range \(0, inf\)"),
-    "other_dt": (lambda: inverse(tf([1.0]), 2e-3), r"factors: the system is sampled at 0.001 s but dt = 0.002 s; allowed is dt = 0.001"),
-    "open_dt": (lambda: inverse(tf([1.0], dt=True), DT), r"factors: dt = True of the system leaves the sample time open"),
+    "unreached": (
+        lambda: inverse(StateSpace(0.9 * np.eye(2), [[1.0], [0.0]], [[0.0, 1.0]], dt=DT)),
+        r"factors: the system is zero",
+    ),
+    "continuous": (
+        lambda: inverse(tf([1.0], dt=0)),
+        r"factors: dt = None is outside the allowed range \(0, inf\)",
+    ),
+    "negative": (
+        lambda: inverse(tf([1.0], dt=0), -1.0),
+        r"factors: dt = -1.0 is outside the allowed range \(0, inf\)",
+    ),
+    "other_dt": (
+        lambda: inverse(tf([1.0]), 2e-3),
+        r"factors: the system is sampled at 0.001 s but dt = 0.002 s; allowed is dt = 0.001",
+    ),
+    "open_dt": (
+        lambda: inverse(tf([1.0], dt=True), DT),
+        r"factors: dt = True of the system leaves the sample time open",
+    ),
     "kind": (lambda: inverse(3.0, DT), r"factors: float is not a jaxilc StateSpace"),
-    "inputs": (lambda: output_ratio(StateSpace([[0.9]], [[1.0, 1.0]], [[1.0]], dt=DT)), r"output_ratio: the system has 2 inputs"),
-    "output": (lambda: output_ratio(TWO, above=2), r"output_ratio: above = 2, below = 0 are not both among the outputs 0..1"),
-    "check": (lambda: BOTH["stable"].check(N, 2e-3), r"StableInverse: dt = 0.002 s is not that of the design; allowed is dt = 0.001"),
-    "applied": (lambda: BOTH["zpetc"](moving(1), 2e-3), r"ZPETC: dt = 0.002 s is not that of the design"),
+    "inputs": (
+        lambda: output_ratio(StateSpace([[0.9]], [[1.0, 1.0]], [[1.0]], dt=DT)),
+        r"output_ratio: the system has 2 inputs",
+    ),
+    "output": (
+        lambda: output_ratio(TWO, above=2),
+        r"output_ratio: above = 2, below = 0 are not both among the outputs 0..1",
+    ),
+    "check": (
+        lambda: BOTH["stable"].check(N, 2e-3),
+        r"StableInverse: dt = 0.002 s is not that of the design; allowed is dt = 0.001",
+    ),
+    "applied": (
+        lambda: BOTH["zpetc"](moving(1), 2e-3),
+        r"ZPETC: dt = 0.002 s is not that of the design",
+    ),
 }
 
 

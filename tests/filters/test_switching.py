@@ -1,4 +1,6 @@
-"""The switchable filter, general recursive filters and the choice of segments, against scipy, closed forms and scalar loops."""
+"""The switchable filter, general recursive filters and the choice of segments, against scipy,
+closed forms and scalar loops.
+"""
 
 import dataclasses
 
@@ -10,7 +12,14 @@ import scipy.fft
 import scipy.signal
 from cases import ALGEBRA, DT
 
-from jaxilc.filters import SwitchableFilter, ZeroPhaseButterworth, ZeroPhaseIIR, cutoffs_below, instantaneous_frequency, segments
+from jaxilc.filters import (
+    SwitchableFilter,
+    ZeroPhaseButterworth,
+    ZeroPhaseIIR,
+    cutoffs_below,
+    instantaneous_frequency,
+    segments,
+)
 from jaxilc.filters.zero_phase import PRINTED_LI_2020
 from jaxilc.learning import Machine, Sensor, learn
 from jaxilc.plants import StateSpace
@@ -20,7 +29,9 @@ from jaxilc.signals.references import chirp
 from jaxilc.theory.frequency import learning_condition
 
 N = 90
-SIGNAL = np.cumsum(np.random.default_rng(2).normal(size=(N, 2)), axis=0) + 5.0  # neither starts nor ends at zero
+SIGNAL = (
+    np.cumsum(np.random.default_rng(2).normal(size=(N, 2)), axis=0) + 5.0
+)  # neither starts nor ends at zero
 CUTOFFS, TIMES = (20.0, 110.0, 45.0), (0.025, 0.0612)
 
 
@@ -30,7 +41,9 @@ def filtered(q, signal):
 
 
 def butterworth(cutoff, order=2, signal=SIGNAL):
-    return scipy.signal.sosfiltfilt(scipy.signal.butter(order, cutoff, fs=1 / DT, output="sos"), signal, axis=0)
+    return scipy.signal.sosfiltfilt(
+        scipy.signal.butter(order, cutoff, fs=1 / DT, output="sos"), signal, axis=0
+    )
 
 
 def share_after(t, time, width):
@@ -39,7 +52,9 @@ def share_after(t, time, width):
         return float(t >= time)
     if t <= time - width / 2:
         return 0.0
-    return 1.0 if t >= time + width / 2 else 0.5 * (1 - np.cos(np.pi * (t - time + width / 2) / width))
+    return (
+        1.0 if t >= time + width / 2 else 0.5 * (1 - np.cos(np.pi * (t - time + width / 2) / width))
+    )
 
 
 @pytest.mark.parametrize("order", [2, 3])
@@ -49,28 +64,48 @@ def test_each_segment_has_its_own_butterworth(order, width):
     expected = np.empty_like(SIGNAL)
     for k in range(N):
         first, second = (share_after(np.round(k * DT, 9), time, width) for time in TIMES)
-        expected[k] = (1 - first) * parts[0][k] + (first - second) * parts[1][k] + second * parts[2][k]
+        expected[k] = (
+            (1 - first) * parts[0][k] + (first - second) * parts[1][k] + second * parts[2][k]
+        )
     q = SwitchableFilter(CUTOFFS, TIMES, width, order, padding=3 * (order + 1))
     q.check(N, DT)
     np.testing.assert_allclose(filtered(q, SIGNAL), expected, rtol=1e-8, atol=1e-8)
 
 
 def test_one_segment_is_a_butterworth():
-    np.testing.assert_allclose(filtered(SwitchableFilter((31.0,), order=4, padding=15), SIGNAL), butterworth(31.0, 4), rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(
+        filtered(SwitchableFilter((31.0,), order=4, padding=15), SIGNAL),
+        butterworth(31.0, 4),
+        rtol=1e-8,
+        atol=1e-8,
+    )
     q = SwitchableFilter((31.0,), padding=5)
-    np.testing.assert_allclose(filtered(q, SIGNAL), filtered(ZeroPhaseButterworth(31.0, padding=5), SIGNAL), **ALGEBRA)
-    np.testing.assert_allclose(filtered(SwitchableFilter((31.0,)), SIGNAL), filtered(ZeroPhaseButterworth(31.0), SIGNAL), **ALGEBRA)
+    np.testing.assert_allclose(
+        filtered(q, SIGNAL), filtered(ZeroPhaseButterworth(31.0, padding=5), SIGNAL), **ALGEBRA
+    )
+    np.testing.assert_allclose(
+        filtered(SwitchableFilter((31.0,)), SIGNAL),
+        filtered(ZeroPhaseButterworth(31.0), SIGNAL),
+        **ALGEBRA,
+    )
 
 
 def test_a_change_makes_no_step_in_what_every_segment_passes():
-    """A slow sine comes through as it is; with white noise, only a change of some width leaves the largest step to the signal itself."""
+    """A slow sine comes through as it is; with white noise, only a change of some width leaves the
+    largest step to the signal itself.
+    """
     slow = np.sin(2 * np.pi * 3.0 * np.arange(200) * DT)[:, None]
     for width in (0.0, 0.02):
         inner = filtered(SwitchableFilter((80.0, 200.0), (0.1,), width), slow)[20:-20]
         np.testing.assert_allclose(inner, slow[20:-20], atol=1e-4)
     noise = np.random.default_rng(0).normal(size=(200, 1))
     at = slice(97, 103)
-    step = {width: np.max(np.abs(np.diff(filtered(SwitchableFilter((5.0, 60.0), (0.1,), width), noise)[at, 0]))) for width in (0.0, 0.05)}
+    step = {
+        width: np.max(
+            np.abs(np.diff(filtered(SwitchableFilter((5.0, 60.0), (0.1,), width), noise)[at, 0]))
+        )
+        for width in (0.0, 0.05)
+    }
     fastest = np.max(np.abs(np.diff(butterworth(60.0, signal=noise)[at, 0])))
     assert step[0.0] > 1.5 * step[0.05]
     assert step[0.05] < fastest
@@ -90,7 +125,10 @@ def test_derivatives_of_the_filter():
                 other = value.copy()
                 other[i] += sign * step
                 moved.append(float(level(dataclasses.replace(q, **{name: other}))))
-            assert float(found[i]) == pytest.approx((moved[0] - moved[1]) / (2 * step), rel=1e-4), (name, i)
+            assert float(found[i]) == pytest.approx((moved[0] - moved[1]) / (2 * step), rel=1e-4), (
+                name,
+                i,
+            )
             assert abs(found[i]) > 1e-3
     hard = slope(dataclasses.replace(q, width=0.0))
     assert np.all(np.asarray(hard.times) == 0)
@@ -121,22 +159,31 @@ def test_zero_phase_iir_is_filtfilt(name):
 def test_mirrored_zero_phase_iir_weights_each_cosine(name):
     b, a = IIR[name]
     _, response = scipy.signal.freqz(b, a, np.arange(N) / (2 * N * DT), fs=1 / DT)
-    expected = scipy.fft.idct(np.abs(response[:, None]) ** 2 * scipy.fft.dct(SIGNAL, axis=0), axis=0)
+    expected = scipy.fft.idct(
+        np.abs(response[:, None]) ** 2 * scipy.fft.dct(SIGNAL, axis=0), axis=0
+    )
     np.testing.assert_allclose(filtered(ZeroPhaseIIR(b, a), SIGNAL), expected, rtol=1e-8, atol=1e-8)
 
 
 def test_a_gain_is_a_recursive_filter_too():
-    np.testing.assert_allclose(filtered(ZeroPhaseIIR((3.0,), (2.0,)), SIGNAL), 2.25 * SIGNAL, **ALGEBRA)
+    np.testing.assert_allclose(
+        filtered(ZeroPhaseIIR((3.0,), (2.0,)), SIGNAL), 2.25 * SIGNAL, **ALGEBRA
+    )
 
 
 def test_printed_filter_of_li_2020_is_a_third_order_butterworth_with_its_gain_lost_to_rounding():
     q = ZeroPhaseIIR(**PRINTED_LI_2020, padding=12)
-    np.testing.assert_allclose(filtered(q, SIGNAL), scipy.signal.filtfilt(q.b, q.a, SIGNAL, axis=0), rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(
+        filtered(q, SIGNAL), scipy.signal.filtfilt(q.b, q.a, SIGNAL, axis=0), rtol=1e-8, atol=1e-8
+    )
     # impulse invariance: poles exp(s), numerator from the residues of the analog prototype
     w = 2 * np.pi * 0.0117
     s = w * np.exp(1j * np.pi * np.array([2 / 3, 1.0, 4 / 3]))
     residues = [w**3 / np.prod([p - other for other in s if other != p]) for p in s]
-    b = sum(r * np.poly([np.exp(other) for other in s if other != p]) for r, p in zip(residues, s, strict=True)).real
+    b = sum(
+        r * np.poly([np.exp(other) for other in s if other != p])
+        for r, p in zip(residues, s, strict=True)
+    ).real
     np.testing.assert_allclose(q.a, np.poly(np.exp(s)).real, atol=2e-4)
     np.testing.assert_allclose(q.b, b, rtol=1e-2, atol=1e-9)
     assert np.sum(b) / np.sum(np.poly(np.exp(s)).real) == pytest.approx(1.0, abs=1e-6)
@@ -155,7 +202,9 @@ def test_instantaneous_frequency_of_a_chirp(of, method):
     true = 3 + 17 * t / 4 if method == "linear" else 3 * (20 / 3) ** (t / 4)
     inner = (t > 0.5) & (t < 3.5)
     for window, tolerance in ((0.0, 0.2), (0.1, 0.05)):
-        f = instantaneous_frequency(chirp(1.5, 3.0, 20.0, **SWEEP, method=method), 2e-3, of=of, window=window)
+        f = instantaneous_frequency(
+            chirp(1.5, 3.0, 20.0, **SWEEP, method=method), 2e-3, of=of, window=window
+        )
         assert f.shape == t.shape
         np.testing.assert_allclose(f[inner], true[inner], rtol=tolerance)
     assert np.median(np.abs(f / true - 1)[inner]) < 0.01
@@ -166,9 +215,15 @@ def test_velocity_knows_no_offset_or_ramp_and_columns_are_told_apart():
     both = instantaneous_frequency(np.stack([a, b], axis=1), 2e-3, window=0.1)
     np.testing.assert_allclose(both[:, 0], instantaneous_frequency(a, 2e-3, window=0.1), rtol=1e-9)
     np.testing.assert_allclose(both[:, 1], instantaneous_frequency(b, 2e-3, window=0.1), rtol=1e-9)
-    np.testing.assert_allclose(instantaneous_frequency(a + 70.0, 2e-3, window=0.1), both[:, 0], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(
+        instantaneous_frequency(a + 70.0, 2e-3, window=0.1), both[:, 0], rtol=1e-9, atol=1e-9
+    )
     # a ramp is an offset of the velocity: small beside it, it does little
-    np.testing.assert_allclose(instantaneous_frequency(a + 0.1 * t, 2e-3, window=0.1)[250:-250], both[250:-250, 0], rtol=0.02)
+    np.testing.assert_allclose(
+        instantaneous_frequency(a + 0.1 * t, 2e-3, window=0.1)[250:-250],
+        both[250:-250, 0],
+        rtol=0.02,
+    )
 
 
 def test_where_nothing_moves_there_is_no_frequency():
@@ -193,16 +248,38 @@ def burst(*spans, N=2000, dt=2e-3, slow=2.0, fast=16.0):
 
 
 def test_segments_follow_the_reference():
-    q = segments(burst((1.0, 1.6), (2.5, 3.0)), 2e-3, cutoffs=(10.0, 50.0), threshold=6.0, shortest=0.2, width=0.05, window=0.1)
+    q = segments(
+        burst((1.0, 1.6), (2.5, 3.0)),
+        2e-3,
+        cutoffs=(10.0, 50.0),
+        threshold=6.0,
+        shortest=0.2,
+        width=0.05,
+        window=0.1,
+    )
     np.testing.assert_array_equal(q.cutoff, [10.0, 50.0, 10.0, 50.0, 10.0])
     np.testing.assert_allclose(q.times, [1.0, 1.6, 2.5, 3.0], atol=0.06)
     assert (float(q.width), q.order) == (0.05, 2)
     # the chirp passes 11 Hz in the middle
-    q = segments(chirp(1.0, 2.0, 20.0, **SWEEP), 2e-3, cutoffs=(10.0, 50.0), threshold=11.0, shortest=0.3, window=0.1)
+    q = segments(
+        chirp(1.0, 2.0, 20.0, **SWEEP),
+        2e-3,
+        cutoffs=(10.0, 50.0),
+        threshold=11.0,
+        shortest=0.3,
+        window=0.1,
+    )
     np.testing.assert_array_equal(q.cutoff, [10.0, 50.0])
     np.testing.assert_allclose(q.times, [2.0], atol=0.03)
     # of two axes, the faster one decides
-    q = segments(np.stack([burst((1.0, 1.6)), burst((2.5, 3.0))], 1), 2e-3, cutoffs=(10.0, 50.0), threshold=6.0, shortest=0.2, window=0.1)
+    q = segments(
+        np.stack([burst((1.0, 1.6)), burst((2.5, 3.0))], 1),
+        2e-3,
+        cutoffs=(10.0, 50.0),
+        threshold=6.0,
+        shortest=0.2,
+        window=0.1,
+    )
     np.testing.assert_allclose(q.times, [1.0, 1.6, 2.5, 3.0], atol=0.06)
 
 
@@ -214,7 +291,9 @@ def test_short_segments_are_merged_shortest_first():
     q = segments(r, 2e-3, shortest=0.5, **options)  # then the burst of 0.3 s
     np.testing.assert_array_equal(q.cutoff, [10.0, 50.0, 10.0])
     np.testing.assert_allclose(q.times, [1.0, 2.4], atol=0.06)
-    q = segments(r, 2e-3, shortest=1.5, **options)  # then the lead-in of 1 s, and the burst of 1.4 s has become one of 2.4 s
+    q = segments(
+        r, 2e-3, shortest=1.5, **options
+    )  # then the lead-in of 1 s, and the burst of 1.4 s has become one of 2.4 s
     np.testing.assert_array_equal(q.cutoff, [50.0, 10.0])
     np.testing.assert_allclose(q.times, [2.4], atol=0.06)
     q = segments(r, 2e-3, shortest=3.0, **options)
@@ -223,18 +302,36 @@ def test_short_segments_are_merged_shortest_first():
 
 
 def test_switchable_filter_learns_the_fast_part_but_not_the_noise_of_the_slow_one():
-    """Li 2020, Fig. 27 and 42: the small error of a high cutoff with the smooth input of a low one, on a noisy lag of 22 Hz at 1 kHz."""
+    """Li 2020, Fig. 27 and 42: the small error of a high cutoff with the smooth input of a low one,
+    on a noisy lag of 22 Hz at 1 kHz.
+    """
     plant = StateSpace([[0.0, 1.0], [-2e4, -200.0]], [[0.0], [2e4]], [[1.0, 0.0]])
     law, noisy = PIDType(gamma_p=0.6, lead=6), Machine(plant, sensor=Sensor(noise=0.01))
     task = Task(burst((0.3, 0.5), N=800, dt=DT, slow=3.0, fast=30.0), dt=DT)
-    low, high = cutoffs_below(learning_condition(Machine(plant), law, task).critical, shares=(0.1, 0.7))
-    switchable = segments(task.reference, DT, cutoffs=(low, high), threshold=10.0, shortest=0.05, width=0.02, window=0.04)
+    low, high = cutoffs_below(
+        learning_condition(Machine(plant), law, task).critical, shares=(0.1, 0.7)
+    )
+    switchable = segments(
+        task.reference,
+        DT,
+        cutoffs=(low, high),
+        threshold=10.0,
+        shortest=0.05,
+        width=0.02,
+        window=0.04,
+    )
     np.testing.assert_array_equal(switchable.cutoff, [low, high, low])
     rms, roughness = {}, {}
-    for name, q in {"low": ZeroPhaseButterworth(low), "high": ZeroPhaseButterworth(high), "switchable": switchable}.items():
+    for name, q in {
+        "low": ZeroPhaseButterworth(low),
+        "high": ZeroPhaseButterworth(high),
+        "switchable": switchable,
+    }.items():
         history = learn(noisy, Filtered(law, q), task, 16)
         rms[name] = float(history.rms[-1, 0])
-        roughness[name] = np.std(np.diff(history.final.u[550:760, 0], 3))  # far from the end, and without the motion
+        roughness[name] = np.std(
+            np.diff(history.final.u[550:760, 0], 3)
+        )  # far from the end, and without the motion
     assert rms["switchable"] < 0.7 * rms["low"]
     assert roughness["switchable"] < 0.5 * roughness["high"]
 
@@ -247,38 +344,110 @@ def test_cutoffs_below_the_critical_frequency():
 SINE = np.sin(np.arange(200.0))
 GOOD = {"cutoffs": (10.0, 50.0), "threshold": 5.0, "shortest": 0.01}
 ERRORS = {
-    "shapes": (lambda: SwitchableFilter((10.0, 20.0), (0.1, 0.2)), r"cutoff \(2,\), times \(2,\), width \(\) do not fit"),
+    "shapes": (
+        lambda: SwitchableFilter((10.0, 20.0), (0.1, 0.2)),
+        r"cutoff \(2,\), times \(2,\), width \(\) do not fit",
+    ),
     "no_segment": (lambda: SwitchableFilter((), ()), r"cutoff \(0,\), .* with S >= 1"),
     "widths": (lambda: SwitchableFilter((10.0, 20.0), (0.1,), (0.1,)), r"width \(1,\) do not fit"),
-    "negative": (lambda: SwitchableFilter((10.0, -20.0), (0.1,)), r"SwitchableFilter: cutoff = \[ 10. -20.\] is outside"),
-    "time_zero": (lambda: SwitchableFilter((10.0, 20.0), (0.0,)), r"times = \[0.\] is outside its allowed range \(0, inf\)"),
-    "order": (lambda: SwitchableFilter((10.0,), order=0), r"SwitchableFilter: order = 0 is outside"),
-    "empty": (lambda: SwitchableFilter((9.0, 8.0, 7.0), (0.2, 0.2)), r"times\[1\] = 0.2 s is outside its allowed range \(0.2, inf\)"),
-    "overlap": (lambda: SwitchableFilter((9.0, 8.0, 7.0), (0.2, 0.1)), r"times\[1\] = 0.1 s is outside its allowed range \(0.2, inf\)"),
-    "wide": (lambda: SwitchableFilter((9.0, 8.0, 7.0), (0.2, 0.3), 0.11), r"width = 0.11 s .* \[0, 0.1\], the length of segment 1"),
-    "nyquist": (lambda: SwitchableFilter((9.0, 600.0), (0.04,)).check(N, DT), r"cutoff\[1\] = 600 Hz is outside .* \(0, 500\), Nyquist"),
-    "late": (lambda: SwitchableFilter((9.0, 8.0), (0.09,)).check(N, DT), r"times\[0\] = 0.09 s is outside .* \(0, 0.09\), the trial"),
-    "wide_end": (lambda: SwitchableFilter((9.0, 8.0), (0.08,), 0.02).check(N, DT), r"width = 0.02 s .* segment 1 of a trial of 0.09 s"),
-    "padding": (lambda: SwitchableFilter((9.0,), padding=90).check(N, DT), r"SwitchableFilter: padding = 90 is outside .* \[0, 89\]"),
+    "negative": (
+        lambda: SwitchableFilter((10.0, -20.0), (0.1,)),
+        r"SwitchableFilter: cutoff = \[ 10. -20.\] is outside",
+    ),
+    "time_zero": (
+        lambda: SwitchableFilter((10.0, 20.0), (0.0,)),
+        r"times = \[0.\] is outside its allowed range \(0, inf\)",
+    ),
+    "order": (
+        lambda: SwitchableFilter((10.0,), order=0),
+        r"SwitchableFilter: order = 0 is outside",
+    ),
+    "empty": (
+        lambda: SwitchableFilter((9.0, 8.0, 7.0), (0.2, 0.2)),
+        r"times\[1\] = 0.2 s is outside its allowed range \(0.2, inf\)",
+    ),
+    "overlap": (
+        lambda: SwitchableFilter((9.0, 8.0, 7.0), (0.2, 0.1)),
+        r"times\[1\] = 0.1 s is outside its allowed range \(0.2, inf\)",
+    ),
+    "wide": (
+        lambda: SwitchableFilter((9.0, 8.0, 7.0), (0.2, 0.3), 0.11),
+        r"width = 0.11 s .* \[0, 0.1\], the length of segment 1",
+    ),
+    "nyquist": (
+        lambda: SwitchableFilter((9.0, 600.0), (0.04,)).check(N, DT),
+        r"cutoff\[1\] = 600 Hz is outside .* \(0, 500\), Nyquist",
+    ),
+    "late": (
+        lambda: SwitchableFilter((9.0, 8.0), (0.09,)).check(N, DT),
+        r"times\[0\] = 0.09 s is outside .* \(0, 0.09\), the trial",
+    ),
+    "wide_end": (
+        lambda: SwitchableFilter((9.0, 8.0), (0.08,), 0.02).check(N, DT),
+        r"width = 0.02 s .* segment 1 of a trial of 0.09 s",
+    ),
+    "padding": (
+        lambda: SwitchableFilter((9.0,), padding=90).check(N, DT),
+        r"SwitchableFilter: padding = 90 is outside .* \[0, 89\]",
+    ),
     "iir_empty": (lambda: ZeroPhaseIIR((), (1.0,)), r"ZeroPhaseIIR: b has shape \(0,\)"),
     "iir_scalar": (lambda: ZeroPhaseIIR((1.0,), 1.0), r"ZeroPhaseIIR: a has shape \(\)"),
     "iir_a0": (lambda: ZeroPhaseIIR((1.0,), (0.0, 1.0)), r"ZeroPhaseIIR: a\[0\] = 0"),
-    "iir_pole": (lambda: ZeroPhaseIIR((1.0,), (1.0, -1.0)), r"has a pole of magnitude 1; allowed is below 1"),
-    "iir_padding": (lambda: ZeroPhaseIIR((1.0,), (1.0, -0.5), 90).check(N, DT), r"ZeroPhaseIIR: padding = 90"),
-    "short": (lambda: instantaneous_frequency(np.zeros(3), DT), r"reference of shape \(3,\) must be finite"),
+    "iir_pole": (
+        lambda: ZeroPhaseIIR((1.0,), (1.0, -1.0)),
+        r"has a pole of magnitude 1; allowed is below 1",
+    ),
+    "iir_padding": (
+        lambda: ZeroPhaseIIR((1.0,), (1.0, -0.5), 90).check(N, DT),
+        r"ZeroPhaseIIR: padding = 90",
+    ),
+    "short": (
+        lambda: instantaneous_frequency(np.zeros(3), DT),
+        r"reference of shape \(3,\) must be finite",
+    ),
     "not_finite": (lambda: instantaneous_frequency(np.full(9, np.nan), DT), r"must be finite"),
     "cube": (lambda: instantaneous_frequency(np.zeros((9, 1, 1)), DT), r"shape \(9, 1, 1\)"),
-    "dt": (lambda: instantaneous_frequency(SINE, 0.0), r"dt = 0.0 s is outside its allowed range \(0, inf\)"),
-    "window": (lambda: instantaneous_frequency(SINE, DT, window=0.5), r"window = 0.5 s is outside its allowed range \[0, 0.199\]"),
-    "floor": (lambda: instantaneous_frequency(SINE, DT, floor=1.0), r"floor = 1.0 is outside its allowed range \[0, 1\)"),
+    "dt": (
+        lambda: instantaneous_frequency(SINE, 0.0),
+        r"dt = 0.0 s is outside its allowed range \(0, inf\)",
+    ),
+    "window": (
+        lambda: instantaneous_frequency(SINE, DT, window=0.5),
+        r"window = 0.5 s is outside its allowed range \[0, 0.199\]",
+    ),
+    "floor": (
+        lambda: instantaneous_frequency(SINE, DT, floor=1.0),
+        r"floor = 1.0 is outside its allowed range \[0, 1\)",
+    ),
     "of": (lambda: instantaneous_frequency(SINE, DT, of="jerk"), r"of = 'jerk' is not one of"),
-    "cutoffs": (lambda: segments(SINE, DT, **GOOD | {"cutoffs": (50.0, 10.0)}), r"segments: cutoffs = \(50.0, 10.0\) Hz"),
-    "one_cutoff": (lambda: segments(SINE, DT, **GOOD | {"cutoffs": 50.0}), r"segments: cutoffs = 50.0 Hz"),
-    "threshold": (lambda: segments(SINE, DT, **GOOD | {"threshold": 0.0}), r"segments: threshold = 0.0 Hz is outside"),
-    "shortest": (lambda: segments(SINE, DT, **GOOD | {"shortest": 0.199}), r"segments: shortest = 0.199 s is outside .* \[0, 0.199\)"),
-    "high": (lambda: segments(SINE, DT, **GOOD | {"cutoffs": (10.0, 500.0)}), r"cutoff\[0\] = 500 Hz is outside"),
-    "critical": (lambda: cutoffs_below(np.inf), r"cutoffs_below: critical = inf Hz is outside its allowed range \(0, inf\)"),
-    "shares": (lambda: cutoffs_below(50.0, shares=(0.9, 0.2)), r"cutoffs_below: shares = \(0.9, 0.2\)"),
+    "cutoffs": (
+        lambda: segments(SINE, DT, **GOOD | {"cutoffs": (50.0, 10.0)}),
+        r"segments: cutoffs = \(50.0, 10.0\) Hz",
+    ),
+    "one_cutoff": (
+        lambda: segments(SINE, DT, **GOOD | {"cutoffs": 50.0}),
+        r"segments: cutoffs = 50.0 Hz",
+    ),
+    "threshold": (
+        lambda: segments(SINE, DT, **GOOD | {"threshold": 0.0}),
+        r"segments: threshold = 0.0 Hz is outside",
+    ),
+    "shortest": (
+        lambda: segments(SINE, DT, **GOOD | {"shortest": 0.199}),
+        r"segments: shortest = 0.199 s is outside .* \[0, 0.199\)",
+    ),
+    "high": (
+        lambda: segments(SINE, DT, **GOOD | {"cutoffs": (10.0, 500.0)}),
+        r"cutoff\[0\] = 500 Hz is outside",
+    ),
+    "critical": (
+        lambda: cutoffs_below(np.inf),
+        r"cutoffs_below: critical = inf Hz is outside its allowed range \(0, inf\)",
+    ),
+    "shares": (
+        lambda: cutoffs_below(50.0, shares=(0.9, 0.2)),
+        r"cutoffs_below: shares = \(0.9, 0.2\)",
+    ),
 }
 
 

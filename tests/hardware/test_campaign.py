@@ -1,4 +1,6 @@
-"""A campaign on a machine that is only known by the files it reads and writes: 20 trials, kills, undo, and everything that is refused."""
+"""A campaign on a machine that is only known by the files it reads and writes: 20 trials, kills,
+undo, and everything that is refused.
+"""
 
 import csv
 import dataclasses
@@ -66,7 +68,9 @@ PROGRAM = "import sys; from jaxilc.cli import entry, hardware; {} hardware.regis
 def real_machine(axis):
     """Not the machine of the file: another plant, an encoder and noise."""
     plant = from_control(control.tf([4600.0], [1.0, 60.0, 4000.0]))
-    return dataclasses.replace(axis.machine, plant=plant, sensor=Sensor(resolution=1e-4, noise=5e-5))
+    return dataclasses.replace(
+        axis.machine, plant=plant, sensor=Sensor(resolution=1e-4, noise=5e-5)
+    )
 
 
 @jax.jit
@@ -89,20 +93,29 @@ def write_trial(path, t, r, y, u, units=("s", "mm", "mm", "V")):
 
 
 class Rig:
-    """The machine at the other end of the files. `measure` plays the table of a file and writes the trace of trial j."""
+    """The machine at the other end of the files. `measure` plays the table of a file and writes the
+    trace of trial j.
+    """
 
     def __init__(self, folder):
         self.folder = folder
         self.file = folder / "axis.toml"
         self.file.write_text(AXIS)
         self.axis = load_scenario(self.file)
-        self.scheme, self.task, self.machine = self.axis.schemes["ilc"], self.axis.task, real_machine(self.axis)
+        self.scheme, self.task, self.machine = (
+            self.axis.schemes["ilc"],
+            self.axis.task,
+            real_machine(self.axis),
+        )
 
     def measure(self, table, trial, path, j_noise=None):
         played = read_table(table)
         u = played["feedforward [V]"][:-1, None]
         key = jax.random.fold_in(KEY, trial if j_noise is None else j_noise)
-        y, u = (np.asarray(s)[:, 0] for s in _play(self.machine, self.scheme.feedback, self.task, u, key)[1:3])
+        y, u = (
+            np.asarray(s)[:, 0]
+            for s in _play(self.machine, self.scheme.feedback, self.task, u, key)[1:3]
+        )
         write_trial(path, played["t [s]"], played["r [mm]"], y, u)
         return y, u
 
@@ -125,14 +138,39 @@ def session(tmp_path_factory):
     folder = tmp_path_factory.mktemp("session")
     rig = Rig(folder)
     state, played = folder / "state", []
-    assert call("next", "--state", state, "--plant-file", rig.file, "--scheme", "ilc", "--out", folder / "next-1.csv")[0] == 0
+    assert (
+        call(
+            "next",
+            "--state",
+            state,
+            "--plant-file",
+            rig.file,
+            "--scheme",
+            "ilc",
+            "--out",
+            folder / "next-1.csv",
+        )[0]
+        == 0
+    )
     for j in range(1, TRIALS + 1):
         y, u = rig.measure(folder / f"next-{j}.csv", j, folder / f"trial-{j}.csv")
         played.append((y, u))
-        arguments = ("next", "--state", state, "--measured", folder / f"trial-{j}.csv", "--out", folder / f"next-{j + 1}.csv")
+        arguments = (
+            "next",
+            "--state",
+            state,
+            "--measured",
+            folder / f"trial-{j}.csv",
+            "--out",
+            folder / f"next-{j + 1}.csv",
+        )
         if j == 7:  # once from the outside
             program = PROGRAM.format("sys.argv[0] = 'jaxilc';")
-            done = subprocess.run([sys.executable, "-c", program, *map(str, arguments)], capture_output=True, text=True)
+            done = subprocess.run(
+                [sys.executable, "-c", program, *map(str, arguments)],
+                capture_output=True,
+                text=True,
+            )
             assert done.returncode == 0, done.stderr
             assert "trial 7: RMS error" in done.stdout
         else:
@@ -150,7 +188,9 @@ def copied(session, tmp_path):
 
 def test_twenty_trials_through_files_are_the_loop_in_memory(session):
     rig, state, played = session
-    history = learn(rig.machine, rig.scheme, rig.task, TRIALS, key=KEY, save=lambda trial: (trial.y, trial.u))
+    history = learn(
+        rig.machine, rig.scheme, rig.task, TRIALS, key=KEY, save=lambda trial: (trial.y, trial.u)
+    )
     for ours, saved in zip(zip(*played, strict=True), history.saved, strict=True):
         np.testing.assert_allclose(np.stack(ours)[..., None], saved, rtol=0, atol=1e-12)
     memory = Campaign.open(state, rig.scheme, rig.task, actuator=rig.axis.machine.actuator).memory()
@@ -165,7 +205,9 @@ def test_twenty_trials_through_files_are_the_loop_in_memory(session):
 def test_the_log_is_printed_written_and_plotted(copied):
     _, state, folder = copied
     call("next", "--state", state, "--undo", 12, "--out", folder / "next.csv")
-    code, out, _ = call("trials", "--state", state, "--csv", folder / "log.csv", "--plot", folder / "log.png")
+    code, out, _ = call(
+        "trials", "--state", state, "--csv", folder / "log.csv", "--plot", folder / "log.png"
+    )
     assert code == 0
     assert out.count("trial, undone") == 8
     with open(folder / "log.csv", newline="") as file:
@@ -175,14 +217,21 @@ def test_the_log_is_printed_written_and_plotted(copied):
     assert (folder / "log.png").stat().st_size > 10_000
     top, _ = campaign_figure(Journal(state).log(), unit="mm", input_unit="V")
     counts = {line.get_label(): len(line.get_xdata()) for line in top.lines}
-    assert counts == {"rms error": 12, "rms error, undone": 8, "max error": 12, "max error, undone": 8}
+    assert counts == {
+        "rms error": 12,
+        "rms error, undone": 8,
+        "max error": 12,
+        "max error, undone": 8,
+    }
 
 
 def test_undo_goes_back_to_the_table_that_was_played_and_on_from_there(copied, session):
     rig, state, folder = copied
     call("next", "--state", state, "--undo", 15, "--out", folder / "next.csv")
     assert (folder / "next.csv").read_bytes() == (rig.folder / "next-16.csv").read_bytes()
-    rig.measure(folder / "next.csv", 16, folder / "again.csv")  # the very same trial, learned from once more
+    rig.measure(
+        folder / "next.csv", 16, folder / "again.csv"
+    )  # the very same trial, learned from once more
     call("next", "--state", state, "--measured", folder / "again.csv", "--out", folder / "next.csv")
     assert (folder / "next.csv").read_bytes() == (rig.folder / "next-17.csv").read_bytes()
     call("next", "--state", state, "--undo", 0, "--out", folder / "next.csv")
@@ -214,10 +263,20 @@ def test_killed_at_any_moment_nothing_is_lost(copied, monkeypatch, when):
         raise Killed
 
     with monkeypatch.context() as broken:
-        broken.setattr(files.shutil, "rmtree", lambda *_, **__: None)  # a killed process tidies nothing up
+        broken.setattr(
+            files.shutil, "rmtree", lambda *_, **__: None
+        )  # a killed process tidies nothing up
         broken.setattr(*KILLED_IN[when], killed)
         with pytest.raises(Killed):
-            call("next", "--state", state, "--measured", folder / "trial.csv", "--out", folder / "next.csv")
+            call(
+                "next",
+                "--state",
+                state,
+                "--measured",
+                folder / "trial.csv",
+                "--out",
+                folder / "next.csv",
+            )
     assert all(f.read_bytes() == content for f, content in before.items())
     assert not (folder / "next.csv").exists()
     stored = when == "table"  # the entry was complete, its table was not
@@ -226,7 +285,9 @@ def test_killed_at_any_moment_nothing_is_lost(copied, monkeypatch, when):
     call("next", "--state", state, *arguments, "--out", folder / "next.csv")
     assert Journal(state).live()[-1]["trial"] == TRIALS + 1
     call("next", "--state", state, "--undo", TRIALS, "--out", folder / "other.csv")
-    call("next", "--state", state, "--measured", folder / "trial.csv", "--out", folder / "other.csv")
+    call(
+        "next", "--state", state, "--measured", folder / "trial.csv", "--out", folder / "other.csv"
+    )
     assert (folder / "next.csv").read_bytes() == (folder / "other.csv").read_bytes()
 
 
@@ -249,7 +310,16 @@ def test_a_dry_run_reports_and_changes_nothing(copied):
     rig, state, folder = copied
     rig.measure(rig.folder / "next-21.csv", 21, folder / "trial.csv")
     before = sorted(folder.rglob("*"))
-    code, out, _ = call("next", "--state", state, "--measured", folder / "trial.csv", "--dry-run", "--out", folder / "next.csv")
+    code, out, _ = call(
+        "next",
+        "--state",
+        state,
+        "--measured",
+        folder / "trial.csv",
+        "--dry-run",
+        "--out",
+        folder / "next.csv",
+    )
     assert code == 0
     assert "trial 21: RMS error" in out
     assert "dry run: nothing was written" in out
@@ -262,17 +332,36 @@ def test_a_trial_of_the_same_table_tells_how_repeatable_the_machine_is(copied):
     rig, state, folder = copied
     rig.measure(rig.folder / "next-21.csv", 21, folder / "trial.csv")
     y21 = read_trace(folder / "trial.csv")
-    call("next", "--state", state, "--measured", folder / "trial.csv", "--no-learn", "--out", folder / "next.csv")
+    call(
+        "next",
+        "--state",
+        state,
+        "--measured",
+        folder / "trial.csv",
+        "--no-learn",
+        "--out",
+        folder / "next.csv",
+    )
     assert (folder / "next.csv").read_bytes() == (rig.folder / "next-21.csv").read_bytes()
     rig.measure(folder / "next.csv", 22, folder / "again.csv")
     difference = np.sqrt(np.mean((read_trace(folder / "again.csv") - y21) ** 2))
-    arguments = ("next", "--state", state, "--measured", folder / "again.csv", "--out", folder / "next.csv")
+    arguments = (
+        "next",
+        "--state",
+        state,
+        "--measured",
+        folder / "again.csv",
+        "--out",
+        folder / "next.csv",
+    )
     with pytest.raises(ValueError, match=r"RMS difference of the outputs .* allowed is 1e-06 mm"):
         call(*arguments, "--repeatability", 1e-6)
     code, out, _ = call(*arguments, "--repeatability", 1e-3)
     assert code == 0
     assert f"RMS difference of the outputs {difference:.3g} mm" in out
-    assert Journal(state).manifests()[-1]["recipe"]["rules"] == {"repeatability": 1e-3}, "kept for the calls to come"
+    assert Journal(state).manifests()[-1]["recipe"]["rules"] == {"repeatability": 1e-3}, (
+        "kept for the calls to come"
+    )
 
 
 def read_trace(path):
@@ -285,7 +374,10 @@ def test_growth_and_saturation_warn_or_refuse_with_numbers(copied):
     t, r = rig.task.time, rig.task.reference[:, 0]
     write_trial(folder / "worse.csv", t, r, y + 0.05, u)
     arguments = ("next", "--state", state, "--out", folder / "next.csv", "--measured")
-    with pytest.raises(ValueError, match=r"the RMS error grew from .* by .*%; the best was trial 20 with .* --undo 19 goes back"):
+    with pytest.raises(
+        ValueError,
+        match=r"the RMS error grew from .* by .*%; the best was trial 20 with .* --undo 19 goes back",
+    ):
         call(*arguments, folder / "worse.csv", "--stop-on-growth")
     _, _, err = call(*arguments, folder / "worse.csv", "--dry-run")
     assert "warning: the RMS error grew" in err
@@ -293,9 +385,14 @@ def test_growth_and_saturation_warn_or_refuse_with_numbers(copied):
     saturated = u.copy()
     saturated[40:90] = 10.0
     write_trial(folder / "saturated.csv", t, r, y, saturated)
-    with pytest.raises(ValueError, match=r"input 0 is at its limit 10 in 20.00% of the samples, first at sample 40; allowed are 5.00%"):
+    with pytest.raises(
+        ValueError,
+        match=r"input 0 is at its limit 10 in 20.00% of the samples, first at sample 40; allowed are 5.00%",
+    ):
         call(*arguments, folder / "saturated.csv")
-    with pytest.raises(ValueError, match="the next feedforward is") as error:  # saturation is accepted, what would come of it is not
+    with pytest.raises(
+        ValueError, match="the next feedforward is"
+    ) as error:  # saturation is accepted, what would come of it is not
         call(*arguments, folder / "saturated.csv", "--accept-saturation")
     assert "at its limit" not in str(error.value)
     write_trial(folder / "saturated.csv", t, r, y, np.where(np.arange(len(u)) == 40, 10.0, u))
@@ -311,36 +408,89 @@ def test_an_input_beyond_the_limit_is_refused_by_sample_and_value(copied):
     limit = round(0.9 * abs(table[k]), 3)
     rig.measure(rig.folder / "next-20.csv", 20, folder / "trial.csv")
     call("next", "--state", state, "--undo", 19, "--out", folder / "next.csv")
-    arguments = ("next", "--state", state, "--measured", folder / "trial.csv", "--out", folder / "next.csv")
+    arguments = (
+        "next",
+        "--state",
+        state,
+        "--measured",
+        folder / "trial.csv",
+        "--out",
+        folder / "next.csv",
+    )
     with pytest.raises(ValueError, match="the next feedforward") as error:
         call(*arguments, "--limit", limit, "--accept-saturation")
-    assert f"is {table[k]:.6g} V at sample {k}; allowed are +-{limit:g} V (--limit)" in str(error.value)
+    assert f"is {table[k]:.6g} V at sample {k}; allowed are +-{limit:g} V (--limit)" in str(
+        error.value
+    )
     assert Journal(state).live()[-1]["trial"] == 19
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda rows: rows[:100] + rows[101:], r"line 101: a gap of 1 samples before t = 0.1 s; allowed are steps of dt = 0.001 s"),
+        (
+            lambda rows: rows[:100] + rows[101:],
+            r"line 101: a gap of 1 samples before t = 0.1 s; allowed are steps of dt = 0.001 s",
+        ),
         (lambda rows: rows[:-3], r"has 248 samples; this task needs N \+ 1 = 251"),
-        (lambda rows: rows[:1] + rows[1::2], r"is sampled at 0.002 s but the task at 0.001 s; nothing is resampled"),
-        (lambda rows: [*rows[:9], rows[8], *rows[9:]], r"line 10: t = 0.007 s does not increase from 0.007 s"),
-        (lambda rows: [rows[0].replace("y [mm]", "y"), *rows[1:]], r"y declares no unit; this task needs 'y \[mm\]'"),
-        (lambda rows: [rows[0].replace("y [mm]", "y [µm]"), *rows[1:]], r"y is in 'µm'; this task needs 'mm', and nothing is converted"),
-        (lambda rows: [rows[0].replace("y [mm]", "x [mm]"), *rows[1:]], r"has no column 'y'; present are t, r, x, u"),
-        (lambda rows: [rows[0].replace("u [V]", "i [A]"), *rows[1:]], r"has no input u; record it, or add --replayed-input"),
-        (lambda rows: [*rows[:50], cut(rows[50], 3), *rows[51:]], r"line 51: u is not a finite number"),
-        (lambda rows: [*rows[:50], cut(rows[50], 2, "nan"), *rows[51:]], r"line 51: y is not a finite number"),
+        (
+            lambda rows: rows[:1] + rows[1::2],
+            r"is sampled at 0.002 s but the task at 0.001 s; nothing is resampled",
+        ),
+        (
+            lambda rows: [*rows[:9], rows[8], *rows[9:]],
+            r"line 10: t = 0.007 s does not increase from 0.007 s",
+        ),
+        (
+            lambda rows: [rows[0].replace("y [mm]", "y"), *rows[1:]],
+            r"y declares no unit; this task needs 'y \[mm\]'",
+        ),
+        (
+            lambda rows: [rows[0].replace("y [mm]", "y [µm]"), *rows[1:]],
+            r"y is in 'µm'; this task needs 'mm', and nothing is converted",
+        ),
+        (
+            lambda rows: [rows[0].replace("y [mm]", "x [mm]"), *rows[1:]],
+            r"has no column 'y'; present are t, r, x, u",
+        ),
+        (
+            lambda rows: [rows[0].replace("u [V]", "i [A]"), *rows[1:]],
+            r"has no input u; record it, or add --replayed-input",
+        ),
+        (
+            lambda rows: [*rows[:50], cut(rows[50], 3), *rows[51:]],
+            r"line 51: u is not a finite number",
+        ),
+        (
+            lambda rows: [*rows[:50], cut(rows[50], 2, "nan"), *rows[51:]],
+            r"line 51: y is not a finite number",
+        ),
         (lambda rows: [*rows[:-1], cut(rows[-1], 2)], r"line 252: y is not a finite number"),
-        (lambda rows: [rows[0], *(cut(a, 1, b.split(",")[1]) for a, b in pairwise([*rows[1:], rows[-1]]))], "shifted by 1 samples"),
+        (
+            lambda rows: [
+                rows[0],
+                *(cut(a, 1, b.split(",")[1]) for a, b in pairwise([*rows[1:], rows[-1]])),
+            ],
+            "shifted by 1 samples",
+        ),
     ],
 )
 def test_a_trace_that_is_not_of_this_task_is_refused(copied, change, message):
     rig, state, folder = copied
     rig.measure(rig.folder / "next-21.csv", 21, folder / "trial.csv")
-    (folder / "trial.csv").write_text("\n".join(change((folder / "trial.csv").read_text().splitlines())))
+    (folder / "trial.csv").write_text(
+        "\n".join(change((folder / "trial.csv").read_text().splitlines()))
+    )
     with pytest.raises(ValueError, match=message):
-        call("next", "--state", state, "--measured", folder / "trial.csv", "--out", folder / "next.csv")
+        call(
+            "next",
+            "--state",
+            state,
+            "--measured",
+            folder / "trial.csv",
+            "--out",
+            folder / "next.csv",
+        )
     assert Journal(state).live()[-1]["trial"] == TRIALS
     assert not (folder / "next.csv").exists()
 
@@ -356,18 +506,42 @@ def test_mistakes_in_the_call_name_what_is_allowed(copied):
     trial, out = rig.folder / "trial-20.csv", folder / "next.csv"
     start = ("next", "--state", folder / "new", "--plant-file", rig.file, "--out", out)
     for arguments, message in (
-        (("next", "--state", state, "--measured", trial, "--out", out), "is trial 20, which was learned from already; measure trial 21"),
-        (("next", "--state", state, "--set", "ilc.feedback.kp=2", "--out", out), "it differs in: scheme.feedback.kp: 1.0 there, 2.0 here"),
+        (
+            ("next", "--state", state, "--measured", trial, "--out", out),
+            "is trial 20, which was learned from already; measure trial 21",
+        ),
+        (
+            ("next", "--state", state, "--set", "ilc.feedback.kp=2", "--out", out),
+            "it differs in: scheme.feedback.kp: 1.0 there, 2.0 here",
+        ),
         (("next", "--state", state, "--measured", trial), "--out is missing"),
-        (("next", "--state", state, "--out", folder / "next.txt"), "is none of the formats .csv, .mat, .h"),
+        (
+            ("next", "--state", state, "--out", folder / "next.txt"),
+            "is none of the formats .csv, .mat, .h",
+        ),
         (("next", "--state", state, "--out", folder / "no/next.csv"), "the folder does not exist"),
-        (("next", "--state", state, "--out", out, "--undo", 20), "not one to go back to; allowed are those before the last one, 20"),
-        (("next", "--state", state, "--out", out, "--growth", -1), "growth = -1 is outside its allowed range [0, inf)"),
+        (
+            ("next", "--state", state, "--out", out, "--undo", 20),
+            "not one to go back to; allowed are those before the last one, 20",
+        ),
+        (
+            ("next", "--state", state, "--out", out, "--growth", -1),
+            "growth = -1 is outside its allowed range [0, inf)",
+        ),
         ((*start, "--scheme", "pid"), "scheme = 'pid' is not one of those that learn: ilc"),
         ((*start, "--scenario", "cao-2019"), "--scenario and --plant-file exclude each other"),
-        (("next", "--state", folder / "new", "--out", out), "the first call needs --scenario or --plant-file"),
-        (("next", "--state", rig.folder, "--plant-file", rig.file, "--out", out), "exists already; choose another folder"),
-        (("next", "--state", folder / "new", "--scenario", "cao-2019", "--out", out), "--scheme is missing; those that learn are cfdl"),
+        (
+            ("next", "--state", folder / "new", "--out", out),
+            "the first call needs --scenario or --plant-file",
+        ),
+        (
+            ("next", "--state", rig.folder, "--plant-file", rig.file, "--out", out),
+            "exists already; choose another folder",
+        ),
+        (
+            ("next", "--state", folder / "new", "--scenario", "cao-2019", "--out", out),
+            "--scheme is missing; those that learn are cfdl",
+        ),
         ((*start, "--measured", trial), "holds no campaign; start one without --measured"),
         (("trials", "--state", folder / "new"), "holds no campaign"),
     ):
@@ -382,34 +556,52 @@ def test_a_damaged_entry_is_named_and_can_be_left_behind(copied):
     rig, state, folder = copied
     damaged = state / "000020" / "memory.npz"
     damaged.write_bytes(damaged.read_bytes()[:100])
-    with pytest.raises(ValueError, match=r"000020/memory.npz cannot be read .*--undo goes back to an earlier trial"):
+    with pytest.raises(
+        ValueError, match=r"000020/memory.npz cannot be read .*--undo goes back to an earlier trial"
+    ):
         call("next", "--state", state, "--out", folder / "next.csv")
     call("next", "--state", state, "--undo", 19, "--out", folder / "next.csv")
     assert (folder / "next.csv").read_bytes() == (rig.folder / "next-20.csv").read_bytes()
     manifest = json.loads((state / "000020" / "manifest.json").read_text())
     assert manifest["trial"] == 20
     shutil.rmtree(state / "000003")
-    with pytest.raises(ValueError, match=r"000003/manifest.json cannot be read .*--undo goes back to an earlier trial"):
+    with pytest.raises(
+        ValueError,
+        match=r"000003/manifest.json cannot be read .*--undo goes back to an earlier trial",
+    ):
         call("next", "--state", state, "--out", folder / "next.csv")
 
 
 def _ladder():
     machine, scheme, task = case("p_type_over_pid")
-    noisy = dataclasses.replace(machine, sensor=Sensor(noise=1e-5))  # its trials of one table differ
+    noisy = dataclasses.replace(
+        machine, sensor=Sensor(noise=1e-5)
+    )  # its trials of one table differ
     return noisy, Ladder(scheme, repeats=2), task
 
 
-@pytest.mark.parametrize("name", ["p_type_on_reference", "milc", "dilc", "ffdl_sign", "asmc_over_ilc", "ladder"])
+@pytest.mark.parametrize(
+    "name", ["p_type_on_reference", "milc", "dilc", "ffdl_sign", "asmc_over_ilc", "ladder"]
+)
 def test_what_a_scheme_learns_from_y_and_u_alone_is_what_it_learns_in_simulation(tmp_path, name):
-    machine, scheme, task = _ladder() if name == "ladder" else case("ilc_asmc" if name == "asmc_over_ilc" else name)
+    machine, scheme, task = (
+        _ladder() if name == "ladder" else case("ilc_asmc" if name == "asmc_over_ilc" else name)
+    )
     campaign = Campaign.start(tmp_path / "state", scheme, task)
     for j in range(1, 4):
         trial = run_trial(machine, scheme, task, campaign.memory(), jax.random.fold_in(KEY, j))
-        turn = campaign.turn(Measured(np.asarray(trial.y), np.asarray(trial.u), {}, (), f"trial {j}"), replay_input=True)
-        assert not any("away" in f.text for f in turn.findings), "the replayed input is the one that was applied"
+        turn = campaign.turn(
+            Measured(np.asarray(trial.y), np.asarray(trial.u), {}, (), f"trial {j}"),
+            replay_input=True,
+        )
+        assert not any("away" in f.text for f in turn.findings), (
+            "the replayed input is the one that was applied"
+        )
         campaign.keep(turn)
     expected = learn(machine, scheme, task, 3, key=KEY).memory
-    for ours, theirs in zip(jax.tree.leaves(campaign.memory()), jax.tree.leaves(expected), strict=True):
+    for ours, theirs in zip(
+        jax.tree.leaves(campaign.memory()), jax.tree.leaves(expected), strict=True
+    ):
         np.testing.assert_allclose(ours, theirs, **ALGEBRA)
 
 
@@ -423,7 +615,10 @@ def test_a_learned_reference_is_held_to_its_largest_correction(tmp_path):
     turn = campaign.turn(measured, replay_input=True)
     correction = 0.4 * np.asarray(trial.e)[2:, 0]  # gamma_p e[k+1+lead]
     k = int(np.argmax(np.abs(correction))) + 1  # w[k] is added to r[k+1]
-    assert f"the next reference is {correction[k - 1]:.6g}  away from the task's at sample {k}" in turn.refusals[0]
+    assert (
+        f"the next reference is {correction[k - 1]:.6g}  away from the task's at sample {k}"
+        in turn.refusals[0]
+    )
     with pytest.raises(ValueError, match="the next reference"):
         campaign.keep(turn)
 
@@ -431,7 +626,11 @@ def test_a_learned_reference_is_held_to_its_largest_correction(tmp_path):
 def test_every_table_is_looked_at_before_it_is_played():
     _, _, task = case("milc")
     r = np.asarray(task.reference)
-    rows = {"reference": r[:, 1:] + 0.2, "table.u": np.full((task.N, 1), -0.5), "table.weights[0]": np.zeros((task.N, 1))}
+    rows = {
+        "reference": r[:, 1:] + 0.2,
+        "table.u": np.full((task.N, 1), -0.5),
+        "table.weights[0]": np.zeros((task.N, 1)),
+    }
     assert beyond_limits(rows, task, None, Rules()) == []
     rows["table.weights[0]"][3] = np.nan
     found = beyond_limits(rows, task, None, Rules(limit=0.4, correction=0.1))
@@ -446,5 +645,7 @@ def test_a_table_that_was_not_the_one_to_play_is_refused(tmp_path):
     campaign = Campaign.start(tmp_path / "state", scheme, task)
     trial = run_trial(machine, scheme, task, campaign.memory(), KEY)
     other = np.asarray(task.reference) + 0.01
-    turn = campaign.turn(Measured(np.asarray(trial.y), np.asarray(trial.u), {"reference": other}, (), "trial 1"))
+    turn = campaign.turn(
+        Measured(np.asarray(trial.y), np.asarray(trial.u), {"reference": other}, (), "trial 1")
+    )
     assert "reference is 0.01 away at sample" in turn.refusals[0]

@@ -1,4 +1,6 @@
-"""Damaged campaigns: they go on to the same input, or say in one line how to go back; one measured trial is one trial."""
+"""Damaged campaigns: they go on to the same input, or say in one line how to go back; one measured
+trial is one trial.
+"""
 
 import contextlib
 import json
@@ -22,12 +24,23 @@ from jaxilc.storage.sealed import archive, read_arrays, sealed
 
 @pytest.fixture(autouse=True)
 def quickly_and_quietly(monkeypatch, caplog):
-    monkeypatch.setattr(files.os, "fsync", lambda _: None)  # a kill loses nothing that was written, only a power failure does
+    monkeypatch.setattr(
+        files.os, "fsync", lambda _: None
+    )  # a kill loses nothing that was written, only a power failure does
     caplog.set_level(logging.ERROR, "jaxilc")
 
 
 _, SCHEME, TASK = case("p_type")
-TRIALS = [Measured(0.1 * j * np.asarray(TASK.reference), np.full((TASK.N, 1), 0.1 * j), {}, (), f"trial-{j}.csv") for j in range(1, 5)]
+TRIALS = [
+    Measured(
+        0.1 * j * np.asarray(TASK.reference),
+        np.full((TASK.N, 1), 0.1 * j),
+        {},
+        (),
+        f"trial-{j}.csv",
+    )
+    for j in range(1, 5)
+]
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +66,9 @@ def opened(folder):
 
 
 def goes_on_or_back(folder, played):
-    """The campaign goes on from its third trial, or says in one line that it cannot, and goes back to an earlier one."""
+    """The campaign goes on from its third trial, or says in one line that it cannot, and goes back
+    to an earlier one.
+    """
 
     def goes_on():
         np.testing.assert_array_equal(opened(folder).tables()["u"], played[3])
@@ -76,7 +91,18 @@ def test_a_flipped_bit_in_a_campaign_is_refused_or_changes_nothing(campaign, tmp
     fuzz(45, lambda rng: goes_on_or_back(flipped(rng, folder, tmp_path / "state"), played), ())
 
 
-@pytest.mark.parametrize("content", [b"", b"{}", b"[]", b"3", b'{"format": 1}', b'{"format": 2, "serial": 2, "event": "trial"}', b"\xff"])
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"{}",
+        b"[]",
+        b"3",
+        b'{"format": 1}',
+        b'{"format": 2, "serial": 2, "event": "trial"}',
+        b"\xff",
+    ],
+)
 @pytest.mark.parametrize("entry", ["000000", "000002", "000003"])
 def test_a_manifest_that_is_none_is_passed_by(copied, entry, content):
     folder, played = copied
@@ -104,7 +130,11 @@ def test_a_manifest_without_a_checksum_is_looked_at(copied, change):
     """Campaigns of the format that had none go on; what does not fit is refused."""
     folder, played = copied
     for entry in folder.iterdir():
-        manifest = {name: of for name, of in json.loads((entry / "manifest.json").read_text()).items() if name != "sha256"}
+        manifest = {
+            name: of
+            for name, of in json.loads((entry / "manifest.json").read_text()).items()
+            if name != "sha256"
+        }
         (entry / "manifest.copy.json").unlink()
         (entry / "manifest.json").write_text(json.dumps(manifest | {"format": 1}))
         for file in entry.glob("*.npz"):
@@ -133,22 +163,31 @@ def test_a_memory_that_is_not_a_number_is_refused(copied):
 
 
 def rounded(trial, digits):
-    return trial._replace(y=np.array([[float(f"{v:.{digits}g}")] for v in trial.y[:, 0]]), source="again.csv")
+    return trial._replace(
+        y=np.array([[float(f"{v:.{digits}g}")] for v in trial.y[:, 0]]), source="again.csv"
+    )
 
 
 def test_one_measured_trial_is_one_trial(copied):
     folder, _ = copied
     for again in (TRIALS[0], TRIALS[2], rounded(TRIALS[1], 9), TRIALS[1]._replace(u=None)):
         for learn in (True, False):
-            with pytest.raises(ValueError, match=r"is trial \d, which was learned from already; measure trial 4"):
+            with pytest.raises(
+                ValueError, match=r"is trial \d, which was learned from already; measure trial 4"
+            ):
                 opened(folder).turn(again, learn=learn, replay_input=True)
     running = opened(folder)
     running.keep(running.turn(TRIALS[3], learn=False))
     for again in (TRIALS[3], rounded(TRIALS[3], 9)):
         for learn in (True, False):
-            with pytest.raises(ValueError, match="is trial 4, which was looked at already; --undo 3 forgets it, so that it can be"):
+            with pytest.raises(
+                ValueError,
+                match="is trial 4, which was looked at already; --undo 3 forgets it, so that it can be",
+            ):
                 opened(folder).turn(again, learn=learn)
-    other = TRIALS[3]._replace(y=TRIALS[3].y * (1 + 1e-6))  # a machine's trials of one table differ by more
+    other = TRIALS[3]._replace(
+        y=TRIALS[3].y * (1 + 1e-6)
+    )  # a machine's trials of one table differ by more
     assert opened(folder).turn(other).trial == 5
     opened(folder).undo(3)
     opened(folder).keep(opened(folder).turn(TRIALS[3]))
@@ -157,7 +196,11 @@ def test_one_measured_trial_is_one_trial(copied):
 
 def test_what_would_not_be_a_number_is_not_learned(copied, monkeypatch):
     folder, _ = copied
-    monkeypatch.setattr(of_campaign, "_learned", lambda scheme, task, memory, trial: jax.tree.map(lambda x: np.nan * x, memory))
+    monkeypatch.setattr(
+        of_campaign,
+        "_learned",
+        lambda scheme, task, memory, trial: jax.tree.map(lambda x: np.nan * x, memory),
+    )
     turn = opened(folder).turn(TRIALS[3])
     assert turn.refusals[0] == "what would be learned is not a number in 000 u"
     with pytest.raises(ValueError, match="not a number"):
@@ -194,8 +237,23 @@ def test_a_manifest_that_somebody_made_is_refused_in_one_line(tmp_path, monkeypa
     monkeypatch.setattr(sys, "argv", [])
     monkeypatch.chdir(tmp_path)
     (tmp_path / "axis.toml").write_text(PLANT)
-    (tmp_path / "trial.csv").write_text("t [s],y,u\n" + "".join(f"{k * 0.001},{0.1 * k},{0.2 * k}\n" for k in range(21)))
-    assert command("next", "--state", "whole", "--plant-file", "axis.toml", "--limit", 100.0, "--out", "a.csv") == 0
+    (tmp_path / "trial.csv").write_text(
+        "t [s],y,u\n" + "".join(f"{k * 0.001},{0.1 * k},{0.2 * k}\n" for k in range(21))
+    )
+    assert (
+        command(
+            "next",
+            "--state",
+            "whole",
+            "--plant-file",
+            "axis.toml",
+            "--limit",
+            100.0,
+            "--out",
+            "a.csv",
+        )
+        == 0
+    )
     assert command("next", "--state", "whole", "--measured", "trial.csv", "--out", "a.csv") == 0
 
     def attempt(rng):
@@ -205,14 +263,26 @@ def test_a_manifest_that_somebody_made_is_refused_in_one_line(tmp_path, monkeypa
         manifest = json.loads((entry / "manifest.json").read_text())
         manifest = {name: of for name, of in manifest.items() if name != "sha256"}
         part = pick(rng, (None, "recipe", "figures"))
-        changed = manifest | {part: damaged(rng, manifest[part])} if part in manifest else damaged(rng, manifest)
+        changed = (
+            manifest | {part: damaged(rng, manifest[part])}
+            if part in manifest
+            else damaged(rng, manifest)
+        )
         if rng.random() < 0.5 and isinstance(changed, dict):
             changed["format"] = 1
-        with contextlib.suppress(ValueError, RecursionError):  # what cannot be written strictly is written as it is
+        with contextlib.suppress(
+            ValueError, RecursionError
+        ):  # what cannot be written strictly is written as it is
             changed = changed if changed.get("format") == 1 else sealed(changed)
         for name in ("manifest.json", "manifest.copy.json"):
             (entry / name).write_text(dumped(changed), encoding="utf-8", errors="surrogatepass")
         assert command("trials", "--state", "state") in (0, 2)
-        assert command("next", "--state", "state", "--dry-run", *pick(rng, ((), ("--undo", 0), ("--measured", "trial.csv")))) in (0, 2, 3)
+        assert command(
+            "next",
+            "--state",
+            "state",
+            "--dry-run",
+            *pick(rng, ((), ("--undo", 0), ("--measured", "trial.csv"))),
+        ) in (0, 2, 3)
 
     fuzz(25, attempt, ())

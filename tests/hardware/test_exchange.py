@@ -1,4 +1,6 @@
-"""Files of measured trials and of tables to play: written by other programs, read by a C compiler, and played by the feedback alone."""
+"""Files of measured trials and of tables to play: written by other programs, read by a C compiler,
+and played by the feedback alone.
+"""
 
 import re
 import shutil
@@ -26,8 +28,12 @@ TWO = Task(np.stack([np.sin(0.3 * K), np.cos(0.3 * K)], axis=1), dt=DT, inputs=1
 
 def mat(path, task=ONE, units=None, **signals):
     """A file as MATLAB's `save` writes it."""
-    units = {"t": "s", "y": task.unit, "r": task.unit, "u": task.input_unit} if units is None else units
-    scipy.io.savemat(path, {"t": task.time[:, None], **signals, **({"units": units} if units else {})})
+    units = (
+        {"t": "s", "y": task.unit, "r": task.unit, "u": task.input_unit} if units is None else units
+    )
+    scipy.io.savemat(
+        path, {"t": task.time[:, None], **signals, **({"units": units} if units else {})}
+    )
     return path
 
 
@@ -41,7 +47,10 @@ def text(path, header, *columns):
 def test_a_mat_file_is_read_with_its_units(tmp_path):
     y, u = K**2 / 7, np.arange(N) / 3
     for held in (u, u[:, None], np.append(u, 99.0)):
-        found = read_measured(mat(tmp_path / "trial.mat", y=y[None], u=held, r=np.asarray(ONE.reference), current=u), ONE)
+        found = read_measured(
+            mat(tmp_path / "trial.mat", y=y[None], u=held, r=np.asarray(ONE.reference), current=u),
+            ONE,
+        )
         np.testing.assert_array_equal(found.y[:, 0], y)
         np.testing.assert_array_equal(found.u[:, 0], u)
         assert found.ignored == ("current",)
@@ -54,7 +63,10 @@ def test_a_mat_file_is_read_with_its_units(tmp_path):
         ({"y": K, "units": {"t": "s"}}, r"y declares no unit; this task needs 'y \[mm\]'"),
         ({"y": K, "units": {"t": "ms", "y": "mm"}}, "t is in 'ms'; this task needs 's'"),
         ({"x": K}, "has no variable 'y'; present are t, x, units"),
-        ({"y": np.stack([K, K], axis=1)}, r"y has shape \(21, 2\); allowed are real numbers in 1 columns"),
+        (
+            {"y": np.stack([K, K], axis=1)},
+            r"y has shape \(21, 2\); allowed are real numbers in 1 columns",
+        ),
         ({"y": K * 1j}, "allowed are real numbers"),
         ({"y": K[:-1]}, "y has 20 rows; this task needs 21"),
         ({"y": K, "u": K[:-3]}, "u has 18 rows; this task needs 20"),
@@ -64,12 +76,17 @@ def test_a_mat_file_is_read_with_its_units(tmp_path):
 )
 def test_a_mat_file_that_does_not_fit_is_refused(tmp_path, contents, message):
     with pytest.raises(ValueError, match=message):
-        read_measured(mat(tmp_path / "trial.mat", units=contents.pop("units", None), **contents), ONE)
+        read_measured(
+            mat(tmp_path / "trial.mat", units=contents.pop("units", None), **contents), ONE
+        )
 
 
 def test_channels_are_numbered_and_share_a_unit(tmp_path):
     y0, y1, u = np.asarray(K / 3), np.asarray(K / 9), np.asarray(K * 2.0)
-    for header in ("t [s];y1 [µm];y0 [μm];u;note", "t [s];y_1 [µm];y_0 [µm];u [-];note"):  # two micro signs; no unit, spelled out
+    for header in (
+        "t [s];y1 [µm];y0 [μm];u;note",
+        "t [s];y_1 [µm];y_0 [µm];u [-];note",
+    ):  # two micro signs; no unit, spelled out
         found = read_measured(text(tmp_path / "trial.csv", header, TWO.time, y1, y0, u, u), TWO)
         np.testing.assert_array_equal(found.y, np.stack([y0, y1], axis=1))
         np.testing.assert_array_equal(found.u[:, 0], u[:-1])
@@ -86,7 +103,10 @@ def test_a_clock_that_drifts_is_refused_and_one_that_starts_late_is_not(tmp_path
     task = Task(np.zeros(1001), dt=DT)
     y = np.zeros(1001)
     read_measured(text(tmp_path / "trial.csv", "t [s];y", 5.0 + task.time, y), task)
-    with pytest.raises(ValueError, match=r"the clock drifts by 0.0009 s over the trial; allowed is half a sample, 0.0005 s"):
+    with pytest.raises(
+        ValueError,
+        match=r"the clock drifts by 0.0009 s over the trial; allowed is half a sample, 0.0005 s",
+    ):
         read_measured(text(tmp_path / "trial.csv", "t [s];y", 1.0009 * task.time, y), task)
     with pytest.raises(ValueError, match=r"has 0 rows of data; this task needs N \+ 1 = 1001"):
         read_measured(text(tmp_path / "trial.csv", "t [s];y", [], []), task)
@@ -94,7 +114,10 @@ def test_a_clock_that_drifts_is_refused_and_one_that_starts_late_is_not(tmp_path
 
 def two_tables():
     rng = np.random.default_rng(1)
-    return {"feedforward": rng.standard_normal((N, 1)) * 1e-3, "reference": 1e9 * rng.standard_normal((N + 1, 2))}
+    return {
+        "feedforward": rng.standard_normal((N, 1)) * 1e-3,
+        "reference": 1e9 * rng.standard_normal((N + 1, 2)),
+    }
 
 
 def test_written_files_keep_every_digit(tmp_path):
@@ -111,7 +134,9 @@ def test_written_files_keep_every_digit(tmp_path):
     np.testing.assert_array_equal(stored["feedforward"], given["feedforward"][:, 0])
     np.testing.assert_array_equal(stored["reference"], given["reference"])
     assert (stored["trial"], stored["dt"], stored["units"]["reference"]) == (4, DT, "µm")
-    assert sorted(f.name for f in tmp_path.iterdir()) == ["next.csv", "next.mat"], "no unfinished file stays"
+    assert sorted(f.name for f in tmp_path.iterdir()) == ["next.csv", "next.mat"], (
+        "no unfinished file stays"
+    )
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
@@ -128,11 +153,19 @@ def test_a_compiler_reads_the_c_header_as_it_was_meant(tmp_path, number):
         'printf("%d %.17g\\n", JAXILC_TRIAL, JAXILC_SAMPLE_TIME); return sizeof(jaxilc_reference[0][0]); }\n'
     )
     flags = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror"]
-    subprocess.run(["cc", *flags, "-o", tmp_path / "main", tmp_path / "main.c"], check=True, capture_output=True)
+    subprocess.run(
+        ["cc", *flags, "-o", tmp_path / "main", tmp_path / "main.c"],
+        check=True,
+        capture_output=True,
+    )
     done = subprocess.run([tmp_path / "main"], capture_output=True, text=True)
     *rows, last = (line.split() for line in done.stdout.splitlines())
-    expected = np.hstack([given["feedforward"], given["reference"][:-1, :1], given["reference"][1:, 1:]])
-    np.testing.assert_array_equal(np.array(rows, float), expected if number == "double" else expected.astype(np.float32))
+    expected = np.hstack(
+        [given["feedforward"], given["reference"][:-1, :1], given["reference"][1:, 1:]]
+    )
+    np.testing.assert_array_equal(
+        np.array(rows, float), expected if number == "double" else expected.astype(np.float32)
+    )
     assert last == ["4", "0.001"]
     assert done.returncode == (8 if number == "double" else 4)
 
@@ -158,7 +191,9 @@ def test_the_feedback_alone_along_the_learned_reference_makes_the_scheme_s_trial
     u = played.get("feedforward", np.zeros((task.N, 1)))
     other = Task(along, dt=task.dt, inputs=1)
     key = jax.random.key(0)
-    ours = run_trial(machine, WithFeedback(Scheme(), feedback), other, Pair(Feedforward(u), ()), key)
+    ours = run_trial(
+        machine, WithFeedback(Scheme(), feedback), other, Pair(Feedforward(u), ()), key
+    )
     theirs = run_trial(machine, scheme, task, memory, key)
     np.testing.assert_allclose(ours.y, theirs.y, **ALGEBRA)
     np.testing.assert_allclose(ours.u, theirs.u, **ALGEBRA)
@@ -180,8 +215,18 @@ def test_replay_gives_the_input_and_the_signals_of_the_trial(name):
 
 def test_only_what_is_learned_can_be_played():
     _, scheme, task = case("pid_position")
-    with pytest.raises(ValueError, match="PID learns nothing that a machine could play; allowed are schemes that learn"):
+    with pytest.raises(
+        ValueError,
+        match="PID learns nothing that a machine could play; allowed are schemes that learn",
+    ):
         tables(scheme, scheme.memory(task), task)
     _, scheme, task = case("ffdl_none")
     rows = tables(scheme, scheme.memory(task), task)
-    assert list(rows) == ["table.u", "table.u_last", "table.weights[0]", "table.weights[1]", "table.weights[2]", "table.y"]
+    assert list(rows) == [
+        "table.u",
+        "table.u_last",
+        "table.weights[0]",
+        "table.weights[1]",
+        "table.weights[2]",
+        "table.y",
+    ]

@@ -1,4 +1,6 @@
-"""Least squares with bounds from many starts: against closed forms, a reference solver, and a learning run whose answer is known."""
+"""Least squares with bounds from many starts: against closed forms, a reference solver, and a
+learning run whose answer is known.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +18,11 @@ from jaxilc.signals import Task
 NAMES = ("a", "b", "c")
 DESIGN = np.random.default_rng(0).normal(size=(12, 3))
 DATA = DESIGN @ np.array([0.7, 3.0, -0.02]) + 0.1 * np.random.default_rng(1).normal(size=12)
-WIDE = {"a": (-5.0, 5.0), "b": (0.1, 50.0), "c": (-1.0, -1e-4)}  # linear, by the logarithm, and that of a negative number
+WIDE = {
+    "a": (-5.0, 5.0),
+    "b": (0.1, 50.0),
+    "c": (-1.0, -1e-4),
+}  # linear, by the logarithm, and that of a negative number
 
 
 def linear(values):
@@ -35,7 +41,12 @@ def test_linear_least_squares_within_wide_bounds(found):
     assert all(type(value) is float for value in found.values.values())
     np.testing.assert_allclose(list(found.values.values()), expected, rtol=1e-6)
     np.testing.assert_allclose(found.residuals, DESIGN @ expected - DATA, atol=1e-7)
-    np.testing.assert_allclose(found.refined, 0.5 * squares, rtol=1e-9, err_msg="a convex problem has one minimum, from every start")
+    np.testing.assert_allclose(
+        found.refined,
+        0.5 * squares,
+        rtol=1e-9,
+        err_msg="a convex problem has one minimum, from every start",
+    )
 
 
 def test_costs_of_the_starts_and_of_the_refined(found):
@@ -48,12 +59,16 @@ def test_costs_of_the_starts_and_of_the_refined(found):
 
 
 def test_jacobian_is_that_of_the_residuals_by_the_values(found):
-    """Fit.jacobian: (M, P) of the residuals, at the values; for residuals linear in the values it is the design matrix."""
+    """Fit.jacobian: (M, P) of the residuals, at the values; for residuals linear in the values it
+    is the design matrix.
+    """
     np.testing.assert_allclose(found.jacobian, DESIGN, rtol=1e-6)
 
 
 def test_linear_least_squares_on_the_bounds():
-    """Where the free minimum lies outside, the fit ends on the bounds as scipy's solver for linear problems does."""
+    """Where the free minimum lies outside, the fit ends on the bounds as scipy's solver for linear
+    problems does.
+    """
     ranges = {"a": (-5.0, 0.5), "b": (0.1, 2.0), "c": (-1.0, -1e-4)}
     result = fit(linear, ranges, starts=20, refine=3)
     low, high = np.array(list(ranges.values())).T
@@ -66,7 +81,9 @@ def test_linear_least_squares_on_the_bounds():
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_range_of_one_sign_is_searched_by_its_logarithm(sign):
-    """Over eight decades: the starts are spread evenly over the decades, one in each of 64 equal parts of the logarithm."""
+    """Over eight decades: the starts are spread evenly over the decades, one in each of 64 equal
+    parts of the logarithm.
+    """
 
     def decades_from_target(values):
         return (jnp.log10(sign * values["x"]) + 2.3)[None]
@@ -75,20 +92,32 @@ def test_a_range_of_one_sign_is_searched_by_its_logarithm(sign):
     result = fit(decades_from_target, {"x": tuple(ends)}, starts=64, refine=2)
     np.testing.assert_allclose(result.values["x"], sign * 10**-2.3, rtol=1e-6)
     middles = -4 + 8 * (np.arange(64) + 0.5) / 64
-    np.testing.assert_allclose(np.sqrt(2 * result.costs), np.sort(np.abs(middles + 2.3)), atol=8 / 64 + 1e-12)
+    np.testing.assert_allclose(
+        np.sqrt(2 * result.costs), np.sort(np.abs(middles + 2.3)), atol=8 / 64 + 1e-12
+    )
 
 
 @pytest.mark.parametrize("ends", [(-3.0, 5.0), (0.0, 8.0), (-8.0, 0.0)])
 def test_a_range_with_zero_is_searched_evenly(ends):
     low = ends[0]
     result = fit(lambda values: (values["x"] - low)[None], {"x": ends}, starts=64, refine=1)
-    np.testing.assert_allclose(np.sqrt(2 * result.costs), 8 * (np.arange(64) + 0.5) / 64, atol=8 / 128 + 1e-12)
+    np.testing.assert_allclose(
+        np.sqrt(2 * result.costs), 8 * (np.arange(64) + 0.5) / 64, atol=8 / 128 + 1e-12
+    )
     assert low <= result.values["x"] < low + 1e-3
 
 
 def bumpy(values):
-    """Least squares with a minimum near every 2 pi / 5 in each direction; zero at (0.8, -0.4) alone."""
-    return jnp.stack([r for x, at in ((values["x"], 0.8), (values["y"], -0.4)) for r in (0.8 * (x - at), 2.0 * jnp.sin(2.5 * (x - at)))])
+    """Least squares with a minimum near every 2 pi / 5 in each direction; zero at (0.8, -0.4)
+    alone.
+    """
+    return jnp.stack(
+        [
+            r
+            for x, at in ((values["x"], 0.8), (values["y"], -0.4))
+            for r in (0.8 * (x - at), 2.0 * jnp.sin(2.5 * (x - at)))
+        ]
+    )
 
 
 def test_many_starts_find_the_global_minimum_among_many():
@@ -110,7 +139,9 @@ def test_a_fit_is_repeatable_and_does_not_depend_on_the_tiles():
 
 def test_starts_that_are_not_finite_count_as_infinitely_bad():
     def gap(values):
-        return jnp.where(values["x"] < 0.6, jnp.nan, jnp.stack([values["x"] - 0.7, 0.1 * values["x"]]))
+        return jnp.where(
+            values["x"] < 0.6, jnp.nan, jnp.stack([values["x"] - 0.7, 0.1 * values["x"]])
+        )
 
     result = fit(gap, {"x": (0.0, 1.0)}, starts=20, refine=3)
     np.testing.assert_allclose(result.values["x"], 0.7 / 1.01, rtol=1e-6)
@@ -119,11 +150,17 @@ def test_starts_that_are_not_finite_count_as_infinitely_bad():
 
 def test_large_residuals_are_still_finite():
     """Errors in nanometres: the sum of squares is large, and the problem as good as any."""
-    result = fit(lambda values: 1e6 * jnp.stack([values["x"] - 3.0, values["x"] - 1.0]), {"x": (-5.0, 5.0)}, starts=4, refine=1)
+    result = fit(
+        lambda values: 1e6 * jnp.stack([values["x"] - 3.0, values["x"] - 1.0]),
+        {"x": (-5.0, 5.0)},
+        starts=4,
+        refine=1,
+    )
     np.testing.assert_allclose(result.values["x"], 2.0, rtol=1e-6)
 
 
-# y settles at each sample by itself, so a lane is quick; the error curve of the learning shows its start value and its weight
+# y settles at each sample by itself, so a lane is quick; the error curve of the learning shows its
+# start value and its weight
 TASK = Task(0.5 - 0.5 * np.cos(2 * np.pi * np.arange(21) / 20), dt=DT)
 MACHINE = Machine(DifferenceEquation(*ARX, dt=DT))
 
@@ -137,7 +174,12 @@ def test_start_value_and_weight_are_recovered_from_the_error_curve_they_gave():
     truth = {"phi0": 0.23, "lam": 0.4}
     curve = error_curve(**truth)
     assert np.ptp(curve) > 0.2
-    result = fit(lambda values: error_curve(**values) - curve, {"phi0": (0.05, 1.0), "lam": (0.1, 10.0)}, starts=32, refine=3)
+    result = fit(
+        lambda values: error_curve(**values) - curve,
+        {"phi0": (0.05, 1.0), "lam": (0.1, 10.0)},
+        starts=32,
+        refine=3,
+    )
     np.testing.assert_allclose(list(result.values.values()), list(truth.values()), rtol=1e-5)
     assert result.refined[0] < 1e-12
     for name, column in zip(truth, result.jacobian.T, strict=True):

@@ -46,7 +46,8 @@ def width(estimate):
     return estimate.high - estimate.low
 
 
-# The process model ---------------------------------------------------------------------------------------------------------
+# The process model
+# ---------------------------------------------------------------------------------------------------------
 
 MODELS = {
     "eq_7": EQ_7,
@@ -54,7 +55,9 @@ MODELS = {
     "two_lags_one_zero": ProcessModel(-1.5, [-80.0], [20.0, 300.0]),
     "resonance": ProcessModel(0.7, [], [], [250.0], [0.02]),
     "overdamped": ProcessModel(1.0, [], [], [100.0], [2.5]),
-    "everything": ProcessModel(3.0, [-40.0, 600.0, 90.0], [30.0, 500.0], [150.0, 700.0], [0.1, 0.6]),
+    "everything": ProcessModel(
+        3.0, [-40.0, 600.0, 90.0], [30.0, 500.0], [150.0, 700.0], [0.1, 0.6]
+    ),
 }
 
 
@@ -69,7 +72,11 @@ def transfer_function(p):
     return num
 
 
-@pytest.mark.parametrize(("model", "dt"), [*((m, DT) for m in MODELS.values()), (MODELS["everything"], DT / 4)], ids=[*MODELS, "faster"])
+@pytest.mark.parametrize(
+    ("model", "dt"),
+    [*((m, DT) for m in MODELS.values()), (MODELS["everything"], DT / 4)],
+    ids=[*MODELS, "faster"],
+)
 def test_process_model_responds_as_python_control(model, dt):
     u = np.random.default_rng(1).normal(size=200)
     discrete = control.c2d(control.ss(transfer_function(model)), dt, method="zoh")
@@ -80,7 +87,12 @@ def test_process_model_responds_as_python_control(model, dt):
 
 
 def test_process_model_is_eq_7_of_the_paper():
-    np.testing.assert_allclose(excite(Machine(EQ_7), U, DT).y, excite(Machine(voice_coil()), U, DT).y, rtol=1e-8, atol=1e-10)
+    np.testing.assert_allclose(
+        excite(Machine(EQ_7), U, DT).y,
+        excite(Machine(voice_coil()), U, DT).y,
+        rtol=1e-8,
+        atol=1e-10,
+    )
     assert TRUE["gain"] == pytest.approx(-4.798, abs=5e-4)
 
 
@@ -88,7 +100,9 @@ def test_process_model_is_eq_7_of_the_paper():
 def test_all_poles_are_those_of_the_denominator(model):
     poles = np.array(model.all_poles)
     expected = control.poles(transfer_function(model))
-    np.testing.assert_allclose(np.sort_complex(np.poly(poles)), np.sort_complex(np.poly(expected)), rtol=1e-8)
+    np.testing.assert_allclose(
+        np.sort_complex(np.poly(poles)), np.sort_complex(np.poly(expected)), rtol=1e-8
+    )
 
 
 def test_regrouping_pairs_the_nearest_real_poles_and_keeps_the_response():
@@ -98,20 +112,39 @@ def test_regrouping_pairs_the_nearest_real_poles_and_keeps_the_response():
     model = hidden.regrouped()
     np.testing.assert_allclose(model.poles, [6.4], rtol=1e-10)
     np.testing.assert_allclose(model.frequencies, [50.0, np.sqrt(470.0 * 480.0)], rtol=1e-10)
-    np.testing.assert_allclose(model.dampings, [0.3, 950.0 / (2 * np.sqrt(470.0 * 480.0))], rtol=1e-10)
+    np.testing.assert_allclose(
+        model.dampings, [0.3, 950.0 / (2 * np.sqrt(470.0 * 480.0))], rtol=1e-10
+    )
     np.testing.assert_array_equal(model.zeros, [-20.0, 900.0])
-    np.testing.assert_allclose(excite(Machine(model), U[:100], DT).y, excite(Machine(hidden), U[:100], DT).y, **ALGEBRA)
+    np.testing.assert_allclose(
+        excite(Machine(model), U[:100], DT).y, excite(Machine(hidden), U[:100], DT).y, **ALGEBRA
+    )
 
 
 @pytest.mark.parametrize(
     ("build", "message"),
     [
-        (lambda: ProcessModel(1.0, [1.0], [2.0]), r"ProcessModel: 1 zeros over 1 poles; allowed are fewer zeros than poles"),
+        (
+            lambda: ProcessModel(1.0, [1.0], [2.0]),
+            r"ProcessModel: 1 zeros over 1 poles; allowed are fewer zeros than poles",
+        ),
         (lambda: ProcessModel(1.0), r"ProcessModel: 0 zeros over 0 poles"),
-        (lambda: ProcessModel(1.0, [0.0], [2.0, 3.0]), r"ProcessModel: zeros = 0 makes the DC gain 0"),
-        (lambda: ProcessModel(1.0, [], 2.0), r"ProcessModel: poles has shape \(\); allowed is one dimension"),
-        (lambda: ProcessModel(1.0, [], [], [2.0, 3.0], [1.0]), r"ProcessModel: frequencies \(2,\) and dampings \(1,\) must have one shape"),
-        (lambda: ProcessModel(1.0, [], [-2.0]), r"ProcessModel: poles = \[-2.\] is outside its allowed range \(0, inf\)"),
+        (
+            lambda: ProcessModel(1.0, [0.0], [2.0, 3.0]),
+            r"ProcessModel: zeros = 0 makes the DC gain 0",
+        ),
+        (
+            lambda: ProcessModel(1.0, [], 2.0),
+            r"ProcessModel: poles has shape \(\); allowed is one dimension",
+        ),
+        (
+            lambda: ProcessModel(1.0, [], [], [2.0, 3.0], [1.0]),
+            r"ProcessModel: frequencies \(2,\) and dampings \(1,\) must have one shape",
+        ),
+        (
+            lambda: ProcessModel(1.0, [], [-2.0]),
+            r"ProcessModel: poles = \[-2.\] is outside its allowed range \(0, inf\)",
+        ),
     ],
 )
 def test_impossible_process_models_are_refused(build, message):
@@ -125,14 +158,21 @@ def test_derivatives_are_exact_and_independent_at_the_double_pole(record):
     task, u = estimation.task_of(EQ_7, record.u, DT), np.asarray(record.u)
     J = np.asarray(estimation._sensitivity(theta, names, EQ_7, task, u))[:, 0]
     step = 1e-5 * np.diag(np.abs(theta))
-    outputs = [[estimation._simulated(theta + s * h, names, EQ_7, task, u)[:, 0] for s in (1, -1)] for h in step]
-    differences = np.stack([np.asarray(a - b) / (2 * np.max(h)) for (a, b), h in zip(outputs, step, strict=True)], axis=1)
+    outputs = [
+        [estimation._simulated(theta + s * h, names, EQ_7, task, u)[:, 0] for s in (1, -1)]
+        for h in step
+    ]
+    differences = np.stack(
+        [np.asarray(a - b) / (2 * np.max(h)) for (a, b), h in zip(outputs, step, strict=True)],
+        axis=1,
+    )
     size = np.max(np.abs(J), axis=0)
     np.testing.assert_allclose(J / size, differences / size, rtol=DIFFERENCES["rtol"], atol=1e-7)
     assert np.linalg.cond(J / size) < 100
 
 
-# The experiment ------------------------------------------------------------------------------------------------------------
+# The experiment
+# ------------------------------------------------------------------------------------------------------------
 
 
 def test_a_record_holds_the_input_as_applied_and_the_output_as_the_encoder_shows_it():
@@ -140,7 +180,9 @@ def test_a_record_holds_the_input_as_applied_and_the_output_as_the_encoder_shows
     np.testing.assert_allclose(np.abs(record.u), 0.4, **ALGEBRA)
     exact = excite(Machine(EQ_7), record.u, DT)
     assert record.y.shape == (51, 1)
-    np.testing.assert_allclose(np.asarray(record.y) / ENCODER, np.round(record.y / ENCODER), atol=1e-9)
+    np.testing.assert_allclose(
+        np.asarray(record.y) / ENCODER, np.round(record.y / ENCODER), atol=1e-9
+    )
     assert 0 < np.max(np.abs(record.y - exact.y)) <= ENCODER / 2 * (1 + 1e-9)
 
 
@@ -148,10 +190,13 @@ def test_each_key_is_another_noise():
     keys = jax.random.split(jax.random.key(3), 2)
     noisy = jax.vmap(lambda key: excite(MOTOR, U[:50], DT, key=key).y)(keys)
     np.testing.assert_array_equal(noisy[0], excite(MOTOR, U[:50], DT, key=keys[0]).y)
-    assert np.std(noisy[0] - noisy[1]) == pytest.approx(np.sqrt(2) * NOISE, rel=SIGMAS / np.sqrt(2 * 51))
+    assert np.std(noisy[0] - noisy[1]) == pytest.approx(
+        np.sqrt(2) * NOISE, rel=SIGMAS / np.sqrt(2 * 51)
+    )
 
 
-# The fit -------------------------------------------------------------------------------------------------------------------
+# The fit
+# -------------------------------------------------------------------------------------------------------------------
 
 
 def test_eq_7_is_recovered_within_the_intervals(identified):
@@ -165,7 +210,9 @@ def test_eq_7_is_recovered_within_the_intervals(identified):
     assert identified.converged
     # what remains is the noise, and the rounding of the encoder
     assert identified.samples == round(0.7 * 3067)
-    assert identified.residual_std[0] == pytest.approx(np.sqrt(NOISE**2 + ENCODER**2 / 12), rel=SIGMAS / np.sqrt(2 * identified.samples))
+    assert identified.residual_std[0] == pytest.approx(
+        np.sqrt(NOISE**2 + ENCODER**2 / 12), rel=SIGMAS / np.sqrt(2 * identified.samples)
+    )
     assert min(identified.fit[0], identified.validation_fit[0]) > 99.8
 
 
@@ -175,16 +222,22 @@ def test_poles_have_intervals_even_where_they_meet(identified):
         assert inside(pole.imag, 0.0)
         assert inside(pole.real, pole.value.real)
         assert inside(pole.imag, pole.value.imag)
-    # the split of a double pole goes with the square root of the damping's error, so it is far less certain than the frequency
+    # the split of a double pole goes with the square root of the damping's error, so it is far less
+    # certain than the frequency
     assert width(identified.poles[1].real) > 5 * width(identified.parameters["frequencies[0]"])
 
 
 def test_figures_of_merit_are_those_of_the_simulated_output(record, identified):
     y, n = np.asarray(record.y)[:, 0], identified.samples
-    simulated = excite(Machine(identified.plant), record.u, DT).y[:, 0] + identified.parameters["bias"].value
+    simulated = (
+        excite(Machine(identified.plant), record.u, DT).y[:, 0]
+        + identified.parameters["bias"].value
+    )
     np.testing.assert_allclose(identified.simulated[:, 0], simulated, rtol=1e-9, atol=1e-12)
     for part, fit in ((slice(n), identified.fit), (slice(n, None), identified.validation_fit)):
-        expected = 1 - np.sqrt(np.sum((y - simulated)[part] ** 2) / np.sum((y[part] - np.mean(y[part])) ** 2))
+        expected = 1 - np.sqrt(
+            np.sum((y - simulated)[part] ** 2) / np.sum((y[part] - np.mean(y[part])) ** 2)
+        )
         assert fit[0] == pytest.approx(100 * expected, abs=1e-9)
     rows = {name: values for name, *values in identified.summary()}
     assert rows["gain"] == list(identified.parameters["gain"])
@@ -194,11 +247,15 @@ def test_figures_of_merit_are_those_of_the_simulated_output(record, identified):
 def test_another_seed_finds_the_same_minimum(record, identified):
     again = identify(record, seed=7, starts=32)
     for name, estimate in identified.parameters.items():
-        assert again.parameters[name].value == pytest.approx(estimate.value, abs=1e-3 * width(estimate)), name
+        assert again.parameters[name].value == pytest.approx(
+            estimate.value, abs=1e-3 * width(estimate)
+        ), name
 
 
 def test_intervals_cover_the_truth_as_often_as_they_say():
-    """100 noises: within 95 % of the time, and the errors in units of their standard deviation have the spread 1."""
+    """100 noises: within 95 % of the time, and the errors in units of their standard deviation have
+    the spread 1.
+    """
     seeds, machine = 100, Machine(EQ_7, sensor=Sensor(ENCODER, NOISE))
     keys = jax.random.split(jax.random.key(1), seeds)
     outputs = np.asarray(jax.vmap(lambda key: excite(machine, U, DT, key=key).y)(keys))
@@ -212,9 +269,14 @@ def test_intervals_cover_the_truth_as_often_as_they_say():
 
 
 def test_intervals_scale_with_the_noise():
-    quiet, loud = (identify(excite(Machine(EQ_7, sensor=Sensor(noise=s * NOISE)), U, DT), EQ_7) for s in (1.0, 4.0))
+    quiet, loud = (
+        identify(excite(Machine(EQ_7, sensor=Sensor(noise=s * NOISE)), U, DT), EQ_7)
+        for s in (1.0, 4.0)
+    )
     for name in TRUE:
-        assert width(loud.parameters[name]) == pytest.approx(4 * width(quiet.parameters[name]), rel=0.02), name
+        assert width(loud.parameters[name]) == pytest.approx(
+            4 * width(quiet.parameters[name]), rel=0.02
+        ), name
 
 
 def test_too_low_an_order_shows(record, identified):
@@ -227,8 +289,12 @@ def test_too_low_an_order_shows(record, identified):
 def test_a_lightly_damped_drive_is_found_without_a_start():
     """Xu 2024: 2.229e7 / (s^2 + 70.16 s + 2.413e6), 247 Hz at a damping of 0.0226, encoder 1.2 nm."""
     w, zeta = np.sqrt(2.413e6), 70.16 / (2 * np.sqrt(2.413e6))
-    servo = Machine(ProcessModel(2.229e7 / 2.413e6, [], [], [w], [zeta]), sensor=Sensor(1.2e-3, 5e-3))
-    found = identify(excite(servo, m_sequence(9, hold=3, periods=2), 1e-4), poles=0, pairs=1, zeros=0)
+    servo = Machine(
+        ProcessModel(2.229e7 / 2.413e6, [], [], [w], [zeta]), sensor=Sensor(1.2e-3, 5e-3)
+    )
+    found = identify(
+        excite(servo, m_sequence(9, hold=3, periods=2), 1e-4), poles=0, pairs=1, zeros=0
+    )
     for name, true in {"gain": 2.229e7 / 2.413e6, "frequencies[0]": w, "dampings[0]": zeta}.items():
         assert inside(found.parameters[name], true), name
     for pole, sign in zip(found.poles, (1, -1), strict=True):
@@ -238,7 +304,8 @@ def test_a_lightly_damped_drive_is_found_without_a_start():
     assert found.white
 
 
-# A given plant ---------------------------------------------------------------------------------------------------------------
+# A given plant
+# ---------------------------------------------------------------------------------------------------------------
 
 
 def test_chosen_leaves_and_elements_of_a_given_plant(record):
@@ -266,7 +333,10 @@ def test_difference_equation_from_its_rounded_coefficients(record):
 def test_what_the_record_cannot_tell_apart_has_no_interval():
     """Of y = C x, x' = A x + B u only A and the product C B enter the output."""
     lag = StateSpace([[-50.0]], [[50.0]], [[2.0]])
-    found = identify(excite(Machine(lag, sensor=Sensor(noise=1e-3)), U, DT), StateSpace([[-40.0]], [[50.0]], [[1.0]]))
+    found = identify(
+        excite(Machine(lag, sensor=Sensor(noise=1e-3)), U, DT),
+        StateSpace([[-40.0]], [[50.0]], [[1.0]]),
+    )
     assert inside(found.parameters["A[0][0]"], -50.0)
     assert width(found.parameters["A[0][0]"]) < 1.0
     for name in ("B[0][0]", "C[0][0]"):
@@ -275,7 +345,9 @@ def test_what_the_record_cannot_tell_apart_has_no_interval():
 
 
 def test_a_double_pole_needs_a_pair(record):
-    """Two equal entries of `poles` have the same derivative; the pair at the same place is determined to 0.2 %."""
+    """Two equal entries of `poles` have the same derivative; the pair at the same place is
+    determined to 0.2 %.
+    """
     twice = identify(record, ProcessModel(TRUE["gain"], [928.2], [6.404, 474.0, 474.0]))
     assert width(twice.parameters["poles[0]"]) < 0.01
     assert min(width(twice.parameters[f"poles[{i}]"]) for i in (1, 2)) > 0.02 * 474.0
@@ -289,15 +361,29 @@ def test_two_outputs_are_weighted_by_their_noise():
     start = StateSpace([[-30.0, 0.0], [200.0, -100.0]], [[50.0], [0.0]], [[1.0, 0.0], [0.0, 1.0]])
     record = excite(Machine(stage, sensor=Sensor(noise=noise)), U, DT)
     found = identify(record, start, free=("A[0][0]", "A[1][1]", "C[1][1]"))
-    for name, true in (("A[0][0]", -50.0), ("A[1][1]", -200.0), ("C[1][1]", 1.0), ("bias[0]", 0.0), ("bias[1]", 0.0)):
+    for name, true in (
+        ("A[0][0]", -50.0),
+        ("A[1][1]", -200.0),
+        ("C[1][1]", 1.0),
+        ("bias[0]", 0.0),
+        ("bias[1]", 0.0),
+    ):
         assert inside(found.parameters[name], true), name
     np.testing.assert_allclose(found.residual_std, noise, rtol=SIGMAS / np.sqrt(2 * found.samples))
-    # the first output alone says as much of its pole as both together, since the second is fifty times noisier
-    alone = identify(record._replace(y=record.y[:, :1]), StateSpace(start.A[:1, :1], start.B[:1], [[1.0]]), free="A")
-    assert width(found.parameters["A[0][0]"]) == pytest.approx(width(alone.parameters["A[0][0]"]), rel=0.05)
+    # the first output alone says as much of its pole as both together, since the second is fifty
+    # times noisier
+    alone = identify(
+        record._replace(y=record.y[:, :1]),
+        StateSpace(start.A[:1, :1], start.B[:1], [[1.0]]),
+        free="A",
+    )
+    assert width(found.parameters["A[0][0]"]) == pytest.approx(
+        width(alone.parameters["A[0][0]"]), rel=0.05
+    )
 
 
-# Files ---------------------------------------------------------------------------------------------------------------------
+# Files
+# ---------------------------------------------------------------------------------------------------------------------
 
 
 def test_a_record_survives_its_file(record, tmp_path):
@@ -312,10 +398,14 @@ def test_a_record_survives_its_file(record, tmp_path):
 def test_several_channels_and_foreign_columns(tmp_path):
     two = Record(np.arange(6.0).reshape(3, 2), np.arange(8.0).reshape(4, 2) / 3, 0.02)
     write_record(tmp_path / "two.csv", two, time="time", input="force", output="x")
-    read = read_record(tmp_path / "two.csv", time="time", input=("force_0", "force_1"), output=("x_1",))
+    read = read_record(
+        tmp_path / "two.csv", time="time", input=("force_0", "force_1"), output=("x_1",)
+    )
     np.testing.assert_array_equal(read.u, two.u)
     np.testing.assert_array_equal(read.y, two.y[:, 1:])
-    (tmp_path / "scope.txt").write_text("\ufeffCH1 [V]; t [s] ;note;pos [mm]\n1;0.5;start;0\n\n-1;0.52;;0.25\n1;0.54;end;0.5\n")
+    (tmp_path / "scope.txt").write_text(
+        "\ufeffCH1 [V]; t [s] ;note;pos [mm]\n1;0.5;start;0\n\n-1;0.52;;0.25\n1;0.54;end;0.5\n"
+    )
     read = read_record(tmp_path / "scope.txt", time="t [s]", input="CH1 [V]", output="pos [mm]")
     np.testing.assert_array_equal(read.u, [[1.0], [-1.0]])
     np.testing.assert_array_equal(read.y, [[0.0], [0.25], [0.5]])
@@ -328,7 +418,10 @@ FILES = {
     "text": ("t,u,y\n0,1,2\n1,x,2\n", r"line 3: u = 'x' is not a finite number"),
     "nan": ("t,u,y\n0,1,2\n\n1,1,2\n2,1,nan\n", r"line 5: y = 'nan' is not a finite number"),
     "short_row": ("t,u,y\n0,1,2\n1,1\n", r"line 3: y = '' is not a finite number"),
-    "backwards": ("t,u,y\n0,1,2\n1,1,2\n0.5,1,2\n2,1,2\n", r"line 4: t = 0.5 s does not increase from 1 s"),
+    "backwards": (
+        "t,u,y\n0,1,2\n1,1,2\n0.5,1,2\n2,1,2\n",
+        r"line 4: t = 0.5 s does not increase from 1 s",
+    ),
     "repeated": ("t,u,y\n0,1,2\n1,1,2\n1,1,2\n", r"line 4: t = 1 s does not increase from 1 s"),
     "gap": (
         "t,u,y\n0,1,2\n1,1,2\n2,1,2\n4,1,2\n",
@@ -346,7 +439,8 @@ def test_a_bad_file_is_named_with_its_line(text, message, tmp_path):
         read_record(path)
 
 
-# Errors --------------------------------------------------------------------------------------------------------------------
+# Errors
+# --------------------------------------------------------------------------------------------------------------------
 
 GOOD = Record(U[:100], np.sin(np.arange(101.0)), DT)
 
@@ -362,23 +456,53 @@ def spoiled(signal, k=17):
     [
         (lambda: identify(spoiled("y")), r"y is not finite at sample 17"),
         (lambda: identify(spoiled("u")), r"u is not finite at sample 17"),
-        (lambda: identify(GOOD._replace(y=GOOD.y[:-1])), r"u has 100 rows and y 100; allowed is one more row in y than in u"),
+        (
+            lambda: identify(GOOD._replace(y=GOOD.y[:-1])),
+            r"u has 100 rows and y 100; allowed is one more row in y than in u",
+        ),
         (
             lambda: identify(GOOD._replace(y=np.zeros((101, 1, 1)))),
             r"y has shape \(101, 1, 1\); allowed are \(rows,\) and \(rows, channels\)",
         ),
-        (lambda: identify(GOOD._replace(dt=0.0)), r"dt = 0.0 is outside its allowed range \(0, inf\)"),
-        (lambda: identify(GOOD._replace(u=U[:20], y=GOOD.y[:21])), r"too short: 15 samples to fit 6 parameters; allowed are at least 30"),
-        (lambda: identify(GOOD._replace(y=np.ones(101))), r"output 0 is constant over the 71 samples to fit"),
-        (lambda: identify(GOOD._replace(u=np.zeros(100))), r"the input is 0 over the 71 samples to fit"),
+        (
+            lambda: identify(GOOD._replace(dt=0.0)),
+            r"dt = 0.0 is outside its allowed range \(0, inf\)",
+        ),
+        (
+            lambda: identify(GOOD._replace(u=U[:20], y=GOOD.y[:21])),
+            r"too short: 15 samples to fit 6 parameters; allowed are at least 30",
+        ),
+        (
+            lambda: identify(GOOD._replace(y=np.ones(101))),
+            r"output 0 is constant over the 71 samples to fit",
+        ),
+        (
+            lambda: identify(GOOD._replace(u=np.zeros(100))),
+            r"the input is 0 over the 71 samples to fit",
+        ),
         (lambda: identify(GOOD, poles=-1), r"poles = -1 is outside its allowed range \[0, 50\]"),
         (lambda: identify(GOOD, pairs=0.5), r"pairs = 0.5 is outside its allowed range \[0, 50\]"),
-        (lambda: identify(GOOD, zeros=3), r"zeros = 3 is outside its allowed range \[0, 3\), the order"),
+        (
+            lambda: identify(GOOD, zeros=3),
+            r"zeros = 3 is outside its allowed range \[0, 3\), the order",
+        ),
         (lambda: identify(GOOD, starts=0), r"starts = 0 is outside its allowed range \[1, inf\)"),
-        (lambda: identify(GOOD, fit_share=1.5), r"fit_share = 1.5 is outside its allowed range \(0, 1\]"),
-        (lambda: identify(GOOD, free=("gain",)), r"free = \['gain'\] names leaves of a plant, but no plant is given"),
-        (lambda: identify(GOOD, EQ_7, free=("gian",)), r"free = 'gian' is not a leaf of ProcessModel; known: gain, zeros, poles"),
-        (lambda: identify(GOOD, VoiceCoil(), free=("poles[3]",)), r"free = 'poles\[3\]': poles has shape \(3,\)"),
+        (
+            lambda: identify(GOOD, fit_share=1.5),
+            r"fit_share = 1.5 is outside its allowed range \(0, 1\]",
+        ),
+        (
+            lambda: identify(GOOD, free=("gain",)),
+            r"free = \['gain'\] names leaves of a plant, but no plant is given",
+        ),
+        (
+            lambda: identify(GOOD, EQ_7, free=("gian",)),
+            r"free = 'gian' is not a leaf of ProcessModel; known: gain, zeros, poles",
+        ),
+        (
+            lambda: identify(GOOD, VoiceCoil(), free=("poles[3]",)),
+            r"free = 'poles\[3\]': poles has shape \(3,\)",
+        ),
         (lambda: identify(GOOD, EQ_7, free=()), r"free = \(\) leaves nothing to fit"),
         (
             lambda: identify(GOOD._replace(y=np.ones((101, 2))), EQ_7),
@@ -396,7 +520,10 @@ def test_what_cannot_be_identified_is_named(call, message):
 
 
 def test_single_precision_is_refused():
-    with jax.enable_x64(False), pytest.raises(ValueError, match=r"identify: precision = 'float32' is not one of 'float64'"):
+    with (
+        jax.enable_x64(False),
+        pytest.raises(ValueError, match=r"identify: precision = 'float32' is not one of 'float64'"),
+    ):
         identify(GOOD)
 
 
@@ -409,7 +536,8 @@ def test_an_excitation_that_does_not_fit_is_named():
         excite(Machine(voice_coil("printed")), U[:5], 2e-3)
 
 
-# Figures -------------------------------------------------------------------------------------------------------------------
+# Figures
+# -------------------------------------------------------------------------------------------------------------------
 
 
 def test_figures_show_the_record_and_the_residual(record, identified, tmp_path):
@@ -417,8 +545,12 @@ def test_figures_show_the_record_and_the_residual(record, identified, tmp_path):
     np.testing.assert_array_equal(top.lines[0].get_ydata(), U)
     np.testing.assert_allclose(bottom.lines[0].get_xdata()[-1], len(U) * DT)
     assert bottom.get_ylabel() == "output [mm]"
-    top, bottom = figures.validation_figure(record, identified, output_unit="mm", scale=1e3, unit="µm")
-    np.testing.assert_allclose(bottom.lines[0].get_ydata(), 1e3 * (np.asarray(record.y) - identified.simulated)[:, 0])
+    top, bottom = figures.validation_figure(
+        record, identified, output_unit="mm", scale=1e3, unit="µm"
+    )
+    np.testing.assert_allclose(
+        bottom.lines[0].get_ydata(), 1e3 * (np.asarray(record.y) - identified.simulated)[:, 0]
+    )
     assert bottom.get_ylabel() == "residual [µm]"
     assert bottom.patches[0].get_x() == pytest.approx(identified.samples * DT)
     assert "validation 99." in top.get_legend().get_texts()[1].get_text()

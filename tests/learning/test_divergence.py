@@ -1,4 +1,6 @@
-"""What diverged and what has grown: closed forms, plain loops, and the same words in every precision, table and figure."""
+"""What diverged and what has grown: closed forms, plain loops, and the same words in every
+precision, table and figure.
+"""
 
 import dataclasses
 
@@ -22,14 +24,19 @@ from jaxilc.uncertainty import Uniform
 
 STATIC = StateSpace([[0.0]], [[1.0]], [[1.0]], dt=DT)  # y[k+1] = u[k], so e_j = (1 - gamma)^(j-1) r
 MACHINE, TASK, TRIALS = Machine(STATIC), task_for(STATIC, 20), 12
-GROWING, STEADY = PIDType(gamma_p=5.0), PIDType(gamma_p=0.5)  # (-4)^(j-1) passes 1000 at j = 6: 4^5 = 1024
+GROWING, STEADY = (
+    PIDType(gamma_p=5.0),
+    PIDType(gamma_p=0.5),
+)  # (-4)^(j-1) passes 1000 at j = 6: 4^5 = 1024
 
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 def test_a_trial_diverges_at_a_thousand_times_the_reference_in_either_precision(precision):
     """In float32 the errors overflow at trial 65, in float64 never within 200."""
     with jax.enable_x64(precision == "float64"):
-        machine, scheme, task = jax.tree.map(lambda x: jnp.asarray(x, precision), (MACHINE, GROWING, TASK))
+        machine, scheme, task = jax.tree.map(
+            lambda x: jnp.asarray(x, precision), (MACHINE, GROWING, TASK)
+        )
         history = learn(machine, scheme, task, 100)
         assert history.rms.dtype == precision
         assert bool(jnp.all(history.finite)) is (precision == "float64")
@@ -47,7 +54,9 @@ def test_a_reference_of_zero_and_of_several_outputs_has_a_peak():
 
 def by_hand(errors, peak, growth, first):
     """diverged_at and grown_from of one process, trial by trial. errors: (J, n)"""
-    lost = [j for j, e in enumerate(errors) if not np.all(np.isfinite(e)) or np.any(e > 1000 * peak)]
+    lost = [
+        j for j, e in enumerate(errors) if not np.all(np.isfinite(e)) or np.any(e > 1000 * peak)
+    ]
     if lost:
         return first + lost[0], 0
     worst = [max(e) for e in errors]
@@ -62,7 +71,9 @@ def test_the_course_is_that_of_a_plain_loop():
     task, seen = Task(np.outer(np.ones(5), peak), dt=DT), []
     for _ in range(300):
         J, first = rng.choice([1, 2, 7]), int(rng.integers(1, 5))
-        errors = np.exp(rng.normal(0.0, 0.6, (J, 2))) * 10.0 ** rng.choice([0.0, 3.0, 4.0], p=[0.95, 0.03, 0.02])
+        errors = np.exp(rng.normal(0.0, 0.6, (J, 2))) * 10.0 ** rng.choice(
+            [0.0, 3.0, 4.0], p=[0.95, 0.03, 0.02]
+        )
         errors[rng.random((J, 2)) < 0.02] = rng.choice([np.nan, np.inf])
         metrics = Metrics(errors, errors, errors, errors, np.isfinite(errors).all(axis=1))
         found = divergence.course(jax.tree.map(jnp.asarray, metrics), task, first)
@@ -74,7 +85,14 @@ def test_the_course_is_that_of_a_plain_loop():
 
 @pytest.mark.parametrize("xp", [np, jnp], ids=["numpy", "jax"])
 def test_growth_of_many_at_once(xp):
-    errors = xp.asarray([[4.0, 1.0, 1.4, 1.6, 1.7], [4.0, 1.0, 9.0, 1.4, 1.5], [1.0, 2.0, 3.0, 4.0, xp.inf], [3.0, 2.0, 1.0, 1.0, 1.0]])
+    errors = xp.asarray(
+        [
+            [4.0, 1.0, 1.4, 1.6, 1.7],
+            [4.0, 1.0, 9.0, 1.4, 1.5],
+            [1.0, 2.0, 3.0, 4.0, xp.inf],
+            [3.0, 2.0, 1.0, 1.0, 1.0],
+        ]
+    )
     np.testing.assert_array_equal(divergence.grown_from(errors), [4, 0, 0, 0])
     np.testing.assert_array_equal(divergence.grown_from(errors, 0.2), [3, 3, 0, 0])
 
@@ -95,15 +113,27 @@ def test_trials_that_go_on_keep_their_numbers():
     assert (int(before.diverged_at), int(after.diverged_at)) == (0, 6)
     grown = learn(MACHINE, PIDType(gamma_p=2.7), TASK, 3, memory=before.memory, first=4)
     assert int(grown.grown_from) == 5
-    problem = Tuning(MACHINE, GROWING, TASK, 8, {"gamma_p": (1.0, 9.0)}, truncate=2, held_out=0, samples=1)
+    problem = Tuning(
+        MACHINE, GROWING, TASK, 8, {"gamma_p": (1.0, 9.0)}, truncate=2, held_out=0, samples=1
+    )
     assert problem.ceiling == divergence.CEILING
 
 
 @pytest.fixture(scope="module")
 def swept():
-    """Gains of learning from 0.5 to 5, spread over machines: steady, growing and diverging ones, none of them infinite."""
+    """Gains of learning from 0.5 to 5, spread over machines: steady, growing and diverging ones,
+    none of them infinite.
+    """
     schemes = {"steady": STEADY, "growing": PIDType(gamma_p=2.5)}
-    plan = Sweep(MACHINE, schemes, TASK, TRIALS, {"plant.B": Uniform(0.2, 2.0, relative=True)}, samples=40, seed=3)
+    plan = Sweep(
+        MACHINE,
+        schemes,
+        TASK,
+        TRIALS,
+        {"plant.B": Uniform(0.2, 2.0, relative=True)},
+        samples=40,
+        seed=3,
+    )
     return plan, plan.run()
 
 
@@ -115,7 +145,12 @@ def test_a_sweep_counts_what_diverged_though_it_stayed_finite(swept):
     np.testing.assert_array_equal(dataset["diverged_at"].sel(scheme="growing") > 0, lost)
     np.testing.assert_array_equal(dataset["diverged"].sel(scheme="growing").values[:, -1], lost)
     steady, growing = summarise(dataset, 0.1, figure="rms")
-    assert (steady.diverged, steady.diverged_at, steady.semi_converged, steady.grown_from) == (0, 0, 0, 0)
+    assert (steady.diverged, steady.diverged_at, steady.semi_converged, steady.grown_from) == (
+        0,
+        0,
+        0,
+        0,
+    )
     assert (growing.diverged, growing.semi_converged) == (np.mean(lost), np.mean(grown))
     assert growing.diverged_at == int(np.min(2 + np.floor(np.log(1000) / np.log(factor[lost]))))
     assert growing.grown_from == 1 + int(np.min(1 + np.floor(np.log(1.5) / np.log(factor[grown]))))
@@ -126,16 +161,31 @@ def test_a_sweep_counts_what_diverged_though_it_stayed_finite(swept):
 def test_tables_and_figures_say_so(swept):
     plan, dataset = swept
     scenario = dataclasses.replace(
-        scenarios.load("cao-2019"), schemes=plan.schemes, task=TASK, trials=TRIALS, show_trials=(1, 5), published=(), judged_by="rms"
+        scenarios.load("cao-2019"),
+        schemes=plan.schemes,
+        task=TASK,
+        trials=TRIALS,
+        show_trials=(1, 5),
+        published=(),
+        judged_by="rms",
     )
-    figures_ = tables.sweep_figures(scenario, summarise(dataset, 0.1, figure="rms"), 0.1, plan.samples)
-    cells = {str(column.header): list(column.cells) for column in tables.yield_table(figures_).columns}
+    figures_ = tables.sweep_figures(
+        scenario, summarise(dataset, 0.1, figure="rms"), 0.1, plan.samples
+    )
+    cells = {
+        str(column.header): list(column.cells) for column in tables.yield_table(figures_).columns
+    }
     assert str(cells["diverged (from)"][0]) == "0.0%"
     assert f"({figures_['schemes']['growing']['diverged_at']})" in str(cells["diverged (from)"][1])
     assert f"({figures_['schemes']['growing']['grown_from']})" in str(cells["grown (from)"][1])
-    worst = next(column for column in tables.spread_table(figures_).columns if str(column.header) == "worst")
+    worst = next(
+        column for column in tables.spread_table(figures_).columns if str(column.header) == "worst"
+    )
     assert str(list(worst.cells)[1]) == "∞"
-    labels = [text.get_text() for text in figures.error_band(dataset, figure="rms").get_legend().get_texts()]
+    labels = [
+        text.get_text()
+        for text in figures.error_band(dataset, figure="rms").get_legend().get_texts()
+    ]
     assert labels[0] == "steady"
     assert labels[1].startswith("growing (")
     assert labels[1].endswith("% diverged)")
@@ -146,7 +196,14 @@ def test_a_run_says_what_diverged_and_what_has_grown():
     dataset, _ = run_schemes(MACHINE, schemes, TASK, TRIALS)
     np.testing.assert_array_equal(dataset["diverged_at"], [0, 0, 6])
     np.testing.assert_array_equal(dataset["grown_from"], [0, 2, 0])
-    scenario = dataclasses.replace(scenarios.load("cao-2019"), schemes=schemes, task=TASK, trials=TRIALS, published=(), show_trials=(5,))
+    scenario = dataclasses.replace(
+        scenarios.load("cao-2019"),
+        schemes=schemes,
+        task=TASK,
+        trials=TRIALS,
+        published=(),
+        show_trials=(5,),
+    )
     numbers = tables.run_figures(scenario, dataset)
     assert numbers["schemes"]["lost"]["rms"]["12"] == np.inf
     assert np.isfinite(numbers["schemes"]["lost"]["rms"]["5"])
@@ -161,7 +218,9 @@ def test_a_run_says_what_diverged_and_what_has_grown():
 
 
 def test_a_published_row_beside_a_diverged_trial_is_open():
-    scenario = dataclasses.replace(scenarios.load("cao-2019"), machine=MACHINE, schemes={"lost": GROWING}, task=TASK)
+    scenario = dataclasses.replace(
+        scenarios.load("cao-2019"), machine=MACHINE, schemes={"lost": GROWING}, task=TASK
+    )
     rows = [Published("lost", j, "rms", 1.0, "") for j in (1, 9)]
     ours = reproduction._simulated(scenario, rows)
     assert np.isfinite(ours[rows[0]])
@@ -171,11 +230,15 @@ def test_a_published_row_beside_a_diverged_trial_is_open():
 def test_a_dataset_of_before_has_its_finite_flags():
     dims = ("scheme", "sample", "trial")
     errors = np.array([[[9.0, 2.0], [9.0, np.nan]]])
-    dataset = xr.Dataset({"rms": (dims, errors), "finite": (dims, np.isfinite(errors))}, {"scheme": ["s"]})
+    dataset = xr.Dataset(
+        {"rms": (dims, errors), "finite": (dims, np.isfinite(errors))}, {"scheme": ["s"]}
+    )
     assert summarise(dataset, 3.0, figure="rms")[0].diverged == 0.5
 
 
 def test_the_names_are_taken():
     for name in divergence.Course._fields:
-        with pytest.raises(ValueError, match=f"quantity = '{name}' is a figure that every trial has"):
+        with pytest.raises(
+            ValueError, match=f"quantity = '{name}' is a figure that every trial has"
+        ):
             Keep.of({name: lambda trial: trial.y})

@@ -1,4 +1,6 @@
-"""Constructors given what they do not want: a ValueError, or what the checks can look at. See fuzz.py for how to run more."""
+"""Constructors given what they do not want: a ValueError, or what the checks can look at. See
+fuzz.py for how to run more.
+"""
 
 import dataclasses
 
@@ -18,12 +20,22 @@ from jaxilc.uncertainty import LogUniform, Normal, Uniform, check, with_spread
 
 NAMES = list(CASES)
 STATIC = StateSpace([[0.0]], [[1.0]], [[1.0]], dt=DT)
-PLAN = (Machine(STATIC), {"ilc": PIDType(gamma_p=0.5)}, Task(np.ones(5), dt=DT), 2, {"plant.B": Uniform(0.9, 1.1, relative=True)})
+PLAN = (
+    Machine(STATIC),
+    {"ilc": PIDType(gamma_p=0.5)},
+    Task(np.ones(5), dt=DT),
+    2,
+    {"plant.B": Uniform(0.9, 1.1, relative=True)},
+)
 
 
 def with_parts(machine):
     """The same machine with an actuator, sensors and disturbances, so that theirs are tried too."""
-    parts = {"actuator": Actuator(3.0, 500.0, 0.01), "sensor": Sensor(1e-6, 1e-6), "disturbance": Disturbance(input_noise=1e-3)}
+    parts = {
+        "actuator": Actuator(3.0, 500.0, 0.01),
+        "sensor": Sensor(1e-6, 1e-6),
+        "disturbance": Disturbance(input_noise=1e-3),
+    }
     return dataclasses.replace(machine, **parts)
 
 
@@ -58,7 +70,11 @@ def test_plants_schemes_and_tasks():
 
 
 WORDS = [x for x in HOSTILE if isinstance(x, str)]
-DISTRIBUTIONS = (Uniform(0.9, 1.1, relative=True), Normal(1.0, 0.1, relative=True), LogUniform(0.5, 2.0, relative=True))
+DISTRIBUTIONS = (
+    Uniform(0.9, 1.1, relative=True),
+    Normal(1.0, 0.1, relative=True),
+    LogUniform(0.5, 2.0, relative=True),
+)
 
 
 def test_distributions():
@@ -67,12 +83,21 @@ def test_distributions():
         assert np.all(np.isfinite(distribution.quantile(rng.random(3))))
         match rng.integers(3):
             case 0:
-                names = ("plant.B", "plant.B[0][0]", "plant.x0", "actuator", "plant", "sensor.noise")
+                names = (
+                    "plant.B",
+                    "plant.B[0][0]",
+                    "plant.x0",
+                    "actuator",
+                    "plant",
+                    "sensor.noise",
+                )
                 check(PLAN[0], {pick(rng, names if rng.random() < 0.7 else WORDS): distribution})
             case 1:
                 check(PLAN[0], pick(rng, [{"plant.B": pick(rng, HOSTILE)}, pick(rng, HOSTILE)]))
             case _:
-                with_spread({"plant.B": distribution}, pick(rng, (0.1,) if rng.random() < 0.5 else HOSTILE))
+                with_spread(
+                    {"plant.B": distribution}, pick(rng, (0.1,) if rng.random() < 0.5 else HOSTILE)
+                )
 
     assert fuzz(200, attempt) > 5
 
@@ -81,26 +106,73 @@ def test_sweeps_tunings_and_numbers_of_trials():
     def attempt(rng):
         match rng.integers(3):
             case 0:
-                names = ("machine", "schemes", "task", "trials", "uncertainty", "samples", "seed", "sampling", "keep", "chunk", "lanes")
+                names = (
+                    "machine",
+                    "schemes",
+                    "task",
+                    "trials",
+                    "uncertainty",
+                    "samples",
+                    "seed",
+                    "sampling",
+                    "keep",
+                    "chunk",
+                    "lanes",
+                )
                 plan = dict(zip(names, (*PLAN, 3, 0, "monte-carlo", (), 2, 2), strict=True))
-                small = [x for x in HOSTILE if not (isinstance(x, int) and x > 1000)]  # how large they may be is another matter
+                small = [
+                    x for x in HOSTILE if not (isinstance(x, int) and x > 1000)
+                ]  # how large they may be is another matter
                 Sweep(**plan | {pick(rng, names): pick(rng, small)})
             case 1:
                 machine, schemes, task, trials, uncertainty = PLAN
-                given = {"uncertainty": uncertainty, "samples": 2, "held_out": 2, "steps": 2, "starts": 1, "seed": 0, "rate": 0.1}
-                given |= {"scatter": 0.5, "validate_every": 1, "patience": 2, "clip": 3.0, "ceiling": 1e3, "truncate": None, "lanes": 2}
+                given = {
+                    "uncertainty": uncertainty,
+                    "samples": 2,
+                    "held_out": 2,
+                    "steps": 2,
+                    "starts": 1,
+                    "seed": 0,
+                    "rate": 0.1,
+                }
+                given |= {
+                    "scatter": 0.5,
+                    "validate_every": 1,
+                    "patience": 2,
+                    "clip": 3.0,
+                    "ceiling": 1e3,
+                    "truncate": None,
+                    "lanes": 2,
+                }
                 small = [x for x in HOSTILE if not (isinstance(x, int) and x > 1000)]
                 given |= {pick(rng, list(given)): pick(rng, small)}
                 Tuning(machine, schemes["ilc"], task, trials, ["gamma_p"], **given)
             case _:
-                learning.learn(*PLAN[:1], PLAN[1]["ilc"], PLAN[2], pick(rng, [x for x in HOSTILE if x not in (10**6,)][:40]))
+                learning.learn(
+                    *PLAN[:1],
+                    PLAN[1]["ilc"],
+                    PLAN[2],
+                    pick(rng, [x for x in HOSTILE if x not in (10**6,)][:40]),
+                )
 
     fuzz(60, attempt)
 
 
 OBJECTIVES = (
-    *(objectives.Final(), objectives.EveryTrial(), objectives.Holding(), objectives.TrialsTo(0.1), objectives.Growth()),
-    *(objectives.Effort(), objectives.InputRate(), objectives.Contraction(), risks.CVaR(), risks.SmoothMax()),
+    *(
+        objectives.Final(),
+        objectives.EveryTrial(),
+        objectives.Holding(),
+        objectives.TrialsTo(0.1),
+        objectives.Growth(),
+    ),
+    *(
+        objectives.Effort(),
+        objectives.InputRate(),
+        objectives.Contraction(),
+        risks.CVaR(),
+        risks.SmoothMax(),
+    ),
 )
 
 

@@ -1,6 +1,8 @@
-"""Derivatives of compiled, batched programs against central differences: a small part of `experiments/gradients_under_attack.py`.
+"""Derivatives of compiled, batched programs against central differences: a small part of
+`experiments/gradients_under_attack.py`.
 
-The tests' programs are compiled without optimisation, which hides what rounds one number in two ways; these are compiled as shipped.
+The tests' programs are compiled without optimisation, which hides what rounds one number in two
+ways; these are compiled as shipped.
 """
 
 import gradients_under_attack as attack
@@ -33,7 +35,10 @@ def test_no_derivative_of_a_largest_error_is_lost_where_c_is_batched(metric, way
     one = attack.configurations()["order 1"]
     x, d = one.batch(np.random.default_rng(1))
     along = attack.derivative(one, metric, "last")
-    ways = {"tiled": lambda batch: tiled(lambda _, machine: along(machine))((), batch), "vmap": jax.vmap(along)}
+    ways = {
+        "tiled": lambda batch: tiled(lambda _, machine: along(machine))((), batch),
+        "vmap": jax.vmap(along),
+    }
     slopes = np.asarray(compiled(ways[way])(jax.tree.map(jnp.asarray, (x, d))))
     expected = attack.differences(one, x, d)[metric, "last"]
     assert not np.any(expected.kink)
@@ -43,9 +48,15 @@ def test_no_derivative_of_a_largest_error_is_lost_where_c_is_batched(metric, way
 
 def test_the_attack_sees_a_wrong_derivative_and_takes_either_side_of_a_kink():
     left, right = np.array([1.0, 1.0, 1.0, -1.0]), np.array([1.0, 1.0, 1.0, 1.0])
-    at = attack.Differences(left, right, allowed=np.full(4, 1e-5), kink=left != right, shrunk=left != right)
-    np.testing.assert_array_equal(at.wrong(np.array([1.0, 0.0, 1.0001, 1.0])), [False, True, True, False])
-    np.testing.assert_array_equal(at.wrong(np.array([np.nan, -1.0, 1.0, 0.0])), [True, True, False, True])
+    at = attack.Differences(
+        left, right, allowed=np.full(4, 1e-5), kink=left != right, shrunk=left != right
+    )
+    np.testing.assert_array_equal(
+        at.wrong(np.array([1.0, 0.0, 1.0001, 1.0])), [False, True, True, False]
+    )
+    np.testing.assert_array_equal(
+        at.wrong(np.array([np.nan, -1.0, 1.0, 0.0])), [True, True, False, True]
+    )
 
 
 def test_switching_boundaries_and_cutoffs_through_learning():
@@ -71,15 +82,21 @@ BOUNDS = {
 }
 ROBUST = {
     "worst": (Worst(), "reverse", Holding(2) + 0.5 * Growth("max_error") + Final("rms")),
-    "cvar": (CVaR(0.6), "forward", EveryTrial("max_error") + TrialsTo(0.3) + 0.1 * Effort(2.0) + 0.2 * InputRate(50.0)),
+    "cvar": (
+        CVaR(0.6),
+        "forward",
+        EveryTrial("max_error") + TrialsTo(0.3) + 0.1 * Effort(2.0) + 0.2 * InputRate(50.0),
+    ),
 }
 
 
 @pytest.mark.parametrize("name", ROBUST)
 def test_the_loss_of_a_robust_tuning_has_the_slope_of_its_differences(name):
-    """Risk, objective and bounds of weights together, as the optimiser is given them; a descent at rate 1 moves by the gradient.
+    """Risk, objective and bounds of weights together, as the optimiser is given them; a descent at
+    rate 1 moves by the gradient.
 
-    Five plants and three starts on two devices: of a scatter over them, as the derivative of a sort has it, XLA's partitioner died.
+    Five plants and three starts on two devices: of a scatter over them, as the derivative of a sort
+    has it, XLA's partitioner died.
     """
     risk, mode, objective = ROBUST[name]
     machine, scheme, task = case("p_type_switchable")
@@ -103,14 +120,18 @@ def test_the_loss_of_a_robust_tuning_has_the_slope_of_its_differences(name):
     moved, _, record = method.step(starts, method.init(starts))
     _, after, before = np.asarray(record.loss)
     assert not np.any(record.dropped)
-    np.testing.assert_allclose(np.dot(z - moved[0], direction), (after - before) / (2 * h), rtol=2e-6)
+    np.testing.assert_allclose(
+        np.dot(z - moved[0], direction), (after - before) / (2 * h), rtol=2e-6
+    )
 
 
 N, MACHINES = 60, 32
 
 
 def test_largest_keeps_every_part_of_its_derivative():
-    """Where `jnp.max` loses some: the error is a sum of products, which is rounded differently where it is computed again."""
+    """Where `jnp.max` loses some: the error is a sum of products, which is rounded differently
+    where it is computed again.
+    """
     rng = np.random.default_rng(0)
     r, R = rng.standard_normal(N), rng.standard_normal((N, 3))
     c = rng.standard_normal((MACHINES, 3))

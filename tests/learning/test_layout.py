@@ -1,4 +1,6 @@
-"""Where a batch's samples lie: no number changes under any transformation, and XLA does as it is told."""
+"""Where a batch's samples lie: no number changes under any transformation, and XLA does as it is
+told.
+"""
 
 import re
 
@@ -22,7 +24,9 @@ def through(x, place=lambda x: x):
     """A loop over trials around a scan over samples, as `learn` has them. x: (5, 2)"""
 
     def trial(memory, _):
-        total, seen = lax.scan(lambda s, row: (jnp.sin(s + row), s * row), jnp.zeros(2), place(memory))
+        total, seen = lax.scan(
+            lambda s, row: (jnp.sin(s + row), s * row), jnp.zeros(2), place(memory)
+        )
         return 0.5 * memory + seen, total
 
     return jnp.sum(lax.scan(trial, x, None, length=3)[1] ** 2)
@@ -45,12 +49,24 @@ def placed(x):
         lambda f: jax.vmap(lambda x: jax.vmap(lambda t: jax.jvp(f, (x,), (t,))[1])(X)),
         lambda f: jax.grad(lambda x: jax.checkpoint(jax.vmap(f))(x).sum()),
     ],
-    ids=["jit", "grad", "jacfwd", "hessian", "vmap", "vmap of grad", "grad of vmap", "vmap of jvp of vmap", "checkpoint"],
+    ids=[
+        "jit",
+        "grad",
+        "jacfwd",
+        "hessian",
+        "vmap",
+        "vmap of grad",
+        "grad of vmap",
+        "vmap of jvp of vmap",
+        "checkpoint",
+    ],
 )
 def test_every_transformation_gives_the_same_numbers(transform):
     of_one = transform in (jax.jit, jax.grad, jax.jacfwd, jax.hessian)
     at = X[0] if of_one else X
-    np.testing.assert_allclose(jax.jit(transform(placed))(at), jax.jit(transform(through))(at), rtol=1e-13)
+    np.testing.assert_allclose(
+        jax.jit(transform(placed))(at), jax.jit(transform(through))(at), rtol=1e-13
+    )
 
 
 def test_only_arrays_of_rows_are_placed_and_trees_keep_their_shape():
@@ -63,9 +79,20 @@ def test_only_arrays_of_rows_are_placed_and_trees_keep_their_shape():
 @pytest.mark.parametrize("scheme", [CFDLMFAILC(), FFDLMFAILC()], ids=["cfdl", "ffdl"])
 def test_a_batch_goes_from_trial_to_trial_with_its_samples_side_by_side(scheme):
     gains = jnp.linspace(0.4, 0.6, 4)
-    batch = jax.jit(jax.vmap(lambda b: learn(Machine(DifferenceEquation([0.5], b[None], dt=SINE.dt)), scheme, SINE, 6).metrics.rms))
+    batch = jax.jit(
+        jax.vmap(
+            lambda b: (
+                learn(
+                    Machine(DifferenceEquation([0.5], b[None], dt=SINE.dt)), scheme, SINE, 6
+                ).metrics.rms
+            )
+        )
+    )
     program = batch.lower(gains).compile().as_text()
-    carry = re.findall(rf"f64\[4,{SINE.N},1\]\{{([\d,]+)\}}", " ".join(line for line in program.splitlines() if " while(" in line))
+    carry = re.findall(
+        rf"f64\[4,{SINE.N},1\]\{{([\d,]+)\}}",
+        " ".join(line for line in program.splitlines() if " while(" in line),
+    )
     assert carry
     assert set(carry) == {"2,0,1"}  # minor to major: the samples' axis is the slowest
 
@@ -74,7 +101,9 @@ def test_rows_out_of_a_batch_are_those_of_its_members():
     gains = jnp.linspace(0.4, 0.6, 4)
 
     def last(b):
-        return learn(Machine(DifferenceEquation([0.5], b[None], dt=SINE.dt)), FFDLMFAILC(), SINE, 5).final
+        return learn(
+            Machine(DifferenceEquation([0.5], b[None], dt=SINE.dt)), FFDLMFAILC(), SINE, 5
+        ).final
 
     together = jax.vmap(last)(gains)
     for i, b in enumerate(gains):

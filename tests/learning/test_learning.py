@@ -8,7 +8,17 @@ import scipy.linalg
 import scipy.signal
 from cases import ALGEBRA, ARX, DT, PLANTS, PRINTED, SCHEMES
 
-from jaxilc.learning import Disturbance, Machine, Sensor, feedforward, learn, measure, measured_trial, next_memory, run_trial
+from jaxilc.learning import (
+    Disturbance,
+    Machine,
+    Sensor,
+    feedforward,
+    learn,
+    measure,
+    measured_trial,
+    next_memory,
+    run_trial,
+)
 from jaxilc.plants import DifferenceEquation
 from jaxilc.pytree import leaf, pytree
 from jaxilc.schemes import CFDLMFAILC, PID, PIDType, Scheme, WithFeedback
@@ -27,14 +37,18 @@ def y_and_u(trial):
 
 
 def assert_trees_close(one, other, **tolerance):
-    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, **(tolerance or ALGEBRA)), one, other)
+    jax.tree.map(
+        lambda a, b: np.testing.assert_allclose(a, b, **(tolerance or ALGEBRA)), one, other
+    )
 
 
 @pytest.mark.parametrize("name", ["pd_type", "ffdl_book", "p_type_over_pid"])
 def test_learn_is_the_loop_by_hand(name, machine, task):
     """Trial j uses the key folded with j; the scheme learns after each trial."""
     scheme, key = SCHEMES[name], jax.random.key(4)
-    noisy = Machine(machine.plant, sensor=Sensor(noise=1e-3), disturbance=Disturbance(input_noise=0.01))
+    noisy = Machine(
+        machine.plant, sensor=Sensor(noise=1e-3), disturbance=Disturbance(input_noise=0.01)
+    )
     history = learn(noisy, scheme, task, TRIALS, key=key, save=y_and_u)
 
     one_trial, learn_from, judge = jax.jit(run_trial), jax.jit(type(scheme).learn), jax.jit(measure)
@@ -42,8 +56,12 @@ def test_learn_is_the_loop_by_hand(name, machine, task):
     for j in range(1, TRIALS + 1):
         trial = one_trial(noisy, scheme, task, memory, jax.random.fold_in(key, j))
         memory = learn_from(scheme, memory, trial)
-        assert_trees_close(jax.tree.map(lambda saved, j=j: saved[j - 1], history.saved), y_and_u(trial))
-        assert_trees_close(jax.tree.map(lambda figure, j=j: figure[j - 1], history.metrics), judge(trial, task))
+        assert_trees_close(
+            jax.tree.map(lambda saved, j=j: saved[j - 1], history.saved), y_and_u(trial)
+        )
+        assert_trees_close(
+            jax.tree.map(lambda figure, j=j: figure[j - 1], history.metrics), judge(trial, task)
+        )
     assert_trees_close(history.memory, memory)
     assert_trees_close(history.final, trial)
     assert int(history.diverged_at) == 0
@@ -51,7 +69,9 @@ def test_learn_is_the_loop_by_hand(name, machine, task):
 
 @pytest.mark.parametrize("name", ["pd_type", "cfdl_sign", "p_type_fir", "cfdl_lead_limited"])
 def test_a_measured_machine_learns_as_the_simulated_one(name, machine, task):
-    """The machine of the loop by hand is a NumPy loop over eq. 29 that knows nothing of the package."""
+    """The machine of the loop by hand is a NumPy loop over eq. 29 that knows nothing of the
+    package.
+    """
     scheme = SCHEMES[name]
     history = learn(machine, scheme, task, TRIALS, save=y_and_u)
     (a, b), memory = PRINTED, scheme.memory(task)
@@ -78,7 +98,9 @@ def test_going_on_from_a_memory_equals_one_long_run(name, machine, task):
 
 
 def test_cfdl_on_a_static_plant_contracts_by_d1_and_d2(task):
-    """y(k+1) = phi u(k): |e| falls by 1 - rho phi phi^/(lam + phi^^2), phi^ - phi by 1 - eta Du^2/(mu + Du^2), sample by sample."""
+    """y(k+1) = phi u(k): |e| falls by 1 - rho phi phi^/(lam + phi^^2), phi^ - phi by 1 - eta
+    Du^2/(mu + Du^2), sample by sample.
+    """
     phi, start, lam, rho, eta, mu = 0.8, 0.5, 0.3, 0.7, 0.6, 0.4
     scheme = CFDLMFAILC(phi0=start, lam=lam, rho=rho, eta=eta, mu=mu, reset="none")
     machine, r = Machine(DifferenceEquation([0.0], [phi], dt=DT)), np.asarray(task.reference)[1:, 0]
@@ -99,11 +121,15 @@ def test_cfdl_on_a_static_plant_contracts_by_d1_and_d2(task):
 @pytest.mark.parametrize("plant", [PRINTED, ARX])
 @pytest.mark.parametrize("m", [0, 2])
 def test_lifted_error_recursion(plant, m, task):
-    """e_{j+1} = ((1 - leak) I - G L) e_j + leak r with dense G (Markov parameters) and L, e = e(1..N)."""
+    """e_{j+1} = ((1 - leak) I - G L) e_j + leak r with dense G (Markov parameters) and L, e =
+    e(1..N).
+    """
     (a, b), N, r = plant, task.N, np.asarray(task.reference)[1:, 0]
     p, i, d, leak = *(np.sign(sum(b)) * np.array([0.6, 0.02, 1.5])), 0.1
     scheme = PIDType(gamma_p=p, gamma_i=i, gamma_d=d, leak=leak, lead=m)
-    e = np.asarray(learn(Machine(DifferenceEquation(a, b, dt=DT)), scheme, task, TRIALS, save=errors).saved)[:, 1:, 0]
+    e = np.asarray(
+        learn(Machine(DifferenceEquation(a, b, dt=DT)), scheme, task, TRIALS, save=errors).saved
+    )[:, 1:, 0]
     markov = scipy.signal.lfilter((0.0, *b), (1.0, *(-c for c in a)), np.eye(1, N + 1)[0])[1:]
     G = scipy.linalg.toeplitz(markov, np.zeros(N))
     D = np.eye(N, k=m) - np.eye(N, k=m - 1)
@@ -111,19 +137,27 @@ def test_lifted_error_recursion(plant, m, task):
     L = p * np.eye(N, k=m) + i * np.tril(np.ones((N, N))) + d * D
     np.testing.assert_allclose(e[0], r, atol=1e-15)
     for j in range(TRIALS - 1):
-        np.testing.assert_allclose(e[j + 1], ((1 - leak) * np.eye(N) - G @ L) @ e[j] + leak * r, atol=1e-12 * np.max(np.abs(e)))
+        np.testing.assert_allclose(
+            e[j + 1],
+            ((1 - leak) * np.eye(N) - G @ L) @ e[j] + leak * r,
+            atol=1e-12 * np.max(np.abs(e)),
+        )
     assert np.max(np.abs(e[1] - e[0])) > 0.05
 
 
 def test_feedforward_of_a_scheme_with_feedback_is_its_learned_part(machine, task):
-    """The feedback comes on top within the trial, so what a controller is loaded with is the learned share."""
+    """The feedback comes on top within the trial, so what a controller is loaded with is the
+    learned share.
+    """
     learning, feedback = PIDType(gamma_p=-1.0, lead=2), PID(kp=-4.0)
     scheme = WithFeedback(learning, feedback)
     history = learn(machine, scheme, task, 3)
     share = history.final.signals["feedback"]
     np.testing.assert_allclose(share[:, 0], -4.0 * history.final.e[:-1, 0], **ALGEBRA)
     before = learn(machine, scheme, task, 2).memory
-    np.testing.assert_allclose(feedforward(scheme, task, before), history.final.u - share, **ALGEBRA)
+    np.testing.assert_allclose(
+        feedforward(scheme, task, before), history.final.u - share, **ALGEBRA
+    )
 
 
 def test_a_measured_trial_without_the_feedback_signal_is_refused(machine, task):
@@ -136,12 +170,16 @@ def test_a_measured_trial_without_the_feedback_signal_is_refused(machine, task):
 def test_small_products_are_products(shape):
     rng = np.random.default_rng(1)
     matrix, vector = rng.normal(size=shape), rng.normal(size=shape[1])
-    np.testing.assert_allclose(product(jnp.asarray(matrix), jnp.asarray(vector)), matrix @ vector, rtol=1e-13, atol=1e-13)
+    np.testing.assert_allclose(
+        product(jnp.asarray(matrix), jnp.asarray(vector)), matrix @ vector, rtol=1e-13, atol=1e-13
+    )
 
 
 def test_save_keeps_what_it_returns(machine, task):
     assert learn(machine, SCHEMES["p_type"], task, 3).saved is None
-    saved = learn(machine, SCHEMES["p_type"], task, 3, save=lambda trial: (trial.u[::10], jnp.max(trial.y))).saved
+    saved = learn(
+        machine, SCHEMES["p_type"], task, 3, save=lambda trial: (trial.u[::10], jnp.max(trial.y))
+    ).saved
     assert [s.shape for s in saved] == [(3, 6, 1), (3,)]
 
 
@@ -158,7 +196,12 @@ def figures_by_hand(y, u, r, window):
 
 @pytest.mark.parametrize(
     ("settle", "window"),
-    [(None, range(10, 21)), ((0.005, 0.012), range(5, 13)), ((0.0, 0.02), range(21)), ((0.02, 9.0), range(20, 21))],
+    [
+        (None, range(10, 21)),
+        ((0.005, 0.012), range(5, 13)),
+        ((0.0, 0.02), range(21)),
+        ((0.02, 9.0), range(20, 21)),
+    ],
 )
 def test_metrics_against_numpy(settle, window):
     rng, N = np.random.default_rng(8), 20
@@ -173,7 +216,10 @@ def test_metrics_against_numpy(settle, window):
         spoiled[5, 1] = 0.0
 
 
-@pytest.mark.parametrize(("settle", "window"), [((0.0, 9.0), range(61)), ((0.01, 0.02), range(10, 21)), ((0.059, 9.0), range(59, 61))])
+@pytest.mark.parametrize(
+    ("settle", "window"),
+    [((0.0, 9.0), range(61)), ((0.01, 0.02), range(10, 21)), ((0.059, 9.0), range(59, 61))],
+)
 def test_metrics_gathered_while_learning_are_those_of_the_record(settle, window, machine, task):
     """Settled windows that begin with the trial, lie within it, and end with it."""
     task = Task(task.reference, dt=DT, settle=settle)
@@ -181,12 +227,16 @@ def test_metrics_gathered_while_learning_are_those_of_the_record(settle, window,
     for j in range(3):
         y, u = (np.asarray(history.saved[name][j]) for name in "yu")
         for name, expected in figures_by_hand(y, u, np.asarray(task.reference), window).items():
-            np.testing.assert_allclose(getattr(history.metrics, name)[j], expected, rtol=1e-12, err_msg=name)
+            np.testing.assert_allclose(
+                getattr(history.metrics, name)[j], expected, rtol=1e-12, err_msg=name
+            )
 
 
 @pytest.mark.parametrize("settle", [(0.0, 0.02), (0.005, 0.012)])
 def test_gradient_of_the_metrics_is_that_of_their_definition(settle):
-    """By y and u, with a largest error that two samples share: then the first of them has the derivative."""
+    """By y and u, with a largest error that two samples share: then the first of them has the
+    derivative.
+    """
     rng, N = np.random.default_rng(8), 20
     r, y, u = np.zeros((N + 1, 2)), rng.normal(size=(N + 1, 2)), rng.normal(size=(N, 1))
     y[7, 0], y[9, 0] = 5.0, -5.0
@@ -204,12 +254,17 @@ def test_gradient_of_the_metrics_is_that_of_their_definition(settle):
         return jnp.concatenate(measure(Trial(jnp.asarray(r), y, u, DT, {}), task)[:4])
 
     for mode in (jax.jacrev, jax.jacfwd):
-        found, expected = (mode(lambda *signals, f=f: weights @ f(*signals), argnums=(0, 1))(y, u) for f in (ours, by_definition))
+        found, expected = (
+            mode(lambda *signals, f=f: weights @ f(*signals), argnums=(0, 1))(y, u)
+            for f in (ours, by_definition)
+        )
         assert_trees_close(found, expected)
 
 
 def test_memory_of_a_gradient_grows_like_the_root_of_the_trials():
-    """B + J / B memories: 8 for J = 16, 16 for 64; the slope of 64 trials is that of 61 and 3, which are primes and stored one by one."""
+    """B + J / B memories: 8 for J = 16, 16 for 64; the slope of 64 trials is that of 61 and 3,
+    which are primes and stored one by one.
+    """
     machine, task = Machine(PLANTS["arx"]), Task(np.sin(np.arange(1001) / 50), dt=DT)
 
     def last(lam, *trials):
@@ -230,12 +285,16 @@ def test_memory_of_a_gradient_grows_like_the_root_of_the_trials():
 
 @pytest.mark.parametrize("figure", ["effort", "rms", "max_error", "settled_error"])
 def test_gradient_of_a_figure_that_is_zero_is_finite(figure):
-    """In the first trial u is 0 and so is the effort; a machine that meets r = 0 has no error. Tuning must survive both."""
+    """In the first trial u is 0 and so is the effort; a machine that meets r = 0 has no error.
+    Tuning must survive both.
+    """
     machine, r = Machine(PLANTS["arx"]), np.zeros(11)
     r[5:] = figure == "effort"
 
     def total(lam):
-        return jnp.sum(getattr(learn(machine, CFDLMFAILC(phi0=0.3, lam=lam), Task(r, dt=DT), 3), figure))
+        return jnp.sum(
+            getattr(learn(machine, CFDLMFAILC(phi0=0.3, lam=lam), Task(r, dt=DT), 3), figure)
+        )
 
     assert np.isfinite(jax.grad(total)(0.5))
 
@@ -270,8 +329,14 @@ MEASURED = {
     "y_short": ({"y": np.zeros(60)}, SHAPE.format("y", r"\(60, 1\)", r"\(61, 1\)")),
     "u_long": ({"u": np.zeros(61)}, SHAPE.format("u", r"\(61, 1\)", r"\(60, 1\)")),
     "channels": ({"y": np.zeros((61, 2))}, SHAPE.format("y", r"\(61, 2\)", r"\(61, 1\)")),
-    "nan": ({"y": np.where(np.arange(61) == 7, np.nan, 0.0)}, "measured_trial: y is not finite at sample 7"),
-    "inf": ({"u": np.where(np.arange(60) >= 9, np.inf, 0.0)}, "measured_trial: u is not finite at sample 9"),
+    "nan": (
+        {"y": np.where(np.arange(61) == 7, np.nan, 0.0)},
+        "measured_trial: y is not finite at sample 7",
+    ),
+    "inf": (
+        {"u": np.where(np.arange(60) >= 9, np.inf, 0.0)},
+        "measured_trial: u is not finite at sample 9",
+    ),
 }
 
 
@@ -283,7 +348,11 @@ def test_a_measured_trial_that_does_not_fit_is_named(signals, message, task):
 
 @pytest.mark.parametrize("trials", [0, -3, 2.5, None, "3", True])
 def test_trials_must_be_a_positive_number(trials, machine, task):
-    said = rf"{trials!r} is not a number" if trials in (None, "3", True) else rf"{trials} is outside its allowed range \[1, inf\)"
+    said = (
+        rf"{trials!r} is not a number"
+        if trials in (None, "3", True)
+        else rf"{trials} is outside its allowed range \[1, inf\)"
+    )
     with pytest.raises(ValueError, match=f"learn: trials = {said}"):
         learn(machine, SCHEMES["p_type"], task, trials)
     with pytest.raises(ValueError, match="learn: first = "):
@@ -293,7 +362,9 @@ def test_trials_must_be_a_positive_number(trials, machine, task):
 @pytest.mark.parametrize("name", ["machine", "scheme", "task"])
 def test_what_is_to_learn_is_what_it_is_called(name, machine, task):
     asked = {"machine": machine, "scheme": SCHEMES["p_type"], "task": task} | {name: -np.inf}
-    with pytest.raises(ValueError, match=f"{name} = -inf is a float; allowed is a {name.capitalize()}"):
+    with pytest.raises(
+        ValueError, match=f"{name} = -inf is a float; allowed is a {name.capitalize()}"
+    ):
         learn(**asked, trials=1)
 
 
@@ -301,12 +372,24 @@ TASKS = {
     "too_short": ({"reference": np.zeros(1)}, r"Task: reference has shape \(1,\)"),
     "three_axes": ({"reference": np.zeros((4, 4, 4))}, r"Task: reference has shape \(4, 4, 4\)"),
     "nan": ({"reference": np.array([0.0, np.nan])}, r"Task: reference = .*nan.* is outside"),
-    "huge": ({"reference": np.array([0.0, 1e300])}, r"Task: reference = .* is outside its allowed range \[-1e\+12, 1e\+12\]"),
-    "tiny": ({"reference": np.array([0.0, 1e-300])}, r"Task: reference is 1e-300 at most; allowed is none at all, or one from 1e-15 on"),
+    "huge": (
+        {"reference": np.array([0.0, 1e300])},
+        r"Task: reference = .* is outside its allowed range \[-1e\+12, 1e\+12\]",
+    ),
+    "tiny": (
+        {"reference": np.array([0.0, 1e-300])},
+        r"Task: reference is 1e-300 at most; allowed is none at all, or one from 1e-15 on",
+    ),
     "dt": ({"dt": 0.0}, r"Task: dt = 0.0 is outside its allowed range \[1e-12, 1e\+09\]"),
-    "dt_huge": ({"dt": 1e300}, r"Task: dt = 1e\+300 is outside its allowed range \[1e-12, 1e\+09\]"),
+    "dt_huge": (
+        {"dt": 1e300},
+        r"Task: dt = 1e\+300 is outside its allowed range \[1e-12, 1e\+09\]",
+    ),
     "settle_open": ({"settle": (0.0, np.inf)}, r"Task: settle = \(0.0, inf\) s is not a window"),
-    "settle_one": ({"settle": 0.005}, r"Task: settle = 0.005 is a float; allowed are a tuple \(a number, a number\) and None"),
+    "settle_one": (
+        {"settle": 0.005},
+        r"Task: settle = 0.005 is a float; allowed are a tuple \(a number, a number\) and None",
+    ),
     "settle_word": ({"settle": "late"}, "Task: settle = 'late' is a str; allowed are"),
     "unit": ({"unit": 3}, "Task: unit = 3 is a int; allowed is text"),
     "complex": ({"dt": 1j}, "Task: dt = 1j is outside its allowed range"),

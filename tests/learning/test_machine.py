@@ -24,7 +24,10 @@ def y_and_u(trial):
 
 def signals(machine, scheme, task, trials=1, **options):
     """(J, N+1) and (J, N): measured outputs and applied inputs."""
-    return tuple(np.asarray(s)[..., 0] for s in learn(machine, scheme, task, trials, save=y_and_u, **options).saved)
+    return tuple(
+        np.asarray(s)[..., 0]
+        for s in learn(machine, scheme, task, trials, save=y_and_u, **options).saved
+    )
 
 
 def clip(x, low, high):
@@ -33,17 +36,30 @@ def clip(x, low, high):
 
 @pytest.mark.parametrize("part", ["limit", "rate", "resolution", "all"])
 def test_machine_equals_a_loop_by_hand(part):
-    """Everything between scheme and plant: limit, rate, converter, disturbances at input and output, encoder."""
+    """Everything between scheme and plant: limit, rate, converter, disturbances at input and
+    output, encoder.
+    """
     chosen = {"limit": 0.5, "rate": 250.0, "resolution": 0.07}
     chosen = chosen if part == "all" else {part: chosen[part]}
     rng, N = np.random.default_rng(5), 50
     d_u, d_y = 0.2 * rng.normal(size=N), 0.05 * rng.normal(size=N + 1)
     r, step, kp = np.sin(0.3 * np.arange(N + 1)), 0.02, 0.9
-    machine = Machine(PLANT, Actuator(**chosen), Sensor(resolution=step), Disturbance(input=d_u[:, None], output=d_y[:, None]))
+    machine = Machine(
+        PLANT,
+        Actuator(**chosen),
+        Sensor(resolution=step),
+        Disturbance(input=d_u[:, None], output=d_y[:, None]),
+    )
     of_package = signals(machine, PID(kp=kp), Task(r, dt=DT))
 
     (a1, a2), (b1, b2) = ARX
-    true, y, u, v, reached = np.zeros(N + 1), np.zeros(N + 1), np.zeros(N), np.zeros(N), dict.fromkeys(chosen, 0)
+    true, y, u, v, reached = (
+        np.zeros(N + 1),
+        np.zeros(N + 1),
+        np.zeros(N),
+        np.zeros(N),
+        dict.fromkeys(chosen, 0),
+    )
     for k in range(N + 1):
         y[k] = step * np.round((true[k] + d_y[k]) / step)
         if k == N:
@@ -69,7 +85,9 @@ def test_machine_equals_a_loop_by_hand(part):
 
 
 def test_learning_sees_the_input_as_applied():
-    """A learning law goes on from the saturated input, so it does not wind up: u_{j+1} = clip(u_j) + gamma e_j."""
+    """A learning law goes on from the saturated input, so it does not wind up: u_{j+1} = clip(u_j)
+    + gamma e_j.
+    """
     r = np.array([0.0, 1.0, 1.0, 0.1, -1.0])
     y, u = signals(Machine(DELAY, Actuator(limit=0.4)), PIDType(gamma_p=0.5), Task(r, dt=DT), 8)
     np.testing.assert_allclose(u[-1], [0.4, 0.4, 0.1 * (1 - 0.5**7), -0.4], rtol=1e-12)
@@ -85,13 +103,15 @@ NOISES = {
 
 @pytest.mark.parametrize("source", NOISES)
 def test_noise_is_white_of_the_given_deviation_and_new_in_each_trial(source):
-    """With u = 0 and y[k+1] = u[k] + d_u[k] the output is the noise. Standard errors: s/sqrt(n), s^2 sqrt(2/n), and 1/sqrt(n)
-    of a correlation."""
+    """With u = 0 and y[k+1] = u[k] + d_u[k] the output is the noise. Standard errors: s/sqrt(n),
+    s^2 sqrt(2/n), and 1/sqrt(n) of a correlation."""
     sigma, N = 0.3, 3000
     machine = Machine(DELAY, **NOISES[source](sigma))
     y, u = signals(machine, ZERO, Task(np.zeros(N + 1), dt=DT), 2, key=jax.random.key(11))
     assert np.all(u == 0)
-    assert (y[0, 0] == 0) == (source == "input"), "the first sample is measured too, before any input"
+    assert (y[0, 0] == 0) == (source == "input"), (
+        "the first sample is measured too, before any input"
+    )
     first, second = y[:, 1:]
     for noise in (first, second):
         assert abs(np.mean(noise)) < SIGMAS * sigma / np.sqrt(N)
@@ -103,7 +123,12 @@ def test_noise_is_white_of_the_given_deviation_and_new_in_each_trial(source):
 
 def test_noise_sources_are_independent_and_add_up():
     N, deviations = 3000, (0.1, 0.2, 0.3)
-    machine = Machine(DELAY, None, Sensor(noise=deviations[0]), Disturbance(output_noise=deviations[1], input_noise=deviations[2]))
+    machine = Machine(
+        DELAY,
+        None,
+        Sensor(noise=deviations[0]),
+        Disturbance(output_noise=deviations[1], input_noise=deviations[2]),
+    )
     y, _ = signals(machine, ZERO, Task(np.zeros(N + 1), dt=DT))
     variance = sum(s**2 for s in deviations)
     assert abs(np.var(y[0, 1:]) - variance) < SIGMAS * variance * np.sqrt(2 / N)
@@ -130,28 +155,41 @@ def test_repetitive_part_repeats_and_the_rest_follows_the_key():
 def test_noise_of_each_channel_is_its_own():
     N, deviations = 3000, np.array([0.1, 0.4])
     plant = StateSpace(np.zeros((2, 2)), np.eye(2), np.eye(2), dt=DT)
-    y = learn(Machine(plant, sensor=Sensor(noise=deviations)), ZERO, Task(np.zeros((N + 1, 2)), dt=DT), 1).final.y
-    assert np.all(np.abs(np.var(y, axis=0) - deviations**2) < SIGMAS * deviations**2 * np.sqrt(2 / N))
+    y = learn(
+        Machine(plant, sensor=Sensor(noise=deviations)), ZERO, Task(np.zeros((N + 1, 2)), dt=DT), 1
+    ).final.y
+    assert np.all(
+        np.abs(np.var(y, axis=0) - deviations**2) < SIGMAS * deviations**2 * np.sqrt(2 / N)
+    )
     assert abs(np.mean(y[:, 0] * y[:, 1])) < SIGMAS * np.prod(deviations) / np.sqrt(N)
 
 
 def test_gradients_of_the_discontinuous_parts():
-    """Quantisers pass the gradient straight through; limits and rates pass it inside and block it beyond."""
+    """Quantisers pass the gradient straight through; limits and rates pass it inside and block it
+    beyond.
+    """
     slope = jax.vmap(jax.grad(quantise), in_axes=(0, None))
     np.testing.assert_array_equal(slope(jnp.array([-0.31, 0.0, 0.04, 7.2]), 0.1), 1.0)
-    np.testing.assert_allclose(quantise(np.array([-0.31, 0.04, 7.26]), 0.1), [-0.3, 0.0, 7.3], atol=1e-12)
+    np.testing.assert_allclose(
+        quantise(np.array([-0.31, 0.04, 7.26]), 0.1), [-0.3, 0.0, 7.3], atol=1e-12
+    )
 
     def through(actuator, u):
         return jax.grad(lambda u: actuator.apply(u, jnp.array([0.2]), DT)[1][0])(jnp.array([u]))[0]
 
     assert [float(through(Actuator(limit=1.0), u)) for u in (-1.5, 0.5, 1.5)] == [0.0, 1.0, 0.0]
     assert [float(through(Actuator(rate=100.0), u)) for u in (0.05, 0.25, 0.35)] == [0.0, 1.0, 0.0]
-    assert [float(through(Actuator(limit=1.0, resolution=0.3), u)) for u in (0.5, 1.5)] == [1.0, 0.0]
+    assert [float(through(Actuator(limit=1.0, resolution=0.3), u)) for u in (0.5, 1.5)] == [
+        1.0,
+        0.0,
+    ]
     assert float(jax.grad(lambda y: Sensor(resolution=0.3).measure(y, None))(0.4)) == 1.0
 
 
 def test_gradient_through_learning_on_quantised_signals_is_straight_through():
-    """For y[k+1] = Q(u[k]) the law's derivative is that of the smooth loop with the quantised values put in."""
+    """For y[k+1] = Q(u[k]) the law's derivative is that of the smooth loop with the quantised
+    values put in.
+    """
     r, step = np.array([0.0, 0.73, -0.41, 0.22]), 0.05
     task = Task(r, dt=DT)
 
@@ -167,15 +205,60 @@ def test_gradient_through_learning_on_quantised_signals_is_straight_through():
 
 TASK = Task(np.zeros(21), dt=DT)
 MISFITS = {
-    "inputs": (Machine(PLANTS["mimo"]), ZERO, TASK, r"the task has 1 inputs but the plant StateSpace has 2"),
-    "outputs": (Machine(PLANTS["motor_and_table"]), ZERO, TASK, r"the task has 1 outputs but the plant StateSpace has 2"),
-    "d_u": (Machine(PLANT, disturbance=Disturbance(input=np.zeros((19, 1)))), ZERO, TASK, r"input has shape \(19, 1\).*needs \(20, 1\)"),
-    "d_y": (Machine(PLANT, disturbance=Disturbance(output=np.zeros((20, 1)))), ZERO, TASK, r"output has shape \(20, 1\).*needs \(21, 1\)"),
-    "lead": (Machine(PLANT), PIDType(lead=20), TASK, r"PIDType: lead = 20 is outside its allowed range \[0, 19\] for N = 20"),
-    "lead_mfailc": (Machine(PLANT), CFDLMFAILC(lead=20), TASK, r"CFDLMFAILC: lead = 20 is outside its allowed range \[0, 19\]"),
-    "not_square": (Machine(PLANTS["motor_and_table"]), ZERO, Task(np.zeros((21, 2)), dt=DT, inputs=1), r"PID .*1 and 2; .*OnOutputs"),
-    "taps": (Machine(PLANT), Filtered(PIDType(), ZeroPhaseFIR(np.ones(21) / 21)), TASK, r"ZeroPhaseFIR: taps has shape \(21,\).*N = 20"),
-    "no_table": (Machine(PLANT), Filtered(ZERO, ZeroPhaseFIR()), TASK, r"Filtered: PID learns no feedforward"),
+    "inputs": (
+        Machine(PLANTS["mimo"]),
+        ZERO,
+        TASK,
+        r"the task has 1 inputs but the plant StateSpace has 2",
+    ),
+    "outputs": (
+        Machine(PLANTS["motor_and_table"]),
+        ZERO,
+        TASK,
+        r"the task has 1 outputs but the plant StateSpace has 2",
+    ),
+    "d_u": (
+        Machine(PLANT, disturbance=Disturbance(input=np.zeros((19, 1)))),
+        ZERO,
+        TASK,
+        r"input has shape \(19, 1\).*needs \(20, 1\)",
+    ),
+    "d_y": (
+        Machine(PLANT, disturbance=Disturbance(output=np.zeros((20, 1)))),
+        ZERO,
+        TASK,
+        r"output has shape \(20, 1\).*needs \(21, 1\)",
+    ),
+    "lead": (
+        Machine(PLANT),
+        PIDType(lead=20),
+        TASK,
+        r"PIDType: lead = 20 is outside its allowed range \[0, 19\] for N = 20",
+    ),
+    "lead_mfailc": (
+        Machine(PLANT),
+        CFDLMFAILC(lead=20),
+        TASK,
+        r"CFDLMFAILC: lead = 20 is outside its allowed range \[0, 19\]",
+    ),
+    "not_square": (
+        Machine(PLANTS["motor_and_table"]),
+        ZERO,
+        Task(np.zeros((21, 2)), dt=DT, inputs=1),
+        r"PID .*1 and 2; .*OnOutputs",
+    ),
+    "taps": (
+        Machine(PLANT),
+        Filtered(PIDType(), ZeroPhaseFIR(np.ones(21) / 21)),
+        TASK,
+        r"ZeroPhaseFIR: taps has shape \(21,\).*N = 20",
+    ),
+    "no_table": (
+        Machine(PLANT),
+        Filtered(ZERO, ZeroPhaseFIR()),
+        TASK,
+        r"Filtered: PID learns no feedforward",
+    ),
     # weights of the wrong length
     "kp": (Machine(PLANT), PID(kp=(1.0, 2.0)), TASK, "PID: kp"),
     "gamma_p": (Machine(PLANT), PIDType(gamma_p=(1.0, 2.0)), TASK, "PIDType: gamma_p"),

@@ -1,4 +1,6 @@
-"""Slopes through learning, against finite differences and closed forms; what divergence does to them."""
+"""Slopes through learning, against finite differences and closed forms; what divergence does to
+them.
+"""
 
 import dataclasses
 from functools import partial
@@ -49,20 +51,35 @@ EVERYTHING = (
     + 0.2 * InputRate(50.0)
 )
 LEARNING = {name: scheme for name, scheme in SCHEMES.items() if scheme.learns}
-# each kind of scheme once; a StopWhen that has stopped learns nothing, so that its map is the same at any weights
-CONTRACTING = ("ffdl_book", "p_type_on_reference", "p_type_butterworth", "error_filtered", "higher_order", "p_type_ladder")
+# each kind of scheme once; a StopWhen that has stopped learns nothing, so that its map is the same
+# at any weights
+CONTRACTING = (
+    "ffdl_book",
+    "p_type_on_reference",
+    "p_type_butterworth",
+    "error_filtered",
+    "higher_order",
+    "p_type_ladder",
+)
 CONTRACTING += ("p_type_on_table", "norm_optimal", "milc", "ilc_asmc")
 
 
-# Slopes ----------------------------------------------------------------------------------------------------------------------
+# Slopes
+# ----------------------------------------------------------------------------------------------------------------------
 
 
 def line_through(scheme):
-    """x -> the scheme with all its leaves moved by x along one random direction, each by a tenth of its size at x = 1."""
+    """x -> the scheme with all its leaves moved by x along one random direction, each by a tenth of
+    its size at x = 1.
+    """
     leaves, shape = jax.tree.flatten(scheme)
     rng = np.random.default_rng(2)
-    direction = [0.1 * rng.standard_normal(np.shape(leaf)) * np.maximum(np.abs(leaf), 0.1) for leaf in leaves]
-    return lambda x: shape.unflatten([leaf + x * d for leaf, d in zip(leaves, direction, strict=True)])
+    direction = [
+        0.1 * rng.standard_normal(np.shape(leaf)) * np.maximum(np.abs(leaf), 0.1) for leaf in leaves
+    ]
+    return lambda x: shape.unflatten(
+        [leaf + x * d for leaf, d in zip(leaves, direction, strict=True)]
+    )
 
 
 @pytest.mark.parametrize("name", LEARNING)
@@ -106,10 +123,22 @@ def test_slope_of_contraction_equals_finite_differences(name):
 
 
 def test_every_objective_and_every_learning_scheme_is_among_them():
-    kinds = {kind for kind in vars(objectives).values() if isinstance(kind, type) and issubclass(kind, Objective)}
-    assert kinds - {type(term) for _, term in EVERYTHING.terms} == {Objective, type(EVERYTHING), Contraction}
+    kinds = {
+        kind
+        for kind in vars(objectives).values()
+        if isinstance(kind, type) and issubclass(kind, Objective)
+    }
+    assert kinds - {type(term) for _, term in EVERYTHING.terms} == {
+        Objective,
+        type(EVERYTHING),
+        Contraction,
+    }
     listed = {type(part) for scheme in LEARNING.values() for part in parts_of(scheme)}
-    learning = {kind for kind in vars(schemes).values() if isinstance(kind, type) and issubclass(kind, schemes.Scheme)}
+    learning = {
+        kind
+        for kind in vars(schemes).values()
+        if isinstance(kind, type) and issubclass(kind, schemes.Scheme)
+    }
     of_feedback = {schemes.FFDLMFAC, schemes.PFDLMFAC, schemes.CFDLMFAC, schemes.SMC}
     assert learning - listed == {schemes.Scheme} | of_feedback
     contracting = tuple({type(part) for name in CONTRACTING for part in parts_of(LEARNING[name])})
@@ -119,22 +148,29 @@ def test_every_objective_and_every_learning_scheme_is_among_them():
 def parts_of(scheme):
     """The scheme and those within."""
     inner = [getattr(scheme, field.name) for field in dataclasses.fields(scheme)]
-    return [scheme, *(part for one in inner if isinstance(one, schemes.Scheme) for part in parts_of(one))]
+    return [
+        scheme,
+        *(part for one in inner if isinstance(one, schemes.Scheme) for part in parts_of(one)),
+    ]
 
 
 RESETS = {"phi0": -0.065, "lam": 0.02, "mu": 0.05, "epsilon": 0.01}
 
 
 def test_a_smooth_reset_has_the_slope_that_the_switch_hides():
-    # through both clauses: the integral of a slope is the change of the value, but for what a jump hides
+    # through both clauses: the integral of a slope is the change of the value, but for what a jump
+    # hides
     epsilon, phi0 = 0.01, -0.065
     path = np.linspace(-1.0, 1.0, 20001)
 
     def estimate(x, mode):
-        (kept,) = reset_estimate([phi0 / 2 * x], 3 * epsilon * x, [phi0], component=0, epsilon=epsilon, mode=mode)
+        (kept,) = reset_estimate(
+            [phi0 / 2 * x], 3 * epsilon * x, [phi0], component=0, epsilon=epsilon, mode=mode
+        )
         return kept
 
-    # `book` is phi0 up to x = 1/3, where |du| passes epsilon, and phi0 x / 2 from there: what its slope misses is the jump
+    # `book` is phi0 up to x = 1/3, where |du| passes epsilon, and phi0 x / 2 from there: what its
+    # slope misses is the jump
     for mode, hidden in (("smooth", 0.0), ("book", phi0 / 6 - phi0)):
         value, slope = jax.vmap(jax.value_and_grad(partial(estimate, mode=mode)))(path)
         missed = value[-1] - value[0] - scipy.integrate.trapezoid(slope, path)
@@ -143,16 +179,28 @@ def test_a_smooth_reset_has_the_slope_that_the_switch_hides():
 
 def test_a_smooth_reset_is_that_of_the_book_far_from_its_thresholds():
     phi, du = jnp.array([-0.5, 0.4, -0.4, -0.5]), jnp.array([0.6, 0.6, -0.7, 0.6])
-    smooth, book = (reset_estimate([phi], du, [jnp.array(-0.3)], component=0, epsilon=0.01, mode=mode)[0] for mode in ("smooth", "book"))
+    smooth, book = (
+        reset_estimate([phi], du, [jnp.array(-0.3)], component=0, epsilon=0.01, mode=mode)[0]
+        for mode in ("smooth", "book")
+    )
     np.testing.assert_array_equal(book, [-0.5, -0.3, -0.4, -0.5])
     np.testing.assert_allclose(smooth, book, rtol=1e-12)
 
 
 def test_slopes_through_the_last_trials_alone_are_those_of_the_closed_form():
     # e_J = (1 - gamma g)^(K-1) e_(J-K+1), the latter held: K - 1 of J - 1 factors have a slope
-    problem = dataclasses.replace(PROBLEM, uncertainty={}, trials=6, objective=Final("rms", floor=1e-9) + EveryTrial("rms", floor=1e-9))
+    problem = dataclasses.replace(
+        PROBLEM,
+        uncertainty={},
+        trials=6,
+        objective=Final("rms", floor=1e-9) + EveryTrial("rms", floor=1e-9),
+    )
     for K in (1, 4, 9):
-        value, slope = jax.value_and_grad(lambda gamma: dataclasses.replace(problem, truncate=K).loss_of(STATIC, {"gamma_p": gamma}))(0.4)  # noqa: B023
+        value, slope = jax.value_and_grad(
+            lambda gamma: dataclasses.replace(problem, truncate=K).loss_of(
+                STATIC, {"gamma_p": gamma}
+            )
+        )(0.4)  # noqa: B023
         factors = np.array([max(0, j - 1 - max(0, 6 - K)) for j in range(1, 7)])
         np.testing.assert_allclose(slope, -(factors[-1] + np.mean(factors)) / 0.6, rtol=1e-9)
         np.testing.assert_allclose(value, problem.loss_of(STATIC, {"gamma_p": 0.4}), rtol=1e-12)
@@ -160,11 +208,25 @@ def test_slopes_through_the_last_trials_alone_are_those_of_the_closed_form():
 
 def test_truncation_changes_the_slope_and_nothing_else():
     machine = dataclasses.replace(STATIC, sensor=Sensor(noise=1e-2))
-    scheme, objective = FFDLMFAILC(**RESETS | {"phi0": (0.1, 0.8)}, L_y=1, L_u=1), Final("rms") + TrialsTo(0.3)
-    whole = dataclasses.replace(PROBLEM, machine=machine, scheme=scheme, weights=["lam"], trials=5, objective=objective, quantities=LARGEST)
+    scheme, objective = (
+        FFDLMFAILC(**RESETS | {"phi0": (0.1, 0.8)}, L_y=1, L_u=1),
+        Final("rms") + TrialsTo(0.3),
+    )
+    whole = dataclasses.replace(
+        PROBLEM,
+        machine=machine,
+        scheme=scheme,
+        weights=["lam"],
+        trials=5,
+        objective=objective,
+        quantities=LARGEST,
+    )
     cut = dataclasses.replace(whole, truncate=3)
     key = jax.random.key(3)
-    one, other = (jax.value_and_grad(lambda lam: p.loss_of(machine, {"lam": lam}, key=key))(0.02) for p in (whole, cut))  # noqa: B023
+    one, other = (
+        jax.value_and_grad(lambda lam: p.loss_of(machine, {"lam": lam}, key=key))(0.02)
+        for p in (whole, cut)
+    )  # noqa: B023
     np.testing.assert_allclose(one[0], other[0], rtol=1e-12)
     assert one[1] != other[1] != 0
 
@@ -174,7 +236,9 @@ def test_forward_and_backward_slopes_agree():
         return judge(STATIC, PIDType(gamma_p=z[0], gamma_d=z[1], leak=z[2]), TASK, 4, EVERYTHING)
 
     z = jnp.array([0.4, 0.1, 0.02])
-    (one, forward), (other, backward) = (value_and_slope(loss, z, forward=mode) for mode in (True, False))
+    (one, forward), (other, backward) = (
+        value_and_slope(loss, z, forward=mode) for mode in (True, False)
+    )
     np.testing.assert_allclose(one, other, **ALGEBRA)
     np.testing.assert_allclose(forward, backward, rtol=1e-9, atol=1e-12)
 
@@ -185,7 +249,10 @@ def test_contraction_and_its_slope_equal_those_of_the_dense_matrix():
     markov = [(C @ np.linalg.matrix_power(A, k) @ B)[0, 0] for k in range(N)]
 
     def dense(gamma):
-        return np.log(np.linalg.svd(np.eye(N) - gamma * scipy.linalg.toeplitz(markov, np.zeros(N)))[1][0] / 0.5)
+        return np.log(
+            np.linalg.svd(np.eye(N) - gamma * scipy.linalg.toeplitz(markov, np.zeros(N)))[1][0]
+            / 0.5
+        )
 
     def margin(gamma):
         return judge(machine, PIDType(gamma_p=gamma), TASK, 1, Contraction(below=0.5, steps=N))
@@ -206,7 +273,9 @@ def test_terms_are_what_they_say():
 
     of = run(errors)
     np.testing.assert_allclose(Final(floor=1e-9)(of), np.log(0.1 / 1e-9), rtol=1e-12)
-    np.testing.assert_allclose(EveryTrial(floor=1e-9)(of), np.mean(np.log(errors / 1e-9)), rtol=1e-12)
+    np.testing.assert_allclose(
+        EveryTrial(floor=1e-9)(of), np.mean(np.log(errors / 1e-9)), rtol=1e-12
+    )
     np.testing.assert_allclose(Holding(2, floor=1e-9)(of), np.log(0.45 / 1e-9), rtol=1e-12)
     np.testing.assert_allclose(Growth()(of), np.log(0.45 / 0.3), rtol=1e-10)
     np.testing.assert_allclose(Growth(after=3)(of), 0.0, atol=1e-10)
@@ -214,12 +283,17 @@ def test_terms_are_what_they_say():
     np.testing.assert_allclose(TrialsTo(0.3)(of), np.sum(1 / (1 + (0.3 / errors) ** 2)), rtol=1e-9)
     u = np.asarray(of.history.final.u)
     np.testing.assert_allclose(Effort(2.0)(of), np.mean((u / 2.0) ** 2), rtol=1e-12)
-    np.testing.assert_allclose(InputRate(3.0)(of), np.mean((np.diff(u, axis=0) / 1e-3 / 3.0) ** 2), rtol=1e-12)
-    np.testing.assert_allclose((2.0 * (Final() + Growth()))(of), 2 * Final()(of) + 2 * Growth()(of), rtol=1e-12)
+    np.testing.assert_allclose(
+        InputRate(3.0)(of), np.mean((np.diff(u, axis=0) / 1e-3 / 3.0) ** 2), rtol=1e-12
+    )
+    np.testing.assert_allclose(
+        (2.0 * (Final() + Growth()))(of), 2 * Final()(of) + 2 * Growth()(of), rtol=1e-12
+    )
     assert Final(floor=1e-3)(run(np.zeros(2))) == 0.0
 
 
-# Divergence ------------------------------------------------------------------------------------------------------------------
+# Divergence
+# ------------------------------------------------------------------------------------------------------------------
 
 
 def test_a_scheme_within_bounds_is_the_scheme():
@@ -240,8 +314,11 @@ def test_divergence_has_the_loss_of_the_trial_that_passed_the_ceiling_and_its_sl
 
 
 def test_divergence_outside_the_settled_window_is_seen():
-    # a reference that rests in its second half: nothing to learn there, while the first half diverges as before
-    task = Task(np.where(np.arange(N + 1) < N // 2, np.sin(2 * np.pi * np.arange(N + 1) / N), 0.0), dt=1e-3)
+    # a reference that rests in its second half: nothing to learn there, while the first half
+    # diverges as before
+    task = Task(
+        np.where(np.arange(N + 1) < N // 2, np.sin(2 * np.pi * np.arange(N + 1) / N), 0.0), dt=1e-3
+    )
     value = judge(STATIC, PIDType(gamma_p=3.0), task, 20, Final())
     history = learn(STATIC, PIDType(gamma_p=3.0), task, 20)
     assert history.settled_error[-1, 0] == 0.0
@@ -259,16 +336,25 @@ def test_no_divergence_gives_a_slope_that_is_not_finite(strength):
         (lightly_damped, lambda x: PIDType(gamma_p=-x), other),
         (lightly_damped, lambda x: CFDLMFAILC(phi0=-0.06, lam=1e-3 / x), other),
     ):
-        value, slope = jax.value_and_grad(lambda x: judge(machine, scheme(x), of, 40, Final() + EveryTrial()))(strength)  # noqa: B023
+        value, slope = jax.value_and_grad(
+            lambda x: judge(machine, scheme(x), of, 40, Final() + EveryTrial())
+        )(strength)  # noqa: B023
         assert np.isfinite(value)
         assert np.isfinite(slope)
 
 
 def test_a_plant_without_a_finite_slope_is_counted_and_left_out():
     # of the two corners of the pole one overflows within the trial, whatever is done about it
-    machine = dataclasses.replace(STATIC, plant=StateSpace([[0.1]], [[1.0]], [[1.0]], dt=1e-3, x0=(0.1,)))
+    machine = dataclasses.replace(
+        STATIC, plant=StateSpace([[0.1]], [[1.0]], [[1.0]], dt=1e-3, x0=(0.1,))
+    )
     problem = dataclasses.replace(
-        PROBLEM, machine=machine, uncertainty={"plant.A[0][0]": Uniform(0.05, 1e60)}, sampling="corners", held_out=0, steps=2
+        PROBLEM,
+        machine=machine,
+        uncertainty={"plant.A[0][0]": Uniform(0.05, 1e60)},
+        sampling="corners",
+        held_out=0,
+        steps=2,
     )
     tuned = problem.run()
     np.testing.assert_array_equal(tuned.dropped, [[1], [1]])
@@ -288,15 +374,22 @@ def test_repaired_losses_and_slopes():
 
 def test_a_plant_above_the_floor_is_heard_among_those_below_it():
     slopes = np.array([[0.0], [0.0], [0.0], [2.0], [-50.0]])
-    np.testing.assert_allclose(repaired(jnp.zeros(5), slopes, clip=3.0)[1], [[0], [0], [0], [2], [-3]])
-    np.testing.assert_array_equal(repaired(jnp.full(2, jnp.nan), jnp.ones((2, 1)), clip=3.0)[1], 0.0)
+    np.testing.assert_allclose(
+        repaired(jnp.zeros(5), slopes, clip=3.0)[1], [[0], [0], [0], [2], [-3]]
+    )
+    np.testing.assert_array_equal(
+        repaired(jnp.full(2, jnp.nan), jnp.ones((2, 1)), clip=3.0)[1], 0.0
+    )
 
 
 @pytest.mark.parametrize(("clip", "found"), [(3.0, True), (np.inf, False)])
 def test_chaotic_slopes_do_not_drown_the_others(clip, found):
-    # nine plants want z = 1; the slope of a tenth is huge and of either sign, as that of a chattering loop is
+    # nine plants want z = 1; the slope of a tenth is huge and of either sign, as that of a
+    # chattering loop is
     def evaluate(z):
-        slopes = jnp.append(jnp.full(9, 2.0 * (z[0] - 1.0)), 1e30 * jnp.sign(jnp.sin(1e4 * z[0])))[:, None]
+        slopes = jnp.append(jnp.full(9, 2.0 * (z[0] - 1.0)), 1e30 * jnp.sign(jnp.sin(1e4 * z[0])))[
+            :, None
+        ]
         losses, slopes, _ = repaired(jnp.append(jnp.full(9, (z[0] - 1.0) ** 2), 0.0), slopes, clip)
         return Evaluation(jnp.mean(losses), jnp.mean(slopes, axis=0), losses, slopes, jnp.zeros(()))
 

@@ -1,4 +1,6 @@
-"""The ball-screw drive against python-control, formulas of the two-mass system, scipy's integrator, and the conservation of energy."""
+"""The ball-screw drive against python-control, formulas of the two-mass system, scipy's integrator,
+and the conservation of energy.
+"""
 
 import dataclasses
 from functools import partial
@@ -22,7 +24,13 @@ LINEAR = BallScrewDrive(**DRIVE)
 LAGGING = BallScrewDrive(**DRIVE, current_bandwidth=80.0)
 COMMAND = 4.0 * np.sin(2 * np.pi * 9.0 * DT * np.arange(N)) ** 3 + 0.5  # [V]
 S = 1j * np.linspace(3.0, 900.0, 23) - 4.0  # off the poles
-GREASE = StribeckFriction(coulomb_force=4.0, static_force=6.0, transition_velocity=0.02, stribeck_velocity=0.05, viscous=1.0)
+GREASE = StribeckFriction(
+    coulomb_force=4.0,
+    static_force=6.0,
+    transition_velocity=0.02,
+    stribeck_velocity=0.05,
+    viscous=1.0,
+)
 
 
 @partial(jax.jit, static_argnames="dt")
@@ -36,7 +44,9 @@ def simulate(drive, u, dt=DT, start=None):
 
     start = drive.init() if start is None else start
     after = jax.lax.scan(tick, start, jnp.asarray(u))[1]
-    states = jax.tree.map(lambda first, rest: jnp.concatenate([jnp.asarray(first)[None], rest]), start, after)
+    states = jax.tree.map(
+        lambda first, rest: jnp.concatenate([jnp.asarray(first)[None], rest]), start, after
+    )
     return jax.vmap(drive.output)(states), states
 
 
@@ -52,44 +62,87 @@ def assert_close(found, expected, rtol):
     np.testing.assert_allclose(found, expected, rtol=0, atol=rtol * np.max(np.abs(expected)))
 
 
-# Linear ------------------------------------------------------------------------------------------------------------------------
+# Linear
+# ------------------------------------------------------------------------------------------------------------------------
 
 
 def test_resonance_and_antiresonance_are_poles_and_zeros_of_the_undamped_mechanics():
-    free = BallScrewDrive(motor_mass=3.0, table_mass=1.3, stiffness=5e4, damping=0.0, force_gain=1.0)
+    free = BallScrewDrive(
+        motor_mass=3.0, table_mass=1.3, stiffness=5e4, damping=0.0, force_gain=1.0
+    )
     plant = system(free.mechanics())
-    poles, zeros = (roots[np.argsort(roots.imag)] for roots in (plant.poles(), control.zeros(plant[0, 0])))
-    np.testing.assert_allclose(poles[[0, -1]], 2j * np.pi * float(free.resonance) * np.array([-1, 1]), atol=1e-5)
-    np.testing.assert_allclose(np.abs(poles[1:3]), 0.0, atol=1e-4)  # a double pole is found to half of the digits
-    np.testing.assert_allclose(zeros, 2j * np.pi * float(free.antiresonance) * np.array([-1, 1]), atol=1e-5)
+    poles, zeros = (
+        roots[np.argsort(roots.imag)] for roots in (plant.poles(), control.zeros(plant[0, 0]))
+    )
+    np.testing.assert_allclose(
+        poles[[0, -1]], 2j * np.pi * float(free.resonance) * np.array([-1, 1]), atol=1e-5
+    )
+    np.testing.assert_allclose(
+        np.abs(poles[1:3]), 0.0, atol=1e-4
+    )  # a double pole is found to half of the digits
+    np.testing.assert_allclose(
+        zeros, 2j * np.pi * float(free.antiresonance) * np.array([-1, 1]), atol=1e-5
+    )
     assert free.resonance > 1.1 * free.antiresonance
 
 
 @pytest.mark.parametrize("drive", [LINEAR, LAGGING])
 def test_transfer_functions_are_those_of_the_paper(drive):
-    m_M, m_T, k, c, c_M, c_T = (DRIVE[n] for n in ("motor_mass", "table_mass", "stiffness", "damping", "motor_damping", "table_damping"))
-    q = [m_M * m_T, (m_T + m_M) * c + m_M * c_T + m_T * c_M, (m_T + m_M) * k + c_M * c_T + (c_M + c_T) * c, (c_M + c_T) * k, 0.0]
+    m_M, m_T, k, c, c_M, c_T = (
+        DRIVE[n]
+        for n in (
+            "motor_mass",
+            "table_mass",
+            "stiffness",
+            "damping",
+            "motor_damping",
+            "table_damping",
+        )
+    )
+    q = [
+        m_M * m_T,
+        (m_T + m_M) * c + m_M * c_T + m_T * c_M,
+        (m_T + m_M) * k + c_M * c_T + (c_M + c_T) * c,
+        (c_M + c_T) * k,
+        0.0,
+    ]
     lag = 1.0 if drive is LINEAR else 1 / (1 + S / (2 * np.pi * 80.0))
     motor, table = np.asarray(system(drive.mechanics())(S))[:, 0]
-    np.testing.assert_allclose(motor, lag * np.polyval([m_T, c + c_T, k], S) / np.polyval(q, S), rtol=1e-9)
+    np.testing.assert_allclose(
+        motor, lag * np.polyval([m_T, c + c_T, k], S) / np.polyval(q, S), rtol=1e-9
+    )
     above, below = drive.transmission()
-    np.testing.assert_allclose(table / motor, np.polyval(above, S) / np.polyval(below, S), rtol=1e-9)
+    np.testing.assert_allclose(
+        table / motor, np.polyval(above, S) / np.polyval(below, S), rtol=1e-9
+    )
 
 
 @pytest.mark.parametrize("drive", [LINEAR, LAGGING])
 def test_the_three_loop_drive_is_that_of_python_control(drive):
-    """Zero-order hold of the mechanics; PI with backward integrator; speed by a backward difference of the motor position."""
+    """Zero-order hold of the mechanics; PI with backward integrator; speed by a backward difference
+    of the motor position.
+    """
     P = 1e3 * control.sample_system(system(drive.mechanics()), DT, "zoh")
     difference = control.ss(0.0, 1.0, -1 / DT, 1 / DT, DT)
     K_p, K_i = float(drive.speed_gain), float(drive.speed_integral_gain) * DT
-    controller = DRIVE["force_gain"] * control.ss(1.0, 1.0, K_i, K_p + K_i, DT)  # K_p + K_i z / (z - 1)
+    controller = DRIVE["force_gain"] * control.ss(
+        1.0, 1.0, K_i, K_p + K_i, DT
+    )  # K_p + K_i z / (z - 1)
     force = control.feedback(controller, difference * P[0, 0])
     time = DT * np.arange(N + 1)
-    expected = control.forced_response(P * force * DRIVE["command_scale"], time, np.append(COMMAND, 0.0)).outputs.T
+    expected = control.forced_response(
+        P * force * DRIVE["command_scale"], time, np.append(COMMAND, 0.0)
+    ).outputs.T
     assert_close(simulate(drive, COMMAND)[0], expected, 1e-9)
     model = linear(drive)
-    assert_close(control.forced_response(system(model), time, np.append(COMMAND, 0.0)).outputs.T, expected, 1e-9)
-    assert np.ptp(expected[:, 0] - expected[:, 1]) > 0.01 * np.ptp(expected[:, 1]), "the table should not follow the motor rigidly"
+    assert_close(
+        control.forced_response(system(model), time, np.append(COMMAND, 0.0)).outputs.T,
+        expected,
+        1e-9,
+    )
+    assert np.ptp(expected[:, 0] - expected[:, 1]) > 0.01 * np.ptp(expected[:, 1]), (
+        "the table should not follow the motor rigidly"
+    )
 
 
 def test_the_model_is_differentiable_in_every_parameter():
@@ -97,13 +150,16 @@ def test_the_model_is_differentiable_in_every_parameter():
     for name in ("stiffness", "speed_gain", "current_bandwidth", "command_scale"):
         values = []
         for sign in (1, -1):
-            model = linear(dataclasses.replace(LAGGING, **{name: getattr(LAGGING, name) * (1 + sign * 1e-5)}))
+            model = linear(
+                dataclasses.replace(LAGGING, **{name: getattr(LAGGING, name) * (1 + sign * 1e-5)})
+            )
             values.append(model.A @ model.B)
         expected = (values[0] - values[1]) / (2e-5 * getattr(LAGGING, name))
         assert_close(getattr(slope, name), expected, 1e-6)
 
 
-# Friction, lead error, limits --------------------------------------------------------------------------------------------------
+# Friction, lead error, limits
+# --------------------------------------------------------------------------------------------------
 
 REAL = dataclasses.replace(
     LAGGING,
@@ -116,13 +172,19 @@ REAL = dataclasses.replace(
 
 
 def sampled_loop(drive, u, dt=DT):
-    """(N+1, 2) positions [mm]: the sampled speed loop in NumPy around a continuous drive that scipy integrates."""
-    drive = jax.tree.map(lambda leaf: float(leaf) if np.ndim(leaf) == 0 else np.asarray(leaf), drive)
+    """(N+1, 2) positions [mm]: the sampled speed loop in NumPy around a continuous drive that scipy
+    integrates.
+    """
+    drive = jax.tree.map(
+        lambda leaf: float(leaf) if np.ndim(leaf) == 0 else np.asarray(leaf), drive
+    )
     p = {f.name: getattr(drive, f.name) for f in dataclasses.fields(drive)}
     lead, table = p["lead_error"], p["compensation"]
 
     def friction(part, v):
-        level = part.coulomb_force + (part.static_force - part.coulomb_force) * np.exp(-((v / part.stribeck_velocity) ** 2))
+        level = part.coulomb_force + (part.static_force - part.coulomb_force) * np.exp(
+            -((v / part.stribeck_velocity) ** 2)
+        )
         return level * np.tanh(v / part.transition_velocity) + part.viscous * v
 
     def rates(t, x, commanded):
@@ -131,7 +193,12 @@ def sampled_loop(drive, u, dt=DT):
         s = x_M + lead.amplitude * np.sin(angle) - x_T
         slope = lead.amplitude * 2 * np.pi / lead.period * np.cos(angle)
         spring = p["stiffness"] * s + p["damping"] * ((1 + slope) * v_M - v_T)
-        on_motor = force - spring * (1 + slope) - p["motor_damping"] * v_M - friction(p["motor_friction"], v_M)
+        on_motor = (
+            force
+            - spring * (1 + slope)
+            - p["motor_damping"] * v_M
+            - friction(p["motor_friction"], v_M)
+        )
         on_table = spring - p["table_damping"] * v_T - friction(p["table_friction"], v_T)
         lag = 2 * np.pi * p["current_bandwidth"] * (commanded - force)
         return v_M, on_motor / p["motor_mass"], v_T, on_table / p["table_mass"], lag
@@ -140,13 +207,17 @@ def sampled_loop(drive, u, dt=DT):
     for command in p["command_scale"] * u:
         deviation = command - (1e3 * x[0] - before) / dt
         ahead = integral + p["speed_integral_gain"] * dt * deviation
-        force = p["force_gain"] * (p["speed_gain"] * deviation + ahead) + np.interp(1e-3 * command, table.velocity, table.force)
+        force = p["force_gain"] * (p["speed_gain"] * deviation + ahead) + np.interp(
+            1e-3 * command, table.velocity, table.force
+        )
         if not (abs(force) > p["force_limit"] and force * deviation > 0):
             integral = ahead
         clipped += abs(force) > p["force_limit"]
         before = 1e3 * x[0]
         force = np.clip(force, -p["force_limit"], p["force_limit"])
-        x = scipy.integrate.solve_ivp(rates, (0.0, dt), x, "DOP853", rtol=1e-9, atol=1e-13, args=(force,)).y[:, -1]
+        x = scipy.integrate.solve_ivp(
+            rates, (0.0, dt), x, "DOP853", rtol=1e-9, atol=1e-13, args=(force,)
+        ).y[:, -1]
         rows.append([1e3 * x[0], 1e3 * x[2]])
     return np.array(rows), clipped
 
@@ -157,24 +228,47 @@ def test_the_real_drive_is_its_differential_equation_under_a_sampled_speed_loop(
     assert_close(found, expected, 2e-5)
     assert 5 < clipped < N / 2, "the limit should act, though not always"
     frictionless = {"coulomb_force": 0.0, "static_force": 0.0, "viscous": 0.0}
-    without = {f"{part}.{name}": zero for part in ("motor_friction", "table_friction") for name, zero in frictionless.items()}
-    absent = [{name: zero for name, zero in without.items() if name.startswith(part)} for part in ("motor", "table")]
-    absent += [{"lead_error.amplitude": 0.0}, {"compensation.force": np.zeros(4)}, {"force_limit": 1e9}, {"current_bandwidth": 1e5}]
+    without = {
+        f"{part}.{name}": zero
+        for part in ("motor_friction", "table_friction")
+        for name, zero in frictionless.items()
+    }
+    absent = [
+        {name: zero for name, zero in without.items() if name.startswith(part)}
+        for part in ("motor", "table")
+    ]
+    absent += [
+        {"lead_error.amplitude": 0.0},
+        {"compensation.force": np.zeros(4)},
+        {"force_limit": 1e9},
+        {"current_bandwidth": 1e5},
+    ]
     for changes in absent:
         other = np.asarray(simulate(replaced(REAL, changes), COMMAND)[0])
-        assert np.max(np.abs(other - found)) > 5e-3 * np.max(np.abs(expected)), f"{changes} should matter"
+        assert np.max(np.abs(other - found)) > 5e-3 * np.max(np.abs(expected)), (
+            f"{changes} should matter"
+        )
 
 
 def energy(drive, x):
     """Kinetic, and of the spring [J]. x: (..., 4)"""
     x_M, v_M, x_T, v_T = np.moveaxis(np.asarray(x), -1, 0)
-    stretch = x_M + drive.lead_error.amplitude * np.sin(2 * np.pi * x_M / drive.lead_error.period + drive.lead_error.phase) - x_T
-    return (drive.motor_mass * v_M**2 + drive.table_mass * v_T**2) / 2, drive.stiffness * stretch**2 / 2
+    stretch = (
+        x_M
+        + drive.lead_error.amplitude
+        * np.sin(2 * np.pi * x_M / drive.lead_error.period + drive.lead_error.phase)
+        - x_T
+    )
+    return (
+        drive.motor_mass * v_M**2 + drive.table_mass * v_T**2
+    ) / 2, drive.stiffness * stretch**2 / 2
 
 
 @pytest.mark.parametrize("damping", [0.0, 30.0])
 def test_the_lead_error_does_no_work(damping):
-    """Coasting: what motor and table lose is in the spring, or went into its damper, which takes and never gives."""
+    """Coasting: what motor and table lose is in the spring, or went into its damper, which takes
+    and never gives.
+    """
     coasting = BallScrewDrive(
         motor_mass=2.0, table_mass=1.0, stiffness=4e4, damping=damping, force_gain=1.0, speed_gain=0.0, speed_integral_gain=0.0,
         lead_error=LeadError(amplitude=3e-4, period=2e-3),
@@ -192,16 +286,27 @@ def test_the_lead_error_does_no_work(damping):
 
 
 def test_at_the_force_limit_the_drive_falls_freely_and_its_integral_stops():
-    """The centre of mass of an undamped drive moves as F t^2 / 2 m; the force turns in the sample in which the error does."""
+    """The centre of mass of an undamped drive moves as F t^2 / 2 m; the force turns in the sample
+    in which the error does.
+    """
     drive = dataclasses.replace(LINEAR, motor_damping=0.0, table_damping=0.0, force_limit=30.0)
     y, states = simulate(drive, np.concatenate([np.full(60, 80.0), np.full(60, 50.0)]))
-    centre, integral, t = np.asarray(y) @ [2 / 3, 1 / 3], np.asarray(states.integral), DT * np.arange(61)
+    centre, integral, t = (
+        np.asarray(y) @ [2 / 3, 1 / 3],
+        np.asarray(states.integral),
+        DT * np.arange(61),
+    )
     np.testing.assert_allclose(centre[:61], 1e3 * 30.0 / 3.0 * t**2 / 2, rtol=1e-9, atol=1e-12)
     np.testing.assert_array_equal(integral[:62], 0.0)
     np.testing.assert_allclose(np.diff(centre, 2)[60] / DT**2, -1e3 * 30.0 / 3.0, rtol=1e-6)
     assert integral[-1] != 0.0
-    # had it summed up the 60 samples of at least 200 mm/s, it would command more than the limit by itself
-    assert np.max(np.abs(integral)) * DRIVE["force_gain"] < 0.5 * 30.0 < 8.18 * 60 * DT * 200 * DRIVE["force_gain"]
+    # had it summed up the 60 samples of at least 200 mm/s, it would command more than the limit by
+    # itself
+    assert (
+        np.max(np.abs(integral)) * DRIVE["force_gain"]
+        < 0.5 * 30.0
+        < 8.18 * 60 * DT * 200 * DRIVE["force_gain"]
+    )
 
 
 def test_the_encoder_is_rounded_and_its_gradient_is_not():
@@ -214,7 +319,10 @@ def test_the_encoder_is_rounded_and_its_gradient_is_not():
     plants = [sampled(drive) for drive in (coarse, LINEAR)]
     np.testing.assert_array_equal(linear(plants[0]).A, linear(LINEAR).A)
     x = plants[0].init()._replace(mechanics=np.array([3e-5, 0.01, 2e-5, 0.01]))
-    slopes = [jax.jit(jax.jacfwd(lambda x, plant=plant: plant.step(x, jnp.ones(1), DT)))(x) for plant in plants]
+    slopes = [
+        jax.jit(jax.jacfwd(lambda x, plant=plant: plant.step(x, jnp.ones(1), DT)))(x)
+        for plant in plants
+    ]
     jax.tree.map(partial(np.testing.assert_allclose, **ALGEBRA), *slopes)
 
 
@@ -224,23 +332,34 @@ def test_a_friction_table_holds_its_ends_and_is_linear_between_its_points():
     force = 4.0 + 2.0 * np.exp(-((velocity / 0.05) ** 2))
     np.testing.assert_allclose(table.force, force * np.tanh(velocity / 0.02) + velocity, rtol=1e-12)
     np.testing.assert_allclose(table.at(0.0), (table.force[2] + table.force[3]) / 2, atol=1e-12)
-    np.testing.assert_allclose(table.at(0.07), 0.75 * table.force[4] + 0.25 * table.force[5], rtol=1e-12)
+    np.testing.assert_allclose(
+        table.at(0.07), 0.75 * table.force[4] + 0.25 * table.force[5], rtol=1e-12
+    )
     np.testing.assert_allclose([table.at(-3.0), table.at(3.0)], table.force[[0, -1]])
 
 
 def test_at_constant_speed_the_integral_carries_what_the_table_does_not():
     """g q + F_table(v) = F_friction,M(v) + F_friction,T(v) + (c_M + c_T) v, a balance of forces."""
     v = 0.02
-    drive = dataclasses.replace(LAGGING, motor_friction=GREASE, table_friction=GREASE, compensation=FrictionTable([-0.1, 0.1], [-9.0, 9.0]))
+    drive = dataclasses.replace(
+        LAGGING,
+        motor_friction=GREASE,
+        table_friction=GREASE,
+        compensation=FrictionTable([-0.1, 0.1], [-9.0, 9.0]),
+    )
     _, states = simulate(drive, np.full(2500, 1e3 * v / DRIVE["command_scale"]))
     friction = (4.0 + 2.0 * np.exp(-((v / 0.05) ** 2))) * np.tanh(v / 0.02) + v
-    expected = (2 * friction + (DRIVE["motor_damping"] + DRIVE["table_damping"]) * v - 90.0 * v) / DRIVE["force_gain"]
+    expected = (
+        2 * friction + (DRIVE["motor_damping"] + DRIVE["table_damping"]) * v - 90.0 * v
+    ) / DRIVE["force_gain"]
     np.testing.assert_allclose(states.integral[-1], expected, rtol=1e-6)
-    # to 1e-6 only: an explicit step holds the friction at the stages, so a constant force is met by a stretch a little off
+    # to 1e-6 only: an explicit step holds the friction at the stages, so a constant force is met by
+    # a stretch a little off
     np.testing.assert_allclose(states.mechanics[-1, [1, 3]], v, rtol=1e-5)
 
 
-# Errors ------------------------------------------------------------------------------------------------------------------------
+# Errors
+# ------------------------------------------------------------------------------------------------------------------------
 
 STIFF = dataclasses.replace(GREASE, transition_velocity=1e-3)
 BAD = {
@@ -248,19 +367,33 @@ BAD = {
     "BallScrewDrive: damping = -1 ": lambda: BallScrewDrive(**DRIVE | {"damping": -1.0}),
     "BallScrewDrive: force_limit = 0 ": lambda: BallScrewDrive(**DRIVE, force_limit=0.0),
     "BallScrewDrive: encoder_step = -0.1 ": lambda: BallScrewDrive(**DRIVE, encoder_step=-0.1),
-    "BallScrewDrive: current_bandwidth = 0 ": lambda: BallScrewDrive(**DRIVE, current_bandwidth=0.0),
+    "BallScrewDrive: current_bandwidth = 0 ": lambda: BallScrewDrive(
+        **DRIVE, current_bandwidth=0.0
+    ),
     "LeadError: amplitude = -1e-06 ": lambda: LeadError(amplitude=-1e-6, period=0.01),
     "LeadError: period = 0 ": lambda: LeadError(amplitude=1e-6, period=0.0),
-    r"FrictionTable: velocity \(2,\) and force \(3,\) must both": lambda: FrictionTable([0.0, 1.0], [0.0, 1.0, 2.0]),
-    r"FrictionTable: velocity \(1,\) and force \(1,\) must both": lambda: FrictionTable([0.0], [0.0]),
-    r"FrictionTable: velocity = \[0. 1. 1.\] must increase": lambda: FrictionTable([0.0, 1.0, 1.0], [0.0, 1.0, 2.0]),
+    r"FrictionTable: velocity \(2,\) and force \(3,\) must both": lambda: FrictionTable(
+        [0.0, 1.0], [0.0, 1.0, 2.0]
+    ),
+    r"FrictionTable: velocity \(1,\) and force \(1,\) must both": lambda: FrictionTable(
+        [0.0], [0.0]
+    ),
+    r"FrictionTable: velocity = \[0. 1. 1.\] must increase": lambda: FrictionTable(
+        [0.0, 1.0, 1.0], [0.0, 1.0, 2.0]
+    ),
     # 6 N / 1 mm/s + 1 N s/m on 1 kg, against 2.6 / 1 ms
     r"BallScrewDrive: table_friction damps at rest with 6001 1/s, .* longest_dt = 0.001 s .* lower longest_dt to 0.000433": lambda: (
         BallScrewDrive(**DRIVE, table_friction=STIFF)
     ),
-    "BallScrewDrive: motor_friction damps at rest with 3000 1/s": lambda: BallScrewDrive(**DRIVE, motor_friction=STIFF),
-    r"BallScrewDrive: dt = 0.002 s is outside its allowed range \(0, 0.001\]": lambda: REAL.sampled(2e-3),
-    "BallScrewDrive is sampled at 0.001 s but the task at 0.002 s": lambda: LINEAR.sampled(1e-3).sampled(2e-3),
+    "BallScrewDrive: motor_friction damps at rest with 3000 1/s": lambda: BallScrewDrive(
+        **DRIVE, motor_friction=STIFF
+    ),
+    r"BallScrewDrive: dt = 0.002 s is outside its allowed range \(0, 0.001\]": lambda: REAL.sampled(
+        2e-3
+    ),
+    "BallScrewDrive is sampled at 0.001 s but the task at 0.002 s": lambda: LINEAR.sampled(
+        1e-3
+    ).sampled(2e-3),
 }
 
 

@@ -1,4 +1,6 @@
-"""Trials in blocks: SciPy's, python-control's and the plant's own numbers, and the cases in which the plant steps instead."""
+"""Trials in blocks: SciPy's, python-control's and the plant's own numbers, and the cases in which
+the plant steps instead.
+"""
 
 import control
 import jax
@@ -17,14 +19,18 @@ from jaxilc.signals import Task
 
 RNG = np.random.default_rng(0)
 POLES = (0.99, 0.95, 0.8, 0.97 * np.exp(0.2j), 0.97 * np.exp(-0.2j), 0.5)
-CLOSE = DifferenceEquation(-np.poly(POLES).real[1:], (1e-3, -4e-4, 0.0, 0.0, 2e-4, 1e-4), dt=DT)  # loses nine digits in blocks
+CLOSE = DifferenceEquation(
+    -np.poly(POLES).real[1:], (1e-3, -4e-4, 0.0, 0.0, 2e-4, 1e-4), dt=DT
+)  # loses nine digits in blocks
 OVERFLOWING = DifferenceEquation((1e8,), (1.0,), dt=DT)
 
 
 @pytest.fixture
 def no_steps(monkeypatch):
     """Whoever steps gets NaN, so that what is finite came from the blocks."""
-    monkeypatch.setattr(blocks, "_stepped", lambda plant, u, dt: jnp.full((len(u), plant.n_y), jnp.nan))
+    monkeypatch.setattr(
+        blocks, "_stepped", lambda plant, u, dt: jnp.full((len(u), plant.n_y), jnp.nan)
+    )
 
 
 def response(plant, u, length):
@@ -32,11 +38,15 @@ def response(plant, u, length):
 
 
 @pytest.mark.parametrize(("N", "length"), [(64, 8), (61, 8), (57, 8), (5, 8), (1, 2)])
-@pytest.mark.parametrize(("a", "b"), [ARX, PRINTED, ((1.0,), (0.3,))], ids=["arx", "voice_coil", "integrator"])
+@pytest.mark.parametrize(
+    ("a", "b"), [ARX, PRINTED, ((1.0,), (0.3,))], ids=["arx", "voice_coil", "integrator"]
+)
 def test_a_difference_equation_is_scipys(no_steps, a, b, N, length):
     u = RNG.normal(size=N)
     expected = scipy.signal.lfilter((0.0, *b), (1.0, *(-x for x in a)), np.append(u, 0.0))
-    np.testing.assert_allclose(response(DifferenceEquation(a, b, dt=DT), u[:, None], length)[:, 0], expected, **ALGEBRA)
+    np.testing.assert_allclose(
+        response(DifferenceEquation(a, b, dt=DT), u[:, None], length)[:, 0], expected, **ALGEBRA
+    )
 
 
 @pytest.mark.parametrize("x0", [None, (0.3, -2.0)])
@@ -44,7 +54,9 @@ def test_two_inputs_and_outputs_are_python_controls(no_steps, x0):
     A, B, C = (np.asarray(getattr(PLANTS["mimo"], name)) for name in "ABC")
     u, time = RNG.normal(size=(45, 2)), DT * np.arange(46)
     system = control.c2d(control.ss(A, B, C, np.zeros((2, 2))), DT)
-    expected = control.forced_response(system, time, np.vstack([u, [[0.0, 0.0]]]).T, 0.0 if x0 is None else x0).outputs.T
+    expected = control.forced_response(
+        system, time, np.vstack([u, [[0.0, 0.0]]]).T, 0.0 if x0 is None else x0
+    ).outputs.T
     np.testing.assert_allclose(response(StateSpace(A, B, C, x0), u, 8), expected, **ALGEBRA)
 
 
@@ -54,7 +66,13 @@ def test_two_axes_are_each_on_its_own(no_steps):
     np.testing.assert_allclose(response(TwoAxes(x, y), u, 8), alone, **ALGEBRA)
 
 
-LINEAR = ["voice_coil_exact", "continuous", "process_model", "fast_tool_servo_linear", "motor_and_table"]
+LINEAR = [
+    "voice_coil_exact",
+    "continuous",
+    "process_model",
+    "fast_tool_servo_linear",
+    "motor_and_table",
+]
 
 
 @pytest.mark.parametrize("name", LINEAR)
@@ -62,7 +80,10 @@ def test_every_linear_plant_moves_as_in_steps(no_steps, name):
     """The plant as it is, at rest or not, against its wrapped self in one trial."""
     plant = PLANTS[name]
     task, u = task_for(plant, 40), RNG.normal(size=(40, plant.n_u))
-    plain, wrapped = (run_trial(Machine(p), Scheme(), task, Feedforward(u), jax.random.key(0)).y for p in (plant, InBlocks(plant, 8)))
+    plain, wrapped = (
+        run_trial(Machine(p), Scheme(), task, Feedforward(u), jax.random.key(0)).y
+        for p in (plant, InBlocks(plant, 8))
+    )
     np.testing.assert_allclose(wrapped, plain, rtol=1e-9, atol=1e-11 * np.max(np.abs(plain)))
 
 
@@ -70,10 +91,15 @@ TASK = task_for(PLANTS["arx"], 50)
 PARTS = {
     "bare": {},
     "limit": {"actuator": Actuator(limit=0.6)},
-    "converters": {"actuator": Actuator(limit=0.6, resolution=0.013), "sensor": Sensor(resolution=0.007)},
+    "converters": {
+        "actuator": Actuator(limit=0.6, resolution=0.013),
+        "sensor": Sensor(resolution=0.007),
+    },
     "disturbed": {
         "sensor": Sensor(noise=0.02),
-        "disturbance": Disturbance(RNG.normal(size=(50, 1)), RNG.normal(size=(51, 1)), input_noise=0.1, output_noise=0.1),
+        "disturbance": Disturbance(
+            RNG.normal(size=(50, 1)), RNG.normal(size=(51, 1)), input_noise=0.1, output_noise=0.1
+        ),
     },
 }
 
@@ -86,15 +112,24 @@ def assert_same_learning(one, other):
 @pytest.mark.parametrize("parts", PARTS.values(), ids=PARTS)
 @pytest.mark.parametrize("settle", [None, (0.0, 0.02)])
 def test_learning_in_blocks_is_that_in_steps(no_steps, parts, settle):
-    task = Task(TASK.reference + 0.1, dt=DT, settle=settle)  # an error at k = 0, which counts only where it is settled
+    task = Task(
+        TASK.reference + 0.1, dt=DT, settle=settle
+    )  # an error at k = 0, which counts only where it is settled
     plain = learn(Machine(PLANTS["arx"], **parts), PIDType(gamma_p=0.8, gamma_d=2.0), task, 5)
-    assert_same_learning(learn(Machine(InBlocks(PLANTS["arx"], 8), **parts), PIDType(gamma_p=0.8, gamma_d=2.0), task, 5), plain)
+    assert_same_learning(
+        learn(
+            Machine(InBlocks(PLANTS["arx"], 8), **parts), PIDType(gamma_p=0.8, gamma_d=2.0), task, 5
+        ),
+        plain,
+    )
     assert plain.rms[-1, 0] != plain.rms[0, 0]
 
 
 def test_an_adaptive_law_learns_the_same_in_blocks(no_steps):
     scheme = CFDLMFAILC(phi0=-0.065, lam=0.02, mu=0.05, rho=0.9, limit=0.9)
-    plain, in_blocks = (learn(Machine(plant), scheme, TASK, 6) for plant in (VoiceCoil(), InBlocks(VoiceCoil(), 16)))
+    plain, in_blocks = (
+        learn(Machine(plant), scheme, TASK, 6) for plant in (VoiceCoil(), InBlocks(VoiceCoil(), 16))
+    )
     assert_same_learning(in_blocks, plain)
     assert np.max(np.abs(plain.final.u)) == 0.9
 
@@ -116,18 +151,29 @@ def test_gradients_and_batches_are_those_of_steps():
 
 @pytest.mark.parametrize(
     ("scheme", "parts"),
-    [(PID(kp=2.0), {}), (WithFeedback(PIDType(gamma_p=0.5), PID(kp=2.0)), {}), (PIDType(gamma_p=0.5), {"actuator": Actuator(rate=20.0)})],
+    [
+        (PID(kp=2.0), {}),
+        (WithFeedback(PIDType(gamma_p=0.5), PID(kp=2.0)), {}),
+        (PIDType(gamma_p=0.5), {"actuator": Actuator(rate=20.0)}),
+    ],
     ids=["feedback", "learning over feedback", "rate limit"],
 )
 def test_what_blocks_cannot_do_is_done_in_steps(scheme, parts):
-    plain, wrapped = (learn(Machine(p, **parts), scheme, TASK, 3) for p in (PLANTS["arx"], InBlocks(PLANTS["arx"])))
+    plain, wrapped = (
+        learn(Machine(p, **parts), scheme, TASK, 3)
+        for p in (PLANTS["arx"], InBlocks(PLANTS["arx"]))
+    )
     jax.tree.map(np.testing.assert_array_equal, wrapped, plain)
 
 
 def test_digits_that_blocks_would_lose_are_kept(monkeypatch):
-    """Poles close together, and a reference long enough for rounding to add up: the blocks are wrong, and are not taken."""
+    """Poles close together, and a reference long enough for rounding to add up: the blocks are
+    wrong, and are not taken.
+    """
     u = RNG.normal(size=(4000, 1))
-    expected = scipy.signal.lfilter((0.0, *CLOSE.b), np.poly(POLES).real, np.append(u, 0.0))[:, None]
+    expected = scipy.signal.lfilter((0.0, *CLOSE.b), np.poly(POLES).real, np.append(u, 0.0))[
+        :, None
+    ]
     largest = np.max(np.abs(expected))
     np.testing.assert_allclose(response(CLOSE, u, 32), expected, rtol=0, atol=1e-9 * largest)
     monkeypatch.setattr(blocks, "LOST", dict.fromkeys(blocks.LOST, np.inf))
@@ -144,7 +190,8 @@ def test_growth_is_kept_as_long_as_it_is_finite(no_steps):
 def test_a_plant_that_overflows_diverges_where_its_steps_do():
     task = Task(np.ones(61), dt=DT)
     plain, wrapped = (
-        learn(Machine(p), PIDType(gamma_p=1.0), task, 3, save=lambda trial: trial.y) for p in (OVERFLOWING, InBlocks(OVERFLOWING))
+        learn(Machine(p), PIDType(gamma_p=1.0), task, 3, save=lambda trial: trial.y)
+        for p in (OVERFLOWING, InBlocks(OVERFLOWING))
     )
     assert plain.diverged_at == wrapped.diverged_at == 2
     np.testing.assert_array_equal(np.isfinite(wrapped.saved[1]), np.isfinite(plain.saved[1]))
@@ -154,7 +201,10 @@ def test_a_plant_that_overflows_diverges_where_its_steps_do():
 def test_single_precision_stays_single_and_close():
     with jax.enable_x64(False):
         plant = PLANTS["voice_coil_printed"]
-        single = [learn(Machine(p), PIDType(gamma_p=-1.0), TASK, 2).final.y for p in (plant, InBlocks(plant, 8))]
+        single = [
+            learn(Machine(p), PIDType(gamma_p=-1.0), TASK, 2).final.y
+            for p in (plant, InBlocks(plant, 8))
+        ]
     assert single[1].dtype == jnp.float32
     np.testing.assert_allclose(*single, atol=1e-3 * np.max(np.abs(single[0])))
 
@@ -167,11 +217,17 @@ def test_its_parameters_have_names():
 @pytest.mark.parametrize("name", ["motor", "time_varying", "fast_tool_servo_nonlinear"])
 def test_a_plant_that_is_not_linear_and_time_invariant_is_refused(name):
     plant = PLANTS[name]
-    with pytest.raises(ValueError, match=rf"InBlocks: plant = {type(plant).__name__} is not linear and time-invariant; allowed are"):
+    with pytest.raises(
+        ValueError,
+        match=rf"InBlocks: plant = {type(plant).__name__} is not linear and time-invariant; allowed are",
+    ):
         learn(Machine(InBlocks(plant)), PIDType(), task_for(plant, 12), 1)
 
 
 @pytest.mark.parametrize("length", [1, 0, -3, 8.0, True, None])
 def test_a_bad_length_is_refused(length):
-    with pytest.raises(ValueError, match=r"InBlocks: length = .* is outside its allowed range \[2, 10000\] of whole numbers"):
+    with pytest.raises(
+        ValueError,
+        match=r"InBlocks: length = .* is outside its allowed range \[2, 10000\] of whole numbers",
+    ):
         InBlocks(PLANTS["arx"], length)

@@ -16,26 +16,38 @@ from jaxilc.schemes import PID, ErrorFiltered, Filtered, OnOutputs, PIDType, Wit
 from jaxilc.signals import Task, Trial
 
 
-@pytest.mark.parametrize(("form", "poles"), [("printed", (0.8602, 0.9567, 1.0331)), ("double_integrator", (0.85, 1.0, 1.0))])
+@pytest.mark.parametrize(
+    ("form", "poles"),
+    [("printed", (0.8602, 0.9567, 1.0331)), ("double_integrator", (0.85, 1.0, 1.0))],
+)
 def test_poles_and_first_markov_parameter(form, poles):
-    """As printed the axis is unstable; what it stands for is (z - 1)^2 (z - 0.85). Both have CB = 0.0475."""
+    """As printed the axis is unstable; what it stands for is (z - 1)^2 (z - 0.85). Both have CB =
+    0.0475.
+    """
     plant = cnc_axis(form)
     found = np.sort(np.linalg.eigvals(plant.A).real)
     np.testing.assert_allclose(found, poles, atol=5e-5 if form == "printed" else 1e-7)
     np.testing.assert_allclose(plant.C @ plant.B, [[0.0475]], **ALGEBRA)
-    _, (impulse,) = scipy.signal.dimpulse((np.array([0.0475, 0, -0.0047475]), np.poly(np.linalg.eigvals(plant.A)).real, 2e-3), n=8)
+    _, (impulse,) = scipy.signal.dimpulse(
+        (np.array([0.0475, 0, -0.0047475]), np.poly(np.linalg.eigvals(plant.A)).real, 2e-3), n=8
+    )
     markov = [(plant.C @ np.linalg.matrix_power(plant.A, k) @ plant.B)[0, 0] for k in range(7)]
     np.testing.assert_allclose(impulse[1:, 0], markov, rtol=1e-9)
 
 
 def test_another_form_is_refused():
-    with pytest.raises(ValueError, match="form = 'rounded' is not one of 'printed', 'double_integrator'"):
+    with pytest.raises(
+        ValueError, match="form = 'rounded' is not one of 'printed', 'double_integrator'"
+    ):
         cnc_axis("rounded")
 
 
 def test_two_axes_are_two_machines():
     one, other = PLANTS["arx"], StateSpace([[0.8]], [[0.3]], [[1.0]], dt=DT)
-    scheme, task = WithFeedback(PIDType(gamma_p=0.5), PID(kp=0.4, ki=3.0)), task_for(TwoAxes(one, other), 40)
+    scheme, task = (
+        WithFeedback(PIDType(gamma_p=0.5), PID(kp=0.4, ki=3.0)),
+        task_for(TwoAxes(one, other), 40),
+    )
     both = learn(Machine(TwoAxes(one, other)), scheme, task, 5, save=Keep(("y", "u"))).saved
     for i, plant in enumerate((one, other)):
         alone = Task(task.reference[:, i], dt=DT)
@@ -52,24 +64,39 @@ def test_learning_from_a_filtered_error():
     sections = scipy.signal.butter(2, cutoff, fs=1 / DT, output="sos")
     for j in range(3):
         filtered = scipy.signal.sosfiltfilt(sections, np.asarray(found["e"])[j, :, 0])
-        np.testing.assert_allclose(found["u"][j + 1, :, 0], found["u"][j, :, 0] + gamma * filtered[1:], atol=1e-9)
+        np.testing.assert_allclose(
+            found["u"][j + 1, :, 0], found["u"][j, :, 0] + gamma * filtered[1:], atol=1e-9
+        )
 
 
 def test_filtering_the_error_forgets_nothing():
-    """Where nothing is left to learn, the learned input stays as it is; a robustness filter goes on smoothing it."""
+    """Where nothing is left to learn, the learned input stays as it is; a robustness filter goes on
+    smoothing it.
+    """
     task = Task(np.zeros(81), dt=DT)
     noise = np.random.default_rng(0).standard_normal((80, 1))
     quiet = Trial(jnp.zeros((81, 1)), jnp.zeros((81, 1)), jnp.asarray(noise), DT)
     law, q = PIDType(gamma_p=0.4), ZeroPhaseButterworth(60.0)
     kept = ErrorFiltered(law, q)
-    np.testing.assert_array_equal(kept.feedforward(kept.learn(kept.memory(task), quiet), task), noise)
+    np.testing.assert_array_equal(
+        kept.feedforward(kept.learn(kept.memory(task), quiet), task), noise
+    )
     smoothed = Filtered(law, q)
-    assert np.linalg.norm(smoothed.feedforward(smoothed.learn(smoothed.memory(task), quiet), task)) < 0.8 * np.linalg.norm(noise)
+    assert np.linalg.norm(
+        smoothed.feedforward(smoothed.learn(smoothed.memory(task), quiet), task)
+    ) < 0.8 * np.linalg.norm(noise)
 
 
 def test_the_filter_of_the_error_is_checked():
-    with pytest.raises(ValueError, match=r"cutoff = 600.0 Hz is outside its allowed range \(0, 500\)"):
-        learn(Machine(PLANTS["arx"]), ErrorFiltered(PIDType(gamma_p=0.4), ZeroPhaseButterworth(600.0)), task_for(PLANTS["arx"], 80), 1)
+    with pytest.raises(
+        ValueError, match=r"cutoff = 600.0 Hz is outside its allowed range \(0, 500\)"
+    ):
+        learn(
+            Machine(PLANTS["arx"]),
+            ErrorFiltered(PIDType(gamma_p=0.4), ZeroPhaseButterworth(600.0)),
+            task_for(PLANTS["arx"], 80),
+            1,
+        )
 
 
 def test_best_trial_and_quantities():
@@ -88,19 +115,30 @@ def test_the_path_has_its_sharp_points_where_it_says(s):
     """Slowest along the path: where the planner brakes."""
     path = np.asarray(scenarios.load("li-2020", axes="xy").task.reference)
     speed = np.linalg.norm(np.diff(path, axis=0), axis=1)
-    slow = [k for k in range(600, len(speed) - 100) if speed[k] == speed[k - 100 : k + 101].min() and speed[k] < 0.5 * speed.max()]
+    slow = [
+        k
+        for k in range(600, len(speed) - 100)
+        if speed[k] == speed[k - 100 : k + 101].min() and speed[k] < 0.5 * speed.max()
+    ]
     np.testing.assert_allclose(slow, [2915, 4788, 5708, 7581], atol=3)
 
 
 def test_noise_turns_the_error_and_a_filter_does_not_let_it(s):
-    """The paper's observation, on two seconds of its path: without a filter the error turns, with one it does not."""
-    short = dataclasses.replace(s.task, reference=s.task.reference[2400:3401] - s.task.reference[2400], settle=None)
+    """The paper's observation, on two seconds of its path: without a filter the error turns, with
+    one it does not.
+    """
+    short = dataclasses.replace(
+        s.task, reference=s.task.reference[2400:3401] - s.task.reference[2400], settle=None
+    )
     machine = dataclasses.replace(s.machine, sensor=Sensor(noise=1.1e-3))
     law = PIDType(gamma_p=1.0)
     feedback = s.schemes["feedback"]
     rms = {
         name: np.asarray(learn(machine, WithFeedback(learning, feedback), short, 25).rms)[:, 0]
-        for name, learning in (("none", law), ("fixed", ErrorFiltered(law, ZeroPhaseButterworth(10.0))))
+        for name, learning in (
+            ("none", law),
+            ("fixed", ErrorFiltered(law, ZeroPhaseButterworth(10.0))),
+        )
     }
     assert best_trial(rms["none"][:, None])[-1] < 12
     assert rms["none"][-1] > 4 * rms["none"].min()
@@ -115,14 +153,18 @@ def test_the_switchable_filter_of_the_scenario(s):
         assert found.cutoff[np.searchsorted(found.times, sharp * s.task.dt)] == 50.0
 
 
-@pytest.mark.parametrize(("option", "value"), [("setting", "dream"), ("axes", "z"), ("plant", "rounded")])
+@pytest.mark.parametrize(
+    ("option", "value"), [("setting", "dream"), ("axes", "z"), ("plant", "rounded")]
+)
 def test_options_are_refused(option, value):
     with pytest.raises(ValueError, match=f"{value}.* is not one of"):
         scenarios.load("li-2020", **{option: value})
 
 
 def test_the_limit_of_a_law_that_sees_some_outputs_holds_behind_a_filter():
-    """What a filter makes of the learned input stays within the law's limit, also where that law is put on one output."""
+    """What a filter makes of the learned input stays within the law's limit, also where that law is
+    put on one output.
+    """
     plant = PLANTS["motor_and_table"]
     scheme = Filtered(OnOutputs(PIDType(gamma_p=3.0, limit=0.4), (1,)), ZeroPhaseButterworth(150.0))
     found = learn(Machine(plant), scheme, task_for(plant, 60), 6, save=Keep(("u",))).saved["u"]

@@ -1,4 +1,6 @@
-"""The fast tool servo and its hysteresis against python-control, scipy's solvers, closed forms and the printed model (Xu 2024)."""
+"""The fast tool servo and its hysteresis against python-control, scipy's solvers, closed forms and
+the printed model (Xu 2024).
+"""
 
 import dataclasses
 from functools import partial
@@ -41,7 +43,9 @@ TOLERANCES = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-13}
 def outputs(plant, u, dt=DT):
     """(N+1,) [um] from rest, the input u (N,) held over each sample."""
     plant = plant.sampled(dt)
-    x, y = lax.scan(lambda x, u: (plant.step(x, u[None], dt), plant.output(x)[0]), plant.init(), jnp.asarray(u))
+    x, y = lax.scan(
+        lambda x, u: (plant.step(x, u[None], dt), plant.output(x)[0]), plant.init(), jnp.asarray(u)
+    )
     return jnp.append(y, plant.output(x)[0])
 
 
@@ -55,7 +59,8 @@ def assert_close(y, expected, relative):
     np.testing.assert_allclose(y, expected, rtol=0, atol=relative * np.max(np.abs(expected)))
 
 
-# ---- the linear servo -------------------------------------------------------------------------------------------------------------
+# ---- the linear servo
+# -------------------------------------------------------------------------------------------------------------
 
 
 def as_control(plant):
@@ -99,7 +104,9 @@ def test_each_part_has_its_transfer_function(parts, system):
 TOGETHER = control.ss(LAG) * (control.ss(G) + control.ss(MODE) + control.ss(CREEP))
 
 
-@pytest.mark.parametrize(("parts", "system"), [({}, control.ss(G)), (ALL, TOGETHER)], ids=["identified", "all_parts"])
+@pytest.mark.parametrize(
+    ("parts", "system"), [({}, control.ss(G)), (ALL, TOGETHER)], ids=["identified", "all_parts"]
+)
 def test_response_is_the_zero_order_hold_of_the_transfer_function(parts, system):
     """Parts are superposed, and the amplifier's lag acts on each."""
     discrete = control.sample_system(system, DT, method="zoh")
@@ -108,10 +115,14 @@ def test_response_is_the_zero_order_hold_of_the_transfer_function(parts, system)
 
 
 def test_a_load_of_one_newton_moves_the_tool_by_one_micrometre():
-    """The step response of the servo, -F/k (1 - e^(-zeta w t) (cos + zeta/sqrt(1 - zeta^2) sin)), in the long run -F/k."""
+    """The step response of the servo, -F/k (1 - e^(-zeta w t) (cos + zeta/sqrt(1 - zeta^2) sin)),
+    in the long run -F/k.
+    """
     w, zeta = np.sqrt(2.413e6), 70.16 / (2 * np.sqrt(2.413e6))
     root = np.sqrt(1 - zeta**2)
-    step = 1 - np.exp(-zeta * w * TIME) * (np.cos(root * w * TIME) + zeta / root * np.sin(root * w * TIME))
+    step = 1 - np.exp(-zeta * w * TIME) * (
+        np.cos(root * w * TIME) + zeta / root * np.sin(root * w * TIME)
+    )
     assert_close(outputs(FastToolServo(load=1.0), np.zeros(N)), -step, 1e-12)
     assert_close(outputs(FastToolServo(load=-0.5, damping=1e-3), np.zeros(3 * N))[-1], 0.5, 1e-12)
 
@@ -125,31 +136,43 @@ def test_periodic_force_is_the_sum_of_its_sines():
     """The forced motion, plus the free motion that makes position and speed zero at the start."""
     a, f, phase = np.array([[1.0, 0.5, 0.2], [40.0, 120.0, 700.0], [0.3, -1.0, 2.0]])
     s = 2j * np.pi * f
-    forced = -a * np.exp(1j * phase) / (0.41442 * 1e-6) / (s**2 + 70.16 * s + 2.413e6)  # N to um/s^2: 1e6 / m, m = 1 / 2.413
+    forced = (
+        -a * np.exp(1j * phase) / (0.41442 * 1e-6) / (s**2 + 70.16 * s + 2.413e6)
+    )  # N to um/s^2: 1e6 / m, m = 1 / 2.413
     forced *= 0.41442 * 2.413
     poles = np.roots([1.0, 70.16, 2.413e6])
-    free = np.linalg.solve([[1.0, 1.0], poles], -np.array([np.sum(forced.imag), np.sum((s * forced).imag)]))
+    free = np.linalg.solve(
+        [[1.0, 1.0], poles], -np.array([np.sum(forced.imag), np.sum((s * forced).imag)])
+    )
     y = np.imag(np.exp(np.outer(TIME, s)) @ forced) + np.real(np.exp(np.outer(TIME, poles)) @ free)
     assert_close(outputs(FastToolServo(periodic=PeriodicForce(a, f, phase)), np.zeros(N)), y, 1e-11)
 
 
 def test_creep_spaced_by_decades_is_logarithmic():
-    """y / y(t_0) = 1 + c log10(t / t_0): the share c in each decade of time, within 1 %, between the fastest and the slowest operator."""
+    """y / y(t_0) = 1 + c log10(t / t_0): the share c in each decade of time, within 1 %, between
+    the fastest and the slowest operator.
+    """
     tau = 10.0 ** np.arange(-3, 5)
     y = outputs(FastToolServo(creep=Creep(np.full(8, 0.02), tau)).linear(), np.ones(1000), 0.1)
-    growth = np.diff(np.asarray(y)[[10, 100, 1000]]) / GAIN  # from 1 s to 10 s to 100 s, the servo is nearly at rest
+    growth = (
+        np.diff(np.asarray(y)[[10, 100, 1000]]) / GAIN
+    )  # from 1 s to 10 s to 100 s, the servo is nearly at rest
     np.testing.assert_allclose(growth, 0.02, rtol=0.01)
 
 
 def test_an_absent_part_costs_nothing():
-    plant, full = (jax.eval_shape(lambda form=form: fast_tool_servo(form).sampled(DT)) for form in ("identified", "full"))
+    plant, full = (
+        jax.eval_shape(lambda form=form: fast_tool_servo(form).sampled(DT))
+        for form in ("identified", "full")
+    )
     assert isinstance(plant, StateSpace)
     assert plant.A.shape == (2, 2)
     assert plant.x0 is None
     assert full.plant.A.shape == (6, 6)
 
 
-# ---- the nonlinear servo ----------------------------------------------------------------------------------------------------------
+# ---- the nonlinear servo
+# ----------------------------------------------------------------------------------------------------------
 
 PARTS = {
     "amplifier_bandwidth": 2000.0,
@@ -165,8 +188,13 @@ CUT = CuttingForce(0.3, -1.0, blur=4.0)
 
 
 def bouc_wen_path(h, x):
-    """z along the straight ways from 0 to x[0] to x[1] ..., by solve_ivp from Bouc's and Wen's equation."""
-    A, beta, gamma, n = (float(v) for v in (h.initial_slope, h.beta, h.gamma, 1.0 if h.exponent is None else h.exponent))
+    """z along the straight ways from 0 to x[0] to x[1] ..., by solve_ivp from Bouc's and Wen's
+    equation.
+    """
+    A, beta, gamma, n = (
+        float(v)
+        for v in (h.initial_slope, h.beta, h.gamma, 1.0 if h.exponent is None else h.exponent)
+    )
     z, passed = 0.0, []
     for way in np.diff(x, prepend=0.0):
 
@@ -180,11 +208,17 @@ def bouc_wen_path(h, x):
 
 def numbers(part, names, absent):
     """The named fields of a part as numbers, of an array its first."""
-    return absent if part is None else [float(np.ravel(getattr(part, name))[0]) for name in names.split()]
+    return (
+        absent
+        if part is None
+        else [float(np.ravel(getattr(part, name))[0]) for name in names.split()]
+    )
 
 
 def integrated(p, u, dt=DT):
-    """(N+1,) the output of a nonlinear servo by solve_ivp, sample by sample, written down from the equations."""
+    """(N+1,) the output of a nonlinear servo by solve_ivp, sample by sample, written down from the
+    equations.
+    """
     m, k_c, k_f, T, k_b = numbers(p, "mass damping stiffness conversion amplifier_gain", None)
     load, drift = (0.0 if x is None else float(x) for x in (p.load, p.drift))
     v = u if p.hysteresis is None else u - bouc_wen_path(p.hysteresis, u)
@@ -226,7 +260,9 @@ def integrated(p, u, dt=DT):
 def slope_of_error(servo, u, substeps):
     """Regression of log error on log step, and the smallest error, against solve_ivp."""
     exact = integrated(servo, u)
-    errors = [np.max(np.abs(outputs(dataclasses.replace(servo, substeps=s), u) - exact)) for s in substeps]
+    errors = [
+        np.max(np.abs(outputs(dataclasses.replace(servo, substeps=s), u) - exact)) for s in substeps
+    ]
     return np.polyfit(-np.log(substeps), np.log(errors), 1)[0], errors[-1]
 
 
@@ -235,7 +271,9 @@ def test_integrator_is_of_order_four_where_forces_are_smooth():
     assert 3.7 < slope < 4.5
     assert smallest > 1e-11
     # overdamped, under a held input: the motion never turns, and friction has no kink
-    slope, smallest = slope_of_error(FastToolServo(damping=3e-3, friction=FRICTION), np.ones(40), (1, 2, 4))
+    slope, smallest = slope_of_error(
+        FastToolServo(damping=3e-3, friction=FRICTION), np.ones(40), (1, 2, 4)
+    )
     assert 3.7 < slope < 4.5
     assert smallest > 1e-11
 
@@ -262,11 +300,15 @@ def test_full_servo_moves_as_by_solve_ivp(parts, relative):
     assert_close(outputs(servo, u), y, relative)
     # each part matters far more than that
     for name in parts.keys() - {"substeps"}:
-        assert np.max(np.abs(integrated(dataclasses.replace(servo, **{name: None}), u) - y)) > 1e-2 * np.max(np.abs(y))
+        assert np.max(
+            np.abs(integrated(dataclasses.replace(servo, **{name: None}), u) - y)
+        ) > 1e-2 * np.max(np.abs(y))
 
 
 def test_default_step_is_enough_for_the_task():
-    """The 40 Hz of section 5 with a guide's friction: one step a sample keeps 1 nm, the resolution of the encoder."""
+    """The 40 Hz of section 5 with a guide's friction: one step a sample keeps 1 nm, the resolution
+    of the encoder.
+    """
     servo = FastToolServo(damping=3e-4, friction=Dahl(0.2, 0.5, exponent=1.0))
     u = 2.0 * np.sin(2 * np.pi * 40.0 * np.arange(300) * DT)
     exact = integrated(servo, u)
@@ -282,7 +324,9 @@ def gain_at_40_hz(servo, amplitude):
 
 
 def test_full_form_answers_small_strokes_like_the_identified_one():
-    """Section 5.2 identified G with 10 mV; at 20 um the gain is larger, and the loop makes the tool lag behind."""
+    """Section 5.2 identified G with 10 mV; at 20 um the gain is larger, and the loop makes the tool
+    lag behind.
+    """
     small, large = (gain_at_40_hz(fast_tool_servo("full"), amplitude) for amplitude in (0.01, 2.16))
     expected = complex(G(80j * np.pi))
     assert abs(small / expected - 1) < 0.03  # creep adds the most, its 1.5 % a decade
@@ -295,13 +339,18 @@ def test_full_form_has_the_loop_and_the_mode_that_it_states():
     servo = fast_tool_servo("full")
     u = loop(40, amplitude=1.93)
     v = u - np.asarray(along(servo.hysteresis, u))
-    assert float(servo.coefficients.b / servo.coefficients.a1) * np.max(v) == pytest.approx(20.0, rel=0.01)
+    assert float(servo.coefficients.b / servo.coefficients.a1) * np.max(v) == pytest.approx(
+        20.0, rel=0.01
+    )
     assert (v[99] - v[119]) / np.ptp(v) == pytest.approx(0.08, abs=0.005)
-    at_900 = abs(as_control(servo.linear())(1800j * np.pi)) * (1 - float(servo.hysteresis.initial_slope))
+    at_900 = abs(as_control(servo.linear())(1800j * np.pi)) * (
+        1 - float(servo.hysteresis.initial_slope)
+    )
     assert at_900 / abs(G(1800j * np.pi)) == pytest.approx(1.4, abs=0.05)
 
 
-# ---- hysteresis -------------------------------------------------------------------------------------------------------------------
+# ---- hysteresis
+# -------------------------------------------------------------------------------------------------------------------
 
 BOUC_WEN = {
     "linear": BoucWen(0.3, 1.1, 0.4),
@@ -310,17 +359,27 @@ BOUC_WEN = {
     "smooth": BoucWen(0.5, 0.4, 0.1, exponent=2.0, substeps=40),
     "fractional": BoucWen(0.4, 0.9, -0.2, exponent=1.3, substeps=40),
 }
-DAHL = {"linear": Dahl(2.0, 0.7), "ductile": Dahl(2.0, 0.7, exponent=2.5), "nearly_linear": Dahl(2.0, 0.7, exponent=1.0 + 1e-7)}
+DAHL = {
+    "linear": Dahl(2.0, 0.7),
+    "ductile": Dahl(2.0, 0.7, exponent=2.5),
+    "nearly_linear": Dahl(2.0, 0.7, exponent=1.0 + 1e-7),
+}
 
 
 @jax.jit
 def along(h, x):
     """(M,) z along the straight ways from 0 to x[0] to x[1] ..."""
-    return lax.scan(lambda z, dx: ((z := h.over(z, dx)), z), jnp.zeros(()), jnp.diff(jnp.asarray(x), prepend=0.0))[1]
+    return lax.scan(
+        lambda z, dx: ((z := h.over(z, dx)), z),
+        jnp.zeros(()),
+        jnp.diff(jnp.asarray(x), prepend=0.0),
+    )[1]
 
 
 def loop(samples, turns=3, amplitude=1.5):
-    """A sinusoid of some turns, `samples` samples in each; x = 0 is at the samples 0 and `samples`/2 of a turn."""
+    """A sinusoid of some turns, `samples` samples in each; x = 0 is at the samples 0 and
+    `samples`/2 of a turn.
+    """
     return amplitude * np.sin(2 * np.pi * np.arange(1, turns * samples + 1) / samples)
 
 
@@ -328,19 +387,30 @@ def loop(samples, turns=3, amplitude=1.5):
 def test_bouc_wen_is_that_of_solve_ivp_for_any_jumps(h):
     x = 1.5 * np.random.default_rng(2).normal(size=25)
     exact = bouc_wen_path(h, x)
-    np.testing.assert_allclose(along(h, x), exact, rtol=0, atol=1e-11 if h.exponent is None else 1e-5)
+    np.testing.assert_allclose(
+        along(h, x), exact, rtol=0, atol=1e-11 if h.exponent is None else 1e-5
+    )
     assert np.ptp(exact) > 1.4 * h.limit  # branches below and above zero have been passed
 
 
 @pytest.mark.parametrize("h", DAHL.values(), ids=DAHL)
 def test_dahl_is_that_of_solve_ivp_for_any_jumps(h):
     x = np.random.default_rng(2).normal(size=25)
-    sigma, F_c, i = float(h.initial_slope), float(h.limit), float(1.0 if h.exponent is None else h.exponent)
+    sigma, F_c, i = (
+        float(h.initial_slope),
+        float(h.limit),
+        float(1.0 if h.exponent is None else h.exponent),
+    )
     z, exact = 0.0, []
     for way in np.diff(x, prepend=0.0):
         s = np.sign(way)
         z = solve_ivp(
-            lambda t, z, s=s, way=way: sigma * abs(1 - s * z / F_c) ** i * np.sign(1 - s * z / F_c) * way, (0, 1), [z], **TOLERANCES
+            lambda t, z, s=s, way=way: (
+                sigma * abs(1 - s * z / F_c) ** i * np.sign(1 - s * z / F_c) * way
+            ),
+            (0, 1),
+            [z],
+            **TOLERANCES,
         ).y[0, -1]
         exact.append(z)
     np.testing.assert_allclose(along(h, x), exact, rtol=0, atol=1e-10)
@@ -348,15 +418,21 @@ def test_dahl_is_that_of_solve_ivp_for_any_jumps(h):
 
 
 def test_dahl_from_rest_in_closed_form():
-    """F = F_c (1 - exp(-sigma x / F_c)) (Dahl 1968), and for i = 2 its hyperbola F = F_c (1 - 1 / (1 + sigma x / F_c))."""
+    """F = F_c (1 - exp(-sigma x / F_c)) (Dahl 1968), and for i = 2 its hyperbola F = F_c (1 - 1 /
+    (1 + sigma x / F_c)).
+    """
     x = np.linspace(0.01, 2.0, 50)
     np.testing.assert_allclose(along(Dahl(2.0, 0.7), x), 0.7 * -np.expm1(-2.0 * x / 0.7), **ALGEBRA)
-    np.testing.assert_allclose(along(Dahl(2.0, 0.7, exponent=2.0), x), 0.7 * (1 - 1 / (1 + 2.0 * x / 0.7)), **ALGEBRA)
+    np.testing.assert_allclose(
+        along(Dahl(2.0, 0.7, exponent=2.0), x), 0.7 * (1 - 1 / (1 + 2.0 * x / 0.7)), **ALGEBRA
+    )
 
 
 @pytest.mark.parametrize("h", [*BOUC_WEN.values(), *DAHL.values()])
 def test_hysteresis_is_rate_independent(h):
-    """The same loop at two frequencies, at one sample rate: z at the shared points does not see how densely the way was sampled."""
+    """The same loop at two frequencies, at one sample rate: z at the shared points does not see how
+    densely the way was sampled.
+    """
     fast, slow = along(h, loop(40)), along(h, loop(400))[9::10]
     # monotonic ways may be cut anywhere: exact where `over` is
     exact = isinstance(h, Dahl) or h.exponent is None
@@ -368,22 +444,33 @@ def test_hysteresis_is_rate_independent(h):
 @pytest.mark.parametrize("h", BOUC_WEN.values(), ids=BOUC_WEN)
 def test_width_of_the_settled_loop(h):
     """z at x = 0 on the way down and on the way up, in the third turn."""
-    z, exact = (np.asarray(path)[[2 * 40 + 19, 3 * 40 - 1]] for path in (along(h, loop(40)), bouc_wen_path(h, loop(40))))
+    z, exact = (
+        np.asarray(path)[[2 * 40 + 19, 3 * 40 - 1]]
+        for path in (along(h, loop(40)), bouc_wen_path(h, loop(40)))
+    )
     np.testing.assert_allclose(z, exact, rtol=1e-10 if h.exponent is None else 1e-6)
     assert exact[1] - exact[0] > 0.2 * h.limit
 
 
 def test_width_of_the_loop_in_closed_form():
-    """Without gamma, z settles to a loop with z(x_max) = A/beta tanh(beta x_max), 2 A/beta (1 - 1/cosh(beta x_max)) wide."""
+    """Without gamma, z settles to a loop with z(x_max) = A/beta tanh(beta x_max), 2 A/beta (1 -
+    1/cosh(beta x_max)) wide.
+    """
     z = np.asarray(along(BoucWen(0.3, 1.1), loop(40, turns=12)))
     assert z[-31] == pytest.approx(0.3 / 1.1 * np.tanh(1.1 * 1.5), rel=1e-10)
     assert z[-1] - z[-21] == pytest.approx(2 * 0.3 / 1.1 * (1 - 1 / np.cosh(1.1 * 1.5)), rel=1e-10)
 
 
-@pytest.mark.parametrize("h", [*BOUC_WEN.values(), BoucWen(0.5, 0.4, 0.1, exponent=3.0), *DAHL.values()])
+@pytest.mark.parametrize(
+    "h", [*BOUC_WEN.values(), BoucWen(0.5, 0.4, 0.1, exponent=3.0), *DAHL.values()]
+)
 def test_hysteresis_stays_within_its_bound(h):
-    """|z| <= (A / (beta + gamma))^(1/n), for jumps of any size; with few substeps 2 % may be missing or too much after a huge one."""
-    x = np.random.default_rng(3).normal(size=200) * 10.0 ** np.random.default_rng(4).uniform(-2, 3, 200)
+    """|z| <= (A / (beta + gamma))^(1/n), for jumps of any size; with few substeps 2 % may be
+    missing or too much after a huge one.
+    """
+    x = np.random.default_rng(3).normal(size=200) * 10.0 ** np.random.default_rng(4).uniform(
+        -2, 3, 200
+    )
     limit = float(h.limit)
     if isinstance(h, BoucWen):
         n = 1.0 if h.exponent is None else float(h.exponent)
@@ -392,16 +479,28 @@ def test_hysteresis_stays_within_its_bound(h):
     assert 0.98 * limit < np.max(z) <= limit * (1 + 1e-12)
 
 
-@pytest.mark.parametrize("h", [BoucWen(0.3, 1.1, 0.4), BoucWen(0.3, 1.1, 0.4, exponent=1.5), Dahl(0.3, 0.7), Dahl(0.3, 0.7, exponent=1.5)])
+@pytest.mark.parametrize(
+    "h",
+    [
+        BoucWen(0.3, 1.1, 0.4),
+        BoucWen(0.3, 1.1, 0.4, exponent=1.5),
+        Dahl(0.3, 0.7),
+        Dahl(0.3, 0.7, exponent=1.5),
+    ],
+)
 def test_gradients_are_finite_everywhere(h):
-    """At rest, at zero, at the bound and beyond it; from rest the derivative by the way is the initial slope."""
+    """At rest, at zero, at the bound and beyond it; from rest the derivative by the way is the
+    initial slope.
+    """
     levels = float(h.limit) * np.array([0.0, -1.01, -1.0, -0.5, 0.5, 1.0, 1.01])
     z, dx = (a.ravel() for a in np.meshgrid(levels, [0.0, -0.1, 0.1]))
 
     @jax.jit
     @partial(jax.vmap, in_axes=(None, 0, 0))
     def gradients(h, z, dx):
-        return jax.grad(lambda h, z, dx: h.over(z, dx), (0, 1, 2))(h, z, dx), jax.grad(lambda h, z: h.slope(z, 1.0), (0, 1))(h, z)
+        return jax.grad(lambda h, z, dx: h.over(z, dx), (0, 1, 2))(h, z, dx), jax.grad(
+            lambda h, z: h.slope(z, 1.0), (0, 1)
+        )(h, z)
 
     of_over, of_slope = gradients(h, z, dx)
     for gradient in jax.tree.leaves((of_over, of_slope)):
@@ -411,14 +510,25 @@ def test_gradients_are_finite_everywhere(h):
 
 
 def test_gradient_of_a_servo_at_rest():
-    """No input, no load: all speeds and increments are exactly zero, and so is each derivative by a parameter."""
-    servo = FastToolServo(friction=FRICTION, cutting=CuttingForce(0.0, 0.0), hysteresis=BoucWen(0.3, 1.1, 0.4, exponent=1.5, substeps=1))
-    by_servo, by_u = jax.jit(jax.grad(lambda servo, u: outputs(servo, u)[-1], argnums=(0, 1)))(servo, np.zeros(20))
+    """No input, no load: all speeds and increments are exactly zero, and so is each derivative by a
+    parameter.
+    """
+    servo = FastToolServo(
+        friction=FRICTION,
+        cutting=CuttingForce(0.0, 0.0),
+        hysteresis=BoucWen(0.3, 1.1, 0.4, exponent=1.5, substeps=1),
+    )
+    by_servo, by_u = jax.jit(jax.grad(lambda servo, u: outputs(servo, u)[-1], argnums=(0, 1)))(
+        servo, np.zeros(20)
+    )
     assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(by_servo))
     assert by_servo.mass == 0.0
-    # small strokes see the servo behind the initial slopes: 1 - A at the input, and friction as a spring of 0.4 N/um
+    # small strokes see the servo behind the initial slopes: 1 - A at the input, and friction as a
+    # spring of 0.4 N/um
     spring = control.tf([2.229e7 * 0.7], [1.0, 70.16, 2.413e6 * 1.4])
-    _, impulse = control.impulse_response(control.sample_system(spring, DT, method="zoh"), np.arange(21) * DT)
+    _, impulse = control.impulse_response(
+        control.sample_system(spring, DT, method="zoh"), np.arange(21) * DT
+    )
     np.testing.assert_allclose(by_u, DT * impulse[:0:-1], rtol=1e-6, atol=1e-9)
 
 
@@ -440,15 +550,22 @@ def test_hysteresis_at_the_inputs_of_any_plant():
     np.testing.assert_allclose(y, expected[1:], rtol=1e-9)
 
 
-# ---- errors -----------------------------------------------------------------------------------------------------------------------
+# ---- errors
+# -----------------------------------------------------------------------------------------------------------------------
 
 
 def test_too_long_a_sample_time_is_refused_before_anything_runs():
     task = Task(np.zeros(9), dt=5e-4, unit="um", input_unit="V")
-    with pytest.raises(ValueError, match=r"FastToolServo: dt = 0.0005 s is outside its allowed range \(0, 0.0002\], see longest_dt"):
+    with pytest.raises(
+        ValueError,
+        match=r"FastToolServo: dt = 0.0005 s is outside its allowed range \(0, 0.0002\], see longest_dt",
+    ):
         learn(Machine(fast_tool_servo()), PIDType(gamma_p=0.1), task, 2)
     jax.eval_shape(lambda: FastToolServo(longest_dt=5e-4).sampled(task.dt))
-    with pytest.raises(ValueError, match=r"ForcedServo is sampled at 0.0001 s but the task at 0.0002 s; allowed is dt = 0.0001"):
+    with pytest.raises(
+        ValueError,
+        match=r"ForcedServo is sampled at 0.0001 s but the task at 0.0002 s; allowed is dt = 0.0001",
+    ):
         jax.eval_shape(lambda: FastToolServo(cutting=CUT).sampled(DT).sampled(2e-4))
 
 
@@ -459,28 +576,70 @@ def test_too_long_a_sample_time_is_refused_before_anything_runs():
             lambda: FastToolServo(longest_dt=1e-3),
             r"longest_dt = 0.001 s leaves 4.04 samples a period of the fastest mode, 247.2 Hz; .* parameters is \(0, 0.000809\]",
         ),
-        (lambda: FastToolServo(mode=FlexibleMode(1500.0, 0.1, 0.1)), r"leaves 3.33 samples a period of the fastest mode, 1500 Hz"),
+        (
+            lambda: FastToolServo(mode=FlexibleMode(1500.0, 0.1, 0.1)),
+            r"leaves 3.33 samples a period of the fastest mode, 1500 Hz",
+        ),
         (
             lambda: FastToolServo(periodic=PeriodicForce((1.0,), (2e3,), (0.0,))),
             r"leaves 2.5 samples a period of the fastest mode, 2000 Hz",
         ),
-        (lambda: FastToolServo(friction=Dahl(24.0, 1.0)), r"leaves 4.04 samples a period of the fastest mode, 1236 Hz"),
-        (lambda: FastToolServo(cutting=CuttingForce(24.0, 1.0)), r"leaves 4.04 samples a period of the fastest mode, 1236 Hz"),
+        (
+            lambda: FastToolServo(friction=Dahl(24.0, 1.0)),
+            r"leaves 4.04 samples a period of the fastest mode, 1236 Hz",
+        ),
+        (
+            lambda: FastToolServo(cutting=CuttingForce(24.0, 1.0)),
+            r"leaves 4.04 samples a period of the fastest mode, 1236 Hz",
+        ),
         (lambda: FastToolServo(mass=np.array([0.4, 0.01])), r"fastest mode, 1592 Hz"),
-        (lambda: FastToolServo(mass=0.0), r"FastToolServo: mass = 0 is outside its allowed range \(0, inf\)"),
-        (lambda: FastToolServo(damping=-1.0), r"FastToolServo: damping = -1 is outside its allowed range \[0, inf\)"),
-        (lambda: FastToolServo(substeps=0), r"FastToolServo: substeps = 0 is outside its allowed range \[1, 10000\] of whole numbers"),
-        (lambda: FastToolServo(hysteresis=BoucWen(1.2, 1.0)), r"FastToolServo: hysteresis.initial_slope = 1.2 is outside .*\(0, 1\)"),
-        (lambda: FlexibleMode(900.0, 1.0, 0.1), r"FlexibleMode: damping = 1 is outside its allowed range \(0, 1\)"),
-        (lambda: Creep((0.1, 0.2), (1.0,)), r"Creep: \{'shares': \(2,\), 'time_constants': \(1,\)\} must have one shape \(n,\)"),
+        (
+            lambda: FastToolServo(mass=0.0),
+            r"FastToolServo: mass = 0 is outside its allowed range \(0, inf\)",
+        ),
+        (
+            lambda: FastToolServo(damping=-1.0),
+            r"FastToolServo: damping = -1 is outside its allowed range \[0, inf\)",
+        ),
+        (
+            lambda: FastToolServo(substeps=0),
+            r"FastToolServo: substeps = 0 is outside its allowed range \[1, 10000\] of whole numbers",
+        ),
+        (
+            lambda: FastToolServo(hysteresis=BoucWen(1.2, 1.0)),
+            r"FastToolServo: hysteresis.initial_slope = 1.2 is outside .*\(0, 1\)",
+        ),
+        (
+            lambda: FlexibleMode(900.0, 1.0, 0.1),
+            r"FlexibleMode: damping = 1 is outside its allowed range \(0, 1\)",
+        ),
+        (
+            lambda: Creep((0.1, 0.2), (1.0,)),
+            r"Creep: \{'shares': \(2,\), 'time_constants': \(1,\)\} must have one shape \(n,\)",
+        ),
         (lambda: Creep(0.1, 1.0), r"Creep: .* must have one shape \(n,\)"),
-        (lambda: PeriodicForce((1.0,), (40.0,), ()), r"PeriodicForce: .*'phases': \(0,\).* must have one shape \(n,\)"),
-        (lambda: CuttingForce(0.1, 1.0, blur=0.0), r"CuttingForce: blur = 0 is outside its allowed range \(0, inf\)"),
-        (lambda: BoucWen(0.3, 1.0, -1.0), r"BoucWen: gamma = -1.0 is outside its allowed range \(-beta, beta\], beta = 1.0"),
+        (
+            lambda: PeriodicForce((1.0,), (40.0,), ()),
+            r"PeriodicForce: .*'phases': \(0,\).* must have one shape \(n,\)",
+        ),
+        (
+            lambda: CuttingForce(0.1, 1.0, blur=0.0),
+            r"CuttingForce: blur = 0 is outside its allowed range \(0, inf\)",
+        ),
+        (
+            lambda: BoucWen(0.3, 1.0, -1.0),
+            r"BoucWen: gamma = -1.0 is outside its allowed range \(-beta, beta\], beta = 1.0",
+        ),
         (lambda: BoucWen(0.3, 1.0, 1.1), r"BoucWen: gamma = 1.1 is outside"),
-        (lambda: BoucWen(0.3, 1.0, exponent=0.5), r"BoucWen: exponent = 0.5 is outside its allowed range \[1, inf\)"),
+        (
+            lambda: BoucWen(0.3, 1.0, exponent=0.5),
+            r"BoucWen: exponent = 0.5 is outside its allowed range \[1, inf\)",
+        ),
         (lambda: Dahl(1.0, 0.0), r"Dahl: limit = 0 is outside its allowed range \(0, inf\)"),
-        (lambda: fast_tool_servo("exact"), r"fast_tool_servo: form = 'exact' is not one of 'identified', 'full'"),
+        (
+            lambda: fast_tool_servo("exact"),
+            r"fast_tool_servo: form = 'exact' is not one of 'identified', 'full'",
+        ),
     ],
 )
 def test_errors_name_the_parameter(build, message):

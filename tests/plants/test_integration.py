@@ -28,14 +28,20 @@ def exponential(x, h, n):
 
 
 def classical(x, h, n):
-    return jax.lax.fori_loop(0, n, lambda _, x: runge_kutta(lambda x: A @ x + B @ U + bend(x), x, h), x)
+    return jax.lax.fori_loop(
+        0, n, lambda _, x: runge_kutta(lambda x: A @ x + B @ U + bend(x), x, h), x
+    )
 
 
 @pytest.mark.parametrize("h", [1e-3, 0.1, 3.0])
 def test_the_linear_part_is_exact(h):
     block = np.block([[A, (B @ U)[:, None]], [np.zeros((1, 4))]])
     expected = (scipy.linalg.expm(block * h) @ np.append(START, 1.0))[:3]
-    np.testing.assert_allclose(exponential_runge_kutta(propagator(A, B, h), jnp.zeros_like, START, U, h), expected, **ALGEBRA)
+    np.testing.assert_allclose(
+        exponential_runge_kutta(propagator(A, B, h), jnp.zeros_like, START, U, h),
+        expected,
+        **ALGEBRA,
+    )
 
 
 @pytest.mark.parametrize("method", [exponential, classical])
@@ -43,7 +49,9 @@ def test_the_order_is_four(method):
     def rates(t, x):
         return A @ x + B @ U + [0.0, -20.0 * np.sin(2 * x[0]) - x[1] ** 2, np.tanh(x[1])]
 
-    expected = scipy.integrate.solve_ivp(rates, (0.0, DURATION), START, "DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
+    expected = scipy.integrate.solve_ivp(
+        rates, (0.0, DURATION), START, "DOP853", rtol=1e-13, atol=1e-14
+    ).y[:, -1]
     steps, run = 2 ** np.arange(5, 9), jax.jit(method)
     error = [np.max(np.abs(run(START, DURATION / n, n) - expected)) for n in steps]
     assert error[-1] > 1e-12, "rounding would hide the order"
@@ -51,7 +59,9 @@ def test_the_order_is_four(method):
 
 
 def test_the_stiffness_of_the_linear_part_does_not_limit_the_step():
-    """A pole of 1e6 1/s beside a slow pendulum, in steps of 10 ms, a few thousand times too long for the classical method."""
+    """A pole of 1e6 1/s beside a slow pendulum, in steps of 10 ms, a few thousand times too long
+    for the classical method.
+    """
     stiff = np.array([[0.0, 1.0, 0.0], [-9.0, -0.5, 1.0], [0.0, 0.0, -1e6]])
     push, held = np.array([[0.0], [0.0], [1e6]]), np.array([2.0])
 
@@ -63,20 +73,33 @@ def test_the_stiffness_of_the_linear_part_does_not_limit_the_step():
 
     h, n = 0.01, 200
     linear = propagator(stiff, push, h)
-    found = jax.lax.fori_loop(0, n, lambda _, x: exponential_runge_kutta(linear, f, x, held, h), START)
-    expected = scipy.integrate.solve_ivp(rates, (0.0, h * n), START, "Radau", rtol=1e-10, atol=1e-12).y[:, -1]
+    found = jax.lax.fori_loop(
+        0, n, lambda _, x: exponential_runge_kutta(linear, f, x, held, h), START
+    )
+    expected = scipy.integrate.solve_ivp(
+        rates, (0.0, h * n), START, "Radau", rtol=1e-10, atol=1e-12
+    ).y[:, -1]
     np.testing.assert_allclose(found, expected, rtol=1e-7)
-    lost = jax.lax.fori_loop(0, n, lambda _, x: runge_kutta(lambda x: stiff @ x + push @ held + f(x), x, h), START)
+    lost = jax.lax.fori_loop(
+        0, n, lambda _, x: runge_kutta(lambda x: stiff @ x + push @ held + f(x), x, h), START
+    )
     assert not np.all(np.isfinite(lost))
 
 
 def test_what_is_faster_than_the_step_is_stable_but_not_accurate_under_f():
-    """x' = -a x + 1 with the 1 in f: x settles at 1/a; the method at h/6 (e + 4 sqrt(e) + 1) / (1 - e), e = exp(-a h)."""
+    """x' = -a x + 1 with the 1 in f: x settles at 1/a; the method at h/6 (e + 4 sqrt(e) + 1) / (1 -
+    e), e = exp(-a h).
+    """
     h = 0.01
     for a, agree in ((20.0, True), (1e4, False)):
         linear = propagator(np.array([[-a]]), np.zeros((1, 1)), h)
         x = jax.lax.fori_loop(
-            0, 3000, lambda _, x, linear=linear: exponential_runge_kutta(linear, jnp.ones_like, x, jnp.zeros(1), h), jnp.zeros(1)
+            0,
+            3000,
+            lambda _, x, linear=linear: exponential_runge_kutta(
+                linear, jnp.ones_like, x, jnp.zeros(1), h
+            ),
+            jnp.zeros(1),
         )
         e = np.exp(-a * h)
         np.testing.assert_allclose(x, h / 6 * (e + 4 * np.sqrt(e) + 1) / (1 - e), rtol=1e-10)
@@ -101,6 +124,8 @@ class Pendulum(NamedTuple):
 
 def test_any_pytree_is_stepped():
     one = runge_kutta(lambda x: Pendulum(x.speed, -9.0 * jnp.sin(x.angle)), Pendulum(0.5, 1.0), 0.1)
-    other = runge_kutta(lambda x: jnp.stack([x[1], -9.0 * jnp.sin(x[0])]), jnp.array([0.5, 1.0]), 0.1)
+    other = runge_kutta(
+        lambda x: jnp.stack([x[1], -9.0 * jnp.sin(x[0])]), jnp.array([0.5, 1.0]), 0.1
+    )
     assert isinstance(one, Pendulum)
     np.testing.assert_allclose(np.stack(one), other, rtol=1e-14)

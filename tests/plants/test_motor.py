@@ -1,4 +1,6 @@
-"""The physical motor against python-control, closed forms, the printed data and its identified model."""
+"""The physical motor against python-control, closed forms, the printed data and its identified
+model.
+"""
 
 import dataclasses
 import re
@@ -13,7 +15,15 @@ from cases import ALGEBRA, DIFFERENCES, DT
 from jax import lax
 
 from jaxilc.learning import Machine, learn
-from jaxilc.plants import Cogging, EndEffect, StateSpace, StribeckFriction, VoiceCoil, VoiceCoilMotor, voice_coil_motor
+from jaxilc.plants import (
+    Cogging,
+    EndEffect,
+    StateSpace,
+    StribeckFriction,
+    VoiceCoil,
+    VoiceCoilMotor,
+    voice_coil_motor,
+)
 from jaxilc.plants.motor import DTL85_708, MotorState
 from jaxilc.pytree import get_at, named_leaves, pytree, replaced
 from jaxilc.schemes import CFDLMFAILC
@@ -25,7 +35,9 @@ U = 2.0 * np.random.default_rng(5).choice([-1.0, 1.0], N)
 
 
 def rest(motor, position=0.0, speed=0.0):
-    return motor.init()._replace(position=jnp.asarray(position, float), speed=jnp.asarray(speed, float))
+    return motor.init()._replace(
+        position=jnp.asarray(position, float), speed=jnp.asarray(speed, float)
+    )
 
 
 @partial(jax.jit, static_argnames="dt")
@@ -40,7 +52,8 @@ def positions(motor, u, dt=DT):
     return 1e3 * np.asarray(states(motor, u, rest(motor), dt).position)
 
 
-# ---- the linear motor -------------------------------------------------------------------------------------------------------------
+# ---- the linear motor
+# -------------------------------------------------------------------------------------------------------------
 
 
 def wired(motor):
@@ -81,7 +94,9 @@ def wired(motor):
 def as_control(plant):
     """A VoiceCoil, or a continuous StateSpace, as a system of python-control."""
     if isinstance(plant, VoiceCoil):
-        return control.tf([float(plant.gain), -float(plant.gain * plant.zero)], np.poly(-plant.poles))
+        return control.tf(
+            [float(plant.gain), -float(plant.gain * plant.zero)], np.poly(-plant.poles)
+        )
     return control.ss(np.asarray(plant.A), np.asarray(plant.B), np.asarray(plant.C), 0)
 
 
@@ -92,13 +107,17 @@ def at(system, hertz):
 MOTORS = {
     "identified": voice_coil_motor(),
     "printed": voice_coil_motor("printed"),
-    "sprung": VoiceCoilMotor(stiffness=4e3, setpoint_weight=0.4, viscous_damping=30.0, command_delay=2e-3, mass=2.0),
+    "sprung": VoiceCoilMotor(
+        stiffness=4e3, setpoint_weight=0.4, viscous_damping=30.0, command_delay=2e-3, mass=2.0
+    ),
 }
 
 
 @pytest.mark.parametrize("motor", MOTORS.values(), ids=MOTORS)
 def test_response_is_that_of_python_control(motor):
-    """Small commands meet no limit. At its default step the integrator of order 4 is within 1e-5 of the largest output."""
+    """Small commands meet no limit. At its default step the integrator of order 4 is within 1e-5 of
+    the largest output.
+    """
     u = 0.1 * U
     discrete = control.sample_system(wired(motor), DT, method="zoh")
     y = control.forced_response(discrete, np.arange(N + 1) * DT, np.append(u, u[-1])).outputs
@@ -116,7 +135,8 @@ def test_output_is_in_millimetres_and_follows_the_identified_slope():
     assert y == pytest.approx(-4.798 * (1 - np.exp(-6.404 * (0.5 - 2 / 474 - 1 / 928.2))), rel=2e-3)
 
 
-# ---- the reduction ----------------------------------------------------------------------------------------------------------------
+# ---- the reduction
+# ----------------------------------------------------------------------------------------------------------------
 
 EQ_7 = control.tf([7437.7769, -7437.7769 * 928.2], np.poly([-474.0, -474.0, -6.404]))
 
@@ -129,7 +149,9 @@ def test_reduced_motor_is_the_identified_one():
     assert float(as_control(reduced).dcgain()) == pytest.approx(-4.798, rel=1e-3)
     low = np.geomspace(0.1, 200, 30)
     np.testing.assert_array_less(np.abs(at(as_control(reduced), low) / at(EQ_7, low) - 1), 0.01)
-    np.testing.assert_array_less(np.abs(at(wired(voice_coil_motor()), low[low < 30]) / at(EQ_7, low[low < 30]) - 1), 0.022)
+    np.testing.assert_array_less(
+        np.abs(at(wired(voice_coil_motor()), low[low < 30]) / at(EQ_7, low[low < 30]) - 1), 0.022
+    )
 
 
 # the frequency [Hz] up to which the reduced form is within 3 %
@@ -137,7 +159,8 @@ def test_reduced_motor_is_the_identified_one():
 def test_reduction_keeps_poles_gain_and_delay(name, up_to):
     full, reduced = wired(MOTORS[name]), as_control(MOTORS[name].reduced())
     slowest = sorted(full.poles(), key=abs)[:3]
-    # a pair that rounding puts on either side; 1e-5 is what eigenvalues of a near-double pole keep of 1e-16
+    # a pair that rounding puts on either side; 1e-5 is what eigenvalues of a near-double pole keep
+    # of 1e-16
     for pole in reduced.poles():
         assert np.min(np.abs(pole - slowest)) < 1e-5 * max(abs(pole), 1.0)
     low = np.geomspace(0.1, up_to, 30)
@@ -149,19 +172,32 @@ def test_reduction_keeps_poles_gain_and_delay(name, up_to):
 
 
 def test_printed_bandwidths():
-    """Section II-A: about 500 Hz from speed command to speed, about 2 kHz of the current loop; no finite DC gain."""
+    """Section II-A: about 500 Hz from speed command to speed, about 2 kHz of the current loop; no
+    finite DC gain.
+    """
     motor = voice_coil_motor("printed")
-    speed = np.abs(at(wired(motor), np.array([500.0, 1e-3])) * 2 * np.pi * np.array([500.0, 1e-3]) / 1e3 / float(motor.command_scale))
+    speed = np.abs(
+        at(wired(motor), np.array([500.0, 1e-3]))
+        * 2
+        * np.pi
+        * np.array([500.0, 1e-3])
+        / 1e3
+        / float(motor.command_scale)
+    )
     assert speed[0] == pytest.approx(np.sqrt(0.5), rel=0.01)
     assert speed[1] == pytest.approx(1.0, rel=1e-6)
-    assert (motor.resistance + motor.current_gain) / motor.inductance == pytest.approx(2 * np.pi * 2000, rel=0.01)
+    assert (motor.resistance + motor.current_gain) / motor.inductance == pytest.approx(
+        2 * np.pi * 2000, rel=0.01
+    )
     reduced = motor.reduced()
     assert isinstance(reduced, StateSpace)
     assert np.min(np.abs(as_control(reduced).poles())) < 1e-9
 
 
 def test_a_spring_alone_leaves_the_integrator():
-    """The integral part of the speed loop pushes a spring away: position per volt stays unbounded without a hold."""
+    """The integral part of the speed loop pushes a spring away: position per volt stays unbounded
+    without a hold.
+    """
     held = VoiceCoilMotor(stiffness=5e4)
     free = replaced(held, {"holding_gain": 0.0})
     assert np.min(np.abs(wired(free).poles())) < 1e-6
@@ -174,8 +210,13 @@ def test_reduction_of_a_complex_pair_and_of_none():
     poles = as_control(ringing.reduced()).poles()
     assert isinstance(ringing.reduced(), StateSpace)
     assert np.max(poles.imag) > 100
-    with pytest.raises(ValueError, match=r"no third-order form, since its third and fourth pole are a pair .*current_gain or speed_gain"):
-        VoiceCoilMotor(speed_gain=300.0, speed_integral_gain=3e4, setpoint_weight=1.0, command_delay=None).reduced()
+    with pytest.raises(
+        ValueError,
+        match=r"no third-order form, since its third and fourth pole are a pair .*current_gain or speed_gain",
+    ):
+        VoiceCoilMotor(
+            speed_gain=300.0, speed_integral_gain=3e4, setpoint_weight=1.0, command_delay=None
+        ).reduced()
 
 
 def test_linear_is_differentiable():
@@ -184,7 +225,8 @@ def test_linear_is_differentiable():
     assert slope == pytest.approx(-56.2 / 9.0)
 
 
-# ---- integration ------------------------------------------------------------------------------------------------------------------
+# ---- integration
+# ------------------------------------------------------------------------------------------------------------------
 
 FULL = {
     "friction": StribeckFriction(4.0, 6.0, 0.02, 5.0, 4e-3),
@@ -194,27 +236,38 @@ FULL = {
 
 
 def test_integrator_is_of_order_four():
-    """Regression of log error on log step, on a smooth motion with friction, cogging and end effect."""
+    """Regression of log error on log step, on a smooth motion with friction, cogging and end
+    effect.
+    """
     motor = VoiceCoilMotor(**UNLIMITED, **FULL)
     steps = DT / np.array([12, 16, 24, 32])
     exact = positions(dataclasses.replace(motor, substep=DT / 256), U)
-    errors = [np.max(np.abs(positions(dataclasses.replace(motor, substep=h), U) - exact)) for h in steps]
+    errors = [
+        np.max(np.abs(positions(dataclasses.replace(motor, substep=h), U) - exact)) for h in steps
+    ]
     assert np.polyfit(np.log(steps), np.log(errors), 1)[0] == pytest.approx(4.0, abs=0.3)
     assert errors[-1] > 1e-13
 
 
 def test_sample_time_does_not_change_the_motion():
-    """The substep, not the sample time, decides on accuracy: the same steps in twice as many samples."""
+    """The substep, not the sample time, decides on accuracy: the same steps in twice as many
+    samples.
+    """
     motor = VoiceCoilMotor(**FULL)
-    np.testing.assert_allclose(positions(motor, np.repeat(U, 2), DT / 2)[::2], positions(motor, U), **ALGEBRA)
+    np.testing.assert_allclose(
+        positions(motor, np.repeat(U, 2), DT / 2)[::2], positions(motor, U), **ALGEBRA
+    )
 
 
 def test_unstable_substep_is_refused_where_it_is_known():
     with pytest.raises(
-        ValueError, match=r"VoiceCoilMotor: substep = 0.0005 s is unstable for the fastest pole, 1.16e\+04 rad/s"
+        ValueError,
+        match=r"VoiceCoilMotor: substep = 0.0005 s is unstable for the fastest pole, 1.16e\+04 rad/s",
     ) as refused:
         VoiceCoilMotor(substep=5e-4)
-    longest = float(re.search(r"range with these parameters is \(0, (\S+)\]", str(refused.value)).group(1))
+    longest = float(
+        re.search(r"range with these parameters is \(0, (\S+)\]", str(refused.value)).group(1)
+    )
     assert abs(positions(VoiceCoilMotor(**UNLIMITED, substep=0.99 * longest), U)[-1]) < 10
 
     @jax.jit
@@ -237,11 +290,14 @@ def test_unstable_substep_is_refused_where_it_is_known():
     ids=["friction", "cogging", "buffer", "batch"],
 )
 def test_stiff_parts_count_for_the_substep(stiff):
-    with pytest.raises(ValueError, match=r"substep = 0.000125 s is unstable for the fastest pole, \d"):
+    with pytest.raises(
+        ValueError, match=r"substep = 0.000125 s is unstable for the fastest pole, \d"
+    ):
         VoiceCoilMotor(**stiff)
 
 
-# ---- limits -----------------------------------------------------------------------------------------------------------------------
+# ---- limits
+# -----------------------------------------------------------------------------------------------------------------------
 
 FINE = 5e-5  # s, to see the drive between the samples of the task
 
@@ -254,7 +310,9 @@ def driven(motor, u):
 
 
 def test_limits_hold_and_give_the_printed_acceleration():
-    """A command far beyond: 23 A, and with it 431 m/s^2 (Cao 2019, section II-A), until the speed of 3.44 m/s is reached."""
+    """A command far beyond: 23 A, and with it 431 m/s^2 (Cao 2019, section II-A), until the speed
+    of 3.44 m/s is reached.
+    """
     motor = VoiceCoilMotor(holding_gain=0.0, command_delay=None)
     u = np.full(400, -200.0)
     x, drive = driven(motor, u)
@@ -278,10 +336,16 @@ class WindingUp(VoiceCoilMotor):
         return drive._replace(wanted_current=drive.current)
 
 
-@pytest.mark.parametrize(("motor", "low", "high"), [(VoiceCoilMotor, 0.0, 0.05), (WindingUp, 0.5, 1.0)])
+@pytest.mark.parametrize(
+    ("motor", "low", "high"), [(VoiceCoilMotor, 0.0, 0.05), (WindingUp, 0.5, 1.0)]
+)
 def test_anti_windup(motor, low, high):
-    """To 3.44 m/s at the continuous current: the integral, which waits at the limit, drives hardly beyond the commanded speed."""
-    motor = motor(holding_gain=0.0, command_delay=None, current_limit=DTL85_708["continuous_current"])
+    """To 3.44 m/s at the continuous current: the integral, which waits at the limit, drives hardly
+    beyond the commanded speed.
+    """
+    motor = motor(
+        holding_gain=0.0, command_delay=None, current_limit=DTL85_708["continuous_current"]
+    )
     x = states(motor, np.full(1000, -200.0), rest(motor), 2e-4)
     assert low < float(np.max(x.speed)) / 3.44 - 1 < high
 
@@ -313,11 +377,14 @@ def test_gradient_is_zero_beyond_a_limit():
     assert slopes(motor, -1.0)[1] != 0.0
 
 
-# ---- friction, cogging, end effect ------------------------------------------------------------------------------------------------
+# ---- friction, cogging, end effect
+# ------------------------------------------------------------------------------------------------
 
 
 def pushed(force, **parts):
-    """A motor whose drive only pushes, and the command for that force [N]: loops so weak that they do not brake."""
+    """A motor whose drive only pushes, and the command for that force [N]: loops so weak that they
+    do not brake.
+    """
     motor = VoiceCoilMotor(
         **UNLIMITED, **parts, command_delay=None, holding_gain=0.0, viscous_damping=0.0, command_scale=1.0, setpoint_weight=1.0,
         speed_gain=1e-6, speed_integral_gain=1e-12, substep=5e-5,
@@ -337,7 +404,9 @@ def test_friction_curve():
 
 
 def test_friction_holds_against_a_small_force_and_yields_to_a_large_one():
-    """Below 12 N the carriage creeps at v_t artanh(F/F_s); above, it is driven by what Coulomb friction and back-EMF leave."""
+    """Below 12 N the carriage creeps at v_t artanh(F/F_s); above, it is driven by what Coulomb
+    friction and back-EMF leave.
+    """
     friction = StribeckFriction(8.0, 12.0, transition_velocity=1e-4, stribeck_velocity=0.01)
     motor, u = pushed(9.0, friction=friction)
     x = states(motor, u, rest(motor))
@@ -347,20 +416,27 @@ def test_friction_holds_against_a_small_force_and_yields_to_a_large_one():
     motor, u = pushed(100.0, friction=friction)
     x = states(motor, u, rest(motor))
     emf = 56.2**2 / 251.0
-    assert (x.speed[-1] - x.speed[-2]) / DT == pytest.approx((100.0 - 8.0 - emf * float(x.speed[-1])) / 3.0, rel=1e-2)
+    assert (x.speed[-1] - x.speed[-2]) / DT == pytest.approx(
+        (100.0 - 8.0 - emf * float(x.speed[-1])) / 3.0, rel=1e-2
+    )
     assert x.speed[-1] > 1.0
 
 
 def test_cogging_is_periodic_in_position():
     motor, u = pushed(5.0, cogging=Cogging(20.0, 0.016, 0.2))
-    here, next_pitch, half = (np.asarray(states(motor, u, rest(motor, x0)).position) - x0 for x0 in (0.003, 0.019, 0.011))
+    here, next_pitch, half = (
+        np.asarray(states(motor, u, rest(motor, x0)).position) - x0 for x0 in (0.003, 0.019, 0.011)
+    )
     np.testing.assert_allclose(next_pitch, here, rtol=1e-9, atol=1e-12)
     assert np.max(np.abs(half - here)) > 1e-3
     still = pushed(0.0, cogging=Cogging(20.0, 0.016))[0]
     assert np.max(np.abs(states(still, np.zeros(N), rest(still)).position)) == 0.0
-    # energy: from rest at the top of the hill to its foot, m v^2 / 2 = 2 A pitch / (2 pi); the back-EMF takes a little
+    # energy: from rest at the top of the hill to its foot, m v^2 / 2 = 2 A pitch / (2 pi); the
+    # back-EMF takes a little
     falling = np.asarray(states(still, np.zeros(1000), rest(still, 0.0079)).speed)
-    assert np.max(np.abs(falling)) == pytest.approx(np.sqrt(2 * 2 * 20.0 * 0.016 / (2 * np.pi) / 3.0), rel=0.25)
+    assert np.max(np.abs(falling)) == pytest.approx(
+        np.sqrt(2 * 2 * 20.0 * 0.016 / (2 * np.pi) / 3.0), rel=0.25
+    )
 
 
 def test_end_effect_weakens_the_motor_and_the_buffer_stops_it():
@@ -374,7 +450,8 @@ def test_end_effect_weakens_the_motor_and_the_buffer_stops_it():
     assert np.min(x.speed) < -0.1
 
 
-# ---- in the simulator -------------------------------------------------------------------------------------------------------------
+# ---- in the simulator
+# -------------------------------------------------------------------------------------------------------------
 
 BUMP = Task(0.5 - 0.5 * np.cos(2 * np.pi * np.arange(41) / 40), dt=DT, unit="mm", input_unit="V")
 SCHEME = CFDLMFAILC(phi0=-0.065, lam=0.02, mu=0.05, rho=0.9)
@@ -385,26 +462,43 @@ def last_error(motor):
 
 
 def test_gradient_through_learning_equals_finite_differences():
-    """Every parameter of the motor and its parts; the limits are reached by none of these commands, the 1.2 A limit by all."""
-    motor = VoiceCoilMotor(**(UNLIMITED | {"current_limit": 1.2}), **FULL, stiffness=500.0, setpoint_weight=0.3)
+    """Every parameter of the motor and its parts; the limits are reached by none of these commands,
+    the 1.2 A limit by all.
+    """
+    motor = VoiceCoilMotor(
+        **(UNLIMITED | {"current_limit": 1.2}), **FULL, stiffness=500.0, setpoint_weight=0.3
+    )
     value_and_gradient = jax.jit(jax.value_and_grad(last_error))
     gradients = named_leaves(value_and_gradient(motor)[1])
-    assert {"mass", "inductance", "friction.static_force", "cogging.pitch", "end_effect.drop", "current_limit"} <= gradients.keys()
+    assert {
+        "mass",
+        "inductance",
+        "friction.static_force",
+        "cogging.pitch",
+        "end_effect.drop",
+        "current_limit",
+    } <= gradients.keys()
     for name, gradient in gradients.items():
         centre = float(get_at(motor, name))
         step = 1e-5 * max(abs(centre), 1e-3)
-        high, low = (value_and_gradient(replaced(motor, {name: centre + side * step}))[0] for side in (1, -1))
+        high, low = (
+            value_and_gradient(replaced(motor, {name: centre + side * step}))[0] for side in (1, -1)
+        )
         expected = float(high - low) / (2 * step)
         assert np.isfinite(gradient)
         assert gradient != 0.0, name
         # in units of a relative change of the parameter, so that henry and newton per metre compare
         scale = max(abs(centre), 1e-3)
-        np.testing.assert_allclose(gradient * scale, expected * scale, rtol=1e-4, atol=DIFFERENCES["atol"], err_msg=name)
+        np.testing.assert_allclose(
+            gradient * scale, expected * scale, rtol=1e-4, atol=DIFFERENCES["atol"], err_msg=name
+        )
 
 
 def test_batch_of_motors_learns_as_each_alone():
     masses = np.array([2.7, 3.0, 3.3])
-    histories = jax.jit(jax.vmap(lambda m: learn(Machine(VoiceCoilMotor(mass=m, **FULL)), SCHEME, BUMP, 6)))(masses)
+    histories = jax.jit(
+        jax.vmap(lambda m: learn(Machine(VoiceCoilMotor(mass=m, **FULL)), SCHEME, BUMP, 6))
+    )(masses)
     for i, mass in enumerate(masses):
         alone = learn(Machine(VoiceCoilMotor(mass=mass, **FULL)), SCHEME, BUMP, 6)
         np.testing.assert_allclose(histories.rms[i], alone.rms, rtol=1e-8)
@@ -412,29 +506,59 @@ def test_batch_of_motors_learns_as_each_alone():
 
 
 def test_motor_learns_like_its_reduced_form():
-    """Cao 2019's task, shortened: 1 mm at 2 Hz. The error falls to a quarter and stays that of eq. 7's structure."""
+    """Cao 2019's task, shortened: 1 mm at 2 Hz. The error falls to a quarter and stays that of eq.
+    7's structure.
+    """
     task = Task(np.sin(4 * np.pi * np.arange(501) * DT), dt=DT, unit="mm", input_unit="V")
     motor = voice_coil_motor()
-    full, reduced = (np.asarray(learn(Machine(p), CFDLMFAILC(), task, 25).rms[:, 0]) for p in (motor, motor.reduced()))
+    full, reduced = (
+        np.asarray(learn(Machine(p), CFDLMFAILC(), task, 25).rms[:, 0])
+        for p in (motor, motor.reduced())
+    )
     np.testing.assert_allclose(full, reduced, rtol=0.05)
     assert full[-1] < 0.25 * full[0]
 
 
-# ---- errors -----------------------------------------------------------------------------------------------------------------------
+# ---- errors
+# -----------------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
     ("build", "message"),
     [
-        (lambda: VoiceCoilMotor(mass=0.0), r"VoiceCoilMotor: mass = 0 is outside its allowed range \(0, inf\)"),
-        (lambda: VoiceCoilMotor(current_limit=-1.0), r"VoiceCoilMotor: current_limit = -1 is outside"),
-        (lambda: VoiceCoilMotor(setpoint_weight=1.5), r"VoiceCoilMotor: setpoint_weight = 1.5 is outside its allowed range \[0, 1\]"),
-        (lambda: VoiceCoilMotor(substep=0.0), r"VoiceCoilMotor: substep = 0.0 is outside its allowed range \(0, inf\)"),
-        (lambda: voice_coil_motor("eq7"), r"voice_coil_motor: form = 'eq7' is not one of 'identified', 'printed'"),
-        (lambda: StribeckFriction(10.0, 8.0), r"StribeckFriction: static_force = 8.0 is below coulomb_force = 10.0"),
-        (lambda: StribeckFriction(1.0, 2.0, transition_velocity=0.0), r"StribeckFriction: transition_velocity = 0 is outside"),
+        (
+            lambda: VoiceCoilMotor(mass=0.0),
+            r"VoiceCoilMotor: mass = 0 is outside its allowed range \(0, inf\)",
+        ),
+        (
+            lambda: VoiceCoilMotor(current_limit=-1.0),
+            r"VoiceCoilMotor: current_limit = -1 is outside",
+        ),
+        (
+            lambda: VoiceCoilMotor(setpoint_weight=1.5),
+            r"VoiceCoilMotor: setpoint_weight = 1.5 is outside its allowed range \[0, 1\]",
+        ),
+        (
+            lambda: VoiceCoilMotor(substep=0.0),
+            r"VoiceCoilMotor: substep = 0.0 is outside its allowed range \(0, inf\)",
+        ),
+        (
+            lambda: voice_coil_motor("eq7"),
+            r"voice_coil_motor: form = 'eq7' is not one of 'identified', 'printed'",
+        ),
+        (
+            lambda: StribeckFriction(10.0, 8.0),
+            r"StribeckFriction: static_force = 8.0 is below coulomb_force = 10.0",
+        ),
+        (
+            lambda: StribeckFriction(1.0, 2.0, transition_velocity=0.0),
+            r"StribeckFriction: transition_velocity = 0 is outside",
+        ),
         (lambda: Cogging(1.0, 0.0), r"Cogging: pitch = 0 is outside"),
-        (lambda: EndEffect(0.05, 1.0), r"EndEffect: drop = 1 is outside its allowed range \[0, 1\)"),
+        (
+            lambda: EndEffect(0.05, 1.0),
+            r"EndEffect: drop = 1 is outside its allowed range \[0, 1\)",
+        ),
     ],
 )
 def test_errors_name_the_parameter(build, message):

@@ -35,7 +35,9 @@ def response(plant, u, dt=DT):
 
 def oracle(system, u, dt=DT):
     """The same by python-control; (n_y, N+1) for the input held over the sample."""
-    discrete = control.sample_system(control.ss(system), dt, method="zoh") if system.isctime() else system
+    discrete = (
+        control.sample_system(control.ss(system), dt, method="zoh") if system.isctime() else system
+    )
     held = np.vstack([u, u[-1:]]).T
     outputs = control.forced_response(discrete, np.arange(N + 1) * dt, held, squeeze=False).outputs
     return outputs.T
@@ -58,9 +60,13 @@ def test_voice_coil_has_the_coefficients_of_the_paper():
     assert dc_gain(voice_coil()) == pytest.approx(-4.798, abs=5e-4)
 
 
-@pytest.mark.parametrize(("form", "gain"), [("printed", -4.3), ("dai_2014_printed", -4.3 * 0.0010 / 0.0036)])
+@pytest.mark.parametrize(
+    ("form", "gain"), [("printed", -4.3), ("dai_2014_printed", -4.3 * 0.0010 / 0.0036)]
+)
 def test_printed_forms_have_another_dc_gain(form, gain):
-    """The sums of the printed coefficients: b -0.0043, 1 - sum(a) 0.0010 and (2.236 for 2.2386) 0.0036, thus -4.3 and -1.19."""
+    """The sums of the printed coefficients: b -0.0043, 1 - sum(a) 0.0010 and (2.236 for 2.2386)
+    0.0036, thus -4.3 and -1.19.
+    """
     assert dc_gain(voice_coil(form)) == pytest.approx(gain, rel=1e-9)
     assert form != "dai_2014_printed" or gain == pytest.approx(-1.19, abs=5e-3)
 
@@ -77,15 +83,24 @@ COILS = {
 @pytest.mark.parametrize("dt", [1e-3, 2.5e-4])
 def test_voice_coil_is_the_zero_order_hold_of_its_transfer_function(weights, dt):
     plant = VoiceCoil(**weights).sampled(dt)
-    system = voice_coil_tf(**{k: getattr(VoiceCoil(**weights), k) for k in ("gain", "zero", "poles")})
+    system = voice_coil_tf(
+        **{k: getattr(VoiceCoil(**weights), k) for k in ("gain", "zero", "poles")}
+    )
     exact = control.ss2tf(control.c2d(control.ss(system), dt, method="zoh"))
     np.testing.assert_allclose(plant.a, -exact.den[0][0][1:], rtol=1e-7)
-    np.testing.assert_allclose(plant.b, exact.num[0][0][-3:], rtol=1e-6, atol=1e-9 * np.max(np.abs(plant.b)))
-    np.testing.assert_allclose(response(plant, U[:, :1], dt), oracle(system, U[:, :1], dt), rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(
+        plant.b, exact.num[0][0][-3:], rtol=1e-6, atol=1e-9 * np.max(np.abs(plant.b))
+    )
+    np.testing.assert_allclose(
+        response(plant, U[:, :1], dt), oracle(system, U[:, :1], dt), rtol=1e-7, atol=1e-9
+    )
 
 
 def test_unknown_form_is_named():
-    with pytest.raises(ValueError, match=r"voice_coil: form = 'exakt' is not one of 'exact', 'printed', 'dai_2014_printed'"):
+    with pytest.raises(
+        ValueError,
+        match=r"voice_coil: form = 'exakt' is not one of 'exact', 'printed', 'dai_2014_printed'",
+    ):
         voice_coil("exakt")
 
 
@@ -99,7 +114,9 @@ def test_difference_equation_steps_as_written():
 
 def test_state_space_starts_from_x0():
     plant = PLANTS["continuous"]
-    free = control.initial_response(control.ss(plant.A, plant.B, plant.C, 0), np.arange(N + 1) * DT, plant.x0).outputs
+    free = control.initial_response(
+        control.ss(plant.A, plant.B, plant.C, 0), np.arange(N + 1) * DT, plant.x0
+    ).outputs
     np.testing.assert_allclose(response(plant, np.zeros((N, 1)))[:, 0], free, rtol=1e-8, atol=1e-12)
     assert np.max(np.abs(free)) > 0.01
 
@@ -112,8 +129,12 @@ SYSTEMS = {
     "siso_ss": control.ss([[0.0, 1.0], [-4e3, -80.0]], [[0.0], [4e3]], [[1.0, 0.0]], 0),
     "siso_ss_discrete": control.ss([[0.9, 0.1], [-0.2, 0.8]], [[0.01], [0.1]], [[1.0, 0.5]], 0, DT),
     "mimo_tf": control.combine_tf([[OSCILLATOR, -0.5 * LAG], [NONE, LAG * LAG]]),
-    "mimo_tf_discrete": control.combine_tf([[control.tf([0.1], [1, -0.9], DT), control.tf([0.2, -0.1], [1, -1.1, 0.3], DT)]]),
-    "mimo_ss": control.ss(*(np.asarray(getattr(PLANTS["mimo"], name)) for name in "ABC"), np.zeros((2, 2))),
+    "mimo_tf_discrete": control.combine_tf(
+        [[control.tf([0.1], [1, -0.9], DT), control.tf([0.2, -0.1], [1, -1.1, 0.3], DT)]]
+    ),
+    "mimo_ss": control.ss(
+        *(np.asarray(getattr(PLANTS["mimo"], name)) for name in "ABC"), np.zeros((2, 2))
+    ),
     "integrator": control.tf([1.0], [1.0, 0.0]),
     "two_outputs": control.ss([[0.9, 0.1], [0.3, 0.6]], [[0.2], [0.0]], np.eye(2), 0, DT),
 }
@@ -125,7 +146,11 @@ def test_from_control_responds_as_python_control(name):
     plant = from_control(system)
     assert (plant.n_y, plant.n_u) == (system.noutputs, system.ninputs)
     u = U[:, : plant.n_u]
-    y = oracle(system, u) if isinstance(system, control.StateSpace) or system.ninputs == system.noutputs == 1 else sum_of_entries(system, u)
+    y = (
+        oracle(system, u)
+        if isinstance(system, control.StateSpace) or system.ninputs == system.noutputs == 1
+        else sum_of_entries(system, u)
+    )
     np.testing.assert_allclose(response(plant, u), y, rtol=1e-8, atol=1e-10)
     assert np.all(np.max(np.abs(y), axis=0) > 1e-3)
 
@@ -133,18 +158,34 @@ def test_from_control_responds_as_python_control(name):
 def sum_of_entries(system, u):
     """A MIMO transfer function entry by entry (python-control needs slycot to convert it whole)."""
     return np.stack(
-        [sum(oracle(system[i, j], u[:, j : j + 1])[:, 0] for j in range(system.ninputs)) for i in range(system.noutputs)], axis=1
+        [
+            sum(oracle(system[i, j], u[:, j : j + 1])[:, 0] for j in range(system.ninputs))
+            for i in range(system.noutputs)
+        ],
+        axis=1,
     )
 
 
 ERRORS = {
-    "unstable": (control.tf([1.0], [1.0, -2.0]), r"unstable \(a pole 2 right of the imaginary axis\).*allow_unstable=True"),
-    "unstable_discrete": (control.tf([1.0], [1.0, -1.25], DT), r"unstable \(a pole 0.25 outside the unit circle\)"),
+    "unstable": (
+        control.tf([1.0], [1.0, -2.0]),
+        r"unstable \(a pole 2 right of the imaginary axis\).*allow_unstable=True",
+    ),
+    "unstable_discrete": (
+        control.tf([1.0], [1.0, -1.25], DT),
+        r"unstable \(a pole 0.25 outside the unit circle\)",
+    ),
     "improper": (control.tf([1.0, 0.0, 0.0], [1.0, 3.0]), r"entry \(0, 0\) is improper"),
     "feedthrough_tf": (control.tf([1.0, 0.0], [1.0, 3.0]), r"direct feedthrough D = \[\[1.0\]\]"),
-    "feedthrough_ss": (control.ss([[-1.0]], [[1.0]], [[1.0]], [[2.0]]), r"direct feedthrough D = \[\[2.0\]\]"),
+    "feedthrough_ss": (
+        control.ss([[-1.0]], [[1.0]], [[1.0]], [[2.0]]),
+        r"direct feedthrough D = \[\[2.0\]\]",
+    ),
     "dt_true": (control.tf([0.1], [1.0, -0.9], True), r"dt = True leaves the sample time open"),
-    "dt_none": (control.ss([[-1.0]], [[1.0]], [[1.0]], 0, None), r"dt = None leaves the sample time open"),
+    "dt_none": (
+        control.ss([[-1.0]], [[1.0]], [[1.0]], 0, None),
+        r"dt = None leaves the sample time open",
+    ),
     "frequency_data": (
         control.frd([1.0, 0.5], [1.0, 2.0]),
         r"FrequencyResponseData is not a control.StateSpace",
@@ -160,7 +201,9 @@ def test_from_control_names_what_it_cannot_take(system, message):
 
 
 def test_unstable_plant_under_a_stabilising_loop():
-    """x' = 20 x + u under u = -120 x has its pole at -100: sampled, exp(20 dt) - 120 (exp(20 dt) - 1) / 20."""
+    """x' = 20 x + u under u = -120 x has its pole at -100: sampled, exp(20 dt) - 120 (exp(20 dt) -
+    1) / 20.
+    """
     plant = from_control(control.tf([1.0], [1.0, -20.0]), allow_unstable=True)
     kicked = StateSpace(plant.A, plant.B, plant.C, np.ones(1) / plant.C[0], plant.dt)
     y = learn(Machine(kicked), PID(kp=120.0), Task(np.zeros(N + 1), dt=DT), 1).final.y[:, 0]
@@ -168,23 +211,46 @@ def test_unstable_plant_under_a_stabilising_loop():
     np.testing.assert_allclose(y, (growth - 6 * (growth - 1)) ** np.arange(N + 1), **ALGEBRA)
 
 
-@pytest.mark.parametrize("plant", [voice_coil("printed"), PLANTS["discrete"], from_control(SYSTEMS["siso_tf_discrete"])])
+@pytest.mark.parametrize(
+    "plant", [voice_coil("printed"), PLANTS["discrete"], from_control(SYSTEMS["siso_tf_discrete"])]
+)
 def test_another_sample_time_is_refused(plant):
-    with pytest.raises(ValueError, match=rf"{type(plant).__name__} is sampled at 0.001 s but the task at 0.002 s; allowed is dt = 0.001"):
+    with pytest.raises(
+        ValueError,
+        match=rf"{type(plant).__name__} is sampled at 0.001 s but the task at 0.002 s; allowed is dt = 0.001",
+    ):
         learn(Machine(plant), PID(), Task(np.zeros(9), dt=2e-3), 1)
 
 
 @pytest.mark.parametrize(
     ("build", "message"),
     [
-        (lambda: StateSpace(np.eye(2), np.ones((3, 1)), np.ones((1, 2))), r"StateSpace: A \(2, 2\), B \(3, 1\), C \(1, 2\) do not fit"),
-        (lambda: StateSpace(np.eye(2), np.ones(2), np.ones((1, 2))), r"StateSpace: .*B \(2,\).* do not fit"),
-        (lambda: StateSpace(np.eye(2), np.ones((2, 1)), np.ones(2)), r"StateSpace: .*C \(2,\).* do not fit"),
+        (
+            lambda: StateSpace(np.eye(2), np.ones((3, 1)), np.ones((1, 2))),
+            r"StateSpace: A \(2, 2\), B \(3, 1\), C \(1, 2\) do not fit",
+        ),
+        (
+            lambda: StateSpace(np.eye(2), np.ones(2), np.ones((1, 2))),
+            r"StateSpace: .*B \(2,\).* do not fit",
+        ),
+        (
+            lambda: StateSpace(np.eye(2), np.ones((2, 1)), np.ones(2)),
+            r"StateSpace: .*C \(2,\).* do not fit",
+        ),
         (lambda: StateSpace(0.5, 1.0, 1.0), r"StateSpace: .*do not fit"),
-        (lambda: StateSpace(np.eye(2), np.ones((2, 1)), np.ones((1, 2)), x0=np.ones(3)), r"StateSpace: .*x0"),
-        (lambda: DifferenceEquation((1.0, 0.5), (1.0,), dt=DT), r"DifferenceEquation: a \(2,\) and b \(1,\) must both"),
+        (
+            lambda: StateSpace(np.eye(2), np.ones((2, 1)), np.ones((1, 2)), x0=np.ones(3)),
+            r"StateSpace: .*x0",
+        ),
+        (
+            lambda: DifferenceEquation((1.0, 0.5), (1.0,), dt=DT),
+            r"DifferenceEquation: a \(2,\) and b \(1,\) must both",
+        ),
         (lambda: VoiceCoil(poles=(474.0, 6.404)), r"VoiceCoil: .*poles"),
-        (lambda: VoiceCoil(poles=(474.0, -6.404, 1.0)), r"VoiceCoil: poles = .* is outside its allowed range \(0, inf\)"),
+        (
+            lambda: VoiceCoil(poles=(474.0, -6.404, 1.0)),
+            r"VoiceCoil: poles = .* is outside its allowed range \(0, inf\)",
+        ),
     ],
 )
 def test_misshapen_plants_are_refused_at_construction(build, message):
@@ -194,5 +260,7 @@ def test_misshapen_plants_are_refused_at_construction(build, message):
 
 def test_a_time_varying_plant_belongs_to_trials_of_its_length():
     plant = PLANTS["time_varying"]
-    with pytest.raises(ValueError, match=f"given for N = {plant.N} samples but the task has N = {plant.N + 4}"):
+    with pytest.raises(
+        ValueError, match=f"given for N = {plant.N} samples but the task has N = {plant.N + 4}"
+    ):
         learn(Machine(plant), PIDType(gamma_p=0.1), task_for(plant, plant.N + 4), 1)

@@ -11,7 +11,17 @@ from cases import DT, PLANTS
 from jaxilc.filters import ZeroPhaseFIR
 from jaxilc.learning import Actuator, Machine, Sensor, check
 from jaxilc.plants import TwoAxes, VoiceCoil, voice_coil
-from jaxilc.pytree import get_at, interval_at, leaf, named_leaves, part, pytree, replaced, settable, static
+from jaxilc.pytree import (
+    get_at,
+    interval_at,
+    leaf,
+    named_leaves,
+    part,
+    pytree,
+    replaced,
+    settable,
+    static,
+)
 from jaxilc.pytree.fields import Interval
 from jaxilc.schemes import (
     ASMC,
@@ -32,53 +42,131 @@ MACHINE = Machine(VoiceCoil(), Actuator(limit=5.0), Sensor(resolution=1e-4))
 BOTH = {"machine": MACHINE, "scheme": WithFeedback(PIDType(gamma_p=-1.0, lead=2), PID(kp=-4.0))}
 
 REFUSED = {
-    "above": (lambda: CFDLMFAILC(rho=1.5), r"CFDLMFAILC: rho = 1.5 is outside its allowed range \(0, 1\]"),
-    "open_end": (lambda: CFDLMFAILC(rho=0.0), r"CFDLMFAILC: rho = 0 is outside its allowed range \(0, 1\]"),
-    "eta_of_cfdl": (lambda: CFDLMFAILC(eta=1.5), r"CFDLMFAILC: eta = 1.5 is outside its allowed range \(0, 1\]"),
-    "eta_of_ffdl": (lambda: FFDLMFAILC(eta=2.5), r"FFDLMFAILC: eta = 2.5 is outside its allowed range \(0, 2\]"),
-    "one_of_many": (lambda: FFDLMFAILC(rho=(0.5, 0.5, -0.1, 0.5)), r"FFDLMFAILC: rho = \[ 0.5  0.5 -0.1  0.5\] is outside .*\(0, 1\]"),
+    "above": (
+        lambda: CFDLMFAILC(rho=1.5),
+        r"CFDLMFAILC: rho = 1.5 is outside its allowed range \(0, 1\]",
+    ),
+    "open_end": (
+        lambda: CFDLMFAILC(rho=0.0),
+        r"CFDLMFAILC: rho = 0 is outside its allowed range \(0, 1\]",
+    ),
+    "eta_of_cfdl": (
+        lambda: CFDLMFAILC(eta=1.5),
+        r"CFDLMFAILC: eta = 1.5 is outside its allowed range \(0, 1\]",
+    ),
+    "eta_of_ffdl": (
+        lambda: FFDLMFAILC(eta=2.5),
+        r"FFDLMFAILC: eta = 2.5 is outside its allowed range \(0, 2\]",
+    ),
+    "one_of_many": (
+        lambda: FFDLMFAILC(rho=(0.5, 0.5, -0.1, 0.5)),
+        r"FFDLMFAILC: rho = \[ 0.5  0.5 -0.1  0.5\] is outside .*\(0, 1\]",
+    ),
     "leak": (lambda: PIDType(leak=1.0), r"PIDType: leak = 1 is outside its allowed range \[0, 1\)"),
     "tau": (lambda: PID(tau=-1e-3), r"PID: tau = -0.001 is outside its allowed range \[0, inf\)"),
-    "limit": (lambda: Actuator(limit=0.0), r"Actuator: limit = 0 is outside its allowed range \(0, inf\)"),
+    "limit": (
+        lambda: Actuator(limit=0.0),
+        r"Actuator: limit = 0 is outside its allowed range \(0, inf\)",
+    ),
     "nan": (lambda: PID(kp=np.nan), r"PID: kp = nan is outside its allowed range \(-inf, inf\)"),
     "inf": (lambda: PID(ki=-np.inf), r"PID: ki = -inf is outside its allowed range"),
-    "nan_jax": (lambda: PID(kp=jnp.array([1.0, jnp.nan])), r"PID: kp = .*nan.* is outside its allowed range"),
-    "nan_in_array": (lambda: VoiceCoil(poles=(1.0, np.nan, 2.0)), r"VoiceCoil: poles = .*nan.* is outside its allowed range"),
+    "nan_jax": (
+        lambda: PID(kp=jnp.array([1.0, jnp.nan])),
+        r"PID: kp = .*nan.* is outside its allowed range",
+    ),
+    "nan_in_array": (
+        lambda: VoiceCoil(poles=(1.0, np.nan, 2.0)),
+        r"VoiceCoil: poles = .*nan.* is outside its allowed range",
+    ),
     "word": (lambda: PID(kp="high"), r"PID: kp = 'high' is not a number or an array of numbers"),
     "numeral": (lambda: PID(kp="3"), r"PID: kp = '3' is not a number"),
-    "ragged": (lambda: PID(kp=[1.0, [2.0]]), r"PID: kp = .* is not a number or an array of numbers"),
+    "ragged": (
+        lambda: PID(kp=[1.0, [2.0]]),
+        r"PID: kp = .* is not a number or an array of numbers",
+    ),
     "complex": (lambda: PID(kp=1j), r"PID: kp = 1j is not a number"),
     "complex_array": (lambda: PID(kp=np.array(1j)), r"PID: kp = .* is not a number"),
     "object": (lambda: PID(kp=object()), r"PID: kp = .* is not a number"),
     "none": (lambda: PID(kp=None), r"PID: kp = (None|nan) is"),
-    "choice": (lambda: PID(form="velocity"), r"PID: form = 'velocity' is not one of 'position', 'increment'"),
-    "reset": (lambda: CFDLMFAILC(reset="always"), r"CFDLMFAILC: reset = 'always' is not one of 'book', 'sign', 'none'"),
-    "static": (lambda: PIDType(lead=-1), r"PIDType: lead = -1 is outside its allowed range \[0, inf\)"),
-    "static_word": (lambda: PIDType(lead="two"), r"PIDType: lead = 'two' is outside its allowed range"),
+    "choice": (
+        lambda: PID(form="velocity"),
+        r"PID: form = 'velocity' is not one of 'position', 'increment'",
+    ),
+    "reset": (
+        lambda: CFDLMFAILC(reset="always"),
+        r"CFDLMFAILC: reset = 'always' is not one of 'book', 'sign', 'none'",
+    ),
+    "static": (
+        lambda: PIDType(lead=-1),
+        r"PIDType: lead = -1 is outside its allowed range \[0, inf\)",
+    ),
+    "static_word": (
+        lambda: PIDType(lead="two"),
+        r"PIDType: lead = 'two' is outside its allowed range",
+    ),
     "static_half": (lambda: PIDType(lead=1.5), r"PIDType: lead = 1.5"),
     "static_array": (lambda: PIDType(lead=np.array([1, 2])), r"PIDType: lead = "),
-    "window": (lambda: CFDLMFAILC(L_u=2), r"CFDLMFAILC: L_u = 2 is outside its allowed range \[1, 1\]"),
-    "window_pfdl": (lambda: PFDLMFAILC(L_y=1), r"PFDLMFAILC: L_y = 1 is outside its allowed range \[0, 0\]"),
-    "phi0": (lambda: FFDLMFAILC(phi0=(0.5, 0.1)), r"FFDLMFAILC: phi0 has shape \(2,\); L_y = 2 and L_u = 2 need \(4,\)"),
+    "window": (
+        lambda: CFDLMFAILC(L_u=2),
+        r"CFDLMFAILC: L_u = 2 is outside its allowed range \[1, 1\]",
+    ),
+    "window_pfdl": (
+        lambda: PFDLMFAILC(L_y=1),
+        r"PFDLMFAILC: L_y = 1 is outside its allowed range \[0, 0\]",
+    ),
+    "phi0": (
+        lambda: FFDLMFAILC(phi0=(0.5, 0.1)),
+        r"FFDLMFAILC: phi0 has shape \(2,\); L_y = 2 and L_u = 2 need \(4,\)",
+    ),
     "rho_length": (lambda: FFDLMFAILC(rho=(0.5, 0.5)), r"FFDLMFAILC: rho has shape \(2,\)"),
-    "part": (lambda: WithFeedback(PIDType(), -np.inf), "WithFeedback: feedback = -inf is a float; allowed is Scheme"),
-    "part_of_two_axes": (lambda: TwoAxes(voice_coil(), -np.inf), "TwoAxes: y = -inf is a float; allowed is Plant"),
+    "part": (
+        lambda: WithFeedback(PIDType(), -np.inf),
+        "WithFeedback: feedback = -inf is a float; allowed is Scheme",
+    ),
+    "part_of_two_axes": (
+        lambda: TwoAxes(voice_coil(), -np.inf),
+        "TwoAxes: y = -inf is a float; allowed is Plant",
+    ),
     "part_of_another_kind": (lambda: Machine(PID()), "Machine: plant is a PID; allowed is Plant"),
-    "part_as_its_class": (lambda: Filtered(PID, ZeroPhaseFIR()), r"Filtered: scheme = <class .*PID'> is a type; allowed is Scheme"),
-    "part_missing": (lambda: Filtered(PIDType(), None), "Filtered: filter = None is a NoneType; allowed is Filter"),
-    "part_or_none": (lambda: Machine(voice_coil(), 3.0), "Machine: actuator = 3.0 is a float; allowed are Actuator and None"),
-    "one_of_two_parts": (lambda: NormOptimal(PLANTS["arx"]), "model is a DifferenceEquation; allowed are StateSpace and TimeVarying"),
+    "part_as_its_class": (
+        lambda: Filtered(PID, ZeroPhaseFIR()),
+        r"Filtered: scheme = <class .*PID'> is a type; allowed is Scheme",
+    ),
+    "part_missing": (
+        lambda: Filtered(PIDType(), None),
+        "Filtered: filter = None is a NoneType; allowed is Filter",
+    ),
+    "part_or_none": (
+        lambda: Machine(voice_coil(), 3.0),
+        "Machine: actuator = 3.0 is a float; allowed are Actuator and None",
+    ),
+    "one_of_two_parts": (
+        lambda: NormOptimal(PLANTS["arx"]),
+        "model is a DifferenceEquation; allowed are StateSpace and TimeVarying",
+    ),
     "static_kind": (
         lambda: OnOutputs(PID(), 1e6),
         r"OnOutputs: outputs = 1000000.0 is a float; allowed is a tuple \(a whole number, ...\)",
     ),
-    "static_elements": (lambda: OnOutputs(PID(), (0, 1.0)), r"OnOutputs: outputs = \(0, 1.0\) is a tuple; allowed is a tuple"),
-    "static_long": (lambda: PIDType(lead=10**5000), "PIDType: lead = a int too long to show is outside its allowed range"),
+    "static_elements": (
+        lambda: OnOutputs(PID(), (0, 1.0)),
+        r"OnOutputs: outputs = \(0, 1.0\) is a tuple; allowed is a tuple",
+    ),
+    "static_long": (
+        lambda: PIDType(lead=10**5000),
+        "PIDType: lead = a int too long to show is outside its allowed range",
+    ),
     "static_complex": (lambda: PIDType(lead=1j), "PIDType: lead = 1j is outside its allowed range"),
-    "static_flag": (lambda: ASMC(1.0, 1.0, 1.0, carry=1), "ASMC: carry = 1 is not one of False, True"),
+    "static_flag": (
+        lambda: ASMC(1.0, 1.0, 1.0, carry=1),
+        "ASMC: carry = 1 is not one of False, True",
+    ),
     "leaf_long": (lambda: PID(kp=10**400), "PID: kp = 1000.* is not a number"),
     "leaf_key": (lambda: PID(kp=jax.random.key(0)), "PID: kp = .* is not a number"),
-    "outputs": (lambda: OnOutputs(PID(), (0, 2)).check(Task(np.zeros((9, 2)), dt=DT)), r"OnOutputs: outputs = \(0, 2\).*0..1"),
+    "outputs": (
+        lambda: OnOutputs(PID(), (0, 2)).check(Task(np.zeros((9, 2)), dt=DT)),
+        r"OnOutputs: outputs = \(0, 2\).*0..1",
+    ),
 }
 
 
@@ -89,12 +177,18 @@ def test_construction_names_class_field_value_and_range(build, message):
 
 
 def test_numbers_that_must_be_single_are_looked_at_with_the_task():
-    """A batch of machines has many of each number, so it is not their construction that refuses them."""
+    """A batch of machines has many of each number, so it is not their construction that refuses
+    them.
+    """
     task = Task(np.zeros(9), dt=DT)
     batch = Machine(VoiceCoil(zero=(900.0, 950.0)))
-    with pytest.raises(ValueError, match=r"VoiceCoil: zero = \[900. 950.\] has shape \(2,\); allowed is one number"):
+    with pytest.raises(
+        ValueError, match=r"VoiceCoil: zero = \[900. 950.\] has shape \(2,\); allowed is one number"
+    ):
         check(batch, PID(), task)
-    jax.vmap(lambda zero: check(replaced(batch, {"plant.zero": zero}), PID(), task) or zero)(batch.plant.zero)
+    jax.vmap(lambda zero: check(replaced(batch, {"plant.zero": zero}), PID(), task) or zero)(
+        batch.plant.zero
+    )
 
 
 def test_a_user_s_own_class_fits_where_its_base_does_and_unknown_names_are_not_held_against_it():
@@ -109,14 +203,27 @@ def test_a_user_s_own_class_fits_where_its_base_does_and_unknown_names_are_not_h
 
 def test_replace_validates_as_construction_does():
     assert float(dataclasses.replace(PID(), kp=2).kp) == 2.0
-    with pytest.raises(ValueError, match=r"CFDLMFAILC: lam = -1 is outside its allowed range \(0, inf\)"):
+    with pytest.raises(
+        ValueError, match=r"CFDLMFAILC: lam = -1 is outside its allowed range \(0, inf\)"
+    ):
         dataclasses.replace(CFDLMFAILC(), lam=-1)
     with pytest.raises(dataclasses.FrozenInstanceError):
         PID().kp = 1.0
 
 
 @pytest.mark.parametrize(
-    "value", [2, 2.0, np.float64(2), np.array(2), np.array(2.0), jnp.asarray(2), jnp.asarray(2.0), jnp.array(2.0), np.int32(2)]
+    "value",
+    [
+        2,
+        2.0,
+        np.float64(2),
+        np.array(2),
+        np.array(2.0),
+        jnp.asarray(2),
+        jnp.asarray(2.0),
+        jnp.array(2.0),
+        np.int32(2),
+    ],
 )
 def test_a_leaf_is_a_strongly_typed_float_whatever_it_was_given(value):
     gain = PID(kp=value).kp
@@ -134,7 +241,11 @@ def test_float32_leaves_stay_float32():
 
 @pytest.mark.parametrize(
     ("text", "inside", "outside"),
-    [("(0, 1]", (1e-9, 1.0), (0.0, 1.1, np.nan)), ("[0, inf)", (0.0, 1e300), (-1e-9, np.inf)), ("[-1, 2)", (-1.0, 1.9), (2.0, -1.1))],
+    [
+        ("(0, 1]", (1e-9, 1.0), (0.0, 1.1, np.nan)),
+        ("[0, inf)", (0.0, 1e300), (-1e-9, np.inf)),
+        ("[-1, 2)", (-1.0, 1.9), (2.0, -1.1)),
+    ],
 )
 def test_interval(text, inside, outside):
     interval = Interval.parse(text)
@@ -148,7 +259,12 @@ def test_interval(text, inside, outside):
 
 def test_leaves_have_names():
     names = named_leaves(BOTH)
-    assert list(names)[:4] == ["machine.plant.gain", "machine.plant.zero", "machine.plant.poles", "machine.actuator.limit"]
+    assert list(names)[:4] == [
+        "machine.plant.gain",
+        "machine.plant.zero",
+        "machine.plant.poles",
+        "machine.actuator.limit",
+    ]
     assert float(names["scheme.feedback.kp"]) == -4.0
     assert len(names) == len(jax.tree.leaves(BOTH))
     assert "scheme.learning.lead" not in names, "a static field is no leaf"
@@ -167,14 +283,21 @@ def test_settable_lists_leaves_statics_and_what_is_off():
 
 
 def test_replaced_changes_one_thing_only():
-    changes = {"machine.plant.poles[1]": 300.0, "scheme.learning.lead": 3, "machine.actuator.rate": 7.0, "scheme.feedback.kp": -5}
+    changes = {
+        "machine.plant.poles[1]": 300.0,
+        "scheme.learning.lead": 3,
+        "machine.actuator.rate": 7.0,
+        "scheme.feedback.kp": -5,
+    }
     for path, value in changes.items():
         after = replaced(BOTH, {path: value})
         assert get_at(after, path) == value
         for other in set(settable(BOTH)) - {path, path.split("[")[0]}:
             assert get_at(after, other) is get_at(BOTH, other)
     assert float(MACHINE.plant.poles[1]) == 474.0
-    np.testing.assert_array_equal(replaced(MACHINE, {"plant.poles[2]": 5.0}).plant.poles, [474.0, 474.0, 5.0])
+    np.testing.assert_array_equal(
+        replaced(MACHINE, {"plant.poles[2]": 5.0}).plant.poles, [474.0, 474.0, 5.0]
+    )
     together = replaced(BOTH, changes | {"machine.plant.poles[0]": 200.0})
     assert all(get_at(together, path) == value for path, value in changes.items())
     np.testing.assert_array_equal(together["machine"].plant.poles, [200.0, 300.0, 6.404])
@@ -183,7 +306,11 @@ def test_replaced_changes_one_thing_only():
 @pytest.mark.parametrize(
     ("path", "value", "message"),
     [
-        ("machine.plant.poles[2]", -1.0, r"VoiceCoil: poles = .* is outside its allowed range \(0, inf\)"),
+        (
+            "machine.plant.poles[2]",
+            -1.0,
+            r"VoiceCoil: poles = .* is outside its allowed range \(0, inf\)",
+        ),
         ("scheme.learning.lead", -1, r"PIDType: lead = -1"),
         ("scheme.feedback.form", "P", r"PID: form = 'P' is not one of"),
         ("machine.actuator.limit", "x", r"Actuator: limit = 'x' is not a number"),
@@ -194,8 +321,20 @@ def test_replaced_validates(path, value, message):
         replaced(BOTH, {path: value})
 
 
-@pytest.mark.parametrize("poles", [(474.0, 474.0, 6.404), jnp.array([474.0, 474.0, 6.404])], ids=["numpy", "jax"])
-@pytest.mark.parametrize("path", ["plant.gian", "plnt.gain", "plant.poles[3]", "plant.gain[0]", "plant.poles[0][0]", "plant.poles[-1]"])
+@pytest.mark.parametrize(
+    "poles", [(474.0, 474.0, 6.404), jnp.array([474.0, 474.0, 6.404])], ids=["numpy", "jax"]
+)
+@pytest.mark.parametrize(
+    "path",
+    [
+        "plant.gian",
+        "plnt.gain",
+        "plant.poles[3]",
+        "plant.gain[0]",
+        "plant.poles[0][0]",
+        "plant.poles[-1]",
+    ],
+)
 def test_unknown_paths_name_what_exists(path, poles):
     machine = Machine(VoiceCoil(poles=poles), Actuator(limit=1.0))
     for attempt in (lambda: get_at(machine, path), lambda: replaced(machine, {path: 1.0})):
@@ -233,13 +372,22 @@ class Outer:
 
 
 def test_transformations_do_not_validate():
-    """Tracers, batches, and a gradient step out of the range pass: only a user's construction is checked."""
+    """Tracers, batches, and a gradient step out of the range pass: only a user's construction is
+    checked.
+    """
     outer = Outer(Inner(gain=2.0))
     batch = jax.tree.map(lambda x: jnp.stack([x, -x]), outer)  # -2 is outside (0, 10)
-    np.testing.assert_array_equal(jax.vmap(lambda o: o.inner.gain * o.inner.order)(batch), [4.0, -4.0])
-    assert float(jax.jit(lambda o: dataclasses.replace(o.inner, gain=-o.inner.gain).gain)(outer)) == -2.0
+    np.testing.assert_array_equal(
+        jax.vmap(lambda o: o.inner.gain * o.inner.order)(batch), [4.0, -4.0]
+    )
+    assert (
+        float(jax.jit(lambda o: dataclasses.replace(o.inner, gain=-o.inner.gain).gain)(outer))
+        == -2.0
+    )
     assert float(jax.grad(lambda o: o.inner.gain**2)(outer).inner.gain) == 4.0
-    np.testing.assert_array_equal(jax.vmap(lambda g: Inner(gain=g).gain)(jnp.array([-1.0, 20.0])), [-1.0, 20.0])
+    np.testing.assert_array_equal(
+        jax.vmap(lambda g: Inner(gain=g).gain)(jnp.array([-1.0, 20.0])), [-1.0, 20.0]
+    )
     assert float(jax.jit(lambda v: replaced(voice_coil(), {"poles[1]": v}).poles[1])(7.0)) == 7.0
 
 

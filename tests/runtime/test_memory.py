@@ -1,4 +1,6 @@
-"""Memory is planned: what a program takes is what its arrays say, and a sweep that would not fit says so before it starts."""
+"""Memory is planned: what a program takes is what its arrays say, and a sweep that would not fit
+says so before it starts.
+"""
 
 import dataclasses
 import re
@@ -45,10 +47,14 @@ def test_the_dataset_is_as_large_as_counted():
 
 
 def test_a_chunk_that_does_not_fit_is_refused_with_one_that_does(monkeypatch, tmp_path):
-    # e and u of 64 samples are 205 kB among the program's results; of some 35 they fit, a tile's trials included
+    # e and u of 64 samples are 205 kB among the program's results; of some 35 they fit, a tile's
+    # trials included
     with_memory(monkeypatch, PLAN.bytes_stored() + 200_000)
     store = tmp_path / "store.zarr"
-    with pytest.raises(ValueError, match=r"chunk = 64 needs .* kB where 200 kB are available; chunk = \d+ would fit") as refusal:
+    with pytest.raises(
+        ValueError,
+        match=r"chunk = 64 needs .* kB where 200 kB are available; chunk = \d+ would fit",
+    ) as refusal:
         PLAN.run(store)
     assert not store.exists()
     chunk = int(re.search(r"chunk = (\d+) would fit", str(refusal.value))[1])
@@ -67,7 +73,10 @@ def test_where_no_chunk_fits_it_says_so(monkeypatch, tmp_path):
 
 def test_a_dataset_that_does_not_fit_is_refused(monkeypatch, tmp_path):
     with_memory(monkeypatch, int(1.5 * PLAN.bytes_stored()))
-    with pytest.raises(ValueError, match=r"Sweep: samples = 64 and trials = 3 take .* of memory, where .* would fit") as refusal:
+    with pytest.raises(
+        ValueError,
+        match=r"Sweep: samples = 64 and trials = 3 take .* of memory, where .* would fit",
+    ) as refusal:
         PLAN.run()  # in memory it is there twice
     samples = int(re.search(r"samples = (\d+) would fit", str(refusal.value))[1])
     dataclasses.replace(PLAN, samples=samples).need_room(copies=2)
@@ -97,6 +106,8 @@ def test_what_there_is_lies_within_the_machine():
     assert capacity.device_bytes() is None  # a CPU's devices share the host's
 
 
-@pytest.mark.parametrize(("size", "text"), [(7, "7 B"), (1999, "2 kB"), (3.25e7, "32.5 MB"), (2.5e12, "2.5e+03 GB")])
+@pytest.mark.parametrize(
+    ("size", "text"), [(7, "7 B"), (1999, "2 kB"), (3.25e7, "32.5 MB"), (2.5e12, "2.5e+03 GB")]
+)
 def test_sizes_are_readable(size, text):
     assert capacity.shown(size) == text

@@ -11,13 +11,18 @@ import jaxilc
 
 def python(program, **environment):
     kept = {name: value for name, value in os.environ.items() if name not in ("XLA_FLAGS", "NPROC")}
-    return subprocess.run([sys.executable, "-c", program], env=kept | environment, capture_output=True, text=True, timeout=60, check=True)
+    return subprocess.run(
+        [sys.executable, "-c", program],
+        env=kept | environment,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
+    )
 
 
 def test_setup_takes_cores_precision_and_whole_loops_and_leaves_flags_alone():
-    program = (
-        "import jaxilc, jax, os; jaxilc.setup(devices=3); print(jax.device_count(), jax.config.jax_enable_x64, os.environ['XLA_FLAGS'])"
-    )
+    program = "import jaxilc, jax, os; jaxilc.setup(devices=3); print(jax.device_count(), jax.config.jax_enable_x64, os.environ['XLA_FLAGS'])"
     count, double, flags = python(program).stdout.split(maxsplit=2)
     assert (count, double) == ("3", "True")
     assert "xla_cpu_small_while_loop_byte_threshold" in flags
@@ -36,7 +41,10 @@ def test_wide_registers_are_asked_for_where_the_option_is_known_and_nobody_else_
     program = "import jaxilc.runtime as r, os; {} r.setup(); print(os.environ['XLA_FLAGS'], r.jax.numpy.ones(2) + 1)"
     cpu = {"JAX_PLATFORMS": "cpu"}
     assert "prefer_vector_width=512" in python(program.format(""), **cpu).stdout
-    assert "prefer_vector_width" not in python(program.format("r.jaxlib.__version__ = '9.1.0';"), **cpu).stdout
+    assert (
+        "prefer_vector_width"
+        not in python(program.format("r.jaxlib.__version__ = '9.1.0';"), **cpu).stdout
+    )
     asked = python(program.format(""), **cpu, XLA_FLAGS="--xla_cpu_prefer_vector_width=128").stdout
     assert (asked.count("prefer_vector_width"), "=128" in asked) == (1, True)
 
@@ -73,7 +81,9 @@ print(float(jax.jit(lambda x: x @ x + 1.0)(jax.numpy.ones(3))), len(hits) > 0)
 
 
 def test_programs_are_found_again_by_the_next_start(tmp_path):
-    first, again = (python(KEPT, XDG_CACHE_HOME=str(tmp_path), JAXILC_CACHE="").stdout.split() for _ in range(2))
+    first, again = (
+        python(KEPT, XDG_CACHE_HOME=str(tmp_path), JAXILC_CACHE="").stdout.split() for _ in range(2)
+    )
     assert first[0].startswith(str(tmp_path / "jaxilc"))
     assert (first[1:], again[1:]) == (["0", "4.0", "False"], ["0", "4.0", "True"])
 
@@ -102,7 +112,10 @@ for _ in range(120):
     python(program)
 
 
-@pytest.mark.parametrize(("kwargs", "message"), [({"precision": "half"}, "precision = 'half'"), ({"devices": 0}, "devices = 0 is outside")])
+@pytest.mark.parametrize(
+    ("kwargs", "message"),
+    [({"precision": "half"}, "precision = 'half'"), ({"devices": 0}, "devices = 0 is outside")],
+)
 def test_bad_input_is_named(kwargs, message):
     with pytest.raises(ValueError, match=message):
         jaxilc.setup(**kwargs)

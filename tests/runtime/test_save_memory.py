@@ -1,4 +1,6 @@
-"""What `learn` keeps for a `save`: the programs of the last few, so that a new lambda a call does not fill the memory."""
+"""What `learn` keeps for a `save`: the programs of the last few, so that a new lambda a call does
+not fill the memory.
+"""
 
 import gc
 import os

@@ -1,4 +1,6 @@
-"""Every size is reckoned before anything is drawn or allocated, under the limit of the process, and refused with what would fit."""
+"""Every size is reckoned before anything is drawn or allocated, under the limit of the process, and
+refused with what would fit.
+"""
 
 import dataclasses
 import json
@@ -68,14 +70,34 @@ REFUSED = {
     "bench of samples": (lambda: bench.setting("cfdl", 2, 2, HUGE), "samples"),
     "bench of a long trial": (lambda: bench.compare_long(HUGE), "samples"),
     "sinusoid": (lambda: references.sinusoid(1.0, 1.0, **LONG), "samples"),
-    "sinusoid without end": (lambda: references.sinusoid(1.0, 1.0, duration=1e300, dt=1e-300), "samples"),
-    "multisine": (lambda: references.multisine(np.ones(400), np.ones(400), duration=1000.0, dt=1e-3), "samples"),
+    "sinusoid without end": (
+        lambda: references.sinusoid(1.0, 1.0, duration=1e300, dt=1e-300),
+        "samples",
+    ),
+    "multisine": (
+        lambda: references.multisine(np.ones(400), np.ones(400), duration=1000.0, dt=1e-3),
+        "samples",
+    ),
     "chirp": (lambda: references.chirp(1.0, 1.0, 2.0, **LONG), "samples"),
-    "s_curve": (lambda: references.s_curve([0, 1], velocity=1e-9, acceleration=1.0, jerk=1.0, dt=1e-3), "samples"),
+    "s_curve": (
+        lambda: references.s_curve([0, 1], velocity=1e-9, acceleration=1.0, jerk=1.0, dt=1e-3),
+        "samples",
+    ),
     "m_sequence": (lambda: references.m_sequence(32, hold=1000), "samples"),
-    "preview": (lambda: learn(MACHINE, CFDLMFAPC(P=10**6), Task(np.zeros(400), dt=1e-3), 1), "preview"),
+    "preview": (
+        lambda: learn(MACHINE, CFDLMFAPC(P=10**6), Task(np.zeros(400), dt=1e-3), 1),
+        "preview",
+    ),
     "fits from starts": (lambda: identify(RECORD, starts=10**9), "starts"),
-    "blocks": (lambda: learn(dataclasses.replace(MACHINE, plant=InBlocks(plants.voice_coil("printed"), 10**4)), SCHEME, TASK, 1), "length"),
+    "blocks": (
+        lambda: learn(
+            dataclasses.replace(MACHINE, plant=InBlocks(plants.voice_coil("printed"), 10**4)),
+            SCHEME,
+            TASK,
+            1,
+        ),
+        "length",
+    ),
     "a long task": (lambda: learn(MACHINE, SCHEME, Task(np.zeros(10**7), dt=1e-3), 1), "samples"),
 }
 
@@ -84,14 +106,18 @@ REFUSED = {
 def test_a_size_that_does_not_fit_is_refused_with_what_would(monkeypatch, name):
     monkeypatch.setattr(capacity, "host_bytes", lambda: ROOM)
     call, parameter = REFUSED[name]
-    with pytest.raises(ValueError, match=rf"of memory, where 2 GB are available; .*\b{parameter} = \d+.* would fit") as refusal:
+    with pytest.raises(
+        ValueError, match=rf"of memory, where 2 GB are available; .*\b{parameter} = \d+.* would fit"
+    ) as refusal:
         call()
     assert "\n" not in str(refusal.value)
 
 
 def test_more_parameters_than_a_record_tells_are_refused_before_they_are_made():
     record = Record(np.ones((400, 1)), np.arange(401.0)[:, None], 1e-3)
-    with pytest.raises(ValueError, match="the record is too short: 281 samples to fit 153 parameters"):
+    with pytest.raises(
+        ValueError, match="the record is too short: 281 samples to fit 153 parameters"
+    ):
         identify(record, poles=50, pairs=50)
     with pytest.raises(ValueError, match=r"poles = 1e\+09 is outside its allowed range \[0, 50\]"):
         identify(record, poles=10**9)
@@ -100,7 +126,10 @@ def test_more_parameters_than_a_record_tells_are_refused_before_they_are_made():
 def test_a_program_that_does_not_fit_is_refused_before_it_runs(monkeypatch, tmp_path):
     monkeypatch.setattr(capacity, "host_bytes", lambda: 2000)
     problem = dataclasses.replace(PROBLEM, uncertainty={}, samples=1, held_out=0, steps=1)
-    with pytest.raises(ValueError, match=r"a step of all starts takes .* of memory, where 2 kB are available; take fewer trials"):
+    with pytest.raises(
+        ValueError,
+        match=r"a step of all starts takes .* of memory, where 2 kB are available; take fewer trials",
+    ):
         problem.run(tmp_path / "state")
     assert not (tmp_path / "state").exists()
 
@@ -111,9 +140,15 @@ def test_what_would_fit_fits_and_no_more(monkeypatch):
     def need(plants, trials):
         return 3 * plants * trials + 7 * trials + 20
 
-    with pytest.raises(ValueError, match=r"a: plants = 90 and trials = 5 take 1.41 kB of memory, where 1 kB are available") as refusal:
+    with pytest.raises(
+        ValueError,
+        match=r"a: plants = 90 and trials = 5 take 1.41 kB of memory, where 1 kB are available",
+    ) as refusal:
         capacity.check_size("a", need, plants=90, trials=5)
-    fits = {name: int(value) for name, value in re.findall(r"(\w+) = (\d+)", str(refusal.value).split(";")[1])}
+    fits = {
+        name: int(value)
+        for name, value in re.findall(r"(\w+) = (\d+)", str(refusal.value).split(";")[1])
+    }
     assert fits == {"plants": 63, "trials": 3}
     capacity.check_size("a", need, plants=63, trials=5)
     capacity.check_size("a", need, plants=90, trials=3)
@@ -206,16 +241,27 @@ for command in sys.stdin.read().split("\\n"):
 
 
 def test_every_command_reckons_within_the_limit_of_the_process(tmp_path):
-    """Each would fit into a machine of 16 GB, or none, and is refused where the process may take one more."""
+    """Each would fit into a machine of 16 GB, or none, and is refused where the process may take
+    one more.
+    """
     for name, duration in (("long", 10000.0), ("short", 0.01)):
         (tmp_path / f"{name}.toml").write_text(PLANT.format(duration))
     commands = [*COMMANDS.strip().split("\n"), "sweep short.toml --samples 4 --trials 2"]
-    done = subprocess.run([sys.executable, "-c", LIMITED], input="\n".join(commands), cwd=tmp_path, capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", LIMITED],
+        input="\n".join(commands),
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+    )
     rows = [json.loads(line) for line in done.stderr.splitlines() if line.startswith("[")]
     assert [row[0] for row in rows] == commands, done.stderr[-2000:]
     for command, code, said, _ in rows[:-1]:
         assert code == 2, (command, said)
-        assert re.search(r"of memory, where \S+ \w+ are available; .* would fit", said), (command, said)
+        assert re.search(r"of memory, where \S+ \w+ are available; .* would fit", said), (
+            command,
+            said,
+        )
     assert rows[-1][1] == 0, rows[-1]
     assert {path.name for path in tmp_path.iterdir()} == {"long.toml", "short.toml", "out"}
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["sweep-short"]

@@ -1,4 +1,6 @@
-"""What the scenarios of MILC 2024 and Xu 2024 rest on, and that they give the printed numbers that their readings claim."""
+"""What the scenarios of MILC 2024 and Xu 2024 rest on, and that they give the printed numbers that
+their readings claim.
+"""
 
 import control
 import numpy as np
@@ -11,9 +13,13 @@ from jaxilc.scenarios.xu_2024 import MODEL, servo
 
 
 def test_the_position_loop_is_50_hz_wide():
-    """-3 dB of the motor's loop by python-control: sampled mechanics, backward PI and difference, P position loop."""
+    """-3 dB of the motor's loop by python-control: sampled mechanics, backward PI and difference, P
+    position loop.
+    """
     drive = nominal_drive(FITTED["antiresonance"], FORCE_GAIN)
-    A, B, C = (np.asarray(M) for M in (drive.mechanics().A, drive.mechanics().B, drive.mechanics().C))
+    A, B, C = (
+        np.asarray(M) for M in (drive.mechanics().A, drive.mechanics().B, drive.mechanics().C)
+    )
     mechanics = control.sample_system(control.ss(A, B, 1e3 * C[:1], 0), DT, "zoh")
     z = control.tf("z")
     speed = control.tf([1, -1], [DT, 0], DT)
@@ -21,8 +27,13 @@ def test_the_position_loop_is_50_hz_wide():
     pi = control.tf(pi.num, pi.den, DT)
     f = np.linspace(45, 55, 2001)
     w = 2 * np.pi * f
-    at = {name: system(np.exp(1j * w * DT)) for name, system in (("x", mechanics), ("v", speed), ("pi", pi))}
-    forward = float(drive.force_gain) * at["pi"] * at["x"]  # from the deviation of the speed to the position
+    at = {
+        name: system(np.exp(1j * w * DT))
+        for name, system in (("x", mechanics), ("v", speed), ("pi", pi))
+    }
+    forward = (
+        float(drive.force_gain) * at["pi"] * at["x"]
+    )  # from the deviation of the speed to the position
     P_M = float(drive.command_scale) * forward / (1 + forward * at["v"])
     closed = np.abs(position_gain(drive) * P_M / (1 + position_gain(drive) * P_M))
     assert 49.5 < f[np.argmax(closed < np.sqrt(0.5))] < 50.5
@@ -39,9 +50,14 @@ def test_the_path_rests_moves_forward_and_back():
 
 
 def test_table_1_of_milc_2024():
-    rows = {(r.published.scheme, r.published.trial, r.published.quantity): r for r in reproduce(["milc-2024"])}
+    rows = {
+        (r.published.scheme, r.published.trial, r.published.quantity): r
+        for r in reproduce(["milc-2024"])
+    }
     missed = [key for key, row in rows.items() if row.verdict != "met"]
-    assert missed == [("dilc", 11, "table_max")], "one number of Table 1 is open, and the README says which"
+    assert missed == [("dilc", 11, "table_max")], (
+        "one number of Table 1 is open, and the README says which"
+    )
     ours = {key: row.ours for key, row in rows.items()}
     assert ours["dilc", 11, "motor_rms"] > 10 * ours["milc", 11, "motor_rms"]
 
@@ -49,7 +65,9 @@ def test_table_1_of_milc_2024():
 def test_a_small_stroke_sees_the_identified_gain_of_the_servo():
     """Whatever the hysteresis: 10 mV move the tool by b / a1 per volt, as identification found."""
     tool = servo(0.06)
-    static = float(tool.conversion * tool.amplifier_gain / tool.stiffness) * (1 - float(tool.hysteresis.initial_slope))
+    static = float(tool.conversion * tool.amplifier_gain / tool.stiffness) * (
+        1 - float(tool.hysteresis.initial_slope)
+    )
     assert static == pytest.approx(MODEL["b"] / MODEL["a1"], rel=1e-3)
 
 

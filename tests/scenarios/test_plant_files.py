@@ -1,4 +1,6 @@
-"""Plants and scenarios from TOML and JSON files, against python-control and scipy, and what is refused by the name of its key."""
+"""Plants and scenarios from TOML and JSON files, against python-control and scipy, and what is
+refused by the name of its key.
+"""
 
 import json
 
@@ -16,13 +18,26 @@ from jaxilc.learning import Machine, learn
 from jaxilc.scenarios import load_scenario
 from jaxilc.scenarios.from_file import read_scenario
 from jaxilc.scenarios.specification import classes
-from jaxilc.schemes import PID, Filtered, Ladder, MultivariableILC, NormOptimal, OnOutputs, PIDType, StopWhen, WithFeedback
+from jaxilc.schemes import (
+    PID,
+    Filtered,
+    Ladder,
+    MultivariableILC,
+    NormOptimal,
+    OnOutputs,
+    PIDType,
+    StopWhen,
+    WithFeedback,
+)
 from jaxilc.signals import references
 from jaxilc.uncertainty import LogUniform, Normal, Uniform, draw
 
 NUM, DEN = [4000.0], [1.0, 80.0, 4000.0]
 PLANT = {"kind": "transfer_function", "num": NUM, "den": DEN}
-TASK = {"dt": DT, "reference": {"function": "sinusoid", "amplitude": 1.0, "frequency": 10.0, "duration": 0.1}}
+TASK = {
+    "dt": DT,
+    "reference": {"function": "sinusoid", "amplitude": 1.0, "frequency": 10.0, "duration": 0.1},
+}
 SCHEMES = {"ilc": {"class": "PIDType", "gamma_p": 0.5}}
 U = np.sin(0.7 * np.arange(60)) + 0.3
 
@@ -31,7 +46,9 @@ def write(folder, **tables):
     """A JSON file; a table that is None is left out."""
     path = folder / "axis.json"
     values = {"plant": PLANT, "task": TASK, "schemes": SCHEMES} | tables
-    path.write_text(json.dumps({name: table for name, table in values.items() if table is not None}))
+    path.write_text(
+        json.dumps({name: table for name, table in values.items() if table is not None})
+    )
     return path
 
 
@@ -45,7 +62,9 @@ def expected(system, inputs=1):
     if system.dt == 0:
         system = control.sample_system(control.ss(system), DT, "zoh")
     t = np.arange(len(U) + 1) * DT
-    return np.atleast_2d(control.forced_response(system, t, np.stack([np.append(U, 0.0)] * inputs)).outputs).T
+    return np.atleast_2d(
+        control.forced_response(system, t, np.stack([np.append(U, 0.0)] * inputs)).outputs
+    ).T
 
 
 def plant_of(folder, **plant):
@@ -55,29 +74,51 @@ def plant_of(folder, **plant):
 def test_transfer_functions_respond_as_python_control_s(tmp_path):
     plant = plant_of(tmp_path, **PLANT)
     np.testing.assert_allclose(response(plant), expected(control.tf(NUM, DEN)), **ALGEBRA)
-    plant = plant_of(tmp_path, kind="transfer_function", num=[0.06, 0.03], den=[1.0, -1.6, 0.65], dt=DT)
-    np.testing.assert_allclose(response(plant), expected(control.tf([0.06, 0.03], [1.0, -1.6, 0.65], DT)), **ALGEBRA)
+    plant = plant_of(
+        tmp_path, kind="transfer_function", num=[0.06, 0.03], den=[1.0, -1.6, 0.65], dt=DT
+    )
+    np.testing.assert_allclose(
+        response(plant), expected(control.tf([0.06, 0.03], [1.0, -1.6, 0.65], DT)), **ALGEBRA
+    )
 
 
 def test_several_channels_are_lists_of_lists(tmp_path):
-    num, den = [[[1.0], [5.0]], [[0.0], [2.0, 1.0]]], [[[1.0, 9.0], [1.0, 30.0]], [[1.0], [1.0, 8.0, 20.0]]]
+    num, den = (
+        [[[1.0], [5.0]], [[0.0], [2.0, 1.0]]],
+        [[[1.0, 9.0], [1.0, 30.0]], [[1.0], [1.0, 8.0, 20.0]]],
+    )
     reference = [TASK["reference"], TASK["reference"] | {"amplitude": 2.0}]
-    file = write(tmp_path, plant={"kind": "transfer_function", "num": num, "den": den}, task=TASK | {"reference": reference}, schemes=None)
+    file = write(
+        tmp_path,
+        plant={"kind": "transfer_function", "num": num, "den": den},
+        task=TASK | {"reference": reference},
+        schemes=None,
+    )
     made = read_scenario(file)
     parts = [[control.tf(num[i][j], den[i][j]) for j in range(2)] for i in range(2)]
     rows = [sum(expected(parts[i][j])[:, 0] for j in range(2)) for i in range(2)]
-    np.testing.assert_allclose(response(made.machine.plant, 2), np.stack(rows, axis=1), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(
+        response(made.machine.plant, 2), np.stack(rows, axis=1), rtol=1e-9, atol=1e-12
+    )
     np.testing.assert_allclose(made.task.reference[:, 1], 2 * made.task.reference[:, 0])
 
 
 def test_zeros_poles_and_gain_keep_the_digits_of_poles_that_lie_close_together(tmp_path):
-    plant = plant_of(tmp_path, kind="zeros_poles_gain", zeros=[-900.0], poles=[-474.0, -474.0, [-60.0, 80.0], [-60.0, -80.0]], gain=2e6)
+    plant = plant_of(
+        tmp_path,
+        kind="zeros_poles_gain",
+        zeros=[-900.0],
+        poles=[-474.0, -474.0, [-60.0, 80.0], [-60.0, -80.0]],
+        gain=2e6,
+    )
     b, a = scipy.signal.zpk2tf([-900.0], [-474.0, -474.0, -60 + 80j, -60 - 80j], 2e6)
     np.testing.assert_allclose(response(plant), expected(control.tf(b, a)), rtol=1e-9, atol=1e-12)
     poles, zeros = [0.999, 0.9991, 0.9992, 0.9993, 0.9994, 0.9995], [-0.5, 0.3]
     plant = plant_of(tmp_path, kind="zeros_poles_gain", zeros=zeros, poles=poles, gain=1e-9, dt=DT)
     below = np.prod(1 - np.array(poles))
-    assert abs(np.polyval(np.poly(poles), 1.0) / below - 1) > 0.1, "one polynomial loses all digits of the gain at rest"
+    assert abs(np.polyval(np.poly(poles), 1.0) / below - 1) > 0.1, (
+        "one polynomial loses all digits of the gain at rest"
+    )
     at_rest = plant.C @ np.linalg.solve(np.eye(6) - plant.A, plant.B)
     np.testing.assert_allclose(at_rest, [[1e-9 * np.prod(1 - np.array(zeros)) / below]], rtol=1e-6)
 
@@ -87,8 +128,15 @@ def test_state_space_and_any_class_by_its_name(tmp_path):
     plant = plant_of(tmp_path, kind="state_space", A=A, B=B, C=C, dt=DT)
     np.testing.assert_allclose(response(plant), expected(control.ss(A, B, C, 0, DT)), **ALGEBRA)
     plant = plant_of(tmp_path, kind="ProcessModel", gain=2.0, poles=[60.0])
-    np.testing.assert_allclose(response(plant), expected(control.tf([120.0], [1.0, 60.0])), **ALGEBRA)
-    friction = {"class": "StribeckFriction", "coulomb_force": 20.0, "static_force": 30.0, "transition_velocity": 2e-3}
+    np.testing.assert_allclose(
+        response(plant), expected(control.tf([120.0], [1.0, 60.0])), **ALGEBRA
+    )
+    friction = {
+        "class": "StribeckFriction",
+        "coulomb_force": 20.0,
+        "static_force": 30.0,
+        "transition_velocity": 2e-3,
+    }
     plant = plant_of(tmp_path, kind="VoiceCoilMotor", friction=friction)
     assert isinstance(plant.friction, plants.StribeckFriction)
     assert plant.friction.static_force == 30.0
@@ -96,10 +144,16 @@ def test_state_space_and_any_class_by_its_name(tmp_path):
 
 def test_a_plant_is_identified_from_a_record_beside_the_file(tmp_path):
     lag = plants.ProcessModel(gain=2.0, zeros=(), poles=(60.0,))
-    write_record(tmp_path / "record.csv", excite(Machine(lag), references.m_sequence(7, hold=2), DT))
+    write_record(
+        tmp_path / "record.csv", excite(Machine(lag), references.m_sequence(7, hold=2), DT)
+    )
     structure = {"poles": 1, "pairs": 0, "zeros": 0}
-    made = read_scenario(write(tmp_path, plant={"kind": "identified", "record": "record.csv", **structure}))
-    np.testing.assert_allclose([made.machine.plant.gain, made.machine.plant.poles[0]], [2.0, 60.0], rtol=1e-6)
+    made = read_scenario(
+        write(tmp_path, plant={"kind": "identified", "record": "record.csv", **structure})
+    )
+    np.testing.assert_allclose(
+        [made.machine.plant.gain, made.machine.plant.poles[0]], [2.0, 60.0], rtol=1e-6
+    )
     assert "identified from record.csv: gain = 2" in made.chosen[0]
 
 
@@ -158,15 +212,45 @@ def test_a_toml_file_is_a_whole_scenario(tmp_path):
     path, k = tmp_path / "axis.toml", np.arange(51)
     path.write_text(EVERYTHING, encoding="utf-8")
     r = 0.5 - 0.5 * np.cos(2 * np.pi * k / 50)
-    np.savetxt(tmp_path / "path.csv", np.stack([k * DT, r], axis=1), delimiter=",", header="t,x", comments="", fmt="%.17g")
-    made = load_scenario(path, {"machine.actuator.limit": "9", "nested.scheme.scheme.feedback.kp": 0.5})
-    assert (made.name, made.trials, made.tolerance, made.shown_unit, made.show_trials) == ("x-axis", 7, 2.0, "µm", (1, 7))
-    assert (made.task.N, made.task.dt, made.task.settle, made.task.unit, made.task.input_unit) == (50, DT, (0.02, 0.04), "mm", "V")
+    np.savetxt(
+        tmp_path / "path.csv",
+        np.stack([k * DT, r], axis=1),
+        delimiter=",",
+        header="t,x",
+        comments="",
+        fmt="%.17g",
+    )
+    made = load_scenario(
+        path, {"machine.actuator.limit": "9", "nested.scheme.scheme.feedback.kp": 0.5}
+    )
+    assert (made.name, made.trials, made.tolerance, made.shown_unit, made.show_trials) == (
+        "x-axis",
+        7,
+        2.0,
+        "µm",
+        (1, 7),
+    )
+    assert (made.task.N, made.task.dt, made.task.settle, made.task.unit, made.task.input_unit) == (
+        50,
+        DT,
+        (0.02, 0.04),
+        "mm",
+        "V",
+    )
     np.testing.assert_array_equal(made.task.reference[:, 0], r)
-    assert (made.machine.actuator.limit, made.machine.actuator.rate, made.machine.sensor.noise) == (9.0, 5e3, 2e-4)
+    assert (made.machine.actuator.limit, made.machine.actuator.rate, made.machine.sensor.noise) == (
+        9.0,
+        5e3,
+        2e-4,
+    )
     stop = made.schemes["nested"]
     pair = stop.scheme.scheme
-    assert [type(s) for s in (stop, stop.scheme, pair, pair.learning)] == [StopWhen, Ladder, WithFeedback, Filtered]
+    assert [type(s) for s in (stop, stop.scheme, pair, pair.learning)] == [
+        StopWhen,
+        Ladder,
+        WithFeedback,
+        Filtered,
+    ]
     assert (pair.feedback.kp, pair.feedback.form) == (0.5, "increment")
     assert isinstance(made.schemes["seen"], OnOutputs)
     np.testing.assert_array_equal(made.schemes["optimal"].model.A, [[0.9, 0.1], [-0.2, 0.8]])
@@ -179,12 +263,18 @@ def test_a_toml_file_is_a_whole_scenario(tmp_path):
 
 
 def test_what_a_file_describes_learns_as_what_the_library_makes(tmp_path):
-    table = {"class": "WithFeedback", "learning": {"class": "PIDType", "gamma_p": 0.4}, "feedback": {"class": "PID", "kp": 1.0}}
+    table = {
+        "class": "WithFeedback",
+        "learning": {"class": "PIDType", "gamma_p": 0.4},
+        "feedback": {"class": "PID", "kp": 1.0},
+    }
     made = load_scenario(write(tmp_path, schemes={"ilc": table}))
     ours = learn(made.machine, made.schemes["ilc"], made.task, 3).rms
     scheme = WithFeedback(PIDType(gamma_p=0.4), PID(kp=1.0))
     r = references.sinusoid(1.0, 10.0, duration=0.1, dt=DT)
-    theirs = learn(Machine(plants.from_control(control.tf(NUM, DEN))), scheme, type(made.task)(r, dt=DT), 3).rms
+    theirs = learn(
+        Machine(plants.from_control(control.tf(NUM, DEN))), scheme, type(made.task)(r, dt=DT), 3
+    ).rms
     np.testing.assert_array_equal(ours, theirs)
 
 
@@ -192,8 +282,15 @@ def test_a_drive_of_two_outputs_takes_its_models_from_the_file(tmp_path):
     A, B, C = [[0.9, 0.1], [0.3, 0.6]], [[0.2], [0.0]], [[1.0, 0.0], [0.0, 1.0]]
     model = {"function": "multivariable_model", "C_P": 0.5, "P": "plant"}
     learning = {"class": "NormOptimal", "model": model, "w_r": 0.1}
-    milc = {"class": "MultivariableILC", "learning": learning, "feedback": {"class": "PID", "kp": 0.5}}
-    task, plant = TASK | {"reference": [TASK["reference"]] * 2}, {"kind": "state_space", "A": A, "B": B, "C": C, "dt": DT}
+    milc = {
+        "class": "MultivariableILC",
+        "learning": learning,
+        "feedback": {"class": "PID", "kp": 0.5},
+    }
+    task, plant = (
+        TASK | {"reference": [TASK["reference"]] * 2},
+        {"kind": "state_space", "A": A, "B": B, "C": C, "dt": DT},
+    )
     made = read_scenario(write(tmp_path, plant=plant, task=task, schemes={"milc": milc}))
     scheme = made.schemes["milc"]
     assert isinstance(scheme, MultivariableILC)
@@ -204,19 +301,32 @@ def test_a_drive_of_two_outputs_takes_its_models_from_the_file(tmp_path):
 
 
 def test_scenarios_by_name_take_options_and_paths_together():
-    made = load_scenario("cao-2019", {"plant": "printed", "pid.kp": "-9", "machine.plant.b[0]": "0.002"})
+    made = load_scenario(
+        "cao-2019", {"plant": "printed", "pid.kp": "-9", "machine.plant.b[0]": "0.002"}
+    )
     assert made.schemes["pid"].kp == -9.0
     assert made.machine.plant.b[0] == 0.002
     assert made.options["plant"] == "printed"
     for name in scenarios.SCENARIOS:
-        with pytest.raises(ValueError, match=f"scenario = 'axis' is not one of .*{name}.*, nor a file .toml or .json"):
+        with pytest.raises(
+            ValueError,
+            match=f"scenario = 'axis' is not one of .*{name}.*, nor a file .toml or .json",
+        ):
             load_scenario("axis")
     with pytest.raises(FileNotFoundError):
         load_scenario("nowhere.toml")
 
 
 def test_every_class_that_is_named_in_a_refusal_can_be_named_in_a_file():
-    assert {"PIDType", "Filtered", "ZeroPhaseFIR", "SwitchableFilter", "StateSpace", "VoiceCoil", "StribeckFriction"} <= classes().keys()
+    assert {
+        "PIDType",
+        "Filtered",
+        "ZeroPhaseFIR",
+        "SwitchableFilter",
+        "StateSpace",
+        "VoiceCoil",
+        "StribeckFriction",
+    } <= classes().keys()
     assert not {"Filter", "Scheme", "Plant", "Interval"} & classes().keys()
 
 
@@ -227,52 +337,145 @@ def pid(**fields):
 @pytest.mark.parametrize(
     ("tables", "message"),
     [
-        ({"plants": PLANT}, "axis.json: plants is not a key here; allowed are machine, name, plant"),
+        (
+            {"plants": PLANT},
+            "axis.json: plants is not a key here; allowed are machine, name, plant",
+        ),
         ({"plant": None}, "axis.json: plant is missing; present are task, schemes"),
         ({"plant": 3}, "axis.json: plant = 3 is not a table"),
-        ({"plant": {"kind": "tf"}}, "plant.kind = 'tf' is not one of transfer_function, zeros_poles_gain, state_space"),
-        ({"plant": PLANT | {"gain": 1.0}}, "axis.json: plant.gain is not a key here; allowed are allow_unstable, den, dt, kind, num"),
-        ({"plant": PLANT | {"num": "4"}}, "axis.json: plant.num = '4' is not a number or a list of numbers"),
+        (
+            {"plant": {"kind": "tf"}},
+            "plant.kind = 'tf' is not one of transfer_function, zeros_poles_gain, state_space",
+        ),
+        (
+            {"plant": PLANT | {"gain": 1.0}},
+            "axis.json: plant.gain is not a key here; allowed are allow_unstable, den, dt, kind, num",
+        ),
+        (
+            {"plant": PLANT | {"num": "4"}},
+            "axis.json: plant.num = '4' is not a number or a list of numbers",
+        ),
         ({"plant": PLANT | {"num": [1.0, 2.0, 3.0]}}, "axis.json: plant: direct feedthrough"),
         ({"plant": PLANT | {"den": [1.0, -3.0, 10.0]}}, "axis.json: plant: the system is unstable"),
         ({"plant": PLANT | {"dt": -1.0}}, "axis.json: plant"),
-        ({"plant": {"kind": "zeros_poles_gain", "poles": [[-1.0, 2.0]], "gain": 1.0}}, "axis.json: plant: "),
-        ({"plant": {"kind": "zeros_poles_gain", "zeros": [-1.0], "poles": [-2.0], "gain": 1.0}}, "1 zeros over 1 poles; allowed are"),
-        ({"plant": {"kind": "state_space", "A": [[1.0]], "B": [[1.0, 2.0]], "C": [[1.0, 0.0]]}}, r"C \(1, 2\) do not fit; allowed are"),
-        ({"plant": {"kind": "ProcessModel", "poles": [-1.0]}}, r"axis.json: plant: ProcessModel: poles = \[-1.\] is outside"),
-        ({"plant": {"kind": "ProcessModel", "mass": 1.0}}, "axis.json: plant.mass is not a key here; allowed are dampings"),
-        ({"plant": {"kind": "identified"}}, "axis.json: plant.record is missing"),
-        ({"machine": {"limit": 1.0}}, "axis.json: machine.limit is not a key here; allowed are actuator, disturbance, sensor"),
-        ({"machine": {"actuator": {"limit": -1.0}}}, r"machine.actuator: Actuator: limit = -1 is outside its allowed range \(0, inf\)"),
-        ({"machine": {"sensor": {"noise": [1.0, 2.0]}}}, "axis.json: machine: "),
-        ({"task": TASK | {"dt": 0}}, r"axis.json: task.dt = 0 is outside its allowed range \(0, inf\)"),
-        ({"task": {"dt": DT}}, "axis.json: task.reference is missing; present are dt"),
-        ({"task": TASK | {"reference": {"function": "square"}}}, "task.reference.function = 'square' is not one of sinusoid, multisine"),
-        ({"task": TASK | {"reference": {"function": "sinusoid", "amplitude": 1.0}}}, "task.reference.frequency is missing"),
-        ({"task": TASK | {"reference": TASK["reference"] | {"freq": 1.0}}}, "task.reference.freq is not a key here; allowed are amplitude"),
-        ({"task": TASK | {"reference": TASK["reference"] | {"frequency": 900.0}}}, "task.reference: sinusoid: frequency = 900 Hz is"),
-        ({"task": TASK | {"settle": [1.0]}}, r"task.settle = \[1.0\] is not a pair"),
-        ({"task": TASK | {"inputs": 2}}, "axis.json: machine: the task has 2 inputs but the plant StateSpace has 1"),
-        ({"schemes": {"a": {"class": "PIT"}}}, "axis.json: schemes.a.class = 'PIT' is not one of .*PIDType"),
-        ({"schemes": {"a": {"class": "StateSpace", "A": [[1.0]], "B": [[1.0]], "C": [[1.0]]}}}, "schemes.a is a StateSpace; allowed is"),
-        (pid(kq=1.0), "axis.json: schemes.a.kq is not a key here; allowed are class, form, ka, kd, ki, kp, kv, limit, tau"),
-        (pid(kp="1"), "axis.json: schemes.a.kp = '1' is not a number or a list of numbers"),
-        (pid(form="speed"), "axis.json: schemes.a: PID: form = 'speed' is not one of 'position', 'increment'"),
-        (pid(kp=[1.0, 2.0]), "axis.json: schemes.a: "),
-        ({"schemes": {"a": {"class": "Filtered", "scheme": {"class": "PIDType"}}}}, "schemes.a.filter is missing; present are class"),
         (
-            {"schemes": {"a": {"class": "Filtered", "scheme": {"class": "ZeroPhaseFIR"}, "filter": {"class": "ZeroPhaseFIR"}}}},
+            {"plant": {"kind": "zeros_poles_gain", "poles": [[-1.0, 2.0]], "gain": 1.0}},
+            "axis.json: plant: ",
+        ),
+        (
+            {"plant": {"kind": "zeros_poles_gain", "zeros": [-1.0], "poles": [-2.0], "gain": 1.0}},
+            "1 zeros over 1 poles; allowed are",
+        ),
+        (
+            {"plant": {"kind": "state_space", "A": [[1.0]], "B": [[1.0, 2.0]], "C": [[1.0, 0.0]]}},
+            r"C \(1, 2\) do not fit; allowed are",
+        ),
+        (
+            {"plant": {"kind": "ProcessModel", "poles": [-1.0]}},
+            r"axis.json: plant: ProcessModel: poles = \[-1.\] is outside",
+        ),
+        (
+            {"plant": {"kind": "ProcessModel", "mass": 1.0}},
+            "axis.json: plant.mass is not a key here; allowed are dampings",
+        ),
+        ({"plant": {"kind": "identified"}}, "axis.json: plant.record is missing"),
+        (
+            {"machine": {"limit": 1.0}},
+            "axis.json: machine.limit is not a key here; allowed are actuator, disturbance, sensor",
+        ),
+        (
+            {"machine": {"actuator": {"limit": -1.0}}},
+            r"machine.actuator: Actuator: limit = -1 is outside its allowed range \(0, inf\)",
+        ),
+        ({"machine": {"sensor": {"noise": [1.0, 2.0]}}}, "axis.json: machine: "),
+        (
+            {"task": TASK | {"dt": 0}},
+            r"axis.json: task.dt = 0 is outside its allowed range \(0, inf\)",
+        ),
+        ({"task": {"dt": DT}}, "axis.json: task.reference is missing; present are dt"),
+        (
+            {"task": TASK | {"reference": {"function": "square"}}},
+            "task.reference.function = 'square' is not one of sinusoid, multisine",
+        ),
+        (
+            {"task": TASK | {"reference": {"function": "sinusoid", "amplitude": 1.0}}},
+            "task.reference.frequency is missing",
+        ),
+        (
+            {"task": TASK | {"reference": TASK["reference"] | {"freq": 1.0}}},
+            "task.reference.freq is not a key here; allowed are amplitude",
+        ),
+        (
+            {"task": TASK | {"reference": TASK["reference"] | {"frequency": 900.0}}},
+            "task.reference: sinusoid: frequency = 900 Hz is",
+        ),
+        ({"task": TASK | {"settle": [1.0]}}, r"task.settle = \[1.0\] is not a pair"),
+        (
+            {"task": TASK | {"inputs": 2}},
+            "axis.json: machine: the task has 2 inputs but the plant StateSpace has 1",
+        ),
+        (
+            {"schemes": {"a": {"class": "PIT"}}},
+            "axis.json: schemes.a.class = 'PIT' is not one of .*PIDType",
+        ),
+        (
+            {"schemes": {"a": {"class": "StateSpace", "A": [[1.0]], "B": [[1.0]], "C": [[1.0]]}}},
+            "schemes.a is a StateSpace; allowed is",
+        ),
+        (
+            pid(kq=1.0),
+            "axis.json: schemes.a.kq is not a key here; allowed are class, form, ka, kd, ki, kp, kv, limit, tau",
+        ),
+        (pid(kp="1"), "axis.json: schemes.a.kp = '1' is not a number or a list of numbers"),
+        (
+            pid(form="speed"),
+            "axis.json: schemes.a: PID: form = 'speed' is not one of 'position', 'increment'",
+        ),
+        (pid(kp=[1.0, 2.0]), "axis.json: schemes.a: "),
+        (
+            {"schemes": {"a": {"class": "Filtered", "scheme": {"class": "PIDType"}}}},
+            "schemes.a.filter is missing; present are class",
+        ),
+        (
+            {
+                "schemes": {
+                    "a": {
+                        "class": "Filtered",
+                        "scheme": {"class": "ZeroPhaseFIR"},
+                        "filter": {"class": "ZeroPhaseFIR"},
+                    }
+                }
+            },
             "schemes.a.scheme is a ZeroPhaseFIR; allowed is a table with class = .*PIDType",
         ),
-        ({"uncertainty": {"plant.C_d": {"distribution": "uniform", "low": 1.0, "high": 2.0}}}, "axis.json: uncertainty: .*plant.C_d"),
-        ({"uncertainty": {"plant.B": {"distribution": "beta"}}}, "uncertainty.plant.B.distribution = 'beta' is not one of uniform, normal"),
-        ({"uncertainty": {"plant.B": {"distribution": "uniform", "low": 1.0}}}, "uncertainty.plant.B.high is missing"),
-        ({"uncertainty": {"plant.B": {"distribution": "uniform", "low": 3.0, "high": 2.0}}}, "uncertainty.plant.B: Uniform: low = 3"),
+        (
+            {"uncertainty": {"plant.C_d": {"distribution": "uniform", "low": 1.0, "high": 2.0}}},
+            "axis.json: uncertainty: .*plant.C_d",
+        ),
+        (
+            {"uncertainty": {"plant.B": {"distribution": "beta"}}},
+            "uncertainty.plant.B.distribution = 'beta' is not one of uniform, normal",
+        ),
+        (
+            {"uncertainty": {"plant.B": {"distribution": "uniform", "low": 1.0}}},
+            "uncertainty.plant.B.high is missing",
+        ),
+        (
+            {"uncertainty": {"plant.B": {"distribution": "uniform", "low": 3.0, "high": 2.0}}},
+            "uncertainty.plant.B: Uniform: low = 3",
+        ),
         ({"trials": 0}, r"trials = 0 is outside its allowed range \[1, inf\)"),
         ({"plant": PLANT | {"num": [[1, 2]]}}, r"plant.num\[0\]\[0\] = 1 is not a list of numbers"),
         ({"plant": PLANT | {"num": [[[1, 2]]], "den": [1.0, 2.0]}}, r"plant: direct feedthrough D"),
         (
-            {"plant": {"kind": "zeros_poles_gain", "zeros": [float("nan")], "poles": [-1, -2], "gain": 1}},
+            {
+                "plant": {
+                    "kind": "zeros_poles_gain",
+                    "zeros": [float("nan")],
+                    "poles": [-1, -2],
+                    "gain": 1,
+                }
+            },
             r"plant.zeros\[0\] = nan is not finite",
         ),
         ({"plant": PLANT | {"dt": -1.0}}, r"plant.dt = -1 is outside its allowed range \[0, inf\)"),
@@ -301,9 +504,20 @@ def test_a_file_that_is_no_table_is_named(tmp_path):
 def test_every_command_accepts_a_file_in_a_scenario_s_place(tmp_path, monkeypatch):
     """One run for each: the figures are those of the library, and what a file lacks is said."""
     monkeypatch.chdir(tmp_path)
-    file = str(write(tmp_path, uncertainty={"plant.A": {"distribution": "uniform", "low": 0.99, "high": 1.01, "relative": True}}))
+    file = str(
+        write(
+            tmp_path,
+            uncertainty={
+                "plant.A": {"distribution": "uniform", "low": 0.99, "high": 1.01, "relative": True}
+            },
+        )
+    )
     runner = CliRunner()
-    for command in (("list", file), ("run", file, "--trials", "3", "--json", "run.json"), ("sweep", file, "--samples", "3")):
+    for command in (
+        ("list", file),
+        ("run", file, "--trials", "3", "--json", "run.json"),
+        ("sweep", file, "--samples", "3"),
+    ):
         result = runner.invoke(app, command)
         assert result.exit_code == 0, result.output
     loaded = load_scenario(file)

@@ -1,4 +1,6 @@
-"""Published numbers beside ours: what a verdict means, that every printed row can be simulated, and the short scenario in full."""
+"""Published numbers beside ours: what a verdict means, that every printed row can be simulated, and
+the short scenario in full.
+"""
 
 import dataclasses
 
@@ -30,7 +32,14 @@ def judged(rows, ours):
 
 
 def test_met_is_within_30_percent_either_way():
-    for ratio, met in ((1.0, True), (1.3 - 1e-9, True), (0.7 + 1e-9, True), (1.3 + 1e-9, False), (0.7 - 1e-9, False), (-1.0, False)):
+    for ratio, met in (
+        (1.0, True),
+        (1.3 - 1e-9, True),
+        (0.7 + 1e-9, True),
+        (1.3 + 1e-9, False),
+        (0.7 - 1e-9, False),
+        (-1.0, False),
+    ):
         for value in (20.0, 0.15):
             assert verdicts([row(value)], [ratio * value]) == ["met" if met else "open"], ratio
 
@@ -52,7 +61,10 @@ TRIALS = [row(8.0, trial=10), row(4.0, trial=20), row(1.0, trial=30)]
         ([15.0, 7.5, 1.9], ["shape", "shape", "shape"]),  # almost twice, in the right order
         ([4.1, 2.1, 0.55], ["shape", "shape", "shape"]),
         ([4.1, 5.4, 1.9], ["open", "open", "shape"]),  # the first two change places
-        ([15.0, 4.0, 10.0], ["shape", "met", "open"]),  # `met` where the number is right, though its order is not
+        (
+            [15.0, 4.0, 10.0],
+            ["shape", "met", "open"],
+        ),  # `met` where the number is right, though its order is not
         ([20.0, 40.0, 80.0], ["open", "open", "open"]),
         ([8.0, 4.0, 10.0], ["met", "met", "open"]),
     ],
@@ -63,27 +75,53 @@ def test_shape_is_the_order_among_the_trials_of_a_scheme(ours, expected):
 
 def test_shape_among_schemes_and_among_settings():
     """Several schemes at one setting, or one scheme at several; a row is judged by all of them."""
-    rows = [row(4.0, "a", None, options=FAST), row(2.0, "b", None, options=FAST), row(1.0, "a", None, options=SLOW)]
+    rows = [
+        row(4.0, "a", None, options=FAST),
+        row(2.0, "b", None, options=FAST),
+        row(1.0, "a", None, options=SLOW),
+    ]
     assert verdicts(rows, [6.0, 3.0, 1.5]) == ["shape", "shape", "shape"]
     assert verdicts(rows, [2.5, 3.5, 1.5]) == ["open", "open", "shape"]
-    assert verdicts(rows, [2.5, 1.2, 2.6]) == ["open", "shape", "open"], "b at `fast` does not compare with a at `slow`"
+    assert verdicts(rows, [2.5, 1.2, 2.6]) == ["open", "shape", "open"], (
+        "b at `fast` does not compare with a at `slow`"
+    )
 
 
 def test_shape_is_bounded_in_size_and_what_lies_beyond_says_so():
-    """A curve in the printed order, but 3.62 times or 0.37 times as large as in print, has not its shape; twice and half are the ends."""
-    for factor, verdict in ((3.62, "open"), (0.37, "open"), (2.01, "open"), (0.49, "open"), (2.0, "shape"), (0.5, "shape"), (1.4, "shape")):
+    """A curve in the printed order, but 3.62 times or 0.37 times as large as in print, has not its
+    shape; twice and half are the ends.
+    """
+    for factor, verdict in (
+        (3.62, "open"),
+        (0.37, "open"),
+        (2.01, "open"),
+        (0.49, "open"),
+        (2.0, "shape"),
+        (0.5, "shape"),
+        (1.4, "shape"),
+    ):
         found = judged(TRIALS, [factor * p.value for p in TRIALS])
         assert [one for one, _ in found] == [verdict] * 3, factor
-        reason = f"in the printed order, but {factor:.2f} times the printed number, beyond a factor of 2"
+        reason = (
+            f"in the printed order, but {factor:.2f} times the printed number, beyond a factor of 2"
+        )
         assert [told for _, told in found] == [reason if verdict == "open" else ""] * 3
 
 
 def test_an_open_row_says_why():
-    assert judged([row(1.0)], [3.0]) == [("open", "3.00 times the printed number, and no other row to compare with")]
+    assert judged([row(1.0)], [3.0]) == [
+        ("open", "3.00 times the printed number, and no other row to compare with")
+    ]
     assert judged([row(1.0)], [NAN]) == [("open", "ours is not finite")]
     assert judged(TRIALS, [4.1, 5.4, 1.0])[:2] == [
-        ("open", "0.51 times the printed number, and not in the printed order with 1 of 2 comparable rows"),
-        ("open", "1.35 times the printed number, and not in the printed order with 1 of 2 comparable rows"),
+        (
+            "open",
+            "0.51 times the printed number, and not in the printed order with 1 of 2 comparable rows",
+        ),
+        (
+            "open",
+            "1.35 times the printed number, and not in the printed order with 1 of 2 comparable rows",
+        ),
     ]
 
 
@@ -129,14 +167,22 @@ def learns(scheme: Scheme) -> bool:
 
 
 def test_every_published_row_can_be_simulated(scenario):
-    """Its options load, its scheme exists there, its quantity is measured, its trial is among those of the scenario."""
+    """Its options load, its scheme exists there, its quantity is measured, its trial is among those
+    of the scenario.
+    """
     assert scenario.published
     for p in scenario.published:
         here = loaded(scenario, p)
         assert set(dict(p.options)) <= set(scenarios.options(scenario.name)), p
         assert p.scheme in here.schemes, p
         assert here.shown(p.quantity)[0] > 0, p
-        assert p.quantity in {"settled_error", "max_error", "rms", "best_trial", *here.quantities}, p
+        assert p.quantity in {
+            "settled_error",
+            "max_error",
+            "rms",
+            "best_trial",
+            *here.quantities,
+        }, p
         assert (p.trial is not None) == learns(here.schemes[p.scheme]), p
         assert p.trial is None or 1 <= p.trial <= here.trials, p
         assert np.isfinite(p.value), p
@@ -158,7 +204,14 @@ FREE = {  # numbers fitted to print, by scenario and scheme; li-2020's by row
     "milc-2024": {"dilc": {3}, "milc": {3}},
     "xu-2024": {"pid": {6}, "smc": {6}, "asmc": {6}, "ilc-asmc": {7}},
 }
-AMONG = {"cao-2019": 11, "cao-2019-rig": 0, "dai-2014": 2, "li-2020": 6, "milc-2024": 3, "xu-2024": 7}
+AMONG = {
+    "cao-2019": 11,
+    "cao-2019-rig": 0,
+    "dai-2014": 2,
+    "li-2020": 6,
+    "milc-2024": 3,
+    "xu-2024": 7,
+}
 
 
 def test_each_row_says_what_was_fitted(scenario):
@@ -175,12 +228,16 @@ def test_each_row_says_what_was_fitted(scenario):
 
 
 def test_the_settings_of_published_rows_fit_together(scenario):
-    """Machine, scheme and task of each row, without simulating; the settled window holds samples, errors are shown on one scale."""
+    """Machine, scheme and task of each row, without simulating; the settled window holds samples,
+    errors are shown on one scale.
+    """
     for options in {p.options for p in scenario.published}:
         here = scenarios.load(scenario.name, **dict(options))
         assert here.shown_unit == scenario.shown_unit
         assert here.shown_scale == scenario.shown_scale
-        assert here.published == scenario.published, "the rows must not depend on the options they were printed for"
+        assert here.published == scenario.published, (
+            "the rows must not depend on the options they were printed for"
+        )
         assert len(np.asarray(here.task.reference)[here.task.settled]) > 10
         for name in {p.scheme for p in scenario.published if p.options == options}:
             check(here.machine, here.schemes[name], here.task)
@@ -209,12 +266,28 @@ def test_dai_2014():
     np.testing.assert_allclose([r.ours for r in pid], [0.0250, 0.0617], atol=6e-5)
     flat = rows[0].as_dict()
     assert flat["options"] == {"plant": "printed", "frequency": 0.5}
-    assert {"scenario", "scheme", "trial", "quantity", "value", "source", "reading", "fitted", "ours", "ratio", "unit", "verdict"} <= set(
-        flat
+    assert {
+        "scenario",
+        "scheme",
+        "trial",
+        "quantity",
+        "value",
+        "source",
+        "reading",
+        "fitted",
+        "ours",
+        "ratio",
+        "unit",
+        "verdict",
+    } <= set(flat)
+    assert (
+        rows[1].as_dict()["fitted"]
+        == "1 free number (phi0) fitted to this row alone; this row is among them"
     )
-    assert rows[1].as_dict()["fitted"] == "1 free number (phi0) fitted to this row alone; this row is among them"
     assert [r.reason for r in rows[:3]] == ["", "", ""]
-    assert rows[3].reason.endswith("times the printed number, and not in the printed order with 1 of 2 comparable rows")
+    assert rows[3].reason.endswith(
+        "times the printed number, and not in the printed order with 1 of 2 comparable rows"
+    )
 
 
 N = 20
@@ -225,10 +298,14 @@ MACHINE = Machine(DifferenceEquation(*ARX, dt=DT))
 
 @pytest.fixture
 def made_up(monkeypatch):
-    """A scenario with a gain as its option, whose printed numbers are ours but for known factors; and how often it learned."""
+    """A scenario with a gain as its option, whose printed numbers are ours but for known factors;
+    and how often it learned.
+    """
 
     def ours(name, trial, quantity, gain=1.0):
-        return 1e3 * float(getattr(learn(MACHINE, scaled(gain)[name], TASK, 4), quantity)[trial - 1, 0])
+        return 1e3 * float(
+            getattr(learn(MACHINE, scaled(gain)[name], TASK, 4), quantity)[trial - 1, 0]
+        )
 
     def scaled(gain):
         return SCHEMES | {"learning": PIDType(gamma_p=0.5 * gain)}
@@ -243,7 +320,18 @@ def made_up(monkeypatch):
     )
 
     def build(gain: float = 1.0) -> Scenario:
-        return Scenario("made-up", "", MACHINE, TASK, scaled(gain), 4, {}, published, shown_unit="µm", shown_scale=1e3)
+        return Scenario(
+            "made-up",
+            "",
+            MACHINE,
+            TASK,
+            scaled(gain),
+            4,
+            {},
+            published,
+            shown_unit="µm",
+            shown_scale=1e3,
+        )
 
     runs = []
 
@@ -257,7 +345,9 @@ def made_up(monkeypatch):
 
 
 def test_rows_of_a_made_up_scenario(made_up):
-    """Each in its own options, trial and quantity, in the shown unit, in the order of print; each scheme learns once a setting."""
+    """Each in its own options, trial and quantity, in the shown unit, in the order of print; each
+    scheme learns once a setting.
+    """
     published, runs = made_up
     rows = reproduce(["made-up"])
     assert [r.published for r in rows] == list(published)

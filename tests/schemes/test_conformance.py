@@ -14,12 +14,15 @@ from jaxilc.pytree import named_leaves, replaced
 from jaxilc.schemes import PID, PIDType
 
 THRESHOLDS = ("epsilon", "theta_limit", "delta", "max_error", "growth", "slow", "scheme.rms")
-TRIALS = 4  # the estimators of MFAILC see their first data after two trials and act on it in the fourth
+TRIALS = (
+    4  # the estimators of MFAILC see their first data after two trials and act on it in the fourth
+)
 SAMPLES = 3  # lanes of a batch
 
 
 class Run(NamedTuple):
-    """parts: {"machine", "scheme"};  history: of the parts;  lanes: the parts perturbed, leaves (SAMPLES, ...);
+    """parts: {"machine", "scheme"};  history: of the parts;  lanes: the parts perturbed, leaves
+    (SAMPLES, ...);
     batch, gradient: vmapped history and gradient of the loss, of the lanes"""
 
     parts: dict
@@ -50,7 +53,12 @@ def run(request) -> Run:
     shrink = np.random.default_rng(1).uniform(0.97, 1.0, (SAMPLES, len(jax.tree.leaves(parts))))
     shrink[0] = 1.0
     leaves, shape = jax.tree.flatten(parts)
-    lanes = shape.unflatten([np.stack([leaf * f for f in factors]) for leaf, factors in zip(leaves, shrink.T, strict=True)])
+    lanes = shape.unflatten(
+        [
+            np.stack([leaf * f for f in factors])
+            for leaf, factors in zip(leaves, shrink.T, strict=True)
+        ]
+    )
     (_, batch), gradient = batched(lanes, task)
     return Run(parts, task, of(parts, task), lanes, batch, gradient)
 
@@ -62,7 +70,9 @@ def lane(tree, i):
 def assert_same(one, other):
     for (name, a), b in zip(named_leaves(one).items(), named_leaves(other).values(), strict=True):
         scale = np.max(np.abs(a), initial=0.0)
-        np.testing.assert_allclose(a, b, rtol=ALGEBRA["rtol"], atol=ALGEBRA["atol"] * max(scale, 1.0), err_msg=name)
+        np.testing.assert_allclose(
+            a, b, rtol=ALGEBRA["rtol"], atol=ALGEBRA["atol"] * max(scale, 1.0), err_msg=name
+        )
 
 
 def test_leaves_are_strongly_typed_floats(run):
@@ -73,8 +83,12 @@ def test_leaves_are_strongly_typed_floats(run):
 
 
 def test_jit_equals_no_jit(run):
-    dt = run.task.dt  # sampling is a matrix exponential, hundreds of operations: test_plants.py does that one
-    sampled = run.parts | {"machine": jax.jit(lambda machine: machine.sampled(dt))(run.parts["machine"])}
+    dt = (
+        run.task.dt
+    )  # sampling is a matrix exponential, hundreds of operations: test_plants.py does that one
+    sampled = run.parts | {
+        "machine": jax.jit(lambda machine: machine.sampled(dt))(run.parts["machine"])
+    }
     with jax.disable_jit():
         assert_same(run.history, of(sampled, run.task))
 
@@ -91,8 +105,11 @@ def test_gradient_of_every_parameter_equals_finite_differences(run):
     for at, (name, gradient) in enumerate(named_leaves(run.gradient).items()):
         gradient = np.asarray(gradient)[0]
         assert np.all(np.isfinite(gradient)), name
-        # thresholds act by switching; the forecast of MFAPC (delta, theta) acts only with several moves
-        assert np.any(gradient != 0) or name.endswith(THRESHOLDS), f"{name} has no effect in this case"
+        # thresholds act by switching; the forecast of MFAPC (delta, theta) acts only with several
+        # moves
+        assert np.any(gradient != 0) or name.endswith(THRESHOLDS), (
+            f"{name} has no effect in this case"
+        )
         expected = np.empty_like(gradient)
         for element in np.ndindex(gradient.shape):
             step = 1e-6 * max(abs(leaves[at][element]), 0.1)
@@ -100,7 +117,9 @@ def test_gradient_of_every_parameter_equals_finite_differences(run):
             for sign in (1, -1):
                 moved = np.array(leaves[at])
                 moved[element] += sign * step
-                sides.append(loss(shape.unflatten([*leaves[:at], moved, *leaves[at + 1 :]]), run.task)[0])
+                sides.append(
+                    loss(shape.unflatten([*leaves[:at], moved, *leaves[at + 1 :]]), run.task)[0]
+                )
             expected[element] = (sides[0] - sides[1]) / (2 * step)
         np.testing.assert_allclose(gradient, expected, **DIFFERENCES, err_msg=name)
 
@@ -118,17 +137,30 @@ def test_other_weights_do_not_retrace(run):
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 def test_dtype_is_preserved(run, precision):
     with jax.enable_x64(precision == "float64"):
-        shapes = jax.eval_shape(lambda parts, task: learn(parts["machine"], parts["scheme"], task, 2), run.parts, run.task)
-    floats = {leaf.dtype for leaf in jax.tree.leaves(shapes) if jnp.issubdtype(leaf.dtype, jnp.floating)}
+        shapes = jax.eval_shape(
+            lambda parts, task: learn(parts["machine"], parts["scheme"], task, 2),
+            run.parts,
+            run.task,
+        )
+    floats = {
+        leaf.dtype for leaf in jax.tree.leaves(shapes) if jnp.issubdtype(leaf.dtype, jnp.floating)
+    }
     assert floats == {jnp.dtype(precision)}
 
 
 STATIC = StateSpace([[0.0]], [[1.0]], [[1.0]], dt=1e-3)  # y[k+1] = u[k]
 DIVERGING = {
-    "plant": (lambda pole: (Machine(StateSpace(pole[None, None], [[1.0]], [[1.0]], dt=1e-3)), PID(kp=0.1)), 1, 1),
+    "plant": (
+        lambda pole: (
+            Machine(StateSpace(pole[None, None], [[1.0]], [[1.0]], dt=1e-3)),
+            PID(kp=0.1),
+        ),
+        1,
+        1,
+    ),
     "feedback": (lambda gain: (Machine(STATIC), PID(kp=gain)), 1, 1),
-    # e_j = (1 - gamma)^(j-1) r: with gamma = 1e45 and max r = 1 the second trial's error passes a thousand times the reference, and the
-    # square of the fifth trial's the largest float, 1.8e308
+    # e_j = (1 - gamma)^(j-1) r: with gamma = 1e45 and max r = 1 the second trial's error passes a
+    # thousand times the reference, and the square of the fifth trial's the largest float, 1.8e308
     "learning": (lambda gain: (Machine(STATIC), PIDType(gamma_p=gain)), 2, 5),
 }
 

@@ -52,7 +52,9 @@ def replayed(y, *, max_error=np.inf, rms=np.inf, growth=np.inf, trials):
         shown.append(j)
         e = np.abs(TASK.reference - y[j])[1:]
         tolerances = [(np.max(e), max_error), (np.sqrt(np.mean(e**2)), rms)]
-        if any(np.isfinite(limit) for _, limit in tolerances) and all(found <= limit for found, limit in tolerances):
+        if any(np.isfinite(limit) for _, limit in tolerances) and all(
+            found <= limit for found, limit in tolerances
+        ):
             break
         if rms_of(y[j]) > (1 + growth) * rms_of(y[best]):
             j = best
@@ -104,7 +106,9 @@ def test_every_output_must_meet_its_own_tolerance():
 
 
 def test_a_trial_that_is_not_finite_is_gone_back_from():
-    machine = Machine(StateSpace([[0.0]], [[1.0]], [[1.0]], dt=DT))  # y[k+1] = u[k], e_j = (1 - gamma)^(j-1) r
+    machine = Machine(
+        StateSpace([[0.0]], [[1.0]], [[1.0]], dt=DT)
+    )  # y[k+1] = u[k], e_j = (1 - gamma)^(j-1) r
     history = learn(machine, StopWhen(PIDType(gamma_p=1e200), growth=1e300), TASK, 5)
     np.testing.assert_array_equal(history.finite, [True, False, True, True, True])
     np.testing.assert_array_equal(history.rms[2:], np.tile(history.rms[0], (3, 1)))
@@ -120,7 +124,9 @@ def test_gradient_of_a_frozen_trial_is_that_of_what_it_is_frozen_with():
     slope = jax.jit(jax.grad(last), static_argnums=1)
     found, fourth = slope(guarded, 7), slope(LAW, 4)
     np.testing.assert_allclose(found.scheme.gamma_p, fourth.gamma_p, **ALGEBRA)
-    ends = [float(last(StopWhen(PIDType(gamma_p=-0.4 + step), growth=0.0), 7)) for step in (1e-6, -1e-6)]
+    ends = [
+        float(last(StopWhen(PIDType(gamma_p=-0.4 + step), growth=0.0), 7)) for step in (1e-6, -1e-6)
+    ]
     np.testing.assert_allclose(found.scheme.gamma_p, (ends[0] - ends[1]) / 2e-6, **DIFFERENCES)
     assert found.growth == 0
 
@@ -130,11 +136,26 @@ LIMITED, SHARP = PIDType(gamma_p=0.6, lead=1, limit=0.7), ZeroPhaseFIR((1.4, -0.
 NESTS = {
     "filter_outside": (lambda guard: Filtered(guard(LIMITED), SHARP), Filtered(LIMITED, SHARP)),
     "filter_inside": (lambda guard: guard(Filtered(LIMITED, SHARP)), Filtered(LIMITED, SHARP)),
-    "over_feedback": (lambda guard: WithFeedback(guard(LIMITED), FEEDBACK), WithFeedback(LIMITED, FEEDBACK)),
-    "around_feedback": (lambda guard: guard(WithFeedback(LIMITED, FEEDBACK)), WithFeedback(LIMITED, FEEDBACK)),
-    "on_reference": (lambda guard: OnReference(guard(LIMITED), FEEDBACK), OnReference(LIMITED, FEEDBACK)),
-    "around_reference": (lambda guard: guard(OnReference(LIMITED, FEEDBACK)), OnReference(LIMITED, FEEDBACK)),
-    "mfailc": (lambda guard: guard(FFDLMFAILC(phi0=ARX[0] + ARX[1], lam=0.02)), FFDLMFAILC(phi0=ARX[0] + ARX[1], lam=0.02)),
+    "over_feedback": (
+        lambda guard: WithFeedback(guard(LIMITED), FEEDBACK),
+        WithFeedback(LIMITED, FEEDBACK),
+    ),
+    "around_feedback": (
+        lambda guard: guard(WithFeedback(LIMITED, FEEDBACK)),
+        WithFeedback(LIMITED, FEEDBACK),
+    ),
+    "on_reference": (
+        lambda guard: OnReference(guard(LIMITED), FEEDBACK),
+        OnReference(LIMITED, FEEDBACK),
+    ),
+    "around_reference": (
+        lambda guard: guard(OnReference(LIMITED, FEEDBACK)),
+        OnReference(LIMITED, FEEDBACK),
+    ),
+    "mfailc": (
+        lambda guard: guard(FFDLMFAILC(phi0=ARX[0] + ARX[1], lam=0.02)),
+        FFDLMFAILC(phi0=ARX[0] + ARX[1], lam=0.02),
+    ),
     "preview": (lambda guard: guard(PID(kp=0.5, ka=1e-4)), PID(kp=0.5, ka=1e-4)),
 }
 GUARDS = {
@@ -154,16 +175,24 @@ def test_a_guard_with_nothing_to_do_changes_nothing(nest, guard):
     np.testing.assert_allclose(y, expected_y, **ALGEBRA)
     np.testing.assert_allclose(u, expected_u, **ALGEBRA)
     assert history.final.signals.keys() == expected.final.signals.keys()
-    assert (guarded.learns, guarded.plays_back, guarded.preview) == (plain.learns, plain.plays_back, plain.preview)
+    assert (guarded.learns, guarded.plays_back, guarded.preview) == (
+        plain.learns,
+        plain.plays_back,
+        plain.preview,
+    )
     if nest.startswith("filter"):
-        assert np.max(np.abs(u)) == 0.7, "the filter overshoots, but the limit of the scheme inside holds"
+        assert np.max(np.abs(u)) == 0.7, (
+            "the filter overshoots, but the limit of the scheme inside holds"
+        )
     if plain.learns:
         feedforward = guarded.feedforward(history.memory, TASK)
         np.testing.assert_allclose(feedforward, plain.feedforward(expected.memory, TASK), **ALGEBRA)
 
 
 def test_guards_fire_within_each_other():
-    """Ladder inside: two repeats a table, and it stops after the table that is good enough. Outside: it judges the mean trial."""
+    """Ladder inside: two repeats a table, and it stops after the table that is good enough.
+    Outside: it judges the mean trial.
+    """
     y, _, _ = run(SERVO, PIDType(gamma_p=0.6, lead=1), 6)
     errors = [np.max(np.abs(TASK.reference - one)) for one in y]
     tolerance = 1.0001 * errors[2]
@@ -184,7 +213,9 @@ def test_ladder_learns_from_the_mean_of_its_repeats(feedback):
     gamma, repeats = 0.4, 3
     law = PIDType(gamma_p=gamma)
     scheme = Ladder(law if feedback is None else WithFeedback(law, feedback), repeats)
-    history = learn(NOISY, scheme, TASK, 4 * repeats, save=lambda trial: (trial.y, trial.u, trial.signals))
+    history = learn(
+        NOISY, scheme, TASK, 4 * repeats, save=lambda trial: (trial.y, trial.u, trial.signals)
+    )
     y, u, signals = jax.tree.map(np.asarray, history.saved)
     w = u - signals["feedback"] if feedback else u
     expected = np.zeros_like(w[0])
@@ -199,19 +230,30 @@ def test_ladder_learns_from_the_mean_of_its_repeats(feedback):
 @pytest.mark.parametrize("law", ["p_type", "cfdl"])
 def test_gain_of_the_ladder(law):
     """By hand: the scheme is shown r - gain (r - mean y), and the gain follows the rule."""
-    scheme = PIDType(gamma_p=0.3, lead=1) if law == "p_type" else CFDLMFAILC(phi0=0.5, lam=0.6, reset="sign")
+    scheme = (
+        PIDType(gamma_p=0.3, lead=1)
+        if law == "p_type"
+        else CFDLMFAILC(phi0=0.5, lam=0.6, reset="sign")
+    )
     ladder = Ladder(scheme, 2, growth_of_gain=1.5, largest=3.0, slow=0.6)
     trials = 24
     y, u, history = run(NOISY, ladder, trials)
     memory, gain, last, gains = scheme.memory(TASK), 1.0, np.inf, []
     for block in range(trials // 2):
         now = slice(2 * block, 2 * block + 2)
-        np.testing.assert_allclose(u[now], np.broadcast_to(scheme.feedforward(memory, TASK), u[now].shape), rtol=1e-9, atol=1e-10)
+        np.testing.assert_allclose(
+            u[now],
+            np.broadcast_to(scheme.feedforward(memory, TASK), u[now].shape),
+            rtol=1e-9,
+            atol=1e-10,
+        )
         mean = np.mean(y[now], axis=0)
         rms = rms_of(mean)
         if 0.6 * last < rms <= last:
             gain = min(1.5 * gain, 3.0)
-        memory = next_memory(scheme, TASK, memory, TASK.reference - gain * (TASK.reference - mean), u[2 * block])
+        memory = next_memory(
+            scheme, TASK, memory, TASK.reference - gain * (TASK.reference - mean), u[2 * block]
+        )
         last, gains = rms, [*gains, gain]
     assert float(history.memory.gain) == pytest.approx(gain)
     assert {1.0, 1.5, 2.25, 3.0} <= set(gains), "all of the ladder should be seen"
@@ -224,35 +266,72 @@ def test_ladder_by_hand_needs_the_signals_of_what_it_is_around():
     share = np.linspace(0.0, 1.0, N)
     memory = scheme.memory(TASK)
     for factor in (1.0, 3.0):
-        memory = next_memory(scheme, TASK, memory, factor * np.ones(N + 1), factor * share, feedback=factor * share)
-    np.testing.assert_allclose(scheme.feedforward(memory, TASK)[:, 0], 0.5 * (R[1:] - 2.0), **ALGEBRA)
+        memory = next_memory(
+            scheme, TASK, memory, factor * np.ones(N + 1), factor * share, feedback=factor * share
+        )
+    np.testing.assert_allclose(
+        scheme.feedforward(memory, TASK)[:, 0], 0.5 * (R[1:] - 2.0), **ALGEBRA
+    )
 
 
 def test_repeatability():
-    """Against the definition, and of a machine whose noise is known: the RMS of N samples of it spreads by sigma / sqrt(2 N)."""
+    """Against the definition, and of a machine whose noise is known: the RMS of N samples of it
+    spreads by sigma / sqrt(2 N).
+    """
     rms = np.array([[0.031, 0.5], [0.033, 0.4], [0.032, 0.6]])
     found = repeatability(rms)
     np.testing.assert_allclose(found.mean, [0.032, 0.5], **ALGEBRA)
     np.testing.assert_allclose(found.spread, [0.002, 0.2], **ALGEBRA)
     np.testing.assert_allclose(found.share, [0.0625, 0.4], **ALGEBRA)
     still = learn(NOISY, PID(), Task(np.zeros(2001), dt=DT), 10).rms
-    assert 0.5 * 0.02 / np.sqrt(4000) < float(repeatability(still).spread[0]) < 6 * 0.02 / np.sqrt(4000)
+    assert (
+        0.5 * 0.02 / np.sqrt(4000)
+        < float(repeatability(still).spread[0])
+        < 6 * 0.02 / np.sqrt(4000)
+    )
 
 
 ERRORS = {
     "nothing": (lambda: StopWhen(LAW), "StopWhen: max_error, rms and growth are all None"),
-    "max_error": (lambda: StopWhen(LAW, max_error=0.0), r"StopWhen: max_error = 0 is outside its allowed range \(0, inf\)"),
-    "growth": (lambda: StopWhen(LAW, growth=-0.1), r"StopWhen: growth = -0.1 is outside its allowed range \[0, inf\)"),
-    "channels": (lambda: StopWhen(LAW, rms=(1.0, 2.0)), r"StopWhen: rms has shape \(2,\); allowed are \(\) and \(1,\)"),
-    "growth_shape": (lambda: StopWhen(LAW, growth=(0.1,)), r"StopWhen: growth has shape \(1,\); allowed is \(\)"),
+    "max_error": (
+        lambda: StopWhen(LAW, max_error=0.0),
+        r"StopWhen: max_error = 0 is outside its allowed range \(0, inf\)",
+    ),
+    "growth": (
+        lambda: StopWhen(LAW, growth=-0.1),
+        r"StopWhen: growth = -0.1 is outside its allowed range \[0, inf\)",
+    ),
+    "channels": (
+        lambda: StopWhen(LAW, rms=(1.0, 2.0)),
+        r"StopWhen: rms has shape \(2,\); allowed are \(\) and \(1,\)",
+    ),
+    "growth_shape": (
+        lambda: StopWhen(LAW, growth=(0.1,)),
+        r"StopWhen: growth has shape \(1,\); allowed is \(\)",
+    ),
     "inner": (lambda: StopWhen(PIDType(lead=N), rms=1.0), f"PIDType: lead = {N} is outside"),
-    "no_table": (lambda: Filtered(StopWhen(PID(), rms=1.0), ZeroPhaseFIR()), "StopWhen learns no feedforward signal u"),
-    "repeats": (lambda: Ladder(LAW, 0), r"Ladder: repeats = 0 is outside its allowed range \[1, 1e\+09\] of whole numbers"),
+    "no_table": (
+        lambda: Filtered(StopWhen(PID(), rms=1.0), ZeroPhaseFIR()),
+        "StopWhen learns no feedforward signal u",
+    ),
+    "repeats": (
+        lambda: Ladder(LAW, 0),
+        r"Ladder: repeats = 0 is outside its allowed range \[1, 1e\+09\] of whole numbers",
+    ),
     "half": (lambda: Ladder(LAW, 2.5), "Ladder: repeats = 2.5"),
-    "factor": (lambda: Ladder(LAW, 2, growth_of_gain=0.9), r"Ladder: growth_of_gain = 0.9 is outside its allowed range \[1, inf\)"),
-    "slow": (lambda: Ladder(LAW, 2, slow=1.0), r"Ladder: slow = 1 is outside its allowed range \(0, 1\)"),
+    "factor": (
+        lambda: Ladder(LAW, 2, growth_of_gain=0.9),
+        r"Ladder: growth_of_gain = 0.9 is outside its allowed range \[1, inf\)",
+    ),
+    "slow": (
+        lambda: Ladder(LAW, 2, slow=1.0),
+        r"Ladder: slow = 1 is outside its allowed range \(0, 1\)",
+    ),
     "slow_shape": (lambda: Ladder(LAW, 2, slow=(0.5, 0.5)), r"Ladder: slow has shape \(2,\)"),
-    "within_the_trial": (lambda: Ladder(WithFeedback(FFDLMFAILC(), PID()), 2, slow=0.9), "L_y = 2 of FFDLMFAILC"),
+    "within_the_trial": (
+        lambda: Ladder(WithFeedback(FFDLMFAILC(), PID()), 2, slow=0.9),
+        "L_y = 2 of FFDLMFAILC",
+    ),
     "one_run": (lambda: repeatability(np.ones((1, 2))), r"repeatability: rms has shape \(1, 2\)"),
 }
 

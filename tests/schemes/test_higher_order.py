@@ -1,4 +1,6 @@
-"""Higher-order learning against a scalar loop, and its errors against their recursion along the trials."""
+"""Higher-order learning against a scalar loop, and its errors against their recursion along the
+trials.
+"""
 
 import numpy as np
 import pytest
@@ -38,7 +40,9 @@ class HigherOrderLoop:
                 for i in range(len(self.alpha)):
                     if j - 1 - i >= 0:
                         at = k + 1 + self.lead
-                        U[j, k] += self.alpha[i] * U[j - 1 - i, k] + self.gamma[i] * (R[at] - Y[j - 1 - i, at] if at <= N else 0.0)
+                        U[j, k] += self.alpha[i] * U[j - 1 - i, k] + self.gamma[i] * (
+                            R[at] - Y[j - 1 - i, at] if at <= N else 0.0
+                        )
                 U[j, k] = min(max(U[j, k], -self.limit), self.limit)
             for k in range(N):
                 for i in range(len(a)):
@@ -67,16 +71,27 @@ def test_higher_order(weights):
 
 def test_higher_order_takes_gains_for_each_channel():
     both = run(TWO, HigherOrder((1.0,), ((0.8, -0.2),)), 8, TASK_2)
-    np.testing.assert_allclose(both[0], run(TWO, PIDType(gamma_p=(0.8, -0.2)), 8, TASK_2)[0], **ALGEBRA)
+    np.testing.assert_allclose(
+        both[0], run(TWO, PIDType(gamma_p=(0.8, -0.2)), 8, TASK_2)[0], **ALGEBRA
+    )
 
 
 def test_higher_order_converges_as_its_characteristic_roots_say():
-    """On y[k+1] = u[k] every sample obeys e_{j+1} = sum_i (alpha_i - gamma_i) e_{j-i}: deadbeat where all of these vanish."""
+    """On y[k+1] = u[k] every sample obeys e_{j+1} = sum_i (alpha_i - gamma_i) e_{j-i}: deadbeat
+    where all of these vanish.
+    """
     machine, e_1 = Machine(StateSpace([[0.0]], [[1.0]], [[1.0]], dt=DT)), R[1:, None]
-    for alpha, gamma in (((0.8, 0.2), (0.5, 0.1)), ((0.8, 0.2), (0.8, 0.2)), ((0.8, 0.2), (-0.4, 0.1))):
+    for alpha, gamma in (
+        ((0.8, 0.2), (0.5, 0.1)),
+        ((0.8, 0.2), (0.8, 0.2)),
+        ((0.8, 0.2), (-0.4, 0.1)),
+    ):
         y, _ = run(machine, HigherOrder(alpha, gamma), 30)
         step = np.array([[alpha[0] - gamma[0], alpha[1] - gamma[1]], [1.0, 0.0]])
-        e = [e_1, alpha[0] * e_1 - gamma[0] * e_1 + (1 - alpha[0]) * e_1]  # u_1 = 0, and none before it
+        e = [
+            e_1,
+            alpha[0] * e_1 - gamma[0] * e_1 + (1 - alpha[0]) * e_1,
+        ]  # u_1 = 0, and none before it
         for _ in range(28):
             e.append(step[0, 0] * e[-1] + step[0, 1] * e[-2])
         np.testing.assert_allclose(R[1:, None] - y[:, 1:], e, rtol=1e-8, atol=1e-12)
@@ -84,11 +99,26 @@ def test_higher_order_converges_as_its_characteristic_roots_say():
 
 
 ERRORS = {
-    "no_order": (lambda: HigherOrder((), ()), r"HigherOrder: alpha \(0,\) and gamma \(0,\) do not fit"),
-    "orders": (lambda: HigherOrder((0.5, 0.5), (1.0,)), r"alpha \(2,\) and gamma \(1,\) do not fit"),
-    "sum": (lambda: HigherOrder((0.8, 0.3), (1.0, 1.0)), r"sum of alpha = 1.1 is outside its allowed range \(0, 1\]"),
-    "sum_zero": (lambda: HigherOrder((0.5, -0.5), (1.0, 1.0)), r"sum of alpha = 0 is outside its allowed range \(0, 1\]"),
-    "gains": (lambda: HigherOrder((1.0,), ((1.0, 2.0),)), r"gamma has shape \(1, 2\); allowed are \(1,\) and \(1, 1\)"),
+    "no_order": (
+        lambda: HigherOrder((), ()),
+        r"HigherOrder: alpha \(0,\) and gamma \(0,\) do not fit",
+    ),
+    "orders": (
+        lambda: HigherOrder((0.5, 0.5), (1.0,)),
+        r"alpha \(2,\) and gamma \(1,\) do not fit",
+    ),
+    "sum": (
+        lambda: HigherOrder((0.8, 0.3), (1.0, 1.0)),
+        r"sum of alpha = 1.1 is outside its allowed range \(0, 1\]",
+    ),
+    "sum_zero": (
+        lambda: HigherOrder((0.5, -0.5), (1.0, 1.0)),
+        r"sum of alpha = 0 is outside its allowed range \(0, 1\]",
+    ),
+    "gains": (
+        lambda: HigherOrder((1.0,), ((1.0, 2.0),)),
+        r"gamma has shape \(1, 2\); allowed are \(1,\) and \(1, 1\)",
+    ),
     "lead": (lambda: HigherOrder(lead=N), f"HigherOrder: lead = {N} is outside"),
 }
 

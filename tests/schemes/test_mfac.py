@@ -1,4 +1,6 @@
-"""Model-free adaptive control along the time axis against scalar loops, written from Dai 2014 and from Cao 2019, eq. 25 and 27."""
+"""Model-free adaptive control along the time axis against scalar loops, written from Dai 2014 and
+from Cao 2019, eq. 25 and 27.
+"""
 
 from collections import Counter
 
@@ -17,7 +19,10 @@ from jaxilc.signals import Task
 N = 70
 K = np.arange(N + 1)
 R = 0.5 - 0.5 * np.cos(3 * np.pi * K / N) + 0.1 * np.sin(1.3 * K) + 0.3 * (K > 40)
-PLANTS = {"printed": PRINTED, "arx": tuple((*c, 0.0) for c in ARX)}  # of one order: compiled once for both
+PLANTS = {
+    "printed": PRINTED,
+    "arx": tuple((*c, 0.0) for c in ARX),
+}  # of one order: compiled once for both
 SIGN = {"printed": -1.0, "arx": 1.0}  # of the plant's gain
 
 one_trial = jax.jit(run_trial)
@@ -38,9 +43,11 @@ def machine_of(plant, offset=None):
 
 
 class Loop:
-    """A trial by hand: y, u over the samples, increments between samples, and how often each reset was due.
+    """A trial by hand: y, u over the samples, increments between samples, and how often each reset
+    was due.
 
-    Before the first sample nothing is known to have changed: increments are zero there, and the input was zero.
+    Before the first sample nothing is known to have changed: increments are zero there, and the
+    input was zero.
     """
 
     def __init__(self, plant, phi0, epsilon, reset, limit, offset=0.0):
@@ -63,7 +70,12 @@ class Loop:
         clauses = {"small phi": abs(phi) <= self.epsilon, "sign": np.sign(phi) != np.sign(phi0)}
         if self.reset == "book" and du is not None:
             clauses["small du"] = abs(du) <= self.epsilon
-        self.due.update({(name if du is not None else f"forecast {name}"): int(fired) for name, fired in clauses.items()})
+        self.due.update(
+            {
+                (name if du is not None else f"forecast {name}"): int(fired)
+                for name, fired in clauses.items()
+            }
+        )
         return any(clauses.values())
 
     def apply(self, k, u):
@@ -76,12 +88,17 @@ class Loop:
         return self.motion + self.offset, self.u, self.phi
 
 
-def mfac_loop(plant, L_y, L_u, *, lam, rho, eta, mu, phi0, epsilon=1e-5, limit=None, reset="book", offset=0.0):
+def mfac_loop(
+    plant, L_y, L_u, *, lam, rho, eta, mu, phi0, epsilon=1e-5, limit=None, reset="book", offset=0.0
+):
     """Full form; the papers' index i counts from 1, so that component i is [i - 1] here."""
     phi0, rho = np.atleast_1d(phi0).astype(float), np.broadcast_to(rho, L_y + L_u)
     loop, phi = Loop(plant, phi0, epsilon, reset, limit, offset), phi0
     for k in range(N):
-        dh = np.array([loop.dy(k - i) for i in range(1, L_y + 1)] + [loop.du(k - i) for i in range(1, L_u + 1)])
+        dh = np.array(
+            [loop.dy(k - i) for i in range(1, L_y + 1)]
+            + [loop.du(k - i) for i in range(1, L_u + 1)]
+        )
         phi = phi + eta * dh / (mu + dh @ dh) * (loop.dy(k) - phi @ dh)
         if reset != "none" and loop.useless(phi[L_y], phi0[L_y], loop.du(k - 1)):
             phi = phi0
@@ -115,16 +132,24 @@ def mfapc_loop(
     offset=0.0,
     closed_form=False,
 ):
-    """Dai 2014, eq. 11 to 18, with the P x P_u matrix A_1 built and the normal equations solved; eq. 10 if `closed_form`."""
+    """Dai 2014, eq. 11 to 18, with the P x P_u matrix A_1 built and the normal equations solved;
+    eq. 10 if `closed_form`.
+    """
     theta0 = np.eye(n_p)[0] if theta0 is None else np.asarray(theta0)
-    loop, theta, before = Loop(plant, phi0, epsilon, reset, limit, offset), theta0, [phi0] * n_p  # phi(k-1), ..., phi(k-n_p)
+    loop, theta, before = (
+        Loop(plant, phi0, epsilon, reset, limit, offset),
+        theta0,
+        [phi0] * n_p,
+    )  # phi(k-1), ..., phi(k-n_p)
     for k in range(N):
         du = loop.du(k - 1)
         phi = before[0] + eta * du / (mu + du**2) * (loop.dy(k) - before[0] * du)  # (11)
         if reset != "none" and loop.useless(phi, phi0, du):  # (12)
             phi = phi0
         regressor = np.array(before)
-        theta = theta + regressor / (delta + regressor @ regressor) * (phi - regressor @ theta)  # (13)
+        theta = theta + regressor / (delta + regressor @ regressor) * (
+            phi - regressor @ theta
+        )  # (13)
         if np.linalg.norm(theta) >= theta_limit:  # (14)
             theta = theta0
             loop.due["theta"] += 1
@@ -133,14 +158,18 @@ def mfapc_loop(
         for _ in range(P_u - 1):
             forecast = sum(theta[i - 1] * line[-i] for i in range(1, n_p + 1))  # (15)
             line.append(phi0 if loop.useless(forecast, phi0) else forecast)  # (16)
-        wanted = np.array([R[min(k + i, N) if reference == "preview" else k + 1] for i in range(1, P + 1)])
+        wanted = np.array(
+            [R[min(k + i, N) if reference == "preview" else k + 1] for i in range(1, P + 1)]
+        )
         if closed_form:
             move = phi * np.sum(wanted - loop.y(k)) / P / (phi**2 + lam / P)  # (10)
         else:
             A = np.zeros((P, P_u))
             for i in range(P_u):
                 A[i:, i] = line[n_p - 1 + i]
-            move = np.linalg.solve(A.T @ A + lam * np.eye(P_u), A.T @ (wanted - loop.y(k)))[0]  # (17)
+            move = np.linalg.solve(A.T @ A + lam * np.eye(P_u), A.T @ (wanted - loop.y(k)))[
+                0
+            ]  # (17)
         loop.phi[k] = phi
         loop.apply(k, (loop.u[k - 1] if k else 0.0) + move)  # (18)
     return loop
@@ -149,20 +178,38 @@ def mfapc_loop(
 def assert_equal(of_package, loop):
     for name, ours, by_hand in zip(("y", "u", "phi"), of_package, loop.signals, strict=True):
         scale = max(1.0, np.max(np.abs(by_hand)))
-        np.testing.assert_allclose(ours[:, 0], by_hand, rtol=ALGEBRA["rtol"], atol=ALGEBRA["atol"] * scale, err_msg=name)
+        np.testing.assert_allclose(
+            ours[:, 0], by_hand, rtol=ALGEBRA["rtol"], atol=ALGEBRA["atol"] * scale, err_msg=name
+        )
     assert 0.1 < np.max(np.abs(loop.motion)) < 1e2, "the loop should follow, and stay bounded"
     assert np.ptp(loop.phi) > 1e-3, "the estimate should move"
 
 
-WINDOWS = {"cfdl": (CFDLMFAC, 0, 1), "pfdl": (PFDLMFAC, 0, 3), "ffdl": (FFDLMFAC, 2, 2), "ffdl_long": (FFDLMFAC, 1, 3)}
-OPTIONS = {"book": {}, "sign": {"reset": "sign"}, "none": {"reset": "none", "lam": 0.5}, "limit": {"limit": 0.6}}
+WINDOWS = {
+    "cfdl": (CFDLMFAC, 0, 1),
+    "pfdl": (PFDLMFAC, 0, 3),
+    "ffdl": (FFDLMFAC, 2, 2),
+    "ffdl_long": (FFDLMFAC, 1, 3),
+}
+OPTIONS = {
+    "book": {},
+    "sign": {"reset": "sign"},
+    "none": {"reset": "none", "lam": 0.5},
+    "limit": {"limit": 0.6},
+}
 
 
 def mfac(plant, law, **options):
     """(scheme of the package, loop) with a start value that is right in sign and little more."""
     kind, L_y, L_u = WINDOWS[law]
     start = {"printed": [0.5, -0.1, -0.04, 0.02, 0.01], "arx": [0.5, -0.1, 0.08, 0.05, 0.02]}[plant]
-    weights = {"phi0": start[:L_y] + start[2 : 2 + L_u], "lam": 0.2, "mu": 0.1, "eta": 0.9, "rho": np.linspace(0.9, 0.6, L_y + L_u)}
+    weights = {
+        "phi0": start[:L_y] + start[2 : 2 + L_u],
+        "lam": 0.2,
+        "mu": 0.1,
+        "eta": 0.9,
+        "rho": np.linspace(0.9, 0.6, L_y + L_u),
+    }
     windows = {} if law == "cfdl" else {"L_y": L_y, "L_u": L_u}
     offset = options.pop("offset", 0.0)
     weights |= {"epsilon": 1.5e-2} | options
@@ -178,9 +225,15 @@ def test_mfac(law, options):
         assert_equal(run(machine_of(plant), scheme), loop)
         due += loop.due
         assert "limit" not in options or 5 < np.sum(np.abs(loop.u) == options["limit"]) < N
-    clauses = {"book": {"small phi", "sign", "small du"}, "sign": {"small phi", "sign"}, "none": set()}
+    clauses = {
+        "book": {"small phi", "sign", "small du"},
+        "sign": {"small phi", "sign"},
+        "none": set(),
+    }
     expected = clauses[options.get("reset", "book")]
-    assert set(due) == expected or ("limit" in options and due["small du"]), "every clause should have fired"
+    assert set(due) == expected or ("limit" in options and due["small du"]), (
+        "every clause should have fired"
+    )
 
 
 MFAPC = {
@@ -204,10 +257,22 @@ MFAPC = {
 
 
 def mfapc(plant, offset=0.0, closed_form=False, **options):
-    """(scheme of the package, loop) whose forecasts and their coefficients leave the allowed region now and then."""
-    weights = {"lam": 3.0, "eta": 0.9, "mu": 0.1, "phi0": 0.12 * SIGN[plant], "delta": 0.05, "epsilon": 5e-2, "P": 8}
+    """(scheme of the package, loop) whose forecasts and their coefficients leave the allowed region
+    now and then.
+    """
+    weights = {
+        "lam": 3.0,
+        "eta": 0.9,
+        "mu": 0.1,
+        "phi0": 0.12 * SIGN[plant],
+        "delta": 0.05,
+        "epsilon": 5e-2,
+        "P": 8,
+    }
     weights |= {"theta0": (-0.5, 0.9, 0.4), "theta_limit": 1.2} | options
-    return CFDLMFAPC(**weights), mfapc_loop(plant, **weights, offset=offset, closed_form=closed_form)
+    return CFDLMFAPC(**weights), mfapc_loop(
+        plant, **weights, offset=offset, closed_form=closed_form
+    )
 
 
 @pytest.mark.parametrize("options", MFAPC.values(), ids=MFAPC)
@@ -222,14 +287,22 @@ def test_mfapc(options):
         due += loop.due
         assert "limit" not in options or 5 < np.sum(np.abs(loop.u) == options["limit"]) < N
     reset = options.get("reset", "book")
-    expected = {"book": {"small phi", "sign", "small du"}, "sign": {"small phi", "sign"}, "none": set()}[reset]
+    expected = {
+        "book": {"small phi", "sign", "small du"},
+        "sign": {"small phi", "sign"},
+        "none": set(),
+    }[reset]
     expected |= {"forecast small phi", "forecast sign"} if options["P_u"] > 1 else set()
     expected |= {"theta"} if "theta_limit" not in options or options["theta_limit"] < 10 else set()
-    assert set(due) == expected or ("limit" in options and expected - set(due) == {"sign"}), "every clause should have fired"
+    assert set(due) == expected or ("limit" in options and expected - set(due) == {"sign"}), (
+        "every clause should have fired"
+    )
 
 
 def test_mfapc_without_resets():
-    """Where no forecast turns its sign: whether eq. 16 is part of what mode `none` switches off does not matter here."""
+    """Where no forecast turns its sign: whether eq. 16 is part of what mode `none` switches off
+    does not matter here.
+    """
     scheme, loop = mfapc("arx", P_u=3, reset="none", theta0=None, theta_limit=10.0)
     assert_equal(run(machine_of("arx"), scheme), loop)
     assert not +loop.due
@@ -237,7 +310,9 @@ def test_mfapc_without_resets():
 
 @pytest.mark.parametrize("P_u", [1, 2])
 def test_a_horizon_of_250_samples_beyond_the_end_of_the_trial(P_u):
-    """The reference is held at its end; nothing of size P x P_u is built, yet the result is that of the matrix."""
+    """The reference is held at its end; nothing of size P x P_u is built, yet the result is that of
+    the matrix.
+    """
     assert N < 250
     for plant in PLANTS:
         scheme, loop = mfapc(plant, P=250, P_u=P_u, lam=90.0)
@@ -260,14 +335,22 @@ DEADBEAT = {
 
 @pytest.mark.parametrize("law", DEADBEAT)
 def test_the_true_model_without_a_price_on_moves_is_deadbeat(law):
-    """Where the data model with start value phi0 is the plant itself, r is met at every sample the input can reach."""
+    """Where the data model with start value phi0 is the plant itself, r is met at every sample the
+    input can reach.
+    """
     (a, b), scheme = DEADBEAT[law]
     y, _, phi = run(Machine(DifferenceEquation(a, b, dt=DT)), scheme)
     np.testing.assert_allclose(y[1:, 0], R[1:], atol=1e-11)
     np.testing.assert_allclose(phi, phi[0, 0], rtol=1e-9)
 
 
-CHANNELS = {"lam": (0.2, 3.0), "eta": (0.9, 0.4), "mu": (0.1, 0.3), "epsilon": (1e-2, 1e-3), "limit": (0.9, 1.4)}
+CHANNELS = {
+    "lam": (0.2, 3.0),
+    "eta": (0.9, 0.4),
+    "mu": (0.1, 0.3),
+    "epsilon": (1e-2, 1e-3),
+    "limit": (0.9, 1.4),
+}
 PREDICTIVE = CHANNELS | {"phi0": (0.12, -0.3), "delta": (0.05, 0.6), "theta_limit": (1.2, 1.5)}
 
 
@@ -285,24 +368,56 @@ PREDICTIVE = CHANNELS | {"phi0": (0.12, -0.3), "delta": (0.05, 0.6), "theta_limi
 def test_channels_are_taken_one_by_one(build):
     """Two machines side by side, each with its own weights, are the two machines alone."""
     weights = PREDICTIVE if isinstance(build(CHANNELS), CFDLMFAPC) else CHANNELS
-    poles, gains, r = np.array([0.9, 0.6]), np.array([0.2, -0.5]), np.stack([R, -0.7 * R[::-1]], axis=1)
+    poles, gains, r = (
+        np.array([0.9, 0.6]),
+        np.array([0.2, -0.5]),
+        np.stack([R, -0.7 * R[::-1]], axis=1),
+    )
     if "phi0" not in weights:
         gains = np.abs(gains)  # of one sign, as the common start value
-    together = run(Machine(StateSpace(np.diag(poles), np.diag(gains), np.eye(2), dt=DT)), build(weights), r)
+    together = run(
+        Machine(StateSpace(np.diag(poles), np.diag(gains), np.eye(2), dt=DT)), build(weights), r
+    )
     for i in range(2):
         machine = Machine(StateSpace([[poles[i]]], [[gains[i]]], [[1.0]], dt=DT))
         alone = run(machine, build({name: value[i] for name, value in weights.items()}), r[:, i])
         for name, both, one in zip(("y", "u", "phi"), together, alone, strict=True):
-            np.testing.assert_allclose(both[:, i], one[:, 0], **ALGEBRA, err_msg=f"{name} of channel {i}")
+            np.testing.assert_allclose(
+                both[:, i], one[:, 0], **ALGEBRA, err_msg=f"{name} of channel {i}"
+            )
 
 
 SHORT = Task(R[:21], dt=DT)
 SMOOTH = {
     "cfdl": (CFDLMFAC(phi0=0.2, lam=0.3, mu=0.1, eta=0.9, rho=0.8, reset="none", limit=0.5), set()),
-    "ffdl": (FFDLMFAC(phi0=(0.5, -0.1, 0.2, 0.05), lam=0.3, mu=0.1, rho=(0.9, 0.8, 0.7, 0.6), reset="none"), set()),
-    "ffdl_book": (FFDLMFAC(phi0=(0.5, -0.1, 0.2, 0.05), lam=0.3, mu=0.1, rho=(0.9, 0.8, 0.7, 0.6)), set()),
-    "mfapc": (CFDLMFAPC(phi0=0.3, lam=3.0, mu=0.1, eta=0.9, P=8, reset="none", theta0=(0.6, 0.3, 0.1)), {"theta0", "delta"}),
-    "mfapc_moves": (CFDLMFAPC(phi0=0.3, lam=3.0, mu=0.1, eta=0.9, P=8, P_u=3, limit=0.5, theta0=(0.6, 0.3, 0.1), delta=0.5), set()),
+    "ffdl": (
+        FFDLMFAC(
+            phi0=(0.5, -0.1, 0.2, 0.05), lam=0.3, mu=0.1, rho=(0.9, 0.8, 0.7, 0.6), reset="none"
+        ),
+        set(),
+    ),
+    "ffdl_book": (
+        FFDLMFAC(phi0=(0.5, -0.1, 0.2, 0.05), lam=0.3, mu=0.1, rho=(0.9, 0.8, 0.7, 0.6)),
+        set(),
+    ),
+    "mfapc": (
+        CFDLMFAPC(phi0=0.3, lam=3.0, mu=0.1, eta=0.9, P=8, reset="none", theta0=(0.6, 0.3, 0.1)),
+        {"theta0", "delta"},
+    ),
+    "mfapc_moves": (
+        CFDLMFAPC(
+            phi0=0.3,
+            lam=3.0,
+            mu=0.1,
+            eta=0.9,
+            P=8,
+            P_u=3,
+            limit=0.5,
+            theta0=(0.6, 0.3, 0.1),
+            delta=0.5,
+        ),
+        set(),
+    ),
 }
 
 
@@ -313,7 +428,13 @@ def slope(scheme):
 
 
 def loss(scheme):
-    trial = run_trial(Machine(DifferenceEquation(*ARX, dt=DT)), scheme, SHORT, scheme.memory(SHORT), jax.random.key(0))
+    trial = run_trial(
+        Machine(DifferenceEquation(*ARX, dt=DT)),
+        scheme,
+        SHORT,
+        scheme.memory(SHORT),
+        jax.random.key(0),
+    )
     return jnp.sqrt(jnp.mean(trial.e[1:] ** 2))
 
 
@@ -322,18 +443,27 @@ losses = jax.jit(jax.vmap(loss))
 
 @pytest.mark.parametrize("law", SMOOTH)
 def test_gradient_of_every_weight_and_lanes_of_a_batch(law):
-    """Away from the switching of resets and limits. The batch of central differences is also looped over, lane by lane."""
+    """Away from the switching of resets and limits. The batch of central differences is also looped
+    over, lane by lane.
+    """
     scheme, without_effect = SMOOTH[law]
     leaves, shape = jax.tree.flatten(scheme)
     elements = [(at, i) for at, leaf in enumerate(leaves) for i in np.ndindex(leaf.shape)]
-    steps = np.array([1e-6 * max(abs(leaves[at][i]), 0.1) if leaves[at][i] > 1e-4 else 1e-8 for at, i in elements])
+    steps = np.array(
+        [
+            1e-6 * max(abs(leaves[at][i]), 0.1) if leaves[at][i] > 1e-4 else 1e-8
+            for at, i in elements
+        ]
+    )
     lanes = [np.repeat(leaf[None], 2 * len(elements), axis=0) for leaf in leaves]
     for lane, ((at, i), step) in enumerate(zip(elements, steps, strict=True)):
         lanes[at][(2 * lane, *i)] += step
         lanes[at][(2 * lane + 1, *i)] -= step
     batch = np.asarray(losses(shape.unflatten(lanes)))
     for lane in (0, 3, 2 * len(elements) - 1):
-        np.testing.assert_allclose(batch[lane], slope(shape.unflatten([leaf[lane] for leaf in lanes]))[0], **ALGEBRA)
+        np.testing.assert_allclose(
+            batch[lane], slope(shape.unflatten([leaf[lane] for leaf in lanes]))[0], **ALGEBRA
+        )
 
     expected = iter((batch[::2] - batch[1::2]) / (2 * steps))
     value, gradient = slope(scheme)
@@ -342,7 +472,9 @@ def test_gradient_of_every_weight_and_lanes_of_a_batch(law):
         of_leaf = np.asarray(of_leaf)
         differences = np.reshape([next(expected) for _ in range(of_leaf.size)], of_leaf.shape)
         assert np.all(np.isfinite(of_leaf)), name
-        assert np.any(of_leaf != 0) or name in without_effect | {"epsilon", "theta_limit"}, f"{name} has no effect here"
+        assert np.any(of_leaf != 0) or name in without_effect | {"epsilon", "theta_limit"}, (
+            f"{name} has no effect here"
+        )
         np.testing.assert_allclose(of_leaf, differences, **DIFFERENCES, err_msg=name)
 
 
@@ -357,11 +489,26 @@ REFUSED = {
     "mfapc_mu": (lambda: CFDLMFAPC(mu=0.0), ("CFDLMFAPC", "mu = 0", "(0, inf)")),
     "delta_low": (lambda: CFDLMFAPC(delta=0.0), ("CFDLMFAPC", "delta = 0", "(0, 1]")),
     "delta_high": (lambda: CFDLMFAPC(delta=1.5), ("CFDLMFAPC", "delta = 1.5", "(0, 1]")),
-    "theta_limit": (lambda: CFDLMFAPC(theta_limit=-1.0), ("CFDLMFAPC", "theta_limit = -1", "(0, inf)")),
-    "theta0": (lambda: CFDLMFAPC(theta0=(1.0, 0.0)), ("CFDLMFAPC", "theta0", "(2,)", "n_p = 3", "(3,)")),
-    "mfapc_phi0": (lambda: check(machine_of("arx"), CFDLMFAPC(phi0=(0.1, 0.2)), SHORT), ("CFDLMFAPC", "phi0", "(2,)", "() and (1,)")),
-    "mfapc_reset": (lambda: CFDLMFAPC(reset="never"), ("CFDLMFAPC", "reset = 'never'", "'book', 'sign', 'none'")),
-    "reference": (lambda: CFDLMFAPC(reference="future"), ("CFDLMFAPC", "reference = 'future'", "'preview', 'constant'")),
+    "theta_limit": (
+        lambda: CFDLMFAPC(theta_limit=-1.0),
+        ("CFDLMFAPC", "theta_limit = -1", "(0, inf)"),
+    ),
+    "theta0": (
+        lambda: CFDLMFAPC(theta0=(1.0, 0.0)),
+        ("CFDLMFAPC", "theta0", "(2,)", "n_p = 3", "(3,)"),
+    ),
+    "mfapc_phi0": (
+        lambda: check(machine_of("arx"), CFDLMFAPC(phi0=(0.1, 0.2)), SHORT),
+        ("CFDLMFAPC", "phi0", "(2,)", "() and (1,)"),
+    ),
+    "mfapc_reset": (
+        lambda: CFDLMFAPC(reset="never"),
+        ("CFDLMFAPC", "reset = 'never'", "'book', 'sign', 'none'"),
+    ),
+    "reference": (
+        lambda: CFDLMFAPC(reference="future"),
+        ("CFDLMFAPC", "reference = 'future'", "'preview', 'constant'"),
+    ),
     "cfdl_lam": (lambda: CFDLMFAC(lam=-1.0), ("CFDLMFAC", "lam = -1", "(0, inf)")),
     "lam_is_nan": (lambda: CFDLMFAC(lam=np.nan), ("CFDLMFAC", "lam = nan", "(0, inf)")),
     "cfdl_eta": (lambda: CFDLMFAC(eta=1.5), ("CFDLMFAC", "eta = 1.5", "(0, 1]")),
@@ -374,11 +521,23 @@ REFUSED = {
     "limit": (lambda: CFDLMFAC(limit=0.0), ("CFDLMFAC", "limit = 0", "(0, inf)")),
     "cfdl_phi0": (lambda: CFDLMFAC(phi0=(0.1, 0.2)), ("CFDLMFAC", "phi0", "(2,)", "(1,)")),
     "pfdl_phi0": (lambda: PFDLMFAC(phi0=(0.1, 0.2, 0.3)), ("PFDLMFAC", "phi0", "(3,)", "(2,)")),
-    "ffdl_phi0": (lambda: FFDLMFAC(L_u=3), ("FFDLMFAC", "phi0", "(4,)", "L_y = 2", "L_u = 3", "(5,)")),
-    "no_input_window": (lambda: FFDLMFAC(L_u=0, phi0=(0.5, 0.1)), ("FFDLMFAC", "L_u = 0", "[1, 500]")),
+    "ffdl_phi0": (
+        lambda: FFDLMFAC(L_u=3),
+        ("FFDLMFAC", "phi0", "(4,)", "L_y = 2", "L_u = 3", "(5,)"),
+    ),
+    "no_input_window": (
+        lambda: FFDLMFAC(L_u=0, phi0=(0.5, 0.1)),
+        ("FFDLMFAC", "L_u = 0", "[1, 500]"),
+    ),
     "window_of_cfdl": (lambda: CFDLMFAC(L_u=2, phi0=(0.1, 0.2)), ("CFDLMFAC", "L_u = 2", "[1, 1]")),
-    "channels": (lambda: CFDLMFAC(lam=(1.0, 2.0)).check(SHORT), ("CFDLMFAC", "lam", "(2,)", "() and (1,)")),
-    "not_square": (lambda: CFDLMFAPC().check(Task(np.zeros((5, 2)), dt=DT, inputs=1)), ("CFDLMFAPC", "1 and 2")),
+    "channels": (
+        lambda: CFDLMFAC(lam=(1.0, 2.0)).check(SHORT),
+        ("CFDLMFAC", "lam", "(2,)", "() and (1,)"),
+    ),
+    "not_square": (
+        lambda: CFDLMFAPC().check(Task(np.zeros((5, 2)), dt=DT, inputs=1)),
+        ("CFDLMFAPC", "1 and 2"),
+    ),
 }
 
 

@@ -1,4 +1,6 @@
-"""Models of a drive against python-control, and DILC and MILC against the equations of MILC 2024 in lifted NumPy matrices."""
+"""Models of a drive against python-control, and DILC and MILC against the equations of MILC 2024 in
+lifted NumPy matrices.
+"""
 
 import dataclasses
 from typing import Any, NamedTuple
@@ -23,7 +25,8 @@ N, TRIALS = 100, 30
 GAIN = 6.0  # C_P [V/mm]
 KEEP = Keep(("y", "u", "signals"))
 
-# Models of the drive -----------------------------------------------------------------------------------------------------------
+# Models of the drive
+# -----------------------------------------------------------------------------------------------------------
 
 P_M = control.tf([0.05, 0.03], [1.0, -1.6, 0.65], DT)
 P_Z = control.tf([0.3, 0.1, 0.05], [1.0, -0.9, 0.35], DT)  # biproper
@@ -35,20 +38,36 @@ def impulse(system, samples=N):
     """(n_y, n_u, samples) of a python-control system, the first sample with what it lets through."""
     u = np.zeros((system.ninputs, system.ninputs, samples))
     u[range(system.ninputs), range(system.ninputs), 0] = 1.0
-    answers = [control.forced_response(control.ss(system), DT * np.arange(samples), one, squeeze=False).outputs for one in u]
+    answers = [
+        control.forced_response(
+            control.ss(system), DT * np.arange(samples), one, squeeze=False
+        ).outputs
+        for one in u
+    ]
     return np.stack(answers, axis=1)
 
 
 def of_model(model, samples=N):
-    return impulse(control.ss(*(np.asarray(M) for M in (model.A, model.B, model.C)), 0.0, DT), samples)
+    return impulse(
+        control.ss(*(np.asarray(M) for M in (model.A, model.B, model.C)), 0.0, DT), samples
+    )
 
 
 def blocks(controller):
-    """P_M S, S, P_M P_Z S, C P_M P_Z S, each an impulse response, by series and feedback of python-control."""
+    """P_M S, S, P_M P_Z S, C P_M P_Z S, each an impulse response, by series and feedback of
+    python-control.
+    """
     m, z = control.ss(P_M), control.ss(P_Z)
-    c = control.ss([], [], [], controller, DT) if np.isscalar(controller) else control.ss(controller)
+    c = (
+        control.ss([], [], [], controller, DT)
+        if np.isscalar(controller)
+        else control.ss(controller)
+    )
     motor, left = control.feedback(m, c), control.feedback(1, control.series(c, m))
-    return [impulse(s)[0, 0] for s in (motor, left, control.series(motor, z), control.series(c, motor, z))]
+    return [
+        impulse(s)[0, 0]
+        for s in (motor, left, control.series(motor, z), control.series(c, motor, z))
+    ]
 
 
 def test_a_cascade_is_the_series_of_its_blocks():
@@ -57,7 +76,9 @@ def test_a_cascade_is_the_series_of_its_blocks():
     np.testing.assert_allclose(found[1], impulse(control.series(P_M, P_Z))[0], **ALGEBRA)
     slow = control.tf([40.0], [1.0, 8.0, 400.0]), control.tf([1.0, 300.0], [1.0, 20.0, 300.0])
     sampled = [control.sample_system(control.ss(s), DT, "zoh") for s in slow]
-    found = of_model(cascade(slow[0], StateSpace(*(getattr(control.ss(slow[1]), n) for n in "ABC")), DT))
+    found = of_model(
+        cascade(slow[0], StateSpace(*(getattr(control.ss(slow[1]), n) for n in "ABC")), DT)
+    )
     np.testing.assert_allclose(found[1], impulse(control.series(*sampled))[0], **ALGEBRA)
 
 
@@ -78,23 +99,45 @@ OTHER_DT = control.tf([1.0], [1.0, 0.5], 2e-3)
 BROKEN = {
     r"cascade: P_M has the feedthrough \[\[0.3\]\]; allowed is none": (cascade, P_Z, P_M, DT),
     "^P_Z is not a system of one input and one output": (cascade, P_M, 3.0, DT),
-    "^P_M is not a system of one input and one output": (cascade, control.ss(P_M).append(control.ss(P_M)), P_Z, DT),
-    r"P_Z has the sample time 0.002; allowed are 0 \(continuous\) and 0.001 s": (cascade, P_M, OTHER_DT, DT),
+    "^P_M is not a system of one input and one output": (
+        cascade,
+        control.ss(P_M).append(control.ss(P_M)),
+        P_Z,
+        DT,
+    ),
+    r"P_Z has the sample time 0.002; allowed are 0 \(continuous\) and 0.001 s": (
+        cascade,
+        P_M,
+        OTHER_DT,
+        DT,
+    ),
     "P_M has the sample time True": (cascade, control.tf([1.0], [1.0, 0.5], True), P_Z, DT),
     "C_P has the sample time 0.002": (direct_model, OTHER_DT, DRIVE_OF_BLOCKS),
-    "C_P is not a number, nor a system of one input and one output": (direct_model, "fast", DRIVE_OF_BLOCKS),
+    "C_P is not a number, nor a system of one input and one output": (
+        direct_model,
+        "fast",
+        DRIVE_OF_BLOCKS,
+    ),
     "direct_model: P is 1 -> 1 with dt = 0.001; allowed is a discrete drive 1 -> 2": (
         direct_model,
         1.0,
         StateSpace([[0.5]], [[1.0]], [[1.0]], dt=DT),
     ),
-    "multivariable_model: P is 1 -> 2 with dt = 0;": (multivariable_model, 1.0, StateSpace([[-5.0]], [[1.0]], [[1.0], [2.0]])),
+    "multivariable_model: P is 1 -> 2 with dt = 0;": (
+        multivariable_model,
+        1.0,
+        StateSpace([[-5.0]], [[1.0]], [[1.0], [2.0]]),
+    ),
     r"direct_model: C_P makes the position loop unstable \(spectral radius 1\.\d+\); allowed is at most 1": (
         direct_model,
         40.0,
         DRIVE_OF_BLOCKS,
     ),
-    "multivariable_model: C_P makes the position loop unstable": (multivariable_model, -5.0, DRIVE_OF_BLOCKS),
+    "multivariable_model: C_P makes the position loop unstable": (
+        multivariable_model,
+        -5.0,
+        DRIVE_OF_BLOCKS,
+    ),
 }
 
 
@@ -107,10 +150,13 @@ def test_blocks_that_do_not_fit_are_refused(message):
 
 def test_the_gain_of_a_controller_may_be_its_field():
     kp = PID(kp=jnp.asarray(0.4)).kp
-    np.testing.assert_array_equal(direct_model(kp, DRIVE_OF_BLOCKS).A, direct_model(0.4, DRIVE_OF_BLOCKS).A)
+    np.testing.assert_array_equal(
+        direct_model(kp, DRIVE_OF_BLOCKS).A, direct_model(0.4, DRIVE_OF_BLOCKS).A
+    )
 
 
-# The drive under its position loop, in lifted matrices ----------------------------------------------------------------------------
+# The drive under its position loop, in lifted matrices
+# ----------------------------------------------------------------------------
 
 NOMINAL = BallScrewDrive(**DRIVE)
 linear = jax.jit(lambda drive: drive.linear(DT))
@@ -142,7 +188,9 @@ def plant_of(model):
 
 
 def loop_of(model):
-    """P_M, P_T and S of v = S (u + C_P r[0..N-1]); the feedback sees y a sample after it was driven."""
+    """P_M, P_T and S of v = S (u + C_P r[0..N-1]); the feedback sees y a sample after it was
+    driven.
+    """
     motor, table = plant_of(model)
     return motor, table, np.linalg.inv(UNIT + GAIN * DELAY @ motor)
 
@@ -155,7 +203,9 @@ def direct_matrix(model):
 def multivariable_matrix(model):
     """H_M, from rows (u[k], r[k+1]) to rows (y_M - r, y_T)[k+1] (MILC 2024, eq. 27)."""
     motor, table, S = loop_of(model)
-    H = np.array([[motor @ S, GAIN * motor @ S @ DELAY - UNIT], [table @ S, GAIN * table @ S @ DELAY]])
+    H = np.array(
+        [[motor @ S, GAIN * motor @ S @ DELAY - UNIT], [table @ S, GAIN * table @ S @ DELAY]]
+    )
     return H.transpose(2, 0, 3, 1).reshape(2 * N, 2 * N)
 
 
@@ -169,7 +219,9 @@ def gains(H, w_q, w_r, w_s):
 def updated(H, u, e, w_q, w_r, w_s):
     """L_u u + L_e e."""
     normal = w_q * H.T @ H
-    return np.linalg.solve(normal + (w_s + w_r) * np.eye(len(u)), normal @ u + w_r * u + w_q * H.T @ e)
+    return np.linalg.solve(
+        normal + (w_s + w_r) * np.eye(len(u)), normal @ u + w_r * u + w_q * H.T @ e
+    )
 
 
 def direct(model=MODEL, **weights):
@@ -187,7 +239,8 @@ def relative(found, expected):
 
 
 class Played(NamedTuple):
-    """u, feedback: (J, N) learned input and the feedback's share;  r: (J, N) r[k+1] that the feedback followed
+    """u, feedback: (J, N) learned input and the feedback's share;  r: (J, N) r[k+1] that the
+    feedback followed
     e_c, e_z: (J, N) r - y_M and r_d - y_T a sample later;  history: of the learning"""
 
     u: np.ndarray
@@ -204,7 +257,11 @@ def played(machine, scheme):
     u, signals, y = (history.saved[name] for name in ("u", "signals", "y"))
     motor, table = np.moveaxis(np.asarray(y)[:, 1:], -1, 0)
     feedback = np.asarray(signals["feedback"])[..., 0]
-    r = np.asarray(signals["reference"])[..., 0] if "reference" in signals else np.broadcast_to(AFTER, feedback.shape)
+    r = (
+        np.asarray(signals["reference"])[..., 0]
+        if "reference" in signals
+        else np.broadcast_to(AFTER, feedback.shape)
+    )
     return Played(np.asarray(u)[..., 0] - feedback, feedback, r, r - motor, AFTER - table, history)
 
 
@@ -225,10 +282,14 @@ def test_models_and_simulator_have_the_same_loop(name):
     loop = frequency.linear_loop(machine, OnOutputs(PID(kp=GAIN), (0,)), TASK)
     model = direct_model(GAIN, model)
     system = control.ss(*(np.asarray(M) for M in (model.A, model.B, model.C)), 0.0, DT)
-    assert relative(frequency.response(loop, f, DT)[:, 1, 0], system(np.exp(2j * np.pi * f * DT))) < 1e-10
+    assert (
+        relative(frequency.response(loop, f, DT)[:, 1, 0], system(np.exp(2j * np.pi * f * DT)))
+        < 1e-10
+    )
 
 
-# MILC and DILC -----------------------------------------------------------------------------------------------------------------
+# MILC and DILC
+# -----------------------------------------------------------------------------------------------------------------
 
 
 def test_milc_starts_from_the_filtered_reference():
@@ -245,15 +306,24 @@ def test_milc_starts_from_the_filtered_reference():
 
 @pytest.mark.parametrize("name", DRIVES)
 def test_a_trial_of_milc_is_the_equation(name):
-    """e = (0, r_d) - H (u, r) of the drive, and [u; r] <- L_u [u; r] + L_e e by the model (MILC 2024, eq. 28 and 29)."""
+    """e = (0, r_d) - H (u, r) of the drive, and [u; r] <- L_u [u; r] + L_e e by the model (MILC
+    2024, eq. 28 and 29).
+    """
     machine, model = DRIVES[name]
     run, H = played(machine, multivariable()), multivariable_matrix(model)
-    learned, errors = (np.stack(pair, axis=-1).reshape(TRIALS, -1) for pair in ((run.u, run.r), (run.e_c, run.e_z)))
+    learned, errors = (
+        np.stack(pair, axis=-1).reshape(TRIALS, -1) for pair in ((run.u, run.r), (run.e_c, run.e_z))
+    )
     wanted = np.stack([0 * AFTER, AFTER], axis=-1).ravel()
     after = [*learned[1:], np.asarray(run.history.memory.learning.u).ravel()]
     for j in range(TRIALS):
         np.testing.assert_allclose(errors[j], wanted - H @ learned[j], atol=1e-10)
-        assert relative(after[j], updated(multivariable_matrix(MODEL), learned[j], errors[j], **WEIGHTS)) < 1e-9
+        assert (
+            relative(
+                after[j], updated(multivariable_matrix(MODEL), learned[j], errors[j], **WEIGHTS)
+            )
+            < 1e-9
+        )
     np.testing.assert_allclose(run.feedback[:, 1:], GAIN * run.e_c[:, :-1], atol=1e-10)
 
 
@@ -261,20 +331,28 @@ def test_milc_learns_from_the_input_as_it_was_applied():
     """Under saturation u_j is what reached the drive, less the feedback's share."""
     run = played(Machine(NOMINAL, Actuator(limit=6.0)), multivariable())
     assert np.mean(np.abs(run.u + run.feedback)[0] == 6.0) > 0.1
-    own, e = (np.stack([a[0], b[0]], axis=-1).ravel() for a, b in ((run.u, run.r), (run.e_c, run.e_z)))
+    own, e = (
+        np.stack([a[0], b[0]], axis=-1).ravel() for a, b in ((run.u, run.r), (run.e_c, run.e_z))
+    )
     assert relative(run.r[1], updated(multivariable_matrix(MODEL), own, e, **WEIGHTS)[1::2]) < 1e-9
 
 
-@pytest.mark.parametrize(("scheme", "matrix"), [(direct, direct_matrix), (multivariable, multivariable_matrix)])
+@pytest.mark.parametrize(
+    ("scheme", "matrix"), [(direct, direct_matrix), (multivariable, multivariable_matrix)]
+)
 def test_theorem_2_the_nominal_plant_is_learned_monotonically(scheme, matrix):
-    """M = L_u - L_e H = (H' W_q H + W_s + W_r)^-1 W_r, of the schemes and the simulator as they are, and |M| < 1."""
+    """M = L_u - L_e H = (H' W_q H + W_s + W_r)^-1 W_r, of the schemes and the simulator as they
+    are, and |M| < 1.
+    """
     machine, H = Machine(NOMINAL), matrix(MODEL)
     found = lifted.learning_conditions(machine, scheme(), TASK)
     law = lifted.learning_law(scheme(), TASK)
     M = lifted.input_map(lifted.lifted_plant(machine, scheme(), TASK), law.L, keep=law.keep)
     expected = np.linalg.inv(1e3 * H.T @ H + 0.011 * np.eye(len(M))) * 0.01
     np.testing.assert_allclose(M, expected, atol=1e-10)
-    np.testing.assert_allclose(found["monotone"].value, 0.01 / (1e3 * np.linalg.svd(H)[1][-1] ** 2 + 0.011), rtol=1e-8)
+    np.testing.assert_allclose(
+        found["monotone"].value, 0.01 / (1e3 * np.linalg.svd(H)[1][-1] ** 2 + 0.011), rtol=1e-8
+    )
     assert found["monotone"].holds
     assert found["monotone"].value > 0.1, "else a wrong model could not do better either"
 
@@ -295,10 +373,14 @@ def test_a_far_too_soft_model_is_predicted_to_diverge_and_does(scheme):
 
 
 def test_a_model_of_the_wrong_sign_doubles_the_error_every_trial():
-    """With L of -H, M = (H' W_q H + W_s + W_r)^-1 (2 H' W_q H + W_r), close to 2 where w_q outweighs the rest."""
+    """With L of -H, M = (H' W_q H + W_s + W_r)^-1 (2 H' W_q H + W_r), close to 2 where w_q
+    outweighs the rest.
+    """
     model = direct_model(GAIN, MODEL)
     model = dataclasses.replace(model, C=-np.asarray(model.C))
-    scheme = WithFeedback(OnOutputs(NormOptimal(model, **WEIGHTS), (1,)), OnOutputs(PID(kp=GAIN), (0,)))
+    scheme = WithFeedback(
+        OnOutputs(NormOptimal(model, **WEIGHTS), (1,)), OnOutputs(PID(kp=GAIN), (0,))
+    )
     found, H = lifted.learning_conditions(Machine(NOMINAL), scheme, TASK), direct_matrix(MODEL)
     M = np.linalg.solve(1e3 * H.T @ H + 0.011 * UNIT, 2e3 * H.T @ H + 0.01 * UNIT)
     np.testing.assert_allclose(found["asymptotic"].value, np.max(np.linalg.eigvalsh(M)), rtol=1e-6)
@@ -309,7 +391,9 @@ def test_a_model_of_the_wrong_sign_doubles_the_error_every_trial():
 
 @pytest.mark.parametrize("name", DRIVES)
 def test_proposition_1a_the_errors_of_dilc_bound_each_other(name):
-    """e_z = P_Z e_c + (1 - P_Z) r_d, hence ||(1 - P_Z) r_d|| <= ||e_z|| + ||P_Z|| ||e_c||, in every trial (MILC 2024, eq. 19)."""
+    """e_z = P_Z e_c + (1 - P_Z) r_d, hence ||(1 - P_Z) r_d|| <= ||e_z|| + ||P_Z|| ||e_c||, in every
+    trial (MILC 2024, eq. 19).
+    """
     machine, model = DRIVES[name]
     motor, table = plant_of(model)
     ratio = np.linalg.solve(motor.T, table.T).T
@@ -323,14 +407,18 @@ def test_proposition_1a_the_errors_of_dilc_bound_each_other(name):
 
 
 def test_proposition_1b_the_feedback_of_dilc_cancels_what_was_learned():
-    """u_c = S (I - L_u + L_e H_D)^-1 [(I - L_u) C_P r_d[0..N-1] + L_e r_d[1..N]] - u in the steady state.
+    """u_c = S (I - L_u + L_e H_D)^-1 [(I - L_u) C_P r_d[0..N-1] + L_e r_d[1..N]] - u in the steady
+    state.
 
-    MILC 2024, Proposition 1 (b), has the factors in another order: operators of the frequency domain commute, lifted L_u and L_e do not.
+    MILC 2024, Proposition 1 (b), has the factors in another order: operators of the frequency
+    domain commute, lifted L_u and L_e do not.
     """
     weights = {"w_q": 1e3, "w_r": 0.1, "w_s": 0.5}
     L_u, L_e = gains(direct_matrix(MODEL), **weights)
     _, _, S = loop_of(REAL)
-    learned = np.linalg.solve(UNIT - L_u + L_e @ direct_matrix(REAL), (UNIT - L_u) @ (GAIN * DESIRED[:-1]) + L_e @ AFTER)
+    learned = np.linalg.solve(
+        UNIT - L_u + L_e @ direct_matrix(REAL), (UNIT - L_u) @ (GAIN * DESIRED[:-1]) + L_e @ AFTER
+    )
     run = played(Machine(REAL), direct(**weights))
     u, feedback, e_z = run.u, run.feedback, run.e_z
     np.testing.assert_allclose(u[-1], u[-2], atol=1e-9)
@@ -340,7 +428,9 @@ def test_proposition_1b_the_feedback_of_dilc_cancels_what_was_learned():
 
 
 def test_milc_brings_both_errors_down_where_dilc_cannot():
-    """DILC leaves the motor at (1 - 1/P_Z) r_d: on c_s y_M' + k_s y_M = m_T r'' + (c_s + c_T) r' + k_s r, while the table is on r."""
+    """DILC leaves the motor at (1 - 1/P_Z) r_d: on c_s y_M' + k_s y_M = m_T r'' + (c_s + c_T) r' +
+    k_s r, while the table is on r.
+    """
     t = np.arange(N + 1) * DT
     path = [np.gradient(DESIRED, DT, edge_order=2)]
     path = [DESIRED, *path, np.gradient(path[0], DT, edge_order=2)]
@@ -355,7 +445,8 @@ def test_milc_brings_both_errors_down_where_dilc_cannot():
     assert rms(dilc.feedback[-1]) > 1e3 * rms(milc.feedback[-1])
 
 
-# Robustness --------------------------------------------------------------------------------------------------------------------
+# Robustness
+# --------------------------------------------------------------------------------------------------------------------
 
 LONG = 300
 pulse = np.zeros(LONG + 1)
@@ -365,11 +456,25 @@ ROBUST = {"w_q": 1e3, "w_r": 1e-2, "w_s": 1.0}
 
 
 def certified(stiffness):
-    """The condition of DILC on a drive of another stiffness than the model's, and the changes of its input, trial after trial."""
-    true = Machine(direct_model(GAIN, linear(dataclasses.replace(NOMINAL, stiffness=stiffness * 4e4))))
+    """The condition of DILC on a drive of another stiffness than the model's, and the changes of
+    its input, trial after trial.
+    """
+    true = Machine(
+        direct_model(GAIN, linear(dataclasses.replace(NOMINAL, stiffness=stiffness * 4e4)))
+    )
     model = direct_model(GAIN, MODEL)
-    found = frequency.norm_optimal_condition(Machine(model), true, None, SISO, w_e=ROBUST["w_q"], w_u=ROBUST["w_s"], w_delta=ROBUST["w_r"])
-    u = np.asarray(learn(true, NormOptimal(model, **ROBUST), SISO, 12, save=Keep(("u",))).saved["u"])[..., 0]
+    found = frequency.norm_optimal_condition(
+        Machine(model),
+        true,
+        None,
+        SISO,
+        w_e=ROBUST["w_q"],
+        w_u=ROBUST["w_s"],
+        w_delta=ROBUST["w_r"],
+    )
+    u = np.asarray(
+        learn(true, NormOptimal(model, **ROBUST), SISO, 12, save=Keep(("u",))).saved["u"]
+    )[..., 0]
     return found.condition, np.linalg.norm(np.diff(u, axis=0)[:, LONG // 4 : -LONG // 4], axis=1)
 
 
@@ -390,7 +495,8 @@ def test_what_is_not_certified_may_diverge():
     assert changes[-1] > changes[4]
 
 
-# Errors ------------------------------------------------------------------------------------------------------------------------
+# Errors
+# ------------------------------------------------------------------------------------------------------------------------
 
 
 def test_the_task_must_have_a_motor_and_a_table():
@@ -400,7 +506,10 @@ def test_the_task_must_have_a_motor_and_a_table():
             dataclasses.replace(scheme, table_output=2),
             TASK,
         ),
-        "motor_output = 1 and table_output = 1 must be two": (dataclasses.replace(scheme, motor_output=1), TASK),
+        "motor_output = 1 and table_output = 1 must be two": (
+            dataclasses.replace(scheme, motor_output=1),
+            TASK,
+        ),
         "its inputs one, not 2": (scheme, dataclasses.replace(TASK, inputs=2)),
         "NormOptimal: the model has 1 inputs but the task 2": (
             dataclasses.replace(scheme, learning=NormOptimal(direct_model(GAIN, MODEL), w_r=1.0)),
@@ -410,7 +519,10 @@ def test_the_task_must_have_a_motor_and_a_table():
             dataclasses.replace(scheme, learning=WithFeedback(PIDType(gamma_p=1.0), PID(kp=1.0))),
             TASK,
         ),
-        "StateSpace is sampled at 0.001 s but the task at 0.002 s": (scheme, dataclasses.replace(TASK, dt=2e-3)),
+        "StateSpace is sampled at 0.001 s but the task at 0.002 s": (
+            scheme,
+            dataclasses.replace(TASK, dt=2e-3),
+        ),
     }
     for message, (wrong, task) in cases.items():
         with pytest.raises(ValueError, match=message):
@@ -425,22 +537,34 @@ def test_a_measured_trial_must_tell_what_was_learned():
 
 
 def test_the_loop_by_hand_is_the_simulated_one():
-    """A measured trial, its own signals given by name, teaches what the simulated one does; also compiled, once prepared."""
+    """A measured trial, its own signals given by name, teaches what the simulated one does; also
+    compiled, once prepared.
+    """
     scheme = multivariable()
     history = played(Machine(NOMINAL), scheme).history
     trial = history.final
     measured = measured_trial(TASK, trial.y, trial.u, **trial.signals)
     ready = scheme.prepared(TASK)
     for learned in (ready.learn, jax.jit(ready.learn)):
-        assert relative(learned(scheme.memory(TASK), measured).learning.u, np.asarray(history.memory.learning.u)) < 1e-10
+        assert (
+            relative(
+                learned(scheme.memory(TASK), measured).learning.u,
+                np.asarray(history.memory.learning.u),
+            )
+            < 1e-10
+        )
 
 
 @pytest.mark.parametrize("build", [direct, multivariable])
 def test_the_error_map_of_a_norm_optimal_scheme_is_what_learning_does(build):
-    """Its derivative, where no disturbance is, is the change from one simulated error to the next: the law is affine."""
+    """Its derivative, where no disturbance is, is the change from one simulated error to the next:
+    the law is affine.
+    """
     machine, scheme = Machine(REAL), build()
     memory = learn(machine, scheme, TASK, 2).memory
     found = contraction.error_map(machine, scheme, TASK, memory)
     here = np.asarray(found.f(found.at))[0]
-    following = learn(machine, scheme, TASK, 2, memory=memory, save=Keep(("e",))).saved["e"][1, 1:].ravel()
+    following = (
+        learn(machine, scheme, TASK, 2, memory=memory, save=Keep(("e",))).saved["e"][1, 1:].ravel()
+    )
     np.testing.assert_allclose(here, following, rtol=1e-8, atol=1e-10)

@@ -1,4 +1,6 @@
-"""Norm-optimal learning against its dense equation in NumPy, its closed forms, finite differences, and a measure of its memory."""
+"""Norm-optimal learning against its dense equation in NumPy, its closed forms, finite differences,
+and a measure of its memory.
+"""
 
 import dataclasses
 
@@ -17,7 +19,10 @@ from jaxilc.signals import Task
 N, TRIALS = 24, 5
 RANDOM = np.random.default_rng(5)
 MODEL = StateSpace(
-    [[0.8, 0.3, 0.0], [-0.3, 0.7, 0.1], [0.1, 0.0, 0.5]], [[0.2, 0.0], [0.1, 0.3], [0.0, 1.0]], [[1.0, 0.2, 0.0], [0.1, 0.5, 0.4]], dt=DT
+    [[0.8, 0.3, 0.0], [-0.3, 0.7, 0.1], [0.1, 0.0, 0.5]],
+    [[0.2, 0.0], [0.1, 0.3], [0.0, 1.0]],
+    [[1.0, 0.2, 0.0], [0.1, 0.5, 0.4]],
+    dt=DT,
 )
 REFERENCE = np.cumsum(RANDOM.standard_normal((N + 1, 2)), axis=0) * 0.3
 TASK = Task(REFERENCE, dt=DT)
@@ -25,7 +30,10 @@ TASK = Task(REFERENCE, dt=DT)
 
 def wandering(model, size):
     """A time-varying system around a constant one."""
-    A, B, C = (np.asarray(M) * (1 + size * RANDOM.standard_normal((N, *M.shape))) for M in (model.A, model.B, model.C))
+    A, B, C = (
+        np.asarray(M) * (1 + size * RANDOM.standard_normal((N, *M.shape)))
+        for M in (model.A, model.B, model.C)
+    )
     return TimeVaryingStateSpace(A, B, C, dt=DT)
 
 
@@ -34,7 +42,11 @@ MODELS = {"invariant": MODEL, "varying": wandering(MODEL, 0.1)}
 WEIGHTS = {
     "scalar": {"w_q": 2.0, "w_r": 0.05, "w_s": 0.01},
     "diagonal": {"w_q": (2.0, 0.5), "w_r": (0.05, 0.2), "w_s": (0.01, 0.0)},
-    "full": {"w_q": ((2.0, -0.6), (-0.6, 0.9)), "w_r": ((0.1, 0.04), (0.04, 0.05)), "w_s": ((0.02, -0.01), (-0.01, 0.01))},
+    "full": {
+        "w_q": ((2.0, -0.6), (-0.6, 0.9)),
+        "w_r": ((0.1, 0.04), (0.04, 0.05)),
+        "w_s": ((0.02, -0.01), (-0.01, 0.01)),
+    },
 }
 
 
@@ -65,7 +77,9 @@ def weights_of(scheme):
 
 
 def next_input(scheme, H, e, u):
-    """u_{j+1} = (H' W_q H + W_s + W_r)^-1 ((H' W_q H + W_r) u_j + H' W_q e_j), MILC 2024, eq. 7 and 8."""
+    """u_{j+1} = (H' W_q H + W_s + W_r)^-1 ((H' W_q H + W_r) u_j + H' W_q e_j), MILC 2024, eq. 7 and
+    8.
+    """
     Q, R, S = weights_of(scheme)
     new = np.linalg.solve(H.T @ Q @ H + S + R, (H.T @ Q @ H + R) @ u.ravel() + H.T @ Q @ e.ravel())
     return new.reshape(u.shape)
@@ -80,7 +94,13 @@ def relative(found, expected):
 
 
 @pytest.mark.parametrize(
-    ("kind", "weights"), [("invariant", "scalar"), ("invariant", "diagonal"), ("invariant", "full"), ("varying", "full")]
+    ("kind", "weights"),
+    [
+        ("invariant", "scalar"),
+        ("invariant", "diagonal"),
+        ("invariant", "full"),
+        ("varying", "full"),
+    ],
 )
 def test_riccati_is_lifted_is_the_equation(kind, weights):
     model = MODELS[kind]
@@ -93,7 +113,9 @@ def test_riccati_is_lifted_is_the_equation(kind, weights):
         for j in range(TRIALS - 1):
             assert relative(u[j + 1], next_input(scheme, H, e[j], u[j])) < 1e-9
         assert relative(history.memory.u, next_input(scheme, H, e[-1], u[-1])) < 1e-9
-        assert relative(dense(MACHINE.plant) @ u[-1].ravel(), (REFERENCE[1:] - e[-1]).ravel()) < 1e-12
+        assert (
+            relative(dense(MACHINE.plant) @ u[-1].ravel(), (REFERENCE[1:] - e[-1]).ravel()) < 1e-12
+        )
         inputs[form] = u
     assert relative(inputs["riccati"], inputs["lifted"]) < 1e-9
     assert np.linalg.norm(e[-1]) < 0.3 * np.linalg.norm(e[0])
@@ -131,29 +153,43 @@ def test_gradients_equal_finite_differences_in_both_forms():
                     sides.append(value(at | {name: moved})[0])
                 expected[element] = (sides[0] - sides[1]) / 2e-6
             assert np.max(np.abs(expected)) > 1e-3, name
-            np.testing.assert_allclose(gradient, expected, rtol=DIFFERENCES["rtol"], atol=1e-7, err_msg=name)
+            np.testing.assert_allclose(
+                gradient, expected, rtol=DIFFERENCES["rtol"], atol=1e-7, err_msg=name
+            )
     for name, gradient in gradients["riccati"].items():
-        np.testing.assert_allclose(gradient, gradients["lifted"][name], rtol=1e-8, atol=1e-11, err_msg=name)
+        np.testing.assert_allclose(
+            gradient, gradients["lifted"][name], rtol=1e-8, atol=1e-11, err_msg=name
+        )
 
 
 @pytest.mark.parametrize("form", ["riccati", "lifted"])
 def test_a_limit_is_respected_and_learning_goes_on(form):
-    free = np.asarray(learn(MACHINE, NormOptimal(MODEL, **WEIGHTS["scalar"], form=form), TASK, TRIALS, save=signals).saved[1])
+    free = np.asarray(
+        learn(
+            MACHINE, NormOptimal(MODEL, **WEIGHTS["scalar"], form=form), TASK, TRIALS, save=signals
+        ).saved[1]
+    )
     limit = 0.6 * np.max(np.abs(free[-1]), axis=0)
     scheme = NormOptimal(MODEL, **WEIGHTS["scalar"], limit=limit, form=form)
     e, u = map(np.asarray, learn(MACHINE, scheme, TASK, TRIALS, save=signals).saved)
     H = dense(MODEL)
     for j in range(TRIALS - 1):
-        np.testing.assert_allclose(u[j + 1], np.clip(next_input(scheme, H, e[j], u[j]), -limit, limit), atol=1e-9)
+        np.testing.assert_allclose(
+            u[j + 1], np.clip(next_input(scheme, H, e[j], u[j]), -limit, limit), atol=1e-9
+        )
     at_limit = np.abs(u[-1]) == limit
     assert np.all(at_limit.any(axis=0))
     assert np.mean(at_limit) < 0.5
     assert np.linalg.norm(e[-1]) < 0.5 * np.linalg.norm(e[0])
-    assert np.max(np.abs(u[-1] - u[1])[~at_limit]) > 0.05 * np.max(limit), "what is not at the limit should go on learning"
+    assert np.max(np.abs(u[-1] - u[1])[~at_limit]) > 0.05 * np.max(limit), (
+        "what is not at the limit should go on learning"
+    )
 
 
 def test_without_a_weight_on_the_change_one_trial_is_enough():
-    """w_r = 0, right model: u_2 = (H' W_q H + W_s)^-1 H' W_q r, where it stays; w_r > 0 comes to the same input in the end."""
+    """w_r = 0, right model: u_2 = (H' W_q H + W_s)^-1 H' W_q r, where it stays; w_r > 0 comes to
+    the same input in the end.
+    """
     H, r = dense(MODEL), REFERENCE[1:].ravel()
     scheme = NormOptimal(MODEL, w_q=2.0, w_s=0.3)
     best = np.linalg.solve(2.0 * H.T @ H + 0.3 * np.eye(2 * N), 2.0 * H.T @ r)
@@ -164,11 +200,17 @@ def test_without_a_weight_on_the_change_one_trial_is_enough():
 
 
 def test_without_a_weight_on_the_input_the_error_falls_by_the_closed_form():
-    """w_s = 0, right model: e_{j+1} = (I + H W_q H' / w_r)^-1 e_j; and for w_r -> 0 the plant is inverted in one trial."""
+    """w_s = 0, right model: e_{j+1} = (I + H W_q H' / w_r)^-1 e_j; and for w_r -> 0 the plant is
+    inverted in one trial.
+    """
     H, r = dense(MODEL), REFERENCE[1:].ravel()
-    e = np.asarray(learn(Machine(MODEL), NormOptimal(MODEL, w_q=2.0, w_r=0.4), TASK, 4, save=signals).saved[0]).reshape(4, -1)
+    e = np.asarray(
+        learn(Machine(MODEL), NormOptimal(MODEL, w_q=2.0, w_r=0.4), TASK, 4, save=signals).saved[0]
+    ).reshape(4, -1)
     for j in range(3):
-        np.testing.assert_allclose(e[j + 1], np.linalg.solve(np.eye(2 * N) + 5.0 * H @ H.T, e[j]), rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(
+            e[j + 1], np.linalg.solve(np.eye(2 * N) + 5.0 * H @ H.T, e[j]), rtol=1e-9, atol=1e-12
+        )
     u = learn(Machine(MODEL), NormOptimal(MODEL, w_q=1.0, w_r=1e-12), TASK, 1).memory.u
     np.testing.assert_allclose(np.ravel(u), np.linalg.solve(H, r), rtol=1e-4, atol=1e-6)
 
@@ -176,7 +218,11 @@ def test_without_a_weight_on_the_input_the_error_falls_by_the_closed_form():
 def test_memory_of_the_recursion_is_linear_in_the_length_of_the_trial():
     def temporaries(form, N):
         task, scheme = Task(np.zeros((N + 1, 2)), dt=DT), NormOptimal(MODEL, w_r=0.1, form=form)
-        program = jax.jit(lambda scheme, task: learn(Machine(MODEL), scheme, task, 10)).lower(scheme, task).compile()
+        program = (
+            jax.jit(lambda scheme, task: learn(Machine(MODEL), scheme, task, 10))
+            .lower(scheme, task)
+            .compile()
+        )
         return program.memory_analysis().temp_size_in_bytes
 
     recursive = [temporaries("riccati", N) for N in (4000, 8000, 16000)]
@@ -188,18 +234,33 @@ def test_memory_of_the_recursion_is_linear_in_the_length_of_the_trial():
 UNSTABLE = StateSpace(1.3 * MODEL.A, MODEL.B, MODEL.C, dt=DT)
 RISING = StateSpace([[0.2]], [[1.0]], [[1.0]])
 BAD = {
-    r"NormOptimal: w_q has shape \(3,\); allowed are \(\), \(2,\) and \(2, 2\)": {"w_q": (1.0, 1.0, 1.0)},
+    r"NormOptimal: w_q has shape \(3,\); allowed are \(\), \(2,\) and \(2, 2\)": {
+        "w_q": (1.0, 1.0, 1.0)
+    },
     r"NormOptimal: w_r has shape \(2, 3\)": {"w_r": np.ones((2, 3))},
-    r"NormOptimal: w_s = \[\[1.0, 0.1\], \[0.2, 1.0\]\] is not symmetric": {"w_s": ((1.0, 0.1), (0.2, 1.0))},
-    r"NormOptimal: w_q has the eigenvalues \[-1.  3.\]; allowed are none below 0": {"w_q": ((1.0, 2.0), (2.0, 1.0))},
+    r"NormOptimal: w_s = \[\[1.0, 0.1\], \[0.2, 1.0\]\] is not symmetric": {
+        "w_s": ((1.0, 0.1), (0.2, 1.0))
+    },
+    r"NormOptimal: w_q has the eigenvalues \[-1.  3.\]; allowed are none below 0": {
+        "w_q": ((1.0, 2.0), (2.0, 1.0))
+    },
     r"NormOptimal: w_s has the eigenvalues \[-0.1 -0.1\]": {"w_s": -0.1, "w_r": 1.0},
     r"NormOptimal: w_r \+ w_s has the eigenvalues \[0. 0.\]; allowed are positive ones only": {},
     r"NormOptimal: w_r \+ w_s has the eigenvalues \[0. 1.\]": {"w_r": (0.0, 1.0)},
     "NormOptimal: limit = 0 ": {"w_r": 1.0, "limit": 0.0},
     "NormOptimal: form = 'dense' is not one of 'riccati', 'lifted'": {"w_r": 1.0, "form": "dense"},
-    "NormOptimal: model is a DifferenceEquation; allowed are StateSpace and TimeVaryingStateSpace": {"model": PLANTS["arx"], "w_r": 1.0},
-    r"NormOptimal: the model is unstable \(a pole 0.0\d+ outside the unit circle\)": {"model": UNSTABLE, "w_r": 1.0},
-    r"NormOptimal: the model is unstable \(a pole 0.2 right of the imaginary axis\)": {"model": RISING, "w_r": 1.0},
+    "NormOptimal: model is a DifferenceEquation; allowed are StateSpace and TimeVaryingStateSpace": {
+        "model": PLANTS["arx"],
+        "w_r": 1.0,
+    },
+    r"NormOptimal: the model is unstable \(a pole 0.0\d+ outside the unit circle\)": {
+        "model": UNSTABLE,
+        "w_r": 1.0,
+    },
+    r"NormOptimal: the model is unstable \(a pole 0.2 right of the imaginary axis\)": {
+        "model": RISING,
+        "w_r": 1.0,
+    },
 }
 
 
@@ -211,24 +272,38 @@ def test_bad_weights_and_models_are_named(message):
 
 @pytest.mark.parametrize("precision", [np.float32, np.float64])
 def test_a_weight_is_symmetric_up_to_rounding(precision):
-    """A congruence T' D T, as a change of units gives, is symmetric in exact arithmetic only; its symmetric part counts."""
+    """A congruence T' D T, as a change of units gives, is symmetric in exact arithmetic only; its
+    symmetric part counts.
+    """
     rng, turned = np.random.default_rng(2), []
     while len(turned) < 20:
-        T, D = rng.standard_normal((2, 2)).astype(precision), np.diag(rng.uniform(0.0, 3.0, 2)).astype(precision)
+        T, D = (
+            rng.standard_normal((2, 2)).astype(precision),
+            np.diag(rng.uniform(0.0, 3.0, 2)).astype(precision),
+        )
         W = (T.T @ D) @ T
         turned += [W] if np.any(W != W.T) else []
     for W in turned:
         NormOptimal(MODEL, w_q=W, w_r=W, w_s=0.1)
     W = turned[0].astype(float)
-    ours = [learn(Machine(MODEL), NormOptimal(MODEL, w_q=V, w_r=V, w_s=0.1), TASK, 2).memory.u for V in (W, (W + W.T) / 2)]
+    ours = [
+        learn(Machine(MODEL), NormOptimal(MODEL, w_q=V, w_r=V, w_s=0.1), TASK, 2).memory.u
+        for V in (W, (W + W.T) / 2)
+    ]
     np.testing.assert_array_equal(*ours)
 
 
 LONG = Task(np.zeros((LARGEST_LIFTED // 2 + 2, 2)), dt=DT)
 MISFITS = {
-    "StateSpace is sampled at 0.001 s but the task at 0.002 s": ({}, dataclasses.replace(TASK, dt=2e-3)),
+    "StateSpace is sampled at 0.001 s but the task at 0.002 s": (
+        {},
+        dataclasses.replace(TASK, dt=2e-3),
+    ),
     "NormOptimal: the model has 2 inputs but the task 1": ({}, Task(REFERENCE, dt=DT, inputs=1)),
-    "NormOptimal: the model has 2 outputs but the task 1": ({}, Task(REFERENCE[:, 0], dt=DT, inputs=2)),
+    "NormOptimal: the model has 2 outputs but the task 1": (
+        {},
+        Task(REFERENCE[:, 0], dt=DT, inputs=2),
+    ),
     "NormOptimal: the model is given for N = 24 samples but the task has N = 23": (
         {"model": MODELS["varying"]},
         Task(REFERENCE[:-1], dt=DT),
@@ -237,7 +312,10 @@ MISFITS = {
         {"form": "lifted"},
         LONG,
     ),
-    r"NormOptimal: limit has shape \(3,\); allowed are \(\) and \(2,\)": ({"limit": (1.0, 2.0, 3.0)}, TASK),
+    r"NormOptimal: limit has shape \(3,\); allowed are \(\) and \(2,\)": (
+        {"limit": (1.0, 2.0, 3.0)},
+        TASK,
+    ),
 }
 
 
@@ -252,12 +330,17 @@ def test_a_continuous_model_is_sampled_with_the_task():
     """As a discrete one that scipy sampled."""
     import scipy.signal
 
-    A, B, C = np.array([[-50.0, 20.0], [5.0, -90.0]]), np.array([[50.0], [30.0]]), np.array([[1.0, 0.3]])
+    A, B, C = (
+        np.array([[-50.0, 20.0], [5.0, -90.0]]),
+        np.array([[50.0], [30.0]]),
+        np.array([[1.0, 0.3]]),
+    )
     discrete = scipy.signal.cont2discrete((A, B, C, 0.0), DT)
     task = Task(REFERENCE[:, 0], dt=DT)
     machine = Machine(StateSpace(0.9 * discrete[0], discrete[1], C, dt=DT))
     found = [
-        learn(machine, NormOptimal(model, w_r=0.01), task, 3).memory.u for model in (StateSpace(A, B, C), StateSpace(*discrete[:3], dt=DT))
+        learn(machine, NormOptimal(model, w_r=0.01), task, 3).memory.u
+        for model in (StateSpace(A, B, C), StateSpace(*discrete[:3], dt=DT))
     ]
     assert relative(*map(np.asarray, found)) < 1e-10
 
@@ -268,19 +351,27 @@ TALL = StateSpace(MODEL.A, np.asarray(MODEL.B)[:, :1], MODEL.C, dt=DT)
 @pytest.mark.parametrize("form", ["riccati", "lifted"])
 def test_models_need_not_be_square(form):
     """One input, two outputs, and three inputs, which the recursion inverts by LAPACK."""
-    wide = StateSpace(MODEL.A, np.hstack([np.asarray(MODEL.B), [[0.3], [-0.2], [0.1]]]), MODEL.C, dt=DT)
+    wide = StateSpace(
+        MODEL.A, np.hstack([np.asarray(MODEL.B), [[0.3], [-0.2], [0.1]]]), MODEL.C, dt=DT
+    )
     for model in (TALL, wide):
-        scheme, task = NormOptimal(model, w_q=2.0, w_r=0.1, w_s=0.02, form=form), Task(REFERENCE, dt=DT, inputs=model.n_u)
+        scheme, task = (
+            NormOptimal(model, w_q=2.0, w_r=0.1, w_s=0.02, form=form),
+            Task(REFERENCE, dt=DT, inputs=model.n_u),
+        )
         H, n_u = dense(model), model.n_u
         e, u = map(np.asarray, learn(Machine(model), scheme, task, 3, save=signals).saved)
         new = np.linalg.solve(
-            2 * H.T @ H + 0.12 * np.eye(N * n_u), (2 * H.T @ H + 0.1 * np.eye(N * n_u)) @ u[1].ravel() + 2 * H.T @ e[1].ravel()
+            2 * H.T @ H + 0.12 * np.eye(N * n_u),
+            (2 * H.T @ H + 0.1 * np.eye(N * n_u)) @ u[1].ravel() + 2 * H.T @ e[1].ravel(),
         )
         assert relative(u[2].ravel(), new) < 1e-9
 
 
 def test_known_weights_are_looked_at_within_a_transformation_too():
     learned = jax.jit(lambda gain: gain * learn(MACHINE, NormOptimal(MODEL, w_r=0.1), TASK, 2).rms)
-    np.testing.assert_allclose(learned(2.0), 2.0 * learn(MACHINE, NormOptimal(MODEL, w_r=0.1), TASK, 2).rms, rtol=1e-10)
+    np.testing.assert_allclose(
+        learned(2.0), 2.0 * learn(MACHINE, NormOptimal(MODEL, w_r=0.1), TASK, 2).rms, rtol=1e-10
+    )
     with pytest.raises(ValueError, match=r"NormOptimal: w_r \+ w_s has the eigenvalues"):
         jax.jit(lambda gain: gain * learn(MACHINE, NormOptimal(MODEL), TASK, 2).rms)(2.0)

@@ -1,4 +1,6 @@
-"""Learning on the reference (the series structure of Li 2020, Fig. 1) against loops by hand, dense matrices and the parallel structure."""
+"""Learning on the reference (the series structure of Li 2020, Fig. 1) against loops by hand, dense
+matrices and the parallel structure.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -9,7 +11,18 @@ from cases import ALGEBRA, ARX, DIFFERENCES, DT
 from jaxilc.filters import ZeroPhaseFIR
 from jaxilc.learning import Machine, feedforward, learn, measured_trial, next_memory
 from jaxilc.plants import DifferenceEquation, StateSpace
-from jaxilc.schemes import CFDLMFAC, CFDLMFAILC, CFDLMFAPC, FFDLMFAILC, PID, Filtered, OnOutputs, OnReference, PIDType, WithFeedback
+from jaxilc.schemes import (
+    CFDLMFAC,
+    CFDLMFAILC,
+    CFDLMFAPC,
+    FFDLMFAILC,
+    PID,
+    Filtered,
+    OnOutputs,
+    OnReference,
+    PIDType,
+    WithFeedback,
+)
 from jaxilc.signals import Task
 
 N, TRIALS = 40, 5
@@ -49,7 +62,9 @@ class PIDLoop:
         y, u, e = np.zeros(N + 1), np.zeros(N), np.zeros(N)
         for k in range(N):
             e[k] = seen(k, k) - y[k]
-            u[k] = kp * e[k] + ki * DT * sum(e[: k + 1]) + kd * (e[k] - (e[k - 1] if k else 0.0)) / DT
+            u[k] = (
+                kp * e[k] + ki * DT * sum(e[: k + 1]) + kd * (e[k] - (e[k - 1] if k else 0.0)) / DT
+            )
             y[k + 1] = plant_step(y, u, k)
         return y, u
 
@@ -76,7 +91,9 @@ class MFAPCLoop:
 
 
 def series(feedback, gamma_p, gamma_d=0.0, lead=0, r=R, trials=TRIALS, q=lambda w: w):
-    """The series structure by hand: seen(k, i) is what the feedback is told at sample k about sample i >= k."""
+    """The series structure by hand: seen(k, i) is what the feedback is told at sample k about
+    sample i >= k.
+    """
     w, results = np.zeros(N), {"y": [], "u": [], "correction": []}
     for _ in range(trials):
 
@@ -98,8 +115,12 @@ def series(feedback, gamma_p, gamma_d=0.0, lead=0, r=R, trials=TRIALS, q=lambda 
 def assert_same(one, other, names):
     for name in names:
         scale = max(1.0, np.max(np.abs(other[name])))
-        np.testing.assert_allclose(one[name], other[name], rtol=ALGEBRA["rtol"], atol=ALGEBRA["atol"] * scale, err_msg=name)
-    assert np.max(np.abs(other["u"][-1] - other["u"][0])) > 1e-2, "something should have been learned"
+        np.testing.assert_allclose(
+            one[name], other[name], rtol=ALGEBRA["rtol"], atol=ALGEBRA["atol"] * scale, err_msg=name
+        )
+    assert np.max(np.abs(other["u"][-1] - other["u"][0])) > 1e-2, (
+        "something should have been learned"
+    )
 
 
 def fir(w):
@@ -113,35 +134,49 @@ PREDICTIVE = {"P": 6, "lam": 1.0, "eta": 0.9, "mu": 0.1, "phi0": 0.3}
 FEEDBACKS = {
     "pid": (PID(**GAINS), PIDLoop(**GAINS)),
     "mfapc": (CFDLMFAPC(**PREDICTIVE), MFAPCLoop(**PREDICTIVE)),
-    "mfapc_beyond_the_end": (CFDLMFAPC(**PREDICTIVE | {"P": N + 5}), MFAPCLoop(**PREDICTIVE | {"P": N + 5})),
+    "mfapc_beyond_the_end": (
+        CFDLMFAPC(**PREDICTIVE | {"P": N + 5}),
+        MFAPCLoop(**PREDICTIVE | {"P": N + 5}),
+    ),
 }
 
 
 @pytest.mark.parametrize("feedback", FEEDBACKS)
 @pytest.mark.parametrize("law", LAWS)
 def test_on_reference(feedback, law):
-    """The feedback is told r[k] + w[k-1] now, r[k+i] + w[k+i-1] ahead, both held at the end; w[-1] = 0."""
+    """The feedback is told r[k] + w[k-1] now, r[k+i] + w[k+i-1] ahead, both held at the end; w[-1]
+    = 0.
+    """
     of_package, by_hand = FEEDBACKS[feedback]
     expected = series(by_hand, **LAWS[law])
-    assert_same(run(OnReference(PIDType(**LAWS[law]), of_package)), expected, ["y", "u", "correction"])
+    assert_same(
+        run(OnReference(PIDType(**LAWS[law]), of_package)), expected, ["y", "u", "correction"]
+    )
 
 
 def test_filtered_learning():
     expected = series(PIDLoop(**GAINS), gamma_p=0.5, lead=1, q=fir)
-    scheme = OnReference(Filtered(PIDType(gamma_p=0.5, lead=1), ZeroPhaseFIR((0.5, 0.25))), PID(**GAINS))
+    scheme = OnReference(
+        Filtered(PIDType(gamma_p=0.5, lead=1), ZeroPhaseFIR((0.5, 0.25))), PID(**GAINS)
+    )
     assert_same(run(scheme), expected, ["y", "u", "correction"])
 
 
 def test_nothing_learned_is_the_feedback_alone():
     for feedback in (PID(**GAINS), CFDLMFAPC(**PREDICTIVE)):
-        alone, within = run(feedback, trials=2), run(OnReference(PIDType(gamma_p=0.0), feedback), trials=2)
+        alone, within = (
+            run(feedback, trials=2),
+            run(OnReference(PIDType(gamma_p=0.0), feedback), trials=2),
+        )
         for name in ("y", "u"):
             np.testing.assert_allclose(within[name], alone[name], **ALGEBRA)
         assert not np.any(within["correction"])
 
 
 def closed_loop():
-    """T (N, N): response of y[1..N] to w[0..N-1], a unit impulse at a time, by the loop over samples; w[k] is seen as r[k+1]."""
+    """T (N, N): response of y[1..N] to w[0..N-1], a unit impulse at a time, by the loop over
+    samples; w[k] is seen as r[k+1].
+    """
 
     def response(w):
         return PIDLoop(**GAINS).trial(lambda k, i: w[i - 1] if i >= 1 else 0.0)[0][1:]
@@ -155,7 +190,9 @@ def shift(m):
 
 
 def learning_operator(gamma_p=0.0, gamma_i=0.0, gamma_d=0.0, lead=0):
-    """L (N, N) of the PID-type law on e[1..N], for e[0] = 0; there is no difference beyond the end of the trial."""
+    """L (N, N) of the PID-type law on e[1..N], for e[0] = 0; there is no difference beyond the end
+    of the trial.
+    """
     difference = shift(lead) - shift(lead - 1)
     difference[N - lead :] = 0.0
     return gamma_p * shift(lead) + gamma_i * np.tril(np.ones((N, N))) + gamma_d * difference
@@ -169,7 +206,9 @@ LIFTED = LAWS | {
 
 @pytest.mark.parametrize("law", LIFTED)
 def test_lifted(law):
-    """e_{j+1} = (I - T L) e_j, with T of the closed loop: the plant's own response to the reference."""
+    """e_{j+1} = (I - T L) e_j, with T of the closed loop: the plant's own response to the
+    reference.
+    """
     T, L = closed_loop(), learning_operator(**LIFTED[law])
     assert not np.any(np.triu(T)), "a position loop cannot answer r[k+1] before k+2"
     assert T[1, 0] > 0.05
@@ -182,7 +221,9 @@ def test_lifted(law):
 
 
 def test_the_inverse_of_the_closed_loop_is_deadbeat():
-    """y[k+1] = 2 u[k] under u = 0.5 (seen - y) gives y[k+2] + y[k+1] = r[k+1] + w[k]: learning e[k+2] + e[k+1] meets r at once."""
+    """y[k+1] = 2 u[k] under u = 0.5 (seen - y) gives y[k+2] + y[k+1] = r[k+1] + w[k]: learning
+    e[k+2] + e[k+1] meets r at once.
+    """
     machine = Machine(StateSpace([[0.0]], [[2.0]], [[1.0]], dt=DT))
     sum_of_two = PIDType(gamma_p=2.0, gamma_d=-1.0, lead=1)  # 2 e[k+2] - (e[k+2] - e[k+1])
     y = run(OnReference(sum_of_two, PID(kp=0.5)), r=REST, trials=3, machine=machine)["y"]
@@ -191,11 +232,20 @@ def test_the_inverse_of_the_closed_loop_is_deadbeat():
 
 
 def test_the_dense_matrix_foretells_convergence_and_growth():
-    """Over 60 trials: a lead of two samples converges; with a lead of one the error falls first and then grows, as it must."""
+    """Over 60 trials: a lead of two samples converges; with a lead of one the error falls first and
+    then grows, as it must.
+    """
     T, falls = closed_loop(), {}
     for lead, gamma in ((2, 1.0), (1, 1.5)):
-        e = (REST - run(OnReference(PIDType(gamma_p=gamma, lead=lead), PID(**GAINS)), r=REST, trials=60)["y"])[:, 1:]
-        foretold = [np.linalg.matrix_power(np.eye(N) - gamma * T @ shift(lead), j) @ e[0] for j in range(60)]
+        e = (
+            REST
+            - run(OnReference(PIDType(gamma_p=gamma, lead=lead), PID(**GAINS)), r=REST, trials=60)[
+                "y"
+            ]
+        )[:, 1:]
+        foretold = [
+            np.linalg.matrix_power(np.eye(N) - gamma * T @ shift(lead), j) @ e[0] for j in range(60)
+        ]
         np.testing.assert_allclose(e, foretold, rtol=1e-8, atol=1e-10)
         falls[lead] = np.linalg.norm(e, axis=1) / np.linalg.norm(e[0])
     assert falls[2][-1] < 0.02
@@ -204,11 +254,17 @@ def test_the_dense_matrix_foretells_convergence_and_growth():
 
 
 def test_series_and_parallel_are_one_for_a_linear_feedback():
-    """A correction w through the PID C is an input C z^-1 w. So learning w += gamma e[k+2] on the reference is PID-type learning on the
-    input, with gains gamma times those of C per sample; the first sample, which the reference reaches too late, is at rest."""
+    """A correction w through the PID C is an input C z^-1 w. So learning w += gamma e[k+2] on the
+    reference is PID-type learning on the input, with gains gamma times those of C per sample; the
+    first sample, which the reference reaches too late, is at rest.
+    """
     gamma = 0.7
     on_reference = run(OnReference(PIDType(gamma_p=gamma, lead=1), PID(**GAINS)), r=REST)
-    per_sample = {"gamma_p": gamma * GAINS["kp"], "gamma_i": gamma * GAINS["ki"] * DT, "gamma_d": gamma * GAINS["kd"] / DT}
+    per_sample = {
+        "gamma_p": gamma * GAINS["kp"],
+        "gamma_i": gamma * GAINS["ki"] * DT,
+        "gamma_d": gamma * GAINS["kd"] / DT,
+    }
     on_input = run(WithFeedback(PIDType(**per_sample), PID(**GAINS)), r=REST)
     assert_same(on_reference, on_input, ["y", "u"])
 
@@ -216,7 +272,9 @@ def test_series_and_parallel_are_one_for_a_linear_feedback():
 def test_series_and_parallel_differ_for_an_adaptive_feedback():
     """No such equivalence holds where the feedback adapts itself to the input it gives."""
     feedback = CFDLMFAC(phi0=0.3, lam=0.3, mu=0.1)
-    one, other = (run(kind(PIDType(gamma_p=0.3, lead=1), feedback)) for kind in (OnReference, WithFeedback))
+    one, other = (
+        run(kind(PIDType(gamma_p=0.3, lead=1), feedback)) for kind in (OnReference, WithFeedback)
+    )
     np.testing.assert_allclose(one["y"][0], other["y"][0], **ALGEBRA)
     assert np.max(np.abs(one["y"][1] - other["y"][1])) > 1e-3
 
@@ -240,7 +298,10 @@ NESTED = {
         WithFeedback(PIDType(gamma_p=0.2), OnReference(PIDType(gamma_p=0.4), CFDLMFAC(phi0=0.3))),
         {"feedback", "feedback.correction", "feedback.feedback.phi"},
     ),
-    "on_outputs": (OnOutputs(OnReference(PIDType(gamma_p=0.4), CFDLMFAC(phi0=0.3)), (0,)), {"correction", "feedback.phi"}),
+    "on_outputs": (
+        OnOutputs(OnReference(PIDType(gamma_p=0.4), CFDLMFAC(phi0=0.3)), (0,)),
+        {"correction", "feedback.phi"},
+    ),
 }
 
 
@@ -253,31 +314,49 @@ def test_signals_of_the_parts_carry_their_names(name):
 
 
 def test_two_corrections_add_up():
-    """The inner correction is learned from the error against what the outer one asks for, or against r itself: the docstring says r."""
+    """The inner correction is learned from the error against what the outer one asks for, or
+    against r itself: the docstring says r.
+    """
     r, gammas = R, (0.2, 0.3)
-    scheme = OnReference(PIDType(gamma_p=gammas[0]), OnReference(PIDType(gamma_p=gammas[1]), PID(**GAINS)))
+    scheme = OnReference(
+        PIDType(gamma_p=gammas[0]), OnReference(PIDType(gamma_p=gammas[1]), PID(**GAINS))
+    )
     together = run(scheme, r=r)
     expected = series(PIDLoop(**GAINS), gamma_p=sum(gammas))
     np.testing.assert_allclose(together["y"], expected["y"], **ALGEBRA)
     for name, gamma in zip(("correction", "feedback.correction"), gammas, strict=True):
-        np.testing.assert_allclose(together[name], gamma / sum(gammas) * expected["correction"], **ALGEBRA)
+        np.testing.assert_allclose(
+            together[name], gamma / sum(gammas) * expected["correction"], **ALGEBRA
+        )
 
 
 def test_both_parts_learn():
-    """A feedback that learns on the input, under a correction of the reference: both from the same error."""
+    """A feedback that learns on the input, under a correction of the reference: both from the same
+    error.
+    """
     scheme = OnReference(PIDType(gamma_p=0.3), WithFeedback(PIDType(gamma_p=0.2), PID(**GAINS)))
     saved = run(scheme, trials=3)
     e, own = R - saved["y"], saved["u"] - saved["feedback.feedback"]
     for j in (1, 2):
-        np.testing.assert_allclose(saved["correction"][j], saved["correction"][j - 1] + 0.3 * e[j - 1, 1:], **ALGEBRA)
+        np.testing.assert_allclose(
+            saved["correction"][j], saved["correction"][j - 1] + 0.3 * e[j - 1, 1:], **ALGEBRA
+        )
         np.testing.assert_allclose(own[j], own[j - 1] + 0.2 * e[j - 1, 1:], **ALGEBRA)
 
 
 def test_learning_from_some_of_the_outputs():
-    """One input, two outputs, the second followed: the correction has as many channels as outputs are seen."""
+    """One input, two outputs, the second followed: the correction has as many channels as outputs
+    are seen.
+    """
     plant = StateSpace([[0.9, 0.1], [0.3, 0.6]], [[0.2], [0.0]], np.eye(2), dt=DT)
     scheme = OnOutputs(OnReference(PIDType(gamma_p=0.5, lead=1), PID(kp=0.5)), (1,))
-    saved = learn(Machine(plant), scheme, Task(np.stack([0 * R, R], axis=1), dt=DT, inputs=1), 3, save=everything).saved
+    saved = learn(
+        Machine(plant),
+        scheme,
+        Task(np.stack([0 * R, R], axis=1), dt=DT, inputs=1),
+        3,
+        save=everything,
+    ).saved
     x, w = np.zeros((N + 1, 2)), np.zeros(N)
     for j in range(3):
         for k in range(N):
@@ -290,7 +369,9 @@ def test_learning_from_some_of_the_outputs():
 
 
 def test_more_outputs_than_inputs():
-    """The correction has the outputs' channels, the feedback gives the inputs: here it is a scheme on one of two outputs."""
+    """The correction has the outputs' channels, the feedback gives the inputs: here it is a scheme
+    on one of two outputs.
+    """
     plant = StateSpace([[0.9, 0.1], [0.3, 0.6]], [[0.2], [0.0]], np.eye(2), dt=DT)
     scheme = OnReference(PIDType(gamma_p=0.4), OnOutputs(PID(kp=0.5), (0,)))
     task = Task(np.stack([R, R[::-1]], axis=1), dt=DT, inputs=1)
@@ -302,25 +383,36 @@ def test_more_outputs_than_inputs():
 
 
 def test_the_table_by_hand():
-    """`feedforward` is the correction of the next trial; a measured trial must bring the correction along."""
+    """`feedforward` is the correction of the next trial; a measured trial must bring the correction
+    along.
+    """
     scheme, task = OnReference(PIDType(gamma_p=0.5), PID(**GAINS)), Task(R, dt=DT)
     history = learn(PLANT, scheme, task, 2, save=everything)
     expected = series(PIDLoop(**GAINS), gamma_p=0.5, trials=3)
-    np.testing.assert_allclose(feedforward(scheme, task, history.memory)[:, 0], expected["correction"][2], **ALGEBRA)
+    np.testing.assert_allclose(
+        feedforward(scheme, task, history.memory)[:, 0], expected["correction"][2], **ALGEBRA
+    )
 
     y, u, w = (history.saved[name][1] for name in ("y", "u", "correction"))
     memory = learn(PLANT, scheme, task, 1).memory
     with pytest.raises(ValueError, match="OnReference: the trial has no signal 'correction'"):
         next_memory(scheme, task, memory, y, u)
     measured = measured_trial(task, y, u)._replace(signals={"correction": w})
-    np.testing.assert_allclose(feedforward(scheme, task, scheme.learn(memory, measured))[:, 0], expected["correction"][2], **ALGEBRA)
+    np.testing.assert_allclose(
+        feedforward(scheme, task, scheme.learn(memory, measured))[:, 0],
+        expected["correction"][2],
+        **ALGEBRA,
+    )
 
 
 def test_gradient_of_every_gain_equals_central_differences():
     task = Task(R[:21], dt=DT)
 
     def loss(gains):
-        scheme = OnReference(PIDType(gamma_p=gains[0], gamma_d=gains[1], lead=1), CFDLMFAPC(P=5, lam=gains[2], phi0=gains[3], reset="none"))
+        scheme = OnReference(
+            PIDType(gamma_p=gains[0], gamma_d=gains[1], lead=1),
+            CFDLMFAPC(P=5, lam=gains[2], phi0=gains[3], reset="none"),
+        )
         return learn(PLANT, scheme, task, 3).rms[-1, 0]
 
     at, step = np.array([0.5, 0.3, 1.0, 0.4]), 1e-6
@@ -332,7 +424,9 @@ def test_gradient_of_every_gain_equals_central_differences():
 
 
 def test_adaptive_learning_on_the_reference():
-    """CFDL-MFAILC has everything in its table: it learns the correction as it would an input of the closed loop."""
+    """CFDL-MFAILC has everything in its table: it learns the correction as it would an input of the
+    closed loop.
+    """
     weights = {"lam": 0.05, "rho": 0.9, "eta": 0.9, "mu": 0.02, "phi0": 0.4, "reset": "none"}
     on_reference = run(OnReference(CFDLMFAILC(**weights, lead=1), PID(**GAINS)), r=REST, trials=6)
     e, w, y = REST - on_reference["y"], on_reference["correction"], on_reference["y"]
@@ -341,14 +435,18 @@ def test_adaptive_learning_on_the_reference():
         for k in range(N - 1):
             if j >= 2:  # Cao 2019, eq. 13, from the second trial on
                 dw = w[j - 1, k] - w[j - 2, k]
-                phi[k] += 0.9 * dw / (0.02 + dw**2) * (y[j - 1, k + 2] - y[j - 2, k + 2] - phi[k] * dw)
+                phi[k] += (
+                    0.9 * dw / (0.02 + dw**2) * (y[j - 1, k + 2] - y[j - 2, k + 2] - phi[k] * dw)
+                )
             expected = w[j - 1, k] + 0.9 * phi[k] / (0.05 + phi[k] ** 2) * e[j - 1, k + 2]  # eq. 12
             np.testing.assert_allclose(w[j, k], expected, rtol=1e-9, atol=1e-12)
     assert np.max(np.abs(w[-1])) > 0.1
 
 
 def test_learning_with_terms_of_the_running_trial_is_refused_or_complete():
-    """FFDL-MFAILC corrects its table by increments of the running trial (Cao 2019, eq. 25): OnReference must not drop them silently."""
+    """FFDL-MFAILC corrects its table by increments of the running trial (Cao 2019, eq. 25):
+    OnReference must not drop them silently.
+    """
     learning = FFDLMFAILC(phi0=(0.5, 0.3, 0.4, 0.2), lam=0.05, mu=0.02, rho=1.0, reset="none")
     try:
         saved = run(OnReference(learning, PID(**GAINS)), trials=2)
@@ -363,12 +461,27 @@ def test_learning_with_terms_of_the_running_trial_is_refused_or_complete():
 
 
 REFUSED = {
-    "feedback_as_learning": (OnReference(PID(kp=1.0), PID(kp=1.0)), ("OnReference", "PID", "no feedforward")),
-    "pair_as_learning": (OnReference(WithFeedback(PIDType(), PID()), PID()), ("OnReference", "WithFeedback", "no feedforward")),
+    "feedback_as_learning": (
+        OnReference(PID(kp=1.0), PID(kp=1.0)),
+        ("OnReference", "PID", "no feedforward"),
+    ),
+    "pair_as_learning": (
+        OnReference(WithFeedback(PIDType(), PID()), PID()),
+        ("OnReference", "WithFeedback", "no feedforward"),
+    ),
     "lead": (OnReference(PIDType(lead=N), PID()), ("PIDType", f"lead = {N}", f"[0, {N - 1}]")),
-    "gain_of_learning": (OnReference(PIDType(gamma_p=(0.1, 0.2)), PID()), ("PIDType", "gamma_p", "(2,)", "() and (1,)")),
-    "gain_of_feedback": (OnReference(PIDType(), PID(kp=(0.1, 0.2))), ("PID", "kp", "(2,)", "() and (1,)")),
-    "filter_of_feedback": (OnReference(Filtered(PID(), ZeroPhaseFIR((1.0,))), PID()), ("PID", "no feedforward")),
+    "gain_of_learning": (
+        OnReference(PIDType(gamma_p=(0.1, 0.2)), PID()),
+        ("PIDType", "gamma_p", "(2,)", "() and (1,)"),
+    ),
+    "gain_of_feedback": (
+        OnReference(PIDType(), PID(kp=(0.1, 0.2))),
+        ("PID", "kp", "(2,)", "() and (1,)"),
+    ),
+    "filter_of_feedback": (
+        OnReference(Filtered(PID(), ZeroPhaseFIR((1.0,))), PID()),
+        ("PID", "no feedforward"),
+    ),
 }
 
 
@@ -385,4 +498,9 @@ def test_a_feedback_that_is_not_square_is_refused():
     """OnReference itself is indifferent to the number of inputs; its feedback is not."""
     plant = StateSpace(np.eye(2), [[1.0], [0.0]], np.eye(2), dt=DT)
     with pytest.raises(ValueError, match="PID works channel by channel"):
-        learn(Machine(plant), OnReference(PIDType(), PID()), Task(np.zeros((9, 2)), dt=DT, inputs=1), 1)
+        learn(
+            Machine(plant),
+            OnReference(PIDType(), PID()),
+            Task(np.zeros((9, 2)), dt=DT, inputs=1),
+            1,
+        )

@@ -10,12 +10,24 @@ from cases import ALGEBRA, ARX, DT, PRINTED
 from jaxilc.filters import ZeroPhaseButterworth, ZeroPhaseFIR
 from jaxilc.learning import Machine, learn
 from jaxilc.plants import DifferenceEquation, StateSpace
-from jaxilc.schemes import CFDLMFAILC, FFDLMFAILC, PFDLMFAILC, PID, Filtered, OnOutputs, PIDType, WithFeedback
+from jaxilc.schemes import (
+    CFDLMFAILC,
+    FFDLMFAILC,
+    PFDLMFAILC,
+    PID,
+    Filtered,
+    OnOutputs,
+    PIDType,
+    WithFeedback,
+)
 from jaxilc.signals import Task
 
 N, TRIALS = 60, 6
 R = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(N + 1) / N) + 0.05 * np.sin(1.3 * np.arange(N + 1))
-PLANTS = {"printed": PRINTED, "arx": tuple((*c, 0.0) for c in ARX)}  # of one order: compiled once for both
+PLANTS = {
+    "printed": PRINTED,
+    "arx": tuple((*c, 0.0) for c in ARX),
+}  # of one order: compiled once for both
 SIGN = {"printed": -1.0, "arx": 1.0}  # of the plant's gain
 
 
@@ -26,14 +38,18 @@ def everything(trial):
 def run(plant, scheme, trials=TRIALS):
     """(J, N+1) outputs and (J, N) inputs of the package."""
     a, b = PLANTS[plant]
-    history = learn(Machine(DifferenceEquation(a, b, dt=DT)), scheme, Task(R, dt=DT), trials, save=everything)
+    history = learn(
+        Machine(DifferenceEquation(a, b, dt=DT)), scheme, Task(R, dt=DT), trials, save=everything
+    )
     return tuple(np.asarray(signal)[..., 0] for signal in history.saved)
 
 
 def loops(plant, learning=None, feedback=None, trials=TRIALS):
-    """The same by hand. learning.prepare(j, Y, W) before trial j, then learning.input(k, j, Y, W); feedback(k, e) within the trial.
+    """The same by hand. learning.prepare(j, Y, W) before trial j, then learning.input(k, j, Y, W);
+    feedback(k, e) within the trial.
 
-    Row j of Y, U, W is trial j (outputs, applied inputs, learned inputs); row 0 stands for "before the first trial".
+    Row j of Y, U, W is trial j (outputs, applied inputs, learned inputs); row 0 stands for "before
+    the first trial".
     """
     a, b = PLANTS[plant]
     Y, U, W = np.zeros((trials + 1, N + 1)), np.zeros((trials + 1, N)), np.zeros((trials + 1, N))
@@ -59,23 +75,34 @@ def clip(u, limit):
 
 
 def pid(form, kp, ki, kd, tau=0.0, limit=None, kv=0.0, ka=0.0):
-    """u = kp e + ki integral e dt + kd s + f, with tau s' + s = e' by the backward difference: tau (s - s_)/dt + s = (e - e_)/dt.
+    """u = kp e + ki integral e dt + kd s + f, with tau s' + s = e' by the backward difference: tau
+    (s - s_)/dt + s = (e - e_)/dt.
 
     f = kv r' + ka r'', central at the middle of the interval from k to k+1; r holds its ends."""
     was = {}
     r = np.concatenate([R[:1], R, R[-1:]])  # r[k] is R[k-1]
     velocity = np.diff(R) / DT
-    acceleration = (np.diff(r[2:]) - np.diff(r[:-2])) / (2 * DT**2)  # (r[k+2] - r[k+1] - (r[k] - r[k-1])) / (2 dt^2)
+    acceleration = (np.diff(r[2:]) - np.diff(r[:-2])) / (
+        2 * DT**2
+    )  # (r[k+2] - r[k+1] - (r[k] - r[k-1])) / (2 dt^2)
     f = np.concatenate([kv * velocity + ka * acceleration, [0.0]])
 
     def feedback(k, e):
         e_, s_, u_, integral = (0.0, 0.0, 0.0, 0.0) if k == 0 else was["last"]
         s = (tau * s_ / DT + (e - e_) / DT) / (tau / DT + 1)
         if form == "increment":
-            u = clip(u_ + kp * (e - e_) + ki * DT * e + kd * (s - s_) + f[k] - (f[k - 1] if k else 0.0), limit)
+            u = clip(
+                u_ + kp * (e - e_) + ki * DT * e + kd * (s - s_) + f[k] - (f[k - 1] if k else 0.0),
+                limit,
+            )
         else:
             u = kp * e + (integral + ki * DT * e) + kd * s + f[k]
-            winds_up = limit is not None and abs(u) > limit and math.copysign(1, u) == math.copysign(1, ki * e) and ki * e != 0
+            winds_up = (
+                limit is not None
+                and abs(u) > limit
+                and math.copysign(1, u) == math.copysign(1, ki * e)
+                and ki * e != 0
+            )
             integral = integral if winds_up else integral + ki * DT * e
             was["held"] = was.get("held", 0) + winds_up
             u = clip(kp * e + integral + kd * s + f[k], limit)
@@ -95,9 +122,13 @@ class PIDTypeLoop:
         self.u, total = np.zeros(N), 0.0
         for k in range(N if j > 1 else 0):
             ahead = error(Y, j - 1, k + 1 + self.m)
-            difference = ahead - error(Y, j - 1, k + self.m) if k + 1 + self.m <= N else 0.0  # none reaches beyond the end
+            difference = (
+                ahead - error(Y, j - 1, k + self.m) if k + 1 + self.m <= N else 0.0
+            )  # none reaches beyond the end
             total += error(Y, j - 1, k + 1)
-            self.u[k] = clip((1 - leak) * W[j - 1, k] + p * ahead + i * total + d * difference, self.limit)
+            self.u[k] = clip(
+                (1 - leak) * W[j - 1, k] + p * ahead + i * total + d * difference, self.limit
+            )
         self.u = self.q(self.u) if self.q else self.u
 
     def input(self, k, j, Y, W):
@@ -107,8 +138,28 @@ class PIDTypeLoop:
 class MFAILCLoop:
     """Cao 2019, eq. 25 and 27 with reset Dai 2014 eq. 12; (12) and (13) are L_y = 0, L_u = 1."""
 
-    def __init__(self, L_y, L_u, phi0, lam, rho, eta, mu, epsilon=1e-5, mode="book", lead=0, limit=None, q=None):
-        self.L, self.phi0, self.m, self.limit, self.q = (L_y, L_u), np.atleast_1d(phi0), lead, limit, q
+    def __init__(
+        self,
+        L_y,
+        L_u,
+        phi0,
+        lam,
+        rho,
+        eta,
+        mu,
+        epsilon=1e-5,
+        mode="book",
+        lead=0,
+        limit=None,
+        q=None,
+    ):
+        self.L, self.phi0, self.m, self.limit, self.q = (
+            (L_y, L_u),
+            np.atleast_1d(phi0),
+            lead,
+            limit,
+            q,
+        )
         self.lam, self.rho, self.eta, self.mu = lam, np.broadcast_to(rho, L_y + L_u), eta, mu
         self.epsilon, self.mode = epsilon, mode
         self.phi = np.tile(self.phi0, (N, 1)).astype(float)
@@ -124,7 +175,10 @@ class MFAILCLoop:
             dh, phi = np.array(dy + du), self.phi[k]
             target = Y[j - 1, k + 1 + self.m] - Y[j - 2, k + 1 + self.m]
             phi = phi + self.eta * dh / (self.mu + dh @ dh) * (target - phi @ dh)
-            clauses = {"small phi": abs(phi[L_y]) <= self.epsilon, "sign": np.sign(phi[L_y]) != np.sign(self.phi0[L_y])}
+            clauses = {
+                "small phi": abs(phi[L_y]) <= self.epsilon,
+                "sign": np.sign(phi[L_y]) != np.sign(self.phi0[L_y]),
+            }
             if self.mode == "book":
                 clauses["small du"] = abs(du[0]) <= self.epsilon
             if self.mode != "none" and any(clauses.values()):
@@ -146,15 +200,27 @@ class MFAILCLoop:
         total = 0.0
         for i in range(1, L_y + L_u + 1):  # the papers' index
             if i <= L_y and k - i + 1 >= 0:
-                total += self.rho[i - 1] * self.phi[k, i - 1] * (Y[j, k - i + 1] - Y[j - 1, k - i + 1])
+                total += (
+                    self.rho[i - 1] * self.phi[k, i - 1] * (Y[j, k - i + 1] - Y[j - 1, k - i + 1])
+                )
             elif i > L_y + 1 and k + L_y - i + 1 >= 0:
-                total += self.rho[i - 1] * self.phi[k, i - 1] * (W[j, k + L_y - i + 1] - W[j - 1, k + L_y - i + 1])
+                total += (
+                    self.rho[i - 1]
+                    * self.phi[k, i - 1]
+                    * (W[j, k + L_y - i + 1] - W[j - 1, k + L_y - i + 1])
+                )
         return clip(self.known[k] - self.gain[k] * total, self.limit)
 
 
 def assert_equal(of_package, by_hand):
     for name, a, b in zip("yu", of_package, by_hand, strict=True):
-        np.testing.assert_allclose(a, b, rtol=ALGEBRA["rtol"], atol=ALGEBRA["atol"] * max(1.0, np.max(np.abs(b))), err_msg=name)
+        np.testing.assert_allclose(
+            a,
+            b,
+            rtol=ALGEBRA["rtol"],
+            atol=ALGEBRA["atol"] * max(1.0, np.max(np.abs(b))),
+            err_msg=name,
+        )
     assert np.max(np.abs(by_hand[0])) < 1e3
     assert np.max(np.abs(by_hand[1])) > 0.1
 
@@ -173,42 +239,65 @@ PIDS = {
 @pytest.mark.parametrize("form", ["position", "increment"])
 @pytest.mark.parametrize("options", PIDS.values(), ids=PIDS)
 def test_pid(plant, form, options):
-    weights = {"kp": 6.0 * SIGN[plant], "ki": 300.0 * SIGN[plant], "kd": 1e-3 * SIGN[plant]} | options
+    weights = {
+        "kp": 6.0 * SIGN[plant],
+        "ki": 300.0 * SIGN[plant],
+        "kd": 1e-3 * SIGN[plant],
+    } | options
     feedback = pid(form, **weights)
     by_hand = loops(plant, feedback=feedback, trials=2)
     assert_equal(run(plant, PID(**weights, form=form), trials=2), by_hand)
     if "limit" in options:
-        assert 5 < np.sum(np.abs(by_hand[1]) == options["limit"]) < 2 * N - 5, "the limit should act, though not always"
+        assert 5 < np.sum(np.abs(by_hand[1]) == options["limit"]) < 2 * N - 5, (
+            "the limit should act, though not always"
+        )
         assert form == "increment" or feedback.was["held"] > 5, "anti-windup should act"
 
 
 def test_feedforward_of_the_reference_in_closed_form():
-    """An integrator follows exactly; a double integrator is moved by the mean acceleration, y[k] = (r[k+1] + 2 r[k] + r[k-1]) / 4."""
+    """An integrator follows exactly; a double integrator is moved by the mean acceleration, y[k] =
+    (r[k+1] + 2 r[k] + r[k-1]) / 4.
+    """
     t = np.linspace(0.0, 1.0, N - 1)
-    r = np.concatenate([[0.0, 0.0], t**3 * (10 - 15 * t + 6 * t**2)])  # at rest for the first two samples
+    r = np.concatenate(
+        [[0.0, 0.0], t**3 * (10 - 15 * t + 6 * t**2)]
+    )  # at rest for the first two samples
     integrator = StateSpace([[0.0]], [[1.0]], [[1.0]])
     y = learn(Machine(integrator), PID(kv=1.0), Task(r, dt=DT), 1).final.y[:, 0]
     np.testing.assert_allclose(y, r, **ALGEBRA)
     mass = StateSpace([[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], [[1.0, 0.0]])
     y = learn(Machine(mass), PID(ka=1.0), Task(r, dt=DT), 1).final.y[:, 0]
     held = np.append(r, r[-1])
-    np.testing.assert_allclose(y[1:], (held[2:] + 2 * held[1:-1] + held[:-2]) / 4, rtol=1e-9, atol=1e-11)
-    # with feedback on top, the error stays near the curvature of the reference within a sample, dt^2 r'' / 4
+    np.testing.assert_allclose(
+        y[1:], (held[2:] + 2 * held[1:-1] + held[:-2]) / 4, rtol=1e-9, atol=1e-11
+    )
+    # with feedback on top, the error stays near the curvature of the reference within a sample,
+    # dt^2 r'' / 4
     e = learn(Machine(mass), PID(kp=400.0, kd=40.0, ka=1.0), Task(r, dt=DT), 1).final.e[:, 0]
     assert np.max(np.abs(e)) < 1.1 * np.max(np.abs(np.diff(r, 2))) / 4
-    assert np.max(np.abs(e)) < 1e-2 * np.max(np.abs(learn(Machine(mass), PID(kp=400.0, kd=40.0), Task(r, dt=DT), 1).final.e))
+    assert np.max(np.abs(e)) < 1e-2 * np.max(
+        np.abs(learn(Machine(mass), PID(kp=400.0, kd=40.0), Task(r, dt=DT), 1).final.e)
+    )
 
 
 @pytest.mark.parametrize("form", ["position", "increment"])
 def test_feedforward_is_the_feedbacks_share(form):
-    """The learning part is shown its own share only; gains of zero leave every number of plain PID as it is."""
-    gains, law = {"kp": 0.8, "ki": 20.0, "kd": 2e-4, "kv": 0.02, "ka": 1e-5}, PIDTypeLoop(gamma_p=0.6, lead=1)
+    """The learning part is shown its own share only; gains of zero leave every number of plain PID
+    as it is.
+    """
+    gains, law = (
+        {"kp": 0.8, "ki": 20.0, "kd": 2e-4, "kv": 0.02, "ka": 1e-5},
+        PIDTypeLoop(gamma_p=0.6, lead=1),
+    )
     scheme = WithFeedback(PIDType(gamma_p=0.6, lead=1), PID(**gains, form=form))
     assert_equal(run("arx", scheme), loops("arx", law, pid(form, **gains)))
     final = learn(Machine(DifferenceEquation(*ARX, dt=DT)), scheme, Task(R, dt=DT), 1).final
     np.testing.assert_allclose(final.signals["feedback"], final.u, **ALGEBRA)
     without = {k: v for k, v in gains.items() if k not in ("kv", "ka")}
-    np.testing.assert_array_equal(run("arx", PID(**without, kv=0.0, ka=0.0, form=form))[0], run("arx", PID(**without, form=form))[0])
+    np.testing.assert_array_equal(
+        run("arx", PID(**without, kv=0.0, ka=0.0, form=form))[0],
+        run("arx", PID(**without, form=form))[0],
+    )
 
 
 P_TYPES = {
@@ -217,7 +306,14 @@ P_TYPES = {
     "pid": {"gamma_p": 0.6, "gamma_d": 1.5, "gamma_i": 0.02},
     "leak": {"gamma_p": 0.6, "gamma_i": 0.02, "leak": 0.1},
     "lead": {"gamma_p": 0.6, "gamma_i": 0.02, "gamma_d": 1.5, "lead": 3},
-    "lead_leak_limit": {"gamma_p": 0.6, "gamma_i": 0.02, "gamma_d": 1.5, "lead": 3, "leak": 0.1, "limit": 0.8},
+    "lead_leak_limit": {
+        "gamma_p": 0.6,
+        "gamma_i": 0.02,
+        "gamma_d": 1.5,
+        "lead": 3,
+        "leak": 0.1,
+        "limit": 0.8,
+    },
 }
 
 
@@ -227,10 +323,18 @@ def test_pid_type(plant, weights):
     weights = {k: v * SIGN[plant] if k.startswith("gamma") else v for k, v in weights.items()}
     by_hand = loops(plant, PIDTypeLoop(**weights))
     assert_equal(run(plant, PIDType(**weights)), by_hand)
-    assert "limit" not in weights or 5 < np.sum(np.abs(by_hand[1]) == weights["limit"]) < by_hand[1].size
+    assert (
+        "limit" not in weights
+        or 5 < np.sum(np.abs(by_hand[1]) == weights["limit"]) < by_hand[1].size
+    )
 
 
-WINDOWS = {"cfdl": (CFDLMFAILC, 0, 1), "pfdl": (PFDLMFAILC, 0, 3), "ffdl": (FFDLMFAILC, 2, 2), "ffdl_long": (FFDLMFAILC, 1, 3)}
+WINDOWS = {
+    "cfdl": (CFDLMFAILC, 0, 1),
+    "pfdl": (PFDLMFAILC, 0, 3),
+    "ffdl": (FFDLMFAILC, 2, 2),
+    "ffdl_long": (FFDLMFAILC, 1, 3),
+}
 OPTIONS = {
     "book": {"mode": "book", "epsilon": 2e-2},
     "sign": {"mode": "sign", "epsilon": 2e-2},
@@ -245,7 +349,13 @@ def mfailc(plant, law, options):
     kind, L_y, L_u = WINDOWS[law]
     start = {"printed": [0.5, -0.1, -0.06, 0.02, 0.01], "arx": [0.5, -0.1, 0.2, 0.05, 0.02]}[plant]
     phi0 = start[:L_y] + start[2 : 2 + L_u]
-    weights = {"phi0": phi0, "lam": 0.05, "rho": np.linspace(0.9, 0.6, L_y + L_u), "eta": 0.9, "mu": 0.02}
+    weights = {
+        "phi0": phi0,
+        "lam": 0.05,
+        "rho": np.linspace(0.9, 0.6, L_y + L_u),
+        "eta": 0.9,
+        "mu": 0.02,
+    }
     windows = {} if law == "cfdl" else {"L_y": L_y, "L_u": L_u}
     renamed = {("reset" if k == "mode" else k): v for k, v in options.items()}
     return kind(**weights, **windows, **renamed), MFAILCLoop(L_y, L_u, **weights, **options)
@@ -262,20 +372,28 @@ def test_mfailc(plant, law, options):
         assert loop.resets["sign"] > 5
         assert options["mode"] == "sign" or loop.resets["small du"] > 5
         assert "lead" in options or law == "cfdl" or loop.resets["small phi"] > 5
-    assert "limit" not in options or 5 < np.sum(np.abs(by_hand[1]) == options["limit"]) < by_hand[1].size
+    assert (
+        "limit" not in options
+        or 5 < np.sum(np.abs(by_hand[1]) == options["limit"]) < by_hand[1].size
+    )
 
 
 def fir(u):
     """0.5 u(k) + 0.2 (u(k-1) + u(k+1)) + 0.05 (u(k-2) + u(k+2)), end values held."""
     taps = {0: 0.5, 1: 0.2, -1: 0.2, 2: 0.05, -2: 0.05}
-    return np.array([sum(tap * u[min(max(k + i, 0), N - 1)] for i, tap in taps.items()) for k in range(N)])
+    return np.array(
+        [sum(tap * u[min(max(k + i, 0), N - 1)] for i, tap in taps.items()) for k in range(N)]
+    )
 
 
 def butterworth(u):
     return scipy.signal.sosfiltfilt(scipy.signal.butter(3, 70.0, fs=1 / DT, output="sos"), u)
 
 
-FILTERS = {"fir": (ZeroPhaseFIR((0.5, 0.2, 0.05)), fir), "butterworth": (ZeroPhaseButterworth(70.0, order=3, padding=12), butterworth)}
+FILTERS = {
+    "fir": (ZeroPhaseFIR((0.5, 0.2, 0.05)), fir),
+    "butterworth": (ZeroPhaseButterworth(70.0, order=3, padding=12), butterworth),
+}
 
 
 @pytest.mark.parametrize("q", FILTERS)
@@ -283,7 +401,10 @@ FILTERS = {"fir": (ZeroPhaseFIR((0.5, 0.2, 0.05)), fir), "butterworth": (ZeroPha
 def test_filtered(law, q):
     q, q_by_hand = FILTERS[q]
     if law == "p_type":
-        scheme, loop = PIDType(gamma_p=0.6, lead=1, leak=0.1), PIDTypeLoop(gamma_p=0.6, lead=1, leak=0.1)
+        scheme, loop = (
+            PIDType(gamma_p=0.6, lead=1, leak=0.1),
+            PIDTypeLoop(gamma_p=0.6, lead=1, leak=0.1),
+        )
     else:
         scheme, loop = mfailc("arx", law, OPTIONS["none"])
     loop.q = q_by_hand
@@ -300,7 +421,10 @@ def test_with_feedback(law):
         learning, loop = PIDType(gamma_p=0.6, lead=1), PIDTypeLoop(gamma_p=0.6, lead=1)
     if law == "filtered":
         learning, loop.q = Filtered(learning, FILTERS["fir"][0]), fir
-    assert_equal(run("arx", WithFeedback(learning, PID(**gains))), loops("arx", loop, pid("position", **gains)))
+    assert_equal(
+        run("arx", WithFeedback(learning, PID(**gains))),
+        loops("arx", loop, pid("position", **gains)),
+    )
 
 
 def test_feedback_loops_nest():
@@ -315,7 +439,13 @@ def test_on_outputs():
     A, B, C = np.array([[0.9, 0.1], [0.3, 0.6]]), np.array([0.2, 0.0]), np.eye(2)
     r = np.stack([0 * R, R], axis=1)
     scheme = OnOutputs(PIDType(gamma_p=0.5, lead=1), (1,))
-    of_package = learn(Machine(StateSpace(A, B[:, None], C, dt=DT)), scheme, Task(r, dt=DT, inputs=1), TRIALS, save=everything).saved
+    of_package = learn(
+        Machine(StateSpace(A, B[:, None], C, dt=DT)),
+        scheme,
+        Task(r, dt=DT, inputs=1),
+        TRIALS,
+        save=everything,
+    ).saved
     u = np.zeros(N)
     for j in range(TRIALS):
         x = np.zeros((N + 1, 2))
@@ -323,12 +453,16 @@ def test_on_outputs():
             x[k + 1] = A @ x[k] + B * u[k]
         np.testing.assert_allclose(of_package[0][j], x, **ALGEBRA)
         np.testing.assert_allclose(of_package[1][j, :, 0], u, **ALGEBRA)
-        u = np.array([u[k] + 0.5 * (R[k + 2] - x[k + 2, 1] if k + 2 <= N else 0.0) for k in range(N)])
+        u = np.array(
+            [u[k] + 0.5 * (R[k + 2] - x[k + 2, 1] if k + 2 <= N else 0.0) for k in range(N)]
+        )
     assert np.max(np.abs(u)) > 0.1
 
 
 def test_ffdl_with_the_true_model_takes_off_a_share_rho_of_the_error_in_each_trial():
-    """Eq. (25) with Phi the ARX vector and lam -> 0 gives e_{j+1} = (1 - rho_c) e_j: deadbeat in one trial for rho_c = 1."""
+    """Eq. (25) with Phi the ARX vector and lam -> 0 gives e_{j+1} = (1 - rho_c) e_j: deadbeat in
+    one trial for rho_c = 1.
+    """
     a, b = ARX
     for rho, share in ((1.0, 0.0), ((1.0, 1.0, 0.6, 1.0), 0.4)):
         y, _ = run("arx", FFDLMFAILC(phi0=a + b, lam=1e-18, rho=rho, L_y=2, L_u=2), trials=4)

@@ -1,4 +1,6 @@
-"""Sliding mode control, learning over it and their theory, against scalar loops written from Xu 2024 and closed forms."""
+"""Sliding mode control, learning over it and their theory, against scalar loops written from Xu
+2024 and closed forms.
+"""
 
 import dataclasses
 import re
@@ -11,7 +13,16 @@ import scipy.signal
 from cases import ALGEBRA
 
 from jaxilc.filters import ZeroPhaseFIR
-from jaxilc.learning import Disturbance, Machine, chattering, check, learn, measured_trial, run_trial, total_variation
+from jaxilc.learning import (
+    Disturbance,
+    Machine,
+    chattering,
+    check,
+    learn,
+    measured_trial,
+    run_trial,
+    total_variation,
+)
 from jaxilc.plants import StateSpace
 from jaxilc.schemes import ASMC, PID, SMC, ExponentialPD, Filtered, PIDType, WithFeedback
 from jaxilc.schemes.velocity import filtered_difference
@@ -28,7 +39,9 @@ LAM1, LAM2 = 500.0, 0.3
 
 def plant(dt=DT):
     """The printed second-order system, sampled by scipy."""
-    continuous = (np.array(M) for M in ([[0.0, 1.0], [-A1, -A2]], [[0.0], [B]], [[1.0, 0.0]], [[0.0]]))
+    continuous = (
+        np.array(M) for M in ([[0.0, 1.0], [-A1, -A2]], [[0.0], [B]], [[1.0, 0.0]], [[0.0]])
+    )
     A, Bd, C, _, _ = scipy.signal.cont2discrete(tuple(continuous), dt)
     return StateSpace(A, Bd, C, dt=dt)
 
@@ -51,7 +64,9 @@ def force(n=N, dt=DT):
 PLANT = plant()
 TASK = Task(bump(), dt=DT)
 FREE = Machine(PLANT, disturbance=Disturbance(input=np.zeros((N, 1))))
-FORCED = Machine(PLANT, disturbance=Disturbance(input=force()[:, None]))  # of one structure, so compiled once for both
+FORCED = Machine(
+    PLANT, disturbance=Disturbance(input=force()[:, None])
+)  # of one structure, so compiled once for both
 
 one_trial, loop_of = jax.jit(run_trial), jax.jit(frequency.linear_loop)
 
@@ -65,19 +80,37 @@ def control(weights, adaptive, eq, fast, eta_hat, integral, *, grows):
     """sigma, eta_hat and u of eq. 6 to 13, with fast = e' + lam1 e."""
     sigma = fast + LAM2 * integral
     gain = eta_hat + DT * weights["phi"] * abs(sigma) if grows else eta_hat
-    switch = sigma / weights["Delta"] if adaptive and abs(sigma) <= weights["Delta"] else np.sign(sigma)
+    switch = (
+        sigma / weights["Delta"] if adaptive and abs(sigma) <= weights["Delta"] else np.sign(sigma)
+    )
     return sigma, gain, (eq - gain * switch - weights["k_n"] * sigma) / weights["b"]
 
 
 class Loop:
     """One trial of Xu 2024, eq. 5 to 13, by hand: y (N+1,) and u, sigma, eta_hat (N,)."""
 
-    def __init__(self, weights, *, adaptive, d, start=None, learned=None, tau=0.0, limit=None, centre="sample"):
+    def __init__(
+        self,
+        weights,
+        *,
+        adaptive,
+        d,
+        start=None,
+        learned=None,
+        tau=0.0,
+        limit=None,
+        centre="sample",
+    ):
         r, A, Bd = bump(), np.asarray(PLANT.A), np.asarray(PLANT.B)[:, 0]
         before = np.concatenate([r[:1], r])  # before[k] = r[k-1]
         x, integral, e_last, slope, second_last = np.zeros(2), 0.0, 0.0, 0.0, 0.0
         eta_hat = weights["eta"] if start is None else start
-        self.y, self.u, self.sigma, self.eta_hat = np.zeros(N + 1), np.zeros(N), np.zeros(N), np.zeros(N)
+        self.y, self.u, self.sigma, self.eta_hat = (
+            np.zeros(N + 1),
+            np.zeros(N),
+            np.zeros(N),
+            np.zeros(N),
+        )
         for k in range(N):
             y, e = x[0], x[0] - r[k]
             slope = (tau * slope + e - e_last) / (tau + DT)
@@ -88,7 +121,13 @@ class Loop:
                 x1, rate = 0.5 * (r[k] + r[k + 1]) + e + slope * DT / 2, (r[k + 1] - r[k]) / DT
                 acceleration = 1.5 * second - 0.5 * second_last
             x2 = rate + slope
-            eq = weights["a1"] * x1 + weights["a2"] * x2 + acceleration - LAM1 * (x2 - rate) - LAM2 * e
+            eq = (
+                weights["a1"] * x1
+                + weights["a2"] * x2
+                + acceleration
+                - LAM1 * (x2 - rate)
+                - LAM2 * e
+            )
 
             grown = integral + DT * e
             now = (weights, adaptive, eq, slope + LAM1 * e, eta_hat)
@@ -127,26 +166,43 @@ def test_a_trial_equals_the_equations(name):
     loop = Loop(weights, adaptive="phi" in weights, d=force(), **options)
     shown = (trial.y, trial.u, trial.signals["sigma"], trial.signals["eta_hat"])
     for found, expected in zip(shown, (loop.y, loop.u, loop.sigma, loop.eta_hat), strict=True):
-        np.testing.assert_allclose(found[:, 0], expected, rtol=1e-9, atol=1e-9 * np.max(np.abs(expected)))
+        np.testing.assert_allclose(
+            found[:, 0], expected, rtol=1e-9, atol=1e-9 * np.max(np.abs(expected))
+        )
     if "limit" in options:
         assert np.any(np.abs(loop.u) == options["limit"]), "the limit should act"
 
 
 def test_the_gain_adapts_outside_the_dead_zone_only():
     trial = run(FORCED, ASMC(**ADAPTIVE))
-    e, sigma, gain = (np.asarray(s)[:, 0] for s in (trial.y[:-1] - trial.r[:-1], trial.signals["sigma"], trial.signals["eta_hat"]))
+    e, sigma, gain = (
+        np.asarray(s)[:, 0]
+        for s in (trial.y[:-1] - trial.r[:-1], trial.signals["sigma"], trial.signals["eta_hat"])
+    )
     grown, outside = np.diff(gain, prepend=ADAPTIVE["eta"]), np.abs(e) > ADAPTIVE["epsilon"]
     assert 0.2 < np.mean(outside) < 0.9
     np.testing.assert_array_equal(grown[~outside], 0.0)
-    np.testing.assert_allclose(grown[outside], DT * ADAPTIVE["phi"] * np.abs(sigma[outside]), rtol=1e-6)
+    np.testing.assert_allclose(
+        grown[outside], DT * ADAPTIVE["phi"] * np.abs(sigma[outside]), rtol=1e-6
+    )
 
 
 @pytest.mark.parametrize("phi", [1e5, 5e6])
 def test_too_quick_an_adaptation_runs_away(phi):
-    """The gain stays below the limit of the sampled loop, or passes it and grows on with the oscillation that it causes."""
-    gain = np.asarray(run(FORCED, ASMC(**MODEL, k_n=1000.0, phi=phi, epsilon=0.01, Delta=100.0)).signals["eta_hat"])[:, 0]
+    """The gain stays below the limit of the sampled loop, or passes it and grows on with the
+    oscillation that it causes.
+    """
+    gain = np.asarray(
+        run(FORCED, ASMC(**MODEL, k_n=1000.0, phi=phi, epsilon=0.01, Delta=100.0)).signals[
+            "eta_hat"
+        ]
+    )[:, 0]
     steepest, growth = LAM1 + 1000.0 + gain[-1] / 100.0, gain[-1] / gain[N // 2]
-    assert (steepest > 10 * 2 / DT and growth > 10) if phi == 5e6 else (steepest < 2 / DT and growth < 2)
+    assert (
+        (steepest > 10 * 2 / DT and growth > 10)
+        if phi == 5e6
+        else (steepest < 2 / DT and growth < 2)
+    )
 
 
 def signals(trial):
@@ -183,7 +239,11 @@ def test_learning_equals_the_equations(lead, limit):
         for k in range(N - lead):
             i = k + 1 + lead
             rate = (e[i + 1] - e[i - 1]) / (2 * DT) if i < N else (e[N] - e[N - 1]) / DT
-            learned[k] += np.exp(LEARNING["lam0"] * k * DT) * (LEARNING["K_P"] * e[i] + LEARNING["K_D"] * rate) / B
+            learned[k] += (
+                np.exp(LEARNING["lam0"] * k * DT)
+                * (LEARNING["K_P"] * e[i] + LEARNING["K_D"] * rate)
+                / B
+            )
         if limit is not None:
             assert np.max(np.abs(learned)) > limit, "the limit should act"
             learned = np.clip(learned, -limit, limit)
@@ -191,7 +251,9 @@ def test_learning_equals_the_equations(lead, limit):
 
 
 def test_both_signs_of_the_error_push_towards_the_reference():
-    """e = y - r in the feedback and e = r - y in the learning part: below the reference both raise u."""
+    """e = y - r in the feedback and e = r - y in the learning part: below the reference both raise
+    u.
+    """
     ramp = np.minimum(np.arange(N + 1.0), 1.0)
     task = Task(ramp, dt=DT)
     scheme = ASMC(**ADAPTIVE)
@@ -200,7 +262,11 @@ def test_both_signs_of_the_error_push_towards_the_reference():
     assert sample_of.signals["sigma"][1, 0] < 0
     without = run(FREE, dataclasses.replace(scheme, k_n=0.0, eta=0.0, phi=0.0), task)
     assert sample_of.u[1, 0] > without.u[1, 0]
-    learned = ExponentialPD(K_P=1.0).learn(None, Trial(task.reference, jnp.zeros((N + 1, 1)), jnp.zeros((N, 1)), DT)).u
+    learned = (
+        ExponentialPD(K_P=1.0)
+        .learn(None, Trial(task.reference, jnp.zeros((N + 1, 1)), jnp.zeros((N, 1)), DT))
+        .u
+    )
     np.testing.assert_array_equal(learned[:, 0], 1.0)
 
 
@@ -216,16 +282,24 @@ def test_learning_reduces_the_repetitive_error_from_trial_to_trial():
 
 
 def test_the_derivative_is_of_zero_phase():
-    """A sine comes out of the central difference as its derivative times sin(w dt) / (w dt), without shift."""
+    """A sine comes out of the central difference as its derivative times sin(w dt) / (w dt),
+    without shift.
+    """
     w, i = 2 * np.pi * 200, np.arange(N + 1)
     e = np.sin(w * DT * i)
-    u = ExponentialPD(K_D=1.0).learn(None, Trial(jnp.asarray(e)[:, None], jnp.zeros((N + 1, 1)), jnp.zeros((N, 1)), DT)).u[:, 0]
+    u = (
+        ExponentialPD(K_D=1.0)
+        .learn(None, Trial(jnp.asarray(e)[:, None], jnp.zeros((N + 1, 1)), jnp.zeros((N, 1)), DT))
+        .u[:, 0]
+    )
     np.testing.assert_allclose(u[:-1], np.cos(w * DT * i[1:-1]) * np.sin(w * DT) / DT, **ALGEBRA)
 
 
 def differences(x, tau):
     pairs = jnp.asarray(x[1:]), jnp.asarray(x[:-1])
-    return np.array(jax.lax.scan(lambda s, now: (filtered_difference(s, *now, tau, DT),) * 2, 0.0, pairs)[1])
+    return np.array(
+        jax.lax.scan(lambda s, now: (filtered_difference(s, *now, tau, DT),) * 2, 0.0, pairs)[1]
+    )
 
 
 @pytest.mark.parametrize("tau", [0.0, 3e-4])
@@ -238,9 +312,13 @@ def test_the_velocity_estimate_has_its_amplitude_phase_and_noise(tau):
         z = np.exp(-1j * w * DT)
         amplitude = w * np.sin(w * DT / 2) / (w * DT / 2) / np.abs(1 + tau * (1 - z) / DT)
         phase = np.pi / 2 - w * DT / 2 - np.angle(1 + tau * (1 - z) / DT)
-        np.testing.assert_allclose(settled, amplitude * np.sin(w * DT * i[200:] + phase), rtol=1e-8, atol=1e-8 * amplitude)
+        np.testing.assert_allclose(
+            settled, amplitude * np.sin(w * DT * i[200:] + phase), rtol=1e-8, atol=1e-8 * amplitude
+        )
     w = 2 * np.pi * 5.0
-    late = np.angle(1j * w * np.exp(0j)) - np.angle((1 - np.exp(-1j * w * DT)) / (tau + DT - tau * np.exp(-1j * w * DT)))
+    late = np.angle(1j * w * np.exp(0j)) - np.angle(
+        (1 - np.exp(-1j * w * DT)) / (tau + DT - tau * np.exp(-1j * w * DT))
+    )
     np.testing.assert_allclose(late / w, tau + DT / 2, rtol=1e-4)
     impulse = differences((np.arange(401) == 1).astype(float), tau)
     np.testing.assert_allclose(np.sum(impulse**2), 2 / ((tau + DT) * (2 * tau + DT)), rtol=1e-8)
@@ -253,14 +331,19 @@ def test_gradients_through_the_switching():
     np.testing.assert_array_equal(slope[0], 0.0)
     np.testing.assert_allclose(slope[1], [0.0, 0.2, 0.0])
     np.testing.assert_allclose(smc.switching(jnp.array([-2.0, 0.0, 3.0])), [-1, 0, 1])
-    np.testing.assert_allclose(asmc.switching(jnp.array([-6.0, -2.5, 0.0, 3.0, 6.0])), [-1, -0.5, 0, 0.6, 1])
+    np.testing.assert_allclose(
+        asmc.switching(jnp.array([-6.0, -2.5, 0.0, 3.0, 6.0])), [-1, -0.5, 0, 0.6, 1]
+    )
 
 
-# Theory --------------------------------------------------------------------------------------------------------------------
+# Theory
+# --------------------------------------------------------------------------------------------------------------------
 
 
 def test_sigma_slides_in_a_band_proportional_to_the_sample_time():
-    """On the exact model, without a disturbance: |sigma| <= (eta + 2 |f|) dt, so of first order in dt, and |e| < |sigma| / lam1."""
+    """On the exact model, without a disturbance: |sigma| <= (eta + 2 |f|) dt, so of first order in
+    dt, and |e| < |sigma| / lam1.
+    """
     bands, errors, steps = [], [], (2e-4, 1e-4, 5e-5)
     scheme = SMC(**MODEL, eta=1e6, k_n=500.0, centre="hold")
     for dt in steps:
@@ -283,7 +366,9 @@ def test_sigma_slides_in_a_band_proportional_to_the_sample_time():
 
 @pytest.mark.parametrize("ratio", [0.7, 1.5])
 def test_a_matched_disturbance_is_held_below_eta_and_not_above(ratio):
-    """Above, sigma settles where the reaching rate makes up for what is missing: sigma = (f - eta) / k_n, e = sigma / lam1."""
+    """Above, sigma settles where the reaching rate makes up for what is missing: sigma = (f - eta)
+    / k_n, e = sigma / lam1.
+    """
     eta, k_n = 1e6, 800.0
     machine = Machine(PLANT, disturbance=Disturbance(input=np.full((N, 1), ratio * eta / B)))
     scheme = SMC(**MODEL, eta=eta, k_n=k_n, lam2=0.0)
@@ -306,9 +391,15 @@ def test_a_matched_disturbance_is_held_below_eta_and_not_above(ratio):
 
 
 def test_the_boundary_layer_holds_a_disturbance_with_the_reaching_rate_as_well():
-    """A constant f settles at sigma = f / (k_n + eta / Delta) within the layer, even with eta < f < eta + k_n Delta."""
+    """A constant f settles at sigma = f / (k_n + eta / Delta) within the layer, even with eta < f <
+    eta + k_n Delta.
+    """
     f, scheme = 1.2e6, ASMC(**MODEL, eta=1e6, phi=0.0, k_n=1000.0, Delta=600.0, lam2=0.0)
-    trial = run(Machine(PLANT, disturbance=Disturbance(input=np.full((N, 1), f / B))), scheme, Task(np.zeros(N + 1), dt=DT))
+    trial = run(
+        Machine(PLANT, disturbance=Disturbance(input=np.full((N, 1), f / B))),
+        scheme,
+        Task(np.zeros(N + 1), dt=DT),
+    )
     found = sliding(scheme, trial)
     np.testing.assert_allclose(trial.signals["sigma"][-1, 0], f / (1000 + 1e6 / 600), rtol=1e-3)
     assert found.condition.holds
@@ -339,19 +430,25 @@ def test_within_the_layer_the_loop_is_that_of_a_steeper_reaching_law():
     here, linear = run(FORCED, scheme), run(FORCED, within_layer(scheme))
     assert np.max(np.abs(here.signals["sigma"])) < 600.0
     np.testing.assert_allclose(here.y, linear.y, rtol=1e-9, atol=1e-9)
-    assert within_layer(WithFeedback(ExponentialPD(), scheme), 4e6).feedback.k_n == pytest.approx(1000 + 4e6 / 600)
+    assert within_layer(WithFeedback(ExponentialPD(), scheme), 4e6).feedback.k_n == pytest.approx(
+        1000 + 4e6 / 600
+    )
 
 
 @pytest.mark.parametrize("tau", [0.0, 2e-4])
 def test_the_sampled_loop_is_stable_up_to_two_over_dt(tau):
-    """lam1 + k_n + eta / Delta < 2 / dt, about, with the velocity from differences, whatever tau, as long as lam1 is small."""
+    """lam1 + k_n + eta / Delta < 2 / dt, about, with the velocity from differences, whatever tau,
+    as long as lam1 is small.
+    """
     for factor, stable in ((0.97, True), (1.08, False)):
         scheme = SMC(**MODEL, eta=0.0, k_n=factor * 2 / DT - 5.0, lam1=5.0, tau=tau)
         assert (frequency.pole_radius(loop_of(FREE, scheme, TASK)) < 1) == stable
 
 
 def test_the_printed_condition_is_its_inequality():
-    """G (K_P^2 + w^2 K_D^2) < 2 (K_P lam2 + w^2 (K_D lam1 - K_P)), at the start and at the end of the trial."""
+    """G (K_P^2 + w^2 K_D^2) < 2 (K_P lam2 + w^2 (K_D lam1 - K_P)), at the start and at the end of
+    the trial.
+    """
     rng, w, seen = np.random.default_rng(0), 2 * np.pi * np.geomspace(1.0, 5000.0, 300), set()
     for _ in range(20):
         K_P, K_D, lam0 = rng.choice([0.2, 1e3, 4e4]), rng.uniform(50, 1200), rng.choice([0.0, 30.0])
@@ -372,21 +469,32 @@ GAINS = {"good": (6e5, 1.5e3), "too_much": (2e6, 3e4)}
 
 @pytest.mark.parametrize("gains", GAINS)
 def test_the_conditions_tell_what_learning_does(gains):
-    """With the reaching rate in the loop: eq. 36, the sampled condition, and simulation, on a loop that is linear."""
+    """With the reaching rate in the loop: eq. 36, the sampled condition, and simulation, on a loop
+    that is linear.
+    """
     K_P, K_D = GAINS[gains]
-    learning, feedback = ExponentialPD(K_P=K_P, K_D=K_D, lam0=5.0, b=B), SMC(**MODEL, eta=0.0, k_n=1500.0, lam2=0.0, centre="hold")
+    learning, feedback = (
+        ExponentialPD(K_P=K_P, K_D=K_D, lam0=5.0, b=B),
+        SMC(**MODEL, eta=0.0, k_n=1500.0, lam2=0.0, centre="hold"),
+    )
     filtered = WithFeedback(Filtered(learning, ZeroPhaseFIR((0.9, 0.05))), feedback)
     printed = printed_condition(WithFeedback(learning, feedback), TASK, reaching=1500.0)
     sampled = sampled_condition(FREE, filtered, TASK)
     rms = np.asarray(learn(FREE, filtered, TASK, 12).rms)[:, 0]
     slow = sampled.frequencies[(sampled.frequencies > 10) & (sampled.frequencies < 200)]
-    there = printed_condition(WithFeedback(learning, feedback), TASK, reaching=1500.0, frequencies=slow).curves
+    there = printed_condition(
+        WithFeedback(learning, feedback), TASK, reaching=1500.0, frequencies=slow
+    ).curves
     here = np.stack([np.interp(slow, sampled.frequencies, curve) for curve in sampled.curves])
-    assert np.all(np.abs(here - there) < 1.5 * 2 * np.pi * slow * DT * (1 + there)), "within the delays of hold and difference"
+    assert np.all(np.abs(here - there) < 1.5 * 2 * np.pi * slow * DT * (1 + there)), (
+        "within the delays of hold and difference"
+    )
     if gains == "good":
         assert sampled.condition.verdict == "holds"
         assert printed.condition.value < 1
-        assert [p.name for p in printed.condition.broken] == ["the loop as it is sampled agrees"], "without a filter it does not"
+        assert [p.name for p in printed.condition.broken] == ["the loop as it is sampled agrees"], (
+            "without a filter it does not"
+        )
         assert sampled.condition.value < 0.9
         assert np.all(rms[1:] < sampled.condition.value * rms[:-1] + 0.01 * rms[0])
     else:
@@ -396,9 +504,14 @@ def test_the_conditions_tell_what_learning_does(gains):
 
 
 def test_the_sampled_condition_looks_at_the_layer():
-    scheme = WithFeedback(ExponentialPD(K_P=6e5, K_D=1.5e3, b=B), ASMC(**MODEL, eta=2e6, phi=0.0, k_n=1000.0, Delta=600.0))
+    scheme = WithFeedback(
+        ExponentialPD(K_P=6e5, K_D=1.5e3, b=B),
+        ASMC(**MODEL, eta=2e6, phi=0.0, k_n=1000.0, Delta=600.0),
+    )
     within = sampled_condition(FREE, scheme, TASK, trial=run(FORCED, scheme))
-    far = dataclasses.replace(scheme, feedback=dataclasses.replace(scheme.feedback, Delta=100.0, phi=1e5, epsilon=0.0))
+    far = dataclasses.replace(
+        scheme, feedback=dataclasses.replace(scheme.feedback, Delta=100.0, phi=1e5, epsilon=0.0)
+    )
     beyond = sampled_condition(FREE, far, TASK, trial=run(FORCED, far))
     looked_at = {"sigma within the boundary layer", "eta_hat at rest"}
     assert looked_at <= {p.name for p in beyond.condition.broken}
@@ -407,7 +520,9 @@ def test_the_sampled_condition_looks_at_the_layer():
 
 
 def test_the_nonlinear_learning_map_is_differentiated_as_a_whole():
-    """ILC-ASMC, adapting and saturating: the Lanczos value is that of the dense Jacobian; it is claimed only where the map is affine."""
+    """ILC-ASMC, adapting and saturating: the Lanczos value is that of the dense Jacobian; it is
+    claimed only where the map is affine.
+    """
     n, dt = 40, 5e-4
     task = Task(bump(n, dt), dt=dt)
     machine = Machine(plant(dt), disturbance=Disturbance(input=force(n, dt)[:, None]))
@@ -422,11 +537,14 @@ def test_the_nonlinear_learning_map_is_differentiated_as_a_whole():
     wide = dataclasses.replace(adapting, phi=0.0, eta=1e9, Delta=1e6)
     for feedback, verdict in ((wide, "not claimed"), (within_layer(wide), "holds")):
         affine = contraction.contracting(machine, WithFeedback(learning, feedback), task)
-        assert affine.verdict == verdict, "a layer that is wide enough in this trial need not be in the next"
+        assert affine.verdict == verdict, (
+            "a layer that is wide enough in this trial need not be in the next"
+        )
         assert affine.value < 0.95
 
 
-# Metrics and bad input -----------------------------------------------------------------------------------------------------
+# Metrics and bad input
+# -----------------------------------------------------------------------------------------------------
 
 
 def test_total_variation_and_chattering():
@@ -461,14 +579,26 @@ BAD = {
     "K_D has shape (3,)": lambda: check(FREE, ExponentialPD(K_D=(1.0, 2.0, 3.0)), TASK),
     "lead = 250": lambda: check(FREE, ExponentialPD(lead=N), TASK),
     "works channel by channel": lambda: SMC(**MODEL).check(Task(np.zeros((9, 2)), dt=DT, inputs=1)),
-    "no signal 'eta_hat'": lambda: ASMC(**MODEL, carry=True).learn(None, measured_trial(TASK, bump(), force())),
-    "no signal 'sigma'": lambda: sliding(SMC(**MODEL), measured_trial(TASK, bump(), force(), eta_hat=force())),
+    "no signal 'eta_hat'": lambda: ASMC(**MODEL, carry=True).learn(
+        None, measured_trial(TASK, bump(), force())
+    ),
+    "no signal 'sigma'": lambda: sliding(
+        SMC(**MODEL), measured_trial(TASK, bump(), force(), eta_hat=force())
+    ),
     "sliding: PID": lambda: sliding(PID(), measured_trial(TASK, bump(), force())),
     "within_layer: PIDType": lambda: within_layer(PIDType()),
-    "printed_condition: WithFeedback -> PIDType": lambda: printed_condition(WithFeedback(PIDType(), SMC(**MODEL)), TASK),
-    "sampled_condition: PID": lambda: sampled_condition(FREE, WithFeedback(ExponentialPD(), PID()), TASK),
-    "frequencies = ": lambda: printed_condition(WithFeedback(ExponentialPD(), SMC(**MODEL)), TASK, frequencies=[-1.0]),
-    "a weight has shape (2,)": lambda: printed_condition(WithFeedback(ExponentialPD(K_P=(1.0, 2.0)), SMC(**MODEL)), TASK),
+    "printed_condition: WithFeedback -> PIDType": lambda: printed_condition(
+        WithFeedback(PIDType(), SMC(**MODEL)), TASK
+    ),
+    "sampled_condition: PID": lambda: sampled_condition(
+        FREE, WithFeedback(ExponentialPD(), PID()), TASK
+    ),
+    "frequencies = ": lambda: printed_condition(
+        WithFeedback(ExponentialPD(), SMC(**MODEL)), TASK, frequencies=[-1.0]
+    ),
+    "a weight has shape (2,)": lambda: printed_condition(
+        WithFeedback(ExponentialPD(K_P=(1.0, 2.0)), SMC(**MODEL)), TASK
+    ),
 }
 
 

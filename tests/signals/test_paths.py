@@ -1,4 +1,6 @@
-"""Planned paths against closed forms and a phase-plane integration; contour errors against closed forms and brute force."""
+"""Planned paths against closed forms and a phase-plane integration; contour errors against closed
+forms and brute force.
+"""
 
 from __future__ import annotations
 
@@ -41,14 +43,20 @@ def derivatives(signal, dt):
     return [np.diff(held, i, axis=0) / dt**i for i in (1, 2, 3)]
 
 
-# Limits ----------------------------------------------------------------------------------------------------------------------
+# Limits
+# ----------------------------------------------------------------------------------------------------------------------
 
 PLANS = {
     "line": (line((1.0, -2.0), (4.0, 2.0)), (0, 1), LIMITS, 1e-3),
     "ellipse": (ellipse, (0, 2 * np.pi), LIMITS, 1e-3),
     "coarse": (ellipse, (0, 2 * np.pi), LIMITS, 2e-2),
     "helix": (helix, (0, 5), LIMITS, 1e-3),
-    "axes": (ellipse, (0, 2 * np.pi), {"feed": 100.0, "acceleration": (2000.0, 500.0), "jerk": (1e5, 1e4)}, 1e-3),
+    "axes": (
+        ellipse,
+        (0, 2 * np.pi),
+        {"feed": 100.0, "acceleration": (2000.0, 500.0), "jerk": (1e5, 1e4)},
+        1e-3,
+    ),
 }
 
 
@@ -59,7 +67,9 @@ def test_the_sampled_reference_keeps_its_limits_and_uses_them(name):
     velocity, *others = derivatives(planned.reference, dt)
     along = derivatives(planned.arc[:, None], dt)
     use = [np.max(np.linalg.norm(velocity, axis=1)) / limits["feed"]]
-    for values, path, limit in zip(others, along[1:], (limits["acceleration"], limits["jerk"]), strict=True):
+    for values, path, limit in zip(
+        others, along[1:], (limits["acceleration"], limits["jerk"]), strict=True
+    ):
         if np.ndim(limit):
             use += list(np.max(np.abs(values), axis=0) / limit)
         else:
@@ -75,50 +85,89 @@ def test_positions_lie_on_the_curve_and_the_profile_belongs_to_them():
     x, y = planned.reference.T
     assert_allclose((x / 20) ** 2 + (y / 8) ** 2, 1, **ALGEBRA)
     fine = ellipse(np.linspace(0, 2 * np.pi, 200_001))
-    assert_allclose(planned.arc[-1], np.sum(np.linalg.norm(np.diff(fine, axis=0), axis=1)), rtol=1e-8)
-    assert_allclose(np.cumsum(planned.speed)[:-1] * dt, planned.arc[1:] - planned.speed[1:] * dt / 2, atol=1e-3)
+    assert_allclose(
+        planned.arc[-1], np.sum(np.linalg.norm(np.diff(fine, axis=0), axis=1)), rtol=1e-8
+    )
+    assert_allclose(
+        np.cumsum(planned.speed)[:-1] * dt, planned.arc[1:] - planned.speed[1:] * dt / 2, atol=1e-3
+    )
     assert_allclose(np.gradient(planned.arc, dt), planned.speed, atol=LIMITS["jerk"] * dt**2)
-    assert_allclose(np.gradient(planned.speed, dt)[1:-1], planned.acceleration[1:-1], atol=LIMITS["jerk"] * dt)
+    assert_allclose(
+        np.gradient(planned.speed, dt)[1:-1], planned.acceleration[1:-1], atol=LIMITS["jerk"] * dt
+    )
     assert np.max(np.abs(planned.jerk)) <= 1.001 * LIMITS["jerk"]
     assert_allclose(planned.speed[[0, -1]], 0, atol=1e-12)
     assert planned.duration == planned.time[-1] == (len(planned.reference) - 1) * dt
 
 
-# Time ------------------------------------------------------------------------------------------------------------------------
+# Time
+# ------------------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("distance", "acceleration"), [(30.0, 2000.0), (30.0, 1e4), (3.0, 2000.0), (0.5, 2000.0)])
+@pytest.mark.parametrize(
+    ("distance", "acceleration"), [(30.0, 2000.0), (30.0, 1e4), (3.0, 2000.0), (0.5, 2000.0)]
+)
 def test_a_straight_line_takes_the_time_of_the_closed_form(distance, acceleration):
     limits, dt = LIMITS | {"acceleration": acceleration}, 1e-4
-    planned = plan(line((1.0, 2.0), (1 + 0.6 * distance, 2 + 0.8 * distance)), (0, 1), dt=dt, **limits)
+    planned = plan(
+        line((1.0, 2.0), (1 + 0.6 * distance, 2 + 0.8 * distance)), (0, 1), dt=dt, **limits
+    )
     best = s_curve_move(distance, velocity=100.0, acceleration=acceleration, jerk=1e5)
     assert 0.999 * best.duration <= planned.duration <= 1.005 * best.duration + dt
-    assert_allclose(planned.arc, best.at(planned.time * best.duration / planned.duration)[0], atol=2e-3 * distance)
+    assert_allclose(
+        planned.arc,
+        best.at(planned.time * best.duration / planned.duration)[0],
+        atol=2e-3 * distance,
+    )
 
 
 def test_a_sample_time_too_short_for_differences_is_no_endless_task():
-    """At 3 us the rounding of positions alone, 1e-13 mm / dt^3, passes the jerk limit; stretching would not cure it."""
+    """At 3 us the rounding of positions alone, 1e-13 mm / dt^3, passes the jerk limit; stretching
+    would not cure it.
+    """
     planned = plan(line((1000.0, 0.0), (1003.0, 0.0)), (0, 1), dt=3e-6, **GENTLE)
-    best = s_curve_move(3.0, velocity=GENTLE["feed"], acceleration=GENTLE["acceleration"], jerk=GENTLE["jerk"])
+    best = s_curve_move(
+        3.0, velocity=GENTLE["feed"], acceleration=GENTLE["acceleration"], jerk=GENTLE["jerk"]
+    )
     assert np.max(np.abs(derivatives(planned.reference, 3e-6)[2])) > 1.2 * GENTLE["jerk"]
     assert_allclose(planned.duration, best.duration, rtol=0.05)
 
 
 def test_limits_of_each_axis_are_those_of_the_axis_that_binds():
-    planned = plan(line((0, 0), (18.0, 24.0)), (0, 1), feed=100.0, acceleration=(3000.0, 1600.0), jerk=(6e4, 1e5), dt=1e-4)
+    planned = plan(
+        line((0, 0), (18.0, 24.0)),
+        (0, 1),
+        feed=100.0,
+        acceleration=(3000.0, 1600.0),
+        jerk=(6e4, 1e5),
+        dt=1e-4,
+    )
     best = s_curve_move(30.0, velocity=100.0, acceleration=1600 / 0.8, jerk=6e4 / 0.6)
     assert_allclose(planned.duration, best.duration, rtol=5e-3)
 
 
-@pytest.mark.parametrize(("jerk", "speed"), [(1e5, np.sqrt(1000 * 20)), (5e3, np.cbrt(5e3 * 20**2))], ids=["acceleration", "jerk"])
+@pytest.mark.parametrize(
+    ("jerk", "speed"),
+    [(1e5, np.sqrt(1000 * 20)), (5e3, np.cbrt(5e3 * 20**2))],
+    ids=["acceleration", "jerk"],
+)
 def test_a_circle_is_driven_at_the_speed_of_the_closed_form(jerk, speed):
     """a = v^2 / r, or v^3 / r^2 = jerk where that is less."""
-    planned = plan(circle(20.0, centre=(3.0, 4.0)), (0, 12 * np.pi), feed=500.0, acceleration=1000.0, jerk=jerk, dt=2e-3)
+    planned = plan(
+        circle(20.0, centre=(3.0, 4.0)),
+        (0, 12 * np.pi),
+        feed=500.0,
+        acceleration=1000.0,
+        jerk=jerk,
+        dt=2e-3,
+    )
     assert_allclose(np.median(planned.speed), speed, rtol=5e-3)
 
 
 def test_with_much_jerk_a_curve_takes_the_time_of_phase_plane_integration():
-    """The classical optimum without a jerk limit: |(kappa v^2, v dv/ds)| <= a, integrated forward and backward in a plain loop."""
+    """The classical optimum without a jerk limit: |(kappa v^2, v dv/ds)| <= a, integrated forward
+    and backward in a plain loop.
+    """
     s = np.linspace(0, 2 * np.pi, 40_001)
     d1, d2 = np.stack([-20 * np.sin(s), 8 * np.cos(s)]), -ellipse(s).T
     rate = np.linalg.norm(d1, axis=0)
@@ -145,16 +194,22 @@ def test_the_time_does_not_depend_on_the_parametrisation():
 
 def test_a_jump_of_curvature_is_passed_slowly():
     def line_then_arc(s):
-        flat, bent = np.stack([s, 0 * s], axis=-1), np.stack([10 + 5 * np.sin((s - 10) / 5), 5 - 5 * np.cos((s - 10) / 5)], axis=-1)
+        flat, bent = (
+            np.stack([s, 0 * s], axis=-1),
+            np.stack([10 + 5 * np.sin((s - 10) / 5), 5 - 5 * np.cos((s - 10) / 5)], axis=-1),
+        )
         return np.where(s[:, None] < 10, flat, bent)
 
     planned = plan(line_then_arc, (0, 20), dt=2e-3, **GENTLE)
     near = np.abs(planned.arc - 10) < 0.2
     assert np.min(planned.speed[near]) < 0.3 * np.max(planned.speed)
-    assert np.max(np.linalg.norm(derivatives(planned.reference, 2e-3)[2], axis=1)) <= GENTLE["jerk"] * (1 + SLACK)
+    assert np.max(np.linalg.norm(derivatives(planned.reference, 2e-3)[2], axis=1)) <= GENTLE[
+        "jerk"
+    ] * (1 + SLACK)
 
 
-# The butterfly ---------------------------------------------------------------------------------------------------------------
+# The butterfly
+# ---------------------------------------------------------------------------------------------------------------
 
 
 def test_nurbs_is_the_rational_sum():
@@ -172,17 +227,23 @@ def test_butterfly_has_two_equal_wings():
 
 
 def test_butterfly_of_ten_thousand_samples():
-    """A feed of 20.27 mm/s, begun after 497 samples of rest, brings the notches and the tail to three of the four sharp points that
-    Li 2020 names, samples 2915, 5249 and 7576 of 2 ms; two numbers fitted to a picture. The fourth, 6093, is 385 samples past the
-    nearest sharp point of this curve."""
+    """A feed of 20.27 mm/s, begun after 497 samples of rest, brings the notches and the tail to
+    three of the four sharp points that Li 2020 names, samples 2915, 5249 and 7576 of 2 ms; two
+    numbers fitted to a picture. The fourth, 6093, is 385 samples past the nearest sharp point of
+    this curve.
+    """
     dt = 2e-3
     limits = {"feed": 20.27, "acceleration": 1000.0, "jerk": 1e5}
     planned = plan(butterfly(), (0, 1), dt=dt, **limits)
-    notch, spike, tail, _, other = (int(np.argmin(np.abs(planned.parameter - s))) for s in (0.2564, 0.4497, 0.5, 0.5502, 0.7436))
+    notch, spike, tail, _, other = (
+        int(np.argmin(np.abs(planned.parameter - s))) for s in (0.2564, 0.4497, 0.5, 0.5502, 0.7436)
+    )
     assert_allclose(np.array([notch, tail, other]) + 497, [2915, 5249, 7576], atol=8)
     assert 9000 < len(planned.reference) < 10_500
     for k in (notch, spike, other):
-        assert np.min(planned.speed[k - 5 : k + 6]) < 0.5 * limits["feed"]  # slow where it is sharp,
+        assert (
+            np.min(planned.speed[k - 5 : k + 6]) < 0.5 * limits["feed"]
+        )  # slow where it is sharp,
     assert np.mean(planned.speed > 0.99 * limits["feed"]) > 0.9  # and nowhere else
     _, acceleration, jerk = derivatives(planned.reference, dt)
     assert np.max(np.linalg.norm(acceleration, axis=1)) <= limits["acceleration"] * (1 + SLACK)
@@ -190,7 +251,8 @@ def test_butterfly_of_ten_thousand_samples():
     assert planned.duration == Task(planned.reference, dt=dt).duration
 
 
-# What is refused -------------------------------------------------------------------------------------------------------------
+# What is refused
+# -------------------------------------------------------------------------------------------------------------
 
 
 def cycloid(s):
@@ -214,20 +276,50 @@ def hairpin(s):
 
 
 REFUSED = {
-    "cusp": (cycloid, (1.0, 9.0), {}, r"corner or cusp of 180 deg at parameter 6\.2831\d*, position \[6\.28.*split the path there"),
-    "corner": (bent, (0.0, 1.0), {}, r"corner or cusp of 45 deg at parameter 0\.7\d*, position \[0\.7 +0\. *\] mm; split the path there"),
+    "cusp": (
+        cycloid,
+        (1.0, 9.0),
+        {},
+        r"corner or cusp of 180 deg at parameter 6\.2831\d*, position \[6\.28.*split the path there",
+    ),
+    "corner": (
+        bent,
+        (0.0, 1.0),
+        {},
+        r"corner or cusp of 45 deg at parameter 0\.7\d*, position \[0\.7 +0\. *\] mm; split the path there",
+    ),
     "standing still": (waiting, (0.0, 1.0), {}, r"stands still from parameter 0 to 5e-05"),
     "not finite": (pole, (0.0, 1.0), {}, r"not finite at parameter 0\.40005"),
-    "unresolved": (lambda s: circle(1.0)(2e4 * s), (0.0, 1.0), {}, r"turns by 57\.3 deg between two points.*raise points"),
+    "unresolved": (
+        lambda s: circle(1.0)(2e4 * s),
+        (0.0, 1.0),
+        {},
+        r"turns by 57\.3 deg between two points.*raise points",
+    ),
     "flat": (lambda s: s, (0.0, 1.0), {}, r"the curve gives shape \(20001,\)"),
     "reversed": (ellipse, (1.0, 0.0), {}, r"interval = \(1\.0, 0\.0\) is not"),
     "dt": (ellipse, (0.0, 1.0), {"dt": 0.0}, r"dt = 0 s is outside"),
     "feed": (ellipse, (0.0, 1.0), {"feed": -1.0}, r"feed = -1 mm/s is outside"),
-    "acceleration": (ellipse, (0.0, 1.0), {"acceleration": (100.0, 0.0)}, r"acceleration\[1\] = 0 mm/s\^2 is outside"),
+    "acceleration": (
+        ellipse,
+        (0.0, 1.0),
+        {"acceleration": (100.0, 0.0)},
+        r"acceleration\[1\] = 0 mm/s\^2 is outside",
+    ),
     "jerk": (ellipse, (0.0, 1.0), {"jerk": np.nan}, r"jerk = nan mm/s\^3 is outside"),
-    "axes": (ellipse, (0.0, 1.0), {"jerk": (1.0, 2.0, 3.0)}, r"jerk has shape \(3,\); allowed are \(\) and \(2,\)"),
+    "axes": (
+        ellipse,
+        (0.0, 1.0),
+        {"jerk": (1.0, 2.0, 3.0)},
+        r"jerk has shape \(3,\); allowed are \(\) and \(2,\)",
+    ),
     "points": (ellipse, (0.0, 1.0), {"points": 5}, r"points = 5 is outside"),
-    "endless": (ellipse, (0.0, 1.0), {"jerk": 1e-12}, r"jerk = 1e-12 mm/s\^3 need .* samples of dt = 0\.001 s; allowed are up to"),
+    "endless": (
+        ellipse,
+        (0.0, 1.0),
+        {"jerk": 1e-12},
+        r"jerk = 1e-12 mm/s\^3 need .* samples of dt = 0\.001 s; allowed are up to",
+    ),
     "a standstill": (
         ellipse,
         (0.0, 1.0),
@@ -255,13 +347,16 @@ def test_factories_refuse_what_is_no_curve():
         nurbs(np.eye(2), [0, 0, 1, 1], [1, 0])
 
 
-# Contour error ---------------------------------------------------------------------------------------------------------------
+# Contour error
+# ---------------------------------------------------------------------------------------------------------------
 
 ANGLES = np.linspace(0, 2 * np.pi, 401)
 
 
 def test_on_a_circle_it_is_the_error_of_the_radius():
-    """Anticlockwise the inside is on the left; the chords lie inside by r (1 - cos(half a step)) at most."""
+    """Anticlockwise the inside is on the left; the chords lie inside by r (1 - cos(half a step)) at
+    most.
+    """
     radius = 10 + 0.05 * np.cos(3 * ANGLES)
     lagging = ANGLES - 0.02  # a lag along the path is no contour error
     y = radius[:, None] * circle(1.0)(lagging)
@@ -305,7 +400,9 @@ def test_with_a_wide_window_it_is_the_distance_from_the_whole_path(measured):
     expected = [brute_force(point, np.asarray(path)) for point in np.asarray(y)]
     assert_allclose(np.abs(contour_error(y, path, window=120)), expected, **ALGEBRA)
     with_line_in_space = [np.column_stack([a, np.full(121, b)]) for a, b in ((y, 0.3), (path, 0.0))]
-    assert_allclose(contour_error(*with_line_in_space, window=120), np.hypot(expected, 0.3), **ALGEBRA)
+    assert_allclose(
+        contour_error(*with_line_in_space, window=120), np.hypot(expected, 0.3), **ALGEBRA
+    )
 
 
 def test_a_lag_beyond_the_window_is_overstated_never_understated(measured):
@@ -318,26 +415,41 @@ def test_a_lag_beyond_the_window_is_overstated_never_understated(measured):
 def test_a_denser_path_is_found_in_proportion(measured):
     y, path = measured
     dense = butterfly()(np.linspace(0.22, 0.3, 481))
-    assert_allclose(contour_error(y, dense, window=40), contour_error(y, path, window=10), atol=5e-3)
+    assert_allclose(
+        contour_error(y, dense, window=40), contour_error(y, path, window=10), atol=5e-3
+    )
 
 
 def test_a_closed_path_has_no_start():
-    """A tool that lags on an ellipse is measured from the path's last part first, and is as far from it there as anywhere else."""
+    """A tool that lags on an ellipse is measured from the path's last part first, and is as far
+    from it there as anywhere else.
+    """
     path = np.stack([4.0 * np.cos(ANGLES), 1.5 * np.sin(ANGLES)], axis=-1)
     lagging = ANGLES - 0.07 + 0.03 * np.sin(5 * ANGLES)
-    y = np.stack([4.0 * np.cos(lagging), 1.5 * np.sin(lagging)], axis=-1) + 0.01 * np.cos(7 * ANGLES)[:, None]
+    y = (
+        np.stack([4.0 * np.cos(lagging), 1.5 * np.sin(lagging)], axis=-1)
+        + 0.01 * np.cos(7 * ANGLES)[:, None]
+    )
     expected = [brute_force(point, path) for point in y]
     for of in (contour_error, jax.jit(contour_error, static_argnames="window")):
         assert_allclose(np.abs(of(y, path, window=12)), expected, **ALGEBRA)
     ahead = y[np.minimum(np.arange(401) + 20, 400)]
-    assert_allclose(np.abs(contour_error(ahead, path, window=25)), [brute_force(point, path) for point in ahead], **ALGEBRA)
+    assert_allclose(
+        np.abs(contour_error(ahead, path, window=25)),
+        [brute_force(point, path) for point in ahead],
+        **ALGEBRA,
+    )
     as_if_open = np.abs(contour_error(y, path, window=12, closed=False))
     assert_allclose(as_if_open[12:], expected[12:], **ALGEBRA)
     assert np.max(as_if_open) > 0.08 > 5 * np.max(expected)
-    nearly = path + 1e-4 * np.linspace(0, 1, 401)[:, None]  # its ends do not meet, but it can be said that it goes on
+    nearly = (
+        path + 1e-4 * np.linspace(0, 1, 401)[:, None]
+    )  # its ends do not meet, but it can be said that it goes on
     assert np.max(np.abs(contour_error(y, nearly, window=12))) > 0.08
     assert_allclose(np.abs(contour_error(y, nearly, window=12, closed=True)), expected, atol=2e-4)
-    with pytest.raises(ValueError, match="contour_error: closed = 1 is not one of True, False, None"):
+    with pytest.raises(
+        ValueError, match="contour_error: closed = 1 is not one of True, False, None"
+    ):
         contour_error(y, path, window=12, closed=1)
 
 
@@ -346,7 +458,9 @@ def test_a_path_that_dwells_is_no_obstacle():
     y = path + np.array([0.1, -0.2])
     error = contour_error(y, path, window=3)
     assert_allclose(error[:5], -0.2, **ALGEBRA)
-    assert_allclose(contour_error(y, np.zeros((5, 2)), window=2), np.linalg.norm(y, axis=1), **ALGEBRA)
+    assert_allclose(
+        contour_error(y, np.zeros((5, 2)), window=2), np.linalg.norm(y, axis=1), **ALGEBRA
+    )
 
 
 def test_its_gradient_is_that_of_differences_and_finite_on_the_path(measured):
@@ -367,7 +481,9 @@ def test_vmapped_it_equals_a_loop(measured):
     y, path = measured
     batch = jnp.stack([y, y + 0.01, path])
     looped = [contour_error(b, path, window=6) for b in batch]
-    assert_allclose(jax.jit(jax.vmap(lambda b: contour_error(b, path, window=6)))(batch), looped, **ALGEBRA)
+    assert_allclose(
+        jax.jit(jax.vmap(lambda b: contour_error(b, path, window=6)))(batch), looped, **ALGEBRA
+    )
 
 
 def test_it_is_saved_by_learning():
@@ -376,10 +492,18 @@ def test_it_is_saved_by_learning():
     planned = plan(ellipse, (0, 2 * np.pi), dt=dt, **LIMITS)
     table = StateSpace(0.5 * np.eye(2), 0.5 * np.eye(2), np.eye(2), x0=planned.reference[0], dt=dt)
     task = Task(planned.reference, dt=dt)
-    history = learn(Machine(table), PIDType(gamma_p=1.0), task, 4, save=lambda t: contour_error(t.y, t.r, window=20))
+    history = learn(
+        Machine(table),
+        PIDType(gamma_p=1.0),
+        task,
+        4,
+        save=lambda t: contour_error(t.y, t.r, window=20),
+    )
     worst = np.max(np.abs(history.saved), axis=1)
     assert history.saved.shape == (4, task.N + 1)
-    assert_allclose(history.saved[-1], contour_error(history.final.y, planned.reference, window=20), **ALGEBRA)
+    assert_allclose(
+        history.saved[-1], contour_error(history.final.y, planned.reference, window=20), **ALGEBRA
+    )
     assert worst[-1] < 0.2 * worst[0]
 
 

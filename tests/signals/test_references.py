@@ -1,4 +1,6 @@
-"""References against closed forms, and against scipy and linear programming as independent computations."""
+"""References against closed forms, and against scipy and linear programming as independent
+computations.
+"""
 
 from __future__ import annotations
 
@@ -10,17 +12,38 @@ import scipy.optimize
 import scipy.signal
 from numpy.testing import assert_allclose, assert_array_equal
 
-from jaxilc.signals.references import SCurveMove, chirp, m_sequence, multisine, noncircular, s_curve, s_curve_move, sinusoid
+from jaxilc.signals.references import (
+    SCurveMove,
+    chirp,
+    m_sequence,
+    multisine,
+    noncircular,
+    s_curve,
+    s_curve_move,
+    sinusoid,
+)
 
 LIMITS = {"velocity": 100.0, "acceleration": 2000.0, "jerk": 1e5}
 # distance [mm], limits, and the closed-form time [s] of each of the four cases
 MOVES = {
     "all limits reached": (30.0, LIMITS, 30 / 100 + 100 / 2000 + 2000 / 1e5),
-    "no acceleration limit": (30.0, LIMITS | {"acceleration": 1e4}, 30 / 100 + 2 * np.sqrt(100 / 1e5)),
+    "no acceleration limit": (
+        30.0,
+        LIMITS | {"acceleration": 1e4},
+        30 / 100 + 2 * np.sqrt(100 / 1e5),
+    ),
     "no velocity limit": (3.0, LIMITS, 0.02 + np.sqrt(0.02**2 + 4 * 3 / 2000)),
     "jerk limit alone": (0.5, LIMITS, 4 * np.cbrt(0.5 / 2e5)),
 }
-TURNING = {"duration": 4.0, "dt": 1e-3, "spindle_speed": 0.25, "feed": 2.0, "ellipticity": (0.4, 1.0), "bulge": 0.1, "length": 2.0}
+TURNING = {
+    "duration": 4.0,
+    "dt": 1e-3,
+    "spindle_speed": 0.25,
+    "feed": 2.0,
+    "ellipticity": (0.4, 1.0),
+    "bulge": 0.1,
+    "length": 2.0,
+}
 
 
 def crest(r):
@@ -32,7 +55,8 @@ def case(request):
     return request.param
 
 
-# Periodic references ---------------------------------------------------------------------------------------------------------
+# Periodic references
+# ---------------------------------------------------------------------------------------------------------
 
 
 def test_sinusoid_is_the_closed_form_with_both_ends():
@@ -47,7 +71,9 @@ def test_a_duration_that_rounds_in_binary_is_whole():
 
 def test_multisine_is_a_sum_of_sinusoids():
     a, f, phi = [1.0, 0.5, 2.0], [1.0, 3.0, 4.5], [0.3, -1.0, 2.0]
-    expected = sum(sinusoid(*af, phase=p, duration=1.0, dt=0.01) for *af, p in zip(a, f, phi, strict=True))
+    expected = sum(
+        sinusoid(*af, phase=p, duration=1.0, dt=0.01) for *af, p in zip(a, f, phi, strict=True)
+    )
     assert_allclose(multisine(a, f, phi, duration=1.0, dt=0.01), expected, atol=1e-14)
 
 
@@ -55,7 +81,11 @@ def test_default_phases_are_schroeders():
     a, f = np.array([1.0, 2.0, 0.5, 1.5]), np.arange(1.0, 5.0)
     p = a**2 / np.sum(a**2)
     phi = [np.pi / 2 - 2 * np.pi * sum((n - i) * p[i] for i in range(n)) for n in range(4)]
-    assert_allclose(multisine(a, f, duration=1.0, dt=0.01), multisine(a, f, phi, duration=1.0, dt=0.01), atol=1e-13)
+    assert_allclose(
+        multisine(a, f, duration=1.0, dt=0.01),
+        multisine(a, f, phi, duration=1.0, dt=0.01),
+        atol=1e-13,
+    )
 
 
 def test_default_phases_lower_the_crest_factor():
@@ -68,12 +98,15 @@ def test_default_phases_lower_the_crest_factor():
 @pytest.mark.parametrize("f_stop", [40.0, 0.5, 2.0])
 def test_chirp_is_scipys(method, f_stop):
     r = chirp(1.5, 2.0, f_stop, duration=3.0, dt=1e-3, method=method)
-    expected = 1.5 * scipy.signal.chirp(np.arange(3001) * 1e-3, 2.0, 3.0, f_stop, method=method, phi=-90)
+    expected = 1.5 * scipy.signal.chirp(
+        np.arange(3001) * 1e-3, 2.0, 3.0, f_stop, method=method, phi=-90
+    )
     assert_allclose(r, expected, atol=1e-10)
     assert r[0] == 0
 
 
-# S-curve ---------------------------------------------------------------------------------------------------------------------
+# S-curve
+# ---------------------------------------------------------------------------------------------------------------------
 
 
 def test_move_takes_the_closed_form_time(case):
@@ -82,15 +115,24 @@ def test_move_takes_the_closed_form_time(case):
 
 
 def farthest(duration, *, velocity, acceleration, jerk, segments=100):
-    """The farthest rest-to-rest move in `duration`, by linear programming over the jerk of equal segments; limits at their ends."""
+    """The farthest rest-to-rest move in `duration`, by linear programming over the jerk of equal
+    segments; limits at their ends.
+    """
     h = duration / segments
-    after = np.arange(1, segments + 1)[:, None] - np.arange(segments)  # segments since the start of each jerk's, once it has begun
+    after = np.arange(1, segments + 1)[:, None] - np.arange(
+        segments
+    )  # segments since the start of each jerk's, once it has begun
     begun = after > 0
-    a, v = jerk * h * begun, jerk * h**2 * (after - 0.5) * begun  # of the unknowns, jerk as a part of its limit
+    a, v = (
+        jerk * h * begun,
+        jerk * h**2 * (after - 0.5) * begun,
+    )  # of the unknowns, jerk as a part of its limit
     p_end = jerk * h**3 * (after[-1] ** 2 / 2 - after[-1] / 2 + 1 / 6)
     within = np.vstack([a / acceleration, -a / acceleration, v / velocity, -v / velocity])
     rest = np.vstack([a[-1] / acceleration, v[-1] / velocity])
-    solution = scipy.optimize.linprog(-p_end, within, np.ones(len(within)), rest, np.zeros(2), bounds=(-1, 1))
+    solution = scipy.optimize.linprog(
+        -p_end, within, np.ones(len(within)), rest, np.zeros(2), bounds=(-1, 1)
+    )
     assert solution.status == 0
     return -solution.fun
 
@@ -103,7 +145,9 @@ def test_move_is_time_optimal(case):
 
 
 def test_move_reaches_only_the_limits_of_its_case():
-    for name, reached in zip(MOVES, [(True, True), (True, False), (False, True), (False, False)], strict=True):
+    for name, reached in zip(
+        MOVES, [(True, True), (True, False), (False, True), (False, False)], strict=True
+    ):
         distance, limits, _ = MOVES[name]
         move = s_curve_move(distance, **limits)
         _, v, a, _ = move.at(np.append(np.cumsum(move.durations), move.duration / 2))
@@ -123,7 +167,8 @@ def test_profile_is_consistent_and_ends_exactly(case, sign):
     assert (p[-1], v[-1], a[-1]) == (sign * distance, 0, 0)
     assert np.all(sign * np.diff(p) >= 0)
     assert set(np.abs(j)) <= {0, limits["jerk"]}
-    # Trapezoids miss each of the eight switches of the jerk by up to one step, and a and v by the second order of h.
+    # Trapezoids miss each of the eight switches of the jerk by up to one step, and a and v by the
+    # second order of h.
     assert_allclose(np.cumsum((j[1:] + j[:-1]) / 2 * h), a[1:], atol=8 * limits["jerk"] * h)
     assert_allclose(np.cumsum((a[1:] + a[:-1]) / 2 * h), v[1:], atol=1e-6 * limits["velocity"])
     assert_allclose(np.cumsum((v[1:] + v[:-1]) / 2 * h), p[1:], atol=1e-6 * distance)
@@ -138,7 +183,9 @@ def test_move_rests_outside():
 
 def test_jerk_between_the_switching_times():
     move = SCurveMove(6.0, 1.0, (1.0, 0.5, 1.0, 0.0, 1.0, 0.5, 1.0))
-    assert_array_equal(move.at([0.5, 1.25, 2.0, 2.5, 3.0, 3.75, 4.5])[3], [1, 0, -1, -1, -1, 0, 1])  # 2.5 s is the middle
+    assert_array_equal(
+        move.at([0.5, 1.25, 2.0, 2.5, 3.0, 3.75, 4.5])[3], [1, 0, -1, -1, -1, 0, 1]
+    )  # 2.5 s is the middle
 
 
 def test_no_distance_takes_no_time():
@@ -149,8 +196,13 @@ def test_no_distance_takes_no_time():
 
 def test_move_time_is_continuous_where_the_cases_meet():
     v, a, j = LIMITS.values()
-    for border in (v**2 / a + v * a / j, 2 * a**3 / j**2):  # velocity limit just reached, acceleration limit just reached
-        below, at, above = (s_curve_move(border * (1 + x), **LIMITS).duration for x in (-1e-9, 0, 1e-9))
+    for border in (
+        v**2 / a + v * a / j,
+        2 * a**3 / j**2,
+    ):  # velocity limit just reached, acceleration limit just reached
+        below, at, above = (
+            s_curve_move(border * (1 + x), **LIMITS).duration for x in (-1e-9, 0, 1e-9)
+        )
         assert_allclose([below, above], at, rtol=1e-8)
         assert below < at < above
 
@@ -175,7 +227,9 @@ def test_s_curve_dwells_where_its_moves_end():
 
 
 def test_s_curve_ends_exactly_where_the_difference_rounds():
-    origin, target = next((a, b) for a in np.arange(1, 20) / 10 for b in np.arange(1, 300) / 10 if a + (b - a) != b)
+    origin, target = next(
+        (a, b) for a in np.arange(1, 20) / 10 for b in np.arange(1, 300) / 10 if a + (b - a) != b
+    )
     assert s_curve([origin, target], **LIMITS, dt=1e-3)[-1] == target
 
 
@@ -184,10 +238,13 @@ def test_s_curve_holds_its_end():
     assert len(r) == 1001
     assert_array_equal(r[370:], 30.0)
     assert r[369] < 30.0
-    assert_array_equal(r[:371], s_curve([0.0, 30.0], **LIMITS, dt=1e-3))  # 0.37 s is a whole number of samples but for rounding
+    assert_array_equal(
+        r[:371], s_curve([0.0, 30.0], **LIMITS, dt=1e-3)
+    )  # 0.37 s is a whole number of samples but for rounding
 
 
-# Identification and turning --------------------------------------------------------------------------------------------------
+# Identification and turning
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("order", "seed"), [(2, 1), (5, 1), (7, 77)])
@@ -214,7 +271,9 @@ def test_a_plain_oval_is_a_cosine():
 
 
 def test_noncircular_meets_equation_28_at_the_oval_axes():
-    r = noncircular(**TURNING)  # Z runs over the length in one revolution of 4 s; the cosine is 1, -1, ... every second
+    r = noncircular(
+        **TURNING
+    )  # Z runs over the length in one revolution of 4 s; the cosine is 1, -1, ... every second
     G = 0.4 + 0.6 * (1 - np.cos(np.pi * np.array([0, 0.25, 0.5, 0.75, 1]))) / 2
     D = 0.1 * np.array([0, 0.75, 1, 0.75, 0])
     y = D / 2 + G / 4 - G * np.array([1, -1, 1, -1, 1])
@@ -228,7 +287,8 @@ def test_noncircular_starts_at_zero_with_the_velocity_of_the_convexity(feed, bul
     assert_allclose((-3 * r[0] + 4 * r[1] - r[2]) / 2e-6, 2 * bulge * feed * 0.25 / 2.0, atol=1e-7)
 
 
-# Errors ----------------------------------------------------------------------------------------------------------------------
+# Errors
+# ----------------------------------------------------------------------------------------------------------------------
 
 SPAN = {"duration": 1.0, "dt": 1e-3}
 STEP = LIMITS | {"dt": 1e-3}
@@ -237,18 +297,54 @@ STEP = LIMITS | {"dt": 1e-3}
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: sinusoid(1, 1, duration=1, dt=0), "sinusoid: dt = 0 s is outside its allowed range (0, inf)"),
-        (lambda: sinusoid(1, 1, duration=-1, dt=0.1), "sinusoid: duration = -1 s is outside its allowed range (0, inf)"),
-        (lambda: sinusoid(1, 1, duration=0.25, dt=0.1), "sinusoid: duration = 0.25 s is not a whole number >= 1 of samples of dt = 0.1 s"),
-        (lambda: chirp(1, 1, 2, duration=1e-9, dt=0.1), "chirp: duration = 1e-09 s is not a whole number >= 1 of samples of dt = 0.1 s"),
-        (lambda: sinusoid(np.nan, 1, **SPAN), "sinusoid: amplitude = nan mm is outside its allowed range (-inf, inf)"),
-        (lambda: sinusoid(1, -1, **SPAN), "sinusoid: frequency = -1 Hz is outside its allowed range (0, 500)"),
-        (lambda: sinusoid(1, 500, **SPAN), "sinusoid: frequency = 500 Hz is outside its allowed range (0, 500)"),
-        (lambda: sinusoid(1, 1, phase=np.inf, **SPAN), "sinusoid: phase = inf rad is outside its allowed range (-inf, inf)"),
-        (lambda: sinusoid(1, 1, offset=np.inf, **SPAN), "sinusoid: offset = inf mm is outside its allowed range (-inf, inf)"),
-        (lambda: multisine([1, -1], [1, 2], **SPAN), "multisine: amplitudes[1] = -1 mm is outside its allowed range (0, inf)"),
-        (lambda: multisine([1, 1], [1, 600], **SPAN), "multisine: frequencies[1] = 600 Hz is outside its allowed range (0, 500)"),
-        (lambda: multisine([1], [1], [np.nan], **SPAN), "multisine: phases[0] = nan rad is outside its allowed range (-inf, inf)"),
+        (
+            lambda: sinusoid(1, 1, duration=1, dt=0),
+            "sinusoid: dt = 0 s is outside its allowed range (0, inf)",
+        ),
+        (
+            lambda: sinusoid(1, 1, duration=-1, dt=0.1),
+            "sinusoid: duration = -1 s is outside its allowed range (0, inf)",
+        ),
+        (
+            lambda: sinusoid(1, 1, duration=0.25, dt=0.1),
+            "sinusoid: duration = 0.25 s is not a whole number >= 1 of samples of dt = 0.1 s",
+        ),
+        (
+            lambda: chirp(1, 1, 2, duration=1e-9, dt=0.1),
+            "chirp: duration = 1e-09 s is not a whole number >= 1 of samples of dt = 0.1 s",
+        ),
+        (
+            lambda: sinusoid(np.nan, 1, **SPAN),
+            "sinusoid: amplitude = nan mm is outside its allowed range (-inf, inf)",
+        ),
+        (
+            lambda: sinusoid(1, -1, **SPAN),
+            "sinusoid: frequency = -1 Hz is outside its allowed range (0, 500)",
+        ),
+        (
+            lambda: sinusoid(1, 500, **SPAN),
+            "sinusoid: frequency = 500 Hz is outside its allowed range (0, 500)",
+        ),
+        (
+            lambda: sinusoid(1, 1, phase=np.inf, **SPAN),
+            "sinusoid: phase = inf rad is outside its allowed range (-inf, inf)",
+        ),
+        (
+            lambda: sinusoid(1, 1, offset=np.inf, **SPAN),
+            "sinusoid: offset = inf mm is outside its allowed range (-inf, inf)",
+        ),
+        (
+            lambda: multisine([1, -1], [1, 2], **SPAN),
+            "multisine: amplitudes[1] = -1 mm is outside its allowed range (0, inf)",
+        ),
+        (
+            lambda: multisine([1, 1], [1, 600], **SPAN),
+            "multisine: frequencies[1] = 600 Hz is outside its allowed range (0, 500)",
+        ),
+        (
+            lambda: multisine([1], [1], [np.nan], **SPAN),
+            "multisine: phases[0] = nan rad is outside its allowed range (-inf, inf)",
+        ),
         (
             lambda: multisine([1, 1], [1], **SPAN),
             "multisine: amplitudes (2,), frequencies (1,), phases (2,) must have one shape (M,), M >= 1",
@@ -257,19 +353,58 @@ STEP = LIMITS | {"dt": 1e-3}
             lambda: multisine([], [], **SPAN),
             "multisine: amplitudes (0,), frequencies (0,), phases (0,) must have one shape (M,), M >= 1",
         ),
-        (lambda: chirp(np.inf, 1, 2, **SPAN), "chirp: amplitude = inf mm is outside its allowed range (-inf, inf)"),
-        (lambda: chirp(1, 0, 2, **SPAN), "chirp: f_start = 0 Hz is outside its allowed range (0, 500)"),
-        (lambda: chirp(1, 1, 501, **SPAN), "chirp: f_stop = 501 Hz is outside its allowed range (0, 500)"),
-        (lambda: chirp(1, 1, 2, method="log", **SPAN), "chirp: method = 'log' is not one of 'linear', 'logarithmic'"),
-        (lambda: s_curve_move(np.inf, **LIMITS), "s_curve_move: distance = inf mm is outside its allowed range (-inf, inf)"),
-        (lambda: s_curve_move(1, **LIMITS | {"jerk": 0}), "s_curve_move: jerk = 0 mm/s^3 is outside its allowed range (0, inf)"),
-        (lambda: s_curve([1], **STEP), "s_curve: positions has shape (1,); allowed is (M,) with M >= 2"),
-        (lambda: s_curve([0, np.nan], **STEP), "s_curve: positions[1] = nan mm is outside its allowed range (-inf, inf)"),
-        (lambda: s_curve([0, 1], **STEP | {"velocity": -1}), "s_curve: velocity = -1 mm/s is outside its allowed range (0, inf)"),
-        (lambda: s_curve([0, 1], **STEP | {"acceleration": 0}), "s_curve: acceleration = 0 mm/s^2 is outside its allowed range (0, inf)"),
-        (lambda: s_curve([0, 1], **STEP | {"jerk": np.inf}), "s_curve: jerk = inf mm/s^3 is outside its allowed range (0, inf)"),
-        (lambda: s_curve([0, 1], dwell=-1, **STEP), "s_curve: dwell = -1 s is outside its allowed range [0, inf)"),
-        (lambda: s_curve([0, 1], **STEP | {"dt": 0}), "s_curve: dt = 0 s is outside its allowed range (0, inf)"),
+        (
+            lambda: chirp(np.inf, 1, 2, **SPAN),
+            "chirp: amplitude = inf mm is outside its allowed range (-inf, inf)",
+        ),
+        (
+            lambda: chirp(1, 0, 2, **SPAN),
+            "chirp: f_start = 0 Hz is outside its allowed range (0, 500)",
+        ),
+        (
+            lambda: chirp(1, 1, 501, **SPAN),
+            "chirp: f_stop = 501 Hz is outside its allowed range (0, 500)",
+        ),
+        (
+            lambda: chirp(1, 1, 2, method="log", **SPAN),
+            "chirp: method = 'log' is not one of 'linear', 'logarithmic'",
+        ),
+        (
+            lambda: s_curve_move(np.inf, **LIMITS),
+            "s_curve_move: distance = inf mm is outside its allowed range (-inf, inf)",
+        ),
+        (
+            lambda: s_curve_move(1, **LIMITS | {"jerk": 0}),
+            "s_curve_move: jerk = 0 mm/s^3 is outside its allowed range (0, inf)",
+        ),
+        (
+            lambda: s_curve([1], **STEP),
+            "s_curve: positions has shape (1,); allowed is (M,) with M >= 2",
+        ),
+        (
+            lambda: s_curve([0, np.nan], **STEP),
+            "s_curve: positions[1] = nan mm is outside its allowed range (-inf, inf)",
+        ),
+        (
+            lambda: s_curve([0, 1], **STEP | {"velocity": -1}),
+            "s_curve: velocity = -1 mm/s is outside its allowed range (0, inf)",
+        ),
+        (
+            lambda: s_curve([0, 1], **STEP | {"acceleration": 0}),
+            "s_curve: acceleration = 0 mm/s^2 is outside its allowed range (0, inf)",
+        ),
+        (
+            lambda: s_curve([0, 1], **STEP | {"jerk": np.inf}),
+            "s_curve: jerk = inf mm/s^3 is outside its allowed range (0, inf)",
+        ),
+        (
+            lambda: s_curve([0, 1], dwell=-1, **STEP),
+            "s_curve: dwell = -1 s is outside its allowed range [0, inf)",
+        ),
+        (
+            lambda: s_curve([0, 1], **STEP | {"dt": 0}),
+            "s_curve: dt = 0 s is outside its allowed range (0, inf)",
+        ),
         (
             lambda: s_curve([0, 30], duration=0.369, **STEP),
             "s_curve: duration = 0.369 s is outside its allowed range [0.37, inf), the time of all moves",
@@ -278,13 +413,34 @@ STEP = LIMITS | {"dt": 1e-3}
             lambda: s_curve([0, 30], duration=1.0005, **STEP),
             "s_curve: duration = 1.0005 s is not a whole number >= 1 of samples of dt = 0.001 s",
         ),
-        (lambda: m_sequence(1), "m_sequence: order = 1 is outside its allowed range [2, 32] of whole numbers"),
-        (lambda: m_sequence(33), "m_sequence: order = 33 is outside its allowed range [2, 32] of whole numbers"),
-        (lambda: m_sequence(4.5), "m_sequence: order = 4.5 is outside its allowed range [2, 32] of whole numbers"),
-        (lambda: m_sequence(4, amplitude=np.nan), "m_sequence: amplitude = nan is outside its allowed range (-inf, inf)"),
-        (lambda: m_sequence(4, hold=0), "m_sequence: hold = 0 is outside its allowed range [1, inf) of whole numbers"),
-        (lambda: m_sequence(4, periods=0), "m_sequence: periods = 0 is outside its allowed range [1, inf) of whole numbers"),
-        (lambda: m_sequence(4, seed=16), "m_sequence: seed = 16 is outside its allowed range [1, 15] of whole numbers"),
+        (
+            lambda: m_sequence(1),
+            "m_sequence: order = 1 is outside its allowed range [2, 32] of whole numbers",
+        ),
+        (
+            lambda: m_sequence(33),
+            "m_sequence: order = 33 is outside its allowed range [2, 32] of whole numbers",
+        ),
+        (
+            lambda: m_sequence(4.5),
+            "m_sequence: order = 4.5 is outside its allowed range [2, 32] of whole numbers",
+        ),
+        (
+            lambda: m_sequence(4, amplitude=np.nan),
+            "m_sequence: amplitude = nan is outside its allowed range (-inf, inf)",
+        ),
+        (
+            lambda: m_sequence(4, hold=0),
+            "m_sequence: hold = 0 is outside its allowed range [1, inf) of whole numbers",
+        ),
+        (
+            lambda: m_sequence(4, periods=0),
+            "m_sequence: periods = 0 is outside its allowed range [1, inf) of whole numbers",
+        ),
+        (
+            lambda: m_sequence(4, seed=16),
+            "m_sequence: seed = 16 is outside its allowed range [1, 15] of whole numbers",
+        ),
     ],
 )
 def test_errors_name_function_parameter_value_and_range(call, message):
@@ -295,13 +451,22 @@ def test_errors_name_function_parameter_value_and_range(call, message):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"spindle_speed": 250.0}, "spindle_speed = 250 rev/s is outside its allowed range (0, 250)"),
+        (
+            {"spindle_speed": 250.0},
+            "spindle_speed = 250 rev/s is outside its allowed range (0, 250)",
+        ),
         ({"feed": 0.0}, "feed = 0 mm/rev is outside its allowed range (0, inf)"),
         ({"ellipticity": 0.4}, "ellipticity has shape (); allowed is (2,)"),
-        ({"ellipticity": (0.4, -0.1)}, "ellipticity[1] = -0.1 mm is outside its allowed range [0, inf)"),
+        (
+            {"ellipticity": (0.4, -0.1)},
+            "ellipticity[1] = -0.1 mm is outside its allowed range [0, inf)",
+        ),
         ({"bulge": -1.0}, "bulge = -1 mm is outside its allowed range [0, inf)"),
         ({"length": 0.0}, "length = 0 mm is outside its allowed range (0, inf)"),
-        ({"length": 1.5}, "duration = 4 s is outside its allowed range (0, 3], else Z leaves length"),
+        (
+            {"length": 1.5},
+            "duration = 4 s is outside its allowed range (0, 3], else Z leaves length",
+        ),
     ],
 )
 def test_noncircular_refuses(change, message):

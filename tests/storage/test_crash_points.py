@@ -1,4 +1,6 @@
-"""Killed between any two things that are done to its folder, a sweep, a tuning and a campaign go on to the same numbers."""
+"""Killed between any two things that are done to its folder, a sweep, a tuning and a campaign go on
+to the same numbers.
+"""
 
 import dataclasses
 
@@ -46,7 +48,9 @@ def test_a_store_is_filled_from_every_state_of_its_folder(tmp_path, without_wait
 
 
 def test_a_sweep_resumes_from_states_of_its_folder(tmp_path, without_waiting, monkeypatch):
-    small = dataclasses.replace(PLAN, schemes={"feedback": PLAN.schemes["feedback"]}, samples=5, chunk=3, keep=(), trials=2)
+    small = dataclasses.replace(
+        PLAN, schemes={"feedback": PLAN.schemes["feedback"]}, samples=5, chunk=3, keep=(), trials=2
+    )
     host = small.host()
     monkeypatch.setattr(Sweep, "host", lambda self: host)  # compiled once
     with recorded(tmp_path / "out", tmp_path) as states:
@@ -59,7 +63,9 @@ def test_a_sweep_resumes_from_states_of_its_folder(tmp_path, without_waiting, mo
 def assert_equal(one, other):
     for field in dataclasses.fields(one):
         if field.name != "scheme":
-            jax.tree.map(np.testing.assert_array_equal, getattr(one, field.name), getattr(other, field.name))
+            jax.tree.map(
+                np.testing.assert_array_equal, getattr(one, field.name), getattr(other, field.name)
+            )
 
 
 def test_a_tuning_resumes_from_every_state_of_its_folder(tmp_path):
@@ -75,7 +81,9 @@ def test_a_tuning_resumes_from_every_state_of_its_folder(tmp_path):
 def test_a_trade_off_resumes_from_every_state_of_its_folder(tmp_path, monkeypatch):
     problem, programs = dataclasses.replace(PROBLEM, steps=1), {}
     make = Tuning._programs.func
-    monkeypatch.setattr(Tuning, "_programs", property(lambda self: programs.setdefault(self.trials, make(self))))
+    monkeypatch.setattr(
+        Tuning, "_programs", property(lambda self: programs.setdefault(self.trials, make(self)))
+    )
     with recorded(tmp_path / "out", tmp_path) as states:
         whole = trade_off.by_trials(problem, (2, 3), tmp_path / "out" / "state")
     assert len(states) > 20
@@ -87,12 +95,23 @@ def test_a_trade_off_resumes_from_every_state_of_its_folder(tmp_path, monkeypatc
 
 def test_a_campaign_goes_on_from_every_state_of_its_folder(tmp_path, without_waiting):
     _, scheme, task = case("p_type")
-    measured = [Measured(0.1 * j * np.asarray(task.reference), np.full((task.N, 1), 0.1 * j), {}, (), f"trial {j}") for j in (1, 2)]
+    measured = [
+        Measured(
+            0.1 * j * np.asarray(task.reference),
+            np.full((task.N, 1), 0.1 * j),
+            {},
+            (),
+            f"trial {j}",
+        )
+        for j in (1, 2)
+    ]
 
     def go_on(folder):
         """What is learned from two trials, however many were learned from already."""
         begun = folder.is_dir() and any(not f.name.startswith(UNFINISHED) for f in folder.iterdir())
-        campaign = Campaign.open(folder, scheme, task) if begun else Campaign.start(folder, scheme, task)
+        campaign = (
+            Campaign.open(folder, scheme, task) if begun else Campaign.start(folder, scheme, task)
+        )
         for trial in measured[campaign.trials :]:
             campaign.keep(campaign.turn(trial))
         return campaign.memory()

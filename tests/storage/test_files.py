@@ -18,7 +18,15 @@ from jaxilc.figures.report import write_report
 from jaxilc.scenarios.parameters import write_parameters
 from jaxilc.storage import files
 from jaxilc.storage.files import UNFINISHED, atomically, whole_folder
-from jaxilc.storage.sealed import Damaged, archive, read_arrays, read_json, sealed, unsealed, write_json
+from jaxilc.storage.sealed import (
+    Damaged,
+    archive,
+    read_arrays,
+    read_json,
+    sealed,
+    unsealed,
+    write_json,
+)
 
 
 def names(folder):
@@ -52,14 +60,18 @@ def test_results_are_whole_at_every_moment(tmp_path):
         for path in state.glob("*.html"):
             assert path.read_text().endswith("</html>\n")
         for path in state.glob("*.zarr"):
-            xr.testing.assert_identical(xr.open_zarr(path, chunks=None, consolidated=False).load(), dataset)
+            xr.testing.assert_identical(
+                xr.open_zarr(path, chunks=None, consolidated=False).load(), dataset
+            )
     assert all(found.values())
 
 
 def test_what_killed_processes_left_is_removed_and_what_is_being_written_stays(tmp_path):
     program = "import sys, time; from pathlib import Path; from jaxilc import files\n"
     program += "with files.whole_folder(Path(sys.argv[1]) / 'store') as unfinished: print(unfinished.name, flush=True); time.sleep(60)"
-    writer = subprocess.Popen([sys.executable, "-c", program, str(tmp_path)], stdout=subprocess.PIPE, text=True)
+    writer = subprocess.Popen(
+        [sys.executable, "-c", program, str(tmp_path)], stdout=subprocess.PIPE, text=True
+    )
     running = writer.stdout.readline().strip()
     for left in (f"{UNFINISHED}1-old", ".next.csv.unfinished-12"):
         (tmp_path / left).write_text("half")
@@ -82,7 +94,11 @@ def test_what_fails_while_it_is_written_leaves_what_was_there(tmp_path):
     write_json(tmp_path / "a.json", "first")
     with pytest.raises(KeyboardInterrupt):
         atomically(tmp_path / "a.json", fails)
-    with pytest.raises(KeyboardInterrupt), whole_folder(tmp_path / "folder") as unfinished, open(unfinished / "file", "wb") as file:
+    with (
+        pytest.raises(KeyboardInterrupt),
+        whole_folder(tmp_path / "folder") as unfinished,
+        open(unfinished / "file", "wb") as file,
+    ):
         fails(file)
     assert names(tmp_path) == ["a.json"]
     assert read_json(tmp_path / "a.json") == "first"
@@ -125,7 +141,11 @@ def test_json_is_strict_and_reads_back(tmp_path):
     numbers = {"worst": np.inf, "rows": [float("nan"), (-np.inf, 1.5)], "figure": {"3": 0.1}}
     write_json(tmp_path / "a.json", numbers)
     text = (tmp_path / "a.json").read_text()
-    assert strictly(text) == {"worst": "Infinity", "rows": ["NaN", ["-Infinity", 1.5]], "figure": {"3": 0.1}}
+    assert strictly(text) == {
+        "worst": "Infinity",
+        "rows": ["NaN", ["-Infinity", 1.5]],
+        "figure": {"3": 0.1},
+    }
     assert float(strictly(text)["worst"]) == np.inf
     found = read_json(tmp_path / "a.json")
     assert found["worst"] == np.inf

@@ -1,6 +1,8 @@
-"""Files from outside, damaged or made by nobody who read a manual: plant files, parameter files, CSV, .mat.
+"""Files from outside, damaged or made by nobody who read a manual: plant files, parameter files,
+CSV, .mat.
 
-See fuzz.py for how to run more. A file is refused with a ValueError, or read to something finite; nothing else.
+See fuzz.py for how to run more. A file is refused with a ValueError, or read to something finite;
+nothing else.
 """
 
 import json
@@ -33,16 +35,26 @@ SCHEMES = {
         },
         "feedback": {"class": "PID", "kp": 0.4, "ki": 1.0},
     },
-    "ffdl": {"class": "StopWhen", "rms": 0.1, "scheme": {"class": "FFDLMFAILC", "phi0": [0.5, 0.0, -0.1, 0.0], "lam": 0.5}},
+    "ffdl": {
+        "class": "StopWhen",
+        "rms": 0.1,
+        "scheme": {"class": "FFDLMFAILC", "phi0": [0.5, 0.0, -0.1, 0.0], "lam": 0.5},
+    },
 }
 OPTIMAL = {"noilc": {"class": "NormOptimal", "model": "plant", "w_q": 1.0, "w_r": [[0.1]]}}
 FILES = (
     {
         "plant": {"kind": "transfer_function", "num": [4000.0], "den": [1.0, 80.0, 4000.0]},
-        "machine": {"actuator": {"limit": 10.0, "rate": 1e4}, "sensor": {"resolution": 1e-4}, "disturbance": {"input_noise": 1e-3}},
+        "machine": {
+            "actuator": {"limit": 10.0, "rate": 1e4},
+            "sensor": {"resolution": 1e-4},
+            "disturbance": {"input_noise": 1e-3},
+        },
         "task": TASK | {"reference": SINE, "settle": [0.01, 0.05]},
         "schemes": SCHEMES,
-        "uncertainty": {"plant.B": {"distribution": "uniform", "low": 0.9, "high": 1.1, "relative": True}},
+        "uncertainty": {
+            "plant.B": {"distribution": "uniform", "low": 0.9, "high": 1.1, "relative": True}
+        },
     },
     {
         "name": "two",
@@ -52,19 +64,55 @@ FILES = (
         "shown_unit": "µm",
         "shown_scale": 1e3,
         "show_trials": [1, 3],
-        "plant": {"kind": "state_space", "A": [[0.9, 0.0], [0.0, 0.8]], "B": [[0.1, 0.0], [0.0, 0.2]], "C": [[1, 0], [0, 1]], "dt": 0.001},
-        "task": TASK | {"reference": [SINE, {"function": "multisine", "amplitudes": [1, 2], "frequencies": [20, 40], "duration": 0.05}]},
+        "plant": {
+            "kind": "state_space",
+            "A": [[0.9, 0.0], [0.0, 0.8]],
+            "B": [[0.1, 0.0], [0.0, 0.2]],
+            "C": [[1, 0], [0, 1]],
+            "dt": 0.001,
+        },
+        "task": TASK
+        | {
+            "reference": [
+                SINE,
+                {
+                    "function": "multisine",
+                    "amplitudes": [1, 2],
+                    "frequencies": [20, 40],
+                    "duration": 0.05,
+                },
+            ]
+        },
         "schemes": {"ilc": {"class": "PIDType", "gamma_p": [0.5, 0.4]}},
     },
     {
-        "plant": {"kind": "zeros_poles_gain", "zeros": [-50.0], "poles": [[-20, 30], [-20, -30], -90], "gain": 3e4},
-        "task": TASK | {"reference": {"function": "s_curve", "positions": [0, 1], "velocity": 90, "acceleration": 9e3, "jerk": 2e6}},
+        "plant": {
+            "kind": "zeros_poles_gain",
+            "zeros": [-50.0],
+            "poles": [[-20, 30], [-20, -30], -90],
+            "gain": 3e4,
+        },
+        "task": TASK
+        | {
+            "reference": {
+                "function": "s_curve",
+                "positions": [0, 1],
+                "velocity": 90,
+                "acceleration": 9e3,
+                "jerk": 2e6,
+            }
+        },
         "schemes": OPTIMAL,
     },
     {
-        "plant": {"kind": "VoiceCoilMotor", "friction": {"class": "StribeckFriction", "coulomb_force": 1.0, "static_force": 1.5}},
+        "plant": {
+            "kind": "VoiceCoilMotor",
+            "friction": {"class": "StribeckFriction", "coulomb_force": 1.0, "static_force": 1.5},
+        },
         "task": TASK | {"reference": {"csv": "r.csv", "column": "r"}, "inputs": 1},
-        "schemes": {"on": {"class": "OnOutputs", "outputs": [0], "scheme": {"class": "CFDLMFAPC", "P": 5}}},
+        "schemes": {
+            "on": {"class": "OnOutputs", "outputs": [0], "scheme": {"class": "CFDLMFAPC", "P": 5}}
+        },
     },
 )
 
@@ -81,23 +129,35 @@ def folder(tmp_path, monkeypatch):
 
     monkeypatch.setattr(references, "_time", of_moderate_length)
     time = np.arange(51) * DT
-    np.savetxt(tmp_path / "r.csv", np.column_stack([time, np.sin(60 * time), 0 * time]), delimiter=",", header="t,r,u", comments="")
+    np.savetxt(
+        tmp_path / "r.csv",
+        np.column_stack([time, np.sin(60 * time), 0 * time]),
+        delimiter=",",
+        header="t,r,u",
+        comments="",
+    )
     return tmp_path
 
 
 def test_plant_files(folder):
     def attempt(rng):
         path = folder / "plant.json"
-        path.write_text(dumped(damaged(rng, pick(rng, FILES))), encoding="utf-8", errors="surrogatepass")
+        path.write_text(
+            dumped(damaged(rng, pick(rng, FILES))), encoding="utf-8", errors="surrogatepass"
+        )
         scenario = read_scenario(path)
         if rng.random() < 0.1:
             for scheme in scenario.schemes.values():
-                jax.eval_shape(lambda scheme=scheme: learning.learn(scenario.machine, scheme, scenario.task, 2))
+                jax.eval_shape(
+                    lambda scheme=scheme: learning.learn(scenario.machine, scheme, scenario.task, 2)
+                )
 
     for tree in FILES:
         (folder / "good.json").write_text(json.dumps(tree))
         read_scenario(folder / "good.json")
-    assert fuzz(60, attempt, (ValueError, OSError)) > 1  # another file may be named, that is not there
+    assert (
+        fuzz(60, attempt, (ValueError, OSError)) > 1
+    )  # another file may be named, that is not there
 
 
 TOML = """name = "axis"
@@ -128,7 +188,13 @@ def test_bytes_of_plant_files(folder, suffix):
 
 def test_parameter_files(folder):
     scenario = load("cao-2019")
-    whole = {"scenario": "cao-2019", "schemes": {"cfdl-mfailc": {"lam": 0.003, "lead": 3}, "pid": {"form": "increment", "kp": -1.0}}}
+    whole = {
+        "scenario": "cao-2019",
+        "schemes": {
+            "cfdl-mfailc": {"lam": 0.003, "lead": 3},
+            "pid": {"form": "increment", "kp": -1.0},
+        },
+    }
 
     def attempt(rng):
         path = folder / "params.json"
@@ -142,7 +208,9 @@ ONE = Task(np.sin(0.3 * np.arange(21)), dt=DT, unit="mm", input_unit="V")
 
 
 def table(header):
-    rows = np.column_stack([ONE.time, ONE.reference[:, 0], ONE.reference[:, 0] * 0.9, np.cos(ONE.time)])
+    rows = np.column_stack(
+        [ONE.time, ONE.reference[:, 0], ONE.reference[:, 0] * 0.9, np.cos(ONE.time)]
+    )
     return "\n".join([header, *(",".join(map(repr, row)) for row in rows.tolist())]).encode()
 
 
@@ -166,8 +234,18 @@ def test_tables_of_text(folder):
 @pytest.mark.parametrize("packed", [False, True], ids=["v6", "v7"])
 def test_mat_files(folder, packed):
     path = folder / "trial.mat"
-    signals = {"t": ONE.time[:, None], "r": ONE.reference, "y": 0.9 * ONE.reference, "u": np.cos(ONE.time)[:, None]}
-    others = {"units": {"t": "s", "r": "mm", "y": "mm", "u": "V"}, "note": "a text", "list": np.array([1, "a"], dtype=object), "c": 1j}
+    signals = {
+        "t": ONE.time[:, None],
+        "r": ONE.reference,
+        "y": 0.9 * ONE.reference,
+        "u": np.cos(ONE.time)[:, None],
+    }
+    others = {
+        "units": {"t": "s", "r": "mm", "y": "mm", "u": "V"},
+        "note": "a text",
+        "list": np.array([1, "a"], dtype=object),
+        "c": 1j,
+    }
     scipy.io.savemat(path, signals | others, do_compression=packed)
     whole = path.read_bytes()
     np.testing.assert_array_equal(read_measured(path, ONE).y, signals["y"])

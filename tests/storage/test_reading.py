@@ -1,4 +1,6 @@
-"""Files that would stop or fill whoever reads them: devices, pipes, folders, deep nesting, bombs. Refused at once, in little memory."""
+"""Files that would stop or fill whoever reads them: devices, pipes, folders, deep nesting, bombs.
+Refused at once, in little memory.
+"""
 
 import json
 import os
@@ -74,24 +76,31 @@ def test_what_is_nested_as_a_file_may_be_is_read(tmp_path):
 def test_a_text_of_another_kind_or_size_is_refused(tmp_path, monkeypatch):
     path = tmp_path / "record.csv"
     path.write_bytes("t,u,y\n0,1,2\n1,1,ü\n".encode("latin-1"))
-    with pytest.raises(ValueError, match=r"record\.csv is no text in UTF-8: invalid .* 0xfc at byte 16"):
+    with pytest.raises(
+        ValueError, match=r"record\.csv is no text in UTF-8: invalid .* 0xfc at byte 16"
+    ):
         read_record(path)
     path.write_text("t,u,y\n0,1,2\n1,1," + '"' + "2" * 200_000 + '"')
     with pytest.raises(ValueError, match=r"record\.csv, line 3: field larger than field limit"):
         read_record(path)
     monkeypatch.setattr("jaxilc.storage.reading.LARGEST_TABLE", 100)
-    with pytest.raises(ValueError, match=r"record\.csv has more than the 100 bytes that are allowed"):
+    with pytest.raises(
+        ValueError, match=r"record\.csv has more than the 100 bytes that are allowed"
+    ):
         read_record(path)
 
 
 def test_more_rows_than_a_trial_could_have_are_not_gathered(tmp_path):
     path = tmp_path / "trial.csv"
     path.write_text("t [s],y [mm]\n" + "0,1\n" * 5000)
-    with pytest.raises(ValueError, match=r"has more than 1042 rows of data; this task needs N \+ 1 = 21"):
+    with pytest.raises(
+        ValueError, match=r"has more than 1042 rows of data; this task needs N \+ 1 = 21"
+    ):
         read_measured(path, TASK)
 
 
-# MATLAB ----------------------------------------------------------------------------------------------------------------------
+# MATLAB
+# ----------------------------------------------------------------------------------------------------------------------
 
 
 def saved(path, packed=False, **variables):
@@ -101,15 +110,29 @@ def saved(path, packed=False, **variables):
 
 @pytest.mark.parametrize("packed", [False, True], ids=["v6", "v7"])
 def test_arrays_and_text_are_those_that_scipy_reads(tmp_path, packed):
-    rng, kinds = np.random.default_rng(4), ("f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8")
-    given = {f"{kind}_{i}": (100 * rng.random(shape)).astype(kind) for kind in kinds for i, shape in enumerate([(3, 1), (1, 4), (2, 3, 2)])}
+    rng, kinds = (
+        np.random.default_rng(4),
+        ("f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8"),
+    )
+    given = {
+        f"{kind}_{i}": (100 * rng.random(shape)).astype(kind)
+        for kind in kinds
+        for i, shape in enumerate([(3, 1), (1, 4), (2, 3, 2)])
+    }
     given |= {
         "none": np.zeros((0, 3)),
         "units": {"y": "µm/s²", "a_very_long_name_of_a_signal": "V", "u": ""},
         "said": "text",
         "yes": np.True_,
     }
-    path = saved(tmp_path / "x.mat", packed, **given, cell=np.array([1, "a"], dtype=object), c=np.array([1j]), sparse=scipy.sparse.eye(3))
+    path = saved(
+        tmp_path / "x.mat",
+        packed,
+        **given,
+        cell=np.array([1, "a"], dtype=object),
+        c=np.array([1j]),
+        sparse=scipy.sparse.eye(3),
+    )
     ours, theirs = read_mat(path), scipy.io.loadmat(path, simplify_cells=False)
     for name in given.keys() - {"units", "said"}:
         np.testing.assert_array_equal(ours[name], theirs[name])
@@ -118,16 +141,25 @@ def test_arrays_and_text_are_those_that_scipy_reads(tmp_path, packed):
 
 
 def test_the_order_of_bytes_is_that_of_the_file(tmp_path):
-    """As MATLAB on a processor of the other order writes it: header, then one array `y` of two doubles, and `s`, a text of two letters."""
+    """As MATLAB on a processor of the other order writes it: header, then one array `y` of two
+    doubles, and `s`, a text of two letters.
+    """
 
     def element(kind, data):
         return np.array([kind, len(data)], ">u4").tobytes() + data + bytes(-len(data) % 8)
 
     def array(kind, dims, name, *rest):
         flags = element(6, np.array([kind, 0], ">u4").tobytes())
-        return element(14, flags + element(5, np.array(dims, ">i4").tobytes()) + element(1, name) + b"".join(rest))
+        return element(
+            14,
+            flags + element(5, np.array(dims, ">i4").tobytes()) + element(1, name) + b"".join(rest),
+        )
 
-    content = b"MATLAB 5.0".ljust(124) + b"\x01\x00MI" + array(6, (2, 1), b"y", element(9, np.array([1.5, -2.0], ">f8").tobytes()))
+    content = (
+        b"MATLAB 5.0".ljust(124)
+        + b"\x01\x00MI"
+        + array(6, (2, 1), b"y", element(9, np.array([1.5, -2.0], ">f8").tobytes()))
+    )
     content += array(4, (1, 2), b"s", element(17, "µm".encode("utf-16-be")))
     (tmp_path / "big.mat").write_bytes(content)
     assert read_mat(tmp_path / "big.mat")["s"] == "µm"
@@ -165,7 +197,10 @@ def test_a_file_takes_no_more_memory_than_a_trial_could_need(tmp_path):
 def test_what_is_no_mat_file_of_these_versions_says_so(tmp_path):
     path = tmp_path / "trial.mat"
     for content, message in (
-        (b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + bytes(400), "of version 7.3; allowed are those saved with -v7"),
+        (
+            b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + bytes(400),
+            "of version 7.3; allowed are those saved with -v7",
+        ),
         (b"\x89HDF\r\n" + bytes(400), "of version 7.3"),
         (b"t,y\n0,1\n" * 40, "is no MATLAB file of version 5 to 7"),
         (b"", "is no MATLAB file"),
@@ -174,13 +209,16 @@ def test_what_is_no_mat_file_of_these_versions_says_so(tmp_path):
         with pytest.raises(ValueError, match=message):
             read_measured(path, TASK)
     columns = {"t": TASK.time[:, None], "y": np.zeros((21, 1)), "r": np.array([1j])}
-    with pytest.raises(ValueError, match="r is complex numbers; allowed are real numbers in 1 columns"):
+    with pytest.raises(
+        ValueError, match="r is complex numbers; allowed are real numbers in 1 columns"
+    ):
         read_measured(saved(path, **columns, units={"t": "s", "y": "mm", "r": "mm"}), TASK)
     with pytest.raises(ValueError, match=r"units\.y is no text"):
         read_measured(saved(path, t=columns["t"], y=columns["y"], units={"t": "s", "y": 3.0}), TASK)
 
 
-# A user without a home ---------------------------------------------------------------------------------------------------------
+# A user without a home
+# ---------------------------------------------------------------------------------------------------------
 
 
 def test_without_a_home_it_works_and_keeps_nothing():
@@ -194,5 +232,12 @@ def test_without_a_home_it_works_and_keeps_nothing():
     )
     gone = ("HOME", "XDG_CACHE_HOME", "JAXILC_CACHE", "JAX_COMPILATION_CACHE_DIR")
     kept = {name: value for name, value in os.environ.items() if name not in gone}
-    done = subprocess.run([sys.executable, "-c", program], env=kept, capture_output=True, text=True, timeout=60, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        env=kept,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
+    )
     assert done.stdout.split() == ["None"]

@@ -1,4 +1,6 @@
-"""A sweep over two worker processes: the dataset of one host whatever is killed, and what is refused."""
+"""A sweep over two worker processes: the dataset of one host whatever is killed, and what is
+refused.
+"""
 
 import contextlib
 import dataclasses
@@ -33,7 +35,9 @@ CHUNKS = [(scheme, chunk) for scheme in range(2) for chunk in range(8)]
 
 @pytest.fixture(scope="module")
 def client(tmp_path_factory):
-    """Two worker processes that are started again when they die; they inherit how JAX is set up here, and share what they compile."""
+    """Two worker processes that are started again when they die; they inherit how JAX is set up
+    here, and share what they compile.
+    """
     programs = {
         "JAX_COMPILATION_CACHE_DIR": str(tmp_path_factory.mktemp("programs")),
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
@@ -47,7 +51,10 @@ def client(tmp_path_factory):
         "host": "127.0.0.1",
         "memory_limit": 0,
     }
-    with distributed.LocalCluster(n_workers=2, **options) as local, distributed.Client(local, set_as_default=False) as client:
+    with (
+        distributed.LocalCluster(n_workers=2, **options) as local,
+        distributed.Client(local, set_as_default=False) as client,
+    ):
         yield client
 
 
@@ -78,7 +85,9 @@ def written(monkeypatch):
 
 
 def test_a_killed_workers_chunks_are_computed_again(tmp_path, client, alone, written, monkeypatch):
-    """A worker is killed while chunks are its own: it is stopped first, and what it had sent before has arrived."""
+    """A worker is killed while chunks are its own: it is stopped first, and what it had sent before
+    has arrived.
+    """
     pids, killed, submit = client.run(os.getpid), [], cluster.Workers._submit
 
     def kill_a_busy_one():
@@ -99,7 +108,9 @@ def test_a_killed_workers_chunks_are_computed_again(tmp_path, client, alone, wri
     assert killed
     xr.testing.assert_identical(dataset, alone)
     assert sorted(written) == CHUNKS
-    xr.testing.assert_identical(PLAN.run(tmp_path / "store.zarr", resume=True), alone)  # a store like any other
+    xr.testing.assert_identical(
+        PLAN.run(tmp_path / "store.zarr", resume=True), alone
+    )  # a store like any other
     until(lambda: len(client.nthreads()) == 2 and not set(killed) & set(client.nthreads()))
 
 
@@ -113,12 +124,19 @@ def test_an_interrupted_sweep_cancels_its_tasks_and_resumes(tmp_path, client, al
         PLAN.run(store, cluster=client, progress=stop_after_three)
     until(lambda: not any(client.processing().values()))
     first, progress = written.copy(), []
-    dataset = PLAN.run(store, resume=True, cluster=client, progress=lambda *call: progress.append(call))
+    dataset = PLAN.run(
+        store, resume=True, cluster=client, progress=lambda *call: progress.append(call)
+    )
     xr.testing.assert_identical(dataset, alone)
     assert len(first) == 3
     assert sorted(written) == CHUNKS
-    assert sum(fresh for _, _, fresh in progress) == 2 * 31 - sum(3 if chunk == 7 else 4 for _, chunk in first)
-    assert {name: max(done for n, done, _ in progress if n == name) for name in PLAN.schemes} == {"learning": 31, "feedback": 31}
+    assert sum(fresh for _, _, fresh in progress) == 2 * 31 - sum(
+        3 if chunk == 7 else 4 for _, chunk in first
+    )
+    assert {name: max(done for n, done, _ in progress if n == name) for name in PLAN.schemes} == {
+        "learning": 31,
+        "feedback": 31,
+    }
 
 
 def test_precision_goes_along(client):
@@ -141,13 +159,23 @@ def seized(there, trial):
             raise RuntimeError("the bearing has seized")
         return np.zeros((), trial.y.dtype)
 
-    return jax.pure_callback(look, jax.ShapeDtypeStruct((), trial.y.dtype), trial.y[0, 0], vmap_method="sequential")
+    return jax.pure_callback(
+        look, jax.ShapeDtypeStruct((), trial.y.dtype), trial.y[0, 0], vmap_method="sequential"
+    )
 
 
 def test_a_chunk_that_fails_for_good_is_named_and_the_others_stay(tmp_path, client, written):
     there, store = tmp_path / "seized", tmp_path / "store.zarr"
-    plan = dataclasses.replace(PLAN, schemes={"feedback": PID(kp=-5.0)}, quantities={"seized": partial(seized, str(there))}, trials=1)
-    with pytest.raises(cluster.ChunkFailed, match=r"(?s)scheme 'feedback', chunk \d \(samples \d+ to \d+\) failed.*the bearing has seized"):
+    plan = dataclasses.replace(
+        PLAN,
+        schemes={"feedback": PID(kp=-5.0)},
+        quantities={"seized": partial(seized, str(there))},
+        trials=1,
+    )
+    with pytest.raises(
+        cluster.ChunkFailed,
+        match=r"(?s)scheme 'feedback', chunk \d \(samples \d+ to \d+\) failed.*the bearing has seized",
+    ):
         plan.run(store, cluster=client, progress=lambda *call: there.touch())
     there.unlink()
     first = written.copy()
@@ -160,10 +188,21 @@ def test_a_chunk_that_fails_for_good_is_named_and_the_others_stay(tmp_path, clie
 @contextlib.contextmanager
 def odd_worker(client):
     """A worker with one device more."""
-    flags = f"{os.environ['XLA_FLAGS']} --xla_force_host_platform_device_count={jax.device_count() + 1}"
-    command = [sys.executable, "-m", "distributed.cli.dask_worker", client.scheduler.address, "--no-nanny", "--no-dashboard"]
+    flags = (
+        f"{os.environ['XLA_FLAGS']} --xla_force_host_platform_device_count={jax.device_count() + 1}"
+    )
+    command = [
+        sys.executable,
+        "-m",
+        "distributed.cli.dask_worker",
+        client.scheduler.address,
+        "--no-nanny",
+        "--no-dashboard",
+    ]
     process = subprocess.Popen(
-        [*command, "--nthreads", "1", "--memory-limit", "0"], env=os.environ | {"XLA_FLAGS": flags}, stderr=subprocess.DEVNULL
+        [*command, "--nthreads", "1", "--memory-limit", "0"],
+        env=os.environ | {"XLA_FLAGS": flags},
+        stderr=subprocess.DEVNULL,
     )
     try:
         client.wait_for_workers(3, timeout=60)
@@ -183,11 +222,17 @@ def test_a_worker_that_would_round_differently_is_refused(tmp_path, client, writ
             if len(written) == 1:
                 stack.enter_context(odd_worker(client))
 
-        with pytest.raises(ValueError, match=rf"the worker tcp://\S+ is not like.*devices: {devices + 1} there, {devices} here"):
+        with pytest.raises(
+            ValueError,
+            match=rf"the worker tcp://\S+ is not like.*devices: {devices + 1} there, {devices} here",
+        ):
             PLAN.run(late, cluster=client, progress=join)
         assert written
         written.clear()
-        with pytest.raises(ValueError, match=rf"the worker tcp://\S+ is not like tcp.*: devices: {devices + 1} there, {devices} here"):
+        with pytest.raises(
+            ValueError,
+            match=rf"the worker tcp://\S+ is not like tcp.*: devices: {devices + 1} there, {devices} here",
+        ):
             PLAN.run(early, cluster=client)
     assert not written
     assert not early.exists()
@@ -199,9 +244,14 @@ def with_memory(size):
 
 def test_a_chunk_too_large_for_one_of_the_workers_is_refused(tmp_path, client):
     small, _ = client.run(os.getpid)
-    client.run(with_memory, PLAN.bytes_stored() + 20_000, workers=[small])  # room for the dataset, and 10 kB for each of two
+    client.run(
+        with_memory, PLAN.bytes_stored() + 20_000, workers=[small]
+    )  # room for the dataset, and 10 kB for each of two
     try:
-        with pytest.raises(ValueError, match=rf"chunk = 4 needs .* kB where 10 kB are available on the worker {small}; "):
+        with pytest.raises(
+            ValueError,
+            match=rf"chunk = 4 needs .* kB where 10 kB are available on the worker {small}; ",
+        ):
             PLAN.run(tmp_path / "store.zarr", cluster=client)
     finally:
         client.run(with_memory, None, workers=[small])
@@ -225,7 +275,9 @@ def test_classes_that_workers_cannot_import_are_named():
     class Mine(PID):
         pass
 
-    with pytest.raises(ValueError, match=r"workers cannot import test_cluster\..*Mine; put it into a module"):
+    with pytest.raises(
+        ValueError, match=r"workers cannot import test_cluster\..*Mine; put it into a module"
+    ):
         dataclasses.replace(PLAN, schemes={"mine": Mine(kp=-5.0)}).run(cluster="tcp://127.0.0.1:9")
 
 
@@ -254,16 +306,23 @@ def sweep_command(monkeypatch, *arguments):
 
 def test_the_command_takes_a_scheduler_file(monkeypatch, tmp_path, client):
     monkeypatch.chdir(tmp_path)
-    Path("scheduler.json").write_text(json.dumps({"type": "Scheduler", "address": client.scheduler.address}))
+    Path("scheduler.json").write_text(
+        json.dumps({"type": "Scheduler", "address": client.scheduler.address})
+    )
     small = ("--scheme", "pid", "--trials", 2, "--samples", 8)
     assert not sweep_command(monkeypatch, *small, "--out", "many", "--dask", "scheduler.json")
     assert not sweep_command(monkeypatch, *small, "--out", "alone")
-    xr.testing.assert_identical(*(jaxilc.open_dataset(tmp_path / out / "dataset.zarr") for out in ("many", "alone")))
+    xr.testing.assert_identical(
+        *(jaxilc.open_dataset(tmp_path / out / "dataset.zarr") for out in ("many", "alone"))
+    )
 
 
 def test_a_scheduler_out_of_reach_is_one_line(monkeypatch, tmp_path, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(cluster, "PATIENCE", 0.5)
     assert sweep_command(monkeypatch, "--scheme", "pid", "--dask", "tcp://127.0.0.1:9") == 2
-    assert "error: no Dask scheduler answers at tcp://127.0.0.1:9 within 0.5 s" in capsys.readouterr().err
+    assert (
+        "error: no Dask scheduler answers at tcp://127.0.0.1:9 within 0.5 s"
+        in capsys.readouterr().err
+    )
     assert not list(tmp_path.glob("out/*/*"))

@@ -1,4 +1,6 @@
-"""Damaged stores: whatever bit is flipped, whatever is cut off or gone, no number is another one without a word."""
+"""Damaged stores: whatever bit is flipped, whatever is cut off or gone, no number is another one
+without a word.
+"""
 
 import dataclasses
 import logging
@@ -18,7 +20,9 @@ from jaxilc.sweeps import Sweep
 
 @pytest.fixture(autouse=True)
 def quickly_and_quietly(monkeypatch, caplog):
-    monkeypatch.setattr(files.os, "fsync", lambda _: None)  # a kill loses nothing that was written, only a power failure does
+    monkeypatch.setattr(
+        files.os, "fsync", lambda _: None
+    )  # a kill loses nothing that was written, only a power failure does
     caplog.set_level(logging.ERROR, "jaxilc")
 
 
@@ -40,7 +44,9 @@ def test_a_flipped_bit_in_a_store_is_refused_or_computed_again(tmp_path):
 @pytest.fixture(scope="module")
 def swept(tmp_path_factory):
     """A small sweep, its finished store and its dataset; its chunks are compiled once."""
-    plan = dataclasses.replace(PLAN, schemes={"feedback": PLAN.schemes["feedback"]}, samples=5, chunk=3, keep=(), trials=2)
+    plan = dataclasses.replace(
+        PLAN, schemes={"feedback": PLAN.schemes["feedback"]}, samples=5, chunk=3, keep=(), trials=2
+    )
     host, store = plan.host(), tmp_path_factory.mktemp("swept") / "store.zarr"
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(Sweep, "host", lambda self: host)
@@ -73,7 +79,9 @@ def test_what_is_gone_or_cut_short_is_refused_and_computed_again(swept, tmp_path
     DAMAGES[damaged](tmp_path / "store.zarr" / damaged)
     with pytest.raises(ValueError, match=r"store.zarr is damaged: .*; resuming the sweep mends it"):
         open_dataset(tmp_path / "store.zarr")
-    if damaged.startswith("settled_error"):  # whoever reads it with xarray alone sees a hole, not zeros that pass every tolerance
+    if damaged.startswith(
+        "settled_error"
+    ):  # whoever reads it with xarray alone sees a hole, not zeros that pass every tolerance
         read = xr.open_zarr(tmp_path / "store.zarr", chunks=None, consolidated=False)
         assert summarise(read, 1e9)[0].yield_share == 0.6
     resumed = plan.run(tmp_path / "store.zarr", resume=True)
@@ -86,7 +94,9 @@ def test_a_store_without_its_configuration_is_refused(swept, tmp_path):
     shutil.copytree(store, tmp_path / "store.zarr")
     for name in ("zarr.json", "chunk_done/zarr.json"):
         cut(tmp_path / "store.zarr" / name)
-    with pytest.raises(ValueError, match="not a store that can be resumed; remove it and start again"):
+    with pytest.raises(
+        ValueError, match="not a store that can be resumed; remove it and start again"
+    ):
         plan.run(tmp_path / "store.zarr", resume=True)
 
 
@@ -98,7 +108,11 @@ def test_a_chunk_is_marked_when_its_figures_are_on_the_disk(tmp_path, monkeypatc
         replace(what, path)
         done.append(path)
 
-    monkeypatch.setattr(files.os, "fsync", lambda descriptor: done.append(os.readlink(f"/proc/self/fd/{descriptor}")))
+    monkeypatch.setattr(
+        files.os,
+        "fsync",
+        lambda descriptor: done.append(os.readlink(f"/proc/self/fd/{descriptor}")),
+    )
     monkeypatch.setattr(files.os, "replace", noted)
     filled(tmp_path / "store.zarr")
     store = tmp_path / "store.zarr"
@@ -106,12 +120,19 @@ def test_a_chunk_is_marked_when_its_figures_are_on_the_disk(tmp_path, monkeypatc
         mark = done.index(store / f"chunk_done/c/0/{chunk}")
         for name in ("rms", "finite"):
             renamed = done.index(store / f"{name}/c/0/{chunk}")
-            assert files.UNFINISHED in done[renamed - 1], "the file is on the disk before it has its name"
+            assert files.UNFINISHED in done[renamed - 1], (
+                "the file is on the disk before it has its name"
+            )
             assert str(store / f"{name}/c/0") in done[renamed:mark], "and its name before the mark"
 
 
 def test_a_store_is_in_use_by_one_process_at_a_time(swept, tmp_path):
     plan, store, _ = swept
-    with files.only_one(store), pytest.raises(ValueError, match=r"store.zarr is in use by another process; wait for its end"):
+    with (
+        files.only_one(store),
+        pytest.raises(
+            ValueError, match=r"store.zarr is in use by another process; wait for its end"
+        ),
+    ):
         plan.run(store, resume=True)
     assert plan.run(store, resume=True).sizes["sample"] == 5

@@ -1,4 +1,6 @@
-"""Sweeps: equal to single runs, resumable bit for bit, refusing what does not fit; and their summary."""
+"""Sweeps: equal to single runs, resumable bit for bit, refusing what does not fit; and their
+summary.
+"""
 
 import dataclasses
 
@@ -22,7 +24,9 @@ def dataset():
 
 def test_each_sample_can_be_rebuilt_and_run_alone(dataset):
     for i in (0, 3, 10):
-        alone = jaxilc.learn(PLAN.machine_of(i), PLAN.schemes["learning"], TASK, 4, key=PLAN.key_of(i))
+        alone = jaxilc.learn(
+            PLAN.machine_of(i), PLAN.schemes["learning"], TASK, 4, key=PLAN.key_of(i)
+        )
         of_sweep = dataset.sel(scheme="learning", sample=i)
         np.testing.assert_allclose(of_sweep["rms"], alone.rms[:, 0], rtol=1e-10)
         np.testing.assert_allclose(of_sweep["e"], alone.final.e[:, 0], rtol=1e-10, atol=1e-14)
@@ -58,7 +62,9 @@ def test_an_interrupted_sweep_resumes_to_the_same_dataset(tmp_path, dataset):
         PLAN.run(store, progress=kill_after_second_chunk)
     assert bool(jaxilc.open_dataset(store)["finite"].sel(scheme="feedback").any()) is False
     computed = []
-    resumed = PLAN.run(store, resume=True, progress=lambda name, done, fresh: computed.append(fresh))
+    resumed = PLAN.run(
+        store, resume=True, progress=lambda name, done, fresh: computed.append(fresh)
+    )
     assert computed == [0, 0, 3, 4, 4, 3]
     xr.testing.assert_identical(resumed, dataset)
     xr.testing.assert_identical(jaxilc.open_dataset(store), dataset)
@@ -69,7 +75,9 @@ def test_a_store_of_another_configuration_is_refused(tmp_path):
     PLAN.run(store)
     with pytest.raises(FileExistsError, match="exists already"):
         PLAN.run(store)
-    with pytest.raises(ValueError, match=r"another configuration; it differs in: seed: 7 there, 8 here"):
+    with pytest.raises(
+        ValueError, match=r"another configuration; it differs in: seed: 7 there, 8 here"
+    ):
         dataclasses.replace(PLAN, seed=8).run(store, resume=True)
     longer = Task(reference=np.r_[TASK.reference, [[0.5]]], dt=1e-3)
     with pytest.raises(ValueError, match=r"task.reference.shape"):
@@ -81,7 +89,10 @@ def test_a_store_of_another_configuration_is_refused(tmp_path):
 
 def largest_above(level, body="jnp.maximum(jnp.max(trial.e), level)", lines=0, file="one.py"):
     """A figure of a trial, from a source of its own."""
-    source = "\n" * lines + f"import jax.numpy as jnp\ndef factory(level):\n    return lambda trial: {body}\n"
+    source = (
+        "\n" * lines
+        + f"import jax.numpy as jnp\ndef factory(level):\n    return lambda trial: {body}\n"
+    )
     names = {"__name__": "figures"}
     exec(compile(source, file, "exec"), names)
     return names["factory"](level)
@@ -89,23 +100,37 @@ def largest_above(level, body="jnp.maximum(jnp.max(trial.e), level)", lines=0, f
 
 def test_a_store_knows_its_quantities_by_what_they_do(tmp_path):
     def plan(*args, **options):
-        return dataclasses.replace(PLAN, samples=2, keep=(), quantities={"own": largest_above(*args, **options)})
+        return dataclasses.replace(
+            PLAN, samples=2, keep=(), quantities={"own": largest_above(*args, **options)}
+        )
 
     store = tmp_path / "store.zarr"
     dataset = plan(0.1).run(store)
     computed = []
-    moved = plan(0.1, lines=9, file="other.py").run(store, resume=True, progress=lambda name, done, fresh: computed.append(fresh))
+    moved = plan(0.1, lines=9, file="other.py").run(
+        store, resume=True, progress=lambda name, done, fresh: computed.append(fresh)
+    )
     assert computed == [0, 0]
     xr.testing.assert_identical(moved, dataset)
     for other in (plan(0.2), plan(0.1, body="jnp.maximum(jnp.min(trial.e), level)")):
-        with pytest.raises(ValueError, match=r"another configuration; it differs in: quantities.own"):
+        with pytest.raises(
+            ValueError, match=r"another configuration; it differs in: quantities.own"
+        ):
             other.run(store, resume=True)
 
 
 def test_several_channels_stay_apart():
     two = StateSpace(np.diag([0.9, 0.8]), np.eye(2), np.eye(2), dt=1e-3)
     task = Task(reference=np.ones((31, 2)), dt=1e-3)
-    plan = Sweep(Machine(two), {"pid": PID(kp=0.2)}, task, 2, {"plant.B": Uniform(0.9, 1.1, relative=True)}, samples=3, keep=("y", "u"))
+    plan = Sweep(
+        Machine(two),
+        {"pid": PID(kp=0.2)},
+        task,
+        2,
+        {"plant.B": Uniform(0.9, 1.1, relative=True)},
+        samples=3,
+        keep=("y", "u"),
+    )
     dataset = plan.run()
     assert dataset["rms"].dims == ("scheme", "sample", "trial", "channel")
     assert dataset["u"].dims == ("scheme", "sample", "input_time", "input")
@@ -139,7 +164,9 @@ def made_up(errors):
     errors = np.asarray(errors, float)[None]
     finite = np.isfinite(errors)
     dims = ("scheme", "sample", "trial")
-    return xr.Dataset({"settled_error": (dims, errors), "finite": (dims, finite)}, {"scheme": ["s"]})
+    return xr.Dataset(
+        {"settled_error": (dims, errors), "finite": (dims, finite)}, {"scheme": ["s"]}
+    )
 
 
 def test_summary_counts_yield_growth_and_divergence():

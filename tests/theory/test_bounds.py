@@ -1,4 +1,6 @@
-"""d1 and d2 of Cao 2019 on real runs: met exactly on a static plant, never claimed where a premise is broken."""
+"""d1 and d2 of Cao 2019 on real runs: met exactly on a static plant, never claimed where a premise
+is broken.
+"""
 
 import dataclasses
 
@@ -62,7 +64,11 @@ def test_the_bound_is_never_violated_where_it_is_claimed():
     claimed = 0
     for _ in range(20):
         scheme = CFDLMFAILC(
-            lam=rng.uniform(0.1, 2), rho=rng.uniform(0.2, 1), eta=rng.uniform(0.2, 1), phi0=rng.uniform(0.1, 1), reset="sign"
+            lam=rng.uniform(0.1, 2),
+            rho=rng.uniform(0.2, 1),
+            eta=rng.uniform(0.2, 1),
+            phi0=rng.uniform(0.1, 1),
+            reset="sign",
         )
         plant = DifferenceEquation((rng.choice([0.0, 0.3]),), (rng.uniform(0.2, 2),), dt=DT)
         bounds = cfdl_bounds(scheme, TASK, *run(plant, scheme))
@@ -77,7 +83,11 @@ def premise_of(bounds, start):
 
 
 BROKEN = {
-    "sign of the estimate": (static_plant(1.2), dataclasses.replace(SCHEME, phi0=-0.4, eta=0.01), {}),
+    "sign of the estimate": (
+        static_plant(1.2),
+        dataclasses.replace(SCHEME, phi0=-0.4, eta=0.01),
+        {},
+    ),
     "lam > b^2 / 4": (static_plant(1.2), dataclasses.replace(SCHEME, lam=0.3), {}),
     "phi bounded away": (static_plant(1e-6), SCHEME, {}),
     "constant sign": (DifferenceEquation((1.2, -0.5), (1.0, -1.3), dt=DT), SCHEME, {}),
@@ -114,7 +124,9 @@ def test_on_the_voice_coil_the_theory_does_not_apply_and_says_so():
 
 @pytest.mark.parametrize(("lam", "trials"), [(1.0, 100), (3.0, 300)])
 def test_lambda_above_b_squared_over_four_guarantees_nothing_on_a_dynamic_plant(lam, trials):
-    """On a 60 Hz servo loop the error of CFDL-MFAILC falls a thousandfold, then grows; a larger lam only slows the clock of trials."""
+    """On a 60 Hz servo loop the error of CFDL-MFAILC falls a thousandfold, then grows; a larger lam
+    only slows the clock of trials.
+    """
     w = 2 * np.pi * 60.0
     servo = StateSpace([[0.0, 1.0], [-w * w, -1.4 * w]], [[0.0], [w * w]], [[1.0, 0.0]])
     task = Task(reference=0.5 - 0.5 * np.cos(2 * np.pi * np.arange(201) / 200), dt=DT)
@@ -138,11 +150,23 @@ def test_ffdl_pseudo_gradient_is_bounded_and_its_length_right():
     y, u = run(plant, scheme)
     bounds = ffdl_bounds(scheme, TASK, y, u)
     assert bounds.condition.verdict == "not claimed", "a finite b says nothing of the error"
-    # a linear plant has its own coefficients as a pseudo gradient, and the shortest one is no longer
+    # a linear plant has its own coefficients as a pseudo gradient, and the shortest one is no
+    # longer
     assert bounds.b <= np.linalg.norm([0.5, 0.1, 1.0, 0.2]) * (1 + 1e-9)
     j, k = 2, 20
-    DH = np.array([y[j, k] - y[j - 1, k], y[j, k - 1] - y[j - 1, k - 1], u[j, k] - u[j - 1, k], u[j, k - 1] - u[j - 1, k - 1]])[:, 0]
-    np.testing.assert_allclose(bounds.gradient[j - 1, k], abs(y[j, k + 1, 0] - y[j - 1, k + 1, 0]) / np.linalg.norm(DH), rtol=1e-10)
+    DH = np.array(
+        [
+            y[j, k] - y[j - 1, k],
+            y[j, k - 1] - y[j - 1, k - 1],
+            u[j, k] - u[j - 1, k],
+            u[j, k - 1] - u[j - 1, k - 1],
+        ]
+    )[:, 0]
+    np.testing.assert_allclose(
+        bounds.gradient[j - 1, k],
+        abs(y[j, k + 1, 0] - y[j - 1, k + 1, 0]) / np.linalg.norm(DH),
+        rtol=1e-10,
+    )
     np.testing.assert_allclose(bounds.d1[j - 1, k], 1 - DH @ DH / (0.5 + DH @ DH), rtol=1e-10)
 
 

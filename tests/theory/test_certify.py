@@ -1,4 +1,6 @@
-"""Certificates against simulation: what is claimed is kept, a prediction is theory's own, a limit ahead is told with its trial."""
+"""Certificates against simulation: what is claimed is kept, a prediction is theory's own, a limit
+ahead is told with its trial.
+"""
 
 from dataclasses import replace
 
@@ -12,7 +14,16 @@ from jaxilc import Actuator, Disturbance, Machine, Task, Uniform
 from jaxilc.cli import tables
 from jaxilc.filters import ZeroPhaseButterworth
 from jaxilc.plants import DifferenceEquation, StateSpace
-from jaxilc.schemes import CFDLMFAILC, PID, Filtered, HigherOrder, NormOptimal, PIDType, StopWhen, WithFeedback
+from jaxilc.schemes import (
+    CFDLMFAILC,
+    PID,
+    Filtered,
+    HigherOrder,
+    NormOptimal,
+    PIDType,
+    StopWhen,
+    WithFeedback,
+)
 from jaxilc.theory import certify, outlook, premises
 from jaxilc.theory.certificates import certify_each, course
 from jaxilc.uncertainty import draw
@@ -31,14 +42,20 @@ def certified(machine, scheme, trials, uncertainty, samples=6):
 
 
 def sentence(found, trials=10):
-    return tables.certificate_sentence("scheme", trials, tables.certificate_figures(found, None, 1.0), 1.0, "mm")
+    return tables.certificate_sentence(
+        "scheme", trials, tables.certificate_figures(found, None, 1.0), 1.0, "mm"
+    )
 
 
 def dense_error_map(machine, gain):
-    """I - gain G with G the Toeplitz matrix of Markov parameters, from the impulse response by hand."""
+    """I - gain G with G the Toeplitz matrix of Markov parameters, from the impulse response by
+    hand.
+    """
     a, b = float(machine.plant.a[0]), float(machine.plant.b[0])
     g = b * a ** np.arange(N)
-    return np.eye(N) - gain * np.array([[g[i - j] if i >= j else 0.0 for j in range(N)] for i in range(N)])
+    return np.eye(N) - gain * np.array(
+        [[g[i - j] if i >= j else 0.0 for j in range(N)] for i in range(N)]
+    )
 
 
 def test_a_monotone_claim_has_the_dense_singular_value_and_is_kept():
@@ -47,20 +64,32 @@ def test_a_monotone_claim_has_the_dense_singular_value_and_is_kept():
     assert np.all(found.of_error)
     assert set(found.observed) == set(found.expected) == {"falls"}
     assert not len(found.broken_promises())
-    np.testing.assert_allclose(found.sigma[0], np.linalg.norm(dense_error_map(FIRST_ORDER, 0.8), 2), rtol=1e-9)
+    np.testing.assert_allclose(
+        found.sigma[0], np.linalg.norm(dense_error_map(FIRST_ORDER, 0.8), 2), rtol=1e-9
+    )
     assert np.all(found.simulated[:, 1:] <= found.sigma[:, None] * found.simulated[:, :-1])
     np.testing.assert_allclose(found.predicted, found.simulated, rtol=1e-9)
     np.testing.assert_array_equal(found.floor, 0.0)
 
 
 def test_nothing_claimed_is_broken_whatever_is_drawn():
-    wide = {"plant.a": Uniform(0.2, 1.3, relative=True), "plant.b": Uniform(0.1, 8.0, relative=True)}
-    found = certified(FIRST_ORDER, WithFeedback(PIDType(gamma_p=0.8), PID(kp=0.1)), 12, wide, samples=64)
+    wide = {
+        "plant.a": Uniform(0.2, 1.3, relative=True),
+        "plant.b": Uniform(0.1, 8.0, relative=True),
+    }
+    found = certified(
+        FIRST_ORDER, WithFeedback(PIDType(gamma_p=0.8), PID(kp=0.1)), 12, wide, samples=64
+    )
     assert not len(found.broken_promises())
-    assert 10 <= np.sum(found.claim == "monotone") <= 54, "some are claimed and some are not, or the test says nothing"
+    assert 10 <= np.sum(found.claim == "monotone") <= 54, (
+        "some are claimed and some are not, or the test says nothing"
+    )
 
 
-@pytest.mark.parametrize("scheme", [Filtered(PIDType(gamma_p=0.8), ZeroPhaseButterworth(100.0)), PIDType(gamma_p=0.8, leak=0.1)])
+@pytest.mark.parametrize(
+    "scheme",
+    [Filtered(PIDType(gamma_p=0.8), ZeroPhaseButterworth(100.0)), PIDType(gamma_p=0.8, leak=0.1)],
+)
 def test_with_a_filter_or_a_leak_the_distance_from_the_limit_falls_and_its_floor_is_told(scheme):
     found = certified(FIRST_ORDER, scheme, 300, B)
     assert set(found.claim) == {"monotone"}
@@ -68,15 +97,22 @@ def test_with_a_filter_or_a_leak_the_distance_from_the_limit_falls_and_its_floor
     assert not len(found.broken_promises())
     np.testing.assert_allclose(found.floor, found.simulated[:, -1], rtol=1e-9)
     assert np.all(found.floor > 1e-6)
-    assert np.all(found.distance[:, 1:40] <= found.sigma[:, None] * found.distance[:, :39] * (1 + 1e-9))
+    assert np.all(
+        found.distance[:, 1:40] <= found.sigma[:, None] * found.distance[:, :39] * (1 + 1e-9)
+    )
     assert "it leaves an error of" in sentence(found, 300)
 
 
 def test_an_error_that_no_input_reaches_is_left_over_by_a_derivative():
-    """Learning reads e[0] for ever, so the error goes to what that makes of it, and not to zero: it rose there for hundreds of trials."""
+    """Learning reads e[0] for ever, so the error goes to what that makes of it, and not to zero: it
+    rose there for hundreds of trials.
+    """
     d = np.zeros((N + 1, 1))
     d[0] = 0.3
-    machine, scheme = replace(FIRST_ORDER, disturbance=Disturbance(output=d)), PIDType(gamma_p=0.6, gamma_d=0.3)
+    machine, scheme = (
+        replace(FIRST_ORDER, disturbance=Disturbance(output=d)),
+        PIDType(gamma_p=0.6, gamma_d=0.3),
+    )
     found = certified(machine, scheme, 120, B)
     assert set(found.claim) == {"monotone"}
     assert not np.any(found.of_error)
@@ -100,7 +136,13 @@ def test_semi_convergence_is_predicted_with_its_turning_trial():
     assert sum(sum(row.values()) for row in found.confusion().values()) == 6
 
 
-@pytest.mark.parametrize("scheme", [CFDLMFAILC(lam=1.0, phi0=0.3, reset="sign"), StopWhen(PIDType(gamma_p=0.8), rms=1e-3, growth=0.2)])
+@pytest.mark.parametrize(
+    "scheme",
+    [
+        CFDLMFAILC(lam=1.0, phi0=0.3, reset="sign"),
+        StopWhen(PIDType(gamma_p=0.8), rms=1e-3, growth=0.2),
+    ],
+)
 def test_what_adapts_or_stops_is_never_claimed(scheme):
     found = certified(FIRST_ORDER, scheme, 10, B)
     assert set(found.claim) == {"not claimed"}
@@ -109,29 +151,48 @@ def test_what_adapts_or_stops_is_never_claimed(scheme):
 
 def test_what_is_claimed_does_not_depend_on_how_long_one_watches():
     """Of 174 machines said to converge after 25 trials, 54 diverged later."""
-    wide = {"plant.a": Uniform(0.9, 1.39, relative=True), "plant.b": Uniform(0.5, 4.0, relative=True)}
-    few, many = (certified(FIRST_ORDER, PIDType(gamma_p=0.8, lead=1), trials, wide, samples=24) for trials in (5, 400))
+    wide = {
+        "plant.a": Uniform(0.9, 1.39, relative=True),
+        "plant.b": Uniform(0.5, 4.0, relative=True),
+    }
+    few, many = (
+        certified(FIRST_ORDER, PIDType(gamma_p=0.8, lead=1), trials, wide, samples=24)
+        for trials in (5, 400)
+    )
     np.testing.assert_array_equal(few.claim, many.claim)
     np.testing.assert_array_equal(few.reason, many.reason)
-    assert np.sum(few.expected != many.expected) >= 3, "what is expected within J trials does depend on J"
+    assert np.sum(few.expected != many.expected) >= 3, (
+        "what is expected within J trials does depend on J"
+    )
     assert not len(few.broken_promises()) + len(many.broken_promises())
 
 
-# Limits -------------------------------------------------------------------------------------------------------------------------
+# Limits
+# -------------------------------------------------------------------------------------------------------------------------
 
 
 def random_limited(rng, size):
-    """Stable plants of first order behind actuators whose limit is 0.8 to 1.2 of the input that the reference takes, stacked."""
+    """Stable plants of first order behind actuators whose limit is 0.8 to 1.2 of the input that the
+    reference takes, stacked.
+    """
     a, b = rng.uniform(0.3, 0.9, size), rng.uniform(0.2, 0.6, size)
     r = np.asarray(TASK.reference)[:, 0]
     needed = np.max(np.abs(r[1:] - a[:, None] * r[:-1]), axis=1) / b
     machine = replace(FIRST_ORDER, actuator=Actuator(limit=1.0))
-    return jax.tree.unflatten(jax.tree.structure(machine), [a[:, None], b[:, None], rng.uniform(0.8, 1.2, size) * needed])
+    return jax.tree.unflatten(
+        jax.tree.structure(machine), [a[:, None], b[:, None], rng.uniform(0.8, 1.2, size) * needed]
+    )
 
 
 def test_a_limit_that_is_met_late_is_told_with_its_trial():
-    """P-type learning with a small gain meets its limit after hundreds of trials; near the third one nothing shows it."""
-    machines, scheme, trials = random_limited(np.random.default_rng(1), 24), PIDType(gamma_p=0.03), 800
+    """P-type learning with a small gain meets its limit after hundreds of trials; near the third
+    one nothing shows it.
+    """
+    machines, scheme, trials = (
+        random_limited(np.random.default_rng(1), 24),
+        PIDType(gamma_p=0.03),
+        800,
+    )
     found = certify_each(machines, scheme, TASK, trials)
     assert not len(found.broken_promises())
     met, clear = found.outlook.met, found.outlook.clear
@@ -139,7 +200,13 @@ def test_a_limit_that_is_met_late_is_told_with_its_trial():
     assert np.sum(clear) >= 5
     assert np.sum(met > 100) >= 2
     limits, unlimited = np.asarray(machines.actuator.limit), replace(machines, actuator=None)
-    run = jax.vmap(lambda machine: jaxilc.learn(machine, scheme, TASK, trials, save=lambda trial: jax.numpy.abs(trial.u).max()).saved)
+    run = jax.vmap(
+        lambda machine: (
+            jaxilc.learn(
+                machine, scheme, TASK, trials, save=lambda trial: jax.numpy.abs(trial.u).max()
+            ).saved
+        )
+    )
     beyond = np.asarray(run(unlimited)) > limits[:, None]
     np.testing.assert_array_equal(np.where(beyond.any(axis=1), beyond.argmax(axis=1) + 1, 0), met)
     late = int(np.argmax(met))
@@ -152,17 +219,22 @@ def test_a_limit_out_of_reach_takes_nothing_from_a_claim_and_one_within_reach_al
     assert set(far.claim) == {"monotone"}
     near = certified(replace(FIRST_ORDER, actuator=Actuator(limit=0.3)), scheme, 10, B)
     assert set(near.claim) == {"not claimed"}
-    assert set(near.expected) == {"falls"} != set(near.observed), "theory leaves limits out, so the confusion table can fail"
+    assert set(near.expected) == {"falls"} != set(near.observed), (
+        "theory leaves limits out, so the confusion table can fail"
+    )
     assert "limit is met in trial" in near.reason[0]
 
 
 def test_one_who_only_watched_knows_no_divergence():
     """A machine that grows until its limit stops it does not grow without bound."""
-    found = certified(replace(FIRST_ORDER, actuator=Actuator(limit=10.0)), PIDType(gamma_p=-0.8), 15, B)
+    found = certified(
+        replace(FIRST_ORDER, actuator=Actuator(limit=10.0)), PIDType(gamma_p=-0.8), 15, B
+    )
     assert set(found.claim) == {"not claimed"}
 
 
-# The parts ----------------------------------------------------------------------------------------------------------------------
+# The parts
+# ----------------------------------------------------------------------------------------------------------------------
 
 
 def test_frozen_stops_estimators_alone():
@@ -171,7 +243,11 @@ def test_frozen_stops_estimators_alone():
     scheme = WithFeedback(CFDLMFAILC(lam=2.0, eta=0.7), sliding)
     assert float(scheme.frozen().learning.eta) < 1e-20
     assert float(scheme.frozen().learning.lam) == 2.0
-    assert jax.tree.leaves(scheme.frozen().feedback) == jax.tree.leaves(sliding.frozen()) == jax.tree.leaves(sliding)
+    assert (
+        jax.tree.leaves(scheme.frozen().feedback)
+        == jax.tree.leaves(sliding.frozen())
+        == jax.tree.leaves(sliding)
+    )
     linear = WithFeedback(PIDType(gamma_p=1.0), PID(kp=1.0))
     assert jax.tree.leaves(linear.frozen()) == jax.tree.leaves(linear)
 
@@ -179,7 +255,9 @@ def test_frozen_stops_estimators_alone():
 SCHEMES = {
     "filtered": Filtered(PIDType(gamma_p=0.4), ZeroPhaseButterworth(100.0)),
     "feedback": WithFeedback(PIDType(gamma_p=0.4), PID(kp=0.1, ki=2.0)),
-    "norm-optimal": NormOptimal(StateSpace([[0.6]], [[0.4]], [[1.0]], dt=DT), w_q=1.0, w_r=0.2, w_s=0.01),
+    "norm-optimal": NormOptimal(
+        StateSpace([[0.6]], [[0.4]], [[1.0]], dt=DT), w_q=1.0, w_r=0.2, w_s=0.01
+    ),
     "higher order": HigherOrder((0.7, 0.3), (0.3, 0.1)),
 }
 
@@ -193,7 +271,9 @@ def test_the_prediction_is_the_simulation_where_all_is_linear(scheme):
 
 
 def test_machines_in_parts_are_certified_as_all_at_once(monkeypatch):
-    """As where the dense matrices of all do not fit, whatever is claimed of them; also where nothing is linear."""
+    """As where the dense matrices of all do not fit, whatever is claimed of them; also where
+    nothing is linear.
+    """
     machines = random_limited(np.random.default_rng(3), 5)
     for scheme in (PIDType(gamma_p=0.3), CFDLMFAILC(lam=1.0, phi0=0.3, reset="sign")):
         whole = certify_each(machines, scheme, TASK, 6)

@@ -1,4 +1,6 @@
-"""Claims that were once made and did not hold: each with what the simulation does, and with what is said now."""
+"""Claims that were once made and did not hold: each with what the simulation does, and with what is
+said now.
+"""
 
 import dataclasses
 
@@ -38,31 +40,43 @@ def rms(machine, scheme, task, trials):
     return np.asarray(learn(machine, scheme, task, trials).rms)[:, 0]
 
 
-# All trials to come -----------------------------------------------------------------------------------------------------------
+# All trials to come
+# -----------------------------------------------------------------------------------------------------------
 
 
 def test_a_limit_that_the_fixed_point_needs_more_than():
-    """Limit 6, needed 10: monotone and asymptotic were said to hold, and the error stalls at nearly half."""
+    """Limit 6, needed 10: monotone and asymptotic were said to hold, and the error stalls at nearly
+    half.
+    """
     task = Task(10.0 * np.asarray(TASK.reference) / 1.0, dt=DT)
     machine, scheme = Machine(STATIC.plant, actuator=Actuator(limit=6.0)), PIDType(gamma_p=0.2)
     found = lifted.learning_conditions(machine, scheme, task)
     assert {one.verdict for one in found.values()} == {"not claimed"}
-    assert "is met in trial" in next(p for p in found["monotone"].broken if "limit" in p.name).detail
+    assert (
+        "is met in trial" in next(p for p in found["monotone"].broken if "limit" in p.name).detail
+    )
     assert rms(machine, scheme, task, 100)[-1] > 0.5
-    roomy = lifted.learning_conditions(Machine(STATIC.plant, actuator=Actuator(limit=10.1)), scheme, task)
+    roomy = lifted.learning_conditions(
+        Machine(STATIC.plant, actuator=Actuator(limit=10.1)), scheme, task
+    )
     assert {one.verdict for one in roomy.values()} == {"holds"}
 
 
 @pytest.mark.parametrize(
     ("scheme", "why"),
     [
-        (Ladder(PIDType(gamma_p=0.4), repeats=1, growth_of_gain=3.0, largest=20.0, slow=0.01), "choice"),
+        (
+            Ladder(PIDType(gamma_p=0.4), repeats=1, growth_of_gain=3.0, largest=20.0, slow=0.01),
+            "choice",
+        ),
         (Ladder(PIDType(gamma_p=0.4), repeats=3), "choice"),
         (StopWhen(PIDType(gamma_p=0.4), rms=0.5), "choice"),
     ],
 )
 def test_a_rule_of_when_to_learn_is_no_law_of_each_trial(scheme, why):
-    """The rule was taken off, and "in every trial" was claimed of what was left; with a growing gain learning went to 1e111."""
+    """The rule was taken off, and "in every trial" was claimed of what was left; with a growing
+    gain learning went to 1e111.
+    """
     errors = rms(LAG, scheme, TASK, 40)
     assert np.any(errors[1:] >= errors[:-1]), "not in every trial does it fall"
     verdicts = [one.verdict for one in lifted.learning_conditions(LAG, scheme, TASK).values()]
@@ -73,28 +87,38 @@ def test_a_rule_of_when_to_learn_is_no_law_of_each_trial(scheme, why):
 
 
 def test_contraction_everywhere_is_claimed_of_affine_maps_alone():
-    """Beyond a limit that the probe never met 633 was measured where 0.81 had been claimed, and 10.9 beside a quantiser."""
+    """Beyond a limit that the probe never met 633 was measured where 0.81 had been claimed, and
+    10.9 beside a quantiser.
+    """
     scheme = PIDType(gamma_p=0.5)
     assert "everywhere" in contraction.error_contracting(LAG, scheme, TASK).theorem
     limited = Machine(LAG.plant, actuator=Actuator(limit=1e6, rate=1e12))
     assert "everywhere" not in contraction.error_contracting(limited, scheme, TASK).theorem
-    rounded = contraction.error_contracting(Machine(LAG.plant, sensor=Sensor(resolution=0.1)), scheme, TASK)
+    rounded = contraction.error_contracting(
+        Machine(LAG.plant, sensor=Sensor(resolution=0.1)), scheme, TASK
+    )
     assert rounded.verdict == "not claimed"
     assert "the derivative is that of the simulation" in [p.name for p in rounded.broken]
 
 
 def test_with_a_leak_the_distance_from_the_limit_falls_and_not_each_error():
-    """A static plant of gain 1 with a leak of 0.5: errors 0.70, 0, 0.35, 0.17, 0.26 of the reference, where 0.5 a trial was told."""
+    """A static plant of gain 1 with a leak of 0.5: errors 0.70, 0, 0.35, 0.17, 0.26 of the
+    reference, where 0.5 a trial was told.
+    """
     scheme = PIDType(gamma_p=1.0, leak=0.5)
     errors = rms(STATIC, scheme, TASK, 6)
     assert errors[2] > errors[1]
-    for found in (lifted.learning_conditions(STATIC, scheme, TASK), frequency.learning_condition(STATIC, scheme, TASK)):
+    for found in (
+        lifted.learning_conditions(STATIC, scheme, TASK),
+        frequency.learning_condition(STATIC, scheme, TASK),
+    ):
         theorem = found["monotone"].theorem if isinstance(found, dict) else found.condition.theorem
         assert "nearer to its limit" in theorem or "deviation" in theorem
     assert "monotone_error" not in lifted.learning_conditions(STATIC, scheme, TASK)
 
 
-# The whole trial --------------------------------------------------------------------------------------------------------------
+# The whole trial
+# --------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("test", ["learning", "robust", "family"])
@@ -105,7 +129,9 @@ def test_a_gain_that_grows_along_the_trial_has_no_frequency_response(test):
     found = {
         "learning": lambda: frequency.learning_condition(STATIC, scheme, task),
         "robust": lambda: frequency.robust_condition(STATIC, scheme, task, 0.1),
-        "family": lambda: frequency.family_condition(STATIC, {"plant.b": Uniform(0.9, 1.1, relative=True)}, scheme, task, samples=2),
+        "family": lambda: frequency.family_condition(
+            STATIC, {"plant.b": Uniform(0.9, 1.1, relative=True)}, scheme, task, samples=2
+        ),
     }[test]().condition
     assert found.verdict == "not claimed"
     assert "learning law the same throughout the trial" in [p.name for p in found.broken]
@@ -117,32 +143,45 @@ def test_a_time_varying_model_of_a_long_trial_is_abstained_from():
     N = 200
     A = np.full((N, 1, 1), 0.7) * (1 + 0.1 * np.sin(np.arange(N)))[:, None, None]
     model = TimeVaryingStateSpace(A, np.full((N, 1, 1), 0.3), np.full((N, 1, 1), 1.0), dt=DT)
-    found = frequency.learning_condition(LAG, NormOptimal(model, w_r=0.1), task_for(PLANTS["arx"], N)).condition
+    found = frequency.learning_condition(
+        LAG, NormOptimal(model, w_r=0.1), task_for(PLANTS["arx"], N)
+    ).condition
     assert found.verdict == "not claimed"
 
 
 def test_an_unstable_pole_of_a_tiny_residue_counts():
-    """A residue of 1e-12 is nothing in an impulse response of a hundred samples, and all of it in the end."""
+    """A residue of 1e-12 is nothing in an impulse response of a hundred samples, and all of it in
+    the end.
+    """
     A, B = np.diag([0.5, 1.4]), np.array([[1.0], [1.0]])
     for residue, radius in ((1e-12, 1.4), (0.0, 0.5)):
-        assert frequency.pole_radius(Loop(A, B, np.array([[1.0, residue]]))) == pytest.approx(radius)
+        assert frequency.pole_radius(Loop(A, B, np.array([[1.0, residue]]))) == pytest.approx(
+            radius
+        )
 
 
-# Maxima over frequency ----------------------------------------------------------------------------------------------------------
+# Maxima over frequency
+# ----------------------------------------------------------------------------------------------------------
 
 
 def random_loop(rng) -> Loop:
     """A balanced stable loop with one or two resonances of damping down to 1e-4."""
     modes = [(rng.uniform(0.1, 3.0), 10 ** rng.uniform(-4, -1)) for _ in range(rng.integers(1, 3))]
     A = scipy.linalg.block_diag(
-        *(np.exp(-zeta * w) * np.array([[np.cos(w), np.sin(w)], [-np.sin(w), np.cos(w)]]) for w, zeta in modes), [[0.7]]
+        *(
+            np.exp(-zeta * w) * np.array([[np.cos(w), np.sin(w)], [-np.sin(w), np.cos(w)]])
+            for w, zeta in modes
+        ),
+        [[0.7]],
     )
     return Loop(A, rng.standard_normal((len(A), 1)), rng.standard_normal((1, len(A))))
 
 
 @pytest.mark.parametrize("seed", range(6))
 def test_no_peak_lies_above_its_enclosure(seed):
-    """Against the Hamiltonian test: a bound b is above the maximum if and only if a matrix pencil has no eigenvalue on the circle."""
+    """Against the Hamiltonian test: a bound b is above the maximum if and only if a matrix pencil
+    has no eigenvalue on the circle.
+    """
     loop = random_loop(np.random.default_rng(seed))
 
     def bounds(centre, h):
@@ -163,19 +202,32 @@ def test_no_peak_lies_above_its_enclosure(seed):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_norm_optimal_learning_looks_at_the_poles_of_model_and_machine(seed):
-    """The lines lay around the machine's poles only: 0.638 was told where it is 1.108, and the error grew from 0.7 to 192."""
+    """The lines lay around the machine's poles only: 0.638 was told where it is 1.108, and the
+    error grew from 0.7 to 192.
+    """
     rng = np.random.default_rng(seed)
     ends = rng.uniform(150, 1200, 2), 10 ** rng.uniform(-3.5, -1.0, 2)
     model, machine = (resonant(w, zeta) for w, zeta in zip(*ends, strict=True))
     weights = {"w_e": 1.0, "w_u": 10 ** rng.uniform(-3, -1), "w_delta": 10 ** rng.uniform(-2, 0)}
     found = frequency.norm_optimal_condition(model, machine, None, TASK, **weights)
-    near = np.concatenate([w * (1 + np.linspace(-20, 20, 801) * zeta) for w, zeta in zip(*ends, strict=True)]) / (2 * np.pi)
+    near = np.concatenate(
+        [w * (1 + np.linspace(-20, 20, 801) * zeta) for w, zeta in zip(*ends, strict=True)]
+    ) / (2 * np.pi)
     f = np.unique(np.clip(np.concatenate([near, np.geomspace(0.1, 500, 4000)]), 0.1, 500))
     z = np.exp(2j * np.pi * f * DT)
     G, G_t = (
-        np.array([(one.plant.C @ np.linalg.solve(x * np.eye(2) - one.plant.A, one.plant.B))[0, 0] for x in z]) for one in (model, machine)
+        np.array(
+            [
+                (one.plant.C @ np.linalg.solve(x * np.eye(2) - one.plant.A, one.plant.B))[0, 0]
+                for x in z
+            ]
+        )
+        for one in (model, machine)
     )
-    brute = np.max(np.abs(weights["w_delta"] + np.conj(G) * (G - G_t)) / (np.abs(G) ** 2 + weights["w_u"] + weights["w_delta"]))
+    brute = np.max(
+        np.abs(weights["w_delta"] + np.conj(G) * (G - G_t))
+        / (np.abs(G) ** 2 + weights["w_u"] + weights["w_delta"])
+    )
     assert brute * (1 - 1e-9) <= found.condition.value <= brute * (1 + 1e-4)
 
 
@@ -185,27 +237,35 @@ def resonant(w, zeta) -> Machine:
     return Machine(jax.tree.map(np.asarray, held.sampled(DT)))
 
 
-# What can be claimed now --------------------------------------------------------------------------------------------------------
+# What can be claimed now
+# --------------------------------------------------------------------------------------------------------
 
 
 def test_filtered_learning_on_lightly_damped_machines_is_claimed():
-    """The main cure was abstained from: Butterworth filters, robust conditions over them, and light damping in 600 samples."""
+    """The main cure was abstained from: Butterworth filters, robust conditions over them, and light
+    damping in 600 samples.
+    """
     task = Task(0.5 - 0.5 * np.cos(2 * np.pi * np.arange(601) / 600), dt=DT)
     machine = resonant(2 * np.pi * 180.0, 0.01)
     scheme = Filtered(PIDType(gamma_p=0.5, lead=0), ZeroPhaseButterworth(60.0))
     found = frequency.learning_condition(machine, scheme, task).condition
     assert (found.verdict, found.value < 1) == ("holds", True)
-    robust = frequency.robust_condition(machine, scheme, task_for(PLANTS["arx"], 150), 0.1).condition
+    robust = frequency.robust_condition(
+        machine, scheme, task_for(PLANTS["arx"], 150), 0.1
+    ).condition
     assert robust.verdict == "holds"
     errors = rms(machine, scheme, task, 200)
     assert np.max(errors) < 2 * errors[0]
 
 
-# Bounds of papers ---------------------------------------------------------------------------------------------------------------
+# Bounds of papers
+# ---------------------------------------------------------------------------------------------------------------
 
 
 def test_the_law_of_cao_2019_with_a_lead_has_no_d2():
-    """Equation 15 compares e(k+1) with itself. With a lead d2 = 0.999 was claimed, and the largest error grew from 0.55 to 1.4."""
+    """Equation 15 compares e(k+1) with itself. With a lead d2 = 0.999 was claimed, and the largest
+    error grew from 0.55 to 1.4.
+    """
     plant = DifferenceEquation((0.0,), (1.0,), dt=DT)
     for lead, verdict in ((0, "holds"), (2, "not claimed")):
         scheme = CFDLMFAILC(phi0=1.0, lam=0.5, rho=0.8, reset="sign", lead=lead)
@@ -229,8 +289,10 @@ def test_the_inequality_of_xu_2024_says_nothing_with_a_lead():
 
 
 def test_sigma_that_leaves_its_layer_slides_nowhere():
-    """The inequality is about each sample, and says of an input that is held and a velocity that is filtered less than it seems: it held
-    at 0.18 on a trial whose sigma left the layer 277 times. That sigma stays is looked at, and the band is told in the unit of y."""
+    """The inequality is about each sample, and says of an input that is held and a velocity that is
+    filtered less than it seems: it held at 0.18 on a trial whose sigma left the layer 277 times.
+    That sigma stays is looked at, and the band is told in the unit of y.
+    """
     s = scenarios.load("xu-2024")
     scheme = dataclasses.replace(s.schemes["asmc"], phi=0.0, eta=7.6e5, Delta=12500.0, k_n=4770.0)
     trial = learn(s.machine, scheme, s.task, 1).final
@@ -239,7 +301,9 @@ def test_sigma_that_leaves_its_layer_slides_nowhere():
     assert np.max(np.abs(trial.e)) < found.error_band[0] < 60.0, "um"
     sigma = np.array(trial.signals["sigma"])
     sigma[500] = 1.1 * found.band
-    left = sliding.sliding(scheme, trial._replace(signals=trial.signals | {"sigma": sigma})).condition
+    left = sliding.sliding(
+        scheme, trial._replace(signals=trial.signals | {"sigma": sigma})
+    ).condition
     assert left.value < 1
     assert left.verdict == "not claimed"
     assert [p.name for p in left.broken] == ["sigma, once in its band, is seen to stay"]

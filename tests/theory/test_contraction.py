@@ -1,4 +1,6 @@
-"""The matrix-free learning map against dense linear algebra, the lifted form, and what simulated learning does."""
+"""The matrix-free learning map against dense linear algebra, the lifted form, and what simulated
+learning does.
+"""
 
 import dataclasses
 
@@ -24,7 +26,9 @@ SCHEMES = {
     "filtered": Filtered(PIDType(gamma_p=0.5, lead=3), ZeroPhaseFIR((0.4, 0.2, 0.1))),
     "cfdl": CFDLMFAILC(phi0=0.3, lam=0.3, mu=0.05, rho=0.9, reset="sign"),
     "ffdl": FFDLMFAILC(phi0=(0.5, -0.1, 0.2, 0.05), lam=0.1, mu=0.05, rho=0.9, reset="sign"),
-    "ilc_mfapc": WithFeedback(PIDType(gamma_p=0.5, lead=1), CFDLMFAPC(P=5, lam=20.0, eta=0.9, mu=1.0, phi0=0.2)),
+    "ilc_mfapc": WithFeedback(
+        PIDType(gamma_p=0.5, lead=1), CFDLMFAPC(P=5, lam=20.0, eta=0.9, mu=1.0, phi0=0.2)
+    ),
 }
 
 
@@ -50,14 +54,20 @@ def maps(machine, scheme, task):
 
 @pytest.mark.parametrize("name", ["p_type", "cfdl", "ffdl", "ilc_mfapc"])
 def test_singular_values_are_those_of_the_dense_matrix(name):
-    """At N = 200 to 1e-6, of the whole memory and of the error; linear, adaptive, and over adaptive feedback."""
+    """At N = 200 to 1e-6, of the whole memory and of the error; linear, adaptive, and over adaptive
+    feedback.
+    """
     dense, free = maps(MACHINE, SCHEMES[name], task_for(PLANTS["arx"], 200))
     for J, found in zip(dense, free, strict=True):
         np.testing.assert_allclose(found.value, top(J), rtol=1e-6)
         if len(J) <= 200:
-            np.testing.assert_allclose(found.value, np.linalg.svd(J, compute_uv=False)[0], rtol=1e-6)
+            np.testing.assert_allclose(
+                found.value, np.linalg.svd(J, compute_uv=False)[0], rtol=1e-6
+            )
         assert found.residual <= 1e-6 * found.value
-        assert found.steps < min(J.shape) or name == "ilc_mfapc", "the matrix should not have to be exhausted"
+        assert found.steps < min(J.shape) or name == "ilc_mfapc", (
+            "the matrix should not have to be exhausted"
+        )
         np.testing.assert_allclose(np.linalg.norm(J @ found.direction), found.value, rtol=1e-6)
         np.testing.assert_allclose(np.linalg.norm(found.direction), 1.0, rtol=1e-9)
 
@@ -65,10 +75,15 @@ def test_singular_values_are_those_of_the_dense_matrix(name):
 def test_the_error_map_of_a_linear_law_is_the_lifted_one():
     """I - G L, in the loop as well, and its powers over several trials."""
     task = task_for(PLANTS["arx"], 50)
-    for scheme in (PIDType(gamma_p=0.5, gamma_d=0.3, lead=2), WithFeedback(PIDType(gamma_p=0.5), PID(kp=0.8, ki=20.0))):
+    for scheme in (
+        PIDType(gamma_p=0.5, gamma_d=0.3, lead=2),
+        WithFeedback(PIDType(gamma_p=0.5), PID(kp=0.8, ki=20.0)),
+    ):
         found = contraction.error_map(MACHINE, scheme, task, trials=3)
         J = jax.jit(jax.jacfwd(found.f))(found.at)
-        M = lifted.error_map(lifted.lifted_plant(MACHINE, scheme, task), lifted.learning_law(scheme, task).L)
+        M = lifted.error_map(
+            lifted.lifted_plant(MACHINE, scheme, task), lifted.learning_law(scheme, task).L
+        )
         for j in range(3):
             np.testing.assert_allclose(J[j], np.linalg.matrix_power(M, j + 1), atol=1e-12)
     growth = jax.jit(lambda at: contraction.error_growth(found.f, at, 3))(found.at).value
@@ -76,30 +91,44 @@ def test_the_error_map_of_a_linear_law_is_the_lifted_one():
 
 
 def test_the_error_map_of_two_inputs_and_outputs():
-    plant = StateSpace([[0.9, 0.1], [-0.2, 0.8]], [[0.2, 0.05], [0.0, 0.3]], [[1.0, 0.1], [0.2, 1.0]], dt=DT)
+    plant = StateSpace(
+        [[0.9, 0.1], [-0.2, 0.8]], [[0.2, 0.05], [0.0, 0.3]], [[1.0, 0.1], [0.2, 1.0]], dt=DT
+    )
     machine, task, scheme = Machine(plant), task_for(plant, 30), PIDType(gamma_p=(2.0, 1.0))
     found = contraction.error_map(machine, scheme, task)
-    M = lifted.error_map(lifted.lifted_plant(machine, None, task), lifted.learning_law(scheme, task).L)
+    M = lifted.error_map(
+        lifted.lifted_plant(machine, None, task), lifted.learning_law(scheme, task).L
+    )
     np.testing.assert_allclose(jax.jit(jax.jacfwd(found.f))(found.at)[0], M, atol=1e-12)
 
 
 def test_an_adaptive_scheme_does_what_its_derivative_says():
-    """A small disturbance from the fourth trial on, shaped as the direction that grows most: the simulated change of the next error is
-    sigma_max times as large, and far from that with the estimate frozen."""
+    """A small disturbance from the fourth trial on, shaped as the direction that grows most: the
+    simulated change of the next error is sigma_max times as large, and far from that with the
+    estimate frozen.
+    """
     scheme, task, eps = SCHEMES["cfdl"], task_for(PLANTS["arx"], 60), 1e-6
     before = learn(MACHINE, scheme, task, 3).memory
 
     def following(v):
-        """e of trials 4 and 5, an output disturbance -v on top from trial 4 on; e_4 then changes by v, as the law is not feedback."""
-        machine = dataclasses.replace(MACHINE, disturbance=Disturbance(output=jnp.pad(-v, (1, 0))[:, None]))
+        """e of trials 4 and 5, an output disturbance -v on top from trial 4 on; e_4 then changes by
+        v, as the law is not feedback.
+        """
+        machine = dataclasses.replace(
+            MACHINE, disturbance=Disturbance(output=jnp.pad(-v, (1, 0))[:, None])
+        )
         return learn(machine, scheme, task, 2, memory=before, save=errors).saved
 
     found = contraction.error_map(MACHINE, scheme, task, before)
     sigma = jax.jit(lambda at: contraction.singular_value(found.f, at))(found.at)
     changes = (following(eps * sigma.direction) - following(-eps * sigma.direction)) / (2 * eps)
     np.testing.assert_allclose(changes[0], sigma.direction, atol=1e-8)
-    np.testing.assert_allclose(np.linalg.norm(changes[1]) / np.linalg.norm(changes[0]), sigma.value, rtol=1e-5)
-    frozen = lifted.mfailc_map(lifted.lifted_plant(MACHINE, None, task), before.phi[0], scheme.lam, scheme.rho)
+    np.testing.assert_allclose(
+        np.linalg.norm(changes[1]) / np.linalg.norm(changes[0]), sigma.value, rtol=1e-5
+    )
+    frozen = lifted.mfailc_map(
+        lifted.lifted_plant(MACHINE, None, task), before.phi[0], scheme.lam, scheme.rho
+    )
     assert abs(lifted.sigma_max(frozen) / sigma.value - 1) > 1e-3
 
 
@@ -126,7 +155,9 @@ def test_names_and_weights_of_the_memory():
     np.testing.assert_allclose(weighted, plain * scale[:, None] / scale, atol=1e-13)
     default, at = jacobian()
     size = np.sqrt(np.mean(np.square(at[y])))
-    np.testing.assert_allclose([np.sqrt(np.mean(np.square(at[i]))) for i in (u, phi[:20])], size, rtol=0.2)
+    np.testing.assert_allclose(
+        [np.sqrt(np.mean(np.square(at[i]))) for i in (u, phi[:20])], size, rtol=0.2
+    )
     assert abs(top(default) / top(plain) - 1) > 0.01
     for bad, value in (("leaves", ("v",)), ("weights", {"learning.u": 1.0})):
         with pytest.raises(ValueError, match=r"not in this memory; known: u, y, phi\[0\]"):
@@ -137,8 +168,16 @@ def test_names_and_weights_of_the_memory():
 
 def test_noise_is_left_out():
     task = task_for(PLANTS["arx"], 20)
-    noisy = Machine(PLANTS["arx"], sensor=Sensor(noise=0.5), disturbance=Disturbance(output_noise=0.5))
-    for one, other in zip(*(jax.tree.leaves(contraction.learned_memory(m, SCHEMES["cfdl"], task)) for m in (MACHINE, noisy)), strict=True):
+    noisy = Machine(
+        PLANTS["arx"], sensor=Sensor(noise=0.5), disturbance=Disturbance(output_noise=0.5)
+    )
+    for one, other in zip(
+        *(
+            jax.tree.leaves(contraction.learned_memory(m, SCHEMES["cfdl"], task))
+            for m in (MACHINE, noisy)
+        ),
+        strict=True,
+    ):
         np.testing.assert_allclose(one, other, atol=1e-14)
 
 
@@ -168,10 +207,14 @@ def both(M):
     def f(x):
         return M @ x + 1.0
 
-    return contraction.singular_value(f, jnp.ones(len(M))), contraction.spectral_radius_of(f, jnp.ones(len(M)), steps=60)
+    return contraction.singular_value(f, jnp.ones(len(M))), contraction.spectral_radius_of(
+        f, jnp.ones(len(M)), steps=60
+    )
 
 
-@pytest.mark.parametrize("kind", ["complex pair", "negative", "repeated", "low rank", "opposite signs"])
+@pytest.mark.parametrize(
+    "kind", ["complex pair", "negative", "repeated", "low rank", "opposite signs"]
+)
 def test_iterations_on_given_matrices(kind):
     singular, radius = both(normal_matrix(kind))
     np.testing.assert_allclose([singular.value, radius.value], 0.95, rtol=1e-9)
@@ -184,17 +227,23 @@ def test_the_zero_map_and_a_map_that_is_not_square():
     assert (float(singular.value), float(radius.value)) == (0.0, 0.0)
     M = np.random.default_rng(0).normal(size=(30, 50))
     for matrix in (M, M.T):
-        found = jax.jit(lambda at, matrix=matrix: contraction.singular_value(lambda x: matrix @ x, at))(jnp.zeros(matrix.shape[1]))
+        found = jax.jit(
+            lambda at, matrix=matrix: contraction.singular_value(lambda x: matrix @ x, at)
+        )(jnp.zeros(matrix.shape[1]))
         np.testing.assert_allclose(found.value, top(matrix), rtol=1e-9)
 
 
 def test_doubt_covers_the_error_of_a_map_far_from_normal():
-    """For I - gamma G the process sees sup |1 - gamma z P|, not the one eigenvalue 1 - gamma C B; with all steps it is dense."""
+    """For I - gamma G the process sees sup |1 - gamma z P|, not the one eigenvalue 1 - gamma C B;
+    with all steps it is dense.
+    """
     task, scheme = task_for(PLANTS["arx"], 150), PIDType(gamma_p=4.0)
     for steps in (20, 150):
-        found = jax.jit(lambda m, steps=steps: contraction.spectral_radius_of(*contraction.learning_map(m, scheme, task), steps=steps))(
-            MACHINE
-        )
+        found = jax.jit(
+            lambda m, steps=steps: contraction.spectral_radius_of(
+                *contraction.learning_map(m, scheme, task), steps=steps
+            )
+        )(MACHINE)
         assert abs(found.value - (1 - 4.0 * 0.06)) < found.doubt
     assert contraction.attracting(MACHINE, scheme, task, steps=20).verdict == "not claimed"
 
@@ -207,7 +256,9 @@ def test_spectral_radius_is_that_of_the_dense_matrix(name):
     @jax.jit
     def found(machine, scheme):
         learning = contraction.learning_map(machine, scheme, task, leaves=leaves)
-        return contraction.spectral_radius_of(*learning, steps=200), jax.jacfwd(learning.f)(learning.at)
+        return contraction.spectral_radius_of(*learning, steps=200), jax.jacfwd(learning.f)(
+            learning.at
+        )
 
     radius, J = found(MACHINE, SCHEMES[name])
     dense = np.max(np.abs(np.linalg.eigvals(J)))
@@ -218,8 +269,8 @@ LAG = Machine(StateSpace([[0.3]], [[0.7]], [[1.0]], dt=DT))
 
 
 def test_designed_to_contract_and_designed_to_diverge():
-    """Adaptive learning on a lag: near its fixed point the map contracts and attracts, and learning arrives; a law of too high a gain
-    does neither, and its error grows."""
+    """Adaptive learning on a lag: near its fixed point the map contracts and attracts, and learning
+    arrives; a law of too high a gain does neither, and its error grows."""
     task = task_for(LAG.plant, 30)
     scheme = CFDLMFAILC(phi0=0.7, lam=0.1, rho=0.9, mu=0.1, reset="book")
     history = learn(LAG, scheme, task, 60)
@@ -231,13 +282,18 @@ def test_designed_to_contract_and_designed_to_diverge():
     assert error.verdict == "holds"
     ratios = history.rms[5:20, 0] / history.rms[4:19, 0]
     assert np.all(ratios <= error.value * (1 + 1e-6))
-    input_map = contraction.contracting(LAG, PIDType(gamma_p=0.8), task, leaves=("u",), weights={"u": 1.0})
+    input_map = contraction.contracting(
+        LAG, PIDType(gamma_p=0.8), task, leaves=("u",), weights={"u": 1.0}
+    )
     M = lifted.input_map(lifted.lifted_plant(LAG, None, task), 0.8 * np.eye(30))
     np.testing.assert_allclose(input_map.value, lifted.sigma_max(M), rtol=1e-9)
     assert input_map.verdict == "holds"
     assert "everywhere" in input_map.theorem
     wild = PIDType(gamma_p=3.5)
-    assert contraction.contracting(LAG, wild, task, leaves=("u",), weights={"u": 1.0}).verdict == "fails"
+    assert (
+        contraction.contracting(LAG, wild, task, leaves=("u",), weights={"u": 1.0}).verdict
+        == "fails"
+    )
     assert contraction.error_contracting(LAG, wild, task).verdict == "fails"
     assert learn(LAG, wild, task, 30).rms[-1, 0] > 100 * learn(LAG, wild, task, 1).rms[0, 0]
 
@@ -251,14 +307,19 @@ def test_away_from_its_fixed_point_an_adaptive_map_claims_nothing():
 
 
 def test_estimates_that_nothing_resets_are_neutral():
-    """At a fixed point without error nothing moves phi: the eigenvalue 1, which the map without the estimates has not."""
+    """At a fixed point without error nothing moves phi: the eigenvalue 1, which the map without the
+    estimates has not.
+    """
     task = task_for(LAG.plant, 20)
     scheme = CFDLMFAILC(phi0=0.7, lam=0.1, rho=0.9, mu=0.1, reset="none")
     memory = learn(LAG, scheme, task, 60).memory
     whole = contraction.attracting(LAG, scheme, task, memory, steps=100)
     np.testing.assert_allclose(whole.value, 1.0, atol=1e-6)
     assert whole.verdict != "holds"
-    assert contraction.attracting(LAG, scheme, task, memory, leaves=("u", "y"), steps=100).verdict == "holds"
+    assert (
+        contraction.attracting(LAG, scheme, task, memory, leaves=("u", "y"), steps=100).verdict
+        == "holds"
+    )
 
 
 def test_over_plants_equals_one_by_one():
@@ -267,19 +328,32 @@ def test_over_plants_equals_one_by_one():
     drawn = draw(MACHINE, uncertainty, 5)
 
     def quantity(machine):
-        learning, error = contraction.learning_map(machine, scheme, task), contraction.error_map(machine, scheme, task)
-        return contraction.singular_value(*error).value, contraction.spectral_radius_of(*learning, steps=40).value
+        learning, error = (
+            contraction.learning_map(machine, scheme, task),
+            contraction.error_map(machine, scheme, task),
+        )
+        return contraction.singular_value(*error).value, contraction.spectral_radius_of(
+            *learning, steps=40
+        ).value
 
     together = contraction.over_plants(quantity, MACHINE, uncertainty, drawn)
     alone = jax.jit(lambda values: quantity(drawn_machine(MACHINE, uncertainty, values)))
     for i in range(5):
-        np.testing.assert_allclose([x[i] for x in together], alone({name: v[i] for name, v in drawn.items()}), rtol=1e-6)
+        np.testing.assert_allclose(
+            [x[i] for x in together], alone({name: v[i] for name, v in drawn.items()}), rtol=1e-6
+        )
     assert np.ptp(together[0]) > 0.05
 
 
 @pytest.mark.slow
 def test_a_trial_of_5000_samples():
-    """Where the matrix would take 200 MB: sigma_max of the error map is sup |1 - gamma z P| to four digits."""
+    """Where the matrix would take 200 MB: sigma_max of the error map is sup |1 - gamma z P| to four
+    digits.
+    """
     task = Task(np.sin(2 * np.pi * np.arange(5001) / 1000), dt=DT)
     value = contraction.error_contracting(MACHINE, SCHEMES["p_type"], task).value
-    np.testing.assert_allclose(value, frequency.learning_condition(MACHINE, SCHEMES["p_type"], task).condition.value, rtol=1e-4)
+    np.testing.assert_allclose(
+        value,
+        frequency.learning_condition(MACHINE, SCHEMES["p_type"], task).condition.value,
+        rtol=1e-4,
+    )

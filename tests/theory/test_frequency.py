@@ -1,4 +1,6 @@
-"""Frequency conditions against python-control, dense matrices and closed forms, and what they promise against simulation."""
+"""Frequency conditions against python-control, dense matrices and closed forms, and what they
+promise against simulation.
+"""
 
 import dataclasses
 
@@ -15,7 +17,17 @@ from jaxilc.filters import Filter, ZeroPhaseButterworth, ZeroPhaseFIR
 from jaxilc.learning import Actuator, Machine, learn
 from jaxilc.plants import DifferenceEquation, ProcessModel, StateSpace, from_control
 from jaxilc.pytree import get_at, leaf, part, pytree, replaced
-from jaxilc.schemes import CFDLMFAC, CFDLMFAILC, PID, Filtered, OnOutputs, OnReference, PIDType, Scheme, WithFeedback
+from jaxilc.schemes import (
+    CFDLMFAC,
+    CFDLMFAILC,
+    PID,
+    Filtered,
+    OnOutputs,
+    OnReference,
+    PIDType,
+    Scheme,
+    WithFeedback,
+)
 from jaxilc.schemes.scheme import Feedforward
 from jaxilc.signals import Task
 from jaxilc.theory import frequency, lifted
@@ -31,7 +43,11 @@ def errors(trial):
 
 
 law_response = frequency.law_response
-response = jax.jit(lambda machine, scheme, task: frequency.response(frequency.linear_loop(machine, scheme, task), F, DT))
+response = jax.jit(
+    lambda machine, scheme, task: frequency.response(
+        frequency.linear_loop(machine, scheme, task), F, DT
+    )
+)
 
 
 def transfer(a, b):
@@ -47,16 +63,24 @@ def of_plant(plant):
     return np.moveaxis(np.reshape(system(Z), (plant.n_y, plant.n_u, len(Z))), -1, 0)
 
 
-@pytest.mark.parametrize("name", ["voice_coil_printed", "arx", "continuous", "discrete", "mimo", "motor_and_table"])
+@pytest.mark.parametrize(
+    "name", ["voice_coil_printed", "arx", "continuous", "discrete", "mimo", "motor_and_table"]
+)
 def test_the_plant_is_that_of_python_control(name):
     plant = PLANTS[name]
-    np.testing.assert_allclose(response(Machine(plant), None, task_for(plant)), of_plant(plant), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(
+        response(Machine(plant), None, task_for(plant)), of_plant(plant), rtol=1e-9, atol=1e-12
+    )
 
 
 def test_the_identified_motor_is_its_transfer_function_sampled():
-    exact = control.sample_system(control.zpk([928.2], [-474.0, -474.0, -6.404], 7437.7769), DT, "zoh")
+    exact = control.sample_system(
+        control.zpk([928.2], [-474.0, -474.0, -6.404], 7437.7769), DT, "zoh"
+    )
     plant = PLANTS["voice_coil_exact"]
-    np.testing.assert_allclose(response(Machine(plant), None, task_for(plant))[:, 0, 0], exact(Z), rtol=1e-6)
+    np.testing.assert_allclose(
+        response(Machine(plant), None, task_for(plant))[:, 0, 0], exact(Z), rtol=1e-6
+    )
 
 
 GAINS = {"kp": 0.8, "ki": 20.0, "kd": 2e-4, "tau": 1e-3}
@@ -64,12 +88,21 @@ GAINS = {"kp": 0.8, "ki": 20.0, "kd": 2e-4, "tau": 1e-3}
 
 @pytest.mark.parametrize("form", ["position", "increment"])
 def test_the_loop_is_that_of_python_control(form):
-    """P / (1 + C P) seen by the input, C P / (1 + C P) seen by the reference; the input's w[k] belongs to the reference r[k+1]."""
+    """P / (1 + C P) seen by the input, C P / (1 + C P) seen by the reference; the input's w[k]
+    belongs to the reference r[k+1].
+    """
     kp, ki, kd, tau = GAINS.values()
     # kp + ki dt z / (z - 1) + kd (z - 1) / ((tau + dt) z - tau)
-    P, C = transfer(*ARX)(Z), kp + control.tf([ki * DT, 0], [1, -1], DT)(Z) + control.tf([kd, -kd], [tau + DT, -tau], DT)(Z)
+    P, C = (
+        transfer(*ARX)(Z),
+        kp
+        + control.tf([ki * DT, 0], [1, -1], DT)(Z)
+        + control.tf([kd, -kd], [tau + DT, -tau], DT)(Z),
+    )
     feedback, task = PID(**GAINS, form=form), task_for(PLANTS["arx"])
-    np.testing.assert_allclose(response(ARX_MACHINE, feedback, task)[:, 0, 0], P / (1 + C * P), rtol=1e-9)
+    np.testing.assert_allclose(
+        response(ARX_MACHINE, feedback, task)[:, 0, 0], P / (1 + C * P), rtol=1e-9
+    )
     series = response(ARX_MACHINE, OnReference(PIDType(gamma_p=1.0), feedback), task)[:, 0, 0]
     np.testing.assert_allclose(series, C * P / (1 + C * P) / Z, rtol=1e-9)
 
@@ -79,14 +112,19 @@ def test_derivatives_with_respect_to_plant_and_feedback():
         loop = frequency.linear_loop(parts["machine"], parts["feedback"], task)
         return jnp.sum(jnp.abs(frequency.response(loop, F[::8], DT)) ** 2)
 
-    task, parts = task_for(PLANTS["arx"]), {"machine": ARX_MACHINE, "feedback": PID(kp=0.8, ki=20.0)}
+    task, parts = (
+        task_for(PLANTS["arx"]),
+        {"machine": ARX_MACHINE, "feedback": PID(kp=0.8, ki=20.0)},
+    )
     slopes = jax.jit(jax.grad(level))(parts, task)
     level = jax.jit(level)
     for name in ("machine.plant.a[1]", "machine.plant.b[0]", "feedback.kp", "feedback.ki"):
         value = get_at(parts, name)
         step = 1e-5 * abs(value)
         sides = [level(replaced(parts, {name: value + sign * step}), task) for sign in (1, -1)]
-        np.testing.assert_allclose(get_at(slopes, name), (sides[0] - sides[1]) / (2 * step), rtol=1e-6, err_msg=name)
+        np.testing.assert_allclose(
+            get_at(slopes, name), (sides[0] - sides[1]) / (2 * step), rtol=1e-6, err_msg=name
+        )
 
 
 @pytree
@@ -120,14 +158,18 @@ def test_laws_and_filters():
     np.testing.assert_allclose(law.keep[:, 0, 0], 0.9)
     law = law_response(CFDLMFAILC(phi0=0.3, lam=0.2, rho=0.5, lead=1), task, F)
     np.testing.assert_allclose(law.L[:, 0, 0], 0.5 * 0.3 / (0.2 + 0.09) * Z**2, rtol=1e-12)
-    law = law_response(WithFeedback(Filtered(TwoAhead(), ZeroPhaseFIR((0.5, 0.2, 0.05))), PID()), task, F)
+    law = law_response(
+        WithFeedback(Filtered(TwoAhead(), ZeroPhaseFIR((0.5, 0.2, 0.05))), PID()), task, F
+    )
     Q = 0.5 + 0.4 * np.cos(2 * np.pi * F * DT) + 0.1 * np.cos(4 * np.pi * F * DT)
     np.testing.assert_allclose(law.L[:, 0, 0], Q * 0.5 * (0.7 * Z**2 + 0.3), rtol=1e-9)
     np.testing.assert_allclose(law.keep[:, 0, 0], Q * 0.9, rtol=1e-9)
     sections = scipy.signal.butter(3, 70.0, fs=1 / DT, output="sos")
     expected = np.abs(scipy.signal.sosfreqz(sections, F, fs=1 / DT)[1]) ** 2
     for q in (ZeroPhaseButterworth(70.0, order=3), Own(ZeroPhaseButterworth(70.0, order=3))):
-        np.testing.assert_allclose(frequency.filter_response(q, task, F), expected, rtol=1e-8, atol=1e-12)
+        np.testing.assert_allclose(
+            frequency.filter_response(q, task, F), expected, rtol=1e-8, atol=1e-12
+        )
 
 
 def test_a_scheme_on_one_of_two_outputs():
@@ -144,7 +186,9 @@ def test_the_supremum_is_the_singular_value_of_a_long_trial(gamma):
     task = Task(np.zeros(1001), dt=DT)
     found = frequency.learning_condition(ARX_MACHINE, PIDType(gamma_p=gamma), task)
     G = lifted.lifted_plant(ARX_MACHINE, None, task)
-    np.testing.assert_allclose(found.condition.value, lifted.sigma_max(np.eye(1000) - gamma * G), rtol=1e-3)
+    np.testing.assert_allclose(
+        found.condition.value, lifted.sigma_max(np.eye(1000) - gamma * G), rtol=1e-3
+    )
     P = transfer(*ARX)
     fine = np.linspace(1e-3, 500.0, 200001)
     z = np.exp(2j * np.pi * fine * DT)
@@ -156,23 +200,33 @@ def test_the_supremum_is_the_singular_value_of_a_long_trial(gamma):
 
 @pytest.mark.parametrize(("lead", "published"), [(0, 53.0), (10, 338.0)])
 def test_the_critical_frequency_of_a_60_hz_loop(lead, published):
-    """A loop of 60 Hz sampled at 5 kHz: ten samples of lead move the first crossing from about 53 to about 338 Hz (measured before)."""
+    """A loop of 60 Hz sampled at 5 kHz: ten samples of lead move the first crossing from about 53
+    to about 338 Hz (measured before).
+    """
     w, dt, gamma = 2 * np.pi * 60.0, 2e-4, 0.5
     P = control.sample_system(control.tf([w * w], [1.0, 1.4 * w, w * w]), dt, "zoh")
-    found = frequency.learning_condition(Machine(from_control(P)), PIDType(gamma_p=gamma, lead=lead), Task(np.zeros(401), dt=dt))
+    found = frequency.learning_condition(
+        Machine(from_control(P)), PIDType(gamma_p=gamma, lead=lead), Task(np.zeros(401), dt=dt)
+    )
 
     def over(f):
         z = np.exp(2j * np.pi * f * dt)
         return np.abs(1 - gamma * z ** (1 + lead) * P(z)) - 1
 
-    np.testing.assert_allclose(found.critical, scipy.optimize.brentq(over, 0.9 * found.critical, 1.1 * found.critical), rtol=1e-5)
+    np.testing.assert_allclose(
+        found.critical,
+        scipy.optimize.brentq(over, 0.9 * found.critical, 1.1 * found.critical),
+        rtol=1e-5,
+    )
     assert np.all(over(np.linspace(1.0, 0.999 * found.critical, 500)) < 0)
     np.testing.assert_allclose(found.critical, published, rtol=0.01)
     assert found.condition.verdict == "fails"
 
 
 def test_the_cnc_condition_and_its_simulation():
-    """Li 2020, eq. 9 over a loop: below the critical frequency the error falls from trial to trial, above it grows, as |.| says."""
+    """Li 2020, eq. 9 over a loop: below the critical frequency the error falls from trial to trial,
+    above it grows, as |.| says.
+    """
     task = Task(np.zeros(2001), dt=DT)
     scheme = WithFeedback(PIDType(gamma_p=2.0), PID(kp=0.8))
     found = frequency.learning_condition(ARX_MACHINE, scheme, task)
@@ -193,8 +247,13 @@ def test_the_cnc_condition_and_its_simulation():
 
 
 def test_monotone_by_design():
-    """A causal law with |1 - L z P| < 1 throughout: the claim holds, and the error of every trial is smaller than the last."""
-    machine, task = Machine(StateSpace([[0.3]], [[0.7]], [[1.0]], dt=DT)), task_for(PLANTS["arx"], 200)
+    """A causal law with |1 - L z P| < 1 throughout: the claim holds, and the error of every trial
+    is smaller than the last.
+    """
+    machine, task = (
+        Machine(StateSpace([[0.3]], [[0.7]], [[1.0]], dt=DT)),
+        task_for(PLANTS["arx"], 200),
+    )
     found = frequency.learning_condition(machine, PIDType(gamma_p=0.8), task)
     assert found.condition.verdict == "holds"
     assert found.critical == np.inf
@@ -204,17 +263,27 @@ def test_monotone_by_design():
 
 
 def test_the_ends_of_the_trial_are_looked_at():
-    """A zero-phase filter whose odd extension pins the end, with a lead that finds no error beyond it: |Q (1 - L P)| < 1 at every
-    frequency, yet learning grows at the end by 0.2 % a trial. So nothing is claimed; without the extension the claim is made."""
+    """A zero-phase filter whose odd extension pins the end, with a lead that finds no error beyond
+    it: |Q (1 - L P)| < 1 at every frequency, yet learning grows at the end by 0.2 % a trial. So
+    nothing is claimed; without the extension the claim is made.
+    """
     task = task_for(PLANTS["arx"], 200)
     pinned = Filtered(PIDType(gamma_p=0.5, lead=3), ZeroPhaseButterworth(80.0, padding=9))
     free = Filtered(PIDType(gamma_p=0.5, lead=3), ZeroPhaseButterworth(80.0, padding=0))
-    found = {name: frequency.learning_condition(ARX_MACHINE, s, task).condition for name, s in (("pinned", pinned), ("free", free))}
+    found = {
+        name: frequency.learning_condition(ARX_MACHINE, s, task).condition
+        for name, s in (("pinned", pinned), ("free", free))
+    }
     assert found["pinned"].value == found["free"].value < 0.7
     assert found["free"].verdict == "holds"
     assert found["pinned"].verdict == "not claimed"
-    assert [p.name for p in found["pinned"].broken] == ["the whole trial converges, its ends included"]
-    rho = {name: lifted.learning_conditions(ARX_MACHINE, s, task)["asymptotic"].value for name, s in (("pinned", pinned), ("free", free))}
+    assert [p.name for p in found["pinned"].broken] == [
+        "the whole trial converges, its ends included"
+    ]
+    rho = {
+        name: lifted.learning_conditions(ARX_MACHINE, s, task)["asymptotic"].value
+        for name, s in (("pinned", pinned), ("free", free))
+    }
     assert rho["free"] < 0.7
     assert 1.001 < rho["pinned"] < 1.01
     change = np.diff(np.asarray(learn(ARX_MACHINE, pinned, task, 2000, save=errors).saved)[:, -1])
@@ -223,8 +292,14 @@ def test_the_ends_of_the_trial_are_looked_at():
 
 BROKEN = {
     "loop stable": (Machine(StateSpace([[1.0]], [[1.0]], [[1.0]], dt=DT)), PIDType(gamma_p=0.5)),
-    "loop linear and time invariant": (ARX_MACHINE, WithFeedback(PIDType(gamma_p=0.5), CFDLMFAC(phi0=0.3))),
-    "learning law linear and the same in each trial": (ARX_MACHINE, CFDLMFAILC(phi0=0.3, reset="none")),
+    "loop linear and time invariant": (
+        ARX_MACHINE,
+        WithFeedback(PIDType(gamma_p=0.5), CFDLMFAC(phi0=0.3)),
+    ),
+    "learning law linear and the same in each trial": (
+        ARX_MACHINE,
+        CFDLMFAILC(phi0=0.3, reset="none"),
+    ),
 }
 
 
@@ -245,11 +320,15 @@ def test_a_limit_breaks_the_premise_and_an_unused_integrator_does_not():
     loop = frequency.linear_loop(ARX_MACHINE, PID(kp=0.5, form="increment"), task)
     np.testing.assert_allclose(np.max(np.abs(np.linalg.eigvals(loop.A))), 1.0, atol=1e-9)
     A = np.array([[1.6 - 0.5 * 0.06, 1.0], [-0.65 - 0.5 * 0.03, 0.0]])
-    np.testing.assert_allclose(frequency.pole_radius(loop), np.max(np.abs(np.linalg.eigvals(A))), rtol=1e-9)
+    np.testing.assert_allclose(
+        frequency.pole_radius(loop), np.max(np.abs(np.linalg.eigvals(A))), rtol=1e-9
+    )
 
 
 def test_robust_condition_is_the_worst_of_all_perturbed_plants():
-    """|Q| (|1 - L P| + |L P W|) is reached by some |D| <= 1 and exceeded by none; the condition then decides on true plants."""
+    """|Q| (|1 - L P| + |L P W|) is reached by some |D| <= 1 and exceeded by none; the condition
+    then decides on true plants.
+    """
     task = task_for(PLANTS["arx"], 200)
     scheme = Filtered(PIDType(gamma_p=0.5, lead=3), ZeroPhaseButterworth(60.0, padding=0))
 
@@ -264,16 +343,24 @@ def test_robust_condition_is_the_worst_of_all_perturbed_plants():
     perturbed = np.abs(np.asarray(law.keep)[:, 0, 0] - LP * (1 + W * unit))
     np.testing.assert_allclose(found.magnitude, perturbed.max(axis=0), rtol=1e-4, atol=1e-12)
     nominal = frequency.learning_condition(ARX_MACHINE, scheme, task, frequencies=f)
-    np.testing.assert_allclose(frequency.robust_condition(ARX_MACHINE, scheme, task, 0.0, frequencies=f).magnitude, nominal.magnitude)
+    np.testing.assert_allclose(
+        frequency.robust_condition(ARX_MACHINE, scheme, task, 0.0, frequencies=f).magnitude,
+        nominal.magnitude,
+    )
     assert nominal.condition.value < found.condition.value
-    gains = {share: frequency.robust_condition(ARX_MACHINE, scheme, task, share).condition for share in (0.15, 0.9)}
+    gains = {
+        share: frequency.robust_condition(ARX_MACHINE, scheme, task, share).condition
+        for share in (0.15, 0.9)
+    }
     assert (gains[0.15].verdict, gains[0.9].verdict) == ("holds", "fails")
     louder = Machine(DifferenceEquation(ARX[0], np.multiply(ARX[1], 1.15), dt=DT))
     assert frequency.learning_condition(louder, scheme, task).condition.value <= gains[0.15].value
 
 
 def test_norm_optimal_condition_is_the_norm_of_the_lifted_map():
-    """Against sigma_max of (W_e G'G + W_u + W_D)^-1 (W_D + W_e G'(G - G_t)) at N = 250; a plant of the wrong sign fails."""
+    """Against sigma_max of (W_e G'G + W_u + W_D)^-1 (W_D + W_e G'(G - G_t)) at N = 250; a plant of
+    the wrong sign fails.
+    """
     task, weights = Task(np.zeros(251), dt=DT), {"w_e": 1.0, "w_u": 1e-3, "w_delta": 0.05}
     G = lifted.lifted_plant(ARX_MACHINE, None, task)
     verdicts = []
@@ -285,31 +372,50 @@ def test_norm_optimal_condition_is_the_norm_of_the_lifted_map():
         np.testing.assert_allclose(found.condition.value, lifted.sigma_max(M), rtol=5e-3)
         verdicts.append(found.condition.verdict)
     assert verdicts == ["holds", "holds", "holds", "fails"]
-    by_function = frequency.norm_optimal_condition(ARX_MACHINE, truth, None, task, **weights | {"w_u": lambda f: 1e-3 + 0 * f})
+    by_function = frequency.norm_optimal_condition(
+        ARX_MACHINE, truth, None, task, **weights | {"w_u": lambda f: 1e-3 + 0 * f}
+    )
     np.testing.assert_allclose(by_function.magnitude, found.magnitude)
 
 
 def test_two_channels_take_the_largest_singular_value():
-    plant = StateSpace([[0.9, 0.1], [-0.2, 0.8]], [[0.2, 0.05], [0.0, 0.3]], [[1.0, 0.1], [0.2, 1.0]], dt=DT)
+    plant = StateSpace(
+        [[0.9, 0.1], [-0.2, 0.8]], [[0.2, 0.05], [0.0, 0.3]], [[1.0, 0.1], [0.2, 1.0]], dt=DT
+    )
     machine, task = Machine(plant), task_for(plant, 200)
     found = frequency.learning_condition(machine, PIDType(gamma_p=(2.0, 1.0)), task, frequencies=F)
     M = np.eye(2) - np.diag([2.0, 1.0]) @ (Z[:, None, None] * of_plant(plant))
     np.testing.assert_allclose(found.magnitude, np.linalg.norm(M, 2, axis=(1, 2)), rtol=1e-9)
-    model = frequency.norm_optimal_condition(machine, machine, None, task, w_e=1.0, w_u=0.1, w_delta=0.2, frequencies=F)
+    model = frequency.norm_optimal_condition(
+        machine, machine, None, task, w_e=1.0, w_u=0.1, w_delta=0.2, frequencies=F
+    )
     G = of_plant(plant)
     H = np.conj(np.swapaxes(G, 1, 2)) @ G + 0.3 * np.eye(2)
-    np.testing.assert_allclose(model.magnitude, np.linalg.norm(np.linalg.solve(H, 0.2 * np.eye(2)[None]), 2, axis=(1, 2)), rtol=1e-9)
+    np.testing.assert_allclose(
+        model.magnitude,
+        np.linalg.norm(np.linalg.solve(H, 0.2 * np.eye(2)[None]), 2, axis=(1, 2)),
+        rtol=1e-9,
+    )
 
 
 def test_the_worst_of_a_box_is_at_its_corner_at_least():
-    """By brute force it is a corner that no sample reaches. The value is that of the worst, over all frequencies."""
+    """By brute force it is a corner that no sample reaches. The value is that of the worst, over
+    all frequencies.
+    """
     box = {"plant.b": Uniform(0.8, 1.2, relative=True), "plant.a[1]": Normal(-0.65, 0.005)}
     task, f = task_for(PLANTS["arx"], 200), np.geomspace(0.5, 499.0, 2000)
     scheme = Filtered(PIDType(gamma_p=0.5, lead=3), ZeroPhaseButterworth(150.0))
-    found = frequency.family_condition(ARX_MACHINE, box, scheme, task, samples=12, seed=1, climbers=0)
-    z, Q = np.exp(2j * np.pi * f * DT), np.asarray(frequency.filter_response(scheme.filter, task, f))
+    found = frequency.family_condition(
+        ARX_MACHINE, box, scheme, task, samples=12, seed=1, climbers=0
+    )
+    z, Q = (
+        np.exp(2j * np.pi * f * DT),
+        np.asarray(frequency.filter_response(scheme.filter, task, f)),
+    )
     brute = {
-        (gain, a2): np.max(np.abs(Q * (1 - 0.5 * z**4 * transfer((ARX[0][0], a2), gain * np.asarray(ARX[1]))(z))))
+        (gain, a2): np.max(
+            np.abs(Q * (1 - 0.5 * z**4 * transfer((ARX[0][0], a2), gain * np.asarray(ARX[1]))(z)))
+        )
         for gain in np.linspace(0.8, 1.2, 9)
         for a2 in np.linspace(-0.66, -0.64, 9)
     }
@@ -324,13 +430,23 @@ def test_the_worst_of_a_box_is_at_its_corner_at_least():
 
 
 def test_ascent_finds_the_worst_within_a_box():
-    """A sharp resonance is worst in the middle of its range, where the filter still passes it and the lead turns it against learning."""
-    machine, task = Machine(ProcessModel(gain=1.0, frequencies=(350.0, 700.0), dampings=(0.7, 0.05))), task_for(PLANTS["arx"], 200)
+    """A sharp resonance is worst in the middle of its range, where the filter still passes it and
+    the lead turns it against learning.
+    """
+    machine, task = (
+        Machine(ProcessModel(gain=1.0, frequencies=(350.0, 700.0), dampings=(0.7, 0.05))),
+        task_for(PLANTS["arx"], 200),
+    )
     box = {"plant.frequencies[1]": Uniform(600.0, 1000.0)}
     scheme = Filtered(PIDType(gamma_p=0.6, lead=6), ZeroPhaseButterworth(150.0))
-    climbed = frequency.family_condition(machine, box, scheme, task, samples=4, seed=2, climbers=3, steps=40)
+    climbed = frequency.family_condition(
+        machine, box, scheme, task, samples=4, seed=2, climbers=3, steps=40
+    )
     f = np.geomspace(1.0, 499.0, 4000)
-    z, Q = np.exp(2j * np.pi * f * DT), np.asarray(frequency.filter_response(scheme.filter, task, f))
+    z, Q = (
+        np.exp(2j * np.pi * f * DT),
+        np.asarray(frequency.filter_response(scheme.filter, task, f)),
+    )
 
     def value(w):
         parts = [[w0**2, 2 * zeta * w0, w0**2] for w0, zeta in ((350.0, 0.7), (w, 0.05))]
@@ -345,21 +461,37 @@ def test_ascent_finds_the_worst_within_a_box():
     assert climbed.condition.value >= brute[worst] * (1 - 1e-9)
     assert np.max(climbed.values[:6]) < brute[worst] - 1e-3, "neither samples nor corners have it"
     assert climbed.at["plant.frequencies[1]"] == pytest.approx(worst, abs=5.0)
-    assert value(climbed.at["plant.frequencies[1]"]) == pytest.approx(climbed.condition.value, rel=1e-3)
+    assert value(climbed.at["plant.frequencies[1]"]) == pytest.approx(
+        climbed.condition.value, rel=1e-3
+    )
 
 
 def test_unstable_plants_of_a_family_are_counted():
-    machine, task = Machine(StateSpace([[0.9]], [[0.1]], [[1.0]], dt=DT)), task_for(PLANTS["arx"], 200)
-    found = frequency.family_condition(machine, {"plant.A[0][0]": Uniform(0.8, 1.2)}, PIDType(gamma_p=0.5), task, samples=41, climbers=0)
+    machine, task = (
+        Machine(StateSpace([[0.9]], [[0.1]], [[1.0]], dt=DT)),
+        task_for(PLANTS["arx"], 200),
+    )
+    found = frequency.family_condition(
+        machine,
+        {"plant.A[0][0]": Uniform(0.8, 1.2)},
+        PIDType(gamma_p=0.5),
+        task,
+        samples=41,
+        climbers=0,
+    )
     stable = next(p for p in found.condition.premises if p.name == "loop stable")
     assert found.condition.verdict == "not claimed"
     np.testing.assert_allclose(stable.share_broken, np.mean(found.drawn["plant.A[0][0]"] >= 1.0))
 
 
 BAD = {
-    "must ascend": lambda task: frequency.learning_condition(ARX_MACHINE, PIDType(), task, frequencies=[1.0, 600.0]),
+    "must ascend": lambda task: frequency.learning_condition(
+        ARX_MACHINE, PIDType(), task, frequencies=[1.0, 600.0]
+    ),
     "learns no feedforward": lambda task: frequency.learning_condition(ARX_MACHINE, PID(), task),
-    "preview = 10": lambda task: frequency.linear_loop(ARX_MACHINE, OnReference(PIDType(), Previewing()), task),
+    "preview = 10": lambda task: frequency.linear_loop(
+        ARX_MACHINE, OnReference(PIDType(), Previewing()), task
+    ),
 }
 
 

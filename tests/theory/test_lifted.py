@@ -1,4 +1,6 @@
-"""The lifted form against hand-written matrices, and what it predicts against what the simulation does."""
+"""The lifted form against hand-written matrices, and what it predicts against what the simulation
+does.
+"""
 
 import jax
 import numpy as np
@@ -25,7 +27,9 @@ def impulse_response(a, b, samples):
     """h[k] = y[k+1] after u[0] = 1, by the difference equation."""
     y = np.zeros(samples + 1)
     for k in range(samples):
-        y[k + 1] = sum(a[i] * y[k - i] for i in range(len(a)) if k >= i) + (b[k] if k < len(b) else 0.0)
+        y[k + 1] = sum(a[i] * y[k - i] for i in range(len(a)) if k >= i) + (
+            b[k] if k < len(b) else 0.0
+        )
     return y[1:]
 
 
@@ -47,29 +51,45 @@ def everything(trial):
 
 def run(machine, scheme, task, trials):
     """(J, N n_y) errors and (J, N n_u) inputs as simulated."""
-    return tuple(np.asarray(s).reshape(trials, -1) for s in learn(machine, scheme, task, trials, save=errors).saved)
+    return tuple(
+        np.asarray(s).reshape(trials, -1)
+        for s in learn(machine, scheme, task, trials, save=errors).saved
+    )
 
 
 def test_open_loop_matrix_is_the_toeplitz_matrix_of_the_impulse_response():
     G = lifted.lifted_plant(ARX_MACHINE, None, TASK)
     np.testing.assert_allclose(G, toeplitz(impulse_response(*ARX, N)), rtol=1e-12, atol=1e-15)
-    np.testing.assert_allclose(lifted.lifted_plant(ARX_MACHINE, None, TASK, time_invariant=False), G, rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(
+        lifted.lifted_plant(ARX_MACHINE, None, TASK, time_invariant=False),
+        G,
+        rtol=1e-12,
+        atol=1e-15,
+    )
 
 
 def test_closed_loop_matrix_is_P_over_1_plus_C_P():
-    """With u_fb[k] from e[k], one sample before the row of y[k+1]: G = (I + P C S)^-1 P, S the delay of one sample."""
+    """With u_fb[k] from e[k], one sample before the row of y[k+1]: G = (I + P C S)^-1 P, S the
+    delay of one sample.
+    """
     P, delay = toeplitz(impulse_response(*ARX, N)), np.eye(N, k=-1)
     # the derivative s[k] = (tau s[k-1] + e[k] - e[k-1]) / (tau + dt), in powers of the delay
     slope = np.linalg.solve((LOOP.tau + DT) * np.eye(N) - LOOP.tau * delay, np.eye(N) - delay)
     C = LOOP.kp * np.eye(N) + LOOP.ki * DT * np.tri(N) + LOOP.kd * slope
     G = lifted.lifted_plant(ARX_MACHINE, LOOP, TASK)
-    np.testing.assert_allclose(G, np.linalg.solve(np.eye(N) + P @ C @ delay, P), rtol=1e-10, atol=1e-13)
-    np.testing.assert_array_equal(lifted.lifted_plant(ARX_MACHINE, WithFeedback(PIDType(gamma_p=1.0), LOOP), TASK), G)
+    np.testing.assert_allclose(
+        G, np.linalg.solve(np.eye(N) + P @ C @ delay, P), rtol=1e-10, atol=1e-13
+    )
+    np.testing.assert_array_equal(
+        lifted.lifted_plant(ARX_MACHINE, WithFeedback(PIDType(gamma_p=1.0), LOOP), TASK), G
+    )
     assert linear_trial(ARX_MACHINE, LOOP, TASK).held
 
 
 def test_the_adjoint_is_the_plant_run_backward_in_time():
-    """G^T = J G J for a time-invariant plant of one input and output, J reversing time: so vjp is a trial played backward."""
+    """G^T = J G J for a time-invariant plant of one input and output, J reversing time: so vjp is a
+    trial played backward.
+    """
     v = np.random.default_rng(0).normal(size=(N, 1))
     _, pull = jax.vjp(lambda u: played(ARX_MACHINE, None, TASK, None, u).y[1:], np.zeros((N, 1)))
     backward = played(ARX_MACHINE, None, TASK, None, v[::-1]).y[:0:-1]
@@ -77,7 +97,9 @@ def test_the_adjoint_is_the_plant_run_backward_in_time():
 
 
 def test_a_nonlinear_loop_is_linearised_where_it_is_asked_to_be():
-    """Adaptive feedback and a limit: not Toeplitz, its columns are finite differences, and the premise of linearity is broken."""
+    """Adaptive feedback and a limit: not Toeplitz, its columns are finite differences, and the
+    premise of linearity is broken.
+    """
     machine = Machine(PLANTS["arx"], actuator=Actuator(limit=1.0))
     feedback, about = CFDLMFAC(phi0=0.3, lam=0.5), 0.4 * np.sin(np.arange(N))[:, None]
     G = lifted.lifted_plant(machine, feedback, TASK, about=about)
@@ -88,16 +110,28 @@ def test_a_nonlinear_loop_is_linearised_where_it_is_asked_to_be():
     for k in (0, 7, N - 1):
         step = np.zeros((N, 1))
         step[k] = 1e-6
-        np.testing.assert_allclose(G[:, k], (play(about + step) - play(about - step))[:, 0] / 2e-6, rtol=1e-6, atol=1e-8)
+        np.testing.assert_allclose(
+            G[:, k], (play(about + step) - play(about - step))[:, 0] / 2e-6, rtol=1e-6, atol=1e-8
+        )
     broken = linear_trial(machine, feedback, TASK)
     assert (broken.held, broken.share_broken) == (False, 1.0)
 
 
 def test_noise_is_left_out_and_what_repeats_is_not():
     d = 0.1 * np.ones((N + 1, 1))
-    machine = Machine(PLANTS["arx"], sensor=Sensor(noise=0.1), disturbance=Disturbance(output=d, input_noise=0.2, output_noise=0.3))
-    np.testing.assert_allclose(lifted.lifted_plant(machine, None, TASK), lifted.lifted_plant(ARX_MACHINE, None, TASK), atol=1e-15)
-    np.testing.assert_allclose(played(machine, None, TASK, None, np.zeros((N, 1))).y[1:], d[1:], atol=1e-15)
+    machine = Machine(
+        PLANTS["arx"],
+        sensor=Sensor(noise=0.1),
+        disturbance=Disturbance(output=d, input_noise=0.2, output_noise=0.3),
+    )
+    np.testing.assert_allclose(
+        lifted.lifted_plant(machine, None, TASK),
+        lifted.lifted_plant(ARX_MACHINE, None, TASK),
+        atol=1e-15,
+    )
+    np.testing.assert_allclose(
+        played(machine, None, TASK, None, np.zeros((N, 1))).y[1:], d[1:], atol=1e-15
+    )
 
 
 LAWS = {
@@ -110,7 +144,9 @@ LAWS = {
 
 @pytest.mark.parametrize("law", LAWS)
 def test_the_error_of_the_next_trial_is_predicted(law):
-    """e_{j+1} = (I - G L) e_j to rounding, the law taken from the scheme and the loop from the simulator."""
+    """e_{j+1} = (I - G L) e_j to rounding, the law taken from the scheme and the loop from the
+    simulator.
+    """
     scheme = LAWS[law]
     e, _ = run(ARX_MACHINE, scheme, TASK, 4)
     G, law = lifted.lifted_plant(ARX_MACHINE, scheme, TASK), lifted.learning_law(scheme, TASK)
@@ -126,14 +162,22 @@ def test_two_inputs_and_outputs():
     machine, task = Machine(PLANTS["mimo"]), task_for(PLANTS["mimo"], N)
     scheme = PIDType(gamma_p=(2.0, 1.0), lead=1)
     e, _ = run(machine, scheme, task, 3)
-    M = lifted.error_map(lifted.lifted_plant(machine, None, task), lifted.learning_law(scheme, task).L)
+    M = lifted.error_map(
+        lifted.lifted_plant(machine, None, task), lifted.learning_law(scheme, task).L
+    )
     np.testing.assert_allclose(e[1:], (M @ e[:-1].T).T, atol=1e-12)
 
 
 FILTERED = {
-    "butterworth": Filtered(PIDType(gamma_p=0.6, lead=2, leak=0.1), ZeroPhaseButterworth(70.0, order=3)),
+    "butterworth": Filtered(
+        PIDType(gamma_p=0.6, lead=2, leak=0.1), ZeroPhaseButterworth(70.0, order=3)
+    ),
     "two_filters_in_a_loop": WithFeedback(
-        Filtered(Filtered(PIDType(gamma_p=0.6), ZeroPhaseFIR((0.5, 0.25))), ZeroPhaseButterworth(150.0, padding=0)), LOOP
+        Filtered(
+            Filtered(PIDType(gamma_p=0.6), ZeroPhaseFIR((0.5, 0.25))),
+            ZeroPhaseButterworth(150.0, padding=0),
+        ),
+        LOOP,
     ),
 }
 
@@ -147,7 +191,9 @@ def test_the_change_of_the_input_is_predicted(law):
     steps = np.diff(u, axis=0)
     assert np.max(np.abs(steps[2])) > 1e-2
     for j in range(3):
-        np.testing.assert_allclose(steps[j + 1], lifted.input_map(G, law.L, keep=law.keep) @ steps[j], atol=1e-12)
+        np.testing.assert_allclose(
+            steps[j + 1], lifted.input_map(G, law.L, keep=law.keep) @ steps[j], atol=1e-12
+        )
 
 
 learn_once = jax.jit(lambda scheme, memory, trial: scheme.learn(memory, trial))
@@ -160,10 +206,20 @@ def test_the_error_under_mfailc_is_predicted_with_its_gain_of_each_trial(lead):
     record = learn(ARX_MACHINE, scheme, TASK, trials, save=everything).saved
     e, memory, phi = np.asarray(record.e)[:, 1:, 0], scheme.memory(TASK), []
     for j in range(trials - 1):
-        memory = learn_once(scheme, memory, jax.tree.map(lambda x, j=j: x[j], record._replace(dt=np.full(trials, DT))))
+        memory = learn_once(
+            scheme,
+            memory,
+            jax.tree.map(lambda x, j=j: x[j], record._replace(dt=np.full(trials, DT))),
+        )
         phi.append(np.asarray(memory.phi[0]))
     assert np.ptp(phi[-1]) > 0.05, "the estimate should have moved"
-    maps = lifted.mfailc_map(lifted.lifted_plant(ARX_MACHINE, None, TASK), np.array(phi), scheme.lam, scheme.rho, lead=lead)
+    maps = lifted.mfailc_map(
+        lifted.lifted_plant(ARX_MACHINE, None, TASK),
+        np.array(phi),
+        scheme.lam,
+        scheme.rho,
+        lead=lead,
+    )
     for j in range(trials - 1):
         np.testing.assert_allclose(e[j + 1], maps[j] @ e[j], atol=1e-12)
     growth = lifted.transient_growth(maps)
@@ -177,14 +233,20 @@ LAG = Machine(StateSpace([[0.3]], [[0.7]], [[1.0]], dt=DT))
 
 @pytest.mark.parametrize(("gamma", "factor"), [(0.3, 0.4), (0.8, 0.6), (1.2, 1.4)])
 def test_a_static_gain_by_hand(gamma, factor):
-    """e_{j+1} = (1 - 2 gamma) e_j: sigma_max, rho and every trial of the simulation are that number."""
+    """e_{j+1} = (1 - 2 gamma) e_j: sigma_max, rho and every trial of the simulation are that
+    number.
+    """
     task = task_for(STATIC_GAIN.plant, N)
     found = lifted.learning_conditions(STATIC_GAIN, PIDType(gamma_p=gamma), task)
     for name in ("monotone", "asymptotic", "monotone_error"):
-        np.testing.assert_allclose([found[name].value, found[name].margin], [factor, 1 - factor], atol=1e-12)
+        np.testing.assert_allclose(
+            [found[name].value, found[name].margin], [factor, 1 - factor], atol=1e-12
+        )
         assert found[name].verdict == ("holds" if factor < 1 else "fails")
     e, _ = run(STATIC_GAIN, PIDType(gamma_p=gamma), task, 5)
-    np.testing.assert_allclose(np.linalg.norm(e[1:], axis=1) / np.linalg.norm(e[:-1], axis=1), factor, rtol=1e-9)
+    np.testing.assert_allclose(
+        np.linalg.norm(e[1:], axis=1) / np.linalg.norm(e[:-1], axis=1), factor, rtol=1e-9
+    )
 
 
 def test_what_is_predicted_to_be_monotone_is_and_what_is_predicted_to_diverge_does():
@@ -203,11 +265,15 @@ def test_what_is_predicted_to_be_monotone_is_and_what_is_predicted_to_diverge_do
 
 
 def test_convergent_in_the_end_but_not_before():
-    """rho < 1 < sigma_max: the error grows by orders of magnitude before it falls, as the transient growth says."""
+    """rho < 1 < sigma_max: the error grows by orders of magnitude before it falls, as the transient
+    growth says.
+    """
     task, scheme = TASK, PIDType(gamma_p=4.0)
     found = lifted.learning_conditions(ARX_MACHINE, scheme, task)
     assert (found["monotone"].verdict, found["asymptotic"].verdict) == ("fails", "holds")
-    M = lifted.error_map(lifted.lifted_plant(ARX_MACHINE, None, task), lifted.learning_law(scheme, task).L)
+    M = lifted.error_map(
+        lifted.lifted_plant(ARX_MACHINE, None, task), lifted.learning_law(scheme, task).L
+    )
     growth = lifted.transient_growth(M, 12)
     e, _ = run(ARX_MACHINE, scheme, task, 13)
     size = np.linalg.norm(e, axis=1)
@@ -226,15 +292,23 @@ def test_spectral_radius_of_triangular_and_permuted_matrices_is_exact():
     for matrix in (M, M.T, M[np.ix_(order, order)]):
         np.testing.assert_allclose(lifted.spectral_radius(matrix), exact, rtol=1e-12)
     twisted = scipy.linalg.block_diag(M, [[0.6, 0.8], [-0.8, 0.6]]) + np.eye(102, k=-2) * 1e-3
-    np.testing.assert_allclose(lifted.spectral_radius(np.stack([twisted, 2 * twisted])), [1.0, 2.0], rtol=1e-12)
+    np.testing.assert_allclose(
+        lifted.spectral_radius(np.stack([twisted, 2 * twisted])), [1.0, 2.0], rtol=1e-12
+    )
     full = np.linalg.qr(np.random.default_rng(1).normal(size=(100, 100)))[0]
     rotated = full @ M @ full.T
     assert abs(np.max(np.abs(np.linalg.eigvals(rotated))) - exact) > 0.1
     assert lifted.asymptotic(rotated).verdict == "not claimed"
     assert lifted.asymptotic(M).verdict == "holds"
     mild = full @ scipy.linalg.toeplitz([0.5, 0.3, *np.zeros(98)], np.zeros(100)) @ full.T
-    assert sum(radius_with_doubt(mild)) > 1, "a Jordan block, whose eigenvalue 0.5 no first-order estimate can tell from 1"
-    assert lifted.asymptotic(np.stack([mild, rotated, 2 * np.eye(100)])).verdict.tolist() == ["holds", "not claimed", "fails"]
+    assert sum(radius_with_doubt(mild)) > 1, (
+        "a Jordan block, whose eigenvalue 0.5 no first-order estimate can tell from 1"
+    )
+    assert lifted.asymptotic(np.stack([mild, rotated, 2 * np.eye(100)])).verdict.tolist() == [
+        "holds",
+        "not claimed",
+        "fails",
+    ]
 
 
 def test_nothing_is_claimed_where_a_premise_is_broken():
@@ -242,7 +316,11 @@ def test_nothing_is_claimed_where_a_premise_is_broken():
     for machine, scheme, broken in (
         (tight, PIDType(gamma_p=0.3), "no limit is met in any trial to come"),
         (ARX_MACHINE, PIDType(gamma_p=0.3, limit=0.1), "no limit is met in any trial to come"),
-        (Machine(PLANTS["arx"], sensor=Sensor(resolution=1e-3)), PIDType(gamma_p=0.3), "machine and feedback linear"),
+        (
+            Machine(PLANTS["arx"], sensor=Sensor(resolution=1e-3)),
+            PIDType(gamma_p=0.3),
+            "machine and feedback linear",
+        ),
         (ARX_MACHINE, CFDLMFAILC(phi0=0.3), "learning law linear and the same in each trial"),
     ):
         found = lifted.learning_conditions(machine, scheme, TASK)["monotone"]
@@ -271,7 +349,9 @@ BAD = {
     "phi has shape": lambda: lifted.mfailc_map(np.eye(4), np.zeros(3), 1.0),
     "error_map: L has shape": lambda: lifted.error_map(np.eye(4), np.eye(3)),
     "transient_growth: M": lambda: lifted.transient_growth(np.eye(4)),
-    "the task has 2 inputs": lambda: lifted.lifted_plant(ARX_MACHINE, None, task_for(PLANTS["mimo"], N)),
+    "the task has 2 inputs": lambda: lifted.lifted_plant(
+        ARX_MACHINE, None, task_for(PLANTS["mimo"], N)
+    ),
 }
 
 

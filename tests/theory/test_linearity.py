@@ -1,4 +1,6 @@
-"""What theory reads off the programs of machines and schemes, against what they do; any wrapper, any composition."""
+"""What theory reads off the programs of machines and schemes, against what they do; any wrapper,
+any composition.
+"""
 
 from typing import Any
 
@@ -38,7 +40,8 @@ from jaxilc.uncertainty import drawn_machines
 MACHINE = Machine(DifferenceEquation(*ARX, dt=DT))
 TASK = task_for(PLANTS["arx"], 40)
 
-# The programs of jaxilc, one by one -----------------------------------------------------------------------------------------
+# The programs of jaxilc, one by one
+# -----------------------------------------------------------------------------------------
 
 NOT_LINEAR = {  # by what, of the plants and schemes of cases.py that learn a feedforward
     "p_type_stop": "learns by",
@@ -48,10 +51,17 @@ NOT_LINEAR = {  # by what, of the plants and schemes of cases.py that learn a fe
     "ilc_asmc": "acts within the trial by",
     "fast_tool_servo_nonlinear": "answers its input by",
     "ball_screw_real": "answers its input by",
-} | {name: "learns by" for name in SCHEMES if name.startswith(("cfdl", "pfdl", "ffdl")) and "mfa" not in name}
+} | {
+    name: "learns by"
+    for name in SCHEMES
+    if name.startswith(("cfdl", "pfdl", "ffdl")) and "mfa" not in name
+}
 
 
-@pytest.mark.parametrize("name", [name for name, (_, scheme) in CASES.items() if scheme.learns and "asmc_carried" not in name])
+@pytest.mark.parametrize(
+    "name",
+    [name for name, (_, scheme) in CASES.items() if scheme.learns and "asmc_carried" not in name],
+)
 def test_what_is_linear_is_found_linear_and_what_is_not_is_not(name):
     broken = [p.detail for p in linearity.learning_premises(*case(name)) if not p.held]
     if name in NOT_LINEAR:
@@ -62,10 +72,17 @@ def test_what_is_linear_is_found_linear_and_what_is_not_is_not(name):
 
 def learning(rng) -> Scheme:
     kinds = (
-        lambda: PIDType(gamma_p=rng.uniform(0.1, 0.6), gamma_d=rng.uniform(0, 0.3), leak=rng.choice([0.0, 0.1]), lead=int(rng.integers(3))),
+        lambda: PIDType(
+            gamma_p=rng.uniform(0.1, 0.6),
+            gamma_d=rng.uniform(0, 0.3),
+            leak=rng.choice([0.0, 0.1]),
+            lead=int(rng.integers(3)),
+        ),
         lambda: HigherOrder((0.7, 0.3), tuple(rng.uniform(0.0, 0.3, 2))),
         lambda: ExponentialPD(K_P=rng.uniform(0.1, 0.5), lam0=rng.uniform(0, 20)),
-        lambda: NormOptimal(StateSpace([[0.9]], [[rng.uniform(0.05, 0.15)]], [[1.0]], dt=DT), w_r=0.1, w_s=0.01),
+        lambda: NormOptimal(
+            StateSpace([[0.9]], [[rng.uniform(0.05, 0.15)]], [[1.0]], dt=DT), w_r=0.1, w_s=0.01
+        ),
         lambda: CFDLMFAILC(phi0=0.1, lam=0.1, reset="sign"),
     )
     return kinds[rng.integers(len(kinds))]()
@@ -104,7 +121,9 @@ def parts_of(scheme) -> list:
 
 @pytest.mark.parametrize("seed", range(14))
 def test_any_composition_superposes_if_it_is_said_to(seed):
-    """From what is known to what is known next, over large and small changes; and none that superposes by its parts is refused."""
+    """From what is known to what is known next, over large and small changes; and none that
+    superposes by its parts is refused.
+    """
     scheme = composed(np.random.default_rng(seed), depth=1 + seed % 3).prepared(TASK)
     said = all(p.held for p in linearity.learning_premises(MACHINE, scheme, TASK))
     assert said == (not any(isinstance(one, ADAPTS) for one in parts_of(scheme)))
@@ -120,12 +139,15 @@ def test_any_composition_superposes_if_it_is_said_to(seed):
         np.testing.assert_allclose(answer, unit, rtol=1e-6, atol=1e-7 * np.max(np.abs(unit)))
 
 
-# A user's own ---------------------------------------------------------------------------------------------------------------
+# A user's own
+# ---------------------------------------------------------------------------------------------------------------
 
 
 @pytree
 class OnlyTen(Scheme):
-    """A user's own wrapper: learns in the first ten trials only, far after any trial that is looked at."""
+    """A user's own wrapper: learns in the first ten trials only, far after any trial that is looked
+    at.
+    """
 
     scheme: Scheme = part()
 
@@ -137,13 +159,17 @@ class OnlyTen(Scheme):
 
     def learn(self, memory, trial) -> Any:
         inner, count = memory
-        kept = jax.tree.map(lambda new, old: jnp.where(count < 10, new, old), self.scheme.learn(inner, trial), inner)
+        kept = jax.tree.map(
+            lambda new, old: jnp.where(count < 10, new, old), self.scheme.learn(inner, trial), inner
+        )
         return kept, count + 1
 
 
 @pytree
 class Bent(Scheme):
-    """A user's own wrapper: a gain that falls off for errors of a thousand, which no trial that is looked at has."""
+    """A user's own wrapper: a gain that falls off for errors of a thousand, which no trial that is
+    looked at has.
+    """
 
     scheme: Scheme = part()
     knee: jax.Array = leaf(1e3)
@@ -162,23 +188,45 @@ class Bent(Scheme):
 @pytest.mark.parametrize("wrapper", [OnlyTen, Bent])
 def test_a_wrapper_that_nobody_knows_cannot_slip_through(wrapper):
     machines = drawn_machines(Machine(DifferenceEquation((0.7,), (0.3,), dt=DT)), {}, {})
-    for scheme in (wrapper(PIDType(gamma_p=0.5)), WithFeedback(wrapper(PIDType(gamma_p=0.5)), PID(kp=0.3))):
+    for scheme in (
+        wrapper(PIDType(gamma_p=0.5)),
+        WithFeedback(wrapper(PIDType(gamma_p=0.5)), PID(kp=0.3)),
+    ):
         found = certify_each(machines, scheme, TASK, 5)
         assert set(found.claim) == {"not claimed"}
     assert set(certify_each(machines, PIDType(gamma_p=0.5), TASK, 5).claim) != {"not claimed"}
 
 
-# Limits ---------------------------------------------------------------------------------------------------------------------
+# Limits
+# ---------------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    "name", ["pid_type_leaky_limited", "higher_order_leaky_limited", "norm_optimal_lifted", "filtered", "actuator", "cut"]
+    "name",
+    [
+        "pid_type_leaky_limited",
+        "higher_order_leaky_limited",
+        "norm_optimal_lifted",
+        "filtered",
+        "actuator",
+        "cut",
+    ],
 )
 def test_limits_that_are_declared_decide_whether_anything_changes(name):
-    """Within its bounds in every trial, a free run is the limited one; beyond them it is not, from that trial on."""
+    """Within its bounds in every trial, a free run is the limited one; beyond them it is not, from
+    that trial on.
+    """
     extra = {
-        "filtered": (MACHINE, Filtered(PIDType(gamma_p=0.5, limit=0.3), ZeroPhaseFIR((0.5, 0.25))), TASK),
-        "actuator": (Machine(MACHINE.plant, actuator=Actuator(limit=4.0, rate=200.0)), PIDType(gamma_p=0.5), TASK),
+        "filtered": (
+            MACHINE,
+            Filtered(PIDType(gamma_p=0.5, limit=0.3), ZeroPhaseFIR((0.5, 0.25))),
+            TASK,
+        ),
+        "actuator": (
+            Machine(MACHINE.plant, actuator=Actuator(limit=4.0, rate=200.0)),
+            PIDType(gamma_p=0.5),
+            TASK,
+        ),
         "cut": (MACHINE, WithFeedback(PIDType(gamma_p=0.5, limit=0.5), PID(kp=0.3)), TASK),
     }
     machine, scheme, task = extra.get(name) or case(name)
@@ -187,10 +235,17 @@ def test_limits_that_are_declared_decide_whether_anything_changes(name):
 
     @jax.jit
     def turn(one, other):
-        """The largest share of a bound in the free trial, the outputs of both runs, and what is known next."""
-        trial, seen = trial_of(machine.unlimited(), free, task, one), trial_of(machine, bounded, task, other)
+        """The largest share of a bound in the free trial, the outputs of both runs, and what is
+        known next.
+        """
+        trial, seen = (
+            trial_of(machine.unlimited(), free, task, one),
+            trial_of(machine, bounded, task, other),
+        )
         found = machine.limits(trial) | scheme.limits(task, one, trial)
-        share = jnp.max(jnp.stack([jnp.max(jnp.abs(signal) / bound) for signal, bound in found.values()]))
+        share = jnp.max(
+            jnp.stack([jnp.max(jnp.abs(signal) / bound) for signal, bound in found.values()])
+        )
         return share, trial.y, seen.y, free.learn(one, trial), bounded.learn(other, seen)
 
     one = other = scheme.memory(task)
@@ -205,7 +260,8 @@ def test_limits_that_are_declared_decide_whether_anything_changes(name):
     assert np.max(np.abs(seen - y)) > 1e-9
 
 
-# Single operations ----------------------------------------------------------------------------------------------------------
+# Single operations
+# ----------------------------------------------------------------------------------------------------------
 
 OPERATIONS = {
     "a filter": (lambda a, x: jnp.convolve(x, a), AFFINE),
@@ -215,9 +271,18 @@ OPERATIONS = {
     "its own square": (lambda a, x: x * x, OTHERWISE),
     "a limit": (lambda a, x: jnp.clip(x, -1e30, 1e30), OTHERWISE),
     "a choice by itself": (lambda a, x: jnp.where(x > 1e30, x, 2 * x), OTHERWISE),
-    "a limit within a scan": (lambda a, x: jax.lax.scan(lambda c, v: (jnp.minimum(0.5 * c + v, 1e30), c), 0.0, x)[1], OTHERWISE),
-    "a late product": (lambda a, x: jax.lax.scan(lambda c, v: ((v, c[0]), c[0] * c[1]), (0.0, 1.0), x)[1], OTHERWISE),
-    "a loop that it ends": (lambda a, x: jax.lax.while_loop(lambda c: c[0] < 3.0, lambda c: c + 1.0, x), OTHERWISE),
+    "a limit within a scan": (
+        lambda a, x: jax.lax.scan(lambda c, v: (jnp.minimum(0.5 * c + v, 1e30), c), 0.0, x)[1],
+        OTHERWISE,
+    ),
+    "a late product": (
+        lambda a, x: jax.lax.scan(lambda c, v: ((v, c[0]), c[0] * c[1]), (0.0, 1.0), x)[1],
+        OTHERWISE,
+    ),
+    "a loop that it ends": (
+        lambda a, x: jax.lax.while_loop(lambda c: c[0] < 3.0, lambda c: c + 1.0, x),
+        OTHERWISE,
+    ),
     "a branch": (lambda a, x: jax.lax.cond(x[0] > 0, lambda v: v, lambda v: 2 * v, x), OTHERWISE),
     "rounding": (lambda a, x: jnp.round(x), OTHERWISE),
 }
@@ -237,4 +302,8 @@ def test_a_derivative_that_misses_rounding_is_known_to():
     assert blind(straight, sensor, jnp.ones(4))
     assert not blind(lambda _, x: 2.0 * x, sensor, jnp.ones(4))
     machine = Machine(MACHINE.plant, sensor=sensor)
-    assert blind(lambda fixed, w: trial_of(fixed, PIDType(), TASK, PIDType().memory(TASK)._replace(u=w)).y, machine, jnp.zeros((40, 1)))
+    assert blind(
+        lambda fixed, w: trial_of(fixed, PIDType(), TASK, PIDType().memory(TASK)._replace(u=w)).y,
+        machine,
+        jnp.zeros((40, 1)),
+    )

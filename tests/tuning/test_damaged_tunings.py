@@ -18,7 +18,9 @@ from jaxilc.tuning.states import Folder
 
 @pytest.fixture(autouse=True)
 def quickly_and_quietly(monkeypatch, caplog):
-    monkeypatch.setattr(files.os, "fsync", lambda _: None)  # a kill loses nothing that was written, only a power failure does
+    monkeypatch.setattr(
+        files.os, "fsync", lambda _: None
+    )  # a kill loses nothing that was written, only a power failure does
     caplog.set_level(logging.ERROR, "jaxilc")
 
 
@@ -28,8 +30,13 @@ class Killed(Exception):
 
 @pytest.fixture(scope="module")
 def tuned(tmp_path_factory):
-    """A problem, the folder of a tuning that was stopped after the third of four steps, and what it would have ended with."""
-    problem, folder = dataclasses.replace(PROBLEM, steps=4, clip=np.inf), tmp_path_factory.mktemp("tuned") / "state"
+    """A problem, the folder of a tuning that was stopped after the third of four steps, and what it
+    would have ended with.
+    """
+    problem, folder = (
+        dataclasses.replace(PROBLEM, steps=4, clip=np.inf),
+        tmp_path_factory.mktemp("tuned") / "state",
+    )
 
     def stop(step, losses, best):
         if step == 3:
@@ -43,7 +50,9 @@ def tuned(tmp_path_factory):
 def assert_equal(one, other):
     for field in dataclasses.fields(one):
         if field.name != "scheme":
-            jax.tree.map(np.testing.assert_array_equal, getattr(one, field.name), getattr(other, field.name))
+            jax.tree.map(
+                np.testing.assert_array_equal, getattr(one, field.name), getattr(other, field.name)
+            )
 
 
 def test_a_flipped_bit_in_a_tuning_changes_nothing(tuned, tmp_path):
@@ -96,7 +105,9 @@ def test_a_damaged_tuning_falls_back_or_is_refused_in_one_line(tuned, tmp_path, 
     shutil.copytree(folder, tmp_path / "state")
     for name in names - {"configuration.json"}:
         (tmp_path / "state" / name).write_bytes(content)
-    with pytest.raises(ValueError, match=r"state.npz is damaged: .*; remove .*state and start again") as refusal:
+    with pytest.raises(
+        ValueError, match=r"state.npz is damaged: .*; remove .*state and start again"
+    ) as refusal:
         problem.run(tmp_path / "state", resume=True)
     assert "\n" not in str(refusal.value)
     (tmp_path / "state/configuration.json").write_bytes(content)
@@ -116,7 +127,10 @@ def test_a_state_that_is_damaged_again_falls_back_again(tuned, tmp_path):
 def test_two_tunings_do_not_share_a_folder(tuned, tmp_path):
     problem, folder, whole = tuned
     shutil.copytree(folder, tmp_path / "state")
-    used = pytest.raises(ValueError, match="state is in use by another process; wait for its end, or choose another folder")
+    used = pytest.raises(
+        ValueError,
+        match="state is in use by another process; wait for its end, or choose another folder",
+    )
     with Folder(tmp_path / "state", problem.configuration(), True), used:
         problem.run(tmp_path / "state", resume=True)
     assert_equal(problem.run(tmp_path / "state", resume=True), whole)

@@ -1,4 +1,6 @@
-"""`--set PATH=VALUE` with paths and values that nobody wants, of every scenario. See fuzz.py for how to run more."""
+"""`--set PATH=VALUE` with paths and values that nobody wants, of every scenario. See fuzz.py for
+how to run more.
+"""
 
 import jax
 import pytest
@@ -7,9 +9,60 @@ from fuzz import HOSTILE, fuzz, pick
 from jaxilc import learning, scenarios
 
 TEXTS = (
-    *("0", "1", "-1", "2", "7", "1e6", "1e-9", "1e300", "-1e300", "1e999", "nan", "inf", "-inf", "none", "None", "true", "False"),
-    *("(1,2,3)", "1,2", "[1,2", "()", "", ",", "1,,2", "[[1,2],[3,4]]", "0x10", "1_000", "٣", "1j", "book", "sign", "lifted", "increment"),
-    *("1" * 23, "9" * 5000, "a" * 300, "\x1b[31m", "\ud800", "=", "x=y", "1=2", " 3 ", "3 4", "'1'", "1;2", "0,1", "0,0", "5,6"),
+    *(
+        "0",
+        "1",
+        "-1",
+        "2",
+        "7",
+        "1e6",
+        "1e-9",
+        "1e300",
+        "-1e300",
+        "1e999",
+        "nan",
+        "inf",
+        "-inf",
+        "none",
+        "None",
+        "true",
+        "False",
+    ),
+    *(
+        "(1,2,3)",
+        "1,2",
+        "[1,2",
+        "()",
+        "",
+        ",",
+        "1,,2",
+        "[[1,2],[3,4]]",
+        "0x10",
+        "1_000",
+        "٣",
+        "1j",
+        "book",
+        "sign",
+        "lifted",
+        "increment",
+    ),
+    *(
+        "1" * 23,
+        "9" * 5000,
+        "a" * 300,
+        "\x1b[31m",
+        "\ud800",
+        "=",
+        "x=y",
+        "1=2",
+        " 3 ",
+        "3 4",
+        "'1'",
+        "1;2",
+        "0,1",
+        "0,0",
+        "5,6",
+    ),
 )
 NAMES = list(scenarios.SCENARIOS)
 CHEAP = ("cao-2019", "cao-2019-rig", "dai-2014", "milc-2024", "xu-2024")
@@ -20,11 +73,27 @@ def path_of(rng, known):
     path = pick(rng, known)
     match rng.integers(8):
         case 0:
-            return path + pick(rng, ("[0]", "[7]", "[-1]", "[0][0]", "[99999999999999999999]", ".x", "[", ""))
+            return path + pick(
+                rng, ("[0]", "[7]", "[-1]", "[0][0]", "[99999999999999999999]", ".x", "[", "")
+            )
         case 1:
             return ".".join(path.split(".")[:-1])
         case 2:
-            return pick(rng, ("", ".", "machine", "machine.", "..", "[0]", "x.y.z", "machine.plant", "machine.actuator.limit", "__class__"))
+            return pick(
+                rng,
+                (
+                    "",
+                    ".",
+                    "machine",
+                    "machine.",
+                    "..",
+                    "[0]",
+                    "x.y.z",
+                    "machine.plant",
+                    "machine.actuator.limit",
+                    "__class__",
+                ),
+            )
         case 3:
             return path.replace(pick(rng, list(path)), pick(rng, ("", "_", "\x00", "é", ".")), 1)
         case _:
@@ -37,8 +106,12 @@ def test_paths_and_values(name):
     known = [*scenario.settable(), "machine.actuator.limit"]
 
     def attempt(rng):
-        values = TEXTS if rng.random() < 0.8 else HOSTILE  # the others come from a file of parameters
-        chosen = scenario.with_values({path_of(rng, known): pick(rng, values) for _ in range(1 + rng.integers(2))})
+        values = (
+            TEXTS if rng.random() < 0.8 else HOSTILE
+        )  # the others come from a file of parameters
+        chosen = scenario.with_values(
+            {path_of(rng, known): pick(rng, values) for _ in range(1 + rng.integers(2))}
+        )
         if rng.random() < 0.2:
             chosen.check()
         if rng.random() < 0.01:
@@ -51,6 +124,13 @@ def test_paths_and_values(name):
 def test_options():
     def attempt(rng):
         name = pick(rng, CHEAP)
-        scenarios.load(name, **{pick(rng, [*scenarios.options(name), "x"]): pick(rng, TEXTS if rng.random() < 0.7 else HOSTILE)})
+        scenarios.load(
+            name,
+            **{
+                pick(rng, [*scenarios.options(name), "x"]): pick(
+                    rng, TEXTS if rng.random() < 0.7 else HOSTILE
+                )
+            },
+        )
 
     fuzz(40, attempt)

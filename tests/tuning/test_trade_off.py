@@ -1,4 +1,6 @@
-"""Design under a budget: fronts and budgets against closed forms, finished points kept through an interruption, and what is refused."""
+"""Design under a budget: fronts and budgets against closed forms, finished points kept through an
+interruption, and what is refused.
+"""
 
 import dataclasses
 
@@ -26,7 +28,9 @@ class SquaredError(Objective):
 
 
 OPTIONS = {"samples": 1, "held_out": 0, "optimiser": "lbfgs", "steps": 15, "patience": 15}
-PROBLEM = Tuning(STATIC, PIDType(**GIVEN), TASK, 2, list(GIVEN), objective=SquaredError(), **OPTIONS)
+PROBLEM = Tuning(
+    STATIC, PIDType(**GIVEN), TASK, 2, list(GIVEN), objective=SquaredError(), **OPTIONS
+)
 
 
 pytestmark = pytest.mark.usefixtures("compiled_once")
@@ -45,8 +49,9 @@ def front():
 
 
 def test_a_quadratic_front_meets_the_analytic_one(front):
-    # both are quadratic in u_2, so the best of it lies on the line from 0 to r: u_2 = gamma r, sqrt(first) + scale sqrt(second) = |r|;
-    # share / first_0 (1 - gamma)^2 + (1 - share) / second_0 (gamma / scale)^2 is least at gamma = a / (a + b)
+    # both are quadratic in u_2, so the best of it lies on the line from 0 to r: u_2 = gamma r,
+    # sqrt(first) + scale sqrt(second) = |r|; share / first_0 (1 - gamma)^2 + (1 - share) / second_0
+    # (gamma / scale)^2 is least at gamma = a / (a + b)
     first, second = both(p=GIVEN["gamma_p"], d=GIVEN["gamma_d"])
     assert [p.share for p in front] == [0.6, 0.2]
     for point in front:
@@ -54,13 +59,20 @@ def test_a_quadratic_front_meets_the_analytic_one(front):
         gamma = a / (a + b)
         np.testing.assert_allclose(list(point.tuned.values.values()), [gamma, 0.0], atol=1e-5)
         np.testing.assert_allclose([point.first, point.second], both(gamma, 0.0), rtol=1e-5)
-        np.testing.assert_allclose(np.sqrt(point.first) + SCALE * np.sqrt(point.second), np.sqrt(R2), rtol=1e-8)
-    assert np.sqrt(first) + SCALE * np.sqrt(second) > 1.2 * np.sqrt(R2), "the weights as given lie off the front"
+        np.testing.assert_allclose(
+            np.sqrt(point.first) + SCALE * np.sqrt(point.second), np.sqrt(R2), rtol=1e-8
+        )
+    assert np.sqrt(first) + SCALE * np.sqrt(second) > 1.2 * np.sqrt(R2), (
+        "the weights as given lie off the front"
+    )
 
 
 def test_what_one_point_beats_in_both_is_left_out():
-    # no growth at any gain, so that only the error differs; the effort's share makes the first point the worse one
-    problem = dataclasses.replace(PROBLEM, weights={"gamma_p": (0.1, 0.9)}, steps=3, optimiser="adam", rate=0.5)
+    # no growth at any gain, so that only the error differs; the effort's share makes the first
+    # point the worse one
+    problem = dataclasses.replace(
+        PROBLEM, weights={"gamma_p": (0.1, 0.9)}, steps=3, optimiser="adam", rate=0.5
+    )
     points = pareto(problem, SquaredError(), Growth(), (0.0, 1.0))
     assert [p.share for p in points] == [1.0]
     assert points[0].second == 0.0
@@ -80,7 +92,15 @@ def test_an_interrupted_front_keeps_its_points(front, tmp_path):
         pareto(PROBLEM, SquaredError(), Effort(SCALE), (0.2, 0.6), out, progress=kill_in_the_second)
     with pytest.raises(FileExistsError, match="exists already"):
         pareto(PROBLEM, SquaredError(), Effort(SCALE), (0.2, 0.6), out)
-    again = pareto(PROBLEM, SquaredError(), Effort(SCALE), (0.2, 0.6), out, resume=True, progress=lambda *of: seen.append(of[:2]))
+    again = pareto(
+        PROBLEM,
+        SquaredError(),
+        Effort(SCALE),
+        (0.2, 0.6),
+        out,
+        resume=True,
+        progress=lambda *of: seen.append(of[:2]),
+    )
     assert seen == [("share-0.6", step) for step in range(3, 16)]
     for one, other in zip(front, again, strict=True):
         assert one[:3] == other[:3]
@@ -90,22 +110,50 @@ def test_an_interrupted_front_keeps_its_points(front, tmp_path):
 
 
 def test_budgets_of_trials_meet_the_closed_form(tmp_path):
-    # u_J = (1 - q) r and e_J = q r with q = (1 - gamma)^(J-1): q^2 + (1 - q)^2 / scale^2 is least at q = 1 / (1 + scale^2)
-    problem = dataclasses.replace(PROBLEM, scheme=PIDType(gamma_p=0.3), weights=["gamma_p"], objective=SquaredError() + Effort(SCALE))
+    # u_J = (1 - q) r and e_J = q r with q = (1 - gamma)^(J-1): q^2 + (1 - q)^2 / scale^2 is least
+    # at q = 1 / (1 + scale^2)
+    problem = dataclasses.replace(
+        PROBLEM,
+        scheme=PIDType(gamma_p=0.3),
+        weights=["gamma_p"],
+        objective=SquaredError() + Effort(SCALE),
+    )
     found = by_trials(problem, (2, 4), tmp_path / "budgets")
     for J, tuned in found.items():
-        np.testing.assert_allclose(tuned.values["gamma_p"], 1 - (1 / (1 + SCALE**2)) ** (1 / (J - 1)), rtol=1e-5)
-    assert sorted(place.name for place in (tmp_path / "budgets").iterdir()) == ["trials-2", "trials-4"]
+        np.testing.assert_allclose(
+            tuned.values["gamma_p"], 1 - (1 / (1 + SCALE**2)) ** (1 / (J - 1)), rtol=1e-5
+        )
+    assert sorted(place.name for place in (tmp_path / "budgets").iterdir()) == [
+        "trials-2",
+        "trials-4",
+    ]
 
 
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda out: pareto(PROBLEM, Final(), Effort(), (0.1, 1.2), out), r"shares = \[0.1, 1.2\] are not different numbers in \[0, 1\]"),
-        (lambda out: pareto(PROBLEM, Final(), Effort(), (0.1, 0.1), out), r"shares = \[0.1, 0.1\] are not different"),
-        (lambda out: pareto(PROBLEM, Final(), Effort(), (), out), r"shares = \[\] are not different"),
-        (lambda out: by_trials(PROBLEM, (5, 0), out), r"budgets = \[5, 0\] are not different numbers of trials in \[1, inf\)"),
-        (lambda out: by_trials(dataclasses.replace(PROBLEM, objective=Final(trial=2)), (5, 1), out), r"trial = 2 is outside .* \[1, 1\]"),
+        (
+            lambda out: pareto(PROBLEM, Final(), Effort(), (0.1, 1.2), out),
+            r"shares = \[0.1, 1.2\] are not different numbers in \[0, 1\]",
+        ),
+        (
+            lambda out: pareto(PROBLEM, Final(), Effort(), (0.1, 0.1), out),
+            r"shares = \[0.1, 0.1\] are not different",
+        ),
+        (
+            lambda out: pareto(PROBLEM, Final(), Effort(), (), out),
+            r"shares = \[\] are not different",
+        ),
+        (
+            lambda out: by_trials(PROBLEM, (5, 0), out),
+            r"budgets = \[5, 0\] are not different numbers of trials in \[1, inf\)",
+        ),
+        (
+            lambda out: by_trials(
+                dataclasses.replace(PROBLEM, objective=Final(trial=2)), (5, 1), out
+            ),
+            r"trial = 2 is outside .* \[1, 1\]",
+        ),
     ],
 )
 def test_bad_input_is_named_before_anything_is_written(call, message, tmp_path):

@@ -25,7 +25,8 @@ from jaxilc.tuning.objectives import Final, Holding, Objective
 from jaxilc.tuning.risks import CVaR, Mean, SmoothMax, Worst
 from jaxilc.uncertainty import Uniform
 
-# Risks -----------------------------------------------------------------------------------------------------------------------
+# Risks
+# -----------------------------------------------------------------------------------------------------------------------
 
 LOSSES = np.array([0.3, -1.0, 2.5, 0.9, 4.0, 0.1, 0.2])
 DEFINED = {
@@ -48,13 +49,26 @@ def test_risks_are_what_they_say_and_their_weights_are_their_derivatives(risk):
     np.testing.assert_allclose(weights.sum(), 1.0, rtol=1e-12)
     assert np.all(weights >= 0)
     h = 1e-6
-    moved = [(risk(jnp.asarray(LOSSES + h * d)) - risk(jnp.asarray(LOSSES - h * d))) / (2 * h) for d in np.eye(len(LOSSES))]
+    moved = [
+        (risk(jnp.asarray(LOSSES + h * d)) - risk(jnp.asarray(LOSSES - h * d))) / (2 * h)
+        for d in np.eye(len(LOSSES))
+    ]
     np.testing.assert_allclose(weights, moved, atol=1e-5)
 
 
-# Coordinates -----------------------------------------------------------------------------------------------------------------
+# Coordinates
+# -----------------------------------------------------------------------------------------------------------------
 
-INTERVALS = [(-np.inf, np.inf), (0, np.inf), (2, np.inf), (-np.inf, -3), (0, 1), (-2, 5), (0.01, 100), (-50, -0.5)]
+INTERVALS = [
+    (-np.inf, np.inf),
+    (0, np.inf),
+    (2, np.inf),
+    (-np.inf, -3),
+    (0, 1),
+    (-2, 5),
+    (0.01, 100),
+    (-50, -0.5),
+]
 
 
 @pytest.mark.parametrize("interval", INTERVALS, ids=str)
@@ -84,15 +98,30 @@ class Traced(Objective):
         return Final("rms", floor=0.1)(run)
 
 
-# Optima ----------------------------------------------------------------------------------------------------------------------
+# Optima
+# ----------------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("optimiser", ["adam", "lbfgs", "least-squares", optax.rmsprop(0.1)], ids=["adam", "lbfgs", "least-squares", "own"])
+@pytest.mark.parametrize(
+    "optimiser",
+    ["adam", "lbfgs", "least-squares", optax.rmsprop(0.1)],
+    ids=["adam", "lbfgs", "least-squares", "own"],
+)
 def test_the_best_gain_of_p_type_learning_is_found_by_one_program(optimiser):
-    # smooth and convex in gamma near it: log sqrt((1 - gamma g)^4 + floor^2) with its minimum at gamma = 1 / g
+    # smooth and convex in gamma near it: log sqrt((1 - gamma g)^4 + floor^2) with its minimum at
+    # gamma = 1 / g
     machine = dataclasses.replace(STATIC, plant=StateSpace([[0.0]], [[0.8]], [[1.0]], dt=1e-3))
-    options = {"samples": 1, "held_out": 0, "optimiser": optimiser, "steps": 60, "patience": 60, "validate_every": 1}
-    problem = dataclasses.replace(PROBLEM, machine=machine, uncertainty={}, trials=2, objective=Traced(), **options)
+    options = {
+        "samples": 1,
+        "held_out": 0,
+        "optimiser": optimiser,
+        "steps": 60,
+        "patience": 60,
+        "validate_every": 1,
+    }
+    problem = dataclasses.replace(
+        PROBLEM, machine=machine, uncertainty={}, trials=2, objective=Traced(), **options
+    )
     traced = []
     tuned = problem.run(progress=lambda *_: traced.append(len(TRACED)))
     np.testing.assert_allclose(tuned.values["gamma_p"], 1 / 0.8, rtol=0.02)
@@ -102,8 +131,17 @@ def test_the_best_gain_of_p_type_learning_is_found_by_one_program(optimiser):
 
 
 def test_the_gain_for_the_worst_of_two_plants_is_the_minimax_one():
-    # max over g of |1 - gamma g| is least where both ends are equal, at gamma = 2 / (g_low + g_high)
-    options = {"sampling": "corners", "risk": Worst(), "steps": 80, "held_out": 0, "patience": 80, "validate_every": 1, "rate": 0.05}
+    # max over g of |1 - gamma g| is least where both ends are equal, at gamma = 2 / (g_low +
+    # g_high)
+    options = {
+        "sampling": "corners",
+        "risk": Worst(),
+        "steps": 80,
+        "held_out": 0,
+        "patience": 80,
+        "validate_every": 1,
+        "rate": 0.05,
+    }
     tuned = dataclasses.replace(PROBLEM, trials=2, **options).run()
     np.testing.assert_allclose(tuned.values["gamma_p"], 2 / 1.8, rtol=2e-3)
 
@@ -123,13 +161,19 @@ def test_least_squares_agrees_with_scipy():
     state = method.init(z)
     for _ in range(30):
         z, state, _ = method.step(z, state)
-    np.testing.assert_allclose(z[0], scipy.optimize.least_squares(lambda z: np.asarray(residuals(z)), [0.1, 0.1]).x, atol=1e-6)
+    np.testing.assert_allclose(
+        z[0],
+        scipy.optimize.least_squares(lambda z: np.asarray(residuals(z)), [0.1, 0.1]).x,
+        atol=1e-6,
+    )
 
 
 def test_the_line_search_of_lbfgs_uses_the_given_gradient():
     def evaluate(z):
         value = (1 - z[0]) ** 2 + 100 * (z[1] - z[0] ** 2) ** 2
-        gradient = jnp.array([-2 * (1 - z[0]) - 400 * z[0] * (z[1] - z[0] ** 2), 200 * (z[1] - z[0] ** 2)])
+        gradient = jnp.array(
+            [-2 * (1 - z[0]) - 400 * z[0] * (z[1] - z[0] ** 2), 200 * (z[1] - z[0] ** 2)]
+        )
         return Evaluation(value, gradient, z, jnp.eye(2), jnp.zeros(()))
 
     method = for_starts(by_gradient(evaluate, optax.lbfgs()))
@@ -156,17 +200,22 @@ def test_many_starts_take_the_best_by_held_out_plants(tuned):
     # the held-out loss, from the closed form and plants rebuilt outside
     gains = np.asarray(PROBLEM._plants(PROBLEM.seed + 1, 3, nominal=False)[1]["plant.B"])
     error = (1 - tuned.values["gamma_p"] * gains) ** 2 * np.sqrt(0.5)
-    np.testing.assert_allclose(tuned.after, np.mean(0.5 * np.log(error**2 + 0.01) - np.log(0.1)), rtol=1e-10)
+    np.testing.assert_allclose(
+        tuned.after, np.mean(0.5 * np.log(error**2 + 0.01) - np.log(0.1)), rtol=1e-10
+    )
     assert get_at(tuned.scheme, "gamma_p") == tuned.values["gamma_p"]
 
 
 def test_patience_ends_it():
-    still = dataclasses.replace(PROBLEM, optimiser=optax.set_to_zero(), steps=30, validate_every=1, patience=2).run()
+    still = dataclasses.replace(
+        PROBLEM, optimiser=optax.set_to_zero(), steps=30, validate_every=1, patience=2
+    ).run()
     assert still.reason == "patience"
     assert len(still.loss) == 3
 
 
-# Runs ------------------------------------------------------------------------------------------------------------------------
+# Runs
+# ------------------------------------------------------------------------------------------------------------------------
 
 
 class Killed(Exception):
@@ -181,10 +230,16 @@ def kill_after(step):
     return progress
 
 
-OWN = optax.chain(optax.scale_by_adam(), optax.scale_by_schedule(optax.linear_schedule(-0.2, 0.0, 6)))
+OWN = optax.chain(
+    optax.scale_by_adam(), optax.scale_by_schedule(optax.linear_schedule(-0.2, 0.0, 6))
+)
 
 
-@pytest.mark.parametrize("optimiser", ["adam", "lbfgs", "least-squares", OWN], ids=["adam", "lbfgs", "least-squares", "own"])
+@pytest.mark.parametrize(
+    "optimiser",
+    ["adam", "lbfgs", "least-squares", OWN],
+    ids=["adam", "lbfgs", "least-squares", "own"],
+)
 def test_an_interrupted_tuning_resumes_to_the_same_numbers(optimiser, tmp_path):
     noisy = dataclasses.replace(STATIC, sensor=Sensor(noise=1e-2))
     problem = dataclasses.replace(PROBLEM, machine=noisy, starts=2, steps=6, optimiser=optimiser)
@@ -192,7 +247,9 @@ def test_an_interrupted_tuning_resumes_to_the_same_numbers(optimiser, tmp_path):
     with pytest.raises(Killed):
         problem.run(tmp_path / "state", progress=kill_after(4))
     steps = []
-    resumed = problem.run(tmp_path / "state", resume=True, progress=lambda step, losses, best: steps.append(step))
+    resumed = problem.run(
+        tmp_path / "state", resume=True, progress=lambda step, losses, best: steps.append(step)
+    )
     assert steps == [5, 6]
     for field in dataclasses.fields(whole):
         one, other = getattr(whole, field.name), getattr(resumed, field.name)
@@ -205,7 +262,9 @@ def test_a_folder_of_another_tuning_is_refused(tmp_path):
     problem.run(tmp_path / "state")
     with pytest.raises(FileExistsError, match="exists already"):
         problem.run(tmp_path / "state")
-    with pytest.raises(ValueError, match="another configuration; it differs in: seed: 0 there, 5 here"):
+    with pytest.raises(
+        ValueError, match="another configuration; it differs in: seed: 0 there, 5 here"
+    ):
         dataclasses.replace(problem, seed=5).run(tmp_path / "state", resume=True)
     (tmp_path / "empty").mkdir()
     with pytest.raises(ValueError, match="not a tuning that can be resumed"):
@@ -213,20 +272,35 @@ def test_a_folder_of_another_tuning_is_refused(tmp_path):
 
 
 def own_rule(rate):
-    return optax.GradientTransformation(lambda z: (), lambda slope, state, z=None: (-rate * slope, state))
+    return optax.GradientTransformation(
+        lambda z: (), lambda slope, state, z=None: (-rate * slope, state)
+    )
 
 
 @pytest.mark.parametrize(
     ("one", "other"),
     [
         (optax.rmsprop(0.1), optax.rmsprop(0.2)),
-        (optax.adam(optax.cosine_decay_schedule(0.1, 20)), optax.adam(optax.cosine_decay_schedule(0.1, 30))),
-        (optax.chain(optax.clip(1.0), optax.sgd(0.1)), optax.chain(optax.clip(2.0), optax.sgd(0.1))),
-        (optax.inject_hyperparams(optax.sgd)(learning_rate=0.1), optax.inject_hyperparams(optax.sgd)(learning_rate=0.2)),
+        (
+            optax.adam(optax.cosine_decay_schedule(0.1, 20)),
+            optax.adam(optax.cosine_decay_schedule(0.1, 30)),
+        ),
+        (
+            optax.chain(optax.clip(1.0), optax.sgd(0.1)),
+            optax.chain(optax.clip(2.0), optax.sgd(0.1)),
+        ),
+        (
+            optax.inject_hyperparams(optax.sgd)(learning_rate=0.1),
+            optax.inject_hyperparams(optax.sgd)(learning_rate=0.2),
+        ),
         (own_rule(0.1), own_rule(0.2)),
         (
-            optax.GradientTransformation(lambda z: (), lambda slope, state, z=None: (-0.1 * slope, state)),
-            optax.GradientTransformation(lambda z: (), lambda slope, state, z=None: (-0.2 * slope, state)),
+            optax.GradientTransformation(
+                lambda z: (), lambda slope, state, z=None: (-0.1 * slope, state)
+            ),
+            optax.GradientTransformation(
+                lambda z: (), lambda slope, state, z=None: (-0.2 * slope, state)
+            ),
         ),
     ],
     ids=["rate", "schedule", "chain", "injected", "closure", "constant"],
@@ -254,7 +328,9 @@ def test_a_nominal_term_is_asked_once_and_counts():
 
 def test_the_comparison_is_on_plants_nobody_has_seen(tuned):
     dataset = PROBLEM.compare(tuned, samples=9)
-    seen = np.concatenate([np.asarray(PROBLEM._plants(seed, 4, nominal=False)[1]["plant.B"]) for seed in (0, 1)])
+    seen = np.concatenate(
+        [np.asarray(PROBLEM._plants(seed, 4, nominal=False)[1]["plant.B"]) for seed in (0, 1)]
+    )
     assert not np.isin(dataset["plant.B"].values[1:], seen).any()
     gain = dataset["plant.B"].values
     expected = np.abs(1 - tuned.values["gamma_p"] * gain) ** 2 * np.sqrt(0.5)
@@ -268,13 +344,25 @@ def test_the_comparison_is_on_plants_nobody_has_seen(tuned):
 
 def test_elements_and_arrays_are_tuned_by_name_and_ends_are_left():
     scheme = Filtered(PIDType(gamma_p=0.5, leak=0.0), ZeroPhaseFIR((0.5, 0.25)))
-    weights = {"filter.taps[1]": None, "filter.taps": None, "scheme.leak": None, "scheme.gamma_p": (0.1, 2)}
+    weights = {
+        "filter.taps[1]": None,
+        "filter.taps": None,
+        "scheme.leak": None,
+        "scheme.gamma_p": (0.1, 2),
+    }
     problem = dataclasses.replace(PROBLEM, scheme=scheme, steps=2, weights=weights)
-    assert sorted(problem.bijections) == ["filter.taps[0]", "filter.taps[1]", "scheme.gamma_p", "scheme.leak"]
+    assert sorted(problem.bijections) == [
+        "filter.taps[0]",
+        "filter.taps[1]",
+        "scheme.gamma_p",
+        "scheme.leak",
+    ]
     tuned = problem.run()
     assert tuned.nudged == {"scheme.leak": 1e-3}
     assert tuned.start["scheme.leak"] == 0.0
-    assert all(tuned.weights[name][1, 0] != tuned.weights[name][0, 0] for name in problem.bijections)
+    assert all(
+        tuned.weights[name][1, 0] != tuned.weights[name][0, 0] for name in problem.bijections
+    )
 
 
 @pytest.mark.parametrize(
@@ -284,12 +372,27 @@ def test_elements_and_arrays_are_tuned_by_name_and_ends_are_left():
         ({"weights": ["lead"]}, "weights: lead = 0 is not a float leaf"),
         ({"weights": ["limit"]}, "weights: limit = None is not a float leaf"),
         ({"weights": []}, "weights is empty"),
-        ({"weights": {"gamma_p": (1.0, 1.0)}}, r"weights: the bounds \(1, 1\) of gamma_p are empty"),
-        ({"weights": {"gamma_p": (0.5, 1.0)}}, r"weights: the start gamma_p = 0.4 is outside its bounds \(0.5, 1\)"),
-        ({"weights": {"leak": (0.0, 2.0)}}, r"weights: the bounds \(0, 2\) of leak leave its allowed range \[0, 1\)"),
-        ({"weights": ["scheme"], "scheme": CASES["p_type_fir"][1]}, "weights: scheme = .* is not a float leaf"),
         (
-            {"weights": ["filter.cutoff"], "scheme": Filtered(PIDType(gamma_p=0.5), ZeroPhaseButterworth(80.0, padding=3))},
+            {"weights": {"gamma_p": (1.0, 1.0)}},
+            r"weights: the bounds \(1, 1\) of gamma_p are empty",
+        ),
+        (
+            {"weights": {"gamma_p": (0.5, 1.0)}},
+            r"weights: the start gamma_p = 0.4 is outside its bounds \(0.5, 1\)",
+        ),
+        (
+            {"weights": {"leak": (0.0, 2.0)}},
+            r"weights: the bounds \(0, 2\) of leak leave its allowed range \[0, 1\)",
+        ),
+        (
+            {"weights": ["scheme"], "scheme": CASES["p_type_fir"][1]},
+            "weights: scheme = .* is not a float leaf",
+        ),
+        (
+            {
+                "weights": ["filter.cutoff"],
+                "scheme": Filtered(PIDType(gamma_p=0.5), ZeroPhaseButterworth(80.0, padding=3)),
+            },
             r"filter.cutoff may become .*Nyquist.*Give narrower bounds",
         ),
         ({"optimiser": "newton"}, "optimiser = 'newton' is not one of adam, lbfgs, least-squares"),
@@ -297,7 +400,10 @@ def test_elements_and_arrays_are_tuned_by_name_and_ends_are_left():
         ({"steps": 0}, r"steps = 0 is outside its allowed range \[1, inf\)"),
         ({"truncate": 0}, r"truncate = 0 is outside its allowed range \[1, inf\)"),
         ({"clip": 0.0}, r"clip = 0 is outside its allowed range \(0, inf\]"),
-        ({"objective": Final("speed")}, "figure = 'speed' is not one of max_error, rms, settled_error"),
+        (
+            {"objective": Final("speed")},
+            "figure = 'speed' is not one of max_error, rms, settled_error",
+        ),
         ({"objective": Holding(9)}, r"first = 9 is outside its allowed range \[1, 3\]"),
         ({"objective": Final(trial=9)}, r"trial = 9 is outside its allowed range \[1, 3\]"),
         ({"uncertainty": {"plant.mass": Uniform(1, 2)}}, "plant.mass"),

@@ -1,4 +1,6 @@
-"""Worst cases: closed forms at the end and in the middle of a range, the set respected, and against chance."""
+"""Worst cases: closed forms at the end and in the middle of a range, the set respected, and against
+chance.
+"""
 
 import jax.numpy as jnp
 import numpy as np
@@ -32,19 +34,30 @@ class Numbers:
 def test_the_worst_gain_of_p_type_learning_is_an_end_of_its_range():
     # e_5 = (1 - 0.9 g)^4 r: worst at the end of the range that is farther from 1 / 0.9, the low one
     gains = {"plant.B": Uniform(0.5, 1.4, relative=True)}
-    found = worst_case_search(lambda machine: learn(machine, PIDType(gamma_p=0.9), TASK, 5).rms[-1, 0], STATIC, gains, starts=4, steps=12)
+    found = worst_case_search(
+        lambda machine: learn(machine, PIDType(gamma_p=0.9), TASK, 5).rms[-1, 0],
+        STATIC,
+        gains,
+        starts=4,
+        steps=12,
+    )
     assert found.values == {"plant.B": 0.5}
     np.testing.assert_allclose(found.loss, 0.55**4 * np.sqrt(0.5), rtol=1e-12)
     # from the centre, where e_5 falls with the gain, and from a start above 1 / 0.9
     assert found.found[0] == found.loss
     again = worst_case_search(
-        lambda machine: judge(machine, PIDType(gamma_p=0.9), TASK, 5, Final("rms")), found.subject, gains, starts=2, steps=12
+        lambda machine: judge(machine, PIDType(gamma_p=0.9), TASK, 5, Final("rms")),
+        found.subject,
+        gains,
+        starts=2,
+        steps=12,
     )
     np.testing.assert_allclose(again.subject.plant.B, 0.25)
 
 
 def test_the_worst_phase_of_a_disturbance_is_inside_its_range():
-    # y = 0.3 sin(t + phase) against r = sin(t): the largest rms is that of opposite phase, (1 + 0.3) / sqrt(2)
+    # y = 0.3 sin(t + phase) against r = sin(t): the largest rms is that of opposite phase, (1 +
+    # 0.3) / sqrt(2)
     def loss(subject):
         output = 0.3 * jnp.sin(jnp.asarray(TIME) + subject["phase"].x)
         machine = Machine(subject["plant"], disturbance=Disturbance(output=output[:, None]))
@@ -64,7 +77,13 @@ def test_a_linear_quadratic_case_has_its_worst_initial_state_at_the_far_end():
     machine = Machine(StateSpace(A, [[0.0], [1.0]], C, x0=(0.1, 0.1), dt=1e-3))
     task = Task(np.zeros(N + 1), dt=1e-3)
     box = {"plant.x0[0]": Uniform(-1.0, 0.8), "plant.x0[1]": Uniform(-0.7, 1.5)}
-    found = worst_case_search(lambda machine: learn(machine, PASSIVE, task, 1).rms[-1, 0] ** 2, machine, box, starts=12, steps=15)
+    found = worst_case_search(
+        lambda machine: learn(machine, PASSIVE, task, 1).rms[-1, 0] ** 2,
+        machine,
+        box,
+        starts=12,
+        steps=15,
+    )
     observed = np.stack([(C @ np.linalg.matrix_power(A, k))[0] for k in range(1, N + 1)])
     corners = {(a, b): np.mean((observed @ [a, b]) ** 2) for a in (-1.0, 0.8) for b in (-0.7, 1.5)}
     assert tuple(found.values.values()) == max(corners, key=corners.get)
@@ -72,11 +91,18 @@ def test_a_linear_quadratic_case_has_its_worst_initial_state_at_the_far_end():
 
 
 def test_every_constraint_is_respected_in_every_step():
-    box = {"x[0]": Uniform(-2.0, 1.0), "x[1]": LogUniform(0.1, 10.0), "x[2]": Normal(1.0, 0.5), "x[3]": Uniform(0.5, 2.0)}
+    box = {
+        "x[0]": Uniform(-2.0, 1.0),
+        "x[1]": LogUniform(0.1, 10.0),
+        "x[2]": Normal(1.0, 0.5),
+        "x[3]": Uniform(0.5, 2.0),
+    }
     low, high = np.array([-2.0, 0.1, 0.0, 0.5]), np.array([1.0, 10.0, 2.0, 2.0])
 
     def loss(subject):
-        outside = jnp.any((subject.x < low * (1 - 1e-12)) & (subject.x < low)) | jnp.any(subject.x > high * (1 + 1e-12))
+        outside = jnp.any((subject.x < low * (1 - 1e-12)) & (subject.x < low)) | jnp.any(
+            subject.x > high * (1 + 1e-12)
+        )
         return jnp.where(outside, 1e9, jnp.sum(subject.x))
 
     subject = Numbers((0.0, 1.0, 1.0, 1.0))
@@ -86,7 +112,8 @@ def test_every_constraint_is_respected_in_every_step():
 
 
 def test_climbing_beats_chance_at_equal_cost():
-    # a smooth peak in eight dimensions, off the centre and off every axis: chance hardly comes near it
+    # a smooth peak in eight dimensions, off the centre and off every axis: chance hardly comes near
+    # it
     at = np.array([0.3, 0.8, 0.2, 0.9, 0.6, 0.1, 0.7, 0.4])
 
     def loss(subject):
@@ -105,7 +132,9 @@ def test_climbing_beats_chance_at_equal_cost():
 
 def test_what_is_not_finite_is_neither_worst_nor_in_the_way():
     def loss(subject):
-        return jnp.where(subject.x[0] > 0.8, jnp.nan, jnp.sqrt(jnp.abs(subject.x[0] - 0.2)) + subject.x[1])
+        return jnp.where(
+            subject.x[0] > 0.8, jnp.nan, jnp.sqrt(jnp.abs(subject.x[0] - 0.2)) + subject.x[1]
+        )
 
     box = {"x[0]": Uniform(0.0, 1.0), "x[1]": Uniform(0.0, 1.0)}
     found = worst_case_search(loss, Numbers((0.5, 0.5)), box, starts=6, steps=40)
@@ -121,7 +150,11 @@ def test_what_is_not_finite_is_neither_worst_nor_in_the_way():
     [
         ({}, {}, "uncertainty is empty"),
         ({"y": Uniform(0, 1)}, {}, r"uncertainty: 'y' is not a parameter here; known: x"),
-        ({"x": Uniform(0, 1)}, {"starts": 0}, r"starts = 0 is outside its allowed range \[1, inf\)"),
+        (
+            {"x": Uniform(0, 1)},
+            {"starts": 0},
+            r"starts = 0 is outside its allowed range \[1, inf\)",
+        ),
         ({"x": Uniform(0, 1)}, {"steps": 0}, r"steps = 0 is outside its allowed range \[1, inf\)"),
     ],
 )
