@@ -132,7 +132,7 @@ ax_li = figures.error_by_trial(of_li, figure="rms", scale=1e3, unit="µm")
 ax_li.figure
 
 # %% [markdown]
-# Where does it grow? Around 80 Hz, where $|1 - \gamma z P|$ first exceeds 1, and all along the
+# Where does it grow? Wrapper 80 Hz, where $|1 - \gamma z P|$ first exceeds 1, and all along the
 # path: what grows is the encoder's noise, while the errors of the path itself, below 20 Hz, are
 # gone.
 

@@ -56,7 +56,7 @@ class BeltAxis(Plant):
     friction: jax.Array = leaf(8.0, "[0, inf)")  # F_c [N]
     speed: jax.Array = leaf(5.0, "(0, inf)")  # v_s [mm/s]
 
-    def init(self):
+    def initial_state(self):
         return jnp.zeros(2)  # position, speed
 
     def step(self, x, u, dt):
@@ -95,7 +95,7 @@ class HeavyBall(Scheme):
     beta: jax.Array = leaf(0.0, "[0, 1)")
     lead: int = jaxilc.pytree.static(0, "[0, inf)", whole=True)  # m
 
-    def memory(self, task):
+    def initial_memory(self, task):
         zero = jnp.zeros((task.N, task.inputs))
         return Ball(zero, zero)
 

@@ -188,7 +188,7 @@ top.figure
 # `next_memory`. They must give the same table.
 
 # %%
-memory = scheme.memory(task)
+memory = scheme.initial_memory(task)
 for j in range(1, 19):
     record = trial_files.read_measured(folder / f"trial-{j}.csv", task)
     _, signals = jaxilc.playback.replay(scheme, task, memory, record.y, axis.machine.actuator)

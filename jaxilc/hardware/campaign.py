@@ -99,7 +99,7 @@ class Campaign:
             campaign.journal.create()
             campaign._append(
                 {"event": "start", "trial": 0, "parent": None},
-                {MEMORY: _arrays(scheme.memory(task))},
+                {MEMORY: _arrays(scheme.initial_memory(task))},
             )
         return campaign
 
@@ -152,7 +152,7 @@ class Campaign:
         """What the scheme knew after a trial, None for the last one. Raises ValueError for a trial
         that does not lie behind.
         """
-        template, entry = self.scheme.memory(self.task), self._after(trial)
+        template, entry = self.scheme.initial_memory(self.task), self._after(trial)
         found, needed = self.journal.arrays(entry, MEMORY), _arrays(template)
         if _shapes(found) != _shapes(needed):
             raise ValueError(
@@ -173,7 +173,7 @@ class Campaign:
 
     def first_tables(self) -> dict[str, np.ndarray]:
         """What the machine plays in the first trial."""
-        return tables(self.scheme, self.scheme.memory(self.task), self.task)
+        return tables(self.scheme, self.scheme.initial_memory(self.task), self.task)
 
     def recordable(self) -> dict[str, tuple[int, int]]:
         """The signals besides y and u that a measured trial may hold: the feedback's share, and the

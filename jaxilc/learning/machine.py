@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from ..plants import Plant
-from ..pytree.fields import leaf, part, pytree
+from ..pytree.fields import child, leaf, pytree
 from ..pytree.needs import need_channels, need_scalars
 from ..signals.task import Limit, Task, Trial, quantise
 
@@ -106,10 +106,10 @@ class Draws(NamedTuple):
 class Machine:
     """A plant with its actuator, sensors and disturbances."""
 
-    plant: Plant = part()
-    actuator: Actuator | None = part(None)
-    sensor: Sensor | None = part(None)
-    disturbance: Disturbance | None = part(None)
+    plant: Plant = child()
+    actuator: Actuator | None = child(None)
+    sensor: Sensor | None = child(None)
+    disturbance: Disturbance | None = child(None)
 
     @property
     def answers_at_once(self) -> bool:

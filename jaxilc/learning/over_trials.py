@@ -21,7 +21,7 @@ from ..signals.task import Task, Trial
 from .divergence import course
 from .machine import Machine
 from .metrics import Metrics
-from .sample_layout import carried
+from .sample_layout import for_carry
 from .within_trial import run_and_measure
 
 LITTLE = 2**24  # bytes, below which no size is looked at
@@ -145,7 +145,7 @@ def check(machine: Machine, scheme: Scheme, task: Task) -> None:
 def _one_step(plant: Plant, dt: float) -> Any:
     """State at rest and after a step, and the output."""
     plant = plant.sampled(dt)
-    x = plant.init()
+    x = plant.initial_state()
     return x, plant.step(x, jnp.zeros(plant.n_u), dt), plant.output(x)
 
 
@@ -177,7 +177,7 @@ def check_length(task: Task, scheme: Scheme) -> None:
 
 def _learn(machine, scheme, task, trials, key, memory, first, save) -> History:
     machine, scheme = machine.sampled(task.dt), scheme.prepared(task)
-    memory = scheme.memory(task) if memory is None else memory
+    memory = scheme.initial_memory(task) if memory is None else memory
 
     @jax.checkpoint
     def trial_and_learning(memory, j):
@@ -185,8 +185,8 @@ def _learn(machine, scheme, task, trials, key, memory, first, save) -> History:
         return scheme.learn(memory, trial), trial, (metrics, save(trial))
 
     def body(carry, j):
-        memory, trial, kept = trial_and_learning(carried(carry[0]), j)
-        return (carried(memory), trial), kept
+        memory, trial, kept = trial_and_learning(for_carry(carry[0]), j)
+        return (for_carry(memory), trial), kept
 
     blank = jax.tree.map(
         lambda s: jnp.zeros(s.shape, s.dtype), jax.eval_shape(trial_and_learning, memory, 1)[1]

@@ -13,7 +13,7 @@ from jax import lax
 
 from ..pytree.named_paths import named_leaves
 from ..schemes import MultivariableILC, OnOutputs, OnReference, Scheme, WithFeedback
-from ..schemes.compose import Around
+from ..schemes.compose import Wrapper
 from ..signals.task import Sample, Task
 from .machine import Actuator
 
@@ -49,7 +49,7 @@ def _tables(scheme: Scheme, table: Any, task: Task) -> dict[str, Any]:
     match scheme:
         case OnOutputs():
             return _tables(scheme.scheme, table, scheme._task(task))
-        case Around():
+        case Wrapper():
             return _tables(scheme.scheme, table, task)
         case WithFeedback():
             learned = {
@@ -109,5 +109,5 @@ def replay(scheme: Scheme, task: Task, memory, y, actuator: Actuator | None = No
         (r[:-1], windows, jnp.asarray(y)[:-1], scheme.table(memory, task)),
         jnp.zeros(task.inputs),
     )
-    start = (scheme.init(task), rest, None if actuator is None else rest)
+    start = (scheme.initial_state(task), rest, None if actuator is None else rest)
     return lax.scan(tick, start, rows, length=task.N)[1]

@@ -15,7 +15,7 @@ from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
 
-def carried(signals):
+def for_carry(signals):
     """signals: a tree whose arrays of two or more axes have one row a sample, on their way from
     trial to trial
     """
@@ -24,7 +24,7 @@ def carried(signals):
     )
 
 
-def scanned(signals):
+def for_scan(signals):
     """The same on their way into a scan over samples, or out of it."""
     return jax.tree.map(
         lambda x: _by_sample.bind(x, axis=0, turned=True) if jnp.ndim(x) > 1 else x, signals

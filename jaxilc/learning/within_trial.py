@@ -10,13 +10,13 @@ from ..schemes import Scheme
 from ..signals.task import Sample, Task, Trial
 from .machine import Machine
 from .metrics import Metrics, Tally, measure
-from .sample_layout import scanned
+from .sample_layout import for_scan
 
 
 def run_trial(machine: Machine, scheme: Scheme, task: Task, memory, key) -> Trial:
     """The machine under the scheme for one trial of the task, from rest.
 
-    memory: what the scheme knows (`scheme.memory(task)` before the first trial);  key: of this
+    memory: what the scheme knows (`scheme.initial_memory(task)` before the first trial);  key: of this
     trial's noise Pure; to be called inside `jit`. Fields of the returned `Trial` have N or N+1
     rows.
     """
@@ -28,7 +28,11 @@ def run_and_measure(
 ) -> tuple[Trial, Metrics]:
     """`run_trial` with its metrics, which are gathered in the same pass."""
     machine = machine.sampled(task.dt)
-    if machine.answers_at_once and scheme.plays_back and not scheme.signals(scheme.init(task)):
+    if (
+        machine.answers_at_once
+        and scheme.plays_back
+        and not scheme.signals(scheme.initial_state(task))
+    ):
         return _at_once(machine, scheme.table(memory, task).u, task, key)
     plant, dt, r, preview = machine.plant, task.dt, jnp.asarray(task.reference), scheme.preview
     draws = machine.draws(key, task)
@@ -50,10 +54,10 @@ def run_and_measure(
         )
 
     d_y, noise, unaltered = draws.output, draws.sensor, machine.actuator is None
-    x, rest = plant.init(), jnp.zeros(task.inputs)
+    x, rest = plant.initial_state(), jnp.zeros(task.inputs)
     y = machine.measure(_plus(plant.output(x), _at(d_y, 0)), _at(noise, 0))
     tally = Tally.start(lax.stop_gradient(r[0] - y), task.inputs, task.settled.start == 0)
-    carry = (x, scheme.init(task), rest, None if unaltered else rest, y, tally)
+    carry = (x, scheme.initial_state(task), rest, None if unaltered else rest, y, tally)
     rows = (
         jnp.arange(task.N),
         r[:-1],
@@ -64,8 +68,8 @@ def run_and_measure(
         _at(noise, slice(1, None)),
         _is_settled(task)[1:],
     )
-    carry, record = lax.scan(tick, carry, scanned(rows))
-    y_next, u, signals = scanned(record)
+    carry, record = lax.scan(tick, carry, for_scan(rows))
+    y_next, u, signals = for_scan(record)
     trial = Trial(r, jnp.concatenate([y[None], y_next]), u, dt, signals)
     return trial, carry[-1].metrics(trial, task)
 

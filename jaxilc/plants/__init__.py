@@ -1,4 +1,4 @@
-"""Plants: each is its parameters, with a pure `init`, `step` and `output`."""
+"""Plants: each is its parameters, with a pure `initial_state`, `step` and `output`."""
 
 from .ball_screw import BallScrewDrive, FrictionTable, LeadError
 from .blocks import InBlocks

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from ..pytree.fields import leaf, part, pytree, scalar, static
+from ..pytree.fields import child, leaf, pytree, scalar, static
 from ..pytree.needs import known
 from ..signals.task import product, quantise
 from .friction import StribeckFriction
@@ -138,12 +138,12 @@ class BallScrewDrive(Plant):
     current_bandwidth: jax.Array | None = scalar(None, "(0, inf)", optional=True)
     force_limit: jax.Array | None = scalar(None, "(0, inf)", optional=True)
     encoder_step: jax.Array | None = scalar(None, "(0, inf)", optional=True)
-    motor_friction: StribeckFriction | None = part(None)
-    table_friction: StribeckFriction | None = part(None)
-    lead_error: LeadError | None = part(None)
-    compensation: FrictionTable | None = part(None)
+    motor_friction: StribeckFriction | None = child(None)
+    table_friction: StribeckFriction | None = child(None)
+    lead_error: LeadError | None = child(None)
+    compensation: FrictionTable | None = child(None)
     longest_dt: float = static(1e-3, "(0, inf)")
-    linear_part: Propagator | None = part(None)
+    linear_part: Propagator | None = child(None)
     dt: float = static(0.0, "[0, inf)")
 
     def __post_init__(self):
@@ -227,7 +227,7 @@ class BallScrewDrive(Plant):
             )
         )
         plant = dataclasses.replace(self, **absent, dt=0.0).sampled(dt)
-        rest, unravel = ravel_pytree(plant.init())
+        rest, unravel = ravel_pytree(plant.initial_state())
         A, B = jax.jacfwd(lambda x, u: ravel_pytree(plant.step(unravel(x), u, dt))[0], (0, 1))(
             rest, jnp.zeros(1)
         )
@@ -250,7 +250,7 @@ class BallScrewDrive(Plant):
             self, linear_part=propagator(mechanics.A, mechanics.B, dt), dt=float(dt)
         )
 
-    def init(self) -> DriveState:
+    def initial_state(self) -> DriveState:
         n = 4 if self.current_bandwidth is None else 5
         return DriveState(
             jnp.zeros_like(self.table_mass, shape=(n,)), *(jnp.zeros_like(self.table_mass),) * 2

@@ -12,7 +12,7 @@ import numpy as np
 from jax import lax
 from jax.flatten_util import ravel_pytree
 
-from ..pytree.fields import part, pytree, static
+from ..pytree.fields import child, pytree, static
 from ..runtime.capacity import check_size
 from ..signals.task import Task, product
 from .cnc_axis import TwoAxes
@@ -64,7 +64,7 @@ class InBlocks(Plant):
     Raises ValueError, when it is sampled, for a plant that is not linear and time-invariant.
     """
 
-    plant: Plant = part()
+    plant: Plant = child()
     length: int = static(32, "[2, 1e4]", whole=True)
 
     @property
@@ -89,8 +89,8 @@ class InBlocks(Plant):
             )
         return InBlocks(plant, self.length)
 
-    def init(self) -> Any:
-        return self.plant.init()
+    def initial_state(self) -> Any:
+        return self.plant.initial_state()
 
     def step(self, x, u, dt) -> Any:
         return self.plant.step(x, u, dt)
@@ -101,7 +101,7 @@ class InBlocks(Plant):
     def response(self, u, dt: float) -> jax.Array:
         N, L, block = len(u), self.length, _block(self.plant, dt, self.length)
         U = jnp.pad(u, ((0, L - N % L), (0, 0))).reshape(-1, L * self.n_u)
-        x = ravel_pytree(self.plant.init())[0]
+        x = ravel_pytree(self.plant.initial_state())[0]
         X = _chain(block.A, x, U @ block.R)
         Y = U @ block.H + X @ block.O
         A, lost, C, states, first = lax.stop_gradient(
@@ -126,7 +126,7 @@ def _is_linear(plant: Plant) -> bool:
 
 
 def _block(plant: Plant, dt: float, L: int) -> Block:
-    rest, unravel = ravel_pytree(jax.tree.map(jnp.zeros_like, plant.init()))
+    rest, unravel = ravel_pytree(jax.tree.map(jnp.zeros_like, plant.initial_state()))
     n, n_u = len(rest), plant.n_u
 
     def step(x, u):
@@ -161,4 +161,6 @@ def _chain(A, x, f):
 
 def _stepped(plant: Plant, u, dt: float):
     """The outputs y[k] at the inputs u[k], step by step."""
-    return lax.scan(lambda x, u: (plant.step(x, u, dt), plant.output(x)), plant.init(), u)[1]
+    return lax.scan(lambda x, u: (plant.step(x, u, dt), plant.output(x)), plant.initial_state(), u)[
+        1
+    ]

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ..pytree.fields import part, pytree
+from ..pytree.fields import child, pytree
 from .linear import StateSpace
 from .plant import Plant
 
@@ -49,8 +49,8 @@ class TwoAxes(Plant):
     x, y: any plants; the inputs and outputs of x come first
     """
 
-    x: Plant = part()
-    y: Plant = part()
+    x: Plant = child()
+    y: Plant = child()
 
     @property
     def n_u(self) -> int:
@@ -63,8 +63,8 @@ class TwoAxes(Plant):
     def sampled(self, dt: float) -> TwoAxes:
         return TwoAxes(self.x.sampled(dt), self.y.sampled(dt))
 
-    def init(self) -> AxesState:
-        return AxesState(self.x.init(), self.y.init())
+    def initial_state(self) -> AxesState:
+        return AxesState(self.x.initial_state(), self.y.initial_state())
 
     def step(self, x: AxesState, u, dt: float) -> AxesState:
         n = self.x.n_u

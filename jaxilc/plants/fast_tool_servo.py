@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..pytree.fields import leaf, part, pytree, scalar, static
+from ..pytree.fields import child, leaf, pytree, scalar, static
 from ..pytree.needs import known
 from .hysteresis import BoucWen, Dahl, InputHysteresis
 from .integration import Propagator, exponential_runge_kutta, propagator
@@ -156,12 +156,12 @@ class FastToolServo(Plant):
     amplifier_bandwidth: jax.Array | None = scalar(None, "(0, inf)", optional=True)
     load: jax.Array | None = scalar(None, optional=True)
     drift: jax.Array | None = scalar(None, optional=True)
-    hysteresis: BoucWen | Dahl | None = part(None)
-    friction: BoucWen | Dahl | None = part(None)
-    mode: FlexibleMode | None = part(None)
-    creep: Creep | None = part(None)
-    cutting: CuttingForce | None = part(None)
-    periodic: PeriodicForce | None = part(None)
+    hysteresis: BoucWen | Dahl | None = child(None)
+    friction: BoucWen | Dahl | None = child(None)
+    mode: FlexibleMode | None = child(None)
+    creep: Creep | None = child(None)
+    cutting: CuttingForce | None = child(None)
+    periodic: PeriodicForce | None = child(None)
     substeps: int = static(1, "[1, 1e4]", whole=True)
     longest_dt: float = static(2e-4, "(0, inf)")
 
@@ -288,16 +288,16 @@ class ForcedServo(Plant):
     time, with its propagator
     """
 
-    linear: StateSpace = part()
-    propagator: Propagator = part()
-    servo: FastToolServo = part()
+    linear: StateSpace = child()
+    propagator: Propagator = child()
+    servo: FastToolServo = child()
     dt: float = static(0.0)
 
     def sampled(self, dt: float) -> ForcedServo:
         return matching(self, self.dt, dt)
 
-    def init(self) -> Any:
-        return self.linear.init()
+    def initial_state(self) -> Any:
+        return self.linear.initial_state()
 
     def step(self, x, u, dt) -> Any:
         n, h = self.servo.substeps, self.dt / self.servo.substeps

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..pytree.fields import part, pytree, scalar, static
+from ..pytree.fields import child, pytree, scalar, static
 from ..pytree.needs import known
 from .integration import runge_kutta
 from .plant import Plant
@@ -150,8 +150,8 @@ class InputHysteresis(Plant):
     `over` is.
     """
 
-    plant: Plant = part()
-    hysteresis: BoucWen | Dahl = part()
+    plant: Plant = child()
+    hysteresis: BoucWen | Dahl = child()
 
     @property
     def n_u(self) -> int:
@@ -164,9 +164,9 @@ class InputHysteresis(Plant):
     def sampled(self, dt: float) -> InputHysteresis:
         return InputHysteresis(self.plant.sampled(dt), self.hysteresis)
 
-    def init(self) -> HystereticState:
+    def initial_state(self) -> HystereticState:
         rest = jnp.zeros_like(self.hysteresis.initial_slope, shape=(self.n_u,))
-        return HystereticState(self.plant.init(), rest, rest)
+        return HystereticState(self.plant.initial_state(), rest, rest)
 
     def step(self, x: HystereticState, u, dt) -> HystereticState:
         z = self.hysteresis.over(x.z, u - x.u)

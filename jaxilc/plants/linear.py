@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import jax.scipy.linalg
 import numpy as np
 
-from ..pytree.fields import leaf, part, pytree, static
+from ..pytree.fields import child, leaf, pytree, static
 from ..signals.task import Task, product
 from .plant import Plant
 
@@ -80,7 +80,7 @@ class StateSpace(Plant):
         A, B = zoh(self.A, self.B, dt)
         return StateSpace(A, B, self.C, self.x0, dt=dt)
 
-    def init(self) -> Any:
+    def initial_state(self) -> Any:
         return (
             jnp.zeros_like(self.A, shape=self.A.shape[-1:])
             if self.x0 is None
@@ -144,7 +144,7 @@ class TimeVaryingStateSpace(Plant):
     def sampled(self, dt: float) -> TimeVaryingStateSpace:
         return matching(self, self.dt, dt)
 
-    def init(self) -> Any:
+    def initial_state(self) -> Any:
         """The sample's number and the state."""
         return jnp.zeros((), int), jnp.zeros_like(self.A, shape=self.A.shape[-1:])
 
@@ -178,7 +178,7 @@ class DifferenceEquation(Plant):
     def sampled(self, dt: float) -> DifferenceEquation:
         return _Taken(tuple(self.a), tuple(self.b), dt=matching(self, self.dt, dt).dt)
 
-    def init(self) -> Any:
+    def initial_state(self) -> Any:
         return tuple(jnp.zeros_like(a) for a in self.a)
 
     def step(self, x, u, dt) -> Any:
@@ -197,8 +197,8 @@ class _Taken(DifferenceEquation):
     from being vectorised.
     """
 
-    a: tuple[Any, ...] = part()
-    b: tuple[Any, ...] = part()
+    a: tuple[Any, ...] = child()
+    b: tuple[Any, ...] = child()
 
     def __post_init__(self):
         """Nothing to check: they were, as arrays."""

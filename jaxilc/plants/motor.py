@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..pytree.fields import part, pytree, scalar, static
+from ..pytree.fields import child, pytree, scalar, static
 from ..pytree.needs import known
 from ..signals.task import Task
 from .friction import StribeckFriction
@@ -172,9 +172,9 @@ class VoiceCoilMotor(Plant):
     current_limit: jax.Array | None = scalar(23.0, "(0, inf)", optional=True)
     voltage_limit: jax.Array | None = scalar(560.0, "(0, inf)", optional=True)
     speed_limit: jax.Array | None = scalar(3.44, "(0, inf)", optional=True)
-    friction: StribeckFriction | None = part(None)
-    cogging: Cogging | None = part(None)
-    end_effect: EndEffect | None = part(None)
+    friction: StribeckFriction | None = child(None)
+    cogging: Cogging | None = child(None)
+    end_effect: EndEffect | None = child(None)
     substep: float = static(1.25e-4, "(0, inf)")
 
     def __post_init__(self):
@@ -194,7 +194,7 @@ class VoiceCoilMotor(Plant):
                 f"VoiceCoilMotor: substep = {self.substep:g} s is outside its allowed range {allowed}"
             )
 
-    def init(self) -> MotorState:
+    def initial_state(self) -> MotorState:
         rest = jnp.zeros_like(self.mass, shape=())
         return MotorState(rest, rest, rest, rest, None if self.command_delay is None else rest)
 

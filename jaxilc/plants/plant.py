@@ -38,7 +38,7 @@ class Plant:
     def check(self, task: Task) -> None:
         """Raises ValueError where the plant cannot do this task."""
 
-    def init(self) -> State:
+    def initial_state(self) -> State:
         """The state at rest before the first sample."""
         raise NotImplementedError
 

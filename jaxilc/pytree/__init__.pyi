@@ -1,4 +1,4 @@
-from .fields import leaf, part, pytree, scalar, static
+from .fields import child, leaf, pytree, scalar, static
 from .named_paths import allowed_at, get_at, interval_at, kind_at, named_leaves, replaced, settable
 from .needs import known, need_channels, need_scalars
 from .ranges import Interval
@@ -6,6 +6,7 @@ from .ranges import Interval
 __all__ = [
     "Interval",
     "allowed_at",
+    "child",
     "get_at",
     "interval_at",
     "kind_at",
@@ -14,7 +15,6 @@ __all__ = [
     "named_leaves",
     "need_channels",
     "need_scalars",
-    "part",
     "pytree",
     "replaced",
     "scalar",

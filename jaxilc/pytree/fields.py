@@ -93,17 +93,17 @@ def static(
     return dataclasses.field(default=default, metadata=metadata)
 
 
-def part(default: Any = dataclasses.MISSING) -> Any:
+def child(default: Any = dataclasses.MISSING) -> Any:
     """A nested pytree (a plant in a machine, a scheme in a scheme), of the class or the classes
     that it is annotated with.
     """
-    return dataclasses.field(default=default, metadata={"kind": "part"})
+    return dataclasses.field(default=default, metadata={"kind": "child"})
 
 
-@dataclass_transform(frozen_default=True, field_specifiers=(leaf, scalar, static, part))
+@dataclass_transform(frozen_default=True, field_specifiers=(leaf, scalar, static, child))
 def pytree(cls: type[T]) -> type[T]:
     """Make the class a frozen dataclass and a pytree. Fields are declared with `leaf`, `scalar`,
-    `static` or `part`.
+    `static` or `child`.
 
     Raises at construction: ValueError naming the class, the field, its value and the allowed range.
     """
@@ -145,7 +145,7 @@ def pytree(cls: type[T]) -> type[T]:
 
 
 def kind_of(field) -> str:
-    return field.metadata.get("kind", "part")
+    return field.metadata.get("kind", "child")
 
 
 def _settled(cls: type, field, value):

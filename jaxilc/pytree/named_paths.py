@@ -32,7 +32,7 @@ def settable(tree) -> dict[str, Any]:
         value, field = child_of(tree, name), field_of(tree, name)
         if field_names(value):
             found |= {f"{name}.{path}": v for path, v in settable(value).items()}
-        elif field is None or kind_of(field) != "part":
+        elif field is None or kind_of(field) != "child":
             found[name] = value
     return found
 
@@ -51,12 +51,12 @@ def allowed_at(tree, path: str) -> str:
 
 
 def kind_at(tree, path: str) -> tuple[str, Any]:
-    """`leaf`, `static` or `part`, and the annotation, of the field at `path`; an element is of its
+    """`leaf`, `static` or `child`, and the annotation, of the field at `path`; an element is of its
     field's kind.
     """
     owner, field = _field_at(tree, path)
     return (
-        ("part", Any)
+        ("child", Any)
         if field is None
         else (kind_of(field), annotations_of(type(owner)).get(field.name, Any))
     )

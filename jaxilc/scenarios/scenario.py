@@ -247,7 +247,7 @@ def _typed(tree, path: str, value, shown: str):
     annotated with, the rest are numbers.
     """
     kind, annotation = kind_at(tree, path)
-    if kind == "part":
+    if kind == "child":
         raise KeyError(path)
     if not isinstance(value, str):
         return value

@@ -82,7 +82,7 @@ class Table:
 
 
 # Kinds of values
-# ----------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def number(value: Any, where: str) -> float:
@@ -150,7 +150,7 @@ def list_of(kind: Callable[[Any, str], Any]) -> Callable[[Any, str], list]:
 
 
 # Objects
-# ------------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def built(
@@ -200,7 +200,7 @@ def _field(
     value: Any,
     where: str,
 ) -> Any:
-    kind = field.metadata.get("kind", "part")
+    kind = field.metadata.get("kind", "child")
     if kind == "leaf":
         return numbers(value, where)
     if kind == "static":

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from ..filters.zero_phase import Filter
-from ..pytree.fields import part, pytree, static
+from ..pytree.fields import child, pytree, static
 from ..signals.task import Limit, Sample, Task, Trial
 from .scheme import Scheme, State, limit_of, limited, limits_below
 
@@ -39,8 +39,8 @@ class WithFeedback(Scheme):
     `feedback` is that share; those of the parts are `learning.NAME`, `feedback.NAME`.
     """
 
-    learning: Scheme = part()
-    feedback: Scheme = part()
+    learning: Scheme = child()
+    feedback: Scheme = child()
 
     @property
     def preview(self) -> int:
@@ -50,16 +50,20 @@ class WithFeedback(Scheme):
         self.learning.check(task)
         self.feedback.check(task)
 
-    def memory(self, task: Task) -> Pair:
-        return Pair(self.learning.memory(task), self.feedback.memory(task))
+    def initial_memory(self, task: Task) -> Pair:
+        return Pair(self.learning.initial_memory(task), self.feedback.initial_memory(task))
 
     def table(self, memory: Pair, task: Task) -> Pair:
         return Pair(
             self.learning.table(memory.learning, task), self.feedback.table(memory.feedback, task)
         )
 
-    def init(self, task: Task) -> PairState:
-        return PairState(self.learning.init(task), self.feedback.init(task), jnp.zeros(task.inputs))
+    def initial_state(self, task: Task) -> PairState:
+        return PairState(
+            self.learning.initial_state(task),
+            self.feedback.initial_state(task),
+            jnp.zeros(task.inputs),
+        )
 
     def act(self, state: PairState, sample: Sample) -> tuple[Any, jax.Array]:
         own = None if sample.applied is None else sample.applied - state.u
@@ -89,7 +93,8 @@ class WithFeedback(Scheme):
                 "WithFeedback: the trial has no signal 'feedback' (N, n_u), so its learned part cannot be told from u"
             )
         of_learning, of_feedback = (
-            trial._replace(signals=below(name, trial.signals)) for name in ("learning", "feedback")
+            trial._replace(signals=signals_of_part(name, trial.signals))
+            for name in ("learning", "feedback")
         )
         return Pair(of_learning._replace(u=trial.u - trial.signals["feedback"]), of_feedback)
 
@@ -121,7 +126,7 @@ class WithFeedback(Scheme):
 
 def silent_signals(scheme: Scheme, task: Task) -> dict[str, jax.Array]:
     """The signals of a scheme over a trial in which they are all zero."""
-    shapes = jax.eval_shape(lambda: scheme.signals(scheme.init(task)))
+    shapes = jax.eval_shape(lambda: scheme.signals(scheme.initial_state(task)))
     return {name: jnp.zeros((task.N, *one.shape), one.dtype) for name, one in shapes.items()}
 
 
@@ -130,7 +135,7 @@ def of_part(name: str, scheme: Scheme, state: State) -> dict[str, jax.Array]:
     return {f"{name}.{signal}": value for signal, value in scheme.signals(state).items()}
 
 
-def below(name: str, signals: dict[str, jax.Array]) -> dict[str, jax.Array]:
+def signals_of_part(name: str, signals: dict[str, jax.Array]) -> dict[str, jax.Array]:
     """The signals of a part, as it named them itself."""
     return {
         signal.removeprefix(f"{name}."): value
@@ -139,7 +144,7 @@ def below(name: str, signals: dict[str, jax.Array]) -> dict[str, jax.Array]:
     }
 
 
-class Around(Scheme):
+class Wrapper(Scheme):
     """A scheme put around another, `scheme`, that does as that one does but for what it overrides."""
 
     scheme: Scheme
@@ -167,8 +172,8 @@ class Around(Scheme):
     def check(self, task: Task) -> None:
         self.scheme.check(task)
 
-    def memory(self, task: Task) -> Any:
-        return self.scheme.memory(task)
+    def initial_memory(self, task: Task) -> Any:
+        return self.scheme.initial_memory(task)
 
     def table(self, memory, task: Task) -> Any:
         return self.scheme.table(memory, task)
@@ -176,8 +181,8 @@ class Around(Scheme):
     def feedforward(self, memory, task: Task) -> jax.Array:
         return self.scheme.feedforward(memory, task)
 
-    def init(self, task: Task) -> Any:
-        return self.scheme.init(task)
+    def initial_state(self, task: Task) -> Any:
+        return self.scheme.initial_state(task)
 
     def act(self, state, sample: Sample) -> tuple[Any, jax.Array]:
         return self.scheme.act(state, sample)
@@ -199,7 +204,7 @@ class Around(Scheme):
 
 
 @pytree
-class Filtered(Around):
+class Filtered(Wrapper):
     """u_{j+1} = Q(u_j + L e_j): a robustness filter on what any learning scheme is about to apply.
 
     scheme: one whose table has a field `u`, and whose `limit`, if it has one, holds for the
@@ -207,8 +212,8 @@ class Filtered(Around):
     filter: zero-phase, applied to each channel of `u`
     """
 
-    scheme: Scheme = part()
-    filter: Filter = part()
+    scheme: Scheme = child()
+    filter: Filter = child()
 
     def check(self, task: Task) -> None:
         self.scheme.check(task)
@@ -229,7 +234,7 @@ class Filtered(Around):
 
 
 @pytree
-class ErrorFiltered(Around):
+class ErrorFiltered(Wrapper):
     """u_{j+1} = u_j + L F e_j: the error is filtered between trials, before any scheme learns from
     it (Li 2020, eq. 11 and Fig. 17).
 
@@ -239,8 +244,8 @@ class ErrorFiltered(Around):
     scheme: any that learns from the error;  filter: zero-phase, applied to each channel of e
     """
 
-    scheme: Scheme = part()
-    filter: Filter = part()
+    scheme: Scheme = child()
+    filter: Filter = child()
 
     def check(self, task: Task) -> None:
         self.scheme.check(task)
@@ -257,14 +262,14 @@ class ErrorFiltered(Around):
 
 
 @pytree
-class OnOutputs(Around):
+class OnOutputs(Wrapper):
     """A scheme that sees only some of the outputs: a motor-side loop on a machine that also
     measures its table.
 
     scheme: acts on all inputs;  outputs: indices of the outputs it sees
     """
 
-    scheme: Scheme = part()
+    scheme: Scheme = child()
     outputs: tuple[int, ...] = static()
 
     def _task(self, task: Task) -> Task:
@@ -280,8 +285,8 @@ class OnOutputs(Around):
     def prepared(self, task: Task) -> OnOutputs:
         return dataclasses.replace(self, scheme=self.scheme.prepared(self._task(task)))
 
-    def memory(self, task: Task) -> Any:
-        return self.scheme.memory(self._task(task))
+    def initial_memory(self, task: Task) -> Any:
+        return self.scheme.initial_memory(self._task(task))
 
     def table(self, memory, task: Task) -> Any:
         return self.scheme.table(memory, self._task(task))
@@ -289,8 +294,8 @@ class OnOutputs(Around):
     def feedforward(self, memory, task: Task) -> jax.Array:
         return self.scheme.feedforward(memory, self._task(task))
 
-    def init(self, task: Task) -> Any:
-        return self.scheme.init(self._task(task))
+    def initial_state(self, task: Task) -> Any:
+        return self.scheme.initial_state(self._task(task))
 
     def act(self, state, sample: Sample) -> tuple[Any, jax.Array]:
         seen = list(self.outputs)
@@ -323,7 +328,9 @@ class OnOutputs(Around):
 
 def need_feedforward(scheme: Scheme, learning: Scheme, task: Task) -> None:
     """Raises ValueError unless the table of `learning` has a feedforward signal `u`."""
-    if not hasattr(jax.eval_shape(lambda: learning.table(learning.memory(task), task)), "u"):
+    if not hasattr(
+        jax.eval_shape(lambda: learning.table(learning.initial_memory(task), task)), "u"
+    ):
         raise ValueError(
             f"{type(scheme).__name__}: {type(learning).__name__} learns no feedforward signal u"
         )

@@ -9,7 +9,7 @@ from ..pytree.fields import leaf, pytree, static
 from ..pytree.needs import need_channels
 from ..signals.task import Limit, Task, Trial
 from .pid_type import need_lead
-from .scheme import Feedforward, Scheme, ahead, limit_of, limited, need_square
+from .scheme import Feedforward, Scheme, advance, limit_of, limited, need_square
 from .sliding_mode import need_input_gain
 
 
@@ -51,7 +51,7 @@ class ExponentialPD(Scheme):
         need_lead(self, task)
         need_channels(self, task.inputs, "K_P", "K_D", "lam0", "b", "limit")
 
-    def memory(self, task: Task) -> Feedforward:
+    def initial_memory(self, task: Task) -> Feedforward:
         return Feedforward(jnp.zeros((task.N, task.inputs)))
 
     def learn(self, memory: Feedforward, trial: Trial) -> Feedforward:
@@ -59,7 +59,7 @@ class ExponentialPD(Scheme):
         step = self.K_P * trial.e + self.K_D * jnp.asarray(jnp.gradient(trial.e, trial.dt, axis=0))
         return Feedforward(
             limited(
-                trial.u + jnp.exp(self.lam0 * t) * ahead(step, 1 + self.lead) / self.b, self.limit
+                trial.u + jnp.exp(self.lam0 * t) * advance(step, 1 + self.lead) / self.b, self.limit
             )
         )
 

@@ -10,15 +10,15 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from ..pytree.fields import leaf, part, pytree, static
+from ..pytree.fields import child, leaf, pytree, static
 from ..pytree.needs import need_channels
 from ..signals.task import Limit, Task, Trial
-from .compose import Around
+from .compose import Wrapper
 from .mfailc import FFDLMFAILC
 from .scheme import Scheme
 
 
-class Guard(Around):
+class Guard(Wrapper):
     """Within a trial it is the scheme it is put around; its memory holds that of the scheme as its
     field `scheme`.
     """
@@ -74,7 +74,7 @@ class StopWhen(Guard):
     Raises ValueError if there is nothing to stop it.
     """
 
-    scheme: Scheme = part()
+    scheme: Scheme = child()
     max_error: jax.Array | None = leaf(None, "(0, inf)", optional=True)
     rms: jax.Array | None = leaf(None, "(0, inf)", optional=True)
     growth: jax.Array | None = leaf(None, "[0, inf)", optional=True)
@@ -90,8 +90,8 @@ class StopWhen(Guard):
         _need_numbers(self, "growth")
         self.scheme.check(task)
 
-    def memory(self, task: Task) -> StopMemory:
-        start = self.scheme.memory(task)
+    def initial_memory(self, task: Task) -> StopMemory:
+        start = self.scheme.initial_memory(task)
         best = (None, None) if self.growth is None else (start, jnp.full((), jnp.inf, float))
         return StopMemory(start, jnp.zeros(()), jnp.zeros(()), *best)
 
@@ -171,7 +171,7 @@ class Ladder(Guard):
     with the output it was shown.
     """
 
-    scheme: Scheme = part()
+    scheme: Scheme = child()
     repeats: int = static(interval="[1, 1e9]", whole=True)
     growth_of_gain: jax.Array = leaf(1.2, "[1, inf)")
     largest: jax.Array = leaf(2.0, "[1, inf)")
@@ -191,14 +191,14 @@ class Ladder(Guard):
                 )
         self.scheme.check(task)
 
-    def memory(self, task: Task) -> LadderMemory:
-        signals = jax.eval_shape(lambda: self.scheme.signals(self.scheme.init(task)))
+    def initial_memory(self, task: Task) -> LadderMemory:
+        signals = jax.eval_shape(lambda: self.scheme.signals(self.scheme.initial_state(task)))
         blank = {name: jnp.zeros((task.N, *s.shape), s.dtype) for name, s in signals.items()}
         sums = Sums(jnp.zeros((task.N + 1, task.outputs)), jnp.zeros((task.N, task.inputs)), blank)
         adapted = (
             (None, None) if self.slow is None else (jnp.ones(()), jnp.full((), jnp.inf, float))
         )
-        return LadderMemory(self.scheme.memory(task), jnp.zeros(()), sums, *adapted)
+        return LadderMemory(self.scheme.initial_memory(task), jnp.zeros(()), sums, *adapted)
 
     def learn(self, memory: LadderMemory, trial: Trial) -> LadderMemory:
         # a measured trial may lack signals; the scheme shall see that it does

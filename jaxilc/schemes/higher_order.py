@@ -12,7 +12,7 @@ from ..pytree.fields import leaf, pytree, static
 from ..pytree.needs import known, need_channels
 from ..signals.task import Limit, Task, Trial
 from .pid_type import need_lead
-from .scheme import Feedforward, Scheme, ahead, limit_of, limited, need_square
+from .scheme import Feedforward, Scheme, advance, limit_of, limited, need_square
 
 
 class Past(NamedTuple):
@@ -73,7 +73,7 @@ class HigherOrder(Scheme):
                 f"HigherOrder: gamma has shape {self.gamma.shape}; allowed are ({P},) and ({P}, {task.inputs})"
             )
 
-    def memory(self, task: Task) -> Past:
+    def initial_memory(self, task: Task) -> Past:
         rest = jnp.zeros((task.N, task.inputs))
         before = (rest,) * (self.alpha.shape[0] - 1)
         return Past(rest, before, before)
@@ -82,7 +82,10 @@ class HigherOrder(Scheme):
         return Feedforward(memory.u)
 
     def learn(self, memory: Past, trial: Trial) -> Past:
-        inputs, errors = (trial.u, *memory.inputs), (ahead(trial.e, 1 + self.lead), *memory.errors)
+        inputs, errors = (
+            (trial.u, *memory.inputs),
+            (advance(trial.e, 1 + self.lead), *memory.errors),
+        )
         u = sum(self.alpha[i] * inputs[i] + self.gamma[i] * errors[i] for i in range(len(inputs)))
         return Past(limited(u, self.limit), inputs[:-1], errors[:-1])
 

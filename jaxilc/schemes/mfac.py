@@ -69,7 +69,7 @@ class FFDLMFAC(Scheme):
         need_square(self, task)
         need_channels(self, task.inputs, "lam", "eta", "mu", "epsilon", "limit")
 
-    def init(self, task: Task) -> State:
+    def initial_state(self, task: Task) -> State:
         rest = jnp.zeros(task.inputs)
         phi = tuple(jnp.broadcast_to(p, rest.shape) for p in jnp.atleast_1d(self.phi0))
         return State(rest, rest, jnp.zeros(()), (rest,) * self.L_y, (rest,) * self.L_u, phi)
@@ -197,7 +197,7 @@ class CFDLMFAPC(Scheme):
             "limit",
         )
 
-    def init(self, task: Task) -> PredictiveState:
+    def initial_state(self, task: Task) -> PredictiveState:
         rest = jnp.zeros(task.inputs)
         shape = (self.n_p, task.inputs)
         phi, theta = jnp.broadcast_to(self.phi0, shape), jnp.broadcast_to(self._theta0(), shape)

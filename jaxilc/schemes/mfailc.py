@@ -19,7 +19,7 @@ from ..pytree.needs import need_channels
 from ..signals.task import Sample, Task, Trial
 from .pid_type import need_lead
 from .pseudo_gradient import RESETS, need_window, pseudo_gradient, reset_estimate
-from .scheme import Scheme, ahead, limited, need_square, past
+from .scheme import Scheme, advance, delay, limited, need_square
 
 
 class Memory(NamedTuple):
@@ -116,17 +116,17 @@ class FFDLMFAILC(Scheme):
     def plays_back(self) -> bool:
         return self.L_y + self.L_u == 1
 
-    def memory(self, task: Task) -> Memory:
+    def initial_memory(self, task: Task) -> Memory:
         N, n = task.N, task.inputs
         phi = tuple(jnp.broadcast_to(p, (N, n)) for p in self._start())
         return Memory(jnp.zeros((N, n)), jnp.zeros((N + 1, n)), phi, jnp.zeros(()))
 
     def learn(self, memory: Memory, trial: Trial) -> Memory:
         du, dy = memory.seen * (trial.u - memory.u), memory.seen * (trial.y - memory.y)
-        outputs = [past(dy[:-1], i) for i in range(self.L_y)]
-        inputs = [past(du, i) for i in range(self.L_u)]
+        outputs = [delay(dy[:-1], i) for i in range(self.L_y)]
+        inputs = [delay(du, i) for i in range(self.L_u)]
         phi = pseudo_gradient(
-            memory.phi, outputs + inputs, ahead(dy, 1 + self.lead), eta=self.eta, mu=self.mu
+            memory.phi, outputs + inputs, advance(dy, 1 + self.lead), eta=self.eta, mu=self.mu
         )
         phi = reset_estimate(
             phi, du, self._start(), component=self.L_y, epsilon=self.epsilon, mode=self.reset
@@ -147,7 +147,7 @@ class FFDLMFAILC(Scheme):
             for i in range(self.L_y + self.L_u)
             if i != c
         )
-        e = memory.seen * ahead(task.reference - memory.y, 1 + self.lead)
+        e = memory.seen * advance(task.reference - memory.y, 1 + self.lead)
         u = memory.u + gain * rho[c] * e
         if not weights:
             u = limited(
@@ -155,7 +155,7 @@ class FFDLMFAILC(Scheme):
             )  # with weights, the running trial's increments come on top first
         return Table(u, memory.y[:-1], memory.u, weights)
 
-    def init(self, task: Task) -> Window:
+    def initial_state(self, task: Task) -> Window:
         rest = jnp.zeros(task.inputs)
         return Window((rest,) * max(self.L_y - 1, 0), (rest,) * (self.L_u - 1), rest)
 

@@ -9,11 +9,11 @@ import jax
 import jax.numpy as jnp
 
 from ..filters.zero_phase import Filter
-from ..pytree.fields import part, pytree, static
+from ..pytree.fields import child, pytree, static
 from ..signals.task import Limit, Sample, Task, Trial
-from .compose import Pair, below, of_part, silent_signals
+from .compose import Pair, of_part, signals_of_part, silent_signals
 from .on_reference import ReferenceTable
-from .scheme import Scheme, State, limits_below, past
+from .scheme import Scheme, State, delay, limits_below
 
 
 class LearnedState(NamedTuple):
@@ -47,9 +47,9 @@ class MultivariableILC(Scheme):
     Signals of a trial: `feedback`, its share of the input, and `reference`, r[k+1] as learned.
     """
 
-    learning: Scheme = part()
-    feedback: Scheme = part()
-    prefilter: Filter | None = part(None)
+    learning: Scheme = child()
+    feedback: Scheme = child()
+    prefilter: Filter | None = child(None)
     motor_output: int = static(0, "[0, inf)", whole=True)
     table_output: int = static(1, "[0, inf)", whole=True)
 
@@ -82,7 +82,9 @@ class MultivariableILC(Scheme):
             raise ValueError(
                 f"MultivariableILC: {name} acts within the trial; allowed are schemes that play back a learned signal"
             )
-        if not hasattr(jax.eval_shape(lambda: self.learning.memory(self.learning_task(task))), "u"):
+        if not hasattr(
+            jax.eval_shape(lambda: self.learning.initial_memory(self.learning_task(task))), "u"
+        ):
             raise ValueError(
                 f"MultivariableILC: the memory of {type(self.learning).__name__} has no field u that could start at r_0"
             )
@@ -97,13 +99,13 @@ class MultivariableILC(Scheme):
         )
         return dataclasses.replace(self, learning=learning, feedback=feedback)
 
-    def memory(self, task: Task) -> Pair:
-        learning = self.learning.memory(self.learning_task(task))
+    def initial_memory(self, task: Task) -> Pair:
+        learning = self.learning.initial_memory(self.learning_task(task))
         r = jnp.asarray(task.reference)[:, [self.table_output]]
         r = r if self.prefilter is None else self.prefilter(r, task.dt)
         return Pair(
             learning._replace(u=learning.u.at[:, 1:].set(r[1:])),
-            self.feedback.memory(self._motor_task(task)),
+            self.feedback.initial_memory(self._motor_task(task)),
         )
 
     def table(self, memory: Pair, task: Task) -> ReferenceTable:
@@ -115,7 +117,7 @@ class MultivariableILC(Scheme):
         u, r = learned[:, :1], learned[:, 1:]
         held = jnp.pad(r, ((0, self.preview - 1), (0, 0)), mode="edge")
         window = jnp.stack([held[i : i + task.N] for i in range(self.preview)], axis=1)
-        now = past(r, 1).at[0].set(task.reference[0, self.table_output])
+        now = delay(r, 1).at[0].set(task.reference[0, self.table_output])
         return ReferenceTable(
             u, now, window, self.feedback.table(memory.feedback, self._motor_task(task))
         )
@@ -124,8 +126,10 @@ class MultivariableILC(Scheme):
         """(N, 2) the learned input and reference r[k+1] of the next trial."""
         return self.learning.feedforward(memory.learning, self.learning_task(task))
 
-    def init(self, task: Task) -> LearnedState:
-        return LearnedState(self.feedback.init(self._motor_task(task)), jnp.zeros(1), jnp.zeros(1))
+    def initial_state(self, task: Task) -> LearnedState:
+        return LearnedState(
+            self.feedback.initial_state(self._motor_task(task)), jnp.zeros(1), jnp.zeros(1)
+        )
 
     def act(self, state: LearnedState, sample: Sample) -> tuple[Any, jax.Array]:
         row = sample.row
@@ -164,7 +168,9 @@ class MultivariableILC(Scheme):
         )
         return Pair(
             own,
-            trial._replace(r=wanted[:, :1], y=y[:, :1], signals=below("feedback", trial.signals)),
+            trial._replace(
+                r=wanted[:, :1], y=y[:, :1], signals=signals_of_part("feedback", trial.signals)
+            ),
         )
 
     @property

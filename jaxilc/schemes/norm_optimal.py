@@ -14,7 +14,7 @@ from jax import lax
 from jax.scipy.linalg import cho_factor, cho_solve
 
 from ..plants import StateSpace, TimeVaryingStateSpace
-from ..pytree.fields import leaf, part, pytree, static
+from ..pytree.fields import child, leaf, pytree, static
 from ..pytree.needs import known, need_channels
 from ..pytree.ranges import brief
 from ..signals.task import Limit, Task, Trial, product
@@ -71,13 +71,13 @@ class NormOptimal(Scheme):
     Differentiable in the weights and in the model, through the recursion.
     """
 
-    model: StateSpace | TimeVaryingStateSpace = part()
+    model: StateSpace | TimeVaryingStateSpace = child()
     w_q: jax.Array = leaf(1.0)
     w_r: jax.Array = leaf(0.0)
     w_s: jax.Array = leaf(0.0)
     limit: jax.Array | None = leaf(None, "(0, inf)", optional=True)
     form: str = static("riccati", choices=("riccati", "lifted"))
-    solved: Any = part(None)
+    solved: Any = child(None)
     clips = ("limit",)
 
     def __post_init__(self):
@@ -155,7 +155,7 @@ class NormOptimal(Scheme):
                 "use form = 'riccati', which gives the same input in memory linear in N"
             )
 
-    def memory(self, task: Task) -> Feedforward:
+    def initial_memory(self, task: Task) -> Feedforward:
         return Feedforward(jnp.zeros((task.N, task.inputs)))
 
     def prepared(self, task: Task) -> NormOptimal:

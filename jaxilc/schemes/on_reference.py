@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ..pytree.fields import part, pytree
+from ..pytree.fields import child, pytree
 from ..signals.task import Limit, Sample, Task, Trial
-from .compose import Pair, below, need_feedforward, of_part, silent_signals
-from .scheme import Scheme, State, limits_below, past
+from .compose import Pair, need_feedforward, of_part, signals_of_part, silent_signals
+from .scheme import Scheme, State, delay, limits_below
 
 
 class ReferenceTable(NamedTuple):
@@ -41,8 +41,8 @@ class OnReference(Scheme):
     any scheme The signal `correction` of the trial records w. The error is that from r itself.
     """
 
-    learning: Scheme = part()
-    feedback: Scheme = part()
+    learning: Scheme = child()
+    feedback: Scheme = child()
 
     @property
     def preview(self) -> int:
@@ -68,8 +68,10 @@ class OnReference(Scheme):
             feedback=self.feedback.prepared(task),
         )
 
-    def memory(self, task: Task) -> Pair:
-        return Pair(self.learning.memory(self._task(task)), self.feedback.memory(task))
+    def initial_memory(self, task: Task) -> Pair:
+        return Pair(
+            self.learning.initial_memory(self._task(task)), self.feedback.initial_memory(task)
+        )
 
     def table(self, memory: Pair, task: Task) -> ReferenceTable:
         return self.play(self.learning.table(memory.learning, self._task(task)).u, memory, task)
@@ -78,10 +80,10 @@ class OnReference(Scheme):
         w = learned
         held = jnp.pad(w, ((0, self.preview - 1), (0, 0)), mode="edge")
         window = jnp.stack([held[i : i + task.N] for i in range(self.preview)], axis=1)
-        return ReferenceTable(w, past(w, 1), window, self.feedback.table(memory.feedback, task))
+        return ReferenceTable(w, delay(w, 1), window, self.feedback.table(memory.feedback, task))
 
-    def init(self, task: Task) -> ReferenceState:
-        return ReferenceState(self.feedback.init(task), jnp.zeros(task.outputs))
+    def initial_state(self, task: Task) -> ReferenceState:
+        return ReferenceState(self.feedback.initial_state(task), jnp.zeros(task.outputs))
 
     def act(self, state: ReferenceState, sample: Sample) -> tuple[Any, jax.Array]:
         row = sample.row
@@ -108,7 +110,7 @@ class OnReference(Scheme):
                 "OnReference: the trial has no signal 'correction' (N, n_y), so what was learned cannot be told"
             )
         own = trial._replace(u=trial.signals["correction"], signals={})
-        return Pair(own, trial._replace(signals=below("feedback", trial.signals)))
+        return Pair(own, trial._replace(signals=signals_of_part("feedback", trial.signals)))
 
     @property
     def trials_a_step(self) -> int:

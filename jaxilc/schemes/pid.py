@@ -69,7 +69,7 @@ class PID(Scheme):
         need_square(self, task)
         need_channels(self, task.outputs, "kp", "ki", "kd", "tau", "limit", "kv", "ka")
 
-    def init(self, task: Task) -> PIDState:
+    def initial_state(self, task: Task) -> PIDState:
         rest = jnp.zeros(task.outputs)
         before = None if self.ka is None else jnp.asarray(task.reference[0])
         remembered = self.form == "increment" and (self.kv is not None or self.ka is not None)

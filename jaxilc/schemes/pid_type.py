@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from ..pytree.fields import leaf, pytree, static
 from ..pytree.needs import need_channels
 from ..signals.task import Limit, Task, Trial
-from .scheme import Feedforward, Scheme, ahead, limit_of, limited, need_square
+from .scheme import Feedforward, Scheme, advance, limit_of, limited, need_square
 
 
 @pytree
@@ -38,14 +38,14 @@ class PIDType(Scheme):
         need_lead(self, task)
         need_channels(self, task.inputs, "gamma_p", "gamma_i", "gamma_d", "leak", "limit")
 
-    def memory(self, task: Task) -> Feedforward:
+    def initial_memory(self, task: Task) -> Feedforward:
         return Feedforward(jnp.zeros((task.N, task.inputs)))
 
     def learn(self, memory: Feedforward, trial: Trial) -> Feedforward:
         e = trial.e
         difference = jnp.pad(jnp.diff(e, axis=0)[self.lead :], ((0, self.lead), (0, 0)))
         step = (
-            self.gamma_p * ahead(e, 1 + self.lead)
+            self.gamma_p * advance(e, 1 + self.lead)
             + self.gamma_i * jnp.cumsum(e[1:], axis=0)
             + self.gamma_d * difference
         )

@@ -28,8 +28,8 @@ class Scheme:
 
     Between trials a `memory` is carried (any pytree); within a trial a `state`. `table(memory,
     task)` is what the trial needs of the memory, sample by sample, each leaf (N, ...); where it has
-    a field `u`, that is the learned feedforward input. Pure feedback overrides `init` and `act`;
-    pure feedforward overrides `memory` and `learn`.
+    a field `u`, that is the learned feedforward input. Pure feedback overrides `initial_state`
+    and `act`; pure feedforward overrides `initial_memory` and `learn`.
 
     Theory reads off the program itself whether a scheme is linear and learns alike in every trial
     (`theory.structure`). What it cannot read off, the scheme says: `estimator_steps` (see
@@ -86,7 +86,7 @@ class Scheme:
         new = {name: of_part(one) for name, one in parts.items() if isinstance(one, Scheme)} | own
         return dataclasses.replace(self, **new) if new else self
 
-    def memory(self, task: Task) -> Memory:
+    def initial_memory(self, task: Task) -> Memory:
         """What is known before the first trial."""
         return ()
 
@@ -103,7 +103,7 @@ class Scheme:
             raise ValueError(f"{type(self).__name__} learns no feedforward input")
         return table.u
 
-    def init(self, task: Task) -> State:
+    def initial_state(self, task: Task) -> State:
         """The state before the first sample of a trial."""
         return ()
 
@@ -171,11 +171,11 @@ def limits_below(name: str, limits: dict[str, Limit]) -> dict[str, Limit]:
     return {f"{name}.{path}": limit for path, limit in limits.items()}
 
 
-def ahead(signal, samples: int) -> jax.Array:
+def advance(signal, samples: int) -> jax.Array:
     """signal[k + samples] for k = 0..N-1, from a (N+1, n) signal; zero where the trial has ended."""
     return jnp.pad(signal[samples:], ((0, samples - 1), (0, 0))) if samples else signal[:-1]
 
 
-def past(signal, samples: int) -> jax.Array:
+def delay(signal, samples: int) -> jax.Array:
     """signal[k - samples] of a (N, n) signal; zero before the trial."""
     return signal if samples == 0 else jnp.pad(signal, ((samples, 0), (0, 0)))[:-samples]

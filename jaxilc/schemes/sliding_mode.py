@@ -85,7 +85,7 @@ class SMC(Scheme):
             self, task.outputs, "a1", "a2", "b", "eta", "k_n", "lam1", "lam2", "tau", "limit"
         )
 
-    def init(self, task: Task) -> SlidingState:
+    def initial_state(self, task: Task) -> SlidingState:
         rest, r = jnp.zeros(task.outputs), jnp.asarray(task.reference[0])
         return SlidingState(rest, rest, rest, r, r, rest, self.eta + rest)
 
@@ -193,7 +193,7 @@ class ASMC(SMC):
         super().check(task)
         need_channels(self, task.outputs, "phi", "epsilon", "Delta")
 
-    def memory(self, task: Task) -> Any:
+    def initial_memory(self, task: Task) -> Any:
         return Carried(jnp.broadcast_to(self.eta, (task.outputs,))) if self.carry else ()
 
     def table(self, memory, task: Task) -> Any:
@@ -203,8 +203,8 @@ class ASMC(SMC):
             else ()
         )
 
-    def init(self, task: Task) -> SlidingState:
-        state = super().init(task)
+    def initial_state(self, task: Task) -> SlidingState:
+        state = super().initial_state(task)
         return state._replace(eta_hat=jnp.zeros_like(state.eta_hat)) if self.carry else state
 
     def learn(self, memory, trial: Trial) -> Any:

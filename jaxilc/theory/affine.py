@@ -51,7 +51,7 @@ def learning_of(machine: Machine, scheme: Scheme, task: Task, view: View) -> Lea
     """F of a machine and a scheme. Pure."""
     bounded = machine, scheme
     machine, scheme = machine.unlimited(), scheme.unlimited().prepared(task)
-    first, moving = scheme.memory(task), np.array(view.moving)
+    first, moving = scheme.initial_memory(task), np.array(view.moving)
     start, unravel = ravel_pytree(first if view.whole else scheme.feedforward(first, task))
 
     def trial(w):
@@ -85,7 +85,8 @@ def view_of(scheme: Scheme, task: Task) -> View:
     """
     if remembers(scheme, task):
         size = sum(
-            leaf.size for leaf in jax.tree.leaves(jax.eval_shape(lambda: scheme.memory(task)))
+            leaf.size
+            for leaf in jax.tree.leaves(jax.eval_shape(lambda: scheme.initial_memory(task)))
         )
         return View(True, tuple(range(size)))
     random = np.random.default_rng(7)
@@ -100,7 +101,7 @@ def view_of(scheme: Scheme, task: Task) -> View:
 @jax.jit
 def _moved(scheme, task, w, e):
     scheme = scheme.prepared(task)
-    memory = scheme.memory(task)
+    memory = scheme.initial_memory(task)
     return (
         next_learned(scheme, task, memory, w, e)
         - next_learned(scheme, task, memory, 0 * w, 0 * e)
@@ -112,7 +113,7 @@ def limit_names(machines: Machine, scheme: Scheme, task: Task) -> list[str]:
     """The limits that machines and scheme have. machines: with a leading axis"""
 
     def one(machine, scheme, task):
-        first = scheme.memory(task)
+        first = scheme.initial_memory(task)
         trial = trial_of(machine.unlimited(), scheme.unlimited(), task, first)
         return machine.limits(trial) | scheme.limits(task, first, trial)
 

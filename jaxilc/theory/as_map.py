@@ -117,7 +117,7 @@ def _compiled(function, view, lanes, options):
 
 
 # One machine at a time
-# -------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def _norm_of_power(common, machine, *, view, steps):
@@ -144,7 +144,7 @@ def _error_norm(common, machine, *, view, steps):
     scheme, task, _ = common
     found, free = learning_of(machine, scheme, task, view), scheme.unlimited().prepared(task)
     at = jnp.zeros((task.N, task.outputs))
-    memory, learned = free.memory(task), free.feedforward(free.memory(task), task)
+    memory, learned = free.initial_memory(task), free.feedforward(free.initial_memory(task), task)
     _, of_error = jax.linearize(
         lambda e: next_learned(free, task, memory, learned, e).ravel()[np.array(view.moving)], at
     )

@@ -298,7 +298,7 @@ def _replayed(scheme, task: Task, y, u):
         memory = scheme.learn(memory, Trial(jnp.asarray(task.reference), *trial, dt=task.dt))
         return memory, memory.phi
 
-    return lax.scan(replay, scheme.memory(task), (y, u))[1]
+    return lax.scan(replay, scheme.initial_memory(task), (y, u))[1]
 
 
 def _lawful(du, estimate, *, lam, rho, e, lead):

@@ -73,7 +73,6 @@ def learning_condition(
     """
     parts = parts_of(machine, scheme, task)
     bounds = lambda centre, h: _largest(parts.nominal(centre, h), h)  # noqa: E731
-    # noqa: E731
     of_whole = lambda: of_trial(drawn_machines(machine, {}, {}), scheme, task, parts.causal)
     return on_supremum(
         bounds,
@@ -116,7 +115,7 @@ def norm_optimal_condition(
     ]
     of_whole = lambda: (
         [] if any(map(callable, weights)) else [_of_norm_optimal(G, machine, scheme, task, weights)]
-    )  # noqa: E731
+    )
 
     def bounds(centre, h):
         e, u, delta = (weight_on(w, centre, h, task.dt) for w in weights)
@@ -309,7 +308,7 @@ def weight_on(weight, centre, h, dt) -> np.ndarray:
 
 
 # How it is done
-# ------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 _compiled_loop = jax.jit(linear_loop)

@@ -50,7 +50,7 @@ def follow(
 
 
 # One machine at a time
-# -------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @lru_cache(maxsize=16)  # what `tiled` returns compiles anew each time it is made
@@ -86,7 +86,7 @@ def _predict(common, machine, *, trials):
     def simulated(memory, _):
         return step(machine, scheme, task, memory), _rms(after(memory))
 
-    memory, first = lax.scan(simulated, scheme.memory(task), length=FIRST)
+    memory, first = lax.scan(simulated, scheme.initial_memory(task), length=FIRST)
     floats, back = _floats(memory)
     (following, error), push = jax.linearize(pushed, floats)
     moved = jax.tree.map(jnp.subtract, following, floats)
@@ -131,7 +131,7 @@ def _follow(common, one, *, trials, view):
         trial = trial_of(machine, scheme, task, memory)
         return scheme.learn(memory, trial), (_rms(trial.e[1:]), jnp.linalg.norm(w - limit))
 
-    return lax.scan(turn, scheme.memory(task), length=trials)[1]
+    return lax.scan(turn, scheme.initial_memory(task), length=trials)[1]
 
 
 def _error(history):

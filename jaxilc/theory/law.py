@@ -125,7 +125,10 @@ def learning_law(scheme: Scheme, task: Task, memory: Any = None) -> LawMatrices:
     """
     _width(scheme, task)
     return LawMatrices(
-        *map(np.asarray, _matrices(scheme, task, scheme.memory(task) if memory is None else memory))
+        *map(
+            np.asarray,
+            _matrices(scheme, task, scheme.initial_memory(task) if memory is None else memory),
+        )
     )
 
 
@@ -159,7 +162,7 @@ def filter_response(q: Filter, task: Task, frequencies) -> jax.Array:
 
 
 # How it is done
-# ------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def _width(scheme: Scheme, task: Task) -> int:
@@ -188,7 +191,9 @@ def _impulses(scheme, task, place):
     """
     scheme = scheme.prepared(task)
     at = jnp.zeros((task.N, _width(scheme, task))), jnp.zeros((task.N, task.outputs))
-    _, push = jax.linearize(lambda u, e: next_learned(scheme, task, scheme.memory(task), u, e), *at)
+    _, push = jax.linearize(
+        lambda u, e: next_learned(scheme, task, scheme.initial_memory(task), u, e), *at
+    )
 
     def answers(argument):
         channels = at[argument].shape[1]
@@ -213,7 +218,7 @@ def _pushed(scheme, task, u, e):
     scheme = scheme.prepared(task)
     still = jnp.zeros_like(u), jnp.zeros_like(e)
     return jax.jvp(
-        lambda u, e: next_learned(scheme, task, scheme.memory(task), u, e), still, (u, e)
+        lambda u, e: next_learned(scheme, task, scheme.initial_memory(task), u, e), still, (u, e)
     )[1]
 
 

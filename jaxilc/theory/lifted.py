@@ -173,7 +173,7 @@ def learning_conditions(
 
 
 # How it is done
-# ------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def _arguments(function, machine, scheme, task, about, memory):
@@ -182,7 +182,7 @@ def _arguments(function, machine, scheme, task, about, memory):
         machine.check(task)
     else:
         check(machine, scheme, task)
-        memory = scheme.memory(task) if memory is None else memory
+        memory = scheme.initial_memory(task) if memory is None else memory
     learned = learned_shape(scheme, task)
     shape = learned or (task.N, task.inputs)
     if about is None:

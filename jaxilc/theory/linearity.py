@@ -41,7 +41,7 @@ def linear_law(scheme: Scheme, task: Task, memory: Any = None) -> Premise:
     breaks it.
     """
     free, what = scheme.unlimited(), type(scheme).__name__
-    memory = scheme.memory(task) if memory is None else memory
+    memory = scheme.initial_memory(task) if memory is None else memory
     shape = learned_shape(scheme, task)
     if shape is None:
         return premise(ONE_LAW, False, f"{what} learns no feedforward")
@@ -77,7 +77,7 @@ def linear_trial(
 ) -> Premise:
     """That the output of a trial is an affine function of what is played in it."""
     free = None if scheme is None else scheme.unlimited()
-    memory = memory if scheme is None or memory is not None else scheme.memory(task)
+    memory = memory if scheme is None or memory is not None else scheme.initial_memory(task)
     shape = learned_shape(scheme, task) or (task.N, task.inputs)
     why = obstacle(_output_played, (machine.unlimited(), free, task, memory), jnp.zeros(shape))
     if not why:
@@ -92,7 +92,7 @@ def nonlinear_part(machine: Machine, scheme: Scheme | None, task: Task, memory: 
         return f"the machine ({type(machine.plant).__name__}) answers its input by {why}"
     if scheme is None:
         return ""
-    memory = scheme.memory(task) if memory is None else memory
+    memory = scheme.initial_memory(task) if memory is None else memory
     why = obstacle(
         _input_replayed, (scheme.unlimited(), task, memory), jnp.zeros((task.N + 1, task.outputs))
     )
@@ -119,7 +119,9 @@ def learning_premises(machine: Machine, scheme: Scheme, task: Task) -> tuple[Pre
     the parts by name.
     """
     whole = obstacle(
-        _step, (machine.unlimited(), scheme.unlimited().prepared(task), task), scheme.memory(task)
+        _step,
+        (machine.unlimited(), scheme.unlimited().prepared(task), task),
+        scheme.initial_memory(task),
     )
     found = linear_trial(machine, scheme, task), linear_law(scheme, task)
     if whole and all(p.held for p in found):
@@ -141,7 +143,10 @@ def remembers(scheme: Scheme, task: Task) -> bool:
         following = scheme.learn(memory, trial._replace(r=jnp.asarray(task.reference)))
         return scheme.feedforward(following, task)
 
-    return dependence(learned, (free.prepared(task), task), scheme.memory(task)).order != CONSTANT
+    return (
+        dependence(learned, (free.prepared(task), task), scheme.initial_memory(task)).order
+        != CONSTANT
+    )
 
 
 def keeps_all(scheme: Scheme, task: Task, *, off: bool = False) -> bool:
@@ -164,7 +169,9 @@ def keeps_all(scheme: Scheme, task: Task, *, off: bool = False) -> bool:
 
 @jax.jit
 def _after_no_error(scheme, task, w, e0):
-    return next_learned(scheme, task, scheme.memory(task), w, jnp.zeros((task.N, task.outputs)), e0)
+    return next_learned(
+        scheme, task, scheme.initial_memory(task), w, jnp.zeros((task.N, task.outputs)), e0
+    )
 
 
 def _output_played(fixed, learned):

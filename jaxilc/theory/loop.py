@@ -59,8 +59,8 @@ def tick_of(machine: Machine, scheme: Scheme | None, task: Task):
     width = task.inputs if shape is None else shape[1]
     zeros = jnp.zeros((short.N, width))
     state = (
-        machine.plant.init(),
-        None if scheme is None else scheme.init(short),
+        machine.plant.initial_state(),
+        None if scheme is None else scheme.initial_state(short),
         jnp.zeros(task.inputs),
         jnp.zeros(width),
     )
@@ -70,7 +70,7 @@ def tick_of(machine: Machine, scheme: Scheme | None, task: Task):
         """The second row of a trial that plays `learned`: the first would know nothing of the
         sample before.
         """
-        memory = scheme.memory(short)
+        memory = scheme.initial_memory(short)
         return jax.tree.map(
             lambda rows: rows[1],
             scheme.table(memory, short) if shape is None else scheme.play(learned, memory, short),
@@ -174,7 +174,7 @@ def pole_radius(loop: Loop, samples: int = 2000) -> float:
 
 
 # How it is done
-# ------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def _looks_ahead(row_of, scheme, zeros) -> bool:

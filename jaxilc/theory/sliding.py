@@ -24,7 +24,7 @@ from ..plants import StateSpace
 from ..pytree.fields import pytree
 from ..pytree.named_paths import named_leaves, replaced
 from ..schemes import ASMC, SMC, ExponentialPD, Filtered, Scheme, WithFeedback
-from ..schemes.compose import below
+from ..schemes.compose import signals_of_part
 from ..signals.task import Task, Trial
 from ..uncertainty import drawn_machines
 from .by_frequency import learning_condition
@@ -82,7 +82,7 @@ def sliding(scheme: Scheme, trial: Trial) -> Sliding:
     """
     law, signals, u, dt = _feedback("sliding", scheme), trial.signals, trial.u, trial.dt
     if isinstance(scheme, WithFeedback):
-        u, signals = signals.get("feedback", u), below("feedback", signals)
+        u, signals = signals.get("feedback", u), signals_of_part("feedback", signals)
     missing = [name for name in ("sigma", "eta_hat") if name not in signals]
     if missing:
         raise ValueError(

@@ -14,7 +14,7 @@ from jax import lax
 
 from ..learning.machine import Disturbance, Machine
 from ..learning.within_trial import run_trial
-from ..pytree.fields import part, pytree
+from ..pytree.fields import child, pytree
 from ..schemes import Scheme, WithFeedback
 from ..schemes.compose import Pair
 from ..schemes.scheme import Feedforward
@@ -40,7 +40,10 @@ def learned_memory(machine: Machine, scheme: Scheme, task: Task, trials: int = L
     """The memory after so many trials from the start, without noise."""
     scheme = scheme.prepared(task)
     return lax.fori_loop(
-        0, trials, lambda _, memory: step(machine, scheme, task, memory), scheme.memory(task)
+        0,
+        trials,
+        lambda _, memory: step(machine, scheme, task, memory),
+        scheme.initial_memory(task),
     )
 
 
@@ -49,7 +52,7 @@ def learned_shape(scheme: Scheme | None, task: Task) -> tuple[int, ...] | None:
     if scheme is None:
         return None
     try:
-        return jax.eval_shape(lambda: scheme.feedforward(scheme.memory(task), task)).shape
+        return jax.eval_shape(lambda: scheme.feedforward(scheme.initial_memory(task), task)).shape
     except ValueError:
         return None
 
@@ -84,7 +87,7 @@ def next_learned(scheme: Scheme, task: Task, memory, learned, e, e0: Any = 0.0):
 @jax.jit
 def starts_off(machine: Machine, scheme: Scheme, task: Task):
     """Whether a trial begins with an error, e[0] other than zero."""
-    return jnp.any(trial_of(machine, scheme, task, scheme.memory(task)).e[0] != 0)
+    return jnp.any(trial_of(machine, scheme, task, scheme.initial_memory(task)).e[0] != 0)
 
 
 def shortened(task: Task, samples: int) -> Task:
@@ -113,7 +116,7 @@ def with_output(machine: Machine, d) -> Machine:
 class _Inside(Scheme):
     """A scheme within a trial, with another table than its own."""
 
-    scheme: Scheme = part()
+    scheme: Scheme = child()
 
     @property
     def preview(self) -> int:
@@ -123,8 +126,8 @@ class _Inside(Scheme):
     def plays_back(self) -> bool:
         return self.scheme.plays_back
 
-    def init(self, task: Task) -> Any:
-        return self.scheme.init(task)
+    def initial_state(self, task: Task) -> Any:
+        return self.scheme.initial_state(task)
 
     def act(self, state, sample) -> Any:
         return self.scheme.act(state, sample)

@@ -25,7 +25,7 @@ from ..learning.divergence import CEILING, peak
 from ..learning.machine import Machine
 from ..learning.metrics import Keep, Metrics, largest
 from ..learning.over_trials import History, learn
-from ..pytree.fields import leaf, part, pytree
+from ..pytree.fields import child, leaf, pytree
 from ..pytree.ranges import require
 from ..schemes import Scheme
 from ..schemes.guards import Guard
@@ -67,7 +67,7 @@ class Bounded(Guard):
     level: (n_y,) > 0 [unit of y]
     """
 
-    scheme: Scheme = part()
+    scheme: Scheme = child()
     level: jax.Array = leaf(interval="(0, inf)")
 
     @classmethod
@@ -75,8 +75,8 @@ class Bounded(Guard):
         """level: `ceiling` times the peak of the reference."""
         return cls(scheme, lax.stop_gradient(ceiling * peak(task)))
 
-    def memory(self, task: Task) -> Held:
-        return Held(self.scheme.memory(task))
+    def initial_memory(self, task: Task) -> Held:
+        return Held(self.scheme.initial_memory(task))
 
     def act(self, state, sample: Sample) -> tuple[Any, jax.Array]:
         return self.scheme.act(
@@ -118,7 +118,7 @@ _RANGES = dict.fromkeys(("floor", "tolerance", "width", "scale", "below"), _POSI
 _RANGES |= dict.fromkeys(("trial", "first", "after", "trials", "steps"), _COUNT)
 
 # Objectives
-# ----------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @dataclasses.dataclass(frozen=True)

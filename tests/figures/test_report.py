@@ -234,7 +234,7 @@ def test_writing_is_all_or_nothing(tmp_path):
 
 
 # In a real browser
-# -----------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 CHROMIUM = (
     shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")

@@ -12,8 +12,8 @@ import pytest
 import scipy.io
 from cases import ALGEBRA, DT, case
 
-from jaxilc.hardware import read_measured, replay, write_tables
-from jaxilc.learning import Actuator, learn, run_trial
+from jaxilc.hardware import read_measured, write_tables
+from jaxilc.learning import Actuator, learn, replay, run_trial
 from jaxilc.learning.playback import tables
 from jaxilc.schemes import OnOutputs, Scheme, WithFeedback
 from jaxilc.schemes.compose import Pair
@@ -219,9 +219,9 @@ def test_only_what_is_learned_can_be_played():
         ValueError,
         match="PID learns nothing that a machine could play; allowed are schemes that learn",
     ):
-        tables(scheme, scheme.memory(task), task)
+        tables(scheme, scheme.initial_memory(task), task)
     _, scheme, task = case("ffdl_none")
-    rows = tables(scheme, scheme.memory(task), task)
+    rows = tables(scheme, scheme.initial_memory(task), task)
     assert list(rows) == [
         "table.u",
         "table.u_last",

@@ -11,7 +11,7 @@ import pytest
 from jax import lax
 
 from jaxilc.learning import Machine, learn
-from jaxilc.learning.sample_layout import carried, scanned
+from jaxilc.learning.sample_layout import for_carry, for_scan
 from jaxilc.plants import DifferenceEquation
 from jaxilc.schemes import CFDLMFAILC, FFDLMFAILC
 from jaxilc.signals import Task
@@ -33,7 +33,7 @@ def through(x, place=lambda x: x):
 
 
 def placed(x):
-    return through(x, lambda memory: scanned(carried(memory)))
+    return through(x, lambda memory: for_scan(for_carry(memory)))
 
 
 @pytest.mark.parametrize(

@@ -52,7 +52,7 @@ def test_learn_is_the_loop_by_hand(name, machine, task):
     history = learn(noisy, scheme, task, TRIALS, key=key, save=y_and_u)
 
     one_trial, learn_from, judge = jax.jit(run_trial), jax.jit(type(scheme).learn), jax.jit(measure)
-    memory = scheme.memory(task)
+    memory = scheme.initial_memory(task)
     for j in range(1, TRIALS + 1):
         trial = one_trial(noisy, scheme, task, memory, jax.random.fold_in(key, j))
         memory = learn_from(scheme, memory, trial)
@@ -74,7 +74,7 @@ def test_a_measured_machine_learns_as_the_simulated_one(name, machine, task):
     """
     scheme = SCHEMES[name]
     history = learn(machine, scheme, task, TRIALS, save=y_and_u)
-    (a, b), memory = PRINTED, scheme.memory(task)
+    (a, b), memory = PRINTED, scheme.initial_memory(task)
     for j in range(TRIALS):
         u = np.asarray(feedforward(scheme, task, memory))[:, 0]
         y = np.zeros(task.N + 1)
@@ -163,7 +163,9 @@ def test_feedforward_of_a_scheme_with_feedback_is_its_learned_part(machine, task
 def test_a_measured_trial_without_the_feedback_signal_is_refused(machine, task):
     scheme = WithFeedback(PIDType(gamma_p=-1.0), PID(kp=-4.0))
     with pytest.raises(ValueError, match="WithFeedback: the trial has no signal 'feedback'"):
-        next_memory(scheme, task, scheme.memory(task), np.zeros(task.N + 1), np.zeros(task.N))
+        next_memory(
+            scheme, task, scheme.initial_memory(task), np.zeros(task.N + 1), np.zeros(task.N)
+        )
 
 
 @pytest.mark.parametrize("shape", [(3, 1), (4, 8), (2, 12)])
@@ -306,7 +308,7 @@ class Looker(Scheme):
     gain: jax.Array = leaf(2.0)
     preview = 3
 
-    def init(self, task):
+    def initial_state(self, task):
         return jnp.zeros((3, task.outputs))
 
     def act(self, state, sample):

@@ -65,7 +65,7 @@ CONTRACTING += ("p_type_on_table", "norm_optimal", "milc", "ilc_asmc")
 
 
 # Slopes
-# ----------------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def line_through(scheme):
@@ -200,7 +200,7 @@ def test_slopes_through_the_last_trials_alone_are_those_of_the_closed_form():
             lambda gamma: dataclasses.replace(problem, truncate=K).loss_of(
                 STATIC, {"gamma_p": gamma}
             )
-        )(0.4)  # noqa: B023
+        )(0.4)
         factors = np.array([max(0, j - 1 - max(0, 6 - K)) for j in range(1, 7)])
         np.testing.assert_allclose(slope, -(factors[-1] + np.mean(factors)) / 0.6, rtol=1e-9)
         np.testing.assert_allclose(value, problem.loss_of(STATIC, {"gamma_p": 0.4}), rtol=1e-12)
@@ -226,7 +226,7 @@ def test_truncation_changes_the_slope_and_nothing_else():
     one, other = (
         jax.value_and_grad(lambda lam: p.loss_of(machine, {"lam": lam}, key=key))(0.02)
         for p in (whole, cut)
-    )  # noqa: B023
+    )
     np.testing.assert_allclose(one[0], other[0], rtol=1e-12)
     assert one[1] != other[1] != 0
 
@@ -293,7 +293,7 @@ def test_terms_are_what_they_say():
 
 
 # Divergence
-# ------------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def test_a_scheme_within_bounds_is_the_scheme():
@@ -336,9 +336,11 @@ def test_no_divergence_gives_a_slope_that_is_not_finite(strength):
         (lightly_damped, lambda x: PIDType(gamma_p=-x), other),
         (lightly_damped, lambda x: CFDLMFAILC(phi0=-0.06, lam=1e-3 / x), other),
     ):
-        value, slope = jax.value_and_grad(
-            lambda x: judge(machine, scheme(x), of, 40, Final() + EveryTrial())
-        )(strength)  # noqa: B023
+
+        def loss(x, machine=machine, scheme=scheme, of=of):
+            return judge(machine, scheme(x), of, 40, Final() + EveryTrial())
+
+        value, slope = jax.value_and_grad(loss)(strength)
         assert np.isfinite(value)
         assert np.isfinite(slope)
 

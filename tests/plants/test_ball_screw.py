@@ -42,7 +42,7 @@ def simulate(drive, u, dt=DT, start=None):
         x = drive.step(x, u[None], dt)
         return x, x
 
-    start = drive.init() if start is None else start
+    start = drive.initial_state() if start is None else start
     after = jax.lax.scan(tick, start, jnp.asarray(u))[1]
     states = jax.tree.map(
         lambda first, rest: jnp.concatenate([jnp.asarray(first)[None], rest]), start, after
@@ -63,7 +63,7 @@ def assert_close(found, expected, rtol):
 
 
 # Linear
-# ------------------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def test_resonance_and_antiresonance_are_poles_and_zeros_of_the_undamped_mechanics():
@@ -318,7 +318,7 @@ def test_the_encoder_is_rounded_and_its_gradient_is_not():
     assert np.max(np.abs(y - simulate(LINEAR, COMMAND)[0])) > 0.1 * step, "it should matter"
     plants = [sampled(drive) for drive in (coarse, LINEAR)]
     np.testing.assert_array_equal(linear(plants[0]).A, linear(LINEAR).A)
-    x = plants[0].init()._replace(mechanics=np.array([3e-5, 0.01, 2e-5, 0.01]))
+    x = plants[0].initial_state()._replace(mechanics=np.array([3e-5, 0.01, 2e-5, 0.01]))
     slopes = [
         jax.jit(jax.jacfwd(lambda x, plant=plant: plant.step(x, jnp.ones(1), DT)))(x)
         for plant in plants
@@ -359,7 +359,7 @@ def test_at_constant_speed_the_integral_carries_what_the_table_does_not():
 
 
 # Errors
-# ------------------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 STIFF = dataclasses.replace(GREASE, transition_velocity=1e-3)
 BAD = {

@@ -79,11 +79,11 @@ def test_filtering_the_error_forgets_nothing():
     law, q = PIDType(gamma_p=0.4), ZeroPhaseButterworth(60.0)
     kept = ErrorFiltered(law, q)
     np.testing.assert_array_equal(
-        kept.feedforward(kept.learn(kept.memory(task), quiet), task), noise
+        kept.feedforward(kept.learn(kept.initial_memory(task), quiet), task), noise
     )
     smoothed = Filtered(law, q)
     assert np.linalg.norm(
-        smoothed.feedforward(smoothed.learn(smoothed.memory(task), quiet), task)
+        smoothed.feedforward(smoothed.learn(smoothed.initial_memory(task), quiet), task)
     ) < 0.8 * np.linalg.norm(noise)
 
 

@@ -44,7 +44,9 @@ def outputs(plant, u, dt=DT):
     """(N+1,) [um] from rest, the input u (N,) held over each sample."""
     plant = plant.sampled(dt)
     x, y = lax.scan(
-        lambda x, u: (plant.step(x, u[None], dt), plant.output(x)[0]), plant.init(), jnp.asarray(u)
+        lambda x, u: (plant.step(x, u[None], dt), plant.output(x)[0]),
+        plant.initial_state(),
+        jnp.asarray(u),
     )
     return jnp.append(y, plant.output(x)[0])
 
@@ -60,7 +62,7 @@ def assert_close(y, expected, relative):
 
 
 # ---- the linear servo
-# -------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def as_control(plant):
@@ -172,7 +174,7 @@ def test_an_absent_part_costs_nothing():
 
 
 # ---- the nonlinear servo
-# ----------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 PARTS = {
     "amplifier_bandwidth": 2000.0,
@@ -350,7 +352,7 @@ def test_full_form_has_the_loop_and_the_mode_that_it_states():
 
 
 # ---- hysteresis
-# -------------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 BOUC_WEN = {
     "linear": BoucWen(0.3, 1.1, 0.4),
@@ -538,7 +540,7 @@ def test_hysteresis_at_the_inputs_of_any_plant():
     u = np.stack([loop(40)[:60], np.cos(loop(40)[:60])], axis=1)
     plant = InputHysteresis(mixed, HYSTERESIS)
     assert (plant.n_u, plant.n_y) == (2, 1)
-    x, y = plant.sampled(DT).init(), []
+    x, y = plant.sampled(DT).initial_state(), []
     step = jax.jit(plant.step, static_argnums=2)
     for held in u:
         x = step(x, held, DT)
@@ -551,7 +553,7 @@ def test_hysteresis_at_the_inputs_of_any_plant():
 
 
 # ---- errors
-# -----------------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def test_too_long_a_sample_time_is_refused_before_anything_runs():

@@ -35,7 +35,7 @@ U = 2.0 * np.random.default_rng(5).choice([-1.0, 1.0], N)
 
 
 def rest(motor, position=0.0, speed=0.0):
-    return motor.init()._replace(
+    return motor.initial_state()._replace(
         position=jnp.asarray(position, float), speed=jnp.asarray(speed, float)
     )
 
@@ -53,7 +53,7 @@ def positions(motor, u, dt=DT):
 
 
 # ---- the linear motor
-# -------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def wired(motor):
@@ -125,7 +125,7 @@ def test_response_is_that_of_python_control(motor):
     np.testing.assert_allclose(positions(motor, u), y, rtol=0, atol=1e-5 * np.max(np.abs(y)))
 
     linear = motor.linear().sampled(DT)
-    exact = states(linear, u, linear.init()) @ linear.C[0]
+    exact = states(linear, u, linear.initial_state()) @ linear.C[0]
     np.testing.assert_allclose(exact, y, rtol=0, atol=1e-9 * np.max(np.abs(y)))
 
 
@@ -136,7 +136,7 @@ def test_output_is_in_millimetres_and_follows_the_identified_slope():
 
 
 # ---- the reduction
-# ----------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 EQ_7 = control.tf([7437.7769, -7437.7769 * 928.2], np.poly([-474.0, -474.0, -6.404]))
 
@@ -226,7 +226,7 @@ def test_linear_is_differentiable():
 
 
 # ---- integration
-# ------------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 FULL = {
     "friction": StribeckFriction(4.0, 6.0, 0.02, 5.0, 4e-3),
@@ -297,7 +297,7 @@ def test_stiff_parts_count_for_the_substep(stiff):
 
 
 # ---- limits
-# -----------------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 FINE = 5e-5  # s, to see the drive between the samples of the task
 
@@ -451,7 +451,7 @@ def test_end_effect_weakens_the_motor_and_the_buffer_stops_it():
 
 
 # ---- in the simulator
-# -------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 BUMP = Task(0.5 - 0.5 * np.cos(2 * np.pi * np.arange(41) / 40), dt=DT, unit="mm", input_unit="V")
 SCHEME = CFDLMFAILC(phi0=-0.065, lam=0.02, mu=0.05, rho=0.9)
@@ -520,7 +520,7 @@ def test_motor_learns_like_its_reduced_form():
 
 
 # ---- errors
-# -----------------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

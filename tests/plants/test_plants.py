@@ -23,7 +23,7 @@ class PlayBack(Scheme):
 
     u: jax.Array = leaf()
 
-    def memory(self, task):
+    def initial_memory(self, task):
         return Feedforward(self.u)
 
 

@@ -12,11 +12,11 @@ from jaxilc.filters import ZeroPhaseFIR
 from jaxilc.learning import Actuator, Machine, Sensor, check
 from jaxilc.plants import TwoAxes, VoiceCoil, voice_coil
 from jaxilc.pytree import (
+    child,
     get_at,
     interval_at,
     leaf,
     named_leaves,
-    part,
     pytree,
     replaced,
     settable,
@@ -194,8 +194,8 @@ def test_numbers_that_must_be_single_are_looked_at_with_the_task():
 def test_a_user_s_own_class_fits_where_its_base_does_and_unknown_names_are_not_held_against_it():
     @pytree
     class Own(Scheme):
-        inside: "NameOfNowhere" = part()  # noqa: F821
-        law: Scheme = part(PIDType())
+        inside: "NameOfNowhere" = child()  # noqa: F821
+        law: Scheme = child(PIDType())
 
     assert WithFeedback(Own(PID()), PID()).learning.inside is not None
     assert Filtered(Own(3.0), ZeroPhaseFIR()).scheme.inside == 3.0
@@ -363,7 +363,7 @@ class Inner:
 
 @pytree
 class Outer:
-    inner: Inner = part()
+    inner: Inner = child()
     level: jax.Array | None = leaf(None, "(0, 1)", optional=True)
 
     def __post_init__(self):

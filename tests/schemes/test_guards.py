@@ -238,7 +238,7 @@ def test_gain_of_the_ladder(law):
     ladder = Ladder(scheme, 2, growth_of_gain=1.5, largest=3.0, slow=0.6)
     trials = 24
     y, u, history = run(NOISY, ladder, trials)
-    memory, gain, last, gains = scheme.memory(TASK), 1.0, np.inf, []
+    memory, gain, last, gains = scheme.initial_memory(TASK), 1.0, np.inf, []
     for block in range(trials // 2):
         now = slice(2 * block, 2 * block + 2)
         np.testing.assert_allclose(
@@ -262,9 +262,9 @@ def test_gain_of_the_ladder(law):
 def test_ladder_by_hand_needs_the_signals_of_what_it_is_around():
     scheme = Ladder(WithFeedback(PIDType(gamma_p=0.5), FEEDBACK), 2)
     with pytest.raises(ValueError, match="no signal 'feedback'"):
-        next_memory(scheme, TASK, scheme.memory(TASK), np.zeros(N + 1), np.zeros(N))
+        next_memory(scheme, TASK, scheme.initial_memory(TASK), np.zeros(N + 1), np.zeros(N))
     share = np.linspace(0.0, 1.0, N)
-    memory = scheme.memory(TASK)
+    memory = scheme.initial_memory(TASK)
     for factor in (1.0, 3.0):
         memory = next_memory(
             scheme, TASK, memory, factor * np.ones(N + 1), factor * share, feedback=factor * share

@@ -32,7 +32,7 @@ def run(machine, scheme, r=R):
     """(N+1, n) outputs, (N, n) inputs and (N, n) estimates of the package."""
     task = Task(r, dt=DT)
     check(machine, scheme, task)
-    trial = one_trial(machine, scheme, task, scheme.memory(task), jax.random.key(0))
+    trial = one_trial(machine, scheme, task, scheme.initial_memory(task), jax.random.key(0))
     return np.asarray(trial.y), np.asarray(trial.u), np.asarray(trial.signals["phi"])
 
 
@@ -432,7 +432,7 @@ def loss(scheme):
         Machine(DifferenceEquation(*ARX, dt=DT)),
         scheme,
         SHORT,
-        scheme.memory(SHORT),
+        scheme.initial_memory(SHORT),
         jax.random.key(0),
     )
     return jnp.sqrt(jnp.mean(trial.e[1:] ** 2))

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from cases import ALGEBRA, ARX, DT
 
-from jaxilc.hardware import replay
-from jaxilc.learning import Actuator, Machine, learn, run_trial
+from jaxilc.learning import Actuator, Machine, learn, replay, run_trial
 from jaxilc.plants import DifferenceEquation
 from jaxilc.schemes import FFDLMFAILC, PFDLMFAILC, PID, OnOutputs, WithFeedback
 from jaxilc.signals import Task

@@ -26,7 +26,7 @@ GAIN = 6.0  # C_P [V/mm]
 KEEP = Keep(("y", "u", "signals"))
 
 # Models of the drive
-# -----------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 P_M = control.tf([0.05, 0.03], [1.0, -1.6, 0.65], DT)
 P_Z = control.tf([0.3, 0.1, 0.05], [1.0, -0.9, 0.35], DT)  # biproper
@@ -289,18 +289,18 @@ def test_models_and_simulator_have_the_same_loop(name):
 
 
 # MILC and DILC
-# -----------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def test_milc_starts_from_the_filtered_reference():
     """P_Z r_0 = r_d, u_0 = 0: a motor that follows r_0 has the table on the path."""
-    memory = multivariable().memory(TASK)
+    memory = multivariable().initial_memory(TASK)
     motor, table = plant_of(MODEL)
     start = np.asarray(memory.learning.u)
     np.testing.assert_array_equal(start[:, 0], 0.0)
     np.testing.assert_allclose(table @ np.linalg.solve(motor, start[:, 1]), AFTER, atol=1e-9)
     assert np.max(np.abs(start[:, 1] - AFTER)) > 0.1
-    plain = dataclasses.replace(multivariable(), prefilter=None).memory(TASK)
+    plain = dataclasses.replace(multivariable(), prefilter=None).initial_memory(TASK)
     np.testing.assert_array_equal(np.asarray(plain.learning.u)[:, 1], AFTER)
 
 
@@ -446,7 +446,7 @@ def test_milc_brings_both_errors_down_where_dilc_cannot():
 
 
 # Robustness
-# --------------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 LONG = 300
 pulse = np.zeros(LONG + 1)
@@ -496,7 +496,7 @@ def test_what_is_not_certified_may_diverge():
 
 
 # Errors
-# ------------------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def test_the_task_must_have_a_motor_and_a_table():
@@ -533,7 +533,7 @@ def test_a_measured_trial_must_tell_what_was_learned():
     scheme = multivariable()
     trial = measured_trial(TASK, np.zeros((N + 1, 2)), np.zeros(N), feedback=np.zeros(N))
     with pytest.raises(ValueError, match="MultivariableILC: the trial has no signal 'reference'"):
-        scheme.learn(scheme.memory(TASK), trial)
+        scheme.learn(scheme.initial_memory(TASK), trial)
 
 
 def test_the_loop_by_hand_is_the_simulated_one():
@@ -548,7 +548,7 @@ def test_the_loop_by_hand_is_the_simulated_one():
     for learned in (ready.learn, jax.jit(ready.learn)):
         assert (
             relative(
-                learned(scheme.memory(TASK), measured).learning.u,
+                learned(scheme.initial_memory(TASK), measured).learning.u,
                 np.asarray(history.memory.learning.u),
             )
             < 1e-10

@@ -73,7 +73,7 @@ one_trial, loop_of = jax.jit(run_trial), jax.jit(frequency.linear_loop)
 
 def run(machine, scheme, task=TASK) -> Trial:
     check(machine, scheme, task)
-    return one_trial(machine, scheme, task, scheme.memory(task), jax.random.key(0))
+    return one_trial(machine, scheme, task, scheme.initial_memory(task), jax.random.key(0))
 
 
 def control(weights, adaptive, eq, fast, eta_hat, integral, *, grows):
@@ -337,7 +337,7 @@ def test_gradients_through_the_switching():
 
 
 # Theory
-# --------------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def test_sigma_slides_in_a_band_proportional_to_the_sample_time():
@@ -544,7 +544,7 @@ def test_the_nonlinear_learning_map_is_differentiated_as_a_whole():
 
 
 # Metrics and bad input
-# -----------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def test_total_variation_and_chattering():

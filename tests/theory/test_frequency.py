@@ -16,7 +16,7 @@ from cases import ARX, DT, PLANTS, task_for
 from jaxilc.filters import Filter, ZeroPhaseButterworth, ZeroPhaseFIR
 from jaxilc.learning import Actuator, Machine, learn
 from jaxilc.plants import DifferenceEquation, ProcessModel, StateSpace, from_control
-from jaxilc.pytree import get_at, leaf, part, pytree, replaced
+from jaxilc.pytree import child, get_at, leaf, pytree, replaced
 from jaxilc.schemes import (
     CFDLMFAC,
     CFDLMFAILC,
@@ -133,7 +133,7 @@ class TwoAhead(Scheme):
 
     gain: jax.Array = leaf(0.5)
 
-    def memory(self, task):
+    def initial_memory(self, task):
         return Feedforward(jnp.zeros((task.N, task.inputs)))
 
     def learn(self, memory, trial):
@@ -145,7 +145,7 @@ class TwoAhead(Scheme):
 class Own(Filter):
     """A user's filter: the same as another, though of an unknown class."""
 
-    other: Filter = part()
+    other: Filter = child()
 
     def __call__(self, signal, dt):
         return self.other(signal, dt)

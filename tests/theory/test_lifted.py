@@ -204,7 +204,7 @@ def test_the_error_under_mfailc_is_predicted_with_its_gain_of_each_trial(lead):
     scheme = CFDLMFAILC(phi0=0.3, lam=0.2, mu=0.05, rho=0.8, reset="sign", lead=lead)
     trials = 7
     record = learn(ARX_MACHINE, scheme, TASK, trials, save=everything).saved
-    e, memory, phi = np.asarray(record.e)[:, 1:, 0], scheme.memory(TASK), []
+    e, memory, phi = np.asarray(record.e)[:, 1:, 0], scheme.initial_memory(TASK), []
     for j in range(trials - 1):
         memory = learn_once(
             scheme,

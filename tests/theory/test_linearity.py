@@ -14,7 +14,7 @@ from jax.flatten_util import ravel_pytree
 from jaxilc.filters import ZeroPhaseButterworth, ZeroPhaseFIR
 from jaxilc.learning import Actuator, Machine, Sensor
 from jaxilc.plants import DifferenceEquation, StateSpace
-from jaxilc.pytree import leaf, part, pytree
+from jaxilc.pytree import child, leaf, pytree
 from jaxilc.schemes import (
     CFDLMFAC,
     CFDLMFAILC,
@@ -129,7 +129,7 @@ def test_any_composition_superposes_if_it_is_said_to(seed):
     assert said == (not any(isinstance(one, ADAPTS) for one in parts_of(scheme)))
     if not said:
         return
-    first, unravel = ravel_pytree(scheme.memory(TASK))
+    first, unravel = ravel_pytree(scheme.initial_memory(TASK))
     free = jax.jit(lambda w: ravel_pytree(step(MACHINE, scheme.unlimited(), TASK, unravel(w)))[0])
     d = np.random.default_rng(seed).standard_normal(first.size)
     origin, unit = free(first), None
@@ -140,7 +140,7 @@ def test_any_composition_superposes_if_it_is_said_to(seed):
 
 
 # A user's own
-# ---------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @pytree
@@ -149,10 +149,10 @@ class OnlyTen(Scheme):
     at.
     """
 
-    scheme: Scheme = part()
+    scheme: Scheme = child()
 
-    def memory(self, task):
-        return self.scheme.memory(task), jnp.asarray(0.0)
+    def initial_memory(self, task):
+        return self.scheme.initial_memory(task), jnp.asarray(0.0)
 
     def table(self, memory, task):
         return self.scheme.table(memory[0], task)
@@ -171,11 +171,11 @@ class Bent(Scheme):
     looked at has.
     """
 
-    scheme: Scheme = part()
+    scheme: Scheme = child()
     knee: jax.Array = leaf(1e3)
 
-    def memory(self, task):
-        return self.scheme.memory(task)
+    def initial_memory(self, task):
+        return self.scheme.initial_memory(task)
 
     def table(self, memory, task):
         return self.scheme.table(memory, task)
@@ -198,7 +198,7 @@ def test_a_wrapper_that_nobody_knows_cannot_slip_through(wrapper):
 
 
 # Limits
-# ---------------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -248,7 +248,7 @@ def test_limits_that_are_declared_decide_whether_anything_changes(name):
         )
         return share, trial.y, seen.y, free.learn(one, trial), bounded.learn(other, seen)
 
-    one = other = scheme.memory(task)
+    one = other = scheme.initial_memory(task)
     for _ in range(40):
         share, y, seen, one, other = turn(one, other)
         if share > 1:
@@ -261,7 +261,7 @@ def test_limits_that_are_declared_decide_whether_anything_changes(name):
 
 
 # Single operations
-# ----------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 OPERATIONS = {
     "a filter": (lambda a, x: jnp.convolve(x, a), AFFINE),
@@ -303,7 +303,9 @@ def test_a_derivative_that_misses_rounding_is_known_to():
     assert not blind(lambda _, x: 2.0 * x, sensor, jnp.ones(4))
     machine = Machine(MACHINE.plant, sensor=sensor)
     assert blind(
-        lambda fixed, w: trial_of(fixed, PIDType(), TASK, PIDType().memory(TASK)._replace(u=w)).y,
+        lambda fixed, w: (
+            trial_of(fixed, PIDType(), TASK, PIDType().initial_memory(TASK)._replace(u=w)).y
+        ),
         machine,
         jnp.zeros((40, 1)),
     )
