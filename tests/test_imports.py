@@ -1,0 +1,64 @@
+"""The order of imports: each family imports from those before it, none from one after it."""
+
+import ast
+from pathlib import Path
+
+import jaxilc
+
+ORDER = """
+    pytree storage runtime signals uncertainty plants filters schemes learning sweeps theory
+    identification tuning hardware scenarios figures bench cli
+""".split()
+ROOT = Path(jaxilc.__file__).parent
+
+
+def imports_of(file: Path) -> set[str]:
+    """The families that a file of the package imports from, at its head or within a function."""
+    folder, found = [*file.relative_to(ROOT.parent).parts[:-1]], set()
+    for node in ast.walk(ast.parse(file.read_text())):
+        if isinstance(node, ast.Import):
+            assert not any(name.name.split(".")[0] == "jaxilc" for name in node.names), file
+        if isinstance(node, ast.ImportFrom) and node.level:
+            base = folder[: len(folder) - node.level + 1] + (node.module or "").split(".")
+            base = [name for name in base if name]
+            found |= {base[1]} if len(base) > 1 else {name.name for name in node.names}
+    return found
+
+
+def test_every_family_imports_from_those_before_it():
+    for file in ROOT.rglob("*.py"):
+        family = file.relative_to(ROOT).parts[0].removesuffix(".py")
+        if family != "__init__":
+            allowed = ORDER[: ORDER.index(family) + 1]
+            assert imports_of(file) <= set(allowed), f"{file}: {imports_of(file) - set(allowed)}"
+
+
+def test_the_families_are_all_there_is():
+    rooms = {p.name.removesuffix(".py") for p in ROOT.iterdir() if p.suffix == ".py" or p.is_dir()}
+    assert rooms - {"__init__", "__pycache__"} == set(ORDER)
+    folders = {p.name for p in Path(__file__).parent.iterdir() if p.is_dir()} - {"__pycache__"}
+    assert folders <= set(ORDER)
+
+
+def test_no_circle_within_a_family():
+    """Modules of one family import one another at their heads in one direction only."""
+    graph: dict[str, set[str]] = {}
+    for file in ROOT.rglob("*.py"):
+        folder = file.relative_to(ROOT.parent).parts[:-1]
+        for node in ast.parse(file.read_text()).body:
+            for inner in ast.walk(node) if isinstance(node, ast.If) else [node]:
+                if isinstance(inner, ast.ImportFrom) and inner.level == 1:
+                    names = [inner.module] if inner.module else [name.name for name in inner.names]
+                    here = ".".join([*folder, file.stem])
+                    graph.setdefault(here, set()).update(".".join([*folder, n]) for n in names)
+
+    def reached(start: str) -> set[str]:
+        found, todo = set(), [start]
+        while todo:
+            new = graph.get(todo.pop(), set()) - found
+            found |= new
+            todo += new
+        return found
+
+    circles = {name for name in graph if name in reached(name)}
+    assert not circles
