@@ -50,11 +50,11 @@ jaxilc.setup()
 class BeltAxis(Plant):
     """m dv/dt = K u - d v - F_c tanh(v / v_s), dx/dt = v. Position [mm], input [V]."""
 
-    mass: jax.Array = leaf(2.0, "(0, inf)")  # [kg]
-    force: jax.Array = leaf(40.0)  # K [N/V]
-    damping: jax.Array = leaf(30.0, "[0, inf)")  # d [N s/m]
-    friction: jax.Array = leaf(8.0, "[0, inf)")  # F_c [N]
-    speed: jax.Array = leaf(5.0, "(0, inf)")  # v_s [mm/s]
+    mass: jax.Array = leaf(default=2.0, interval="(0, inf)")  # [kg]
+    force: jax.Array = leaf(default=40.0)  # K [N/V]
+    damping: jax.Array = leaf(default=30.0, interval="[0, inf)")  # d [N s/m]
+    friction: jax.Array = leaf(default=8.0, interval="[0, inf)")  # F_c [N]
+    speed: jax.Array = leaf(default=5.0, interval="(0, inf)")  # v_s [mm/s]
 
     def initial_state(self):
         return jnp.zeros(2)  # position, speed
@@ -91,8 +91,8 @@ class Ball(NamedTuple):
 class HeavyBall(Scheme):
     """step' = beta step + gamma e[k+1+m],  u' = u + step'."""
 
-    gamma: jax.Array = leaf(0.0)  # [V/mm]
-    beta: jax.Array = leaf(0.0, "[0, 1)")
+    gamma: jax.Array = leaf(default=0.0)  # [V/mm]
+    beta: jax.Array = leaf(default=0.0, interval="[0, 1)")
     lead: int = jaxilc.pytree.static(0, "[0, inf)", whole=True)  # m
 
     def initial_memory(self, task):

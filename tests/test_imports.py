@@ -5,10 +5,26 @@ from pathlib import Path
 
 import jaxilc
 
-ORDER = """
-    pytree storage runtime signals uncertainty plants filters schemes learning sweeps theory
-    identification tuning hardware scenarios figures bench cli
-""".split()
+ORDER = [
+    "pytree",
+    "storage",
+    "runtime",
+    "signals",
+    "uncertainty",
+    "plants",
+    "filters",
+    "schemes",
+    "learning",
+    "sweeps",
+    "theory",
+    "identification",
+    "tuning",
+    "hardware",
+    "scenarios",
+    "figures",
+    "bench",
+    "cli",
+]
 ROOT = Path(jaxilc.__file__).parent
 
 

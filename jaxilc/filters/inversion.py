@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.linalg
@@ -19,7 +18,7 @@ import scipy.signal
 
 from ..plants import StateSpace
 from ..plants.linear import system_matrices
-from ..pytree.fields import leaf, pytree, static
+from ..pytree.fields import Leaf, leaf, pytree, static
 from ..pytree.needs import known
 from ..pytree.ranges import Interval, require
 from .zero_phase import Filter, run_sections
@@ -152,12 +151,12 @@ class StableInverse(Inverse):
     / min |z_u|)^extension
     """
 
-    forward: jax.Array = leaf()
-    backward: jax.Array = leaf()
-    gain: jax.Array = leaf()
+    forward: Leaf = leaf()
+    backward: Leaf = leaf()
+    gain: Leaf = leaf()
     advance: int = static(whole=True)
     dt: float = static(interval="(0, inf)")
-    extension: int = static(0, "[0, 1e7]", whole=True)
+    extension: int = static(default=0, interval="[0, 1e7]", whole=True)
 
     def __call__(self, signal, dt):
         self.check(signal.shape[0], dt)
@@ -200,8 +199,8 @@ class ZPETC(Inverse):
     advance: samples of look-ahead;  dt: sample time of the design [s]
     """
 
-    forward: jax.Array = leaf()
-    gain: jax.Array = leaf()
+    forward: Leaf = leaf()
+    gain: Leaf = leaf()
     advance: int = static(whole=True)
     dt: float = static(interval="(0, inf)")
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.signal
 
-from ..pytree.fields import leaf, pytree, static
+from ..pytree.fields import Leaf, leaf, pytree, static
 from ..pytree.needs import known
 from ..pytree.ranges import Interval
 from .zero_phase import Filter, ZeroPhaseButterworth, need_padding
@@ -38,11 +38,11 @@ class SwitchableFilter(Filter):
     shortest segment.
     """
 
-    cutoff: jax.Array = leaf(interval="(0, inf)")
-    times: jax.Array = leaf((), "(0, inf)")
-    width: jax.Array = leaf(0.0, "[0, inf)")
-    order: int = static(2, "[1, 100]", whole=True)
-    padding: int | None = static(None, "[0, inf)", whole=True, optional=True)
+    cutoff: Leaf = leaf(interval="(0, inf)")
+    times: Leaf = leaf(default=(), interval="(0, inf)")
+    width: Leaf = leaf(default=0.0, interval="[0, inf)")
+    order: int = static(default=2, interval="[1, 100]", whole=True)
+    padding: int | None = static(default=None, interval="[0, inf)", whole=True, optional=True)
 
     def __post_init__(self):
         S = self.cutoff.shape[-1] if self.cutoff.ndim == 1 else 0

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..pytree.fields import leaf, pytree, static
+from ..pytree.fields import Leaf, leaf, pytree, static
 from ..pytree.needs import known
 
 
@@ -39,7 +39,7 @@ class ZeroPhaseFIR(Filter):
     taps: (m+1,) centre tap first; taps_0 + 2 sum taps_i = 1 for unit DC gain
     """
 
-    taps: jax.Array = leaf((0.5, 0.25))
+    taps: Leaf = leaf(default=(0.5, 0.25))
 
     def check(self, samples: int, dt: float) -> None:
         if self.taps.ndim != 1 or len(self.taps) > samples:
@@ -69,9 +69,9 @@ class ZeroPhaseButterworth(Filter):
              None mirrors the signal at its ends, see `mirrored`
     """
 
-    cutoff: jax.Array = leaf(interval="(0, inf)")
-    order: int = static(2, "[1, 100]", whole=True)
-    padding: int | None = static(None, "[0, inf)", whole=True, optional=True)
+    cutoff: Leaf = leaf(interval="(0, inf)")
+    order: int = static(default=2, interval="[1, 100]", whole=True)
+    padding: int | None = static(default=None, interval="[0, inf)", whole=True, optional=True)
 
     def check(self, samples: int, dt: float) -> None:
         if known(self) and np.any(np.asarray(self.cutoff) >= 0.5 / dt):
@@ -123,9 +123,9 @@ class ZeroPhaseIIR(Filter):
     Raises ValueError for empty coefficients, a_0 = 0, or a pole on or outside the unit circle.
     """
 
-    b: jax.Array = leaf()
-    a: jax.Array = leaf()
-    padding: int | None = static(None, "[0, inf)", whole=True, optional=True)
+    b: Leaf = leaf()
+    a: Leaf = leaf()
+    padding: int | None = static(default=None, interval="[0, inf)", whole=True, optional=True)
 
     def __post_init__(self):
         for name in ("b", "a"):

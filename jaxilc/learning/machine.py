@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from ..plants import Plant
-from ..pytree.fields import child, leaf, pytree
+from ..pytree.fields import Leaf, child, leaf, pytree
 from ..pytree.needs import need_channels, need_scalars
 from ..signals.task import Limit, Task, Trial, quantise
 
@@ -28,9 +28,9 @@ class Actuator:
     resolution: () or (n_u,) converter step [unit of u]; gradient straight-through
     """
 
-    limit: jax.Array | None = leaf(None, "(0, inf)", optional=True)
-    rate: jax.Array | None = leaf(None, "(0, inf)", optional=True)
-    resolution: jax.Array | None = leaf(None, "(0, inf)", optional=True)
+    limit: Leaf | None = leaf(default=None, interval="(0, inf)", optional=True)
+    rate: Leaf | None = leaf(default=None, interval="(0, inf)", optional=True)
+    resolution: Leaf | None = leaf(default=None, interval="(0, inf)", optional=True)
 
     def apply(self, u, v_last, dt) -> tuple[jax.Array, jax.Array]:
         """u: (n_u,) commanded, v_last: (n_u,) v of the sample before -> v (n_u,) and what is
@@ -68,8 +68,8 @@ class Sensor:
     noise:      () or (n_y,) standard deviation of white noise [unit of y]
     """
 
-    resolution: jax.Array | None = leaf(None, "(0, inf)", optional=True)
-    noise: jax.Array | None = leaf(None, "[0, inf)", optional=True)
+    resolution: Leaf | None = leaf(default=None, interval="(0, inf)", optional=True)
+    noise: Leaf | None = leaf(default=None, interval="[0, inf)", optional=True)
 
     def measure(self, y, noise) -> jax.Array:
         if noise is not None:
@@ -88,10 +88,10 @@ class Disturbance:
     output_noise: () or (n_y,) the same at the output (true motion, unlike the sensor's noise)
     """
 
-    input: jax.Array | None = leaf(None, optional=True)
-    output: jax.Array | None = leaf(None, optional=True)
-    input_noise: jax.Array | None = leaf(None, "[0, inf)", optional=True)
-    output_noise: jax.Array | None = leaf(None, "[0, inf)", optional=True)
+    input: Leaf | None = leaf(default=None, optional=True)
+    output: Leaf | None = leaf(default=None, optional=True)
+    input_noise: Leaf | None = leaf(default=None, interval="[0, inf)", optional=True)
+    output_noise: Leaf | None = leaf(default=None, interval="[0, inf)", optional=True)
 
 
 class Draws(NamedTuple):
@@ -107,9 +107,9 @@ class Machine:
     """A plant with its actuator, sensors and disturbances."""
 
     plant: Plant = child()
-    actuator: Actuator | None = child(None)
-    sensor: Sensor | None = child(None)
-    disturbance: Disturbance | None = child(None)
+    actuator: Actuator | None = child(default=None)
+    sensor: Sensor | None = child(default=None)
+    disturbance: Disturbance | None = child(default=None)
 
     @property
     def answers_at_once(self) -> bool:

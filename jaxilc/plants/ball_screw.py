@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from ..pytree.fields import child, leaf, pytree, scalar, static
+from ..pytree.fields import Leaf, child, leaf, pytree, scalar, static
 from ..pytree.needs import known
 from ..signals.task import product, quantise
 from .friction import StribeckFriction
@@ -29,9 +29,9 @@ class LeadError:
     amplitude: () A [m];  period: () [m], the pitch or a part of it;  phase: () [rad]
     """
 
-    amplitude: jax.Array = scalar(interval="[0, inf)")
-    period: jax.Array = scalar(interval="(0, inf)")
-    phase: jax.Array = scalar(0.0)
+    amplitude: Leaf = scalar(interval="[0, inf)")
+    period: Leaf = scalar(interval="(0, inf)")
+    phase: Leaf = scalar(default=0.0)
 
     def at(self, position) -> tuple[jax.Array, jax.Array]:
         """position: () [m] -> () l [m] and () dl/dx"""
@@ -49,8 +49,8 @@ class FrictionTable:
     Raises ValueError for a velocity that does not increase, or shapes that differ.
     """
 
-    velocity: jax.Array = leaf()
-    force: jax.Array = leaf()
+    velocity: Leaf = leaf()
+    force: Leaf = leaf()
 
     def __post_init__(self):
         if (
@@ -125,26 +125,26 @@ class BallScrewDrive(Plant):
 
     n_y = 2
 
-    motor_mass: jax.Array = scalar(interval="(0, inf)")
-    table_mass: jax.Array = scalar(interval="(0, inf)")
-    stiffness: jax.Array = scalar(interval="(0, inf)")
-    damping: jax.Array = scalar(interval="[0, inf)")
-    force_gain: jax.Array = scalar(interval="(0, inf)")
-    motor_damping: jax.Array = scalar(0.0, "[0, inf)")
-    table_damping: jax.Array = scalar(0.0, "[0, inf)")
-    speed_gain: jax.Array = scalar(0.216, "[0, inf)")
-    speed_integral_gain: jax.Array = scalar(8.18, "[0, inf)")
-    command_scale: jax.Array = scalar(1.0)
-    current_bandwidth: jax.Array | None = scalar(None, "(0, inf)", optional=True)
-    force_limit: jax.Array | None = scalar(None, "(0, inf)", optional=True)
-    encoder_step: jax.Array | None = scalar(None, "(0, inf)", optional=True)
-    motor_friction: StribeckFriction | None = child(None)
-    table_friction: StribeckFriction | None = child(None)
-    lead_error: LeadError | None = child(None)
-    compensation: FrictionTable | None = child(None)
-    longest_dt: float = static(1e-3, "(0, inf)")
-    linear_part: Propagator | None = child(None)
-    dt: float = static(0.0, "[0, inf)")
+    motor_mass: Leaf = scalar(interval="(0, inf)")
+    table_mass: Leaf = scalar(interval="(0, inf)")
+    stiffness: Leaf = scalar(interval="(0, inf)")
+    damping: Leaf = scalar(interval="[0, inf)")
+    force_gain: Leaf = scalar(interval="(0, inf)")
+    motor_damping: Leaf = scalar(default=0.0, interval="[0, inf)")
+    table_damping: Leaf = scalar(default=0.0, interval="[0, inf)")
+    speed_gain: Leaf = scalar(default=0.216, interval="[0, inf)")
+    speed_integral_gain: Leaf = scalar(default=8.18, interval="[0, inf)")
+    command_scale: Leaf = scalar(default=1.0)
+    current_bandwidth: Leaf | None = scalar(default=None, interval="(0, inf)", optional=True)
+    force_limit: Leaf | None = scalar(default=None, interval="(0, inf)", optional=True)
+    encoder_step: Leaf | None = scalar(default=None, interval="(0, inf)", optional=True)
+    motor_friction: StribeckFriction | None = child(default=None)
+    table_friction: StribeckFriction | None = child(default=None)
+    lead_error: LeadError | None = child(default=None)
+    compensation: FrictionTable | None = child(default=None)
+    longest_dt: float = static(default=1e-3, interval="(0, inf)")
+    linear_part: Propagator | None = child(default=None)
+    dt: float = static(default=0.0, interval="[0, inf)")
 
     def __post_init__(self):
         if not known(self):

@@ -65,7 +65,7 @@ class InBlocks(Plant):
     """
 
     plant: Plant = child()
-    length: int = static(32, "[2, 1e4]", whole=True)
+    length: int = static(default=32, interval="[2, 1e4]", whole=True)
 
     @property
     def n_u(self) -> int:

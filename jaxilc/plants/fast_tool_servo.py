@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..pytree.fields import child, leaf, pytree, scalar, static
+from ..pytree.fields import Leaf, child, leaf, pytree, scalar, static
 from ..pytree.needs import known
 from .hysteresis import BoucWen, Dahl, InputHysteresis
 from .integration import Propagator, exponential_runge_kutta, propagator
@@ -49,9 +49,9 @@ class FlexibleMode:
     negative: none, and the phase falls on. Excited by the drive, not by forces on the tool.
     """
 
-    frequency: jax.Array = scalar(interval="(0, inf)")
-    damping: jax.Array = scalar(interval="(0, 1)")
-    share: jax.Array = scalar()
+    frequency: Leaf = scalar(interval="(0, inf)")
+    damping: Leaf = scalar(interval="(0, 1)")
+    share: Leaf = scalar()
 
 
 @pytree
@@ -64,8 +64,8 @@ class Creep:
     shares: (n,) of the servo's static deflection;  time_constants: (n,) tau [s]
     """
 
-    shares: jax.Array = leaf()
-    time_constants: jax.Array = leaf(interval="(0, inf)")
+    shares: Leaf = leaf()
+    time_constants: Leaf = leaf(interval="(0, inf)")
 
     def __post_init__(self):
         _need_alike(self, "shares", "time_constants")
@@ -79,9 +79,9 @@ class PeriodicForce:
     amplitudes: (n,) [N];  frequencies: (n,) [Hz];  phases: (n,) [rad]
     """
 
-    amplitudes: jax.Array = leaf()
-    frequencies: jax.Array = leaf(interval="(0, inf)")
-    phases: jax.Array = leaf()
+    amplitudes: Leaf = leaf()
+    frequencies: Leaf = leaf(interval="(0, inf)")
+    phases: Leaf = leaf()
 
     def __post_init__(self):
         _need_alike(self, "amplitudes", "frequencies", "phases")
@@ -99,9 +99,9 @@ class CuttingForce:
     the integrator
     """
 
-    stiffness: jax.Array = scalar(interval="[0, inf)")
-    depth: jax.Array = scalar()
-    blur: jax.Array = scalar(0.5, "(0, inf)")
+    stiffness: Leaf = scalar(interval="[0, inf)")
+    depth: Leaf = scalar()
+    blur: Leaf = scalar(default=0.5, interval="(0, inf)")
 
     def force(self, position) -> jax.Array:
         """position: () [um] -> () [N]"""
@@ -148,22 +148,22 @@ class FastToolServo(Plant):
     or a hysteresis with A >= 1, which would reverse the gain.
     """
 
-    mass: jax.Array = scalar(MASS, "(0, inf)")
-    damping: jax.Array = scalar(1e-6 * A2 * MASS, "[0, inf)")
-    stiffness: jax.Array = scalar(STIFFNESS, "(0, inf)")
-    conversion: jax.Array = scalar(1e-6 * B * MASS / AMPLIFIER_GAIN, "(0, inf)")
-    amplifier_gain: jax.Array = scalar(AMPLIFIER_GAIN, "(0, inf)")
-    amplifier_bandwidth: jax.Array | None = scalar(None, "(0, inf)", optional=True)
-    load: jax.Array | None = scalar(None, optional=True)
-    drift: jax.Array | None = scalar(None, optional=True)
-    hysteresis: BoucWen | Dahl | None = child(None)
-    friction: BoucWen | Dahl | None = child(None)
-    mode: FlexibleMode | None = child(None)
-    creep: Creep | None = child(None)
-    cutting: CuttingForce | None = child(None)
-    periodic: PeriodicForce | None = child(None)
-    substeps: int = static(1, "[1, 1e4]", whole=True)
-    longest_dt: float = static(2e-4, "(0, inf)")
+    mass: Leaf = scalar(default=MASS, interval="(0, inf)")
+    damping: Leaf = scalar(default=1e-6 * A2 * MASS, interval="[0, inf)")
+    stiffness: Leaf = scalar(default=STIFFNESS, interval="(0, inf)")
+    conversion: Leaf = scalar(default=1e-6 * B * MASS / AMPLIFIER_GAIN, interval="(0, inf)")
+    amplifier_gain: Leaf = scalar(default=AMPLIFIER_GAIN, interval="(0, inf)")
+    amplifier_bandwidth: Leaf | None = scalar(default=None, interval="(0, inf)", optional=True)
+    load: Leaf | None = scalar(default=None, optional=True)
+    drift: Leaf | None = scalar(default=None, optional=True)
+    hysteresis: BoucWen | Dahl | None = child(default=None)
+    friction: BoucWen | Dahl | None = child(default=None)
+    mode: FlexibleMode | None = child(default=None)
+    creep: Creep | None = child(default=None)
+    cutting: CuttingForce | None = child(default=None)
+    periodic: PeriodicForce | None = child(default=None)
+    substeps: int = static(default=1, interval="[1, 1e4]", whole=True)
+    longest_dt: float = static(default=2e-4, interval="(0, inf)")
 
     def __post_init__(self):
         if not known(self):
@@ -216,7 +216,8 @@ class FastToolServo(Plant):
         gain, per_newton = b / a1, 1e6 / self.mass / w
         new = itertools.count(2).__next__
         u = -1  # the last column of [A B]
-        A, start, outputs = {(0, 1): w, (1, 0): -w, (1, 1): -a2}, {}, [0]
+        A: dict[tuple[int, int], Any] = {(0, 1): w, (1, 0): -w, (1, 1): -a2}
+        start, outputs = {}, [0]
         if self.friction is not None:
             z = new()
             A |= {(1, z): -per_newton, (z, 1): w * self.friction.initial_slope}
@@ -291,7 +292,7 @@ class ForcedServo(Plant):
     linear: StateSpace = child()
     propagator: Propagator = child()
     servo: FastToolServo = child()
-    dt: float = static(0.0)
+    dt: float = static(default=0.0)
 
     def sampled(self, dt: float) -> ForcedServo:
         return matching(self, self.dt, dt)

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..pytree.fields import pytree, scalar
+from ..pytree.fields import Leaf, pytree, scalar
 from ..pytree.needs import known
 
 
@@ -29,11 +29,11 @@ class StribeckFriction:
     static force below the Coulomb force.
     """
 
-    coulomb_force: jax.Array = scalar(interval="[0, inf)")
-    static_force: jax.Array = scalar(interval="[0, inf)")
-    stribeck_velocity: jax.Array = scalar(0.01, "(0, inf)")
-    viscous: jax.Array = scalar(0.0, "[0, inf)")
-    transition_velocity: jax.Array = scalar(5e-4, "(0, inf)")
+    coulomb_force: Leaf = scalar(interval="[0, inf)")
+    static_force: Leaf = scalar(interval="[0, inf)")
+    stribeck_velocity: Leaf = scalar(default=0.01, interval="(0, inf)")
+    viscous: Leaf = scalar(default=0.0, interval="[0, inf)")
+    transition_velocity: Leaf = scalar(default=5e-4, interval="(0, inf)")
 
     def __post_init__(self):
         if known(self) and np.any(np.asarray(self.static_force) < np.asarray(self.coulomb_force)):

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..pytree.fields import child, pytree, scalar, static
+from ..pytree.fields import Leaf, child, pytree, scalar, static
 from ..pytree.needs import known
 from .integration import runge_kutta
 from .plant import Plant
@@ -41,11 +41,11 @@ class BoucWen:
     yields energy.
     """
 
-    initial_slope: jax.Array = scalar(interval="(0, inf)")
-    beta: jax.Array = scalar(interval="(0, inf)")
-    gamma: jax.Array = scalar(0.0)
-    exponent: jax.Array | None = scalar(None, "[1, inf)", optional=True)
-    substeps: int = static(4, "[1, 1e4]", whole=True)
+    initial_slope: Leaf = scalar(interval="(0, inf)")
+    beta: Leaf = scalar(interval="(0, inf)")
+    gamma: Leaf = scalar(default=0.0)
+    exponent: Leaf | None = scalar(default=None, interval="[1, inf)", optional=True)
+    substeps: int = static(default=4, interval="[1, 1e4]", whole=True)
 
     def __post_init__(self):
         if known(self) and not np.all((-self.beta < self.gamma) & (self.gamma <= self.beta)):
@@ -111,9 +111,9 @@ class Dahl:
     for every i
     """
 
-    initial_slope: jax.Array = scalar(interval="(0, inf)")
-    limit: jax.Array = scalar(interval="(0, inf)")
-    exponent: jax.Array | None = scalar(None, "[1, inf)", optional=True)
+    initial_slope: Leaf = scalar(interval="(0, inf)")
+    limit: Leaf = scalar(interval="(0, inf)")
+    exponent: Leaf | None = scalar(default=None, interval="[1, inf)", optional=True)
 
     def slope(self, z, direction) -> jax.Array:
         """dz/dx at z on the way in `direction`, 1 or -1. Both of any shape."""

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import jax.scipy.linalg
 import numpy as np
 
-from ..pytree.fields import child, leaf, pytree, static
+from ..pytree.fields import Leaf, child, leaf, pytree, static
 from ..signals.task import Task, product
 from .plant import Plant
 
@@ -45,11 +45,11 @@ class StateSpace(Plant):
     zero-order hold
     """
 
-    A: jax.Array = leaf()
-    B: jax.Array = leaf()
-    C: jax.Array = leaf()
-    x0: jax.Array | None = leaf(None, optional=True)
-    dt: float = static(0.0, "[0, inf)")
+    A: Leaf = leaf()
+    B: Leaf = leaf()
+    C: Leaf = leaf()
+    x0: Leaf | None = leaf(default=None, optional=True)
+    dt: float = static(default=0.0, interval="[0, inf)")
 
     def __post_init__(self):
         n = len(self.A) if self.A.ndim else 0
@@ -104,9 +104,9 @@ class TimeVaryingStateSpace(Plant):
     another sample time.
     """
 
-    A: jax.Array = leaf()
-    B: jax.Array = leaf()
-    C: jax.Array = leaf()
+    A: Leaf = leaf()
+    B: Leaf = leaf()
+    C: Leaf = leaf()
     dt: float = static(interval="(0, inf)")
 
     def __post_init__(self):
@@ -165,8 +165,8 @@ class DifferenceEquation(Plant):
     The state is the transposed direct form II, which needs no shifting registers of y and u.
     """
 
-    a: jax.Array = leaf()
-    b: jax.Array = leaf()
+    a: Leaf = leaf()
+    b: Leaf = leaf()
     dt: float = static(interval="(0, inf)")
 
     def __post_init__(self):

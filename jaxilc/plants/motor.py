@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..pytree.fields import child, pytree, scalar, static
+from ..pytree.fields import Leaf, child, pytree, scalar, static
 from ..pytree.needs import known
 from ..signals.task import Task
 from .friction import StribeckFriction
@@ -44,9 +44,9 @@ class Cogging:
     amplitude: () A [N];  pitch: () period [m];  phase: () [rad], 0 makes x = 0 a stable rest
     """
 
-    amplitude: jax.Array = scalar(interval="[0, inf)")
-    pitch: jax.Array = scalar(interval="(0, inf)")
-    phase: jax.Array = scalar(0.0)
+    amplitude: Leaf = scalar(interval="[0, inf)")
+    pitch: Leaf = scalar(interval="(0, inf)")
+    phase: Leaf = scalar(default=0.0)
 
     def force(self, position) -> jax.Array:
         """position: () [m] -> () [N]"""
@@ -65,9 +65,9 @@ class EndEffect:
     buffer_stiffness: () k_b [N/m], None for no buffer
     """
 
-    stroke: jax.Array = scalar(interval="(0, inf)")
-    drop: jax.Array = scalar(interval="[0, 1)")
-    buffer_stiffness: jax.Array | None = scalar(None, "(0, inf)", optional=True)
+    stroke: Leaf = scalar(interval="(0, inf)")
+    drop: Leaf = scalar(interval="[0, 1)")
+    buffer_stiffness: Leaf | None = scalar(default=None, interval="(0, inf)", optional=True)
 
     def factor(self, position) -> jax.Array:
         """position: () [m] -> () what is left of the force constant"""
@@ -156,26 +156,26 @@ class VoiceCoilMotor(Plant):
     unstable.
     """
 
-    mass: jax.Array = scalar(3.0, "(0, inf)")
-    resistance: jax.Array = scalar(4.0, "(0, inf)")
-    inductance: jax.Array = scalar(0.02, "(0, inf)")
-    force_constant: jax.Array = scalar(56.2, "(0, inf)")
-    viscous_damping: jax.Array = scalar(10.0, "[0, inf)")
-    stiffness: jax.Array | None = scalar(None, "[0, inf)", optional=True)
-    current_gain: jax.Array = scalar(247.0, "(0, inf)")
-    speed_gain: jax.Array = scalar(48.5, "(0, inf)")
-    speed_integral_gain: jax.Array = scalar(11602.0, "(0, inf)")
-    setpoint_weight: jax.Array = scalar(0.0, "[0, 1]")
-    command_scale: jax.Array = scalar(-0.0299)
-    holding_gain: jax.Array = scalar(6.232, "[0, inf)")
-    command_delay: jax.Array | None = scalar(1e-3, "(0, inf)", optional=True)
-    current_limit: jax.Array | None = scalar(23.0, "(0, inf)", optional=True)
-    voltage_limit: jax.Array | None = scalar(560.0, "(0, inf)", optional=True)
-    speed_limit: jax.Array | None = scalar(3.44, "(0, inf)", optional=True)
-    friction: StribeckFriction | None = child(None)
-    cogging: Cogging | None = child(None)
-    end_effect: EndEffect | None = child(None)
-    substep: float = static(1.25e-4, "(0, inf)")
+    mass: Leaf = scalar(default=3.0, interval="(0, inf)")
+    resistance: Leaf = scalar(default=4.0, interval="(0, inf)")
+    inductance: Leaf = scalar(default=0.02, interval="(0, inf)")
+    force_constant: Leaf = scalar(default=56.2, interval="(0, inf)")
+    viscous_damping: Leaf = scalar(default=10.0, interval="[0, inf)")
+    stiffness: Leaf | None = scalar(default=None, interval="[0, inf)", optional=True)
+    current_gain: Leaf = scalar(default=247.0, interval="(0, inf)")
+    speed_gain: Leaf = scalar(default=48.5, interval="(0, inf)")
+    speed_integral_gain: Leaf = scalar(default=11602.0, interval="(0, inf)")
+    setpoint_weight: Leaf = scalar(default=0.0, interval="[0, 1]")
+    command_scale: Leaf = scalar(default=-0.0299)
+    holding_gain: Leaf = scalar(default=6.232, interval="[0, inf)")
+    command_delay: Leaf | None = scalar(default=1e-3, interval="(0, inf)", optional=True)
+    current_limit: Leaf | None = scalar(default=23.0, interval="(0, inf)", optional=True)
+    voltage_limit: Leaf | None = scalar(default=560.0, interval="(0, inf)", optional=True)
+    speed_limit: Leaf | None = scalar(default=3.44, interval="(0, inf)", optional=True)
+    friction: StribeckFriction | None = child(default=None)
+    cogging: Cogging | None = child(default=None)
+    end_effect: EndEffect | None = child(default=None)
+    substep: float = static(default=1.25e-4, interval="(0, inf)")
 
     def __post_init__(self):
         if known(self):

@@ -7,7 +7,7 @@ import jax.core
 import jax.numpy as jnp
 import numpy as np
 
-from ..pytree.fields import leaf, pytree, scalar
+from ..pytree.fields import Leaf, leaf, pytree, scalar
 from .linear import StateSpace, zoh
 from .plant import Plant
 
@@ -33,11 +33,11 @@ class ProcessModel(Plant):
     Raises ValueError where the shapes do not fit, a zero is 0 or the model is not strictly proper.
     """
 
-    gain: jax.Array = scalar(1.0)
-    zeros: jax.Array = leaf(())
-    poles: jax.Array = leaf((), "(0, inf)")
-    frequencies: jax.Array = leaf((), "(0, inf)")
-    dampings: jax.Array = leaf((), "(0, inf)")
+    gain: Leaf = scalar(default=1.0)
+    zeros: Leaf = leaf(default=())
+    poles: Leaf = leaf(default=(), interval="(0, inf)")
+    frequencies: Leaf = leaf(default=(), interval="(0, inf)")
+    dampings: Leaf = leaf(default=(), interval="(0, inf)")
 
     def __post_init__(self):
         for name in ("zeros", "poles", "frequencies", "dampings"):

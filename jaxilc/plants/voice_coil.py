@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import jax
 import jax.numpy as jnp
 
-from ..pytree.fields import leaf, pytree, scalar
+from ..pytree.fields import Leaf, leaf, pytree, scalar
 from .linear import DifferenceEquation, zoh
 from .plant import Plant
 
@@ -25,9 +24,9 @@ class VoiceCoil(Plant):
     to a positive step is positive.
     """
 
-    gain: jax.Array = scalar(7437.7769)
-    zero: jax.Array = scalar(928.2)
-    poles: jax.Array = leaf((474.0, 474.0, 6.404), "(0, inf)")
+    gain: Leaf = scalar(default=7437.7769)
+    zero: Leaf = scalar(default=928.2)
+    poles: Leaf = leaf(default=(474.0, 474.0, 6.404), interval="(0, inf)")
 
     def __post_init__(self):
         if self.poles.shape != (3,):

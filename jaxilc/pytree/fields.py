@@ -10,11 +10,9 @@ Validation runs only when a user constructs an object: unflattening inside a tra
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias, TypeVar, dataclass_transform
 
 import jax.core
-from jax.typing import ArrayLike
 
 from .ranges import (
     Interval,
@@ -28,45 +26,27 @@ from .ranges import (
     shown,
 )
 
-Numbers: TypeAlias = ArrayLike | Sequence[Any] | None
+Leaf: TypeAlias = Any  # a float array as stored; a number, a list or an array when constructed
 T = TypeVar("T")
 
 
-def _stored(value: Numbers) -> Any:
-    """What construction makes of a leaf, in the eyes of a type checker; `_settled` does it."""
-
-
 def leaf(
-    default: Any = dataclasses.MISSING,
-    interval: str = "(-inf, inf)",
-    *,
-    optional: bool = False,
-    converter: Callable[
-        [Numbers], Any
-    ] = _stored,  # a type checker reads it: numbers and lists are accepted where an array is stored
+    default: Any = dataclasses.MISSING, interval: str = "(-inf, inf)", *, optional: bool = False
 ) -> Any:
-    """A float leaf (scalar or array). With `optional`, None switches the feature off at no cost."""
+    """A float leaf (scalar or array). With `optional`, None switches the feature off at no cost.
+
+    A type checker sees a default only where it is given by name: `leaf(default=0.5)`.
+    """
     metadata = {"kind": "leaf", "interval": Interval.parse(interval), "optional": optional}
     return dataclasses.field(default=default, metadata=metadata)
 
 
 def scalar(
-    default: Any = dataclasses.MISSING,
-    interval: str = "(-inf, inf)",
-    *,
-    optional: bool = False,
-    converter: Callable[[Numbers], Any] = _stored,
+    default: Any = dataclasses.MISSING, interval: str = "(-inf, inf)", *, optional: bool = False
 ) -> Any:
-    """A float leaf that is one number, such as a mass; `need_scalars` says so, since a batch of
-    objects has many of each.
-    """
-    metadata = {
-        "kind": "leaf",
-        "interval": Interval.parse(interval),
-        "optional": optional,
-        "scalar": True,
-    }
-    return dataclasses.field(default=default, metadata=metadata)
+    """A float leaf that is one number, such as a mass; `need_scalars` refuses several of them."""
+    metadata = {"kind": "leaf", "interval": Interval.parse(interval), "optional": optional}
+    return dataclasses.field(default=default, metadata=metadata | {"scalar": True})
 
 
 def static(

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import jax
 import jax.numpy as jnp
 
-from ..pytree.fields import leaf, pytree, static
+from ..pytree.fields import Leaf, leaf, pytree, static
 from ..pytree.needs import need_channels
 from ..signals.task import Limit, Task, Trial
 from .pid_type import need_lead
@@ -35,12 +34,12 @@ class ExponentialPD(Scheme):
     ValueError for b = 0, or a lead that leaves nothing of the trial.
     """
 
-    K_P: jax.Array = leaf(0.0)
-    K_D: jax.Array = leaf(0.0)
-    lam0: jax.Array = leaf(0.0, "[0, inf)")
-    b: jax.Array = leaf(1.0)
-    limit: jax.Array | None = leaf(None, "(0, inf)", optional=True)
-    lead: int = static(0, "[0, inf)", whole=True)
+    K_P: Leaf = leaf(default=0.0)
+    K_D: Leaf = leaf(default=0.0)
+    lam0: Leaf = leaf(default=0.0, interval="[0, inf)")
+    b: Leaf = leaf(default=1.0)
+    limit: Leaf | None = leaf(default=None, interval="(0, inf)", optional=True)
+    lead: int = static(default=0, interval="[0, inf)", whole=True)
     clips = ("limit",)
 
     def __post_init__(self):

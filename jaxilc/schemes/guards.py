@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from ..pytree.fields import child, leaf, pytree, static
+from ..pytree.fields import Leaf, child, leaf, pytree, static
 from ..pytree.needs import need_channels
 from ..signals.task import Limit, Task, Trial
 from .compose import Wrapper
@@ -75,9 +75,9 @@ class StopWhen(Guard):
     """
 
     scheme: Scheme = child()
-    max_error: jax.Array | None = leaf(None, "(0, inf)", optional=True)
-    rms: jax.Array | None = leaf(None, "(0, inf)", optional=True)
-    growth: jax.Array | None = leaf(None, "[0, inf)", optional=True)
+    max_error: Leaf | None = leaf(default=None, interval="(0, inf)", optional=True)
+    rms: Leaf | None = leaf(default=None, interval="(0, inf)", optional=True)
+    growth: Leaf | None = leaf(default=None, interval="[0, inf)", optional=True)
 
     def __post_init__(self):
         if self.max_error is None and self.rms is None and self.growth is None:
@@ -173,9 +173,9 @@ class Ladder(Guard):
 
     scheme: Scheme = child()
     repeats: int = static(interval="[1, 1e9]", whole=True)
-    growth_of_gain: jax.Array = leaf(1.2, "[1, inf)")
-    largest: jax.Array = leaf(2.0, "[1, inf)")
-    slow: jax.Array | None = leaf(None, "(0, 1)", optional=True)
+    growth_of_gain: Leaf = leaf(default=1.2, interval="[1, inf)")
+    largest: Leaf = leaf(default=2.0, interval="[1, inf)")
+    slow: Leaf | None = leaf(default=None, interval="(0, 1)", optional=True)
 
     @property
     def trials_a_step(self) -> int:

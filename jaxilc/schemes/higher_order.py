@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..pytree.fields import leaf, pytree, static
+from ..pytree.fields import Leaf, leaf, pytree, static
 from ..pytree.needs import known, need_channels
 from ..signals.task import Limit, Task, Trial
 from .pid_type import need_lead
@@ -43,10 +43,10 @@ class HigherOrder(Scheme):
     Raises ValueError for shapes that do not fit or a sum of alpha outside (0, 1].
     """
 
-    alpha: jax.Array = leaf((1.0,))
-    gamma: jax.Array = leaf((0.0,))
-    limit: jax.Array | None = leaf(None, "(0, inf)", optional=True)
-    lead: int = static(0, "[0, inf)", whole=True)
+    alpha: Leaf = leaf(default=(1.0,))
+    gamma: Leaf = leaf(default=(0.0,))
+    limit: Leaf | None = leaf(default=None, interval="(0, inf)", optional=True)
+    lead: int = static(default=0, interval="[0, inf)", whole=True)
     clips = ("limit",)
 
     def __post_init__(self):

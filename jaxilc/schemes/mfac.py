@@ -12,7 +12,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ..pytree.fields import leaf, pytree, static
+from ..pytree.fields import Leaf, leaf, pytree, static
 from ..pytree.needs import need_channels
 from ..signals.task import Sample, Task
 from .pseudo_gradient import RESETS, need_window, pseudo_gradient, reset_estimate
@@ -49,16 +49,16 @@ class FFDLMFAC(Scheme):
     `reset_estimate` The signal `phi` of the trial records phi_c.
     """
 
-    lam: jax.Array = leaf(1.0, "(0, inf)")
-    rho: jax.Array = leaf(1.0, "(0, 1]")
-    eta: jax.Array = leaf(1.0, "(0, 2]")
-    mu: jax.Array = leaf(1.0, "(0, inf)")
-    phi0: jax.Array = leaf((0.5, 0.0, -0.1, 0.0))
-    epsilon: jax.Array = leaf(1e-5, "(0, inf)")
-    limit: jax.Array | None = leaf(None, "(0, inf)", optional=True)
-    L_y: int = static(2, "[0, 500]", whole=True)
-    L_u: int = static(2, "[1, 500]", whole=True)
-    reset: str = static("book", choices=RESETS)
+    lam: Leaf = leaf(default=1.0, interval="(0, inf)")
+    rho: Leaf = leaf(default=1.0, interval="(0, 1]")
+    eta: Leaf = leaf(default=1.0, interval="(0, 2]")
+    mu: Leaf = leaf(default=1.0, interval="(0, inf)")
+    phi0: Leaf = leaf(default=(0.5, 0.0, -0.1, 0.0))
+    epsilon: Leaf = leaf(default=1e-5, interval="(0, inf)")
+    limit: Leaf | None = leaf(default=None, interval="(0, inf)", optional=True)
+    L_y: int = static(default=2, interval="[0, 500]", whole=True)
+    L_u: int = static(default=2, interval="[1, 500]", whole=True)
+    reset: str = static(default="book", choices=RESETS)
     estimator_steps = ("eta",)
     clips = ("limit",)
 
@@ -99,8 +99,8 @@ class FFDLMFAC(Scheme):
 class PFDLMFAC(FFDLMFAC):
     """Partial-form MFAC: no output increments, L_y = 0. phi0: (L_u,)"""
 
-    phi0: jax.Array = leaf((-0.1, 0.0))
-    L_y: int = static(0, "[0, 0]")
+    phi0: Leaf = leaf(default=(-0.1, 0.0))
+    L_y: int = static(default=0, interval="[0, 0]")
 
 
 @pytree
@@ -110,10 +110,10 @@ class CFDLMFAC(FFDLMFAC):
     u(k) = u(k-1) + rho phi(k) / (lam + phi(k)^2) (r(k+1) - y(k))
     """
 
-    eta: jax.Array = leaf(1.0, "(0, 1]")
-    phi0: jax.Array = leaf(-0.1)
-    L_y: int = static(0, "[0, 0]")
-    L_u: int = static(1, "[1, 1]")
+    eta: Leaf = leaf(default=1.0, interval="(0, 1]")
+    phi0: Leaf = leaf(default=-0.1)
+    L_y: int = static(default=0, interval="[0, 0]")
+    L_u: int = static(default=1, interval="[1, 1]")
 
 
 class PredictiveState(NamedTuple):
@@ -151,20 +151,20 @@ class CFDLMFAPC(Scheme):
     The signal `phi` of the trial records phi(k).
     """
 
-    lam: jax.Array = leaf(45.0, "(0, inf)")
-    eta: jax.Array = leaf(1.0, "(0, 1]")
-    mu: jax.Array = leaf(1.0, "(0, inf)")
-    phi0: jax.Array = leaf(-0.1)
-    epsilon: jax.Array = leaf(1e-5, "(0, inf)")
-    delta: jax.Array = leaf(1.0, "(0, 1]")
-    theta_limit: jax.Array = leaf(10.0, "(0, inf)")
-    theta0: jax.Array | None = leaf(None, optional=True)
-    limit: jax.Array | None = leaf(None, "(0, inf)", optional=True)
-    P: int = static(10, "[1, 1e6]", whole=True)
-    P_u: int = static(1, "[1, 500]", whole=True)
-    n_p: int = static(3, "[1, 500]", whole=True)
-    reset: str = static("book", choices=RESETS)
-    reference: str = static("preview", choices=("preview", "constant"))
+    lam: Leaf = leaf(default=45.0, interval="(0, inf)")
+    eta: Leaf = leaf(default=1.0, interval="(0, 1]")
+    mu: Leaf = leaf(default=1.0, interval="(0, inf)")
+    phi0: Leaf = leaf(default=-0.1)
+    epsilon: Leaf = leaf(default=1e-5, interval="(0, inf)")
+    delta: Leaf = leaf(default=1.0, interval="(0, 1]")
+    theta_limit: Leaf = leaf(default=10.0, interval="(0, inf)")
+    theta0: Leaf | None = leaf(default=None, optional=True)
+    limit: Leaf | None = leaf(default=None, interval="(0, inf)", optional=True)
+    P: int = static(default=10, interval="[1, 1e6]", whole=True)
+    P_u: int = static(default=1, interval="[1, 500]", whole=True)
+    n_p: int = static(default=3, interval="[1, 500]", whole=True)
+    reset: str = static(default="book", choices=RESETS)
+    reference: str = static(default="preview", choices=("preview", "constant"))
     estimator_steps = ("eta",)
     clips = ("limit",)
 

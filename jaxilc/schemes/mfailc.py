@@ -14,7 +14,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ..pytree.fields import leaf, pytree, static
+from ..pytree.fields import Leaf, leaf, pytree, static
 from ..pytree.needs import need_channels
 from ..signals.task import Sample, Task, Trial
 from .pid_type import need_lead
@@ -90,17 +90,17 @@ class FFDLMFAILC(Scheme):
     reset: see `reset_estimate`
     """
 
-    lam: jax.Array = leaf(1.2, "(0, inf)")
-    rho: jax.Array = leaf(0.98, "(0, 1]")
-    eta: jax.Array = leaf(1.0, "(0, 2]")
-    mu: jax.Array = leaf(1.1, "(0, inf)")
-    phi0: jax.Array = leaf((0.5, 0.0, -0.06, 0.0))
-    epsilon: jax.Array = leaf(1e-5, "(0, inf)")
-    limit: jax.Array | None = leaf(None, "(0, inf)", optional=True)
-    L_y: int = static(2, "[0, 500]", whole=True)
-    L_u: int = static(2, "[1, 500]", whole=True)
-    lead: int = static(0, "[0, inf)", whole=True)
-    reset: str = static("book", choices=RESETS)
+    lam: Leaf = leaf(default=1.2, interval="(0, inf)")
+    rho: Leaf = leaf(default=0.98, interval="(0, 1]")
+    eta: Leaf = leaf(default=1.0, interval="(0, 2]")
+    mu: Leaf = leaf(default=1.1, interval="(0, inf)")
+    phi0: Leaf = leaf(default=(0.5, 0.0, -0.06, 0.0))
+    epsilon: Leaf = leaf(default=1e-5, interval="(0, inf)")
+    limit: Leaf | None = leaf(default=None, interval="(0, inf)", optional=True)
+    L_y: int = static(default=2, interval="[0, 500]", whole=True)
+    L_u: int = static(default=2, interval="[1, 500]", whole=True)
+    lead: int = static(default=0, interval="[0, inf)", whole=True)
+    reset: str = static(default="book", choices=RESETS)
     estimator_steps = ("eta",)
     clips = ("limit",)
 
@@ -181,8 +181,8 @@ class FFDLMFAILC(Scheme):
 class PFDLMFAILC(FFDLMFAILC):
     """Partial-form MFAILC: the full form without output increments, L_y = 0. phi0: (L_u,)"""
 
-    phi0: jax.Array = leaf((-0.065, 0.0))
-    L_y: int = static(0, "[0, 0]")
+    phi0: Leaf = leaf(default=(-0.065, 0.0))
+    L_y: int = static(default=0, interval="[0, 0]")
 
 
 @pytree
@@ -197,10 +197,10 @@ class CFDLMFAILC(FFDLMFAILC):
     (0, 1];  phi0: () or (1,)
     """
 
-    lam: jax.Array = leaf(1.0, "(0, inf)")
-    rho: jax.Array = leaf(1.0, "(0, 1]")
-    eta: jax.Array = leaf(0.9, "(0, 1]")
-    mu: jax.Array = leaf(1.0, "(0, inf)")
-    phi0: jax.Array = leaf(-0.065)
-    L_y: int = static(0, "[0, 0]")
-    L_u: int = static(1, "[1, 1]")
+    lam: Leaf = leaf(default=1.0, interval="(0, inf)")
+    rho: Leaf = leaf(default=1.0, interval="(0, 1]")
+    eta: Leaf = leaf(default=0.9, interval="(0, 1]")
+    mu: Leaf = leaf(default=1.0, interval="(0, inf)")
+    phi0: Leaf = leaf(default=-0.065)
+    L_y: int = static(default=0, interval="[0, 0]")
+    L_u: int = static(default=1, interval="[1, 1]")

@@ -49,9 +49,9 @@ class MultivariableILC(Scheme):
 
     learning: Scheme = child()
     feedback: Scheme = child()
-    prefilter: Filter | None = child(None)
-    motor_output: int = static(0, "[0, inf)", whole=True)
-    table_output: int = static(1, "[0, inf)", whole=True)
+    prefilter: Filter | None = child(default=None)
+    motor_output: int = static(default=0, interval="[0, inf)", whole=True)
+    table_output: int = static(default=1, interval="[0, inf)", whole=True)
 
     @property
     def preview(self) -> int:

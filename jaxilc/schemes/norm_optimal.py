@@ -14,7 +14,7 @@ from jax import lax
 from jax.scipy.linalg import cho_factor, cho_solve
 
 from ..plants import StateSpace, TimeVaryingStateSpace
-from ..pytree.fields import child, leaf, pytree, static
+from ..pytree.fields import Leaf, child, leaf, pytree, static
 from ..pytree.needs import known, need_channels
 from ..pytree.ranges import brief
 from ..signals.task import Limit, Task, Trial, product
@@ -72,12 +72,12 @@ class NormOptimal(Scheme):
     """
 
     model: StateSpace | TimeVaryingStateSpace = child()
-    w_q: jax.Array = leaf(1.0)
-    w_r: jax.Array = leaf(0.0)
-    w_s: jax.Array = leaf(0.0)
-    limit: jax.Array | None = leaf(None, "(0, inf)", optional=True)
-    form: str = static("riccati", choices=("riccati", "lifted"))
-    solved: Any = child(None)
+    w_q: Leaf = leaf(default=1.0)
+    w_r: Leaf = leaf(default=0.0)
+    w_s: Leaf = leaf(default=0.0)
+    limit: Leaf | None = leaf(default=None, interval="(0, inf)", optional=True)
+    form: str = static(default="riccati", choices=("riccati", "lifted"))
+    solved: Any = child(default=None)
     clips = ("limit",)
 
     def __post_init__(self):

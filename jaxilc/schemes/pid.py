@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ..pytree.fields import leaf, pytree, static
+from ..pytree.fields import Leaf, leaf, pytree, static
 from ..pytree.needs import need_channels
 from ..signals.task import Sample, Task
 from .scheme import Scheme, limited, need_square
@@ -51,14 +51,14 @@ class PID(Scheme):
     None for none; ka previews two samples
     """
 
-    kp: jax.Array = leaf(0.0)
-    ki: jax.Array = leaf(0.0)
-    kd: jax.Array = leaf(0.0)
-    tau: jax.Array = leaf(0.0, "[0, inf)")
-    limit: jax.Array | None = leaf(None, "(0, inf)", optional=True)
-    form: str = static("position", choices=("position", "increment"))
-    kv: jax.Array | None = leaf(None, optional=True)
-    ka: jax.Array | None = leaf(None, optional=True)
+    kp: Leaf = leaf(default=0.0)
+    ki: Leaf = leaf(default=0.0)
+    kd: Leaf = leaf(default=0.0)
+    tau: Leaf = leaf(default=0.0, interval="[0, inf)")
+    limit: Leaf | None = leaf(default=None, interval="(0, inf)", optional=True)
+    form: str = static(default="position", choices=("position", "increment"))
+    kv: Leaf | None = leaf(default=None, optional=True)
+    ka: Leaf | None = leaf(default=None, optional=True)
     clips = ("limit",)
 
     @property

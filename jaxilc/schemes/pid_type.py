@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import jax
 import jax.numpy as jnp
 
-from ..pytree.fields import leaf, pytree, static
+from ..pytree.fields import Leaf, leaf, pytree, static
 from ..pytree.needs import need_channels
 from ..signals.task import Limit, Task, Trial
 from .scheme import Feedforward, Scheme, advance, limit_of, limited, need_square
@@ -25,12 +24,12 @@ class PIDType(Scheme):
     |u| learned
     """
 
-    gamma_p: jax.Array = leaf(0.0)
-    gamma_i: jax.Array = leaf(0.0)
-    gamma_d: jax.Array = leaf(0.0)
-    leak: jax.Array = leaf(0.0, "[0, 1)")
-    limit: jax.Array | None = leaf(None, "(0, inf)", optional=True)
-    lead: int = static(0, "[0, inf)", whole=True)
+    gamma_p: Leaf = leaf(default=0.0)
+    gamma_i: Leaf = leaf(default=0.0)
+    gamma_d: Leaf = leaf(default=0.0)
+    leak: Leaf = leaf(default=0.0, interval="[0, 1)")
+    limit: Leaf | None = leaf(default=None, interval="(0, inf)", optional=True)
+    lead: int = static(default=0, interval="[0, inf)", whole=True)
     clips = ("limit",)
 
     def check(self, task: Task) -> None:

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..pytree.fields import leaf, pytree, static
+from ..pytree.fields import Leaf, leaf, pytree, static
 from ..pytree.needs import known, need_channels
 from ..signals.task import Sample, Task, Trial
 from .scheme import Scheme, limited, need_square
@@ -64,16 +64,16 @@ class SMC(Scheme):
     Raises ValueError for b = 0, or a task with another number of inputs than outputs.
     """
 
-    a1: jax.Array = leaf()
-    a2: jax.Array = leaf()
-    b: jax.Array = leaf()
-    eta: jax.Array = leaf(2e6, "[0, inf)")
-    k_n: jax.Array = leaf(1000.0, "[0, inf)")
-    lam1: jax.Array = leaf(500.0, "(0, inf)")
-    lam2: jax.Array = leaf(0.3, "[0, inf)")
-    tau: jax.Array = leaf(0.0, "[0, inf)")
-    limit: jax.Array | None = leaf(None, "(0, inf)", optional=True)
-    centre: str = static("sample", choices=("sample", "hold"))
+    a1: Leaf = leaf()
+    a2: Leaf = leaf()
+    b: Leaf = leaf()
+    eta: Leaf = leaf(default=2e6, interval="[0, inf)")
+    k_n: Leaf = leaf(default=1000.0, interval="[0, inf)")
+    lam1: Leaf = leaf(default=500.0, interval="(0, inf)")
+    lam2: Leaf = leaf(default=0.3, interval="[0, inf)")
+    tau: Leaf = leaf(default=0.0, interval="[0, inf)")
+    limit: Leaf | None = leaf(default=None, interval="(0, inf)", optional=True)
+    centre: str = static(default="sample", choices=("sample", "hold"))
     clips = ("limit",)
 
     def __post_init__(self):
@@ -179,11 +179,11 @@ class ASMC(SMC):
     is to be carried.
     """
 
-    eta: jax.Array = leaf(0.0, "[0, inf)")
-    phi: jax.Array = leaf(1e5, "[0, inf)")
-    epsilon: jax.Array = leaf(0.2, "[0, inf)")
-    Delta: jax.Array = leaf(500.0, "(0, inf)")
-    carry: bool = static(False, choices=(False, True))
+    eta: Leaf = leaf(default=0.0, interval="[0, inf)")
+    phi: Leaf = leaf(default=1e5, interval="[0, inf)")
+    epsilon: Leaf = leaf(default=0.2, interval="[0, inf)")
+    Delta: Leaf = leaf(default=500.0, interval="(0, inf)")
+    carry: bool = static(default=False, choices=(False, True))
 
     @property
     def learns(self) -> bool:

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..pytree.fields import leaf, pytree, static
+from ..pytree.fields import Leaf, leaf, pytree, static
 from ..pytree.needs import known
 
 SMALLEST = 1e-15  # largest |r| of a reference that is not zero
@@ -33,12 +33,12 @@ class Task:
     so large or small that the squares of its errors would leave the range of single precision.
     """
 
-    reference: jax.Array = leaf(interval="[-1e12, 1e12]")
+    reference: Leaf = leaf(interval="[-1e12, 1e12]")
     dt: float = static(interval="[1e-12, 1e+09]")
-    settle: tuple[float, float] | None = static(None)
-    inputs: int = static(None, "[1, inf)", whole=True, optional=True)
-    unit: str = static("")
-    input_unit: str = static("")
+    settle: tuple[float, float] | None = static(default=None)
+    inputs: int = static(default=None, interval="[1, inf)", whole=True, optional=True)
+    unit: str = static(default="")
+    input_unit: str = static(default="")
 
     def __post_init__(self):
         r = self.reference

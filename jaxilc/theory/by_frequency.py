@@ -72,8 +72,13 @@ def learning_condition(
     and task do not fit.
     """
     parts = parts_of(machine, scheme, task)
-    bounds = lambda centre, h: _largest(parts.nominal(centre, h), h)  # noqa: E731
-    of_whole = lambda: of_trial(drawn_machines(machine, {}, {}), scheme, task, parts.causal)
+
+    def bounds(centre, h):
+        return _largest(parts.nominal(centre, h), h)
+
+    def of_whole():
+        return of_trial(drawn_machines(machine, {}, {}), scheme, task, parts.causal)
+
     return on_supremum(
         bounds,
         CAUSAL if parts.causal else LEARNING,
@@ -113,9 +118,10 @@ def norm_optimal_condition(
     premises = [invariant_loop(one, scheme, task) for one in (model, machine)] + [
         of_poles([G, G_t], task)
     ]
-    of_whole = lambda: (
-        [] if any(map(callable, weights)) else [_of_norm_optimal(G, machine, scheme, task, weights)]
-    )
+
+    def of_whole():
+        of_functions = any(map(callable, weights))
+        return [] if of_functions else [_of_norm_optimal(G, machine, scheme, task, weights)]
 
     def bounds(centre, h):
         e, u, delta = (weight_on(w, centre, h, task.dt) for w in weights)

@@ -25,7 +25,7 @@ from ..learning.divergence import CEILING, peak
 from ..learning.machine import Machine
 from ..learning.metrics import Keep, Metrics, largest
 from ..learning.over_trials import History, learn
-from ..pytree.fields import child, leaf, pytree
+from ..pytree.fields import Leaf, child, leaf, pytree
 from ..pytree.ranges import require
 from ..schemes import Scheme
 from ..schemes.guards import Guard
@@ -68,7 +68,7 @@ class Bounded(Guard):
     """
 
     scheme: Scheme = child()
-    level: jax.Array = leaf(interval="(0, inf)")
+    level: Leaf = leaf(interval="(0, inf)")
 
     @classmethod
     def around(cls, scheme: Scheme, task: Task, ceiling: float = CEILING) -> Bounded:

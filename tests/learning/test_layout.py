@@ -71,7 +71,7 @@ def test_every_transformation_gives_the_same_numbers(transform):
 
 def test_only_arrays_of_rows_are_placed_and_trees_keep_their_shape():
     tree = {"rows": X[0], "number": jnp.ones(()), "vector": jnp.ones(4), "none": None}
-    for place in (carried, scanned):
+    for place in (for_carry, for_scan):
         assert jax.tree.structure(place(tree)) == jax.tree.structure(tree)
         assert str(jax.make_jaxpr(place)(tree)).count("by_sample") == 1
 

@@ -305,7 +305,7 @@ def test_gradient_of_a_figure_that_is_zero_is_finite(figure):
 class Looker(Scheme):
     """Applies gain times the reference three samples ahead, and records what it saw."""
 
-    gain: jax.Array = leaf(2.0)
+    gain: jax.Array = leaf(default=2.0)
     preview = 3
 
     def initial_state(self, task):

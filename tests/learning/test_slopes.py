@@ -187,6 +187,10 @@ def test_a_smooth_reset_is_that_of_the_book_far_from_its_thresholds():
     np.testing.assert_allclose(smooth, book, rtol=1e-12)
 
 
+def loss_of_gain(problem, gamma):
+    return problem.loss_of(STATIC, {"gamma_p": gamma})
+
+
 def test_slopes_through_the_last_trials_alone_are_those_of_the_closed_form():
     # e_J = (1 - gamma g)^(K-1) e_(J-K+1), the latter held: K - 1 of J - 1 factors have a slope
     problem = dataclasses.replace(
@@ -196,11 +200,8 @@ def test_slopes_through_the_last_trials_alone_are_those_of_the_closed_form():
         objective=Final("rms", floor=1e-9) + EveryTrial("rms", floor=1e-9),
     )
     for K in (1, 4, 9):
-        value, slope = jax.value_and_grad(
-            lambda gamma: dataclasses.replace(problem, truncate=K).loss_of(
-                STATIC, {"gamma_p": gamma}
-            )
-        )(0.4)
+        short = dataclasses.replace(problem, truncate=K)
+        value, slope = jax.value_and_grad(partial(loss_of_gain, short))(0.4)
         factors = np.array([max(0, j - 1 - max(0, 6 - K)) for j in range(1, 7)])
         np.testing.assert_allclose(slope, -(factors[-1] + np.mean(factors)) / 0.6, rtol=1e-9)
         np.testing.assert_allclose(value, problem.loss_of(STATIC, {"gamma_p": 0.4}), rtol=1e-12)
@@ -223,10 +224,11 @@ def test_truncation_changes_the_slope_and_nothing_else():
     )
     cut = dataclasses.replace(whole, truncate=3)
     key = jax.random.key(3)
-    one, other = (
-        jax.value_and_grad(lambda lam: p.loss_of(machine, {"lam": lam}, key=key))(0.02)
-        for p in (whole, cut)
-    )
+
+    def loss(problem, lam):
+        return problem.loss_of(machine, {"lam": lam}, key=key)
+
+    one, other = (jax.value_and_grad(partial(loss, p))(0.02) for p in (whole, cut))
     np.testing.assert_allclose(one[0], other[0], rtol=1e-12)
     assert one[1] != other[1] != 0
 

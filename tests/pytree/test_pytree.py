@@ -195,7 +195,7 @@ def test_a_user_s_own_class_fits_where_its_base_does_and_unknown_names_are_not_h
     @pytree
     class Own(Scheme):
         inside: "NameOfNowhere" = child()  # noqa: F821
-        law: Scheme = child(PIDType())
+        law: Scheme = child(default=PIDType())
 
     assert WithFeedback(Own(PID()), PID()).learning.inside is not None
     assert Filtered(Own(3.0), ZeroPhaseFIR()).scheme.inside == 3.0
@@ -357,14 +357,14 @@ def test_ranges_are_found_by_path():
 
 @pytree
 class Inner:
-    gain: jax.Array = leaf(1.0, "(0, 10)")
-    order: int = static(2, "[1, inf)")
+    gain: jax.Array = leaf(default=1.0, interval="(0, 10)")
+    order: int = static(default=2, interval="[1, inf)")
 
 
 @pytree
 class Outer:
     inner: Inner = child()
-    level: jax.Array | None = leaf(None, "(0, 1)", optional=True)
+    level: jax.Array | None = leaf(default=None, interval="(0, 1)", optional=True)
 
     def __post_init__(self):
         if self.inner.order > 5:

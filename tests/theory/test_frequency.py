@@ -131,7 +131,7 @@ def test_derivatives_with_respect_to_plant_and_feedback():
 class TwoAhead(Scheme):
     """A user's law: u_{j+1}[k] = 0.9 u_j[k] + gain (0.7 e_j[k+2] + 0.3 e_j[k])."""
 
-    gain: jax.Array = leaf(0.5)
+    gain: jax.Array = leaf(default=0.5)
 
     def initial_memory(self, task):
         return Feedforward(jnp.zeros((task.N, task.inputs)))

@@ -172,7 +172,7 @@ class Bent(Scheme):
     """
 
     scheme: Scheme = child()
-    knee: jax.Array = leaf(1e3)
+    knee: jax.Array = leaf(default=1e3)
 
     def initial_memory(self, task):
         return self.scheme.initial_memory(task)
