@@ -9,7 +9,7 @@ import numpy as np
 from .style import COLOURS, grid, labelled, legend_beside, new_axes
 
 if TYPE_CHECKING:
-    from ..identification.estimation import Identified
+    from ..identification import Identified
     from ..identification.records import Record
 
 

@@ -7,7 +7,7 @@ import pytest
 from cases import ALGEBRA, DIFFERENCES, SIGMAS
 
 from jaxilc import figures
-from jaxilc.identification import Record, estimation, excite, identify, read_record, write_record
+from jaxilc.identification import Record, excite, identify, problem, read_record, write_record
 from jaxilc.learning import Actuator, Machine, Sensor
 from jaxilc.plants import DifferenceEquation, ProcessModel, StateSpace, VoiceCoil, voice_coil
 from jaxilc.pytree import get_at
@@ -155,11 +155,11 @@ def test_impossible_process_models_are_refused(build, message):
 def test_derivatives_are_exact_and_independent_at_the_double_pole(record):
     names = tuple(n for n in TRUE if n != "bias")
     theta = np.array([TRUE[n] for n in names])
-    task, u = estimation.task_of(EQ_7, record.u, DT), np.asarray(record.u)
-    J = np.asarray(estimation._sensitivity(theta, names, EQ_7, task, u))[:, 0]
+    task, u = problem.task_of(EQ_7, record.u, DT), np.asarray(record.u)
+    J = np.asarray(problem.sensitivity_of_output(theta, names, EQ_7, task, u))[:, 0]
     step = 1e-5 * np.diag(np.abs(theta))
     outputs = [
-        [estimation._simulated(theta + s * h, names, EQ_7, task, u)[:, 0] for s in (1, -1)]
+        [problem.simulated_output(theta + s * h, names, EQ_7, task, u)[:, 0] for s in (1, -1)]
         for h in step
     ]
     differences = np.stack(
