@@ -20,6 +20,7 @@ from ..plants import Plant
 from ..pytree.ranges import as_numbers, brief, is_whole
 from ..schemes import Scheme
 
+_PACKAGE = __name__.partition(".")[0] + "."
 _HIDDEN = {"solved"}  # worked out by the scheme itself
 _MODELS = {"direct_model": plants.direct_model, "multivariable_model": plants.multivariable_model}
 
@@ -34,7 +35,7 @@ def classes() -> dict[str, type]:
     return {
         n: c
         for n, c in found.items()
-        if dataclasses.is_dataclass(c) and c.__module__.startswith(__package__)
+        if dataclasses.is_dataclass(c) and c.__module__.startswith(_PACKAGE)
     }
 
 

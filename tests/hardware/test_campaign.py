@@ -20,7 +20,7 @@ from typer.testing import CliRunner
 
 from jaxilc.cli import hardware
 from jaxilc.figures.campaign import campaign_figure
-from jaxilc.hardware import Campaign, Journal, Measured, Rules, journal, trial_files
+from jaxilc.hardware import Campaign, Journal, Measured, Rules, journal, read_measured
 from jaxilc.hardware.checks import beyond_limits
 from jaxilc.learning import Sensor, learn, run_trial
 from jaxilc.plants import from_control
@@ -295,7 +295,7 @@ def test_two_calls_at_once_are_one_entry(copied):
     rig, state, folder = copied
     rig.measure(rig.folder / "next-21.csv", 21, folder / "trial.csv")
     campaign = Campaign.open(state, rig.scheme, rig.task, actuator=rig.axis.machine.actuator)
-    turn = campaign.turn(trial_files.read_measured(folder / "trial.csv", rig.task))
+    turn = campaign.turn(read_measured(folder / "trial.csv", rig.task))
     quicker = Journal(state)
     quicker.append({**quicker.manifests()[-1], "serial": 21, "parent": 20, "trial": 21}, {})
     with pytest.raises(ValueError, match="trial 21 does not follow on trial 21"):
