@@ -55,5 +55,6 @@ for name, true in TRUE.items():
     )
 output.write_rows(folder / "rows.csv", rows)
 print(
-    f"fit {found.fit[0]:.3f} %, on the validation part {found.validation_fit[0]:.3f} %; residual white: {found.white}"
+    f"fit {found.fit[0]:.3f} %, on the validation part {found.validation_fit[0]:.3f} %; residual "
+    f"white: {found.white}"
 )

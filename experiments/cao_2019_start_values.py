@@ -72,5 +72,6 @@ output.write_rows(folder / "rows.csv", rows)
 judged = [r for r in rows if r["role"] == "judged" and r["reset"] == "sign"]
 met = sum(abs(r["ratio"] - 1) <= 0.3 for r in judged)
 print(
-    f"reset `sign`: 5 free numbers fitted to 7 printed ones; of the {len(judged)} judged rows {met} are met within 30 %"
+    f"reset `sign`: 5 free numbers fitted to 7 printed ones; of the {len(judged)} judged rows "
+    f"{met} are met within 30 %"
 )

@@ -301,7 +301,8 @@ def main():
         }
         kinks = f"{sum(row['step shrunk'] for row in of)} beside a kink, {sum(row['kinks'] for row in of)} at a kink"
         print(
-            f"{loss}: of {total} derivatives, {kinks}, wrong: {', '.join(f'{n} {way}' for way, n in wrong.items())}"
+            f"{loss}: of {total} derivatives, {kinks}, wrong: "
+            f"{', '.join(f'{n} {way}' for way, n in wrong.items())}"
         )
 
 

@@ -132,11 +132,14 @@ for setting in ("simulation", "experiment"):
     turning = best_trial(predicted[:, None])[-1], best_trial(simulated)[-1]
     ratio = predicted / simulated[:, 0]
     print(
-        f"{setting}: phi = {phi:g}, |1 - CB phi| = {abs(1 - 0.0475 * phi):.4f}, sup |1 - phi z G/(1 + C G)| = {test.condition.value:.4f}"
+        f"{setting}: phi = {phi:g}, |1 - CB phi| = {abs(1 - 0.0475 * phi):.4f}, sup |1 - phi z "
+        f"G/(1 + C G)| = {test.condition.value:.4f}"
     )
     print(
-        f"    critical frequency {test.critical:.1f} Hz; the error turns at trial {turning[0]} in theory, {turning[1]} in simulation"
+        f"    critical frequency {test.critical:.1f} Hz; the error turns at trial {turning[0]} in "
+        f"theory, {turning[1]} in simulation"
     )
     print(
-        f"    RMSE predicted / simulated, over the trials: {np.min(ratio):.3f} to {np.max(ratio):.3f}"
+        f"    RMSE predicted / simulated, over the trials: {np.min(ratio):.3f} to "
+        f"{np.max(ratio):.3f}"
     )

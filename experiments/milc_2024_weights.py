@@ -85,12 +85,14 @@ def main() -> None:
     noise, step = float(s.machine.sensor.noise[1]), float(s.machine.sensor.resolution[1])
     floor = 1e3 * np.sqrt(noise**2 + step**2 / 12)
     print(
-        f"the table's encoder alone, its noise and step, measures {floor:.4f} µm RMS: no weights get below"
+        f"the table's encoder alone, its noise and step, measures {floor:.4f} µm RMS: no weights "
+        "get below"
     )
     for row in rows:
         excess = np.sqrt(row[f"median {TRIALS}"] ** 2 - floor**2)
         print(
-            f"{row['scheme']}, {row['weights']}: {excess:.3f} µm RMS beyond the encoder's floor at trial {TRIALS}"
+            f"{row['scheme']}, {row['weights']}: {excess:.3f} µm RMS beyond the encoder's floor "
+            f"at trial {TRIALS}"
         )
 
 

@@ -425,7 +425,8 @@ def main(names: list[str]) -> None:
         verdicts.append(row)
         print("  ".join(f"{k} {v}" for k, v in row.items()))
         print(
-            f"  {seconds:.0f} s, held-out loss {tuned.before:.3f} -> {tuned.after:.3f} at step {tuned.step} ({tuned.reason}), of"
+            f"  {seconds:.0f} s, held-out loss {tuned.before:.3f} -> {tuned.after:.3f} at step "
+            f"{tuned.step} ({tuned.reason}), of"
         )
         print(f"  {time.perf_counter() - began:.0f} s altogether; weights:", end=" ")
         print(

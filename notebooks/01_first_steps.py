@@ -46,7 +46,8 @@ scheme = schemes.CFDLMFAILC(lam=1.0, eta=0.9, mu=1.0, rho=1.0, phi0=-0.0682, res
 history = learn(machine, scheme, task, trials=30)
 for trial in (1, 2, 5, 10, 20, 30):
     print(
-        f"trial {trial:2d}: largest error in the second half of the trial {1e3 * history.settled_error[trial - 1, 0]:7.1f} µm"
+        f"trial {trial:2d}: largest error in the second half of the trial "
+        f"{1e3 * history.settled_error[trial - 1, 0]:7.1f} µm"
     )
 
 # %% [markdown]

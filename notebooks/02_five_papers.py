@@ -50,7 +50,8 @@ def show(rows):
         ours = f"{tables.number(row.ours):>7s} {row.unit}"
         read = "; ".join(part for part in (p.reading, str(p.fitted), row.reason) if part)
         print(
-            f"{p.scheme:12s} {trial:9s} {what:14s} printed {less}{p.value:<7g} ours {ours:10s} {row.verdict:5s} | {read}"
+            f"{p.scheme:12s} {trial:9s} {what:14s} printed {less}{p.value:<7g} ours {ours:10s} "
+            f"{row.verdict:5s} | {read}"
         )
     print(
         {
@@ -125,7 +126,8 @@ for name, rows in tables.run_figures(li, of_li)["schemes"].items():
 rms = {name: 1e3 * np.asarray(of_li["rms"].sel(scheme=name))[:, 0] for name in li.schemes}
 for name, errors in rms.items():
     print(
-        f"{name:12s} best trial {np.argmin(errors) + 1}, RMS there {np.min(errors):.2f} µm, at trial 30 {errors[-1]:.2f} µm"
+        f"{name:12s} best trial {np.argmin(errors) + 1}, RMS there {np.min(errors):.2f} µm, at "
+        f"trial 30 {errors[-1]:.2f} µm"
     )
 assert rms["p-type"][-1] > 1.5 * np.min(rms["p-type"])
 ax_li = figures.error_by_trial(of_li, figure="rms", scale=1e3, unit="µm")
@@ -169,7 +171,8 @@ of_xu, _ = jaxilc.run_schemes(xu.machine, xu.schemes, xu.task, 10, quantities=xu
 for name, rows in tables.run_figures(xu, of_xu)["schemes"].items():
     for p in rows["published"]:
         print(
-            f"{name:9s} {p['quantity'].replace('_', ' '):14s} printed {p['value']:7.2f} ours {p['ours']:7.2f} {p['unit']}"
+            f"{name:9s} {p['quantity'].replace('_', ' '):14s} printed {p['value']:7.2f} ours "
+            f"{p['ours']:7.2f} {p['unit']}"
         )
 of_rms = [
     float(of_xu["settled_rms"].sel(scheme=name, trial=10))

@@ -77,8 +77,10 @@ ax.figure
 # %%
 for row in summarise(dataset, tolerance):
     print(
-        f"{row.scheme:12s} yield {row.yield_share:6.1%} ({row.yield_low:.1%} to {row.yield_high:.1%}), "
-        f"median {1e3 * row.median[-1]:.3g} µm, worst {1e3 * row.worst[-1]:.3g} µm (machine {row.worst_sample[-1]})"
+        f"{row.scheme:12s} yield {row.yield_share:6.1%} ({row.yield_low:.1%} to "
+        f"{row.yield_high:.1%}), "
+        f"median {1e3 * row.median[-1]:.3g} µm, worst {1e3 * row.worst[-1]:.3g} µm (machine "
+        f"{row.worst_sample[-1]})"
     )
 
 # %% [markdown]
@@ -96,7 +98,8 @@ ranks = {name: np.argsort(np.argsort(np.asarray(dataset[name]))) for name in sce
 of_error = np.argsort(np.argsort(np.asarray(last)))
 for name, of_parameter in ranks.items():
     print(
-        f"rank correlation of the error with {name:15s} {np.corrcoef(of_error, of_parameter)[0, 1]:+.2f}"
+        f"rank correlation of the error with {name:15s} "
+        f"{np.corrcoef(of_error, of_parameter)[0, 1]:+.2f}"
     )
 
 # %% [markdown]
@@ -110,7 +113,8 @@ machine = sweep.machine_of(worst)
 print({name: float(dataset[name][worst]) for name in scenario.uncertainty})
 again = jaxilc.learn(machine, scenario.schemes["cfdl-mfailc"], scenario.task, 40)
 print(
-    f"machine {worst}: {1e3 * float(last[worst]):.4f} µm in the dataset, {1e3 * float(again.settled_error[-1, 0]):.4f} µm again"
+    f"machine {worst}: {1e3 * float(last[worst]):.4f} µm in the dataset, "
+    f"{1e3 * float(again.settled_error[-1, 0]):.4f} µm again"
 )
 np.testing.assert_allclose(float(again.settled_error[-1, 0]), float(last[worst]), rtol=1e-6)
 

@@ -90,7 +90,8 @@ print("given:", tuned.start)
 print("tuned:", {name: round(value, 3) for name, value in tuned.values.items()})
 factor = np.exp(tuned.before - tuned.after)
 print(
-    f"held-out loss {tuned.before:.3f} -> {tuned.after:.3f}: the error of the worst quarter divided by {factor:.1f}"
+    f"held-out loss {tuned.before:.3f} -> {tuned.after:.3f}: the error of the worst quarter "
+    f"divided by {factor:.1f}"
 )
 assert tuned.after < tuned.before
 
@@ -132,7 +133,8 @@ ax.figure
 for row in jaxilc.summarise(dataset, tolerance=0.02, figure="rms"):
     median, worst = 1e3 * row.median, 1e3 * row.worst
     print(
-        f"{row.scheme:6s} median of trials 12 and 24: {median[11]:.2f}, {median[23]:.2f} µm, worst {worst[11]:.2f}, {worst[23]:.2f} µm, "
+        f"{row.scheme:6s} median of trials 12 and 24: {median[11]:.2f}, {median[23]:.2f} µm, "
+        f"worst {worst[11]:.2f}, {worst[23]:.2f} µm, "
         f"within 20 µm at trial 24: {row.yield_share:.0%}"
     )
 
@@ -168,7 +170,8 @@ for reset in ("sign", "book", "smooth"):
     change, integral = values[-1] - values[0], scipy.integrate.trapezoid(slopes, path)
     missed[reset] = abs(change - integral)
     print(
-        f"{reset:6s} change {change:+.3f}, integral of the slope {integral:+.3f}, largest slope {np.abs(slopes).max():.1f}"
+        f"{reset:6s} change {change:+.3f}, integral of the slope {integral:+.3f}, largest slope "
+        f"{np.abs(slopes).max():.1f}"
     )
 assert missed["sign"] < 1e-3 < missed["smooth"] < 0.01 < 0.05 < missed["book"]
 
@@ -204,7 +207,8 @@ for limit in (10.0, 0.8, 0.5, 0.2, 0.05):
     slopes.append(abs(slope))
     quotient = (above - below) / 2e-5
     print(
-        f"limit {limit:5.2f} V: {share:4.0%} of the samples saturated, slope {slope:+.5f}, difference quotient {quotient:+.5f}"
+        f"limit {limit:5.2f} V: {share:4.0%} of the samples saturated, slope {slope:+.5f}, "
+        f"difference quotient {quotient:+.5f}"
     )
 assert np.all(np.diff(slopes) < 0)
 assert slopes[-1] < 1e-3 * slopes[0]
@@ -256,7 +260,8 @@ for name, law, colour in (
         label=f"{name}: |e_j|",
     )
     print(
-        f"{name:7s} |de/dγ| of trials 20, 40, 60: {lengths[19]:.3g}, {lengths[39]:.3g}, {lengths[59]:.3g}; |M^58| = {powers[-1]:.3g}"
+        f"{name:7s} |de/dγ| of trials 20, 40, 60: {lengths[19]:.3g}, {lengths[39]:.3g}, "
+        f"{lengths[59]:.3g}; |M^58| = {powers[-1]:.3g}"
     )
 growth.set(xlabel="trial j")
 growth.legend(fontsize="small")

@@ -56,7 +56,8 @@ def report(found):
     print(f"realised phi between {np.nanmin(found.phi):.4g} and {np.nanmax(found.phi):.4g}")
     for premise in found.condition.premises:
         print(
-            f"    {'held  ' if premise.held else 'broken'} {premise.name:35s} broken at {premise.share_broken:6.1%} of samples and trials"
+            f"    {'held  ' if premise.held else 'broken'} {premise.name:35s} broken at "
+            f"{premise.share_broken:6.1%} of samples and trials"
         )
 
 
@@ -106,7 +107,8 @@ phi0, lam, rho = (float(np.squeeze(v)) for v in (cfdl.phi0, cfdl.lam, cfdl.rho))
 p_type = schemes.PIDType(gamma_p=rho * phi0 / (lam + phi0**2))
 test = theory.frequency.learning_condition(motor.machine, p_type, motor.task)
 print(
-    f"sup |1 - gamma z P| = {test.condition.value:.4f}; crosses 1 at {test.critical:.1f} Hz; verdict: {test.condition.verdict}"
+    f"sup |1 - gamma z P| = {test.condition.value:.4f}; crosses 1 at {test.critical:.1f} Hz; "
+    f"verdict: {test.condition.verdict}"
 )
 
 # %% [markdown]
@@ -160,7 +162,8 @@ for cutoff in (10.0, 30.0):
         motor.machine, filtered, motor.task
     )
     print(
-        f"cutoff {cutoff:5.0f} Hz: sup |Q (1 - gamma z P)| = {found.condition.value:.4f}; verdict: {found.condition.verdict}"
+        f"cutoff {cutoff:5.0f} Hz: sup |Q (1 - gamma z P)| = {found.condition.value:.4f}; "
+        f"verdict: {found.condition.verdict}"
     )
 assert tests["Q of 10 Hz"].condition.holds
 assert tests["Q of 30 Hz"].condition.value > 1

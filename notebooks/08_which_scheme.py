@@ -123,7 +123,8 @@ for m in (0, 12):
     gain = np.abs(1 - 0.5 * z ** (1 + m) * P)
     first = f[np.argmax(gain > 1)]
     print(
-        f"lead of {m:2d} samples: sup |1 - gamma z^(1+m) P| = {np.max(gain):.4f}, first above 1 at {first:.1f} Hz"
+        f"lead of {m:2d} samples: sup |1 - gamma z^(1+m) P| = {np.max(gain):.4f}, first above 1 "
+        f"at {first:.1f} Hz"
     )
 assert without[-1] > 10 * np.min(without)
 assert with_lead[-1] < 1e-2 * feedback_only[0]

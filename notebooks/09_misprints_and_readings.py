@@ -49,10 +49,12 @@ exact = {"a": -den[1:], "b": num[-3:]}
 for name, form in {"exact": exact, "eq. 29": CAO_2019_EQ_29}.items():
     a, b = np.asarray(form["a"]), np.asarray(form["b"])
     print(
-        f"{name:7s} a = {np.round(a, 6)}, b = {np.round(b, 6)}, DC gain {dc_gain(a, b):.4f}, poles {np.round(np.roots(np.r_[1, -a]), 5)}"
+        f"{name:7s} a = {np.round(a, 6)}, b = {np.round(b, 6)}, DC gain {dc_gain(a, b):.4f}, "
+        f"poles {np.round(np.roots(np.r_[1, -a]), 5)}"
     )
 print(
-    f"DC gain of eq. 7: {float(np.real(G(0))):.4f} mm/V; first sample of the step response: {num[-3]:+.6f} mm/V"
+    f"DC gain of eq. 7: {float(np.real(G(0))):.4f} mm/V; first sample of the step response: "
+    f"{num[-3]:+.6f} mm/V"
 )
 assert abs(dc_gain(**exact) - float(np.real(G(0)))) < 1e-3
 assert abs(dc_gain(**CAO_2019_EQ_29) + 4.3) < 1e-6
@@ -70,7 +72,8 @@ phi, estimate, lam, rho, e = 0.8, 0.5, 1.0, 1.0, 1.0
 gain = rho * estimate / (lam + estimate**2)
 after = e - phi * gain * e
 print(
-    f"|e_j / e_j-1| = {abs(after / e):.4f};  with '1 -': {abs(1 - gain * phi):.4f};  as printed: {abs(gain * phi):.4f}"
+    f"|e_j / e_j-1| = {abs(after / e):.4f};  with '1 -': {abs(1 - gain * phi):.4f};  as printed: "
+    f"{abs(gain * phi):.4f}"
 )
 assert np.isclose(abs(after / e), abs(1 - gain * phi))
 
@@ -178,7 +181,8 @@ s = 2j * np.pi * 5.0
 motor, table = np.squeeze(drive(s))
 for name, c in (("c_s + c_T", c_s + c_T), ("c_T + c_M, as printed", c_T + c_M)):
     print(
-        f"|P_Z| at 5 Hz with {name}: {abs((c_s * s + k) / (m_T * s**2 + c * s + k)):.5f};  of the two masses: {abs(table / motor):.5f}"
+        f"|P_Z| at 5 Hz with {name}: {abs((c_s * s + k) / (m_T * s**2 + c * s + k)):.5f};  of the "
+        f"two masses: {abs(table / motor):.5f}"
     )
 assert np.isclose(table / motor, (c_s * s + k) / (m_T * s**2 + (c_s + c_T) * s + k))
 

@@ -115,7 +115,8 @@ def time_frequency(
     samples = max(N // 16, least) if window is None else round(window / dt)
     if not least <= samples <= N:
         raise ValueError(
-            f"time_frequency: window = {samples * dt:g} s is outside its allowed range [{least * dt:g}, {N * dt:g}] s"
+            f"time_frequency: window = {samples * dt:g} s is outside its allowed range "
+            f"[{least * dt:g}, {N * dt:g}] s"
         )
     transform = ShortTimeFFT.from_window(
         "hann",

@@ -73,7 +73,8 @@ def tracking(
     low, high = _around_the_largest(time, signals[-1][1]) if zoom is None else zoom
     if not time[0] <= low < high <= time[-1]:
         raise ValueError(
-            f"tracking: zoom = ({low:g}, {high:g}) is not a part of the trial, {time[0]:g} to {time[-1]:g} s"
+            f"tracking: zoom = ({low:g}, {high:g}) is not a part of the trial, {time[0]:g} to "
+            f"{time[-1]:g} s"
         )
     channels = signals[0][1].shape[1]
     axes = new_axes(
@@ -157,7 +158,8 @@ def contour(
         )
     if not np.all(np.isfinite(path)):
         raise ValueError(
-            f"contour: trial {trials[0]} diverged, and a sweep does not keep the path; choose another sample"
+            f"contour: trial {trials[0]} diverged, and a sweep does not keep the path; choose "
+            "another sample"
         )
     errors = [np.asarray(contour_error(y, path, window=window)) for y, _ in signals]
     # the gradient of the distance is its direction, so this is the vector from the path to the tool

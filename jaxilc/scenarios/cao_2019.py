@@ -83,12 +83,15 @@ PUBLISHED = (
 )
 
 CHOSEN = (
-    "phi0 of CFDL- and FFDL-MFAILC is not printed: one number was fitted to 4 rows of Table 1 and judged on 3, four numbers to 3 rows "
-    "and judged on 2 (experiments/cao_2019_start_values.py); PFDL-MFAILC is not in the paper and has FFDL's weights",
+    "phi0 of CFDL- and FFDL-MFAILC is not printed: one number was fitted to 4 rows of Table 1 and "
+    "judged on 3, four numbers to 3 rows "
+    "and judged on 2 (experiments/cao_2019_start_values.py); PFDL-MFAILC is not in the paper and "
+    "has FFDL's weights",
     "steady-state error is read as max |e| over the second half of the trial",
     "the estimate is reset where its sign turns (mode `sign`); Cao 2019 prints no reset",
     "PID is read in position form with ki multiplied by the sample time",
-    "ILC-MFAPC: the learning gains are given the plant's sign, lam = 2 is read as lam / P, phi0 = -0.00064 is fitted to its rows",
+    "ILC-MFAPC: the learning gains are given the plant's sign, lam = 2 is read as lam / P, phi0 = "
+    "-0.00064 is fitted to its rows",
 )
 
 

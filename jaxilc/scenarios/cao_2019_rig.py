@@ -48,8 +48,10 @@ PUBLISHED = tuple(
 CHOSEN = (
     "the drive's scale is not printed: 10 V is read as the printed top speed of 3.44 m/s",
     "friction is not printed: 20 N Coulomb, 30 N static",
-    "CFDL-MFAILC by itself diverges on a velocity-controlled drive, whose position integrates: it learns here over the printed PID, with "
-    "a zero-phase filter of 6 Hz; the printed rig may have iterated within each sample instead (its Simulink For-iterator block)",
+    "CFDL-MFAILC by itself diverges on a velocity-controlled drive, whose position integrates: it "
+    "learns here over the printed PID, with "
+    "a zero-phase filter of 6 Hz; the printed rig may have iterated within each sample instead "
+    "(its Simulink For-iterator block)",
 )
 
 

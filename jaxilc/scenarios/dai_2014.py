@@ -62,8 +62,10 @@ PUBLISHED = (
 )
 
 CHOSEN = (
-    "phi0 of CFDL-MFAPC is not printed: -0.12 at 0.5 Hz and -0.238 at 2.5 Hz, one number for one printed number each",
-    "the forecast of the PPD starts from theta = (1, 0, 0); with P_u = 1, which the paper allows and does not state, it is not used",
+    "phi0 of CFDL-MFAPC is not printed: -0.12 at 0.5 Hz and -0.238 at 2.5 Hz, one number for one "
+    "printed number each",
+    "the forecast of the PPD starts from theta = (1, 0, 0); with P_u = 1, which the paper allows "
+    "and does not state, it is not used",
     "the error is that of the settled part, as the paper reads it off at the ends of the stroke",
 )
 

@@ -90,14 +90,19 @@ PUBLISHED = tuple(
 )
 
 CHOSEN = (
-    "masses, stiffness, damping and force gain are not printed: 30 kg on each side, 3 % damping, a torque filter of 350 Hz and a force "
+    "masses, stiffness, damping and force gain are not printed: 30 kg on each side, 3 % damping, "
+    "a torque filter of 350 Hz and a force "
     "gain that makes the position loop 50 Hz wide, as printed; the antiresonance is fitted",
-    "the path is printed as a picture: an S-curve of 10 mm and back at 6 m/s^2 and 600 m/s^3 with 0.3 s of rest; its velocity is fitted",
+    "the path is printed as a picture: an S-curve of 10 mm and back at 6 m/s^2 and 600 m/s^3 with "
+    "0.3 s of rest; its velocity is fitted",
     "the input's unit is not printed and decides how the weights act: 50 mm/s per volt",
-    "noise is not printed: white, its standard deviation on the table fitted, on the motor's encoder a third of it, as their steps are",
-    "the model knows the drive but for what a model leaves out: the table weighs 10 % more, friction of 20 N that the look-up table "
+    "noise is not printed: white, its standard deviation on the table fitted, on the motor's "
+    "encoder a third of it, as their steps are",
+    "the model knows the drive but for what a model leaves out: the table weighs 10 % more, "
+    "friction of 20 N that the look-up table "
     "compensates to 90 %, a lead error of 2 µm a revolution, encoders and converter",
-    "the motor's error under MILC is that of the learned reference (eq. 25), under DILC that of the desired path",
+    "the motor's error under MILC is that of the learned reference (eq. 25), under DILC that of "
+    "the desired path",
 )
 
 

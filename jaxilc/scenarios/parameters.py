@@ -69,7 +69,8 @@ def with_parameters(scenario: Scenario, path: Path) -> Scenario:
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         why = f" ({str(error).removeprefix(f'{path}: ')})" if isinstance(error, ValueError) else ""
         raise ValueError(
-            f"{path} is not a parameter file: it needs `scenario` and `schemes`, as `jaxilc tune` writes them{why}"
+            f"{path} is not a parameter file: it needs `scenario` and `schemes`, as `jaxilc tune` "
+            f"writes them{why}"
         ) from None
     if name != scenario.name:
         raise ValueError(f"{path} has parameters of {brief(name)}, not of {scenario.name!r}")

@@ -137,7 +137,8 @@ def _verdict(i: int, published: tuple[Published, ...], ours: list[float]) -> tup
     if against:
         return (
             "open",
-            f"{size}, and not in the printed order with {len(against)} of {len(others)} comparable rows",
+            f"{size}, and not in the printed order with {len(against)} of {len(others)} "
+            "comparable rows",
         )
     if not 1 / SHAPE <= ratio <= SHAPE:
         return "open", f"in the printed order, but {size}, beyond a factor of {SHAPE:g}"

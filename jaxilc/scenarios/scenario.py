@@ -46,7 +46,10 @@ class Fit(NamedTuple):
         free = (
             f"{len(self.names)} free number{'s' * (len(self.names) > 1)} ({', '.join(self.names)})"
         )
-        return f"{free} fitted to {self.to}; this row {'is among them' if self.among else 'is predicted'}"
+        return (
+            f"{free} fitted to {self.to}; this row "
+            f"{'is among them' if self.among else 'is predicted'}"
+        )
 
 
 NOTHING = Fit()
@@ -144,7 +147,8 @@ class Scenario:
             ):
                 besides = f", without {' '.join(forbidden)} and */" if forbidden else ""
                 raise ValueError(
-                    f"{what} = {brief(text)} cannot be shown; allowed are printable characters in one line{besides}"
+                    f"{what} = {brief(text)} cannot be shown; allowed are printable characters in "
+                    f"one line{besides}"
                 )
 
     @property
@@ -166,7 +170,8 @@ class Scenario:
             return 1.0, ""
         if figure not in Metrics._fields:
             raise ValueError(
-                f"figure = {figure!r} is not one of {', '.join((*Metrics._fields, *self.quantities))}"
+                f"figure = {figure!r} is not one of "
+                f"{', '.join((*Metrics._fields, *self.quantities))}"
             )
         return (
             (1.0, self.task.input_unit)
@@ -281,5 +286,6 @@ _READ: dict[Any, Callable[[str], Any]] = {
 def _need_name(what: str, name: str, allowed: re.Pattern, said: str) -> None:
     if not allowed.fullmatch(name) or name.strip() != name:
         raise ValueError(
-            f"{what} = {brief(name)} is no name; allowed are up to 50 of {said}, a letter or digit first"
+            f"{what} = {brief(name)} is no name; allowed are up to 50 of {said}, a letter or "
+            "digit first"
         )

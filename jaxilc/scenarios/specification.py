@@ -14,13 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from .. import filters, plants, schemes
-from ..filters import switching
+from .. import plants, schemes
+from ..filters import switching, zero_phase
 from ..plants import Plant
 from ..pytree.ranges import as_numbers, brief, is_whole
 from ..schemes import Scheme
 
-_PACKAGE = __name__.partition(".")[0] + "."
 _HIDDEN = {"solved"}  # worked out by the scheme itself
 _MODELS = {"direct_model": plants.direct_model, "multivariable_model": plants.multivariable_model}
 
@@ -30,12 +29,13 @@ def classes() -> dict[str, type]:
     """Every class a file may name: schemes, filters, plants and their parts."""
     found = {name: getattr(module, name) for module in (schemes, plants) for name in module.__all__}
     found |= {
-        name: value for module in (filters, switching) for name, value in vars(module).items()
+        name: value for module in (zero_phase, switching) for name, value in vars(module).items()
     }
     return {
         n: c
         for n, c in found.items()
-        if dataclasses.is_dataclass(c) and c.__module__.startswith(_PACKAGE)
+        if dataclasses.is_dataclass(c)
+        and c.__module__.startswith(__package__.partition(".")[0] + ".")
     }
 
 
@@ -78,7 +78,8 @@ class Table:
         for key in self.values:
             if key not in self.read:
                 raise ValueError(
-                    f"{self.at(key)} is not a key here; allowed are {', '.join(sorted(self.read)) or 'none'}"
+                    f"{self.at(key)} is not a key here; allowed are "
+                    f"{', '.join(sorted(self.read)) or 'none'}"
                 )
 
 
@@ -250,7 +251,8 @@ def _nominal(where: str, plant: Plant | None, dt: float | None) -> plants.StateS
     if not isinstance(linear, plants.StateSpace):
         name = type(plant).__name__
         raise ValueError(
-            f"{where} = 'plant' is a {name}, which is no linear model; allowed is a table with class = StateSpace"
+            f"{where} = 'plant' is a {name}, which is no linear model; allowed is a table with "
+            "class = StateSpace"
         )
     return linear
 

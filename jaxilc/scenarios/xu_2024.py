@@ -77,14 +77,19 @@ def _rows(table, source, load):
 PUBLISHED = (*_rows(TABLE_1, "Table 1", 0.0), *_rows(TABLE_2, "Table 2", 1.0))
 
 CHOSEN = (
-    "errors are read after the start, from 0.1 s on; the sine starts at zero with its full velocity",
-    "hysteresis is Bouc-Wen's with beta and gamma in fixed proportion to its initial slope, one number fitted; creep and the unmodelled "
+    "errors are read after the start, from 0.1 s on; the sine starts at zero with its full "
+    "velocity",
+    "hysteresis is Bouc-Wen's with beta and gamma in fixed proportion to its initial slope, one "
+    "number fitted; creep and the unmodelled "
     "mode at 900 Hz are chosen, the stiffness of 1 N/µm too",
-    "PID: kp = 0.3 and kd = 1.6e-4 chosen, ki fitted; SMC: eta and k_n fitted; ASMC: the same k_n, phi and Delta fitted, a dead zone of "
+    "PID: kp = 0.3 and kd = 1.6e-4 chosen, ki fitted; SMC: eta and k_n fitted; ASMC: the same "
+    "k_n, phi and Delta fitted, a dead zone of "
     "0.1 µm chosen",
-    "learning: K_P = 0.67 lam1 k_n and K_D = 0.67 (lam1 + k_n), a share of the inverse of (s + lam1)(s + k_n); the share is fitted to one "
+    "learning: K_P = 0.67 lam1 k_n and K_D = 0.67 (lam1 + k_n), a share of the inverse of (s + "
+    "lam1)(s + k_n); the share is fitted to one "
     "number of its row; lam0 = 1 1/s chosen",
-    "the multi-frequency disturbance of Fig. 10 is a picture: forces of 1, 0.6 and 0.4 N at 20, 65 and 110 Hz",
+    "the multi-frequency disturbance of Fig. 10 is a picture: forces of 1, 0.6 and 0.4 N at 20, "
+    "65 and 110 Hz",
 )
 
 

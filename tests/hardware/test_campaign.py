@@ -376,7 +376,10 @@ def test_growth_and_saturation_warn_or_refuse_with_numbers(copied):
     arguments = ("next", "--state", state, "--out", folder / "next.csv", "--measured")
     with pytest.raises(
         ValueError,
-        match=r"the RMS error grew from .* by .*%; the best was trial 20 with .* --undo 19 goes back",
+        match=(
+            r"the RMS error grew from .* by .*%; the best was trial 20 with .* --undo 19 goes "
+            r"back"
+        ),
     ):
         call(*arguments, folder / "worse.csv", "--stop-on-growth")
     _, _, err = call(*arguments, folder / "worse.csv", "--dry-run")
@@ -387,7 +390,10 @@ def test_growth_and_saturation_warn_or_refuse_with_numbers(copied):
     write_trial(folder / "saturated.csv", t, r, y, saturated)
     with pytest.raises(
         ValueError,
-        match=r"input 0 is at its limit 10 in 20.00% of the samples, first at sample 40; allowed are 5.00%",
+        match=(
+            r"input 0 is at its limit 10 in 20.00% of the samples, first at sample 40; allowed "
+            r"are 5.00%"
+        ),
     ):
         call(*arguments, folder / "saturated.csv")
     with pytest.raises(

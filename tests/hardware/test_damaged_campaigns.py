@@ -182,7 +182,10 @@ def test_one_measured_trial_is_one_trial(copied):
         for learn in (True, False):
             with pytest.raises(
                 ValueError,
-                match="is trial 4, which was looked at already; --undo 3 forgets it, so that it can be",
+                match=(
+                    "is trial 4, which was looked at already; --undo 3 forgets it, so that it "
+                    "can be"
+                ),
             ):
                 opened(folder).turn(again, learn=learn)
     other = TRIALS[3]._replace(

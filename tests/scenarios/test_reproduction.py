@@ -116,11 +116,13 @@ def test_an_open_row_says_why():
     assert judged(TRIALS, [4.1, 5.4, 1.0])[:2] == [
         (
             "open",
-            "0.51 times the printed number, and not in the printed order with 1 of 2 comparable rows",
+            "0.51 times the printed number, and not in the printed order with 1 of 2 comparable "
+            "rows",
         ),
         (
             "open",
-            "1.35 times the printed number, and not in the printed order with 1 of 2 comparable rows",
+            "1.35 times the printed number, and not in the printed order with 1 of 2 comparable "
+            "rows",
         ),
     ]
 
