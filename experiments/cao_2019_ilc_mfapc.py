@@ -34,7 +34,8 @@ for structure, sign, per_sample, lam in readings:
         np.log(by_trial[:, np.array(list(PRINTED)) - 1] / np.array(list(PRINTED.values())))
     ).max(axis=1)
     best = int(np.argmin(jnp.nan_to_num(misfit, nan=np.inf, posinf=np.inf)))
-    name = f"{structure.__name__}, sign {sign:+g}, {'per sample' if per_sample == 1 else 'per second'}, lam {lam:g}"
+    per = "per sample" if per_sample == 1 else "per second"
+    name = f"{structure.__name__}, sign {sign:+g}, {per}, lam {lam:g}"
     found = {f"trial {j}": float(by_trial[best, j - 1]) for j in PRINTED}
     rows.append(
         {"reading": name, "phi0": float(starts[best]), "misfit": float(misfit[best])} | found

@@ -43,8 +43,7 @@ from jaxilc.schemes import (
     StopWhen,
     WithFeedback,
 )
-from jaxilc.theory import CLAIMS
-from jaxilc.theory.certificates import certify_each
+from jaxilc.theory import CLAIMS, certify_each
 
 MACHINES, TRIALS, DT, SAMPLES, ORDER = 2048, 1500, 1e-3, 40, 10
 JUDGED = "truly monotone", "of these certified"

@@ -85,7 +85,7 @@ class Configuration(NamedTuple):
 
 
 def configurations() -> dict[str, Configuration]:
-    """The same at every call: plants of random matrices, under laws of 30 % of their inverse gain."""
+    """Plants of random matrices under laws of 30 % of their inverse gain; always the same ones."""
     rng = np.random.default_rng(0)
 
     def stable(order):
@@ -249,7 +249,7 @@ def differences(case: Configuration, x, d) -> dict[tuple[str, str], Differences]
 
 
 def derivative(case: Configuration, metric: str, loss: str):
-    """The derivative of one machine's loss along a direction, as a function of (leaves, direction)."""
+    """The derivative of one machine's loss along a direction, a function of (leaves, direction)."""
 
     def along(one):
         gradient = jax.grad(lambda x: case.loss(x, metric, loss))(one[0])
@@ -299,7 +299,8 @@ def main():
             for way in rows[0]
             if way.endswith(": wrong")
         }
-        kinks = f"{sum(row['step shrunk'] for row in of)} beside a kink, {sum(row['kinks'] for row in of)} at a kink"
+        beside, at = (sum(row[name] for row in of) for name in ("step shrunk", "kinks"))
+        kinks = f"{beside} beside a kink, {at} at a kink"
         print(
             f"{loss}: of {total} derivatives, {kinks}, wrong: "
             f"{', '.join(f'{n} {way}' for way, n in wrong.items())}"

@@ -107,9 +107,10 @@ print(
 )
 
 # The theory: |1 - CB phi|, condition (9) and its critical frequency, and from them the trial at
-# which the error turns. In frequency, e_{j+1} = M e_j - S (n_{j+1} - n_j) with M = 1 - phi z G/(1 +
-# C G), S = 1/(1 + C G) and n_j the noise of trial j, so
-#     |e_j|^2 = |M|^(2j-2) |e_1|^2 + |S|^2 |n|^2 (1 + |M - 1|^2 (1 - |M|^(2j-2)) / (1 - |M|^2))   in the mean
+# which the error turns. In frequency, with n_j the noise of trial j,
+#     e_{j+1} = M e_j - S (n_{j+1} - n_j),   M = 1 - phi z G / (1 + C G),   S = 1 / (1 + C G)
+# and so, in the mean,
+#     |e_j|^2 = |M|^(2j-2) |e_1|^2 + |S|^2 |n|^2 (1 + |M - 1|^2 (1 - |M|^(2j-2)) / (1 - |M|^2))
 for setting in ("simulation", "experiment"):
     s, phi, noise = loaded[setting], SETTINGS[setting].gain, SETTINGS[setting].noise
     test = frequency.learning_condition(s.machine, s.schemes["p-type"], s.task)

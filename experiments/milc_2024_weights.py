@@ -20,9 +20,9 @@ BOUNDS = {"w_q": (1e3, 1e10), "w_r": (1e-8, 1e3), "w_s": (1e-6, 1e4)}
 def problem(s, name: str) -> Tuning:
     """Of the scenario: `dilc` or `milc`."""
     scheme, path = s.schemes[name], "learning.scheme." if name == "dilc" else "learning."
-    if (
-        name == "milc"
-    ):  # the penalty on the learned reference gets a weight of its own: as printed, it also pulls the whole reference to zero
+    # The penalty on the learned reference gets a weight of its own: the printed one also pulls the
+    # whole reference towards zero.
+    if name == "milc":
         scheme = dataclasses.replace(
             scheme,
             learning=dataclasses.replace(scheme.learning, w_s=np.full(2, scheme.learning.w_s)),

@@ -54,9 +54,9 @@ for trial in (1, 2, 5, 10, 20, 30):
 # The first trial plays nothing, so its error is the whole millimetre. Each later one plays what the
 # one before has taught.
 #
-# `history` holds the figures of every trial (`settled_error`, `max_error`, `rms`, `effort`), the
-# last trial's signals (`history.final`) and what the scheme knows now (`history.memory`, to go on
-# from).
+# `history` holds the metrics of every trial (`settled_error`, `max_error`, `rms`, `effort`), the
+# last trial's signals (`history.final`) and what the scheme has learned (`history.memory`, from
+# which learning can continue).
 
 # %%
 dataset, _ = jaxilc.run_schemes(machine, {"cfdl-mfailc": scheme}, task, 30)
@@ -82,9 +82,9 @@ except ValueError as error:
     print(error)
 
 # %% [markdown]
-# A small `lam` learns fast. It is no free lunch: on this motor the error of every such law grows
-# again after enough trials, the sooner the smaller `lam` is (notebook 05 says why, and how to know
-# beforehand).
+# A small `lam` learns fast, but at a price: on this motor the error of every such law grows again
+# after enough trials, and the sooner, the smaller `lam` is (notebook 05 says why, and how to know
+# it beforehand).
 #
 # ## Many machines, and gradients
 #

@@ -14,7 +14,7 @@
 # # A robustness sweep, read from Zarr
 #
 # A learning law that works on the model must work on the machine. A *sweep* learns with several
-# schemes on many machines whose parameters are drawn at random, and keeps every figure of every
+# schemes on many machines whose parameters are drawn at random, and keeps every metric of every
 # trial in a labelled dataset.
 
 # %%
@@ -54,10 +54,10 @@ sweep.run(folder / "motor.zarr")
 print("arrays on disk:", sorted(p.name for p in (folder / "motor.zarr").iterdir() if p.is_dir()))
 
 # %% [markdown]
-# The store is written chunk by chunk: a killed sweep goes on with `sweep.run(path, resume=True)`
-# and ends bit for bit as an uninterrupted one. Anything that reads Zarr opens it; `open_dataset`
-# gives an `xarray.Dataset` with dimensions `scheme, sample, trial`, and every drawn number is a
-# coordinate.
+# The store is written chunk by chunk. A sweep that was stopped continues with `sweep.run(path,
+# resume=True)` and ends bit for bit as an uninterrupted one. Anything that reads Zarr opens it;
+# `open_dataset` gives an `xarray.Dataset` with dimensions `scheme, sample, trial`, and every drawn
+# number is a coordinate.
 
 # %%
 dataset = jaxilc.open_dataset(folder / "motor.zarr")
@@ -105,7 +105,7 @@ for name, of_parameter in ranks.items():
 # %% [markdown]
 # ## The worst machine, rebuilt
 #
-# `machine_of` gives any sample back, to be looked at, tuned on, or run for longer.
+# `machine_of` makes any of the machines again, to be looked at, tuned on, or run for longer.
 
 # %%
 worst = int(np.argmax(last.values))

@@ -77,8 +77,8 @@ class BeltAxis(Plant):
 #
 # $$\Delta_{j+1} = \beta\,\Delta_j + \gamma\,e_j[k+1+m], \qquad u_{j+1} = u_j + \Delta_{j+1}$$
 #
-# a heavy ball along the trials: what kept being wrong is corrected faster. Its memory is two
-# signals.
+# The method of the heavy ball, along the trials: an error that persists is corrected faster. The
+# memory holds two signals.
 
 
 # %%
@@ -131,7 +131,7 @@ for name, errors in rms.items():
     )
 np.testing.assert_allclose(rms["heavy ball, beta 0"], rms["P-type"], rtol=1e-9)
 assert all(errors[14] < errors[0] / 5 for errors in rms.values())
-ax = figures.error_by_trial(dataset, figure="rms", scale=1e3, unit="µm")
+ax = figures.error_by_trial(dataset, metric="rms", scale=1e3, unit="µm")
 ax.figure
 
 # %% [markdown]

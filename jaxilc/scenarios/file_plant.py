@@ -1,4 +1,4 @@
-"""The plant of a TOML or JSON file: a transfer function, a state space, a fit, or a class by name."""
+"""The plant of a TOML or JSON file: a transfer function, a state space, a fit, or a named class."""
 
 from __future__ import annotations
 

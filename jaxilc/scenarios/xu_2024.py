@@ -1,5 +1,4 @@
-"""Xu 2024: a piezo fast tool servo under PID, sliding mode, adaptive sliding mode, and iterative
-learning with the latter.
+"""Xu 2024: a piezo fast tool servo under PID, sliding mode, adaptive sliding mode, and learning.
 
 Xu et al.: adaptive sliding mode control with closed-loop iterative learning for a fast tool servo
 (2024), section 5. Lengths in µm, input in V, errors shown in nm. The experiments are the paper's;
@@ -17,6 +16,7 @@ import jax.numpy as jnp
 from ..learning.machine import Actuator, Machine, Sensor
 from ..learning.metrics import chattering
 from ..plants import BoucWen, FastToolServo, PeriodicForce, fast_tool_servo
+from ..pytree.ranges import require
 from ..schemes import ASMC, PID, SMC, ExponentialPD, Scheme, WithFeedback
 from ..signals import references
 from ..signals.task import Task
@@ -44,7 +44,7 @@ READING = "after the start, from 0.1 s on"
 
 
 def _fit(scheme: str, quantity: str, load: float) -> Fit:
-    """Of the six numbers, and for what learns of a seventh."""
+    """What was fitted: the six numbers, and the learning gain for the scheme that learns."""
     names, to, learns = (
         tuple(FITTED),
         "the six numbers of PID, SMC and ASMC in Table 1",
@@ -129,15 +129,14 @@ def schemes_for(fitted: dict[str, float], learning: float = LEARNING) -> dict[st
 def xu_2024(load: float = 0.0, disturbance: str = "none") -> Scenario:
     """The experiments of Xu 2024, section 5.3: 20 µm at 40 Hz for 0.5 s, 10 kHz, ten trials.
 
-    load: constant force on the tool [N], 1 in Table 2;  disturbance: `none`, or `multi`, a periodic
-    force of three frequencies (Fig. 10)
-    Raises ValueError for another disturbance, or a load beyond 5 N, which is a quarter of the
+    load: constant force on the tool [N], 1 in Table 2
+    disturbance: `none`, or `multi`, a periodic force of three frequencies (Fig. 10)
+    Raises ValueError for another disturbance, and for a load beyond 5 N, which is a quarter of the
     stroke.
     """
     if disturbance not in ("none", "multi"):
         raise ValueError(f"xu-2024: disturbance = {disturbance!r} is not one of 'none', 'multi'")
-    if not abs(load) <= 5:
-        raise ValueError(f"xu-2024: load = {load:g} N is outside its allowed range [-5, 5]")
+    require("xu-2024", "load", load, "[-5, 5]", " N")
     names = [
         "stiffness",
         "damping",

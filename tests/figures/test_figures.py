@@ -81,7 +81,7 @@ def test_a_printed_bound_is_no_printed_number():
         Published("a", 1, "max_error", 8.0, ""),
         Published("b", 1, "rms", 6.0, ""),
     ]
-    ax = figures.error_by_trial(dataset, figure="rms", scale=1e3, unit="µm", published=rows)
+    ax = figures.error_by_trial(dataset, metric="rms", scale=1e3, unit="µm", published=rows)
     drawn = [
         (*line.get_xydata()[0], line.get_marker())
         for line in ax.lines
@@ -350,7 +350,7 @@ def test_labels_do_not_overlap():
         Published(names[0], 2, "rms", 1.0, "", at_most=True),
     ]
     drawn = (
-        figures.error_by_trial(dataset, figure="rms", published=rows),
+        figures.error_by_trial(dataset, metric="rms", published=rows),
         figures.tracking(dataset, names[1], (1, 2, 3)),
         figures.spectrum(dataset, names[1], (1, 3)),
         figures.time_frequency(dataset, names[1], (1, 3)),

@@ -287,7 +287,7 @@ def test_too_low_an_order_shows(record, identified):
 
 
 def test_a_lightly_damped_drive_is_found_without_a_start():
-    """Xu 2024: 2.229e7 / (s^2 + 70.16 s + 2.413e6), 247 Hz at a damping of 0.0226, encoder 1.2 nm."""
+    """Xu 2024: 2.229e7 / (s^2 + 70.16 s + 2.413e6), 247 Hz, damping 0.0226, encoder of 1.2 nm."""
     w, zeta = np.sqrt(2.413e6), 70.16 / (2 * np.sqrt(2.413e6))
     servo = Machine(
         ProcessModel(2.229e7 / 2.413e6, [], [], [w], [zeta]), sensor=Sensor(1.2e-3, 5e-3)

@@ -217,7 +217,7 @@ AMONG = {
 
 
 def test_each_row_says_what_was_fitted(scenario):
-    """How many free numbers, to what, and whether the row is one of those that they were fitted to."""
+    """How many free numbers, to what they were fitted, and whether the row is one of these."""
     found: dict[str, set] = {}
     for p in scenario.published:
         found.setdefault(p.scheme, set()).add(len(p.fitted.names))
