@@ -1,5 +1,6 @@
-"""Cao 2019, section IV-D: which reading of ILC-MFAPC (gains 0.2, 0, 1 and lam = 2, P = 10) meets
-its printed errors?
+"""Cao 2019, section IV-D: which reading of ILC-MFAPC meets its printed errors?
+
+Printed are the gains 0.2, 0 and 1, lam = 2 and P = 10.
 
 Structures: learned input added to the feedback's (parallel) or to the reference (series). Gains
 with either sign, the derivative gain per sample or per second. lam as the paper's lam / P or as

@@ -1,5 +1,6 @@
-"""Cao 2019, Table 1: the start values of the estimates, which are not printed, by least squares
-through the whole learning process.
+"""Cao 2019, Table 1: the unprinted start values of the estimates, by least squares.
+
+The least squares go through the whole learning process.
 
 Fitted on every other row of the table, judged on the rest; one free number for CFDL, four for FFDL.
 """

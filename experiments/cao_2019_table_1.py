@@ -1,5 +1,6 @@
-"""Cao 2019, Table 1 and Fig. 5 to 12: errors by trial of CFDL-, FFDL-MFAILC, ILC-MFAPC and PID on
-eq. 29's plant.
+"""Cao 2019, Table 1 and Fig. 5 to 12: errors by trial of four schemes on eq. 29's plant.
+
+The schemes are CFDL- and FFDL-MFAILC, ILC-MFAPC and PID.
 """
 
 import output

@@ -1,6 +1,4 @@
-"""Cao 2019, Table 2 and Fig. 15 to 18: CFDL-MFAILC against PID on the laboratory rig, five
-frequencies.
-"""
+"""Cao 2019, Table 2 and Fig. 15 to 18: CFDL-MFAILC against PID on the rig at five frequencies."""
 
 import output
 

@@ -1,5 +1,6 @@
-"""Li 2020: RMSE by trial without a filter, with a fixed and with a switchable one; who controls;
-the theory against the simulation.
+"""Li 2020: RMS error by trial without a filter, with a fixed and with a switchable one.
+
+Also the shares of feedback and learning in the input, and theory against simulation.
 """
 
 import numpy as np

@@ -1,5 +1,6 @@
-"""MILC 2024, Table 1 and Fig. 9 to 11: direct and multivariable learning, and Proposition 1 on
-every trial of the direct one.
+"""MILC 2024, Table 1 and Fig. 9 to 11: direct and multivariable learning, and Proposition 1.
+
+Proposition 1 is tested on every trial of direct learning.
 """
 
 import dataclasses

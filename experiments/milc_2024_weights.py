@@ -1,5 +1,6 @@
-"""MILC 2024: w_q, w_r and w_s by gradient through the learning and the Riccati recursion, over
-uncertain stiffness and table mass.
+"""MILC 2024: w_q, w_r and w_s by gradient through the learning and the Riccati recursion.
+
+Stiffness and table mass are uncertain.
 """
 
 import dataclasses

@@ -1,5 +1,6 @@
-"""Worst machines by climbing the gradient, against 10,000 draws, in evaluations; and a trade-off
-between speed and final error.
+"""Worst machines by ascent of the gradient against 10,000 drawn ones, by evaluations.
+
+Also a trade-off between speed and final error.
 """
 
 import time

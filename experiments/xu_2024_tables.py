@@ -1,6 +1,4 @@
-"""Xu 2024: Tables 1 and 2, errors of trials 2 to 10 (Fig. 8), the multi-frequency disturbance (Fig.
-10 to 12), chattering, theory.
-"""
+"""Xu 2024: Tables 1 and 2, errors by trial (Fig. 8), disturbance (Fig. 10 to 12), theory."""
 
 import numpy as np
 import output

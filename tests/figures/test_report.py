@@ -1,5 +1,6 @@
-"""The HTML report: parsed by parsers of the standard library and shown by a browser; its numbers
-and pictures against what went in.
+"""The HTML report: parsed by parsers of the standard library and shown by a browser.
+
+Its numbers and pictures are compared with what was put in.
 """
 
 import base64

@@ -1,5 +1,6 @@
-"""A campaign on a machine that is only known by the files it reads and writes: 20 trials, kills,
-undo, and everything that is refused.
+"""A campaign on a machine that is only known by the files that it reads and writes.
+
+20 trials, stops of the process, undo, and everything that is refused.
 """
 
 import csv
@@ -96,8 +97,9 @@ def write_trial(path, t, r, y, u, units=("s", "mm", "mm", "V")):
 
 
 class Rig:
-    """The machine at the other end of the files. `measure` plays the table of a file and writes the
-    trace of trial j.
+    """The machine at the other end of the files.
+
+    `measure` plays the table of a file and writes the trace of trial j.
     """
 
     def __init__(self, folder):

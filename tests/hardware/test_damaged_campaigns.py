@@ -1,5 +1,6 @@
-"""Damaged campaigns: they go on to the same input, or say in one line how to go back; one measured
-trial is one trial.
+"""Damaged campaigns lead to the same input, or say in one line how to go back.
+
+Also: a trial that was measured once counts once.
 """
 
 import contextlib
@@ -66,9 +67,7 @@ def opened(folder):
 
 
 def goes_on_or_back(folder, played):
-    """The campaign goes on from its third trial, or says in one line that it cannot, and goes back
-    to an earlier one.
-    """
+    """It continues from its third trial, or says in one line that it cannot, and goes back."""
 
     def goes_on():
         np.testing.assert_array_equal(opened(folder).tables()["u"], played[3])

@@ -1,5 +1,6 @@
-"""Files of measured trials and of tables to play: written by other programs, read by a C compiler,
-and played by the feedback alone.
+"""Files of measured trials and of tables to play.
+
+They are written by other programs, read by a C compiler, and played by the feedback alone.
 """
 
 import re

@@ -253,9 +253,7 @@ def test_another_seed_finds_the_same_minimum(record, identified):
 
 
 def test_intervals_cover_the_truth_as_often_as_they_say():
-    """100 noises: within 95 % of the time, and the errors in units of their standard deviation have
-    the spread 1.
-    """
+    """With 100 noises: 95 % of the time, and errors over standard deviation have the spread 1."""
     seeds, machine = 100, Machine(EQ_7, sensor=Sensor(ENCODER, NOISE))
     keys = jax.random.split(jax.random.key(1), seeds)
     outputs = np.asarray(jax.vmap(lambda key: excite(machine, U, DT, key=key).y)(keys))
@@ -345,9 +343,7 @@ def test_what_the_record_cannot_tell_apart_has_no_interval():
 
 
 def test_a_double_pole_needs_a_pair(record):
-    """Two equal entries of `poles` have the same derivative; the pair at the same place is
-    determined to 0.2 %.
-    """
+    """Two equal `poles` have the same derivative; the pair there is determined to 0.2 %."""
     twice = identify(record, ProcessModel(TRUE["gain"], [928.2], [6.404, 474.0, 474.0]))
     assert width(twice.parameters["poles[0]"]) < 0.01
     assert min(width(twice.parameters[f"poles[{i}]"]) for i in (1, 2)) > 0.02 * 474.0

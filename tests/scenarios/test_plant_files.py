@@ -1,5 +1,6 @@
-"""Plants and scenarios from TOML and JSON files, against python-control and scipy, and what is
-refused by the name of its key.
+"""Plants and scenarios from TOML and JSON files, against python-control and scipy.
+
+Also: what is refused is named by its key.
 """
 
 import json
