@@ -13,7 +13,7 @@ import scipy.optimize
 from ..learning.machine import Machine
 from ..plants import Plant, ProcessModel
 from ..pytree.named_paths import get_at, interval_at, named_leaves, replaced
-from ..pytree.ranges import Interval, require
+from ..pytree.ranges import Interval
 from ..signals.task import Task
 from .records import Record, as_columns, played, task_of
 
@@ -187,7 +187,8 @@ def checked_record(record: Record) -> Record:
         raise ValueError(
             f"identify: u has {len(u)} rows and y {len(y)}; allowed is one more row in y than in u"
         )
-    require("identify", "dt", record.dt, "(0, inf)")
+    if not 0 < record.dt < np.inf:
+        raise ValueError(f"identify: dt = {record.dt} is outside its allowed range (0, inf)")
     return Record(u, y, float(record.dt))
 
 

@@ -136,7 +136,7 @@ def _columns(path, time, inputs, outputs) -> tuple[np.ndarray, list[int]]:
             wrong = wrong or (
                 f"read_record: {path}, line {line}: {names[i]} = {text!r} is not a finite number"
             )
-            if not 0 < i <= len(inputs):  # an input means nothing in the last row
+            if text or not 0 < i <= len(inputs):  # the last row may have no input
                 raise ValueError(wrong)
         values.append(found)
         lines.append(line)

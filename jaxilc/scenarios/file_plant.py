@@ -32,7 +32,8 @@ from .specification import (
 def plant_of(values: Any, where: str, folder: Path, notes: list[str]) -> Plant:
     """The plant that a table describes.
 
-    folder: of the file;  notes: what was chosen for it is appended here
+    folder: of the file
+    notes: what was chosen for the plant is appended here
     Raises ValueError naming the key that is wrong.
     """
     table = Table(values, where)

@@ -408,6 +408,17 @@ def test_several_channels_and_foreign_columns(tmp_path):
     assert read.dt == pytest.approx(0.02, rel=1e-12)
 
 
+def test_a_record_is_read_from_the_file_of_a_measured_trial(tmp_path):
+    """Names with units, in any order of the columns, and no input in the last row."""
+    (tmp_path / "trial.csv").write_text("y [mm],t [s],u [V]\n0,0.5,1\n0.25,0.52,-1\n0.5,0.54,\n")
+    read = read_record(tmp_path / "trial.csv")
+    np.testing.assert_array_equal(read.u, [[1.0], [-1.0]])
+    np.testing.assert_array_equal(read.y, [[0.0], [0.25], [0.5]])
+    (tmp_path / "gap.csv").write_text("t [s],u [V],y [mm]\n0,1,0\n1,,2\n2,1,2\n")
+    with pytest.raises(ValueError, match=r"gap.csv, line 3: u = '' is not a finite number"):
+        read_record(tmp_path / "gap.csv")
+
+
 FILES = {
     "column": ("t,u,z\n0,1,2\n1,1,2\n", r"has no column 'y'; present are t, u, z"),
     "empty": ("", r"has no column 't'; present are none"),
