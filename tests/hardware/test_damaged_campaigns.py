@@ -200,7 +200,7 @@ def test_what_would_not_be_a_number_is_not_learned(copied, monkeypatch):
     folder, _ = copied
     monkeypatch.setattr(
         of_campaign,
-        "_learned",
+        "learned",
         lambda scheme, task, memory, trial: jax.tree.map(lambda x: np.nan * x, memory),
     )
     turn = opened(folder).turn(TRIALS[3])
