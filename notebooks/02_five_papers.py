@@ -77,8 +77,8 @@ def show(rows):
 # %% [markdown]
 # ## Cao 2019, Table 1: errors by trial
 #
-# $\hat\varphi(\cdot, 1)$, where the estimates start, is not printed, and the outcome hangs on it:
-# it was fitted through the learning process to some rows of the table and judged on the others.
+# $\hat\varphi(\cdot, 1)$, where the estimates start, is not printed, and the result depends on it.
+# It was fitted through the learning process to some rows of the table and judged on the others.
 
 # %%
 cao = jaxilc.reproduce(["cao-2019"])
@@ -106,9 +106,9 @@ show(jaxilc.reproduce(["dai-2014"]))
 # %% [markdown]
 # ## MILC 2024, Table 1: motor and table of a flexible drive
 #
-# With one input, the table's error goes to the noise while the motor's stalls (DILC); learning
-# input *and* reference frees both (MILC). Three numbers of the DILC rows are fitted, all MILC rows
-# are predicted.
+# With one input, the error of the machine table falls to the noise while that of the motor stops
+# falling (DILC). Where input *and* reference are learned, both fall (MILC). Three numbers of the
+# DILC rows are fitted, all MILC rows are predicted.
 
 # %%
 milc = jaxilc.reproduce(["milc-2024"])

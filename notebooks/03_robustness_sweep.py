@@ -84,9 +84,9 @@ for row in summarise(dataset, tolerance):
     )
 
 # %% [markdown]
-# PID with the printed gains is on the edge of stability: some of these motors are unstable under
-# it. CFDL-MFAILC plays back a table and closes no loop within a trial, so each single trial of it
-# is as stable as the motor itself.
+# PID with the printed gains is near its limit of stability: some of these motors are unstable under
+# it. CFDL-MFAILC plays back what it learned and closes no loop within a trial, so that each of its
+# trials is as stable as the motor itself.
 #
 # ## Which parameter matters?
 #

@@ -62,16 +62,7 @@ def fit(
     for name, (low, high) in ranges.items():
         if not low < high:
             raise ValueError(f"fit: the range ({low:g}, {high:g}) of {name} is empty")
-    low, high = (np.array([ranges[n][i] for n in names], float) for i in (0, 1))
-    sign = np.where(low > 0, 1.0, np.where(high < 0, -1.0, 0.0))
-
-    def natural(unit):
-        """Values from the unit cube."""
-        near, far = np.where(sign < 0, -high, low), np.where(sign < 0, -low, high)
-        logarithmic = (
-            sign * near * (np.where(sign == 0, 1.0, far) / np.where(sign == 0, 1.0, near)) ** unit
-        )
-        return jnp.where(sign == 0, low + unit * (high - low), logarithmic)
+    natural = _from_unit_cube(*(np.array([ranges[n][i] for n in names], float) for i in (0, 1)))
 
     def of_unit(_, unit):
         r = residuals(dict(zip(names, natural(unit), strict=True)))
@@ -108,3 +99,17 @@ def fit(
         costs[order],
         np.array(sorted(result.cost for result in found)),
     )
+
+
+def _from_unit_cube(low, high):
+    """The map from the unit cube to the ranges, by logarithm where a range does not contain 0."""
+    sign = np.where(low > 0, 1.0, np.where(high < 0, -1.0, 0.0))
+
+    def natural(unit):
+        near, far = np.where(sign < 0, -high, low), np.where(sign < 0, -low, high)
+        logarithmic = (
+            sign * near * (np.where(sign == 0, 1.0, far) / np.where(sign == 0, 1.0, near)) ** unit
+        )
+        return jnp.where(sign == 0, low + unit * (high - low), logarithmic)
+
+    return natural
