@@ -1,5 +1,6 @@
-"""Cao 2019, section II-B and Fig. 2 to 4: excite the motor of eq. 7 with an M-sequence, record it,
-identify eq. 6 again.
+"""Cao 2019, section II-B and Fig. 2 to 4: identification of the motor of eq. 7.
+
+The motor is excited with an M-sequence, recorded, and eq. 6 is identified again.
 
 The record has the encoder's step of 0.1 µm and 0.1 µm of noise. The structure is that of eq. 6,
 with the double pole as a pair.
@@ -55,5 +56,6 @@ for name, true in TRUE.items():
     )
 output.write_rows(folder / "rows.csv", rows)
 print(
-    f"fit {found.fit[0]:.3f} %, on the validation part {found.validation_fit[0]:.3f} %; residual white: {found.white}"
+    f"fit {found.fit[0]:.3f} %, on the validation part {found.validation_fit[0]:.3f} %; residual "
+    f"white: {found.white}"
 )

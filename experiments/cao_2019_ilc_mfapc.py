@@ -1,5 +1,6 @@
-"""Cao 2019, section IV-D: which reading of ILC-MFAPC (gains 0.2, 0, 1 and lam = 2, P = 10) meets
-its printed errors?
+"""Cao 2019, section IV-D: which reading of ILC-MFAPC meets its printed errors?
+
+Printed are the gains 0.2, 0 and 1, lam = 2 and P = 10.
 
 Structures: learned input added to the feedback's (parallel) or to the reference (series). Gains
 with either sign, the derivative gain per sample or per second. lam as the paper's lam / P or as
@@ -34,7 +35,8 @@ for structure, sign, per_sample, lam in readings:
         np.log(by_trial[:, np.array(list(PRINTED)) - 1] / np.array(list(PRINTED.values())))
     ).max(axis=1)
     best = int(np.argmin(jnp.nan_to_num(misfit, nan=np.inf, posinf=np.inf)))
-    name = f"{structure.__name__}, sign {sign:+g}, {'per sample' if per_sample == 1 else 'per second'}, lam {lam:g}"
+    per = "per sample" if per_sample == 1 else "per second"
+    name = f"{structure.__name__}, sign {sign:+g}, {per}, lam {lam:g}"
     found = {f"trial {j}": float(by_trial[best, j - 1]) for j in PRINTED}
     rows.append(
         {"reading": name, "phi0": float(starts[best]), "misfit": float(misfit[best])} | found

@@ -1,5 +1,6 @@
-"""Cao 2019, Table 1: the start values of the estimates, which are not printed, by least squares
-through the whole learning process.
+"""Cao 2019, Table 1: the unprinted start values of the estimates, by least squares.
+
+The least squares go through the whole learning process.
 
 Fitted on every other row of the table, judged on the rest; one free number for CFDL, four for FFDL.
 """
@@ -72,5 +73,6 @@ output.write_rows(folder / "rows.csv", rows)
 judged = [r for r in rows if r["role"] == "judged" and r["reset"] == "sign"]
 met = sum(abs(r["ratio"] - 1) <= 0.3 for r in judged)
 print(
-    f"reset `sign`: 5 free numbers fitted to 7 printed ones; of the {len(judged)} judged rows {met} are met within 30 %"
+    f"reset `sign`: 5 free numbers fitted to 7 printed ones; of the {len(judged)} judged rows "
+    f"{met} are met within 30 %"
 )

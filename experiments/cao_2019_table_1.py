@@ -1,12 +1,12 @@
-"""Cao 2019, Table 1 and Fig. 5 to 12: errors by trial of CFDL-, FFDL-MFAILC, ILC-MFAPC and PID on
-eq. 29's plant.
+"""Cao 2019, Table 1 and Fig. 5 to 12: errors by trial of four schemes on eq. 29's plant.
+
+The schemes are CFDL- and FFDL-MFAILC, ILC-MFAPC and PID.
 """
 
 import output
 
 import jaxilc
 from jaxilc import figures
-from jaxilc.scenarios import reproduction
 
 jaxilc.setup()
 folder = output.folder(__file__)
@@ -15,7 +15,7 @@ dataset, _ = jaxilc.run_schemes(s.machine, s.schemes, s.task, s.trials)
 shown = {"scale": s.shown_scale, "unit": s.shown_unit}
 figures.save(figures.error_by_trial(dataset, published=s.due, **shown), folder / "table-1.png")
 figures.save(
-    figures.error_by_trial(dataset, figure="max_error", published=s.due, **shown),
+    figures.error_by_trial(dataset, metric="max_error", published=s.due, **shown),
     folder / "figure-5.png",
 )
 for name, trials in {
@@ -25,6 +25,4 @@ for name, trials in {
     "pid": (1,),
 }.items():
     figures.save(figures.tracking(dataset, name, trials, **shown), folder / f"tracking-{name}.png")
-output.write_rows(
-    folder / "rows.csv", [row.as_dict() for row in reproduction.reproduce(["cao-2019"])]
-)
+output.write_rows(folder / "rows.csv", [row.as_dict() for row in jaxilc.reproduce(["cao-2019"])])

@@ -1,17 +1,14 @@
-"""Cao 2019, Table 2 and Fig. 15 to 18: CFDL-MFAILC against PID on the laboratory rig, five
-frequencies.
-"""
+"""Cao 2019, Table 2 and Fig. 15 to 18: CFDL-MFAILC against PID on the rig at five frequencies."""
 
 import output
 
 import jaxilc
 from jaxilc import figures
-from jaxilc.scenarios import reproduction
 from jaxilc.scenarios.cao_2019_rig import TABLE_2
 
 jaxilc.setup()
 folder = output.folder(__file__)
-rows = reproduction.reproduce(["cao-2019-rig"])
+rows = jaxilc.reproduce(["cao-2019-rig"])
 ax = output.axes()
 for scheme, colour in (("pid", "C0"), ("cfdl-mfailc", "C1")):
     ours = [r.ours for r in rows if r.published.scheme == scheme]

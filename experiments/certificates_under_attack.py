@@ -1,5 +1,6 @@
-"""Certificates under attack: random machines under every learning law, each claim against 1500
-simulated trials.
+"""Certificates under attack: random machines under every learning law.
+
+Each claim is compared with 1500 simulated trials.
 
 Machines of order 1 to 6, some with a delay, resonances of damping down to 0.003 or zeros outside
 the unit circle, every second one with limits of input and rate, every eighth with two inputs and
@@ -43,8 +44,7 @@ from jaxilc.schemes import (
     StopWhen,
     WithFeedback,
 )
-from jaxilc.theory import CLAIMS
-from jaxilc.theory.certificates import certify_each
+from jaxilc.theory import CLAIMS, certify_each
 
 MACHINES, TRIALS, DT, SAMPLES, ORDER = 2048, 1500, 1e-3, 40, 10
 JUDGED = "truly monotone", "of these certified"
@@ -142,8 +142,9 @@ def random_plant(rng):
 
 
 def plants(rng, count: int, channels: int):
-    """(A, B, C) with a leading axis; of two channels, four plants side by side, those across a
-    tenth as strong.
+    """(A, B, C) with a leading axis.
+
+    Of two channels: four plants side by side, those across a tenth as strong.
     """
     if channels == 1:
         return tuple(

@@ -1,5 +1,6 @@
-"""Conditions on the frequency response under attack: are their maxima the maxima, do they hold on
-the whole trial, do they abstain.
+"""Conditions on the frequency response under attack.
+
+Are their maxima the maxima, do they hold on the whole trial, and do they abstain where they must?
 
 norm-optimal  120 pairs of a model and a machine, each with a resonance of its own, against a dense
 row of lines around both
@@ -32,8 +33,9 @@ def task_of(samples: int) -> Task:
 
 
 def held(modes, gain=1.0):
-    """(A, B, C) of gain prod w^2 / (s^2 + 2 zeta w s + w^2) sampled with a hold, by SciPy. modes:
-    [(w, zeta)]
+    """(A, B, C) of gain prod w^2 / (s^2 + 2 zeta w s + w^2) sampled with a hold, by SciPy.
+
+    modes: [(w, zeta)]
     """
     top, bottom = gain, np.array([1.0])
     for w, zeta in modes:
@@ -62,9 +64,7 @@ def q_response(cutoff, f):
 
 
 def radius(plant, law: Filtered, samples: int) -> float:
-    """Spectral radius of Q (I - L G) for a P-type law with a lead under a mirrored filter, by
-    NumPy.
-    """
+    """Spectral radius of Q (I - L G) by NumPy, for P-type with a lead under a mirrored filter."""
     A, B, C = plant
     markov = np.array([(C @ x)[0, 0] for x in _powers(A, B, samples)])
     G = scipy.linalg.toeplitz(markov, np.zeros(samples))

@@ -4,7 +4,6 @@ import output
 
 import jaxilc
 from jaxilc import figures
-from jaxilc.scenarios import reproduction
 
 jaxilc.setup()
 folder = output.folder(__file__)
@@ -14,6 +13,4 @@ for frequency in (0.5, 2.5):
     for name in s.schemes:
         axes = figures.tracking(dataset, name, (1,), unit=s.shown_unit)
         figures.save(axes, folder / f"{name}-{frequency:g}-Hz.png")
-output.write_rows(
-    folder / "rows.csv", [row.as_dict() for row in reproduction.reproduce(["dai-2014"])]
-)
+output.write_rows(folder / "rows.csv", [row.as_dict() for row in jaxilc.reproduce(["dai-2014"])])

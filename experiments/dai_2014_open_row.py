@@ -1,5 +1,6 @@
-"""Dai 2014, Fig. 9: is there a reading of the 2.5 Hz row (CFDL-MFAPC, P = 250, lam = 8700, error
-0.047) that meets it?
+"""Dai 2014, Fig. 9: does a reading of the 2.5 Hz row meet it?
+
+The row: CFDL-MFAPC, P = 250, lam = 8700, error 0.047.
 
 Every combination of plant, control horizon, reference over the horizon and 160 start values of the
 PPD is simulated for ten periods.

@@ -1,5 +1,6 @@
-"""Derivatives through learning under attack: twelve configurations, three metrics, 24 machines at
-once, against central differences.
+"""Derivatives through learning under attack, against central differences.
+
+Twelve configurations, three metrics, 24 machines at once.
 
 In each configuration some leaves of the plant, the actuator or the scheme are batched, and the
 metric of the last trial, and the sum over all trials, is differentiated along a random direction of
@@ -44,8 +45,12 @@ DT = 1e-3
 
 
 class Configuration(NamedTuple):
-    """subject: {"machine": ..., "scheme": ...};  trials: J;  leaves: the names in it that are
-    batched;  outputs: of its reference
+    """What is learned, and which of its leaves differ between the machines.
+
+    subject: {"machine": ..., "scheme": ...}
+    trials: J
+    leaves: the paths in the subject that are batched
+    samples, outputs: of the reference
     """
 
     subject: dict[str, Any]
@@ -85,7 +90,7 @@ class Configuration(NamedTuple):
 
 
 def configurations() -> dict[str, Configuration]:
-    """The same at every call: plants of random matrices, under laws of 30 % of their inverse gain."""
+    """Plants of random matrices under laws of 30 % of their inverse gain; always the same ones."""
     rng = np.random.default_rng(0)
 
     def stable(order):
@@ -175,8 +180,13 @@ def configurations() -> dict[str, Configuration]:
 
 
 class Differences(NamedTuple):
-    """Of one metric and loss, (S,) each: the difference to the left and to the right, how far a
-    derivative may lie off, whether it is a kink, and whether the step had to shrink."""
+    """Finite differences of one metric and loss, (S,) each.
+
+    left, right: the differences to either side
+    allowed: by how much a derivative may differ
+    kink: whether the two sides differ
+    shrunk: whether the step had to be made smaller
+    """
 
     left: np.ndarray
     right: np.ndarray
@@ -185,9 +195,7 @@ class Differences(NamedTuple):
     shrunk: np.ndarray
 
     def wrong(self, slope) -> np.ndarray:
-        """(S,) whether a derivative is neither the central difference nor, at a kink, that of one
-        side.
-        """
+        """(S,) whether it is neither the central difference nor, at a kink, a one-sided one."""
         central = np.abs(slope - (self.left + self.right) / 2) <= self.allowed
         one_sided = (
             np.minimum(np.abs(slope - self.left), np.abs(slope - self.right)) <= self.allowed
@@ -249,7 +257,7 @@ def differences(case: Configuration, x, d) -> dict[tuple[str, str], Differences]
 
 
 def derivative(case: Configuration, metric: str, loss: str):
-    """The derivative of one machine's loss along a direction, as a function of (leaves, direction)."""
+    """The derivative of one machine's loss along a direction, a function of (leaves, direction)."""
 
     def along(one):
         gradient = jax.grad(lambda x: case.loss(x, metric, loss))(one[0])
@@ -299,9 +307,11 @@ def main():
             for way in rows[0]
             if way.endswith(": wrong")
         }
-        kinks = f"{sum(row['step shrunk'] for row in of)} beside a kink, {sum(row['kinks'] for row in of)} at a kink"
+        beside, at = (sum(row[name] for row in of) for name in ("step shrunk", "kinks"))
+        kinks = f"{beside} beside a kink, {at} at a kink"
         print(
-            f"{loss}: of {total} derivatives, {kinks}, wrong: {', '.join(f'{n} {way}' for way, n in wrong.items())}"
+            f"{loss}: of {total} derivatives, {kinks}, wrong: "
+            f"{', '.join(f'{n} {way}' for way, n in wrong.items())}"
         )
 
 

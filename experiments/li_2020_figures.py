@@ -1,5 +1,6 @@
-"""Li 2020: RMSE by trial without a filter, with a fixed and with a switchable one; who controls;
-the theory against the simulation.
+"""Li 2020: RMS error by trial without a filter, with a fixed and with a switchable one.
+
+Also the shares of feedback and learning in the input, and theory against simulation.
 """
 
 import numpy as np
@@ -107,9 +108,10 @@ print(
 )
 
 # The theory: |1 - CB phi|, condition (9) and its critical frequency, and from them the trial at
-# which the error turns. In frequency, e_{j+1} = M e_j - S (n_{j+1} - n_j) with M = 1 - phi z G/(1 +
-# C G), S = 1/(1 + C G) and n_j the noise of trial j, so
-#     |e_j|^2 = |M|^(2j-2) |e_1|^2 + |S|^2 |n|^2 (1 + |M - 1|^2 (1 - |M|^(2j-2)) / (1 - |M|^2))   in the mean
+# which the error turns. In frequency, with n_j the noise of trial j,
+#     e_{j+1} = M e_j - S (n_{j+1} - n_j),   M = 1 - phi z G / (1 + C G),   S = 1 / (1 + C G)
+# and so, in the mean,
+#     |e_j|^2 = |M|^(2j-2) |e_1|^2 + |S|^2 |n|^2 (1 + |M - 1|^2 (1 - |M|^(2j-2)) / (1 - |M|^2))
 for setting in ("simulation", "experiment"):
     s, phi, noise = loaded[setting], SETTINGS[setting].gain, SETTINGS[setting].noise
     test = frequency.learning_condition(s.machine, s.schemes["p-type"], s.task)
@@ -132,11 +134,14 @@ for setting in ("simulation", "experiment"):
     turning = best_trial(predicted[:, None])[-1], best_trial(simulated)[-1]
     ratio = predicted / simulated[:, 0]
     print(
-        f"{setting}: phi = {phi:g}, |1 - CB phi| = {abs(1 - 0.0475 * phi):.4f}, sup |1 - phi z G/(1 + C G)| = {test.condition.value:.4f}"
+        f"{setting}: phi = {phi:g}, |1 - CB phi| = {abs(1 - 0.0475 * phi):.4f}, sup |1 - phi z "
+        f"G/(1 + C G)| = {test.condition.value:.4f}"
     )
     print(
-        f"    critical frequency {test.critical:.1f} Hz; the error turns at trial {turning[0]} in theory, {turning[1]} in simulation"
+        f"    critical frequency {test.critical:.1f} Hz; the error turns at trial {turning[0]} in "
+        f"theory, {turning[1]} in simulation"
     )
     print(
-        f"    RMSE predicted / simulated, over the trials: {np.min(ratio):.3f} to {np.max(ratio):.3f}"
+        f"    RMSE predicted / simulated, over the trials: {np.min(ratio):.3f} to "
+        f"{np.max(ratio):.3f}"
     )

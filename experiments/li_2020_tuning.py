@@ -1,5 +1,6 @@
-"""Li 2020: cutoffs, switching times and learning gain by gradient, against the printed 10/50/10 Hz,
-on plants and noise never seen.
+"""Li 2020: cutoffs, switching times and learning gain by gradient, against the printed 10/50/10 Hz.
+
+They are compared on machines and noise that the tuning never saw.
 """
 
 import numpy as np

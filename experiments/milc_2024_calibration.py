@@ -1,5 +1,6 @@
-"""MILC 2024: what is not printed, fitted to three numbers of the DILC row of Table 1; the other
-seven judge it.
+"""MILC 2024: what is not printed, fitted to three numbers of the DILC row of Table 1.
+
+The other seven numbers of the table judge it.
 
 Free: the path's velocity (table RMS of the first trial), the drive's antiresonance (motor RMS of
 the last), the table's noise (table RMS of the last). The force gain follows from the printed

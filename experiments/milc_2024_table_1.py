@@ -1,5 +1,6 @@
-"""MILC 2024, Table 1 and Fig. 9 to 11: direct and multivariable learning, and Proposition 1 on
-every trial of the direct one.
+"""MILC 2024, Table 1 and Fig. 9 to 11: direct and multivariable learning, and Proposition 1.
+
+Proposition 1 is tested on every trial of direct learning.
 """
 
 import dataclasses
@@ -112,7 +113,8 @@ top.figure.savefig(folder / "figures-10-11.png")
 effort = {name: float(kept["feedback_effort"][-1]) for name, kept in found.items()}
 times = effort["dilc"] / effort["milc"]
 print(
-    f"feedback effort in trial 10: dilc {effort['dilc']:.4f} V, milc {effort['milc']:.4f} V, {times:.0f} times less"
+    f"feedback effort in trial 10: dilc {effort['dilc']:.4f} V, milc {effort['milc']:.4f} V, "
+    f"{times:.0f} times less"
 )
 
 # Proposition 1 (a): e_z = P_Z e_c + (1 - P_Z) r_d, so |(1 - P_Z) r_d| <= |e_z| + |P_Z| |e_c|, and
@@ -133,9 +135,11 @@ sums = np.sqrt(np.mean(e[:, :, 1] ** 2, axis=1)) + np.max(np.abs(P_Z)) * np.sqrt
 )
 least, bound = sums.min(), rms((1 - P_Z) * r)
 print(
-    f"Proposition 1 (a): |(1 - P_Z) r_d| = {bound:.2f} µm RMS; |e_z| + |P_Z| |e_c| is {least:.1f} at least over the trials"
+    f"Proposition 1 (a): |(1 - P_Z) r_d| = {bound:.2f} µm RMS; |e_z| + |P_Z| |e_c| is {least:.1f} "
+    "at least over the trials"
 )
 left, stalled = rms((1 - 1 / P_Z) * r), rows[3]["ours"]
 print(
-    f"motor error left where the table has none: |(1 - 1/P_Z) r_d| = {left:.2f} µm RMS; dilc stalls at {stalled:.2f}"
+    f"motor error left where the table has none: |(1 - 1/P_Z) r_d| = {left:.2f} µm RMS; dilc "
+    f"stalls at {stalled:.2f}"
 )

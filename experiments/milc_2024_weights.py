@@ -1,5 +1,6 @@
-"""MILC 2024: w_q, w_r and w_s by gradient through the learning and the Riccati recursion, over
-uncertain stiffness and table mass.
+"""MILC 2024: w_q, w_r and w_s by gradient through the learning and the Riccati recursion.
+
+Stiffness and table mass are uncertain.
 """
 
 import dataclasses
@@ -20,9 +21,9 @@ BOUNDS = {"w_q": (1e3, 1e10), "w_r": (1e-8, 1e3), "w_s": (1e-6, 1e4)}
 def problem(s, name: str) -> Tuning:
     """Of the scenario: `dilc` or `milc`."""
     scheme, path = s.schemes[name], "learning.scheme." if name == "dilc" else "learning."
-    if (
-        name == "milc"
-    ):  # the penalty on the learned reference gets a weight of its own: as printed, it also pulls the whole reference to zero
+    # The penalty on the learned reference gets a weight of its own: the printed one also pulls the
+    # whole reference towards zero.
+    if name == "milc":
         scheme = dataclasses.replace(
             scheme,
             learning=dataclasses.replace(scheme.learning, w_s=np.full(2, scheme.learning.w_s)),
@@ -85,12 +86,14 @@ def main() -> None:
     noise, step = float(s.machine.sensor.noise[1]), float(s.machine.sensor.resolution[1])
     floor = 1e3 * np.sqrt(noise**2 + step**2 / 12)
     print(
-        f"the table's encoder alone, its noise and step, measures {floor:.4f} µm RMS: no weights get below"
+        f"the table's encoder alone, its noise and step, measures {floor:.4f} µm RMS: no weights "
+        "get below"
     )
     for row in rows:
         excess = np.sqrt(row[f"median {TRIALS}"] ** 2 - floor**2)
         print(
-            f"{row['scheme']}, {row['weights']}: {excess:.3f} µm RMS beyond the encoder's floor at trial {TRIALS}"
+            f"{row['scheme']}, {row['weights']}: {excess:.3f} µm RMS beyond the encoder's floor "
+            f"at trial {TRIALS}"
         )
 
 

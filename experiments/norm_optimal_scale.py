@@ -1,5 +1,6 @@
-"""Norm-optimal learning by the Riccati recursion against the dense lifted form: difference, time
-and memory by trial length.
+"""Norm-optimal learning by the Riccati recursion against the dense lifted form, by trial length.
+
+Compared are the learned signals, time and memory.
 
 MILC of two inputs and two outputs on the drive of MILC 2024, ten trials; each measurement in a
 process of its own.
@@ -17,8 +18,9 @@ LENGTHS, LONGEST, TRIALS = (250, 1000, 4000), 100_000, 10
 
 
 def measure(form, N):
-    """Seconds to compile and to run ten trials, peak memory [MB] beyond that of an idle process,
-    and the learned signals (N, 2).
+    """Seconds to compile and to run ten trials, peak memory, and the learned signals (N, 2).
+
+    The peak memory [MB] is that beyond an idle process.
     """
     import jax
 

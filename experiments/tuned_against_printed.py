@@ -1,19 +1,19 @@
-"""Printed weights against tuned ones, scenario by scenario, on plants that nobody saw, and the
-lowest error found where a target is missed.
+"""Printed weights against tuned ones, for each scenario, on machines that the tuning never saw.
 
 `python tuned_against_printed.py NAME ...` runs the cases whose name contains one of the NAMEs. What
-no gradient can choose (a lead, a horizon, a stop rule) is set before tuning; the column `structure`
-has it with the printed weights, where the weights start. Targets: CFDL 10 times better at trial 20,
-FFDL 0.3 µm by trial 15, every other scheme 2 times better at its last trial. Of CFDL and FFDL the
-table
-also says whether median and worst error stay below their goals in every later trial, and of how
-many single plants the error is larger at the last trial than at the target's: they may, and some
-do.
+no gradient can choose (a lead, a horizon, a stop rule) is set before tuning. The column `structure`
+has these settings with the printed weights, at which the tuning starts.
 
-Tuning draws its plants from seed 0 and chooses among its iterates by those of seed 1; the settings
-of the cases were chosen while looking at plants of seed 2. The table is judged on those of
-JUDGED_SEED, which was chosen once and not looked at before all settings were final; no setting was
-changed after that.
+Targets: CFDL 10 times better at trial 20, FFDL 0.3 µm by trial 15, every other scheme 2 times
+better at its last trial. For CFDL and FFDL the table also says whether the median and the worst
+error stay below their goals in every later trial, and for how many machines the error is larger at
+the last trial than at the target's; there are such machines. Where a target is missed, the lowest
+error found is given.
+
+Tuning draws its machines from seed 0 and chooses among its iterates by those of seed 1; the
+settings of the cases were chosen while looking at machines of seed 2. The table is made with those
+of JUDGED_SEED, which was chosen once and not looked at before all settings were final. No setting
+was changed after that.
 """
 
 import dataclasses
@@ -21,21 +21,20 @@ import sys
 import time
 from collections.abc import Callable
 
-import jax
 import jax.numpy as jnp
 import li_2020_tuning
 import milc_2024_weights
 import numpy as np
 import output
+from lowest_error import best_of_one_move, lowest_of
+from tuned_rows import rows_of, verdict_of
 
 import jaxilc
-from jaxilc.learning import Keep
 from jaxilc.pytree import replaced
 from jaxilc.schemes import Scheme, StopWhen
 from jaxilc.tuning import Tuned, Tuning
 from jaxilc.tuning.objectives import Final, Growth, Holding, Objective
 from jaxilc.tuning.risks import CVaR, Mean
-from jaxilc.uncertainty import draw, drawn_machine
 
 JUDGED_SEED = 20261121
 FINE = 1e-4  # of the reference's peak: what lies below is not worth a growth of the largest error
@@ -46,15 +45,15 @@ MFAILC = {"lam": (1e-2, 1e2), "eta": None, "mu": (1e-3, 1e4)}
 class Case:
     """A comparison.
 
-    problem: from a scenario to the tuning, whose scheme is the structure with the printed weights;
-    scheme: of the print
-    judged: (figure, trials) that the table shows;  target: trial and by how much better than
-    printed it shall be, or the level if below 0
-    finish: what is put around the tuned scheme;  holds: the trials after the target's are judged
-    too
-    unseen: plants, the nominal one included;  lowest: plants to look for the lowest error with, 0
-    for none
-    lowest_over: changes of the tuned scheme to look through
+    scenario, scheme: names of the printed ones
+    problem: from a scenario to the tuning, whose scheme is the structure with the printed weights
+    judged: metric, and the trials that the table shows
+    target: a trial, and how many times better than printed it shall be; below 0, minus the error
+    finish: adds what the tuned scheme is finally wrapped in
+    holds: whether the trials after the target's are judged too
+    unseen: number of machines, the nominal one included
+    lowest: number of machines with which the lowest error is looked for, 0 for no such search
+    lowest_over: changes of the tuned scheme with which it is looked for
     """
 
     scenario: str
@@ -108,9 +107,9 @@ def ffdl(s):
 
 
 def mfapc(s):
-    # one move of the input acts as an integrator on the mean of the previewed reference:
-    # `best_of_one_move` says how far that goes. The first of two moves weighs r(k+1) apart from the
-    # rest of a long horizon, which meets the loop's phase and magnitude at 0.5 Hz
+    # One move of the input acts as an integrator on the mean of the previewed reference;
+    # `best_of_one_move` gives the least error of that. The first of two moves gives r(k+1) a weight
+    # of its own beside a long horizon, which meets the loop's phase and magnitude at 0.5 Hz.
     scheme = dataclasses.replace(s.schemes["cfdl-mfapc"], P=470, P_u=2, phi0=-40.0, lam=100.0)
     weights = {"lam": (10.0, 1e3), "phi0": (-100.0, -10.0)}
     return tuning(
@@ -176,9 +175,8 @@ CASES = {
         ffdl,
         ("settled_error", (10, 15, 50, 80, 200)),
         (15, -0.3),
-        finish=lambda scheme: StopWhen(
-            scheme, growth=0.02
-        ),  # the start of the trial grows past trial 80 otherwise, see max_error
+        # otherwise the error at the start of the trial grows after trial 80, see max_error
+        finish=lambda scheme: StopWhen(scheme, growth=0.02),
         holds=True,
     ),
     "mfapc": Case("dai-2014", "cfdl-mfapc", mfapc, ("settled_error", (1,)), (1, 2.0)),
@@ -188,12 +186,11 @@ CASES = {
         rig,
         ("settled_error", (8, 40)),
         (40, 2.0),
-        finish=lambda scheme: StopWhen(scheme, growth=0.02),  # as there
+        finish=lambda scheme: StopWhen(scheme, growth=0.02),  # likewise
         unseen=33,
         lowest=8,
-        lowest_over=tuple(
-            {"feedback.kp": kp} for kp in (0.29, 0.5, 0.7, 0.8, 0.9, 1.0, 1.1)
-        ),  # 1.2 is unstable
+        # 1.2 is unstable
+        lowest_over=tuple({"feedback.kp": kp} for kp in (0.29, 0.5, 0.7, 0.8, 0.9, 1.0, 1.1)),
     ),
     "li": Case(
         "li-2020",
@@ -227,8 +224,8 @@ CASES = {
 
 
 def errors_of(s, case: Case, problem: Tuning, tuned: Tuned):
-    """(scheme, sample, trial) by figure, in the unit shown; what is not finite counts as infinite."""
-    figure, trials = case.judged
+    """Errors (scheme, sample, trial) by metric, in the unit shown; infinite where not finite."""
+    metric, trials = case.judged
     schemes = {
         "printed": s.schemes[case.scheme],
         "structure": problem.scheme,
@@ -240,138 +237,8 @@ def errors_of(s, case: Case, problem: Tuning, tuned: Tuned):
     ).run()
     return {
         f: s.shown_scale * dataset[f].where(~dataset["diverged"], np.inf)
-        for f in dict.fromkeys((figure, "max_error"))
+        for f in dict.fromkeys((metric, "max_error"))
     }
-
-
-def lowest_of(s, case: Case, problem: Tuning, scheme: Scheme) -> tuple[float, float]:
-    """What noise and steps leave of the ideal input, and what is left of the error without them;
-    medians over plants never seen.
-
-    The input is learned on a machine without converter step, encoder step and noise until its error
-    is a fraction of what is measured with them, and then played on the real one, under the same
-    feedback. No bound: an input that knows the converter's codes may do better.
-    """
-    figure, trials = case.judged
-    drawn = {
-        name: jnp.asarray(v)
-        for name, v in draw(
-            problem.machine, problem.uncertainty, case.lowest, seed=JUDGED_SEED
-        ).items()
-    }
-    keys = jax.random.split(jax.random.key(JUDGED_SEED), case.lowest)
-
-    def played(_, plant):
-        values, key = plant
-        machine = drawn_machine(problem.machine, problem.uncertainty, values)
-        actuator = machine.actuator and dataclasses.replace(machine.actuator, resolution=None)
-        ideal = dataclasses.replace(machine, actuator=actuator, sensor=None)
-        learned = jaxilc.learn(
-            ideal, scheme, problem.task, 3 * max(trials), save=Keep.of(s.functions)
-        )
-        once = jaxilc.learn(
-            machine,
-            scheme,
-            problem.task,
-            1,
-            memory=learned.memory,
-            key=key,
-            save=Keep.of(s.functions),
-        )
-        return [
-            jnp.max(h.saved[figure][-1] if figure in s.functions else getattr(h, figure)[-1])
-            for h in (once, learned)
-        ]
-
-    return tuple(
-        s.shown_scale * float(np.median(x)) for x in jaxilc.tiled(played)(0.0, (drawn, keys))
-    )
-
-
-def best_of_one_move(s, plants: int = 33) -> float:
-    """Least median error at 0.5 Hz of CFDL-MFAPC with P_u = 1, over all P <= 500 and all gains K,
-    by frequency response.
-
-    u[k] = u[k-1] + K (mean r[k+1..k+P] - y[k]),   e = 1 - L / (1 + L) mean z^i,   L = K z / (z - 1)
-    G,   stable K only
-    """
-    drawn = draw(s.machine, s.uncertainty, plants, seed=JUDGED_SEED)
-    sampled = jax.vmap(
-        lambda v: drawn_machine(s.machine, s.uncertainty, v).plant.sampled(s.task.dt)
-    )(jax.tree.map(jnp.asarray, drawn))
-    ones = np.ones((plants, 1))
-    a, b = np.hstack([ones, -np.asarray(sampled.a)]), np.hstack([0 * ones, np.asarray(sampled.b)])
-    z, best = np.exp(1j * np.pi * s.task.dt), np.inf
-    G = (b @ z ** -np.arange(4.0)) / (a @ z ** -np.arange(4.0))
-    means = np.cumsum(z ** np.arange(1, 501)) / np.arange(1, 501)
-    for K in -np.geomspace(3e-4, 0.05, 80):
-        closed = [
-            np.polyadd(np.convolve([1.0, -1.0], a_i), np.append(K * b_i, 0.0))
-            for a_i, b_i in zip(a, b, strict=True)
-        ]
-        L = K * z / (z - 1) * G
-        e = np.abs(1 - (L / (1 + L))[:, None] * means)
-        e[[np.max(np.abs(np.roots(p))) >= 1 for p in closed]] = np.inf
-        best = min(best, np.min(np.median(e, axis=0)))
-    return s.shown_scale * float(best)
-
-
-def table_of(case: Case, errors) -> list[dict]:
-    """A row for each figure and trial: median, 95 % and worst of each scheme."""
-    rows = []
-    for figure, values in errors.items():
-        for j in case.judged[1]:
-            row = {"case": f"{case.scenario} {case.scheme}", "figure": figure, "trial": j}
-            for which in ("printed", "structure", "tuned"):
-                of = values.sel(scheme=which, trial=j).values
-                row |= {
-                    f"{which} median": float(np.median(of)),
-                    "95 %": float(np.quantile(of, 0.95, method="higher")),
-                }
-                row[f"{which} 95 %"], row[f"{which} worst"] = row.pop("95 %"), float(np.max(of))
-            rows.append(row)
-    return rows
-
-
-def verdict_of(case: Case, errors, lowest: float | None) -> dict:
-    """Median (worst) at the target's trial, printed and tuned; the largest later and the last of
-    the tuned curves; what that means.
-    """
-    (j, wanted), last_trial = case.target, max(case.judged[1])
-    values = errors[case.judged[0]]
-    curves = {
-        which: [f(values.sel(scheme=which).values, axis=0) for f in (np.median, np.max)]
-        for which in ("printed", "tuned")
-    }
-    printed, tuned = ([float(c[j - 1]) for c in curves[which]] for which in ("printed", "tuned"))
-    later, last = (
-        [float(f(c[j - 1 :])) for c in curves["tuned"]] for f in (np.max, lambda c: c[-1])
-    )
-    goals = [-wanted if wanted < 0 else p / wanted for p in printed]
-    met = [t <= goal for t, goal in zip(tuned, goals, strict=True)]
-    verdict = "met by the worst plant" if all(met) else "met in the median" if met[0] else "missed"
-    if not met[0] and lowest is not None:
-        verdict += f"; the lowest found is {min(lowest, tuned[0]) / printed[0]:.2f} of the printed"
-    ratio = [p / t for p, t in zip(printed, tuned, strict=True)]
-    named = {
-        "printed": printed,
-        "tuned": tuned,
-        "goal": goals,
-        "times better": ratio,
-        "largest later": later,
-        "last": last,
-    }
-    row = {name: "{:.3g} ({:.3g})".format(*pair) for name, pair in named.items()} | {
-        "verdict": verdict
-    }
-    if case.holds:
-        below = ["yes" if x <= goal else "no" for x, goal in zip(later, goals, strict=True)]
-        row[f"below the goal to trial {last_trial}"] = "{} ({})".format(*below)
-        for which in ("printed", "tuned"):
-            of = values.sel(scheme=which)
-            grown = int((of.sel(trial=last_trial) > of.sel(trial=j)).sum())
-            row[f"{which}: plants worse at trial {last_trial}"] = f"{grown} of {of.sizes['sample']}"
-    return row
 
 
 def main(names: list[str]) -> None:
@@ -390,16 +257,16 @@ def main(names: list[str]) -> None:
         tuned = problem.run()
         seconds = time.perf_counter() - began
         errors = errors_of(s, case, problem, tuned)
-        rows += table_of(case, errors)
+        rows += rows_of(case, errors)
         lowest = left = None
         if case.lowest:
             lowest, left = min(
-                lowest_of(s, case, problem, replaced(tuned.scheme, values))
-                for values in case.lowest_over
+                lowest_of(s, case.judged, problem, scheme, case.lowest, JUDGED_SEED)
+                for scheme in (replaced(tuned.scheme, values) for values in case.lowest_over)
             )
         row = {
             "case": name,
-            "figure": f"{case.judged[0]} [{s.shown_unit}]",
+            "metric": f"{case.judged[0]} [{s.shown_unit}]",
             "trial": case.target[0],
         } | verdict_of(case, errors, lowest)
         row |= {
@@ -418,14 +285,15 @@ def main(names: list[str]) -> None:
                 )
             }
         row |= (
-            {"P_u = 1 at best (theory, median)": f"{best_of_one_move(s):.3g}"}
+            {"P_u = 1 at best (theory, median)": f"{best_of_one_move(s, JUDGED_SEED):.3g}"}
             if name == "mfapc"
             else {}
         )
         verdicts.append(row)
         print("  ".join(f"{k} {v}" for k, v in row.items()))
         print(
-            f"  {seconds:.0f} s, held-out loss {tuned.before:.3f} -> {tuned.after:.3f} at step {tuned.step} ({tuned.reason}), of"
+            f"  {seconds:.0f} s, held-out loss {tuned.before:.3f} -> {tuned.after:.3f} at step "
+            f"{tuned.step} ({tuned.reason}), of"
         )
         print(f"  {time.perf_counter() - began:.0f} s altogether; weights:", end=" ")
         print(
@@ -447,7 +315,7 @@ def main(names: list[str]) -> None:
 
 
 def draw_curves(ax, s, case: Case, errors) -> None:
-    """Medians as lines, worst plants dashed, over the trials."""
+    """Medians as lines, worst machines dashed, over the trials."""
     marker = "o" if max(case.judged[1]) == 1 else None
     for which in ("printed", "structure", "tuned"):
         line = ax.semilogy(

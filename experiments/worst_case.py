@@ -1,5 +1,6 @@
-"""Worst machines by climbing the gradient, against 10,000 draws, in evaluations; and a trade-off
-between speed and final error.
+"""Worst machines by ascent of the gradient against 10,000 drawn ones, by evaluations.
+
+Also a trade-off between speed and final error.
 """
 
 import time
@@ -9,9 +10,14 @@ import output
 
 import jaxilc
 from jaxilc import figures
-from jaxilc.tuning import Tuning, monte_carlo_search, pareto, worst_case_search
+from jaxilc.tuning import (
+    GRADIENT_COST,
+    Tuning,
+    monte_carlo_search,
+    pareto,
+    worst_case_search,
+)
 from jaxilc.tuning.objectives import Final, TrialsTo, judge, peak
-from jaxilc.tuning.worst_case import GRADIENT_COST
 
 jaxilc.setup()
 folder = output.folder(__file__)
@@ -72,7 +78,7 @@ for scenario, name, trials in CASES:
         shown(chance.found),
         found,
         nominal=row["nominal"],
-        figure=f"settled error, {name}, trial {trials}",
+        metric=f"settled error, {name}, trial {trials}",
         unit=s.shown_unit,
     )
     figures.save(axes, folder / f"{scenario}-{name}.png")

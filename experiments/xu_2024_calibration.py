@@ -1,5 +1,6 @@
-"""Xu 2024: what is not printed, fitted to the PID, SMC and ASMC rows of Table 1; the learning gain
-to one number of its row.
+"""Xu 2024: what is not printed, fitted to the PID, SMC and ASMC rows of Table 1.
+
+The learning gain is fitted to one number of its row.
 
 Six free numbers for six printed ones, then one for one. The rest of the learning row and the whole
 of Table 2 are predicted.
@@ -50,9 +51,7 @@ print("fitted, with costs of the best minima", np.round(best.refined, 4), fitted
 
 
 def too_much(share):
-    """log of ours over printed, largest error of the tenth trial, from the side of too little
-    learning.
-    """
+    """log of ours over printed, largest error of the tenth trial, for gains that are too small."""
     found = float(errors(fitted["A"], schemes_for(fitted, share)["ilc-asmc"], 10)[0])
     return np.log(found / TABLE_1["ilc-asmc"][0])
 

@@ -1,5 +1,6 @@
-"""Xu 2024: 1024 tools with ±20 % stiffness, damping, gain, hysteresis and load, sampled together:
-yield, worst case, chattering.
+"""Xu 2024: yield, worst case and chattering of 1024 tools.
+
+Stiffness, damping, gain, hysteresis and load are drawn together within ±20 %.
 """
 
 import output

@@ -1,6 +1,4 @@
-"""Xu 2024: Tables 1 and 2, errors of trials 2 to 10 (Fig. 8), the multi-frequency disturbance (Fig.
-10 to 12), chattering, theory.
-"""
+"""Xu 2024: Tables 1 and 2, errors by trial (Fig. 8), disturbance (Fig. 10 to 12), theory."""
 
 import numpy as np
 import output
@@ -36,7 +34,8 @@ for name, table in (("Table 1", TABLE_1), ("Table 2", TABLE_2)):
     ours = {r["scheme"]: r["max"] for r in rows if r["table"] == name}
     printed = table["ilc-asmc"][0] / table["asmc"][0]
     print(
-        f"{name}: ilc-asmc / asmc, largest error: {ours['ilc-asmc'] / ours['asmc']:.3f} (published {printed:.3f})"
+        f"{name}: ilc-asmc / asmc, largest error: {ours['ilc-asmc'] / ours['asmc']:.3f} "
+        f"(published {printed:.3f})"
     )
 
 s = jaxilc.scenarios.load("xu-2024")
@@ -73,16 +72,19 @@ asmc = s.schemes["asmc"]
 trial = jaxilc.learn(s.machine, asmc, s.task, 1).final
 found = sliding.sliding(asmc, trial)
 print(
-    f"sliding condition on asmc: |f| reaches {found.condition.value:.3g} times the switching authority; it is below in"
+    f"sliding condition on asmc: |f| reaches {found.condition.value:.3g} times the switching "
+    "authority; it is below in"
 )
 print(
-    f"    {found.dominated:.1%} of the samples; V falls outside the layer in {found.falling:.1%} of them"
+    f"    {found.dominated:.1%} of the samples; V falls outside the layer in {found.falling:.1%} "
+    "of them"
 )
 for premise in found.condition.premises:
     print(f"    {premise.name}: {premise.detail}")
 short = jaxilc.Task(s.task.reference[:501], dt=s.task.dt, settle=None)
 sigma = contraction.contracting(jaxilc.Machine(s.machine.plant), s.schemes["ilc-asmc"], short)
 print(
-    f"learning map over 50 ms: largest singular value {sigma.value:.4f}, {sigma.verdict}: {'; '.join(p.name for p in sigma.broken)}"
+    f"learning map over 50 ms: largest singular value {sigma.value:.4f}, {sigma.verdict}: "
+    f"{'; '.join(p.name for p in sigma.broken)}"
 )
 print(f"fitted numbers: {FITTED}")

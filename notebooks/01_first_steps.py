@@ -46,16 +46,17 @@ scheme = schemes.CFDLMFAILC(lam=1.0, eta=0.9, mu=1.0, rho=1.0, phi0=-0.0682, res
 history = learn(machine, scheme, task, trials=30)
 for trial in (1, 2, 5, 10, 20, 30):
     print(
-        f"trial {trial:2d}: largest error in the second half of the trial {1e3 * history.settled_error[trial - 1, 0]:7.1f} µm"
+        f"trial {trial:2d}: largest error in the second half of the trial "
+        f"{1e3 * history.settled_error[trial - 1, 0]:7.1f} µm"
     )
 
 # %% [markdown]
 # The first trial plays nothing, so its error is the whole millimetre. Each later one plays what the
 # one before has taught.
 #
-# `history` holds the figures of every trial (`settled_error`, `max_error`, `rms`, `effort`), the
-# last trial's signals (`history.final`) and what the scheme knows now (`history.memory`, to go on
-# from).
+# `history` holds the metrics of every trial (`settled_error`, `max_error`, `rms`, `effort`), the
+# last trial's signals (`history.final`) and what the scheme has learned (`history.memory`, from
+# which learning can continue).
 
 # %%
 dataset, _ = jaxilc.run_schemes(machine, {"cfdl-mfailc": scheme}, task, 30)
@@ -81,9 +82,9 @@ except ValueError as error:
     print(error)
 
 # %% [markdown]
-# A small `lam` learns fast. It is no free lunch: on this motor the error of every such law grows
-# again after enough trials, the sooner the smaller `lam` is (notebook 05 says why, and how to know
-# beforehand).
+# A small `lam` learns fast, but at a price: on this motor the error of every such law grows again
+# after enough trials, and the sooner, the smaller `lam` is (notebook 05 says why, and how to know
+# it beforehand).
 #
 # ## Many machines, and gradients
 #

@@ -13,32 +13,45 @@
 # %% [markdown]
 # # The five papers, side by side with their tables
 #
-# Each scenario is a system of a paper with the printed parameters, and the printed results as data
-# that are never fed back.
+# Each scenario is a system of a paper with the printed parameters. The printed results are data to
+# compare with, which no simulation uses.
 #
 # | scenario | system | learning |
 # |---|---|---|
 # | `cao-2019` | voice-coil motor, noncircular turning | CFDL- and FFDL-MFAILC, ILC-MFAPC |
 # | `dai-2014` | the same motor | none: predictive MFAC against PID |
-# | `li-2020` | axis of a CNC machine, butterfly path | P-type over feedback, zero-phase filters, stop rule, ladder |
+# | `li-2020` | CNC axis, butterfly path | P-type, zero-phase filters, stop rule, ladder |
 # | `xu-2024` | piezo fast tool servo | PD-type with exponential gain over adaptive sliding mode |
 # | `milc-2024` | flexible ball-screw drive | norm-optimal: direct (DILC), multivariable (MILC) |
 #
-# A verdict is `met` within 30 %, `shape` where the number stands to every comparable one as in
-# print, larger or smaller, and lies within a factor of two of print, else `open`, with the reason.
-# What a paper leaves unprinted was chosen or fitted; each row says how it was read and what was
-# fitted to which numbers, and a row that is among these proves nothing.
+# The verdict is `met` within 30 % of the printed number, `shape` where the number is in the printed
+# order with every comparable one and within a factor of two of the printed one, and else `open`,
+# with the reason. What a paper does not print was chosen or fitted. Each row says how it was read
+# and what was fitted to which numbers; a row that is among these proves nothing.
 
 # %%
 import numpy as np
 
 import jaxilc
 from jaxilc import figures
-from jaxilc.cli import tables
 
 # %matplotlib inline
 # ruff: noqa: B018
 jaxilc.setup()
+
+
+def number(value):
+    """Three significant digits."""
+    return np.format_float_positional(value, 3, fractional=False, trim="-")
+
+
+def printed_and_ours(scenario, dataset):
+    """Each printed number, ours, and the unit of both; the largest channel counts."""
+    for p in scenario.due:
+        if p.scheme in scenario.schemes:
+            scale, unit = scenario.shown(p.quantity)
+            ours = dataset[p.quantity].sel(scheme=p.scheme, trial=p.trial or 1)
+            yield p, scale * float(ours.max()), unit
 
 
 def show(rows):
@@ -47,10 +60,11 @@ def show(rows):
         trial = "" if p.trial is None else f"trial {p.trial}"
         less = "< " * p.at_most
         what = p.quantity.replace("_", " ")
-        ours = f"{tables.number(row.ours):>7s} {row.unit}"
+        ours = f"{number(row.ours):>7s} {row.unit}"
         read = "; ".join(part for part in (p.reading, str(p.fitted), row.reason) if part)
         print(
-            f"{p.scheme:12s} {trial:9s} {what:14s} printed {less}{p.value:<7g} ours {ours:10s} {row.verdict:5s} | {read}"
+            f"{p.scheme:12s} {trial:9s} {what:14s} printed {less}{p.value:<7g} ours {ours:10s} "
+            f"{row.verdict:5s} | {read}"
         )
     print(
         {
@@ -63,8 +77,8 @@ def show(rows):
 # %% [markdown]
 # ## Cao 2019, Table 1: errors by trial
 #
-# $\hat\varphi(\cdot, 1)$, where the estimates start, is not printed, and the outcome hangs on it:
-# it was fitted through the learning process to some rows of the table and judged on the others.
+# $\hat\varphi(\cdot, 1)$, where the estimates start, is not printed, and the result depends on it.
+# It was fitted through the learning process to some rows of the table and judged on the others.
 
 # %%
 cao = jaxilc.reproduce(["cao-2019"])
@@ -92,9 +106,9 @@ show(jaxilc.reproduce(["dai-2014"]))
 # %% [markdown]
 # ## MILC 2024, Table 1: motor and table of a flexible drive
 #
-# With one input, the table's error goes to the noise while the motor's stalls (DILC); learning
-# input *and* reference frees both (MILC). Three numbers of the DILC rows are fitted, all MILC rows
-# are predicted.
+# With one input, the error of the machine table falls to the noise while that of the motor stops
+# falling (DILC). Where input *and* reference are learned, both fall (MILC). Three numbers of the
+# DILC rows are fitted, all MILC rows are predicted.
 
 # %%
 milc = jaxilc.reproduce(["milc-2024"])
@@ -109,32 +123,29 @@ assert last["milc", "motor_rms"] < last["dilc", "motor_rms"] / 3
 # %% [markdown]
 # ## Li 2020: learning noise, and not
 #
-# One of the paper's settings here, the experiment: without a filter the error falls to trial 6 or
-# so and rises again; learning through a
-# filter of 10 Hz does not. All of it: `jaxilc reproduce`.
+# Here is one of the paper's settings, the experiment. Without a filter the error falls until about
+# trial 6 and then rises again; with learning through a filter of 10 Hz it does not. All settings:
+# `jaxilc reproduce`.
 
 # %%
 li = jaxilc.scenarios.load("li-2020", setting="experiment").select(("p-type", "fixed-filter"))
 of_li, _ = jaxilc.run_schemes(li.machine, li.schemes, li.task, 30, quantities=li.functions)
-for name, rows in tables.run_figures(li, of_li)["schemes"].items():
-    for p in rows["published"]:
-        what = f"{p['quantity'].replace('_', ' ')} at trial {p['trial']}"
-        print(
-            f"{name}: {what}: printed {p['value']:g}, ours {tables.number(p['ours'])} {p['unit']}"
-        )
+for p, ours, unit in printed_and_ours(li, of_li):
+    what = f"{p.quantity.replace('_', ' ')} at trial {p.trial}"
+    print(f"{p.scheme}: {what}: printed {p.value:g}, ours {number(ours)} {unit}")
 rms = {name: 1e3 * np.asarray(of_li["rms"].sel(scheme=name))[:, 0] for name in li.schemes}
 for name, errors in rms.items():
     print(
-        f"{name:12s} best trial {np.argmin(errors) + 1}, RMS there {np.min(errors):.2f} µm, at trial 30 {errors[-1]:.2f} µm"
+        f"{name:12s} best trial {np.argmin(errors) + 1}, RMS there {np.min(errors):.2f} µm, at "
+        f"trial 30 {errors[-1]:.2f} µm"
     )
 assert rms["p-type"][-1] > 1.5 * np.min(rms["p-type"])
-ax_li = figures.error_by_trial(of_li, figure="rms", scale=1e3, unit="µm")
+ax_li = figures.error_by_trial(of_li, metric="rms", scale=1e3, unit="µm")
 ax_li.figure
 
 # %% [markdown]
-# Where does it grow? Wrapper 80 Hz, where $|1 - \gamma z P|$ first exceeds 1, and all along the
-# path: what grows is the encoder's noise, while the errors of the path itself, below 20 Hz, are
-# gone.
+# Where does it grow? Around 80 Hz, where $|1 - \gamma z P|$ first exceeds 1, and all along the
+# path: the encoder's noise grows, while the errors of the path itself, below 20 Hz, are gone.
 
 # %%
 shown = {"scale": 1e3, "unit": "µm"}
@@ -160,17 +171,15 @@ ax_path.figure
 # %% [markdown]
 # ## Xu 2024, Table 1: four controllers
 #
-# Experiments of the paper; the numbers it leaves out are fitted to the rows of PID, SMC and ASMC,
-# the learning gain to one of its own row.
+# These are experiments of the paper. The numbers that it does not print are fitted to the rows of
+# PID, SMC and ASMC, the learning gain to one number of its own row.
 
 # %%
 xu = jaxilc.scenarios.load("xu-2024")
 of_xu, _ = jaxilc.run_schemes(xu.machine, xu.schemes, xu.task, 10, quantities=xu.functions)
-for name, rows in tables.run_figures(xu, of_xu)["schemes"].items():
-    for p in rows["published"]:
-        print(
-            f"{name:9s} {p['quantity'].replace('_', ' '):14s} printed {p['value']:7.2f} ours {p['ours']:7.2f} {p['unit']}"
-        )
+for p, ours, unit in printed_and_ours(xu, of_xu):
+    what = p.quantity.replace("_", " ")
+    print(f"{p.scheme:9s} {what:14s} printed {p.value:7.2f} ours {ours:7.2f} {unit}")
 of_rms = [
     float(of_xu["settled_rms"].sel(scheme=name, trial=10))
     for name in ("ilc-asmc", "asmc", "smc", "pid")
@@ -178,8 +187,8 @@ of_rms = [
 assert of_rms == sorted(of_rms)  # the printed order
 
 # %% [markdown]
-# By RMS the order is the printed one. By largest error PID and SMC, which lie within 9 % of each
-# other in print, change places.
+# By RMS the order is the printed one. By largest error PID and SMC change places; their printed
+# numbers differ by less than 9 %.
 
 # %% [markdown]
 # All printed numbers, with their sources and readings: `jaxilc reproduce`. The misprints: notebook

@@ -14,7 +14,7 @@
 # # A robustness sweep, read from Zarr
 #
 # A learning law that works on the model must work on the machine. A *sweep* learns with several
-# schemes on many machines whose parameters are drawn at random, and keeps every figure of every
+# schemes on many machines whose parameters are drawn at random, and keeps every metric of every
 # trial in a labelled dataset.
 
 # %%
@@ -54,10 +54,10 @@ sweep.run(folder / "motor.zarr")
 print("arrays on disk:", sorted(p.name for p in (folder / "motor.zarr").iterdir() if p.is_dir()))
 
 # %% [markdown]
-# The store is written chunk by chunk: a killed sweep goes on with `sweep.run(path, resume=True)`
-# and ends bit for bit as an uninterrupted one. Anything that reads Zarr opens it; `open_dataset`
-# gives an `xarray.Dataset` with dimensions `scheme, sample, trial`, and every drawn number is a
-# coordinate.
+# The store is written chunk by chunk. A sweep that was stopped continues with `sweep.run(path,
+# resume=True)` and ends bit for bit as an uninterrupted one. Anything that reads Zarr opens it;
+# `open_dataset` gives an `xarray.Dataset` with dimensions `scheme, sample, trial`, and every drawn
+# number is a coordinate.
 
 # %%
 dataset = jaxilc.open_dataset(folder / "motor.zarr")
@@ -77,14 +77,16 @@ ax.figure
 # %%
 for row in summarise(dataset, tolerance):
     print(
-        f"{row.scheme:12s} yield {row.yield_share:6.1%} ({row.yield_low:.1%} to {row.yield_high:.1%}), "
-        f"median {1e3 * row.median[-1]:.3g} µm, worst {1e3 * row.worst[-1]:.3g} µm (machine {row.worst_sample[-1]})"
+        f"{row.scheme:12s} yield {row.yield_share:6.1%} ({row.yield_low:.1%} to "
+        f"{row.yield_high:.1%}), "
+        f"median {1e3 * row.median[-1]:.3g} µm, worst {1e3 * row.worst[-1]:.3g} µm (machine "
+        f"{row.worst_sample[-1]})"
     )
 
 # %% [markdown]
-# PID with the printed gains is on the edge of stability: some of these motors are unstable under
-# it. CFDL-MFAILC plays back a table and closes no loop within a trial, so each single trial of it
-# is as stable as the motor itself.
+# PID with the printed gains is near its limit of stability: some of these motors are unstable under
+# it. CFDL-MFAILC plays back what it learned and closes no loop within a trial, so that each of its
+# trials is as stable as the motor itself.
 #
 # ## Which parameter matters?
 #
@@ -96,13 +98,14 @@ ranks = {name: np.argsort(np.argsort(np.asarray(dataset[name]))) for name in sce
 of_error = np.argsort(np.argsort(np.asarray(last)))
 for name, of_parameter in ranks.items():
     print(
-        f"rank correlation of the error with {name:15s} {np.corrcoef(of_error, of_parameter)[0, 1]:+.2f}"
+        f"rank correlation of the error with {name:15s} "
+        f"{np.corrcoef(of_error, of_parameter)[0, 1]:+.2f}"
     )
 
 # %% [markdown]
 # ## The worst machine, rebuilt
 #
-# `machine_of` gives any sample back, to be looked at, tuned on, or run for longer.
+# `machine_of` makes any of the machines again, to be looked at, tuned on, or run for longer.
 
 # %%
 worst = int(np.argmax(last.values))
@@ -110,7 +113,8 @@ machine = sweep.machine_of(worst)
 print({name: float(dataset[name][worst]) for name in scenario.uncertainty})
 again = jaxilc.learn(machine, scenario.schemes["cfdl-mfailc"], scenario.task, 40)
 print(
-    f"machine {worst}: {1e3 * float(last[worst]):.4f} µm in the dataset, {1e3 * float(again.settled_error[-1, 0]):.4f} µm again"
+    f"machine {worst}: {1e3 * float(last[worst]):.4f} µm in the dataset, "
+    f"{1e3 * float(again.settled_error[-1, 0]):.4f} µm again"
 )
 np.testing.assert_allclose(float(again.settled_error[-1, 0]), float(last[worst]), rtol=1e-6)
 

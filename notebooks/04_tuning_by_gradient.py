@@ -42,7 +42,7 @@ from jaxilc import Actuator, Machine, Sensor, Task, Tuning, Uniform, figures, pl
 from jaxilc.filters import ZeroPhaseButterworth
 from jaxilc.pytree import replaced
 from jaxilc.signals import references
-from jaxilc.theory.contraction import error_map
+from jaxilc.theory import contraction
 from jaxilc.tuning.objectives import Final, Growth
 from jaxilc.tuning.risks import CVaR
 
@@ -90,15 +90,15 @@ print("given:", tuned.start)
 print("tuned:", {name: round(value, 3) for name, value in tuned.values.items()})
 factor = np.exp(tuned.before - tuned.after)
 print(
-    f"held-out loss {tuned.before:.3f} -> {tuned.after:.3f}: the error of the worst quarter divided by {factor:.1f}"
+    f"held-out loss {tuned.before:.3f} -> {tuned.after:.3f}: the error of the worst quarter "
+    f"divided by {factor:.1f}"
 )
 assert tuned.after < tuned.before
 
 # %% [markdown]
 # ## How it went
 #
-# The loss of each step, on the machines of the tuning and on the held-out ones, and the way of the
-# weights.
+# The loss of each step, on the machines of the tuning and on the held-out ones, and the weights.
 
 # %%
 top, bottom = Figure(figsize=(7.2, 5.0), layout="constrained", dpi=150).subplots(2, 1, sharex=True)
@@ -120,34 +120,34 @@ bottom.figure
 # ## On machines that nobody has seen
 #
 # `compare` is a sweep of the given and the tuned scheme over fresh machines, here for twice as many
-# trials as were tuned for: a tuning that looks at 12 trials knows nothing of the thirteenth, so
-# look.
+# trials as the tuning looked at, since the tuning of 12 trials does not see the thirteenth.
 
 # %%
 dataset = problem.compare(tuned, trials=24, samples=65)
-ax = figures.error_band(dataset, figure="rms", scale=1e3, unit="µm")
+ax = figures.error_band(dataset, metric="rms", scale=1e3, unit="µm")
 ax.figure
 
 # %%
 for row in jaxilc.summarise(dataset, tolerance=0.02, figure="rms"):
     median, worst = 1e3 * row.median, 1e3 * row.worst
     print(
-        f"{row.scheme:6s} median of trials 12 and 24: {median[11]:.2f}, {median[23]:.2f} µm, worst {worst[11]:.2f}, {worst[23]:.2f} µm, "
+        f"{row.scheme:6s} median of trials 12 and 24: {median[11]:.2f}, {median[23]:.2f} µm, "
+        f"worst {worst[11]:.2f}, {worst[23]:.2f} µm, "
         f"within 20 µm at trial 24: {row.yield_share:.0%}"
     )
 
 # %% [markdown]
-# A gradient of any figure by any weight, of any machine, is also at hand by itself (notebook 01).
+# The gradient of any metric by any weight, of any machine, can also be taken alone (notebook 01).
 # On the command line: `jaxilc tune`, and for a budget of effort or of trials `jaxilc pareto`.
 #
 # ## Where a gradient misleads: resets
 #
-# The estimators of model-free adaptive schemes put an estimate back to its start value where it is
-# of no use. The gradient of such a
-# switch is that of the branch taken: it knows nothing of samples that change sides as a weight
-# moves. The test needs no step size: integrated over a range of a weight, a slope must give the
-# change of the loss, $\int_a^b J'\,\mathrm{d}\eta = J(b) - J(a)$. Here the weight is the step
-# $\eta$ of the estimator of CFDL-MFAILC.
+# The estimators of model-free adaptive schemes reset an estimate to its start value where it is
+# useless. The gradient of such a switch is that of the branch taken: it does not see the samples
+# that change from one branch to the other as a weight moves. The test needs no step size:
+# integrated over a range of a weight, the slope must give the change of the loss,
+# $\int_a^b J'\,\mathrm{d}\eta = J(b) - J(a)$. Here the weight is the step $\eta$ of the estimator
+# of CFDL-MFAILC.
 
 # %%
 quiet = Machine(axis)
@@ -162,13 +162,14 @@ def eighth_trial(eta, reset):
     return jnp.log(jaxilc.learn(quiet, law, task, 8).rms[-1, 0])
 
 
-path, missed = np.linspace(0.2, 1.0, 201), {}
+etas, missed = np.linspace(0.2, 1.0, 201), {}
 for reset in ("sign", "book", "smooth"):
-    values, slopes = jax.jit(jax.vmap(jax.value_and_grad(partial(eighth_trial, reset=reset))))(path)
-    change, integral = values[-1] - values[0], scipy.integrate.trapezoid(slopes, path)
+    values, slopes = jax.jit(jax.vmap(jax.value_and_grad(partial(eighth_trial, reset=reset))))(etas)
+    change, integral = values[-1] - values[0], scipy.integrate.trapezoid(slopes, etas)
     missed[reset] = abs(change - integral)
     print(
-        f"{reset:6s} change {change:+.3f}, integral of the slope {integral:+.3f}, largest slope {np.abs(slopes).max():.1f}"
+        f"{reset:6s} change {change:+.3f}, integral of the slope {integral:+.3f}, largest slope "
+        f"{np.abs(slopes).max():.1f}"
     )
 assert missed["sign"] < 1e-3 < missed["smooth"] < 0.01 < 0.05 < missed["book"]
 
@@ -204,7 +205,8 @@ for limit in (10.0, 0.8, 0.5, 0.2, 0.05):
     slopes.append(abs(slope))
     quotient = (above - below) / 2e-5
     print(
-        f"limit {limit:5.2f} V: {share:4.0%} of the samples saturated, slope {slope:+.5f}, difference quotient {quotient:+.5f}"
+        f"limit {limit:5.2f} V: {share:4.0%} of the samples saturated, slope {slope:+.5f}, "
+        f"difference quotient {quotient:+.5f}"
     )
 assert np.all(np.diff(slopes) < 0)
 assert slopes[-1] < 1e-3 * slopes[0]
@@ -234,7 +236,7 @@ for name, law, colour in (
         ).saved
 
     e, slope = jax.jit(lambda gamma, errors=errors: jax.jvp(errors, (gamma,), (1.0,)))(0.8)
-    map_ = error_map(quiet, law, task)
+    map_ = contraction.error_map(quiet, law, task)
     M = np.asarray(jax.jit(jax.jacfwd(lambda e, map_=map_: map_.f(e)[-1]))(map_.at))
     powers = [np.linalg.norm(np.linalg.matrix_power(M, j), 2) for j in range(trials - 1)]
     lengths = np.linalg.norm(slope, axis=1)
@@ -256,17 +258,18 @@ for name, law, colour in (
         label=f"{name}: |e_j|",
     )
     print(
-        f"{name:7s} |de/dγ| of trials 20, 40, 60: {lengths[19]:.3g}, {lengths[39]:.3g}, {lengths[59]:.3g}; |M^58| = {powers[-1]:.3g}"
+        f"{name:7s} |de/dγ| of trials 20, 40, 60: {lengths[19]:.3g}, {lengths[39]:.3g}, "
+        f"{lengths[59]:.3g}; |M^58| = {powers[-1]:.3g}"
     )
 growth.set(xlabel="trial j")
 growth.legend(fontsize="small")
 growth.figure
 
 # %% [markdown]
-# Two remedies are at hand, and neither is free. `clip` bounds the slope of each machine, so that
-# one that diverges does not lead all; it keeps the direction. `truncate=K` lets slopes through the
-# last $K$ trials alone, which are fewer factors of $M$ and less to compute
-# and store, but another gradient: what the weight did in the trials before counts in the loss only.
+# There are two remedies, and neither is free. `clip` bounds the slope of each machine, so that one
+# that diverges does not determine the step; it keeps the direction. `truncate=K` takes the slope
+# through the last $K$ trials alone. These are fewer factors of $M$ and less to compute and store,
+# but it is another gradient: the effect of the weight in the trials before counts in the loss only.
 
 # %%
 law = replaced(growing, {gain: 0.3})
@@ -282,5 +285,5 @@ assert abs(cut[2]) < 0.5 * abs(cut[20])
 
 # %% [markdown]
 # The loss is a logarithm, and so the whole slope here is a moderate number: long learning alone is
-# no reason to truncate. Take it where memory is short, and only if the truncated slope has the sign
-# of the whole one.
+# no reason to truncate. Take it where capacity is short, and only if the truncated slope has the
+# sign of the whole one.

@@ -56,7 +56,8 @@ def report(found):
     print(f"realised phi between {np.nanmin(found.phi):.4g} and {np.nanmax(found.phi):.4g}")
     for premise in found.condition.premises:
         print(
-            f"    {'held  ' if premise.held else 'broken'} {premise.name:35s} broken at {premise.share_broken:6.1%} of samples and trials"
+            f"    {'held  ' if premise.held else 'broken'} {premise.name:35s} broken at "
+            f"{premise.share_broken:6.1%} of samples and trials"
         )
 
 
@@ -97,25 +98,24 @@ assert broken.condition.verdict == "not claimed"
 # Frozen at its start value, the law is P-type with $\gamma = \rho\hat\varphi/(\lambda +
 # \hat\varphi^2)$ and linear, $e_{j+1} = (I - G L)\,e_j$, and its largest singular value tells
 # whether the error falls in *every* trial; in the frequency domain, whether $|1 - \gamma z P(z)| <
-# 1$ at every frequency. On a lagging plant it never is at all frequencies: beyond the first
-# crossing, errors grow by a few per
-# cent a trial.
+# 1$ at every frequency. On a plant with a lag this does not hold at all frequencies: beyond the
+# first crossing, errors grow by a few per cent a trial.
 
 # %%
 phi0, lam, rho = (float(np.squeeze(v)) for v in (cfdl.phi0, cfdl.lam, cfdl.rho))
 p_type = schemes.PIDType(gamma_p=rho * phi0 / (lam + phi0**2))
 test = theory.frequency.learning_condition(motor.machine, p_type, motor.task)
 print(
-    f"sup |1 - gamma z P| = {test.condition.value:.4f}; crosses 1 at {test.critical:.1f} Hz; verdict: {test.condition.verdict}"
+    f"sup |1 - gamma z P| = {test.condition.value:.4f}; crosses 1 at {test.critical:.1f} Hz; "
+    f"verdict: {test.condition.verdict}"
 )
 
 # %% [markdown]
-# So the error falls, turns, and grows: it *semi-converges*. `certify` answers two questions of each
-# of many machines. What is claimed of the long run holds however many trials are run, and is
-# nothing where no theorem applies, as to a law that adapts. What the error does within $J$ trials
-# is predicted from theory alone, and simulation is the judge. Small here: 8 machines, 120 trials;
-# first the adaptive law,
-# then the P-type law that it starts as.
+# So the error falls, turns, and grows: it *semi-converges*. `certify` answers two questions for
+# each of many machines. The claim about the long run holds for any number of trials; nothing is
+# claimed where no theorem applies, as for a law that adapts. The error within $J$ trials is
+# predicted from theory alone, and compared with simulation. The example is small, with 8 machines
+# and 120 trials: first the adaptive law, then the P-type law as which it starts.
 
 # %%
 names = {name: motor.uncertainty[name] for name in ("plant.gain", "plant.poles[2]")}
@@ -147,10 +147,10 @@ ax.figure
 # %% [markdown]
 # ## The cure, certified
 #
-# A low-pass filter $Q$ on what is learned, in front of the crossing, restores $|Q(1 - \gamma z P)|
-# < 1$, at the price of what lies above
-# its cutoff: what is learned then comes nearer to its limit in every trial, and the limit leaves an
-# error. A leak or a stop rule are other ways out (notebook 08).
+# A low-pass filter $Q$ on what is learned, with its cutoff below the crossing, makes $|Q(1 - \gamma
+# z P)| < 1$ again. What is learned then comes nearer to its limit in every trial. The price is that
+# nothing is learned above the cutoff, so that the limit leaves an error. Other solutions are a leak
+# or a stop rule (notebook 08).
 
 # %%
 tests = {"without a filter": test}
@@ -160,7 +160,8 @@ for cutoff in (10.0, 30.0):
         motor.machine, filtered, motor.task
     )
     print(
-        f"cutoff {cutoff:5.0f} Hz: sup |Q (1 - gamma z P)| = {found.condition.value:.4f}; verdict: {found.condition.verdict}"
+        f"cutoff {cutoff:5.0f} Hz: sup |Q (1 - gamma z P)| = {found.condition.value:.4f}; "
+        f"verdict: {found.condition.verdict}"
     )
 assert tests["Q of 10 Hz"].condition.holds
 assert tests["Q of 30 Hz"].condition.value > 1
@@ -188,6 +189,6 @@ axes[0].figure
 # A cutoff of 30 Hz still leaves a little above 1, at 6 to 8 Hz; one of 10 Hz leaves nothing.
 
 # %% [markdown]
-# "$\lambda > b^2/4$ guarantees convergence" is not a design rule for a feed drive; $|Q(1 - \gamma z
-# P)| < 1$ is.
+# "$\lambda > b^2/4$ guarantees convergence" is not a design rule for a feed drive;
+# $|Q(1 - \gamma z P)| < 1$ is.
 # On the command line: `jaxilc certify cao-2019 --scheme cfdl-mfailc --trials 200`.

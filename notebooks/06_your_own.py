@@ -77,8 +77,8 @@ class BeltAxis(Plant):
 #
 # $$\Delta_{j+1} = \beta\,\Delta_j + \gamma\,e_j[k+1+m], \qquad u_{j+1} = u_j + \Delta_{j+1}$$
 #
-# a heavy ball along the trials: what kept being wrong is corrected faster. Its memory is two
-# signals.
+# The method of the heavy ball, along the trials: an error that persists is corrected faster. The
+# memory holds two signals.
 
 
 # %%
@@ -126,11 +126,12 @@ dataset, histories = jaxilc.run_schemes(machine, over_feedback, task, 15)
 rms = {name: 1e3 * np.asarray(history.rms)[:, 0] for name, history in histories.items()}
 for name, errors in rms.items():
     print(
-        f"{name:22s} RMS error, trials 1, 5, 15: {errors[0]:7.1f} {errors[4]:7.2f} {errors[14]:7.3f} µm"
+        f"{name:22s} RMS error, trials 1, 5, 15: {errors[0]:7.1f} {errors[4]:7.2f} "
+        f"{errors[14]:7.3f} µm"
     )
 np.testing.assert_allclose(rms["heavy ball, beta 0"], rms["P-type"], rtol=1e-9)
 assert all(errors[14] < errors[0] / 5 for errors in rms.values())
-ax = figures.error_by_trial(dataset, figure="rms", scale=1e3, unit="µm")
+ax = figures.error_by_trial(dataset, metric="rms", scale=1e3, unit="µm")
 ax.figure
 
 # %% [markdown]
@@ -181,7 +182,8 @@ swept = jaxilc.Sweep(
 ).run()
 for row in jaxilc.summarise(swept, tolerance=0.02, figure="rms"):
     print(
-        f"{row.scheme:22s} median {1e3 * row.median[-1]:.2f} µm, worst {1e3 * row.worst[-1]:.2f} µm of {swept.sizes['sample']} machines"
+        f"{row.scheme:22s} median {1e3 * row.median[-1]:.2f} µm, worst {1e3 * row.worst[-1]:.2f} "
+        f"µm of {swept.sizes['sample']} machines"
     )
 
 # %% [markdown]

@@ -36,11 +36,9 @@ import numpy as np
 
 import jaxilc
 from jaxilc import Campaign, Machine, Sensor, load_scenario, plants
-from jaxilc.figures.campaign import campaign_figure
-from jaxilc.hardware import trial_files
-from jaxilc.schemes import Scheme, WithFeedback
-from jaxilc.schemes.compose import Pair
-from jaxilc.schemes.scheme import Feedforward
+from jaxilc.figures import campaign_figure
+from jaxilc.hardware import read_measured, write_tables
+from jaxilc.schemes import Feedforward, Scheme, WithFeedback
 
 # %matplotlib inline
 # ruff: noqa: B018
@@ -102,7 +100,8 @@ their_loop = WithFeedback(Scheme(), scheme.feedback)
 
 @jax.jit
 def their_trial(u, key):
-    trial = jaxilc.run_trial(real, their_loop, task, Pair(Feedforward(u), ()), key)
+    memory = their_loop.initial_memory(task)._replace(learning=Feedforward(u))
+    trial = jaxilc.run_trial(real, their_loop, task, memory, key)
     return trial.y, trial.u
 
 
@@ -123,18 +122,17 @@ def machine_plays(table, trace, number):
 
 # %%
 campaign = Campaign.start(folder / "x-axis", scheme, task, actuator=axis.machine.actuator)
-trial_files.write_tables(folder / "next-1.csv", campaign.tables(), task, trial=1)
+write_tables(folder / "next-1.csv", campaign.tables(), task, trial=1)
 for j in range(1, 21):
     machine_plays(folder / f"next-{j}.csv", folder / f"trial-{j}.csv", j)
-    measured = trial_files.read_measured(folder / f"trial-{j}.csv", task, campaign.recordable())
+    measured = read_measured(folder / f"trial-{j}.csv", task, campaign.recordable())
     turn = campaign.turn(measured)
-    campaign.keep(
-        turn
-    )  # refuses what the checks refuse: saturation, an input beyond the limit, a gap
-    trial_files.write_tables(folder / f"next-{j + 1}.csv", turn.tables, task, trial=j + 1)
+    # `keep` refuses what the checks refuse: saturation, an input beyond the limit, a gap
+    campaign.keep(turn)
+    write_tables(folder / f"next-{j + 1}.csv", turn.tables, task, trial=j + 1)
     if j in (1, 2, 5, 10, 15, 20):
         print(
-            f"trial {j:2d}: RMS error {1e3 * turn.figures['error']:8.3f} µm",
+            f"trial {j:2d}: RMS error {1e3 * turn.metrics['error']:8.3f} µm",
             "; ".join(f.text for f in turn.findings),
         )
 errors = [row["rms_error"] for row in campaign.journal.log() if row["event"] == "trial"]
@@ -149,7 +147,7 @@ assert errors[-1] < errors[0] / 10
 
 # %%
 try:
-    campaign.turn(trial_files.read_measured(folder / "trial-3.csv", task, campaign.recordable()))
+    campaign.turn(read_measured(folder / "trial-3.csv", task, campaign.recordable()))
 except ValueError as error:
     print(error)
 
@@ -161,7 +159,7 @@ except ValueError as error:
 text = (folder / "trial-20.csv").read_text()
 (folder / "metres.csv").write_text(text.replace("y [mm]", "y [m]"))
 try:
-    trial_files.read_measured(folder / "metres.csv", task)
+    read_measured(folder / "metres.csv", task)
 except ValueError as error:
     print(str(error).removeprefix(f"{folder}/"))
 
@@ -173,25 +171,23 @@ except ValueError as error:
 # %%
 campaign.undo(18)
 machine_plays(folder / "next-19.csv", folder / "trial-19-again.csv", 100)
-again = campaign.turn(
-    trial_files.read_measured(folder / "trial-19-again.csv", task, campaign.recordable())
-)
+again = campaign.turn(read_measured(folder / "trial-19-again.csv", task, campaign.recordable()))
 campaign.keep(again)
-print(f"trial {again.trial} again: RMS error {1e3 * again.figures['error']:.3f} µm")
+print(f"trial {again.trial} again: RMS error {1e3 * again.metrics['error']:.3f} µm")
 top, bottom = campaign_figure(campaign.journal.log(), unit="mm", input_unit="V")
 top.figure
 
 # %% [markdown]
 # ## The same by hand
 #
-# Without the campaign's folder and checks, three calls: `scheme.memory`, `feedforward`,
+# Without the campaign's folder and checks, three calls: `scheme.initial_memory`, `feedforward`,
 # `next_memory`. They must give the same table.
 
 # %%
 memory = scheme.initial_memory(task)
 for j in range(1, 19):
-    record = trial_files.read_measured(folder / f"trial-{j}.csv", task)
-    _, signals = jaxilc.playback.replay(scheme, task, memory, record.y, axis.machine.actuator)
+    record = read_measured(folder / f"trial-{j}.csv", task)
+    _, signals = jaxilc.learning.replay(scheme, task, memory, record.y, axis.machine.actuator)
     memory = jaxilc.next_memory(
         scheme, task, memory, record.y, record.u, feedback=signals["feedback"]
     )

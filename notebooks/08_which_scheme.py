@@ -13,20 +13,20 @@
 # %% [markdown]
 # # Which scheme for my machine?
 #
-# A page of decisions, each backed by a small simulation on one axis: a lag at 10 Hz, a lightly
-# damped resonance at 64 Hz, PI feedback at 1 kHz, a move of 1 mm and back in a quarter of a second.
-# Other machines have other numbers; the *order* of what matters is what carries over.
+# A page of decisions, each with a small simulation on one axis: a lag at 10 Hz, a lightly damped
+# resonance at 64 Hz, PI feedback at 1 kHz, a move of 1 mm and back in a quarter of a second. Other
+# machines have other numbers; the *order* of the decisions remains.
 #
 # | question | if so | then |
 # |---|---|---|
 # | Does the error repeat from trial to trial? | no | improve the feedback; learning cannot help |
-# | Does the loop lag (it does)? | yes | a learning lead of about the loop's delay, before anything else |
+# | Does the loop lag (it does)? | yes | first of all, a learning lead of about the loop's delay |
 # | Do you have a model good to the resonance? | yes | norm-optimal learning: a handful of trials |
-# | Is the model only roughly right? | yes | P-type with lead, or norm-optimal with a large weight on the change |
+# | Is the model rough? | yes | P-type with lead, or norm-optimal with a large weight on changes |
 # | No model at all? | | P-type, or MFAILC, whose sign of `phi0` must be that of the plant |
-# | Noise or disturbances that do not repeat? | yes | learn fast first, then slowly, and stop in time |
-# | Must learning never go astray, for certain? | yes | a filter $Q$ that certifies it (notebook 05), and the floor that it leaves |
-# | Is the load on the far side of a flexible drive? | yes | learn input and reference together (MILC, notebook 02) |
+# | Does some of the error not repeat? | yes | learn fast first, then slowly, and stop in time |
+# | Must convergence be certain? | yes | a filter $Q$ that certifies it (notebook 05) |
+# | Is the drive flexible? | yes | learn input and reference together (MILC, notebook 02) |
 #
 # Whatever the choice: certify before (notebook 05), sweep over what you do not know (03), watch the
 # error on the machine (07).
@@ -123,7 +123,8 @@ for m in (0, 12):
     gain = np.abs(1 - 0.5 * z ** (1 + m) * P)
     first = f[np.argmax(gain > 1)]
     print(
-        f"lead of {m:2d} samples: sup |1 - gamma z^(1+m) P| = {np.max(gain):.4f}, first above 1 at {first:.1f} Hz"
+        f"lead of {m:2d} samples: sup |1 - gamma z^(1+m) P| = {np.max(gain):.4f}, first above 1 "
+        f"at {first:.1f} Hz"
     )
 assert without[-1] > 10 * np.min(without)
 assert with_lead[-1] < 1e-2 * feedback_only[0]
@@ -173,10 +174,10 @@ assert wrong_sign[-1] > wrong_sign[0]
 #
 # White noise of 2 µm at the encoder, and a random force on the input. What is new in each trial is
 # the spread of the error under feedback alone. Learning copies a share of it into the next trial,
-# so the error settles above that spread, the more so the faster the law. Half the speed comes
-# nearer to it on the shaken machine, and is still on its way on the noisy one: learn fast first,
-# then slowly. A filter $Q$ of
-# 25 Hz costs a floor of its own: what lies above its cutoff is not learned.
+# so the error settles above that spread, and the further above it, the faster the law. Learning at
+# half the speed comes nearer to the spread on the machine with the random force, and is not yet
+# settled on the noisy one: learn fast first, then slowly. A filter $Q$ of 25 Hz leaves an error of
+# its own: what lies above its cutoff is not learned.
 
 # %%
 slow = WithFeedback(PIDType(gamma_p=0.25, lead=12), pid)
@@ -222,11 +223,11 @@ ax.figure
 #
 # 1. Run the same trial a few times without learning. The spread is your floor
 #    (`jaxilc.repeatability`).
-# 2. Choose lead and filter in simulation; check $|Q(1 - \gamma z P)| < 1$ for every plant within a
-# bound of the nominal one (`theory.frequency.robust_condition`), or for the corners of the
-# uncertainty, samples of it and the worst that ascent finds
-# (`family_condition`: of the plants between them it proves nothing). `jaxilc certify` says of each
-# machine drawn where learning goes.
+# 2. Choose lead and filter in simulation. Check $|Q(1 - \gamma z P)| < 1$ for every plant within a
+#    bound of the nominal one (`theory.frequency.robust_condition`), or for the corners of the
+#    uncertainty, drawn machines and the worst one that a search finds (`family_condition`, which
+#    proves nothing of the plants between them). `jaxilc certify` says of each drawn machine how
+#    learning ends.
 # 3. Tune gain and cutoff on many machines (notebook 04).
 # 4. Start the campaign with limits on the input (notebook 07), and stop when the error stops
 #    falling (`StopWhen`).

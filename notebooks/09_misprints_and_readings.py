@@ -14,8 +14,8 @@
 # # The papers' misprints and readings
 #
 # Five papers, and what in their print does not fit together. Each entry says how it is read here;
-# where it is cheap, the number is recomputed. What was *chosen* because a paper does not print it
-# is listed by `jaxilc.scenarios.load(name).chosen`, at the end of this page.
+# where it takes little time, the number is computed again. What was *chosen* because a paper does
+# not print it is listed by `jaxilc.scenarios.load(name).chosen`, at the end of this page.
 
 # %%
 import control
@@ -23,9 +23,18 @@ import numpy as np
 import scipy.signal
 
 import jaxilc
-from jaxilc.plants.voice_coil import CAO_2019_EQ_29, DAI_2014_EQ_24
+from jaxilc.plants import voice_coil
 
 jaxilc.setup()
+
+
+def coefficients(form):
+    """Of a printed difference equation of the motor."""
+    plant = voice_coil(form)
+    return {"a": np.ravel(plant.a), "b": np.ravel(plant.b)}
+
+
+EQ_29, EQ_24 = coefficients("printed"), coefficients("dai_2014_printed")
 
 
 def dc_gain(a, b):
@@ -46,16 +55,18 @@ G = control.zpk([928.2], [-474.0, -474.0, -6.404], 7437.7769)
 sampled = control.sample_system(control.ss(G), 1e-3, method="zoh")
 num, den = (np.squeeze(x) for x in control.tfdata(control.tf(sampled)))
 exact = {"a": -den[1:], "b": num[-3:]}
-for name, form in {"exact": exact, "eq. 29": CAO_2019_EQ_29}.items():
+for name, form in {"exact": exact, "eq. 29": EQ_29}.items():
     a, b = np.asarray(form["a"]), np.asarray(form["b"])
     print(
-        f"{name:7s} a = {np.round(a, 6)}, b = {np.round(b, 6)}, DC gain {dc_gain(a, b):.4f}, poles {np.round(np.roots(np.r_[1, -a]), 5)}"
+        f"{name:7s} a = {np.round(a, 6)}, b = {np.round(b, 6)}, DC gain {dc_gain(a, b):.4f}, "
+        f"poles {np.round(np.roots(np.r_[1, -a]), 5)}"
     )
 print(
-    f"DC gain of eq. 7: {float(np.real(G(0))):.4f} mm/V; first sample of the step response: {num[-3]:+.6f} mm/V"
+    f"DC gain of eq. 7: {float(np.real(G(0))):.4f} mm/V; first sample of the step response: "
+    f"{num[-3]:+.6f} mm/V"
 )
 assert abs(dc_gain(**exact) - float(np.real(G(0)))) < 1e-3
-assert abs(dc_gain(**CAO_2019_EQ_29) + 4.3) < 1e-6
+assert abs(dc_gain(**EQ_29) + 4.3) < 1e-6
 
 # %% [markdown]
 # The first sample of the step response is positive and the DC gain negative. So the sign of the
@@ -70,7 +81,8 @@ phi, estimate, lam, rho, e = 0.8, 0.5, 1.0, 1.0, 1.0
 gain = rho * estimate / (lam + estimate**2)
 after = e - phi * gain * e
 print(
-    f"|e_j / e_j-1| = {abs(after / e):.4f};  with '1 -': {abs(1 - gain * phi):.4f};  as printed: {abs(gain * phi):.4f}"
+    f"|e_j / e_j-1| = {abs(after / e):.4f};  with '1 -': {abs(1 - gain * phi):.4f};  as printed: "
+    f"{abs(gain * phi):.4f}"
 )
 assert np.isclose(abs(after / e), abs(1 - gain * phi))
 
@@ -90,9 +102,9 @@ assert np.isclose(abs(after / e), abs(1 - gain * phi))
 # **Equation 24** prints 2.236 for 2.2386. One digit lost, and another motor:
 
 # %%
-for name, form in {"Cao 2019, eq. 29": CAO_2019_EQ_29, "Dai 2014, eq. 24": DAI_2014_EQ_24}.items():
+for name, form in {"Cao 2019, eq. 29": EQ_29, "Dai 2014, eq. 24": EQ_24}.items():
     print(f"{name}: DC gain {dc_gain(**form):.3f} mm/V")
-assert abs(dc_gain(**DAI_2014_EQ_24) + 1.19) < 0.01
+assert abs(dc_gain(**EQ_24) + 1.19) < 0.01
 
 # %% [markdown]
 # **Equation 17** prints $(A_1^T A_1\,\lambda I)^{-1}$; a "+" is missing. With it, one control move
@@ -178,14 +190,15 @@ s = 2j * np.pi * 5.0
 motor, table = np.squeeze(drive(s))
 for name, c in (("c_s + c_T", c_s + c_T), ("c_T + c_M, as printed", c_T + c_M)):
     print(
-        f"|P_Z| at 5 Hz with {name}: {abs((c_s * s + k) / (m_T * s**2 + c * s + k)):.5f};  of the two masses: {abs(table / motor):.5f}"
+        f"|P_Z| at 5 Hz with {name}: {abs((c_s * s + k) / (m_T * s**2 + c * s + k)):.5f};  of the "
+        f"two masses: {abs(table / motor):.5f}"
     )
 assert np.isclose(table / motor, (c_s * s + k) / (m_T * s**2 + (c_s + c_T) * s + k))
 
 # %% [markdown]
-# **Appendix A**, the recursion for norm-optimal learning, has slips; it is derived afresh in
-# `jaxilc.schemes.NormOptimal` and agrees with the dense form to rounding. **The unit of the input**
-# is not printed, and decides how the printed weights act: 50 mm/s per volt is chosen.
+# **Appendix A**, the recursion for norm-optimal learning, has errors; it is derived anew in
+# `jaxilc.schemes.NormOptimal`, which agrees with the dense form to rounding. **The unit of the
+# input** is not printed, and decides how the printed weights act: 50 mm/s per volt is chosen.
 #
 # ## What was chosen, and what was fitted
 #

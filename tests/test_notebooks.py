@@ -1,5 +1,6 @@
-"""The notebooks, each executed as a notebook: no display, no network, nothing left behind, every
-figure shown.
+"""The notebooks, each executed as a notebook.
+
+There is no display and no network, nothing is left behind, and every figure is shown.
 """
 
 import os

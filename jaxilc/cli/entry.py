@@ -188,7 +188,7 @@ def run(
     shown = {"scale": chosen.shown_scale, "unit": chosen.shown_unit}
     scale, unit = chosen.shown(chosen.judged_by)
     axes = figures.error_by_trial(
-        dataset, figure=chosen.judged_by, published=chosen.due, scale=scale, unit=unit
+        dataset, metric=chosen.judged_by, published=chosen.due, scale=scale, unit=unit
     )
     paths = [figures.save(axes, folder / "error-by-trial.png")]
     some = [j for j in tables.shown_trials(chosen) if j in (2, 20, chosen.trials)] or [
@@ -300,7 +300,7 @@ def sweep(
             highlight=False,
         )
     axes = figures.error_band(
-        dataset, figure=chosen.judged_by, tolerance=tolerance, scale=scale, unit=unit
+        dataset, metric=chosen.judged_by, tolerance=tolerance, scale=scale, unit=unit
     )
     path = figures.save(axes, folder / "error-band.png")
     page = command_report(

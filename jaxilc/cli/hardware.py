@@ -131,8 +131,9 @@ def next_(
     """
     from ..hardware.campaign import Campaign, refuse
     from ..hardware.checks import Rules
+    from ..hardware.input_files import check_format
     from ..hardware.journal import Journal
-    from ..hardware.trial_files import check_format, read_measured
+    from ..hardware.trial_files import read_measured
     from ..runtime.start import setup
     from .options import Refused
 
@@ -324,9 +325,9 @@ def _report(turn, ignored, unit: str) -> None:
     """What was found about a measured trial: notes to standard output, warnings to standard error."""
     from .options import err, out
 
-    largest = ", ".join(f"{value:.6g}" for value in turn.figures["max_error"])
+    largest = ", ".join(f"{value:.6g}" for value in turn.metrics["max_error"])
     out.print(
-        f"trial {turn.trial}: RMS error {turn.figures['error']:.6g} {unit}, largest {largest} {unit}",
+        f"trial {turn.trial}: RMS error {turn.metrics['error']:.6g} {unit}, largest {largest} {unit}",
         highlight=False,
     )
     if ignored:
@@ -342,7 +343,7 @@ def _played(path: Path | None, tables, task, trial: int, number: str, dry_run: b
     """Write what the machine plays, and say what it is."""
     import numpy as np
 
-    from ..hardware.trial_files import write_tables
+    from ..hardware.input_files import write_tables
     from ..learning.playback import unit_of
     from .options import out
 

@@ -281,7 +281,7 @@ def _by_trials(
     }
     paths = [
         figures.save(
-            figures.final_error_by_trials(budgets, **errors, figure=figure, unit=unit),
+            figures.final_error_by_trials(budgets, **errors, metric=figure, unit=unit),
             folder / "trials.png",
         )
     ]

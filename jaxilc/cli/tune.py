@@ -157,7 +157,7 @@ def tune(
     paths = [write_parameters(folder / "params.json", chosen.name, {scheme: changed}, obtained)]
     paths.append(figures.save(figures.loss_by_step(tuned), folder / "loss.png"))
     scale, unit = chosen.shown(chosen.judged_by)
-    axes = figures.error_band(dataset, figure=chosen.judged_by, scale=scale, unit=unit)
+    axes = figures.error_band(dataset, metric=chosen.judged_by, scale=scale, unit=unit)
     paths.append(figures.save(axes, folder / "learning.png"))
     given = {"weights": weights, "objective": objective, "risk": risk}
     lines = [result, *warnings]
@@ -284,7 +284,7 @@ def worst_case(
     largest = found.get("more chance", found["chance"])
     worst = {name: row["value"] for name, row in numbers["searches"].items()}
     axes = figures.worst_against_chance(
-        shown(largest.found), worst, nominal=numbers["nominal"], figure=chosen.judged_by, unit=unit
+        shown(largest.found), worst, nominal=numbers["nominal"], metric=chosen.judged_by, unit=unit
     )
     path = figures.save(axes, folder / "worst-case.png")
     wide = dataclasses.replace(chosen, uncertainty=uncertainty)

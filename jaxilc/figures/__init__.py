@@ -1,18 +1,21 @@
-"""Figures as engineers read them. Each function takes a dataset, or what its name says, and returns
-the axes it drew on.
+"""Figures: each function takes a dataset, or what its name says, and returns the axes that it drew.
 
     by_trial      errors against the trial: one machine, many machines, theory against simulation
     within_trial  signals against time with a zoom, and the contour of two axes
     by_frequency  spectrum and time-frequency map of the error, |Q (keep - L P)|
     searches      tunings, trade-offs, worst machines
     experiments   identification: the record, and the model against it
+    campaign      a campaign on a real machine
+    report        one HTML page with figures and tables
 
-Schemes keep colour, line style and mark through all figures of a dataset, trials are shades of
-grey, so that both can be told apart in print. Figures are made without pyplot's global state.
+A scheme has the same colour, line style and mark in all figures of a dataset, and trials are shades
+of grey, so that both can be told apart in print. Figures are made without the global state of
+pyplot.
 """
 
 from .by_frequency import frequency_tests, spectrum, time_frequency
 from .by_trial import certificate, error_band, error_by_trial
+from .campaign import campaign_figure
 from .experiments import record_figure, validation_figure
 from .searches import final_error_by_trials, loss_by_step, pareto_front, worst_against_chance
 from .style import COLOURS, DASHES, MARKS, save
@@ -22,6 +25,7 @@ __all__ = [
     "COLOURS",
     "DASHES",
     "MARKS",
+    "campaign_figure",
     "certificate",
     "contour",
     "error_band",

@@ -1,6 +1,4 @@
-"""Errors and learning by frequency: spectrum, time-frequency map, and the curve that decides on
-convergence.
-"""
+"""Errors and learning by frequency: spectrum, time-frequency map, and the test of convergence."""
 
 from __future__ import annotations
 
@@ -40,14 +38,17 @@ def spectrum(
     unit: str = "",
     ax: Axes | None = None,
 ) -> Axes:
-    """Amplitude of the error against frequency for chosen trials, logarithmic; other outputs than
+    """Amplitude of the error against frequency for chosen trials, with log axes.
+
+    The amplitude is one-sided, under a Hann window, and divided by the window's coherent gain: a
+    sinusoid of whole periods shows its amplitude at its frequency, and noise of standard deviation
+    s has lines of about s (6 / N)^(1/2). Of the lines within a sixtieth of a decade the largest is
+    drawn. The first sample, which no input reaches, and the mean are left out. Outputs other than
     the first are dashed.
 
-    A sinusoid of whole periods shows its amplitude at its frequency (Hann window, one-sided,
-    coherent gain taken out). Noise of standard deviation s has lines of about s (6 / N)^(1/2). Of
-    the lines within a sixtieth of a decade the largest is drawn. The first sample, which no input
-    reaches, and the mean are left out.
-    dataset: with e, as for `signal_of`, which says what is raised;  scale, unit: of the error shown
+    dataset: with e, as for `signal_of`
+    scale, unit: the error is shown as `scale` times that of the dataset, in `unit`
+    Raises as `signal_of` does.
     """
     from scipy.signal import periodogram
 
@@ -95,14 +96,15 @@ def time_frequency(
     unit: str = "",
     ax=None,
 ) -> np.ndarray:
-    """Amplitude of the error over time and frequency, a map for each trial in the same colours; the
-    axes, one a trial.
+    """Amplitude of the error over time and frequency, a map for each trial; axes (trials,).
 
-    Short-time Fourier transform under a Hann window, scaled as `spectrum`; of several outputs the
-    largest amplitude.
-    dataset: with e, as for `signal_of`;  window: [s], None for a sixteenth of the trial: half of it
-    is what times are told apart by, two over it what frequencies are;  scale, unit: of the error
-    shown
+    The short-time Fourier transform under a Hann window, scaled as in `spectrum`; of several
+    outputs the largest amplitude. All maps have the same colours.
+
+    dataset: with e, as for `signal_of`
+    window: its length T [s], None for a sixteenth of the trial; the resolution is T / 2 in time and
+        2 / T in frequency
+    scale, unit: the error is shown as `scale` times that of the dataset, in `unit`
     Raises ValueError for a window shorter than 8 samples or longer than the trial, and as
     `signal_of` does.
     """
@@ -115,7 +117,8 @@ def time_frequency(
     samples = max(N // 16, least) if window is None else round(window / dt)
     if not least <= samples <= N:
         raise ValueError(
-            f"time_frequency: window = {samples * dt:g} s is outside its allowed range [{least * dt:g}, {N * dt:g}] s"
+            f"time_frequency: window = {samples * dt:g} s is outside its allowed range "
+            f"[{least * dt:g}, {N * dt:g}] s"
         )
     transform = ShortTimeFFT.from_window(
         "hann",
@@ -161,11 +164,13 @@ def time_frequency(
 
 
 def frequency_tests(tests: Mapping[str, FrequencyTest], *, ax=None) -> Axes:
-    """What must stay below 1, |Q (keep - L P)|, against frequency, over the same near 1; marked
-    where it first reaches 1; two axes.
+    """|Q (keep - L P)|, which must stay below 1, against frequency; two axes.
+
+    The lower axes show the part near 1. The frequency at which a test first reaches 1 is marked.
+    Four decades below the Nyquist frequency are shown.
 
     tests: by name, of `theory.frequency.learning_condition`, `robust_condition` or
-    `norm_optimal_condition` Four decades below the Nyquist frequency are shown.
+        `norm_optimal_condition`
     """
     axes = new_axes(ax, 2)
     for i, (name, test) in enumerate(tests.items()):
@@ -206,7 +211,7 @@ def frequency_tests(tests: Mapping[str, FrequencyTest], *, ax=None) -> Axes:
 
 
 def _peaks(f, amplitude):
-    """Which lines are the largest within their sixtieth of a decade."""
+    """The indices of the lines that are the largest within their sixtieth of a decade."""
     groups = np.split(
         np.arange(len(f)), np.flatnonzero(np.diff(np.floor(60 * np.log10(f / f[0])))) + 1
     )

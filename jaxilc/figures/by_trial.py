@@ -29,30 +29,32 @@ if TYPE_CHECKING:
 def error_by_trial(
     dataset: xr.Dataset,
     *,
-    figure: str = "settled_error",
+    metric: str = "settled_error",
     scale: float = 1.0,
     unit: str = "",
     published: Iterable = (),
     ax: Axes | None = None,
 ) -> Axes:
-    """Error of one machine against the trial; printed values in the scheme's colour, as open
-    circles, or as carets below a printed bound.
+    """The error of one machine against the trial, for each scheme, with printed values.
 
-    A trial that diverged is left out, and the legend says when it happened; likewise from when on
-    an error has grown.
-    dataset: dims (scheme, trial), as of `run_schemes`;  figure: any variable over them;  scale,
-    unit: of the errors shown
-    published: rows with scheme, trial (None: of a scheme that does not learn, at trial 1),
-    quantity, value [unit], at_most
+    A printed value has the scheme's colour; it is an open circle, or a caret below a printed upper
+    bound. A trial that diverged is left out. The legend says in which trial learning diverged, and
+    from which trial on an error has grown.
+
+    dataset: over (scheme, trial), as `run_schemes` gives it
+    metric: name of a variable over these
+    scale, unit: the errors are shown as `scale` times those of the dataset, in `unit`
+    published: rows with scheme, trial (None for a scheme that does not learn, shown at trial 1),
+        quantity, value [unit], at_most
     """
     from matplotlib.markers import CARETDOWNBASE
 
     ax = new_axes(ax)
     published = [
-        p for p in published if p.quantity == figure and (p.trial or 1) <= dataset.sizes["trial"]
+        p for p in published if p.quantity == metric and (p.trial or 1) <= dataset.sizes["trial"]
     ]
     for i, name in enumerate(names_of(dataset)):
-        errors = dataset[figure].sel(scheme=name)
+        errors = dataset[metric].sel(scheme=name)
         errors = scale * errors.max([d for d in errors.dims if d != "trial"])
         if "diverged" in dataset:
             errors = errors.where(~dataset["diverged"].sel(scheme=name))
@@ -83,7 +85,7 @@ def error_by_trial(
             color="k",
             label="published: less",
         )
-    ax.set(ylabel=labelled(figure, unit))
+    ax.set(ylabel=labelled(metric, unit))
     trial_axis(ax)
     grid(ax)
     legend_beside(ax)
@@ -93,22 +95,27 @@ def error_by_trial(
 def error_band(
     dataset: xr.Dataset,
     *,
-    figure: str = "settled_error",
+    metric: str = "settled_error",
     tolerance: float | None = None,
     scale: float = 1.0,
     unit: str = "",
     ax: Axes | None = None,
 ) -> Axes:
-    """A sweep: median, 5-95 % band and worst sample against the trial, with the tolerance.
+    """A sweep: median, 5-95 % band and worst machine against the trial, with the tolerance.
 
-    The legend has the share of machines that diverged, which are infinitely bad in every quantile.
-    What lies more than ten times above every median (an unstable machine) is off the scale.
-    dataset: dims (scheme, sample, trial);  tolerance: in the unit of the dataset
+    The legend says which share of the machines diverged; these count as infinite in every quantile.
+    The axis ends at ten times the largest median, so that an unstable machine does not hide the
+    others.
+
+    dataset: over (scheme, sample, trial), one machine a sample
+    metric: name of a variable over these
+    tolerance: in the unit of the dataset
+    scale, unit: the errors are shown as `scale` times those of the dataset, in `unit`
     """
     from ..sweeps.summary import summarise
 
     ax = new_axes(ax)
-    rows, trial = summarise(dataset, tolerance or 1.0, figure=figure), dataset["trial"]
+    rows, trial = summarise(dataset, tolerance or 1.0, figure=metric), dataset["trial"]
     medians = np.concatenate([row.median for row in rows])
     for i, row in enumerate(rows):
         style, marks = style_of(i), marks_of(i, len(trial))
@@ -136,7 +143,7 @@ def error_band(
         )
     if np.any(np.isfinite(medians)):
         ax.set_ylim(top=10.0 * scale * np.max(medians[np.isfinite(medians)]))
-    ax.set(ylabel=labelled(figure, unit), title=f"{dataset.sizes['sample']} machines")
+    ax.set(ylabel=labelled(metric, unit), title=f"{dataset.sizes['sample']} machines")
     trial_axis(ax)
     grid(ax)
     legend_beside(ax)
@@ -144,7 +151,7 @@ def error_band(
 
 
 def _course(dataset: xr.Dataset, name: str) -> str:
-    """How a scheme's learning ended, if not well, for its legend."""
+    """For the legend: when a scheme diverged, or from when on its error has grown, if so."""
     for what, since in (("diverged", "diverged_at"), ("grown", "grown_from")):
         trial = int(dataset[since].sel(scheme=name)) if since in dataset else 0
         if trial:
@@ -164,9 +171,10 @@ def certificate(
     title: str = "",
     ax: Axes | None = None,
 ) -> Axes:
-    """Root mean square error by trial as theory predicts it and as it was simulated, every machine.
+    """Root mean square error by trial of every machine, predicted by theory and simulated.
 
-    found: from `theory.certify`;  scale, unit: of the error shown
+    found: from `theory.certify`
+    scale, unit: the errors are shown as `scale` times those found, in `unit`
     """
     ax = new_axes(ax)
     trial = np.arange(1, found.predicted.shape[1] + 1)

@@ -18,10 +18,12 @@ def campaign_figure(
     input_unit: str = "",
     ax: Sequence[Axes] | None = None,
 ) -> Any:
-    """Error by trial, log axis, over the input's root mean square; two axes. Trials that were
-    undone are open marks.
+    """The errors by trial with a log axis, and below them the RMS input; two axes.
 
-    rows: of `campaign.log`;  unit, input_unit: of y and of u
+    Trials that were undone are open marks.
+
+    rows: of `Journal.log`
+    unit, input_unit: of y and of u
     """
     top, bottom = axes = new_axes(ax, rows=2)
     measured = [row for row in rows if row["event"] == "trial"]

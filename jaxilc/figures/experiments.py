@@ -9,16 +9,13 @@ import numpy as np
 from .style import COLOURS, grid, labelled, legend_beside, new_axes
 
 if TYPE_CHECKING:
-    from ..identification.estimation import Identified
-    from ..identification.records import Record
+    from ..identification import Identified, Record
 
 
 def record_figure(
     record: Record, *, input_unit: str = "", output_unit: str = "", ax=None
 ) -> np.ndarray:
-    """An identification experiment against time, input over output (Cao 2019, Fig. 2 and 3); two
-    axes.
-    """
+    """Input and output of an experiment against time (Cao 2019, Fig. 2 and 3); two axes."""
     top, bottom = axes = new_axes(ax, rows=2)
     for axis, signal, style in (
         (top, record.u, {"drawstyle": "steps-post"}),
@@ -52,10 +49,12 @@ def validation_figure(
     unit: str = "",
     ax=None,
 ) -> np.ndarray:
-    """Measured and simulated output, and their difference (Cao 2019, Fig. 4); the part that was not
-    fitted is shaded; two axes.
+    """Measured and simulated output, and their difference (Cao 2019, Fig. 4); two axes.
 
-    scale, unit: of the residual shown
+    The part that was not fitted is shaded.
+
+    output_unit: of the output
+    scale, unit: the difference is shown as `scale` times that of the record, in `unit`
     """
     top, bottom = axes = new_axes(ax, rows=2)
     y = np.reshape(record.y, (len(record.y), -1))

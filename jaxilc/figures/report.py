@@ -1,8 +1,8 @@
-"""One self-contained HTML page of a run, a sweep, a certificate or a tuning: it opens offline, and
-prints.
+"""One self-contained HTML page of a run, a sweep, a certificate or a tuning.
 
-The page is well-formed XML, and nothing in it refers to anything outside of it: figures are
-embedded, the style is inline, and a content security policy has the browser refuse the rest.
+The page can be read offline and printed. It is well-formed XML, and nothing in it refers to
+anything outside of it: figures are embedded, the style is inline, and a content security policy
+makes the browser refuse everything else.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from rich.table import Table
 
 from ..runtime.provenance import describe, environment
 from ..storage.files import atomically
+from .page_style import STYLE
 
 if TYPE_CHECKING:
     from ..scenarios import Scenario
@@ -32,26 +33,9 @@ MEDIA = {".png": "image/png", ".svg": "image/svg+xml"}
 DPI = 200  # of axes that are drawn for the page
 NOT_IN_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
-STYLE = """
-body { font: 15px/1.45 system-ui, sans-serif; color: #111; background: #fff; max-width: 68em; margin: 2em auto; padding: 0 1.5em; }
-h1 { font-size: 1.5em; } h2 { font-size: 1.15em; margin-top: 2em; border-bottom: 1px solid #999; }
-.wide { overflow-x: auto; margin: 1em 0; }
-table { border-collapse: collapse; font-size: 0.87em; min-width: 26em; }
-caption { text-align: left; font-weight: 600; padding-bottom: 0.4em; white-space: pre-line; }
-th, td { border-bottom: 1px solid #ccc; padding: 0.2em 0.7em; text-align: left; vertical-align: top; }
-thead th { border-bottom: 2px solid #444; vertical-align: bottom; }
-.n { text-align: right; font-variant-numeric: tabular-nums; } td.n { white-space: nowrap; }
-figure { margin: 1.5em 0; } img { max-width: min(100%, 52em); height: auto; } figcaption { font-size: 0.87em; color: #333; }
-pre, code { font: 0.85em/1.35 ui-monospace, monospace; } pre { white-space: pre-wrap; overflow-wrap: anywhere; }
-@media print {
-  body { font-size: 10pt; max-width: none; margin: 0; padding: 0; }
-  .wide { overflow: visible; } table { font-size: 8pt; } th, td { padding: 0.15em 0.4em; }
-  tr, figure { break-inside: avoid; } h2, caption { break-after: avoid; } img { max-height: 20cm; }
-}
-"""
 
 Rows = tuple[str, Sequence[Mapping[str, object]]]
-Drawing = Any  # a path, or axes, or an array of axes of one figure
+Drawing = Any  # a file, or axes, or an array of axes of one figure
 
 
 def html_report(
@@ -64,13 +48,14 @@ def html_report(
 ) -> str:
     """The page as text.
 
-    asked: what was asked for, by name;  tables: of `rich`, whose strings are taken as they stand,
-    or (caption, rows by column name)
-    figures: a PNG or SVG file, or axes, with or without a caption before it: (caption, figure)
-    configuration: all that determines the numbers, as JSON takes it;  notes: paragraphs under a
-    heading
-    Raises ValueError naming a figure that is neither PNG nor SVG, FileNotFoundError for one that is
-    not there.
+    title: of the page
+    asked: what was asked for, by name
+    tables: tables of `rich`, whose texts are taken as they are, or pairs (caption, rows by column)
+    figures: PNG or SVG files or axes, or pairs (caption, one of these)
+    configuration: all that determines the numbers, as JSON
+    notes: paragraphs by their heading
+    Raises ValueError naming a figure that is neither PNG nor SVG, and FileNotFoundError for a file
+    that does not exist.
     """
     sections = [
         ("What was asked", [_named(asked)]),
@@ -114,8 +99,9 @@ def html_report(
 def write_report(
     path: str | Path, title: str, asked: Mapping[str, object], *parts, **named
 ) -> Path:
-    """Write the page of `html_report`, whose arguments follow the path, all or nothing; the folder
-    is made.
+    """Write the page of `html_report`, whole or not at all; its folder is made where needed.
+
+    parts, named: the further arguments of `html_report`
     """
     page = html_report(title, asked, *parts, **named).encode()
     Path(path).parent.mkdir(parents=True, exist_ok=True)
@@ -134,12 +120,15 @@ def command_report(
     lines: Sequence[str] = (),
     asked: Mapping[str, object] | None = None,
 ) -> list[Path]:
-    """The page of a command of the command line, and where it was written: [] if no path was given.
+    """Write the page of a command of the command line; the file written, in a list.
 
-    figures: paths among which only pictures count;  scenario: as it was run, None for a command
-    without one
-    configuration: None for that of the scenario;  lines: what was printed besides the tables;
-    asked: worth a row besides the command
+    path: of the page; None writes nothing, and the list is empty
+    command: its name
+    figures: axes or files; files that are no pictures are left out
+    scenario: as it was run, None for a command without one
+    configuration: None for that of the scenario
+    lines: what was printed besides the tables
+    asked: further rows below the command
     """
     if path is None:
         return []
@@ -263,8 +252,9 @@ def _first(axes) -> Any:
 
 
 def _plain(cell: object) -> str:
-    """The text of a cell of a table of `rich`. Brackets are units, not markup; where they are
-    escaped, the backslash goes.
+    """The text of a cell of a table of `rich`.
+
+    Brackets are units, not markup. Where they are escaped, the backslash is removed.
     """
     return (
         cell.replace("\\[", "[")
@@ -288,9 +278,7 @@ def _is_number(value: object) -> bool:
 
 
 def _text(text: str) -> str:
-    """Escaped; what XML cannot hold, such as an escape sequence of a terminal, becomes a
-    replacement character.
-    """
+    """The text escaped; a character that XML cannot hold becomes a replacement character."""
     return html.escape(NOT_IN_XML.sub("\ufffd", text))
 
 

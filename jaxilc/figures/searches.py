@@ -17,8 +17,9 @@ if TYPE_CHECKING:
 
 
 def loss_by_step(tuned: Tuned, *, ax: Axes | None = None) -> Axes:
-    """A tuning: loss on the plants tuned on against the step, each start, and on the held-out ones
-    where they were looked at.
+    """A tuning: the loss against the step for each start, on the machines of the tuning.
+
+    The loss on the held-out machines is shown at the steps at which it was computed.
     """
     ax = new_axes(ax)
     for k, losses in enumerate(tuned.loss.T):
@@ -48,13 +49,14 @@ def loss_by_step(tuned: Tuned, *, ax: Axes | None = None) -> Axes:
 
 
 def worst_against_chance(
-    drawn, found: Mapping[str, float], *, nominal: float, figure: str = "", unit: str = "", ax=None
+    drawn, found: Mapping[str, float], *, nominal: float, metric: str = "", unit: str = "", ax=None
 ) -> Axes:
-    """A search for the worst machine: distribution of the figure over drawn machines, log axis, and
-    what each search found.
+    """A search for the worst machine: the metric of drawn machines, and what each search found.
 
-    drawn: (S,) figures of the machines drawn by chance;  found: largest figure by the name of the
-    search;  nominal: figure
+    drawn: (S,) the metric of the machines drawn at random, shown as a distribution with a log axis
+    found: the largest value by the name of the search
+    nominal: the value of the nominal machine
+    metric, unit: name and unit of the metric
     """
     ax = new_axes(ax)
     drawn = np.asarray(drawn)
@@ -75,7 +77,7 @@ def worst_against_chance(
                 linestyle=DASHES[i % len(DASHES)],
                 label=f"{name} {value:.4g}",
             )
-    ax.set(xscale="log", yscale="log", xlabel=labelled(figure, unit), ylabel="machines")
+    ax.set(xscale="log", yscale="log", xlabel=labelled(metric, unit), ylabel="machines")
     grid(ax)
     legend_above(ax)
     return ax
@@ -89,10 +91,11 @@ def pareto_front(
     given: tuple[float, float] | None = None,
     ax: Axes | None = None,
 ) -> Axes:
-    """A trade-off: both objectives of each point, its share of the first one beside it.
+    """A trade-off: both objectives of each point, labelled with the share of the first one.
 
-    points: from `trade_off.pareto`;  first, second: names of the objectives;  given: both with the
-    weights as given
+    points: from `tuning.pareto`
+    first, second: names of the objectives
+    given: both objectives with the weights as given
     """
     ax = new_axes(ax)
     points = sorted(points, key=lambda p: p.first)
@@ -121,12 +124,13 @@ def pareto_front(
 
 
 def final_error_by_trials(
-    trials: Sequence[int], given, tuned, *, figure: str = "", unit: str = "", ax: Axes | None = None
+    trials: Sequence[int], given, tuned, *, metric: str = "", unit: str = "", ax: Axes | None = None
 ) -> Axes:
-    """What is reached by trial J: the weights as given against those tuned for J trials, log axis;
-    worst machine dashed.
+    """The metric of trial J with the weights as given, and with those tuned for J trials; log axis.
 
-    trials: (n,) J;  given, tuned: (n, 2) median and worst over machines [unit]
+    trials: (n,) J
+    given, tuned: (n, 2) median and worst over machines [unit]; the worst is dashed
+    metric, unit: name and unit of the metric
     """
     ax = new_axes(ax)
     for name, values, colour in (
@@ -144,7 +148,7 @@ def final_error_by_trials(
     ax.set(
         xticks=list(trials),
         xlabel="number of trials",
-        ylabel=f"{labelled(figure, unit)} of the last trial",
+        ylabel=f"{labelled(metric, unit)} of the last trial",
     )
     grid(ax)
     legend_above(ax)

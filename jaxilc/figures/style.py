@@ -1,6 +1,4 @@
-"""What all figures share: colours, dashes, marks and shades, new axes, readable logarithmic ticks,
-labels with units.
-"""
+"""What all figures share: colours, line styles, marks, axes, ticks, labels with units."""
 
 from __future__ import annotations
 
@@ -16,25 +14,19 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.axes import Axes
 
-COLOURS = (
-    "#0072b2",
-    "#d55e00",
-    "#009e73",
-    "#cc79a7",
-    "#56b4e9",
-    "#e69f00",
-    "#000000",
-)  # safe for the colour-blind
+# These colours can be told apart by the colour-blind, too.
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")
 DASHES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (3, 1, 1, 1)), (0, (1, 1)))
 MARKS = ("s", "^", "D", "x", "P", "*", "p")  # circles are printed numbers
 
 
 def names_of(dataset: xr.Dataset) -> list[str]:
+    """The names of the schemes."""
     return [str(s) for s in dataset["scheme"].values]
 
 
 def style_of(i: int) -> dict[str, Any]:
-    """Colour and line style of the i-th scheme, the same for no other of the first 49."""
+    """Colour and line style of the i-th scheme; no two of the first 49 have the same."""
     return {
         "color": COLOURS[i % len(COLOURS)],
         "linestyle": DASHES[(i + i // len(COLOURS)) % len(DASHES)],
@@ -42,8 +34,9 @@ def style_of(i: int) -> dict[str, Any]:
 
 
 def marks_of(i: int, points: int, marks: int = 8) -> dict[str, Any]:
-    """Open marks at some of the points of the i-th curve, others than those of its neighbours, so
-    that curves on one another show.
+    """Open marks at some points of the i-th curve.
+
+    Neighbouring curves have theirs at other points, so that curves which coincide are seen.
     """
     every = max(points // marks, 1)
     return {
@@ -66,7 +59,10 @@ def shades_of(trials: Sequence[int]) -> list[str]:
 def new_axes(
     ax: Any, rows: int = 1, columns: int = 1, *, size: tuple[float, float] | None = None, **kwargs
 ) -> Any:
-    """The axes given, or those of a new figure. size: [in], None for 2.6 in a row"""
+    """The given axes, or those of a new figure.
+
+    size: width and height [in]; None for a height of 2.6 in for each row
+    """
     if ax is not None:
         return ax
     from matplotlib.figure import Figure
@@ -82,8 +78,9 @@ def labelled(name: str, unit: str) -> str:
 
 
 def grid(ax: Axes) -> None:
-    """A pale grid, and plain numbers on logarithmic axes, 1-2-5 where there are few decades; when
-    all is drawn.
+    """A pale grid, and plain numbers on logarithmic axes; to be called when all curves are drawn.
+
+    A logarithmic axis of fewer than three decades has ticks at 1, 2 and 5.
     """
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
@@ -113,12 +110,12 @@ def legend_beside(ax: Axes) -> None:
 
 
 def legend_above(ax: Axes, columns: int = 2) -> None:
-    """The legend over axes without a title, for names that are long."""
+    """The legend above the axes, which have no title; for long names."""
     ax.legend(fontsize="small", loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns)
 
 
 def save(axes, path: str | Path) -> Path:
-    """Write the figure that holds the axes, whole or not at all, in the format of the file's name."""
+    """Write the figure of the axes, whole or not at all, in the format of the file's name."""
     figure, kind = np.ravel(axes)[0].figure, Path(path).suffix.removeprefix(".") or None
     atomically(path, lambda file: figure.savefig(file, format=kind))
     return Path(path)

@@ -1,6 +1,4 @@
-"""What happens within chosen trials: tracking against time with a zoom, and the contour of two
-axes.
-"""
+"""Signals within chosen trials: tracking against time with a zoom, and the contour of two axes."""
 
 from __future__ import annotations
 
@@ -22,9 +20,9 @@ SHOWN = 0.1  # of the width of a path, as which its largest contour error is dra
 def signal_of(dataset: xr.Dataset, name: str, scheme: str, trial: int) -> np.ndarray:
     """(N+1, channels) y or e, or (N, inputs) u, of one trial of one machine.
 
-    dataset: of `run_schemes`, or one sample of a sweep that kept the signal, which is that of the
-    last trial: `dataset.sel(sample=17)`
-    Raises ValueError naming what there is.
+    dataset: of `run_schemes`, or of one machine of a sweep, `dataset.sel(sample=17)`; a sweep keeps
+        the signals that it was told to, of the last trial
+    Raises ValueError for a signal, scheme or trial that is not there, naming those that are.
     """
     if name not in dataset:
         raise ValueError(
@@ -37,7 +35,7 @@ def signal_of(dataset: xr.Dataset, name: str, scheme: str, trial: int) -> np.nda
     found, last = dataset[name].sel(scheme=scheme), int(dataset["trial"][-1])
     if "sample" in found.dims:
         raise ValueError(
-            f"{name} has {found.sizes['sample']} samples; choose one, as in dataset.sel(sample=0)"
+            f"{name} has {found.sizes['sample']} machines; choose one, as in dataset.sel(sample=0)"
         )
     kept = [int(j) for j in found["trial"]] if "trial" in found.dims else [last]
     if trial not in kept:
@@ -56,12 +54,15 @@ def tracking(
     unit: str = "",
     ax=None,
 ) -> np.ndarray:
-    """Output, error of each channel and input of one scheme against time, for chosen trials, and a
-    zoom beside each; axes (rows, 2).
+    """Output, error of each channel and input of one scheme against time; axes (rows, 2).
 
-    dataset: with y, e, u, as for `signal_of`;  scale, unit: of the error shown
+    Chosen trials are shown, with a zoom beside each. The axis of the error fits all of them but the
+    first one, if there are several.
+
+    dataset: with y, e, u, as for `signal_of`
     zoom: (from, to) [s]; None for a twentieth of the trial, around the largest error of the last
-    trial chosen The errors' scale leaves the first trial chosen out, if there is another.
+        trial chosen
+    scale, unit: the error is shown as `scale` times that of the dataset, in `unit`
     Raises ValueError for a zoom that does not lie within the trial, and as `signal_of` does.
     """
     from matplotlib.ticker import MaxNLocator
@@ -73,7 +74,8 @@ def tracking(
     low, high = _around_the_largest(time, signals[-1][1]) if zoom is None else zoom
     if not time[0] <= low < high <= time[-1]:
         raise ValueError(
-            f"tracking: zoom = ({low:g}, {high:g}) is not a part of the trial, {time[0]:g} to {time[-1]:g} s"
+            f"tracking: zoom = ({low:g}, {high:g}) is not a part of the trial, {time[0]:g} to "
+            f"{time[-1]:g} s"
         )
     channels = signals[0][1].shape[1]
     axes = new_axes(
@@ -135,14 +137,16 @@ def contour(
     unit: str = "",
     ax=None,
 ) -> np.ndarray:
-    """The path of two axes and the motion about it, its distance from the path magnified, over the
-    contour error along the path; two axes.
+    """The path of two axes with the measured motion, and the contour error along it; two axes.
 
-    dataset: with y, e of two channels, as for `signal_of`;  window: of `contour_error`;  scale,
-    unit: of the error shown
-    magnification: None for the 1-2-5 number that draws the largest error as 5 to 10 % of the path's
-    width
-    Raises ValueError for another number of channels, for a sweep's sample that diverged, and as
+    The distance of the motion from the path is drawn magnified.
+
+    dataset: with y, e of two channels, as for `signal_of`
+    window: of `contour_error`
+    magnification: None for a number 1, 2 or 5 times a power of ten, with which the largest error is
+        drawn as 5 to 10 % of the path's width
+    scale, unit: the error is shown as `scale` times that of the dataset, in `unit`
+    Raises ValueError for another number of channels, for a machine of a sweep that diverged, and as
     `signal_of` does.
     """
     import jax
@@ -157,7 +161,8 @@ def contour(
         )
     if not np.all(np.isfinite(path)):
         raise ValueError(
-            f"contour: trial {trials[0]} diverged, and a sweep does not keep the path; choose another sample"
+            f"contour: trial {trials[0]} diverged, and a sweep does not keep the path; choose "
+            "another sample"
         )
     errors = [np.asarray(contour_error(y, path, window=window)) for y, _ in signals]
     # the gradient of the distance is its direction, so this is the vector from the path to the tool

@@ -1,6 +1,4 @@
-"""Learning on a real machine: campaigns, their journal, and the files that pass between package and
-machine.
-"""
+"""Learning on a real machine: campaigns, their journal, and the files of machines."""
 
 import lazy_loader
 

@@ -1,7 +1,9 @@
-from .campaign import Campaign, Turn
+from .campaign import Campaign
 from .checks import Finding, Rules
+from .input_files import write_tables
 from .journal import Journal
-from .trial_files import Measured, read_measured, write_tables
+from .trial_files import Measured, read_measured
+from .turn import Turn
 
 __all__ = [
     "Campaign",

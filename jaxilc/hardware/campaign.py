@@ -1,5 +1,6 @@
-"""A learning campaign on a real machine: what was learned from each measured trial, kept in a
-journal, and the next input.
+"""A learning campaign on a real machine.
+
+A journal keeps what was learned from each measured trial; from it follows the next input.
 """
 
 from __future__ import annotations
@@ -8,60 +9,37 @@ import dataclasses
 import hashlib
 import json
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..learning.machine import Actuator
-from ..learning.metrics import measure
 from ..learning.over_trials import check_length, measured_trial
 from ..learning.playback import replay, tables
-from ..pytree.named_paths import named_leaves
 from ..runtime.provenance import describe, differences, environment
 from ..schemes import Scheme
 from ..signals.task import Task, Trial
 from ..storage.sealed import as_json
-from . import checks as checks
+from . import checks
 from .checks import Finding, Rules
-from .journal import BACK, Journal
+from .journal import BACK, METRICS, Journal
+from .named_arrays import arrays_of, not_a_number, shapes_of
 from .trial_files import Measured
+from .turn import Turn, hash_of, is_same_trial, known_as, learned, metrics_of, of_the_next, refuse
 
 MEMORY, TRIAL = "memory.npz", "trial.npz"
-
-
-class Turn(NamedTuple):
-    """A measured trial and what follows from it; nothing is stored yet.
-
-    trial: its number;  record: with the signals of the scheme;  memory, tables: of the next trial;
-    figures: of this one
-    hashes: of what was measured and of what was played;  findings: what the checks found, refusals
-    among them
-    learned: False for a trial that was only looked at;  source: its file
-    """
-
-    trial: int
-    record: Trial
-    memory: Any
-    tables: dict[str, np.ndarray]
-    figures: dict[str, Any]
-    hashes: dict[str, str]
-    findings: list[Finding]
-    learned: bool
-    source: str
-
-    @property
-    def refusals(self) -> list[str]:
-        return [f.text for f in self.findings if f.kind == "refusal"]
 
 
 @dataclasses.dataclass(frozen=True)
 class Campaign:
     """What is learned, for which task and actuator, and the journal. See `start` and `open`.
 
-    rules: what is refused;  recipe: JSON, how scheme, task and rules were made, kept for whoever
-    goes on
+    journal: the folder of the campaign
+    scheme, task, actuator: as the machine has them
+    rules: what is refused
+    recipe: JSON, how scheme, task and rules were made, kept for whoever continues the campaign
     """
 
     journal: Journal
@@ -83,11 +61,11 @@ class Campaign:
         recipe: dict[str, Any] | None = None,
         dry_run: bool = False,
     ) -> Campaign:
-        """A new campaign, before its first trial, in a folder of its own. dry_run: check, and store
-        nothing
+        """A new campaign, before its first trial, in a folder of its own.
 
-        Raises FileExistsError if something is there; ValueError where scheme and task do not fit,
-        and for a first table beyond a limit.
+        dry_run: check, and store nothing
+        Raises FileExistsError if the folder is not empty, and ValueError where scheme and task do
+        not fit, and for a first table beyond a limit.
         """
         check_length(task, scheme)
         scheme.check(task)
@@ -99,7 +77,7 @@ class Campaign:
             campaign.journal.create()
             campaign._append(
                 {"event": "start", "trial": 0, "parent": None},
-                {MEMORY: _arrays(scheme.initial_memory(task))},
+                {MEMORY: arrays_of(scheme.initial_memory(task))},
             )
         return campaign
 
@@ -114,10 +92,10 @@ class Campaign:
         rules: Rules | None = None,
         recipe: dict[str, Any] | None = None,
     ) -> Campaign:
-        """The campaign in a folder, to go on with. Raises ValueError if it was started with another
-        configuration, naming what differs.
+        """The campaign in a folder, to continue it.
 
-        recipe: None keeps the one that is there
+        recipe: None keeps the stored one
+        Raises ValueError if it was started with another configuration, naming what differs.
         """
         journal = Journal(Path(path))
         last = journal.last_known()
@@ -138,30 +116,33 @@ class Campaign:
 
     @property
     def configuration(self) -> dict[str, Any]:
-        """What is learned depends on this: scheme, task and actuator; long arrays by their hash."""
+        """Scheme, task and actuator, on which learning depends; long arrays by their hash."""
         return as_json(
             {name: describe(getattr(self, name)) for name in ("scheme", "task", "actuator")}
         )
 
     @property
     def trials(self) -> int:
-        """Trials measured, without what was undone."""
+        """The number of trials measured, without those that were undone."""
         return self.journal.live()[-1]["trial"]
 
     def memory(self, trial: int | None = None) -> Any:
-        """What the scheme knew after a trial, None for the last one. Raises ValueError for a trial
-        that does not lie behind.
+        """The memory after a trial, None for the last one.
+
+        Raises ValueError for a trial that is not one of the past, and for a damaged memory.
         """
         template, entry = self.scheme.initial_memory(self.task), self._after(trial)
-        found, needed = self.journal.arrays(entry, MEMORY), _arrays(template)
-        if _shapes(found) != _shapes(needed):
+        found, needed = self.journal.arrays(entry, MEMORY), arrays_of(template)
+        if shapes_of(found) != shapes_of(needed):
             raise ValueError(
-                f"{self.journal.path}: the memory holds {_shapes(found)}; this scheme needs {_shapes(needed)}; {BACK}"
+                f"{self.journal.path}: the memory holds {shapes_of(found)}; "
+                f"this scheme needs {shapes_of(needed)}; {BACK}"
             )
-        wrong = _not_a_number(found)
+        wrong = not_a_number(found)
         if wrong:
             raise ValueError(
-                f"{self.journal.path}: the memory after trial {entry['trial']} is not a number in {wrong}; {BACK}"
+                f"{self.journal.path}: the memory after trial {entry['trial']} "
+                f"is not a number in {wrong}; {BACK}"
             )
         return jax.tree.unflatten(
             jax.tree.structure(template), [jnp.asarray(found[name]) for name in needed]
@@ -176,111 +157,105 @@ class Campaign:
         return tables(self.scheme, self.scheme.initial_memory(self.task), self.task)
 
     def recordable(self) -> dict[str, tuple[int, int]]:
-        """The signals besides y and u that a measured trial may hold: the feedback's share, and the
-        tables as they were played.
+        """The shapes, by name, of the signals besides y and u that a measured trial may hold.
+
+        These are the feedback's share of the input, and the tables as they were played.
         """
         return {"feedback": (self.task.N, self.task.inputs)} | {
             name: t.shape for name, t in self.tables().items() if name != "u"
         }
 
     def turn(self, measured: Measured, *, learn: bool = True, replay_input: bool = False) -> Turn:
-        """What a measured trial leads to, checked by the rules; nothing is stored until `keep`.
+        """What follows from a measured trial, checked by the rules; `keep` stores it.
 
-        learn: False looks at the trial only, and has the same table played again
-        replay_input: take the scheme's input over the measured output where the file has none
-        The feedback's share is `feedback` of the file if it has it, else the scheme's own law over
-        the measured output (`replay`), as the other signals of the scheme always are.
-        Raises ValueError for a trial without an input, and for one that was measured already,
-        however its file was rounded.
+        The feedback's share of the input is `feedback` of the file if the file has it, else that of
+        the scheme's own law over the measured output (see `replay`), from which the other signals
+        of the scheme always come.
+
+        learn: False only looks at the trial; the same table is then played again
+        replay_input: where the file has no input, take the scheme's over the measured output
+        Raises ValueError for a trial without an input, and for one that was measured already, also
+        where its file was rounded.
         """
-        scheme, task, live, rules, actuator = (
-            self.scheme,
-            self.task,
-            self.journal.live(),
-            self.rules,
-            self.actuator,
-        )
+        scheme, task, live = self.scheme, self.task, self.journal.live()
         memory, number = self.memory(), live[-1]["trial"] + 1
         played = tables(scheme, memory, task)
-        commanded, signals = replay(scheme, task, memory, measured.y, actuator)
+        commanded, signals = replay(scheme, task, memory, measured.y, self.actuator)
         if measured.u is None and not replay_input:
             raise ValueError(
-                f"{measured.source} has no input u; record it, or add --replayed-input where the controller runs this scheme"
+                f"{measured.source} has no input u; record it, or add --replayed-input "
+                "where the controller runs this scheme"
             )
         u = np.asarray(commanded) if measured.u is None else measured.u
-        given = {
-            name: jnp.asarray(measured.others[name])
-            for name in ("feedback",)
-            if name in measured.others
-        }
-        record = measured_trial(task, measured.y, u)._replace(signals={**signals, **given})
-        hashes = {"measured": _hash(measured.y, u), "played": _hash(*played.values())}
+        if "feedback" in measured.others:
+            signals = {**signals, "feedback": jnp.asarray(measured.others["feedback"])}
+        record = measured_trial(task, measured.y, u)._replace(signals=dict(signals))
+        hashes = {"measured": hash_of(measured.y, u), "played": hash_of(*played.values())}
         error = checks.rms_over_all(record)
         for entry in live[1:]:
             if self._is_measured(entry, record, error, with_input=measured.u is not None):
-                raise ValueError(
-                    f"{measured.source} is trial {entry['trial']}, {_known(entry)} measure trial {number}"
-                )
-
-        findings = checks.saturation(u, actuator, rules) + checks.as_played(
-            measured.others, played, actuator
-        )
-        if not given:
-            findings += checks.as_commanded(u, commanded, actuator, task)
-        if len(live) > 1 and live[-1]["hashes"].get("played") == hashes["played"]:
-            findings += checks.repeated(
-                record, self.journal.arrays(live[-1], TRIAL)["y"], rules, task.unit
-            )
-        findings += checks.grown(
-            error, [(m["trial"], m["figures"]["error"]) for m in live[1:]], rules, task.unit
-        )
-        following = _learned(scheme, task, memory, record) if learn else memory
-        wrong = _not_a_number(_arrays(following))
-        if wrong:
-            findings.append(Finding("refusal", f"what would be learned is not a number in {wrong}"))
+                text = f"{measured.source} is trial {entry['trial']}, {known_as(entry)}"
+                raise ValueError(f"{text} measure trial {number}")
+        findings = checks.saturation(u, self.actuator, self.rules)
+        findings += checks.as_played(measured.others, played, self.actuator)
+        if "feedback" not in measured.others:
+            findings += checks.as_commanded(u, commanded, self.actuator, task)
+        findings += self._against_those_before(record, error, hashes["played"], live)
+        following = learned(scheme, task, memory, record) if learn else memory
         following_tables = tables(scheme, following, task)
-        findings += checks.beyond_limits(following_tables, task, actuator, rules)
-        figures = {"error": error} | {
-            name: np.asarray(value).tolist()
-            for name, value in measure(record, task)._asdict().items()
-        }
+        findings += of_the_next(following, following_tables, task, self.actuator, self.rules)
         return Turn(
             number,
             record,
             following,
             following_tables,
-            figures,
+            metrics_of(record, task, error),
             hashes,
             findings,
             learn,
             measured.source,
         )
 
+    def _against_those_before(
+        self, record: Trial, error: float, played: str, live: list[dict[str, Any]]
+    ) -> list[Finding]:
+        """A trial against the last one, if it played the same table, and against all errors.
+
+        error: RMS error over all outputs
+        played: hash of the table
+        live: the manifests of the trials before
+        """
+        findings, unit = [], self.task.unit
+        if len(live) > 1 and live[-1]["hashes"].get("played") == played:
+            last_y = self.journal.arrays(live[-1], TRIAL)["y"]
+            findings += checks.repeated(record, last_y, self.rules, unit)
+        errors = [(m["trial"], m[METRICS]["error"]) for m in live[1:]]
+        return findings + checks.grown(error, errors, self.rules, unit)
+
     def keep(self, turn: Turn) -> None:
-        """Store a turn; the campaign goes on from it. Raises ValueError if it has refusals, or does
-        not follow on what is stored.
+        """Store a turn, from which the campaign continues.
+
+        Raises ValueError if it has refusals, or if its trial does not follow the last stored one.
         """
         refuse(turn.findings)
         parent = self.journal.live()[-1]
         if turn.trial != parent["trial"] + 1:
-            raise ValueError(
-                f"{self.journal.path}: trial {turn.trial} does not follow on trial {parent['trial']}"
-            )
-        manifest = {
-            name: getattr(turn, name)
-            for name in ("trial", "learned", "source", "hashes", "figures", "findings")
-        }
+            said = f"trial {turn.trial} does not follow on trial {parent['trial']}"
+            raise ValueError(f"{self.journal.path}: {said}")
+        manifest = {name: getattr(turn, name) for name in ("trial", "learned", "source", "hashes")}
+        manifest |= {METRICS: turn.metrics, "findings": turn.findings}
         record = {"y": turn.record.y, "u": turn.record.u} | {
             f"signals {name}": s for name, s in turn.record.signals.items()
         }
         self._append(
             {"event": "trial", "parent": parent["serial"], **manifest},
-            {MEMORY: _arrays(turn.memory), TRIAL: record},
+            {MEMORY: arrays_of(turn.memory), TRIAL: record},
         )
 
     def undo(self, trial: int) -> None:
-        """Go back to what was known after a trial, 0 for the start. Raises ValueError for one that
-        does not lie behind.
+        """Go back to the memory after a trial, 0 for the start.
+
+        Raises ValueError for a trial that is not one of the past.
         """
         self._append(
             {"event": "undo", "trial": trial, "parent": None, "to": self._after(trial)["serial"]},
@@ -288,31 +263,25 @@ class Campaign:
         )
 
     def _after(self, trial: int | None) -> dict[str, Any]:
-        """The entry after a trial that lies behind, or where the campaign stands."""
+        """The entry after a trial of the past, or the last one for None."""
         if trial is None:
             return self.journal.live()[-1]
         behind = {m["trial"]: m for m in self.journal.behind()}
         if trial not in behind:
-            last = max(behind, default=-1) + 1
-            raise ValueError(
-                f"trial = {trial} is not one to go back to; allowed are those before the last one, {last}"
-            )
+            said = f"those before the last one, {max(behind, default=-1) + 1}"
+            raise ValueError(f"trial = {trial} is not one to go back to; allowed are {said}")
         return behind[trial]
 
     def _is_measured(
         self, entry: dict[str, Any], record: Trial, error: float, *, with_input: bool
     ) -> bool:
-        """Whether a measured trial is that of an entry, up to the digits that a file may lose.
+        """Whether a measured trial is that of an entry, see `is_same_trial`.
 
-        error: its RMS error, which tells most trials apart without their file;  with_input: the
-        input was measured, too
+        error: its RMS error, which tells most trials apart without reading their files
         """
-        if abs(entry["figures"]["error"] - error) > checks.same_up_to(record.y):
+        if abs(entry[METRICS]["error"] - error) > checks.same_up_to(record.y):
             return False
-        found = self.journal.arrays(entry, TRIAL)
-        return checks.same(found["y"], record.y) and (
-            not with_input or checks.same(found["u"], record.u)
-        )
+        return is_same_trial(self.journal.arrays(entry, TRIAL), record, with_input=with_input)
 
     def _append(self, manifest: dict[str, Any], arrays: dict[str, dict[str, Any]]) -> None:
         configuration = self.configuration
@@ -324,45 +293,3 @@ class Campaign:
             "environment": environment(),
         }
         self.journal.append(manifest | known, arrays)
-
-
-def refuse(findings: list[Finding]) -> None:
-    """Raises ValueError with what the checks refuse, if anything."""
-    texts = [f.text for f in findings if f.kind == "refusal"]
-    if texts:
-        raise ValueError("; ".join(texts))
-
-
-def _arrays(tree: Any) -> dict[str, Any]:
-    return {f"{i:03d} {name}": leaf for i, (name, leaf) in enumerate(named_leaves(tree).items())}
-
-
-def _shapes(arrays: dict[str, Any]) -> str:
-    return ", ".join(f"{name} {np.shape(values)}" for name, values in arrays.items())
-
-
-def _not_a_number(arrays: dict[str, Any]) -> str:
-    """The first array that holds NaN, by name; infinite is what was never seen, such as the best
-    error before the first trial.
-    """
-    return next(
-        (name for name, values in arrays.items() if np.any(np.isnan(np.asarray(values)))), ""
-    )
-
-
-def _known(entry: dict[str, Any]) -> str:
-    """How a trial is known already."""
-    if entry["learned"]:
-        return "which was learned from already;"
-    return f"which was looked at already; --undo {entry['trial'] - 1} forgets it, so that it can be learned from; or"
-
-
-def _hash(*arrays) -> str:
-    return hashlib.sha256(
-        b"".join(np.ascontiguousarray(a, dtype=float).tobytes() for a in arrays)
-    ).hexdigest()
-
-
-@jax.jit
-def _learned(scheme: Scheme, task: Task, memory: Any, trial: Trial):
-    return scheme.prepared(task).learn(memory, trial)

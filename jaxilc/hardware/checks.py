@@ -1,6 +1,4 @@
-"""What is looked at before a measured trial is learned from, and before an input goes back to the
-machine.
-"""
+"""The checks of a measured trial before it is learned from, and of the next input of a machine."""
 
 from __future__ import annotations
 
@@ -10,31 +8,29 @@ from typing import NamedTuple
 import numpy as np
 
 from ..learning.machine import Actuator
-from ..pytree.ranges import Interval
+from ..pytree.ranges import require
 from ..signals.task import Task, Trial
 
 AT_LIMIT = 1e-3  # of the limit, within which an input counts as saturated
 AS_PLAYED = 1e-4  # of a table's peak, by which it may differ from what the machine recorded of it
-AS_COMMANDED = (
-    0.01  # of the input's peak, by which the recorded input may differ from the replayed one
-)
-# of a signal's peak, by which two files of one trial may differ: one of them was rounded to 9
-# digits
+# Of the input's peak, by which the recorded input may differ from the replayed one.
+AS_COMMANDED = 0.01
+# Of a signal's peak, by which two files of one trial may differ: one may be rounded to 9 digits.
 SAME = 1e-8
 LITTLE = 0.5  # of the error: a difference between repeated trials above it leaves little to learn
 
 
 class Rules(NamedTuple):
-    """What is refused. Numbers that are None are not looked at.
+    """What is refused. A number that is None is not checked.
 
-    limit: largest |u| played, and at which an input counts as saturated; None takes the actuator's
-    [unit of u]
-    correction: largest departure of a learned reference from the task's [unit of y]
-    saturation: share of samples at the limit, of any input;  accept_saturation: warn instead of
-    refusing
-    repeatability: RMS difference of two trials of one table, over all outputs [unit of y]
-    growth: share by which the RMS error may exceed the last trial's, without a warning;
-    stop_on_growth: refuse instead of warning
+    limit: largest |u| that is played, at which an input counts as saturated [unit of u]; None takes
+        the actuator's limit
+    correction: largest distance of a learned reference from the task's [unit of y]
+    saturation: largest share of samples at the limit, of any input
+    accept_saturation: warn of saturation instead of refusing
+    repeatability: largest RMS difference of two trials of one table, over all outputs [unit of y]
+    growth: share by which the RMS error may exceed the last trial's without a warning
+    stop_on_growth: refuse growth instead of warning
     """
 
     limit: float | None = None
@@ -46,14 +42,13 @@ class Rules(NamedTuple):
     stop_on_growth: bool = False
 
     def checked(self) -> Rules:
-        """Itself. Raises ValueError for a number outside its range."""
+        """These rules. Raises ValueError for a number outside its range."""
         ranges = {"saturation": "[0, 1]", "growth": "[0, inf)"} | dict.fromkeys(
             ("limit", "correction", "repeatability"), "(0, inf)"
         )
         for name, allowed in ranges.items():
-            value = getattr(self, name)
-            if value is not None and not Interval.parse(allowed).contains(value):
-                raise ValueError(f"{name} = {value:g} is outside its allowed range {allowed}")
+            if getattr(self, name) is not None:
+                require("", name, getattr(self, name), allowed)
         return self
 
     def limits(self, actuator: Actuator | None, inputs: int) -> np.ndarray | None:
@@ -63,15 +58,20 @@ class Rules(NamedTuple):
 
 
 class Finding(NamedTuple):
-    """kind: `note`, `warning` or `refusal`;  text: what was found, with its numbers"""
+    """A finding of a check.
+
+    kind: `note`, `warning` or `refusal`
+    text: what was found, with its numbers
+    """
 
     kind: str
     text: str
 
 
 def saturation(u, actuator: Actuator | None, rules: Rules) -> list[Finding]:
-    """The share of samples of the measured input (N, n_u) at the limit; learning there follows the
-    limit, not the error.
+    """The share of samples of the measured input u (N, n_u) that are at the limit.
+
+    There the input follows the limit, not what was learned from the error.
     """
     limits = rules.limits(actuator, u.shape[1])
     if limits is None:
@@ -84,7 +84,11 @@ def saturation(u, actuator: Actuator | None, rules: Rules) -> list[Finding]:
     share, i = float(np.max(np.mean(at, axis=0))), int(np.argmax(np.mean(at, axis=0)))
     if not share:
         return []
-    text = f"input {i} is at its limit {limits[i]:g} in {share:.2%} of the samples, first at sample {int(np.argmax(at[:, i]))}"
+    first = int(np.argmax(at[:, i]))
+    text = (
+        f"input {i} is at its limit {limits[i]:g} in {share:.2%} of the samples, "
+        f"first at sample {first}"
+    )
     if share > rules.saturation and not rules.accept_saturation:
         return [
             Finding(
@@ -95,9 +99,7 @@ def saturation(u, actuator: Actuator | None, rules: Rules) -> list[Finding]:
 
 
 def as_commanded(u, replayed, actuator: Actuator | None, task: Task) -> list[Finding]:
-    """The measured input against the one that the scheme, replayed over the measured output, would
-    have given.
-    """
+    """The measured input against that of the scheme, replayed over the measured output."""
     off = np.max(np.abs(u - replayed), axis=1)
     allowed = AS_COMMANDED * np.max(np.abs(u), initial=0.0) + np.max(_resolution(actuator))
     if np.max(off) <= allowed:
@@ -106,8 +108,9 @@ def as_commanded(u, replayed, actuator: Actuator | None, task: Task) -> list[Fin
     return [
         Finding(
             "warning",
-            f"the measured input is up to {off[k]:.3g} {unit} away (sample {k}) from the scheme's over the measured output: was another "
-            "table played, or is the machine's feedback, its delay or its limit not the scheme's?",
+            f"the measured input is up to {off[k]:.3g} {unit} away (sample {k}) from the scheme's "
+            "over the measured output: was another table played, or is the machine's feedback, "
+            "its delay or its limit not the scheme's?",
         )
     ]
 
@@ -122,32 +125,41 @@ def as_played(
         allowed = AS_PLAYED * np.max(np.abs(tables[name])) + np.max(_resolution(actuator))
         if np.max(off) > allowed:
             k = int(np.argmax(off))
-            text = f"{name} is {off[k]:.3g} away at sample {k} from the table of this trial: another one was played"
+            text = (
+                f"{name} is {off[k]:.3g} away at sample {k} from the table of this trial: "
+                "another one was played"
+            )
             findings.append(Finding("refusal", text))
     return findings
 
 
 def repeated(trial: Trial, last_y, rules: Rules, unit: str) -> list[Finding]:
-    """Two trials of one table: what differs does not repeat and cannot be learned. last_y: (N+1,
-    n_y) of the other trial
+    """Two trials of one table: their difference does not repeat and cannot be learned.
+
+    last_y: (N+1, n_y) output of the other trial
     """
     difference, error = _rms(np.asarray(trial.y) - last_y), _rms(trial.e)
-    text = f"the same table as in the last trial: RMS difference of the outputs {difference:.3g} {unit}, RMS error {error:.3g} {unit}"
+    text = (
+        "the same table as in the last trial: RMS difference of the outputs "
+        f"{difference:.3g} {unit}, RMS error {error:.3g} {unit}"
+    )
     if rules.repeatability is not None and difference > rules.repeatability:
         return [Finding("refusal", f"{text}; allowed is {rules.repeatability:.3g} {unit}")]
     return [Finding("warning" if difference > LITTLE * error else "note", text)]
 
 
 def grown(error: float, history: list[tuple[int, float]], rules: Rules, unit: str) -> list[Finding]:
-    """The error of this trial against the last one's. history: (trial, RMS error over all outputs)
-    of those before, in order
+    """The error of this trial against that of the last one.
+
+    history: (trial, RMS error over all outputs) of the trials before, in order
     """
     if not history or error <= (1 + rules.growth) * history[-1][1]:
         return []
     last, (best, least) = history[-1][1], min(history, key=lambda row: row[1])
     text = (
         f"the RMS error grew from {last:.4g} to {error:.4g} {unit}, by {error / last - 1:.1%}; "
-        f"the best was trial {best} with {least:.4g} {unit}: --undo {best - 1} goes back to what it played"
+        f"the best was trial {best} with {least:.4g} {unit}: "
+        f"--undo {best - 1} goes back to what it played"
     )
     return [Finding("refusal" if rules.stop_on_growth else "warning", text)]
 
@@ -161,9 +173,8 @@ def beyond_limits(
         departure, unit, limits = table, task.input_unit, None
         if name == "reference":
             unit, departure = task.unit, table - np.asarray(task.reference)
-            if (
-                departure.shape != table.shape
-            ):  # one reference for several outputs: the one that it is nearest to
+            # One reference for several outputs: the output that it is nearest to counts.
+            if departure.shape != table.shape:
                 departure = departure[:, [np.argmin(np.max(np.abs(departure), axis=0))]]
             limits = None if rules.correction is None else np.full(table.shape[1], rules.correction)
         elif name in ("u", "feedforward", "table.u"):
@@ -175,7 +186,10 @@ def beyond_limits(
             k, i = np.unravel_index(int(np.argmax(np.abs(departure) / limits)), table.shape)
             option = "--limit" if name != "reference" else "--largest-correction"
             away = " away from the task's" if name == "reference" else ""
-            text = f"the next {name} is {departure[k, i]:.6g} {unit}{away} at sample {k}; allowed are +-{limits[i]:g} {unit} ({option})"
+            text = (
+                f"the next {name} is {departure[k, i]:.6g} {unit}{away} at sample {k}; "
+                f"allowed are +-{limits[i]:g} {unit} ({option})"
+            )
             findings.append(Finding("refusal", text))
     return findings
 
@@ -186,8 +200,9 @@ def _resolution(actuator: Actuator | None):
 
 
 def same(one, other) -> bool:
-    """Whether two records of a signal are one measurement: no two trials of a machine are alike to
-    so many digits.
+    """Whether two records of a signal are one measurement.
+
+    They are if they agree to eight digits, to which no two trials of a machine agree.
     """
     return np.shape(one) == np.shape(other) and bool(
         np.max(np.abs(np.asarray(one) - other)) <= same_up_to(one)
@@ -195,7 +210,7 @@ def same(one, other) -> bool:
 
 
 def same_up_to(signal) -> float:
-    """By how much two records of one signal may differ."""
+    """By how much two records of one measurement may differ."""
     return SAME * float(np.max(np.abs(signal)))
 
 

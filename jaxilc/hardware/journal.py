@@ -1,10 +1,10 @@
-"""The journal of a campaign: a folder of entries 000000, 000001, ..., each a manifest (JSON) and
-arrays (npz), only ever appended to.
+"""The journal of a campaign: a folder of entries 000000, 000001, ..., to which is only appended.
 
-An entry is written under another name and renamed when it is on the disk: killed at any moment, the
-journal is whole. To undo is an entry too, which points back, so nothing that was measured is lost.
-Every file has a checksum, and the manifest is there twice: damage is found, and an entry that
-cannot be read is left behind by going back to a trial before it.
+Each entry is a manifest (JSON) and arrays (npz). It is written under another name and renamed when
+it is on the disk, so that the journal is whole whenever the process is stopped. To undo is an entry
+too, which points back: nothing that was measured is lost. Every file has a checksum, and the
+manifest is stored twice. So damage is found, and an entry that cannot be read is passed over by
+going back to a trial before it.
 """
 
 from __future__ import annotations
@@ -27,14 +27,15 @@ MANIFEST, COPY = "manifest.json", "manifest.copy.json"
 DAMAGED = "damaged"  # the event of an entry that cannot be read
 BACK = "--undo goes back to an earlier trial"
 _ENTRY = re.compile(r"^\d{6}$")
-_FIGURES = ("rms", "max_error", "settled_error", "effort")  # of each channel
+METRICS = "figures"  # the key of a trial's metrics; campaigns that were begun before have it so
+_METRICS = ("rms", "max_error", "settled_error", "effort")  # of each channel
 _NEEDED = {"trial": int, "recipe": dict, "configuration": dict}
 _NEEDED_OF = {
     "start": {},
     "trial": {
         "parent": int,
         "hashes": dict,
-        "figures": dict,
+        METRICS: dict,
         "findings": list,
         "source": str,
         "learned": bool,
@@ -48,9 +49,9 @@ class Journal:
     """The entries in a folder, which need not exist yet.
 
     A manifest holds `serial`, `time`, `event` (start, trial or undo), `trial` (the last one
-    measured), and `parent`, the serial of the entry it follows on; that of an undo holds `to`, the
-    serial it goes back to. Where an entry cannot be read, the event is `damaged`, and `wrong` says
-    why.
+    measured), and `parent`, the serial of the entry that it follows. The manifest of an undo holds
+    `to`, the serial of the entry to which it goes back. Where an entry cannot be read, the event is
+    `damaged`, and `wrong` says why.
     """
 
     path: Path
@@ -66,13 +67,15 @@ class Journal:
             not self.path.is_dir() or any(UNFINISHED not in f.name for f in self.path.iterdir())
         ):
             raise FileExistsError(
-                f"{self.path} exists already; choose another folder, or go on with the campaign there"
+                f"{self.path} exists already; choose another folder, "
+                "or go on with the campaign there"
             )
         self.path.mkdir(parents=True, exist_ok=True)
 
     def manifests(self) -> list[dict[str, Any]]:
-        """Of all entries, in order. Raises FileNotFoundError where there are none, ValueError where
-        not one can be read.
+        """The manifests of all entries, in order.
+
+        Raises FileNotFoundError where there are none, and ValueError where none can be read.
         """
         if not self.exists:
             raise FileNotFoundError(f"{self.path} holds no campaign; start one without --measured")
@@ -88,8 +91,7 @@ class Journal:
         return next(m for m in reversed(self.manifests()) if m["event"] != DAMAGED)
 
     def live(self) -> list[dict[str, Any]]:
-        """The manifests that led to where the campaign stands, from the start on, without what was
-        undone.
+        """The manifests of the start and of all trials that were not undone, in order.
 
         Raises ValueError where one of them is damaged.
         """
@@ -97,8 +99,10 @@ class Journal:
         return _led_to(manifests, manifests[-1])
 
     def behind(self) -> list[dict[str, Any]]:
-        """The manifests to go back to: those of `live` before the last one; where one of them is
-        damaged, all that are whole.
+        """The manifests to which an undo can go back.
+
+        These are those of `live` before the last one, or, where one of them is damaged, all whose
+        entries can be read from the start on.
         """
         manifests = self.manifests()
         try:
@@ -109,7 +113,7 @@ class Journal:
             ]
 
     def arrays(self, manifest: Mapping[str, Any], name: str) -> dict[str, np.ndarray]:
-        """What an entry's file holds. Raises ValueError for one that is damaged."""
+        """The arrays in a file of an entry. Raises ValueError for a damaged file."""
         file = self.path / f"{manifest['serial']:06d}" / name
         try:
             return read_arrays(file, checked=manifest.get("format") != UNCHECKED)
@@ -117,8 +121,10 @@ class Journal:
             raise ValueError(f"{file} cannot be read ({_said(error)}); {BACK}") from None
 
     def append(self, manifest: Mapping[str, Any], arrays: Mapping[str, Mapping[str, Any]]) -> None:
-        """One more entry. arrays: of each file. Raises ValueError where it cannot be written; the
-        journal then is as it was.
+        """Append an entry.
+
+        arrays: by the name of their file
+        Raises ValueError where it cannot be written; the journal is then unchanged.
         """
         serial = self._next()
         common = {
@@ -138,12 +144,14 @@ class Journal:
                     )
         except OSError as error:
             raise ValueError(
-                f"{self.path}: entry {serial} could not be written ({error.strerror}); the campaign is as it was"
+                f"{self.path}: entry {serial} could not be written ({error.strerror}); "
+                "the campaign is as it was"
             ) from None
 
     def log(self) -> list[dict[str, Any]]:
-        """A row for every entry, in order: what happened, the trial, its figures, and whether it
-        still counts (`live`).
+        """A row for every entry in order: the event, the trial, its metrics, warnings.
+
+        `live` says whether the entry still counts, or was undone.
         """
         manifests = self.manifests()
         live = (
@@ -153,16 +161,16 @@ class Journal:
         )
         rows = []
         for m in manifests:
-            figures, findings = (
-                m.get(name, {}) if m["event"] == "trial" else {} for name in ("figures", "findings")
+            metrics, findings = (
+                m.get(name, {}) if m["event"] == "trial" else {} for name in (METRICS, "findings")
             )
             row = {
                 name: m.get(name, "")
                 for name in ("serial", "time", "event", "trial", "learned", "source")
             }
-            row |= {"live": m["serial"] in live, "rms_error": figures.get("error", "")}
-            for name in _FIGURES:
-                row |= {f"{name}_{i}": value for i, value in enumerate(figures.get(name, ()))}
+            row |= {"live": m["serial"] in live, "rms_error": metrics.get("error", "")}
+            for name in _METRICS:
+                row |= {f"{name}_{i}": value for i, value in enumerate(metrics.get(name, ()))}
             warnings = [text for kind, text in findings if kind == "warning"]
             warnings += [m["wrong"]] if "wrong" in m else []
             rows.append(row | {"warnings": "; ".join(warnings)})
@@ -202,12 +210,12 @@ def _checked(content: Any, serial: int) -> dict[str, Any]:
     for name, kind in {**_NEEDED, **kinds}.items():
         if not isinstance(manifest.get(name), kind):
             raise Damaged(f"its {name!r} is missing, or not of the kind {kind.__name__}")
-    if "figures" in kinds and not isinstance(manifest["figures"].get("error"), float):
-        raise Damaged("its 'figures' hold no error")
-    if "figures" in kinds and not all(
-        _are_numbers(manifest["figures"].get(name, [])) for name in _FIGURES
+    if METRICS in kinds and not isinstance(manifest[METRICS].get("error"), float):
+        raise Damaged(f"its {METRICS!r} hold no error")
+    if METRICS in kinds and not all(
+        _are_numbers(manifest[METRICS].get(name, [])) for name in _METRICS
     ):
-        raise Damaged("its 'figures' are not numbers of each channel")
+        raise Damaged(f"its {METRICS!r} are not numbers of each channel")
     if "findings" in kinds and not all(map(_is_finding, manifest["findings"])):
         raise Damaged("its 'findings' are not pairs of a kind and a text")
     for name in ("parent", "to"):

@@ -1,17 +1,14 @@
-"""Files between the package and a machine: a measured trial in, from CSV or MATLAB; the next input
-out, as CSV, MATLAB or C.
+"""Measured trials from files: CSV or MATLAB.
 
-A table of text has a header that declares units, `t [s], r [mm], y [mm], u [V]`; several channels
-are y0, y1, ... Row k holds what
-belongs to t[k]: y is measured there, then u acts until t[k+1], so the last row's u means nothing
-and may be empty. A .mat file has variables of the same names, several channels as columns, and a
-struct `units` with a field for each.
+A text file of columns has a header that declares units, `t [s], r [mm], y [mm], u [V]`; several
+channels are y0, y1, ... Row k holds what belongs to t[k]: y is measured there, then u acts until
+t[k+1], so the last row's u means nothing and may be empty. A .mat file has variables of the same
+names, with several channels as columns, and a struct `units` with a field for each.
 """
 
 from __future__ import annotations
 
 import itertools
-import re
 import unicodedata
 from collections.abc import Mapping
 from pathlib import Path
@@ -21,23 +18,22 @@ import numpy as np
 
 from ..learning.playback import unit_of
 from ..signals.task import Task
-from ..storage.files import atomically
 from ..storage.mat_files import ROOM, Other, read_mat
-from ..storage.reading import read_columns
+from ..storage.reading import name_and_unit, numbers_in, read_columns
 
 STEP_TOLERANCE = 0.01  # of the sample time, by which a single step may differ
 RATE_TOLERANCE = 1e-3  # of the sample time, by which the median step may differ
 REFERENCE_TOLERANCE = 1e-4  # of the reference's range
-FORMATS = (".csv", ".mat", ".h")
-_HEADER = re.compile(r"^([^\[\]]+?)\s*(?:\[([^\[\]]*)\])?$")
 
 
 class Measured(NamedTuple):
-    """A trial as a machine recorded it, of the task's length, sample time and units.
+    """A trial as a machine recorded it, with the task's length, sample time and units.
 
-    y: (N+1, n_y);  u: (N, n_u), None where the file has none;  others: further signals asked for,
-    by name
-    ignored: columns that mean nothing here;  source: the file
+    y: (N+1, n_y) output
+    u: (N, n_u) input, None where the file has none
+    others: further signals that were asked for, by name
+    ignored: names of the columns that mean nothing here
+    source: the file
     """
 
     y: np.ndarray
@@ -48,8 +44,11 @@ class Measured(NamedTuple):
 
 
 class _File(NamedTuple):
-    """columns: name -> (rows, channels) values, unit (None: not declared);  places: of each row,
-    for messages;  ignored: names
+    """What was read from a file.
+
+    columns: (rows, channels) values and unit by name; the unit is None where it is not declared
+    places: where each row stands in the file, for messages
+    ignored: names of the columns that mean nothing here
     """
 
     columns: dict[str, tuple[np.ndarray, str | None]]
@@ -60,14 +59,15 @@ class _File(NamedTuple):
 def read_measured(
     path: str | Path, task: Task, others: Mapping[str, tuple[int, int]] | None = None
 ) -> Measured:
-    """A measured trial of the task, from a .mat file or a text file of columns (commas, semicolons
-    or tabs).
+    """A measured trial of the task, from a .mat file or a text file of columns.
 
-    Needs t and y; takes r, which must be the task's, u, and `others`, name -> (rows, channels), if
-    they are there.
-    Raises ValueError naming file, place and signal: a column missing, a unit not declared or not
-    the task's, a value that is not finite, a gap or an uneven step of the time, another sample time
-    or length (nothing is resampled), another reference.
+    Columns are separated by commas, semicolons or tabs. The file needs t and y; it may hold r,
+    which must be the task's, u, and the signals `others`.
+
+    others: shape (rows, channels) of further signals, by name
+    Raises ValueError naming file, place and signal: for a missing column, for a unit that is not
+    declared or not the task's, for a value that is not finite, for a gap or an uneven step of the
+    time, for another sample time or length (nothing is resampled), and for another reference.
     """
     N = task.N
     shapes = {
@@ -103,14 +103,14 @@ def read_measured(
 
 def _read_text(path, shapes) -> _File:
     header, lines = read_columns(path)
-    header = [_HEADER.match(cell) for cell in header]
     most = 2 * shapes["t"][0] + 1000
     rows = list(itertools.islice(lines, most + 1))
     if len(rows) > most:
         raise ValueError(
             f"{path} has more than {most} rows of data; this task needs N + 1 = {shapes['t'][0]}"
         )
-    names, units = [m[1] if m else "" for m in header], [m[2] if m else None for m in header]
+    headings = [name_and_unit(cell) for cell in header]
+    names, units = [name for name, _ in headings], [unit for _, unit in headings]
     columns, used = {}, set()
     for name, (_, channels) in shapes.items():
         at = _channels(path, name, channels, names)
@@ -118,10 +118,11 @@ def _read_text(path, shapes) -> _File:
             continue
         used.update(at)
         if len({_plain(units[i] or "") for i in at}) > 1:
+            several = ", ".join(str(units[i]) for i in at)
             raise ValueError(
-                f"{path}: the channels of {name} have the units {', '.join(str(units[i]) for i in at)}; allowed is one"
+                f"{path}: the channels of {name} have the units {several}; allowed is one"
             )
-        values = [[_number(row[i].strip() if i < len(row) else "") for i in at] for _, row in rows]
+        values = [numbers_in(row, at) for _, row in rows]
         columns[name] = np.array(values, float).reshape(-1, channels), units[at[0]]
     return _File(
         columns,
@@ -145,13 +146,6 @@ def _channels(path, name: str, channels: int, names: list[str]) -> list[int] | N
     return None
 
 
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return np.nan
-
-
 def _read_mat(path, shapes) -> _File:
     needed = 8 * sum(rows * channels for rows, channels in shapes.values())
     contents = read_mat(path, ROOM + 32 * needed)  # it may hold much besides
@@ -172,9 +166,8 @@ def _read_mat(path, shapes) -> _File:
             f"allowed are real numbers in {channels} columns",
         )
         if not isinstance(values, np.ndarray):
-            raise ValueError(
-                f"{path}: {name} is {values.said if isinstance(values, Other) else 'no array'}; {allowed}"
-            )
+            said = values.said if isinstance(values, Other) else "no array"
+            raise ValueError(f"{path}: {name} is {said}; {allowed}")
         if channels == 1 and values.ndim == 2 and 1 in values.shape:
             values = values.reshape(-1, 1)
         if values.ndim != 2 or values.shape[1] != channels or len(values) > 2 * rows + 1000:
@@ -199,7 +192,8 @@ def _check_unit(path, name: str, declared: str | None, wanted: str) -> None:
         raise ValueError(f"{path}: {name} declares no unit; this task needs '{name} [{wanted}]'")
     if _plain(declared or "") != _plain(wanted):
         raise ValueError(
-            f"{path}: {name} is in {declared!r}; this task needs {wanted!r}, and nothing is converted"
+            f"{path}: {name} is in {declared!r}; this task needs {wanted!r}, "
+            "and nothing is converted"
         )
 
 
@@ -215,7 +209,8 @@ def _check_time(path, t, places, task: Task) -> None:
     median = float(np.median(steps))
     if abs(median / dt - 1) > RATE_TOLERANCE:
         raise ValueError(
-            f"{path} is sampled at {median:.6g} s but the task at {dt:.6g} s; nothing is resampled: record it at the task's"
+            f"{path} is sampled at {median:.6g} s but the task at {dt:.6g} s; "
+            "nothing is resampled: record it at the task's"
         )
     uneven = np.abs(steps / dt - 1) > STEP_TOLERANCE
     if np.any(uneven):
@@ -223,16 +218,19 @@ def _check_time(path, t, places, task: Task) -> None:
         missing = round(steps[k] / dt) - 1
         what = f"a gap of {missing} samples" if missing > 0 else f"a step of {steps[k]:.6g} s"
         raise ValueError(
-            f"{path}, {places[k + 1]}: {what} before t = {t[k + 1]:.9g} s; allowed are steps of dt = {dt:.6g} s"
+            f"{path}, {places[k + 1]}: {what} before t = {t[k + 1]:.9g} s; "
+            f"allowed are steps of dt = {dt:.6g} s"
         )
     if len(t) != task.N + 1:
         raise ValueError(
-            f"{path} has {len(t)} samples; this task needs N + 1 = {task.N + 1}, neither more nor fewer"
+            f"{path} has {len(t)} samples; this task needs N + 1 = {task.N + 1}, "
+            "neither more nor fewer"
         )
     drift = t[-1] - t[0] - task.N * dt
     if abs(drift) > dt / 2:
         raise ValueError(
-            f"{path}: the clock drifts by {drift:.3g} s over the trial; allowed is half a sample, {dt / 2:.3g} s"
+            f"{path}: the clock drifts by {drift:.3g} s over the trial; "
+            f"allowed is half a sample, {dt / 2:.3g} s"
         )
 
 
@@ -250,102 +248,6 @@ def _check_reference(path, r, places, task: Task) -> None:
         ]
         hint = f"; it is that reference shifted by {shifted[0]} samples" if shifted else ""
         raise ValueError(
-            f"{path}, {places[k]}: r is {off[k]:.3g} {task.unit} away from the task's reference; allowed is {allowed:.3g} {task.unit}{hint}"
+            f"{path}, {places[k]}: r is {off[k]:.3g} {task.unit} away from the task's reference; "
+            f"allowed is {allowed:.3g} {task.unit}{hint}"
         )
-
-
-# Writing
-# --------------------------------------------------------------------------------------------------
-
-
-def write_tables(
-    path: str | Path,
-    tables: Mapping[str, np.ndarray],
-    task: Task,
-    *,
-    trial: int,
-    number: str = "double",
-) -> None:
-    """What `playback.tables` gives, in the format of the file's name: .csv, .mat or .h. Written
-    whole or not at all.
-
-    trial: the one it is for;  number: of a C header, `double` or `float`. CSV and MATLAB hold t and
-    r too, and so N+1 rows; those that are (N, n) repeat their last row in CSV. Numbers keep every
-    digit. Raises ValueError for another format.
-    """
-    check_format(path, number)
-    match Path(path).suffix:
-        case ".csv":
-            atomically(path, lambda file: file.write(_as_text(tables, task).encode()))
-        case ".mat":
-            atomically(path, lambda file: _save_mat(file, tables, task, trial))
-        case _:
-            atomically(
-                path, lambda file: file.write(_as_header(tables, task, trial, number).encode())
-            )
-
-
-def check_format(path: str | Path, number: str = "double") -> None:
-    """Raises ValueError for a file that `write_tables` cannot write."""
-    if Path(path).suffix not in FORMATS:
-        raise ValueError(f"{path} is none of the formats {', '.join(FORMATS)}")
-    if number not in ("double", "float"):
-        raise ValueError(f"number = {number!r} is not one of 'double', 'float'")
-    if not Path(path).absolute().parent.is_dir():
-        raise ValueError(f"{path}: the folder does not exist")
-
-
-def _as_text(tables, task: Task) -> str:
-    columns = {"t": task.time[:, None], "r": np.asarray(task.reference)} | dict(tables)
-    header, values = [], []
-    for name, signal in columns.items():
-        unit, several = unit_of(name, task), signal.shape[1] > 1
-        header += [f"{name}{i if several else ''} [{unit}]" for i in range(signal.shape[1])]
-        values.append(np.vstack([signal, signal[-1:]]) if len(signal) == task.N else signal)
-    rows = np.hstack(values).tolist()
-    return "\n".join([",".join(header), *(",".join(map(repr, row)) for row in rows)]) + "\n"
-
-
-def _save_mat(file, tables, task: Task, trial: int) -> None:
-    from scipy.io import savemat
-
-    signals = {"t": task.time[:, None], "r": np.asarray(task.reference)} | {
-        _identifier(name): t for name, t in tables.items()
-    }
-    units = {_identifier(name): unit_of(name, task) for name in ("t", "r", *tables)}
-    savemat(file, {**signals, "units": units, "trial": float(trial), "dt": task.dt})
-
-
-def _as_header(tables, task: Task, trial: int, number: str) -> str:
-    lines = [
-        f"/* What the machine plays in trial {trial}, written by jaxilc. Row k holds from k dt to (k+1) dt. */",
-        "",
-    ]
-    lines += [
-        "#ifndef JAXILC_NEXT_H",
-        "#define JAXILC_NEXT_H",
-        "",
-        f"#define JAXILC_TRIAL {trial}",
-        f"#define JAXILC_SAMPLES {task.N}",
-    ]
-    lines += [f"#define JAXILC_SAMPLE_TIME {task.dt!r} /* s */", ""]
-    for name, table in tables.items():
-        sizes = f"[{len(table)}]" + (f"[{table.shape[1]}]" if table.shape[1] > 1 else "")
-        lines.append(f"/* {name} [{unit_of(name, task) or '-'}], trial {trial} */")
-        rows = [", ".join(_literal(v, number) for v in row) for row in table]
-        rows = [f"{{{row}}}" for row in rows] if table.shape[1] > 1 else rows
-        lines += [
-            f"static const {number} jaxilc_{_identifier(name)}{sizes} = {{",
-            *(f"  {row}," for row in rows),
-            "};",
-            "",
-        ]
-    return "\n".join([*lines, "#endif", ""])
-
-
-def _literal(value: float, number: str) -> str:
-    return f"{np.float32(value)!s}f" if number == "float" else repr(float(value))
-
-
-def _identifier(name: str) -> str:
-    return re.sub(r"\W+", "_", name).strip("_")

@@ -1,6 +1,7 @@
-from .estimation import Estimate, Identified, PoleEstimate, identify
+from .estimation import identify
 from .fitting import Fit, fit
 from .records import Record, excite, read_record, write_record
+from .verdict import Estimate, Identified, PoleEstimate
 
 __all__ = [
     "Estimate",

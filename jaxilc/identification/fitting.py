@@ -9,14 +9,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..pytree.ranges import require
 from ..runtime.tiles import tiled
 
 
 class Fit(NamedTuple):
-    """values: by name, at the best minimum found;  residuals: (M,) there;  jacobian: (M, P) of them
-    by the values
-    costs: (starts,) half the sum of squares at every start, sorted;  refined: the costs of the
-    refined ones
+    """The best minimum found.
+
+    values: of the parameters, by name
+    residuals: (M,) there
+    jacobian: (M, P) derivatives of the residuals with respect to the values
+    costs: (starts,) half the sum of squares at every start, sorted
+    refined: (refine,) half the sum of squares of the refined starts, sorted
     """
 
     values: dict[str, float]
@@ -35,40 +39,34 @@ def fit(
     seed: int = 0,
     lanes: int = 8,
 ) -> Fit:
-    """Minimise 1/2 |residuals(values)|^2 within ranges: scattered starts in tiles, the best ones
-    refined by trust-region Gauss-Newton.
+    """Minimise 1/2 |residuals(values)|^2 within ranges, from many starts.
 
-    residuals: pure, of named scalars;  ranges: (low, high) by name; one that does not contain 0 is
-    searched by its logarithm The Jacobian is that of forward-mode differentiation through the whole
-    simulation, so the resets and clips inside have their piecewise gradients; many starts are what
-    gets across their jumps. Starts that are not finite count as infinitely bad.
-    Raises ValueError for an empty range, or if no start is finite.
+    The starts are spread over the ranges, and the best ones are refined by Gauss-Newton steps
+    within a trust region. The Jacobian comes from forward-mode differentiation through the whole
+    simulation. Resets and limits within it have piecewise gradients; many starts are needed to get
+    across their jumps. A start whose residuals are not finite counts as infinitely bad.
+
+    residuals: pure function of named scalars, (M,)
+    ranges: (low, high) by name; a range that does not contain 0 is searched by its logarithm
+    starts, refine: number of starts, and of those that are refined
+    seed: of the starts
+    lanes: number of starts that are computed at a time, see `tiled`
+    Raises ValueError for an empty range, for counts below 1, or if no start is finite.
     """
     from scipy.optimize import least_squares
     from scipy.stats import qmc
 
     names = list(ranges)
     for name, count in (("starts", starts), ("refine", refine), ("lanes", lanes)):
-        if count < 1:
-            raise ValueError(f"fit: {name} = {count} is outside its allowed range [1, inf)")
+        require("fit", name, count, "[1, inf)")
     for name, (low, high) in ranges.items():
         if not low < high:
             raise ValueError(f"fit: the range ({low:g}, {high:g}) of {name} is empty")
-    low, high = (np.array([ranges[n][i] for n in names], float) for i in (0, 1))
-    sign = np.where(low > 0, 1.0, np.where(high < 0, -1.0, 0.0))
-
-    def natural(unit):
-        """Values from the unit cube."""
-        near, far = np.where(sign < 0, -high, low), np.where(sign < 0, -low, high)
-        logarithmic = (
-            sign * near * (np.where(sign == 0, 1.0, far) / np.where(sign == 0, 1.0, near)) ** unit
-        )
-        return jnp.where(sign == 0, low + unit * (high - low), logarithmic)
+    natural = _from_unit_cube(*(np.array([ranges[n][i] for n in names], float) for i in (0, 1)))
 
     def of_unit(_, unit):
         r = residuals(dict(zip(names, natural(unit), strict=True)))
-        # least_squares wants finite residuals everywhere; a start that has none is put last before
-        # it gets there
+        # `least_squares` needs finite residuals everywhere.
         return jnp.where(jnp.isfinite(r), r, 1e6)
 
     def cost(common, unit):
@@ -101,3 +99,17 @@ def fit(
         costs[order],
         np.array(sorted(result.cost for result in found)),
     )
+
+
+def _from_unit_cube(low, high):
+    """The map from the unit cube to the ranges, by logarithm where a range does not contain 0."""
+    sign = np.where(low > 0, 1.0, np.where(high < 0, -1.0, 0.0))
+
+    def natural(unit):
+        near, far = np.where(sign < 0, -high, low), np.where(sign < 0, -low, high)
+        logarithmic = (
+            sign * near * (np.where(sign == 0, 1.0, far) / np.where(sign == 0, 1.0, near)) ** unit
+        )
+        return jnp.where(sign == 0, low + unit * (high - low), logarithmic)
+
+    return natural

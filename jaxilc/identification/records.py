@@ -16,16 +16,18 @@ from ..schemes import Scheme
 from ..schemes.scheme import Feedforward
 from ..signals.task import Task, Trial
 from ..storage.files import atomically
-from ..storage.reading import read_columns
+from ..storage.reading import name_and_unit, numbers_in, read_columns
 
-STEP_TOLERANCE = (
-    0.01  # of the sample time, by which a step of a record's time may differ from the others
-)
+# Of the sample time, by which a step of a record's time may differ from the others.
+STEP_TOLERANCE = 0.01
 
 
 class Record(NamedTuple):
-    """An experiment. u: (N, n_u) input held over each sample;  y: (N+1, n_y) output, y[0] before
-    u[0];  dt: sample time [s]
+    """An experiment.
+
+    u: (N, n_u) input, held over each sample
+    y: (N+1, n_y) output; y[0] is measured before u[0] acts
+    dt: sample time [s]
     """
 
     u: jax.Array | np.ndarray
@@ -34,12 +36,14 @@ class Record(NamedTuple):
 
 
 def excite(machine: Machine, u, dt: float, *, key: jax.Array | None = None) -> Record:
-    """The open-loop experiment: play u back on the machine, from rest, and record it through its
-    encoder.
+    """The open-loop experiment: the machine plays u from rest, and its encoder records the output.
 
-    u: (N, n_u) or (N,), for instance `references.m_sequence`;  dt: [s];  key: of the noise, None is
-    a fixed one; may be vmapped The record holds the input as the actuator applied it (limits,
-    converter); an input disturbance stays unseen, as it would.
+    The record holds the input as the actuator applied it, with limits and converter. A disturbance
+    at the input is not recorded, as on a real machine.
+
+    u: (N, n_u) or (N,), for instance `references.m_sequence`
+    dt: sample time [s]
+    key: of the noise, None for a fixed one; may be batched by `vmap`
     Raises ValueError for an input that is not finite or does not fit the plant.
     """
     u = as_columns("excite", "u", u)
@@ -56,20 +60,21 @@ def read_record(
     input: str | Sequence[str] = "u",
     output: str | Sequence[str] = "y",
 ) -> Record:
-    """A record from a text file of columns with a header, separated by commas, semicolons or tabs;
-    lengths and units are the user's.
+    """A record from a text file of columns with a header.
 
-    Row k holds t[k], u[k], y[k]: y is measured at t[k], then u acts until t[k+1]. The last row's u
-    is not used.
+    Columns are separated by commas, semicolons or tabs. A heading is a name, or a name with a unit
+    such as `y [mm]`; nothing is converted. Row k holds t[k], u[k], y[k]: y is measured at t[k],
+    then u acts until t[k+1]. The last row's u is not used and may be empty.
+
     time, input, output: names of the columns; several names for several inputs or outputs
-    Raises ValueError naming file, line and column: a column that is missing, a value that is no
-    number or not finite, a time that does not increase or not by equal steps (to 1 %), fewer than 2
-    rows.
+    Raises ValueError naming file, line and column for a column that is missing, a value that is not
+    a finite number, a time that does not increase or whose steps are not equal (to 1 %), and for
+    fewer than 2 rows.
     """
     inputs, outputs = (
         [names] if isinstance(names, str) else list(names) for names in (input, output)
     )
-    values, lines = _table(path, [time, *inputs, *outputs])
+    values, lines = _columns(path, time, inputs, outputs)
     steps = np.diff(values[:, 0])
     if len(steps) < 1:
         raise ValueError(
@@ -78,14 +83,16 @@ def read_record(
     if np.any(steps <= 0):
         k = int(np.argmax(steps <= 0))
         raise ValueError(
-            f"read_record: {path}, line {lines[k + 1]}: {time} = {values[k + 1, 0]:.9g} s does not increase from {values[k, 0]:.9g} s"
+            f"read_record: {path}, line {lines[k + 1]}: {time} = {values[k + 1, 0]:.9g} s "
+            f"does not increase from {values[k, 0]:.9g} s"
         )
     uneven = np.abs(steps / np.median(steps) - 1) > STEP_TOLERANCE
     if np.any(uneven):
         k = int(np.argmax(uneven))
         raise ValueError(
-            f"read_record: {path}, line {lines[k + 1]}: {time} steps by {steps[k]:.6g} s where the sample time is "
-            f"dt = {np.median(steps):.6g} s; allowed is a deviation of {STEP_TOLERANCE:.0%}"
+            f"read_record: {path}, line {lines[k + 1]}: {time} steps by {steps[k]:.6g} s "
+            f"where the sample time is dt = {np.median(steps):.6g} s; "
+            f"allowed is a deviation of {STEP_TOLERANCE:.0%}"
         )
     n = 1 + len(inputs)
     return Record(values[:-1, 1:n], values[:, n:], float(f"{np.mean(steps):.12g}"))
@@ -94,8 +101,10 @@ def read_record(
 def write_record(
     path: str | Path, record: Record, *, time: str = "t", input: str = "u", output: str = "y"
 ) -> None:
-    """The record as `read_record` reads it; several inputs become u_0, u_1, ..., likewise outputs.
-    The last row repeats the last u.
+    """Write a record as `read_record` reads it.
+
+    Several inputs become the columns u_0, u_1, ..., and likewise several outputs. The last row
+    repeats the last u.
     """
     u, y = as_columns("write_record", "u", record.u), as_columns("write_record", "y", record.y)
     header = [time]
@@ -112,40 +121,39 @@ def write_record(
     )
 
 
-def _table(path, names) -> tuple[np.ndarray, list[int]]:
-    """(rows, names) values of the columns, and the line of each row."""
+def _columns(path, time, inputs, outputs) -> tuple[np.ndarray, list[int]]:
+    """(rows, columns) the values of time, inputs and outputs, and the line of each row."""
     header, rows = read_columns(path)
-    missing = [name for name in names if name not in header]
-    if missing:
-        raise ValueError(
-            f"read_record: {path} has no column {missing[0]!r}; present are {', '.join(header) or 'none'}"
-        )
-    at, values, lines = [header.index(name) for name in names], [], []
+    names = [time, *inputs, *outputs]
+    at = [_place(path, name, header) for name in names]
+    values, lines, wrong = [], [], ""
     for line, row in rows:
-        values.append(
-            [
-                _number(path, line, name, row[i].strip() if i < len(row) else "")
-                for name, i in zip(names, at, strict=True)
-            ]
-        )
+        if wrong:
+            raise ValueError(wrong)
+        found = numbers_in(row, at)
+        for i in np.flatnonzero(~np.isfinite(found)):
+            text = row[at[i]].strip() if at[i] < len(row) else ""
+            wrong = wrong or (
+                f"read_record: {path}, line {line}: {names[i]} = {text!r} is not a finite number"
+            )
+            if text or not 0 < i <= len(inputs):  # the last row may have no input
+                raise ValueError(wrong)
+        values.append(found)
         lines.append(line)
     return np.array(values, float).reshape(-1, len(names)), lines
 
 
-def _number(path, line, name, text) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = np.nan
-    if not np.isfinite(value):
-        raise ValueError(
-            f"read_record: {path}, line {line}: {name} = {text!r} is not a finite number"
-        )
-    return value
+def _place(path, name: str, header: list[str]) -> int:
+    """Where a column stands, by its whole heading or by its heading without the unit."""
+    for headings in (header, [name_and_unit(heading)[0] for heading in header]):
+        if name in headings:
+            return headings.index(name)
+    present = ", ".join(header) or "none"
+    raise ValueError(f"read_record: {path} has no column {name!r}; present are {present}")
 
 
 def as_columns(function, name, values) -> np.ndarray:
-    """(rows, channels), finite."""
+    """The values as (rows, channels); raises ValueError where they are not finite."""
     values = np.asarray(values, dtype=float)
     values = values[:, None] if values.ndim == 1 else values
     if values.ndim != 2:
@@ -153,17 +161,17 @@ def as_columns(function, name, values) -> np.ndarray:
             f"{function}: {name} has shape {values.shape}; allowed are (rows,) and (rows, channels)"
         )
     if not np.all(np.isfinite(values)):
-        raise ValueError(
-            f"{function}: {name} is not finite at sample {int(np.argmin(np.isfinite(values).all(axis=1)))}"
-        )
+        k = int(np.argmin(np.isfinite(values).all(axis=1)))
+        raise ValueError(f"{function}: {name} is not finite at sample {k}")
     return values
 
 
 def task_of(plant: Plant, u, dt: float) -> Task:
+    """The task of an experiment: its length and sample time, with a reference of zero."""
     return Task(np.zeros((len(u) + 1, plant.n_y)), dt=dt, inputs=u.shape[1])
 
 
 @jax.jit
 def played(machine: Machine, task: Task, u, key) -> Trial:
-    """The trial that plays u back: the plain Scheme has nothing but a feedforward table."""
+    """The trial that plays u back; the plain Scheme has nothing but its feedforward."""
     return run_trial(machine, Scheme(), task, Feedforward(u), key)

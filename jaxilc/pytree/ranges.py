@@ -57,19 +57,28 @@ def require(
     *,
     whole: bool = False,
     many: bool = False,
+    note: str = "",
 ) -> None:
-    """A number in the interval, or a ValueError. whole: it is to be a whole one;  many: an array of
-    numbers, of which the first that is not in the interval is named"""
+    """Raises ValueError for what is not a number in the interval.
+
+    owner: whose number it is, the first word of the message; it may be empty
+    whole: only whole numbers are allowed
+    many: an array of numbers is allowed; the first one outside the interval is named
+    note: what the message says behind the interval, for instance `, the order`
+    """
     wanted = Interval.parse(interval)
+    name = f"{owner}: {name}" if owner else name
     found = None if isinstance(values, bool | np.bool_) else as_numbers(values)
     if found is None or (found.ndim and not many):
         raise ValueError(
-            f"{owner}: {name} = {brief(values)} is not a number{' or an array of numbers' * many}"
+            f"{name} = {brief(values)} is not a number{' or an array of numbers' * many}"
         )
     for i, value in np.ndenumerate(found):
         if not wanted.contains(value) or (whole and not is_whole(values)):
-            said = f"{value:g}{unit} is outside its allowed range {wanted}{' of whole numbers' * whole}"
-            raise ValueError(f"{owner}: {name}{list(i) or ''} = {said}")
+            said = f"{wanted}{' of whole numbers' * whole}{note}"
+            raise ValueError(
+                f"{name}{list(i) or ''} = {value:g}{unit} is outside its allowed range {said}"
+            )
 
 
 def as_numbers(value: Any) -> np.ndarray | None:

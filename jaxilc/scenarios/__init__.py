@@ -1,4 +1,4 @@
-"""The scenarios: one module for each paper, and files in which users describe their own machines."""
+"""The scenarios: a module for each paper, and the files that describe a user's own machine."""
 
 import lazy_loader
 

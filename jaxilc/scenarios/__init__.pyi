@@ -1,3 +1,4 @@
+from . import cao_2019, cao_2019_rig, dai_2014, li_2020, milc_2024, xu_2024
 from .catalogue import LISTED, Listed
 from .from_file import load_scenario
 from .loading import SCENARIOS, load, options
@@ -12,8 +13,14 @@ __all__ = [
     "Published",
     "Quantity",
     "Scenario",
+    "cao_2019",
+    "cao_2019_rig",
+    "dai_2014",
+    "li_2020",
     "load",
     "load_scenario",
+    "milc_2024",
     "options",
     "reproduce",
+    "xu_2024",
 ]

@@ -1,5 +1,4 @@
-"""Cao 2019: a voice-coil motor for noncircular turning under model-free adaptive iterative learning
-control.
+"""Cao 2019: a voice-coil motor for noncircular turning under model-free adaptive ILC.
 
 Cao, Hou, Zhao, Zhang: Model Free Adaptive Iterative Learning Control for Tool Feed System in
 Noncircular Turning, IEEE Access 7 (2019). Lengths in mm, input in V, errors shown in µm.
@@ -9,6 +8,7 @@ from __future__ import annotations
 
 from ..learning.machine import Machine
 from ..plants import voice_coil
+from ..pytree.ranges import require
 from ..schemes import CFDLMFAILC, CFDLMFAPC, FFDLMFAILC, PFDLMFAILC, PID, PIDType, WithFeedback
 from ..signals import references
 from ..signals.task import Task
@@ -17,26 +17,20 @@ from .scenario import NOTHING, Fit, Published, Scenario
 
 TABLE_1 = {
     "cfdl-mfailc": {20: 18.0, 30: 11.0, 40: 5.5, 50: 2.5, 60: 1.5, 70: 0.5, 80: 0.3},
-    "ffdl-mfailc": {
-        20: 13.0,
-        30: 2.5,
-        40: 0.5,
-        50: 0.2,
-        60: 0.15,
-        70: 0.15,
-        80: 0.15,
-    },  # "no change" after 60
+    # "no change" after 60
+    "ffdl-mfailc": {20: 13.0, 30: 2.5, 40: 0.5, 50: 0.2, 60: 0.15, 70: 0.15, 80: 0.15},
 }
 
-FITTED = {
-    "cfdl-mfailc": (20, 40, 60, 80),
-    "ffdl-mfailc": (20, 40, 60),
-}  # trials on which phi0 was fitted; the others judge it
+# The trials to which phi0 was fitted; the others judge it.
+FITTED = {"cfdl-mfailc": (20, 40, 60, 80), "ffdl-mfailc": (20, 40, 60)}
 FITTED_MFAPC = Fit(("phi0",), "its four rows", among=True)
 ON_PRINTED_PLANT = (("plant", "printed"),)
 PID_READING = "ki multiplied by the sample time"
 MFAILC_READING = "eq. 29's plant; second half of the trial; reset `sign`"
-MFAPC_READING = "gains take the plant's sign; lam read as lam / P; of 16 readings the one nearest to the four rows"
+MFAPC_READING = (
+    "gains take the plant's sign; lam read as lam / P; "
+    "of 16 readings the one nearest to the four rows"
+)
 
 
 def _fit(scheme: str, trial: int, quantity: str = "settled_error") -> Fit:
@@ -83,12 +77,15 @@ PUBLISHED = (
 )
 
 CHOSEN = (
-    "phi0 of CFDL- and FFDL-MFAILC is not printed: one number was fitted to 4 rows of Table 1 and judged on 3, four numbers to 3 rows "
-    "and judged on 2 (experiments/cao_2019_start_values.py); PFDL-MFAILC is not in the paper and has FFDL's weights",
+    "phi0 of CFDL- and FFDL-MFAILC is not printed: one number was fitted to 4 rows of Table 1 and "
+    "judged on 3, four numbers to 3 rows "
+    "and judged on 2 (experiments/cao_2019_start_values.py); PFDL-MFAILC is not in the paper and "
+    "has FFDL's weights",
     "steady-state error is read as max |e| over the second half of the trial",
     "the estimate is reset where its sign turns (mode `sign`); Cao 2019 prints no reset",
     "PID is read in position form with ki multiplied by the sample time",
-    "ILC-MFAPC: the learning gains are given the plant's sign, lam = 2 is read as lam / P, phi0 = -0.00064 is fitted to its rows",
+    "ILC-MFAPC: the learning gains are given the plant's sign, lam = 2 is read as lam / P, phi0 = "
+    "-0.00064 is fitted to its rows",
 )
 
 
@@ -97,16 +94,13 @@ def cao_2019(plant: str = "exact", reference: str = "sinusoid", frequency: float
 
     plant: `exact` (eq. 7), `printed` (eq. 29) or `dai_2014_printed`
     reference: `sinusoid`, or `piston`, the middle-convex varying-oval piston of eq. 28, whose
-    ellipse turns at `frequency` / 2
+        ellipse turns at `frequency` / 2
     frequency: of the tool's motion [Hz]
     Raises ValueError for another plant or reference, or a frequency that does not fit the sample
     time.
     """
     dt = 1e-3
-    if not 0.01 <= frequency <= 50:
-        raise ValueError(
-            f"cao-2019: frequency = {frequency:g} Hz is outside its allowed range [0.01, 50]"
-        )
+    require("cao-2019", "frequency", frequency, "[0.01, 50]", " Hz")
     match reference:
         case "sinusoid":
             r = references.sinusoid(1.0, frequency, duration=round(1 / frequency / dt) * dt, dt=dt)
@@ -162,8 +156,11 @@ def cao_2019(plant: str = "exact", reference: str = "sinusoid", frequency: float
 
 
 def motor_uncertainty(plant: str) -> dict[str, Uniform]:
-    """±10 % on what identification leaves uncertain; the rounded difference equations only allow
-    their gain to move, since a change of 10 % in a coefficient of `a` would be another motor."""
+    """±10 % on the parameters that identification leaves uncertain.
+
+    Of the rounded difference equations only the gain is varied, since with a change of 10 % in a
+    coefficient of `a` it would be another motor.
+    """
     names = (
         ("plant.gain", "plant.zero", "plant.poles[0]", "plant.poles[1]", "plant.poles[2]")
         if plant == "exact"

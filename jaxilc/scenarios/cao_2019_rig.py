@@ -11,6 +11,7 @@ import dataclasses
 from ..filters.zero_phase import ZeroPhaseButterworth
 from ..learning.machine import Actuator, Machine, Sensor
 from ..plants import StribeckFriction, voice_coil_motor
+from ..pytree.ranges import require
 from ..schemes import CFDLMFAILC, PID, Filtered, WithFeedback
 from ..signals import references
 from ..signals.task import Task
@@ -48,22 +49,22 @@ PUBLISHED = tuple(
 CHOSEN = (
     "the drive's scale is not printed: 10 V is read as the printed top speed of 3.44 m/s",
     "friction is not printed: 20 N Coulomb, 30 N static",
-    "CFDL-MFAILC by itself diverges on a velocity-controlled drive, whose position integrates: it learns here over the printed PID, with "
-    "a zero-phase filter of 6 Hz; the printed rig may have iterated within each sample instead (its Simulink For-iterator block)",
+    "CFDL-MFAILC by itself diverges on a velocity-controlled drive, whose position integrates: it "
+    "learns here over the printed PID, with "
+    "a zero-phase filter of 6 Hz; the printed rig may have iterated within each sample instead "
+    "(its Simulink For-iterator block)",
 )
 
 
 def cao_2019_rig(frequency: float = 0.5) -> Scenario:
-    """The experiments of Cao 2019: 1 mm, 1 ms, 10 s a trial, encoder of 0.1 µm, 16-bit converter of
-    ±10 V, friction.
+    """The experiments of Cao 2019: 1 mm, 1 ms, 10 s a trial, with friction.
+
+    The encoder has steps of 0.1 µm, the converter 16 bits for ±10 V.
 
     frequency: of the sinusoid, a whole number of periods in 10 s [Hz]
-    Raises ValueError for a frequency outside (0, 5].
+    Raises ValueError for a frequency outside [0.01, 5].
     """
-    if not 0.01 <= frequency <= 5:
-        raise ValueError(
-            f"cao-2019-rig: frequency = {frequency:g} Hz is outside its allowed range [0.01, 5]"
-        )
+    require("cao-2019-rig", "frequency", frequency, "[0.01, 5]", " Hz")
     motor = dataclasses.replace(
         voice_coil_motor(),
         command_scale=3.44 / 10.0,

@@ -1,6 +1,4 @@
-"""The scenarios in short, as text: to list or complete their names, nobody need wait for JAX or for
-a path to be planned.
-"""
+"""The list of the scenarios: names can be listed and completed without JAX or planned motions."""
 
 from __future__ import annotations
 
@@ -8,7 +6,12 @@ from typing import NamedTuple
 
 
 class Listed(NamedTuple):
-    """A scenario as `jaxilc list` shows it. trials: J;  samples: N"""
+    """A scenario as `jaxilc list` shows it.
+
+    title, schemes: as in the scenario
+    trials: J
+    samples: N of a trial
+    """
 
     title: str
     schemes: tuple[str, ...]

@@ -1,8 +1,7 @@
-"""Dai 2014: the voice-coil motor of Cao 2019 under predictive model-free adaptive control, against
-PID.
+"""Dai 2014: the voice-coil motor of Cao 2019 under predictive MFAC, against PID.
 
-Lengths in units of the reference's amplitude (1 mm), input in V, no learning: one trial of several
-periods, errors of the last but one.
+MFAC is model-free adaptive control. Lengths are in units of the reference's amplitude (1 mm), the
+input in V. Nothing is learned: one trial of several periods, with the errors of the last but one.
 """
 
 from __future__ import annotations
@@ -17,8 +16,8 @@ from ..signals.task import Task
 from .cao_2019 import motor_uncertainty
 from .scenario import NOTHING, Fit, Published, Scenario
 
-# by frequency [Hz]: periods simulated; PID gains, prediction horizon P and weight lam as printed;
-# phi0 as chosen
+# By frequency [Hz]: periods simulated; PID gains, prediction horizon P and weight lam as printed;
+# phi0 as chosen.
 SETTINGS: dict[float, dict[str, Any]] = {
     0.5: {
         "periods": 4,
@@ -62,8 +61,10 @@ PUBLISHED = (
 )
 
 CHOSEN = (
-    "phi0 of CFDL-MFAPC is not printed: -0.12 at 0.5 Hz and -0.238 at 2.5 Hz, one number for one printed number each",
-    "the forecast of the PPD starts from theta = (1, 0, 0); with P_u = 1, which the paper allows and does not state, it is not used",
+    "phi0 of CFDL-MFAPC is not printed: -0.12 at 0.5 Hz and -0.238 at 2.5 Hz, one number for one "
+    "printed number each",
+    "the forecast of the PPD starts from theta = (1, 0, 0); with P_u = 1, which the paper allows "
+    "and does not state, it is not used",
     "the error is that of the settled part, as the paper reads it off at the ends of the stroke",
 )
 
@@ -71,8 +72,8 @@ CHOSEN = (
 def dai_2014(plant: str = "exact", frequency: float = 0.5) -> Scenario:
     """The simulations of Dai 2014, section 3.
 
-    plant: `exact`, `printed` (Cao 2019, eq. 29) or `dai_2014_printed` (eq. 24);  frequency: 0.5 or
-    2.5 Hz
+    plant: `exact`, `printed` (Cao 2019, eq. 29) or `dai_2014_printed` (eq. 24)
+    frequency: 0.5 or 2.5 [Hz]
     Raises ValueError for another plant or frequency.
     """
     if frequency not in SETTINGS:
@@ -87,10 +88,8 @@ def dai_2014(plant: str = "exact", frequency: float = 0.5) -> Scenario:
         task=Task(
             reference=references.sinusoid(1.0, frequency, duration=duration, dt=dt),
             dt=dt,
-            settle=(
-                duration - 2 * period,
-                duration - period,
-            ),  # the last period ends where there is nothing left to preview
+            # at the end of the last period there is no reference left to preview
+            settle=(duration - 2 * period, duration - period),
             unit="mm",
             input_unit="V",
         ),

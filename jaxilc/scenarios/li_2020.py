@@ -1,5 +1,6 @@
-"""Li 2020: an axis of a CNC machine under iterative learning, which high-frequency noise makes
-diverge, and three cures.
+"""Li 2020: an axis of a CNC machine under iterative learning.
+
+High-frequency noise makes learning diverge, against which the paper has three cures.
 
 Li, Wang, Chen, Ma: Iterative Learning Controller Design for CNC Machine Tools, Journal of Harbin
 Institute of Technology (2020). Lengths in mm, input in the unit of the identified model, errors
@@ -36,26 +37,27 @@ from ..signals import paths
 from ..signals.contour import contour_error
 from ..signals.task import Task
 from ..uncertainty import Uniform
-from .scenario import Fit, Published, Quantity, Scenario
+from .li_2020_printed import CHOSEN, PUBLISHED
+from .scenario import Quantity, Scenario
 
-PROPORTIONAL, DERIVATIVE = (
-    1.66,
-    16.9 * SAMPLE_TIME,
-)  # [1/mm], [s/mm]: the loop's spectral radius is 0.913
+# With these gains the loop's spectral radius is 0.913.
+PROPORTIONAL = 1.66  # [1/mm]
+DERIVATIVE = 16.9 * SAMPLE_TIME  # [s/mm]
 SPEED_FEEDFORWARD = 0.72  # of the derivative's share, fitted to 18 µm
 CUTOFFS = (10.0, 50.0)  # [Hz], printed
 FILTFILT = 9  # samples of odd extension, as `filtfilt` takes them for these filters
 WIDTH = 13.8  # of the butterfly [mm], fitted to 60 µm
-# samples before the motion, with which its sharp points lie at samples 2915, 4788, 5248, 5708 and
-# 7581
+# Samples before the motion, so that its sharp points lie at 2915, 4788, 5248, 5708 and 7581.
 REST = 497
 
 
 class Setting(NamedTuple):
-    """What differs between the paper's runs, fitted to the numbers said.
+    """What differs between the paper's runs; gain and noise are fitted, see `li_2020_printed`.
 
-    gain: phi of the learning law;  noise: standard deviation of the encoder [mm];  trials: J;
-    pulse: of the repetitive disturbance
+    gain: phi of the learning law
+    noise: standard deviation of the encoder [mm]
+    trials: J
+    pulse: height of the repetitive disturbance [unit of u]
     """
 
     gain: float
@@ -71,125 +73,11 @@ SETTINGS = {
 }
 
 
-# Free numbers and the printed ones that they were fitted to: of the path, which every row is run
-# on, and beyond
-OF_PATH = (("rest before the path", "its speed", "its width"), "four printed samples, Fig. 7")
-OF_FEEDFORWARD = (("share of feedforward",), "Fig. 8")
-OF_SIMULATION = (("learning gain", "encoder's noise"), "Fig. 14")
-OF_DISTURBANCE = (("learning gain",), "Fig. 12")
-OF_EXPERIMENT = (("learning gain", "encoder's noise"), "runs 1 and 5 of Fig. 36")
-
-
-def _row(
-    setting, scheme, trial, quantity, value, source, reading, *beyond, among=False, at_most=False
-) -> Published:
-    """beyond: what was fitted besides the path;  among: whether to this row"""
-    names, to = zip(OF_PATH, *beyond, strict=True)
-    fitted = Fit(sum(names, ()), " and ".join(to), among)
-    return Published(
-        scheme, trial, quantity, value, source, (("setting", setting),), reading, at_most, fitted
-    )
-
-
-PUBLISHED = (
-    _row("simulation", "feedback", None, "max_error", 60.0, "Fig. 7", "feedback alone", among=True),
-    _row(
-        "simulation",
-        "feedforward",
-        None,
-        "max_error",
-        18.0,
-        "Fig. 8",
-        "of the speed",
-        OF_FEEDFORWARD,
-        among=True,
-    ),
-    _row(
-        "simulation",
-        "p-type",
-        40,
-        "best_trial",
-        22,
-        "Fig. 14",
-        "the trial of least RMS",
-        OF_SIMULATION,
-        among=True,
-    ),
-    _row(
-        "simulation",
-        "fixed-filter",
-        9,
-        "max_error",
-        10.0,
-        "Fig. 25",
-        "after 8 iterations",
-        OF_SIMULATION,
-    ),
-    _row(
-        "disturbance",
-        "p-type",
-        40,
-        "rms",
-        10.0,
-        "Fig. 12",
-        "after 39 iterations",
-        OF_DISTURBANCE,
-        among=True,
-    ),
-    _row(
-        "disturbance",
-        "p-type",
-        100,
-        "max_error",
-        5.0,
-        "section 3.2",
-        "the trial is not printed",
-        OF_DISTURBANCE,
-        at_most=True,
-    ),
-    *(
-        _row(
-            "experiment",
-            "p-type",
-            j,
-            "max_error",
-            value,
-            "Fig. 36",
-            f"run {j}",
-            OF_EXPERIMENT,
-            among=j in (1, 5),
-        )
-        for j, value in {1: 70.0, 2: 40.0, 3: 20.0, 4: 15.0, 5: 10.0}.items()
-    ),
-    _row("experiment", "p-type", 4, "rms", 10.0, "Fig. 35", "run 4", OF_EXPERIMENT, at_most=True),
-    _row(
-        "experiment",
-        "p-type",
-        30,
-        "best_trial",
-        6,
-        "Fig. 15",
-        "the trial of least RMS",
-        OF_EXPERIMENT,
-    ),
-)
-
-CHOSEN = (
-    "the path is printed as a picture: the NURBS butterfly of the interpolator papers, planned so that its sharp points lie at samples "
-    "2915, 4788, 5248, 5708 and 7581 (printed: 2915, 5249, 6093, 7576), two numbers fitted; its width is fitted to the error of 60 µm",
-    "the position controller is not printed: proportional 1.66 and derivative 16.9 a sample on the measured position; speed feedforward "
-    "gives the derivative 72 % of the reference's speed",
-    "learning gain and noise are not printed and differ between the paper's runs: one or two numbers fitted in each setting",
-    "the repetitive disturbance is half a sine of 0.5 s at the input from sample 625",
-    "switching times from the instantaneous frequency of the reference (above 2 Hz); cutoffs 10 and 50 Hz as printed",
-    "the drive's saturation is not printed: 10 units, ten times what the path needs",
-)
-
-
 @lru_cache
 def butterfly_path(width: float = WIDTH) -> np.ndarray:
-    """(N+1, 2) the planned butterfly [mm], after a second of rest. width: [mm], which also scales
-    feed, acceleration and jerk
+    """(N+1, 2) the planned butterfly [mm], after a second of rest.
+
+    width: of the butterfly [mm]; feed, acceleration and jerk are proportional to it
     """
     limits = {"feed": width / 4.793, "acceleration": width / 0.09716, "jerk": width / 0.0009716}
     planned = paths.plan(paths.butterfly(width), (0.0, 1.0), dt=SAMPLE_TIME, **limits)
@@ -197,15 +85,19 @@ def butterfly_path(width: float = WIDTH) -> np.ndarray:
 
 
 def position_loop(feedforward: float) -> PID:
-    """The position controller. feedforward: share of the reference's speed that its derivative is
-    given, 0 for none of it, 1 for all
+    """The position controller.
+
+    feedforward: share of the reference's speed in its derivative, from 0 to 1
     """
     return PID(kp=PROPORTIONAL, kd=DERIVATIVE, kv=(feedforward - 1.0) * DERIVATIVE)
 
 
 def schemes_for(gain: float, reference: np.ndarray, tolerance: float = 2e-3) -> dict[str, Scheme]:
-    """The paper's schemes. gain: phi;  reference: (N+1,) or (N+1, n_y) [mm];  tolerance: at which
-    learning stops, RMS [mm]
+    """The paper's schemes by name.
+
+    gain: phi of the learning law
+    reference: (N+1,) or (N+1, n_y) [mm]
+    tolerance: RMS error at which learning stops [mm]
     """
     feedback, law = position_loop(0.0), PIDType(gamma_p=gain)
     fixed = ZeroPhaseButterworth(CUTOFFS[0], padding=FILTFILT)
@@ -235,11 +127,11 @@ def schemes_for(gain: float, reference: np.ndarray, tolerance: float = 2e-3) -> 
 def li_2020(
     setting: str = "simulation", plant: str = "double_integrator", axes: str = "x"
 ) -> Scenario:
-    """The runs of Li 2020, section 3 to 6, at 2 ms along a butterfly.
+    """The runs of Li 2020, sections 3 to 6, at 2 ms along a butterfly.
 
     setting: `simulation`, `disturbance` (a repetitive one at sample 625) or `experiment`
-    plant: `double_integrator` or `printed` (eq. 3);  axes: `x`, or `xy`, whose second axis has 90 %
-    of the gain
+    plant: `double_integrator` or `printed` (eq. 3)
+    axes: `x`, or `xy`, whose second axis has 90 % of the gain
     Raises ValueError for another setting, plant or choice of axes.
     """
     if setting not in SETTINGS:
@@ -291,8 +183,9 @@ def half_sine(N: int, height: float, start: int = 625, width: int = 250) -> np.n
 
 
 def feedback_effort(trial) -> jax.Array:
-    """Root mean square of the proportional share of the input; the damping on the speed counts to
-    the drive (Li 2020, Fig. 38).
+    """Root mean square of the proportional share of the input (Li 2020, Fig. 38).
+
+    The damping on the speed is taken as a part of the drive.
     """
     return PROPORTIONAL * largest(root_mean_square(trial.e[:-1]))
 

@@ -1,5 +1,4 @@
-"""MILC 2024: a flexible ball-screw drive under direct and multivariable norm-optimal iterative
-learning control.
+"""MILC 2024: a flexible ball-screw drive under direct and multivariable norm-optimal ILC.
 
 Multivariable Iterative Learning Control Design for Precision Control of Flexible Feed Drives,
 Sensors 24 (2024), section 5. Lengths in mm, input in V, errors shown in µm. The paper counts trials
@@ -44,9 +43,8 @@ TABLE_STEP = 0.25e-3  # of the linear encoder [mm]
 # Fitted to three numbers of the DILC row (experiments/milc_2024_calibration.py): 201.00, 5.39 and
 # 0.55 µm.
 FITTED = {"velocity": 68.71, "antiresonance": 77.28, "noise": 0.5236e-3}  # [mm/s], [Hz], [mm]
-FORCE_GAIN = (
-    113.8  # [N/V], makes the position loop of the motor 50 Hz wide (-3 dB) with this antiresonance
-)
+# [N/V]; makes the position loop of the motor 50 Hz wide (-3 dB) with this antiresonance.
+FORCE_GAIN = 113.8
 
 TABLE_1 = {
     "dilc": {
@@ -90,19 +88,28 @@ PUBLISHED = tuple(
 )
 
 CHOSEN = (
-    "masses, stiffness, damping and force gain are not printed: 30 kg on each side, 3 % damping, a torque filter of 350 Hz and a force "
+    "masses, stiffness, damping and force gain are not printed: 30 kg on each side, 3 % damping, "
+    "a torque filter of 350 Hz and a force "
     "gain that makes the position loop 50 Hz wide, as printed; the antiresonance is fitted",
-    "the path is printed as a picture: an S-curve of 10 mm and back at 6 m/s^2 and 600 m/s^3 with 0.3 s of rest; its velocity is fitted",
+    "the path is printed as a picture: an S-curve of 10 mm and back at 6 m/s^2 and 600 m/s^3 with "
+    "0.3 s of rest; its velocity is fitted",
     "the input's unit is not printed and decides how the weights act: 50 mm/s per volt",
-    "noise is not printed: white, its standard deviation on the table fitted, on the motor's encoder a third of it, as their steps are",
-    "the model knows the drive but for what a model leaves out: the table weighs 10 % more, friction of 20 N that the look-up table "
+    "noise is not printed: white, its standard deviation on the table fitted, on the motor's "
+    "encoder a third of it, as their steps are",
+    "the model knows the drive but for what a model leaves out: the table weighs 10 % more, "
+    "friction of 20 N that the look-up table "
     "compensates to 90 %, a lead error of 2 µm a revolution, encoders and converter",
-    "the motor's error under MILC is that of the learned reference (eq. 25), under DILC that of the desired path",
+    "the motor's error under MILC is that of the learned reference (eq. 25), under DILC that of "
+    "the desired path",
 )
 
 
 def nominal_drive(antiresonance: float, force_gain: float) -> BallScrewDrive:
-    """The drive as the model knows it. antiresonance: [Hz];  force_gain: [N/V]"""
+    """The drive as the model describes it.
+
+    antiresonance: [Hz]
+    force_gain: [N/V]
+    """
     table_mass = 30.0
     stiffness = table_mass * (2 * jnp.pi * antiresonance) ** 2
     return BallScrewDrive(
@@ -120,8 +127,10 @@ def nominal_drive(antiresonance: float, force_gain: float) -> BallScrewDrive:
 
 
 def real_machine(drive: BallScrewDrive, noise: float, pitch: float = 10.0) -> Machine:
-    """The drive with what its model leaves out. noise: standard deviation on the table [mm];
-    pitch: [mm]
+    """The drive with what its model leaves out.
+
+    noise: standard deviation on the machine table [mm]
+    pitch: of the screw [mm]
     """
     friction = StribeckFriction(coulomb_force=20.0, static_force=26.0, transition_velocity=1e-3)
     compensated = dataclasses.replace(friction, coulomb_force=0.9 * 20.0, static_force=0.9 * 26.0)
@@ -145,8 +154,9 @@ def position_gain(drive: BallScrewDrive) -> float:
 
 @jax.jit
 def linear_model(drive: BallScrewDrive) -> StateSpace:
-    """The drive as the model-based schemes are given it, at 4 kHz. Compiled as one: it is ninety
-    programs operation by operation.
+    """The drive as the model-based schemes are given it, at 4 kHz.
+
+    Compiled as one program: operation by operation it would be ninety.
     """
     return drive.linear(DT)
 
@@ -168,8 +178,9 @@ def multivariable_ilc(drive: BallScrewDrive) -> MultivariableILC:
 
 
 def path(velocity: float) -> np.ndarray:
-    """25 ms of rest, which the prefilter needs to start early, then forward and back. velocity:
-    [mm/s]
+    """25 ms of rest, which the prefilter needs to start early, then forward and back.
+
+    velocity: [mm/s]
     """
     move = references.s_curve(
         [0.0, 10.0, 0.0],
@@ -184,8 +195,7 @@ def path(velocity: float) -> np.ndarray:
 
 
 def milc_2024(axis: str = "x") -> Scenario:
-    """The experiments of MILC 2024, section 5: ten trials of learning after one under feedback
-    alone, 4 kHz.
+    """The experiments of MILC 2024, section 5: ten trials after one under feedback alone, 4 kHz.
 
     axis: `x`, a screw of 10 mm pitch, or `z`, of 12 mm
     Raises ValueError for another axis.
@@ -232,9 +242,7 @@ def table_max(trial) -> jax.Array:
 
 
 def motor_rms(trial, *, gain) -> jax.Array:
-    """Root mean square of what the position loop sees, its share of the input over its gain: of r_j
-    - y_M.
-    """
+    """Root mean square of the position loop's error r_j - y_M: its input divided by its gain."""
     return feedback_effort(trial) / gain
 
 

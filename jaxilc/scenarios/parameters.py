@@ -1,7 +1,7 @@
-"""Parameter files: what was found for the schemes of a scenario, with how it was found. JSON:
+"""Parameter files: the values that were found for the schemes of a scenario, and how, in JSON.
 
-{"scenario": "cao-2019", "schemes": {"cfdl-mfailc": {"lam": 0.003, "lead": 3}}, "versions": {...},
-"obtained": {...}}
+{"scenario": "cao-2019", "schemes": {"cfdl-mfailc": {"lam": 0.003, "lead": 3}},
+ "versions": {...}, "obtained": {...}}
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from . import Scenario
 
 
 def differing(scheme: Scheme, printed: Scheme) -> dict[str, Any]:
-    """Leaves and static fields of a scheme that are not as in another one, by path, as JSON.
+    """Leaves and static fields of a scheme that differ from another scheme, by path, as JSON.
 
-    A leaf that the other one lacks is named too, so that what was set by hand before tuning is not
-    lost.
+    A leaf that the other one does not have is included, so that what was set by hand before tuning
+    is not lost.
     """
     before, now = settable(printed), settable(scheme)
     changed = {
@@ -40,7 +40,8 @@ def write_parameters(
 ) -> Path:
     """Write a parameter file.
 
-    schemes: values by the scheme's name and the path within it;  obtained: how, as JSON
+    schemes: values by the scheme's name and the path within it
+    obtained: how they were found, as JSON
     """
     content = {
         "scenario": scenario,
@@ -55,8 +56,8 @@ def write_parameters(
 def with_parameters(scenario: Scenario, path: Path) -> Scenario:
     """The scenario with the values of a parameter file.
 
-    Raises ValueError for a file that is none, is of another scenario, or names what cannot be set;
-    FileNotFoundError for none at all.
+    Raises ValueError for a file that is not a parameter file, is of another scenario, or names what
+    cannot be set, and FileNotFoundError for a file that does not exist.
     """
     try:
         content = read_json(path)
@@ -69,7 +70,8 @@ def with_parameters(scenario: Scenario, path: Path) -> Scenario:
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         why = f" ({str(error).removeprefix(f'{path}: ')})" if isinstance(error, ValueError) else ""
         raise ValueError(
-            f"{path} is not a parameter file: it needs `scenario` and `schemes`, as `jaxilc tune` writes them{why}"
+            f"{path} is not a parameter file: it needs `scenario` and `schemes`, as `jaxilc tune` "
+            f"writes them{why}"
         ) from None
     if name != scenario.name:
         raise ValueError(f"{path} has parameters of {brief(name)}, not of {scenario.name!r}")

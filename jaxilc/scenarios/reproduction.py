@@ -1,15 +1,15 @@
 """Published numbers beside ours, with a verdict on each.
 
-    met      within 30 % of print, or below where the print says less than
-    shape    the row stands to every comparable row as in print, larger or smaller, and is at most
-    twice and at least half of print
-    open     neither; the reason is told
+    met      within 30 % of the printed number, or below it where it is printed as "less than"
+    shape    in the printed order, larger or smaller, with every comparable row, and at most twice
+             and at least half of the printed number
+    open     neither; the reason is given
 
 Why a factor of two: the order alone would accept any size. Two is 6 dB, the gain margin that a loop
-is usually given at least, so that whoever designs with that reserve is not misled by a curve of the
-same shape; and it is the step from one row to the next in the printed tables of errors by trial
-(Cao 2019, Table 1: from 18 to 0.3 µm in six steps), so that a row beyond it is another row's
-number.
+usually has at least, so that nobody who designs with this margin is misled by a curve of the same
+shape. It is also the step from one row to the next in the printed tables of errors by trial (Cao
+2019, Table 1: from 18 to 0.3 µm in six steps), so that a number beyond it would belong to another
+row.
 """
 
 from __future__ import annotations
@@ -29,11 +29,14 @@ SHAPE = 2.0
 
 
 class Row(NamedTuple):
-    """A published number and ours [the unit the scenario shows].
+    """A published number and ours.
 
-    verdict: `met`, `shape` or `open`, as this module says;  reason: why a row is open, empty for
-    the others What the paper leaves open, how it was read and what was fitted stands in
-    `published`.
+    scenario: its name
+    published: the printed number, how it was read and what was fitted
+    ours: our number [unit], and ratio: of ours to the printed one
+    unit: in which the scenario shows both
+    verdict: `met`, `shape` or `open`, as this module says
+    reason: why a row is open, empty for the others
     """
 
     scenario: str
@@ -45,7 +48,7 @@ class Row(NamedTuple):
     reason: str = ""
 
     def as_dict(self) -> dict[str, object]:
-        """The row flat, as JSON and CSV take it."""
+        """The row without nested fields, for JSON and CSV."""
         fitted = "" if self.published.fitted is None else str(self.published.fitted)
         of_print = self.published._asdict() | {
             "options": dict(self.published.options),
@@ -87,8 +90,9 @@ def _of_scenario(name: str, published: tuple[Published, ...]) -> list[Row]:
 
 
 def _simulated(scenario: Scenario, rows: list[Published]) -> dict[Published, float]:
-    """Our value for each row of one setting, infinite for a trial that diverged: each scheme learns
-    once, as long as its last row asks.
+    """Our value for each row of one setting, infinite for a trial that diverged.
+
+    Each scheme learns once, up to the last trial that its rows need.
     """
     ours = {}
     for scheme in {p.scheme: None for p in rows}:
@@ -97,7 +101,7 @@ def _simulated(scenario: Scenario, rows: list[Published]) -> dict[Published, flo
         history = learn(
             scenario.machine, scenario.schemes[scheme], scenario.task, trials, save=keep
         )
-        figures = (
+        metrics = (
             history.metrics._asdict() | history.saved | {"best_trial": best_trial(history.rms)}
         )
         for p in due:
@@ -105,7 +109,7 @@ def _simulated(scenario: Scenario, rows: list[Published]) -> dict[Published, flo
             largest = (
                 np.inf
                 if history.diverged[trial]
-                else np.max(np.asarray(figures[p.quantity])[trial])
+                else np.max(np.asarray(metrics[p.quantity])[trial])
             )
             ours[p] = scenario.shown(p.quantity)[0] * float(largest)
     return ours
@@ -137,7 +141,8 @@ def _verdict(i: int, published: tuple[Published, ...], ours: list[float]) -> tup
     if against:
         return (
             "open",
-            f"{size}, and not in the printed order with {len(against)} of {len(others)} comparable rows",
+            f"{size}, and not in the printed order with {len(against)} of {len(others)} "
+            "comparable rows",
         )
     if not 1 / SHAPE <= ratio <= SHAPE:
         return "open", f"in the printed order, but {size}, beyond a factor of {SHAPE:g}"
@@ -145,10 +150,10 @@ def _verdict(i: int, published: tuple[Published, ...], ours: list[float]) -> tup
 
 
 def _comparable(a: Published, b: Published) -> bool:
-    """Whether an order between two rows means something: one scheme at several trials or settings,
-    or several schemes at one.
+    """Whether two rows can be put in order.
 
-    A scheme that does not learn is the same at every trial.
+    They can if they are one scheme at several trials or settings, or several schemes at one trial
+    and setting. A scheme that does not learn is the same at every trial.
     """
     one_trial = a.trial == b.trial or None in (a.trial, b.trial)
     one_setting = one_trial and a.options == b.options

@@ -1,6 +1,4 @@
-"""What a scenario is: a machine, its task, schemes with their parameters, uncertainty, and what was
-published about it.
-"""
+"""What a scenario is: machine, task, schemes, uncertainty, and what was published about it."""
 
 from __future__ import annotations
 
@@ -22,18 +20,17 @@ from ..signals.task import Task, Trial
 from ..storage.printable import printable
 from ..uncertainty import Uncertainty
 
-_NAME = re.compile(
-    r"[^\W_][\w +-]{0,49}"
-)  # of a scheme: part of a path of parameters and of files' names
+# Of a scheme: it is part of the paths of its parameters and of files' names.
+_NAME = re.compile(r"[^\W_][\w +-]{0,49}")
 _FREE_NAME = re.compile(r"[^\W_][\w .+()-]{0,49}")  # of a scenario: part of files' names
 
 
 class Fit(NamedTuple):
-    """What was fitted to print before a row could be simulated.
+    """What was fitted to printed numbers before a row could be simulated.
 
-    names: of the free numbers, none if nothing was fitted;  to: the printed numbers that they were
-    fitted to
-    among: whether the row is one of these, and so proves nothing
+    names: of the free numbers, empty if nothing was fitted
+    to: the printed numbers to which they were fitted
+    among: whether the row is one of these, so that its agreement proves nothing
     """
 
     names: tuple[str, ...] = ()
@@ -46,22 +43,28 @@ class Fit(NamedTuple):
         free = (
             f"{len(self.names)} free number{'s' * (len(self.names) > 1)} ({', '.join(self.names)})"
         )
-        return f"{free} fitted to {self.to}; this row {'is among them' if self.among else 'is predicted'}"
+        return (
+            f"{free} fitted to {self.to}; this row "
+            f"{'is among them' if self.among else 'is predicted'}"
+        )
 
 
 NOTHING = Fit()
 
 
 class Published(NamedTuple):
-    """A printed number: data to compare with, never fed back.
+    """A printed number to compare with; no simulation uses it.
 
-    quantity: `settled_error`, `max_error`, `rms`, `best_trial` (the best of the first `trial` ones)
-    or a quantity of the scenario, in the unit it is shown in
+    scheme: name of the scheme
     trial: None for a scheme that does not learn
-    options: of the scenario, under which the number was obtained;  reading: what the print leaves
-    open there, and how it was read
-    at_most: printed as "less than";  fitted: what was fitted to print for it, `NOTHING` if nothing
-    was, None if that is not said
+    quantity: `settled_error`, `max_error`, `rms`, `best_trial` (the best of the first `trial` ones)
+        or a quantity of the scenario
+    value: the printed number [the unit in which the quantity is shown]
+    source: the place in the paper
+    options: of the scenario, under which the number was obtained
+    reading: what the paper leaves open there, and how it was read
+    at_most: whether it is printed as "less than"
+    fitted: what was fitted to printed numbers for it, `NOTHING` if nothing was, None if unknown
     """
 
     scheme: str
@@ -76,10 +79,10 @@ class Published(NamedTuple):
 
 
 class Quantity(NamedTuple):
-    """A figure of a trial that this system is judged by, besides the metrics of every trial.
+    """A metric of a trial by which this system is judged, besides those of every trial.
 
-    of: from a trial to a number;  unit, scale: it is shown as `scale` times the number, in `unit`;
-    None for those of the errors
+    of: function from a trial to a number
+    unit, scale: it is shown as `scale` times the number, in `unit`; None for those of the errors
     """
 
     of: Callable[[Trial], jax.Array]
@@ -91,16 +94,21 @@ class Quantity(NamedTuple):
 class Scenario:
     """A system of a paper, ready to run.
 
-    trials: J;  uncertainty: distributions on the machine's leaves;  tolerance: settled error that
-    passes [shown unit]
-    published: printed results [shown unit];  chosen: what the paper leaves open, and what was
-    chosen here, as text
+    name, title: short and long name
+    machine, task: what learns, and what it learns
+    schemes: by name
+    trials: J
+    uncertainty: distributions of the machine's leaves, by path
+    published: printed numbers [shown unit]
+    chosen: texts that say what the paper leaves open, and what was chosen here
+    tolerance: largest value of `judged_by` that passes [shown unit]
     shown_unit, shown_scale: errors are shown as shown_scale times the simulated ones, in shown_unit
-    show_trials: trials worth a row in a table or a curve in a figure;  options: with which the
-    scenario was loaded
-    quantities: further figures of a trial, by name;  judged_by: the figure that tables show and the
-    tolerance is for Names become parts of files' names and of paths, titles and units are printed:
-    raises ValueError for characters that they cannot have.
+    show_trials: trials that have a row in a table or a curve in a figure
+    options: with which the scenario was loaded
+    quantities: further metrics of a trial, by name
+    judged_by: the metric that tables show, and to which the tolerance belongs
+    Names become parts of files' names and of parameters' paths; titles and units are printed.
+    Raises ValueError for characters that they cannot have.
     """
 
     name: str
@@ -144,7 +152,8 @@ class Scenario:
             ):
                 besides = f", without {' '.join(forbidden)} and */" if forbidden else ""
                 raise ValueError(
-                    f"{what} = {brief(text)} cannot be shown; allowed are printable characters in one line{besides}"
+                    f"{what} = {brief(text)} cannot be shown; allowed are printable characters in "
+                    f"one line{besides}"
                 )
 
     @property
@@ -152,33 +161,30 @@ class Scenario:
         """The quantities as functions of a trial."""
         return {name: quantity.of for name, quantity in self.quantities.items()}
 
-    def shown(self, figure: str) -> tuple[float, str]:
-        """Scale and unit in which a figure is shown. Raises ValueError naming the figures there
-        are.
-        """
-        if figure in self.quantities:
-            _, unit, scale = self.quantities[figure]
+    def shown(self, metric: str) -> tuple[float, str]:
+        """Scale and unit in which a metric is shown; raises ValueError naming those there are."""
+        if metric in self.quantities:
+            _, unit, scale = self.quantities[metric]
             return (
                 self.shown_scale if scale is None else scale,
                 self.shown_unit if unit is None else unit,
             )
-        if figure == "best_trial":
+        if metric == "best_trial":
             return 1.0, ""
-        if figure not in Metrics._fields:
+        if metric not in Metrics._fields:
             raise ValueError(
-                f"figure = {figure!r} is not one of {', '.join((*Metrics._fields, *self.quantities))}"
+                f"metric = {metric!r} is not one of "
+                f"{', '.join((*Metrics._fields, *self.quantities))}"
             )
         return (
             (1.0, self.task.input_unit)
-            if figure == "effort"
+            if metric == "effort"
             else (self.shown_scale, self.shown_unit)
         )
 
     @property
     def due(self) -> tuple[Published, ...]:
-        """The published rows that belong to this task: those of the same options, whichever form of
-        the plant they were printed for.
-        """
+        """The published rows of these options, for any form of the plant."""
         return tuple(
             p
             for p in self.published
@@ -205,9 +211,7 @@ class Scenario:
                 raise ValueError(f"{name}: {error}") from None
 
     def settable(self) -> dict[str, object]:
-        """Everything `with_values` can set: `machine.…`, and each scheme's under its name,
-        `ffdl-mfailc.lam`.
-        """
+        """Everything that `with_values` can set: `machine.plant.gain`, `ffdl-mfailc.lam`, ..."""
         found = {f"machine.{path}": value for path, value in settable(self.machine).items()}
         return found | {
             f"{name}.{path}": value
@@ -221,10 +225,10 @@ class Scenario:
         return allowed_at(self.machine if head == "machine" else self.schemes[head], rest)
 
     def with_values(self, settings: Mapping[str, object]) -> Scenario:
-        """This scenario with leaves or static fields replaced, all at once: {"ffdl-mfailc.lam":
-        0.5}.
+        """This scenario with leaves or static fields replaced, all at once.
 
-        Values may be text. Raises ValueError naming what can be set, or the allowed range.
+        settings: values by path, {"ffdl-mfailc.lam": 0.5}; they may be text
+        Raises ValueError naming what can be set, or the allowed range.
         """
         objects = {"machine": self.machine, **self.schemes}
         changes: dict[str, dict[str, object]] = {}
@@ -237,14 +241,15 @@ class Scenario:
                 raise ValueError(
                     f"{path!r} cannot be set; known: {', '.join(self.settable())}"
                 ) from None
-        objects |= {name: replaced(objects[name], below) for name, below in changes.items()}
+        objects |= {name: replaced(objects[name], values) for name, values in changes.items()}
         machine = objects.pop("machine")
         return dataclasses.replace(self, machine=machine, schemes=objects)
 
 
 def _typed(tree, path: str, value, shown: str):
-    """`value`, which may be text, as the field at the path has it: a static field by what it is
-    annotated with, the rest are numbers.
+    """The value, which may be text, in the type of the field at the path.
+
+    A static field has the type of its annotation; all others are numbers.
     """
     kind, annotation = kind_at(tree, path)
     if kind == "child":
@@ -281,5 +286,6 @@ _READ: dict[Any, Callable[[str], Any]] = {
 def _need_name(what: str, name: str, allowed: re.Pattern, said: str) -> None:
     if not allowed.fullmatch(name) or name.strip() != name:
         raise ValueError(
-            f"{what} = {brief(name)} is no name; allowed are up to 50 of {said}, a letter or digit first"
+            f"{what} = {brief(name)} is no name; allowed are up to 50 of {said}, a letter or "
+            "digit first"
         )

@@ -1,6 +1,4 @@
-"""Objects of the package from plain tables, as a TOML or JSON file holds them: a class by its name,
-its fields as keys.
-"""
+"""Objects from the tables of a TOML or JSON file: a class by its name, its fields as keys."""
 
 from __future__ import annotations
 
@@ -14,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from .. import filters, plants, schemes
-from ..filters import switching
+from .. import plants, schemes
+from ..filters import switching, zero_phase
 from ..plants import Plant
 from ..pytree.ranges import as_numbers, brief, is_whole
 from ..schemes import Scheme
@@ -29,18 +27,20 @@ def classes() -> dict[str, type]:
     """Every class a file may name: schemes, filters, plants and their parts."""
     found = {name: getattr(module, name) for module in (schemes, plants) for name in module.__all__}
     found |= {
-        name: value for module in (filters, switching) for name, value in vars(module).items()
+        name: value for module in (zero_phase, switching) for name, value in vars(module).items()
     }
     return {
         n: c
         for n, c in found.items()
-        if dataclasses.is_dataclass(c) and c.__module__.startswith(__package__)
+        if dataclasses.is_dataclass(c) and c.__module__.startswith(__name__.partition(".")[0] + ".")
     }
 
 
 class Table:
-    """A table of a file, read key by key and by kind. `where` names it in messages; `done` refuses
-    what was not read.
+    """A table of a file, from which the values are taken key by key.
+
+    where: its name in messages
+    read: the keys that were asked for; `done` refuses all others
     """
 
     def __init__(self, values: Any, where: str):
@@ -60,8 +60,9 @@ class Table:
     def take(
         self, key: str, kind: Callable[[Any, str], Any], default: Any = dataclasses.MISSING
     ) -> Any:
-        """The value of a key, made by `kind(value, where)`. Raises ValueError where a key without
-        default is missing.
+        """The value of a key, as `kind(value, where)` returns it.
+
+        Raises ValueError where a key without default is missing.
         """
         self.read.add(key)
         if key in self.values:
@@ -77,7 +78,8 @@ class Table:
         for key in self.values:
             if key not in self.read:
                 raise ValueError(
-                    f"{self.at(key)} is not a key here; allowed are {', '.join(sorted(self.read)) or 'none'}"
+                    f"{self.at(key)} is not a key here; allowed are "
+                    f"{', '.join(sorted(self.read)) or 'none'}"
                 )
 
 
@@ -161,14 +163,15 @@ def built(
     plant: Plant | None = None,
     dt: float | None = None,
 ) -> Any:
-    """The object that a table describes: `class` names its class (where `cls` does not), the other
-    keys are fields of it.
+    """The object that a table describes: `class` names its class, the other keys are its fields.
 
-    plant, dt: what the text "plant" stands for in a nominal model, at the task's sample time. A
-    model may also be a table with `function` = "direct_model" or "multivariable_model", `C_P` and
-    `P`.
-    Raises ValueError naming the key: an unknown class or field, a field missing, a value of another
-    kind or outside its range.
+    A nominal model may be the text "plant", which stands for the plant of the file at the task's
+    sample time, or a table with `function` = "direct_model" or "multivariable_model", `C_P`, `P`.
+
+    cls: the class, where the table does not name it
+    plant, dt: the plant of the file, and the task's sample time [s]
+    Raises ValueError naming the key: for an unknown class or field, for a missing field, and for a
+    value of another kind or outside its range.
     """
     table = Table(values, where)
     if cls is None:
@@ -217,7 +220,7 @@ def _field(
 
 
 def _kinds(hint: Any) -> str:
-    """The classes that a part may be of, by name."""
+    """The names of the classes that are allowed for a part, as a message says them."""
     wanted = tuple(c for c in typing.get_args(hint) or (hint,) if c is not type(None))
     subclasses = [name for name, c in classes().items() if issubclass(c, wanted)]
     return (
@@ -249,7 +252,8 @@ def _nominal(where: str, plant: Plant | None, dt: float | None) -> plants.StateS
     if not isinstance(linear, plants.StateSpace):
         name = type(plant).__name__
         raise ValueError(
-            f"{where} = 'plant' is a {name}, which is no linear model; allowed is a table with class = StateSpace"
+            f"{where} = 'plant' is a {name}, which is no linear model; allowed is a table with "
+            "class = StateSpace"
         )
     return linear
 
@@ -263,8 +267,10 @@ def scheme(values: Any, where: str, plant: Plant, dt: float) -> Scheme:
 
 
 def called(function: Callable, table: Table, **given: Any) -> Any:
-    """A function called with what is left of a table as its arguments. Raises ValueError naming the
-    argument that does not fit.
+    """What a function returns whose arguments are the remaining keys of a table.
+
+    given: further arguments
+    Raises ValueError naming the argument that does not fit.
     """
     arguments = {}
     for name, parameter in inspect.signature(function).parameters.items():
@@ -281,7 +287,7 @@ def called(function: Callable, table: Table, **given: Any) -> Any:
 
 
 def _named(where: str, make: Callable[[], Any]) -> Any:
-    """What `make` makes; what is wrong with it is said with the place in the file."""
+    """What `make` returns; its error is raised with the place in the file."""
     try:
         with np.errstate(all="ignore"):  # what is not finite in the end is refused where it is used
             return make()

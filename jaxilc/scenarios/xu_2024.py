@@ -1,5 +1,4 @@
-"""Xu 2024: a piezo fast tool servo under PID, sliding mode, adaptive sliding mode, and iterative
-learning with the latter.
+"""Xu 2024: a piezo fast tool servo under PID, sliding mode, adaptive sliding mode, and learning.
 
 Xu et al.: adaptive sliding mode control with closed-loop iterative learning for a fast tool servo
 (2024), section 5. Lengths in µm, input in V, errors shown in nm. The experiments are the paper's;
@@ -17,6 +16,7 @@ import jax.numpy as jnp
 from ..learning.machine import Actuator, Machine, Sensor
 from ..learning.metrics import chattering
 from ..plants import BoucWen, FastToolServo, PeriodicForce, fast_tool_servo
+from ..pytree.ranges import require
 from ..schemes import ASMC, PID, SMC, ExponentialPD, Scheme, WithFeedback
 from ..signals import references
 from ..signals.task import Task
@@ -44,7 +44,7 @@ READING = "after the start, from 0.1 s on"
 
 
 def _fit(scheme: str, quantity: str, load: float) -> Fit:
-    """Of the six numbers, and for what learns of a seventh."""
+    """What was fitted: the six numbers, and the learning gain for the scheme that learns."""
     names, to, learns = (
         tuple(FITTED),
         "the six numbers of PID, SMC and ASMC in Table 1",
@@ -77,14 +77,19 @@ def _rows(table, source, load):
 PUBLISHED = (*_rows(TABLE_1, "Table 1", 0.0), *_rows(TABLE_2, "Table 2", 1.0))
 
 CHOSEN = (
-    "errors are read after the start, from 0.1 s on; the sine starts at zero with its full velocity",
-    "hysteresis is Bouc-Wen's with beta and gamma in fixed proportion to its initial slope, one number fitted; creep and the unmodelled "
+    "errors are read after the start, from 0.1 s on; the sine starts at zero with its full "
+    "velocity",
+    "hysteresis is Bouc-Wen's with beta and gamma in fixed proportion to its initial slope, one "
+    "number fitted; creep and the unmodelled "
     "mode at 900 Hz are chosen, the stiffness of 1 N/µm too",
-    "PID: kp = 0.3 and kd = 1.6e-4 chosen, ki fitted; SMC: eta and k_n fitted; ASMC: the same k_n, phi and Delta fitted, a dead zone of "
+    "PID: kp = 0.3 and kd = 1.6e-4 chosen, ki fitted; SMC: eta and k_n fitted; ASMC: the same "
+    "k_n, phi and Delta fitted, a dead zone of "
     "0.1 µm chosen",
-    "learning: K_P = 0.67 lam1 k_n and K_D = 0.67 (lam1 + k_n), a share of the inverse of (s + lam1)(s + k_n); the share is fitted to one "
+    "learning: K_P = 0.67 lam1 k_n and K_D = 0.67 (lam1 + k_n), a share of the inverse of (s + "
+    "lam1)(s + k_n); the share is fitted to one "
     "number of its row; lam0 = 1 1/s chosen",
-    "the multi-frequency disturbance of Fig. 10 is a picture: forces of 1, 0.6 and 0.4 N at 20, 65 and 110 Hz",
+    "the multi-frequency disturbance of Fig. 10 is a picture: forces of 1, 0.6 and 0.4 N at 20, "
+    "65 and 110 Hz",
 )
 
 
@@ -124,15 +129,14 @@ def schemes_for(fitted: dict[str, float], learning: float = LEARNING) -> dict[st
 def xu_2024(load: float = 0.0, disturbance: str = "none") -> Scenario:
     """The experiments of Xu 2024, section 5.3: 20 µm at 40 Hz for 0.5 s, 10 kHz, ten trials.
 
-    load: constant force on the tool [N], 1 in Table 2;  disturbance: `none`, or `multi`, a periodic
-    force of three frequencies (Fig. 10)
-    Raises ValueError for another disturbance, or a load beyond 5 N, which is a quarter of the
+    load: constant force on the tool [N], 1 in Table 2
+    disturbance: `none`, or `multi`, a periodic force of three frequencies (Fig. 10)
+    Raises ValueError for another disturbance, and for a load beyond 5 N, which is a quarter of the
     stroke.
     """
     if disturbance not in ("none", "multi"):
         raise ValueError(f"xu-2024: disturbance = {disturbance!r} is not one of 'none', 'multi'")
-    if not abs(load) <= 5:
-        raise ValueError(f"xu-2024: load = {load:g} N is outside its allowed range [-5, 5]")
+    require("xu-2024", "load", load, "[-5, 5]", " N")
     names = [
         "stiffness",
         "damping",

@@ -11,7 +11,7 @@ from .norm_optimal import NormOptimal
 from .on_reference import OnReference
 from .pid import PID
 from .pid_type import PIDType
-from .scheme import Scheme
+from .scheme import Feedforward, Scheme
 from .sliding_mode import ASMC, SMC
 
 __all__ = [
@@ -27,6 +27,7 @@ __all__ = [
     "SMC",
     "ErrorFiltered",
     "ExponentialPD",
+    "Feedforward",
     "Filtered",
     "HigherOrder",
     "Ladder",

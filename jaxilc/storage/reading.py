@@ -10,10 +10,12 @@ from __future__ import annotations
 import csv
 import io
 import json
+import math
 import os
+import re
 import stat
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +24,7 @@ LARGEST_TREE = 16_000_000  # bytes of a TOML or JSON file
 LARGEST_TABLE = 256_000_000  # bytes of a file of columns
 DEEPEST = 32  # tables and lists within one another
 PARSERS = {".toml": tomllib.loads, ".json": json.loads}
+_HEADING = re.compile(r"^([^\[\]]+?)\s*(?:\[([^\[\]]*)\])?$")
 
 
 def read_bytes(path: str | Path, largest: int) -> bytes:
@@ -127,3 +130,24 @@ def read_columns(path: str | Path) -> tuple[list[str], Iterator[tuple[int, list[
     found = rows()
     header = [cell.strip() for cell in next(found, (1, []))[1]]
     return header, ((line, row) for line, row in found if any(cell.strip() for cell in row))
+
+
+def name_and_unit(heading: str) -> tuple[str, str | None]:
+    """The parts of a column's heading: `y [mm]` is y in mm, `y` is y without a declared unit, None.
+
+    The name is empty where the heading is none of these.
+    """
+    found = _HEADING.match(heading)
+    return (found[1], found[2]) if found else ("", None)
+
+
+def numbers_in(row: list[str], at: Sequence[int]) -> list[float]:
+    """The numbers of a row in the columns `at`; NaN for a cell that is missing or no number."""
+    return [_number(row[i]) if i < len(row) else math.nan for i in at]
+
+
+def _number(cell: str) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        return math.nan

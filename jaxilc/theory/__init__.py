@@ -19,7 +19,7 @@ Each condition is a `Condition`: value, margin, premises, theorem, verdict.
 
 from . import condition, contraction, frequency, lifted, outlook, structure
 from .bounds import CFDLBounds, FFDLBounds, PremiseShare, cfdl_bounds, ffdl_bounds, premises
-from .certificates import CLAIMS, COURSES, Certificate, certify
+from .certificates import CLAIMS, COURSES, Certificate, certify, certify_each
 from .condition import Condition, Premise
 
 __all__ = [
@@ -32,6 +32,7 @@ __all__ = [
     "Premise",
     "PremiseShare",
     "certify",
+    "certify_each",
     "cfdl_bounds",
     "condition",
     "contraction",

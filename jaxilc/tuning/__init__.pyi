@@ -1,9 +1,10 @@
 from . import objectives, risks
 from .problem import Tuned, Tuning
 from .trade_off import pareto
-from .worst_case import monte_carlo_search, worst_case_search
+from .worst_case import GRADIENT_COST, monte_carlo_search, worst_case_search
 
 __all__ = [
+    "GRADIENT_COST",
     "Tuned",
     "Tuning",
     "monte_carlo_search",

@@ -636,7 +636,7 @@ def test_figures_show_the_numbers_they_are_given():
     axes = figures.pareto_front([Point(0.9, 1.0, 3.0, None)], given=(4.0, 5.0))
     np.testing.assert_array_equal(axes.lines[1].get_xydata(), [[4, 5]])
     axes = figures.final_error_by_trials(
-        [5, 20], [[2.0, 4.0], [1.0, 3.0]], [[0.5, 0.7], [0.2, 0.3]], figure="rms", unit="µm"
+        [5, 20], [[2.0, 4.0], [1.0, 3.0]], [[0.5, 0.7], [0.2, 0.3]], metric="rms", unit="µm"
     )
     np.testing.assert_array_equal(
         [line.get_ydata() for line in axes.lines], [[2, 1], [4, 3], [0.5, 0.2], [0.7, 0.3]]

@@ -173,6 +173,6 @@ def test_brackets_and_colons_of_the_user_are_printed_as_they_are(command, tmp_pa
 def test_every_scheme_of_a_figure_has_a_place_in_its_legend(tmp_path):
     scenario = read_scenario(write(tmp_path, schemes={"X 1+2": FILE["schemes"]["ilc"]}))
     dataset, _ = run_schemes(scenario.machine, scenario.schemes, scenario.task, 2)
-    axes = figures.error_by_trial(dataset, figure="rms")
+    axes = figures.error_by_trial(dataset, metric="rms")
     figures.save(axes, tmp_path / "error.png")
     assert [text.get_text() for text in axes.get_legend().get_texts()] == ["X 1+2"]

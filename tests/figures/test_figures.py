@@ -1,5 +1,6 @@
-"""What the figures show, read back from their axes: signals of known amplitude, time and frequency,
-closed forms. No pixels.
+"""What the figures show, read back from their axes.
+
+Signals of known amplitude, time and frequency, and closed forms; no pixels.
 """
 
 import ast
@@ -81,7 +82,7 @@ def test_a_printed_bound_is_no_printed_number():
         Published("a", 1, "max_error", 8.0, ""),
         Published("b", 1, "rms", 6.0, ""),
     ]
-    ax = figures.error_by_trial(dataset, figure="rms", scale=1e3, unit="µm", published=rows)
+    ax = figures.error_by_trial(dataset, metric="rms", scale=1e3, unit="µm", published=rows)
     drawn = [
         (*line.get_xydata()[0], line.get_marker())
         for line in ax.lines
@@ -176,9 +177,7 @@ def circle_at(radius):
 
 
 def test_the_contour_error_is_drawn_magnified():
-    """A circle run 10 µm too large, a hundredth of a turn late: the distance is 10 µm everywhere,
-    the lag does not show.
-    """
+    """A circle 10 µm too large, a hundredth of a turn late, is at a distance of 10 µm."""
     path, late = circle_at(20.0), 10
     motion = circle_at(20.01)[np.maximum(np.arange(len(TIME)) - late, 0)]
     top, bottom = figures.contour(
@@ -215,8 +214,9 @@ def test_a_sinusoid_shows_its_amplitude_at_its_frequency(amplitude, hertz):
 
 
 def test_lines_of_noise_are_those_that_the_docstring_says():
-    """In power they average to 6 s^2 / N; the lowest lines, fewer than one in a sixtieth of a
-    decade, are drawn one by one.
+    """In power they average to 6 s^2 / N.
+
+    The lowest lines, fewer than one in a sixtieth of a decade, are drawn one by one.
     """
     noise = np.random.default_rng(1).normal(size=(100, 1001, 1))
     lines = [
@@ -271,8 +271,9 @@ def test_the_map_follows_a_chirp_and_shares_its_colours_among_trials():
 
 
 def test_the_crossing_is_marked_where_the_closed_form_has_it():
-    """P = b z^(-1-d) under u + gamma e[k+1]: |1 - g z^-d|^2 = 1 - 2 g cos(d w) + g^2, g = gamma b,
-    is 1 where cos(d w) = g / 2.
+    """P = b z^(-1-d) under u + gamma e[k+1], with g = gamma b.
+
+    |1 - g z^-d|^2 = 1 - 2 g cos(d w) + g^2 is 1 where cos(d w) = g / 2.
     """
     d, gain, gamma = 3, 0.8, 0.5
     plant = DifferenceEquation(a=(0.0,) * (d + 1), b=(0.0,) * d + (gain,), dt=DT)
@@ -333,9 +334,7 @@ def test_a_zoom_at_the_end_of_the_trial_lies_within_it():
 
 
 def test_labels_do_not_overlap():
-    """Of as many schemes as a scenario has: tick labels, axis labels and the legend each have their
-    own place.
-    """
+    """Tick labels, axis labels and legend, with as many schemes as a scenario has."""
     dataset = dataset_of([sinusoid(a, 10.0) for a in (4.0, 2.0, 1e-3)])
     names = [f"scheme-number-{i}" for i in range(9)]
     dataset = xr.concat(
@@ -350,7 +349,7 @@ def test_labels_do_not_overlap():
         Published(names[0], 2, "rms", 1.0, "", at_most=True),
     ]
     drawn = (
-        figures.error_by_trial(dataset, figure="rms", published=rows),
+        figures.error_by_trial(dataset, metric="rms", published=rows),
         figures.tracking(dataset, names[1], (1, 2, 3)),
         figures.spectrum(dataset, names[1], (1, 3)),
         figures.time_frequency(dataset, names[1], (1, 3)),
@@ -381,9 +380,7 @@ def test_labels_do_not_overlap():
 
 
 def test_a_legend_has_its_place():
-    """Matplotlib's "best" place is searched for among all points that are drawn, and warns where
-    that takes long on a busy machine.
-    """
+    """Matplotlib's "best" place is searched for among all points, and warns where it is slow."""
     calls = [
         (file.name, node.lineno, {k.arg for k in node.keywords})
         for file in Path(figures.__file__).parents[1].rglob("*.py")

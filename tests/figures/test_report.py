@@ -1,5 +1,6 @@
-"""The HTML report: parsed by parsers of the standard library and shown by a browser; its numbers
-and pictures against what went in.
+"""The HTML report: parsed by parsers of the standard library and shown by a browser.
+
+Its numbers and pictures are compared with what was put in.
 """
 
 import base64
@@ -301,7 +302,10 @@ def test_a_browser_shows_every_figure_and_asks_nobody(tmp_path, server):
     for kind, ax in zip(("a.png", "b.svg"), axes, strict=True):
         ax.figure.savefig(tmp_path / kind)
     text = html_report("t", {"a": 1}, figures=[tmp_path / "a.png", tmp_path / "b.svg"])
-    foreign = f'<img src="{address}/picture"/><script src="{address}/script"></script><link rel="stylesheet" href="{address}/style"/></body>'
+    foreign = (
+        f'<img src="{address}/picture"/><script src="{address}/script"></script>'
+        f'<link rel="stylesheet" href="{address}/style"/></body>'
+    )
     (tmp_path / "page.html").write_text(text.replace("</body>", foreign), encoding="utf-8")
     blue = np.all(photographed(tmp_path / "page.html", tmp_path) == BLUE, axis=2)
     rows = np.flatnonzero(blue.any(axis=1))

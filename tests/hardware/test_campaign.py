@@ -1,5 +1,6 @@
-"""A campaign on a machine that is only known by the files it reads and writes: 20 trials, kills,
-undo, and everything that is refused.
+"""A campaign on a machine that is only known by the files that it reads and writes.
+
+20 trials, stops of the process, undo, and everything that is refused.
 """
 
 import csv
@@ -20,7 +21,7 @@ from typer.testing import CliRunner
 
 from jaxilc.cli import hardware
 from jaxilc.figures.campaign import campaign_figure
-from jaxilc.hardware import Campaign, Journal, Measured, Rules, journal, trial_files
+from jaxilc.hardware import Campaign, Journal, Measured, Rules, journal, read_measured
 from jaxilc.hardware.checks import beyond_limits
 from jaxilc.learning import Sensor, learn, run_trial
 from jaxilc.plants import from_control
@@ -62,7 +63,10 @@ class = "Filtered"
 scheme = { class = "PIDType", gamma_p = 0.6, gamma_d = 10.0, lead = 4 }
 filter = { class = "ZeroPhaseButterworth", cutoff = 60.0 }
 """
-PROGRAM = "import sys; from jaxilc.cli import entry, hardware; {} hardware.register(entry.app); entry.main()"
+PROGRAM = (
+    "import sys; from jaxilc.cli import entry, hardware; {} "
+    "hardware.register(entry.app); entry.main()"
+)
 
 
 def real_machine(axis):
@@ -93,8 +97,9 @@ def write_trial(path, t, r, y, u, units=("s", "mm", "mm", "V")):
 
 
 class Rig:
-    """The machine at the other end of the files. `measure` plays the table of a file and writes the
-    trace of trial j.
+    """The machine at the other end of the files.
+
+    `measure` plays the table of a file and writes the trace of trial j.
     """
 
     def __init__(self, folder):
@@ -295,7 +300,7 @@ def test_two_calls_at_once_are_one_entry(copied):
     rig, state, folder = copied
     rig.measure(rig.folder / "next-21.csv", 21, folder / "trial.csv")
     campaign = Campaign.open(state, rig.scheme, rig.task, actuator=rig.axis.machine.actuator)
-    turn = campaign.turn(trial_files.read_measured(folder / "trial.csv", rig.task))
+    turn = campaign.turn(read_measured(folder / "trial.csv", rig.task))
     quicker = Journal(state)
     quicker.append({**quicker.manifests()[-1], "serial": 21, "parent": 20, "trial": 21}, {})
     with pytest.raises(ValueError, match="trial 21 does not follow on trial 21"):
@@ -376,7 +381,10 @@ def test_growth_and_saturation_warn_or_refuse_with_numbers(copied):
     arguments = ("next", "--state", state, "--out", folder / "next.csv", "--measured")
     with pytest.raises(
         ValueError,
-        match=r"the RMS error grew from .* by .*%; the best was trial 20 with .* --undo 19 goes back",
+        match=(
+            r"the RMS error grew from .* by .*%; the best was trial 20 with .* --undo 19 goes "
+            r"back"
+        ),
     ):
         call(*arguments, folder / "worse.csv", "--stop-on-growth")
     _, _, err = call(*arguments, folder / "worse.csv", "--dry-run")
@@ -387,7 +395,10 @@ def test_growth_and_saturation_warn_or_refuse_with_numbers(copied):
     write_trial(folder / "saturated.csv", t, r, y, saturated)
     with pytest.raises(
         ValueError,
-        match=r"input 0 is at its limit 10 in 20.00% of the samples, first at sample 40; allowed are 5.00%",
+        match=(
+            r"input 0 is at its limit 10 in 20.00% of the samples, first at sample 40; allowed "
+            r"are 5.00%"
+        ),
     ):
         call(*arguments, folder / "saturated.csv")
     with pytest.raises(

@@ -1,5 +1,6 @@
-"""Damaged campaigns: they go on to the same input, or say in one line how to go back; one measured
-trial is one trial.
+"""Damaged campaigns lead to the same input, or say in one line how to go back.
+
+Also: a trial that was measured once counts once.
 """
 
 import contextlib
@@ -66,9 +67,7 @@ def opened(folder):
 
 
 def goes_on_or_back(folder, played):
-    """The campaign goes on from its third trial, or says in one line that it cannot, and goes back
-    to an earlier one.
-    """
+    """It continues from its third trial, or says in one line that it cannot, and goes back."""
 
     def goes_on():
         np.testing.assert_array_equal(opened(folder).tables()["u"], played[3])
@@ -182,7 +181,10 @@ def test_one_measured_trial_is_one_trial(copied):
         for learn in (True, False):
             with pytest.raises(
                 ValueError,
-                match="is trial 4, which was looked at already; --undo 3 forgets it, so that it can be",
+                match=(
+                    "is trial 4, which was looked at already; --undo 3 forgets it, so that it "
+                    "can be"
+                ),
             ):
                 opened(folder).turn(again, learn=learn)
     other = TRIALS[3]._replace(
@@ -198,7 +200,7 @@ def test_what_would_not_be_a_number_is_not_learned(copied, monkeypatch):
     folder, _ = copied
     monkeypatch.setattr(
         of_campaign,
-        "_learned",
+        "learned",
         lambda scheme, task, memory, trial: jax.tree.map(lambda x: np.nan * x, memory),
     )
     turn = opened(folder).turn(TRIALS[3])

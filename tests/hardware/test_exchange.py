@@ -1,5 +1,6 @@
-"""Files of measured trials and of tables to play: written by other programs, read by a C compiler,
-and played by the feedback alone.
+"""Files of measured trials and of tables to play.
+
+They are written by other programs, read by a C compiler, and played by the feedback alone.
 """
 
 import re
@@ -149,8 +150,10 @@ def test_a_compiler_reads_the_c_header_as_it_was_meant(tmp_path, number):
     (tmp_path / "main.c").write_text(
         '#include <stdio.h>\n#include "next.h"\n#include "next.h"\n'
         "int main(void) { int k; for (k = 0; k < JAXILC_SAMPLES; k++)\n"
-        'printf("%.17g %.17g %.17g\\n", jaxilc_feedforward[k], jaxilc_reference[k][0], jaxilc_reference[k + 1][1]);\n'
-        'printf("%d %.17g\\n", JAXILC_TRIAL, JAXILC_SAMPLE_TIME); return sizeof(jaxilc_reference[0][0]); }\n'
+        'printf("%.17g %.17g %.17g\\n", jaxilc_feedforward[k], '
+        "jaxilc_reference[k][0], jaxilc_reference[k + 1][1]);\n"
+        'printf("%d %.17g\\n", JAXILC_TRIAL, JAXILC_SAMPLE_TIME); '
+        "return sizeof(jaxilc_reference[0][0]); }\n"
     )
     flags = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror"]
     subprocess.run(

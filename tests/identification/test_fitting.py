@@ -1,5 +1,6 @@
-"""Least squares with bounds from many starts: against closed forms, a reference solver, and a
-learning run whose answer is known.
+"""Least squares with bounds from many starts, against closed forms and a reference solver.
+
+Also a learning run whose answer is known.
 """
 
 import jax
@@ -59,16 +60,12 @@ def test_costs_of_the_starts_and_of_the_refined(found):
 
 
 def test_jacobian_is_that_of_the_residuals_by_the_values(found):
-    """Fit.jacobian: (M, P) of the residuals, at the values; for residuals linear in the values it
-    is the design matrix.
-    """
+    """For residuals that are linear in the values, the Jacobian is the design matrix."""
     np.testing.assert_allclose(found.jacobian, DESIGN, rtol=1e-6)
 
 
 def test_linear_least_squares_on_the_bounds():
-    """Where the free minimum lies outside, the fit ends on the bounds as scipy's solver for linear
-    problems does.
-    """
+    """Where the free minimum lies outside, the fit ends on the bounds, as with scipy's solver."""
     ranges = {"a": (-5.0, 0.5), "b": (0.1, 2.0), "c": (-1.0, -1e-4)}
     result = fit(linear, ranges, starts=20, refine=3)
     low, high = np.array(list(ranges.values())).T
@@ -81,9 +78,7 @@ def test_linear_least_squares_on_the_bounds():
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_range_of_one_sign_is_searched_by_its_logarithm(sign):
-    """Over eight decades: the starts are spread evenly over the decades, one in each of 64 equal
-    parts of the logarithm.
-    """
+    """Over eight decades there is one start in each of 64 equal parts of the logarithm."""
 
     def decades_from_target(values):
         return (jnp.log10(sign * values["x"]) + 2.3)[None]
@@ -108,9 +103,7 @@ def test_a_range_with_zero_is_searched_evenly(ends):
 
 
 def bumpy(values):
-    """Least squares with a minimum near every 2 pi / 5 in each direction; zero at (0.8, -0.4)
-    alone.
-    """
+    """Least squares with minima about 2 pi / 5 apart; zero only at (0.8, -0.4)."""
     return jnp.stack(
         [
             r

@@ -7,7 +7,7 @@ import pytest
 from cases import ALGEBRA, DIFFERENCES, SIGMAS
 
 from jaxilc import figures
-from jaxilc.identification import Record, estimation, excite, identify, read_record, write_record
+from jaxilc.identification import Record, excite, identify, problem, read_record, write_record
 from jaxilc.learning import Actuator, Machine, Sensor
 from jaxilc.plants import DifferenceEquation, ProcessModel, StateSpace, VoiceCoil, voice_coil
 from jaxilc.pytree import get_at
@@ -155,11 +155,11 @@ def test_impossible_process_models_are_refused(build, message):
 def test_derivatives_are_exact_and_independent_at_the_double_pole(record):
     names = tuple(n for n in TRUE if n != "bias")
     theta = np.array([TRUE[n] for n in names])
-    task, u = estimation.task_of(EQ_7, record.u, DT), np.asarray(record.u)
-    J = np.asarray(estimation._sensitivity(theta, names, EQ_7, task, u))[:, 0]
+    task, u = problem.task_of(EQ_7, record.u, DT), np.asarray(record.u)
+    J = np.asarray(problem.sensitivity_of_output(theta, names, EQ_7, task, u))[:, 0]
     step = 1e-5 * np.diag(np.abs(theta))
     outputs = [
-        [estimation._simulated(theta + s * h, names, EQ_7, task, u)[:, 0] for s in (1, -1)]
+        [problem.simulated_output(theta + s * h, names, EQ_7, task, u)[:, 0] for s in (1, -1)]
         for h in step
     ]
     differences = np.stack(
@@ -253,9 +253,7 @@ def test_another_seed_finds_the_same_minimum(record, identified):
 
 
 def test_intervals_cover_the_truth_as_often_as_they_say():
-    """100 noises: within 95 % of the time, and the errors in units of their standard deviation have
-    the spread 1.
-    """
+    """With 100 noises: 95 % of the time, and errors over standard deviation have the spread 1."""
     seeds, machine = 100, Machine(EQ_7, sensor=Sensor(ENCODER, NOISE))
     keys = jax.random.split(jax.random.key(1), seeds)
     outputs = np.asarray(jax.vmap(lambda key: excite(machine, U, DT, key=key).y)(keys))
@@ -287,7 +285,7 @@ def test_too_low_an_order_shows(record, identified):
 
 
 def test_a_lightly_damped_drive_is_found_without_a_start():
-    """Xu 2024: 2.229e7 / (s^2 + 70.16 s + 2.413e6), 247 Hz at a damping of 0.0226, encoder 1.2 nm."""
+    """Xu 2024: 2.229e7 / (s^2 + 70.16 s + 2.413e6), 247 Hz, damping 0.0226, encoder of 1.2 nm."""
     w, zeta = np.sqrt(2.413e6), 70.16 / (2 * np.sqrt(2.413e6))
     servo = Machine(
         ProcessModel(2.229e7 / 2.413e6, [], [], [w], [zeta]), sensor=Sensor(1.2e-3, 5e-3)
@@ -345,9 +343,7 @@ def test_what_the_record_cannot_tell_apart_has_no_interval():
 
 
 def test_a_double_pole_needs_a_pair(record):
-    """Two equal entries of `poles` have the same derivative; the pair at the same place is
-    determined to 0.2 %.
-    """
+    """Two equal `poles` have the same derivative; the pair there is determined to 0.2 %."""
     twice = identify(record, ProcessModel(TRUE["gain"], [928.2], [6.404, 474.0, 474.0]))
     assert width(twice.parameters["poles[0]"]) < 0.01
     assert min(width(twice.parameters[f"poles[{i}]"]) for i in (1, 2)) > 0.02 * 474.0
@@ -410,6 +406,17 @@ def test_several_channels_and_foreign_columns(tmp_path):
     np.testing.assert_array_equal(read.u, [[1.0], [-1.0]])
     np.testing.assert_array_equal(read.y, [[0.0], [0.25], [0.5]])
     assert read.dt == pytest.approx(0.02, rel=1e-12)
+
+
+def test_a_record_is_read_from_the_file_of_a_measured_trial(tmp_path):
+    """Names with units, in any order of the columns, and no input in the last row."""
+    (tmp_path / "trial.csv").write_text("y [mm],t [s],u [V]\n0,0.5,1\n0.25,0.52,-1\n0.5,0.54,\n")
+    read = read_record(tmp_path / "trial.csv")
+    np.testing.assert_array_equal(read.u, [[1.0], [-1.0]])
+    np.testing.assert_array_equal(read.y, [[0.0], [0.25], [0.5]])
+    (tmp_path / "gap.csv").write_text("t [s],u [V],y [mm]\n0,1,0\n1,,2\n2,1,2\n")
+    with pytest.raises(ValueError, match=r"gap.csv, line 3: u = '' is not a finite number"):
+        read_record(tmp_path / "gap.csv")
 
 
 FILES = {

@@ -184,7 +184,7 @@ def test_tables_and_figures_say_so(swept):
     assert str(list(worst.cells)[1]) == "∞"
     labels = [
         text.get_text()
-        for text in figures.error_band(dataset, figure="rms").get_legend().get_texts()
+        for text in figures.error_band(dataset, metric="rms").get_legend().get_texts()
     ]
     assert labels[0] == "steady"
     assert labels[1].startswith("growing (")
@@ -211,7 +211,7 @@ def test_a_run_says_what_diverged_and_what_has_grown():
         "growing: from trial 2 on the rms error is more than 1.5 times its least",
         "lost: diverged at trial 6: not finite, or an error of 1000 times the reference",
     ]
-    ax = figures.error_by_trial(dataset, figure="rms")
+    ax = figures.error_by_trial(dataset, metric="rms")
     labels = [text.get_text() for text in ax.get_legend().get_texts()]
     assert labels == ["steady", "growing (grown from trial 2 on)", "lost (diverged at trial 6)"]
     assert np.isfinite(ax.lines[2].get_ydata()).sum() == 5

@@ -1,6 +1,4 @@
-"""What the scenarios of MILC 2024 and Xu 2024 rest on, and that they give the printed numbers that
-their readings claim.
-"""
+"""The bases of the scenarios MILC 2024 and Xu 2024, and that they give the printed numbers."""
 
 import control
 import numpy as np
@@ -13,8 +11,9 @@ from jaxilc.scenarios.xu_2024 import MODEL, servo
 
 
 def test_the_position_loop_is_50_hz_wide():
-    """-3 dB of the motor's loop by python-control: sampled mechanics, backward PI and difference, P
-    position loop.
+    """-3 dB of the motor's loop by python-control.
+
+    Sampled mechanics, backward PI and difference, P position loop.
     """
     drive = nominal_drive(FITTED["antiresonance"], FORCE_GAIN)
     A, B, C = (

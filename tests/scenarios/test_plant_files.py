@@ -1,5 +1,6 @@
-"""Plants and scenarios from TOML and JSON files, against python-control and scipy, and what is
-refused by the name of its key.
+"""Plants and scenarios from TOML and JSON files, against python-control and scipy.
+
+Also: what is refused is named by its key.
 """
 
 import json
@@ -349,7 +350,8 @@ def pid(**fields):
         ),
         (
             {"plant": PLANT | {"gain": 1.0}},
-            "axis.json: plant.gain is not a key here; allowed are allow_unstable, den, dt, kind, num",
+            "axis.json: plant.gain is not a key here; allowed are allow_unstable, den, dt, kind, "
+            "num",
         ),
         (
             {"plant": PLANT | {"num": "4"}},
@@ -424,7 +426,8 @@ def pid(**fields):
         ),
         (
             pid(kq=1.0),
-            "axis.json: schemes.a.kq is not a key here; allowed are class, form, ka, kd, ki, kp, kv, limit, tau",
+            "axis.json: schemes.a.kq is not a key here; allowed are class, form, ka, kd, ki, kp, "
+            "kv, limit, tau",
         ),
         (pid(kp="1"), "axis.json: schemes.a.kp = '1' is not a number or a list of numbers"),
         (

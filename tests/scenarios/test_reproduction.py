@@ -1,5 +1,6 @@
-"""Published numbers beside ours: what a verdict means, that every printed row can be simulated, and
-the short scenario in full.
+"""Published numbers beside ours: what a verdict means, and that every printed row can be simulated.
+
+The short scenario is simulated in full.
 """
 
 import dataclasses
@@ -88,8 +89,9 @@ def test_shape_among_schemes_and_among_settings():
 
 
 def test_shape_is_bounded_in_size_and_what_lies_beyond_says_so():
-    """A curve in the printed order, but 3.62 times or 0.37 times as large as in print, has not its
-    shape; twice and half are the ends.
+    """A curve in the printed order, but 3.62 or 0.37 times as large as printed, has not its shape.
+
+    Twice and half are the ends.
     """
     for factor, verdict in (
         (3.62, "open"),
@@ -116,11 +118,13 @@ def test_an_open_row_says_why():
     assert judged(TRIALS, [4.1, 5.4, 1.0])[:2] == [
         (
             "open",
-            "0.51 times the printed number, and not in the printed order with 1 of 2 comparable rows",
+            "0.51 times the printed number, and not in the printed order with 1 of 2 comparable "
+            "rows",
         ),
         (
             "open",
-            "1.35 times the printed number, and not in the printed order with 1 of 2 comparable rows",
+            "1.35 times the printed number, and not in the printed order with 1 of 2 comparable "
+            "rows",
         ),
     ]
 
@@ -167,9 +171,7 @@ def learns(scheme: Scheme) -> bool:
 
 
 def test_every_published_row_can_be_simulated(scenario):
-    """Its options load, its scheme exists there, its quantity is measured, its trial is among those
-    of the scenario.
-    """
+    """Its options, scheme, quantity and trial exist in the scenario."""
     assert scenario.published
     for p in scenario.published:
         here = loaded(scenario, p)
@@ -215,7 +217,7 @@ AMONG = {
 
 
 def test_each_row_says_what_was_fitted(scenario):
-    """How many free numbers, to what, and whether the row is one of those that they were fitted to."""
+    """How many free numbers, to what they were fitted, and whether the row is one of these."""
     found: dict[str, set] = {}
     for p in scenario.published:
         found.setdefault(p.scheme, set()).add(len(p.fitted.names))
@@ -228,8 +230,9 @@ def test_each_row_says_what_was_fitted(scenario):
 
 
 def test_the_settings_of_published_rows_fit_together(scenario):
-    """Machine, scheme and task of each row, without simulating; the settled window holds samples,
-    errors are shown on one scale.
+    """Machine, scheme and task of each row fit, and the errors are shown on one scale.
+
+    The settled window holds samples. Nothing is simulated.
     """
     for options in {p.options for p in scenario.published}:
         here = scenarios.load(scenario.name, **dict(options))
@@ -298,8 +301,9 @@ MACHINE = Machine(DifferenceEquation(*ARX, dt=DT))
 
 @pytest.fixture
 def made_up(monkeypatch):
-    """A scenario with a gain as its option, whose printed numbers are ours but for known factors;
-    and how often it learned.
+    """A scenario with a gain as its option, and how often it learned.
+
+    Its printed numbers are ours but for known factors.
     """
 
     def ours(name, trial, quantity, gain=1.0):
@@ -345,8 +349,9 @@ def made_up(monkeypatch):
 
 
 def test_rows_of_a_made_up_scenario(made_up):
-    """Each in its own options, trial and quantity, in the shown unit, in the order of print; each
-    scheme learns once a setting.
+    """Each row in its own options, trial, quantity and shown unit, in the printed order.
+
+    Each scheme learns once in a setting.
     """
     published, runs = made_up
     rows = reproduce(["made-up"])

@@ -1,0 +1,253 @@
+"""What identification fits: free parameters, their coordinates, and the least-squares problem."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import numpy as np
+import scipy.optimize
+
+from ..learning.machine import Machine
+from ..plants import Plant, ProcessModel
+from ..pytree.named_paths import get_at, interval_at, named_leaves, replaced
+from ..pytree.ranges import Interval
+from ..signals.task import Task
+from .records import Record, as_columns, played, task_of
+
+# With fewer samples a parameter the intervals, which hold for long records, would mean nothing.
+SAMPLES_PER_PARAMETER = 5
+
+
+def _output(values, names, plant, task, u):
+    """(N+1, n_y) the plant's output without noise, its parameters `names` set to values (P,)."""
+    return played(
+        Machine(replaced(plant, dict(zip(names, values, strict=True)))), task, u, jax.random.key(0)
+    ).y
+
+
+simulated_output = jax.jit(_output, static_argnames="names")
+# (N+1, n_y, P), exact
+sensitivity_of_output = jax.jit(jax.jacfwd(_output), static_argnames="names")
+
+
+class Coordinates(NamedTuple):
+    """The coordinates in which the optimiser works, one for each of P parameters.
+
+    The logarithm stands for a value that must be positive. The reciprocal stands for a zero of a
+    ProcessModel, so that the zero can change its sign through infinity. Any other value is taken
+    as it is.
+
+    log, reciprocal: (P,) true where this coordinate is taken
+    low, high: (P,) bounds of the coordinates
+    """
+
+    log: np.ndarray
+    reciprocal: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+    @classmethod
+    def of(cls, plant: Plant, names: tuple[str, ...]) -> Coordinates:
+        """For the elements `names` of the plant and one bias an output."""
+        free = Interval(-np.inf, np.inf, False, False)
+        allowed = [interval_at(plant, name) or free for name in names] + [free] * plant.n_y
+        log = np.array([tuple(a) == (0.0, np.inf, False, False) for a in allowed])
+        reciprocal = np.array(
+            [isinstance(plant, ProcessModel) and n.startswith("zeros") for n in names]
+            + [False] * plant.n_y
+        )
+        return cls(
+            log,
+            reciprocal,
+            np.where(log, -np.inf, [a.low for a in allowed]),
+            np.array([a.high for a in allowed]),
+        )
+
+    def from_values(self, theta):
+        return self._mapped(theta, np.log)
+
+    def to_values(self, x):
+        # A step that is too long gives values that are not finite; the optimiser then shortens it.
+        with np.errstate(over="ignore", divide="ignore"):
+            return self._mapped(x, np.exp)
+
+    def slope(self, theta):
+        """(P,) d value / d coordinate."""
+        return np.where(self.log, theta, np.where(self.reciprocal, -(theta**2), 1.0))
+
+    def _mapped(self, values, function):
+        mapped = np.array(values, dtype=float)
+        mapped[self.log] = function(mapped[self.log])
+        mapped[self.reciprocal] = 1.0 / mapped[self.reciprocal]
+        return mapped
+
+
+class Minimum(NamedTuple):
+    """Where the optimiser stopped.
+
+    theta: (P,) values there
+    cost: half the sum of squares there
+    converged: whether it met its tolerances before its budget of simulations was used up
+    """
+
+    theta: np.ndarray
+    cost: float
+    converged: bool
+
+
+class Problem(NamedTuple):
+    """The least-squares problem: theta (P,) holds the values of `names`, then the n_y biases.
+
+    record, plant, task: the record, the plant with its values at the start, and the record's task
+    names: elements of the plant that are fitted
+    coordinates: in which the optimiser works
+    samples: number of samples, from the first one on, that are fitted
+    scale: (n_y,) by which the residuals of each output are divided
+    """
+
+    record: Record
+    plant: Plant
+    task: Task
+    names: tuple[str, ...]
+    coordinates: Coordinates
+    samples: int
+    scale: np.ndarray
+
+    def simulated(self, theta):
+        """(N+1, n_y) the plant's output with the biases."""
+        n = len(self.names)
+        return (
+            np.asarray(
+                simulated_output(theta[:n], self.names, self.plant, self.task, self.record.u)
+            )
+            + theta[n:]
+        )
+
+    def residual(self, theta):
+        """(N+1, n_y) the recorded output minus the simulated one."""
+        return self.record.y - self.simulated(theta)
+
+    def sensitivity(self, theta):
+        """(samples, n_y, P) derivatives of the simulated output, exact."""
+        n, n_y = len(self.names), self.plant.n_y
+        of_plant = np.asarray(
+            sensitivity_of_output(theta[:n], self.names, self.plant, self.task, self.record.u)
+        )[: self.samples]
+        return np.concatenate(
+            [of_plant, np.broadcast_to(np.eye(n_y), (self.samples, n_y, n_y))], axis=2
+        )
+
+    def start(self, plant):
+        """theta of a plant, with the biases that make the mean residual 0."""
+        values = [float(get_at(plant, name)) for name in self.names]
+        bias = np.mean(self.residual(np.array(values + [0.0] * plant.n_y))[: self.samples], axis=0)
+        if not np.all(np.isfinite(bias)):
+            name = type(plant).__name__
+            raise ValueError(
+                f"identify: the output of the given {name} does not stay finite over this record"
+            )
+        return np.array([*values, *bias])
+
+    def plant_at(self, theta):
+        return replaced(self.plant, dict(zip(self.names, map(float, theta), strict=False)))
+
+    def solve(self, theta, **options):
+        """The minimum that least squares within a trust region reaches from theta."""
+        to_values, scale = self.coordinates.to_values, self.scale
+
+        def residual(x):
+            return np.ravel(-self.residual(to_values(x))[: self.samples] / scale)
+
+        def jacobian(x):
+            theta = to_values(x)
+            return (self.sensitivity(theta) / scale[:, None]).reshape(
+                -1, len(theta)
+            ) * self.coordinates.slope(theta)
+
+        bounds = (self.coordinates.low, self.coordinates.high)
+        options = {"ftol": 1e-12, "xtol": 1e-10, "gtol": 1e-12, "max_nfev": 200} | options
+        found = scipy.optimize.least_squares(
+            residual,
+            self.coordinates.from_values(theta),
+            jacobian,
+            bounds,
+            x_scale="jac",
+            **options,
+        )
+        return Minimum(to_values(found.x), found.cost, found.status > 0)
+
+
+def checked_record(record: Record) -> Record:
+    """The record with u (N, n_u) and y (N+1, n_y); raises ValueError where it is none."""
+    u, y = as_columns("identify", "u", record.u), as_columns("identify", "y", record.y)
+    if len(y) != len(u) + 1:
+        raise ValueError(
+            f"identify: u has {len(u)} rows and y {len(y)}; allowed is one more row in y than in u"
+        )
+    if not 0 < record.dt < np.inf:
+        raise ValueError(f"identify: dt = {record.dt} is outside its allowed range (0, inf)")
+    return Record(u, y, float(record.dt))
+
+
+def need_samples(samples: int, parameters: int) -> None:
+    """Raises ValueError where the record is too short for so many parameters."""
+    least = SAMPLES_PER_PARAMETER * parameters
+    if samples < least:
+        raise ValueError(
+            f"identify: the record is too short: {samples} samples to fit {parameters} parameters; "
+            f"allowed are at least {least}, {SAMPLES_PER_PARAMETER} a parameter"
+        )
+
+
+def problem_of(record: Record, plant: Plant, names: tuple[str, ...], fit_share: float) -> Problem:
+    """The problem of a record and a plant; raises ValueError where they do not fit together."""
+    (N, n_u), (_, n_y) = record.u.shape, record.y.shape
+    if (n_u, n_y) != (plant.n_u, plant.n_y):
+        raise ValueError(
+            f"identify: the record has {n_u} inputs and {n_y} outputs but the plant "
+            f"{type(plant).__name__} has {plant.n_u} and {plant.n_y}"
+        )
+    samples = round(fit_share * (N + 1))
+    need_samples(samples * n_y, len(names) + n_y)
+    y, u = record.y[:samples], record.u[: samples - 1]
+    for i in range(n_y):
+        if np.ptp(y[:, i]) == 0:
+            raise ValueError(
+                f"identify: output {i} is constant over the {samples} samples to fit; "
+                "it says nothing about the plant"
+            )
+    if not np.any(u):
+        raise ValueError(
+            f"identify: the input is 0 over the {samples} samples to fit; it excites nothing"
+        )
+    return Problem(
+        record,
+        plant,
+        task_of(plant, record.u, record.dt),
+        names,
+        Coordinates.of(plant, names),
+        samples,
+        np.std(y, axis=0),
+    )
+
+
+def free_elements(plant: Plant, free: Sequence[str] | None) -> tuple[str, ...]:
+    """The names of the numbers to fit: `poles` becomes `poles[0]`, `poles[1]`, ..."""
+    leaves, names = named_leaves(plant), []
+    for path in [free] if isinstance(free, str) else leaves if free is None else free:
+        if path not in leaves and re.sub(r"(\[\d+\])+$", "", path) not in leaves:
+            raise ValueError(
+                f"identify: free = {path!r} is not a leaf of {type(plant).__name__}; "
+                f"known: {', '.join(leaves) or 'none'}"
+            )
+        try:
+            shape = np.shape(get_at(plant, path))
+        except KeyError as error:
+            raise ValueError(f"identify: free = {error.args[0]}") from None
+        names += [path + "".join(f"[{i}]" for i in index) for index in np.ndindex(shape)]
+    if not names:
+        raise ValueError(f"identify: free = {free!r} leaves nothing to fit")
+    return tuple(dict.fromkeys(names))

@@ -1,0 +1,208 @@
+"""What identification found, and how far to trust it: confidence intervals, poles, whiteness."""
+
+from __future__ import annotations
+
+import functools
+from typing import NamedTuple
+
+import jax
+import numpy as np
+import scipy.special
+
+from ..plants import Plant, ProcessModel
+from ..pytree.named_paths import replaced
+from .problem import Minimum, Problem
+
+CONFIDENCE = 0.95
+LAGS = 20  # of the residual's autocorrelation
+DRAWS = 4000  # of the parameters, for the intervals of the poles
+
+
+class Estimate(NamedTuple):
+    """A number with its 95 % confidence interval.
+
+    value: the estimate
+    low, high: ends of the interval, infinite where the record does not determine the number
+    """
+
+    value: float
+    low: float
+    high: float
+
+
+class PoleEstimate(NamedTuple):
+    """A pole [rad/s] with 95 % intervals of its real and of its imaginary part."""
+
+    value: complex
+    real: Estimate
+    imag: Estimate
+
+
+class Identified(NamedTuple):
+    """What identification found.
+
+    plant: the plant with the fitted values
+    parameters: the estimates by the path of the parameter, and `bias`, the output at rest
+        (`bias[i]` of several outputs)
+    covariance: (P, P) of the parameters in this order; inf on the diagonal of a parameter that the
+        record does not determine
+    poles: of a ProcessModel; the intervals are quantiles over draws of the parameters, since a
+        double pole is not a smooth function of them
+    samples: the output samples 0 .. samples-1 were fitted, the others validate the fit
+    simulated: (N+1, n_y) the plant's output, with the bias
+    fit: (n_y,) 100 (1 - |y - simulated| / |y - mean y|) [%] over the fitted part; 100 is perfect
+    validation_fit: (n_y,) the same over the validation part [%]; nan if all samples were fitted
+    residual_std: (n_y,) standard deviation of y - simulated over the fitted part, with the degrees
+        of freedom that are left
+    whiteness: (n_y,) share of the residual's autocorrelations at lags 1 .. 20 that lie within
+        +-1.96 / sqrt(samples); 0.95 is expected of white noise
+    white: whether all shares reach 0.8, which white noise misses once in 400 times. If false, the
+        structure is too simple, or the noise is coloured, or there is no noise but rounding: the
+        plant may still be good, but the intervals are too narrow
+    converged: whether the optimiser met its tolerances; with too many parameters for the record it
+        may make ever smaller progress without meeting them
+    """
+
+    plant: Plant
+    parameters: dict[str, Estimate]
+    covariance: np.ndarray
+    poles: tuple[PoleEstimate, ...]
+    samples: int
+    simulated: np.ndarray
+    fit: np.ndarray
+    validation_fit: np.ndarray
+    residual_std: np.ndarray
+    whiteness: np.ndarray
+    white: bool
+    converged: bool
+
+    def summary(self) -> list[tuple[str, float, float, float]]:
+        """Rows (quantity, value, low, high) to print; low and high are nan without an interval."""
+        rows = [(name, *estimate) for name, estimate in self.parameters.items()]
+        for i, pole in enumerate(self.poles, 1):
+            rows += [
+                (f"pole {i}, real part", *pole.real),
+                (f"pole {i}, imaginary part", *pole.imag),
+            ]
+        metrics = {
+            "fit [%]": self.fit,
+            "fit of the validation part [%]": self.validation_fit,
+            "residual std": self.residual_std,
+        }
+        metrics["share of residual autocorrelations within bounds"] = self.whiteness
+        several = len(self.fit) > 1
+        return rows + [
+            (n + f", output {i}" * several, float(v), np.nan, np.nan)
+            for n, vs in metrics.items()
+            for i, v in enumerate(vs)
+        ]
+
+
+def judged(problem: Problem, found: Minimum) -> Identified:
+    """The minimum with its intervals, poles and tests of the residual."""
+    theta, samples, y = found.theta, problem.samples, problem.record.y
+    residual, J = problem.residual(theta), problem.sensitivity(theta) / problem.scale[:, None]
+    freedom = samples * problem.plant.n_y - len(theta)
+    covariance = (
+        np.sum((residual[:samples] / problem.scale) ** 2)
+        / freedom
+        * _inverse_of_normal(J.reshape(-1, len(theta)))
+    )
+    half = scipy.special.stdtrit(freedom, 0.5 + CONFIDENCE / 2) * np.sqrt(np.diag(covariance))
+    biases = (
+        ["bias"] if problem.plant.n_y == 1 else [f"bias[{i}]" for i in range(problem.plant.n_y)]
+    )
+    named = zip((*problem.names, *biases), theta, half, strict=True)
+    whiteness = np.array([_whiteness(residual[:samples, i]) for i in range(problem.plant.n_y)])
+    return Identified(
+        plant=problem.plant_at(theta),
+        parameters={name: Estimate(float(v), float(v - h), float(v + h)) for name, v, h in named},
+        covariance=covariance,
+        poles=_poles(problem, theta, covariance) if isinstance(problem.plant, ProcessModel) else (),
+        samples=samples,
+        simulated=y - residual,
+        fit=_fit(y[:samples], residual[:samples]),
+        validation_fit=_fit(y[samples:], residual[samples:]),
+        residual_std=np.sqrt(np.sum(residual[:samples] ** 2, axis=0) * problem.plant.n_y / freedom),
+        whiteness=whiteness,
+        white=bool(np.all(whiteness >= 0.8)),
+        converged=found.converged,
+    )
+
+
+def _inverse_of_normal(J):
+    """(J^T J)^-1 from the singular values of J, whose columns are scaled to length 1.
+
+    A parameter that takes part in a direction without effect on the output gets inf on the diagonal
+    and 0 in the rest of its row and column.
+    """
+    length = np.linalg.norm(J, axis=0)
+    length[length == 0] = 1.0
+    _, s, directions = np.linalg.svd(np.linalg.qr(J / length, mode="r"))
+    dead = s < 1e-10 * s[0]
+    undetermined = np.any(np.abs(directions[dead]) > 1e-3, axis=0)
+    scaled = directions[~dead] / s[~dead, None]
+    inverse = scaled.T @ scaled / np.outer(length, length)
+    inverse[undetermined] = inverse[:, undetermined] = 0.0
+    inverse[undetermined, undetermined] = np.inf
+    return inverse
+
+
+def _fit(y, residual):
+    """(n_y,) 100 (1 - |residual| / |y - mean y|) [%]"""
+    if len(y) < 2:
+        return np.full(y.shape[1], np.nan)
+    return 100 * (
+        1 - np.linalg.norm(residual, axis=0) / np.linalg.norm(y - np.mean(y, axis=0), axis=0)
+    )
+
+
+def _whiteness(residual) -> float:
+    """Share of the autocorrelations at lags 1 .. LAGS within the 95 % bounds of white noise."""
+    e = residual - np.mean(residual)
+    lags = range(1, min(LAGS, len(e) // 4) + 1)
+    r = np.array([e[lag:] @ e[:-lag] for lag in lags]) / (e @ e)
+    return float(np.mean(np.abs(r) <= 1.96 / np.sqrt(len(e))))
+
+
+def _poles(problem: Problem, theta, covariance) -> tuple[PoleEstimate, ...]:
+    """The poles, with quantiles over draws from the normal distribution of their parameters."""
+    which = [
+        i
+        for i, name in enumerate(problem.names)
+        if name.startswith(("poles", "frequencies", "dampings"))
+    ]
+    names, covariance = tuple(problem.names[i] for i in which), covariance[np.ix_(which, which)]
+    known = bool(np.all(np.isfinite(covariance)))
+    draws = np.zeros((DRAWS, len(which)))
+    if known:
+        std = np.sqrt(np.diag(covariance))
+        size, directions = np.linalg.eigh(covariance / np.outer(std, std))
+        draws = (
+            np.random.default_rng(0).normal(size=draws.shape)
+            @ (directions * np.sqrt(np.maximum(size, 0.0))).T
+            * std
+        )
+    poles = np.asarray(
+        _poles_at(theta[which] + np.vstack([np.zeros(len(which)), draws]), names, problem.plant)
+    )
+
+    def estimates(part):
+        tails = np.quantile(part[1:], (0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2), axis=0).T
+        return [
+            Estimate(v, *(tail if known else (-np.inf, np.inf)))
+            for v, tail in zip(part[0].tolist(), tails.tolist(), strict=True)
+        ]
+
+    return tuple(
+        PoleEstimate(*row)
+        for row in zip(poles[0].tolist(), estimates(poles.real), estimates(poles.imag), strict=True)
+    )
+
+
+@functools.partial(jax.jit, static_argnames="names")
+def _poles_at(values, names, plant):
+    """(rows, poles) of the plant with its parameters `names` set to each row of values."""
+    return jax.vmap(lambda row: replaced(plant, dict(zip(names, row, strict=True))).all_poles)(
+        values
+    )

@@ -1,0 +1,170 @@
+"""The plant of a TOML or JSON file: a transfer function, a state space, a fit, or a named class."""
+
+from __future__ import annotations
+
+import functools
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.signal import BadCoefficients
+
+from .. import identification, plants
+from ..identification.records import read_record
+from ..plants import Plant, from_control
+from ..pytree.ranges import brief, require
+from .specification import (
+    Table,
+    built,
+    classes,
+    flag,
+    list_of,
+    list_of_numbers,
+    number,
+    numbers,
+    one_of,
+    text,
+    whole,
+)
+
+
+def plant_of(values: Any, where: str, folder: Path, notes: list[str]) -> Plant:
+    """The plant that a table describes.
+
+    folder: of the file
+    notes: what was chosen for the plant is appended here
+    Raises ValueError naming the key that is wrong.
+    """
+    table = Table(values, where)
+    kinds = {
+        "transfer_function": _transfer_function,
+        "zeros_poles_gain": _zeros_poles_gain,
+        "state_space": _state_space,
+    }
+    named = sorted(name for name, c in classes().items() if issubclass(c, Plant))
+    kind = table.take("kind", one_of((*kinds, "identified", *named)))
+    if kind == "identified":
+        return _identified(table, folder, notes)
+    if kind in kinds:
+        allow_unstable = table.take("allow_unstable", flag, False)
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("error", BadCoefficients)
+                return from_control(kinds[kind](table), allow_unstable=allow_unstable)
+        except (ValueError, BadCoefficients) as error:
+            said = str(error).removeprefix("from_control: ")
+            raise ValueError(said if where in said else f"{where}: {said}") from None
+    return built(
+        {key: value for key, value in table.values.items() if key != "kind"},
+        where,
+        cls=getattr(plants, kind),
+    )
+
+
+def _transfer_function(table: Table):
+    """A transfer function by its coefficients of descending powers, of s or, with dt, of z.
+
+    Of several channels, num and den are lists [output][input] of such lists.
+    """
+    import control
+
+    def polynomial(value, where):
+        several = isinstance(value, list) and value and isinstance(value[0], list)
+        if several:
+            return list_of(list_of(list_of_numbers))(value, where)
+        coefficients = np.atleast_1d(numbers(value, where))
+        if coefficients.ndim != 1 or not coefficients.size:
+            raise ValueError(f"{where} = {brief(value)} is not a list of coefficients")
+        return coefficients
+
+    num, den, dt = (
+        table.take("num", polynomial),
+        table.take("den", polynomial),
+        table.take("dt", _sample_time, 0.0),
+    )
+    table.done()
+    try:
+        return control.tf(num, den, dt)
+    except (TypeError, IndexError) as error:
+        raise ValueError(f"{table.where}: num and den do not fit: {error}") from None
+
+
+def _zeros_poles_gain(table: Table):
+    """gain prod (s - zeros) / prod (s - poles); complex ones as [re, im], with their conjugates.
+
+    It is made as a chain of sections of second order, since the coefficients of a single polynomial
+    lose the digits of poles that lie close together.
+    """
+    import control
+    from scipy.signal import zpk2sos
+
+    zeros, poles = (table.take(key, list_of(_root), []) for key in ("zeros", "poles"))
+    gain, dt = table.take("gain", number), table.take("dt", _sample_time, 0.0)
+    table.done()
+    if len(zeros) >= len(poles):
+        raise ValueError(
+            f"{table.where}: {len(zeros)} zeros over {len(poles)} poles; "
+            "allowed are fewer zeros than poles"
+        )
+    try:
+        # With `analog` the poles may be those of z, too: the variable has no meaning to it.
+        sections = zpk2sos(zeros, poles, gain, analog=True)
+    except ValueError as error:
+        raise ValueError(f"{table.where}: {error}") from None
+    chain = [
+        control.ss(control.tf(np.trim_zeros(row[:3], "f"), np.trim_zeros(row[3:], "f"), dt))
+        for row in sections
+    ]
+    return functools.reduce(lambda system, section: section * system, chain)
+
+
+def _sample_time(value: Any, where: str) -> float:
+    dt = number(value, where)
+    require("", where, dt, "[0, inf)", note=", 0 for continuous time")
+    return dt
+
+
+def _root(value: Any, where: str) -> complex:
+    parts = np.atleast_1d(numbers(value, where))
+    if parts.shape not in ((1,), (2,)):
+        raise ValueError(f"{where} = {value!r} is not a number or a pair [re, im]")
+    return complex(*parts)
+
+
+def _state_space(table: Table):
+    import control
+
+    A, B, C = (np.atleast_2d(table.take(key, numbers)) for key in ("A", "B", "C"))
+    n, dt = len(A), table.take("dt", _sample_time, 0.0)
+    D = table.take("D", numbers, None)
+    table.done()
+    if A.shape != (n, n) or B.ndim != 2 or C.ndim != 2 or B.shape[0] != n or C.shape[1] != n:
+        raise ValueError(
+            f"{table.where}: A {A.shape}, B {B.shape}, C {C.shape} do not fit; "
+            "allowed are (n, n), (n, n_u), (n_y, n)"
+        )
+    D = np.zeros((len(C), B.shape[1])) if D is None else np.atleast_2d(D)
+    if D.shape != (len(C), B.shape[1]):
+        raise ValueError(f"{table.where}: D has shape {D.shape}; allowed is {(len(C), B.shape[1])}")
+    return control.ss(A, B, C, D, dt)
+
+
+def _identified(table: Table, folder: Path, notes: list[str]) -> Plant:
+    """A ProcessModel fitted to a record; keys as the options of `jaxilc identify`."""
+    record = folder / table.take("record", text)
+    columns = {
+        key: table.take(key, text, default)
+        for key, default in (("time", "t"), ("input", "u"), ("output", "y"))
+    }
+    structure = {key: table.take(key, whole, 1) for key in ("poles", "pairs", "zeros")}
+    table.done()
+    found = identification.identify(read_record(record, **columns), **structure)
+    values = ", ".join(
+        f"{name} = {estimate.value:.6g}" for name, estimate in found.parameters.items()
+    )
+    notes.append(
+        f"the plant was identified from {record.name}: {values}; "
+        f"fit {float(np.min(found.fit)):.4g} %"
+    )
+    return found.plant

@@ -1,0 +1,110 @@
+"""Machine, task and uncertainty of a TOML or JSON file."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..identification.records import read_record
+from ..learning.machine import Actuator, Disturbance, Machine, Sensor
+from ..plants import Plant
+from ..pytree.ranges import require
+from ..signals import references
+from ..signals.task import Task
+from ..uncertainty import LogUniform, Normal, Uniform
+from .specification import Table, built, called, flag, list_of, number, one_of, text, whole
+
+REFERENCES = ("sinusoid", "multisine", "chirp", "s_curve", "noncircular")
+DISTRIBUTIONS = {"uniform": Uniform, "normal": Normal, "log_uniform": LogUniform}
+
+
+def machine_of(values: Any, where: str, plant: Plant) -> Machine:
+    """The plant with the actuator, sensor and disturbance that a table describes."""
+    table = Table(values, where)
+    parts = {"actuator": Actuator, "sensor": Sensor, "disturbance": Disturbance}
+    made = {
+        key: table.take(key, lambda v, at, cls=cls: built(v, at, cls=cls), None)
+        for key, cls in parts.items()
+    }
+    table.done()
+    return Machine(plant, **made)
+
+
+def task_of(values: Any, where: str, folder: Path, plant: Plant) -> Task:
+    """The task that a table describes. folder: of the file"""
+    table = Table(values, where)
+    dt = table.take("dt", number)
+    require("", table.at("dt"), dt, "(0, inf)")
+
+    def reference(value, at):
+        each = value if isinstance(value, list) else [value]
+        columns = [
+            _reference(v, f"{at}[{i}]" if isinstance(value, list) else at, folder, dt)
+            for i, v in enumerate(each)
+        ]
+        if len({len(column) for column in columns}) > 1:
+            lengths = ", ".join(str(len(column)) for column in columns)
+            raise ValueError(f"{at}: the outputs have {lengths} samples; allowed is one length")
+        return np.stack(columns, axis=1)
+
+    fields = {
+        "reference": table.take("reference", reference),
+        "settle": table.take("settle", lambda v, at: tuple(list_of(number)(v, at)), None),
+        "inputs": table.take("inputs", whole, plant.n_u),
+        "unit": table.take("unit", text, ""),
+        "input_unit": table.take("input_unit", text, ""),
+    }
+    table.done()
+    if fields["settle"] is not None and len(fields["settle"]) != 2:
+        raise ValueError(
+            f"{table.at('settle')} = {list(fields['settle'])} is not a pair [start, stop]"
+        )
+    try:
+        return Task(**fields, dt=dt)
+    except ValueError as error:
+        raise ValueError(f"{where}: {error}") from None
+
+
+def _reference(value: Any, where: str, folder: Path, dt: float) -> np.ndarray:
+    """(N+1,) from a function of `references`, or a column of a text file with a header."""
+    table = Table(value, where)
+    if "csv" not in table:
+        function = table.take("function", one_of(REFERENCES))
+        return np.asarray(called(getattr(references, function), table, dt=dt))
+    path, column = folder / table.take("csv", text), table.take("column", text, "r")
+    time = table.take("time", text, "t")
+    table.done()
+    record = read_record(path, time=time, input=column, output=column)
+    if abs(record.dt / dt - 1) > 1e-6:
+        raise ValueError(
+            f"{where}: {path} is sampled at {record.dt:g} s but the task at {dt:g} s; "
+            "nothing is resampled"
+        )
+    return np.asarray(record.y)[:, 0]
+
+
+def uncertainty_of(values: Any, where: str):
+    """Pairs of a name and its distribution; a name is one key, "plant.B", or nested tables."""
+    table = Table(values, where)
+    for name in table.values:
+        inner = Table(table.values[name], table.at(name))
+        if "distribution" not in inner:
+            yield from (
+                (f"{name}.{rest}", one) for rest, one in uncertainty_of(inner.values, inner.where)
+            )
+            continue
+        cls = DISTRIBUTIONS[inner.take("distribution", one_of(DISTRIBUTIONS))]
+        fields = {
+            f.name: inner.take(f.name, number)
+            for f in dataclasses.fields(cls)
+            if f.name != "relative"
+        }
+        fields["relative"] = inner.take("relative", flag, False)
+        inner.done()
+        try:
+            yield name, cls(**fields)
+        except ValueError as error:
+            raise ValueError(f"{inner.where}: {error}") from None
