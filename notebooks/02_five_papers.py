@@ -35,6 +35,7 @@ import numpy as np
 import jaxilc
 from jaxilc import figures
 from jaxilc.cli import tables
+from jaxilc.cli.numbers import run_numbers
 
 # %matplotlib inline
 # ruff: noqa: B018
@@ -116,7 +117,7 @@ assert last["milc", "motor_rms"] < last["dilc", "motor_rms"] / 3
 # %%
 li = jaxilc.scenarios.load("li-2020", setting="experiment").select(("p-type", "fixed-filter"))
 of_li, _ = jaxilc.run_schemes(li.machine, li.schemes, li.task, 30, quantities=li.functions)
-for name, rows in tables.run_figures(li, of_li)["schemes"].items():
+for name, rows in run_numbers(li, of_li)["schemes"].items():
     for p in rows["published"]:
         what = f"{p['quantity'].replace('_', ' ')} at trial {p['trial']}"
         print(
@@ -166,7 +167,7 @@ ax_path.figure
 # %%
 xu = jaxilc.scenarios.load("xu-2024")
 of_xu, _ = jaxilc.run_schemes(xu.machine, xu.schemes, xu.task, 10, quantities=xu.functions)
-for name, rows in tables.run_figures(xu, of_xu)["schemes"].items():
+for name, rows in run_numbers(xu, of_xu)["schemes"].items():
     for p in rows["published"]:
         print(
             f"{name:9s} {p['quantity'].replace('_', ' '):14s} printed {p['value']:7.2f} ours {p['ours']:7.2f} {p['unit']}"

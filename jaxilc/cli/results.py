@@ -1,0 +1,66 @@
+"""What a command leaves behind: folders, and files of numbers and of parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .console import out
+
+if TYPE_CHECKING:
+    from ..scenarios import Scenario
+    from ..tuning import Tuned
+
+
+def folder_of(folder: Path | None, default: str) -> Path:
+    """The folder for results, made if it is not there; out/DEFAULT where none was asked for."""
+    folder = folder or Path("out") / default
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def unless_there(place: Path, resume: bool) -> Path:
+    """The place that a command keeps its state in, inside the folder for results.
+
+    Raises FileExistsError if it is there already and `--resume` was not given.
+    """
+    if place.exists() and not resume:
+        raise FileExistsError(
+            f"{place} exists already; add --resume to go on with it, or choose another --out"
+        )
+    return place
+
+
+def parameter_file(
+    path: Path,
+    chosen: Scenario,
+    source: str,
+    scheme: str,
+    tuned: Tuned,
+    obtained: Mapping[str, Any],
+) -> Path:
+    """Write the parameters in which a tuned scheme differs from that of its scenario.
+
+    source: name or file that the scenario was loaded from;  obtained: how they were found, as JSON
+    """
+    from ..scenarios.from_file import load_scenario
+    from ..scenarios.parameters import differing, write_parameters
+
+    printed = load_scenario(source, chosen.options).schemes[scheme]
+    changed = {scheme: differing(tuned.scheme, printed)}
+    return write_parameters(
+        path, chosen.name, changed, {**obtained, "options": dict(chosen.options)}
+    )
+
+
+def written(paths: list[Path], json_file: Path | None, numbers: dict | list) -> None:
+    """Write the numbers to the file of `--json`, if there is one, and say what was written."""
+    from ..storage.sealed import write_json
+
+    if json_file is not None:
+        json_file.parent.mkdir(parents=True, exist_ok=True)
+        write_json(json_file, numbers)
+        paths = [*paths, json_file]
+    if paths:
+        out.print("written: " + ", ".join(map(str, paths)), highlight=False, soft_wrap=True)
