@@ -152,30 +152,21 @@ def compare_plant(of: Setting, *, repeats: int = 5) -> dict[str, Row]:
 
     a, dt, N, S = np.asarray(of.machine.plant.a), of.task.dt, of.task.N, len(of.b)
     u = np.random.default_rng(1).normal(size=N)
-    time_, few = np.arange(N + 1) * dt, min(S, 64)  # python-control takes a Python step a sample
-    denominator = np.append(1.0, -a)
-    systems = [control.tf(b, denominator, dt) for b in of.b[:few]]
-    systems = [control.ss(system) for system in systems]
-    run = tiled(_response)
-    common = (of.machine, of.task, u[:, None])
-    last = np.append(u, 0.0)
+    few = min(S, 64)  # python-control takes a Python step a sample
+    instants, last, denominator = np.arange(N + 1) * dt, np.append(u, 0.0), np.append(1.0, -a)
+    systems = [control.ss(control.tf(b, denominator, dt)) for b in of.b[:few]]
+    run, common = tiled(_response), (of.machine, of.task, u[:, None])
+
+    def by_control() -> np.ndarray:
+        return np.stack([control.forced_response(s, instants, last).outputs for s in systems])
+
+    def by_scipy() -> np.ndarray:
+        numerators = (np.append(0.0, b) for b in of.b)
+        return np.stack([scipy.signal.lfilter(b, denominator, last) for b in numerators])
+
     entries = {
-        "python-control": Entry(
-            lambda: np.stack([control.forced_response(s, time_, last).outputs for s in systems])[
-                ..., None
-            ],
-            few,
-            1,
-            N,
-        ),
-        "SciPy lfilter": Entry(
-            lambda: np.stack(
-                [scipy.signal.lfilter(np.append(0.0, b), denominator, last) for b in of.b]
-            )[..., None],
-            S,
-            1,
-            N,
-        ),
+        "python-control": Entry(lambda: by_control()[..., None], few, 1, N),
+        "SciPy lfilter": Entry(lambda: by_scipy()[..., None], S, 1, N),
         OURS: Entry(lambda: np.asarray(run(common, of.b))[..., None], S, 1, N),
     }
     return in_turns(entries, repeats=repeats)
@@ -191,11 +182,8 @@ def compare_long(samples: int, *, repeats: int = 5) -> dict[str, Row]:
 
     of = setting("cfdl", 1, 1, samples)
     u = np.random.default_rng(1).normal(size=(samples, 1))
-    b, a, last = (
-        np.append(0.0, of.machine.plant.b),
-        np.append(1.0, -np.asarray(of.machine.plant.a)),
-        np.append(u, 0.0),
-    )
+    b, a = np.append(0.0, of.machine.plant.b), np.append(1.0, -np.asarray(of.machine.plant.a))
+    last = np.append(u, 0.0)
     run, common = jax.jit(_output), jax.device_put((of.task, u))
     steps, in_blocks = jax.device_put((of.machine, Machine(InBlocks(of.machine.plant))))
     calls = {
@@ -228,27 +216,22 @@ def alone(name: str, plants: int, *, repeats: int = 5) -> Row:
             chosen = scenarios.load("milc-2024")
             dilc: Any = chosen.schemes["dilc"]
             plant = dilc.learning.scheme.model
-            scheme, task = (
-                NormOptimal(plant, w_q=1.0, w_r=1e-4, w_s=1e-3),
-                Task(_sinusoid(2000, plant.dt), dt=plant.dt),
-            )
+            scheme = NormOptimal(plant, w_q=1.0, w_r=1e-4, w_s=1e-3)
+            task = Task(_sinusoid(2000, plant.dt), dt=plant.dt)
         case "ilc-asmc":
             chosen = scenarios.load("xu-2024")
             plant = StateSpace(
                 [[0.0, 1.0], [-MODEL["a1"], -MODEL["a2"]]], [[0.0], [MODEL["b"]]], [[1.0, 0.0]]
             )
-            scheme, task = (
-                chosen.schemes["ilc-asmc"],
-                Task(20 * _sinusoid(2000, chosen.task.dt), dt=chosen.task.dt),
-            )
+            scheme = chosen.schemes["ilc-asmc"]
+            task = Task(20 * _sinusoid(2000, chosen.task.dt), dt=chosen.task.dt)
         case _:
             raise ValueError(f"bench: scheme = {name!r} is not one of {', '.join(ALONE)}")
     gains = np.random.default_rng(0).uniform(0.9, 1.1, (plants, 1, 1)) * np.asarray(plant.B)
     run = tiled(partial(_metrics, leaf="plant.B", trials=10))
     common = (Machine(plant), scheme, task)
-    return in_turns(
-        {OURS: Entry(lambda: np.asarray(run(common, gains)), plants, 10, task.N)}, repeats=repeats
-    )[OURS]
+    ours = Entry(lambda: np.asarray(run(common, gains)), plants, 10, task.N)
+    return in_turns({OURS: ours}, repeats=repeats)[OURS]
 
 
 def cost_by_size(

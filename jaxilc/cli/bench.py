@@ -51,7 +51,7 @@ def bench(
     json_file: Json = None,
     precision: Precision = "float64",
 ) -> None:
-    """Our speed beside NumPy, Numba, C, SciPy and python-control, here and for the same numbers.
+    """Our speed beside NumPy, Numba, C, SciPy and python-control, for the same numbers.
 
     Opponents compute in float64, whatever the precision.
 

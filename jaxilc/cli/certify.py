@@ -45,9 +45,9 @@ def certify(
     report: Report = None,
     precision: Precision = "float64",
 ) -> None:
-    """What theory claims of each machine in the long run and predicts of J trials, and simulation.
+    """Theory beside simulation: claims for the long run, and predictions of J trials.
 
-    For schemes with the bounds of Cao 2019, the premises of these are checked.
+    For schemes with the bounds of Cao 2019, their premises are checked too.
 
     Example: jaxilc certify cao-2019 --scheme cfdl-mfailc --trials 200 --machines 256
     """

@@ -59,7 +59,7 @@ Share = Annotated[
     typer.Option("--saturation", help="Share of samples at the limit that is accepted."),
 ]
 Repeatability = Annotated[
-    float | None, typer.Option(help="Largest RMS difference of two trials of one table.")
+    float | None, typer.Option(help="Largest RMS difference of two trials of one schedule.")
 ]
 Growth = Annotated[
     float | None, typer.Option(help="Share by which the RMS error may grow without a warning.")
@@ -93,7 +93,9 @@ def next_(
     ] = False,
     no_learn: Annotated[
         bool,
-        typer.Option("--no-learn", help="Look at the trial only; the same table is played again."),
+        typer.Option(
+            "--no-learn", help="Look at the trial only; the same schedule is played again."
+        ),
     ] = False,
     replayed_input: Annotated[
         bool, typer.Option("--replayed-input", help="Without u: the scheme's over the measured y.")

@@ -17,7 +17,7 @@ from ..theory.certificates import CLAIMS, CONVERGES, COURSES, MONOTONE
 if TYPE_CHECKING:
     import xarray as xr
 
-    from ..scenarios import Scenario
+    from ..scenarios import Published, Scenario
     from ..sweeps.summary import SchemeSummary
     from ..theory.of_schemes import OfScheme
 
@@ -49,27 +49,28 @@ def run_numbers(scenario: Scenario, dataset: xr.Dataset) -> dict[str, Any]:
             m: {str(j): float(values.sel(trial=j)) for j in shown_trials(scenario)}
             for m, values in shown.items()
         }
-        published = []
-        for p in scenario.due:
-            if p.scheme == name:
-                trial = p.trial or 1
-                ours = (
-                    float(shown[p.quantity].sel(trial=trial)) if trial <= scenario.trials else None
-                )
-                row = {
-                    "trial": p.trial,
-                    "quantity": p.quantity,
-                    "value": p.value,
-                    "unit": scenario.shown(p.quantity)[1],
-                }
-                published.append(row | {"source": p.source, "ours": ours})
-        course = {name: int(chosen[name]) for name in ("diverged_at", "grown_from")}
+        published = [_beside(p, scenario, shown) for p in scenario.due if p.scheme == name]
+        course = {event: int(chosen[event]) for event in ("diverged_at", "grown_from")}
         schemes[name] = by_metric | course | {"published": published}
     return {
         "scenario": scenario.name,
         "trials": scenario.trials,
         "unit": scenario.shown_unit,
         "schemes": schemes,
+    }
+
+
+def _beside(p: Published, scenario: Scenario, shown: dict[str, xr.DataArray]) -> dict[str, Any]:
+    """A published number beside ours, which is None for a trial that was not run."""
+    trial = p.trial or 1
+    ours = float(shown[p.quantity].sel(trial=trial)) if trial <= scenario.trials else None
+    return {
+        "trial": p.trial,
+        "quantity": p.quantity,
+        "value": p.value,
+        "unit": scenario.shown(p.quantity)[1],
+        "source": p.source,
+        "ours": ours,
     }
 
 

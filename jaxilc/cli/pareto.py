@@ -186,9 +186,15 @@ class _Of(NamedTuple):
 
     def parameters(self, name: str, tuned, point: dict) -> Path:
         """Write the parameter file of one point."""
-        obtained = {"command": "jaxilc pareto", "point": point}
-        path = self.folder / name
-        return parameter_file(path, self.chosen, self.source, self.scheme, tuned, obtained)
+        return parameter_file(
+            self.folder / name,
+            self.chosen,
+            command="jaxilc pareto",
+            source=self.source,
+            scheme=self.scheme,
+            tuned=tuned,
+            point=point,
+        )
 
 
 class _Found(NamedTuple):

@@ -32,7 +32,7 @@ def reproduce(
 ) -> None:
     """Every published number beside ours, with a verdict and how the paper was read.
 
-    Each row says what was fitted, and why it is open where it is.
+    Each row says what was fitted, and an open row why it is open.
 
     Example: jaxilc reproduce cao-2019 dai-2014 --json out/reproduce.json
     """

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -35,23 +34,25 @@ def unless_there(place: Path, resume: bool) -> Path:
 def parameter_file(
     path: Path,
     chosen: Scenario,
+    *,
+    command: str,
     source: str,
     scheme: str,
     tuned: Tuned,
-    obtained: Mapping[str, Any],
+    **obtained: Any,
 ) -> Path:
     """Write the parameters in which a tuned scheme differs from that of its scenario.
 
-    source: name or file that the scenario was loaded from;  obtained: how they were found, as JSON
+    command: that found them;  obtained: what else is worth knowing of that, as JSON
+    source: name or file that the scenario was loaded from
     """
     from ..scenarios.from_file import load_scenario
     from ..scenarios.parameters import differing, write_parameters
 
     printed = load_scenario(source, chosen.options).schemes[scheme]
     changed = {scheme: differing(tuned.scheme, printed)}
-    return write_parameters(
-        path, chosen.name, changed, {**obtained, "options": dict(chosen.options)}
-    )
+    how = {"command": command, "options": dict(chosen.options), **obtained}
+    return write_parameters(path, chosen.name, changed, how)
 
 
 def written(paths: list[Path], json_file: Path | None, numbers: dict | list) -> None:

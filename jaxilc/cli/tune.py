@@ -72,7 +72,7 @@ def tune(
     report: Report = None,
     precision: Precision = "float64",
 ) -> None:
-    """Weights by gradient through the learning, over many machines; compared on machines not seen.
+    """Tune weights by gradient through the learning, and compare them on machines not seen.
 
     Example: jaxilc tune cao-2019 --scheme cfdl-mfailc --weights lam,eta,mu,phi0
     --set cfdl-mfailc.lead=3 --objective holding:20
@@ -121,15 +121,19 @@ def tune(
     out.print(result, highlight=False)
     for line in warnings:
         err.print(line, highlight=False)
-    obtained = {
-        "command": "jaxilc tune",
-        "held_out_loss": numbers["held_out"],
-        "configuration": problem.configuration(),
-    }
     scale, unit = chosen.shown(chosen.judged_by)
     band = figures.error_band(dataset, figure=chosen.judged_by, scale=scale, unit=unit)
     paths = [
-        parameter_file(folder / "params.json", chosen, scenario, scheme, tuned, obtained),
+        parameter_file(
+            folder / "params.json",
+            chosen,
+            command="jaxilc tune",
+            source=scenario,
+            scheme=scheme,
+            tuned=tuned,
+            held_out_loss=numbers["held_out"],
+            configuration=problem.configuration(),
+        ),
         figures.save(figures.loss_by_step(tuned), folder / "loss.png"),
         figures.save(band, folder / "learning.png"),
     ]

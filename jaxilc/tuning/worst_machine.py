@@ -85,7 +85,15 @@ def worst_machine(
     """
     of_a_step = starts * (1 + GRADIENT_COST)
     steps = steps if evaluations is None else evaluations // of_a_step
-    _need_room(task, trials, uncertainty, starts, steps, evaluations, draws)
+    _need_room(
+        task,
+        trials,
+        uncertainty,
+        starts=starts,
+        steps=steps,
+        evaluations=evaluations,
+        draws=draws,
+    )
     objective, keep = Final(metric), Keep.of(quantities or {})
 
     def loss(one: Machine) -> jax.Array:
@@ -113,16 +121,16 @@ def worst_machine(
     searches = {
         name: _search(
             case,
-            of_machine(case.subject),
-            of_a_step if case is climbed else 1,
-            found["chance"].loss,
+            value=of_machine(case.subject),
+            each=of_a_step if case is climbed else 1,
+            chance=found["chance"].loss,
         )
         for name, case in found.items()
     }
     return WorstMachine(nominal, searches, of_losses(list(found.values())[-1].found))
 
 
-def _search(case: WorstCase, value: float, each: int, chance: float) -> Search:
+def _search(case: WorstCase, *, value: float, each: int, chance: float) -> Search:
     """each: evaluations between two entries of `case.best`;  chance: loss that chance found"""
     level = each * (1 + int((case.best >= chance).argmax())) if case.loss >= chance else None
     return Search(case, value, each * (1 + int(case.best.argmax())), level)
@@ -132,6 +140,7 @@ def _need_room(
     task: Task,
     trials: int,
     uncertainty: Uncertainty,
+    *,
     starts: int,
     steps: int,
     evaluations: int | None,

@@ -1,6 +1,4 @@
-"""The benchmark: every opponent computes what we compute, wrong numbers are refused, costs and
-ratios are read off correctly.
-"""
+"""The benchmark: opponents compute what we compute, and wrong numbers are refused."""
 
 import json
 

@@ -446,9 +446,7 @@ def examples():
 
 @pytest.mark.parametrize(("command", "words"), [*examples()])
 def test_the_example_of_a_command_is_one_of_it(command, words):
-    """Its options are there and their values are of the right kind; what is missing or too much
-    raises.
-    """
+    """Its options exist and its values are of the right kind; anything else would raise."""
     assert words[0] == command.name
     with command.make_context(command.name, words[1:]) as context:
         assert not context.args
@@ -483,6 +481,21 @@ def test_a_help_page_fits_80_columns(name):
     assert "…" not in shown.stdout
     assert ("--machines" in shown.stdout) == (name in ("sweep", "certify", "tune", "pareto"))
     assert ("[@METRIC]" in shown.stdout) == (name in ("tune", "pareto"))
+
+
+def test_what_commands_share_is_declared_once():
+    """A shared option reads the same wherever it is; a count of machines keeps its old name."""
+    said, of_machines = {}, {}
+    for name, command in get_command(app).commands.items():
+        for option in command.params:
+            said.setdefault(max(option.opts, key=len), set()).add(option.help)
+            if "--machines" in option.opts:
+                of_machines[name] = option.opts
+    assert list(of_machines) == ["sweep", "certify", "tune", "pareto"]
+    assert all(names == ["--machines", "--samples"] for names in of_machines.values())
+    shared = ("--set", "--params", "--seed", "--spread", "--sampling", "--json", "--report")
+    for name in (*shared, "--precision", "--resume"):
+        assert len(said[name]) == 1, name
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
-"""The command line for tuning: its numbers against the library's, parameter files, resuming, worst
-machines rebuilt, and mistakes.
+"""The commands that tune and search: their numbers are the library's, and they can be resumed.
+
+Parameter files, worst machines that are rebuilt, and mistakes have their tests here too.
 """
 
 import contextlib
@@ -593,7 +594,7 @@ def test_a_mistake_is_one_line_and_nothing_is_written(command, arguments, messag
 
 
 # Parameter files and figures
-# -------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def test_a_parameter_file_holds_what_differs(scenario, tmp_path):

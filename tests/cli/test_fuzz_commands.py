@@ -1,7 +1,7 @@
-"""Every command with options that nobody wants, up to where it would compute: done, or a mistake in
-one line, and exit code 1 never.
+"""Every command with options that nobody wants, up to where it would compute.
 
-See fuzz.py for how to run more.
+A command ends well, or with a mistake in one line, and never with exit code 1. See fuzz.py for how
+to run more.
 """
 
 import contextlib
@@ -202,7 +202,7 @@ bench --plants {10**12} --long 0
 
 @pytest.mark.parametrize("line", FOUND.strip().split("\n"), ids=lambda line: line[:50])
 def test_what_was_found(line, folder, monkeypatch):
-    """These ended in a traceback, or were not seen to be too much."""
+    """These once ended in a traceback, or were not refused although they were too large."""
     (folder / "deep.json").write_text("[" * 100_000)
     monkeypatch.setattr(sys, "argv", ["jaxilc", *line.split()])
     assert ended() == 2

@@ -1,5 +1,6 @@
-"""Names, titles and units: part of files' names, of paths of parameters and of what a terminal
-prints, so checked before anything runs.
+"""Names, titles and units are checked before anything runs.
+
+They become parts of files' names, of paths of parameters, and of what a terminal prints.
 """
 
 import dataclasses
