@@ -14,6 +14,7 @@ from rich.text import Text
 from ..storage.printable import printable
 
 WHOLE = 0.6  # of the width: a column that is wider than this is folded in any case
+NARROWEST = 4  # columns, with the space beside the text
 
 
 class Console(rich.console.Console):
@@ -44,8 +45,9 @@ class Table(rich.table.Table):
 
     def add_column(self, header: Any = "", *args: Any, whole: bool = False, **options: Any) -> None:
         """whole: other columns are folded before this one"""
-        options = {"overflow": "fold", "no_wrap": whole} | options
-        super().add_column(_plain(header), *args, **options)
+        super().add_column(
+            _plain(header), *args, **{"overflow": "fold", "no_wrap": whole} | options
+        )
 
     def add_row(self, *cells: Any, **options: Any) -> None:
         super().add_row(*map(_plain, cells), **options)
@@ -60,25 +62,45 @@ class Table(rich.table.Table):
 
     def _parts(self, console: rich.console.Console, options: ConsoleOptions) -> Iterator[Table]:
         """Tables without a title that fit the width: one, or several with the same first column."""
-        sizes = [self._measure_column(console, options, column) for column in self.columns]
-        fits = sum(size.minimum + 1 for size in sizes) + 1 <= options.max_width
+        room = options.max_width - 1
+        sizes = []
+        for column in self.columns:
+            least, most = self._measure_column(console, options, column)
+            sizes.append((most if column.no_wrap and most <= WHOLE * room else least, most))
         groups: list[list[int]] = [[*range(len(sizes))]]
-        if not fits and len(sizes) > 1:
+        if sum(least + 1 for least, _ in sizes) > room and len(sizes) > 1:
             groups = [[0]]
             for i in range(1, len(sizes)):
-                width = sum(sizes[k].maximum + 1 for k in (*groups[-1], i)) + 1
-                if width > options.max_width and len(groups[-1]) > 1:
+                wide = sum(sizes[k][1] + 1 for k in (*groups[-1], i)) > room
+                if wide and len(groups[-1]) > 1:
                     groups.append([0])
                 groups[-1].append(i)
         for group in groups:
+            widths = _shared(room - len(group), [sizes[i] for i in group])
             part = copy.copy(self)
             part.title, part.columns = None, []
-            for place, i in enumerate(group):
+            for place, (i, width) in enumerate(zip(group, widths, strict=True)):
                 column = copy.copy(self.columns[i])
-                column._index = place
-                column.no_wrap &= sizes[i].maximum <= WHOLE * options.max_width
+                column._index, column.no_wrap = place, False
+                column.width = width - self._get_padding_width(place)
                 part.columns.append(column)
             yield part
+
+
+def _shared(room: int, sizes: list[tuple[int, int]]) -> list[int]:
+    """Widths of columns that fit the room: the widest columns give way, each down to its least.
+
+    sizes: least width, at which no word is broken, and the width without a fold, of each column
+    Where even the least widths do not fit, the widest columns are narrower than that.
+    """
+    widths, least = [most for _, most in sizes], [low for low, _ in sizes]
+    while sum(widths) > room:
+        loose = [i for i, width in enumerate(widths) if width > least[i]]
+        widest = max(loose or range(len(widths)), key=lambda i: widths[i])
+        if widths[widest] <= NARROWEST:
+            break
+        widths[widest] -= 1
+    return widths
 
 
 def _plain(cell: Any) -> Any:

@@ -51,6 +51,16 @@ def test_a_table_that_is_too_wide_goes_on_below():
     assert len(table.columns) == 10  # which a report reads
 
 
+def test_a_word_is_not_broken_where_another_column_can_give_way():
+    table = Table("entry", "rms error", "max error", "effort", "file", "what was seen")
+    table.add_row("1", "0.7071", "1", "0", "measured-trial.csv", "a warning of many words " * 3)
+    console = Console(width=60)
+    with console.capture() as shown:
+        console.print(table)
+    assert "measured-trial.csv" in shown.get()
+    assert max(map(len, shown.get().splitlines())) == 60
+
+
 def test_a_column_that_is_whole_is_not_folded():
     table = Table(title="one")
     table.add_column("--set", whole=True)
