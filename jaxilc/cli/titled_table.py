@@ -45,9 +45,8 @@ class Table(rich.table.Table):
 
     def add_column(self, header: Any = "", *args: Any, whole: bool = False, **options: Any) -> None:
         """whole: other columns are folded before this one"""
-        super().add_column(
-            _plain(header), *args, **{"overflow": "fold", "no_wrap": whole} | options
-        )
+        options = {"overflow": "fold", "no_wrap": whole} | options
+        super().add_column(_plain(header), *args, **options)
 
     def add_row(self, *cells: Any, **options: Any) -> None:
         super().add_row(*map(_plain, cells), **options)
