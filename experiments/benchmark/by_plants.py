@@ -39,20 +39,20 @@ def rows(plants):
             bench.setting("cfdl", size, 1, SAMPLES), repeats=repeats
         )
         for what, contenders in found.items():
-            for name, figures in timing.as_json(contenders).items():
-                ratios = sorted(figures["cpu_ratio"])
+            for name, row in timing.as_json(contenders).items():
+                ratios = sorted(row["cpu_ratio"])
                 yield {
                     "what": what,
                     "contender": name,
                     "plants": size,
-                    "ran": f"{figures['plants']} x {figures['trials']}",
-                    "ns best": figures["ns_best"],
-                    "ns median": figures["ns_median"],
-                    "cpu ns": figures["ns_cpu"],
-                    "times ours, median": sorted(figures["ratio"])[len(ratios) // 2],
+                    "ran": f"{row['plants']} x {row['trials']}",
+                    "ns best": row["ns_best"],
+                    "ns median": row["ns_median"],
+                    "cpu ns": row["ns_cpu"],
+                    "times ours, median": sorted(row["ratio"])[len(ratios) // 2],
                     "times ours by cpu, median": ratios[len(ratios) // 2],
-                    "compile s": figures["compile_seconds"],
-                    "peak bytes": figures["peak_bytes"],
+                    "compile s": row["compile_seconds"],
+                    "peak bytes": row["peak_bytes"],
                     "load": timing.machine()["load"][0],
                 }
 

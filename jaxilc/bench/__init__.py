@@ -1,6 +1,4 @@
-"""What `jaxilc bench` measures: the same learning run by peers and by jaxilc, numbers compared
-before times.
-"""
+"""The benchmark: the same learning run by jaxilc and by others, timed once the numbers agree."""
 
 import lazy_loader
 

@@ -1,6 +1,4 @@
-"""What `jaxilc bench` measures: the same learning run by others, which are in `peers`, and by
-jaxilc.
-"""
+"""The contests of `jaxilc bench`: the same learning by jaxilc and by its opponents (`peers`)."""
 
 from __future__ import annotations
 
@@ -25,22 +23,21 @@ from ..schemes import NormOptimal, Scheme
 from ..schemes.scheme import Feedforward
 from ..signals import references
 from ..signals.task import Task
-from . import peers
-from .peers import FIGURES, Peer, Problem
+from . import compiled_peers, peers
+from .peers import METRICS, Peer, Problem
 from .timing import OURS, Cost, Entry, Row, cores, cost, difference, in_turns
 
 SCHEMES = {"cfdl": "cfdl-mfailc", "ffdl": "ffdl-mfailc"}
 ALONE = ("noilc", "ilc-asmc")
 BLOCKS = "jaxilc in blocks"
-SLOW = {
-    "NumPy loop": (1, 20),
-    "NumPy batch": (1024, 5),
-}  # plants and trials that are enough to know the cost of a sample-step
+# Plants and trials that are enough to know what a sample-step costs.
+SLOW = {"NumPy loop": (1, 20), "NumPy batch": (1024, 5)}
 
 
 def opponents() -> tuple[dict[str, tuple[Peer, float]], list[str]]:
-    """The peers that are there, with the seconds it took to build each, and a note for each that is
-    not.
+    """The opponents that run here, each with the seconds to build it, and a note on each other one.
+
+    Numba and a C compiler need not be there.
     """
     found: dict[str, tuple[Peer, float]] = {
         "NumPy loop": (peers.numpy_loop, 0.0),
@@ -48,8 +45,8 @@ def opponents() -> tuple[dict[str, tuple[Peer, float]], list[str]]:
     }
     notes: list[str] = []
     for name, make in {
-        "Numba parallel": peers.numba_parallel,
-        "C limit": partial(peers.c_program, cores()),
+        "Numba parallel": compiled_peers.numba_parallel,
+        "C limit": partial(compiled_peers.c_program, cores()),
     }.items():
         start = time.perf_counter()
         try:
@@ -60,8 +57,9 @@ def opponents() -> tuple[dict[str, tuple[Peer, float]], list[str]]:
 
 
 class Setting(NamedTuple):
-    """MFAILC on the motor of Cao 2019, eq. 29, whose gain is uncertain by 10 %. b: (S, 3)
-    numerators of the plants
+    """MFAILC on the motor of Cao 2019, eq. 29, whose gain is uncertain by 10 %.
+
+    trials: J;  b: (S, 3) numerators of the plants
     """
 
     machine: Any
@@ -86,15 +84,17 @@ class Setting(NamedTuple):
         )
 
     def ours(self, lanes: int | None = None) -> Callable[[], np.ndarray]:
-        """(S, J, 4) figures by `learn`, the plants tiled as a sweep tiles them."""
-        run = tiled(partial(_figures, leaf="plant.b", trials=self.trials), lanes=lanes)
+        """(S, J, 4) metrics by `learn`, the plants tiled as a sweep tiles them."""
+        run = tiled(partial(_metrics, leaf="plant.b", trials=self.trials), lanes=lanes)
         common = (self.machine, self.scheme, self.task)
         return lambda: np.asarray(run(common, self.b))
 
 
 def setting(scheme: str, plants: int, trials: int, samples: int) -> Setting:
-    """The scenario `cao-2019` of that size, one period of the sinusoid a trial. scheme: `cfdl` or
-    `ffdl`, else ValueError.
+    """The scenario `cao-2019` in that size, with one period of the sinusoid in each trial.
+
+    scheme: `cfdl` or `ffdl`;  plants: S;  trials: J;  samples: N
+    Raises ValueError for another scheme, and for a size that is too small or too large.
     """
     if scheme not in SCHEMES:
         raise ValueError(f"bench: scheme = {scheme!r} is not one of {', '.join(SCHEMES)}")
@@ -114,8 +114,10 @@ def setting(scheme: str, plants: int, trials: int, samples: int) -> Setting:
 
 
 def need_room(plants: int, trials: int, samples: int) -> None:
-    """Raises ValueError where the contenders do not fit into memory together: figures of every
-    trial, signals of a few plants, and the outputs of the plants alone."""
+    """Raises ValueError where the contenders do not fit into memory together.
+
+    They keep the metrics of every trial, signals of a few plants, and the outputs of the plants.
+    """
 
     def need(plants: float, trials: float, samples: float) -> float:
         of_signals = 20 * min(plants, SLOW["NumPy batch"][0]) + 6 * plants
@@ -127,8 +129,9 @@ def need_room(plants: int, trials: int, samples: int) -> None:
 def compare(
     of: Setting, opponents: Mapping[str, tuple[Peer, float]], *, repeats: int = 5
 ) -> dict[str, Row]:
-    """Ours and every opponent on one setting. Raises ArithmeticError, naming it, where one of them
-    has other numbers.
+    """Ours and every opponent on one setting.
+
+    Raises ArithmeticError, naming the opponent, where one computes other numbers.
     """
     whole, N, entries = of.problem, of.task.N, {}
     for name, (peer, built) in opponents.items():
@@ -140,58 +143,47 @@ def compare(
 
 
 def compare_plant(of: Setting, *, repeats: int = 5) -> dict[str, Row]:
-    """The plants alone, driven by one input: python-control, SciPy, and `run_trial`; outputs
-    compared.
+    """The plants alone, driven by one input: python-control, SciPy and `run_trial`.
+
+    Raises ArithmeticError where their outputs differ.
     """
     import control
     import scipy.signal
 
     a, dt, N, S = np.asarray(of.machine.plant.a), of.task.dt, of.task.N, len(of.b)
     u = np.random.default_rng(1).normal(size=N)
-    time_, few = np.arange(N + 1) * dt, min(S, 64)  # python-control takes a Python step a sample
-    denominator = np.append(1.0, -a)
-    systems = [control.tf(b, denominator, dt) for b in of.b[:few]]
-    systems = [control.ss(system) for system in systems]
-    run = tiled(_response)
-    common = (of.machine, of.task, u[:, None])
-    last = np.append(u, 0.0)
+    few = min(S, 64)  # python-control takes a Python step a sample
+    instants, last, denominator = np.arange(N + 1) * dt, np.append(u, 0.0), np.append(1.0, -a)
+    systems = [control.ss(control.tf(b, denominator, dt)) for b in of.b[:few]]
+    run, common = tiled(_response), (of.machine, of.task, u[:, None])
+
+    def by_control() -> np.ndarray:
+        return np.stack([control.forced_response(s, instants, last).outputs for s in systems])
+
+    def by_scipy() -> np.ndarray:
+        numerators = (np.append(0.0, b) for b in of.b)
+        return np.stack([scipy.signal.lfilter(b, denominator, last) for b in numerators])
+
     entries = {
-        "python-control": Entry(
-            lambda: np.stack([control.forced_response(s, time_, last).outputs for s in systems])[
-                ..., None
-            ],
-            few,
-            1,
-            N,
-        ),
-        "SciPy lfilter": Entry(
-            lambda: np.stack(
-                [scipy.signal.lfilter(np.append(0.0, b), denominator, last) for b in of.b]
-            )[..., None],
-            S,
-            1,
-            N,
-        ),
+        "python-control": Entry(lambda: by_control()[..., None], few, 1, N),
+        "SciPy lfilter": Entry(lambda: by_scipy()[..., None], S, 1, N),
         OURS: Entry(lambda: np.asarray(run(common, of.b))[..., None], S, 1, N),
     }
     return in_turns(entries, repeats=repeats)
 
 
 def compare_long(samples: int, *, repeats: int = 5) -> dict[str, Row]:
-    """One plant in one long trial: SciPy, `run_trial` step by step, and with the plant in blocks;
-    outputs compared, to 1e-9.
+    """One plant in one long trial: SciPy, `run_trial` step by step, and with the plant in blocks.
 
-    Raises ArithmeticError for other numbers, ValueError for fewer than 4 samples.
+    Raises ArithmeticError where outputs in blocks differ by more than 1e-9 of the largest one,
+    ValueError for fewer than 4 samples.
     """
     import scipy.signal
 
     of = setting("cfdl", 1, 1, samples)
     u = np.random.default_rng(1).normal(size=(samples, 1))
-    b, a, last = (
-        np.append(0.0, of.machine.plant.b),
-        np.append(1.0, -np.asarray(of.machine.plant.a)),
-        np.append(u, 0.0),
-    )
+    b, a = np.append(0.0, of.machine.plant.b), np.append(1.0, -np.asarray(of.machine.plant.a))
+    last = np.append(u, 0.0)
     run, common = jax.jit(_output), jax.device_put((of.task, u))
     steps, in_blocks = jax.device_put((of.machine, Machine(InBlocks(of.machine.plant))))
     calls = {
@@ -202,7 +194,8 @@ def compare_long(samples: int, *, repeats: int = 5) -> dict[str, Row]:
     off = difference(calls[BLOCKS](), calls[OURS]())
     if jax.config.jax_enable_x64 and not off <= 1e-9:
         raise ArithmeticError(
-            f"bench: {BLOCKS} differs from jaxilc by {off:.2g} of the largest output; allowed is 1e-09"
+            f"bench: {BLOCKS} differs from jaxilc by {off:.2g} of the largest output; "
+            "allowed is 1e-09"
         )
     return in_turns(
         {name: Entry(call, 1, 1, samples) for name, call in calls.items()}, repeats=repeats
@@ -210,43 +203,43 @@ def compare_long(samples: int, *, repeats: int = 5) -> dict[str, Row]:
 
 
 def alone(name: str, plants: int, *, repeats: int = 5) -> Row:
-    """Ours without opponents: `noilc`, norm-optimal learning by the Riccati recursion on the drive
-    of MILC 2024 with 10 % model error, or `ilc-asmc`, the scheme of Xu 2024 on its identified
-    model; ten trials of 2000 samples. Raises ValueError for another name.
+    """Ours without opponents, in ten trials of 2000 samples.
+
+    noilc       norm-optimal learning by the Riccati recursion on the drive of MILC 2024, with 10 %
+                model error
+    ilc-asmc    the scheme of Xu 2024 on its identified model
+
+    Raises ValueError for another name.
     """
     match name:
         case "noilc":
             chosen = scenarios.load("milc-2024")
             dilc: Any = chosen.schemes["dilc"]
             plant = dilc.learning.scheme.model
-            scheme, task = (
-                NormOptimal(plant, w_q=1.0, w_r=1e-4, w_s=1e-3),
-                Task(_sinusoid(2000, plant.dt), dt=plant.dt),
-            )
+            scheme = NormOptimal(plant, w_q=1.0, w_r=1e-4, w_s=1e-3)
+            task = Task(_sinusoid(2000, plant.dt), dt=plant.dt)
         case "ilc-asmc":
             chosen = scenarios.load("xu-2024")
             plant = StateSpace(
                 [[0.0, 1.0], [-MODEL["a1"], -MODEL["a2"]]], [[0.0], [MODEL["b"]]], [[1.0, 0.0]]
             )
-            scheme, task = (
-                chosen.schemes["ilc-asmc"],
-                Task(20 * _sinusoid(2000, chosen.task.dt), dt=chosen.task.dt),
-            )
+            scheme = chosen.schemes["ilc-asmc"]
+            task = Task(20 * _sinusoid(2000, chosen.task.dt), dt=chosen.task.dt)
         case _:
             raise ValueError(f"bench: scheme = {name!r} is not one of {', '.join(ALONE)}")
     gains = np.random.default_rng(0).uniform(0.9, 1.1, (plants, 1, 1)) * np.asarray(plant.B)
-    run = tiled(partial(_figures, leaf="plant.B", trials=10))
+    run = tiled(partial(_metrics, leaf="plant.B", trials=10))
     common = (Machine(plant), scheme, task)
-    return in_turns(
-        {OURS: Entry(lambda: np.asarray(run(common, gains)), plants, 10, task.N)}, repeats=repeats
-    )[OURS]
+    ours = Entry(lambda: np.asarray(run(common, gains)), plants, 10, task.N)
+    return in_turns({OURS: ours}, repeats=repeats)[OURS]
 
 
 def cost_by_size(
     scheme: str, plants: int, trials: int, samples: int, *, repeats: int = 5
 ) -> dict[str, tuple[dict[int, float], Cost]]:
-    """Best seconds of our run against S, J and N, one varied at a time at a quarter, a half and all
-    of its size, and the line.
+    """Seconds of our best run by the numbers of plants, trials and samples, with fitted lines.
+
+    One number is varied at a time: a quarter, a half and all of its size.
     """
     found = {}
     whole = {"plants": plants, "trials": trials, "samples": samples}
@@ -268,10 +261,10 @@ def cost_by_size(
     return found
 
 
-def _figures(common, one, *, leaf: str, trials: int):
+def _metrics(common, one, *, leaf: str, trials: int):
     machine, scheme, task = common
     history = learn(replaced(machine, {leaf: one}), scheme, task, trials)
-    return jax.numpy.concatenate([getattr(history, name) for name in FIGURES], axis=-1)
+    return jax.numpy.concatenate([getattr(history, name) for name in METRICS], axis=-1)
 
 
 def _response(common, b):

@@ -1,8 +1,8 @@
-"""How programs are timed against each other: numbers compared first, then turn by turn.
+"""How programs are timed against each other: numbers are compared first, then they take turns.
 
-On a machine that is also used otherwise, times of one run differ more than the programs do:
-contenders take turns, a ratio is the median over the turns, and the processor time of all threads,
-which waiting for a core does not enter, stands beside the clock's.
+On a machine that others use too, the times of one program differ more than those of two programs.
+So contenders take turns, and a ratio is the median over the turns. Beside the time by the clock
+stands the processor time of all threads, which does not count waiting for a core.
 """
 
 from __future__ import annotations
@@ -16,17 +16,18 @@ import jax
 import numpy as np
 
 OURS = "jaxilc"
-TOLERANCE = {"float64": 1e-8, "float32": 2e-2}  # of the largest figure of its kind
+TOLERANCE = {"float64": 1e-8, "float32": 2e-2}  # of the largest metric of its kind
 
 
 class Row(NamedTuple):
     """What one contender took.
 
-    plants, trials: it ran (a slow one runs a part);  difference: largest from ours, as a share of
-    the largest figure of its kind
-    compile_seconds: the first call beyond a later one, with building it;  seconds, cpu_seconds: of
-    each turn, by the clock and of the processors;  peak_bytes: None where unknown;  steps:
-    sample-steps of a turn
+    plants, trials: that it ran; a slow one runs a part of them
+    difference: largest difference from ours, as a share of the largest metric of its kind
+    compile_seconds: of the first call beyond a later one, with the time to build the program
+    seconds, cpu_seconds: of each turn, by the clock and by the processors
+    peak_bytes: memory that the first call took, None where that is unknown
+    steps: sample-steps of a turn
     """
 
     name: str
@@ -55,8 +56,9 @@ class Row(NamedTuple):
         return 1e9 * min(self.cpu_seconds) / self.steps
 
     def ratios(self, ours: Row, clock: str = "seconds") -> np.ndarray:
-        """Turn by turn, how many times what we took this contender took, for the same work. clock:
-        `seconds` or `cpu_seconds`
+        """(turns,) the time of this contender over that of `ours`, for the same work.
+
+        clock: `seconds` or `cpu_seconds`
         """
         return (
             np.array(getattr(self, clock))
@@ -66,7 +68,7 @@ class Row(NamedTuple):
 
 
 class Entry(NamedTuple):
-    """A contender: what it runs and how much of the whole."""
+    """A contender: what it runs, how much of the whole, and the seconds it took to build it."""
 
     call: Callable[[], np.ndarray]
     plants: int
@@ -93,7 +95,7 @@ def machine() -> dict[str, Any]:
 def in_turns(entries: Mapping[str, Entry], *, repeats: int) -> dict[str, Row]:
     """Run each once, compare the numbers with ours, then time them turn by turn.
 
-    Raises ArithmeticError for other numbers, ValueError for repeats < 1.
+    Raises ArithmeticError where numbers differ, ValueError for repeats < 1.
     """
     if repeats < 1:
         raise ValueError(f"bench: repeats = {repeats} is outside its allowed range [1, inf)")
@@ -108,7 +110,8 @@ def in_turns(entries: Mapping[str, Entry], *, repeats: int) -> dict[str, Row]:
     for name, value in off.items():
         if not value <= limit:
             raise ArithmeticError(
-                f"bench: {name} differs from jaxilc by {value:.2g} of the largest figure; allowed is {limit:g}"
+                f"bench: {name} differs from jaxilc by {value:.2g} of the largest metric; "
+                f"allowed is {limit:g}"
             )
     turns: dict[str, list[tuple[float, float]]] = {name: [] for name in entries}
     for _ in range(repeats):
@@ -133,8 +136,9 @@ def in_turns(entries: Mapping[str, Entry], *, repeats: int) -> dict[str, Row]:
 
 
 def difference(part: np.ndarray, whole: np.ndarray) -> float:
-    """Largest difference of a part (S', J', n) from the first of the whole (S, J, n), each of the n
-    over its largest; NaN if any is.
+    """Largest difference of a part (S', J', n) from the first entries of the whole (S, J, n).
+
+    Each of the n is divided by its largest value; NaN if any difference is.
     """
     whole = whole[: part.shape[0], : part.shape[1]]
     largest = np.max(np.abs(whole), axis=(0, 1))
@@ -142,8 +146,9 @@ def difference(part: np.ndarray, whole: np.ndarray) -> float:
 
 
 class Cost(NamedTuple):
-    """seconds = start + slope x, fitted over sizes of one kind; residual: the largest, as a share
-    of the largest time.
+    """A line through times of one kind: seconds = start + slope x.
+
+    residual: the largest one, as a share of the largest time
     """
 
     start: float
@@ -161,7 +166,7 @@ def cost(sizes: Iterable[int], seconds: Iterable[float]) -> Cost:
 
 
 def as_json(rows: Mapping[str, Row]) -> dict[str, Any]:
-    """What was measured and what follows from it."""
+    """The rows as dictionaries, with nanoseconds per sample-step and ratios to ours."""
     ours = rows[OURS]
     return {
         name: row._asdict()
@@ -177,8 +182,9 @@ def as_json(rows: Mapping[str, Row]) -> dict[str, Any]:
 
 
 class _Peak:
-    """Largest resident memory from here on, beyond what there is now. Linux keeps it and lets it be
-    set back.
+    """The largest resident memory from here on, beyond what is in use now.
+
+    Linux keeps this number and lets it be set back; elsewhere it is unknown.
     """
 
     def __init__(self):

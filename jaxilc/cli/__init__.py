@@ -1,4 +1,4 @@
-"""The command line: each command parses, calls the library, prints."""
+"""The command line: a command parses what was asked, calls the library, and prints."""
 
 import lazy_loader
 

@@ -1,5 +1,6 @@
-"""How much the command line says, and where: results to standard output, all else to standard
-error.
+"""How much the command line says, and where.
+
+Results go to standard output, everything else to standard error.
 """
 
 from __future__ import annotations
@@ -16,10 +17,9 @@ from .titled_table import Console
 
 PIPED_WIDTH = 160  # columns where there is no terminal to ask
 WORTH_A_LINE = 0.05  # seconds that a program takes to be compiled or found
-COMPILED, FOUND = (
-    "/jax/core/compile/backend_compile_duration",
-    "/jax/compilation_cache/cache_hits",
-)  # events of jax.monitoring
+# Events of jax.monitoring.
+COMPILED = "/jax/core/compile/backend_compile_duration"
+FOUND = "/jax/compilation_cache/cache_hits"
 
 out = Console(width=None if sys.stdout.isatty() else PIPED_WIDTH)
 err = Console(stderr=True)
@@ -28,7 +28,10 @@ counted: defaultdict[str, float] = defaultdict(float)
 
 
 def speak(*, quiet: bool, verbose: bool) -> None:
-    """Say only warnings and errors, or log what happens besides. Raises ValueError for both."""
+    """Print warnings and errors only, or log what happens besides.
+
+    Raises ValueError if both are asked for.
+    """
     if quiet and verbose:
         raise ValueError("--quiet and --verbose exclude each other")
     out.quiet = quiet
@@ -47,8 +50,9 @@ def tracebacks() -> bool:
 
 
 def log_jax(programs: Path | None) -> None:
-    """Log on what JAX runs, and from now on every program that takes its time. programs: the folder
-    where they are kept
+    """Log what JAX runs on, and from now on every program that takes long to compile.
+
+    programs: folder where compiled programs are kept, None for no folder
     """
     if not log.isEnabledFor(logging.INFO):
         return
@@ -70,7 +74,7 @@ def log_jax(programs: Path | None) -> None:
 
 
 def ended() -> None:
-    """Log what the command took."""
+    """Log the time that the command took, and the part of it for compiling."""
     if log.isEnabledFor(logging.INFO):
         took = time.perf_counter() - counted["started"]
         log.info(
@@ -84,7 +88,7 @@ def ended() -> None:
 
 @functools.cache
 def _follow() -> None:
-    """Count programs, and log those that take long; once a process, since listeners stay."""
+    """Count programs, and log those that take long. Once a process is enough: listeners stay."""
     from jax import monitoring
 
     def compiled(event: str, duration_secs: float, **about: object) -> None:

@@ -1,15 +1,22 @@
-"""The command line for a real machine: `jaxilc next` and `jaxilc trials`."""
+"""The commands for a real machine: `jaxilc next` and `jaxilc trials`."""
 
 from __future__ import annotations
 
-import csv
-import io
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from .completion import of_list, scenarios_from, schemes_from
+from .console import err, out
+from .options import Set
+from .results import written
+from .titled_table import Table
+
+
+class Refused(ValueError):
+    """A measured trial, or the input that it leads to, that the checks refuse."""
+
 
 Folder = Annotated[Path, typer.Option("--state", help="Folder of the campaign.")]
 Measured = Annotated[
@@ -40,12 +47,6 @@ SchemeName = Annotated[
         "--scheme", help="Scheme; not needed where only one learns.", autocompletion=schemes_from
     ),
 ]
-Set = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set", metavar="PATH=VALUE", help="Set a parameter of the scenario; repeatable."
-    ),
-]
 Limit = Annotated[
     float | None, typer.Option(help="Largest |input| played; the machine's own if not given.")
 ]
@@ -58,19 +59,11 @@ Share = Annotated[
     typer.Option("--saturation", help="Share of samples at the limit that is accepted."),
 ]
 Repeatability = Annotated[
-    float | None, typer.Option(help="Largest RMS difference of two trials of one table.")
+    float | None, typer.Option(help="Largest RMS difference of two trials of one schedule.")
 ]
 Growth = Annotated[
     float | None, typer.Option(help="Share by which the RMS error may grow without a warning.")
 ]
-
-KEPT_RULES = (
-    "limit",
-    "correction",
-    "saturation",
-    "repeatability",
-    "growth",
-)  # from the first call on, until given anew
 
 
 def register(app: typer.Typer) -> None:
@@ -82,7 +75,7 @@ def register(app: typer.Typer) -> None:
 def next_(
     state: Folder,
     measured: Measured = None,
-    out: Next = None,
+    out_file: Next = None,
     scenario: ScenarioName = None,
     plant_file: PlantFile = None,
     scheme: SchemeName = None,
@@ -100,7 +93,9 @@ def next_(
     ] = False,
     no_learn: Annotated[
         bool,
-        typer.Option("--no-learn", help="Look at the trial only; the same table is played again."),
+        typer.Option(
+            "--no-learn", help="Look at the trial only; the same schedule is played again."
+        ),
     ] = False,
     replayed_input: Annotated[
         bool, typer.Option("--replayed-input", help="Without u: the scheme's over the measured y.")
@@ -122,72 +117,67 @@ def next_(
 ) -> None:
     """From a trial measured on a real machine to the input of the next one.
 
-    The first call, without --measured, starts the campaign; a later one without it writes the next
-    input once more.
-    What the machine plays: `u` is its whole input, `feedforward` is added to its feedback,
-    `reference` takes the place of the task's.
+    The first call, without --measured, starts the campaign; a later one without
+    it writes the next input once more. What the machine plays: `u` is its whole
+    input, `feedforward` is added to its feedback, `reference` takes the place of
+    the task's.
 
     Example: jaxilc next --state x-axis --measured trial-3.csv --out trial-4.csv
     """
-    from ..hardware.campaign import Campaign, refuse
-    from ..hardware.checks import Rules
+    from ..hardware.campaign import refuse
     from ..hardware.input_files import check_format
     from ..hardware.journal import Journal
     from ..hardware.trial_files import read_measured
     from ..runtime.start import setup
-    from .options import Refused
+    from ..scenarios.campaigns import Given, campaign
+    from .asked import settings_of
 
     setup(precision="float64")
-    if out is not None:
-        check_format(out, number)
+    if out_file is not None:
+        check_format(out_file, number)
     elif not dry_run:
         raise ValueError("--out is missing; without it, only --dry-run")
     if measured is not None and undo is not None:
         raise ValueError("--measured and --undo exclude each other: undo first, then measure again")
-    journal = Journal(state)
-    new = not journal.exists
+    new = not Journal(state).exists
     if new and (measured is not None or undo is not None):
         raise FileNotFoundError(
             f"{state} holds no campaign; start one without --measured and --undo"
         )
-    before = {} if new else _kept(journal)
-    given = dict(
-        zip(KEPT_RULES, (limit, largest_correction, saturation, repeatability, growth), strict=True)
+    given = Given(
+        scenario=scenario,
+        plant_file=plant_file,
+        scheme=scheme,
+        settings=settings_of(set_),
+        rules={
+            "limit": limit,
+            "correction": largest_correction,
+            "saturation": saturation,
+            "repeatability": repeatability,
+            "growth": growth,
+        },
+        accept_saturation=accept_saturation,
+        stop_on_growth=stop_on_growth,
     )
-    recipe = _recipe(
-        before,
-        scenario,
-        plant_file,
-        scheme,
-        set_,
-        {name: v for name, v in given.items() if v is not None},
-    )
-    rules = Rules(
-        **recipe["rules"], accept_saturation=accept_saturation, stop_on_growth=stop_on_growth
-    )
-    recipe["scheme"], chosen = _chosen(recipe)
-    subject = (state, chosen.schemes[recipe["scheme"]], chosen.task)
-    common = {"actuator": chosen.machine.actuator, "rules": rules, "recipe": recipe}
+    now = campaign(state, given, new=new, dry_run=dry_run)
     if new:
-        campaign = Campaign.start(*subject, **common, dry_run=dry_run)
-        tables, trial = campaign.first_tables(), 1
+        tables, trial = now.first_tables(), 1
     else:
-        campaign = Campaign.open(*subject, **common)
-        tables, trial = campaign.tables(undo), (campaign.trials if undo is None else undo) + 1
+        tables, trial = now.tables(undo), (now.trials if undo is None else undo) + 1
     if undo is not None and not dry_run:
-        campaign.undo(undo)
+        now.undo(undo)
     if measured is not None:
-        record = read_measured(measured, campaign.task, campaign.recordable())
-        turn = campaign.turn(record, learn=not no_learn, replay_input=replayed_input)
-        _report(turn, record.ignored, campaign.task.unit)
+        record = read_measured(measured, now.task, now.recordable())
+        turn = now.turn(record, learn=not no_learn, replay_input=replayed_input)
+        _report(turn, record.ignored, now.task.unit)
         try:
             refuse(turn.findings)
         except ValueError as error:
             raise Refused(error) from None
         if not dry_run:
-            campaign.keep(turn)
+            now.keep(turn)
         tables, trial = turn.tables, turn.trial + 1
-    _played(out, tables, campaign.task, trial, number, dry_run)
+    _played(None if dry_run else out_file, tables, now.task, trial, number)
 
 
 def trials(
@@ -197,139 +187,58 @@ def trials(
         Path | None, typer.Option(help="Plot error and input by trial to this file.")
     ] = None,
 ) -> None:
-    """The log of a campaign: every trial with its figures, undone ones included.
+    """The log of a campaign: every trial with its metrics, undone ones included.
 
     Example: jaxilc trials --state x-axis --csv log.csv --plot log.png
     """
     from ..hardware.journal import Journal
-    from ..storage.files import atomically
-    from .options import out as console
-    from .titled_table import Table
+    from ..hardware.log_file import units, write_log
 
     journal = Journal(state)
     rows = journal.log()
-    shown = Table(
-        "entry",
-        "trial",
-        "event",
-        "rms error",
-        "max error",
-        "effort",
-        "file",
-        "warnings",
-        title=str(state),
-    )
-    for row in rows:
-        figures = [
-            " ".join(f"{v:.4g}" for name, v in row.items() if name.startswith(start))
-            for start in ("max_error", "effort")
-        ]
-        undone = row["event"] == "trial" and not row["live"]
-        event = f"{row['event']}{'' if row['learned'] in ('', True) else ', not learned'}{', undone' if undone else ''}"
-        error = f"{row['rms_error']:.4g}" if row["rms_error"] != "" else ""
-        shown.add_row(
-            str(row["serial"]),
-            str(row["trial"]),
-            event,
-            error,
-            *figures,
-            str(row["source"]),
-            row["warnings"],
-        )
-    console.print(shown)
-    written = []
+    out.print(_log_table(str(state), rows))
+    files = []
     if table is not None:
-        text = io.StringIO()
-        writer = csv.DictWriter(
-            text,
-            list(dict.fromkeys(name for row in rows for name in row)),
-            restval="",
-            lineterminator="\n",
-        )
-        writer.writeheader()
-        writer.writerows(rows)
-        atomically(table, lambda file: file.write(text.getvalue().encode()))
-        written.append(table)
+        files.append(write_log(table, rows))
     if plot is not None:
         from .. import figures
         from ..figures.campaign import campaign_figure
 
-        task = journal.last_known()["configuration"].get("task")
-        unit, input_unit = (
-            str(task.get(name, "")) if isinstance(task, dict) else ""
-            for name in ("unit", "input_unit")
+        unit, input_unit = units(journal)
+        axes = campaign_figure(rows, unit=unit, input_unit=input_unit)
+        files.append(figures.save(axes, plot))
+    written(files, None, [])
+
+
+def _log_table(title: str, rows: list[dict]) -> Table:
+    """A row for each entry of the journal; of several channels all metrics, side by side."""
+    columns = ("entry", "trial", "event", "rms error", "max error", "effort", "file", "warnings")
+    shown = Table(*columns, title=title)
+    for row in rows:
+        metrics = [
+            " ".join(f"{v:.4g}" for name, v in row.items() if name.startswith(start))
+            for start in ("max_error", "effort")
+        ]
+        learned = "" if row["learned"] in ("", True) else ", not learned"
+        undone = ", undone" if row["event"] == "trial" and not row["live"] else ""
+        error = f"{row['rms_error']:.4g}" if row["rms_error"] != "" else ""
+        shown.add_row(
+            str(row["serial"]),
+            str(row["trial"]),
+            f"{row['event']}{learned}{undone}",
+            error,
+            *metrics,
+            str(row["source"]),
+            row["warnings"],
         )
-        written.append(figures.save(campaign_figure(rows, unit=unit, input_unit=input_unit), plot))
-    if written:
-        console.print("written: " + ", ".join(map(str, written)), highlight=False, soft_wrap=True)
-
-
-def _kept(journal) -> dict[str, Any]:
-    """The recipe of a campaign. Raises ValueError for what `jaxilc next` does not write."""
-    from ..pytree.ranges import is_number
-
-    recipe = journal.last_known()["recipe"]
-    kinds = {"scenario": str, "scheme": str, "settings": dict, "rules": dict}
-    rules = recipe.get("rules", {})
-    if not all(
-        isinstance(recipe.get(name, kind()), kind) for name, kind in kinds.items()
-    ) or not all(name in KEPT_RULES and is_number(value) for name, value in rules.items()):
-        raise ValueError(
-            f"{journal.path} was not started by `jaxilc next`, or its last recipe is damaged; --undo cannot mend it"
-        )
-    return recipe
-
-
-def _recipe(before, scenario, plant_file, scheme, settings, rules) -> dict[str, Any]:
-    """How scheme and task are made: as before, but for what is given anew."""
-    from ..scenarios import SCENARIOS
-
-    if scenario is not None and plant_file is not None:
-        raise ValueError("--scenario and --plant-file exclude each other")
-    source = scenario if plant_file is None else str(plant_file)
-    if source is None and "scenario" not in before:
-        raise ValueError("the first call needs --scenario or --plant-file")
-    if source is not None and source not in SCENARIOS and Path(source).suffix:
-        source = str(Path(source).absolute())  # found again from wherever the next call comes
-    values = dict(before.get("settings", {}))
-    for setting in settings or []:
-        path, equals, value = setting.partition("=")
-        if not equals:
-            raise ValueError(f"--set {setting!r} is not PATH=VALUE")
-        values[path.strip()] = value.strip()
-    return {
-        "scenario": source or before["scenario"],
-        "scheme": scheme or before.get("scheme"),
-        "settings": values,
-        "rules": before.get("rules", {}) | rules,
-    }
-
-
-def _chosen(recipe: dict[str, Any]):
-    """The name of the scheme and the scenario."""
-    from ..scenarios.from_file import load_scenario
-
-    chosen = load_scenario(recipe["scenario"], recipe["settings"])
-    learning = [name for name, scheme in chosen.schemes.items() if scheme.learns]
-    name = recipe["scheme"] or (learning[0] if len(learning) == 1 else None)
-    if name is None and learning:
-        raise ValueError(f"--scheme is missing; those that learn are {', '.join(learning)}")
-    if name not in learning:
-        raise ValueError(
-            f"scheme = {name!r} is not one of those that learn: {', '.join(learning) or 'none'}"
-        )
-    return name, chosen
+    return shown
 
 
 def _report(turn, ignored, unit: str) -> None:
-    """What was found about a measured trial: notes to standard output, warnings to standard error."""
-    from .options import err, out
-
+    """Print what the checks found: notes to standard output, warnings to standard error."""
     largest = ", ".join(f"{value:.6g}" for value in turn.metrics["max_error"])
-    out.print(
-        f"trial {turn.trial}: RMS error {turn.metrics['error']:.6g} {unit}, largest {largest} {unit}",
-        highlight=False,
-    )
+    rms = f"RMS error {turn.metrics['error']:.6g} {unit}"
+    out.print(f"trial {turn.trial}: {rms}, largest {largest} {unit}", highlight=False)
     if ignored:
         out.print(f"not used: {', '.join(ignored)}", highlight=False, markup=False)
     for kind, text in turn.findings:
@@ -339,20 +248,19 @@ def _report(turn, ignored, unit: str) -> None:
             )
 
 
-def _played(path: Path | None, tables, task, trial: int, number: str, dry_run: bool) -> None:
-    """Write what the machine plays, and say what it is."""
+def _played(path: Path | None, tables, task, trial: int, number: str) -> None:
+    """Print what the machine plays next, and write it; None for the path writes nothing."""
     import numpy as np
 
     from ..hardware.input_files import write_tables
     from ..learning.playback import unit_of
-    from .options import out
 
     peaks = ", ".join(
         f"{name} up to {np.max(np.abs(table)):.6g} {unit_of(name, task)}".strip()
         for name, table in tables.items()
     )
     out.print(f"next: trial {trial}, {peaks}", highlight=False, markup=False, soft_wrap=True)
-    if dry_run or path is None:
+    if path is None:
         out.print("dry run: nothing was written", highlight=False)
         return
     write_tables(path, tables, task, trial=trial, number=number)

@@ -1,8 +1,16 @@
-"""What is tuned for, as one writes it on the command line: `final:20 + 0.3*final@max_error`,
-`cvar:0.9`, `lam=0.01:10`.
+"""Objectives, risks and weights from the text of an option.
+
+For example `final:20 + 0.3*final@max_error` is an objective, `cvar:0.9` a risk, `lam=0.01:10` the
+bounds of a weight.
 """
 
 from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from ..tuning.objectives import Objective
+    from ..tuning.risks import Risk
 
 TERMS = (
     "final[:trial]",
@@ -17,24 +25,24 @@ OBJECTIVES = ", ".join((*TERMS, "contraction[:sigma]"))
 RISKS = "mean, worst, cvar[:alpha], smooth-max[:temperature]"
 
 
-def objective_of(text: str, figure: str, scale: float, option: str = "--objective"):
+def objective_of(text: str, metric: str, scale: float, option: str = "--objective") -> Objective:
     """An objective from `final:20 + 0.3*final@max_error`.
 
-    figure: where none is named;  scale: of tolerances as shown;  option: of the command line that
-    it was given to
+    metric: of the terms that name none;  scale: tolerances are given as `scale` times the metric
+    option: that the text was given to, for messages
     Raises ValueError naming what is allowed.
     """
     from ..tuning import objectives as o
 
     kinds = {
-        "final": lambda f, x: o.Final(f, None if x is None else _whole("final", x)),
-        "every-trial": lambda f, x: o.EveryTrial(f),
-        "holding": lambda f, x: o.Holding(1 if x is None else _whole("holding", x), f),
-        "trials-to": lambda f, x: o.TrialsTo(_positive("trials-to", x) / scale, f),
-        "growth": lambda f, x: o.Growth(f, 1 if x is None else _whole("growth", x)),
-        "effort": lambda f, x: o.Effort(1.0 if x is None else _positive("effort", x)),
-        "input-rate": lambda f, x: o.InputRate(1.0 if x is None else _positive("input-rate", x)),
-        "contraction": lambda f, x: o.Contraction(
+        "final": lambda m, x: o.Final(m, None if x is None else _whole("final", x)),
+        "every-trial": lambda m, x: o.EveryTrial(m),
+        "holding": lambda m, x: o.Holding(1 if x is None else _whole("holding", x), m),
+        "trials-to": lambda m, x: o.TrialsTo(_positive("trials-to", x) / scale, m),
+        "growth": lambda m, x: o.Growth(m, 1 if x is None else _whole("growth", x)),
+        "effort": lambda m, x: o.Effort(1.0 if x is None else _positive("effort", x)),
+        "input-rate": lambda m, x: o.InputRate(1.0 if x is None else _positive("input-rate", x)),
+        "contraction": lambda m, x: o.Contraction(
             1.0 if x is None else _positive("contraction", x)
         ),
     }
@@ -45,12 +53,12 @@ def objective_of(text: str, figure: str, scale: float, option: str = "--objectiv
         name, _, number = rest.strip().partition(":")
         if name not in kinds:
             raise ValueError(f"{option}: {name!r} is not one of {OBJECTIVES}")
-        one = kinds[name](named.strip() or figure, number or None)
+        one = kinds[name](named.strip() or metric, number or None)
         total = total + (_positive(f"weight of {name}", weight) if star else 1.0) * one
     return total
 
 
-def risk_of(text: str):
+def risk_of(text: str) -> Risk:
     """A risk from `cvar:0.9`. Raises ValueError naming what is allowed."""
     from ..tuning import risks
 
@@ -68,8 +76,10 @@ def risk_of(text: str):
 
 
 def weights_of(text: str, bounds: list[str] | None) -> dict[str, tuple[float, float] | None]:
-    """Names with their bounds, None for all that a leaf allows. Raises ValueError for bounds that
-    are none or of no weight.
+    """The weights from `lam,phi0[0]` and bounds from `lam=0.01:10`.
+
+    A weight without bounds has None: its range is all that the leaf allows.
+    Raises ValueError for a text that is not NAME=LOW:HIGH, and for bounds of what is no weight.
     """
     weights: dict[str, tuple[float, float] | None] = {
         name.strip(): None for name in text.split(",") if name.strip()
@@ -88,8 +98,10 @@ def weights_of(text: str, bounds: list[str] | None) -> dict[str, tuple[float, fl
 
 
 def numbers_of(option: str, text: str, *, whole: bool = False) -> list[float]:
-    """Different numbers from `0.1,0.3`. Raises ValueError naming the option for what is no number,
-    or is there twice.
+    """Different numbers from `0.1,0.3`.
+
+    option: that the text was given to, for messages;  whole: numbers of trials
+    Raises ValueError for what is not a number, and for a number that is there twice.
     """
     items = [item.strip() for item in text.split(",")]
     numbers = [

@@ -1,95 +1,95 @@
-"""What `jaxilc tune` and `jaxilc worst-case` print, as plain numbers under stable keys and as
-tables.
-"""
+"""Tables and lines of `jaxilc tune`, `pareto` and `worst-case`."""
 
 from __future__ import annotations
 
-import dataclasses
 from typing import TYPE_CHECKING, Any
 
-from ..sweeps.summary import summarise
-from .tables import number, sweep_figures
+from .tables import number
 from .titled_table import Table
+from .tuning_numbers import WHICH
 
 if TYPE_CHECKING:
-    import xarray as xr
-
     from ..scenarios import Scenario
-    from ..tuning.problem import Tuned
-
-WHICH = ("given", "tuned")
+    from ..tuning import Tuned
 
 
-def tuning_figures(
-    scenario: Scenario, scheme: str, tuned: Tuned, dataset: xr.Dataset
-) -> dict[str, Any]:
-    """Weights, held-out losses, and by figure, `given` or `tuned`, and trial the quantiles [shown
-    unit] over a comparison's machines.
-    """
-    trials, samples = dataset.sizes["trial"], dataset.sizes["sample"]
-    by_figure = {}
-    for figure in dict.fromkeys((scenario.judged_by, "max_error")):
-        now = dataclasses.replace(scenario, judged_by=figure, trials=trials)
-        of = sweep_figures(now, summarise(dataset, 1.0, figure=figure), 1.0, samples)["schemes"]
-        by_figure[figure] = {"unit": scenario.shown(figure)[1]} | {
-            which: of[which]["by_trial"] for which in WHICH
-        }
-    return {
-        "scenario": scenario.name,
-        "scheme": scheme,
-        "trials": trials,
-        "samples": samples,
-        "weights": {
-            name: {"given": tuned.start[name], "tuned": value}
-            for name, value in tuned.values.items()
-        },
-        "held_out": {
-            "given": tuned.before,
-            "tuned": tuned.after,
-            "step": tuned.step,
-            "reason": tuned.reason,
-        },
-        "figures": by_figure,
-    }
-
-
-def tuning_tables(scenario: Scenario, figures: dict[str, Any]) -> list[Table]:
-    """The weights, and given against tuned by trial for each figure."""
-    weights = Table("weight", title=f"{scenario.title}\n{figures['scheme']}: weights")
+def tuning_tables(scenario: Scenario, numbers: dict[str, Any]) -> list[Table]:
+    """The weights, and given against tuned by trial for each metric."""
+    scheme = numbers["scheme"]
+    weights = Table("weight", title=f"{scenario.title}\n{scheme}: weights")
     for column in WHICH:
         weights.add_column(column, justify="right")
     weights.add_column("allowed")
-    for name, row in figures["weights"].items():
-        weights.add_row(
-            name,
-            *(f"{row[which]:.6g}" for which in WHICH),
-            scenario.allowed(f"{figures['scheme']}.{name}"),
-        )
+    for name, row in numbers["weights"].items():
+        cells = (f"{row[which]:.6g}" for which in WHICH)
+        weights.add_row(name, *cells, scenario.allowed(f"{scheme}.{name}"))
     found = [weights]
-    for figure, rows in figures["figures"].items():
-        what = f"{figure.replace('_', ' ')} [{rows['unit']}] of {figures['samples']} machines never seen"
-        table = Table(title=f"{what}: median (95 %, worst)")
+    for metric, rows in numbers["figures"].items():
+        what = f"{metric.replace('_', ' ')} [{rows['unit']}]"
+        table = Table(
+            title=f"{what} of {numbers['samples']} machines never seen: median (95 %, worst)"
+        )
         for column in ("trial", *WHICH, "median given / tuned", "worst given / tuned"):
             table.add_column(column, justify="right")
         for j in rows["given"]:
             given, tuned = (rows[which][j] for which in WHICH)
-            cells = (
-                f"{number(row['median'])} ({number(row['high'])}, {number(row['worst'])})"
-                for row in (given, tuned)
-            )
-            table.add_row(j, *cells, *(_ratio(given[q], tuned[q]) for q in ("median", "worst")))
+            ratios = (_ratio(given[q], tuned[q]) for q in ("median", "worst"))
+            table.add_row(j, _quantiles(given), _quantiles(tuned), *ratios)
         found.append(table)
     return found
 
 
-def worst_case_tables(scenario: Scenario, figures: dict[str, Any]) -> list[Table]:
-    """What each search found and what it cost; the numbers of the worst machine."""
-    what = f"{figures['figure'].replace('_', ' ')} [{figures['unit']}] at trial {figures['trial']}"
-    title = f"{scenario.title}\n{figures['scheme']}: largest {what}, nominal {number(figures['nominal'])}"
-    table = Table("search", title=title)
+def tuning_lines(tuned: Tuned, numbers: dict[str, Any]) -> tuple[str, list[str]]:
+    """The held-out loss before and after in one line, and a line for each warning."""
+    held = numbers["held_out"]
+    result = (
+        f"held-out loss {held['given']:.6g} -> {held['tuned']:.6g}, "
+        f"step {tuned.step} of {len(tuned.loss)}"
+    )
+    warnings = [
+        f"{name} lay on an end of its range and started from {value:g}"
+        for name, value in tuned.nudged.items()
+    ]
+    if tuned.dropped.any():
+        most = int(tuned.dropped.max())
+        warnings.append(f"up to {most} machines a step had no finite slope and were left out")
+    return result, warnings
+
+
+def front_table(scenario: Scenario, scheme: str, numbers: dict[str, Any]) -> Table:
+    """Both objectives and the weights of each point of a front."""
+    what = f"{scheme}, {numbers['trials']} trials: objectives on held-out machines"
+    table = Table("share of first", title=f"{scenario.title}\n{what}")
+    for column in ("first", "second", *numbers["points"]["given"]["weights"]):
+        table.add_column(column, justify="right")
+    for name, row in numbers["points"].items():
+        values = (row["first"], row["second"], *row["weights"].values())
+        table.add_row(name, *(f"{value:.6g}" for value in values))
+    return table
+
+
+def budget_table(scenario: Scenario, scheme: str, numbers: dict[str, Any]) -> Table:
+    """Given against tuned, and the weights, for each number of trials that was tuned for."""
+    rows = numbers["budgets"]
+    metric = f"{numbers['figure'].replace('_', ' ')} [{numbers['unit']}] of trial J"
+    what = f"{metric} on {numbers['samples']} machines never seen: median (95 %, worst)"
+    table = Table(title=f"{scenario.title}\n{scheme}, tuned for J trials: {what}")
+    for column in ("J", *WHICH, *next(iter(rows.values()))["weights"]):
+        table.add_column(column, justify="right")
+    for J, row in rows.items():
+        weights = (f"{value:.6g}" for value in row["weights"].values())
+        table.add_row(J, *(_quantiles(row[which]) for which in WHICH), *weights)
+    return table
+
+
+def worst_case_tables(scenario: Scenario, numbers: dict[str, Any]) -> list[Table]:
+    """What each search found and what it cost; the worst machine as `--set` takes it."""
+    metric = f"{numbers['figure'].replace('_', ' ')} [{numbers['unit']}]"
+    what = f"largest {metric} at trial {numbers['trial']}, nominal {number(numbers['nominal'])}"
+    table = Table("search", title=f"{scenario.title}\n{numbers['scheme']}: {what}")
     for column in ("found", "evaluations", "of them until found", "until level with chance"):
         table.add_column(column, justify="right")
-    for name, row in figures["searches"].items():
+    for name, row in numbers["searches"].items():
         level = row["level_with_chance"]
         table.add_row(
             name,
@@ -98,11 +98,16 @@ def worst_case_tables(scenario: Scenario, figures: dict[str, Any]) -> list[Table
             str(row["needed"]),
             "never" if level is None else str(level),
         )
-    worst = max(figures["searches"].values(), key=lambda row: row["loss"])
+    worst = max(numbers["searches"].values(), key=lambda row: row["loss"])
     rebuilt = Table("--set", title="the worst machine")
     for setting in worst["set"]:
         rebuilt.add_row(setting)
     return [table, rebuilt]
+
+
+def _quantiles(row: dict[str, float]) -> str:
+    """`1.2 (1.5, 1.8)`: the median, and in brackets the 95 % quantile and the worst."""
+    return f"{number(row['median'])} ({number(row['high'])}, {number(row['worst'])})"
 
 
 def _ratio(one: float, other: float) -> str:

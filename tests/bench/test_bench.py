@@ -1,6 +1,4 @@
-"""The benchmark: every opponent computes what we compute, wrong numbers are refused, costs and
-ratios are read off correctly.
-"""
+"""The benchmark: opponents compute what we compute, and wrong numbers are refused."""
 
 import json
 
@@ -19,7 +17,7 @@ OPPONENTS, NOTES = bench.opponents()
 
 @pytest.fixture(scope="module", params=["cfdl", "ffdl"])
 def small(request):
-    """(setting, our figures) of 3 plants, 6 trials of 40 samples."""
+    """(setting, our metrics) of 3 plants, 6 trials of 40 samples."""
     of = bench.setting(request.param, 3, 6, 40)
     return of, of.ours(lanes=2)()
 
@@ -67,7 +65,8 @@ def test_other_numbers_in_blocks_are_refused(monkeypatch):
     )
     with pytest.raises(
         ArithmeticError,
-        match="jaxilc in blocks differs from jaxilc by 2e-09 of the largest output; allowed is 1e-09",
+        match="jaxilc in blocks differs from jaxilc by 2e-09 of the largest output; "
+        "allowed is 1e-09",
     ):
         bench.compare_long(100, repeats=1)
 

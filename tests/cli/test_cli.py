@@ -20,8 +20,7 @@ from typer.main import get_command
 from typer.testing import CliRunner
 
 import jaxilc
-from jaxilc.cli import app, main
-from jaxilc.cli import options as shared
+from jaxilc.cli import app, console, main, progress
 from jaxilc.scenarios import LISTED
 
 PLANT = """
@@ -144,7 +143,7 @@ def test_sweep_prints_the_yield_and_resumes(jaxilc_command, tmp_path):
         "cfdl-mfailc",
         "--trials",
         3,
-        "--samples",
+        "--machines",
         8,
         "--spread",
         0.2,
@@ -163,7 +162,8 @@ def test_sweep_prints_the_yield_and_resumes(jaxilc_command, tmp_path):
     code, _, err = jaxilc_command(*sweep)
     assert code == 2
     assert "--resume" in err
-    assert jaxilc_command(*sweep, "--resume")[0] == 0
+    by_its_old_name = ["--samples" if word == "--machines" else word for word in sweep]
+    assert jaxilc_command(*by_its_old_name, "--resume")[0] == 0
 
 
 @pytest.mark.parametrize(
@@ -217,7 +217,7 @@ def test_sweep_prints_the_yield_and_resumes(jaxilc_command, tmp_path):
             "precision = 'half' is not one of 'float64', 'float32'",
         ),
         (
-            ("sweep", "cao-2019", "--samples", "0"),
+            ("sweep", "cao-2019", "--machines", "0"),
             "samples = 0 is outside its allowed range [1, inf)",
         ),
         (("sweep", "cao-2019", "--spread", "2"), "spread = 2 is outside its allowed range (0, 1)"),
@@ -309,7 +309,7 @@ def command(store, *more):
         "cao-2019",
         "--trials",
         "3",
-        "--samples",
+        "--machines",
         "40",
         *schemes,
         "--out",
@@ -367,7 +367,7 @@ def test_certify_compares_theory_with_simulation(jaxilc_command, tmp_path):
         "cfdl-mfailc",
         "--scheme",
         "pid",
-        "--samples",
+        "--machines",
         3,
         "--trials",
         4,
@@ -446,9 +446,7 @@ def examples():
 
 @pytest.mark.parametrize(("command", "words"), [*examples()])
 def test_the_example_of_a_command_is_one_of_it(command, words):
-    """Its options are there and their values are of the right kind; what is missing or too much
-    raises.
-    """
+    """Its options exist and its values are of the right kind; anything else would raise."""
     assert words[0] == command.name
     with command.make_context(command.name, words[1:]) as context:
         assert not context.args
@@ -474,6 +472,45 @@ def test_examples_that_are_quick_run(jaxilc_command, tmp_path):
     assert ran == ["list", "run", "identify"]
 
 
+@pytest.mark.parametrize("name", ["", *get_command(app).commands])
+def test_a_help_page_fits_80_columns(name):
+    words = [name] if name else []
+    shown = CliRunner().invoke(app, [*words, "--help"], env={"COLUMNS": "80"})
+    assert shown.exit_code == 0
+    assert max(map(len, shown.stdout.splitlines())) <= 80
+    assert "…" not in shown.stdout
+    assert ("--machines" in shown.stdout) == (name in ("sweep", "certify", "tune", "pareto"))
+    assert ("[@METRIC]" in shown.stdout) == (name in ("tune", "pareto"))
+
+
+def test_what_commands_share_is_declared_once():
+    """A shared option reads the same wherever it is; a count of machines keeps its old name."""
+    said, of_machines = {}, {}
+    for name, command in get_command(app).commands.items():
+        for option in command.params:
+            said.setdefault(max(option.opts, key=len), set()).add(option.help)
+            if "--machines" in option.opts:
+                of_machines[name] = option.opts
+    assert list(of_machines) == ["sweep", "certify", "tune", "pareto"]
+    assert all(names == ["--machines", "--samples"] for names in of_machines.values())
+    shared = ("--set", "--params", "--seed", "--spread", "--sampling", "--json", "--report")
+    for name in (*shared, "--precision", "--resume"):
+        assert len(said[name]) == 1, name
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("list",), ("list", "li-2020"), ("list", "cao-2019"), ("reproduce", "dai-2014")],
+    ids=" ".join,
+)
+def test_a_table_fits_80_columns_and_nothing_is_cut(jaxilc_command, monkeypatch, words):
+    monkeypatch.setattr(console.out, "width", 80)
+    code, out, _ = jaxilc_command(*words)
+    assert code == 0
+    assert max(map(len, out.splitlines())) <= 80
+    assert "…" not in out
+
+
 def started(*words, **environment):
     """The console script as another process: its result, without a terminal."""
     program = "import sys; from jaxilc.cli import main; sys.argv[0] = 'jaxilc'; main()"
@@ -488,8 +525,10 @@ def started(*words, **environment):
 @pytest.mark.parametrize("words", [("--help",), ("sweep", "--help"), ("--version",), ("list",)])
 def test_what_needs_no_jax_does_not_wait_for_it(words):
     program = (
-        "import sys, atexit; atexit.register(lambda: print('jax' in sys.modules, 'numpy' in sys.modules, file=sys.stderr));"
-        "from jaxilc.cli import main; main()"
+        "import sys, atexit; from jaxilc.cli import main\n"
+        "said = lambda: [name in sys.modules for name in ('jax', 'numpy')]\n"
+        "atexit.register(lambda: print(*said(), file=sys.stderr))\n"
+        "main()"
     )
     done = subprocess.run(
         [sys.executable, "-c", program, *words], capture_output=True, text=True, env=PLAIN
@@ -557,9 +596,9 @@ def test_progress_is_shown_on_a_terminal_alone(monkeypatch):
     shown = {}
     for terminal, quiet in ((True, False), (True, True), (False, False)):
         text = io.StringIO()
-        monkeypatch.setattr(shared, "err", Console(file=text, force_terminal=terminal))
-        monkeypatch.setattr(shared.out, "quiet", quiet)
-        with shared.progress_bar("what") as bar:
+        monkeypatch.setattr(console, "err", Console(file=text, force_terminal=terminal))
+        monkeypatch.setattr(console.out, "quiet", quiet)
+        with progress.progress_bar("what") as bar:
             bar.update(bar.add_task("trials", total=2, what="half"), completed=1)
         shown[terminal, quiet] = text.getvalue()
     assert "half" in shown[True, False]
@@ -609,7 +648,7 @@ def test_certify_tune_and_worst_case_leave_reports(jaxilc_command, tmp_path):
         "gamma_p",
         "--steps",
         1,
-        "--samples",
+        "--machines",
         2,
         "--held-out",
         2,
@@ -619,7 +658,7 @@ def test_certify_tune_and_worst_case_leave_reports(jaxilc_command, tmp_path):
         2,
     )
     for command, options, expected in (
-        ("certify", ("--samples", 3, "--trials", 3), ("in the long run", "<td>3</td>")),
+        ("certify", ("--machines", 3, "--trials", 3), ("in the long run", "<td>3</td>")),
         ("tune", small, ("held-out loss", "<td>gamma_p</td>")),
         (
             "worst-case",

@@ -1,5 +1,6 @@
-"""The command line for tuning: its numbers against the library's, parameter files, resuming, worst
-machines rebuilt, and mistakes.
+"""The commands that tune and search: their numbers are the library's, and they can be resumed.
+
+Parameter files, worst machines that are rebuilt, and mistakes have their tests here too.
 """
 
 import contextlib
@@ -46,7 +47,20 @@ TUNE = (
         "--risk",
         "cvar:0.5",
     ),
-    *("--trials", 4, "--samples", 3, "--held-out", 2, "--steps", 3, "--unseen", 4, "--spread", 0.2),
+    *(
+        "--trials",
+        4,
+        "--machines",
+        3,
+        "--held-out",
+        2,
+        "--steps",
+        3,
+        "--unseen",
+        4,
+        "--spread",
+        0.2,
+    ),
 )
 PARETO = (
     *("pareto", "cao-2019", "--scheme", "cfdl-mfailc", *SHORT, "--set", "cfdl-mfailc.lead=2"),
@@ -55,7 +69,7 @@ PARETO = (
         "lam,phi0",
         "--bounds",
         "lam=0.1:5",
-        "--samples",
+        "--machines",
         3,
         "--held-out",
         2,
@@ -580,7 +594,7 @@ def test_a_mistake_is_one_line_and_nothing_is_written(command, arguments, messag
 
 
 # Parameter files and figures
-# -------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def test_a_parameter_file_holds_what_differs(scenario, tmp_path):

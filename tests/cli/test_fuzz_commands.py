@@ -1,7 +1,7 @@
-"""Every command with options that nobody wants, up to where it would compute: done, or a mistake in
-one line, and exit code 1 never.
+"""Every command with options that nobody wants, up to where it would compute.
 
-See fuzz.py for how to run more.
+A command ends well, or with a mistake in one line, and never with exit code 1. See fuzz.py for how
+to run more.
 """
 
 import contextlib
@@ -15,9 +15,13 @@ import pytest
 import typer
 from fuzz import fuzz, pick
 
-from jaxilc import bench, cli, identification, learning, runtime, theory
+from jaxilc import cli, runtime
+from jaxilc.bench import contests
+from jaxilc.identification import estimation
+from jaxilc.learning import over_trials
 from jaxilc.sweeps import Sweep
-from jaxilc.tuning import Tuning, worst_case
+from jaxilc.theory import of_schemes
+from jaxilc.tuning import Tuning, worst_machine
 
 PLANT = """
 trials = 3
@@ -41,13 +45,13 @@ low = 0.98
 high = 1.02
 relative = true
 """
-TUNED = "--scheme ilc --weights gamma_p --samples 4 --held-out 3 --unseen 4 --steps 2"
+TUNED = "--scheme ilc --weights gamma_p --machines 4 --held-out 3 --unseen 4 --steps 2"
 COMMANDS = [
     shlex.split(line)
     for line in f"""
 run p.toml
-sweep p.toml --samples 4
-certify p.toml --samples 4
+sweep p.toml --machines 4
+certify p.toml --machines 4
 tune p.toml {TUNED}
 pareto p.toml {TUNED} --budgets 2,3
 worst-case p.toml --scheme ilc --starts 2 --steps 2
@@ -161,17 +165,17 @@ def folder(tmp_path, monkeypatch):
     os.mkfifo(tmp_path / "fifo")
     for owner, name in (
         *(
-            (learning, "_program"),
+            (over_trials, "_program"),
             (Sweep, "run"),
             (Tuning, "run"),
-            (theory, "certify"),
-            (worst_case, "worst_case_search"),
+            (of_schemes, "certify"),
+            (worst_machine, "worst_case_search"),
         ),
         *(
-            (identification, "_problem"),
-            (bench, "compare"),
-            (bench, "alone"),
-            (bench, "compare_long"),
+            (estimation, "_problem"),
+            (contests, "compare"),
+            (contests, "alone"),
+            (contests, "compare_long"),
         ),
     ):
         monkeypatch.setattr(owner, name, computes)
@@ -198,7 +202,7 @@ bench --plants {10**12} --long 0
 
 @pytest.mark.parametrize("line", FOUND.strip().split("\n"), ids=lambda line: line[:50])
 def test_what_was_found(line, folder, monkeypatch):
-    """These ended in a traceback, or were not seen to be too much."""
+    """These once ended in a traceback, or were not refused although they were too large."""
     (folder / "deep.json").write_text("[" * 100_000)
     monkeypatch.setattr(sys, "argv", ["jaxilc", *line.split()])
     assert ended() == 2

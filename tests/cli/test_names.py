@@ -1,5 +1,6 @@
-"""Names, titles and units: part of files' names, of paths of parameters and of what a terminal
-prints, so checked before anything runs.
+"""Names, titles and units are checked before anything runs.
+
+They become parts of files' names, of paths of parameters, and of what a terminal prints.
 """
 
 import dataclasses
@@ -55,13 +56,15 @@ GOOD_NAMES = ("axis", "X-Achse 2", "Förderachse_3", "两轴", "v1.2 (copy)")
 def test_a_name_that_a_file_cannot_have_is_refused_when_it_is_read(tmp_path, name):
     with pytest.raises(
         ValueError,
-        match=r"axis\.json: name = .* is no name; allowed are up to 50 of letters, digits, spaces and",
+        match=r"axis\.json: name = .* is no name; "
+        "allowed are up to 50 of letters, digits, spaces and",
     ):
         read_scenario(write(tmp_path, name=name))
     schemes = {name: FILE["schemes"]["ilc"]}
     with pytest.raises(
         ValueError,
-        match=r"axis\.json: scheme = .* is no name; allowed are up to 50 of letters, digits, spaces and _ \+ -",
+        match=r"axis\.json: scheme = .* is no name; "
+        r"allowed are up to 50 of letters, digits, spaces and _ \+ -",
     ):
         read_scenario(write(tmp_path, schemes=schemes))
 

@@ -11,7 +11,10 @@ from jaxilc.cli.titled_table import Console as Plain
 from jaxilc.cli.titled_table import Table
 from jaxilc.storage.printable import printable
 
-TITLE = "Voice-coil motor for noncircular turning\nsettled error [µm] by trial, published value in brackets"
+TITLE = (
+    "Voice-coil motor for noncircular turning\n"
+    "settled error [µm] by trial, published value in brackets"
+)
 
 
 def test_a_title_is_not_folded_to_the_width_of_its_table():
@@ -30,14 +33,55 @@ def test_a_title_is_not_folded_to_the_width_of_its_table():
     assert str(table.title) == TITLE  # which a report reads
 
 
+def test_a_table_that_is_too_wide_goes_on_below():
+    """Every part has the first column, no cell is cut, and each other column is there once."""
+    names = [f"scheme-number-{i}" for i in range(9)]
+    table = Table("trial", *names, title=TITLE)
+    table.add_row("1", *(f"cell {i}" for i in range(9)))
+    console = Console(width=80)
+    with console.capture() as shown:
+        console.print(table)
+    lines = shown.get().splitlines()
+    assert max(map(len, lines)) <= 80
+    assert "…" not in shown.get()
+    headers = [line.replace("┃", " ").split() for line in lines if "┃" in line]
+    assert [header[0] for header in headers] == ["trial"] * len(headers)
+    assert [name for header in headers for name in header[1:]] == names
+    assert [f"cell {i}" in shown.get() for i in range(9)] == [True] * 9
+    assert len(table.columns) == 10  # which a report reads
+
+
+def test_a_word_is_not_broken_where_another_column_can_give_way():
+    table = Table("entry", "rms error", "max error", "effort", "file", "what was seen")
+    table.add_row("1", "0.7071", "1", "0", "measured-trial.csv", "a warning of many words " * 3)
+    console = Console(width=60)
+    with console.capture() as shown:
+        console.print(table)
+    assert "measured-trial.csv" in shown.get()
+    assert max(map(len, shown.get().splitlines())) == 60
+
+
+def test_a_column_that_is_whole_is_not_folded():
+    table = Table(title="one")
+    table.add_column("--set", whole=True)
+    table.add_column("value")
+    table.add_row("machine.plant.a.long.path.of.a.parameter", "many words " * 9)
+    console = Console(width=80)
+    with console.capture() as shown:
+        console.print(table)
+    assert "machine.plant.a.long.path.of.a.parameter" in shown.get()
+    assert max(map(len, shown.get().splitlines())) <= 80
+
+
 HOSTILE = "[bold]x[/nothing] :x: \x1b[31mred\x07 \u202ereversed\ud800 [mm] $y$"
 AS_IT_STANDS = "[bold]x[/nothing] :x: \\x1b[31mred\\x07 \\u202ereversed\\ud800 [mm] $y$"
 
 
 @pytest.mark.parametrize("terminal", [False, True])
 def test_text_of_the_user_is_shown_as_it_stands(terminal):
-    """Neither markup nor emoji, and no code that a terminal would act on, in tables, lines and
-    headers, on our consoles or another.
+    """Neither markup nor emoji nor a code that a terminal would act on, whatever the console.
+
+    This holds in tables, their headers and titles, and in lines.
     """
     table = Table("header " + HOSTILE, title="title " + HOSTILE)
     table.add_row("cell " + HOSTILE)

@@ -24,6 +24,7 @@ from rich.table import Table
 
 from jaxilc import learn, scenarios
 from jaxilc.cli import tables
+from jaxilc.cli.numbers import run_numbers
 from jaxilc.figures.report import POLICY, command_report, html_report, write_report
 from jaxilc.sweeps import runs
 
@@ -189,7 +190,7 @@ def test_a_run_reported_as_the_command_line_does(tmp_path, monkeypatch):
         scenarios.load("dai-2014", plant="printed").select(("pid",)), trials=1
     )
     dataset, _ = runs.run_schemes(chosen.machine, chosen.schemes, chosen.task, 1)
-    numbers = tables.run_figures(chosen, dataset)
+    numbers = run_numbers(chosen, dataset)
     drawn_axes().figure.savefig(tmp_path / "error-by-trial.png")
     monkeypatch.setattr(sys, "argv", ["/somewhere/jaxilc", "run", "dai-2014", "--set", "name=a b"])
     path = tmp_path / "new folder" / "report.html"

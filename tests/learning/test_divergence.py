@@ -13,6 +13,7 @@ from cases import DT, task_for
 
 from jaxilc import figures, scenarios
 from jaxilc.cli import tables
+from jaxilc.cli.numbers import run_numbers, sweep_numbers
 from jaxilc.learning import Keep, Machine, Metrics, divergence, learn
 from jaxilc.plants import StateSpace
 from jaxilc.scenarios import Published, reproduction
@@ -169,7 +170,7 @@ def test_tables_and_figures_say_so(swept):
         published=(),
         judged_by="rms",
     )
-    figures_ = tables.sweep_figures(
+    figures_ = sweep_numbers(
         scenario, summarise(dataset, 0.1, figure="rms"), 0.1, plan.samples
     )
     cells = {
@@ -204,7 +205,7 @@ def test_a_run_says_what_diverged_and_what_has_grown():
         published=(),
         show_trials=(5,),
     )
-    numbers = tables.run_figures(scenario, dataset)
+    numbers = run_numbers(scenario, dataset)
     assert numbers["schemes"]["lost"]["rms"]["12"] == np.inf
     assert np.isfinite(numbers["schemes"]["lost"]["rms"]["5"])
     assert tables.course_lines(numbers) == [

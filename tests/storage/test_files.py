@@ -13,7 +13,7 @@ from crash_points import recorded
 from matplotlib.figure import Figure
 
 from jaxilc import figures
-from jaxilc.cli import options
+from jaxilc.cli.results import written
 from jaxilc.figures.report import write_report
 from jaxilc.scenarios.parameters import write_parameters
 from jaxilc.storage import files
@@ -42,7 +42,7 @@ def test_results_are_whole_at_every_moment(tmp_path):
     out, numbers = tmp_path / "out", {"worst": float("inf"), "rows": [float("nan")] * 50}
     with recorded(out, tmp_path) as states:
         for _ in range(2):  # the second time in place of the first
-            options.written([], out / "numbers.json", numbers)
+            written([], out / "numbers.json", numbers)
             write_parameters(out / "params.json", "axis", {"pid": {"kp": 1.0}}, {})
             figures.save(axes, out / "figure.png")
             write_report(out / "page.html", "title", {"asked": 1})

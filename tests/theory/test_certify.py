@@ -11,7 +11,8 @@ import pytest
 
 import jaxilc
 from jaxilc import Actuator, Disturbance, Machine, Task, Uniform
-from jaxilc.cli import tables
+from jaxilc.cli.certificate_tables import certificate_sentence
+from jaxilc.cli.numbers import certificate_numbers
 from jaxilc.filters import ZeroPhaseButterworth
 from jaxilc.plants import DifferenceEquation, StateSpace
 from jaxilc.schemes import (
@@ -26,6 +27,7 @@ from jaxilc.schemes import (
 )
 from jaxilc.theory import certify, outlook, premises
 from jaxilc.theory.certificates import certify_each, course
+from jaxilc.theory.of_schemes import OfScheme
 from jaxilc.uncertainty import draw
 
 DT, N = 1e-3, 100
@@ -42,9 +44,8 @@ def certified(machine, scheme, trials, uncertainty, samples=6):
 
 
 def sentence(found, trials=10):
-    return tables.certificate_sentence(
-        "scheme", trials, tables.certificate_figures(found, None, 1.0), 1.0, "mm"
-    )
+    numbers = certificate_numbers(OfScheme(found, None, None, 1.0))
+    return certificate_sentence("scheme", trials, numbers, 1.0, "mm")
 
 
 def dense_error_map(machine, gain):

@@ -1,0 +1,177 @@
+"""Opponents of `jaxilc bench` that are compiled: loops for Numba, and a program in C (limit.c).
+
+What they compute is said in `peers`.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from .peers import Peer, Problem
+
+LANES = 8  # of the C program: doubles in the widest register there is
+
+
+def _cfdl_plant(a, b, r, trials, settled, weights, phi0, metrics):
+    # One pass over the samples of a trial: what the next trial needs is computed in place.
+    lam, rho, eta, mu, epsilon = weights
+    N, start = len(r) - 1, phi0[0]
+    u, u_last, y, phi = np.zeros(N), np.zeros(N), np.zeros(N + 1), np.full(N, start)
+    for j in range(trials):
+        x0, x1, x2, largest, late, squares, effort = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for k in range(N):
+            u_k, p = u[k], phi[k]
+            x0, x1, x2 = (
+                x1 + a[0] * x0 + b[0] * u_k,
+                x2 + a[1] * x0 + b[1] * u_k,
+                a[2] * x0 + b[2] * u_k,
+            )
+            e = r[k + 1] - x0
+            largest, squares, effort = max(largest, abs(e)), squares + e * e, effort + u_k * u_k
+            if k + 1 >= settled:
+                late = max(late, abs(e))
+            if j > 0:
+                du, dy = u_k - u_last[k], x0 - y[k + 1]
+                p += eta * du / (mu + du * du) * (dy - p * du)
+                if abs(p) <= epsilon or (p > 0) != (start > 0):
+                    p = start
+                phi[k] = p
+            u[k], u_last[k], y[k + 1] = u_k + rho * p / (lam + p * p) * e, u_k, x0
+        metrics[j, 0], metrics[j, 1], metrics[j, 2], metrics[j, 3] = (
+            largest,
+            np.sqrt(squares / N),
+            late,
+            np.sqrt(effort / N),
+        )
+
+
+def _ffdl_plant(a, b, r, trials, settled, weights, phi0, metrics):
+    lam, rho, eta, mu, epsilon = weights
+    N = len(r) - 1
+    u, y = np.zeros(N), np.zeros(N + 1)
+    phi = np.empty((N, 4))
+    phi[:] = phi0
+    for j in range(trials):
+        x0, x1, x2, largest, late, squares, effort = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        dy, dy_old, du_old = 0.0, 0.0, 0.0
+        for k in range(N):
+            p0, p1, p2, p3 = phi[k, 0], phi[k, 1], phi[k, 2], phi[k, 3]
+            du = 0.0
+            if j > 0:
+                du = (
+                    rho
+                    * p2
+                    / (lam + p2 * p2)
+                    * (r[k + 1] - y[k + 1] - p0 * dy - p1 * dy_old - p3 * du_old)
+                )
+            u_k = u[k] + du
+            x0, x1, x2 = (
+                x1 + a[0] * x0 + b[0] * u_k,
+                x2 + a[1] * x0 + b[1] * u_k,
+                a[2] * x0 + b[2] * u_k,
+            )
+            e = r[k + 1] - x0
+            largest, squares, effort = max(largest, abs(e)), squares + e * e, effort + u_k * u_k
+            if k + 1 >= settled:
+                late = max(late, abs(e))
+            if j > 0:
+                dy_new = x0 - y[k + 1]
+                step = eta * (dy_new - p0 * dy - p1 * dy_old - p2 * du - p3 * du_old)
+                step /= mu + dy * dy + dy_old * dy_old + du * du + du_old * du_old
+                p0, p1, p2, p3 = (
+                    p0 + step * dy,
+                    p1 + step * dy_old,
+                    p2 + step * du,
+                    p3 + step * du_old,
+                )
+                if abs(p2) <= epsilon or (p2 > 0) != (phi0[2] > 0):
+                    p0, p1, p2, p3 = phi0[0], phi0[1], phi0[2], phi0[3]
+                phi[k, 0], phi[k, 1], phi[k, 2], phi[k, 3] = p0, p1, p2, p3
+                dy, dy_old, du_old = dy_new, dy, du
+            u[k], y[k + 1] = u_k, x0
+        metrics[j, 0], metrics[j, 1], metrics[j, 2], metrics[j, 3] = (
+            largest,
+            np.sqrt(squares / N),
+            late,
+            np.sqrt(effort / N),
+        )
+
+
+def numba_parallel() -> Peer:
+    """The loops above compiled by Numba, with fast math and one plant after another on each thread.
+
+    Raises ImportError without Numba.
+    """
+    import numba
+
+    def batch(one):
+        @numba.njit(parallel=True, fastmath=True)
+        def run(a, b, r, trials, settled, weights, phi0):
+            metrics = np.zeros((len(b), trials, 4))
+            for s in numba.prange(len(b)):
+                one(a, b[s], r, trials, settled, weights, phi0, metrics[s])
+            return metrics
+
+        return run
+
+    compiled = {
+        1: batch(numba.njit(fastmath=True)(_cfdl_plant)),
+        4: batch(numba.njit(fastmath=True)(_ffdl_plant)),
+    }
+    return lambda problem: compiled[len(problem.phi0)](*problem)
+
+
+def c_program(threads: int) -> Peer:
+    """The same in C with explicit SIMD lanes and OpenMP threads: about the limit of a processor.
+
+    It is built with the compiler `cc`. Raises FileNotFoundError where there is none, OSError where
+    it cannot build the program.
+    """
+    compiler = shutil.which("cc")
+    if compiler is None:
+        raise FileNotFoundError("no C compiler: `cc` was not found")
+    with tempfile.TemporaryDirectory() as folder:
+        library = Path(folder) / "limit.so"
+        flags = (
+            "-O3",
+            "-march=native",
+            "-ffast-math",
+            "-fopenmp",
+            "-shared",
+            "-fPIC",
+            f"-DLANES={LANES}",
+        )
+        built = subprocess.run(
+            [compiler, *flags, "-o", library, Path(__file__).with_name("limit.c"), "-lm"],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        if built.returncode:
+            raise OSError(
+                f"{compiler} could not build limit.c: {built.stderr.strip().splitlines()[-1:]}"
+            )
+        loaded = ctypes.CDLL(str(library))
+
+    def run(problem: Problem) -> np.ndarray:
+        law = loaded.cfdl if len(problem.phi0) == 1 else loaded.ffdl
+        arrays = [
+            np.ascontiguousarray(x, float)
+            for x in (problem.a, problem.b, problem.r, problem.weights, problem.phi0)
+        ]
+        metrics = np.empty((len(problem.b), problem.trials, 4))
+        pointers = [ctypes.c_void_p(x.ctypes.data) for x in (*arrays, metrics)]
+        failed = law(
+            len(problem.b), problem.trials, len(problem.r) - 1, problem.settled, threads, *pointers
+        )
+        if failed:
+            raise MemoryError("limit.c could not allocate its tiles")
+        return metrics
+
+    return run

@@ -1,0 +1,121 @@
+"""What was asked for, as objects of the library: the scenario, its uncertainty, the tuning problem.
+
+The functions here read the values of options. Each raises ValueError naming what is allowed.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .console import log_jax
+from .terms import objective_of, risk_of, weights_of
+
+if TYPE_CHECKING:
+    from ..scenarios import Scenario
+    from ..tuning import Tuning
+    from ..tuning.objectives import Objective
+    from ..uncertainty import Uncertainty
+
+
+def begin(precision: str) -> None:
+    """Start JAX, with compiled programs kept from one start to the next."""
+    from ..runtime.start import keep_programs, setup
+
+    setup(precision=precision)
+    log_jax(keep_programs())
+
+
+def settings_of(given: list[str] | None) -> dict[str, str]:
+    """The values of `--set PATH=VALUE` by path."""
+    values = {}
+    for setting in given or []:
+        path, equals, value = setting.partition("=")
+        if not equals:
+            raise ValueError(f"--set {setting!r} is not PATH=VALUE")
+        values[path.strip()] = value.strip()
+    return values
+
+
+def chosen_scenario(
+    name: str,
+    schemes: list[str] | None,
+    trials: int | None,
+    settings: list[str] | None,
+    params: Path | None = None,
+) -> Scenario:
+    """The scenario with what was set: its options first, then the parameter file, then the rest.
+
+    name: of a scenario, or a TOML or JSON file;  schemes: None for all;  trials: None for its own
+    settings: texts of `--set`;  params: a file that `jaxilc tune` wrote
+    """
+    from .. import scenarios
+    from ..scenarios.from_file import load_scenario
+    from ..scenarios.parameters import with_parameters
+
+    values = settings_of(settings)
+    known = scenarios.options(name) if name in scenarios.SCENARIOS else {}
+    chosen = load_scenario(name, {path: value for path, value in values.items() if path in known})
+    if not chosen.schemes:
+        raise ValueError(f"{name} has no scheme; needed is a table [schemes.NAME] at least")
+    if params is not None:
+        chosen = with_parameters(chosen, params)
+    chosen = chosen.with_values(
+        {path: value for path, value in values.items() if path not in known}
+    )
+    if trials is not None:
+        if trials < 1:
+            raise ValueError(f"--trials {trials} is outside its allowed range [1, inf)")
+        chosen = dataclasses.replace(chosen, trials=trials)
+    chosen = chosen.select(tuple(schemes or ()))
+    chosen.check()
+    return chosen
+
+
+def spread_of(chosen: Scenario, spread: float | None) -> Uncertainty:
+    """The scenario's uncertainty, with the half-width that `--spread` asks for, if any."""
+    from ..uncertainty import with_spread
+
+    return chosen.uncertainty if spread is None else with_spread(chosen.uncertainty, spread)
+
+
+def objective_asked(chosen: Scenario, text: str, option: str = "--objective") -> Objective:
+    """The objective that the text of an option says.
+
+    A term without `@METRIC` takes the metric that the scenario is judged by.
+    """
+    return objective_of(text, chosen.judged_by, chosen.shown(chosen.judged_by)[0], option)
+
+
+def tuning_problem(
+    chosen: Scenario,
+    scheme: str,
+    *,
+    weights: str,
+    bounds: list[str] | None,
+    spread: float | None,
+    objective: Objective,
+    risk: str,
+    options: Mapping[str, Any],
+) -> Tuning:
+    """The tuning problem of one scheme of the scenario.
+
+    weights, bounds, spread, risk: texts and numbers of the options of the same name
+    options: further arguments of `Tuning`, by name
+    """
+    from ..tuning.problem import Tuning
+
+    return Tuning(
+        chosen.machine,
+        chosen.schemes[scheme],
+        chosen.task,
+        chosen.trials,
+        weights=weights_of(weights, bounds),
+        uncertainty=spread_of(chosen, spread),
+        objective=objective,
+        risk=risk_of(risk),
+        quantities=chosen.functions,
+        **options,
+    )

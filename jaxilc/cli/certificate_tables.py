@@ -1,0 +1,112 @@
+"""Tables and sentences of `jaxilc certify`: what is claimed, what is expected, and the premises."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ..theory.certificates import CONVERGES, COURSES, DIVERGES, GROWS, MONOTONE, NOTHING, TURNS
+from .tables import number
+from .titled_table import Table
+
+COURSE_WORDS = {TURNS: "have a best trial and then turn", GROWS: "end above their start"}
+
+
+def certificate_sentence(
+    name: str, trials: int, numbers: dict[str, Any], scale: float, unit: str
+) -> str:
+    """What a certificate says, in words.
+
+    name: of the scheme;  trials: J;  numbers: of `certificate_numbers`
+    scale, unit: in which errors are shown
+    """
+    in_the_long_run, within = _claimed(numbers, scale, unit), _expected(numbers)
+    return f"{name}: {in_the_long_run}. Within {trials} trials {within}."
+
+
+def _claimed(numbers: dict[str, Any], scale: float, unit: str) -> str:
+    """What is claimed for the long run."""
+    claims, machines = numbers["claims"], sum(numbers["claims"].values())
+    certified = claims[MONOTONE] + claims[CONVERGES]
+    parts = []
+    if certified:
+        in_error, floor = numbers["monotone_in_the_error"], scale * numbers["floor"]
+        which = []
+        if claims[MONOTONE]:
+            which.append(f"{claims[MONOTONE]} in every trial ({in_error} in the error itself)")
+        if claims[CONVERGES]:
+            which.append(f"{claims[CONVERGES]} in the end")
+        parts.append(
+            f"in the long run {certified} of {machines} machines come nearer to their limit, "
+            f"{' and '.join(which)}; "
+            f"{f'it leaves an error of {number(floor)} {unit}'.rstrip()} at most"
+        )
+    if claims[DIVERGES]:
+        parts.append(f"{claims[DIVERGES]} diverge")
+    if claims[NOTHING]:
+        some = f"of {claims[NOTHING]}" if parts else "of the long run"
+        parts.append(f"{some} nothing is claimed")
+    return ", ".join(parts)
+
+
+def _expected(numbers: dict[str, Any]) -> str:
+    """What the error does within the trials, by theory and by simulation."""
+    expected, observed, turning = numbers["expected"], numbers["observed"], numbers["turning"]
+    bad = {c: (expected[c], observed[c]) for c in (TURNS, GROWS) if expected[c] or observed[c]}
+    if not bad:
+        return "the error of every machine ends lower than it began, by theory and by simulation"
+    courses = ", ".join(
+        f"{e} machines {COURSE_WORDS[c]} by theory and {o} by simulation"
+        for c, (e, o) in bad.items()
+    )
+    best = (
+        f"the best trial is {turning['predicted']:g} by theory "
+        f"and {turning['observed']:g} by simulation (median)"
+    )
+    return f"{courses}; {best}"
+
+
+def certificate_tables(name: str, trials: int, numbers: dict[str, Any]) -> list[Table]:
+    """The claims with their reasons, the course by theory against simulation, and the premises.
+
+    The arguments are those of `certificate_sentence`.
+    """
+    claims = Table(
+        "in the long run",
+        "machines",
+        "why",
+        title=f"{name}: what is claimed, however many trials are run",
+    )
+    for claim, reasons in numbers["reasons"].items():
+        for i, (reason, count) in enumerate(reasons.items()):
+            claims.add_row("" if i else claim, str(count), reason)
+    what = f"machines by what their error does within {trials} trials"
+    courses = Table("by theory", title=f"{name}: {what}, by theory and simulated")
+    for course in COURSES:
+        courses.add_column(course, justify="right")
+    for course, row in numbers["confusion"].items():
+        head = f"{course} ({numbers['expected'][course]})"
+        courses.add_row(head, *(str(row[c]) for c in COURSES))
+    return [claims, courses, *([_premises(name, numbers)] if "premises" in numbers else [])]
+
+
+def _premises(name: str, numbers: dict[str, Any]) -> Table:
+    """On how many machines each premise of the bounds held, and where it was broken."""
+    machines = sum(numbers["bound"].values())
+    tested = "; ".join(
+        f"it {verdict} on {count}"
+        for verdict, count in numbers["bound"].items()
+        if count and verdict != "not claimed"
+    )
+    nothing = f"it was claimed on none of {machines} machines, so nothing of it was tested"
+    table = Table("premise", title=f"{name}: the bound of Cao 2019: {tested or nothing}")
+    table.add_column("held throughout on", justify="right")
+    table.add_column("broken at, of samples and trials", justify="right")
+    for premise, row in numbers["premises"].items():
+        held = f"{row['held']} of {machines}" if row["held"] else "no machine"
+        table.add_row(premise, held, _of_all(row["share_broken"]))
+    return table
+
+
+def _of_all(share: float) -> str:
+    """A share in percent; one that is not zero never reads as zero."""
+    return "nowhere" if share == 0 else "< 0.01 %" if share < 1e-4 else f"{100 * share:.2f} %"

@@ -1,0 +1,171 @@
+"""What the commands print of runs, sweeps and certificates, as plain numbers under stable keys.
+
+These dictionaries are what `--json` writes. Keys keep their names from one version to the next: a
+key `samples` counts machines, and `figure` names a metric.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..theory.certificates import CLAIMS, CONVERGES, COURSES, MONOTONE
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from ..scenarios import Published, Scenario
+    from ..sweeps.summary import SchemeSummary
+    from ..theory.of_schemes import OfScheme
+
+METRICS = ("settled_error", "max_error", "rms", "best_trial")
+NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w])")
+
+
+def shown_trials(scenario: Scenario) -> list[int]:
+    """The trials that have a row in a table: those that the scenario names, and the last."""
+    return sorted({j for j in scenario.show_trials if j <= scenario.trials} | {scenario.trials})
+
+
+def run_numbers(scenario: Scenario, dataset: xr.Dataset) -> dict[str, Any]:
+    """The metrics of a run [shown unit] by scheme, metric and trial, beside the published ones.
+
+    Of several channels the largest counts. The errors of a trial that diverged are infinite (see
+    `learning.divergence`).
+
+    dataset: of `run_schemes`
+    """
+    schemes: dict[str, Any] = {}
+    for name in scenario.schemes:
+        chosen = dataset.sel(scheme=name).max("channel", skipna=False)
+        shown = {m: scenario.shown(m)[0] * chosen[m] for m in (*METRICS, *scenario.quantities)}
+        shown |= {
+            m: shown[m].where(~chosen["diverged"], np.inf) for m in shown if m != "best_trial"
+        }
+        by_metric = {
+            m: {str(j): float(values.sel(trial=j)) for j in shown_trials(scenario)}
+            for m, values in shown.items()
+        }
+        published = [_beside(p, scenario, shown) for p in scenario.due if p.scheme == name]
+        course = {event: int(chosen[event]) for event in ("diverged_at", "grown_from")}
+        schemes[name] = by_metric | course | {"published": published}
+    return {
+        "scenario": scenario.name,
+        "trials": scenario.trials,
+        "unit": scenario.shown_unit,
+        "schemes": schemes,
+    }
+
+
+def _beside(p: Published, scenario: Scenario, shown: dict[str, xr.DataArray]) -> dict[str, Any]:
+    """A published number beside ours, which is None for a trial that was not run."""
+    trial = p.trial or 1
+    ours = float(shown[p.quantity].sel(trial=trial)) if trial <= scenario.trials else None
+    return {
+        "trial": p.trial,
+        "quantity": p.quantity,
+        "value": p.value,
+        "unit": scenario.shown(p.quantity)[1],
+        "source": p.source,
+        "ours": ours,
+    }
+
+
+def sweep_numbers(
+    scenario: Scenario, summary: Sequence[SchemeSummary], tolerance: float, machines: int
+) -> dict[str, Any]:
+    """The summary of a sweep [shown unit] by scheme, with quantiles and the worst machine by trial.
+
+    tolerance: largest metric that passes [unit of the dataset];  machines: S
+    """
+    k, unit = scenario.shown(scenario.judged_by)
+    schemes = {
+        row.scheme: {
+            "yield": row.yield_share,
+            "yield_interval": [row.yield_low, row.yield_high],
+            "semi_converged": row.semi_converged,
+            "grown_from": row.grown_from,
+            "diverged": row.diverged,
+            "diverged_at": row.diverged_at,
+            "by_trial": {
+                str(j): {
+                    "median": k * float(row.median[j - 1]),
+                    "low": k * float(row.low[j - 1]),
+                    "high": k * float(row.high[j - 1]),
+                    "worst": k * float(row.worst[j - 1]),
+                    "worst_sample": int(row.worst_sample[j - 1]),
+                }
+                for j in shown_trials(scenario)
+            },
+        }
+        for row in summary
+    }
+    return {
+        "scenario": scenario.name,
+        "trials": scenario.trials,
+        "samples": machines,
+        "tolerance": k * tolerance,
+        "unit": unit,
+        "figure": scenario.judged_by.replace("_", " "),
+        "schemes": schemes,
+    }
+
+
+def certificate_numbers(of_scheme: OfScheme) -> dict[str, Any]:
+    """What a certificate says of the machines, as counts.
+
+    claims, reasons: for the long run;  expected, observed, confusion: what the error does in J
+    trials, by theory and by simulation;  premises, bound: of a scheme that has bounds
+    """
+    found = of_scheme.certificate
+    claimed = np.isin(found.claim, (MONOTONE, CONVERGES))
+    numbers = {
+        "claims": {claim: int(np.sum(found.claim == claim)) for claim in CLAIMS},
+        "monotone_in_the_error": int(np.sum(found.of_error)),
+        "reasons": {
+            claim: told(found.reason[found.claim == claim])
+            for claim in CLAIMS
+            if np.any(found.claim == claim)
+        },
+        "floor": float(np.max((found.floor + found.doubt)[claimed])) if np.any(claimed) else None,
+        "expected": {course: int(np.sum(found.expected == course)) for course in COURSES},
+        "observed": {course: int(np.sum(found.observed == course)) for course in COURSES},
+        "confusion": found.confusion(),
+        "growth": {"median": float(np.median(found.growth)), "max": float(np.max(found.growth))},
+        "turning": {
+            "predicted": float(np.median(found.turning)),
+            "observed": float(np.median(found.observed_turning)),
+        },
+        "contradicted": found.broken_promises().tolist(),
+        "seconds_a_machine": of_scheme.seconds / len(found.claim),
+    }
+    if of_scheme.premises is not None:
+        numbers["premises"] = {
+            p.name: {"held": p.held, "share_broken": p.share_broken} for p in of_scheme.premises
+        }
+        numbers["bound"] = of_scheme.bound
+    return numbers
+
+
+def told(reasons) -> dict[str, int]:
+    """How often each reason is given.
+
+    Reasons that differ only in their numbers count as one, with the range of each number.
+    """
+    groups: dict[str, list[list[float]]] = {}
+    for reason in reasons:
+        groups.setdefault(NUMBER.sub("{}", reason), []).append(
+            [float(x) for x in NUMBER.findall(reason)]
+        )
+    return {
+        text.format(*map(_range, zip(*rows, strict=True))): len(rows)
+        for text, rows in groups.items()
+    }
+
+
+def _range(values) -> str:
+    low, high = (f"{end(values):.6g}" for end in (min, max))
+    return low if low == high else f"{low} to {high}"

@@ -1,0 +1,140 @@
+"""Bars of progress, which are for terminals alone, and how a long computation is stopped."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple, NoReturn
+
+from . import console
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from ..sweeps import Sweep
+    from ..tuning import Tuned, Tuning
+
+
+def progress_bar(field: str):
+    """A bar of progress that also shows a field of its tasks; silent where there is no terminal."""
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn(f"{{task.fields[{field}]}}", markup=False),
+    )
+    return Progress(
+        *columns,
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=console.err,
+        disable=console.out.quiet or not console.err.is_terminal,
+    )
+
+
+def stopped(store: Path) -> NoReturn:
+    """Say how to go on after Ctrl-C, and end with exit code 130."""
+    console.err.print(
+        f"stopped; {store} holds what is done: the same command with --resume goes on",
+        highlight=False,
+    )
+    sys.exit(130)
+
+
+class Swept(NamedTuple):
+    """A sweep that was run.
+
+    dataset: as `Sweep.run` returns it
+    seconds: that it took, compilation included
+    steps: sample-steps that were computed: 0 where the store held all machines
+    """
+
+    dataset: xr.Dataset
+    seconds: float
+    steps: int
+
+
+def run_sweep(plan: Sweep, store: Path, *, resume: bool, cluster: str | None) -> Swept:
+    """Run a sweep behind one bar for each scheme.
+
+    Ctrl-C ends the command with exit code 130, a chunk that no worker could compute with 1.
+    """
+    from ..sweeps.cluster import ChunkFailed
+
+    start, counted = time.perf_counter(), {}
+    of_a_machine = plan.trials * plan.task.N
+    with progress_bar("rate") as bar:
+        bars = {name: bar.add_task(name, total=plan.samples, rate="") for name in plan.schemes}
+
+        def progress(name: str, done: int, fresh: int) -> None:
+            counted[name] = counted.get(name, 0) + fresh
+            rate = sum(counted.values()) * of_a_machine / (time.perf_counter() - start)
+            bar.update(bars[name], completed=done, rate=f"{rate:.2g} steps/s")
+
+        try:
+            dataset = plan.run(store, resume=resume, progress=progress, cluster=cluster)
+        except KeyboardInterrupt:
+            stopped(store)
+        except ImportError as error:
+            if cluster is None:
+                raise
+            raise ValueError(f"--dask: {error}") from None
+        except ChunkFailed as error:
+            console.err.print(f"error: {error}", highlight=False, markup=False, soft_wrap=True)
+            console.err.print(
+                f"{store} holds what is done: the same command with --resume goes on",
+                highlight=False,
+                soft_wrap=True,
+            )
+            sys.exit(1)
+    return Swept(dataset, time.perf_counter() - start, sum(counted.values()) * of_a_machine)
+
+
+def run_tuning(problem: Tuning, state: Path, *, resume: bool) -> Tuned:
+    """Tune behind a bar. Ctrl-C ends the command with exit code 130."""
+    with progress_bar("loss") as bar:
+        one = bar.add_task("tuning", total=problem.steps, loss="")
+
+        def progress(step: int, losses, best: float) -> None:
+            bar.update(one, completed=step, loss=f"loss {losses.min():.4g}, held out {best:.4g}")
+
+        try:
+            return problem.run(state, resume=resume, progress=progress)
+        except KeyboardInterrupt:
+            stopped(state)
+
+
+def run_tunings(tunings: Callable, state: Path, *, count: int, steps: int, resume: bool):
+    """Several tunings behind one bar each; what `tunings` returns.
+
+    tunings: a function of the folder `state`, `resume` and `progress`, as `pareto` and `by_trials`
+    count: of the tunings;  steps: of each
+    Ctrl-C ends the command with exit code 130.
+    """
+    with progress_bar("loss") as bar:
+        bars: dict = {}
+
+        def progress(name: str, step: int, losses, best: float) -> None:
+            if name not in bars:
+                bars[name] = bar.add_task(
+                    f"{name} ({len(bars) + 1} of {count})", total=steps, loss=""
+                )
+            bar.update(
+                bars[name], completed=step, loss=f"loss {losses.min():.4g}, held out {best:.4g}"
+            )
+
+        try:
+            return tunings(state, resume=resume, progress=progress)
+        except KeyboardInterrupt:
+            stopped(state)

@@ -1,0 +1,50 @@
+"""`jaxilc reproduce`: every published number beside ours."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from .completion import scenarios_from
+from .console import out
+from .options import Json, Precision, Report
+from .results import written
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the command line."""
+    app.command()(reproduce)
+
+
+def reproduce(
+    scenario: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[SCENARIO]...",
+            help="Scenarios; all if none is given.",
+            autocompletion=scenarios_from,
+        ),
+    ] = None,
+    json_file: Json = None,
+    report: Report = None,
+    precision: Precision = "float64",
+) -> None:
+    """Every published number beside ours, with a verdict and how the paper was read.
+
+    Each row says what was fitted, and an open row why it is open.
+
+    Example: jaxilc reproduce cao-2019 dai-2014 --json out/reproduce.json
+    """
+    from .asked import begin
+
+    begin(precision)
+    from ..figures.report import command_report
+    from ..scenarios import reproduction
+    from .reproduction_tables import READING_FITS, narrow_reproduction, reproduction_table
+
+    numbers = [row.as_dict() for row in reproduction.reproduce(scenario or ())]
+    table = reproduction_table(numbers)
+    for part in [table] if out.width >= READING_FITS else narrow_reproduction(numbers):
+        out.print(part, highlight=False)
+    written(command_report(report, "reproduce", [table]), json_file, numbers)

@@ -1,0 +1,76 @@
+"""Tables of `jaxilc reproduce`: the published numbers beside ours."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import groupby
+from typing import Any
+
+from ..scenarios.reproduction import SHAPE
+from .tables import number
+from .titled_table import Table
+
+READING_FITS = 120  # columns from which on the reading of a paper fits beside the numbers
+COLUMNS = ("scheme", "trial", "quantity", "published", "ours", "ratio", "verdict")
+IN_NUMBERS = ("trial", "published", "ours", "ratio")  # columns of numbers
+
+
+def reproduction_table(numbers: Sequence[dict[str, Any]]) -> Table:
+    """A row for each published number, for a terminal of 120 columns or more, and for a page.
+
+    The last column says how the paper was read, what was fitted, and why a row is open.
+
+    numbers: rows of `reproduction.reproduce`, as dictionaries
+    """
+    table = Table(title=_counted(numbers))
+    for column in ("scenario", *COLUMNS, "source", "reading"):
+        table.add_column(column, justify="right" if column in IN_NUMBERS else "left")
+    for row in numbers:
+        table.add_row(row["scenario"], *_cells(row), row["source"], _reading(row))
+    return table
+
+
+def narrow_reproduction(numbers: Sequence[dict[str, Any]]) -> list[Table | str]:
+    """The same for a terminal of 80 columns: a table for each scenario, and lines below it.
+
+    A line has the source of a row and its reading.
+    """
+    shown: list[Table | str] = [_counted(numbers)]
+    for scenario, rows in groupby(numbers, key=lambda row: row["scenario"]):
+        table, lines = Table(title=scenario), []
+        for column in COLUMNS:
+            table.add_column(column, justify="right" if column in IN_NUMBERS else "left")
+        for row in rows:
+            table.add_row(*_cells(row))
+            at = f", trial {row['trial']}" if row["trial"] else ""
+            lines.append(f"{row['source']}, {row['scheme']}{at}: {_reading(row)}")
+        shown += [table, *lines]
+    return shown
+
+
+def _cells(row: dict[str, Any]) -> tuple[str, ...]:
+    """The cells of `COLUMNS`."""
+    return (
+        row["scheme"],
+        "" if row["trial"] is None else str(row["trial"]),
+        row["quantity"].replace("_", " "),
+        f"{'< ' * row['at_most']}{row['value']:g} {row['unit']}",
+        number(row["ours"]),
+        f"{row['ratio']:.2f}",
+        row["verdict"],
+    )
+
+
+def _counted(numbers: Sequence[dict[str, Any]]) -> str:
+    """How many numbers have which verdict."""
+    count = {v: sum(row["verdict"] == v for row in numbers) for v in ("met", "shape", "open")}
+    in_shape = f"{count['shape']} in shape (the printed order, within a factor of {SHAPE:g})"
+    met = f"{count['met']} met within 30 %"
+    return f"{len(numbers)} published numbers: {met}, {in_shape}, {count['open']} open"
+
+
+def _reading(row: dict[str, Any]) -> str:
+    """Under which options, how the paper was read, what was fitted, and why the row is open."""
+    options = [f"{name} {value}" for name, value in row["options"].items() if name != "plant"]
+    reason = [f"open: {row['reason']}"] if row["reason"] else []
+    return "; ".join([*options, row["reading"], row["fitted"], *reason])

@@ -1,0 +1,52 @@
+"""All figures of one run of a scenario, saved in a folder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..plants import TwoAxes
+from .by_frequency import spectrum, time_frequency
+from .by_trial import error_by_trial
+from .style import save
+from .within_trial import contour, tracking
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from ..scenarios import Scenario
+
+CURVES = (2, 20)  # trials worth a curve besides the last one
+
+
+def save_run(
+    scenario: Scenario, dataset: xr.Dataset, folder: Path, shown: Sequence[int]
+) -> list[Path]:
+    """Draw a run and save it; the files that were written.
+
+    error-by-trial.png      the metric that the scenario is judged by, beside the published values
+    tracking-SCHEME.png     reference and output of some trials
+    spectrum-SCHEME.png, time-frequency-SCHEME.png    of the error, for a scheme that learns
+    contour-SCHEME.png      for two axes
+
+    dataset: of `run_schemes`;  shown: trials that have a row in the table of the run
+    """
+    in_unit = {"scale": scenario.shown_scale, "unit": scenario.shown_unit}
+    scale, unit = scenario.shown(scenario.judged_by)
+    axes = error_by_trial(
+        dataset, metric=scenario.judged_by, published=scenario.due, scale=scale, unit=unit
+    )
+    paths = [save(axes, folder / "error-by-trial.png")]
+    last = scenario.trials
+    trials = [j for j in shown if j in (*CURVES, last)] or [last]
+    for name, scheme in scenario.schemes.items():
+        drawn: dict[str, Callable] = {"tracking": tracking}
+        if scheme.learns:
+            drawn |= {"spectrum": spectrum, "time-frequency": time_frequency}
+        if isinstance(scenario.machine.plant, TwoAxes):
+            drawn |= {"contour": contour}
+        for kind, draw in drawn.items():
+            axes = draw(dataset, name, trials, **in_unit)
+            paths.append(save(axes, folder / f"{kind}-{name}.png"))
+    return paths
