@@ -47,7 +47,7 @@ sweep = Sweep(
     scenario.task,
     trials=40,
     uncertainty=scenario.uncertainty,
-    samples=128,
+    machines=128,
 )
 folder = Path(tempfile.mkdtemp())
 sweep.run(folder / "motor.zarr")
@@ -78,7 +78,7 @@ ax.figure
 for row in summarise(dataset, tolerance):
     print(
         f"{row.scheme:12s} yield {row.yield_share:6.1%} ({row.yield_low:.1%} to {row.yield_high:.1%}), "
-        f"median {1e3 * row.median[-1]:.3g} µm, worst {1e3 * row.worst[-1]:.3g} µm (machine {row.worst_sample[-1]})"
+        f"median {1e3 * row.median[-1]:.3g} µm, worst {1e3 * row.worst[-1]:.3g} µm (machine {row.worst_machine[-1]})"
     )
 
 # %% [markdown]
@@ -102,7 +102,7 @@ for name, of_parameter in ranks.items():
 # %% [markdown]
 # ## The worst machine, rebuilt
 #
-# `machine_of` gives any sample back, to be looked at, tuned on, or run for longer.
+# `machine_of` gives any machine back, to be looked at, tuned on, or run for longer.
 
 # %%
 worst = int(np.argmax(last.values))

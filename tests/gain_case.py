@@ -25,7 +25,7 @@ PROBLEM = Tuning(
     ["gamma_p"],
     GAINS,
     Final("rms", floor=0.1),
-    samples=4,
+    machines=4,
     held_out=3,
     steps=8,
     validate_every=3,

@@ -94,13 +94,13 @@ def test_spread_widens_the_relative_ones_only():
             r"plant.poles\[2\] was drawn between -.* allowed is \(0, inf\)",
         ),
         (UNCERTAINTY, {"sampling": "halton"}, r"sampling = 'halton' is not one of monte-carlo"),
-        (UNCERTAINTY, {"samples": 0}, r"samples = 0 is outside its allowed range \[1, inf\)"),
+        (UNCERTAINTY, {"machines": 0}, r"machines = 0 is outside its allowed range \[1, inf\)"),
         (
             UNCERTAINTY,
-            {"samples": 2.5},
-            r"samples = 2.5 is outside its allowed range \[1, inf\) of whole numbers",
+            {"machines": 2.5},
+            r"machines = 2.5 is outside its allowed range \[1, inf\) of whole numbers",
         ),
-        (UNCERTAINTY, {"samples": None}, "samples = None is not a number"),
+        (UNCERTAINTY, {"machines": None}, "machines = None is not a number"),
         (
             UNCERTAINTY,
             {"seed": 2**70},
@@ -121,7 +121,7 @@ def test_spread_widens_the_relative_ones_only():
 )
 def test_bad_input_is_named(uncertainty, kwargs, message):
     with pytest.raises(ValueError, match=message):
-        draw(MACHINE, uncertainty, **({"samples": 50} | kwargs))
+        draw(MACHINE, uncertainty, **({"machines": 50} | kwargs))
 
 
 @pytest.mark.parametrize(

@@ -289,7 +289,7 @@ def sweep(
     dataset, seconds, steps = _with_progress(plan, store, resume, dask)
 
     numbers = tables.sweep_figures(
-        chosen, summarise(dataset, tolerance, figure=chosen.judged_by), tolerance, plan.samples
+        chosen, summarise(dataset, tolerance, metric=chosen.judged_by), tolerance, plan.machines
     )
     shown = [tables.yield_table(numbers), tables.spread_table(numbers), tables.band_table(numbers)]
     for table in shown:
@@ -351,7 +351,7 @@ def _with_progress(plan, store: Path, resume: bool, cluster: str | None):
 
     start, counted = time.perf_counter(), {}
     with progress_bar("rate") as bar:
-        bars = {name: bar.add_task(name, total=plan.samples, rate="") for name in plan.schemes}
+        bars = {name: bar.add_task(name, total=plan.machines, rate="") for name in plan.schemes}
 
         def progress(name: str, done: int, fresh: int) -> None:
             counted[name] = counted.get(name, 0) + fresh

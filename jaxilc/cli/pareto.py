@@ -125,7 +125,7 @@ def pareto(
         "starts": starts,
         "rate": rate,
         "optimiser": optimiser,
-        "samples": samples,
+        "machines": samples,
         "held_out": held_out,
     }
     options |= {"sampling": sampling, "seed": seed}
@@ -246,15 +246,15 @@ def _by_trials(
     problem.comparison(
         dict.fromkeys(("given", *map(str, budgets)), problem.scheme),
         trials=max(budgets),
-        samples=unseen,
+        machines=unseen,
     )  # refused now
     found = _with_progress(
         partial(by_trials, problem, budgets), len(budgets), problem.steps, folder / "state", resume
     )
     schemes = {"given": problem.scheme} | {str(J): tuned.scheme for J, tuned in found.items()}
-    dataset = problem.comparison(schemes, trials=max(budgets), samples=unseen).run()
+    dataset = problem.comparison(schemes, trials=max(budgets), machines=unseen).run()
     figure, (scale, unit) = chosen.judged_by, chosen.shown(chosen.judged_by)
-    summary = {row.scheme: row for row in summarise(dataset, 1.0, figure=figure)}
+    summary = {row.scheme: row for row in summarise(dataset, 1.0, metric=figure)}
 
     def at(name: str, J: int) -> dict[str, float]:
         return {

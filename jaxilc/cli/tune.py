@@ -108,7 +108,7 @@ def tune(
         "starts": starts,
         "rate": rate,
         "optimiser": optimiser,
-        "samples": samples,
+        "machines": samples,
         "held_out": held_out,
     }
     options |= {"sampling": sampling, "seed": seed}
@@ -120,7 +120,7 @@ def tune(
             raise ValueError(f"--{name} {value} is outside its allowed range [1, inf)")
     folder = out_dir or Path("out") / f"tune-{chosen.name}"
     problem.comparison(
-        trials=compare_trials, samples=unseen
+        trials=compare_trials, machines=unseen
     )  # refused now rather than after the tuning
     state = folder / "state"
     if state.exists() and not resume:
@@ -128,7 +128,7 @@ def tune(
             f"{state} exists already; add --resume to go on with it, or choose another --out"
         )
     tuned = _with_progress(problem, state, resume)
-    dataset = problem.compare(tuned, trials=compare_trials, samples=unseen)
+    dataset = problem.compare(tuned, trials=compare_trials, machines=unseen)
 
     numbers = tuning_tables.tuning_figures(chosen, scheme, tuned, dataset)
     shown = tuning_tables.tuning_tables(chosen, numbers)
@@ -345,11 +345,11 @@ def _need_room(
     """Raises ValueError, before the climb, for a trial or a search by chance after it that does not
     fit into memory.
     """
-    from ..learning.over_trials import bytes_of_figures
+    from ..learning.known_metrics import bytes_of_metrics
     from ..runtime.capacity import check_size
     from ..tuning.worst_case import GRADIENT_COST, bytes_of_a_draw
 
-    of_trial, each = bytes_of_figures(chosen.task), bytes_of_a_draw(uncertainty)
+    of_trial, each = bytes_of_metrics(chosen.task), bytes_of_a_draw(uncertainty)
     check_size(
         "worst-case",
         lambda trial, starts: 4 * of_trial * trial * starts,

@@ -30,7 +30,7 @@ def tuning_figures(
     by_figure = {}
     for figure in dict.fromkeys((scenario.judged_by, "max_error")):
         now = dataclasses.replace(scenario, judged_by=figure, trials=trials)
-        of = sweep_figures(now, summarise(dataset, 1.0, figure=figure), 1.0, samples)["schemes"]
+        of = sweep_figures(now, summarise(dataset, 1.0, metric=figure), 1.0, samples)["schemes"]
         by_figure[figure] = {"unit": scenario.shown(figure)[1]} | {
             which: of[which]["by_trial"] for which in WHICH
         }

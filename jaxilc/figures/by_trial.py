@@ -108,7 +108,7 @@ def error_band(
     from ..sweeps.summary import summarise
 
     ax = new_axes(ax)
-    rows, trial = summarise(dataset, tolerance or 1.0, figure=figure), dataset["trial"]
+    rows, trial = summarise(dataset, tolerance or 1.0, metric=figure), dataset["trial"]
     medians = np.concatenate([row.median for row in rows])
     for i, row in enumerate(rows):
         style, marks = style_of(i), marks_of(i, len(trial))

@@ -101,7 +101,7 @@ def largest_above(level, body="jnp.maximum(jnp.max(trial.e), level)", lines=0, f
 def test_a_store_knows_its_quantities_by_what_they_do(tmp_path):
     def plan(*args, **options):
         return dataclasses.replace(
-            PLAN, samples=2, keep=(), quantities={"own": largest_above(*args, **options)}
+            PLAN, machines=2, keep=(), quantities={"own": largest_above(*args, **options)}
         )
 
     store = tmp_path / "store.zarr"
@@ -128,7 +128,7 @@ def test_several_channels_stay_apart():
         task,
         2,
         {"plant.B": Uniform(0.9, 1.1, relative=True)},
-        samples=3,
+        machines=3,
         keep=("y", "u"),
     )
     dataset = plan.run()
@@ -176,7 +176,7 @@ def test_summary_counts_yield_growth_and_divergence():
     assert row.semi_converged == 0.25  # growing; a rise of 2 % is not growth
     assert row.diverged == 0.25
     assert row.worst[-1] == np.inf
-    assert row.worst_sample[-1] == 3
+    assert row.worst_machine[-1] == 3
     assert row.median[0] == 9
     # Wilson's interval for 2 of 4, from its closed form with z = 1.96
     z, n, p = 1.959964, 4, 0.5
@@ -187,5 +187,5 @@ def test_summary_counts_yield_growth_and_divergence():
 def test_summary_names_what_is_wrong():
     with pytest.raises(ValueError, match=r"tolerance = 0 is outside"):
         summarise(made_up([[1.0]]), 0.0)
-    with pytest.raises(ValueError, match=r"figure = 'rms' is not one of finite, settled_error"):
-        summarise(made_up([[1.0]]), 1.0, figure="rms")
+    with pytest.raises(ValueError, match=r"metric = 'rms' is not one of finite, settled_error"):
+        summarise(made_up([[1.0]]), 1.0, metric="rms")
