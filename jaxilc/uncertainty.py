@@ -18,7 +18,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy import special
 
 from .pytree.named_paths import get_at, interval_at, replaced
 from .pytree.ranges import SEEDS, brief, is_number, require
@@ -67,7 +66,10 @@ class Normal:
         _need_finite(self)
 
     def quantile(self, p) -> np.ndarray:
-        return self.mean + self.std * special.ndtri(np.clip(p, 1e-12, 1.0 - 1e-12))
+        """The value below which a share p of the draws lies."""
+        from scipy.special import ndtri  # imported here, since it takes long
+
+        return self.mean + self.std * ndtri(np.clip(p, 1e-12, 1.0 - 1e-12))
 
     def corners(self) -> tuple[float, float]:
         return self.mean - 2.0 * self.std, self.mean + 2.0 * self.std
@@ -264,7 +266,7 @@ def _unit_cube(points: int, dimensions: int, seed: int, sampling: str) -> np.nda
         return np.zeros((points, dimensions))
     if sampling == "monte-carlo":
         return np.random.default_rng(seed).random((points, dimensions))
-    from scipy.stats import qmc  # imported here: it takes longer than all else in this module
+    from scipy.stats import qmc  # imported here, since it takes long
 
     if sampling == "latin-hypercube":
         return qmc.LatinHypercube(dimensions, rng=seed).random(points)

@@ -1,5 +1,8 @@
 """Drawing uncertain machines: statistics, prefixes, corners, errors."""
 
+import subprocess
+import sys
+
 import jax
 import numpy as np
 import pytest
@@ -150,3 +153,13 @@ def test_bad_input_is_named(uncertainty, kwargs, message):
 def test_bad_distributions_are_named(make, message):
     with pytest.raises(ValueError, match=message):
         make()
+
+
+def test_what_takes_long_to_import_is_imported_where_it_is_used():
+    """scipy.stats takes more than a second, and only some ways of drawing need it."""
+    program = (
+        "import sys, jaxilc.uncertainty; from jaxilc.sweeps import Sweep, summarise;"
+        " print([name for name in ('scipy.stats', 'scipy.special') if name in sys.modules])"
+    )
+    said = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert said.stdout == "[]\n", said.stderr

@@ -174,7 +174,8 @@ def test_a_chunk_that_fails_for_good_is_named_and_the_others_stay(tmp_path, clie
     )
     with pytest.raises(
         cluster.ChunkFailed,
-        match=r"(?s)scheme 'feedback', chunk \d \(machines \d+ to \d+\) failed.*the bearing has seized",
+        match=r"(?s)scheme 'feedback', chunk \d \(machines \d+ to \d+\) failed.*the bearing has "
+        r"seized",
     ):
         plan.run(store, cluster=client, progress=lambda *call: there.touch())
     there.unlink()
@@ -224,14 +225,16 @@ def test_a_worker_that_would_round_differently_is_refused(tmp_path, client, writ
 
         with pytest.raises(
             ValueError,
-            match=rf"the worker tcp://\S+ is not like.*devices: {devices + 1} there, {devices} here",
+            match=rf"the worker tcp://\S+ is not like.*devices: {devices + 1} there, "
+            rf"{devices} here",
         ):
             PLAN.run(late, cluster=client, progress=join)
         assert written
         written.clear()
         with pytest.raises(
             ValueError,
-            match=rf"the worker tcp://\S+ is not like tcp.*: devices: {devices + 1} there, {devices} here",
+            match=rf"the worker tcp://\S+ is not like tcp.*: devices: {devices + 1} there, "
+            rf"{devices} here",
         ):
             PLAN.run(early, cluster=client)
     assert not written

@@ -87,6 +87,41 @@ def test_a_store_of_another_configuration_is_refused(tmp_path):
         PLAN.run(tmp_path / "empty", resume=True)
 
 
+def earlier_names(configuration):
+    """A configuration as it was written when machines were called samples."""
+    return {"samples" if name == "machines" else name: of for name, of in configuration.items()}
+
+
+def test_a_store_under_earlier_names_is_resumed_and_opened(tmp_path, dataset, monkeypatch):
+    configuration, store = Sweep.configuration, tmp_path / "store.zarr"
+
+    def stop_after_second_chunk(name, done, fresh):
+        if done >= 8:
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Sweep, "configuration", lambda *a: earlier_names(configuration(*a)))
+        with pytest.raises(KeyboardInterrupt):
+            PLAN.run(store, progress=stop_after_second_chunk)
+    with pytest.raises(ValueError, match="it differs in: machines: 11 there, 12 here"):
+        dataclasses.replace(PLAN, machines=12).run(store, resume=True)
+    computed = []
+    resumed = PLAN.run(
+        store, resume=True, progress=lambda name, done, fresh: computed.append(fresh)
+    )
+    assert computed == [0, 0, 3, 4, 4, 3]
+    assert resumed.attrs["configuration"] == earlier_names(dataset.attrs["configuration"])
+    xr.testing.assert_identical(resumed.drop_attrs(deep=False), dataset.drop_attrs(deep=False))
+    xr.testing.assert_identical(jaxilc.open_dataset(store), resumed)
+
+
+def test_the_earlier_name_of_machines_is_understood():
+    given = (PLAN.machine, PLAN.schemes, TASK, 4, PLAN.uncertainty)
+    assert Sweep(*given, samples=3).machines == 3
+    with pytest.raises(TypeError, match="Sweep: samples is now machines; both were given"):
+        Sweep(*given, samples=3, machines=3)
+
+
 def largest_above(level, body="jnp.maximum(jnp.max(trial.e), level)", lines=0, file="one.py"):
     """A figure of a trial, from a source of its own."""
     source = (

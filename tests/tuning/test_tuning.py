@@ -20,6 +20,7 @@ from jaxilc.plants import StateSpace
 from jaxilc.pytree import get_at
 from jaxilc.runtime.provenance import describe
 from jaxilc.schemes import Filtered, PIDType
+from jaxilc.tuning import Tuning
 from jaxilc.tuning.bijection import Bijection
 from jaxilc.tuning.descent import Evaluation, by_gradient, by_least_squares, for_starts
 from jaxilc.tuning.objectives import Final, Holding, Objective
@@ -229,6 +230,28 @@ def kill_after(step):
             raise Killed
 
     return progress
+
+
+def test_a_folder_under_earlier_names_is_resumed(tmp_path, tuned, monkeypatch):
+    """Machines were called samples, and metrics figures."""
+    configuration = Tuning.configuration
+
+    def earlier(self):
+        found = configuration(self)
+        found["samples"] = found.pop("machines")
+        found["objective"]["figure"] = found["objective"].pop("metric")
+        return found
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Tuning, "configuration", earlier)
+        with pytest.raises(Killed):
+            PROBLEM.run(tmp_path / "state", progress=kill_after(3))
+    other = dataclasses.replace(PROBLEM, objective=Final("max_error", floor=0.1))
+    with pytest.raises(ValueError, match=r"it differs in: objective.metric: rms there, max_error"):
+        other.run(tmp_path / "state", resume=True)
+    resumed = PROBLEM.run(tmp_path / "state", resume=True)
+    assert resumed.values == tuned.values
+    np.testing.assert_array_equal(resumed.loss, tuned.loss)
 
 
 OWN = optax.chain(
