@@ -111,7 +111,7 @@ Uncertainty = Mapping[str, Distribution]
 
 
 def _need_numbers(distribution, **ranges: str) -> None:
-    """Raises ValueError unless each field is one number in its range, and `relative` True or False."""
+    """Raises ValueError unless each field is in its range, and `relative` is True or False."""
     name = type(distribution).__name__
     for field, interval in ranges.items():
         require(name, field, getattr(distribution, field), interval)

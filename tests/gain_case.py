@@ -1,4 +1,4 @@
-"""Learning and tuning with a closed form: a static gain under P-type ILC, for the tests of tuning."""
+"""Learning and tuning with a closed form, for tests: a static gain under P-type ILC."""
 
 import jax.numpy as jnp
 import numpy as np

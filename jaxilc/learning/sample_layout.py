@@ -1,5 +1,4 @@
-"""Where the samples of a batch lie in the RAM: under `vmap`, those of all its members at one instant
-side by side.
+"""Where the samples of a batch lie in RAM: those of all its members at one instant side by side.
 
 XLA would keep each member's samples together, as `vmap` numbers them, and transpose every signal on
 its way into the loop over time and out of it. On a CPU that took a quarter of the time of

@@ -128,7 +128,7 @@ def test_a_program_that_does_not_fit_is_refused_before_it_runs(monkeypatch, tmp_
     problem = dataclasses.replace(PROBLEM, uncertainty={}, machines=1, held_out=0, steps=1)
     with pytest.raises(
         ValueError,
-        match=r"a step of all starts takes .* of memory, where 2 kB are available; take fewer trials",
+        match=r"a step of all starts takes .* of memory, where 2 kB are available; take fewer",
     ):
         problem.run(tmp_path / "state")
     assert not (tmp_path / "state").exists()
@@ -228,7 +228,11 @@ resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
 assert capacity.host_bytes() <= 10**9
 start.setup = lambda **_: None
 said = []
-entry.err = type("Said", (), {"print": lambda self, text, **_: said.append(text), "is_terminal": False})()
+class Said:
+    is_terminal = False
+    def print(self, text, **_):
+        said.append(text)
+entry.err = Said()
 for command in sys.stdin.read().split("\\n"):
     sys.argv, start = ["jaxilc", *command.split()], time.perf_counter()
     code = 0
@@ -236,7 +240,8 @@ for command in sys.stdin.read().split("\\n"):
         entry.main()
     except SystemExit as stop:
         code = stop.code
-    print(json.dumps([command, code, said.pop() if said else "", time.perf_counter() - start]), file=sys.stderr, flush=True)
+    found = [command, code, said.pop() if said else "", time.perf_counter() - start]
+    print(json.dumps(found), file=sys.stderr, flush=True)
 """
 
 

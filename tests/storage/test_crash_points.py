@@ -27,7 +27,7 @@ def nothing_left_over(folder):
 
 @pytest.fixture
 def without_waiting(monkeypatch):
-    """Nothing waits for the disk: a kill loses nothing that was written, only a power failure does."""
+    """Nothing waits for the disk: only a power failure, and no kill, loses what was written."""
     monkeypatch.setattr(files.os, "fsync", lambda _: None)
 
 
