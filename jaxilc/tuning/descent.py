@@ -279,6 +279,6 @@ def descended(
             return now, "steps" if now.step == steps else "patience"
         z, inner, record = method.step(now.z, now.inner)
         if not np.any(np.isfinite(record.loss)):
-            return now, "no plant has a finite loss"
+            return now, "no machine has a finite loss"
         now = now.advanced(z, inner, record)
         after_step(now, record)

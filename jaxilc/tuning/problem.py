@@ -78,8 +78,8 @@ class Tuning:
     validate_every: steps from one computation of the held-out loss to the next
     patience: how many of these without improvement are allowed before it stops
     mode: forward or reverse differentiation; auto takes forward for up to FORWARD_UP_TO weights.
-        Over 80 trials of 2000 samples on a CPU, a forward gradient took as long as 5, 8 and 13 runs
-        without one for 1, 2 and 3 weights (CFDL-MFAILC; FFDL: 3, 6, 9), a reverse one as long as 9
+        On a CPU, a forward gradient took as long as 5, 8 and 13 runs without one for 1, 2 and 3
+        weights (CFDL-MFAILC, 80 trials of 2000 samples; FFDL: 3, 6, 9), a reverse one as long as 9
         to 12 for any number, and RAM for what is learned, see `learn`.
     truncate: K, slopes go through the last K trials alone, None for all trials. What the weights
         did to the trials before is then left out of the slope, not of the loss.
@@ -88,8 +88,7 @@ class Tuning:
     ceiling: of the error, relative to the peak of the reference, see `Bounded`
     lanes: machines vectorised together, over all starts; None for what suits this backend
 
-    Raises ValueError, before anything is compiled, naming a weight that does not exist, is absent
-    or static, bounds that are empty or not allowed, and a start outside them.
+    Raises ValueError, before anything is compiled, as `Weights.of` does for the weights.
     """
 
     machine: Machine
@@ -123,9 +122,8 @@ class Tuning:
         check_settings(vars(self))
         check(self.machine, self.scheme, self.task)
         self._weights.need_room(self.machine, self.scheme, self.task)
-        counts = {name: getattr(self, name) for name in Counts._fields[1:]}
-        counts["weights"] = len(self.start)
-        need_room(self.machine, self.uncertainty, self.task, Counts(**counts))
+        counts = Counts(len(self.start), *(getattr(self, name) for name in Counts._fields[1:]))
+        need_room(self.machine, self.uncertainty, self.task, counts)
         draw(self.machine, self.uncertainty, self.machines, seed=self.seed, sampling=self.sampling)
         jax.eval_shape(lambda: self.loss_of(self.machine, {}))
 
@@ -134,14 +132,11 @@ class Tuning:
         return Weights.of(self.scheme, self.weights)
 
     @cached_property
-    def _machines(self) -> Machines:
-        fields = dataclasses.fields(Machines)
-        return Machines(**{field.name: getattr(self, field.name) for field in fields})
-
-    @cached_property
     def _losses(self) -> Losses:
-        given = {f.name: getattr(self, f.name) for f in dataclasses.fields(Losses) if f.init}
-        return Losses(**given | {"machines": self._machines, "weights": self._weights})
+        drawn = Machines(**{f.name: getattr(self, f.name) for f in dataclasses.fields(Machines)})
+        given: dict[str, Any] = {f.name: getattr(self, f.name) for f in dataclasses.fields(Losses)}
+        given |= {"machines": drawn, "weights": self._weights}
+        return Losses(**given)
 
     @property
     def start(self) -> dict[str, float]:
@@ -181,11 +176,9 @@ class Tuning:
         nominal terms. Pure.
         """
         objective = self.objective if objective is None else objective
-        if self.held_out:
-            batch = self._machines.drawn(self.seed + 1, self.held_out, nominal=False)
-            return self._losses.risk_of(values, objective, batch, self.seed + 1)
-        batch = self._machines.drawn(self.seed, self.machines, nominal=True)
-        return self._losses.risk_of(values, objective, batch, self.seed)
+        seed, size = (self.seed + 1, self.held_out) if self.held_out else (self.seed, self.machines)
+        batch = self._losses.machines.drawn(seed, size, nominal=not self.held_out)
+        return self._losses.risk_of(values, objective, batch, seed)
 
     def run(
         self,
@@ -234,9 +227,8 @@ class Tuning:
                 after_step=after_step,
             )
         values = {name: float(value) for name, value in self._weights.at(now.best_z).items()}
-        before, after = held_out(
-            {name: jnp.asarray([self.start[name], values[name]]) for name in values}
-        )
+        both = {name: jnp.asarray([self.start[name], value]) for name, value in values.items()}
+        before, after = held_out(both)
         return Tuned.of(now, self._weights, self.scheme, float(before), float(after), reason)
 
     def compare(
@@ -252,7 +244,7 @@ class Tuning:
         Its machines have had no part in the tuning, nor in the choice among the iterates.
         trials: None for those of the tuning;  machines: how many, machine 0 is the nominal one
         seed: of the machines, None for that of the tuning + 2. Whoever changes a tuning after
-        looking at a comparison needs other machines for the next comparison.
+        looking at a comparison needs other machines for the next one.
         Raises ValueError for the seeds of machines that had a part.
         """
         schemes = {"given": self.scheme, "tuned": tuned.scheme}
@@ -301,7 +293,7 @@ class Tuning:
         few = self.mode == "auto" and len(self.bijections) <= FORWARD_UP_TO
         evaluate = self._losses.evaluation(
             self.objective,
-            self._machines.drawn(self.seed, self.machines, nominal=True),
+            self._losses.machines.drawn(self.seed, self.machines, nominal=True),
             self.seed,
             clip=self.clip,
             forward=self.mode == "forward" or few,

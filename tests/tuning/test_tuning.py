@@ -200,7 +200,9 @@ def test_many_starts_take_the_best_by_held_out_plants(tuned):
     np.testing.assert_allclose(tuned.after, np.nanmin(tuned.held_out), rtol=1e-12)
     assert np.nanmin(tuned.held_out[tuned.step]) == np.nanmin(tuned.held_out)
     # the held-out loss, from the closed form and plants rebuilt outside
-    gains = np.asarray(PROBLEM._machines.drawn(PROBLEM.seed + 1, 3, nominal=False)[1]["plant.B"])
+    gains = np.asarray(
+        PROBLEM._losses.machines.drawn(PROBLEM.seed + 1, 3, nominal=False)[1]["plant.B"]
+    )
     error = (1 - tuned.values["gamma_p"] * gains) ** 2 * np.sqrt(0.5)
     np.testing.assert_allclose(
         tuned.after, np.mean(0.5 * np.log(error**2 + 0.01) - np.log(0.1)), rtol=1e-10
@@ -354,7 +356,7 @@ def test_the_comparison_is_on_plants_nobody_has_seen(tuned):
     dataset = PROBLEM.compare(tuned, machines=9)
     seen = np.concatenate(
         [
-            np.asarray(PROBLEM._machines.drawn(seed, 4, nominal=False)[1]["plant.B"])
+            np.asarray(PROBLEM._losses.machines.drawn(seed, 4, nominal=False)[1]["plant.B"])
             for seed in (0, 1)
         ]
     )
