@@ -32,7 +32,8 @@ def takes_also(**earlier: str) -> Callable[[type[T]], type[T]]:
     """
 
     def decorated(cls: type[T]) -> type[T]:
-        construct = cls.__init__
+        known: Any = cls
+        construct = known.__init__
 
         @wraps(construct)
         def __init__(self, *arguments, **options):
@@ -43,7 +44,7 @@ def takes_also(**earlier: str) -> Callable[[type[T]], type[T]]:
                     options[today] = options.pop(name)
             construct(self, *arguments, **options)
 
-        cls.__init__ = __init__
+        known.__init__ = __init__
         return cls
 
     return decorated

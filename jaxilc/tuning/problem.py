@@ -166,8 +166,7 @@ class Tuning:
         key=None,
     ) -> jax.Array:
         """() the objective of one machine with these weights: what is differentiated. Pure."""
-        objective = self.objective if objective is None else objective
-        return self._losses.of_machine(machine, values, objective, key=key)
+        return self._losses.of_machine(machine, values, objective or self.objective, key=key)
 
     def held_out_loss(
         self, values: Mapping[str, Any], objective: Objective | None = None
@@ -175,10 +174,9 @@ class Tuning:
         """() the risk of the objective over the held-out machines with these weights, and the
         nominal terms. Pure.
         """
-        objective = self.objective if objective is None else objective
         seed, size = (self.seed + 1, self.held_out) if self.held_out else (self.seed, self.machines)
         batch = self._losses.machines.drawn(seed, size, nominal=not self.held_out)
-        return self._losses.risk_of(values, objective, batch, seed)
+        return self._losses.risk_of(values, objective or self.objective, batch, seed)
 
     def run(
         self,
