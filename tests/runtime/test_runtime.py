@@ -142,5 +142,5 @@ def test_bad_input_is_named(kwargs, message):
 def test_every_public_name_is_there():
     for name in jaxilc.__all__:
         assert getattr(jaxilc, name) is not None
-    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+    with pytest.raises(AttributeError, match="No jaxilc attribute nothing"):
         jaxilc.nothing
