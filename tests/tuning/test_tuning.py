@@ -234,7 +234,7 @@ def kill_after(step):
     return progress
 
 
-def test_a_folder_under_earlier_names_is_resumed(tmp_path, tuned, monkeypatch):
+def test_a_folder_under_earlier_names_is_resumed(tmp_path, monkeypatch):
     """Machines were called samples, and metrics figures."""
     configuration = Tuning.configuration
 
@@ -251,9 +251,9 @@ def test_a_folder_under_earlier_names_is_resumed(tmp_path, tuned, monkeypatch):
     other = dataclasses.replace(PROBLEM, objective=Final("max_error", floor=0.1))
     with pytest.raises(ValueError, match=r"it differs in: objective.metric: rms there, max_error"):
         other.run(tmp_path / "state", resume=True)
-    resumed = PROBLEM.run(tmp_path / "state", resume=True)
-    assert resumed.values == tuned.values
-    np.testing.assert_array_equal(resumed.loss, tuned.loss)
+    resumed, whole = PROBLEM.run(tmp_path / "state", resume=True), PROBLEM.run()
+    assert resumed.values == whole.values
+    np.testing.assert_array_equal(resumed.loss, whole.loss)
 
 
 OWN = optax.chain(
