@@ -27,7 +27,7 @@ def problem(s) -> Tuning:
         f"{FILTER}.times[{i}]": (float(t - max(gap, 1e-3)), float(t + max(gap, 1e-3)))
         for i, t in enumerate(found.times)
     }
-    options = {"samples": 8, "held_out": 8, "steps": 40, "rate": 0.15, "mode": "reverse"}
+    options = {"machines": 8, "held_out": 8, "steps": 40, "rate": 0.15, "mode": "reverse"}
     return Tuning(
         s.machine,
         s.schemes["switchable"],
@@ -52,7 +52,7 @@ def main() -> None:
     }
     schemes |= {"tuned": tuned.scheme}
     dataset = jaxilc.Sweep(
-        s.machine, schemes, s.task, TRIALS, of.uncertainty, samples=32, seed=of.seed + 2
+        s.machine, schemes, s.task, TRIALS, of.uncertainty, machines=32, seed=of.seed + 2
     ).run()
     rms = 1e3 * dataset["rms"]
     rows = []

@@ -32,7 +32,7 @@ def problem(s, name: str) -> Tuning:
     uncertainty = {
         f"plant.{leaf}": Uniform(0.8, 1.2, relative=True) for leaf in ("stiffness", "table_mass")
     }
-    options = {"samples": 16, "held_out": 16, "steps": 60, "rate": 0.3, "quantities": s.functions}
+    options = {"machines": 16, "held_out": 16, "steps": 60, "rate": 0.3, "quantities": s.functions}
     return Tuning(
         s.machine,
         scheme,
@@ -57,7 +57,7 @@ def main() -> None:
     for ax, name in zip(axes, ("dilc", "milc"), strict=True):
         of = problem(s, name)
         tuned = of.run()
-        table = 1e3 * of.compare(tuned, samples=64)["table_rms"]
+        table = 1e3 * of.compare(tuned, machines=64)["table_rms"]
         for which in table["scheme"].values:
             median, worst = (
                 getattr(table.sel(scheme=which), how)("sample").values for how in ("median", "max")

@@ -70,7 +70,7 @@ class Case:
 
 def tuning(s, scheme, weights, objective: Objective, trials, **options) -> Tuning:
     options = {
-        "samples": 16,
+        "machines": 16,
         "held_out": 16,
         "mode": "reverse",
         "validate_every": 2,
@@ -99,7 +99,7 @@ def ffdl(s):
         weights,
         objective,
         40,
-        samples=24,
+        machines=24,
         held_out=24,
         steps=60,
         rate=0.15,
@@ -113,7 +113,7 @@ def mfapc(s):
     scheme = dataclasses.replace(s.schemes["cfdl-mfapc"], P=470, P_u=2, phi0=-40.0, lam=100.0)
     weights = {"lam": (10.0, 1e3), "phi0": (-100.0, -10.0)}
     return tuning(
-        s, scheme, weights, Final(), 1, samples=8, held_out=8, steps=20, rate=0.1, mode="forward"
+        s, scheme, weights, Final(), 1, machines=8, held_out=8, steps=20, rate=0.1, mode="forward"
     )
 
 
@@ -134,7 +134,7 @@ def rig(s):
         weights,
         objective,
         8,
-        samples=8,
+        machines=8,
         held_out=8,
         steps=26,
         rate=0.3,
@@ -231,7 +231,7 @@ def errors_of(s, case: Case, problem: Tuning, tuned: Tuned):
         "structure": problem.scheme,
         "tuned": case.finish(tuned.scheme),
     }
-    options = {"samples": case.unseen, "seed": JUDGED_SEED, "quantities": s.functions}
+    options = {"machines": case.unseen, "seed": JUDGED_SEED, "quantities": s.functions}
     dataset = jaxilc.Sweep(
         problem.machine, schemes, problem.task, max(trials), problem.uncertainty, **options
     ).run()

@@ -93,7 +93,7 @@ problem = Tuning(
     40,
     {"lam": (1e-3, 1e2), "mu": (1e-4, 1e2), "phi0": (-0.5, -0.003)},
     s.uncertainty,
-    samples=4,
+    machines=4,
     held_out=4,
     steps=25,
     rate=0.2,

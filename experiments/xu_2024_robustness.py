@@ -11,7 +11,7 @@ jaxilc.setup()
 folder = output.folder(__file__)
 s = jaxilc.scenarios.load("xu-2024", load=1.0)
 sweep = jaxilc.Sweep(
-    s.machine, s.schemes, s.task, s.trials, s.uncertainty, samples=1024, quantities=s.functions
+    s.machine, s.schemes, s.task, s.trials, s.uncertainty, machines=1024, quantities=s.functions
 )
 dataset = sweep.run()
 tolerance = s.tolerance / s.shown_scale
@@ -27,7 +27,7 @@ for row in jaxilc.summarise(dataset, tolerance):
         {"scheme": row.scheme}
         | shares
         | quantiles
-        | {"worst sample": int(row.worst_sample[-1]), "chattering [V/s]": chattering}
+        | {"worst sample": int(row.worst_machine[-1]), "chattering [V/s]": chattering}
     )
 output.write_rows(folder / "rows.csv", rows)
 print(f"yield: settled error of trial {s.trials} within {s.tolerance:g} nm; 1 N nominal load")

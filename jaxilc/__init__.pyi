@@ -5,8 +5,9 @@ from .filters.switching import SwitchableFilter, instantaneous_frequency, segmen
 from .hardware.campaign import Campaign
 from .identification.estimation import identify
 from .identification.records import Record, excite, read_record, write_record
+from .learning.known_metrics import Metrics
 from .learning.machine import Actuator, Disturbance, Machine, Sensor
-from .learning.metrics import Keep, Metrics, measure, repeatability
+from .learning.metrics import Keep, measure, repeatability
 from .learning.over_trials import History, feedforward, learn, measured_trial, next_memory
 from .learning.within_trial import run_trial
 from .runtime.start import setup

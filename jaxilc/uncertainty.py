@@ -1,10 +1,10 @@
-"""Uncertain plants: distributions on named leaves of a machine, and how samples of them are drawn.
+"""Uncertain plants: distributions on named leaves of a machine, and how machines are drawn.
 
     {"plant.gain": Uniform(0.9, 1.1, relative=True), "plant.poles[2]": Normal(6.4, 0.5),
     "actuator.limit": LogUniform(5, 20)}
 
 One number is drawn for each name. A relative one scales the leaf (all of it, if it is an array); an
-absolute one replaces a scalar or a single element. Sample 0 is always the nominal machine. Drawing
+absolute one replaces a scalar or a single element. Machine 0 is always the nominal one. Drawing
 happens on the host, in float64, from a seed.
 """
 
@@ -18,14 +18,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy import special
-from scipy.stats import qmc
 
 from .pytree.named_paths import get_at, interval_at, replaced
 from .pytree.ranges import SEEDS, brief, is_number, require
 from .runtime.capacity import check_size
 
-COPIES = 6  # of all numbers, while they are drawn
+COPIES = 6  # of all numbers are in the RAM while they are drawn
 SAMPLINGS = ("monte-carlo", "latin-hypercube", "sobol", "corners")
 
 
@@ -57,7 +55,7 @@ class Uniform:
 
 @dataclasses.dataclass(frozen=True)
 class Normal:
-    """Normal with mean and standard deviation; its corners are two standard deviations out."""
+    """Normal with a mean and a standard deviation; its corners lie two of these from the mean."""
 
     mean: float
     std: float
@@ -68,7 +66,10 @@ class Normal:
         _need_finite(self)
 
     def quantile(self, p) -> np.ndarray:
-        return self.mean + self.std * special.ndtri(np.clip(p, 1e-12, 1.0 - 1e-12))
+        """The value below which a share p of the draws lies."""
+        from scipy.special import ndtri  # imported here, since it takes long
+
+        return self.mean + self.std * ndtri(np.clip(p, 1e-12, 1.0 - 1e-12))
 
     def corners(self) -> tuple[float, float]:
         return self.mean - 2.0 * self.std, self.mean + 2.0 * self.std
@@ -80,7 +81,7 @@ class Normal:
 
 @dataclasses.dataclass(frozen=True)
 class LogUniform:
-    """Uniform in the logarithm, on [low, high] with 0 < low."""
+    """Uniform in the logarithm, on [low, high] with 0 < low < high."""
 
     low: float
     high: float
@@ -90,7 +91,8 @@ class LogUniform:
         _need_numbers(self, low="(-inf, inf)", high="(-inf, inf)")
         if not 0 < self.low < self.high:
             raise ValueError(
-                f"LogUniform: low = {self.low:g} and high = {self.high:g} must satisfy 0 < low < high"
+                f"LogUniform: low = {self.low:g} and high = {self.high:g} must satisfy "
+                "0 < low < high"
             )
         _need_finite(self)
 
@@ -109,7 +111,7 @@ Uncertainty = Mapping[str, Distribution]
 
 
 def _need_numbers(distribution, **ranges: str) -> None:
-    """Raises ValueError unless each field is one number in its range, and `relative` True or False."""
+    """Raises ValueError unless each field is in its range, and `relative` is True or False."""
     name = type(distribution).__name__
     for field, interval in ranges.items():
         require(name, field, getattr(distribution, field), interval)
@@ -121,8 +123,9 @@ def _need_numbers(distribution, **ranges: str) -> None:
 
 
 def _need_finite(distribution) -> None:
-    """Raises ValueError where what is drawn would not be a finite number, as between 1e-300 and
-    1e300 by their ratio.
+    """Raises ValueError where a draw would not be a finite number.
+
+    One between 1e-300 and 1e300 is not where it goes by the ratio of the two.
     """
     with np.errstate(all="ignore"):
         ends = [*distribution.quantile(np.array([0.0, 1.0])), *distribution.corners()]
@@ -133,8 +136,9 @@ def _need_finite(distribution) -> None:
 
 
 def with_spread(uncertainty: Uncertainty, half_width: float) -> dict[str, Distribution]:
-    """The same names, every relative distribution at +-half_width (0.2 is 20 %). Raises ValueError
-    outside (0, 1).
+    """The same names, with every relative distribution at +-half_width (0.2 is 20 %).
+
+    Raises ValueError for a half_width outside (0, 1).
     """
     if not is_number(half_width):
         raise ValueError(f"spread = {brief(half_width)} is not a number")
@@ -144,8 +148,9 @@ def with_spread(uncertainty: Uncertainty, half_width: float) -> dict[str, Distri
 
 
 def nominal(machine, uncertainty: Uncertainty) -> dict[str, float]:
-    """The numbers that leave the machine as it is: 1 for a relative distribution, else the leaf's
-    value.
+    """The numbers that leave the machine as it is.
+
+    It is 1 for a relative distribution, and the value of the leaf for an absolute one.
     """
     return {
         name: 1.0 if d.relative else float(get_at(machine, name)) for name, d in uncertainty.items()
@@ -153,17 +158,21 @@ def nominal(machine, uncertainty: Uncertainty) -> dict[str, float]:
 
 
 def check(machine, uncertainty: Uncertainty) -> None:
-    """Raises ValueError naming a leaf that does not exist, is absent, or cannot take an absolute
-    value, and what is no distribution.
+    """Raises ValueError for an uncertainty that does not fit the machine.
+
+    The message names a leaf that does not exist, is absent, or cannot take an absolute value, and
+    what is not a distribution.
     """
     if not isinstance(uncertainty, Mapping):
         raise ValueError(
-            f"uncertainty = {brief(uncertainty)} is a {type(uncertainty).__name__}; allowed are names with distributions"
+            f"uncertainty = {brief(uncertainty)} is a {type(uncertainty).__name__}; "
+            "allowed are names with distributions"
         )
     for name, distribution in uncertainty.items():
         if not callable(getattr(distribution, "quantile", None)):
             raise ValueError(
-                f"uncertainty: {name} = {brief(distribution)} is no distribution; allowed are Uniform, Normal and LogUniform"
+                f"uncertainty: {name} = {brief(distribution)} is no distribution; allowed are "
+                "Uniform, Normal and LogUniform"
             )
         try:
             value = get_at(machine, name)
@@ -171,39 +180,46 @@ def check(machine, uncertainty: Uncertainty) -> None:
             raise ValueError(f"uncertainty: {error.args[0]}") from None
         if value is None or np.asarray(value).dtype.kind != "f":
             raise ValueError(
-                f"uncertainty: {name} = {value!r} is not a float leaf of this machine and cannot be drawn"
+                f"uncertainty: {name} = {value!r} is not a float leaf of this machine and cannot "
+                "be drawn"
             )
         if np.ndim(value) and not distribution.relative:
             raise ValueError(
-                f"uncertainty: {name} has shape {np.shape(value)}; an absolute distribution needs one element, say {name}[0]"
+                f"uncertainty: {name} has shape {np.shape(value)}; an absolute distribution needs "
+                f"one element, say {name}[0]"
             )
 
 
 def draw(
-    machine, uncertainty: Uncertainty, samples: int, *, seed: int = 0, sampling: str = "monte-carlo"
+    machine,
+    uncertainty: Uncertainty,
+    machines: int,
+    *,
+    seed: int = 0,
+    sampling: str = "monte-carlo",
 ) -> dict[str, np.ndarray]:
-    """(S,) numbers for each name; the first is nominal.
+    """(S,) drawn numbers for each name; the first is nominal.
 
-    samples: S >= 1 with the nominal one; `corners` takes 1 + 2^n and ignores it
+    machines: S >= 1, the nominal one among them; `corners` draws 1 + 2^n and ignores it
     sampling: monte-carlo (a longer draw starts with the shorter one), latin-hypercube, sobol
-    (scrambled, likewise a prefix), corners
+    (scrambled; here, too, a longer draw starts with the shorter one), corners
     Raises ValueError for an unknown name or sampling, and where a draw leaves the allowed range of
     its leaf.
     """
     if sampling not in SAMPLINGS:
         raise ValueError(f"sampling = {brief(sampling)} is not one of {', '.join(SAMPLINGS)}")
-    require("draw", "samples", samples, "[1, inf)", whole=True)
+    require("draw", "machines", machines, "[1, inf)", whole=True)
     require("draw", "seed", seed, SEEDS, whole=True)
     check(machine, uncertainty)
     check_size(
         sampling,
-        lambda samples: bytes_drawn(machine, uncertainty, samples),
-        samples=drawn_samples(uncertainty, samples, sampling),
+        lambda machines: bytes_drawn(machine, uncertainty, machines),
+        machines=drawn_count(uncertainty, machines, sampling),
     )
     if sampling == "corners":
         drawn = _corners(uncertainty)
     else:
-        unit = _unit_cube(samples - 1, len(uncertainty), seed, sampling)
+        unit = _unit_cube(machines - 1, len(uncertainty), seed, sampling)
         drawn = {name: d.quantile(unit[:, i]) for i, (name, d) in enumerate(uncertainty.items())}
     first = nominal(machine, uncertainty)
     drawn = {name: np.concatenate([[first[name]], values]) for name, values in drawn.items()}
@@ -211,21 +227,19 @@ def draw(
     return drawn
 
 
-def drawn_samples(uncertainty: Uncertainty, samples: int, sampling: str) -> int:
-    """How many machines `draw` gives: the nominal one and the others, which of corners are as many
-    as there are.
-    """
-    return 1 + 2 ** len(uncertainty) if sampling == "corners" else samples
+def drawn_count(uncertainty: Uncertainty, machines: int, sampling: str) -> int:
+    """How many machines `draw` gives: all corners and the nominal one, or as many as asked for."""
+    return 1 + 2 ** len(uncertainty) if sampling == "corners" else machines
 
 
-def bytes_drawn(machine, uncertainty: Uncertainty, samples: float) -> float:
-    """What drawing so many takes, at most."""
+def bytes_drawn(machine, uncertainty: Uncertainty, machines: float) -> float:
+    """Bytes that drawing so many machines takes, at most."""
     largest = max((np.size(get_at(machine, name)) for name in uncertainty), default=0)
-    return 8 * samples * (COPIES * len(uncertainty) + 2 * largest)
+    return 8 * machines * (COPIES * len(uncertainty) + 2 * largest)
 
 
 def drawn_machine(machine, uncertainty: Uncertainty, values: Mapping[str, float]) -> Any:
-    """The machine with one sample's numbers put in; also inside `jit` and `vmap`."""
+    """The machine with one set of drawn numbers put in; also inside `jit` and `vmap`."""
     scale = {
         name: jnp.asarray(get_at(machine, name)) if d.relative else 1.0
         for name, d in uncertainty.items()
@@ -236,8 +250,9 @@ def drawn_machine(machine, uncertainty: Uncertainty, values: Mapping[str, float]
 
 
 def drawn_machines(machine, uncertainty: Uncertainty, drawn: Mapping[str, Any]) -> Any:
-    """All machines drawn as one, each leaf with a leading axis that counts them; the machine itself
-    if nothing was drawn.
+    """All machines drawn, as one whose leaves have a leading axis that counts the machines.
+
+    If nothing was drawn, this axis has the length 1.
     """
     if not drawn:
         return jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], machine)
@@ -245,27 +260,28 @@ def drawn_machines(machine, uncertainty: Uncertainty, drawn: Mapping[str, Any]) 
     return jax.vmap(lambda values: drawn_machine(machine, uncertainty, values))(numbers)
 
 
-def _unit_cube(samples: int, dimensions: int, seed: int, sampling: str) -> np.ndarray:
-    if samples == 0 or dimensions == 0:
-        return np.zeros((samples, dimensions))
-    match sampling:
-        case "latin-hypercube":
-            return qmc.LatinHypercube(dimensions, rng=seed).random(samples)
-        case "sobol":
-            return qmc.Sobol(dimensions, rng=seed).random_base2(int(np.ceil(np.log2(samples))))[
-                :samples
-            ]
-    return np.random.default_rng(seed).random((samples, dimensions))
+def _unit_cube(points: int, dimensions: int, seed: int, sampling: str) -> np.ndarray:
+    """(points, dimensions) points in the unit cube."""
+    if points == 0 or dimensions == 0:
+        return np.zeros((points, dimensions))
+    if sampling == "monte-carlo":
+        return np.random.default_rng(seed).random((points, dimensions))
+    from scipy.stats import qmc  # imported here, since it takes long
+
+    if sampling == "latin-hypercube":
+        return qmc.LatinHypercube(dimensions, rng=seed).random(points)
+    powers_of_two = qmc.Sobol(dimensions, rng=seed).random_base2(int(np.ceil(np.log2(points))))
+    return powers_of_two[:points]
 
 
 def _corners(uncertainty: Uncertainty) -> dict[str, np.ndarray]:
     if len(uncertainty) > 16:
         raise ValueError(
-            f"sampling = 'corners' of {len(uncertainty)} names would be 2^{len(uncertainty)} samples; allowed are at most 16 names"
+            f"sampling = 'corners' of {len(uncertainty)} names would be 2^{len(uncertainty)} "
+            "machines; allowed are at most 16 names"
         )
-    points = np.array(
-        list(itertools.product(*(d.corners() for d in uncertainty.values())))
-    ).reshape(-1, len(uncertainty))
+    ends = [d.corners() for d in uncertainty.values()]
+    points = np.array(list(itertools.product(*ends))).reshape(-1, len(uncertainty))
     return {name: points[:, i] for i, name in enumerate(uncertainty)}
 
 
@@ -279,5 +295,6 @@ def _within_ranges(machine, uncertainty, drawn) -> None:
         )
         if allowed is not None and not allowed.contains(values):
             raise ValueError(
-                f"uncertainty: {name} was drawn between {values.min():g} and {values.max():g}; allowed is {allowed}"
+                f"uncertainty: {name} was drawn between {values.min():g} and {values.max():g}; "
+                f"allowed is {allowed}"
             )

@@ -47,7 +47,7 @@ sweep = Sweep(
     scenario.task,
     trials=40,
     uncertainty=scenario.uncertainty,
-    samples=128,
+    machines=128,
 )
 folder = Path(tempfile.mkdtemp())
 sweep.run(folder / "motor.zarr")
@@ -80,7 +80,7 @@ for row in summarise(dataset, tolerance):
         f"{row.scheme:12s} yield {row.yield_share:6.1%} ({row.yield_low:.1%} to "
         f"{row.yield_high:.1%}), "
         f"median {1e3 * row.median[-1]:.3g} µm, worst {1e3 * row.worst[-1]:.3g} µm (machine "
-        f"{row.worst_sample[-1]})"
+        f"{row.worst_machine[-1]})"
     )
 
 # %% [markdown]

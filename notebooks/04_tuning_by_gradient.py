@@ -80,7 +80,7 @@ problem = Tuning(
     },
     objective=Final("rms") + 0.5 * Growth("rms"),
     risk=CVaR(0.75),
-    samples=16,
+    machines=16,
     held_out=16,
     steps=25,
     rate=0.2,
@@ -123,12 +123,12 @@ bottom.figure
 # trials as the tuning looked at, since the tuning of 12 trials does not see the thirteenth.
 
 # %%
-dataset = problem.compare(tuned, trials=24, samples=65)
+dataset = problem.compare(tuned, trials=24, machines=65)
 ax = figures.error_band(dataset, metric="rms", scale=1e3, unit="µm")
 ax.figure
 
 # %%
-for row in jaxilc.summarise(dataset, tolerance=0.02, figure="rms"):
+for row in jaxilc.summarise(dataset, tolerance=0.02, metric="rms"):
     median, worst = 1e3 * row.median, 1e3 * row.worst
     print(
         f"{row.scheme:6s} median of trials 12 and 24: {median[11]:.2f}, {median[23]:.2f} µm, "
@@ -273,7 +273,7 @@ growth.figure
 
 # %%
 law = replaced(growing, {gain: 0.3})
-options = {"weights": [gain], "objective": Final("rms"), "samples": 1, "held_out": 0}
+options = {"weights": [gain], "objective": Final("rms"), "machines": 1, "held_out": 0}
 cut = {}
 for K in (2, 5, 10, 20):
     problem = Tuning(quiet, law, task, 20, **options, truncate=K)

@@ -178,9 +178,9 @@ np.testing.assert_allclose(slope, difference, rtol=1e-4)
 # %%
 uncertainty = {"plant.friction": Uniform(4.0, 16.0), "plant.mass": Uniform(0.8, 1.2, relative=True)}
 swept = jaxilc.Sweep(
-    machine, over_feedback, task, trials=15, uncertainty=uncertainty, samples=64
+    machine, over_feedback, task, trials=15, uncertainty=uncertainty, machines=64
 ).run()
-for row in jaxilc.summarise(swept, tolerance=0.02, figure="rms"):
+for row in jaxilc.summarise(swept, tolerance=0.02, metric="rms"):
     print(
         f"{row.scheme:22s} median {1e3 * row.median[-1]:.2f} µm, worst {1e3 * row.worst[-1]:.2f} "
         f"µm of {swept.sizes['sample']} machines"

@@ -1,4 +1,4 @@
-"""Learning and tuning with a closed form: a static gain under P-type ILC, for the tests of tuning."""
+"""Learning and tuning with a closed form, for tests: a static gain under P-type ILC."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -25,7 +25,7 @@ PROBLEM = Tuning(
     ["gamma_p"],
     GAINS,
     Final("rms", floor=0.1),
-    samples=4,
+    machines=4,
     held_out=3,
     steps=8,
     validate_every=3,

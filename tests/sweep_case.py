@@ -16,7 +16,7 @@ PLAN = Sweep(
         "plant.gain": Uniform(0.8, 1.2, relative=True),
         "plant.poles[2]": Uniform(5.0, 8.0),
     },
-    samples=11,
+    machines=11,
     seed=7,
     keep=("e", "u"),
     chunk=4,

@@ -1,5 +1,8 @@
 """Drawing uncertain machines: statistics, prefixes, corners, errors."""
 
+import subprocess
+import sys
+
 import jax
 import numpy as np
 import pytest
@@ -94,13 +97,13 @@ def test_spread_widens_the_relative_ones_only():
             r"plant.poles\[2\] was drawn between -.* allowed is \(0, inf\)",
         ),
         (UNCERTAINTY, {"sampling": "halton"}, r"sampling = 'halton' is not one of monte-carlo"),
-        (UNCERTAINTY, {"samples": 0}, r"samples = 0 is outside its allowed range \[1, inf\)"),
+        (UNCERTAINTY, {"machines": 0}, r"machines = 0 is outside its allowed range \[1, inf\)"),
         (
             UNCERTAINTY,
-            {"samples": 2.5},
-            r"samples = 2.5 is outside its allowed range \[1, inf\) of whole numbers",
+            {"machines": 2.5},
+            r"machines = 2.5 is outside its allowed range \[1, inf\) of whole numbers",
         ),
-        (UNCERTAINTY, {"samples": None}, "samples = None is not a number"),
+        (UNCERTAINTY, {"machines": None}, "machines = None is not a number"),
         (
             UNCERTAINTY,
             {"seed": 2**70},
@@ -121,7 +124,7 @@ def test_spread_widens_the_relative_ones_only():
 )
 def test_bad_input_is_named(uncertainty, kwargs, message):
     with pytest.raises(ValueError, match=message):
-        draw(MACHINE, uncertainty, **({"samples": 50} | kwargs))
+        draw(MACHINE, uncertainty, **({"machines": 50} | kwargs))
 
 
 @pytest.mark.parametrize(
@@ -150,3 +153,13 @@ def test_bad_input_is_named(uncertainty, kwargs, message):
 def test_bad_distributions_are_named(make, message):
     with pytest.raises(ValueError, match=message):
         make()
+
+
+def test_what_takes_long_to_import_is_imported_where_it_is_used():
+    """scipy.stats takes more than a second, and only some ways of drawing need it."""
+    program = (
+        "import sys, jaxilc.uncertainty; from jaxilc.sweeps import Sweep, summarise;"
+        " print([name for name in ('scipy.stats', 'scipy.special') if name in sys.modules])"
+    )
+    said = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert said.stdout == "[]\n", said.stderr

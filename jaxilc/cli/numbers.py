@@ -96,7 +96,7 @@ def sweep_numbers(
                     "low": k * float(row.low[j - 1]),
                     "high": k * float(row.high[j - 1]),
                     "worst": k * float(row.worst[j - 1]),
-                    "worst_sample": int(row.worst_sample[j - 1]),
+                    "worst_sample": int(row.worst_machine[j - 1]),
                 }
                 for j in shown_trials(scenario)
             },

@@ -126,7 +126,7 @@ def pareto(
             "starts": starts,
             "rate": rate,
             "optimiser": optimiser,
-            "samples": machines,
+            "machines": machines,
             "held_out": held_out,
             "sampling": sampling,
             "seed": seed,
@@ -246,7 +246,7 @@ def _by_trials(of: _Of, budgets: list[int], unseen: int) -> _Found:
 
     problem, longest = of.problem, max(budgets)
     same = dict.fromkeys(("given", *map(str, budgets)), problem.scheme)
-    problem.comparison(same, trials=longest, samples=unseen)  # refused before the tuning
+    problem.comparison(same, trials=longest, machines=unseen)  # refused before the tuning
     found = run_tunings(
         partial(by_trials, problem, budgets),
         of.folder / "state",
@@ -255,7 +255,7 @@ def _by_trials(of: _Of, budgets: list[int], unseen: int) -> _Found:
         resume=of.resume,
     )
     schemes = {"given": problem.scheme} | {str(J): tuned.scheme for J, tuned in found.items()}
-    dataset = problem.comparison(schemes, trials=longest, samples=unseen).run()
+    dataset = problem.comparison(schemes, trials=longest, machines=unseen).run()
     numbers = budget_numbers(of.chosen, found, dataset)
     rows = numbers["budgets"]
     errors = {w: [[row[w]["median"], row[w]["worst"]] for row in rows.values()] for w in WHICH}

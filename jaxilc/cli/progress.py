@@ -75,7 +75,7 @@ def run_sweep(plan: Sweep, store: Path, *, resume: bool, cluster: str | None) ->
     start, counted = time.perf_counter(), {}
     of_a_machine = plan.trials * plan.task.N
     with progress_bar("rate") as bar:
-        bars = {name: bar.add_task(name, total=plan.samples, rate="") for name in plan.schemes}
+        bars = {name: bar.add_task(name, total=plan.machines, rate="") for name in plan.schemes}
 
         def progress(name: str, done: int, fresh: int) -> None:
             counted[name] = counted.get(name, 0) + fresh

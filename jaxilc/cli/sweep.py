@@ -85,7 +85,7 @@ def sweep(
         chosen.task,
         chosen.trials,
         uncertainty=spread_of(chosen, spread),
-        samples=machines,
+        machines=machines,
         seed=seed,
         sampling=sampling,
         keep=tuple(keep or ()),
@@ -100,7 +100,7 @@ def sweep(
     dataset, seconds, steps = run_sweep(plan, store, resume=resume, cluster=dask)
 
     summary = summarise(dataset, tolerance, metric=chosen.judged_by)
-    numbers = sweep_numbers(chosen, summary, tolerance, plan.samples)
+    numbers = sweep_numbers(chosen, summary, tolerance, plan.machines)
     shown = [tables.yield_table(numbers), tables.spread_table(numbers), tables.band_table(numbers)]
     for table in shown:
         out.print(table)

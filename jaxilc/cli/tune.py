@@ -100,7 +100,7 @@ def tune(
             "starts": starts,
             "rate": rate,
             "optimiser": optimiser,
-            "samples": machines,
+            "machines": machines,
             "held_out": held_out,
             "sampling": sampling,
             "seed": seed,
@@ -108,10 +108,10 @@ def tune(
     )
     at_least(1, unseen=unseen, compare_trials=compare_trials)
     folder = out_dir or Path("out") / f"tune-{chosen.name}"
-    problem.comparison(trials=compare_trials, samples=unseen)  # refused before the tuning
+    problem.comparison(trials=compare_trials, machines=unseen)  # refused before the tuning
     state = unless_there(folder / "state", resume)
     tuned = run_tuning(problem, state, resume=resume)
-    dataset = problem.compare(tuned, trials=compare_trials, samples=unseen)
+    dataset = problem.compare(tuned, trials=compare_trials, machines=unseen)
 
     numbers = tuning_numbers(chosen, scheme, tuned, dataset)
     shown = tuning_tables(chosen, numbers)

@@ -1,7 +1,7 @@
+from .known_metrics import Metrics
 from .machine import Actuator, Disturbance, Machine, Sensor
 from .metrics import (
     Keep,
-    Metrics,
     Repeatability,
     best_trial,
     chattering,

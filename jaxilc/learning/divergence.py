@@ -1,16 +1,15 @@
 """What "diverged" and "grown" mean, in one place, for one learning process and for many.
 
-    diverged   a trial with anything that is not finite, or with an error |e| beyond CEILING times
-    the peak of the reference in any
-               output: no machine survives it, and in single precision it may be a few trials from
-               infinity, in double precision many
-    grown      none of the trials diverged, and yet the last one's error is more than 1 + GROWTH
-    times that of the best: learning has
-               turned (semi-convergence), from the trial on after which the error never was below
-               that again
+    diverged   a trial with a signal that is not finite, or with an error |e| of more than CEILING
+               times the peak of the reference in any output. No machine survives such a trial. From
+               there, single precision may be a few trials from infinity, double precision many.
+    grown      none of the trials diverged, and yet the error of the last one is more than
+               1 + GROWTH times that of the best one: learning has turned (semi-convergence). It
+               has grown from the first trial on after which the error was never below that level
+               again.
 
-Peaks and errors are compared once a trial, so both are the same in single and in double precision,
-but for rounding at the limit.
+Peaks and errors are compared once a trial. So both words mean the same in single and in double
+precision, except for rounding at the limit.
 """
 
 from __future__ import annotations
@@ -21,17 +20,19 @@ import jax
 import jax.numpy as jnp
 
 from ..signals.task import Task
-from .metrics import Metrics
+from .known_metrics import Metrics
 
 CEILING = 1e3  # times the peak of the reference: largest error of a trial that has not diverged
 GROWTH = 0.5  # relative rise above the best trial's error that counts as growing again
 
 
 class Course(NamedTuple):
-    """How J trials went. diverged: (J,) whether each one did;  diverged_at: () the first that did,
-    0 if none
-    grown_from: () the trial from which on the error stays above 1 + GROWTH times the least, 0 if it
-    does not, or if a trial diverged
+    """How J trials went.
+
+    diverged: (J,) whether each trial diverged
+    diverged_at: () number of the first trial that diverged, 0 if none did
+    grown_from: () number of the trial from which on the error stays above 1 + GROWTH times the
+    least, 0 if it does not stay there, or if a trial diverged
     """
 
     diverged: jax.Array
@@ -40,8 +41,9 @@ class Course(NamedTuple):
 
 
 def course(metrics: Metrics, task: Task, first: Any = 1) -> Course:
-    """metrics: of J trials of the task;  first: the number of the first of them. Growth is of the
-    rms error, the largest output's.
+    """How J trials of a task went. Growth is that of the rms error of the output with the largest.
+
+    metrics: of the J trials;  first: the number of the first of them
     """
     diverged = ~metrics.finite | jnp.any(metrics.max_error > CEILING * peak(task), axis=-1)
     errors = jnp.where(diverged, jnp.inf, jnp.max(metrics.rms, axis=-1))
@@ -54,8 +56,10 @@ def course(metrics: Metrics, task: Task, first: Any = 1) -> Course:
 
 
 def peak(task: Task) -> jax.Array:
-    """(n_y,) largest |r| of each output; that of all outputs for one that shall stay at zero, and 1
-    if they all shall.
+    """(n_y,) largest |r| of each output.
+
+    An output that shall stay at zero has the largest |r| of all outputs, and 1 if all of them shall
+    stay at zero.
     """
     largest = jnp.max(jnp.abs(jnp.asarray(task.reference)), axis=0)
     overall = jnp.max(largest)
@@ -63,14 +67,13 @@ def peak(task: Task) -> jax.Array:
 
 
 def grown_from(errors, growth: float = GROWTH) -> Any:
-    """(...) the trial, counted from 1, from which on errors (..., J) stay above 1 + growth times
-    the least of them to the end, else 0.
+    """(...) the trial, counted from 1, from which on the errors stay above 1 + growth times the
+    least of them until the last trial; 0 if they do not.
 
-    errors: >= 0, infinite where a trial diverged: what diverged has not grown
+    errors: (..., J) >= 0, infinite where a trial diverged; what diverged has not grown
     """
     trials, worst = errors.shape[-1], errors.max(axis=-1)
     near_the_best = errors <= (1.0 + growth) * errors.min(axis=-1, keepdims=True)
-    after = trials - near_the_best[..., ::-1].argmax(
-        axis=-1
-    )  # trials up to the last one that is near the best
+    # how many trials there are up to the last one that is near the best
+    after = trials - near_the_best[..., ::-1].argmax(axis=-1)
     return (after + 1) * ((after < trials) & (worst < float("inf")))

@@ -1,4 +1,7 @@
-"""What a trial is judged by."""
+"""What a trial is judged by: its metrics while it runs, those of a record, and further quantities.
+
+Which metrics there are stands in `known_metrics`.
+"""
 
 from __future__ import annotations
 
@@ -13,90 +16,90 @@ import numpy as np
 from jax import lax
 
 from ..signals.task import Task, Trial
-
-
-class Metrics(NamedTuple):
-    """Figures of one trial, over the samples the input can reach (k = 1..N); errors in the unit of
-    y, effort in that of u.
-
-    max_error: (n_y,) max |e|;  rms: (n_y,) root mean square of e;  settled_error: (n_y,) max |e| in
-    the settled window
-    effort: (n_u,) root mean square of u;  finite: () whether they all are, and every y and u
-    """
-
-    max_error: jax.Array
-    rms: jax.Array
-    settled_error: jax.Array
-    effort: jax.Array
-    finite: jax.Array
+from .known_metrics import GATHERED, METRICS, Gathering, Metrics
 
 
 class Tally(NamedTuple):
-    """What metrics are made of, gathered sample by sample while a trial runs: a second pass over
-    the record would cost as much again.
+    """What metrics are made of, gathered sample by sample while a trial runs. A second pass over
+    the record would take as much time again.
 
-    max_error, settled_error: (n_y,) largest |e| so far;  squares: (n_y,) sum of e^2;  effort:
-    (n_u,) sum of u^2
+    gathered: for each of `GATHERED`, (n_y,) or (n_u,) the largest absolute value so far, or the sum
+    of squares
     """
 
-    max_error: jax.Array
-    squares: jax.Array
-    settled_error: jax.Array
-    effort: jax.Array
+    gathered: tuple[jax.Array, ...]
 
     @classmethod
     def start(cls, e, inputs: int, settled: bool) -> Tally:
-        """e: (n_y,) error of sample 0, which no input can reach: it counts only where it is
-        settled.
+        """e: (n_y,) error of sample 0, which no input can reach. It counts only in metrics of the
+        settled window, where that begins with sample 0.
         """
-        none = jnp.zeros_like(e)
-        return cls(none, none, jnp.abs(e) if settled else none, jnp.zeros_like(e, shape=inputs))
+        none = {"e": jnp.zeros_like(e), "u": jnp.zeros_like(e, shape=inputs)}
+        first = {"largest": jnp.abs(e), "root mean square": e * e}
+        return cls(
+            tuple(
+                first[how.of] if how.settled and settled and how.signal == "e" else none[how.signal]
+                for _, how in GATHERED
+            )
+        )
 
     def add(self, e, u, settled) -> Tally:
-        """The error (n_y,) of a sample, the input (n_u,) that led to it, and whether () the sample
-        is settled.
+        """The tally with one more sample.
+
+        e: (n_y,) error of the sample;  u: (n_u,) input that led to it;  settled: () whether the
+        sample lies in the settled window
         """
-        size = jnp.abs(e)
-        late = jnp.where(settled, jnp.maximum(self.settled_error, size), self.settled_error)
-        return Tally(
-            jnp.maximum(self.max_error, size), self.squares + e * e, late, self.effort + u * u
-        )
+        signals, added = {"e": e, "u": u}, []
+        for (_, how), so_far in zip(GATHERED, self.gathered, strict=True):
+            x = signals[how.signal]
+            more = jnp.maximum(so_far, jnp.abs(x)) if how.of == "largest" else so_far + x * x
+            added.append(jnp.where(settled, more, so_far) if how.settled else more)
+        return Tally(tuple(added))
 
     def metrics(self, trial: Trial, task: Task) -> Metrics:
         """The metrics of the trial that was gathered, with their derivative by its signals."""
-        e, N = trial.e, len(trial.u)
-        found = _of_signals(self, e, trial.u, task.settled)
-        rms, effort = _root(found.squares / N), _root(found.effort / N)
-        finite = (
-            jnp.all(jnp.isfinite(e[0])) & jnp.all(jnp.isfinite(rms)) & jnp.all(jnp.isfinite(effort))
-        )
-        return Metrics(found.max_error, rms, found.settled_error, effort, finite)
+        e, u = trial.e, trial.u
+        found, finite = {}, jnp.all(jnp.isfinite(e[0]))
+        gathered = _of_signals(self.gathered, e, u, task.settled)
+        for (name, how), value in zip(GATHERED, gathered, strict=True):
+            if how.of == "root mean square":
+                value = _root(value / len(_rows(how, e, u, task.settled)))
+                # squares of all samples: where their sum is finite, each sample is finite
+                finite = finite if how.settled else finite & jnp.all(jnp.isfinite(value))
+            found[name] = value
+        return Metrics(**found, finite=finite)
+
+
+def _rows(how: Gathering, e, u, settled: slice):
+    """The rows of e (N+1, n_y) or u (N, n_u) that count. u[k] leads to e[k+1]."""
+    if how.signal == "e":
+        return e[settled] if how.settled else e[1:]
+    start, stop, _ = settled.indices(len(e))
+    return u[max(start - 1, 0) : stop - 1] if how.settled else u
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(3,))
-def _of_signals(tally: Tally, e, u, settled: slice) -> Tally:
-    """The tally of e (N+1, n_y) and u (N, n_u). Differentiated whole: sample by sample, a gradient
-    would store every running figure.
+def _of_signals(gathered: tuple, e, u, settled: slice) -> tuple:
+    """What was gathered of e (N+1, n_y) and u (N, n_u), with a derivative by these signals as a
+    whole. Differentiated sample by sample, a gradient would store every intermediate value.
     """
-    return tally
+    return gathered
 
 
 @_of_signals.defjvp
 def _of_signals_jvp(settled, signals, tangents):
-    (tally, e, u), (_, de, du) = signals, tangents
+    (gathered, e, u), (_, de, du) = signals, tangents
 
-    def of_largest(e, de):
-        # by its index: the value in the tally may be rounded otherwise than the same error here,
+    def slope(how: Gathering):
+        x, dx = _rows(how, e, u, settled), _rows(how, de, du, settled)
+        if how.of == "root mean square":
+            return 2.0 * _dot(x, dx)
+        # by its index: the value in the tally may be rounded differently from the same error here,
         # and then equals none of them
-        largest = jnp.argmax(jnp.abs(e), axis=0)
-        return _dot(jnp.where(jnp.arange(len(e))[:, None] == largest, jnp.sign(e), 0.0), de)
+        largest = jnp.argmax(jnp.abs(x), axis=0)
+        return _dot(jnp.where(jnp.arange(len(x))[:, None] == largest, jnp.sign(x), 0.0), dx)
 
-    return tally, Tally(
-        of_largest(e[1:], de[1:]),
-        2.0 * _dot(e[1:], de[1:]),
-        of_largest(e[settled], de[settled]),
-        2.0 * _dot(u, du),
-    )
+    return gathered, tuple(slope(how) for _, how in GATHERED)
 
 
 def _dot(a, b):
@@ -105,27 +108,26 @@ def _dot(a, b):
 
 
 def measure(trial: Trial, task: Task) -> Metrics:
-    """The metrics of one trial. A sample at which |e| or |u| is not finite makes the figures it
-    enters not finite.
+    """The metrics of one trial. A sample at which |e| or |u| is not finite makes the metrics that
+    it enters not finite.
     """
     e, u = lax.stop_gradient((trial.e, trial.u))
-    size = jnp.abs(e)
-    whole = Tally(
-        jnp.max(size[1:], axis=0),
-        _dot(e[1:], e[1:]),
-        jnp.max(size[task.settled], axis=0),
-        _dot(u, u),
-    )
-    return whole.metrics(trial, task)
+
+    def gathered(how: Gathering):
+        x = _rows(how, e, u, task.settled)
+        return jnp.max(jnp.abs(x), axis=0) if how.of == "largest" else _dot(x, x)
+
+    return Tally(tuple(gathered(how) for _, how in GATHERED)).metrics(trial, task)
 
 
 @dataclasses.dataclass(frozen=True)
 class Keep:
-    """A `save` for `learn`: a dictionary of signals and further figures of each trial. Equal ones
-    share a compiled program.
+    """A `save` for `learn`: a dictionary of signals and further metrics of each trial.
 
-    signals: names of fields of `Trial`;  quantities: (name, function of a trial) pairs. One that
-    shall be differentiated takes `largest` in place of `jnp.max`.
+    Two that are equal share a compiled program.
+    signals: names of fields of `Trial`
+    quantities: (name, function of a trial) pairs. A function that shall be differentiated takes
+    `largest` in place of `jnp.max`.
     """
 
     signals: tuple[str, ...] = ()
@@ -135,17 +137,9 @@ class Keep:
     def of(cls, quantities: Mapping[str, Callable[[Trial], jax.Array]], *signals: str) -> Keep:
         """Raises ValueError for a quantity named as one of the metrics or a signal."""
         for name in quantities:
-            if name in (
-                *Metrics._fields,
-                "diverged",
-                "diverged_at",
-                "grown_from",
-                "best_trial",
-                *Trial._fields,
-                "e",
-            ):
+            if name in (*(metric.name for metric in METRICS), *Trial._fields, "e"):
                 raise ValueError(
-                    f"quantity = {name!r} is a figure that every trial has; choose another name"
+                    f"quantity = {name!r} is a metric that every trial has; choose another name"
                 )
         return cls(signals, tuple(quantities.items()))
 
@@ -156,11 +150,11 @@ class Keep:
 
 
 def largest(x, axis: int | None = None) -> jax.Array:
-    """The largest value of x, or those along an axis, with a derivative that goes by its place; the
-    first place where several are equal.
+    """The largest value of x, or those along an axis, with a derivative that goes by its place.
 
-    The derivative of `jnp.max` asks which of the values equal the largest. In a compiled program
-    they may have been computed twice and rounded differently, so that none does, and a part of the
+    Where several values are equal, the first of them has the derivative. The derivative of
+    `jnp.max` asks instead which of the values equal the largest. In a compiled program they may
+    have been computed twice and rounded differently, so that none does, and a part of the
     derivative is zero without a warning.
     """
     x, axis = (jnp.ravel(x), 0) if axis is None else (jnp.asarray(x), axis)
@@ -174,10 +168,11 @@ def largest(x, axis: int | None = None) -> jax.Array:
 
 
 def best_trial(rms) -> np.ndarray:
-    """(J,) the trial with the smallest error among the first j = 1..J: where it stays behind,
-    learning has turned.
+    """(J,) the trial with the smallest error among the first j = 1..J. Where it stays behind j,
+    learning has turned: the error has grown again.
 
-    rms: (J, n_y), the largest output counts; a trial that is not finite is never the best
+    rms: (J, n_y). The output with the largest error counts; a trial that is not finite is never the
+    best.
     """
     errors = np.max(np.nan_to_num(np.asarray(rms, float), nan=np.inf), axis=1)
     better = errors < np.concatenate([[np.inf], np.minimum.accumulate(errors)[:-1]])
@@ -185,8 +180,11 @@ def best_trial(rms) -> np.ndarray:
 
 
 class Repeatability(NamedTuple):
-    """mean: (n_y,) of the figures;  spread: (n_y,) largest less smallest, in their unit;  share:
-    (n_y,) spread / mean
+    """How alike repeated runs are.
+
+    mean: (n_y,) of the rms errors [unit of y]
+    spread: (n_y,) the largest less the smallest of them [unit of y]
+    share: (n_y,) spread / mean
     """
 
     mean: jax.Array
@@ -195,11 +193,11 @@ class Repeatability(NamedTuple):
 
 
 def repeatability(rms) -> Repeatability:
-    """How far one input leads to one error: the premise of learning (Li 2020, section 6.1: a spread
-    of 0.0003 mm over 10 runs).
+    """How well the same input leads to the same error in each run, which learning presumes.
 
-    rms: (J, n_y) or (J,) root mean square errors of J >= 2 runs without learning between them, as
-    `History.rms` of pure feedback
+    Li 2020, section 6.1, found a spread of 0.0003 mm over 10 runs.
+    rms: (J, n_y) or (J,) root mean square errors of J >= 2 runs without learning between them, such
+    as `History.rms` of pure feedback
     Raises ValueError for fewer runs.
     """
     rms = jnp.asarray(rms)
@@ -217,14 +215,15 @@ def total_variation(signal) -> jax.Array:
 
 
 def chattering(trial: Trial) -> jax.Array:
-    """(n_u,) total variation of u per second [unit of u per s]: for a smooth u about the mean of
-    |u'|, for a switching one far above.
+    """(n_u,) total variation of u per second [unit of u per s].
+
+    For a smooth u it is about the mean of |u'|; for one that switches it is far larger.
     """
     return total_variation(trial.u) / (trial.u.shape[0] * trial.dt)
 
 
 def root_mean_square(signal) -> jax.Array:
-    """(n,) of a (N, n) signal; the gradient where it is zero is zero, not NaN."""
+    """(n,) root mean square of a (N, n) signal. Where it is zero, its gradient is zero, not NaN."""
     return _root(jnp.mean(signal**2, axis=0))
 
 

@@ -19,8 +19,8 @@ from ..runtime.capacity import check_size
 from ..schemes import Scheme
 from ..signals.task import Task, Trial
 from .divergence import course
+from .known_metrics import Metrics, bytes_of_metrics
 from .machine import Machine
-from .metrics import Metrics
 from .sample_layout import for_carry
 from .within_trial import run_and_measure
 
@@ -46,30 +46,11 @@ class History(NamedTuple):
     final: Trial
     memory: Any
 
-    @property
-    def max_error(self) -> jax.Array:
-        """(J, n_y) max |e| of each trial."""
-        return self.metrics.max_error
-
-    @property
-    def rms(self) -> jax.Array:
-        """(J, n_y) root mean square error of each trial."""
-        return self.metrics.rms
-
-    @property
-    def settled_error(self) -> jax.Array:
-        """(J, n_y) max |e| in the settled window of each trial."""
-        return self.metrics.settled_error
-
-    @property
-    def effort(self) -> jax.Array:
-        """(J, n_u) root mean square input of each trial."""
-        return self.metrics.effort
-
-    @property
-    def finite(self) -> jax.Array:
-        """(J,) whether the trial stayed finite."""
-        return self.metrics.finite
+    def __getattr__(self, name: str) -> jax.Array:
+        """A metric of each trial by its name: `rms` is (J, n_y), see `metrics.Metrics`."""
+        if name in Metrics._fields:
+            return getattr(self.metrics, name)
+        raise AttributeError(f"History has no {name!r}; its metrics are {Metrics._fields}")
 
 
 def learn(
@@ -101,9 +82,9 @@ def learn(
             f"learn: save = {save!r} is not a function of a trial; allowed are functions, and objects that can be hashed"
         )
     check(machine, scheme, task)
-    figures = bytes_of_figures(task)
-    if trials * figures > LITTLE:
-        check_size("learn", lambda trials: 2 * figures * trials, trials=trials)
+    size = bytes_of_metrics(task)
+    if trials * size > LITTLE:
+        check_size("learn", lambda trials: 2 * size * trials, trials=trials)
     key = jax.random.key(0) if key is None else key
     return _program(save or _nothing)(
         machine, scheme, task, int(trials), key, memory, jnp.asarray(first, int)
@@ -155,11 +136,6 @@ def _program(save: Callable[[Trial], Any]) -> Any:
     used longest ago are let go.
     """
     return jax.jit(partial(_learn, save=save), static_argnames="trials")
-
-
-def bytes_of_figures(task: Task) -> int:
-    """Of the metrics of one trial of one machine."""
-    return 8 * (3 * task.outputs + task.inputs + 1)
 
 
 def check_length(task: Task, scheme: Scheme) -> None:

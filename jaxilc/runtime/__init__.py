@@ -1,6 +1,4 @@
-"""How JAX is started, how a batch is spread over devices, how much memory there is, and what
-numbers depend on.
-"""
+"""How JAX is started, how a batch runs, how much RAM there is, and what numbers depend on."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""How much memory a thing takes, how much there is, and the refusal of what would not fit."""
+"""How much RAM something takes, how much there is, and an error for what would not fit."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ SPARE = 256 * 2**20  # bytes of address space that compilers, threads and librar
 
 
 def check_size(what: str, need: Callable[..., float], **counts: float) -> None:
-    """Raises ValueError where the bytes that so much of something needs are not there.
+    """Raises ValueError where something needs more bytes than there are.
 
-    need: bytes, a function of the counts by their names, linear in each of them
-    The message says of each count how much of it would fit, as long as the others stay.
+    need: how many bytes, a function of the counts by their names, linear in each of them
+    The message says of each count how large it may be while the others stay as they are.
     """
     room = host_bytes()
     if room is None or need(**counts) <= room:
@@ -39,9 +39,9 @@ def check_size(what: str, need: Callable[..., float], **counts: float) -> None:
 
 
 def check_program(what: str, instead: str, run, *arguments, devices: int | None = None) -> None:
-    """Raises ValueError where a jitted function does not fit; it is compiled, not run.
+    """Raises ValueError where a jitted function does not fit in RAM. It is compiled, not run.
 
-    instead: what would;  devices: that it runs on, None for all
+    instead: what would fit, for the message;  devices: how many it runs on, None for all
     """
     host, on_devices = host_bytes(), device_bytes()
     room = host if on_devices is None else on_devices
@@ -52,10 +52,11 @@ def check_program(what: str, instead: str, run, *arguments, devices: int | None 
 
 
 def program_bytes(run, *arguments, devices: int | None = None) -> int:
-    """Bytes that a jitted function takes on its devices for its arguments, its results and what
-    lies between; it is compiled, not run.
+    """Bytes that a jitted function takes on its devices. It is compiled, not run.
 
-    devices: None for all. Calling it later with arguments of these shapes compiles nothing again.
+    They hold its arguments, its results and what it computes on the way. Calling it later with
+    arguments of these shapes does not compile it again.
+    devices: how many it runs on, None for all
     """
     found = run.lower(*arguments).compile().memory_analysis()  # of one device
     devices = jax.device_count() if devices is None else devices
@@ -64,17 +65,19 @@ def program_bytes(run, *arguments, devices: int | None = None) -> int:
 
 
 def host_bytes() -> int | None:
-    """Bytes of memory that are free or can be made free, None if unknown.
+    """Bytes of RAM that are free or can be made free, None if unknown.
 
-    Under the limits of the process (ulimit -v) and of its control groups (SLURM, containers).
+    The limits of the process (ulimit -v) and of its control groups (SLURM, containers) count.
     """
     known = [size for size in (_system(), *_of_process(), *_of_groups()) if size is not None]
     return max(0, min(known)) if known else None
 
 
 def device_bytes() -> int | None:
-    """Bytes free on all devices together where they have memory of their own; None on a CPU, and
-    if unknown."""
+    """Bytes that are free on all devices together, where they have RAM of their own.
+
+    None on a CPU, and if unknown.
+    """
     stats = [device.memory_stats() for device in jax.devices() if device.platform != "cpu"]
     if not stats or not all(stats):
         return None
@@ -91,7 +94,7 @@ def shown(size: float) -> str:
 
 
 def _fitting(need: Callable[..., float], counts: Mapping[str, float], name: str, room: int) -> int:
-    """How much of one count fits."""
+    """The largest value of one count that fits."""
     none, one = (need(**{**counts, name: count}) for count in (0, 1))
     return math.floor((room - none) / (one - none)) if none < room and one > none else 0
 
@@ -110,7 +113,7 @@ def _system() -> int | None:
 
 
 def _of_process() -> Iterator[int]:
-    """What the limits of this process leave: of its address space, and of its data."""
+    """Bytes that the limits of this process leave: of its address space, and of its data."""
     if resource is None:
         return
     for limit, field in ((resource.RLIMIT_AS, "VmSize"), (resource.RLIMIT_DATA, "VmData")):
@@ -121,7 +124,7 @@ def _of_process() -> Iterator[int]:
 
 
 def _status(field: str) -> int:
-    """Bytes, of a line of /proc/self/status; 0 where there is none."""
+    """Bytes that a line of /proc/self/status tells; 0 where there is no such line."""
     try:
         lines = (OF_PROCESS / "status").read_text().splitlines()
         return next(1024 * int(line.split()[1]) for line in lines if line.startswith(f"{field}:"))
@@ -130,7 +133,7 @@ def _status(field: str) -> int:
 
 
 def _of_groups() -> Iterator[int]:
-    """What each control group leaves that this process is in, and each above it."""
+    """Bytes that each control group of this process leaves, and each group above it."""
     try:
         lines = (OF_PROCESS / "cgroup").read_text().splitlines()
     except OSError:
@@ -151,7 +154,7 @@ def _of_groups() -> Iterator[int]:
 
 
 def _reclaimable(group: Path) -> int:
-    """Bytes of files that nobody has read for a while, which a group gives back when it is short."""
+    """Bytes of cached files that were not read lately: a group short of RAM gives them back."""
     try:
         rows = dict(line.split() for line in (group / "memory.stat").read_text().splitlines())
         return int(rows.get("total_inactive_file", rows.get("inactive_file", 0)))

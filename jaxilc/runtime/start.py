@@ -1,4 +1,4 @@
-"""How JAX is started. Call `setup()` first thing in a script or notebook; the command line does."""
+"""How JAX is started. Scripts and notebooks call `setup()` first; the command line does it, too."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ import jaxlib
 from ..pytree.ranges import require
 
 _WHOLE_LOOPS = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1000000000"
-# LLVM writes out a loop over the 8 or 16 plants of a tile before it would vectorise it, and so
-# leaves it scalar; this keeps it a loop.
+# LLVM unrolls a loop over the 8 or 16 machines of a tile before it could vectorise it, and so
+# leaves it scalar. This keeps the loop.
 _LANES_VECTORISED = ",-unroll-full-max-count=4"
 # XLA takes registers of 256 bits where a processor has wider ones. An option that it does not know
 # ends the process, so it is given to the versions of jaxlib alone that were seen to know it.
@@ -25,14 +25,13 @@ _KNOWN = ((0, 10), (0, 12))
 
 
 def setup(*, precision: str = "float64", devices: int | None = None) -> None:
-    """Choose the precision and make every CPU core a device, with loops compiled whole.
+    """Choose the precision and make every CPU core a device, with loops compiled as a whole.
 
     precision: `float64` or `float32`;  devices: CPU devices, None for one per core
-    XLA otherwise dispatches every small operation of a loop by itself, several times slower;
-    options already present in XLA_FLAGS are left alone, and where JAX has an accelerator, only
-    those are set that it ignores. Must run before JAX computes
-    anything: if it did not, the precision still takes effect and a RuntimeWarning says that the
-    rest could not.
+    Without it XLA dispatches every small operation of a loop by itself, which is several times
+    slower. Options that XLA_FLAGS has already are left alone. Where JAX has an accelerator, only
+    options are set that it ignores. `setup` must run before JAX computes anything. Otherwise the
+    precision still takes effect, and a RuntimeWarning says that the rest does not.
     Raises ValueError for another precision or devices < 1.
     """
     if precision not in ("float64", "float32"):
@@ -66,20 +65,19 @@ def setup(*, precision: str = "float64", devices: int | None = None) -> None:
             too_late = True
     if too_late:
         warnings.warn(
-            "jaxilc.setup() came after JAX had started: cores and loop compilation stay as they are, and loops run several times slower. "
-            "Call it before any computation.",
+            "jaxilc.setup() came after JAX had started: cores and loop compilation stay as they "
+            "are, and loops run several times slower. Call it before any computation.",
             RuntimeWarning,
             stacklevel=2,
         )
 
 
 def keep_programs() -> Path | None:
-    """Keep compiled programs on disk, so that the next start finds them; the folder, None where
-    this is switched off.
+    """Keep compiled programs on disk for the next start. Returns the folder, None if switched off.
 
-    They lie under the user's cache folder (XDG_CACHE_HOME, else ~/.cache), apart for each kind of
-    processor, since a home may be shared by several. JAXILC_CACHE names another folder; `off` keeps
-    none. A folder that JAX was already given is left alone.
+    They lie below the user's cache folder (XDG_CACHE_HOME, else ~/.cache), with one folder for each
+    kind of processor, since several may share a home. JAXILC_CACHE names another folder; with `off`
+    nothing is kept. A folder that JAX was already given is left alone.
     """
     chosen = os.environ.get("JAXILC_CACHE", "")
     if chosen == "off":
@@ -90,11 +88,8 @@ def keep_programs() -> Path | None:
             given or chosen or _users_cache() / "jaxilc" / f"{platform.machine()}-{_processor()}"
         )
         folder.mkdir(parents=True, exist_ok=True)
-    except (
-        OSError,
-        RuntimeError,
-        ValueError,
-    ):  # no home at all, one that cannot be written to, or no name of a folder: go without
+    except (OSError, RuntimeError, ValueError):
+        # there is no home, it cannot be written to, or the name is none of a folder: keep nothing
         return None
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)

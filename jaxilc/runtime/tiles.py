@@ -1,4 +1,4 @@
-"""How a batch runs: tiles over devices, lanes within a tile. The one place that decides it."""
+"""How a batch runs: in tiles over the devices, in lanes within a tile."""
 
 from __future__ import annotations
 
@@ -15,13 +15,11 @@ from ..pytree.ranges import require
 
 LANES = {"cpu": 16}  # measured; a trial of 16 plants still fits the cache of a core
 WIDE = 4096  # on other backends, which were not measured
-OPEN: Any = (
-    None  # the default of a field that is chosen at construction, and never None from then on
-)
+OPEN: Any = None  # default of a field that is chosen at construction, and is not None from then on
 
 
 def usual_lanes() -> int:
-    """How many samples the backend works on best at a time. Starts JAX."""
+    """How many machines at a time suit the backend best. Starts JAX."""
     return LANES.get(jax.default_backend(), WIDE)
 
 
@@ -29,14 +27,13 @@ def tiled(fn: Callable[[Any, Any], Any], *, lanes: int | None = None) -> Callabl
     """A compiled `run(common, batch)` that gives fn(common, one) for each `one` along the leading
     axis of the batch's leaves.
 
-    The batch is spread over all devices; each works through tiles of `lanes` elements (None:
-    `usual_lanes`), vectorised within a tile. One as small as 16 keeps a trial in the cache, and a
-    vectorised whole batch is several times slower on a CPU. A batch smaller than lanes x devices
-    makes one smaller tile for each device. What is left to fill a tile is copies of the last
-    element, whose results
-    are dropped.
-    Keep the returned function: it compiles once per shape of its arguments. Raises ValueError for
-    lanes < 1.
+    The batch is spread over all devices. Each works through tiles of `lanes` elements (None:
+    `usual_lanes`), which are vectorised. A tile as small as 16 keeps a trial in the cache of a CPU;
+    there, a batch vectorised as a whole is several times slower. A batch smaller than
+    lanes x devices makes one smaller tile for each device. A tile that is not full is filled with
+    copies of the last element, whose results are dropped.
+    Keep the returned function: it compiles once for each shape of its arguments.
+    Raises ValueError for lanes < 1.
     """
     lanes = usual_lanes() if lanes is None else lanes
     require("tiled", "lanes", lanes, "[1, inf)", whole=True)

@@ -1,3 +1,1 @@
-"""Files that are whole or not there, files with checksums, and files from outside that are read
-with care.
-"""
+"""Files that are whole or not there, files with checksums, and careful reading of other files."""

@@ -12,7 +12,7 @@ from .files import atomically, to_disk
 
 
 class DurableStore(LocalStore):
-    """Of what Zarr's own store writes, a power failure may keep the mark and lose the numbers."""
+    """After a power failure, Zarr's own store may have the mark of a chunk without its numbers."""
 
     async def set(self, key: str, value: Buffer) -> None:
         await asyncio.to_thread(write_file, self.root, key, value.to_bytes())

@@ -1,13 +1,12 @@
-"""Reading .mat files of MATLAB 5 to 7 (-v6, -v7): arrays of real numbers, and structures of text,
-which is all that a trial has.
+"""Reading .mat files of MATLAB 5 to 7 (-v6, -v7): arrays of real numbers, and structures of text.
 
-SciPy's reader believes the sizes that a file declares and takes memory for them. Here everything is
-checked against the bytes that are there, and what a compressed element unpacks to is bounded, so
-that a damaged file is a ValueError and nothing else.
+A trial has nothing else. SciPy's reader believes the sizes that a file declares and takes RAM for
+them. Here everything is checked against the bytes that are there, and what a compressed element
+unpacks to is bounded, so that a damaged file raises ValueError and nothing else.
 
     file:     128 bytes of header, the last two of which tell the order of bytes, then elements
-    element:  type and size, 4 bytes each, then data up to a multiple of 8 bytes; or both in 2 bytes
-    each, then up to 4 bytes of data
+    element:  type and size, 4 bytes each, then data up to a multiple of 8 bytes; or type and size
+              in 2 bytes each, then up to 4 bytes of data
     array:    an element of elements: flags, dimensions, name, then what its class needs
 """
 
@@ -25,7 +24,7 @@ import numpy as np
 from ..pytree.ranges import brief
 from .reading import read_bytes
 
-ROOM = 64_000_000  # bytes of a file, and of what it unpacks to, where nobody asks for more
+ROOM = 64_000_000  # bytes of a file, and of what it unpacks to, unless more is asked for
 HEADER, ARRAY, COMPRESSED = 128, 14, 15
 STORED = {
     1: "i1",
@@ -46,15 +45,16 @@ COMPLEX = 0x08  # among the flags
 
 @dataclasses.dataclass(frozen=True)
 class Other:
-    """What is no array of real numbers, no text and no structure. said: what it is"""
+    """What is no array of real numbers, no text and no structure. said: what it is instead"""
 
     said: str
 
 
 def read_mat(path: str | Path, room: int = ROOM) -> dict[str, Any]:
-    """The variables of a file by name: arrays of numbers with two dimensions or more, text,
-    structures as dictionaries, and `Other`.
+    """The variables of a file by name.
 
+    They are arrays of numbers with two dimensions or more, text, structures as dictionaries, and
+    `Other`.
     Raises ValueError, naming the file, for one of another version, a damaged one, and one that
     unpacks to more than `room` bytes.
     """
@@ -142,7 +142,10 @@ def _array(data: memoryview, order: str, depth: int = 0) -> tuple[str, Any]:
 
 
 def _need(parts: Iterator[tuple[int, memoryview]], order: str, what: str, kinds: str) -> np.ndarray:
-    """The numbers of the next element. kinds: whole numbers `iu`, fractions `f`, single bytes `S`"""
+    """The numbers of the next element.
+
+    kinds: those that are allowed, whole numbers `iu`, fractions `f`, single bytes `S`
+    """
     kind, data = next(parts, (0, memoryview(b"")))
     dtype = np.dtype(order + STORED.get(kind, "i1"))
     if kind not in STORED or (dtype.itemsize > 1 if kinds == "S" else dtype.kind not in kinds):

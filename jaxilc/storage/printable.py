@@ -1,6 +1,4 @@
-"""Text that a terminal can be given: what it would act on, such as a code for a colour, is written
-out.
-"""
+"""Text that is safe to print: what a terminal would act on, such as a colour code, is escaped."""
 
 from __future__ import annotations
 
@@ -8,9 +6,7 @@ import unicodedata
 
 
 def printable(text: str) -> str:
-    """The text with its line ends, and everything else that cannot be printed as Python would write
-    it.
-    """
+    """The text; what cannot be printed is escaped as Python does it, except for line ends."""
     return "".join(
         c if c == "\n" or c.isprintable() or unicodedata.category(c) == "Zs" else _written(c)
         for c in text

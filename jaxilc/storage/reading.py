@@ -1,8 +1,8 @@
-"""Files from outside, read so that none can stop or fill the process: a regular file, of a bounded
-size, as text, tree or table.
+"""Files from outside, read so that none can block the process or fill its RAM.
 
-What is wrong is a ValueError that names the file; a file that is not there, or may not be read, is
-an OSError.
+Only a regular file of a bounded size is read, as text, as a tree (TOML, JSON) or as columns. What
+is wrong with it is a ValueError that names the file; a file that is not there, or may not be read,
+is an OSError.
 """
 
 from __future__ import annotations
@@ -28,8 +28,9 @@ _HEADING = re.compile(r"^([^\[\]]+?)\s*(?:\[([^\[\]]*)\])?$")
 
 
 def read_bytes(path: str | Path, largest: int) -> bytes:
-    """All of a file. Raises ValueError for a device, a pipe, a folder, and a file of more bytes
-    than `largest`.
+    """All of a file.
+
+    Raises ValueError for a device, a pipe, a folder, and a file of more bytes than `largest`.
     """
     # without waiting: to open a pipe would wait for whoever writes to it
     descriptor = os.open(
@@ -41,9 +42,8 @@ def read_bytes(path: str | Path, largest: int) -> bytes:
             f"{path} is no file, nor a link to one; allowed is no device, pipe or folder"
         )
     content = bytearray()
-    with open(
-        descriptor, "rb"
-    ) as file:  # block by block, since a single read would take memory for all that is allowed
+    with open(descriptor, "rb") as file:
+        # block by block, since a single read would take RAM for all that is allowed
         while block := file.read(BLOCK):
             content += block
             if len(content) > largest:
@@ -52,21 +52,23 @@ def read_bytes(path: str | Path, largest: int) -> bytes:
 
 
 def read_text(path: str | Path, largest: int) -> str:
-    """All of a text file in UTF-8, with or without a mark at its start. Raises as `read_bytes`, and
-    ValueError for what is no text.
+    """All of a text file in UTF-8, with or without a byte order mark.
+
+    Raises as `read_bytes`, and ValueError for what is no text.
     """
     try:
         return read_bytes(path, largest).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise ValueError(
-            f"{path} is no text in UTF-8: {error.reason} {error.object[error.start]:#04x} at byte {error.start}"
+            f"{path} is no text in UTF-8: {error.reason} {error.object[error.start]:#04x} "
+            f"at byte {error.start}"
         ) from None
 
 
 def read_tree(path: str | Path, kind: str | None = None) -> Any:
-    """What a TOML or JSON file holds. kind: `.toml` or `.json`, None to go by its name
+    """What a TOML or JSON file says. kind: `.toml` or `.json`, None to go by its name
 
-    Raises as `read_text`, and ValueError for a file that is none, or is nested too deeply.
+    Raises as `read_text`, and ValueError for a file of another kind, or one nested too deeply.
     """
     parser = PARSERS.get(kind or Path(path).suffix)
     if parser is None:
@@ -75,8 +77,10 @@ def read_tree(path: str | Path, kind: str | None = None) -> Any:
 
 
 def tree_of(text: str, parser: Callable[[str], Any], source: Any) -> Any:
-    """What a text holds. Raises ValueError, naming where it is from, for one that is none, or is
-    nested too deeply.
+    """What a text in TOML or JSON says.
+
+    source: where it is from, for messages
+    Raises ValueError for a text that the parser refuses, or that is nested too deeply.
     """
     try:
         tree = parser(text)
@@ -104,12 +108,11 @@ def _too_deep(source) -> Any:
 
 
 def read_columns(path: str | Path) -> tuple[list[str], Iterator[tuple[int, list[str]]]]:
-    """The header of a text file of columns, and its rows that are not empty with their lines, one
-    after another.
+    """The header of a text file of columns, and its rows that are not empty, with line numbers.
 
-    Columns are separated by semicolons, tabs or commas, whichever of these comes first in this
-    order in the header. Raises as `read_text`, and ValueError, also while rows are taken, for a
-    line that is no row.
+    The rows come one after another. Columns are separated by semicolons where the header has one,
+    else by tabs where it has one, else by commas.
+    Raises as `read_text`, and ValueError, also while rows are taken, for a line that is no row.
     """
     text = read_text(path, LARGEST_TABLE)
     head = text[: text.find("\n") + 1 or len(text)]

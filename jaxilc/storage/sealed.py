@@ -1,4 +1,4 @@
-"""Strict JSON, and JSON and arrays with a checksum of all their bytes: what was damaged is refused.
+"""Strict JSON, and JSON and arrays with a checksum of their bytes, so that damage is found.
 
 JSON has no numbers that are not finite. They stand there as the strings "Infinity", "-Infinity" and
 "NaN", which `float` understands, and `read_json` gives them back as numbers.
@@ -26,7 +26,7 @@ LENGTH = 2  # bytes in which a zip archive says how long its comment is, which c
 
 
 class Damaged(ValueError):
-    """A file that is not what was written."""
+    """A file that is not as it was written."""
 
 
 def json_text(value: Any) -> str:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
 
+from ..learning.divergence import Course
+from ..learning.known_metrics import METRICS
 from ..learning.machine import Machine
 from ..learning.metrics import Keep, best_trial
 from ..learning.over_trials import History, check, learn
@@ -19,9 +21,8 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
-COPIES = (
-    4  # of y and u: as learned, stacked over the schemes, the error, and on their way to the disk
-)
+# of y and u are in the RAM: as learned, stacked over the schemes, the error, and as written
+COPIES = 4
 
 
 def run_schemes(
@@ -35,10 +36,12 @@ def run_schemes(
 ) -> tuple[xr.Dataset, dict[str, History]]:
     """Learn with each scheme and keep every trial's signals.
 
-    quantities: further figures, each a function of a trial to a number
-    Returns the dataset (dims scheme, trial and time, channel, input_time, input; r, y, e, u, the
-    metrics and the quantities) and the histories, whose `memory` lets each scheme go on. Raises as
-    `learn` does, and ValueError, before anything runs, for more trials than fit into memory.
+    quantities: further metrics by name, each a function of a trial to a number
+    Returns the dataset and the histories by the scheme's name, whose `memory` lets each scheme go
+    on. The dataset has the dimensions scheme, trial, time, channel, input_time and input; its
+    variables are r, y, e, u, the metrics and the quantities.
+    Raises as `learn` does, and ValueError, before anything runs, for more trials than the RAM can
+    hold.
     """
     for scheme in schemes.values():
         check(machine, scheme, task)
@@ -53,40 +56,40 @@ def run_schemes(
 
 
 def history_dataset(histories: Mapping[str, History], task: Task) -> xr.Dataset:
-    """The dataset of histories whose `saved` has y, u, and each quantity of each trial."""
+    """The dataset of histories by name, whose `saved` has y, u and each quantity of each trial."""
     import xarray as xr
 
     def stacked(pick):
         return np.stack([np.asarray(pick(h)) for h in histories.values()])
 
-    def of_y(dims, values):
-        return dims, values, {"units": task.unit}
+    def known(history: History) -> dict[str, Any]:
+        judged = {name: getattr(history, name) for name in Course._fields}
+        return history.metrics._asdict() | {"best_trial": best_trial(history.rms)} | judged
 
-    def of_u(dims, values):
-        return dims, values, {"units": task.input_unit}
-
-    r, y, u = (
-        np.asarray(task.reference),
-        stacked(lambda h: h.saved["y"]),
-        stacked(lambda h: h.saved["u"]),
-    )
+    of_each = [known(h) for h in histories.values()]
+    metrics = {
+        m.name: (
+            ("scheme", *m.axes),
+            np.stack([np.asarray(of[m.name]) for of in of_each]),
+            {"units": m.unit_of(task)} if m.unit else {},
+        )
+        for m in METRICS
+    }
+    of_y, of_u = {"units": task.unit}, {"units": task.input_unit}
+    r, y = np.asarray(task.reference), stacked(lambda h: h.saved["y"])
     further = [name for name in next(iter(histories.values())).saved if name not in ("y", "u")]
-    per_output, per_input = ("scheme", "trial", "channel"), ("scheme", "trial", "input")
+    along = ("scheme", "trial", "time", "channel")
     return xr.Dataset(
         {
-            "r": of_y(("time", "channel"), r),
-            "y": of_y(("scheme", "trial", "time", "channel"), y),
-            "e": of_y(("scheme", "trial", "time", "channel"), r - y),
-            "u": of_u(("scheme", "trial", "input_time", "input"), u),
-            "max_error": of_y(per_output, stacked(lambda h: h.max_error)),
-            "rms": of_y(per_output, stacked(lambda h: h.rms)),
-            "settled_error": of_y(per_output, stacked(lambda h: h.settled_error)),
-            "effort": of_u(per_input, stacked(lambda h: h.effort)),
-            "best_trial": (("scheme", "trial"), stacked(lambda h: best_trial(h.rms))),
-            "finite": (("scheme", "trial"), stacked(lambda h: h.finite)),
-            "diverged": (("scheme", "trial"), stacked(lambda h: h.diverged)),
-            "diverged_at": (("scheme",), stacked(lambda h: h.diverged_at)),
-            "grown_from": (("scheme",), stacked(lambda h: h.grown_from)),
+            "r": (("time", "channel"), r, of_y),
+            "y": (along, y, of_y),
+            "e": (along, r - y, of_y),
+            "u": (
+                ("scheme", "trial", "input_time", "input"),
+                stacked(lambda h: h.saved["u"]),
+                of_u,
+            ),
+            **metrics,
             **{
                 name: (("scheme", "trial"), stacked(lambda h, name=name: h.saved[name]))
                 for name in further

@@ -1,10 +1,10 @@
-"""Labelled results: a Zarr store filled region by region, opened as an xarray dataset.
+"""Labelled results: a Zarr store that is filled chunk by chunk, and opened as an xarray dataset.
 
-A store holds one array per figure, its coordinates, the configuration that made it, and for every
-chunk that is complete a mark: a checksum of the chunk's numbers and of the configuration. A chunk
-is marked when all of its arrays are on the disk. So a mark vouches for the numbers themselves:
-whoever resumes or opens a store reads them again, and what is missing, cut short or altered is
-found. The bytes of each file have a checksum, too (crc32c), for readers that know nothing of marks.
+A store holds one array for each variable, the coordinates, the configuration that made it, and a
+mark for every chunk that is complete: a checksum of the chunk's numbers and of the configuration. A
+chunk is marked when all of its arrays are on the disk. Whoever resumes or opens a store reads the
+numbers again and compares them with their marks, so that what is missing, cut short or altered is
+found. The bytes of each file have a checksum, too (crc32c), for readers that do not know the marks.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 DONE = "chunk_done"
 METADATA = "zarr.json"
-VOUCHING = (METADATA, f"{DONE}/{METADATA}")  # these files hold the checksums of the others
+VOUCHING = (METADATA, f"{DONE}/{METADATA}")  # these files have the checksums of the others
 UNFILLED = {"f": np.nan, "i": -1, "u": 0, "b": False, "U": ""}  # where nothing was computed
 
 log = logging.getLogger("jaxilc")
@@ -38,7 +38,7 @@ log = logging.getLogger("jaxilc")
 
 @dataclasses.dataclass(frozen=True)
 class Variable:
-    """An array of the dataset: its dimensions and dtype, and what it is."""
+    """An array of the dataset: its dimensions, its dtype, its unit, and what it is."""
 
     dims: tuple[str, ...]
     dtype: str
@@ -50,8 +50,9 @@ class Variable:
 class Layout:
     """All of a store that is known before anything is computed.
 
-    coordinates: name -> (dims, values); every dimension has one
-    chunk: samples per region;  configuration: all that determines the numbers, as JSON
+    variables: by name;  coordinates: dimensions and values by name; every dimension has one
+    chunk: machines that are computed and stored together
+    configuration: all that determines the numbers, as JSON
     """
 
     variables: Mapping[str, Variable]
@@ -61,16 +62,16 @@ class Layout:
 
     @cached_property
     def sizes(self) -> dict[str, int]:
-        """By dimension."""
+        """The length of each dimension."""
         return {dims[0]: len(v) for name, (dims, v) in self.coordinates.items() if dims == (name,)}
 
     @cached_property
     def recipe(self) -> dict[str, Any]:
-        """The configuration, as it reads from a file."""
+        """The configuration as it is read back from a file."""
         return as_json(self.configuration)
 
     def files(self) -> dict[str, Any]:
-        """The files of a store without any figures, by name, as Zarr has them in memory."""
+        """The files of a store in which nothing is computed yet, by name."""
         from zarr import create_group
         from zarr.storage import MemoryStore
 
@@ -104,7 +105,7 @@ class Store:
         import zarr
 
         self.layout, self._store, self._closing = layout, store, closing
-        with zarr.config.set({"array.write_empty_chunks": True}):  # NaN is a figure, too
+        with zarr.config.set({"array.write_empty_chunks": True}):  # NaN is a value, too
             group = zarr.open_group(store, mode="r+")
             self._arrays: dict[str, Any] = {name: group[name] for name in (*layout.variables, DONE)}
 
@@ -132,19 +133,22 @@ class Store:
 
     @classmethod
     def resume(cls, path: str | Path, layout: Layout) -> Store:
-        """The store at `path`, to go on with. All that is known beforehand is mended there.
+        """The store at `path`, to go on with. What is known before computing is mended there.
 
-        Raises ValueError if it is none, was made with another configuration, or is in use.
+        A store that has earlier names in its configuration keeps them (see `earlier_names`).
+        Raises ValueError if it is no store, was made with another configuration, or is in use.
         """
         from ..storage.durable import DurableStore, write_file
 
         path = Path(path)
         with ExitStack() as closing:
             closing.enter_context(only_one(path))
-            differing = differences(_configuration(path), layout.recipe)
+            found = _configuration(path)
+            differing = differences(found, layout.recipe)
             if differing:
                 said = f"was made with another configuration; it differs in: {'; '.join(differing)}"
                 raise ValueError(f"{path} {said}")
+            layout = dataclasses.replace(layout, configuration=found)  # its marks depend on it
             remove_leftovers(path)
             for name, content in layout.files().items():
                 file, wanted = path / name, content.to_bytes()
@@ -160,34 +164,35 @@ class Store:
         self._closing.close()
 
     def is_done(self, scheme: int, chunk: int) -> bool:
-        """Whether a chunk is there as it was marked: its figures are read, and compared."""
+        """Whether a chunk is there as it was marked: its values are read and compared."""
         try:
             mark = int(self._arrays[DONE][scheme, chunk])
             if not mark:
                 return False
-            samples = _samples(chunk, self.layout.chunk, self.layout.sizes["sample"])
-            figures = {name: self._arrays[name][scheme, samples] for name in self.layout.variables}
-            if mark == _mark(self.layout.recipe, figures):
+            machines = _machines(chunk, self.layout.chunk, self.layout.sizes["sample"])
+            values = {n: self._arrays[n][scheme, machines] for n in self.layout.variables}
+            if mark == _mark(self.layout.recipe, values):
                 return True
-            wrong = "its figures are not those that were marked"
+            wrong = "its values are not those that were marked"
         except Exception as error:  # whatever becomes of damaged bytes in a codec
             wrong = str(error)
         log.warning("chunk %d of scheme %d is damaged and computed again: %s", chunk, scheme, wrong)
         return False
 
-    def write(self, scheme: int, chunk: int, samples: slice, values: Mapping[str, Any]) -> None:
-        """One finished chunk of one scheme; values have the samples first."""
-        figures = {n: np.asarray(value, self._arrays[n].dtype) for n, value in values.items()}
-        for name, value in figures.items():
-            self._arrays[name][scheme, samples] = value
-        self._arrays[DONE][scheme, chunk] = _mark(self.layout.recipe, figures)
+    def write(self, scheme: int, chunk: int, machines: slice, values: Mapping[str, Any]) -> None:
+        """Store and mark one finished chunk of one scheme. values: by name, machines first"""
+        values = {n: np.asarray(value, self._arrays[n].dtype) for n, value in values.items()}
+        for name, value in values.items():
+            self._arrays[name][scheme, machines] = value
+        self._arrays[DONE][scheme, chunk] = _mark(self.layout.recipe, values)
 
     def dataset(self) -> xr.Dataset:
+        """All that is stored so far."""
         return _labelled(_loaded(self._store), self.layout.recipe)
 
 
 def open_dataset(path: str | Path) -> xr.Dataset:
-    """The dataset of a store, complete or not: where no chunk is, NaN stands, -1, or False.
+    """The dataset of a store, complete or not. What was not computed is NaN, -1 or False.
 
     Raises FileNotFoundError, and ValueError naming what is not as it was written.
     """
@@ -207,7 +212,10 @@ def open_dataset(path: str | Path) -> xr.Dataset:
 
 
 def _configuration(path: Path) -> dict[str, Any]:
-    """Of a store, from one of the two places. Raises ValueError where neither holds it."""
+    """The configuration of a store, from the first of its two places that is whole.
+
+    Raises ValueError where neither is.
+    """
     for name in VOUCHING:
         try:
             return as_json(unsealed(read_json(path / name)["attributes"])["configuration"])
@@ -218,24 +226,25 @@ def _configuration(path: Path) -> dict[str, Any]:
 
 def _check_marks(dataset: xr.Dataset, recipe: Mapping[str, Any], chunk: int) -> None:
     """Raises Damaged for a chunk that is not as it was marked."""
-    figures = [name for name, array in dataset.data_vars.items() if "units" in array.attrs]
+    variables = [name for name, array in dataset.data_vars.items() if "units" in array.attrs]
     for (scheme, number), mark in np.ndenumerate(dataset[DONE].values):
-        samples = _samples(number, chunk, dataset.sizes["sample"])
-        found = {str(name): dataset[name].values[scheme, samples] for name in figures}
+        machines = _machines(number, chunk, dataset.sizes["sample"])
+        found = {str(name): dataset[name].values[scheme, machines] for name in variables}
         if mark and mark != _mark(recipe, found):
             name = dataset["scheme"].values[scheme]
             raise Damaged(f"chunk {number} of scheme {name!r} is not as it was marked")
 
 
-def _samples(chunk: int, size: int, samples: int) -> slice:
-    return slice(chunk * size, min((chunk + 1) * size, samples))
+def _machines(chunk: int, size: int, machines: int) -> slice:
+    """The machines of a chunk."""
+    return slice(chunk * size, min((chunk + 1) * size, machines))
 
 
-def _mark(recipe: Mapping[str, Any], figures: Mapping[str, np.ndarray]) -> int:
-    """A checksum of a chunk's figures and of what made them; never 0, which is no mark."""
+def _mark(recipe: Mapping[str, Any], values: Mapping[str, np.ndarray]) -> int:
+    """A checksum of a chunk's values and of the configuration; never 0, which is no mark."""
     found = hashlib.blake2b(json_text(recipe).encode(), digest_size=8)
-    for name in sorted(figures):
-        found.update(name.encode() + figures[name].tobytes())
+    for name in sorted(values):
+        found.update(name.encode() + values[name].tobytes())
     return int.from_bytes(found.digest(), "little") or 1
 
 
@@ -264,7 +273,7 @@ def _loaded(store: Any) -> xr.Dataset:
 
 
 def _labelled(dataset: xr.Dataset, recipe: Mapping[str, Any]) -> xr.Dataset:
-    """The dataset without what only the store needs, its coordinates known as such."""
+    """The dataset without what only the store needs, and with its coordinates as coordinates."""
     dataset = dataset.drop_vars(DONE)
     dataset.attrs = {"configuration": dict(recipe)}
     known = [name for name, array in dataset.data_vars.items() if "units" not in array.attrs]

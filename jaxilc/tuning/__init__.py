@@ -1,6 +1,4 @@
-"""Tuning: weights by gradients through the whole learning process, budgets, and the worst machine
-of a set.
-"""
+"""Tuning by gradients through the whole learning process, and the worst machine of a set."""
 
 import lazy_loader
 

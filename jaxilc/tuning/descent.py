@@ -1,5 +1,4 @@
-"""Descent on a loss of few numbers that is dear to evaluate: coordinates, steps of the optimisers,
-and their state.
+"""Descent on a loss of few numbers that takes long to evaluate: optimisers, and their state.
 
 Nothing here knows what is tuned. An `evaluate(z)` gives an `Evaluation`; a method has `init(z)` and
 `step(z, state)`, both pure.
@@ -7,7 +6,6 @@ Nothing here knows what is tuned. An `evaluate(z)` gives an `Evaluation`; a meth
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -17,62 +15,13 @@ import numpy as np
 import optax
 from jax import lax
 
-HAIR = 1e-6  # of the unit interval: how near a value may come to an end of its range
-FAR = 60.0  # on the real line, beyond which exponentials stay
-NUDGE = 1e-3  # of its range: by how much a start on an end of it is moved inside
-
-
-@dataclasses.dataclass(frozen=True)
-class Bijection:
-    """A smooth map of the real line onto an open interval, with s(z) = 1 / (1 + e^-z):
-
-    (-inf, inf)  scale z            (a, inf)  a + e^z            (-inf, b)  b - e^z
-    (a, b)  a + (b - a) s(z)        of one sign  a (b / a)^s(z), so that its orders of magnitude
-    count alike
-    """
-
-    low: float
-    high: float
-    scale: float = 1.0
-
-    def __call__(self, z):
-        low, high = self.low, self.high
-        if np.isinf(low) and np.isinf(high):
-            return self.scale * z
-        if np.isinf(high) or np.isinf(low):
-            end, sign = (low, 1.0) if np.isinf(high) else (high, -1.0)
-            return end + sign * jnp.exp(jnp.clip(z, np.log(HAIR * abs(end)) if end else -FAR, FAR))
-        share = HAIR + (1.0 - 2.0 * HAIR) * jax.nn.sigmoid(z)
-        return low * (high / low) ** share if low * high > 0 else low + (high - low) * share
-
-    def inverse(self, value: float) -> float:
-        low, high = self.low, self.high
-        if np.isinf(low) and np.isinf(high):
-            return value / self.scale
-        if np.isinf(high):
-            return float(np.log(value - low))
-        if np.isinf(low):
-            return float(np.log(high - value))
-        share = (
-            np.log(value / low) / np.log(high / low)
-            if low * high > 0
-            else (value - low) / (high - low)
-        )
-        share = (share - HAIR) / (1.0 - 2.0 * HAIR)
-        return float(np.log(share / (1.0 - share)))
-
-    def inside(self, value: float) -> float:
-        """The value, moved inside if it lies on an end."""
-        width = self.high - self.low if np.isfinite(self.high - self.low) else 1.0
-        if value <= self.low + 10 * HAIR * width:
-            # the end 0 of a range that has no other is approached by exponents, and needs no room
-            return value if value > self.low and np.isinf(self.high) else self.low + NUDGE * width
-        return self.high - NUDGE * width if value >= self.high - 10 * HAIR * width else value
-
 
 class Evaluation(NamedTuple):
-    """value: () what is minimised;  gradient: (P,);  residuals: (R,) for least squares;  slopes:
-    (R, P) of them;  dropped: () left out
+    """What is known of the loss at one z of P numbers.
+
+    value: () what is minimised;  gradient: (P,) of the value
+    residuals: (R,) for least squares;  slopes: (R, P) of the residuals
+    dropped: () how many residuals had no finite slope
     """
 
     value: jax.Array
@@ -92,8 +41,9 @@ def value_and_slope(f: Callable, z, *, forward: bool):
 
 
 def counted(losses):
-    """Losses of which those that are not finite count as the worst finite one; all infinite if
-    there is none.
+    """The losses, with the worst finite one in place of those that are not finite.
+
+    All are infinite if none is finite.
     """
     finite = jnp.isfinite(losses)
     worst = jnp.max(jnp.where(finite, losses, -jnp.inf))
@@ -103,11 +53,11 @@ def counted(losses):
 def repaired(losses, slopes, clip: float):
     """Losses and slopes that can be averaged, and which slopes were finite: (S,), (S, P), (S,).
 
-    A loss that is not finite is `counted`, a slope that is not counts as none; no slope is longer
-    than `clip` times the median length, or than `clip` where that is below 1, as it is once most
-    plants are below an objective's floor. A chattering plant may have a slope
-    of 1e70 that points anywhere: so it has one voice among the others, and no absolute bound would
-    know their size.
+    A loss that is not finite is `counted`; a slope that is not finite becomes zero. No slope is
+    longer than `clip` times the median length. Where the median is below 1, as it is once most
+    machines are below an objective's floor, no slope is longer than `clip`. A machine that chatters
+    may have a slope of 1e70 in any direction; this bound gives it no more weight than others. An
+    absolute bound could not know how long their slopes are.
     """
     good = jnp.isfinite(losses) & jnp.all(jnp.isfinite(slopes), axis=1)
     slopes = jnp.where(good[:, None], slopes, 0.0)
@@ -125,8 +75,10 @@ def repaired(losses, slopes, clip: float):
 
 
 class Method(NamedTuple):
-    """init(z) -> state;  step(z, state) -> (z, state, Step). Pure, for one start. programs: both,
-    compiled for many starts
+    """An optimiser, for one start. Both functions are pure.
+
+    init: z -> state;  step: (z, state) -> (z, state, Step)
+    programs: both, compiled for many starts, see `for_starts`
     """
 
     init: Callable[[Any], Any]
@@ -135,8 +87,9 @@ class Method(NamedTuple):
 
 
 class Step(NamedTuple):
-    """What is recorded of a step, at the z it started from. loss: ();  slope: () length of the
-    gradient;  dropped: ()
+    """What is recorded of a step, at the z from which it started.
+
+    loss: ();  slope: () length of the gradient;  dropped: () see `Evaluation`
     """
 
     loss: jax.Array
@@ -147,8 +100,9 @@ class Step(NamedTuple):
 def by_gradient(
     evaluate: Callable[[Any], Evaluation], optimiser: optax.GradientTransformation
 ) -> Method:
-    """Any optax transformation. A line search sees the loss with the gradient that `evaluate` gives
-    it.
+    """The method of an optax transformation.
+
+    A line search sees the loss with the gradient that `evaluate` gives.
     """
     optimiser = optax.with_extra_args_support(optimiser)
 
@@ -177,17 +131,18 @@ def by_gradient(
 
 
 class Damped(NamedTuple):
-    """damping: ();  at: the evaluation at z"""
+    """The state of `by_least_squares`. damping: ();  at: the evaluation at z"""
 
     damping: jax.Array
     at: Evaluation
 
 
 def by_least_squares(evaluate: Callable[[Any], Evaluation], damping: float = 1e-2) -> Method:
-    """Levenberg-Marquardt on the residuals r with Jacobian J (Marquardt 1963), the step taken only
-    if |r| falls:
+    """Levenberg-Marquardt on the residuals r with the Jacobian J (Marquardt 1963).
 
-    (J^T J + damping diag(J^T J)) dz = -J^T r,      damping / 3 after a success, * 4 after a failure
+        (J^T J + damping diag(J^T J)) dz = -J^T r
+
+    The step is taken only if |r| falls. Then the damping is divided by 3, else multiplied by 4.
     """
 
     def init(z):
@@ -212,8 +167,9 @@ def by_least_squares(evaluate: Callable[[Any], Evaluation], damping: float = 1e-
 
 
 def for_starts(method: Method) -> Method:
-    """The method for many starts at once, compiled, from NumPy to NumPy; one program serves all
-    steps.
+    """The method for many starts at once, compiled; one program serves all steps.
+
+    It takes NumPy arrays and gives NumPy arrays.
     """
 
     @jax.jit
@@ -227,7 +183,8 @@ def for_starts(method: Method) -> Method:
             record,
         )
 
-    # brought home each time: where an array lies belongs to a compiled program too
+    # results are copied to the host after each step: a compiled program also depends on where its
+    # arguments lie, and would be compiled anew
     init = jax.jit(jax.vmap(method.init))
     programs = (init, step)
     return Method(
@@ -236,8 +193,8 @@ def for_starts(method: Method) -> Method:
 
 
 def arguments_like(method: Method, z) -> tuple[Any, Any]:
-    """What the compiled step of a method `for_starts` takes, by its shapes: z (K, P) and the state;
-    nothing is computed.
+    """The arguments that the compiled step of a method `for_starts` takes: z (K, P), and the state
+    by its shapes. Nothing is computed.
     """
     state = jax.eval_shape(method.programs[0], z)
     return z, jax.tree.map(lambda s: jax.ShapeDtypeStruct(s.shape, s.dtype), state)
@@ -246,10 +203,11 @@ def arguments_like(method: Method, z) -> tuple[Any, Any]:
 class State(NamedTuple):
     """A descent after `step` steps from K starts: all that is needed to go on.
 
-    z: (K, P);  inner: of the method;  best_z: (P,), best: (), best_step: () by the held-out loss;
-    stale: () looks since then
-    loss, slope, dropped: (steps, K);  path: (steps, K, P) z of each step;  held_out: (steps + 1,
-    K), NaN where not looked at
+    z: (K, P) where it is;  inner: state of the method
+    best_z, best, best_step: (P,), (), () the z with the least held-out loss, this loss, its step
+    stale: () how often the held-out loss was computed since then
+    loss, slope, dropped: (steps, K) see `Step`;  path: (steps, K, P) z of each step
+    held_out: (steps + 1, K) the held-out loss, NaN where it was not computed
     """
 
     step: np.ndarray
@@ -267,6 +225,7 @@ class State(NamedTuple):
 
     @classmethod
     def start(cls, z, inner, steps: int) -> State:
+        """The state before the first of `steps` steps."""
         (K, P), dtype = z.shape, z.dtype
         blank = [np.full((steps, K), np.nan, dtype) for _ in range(3)]
         none = np.asarray(0)
@@ -276,7 +235,7 @@ class State(NamedTuple):
         )  # fmt: skip
 
     def validated(self, losses) -> State:
-        """With the (K,) held-out losses of its z; what is not finite is never best."""
+        """The state with the (K,) held-out losses of its z; one not finite is never the best."""
         losses = np.asarray(losses)
         self.held_out[int(self.step)] = losses
         k = int(np.argmin(np.where(np.isfinite(losses), losses, np.inf)))
@@ -287,9 +246,39 @@ class State(NamedTuple):
         )
 
     def advanced(self, z, inner, record: Step) -> State:
+        """The state after one more step."""
         step = int(self.step)
         for kept, value in zip(
             (self.loss, self.slope, self.dropped, self.path), (*record, self.z), strict=True
         ):
             kept[step] = value
         return self._replace(step=self.step + 1, z=z, inner=inner)
+
+
+def descended(
+    method: Method,
+    now: State,
+    held_out: Callable[[Any], Any],
+    *,
+    validate_every: int,
+    patience: int,
+    after_step: Callable[[State, Step], None],
+) -> tuple[State, str]:
+    """The state at the end of the descent, and why it ended.
+
+    method: compiled for many starts;  held_out: (K,) losses of z (K, P)
+    validate_every: steps from one computation of the held-out losses to the next
+    patience: how many computations without improvement are allowed
+    after_step: called with the new state and the record of each step
+    """
+    steps = len(now.loss)
+    while True:
+        if now.step % validate_every == 0 or now.step == steps:
+            now = now.validated(jax.device_get(held_out(now.z)))
+        if now.step == steps or now.stale > patience:
+            return now, "steps" if now.step == steps else "patience"
+        z, inner, record = method.step(now.z, now.inner)
+        if not np.any(np.isfinite(record.loss)):
+            return now, "no machine has a finite loss"
+        now = now.advanced(z, inner, record)
+        after_step(now, record)

@@ -1,42 +1,43 @@
-"""What tuning minimises and a worst-case search maximises: figures of a learning process, as
-numbers with useful slopes.
+"""What tuning minimises and a worst-case search maximises: numbers of one learning process.
 
-An objective is a function of one plant's `Run`; objectives add up, with weights: `Final() + 0.1 *
-Growth()`. A risk then makes one number of those of many plants (`risks`). Errors enter by their
-logarithm, so that orders of magnitude count alike:
+An objective is a function of one machine's `Run`. Objectives add up, with weights:
+`Final() + 0.1 * Growth()`. A risk then makes one number of those of many machines (`risks`). Errors
+enter by their logarithm, so that orders of magnitude count alike:
 
-    l(x) = 1/2 log((x / peak)^2 + floor^2) - log floor     >= 0;  about log(x / (floor peak)) above
-    the floor, peak = max |r|
+    l(x) = 1/2 log((x / peak)^2 + floor^2) - log floor,     peak = max |r|
 
-A learning process that diverges leaves numbers that no gradient survives. `Bounded` keeps them
-finite; see there.
+It is >= 0, and about log(x / (floor peak)) where x is above floor peak. The metrics that objectives
+take are those of `learning.known_metrics` that may be tuned, and the further quantities by name.
+Where learning diverges, the numbers grow until no gradient is finite. `Bounded` keeps them finite.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import lax
 
 from ..learning.divergence import CEILING, peak
+from ..learning.known_metrics import TUNED
 from ..learning.machine import Machine
-from ..learning.metrics import Keep, Metrics, largest
+from ..learning.metrics import Keep, largest
 from ..learning.over_trials import History, learn
-from ..pytree.fields import Leaf, child, leaf, pytree
 from ..pytree.ranges import require
 from ..schemes import Scheme
-from ..schemes.guards import Guard
-from ..signals.task import Sample, Task, Trial
+from ..signals.task import Task
+from .bounded import Bounded
 
-FLOOR = 1e-6
+FLOOR = 1e-6  # relative to the peak of the reference
 
 
 class Run(NamedTuple):
-    """One plant's learning process. history: its `saved` holds the further quantities by name;
-    ceiling: relative, see `Bounded`
+    """One machine's learning process.
+
+    history: its `saved` has the further quantities by name
+    ceiling: of the error, relative to the peak of the reference, see `Bounded`
     """
 
     machine: Machine
@@ -44,53 +45,6 @@ class Run(NamedTuple):
     task: Task
     history: History
     ceiling: float = CEILING
-
-
-class Held(NamedTuple):
-    """scheme: memory of the scheme that is bounded"""
-
-    scheme: Any
-
-
-@pytree
-class Bounded(Guard):
-    """A scheme that sees no error beyond a level, and stops learning for good in a trial that
-    passes it.
-
-        y seen = clip(y, r - level, r + level),    memory' = memory if max |e| > level, else what
-        the scheme makes of it
-
-    Below the level it is the scheme, number for number. Past it every later trial repeats that
-    trial, so its error stays finite, and so does its gradient, which says how that trial came to
-    pass the level; what the level cuts off has the gradient zero. A diverging learning process so
-    has a loss of about log(ceiling / floor), and a slope that leads out of there.
-    level: (n_y,) > 0 [unit of y]
-    """
-
-    scheme: Scheme = child()
-    level: Leaf = leaf(interval="(0, inf)")
-
-    @classmethod
-    def around(cls, scheme: Scheme, task: Task, ceiling: float = CEILING) -> Bounded:
-        """level: `ceiling` times the peak of the reference."""
-        return cls(scheme, lax.stop_gradient(ceiling * peak(task)))
-
-    def initial_memory(self, task: Task) -> Held:
-        return Held(self.scheme.initial_memory(task))
-
-    def act(self, state, sample: Sample) -> tuple[Any, jax.Array]:
-        return self.scheme.act(
-            state,
-            sample._replace(y=jnp.clip(sample.y, sample.r - self.level, sample.r + self.level)),
-        )
-
-    def learn(self, memory: Held, trial: Trial) -> Held:
-        passed = ~jnp.all(jnp.abs(trial.e) <= self.level)
-        seen = trial._replace(y=jnp.clip(trial.y, trial.r - self.level, trial.r + self.level))
-        learned = self.scheme.learn(memory.scheme, seen)
-        return Held(
-            jax.tree.map(lambda old, new: jnp.where(passed, old, new), memory.scheme, learned)
-        )
 
 
 def judge(
@@ -104,8 +58,10 @@ def judge(
     ceiling: float = CEILING,
     save: Keep | None = None,
 ) -> jax.Array:
-    """() the objective of one plant's learning process, bounded. Pure. save: further quantities,
-    for objectives of these
+    """() the objective of one machine's learning process, bounded. Pure.
+
+    ceiling: of the error, relative to the peak of the reference, see `Bounded`
+    save: further quantities, for objectives of these
     """
     history = learn(
         machine, Bounded.around(scheme, task, ceiling), task, trials, key=key, save=save
@@ -117,14 +73,12 @@ _POSITIVE, _COUNT = ("(0, inf)", False), ("[1, inf)", True)
 _RANGES = dict.fromkeys(("floor", "tolerance", "width", "scale", "below"), _POSITIVE)
 _RANGES |= dict.fromkeys(("trial", "first", "after", "trials", "steps"), _COUNT)
 
-# Objectives
-# --------------------------------------------------------------------------------------------------
-
 
 @dataclasses.dataclass(frozen=True)
 class Objective:
-    """A function of a `Run` to a number. `nominal`: it is asked of the nominal plant only, and no
-    risk is taken of it.
+    """A function of a `Run` to a number.
+
+    nominal: whether it is asked of the nominal machine only, so that no risk is taken of it
     """
 
     nominal: ClassVar[bool] = False
@@ -156,7 +110,7 @@ class Objective:
 
 @dataclasses.dataclass(frozen=True)
 class Sum(Objective):
-    """sum_i weight_i objective_i. parts: (weight, objective) pairs"""
+    """The sum of weight_i objective_i. parts: (weight, objective) pairs"""
 
     parts: tuple[tuple[float, Objective], ...]
 
@@ -170,16 +124,18 @@ class Sum(Objective):
 
 @dataclasses.dataclass(frozen=True)
 class Final(Objective):
-    """l of the figure at one trial. trial: number of it, None for the last;  floor: relative to the
-    peak of the reference
+    """l of a metric at one trial.
+
+    trial: number of the trial, None for the last
+    floor: relative to the peak of the reference, in this and the other objectives
     """
 
-    figure: str = "settled_error"
+    metric: str = "settled_error"
     trial: int | None = None
     floor: float = FLOOR
 
     def __call__(self, run: Run):
-        x = levels(run, self.figure, self.floor)
+        x = levels(run, self.metric, self.floor)
         if self.trial is not None and not 1 <= self.trial <= len(x):
             raise ValueError(
                 f"Final: trial = {self.trial} is outside its allowed range [1, {len(x)}]"
@@ -189,27 +145,28 @@ class Final(Objective):
 
 @dataclasses.dataclass(frozen=True)
 class EveryTrial(Objective):
-    """Mean of l over the trials: learn fast. floor: relative"""
+    """The mean of l over the trials, which is small where learning is fast."""
 
-    figure: str = "settled_error"
+    metric: str = "settled_error"
     floor: float = FLOOR
 
     def __call__(self, run: Run):
-        return jnp.mean(levels(run, self.figure, self.floor))
+        return jnp.mean(levels(run, self.metric, self.floor))
 
 
 @dataclasses.dataclass(frozen=True)
 class Holding(Objective):
-    """Largest l from a trial on: the level that is reached by then and kept. first: number of that
-    trial;  floor: relative
+    """The largest l from a trial on: the level that is reached by then and kept.
+
+    first: number of that trial
     """
 
     first: int = 1
-    figure: str = "settled_error"
+    metric: str = "settled_error"
     floor: float = FLOOR
 
     def __call__(self, run: Run):
-        x = levels(run, self.figure, self.floor)
+        x = levels(run, self.metric, self.floor)
         if not 1 <= self.first <= len(x):
             raise ValueError(
                 f"Holding: first = {self.first} is outside its allowed range [1, {len(x)}]"
@@ -219,42 +176,45 @@ class Holding(Objective):
 
 @dataclasses.dataclass(frozen=True)
 class TrialsTo(Objective):
-    """Number of trials above a tolerance, made smooth: sum_j 1 / (1 + (tolerance / x_j)^(1/width)).
+    """The number of trials above a tolerance, made smooth.
 
-    tolerance: [unit of the figure];  width: of the transition in units of log x; towards 0 it is
-    the count
+        sum_j 1 / (1 + (tolerance / x_j)^(1 / width))
+
+    tolerance: [unit of the metric]
+    width: of the transition, in units of log x; for a width towards 0 the sum is the number
     """
 
     tolerance: float
-    figure: str = "settled_error"
+    metric: str = "settled_error"
     width: float = 0.5
 
     def __call__(self, run: Run):
-        x = levels(run, self.figure, FLOOR)
+        x = levels(run, self.metric, FLOOR)
         limit = jnp.log(self.tolerance / largest(peak(run.task)) / FLOOR)
         return jnp.sum(jax.nn.sigmoid((x - limit) / self.width))
 
 
 @dataclasses.dataclass(frozen=True)
 class Growth(Objective):
-    """All growth from trial to trial: sum_j max(0, l(x_{j+1}) - l(x_j)), the logarithm of the
-    factor by which the figure rose altogether.
+    """All growth from trial to trial: the logarithm of the factor by which the metric rose in all.
 
-    after: trials that may still grow;  floor: relative, what happens below it counts little
+        sum_j max(0, l(x_{j+1}) - l(x_j)),     j >= after
+
+    after: number of the first trial that counts; growth up to it is allowed
     """
 
-    figure: str = "settled_error"
+    metric: str = "settled_error"
     after: int = 1
     floor: float = FLOOR
 
     def __call__(self, run: Run):
-        x = levels(run, self.figure, self.floor)[self.after - 1 :]
+        x = levels(run, self.metric, self.floor)[self.after - 1 :]
         return jnp.sum(jax.nn.relu(jnp.diff(x)))
 
 
 @dataclasses.dataclass(frozen=True)
 class Effort(Objective):
-    """Mean square input of the last trial over scale^2, all inputs together. scale: [unit of u]"""
+    """The mean square of all inputs in the last trial over scale^2. scale: [unit of u]"""
 
     scale: float = 1.0
 
@@ -264,7 +224,10 @@ class Effort(Objective):
 
 @dataclasses.dataclass(frozen=True)
 class InputRate(Objective):
-    """Mean square of (u[k+1] - u[k]) / dt in the last trial over scale^2. scale: [unit of u per s]"""
+    """The mean square of (u[k+1] - u[k]) / dt in the last trial over scale^2.
+
+    scale: [unit of u per s]
+    """
 
     scale: float = 1.0
 
@@ -274,14 +237,14 @@ class InputRate(Objective):
 
 @dataclasses.dataclass(frozen=True)
 class Contraction(Objective):
-    """How far the learning map of the nominal plant misses a certified contraction: max(0,
-    log(sigma / below)), 0 if it has it.
+    """By how much the learning map of the nominal machine misses a contraction; 0 where it is one.
 
-    sigma = sup |e_{j+n}| / |e_j| over all small changes of the error
-    (`theory.contraction.error_map`). Its slope is that of |J v| at
-    the singular vector v that Lanczos found: d sigma = u^T dJ v, so the iteration itself need not
-    be differentiated.
-    below: what sigma shall stay below;  trials: n;  steps: of Lanczos
+        max(0, log(sigma / below)),     sigma = sup |e_{j+n}| / |e_j|
+
+    The supremum is over all small changes of the error (`theory.contraction.error_map`). The slope
+    of sigma is that of |J v| at the singular vector v that Lanczos found, d sigma = u^T dJ v, so
+    the iteration itself need not be differentiated.
+    below: what sigma shall stay below;  trials: n;  steps: of the Lanczos iteration
     """
 
     below: float = 1.0
@@ -303,23 +266,23 @@ class Contraction(Objective):
         return jax.nn.relu(jnp.log(sigma / self.below))
 
 
-def levels(run: Run, figure: str, floor: float) -> jax.Array:
-    """(J,) l of a figure, the largest of its channels; of a trial that passed the ceiling anywhere,
-    l of max |e| if that is larger.
+def levels(run: Run, metric: str, floor: float) -> jax.Array:
+    """(J,) l of a metric, of its largest channel.
 
-    Otherwise a start of the trial that diverges, outside the settled window, would go unseen, as
-    the bound stops it from spreading.
-    Raises ValueError naming the figures there are.
+    Of a trial that passed the ceiling at any sample, it is l of max |e| if that is larger. Without
+    this, an error that diverges at the start of the trial, outside the settled window, would not be
+    seen, since the bound stops it from spreading.
+    Raises ValueError naming the metrics that there are.
     """
     history = run.history
     anywhere = largest(history.max_error / peak(run.task), axis=1)
-    if figure in Metrics._fields[:3]:
-        x = getattr(history.metrics, figure) / peak(run.task)
-    elif figure in (history.saved or {}):
-        x = history.saved[figure] / largest(peak(run.task))
+    if metric in TUNED:
+        x = getattr(history.metrics, metric) / peak(run.task)
+    elif metric in (history.saved or {}):
+        x = history.saved[metric] / largest(peak(run.task))
     else:
         raise ValueError(
-            f"figure = {figure!r} is not one of {', '.join((*Metrics._fields[:3], *(history.saved or {})))}"
+            f"metric = {metric!r} is not one of {', '.join((*TUNED, *(history.saved or {})))}"
         )
     x = largest(jnp.abs(x.reshape(len(x), -1)), axis=1)
     x = jnp.where(anywhere <= run.ceiling, x, jnp.maximum(x, anywhere))

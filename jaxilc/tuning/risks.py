@@ -1,4 +1,4 @@
-"""One number of the losses of many plants: what a robust tuning minimises."""
+"""One number of the losses of many machines: what a robust tuning minimises."""
 
 from __future__ import annotations
 
@@ -14,9 +14,7 @@ from ..pytree.ranges import require
 
 @dataclasses.dataclass(frozen=True)
 class Risk:
-    """rho(losses) of (S,) losses; `weights` are its derivatives by them. They are >= 0 and sum to
-    1.
-    """
+    """rho(losses) of (S,) losses. Its derivatives by them, `weights`, are >= 0 and sum to 1."""
 
     def __call__(self, losses) -> jax.Array:
         raise NotImplementedError
@@ -36,9 +34,10 @@ class Mean(Risk):
 
 @dataclasses.dataclass(frozen=True)
 class CVaR(Risk):
-    """Conditional value at risk: the mean of the worst share 1 - alpha (Rockafellar and Uryasev
-    2000); the last loss in it counts in part.
+    """Conditional value at risk: the mean of the worst share 1 - alpha of the losses.
 
+    Rockafellar and Uryasev 2000. Where the share is not a whole number of losses, the last one
+    counts in part.
     alpha: in [0, 1); 0 is the mean
     """
 
@@ -49,7 +48,7 @@ class CVaR(Risk):
 
     def __call__(self, losses):
         size = (1.0 - self.alpha) * losses.shape[0]
-        size = max(size, 1.0)  # fewer than one plant: the worst of them
+        size = max(size, 1.0)  # fewer than one machine: the worst of them
         # by places: sorted losses have a scatter as their derivative, of which XLA's partitioner
         # dies where they lie on many devices
         place = jnp.argsort(jnp.argsort(-lax.stop_gradient(losses)))
@@ -67,7 +66,7 @@ class Worst(Risk):
 
 @dataclasses.dataclass(frozen=True)
 class SmoothMax(Risk):
-    """T log(mean exp(losses / T)): the mean for T towards infinity, the largest for T towards 0.
+    """T log(mean exp(losses / T)): for T towards infinity the mean, for T towards 0 the largest.
 
     temperature: T > 0 [unit of the loss]
     """

@@ -1,7 +1,7 @@
-"""The folder of a descent: its configuration, its newest state, and the one before to fall back on.
+"""The folder of a descent: its configuration, its newest state, and the state before.
 
-All three have checksums. A state holds the configuration as well, so that no single damaged file
-loses a tuning: it goes on from what is whole, and ends with the same numbers, bit for bit.
+All three have checksums. A state has the configuration as well, so that a tuning survives damage to
+any single file: it goes on from what is whole, and ends with the same numbers, bit for bit.
 """
 
 from __future__ import annotations

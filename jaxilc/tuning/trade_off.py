@@ -1,6 +1,4 @@
-"""Design under a budget: what two objectives cost each other, and what can be had in how many
-trials.
-"""
+"""Design under a budget: a front of two objectives, and the best error for a number of trials."""
 
 from __future__ import annotations
 
@@ -18,14 +16,15 @@ from .objectives import Objective
 from .problem import Tuned, Tuning
 
 SHARES = (0.1, 0.3, 0.5, 0.7, 0.9)
-Progress = Callable[
-    [str, int, np.ndarray, float], None
-]  # name of the tuning, then what `Tuning.run` tells
+# the name of the tuning, then what `Tuning.run` hands to its `progress`
+Progress = Callable[[str, int, np.ndarray, float], None]
 
 
 class Point(NamedTuple):
-    """One point of a trade-off: share of the first objective, both objectives on held-out plants
-    under the risk, and how it was had.
+    """One point of a trade-off.
+
+    share: of the first objective;  tuned: what its tuning found
+    first, second: the risk of either objective over the held-out machines
     """
 
     share: float
@@ -44,20 +43,20 @@ def pareto(
     resume: bool = False,
     progress: Progress | None = None,
 ) -> tuple[Point, ...]:
-    """Tunings of a weighted sum, by rising first objective, without those that another one beats in
-    both.
+    """The points of a trade-off between two objectives, by rising first objective.
 
         minimise  share first / |first_0| + (1 - share) second / |second_0|
 
-    first_0, second_0: on the held-out plants with the weights as given, so that a share of 1/2
-    weighs a gain of 1 % in either alike; an objective that is zero or not finite there is not
-    divided. Each tuning starts from the weights as given. A weighted sum finds the convex part of
-    the front only (Das and Dennis 1997), and evenly spaced shares need not give evenly spaced
+    A point that is worse than another one in both objectives is left out.
+    first_0, second_0: on the held-out machines with the weights as given, so that a share of 1/2
+    weighs a gain of 1 % in either objective alike. An objective that is zero or not finite there is
+    not divided. Each tuning starts from the weights as given. A weighted sum finds only the convex
+    part of the front (Das and Dennis 1997), and evenly spaced shares need not give evenly spaced
     points.
-    shares: in [0, 1], each once;  out: a folder with the state of each tuning in a folder of its
-    own, None for memory only
-    resume: go on with those at `out`, where shares may be added;  progress: called after each step
-    of each tuning
+    shares: in [0, 1], each once
+    out: a folder that has a folder with the state of each tuning, None to keep them in the RAM only
+    resume: go on with the states at `out`, where shares may be added
+    progress: called after each step of each tuning
     Raises ValueError naming shares that are not allowed, and what `Tuning.run` raises.
     """
     if not shares or len(set(shares)) < len(shares) or not all(0 <= share <= 1 for share in shares):
@@ -96,9 +95,9 @@ def by_trials(
     resume: bool = False,
     progress: Progress | None = None,
 ) -> dict[int, Tuned]:
-    """The problem tuned anew for each number of trials: what can be had by then. Each tuning starts
-    from the weights as given.
+    """The problem tuned anew for each number of trials, to see what error can be reached by then.
 
+    Each tuning starts from the weights as given.
     budgets: numbers of trials, each once;  out, resume, progress: as for `pareto`
     Raises ValueError naming budgets that are not allowed or too short for the objective, and what
     `Tuning.run` raises.
@@ -115,8 +114,9 @@ def by_trials(
 def held_out_losses(
     problem: Tuning, *objectives: Objective
 ) -> Callable[[Mapping[str, float]], np.ndarray]:
-    """A compiled function of the weights by name: the risk of each objective over the held-out
-    plants.
+    """A compiled function of the weights by name.
+
+    It gives the risk of each objective over the held-out machines.
     """
     losses = jax.jit(
         lambda values: jnp.stack(

@@ -1,7 +1,7 @@
-"""The weights that are tuned, and what tuning found for them: float leaves of a scheme, or elements
-of them.
+"""The weights that are tuned, and what tuning found for them.
 
-Each has an open range, and a place z on the real line, where an optimiser may move it.
+A weight is a float leaf of a scheme, or an element of one. It has an open range, and a place z on
+the real line, where an optimiser may move it.
 """
 
 from __future__ import annotations
@@ -19,9 +19,10 @@ from ..learning.over_trials import check
 from ..pytree.named_paths import get_at, interval_at, named_leaves, replaced
 from ..schemes import Scheme
 from ..signals.task import Task
-from .descent import Bijection, State
+from .bijection import Bijection
+from .descent import State
 
-FAR = 12.0  # on the real line: where a weight might go, e^12 or 6e-6 from an end
+FAR = 12.0  # how far a weight might go on the real line: to e^12, or 6e-6 from an end of its range
 
 Asked = (
     Mapping[str, tuple[float, float] | None] | Sequence[str]
@@ -30,8 +31,10 @@ Asked = (
 
 @dataclasses.dataclass(frozen=True)
 class Weights:
-    """P weights by name. bijections: z, on the real line, to the weight;  start: values in the
-    scheme, ends of a range among them
+    """P weights by name.
+
+    bijections: map z on the real line to the weight
+    start: values in the scheme, which may be ends of a range
     """
 
     bijections: dict[str, Bijection]
@@ -39,8 +42,11 @@ class Weights:
 
     @classmethod
     def of(cls, scheme: Scheme, asked: Asked) -> Weights:
-        """Raises ValueError, naming a weight that does not exist, is absent or static, bounds that
-        are empty or not allowed, a start outside them."""
+        """The weights of a scheme that are asked for.
+
+        Raises ValueError, naming a weight that does not exist, is absent or static, bounds that are
+        empty or not allowed, and a start outside them.
+        """
         asked = asked if isinstance(asked, Mapping) else dict.fromkeys(asked)
         if not asked:
             raise ValueError("Tuning: weights is empty; at least one is needed")
@@ -74,8 +80,8 @@ class Weights:
         return z.astype(jnp.result_type(float))
 
     def need_room(self, machine: Machine, scheme: Scheme, task: Task) -> None:
-        """Raises ValueError if the scheme refuses what the bounds of a weight allow, a filter a
-        cutoff beyond Nyquist.
+        """Raises ValueError if the scheme refuses what the bounds of a weight allow, such as a
+        cutoff of a filter beyond the Nyquist frequency.
         """
         for name, bijection in self.bijections.items():
             for z in (-FAR, FAR):
@@ -84,7 +90,8 @@ class Weights:
                     check(machine, replaced(scheme, {name: value}), task)
                 except ValueError as error:
                     raise ValueError(
-                        f"weights: within its bounds {name} may become {value:g}; {error}. Give narrower bounds"
+                        f"weights: within its bounds {name} may become {value:g}; {error}. "
+                        "Give narrower bounds"
                     ) from None
 
 
@@ -92,14 +99,14 @@ class Weights:
 class Tuned:
     """What tuning found.
 
-    values: by name, of the iterate with the best held-out loss;  scheme: with them;  start: by
-    name, as given
-    loss, slope, dropped: (steps, K) training loss, length of its gradient, plants without a finite
-    one, of each step and start
-    weights: by name, (steps, K) the values they belong to;  held_out: (steps + 1, K) held-out loss
-    where it was looked at, else NaN
+    values: by name, of the iterate with the least held-out loss;  scheme: with these values
+    start: by name, as given
+    loss, slope, dropped: (steps, K) of each step and start: training loss, length of its gradient,
+    how many machines had no finite gradient
+    weights: (steps, K) by name, the values that these belong to
+    held_out: (steps + 1, K) held-out loss, NaN where it was not computed
     before, after: held-out loss with `start` and with `values`;  step: of the best iterate
-    nudged: values of `start` that lay on an end of their range, and where they were moved to;
+    nudged: by name, where weights were moved to that lay on an end of their range
     reason: why it stopped
     """
 
@@ -175,7 +182,8 @@ def _elements(
         )
     if not np.all((low <= np.asarray(value)) & (np.asarray(value) <= high)):
         raise ValueError(
-            f"weights: the start {name} = {np.asarray(value)} is outside its bounds ({low:g}, {high:g})"
+            f"weights: the start {name} = {np.asarray(value)} is outside its bounds "
+            f"({low:g}, {high:g})"
         )
     return {
         name + "".join(f"[{i}]" for i in index): (low, high)

@@ -1,13 +1,10 @@
-"""The worst plant of an uncertain set, found by climbing the gradient of a loss, and by chance for
-comparison.
+"""The worst machine of an uncertain set, by gradient ascent on a loss, and by random draws.
 
-    maximise over t in [0, 1]^n:   loss( subject with each named leaf at its place t between the
-    ends of its distribution )
+    maximise over t in [0, 1]^n:   loss(subject with each named leaf at the place t of its range)
 
 The set is the box between the `corners` of the distributions: the ends of a uniform one, two
-standard deviations of a normal one.
-The subject may be any pytree: a machine, or a dictionary of a machine and a phase, an initial
-state, a reference.
+standard deviations of a normal one to either side of its mean. The subject may be any pytree: a
+machine, or a dictionary of a machine and a phase, an initial state, or a reference.
 """
 
 from __future__ import annotations
@@ -18,22 +15,24 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.stats import qmc
 
 from ..pytree.ranges import SEEDS, require
 from ..runtime.capacity import check_program, check_size
 from ..runtime.tiles import tiled
 from ..uncertainty import LogUniform, Uncertainty, check, drawn_machine
 
-GRADIENT_COST = 3  # evaluations that a gradient costs on top of the loss
-COPIES = 8  # of the places of all climbs, and of all draws, and of what was found there
-GROW, SHRINK, FIRST, SMALLEST = 1.5, 0.4, 0.1, 1e-6  # Riedmiller 1993, with a little more haste
+GRADIENT_COST = 3  # evaluations of the loss that take as long as a gradient besides its loss
+COPIES = 8  # in the RAM of the places of all climbs or draws, and of the losses there
+GROW, SHRINK, FIRST, SMALLEST = 1.5, 0.4, 0.1, 1e-6  # Riedmiller 1993 has 1.2 and 0.5
 
 
 class WorstCase(NamedTuple):
-    """values: by name, as `drawn_machine` takes them;  subject: rebuilt from them;  loss: there
-    evaluations: of the loss that the search was worth, a gradient counted as GRADIENT_COST
-    found: (starts,) the largest loss from each start;  best: (steps,) the largest loss so far"""
+    """The largest loss that a search found.
+
+    values: by name, as `drawn_machine` takes them;  subject: rebuilt from them;  loss: there
+    evaluations: of the loss, where a gradient counts as GRADIENT_COST further ones
+    found: (starts,) the largest loss from each start;  best: (steps,) the largest loss so far
+    """
 
     values: dict[str, float]
     subject: Any
@@ -55,17 +54,21 @@ def worst_case_search(
 ) -> WorstCase:
     """Projected ascent on the loss from scattered starts, the centre of the box first, in tiles.
 
-        t <- clip(t + step * sign(dloss/dt), 0, 1),    each coordinate's step * 1.5 while its slope
-        keeps its sign, * 0.4 when it turns
+        t <- clip(t + step sign(d loss / d t), 0, 1)
 
-    loss: pure, of a subject to a number; `objectives.judge` makes one that diverging plants keep
-    finite Only signs of slopes are used (Rprop, Riedmiller 1993), so the loss may be of any size. A
-    coordinate whose slope is not finite stays where it is; a climb whose loss is not finite returns
-    to its best place with smaller steps. What is found is a local maximum in the box, no proof of
-    more.
+    The step of a coordinate grows by 1.5 while its slope keeps its sign, and shrinks by 0.4 when
+    the sign changes. Only signs of slopes are used (Rprop, Riedmiller 1993), so the loss may be of
+    any size. A coordinate whose slope is not finite stays where it is; a climb whose loss is not
+    finite returns to its best place with smaller steps. What is found is a local maximum in the
+    box; there may be a larger one.
+    loss: pure, of a subject to a number; that of `objectives.judge` stays finite where a machine
+    diverges
+    lanes: subjects vectorised together, None for what suits this backend
     Raises ValueError for an uncertainty that is empty or does not fit the subject, or where no loss
     is finite.
     """
+    from scipy.stats import qmc  # imported here, since it takes long
+
     for name, value in (("starts", starts), ("steps", steps), ("lanes", lanes)):
         if value is not None:
             require("worst_case_search", name, value, "[1, inf)", whole=True)
@@ -120,8 +123,9 @@ def monte_carlo_search(
     seed: int = 0,
     lanes: int | None = None,
 ) -> WorstCase:
-    """The largest of so many losses drawn at random, evenly from the same box. Raises as
-    `worst_case_search` does.
+    """The largest of so many losses, drawn at random and evenly from the same box.
+
+    Raises as `worst_case_search` does.
     """
     require("monte_carlo_search", "evaluations", evaluations, "[1, inf)", whole=True)
     require("monte_carlo_search", "seed", seed, SEEDS, whole=True)
@@ -140,12 +144,12 @@ def monte_carlo_search(
 
 
 def bytes_of_a_draw(uncertainty: Uncertainty) -> float:
-    """What one evaluation of `monte_carlo_search` takes, besides the learning itself."""
+    """Bytes that one evaluation of `monte_carlo_search` takes besides the learning itself."""
     return 8 * COPIES * (len(uncertainty) + 1)
 
 
 class _Box:
-    """The set, in coordinates from 0 to 1."""
+    """The set of subjects, in coordinates t from 0 to 1."""
 
     def __init__(self, subject, uncertainty: Uncertainty):
         if not uncertainty:
@@ -153,9 +157,8 @@ class _Box:
         check(subject, uncertainty)
         self.subject, self.uncertainty, self.n = subject, uncertainty, len(uncertainty)
         for end in (0.0, 1.0):
-            drawn_machine(
-                subject, uncertainty, self.values(np.full(self.n, end))
-            )  # refuses what a leaf does not allow
+            # raises where a leaf does not allow the value
+            drawn_machine(subject, uncertainty, self.values(np.full(self.n, end)))
 
     def values(self, t) -> dict[str, Any]:
         """The numbers at t (n,); those of a log-uniform distribution go by their logarithm."""
@@ -163,9 +166,10 @@ class _Box:
         for i, (name, distribution) in enumerate(self.uncertainty.items()):
             low, high = distribution.corners()
             log = isinstance(distribution, LogUniform)
+            # exact at both ends
             values[name] = (
                 low ** (1 - t[i]) * high ** t[i] if log else (1 - t[i]) * low + t[i] * high
-            )  # exact at both ends
+            )
         return values
 
     def worst(self, t, losses, evaluations: int, best) -> WorstCase:

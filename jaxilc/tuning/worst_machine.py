@@ -14,9 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..learning.divergence import peak
+from ..learning.known_metrics import bytes_of_metrics
 from ..learning.machine import Machine
 from ..learning.metrics import Keep
-from ..learning.over_trials import bytes_of_figures, learn
+from ..learning.over_trials import learn
 from ..runtime.capacity import check_size
 from ..schemes import Scheme
 from ..signals.task import Task, Trial
@@ -147,7 +148,7 @@ def _need_room(
     draws: int | None,
 ) -> None:
     """Raises ValueError where the climb or a search by chance does not fit into memory."""
-    of_trial, each = bytes_of_figures(task), bytes_of_a_draw(uncertainty)
+    of_trial, each = bytes_of_metrics(task), bytes_of_a_draw(uncertainty)
     check_size(
         "worst-case",
         lambda trial, starts: 4 * of_trial * trial * starts,

@@ -218,7 +218,7 @@ def test_sweep_prints_the_yield_and_resumes(jaxilc_command, tmp_path):
         ),
         (
             ("sweep", "cao-2019", "--machines", "0"),
-            "samples = 0 is outside its allowed range [1, inf)",
+            "machines = 0 is outside its allowed range [1, inf)",
         ),
         (("sweep", "cao-2019", "--spread", "2"), "spread = 2 is outside its allowed range (0, 1)"),
         (

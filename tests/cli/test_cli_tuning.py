@@ -129,7 +129,7 @@ def test_tune_gives_the_numbers_of_the_library(tuned, scenario):
         with_spread(s.uncertainty, 0.2),
         Final() + 0.3 * Growth("max_error"),
         CVaR(0.5),
-        samples=3,
+        machines=3,
         held_out=2,
         steps=3,
     )
@@ -139,7 +139,7 @@ def test_tune_gives_the_numbers_of_the_library(tuned, scenario):
     assert (
         numbers["held_out"]["tuned"] == found.after < found.before == numbers["held_out"]["given"]
     )
-    dataset = problem.compare(found, samples=4)
+    dataset = problem.compare(found, machines=4)
     for figure in ("settled_error", "max_error"):
         for which in ("given", "tuned"):
             row, errors = (
@@ -338,7 +338,7 @@ def test_budgets_of_trials_are_judged_at_their_own_trial(scenario, tmp_path):
 def problem_of_pareto(scenario, trials):
     s = scenario.with_values({"cfdl-mfailc.lead": 2})
     uncertainty = with_spread(s.uncertainty, 0.2)
-    options = {"samples": 3, "held_out": 2, "steps": 2}
+    options = {"machines": 3, "held_out": 2, "steps": 2}
     return Tuning(
         s.machine,
         s.schemes["cfdl-mfailc"],
@@ -473,7 +473,7 @@ def test_risks_are_what_they_say():
         (
             "tune",
             ("--weights", "lam", "--objective", "final@speed"),
-            "figure = 'speed' is not one of max_error, rms, settled_error",
+            "metric = 'speed' is not one of max_error, rms, settled_error",
         ),
         (
             "tune",

@@ -115,7 +115,7 @@ def test_trials_that_go_on_keep_their_numbers():
     grown = learn(MACHINE, PIDType(gamma_p=2.7), TASK, 3, memory=before.memory, first=4)
     assert int(grown.grown_from) == 5
     problem = Tuning(
-        MACHINE, GROWING, TASK, 8, {"gamma_p": (1.0, 9.0)}, truncate=2, held_out=0, samples=1
+        MACHINE, GROWING, TASK, 8, {"gamma_p": (1.0, 9.0)}, truncate=2, held_out=0, machines=1
     )
     assert problem.ceiling == divergence.CEILING
 
@@ -132,7 +132,7 @@ def swept():
         TASK,
         TRIALS,
         {"plant.B": Uniform(0.2, 2.0, relative=True)},
-        samples=40,
+        machines=40,
         seed=3,
     )
     return plan, plan.run()
@@ -145,7 +145,7 @@ def test_a_sweep_counts_what_diverged_though_it_stayed_finite(swept):
     assert bool(dataset["finite"].all())
     np.testing.assert_array_equal(dataset["diverged_at"].sel(scheme="growing") > 0, lost)
     np.testing.assert_array_equal(dataset["diverged"].sel(scheme="growing").values[:, -1], lost)
-    steady, growing = summarise(dataset, 0.1, figure="rms")
+    steady, growing = summarise(dataset, 0.1, metric="rms")
     assert (steady.diverged, steady.diverged_at, steady.semi_converged, steady.grown_from) == (
         0,
         0,
@@ -170,9 +170,7 @@ def test_tables_and_figures_say_so(swept):
         published=(),
         judged_by="rms",
     )
-    figures_ = sweep_numbers(
-        scenario, summarise(dataset, 0.1, figure="rms"), 0.1, plan.samples
-    )
+    figures_ = sweep_numbers(scenario, summarise(dataset, 0.1, metric="rms"), 0.1, plan.machines)
     cells = {
         str(column.header): list(column.cells) for column in tables.yield_table(figures_).columns
     }
@@ -234,12 +232,12 @@ def test_a_dataset_of_before_has_its_finite_flags():
     dataset = xr.Dataset(
         {"rms": (dims, errors), "finite": (dims, np.isfinite(errors))}, {"scheme": ["s"]}
     )
-    assert summarise(dataset, 3.0, figure="rms")[0].diverged == 0.5
+    assert summarise(dataset, 3.0, metric="rms")[0].diverged == 0.5
 
 
 def test_the_names_are_taken():
     for name in divergence.Course._fields:
         with pytest.raises(
-            ValueError, match=f"quantity = '{name}' is a figure that every trial has"
+            ValueError, match=f"quantity = '{name}' is a metric that every trial has"
         ):
             Keep.of({name: lambda trial: trial.y})

@@ -109,7 +109,7 @@ def test_the_loss_of_a_robust_tuning_has_the_slope_of_its_differences(name):
         {"plant.b": Uniform(0.8, 1.2, relative=True)},
         objective,
         risk,
-        samples=5,
+        machines=5,
         optimiser=optax.sgd(1.0),
         mode=mode,
         clip=np.inf,

@@ -102,7 +102,7 @@ def test_the_filter_of_the_error_is_checked():
 def test_best_trial_and_quantities():
     rms = np.array([[3.0, 1.0], [2.0, 2.5], [2.0, 1.0], [np.nan, 0.1], [2.5, 0.0]])
     np.testing.assert_array_equal(best_trial(rms), [1, 2, 3, 3, 3])
-    with pytest.raises(ValueError, match="quantity = 'rms' is a figure that every trial has"):
+    with pytest.raises(ValueError, match="quantity = 'rms' is a metric that every trial has"):
         Keep.of({"rms": measure})
 
 

@@ -22,7 +22,7 @@ PLAN = Sweep(
     TASK,
     trials=3,
     uncertainty={"plant.b": Uniform(0.9, 1.1, relative=True)},
-    samples=64,
+    machines=64,
     keep=("e", "u"),
     chunk=64,
     lanes=2,
@@ -67,7 +67,7 @@ def test_a_chunk_that_does_not_fit_is_refused_with_one_that_does(monkeypatch, tm
 
 def test_where_no_chunk_fits_it_says_so(monkeypatch, tmp_path):
     with_memory(monkeypatch, PLAN.bytes_stored() + 10_000)
-    with pytest.raises(ValueError, match=f"{2 * TILE} samples at a time need .* already"):
+    with pytest.raises(ValueError, match=f"{2 * TILE} machines at a time need .* already"):
         PLAN.run(tmp_path / "store.zarr")
 
 
@@ -75,15 +75,15 @@ def test_a_dataset_that_does_not_fit_is_refused(monkeypatch, tmp_path):
     with_memory(monkeypatch, int(1.5 * PLAN.bytes_stored()))
     with pytest.raises(
         ValueError,
-        match=r"Sweep: samples = 64 and trials = 3 take .* of memory, where .* would fit",
+        match=r"Sweep: machines = 64 and trials = 3 take .* of memory, where .* would fit",
     ) as refusal:
         PLAN.run()  # in memory it is there twice
-    samples = int(re.search(r"samples = (\d+) would fit", str(refusal.value))[1])
-    dataclasses.replace(PLAN, samples=samples).need_room(copies=2)
+    machines = int(re.search(r"machines = (\d+) would fit", str(refusal.value))[1])
+    dataclasses.replace(PLAN, machines=machines).need_room(copies=2)
     with pytest.raises(ValueError, match="would fit"):  # and it is the largest
-        dataclasses.replace(PLAN, samples=samples + 1).need_room(copies=2)
+        dataclasses.replace(PLAN, machines=machines + 1).need_room(copies=2)
     with_memory(monkeypatch, PLAN.bytes_stored() - 1)
-    with pytest.raises(ValueError, match="samples = 64 and trials = 3 take"):
+    with pytest.raises(ValueError, match="machines = 64 and trials = 3 take"):
         PLAN.run(tmp_path / "store.zarr")
 
 

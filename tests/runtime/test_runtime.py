@@ -22,7 +22,10 @@ def python(program, **environment):
 
 
 def test_setup_takes_cores_precision_and_whole_loops_and_leaves_flags_alone():
-    program = "import jaxilc, jax, os; jaxilc.setup(devices=3); print(jax.device_count(), jax.config.jax_enable_x64, os.environ['XLA_FLAGS'])"
+    program = (
+        "import jaxilc, jax, os; jaxilc.setup(devices=3); "
+        "print(jax.device_count(), jax.config.jax_enable_x64, os.environ['XLA_FLAGS'])"
+    )
     count, double, flags = python(program).stdout.split(maxsplit=2)
     assert (count, double) == ("3", "True")
     assert "xla_cpu_small_while_loop_byte_threshold" in flags
@@ -31,14 +34,20 @@ def test_setup_takes_cores_precision_and_whole_loops_and_leaves_flags_alone():
 
 
 def test_options_that_an_accelerator_would_read_are_left_out_where_there_is_one():
-    program = "import jaxilc.runtime as r, os; r.entry_points = lambda group: [group]; r.setup(); print(os.environ['XLA_FLAGS'])"
+    program = (
+        "import jaxilc.runtime.start as r, os; r.entry_points = lambda group: [group]; "
+        "r.setup(); print(os.environ['XLA_FLAGS'])"
+    )
     assert "unroll" not in python(program).stdout
     assert "unroll" in python(program, JAX_PLATFORMS="cpu").stdout
     assert "unroll" in python(program.replace("[group]", "[]")).stdout
 
 
 def test_wide_registers_are_asked_for_where_the_option_is_known_and_nobody_else_did():
-    program = "import jaxilc.runtime as r, os; {} r.setup(); print(os.environ['XLA_FLAGS'], r.jax.numpy.ones(2) + 1)"
+    program = (
+        "import jaxilc.runtime.start as r, os; {} r.setup(); "
+        "print(os.environ['XLA_FLAGS'], r.jax.numpy.ones(2) + 1)"
+    )
     cpu = {"JAX_PLATFORMS": "cpu"}
     assert "prefer_vector_width=512" in python(program.format(""), **cpu).stdout
     assert (
@@ -50,7 +59,10 @@ def test_wide_registers_are_asked_for_where_the_option_is_known_and_nobody_else_
 
 
 def test_importing_flips_nothing():
-    program = "import jaxilc, jax, os; jaxilc.scenarios.load('cao-2019'); print(jax.config.jax_enable_x64, 'XLA_FLAGS' in os.environ)"
+    program = (
+        "import jaxilc, jax, os; jaxilc.scenarios.load('cao-2019'); "
+        "print(jax.config.jax_enable_x64, 'XLA_FLAGS' in os.environ)"
+    )
     assert python(program).stdout.split() == ["False", "False"]
 
 
@@ -60,7 +72,10 @@ def test_setup_too_late_says_so():
 
 
 def test_setup_too_late_for_loops_says_so_even_where_the_devices_are_given():
-    program = "import jax; jax.numpy.ones(1) + 1; import jaxilc; jaxilc.setup(); print(jax.device_count())"
+    program = (
+        "import jax; jax.numpy.ones(1) + 1; import jaxilc; jaxilc.setup(); "
+        "print(jax.device_count())"
+    )
     given = "--xla_force_host_platform_device_count=2"
     found = python(program, XLA_FLAGS=given)
     assert found.stdout.split() == ["2"]
@@ -71,9 +86,12 @@ def test_setup_too_late_for_loops_says_so_even_where_the_devices_are_given():
 
 KEPT = """
 import jaxilc, jax; jaxilc.setup()
-from jaxilc.runtime import keep_programs
+from jaxilc.runtime.start import keep_programs
 hits = []
-jax.monitoring.register_event_listener(lambda name, **_: hits.append(name) if name.endswith("cache_hits") else None)
+def listen(name, **_):
+    if name.endswith("cache_hits"):
+        hits.append(name)
+jax.monitoring.register_event_listener(listen)
 folder = keep_programs()
 print(folder, len(hits), end=" ")
 print(float(jax.jit(lambda x: x @ x + 1.0)(jax.numpy.ones(3))), len(hits) > 0)
@@ -124,5 +142,5 @@ def test_bad_input_is_named(kwargs, message):
 def test_every_public_name_is_there():
     for name in jaxilc.__all__:
         assert getattr(jaxilc, name) is not None
-    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+    with pytest.raises(AttributeError, match="No jaxilc attribute nothing"):
         jaxilc.nothing

@@ -46,20 +46,20 @@ def of_sweep(**options):
 REFUSED = {
     "learn": (lambda: learn(MACHINE, SCHEME, TASK, 10**18), "trials"),
     "run": (lambda: run_schemes(MACHINE, {"a": SCHEME}, TASK, 10**9), "trials"),
-    "sweep of samples": (of_sweep(samples=10**9), "samples"),
+    "sweep of machines": (of_sweep(machines=10**9), "machines"),
     "sweep of trials": (of_sweep(trials=HUGE), "trials"),
-    "sweep without a draw": (of_sweep(samples=10**18, uncertainty={}), "samples"),
-    "tuning on samples": (of_problem(samples=10**9), "samples"),
+    "sweep without a draw": (of_sweep(machines=10**18, uncertainty={}), "machines"),
+    "tuning on machines": (of_problem(machines=10**9), "machines"),
     "tuning held out": (of_problem(held_out=10**9), "held_out"),
     "tuning from starts": (of_problem(starts=10**9), "starts"),
     "tuning of steps": (of_problem(steps=HUGE), "steps"),
     "tuning of trials": (of_problem(trials=HUGE), "trials"),
-    "comparison of samples": (lambda: PROBLEM.comparison(samples=10**9), "samples"),
+    "comparison of machines": (lambda: PROBLEM.comparison(machines=10**9), "machines"),
     "comparison of trials": (lambda: PROBLEM.comparison(trials=HUGE), "trials"),
     "budgets": (lambda: by_trials(PROBLEM, (2, HUGE)), "trials"),
-    "monte-carlo": (lambda: draw(STATIC, GAINS, 10**9), "samples"),
-    "sobol": (lambda: draw(STATIC, GAINS, 10**9, sampling="sobol"), "samples"),
-    "latin-hypercube": (lambda: draw(STATIC, GAINS, 10**9, sampling="latin-hypercube"), "samples"),
+    "monte-carlo": (lambda: draw(STATIC, GAINS, 10**9), "machines"),
+    "sobol": (lambda: draw(STATIC, GAINS, 10**9, sampling="sobol"), "machines"),
+    "latin-hypercube": (lambda: draw(STATIC, GAINS, 10**9, sampling="latin-hypercube"), "machines"),
     "certify": (lambda: certify(MACHINE, SCHEME, TASK, HUGE, {}, {}), "trials"),
     "premises": (lambda: premises(MACHINE, SCHEME, TASK, 10**7, {}, {}), "trials"),
     "climbs from starts": (lambda: worst_case_search(None, STATIC, GAINS, starts=10**9), "starts"),
@@ -125,10 +125,10 @@ def test_more_parameters_than_a_record_tells_are_refused_before_they_are_made():
 
 def test_a_program_that_does_not_fit_is_refused_before_it_runs(monkeypatch, tmp_path):
     monkeypatch.setattr(capacity, "host_bytes", lambda: 2000)
-    problem = dataclasses.replace(PROBLEM, uncertainty={}, samples=1, held_out=0, steps=1)
+    problem = dataclasses.replace(PROBLEM, uncertainty={}, machines=1, held_out=0, steps=1)
     with pytest.raises(
         ValueError,
-        match=r"a step of all starts takes .* of memory, where 2 kB are available; take fewer trials",
+        match=r"a step of all starts takes .* of memory, where 2 kB are available; take fewer",
     ):
         problem.run(tmp_path / "state")
     assert not (tmp_path / "state").exists()
@@ -228,7 +228,11 @@ resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
 assert capacity.host_bytes() <= 10**9
 start.setup = lambda **_: None
 said = []
-entry.err = type("Said", (), {"print": lambda self, text, **_: said.append(text), "is_terminal": False})()
+class Said:
+    is_terminal = False
+    def print(self, text, **_):
+        said.append(text)
+entry.err = Said()
 for command in sys.stdin.read().split("\\n"):
     sys.argv, start = ["jaxilc", *command.split()], time.perf_counter()
     code = 0
@@ -236,7 +240,8 @@ for command in sys.stdin.read().split("\\n"):
         entry.main()
     except SystemExit as stop:
         code = stop.code
-    print(json.dumps([command, code, said.pop() if said else "", time.perf_counter() - start]), file=sys.stderr, flush=True)
+    found = [command, code, said.pop() if said else "", time.perf_counter() - start]
+    print(json.dumps(found), file=sys.stderr, flush=True)
 """
 
 

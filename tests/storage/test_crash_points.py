@@ -27,7 +27,7 @@ def nothing_left_over(folder):
 
 @pytest.fixture
 def without_waiting(monkeypatch):
-    """Nothing waits for the disk: a kill loses nothing that was written, only a power failure does."""
+    """Nothing waits for the disk: only a power failure, and no kill, loses what was written."""
     monkeypatch.setattr(files.os, "fsync", lambda _: None)
 
 
@@ -49,7 +49,7 @@ def test_a_store_is_filled_from_every_state_of_its_folder(tmp_path, without_wait
 
 def test_a_sweep_resumes_from_states_of_its_folder(tmp_path, without_waiting, monkeypatch):
     small = dataclasses.replace(
-        PLAN, schemes={"feedback": PLAN.schemes["feedback"]}, samples=5, chunk=3, keep=(), trials=2
+        PLAN, schemes={"feedback": PLAN.schemes["feedback"]}, machines=5, chunk=3, keep=(), trials=2
     )
     host = small.host()
     monkeypatch.setattr(Sweep, "host", lambda self: host)  # compiled once

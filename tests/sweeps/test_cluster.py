@@ -24,12 +24,12 @@ import jaxilc
 from jaxilc import cli
 from jaxilc.runtime import capacity
 from jaxilc.schemes import PID
-from jaxilc.sweeps import cluster
+from jaxilc.sweeps import cluster, worker
 from jaxilc.sweeps.store import Store
 
 distributed = pytest.importorskip("distributed")
 
-PLAN = dataclasses.replace(sweep_case.PLAN, samples=31)
+PLAN = dataclasses.replace(sweep_case.PLAN, machines=31)
 CHUNKS = [(scheme, chunk) for scheme in range(2) for chunk in range(8)]
 
 
@@ -174,7 +174,8 @@ def test_a_chunk_that_fails_for_good_is_named_and_the_others_stay(tmp_path, clie
     )
     with pytest.raises(
         cluster.ChunkFailed,
-        match=r"(?s)scheme 'feedback', chunk \d \(samples \d+ to \d+\) failed.*the bearing has seized",
+        match=r"(?s)scheme 'feedback', chunk \d \(machines \d+ to \d+\) failed.*the bearing has "
+        r"seized",
     ):
         plan.run(store, cluster=client, progress=lambda *call: there.touch())
     there.unlink()
@@ -224,14 +225,16 @@ def test_a_worker_that_would_round_differently_is_refused(tmp_path, client, writ
 
         with pytest.raises(
             ValueError,
-            match=rf"the worker tcp://\S+ is not like.*devices: {devices + 1} there, {devices} here",
+            match=rf"the worker tcp://\S+ is not like.*devices: {devices + 1} there, "
+            rf"{devices} here",
         ):
             PLAN.run(late, cluster=client, progress=join)
         assert written
         written.clear()
         with pytest.raises(
             ValueError,
-            match=rf"the worker tcp://\S+ is not like tcp.*: devices: {devices + 1} there, {devices} here",
+            match=rf"the worker tcp://\S+ is not like tcp.*: devices: {devices + 1} there, "
+            rf"{devices} here",
         ):
             PLAN.run(early, cluster=client)
     assert not written
@@ -268,7 +271,7 @@ def test_a_chunk_too_large_for_one_of_the_workers_is_refused(tmp_path, client):
     ],
 )
 def test_room_of_a_worker(found, room):
-    assert cluster.Found({}, socket.gethostname(), *found).room(200, 2) == room
+    assert worker.Found({}, socket.gethostname(), *found).room(200, 2) == room
 
 
 def test_classes_that_workers_cannot_import_are_named():

@@ -45,7 +45,7 @@ def test_a_flipped_bit_in_a_store_is_refused_or_computed_again(tmp_path):
 def swept(tmp_path_factory):
     """A small sweep, its finished store and its dataset; its chunks are compiled once."""
     plan = dataclasses.replace(
-        PLAN, schemes={"feedback": PLAN.schemes["feedback"]}, samples=5, chunk=3, keep=(), trials=2
+        PLAN, schemes={"feedback": PLAN.schemes["feedback"]}, machines=5, chunk=3, keep=(), trials=2
     )
     host, store = plan.host(), tmp_path_factory.mktemp("swept") / "store.zarr"
     with pytest.MonkeyPatch.context() as patched:

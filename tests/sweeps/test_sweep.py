@@ -87,6 +87,41 @@ def test_a_store_of_another_configuration_is_refused(tmp_path):
         PLAN.run(tmp_path / "empty", resume=True)
 
 
+def earlier_names(configuration):
+    """A configuration as it was written when machines were called samples."""
+    return {"samples" if name == "machines" else name: of for name, of in configuration.items()}
+
+
+def test_a_store_under_earlier_names_is_resumed_and_opened(tmp_path, dataset, monkeypatch):
+    configuration, store = Sweep.configuration, tmp_path / "store.zarr"
+
+    def stop_after_second_chunk(name, done, fresh):
+        if done >= 8:
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Sweep, "configuration", lambda *a: earlier_names(configuration(*a)))
+        with pytest.raises(KeyboardInterrupt):
+            PLAN.run(store, progress=stop_after_second_chunk)
+    with pytest.raises(ValueError, match="it differs in: machines: 11 there, 12 here"):
+        dataclasses.replace(PLAN, machines=12).run(store, resume=True)
+    computed = []
+    resumed = PLAN.run(
+        store, resume=True, progress=lambda name, done, fresh: computed.append(fresh)
+    )
+    assert computed == [0, 0, 3, 4, 4, 3]
+    assert resumed.attrs["configuration"] == earlier_names(dataset.attrs["configuration"])
+    xr.testing.assert_identical(resumed.drop_attrs(deep=False), dataset.drop_attrs(deep=False))
+    xr.testing.assert_identical(jaxilc.open_dataset(store), resumed)
+
+
+def test_the_earlier_name_of_machines_is_understood():
+    given = (PLAN.machine, PLAN.schemes, TASK, 4, PLAN.uncertainty)
+    assert Sweep(*given, samples=3).machines == 3
+    with pytest.raises(TypeError, match="Sweep: samples is now machines; both were given"):
+        Sweep(*given, samples=3, machines=3)
+
+
 def largest_above(level, body="jnp.maximum(jnp.max(trial.e), level)", lines=0, file="one.py"):
     """A figure of a trial, from a source of its own."""
     source = (
@@ -101,7 +136,7 @@ def largest_above(level, body="jnp.maximum(jnp.max(trial.e), level)", lines=0, f
 def test_a_store_knows_its_quantities_by_what_they_do(tmp_path):
     def plan(*args, **options):
         return dataclasses.replace(
-            PLAN, samples=2, keep=(), quantities={"own": largest_above(*args, **options)}
+            PLAN, machines=2, keep=(), quantities={"own": largest_above(*args, **options)}
         )
 
     store = tmp_path / "store.zarr"
@@ -128,7 +163,7 @@ def test_several_channels_stay_apart():
         task,
         2,
         {"plant.B": Uniform(0.9, 1.1, relative=True)},
-        samples=3,
+        machines=3,
         keep=("y", "u"),
     )
     dataset = plan.run()
@@ -176,7 +211,7 @@ def test_summary_counts_yield_growth_and_divergence():
     assert row.semi_converged == 0.25  # growing; a rise of 2 % is not growth
     assert row.diverged == 0.25
     assert row.worst[-1] == np.inf
-    assert row.worst_sample[-1] == 3
+    assert row.worst_machine[-1] == 3
     assert row.median[0] == 9
     # Wilson's interval for 2 of 4, from its closed form with z = 1.96
     z, n, p = 1.959964, 4, 0.5
@@ -187,5 +222,5 @@ def test_summary_counts_yield_growth_and_divergence():
 def test_summary_names_what_is_wrong():
     with pytest.raises(ValueError, match=r"tolerance = 0 is outside"):
         summarise(made_up([[1.0]]), 0.0)
-    with pytest.raises(ValueError, match=r"figure = 'rms' is not one of finite, settled_error"):
-        summarise(made_up([[1.0]]), 1.0, figure="rms")
+    with pytest.raises(ValueError, match=r"metric = 'rms' is not one of finite, settled_error"):
+        summarise(made_up([[1.0]]), 1.0, metric="rms")

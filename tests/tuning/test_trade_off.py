@@ -27,7 +27,7 @@ class SquaredError(Objective):
         return run.history.rms[-1, 0] ** 2
 
 
-OPTIONS = {"samples": 1, "held_out": 0, "optimiser": "lbfgs", "steps": 15, "patience": 15}
+OPTIONS = {"machines": 1, "held_out": 0, "optimiser": "lbfgs", "steps": 15, "patience": 15}
 PROBLEM = Tuning(
     STATIC, PIDType(**GIVEN), TASK, 2, list(GIVEN), objective=SquaredError(), **OPTIONS
 )

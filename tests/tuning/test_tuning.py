@@ -18,9 +18,11 @@ from jaxilc.filters import ZeroPhaseButterworth, ZeroPhaseFIR
 from jaxilc.learning import Sensor
 from jaxilc.plants import StateSpace
 from jaxilc.pytree import get_at
-from jaxilc.runtime.recipe import describe
+from jaxilc.runtime.provenance import describe
 from jaxilc.schemes import Filtered, PIDType
-from jaxilc.tuning.descent import Bijection, Evaluation, by_gradient, by_least_squares, for_starts
+from jaxilc.tuning import Tuning
+from jaxilc.tuning.bijection import Bijection
+from jaxilc.tuning.descent import Evaluation, by_gradient, by_least_squares, for_starts
 from jaxilc.tuning.objectives import Final, Holding, Objective
 from jaxilc.tuning.risks import CVaR, Mean, SmoothMax, Worst
 from jaxilc.uncertainty import Uniform
@@ -112,7 +114,7 @@ def test_the_best_gain_of_p_type_learning_is_found_by_one_program(optimiser):
     # gamma = 1 / g
     machine = dataclasses.replace(STATIC, plant=StateSpace([[0.0]], [[0.8]], [[1.0]], dt=1e-3))
     options = {
-        "samples": 1,
+        "machines": 1,
         "held_out": 0,
         "optimiser": optimiser,
         "steps": 60,
@@ -198,7 +200,9 @@ def test_many_starts_take_the_best_by_held_out_plants(tuned):
     np.testing.assert_allclose(tuned.after, np.nanmin(tuned.held_out), rtol=1e-12)
     assert np.nanmin(tuned.held_out[tuned.step]) == np.nanmin(tuned.held_out)
     # the held-out loss, from the closed form and plants rebuilt outside
-    gains = np.asarray(PROBLEM._plants(PROBLEM.seed + 1, 3, nominal=False)[1]["plant.B"])
+    gains = np.asarray(
+        PROBLEM._losses.machines.drawn(PROBLEM.seed + 1, 3, nominal=False)[1]["plant.B"]
+    )
     error = (1 - tuned.values["gamma_p"] * gains) ** 2 * np.sqrt(0.5)
     np.testing.assert_allclose(
         tuned.after, np.mean(0.5 * np.log(error**2 + 0.01) - np.log(0.1)), rtol=1e-10
@@ -228,6 +232,28 @@ def kill_after(step):
             raise Killed
 
     return progress
+
+
+def test_a_folder_under_earlier_names_is_resumed(tmp_path, monkeypatch):
+    """Machines were called samples, and metrics figures."""
+    configuration = Tuning.configuration
+
+    def earlier(self):
+        found = configuration(self)
+        found["samples"] = found.pop("machines")
+        found["objective"]["figure"] = found["objective"].pop("metric")
+        return found
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Tuning, "configuration", earlier)
+        with pytest.raises(Killed):
+            PROBLEM.run(tmp_path / "state", progress=kill_after(3))
+    other = dataclasses.replace(PROBLEM, objective=Final("max_error", floor=0.1))
+    with pytest.raises(ValueError, match=r"it differs in: objective.metric: rms there, max_error"):
+        other.run(tmp_path / "state", resume=True)
+    resumed, whole = PROBLEM.run(tmp_path / "state", resume=True), PROBLEM.run()
+    assert resumed.values == whole.values
+    np.testing.assert_array_equal(resumed.loss, whole.loss)
 
 
 OWN = optax.chain(
@@ -327,15 +353,18 @@ def test_a_nominal_term_is_asked_once_and_counts():
 
 
 def test_the_comparison_is_on_plants_nobody_has_seen(tuned):
-    dataset = PROBLEM.compare(tuned, samples=9)
+    dataset = PROBLEM.compare(tuned, machines=9)
     seen = np.concatenate(
-        [np.asarray(PROBLEM._plants(seed, 4, nominal=False)[1]["plant.B"]) for seed in (0, 1)]
+        [
+            np.asarray(PROBLEM._losses.machines.drawn(seed, 4, nominal=False)[1]["plant.B"])
+            for seed in (0, 1)
+        ]
     )
     assert not np.isin(dataset["plant.B"].values[1:], seen).any()
     gain = dataset["plant.B"].values
     expected = np.abs(1 - tuned.values["gamma_p"] * gain) ** 2 * np.sqrt(0.5)
     np.testing.assert_allclose(dataset["rms"].sel(scheme="tuned", trial=3), expected, rtol=1e-10)
-    others = PROBLEM.compare(tuned, samples=9, seed=7)["plant.B"].values[1:]
+    others = PROBLEM.compare(tuned, machines=9, seed=7)["plant.B"].values[1:]
     assert not np.isin(others, [*seen, *gain]).any()
     for seen_by in (0, 1):
         with pytest.raises(ValueError, match=f"compare: seed = {seen_by} is one of 0 and 1"):
@@ -402,7 +431,7 @@ def test_elements_and_arrays_are_tuned_by_name_and_ends_are_left():
         ({"clip": 0.0}, r"clip = 0 is outside its allowed range \(0, inf\]"),
         (
             {"objective": Final("speed")},
-            "figure = 'speed' is not one of max_error, rms, settled_error",
+            "metric = 'speed' is not one of max_error, rms, settled_error",
         ),
         ({"objective": Holding(9)}, r"first = 9 is outside its allowed range \[1, 3\]"),
         ({"objective": Final(trial=9)}, r"trial = 9 is outside its allowed range \[1, 3\]"),

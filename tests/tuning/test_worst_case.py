@@ -72,7 +72,8 @@ def test_the_worst_phase_of_a_disturbance_is_inside_its_range():
 
 
 def test_a_linear_quadratic_case_has_its_worst_initial_state_at_the_far_end():
-    # |y|^2 of the free response is x0^T P x0: convex, so its maxima are corners, and several of them are local
+    # |y|^2 of the free response is x0^T P x0: convex, so its maxima are corners, and several of
+    # them are local
     A, C = np.array([[0.9, 0.2], [-0.3, 0.7]]), np.array([[1.0, 0.0]])
     machine = Machine(StateSpace(A, [[0.0], [1.0]], C, x0=(0.1, 0.1), dt=1e-3))
     task = Task(np.zeros(N + 1), dt=1e-3)

@@ -1,0 +1,108 @@
+"""The metrics that every trial has, declared once.
+
+Each stands in `METRICS` with its name, its axes, its unit, its meaning, and how it is gathered from
+the signals of a trial. To add one that is gathered, add
+
+    1. a line to `METRICS`, and
+    2. a field of the same name to `Metrics`, which a type checker reads.
+
+Everything else follows from these two: `Tally` with its derivative, `measure`, the attributes of
+`History`, the variables of the datasets of a sweep and of `run_schemes`, the names that an
+objective may have, and the names that a further quantity of the user must not have.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Literal, NamedTuple
+
+import jax
+
+from ..signals.task import Task
+
+
+class Gathering(NamedTuple):
+    """How a metric is gathered from one signal of a trial, channel by channel.
+
+    signal: the error e, or the input u
+    of: the largest absolute value, or the root mean square
+    settled: whether only samples in the settled window count
+    """
+
+    signal: Literal["e", "u"]
+    of: Literal["largest", "root mean square"]
+    settled: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
+class Metric:
+    """A metric as tables, datasets and objectives know it.
+
+    axes: of its values for one learning process: trial, and channel (of y) or input (of u)
+    unit: that of the `output`, that of the `input`, or none
+    text: what it is, as a dataset describes it
+    dtype: kind of its values: `float`, `bool`, or a type of whole numbers
+    tuned: whether an objective may minimise it
+    swept: whether the dataset of a sweep has it; that of `run_schemes` has all
+    gathered: how it comes from the signals, None for what is concluded from other metrics
+    """
+
+    name: str
+    axes: tuple[str, ...]
+    unit: Literal["output", "input", ""]
+    text: str
+    dtype: str = "float"
+    tuned: bool = False
+    swept: bool = True
+    gathered: Gathering | None = None
+
+    def unit_of(self, task: Task) -> str:
+        """The unit of its values for a task."""
+        return {"output": task.unit, "input": task.input_unit, "": ""}[self.unit]
+
+
+_PER_OUTPUT, _PER_INPUT = ("trial", "channel"), ("trial", "input")
+METRICS = (
+    Metric("max_error", _PER_OUTPUT, "output", "largest error of a trial",
+           tuned=True, gathered=Gathering("e", "largest")),
+    Metric("rms", _PER_OUTPUT, "output", "root mean square error of a trial",
+           tuned=True, gathered=Gathering("e", "root mean square")),
+    Metric("settled_error", _PER_OUTPUT, "output", "largest error in the settled window of a trial",
+           tuned=True, gathered=Gathering("e", "largest", settled=True)),
+    Metric("effort", _PER_INPUT, "input", "root mean square input of a trial",
+           gathered=Gathering("u", "root mean square")),
+    Metric("best_trial", ("trial",), "", "trial with the smallest error so far", "i8",
+           swept=False),
+    Metric("finite", ("trial",), "", "whether the trial stayed finite", "bool"),
+    Metric("diverged", ("trial",), "",
+           "whether the trial diverged: not finite, or an error far beyond the reference", "bool"),
+    Metric("diverged_at", (), "", "first trial that diverged, 0 if none", "i4"),
+    Metric("grown_from", (), "",
+           "trial from which on the rms error stays far above its least, or 0", "i4"),
+)  # fmt: skip
+GATHERED = tuple((m.name, m.gathered) for m in METRICS if m.gathered is not None)
+TUNED = tuple(m.name for m in METRICS if m.tuned)  # the names that an objective may have
+
+
+class Metrics(NamedTuple):
+    """The metrics of one trial, over the samples that the input can reach (k = 1..N). Errors have
+    the unit of y, effort has that of u.
+
+    max_error: (n_y,) max |e|
+    rms: (n_y,) root mean square of e
+    settled_error: (n_y,) max |e| in the settled window
+    effort: (n_u,) root mean square of u
+    finite: () whether all of these are finite, and every y and u
+    """
+
+    max_error: jax.Array
+    rms: jax.Array
+    settled_error: jax.Array
+    effort: jax.Array
+    finite: jax.Array
+
+
+def bytes_of_metrics(task: Task) -> int:
+    """Bytes of the metrics of one trial of one machine."""
+    channels = {"channel": task.outputs, "input": task.inputs, "trial": 1}
+    return 8 * sum(channels[m.axes[-1]] for m in METRICS if m.name in Metrics._fields)

@@ -1,0 +1,76 @@
+"""The variables and coordinates of a sweep's dataset.
+
+Its dimension over machines is called `sample`, as in the datasets that exist.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import jax
+import numpy as np
+
+from ..learning.known_metrics import METRICS
+from ..signals.task import Task
+from .plan import Plan
+from .store import Variable
+
+SIGNALS = {"y": ("time", "channel"), "e": ("time", "channel"), "u": ("input_time", "input")}
+
+
+def variables(task: Task, keep: tuple[str, ...], quantities: Iterable[str]) -> dict[str, Variable]:
+    """The metrics, the further quantities and the signals that are kept, by name.
+
+    A task with one output has no dimension `channel`, one with one input no dimension `input`.
+    """
+    dropped = {"channel"} if task.outputs == 1 else set()
+    dropped |= {"input"} if task.inputs == 1 else set()
+    real = "f8" if jax.config.jax_enable_x64 else "f4"
+
+    def along(*axes: str) -> tuple[str, ...]:
+        return ("scheme", "sample", *(axis for axis in axes if axis not in dropped))
+
+    found = {
+        m.name: Variable(
+            along(*m.axes), real if m.dtype == "float" else m.dtype, m.unit_of(task), m.text
+        )
+        for m in METRICS
+        if m.swept
+    }
+    found |= {name: Variable(along("trial"), real, "", "figure of a trial") for name in quantities}
+    for name in keep:
+        unit = task.input_unit if name == "u" else task.unit
+        found[name] = Variable(along(*SIGNALS[name]), real, unit, f"{name} of the last trial")
+    return found
+
+
+def sizes(task: Task, schemes: int, machines: float, trials: float) -> dict[str, Any]:
+    """The length of every dimension that a variable may have."""
+    return {
+        "scheme": schemes,
+        "sample": machines,
+        "trial": trials,
+        "channel": task.outputs,
+        "input": task.inputs,
+        "time": task.N + 1,
+        "input_time": task.N,
+    }
+
+
+def coordinates(plan: Plan) -> dict[str, tuple]:
+    """Dimensions and values of each coordinate, the drawn numbers among them."""
+    task = plan.task
+    known = {
+        "scheme": np.array(list(plan.schemes)),
+        "sample": np.arange(plan.machines),
+        "trial": np.arange(1, plan.trials + 1),
+        "channel": np.arange(task.outputs),
+        "input": np.arange(task.inputs),
+        "time": task.time,
+        "input_time": task.time[:-1],
+    }
+    used = {d for v in variables(task, plan.keep, plan.quantities).values() for d in v.dims}
+    return {name: ((name,), values) for name, values in known.items() if name in used} | {
+        name: (("sample",), values) for name, values in plan.drawn.items()
+    }

@@ -1,0 +1,140 @@
+"""The loss of a tuning over its machines, and its slope by the weights.
+
+What learning does to gradients:
+
+    clips, quantisers, resets     Their docstrings say what the gradient is: zero, straight-through,
+                                  or that of the branch that was taken. `reset="smooth"` has the
+                                  whole gradient (`schemes.pseudo_gradient`).
+    a diverging learning process  `bounded.Bounded` holds it at a ceiling. The gradient is that of
+                                  the trial that reached the ceiling.
+    many trials                   The slope of log e grows with the number of trials where learning
+                                  amplifies. `clip` bounds the slope of each machine; `truncate`
+                                  takes the slope of the last trials alone, which is another slope.
+    a settled metric              It does not see the start of a trial, where errors may grow: add a
+                                  term of `max_error`.
+    a slope that is not finite    The slope of that machine is left out of the step, its loss
+                                  counts, and `dropped` says how many there were.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from ..learning.machine import Machine
+from ..learning.metrics import Keep
+from ..learning.over_trials import truncated
+from ..pytree.named_paths import replaced
+from ..schemes import Scheme
+from ..signals.task import Task, Trial
+from .bounded import Bounded
+from .descent import Evaluation, counted, repaired, value_and_slope
+from .machines import Machines
+from .objectives import Objective, Run, Sum, judge
+from .risks import Risk
+from .weights import Weights
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Losses:
+    """Losses with their slopes. The fields are those of `Tuning`, and
+
+    machines: how they are drawn;  weights: those that are tuned, with their maps
+    """
+
+    machines: Machines
+    weights: Weights
+    scheme: Scheme
+    task: Task
+    trials: int
+    risk: Risk
+    truncate: int | None
+    ceiling: float
+    quantities: Mapping[str, Callable[[Trial], jax.Array]]
+
+    def of_machine(
+        self, machine: Machine, values: Mapping[str, Any], objective: Objective, *, key=None
+    ) -> jax.Array:
+        """() the objective of one machine with the weights of these names."""
+        scheme, save = replaced(self.scheme, values), Keep.of(self.quantities)
+        options = {"key": key, "save": save}
+        if self.truncate is None or self.truncate >= self.trials:
+            return judge(
+                machine, scheme, self.task, self.trials, objective, ceiling=self.ceiling, **options
+            )
+        bounded = Bounded.around(scheme, self.task, self.ceiling)
+        history = truncated(machine, bounded, self.task, self.trials, self.truncate, **options)
+        return objective(Run(machine, scheme, self.task, history, self.ceiling))
+
+    def risk_of(
+        self, values: Mapping[str, Any], objective: Objective, batch, seed: int
+    ) -> jax.Array:
+        """() the risk over a batch of machines with these weights, and the nominal terms.
+
+        batch: as `Machines.drawn` gives it;  seed: of the noise
+        """
+        of_machines, of_nominal = split(objective)
+        run = self.machines.tiled(
+            lambda values, one: self._of_one(values, one, of_machines, seed), batch
+        )
+        risk = self.risk(counted(run(values, batch)))
+        if not of_nominal.parts:
+            return risk
+        return risk + self.of_machine(self.machines.machine, values, of_nominal)
+
+    def evaluation(
+        self, objective: Objective, batch, seed: int, *, clip: float, forward: bool
+    ) -> Callable[[Any], Evaluation]:
+        """A function that evaluates the loss over a batch of machines at z (P,).
+
+            value = risk(l_1, ..., l_S) + nominal terms
+            slope = sum_s (d risk / d l_s) (d l_s / d z) + slope of the nominal terms
+
+        batch, seed: as in `risk_of`
+        clip: of the slope of a machine, see `descent.repaired`;  forward: how it is differentiated
+        """
+        of_machines, of_nominal = split(objective)
+
+        def of_one(z, one):
+            def loss(z):
+                return self._of_one(self.weights.at(z), one, of_machines, seed)
+
+            return value_and_slope(loss, z, forward=forward)
+
+        over_machines = self.machines.tiled(of_one, batch)
+
+        def evaluate(z) -> Evaluation:
+            losses, slopes, good = repaired(*over_machines(z, batch), clip)
+            omega = self.risk.weights(losses) * good
+            omega = omega / jnp.where(jnp.sum(omega) > 0, jnp.sum(omega), 1.0)
+            value, gradient = self.risk(losses), omega @ slopes
+            residuals, jacobian = losses / len(losses) ** 0.5, slopes / len(losses) ** 0.5
+            if of_nominal.parts:
+                nominal = self.machines.machine
+                term, slope = jax.value_and_grad(
+                    lambda z: self.of_machine(nominal, self.weights.at(z), of_nominal)
+                )(z)
+                value, gradient = value + term, gradient + slope
+                residuals, jacobian = jnp.append(residuals, term), jnp.vstack([jacobian, slope])
+            dropped = jnp.sum(~good).astype(losses.dtype)
+            return Evaluation(value, gradient, residuals, jacobian, dropped)
+
+        return evaluate
+
+    def _of_one(self, values, one, objective: Objective, seed: int):
+        """The objective of one machine of a batch."""
+        machine, key = self.machines.one(one, seed)
+        return self.of_machine(machine, values, objective, key=key)
+
+
+def split(objective: Objective) -> tuple[Sum, Sum]:
+    """What an objective asks of each machine, and what of the nominal one alone."""
+    of_machines, of_nominal = (
+        Sum(tuple(t for t in objective.terms if t[1].nominal is nominal))
+        for nominal in (False, True)
+    )
+    return of_machines, of_nominal

@@ -1,0 +1,32 @@
+"""What the settings of a tuning may be."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from ..pytree.ranges import SEEDS, require
+from .optimisers import OPTIMISERS
+
+WHOLE = dict.fromkeys(("trials", "machines"), "[1, inf)") | {"held_out": "[0, inf)"}
+WHOLE |= dict.fromkeys(("steps", "starts", "validate_every", "lanes"), "[1, inf)")
+WHOLE |= {"patience": "[0, inf)", "seed": SEEDS}
+REAL = {"rate": "(0, inf)", "clip": "(0, inf]", "ceiling": "(0, inf)", "scatter": "[0, inf)"}
+CHOICES = {"mode": ("auto", "forward", "reverse"), "optimiser": OPTIMISERS}
+
+
+def check_settings(settings: Mapping[str, Any]) -> None:
+    """Raises ValueError, naming the setting, its value and what is allowed.
+
+    settings: fields of `Tuning` by name
+    """
+    for name, allowed in WHOLE.items():
+        require("Tuning", name, settings[name], allowed, whole=True)
+    for name, allowed in REAL.items():
+        require("Tuning", name, settings[name], allowed)
+    if settings["truncate"] is not None:
+        require("Tuning", "truncate", settings["truncate"], "[1, inf)", whole=True)
+    for name, choices in CHOICES.items():
+        value = settings[name]
+        if isinstance(value, str) and value not in choices:
+            raise ValueError(f"Tuning: {name} = {value!r} is not one of {', '.join(choices)}")

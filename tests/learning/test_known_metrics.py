@@ -1,0 +1,90 @@
+"""Metrics are declared once: all that follows agrees, also for metrics not declared yet."""
+
+import dataclasses
+from collections import namedtuple
+from itertools import product
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from gain_case import STATIC, TASK
+
+import jaxilc
+from jaxilc.learning import metrics
+from jaxilc.learning.divergence import Course
+from jaxilc.learning.known_metrics import GATHERED, METRICS, TUNED, Gathering, Metrics
+from jaxilc.learning.metrics import Tally, measure
+from jaxilc.schemes import PIDType
+from jaxilc.signals import Task, Trial
+from jaxilc.tuning.objectives import Final, judge
+
+NAMES = [metric.name for metric in METRICS]
+
+
+def test_each_metric_is_declared_with_a_field_and_a_place():
+    assert Metrics._fields == (*(name for name, _ in GATHERED), "finite")
+    assert set(NAMES) == {*Metrics._fields, *Course._fields, "best_trial"}
+    assert len(set(NAMES)) == len(NAMES)
+
+
+def test_histories_datasets_and_objectives_know_each_metric():
+    law, task = PIDType(gamma_p=0.4), dataclasses.replace(TASK, unit="mm", input_unit="V")
+    dataset, histories = jaxilc.run_schemes(STATIC, {"p": law}, task, 3)
+    for metric in METRICS:
+        assert dataset[metric.name].dims == ("scheme", *metric.axes)
+        assert dataset[metric.name].attrs.get("units") == (metric.unit_of(task) or None)
+    for name in Metrics._fields:
+        assert getattr(histories["p"], name) is getattr(histories["p"].metrics, name)
+    swept = jaxilc.Sweep(STATIC, {"p": law}, TASK, 3, {}, machines=2).run()
+    assert {metric.name for metric in METRICS if metric.swept} == set(swept.data_vars)
+    for name in TUNED:
+        assert np.isfinite(judge(STATIC, law, TASK, 3, Final(name)))
+    with pytest.raises(AttributeError, match=r"'speed'; its metrics are .*'rms'"):
+        histories["p"].speed
+
+
+KINDS = [Gathering(*kind) for kind in product("eu", ("largest", "root mean square"), (False, True))]
+
+
+@pytest.mark.parametrize("settle", [(0.0, 0.020), (0.011, 0.020), (0.004, 0.013)])
+def test_every_way_to_gather_gives_the_metric_of_the_record(monkeypatch, settle):
+    """Sample by sample and at once, with its derivative, against a plain formula."""
+    names = [f"metric_{i}" for i in range(len(KINDS))]
+    monkeypatch.setattr(metrics, "GATHERED", tuple(zip(names, KINDS, strict=True)))
+    monkeypatch.setattr(metrics, "Metrics", namedtuple("Metrics", (*names, "finite")))
+    rng = np.random.default_rng(0)
+    y, u = jnp.asarray(rng.standard_normal((21, 2))), jnp.asarray(rng.standard_normal((20, 3)))
+    task = Task(np.zeros((21, 2)), dt=1e-3, settle=settle)
+    start, stop, _ = task.settled.indices(21)
+
+    def at_once(y, u):
+        return measure(Trial(task.reference, y, u, task.dt), task)[:-1]
+
+    def by_sample(y, u):
+        trial = Trial(task.reference, y, u, task.dt)
+        tally = Tally.start(trial.e[0], 3, start == 0)
+        for k in range(20):
+            tally = tally.add(trial.e[k + 1], u[k], start <= k + 1 < stop)
+        return tally.metrics(trial, task)[:-1]
+
+    def formula(y, u):
+        rows = {
+            ("e", False): -y[1:],
+            ("e", True): -y[start:stop],
+            ("u", False): u,
+            ("u", True): u[max(start - 1, 0) : stop - 1],  # u[k] leads to e[k+1]
+        }
+        return tuple(
+            jnp.max(jnp.abs(rows[signal, late]), axis=0)
+            if of == "largest"
+            else jnp.sqrt(jnp.mean(rows[signal, late] ** 2, axis=0))
+            for signal, of, late in KINDS
+        )
+
+    for found in (at_once, by_sample):
+        for one, other in zip(found(y, u), formula(y, u), strict=True):
+            np.testing.assert_allclose(one, other, rtol=1e-12)
+        slopes = jax.jacobian(found, (0, 1))(y, u), jax.jacobian(formula, (0, 1))(y, u)
+        for one, other in zip(*map(jax.tree.leaves, slopes), strict=True):
+            np.testing.assert_allclose(one, other, rtol=1e-10, atol=1e-14)

@@ -1,0 +1,92 @@
+"""JAX's unstable parts are in one module and in use; without them the numbers are the same."""
+
+import ast
+import warnings
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+from sweep_case import PLAN, TASK
+
+import jaxilc
+from jaxilc.learning import over_trials
+from jaxilc.runtime import jax_internals
+
+UNSTABLE = ("jax._src", "jax.extend", "jax.interpreters", "jax.experimental", "jax.lib")
+
+
+@pytest.fixture
+def fresh():
+    """What was found of this JAX, and what was compiled with it, is forgotten before and after."""
+
+    def forget():
+        jax_internals._found.cache_clear()
+        over_trials._program.cache_clear()
+
+    forget()
+    yield
+    forget()
+
+
+def test_this_version_of_jax_needs_no_fallback(fresh):
+    """Fails where a test machine has a JAX that the package does not know well enough."""
+    assert jax_internals.why_not() is None
+
+
+def test_unstable_parts_of_jax_are_imported_in_one_module_only():
+    root = Path(jaxilc.__file__).parent
+    for file in root.rglob("*.py"):
+        names = set()
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.Import):
+                names |= {name.name for name in node.names}
+            if isinstance(node, ast.ImportFrom) and not node.level:
+                names |= {f"{node.module}.{name.name}" for name in node.names}
+        unstable = {
+            name for name in names if f"{name}.".startswith(tuple(f"{u}." for u in UNSTABLE))
+        }
+        assert not unstable or file == root / "runtime" / "jax_internals.py", f"{file}: {unstable}"
+
+
+def learned():
+    """Three machines at once, and a gradient through their learning."""
+    law, machines = PLAN.schemes["learning"], jax.tree.map(np.asarray, PLAN.machine)
+    gains = np.array([0.8, 1.0, 1.1])
+
+    def one(law, gain):
+        machine = jaxilc.pytree.replaced(machines, {"plant.gain": gain * machines.plant.gain})
+        return jaxilc.learn(machine, law, TASK, 4)
+
+    every = jax.jit(jax.vmap(one, (None, 0)))(law, gains)
+    slope = jax.jit(jax.grad(lambda law: jax.vmap(one, (None, 0))(law, gains).rms.sum()))(law)
+    return jax.tree.leaves((every.metrics, every.final, slope))
+
+
+def test_without_them_the_numbers_are_the_same(fresh, monkeypatch):
+    with_them = learned()
+    assert jax_internals.why_not() is None
+    jax_internals._found.cache_clear()
+    over_trials._program.cache_clear()
+    monkeypatch.setenv(jax_internals.SWITCH, "off")
+    without = learned()
+    assert jax_internals.why_not() == "JAXILC_JAX_INTERNALS is off"
+    for one, other in zip(with_them, without, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-14)
+
+
+@pytest.mark.parametrize("part", ["_primitive", "_try_out"])
+def test_another_jax_is_warned_of_once(fresh, monkeypatch, part):
+    def unknown(*_):
+        raise AttributeError("module 'jax.interpreters' has no attribute 'mlir'")
+
+    monkeypatch.setattr(jax_internals, part, unknown)
+    with pytest.warns(
+        RuntimeWarning, match=rf"JAX {jax.__version__} .*no attribute 'mlir'"
+    ) as said:
+        machine_learned = jaxilc.learn(PLAN.machine, PLAN.schemes["learning"], TASK, 2)
+    assert len(said) == 1
+    assert np.all(np.isfinite(machine_learned.rms))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        jaxilc.learn(PLAN.machine, PLAN.schemes["feedback"], TASK, 2)
