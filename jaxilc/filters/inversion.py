@@ -17,7 +17,7 @@ import scipy.linalg
 import scipy.signal
 
 from ..plants import StateSpace
-from ..plants.linear import system_matrices
+from ..plants.from_python_control import system_matrices
 from ..pytree.fields import Leaf, leaf, pytree, static
 from ..pytree.needs import known
 from ..pytree.ranges import Interval, require

@@ -12,12 +12,14 @@ from .fast_tool_servo import (
     fast_tool_servo,
 )
 from .friction import StribeckFriction
+from .from_python_control import from_control
 from .hysteresis import BoucWen, Dahl, InputHysteresis
-from .linear import DifferenceEquation, StateSpace, TimeVaryingStateSpace, from_control
+from .linear import DifferenceEquation, StateSpace, TimeVaryingStateSpace
 from .motor import Cogging, EndEffect, VoiceCoilMotor, voice_coil_motor
 from .nominal_models import cascade, direct_model, multivariable_model
 from .plant import Plant
 from .process_model import ProcessModel
+from .to_python_control import to_control
 from .voice_coil import VoiceCoil, voice_coil
 
 __all__ = [
@@ -50,6 +52,7 @@ __all__ = [
     "fast_tool_servo",
     "from_control",
     "multivariable_model",
+    "to_control",
     "voice_coil",
     "voice_coil_motor",
 ]

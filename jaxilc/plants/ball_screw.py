@@ -124,6 +124,8 @@ class BallScrewDrive(Plant):
     """
 
     n_y = 2
+    input_names = ("velocity_command",)
+    output_names = ("motor_position", "table_position")
 
     motor_mass: Leaf = scalar(interval="(0, inf)")
     table_mass: Leaf = scalar(interval="(0, inf)")

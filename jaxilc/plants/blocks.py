@@ -89,6 +89,17 @@ class InBlocks(Plant):
             )
         return InBlocks(plant, self.length)
 
+    def continuous(self) -> Any:
+        return self.plant.continuous()
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        return self.plant.input_names
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        return self.plant.output_names
+
     def initial_state(self) -> Any:
         return self.plant.initial_state()
 

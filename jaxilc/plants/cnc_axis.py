@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import jax.scipy.linalg
 
 from ..pytree.fields import child, pytree
 from .linear import StateSpace
@@ -63,6 +64,22 @@ class TwoAxes(Plant):
     def sampled(self, dt: float) -> TwoAxes:
         return TwoAxes(self.x.sampled(dt), self.y.sampled(dt))
 
+    def continuous(self) -> StateSpace | None:
+        x, y = self.x.continuous(), self.y.continuous()
+        if x is None or y is None:
+            return None
+        blocks = [(getattr(x, name), getattr(y, name)) for name in ("A", "B", "C")]
+        x0 = jnp.concatenate([x.initial_state(), y.initial_state()])
+        return StateSpace(*(jax.scipy.linalg.block_diag(*pair) for pair in blocks), x0)
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        return _both(self.x.input_names, self.y.input_names)
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        return _both(self.x.output_names, self.y.output_names)
+
     def initial_state(self) -> AxesState:
         return AxesState(self.x.initial_state(), self.y.initial_state())
 
@@ -72,3 +89,9 @@ class TwoAxes(Plant):
 
     def output(self, x: AxesState) -> jax.Array:
         return jnp.concatenate([self.x.output(x.x), self.y.output(x.y)])
+
+
+def _both(of_x: tuple[str, ...], of_y: tuple[str, ...]) -> tuple[str, ...]:
+    """The names of the channels of both axes, none unless both axes name theirs."""
+    named = [f"x_{name}" for name in of_x], [f"y_{name}" for name in of_y]
+    return (*named[0], *named[1]) if of_x and of_y else ()

@@ -148,6 +148,9 @@ class FastToolServo(Plant):
     or a hysteresis with A >= 1, which would reverse the gain.
     """
 
+    input_names = ("voltage",)
+    output_names = ("position",)
+
     mass: Leaf = scalar(default=MASS, interval="(0, inf)")
     damping: Leaf = scalar(default=1e-6 * A2 * MASS, interval="[0, inf)")
     stiffness: Leaf = scalar(default=STIFFNESS, interval="(0, inf)")
@@ -263,6 +266,9 @@ class FastToolServo(Plant):
         return StateSpace(
             A_B[:, :n], A_B[:, n:], C, _filled(start, (n,), self.mass) if start else None
         )
+
+    def continuous(self) -> StateSpace:
+        return self.linear()
 
     def sampled(self, dt: float) -> Plant:
         """The plant for sample time dt: a plain `StateSpace` as long as it is linear.

@@ -1,4 +1,4 @@
-"""Linear plants: state space, difference equation, and any system of python-control."""
+"""Linear plants: state space, constant or varying over a trial, and difference equation."""
 
 from __future__ import annotations
 
@@ -79,6 +79,9 @@ class StateSpace(Plant):
             return matching(self, self.dt, dt)
         A, B = zoh(self.A, self.B, dt)
         return StateSpace(A, B, self.C, self.x0, dt=dt)
+
+    def continuous(self) -> StateSpace | None:
+        return None if self.dt else self
 
     def initial_state(self) -> Any:
         return (
@@ -205,83 +208,3 @@ class _Taken(DifferenceEquation):
 
     def sampled(self, dt: float) -> DifferenceEquation:
         return matching(self, self.dt, dt)
-
-
-def from_control(system, *, allow_unstable: bool = False) -> StateSpace:
-    """A plant from a python-control StateSpace or TransferFunction, SISO or MIMO, continuous or
-    discrete.
-
-    A continuous system is sampled with a zero-order hold at the task's sample time; a discrete one
-    keeps its own, which must be the task's. A MIMO transfer function becomes one realisation per
-    entry, side by side (not minimal, but exact).
-    Raises ValueError for an improper system, direct feedthrough, an unspecified sample time, or
-    (unless `allow_unstable`) an
-    unstable system: feed it with the loop already closed, or say that the scheme stabilises it.
-    """
-    import control
-
-    if not isinstance(system, control.StateSpace | control.TransferFunction):
-        raise ValueError(
-            f"from_control: {type(system).__name__} is not a control.StateSpace or control.TransferFunction"
-        )
-    if system.dt is None or system.dt is True:
-        raise ValueError(
-            f"from_control: dt = {system.dt} leaves the sample time open; allowed are 0 (continuous) and a time in s"
-        )
-    A, B, C, D = system_matrices(system)
-    if np.any(D):
-        raise ValueError(
-            f"from_control: direct feedthrough D = {D.tolist()}; u[k] acts on y[k+1] at the earliest, so D must be 0: "
-            "make the system strictly proper, or delay it by a sample"
-        )
-    poles = np.linalg.eigvals(A) if A.size else np.zeros(0)
-    growth = (
-        np.max(poles.real, initial=-np.inf)
-        if system.dt == 0
-        else np.max(np.abs(poles), initial=0.0) - 1.0
-    )
-    if growth > 1e-7 and not allow_unstable:
-        where = "right of the imaginary axis" if system.dt == 0 else "outside the unit circle"
-        raise ValueError(
-            f"from_control: the system is unstable (a pole {growth:.3g} {where}); close a loop first or pass allow_unstable=True"
-        )
-    return StateSpace(A, B, C, dt=float(system.dt))
-
-
-def system_matrices(system):
-    """A, B, C, D of a python-control system. Raises ValueError for an improper one."""
-    import control
-
-    if isinstance(system, control.StateSpace):
-        return system.A, system.B, system.C, system.D
-    blocks = {}
-    for i in range(system.noutputs):
-        for j in range(system.ninputs):
-            num, den = np.atleast_1d(system.num[i][j]), np.atleast_1d(system.den[i][j])
-            if len(np.trim_zeros(num, "f")) > len(np.trim_zeros(den, "f")):
-                raise ValueError(
-                    f"from_control: entry ({i}, {j}) is improper (numerator of higher order than the denominator)"
-                )
-            blocks[i, j] = control.tf2ss(num, den)
-    return _side_by_side(blocks, system.noutputs, system.ninputs)
-
-
-def _side_by_side(blocks, n_y, n_u):
-    order = sum(b.nstates for b in blocks.values())
-    A, B, C, D = (
-        np.zeros((order, order)),
-        np.zeros((order, n_u)),
-        np.zeros((n_y, order)),
-        np.zeros((n_y, n_u)),
-    )
-    at = 0
-    for (i, j), block in blocks.items():
-        here = slice(at, at + block.nstates)
-        A[here, here], B[here, j], C[i, here], D[i, j] = (
-            block.A,
-            block.B[:, 0],
-            block.C[0],
-            block.D[0, 0],
-        )
-        at = here.stop
-    return A, B, C, D

@@ -156,6 +156,9 @@ class VoiceCoilMotor(Plant):
     unstable.
     """
 
+    input_names = ("speed_command",)
+    output_names = ("position",)
+
     mass: Leaf = scalar(default=3.0, interval="(0, inf)")
     resistance: Leaf = scalar(default=4.0, interval="(0, inf)")
     inductance: Leaf = scalar(default=0.02, interval="(0, inf)")
@@ -262,6 +265,9 @@ class VoiceCoilMotor(Plant):
             jnp, self.viscous_damping, 0.0 if self.stiffness is None else self.stiffness
         )
         return StateSpace(A, B[:, None], C[None, :])
+
+    def continuous(self) -> StateSpace:
+        return self.linear()
 
     def reduced(self) -> VoiceCoil | StateSpace:
         """The third-order form, Cao 2019, eq. 6: the three slowest poles of `linear()`, and one

@@ -15,7 +15,8 @@ from __future__ import annotations
 import jax
 import numpy as np
 
-from .linear import StateSpace, system_matrices
+from .from_python_control import system_matrices
+from .linear import StateSpace
 
 
 def cascade(P_M, P_Z, dt: float) -> StateSpace:

@@ -97,12 +97,21 @@ class ProcessModel(Plant):
         return ProcessModel(self.gain, np.sort(self.zeros), np.array(single), frequencies, dampings)
 
     def sampled(self, dt: float) -> StateSpace:
-        """Exact zero-order hold of a cascade of lags of unit DC gain, whose states all have the
-        size of the input.
+        """Exact zero-order hold of the cascade of lags that `continuous` is."""
+        A, B, C = self._cascade()
+        A_d, B_d = zoh(A, B, dt)
+        return StateSpace(A_d, B_d, C, dt=dt)
 
-        Its last state w obeys w^(k) = C0 A^k x for k < order, since C0 A^k B = 0 for k < order - 1,
-        so the numerator acts on it as C = gain C0 prod_i (I - A / zeros_i), exactly and whether or
-        not poles coincide.
+    def continuous(self) -> StateSpace:
+        """A cascade of lags of unit DC gain, whose states all have the size of the input."""
+        return StateSpace(*self._cascade())
+
+    def _cascade(self) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """A, B, C of the cascade of lags.
+
+        Its last state w has the derivatives w^(k) = C0 A^k x for k < order, since C0 A^k B = 0 for
+        k < order - 1. So the numerator acts on it as C = gain C0 prod_i (I - A / zeros_i). This is
+        exact, whether or not poles coincide.
         """
         n, order, dtype = (
             self.poles.shape[-1],
@@ -123,5 +132,4 @@ class ProcessModel(Plant):
         C = jnp.zeros((1, order), dtype).at[0, -1].set(self.gain)
         for i in range(self.zeros.shape[-1]):
             C = C - C @ A / self.zeros[i]
-        A_d, B_d = zoh(A, B, dt)
-        return StateSpace(A_d, B_d, C, dt=dt)
+        return A, B, C

@@ -21,6 +21,7 @@ from . import condition, contraction, frequency, lifted, outlook, structure
 from .bounds import CFDLBounds, FFDLBounds, PremiseShare, cfdl_bounds, ffdl_bounds, premises
 from .certificates import CLAIMS, COURSES, Certificate, certify
 from .condition import Condition, Premise
+from .to_python_control import to_control
 
 __all__ = [
     "CLAIMS",
@@ -41,4 +42,5 @@ __all__ = [
     "outlook",
     "premises",
     "structure",
+    "to_control",
 ]
