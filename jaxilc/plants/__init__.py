@@ -1,21 +1,17 @@
 """Plants: each is its parameters, with a pure `initial_state`, `step` and `output`."""
 
-from .ball_screw import BallScrewDrive, FrictionTable, LeadError
+from .ball_screw import BallScrewDrive
+from .ball_screw_parts import FrictionTable, LeadError
 from .blocks import InBlocks
 from .cnc_axis import TwoAxes, cnc_axis
-from .fast_tool_servo import (
-    Creep,
-    CuttingForce,
-    FastToolServo,
-    FlexibleMode,
-    PeriodicForce,
-    fast_tool_servo,
-)
+from .fast_tool_servo import FastToolServo, fast_tool_servo
+from .fast_tool_servo_parts import Creep, CuttingForce, FlexibleMode, PeriodicForce
 from .friction import StribeckFriction
 from .from_python_control import from_control
 from .hysteresis import BoucWen, Dahl, InputHysteresis
 from .linear import DifferenceEquation, StateSpace, TimeVaryingStateSpace
-from .motor import Cogging, EndEffect, VoiceCoilMotor, voice_coil_motor
+from .motor import VoiceCoilMotor, voice_coil_motor
+from .motor_forces import Cogging, EndEffect
 from .nominal_models import cascade, direct_model, multivariable_model
 from .plant import Plant
 from .process_model import ProcessModel

@@ -70,7 +70,8 @@ class TwoAxes(Plant):
             return None
         blocks = [(getattr(x, name), getattr(y, name)) for name in ("A", "B", "C")]
         x0 = jnp.concatenate([x.initial_state(), y.initial_state()])
-        return StateSpace(*(jax.scipy.linalg.block_diag(*pair) for pair in blocks), x0)
+        A, B, C = (jax.scipy.linalg.block_diag(*pair) for pair in blocks)
+        return StateSpace(A, B, C, x0)
 
     @property
     def input_names(self) -> tuple[str, ...]:

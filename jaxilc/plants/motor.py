@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 
 from ..pytree.fields import Leaf, child, pytree, scalar, static
@@ -18,6 +17,8 @@ from ..signals.task import Task
 from .friction import StribeckFriction
 from .integration import RK4_RADIUS, runge_kutta
 from .linear import StateSpace
+from .motor_forces import Cogging, EndEffect
+from .motor_linear import fastest_pole, matrices, third_order
 from .plant import Plant
 from .voice_coil import VoiceCoil
 
@@ -34,49 +35,6 @@ DTL85_708 = {
     "acceleration": 431.0,
     "speed": 3.44,
 }
-
-
-@pytree
-class Cogging:
-    """Force of the magnets on the iron, periodic in the position: F(x) = -A sin(2 pi x / pitch +
-    phase).
-
-    amplitude: () A [N];  pitch: () period [m];  phase: () [rad], 0 makes x = 0 a stable rest
-    """
-
-    amplitude: Leaf = scalar(interval="[0, inf)")
-    pitch: Leaf = scalar(interval="(0, inf)")
-    phase: Leaf = scalar(default=0.0)
-
-    def force(self, position) -> jax.Array:
-        """position: () [m] -> () [N]"""
-        return -self.amplitude * jnp.sin(2 * jnp.pi * position / self.pitch + self.phase)
-
-
-@pytree
-class EndEffect:
-    """Toward the ends of the stroke the coil leaves the field, and beyond them the carriage meets a
-    buffer.
-
-        k_f(x) = k_f (1 - drop (x/x_max)^2) within |x| <= x_max, constant beyond;   F(x) = -k_b (x -
-        clip(x, -x_max, x_max))
-
-    stroke: () x_max, half the stroke [m];  drop: () part of the force constant lost at the end
-    buffer_stiffness: () k_b [N/m], None for no buffer
-    """
-
-    stroke: Leaf = scalar(interval="(0, inf)")
-    drop: Leaf = scalar(interval="[0, 1)")
-    buffer_stiffness: Leaf | None = scalar(default=None, interval="(0, inf)", optional=True)
-
-    def factor(self, position) -> jax.Array:
-        """position: () [m] -> () what is left of the force constant"""
-        return 1.0 - self.drop * (jnp.clip(position, -self.stroke, self.stroke) / self.stroke) ** 2
-
-    def force(self, position) -> jax.Array | float:
-        """position: () [m] -> () force of the buffer [N]"""
-        beyond = position - jnp.clip(position, -self.stroke, self.stroke)
-        return 0.0 if self.buffer_stiffness is None else -self.buffer_stiffness * beyond
 
 
 class MotorState(NamedTuple):
@@ -182,7 +140,7 @@ class VoiceCoilMotor(Plant):
 
     def __post_init__(self):
         if known(self):
-            fastest = self._fastest_pole()
+            fastest = fastest_pole(self)
             if fastest * self.substep > RK4_RADIUS:
                 raise ValueError(
                     f"VoiceCoilMotor: substep = {self.substep:g} s is unstable for the fastest pole, {fastest:.4g} rad/s; "
@@ -261,8 +219,8 @@ class VoiceCoilMotor(Plant):
 
         The state is that of `MotorState`; differentiable in every parameter.
         """
-        A, B, C = self._matrices(
-            jnp, self.viscous_damping, 0.0 if self.stiffness is None else self.stiffness
+        A, B, C = matrices(
+            jnp, self, self.viscous_damping, 0.0 if self.stiffness is None else self.stiffness
         )
         return StateSpace(A, B[:, None], C[None, :])
 
@@ -288,120 +246,7 @@ class VoiceCoilMotor(Plant):
         Raises ValueError where the third and fourth pole are a conjugate pair, so that no
         third-order form exists.
         """
-        N, D = self._polynomials()
-        poles = np.roots(D)
-        poles = poles[np.argsort(np.abs(poles), kind="stable")]
-        slow, next_one = poles[:3], poles[3]
-        if not np.isclose(slow.sum().imag, 0.0, atol=1e-9 * abs(next_one)):
-            raise ValueError(
-                f"VoiceCoilMotor: no third-order form, since its third and fourth pole are a pair {next_one:.4g}; "
-                "current_gain or speed_gain must set them apart"
-            )
-        D_slow, D_fast = np.poly(slow).real, D[0] * np.poly(poles[3:]).real
-        c_0 = N[-1] / D_fast[-1]
-        c_1 = (N[-2] - c_0 * D_fast[-2]) / D_fast[-1]
-        # rounding alone splits a double pole by 1e-8 of its size into a pair
-        if np.all(np.abs(slow.imag) <= 1e-6 * np.abs(slow)) and np.all(slow.real < 0) and c_1 != 0:
-            return VoiceCoil(gain=c_1, zero=-c_0 / c_1, poles=-slow.real[::-1])
-        return StateSpace(
-            np.vstack([np.eye(2, 3, 1), -D_slow[:0:-1]]),
-            np.eye(3)[:, 2:],
-            np.array([[c_0, c_1, 0.0]]),
-        )
-
-    def _matrices(self, xp, d, k):
-        """A (..., n, n), B (..., n), C (n,) of the linear motor with damping d and stiffness k, by
-        NumPy or jax.numpy.
-        """
-        m, R, L, k_f, K_c = (
-            self.mass,
-            self.resistance,
-            self.inductance,
-            self.force_constant,
-            self.current_gain,
-        )
-        K_p, K_i, b, S, k_h = (
-            self.speed_gain,
-            self.speed_integral_gain,
-            self.setpoint_weight,
-            self.command_scale,
-            self.holding_gain,
-        )
-        delayed = self.command_delay is not None
-        # the Padé form has a feedthrough: w = 2 z - u
-        of_z, of_u, lag = (2.0, -1.0, 2 / self.command_delay) if delayed else (0.0, 1.0, 0.0)
-        A = [
-            [0.0, 1.0, 0.0, 0.0, 0.0],
-            [-k / m, -d / m, k_f / m, 0.0, 0.0],
-            [
-                -K_c * b * K_p * k_h / L,
-                -(K_c * K_p + k_f) / L,
-                -(R + K_c) / L,
-                K_c / L,
-                K_c * b * K_p * S * of_z / L,
-            ],
-            [-K_i * k_h, -K_i, 0.0, 0.0, K_i * S * of_z],
-            [0.0, 0.0, 0.0, 0.0, -lag],
-        ]
-        B = [0.0, 0.0, K_c * b * K_p * S * of_u / L, K_i * S * of_u, lag]
-        n = 5 if delayed else 4
-        entries = xp.broadcast_arrays(
-            *(xp.asarray(a) for row in A[:n] for a in row[:n]), *(xp.asarray(a) for a in B[:n])
-        )
-        entries = xp.stack(entries, -1)
-        shape = entries.shape[:-1]
-        return (
-            entries[..., : n * n].reshape(*shape, n, n),
-            entries[..., n * n :],
-            xp.asarray([1e3] + [0.0] * (n - 1)),
-        )
-
-    def _fastest_pole(self) -> float:
-        """Largest |pole| [rad/s] free and where friction, cogging and buffer are stiffest; over all
-        elements of batched leaves.
-        """
-        d, k = self.viscous_damping, 0.0 if self.stiffness is None else self.stiffness
-        stiff_d, stiff_k = d, k
-        if self.friction is not None:
-            stiff_d = d + self.friction.damping_at_rest
-        if self.cogging is not None:
-            stiff_k = stiff_k + 2 * np.pi * self.cogging.amplitude / self.cogging.pitch
-        if self.end_effect is not None and self.end_effect.buffer_stiffness is not None:
-            stiff_k = stiff_k + self.end_effect.buffer_stiffness
-        cases = (self._matrices(np, d, k)[0], self._matrices(np, stiff_d, stiff_k)[0])
-        return max(float(np.max(np.abs(np.linalg.eigvals(A)))) for A in cases)
-
-    def _polynomials(self):
-        """N (high order first) and D of the full-order transfer function [mm/V], in closed form:
-
-            N = 1000 S k_f K_c (b K_p s + K_i) (2/T - s)
-            D = [s (L s + R + K_c)(m s^2 + d s + k) + k_f^2 s^2 + k_f K_c (K_p s^2 + (K_i + b K_p
-            k_h) s + K_i k_h)] (2/T + s)
-
-        without the last factors where there is no delay.
-        """
-        names = (
-            "mass",
-            "resistance",
-            "inductance",
-            "force_constant",
-            "viscous_damping",
-            "current_gain",
-            "speed_gain",
-        )
-        m, R, L, k_f, d, K_c, K_p = (float(getattr(self, name)) for name in names)
-        names = ("speed_integral_gain", "setpoint_weight", "command_scale", "holding_gain")
-        K_i, b, S, k_h = (float(getattr(self, name)) for name in names)
-        k = 0.0 if self.stiffness is None else float(self.stiffness)
-        N = 1e3 * S * k_f * K_c * np.array([b * K_p, K_i])
-        D = np.polymul([L, R + K_c, 0.0], [m, d, k])
-        D[2:] += np.array(
-            [k_f**2 + k_f * K_c * K_p, k_f * K_c * (K_i + b * K_p * k_h), k_f * K_c * K_i * k_h]
-        )
-        if self.command_delay is not None:
-            lag = 2 / float(self.command_delay)
-            N, D = np.polymul(N, [-1.0, lag]), np.polymul(D, [1.0, lag])
-        return N, D
+        return third_order(self)
 
 
 def voice_coil_motor(form: str = "identified") -> VoiceCoilMotor:

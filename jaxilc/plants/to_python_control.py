@@ -93,7 +93,7 @@ def need_linear(plant: Plant, dt: float) -> None:
 def _own_sample_time(plant: Plant) -> float:
     """The sample time [s] that the plant, or a plant within it, is given for; 0 for none."""
     if getattr(plant, "dt", 0.0):
-        return plant.dt  # ty: ignore[unresolved-attribute]
+        return plant.dt  # ty: ignore[missing-attribute]
     return max(map(_own_sample_time, _plants_within(plant).values()), default=0.0)
 
 

@@ -18,7 +18,8 @@ Each condition is a `Condition`: value, margin, premises, theorem, verdict.
 """
 
 from . import condition, contraction, frequency, lifted, outlook, structure
-from .bounds import CFDLBounds, FFDLBounds, PremiseShare, cfdl_bounds, ffdl_bounds, premises
+from .bounds import CFDLBounds, FFDLBounds, cfdl_bounds, ffdl_bounds
+from .bounds_of_machines import PremiseShare, premises
 from .certificates import CLAIMS, COURSES, Certificate, certify
 from .condition import Condition, Premise
 from .to_python_control import to_control

@@ -19,10 +19,12 @@ from ..runtime.tiles import tiled
 from ..schemes import Scheme
 from ..signals.task import Task
 from ..uncertainty import Uncertainty, draw, drawn_machine, drawn_machines
-from .by_frequency import CAUSAL, LEARNING, STABLE, largest_of, lines, of_trial, parts_of
+from .by_frequency import CAUSAL, LEARNING, largest_of
 from .condition import Condition, condition, premise
 from .law import Taps, at_points, law_of
+from .law_and_loop import STABLE, of_trial, parts_of
 from .loop import Loop, linear_loop, minimal, on_circle, response
+from .over_frequency import lines
 
 TRIED = (
     "sup |Q (keep - L P)| < 1 for each of the plants that were tried: samples of the box, its corners, and where gradient ascent from the "

@@ -9,10 +9,11 @@ linear_loop, response   P(z) of machine and feedback;  law_response, filter_resp
 and what filters
 """
 
-from .by_frequency import FrequencyTest, grid, learning_condition, norm_optimal_condition
+from .by_frequency import learning_condition, norm_optimal_condition
 from .family import FamilyTest, family_condition
 from .law import filter_response, law_response
 from .loop import Loop, linear_loop, pole_radius, response
+from .over_frequency import FrequencyTest, grid
 from .robust import robust_condition
 
 __all__ = [

@@ -27,12 +27,13 @@ from ..schemes import Scheme
 from ..signals.task import Task
 from ..uncertainty import drawn_machines
 from .affine import limit_names
-from .by_frequency import FrequencyTest, on_supremum, parts_of, weight_on
 from .condition import Premise, premise
 from .enclosure import size
 from .law import learning_law
+from .law_and_loop import parts_of
 from .lifted import lifted_plant
 from .outlook import WHOLE
+from .over_frequency import FrequencyTest, on_supremum, weight_on
 from .trials import shortened
 
 ROBUST = (
