@@ -1,10 +1,10 @@
-"""Feedforward inversion of a discrete system for a reference known in advance: the prefilter r_0 =
-r_d / P_Z of multivariable ILC.
+"""Feedforward inversion of a discrete system for a reference that is known in advance.
 
-The design is host code in float64 (zeros, poles, a gain); what it returns is a `Filter` that is
-pure, batched and differentiable. Of a drive whose *input* is held over a sample, y_T/y_M from
-sample to sample is `output_ratio(drive)`. Sampling P_Z(s) by itself holds the motor's position
-instead, half a sample of delay that no drive has: the table then leads by velocity dt / 2.
+This is the prefilter r_0 = r_d / P_Z of multivariable ILC. The design is host code in float64
+(zeros, poles, a gain, see `zeros_and_poles`); what it returns is a `Filter` that is pure, batched
+and differentiable. Of a drive whose *input* is held over a sample, y_T/y_M from sample to sample is
+`output_ratio(drive)`. Sampling P_Z(s) by itself would hold the motor's position instead, half a
+sample of delay that no drive has: the table then leads by velocity dt / 2.
 """
 
 from __future__ import annotations
@@ -38,8 +38,9 @@ CIRCLE = 1e-6
 
 
 class Inverse(Filter):
-    """A prefilter designed for one sample time `dt` [s]; undoing a plant's phase, it is not
-    zero-phase. Raises at another dt.
+    """A prefilter designed for one sample time `dt` [s].
+
+    As it undoes a plant's phase, it is not zero-phase. Raises ValueError at another sample time.
     """
 
     dt: float
@@ -48,13 +49,15 @@ class Inverse(Filter):
     def check(self, samples: int, dt: float) -> None:
         if known(dt) and abs(self.dt - dt) > 1e-9 * dt:
             raise ValueError(
-                f"{type(self).__name__}: dt = {dt:g} s is not that of the design; allowed is dt = {self.dt:g}"
+                f"{type(self).__name__}: dt = {dt:g} s is not that of the design; allowed is dt = "
+                f"{self.dt:g}"
             )
         for name, columns in (("forward", (5,)), ("backward", (5,)), ("gain", ())):
             shape = np.shape(getattr(self, name, np.zeros((0, 5))))
             if len(shape) != 2 * len(columns) or shape[-1:] != columns:
                 raise ValueError(
-                    f"{type(self).__name__}: {name} has shape {shape}; allowed is {'(m, 5)' if columns else '()'}"
+                    f"{type(self).__name__}: {name} has shape {shape}; allowed is "
+                    f"{'(m, 5)' if columns else '()'}"
                 )
         require(
             type(self).__name__, "advance", self.advance, f"[{-samples}, {samples}]", whole=True
@@ -63,30 +66,35 @@ class Inverse(Filter):
 
 @pytree
 class StableInverse(Inverse):
-    """Exact inverse by stable inversion (Devasia, Chen, Paden 1996): each zero is recursed in the
-    direction of time in which it decays.
+    """Exact inverse by stable inversion (Devasia, Chen, Paden 1996).
 
-        P = K z^-a B_s B_u / A,   r_0 = z^a A / (K B_s B_u) r:   z^a A a non-causal sum, 1/B_s
-        forward, 1/B_u backward in time
+    Each zero is recursed in the direction of time in which it decays:
 
-    with factors 1 - p z^-1 in A, 1 - z_i z^-1 (|z_i| < 1) in B_s, 1 - z / z_i (|z_i| > 1) in B_u; a
-    = relative degree + order of B_u. Beyond its ends the reference keeps its end values, for ever,
-    and each recursion starts in the steady state that goes with it. What r_0 would be before the
-    first sample is cut off: P starts in the steady state of r[0] and y deviates from r by the
-    pre-actuation
-    that is missing. It falls as |z_i|^-n where r rests n + a samples before it moves
-    (`pre_actuation`: n + a). What is cut off at the end does no harm within the trial. Pad the
-    reference with its end values, and cut later, for room to pre-actuate. Cost of a zero at
-    distance delta from the circle: to 1e-6 it takes 14 / delta samples of r_0, before the motion if
-    outside, ringing
-    after it if inside, and its frequency (near z = -1, sample by sample) is lifted by 1 / delta,
-    noise and model error with it.
+        P = K z^-a B_s B_u / A,   r_0 = z^a A / (K B_s B_u) r
 
-    forward: (m, 5) sections b0 b1 b2 a1 a2 in z^-1, A / B_s;  backward: (m', 5) the same in z, 1 /
-    B_u;  gain: () of both
-    advance: a, samples by which the sum looks ahead;  dt: sample time of the design [s]
-    extension: samples by which the trial is continued beyond its end; the error there is (max |z_s|
-    / min |z_u|)^extension
+    z^a A is a non-causal sum, 1/B_s runs forward and 1/B_u backward in time. The factors are 1 - p
+    z^-1 in A, 1 - z_i z^-1 (|z_i| < 1) in B_s, and 1 - z / z_i (|z_i| > 1) in B_u; a = relative
+    degree + order of B_u.
+
+    forward:   (m, 5) sections b0 b1 b2 a1 a2 in z^-1, A / B_s
+    backward:  (m', 5) the same in z, 1 / B_u
+    gain:      () of both
+    advance:   a, samples by which the sum looks ahead
+    dt:        sample time of the design [s]
+    extension: samples by which the trial is continued beyond its end; the error there is
+               (max |z_s| / min |z_u|)^extension
+
+    Beyond its ends the reference keeps its end values for ever, and each recursion starts in the
+    steady state that goes with it. What r_0 would be before the first sample is cut off: P starts
+    in the steady state of r[0], and y deviates from r by the pre-actuation that is missing. The
+    deviation falls as |z_i|^-n where r rests n + a samples before it moves (`pre_actuation`: n +
+    a). What is cut off at the end does no harm within the trial. For room to pre-actuate, pad the
+    reference with its end values, and cut later.
+
+    A zero at distance delta from the unit circle has its price. To reach 1e-6 it takes 14 / delta
+    samples of r_0, before the motion if the zero is outside, ringing after it if it is inside. The
+    zero's frequency (near z = -1, from sample to sample) is amplified by 1 / delta, and noise and
+    model error with it.
     """
 
     forward: Leaf = leaf()
@@ -104,8 +112,9 @@ class StableInverse(Inverse):
         return forced[: signal.shape[0]]
 
     def pre_actuation(self, tolerance: float = 1e-6) -> int:
-        """Samples of rest the reference needs before it moves, so that what is cut off has decayed
-        to `tolerance`.
+        """Samples of rest that the reference needs before it moves.
+
+        What is cut off before the first sample has then decayed to `tolerance`.
         """
         slowest = max(
             (
@@ -122,19 +131,22 @@ class StableInverse(Inverse):
 
 @pytree
 class ZPETC(Inverse):
-    """Zero phase error tracking control (Tomizuka 1987): zeros that are not cancelled are met by
-    their mirror images.
+    """Zero phase error tracking control (Tomizuka 1987).
 
-        P(z) = K B_c(z) B_u(z) / A(z),   r_0 = A(z) B_u(1/z) / (K B_c(z) B_u(1)^2) r,   y = P r_0 =
-        |B_u|^2 / B_u(1)^2 r
+    Zeros that are not cancelled are met by their mirror images:
+
+        P(z) = K B_c(z) B_u(z) / A(z),   r_0 = A(z) B_u(1/z) / (K B_c(z) B_u(1)^2) r
+        y = P r_0 = |B_u|^2 / B_u(1)^2 r
 
     B_u holds the zeros outside the unit circle, on it, or beyond the `radius` of the design. y has
-    no phase error at any frequency and the right size at frequency 0; the size departs from 1 as
-    frequency squared, and to 0 at a zero on the circle. It looks ahead by relative degree + order
-    of B_u, and no further. Beyond its ends the reference keeps its end values.
+    no phase error at any frequency and the right size at frequency 0. The size departs from 1 as
+    frequency squared, and goes to 0 at a zero on the circle. The filter looks ahead by relative
+    degree + order of B_u, and no further. Beyond its ends the reference keeps its end values.
 
-    forward: (m, 5) sections b0 b1 b2 a1 a2 in z^-1, A B_u(1/z) / B_c;  gain: () of the rest
-    advance: samples of look-ahead;  dt: sample time of the design [s]
+    forward: (m, 5) sections b0 b1 b2 a1 a2 in z^-1, A B_u(1/z) / B_c
+    gain:    () of the rest
+    advance: samples of look-ahead
+    dt:      sample time of the design [s]
     """
 
     forward: Leaf = leaf()
@@ -152,14 +164,17 @@ def stable_inverse(
 ) -> StableInverse:
     """The exact inverse of a system without zeros on the unit circle.
 
-    system, dt: as in `factors`;  extension: None for as many samples as leave no more than rounding
+    system, dt: as in `factors`
+    extension:  None for as many samples as leave no more than rounding
+
     Raises ValueError as `factors`, and naming the zero that lies on the unit circle.
     """
     P = factors(system, dt)
     distance = np.abs(P.zeros) - 1
     for zero in P.zeros[np.abs(distance) < CIRCLE]:
         raise ValueError(
-            f"stable_inverse: the zero z = {zero:.6g} lies on the unit circle, where no direction of time lets it decay; "
+            f"stable_inverse: the zero z = {zero:.6g} lies on the unit circle, where no direction "
+            "of time lets it decay; "
             f"allowed is a distance of {CIRCLE:g}; ZPETC can do without cancelling it (but z = 1)"
         )
     inside, outside = P.zeros[distance < 0], P.zeros[distance > 0]
@@ -177,8 +192,9 @@ def zpetc(system, dt: float | None = None, *, radius: float = 1.0) -> ZPETC:
     """Zero phase error tracking: any system whose DC gain is not zero.
 
     system, dt: as in `factors`
-    radius: zeros within it are cancelled, in (0, 1]; less than 1 spares lightly damped ones, which
-    would ring in r_0
+    radius:     zeros within it are cancelled, in (0, 1]; less than 1 leaves out lightly damped
+                ones, which would ring in r_0
+
     Raises ValueError as `factors`, for a radius outside its range, and for a zero at z = 1.
     """
     P = factors(system, dt)
@@ -186,7 +202,8 @@ def zpetc(system, dt: float | None = None, *, radius: float = 1.0) -> ZPETC:
         raise ValueError(f"zpetc: radius = {radius} is outside its allowed range (0, 1]")
     if np.any(np.abs(P.zeros - 1) < CIRCLE):
         raise ValueError(
-            "zpetc: the system has a zero at z = 1; allowed is a DC gain other than 0, which ZPETC scales to 1"
+            "zpetc: the system has a zero at z = 1; allowed is a DC gain other than 0, which ZPETC "
+            "scales to 1"
         )
     cancelled = np.abs(P.zeros) < min(radius, 1 - CIRCLE)
     inside, mirrored = P.zeros[cancelled], P.zeros[~cancelled]
@@ -199,7 +216,10 @@ def zpetc(system, dt: float | None = None, *, radius: float = 1.0) -> ZPETC:
 def inverse(
     system, dt: float | None = None, method: str = "stable", **options
 ) -> StableInverse | ZPETC:
-    """`stable_inverse` or `zpetc` by name, with its options. Raises ValueError for another method."""
+    """`stable_inverse` or `zpetc` by name, with its options.
+
+    Raises ValueError for another method.
+    """
     if method not in ("stable", "zpetc"):
         raise ValueError(f"inverse: method = {method!r} is not one of 'stable', 'zpetc'")
     return (stable_inverse if method == "stable" else zpetc)(system, dt, **options)
@@ -211,8 +231,9 @@ def _sections(zeros, poles):
 
 
 def _run_ahead(sections, signal, advance, extension):
-    """(N + extension, n) the sections' output `advance` samples later; beyond its ends the signal
-    keeps its end values.
+    """(N + extension, n) the sections' output `advance` samples later.
+
+    Beyond its ends the signal keeps its end values.
     """
     before, start = max(-advance, 0), max(advance, 0)
     held = jnp.pad(signal, ((before, max(advance + extension, 0)), (0, 0)), mode="edge")

@@ -15,11 +15,12 @@ EPS = np.finfo(float).eps
 
 
 class Factors(NamedTuple):
-    """P(z) = gain prod_i (z - zeros_i) / prod_i (z - poles_i), one input and one output, sampled
-    every dt [s].
+    """P(z) = gain prod_i (z - zeros_i) / prod_i (z - poles_i), one input and one output.
 
-    zeros: (m,), poles: (n,) in conjugate pairs; n - m is the relative degree, negative where P is
-    improper
+    zeros: (m,) in conjugate pairs
+    poles: (n,) in conjugate pairs; n - m is the relative degree, negative where P is improper
+    gain:  of P
+    dt:    sample time [s]
     """
 
     zeros: np.ndarray
@@ -29,14 +30,16 @@ class Factors(NamedTuple):
 
 
 def factors(system, dt: float | None = None) -> Factors:
-    """Zeros, poles and gain of a system with one input and one output; a continuous one is sampled
-    with a zero-order hold.
+    """Zeros, poles and gain of a system with one input and one output.
+
+    A continuous system is sampled with a zero-order hold. Common factors are not cancelled.
 
     system: jaxilc StateSpace, python-control StateSpace or TransferFunction (a discrete one may be
-    improper), or Factors as they are
-    dt: sample time [s], None for that of a discrete system
-    Common factors are not cancelled. Raises ValueError for a system that is not SISO, is zero, or
-    whose sample time is open or not dt.
+            improper), or Factors as they are
+    dt:     sample time [s]; None for that of a discrete system
+
+    Raises ValueError for a system that is not SISO, is zero, or whose sample time is open or not
+    dt.
     """
     own, dt = _sample_time(system, dt)
     if isinstance(system, Factors):
@@ -48,7 +51,8 @@ def factors(system, dt: float | None = None) -> Factors:
     )
     if (inputs, outputs) != (1, 1):
         raise ValueError(
-            f"factors: the system has {inputs} inputs and {outputs} outputs; allowed is one of each, pick them: system[i, j]"
+            f"factors: the system has {inputs} inputs and {outputs} outputs; allowed is one of "
+            "each, pick them: system[i, j]"
         )
     if own and hasattr(system, "num") and np.any(system.num[0][0]):
         above, below = (
@@ -61,15 +65,19 @@ def factors(system, dt: float | None = None) -> Factors:
 
 
 def output_ratio(system, dt: float | None = None, *, above: int = 1, below: int = 0) -> Factors:
-    """P_above / P_below of two outputs under one held input: their denominators are the same, so it
-    is N_above / N_below exactly.
+    """P_above / P_below of two outputs under one held input, N_above / N_below exactly.
 
-    system: StateSpace of jaxilc or python-control with one input, force to motor and table
-    position, for example;  dt: as in `factors` Zeros outside the unit circle, sampling zeros among
-    them, mean different things in the two. In N_above the inverse divides by them and needs
-    pre-actuation. In N_below it multiplies by them, a finite sum, and is as tame as ever: the ratio
-    as such is unstable then,
-    but it is never run from y_below to y_above; both outputs come from the input.
+    It is exact because the denominators of both are the same.
+
+    system: StateSpace of jaxilc or python-control with one input, for example force to motor and
+            table position
+    dt:     as in `factors`
+
+    Zeros outside the unit circle, sampling zeros among them, mean different things in the two
+    numerators. The inverse divides by those in N_above, and so needs pre-actuation. It multiplies
+    by those in N_below, which is a finite sum and needs nothing of the kind. The ratio as such is
+    then unstable, but it is never run from y_below to y_above; both outputs come from the input.
+
     Raises ValueError as `factors`, and for several inputs or an output that does not exist.
     """
     own, dt = _sample_time(system, dt)
@@ -78,7 +86,8 @@ def output_ratio(system, dt: float | None = None, *, above: int = 1, below: int 
         raise ValueError(f"output_ratio: the system has {B.shape[1]} inputs; allowed is 1")
     if not {above, below} <= set(range(len(C))):
         raise ValueError(
-            f"output_ratio: above = {above!r}, below = {below!r} are not both among the outputs 0..{len(C) - 1}"
+            f"output_ratio: above = {above!r}, below = {below!r} are not both among the outputs "
+            f"0..{len(C) - 1}"
         )
     (zeros, gain), (poles, scale) = (_zeros_and_gain(A, B, C[[i]], D[i, 0]) for i in (above, below))
     return Factors(zeros, poles, gain / scale, dt)
@@ -105,25 +114,29 @@ def _sampled(system, own, dt):
 
 
 def _sample_time(system, dt) -> tuple[float, float]:
-    """That of the system, 0 if continuous, and the one to work at."""
+    """The sample time of the system, 0 if it is continuous, and the sample time to work at."""
     import control
 
     if not isinstance(system, Factors | StateSpace | control.StateSpace | control.TransferFunction):
         raise ValueError(
-            f"factors: {type(system).__name__} is not a jaxilc StateSpace, nor a StateSpace or TransferFunction of control"
+            f"factors: {type(system).__name__} is not a jaxilc StateSpace, nor a StateSpace or "
+            "TransferFunction of control"
         )
     own = system.dt
     if own is None or own is True:
         raise ValueError(
-            f"factors: dt = {own} of the system leaves the sample time open; allowed are 0 (continuous) and a time in s"
+            f"factors: dt = {own} of the system leaves the sample time open; allowed are 0 "
+            "(continuous) and a time in s"
         )
     if not own and not 0 < (dt or 0) < np.inf:
         raise ValueError(
-            f"factors: dt = {dt} is outside the allowed range (0, inf) of the sample time [s] of a continuous system"
+            f"factors: dt = {dt} is outside the allowed range (0, inf) of the sample time [s] of a "
+            "continuous system"
         )
     if own and dt and abs(own - dt) > 1e-9 * dt:
         raise ValueError(
-            f"factors: the system is sampled at {own:g} s but dt = {dt:g} s; allowed is dt = {own:g}"
+            f"factors: the system is sampled at {own:g} s but dt = {dt:g} s; allowed is dt = "
+            f"{own:g}"
         )
     return float(own), float(own or dt)
 

@@ -13,10 +13,13 @@ from .friction import StribeckFriction
 
 @pytree
 class LeadError:
-    """The screw's deviation from its nominal lead, periodic in the motor's position: l(x) = A sin(2
-    pi x / period + phase).
+    """The screw's deviation from its nominal lead, periodic in the motor's position.
 
-    amplitude: () A [m];  period: () [m], the pitch or a part of it;  phase: () [rad]
+        l(x) = A sin(2 pi x / period + phase)
+
+    amplitude: () A [m]
+    period:    () [m], the pitch or a part of it
+    phase:     () [rad]
     """
 
     amplitude: Leaf = scalar(interval="[0, inf)")
@@ -24,7 +27,7 @@ class LeadError:
     phase: Leaf = scalar(default=0.0)
 
     def at(self, position) -> tuple[jax.Array, jax.Array]:
-        """position: () [m] -> () l [m] and () dl/dx"""
+        """l () [m] and dl/dx () at a position () [m]."""
         k = 2 * jnp.pi / self.period
         angle = k * position + self.phase
         return self.amplitude * jnp.sin(angle), self.amplitude * k * jnp.cos(angle)
@@ -32,10 +35,13 @@ class LeadError:
 
 @pytree
 class FrictionTable:
-    """Look-up table of the drive that compensates friction: the force to add at a commanded
-    velocity, interpolated.
+    """Look-up table of the drive that compensates friction.
 
-    velocity: (M,) increasing [m/s];  force: (M,) [N]; beyond the ends the end values hold
+    It gives the force to add at a commanded velocity, interpolated.
+
+    velocity: (M,) increasing [m/s]
+    force:    (M,) [N]; beyond the ends the end values hold
+
     Raises ValueError for a velocity that does not increase, or shapes that differ.
     """
 
@@ -49,19 +55,18 @@ class FrictionTable:
             or len(self.velocity) < 2
         ):
             raise ValueError(
-                f"FrictionTable: velocity {self.velocity.shape} and force {self.force.shape} must both have shape (M,), M >= 2"
+                f"FrictionTable: velocity {self.velocity.shape} and force {self.force.shape} must "
+                "both have shape (M,), M >= 2"
             )
         if known(self) and np.any(np.diff(self.velocity) <= 0):
             raise ValueError(f"FrictionTable: velocity = {np.asarray(self.velocity)} must increase")
 
     def at(self, velocity) -> jax.Array:
-        """velocity: () [m/s] -> () [N]"""
+        """The force () [N] at a velocity () [m/s]."""
         return jnp.interp(velocity, self.velocity, self.force)
 
     @classmethod
     def of(cls, friction: StribeckFriction, velocity) -> FrictionTable:
-        """The table that an identification experiment at the velocities given (M,) [m/s] would
-        leave.
-        """
+        """The table that an identification experiment at given velocities (M,) [m/s] would leave."""
         velocity = np.asarray(velocity, float)
         return cls(velocity, np.asarray(friction.force(velocity)))

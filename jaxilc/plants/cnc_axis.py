@@ -18,13 +18,16 @@ SAMPLE_TIME = 2e-3  # [s]
 def cnc_axis(form: str = "double_integrator", gain: float = 1.0) -> StateSpace:
     """The X axis of Li 2020 from control input to position [mm], sampled at 2 ms.
 
-    `printed`: eq. 3 as printed, x' = [[2.85, -1.35, 0.8502], [2, 0, 0], [0, 0.5, 0]] x + [0.25, 0,
-    0] u, y = [0.19, 0, -0.01899] x.
-        Its poles 1.0331, 0.9567 and 0.8602 are unstable, from the rounding of the last digit
-        printed.
-    `double_integrator`: what that stands for, (z - 1)^2 (z - 0.85) with 0.85 for 0.8502: a force on
-    a mass and a lag of 12.3 ms. Both have CB = 0.0475 and need a feedback. gain: relative to the
-    identified one, for a second axis
+        printed            x' = [[2.85, -1.35, 0.8502], [2, 0, 0], [0, 0.5, 0]] x + [0.25, 0, 0] u
+                           y = [0.19, 0, -0.01899] x    (eq. 3)
+        double_integrator  the same with 0.85 for 0.8502
+
+    The poles of the first form, 1.0331, 0.9567 and 0.8602, are unstable, from the rounding of the
+    last digit printed. The second is what it stands for: (z - 1)^2 (z - 0.85), a force on a mass
+    and a lag of 12.3 ms. Both have CB = 0.0475 and need a feedback.
+
+    gain: relative to the identified one, for a second axis
+
     Raises ValueError for another form.
     """
     coefficients = {"printed": 0.8502, "double_integrator": 0.85}

@@ -1,5 +1,6 @@
-"""The piezo fast tool servo (Xu 2024, eq. 1 to 4): servo, amplifier, hysteresis, creep, flexible
-mode and the forces on its tool.
+"""The piezo fast tool servo (Xu 2024, eq. 1 to 4).
+
+It has a servo, an amplifier, hysteresis, creep, a flexible mode, and the forces on its tool.
 """
 
 from __future__ import annotations
@@ -29,8 +30,11 @@ SAMPLES_PER_PERIOD = 5
 
 
 class ServoCoefficients(NamedTuple):
-    """y'' = -a1 y - a2 y' + b u + f (Xu 2024, eq. 4): what a model-based scheme is given. a1
-    [1/s^2], a2 [1/s], b [um/(V s^2)]
+    """y'' = -a1 y - a2 y' + b u + f (Xu 2024, eq. 4): what a model-based scheme is given.
+
+    a1: () [1/s^2]
+    a2: () [1/s]
+    b:  () [um/(V s^2)]
     """
 
     a1: jax.Array
@@ -40,38 +44,45 @@ class ServoCoefficients(NamedTuple):
 
 @pytree
 class FastToolServo(Plant):
-    """Piezo stack with its amplifier and flexure, from control voltage [V] to tool position [um]
-    (Xu 2024, eq. 1 to 3).
+    """Piezo stack with amplifier and flexure, from voltage [V] to tool position [um].
 
-        m y'' + k_c y' + k_f y = T k_b v - F_friction - F_cut(y) - F_load - F_periodic(t),    v = u
-        - H(u)
+        m y'' + k_c y' + k_f y = T k_b v - F_friction - F_cut(y) - F_load - F_periodic(t)
+        v = u - H(u)
 
-    mass: () m [kg];  damping: () k_c [N s/um];  stiffness: () k_f [N/um];  conversion: () T, force
-    per volt at the piezo [N/V]
-    amplifier_gain: () k_b;  amplifier_bandwidth: () of a first-order lag after v [Hz]
-    hysteresis: H, a `BoucWen` or `Dahl` of the voltage, z in V;  friction: the same of the
-    position, z in N
-    cutting, periodic, load: forces against +y; load () is constant [N];  mode, creep: added to y;
-    drift: () of the output [um/s]
-    substeps: equal steps of the integrator in a sample;  longest_dt: sample times beyond are
-    refused [s]
-    None for none: an absent part costs nothing. A disturbance given as a signal, such as Xu 2024,
-    Fig. 10, belongs in `Disturbance`.
+    This is Xu 2024, eq. 1 to 3.
+
+    mass:       () m [kg]
+    damping:    () k_c [N s/um]
+    stiffness:  () k_f [N/um]
+    conversion: () T, force per volt at the piezo [N/V]
+    amplifier_gain: () k_b
+    amplifier_bandwidth: () of a first-order lag after v [Hz]
+    load:       () constant force against +y [N]
+    drift:      () of the output [um/s]
+    hysteresis: H, a `BoucWen` or `Dahl` of the voltage, z in V
+    friction:   a `BoucWen` or `Dahl` of the position, z in N
+    mode, creep: added to y
+    cutting, periodic: forces against +y
+    substeps:   equal steps of the integrator in a sample
+    longest_dt: sample times beyond it are refused [s]
+
+    None leaves a part out, and an absent part costs nothing. A disturbance that is given as a
+    signal, such as Xu 2024, Fig. 10, belongs in `Disturbance`.
 
     Printed are only the ratios a1 = k_f/m, a2 = k_c/m and b = k_b T/m, see `coefficients`; b
     contains the amplifier's 20. Chosen is k_f = 1 N/um, so that the 1 N of Xu 2024, Table 2, moves
-    the free tool by 1 um, 5 % of its 20 um. Then m = 0.414 kg, T = 0.462 N/V.
+    the free tool by 1 um, 5 % of its 20 um. Then m = 0.414 kg and T = 0.462 N/V.
 
     A piezo is hysteretic between voltage and charge, hardly between charge and force (Goldfarb and
     Celanovic 1997), so H belongs to the voltage. As u is held over a sample, z jumps with it and
-    rests: one exact update a sample. It sees u ahead of the amplifier's lag. The slope A of a small
-    stroke makes the static gain (1 - A) T k_b / k_f; a large one tends to T k_b / k_f. `friction`
-    is for guides,
-    or for H as a force of the position (Xu and Li 2010, with Dahl's model); it moves on within the
-    sample.
+    rests: this takes one exact update a sample. H acts on u ahead of the amplifier's lag. The slope
+    A of a small stroke makes the static gain (1 - A) T k_b / k_f; that of a large stroke tends to T
+    k_b / k_f. `friction` is for guides, or for H as a force of the position (Xu and Li 2010, with
+    Dahl's model); it goes on changing within the sample.
 
-    All that is linear is exact at any sample time, friction and cutting force are integrated, see
+    All that is linear is exact at any sample time; friction and cutting force are integrated, see
     `sampled`.
+
     Raises ValueError, where the values are known, for a `longest_dt` above a fifth of the period of
     the fastest mode (samples farther apart hardly show the oscillation that a scheme has to damp),
     or a hysteresis with A >= 1, which would reverse the gain.
@@ -114,13 +125,16 @@ class FastToolServo(Plant):
         longest = 1 / (SAMPLES_PER_PERIOD * fastest)
         if self.longest_dt > longest * (1 + 1e-9):
             raise ValueError(
-                f"FastToolServo: longest_dt = {self.longest_dt:g} s leaves {1 / (self.longest_dt * fastest):.3g} samples a period of the "
-                f"fastest mode, {fastest:.4g} Hz; its allowed range with these parameters is (0, {longest:.3g}]"
+                f"FastToolServo: longest_dt = {self.longest_dt:g} s leaves "
+                f"{1 / (self.longest_dt * fastest):.3g} samples a period of the "
+                f"fastest mode, {fastest:.4g} Hz; its allowed range with these parameters is (0, "
+                f"{longest:.3g}]"
             )
         slope = 0.0 if self.hysteresis is None else np.max(self.hysteresis.initial_slope)
         if slope >= 1:
             raise ValueError(
-                f"FastToolServo: hysteresis.initial_slope = {slope:g} is outside its allowed range (0, 1), in V of z per V"
+                f"FastToolServo: hysteresis.initial_slope = {slope:g} is outside its allowed range "
+                "(0, 1), in V of z per V"
             )
 
     @property
@@ -134,14 +148,13 @@ class FastToolServo(Plant):
         )
 
     def linear(self) -> StateSpace:
-        """The plant in continuous time without hysteresis and cutting force, its friction a spring
-        of its initial slope.
+        """The plant in continuous time without hysteresis and cutting force.
 
-        States: position, and speed over w = (k_f/m)^(1/2), both in um, since exp(A dt) of a badly
-        scaled A loses digits; then, of the
-        parts present: friction z [N], amplifier [V], position and scaled speed of the mode [um],
-        creep [um], a sine and a cosine of each periodic force [N], and for load or drift a constant
-        1 and the drift [um]. What the input does not drive starts from x0.
+        Its friction is a spring of the friction's initial slope. The states are position, and speed
+        over w = (k_f/m)^(1/2), both in um, since exp(A dt) of a badly scaled A loses digits. Then
+        follow, for the parts that are present: friction z [N], amplifier [V], position and scaled
+        speed of the mode [um], creep [um], a sine and a cosine of each periodic force [N], and for
+        load or drift a constant 1 and the drift [um]. What the input does not drive starts from x0.
         """
         a1, a2, b = self.coefficients
         w = jnp.sqrt(a1)
@@ -203,12 +216,12 @@ class FastToolServo(Plant):
         """The plant for sample time dt: a plain `StateSpace` as long as it is linear.
 
         Under a cutting force the error falls as (dt / substeps)^4; with friction as its square,
-        from the kink at each turn.
-        Raises ValueError for dt beyond `longest_dt`.
+        because of the kink where the motion turns. Raises ValueError for dt beyond `longest_dt`.
         """
         if dt > self.longest_dt * (1 + 1e-9):
             raise ValueError(
-                f"FastToolServo: dt = {dt:g} s is outside its allowed range (0, {self.longest_dt:g}], see longest_dt"
+                f"FastToolServo: dt = {dt:g} s is outside its allowed range (0, "
+                f"{self.longest_dt:g}], see longest_dt"
             )
         plant = self.linear()
         if self.friction is None and self.cutting is None:
@@ -220,8 +233,10 @@ class FastToolServo(Plant):
 
 @pytree
 class ForcedServo(Plant):
-    """A `FastToolServo` with friction or cutting force, for one sample time. linear: in continuous
-    time, with its propagator
+    """A `FastToolServo` with friction or cutting force, for one sample time.
+
+    linear:     its linear part in continuous time
+    propagator: of that linear part
     """
 
     linear: StateSpace = child()
@@ -245,7 +260,7 @@ class ForcedServo(Plant):
         return self.linear.output(x)
 
     def _nonlinear(self, x):
-        """(n,) what friction and cutting force add to the rates of the linear part, in its states."""
+        """(n,) what friction and cutting force add to the rates of the linear part."""
         servo, rates, w = self.servo, jnp.zeros_like(x), jnp.sqrt(self.servo.coefficients.a1)
         if servo.cutting is not None:
             rates = rates.at[1].set(-1e6 / servo.mass / w * servo.cutting.force(self.output(x)[0]))
@@ -259,15 +274,15 @@ class ForcedServo(Plant):
 def fast_tool_servo(form: str = "identified") -> FastToolServo:
     """The servo of Xu 2024 in one of two forms.
 
-    `identified`: G(s) of section 5.2, linear
-    `full`:       with what the section names and leaves out, at values that are chosen and wait for
-    a fit: Bouc-Wen hysteresis (a loop
-                  as wide as 8 % of the stroke at 20 um, z_max = 0.25 V), a mode that raises the
-                  gain at 900 Hz by 40 %, creep of 1.5 % a decade of time. The conversion is 1 / (1
-                  - A) larger, so that G(s) is the response to small strokes, with which it was
-                  identified. The amplifier is a constant, as in section 2.2; loads and cutting are
-                  the task's to add.
-    Raises ValueError for another form.
+        identified  G(s) of section 5.2, linear
+        full        with what the section names and leaves out, at values that are chosen and wait
+                    for a fit: Bouc-Wen hysteresis (a loop as wide as 8 % of the stroke at 20 um,
+                    z_max = 0.25 V), a mode that raises the gain at 900 Hz by 40 %, and creep of
+                    1.5 % a decade of time
+
+    In the full form the conversion is 1 / (1 - A) larger, so that G(s) is the response to small
+    strokes, with which it was identified. The amplifier is a constant, as in section 2.2. Loads and
+    cutting are for the task to add. Raises ValueError for another form.
     """
     match form:
         case "identified":

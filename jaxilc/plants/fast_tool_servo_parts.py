@@ -11,14 +11,17 @@ from ..pytree.fields import Leaf, leaf, pytree, scalar
 
 @pytree
 class FlexibleMode:
-    """A resonance beside the servo's, which the second-order model leaves out (Xu 2024, section
-    5.2).
+    """A resonance beside the servo's, which the second-order model leaves out (Xu 2024, sec. 5.2).
 
         G_mode(s) = share G(0) w^2 / (s^2 + 2 zeta w s + w^2), added to G(s)
 
-    frequency: () w / 2 pi [Hz];  damping: () zeta;  share: () of the servo's static deflection;
-    positive: an antiresonance lies between the two resonances (drive and encoder move alike),
-    negative: none, and the phase falls on. Excited by the drive, not by forces on the tool.
+    frequency: () w / 2 pi [Hz]
+    damping:   () zeta
+    share:     () of the servo's static deflection. Positive: an antiresonance lies between the two
+               resonances (drive and encoder move alike). Negative: there is none, and the phase
+               goes on falling
+
+    The mode is excited by the drive, not by forces on the tool.
     """
 
     frequency: Leaf = scalar(interval="(0, inf)")
@@ -28,12 +31,15 @@ class FlexibleMode:
 
 @pytree
 class Creep:
-    """The piezo goes on extending under a held voltage: tau_i y_i' = share_i G(0) v - y_i, summed
-    and added to the output.
+    """The piezo goes on extending under a held voltage v.
+
+        tau_i y_i' = share_i G(0) v - y_i, summed and added to the output
 
     A few operators spaced by decades stand for the logarithmic law y (1 + c log10(t / t_0)), each
     with the share c.
-    shares: (n,) of the servo's static deflection;  time_constants: (n,) tau [s]
+
+    shares:         (n,) of the servo's static deflection
+    time_constants: (n,) tau [s]
     """
 
     shares: Leaf = leaf()
@@ -45,10 +51,13 @@ class Creep:
 
 @pytree
 class PeriodicForce:
-    """Force on the tool against +y: F(t) = sum_i a_i sin(2 pi f_i t + phase_i), t from the start of
-    the trial: it repeats in each.
+    """Force on the tool against +y that repeats in each trial.
 
-    amplitudes: (n,) [N];  frequencies: (n,) [Hz];  phases: (n,) [rad]
+        F(t) = sum_i a_i sin(2 pi f_i t + phase_i), t from the start of the trial
+
+    amplitudes:  (n,) [N]
+    frequencies: (n,) [Hz]
+    phases:      (n,) [rad]
     """
 
     amplitudes: Leaf = leaf()
@@ -61,14 +70,16 @@ class PeriodicForce:
 
 @pytree
 class CuttingForce:
-    """Force of the cut against +y, proportional to the depth of cut while the tool is in the
-    workpiece.
+    """Force of the cut against +y, proportional to the depth of cut.
 
         F(y) = K p(depth + y),    p(d) = (d + sqrt(d^2 + blur^2)) / 2, a smooth max(d, 0)
 
-    stiffness: () K, force per depth of cut [N/um];  depth: () of cut at y = 0 [um]
-    blur: () width of the transition at the surface [um], not less than the tool moves in a step of
-    the integrator
+    It acts while the tool is in the workpiece.
+
+    stiffness: () K, force per depth of cut [N/um]
+    depth:     () of cut at y = 0 [um]
+    blur:      () width of the transition at the surface [um], not less than the tool moves in a
+               step of the integrator
     """
 
     stiffness: Leaf = scalar(interval="[0, inf)")
@@ -76,7 +87,7 @@ class CuttingForce:
     blur: Leaf = scalar(default=0.5, interval="(0, inf)")
 
     def force(self, position) -> jax.Array:
-        """position: () [um] -> () [N]"""
+        """The force () [N] at a position () [um]."""
         d = self.depth + position
         return self.stiffness * (d + jnp.sqrt(d * d + self.blur**2)) / 2
 

@@ -28,21 +28,27 @@ def zoh(A, B, dt) -> tuple[jax.Array, jax.Array]:
 
 
 def matching(plant: AnyPlant, own_dt: float, dt: float) -> AnyPlant:
-    """`plant`, whose own sample time is `own_dt`, if that is the task's; else ValueError."""
+    """`plant`, if its own sample time `own_dt` is the task's dt; else ValueError."""
     if abs(own_dt - dt) > 1e-9 * dt:
         raise ValueError(
-            f"{type(plant).__name__} is sampled at {own_dt:g} s but the task at {dt:g} s; allowed is dt = {own_dt:g}"
+            f"{type(plant).__name__} is sampled at {own_dt:g} s but the task at {dt:g} s; allowed "
+            f"is dt = {own_dt:g}"
         )
     return plant
 
 
 @pytree
 class StateSpace(Plant):
-    """x' = A x + B u, y = C x; continuous if `dt` is 0, else x[k+1] = A x[k] + B u[k].
+    """x' = A x + B u, y = C x in continuous time, or x[k+1] = A x[k] + B u[k] in discrete time.
 
-    A: (n, n), B: (n, n_u), C: (n_y, n);  x0: (n,) initial state, None for rest
-    dt: sample time the matrices belong to [s]; 0 for continuous time, then sampled exactly with a
-    zero-order hold
+    A:  (n, n)
+    B:  (n, n_u)
+    C:  (n_y, n)
+    x0: (n,) initial state; None for rest
+    dt: sample time the matrices belong to [s]; 0 for continuous time, which is then sampled exactly
+        with a zero-order hold
+
+    Raises ValueError for shapes that do not fit, or a task of another sample time.
     """
 
     A: Leaf = leaf()
@@ -61,7 +67,8 @@ class StateSpace(Plant):
         )
         if not fits:
             raise ValueError(
-                f"StateSpace: A {self.A.shape}, B {self.B.shape}, C {self.C.shape} do not fit; allowed are (n, n), (n, n_u), (n_y, n)"
+                f"StateSpace: A {self.A.shape}, B {self.B.shape}, C {self.C.shape} do not fit; "
+                "allowed are (n, n), (n, n_u), (n_y, n)"
             )
         if self.x0 is not None and self.x0.shape != (n,):
             raise ValueError(f"StateSpace: x0 has shape {self.x0.shape}; allowed is ({n},)")
@@ -99,12 +106,17 @@ class StateSpace(Plant):
 
 @pytree
 class TimeVaryingStateSpace(Plant):
-    """x[k+1] = A[k] x[k] + B[k] u[k], y[k+1] = C[k] x[k+1], over one trial of N samples: a plant
-    linearised along its motion.
+    """A plant that is linearised along its motion, over one trial of N samples.
 
-    A: (N, n, n), B: (N, n, n_u), C: (N, n_y, n), C[k] the output a sample after k;  dt: sample time
-    [s] It starts at rest, with y[0] = 0. Raises ValueError for shapes that do not fit, or a task of
-    another sample time.
+        x[k+1] = A[k] x[k] + B[k] u[k],    y[k+1] = C[k] x[k+1]
+
+    A:  (N, n, n)
+    B:  (N, n, n_u)
+    C:  (N, n_y, n); C[k] belongs to the output a sample after k
+    dt: sample time [s]
+
+    It starts at rest, with y[0] = 0. Raises ValueError for shapes that do not fit, or a task of
+    another length or sample time.
     """
 
     A: Leaf = leaf()
@@ -122,7 +134,8 @@ class TimeVaryingStateSpace(Plant):
             fits and shapes[0] == (N, n, n) and shapes[1][:2] == (N, n) and shapes[2][::2] == (N, n)
         ):
             raise ValueError(
-                f"TimeVaryingStateSpace: A {shapes[0]}, B {shapes[1]}, C {shapes[2]} do not fit; allowed are (N, n, n), (N, n, n_u), "
+                f"TimeVaryingStateSpace: A {shapes[0]}, B {shapes[1]}, C {shapes[2]} do not fit; "
+                "allowed are (N, n, n), (N, n, n_u), "
                 "(N, n_y, n)"
             )
 
@@ -141,7 +154,8 @@ class TimeVaryingStateSpace(Plant):
     def check(self, task: Task) -> None:
         if self.N != task.N:
             raise ValueError(
-                f"TimeVaryingStateSpace: the plant is given for N = {self.N} samples but the task has N = {task.N}"
+                f"TimeVaryingStateSpace: the plant is given for N = {self.N} samples but the task "
+                f"has N = {task.N}"
             )
 
     def sampled(self, dt: float) -> TimeVaryingStateSpace:
@@ -162,10 +176,13 @@ class TimeVaryingStateSpace(Plant):
 
 @pytree
 class DifferenceEquation(Plant):
-    """y[k] = a_1 y[k-1] + ... + a_n y[k-n] + b_1 u[k-1] + ... + b_n u[k-n], one input, one output.
+    """y[k] = sum_{i=1..n} (a_i y[k-i] + b_i u[k-i]), with one input and one output.
 
-    a, b: (n,) coefficients, signs as written above;  dt: sample time they belong to [s]
-    The state is the transposed direct form II, which needs no shifting registers of y and u.
+    a, b: (n,) coefficients, with the signs as written above
+    dt:   sample time they belong to [s]
+
+    The state is the transposed direct form II, which needs no shifting registers of y and u. Raises
+    ValueError for shapes that differ, or a task of another sample time.
     """
 
     a: Leaf = leaf()
@@ -175,7 +192,8 @@ class DifferenceEquation(Plant):
     def __post_init__(self):
         if self.a.shape != self.b.shape or self.a.ndim < 1:
             raise ValueError(
-                f"DifferenceEquation: a {self.a.shape} and b {self.b.shape} must both have shape (n,); pad with zeros"
+                f"DifferenceEquation: a {self.a.shape} and b {self.b.shape} must both have shape "
+                "(n,); pad with zeros"
             )
 
     def sampled(self, dt: float) -> DifferenceEquation:
@@ -196,8 +214,9 @@ class DifferenceEquation(Plant):
 
 @pytree
 class _Taken(DifferenceEquation):
-    """With coefficients one by one: picked from an array in a loop over samples, they keep a batch
-    from being vectorised.
+    """The difference equation with its coefficients one by one.
+
+    Picked from an array in a loop over samples, they would keep a batch from being vectorised.
     """
 
     a: tuple[Any, ...] = child()

@@ -1,5 +1,6 @@
-"""The voice-coil linear motor from its physics: coil, carriage and the drive's current and speed
-loops (Cao 2019, eq. 1 to 6).
+"""The voice-coil linear motor from its physics (Cao 2019, eq. 1 to 6).
+
+It has a coil, a carriage, and the current loop and speed loop of its drive.
 """
 
 from __future__ import annotations
@@ -38,8 +39,13 @@ DTL85_708 = {
 
 
 class MotorState(NamedTuple):
-    """position [m], speed [m/s], coil current [A], integral part of the speed controller [A], state
-    of the delay [V] or None.
+    """The state of the motor.
+
+    position: () [m]
+    speed:    () [m/s]
+    current:  () of the coil [A]
+    integral: () integral part of the speed controller [A]
+    delay:    () state of the delay [V]; None where there is no delay
     """
 
     position: jax.Array
@@ -50,8 +56,12 @@ class MotorState(NamedTuple):
 
 
 class DriveSignals(NamedTuple):
-    """What the drive commands: speed [m/s], current before the limit and after it [A], terminal
-    voltage [V].
+    """What the drive commands.
+
+    speed:          () [m/s]
+    wanted_current: () before the limit [A]
+    current:        () after the limit [A]
+    voltage:        () at the terminals [V]
     """
 
     speed: jax.Array
@@ -62,52 +72,57 @@ class DriveSignals(NamedTuple):
 
 @pytree
 class VoiceCoilMotor(Plant):
-    """Voice-coil motor with its drive, from speed command [V] to position [mm] (Cao 2019, eq. 1 to
-    5).
+    """Voice-coil motor with its drive, from speed command [V] to position [mm] (Cao 2019, eq. 1-5).
 
-        U = L di/dt + R i + k_f(x) v                       coil (1); in SI the back-EMF constant is
-        the force constant N B l
-        m dv/dt = k_f(x) i - d v - k x - F_friction(v) + F_cogging(x) + F_buffer(x),  dx/dt = v
-        carriage (2)
-        U = clip(K_c (i* - i), U_max)                      P current loop
-        i* = clip(i°, i_max),  i° = b K_p v* - K_p v + q   PI speed loop (5)
-        dq/dt = K_i (v* - v) + (K_i/K_p) (i* - i°)         its integral, anti-windup by
-        back-calculation
-        v* = clip(S w - k_h x, v_max),  w = (2 - T s)/(2 + T s) u    command: scale, hold, delay T
-        (first-order Padé)
+        coil (1):       U = L di/dt + R i + k_f(x) v
+        carriage (2):   m dv/dt = k_f(x) i - d v - k x - F_friction(v) + F_cogging(x) + F_buffer(x)
+                        dx/dt = v
+        current loop:   U = clip(K_c (i* - i), U_max)
+        speed loop (5): i* = clip(i°, i_max),  i° = b K_p v* - K_p v + q
+                        dq/dt = K_i (v* - v) + (K_i/K_p) (i* - i°)
+        command:        v* = clip(S w - k_h x, v_max),  w = (2 - T s)/(2 + T s) u
 
-    mass: () m, everything that moves [kg];  resistance: () R [ohm];  inductance: () L [H];
-    force_constant: () k_f [N/A]
-    viscous_damping: () d [N s/m];  stiffness: () k of cables or a weight-balancing spring [N/m],
-    None for none
-    current_gain: () K_c [V/A];  speed_gain: () K_p [A s/m];  speed_integral_gain: () K_i [A/m]
-    setpoint_weight: () b, the part of the command that the proportional part sees: 1 is eq. 5, 0
-    leaves no zero (I-P controller)
-    command_scale: () S [m/(s V)];  holding_gain: () k_h [1/s];  command_delay: () T [s], None for
-    none
-    current_limit: () i_max [A];  voltage_limit: () U_max of the bus [V];  speed_limit: () v_max
-    [m/s]; None for none.
-    A limit is a clip: beyond it the gradient is zero.
-    friction, cogging, end_effect: None for none
-    substep: longest step of the integrator, Runge-Kutta of order 4 [s]; a sample takes ceil(dt /
-    substep) equal steps
+    In SI units the back-EMF constant is the force constant N B l. The integral q of the PI speed
+    loop has anti-windup by back-calculation. The command is scaled, the carriage is held, and the
+    delay T is a first-order Padé form.
 
-    Printed for the DTL85/708: force constant, 23 A (peak), 3.44 m/s. Inferred: 3.0 kg, since 56.2
-    N/A 23 A / 3.0 kg = 430.9 is the printed 431 m/s^2. Chosen: R, L (L/R = 5 ms, iron-core motors
-    of this size), d, 560 V (the rectified 400 V supply of the drive). K_c makes the current loop 2
-    kHz wide, as printed; T is one sample. K_p, K_i, k_h and S are then placed for eq. 7; see
-    `reduced`
-    for how close, and `voice_coil_motor("printed")` for the printed 500 Hz speed loop, whose poles
-    lie far from eq. 7.
+    mass:            () m, everything that moves [kg]
+    resistance:      () R [ohm]
+    inductance:      () L [H]
+    force_constant:  () k_f [N/A]
+    viscous_damping: () d [N s/m]
+    stiffness:       () k of cables or a weight-balancing spring [N/m]
+    current_gain:    () K_c [V/A]
+    speed_gain:      () K_p [A s/m]
+    speed_integral_gain: () K_i [A/m]
+    setpoint_weight: () b, the share of the command that the proportional part sees: 1 is eq. 5, 0
+                     leaves no zero (I-P controller)
+    command_scale:   () S [m/(s V)]
+    holding_gain:    () k_h [1/s]
+    command_delay:   () T [s]
+    current_limit:   () i_max [A]
+    voltage_limit:   () U_max of the bus [V]
+    speed_limit:     () v_max [m/s]
+    friction, cogging, end_effect: further forces
+    substep:         longest step of the integrator, Runge-Kutta of order 4 [s]; a sample takes
+                     ceil(dt / substep) equal steps
 
-    Two features of eq. 7 are in no block of the paper. A PI speed loop leaves a free integrator
-    from command to position, whatever its gains; neither a spring (the integral part pushes it
-    away) nor a leaky integrator (nothing restores the position) makes that a pole at -6.4 rad/s,
-    only both or a feedback of the position do. Here the drive holds the carriage at mid-stroke with
-    the gain k_h,
-    as an M-sequence test on a carriage free to drift would need. And the zero of the PI controller
-    lies in the left half-plane, that
-    of eq. 7 in the right one: it stands for the delay and the current loop, T + 0.09 ms, and the
+    None leaves a part out. A limit is a clip: beyond it the gradient is zero.
+
+    Printed for the DTL85/708 are the force constant, 23 A (peak) and 3.44 m/s. Inferred is 3.0 kg,
+    since 56.2 N/A 23 A / 3.0 kg = 430.9 is the printed 431 m/s^2. Chosen are R and L (L/R = 5 ms,
+    iron-core motors of this size), d, and 560 V (the rectified 400 V supply of the drive). K_c
+    makes the current loop 2 kHz wide, as printed; T is one sample. K_p, K_i, k_h and S are then
+    placed for eq. 7; see `reduced` for how close they come, and `voice_coil_motor("printed")` for
+    the printed 500 Hz speed loop, whose poles lie far from eq. 7.
+
+    Two features of eq. 7 are in no block of the paper. First, a PI speed loop leaves a free
+    integrator from command to position, whatever its gains. Neither a spring (the integral part
+    pushes it away) nor a leaky integrator (nothing restores the position) makes that a pole at -6.4
+    rad/s; only both together, or a feedback of the position, do. Here the drive holds the carriage
+    at mid-stroke with the gain k_h, as an M-sequence test on a carriage that is free to drift would
+    need. Second, the zero of the PI controller lies in the left half-plane, that of eq. 7 in the
+    right one. So the zero of eq. 7 stands for the delay and the current loop, T + 0.09 ms, and the
     PI's zero is absent (b = 0).
 
     Raises ValueError, where the values are known, for a substep that the fastest pole makes
@@ -143,7 +158,8 @@ class VoiceCoilMotor(Plant):
             fastest = fastest_pole(self)
             if fastest * self.substep > RK4_RADIUS:
                 raise ValueError(
-                    f"VoiceCoilMotor: substep = {self.substep:g} s is unstable for the fastest pole, {fastest:.4g} rad/s; "
+                    f"VoiceCoilMotor: substep = {self.substep:g} s is unstable for the fastest "
+                    f"pole, {fastest:.4g} rad/s; "
                     f"its allowed range with these parameters is (0, {RK4_RADIUS / fastest:.3g}]"
                 )
 
@@ -152,7 +168,8 @@ class VoiceCoilMotor(Plant):
         if self.substep < least:
             allowed = f"[{least:g}, inf), {MOST_STEPS} steps a sample of dt = {task.dt:g} s"
             raise ValueError(
-                f"VoiceCoilMotor: substep = {self.substep:g} s is outside its allowed range {allowed}"
+                f"VoiceCoilMotor: substep = {self.substep:g} s is outside its allowed range "
+                f"{allowed}"
             )
 
     def initial_state(self) -> MotorState:
@@ -214,10 +231,10 @@ class VoiceCoilMotor(Plant):
         )
 
     def linear(self) -> StateSpace:
-        """The motor at mid-stroke without limits, friction, cogging and end effect: exact, of full
-        order, in continuous time.
+        """The motor at mid-stroke without limits, friction, cogging and end effect.
 
-        The state is that of `MotorState`; differentiable in every parameter.
+        It is exact, of full order, in continuous time, and differentiable in every parameter. The
+        state is that of `MotorState`.
         """
         A, B, C = matrices(
             jnp, self, self.viscous_damping, 0.0 if self.stiffness is None else self.stiffness
@@ -228,23 +245,23 @@ class VoiceCoilMotor(Plant):
         return self.linear()
 
     def reduced(self) -> VoiceCoil | StateSpace:
-        """The third-order form, Cao 2019, eq. 6: the three slowest poles of `linear()`, and one
-        zero.
+        """The third-order form, Cao 2019, eq. 6: three slowest poles of `linear()`, one zero.
 
-            G(s) = N(s) / (D_slow(s) D_fast(s))  ->  (c_0 + c_1 s) / D_slow(s),   N(s) / D_fast(s) =
-            c_0 + c_1 s + O(s^2)
+            G(s) = N(s) / (D_slow(s) D_fast(s))  ->  (c_0 + c_1 s) / D_slow(s)
+            N(s) / D_fast(s) = c_0 + c_1 s + O(s^2)
 
-        Poles are kept, so it is stable when the motor is, and G and its slope agree at s = 0: DC
-        gain (or, with a free integrator, velocity gain) and total delay. What is fast - current
-        loop, delay - merges into the zero, at about +1/(T + L/(R + K_c)). The default motor reduces
-        to eq. 7 with its DC gain within 0.1 %, its poles within 2 % (482, 467 and 6.404 rad/s) and
-        its zero
-        within 1 % (920.6): 1 % in frequency response up to 200 Hz. The full motor departs from that
-        as the square of the frequency, by 2 % at 30 Hz and 5.5 % at 50 Hz, where the delay of a
-        reduced zero also amplifies. A `VoiceCoil` where the poles are real and stable, else the
-        same form as a `StateSpace`. For design: not differentiable.
-        Raises ValueError where the third and fourth pole are a conjugate pair, so that no
-        third-order form exists.
+        Poles are kept, so it is stable when the motor is, and G and its slope agree at s = 0: the
+        DC gain (or, with a free integrator, the velocity gain) and the total delay. What is fast,
+        current loop and delay, merges into the zero, at about +1/(T + L/(R + K_c)).
+
+        The default motor reduces to eq. 7 with its DC gain within 0.1 %, its poles within 2 % (482,
+        467 and 6.404 rad/s) and its zero within 1 % (920.6); this is 1 % in frequency response up
+        to 200 Hz. The full motor departs from that as the square of the frequency, by 2 % at 30 Hz
+        and 5.5 % at 50 Hz, where the delay of a reduced zero also amplifies.
+
+        It is a `VoiceCoil` where the poles are real and stable, and else the same form as a
+        `StateSpace`. It is meant for design and is not differentiable. Raises ValueError where the
+        third and fourth pole are a conjugate pair, so that no third-order form exists.
         """
         return third_order(self)
 
@@ -252,13 +269,14 @@ class VoiceCoilMotor(Plant):
 def voice_coil_motor(form: str = "identified") -> VoiceCoilMotor:
     """The motor DTL85/708 of Cao 2019 with one of two tunings of its drive.
 
-    `identified`: the poles, zero and gain of eq. 7; its speed loop follows a command up to 49 Hz
-    only
-    `printed`:    section II-A taken at its word: PI speed loop of 500 Hz (eq. 5, -3 dB), current
-    loop of 2 kHz, free integrator,
-                  no delay; the velocity gain is that of eq. 7. A step of 0.6 V already takes the
-                  whole bus voltage; `reduced` is within 3 % up to 50 Hz
-    Raises ValueError for another form.
+        identified  the poles, zero and gain of eq. 7; its speed loop follows a command only up to
+                    49 Hz
+        printed     section II-A as it is printed: a PI speed loop of 500 Hz (eq. 5, -3 dB), a
+                    current loop of 2 kHz, a free integrator, no delay; the velocity gain is that of
+                    eq. 7
+
+    In the second form a step of 0.6 V already takes the whole bus voltage, and `reduced` is within
+    3 % up to 50 Hz. Raises ValueError for another form.
     """
     match form:
         case "identified":

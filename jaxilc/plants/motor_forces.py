@@ -10,10 +10,13 @@ from ..pytree.fields import Leaf, pytree, scalar
 
 @pytree
 class Cogging:
-    """Force of the magnets on the iron, periodic in the position: F(x) = -A sin(2 pi x / pitch +
-    phase).
+    """Force of the magnets on the iron, periodic in the position.
 
-    amplitude: () A [N];  pitch: () period [m];  phase: () [rad], 0 makes x = 0 a stable rest
+        F(x) = -A sin(2 pi x / pitch + phase)
+
+    amplitude: () A [N]
+    pitch:     () period [m]
+    phase:     () [rad]; 0 makes x = 0 a stable rest
     """
 
     amplitude: Leaf = scalar(interval="[0, inf)")
@@ -21,20 +24,22 @@ class Cogging:
     phase: Leaf = scalar(default=0.0)
 
     def force(self, position) -> jax.Array:
-        """position: () [m] -> () [N]"""
+        """The force () [N] at a position () [m]."""
         return -self.amplitude * jnp.sin(2 * jnp.pi * position / self.pitch + self.phase)
 
 
 @pytree
 class EndEffect:
-    """Toward the ends of the stroke the coil leaves the field, and beyond them the carriage meets a
-    buffer.
+    """What happens toward the ends of the stroke, and beyond them.
 
-        k_f(x) = k_f (1 - drop (x/x_max)^2) within |x| <= x_max, constant beyond;   F(x) = -k_b (x -
-        clip(x, -x_max, x_max))
+    The coil leaves the field, and beyond the ends the carriage meets a buffer:
 
-    stroke: () x_max, half the stroke [m];  drop: () part of the force constant lost at the end
-    buffer_stiffness: () k_b [N/m], None for no buffer
+        k_f(x) = k_f (1 - drop (x/x_max)^2) within |x| <= x_max, constant beyond
+        F(x) = -k_b (x - clip(x, -x_max, x_max))
+
+    stroke: () x_max, half the stroke [m]
+    drop:   () share of the force constant that is lost at the end
+    buffer_stiffness: () k_b [N/m]; None is no buffer
     """
 
     stroke: Leaf = scalar(interval="(0, inf)")
@@ -42,10 +47,10 @@ class EndEffect:
     buffer_stiffness: Leaf | None = scalar(default=None, interval="(0, inf)", optional=True)
 
     def factor(self, position) -> jax.Array:
-        """position: () [m] -> () what is left of the force constant"""
+        """The share () of the force constant that is left at a position () [m]."""
         return 1.0 - self.drop * (jnp.clip(position, -self.stroke, self.stroke) / self.stroke) ** 2
 
     def force(self, position) -> jax.Array | float:
-        """position: () [m] -> () force of the buffer [N]"""
+        """The force () of the buffer [N] at a position () [m]."""
         beyond = position - jnp.clip(position, -self.stroke, self.stroke)
         return 0.0 if self.buffer_stiffness is None else -self.buffer_stiffness * beyond

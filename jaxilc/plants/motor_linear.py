@@ -16,7 +16,8 @@ def third_order(motor) -> VoiceCoil | StateSpace:
     slow, next_one = poles[:3], poles[3]
     if not np.isclose(slow.sum().imag, 0.0, atol=1e-9 * abs(next_one)):
         raise ValueError(
-            f"VoiceCoilMotor: no third-order form, since its third and fourth pole are a pair {next_one:.4g}; "
+            "VoiceCoilMotor: no third-order form, since its third and fourth pole are a pair "
+            f"{next_one:.4g}; "
             "current_gain or speed_gain must set them apart"
         )
     D_slow, D_fast = np.poly(slow).real, D[0] * np.poly(poles[3:]).real
@@ -33,8 +34,9 @@ def third_order(motor) -> VoiceCoil | StateSpace:
 
 
 def matrices(xp, motor, d, k):
-    """A (..., n, n), B (..., n), C (n,) of the linear motor with damping d and stiffness k, by
-    NumPy or jax.numpy.
+    """A (..., n, n), B (..., n), C (n,) of the linear motor with damping d and stiffness k.
+
+    xp: NumPy or jax.numpy, which computes them
     """
     m, R, L, k_f, K_c = (
         motor.mass,
@@ -81,8 +83,9 @@ def matrices(xp, motor, d, k):
 
 
 def fastest_pole(motor) -> float:
-    """Largest |pole| [rad/s] free and where friction, cogging and buffer are stiffest; over all
-    elements of batched leaves.
+    """Largest |pole| [rad/s], over all elements of batched leaves.
+
+    It is looked for in free motion, and where friction, cogging and buffer are stiffest.
     """
     d, k = motor.viscous_damping, 0.0 if motor.stiffness is None else motor.stiffness
     stiff_d, stiff_k = d, k
@@ -97,13 +100,13 @@ def fastest_pole(motor) -> float:
 
 
 def polynomials(motor):
-    """N (high order first) and D of the full-order transfer function [mm/V], in closed form:
+    """N (high order first) and D of the full-order transfer function [mm/V], in closed form.
 
         N = 1000 S k_f K_c (b K_p s + K_i) (2/T - s)
-        D = [s (L s + R + K_c)(m s^2 + d s + k) + k_f^2 s^2 + k_f K_c (K_p s^2 + (K_i + b K_p
-        k_h) s + K_i k_h)] (2/T + s)
+        D = [s (L s + R + K_c)(m s^2 + d s + k) + k_f^2 s^2
+             + k_f K_c (K_p s^2 + (K_i + b K_p k_h) s + K_i k_h)] (2/T + s)
 
-    without the last factors where there is no delay.
+    The last factors are absent where there is no delay.
     """
     names = (
         "mass",

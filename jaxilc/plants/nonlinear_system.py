@@ -99,11 +99,15 @@ class NonlinearSystem(Plant):
 
 
 def nonlinear_system(system, x0, substep: float | None) -> NonlinearSystem:
-    """The plant of a `control.NonlinearIOSystem`; see `plants.from_control`, in whose name it speaks.
+    """The plant of a `control.NonlinearIOSystem`; see `plants.from_control`.
 
-    Raises ValueError for a function that JAX cannot trace or that returns another shape than the
-    system states, for an output that depends on the input of the same sample, for parameters that
-    are not numbers, and for a `substep` that is missing or has no use.
+    x0:      (n,) initial state; None is rest
+    substep: longest step of the integrator of a continuous system [s]
+
+    Its messages speak in the name of `from_control`. Raises ValueError for a function that JAX
+    cannot trace or that returns another shape than the system states, for an output that depends on
+    the input of the same sample, for parameters that are not numbers, and for a `substep` that is
+    missing or has no use.
     """
     n, n_u, n_y = system.nstates, system.ninputs, system.noutputs
     _check_substep(bool(system.dt), substep)
@@ -133,7 +137,8 @@ def nonlinear_system(system, x0, substep: float | None) -> NonlinearSystem:
     _traced("output", read, parameters, given, (n_y,))
     if _depends(read, parameters, given, "u"):
         raise ValueError(
-            "from_control: the output function uses u, a direct feedthrough; u[k] acts on y[k+1] at "
+            "from_control: the output function uses u, a direct feedthrough; u[k] acts on y[k+1] "
+            "at "
             "the earliest, so it may use t, x and the parameters only"
         )
     timed = any(_depends(f, parameters, given, "t") for f in (update, read))
@@ -162,7 +167,8 @@ def _check_substep(discrete: bool, substep: float | None) -> None:
         raise ValueError("from_control: substep is for a continuous system; this one is discrete")
     if not discrete and (substep is None or not substep > 0):
         raise ValueError(
-            f"from_control: substep = {substep} for a nonlinear system in continuous time; give the "
+            f"from_control: substep = {substep} for a nonlinear system in continuous time; give "
+            "the "
             "longest step of the integrator (Runge-Kutta of order 4) in s, above 0"
         )
 
@@ -171,7 +177,8 @@ def _number(name: str, value) -> jax.Array:
     found = as_numbers(value)
     if found is None:
         raise ValueError(
-            f"from_control: the parameter {name} = {brief(value)} is not a number or an array of numbers"
+            f"from_control: the parameter {name} = {brief(value)} is not a number or an array of "
+            "numbers"
         )
     return jnp.asarray(found, float)
 
@@ -182,7 +189,8 @@ def _traced(what: str, f: Callable, parameters, given, shape: tuple[int, ...]) -
         found = jax.eval_shape(f, parameters, given).shape
     except Exception as error:  # whatever a user's function raises when it is given tracers
         raise ValueError(
-            f"from_control: JAX cannot trace the {what} function ({type(error).__name__}); write it "
+            f"from_control: JAX cannot trace the {what} function ({type(error).__name__}); write "
+            "it "
             "with jax.numpy in place of numpy or math, and without `if` on t, x or u"
         ) from error
     if found != shape:

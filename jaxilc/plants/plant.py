@@ -39,7 +39,10 @@ class Plant:
         return self
 
     def continuous(self) -> Any:
-        """The continuous `StateSpace` of a linear plant that has one; None for other plants."""
+        """The continuous `StateSpace` of a linear plant that has one; None for other plants.
+
+        A plant that has nonlinear parts may return its linear form without them.
+        """
         return None
 
     def check(self, task: Task) -> None:

@@ -1,15 +1,15 @@
-"""Which outputs of a program are affine functions of its inputs: read off the program itself,
-operation by operation.
+"""Which outputs of a program are affine functions of its inputs, read off the program itself.
 
-Trying a map at a few points cannot show that it is linear: the limit that matters lies beyond them.
-Here the program that JAX traced is followed instead. Each value in it is found to be
+Trying a map at a few points cannot show that it is linear: a limit that matters may lie beyond
+them. Here the program that JAX traced is followed instead, operation by operation. Each value in it
+is found to be
 
     constant     the same whatever the inputs are
     affine       M x + c of the inputs x, with M and c constant
     otherwise    with the operation that made it so, such as a product of two signals or a rounding
 
-An operation that is not known to keep a value affine counts as one that does not. So an answer
-"affine" is a proof, for plants and schemes of the package as for a user's own; an answer
+An operation that is not known to keep a value affine counts as one that does not. So the answer
+"affine" is a proof, for plants and schemes of the package as for a user's own. The answer
 "otherwise" is not: x * x - x * x is not seen to be 0.
 """
 
@@ -27,9 +27,10 @@ CONSTANT, AFFINE, OTHERWISE = 0, 1, 2
 class Dependence(NamedTuple):
     """How a value depends on the inputs.
 
-    order: CONSTANT, AFFINE or OTHERWISE;  why: the operation that made it OTHERWISE, in words
-    blind: whether a derivative misses a part of it, because of `stop_gradient` (as of a quantiser,
-    straight through)
+    order: CONSTANT, AFFINE or OTHERWISE
+    why:   the operation that made it OTHERWISE, in words
+    blind: whether a derivative misses a part of it, because of `stop_gradient` (as in a quantiser
+           with a straight-through gradient)
     """
 
     order: int = CONSTANT
@@ -82,8 +83,9 @@ WORDS = {
 
 
 def dependence(f: Callable, fixed: Any, varying: Any) -> Any:
-    """The `Dependence` of each output of f(fixed, varying) on `varying`, in the shape of the
-    output. f: pure, as for `jax.jit`
+    """The `Dependence` of each output of f(fixed, varying) on `varying`, in the output's shape.
+
+    f: a pure function, as for `jax.jit`
     """
     closed, shape = jax.make_jaxpr(f, return_shape=True)(fixed, varying)
     known = [Dependence()] * len(jax.tree.leaves(fixed)) + [Dependence(AFFINE)] * len(
@@ -96,8 +98,9 @@ def dependence(f: Callable, fixed: Any, varying: Any) -> Any:
 
 
 def obstacle(f: Callable, fixed: Any, varying: Any) -> str:
-    """What keeps f(fixed, varying) from being affine in `varying`, in words; empty if it is. Whole
-    numbers and flags must be constant.
+    """What keeps f(fixed, varying) from being affine in `varying`, in words; empty if it is.
+
+    Whole numbers and flags must be constant.
     """
     found = jax.tree.leaves(
         dependence(f, fixed, varying), is_leaf=lambda x: isinstance(x, Dependence)
@@ -111,9 +114,7 @@ def obstacle(f: Callable, fixed: Any, varying: Any) -> str:
 
 
 def blind(f: Callable, fixed: Any, varying: Any) -> bool:
-    """Whether the derivative of f(fixed, varying) by `varying` misses a part that is not
-    differentiated, such as rounding.
-    """
+    """Whether the derivative of f by `varying` misses a part, such as rounding."""
     found = jax.tree.leaves(
         dependence(f, fixed, varying), is_leaf=lambda x: isinstance(x, Dependence)
     )
@@ -127,7 +128,7 @@ def blind(f: Callable, fixed: Any, varying: Any) -> bool:
 def _through(
     program, of_consts: Sequence[Dependence], of_inputs: Sequence[Dependence]
 ) -> list[Dependence]:
-    """What becomes of the inputs of a jaxpr."""
+    """The dependence of the results of a jaxpr, from that of its inputs."""
     known = dict(zip([*program.constvars, *program.invars], [*of_consts, *of_inputs], strict=True))
 
     def look(variable) -> Dependence:
@@ -141,7 +142,7 @@ def _through(
 
 
 def _after(step, operands: list[Dependence]) -> list[Dependence]:
-    """What an operation makes of its operands, one for each of its results."""
+    """The dependence of each result of an operation, from that of its operands."""
     name, results = step.primitive.name, len(step.outvars)
     if all(one.order == CONSTANT for one in operands):
         return [Dependence()] * results
@@ -196,8 +197,9 @@ def _to_float(step) -> bool:
 
 
 def _called(step):
-    """The program that an operation only calls (jit, checkpoint, a function with a derivative of
-    its own), None for others.
+    """The program that an operation only calls; None for other operations.
+
+    Such operations are jit, checkpoint, and a function with a derivative of its own.
     """
     inner = [p for p in step.params.values() if hasattr(p, "eqns") or hasattr(p, "jaxpr")]
     fits = [
@@ -231,7 +233,10 @@ def _while(step, operands):
 
 
 def _repeated(body, fixed, carry, rows):
-    """Of a loop: what is carried is joined with what a turn makes of it, until nothing changes."""
+    """The dependence of the results of a loop.
+
+    What is carried is joined with what a turn makes of it, until nothing changes.
+    """
     while True:
         found = _through(body.jaxpr, [Dependence()] * len(body.consts), [*fixed, *carry, *rows])
         grown = [_joined([old, new]) for old, new in zip(carry, found[: len(carry)], strict=True)]

@@ -76,7 +76,7 @@ def names_of(plant: Plant) -> dict[str, list[str]]:
 
 
 def need_linear(plant: Plant, dt: float) -> None:
-    """Raises ValueError unless each step and each output is a linear map, the same at each sample."""
+    """Raises ValueError unless each step is a linear map, the same at each sample."""
     if isinstance(plant, TimeVaryingStateSpace):
         raise ValueError(
             "to_control: TimeVaryingStateSpace varies over the trial; allowed are plants that are "
@@ -135,7 +135,7 @@ def _nonlinear_parts(plant: Plant, dt: float) -> list[str]:
 
 
 def _obstacle(plant: Plant, dt: float) -> str:
-    """What keeps a step or the output of the plant from being affine, in words; empty if nothing."""
+    """What keeps a step or the output from being affine, in words; empty if nothing does."""
 
     def start(plant):
         return plant.sampled(dt).initial_state()

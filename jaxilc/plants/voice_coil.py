@@ -38,9 +38,10 @@ class VoiceCoil(Plant):
             raise ValueError(f"VoiceCoil: poles has shape {self.poles.shape}; allowed is (3,)")
 
     def sampled(self, dt: float) -> DifferenceEquation:
-        """Exact zero-order hold as a difference equation: the poles map to exp(-p dt), the
-        numerator follows from the first three Markov parameters h_i = C A^(i-1) B, since b(z) =
-        a(z) h(z).
+        """Exact zero-order hold as a difference equation.
+
+        The poles map to exp(-p dt). The numerator follows from the first three Markov parameters
+        h_i = C A^(i-1) B, since b(z) = a(z) h(z).
         """
         p1, p2, p3 = self.poles[0], self.poles[1], self.poles[2]
         A, B, C = self._cascade()
@@ -69,10 +70,11 @@ class VoiceCoil(Plant):
 def voice_coil(form: str = "exact") -> Plant:
     """The motor of Cao 2019 in one of three forms.
 
-    `exact`:            eq. 7, sampled exactly at the task's sample time
-    `printed`:          the rounded difference equation 29 (DC gain -4.3 instead of -4.798), 1 ms
-    `dai_2014_printed`: Dai 2014, eq. 24, where 2.236 stands for 2.2386 and moves the DC gain to
-    -1.19, 1 ms
+    exact:            eq. 7, sampled exactly at the task's sample time
+    printed:          the rounded difference equation 29 (DC gain -4.3 instead of -4.798), at 1 ms
+    dai_2014_printed: Dai 2014, eq. 24, where 2.236 stands for 2.2386, which moves the DC gain to
+                  -1.19; at 1 ms
+
     Raises ValueError for another form.
     """
     match form:

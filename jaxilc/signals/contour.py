@@ -126,7 +126,8 @@ def tabulated(curve, interval, points) -> tuple[np.ndarray, np.ndarray, np.ndarr
     q = np.asarray(curve(u), float)
     if q.ndim != 2 or len(q) != points or not q.shape[1]:
         raise ValueError(
-            f"plan: the curve gives shape {q.shape} for ({points},) parameters; allowed is ({points}, d)"
+            f"plan: the curve gives shape {q.shape} for ({points},) parameters; allowed is "
+            f"({points}, d)"
         )
     finite = np.isfinite(q).all(axis=1)
     if not finite.all():
@@ -135,7 +136,8 @@ def tabulated(curve, interval, points) -> tuple[np.ndarray, np.ndarray, np.ndarr
     shortest = np.argmin(chords)
     if not chords[shortest] > 1e-9 * np.mean(chords):
         raise ValueError(
-            f"plan: the curve stands still from parameter {u[shortest]:.9g} to {u[shortest + 1]:.9g}, at {q[shortest]} mm"
+            f"plan: the curve stands still from parameter {u[shortest]:.9g} to "
+            f"{u[shortest + 1]:.9g}, at {q[shortest]} mm"
         )
     _require_smooth(curve, u, q)
     speed = np.linalg.norm(make_interp_spline(u, q, 5).derivative()(u), axis=1)
@@ -165,14 +167,19 @@ def _require_smooth(curve, u, q):
         best = np.argmax(angles, axis=1)
         centre, closer = trial[np.arange(len(i)), best + 1], angles[np.arange(len(i)), best]
     for where, angle, seen in zip(centre, closer, turn[i], strict=True):
-        at = f"at parameter {where:.9g}, position {np.round(np.asarray(curve(np.array([where])))[0], 6)} mm"
+        at = (
+            f"at parameter {where:.9g}, position "
+            f"{np.round(np.asarray(curve(np.array([where])))[0], 6)} mm"
+        )
         if angle > seen / 2:
             raise ValueError(
-                f"plan: the path has a corner or cusp of {np.degrees(angle):.3g} deg {at}; split the path there"
+                f"plan: the path has a corner or cusp of {np.degrees(angle):.3g} deg {at}; split "
+                "the path there"
             )
         if seen > 0.5:
             raise ValueError(
-                f"plan: the path turns by {np.degrees(seen):.3g} deg between two points of its table {at}; raise points"
+                f"plan: the path turns by {np.degrees(seen):.3g} deg between two points of its "
+                f"table {at}; raise points"
             )
 
 
@@ -205,7 +212,8 @@ def contour_error(y, path, *, window: int, closed: bool | None = None) -> jax.Ar
         raise ValueError(f"contour_error: closed = {closed!r} is not one of True, False, None")
     if isinstance(window, bool) or not isinstance(window, int | np.integer) or window < 1:
         raise ValueError(
-            f"contour_error: window = {window!r} is outside its allowed range [1, inf) of whole numbers"
+            f"contour_error: window = {window!r} is outside its allowed range [1, inf) of whole "
+            "numbers"
         )
     shape, path_shape = np.shape(y), np.shape(path)
     if (
@@ -217,7 +225,8 @@ def contour_error(y, path, *, window: int, closed: bool | None = None) -> jax.Ar
         or not shape[0]
     ):
         raise ValueError(
-            f"contour_error: y {shape} and path {path_shape} must be (M, d) and (L+1, d) with d >= 2, L >= 1"
+            f"contour_error: y {shape} and path {path_shape} must be (M, d) and (L+1, d) with d >= "
+            "2, L >= 1"
         )
     return _contour_error(jnp.asarray(y), jnp.asarray(path), int(window), closed)
 

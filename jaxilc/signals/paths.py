@@ -98,7 +98,8 @@ def plan(curve, interval, *, feed, acceleration, jerk, dt, points=20001) -> Plan
     if not T / dt <= LONGEST:
         limits = f"feed = {feed:g} mm/s, acceleration = {acceleration} mm/s^2, jerk = {jerk} mm/s^3"
         raise ValueError(
-            f"plan: {limits} need {T:.3g} s, {T / dt:.3g} samples of dt = {dt:g} s; allowed are up to {LONGEST}"
+            f"plan: {limits} need {T:.3g} s, {T / dt:.3g} samples of dt = {dt:g} s; allowed are up "
+            f"to {LONGEST}"
         )
     parameter_at = make_interp_spline(arc, u, 5)
 

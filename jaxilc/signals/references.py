@@ -61,7 +61,8 @@ def multisine(amplitudes, frequencies, phases=None, *, duration, dt) -> np.ndarr
     phi = np.asarray(phases, float)
     if a.ndim != 1 or not a.size or not a.shape == f.shape == phi.shape:
         raise ValueError(
-            f"multisine: amplitudes {a.shape}, frequencies {f.shape}, phases {phi.shape} must have one shape (M,), M >= 1"
+            f"multisine: amplitudes {a.shape}, frequencies {f.shape}, phases {phi.shape} must have "
+            "one shape (M,), M >= 1"
         )
     return np.sin(2 * np.pi * np.outer(time, f) + phi) @ a
 
@@ -191,7 +192,8 @@ def s_curve(positions, *, velocity, acceleration, jerk, dwell=0.0, dt, duration=
     time = _time("s_curve", duration, dt)
     if time[-1] < needed - 1e-9 * dt:
         raise ValueError(
-            f"s_curve: duration = {duration:g} s is outside its allowed range [{needed:.9g}, inf), the time of all moves"
+            f"s_curve: duration = {duration:g} s is outside its allowed range [{needed:.9g}, inf), "
+            "the time of all moves"
         )
     r, start = np.full(len(time), positions[0]), 0.0
     for move, origin, target in zip(moves, positions[:-1], positions[1:], strict=True):
@@ -263,7 +265,8 @@ def noncircular(*, duration, dt, spindle_speed, feed, ellipticity, bulge, length
     longest = length / (feed * spindle_speed)
     if duration > longest * (1 + 1e-9):
         raise ValueError(
-            f"noncircular: duration = {duration:g} s is outside its allowed range (0, {longest:.9g}], else Z leaves length"
+            f"noncircular: duration = {duration:g} s is outside its allowed range (0, "
+            f"{longest:.9g}], else Z leaves length"
         )
     z = time / longest  # Z / length
     D = 4 * bulge * z * (1 - z)
@@ -282,7 +285,8 @@ def _time(function, duration, dt, arrays=ARRAYS):
     N = round(samples)
     if N < 1 or abs(samples - N) > 1e-6:
         raise ValueError(
-            f"{function}: duration = {duration:g} s is not a whole number >= 1 of samples of dt = {dt:g} s"
+            f"{function}: duration = {duration:g} s is not a whole number >= 1 of samples of dt = "
+            f"{dt:g} s"
         )
     return np.arange(N + 1) * dt
 

@@ -46,11 +46,13 @@ class Task:
             r = r[:, None]
         if r.ndim != 2 or len(r) < 2:
             raise ValueError(
-                f"Task: reference has shape {self.reference.shape}; allowed are (N+1,) and (N+1, n_y) with N >= 1"
+                f"Task: reference has shape {self.reference.shape}; allowed are (N+1,) and (N+1, "
+                "n_y) with N >= 1"
             )
         if known(r) and 0 < np.max(np.abs(r)) < SMALLEST:
             raise ValueError(
-                f"Task: reference is {np.max(np.abs(r)):g} at most; allowed is none at all, or one from {SMALLEST:g} on"
+                f"Task: reference is {np.max(np.abs(r)):g} at most; allowed is none at all, or one "
+                f"from {SMALLEST:g} on"
             )
         object.__setattr__(self, "reference", r)
         object.__setattr__(self, "inputs", r.shape[1] if self.inputs is None else self.inputs)
@@ -58,7 +60,8 @@ class Task:
             start, stop = self.settle
             if not 0 <= start < stop < float("inf") or start > self.duration:
                 raise ValueError(
-                    f"Task: settle = {self.settle} s is not a window within [0, {self.duration:g}] s"
+                    f"Task: settle = {self.settle} s is not a window within [0, {self.duration:g}] "
+                    "s"
                 )
             object.__setattr__(self, "settle", (float(start), float(stop)))
 

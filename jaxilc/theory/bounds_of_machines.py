@@ -19,8 +19,11 @@ from .bounds import CHUNK, cfdl_bounds, ffdl_bounds, need_room
 
 
 class PremiseShare(NamedTuple):
-    """A premise over S machines: on how many it held throughout, and the mean share of samples and
-    trials that broke it.
+    """A premise over S machines.
+
+    name:         of the premise
+    held:         number of machines on which it held throughout
+    share_broken: mean share of samples and trials that broke it
     """
 
     name: str
@@ -38,11 +41,10 @@ def premises(
     *,
     chunk: int = CHUNK,
 ) -> tuple[list[PremiseShare], dict[str, int]]:
-    """The premises of Cao 2019's bounds on each machine's run, and how often the bound itself
-    holds, fails or is not claimed.
+    """The premises of Cao 2019's bounds on each machine's run, and the verdicts on the bound.
 
-    Machines whose run is not finite are left out of both. Raises ValueError for trials whose
-    signals do not fit into memory.
+    The verdicts are counted: how often the bound holds, fails or is not claimed. Machines whose run
+    is not finite are left out of both. Raises ValueError for trials whose signals exceed the RAM.
     """
     need_room(task, trials, chunk)
     bounds: Any = cfdl_bounds if isinstance(scheme, CFDLMFAILC) else ffdl_bounds

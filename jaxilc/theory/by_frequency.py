@@ -1,11 +1,11 @@
 """Conditions on the frequency response: what learning does to each frequency, trial after trial.
 
-    |Q (keep - L P)| < 1        P(z) from what is learned to y, Q keep and Q L from what was learned
-    and from e to what is learned next
+    |Q (keep - L P)| < 1
 
-P is that of the simulator's own step (`loop`), the law that of the scheme's own learning (`law`),
-filters included. The largest value is enclosed (`enclosure`), so that no peak lies between the
-lines of a grid. Frequencies are in Hz throughout.
+P(z) leads from what is learned to y. Q keep and Q L lead from what was learned, and from e, to what
+is learned next. P is that of the simulator's own step (`loop`); the law is that of the scheme's own
+learning (`law`), filters included. The largest value is enclosed (`enclosure`), so that no peak
+lies between the lines of a grid. Frequencies are in Hz throughout.
 """
 
 from __future__ import annotations
@@ -38,15 +38,19 @@ from .over_frequency import (
 )
 
 CAUSAL = (
-    "sup |Q (keep - L P)| < 1, law and loop causal: in every trial what is learned comes nearer to its limit by this factor or more in "
+    "sup |Q (keep - L P)| < 1, law and loop causal: in every trial what is learned comes nearer to "
+    "its limit by this factor or more in "
     "the 2-norm (Norrlöf, Gunnarsson 2002; Bristow 2006; Li 2020, eq. 9 for Q = keep = 1)"
 )
 LEARNING = (
-    "sup |Q (keep - L P)| < 1: far from the ends of a long trial each frequency of what is learned comes nearer to its limit by this "
-    "factor or more in every trial (Norrlöf, Gunnarsson 2002; Bristow 2006; Li 2020, eq. 9); the whole trial converges as its premise says"
+    "sup |Q (keep - L P)| < 1: far from the ends of a long trial each frequency of what is learned "
+    "comes nearer to its limit by this "
+    "factor or more in every trial (Norrlöf, Gunnarsson 2002; Bristow 2006; Li 2020, eq. 9); the "
+    "whole trial converges as its premise says"
 )
 NORM_OPTIMAL = (
-    "|W_D + W_e G* (G - G_t)| < W_e |G|^2 + W_u + W_D: far from the ends of a long trial, norm-optimal learning with the model G "
+    "|W_D + W_e G* (G - G_t)| < W_e |G|^2 + W_u + W_D: far from the ends of a long trial, "
+    "norm-optimal learning with the model G "
     "contracts each frequency on the plant G_t (MILC 2024, eq. 7 and 8, frequency by frequency)"
 )
 
@@ -54,12 +58,15 @@ NORM_OPTIMAL = (
 def learning_condition(
     machine: Machine, scheme: Scheme, task: Task, *, frequencies=None
 ) -> FrequencyTest:
-    """sup_w |Q (keep - L P)| < 1, with the critical frequency; of Li 2020, eq. 9, |1 - phi z G/(1 +
-    C G)| < 1, for P-type over feedback.
+    """sup_w |Q (keep - L P)| < 1, with the critical frequency.
 
-    frequencies: (F,) [Hz] ascending, at which the curve is shown, None for `grid`; the supremum is
-    over all. Several channels: the largest singular value. Raises ValueError where machine, scheme
-    and task do not fit.
+    For P-type learning over feedback it is Li 2020, eq. 9: |1 - phi z G / (1 + C G)| < 1. Of
+    several channels it is the largest singular value.
+
+    frequencies: (F,) [Hz] ascending, at which the curve is shown; None for `grid`. The supremum is
+                 over all frequencies
+
+    Raises ValueError where machine, scheme and task do not fit.
     """
     parts = parts_of(machine, scheme, task)
 
@@ -91,15 +98,18 @@ def norm_optimal_condition(
     w_delta,
     frequencies=None,
 ) -> FrequencyTest:
-    """sup_w |W_D + W_e G* (G - G_t)| / (W_e |G|^2 + W_u + W_D) < 1 for norm-optimal learning with
-    the model G of the plant G_t.
+    """sup_w |W_D + W_e G* (G - G_t)| / (W_e |G|^2 + W_u + W_D) < 1, of norm-optimal learning.
 
-    Frequency by frequency J = W_e |e|^2 + W_u |u|^2 + W_D |u - u_j|^2 is least at u_{j+1} = (W_e
-    |G|^2 + W_u + W_D)^-1 ((W_D + W_e |G|^2) u_j + W_e G* e_j), and e_j = r - G_t u_j. Several
-    channels: the norm of H^-1 (W_D I + W_e G^H (G - G_t)).
-    model, machine: G and G_t, both under the feedback of `scheme` (None: none)
-    w_e, w_u, w_delta: numbers, or functions of f [Hz], which are then taken as constant from line
-    to line, and say nothing of the ends
+    G is the model that the scheme learns with, and G_t is the plant. Frequency by frequency
+
+        J = W_e |e|^2 + W_u |u|^2 + W_D |u - u_j|^2,    e_j = r - G_t u_j
+
+    is least at u_{j+1} = (W_e |G|^2 + W_u + W_D)^-1 ((W_D + W_e |G|^2) u_j + W_e G* e_j). Of
+    several channels it is the norm of H^-1 (W_D I + W_e G^H (G - G_t)).
+
+    model, machine: G and G_t, both under the feedback of `scheme`; None is no feedback
+    w_e, w_u, w_delta: numbers, or functions of f [Hz]. Functions are taken as constant from line to
+                    line, and no premise then covers the ends of the trial
     """
     for one in (model, machine):
         one.check(task) if scheme is None else check(one, scheme, task)
@@ -123,8 +133,9 @@ def norm_optimal_condition(
 
 
 def largest_of(law: Law, loop: Loop, task: Task, f) -> Largest:
-    """sup |Q (keep - L P)| of a law over a minimal loop, with the lines f (F,) [Hz] to look for its
-    first crossing of 1.
+    """sup |Q (keep - L P)| of a law over a minimal loop.
+
+    f: (F,) lines [Hz] at which the first crossing of 1 is looked for
     """
     loop = balanced(loop) if radius_of(loop) < 1 - 1e-9 else loop
     parts = Parts(loop, law, False, [])
@@ -155,9 +166,7 @@ def _scaled(arc: Arc, factor) -> Arc:
 def _of_norm_optimal(
     G: Loop, machine: Machine, feedback: Scheme | None, task: Task, weights
 ) -> Premise:
-    """That norm-optimal learning with these weights converges on the whole trial, its ends
-    included.
-    """
+    """The premise that norm-optimal learning with these weights converges on the whole trial."""
     w_e, w_u, w_delta = weights
     try:
         learning = NormOptimal(StateSpace(G.A, G.B, G.C, dt=task.dt), w_q=w_e, w_s=w_u, w_r=w_delta)

@@ -1,17 +1,10 @@
-"""Contraction of any scheme without a matrix: one trial and its learning as a map, its gain and
-growth by Lanczos and Arnoldi.
+"""Contraction of any scheme without a matrix: the gain and the growth of its learning maps.
 
-    memory -> trial -> next memory          `learning_map`: all a scheme knows, estimates included,
-    or the parts of it that are named
-    e_j -> e_{j+1}, ..., e_{j+J}            `error_map`: what becomes of the error of a trial; I - G
-    L for a linear law, in any scheme
-
-Both are differentiated through the simulator, forward (`jvp`) and backward (`vjp`), at the cost of
-a trial each. The scheme may adapt,
-switch and be nonlinear: what is found is then true near the memory it was found at, as far as the
-simulation has the derivative that JAX gives it; a rounding has none. It is true everywhere where
-the map is affine, which is read off its program (`structure`). All functions down to `over_plants`
-are pure and may be vmapped over machines.
+The maps (`maps`) are differentiated through the simulator, and their gain and growth are found by
+the methods of Lanczos and Arnoldi (`iteration`). The scheme may adapt, switch and be nonlinear.
+What is found is then true near the memory at which it was found, as far as the simulation has the
+derivative that JAX gives it; a rounding has none. It is true everywhere where the map is affine,
+which is read off its program (`structure`).
 """
 
 from __future__ import annotations
@@ -53,9 +46,18 @@ __all__ = [
 
 FIXED = 1e-6  # by how much of itself a trial may move a memory that counts as a fixed point
 
-CONTRACTION = "largest singular value of the learning map < 1: it contracts in the 2-norm of the weighted memory (Banach), {where}"
-ERROR = "sup |e_(j+{n})| / |e_j| < 1 over all {which}changes of the error: the 2-norm of the error contracts in {n} trial(s), {where}"
-ATTRACTION = "spectral radius of the learning map < 1: its fixed point attracts (Ostrowski 1960; linear: Bristow 2006), {where}"
+CONTRACTION = (
+    "largest singular value of the learning map < 1: it contracts in the 2-norm of the weighted "
+    "memory (Banach), {where}"
+)
+ERROR = (
+    "sup |e_(j+{n})| / |e_j| < 1 over all {which}changes of the error: the 2-norm of the error "
+    "contracts in {n} trial(s), {where}"
+)
+ATTRACTION = (
+    "spectral radius of the learning map < 1: its fixed point attracts (Ostrowski 1960; linear: "
+    "Bristow 2006), {where}"
+)
 EVERYWHERE, NEARBY = "everywhere, as the map is affine", "near the memory at which it is linearised"
 RESOLVED = "iteration converged"
 DIFFERENTIABLE = "the derivative is that of the simulation"
@@ -70,10 +72,11 @@ def contracting(
 ) -> Condition:
     """The learning map contracts in the norm of the weighted memory.
 
-    weights, and of options `leaves`: as for `learning_map`;  options `steps`, `tolerance`: as for
-    `iteration.singular_value`
-    Raises ValueError where machine, scheme and task do not fit, or for a name that the memory has
-    not.
+    weights: as for `learning_map`
+    options: `leaves` as for `learning_map`; `steps`, `tolerance` as for `iteration.singular_value`
+
+    Raises ValueError where machine, scheme and task do not fit, or for a name that is not in the
+    memory.
     """
     check(machine, scheme, task)
     found, distance = _singular_of_memory(machine, scheme, task, memory, weights, **options)
@@ -86,11 +89,14 @@ def contracting(
 def attracting(
     machine: Machine, scheme: Scheme, task: Task, memory: Any = None, **options
 ) -> Condition:
-    """The fixed point of the learning map attracts. options: `leaves` of `learning_map`, `steps` of
-    `spectral_radius_of`; raises as above
+    """The fixed point of the learning map attracts.
 
-    Where the eigenvalue is in doubt, it still is < 1 if the eighth power of the derivative
-    contracts, since rho^8 <= ||J^8||.
+    Where the doubt of the spectral radius leaves open whether it is < 1, it still is if the eighth
+    power of the derivative contracts, since rho^8 <= ||J^8||.
+
+    options: `leaves` of `learning_map`; `steps` of `spectral_radius_of`
+
+    Raises as `contracting` does.
     """
     check(machine, scheme, task)
     found, distance = _radius_of_memory(machine, scheme, task, memory, **options)
@@ -106,11 +112,11 @@ def attracting(
 def error_contracting(
     machine: Machine, scheme: Scheme, task: Task, memory: Any = None, *, trials: int = 1, **options
 ) -> Condition:
-    """A change of the error, however it is shaped, has become smaller `trials` trials later; see
-    `error_map`.
+    """A change of the error, whatever its shape, is smaller `trials` trials later; see `error_map`.
 
-    options: `steps`, `tolerance` of `iteration.singular_value`. Raises ValueError where machine,
-    scheme and task do not fit.
+    options: `steps`, `tolerance` of `iteration.singular_value`
+
+    Raises ValueError where machine, scheme and task do not fit.
     """
     check(machine, scheme, task)
     found = _singular_of_error(machine, scheme, task, memory, trials=trials, **options)
@@ -166,9 +172,7 @@ def _distance(map_: Map):
 
 
 def _where(machine, scheme, task, memory, leaves, distance) -> tuple[tuple[Premise, Premise], str]:
-    """The premises under which a derivative at one memory says where learning goes, and where that
-    is true.
-    """
+    """The premises of a derivative at one memory, and where what it says is true."""
     memory = learned_memory(machine, scheme, task) if memory is None else memory
     fixed, at = (
         (machine, scheme, task, memory),
@@ -177,7 +181,10 @@ def _where(machine, scheme, task, memory, leaves, distance) -> tuple[tuple[Premi
     law = linear_law(scheme, task, memory)
     why = "" if law.held else law.detail
     why = obstacle(partial(_learned, leaves=leaves), fixed, at) or why
-    found = f"{why or 'affine, read off its program'}; another trial moves the memory by {float(distance):.1e} of itself"
+    found = (
+        f"{why or 'affine, read off its program'}; another trial moves the memory by "
+        f"{float(distance):.1e} of itself"
+    )
     local = premise("map affine, or taken at its fixed point", not why or distance <= FIXED, found)
     smooth = not why or not blind(partial(_learned, leaves=leaves), fixed, at)
     return (local, _differentiable(smooth)), NEARBY if why else EVERYWHERE
@@ -200,7 +207,7 @@ def _errors(fixed, at, *, trials):
 
 
 def _bounded(found: SingularValue) -> Premise:
-    """The premise that the iteration came close enough to tell the value from 1."""
+    """The premise that the iteration came close enough to tell whether the value is below 1."""
     clear = found.bound < 1 or found.value >= 1
     return premise(
         RESOLVED, clear, f"{float(found.value):.9g}, and at most {float(found.bound):.9g}"

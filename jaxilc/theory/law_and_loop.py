@@ -1,4 +1,4 @@
-"""What a condition on the frequency response is made of: a loop, a learning law, and their premises."""
+"""What a condition on the frequency response is made of: a loop, a learning law, their premises."""
 
 from __future__ import annotations
 
@@ -24,10 +24,11 @@ STABLE = "loop stable"
 
 
 class Parts(NamedTuple):
-    """What the conditions of a law and a loop are made of.
+    """A loop and a learning law, for a condition on both.
 
-    loop: balanced where it is stable;  law: its taps;  causal: both, and the trial cuts the law off
-    at its ends as it cuts the loop off
+    loop:     balanced where it is stable
+    law:      its taps
+    causal:   whether both are causal and the trial cuts the law off at its ends as it does the loop
     premises: on loop and law, for a trial of any length
     """
 
@@ -46,7 +47,9 @@ class Parts(NamedTuple):
 
 
 def parts_of(machine: Machine, scheme: Scheme, task: Task) -> Parts:
-    """Raises ValueError where machine, scheme and task do not fit, or for a scheme that learns no
+    """The parts of the conditions of a machine under a scheme.
+
+    Raises ValueError where machine, scheme and task do not fit, or for a scheme that learns no
     feedforward.
     """
     check(machine, scheme, task)
@@ -74,8 +77,9 @@ def of_poles(loops: list[Loop], task: Task) -> Premise:
 
 
 def of_trial(machines: Machine, scheme: Scheme, task: Task, causal: bool) -> list[Premise]:
-    """The premises that the whole trial learns as the middle of a long one does, and that no limit
-    is met, on each of the machines.
+    """The premises that the whole trial learns as the middle of a long one, and meets no limit.
+
+    They are looked at on each of the machines.
     """
     if not limit_names(machines, scheme, task):
         if causal:

@@ -1,4 +1,13 @@
-"""One trial and its learning as a map: of all that a scheme knows, and of the error."""
+"""One trial and its learning as a map: of all that a scheme knows, and of the error.
+
+    learning_map   memory -> trial -> next memory, of all that a scheme knows, estimates included,
+                   or of the parts of it that are named
+    error_map      e_j -> e_{j+1}, ..., e_{j+J}, what becomes of the error of a trial; I - G L for
+                   a linear law, and defined for any scheme
+
+Both can be differentiated through the simulator, forward (`jvp`) and backward (`vjp`), each at the
+cost of a trial. All functions are pure and may be vmapped over machines.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +36,7 @@ OF_OUTPUT = ("y",)  # leaves of a memory that have the unit of the output
 
 
 class Map(NamedTuple):
-    """A map and where to linearise it. f: (n,) -> (m,) or (J, m);  at: (n,)"""
+    """A map and where to linearise it: f from (n,) to (m,) or (J, m), at a point (n,)."""
 
     f: Callable[[jax.Array], jax.Array]
     at: jax.Array
@@ -44,18 +53,20 @@ def learning_map(
 ) -> Map:
     """One trial and its learning, as a map on the weighted memory.
 
-    memory: where to linearise, None for that after 3 trials
-    leaves: names of what varies, all else held ("u"; "learning.phi", which is all of phi[0],
-    phi[1], ...); None for all but flags.
-            ("u", "y") of MFAILC leaves out its estimates. It matters: at a fixed point without
-            error nothing moves phi, so the full map has the eigenvalue 1 there, once for each phi
-            that no reset holds. Its u alone says nothing, as y goes with it.
+    memory:  where to linearise; None for the memory after 3 trials
+    leaves:  names of what varies, while all else is held: "u", or "learning.phi", which is all of
+             phi[0], phi[1], ...; None for all but flags. ("u", "y") of MFAILC leaves out its
+             estimates. That matters: at a fixed point without error nothing moves phi, so the full
+             map has the eigenvalue 1 there, once for each phi that no reset holds. u alone says
+             nothing, as y goes with it
     weights: {name: number} by which leaves are multiplied before they are compared, as u, y and phi
-    have different units. Spectral
-            radii do not depend on them, singular values do. Without one, a leaf is brought to the
-            size of the output by rms(y) / rms(leaf), or by 1 if either is zero; `y` keeps its unit.
-            The longest name that fits a leaf counts.
-    Raises ValueError for a name that the memory has not, or a memory without anything that varies.
+             have different units. Spectral radii do not depend on them, singular values do. A leaf
+             without a weight is brought to the size of the output by rms(y) / rms(leaf), or by 1 if
+             either is zero; `y` keeps its unit. Of several names that fit a leaf, the longest
+             counts
+
+    Raises ValueError for a name that is not in the memory, or a memory without anything that
+    varies.
     """
     scheme = scheme.prepared(task)
     memory = learned_memory(machine, scheme, task) if memory is None else memory
@@ -64,7 +75,8 @@ def learning_map(
     for name in (*(leaves or ()), *(weights or ())):
         if not any(_names(name, of) for of in names):
             raise ValueError(
-                f"learning_map: {name!r} is not in this memory; known: {', '.join(names) or 'nothing'}"
+                f"learning_map: {name!r} is not in this memory; known: "
+                f"{', '.join(names) or 'nothing'}"
             )
     varies = [
         any(_names(name, of) for name in leaves)
@@ -108,14 +120,15 @@ def learning_map(
 def error_map(
     machine: Machine, scheme: Scheme, task: Task, memory: Any = None, *, trials: int = 1
 ) -> Map:
-    """From the error e[1..N] of a trial, (N n_y,), to that of each of the next `trials` trials, (J,
-    N n_y).
+    """From the error of a trial, (N n_y,), to those of the next `trials` trials, (J, N n_y).
 
-    Another error comes with the repetitive disturbance of the output that causes it, which then
-    stays: it is the error, not the input, that is prescribed. That trial is run with the prescribed
-    output fed back, so nothing has to be inverted. For a linear law under a linear loop G the
-    derivative is (I - G L)^j; a scheme that adapts learns from the change as well, and that counts.
-    memory: with which the trial is entered, None for that after 3 trials
+    Another error e[1..N] is brought about by the repetitive disturbance of the output that causes
+    it, which then stays. So it is the error that is prescribed, not the input: that trial is run
+    with the prescribed output fed back, and nothing has to be inverted. For a linear law under a
+    linear loop G the derivative is (I - G L)^j. A scheme that adapts also learns from the change,
+    which is part of the derivative.
+
+    memory: with which the trial is entered; None for the memory after 3 trials
     """
     scheme = scheme.prepared(task)
     memory = learned_memory(machine, scheme, task) if memory is None else memory
@@ -138,8 +151,9 @@ def error_map(
 def error_growth(
     f: Callable, at, trials: int, *, steps: int = 300, tolerance: float = 1e-6
 ) -> SingularValue:
-    """The largest |e_{j+i}| / |e_j| for i = 1..J: fields with a leading axis of J. f, at: an
-    `error_map` over J `trials`
+    """The largest |e_{j+i}| / |e_j| for i = 1..J: fields with a leading axis of J.
+
+    f, at: an `error_map` over J `trials`
     """
     return lax.map(
         lambda row: singular_value(f, at, steps=steps, tolerance=tolerance, row=row),
@@ -154,8 +168,9 @@ def over_plants(
     drawn: Mapping[str, Any],
     lanes: int = 4,
 ):
-    """quantity(machine) for every plant drawn, tiled over devices; `drawn` as from
-    `uncertainty.draw`.
+    """quantity(machine) for every plant drawn, tiled over devices.
+
+    drawn: as from `uncertainty.draw`
     """
     run = tiled(
         lambda common, values: quantity(drawn_machine(common, uncertainty, values)), lanes=lanes
@@ -164,7 +179,7 @@ def over_plants(
 
 
 def _names(name: str, leaf: str) -> bool:
-    """Whether a name means this leaf, or something it is a part of."""
+    """Whether a name means this leaf, or an object that this leaf is a part of."""
     return leaf == name or leaf.startswith((f"{name}.", f"{name}["))
 
 

@@ -1,4 +1,4 @@
-"""A curve over frequency: the lines it is drawn on, its largest value, and where it reaches 1."""
+"""A curve over frequency: its grid of lines, its largest value, and where it first reaches 1."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ from .loop import Loop
 class FrequencyTest(NamedTuple):
     """A condition with the curve behind it.
 
-    condition: on the supremum, whose value is enclosed from above;  frequencies: (F,) [Hz];
-    magnitude: (F,) what must stay below 1
-    worst: frequency of the supremum [Hz];  critical: first frequency at which the magnitude reaches
-    1 [Hz], inf if none does
+    condition:   on the supremum, whose value is enclosed from above
+    frequencies: (F,) [Hz]
+    magnitude:   (F,) what must stay below 1
+    worst:       frequency of the supremum [Hz]
+    critical:    first frequency at which the magnitude reaches 1 [Hz]; inf if it never does
     """
 
     condition: Condition
@@ -30,8 +31,9 @@ class FrequencyTest(NamedTuple):
 
 
 def grid(task: Task, *, points: int = 1000, near=()) -> np.ndarray:
-    """(F,) frequencies [Hz], equidistant in the logarithm from 0.001 / duration to the Nyquist
-    frequency, and denser around poles z.
+    """(F,) frequencies [Hz] from 0.001 / duration to the Nyquist frequency.
+
+    They are equidistant in the logarithm, and denser around the poles z that `near` gives.
     """
     nyquist, near = 0.5 / task.dt, np.asarray(near, complex)
     near = near[np.abs(near) > 1e-3]
@@ -48,8 +50,12 @@ def grid(task: Task, *, points: int = 1000, near=()) -> np.ndarray:
 
 
 class Largest(NamedTuple):
-    """value: the supremum, enclosed from above;  worst: its frequency [Hz];  critical: where 1 is
-    first reached [Hz];  radius: |pole|
+    """The largest value of a curve.
+
+    value:    the supremum, enclosed from above
+    worst:    its frequency [Hz]
+    critical: frequency at which 1 is first reached [Hz]
+    radius:   largest |pole| of the loops
     """
 
     value: float
@@ -67,11 +73,11 @@ def on_supremum(
     of_whole: Callable,
     frequencies,
 ) -> FrequencyTest:
-    """The condition on the supremum of a function of the angle that `enclosure.supremum` can
-    enclose.
+    """The condition on the supremum of a function of the angle.
 
-    of_whole: () -> further premises, on the whole trial; not asked for where the condition fails
-    anyway
+    bounds:   the function, as `enclosure.supremum` takes it
+    of_whole: () -> further premises, on the whole trial; not called where the condition fails
+              anyway
     """
     f = lines(task, frequencies, loops)
     curve, found = enclosed(bounds, loops, task, f)
@@ -82,8 +88,9 @@ def on_supremum(
 
 
 def enclosed(bounds: Callable, loops: list[Loop], task: Task, f):
-    """The curve on the lines, and what it is at most. Where a loop is unstable, the lines alone
-    count, since nothing is claimed.
+    """The curve on the lines f (F,) [Hz], and its largest value.
+
+    Where a loop is unstable nothing is claimed, and the largest value is that on the lines.
     """
     to_angle, radius = 2 * np.pi * task.dt, max(map(radius_of, loops))
 
@@ -101,7 +108,7 @@ def enclosed(bounds: Callable, loops: list[Loop], task: Task, f):
 
 
 def lines(task: Task, frequencies, loops: list[Loop]) -> np.ndarray:
-    """The frequencies asked for, checked, or a `grid` that is denser around the poles."""
+    """The frequencies asked for, checked; or a `grid` that is denser around the poles."""
     if frequencies is None:
         return grid(
             task,
@@ -118,14 +125,17 @@ def lines(task: Task, frequencies, loops: list[Loop]) -> np.ndarray:
         or np.any(np.diff(f) <= 0)
     ):
         raise ValueError(
-            f"frequencies = {f} must ascend within (0, {0.5 / task.dt:g}] Hz, Nyquist at dt = {task.dt:g} s"
+            f"frequencies = {f} must ascend within (0, {0.5 / task.dt:g}] Hz, Nyquist at dt = "
+            f"{task.dt:g} s"
         )
     return f
 
 
 def weight_on(weight, centre, h, dt) -> np.ndarray:
-    """(F,) a weight on arcs: a number, or the largest value of a function of f [Hz] at the middle
-    and the ends of each arc.
+    """(F,) a weight on arcs.
+
+    weight: a number; or a function of f [Hz], of which the largest value at the middle and the ends
+            of each arc is taken
     """
     if not callable(weight):
         return np.broadcast_to(np.asarray(weight, float), np.shape(centre))
@@ -142,13 +152,14 @@ def radius_of(loop: Loop) -> float:
 
 
 def largest_on(arc: Arc, h):
-    """What `supremum` wants of a response on arcs."""
+    """What `supremum` asks of a response on arcs: values at the centres, and upper bounds."""
     return size(arc.value), np.max(arc.ends(h), axis=0) + h**2 * arc.curve
 
 
 def _first_crossing(magnitude, f, curve, worst) -> float:
-    """The first frequency at which the curve reaches 1, narrowed down between the lines; that of
-    its peak where no line does.
+    """The first frequency at which the curve reaches 1, refined between the lines.
+
+    Where no line reaches 1, it is the frequency of the peak, if that does.
     """
     if not np.any(curve >= 1):
         return float(worst) if magnitude([worst])[0] >= 1 else np.inf

@@ -1,12 +1,10 @@
-"""Sliding mode control and learning over it (Xu 2024): does sigma slide on a run, and does learning
-contract.
+"""Conditions of Xu 2024 on learning over sliding mode control: does learning contract.
 
-    sigma' = f - eta_hat s(sigma) - k_n sigma,    V = sigma^2 / 2,    s = sgn, or sat(sigma / Delta)
-    with a boundary layer
     rho = 1 - (K_P + s K_D) exp(lam0 t) / (s (s + lam1 + lam2 / s)),    e_{j+1} = rho e_j + ...
 
-The paper takes the disturbance f to be bounded and rho to be below 1. Here f is what it turned out
-to be, and rho is evaluated, beside the factor that the sampled loop really has.
+The paper takes |rho| to be below 1. Here rho is evaluated, and beside it the factor that the
+sampled loop really has. Whether sigma slides on a run is for `sliding_run`, whose names are
+reachable here.
 """
 
 from __future__ import annotations
@@ -42,16 +40,23 @@ __all__ = [
 ]
 
 SAMPLED = "the loop as it is sampled agrees"
-PRINTED = "sup |1 - (K_P + s K_D) exp(lam0 t) / ((s + K) (s + lam1 + lam2 / s))| < 1: the error falls in every trial (Xu 2024, eq. 36)"
+PRINTED = (
+    "sup |1 - (K_P + s K_D) exp(lam0 t) / ((s + K) (s + lam1 + lam2 / s))| < 1: the error falls in "
+    "every trial (Xu 2024, eq. 36)"
+)
 
 
 class ExponentialTest(NamedTuple):
-    """A condition over frequency and over the time within the trial. As |1 - g x| is convex in the
-    gain g = exp(lam0 t), it is greatest at one of the trial's ends, so only these are looked at.
+    """A condition over frequency and over the time within the trial.
 
-    condition: with its premises;  frequencies: (F,) [Hz];  curves: (2, F) at the trial's start and
-    at its end
-    worst: frequency [Hz] and time: [s] of the supremum
+    As |1 - g x| is convex in the gain g = exp(lam0 t), it is greatest at one of the trial's ends,
+    so only these are looked at.
+
+    condition:   with its premises
+    frequencies: (F,) [Hz]
+    curves:      (2, F) at the trial's start and at its end
+    worst:       frequency of the supremum [Hz]
+    time:        time within the trial of the supremum [s]
     """
 
     condition: Condition
@@ -64,18 +69,21 @@ class ExponentialTest(NamedTuple):
 def printed_condition(
     scheme: WithFeedback, task: Task, *, reaching: float = 0.0, frequencies=None
 ) -> ExponentialTest:
-    """|rho| < 1 of Xu 2024, eq. 36, in continuous time, for `WithFeedback(ExponentialPD(...),
-    SMC(...) or ASMC(...))`.
+    """|rho| < 1 of Xu 2024, eq. 36, in continuous time.
 
-    reaching: K [1/s], 0 as printed. The proof counts k_n sigma + eta_hat sat(sigma) to the
-    disturbance and has it unchanged from trial to
-              trial; but sigma changes, so the premise is broken unless both gains are zero. K = k_n
-              + eta / Delta puts them where they belong, into the loop, as long as sigma stays
-              within the boundary layer.
-    frequencies: (F,) [Hz], None for 2000 from 1 / duration to Nyquist. With w = 2 pi f, G =
-    exp(lam0 t) and K = 0, |rho| < 1 means
-              G (K_P^2 + w^2 K_D^2) < 2 (K_P lam2 + w^2 (K_D lam1 - K_P)): so with lam2 = 0.3 slow
-              frequencies admit hardly any K_P.
+    scheme:   `WithFeedback(ExponentialPD(...), SMC(...) or ASMC(...))`
+    reaching: K [1/s], 0 as printed. The proof counts k_n sigma + eta_hat sat(sigma) as part of the
+              disturbance and takes it to be unchanged from trial to trial. But sigma changes, so
+              the premise is broken unless both gains are zero. K = k_n + eta / Delta puts them
+              where they belong, into the loop, as long as sigma stays within the boundary layer
+    frequencies: (F,) [Hz]; None for 2000 from 1 / duration to Nyquist
+
+    With w = 2 pi f, G = exp(lam0 t) and K = 0, |rho| < 1 means
+
+        G (K_P^2 + w^2 K_D^2) < 2 (K_P lam2 + w^2 (K_D lam1 - K_P))
+
+    so that with lam2 = 0.3 slow frequencies admit hardly any K_P.
+
     Raises ValueError for another scheme, several channels, or frequencies that are not positive.
     """
     law, feedback = (
@@ -109,7 +117,10 @@ def printed_condition(
     adapting = isinstance(feedback, ASMC) and np.any(np.asarray(feedback.phi) > 0)
     switching = not isinstance(feedback, ASMC) and np.any(np.asarray(feedback.eta) > 0)
     unchanged = not adapting and not switching and np.isclose(in_loop, reaching)
-    detail = f"sigma changes, and with it {in_loop:.4g} sigma, of which {reaching:.4g} sigma is in the loop; eta_hat adapts: {adapting}"
+    detail = (
+        f"sigma changes, and with it {in_loop:.4g} sigma, of which {reaching:.4g} sigma is in the "
+        f"loop; eta_hat adapts: {adapting}"
+    )
     premises = (
         premise("w_{j+1} = w_j: the same disturbance in each trial", unchanged, detail),
         premise("learning without a lead, as printed", law.lead == 0, f"lead = {law.lead}"),
@@ -119,8 +130,9 @@ def printed_condition(
 
 
 def _sampled_too(scheme: WithFeedback, feedback: SMC, task: Task, value: float) -> Premise:
-    """The premise that the inequality, which is in continuous time, is borne out by the loop as it
-    is sampled, on the nominal model.
+    """The premise that the loop as it is sampled confirms the inequality in continuous time.
+
+    It is looked at on the nominal model.
     """
     if value >= 1:
         return premise(SAMPLED, True, "not asked, as the inequality fails")
@@ -134,8 +146,9 @@ def _sampled_too(scheme: WithFeedback, feedback: SMC, task: Task, value: float) 
 
 @pytree
 class Reaching(SMC):
-    """`SMC` that only reaches and never switches: what is left of it within a boundary layer, and
-    linear.
+    """`SMC` that only reaches and never switches.
+
+    This linear law is what is left of sliding mode control within a boundary layer.
     """
 
     def switching(self, sigma) -> jax.Array:
@@ -143,11 +156,13 @@ class Reaching(SMC):
 
 
 def within_layer(scheme: Scheme, eta_hat=None) -> Scheme:
-    """The scheme with its `ASMC` as it acts within the boundary layer: the linear `Reaching` of k_n
-    + eta_hat / Delta for k_n.
+    """The scheme with its `ASMC` as it acts within the boundary layer.
 
-    eta_hat: () or (n,) at which the adaptation is frozen, None for its start value. An `SMC` loses
-    its switching.
+    It becomes the linear `Reaching` with k_n + eta_hat / Delta in place of k_n. An `SMC` loses its
+    switching.
+
+    eta_hat: () or (n,) value at which the adaptation is frozen; None for its start value
+
     Raises ValueError for a scheme that is neither of them, nor `WithFeedback` over one.
     """
     if isinstance(scheme, WithFeedback):
@@ -171,14 +186,16 @@ def sampled_condition(
     trial: Trial | None = None,
     frequencies=None,
 ) -> ExponentialTest:
-    """sup |Q (1 - L P)| < 1 of the loop as it is sampled and acts within the boundary layer, at the
-    least and the largest gain.
+    """sup |Q (1 - L P)| < 1 of the loop as it is sampled and acts within the boundary layer.
 
-    trial: on which to look whether sigma stays within the layer, and whose last eta_hat counts;
-    None for the start value of eta_hat
+    It is looked at for the least and the largest gain of the trial. These curves are of a gain that
+    is frozen in time. That the gain grows along the trial is looked at as well: the whole trial
+    must converge.
+
+    trial:       on which to look whether sigma stays within the layer, and whose last eta_hat
+                 counts; None for the start value of eta_hat
     frequencies: as for `learning_condition`
-    The curves are of a gain that is frozen in time. That it grows along the trial is looked at as
-    well: the whole trial must converge.
+
     Raises ValueError for another scheme, or where machine, scheme and task do not fit.
     """
     law, feedback = (
