@@ -98,7 +98,7 @@ class SwitchableFilter(Filter):
         return ZeroPhaseButterworth(cutoff, self.order, self.padding)
 
     def _need_segments(self, bounds, where):
-        """Raises ValueError where a segment between two bounds is empty, or shorter than a change."""
+        """Raises ValueError where a segment is empty, or shorter than a change."""
         for i, length in enumerate(np.diff(bounds)):
             if length <= 0:
                 allowed = f"({bounds[i]:g}, inf): the segments must follow one another"
@@ -239,9 +239,8 @@ def _merged(starts, fast, shortest):
     kinds = fast[bounds[:-1]]
     while len(kinds) > 1 and np.min(np.diff(bounds)) < shortest - 1e-9:
         i = int(np.argmin(np.diff(bounds)))
-        inner = slice(
-            max(i, 1), min(i + 2, len(kinds))
-        )  # its bounds, other than the ends of the trial
+        # the bounds of this segment, other than the ends of the trial
+        inner = slice(max(i, 1), min(i + 2, len(kinds)))
         kinds = np.delete(kinds, slice(max(i, 1), inner.stop)) if i else kinds[1:]
         bounds = np.delete(bounds, inner)
     return bounds[1:-1], kinds

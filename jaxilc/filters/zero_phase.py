@@ -240,7 +240,7 @@ def butterworth_sections(cutoff, dt, order: int) -> jax.Array:
 
 
 def odd_extension(signal, samples: int) -> jax.Array:
-    """The signal reflected through its end points, by so many samples at each end (scipy's odd_ext)."""
+    """The signal reflected through its end points by so many samples (scipy's odd_ext)."""
     if samples == 0:
         return signal
     left = 2.0 * signal[:1] - signal[samples:0:-1]

@@ -105,11 +105,12 @@ def _sampled(system, own, dt):
     scale = (
         scipy.linalg.matrix_balance(A, permute=False, separate=True)[1][0] if len(A) else np.ones(0)
     )
+    # balanced, because a companion form would cost its zeros digits
     A, B, C = (
         A * scale / scale[:, None],
         B / scale[:, None],
         C * scale,
-    )  # a companion form costs its zeros digits otherwise
+    )
     return (A, B, C, D) if own else scipy.signal.cont2discrete((A, B, C, D), dt)[:4]
 
 

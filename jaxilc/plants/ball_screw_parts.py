@@ -67,6 +67,6 @@ class FrictionTable:
 
     @classmethod
     def of(cls, friction: StribeckFriction, velocity) -> FrictionTable:
-        """The table that an identification experiment at given velocities (M,) [m/s] would leave."""
+        """The table that an identification experiment at given velocities (M,) [m/s] leaves."""
         velocity = np.asarray(velocity, float)
         return cls(velocity, np.asarray(friction.force(velocity)))

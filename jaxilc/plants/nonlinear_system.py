@@ -151,7 +151,7 @@ def vector(values, dtype=None) -> jax.Array:
 
 
 def _reading(system, n_u: int) -> Callable:
-    """The output as a function of (t, x, parameters); without an output function it is the state."""
+    """The output as a function of (t, x, parameters); it is the state where none is given."""
     outfcn = system.outfcn
     if outfcn is None:
         return _the_state

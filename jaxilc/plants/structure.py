@@ -41,9 +41,10 @@ class Dependence(NamedTuple):
 # linear in all operands together
 # fmt: off
 LINEAR = frozenset((
-    "add", "add_any", "sub", "neg", "reshape", "broadcast_in_dim", "transpose", "squeeze", "expand_dims", "slice", "split",
-    "concatenate", "stack", "pad", "rev", "copy", "copy_p", "reduce_sum", "cumsum", "reduce_window_sum", "real", "imag", "complex",
-    "conj", "fft", "by_sample", "device_put",
+    "add", "add_any", "sub", "neg", "reshape", "broadcast_in_dim", "transpose", "squeeze",
+    "expand_dims", "slice", "split", "concatenate", "stack", "pad", "rev", "copy", "copy_p",
+    "reduce_sum", "cumsum", "reduce_window_sum", "real", "imag", "complex", "conj", "fft",
+    "by_sample", "device_put",
 ))
 # linear in each of two operands by itself
 BILINEAR = frozenset(["mul", "dot_general", "conv_general_dilated"])
@@ -58,8 +59,8 @@ LINEAR_IN = {
     "scatter-add": (0, 2),
 }
 DECISIONS = frozenset((
-    "eq", "ne", "lt", "le", "gt", "ge", "lt_to", "le_to", "is_finite", "and", "or", "not", "xor", "reduce_and", "reduce_or",
-    "argmax", "argmin",
+    "eq", "ne", "lt", "le", "gt", "ge", "lt_to", "le_to", "is_finite", "and", "or", "not", "xor",
+    "reduce_and", "reduce_or", "argmax", "argmin",
 ))
 # fmt: on
 WORDS = {
@@ -132,9 +133,8 @@ def _through(
     known = dict(zip([*program.constvars, *program.invars], [*of_consts, *of_inputs], strict=True))
 
     def look(variable) -> Dependence:
-        return (
-            Dependence() if hasattr(variable, "val") else known[variable]
-        )  # a literal has its value with it
+        # a literal has its value with it
+        return Dependence() if hasattr(variable, "val") else known[variable]
 
     for step in program.eqns:
         known |= zip(step.outvars, _after(step, [look(v) for v in step.invars]), strict=True)
@@ -173,9 +173,8 @@ def _after(step, operands: list[Dependence]) -> list[Dependence]:
         why = WORDS["cond"] if name in DECISIONS else WORDS.get(name, name)
         together = Dependence(OTHERWISE, why, together.blind)
     if name in DECISIONS:
-        together = together._replace(
-            blind=False
-        )  # the derivative of what only decides is zero, and rightly so
+        # what only decides has the derivative zero, which is correct
+        together = together._replace(blind=False)
     if name == "select_n":
         together = together._replace(blind=any(one.blind for one in operands[1:]))
     return [together] * results

@@ -9,13 +9,12 @@ _GAUSS = (np.polynomial.legendre.leggauss(4)[0] + 1) / 2, np.polynomial.legendre
 
 
 def fastest(path, h, G, feed, groups, gap):
-    """(G+2,) coefficients of the quadratic B-spline beta that minimises the time, to a relative
-    gap, by a barrier method.
+    """(G+2,) coefficients of the quadratic B-spline beta that minimises the time.
 
-    The limits are taken at both ends of each of the G intervals. A jerk beta^(1/2) l, l linear in
-    beta, is within its limit where 1 / beta >= |l|^2; for a step 1 / beta is replaced by the square
-    of the tangent of beta^(-1/2), which lies below it: this makes the problem a convex one of the
-    same gradient.
+    It is found to a relative gap, by a barrier method. The limits are taken at both ends of each of
+    the G intervals. A jerk beta^(1/2) l, with l linear in beta, is within its limit where 1 / beta
+    >= |l|^2. For a step 1 / beta is replaced by the square of the tangent of beta^(-1/2), which
+    lies below it: this makes the problem a convex one of the same gradient.
     """
     x = np.add.outer([0, 1], np.arange(G)) * h
     p1, p2, p3 = (np.moveaxis(path.derivative(i)(x), -1, 0).copy()[:, None] for i in (1, 2, 3))
@@ -44,8 +43,9 @@ def fastest(path, h, G, feed, groups, gap):
     weights = Q[:, rows, cols] * np.where(rows == cols, 1, 2)[:, None, None]
 
     def local(c):
-        """The three coefficients of each interval, beta, and what is left of the speed's limit and
-        of the others; all > 0 within.
+        """The three coefficients of each interval, beta, and what is left of the limits.
+
+        These are the limit of the speed and the others. All are > 0 within the limits.
         """
         C = np.stack([c[:-2], c[1:-1], c[2:]])
         beta = np.einsum("ieg,ig->eg", E, C)

@@ -25,10 +25,13 @@ LONGEST = 1_000_000  # samples of a plan
 class Plan(NamedTuple):
     """A path planned in time, sampled at k dt, k = 0..N.
 
-    reference: (N+1, d) positions, each on the curve [mm];  parameter: (N+1,) of the curve
-    arc: (N+1,) length covered [mm];  speed, acceleration, jerk: (N+1,) its time derivatives [mm/s],
-    [mm/s^2], [mm/s^3]
-    dt: [s]
+    reference:    (N+1, d) positions, each on the curve [mm]
+    parameter:    (N+1,) of the curve
+    arc:          (N+1,) length covered [mm]
+    speed:        (N+1,) first derivative of `arc` [mm/s]
+    acceleration: (N+1,) second derivative of `arc` [mm/s^2]
+    jerk:         (N+1,) third derivative of `arc` [mm/s^3]
+    dt:           [s]
     """
 
     reference: np.ndarray
@@ -51,38 +54,43 @@ class Plan(NamedTuple):
 
 
 def plan(curve, interval, *, feed, acceleration, jerk, dt, points=20001) -> Plan:
-    """Nearly time-optimal motion along the curve from rest to rest, within limits of feed,
-    acceleration and jerk.
+    """Nearly time-optimal motion along the curve from rest to rest, within limits.
 
-    Look-ahead planning, forward and backward, gives a first profile; an interior-point method then
-    shortens its time:
+    Look-ahead planning, forward and backward, gives a first profile. An interior-point method then
+    shortens its time (`fastest_profile`):
 
-        minimise T = int beta^(-1/2) dx    over beta(x) = (dx/dt)^2,    p(x) the path over the
-        profile's own time x,  ' = d/dx
-        velocity   p' beta^(1/2)
+        minimise T = int beta^(-1/2) dx    over beta(x) = (dx/dt)^2
+
+    where p(x) is the path over the profile's own time x, ' = d/dx, and the limited quantities are
+
+        velocity      p' beta^(1/2)
         acceleration  p'' beta + p' beta' / 2
         jerk          beta^(1/2) (p''' beta + 3/2 p'' beta' + p' beta'' / 2)
 
     Every iterate keeps the limits at all grid points (Newton steps on a logarithmic barrier, of a
     banded Hessian), so it may stop anywhere. Last, time is stretched to whole samples, and further
-    until the *sampled* reference keeps the limits: its differences up to the third, the rest before
-    and after included, as vectors or axis by axis, and those of the length covered; all of it up to
-    the rounding of positions, 32 eps max |p| / dt^3 in the jerk.
+    until the *sampled* reference keeps the limits. Its differences up to the third are looked at,
+    the rest before and after included, as vectors or axis by axis, and those of the length covered;
+    all of it up to the rounding of positions, 32 eps max |p| / dt^3 in the jerk.
 
+    curve:        any callable from (M,) parameter values to (M, d) positions [mm]
     interval:     (first, last) parameter, first < last
     feed:         largest path speed [mm/s]
     acceleration: () largest length of the acceleration vector, centripetal part included, or (d,)
-    of each axis [mm/s^2]
+                  of each axis [mm/s^2]
     jerk:         () or (d,) likewise [mm/s^3]; where both are (), they also limit the derivatives
-    of the path speed
-    dt:           [s];  points: of the table of the curve, spaced evenly in its parameter; splines
-    of fifth order run through them A jump of the curvature, as between line and arc, counts as a
-    rise over one step h of the planning grid (2000 to 20000
-    steps): it is passed at about (jerk h / jump)^(1/2), so blend such paths where time matters.
+                  of the path speed
+    dt:           sample time [s]
+    points:       of the table of the curve, spaced evenly in its parameter; splines of fifth order
+                  run through them
+
+    A jump of the curvature, as between line and arc, counts as a rise over one step h of the
+    planning grid (2000 to 20000 steps): it is passed at about (jerk h / jump)^(1/2), so blend such
+    paths where time matters.
+
     Raises ValueError for a value outside its range, for a curve that is not finite, stands still,
-    has a corner or cusp (there the
-    tool would have to stop: split the path, plan the parts) or bends too sharply for its table, and
-    for more than a million samples.
+    has a corner or cusp (there the tool would have to stop: split the path, plan the parts) or
+    bends too sharply for its table, and for more than a million samples.
     """
     u, q, arc = tabulated(curve, interval, points)
     d = q.shape[1]
@@ -159,14 +167,13 @@ def _groups(d, acceleration, jerk):
 def _look_ahead(arc, q, feed, acceleration, jerk):
     """A first profile: ramp time [s], duration [s] and arc length at a time, a function.
 
-    Speed at most feed, (acceleration / |q''|)^(1/2), (jerk / |q'''|)^(1/3) over the arc length; v
-    dv/ds within acceleration, forward and backward; then averaged over the ramp time, which bounds
-    its jerk. It need not keep the limits, only come near.
+    The speed is at most feed, (acceleration / |q''|)^(1/2) and (jerk / |q'''|)^(1/3) over the arc
+    length; v dv/ds is within the acceleration, forward and backward. Then the speed is averaged
+    over the ramp time, which bounds its jerk. The profile need not keep the limits, only come near.
     """
     L = arc[-1]
-    acceleration = min(
-        acceleration, np.sqrt(jerk * feed), np.cbrt(jerk**2 * L / 2)
-    )  # what a short move reaches
+    # a short move reaches no more
+    acceleration = min(acceleration, np.sqrt(jerk * feed), np.cbrt(jerk**2 * L / 2))
     curve = make_interp_spline(arc, q, 5)
     second, third = (
         np.maximum(np.linalg.norm(curve.derivative(i)(arc), axis=1), 1e-300) for i in (2, 3)
@@ -182,9 +189,8 @@ def _look_ahead(arc, q, feed, acceleration, jerk):
     ramp, T = acceleration / jerk, t[-1] + acceleration / jerk
     if not np.isfinite(T):
         return ramp, T, np.zeros_like
-    integral = make_interp_spline(t, v, 1).antiderivative(
-        2
-    )  # exact at constant acceleration: the start from rest is a clean one
+    # the integral is exact at constant acceleration, as in the start from rest
+    integral = make_interp_spline(t, v, 1).antiderivative(2)
 
     def integral_at(x):
         inside = np.clip(x, 0.0, t[-1])
@@ -194,8 +200,9 @@ def _look_ahead(arc, q, feed, acceleration, jerk):
 
 
 def _excess(reference, dt, feed, groups):
-    """The factor by which time must be stretched for the differences of the sampled reference to
-    keep every limit.
+    """The factor by which time must be stretched for the sampled reference to keep every limit.
+
+    It is its differences that must keep them.
     """
     held = np.pad(reference, ((3, 3), (0, 0)), mode="edge")
     # Positions are rounded, and at a short dt their differences are mostly that, which no

@@ -22,11 +22,14 @@ ARRAYS = 32  # of the length of a reference, that making it and one trial of it 
 def sinusoid(amplitude, frequency, *, duration, dt, phase=0.0, offset=0.0) -> np.ndarray:
     """r = offset + amplitude sin(2 pi frequency t + phase), shape (N+1,).
 
-    amplitude, offset: [mm];  frequency: [Hz], below Nyquist;  phase: [rad];  duration, dt: [s]
+    amplitude, offset: [mm]
+    frequency:    [Hz], below Nyquist
+    phase:        [rad]
+    duration, dt: [s]
+
     From a plant at rest the sine starts with a jump of velocity; offset = amplitude with phase =
-    -pi/2 starts without one.
-    Raises ValueError for a value outside its range, or a duration that is not a whole number of
-    samples.
+    -pi/2 starts without one. Raises ValueError for a value outside its range, or a duration that is
+    not a whole number of samples.
     """
     time = _time("sinusoid", duration, dt)
     require("sinusoid", "amplitude", amplitude, FINITE, " mm")
@@ -39,14 +42,19 @@ def sinusoid(amplitude, frequency, *, duration, dt, phase=0.0, offset=0.0) -> np
 def multisine(amplitudes, frequencies, phases=None, *, duration, dt) -> np.ndarray:
     """r = sum_i amplitudes_i sin(2 pi frequencies_i t + phases_i), shape (N+1,).
 
-    amplitudes: (M,) > 0 [mm];  frequencies: (M,) [Hz], below Nyquist;  phases: (M,) [rad];
-    duration, dt: [s] By default Schroeder's (1970) sum of cosines, whose crest factor is low for
-    equally spaced, ascending frequencies:
+    amplitudes:   (M,) > 0 [mm]
+    frequencies:  (M,) [Hz], below Nyquist
+    phases:       (M,) [rad]
+    duration, dt: [s]
+
+    By default it is Schroeder's (1970) sum of cosines, whose crest factor is low for equally
+    spaced, ascending frequencies:
 
         phases_n = pi / 2 - 2 pi sum_{l<n} (n - l) p_l,    p_l = amplitudes_l^2 / sum amplitudes^2
 
     The signal then starts away from zero, at sum_i amplitudes_i sin(phases_i); zero phases start at
     zero but peak higher.
+
     Raises ValueError for a value outside its range, shapes that differ, or a duration that is not a
     whole number of samples.
     """
@@ -68,13 +76,17 @@ def multisine(amplitudes, frequencies, phases=None, *, duration, dt) -> np.ndarr
 
 
 def chirp(amplitude, f_start, f_stop, *, duration, dt, method="linear") -> np.ndarray:
-    """r = amplitude sin(2 pi int_0^t f), where f sweeps from f_start at t = 0 to f_stop at t =
-    duration; shape (N+1,), r[0] = 0.
+    """r = amplitude sin(2 pi int_0^t f), shape (N+1,), with r[0] = 0.
 
-        linear: f = f_start + (f_stop - f_start) t / duration;    logarithmic: f = f_start (f_stop /
-        f_start)^(t / duration)
+    f sweeps from f_start at t = 0 to f_stop at t = duration:
 
-    amplitude: [mm];  f_start, f_stop: [Hz], below Nyquist, rising or falling;  duration, dt: [s]
+        linear:       f = f_start + (f_stop - f_start) t / duration
+        logarithmic:  f = f_start (f_stop / f_start)^(t / duration)
+
+    amplitude:       [mm]
+    f_start, f_stop: [Hz], below Nyquist, rising or falling
+    duration, dt:    [s]
+
     Raises ValueError for a value outside its range, an unknown method, or a duration that is not a
     whole number of samples.
     """
@@ -93,10 +105,12 @@ def chirp(amplitude, f_start, f_stop, *, duration, dt, method="linear") -> np.nd
 
 
 class SCurveMove(NamedTuple):
-    """One point-to-point move at piecewise constant jerk, from rest to rest: seven segments of jerk
-    (+ 0 - 0 - 0 +).
+    """One point-to-point move at piecewise constant jerk, from rest to rest.
 
-    distance:  signed [mm];  jerk: of the first segment, with the sign of the move [mm/s^3]
+    It has seven segments of jerk (+ 0 - 0 - 0 +).
+
+    distance:  signed [mm]
+    jerk:      of the first segment, with the sign of the move [mm/s^3]
     durations: of the seven segments [s], symmetric: t_j, t_a, t_j, t_v, t_j, t_a, t_j
     """
 
@@ -110,10 +124,10 @@ class SCurveMove(NamedTuple):
         return sum(self.durations)
 
     def at(self, t) -> tuple[np.ndarray, ...]:
-        """Position, velocity, acceleration and jerk at the times `t` [s], each shaped like `t`; at
-        rest outside the move.
+        """Position, velocity, acceleration and jerk at the times `t` [s], each shaped like `t`.
 
-        At a switching time the jerk is that of one of its two segments.
+        Outside the move it is at rest. At a switching time the jerk is that of one of its two
+        segments.
         """
         t = np.asarray(t, float)
         # The second half is the first one reversed, so that rounding cannot keep the end from being
@@ -135,15 +149,20 @@ class SCurveMove(NamedTuple):
 def s_curve_move(distance, *, velocity, acceleration, jerk) -> SCurveMove:
     """The time-optimal move over `distance` from rest to rest within three limits, in closed form.
 
-        t_j = min(acceleration / jerk, (velocity / jerk)^(1/2), (distance / 2 jerk)^(1/3)),    a =
-        jerk t_j
-        t_a = min(velocity / a - t_j, ((t_j^2 + 4 distance / a)^(1/2) - 3 t_j) / 2),           v = a
-        (t_j + t_a) t_v = distance / v - 2 t_j - t_a
+        t_j = min(acceleration / jerk, (velocity / jerk)^(1/2), (distance / 2 jerk)^(1/3))
+        a   = jerk t_j
+        t_a = min(velocity / a - t_j, ((t_j^2 + 4 distance / a)^(1/2) - 3 t_j) / 2)
+        v   = a (t_j + t_a)
+        t_v = distance / v - 2 t_j - t_a
 
     `a` and `v` are the peaks; t_a = 0 where the acceleration limit is not reached, t_v = 0 where
     the velocity limit is not.
-    distance: [mm], either sign;  velocity: [mm/s];  acceleration: [mm/s^2];  jerk: [mm/s^3], all
-    three > 0
+
+    distance:     [mm], either sign
+    velocity:     > 0 [mm/s]
+    acceleration: > 0 [mm/s^2]
+    jerk:         > 0 [mm/s^3]
+
     Raises ValueError for a value outside its range.
     """
     require("s_curve_move", "distance", distance, FINITE, " mm")
@@ -161,15 +180,22 @@ def s_curve_move(distance, *, velocity, acceleration, jerk) -> SCurveMove:
 
 
 def s_curve(positions, *, velocity, acceleration, jerk, dwell=0.0, dt, duration=None) -> np.ndarray:
-    """Time-optimal jerk-limited moves from position to position, with a dwell after each; shape
-    (N+1,).
+    """Time-optimal jerk-limited moves from position to position, with a dwell after each.
 
-    positions: (M,) [mm], the first is the start;  velocity: [mm/s];  acceleration: [mm/s^2];  jerk:
-    [mm/s^3]
-    dwell: [s];  dt: [s];  duration: [s], the end is held; None for the first sample at which
-    everything is done The moves switch between samples where they must; nothing is stretched onto
-    the sample grid. Differences of the sampled reference are means of the derivatives, so they keep
-    the limits as well.
+    The shape is (N+1,).
+
+    positions:    (M,) [mm], the first is the start
+    velocity:     [mm/s]
+    acceleration: [mm/s^2]
+    jerk:         [mm/s^3]
+    dwell:        [s]
+    dt:           [s]
+    duration:     [s], the end is held; None for the first sample at which everything is done
+
+    The moves switch between samples where they must; nothing is stretched onto the sample grid.
+    Differences of the sampled reference are means of the derivatives, so they keep the limits as
+    well.
+
     Raises ValueError for a value outside its range, fewer than two positions, or a duration that is
     too short for the moves or not a whole number of samples.
     """
@@ -207,17 +233,19 @@ def s_curve(positions, *, velocity, acceleration, jerk, dwell=0.0, dt, duration=
 
 
 def m_sequence(order, *, amplitude=1.0, hold=1, periods=1, seed=1) -> np.ndarray:
-    """Maximum-length binary sequence of +-amplitude, an identification *input*: shape (N,), N =
-    periods hold (2^order - 1).
+    """Maximum-length binary sequence of +-amplitude, an identification *input*.
 
-    order:     of the shift register, 2..32;  amplitude: in the input's unit;  hold: samples a bit
-    is held;  periods: repetitions
-               at a sample time dt one bit lasts hold dt, and the spectrum has its first zero at 1 /
-               (hold dt)
+    The shape is (N,), with N = periods hold (2^order - 1).
+
+    order:     of the shift register, 2..32
+    amplitude: in the input's unit
+    hold:      samples for which a bit is held; at a sample time dt one bit lasts hold dt, and the
+               spectrum has its first zero at 1 / (hold dt)
+    periods:   repetitions
     seed:      initial register in binary, 1..2^order - 1; it only rotates the period
+
     An input acts on y[1] .. y[N], so it has no sample N, unlike the references. Its sum over a
-    period is hold amplitude, not 0.
-    Raises ValueError for a value outside its range.
+    period is hold amplitude, not 0. Raises ValueError for a value outside its range.
     """
     require("m_sequence", "order", order, "[2, 32]", whole=True)
     require("m_sequence", "amplitude", amplitude, FINITE)
@@ -231,24 +259,29 @@ def m_sequence(order, *, amplitude=1.0, hold=1, periods=1, seed=1) -> np.ndarray
 
 
 def noncircular(*, duration, dt, spindle_speed, feed, ellipticity, bulge, length) -> np.ndarray:
-    """Tool path that turns a middle-convex piston of varying oval section (Cao 2019, eq. 28),
-    measured from its start: r = y - y(0).
+    """Tool path that turns a middle-convex piston of varying oval section (Cao 2019, eq. 28).
 
-        y = f(Z) - G(Z) cos(2 omega t),    f(Z) = D(Z) / 2 + G(Z) / 4,    omega = 2 pi
-        spindle_speed,    Z = feed spindle_speed t
+        y = f(Z) - G(Z) cos(2 omega t),    f(Z) = D(Z) / 2 + G(Z) / 4
+        omega = 2 pi spindle_speed,    Z = feed spindle_speed t
 
-    D (printed Delta D) varies the long axis: a parabola, 0 at both ends of the length and `bulge`
-    in the middle. G, the ellipticity, runs from ellipticity[0] to ellipticity[1] as half a cosine
-    period, level at both ends.
-    Read as printed: G is the amplitude of the oscillation, two periods a revolution. (An oval whose
-    diameters differ by G would need the amplitude G / 4, the same as its share in f; the print has
-    G.) The shapes of D and G are not printed, they are chosen here. The tool starts at its first
-    point, r[0] = 0, and the oval starts it without velocity; the convexity leaves the small 2 bulge
-    feed spindle_speed / length [mm/s], so the velocity at t = 0 is exactly zero for bulge = 0.
+    It is measured from its start, r = y - y(0). D (printed Delta D) varies the long axis: a
+    parabola, 0 at both ends of the length and `bulge` in the middle. G, the ellipticity, runs from
+    ellipticity[0] to ellipticity[1] as half a cosine period, level at both ends.
 
-    spindle_speed: [rev/s], the oval's 2 spindle_speed below Nyquist;  feed: [mm/rev];  duration,
-    dt: [s]
-    ellipticity:   (2,) >= 0 [mm], at Z = 0 and Z = length;  bulge: >= 0 [mm];  length: [mm]
+    It is read as printed: G is the amplitude of the oscillation, two periods a revolution. (An oval
+    whose diameters differ by G would need the amplitude G / 4, the same as its share in f; the
+    print has G.) The shapes of D and G are not printed, they are chosen here. The tool starts at
+    its first point, r[0] = 0, and the oval starts it without velocity; the convexity leaves the
+    small 2 bulge feed spindle_speed / length [mm/s], so the velocity at t = 0 is exactly zero for
+    bulge = 0.
+
+    spindle_speed: [rev/s], the oval's 2 spindle_speed below Nyquist
+    feed:          [mm/rev]
+    duration, dt:  [s]
+    ellipticity:   (2,) >= 0 [mm], at Z = 0 and Z = length
+    bulge:         >= 0 [mm]
+    length:        [mm]
+
     Raises ValueError for a value outside its range, or a duration in which Z leaves the length or
     that is not a whole number of samples.
     """

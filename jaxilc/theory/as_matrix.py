@@ -54,9 +54,8 @@ class Matrices(NamedTuple):
                 for M, E in zip(found.M, found.E, strict=True)
             ]
         )
-        huge = np.sqrt(
-            np.finfo(found.M.dtype).max
-        )  # nothing can be claimed of a machine that overflows
+        # nothing can be claimed of a machine whose numbers overflow
+        huge = np.sqrt(np.finfo(found.M.dtype).max)
         M = np.where(usable[:, None, None], found.M, huge)
         return found._replace(
             M=M, E=np.where(usable[:, None, None], found.E, 0.0), c=np.nan_to_num(found.c)

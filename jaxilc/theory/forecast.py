@@ -125,7 +125,7 @@ def _simulate(common, machine, *, trials):
 
 
 def _follow(common, one, *, trials, view):
-    """(J,) root mean square errors as simulated, and distances of what is learned from its limit."""
+    """(J,) root mean square errors as simulated, and distances from the limit of learning."""
     (scheme, task), (machine, limit) = common, one
     scheme = scheme.prepared(task)
 

@@ -1,11 +1,11 @@
 """Everything on the frequency response, by the name it is known under. Frequencies are in Hz.
 
-    learning_condition       |Q (keep - L P)| < 1 of one machine
-    norm_optimal_condition   of norm-optimal learning with a model
-    robust_condition         of every plant within a bound
-    family_condition         over a parametric set of plants
-    linear_loop, response    P(z) of machine and feedback
-    law_response, filter_response  of the learning law, and of a filter
+learning_condition       |Q (keep - L P)| < 1 of one machine
+norm_optimal_condition   of norm-optimal learning with a model
+robust_condition         of every plant within a bound
+family_condition         over a parametric set of plants
+linear_loop, response    P(z) of machine and feedback
+law_response, filter_response  of the learning law, and of a filter
 """
 
 from .by_frequency import learning_condition, norm_optimal_condition

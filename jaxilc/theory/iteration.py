@@ -112,9 +112,8 @@ def largest(
         built = jnp.arange(steps) < k
         alpha, above = jnp.where(built, alpha, 0.0), jnp.where(built, beta, 0.0)
         B = jnp.diag(alpha) + jnp.diag(above[:-1] * built[1:], 1)
-        squares, left = jnp.linalg.eigh(
-            B @ B.T
-        )  # many times as fast as an SVD, and as exact for the largest one
+        # this is many times as fast as an SVD, and as exact for the largest singular value
+        squares, left = jnp.linalg.eigh(B @ B.T)
         value, left = jnp.sqrt(jnp.maximum(squares[-1], 0.0)), left[:, -1]
         right = B.T @ left / jnp.where(value > 0, value, 1.0)
         exhausted = (k >= min(n, m)) | (jnp.min(jnp.where(built, beta, jnp.inf)) == 0)
@@ -243,9 +242,8 @@ def krylov(apply: Callable, start, steps: int) -> tuple[jax.Array, jax.Array]:
         second = V @ x
         x = x - second @ V
         size = jnp.linalg.norm(x)
-        size = jnp.where(
-            size > ROUNDING * jnp.finfo(x.dtype).eps * scale, size, 0.0
-        )  # what rounding left over is no direction
+        # what rounding left over is no direction
+        size = jnp.where(size > ROUNDING * jnp.finfo(x.dtype).eps * scale, size, 0.0)
         H = H.at[:, i].set(first + second).at[i + 1, i].set(size)
         return V.at[i + 1].set(jnp.where(size > 0, x / jnp.where(size > 0, size, 1.0), 0.0)), H
 

@@ -65,7 +65,7 @@ class Law(NamedTuple):
 
     @property
     def causal(self) -> bool:
-        """Whether u_{j+1}[k] follows from u_j up to k and e_j up to k + 1, as far as the taps tell."""
+        """Whether u_{j+1}[k] follows from u_j up to k and e_j up to k + 1, by its taps."""
         return bool(np.all(self.keep.powers <= 0) and np.all(self.L.powers <= 1))
 
     def cut_off(self, scheme: Scheme, task: Task) -> bool:

@@ -159,9 +159,8 @@ def minimal(loop: Loop, samples: int) -> Loop:
     whole = B, C = B / scale[:, None], C * scale
     for share in NEGLIGIBLE:
         reduced = A, *whole
-        for _ in range(
-            2
-        ):  # the reachable part, then the observable part, as the reachable part of the transposed system
+        # the reachable part, then the observable part: the reachable part of the transposed system
+        for _ in range(2):
             V = _reachable(reduced[0], reduced[1], share)
             reduced = (V.T @ reduced[0] @ V).T, (reduced[2] @ V).T, (V.T @ reduced[1]).T
         difference, size = _apart((A, *whole), reduced, samples)

@@ -27,9 +27,8 @@ from ..uncertainty import Uncertainty, drawn_machine
 from .iteration import SingularValue, singular_value
 from .trials import Prescribed, learned_memory, step, trial_of, with_output
 
-FLAGS = (
-    "seen",
-)  # leaves of a memory that are no state: they only tell the first trial from the others
+# leaves of a memory that are no state: they only tell the first trial from the others
+FLAGS = ("seen",)
 
 
 OF_OUTPUT = ("y",)  # leaves of a memory that have the unit of the output

@@ -66,9 +66,16 @@ class Decay(NamedTuple):
             float(self.growth[machine]),
         )
         if not k:
-            return f"no power of the learning map up to {POWERS[-1]} contracts; the norm of one trial is up to {self.norm[machine]:.6g}"
+            return (
+                f"no power of the learning map up to {POWERS[-1]} contracts; "
+                f"the norm of one trial is up to {self.norm[machine]:.6g}"
+            )
         before = f", and grows at most {growth:.3g} times before" if growth > 1 else ""
-        return f"the distance from the limit falls to {factor:.6g} of itself in {'every trial' if k == 1 else f'{k} trials'}, or below{before}"
+        within = "every trial" if k == 1 else f"{k} trials"
+        return (
+            f"the distance from the limit falls to {factor:.6g} of itself in {within}, "
+            f"or below{before}"
+        )
 
     @property
     def reach(self) -> np.ndarray:

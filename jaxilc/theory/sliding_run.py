@@ -157,9 +157,8 @@ def _error_of_sigma(law: SMC):
     variation, twice the sum of the humps.
     """
     lam1, lam2 = np.broadcast_arrays(np.asarray(law.lam1, float), np.asarray(law.lam2, float))
-    root = np.sqrt(
-        lam1**2 * (1 + 1e-12) - 4 * lam2 + 0j
-    )  # off the double root, where the quotients below are 0 / 0
+    # moved off the double root, where the quotients below are 0 / 0
+    root = np.sqrt(lam1**2 * (1 + 1e-12) - 4 * lam2 + 0j)
     fast, slow = (lam1 + root) / 2, np.where(lam2 > 0, (lam1 - root) / 2, 1.0)
     top = np.real(np.log(fast / slow) / (fast - slow))
     hump = np.abs((np.exp(-slow * top) - np.exp(-fast * top)) / (fast - slow))
