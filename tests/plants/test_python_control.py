@@ -85,7 +85,7 @@ def test_and_in_its_own_time(name):
     """In continuous time python-control's own zero-order hold leads to the system sampled here."""
     plant = LINEAR[name]
     if "ball_screw" in name:
-        with pytest.raises(ValueError, match="no form in continuous time .* give dt"):
+        with pytest.raises(ValueError, match=r"no form in continuous time .* give dt"):
             to_control(plant)
         return
     system, sampled = to_control(plant), to_control(plant, DT)
@@ -172,7 +172,7 @@ def test_what_is_not_linear_is_refused_by_name(plant, message):
 
 
 def test_another_sample_time_is_refused():
-    with pytest.raises(ValueError, match="DifferenceEquation is sampled at 0.001 s"):
+    with pytest.raises(ValueError, match=r"DifferenceEquation is sampled at 0.001 s"):
         to_control(PLANTS["arx"], 2 * DT)
 
 
@@ -242,7 +242,7 @@ def test_a_discrete_nonlinear_system_steps_as_in_python_control():
         np.vstack([U, U[-1:]]).T,
     ).outputs.T
     np.testing.assert_allclose(simulated(plant, U), y, **ALGEBRA)
-    with pytest.raises(ValueError, match="NonlinearSystem is sampled at 0.001 s"):
+    with pytest.raises(ValueError, match=r"NonlinearSystem is sampled at 0.001 s"):
         simulated(plant, U, 2 * DT)
 
 

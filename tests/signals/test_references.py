@@ -1,6 +1,4 @@
-"""References against closed forms, and against scipy and linear programming as independent
-computations.
-"""
+"""References against closed forms, and against scipy and linear programming."""
 
 from __future__ import annotations
 
