@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +16,13 @@ from jax import lax
 
 from ..pytree.fields import Leaf, child, pytree, scalar, static
 from ..pytree.needs import known
-from .fast_tool_servo_parts import Creep, CuttingForce, FlexibleMode, PeriodicForce
+from .fast_tool_servo_parts import (
+    Creep,
+    CuttingForce,
+    FlexibleMode,
+    PeriodicForce,
+    ServoCoefficients,
+)
 from .hysteresis import BoucWen, Dahl, InputHysteresis
 from .integration import Propagator, exponential_runge_kutta, propagator
 from .linear import StateSpace, matching
@@ -27,19 +33,6 @@ A1, A2, B = 2.413e6, 70.16, 2.229e7
 AMPLIFIER_GAIN = 20.0
 STIFFNESS, MASS = 1.0, 1e6 / A1  # N/um, chosen, and the kg that make a1
 SAMPLES_PER_PERIOD = 5
-
-
-class ServoCoefficients(NamedTuple):
-    """y'' = -a1 y - a2 y' + b u + f (Xu 2024, eq. 4): what a model-based scheme is given.
-
-    a1: () [1/s^2]
-    a2: () [1/s]
-    b:  () [um/(V s^2)]
-    """
-
-    a1: jax.Array
-    a2: jax.Array
-    b: jax.Array
 
 
 @pytree

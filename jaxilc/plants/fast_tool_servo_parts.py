@@ -1,12 +1,27 @@
-"""Parts of a fast tool servo: its flexible mode, its creep, and the forces on its tool."""
+"""Parts of a fast tool servo: its coefficients, flexible mode, creep, forces on its tool."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..pytree.fields import Leaf, leaf, pytree, scalar
+
+
+class ServoCoefficients(NamedTuple):
+    """y'' = -a1 y - a2 y' + b u + f (Xu 2024, eq. 4): what a model-based scheme is given.
+
+    a1: () [1/s^2]
+    a2: () [1/s]
+    b:  () [um/(V s^2)]
+    """
+
+    a1: jax.Array
+    a2: jax.Array
+    b: jax.Array
 
 
 @pytree

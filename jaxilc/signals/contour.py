@@ -15,7 +15,7 @@ import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 
 from ..pytree.ranges import require
-from .references import POSITIVE
+from .sample_times import POSITIVE
 
 Curve: TypeAlias = Callable[[np.ndarray], np.ndarray]
 _BUTTERFLY_POINTS = """

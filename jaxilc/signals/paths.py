@@ -15,7 +15,7 @@ from scipy.interpolate import make_interp_spline
 from ..pytree.ranges import require
 from .contour import butterfly, circle, line, nurbs, tabulated
 from .fastest_profile import Profile, fastest
-from .references import POSITIVE
+from .sample_times import POSITIVE
 
 __all__ = ["Plan", "butterfly", "circle", "line", "nurbs", "plan"]
 

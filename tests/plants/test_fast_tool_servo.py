@@ -568,7 +568,8 @@ def test_too_long_a_sample_time_is_refused_before_anything_runs():
     jax.eval_shape(lambda: FastToolServo(longest_dt=5e-4).sampled(task.dt))
     with pytest.raises(
         ValueError,
-        match=r"ForcedServo is sampled at 0.0001 s but the task at 0.0002 s; allowed is dt = 0.0001",
+        match=r"ForcedServo is sampled at 0.0001 s but the task at 0.0002 s; "
+        r"allowed is dt = 0.0001",
     ):
         jax.eval_shape(lambda: FastToolServo(cutting=CUT).sampled(DT).sampled(2e-4))
 
