@@ -12,7 +12,13 @@ ARRAYS = 32  # of the length of a reference, that making it and one trial of it 
 
 
 def sample_times(function, duration, dt, arrays=ARRAYS):
-    """(N+1,) sample times, N = round(duration / dt). arrays: of that length that will be needed"""
+    """(N+1,) sample times [s], N = round(duration / dt).
+
+    arrays: how many arrays of that length will be needed
+
+    Raises ValueError for a value outside its range, more samples than fit into memory, or a
+    duration that is not a whole number of samples.
+    """
     require(function, "dt", dt, POSITIVE, " s")
     require(function, "duration", duration, POSITIVE, " s")
     samples = float(duration) / float(dt)
