@@ -1,4 +1,4 @@
-"""Filters for whole trials: zero-phase, switched from segment to segment, and inverses of a plant."""
+"""Filters for whole trials: zero-phase, switched from segment to segment, inverses of a plant."""
 
 import lazy_loader
 

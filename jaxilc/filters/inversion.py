@@ -1,107 +1,46 @@
-"""Feedforward inversion of a discrete system for a reference known in advance: the prefilter r_0 =
-r_d / P_Z of multivariable ILC.
+"""Feedforward inversion of a discrete system for a reference that is known in advance.
 
-The design is host code in float64 (zeros, poles, a gain); what it returns is a `Filter` that is
-pure, batched and differentiable. Of a drive whose *input* is held over a sample, y_T/y_M from
-sample to sample is `output_ratio(drive)`. Sampling P_Z(s) by itself holds the motor's position
-instead, half a sample of delay that no drive has: the table then leads by velocity dt / 2.
+This is the prefilter r_0 = r_d / P_Z of multivariable ILC. The design is host code in float64
+(zeros, poles, a gain, see `zeros_and_poles`); what it returns is a `Filter` that is pure, batched
+and differentiable. Of a drive whose *input* is held over a sample, y_T/y_M from sample to sample is
+`output_ratio(drive)`. Sampling P_Z(s) by itself would hold the motor's position instead, half a
+sample of delay that no drive has: the table then leads by velocity dt / 2.
 """
 
 from __future__ import annotations
-
-from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 import scipy.linalg
 import scipy.signal
 
-from ..plants import StateSpace
-from ..plants.linear import system_matrices
 from ..pytree.fields import Leaf, leaf, pytree, static
 from ..pytree.needs import known
 from ..pytree.ranges import Interval, require
 from .zero_phase import Filter, run_sections
+from .zeros_and_poles import EPS, Factors, factors, output_ratio
+
+__all__ = [
+    "ZPETC",
+    "Factors",
+    "Inverse",
+    "StableInverse",
+    "factors",
+    "inverse",
+    "output_ratio",
+    "stable_inverse",
+    "zpetc",
+]
 
 # zeros nearer to the unit circle count as on it: they would need more than a million samples of
 # rest
 CIRCLE = 1e-6
-EPS = np.finfo(float).eps
-
-
-class Factors(NamedTuple):
-    """P(z) = gain prod_i (z - zeros_i) / prod_i (z - poles_i), one input and one output, sampled
-    every dt [s].
-
-    zeros: (m,), poles: (n,) in conjugate pairs; n - m is the relative degree, negative where P is
-    improper
-    """
-
-    zeros: np.ndarray
-    poles: np.ndarray
-    gain: float
-    dt: float
-
-
-def factors(system, dt: float | None = None) -> Factors:
-    """Zeros, poles and gain of a system with one input and one output; a continuous one is sampled
-    with a zero-order hold.
-
-    system: jaxilc StateSpace, python-control StateSpace or TransferFunction (a discrete one may be
-    improper), or Factors as they are
-    dt: sample time [s], None for that of a discrete system
-    Common factors are not cancelled. Raises ValueError for a system that is not SISO, is zero, or
-    whose sample time is open or not dt.
-    """
-    own, dt = _sample_time(system, dt)
-    if isinstance(system, Factors):
-        return system
-    inputs, outputs = (
-        (system.n_u, system.n_y)
-        if isinstance(system, StateSpace)
-        else (system.ninputs, system.noutputs)
-    )
-    if (inputs, outputs) != (1, 1):
-        raise ValueError(
-            f"factors: the system has {inputs} inputs and {outputs} outputs; allowed is one of each, pick them: system[i, j]"
-        )
-    if own and hasattr(system, "num") and np.any(system.num[0][0]):
-        above, below = (
-            np.trim_zeros(np.atleast_1d(p[0][0]), "f") for p in (system.num, system.den)
-        )
-        return Factors(np.roots(above), np.roots(below), float(above[0] / below[0]), dt)
-    A, B, C, D = _sampled(system, own, dt)
-    zeros, gain = _zeros_and_gain(A, B, C, D[0, 0])
-    return Factors(zeros, np.linalg.eigvals(A), gain, dt)
-
-
-def output_ratio(system, dt: float | None = None, *, above: int = 1, below: int = 0) -> Factors:
-    """P_above / P_below of two outputs under one held input: their denominators are the same, so it
-    is N_above / N_below exactly.
-
-    system: StateSpace of jaxilc or python-control with one input, force to motor and table
-    position, for example;  dt: as in `factors` Zeros outside the unit circle, sampling zeros among
-    them, mean different things in the two. In N_above the inverse divides by them and needs
-    pre-actuation. In N_below it multiplies by them, a finite sum, and is as tame as ever: the ratio
-    as such is unstable then,
-    but it is never run from y_below to y_above; both outputs come from the input.
-    Raises ValueError as `factors`, and for several inputs or an output that does not exist.
-    """
-    own, dt = _sample_time(system, dt)
-    A, B, C, D = _sampled(system, own, dt)
-    if B.shape[1] != 1:
-        raise ValueError(f"output_ratio: the system has {B.shape[1]} inputs; allowed is 1")
-    if not {above, below} <= set(range(len(C))):
-        raise ValueError(
-            f"output_ratio: above = {above!r}, below = {below!r} are not both among the outputs 0..{len(C) - 1}"
-        )
-    (zeros, gain), (poles, scale) = (_zeros_and_gain(A, B, C[[i]], D[i, 0]) for i in (above, below))
-    return Factors(zeros, poles, gain / scale, dt)
 
 
 class Inverse(Filter):
-    """A prefilter designed for one sample time `dt` [s]; undoing a plant's phase, it is not
-    zero-phase. Raises at another dt.
+    """A prefilter designed for one sample time `dt` [s].
+
+    As it undoes a plant's phase, it is not zero-phase. Raises ValueError at another sample time.
     """
 
     dt: float
@@ -110,13 +49,15 @@ class Inverse(Filter):
     def check(self, samples: int, dt: float) -> None:
         if known(dt) and abs(self.dt - dt) > 1e-9 * dt:
             raise ValueError(
-                f"{type(self).__name__}: dt = {dt:g} s is not that of the design; allowed is dt = {self.dt:g}"
+                f"{type(self).__name__}: dt = {dt:g} s is not that of the design; allowed is dt = "
+                f"{self.dt:g}"
             )
         for name, columns in (("forward", (5,)), ("backward", (5,)), ("gain", ())):
             shape = np.shape(getattr(self, name, np.zeros((0, 5))))
             if len(shape) != 2 * len(columns) or shape[-1:] != columns:
                 raise ValueError(
-                    f"{type(self).__name__}: {name} has shape {shape}; allowed is {'(m, 5)' if columns else '()'}"
+                    f"{type(self).__name__}: {name} has shape {shape}; allowed is "
+                    f"{'(m, 5)' if columns else '()'}"
                 )
         require(
             type(self).__name__, "advance", self.advance, f"[{-samples}, {samples}]", whole=True
@@ -125,30 +66,35 @@ class Inverse(Filter):
 
 @pytree
 class StableInverse(Inverse):
-    """Exact inverse by stable inversion (Devasia, Chen, Paden 1996): each zero is recursed in the
-    direction of time in which it decays.
+    """Exact inverse by stable inversion (Devasia, Chen, Paden 1996).
 
-        P = K z^-a B_s B_u / A,   r_0 = z^a A / (K B_s B_u) r:   z^a A a non-causal sum, 1/B_s
-        forward, 1/B_u backward in time
+    Each zero is recursed in the direction of time in which it decays:
 
-    with factors 1 - p z^-1 in A, 1 - z_i z^-1 (|z_i| < 1) in B_s, 1 - z / z_i (|z_i| > 1) in B_u; a
-    = relative degree + order of B_u. Beyond its ends the reference keeps its end values, for ever,
-    and each recursion starts in the steady state that goes with it. What r_0 would be before the
-    first sample is cut off: P starts in the steady state of r[0] and y deviates from r by the
-    pre-actuation
-    that is missing. It falls as |z_i|^-n where r rests n + a samples before it moves
-    (`pre_actuation`: n + a). What is cut off at the end does no harm within the trial. Pad the
-    reference with its end values, and cut later, for room to pre-actuate. Cost of a zero at
-    distance delta from the circle: to 1e-6 it takes 14 / delta samples of r_0, before the motion if
-    outside, ringing
-    after it if inside, and its frequency (near z = -1, sample by sample) is lifted by 1 / delta,
-    noise and model error with it.
+        P = K z^-a B_s B_u / A,   r_0 = z^a A / (K B_s B_u) r
 
-    forward: (m, 5) sections b0 b1 b2 a1 a2 in z^-1, A / B_s;  backward: (m', 5) the same in z, 1 /
-    B_u;  gain: () of both
-    advance: a, samples by which the sum looks ahead;  dt: sample time of the design [s]
-    extension: samples by which the trial is continued beyond its end; the error there is (max |z_s|
-    / min |z_u|)^extension
+    z^a A is a non-causal sum, 1/B_s runs forward and 1/B_u backward in time. The factors are 1 - p
+    z^-1 in A, 1 - z_i z^-1 (|z_i| < 1) in B_s, and 1 - z / z_i (|z_i| > 1) in B_u; a = relative
+    degree + order of B_u.
+
+    forward:   (m, 5) sections b0 b1 b2 a1 a2 in z^-1, A / B_s
+    backward:  (m', 5) the same in z, 1 / B_u
+    gain:      () of both
+    advance:   a, samples by which the sum looks ahead
+    dt:        sample time of the design [s]
+    extension: samples by which the trial is continued beyond its end; the error there is
+               (max |z_s| / min |z_u|)^extension
+
+    Beyond its ends the reference keeps its end values for ever, and each recursion starts in the
+    steady state that goes with it. What r_0 would be before the first sample is cut off: P starts
+    in the steady state of r[0], and y deviates from r by the pre-actuation that is missing. The
+    deviation falls as |z_i|^-n where r rests n + a samples before it moves (`pre_actuation`: n +
+    a). What is cut off at the end does no harm within the trial. For room to pre-actuate, pad the
+    reference with its end values, and cut later.
+
+    A zero at distance delta from the unit circle has its price. To reach 1e-6 it takes 14 / delta
+    samples of r_0, before the motion if the zero is outside, ringing after it if it is inside. The
+    zero's frequency (near z = -1, from sample to sample) is amplified by 1 / delta, and noise and
+    model error with it.
     """
 
     forward: Leaf = leaf()
@@ -166,8 +112,9 @@ class StableInverse(Inverse):
         return forced[: signal.shape[0]]
 
     def pre_actuation(self, tolerance: float = 1e-6) -> int:
-        """Samples of rest the reference needs before it moves, so that what is cut off has decayed
-        to `tolerance`.
+        """Samples of rest that the reference needs before it moves.
+
+        What is cut off before the first sample has then decayed to `tolerance`.
         """
         slowest = max(
             (
@@ -184,19 +131,22 @@ class StableInverse(Inverse):
 
 @pytree
 class ZPETC(Inverse):
-    """Zero phase error tracking control (Tomizuka 1987): zeros that are not cancelled are met by
-    their mirror images.
+    """Zero phase error tracking control (Tomizuka 1987).
 
-        P(z) = K B_c(z) B_u(z) / A(z),   r_0 = A(z) B_u(1/z) / (K B_c(z) B_u(1)^2) r,   y = P r_0 =
-        |B_u|^2 / B_u(1)^2 r
+    Zeros that are not cancelled are met by their mirror images:
+
+        P(z) = K B_c(z) B_u(z) / A(z),   r_0 = A(z) B_u(1/z) / (K B_c(z) B_u(1)^2) r
+        y = P r_0 = |B_u|^2 / B_u(1)^2 r
 
     B_u holds the zeros outside the unit circle, on it, or beyond the `radius` of the design. y has
-    no phase error at any frequency and the right size at frequency 0; the size departs from 1 as
-    frequency squared, and to 0 at a zero on the circle. It looks ahead by relative degree + order
-    of B_u, and no further. Beyond its ends the reference keeps its end values.
+    no phase error at any frequency and the right size at frequency 0. The size departs from 1 as
+    frequency squared, and goes to 0 at a zero on the circle. The filter looks ahead by relative
+    degree + order of B_u, and no further. Beyond its ends the reference keeps its end values.
 
-    forward: (m, 5) sections b0 b1 b2 a1 a2 in z^-1, A B_u(1/z) / B_c;  gain: () of the rest
-    advance: samples of look-ahead;  dt: sample time of the design [s]
+    forward: (m, 5) sections b0 b1 b2 a1 a2 in z^-1, A B_u(1/z) / B_c
+    gain:    () of the rest
+    advance: samples of look-ahead
+    dt:      sample time of the design [s]
     """
 
     forward: Leaf = leaf()
@@ -214,14 +164,17 @@ def stable_inverse(
 ) -> StableInverse:
     """The exact inverse of a system without zeros on the unit circle.
 
-    system, dt: as in `factors`;  extension: None for as many samples as leave no more than rounding
+    system, dt: as in `factors`
+    extension:  None for as many samples as leave no more than rounding
+
     Raises ValueError as `factors`, and naming the zero that lies on the unit circle.
     """
     P = factors(system, dt)
     distance = np.abs(P.zeros) - 1
     for zero in P.zeros[np.abs(distance) < CIRCLE]:
         raise ValueError(
-            f"stable_inverse: the zero z = {zero:.6g} lies on the unit circle, where no direction of time lets it decay; "
+            f"stable_inverse: the zero z = {zero:.6g} lies on the unit circle, where no direction "
+            "of time lets it decay; "
             f"allowed is a distance of {CIRCLE:g}; ZPETC can do without cancelling it (but z = 1)"
         )
     inside, outside = P.zeros[distance < 0], P.zeros[distance > 0]
@@ -239,8 +192,9 @@ def zpetc(system, dt: float | None = None, *, radius: float = 1.0) -> ZPETC:
     """Zero phase error tracking: any system whose DC gain is not zero.
 
     system, dt: as in `factors`
-    radius: zeros within it are cancelled, in (0, 1]; less than 1 spares lightly damped ones, which
-    would ring in r_0
+    radius:     zeros within it are cancelled, in (0, 1]; less than 1 leaves out lightly damped
+                ones, which would ring in r_0
+
     Raises ValueError as `factors`, for a radius outside its range, and for a zero at z = 1.
     """
     P = factors(system, dt)
@@ -248,7 +202,8 @@ def zpetc(system, dt: float | None = None, *, radius: float = 1.0) -> ZPETC:
         raise ValueError(f"zpetc: radius = {radius} is outside its allowed range (0, 1]")
     if np.any(np.abs(P.zeros - 1) < CIRCLE):
         raise ValueError(
-            "zpetc: the system has a zero at z = 1; allowed is a DC gain other than 0, which ZPETC scales to 1"
+            "zpetc: the system has a zero at z = 1; allowed is a DC gain other than 0, which ZPETC "
+            "scales to 1"
         )
     cancelled = np.abs(P.zeros) < min(radius, 1 - CIRCLE)
     inside, mirrored = P.zeros[cancelled], P.zeros[~cancelled]
@@ -261,73 +216,13 @@ def zpetc(system, dt: float | None = None, *, radius: float = 1.0) -> ZPETC:
 def inverse(
     system, dt: float | None = None, method: str = "stable", **options
 ) -> StableInverse | ZPETC:
-    """`stable_inverse` or `zpetc` by name, with its options. Raises ValueError for another method."""
+    """`stable_inverse` or `zpetc` by name, with its options.
+
+    Raises ValueError for another method.
+    """
     if method not in ("stable", "zpetc"):
         raise ValueError(f"inverse: method = {method!r} is not one of 'stable', 'zpetc'")
     return (stable_inverse if method == "stable" else zpetc)(system, dt, **options)
-
-
-def _sampled(system, own, dt):
-    """A, B, C, D in discrete time, on the host."""
-    of_plant = isinstance(system, StateSpace) and (
-        system.A,
-        system.B,
-        system.C,
-        np.zeros((system.n_y, system.n_u)),
-    )
-    A, B, C, D = (np.asarray(M, float) for M in of_plant or system_matrices(system))
-    scale = (
-        scipy.linalg.matrix_balance(A, permute=False, separate=True)[1][0] if len(A) else np.ones(0)
-    )
-    A, B, C = (
-        A * scale / scale[:, None],
-        B / scale[:, None],
-        C * scale,
-    )  # a companion form costs its zeros digits otherwise
-    return (A, B, C, D) if own else scipy.signal.cont2discrete((A, B, C, D), dt)[:4]
-
-
-def _sample_time(system, dt) -> tuple[float, float]:
-    """That of the system, 0 if continuous, and the one to work at."""
-    import control
-
-    if not isinstance(system, Factors | StateSpace | control.StateSpace | control.TransferFunction):
-        raise ValueError(
-            f"factors: {type(system).__name__} is not a jaxilc StateSpace, nor a StateSpace or TransferFunction of control"
-        )
-    own = system.dt
-    if own is None or own is True:
-        raise ValueError(
-            f"factors: dt = {own} of the system leaves the sample time open; allowed are 0 (continuous) and a time in s"
-        )
-    if not own and not 0 < (dt or 0) < np.inf:
-        raise ValueError(
-            f"factors: dt = {dt} is outside the allowed range (0, inf) of the sample time [s] of a continuous system"
-        )
-    if own and dt and abs(own - dt) > 1e-9 * dt:
-        raise ValueError(
-            f"factors: the system is sampled at {own:g} s but dt = {dt:g} s; allowed is dt = {own:g}"
-        )
-    return float(own), float(own or dt)
-
-
-def _zeros_and_gain(A, B, C, D):
-    """Zeros of one output, and its first Markov parameter that is not zero, C A^(d-1) B, or D.
-
-    The zeros are the eigenvalues of A - B (C A^(d-1) B)^-1 C A^d on the states of C x = ... = C
-    A^(d-1) x = 0, where y stays 0 for d samples. (The generalised eigenvalues of the Rosenbrock
-    pencil lose half the digits of a sampling zero.)
-    """
-    if D:
-        return np.linalg.eigvals(A - B @ C / D), float(D)
-    rows, bound = [C], np.abs(C)
-    while not np.abs(rows[-1] @ B).item() > 10 * EPS * (bound @ np.abs(B)).item():
-        rows, bound = [*rows, rows[-1] @ A], bound @ np.abs(A)
-        if len(rows) > len(A):
-            raise ValueError("factors: the system is zero")
-    gain = (rows[-1] @ B).item()
-    held = np.linalg.qr(np.vstack(rows).T, mode="complete")[0][:, len(rows) :]
-    return np.linalg.eigvals(held.T @ (A - B @ (rows[-1] @ A) / gain) @ held), gain
 
 
 def _sections(zeros, poles):
@@ -336,8 +231,9 @@ def _sections(zeros, poles):
 
 
 def _run_ahead(sections, signal, advance, extension):
-    """(N + extension, n) the sections' output `advance` samples later; beyond its ends the signal
-    keeps its end values.
+    """(N + extension, n) the sections' output `advance` samples later.
+
+    Beyond its ends the signal keeps its end values.
     """
     before, start = max(-advance, 0), max(advance, 0)
     held = jnp.pad(signal, ((before, max(advance + extension, 0)), (0, 0)), mode="edge")

@@ -1,5 +1,6 @@
-"""The switchable filter: another cutoff in each segment of the trial, chosen from the reference (Li
-2020, section 5).
+"""The switchable filter: a cutoff for each segment of the trial (Li 2020, section 5).
+
+The segments are chosen from the reference.
 """
 
 from __future__ import annotations
@@ -17,23 +18,24 @@ from .zero_phase import Filter, ZeroPhaseButterworth, need_padding
 
 @pytree
 class SwitchableFilter(Filter):
-    """Butterworth low-pass with a cutoff for each of S segments of the trial (Li 2020, eq. 12,
-    whose print repeats the first interval):
+    """Butterworth low-pass with a cutoff for each of S segments of the trial (Li 2020, eq. 12).
 
-        Q u = sum_s w_s(t) Q_s u,    w_s = h_{s-1} - h_s,    h_i = 1/2 - 1/2 cos(pi clip((t -
-        times_i) / width + 1/2, 0, 1))
+        Q u = sum_s w_s(t) Q_s u,    w_s = h_{s-1} - h_s
+        h_i = 1/2 - 1/2 cos(pi clip((t - times_i) / width + 1/2, 0, 1)),    h_{-1} = 1, h_{S-1} = 0
 
-    with h_{-1} = 1 and h_{S-1} = 0. Each Q_s is a `ZeroPhaseButterworth` over the whole trial, so
-    no segment has ends of its own, and
-    the weights sum to 1: a signal that all Q_s pass is passed without a step. It costs as much as S
-    filters.
+    (The print of eq. 12 repeats the first interval.) Each Q_s is a `ZeroPhaseButterworth` over the
+    whole trial, so no segment has ends of its own. The weights sum to 1: a signal that all Q_s pass
+    is passed without a step. It costs as much as S filters.
 
-    cutoff: (S,) [Hz];  times: (S-1,) middles of the changes, ascending [s];  width: () duration of
-    a change [s]
+    cutoff: (S,) [Hz]
+    times:  (S-1,) middles of the changes, ascending [s]
+    width:  () duration of a change [s]
     order, padding: as for `ZeroPhaseButterworth`, common to all
+
     width = 0 switches at the first sample at or after the time, with a step where the Q_s u differ.
     Its gradient in `times` and `width` is then zero, since nothing moves until a sample changes
-    sides; for width > 0 it is exact, and counts the samples within the change.
+    sides. For width > 0 the gradient is exact for the samples within the change.
+
     Raises ValueError for shapes that do not fit, times that do not ascend, or a width beyond the
     shortest segment.
     """
@@ -48,7 +50,8 @@ class SwitchableFilter(Filter):
         S = self.cutoff.shape[-1] if self.cutoff.ndim == 1 else 0
         if not S or self.times.shape != (S - 1,) or self.width.shape != ():
             raise ValueError(
-                f"SwitchableFilter: cutoff {self.cutoff.shape}, times {self.times.shape}, width {self.width.shape} do not fit; "
+                f"SwitchableFilter: cutoff {self.cutoff.shape}, times {self.times.shape}, width "
+                f"{self.width.shape} do not fit; "
                 "allowed are (S,), (S-1,) and () with S >= 1"
             )
         if known(self):
@@ -62,13 +65,15 @@ class SwitchableFilter(Filter):
             if cutoff >= 0.5 / dt:
                 allowed = f"(0, {0.5 / dt:g}), Nyquist at dt = {dt:g} s"
                 raise ValueError(
-                    f"SwitchableFilter: cutoff[{i}] = {cutoff:g} Hz is outside its allowed range {allowed}"
+                    f"SwitchableFilter: cutoff[{i}] = {cutoff:g} Hz is outside its allowed range "
+                    f"{allowed}"
                 )
         end = samples * dt
         for i, time in enumerate(np.asarray(self.times)):
             if time >= end:
                 raise ValueError(
-                    f"SwitchableFilter: times[{i}] = {time:g} s is outside its allowed range (0, {end:g}), the trial"
+                    f"SwitchableFilter: times[{i}] = {time:g} s is outside its allowed range (0, "
+                    f"{end:g}), the trial"
                 )
         self._need_segments(np.concatenate([[0.0], self.times, [end]]), f" of a trial of {end:g} s")
 
@@ -93,44 +98,48 @@ class SwitchableFilter(Filter):
         return ZeroPhaseButterworth(cutoff, self.order, self.padding)
 
     def _need_segments(self, bounds, where):
-        """Raises ValueError where a segment between two bounds is empty, or shorter than a change."""
+        """Raises ValueError where a segment is empty, or shorter than a change."""
         for i, length in enumerate(np.diff(bounds)):
             if length <= 0:
                 allowed = f"({bounds[i]:g}, inf): the segments must follow one another"
                 raise ValueError(
-                    f"SwitchableFilter: times[{i}] = {bounds[i + 1]:g} s is outside its allowed range {allowed}"
+                    f"SwitchableFilter: times[{i}] = {bounds[i + 1]:g} s is outside its allowed "
+                    f"range {allowed}"
                 )
             if self.width > length:
                 raise ValueError(
-                    f"SwitchableFilter: width = {self.width:g} s is outside its allowed range [0, {length:g}], "
+                    f"SwitchableFilter: width = {self.width:g} s is outside its allowed range [0, "
+                    f"{length:g}], "
                     f"the length of segment {i}{where}"
                 )
 
 
 def instantaneous_frequency(reference, dt, *, of="velocity", window=0.0, floor=0.01) -> np.ndarray:
-    """Frequency of a reference at each sample, from its analytic signal z = v + i H v (Li 2020,
-    section 5), shape of the reference [Hz].
+    """Frequency of a reference at each sample, in the shape of the reference [Hz].
 
         f = max(0, arg sum_i g_i (conj z[k+i-1] z[k+i] + conj z[k+i] z[k+i+1]) / (2 pi dt))
 
-    It means something where one oscillation dominates. Every pair of samples counts with its power,
-    so that the phase of a faint z, which is arbitrary, does not matter beside strong neighbours;
-    and where the power averaged is below floor^2 of the trial's largest, nothing moves and f = 0.
-    The Hilbert transform takes the trial as periodic: ends that do not meet spoil about a period of
-    the
-    oscillation there.
+    It is taken from the analytic signal z = v + i H v (Li 2020, section 5). It means something
+    where one oscillation dominates. Every pair of samples counts with its power, so that the phase
+    of a faint z, which is arbitrary, does not matter beside strong neighbours. Where the averaged
+    power is below floor^2 of the trial's largest, nothing moves and f = 0. The Hilbert transform
+    takes the trial as periodic: where its ends do not meet, about a period of the oscillation is
+    wrong there.
 
-    reference: (N+1,) or (N+1, n_y), each column by itself;  dt: [s];  window: g is a Hann window of
-    this duration [s], 0 for two pairs
-    of: "velocity" takes v = dr/dt, which no offset or ramp disturbs; "position" takes v = r less
-    its straight line
-    floor: in [0, 1) of the largest amplitude
+    reference: (N+1,) or (N+1, n_y), each column by itself
+    dt:        [s]
+    window:    g is a Hann window of this duration [s]; 0 for two pairs
+    of:        "velocity" takes v = dr/dt, which no offset or ramp disturbs; "position" takes v = r
+               less its straight line
+    floor:     in [0, 1), of the largest amplitude
+
     Raises ValueError for a value outside its range, or a reference that is not finite or too short.
     """
     r, name = np.asarray(reference, float), "instantaneous_frequency"
     if r.ndim not in (1, 2) or len(r) < 4 or not np.all(np.isfinite(r)):
         raise ValueError(
-            f"{name}: reference of shape {r.shape} must be finite and have shape (N+1,) or (N+1, n_y) with N >= 3"
+            f"{name}: reference of shape {r.shape} must be finite and have shape (N+1,) or (N+1, "
+            "n_y) with N >= 3"
         )
     _require(name, "dt", dt, "(0, inf)", " s")
     _require(name, "window", window, f"[0, {(len(r) - 1) * dt:.9g}]", " s")
@@ -169,16 +178,20 @@ def segments(
     window=0.0,
     floor=0.01,
 ) -> SwitchableFilter:
-    """The switchable filter whose cutoff is high where the reference is fast: f(t) > threshold in
-    any column (Li 2020, section 5).
+    """The switchable filter whose cutoff is high where the reference is fast (Li 2020, section 5).
 
-    reference: (N+1,) or (N+1, n_y);  dt: [s];  cutoffs: (low, high) [Hz], see `cutoffs_below` for
-    what the theory has to say
-    threshold: of the instantaneous frequency [Hz];  shortest: segments below this duration [s] are
-    merged into their neighbours, the shortest first;  width, order, padding: of the filter;  of,
-    window, floor: of `instantaneous_frequency` A reference that never crosses the threshold gives a
-    single segment. Raises ValueError for a value outside its range, and as the filter's own `check`
-    does.
+    It is fast where f(t) > threshold in any column.
+
+    reference: (N+1,) or (N+1, n_y)
+    dt:        [s]
+    cutoffs:   (low, high) [Hz]; see `cutoffs_below` for what the theory has to say
+    threshold: of the instantaneous frequency [Hz]
+    shortest:  segments below this duration [s] are merged into their neighbours, the shortest first
+    width, order, padding: of the filter
+    of, window, floor: of `instantaneous_frequency`
+
+    A reference that never crosses the threshold gives a single segment. Raises ValueError for a
+    value outside its range, and as the filter's own `check` does.
     """
     frequency = instantaneous_frequency(reference, dt, of=of, window=window, floor=floor)
     N = len(frequency) - 1
@@ -200,13 +213,14 @@ def segments(
 def cutoffs_below(critical, *, shares=(0.2, 0.8)) -> tuple[float, float]:
     """(low, high) cutoffs [Hz] as shares of the critical frequency, for `segments`.
 
-    critical: where |keep - L P| first reaches 1, that is `learning_condition(machine, scheme,
-    task).critical` of `jaxilc.theory.frequency` for the scheme *without* a filter [Hz]; what lies
-    beyond must not be learned (Li 2020, section 4)
-    shares: (low, high), ascending. At its cutoff a zero-phase Butterworth still lets half pass,
-    hence less than 1; that it is enough is for the same condition of the filtered scheme to say,
-    with the higher cutoff throughout.
-    Raises ValueError for a value outside its range; an infinite critical frequency needs no filter.
+    critical: where |keep - L P| first reaches 1 [Hz]; what lies beyond must not be learned (Li
+              2020, section 4). It is `learning_condition(machine, scheme, task).critical` of
+              `jaxilc.theory.frequency` for the scheme *without* a filter
+    shares:   (low, high), ascending. At its cutoff a zero-phase Butterworth still lets half pass,
+              hence less than 1. Whether that is enough, the same condition of the filtered scheme
+              says, with the higher cutoff throughout
+
+    Raises ValueError for a value outside its range. An infinite critical frequency needs no filter.
     """
     _require("cutoffs_below", "critical", critical, "(0, inf)", " Hz")
     if np.shape(shares) != (2,) or not 0 < shares[0] <= shares[1]:
@@ -217,16 +231,16 @@ def cutoffs_below(critical, *, shares=(0.2, 0.8)) -> tuple[float, float]:
 
 
 def _merged(starts, fast, shortest):
-    """Starts (S-1,) of the later segments and kind (S,) of each, when segments below `shortest`
-    samples have joined their neighbours.
+    """Starts (S-1,) of the later segments and kind (S,) of each.
+
+    Segments below `shortest` samples have joined their neighbours.
     """
     bounds = np.concatenate([[0], starts, [len(fast)]])
     kinds = fast[bounds[:-1]]
     while len(kinds) > 1 and np.min(np.diff(bounds)) < shortest - 1e-9:
         i = int(np.argmin(np.diff(bounds)))
-        inner = slice(
-            max(i, 1), min(i + 2, len(kinds))
-        )  # its bounds, other than the ends of the trial
+        # the bounds of this segment, other than the ends of the trial
+        inner = slice(max(i, 1), min(i + 2, len(kinds)))
         kinds = np.delete(kinds, slice(max(i, 1), inner.stop)) if i else kinds[1:]
         bounds = np.delete(bounds, inner)
     return bounds[1:-1], kinds

@@ -1,9 +1,10 @@
 """Zero-phase filters for whole trials: the robustness filter Q of iterative learning control.
 
-What a recursive filter takes a signal to be beyond the ends of the trial decides on learning there.
-The odd extension of scipy's `filtfilt` pins the end values and passes more than it is given: of 323
-random servo loops with |Q (1 - L P)| < 0.97 at every frequency, P-type learning with a lead grew at
-the ends on 131. Mirrored at its ends, a signal never comes out larger where |Q| <= 1.
+A recursive filter has to assume how a signal goes on beyond the ends of the trial, and that decides
+on learning there. The odd extension of scipy's `filtfilt` pins the end values and passes more than
+it is given: of 323 random servo loops with |Q (1 - L P)| < 0.97 at every frequency, P-type learning
+with a lead grew at the ends on 131. Mirrored at its ends, a signal never comes out larger where
+|Q| <= 1.
 """
 
 from __future__ import annotations
@@ -18,23 +19,23 @@ from ..pytree.needs import known
 
 
 class Filter:
-    """Maps a (N, n) signal of sample time dt [s] to one of the same shape, channel by channel,
-    without phase shift.
+    """A map of a (N, n) signal of sample time dt [s] to one of the same shape.
+
+    It works channel by channel, and without phase shift.
     """
 
     def __call__(self, signal, dt):
         raise NotImplementedError
 
     def check(self, samples: int, dt: float) -> None:
-        """Raises ValueError where the filter cannot serve trials of so many samples at this sample
-        time.
-        """
+        """Raises ValueError where the filter cannot serve trials of so many samples at this dt."""
 
 
 @pytree
 class ZeroPhaseFIR(Filter):
-    """Q(z) = taps_0 + sum_i taps_i (z^i + z^-i), symmetric by construction; beyond its ends the
-    signal keeps its end values.
+    """Q(z) = taps_0 + sum_i taps_i (z^i + z^-i), symmetric by construction.
+
+    Beyond its ends the signal keeps its end values.
 
     taps: (m+1,) centre tap first; taps_0 + 2 sum taps_i = 1 for unit DC gain
     """
@@ -44,7 +45,8 @@ class ZeroPhaseFIR(Filter):
     def check(self, samples: int, dt: float) -> None:
         if self.taps.ndim != 1 or len(self.taps) > samples:
             raise ValueError(
-                f"ZeroPhaseFIR: taps has shape {self.taps.shape}; allowed is (m+1,) with m < N = {samples}"
+                f"ZeroPhaseFIR: taps has shape {self.taps.shape}; allowed is (m+1,) with m < N = "
+                f"{samples}"
             )
 
     def __call__(self, signal, dt):
@@ -62,11 +64,10 @@ class ZeroPhaseButterworth(Filter):
 
         Q = 1 / (1 + (tan(pi f dt) / tan(pi cutoff dt))^(2 order))
 
-    cutoff: () [Hz], -6 dB of the whole; differentiable.  order: of one pass, any order >= 1
-    (second-order sections)
+    cutoff:  () [Hz], -6 dB of the whole; differentiable
+    order:   of one pass, any order >= 1 (second-order sections)
     padding: samples of odd extension at each end, as scipy's `sosfiltfilt` takes `padlen` (its
-    default is 3 (order + 1));
-             None mirrors the signal at its ends, see `mirrored`
+             default is 3 (order + 1)); None mirrors the signal at its ends, see `mirrored`
     """
 
     cutoff: Leaf = leaf(interval="(0, inf)")
@@ -76,7 +77,8 @@ class ZeroPhaseButterworth(Filter):
     def check(self, samples: int, dt: float) -> None:
         if known(self) and np.any(np.asarray(self.cutoff) >= 0.5 / dt):
             raise ValueError(
-                f"ZeroPhaseButterworth: cutoff = {self.cutoff} Hz is outside its allowed range (0, {0.5 / dt:g}), Nyquist at dt = {dt:g} s"
+                f"ZeroPhaseButterworth: cutoff = {self.cutoff} Hz is outside its allowed range (0, "
+                f"{0.5 / dt:g}), Nyquist at dt = {dt:g} s"
             )
         need_padding(self, samples)
 
@@ -102,24 +104,27 @@ PRINTED_LI_2020 = {"b": (0.0, 0.00018896, 0.00017992), "a": (1.0, -2.8531, 2.716
 
 @pytree
 class ZeroPhaseIIR(Filter):
-    """A given recursive filter run forward and backward (Li 2020, eq. 10 and 11), as scipy's
-    `filtfilt` does:
+    """A given recursive filter run forward and backward (Li 2020, eq. 10 and 11).
 
-        a_0 y[k] = b_0 x[k] + ... + b_m x[k-m] - a_1 y[k-1] - ... - a_n y[k-n],    of the whole
-        |B/A|^2 at zero phase
+        a_0 y[k] = b_0 x[k] + ... + b_m x[k-m] - a_1 y[k-1] - ... - a_n y[k-n]
 
-    b: (m+1,), a: (n+1,) coefficients, poles inside the unit circle
-    padding: samples of odd extension at each end (`filtfilt` takes 3 max(m+1, n+1)), both passes
-    then start in the steady state of
-             their first sample; None mirrors the signal at its ends, see `mirrored`
+    It does as scipy's `filtfilt`; the whole is |B/A|^2 at zero phase.
+
+    b:       (m+1,) coefficients
+    a:       (n+1,) coefficients, poles inside the unit circle
+    padding: samples of odd extension at each end (`filtfilt` takes 3 max(m+1, n+1)), where both
+             passes start in the steady state of their first sample; None mirrors the signal at its
+             ends, see `mirrored`
+
     Transfer functions lose digits beyond order 6: `ZeroPhaseButterworth` designs by second-order
     sections.
 
-    The coefficients printed in Li 2020 (`PRINTED_LI_2020`) want care. They are of third order, not
+    The coefficients printed in Li 2020 (`PRINTED_LI_2020`) need care. They are of third order, not
     fourth: a Butterworth by impulse invariance at cutoff / sample rate = 0.0117, so 10 Hz at 855
     Hz, whereas the paper's samples are 2 ms, where it is 5.85 Hz. And sum(a) = 0.0003 has one digit
     left after rounding: the DC gain of a pass is 1.23, so 1.51 forward and backward. A robustness
     filter multiplies what was learned by that in every trial; dividing b by 1.23 repairs it.
+
     Raises ValueError for empty coefficients, a_0 = 0, or a pole on or outside the unit circle.
     """
 
@@ -139,7 +144,8 @@ class ZeroPhaseIIR(Filter):
             radius = np.max(np.abs(np.roots(self.a)), initial=0.0)
             if radius >= 1:
                 raise ValueError(
-                    f"ZeroPhaseIIR: a = {self.a} has a pole of magnitude {radius:.6g}; allowed is below 1"
+                    f"ZeroPhaseIIR: a = {self.a} has a pole of magnitude {radius:.6g}; allowed is "
+                    "below 1"
                 )
 
     def check(self, samples: int, dt: float) -> None:
@@ -173,50 +179,49 @@ class ZeroPhaseIIR(Filter):
 
 
 def need_padding(q, samples: int) -> None:
-    """Raises ValueError if a filter's odd extension is longer than the trial it would be taken
-    from.
-    """
+    """Raises ValueError if a filter's odd extension is longer than the trial itself."""
     if q.padding is not None and q.padding >= samples:
         name = type(q).__name__
         raise ValueError(
-            f"{name}: padding = {q.padding} is outside its allowed range [0, {samples - 1}] for N = {samples}"
+            f"{name}: padding = {q.padding} is outside its allowed range [0, {samples - 1}] for N "
+            f"= {samples}"
         )
 
 
 def half_angles(samples: int) -> np.ndarray:
-    """(N+1,) pi f dt of the frequencies that `mirrored` takes its response at: 0 to half of the
-    Nyquist angle pi.
+    """(N+1,) pi f dt of the frequencies at which `mirrored` takes its response.
+
+    They go from 0 to half of the Nyquist angle pi.
     """
     return np.pi * np.arange(samples + 1) / (2 * samples)
 
 
 def mirrored(signal, response) -> jax.Array:
-    """The (N, n) signal through a zero-phase filter, the signal going on beyond its ends as its
-    mirror image, for ever.
+    """The (N, n) signal through a zero-phase filter, mirrored at its ends for ever.
 
-    response: (N+1,) Q, real, at the frequencies i / (2 N dt). In the basis of cosines (DCT-II) it
-    is the multiplication by Q: a symmetric matrix whose eigenvalues are values of Q, so that
-    nothing comes out larger where |Q| <= 1. A constant passes by Q(0).
+    response: (N+1,) Q, real, at the frequencies i / (2 N dt)
+
+    In the basis of cosines (DCT-II) it is the multiplication by Q: a symmetric matrix whose
+    eigenvalues are values of Q, so that nothing comes out larger where |Q| <= 1. A constant passes
+    by Q(0).
     """
     both = jnp.fft.rfft(jnp.concatenate([signal, signal[::-1]]), axis=0)
     return jnp.fft.irfft(both * response[:, None], n=2 * len(signal), axis=0)[: len(signal)]
 
 
 def forward_and_backward(one_pass, signal, edge: int) -> jax.Array:
-    """A causal filter run over the (N, n) signal and back, with so many samples of odd extension at
-    each end.
-    """
+    """A causal filter run over the (N, n) signal and back, with odd extension at each end."""
     forward = one_pass(odd_extension(signal, edge))
     both = one_pass(forward[::-1])[::-1]
     return both[edge : both.shape[0] - edge]
 
 
 def butterworth_sections(cutoff, dt, order: int) -> jax.Array:
-    """(order/2 rounded up, 5) rows b0 b1 b2 a1 a2 of a Butterworth low-pass, each section of unit
-    DC gain.
+    """(order/2 rounded up, 5) rows b0 b1 b2 a1 a2 of a Butterworth low-pass.
 
-    Bilinear transform with prewarping, K = tan(pi cutoff dt); a pole pair at -cos t +- i sin t
-    becomes
+    Each section has unit DC gain. The bilinear transform with prewarping, K = tan(pi cutoff dt),
+    turns a pole pair at -cos t +- i sin t into
+
         K^2 (1 + z^-1)^2 / ((1 + 2 K cos t + K^2) + 2 (K^2 - 1) z^-1 + (1 - 2 K cos t + K^2) z^-2)
     """
     K = jnp.tan(jnp.pi * cutoff * dt)
@@ -235,7 +240,7 @@ def butterworth_sections(cutoff, dt, order: int) -> jax.Array:
 
 
 def odd_extension(signal, samples: int) -> jax.Array:
-    """The signal reflected through its end points by so many samples at each end (scipy's odd_ext)."""
+    """The signal reflected through its end points by so many samples (scipy's odd_ext)."""
     if samples == 0:
         return signal
     left = 2.0 * signal[:1] - signal[samples:0:-1]
@@ -244,8 +249,9 @@ def odd_extension(signal, samples: int) -> jax.Array:
 
 
 def run_sections(sections, signal) -> jax.Array:
-    """A cascade of second-order sections over a (N, n) signal, started in the steady state of its
-    first sample.
+    """A cascade of second-order sections over a (N, n) signal.
+
+    It starts in the steady state of the first sample.
     """
     settled, level = [], signal[0]
     for b0, b1, b2, a1, a2 in sections:

@@ -1,23 +1,21 @@
 """Plants: each is its parameters, with a pure `initial_state`, `step` and `output`."""
 
-from .ball_screw import BallScrewDrive, FrictionTable, LeadError
+from .ball_screw import BallScrewDrive
+from .ball_screw_parts import FrictionTable, LeadError
 from .blocks import InBlocks
 from .cnc_axis import TwoAxes, cnc_axis
-from .fast_tool_servo import (
-    Creep,
-    CuttingForce,
-    FastToolServo,
-    FlexibleMode,
-    PeriodicForce,
-    fast_tool_servo,
-)
+from .fast_tool_servo import FastToolServo, fast_tool_servo
+from .fast_tool_servo_parts import Creep, CuttingForce, FlexibleMode, PeriodicForce
 from .friction import StribeckFriction
+from .from_python_control import from_control
 from .hysteresis import BoucWen, Dahl, InputHysteresis
-from .linear import DifferenceEquation, StateSpace, TimeVaryingStateSpace, from_control
-from .motor import Cogging, EndEffect, VoiceCoilMotor, voice_coil_motor
+from .linear import DifferenceEquation, StateSpace, TimeVaryingStateSpace
+from .motor import VoiceCoilMotor, voice_coil_motor
+from .motor_forces import Cogging, EndEffect
 from .nominal_models import cascade, direct_model, multivariable_model
 from .plant import Plant
 from .process_model import ProcessModel
+from .to_python_control import to_control
 from .voice_coil import VoiceCoil, voice_coil
 
 __all__ = [
@@ -50,6 +48,7 @@ __all__ = [
     "fast_tool_servo",
     "from_control",
     "multivariable_model",
+    "to_control",
     "voice_coil",
     "voice_coil_motor",
 ]

@@ -1,5 +1,6 @@
-"""A flexible ball-screw drive: two masses, a spring, friction, and the drive's speed and current
-loops (MILC 2024, section 3 and 5).
+"""A flexible ball-screw drive (MILC 2024, section 3 and 5).
+
+It has two masses, a spring, friction, and the speed loop and current loop of its drive.
 """
 
 from __future__ import annotations
@@ -12,76 +13,22 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from ..pytree.fields import Leaf, child, leaf, pytree, scalar, static
+from ..pytree.fields import Leaf, child, pytree, scalar, static
 from ..pytree.needs import known
 from ..signals.task import product, quantise
+from .ball_screw_parts import FrictionTable, LeadError
 from .friction import StribeckFriction
 from .integration import RK4_RADIUS, Propagator, exponential_runge_kutta, propagator
 from .linear import StateSpace, matching
 from .plant import Plant
 
 
-@pytree
-class LeadError:
-    """The screw's deviation from its nominal lead, periodic in the motor's position: l(x) = A sin(2
-    pi x / period + phase).
-
-    amplitude: () A [m];  period: () [m], the pitch or a part of it;  phase: () [rad]
-    """
-
-    amplitude: Leaf = scalar(interval="[0, inf)")
-    period: Leaf = scalar(interval="(0, inf)")
-    phase: Leaf = scalar(default=0.0)
-
-    def at(self, position) -> tuple[jax.Array, jax.Array]:
-        """position: () [m] -> () l [m] and () dl/dx"""
-        k = 2 * jnp.pi / self.period
-        angle = k * position + self.phase
-        return self.amplitude * jnp.sin(angle), self.amplitude * k * jnp.cos(angle)
-
-
-@pytree
-class FrictionTable:
-    """Look-up table of the drive that compensates friction: the force to add at a commanded
-    velocity, interpolated.
-
-    velocity: (M,) increasing [m/s];  force: (M,) [N]; beyond the ends the end values hold
-    Raises ValueError for a velocity that does not increase, or shapes that differ.
-    """
-
-    velocity: Leaf = leaf()
-    force: Leaf = leaf()
-
-    def __post_init__(self):
-        if (
-            self.velocity.ndim != 1
-            or self.velocity.shape != self.force.shape
-            or len(self.velocity) < 2
-        ):
-            raise ValueError(
-                f"FrictionTable: velocity {self.velocity.shape} and force {self.force.shape} must both have shape (M,), M >= 2"
-            )
-        if known(self) and np.any(np.diff(self.velocity) <= 0):
-            raise ValueError(f"FrictionTable: velocity = {np.asarray(self.velocity)} must increase")
-
-    def at(self, velocity) -> jax.Array:
-        """velocity: () [m/s] -> () [N]"""
-        return jnp.interp(velocity, self.velocity, self.force)
-
-    @classmethod
-    def of(cls, friction: StribeckFriction, velocity) -> FrictionTable:
-        """The table that an identification experiment at the velocities given (M,) [m/s] would
-        leave.
-        """
-        velocity = np.asarray(velocity, float)
-        return cls(velocity, np.asarray(friction.force(velocity)))
-
-
 class DriveState(NamedTuple):
-    """mechanics: (4,) or (5,) x_M [m], v_M [m/s], x_T [m], v_T [m/s], and the force [N] where it
-    lags
-    integral: () of the speed controller [V];  measured: () motor position as measured a sample ago
-    [mm]
+    """The state of the drive.
+
+    mechanics: (4,) or (5,) x_M [m], v_M [m/s], x_T [m], v_T [m/s], and the force [N] where it lags
+    integral:  () of the speed controller [V]
+    measured:  () motor position as measured a sample ago [mm]
     """
 
     mechanics: jax.Array
@@ -91,39 +38,50 @@ class DriveState(NamedTuple):
 
 @pytree
 class BallScrewDrive(Plant):
-    """Two-mass ball-screw drive from velocity command [V] to motor and table position [mm] (MILC
-    2024, eq. 10, 41 and 42).
+    """Two-mass ball-screw drive, from velocity command [V] to motor and table position [mm].
+
+    The mechanics (MILC 2024, eq. 10, 41 and 42) are
 
         m_M dv_M/dt = -c_M v_M - F_s (1 + l'(x_M)) - F_friction,M(v_M) + F
-        m_T dv_T/dt = -c_T v_T + F_s - F_friction,T(v_T),    F_s = k_s s + c_s ds/dt,  s = x_M +
-        l(x_M) - x_T
-        F* = clip(g w + F_table(S u), F_max),  w = K_vp d + q,  d = S u - v,  q[k] = q[k-1] + K_vi
-        dt d      every sample v[k] = (y_M[k] - y_M[k-1]) / dt,  F follows F* as a first-order lag
-        (the current loop), F* is held over a sample
+        m_T dv_T/dt = -c_T v_T + F_s - F_friction,T(v_T)
+        F_s = k_s s + c_s ds/dt,  s = x_M + l(x_M) - x_T
 
-    The print has the motor's acceleration in the table's equation; the table's is meant. Its
-    position is the backward sum of the speed (G_i), which is what v as a backward difference of the
-    encoder says; a change of position between samples is exact here.
-    The outputs are x_M and x_T: the motor's position as the nominal lead has it, and the table's.
+    and the drive, at every sample,
 
-    motor_mass: () m_M [kg], rotor and screw as seen at the table, J (2 pi / pitch)^2;  table_mass:
-    () m_T [kg]
-    stiffness: () k_s [N/m];  damping: () c_s [N s/m];  motor_damping, table_damping: () c_M, c_T [N
-    s/m]
-    force_gain: () g [N/V];  speed_gain: () K_vp [V s/mm];  speed_integral_gain: () K_vi [V/mm]
-    command_scale: () S [mm/(s V)];  current_bandwidth: () of the force's lag [Hz], None for none
-    force_limit: () F_max [N], None for none; the integral stops while the limit is hit. A clip:
-    beyond it the gradient is zero
-    encoder_step: () of the motor position that v is taken from [mm], None for none; gradient
-    straight-through motor_friction, table_friction, lead_error, compensation (F_table): None for
-    none
-    longest_dt: sample times beyond are refused where there is friction [s]
+        v[k] = (y_M[k] - y_M[k-1]) / dt,  d = S u - v,  q[k] = q[k-1] + K_vi dt d
+        w = K_vp d + q,  F* = clip(g w + F_table(S u), F_max)
+
+    F follows F* as a first-order lag (the current loop), and F* is held over a sample. The print
+    has the motor's acceleration in the table's equation; the table's is meant. Its position is the
+    backward sum of the speed (G_i), in agreement with v as a backward difference of the encoder; a
+    change of position between samples is exact here. The outputs are x_M and x_T: the motor's
+    position as the nominal lead has it, and the table's.
+
+    motor_mass:     () m_M [kg], rotor and screw as seen at the table, J (2 pi / pitch)^2
+    table_mass:     () m_T [kg]
+    stiffness:      () k_s [N/m]
+    damping:        () c_s [N s/m]
+    force_gain:     () g [N/V]
+    motor_damping, table_damping: () c_M, c_T [N s/m]
+    speed_gain:     () K_vp [V s/mm]
+    speed_integral_gain: () K_vi [V/mm]
+    command_scale:  () S [mm/(s V)]
+    current_bandwidth: () of the force's lag [Hz]
+    force_limit:    () F_max [N]; the integral stops while the limit is met. It is a clip: beyond it
+                  the gradient is zero
+    encoder_step:   () of the motor position from which v is taken [mm]; its gradient is
+                  straight-through
+    motor_friction, table_friction, lead_error, compensation (F_table): further parts
+    longest_dt:     sample times beyond it are refused where there is friction [s]
     linear_part, dt: of the mechanics once sampled, see `sampled`; until then None and 0
-    Raises ValueError, where the values are known, for friction that an explicit step of longest_dt
-    cannot follow.
+
+    None leaves a part out. Raises ValueError, where the values are known, for friction that an
+    explicit step of longest_dt cannot follow.
     """
 
     n_y = 2
+    input_names = ("velocity_command",)
+    output_names = ("motor_position", "table_position")
 
     motor_mass: Leaf = scalar(interval="(0, inf)")
     table_mass: Leaf = scalar(interval="(0, inf)")
@@ -161,24 +119,30 @@ class BallScrewDrive(Plant):
             )
             if pole * self.longest_dt > RK4_RADIUS:
                 raise ValueError(
-                    f"BallScrewDrive: {name} damps at rest with {pole:.4g} 1/s, more than an explicit step of longest_dt = "
-                    f"{self.longest_dt:g} s can follow; raise its transition_velocity, or lower longest_dt to {RK4_RADIUS / pole:.3g}"
+                    f"BallScrewDrive: {name} damps at rest with {pole:.4g} 1/s, more than an "
+                    "explicit step of longest_dt = "
+                    f"{self.longest_dt:g} s can follow; raise its transition_velocity, or lower "
+                    f"longest_dt to {RK4_RADIUS / pole:.3g}"
                 )
 
     @property
     def antiresonance(self) -> jax.Array:
-        """() sqrt(k_s / m_T) / 2 pi [Hz]: undamped, where the table takes all of the motor's force."""
+        """() sqrt(k_s / m_T) / 2 pi [Hz], undamped.
+
+        There the table takes all of the motor's force.
+        """
         return jnp.sqrt(self.stiffness / self.table_mass) / (2 * jnp.pi)
 
     @property
     def resonance(self) -> jax.Array:
-        """() sqrt(k_s (m_T + m_M) / (m_M m_T)) / 2 pi [Hz]: undamped, of the free drive."""
+        """() sqrt(k_s (m_T + m_M) / (m_M m_T)) / 2 pi [Hz], undamped, of the free drive."""
         m_M, m_T = self.motor_mass, self.table_mass
         return jnp.sqrt(self.stiffness * (m_T + m_M) / (m_M * m_T)) / (2 * jnp.pi)
 
     def mechanics(self) -> StateSpace:
-        """Force [N] to x_M and x_T [m] without friction and lead error, in continuous time; the
-        current loop included.
+        """Force [N] to x_M and x_T [m] without friction and lead error, in continuous time.
+
+        The current loop is included.
         """
         m_M, m_T, k, c = self.motor_mass, self.table_mass, self.stiffness, self.damping
         lag = 0.0 if self.current_bandwidth is None else 2 * jnp.pi * self.current_bandwidth
@@ -199,21 +163,22 @@ class BallScrewDrive(Plant):
         )
 
     def transmission(self) -> tuple[jax.Array, jax.Array]:
-        """Numerator (2,) and denominator (3,) of P_Z(s), from x_M to x_T, high order first (MILC
-        2024, eq. 12, c_T for its c_M):
+        """Numerator (2,) and denominator (3,) of P_Z(s), from x_M to x_T, high order first.
 
-        P_Z = (c_s s + k_s) / (m_T s^2 + (c_s + c_T) s + k_s)
+            P_Z = (c_s s + k_s) / (m_T s^2 + (c_s + c_T) s + k_s)
+
+        This is MILC 2024, eq. 12, with c_T for its c_M.
         """
         return jnp.stack([self.damping, self.stiffness]), jnp.stack(
             [self.table_mass, self.damping + self.table_damping, self.stiffness]
         )
 
     def linear(self, dt: float) -> StateSpace:
-        """The drive without friction, lead error, limit and encoder step, sampled at dt [s]:
-        velocity command to both positions.
+        """The drive without friction, lead error, limit and encoder step, sampled at dt [s].
 
-        The speed loop is closed, the position loop open. What a model-based scheme is given;
-        differentiable in every parameter.
+        It leads from velocity command to both positions; the speed loop is closed, the position
+        loop open. This is what a model-based scheme is given. It is differentiable in every
+        parameter.
         """
         absent = dict.fromkeys(
             (
@@ -234,14 +199,16 @@ class BallScrewDrive(Plant):
         return StateSpace(A, B, jax.jacfwd(lambda x: plant.output(unravel(x)))(rest), dt=dt)
 
     def sampled(self, dt: float) -> BallScrewDrive:
-        """The drive for sample time dt. Raises ValueError for dt beyond `longest_dt` where there is
-        friction.
+        """The drive for sample time dt.
+
+        Raises ValueError for dt beyond `longest_dt` where there is friction.
         """
         if (
             self.motor_friction is not None or self.table_friction is not None
         ) and dt > self.longest_dt * (1 + 1e-9):
             raise ValueError(
-                f"BallScrewDrive: dt = {dt:g} s is outside its allowed range (0, {self.longest_dt:g}] with friction, see longest_dt"
+                f"BallScrewDrive: dt = {dt:g} s is outside its allowed range (0, "
+                f"{self.longest_dt:g}] with friction, see longest_dt"
             )
         if self.dt:
             return matching(self, self.dt, dt)

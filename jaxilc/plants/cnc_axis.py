@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import jax.scipy.linalg
 
 from ..pytree.fields import child, pytree
 from .linear import StateSpace
@@ -17,13 +18,16 @@ SAMPLE_TIME = 2e-3  # [s]
 def cnc_axis(form: str = "double_integrator", gain: float = 1.0) -> StateSpace:
     """The X axis of Li 2020 from control input to position [mm], sampled at 2 ms.
 
-    `printed`: eq. 3 as printed, x' = [[2.85, -1.35, 0.8502], [2, 0, 0], [0, 0.5, 0]] x + [0.25, 0,
-    0] u, y = [0.19, 0, -0.01899] x.
-        Its poles 1.0331, 0.9567 and 0.8602 are unstable, from the rounding of the last digit
-        printed.
-    `double_integrator`: what that stands for, (z - 1)^2 (z - 0.85) with 0.85 for 0.8502: a force on
-    a mass and a lag of 12.3 ms. Both have CB = 0.0475 and need a feedback. gain: relative to the
-    identified one, for a second axis
+        printed            x' = [[2.85, -1.35, 0.8502], [2, 0, 0], [0, 0.5, 0]] x + [0.25, 0, 0] u
+                           y = [0.19, 0, -0.01899] x    (eq. 3)
+        double_integrator  the same with 0.85 for 0.8502
+
+    The poles of the first form, 1.0331, 0.9567 and 0.8602, are unstable, from the rounding of the
+    last digit printed. The second is what it stands for: (z - 1)^2 (z - 0.85), a force on a mass
+    and a lag of 12.3 ms. Both have CB = 0.0475 and need a feedback.
+
+    gain: relative to the identified one, for a second axis
+
     Raises ValueError for another form.
     """
     coefficients = {"printed": 0.8502, "double_integrator": 0.85}
@@ -63,6 +67,23 @@ class TwoAxes(Plant):
     def sampled(self, dt: float) -> TwoAxes:
         return TwoAxes(self.x.sampled(dt), self.y.sampled(dt))
 
+    def continuous(self) -> StateSpace | None:
+        x, y = self.x.continuous(), self.y.continuous()
+        if x is None or y is None:
+            return None
+        blocks = [(getattr(x, name), getattr(y, name)) for name in ("A", "B", "C")]
+        x0 = jnp.concatenate([x.initial_state(), y.initial_state()])
+        A, B, C = (jax.scipy.linalg.block_diag(*pair) for pair in blocks)
+        return StateSpace(A, B, C, x0)
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        return _both(self.x.input_names, self.y.input_names)
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        return _both(self.x.output_names, self.y.output_names)
+
     def initial_state(self) -> AxesState:
         return AxesState(self.x.initial_state(), self.y.initial_state())
 
@@ -72,3 +93,9 @@ class TwoAxes(Plant):
 
     def output(self, x: AxesState) -> jax.Array:
         return jnp.concatenate([self.x.output(x.x), self.y.output(x.y)])
+
+
+def _both(of_x: tuple[str, ...], of_y: tuple[str, ...]) -> tuple[str, ...]:
+    """The names of the channels of both axes, none unless both axes name theirs."""
+    named = [f"x_{name}" for name in of_x], [f"y_{name}" for name in of_y]
+    return (*named[0], *named[1]) if of_x and of_y else ()

@@ -1,20 +1,28 @@
-"""The piezo fast tool servo (Xu 2024, eq. 1 to 4): servo, amplifier, hysteresis, creep, flexible
-mode and the forces on its tool.
+"""The piezo fast tool servo (Xu 2024, eq. 1 to 4).
+
+It has a servo, an amplifier, hysteresis, creep, a flexible mode, and the forces on its tool.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..pytree.fields import Leaf, child, leaf, pytree, scalar, static
+from ..pytree.fields import Leaf, child, pytree, scalar, static
 from ..pytree.needs import known
+from .fast_tool_servo_parts import (
+    Creep,
+    CuttingForce,
+    FlexibleMode,
+    PeriodicForce,
+    ServoCoefficients,
+)
 from .hysteresis import BoucWen, Dahl, InputHysteresis
 from .integration import Propagator, exponential_runge_kutta, propagator
 from .linear import StateSpace, matching
@@ -27,126 +35,54 @@ STIFFNESS, MASS = 1.0, 1e6 / A1  # N/um, chosen, and the kg that make a1
 SAMPLES_PER_PERIOD = 5
 
 
-class ServoCoefficients(NamedTuple):
-    """y'' = -a1 y - a2 y' + b u + f (Xu 2024, eq. 4): what a model-based scheme is given. a1
-    [1/s^2], a2 [1/s], b [um/(V s^2)]
-    """
-
-    a1: jax.Array
-    a2: jax.Array
-    b: jax.Array
-
-
-@pytree
-class FlexibleMode:
-    """A resonance beside the servo's, which the second-order model leaves out (Xu 2024, section
-    5.2).
-
-        G_mode(s) = share G(0) w^2 / (s^2 + 2 zeta w s + w^2), added to G(s)
-
-    frequency: () w / 2 pi [Hz];  damping: () zeta;  share: () of the servo's static deflection;
-    positive: an antiresonance lies between the two resonances (drive and encoder move alike),
-    negative: none, and the phase falls on. Excited by the drive, not by forces on the tool.
-    """
-
-    frequency: Leaf = scalar(interval="(0, inf)")
-    damping: Leaf = scalar(interval="(0, 1)")
-    share: Leaf = scalar()
-
-
-@pytree
-class Creep:
-    """The piezo goes on extending under a held voltage: tau_i y_i' = share_i G(0) v - y_i, summed
-    and added to the output.
-
-    A few operators spaced by decades stand for the logarithmic law y (1 + c log10(t / t_0)), each
-    with the share c.
-    shares: (n,) of the servo's static deflection;  time_constants: (n,) tau [s]
-    """
-
-    shares: Leaf = leaf()
-    time_constants: Leaf = leaf(interval="(0, inf)")
-
-    def __post_init__(self):
-        _need_alike(self, "shares", "time_constants")
-
-
-@pytree
-class PeriodicForce:
-    """Force on the tool against +y: F(t) = sum_i a_i sin(2 pi f_i t + phase_i), t from the start of
-    the trial: it repeats in each.
-
-    amplitudes: (n,) [N];  frequencies: (n,) [Hz];  phases: (n,) [rad]
-    """
-
-    amplitudes: Leaf = leaf()
-    frequencies: Leaf = leaf(interval="(0, inf)")
-    phases: Leaf = leaf()
-
-    def __post_init__(self):
-        _need_alike(self, "amplitudes", "frequencies", "phases")
-
-
-@pytree
-class CuttingForce:
-    """Force of the cut against +y, proportional to the depth of cut while the tool is in the
-    workpiece.
-
-        F(y) = K p(depth + y),    p(d) = (d + sqrt(d^2 + blur^2)) / 2, a smooth max(d, 0)
-
-    stiffness: () K, force per depth of cut [N/um];  depth: () of cut at y = 0 [um]
-    blur: () width of the transition at the surface [um], not less than the tool moves in a step of
-    the integrator
-    """
-
-    stiffness: Leaf = scalar(interval="[0, inf)")
-    depth: Leaf = scalar()
-    blur: Leaf = scalar(default=0.5, interval="(0, inf)")
-
-    def force(self, position) -> jax.Array:
-        """position: () [um] -> () [N]"""
-        d = self.depth + position
-        return self.stiffness * (d + jnp.sqrt(d * d + self.blur**2)) / 2
-
-
 @pytree
 class FastToolServo(Plant):
-    """Piezo stack with its amplifier and flexure, from control voltage [V] to tool position [um]
-    (Xu 2024, eq. 1 to 3).
+    """Piezo stack with amplifier and flexure, from voltage [V] to tool position [um].
 
-        m y'' + k_c y' + k_f y = T k_b v - F_friction - F_cut(y) - F_load - F_periodic(t),    v = u
-        - H(u)
+        m y'' + k_c y' + k_f y = T k_b v - F_friction - F_cut(y) - F_load - F_periodic(t)
+        v = u - H(u)
 
-    mass: () m [kg];  damping: () k_c [N s/um];  stiffness: () k_f [N/um];  conversion: () T, force
-    per volt at the piezo [N/V]
-    amplifier_gain: () k_b;  amplifier_bandwidth: () of a first-order lag after v [Hz]
-    hysteresis: H, a `BoucWen` or `Dahl` of the voltage, z in V;  friction: the same of the
-    position, z in N
-    cutting, periodic, load: forces against +y; load () is constant [N];  mode, creep: added to y;
-    drift: () of the output [um/s]
-    substeps: equal steps of the integrator in a sample;  longest_dt: sample times beyond are
-    refused [s]
-    None for none: an absent part costs nothing. A disturbance given as a signal, such as Xu 2024,
-    Fig. 10, belongs in `Disturbance`.
+    This is Xu 2024, eq. 1 to 3.
+
+    mass:       () m [kg]
+    damping:    () k_c [N s/um]
+    stiffness:  () k_f [N/um]
+    conversion: () T, force per volt at the piezo [N/V]
+    amplifier_gain: () k_b
+    amplifier_bandwidth: () of a first-order lag after v [Hz]
+    load:       () constant force against +y [N]
+    drift:      () of the output [um/s]
+    hysteresis: H, a `BoucWen` or `Dahl` of the voltage, z in V
+    friction:   a `BoucWen` or `Dahl` of the position, z in N
+    mode, creep: added to y
+    cutting, periodic: forces against +y
+    substeps:   equal steps of the integrator in a sample
+    longest_dt: sample times beyond it are refused [s]
+
+    None leaves a part out, and an absent part costs nothing. A disturbance that is given as a
+    signal, such as Xu 2024, Fig. 10, belongs in `Disturbance`.
 
     Printed are only the ratios a1 = k_f/m, a2 = k_c/m and b = k_b T/m, see `coefficients`; b
     contains the amplifier's 20. Chosen is k_f = 1 N/um, so that the 1 N of Xu 2024, Table 2, moves
-    the free tool by 1 um, 5 % of its 20 um. Then m = 0.414 kg, T = 0.462 N/V.
+    the free tool by 1 um, 5 % of its 20 um. Then m = 0.414 kg and T = 0.462 N/V.
 
     A piezo is hysteretic between voltage and charge, hardly between charge and force (Goldfarb and
     Celanovic 1997), so H belongs to the voltage. As u is held over a sample, z jumps with it and
-    rests: one exact update a sample. It sees u ahead of the amplifier's lag. The slope A of a small
-    stroke makes the static gain (1 - A) T k_b / k_f; a large one tends to T k_b / k_f. `friction`
-    is for guides,
-    or for H as a force of the position (Xu and Li 2010, with Dahl's model); it moves on within the
-    sample.
+    rests: this takes one exact update a sample. H acts on u ahead of the amplifier's lag. The slope
+    A of a small stroke makes the static gain (1 - A) T k_b / k_f; that of a large stroke tends to T
+    k_b / k_f. `friction` is for guides, or for H as a force of the position (Xu and Li 2010, with
+    Dahl's model); it goes on changing within the sample.
 
-    All that is linear is exact at any sample time, friction and cutting force are integrated, see
+    All that is linear is exact at any sample time; friction and cutting force are integrated, see
     `sampled`.
+
     Raises ValueError, where the values are known, for a `longest_dt` above a fifth of the period of
     the fastest mode (samples farther apart hardly show the oscillation that a scheme has to damp),
     or a hysteresis with A >= 1, which would reverse the gain.
     """
+
+    input_names = ("voltage",)
+    output_names = ("position",)
 
     mass: Leaf = scalar(default=MASS, interval="(0, inf)")
     damping: Leaf = scalar(default=1e-6 * A2 * MASS, interval="[0, inf)")
@@ -182,13 +118,16 @@ class FastToolServo(Plant):
         longest = 1 / (SAMPLES_PER_PERIOD * fastest)
         if self.longest_dt > longest * (1 + 1e-9):
             raise ValueError(
-                f"FastToolServo: longest_dt = {self.longest_dt:g} s leaves {1 / (self.longest_dt * fastest):.3g} samples a period of the "
-                f"fastest mode, {fastest:.4g} Hz; its allowed range with these parameters is (0, {longest:.3g}]"
+                f"FastToolServo: longest_dt = {self.longest_dt:g} s leaves "
+                f"{1 / (self.longest_dt * fastest):.3g} samples a period of the "
+                f"fastest mode, {fastest:.4g} Hz; its allowed range with these parameters is (0, "
+                f"{longest:.3g}]"
             )
         slope = 0.0 if self.hysteresis is None else np.max(self.hysteresis.initial_slope)
         if slope >= 1:
             raise ValueError(
-                f"FastToolServo: hysteresis.initial_slope = {slope:g} is outside its allowed range (0, 1), in V of z per V"
+                f"FastToolServo: hysteresis.initial_slope = {slope:g} is outside its allowed range "
+                "(0, 1), in V of z per V"
             )
 
     @property
@@ -202,14 +141,13 @@ class FastToolServo(Plant):
         )
 
     def linear(self) -> StateSpace:
-        """The plant in continuous time without hysteresis and cutting force, its friction a spring
-        of its initial slope.
+        """The plant in continuous time without hysteresis and cutting force.
 
-        States: position, and speed over w = (k_f/m)^(1/2), both in um, since exp(A dt) of a badly
-        scaled A loses digits; then, of the
-        parts present: friction z [N], amplifier [V], position and scaled speed of the mode [um],
-        creep [um], a sine and a cosine of each periodic force [N], and for load or drift a constant
-        1 and the drift [um]. What the input does not drive starts from x0.
+        Its friction is a spring of the friction's initial slope. The states are position, and speed
+        over w = (k_f/m)^(1/2), both in um, since exp(A dt) of a badly scaled A loses digits. Then
+        follow, for the parts that are present: friction z [N], amplifier [V], position and scaled
+        speed of the mode [um], creep [um], a sine and a cosine of each periodic force [N], and for
+        load or drift a constant 1 and the drift [um]. What the input does not drive starts from x0.
         """
         a1, a2, b = self.coefficients
         w = jnp.sqrt(a1)
@@ -264,16 +202,19 @@ class FastToolServo(Plant):
             A_B[:, :n], A_B[:, n:], C, _filled(start, (n,), self.mass) if start else None
         )
 
+    def continuous(self) -> StateSpace:
+        return self.linear()
+
     def sampled(self, dt: float) -> Plant:
         """The plant for sample time dt: a plain `StateSpace` as long as it is linear.
 
         Under a cutting force the error falls as (dt / substeps)^4; with friction as its square,
-        from the kink at each turn.
-        Raises ValueError for dt beyond `longest_dt`.
+        because of the kink where the motion turns. Raises ValueError for dt beyond `longest_dt`.
         """
         if dt > self.longest_dt * (1 + 1e-9):
             raise ValueError(
-                f"FastToolServo: dt = {dt:g} s is outside its allowed range (0, {self.longest_dt:g}], see longest_dt"
+                f"FastToolServo: dt = {dt:g} s is outside its allowed range (0, "
+                f"{self.longest_dt:g}], see longest_dt"
             )
         plant = self.linear()
         if self.friction is None and self.cutting is None:
@@ -285,8 +226,10 @@ class FastToolServo(Plant):
 
 @pytree
 class ForcedServo(Plant):
-    """A `FastToolServo` with friction or cutting force, for one sample time. linear: in continuous
-    time, with its propagator
+    """A `FastToolServo` with friction or cutting force, for one sample time.
+
+    linear:     its linear part in continuous time
+    propagator: of that linear part
     """
 
     linear: StateSpace = child()
@@ -310,7 +253,7 @@ class ForcedServo(Plant):
         return self.linear.output(x)
 
     def _nonlinear(self, x):
-        """(n,) what friction and cutting force add to the rates of the linear part, in its states."""
+        """(n,) what friction and cutting force add to the rates of the linear part."""
         servo, rates, w = self.servo, jnp.zeros_like(x), jnp.sqrt(self.servo.coefficients.a1)
         if servo.cutting is not None:
             rates = rates.at[1].set(-1e6 / servo.mass / w * servo.cutting.force(self.output(x)[0]))
@@ -324,15 +267,15 @@ class ForcedServo(Plant):
 def fast_tool_servo(form: str = "identified") -> FastToolServo:
     """The servo of Xu 2024 in one of two forms.
 
-    `identified`: G(s) of section 5.2, linear
-    `full`:       with what the section names and leaves out, at values that are chosen and wait for
-    a fit: Bouc-Wen hysteresis (a loop
-                  as wide as 8 % of the stroke at 20 um, z_max = 0.25 V), a mode that raises the
-                  gain at 900 Hz by 40 %, creep of 1.5 % a decade of time. The conversion is 1 / (1
-                  - A) larger, so that G(s) is the response to small strokes, with which it was
-                  identified. The amplifier is a constant, as in section 2.2; loads and cutting are
-                  the task's to add.
-    Raises ValueError for another form.
+        identified  G(s) of section 5.2, linear
+        full        with what the section names and leaves out, at values that are chosen and wait
+                    for a fit: Bouc-Wen hysteresis (a loop as wide as 8 % of the stroke at 20 um,
+                    z_max = 0.25 V), a mode that raises the gain at 900 Hz by 40 %, and creep of
+                    1.5 % a decade of time
+
+    In the full form the conversion is 1 / (1 - A) larger, so that G(s) is the response to small
+    strokes, with which it was identified. The amplifier is a constant, as in section 2.2. Loads and
+    cutting are for the task to add. Raises ValueError for another form.
     """
     match form:
         case "identified":
@@ -354,10 +297,3 @@ def _filled(entries, shape, like):
     return blank.at[tuple(np.array(list(entries)).T)].set(
         jnp.stack([jnp.asarray(a, blank.dtype) for a in entries.values()])
     )
-
-
-def _need_alike(tree, *names):
-    """Raises ValueError unless the named fields have one shape (n,)."""
-    shapes = {name: np.shape(getattr(tree, name)) for name in names}
-    if len(set(shapes.values())) > 1 or not shapes[names[0]]:
-        raise ValueError(f"{type(tree).__name__}: {shapes} must have one shape (n,)")

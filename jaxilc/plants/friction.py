@@ -12,21 +12,24 @@ from ..pytree.needs import known
 
 @pytree
 class StribeckFriction:
-    """Friction force opposing the velocity (Armstrong-Hélouvry, Dupont, Canudas de Wit 1994, the
-    Stribeck curve).
+    """Friction force that opposes the velocity, the Stribeck curve.
 
         F(v) = [F_c + (F_s - F_c) exp(-(v/v_s)^2)] tanh(v/v_t) + sigma v
 
-    The sign of v is smoothed to tanh(v/v_t), so that F has a gradient everywhere. The price:
-    nothing sticks for good. Under a force F < F_s the body creeps, at v_t artanh(F/F_s) or less. A
-    smaller v_t holds better and makes the motion stiffer.
+    It is that of Armstrong-Hélouvry, Dupont and Canudas de Wit (1994) with the sign of v smoothed
+    to tanh(v/v_t), so that F has a gradient everywhere. The price is that nothing sticks for good:
+    under a force F < F_s the body creeps, at v_t artanh(F/F_s) or less. A smaller v_t holds better
+    and makes the motion stiffer.
 
-    coulomb_force:       () F_c [N];  static_force: () F_s >= F_c, force to break away [N]
-    stribeck_velocity:   () v_s, where static has mostly given way to Coulomb friction [m/s];
-    viscous: () sigma [N s/m]
-    transition_velocity: () v_t, below which the friction acts as a damper F_s/v_t [m/s]; well below
-    v_s, else F_s is not reached For a rotary axis read N m and rad/s. Raises ValueError for a
-    static force below the Coulomb force.
+    coulomb_force:       () F_c [N]
+    static_force:        () F_s >= F_c, force to break away [N]
+    stribeck_velocity:   () v_s, where static has mostly given way to Coulomb friction [m/s]
+    viscous:             () sigma [N s/m]
+    transition_velocity: () v_t, below which the friction acts as a damper F_s/v_t [m/s]; it must be
+                         well below v_s, or F_s is not reached
+
+    For a rotary axis read N m and rad/s. Raises ValueError for a static force below the Coulomb
+    force.
     """
 
     coulomb_force: Leaf = scalar(interval="[0, inf)")
@@ -38,21 +41,21 @@ class StribeckFriction:
     def __post_init__(self):
         if known(self) and np.any(np.asarray(self.static_force) < np.asarray(self.coulomb_force)):
             raise ValueError(
-                f"StribeckFriction: static_force = {self.static_force} is below coulomb_force = {self.coulomb_force}; "
+                f"StribeckFriction: static_force = {self.static_force} is below coulomb_force = "
+                f"{self.coulomb_force}; "
                 "allowed is static_force >= coulomb_force"
             )
 
     @property
     def damping_at_rest(self) -> jax.Array:
-        """() dF/dv at v = 0, where F is steepest: what an explicit integrator must be able to
-        follow [N s/m].
+        """() dF/dv at v = 0, where F is steepest [N s/m].
+
+        An explicit integrator must be able to follow it.
         """
         return self.static_force / self.transition_velocity + self.viscous
 
     def force(self, velocity) -> jax.Array:
-        """velocity: any shape [m/s] -> the same shape, the force to subtract from the driving one
-        [N].
-        """
+        """The force to subtract from the driving one [N] at a velocity [m/s], both of any shape."""
         v, F_c, F_s = velocity, self.coulomb_force, self.static_force
         level = F_c + (F_s - F_c) * jnp.exp(-((v / self.stribeck_velocity) ** 2))
         return level * jnp.tanh(v / self.transition_velocity) + self.viscous * v

@@ -1,11 +1,14 @@
 """Rate-independent hysteresis, as a function of voltage or of displacement: Bouc-Wen and Dahl.
 
-An operator turns the way x into its internal variable z by dz = slope(z, s) dx with s = sign(dx),
-whatever the speed. Two uses: `over(z, dx)` goes along a monotonic way at once, for an input that is
-held over each sample and jumps in between, where a rate would be an impulse; `slope` makes dz/dt =
-slope(z, sign(dx/dt)) dx/dt along a trajectory x(t). The slope jumps where the way turns, so z has a
-kink there and its gradient is one-sided: at dx = 0 it is that of a way up. All gradients are
-finite.
+An operator turns the travel x into its internal variable z by dz = slope(z, s) dx, with
+s = sign(dx), whatever the speed. It is used in two ways:
+
+    over(z, dx)   goes along a monotonic travel at once, for an input that is held over each sample
+                  and jumps in between, where a rate would be an impulse
+    slope(z, s)   gives dz/dt = slope(z, sign(dx/dt)) dx/dt along a trajectory x(t)
+
+The slope jumps where the travel turns, so z has a kink there and its gradient is one-sided: at
+dx = 0 it is that of a travel upward. All gradients are finite.
 """
 
 from __future__ import annotations
@@ -27,16 +30,18 @@ from .plant import Plant
 class BoucWen:
     """Hysteresis of Bouc (1967) and Wen (1976).
 
-        dz = A dx - beta |dx| z |z|^(n-1) - gamma dx |z|^n,    |z| <= z_max = (A / (beta +
-        gamma))^(1/n)
+        dz = A dx - beta |dx| z |z|^(n-1) - gamma dx |z|^n
+        |z| <= z_max = (A / (beta + gamma))^(1/n)
 
-    initial_slope: () A, dz/dx at z = 0 [z/x];  beta, gamma: () [z/x / z^n]: beta alone dissipates,
-    gamma bends the loop
-    exponent:      () n >= 1, how abruptly z saturates; None is n = 1, where `over` is exact and
-    costs no power
-    substeps:      Runge-Kutta steps of `over` where n is given. It takes ways of more than 1.5
-    substeps characteristic lengths, after
-                   which z has reached z_max within 2 %, as that long, and so is stable for any jump
+    initial_slope: () A, dz/dx at z = 0 [z/x]
+    beta:     () [z/x / z^n], dissipates energy
+    gamma:    () [z/x / z^n], bends the loop
+    exponent: () n >= 1, how abruptly z saturates; None is n = 1, where `over` is exact and needs no
+              power function
+    substeps: Runge-Kutta steps of `over` where n is given. A travel of more than 1.5 substeps
+              characteristic lengths is cut to that length, after which z has reached z_max within 2
+              %; so the steps are stable for any jump
+
     Raises ValueError for gamma beyond -beta < gamma <= beta, where z is unbounded or the loop
     yields energy.
     """
@@ -50,7 +55,8 @@ class BoucWen:
     def __post_init__(self):
         if known(self) and not np.all((-self.beta < self.gamma) & (self.gamma <= self.beta)):
             raise ValueError(
-                f"BoucWen: gamma = {self.gamma} is outside its allowed range (-beta, beta], beta = {self.beta}"
+                f"BoucWen: gamma = {self.gamma} is outside its allowed range (-beta, beta], beta = "
+                f"{self.beta}"
             )
 
     @property
@@ -60,7 +66,7 @@ class BoucWen:
         return ratio if self.exponent is None else ratio ** (1 / self.exponent)
 
     def slope(self, z, direction) -> jax.Array:
-        """dz/dx at z on the way in `direction`, 1 or -1. Both of any shape."""
+        """dz/dx at z on a travel in `direction`, 1 or -1. Both of any shape."""
         size = jnp.abs(z)
         drag = self.beta * direction * z + self.gamma * size
         return self.initial_slope - (
@@ -68,7 +74,7 @@ class BoucWen:
         )
 
     def over(self, z, dx) -> jax.Array:
-        """z after the monotonic way dx from z. Both of any shape."""
+        """z after the monotonic travel dx from z. Both of any shape."""
         s = _direction(dx)
         w, way = s * z, s * dx  # mirrored, so that the way leads up
         return s * (
@@ -78,8 +84,9 @@ class BoucWen:
         )
 
     def _exactly(self, w, way):
-        """n = 1: dw/dx is linear on either side of w = 0, with the rate beta - gamma below and beta
-        + gamma above.
+        """The case n = 1, in which dw/dx is linear on either side of w = 0.
+
+        Its rate is beta - gamma below 0 and beta + gamma above.
         """
         A, below, above = self.initial_slope, self.beta - self.gamma, self.beta + self.gamma
         depth = jnp.where(w < 0, -w, 0.0)
@@ -100,15 +107,16 @@ class BoucWen:
 
 @pytree
 class Dahl:
-    """Friction of Dahl (1968): a spring at rest, a constant force in motion, and hysteresis in
-    between.
+    """Friction of Dahl (1968): a spring at rest, a constant force in motion, hysteresis between.
 
-        dz = sigma |1 - s z / F_c|^i sign(1 - s z / F_c) dx,    s = sign(dx);    from rest with i =
-        1: z = F_c (1 - exp(-sigma x / F_c))
+        dz = sigma |1 - s z / F_c|^i sign(1 - s z / F_c) dx,    s = sign(dx)
 
-    initial_slope: () sigma, dz/dx at z = 0 [z/x];  limit: () F_c, the largest |z|
-    exponent:      () i >= 1, ductile for large i; None is i = 1 and costs no power. `over` is exact
-    for every i
+    From rest with i = 1 this is z = F_c (1 - exp(-sigma x / F_c)).
+
+    initial_slope: () sigma, dz/dx at z = 0 [z/x]
+    limit:    () F_c, the largest |z|
+    exponent: () i >= 1, ductile for large i; None is i = 1, which needs no power function. `over`
+              is exact for every i
     """
 
     initial_slope: Leaf = scalar(interval="(0, inf)")
@@ -116,14 +124,14 @@ class Dahl:
     exponent: Leaf | None = scalar(default=None, interval="[1, inf)", optional=True)
 
     def slope(self, z, direction) -> jax.Array:
-        """dz/dx at z on the way in `direction`, 1 or -1. Both of any shape."""
+        """dz/dx at z on a travel in `direction`, 1 or -1. Both of any shape."""
         left = 1.0 - direction * z / self.limit
         return self.initial_slope * (
             left if self.exponent is None else left * _power(jnp.abs(left), self.exponent - 1)
         )
 
     def over(self, z, dx) -> jax.Array:
-        """z after the monotonic way dx from z, |z| <= F_c. Both of any shape."""
+        """z after the monotonic travel dx from z, |z| <= F_c. Both of any shape."""
         s = _direction(dx)
         left, way = 1.0 - s * z / self.limit, self.initial_slope / self.limit * s * dx
         if self.exponent is not None:
@@ -134,7 +142,11 @@ class Dahl:
 
 
 class HystereticState(NamedTuple):
-    """plant: its state;  u, z: (n_u,) input of the sample before, and its hysteresis"""
+    """The state of a plant with hysteresis.
+
+    plant: its state
+    u, z:  (n_u,) input of the sample before, and its hysteresis
+    """
 
     plant: Any
     u: jax.Array
@@ -143,11 +155,10 @@ class HystereticState(NamedTuple):
 
 @pytree
 class InputHysteresis(Plant):
-    """Any plant with rate-independent hysteresis at its input: it is driven by u - z, channel by
-    channel.
+    """Any plant with rate-independent hysteresis at its input.
 
-    u is held over a sample and jumps at its start, and z with it: one update a sample, exact where
-    `over` is.
+    Channel by channel, the plant is driven by u - z. u is held over a sample and jumps at its
+    start, and z with it: this takes one update a sample, exact where `over` is.
     """
 
     plant: Plant = child()
@@ -177,13 +188,17 @@ class InputHysteresis(Plant):
 
 
 def _direction(dx):
-    """1 or -1, and 1 at rest, so that a gradient at dx = 0 is the slope of the way up and not 0."""
+    """1 or -1, and 1 at rest.
+
+    So a gradient at dx = 0 is the slope of a travel upward and not 0.
+    """
     return jnp.where(dx < 0, -1.0, 1.0)
 
 
 def _power(size, exponent):
-    """size^exponent for size >= 0, with finite derivatives also at 0, where that with respect to
-    the exponent is 0 log 0.
+    """size^exponent for size >= 0, with finite derivatives also at size 0.
+
+    There the derivative by the exponent would be 0 log 0.
     """
     positive = size > 0
     return jnp.where(positive, jnp.where(positive, size, 1.0) ** exponent, 0.0)

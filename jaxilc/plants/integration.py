@@ -16,8 +16,10 @@ RK4_RADIUS = 2.6
 
 
 def runge_kutta(rates: Callable, x, h) -> Any:
-    """One step of length h [s] by the classical Runge-Kutta method of order 4. rates: x -> dx/dt;
-    x: any pytree
+    """One step of length h [s] by the classical Runge-Kutta method of order 4.
+
+    rates: x -> dx/dt
+    x:     any pytree
     """
 
     def moved(by, k):
@@ -33,8 +35,9 @@ def runge_kutta(rates: Callable, x, h) -> Any:
 
 
 class Propagator(NamedTuple):
-    """exp(A h) and what an input held over the step adds, for a step and for half of it: A (n, n),
-    B (n, n_u) each.
+    """The linear part of a plant over a step of the integrator, and over half of it.
+
+    Each is exp(A h) (n, n) and what an input held over the step adds (n, n_u).
     """
 
     whole: tuple[jax.Array, jax.Array]
@@ -42,24 +45,34 @@ class Propagator(NamedTuple):
 
 
 def propagator(A, B, h) -> Propagator:
-    """The linear part of x' = A x + B u + f(x), worked out once for steps of length h [s]. A: (n,
-    n), B: (n, n_u)
+    """The linear part of x' = A x + B u + f(x), computed once for steps of length h [s].
+
+    A: (n, n)
+    B: (n, n_u)
     """
     return Propagator(zoh(A, B, h), zoh(A, B, h / 2))
 
 
 def exponential_runge_kutta(linear: Propagator, f: Callable, x, u, h) -> Any:
-    """One step of x' = A x + B u + f(x) with u held: Lawson's (1967) Runge-Kutta method of order 4,
-    exact where f is zero.
+    """One step of x' = A x + B u + f(x) with u held, by Lawson's (1967) method of order 4.
 
         E = exp(A h), z(s) the solution of the linear part from x at time s
-        k1 = f(x), k2 = f(z(h/2) + h/2 E^(1/2) k1), k3 = f(z(h/2) + h/2 k2), k4 = f(z(h) + h E^(1/2)
-        k3) x' = z(h) + h/6 (E k1 + 2 E^(1/2) (k2 + k3) + k4)
+        k1 = f(x)
+        k2 = f(z(h/2) + h/2 E^(1/2) k1)
+        k3 = f(z(h/2) + h/2 k2)
+        k4 = f(z(h) + h E^(1/2) k3)
+        x' = z(h) + h/6 (E k1 + 2 E^(1/2) (k2 + k3) + k4)
 
-    linear: `propagator(A, B, h)`;  f: (n,) -> (n,) all that is not linear;  x: (n,);  u: (n_u,)
-    The stiffness of A does not limit h, that of f does, as for Runge-Kutta 4. But a pole -a of A
-    much faster than h answers an f of its own with h/6 f in place of f / a: what is stiff should be
-    driven by u, or by the rest of x, not by f.
+    It is a Runge-Kutta method, exact where f is zero.
+
+    linear: `propagator(A, B, h)`
+    f:      (n,) -> (n,) all that is not linear
+    x:      (n,)
+    u:      (n_u,)
+
+    The stiffness of A does not limit h; that of f does, as for Runge-Kutta 4. But a pole -a of A
+    much faster than h answers an f of its own with h/6 f in place of f / a. What is stiff should
+    therefore be driven by u, or by the rest of x, not by f.
     """
     (E, F), (E2, F2) = linear
     middle, end = product(E2, x) + product(F2, u), product(E, x) + product(F, u)

@@ -1,4 +1,4 @@
-"""Linear plants: state space, difference equation, and any system of python-control."""
+"""Linear plants: state space, constant or varying over a trial, and difference equation."""
 
 from __future__ import annotations
 
@@ -28,21 +28,27 @@ def zoh(A, B, dt) -> tuple[jax.Array, jax.Array]:
 
 
 def matching(plant: AnyPlant, own_dt: float, dt: float) -> AnyPlant:
-    """`plant`, whose own sample time is `own_dt`, if that is the task's; else ValueError."""
+    """`plant`, if its own sample time `own_dt` is the task's dt; else ValueError."""
     if abs(own_dt - dt) > 1e-9 * dt:
         raise ValueError(
-            f"{type(plant).__name__} is sampled at {own_dt:g} s but the task at {dt:g} s; allowed is dt = {own_dt:g}"
+            f"{type(plant).__name__} is sampled at {own_dt:g} s but the task at {dt:g} s; allowed "
+            f"is dt = {own_dt:g}"
         )
     return plant
 
 
 @pytree
 class StateSpace(Plant):
-    """x' = A x + B u, y = C x; continuous if `dt` is 0, else x[k+1] = A x[k] + B u[k].
+    """x' = A x + B u, y = C x in continuous time, or x[k+1] = A x[k] + B u[k] in discrete time.
 
-    A: (n, n), B: (n, n_u), C: (n_y, n);  x0: (n,) initial state, None for rest
-    dt: sample time the matrices belong to [s]; 0 for continuous time, then sampled exactly with a
-    zero-order hold
+    A:  (n, n)
+    B:  (n, n_u)
+    C:  (n_y, n)
+    x0: (n,) initial state; None for rest
+    dt: sample time the matrices belong to [s]; 0 for continuous time, which is then sampled exactly
+        with a zero-order hold
+
+    Raises ValueError for shapes that do not fit, or a task of another sample time.
     """
 
     A: Leaf = leaf()
@@ -61,7 +67,8 @@ class StateSpace(Plant):
         )
         if not fits:
             raise ValueError(
-                f"StateSpace: A {self.A.shape}, B {self.B.shape}, C {self.C.shape} do not fit; allowed are (n, n), (n, n_u), (n_y, n)"
+                f"StateSpace: A {self.A.shape}, B {self.B.shape}, C {self.C.shape} do not fit; "
+                "allowed are (n, n), (n, n_u), (n_y, n)"
             )
         if self.x0 is not None and self.x0.shape != (n,):
             raise ValueError(f"StateSpace: x0 has shape {self.x0.shape}; allowed is ({n},)")
@@ -80,6 +87,9 @@ class StateSpace(Plant):
         A, B = zoh(self.A, self.B, dt)
         return StateSpace(A, B, self.C, self.x0, dt=dt)
 
+    def continuous(self) -> StateSpace | None:
+        return None if self.dt else self
+
     def initial_state(self) -> Any:
         return (
             jnp.zeros_like(self.A, shape=self.A.shape[-1:])
@@ -96,12 +106,17 @@ class StateSpace(Plant):
 
 @pytree
 class TimeVaryingStateSpace(Plant):
-    """x[k+1] = A[k] x[k] + B[k] u[k], y[k+1] = C[k] x[k+1], over one trial of N samples: a plant
-    linearised along its motion.
+    """A plant that is linearised along its motion, over one trial of N samples.
 
-    A: (N, n, n), B: (N, n, n_u), C: (N, n_y, n), C[k] the output a sample after k;  dt: sample time
-    [s] It starts at rest, with y[0] = 0. Raises ValueError for shapes that do not fit, or a task of
-    another sample time.
+        x[k+1] = A[k] x[k] + B[k] u[k],    y[k+1] = C[k] x[k+1]
+
+    A:  (N, n, n)
+    B:  (N, n, n_u)
+    C:  (N, n_y, n); C[k] belongs to the output a sample after k
+    dt: sample time [s]
+
+    It starts at rest, with y[0] = 0. Raises ValueError for shapes that do not fit, or a task of
+    another length or sample time.
     """
 
     A: Leaf = leaf()
@@ -119,7 +134,8 @@ class TimeVaryingStateSpace(Plant):
             fits and shapes[0] == (N, n, n) and shapes[1][:2] == (N, n) and shapes[2][::2] == (N, n)
         ):
             raise ValueError(
-                f"TimeVaryingStateSpace: A {shapes[0]}, B {shapes[1]}, C {shapes[2]} do not fit; allowed are (N, n, n), (N, n, n_u), "
+                f"TimeVaryingStateSpace: A {shapes[0]}, B {shapes[1]}, C {shapes[2]} do not fit; "
+                "allowed are (N, n, n), (N, n, n_u), "
                 "(N, n_y, n)"
             )
 
@@ -138,7 +154,8 @@ class TimeVaryingStateSpace(Plant):
     def check(self, task: Task) -> None:
         if self.N != task.N:
             raise ValueError(
-                f"TimeVaryingStateSpace: the plant is given for N = {self.N} samples but the task has N = {task.N}"
+                f"TimeVaryingStateSpace: the plant is given for N = {self.N} samples but the task "
+                f"has N = {task.N}"
             )
 
     def sampled(self, dt: float) -> TimeVaryingStateSpace:
@@ -159,10 +176,13 @@ class TimeVaryingStateSpace(Plant):
 
 @pytree
 class DifferenceEquation(Plant):
-    """y[k] = a_1 y[k-1] + ... + a_n y[k-n] + b_1 u[k-1] + ... + b_n u[k-n], one input, one output.
+    """y[k] = sum_{i=1..n} (a_i y[k-i] + b_i u[k-i]), with one input and one output.
 
-    a, b: (n,) coefficients, signs as written above;  dt: sample time they belong to [s]
-    The state is the transposed direct form II, which needs no shifting registers of y and u.
+    a, b: (n,) coefficients, with the signs as written above
+    dt:   sample time they belong to [s]
+
+    The state is the transposed direct form II, which needs no shifting registers of y and u. Raises
+    ValueError for shapes that differ, or a task of another sample time.
     """
 
     a: Leaf = leaf()
@@ -172,7 +192,8 @@ class DifferenceEquation(Plant):
     def __post_init__(self):
         if self.a.shape != self.b.shape or self.a.ndim < 1:
             raise ValueError(
-                f"DifferenceEquation: a {self.a.shape} and b {self.b.shape} must both have shape (n,); pad with zeros"
+                f"DifferenceEquation: a {self.a.shape} and b {self.b.shape} must both have shape "
+                "(n,); pad with zeros"
             )
 
     def sampled(self, dt: float) -> DifferenceEquation:
@@ -193,8 +214,9 @@ class DifferenceEquation(Plant):
 
 @pytree
 class _Taken(DifferenceEquation):
-    """With coefficients one by one: picked from an array in a loop over samples, they keep a batch
-    from being vectorised.
+    """The difference equation with its coefficients one by one.
+
+    Picked from an array in a loop over samples, they would keep a batch from being vectorised.
     """
 
     a: tuple[Any, ...] = child()
@@ -205,83 +227,3 @@ class _Taken(DifferenceEquation):
 
     def sampled(self, dt: float) -> DifferenceEquation:
         return matching(self, self.dt, dt)
-
-
-def from_control(system, *, allow_unstable: bool = False) -> StateSpace:
-    """A plant from a python-control StateSpace or TransferFunction, SISO or MIMO, continuous or
-    discrete.
-
-    A continuous system is sampled with a zero-order hold at the task's sample time; a discrete one
-    keeps its own, which must be the task's. A MIMO transfer function becomes one realisation per
-    entry, side by side (not minimal, but exact).
-    Raises ValueError for an improper system, direct feedthrough, an unspecified sample time, or
-    (unless `allow_unstable`) an
-    unstable system: feed it with the loop already closed, or say that the scheme stabilises it.
-    """
-    import control
-
-    if not isinstance(system, control.StateSpace | control.TransferFunction):
-        raise ValueError(
-            f"from_control: {type(system).__name__} is not a control.StateSpace or control.TransferFunction"
-        )
-    if system.dt is None or system.dt is True:
-        raise ValueError(
-            f"from_control: dt = {system.dt} leaves the sample time open; allowed are 0 (continuous) and a time in s"
-        )
-    A, B, C, D = system_matrices(system)
-    if np.any(D):
-        raise ValueError(
-            f"from_control: direct feedthrough D = {D.tolist()}; u[k] acts on y[k+1] at the earliest, so D must be 0: "
-            "make the system strictly proper, or delay it by a sample"
-        )
-    poles = np.linalg.eigvals(A) if A.size else np.zeros(0)
-    growth = (
-        np.max(poles.real, initial=-np.inf)
-        if system.dt == 0
-        else np.max(np.abs(poles), initial=0.0) - 1.0
-    )
-    if growth > 1e-7 and not allow_unstable:
-        where = "right of the imaginary axis" if system.dt == 0 else "outside the unit circle"
-        raise ValueError(
-            f"from_control: the system is unstable (a pole {growth:.3g} {where}); close a loop first or pass allow_unstable=True"
-        )
-    return StateSpace(A, B, C, dt=float(system.dt))
-
-
-def system_matrices(system):
-    """A, B, C, D of a python-control system. Raises ValueError for an improper one."""
-    import control
-
-    if isinstance(system, control.StateSpace):
-        return system.A, system.B, system.C, system.D
-    blocks = {}
-    for i in range(system.noutputs):
-        for j in range(system.ninputs):
-            num, den = np.atleast_1d(system.num[i][j]), np.atleast_1d(system.den[i][j])
-            if len(np.trim_zeros(num, "f")) > len(np.trim_zeros(den, "f")):
-                raise ValueError(
-                    f"from_control: entry ({i}, {j}) is improper (numerator of higher order than the denominator)"
-                )
-            blocks[i, j] = control.tf2ss(num, den)
-    return _side_by_side(blocks, system.noutputs, system.ninputs)
-
-
-def _side_by_side(blocks, n_y, n_u):
-    order = sum(b.nstates for b in blocks.values())
-    A, B, C, D = (
-        np.zeros((order, order)),
-        np.zeros((order, n_u)),
-        np.zeros((n_y, order)),
-        np.zeros((n_y, n_u)),
-    )
-    at = 0
-    for (i, j), block in blocks.items():
-        here = slice(at, at + block.nstates)
-        A[here, here], B[here, j], C[i, here], D[i, j] = (
-            block.A,
-            block.B[:, 0],
-            block.C[0],
-            block.D[0, 0],
-        )
-        at = here.stop
-    return A, B, C, D

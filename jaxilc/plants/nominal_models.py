@@ -1,8 +1,8 @@
-"""Nominal models of a drive under its position loop, as a model-based scheme is given them (MILC
-2024, Lemma 1 and A1).
+"""Nominal models of a drive under its position loop, for a model-based scheme (MILC 2024, Lemma 1).
 
-Host code: the blocks are systems of python-control or `StateSpace`, the result is a discrete
-`StateSpace`. A position loop feeds the motor's position back, the table is measured beside it:
+This is host code: the blocks are systems of python-control or `StateSpace`, and the result is a
+discrete `StateSpace` (see also Lemma A1). A position loop feeds the motor's position back; the
+table is measured beside it:
 
     y_M = P_M v,  y_T = P_Z y_M,  v = u + C_P (r - y_M),  S = 1 / (1 + C_P P_M)
 
@@ -15,23 +15,26 @@ from __future__ import annotations
 import jax
 import numpy as np
 
-from .linear import StateSpace, system_matrices
+from .from_python_control import system_matrices
+from .linear import StateSpace
 
 
 def cascade(P_M, P_Z, dt: float) -> StateSpace:
-    """The drive u -> (y_M, y_T) from its motor side and its transmission, each of one input and one
-    output.
+    """The drive u -> (y_M, y_T) from its motor side and its transmission.
 
-    P_M: strictly proper, velocity command to motor position;  P_Z: proper, motor to table position;
-    dt: sample time [s]; continuous blocks are sampled with a zero-order hold. Raises ValueError for
-    blocks that do not fit.
+    P_M: strictly proper, velocity command to motor position, one input and one output
+    P_Z: proper, motor to table position, one input and one output
+    dt:  sample time [s]; continuous blocks are sampled with a zero-order hold
+
+    Raises ValueError for blocks that do not fit.
     """
     (A_m, B_m, C_m, D_m), (A_z, B_z, C_z, D_z) = (
         _block(name, P, dt) for name, P in (("P_M", P_M), ("P_Z", P_Z))
     )
     if np.any(D_m):
         raise ValueError(
-            f"cascade: P_M has the feedthrough {D_m.tolist()}; allowed is none, since u[k] acts on y[k+1]"
+            f"cascade: P_M has the feedthrough {D_m.tolist()}; allowed is none, since u[k] acts on "
+            "y[k+1]"
         )
     n, m = len(A_m), len(A_z)
     A = np.block([[A_m, np.zeros((n, m))], [B_z @ C_m, A_z]])
@@ -41,11 +44,11 @@ def cascade(P_M, P_Z, dt: float) -> StateSpace:
 
 
 def direct_model(C_P, P: StateSpace) -> StateSpace:
-    """H_D = S P_M P_Z from u to y_T: what learning on the table's error alone meets (MILC 2024,
-    Lemma A1).
+    """H_D = S P_M P_Z from u to y_T: what learning on the table's error sees (MILC 2024, Lemma A1).
 
-    C_P: position controller, a gain or a discrete system of one input and one output;  P: the drive
-    u -> (y_M, y_T), see `cascade`
+    C_P: position controller, a gain or a discrete system of one input and one output
+    P:   the drive u -> (y_M, y_T), see `cascade`
+
     Raises ValueError for blocks that do not fit, or a closed loop that is unstable.
     """
     A, B, _, C_T = _loop("direct_model", C_P, P)
@@ -53,24 +56,27 @@ def direct_model(C_P, P: StateSpace) -> StateSpace:
 
 
 def multivariable_model(C_P, P: StateSpace) -> StateSpace:
-    """H_M = [[P_M S, -S], [P_Z P_M S, C_P P_Z P_M S]] from (u, r) to (y_M - r, y_T) (MILC 2024, eq.
-    27 and Lemma 1).
+    """H_M from (u, r) to (y_M - r, y_T) (MILC 2024, eq. 27 and Lemma 1).
 
-    Lemma 1 has r[k] act on the error of the same sample; here row k of the input is r[k+1], which
-    one more state holds for a sample, and the feedthrough is gone. C_P, P, raises: as for
-    `direct_model`
+        H_M = [[P_M S, -S], [P_Z P_M S, C_P P_Z P_M S]]
+
+    Lemma 1 has r[k] act on the error of the same sample. Here row k of the input is r[k+1], which
+    one more state holds for a sample, and there is no feedthrough. C_P, P and errors are as for
+    `direct_model`.
     """
     A, B, C_e, C_T = _loop("multivariable_model", C_P, P)
     return StateSpace(A, B, np.vstack([-C_e, C_T]), dt=P.dt)
 
 
 def _loop(function: str, C_P, P: StateSpace):
-    """The closed loop of states (controller, drive, held reference): A, B of (u, r), rows of e = r
-    - y_M and of y_T.
+    """The closed loop of the states (controller, drive, held reference).
+
+    It returns A and B of (u, r), and the rows of e = r - y_M and of y_T.
     """
     if not P.dt or (P.n_u, P.n_y) != (1, 2):
         raise ValueError(
-            f"{function}: P is {P.n_u} -> {P.n_y} with dt = {P.dt:g}; allowed is a discrete drive 1 -> 2, see `cascade`"
+            f"{function}: P is {P.n_u} -> {P.n_y} with dt = {P.dt:g}; allowed is a discrete drive "
+            "1 -> 2, see `cascade`"
         )
     A_m, B_m, C = (np.asarray(M) for M in (P.A, P.B, P.C))
     C_M, C_T = C[:1], C[1:]
@@ -95,7 +101,8 @@ def _loop(function: str, C_P, P: StateSpace):
     radius = np.max(np.abs(np.linalg.eigvals(A)))
     if radius > 1 + 1e-7:
         raise ValueError(
-            f"{function}: C_P makes the position loop unstable (spectral radius {radius:.6g}); allowed is at most 1"
+            f"{function}: C_P makes the position loop unstable (spectral radius {radius:.6g}); "
+            "allowed is at most 1"
         )
     return (
         A,
@@ -121,7 +128,8 @@ def _block(name: str, system, dt: float):
     ) != (1, 1):
         number = "a number, nor " if name == "C_P" else ""
         raise ValueError(
-            f"{name} is not {number}a system of one input and one output, of python-control or a StateSpace"
+            f"{name} is not {number}a system of one input and one output, of python-control or a "
+            "StateSpace"
         )
     if system.dt == 0:
         system = control.sample_system(control.ss(system), dt, "zoh")

@@ -13,27 +13,37 @@ State = Any
 
 
 class Plant:
-    """A plant steps. Its parameters are the fields of a `@pytree` class; a user's own plant
-    subclasses this.
+    """A plant steps: it turns its state and an input into its next state, sample by sample.
 
-    `step` gets the sample time, so a continuous plant may integrate over it; whatever depends on
-    the sample time alone is worked out in `sampled`, which runs once per simulation, outside the
-    scans.
-    response: `response(u, dt)`, of a plant that knows its outputs y[0..N] (N+1, n_y) from all
-    inputs u (N, n_u) at once; asked for
-              where the input is known before the trial. None where it can only step.
+    Its parameters are the fields of a `@pytree` class; a user's own plant is a subclass. `step`
+    gets the sample time, so that a continuous plant can integrate over it. Whatever depends on the
+    sample time alone is worked out in `sampled`, which runs once per simulation, outside the scans.
+
+    n_u, n_y: number of inputs and of outputs
+    response: `response(u, dt)` of a plant that knows its outputs y[0..N] (N+1, n_y) from all inputs
+              u (N, n_u) at once. It is asked for where the input is known before the trial. None is
+              a plant that can only step.
+    input_names, output_names: names of the channels for `to_control`; empty for numbered ones
     """
 
-    __dataclass_fields__: ClassVar[
-        dict[str, dataclasses.Field]
-    ]  # `@pytree` makes a dataclass of each subclass
+    # `@pytree` makes a dataclass of each subclass
+    __dataclass_fields__: ClassVar[dict[str, dataclasses.Field]]
     n_u: int = 1
     n_y: int = 1
     response: Any = None
+    input_names: tuple[str, ...] = ()
+    output_names: tuple[str, ...] = ()
 
     def sampled(self, dt: float) -> Plant:
         """The plant prepared for sample time dt [s]."""
         return self
+
+    def continuous(self) -> Any:
+        """The continuous `StateSpace` of a linear plant that has one; None for other plants.
+
+        A plant that has nonlinear parts may return its linear form without them.
+        """
+        return None
 
     def check(self, task: Task) -> None:
         """Raises ValueError where the plant cannot do this task."""

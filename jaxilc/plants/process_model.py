@@ -16,20 +16,22 @@ from .plant import Plant
 class ProcessModel(Plant):
     """A stable transfer function by its physical parameters (Cao 2019, eq. 6, of any order).
 
-        G(s) = gain prod_i (1 - s / zeros_i) / (prod_i (1 + s / poles_i) prod_i (1 + 2 zeta_i s /
-        w_i + (s / w_i)^2))
+        G(s) = gain prod_i (1 - s / zeros_i)
+               / (prod_i (1 + s / poles_i) prod_i (1 + 2 zeta_i s / w_i + (s / w_i)^2))
 
     gain:  () DC gain [unit of y per unit of u]
-    zeros: (m,) [rad/s], real and not 0; positive: in the right half plane, non-minimum phase
-    poles: (n,) [rad/s], positive: stable;  m < n + 2 q, so that u[k] acts on y[k+1] at the earliest
+    zeros: (m,) [rad/s], real and not 0; a positive one is in the right half-plane, non-minimum
+           phase
+    poles: (n,) [rad/s], positive, so that they are stable; m < n + 2 q, so that u[k] acts on y[k+1]
+           at the earliest
     frequencies, dampings: (q,) natural frequency w [rad/s] and damping ratio zeta of each pair of
-    poles, both positive
+                  poles, both positive
 
-    A pair is complex for a damping below 1, two real poles above, and at 1 the double pole that Cao
-    2019, eq. 7 has at 474 rad/s.
-    There (frequency, damping) stays regular: the denominator is a smooth function of it with
-    independent derivatives. Written as two entries of `poles` the derivatives with respect to both
-    would be equal and no fit could tell them apart.
+    A pair is complex for a damping below 1 and two real poles above. At 1 it is the double pole
+    that Cao 2019, eq. 7 has at 474 rad/s. There (frequency, damping) stays regular: the denominator
+    is a smooth function of both, with independent derivatives. Written as two entries of `poles`,
+    the derivatives by both would be equal, and no fit could tell them apart.
+
     Raises ValueError where the shapes do not fit, a zero is 0 or the model is not strictly proper.
     """
 
@@ -47,11 +49,13 @@ class ProcessModel(Plant):
                 )
         if self.frequencies.shape != self.dampings.shape:
             raise ValueError(
-                f"ProcessModel: frequencies {self.frequencies.shape} and dampings {self.dampings.shape} must have one shape (q,)"
+                f"ProcessModel: frequencies {self.frequencies.shape} and dampings "
+                f"{self.dampings.shape} must have one shape (q,)"
             )
         if self.zeros.shape[-1] >= self.order:
             raise ValueError(
-                f"ProcessModel: {self.zeros.shape[-1]} zeros over {self.order} poles; allowed are fewer zeros than poles"
+                f"ProcessModel: {self.zeros.shape[-1]} zeros over {self.order} poles; allowed are "
+                "fewer zeros than poles"
             )
         if not isinstance(self.zeros, jax.core.Tracer) and np.any(np.asarray(self.zeros) == 0):
             raise ValueError(
@@ -64,8 +68,9 @@ class ProcessModel(Plant):
 
     @property
     def all_poles(self) -> jax.Array:
-        """(n + 2 q,) complex poles [rad/s], in the left half plane; a pair's are -frequency
-        (damping -+ sqrt(damping^2 - 1)).
+        """(n + 2 q,) complex poles [rad/s], in the left half-plane.
+
+        Those of a pair are -frequency (damping -+ sqrt(damping^2 - 1)).
         """
         w, zeta = jnp.asarray(self.frequencies), jnp.asarray(self.dampings)
         apart = w * jnp.sqrt((zeta - 1.0) * (zeta + 1.0) + 0j)
@@ -77,12 +82,11 @@ class ProcessModel(Plant):
         )
 
     def regrouped(self) -> ProcessModel:
-        """The same transfer function in the one form that identification reports; not for use
-        inside `jit`.
+        """The same transfer function in the one form that identification reports.
 
-        A pair of damping >= 1 is two real poles and can trade one of them for one of `poles`
+        A pair of damping >= 1 is two real poles, and can exchange one of them for one of `poles`
         without any change of G. Here such pairs are made of the real poles nearest to each other in
-        ratio, and zeros, poles and pairs are sorted.
+        ratio, and zeros, poles and pairs are sorted. It is not for use inside `jit`.
         """
         w, zeta = np.asarray(self.frequencies), np.asarray(self.dampings)
         real = zeta >= 1
@@ -97,12 +101,21 @@ class ProcessModel(Plant):
         return ProcessModel(self.gain, np.sort(self.zeros), np.array(single), frequencies, dampings)
 
     def sampled(self, dt: float) -> StateSpace:
-        """Exact zero-order hold of a cascade of lags of unit DC gain, whose states all have the
-        size of the input.
+        """Exact zero-order hold of the cascade of lags that `continuous` is."""
+        A, B, C = self._cascade()
+        A_d, B_d = zoh(A, B, dt)
+        return StateSpace(A_d, B_d, C, dt=dt)
 
-        Its last state w obeys w^(k) = C0 A^k x for k < order, since C0 A^k B = 0 for k < order - 1,
-        so the numerator acts on it as C = gain C0 prod_i (I - A / zeros_i), exactly and whether or
-        not poles coincide.
+    def continuous(self) -> StateSpace:
+        """A cascade of lags of unit DC gain, whose states all have the size of the input."""
+        return StateSpace(*self._cascade())
+
+    def _cascade(self) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """A, B, C of the cascade of lags.
+
+        Its last state w has the derivatives w^(k) = C0 A^k x for k < order, since C0 A^k B = 0 for
+        k < order - 1. So the numerator acts on it as C = gain C0 prod_i (I - A / zeros_i). This is
+        exact, whether or not poles coincide.
         """
         n, order, dtype = (
             self.poles.shape[-1],
@@ -123,5 +136,4 @@ class ProcessModel(Plant):
         C = jnp.zeros((1, order), dtype).at[0, -1].set(self.gain)
         for i in range(self.zeros.shape[-1]):
             C = C - C @ A / self.zeros[i]
-        A_d, B_d = zoh(A, B, dt)
-        return StateSpace(A_d, B_d, C, dt=dt)
+        return A, B, C

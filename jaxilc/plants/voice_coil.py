@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax.numpy as jnp
 
 from ..pytree.fields import Leaf, leaf, pytree, scalar
-from .linear import DifferenceEquation, zoh
+from .linear import DifferenceEquation, StateSpace, zoh
 from .plant import Plant
 
 CAO_2019_EQ_29 = {"a": (2.2386, -1.6246, 0.385), "b": (0.0018, -0.0036, -0.0025)}
@@ -14,15 +14,20 @@ DAI_2014_EQ_24 = {"a": (2.236, -1.6246, 0.385), "b": (0.0018, -0.0036, -0.0025)}
 
 @pytree
 class VoiceCoil(Plant):
-    """Motor and drive from voltage [V] to position [mm], one zero and three poles (Cao 2019, eq. 6
-    and 7).
+    """Motor and drive from voltage [V] to position [mm] (Cao 2019, eq. 6 and 7).
 
         G(s) = gain (s - zero) / ((s + poles_1)(s + poles_2)(s + poles_3))
 
-    gain: () [mm/(V s^2)];  zero: () [rad/s], positive: the plant is non-minimum phase;  poles: (3,)
-    [rad/s], positive: stable The DC gain is -4.798 mm/V although the first sample of the response
-    to a positive step is positive.
+    gain:  () [mm/(V s^2)]
+    zero:  () [rad/s]; a positive one makes the plant non-minimum phase
+    poles: (3,) [rad/s]; positive ones are stable
+
+    The DC gain is -4.798 mm/V, although the first sample of the response to a positive step is
+    positive. Raises ValueError for another number of poles.
     """
+
+    input_names = ("voltage",)
+    output_names = ("position",)
 
     gain: Leaf = scalar(default=7437.7769)
     zero: Leaf = scalar(default=928.2)
@@ -33,17 +38,13 @@ class VoiceCoil(Plant):
             raise ValueError(f"VoiceCoil: poles has shape {self.poles.shape}; allowed is (3,)")
 
     def sampled(self, dt: float) -> DifferenceEquation:
-        """Exact zero-order hold as a difference equation: the poles map to exp(-p dt), the
-        numerator follows from the first three Markov parameters h_i = C A^(i-1) B, since b(z) =
-        a(z) h(z).
+        """Exact zero-order hold as a difference equation.
+
+        The poles map to exp(-p dt). The numerator follows from the first three Markov parameters
+        h_i = C A^(i-1) B, since b(z) = a(z) h(z).
         """
         p1, p2, p3 = self.poles[0], self.poles[1], self.poles[2]
-        # a cascade: two lags, then a lag carrying the zero; well scaled, and nothing singular when
-        # poles coincide
-        A = jnp.array([[-p1, 0.0, 0.0], [p2, -p2, 0.0], [0.0, p3, -p3]])
-        B = jnp.array([[1.0], [0.0], [0.0]]) * p1
-        # the cascade's output is p1 p2 p3 / prod(s + p); (s - zero) acts on it as x3' - zero x3
-        C = jnp.array([0.0, p3, -p3 - self.zero]) * self.gain / (p1 * p2 * p3)
+        A, B, C = self._cascade()
         A_d, B_d = zoh(A, B, dt)
         h = [C @ B_d[:, 0], C @ A_d @ B_d[:, 0], C @ A_d @ A_d @ B_d[:, 0]]
         z1, z2, z3 = jnp.exp(-p1 * dt), jnp.exp(-p2 * dt), jnp.exp(-p3 * dt)
@@ -51,14 +52,29 @@ class VoiceCoil(Plant):
         b = jnp.stack([h[0], h[1] - a[0] * h[0], h[2] - a[0] * h[1] - a[1] * h[0]])
         return DifferenceEquation(a, b, dt=dt)
 
+    def continuous(self) -> StateSpace:
+        """Two lags and a lag that carries the zero, one after the other."""
+        A, B, C = self._cascade()
+        return StateSpace(A, B, C[None])
+
+    def _cascade(self):
+        """A (3, 3), B (3, 1), C (3,): well scaled, and nothing is singular where poles coincide."""
+        p1, p2, p3 = self.poles[0], self.poles[1], self.poles[2]
+        A = jnp.array([[-p1, 0.0, 0.0], [p2, -p2, 0.0], [0.0, p3, -p3]])
+        B = jnp.array([[1.0], [0.0], [0.0]]) * p1
+        # the cascade's output is p1 p2 p3 / prod(s + p); (s - zero) acts on it as x3' - zero x3
+        C = jnp.array([0.0, p3, -p3 - self.zero]) * self.gain / (p1 * p2 * p3)
+        return A, B, C
+
 
 def voice_coil(form: str = "exact") -> Plant:
     """The motor of Cao 2019 in one of three forms.
 
-    `exact`:            eq. 7, sampled exactly at the task's sample time
-    `printed`:          the rounded difference equation 29 (DC gain -4.3 instead of -4.798), 1 ms
-    `dai_2014_printed`: Dai 2014, eq. 24, where 2.236 stands for 2.2386 and moves the DC gain to
-    -1.19, 1 ms
+    exact:            eq. 7, sampled exactly at the task's sample time
+    printed:          the rounded difference equation 29 (DC gain -4.3 instead of -4.798), at 1 ms
+    dai_2014_printed: Dai 2014, eq. 24, where 2.236 stands for 2.2386, which moves the DC gain to
+                  -1.19; at 1 ms
+
     Raises ValueError for another form.
     """
     match form:

@@ -1,6 +1,4 @@
-"""What passes between machine, scheme and learning: the task with its reference, one sample, one
-trial.
-"""
+"""What passes between machine, scheme and learning: the task with its reference, sample, trial."""
 
 import lazy_loader
 

@@ -1,5 +1,4 @@
-"""Contours: curves as callables with a check of their shape, and the distance of a measured motion
-from one.
+"""Contours: curves with a check of their shape, and the distance of a measured motion from one.
 
 A curve is any callable that takes (M,) parameter values and returns (M, d) positions [mm].
 """
@@ -16,16 +15,18 @@ import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 
 from ..pytree.ranges import require
-from .references import POSITIVE
+from .sample_times import POSITIVE
 
 Curve: TypeAlias = Callable[[np.ndarray], np.ndarray]
 _BUTTERFLY_POINTS = """
-54.493 52.139 55.507 52.139 56.082 49.615 56.780 44.971 69.575 51.358 77.786 58.573 90.526 67.081 105.973 63.801 100.400 47.326
-94.567 39.913 92.369 30.485 83.440 33.757 91.892 28.509 89.444 20.393 83.218 15.446 87.621 4.830 80.945 9.267 79.834 14.535
-76.074 8.522 70.183 12.550 64.171 16.865 59.993 22.122 55.680 36.359 56.925 24.995 59.765 19.828 54.493 14.940 49.220 19.828
-52.060 24.994 53.305 36.359 48.992 22.122 44.814 16.865 38.802 12.551 32.911 8.521 29.152 14.535 28.040 9.267 21.364 4.830
-25.768 15.447 19.539 20.391 17.097 28.512 25.537 33.750 16.602 30.496 14.199 39.803 8.668 47.408 3.000 63.794 18.465 67.084
-31.197 58.572 39.411 51.358 52.204 44.971 52.904 49.614 53.478 52.139 54.492 52.139"""
+54.493 52.139 55.507 52.139 56.082 49.615 56.780 44.971 69.575 51.358 77.786 58.573 90.526 67.081
+105.973 63.801 100.400 47.326 94.567 39.913 92.369 30.485 83.440 33.757 91.892 28.509 89.444 20.393
+83.218 15.446 87.621 4.830 80.945 9.267 79.834 14.535 76.074 8.522 70.183 12.550 64.171 16.865
+59.993 22.122 55.680 36.359 56.925 24.995 59.765 19.828 54.493 14.940 49.220 19.828 52.060 24.994
+53.305 36.359 48.992 22.122 44.814 16.865 38.802 12.551 32.911 8.521 29.152 14.535 28.040 9.267
+21.364 4.830 25.768 15.447 19.539 20.391 17.097 28.512 25.537 33.750 16.602 30.496 14.199 39.803
+8.668 47.408 3.000 63.794 18.465 67.084 31.197 58.572 39.411 51.358 52.204 44.971 52.904 49.614
+53.478 52.139 54.492 52.139"""
 _BUTTERFLY_WEIGHTS = {
     3: 1.2,
     11: 2.0,
@@ -38,9 +39,11 @@ _BUTTERFLY_WEIGHTS = {
     39: 2.0,
     47: 1.2,
 }  # the others are 1
-_BUTTERFLY_KNOTS = """0 0 0 0 .0083 .0150 .0361 .0855 .1293 .1509 .1931 .2273 .2435 .2561 .2692 .2889 .3170 .3316 .3482 .3553 .3649
-.3837 .4005 .4269 .4510 .4660 .4891 .5000 .5109 .5340 .5489 .5731 .5994 .6163 .6351 .6447 .6518 .6683 .6830 .7111 .7307 .7439 .7565
-.7729 .8069 .8491 .8707 .9145 .9639 .9850 .9917 1 1 1 1"""
+_BUTTERFLY_KNOTS = """
+0 0 0 0 .0083 .0150 .0361 .0855 .1293 .1509 .1931 .2273 .2435 .2561 .2692 .2889 .3170 .3316 .3482
+.3553 .3649 .3837 .4005 .4269 .4510 .4660 .4891 .5000 .5109 .5340 .5489 .5731 .5994 .6163 .6351
+.6447 .6518 .6683 .6830 .7111 .7307 .7439 .7565 .7729 .8069 .8491 .8707 .9145 .9639 .9850 .9917 1 1
+1 1"""
 _BUTTERFLY_WIDTH = 97.1619  # of the curve with the table's numbers [mm]
 
 
@@ -51,21 +54,26 @@ def line(start, end) -> Curve:
 
 
 def circle(radius, *, centre=(0.0, 0.0)) -> Curve:
-    """Anticlockwise circle over the angle s [rad], from the point at s = 0 on the positive x-axis;
-    radius: [mm];  centre: (2,) [mm].
+    """Anticlockwise circle over the angle s [rad], from the point at s = 0 on the positive x-axis.
+
+    radius: [mm]
+    centre: (2,) [mm]
     """
     require("circle", "radius", radius, POSITIVE, " mm")
     return lambda s: np.asarray(centre) + radius * np.stack([np.cos(s), np.sin(s)], axis=-1)
 
 
 def nurbs(points, knots, weights=None) -> Curve:
-    """Non-uniform rational B-spline over (knots[0], knots[-1]); its degree is len(knots) -
-    len(points) - 1.
+    """Non-uniform rational B-spline over (knots[0], knots[-1]).
 
         C(s) = sum_i w_i N_i(s) P_i / sum_i w_i N_i(s)
 
-    points: (n, d) control points [mm];  knots: clamped, not falling;  weights: (n,) > 0, None for
-    all one
+    Its degree is len(knots) - len(points) - 1.
+
+    points:  (n, d) control points [mm]
+    knots:   clamped, not falling
+    weights: (n,) > 0; None for all one
+
     Raises ValueError where the shapes do not fit or a weight is not positive.
     """
     points, knots = np.asarray(points, float), np.asarray(knots, float)
@@ -93,17 +101,17 @@ def nurbs(points, knots, weights=None) -> Curve:
 
 
 def butterfly(width=_BUTTERFLY_WIDTH) -> Curve:
-    """The cubic NURBS butterfly of 51 control points that the papers on CNC interpolators use, over
-    (0, 1).
+    """The cubic NURBS butterfly that the papers on CNC interpolators use, over (0, 1).
 
-    It runs clockwise from the head, (0, 0), and ends 0.001 mm beside it; symmetric about x = 0 but
-    for roundings and for the two control points of 0.2 mm that the table holds differently for the
-    wings. Curvature is continuous; it peaks at the notches of the wings, s = 0.256 and 0.744
-    (radius 0.023 mm at the default width), and beside the tail, s = 0.450 and 0.550 (0.054 mm). Li
-    2020 shows its path only as a picture (Fig. 4) and prints no data: that it is this butterfly,
-    and its size, are chosen here.
+    It has 51 control points, runs clockwise from the head, (0, 0), and ends 0.001 mm beside it. It
+    is symmetric about x = 0, except for roundings and for the two control points of 0.2 mm that the
+    table holds differently for the wings. Curvature is continuous; it peaks at the notches of the
+    wings, s = 0.256 and 0.744 (radius 0.023 mm at the default width), and beside the tail, s =
+    0.450 and 0.550 (0.054 mm). Li 2020 shows its path only as a picture (Fig. 4) and prints no
+    data: that it is this butterfly, and its size, are chosen here.
+
     width: over the wings [mm]; the default keeps the table's numbers, for a path of 383 mm, 58.9 mm
-    high
+           high
     """
     require("butterfly", "width", width, POSITIVE, " mm")
     points = np.array(_BUTTERFLY_POINTS.split(), float).reshape(-1, 2)
@@ -116,8 +124,9 @@ def butterfly(width=_BUTTERFLY_WIDTH) -> Curve:
 
 
 def tabulated(curve, interval, points) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Parameter (M,), position (M, d) and arc length (M,) along the curve, or the ValueError that
-    says what is wrong with it.
+    """Parameter (M,), position (M, d) and arc length (M,) along the curve.
+
+    Raises ValueError, which says what is wrong with the curve.
     """
     if len(interval) != 2 or not -np.inf < interval[0] < interval[1] < np.inf:
         raise ValueError(f"plan: interval = {interval} is not (first, last) with first < last")
@@ -126,7 +135,8 @@ def tabulated(curve, interval, points) -> tuple[np.ndarray, np.ndarray, np.ndarr
     q = np.asarray(curve(u), float)
     if q.ndim != 2 or len(q) != points or not q.shape[1]:
         raise ValueError(
-            f"plan: the curve gives shape {q.shape} for ({points},) parameters; allowed is ({points}, d)"
+            f"plan: the curve gives shape {q.shape} for ({points},) parameters; allowed is "
+            f"({points}, d)"
         )
     finite = np.isfinite(q).all(axis=1)
     if not finite.all():
@@ -135,7 +145,8 @@ def tabulated(curve, interval, points) -> tuple[np.ndarray, np.ndarray, np.ndarr
     shortest = np.argmin(chords)
     if not chords[shortest] > 1e-9 * np.mean(chords):
         raise ValueError(
-            f"plan: the curve stands still from parameter {u[shortest]:.9g} to {u[shortest + 1]:.9g}, at {q[shortest]} mm"
+            f"plan: the curve stands still from parameter {u[shortest]:.9g} to "
+            f"{u[shortest + 1]:.9g}, at {q[shortest]} mm"
         )
     _require_smooth(curve, u, q)
     speed = np.linalg.norm(make_interp_spline(u, q, 5).derivative()(u), axis=1)
@@ -151,8 +162,9 @@ def _turns(q):
 
 
 def _require_smooth(curve, u, q):
-    """Look closer at every local maximum of turning: on a smooth curve the angle shrinks with the
-    step, at a corner it stays.
+    """Look closer at every local maximum of turning.
+
+    On a smooth curve the angle shrinks with the step; at a corner it stays.
     """
     turn = _turns(q)
     wide = np.pad(turn, 1)
@@ -165,39 +177,47 @@ def _require_smooth(curve, u, q):
         best = np.argmax(angles, axis=1)
         centre, closer = trial[np.arange(len(i)), best + 1], angles[np.arange(len(i)), best]
     for where, angle, seen in zip(centre, closer, turn[i], strict=True):
-        at = f"at parameter {where:.9g}, position {np.round(np.asarray(curve(np.array([where])))[0], 6)} mm"
+        at = (
+            f"at parameter {where:.9g}, position "
+            f"{np.round(np.asarray(curve(np.array([where])))[0], 6)} mm"
+        )
         if angle > seen / 2:
             raise ValueError(
-                f"plan: the path has a corner or cusp of {np.degrees(angle):.3g} deg {at}; split the path there"
+                f"plan: the path has a corner or cusp of {np.degrees(angle):.3g} deg {at}; split "
+                "the path there"
             )
         if seen > 0.5:
             raise ValueError(
-                f"plan: the path turns by {np.degrees(seen):.3g} deg between two points of its table {at}; raise points"
+                f"plan: the path turns by {np.degrees(seen):.3g} deg between two points of its "
+                f"table {at}; raise points"
             )
 
 
 def contour_error(y, path, *, window: int, closed: bool | None = None) -> jax.Array:
-    """(M,) normal distance of each measured point from the path; in the plane signed, positive on
-    the left of the path.
+    """(M,) normal distance of each measured point from the path.
 
-        e_k = distance of y_k from the chords path_i path_{i+1},    i = max(c_k - window, 0) ..
-        min(c_k + window, L) - 1
+        e_k = distance of y_k from the chords path_i path_{i+1}
+        i = max(c_k - window, 0) .. min(c_k + window, L) - 1
 
-    where L is the path's last index and c_k = round(k L / (M - 1)), k itself for the reference of a
-    trial. Unlike the tracking error it does not see a lag along the path.
-    y:      (M, d) measured positions [mm];  path: (L+1, d) points along the path, a reference or
-    denser, not moving with y
-    window: half width in points of the path, static: the cost is M window, and a lag up to it is
-    looked through. Of a larger lag
-            the distance to the end of the window is returned, which is too large, never too small;
-            where the path comes near itself a wide window may find the other branch.
+    L is the path's last index, and c_k = round(k L / (M - 1)), which is k itself for the reference
+    of a trial. Unlike the tracking error it does not see a lag along the path. In the plane it is
+    signed, positive on the left of the path.
+
+    y:      (M, d) measured positions [mm]
+    path:   (L+1, d) points along the path, a reference or denser, not moving with y
+    window: half width in points of the path, static: the cost is M window, and the result does not
+            depend on a lag up to it. Of a larger lag the distance to the end of the window is
+            returned, which is too large, never too small; where the path comes near itself a wide
+            window may find the other branch
     closed: whether the window goes on over the path's ends, so that a tool that lags at the start
-    is measured from the path's last
-            part; None: where the ends meet, to a millionth of the path's width
+            is measured from the path's last part; None: where the ends meet, to a millionth of the
+            path's width
+
     The path between points is their chord, which errs by curvature h^2 / 8 at a spacing h. The sign
-    needs corners below 90 deg. Differentiable in y and path and vmappable: the gradient is the
-    path's unit normal, or at a corner points away from it; it is zero at zero distance from a
-    corner or, in space, from the path.
+    needs corners below 90 deg. The function is differentiable in y and path and can be vmapped: the
+    gradient is the path's unit normal, or at a corner points away from it. It is zero at zero
+    distance from a corner or, in space, from the path.
+
     Raises ValueError where the shapes do not fit, window is not a whole number >= 1, or closed is
     not True, False or None.
     """
@@ -205,7 +225,8 @@ def contour_error(y, path, *, window: int, closed: bool | None = None) -> jax.Ar
         raise ValueError(f"contour_error: closed = {closed!r} is not one of True, False, None")
     if isinstance(window, bool) or not isinstance(window, int | np.integer) or window < 1:
         raise ValueError(
-            f"contour_error: window = {window!r} is outside its allowed range [1, inf) of whole numbers"
+            f"contour_error: window = {window!r} is outside its allowed range [1, inf) of whole "
+            "numbers"
         )
     shape, path_shape = np.shape(y), np.shape(path)
     if (
@@ -217,7 +238,8 @@ def contour_error(y, path, *, window: int, closed: bool | None = None) -> jax.Ar
         or not shape[0]
     ):
         raise ValueError(
-            f"contour_error: y {shape} and path {path_shape} must be (M, d) and (L+1, d) with d >= 2, L >= 1"
+            f"contour_error: y {shape} and path {path_shape} must be (M, d) and (L+1, d) with d >= "
+            "2, L >= 1"
         )
     return _contour_error(jnp.asarray(y), jnp.asarray(path), int(window), closed)
 
@@ -235,9 +257,7 @@ def _contour_error(y, path, window, closed):
     start, step = path[:-1], path[1:] - path[:-1]
 
     def away(i, point):
-        """The vector to the point from the nearest one of chord i, and whether that lies inside the
-        chord.
-        """
+        """The vector to the point from the nearest one of chord i, and whether that lies inside."""
         squared = jnp.sum(step[i] ** 2, axis=-1)
         along = jnp.sum((point - start[i]) * step[i], axis=-1) / jnp.where(
             squared > 0, squared, 1.0

@@ -11,25 +11,27 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
-from scipy.linalg import solveh_banded
 
 from ..pytree.ranges import require
 from .contour import butterfly, circle, line, nurbs, tabulated
-from .references import POSITIVE
+from .fastest_profile import Profile, fastest
+from .sample_times import POSITIVE
 
 __all__ = ["Plan", "butterfly", "circle", "line", "nurbs", "plan"]
 
 LONGEST = 1_000_000  # samples of a plan
-_GAUSS = (np.polynomial.legendre.leggauss(4)[0] + 1) / 2, np.polynomial.legendre.leggauss(4)[1] / 2
 
 
 class Plan(NamedTuple):
     """A path planned in time, sampled at k dt, k = 0..N.
 
-    reference: (N+1, d) positions, each on the curve [mm];  parameter: (N+1,) of the curve
-    arc: (N+1,) length covered [mm];  speed, acceleration, jerk: (N+1,) its time derivatives [mm/s],
-    [mm/s^2], [mm/s^3]
-    dt: [s]
+    reference:    (N+1, d) positions, each on the curve [mm]
+    parameter:    (N+1,) of the curve
+    arc:          (N+1,) length covered [mm]
+    speed:        (N+1,) first derivative of `arc` [mm/s]
+    acceleration: (N+1,) second derivative of `arc` [mm/s^2]
+    jerk:         (N+1,) third derivative of `arc` [mm/s^3]
+    dt:           [s]
     """
 
     reference: np.ndarray
@@ -52,38 +54,43 @@ class Plan(NamedTuple):
 
 
 def plan(curve, interval, *, feed, acceleration, jerk, dt, points=20001) -> Plan:
-    """Nearly time-optimal motion along the curve from rest to rest, within limits of feed,
-    acceleration and jerk.
+    """Nearly time-optimal motion along the curve from rest to rest, within limits.
 
-    Look-ahead planning, forward and backward, gives a first profile; an interior-point method then
-    shortens its time:
+    Look-ahead planning, forward and backward, gives a first profile. An interior-point method then
+    shortens its time (`fastest_profile`):
 
-        minimise T = int beta^(-1/2) dx    over beta(x) = (dx/dt)^2,    p(x) the path over the
-        profile's own time x,  ' = d/dx
-        velocity   p' beta^(1/2)
+        minimise T = int beta^(-1/2) dx    over beta(x) = (dx/dt)^2
+
+    where p(x) is the path over the profile's own time x, ' = d/dx, and the limited quantities are
+
+        velocity      p' beta^(1/2)
         acceleration  p'' beta + p' beta' / 2
         jerk          beta^(1/2) (p''' beta + 3/2 p'' beta' + p' beta'' / 2)
 
     Every iterate keeps the limits at all grid points (Newton steps on a logarithmic barrier, of a
     banded Hessian), so it may stop anywhere. Last, time is stretched to whole samples, and further
-    until the *sampled* reference keeps the limits: its differences up to the third, the rest before
-    and after included, as vectors or axis by axis, and those of the length covered; all of it up to
-    the rounding of positions, 32 eps max |p| / dt^3 in the jerk.
+    until the *sampled* reference keeps the limits. Its differences up to the third are looked at,
+    the rest before and after included, as vectors or axis by axis, and those of the length covered;
+    all of it up to the rounding of positions, 32 eps max |p| / dt^3 in the jerk.
 
+    curve:        any callable from (M,) parameter values to (M, d) positions [mm]
     interval:     (first, last) parameter, first < last
     feed:         largest path speed [mm/s]
     acceleration: () largest length of the acceleration vector, centripetal part included, or (d,)
-    of each axis [mm/s^2]
+                  of each axis [mm/s^2]
     jerk:         () or (d,) likewise [mm/s^3]; where both are (), they also limit the derivatives
-    of the path speed
-    dt:           [s];  points: of the table of the curve, spaced evenly in its parameter; splines
-    of fifth order run through them A jump of the curvature, as between line and arc, counts as a
-    rise over one step h of the planning grid (2000 to 20000
-    steps): it is passed at about (jerk h / jump)^(1/2), so blend such paths where time matters.
+                  of the path speed
+    dt:           sample time [s]
+    points:       of the table of the curve, spaced evenly in its parameter; splines of fifth order
+                  run through them
+
+    A jump of the curvature, as between line and arc, counts as a rise over one step h of the
+    planning grid (2000 to 20000 steps): it is passed at about (jerk h / jump)^(1/2), so blend such
+    paths where time matters.
+
     Raises ValueError for a value outside its range, for a curve that is not finite, stands still,
-    has a corner or cusp (there the
-    tool would have to stop: split the path, plan the parts) or bends too sharply for its table, and
-    for more than a million samples.
+    has a corner or cusp (there the tool would have to stop: split the path, plan the parts) or
+    bends too sharply for its table, and for more than a million samples.
     """
     u, q, arc = tabulated(curve, interval, points)
     d = q.shape[1]
@@ -99,7 +106,8 @@ def plan(curve, interval, *, feed, acceleration, jerk, dt, points=20001) -> Plan
     if not T / dt <= LONGEST:
         limits = f"feed = {feed:g} mm/s, acceleration = {acceleration} mm/s^2, jerk = {jerk} mm/s^3"
         raise ValueError(
-            f"plan: {limits} need {T:.3g} s, {T / dt:.3g} samples of dt = {dt:g} s; allowed are up to {LONGEST}"
+            f"plan: {limits} need {T:.3g} s, {T / dt:.3g} samples of dt = {dt:g} s; allowed are up "
+            f"to {LONGEST}"
         )
     parameter_at = make_interp_spline(arc, u, 5)
 
@@ -120,7 +128,7 @@ def plan(curve, interval, *, feed, acceleration, jerk, dt, points=20001) -> Plan
         # Cubic: its third derivative and that of beta jump together, between intervals, so that the
         # limits hold within each.
         path = make_interp_spline(x, on_curve(s)[0], 3, bc_type=(at_rest, at_rest))
-        profile = _Profile(_fastest(path, x[1], G, feed, groups, gap), x[1])
+        profile = Profile(fastest(path, x[1], G, feed, groups, gap), x[1])
         T, arc_at = (
             profile.times[-1],
             lambda t, path=path, profile=profile: path(profile.at(t))[:, -1],
@@ -159,14 +167,13 @@ def _groups(d, acceleration, jerk):
 def _look_ahead(arc, q, feed, acceleration, jerk):
     """A first profile: ramp time [s], duration [s] and arc length at a time, a function.
 
-    Speed at most feed, (acceleration / |q''|)^(1/2), (jerk / |q'''|)^(1/3) over the arc length; v
-    dv/ds within acceleration, forward and backward; then averaged over the ramp time, which bounds
-    its jerk. It need not keep the limits, only come near.
+    The speed is at most feed, (acceleration / |q''|)^(1/2) and (jerk / |q'''|)^(1/3) over the arc
+    length; v dv/ds is within the acceleration, forward and backward. Then the speed is averaged
+    over the ramp time, which bounds its jerk. The profile need not keep the limits, only come near.
     """
     L = arc[-1]
-    acceleration = min(
-        acceleration, np.sqrt(jerk * feed), np.cbrt(jerk**2 * L / 2)
-    )  # what a short move reaches
+    # a short move reaches no more
+    acceleration = min(acceleration, np.sqrt(jerk * feed), np.cbrt(jerk**2 * L / 2))
     curve = make_interp_spline(arc, q, 5)
     second, third = (
         np.maximum(np.linalg.norm(curve.derivative(i)(arc), axis=1), 1e-300) for i in (2, 3)
@@ -182,9 +189,8 @@ def _look_ahead(arc, q, feed, acceleration, jerk):
     ramp, T = acceleration / jerk, t[-1] + acceleration / jerk
     if not np.isfinite(T):
         return ramp, T, np.zeros_like
-    integral = make_interp_spline(t, v, 1).antiderivative(
-        2
-    )  # exact at constant acceleration: the start from rest is a clean one
+    # the integral is exact at constant acceleration, as in the start from rest
+    integral = make_interp_spline(t, v, 1).antiderivative(2)
 
     def integral_at(x):
         inside = np.clip(x, 0.0, t[-1])
@@ -193,153 +199,10 @@ def _look_ahead(arc, q, feed, acceleration, jerk):
     return ramp, T, lambda x: (integral_at(x) - integral_at(x - ramp)) / ramp
 
 
-def _fastest(path, h, G, feed, groups, gap):
-    """(G+2,) coefficients of the quadratic B-spline beta that minimises the time, to a relative
-    gap, by a barrier method.
-
-    The limits are taken at both ends of each of the G intervals. A jerk beta^(1/2) l, l linear in
-    beta, is within its limit where 1 / beta >= |l|^2; for a step 1 / beta is replaced by the square
-    of the tangent of beta^(-1/2), which lies below it: this makes the problem a convex one of the
-    same gradient.
-    """
-    x = np.add.outer([0, 1], np.arange(G)) * h
-    p1, p2, p3 = (np.moveaxis(path.derivative(i)(x), -1, 0).copy()[:, None] for i in (1, 2, 3))
-    # beta, beta' and beta'' from three coefficients, (3, 2, G) each
-    bend = [1 / h**2, -2 / h**2, 1 / h**2]
-    stencil = np.array(
-        [[[0.5, 0.5, 0], [-1 / h, 1 / h, 0], bend], [[0, 0.5, 0.5], [0, -1 / h, 1 / h], bend]]
-    )
-    stencil = np.repeat(stencil.transpose(1, 2, 0)[..., None], G, axis=-1)
-    # beta' = 0 at both ends, or the motion would start with a jump of acceleration: the outermost
-    # coefficient counts to its neighbour
-    for outermost, interval in ((0, 0), (2, -1)):
-        stencil[:, 1, :, interval] += stencil[:, outermost, :, interval]
-        stencil[:, outermost, :, interval] = 0.0
-    E, E1, E2 = stencil
-    speed = (p1[-1, 0] / feed) ** 2
-    # Gram matrices of the linear forms: |a|^2 and |l|^2 = C Q C, of limits 1 and 1 / beta, C the
-    # three coefficients
-    a, ell = p2 * E + p1 / 2 * E1, p3 * E + 1.5 * p2 * E1 + p1 / 2 * E2
-    forms = [a[axes] / acceleration for axes, acceleration, _ in groups] + [
-        ell[axes] / jerk for axes, _, jerk in groups
-    ]
-    Q = np.stack([np.einsum("aieg,ajeg->ijeg", form, form) for form in forms])
-    n = len(groups)
-    rows, cols = np.triu_indices(3)  # all a symmetric matrix holds
-    weights = Q[:, rows, cols] * np.where(rows == cols, 1, 2)[:, None, None]
-
-    def local(c):
-        """The three coefficients of each interval, beta, and what is left of the speed's limit and
-        of the others; all > 0 within.
-        """
-        C = np.stack([c[:-2], c[1:-1], c[2:]])
-        beta = np.einsum("ieg,ig->eg", E, C)
-        used = np.einsum("lkeg,kg->leg", weights, C[rows] * C[cols])
-        used[n:] *= beta
-        return C, beta, 1 - speed * beta, 1 - used
-
-    def cost(c, weight):
-        _, beta, left, others = local(c)
-        if not (c.min() > 0 and min(left.min(), others.min()) > 0):
-            return np.inf
-        return weight * np.sum(beta**-0.5) - sum(np.sum(np.log(part)) for part in (left, *others))
-
-    def newton_step(c, weight):
-        C, beta, left, others = local(c)
-        others[n:] /= beta
-        inverse = 1 / others
-        slope = 2 * np.einsum("lijeg,jg->lieg", Q, C)
-        slope[n:] += beta**-2 * E
-        slope *= inverse[:, None]
-        along = speed / left - 0.5 * weight * beta**-1.5 - n / beta
-        bend = (
-            (speed / left) ** 2
-            + 0.75 * weight * beta**-2.5
-            + n / beta**2
-            - 0.5 * beta**-3 * np.sum(inverse[n:], axis=0)
-        )
-        total, banded = np.zeros(G + 2), np.zeros((3, G + 2))
-        for i in range(3):
-            total[i : i + G] += np.sum(along * E[i], axis=0) + np.einsum("leg->g", slope[:, i])
-            for j in range(i, 3):
-                outer = np.einsum("leg,leg->g", slope[:, i], slope[:, j]) + 2 * np.einsum(
-                    "leg,leg->g", Q[:, i, j], inverse
-                )
-                banded[2 + i - j, j : j + G] += outer + np.sum(bend * E[i] * E[j], axis=0)
-        banded[2, [0, -1]] = 1.0  # the outermost coefficients follow their neighbours
-        step = solveh_banded(banded, -total)
-        step[[0, -1]] = step[[1, -2]]
-        return step, -np.sum(total * step)  # a dot product would wait for BLAS threads
-
-    # the given profile, slowed down into the limits
-    worst = np.max(np.sum(Q, axis=(1, 2)), axis=(1, 2)) ** np.repeat([1 / 4, 1 / 6], n)
-    c = np.full(G + 2, 0.9 * max(np.sqrt(speed.max()), *worst) ** -2)
-    limits = x.size * (1 + 2 * n)
-    reached = 1.0
-    while reached > gap:
-        weight = limits / reached / np.sum(local(c)[1] ** -0.5)
-        now = cost(c, weight)
-        for _ in range(30):
-            try:
-                step, decrease = newton_step(c, weight)
-            except np.linalg.LinAlgError:  # rounding, close to a limit; c keeps them all
-                return c
-            scale = 1.0
-            while (
-                not (tried := cost(c + scale * step, weight)) <= now - 1e-4 * scale * decrease
-                and scale > 1e-9
-            ):
-                scale /= 2
-            if scale <= 1e-9:
-                break
-            c, now = c + scale * step, tried
-            if decrease < 0.1 * np.sqrt(G):
-                break
-        reached /= 8
-    return c
-
-
-class _Profile:
-    """The motion x(t) of dx/dt = beta(x)^(1/2)."""
-
-    def __init__(self, coefficients, h):
-        self.c, self.h = coefficients, h
-        self.G = len(coefficients) - 2
-        self.times = np.append(0.0, np.cumsum(self._time(np.arange(self.G), 1.0)))
-
-    def beta(self, x):
-        """beta and its two derivatives at x, (M,) each."""
-        g = np.clip((x / self.h).astype(int), 0, self.G - 1)
-        return self._beta(g, x / self.h - g)
-
-    def _beta(self, g, f):
-        """The same at the fraction f of interval g."""
-        a, b, c = self.c[g], self.c[g + 1], self.c[g + 2]
-        value = (a * (1 - f) ** 2 + c * f**2) / 2 + b * (0.75 - (f - 0.5) ** 2)
-        return value, (a * (f - 1) + c * f + b * (1 - 2 * f)) / self.h, (a - 2 * b + c) / self.h**2
-
-    def _time(self, g, f):
-        """Time from the start of interval g to its fraction f, by Gauss quadrature."""
-        return sum(
-            weight * f * self.h / np.sqrt(self._beta(g, f * node)[0])
-            for node, weight in zip(*_GAUSS, strict=True)
-        )
-
-    def at(self, t):
-        """x at the times t, (M,), by Newton's method."""
-        g = np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, self.G - 1)
-        rest = t - self.times[g]
-        f = rest / (self.times[g + 1] - self.times[g])
-        for _ in range(4):
-            f = np.clip(
-                f - (self._time(g, f) - rest) * np.sqrt(self._beta(g, f)[0]) / self.h, 0.0, 1.0
-            )
-        return (g + f) * self.h
-
-
 def _excess(reference, dt, feed, groups):
-    """The factor by which time must be stretched for the differences of the sampled reference to
-    keep every limit.
+    """The factor by which time must be stretched for the sampled reference to keep every limit.
+
+    It is its differences that must keep them.
     """
     held = np.pad(reference, ((3, 3), (0, 0)), mode="edge")
     # Positions are rounded, and at a short dt their differences are mostly that, which no

@@ -7,28 +7,39 @@ package.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 import scipy.signal
 
 from ..pytree.ranges import require
 from ..runtime.capacity import check_size
+from .s_curves import SCurveMove, s_curve, s_curve_move
+from .sample_times import ARRAYS, FINITE, NONNEGATIVE, POSITIVE, sample_times
 
-FINITE, POSITIVE, NONNEGATIVE = "(-inf, inf)", "(0, inf)", "[0, inf)"
-ARRAYS = 32  # of the length of a reference, that making it and one trial of it take
+__all__ = [
+    "SCurveMove",
+    "chirp",
+    "m_sequence",
+    "multisine",
+    "noncircular",
+    "s_curve",
+    "s_curve_move",
+    "sinusoid",
+]
 
 
 def sinusoid(amplitude, frequency, *, duration, dt, phase=0.0, offset=0.0) -> np.ndarray:
     """r = offset + amplitude sin(2 pi frequency t + phase), shape (N+1,).
 
-    amplitude, offset: [mm];  frequency: [Hz], below Nyquist;  phase: [rad];  duration, dt: [s]
+    amplitude, offset: [mm]
+    frequency:    [Hz], below Nyquist
+    phase:        [rad]
+    duration, dt: [s]
+
     From a plant at rest the sine starts with a jump of velocity; offset = amplitude with phase =
-    -pi/2 starts without one.
-    Raises ValueError for a value outside its range, or a duration that is not a whole number of
-    samples.
+    -pi/2 starts without one. Raises ValueError for a value outside its range, or a duration that is
+    not a whole number of samples.
     """
-    time = _time("sinusoid", duration, dt)
+    time = sample_times("sinusoid", duration, dt)
     require("sinusoid", "amplitude", amplitude, FINITE, " mm")
     require("sinusoid", "frequency", frequency, f"(0, {0.5 / dt})", " Hz")
     require("sinusoid", "phase", phase, FINITE, " rad")
@@ -39,19 +50,24 @@ def sinusoid(amplitude, frequency, *, duration, dt, phase=0.0, offset=0.0) -> np
 def multisine(amplitudes, frequencies, phases=None, *, duration, dt) -> np.ndarray:
     """r = sum_i amplitudes_i sin(2 pi frequencies_i t + phases_i), shape (N+1,).
 
-    amplitudes: (M,) > 0 [mm];  frequencies: (M,) [Hz], below Nyquist;  phases: (M,) [rad];
-    duration, dt: [s] By default Schroeder's (1970) sum of cosines, whose crest factor is low for
-    equally spaced, ascending frequencies:
+    amplitudes:   (M,) > 0 [mm]
+    frequencies:  (M,) [Hz], below Nyquist
+    phases:       (M,) [rad]
+    duration, dt: [s]
+
+    By default it is Schroeder's (1970) sum of cosines, whose crest factor is low for equally
+    spaced, ascending frequencies:
 
         phases_n = pi / 2 - 2 pi sum_{l<n} (n - l) p_l,    p_l = amplitudes_l^2 / sum amplitudes^2
 
     The signal then starts away from zero, at sum_i amplitudes_i sin(phases_i); zero phases start at
     zero but peak higher.
+
     Raises ValueError for a value outside its range, shapes that differ, or a duration that is not a
     whole number of samples.
     """
     require("multisine", "amplitudes", amplitudes, POSITIVE, " mm", many=True)
-    time = _time("multisine", duration, dt, ARRAYS + 3 * np.size(amplitudes))
+    time = sample_times("multisine", duration, dt, ARRAYS + 3 * np.size(amplitudes))
     require("multisine", "frequencies", frequencies, f"(0, {0.5 / dt})", " Hz", many=True)
     a, f = np.asarray(amplitudes, float), np.asarray(frequencies, float)
     if phases is None:
@@ -61,23 +77,28 @@ def multisine(amplitudes, frequencies, phases=None, *, duration, dt) -> np.ndarr
     phi = np.asarray(phases, float)
     if a.ndim != 1 or not a.size or not a.shape == f.shape == phi.shape:
         raise ValueError(
-            f"multisine: amplitudes {a.shape}, frequencies {f.shape}, phases {phi.shape} must have one shape (M,), M >= 1"
+            f"multisine: amplitudes {a.shape}, frequencies {f.shape}, phases {phi.shape} must have "
+            "one shape (M,), M >= 1"
         )
     return np.sin(2 * np.pi * np.outer(time, f) + phi) @ a
 
 
 def chirp(amplitude, f_start, f_stop, *, duration, dt, method="linear") -> np.ndarray:
-    """r = amplitude sin(2 pi int_0^t f), where f sweeps from f_start at t = 0 to f_stop at t =
-    duration; shape (N+1,), r[0] = 0.
+    """r = amplitude sin(2 pi int_0^t f), shape (N+1,), with r[0] = 0.
 
-        linear: f = f_start + (f_stop - f_start) t / duration;    logarithmic: f = f_start (f_stop /
-        f_start)^(t / duration)
+    f sweeps from f_start at t = 0 to f_stop at t = duration:
 
-    amplitude: [mm];  f_start, f_stop: [Hz], below Nyquist, rising or falling;  duration, dt: [s]
+        linear:       f = f_start + (f_stop - f_start) t / duration
+        logarithmic:  f = f_start (f_stop / f_start)^(t / duration)
+
+    amplitude:       [mm]
+    f_start, f_stop: [Hz], below Nyquist, rising or falling
+    duration, dt:    [s]
+
     Raises ValueError for a value outside its range, an unknown method, or a duration that is not a
     whole number of samples.
     """
-    time = _time("chirp", duration, dt)
+    time = sample_times("chirp", duration, dt)
     require("chirp", "amplitude", amplitude, FINITE, " mm")
     require("chirp", "f_start", f_start, f"(0, {0.5 / dt})", " Hz")
     require("chirp", "f_stop", f_stop, f"(0, {0.5 / dt})", " Hz")
@@ -91,131 +112,20 @@ def chirp(amplitude, f_start, f_stop, *, duration, dt, method="linear") -> np.nd
     return amplitude * np.sin(2 * np.pi * cycles)
 
 
-class SCurveMove(NamedTuple):
-    """One point-to-point move at piecewise constant jerk, from rest to rest: seven segments of jerk
-    (+ 0 - 0 - 0 +).
-
-    distance:  signed [mm];  jerk: of the first segment, with the sign of the move [mm/s^3]
-    durations: of the seven segments [s], symmetric: t_j, t_a, t_j, t_v, t_j, t_a, t_j
-    """
-
-    distance: float
-    jerk: float
-    durations: tuple[float, ...]
-
-    @property
-    def duration(self) -> float:
-        """Time from rest to rest [s]."""
-        return sum(self.durations)
-
-    def at(self, t) -> tuple[np.ndarray, ...]:
-        """Position, velocity, acceleration and jerk at the times `t` [s], each shaped like `t`; at
-        rest outside the move.
-
-        At a switching time the jerk is that of one of its two segments.
-        """
-        t = np.asarray(t, float)
-        # The second half is the first one reversed, so that rounding cannot keep the end from being
-        # met exactly, at rest.
-        late = t > self.duration / 2
-        s = np.where(late, self.duration - t, t)
-        p, v, a, j = np.zeros((4, *t.shape))
-        start = 0.0
-        for h, jerk in zip(self.durations[:4], (self.jerk, 0.0, -self.jerk, 0.0), strict=True):
-            tau = np.clip(s - start, 0.0, h)
-            p += tau * (v + tau * (a / 2 + tau * jerk / 6))
-            v += tau * (a + tau * jerk / 2)
-            a += tau * jerk
-            j = np.where((s >= start) & (h > 0), jerk, j)
-            start += h
-        return np.where(late, self.distance - p, p), v, np.where(late, -a, a), j
-
-
-def s_curve_move(distance, *, velocity, acceleration, jerk) -> SCurveMove:
-    """The time-optimal move over `distance` from rest to rest within three limits, in closed form.
-
-        t_j = min(acceleration / jerk, (velocity / jerk)^(1/2), (distance / 2 jerk)^(1/3)),    a =
-        jerk t_j
-        t_a = min(velocity / a - t_j, ((t_j^2 + 4 distance / a)^(1/2) - 3 t_j) / 2),           v = a
-        (t_j + t_a) t_v = distance / v - 2 t_j - t_a
-
-    `a` and `v` are the peaks; t_a = 0 where the acceleration limit is not reached, t_v = 0 where
-    the velocity limit is not.
-    distance: [mm], either sign;  velocity: [mm/s];  acceleration: [mm/s^2];  jerk: [mm/s^3], all
-    three > 0
-    Raises ValueError for a value outside its range.
-    """
-    require("s_curve_move", "distance", distance, FINITE, " mm")
-    _require_limits("s_curve_move", velocity, acceleration, jerk)
-    d = abs(float(distance))
-    if d == 0:
-        return SCurveMove(0.0, 0.0, (0.0,) * 7)
-    t_j = float(min(acceleration / jerk, np.sqrt(velocity / jerk), np.cbrt(d / (2 * jerk))))
-    a = jerk * t_j
-    t_a = max(float(min(velocity / a - t_j, (np.sqrt(t_j**2 + 4 * d / a) - 3 * t_j) / 2)), 0.0)
-    t_v = max(d / (a * (t_j + t_a)) - 2 * t_j - t_a, 0.0)
-    return SCurveMove(
-        float(distance), float(np.copysign(jerk, distance)), (t_j, t_a, t_j, t_v, t_j, t_a, t_j)
-    )
-
-
-def s_curve(positions, *, velocity, acceleration, jerk, dwell=0.0, dt, duration=None) -> np.ndarray:
-    """Time-optimal jerk-limited moves from position to position, with a dwell after each; shape
-    (N+1,).
-
-    positions: (M,) [mm], the first is the start;  velocity: [mm/s];  acceleration: [mm/s^2];  jerk:
-    [mm/s^3]
-    dwell: [s];  dt: [s];  duration: [s], the end is held; None for the first sample at which
-    everything is done The moves switch between samples where they must; nothing is stretched onto
-    the sample grid. Differences of the sampled reference are means of the derivatives, so they keep
-    the limits as well.
-    Raises ValueError for a value outside its range, fewer than two positions, or a duration that is
-    too short for the moves or not a whole number of samples.
-    """
-    require("s_curve", "positions", positions, FINITE, " mm", many=True)
-    positions = np.asarray(positions, float)
-    if positions.ndim != 1 or len(positions) < 2:
-        raise ValueError(
-            f"s_curve: positions has shape {positions.shape}; allowed is (M,) with M >= 2"
-        )
-    _require_limits("s_curve", velocity, acceleration, jerk)
-    require("s_curve", "dwell", dwell, NONNEGATIVE, " s")
-    require("s_curve", "dt", dt, POSITIVE, " s")
-    moves = [
-        s_curve_move(d, velocity=velocity, acceleration=acceleration, jerk=jerk)
-        for d in np.diff(positions)
-    ]
-    needed = sum(move.duration + dwell for move in moves)
-    if duration is None:
-        duration = dt * max(np.ceil(needed / dt - 1e-9), 1)
-    time = _time("s_curve", duration, dt)
-    if time[-1] < needed - 1e-9 * dt:
-        raise ValueError(
-            f"s_curve: duration = {duration:g} s is outside its allowed range [{needed:.9g}, inf), the time of all moves"
-        )
-    r, start = np.full(len(time), positions[0]), 0.0
-    for move, origin, target in zip(moves, positions[:-1], positions[1:], strict=True):
-        under_way = time > start
-        r[under_way] = origin + move.at(time[under_way] - start)[0]
-        r[time >= start + move.duration - 1e-9 * dt] = (
-            target  # origin + (target - origin) may round to a neighbour
-        )
-        start += move.duration + dwell
-    return r
-
-
 def m_sequence(order, *, amplitude=1.0, hold=1, periods=1, seed=1) -> np.ndarray:
-    """Maximum-length binary sequence of +-amplitude, an identification *input*: shape (N,), N =
-    periods hold (2^order - 1).
+    """Maximum-length binary sequence of +-amplitude, an identification *input*.
 
-    order:     of the shift register, 2..32;  amplitude: in the input's unit;  hold: samples a bit
-    is held;  periods: repetitions
-               at a sample time dt one bit lasts hold dt, and the spectrum has its first zero at 1 /
-               (hold dt)
+    The shape is (N,), with N = periods hold (2^order - 1).
+
+    order:     of the shift register, 2..32
+    amplitude: in the input's unit
+    hold:      samples for which a bit is held; at a sample time dt one bit lasts hold dt, and the
+               spectrum has its first zero at 1 / (hold dt)
+    periods:   repetitions
     seed:      initial register in binary, 1..2^order - 1; it only rotates the period
+
     An input acts on y[1] .. y[N], so it has no sample N, unlike the references. Its sum over a
-    period is hold amplitude, not 0.
-    Raises ValueError for a value outside its range.
+    period is hold amplitude, not 0. Raises ValueError for a value outside its range.
     """
     require("m_sequence", "order", order, "[2, 32]", whole=True)
     require("m_sequence", "amplitude", amplitude, FINITE)
@@ -229,28 +139,33 @@ def m_sequence(order, *, amplitude=1.0, hold=1, periods=1, seed=1) -> np.ndarray
 
 
 def noncircular(*, duration, dt, spindle_speed, feed, ellipticity, bulge, length) -> np.ndarray:
-    """Tool path that turns a middle-convex piston of varying oval section (Cao 2019, eq. 28),
-    measured from its start: r = y - y(0).
+    """Tool path that turns a middle-convex piston of varying oval section (Cao 2019, eq. 28).
 
-        y = f(Z) - G(Z) cos(2 omega t),    f(Z) = D(Z) / 2 + G(Z) / 4,    omega = 2 pi
-        spindle_speed,    Z = feed spindle_speed t
+        y = f(Z) - G(Z) cos(2 omega t),    f(Z) = D(Z) / 2 + G(Z) / 4
+        omega = 2 pi spindle_speed,    Z = feed spindle_speed t
 
-    D (printed Delta D) varies the long axis: a parabola, 0 at both ends of the length and `bulge`
-    in the middle. G, the ellipticity, runs from ellipticity[0] to ellipticity[1] as half a cosine
-    period, level at both ends.
-    Read as printed: G is the amplitude of the oscillation, two periods a revolution. (An oval whose
-    diameters differ by G would need the amplitude G / 4, the same as its share in f; the print has
-    G.) The shapes of D and G are not printed, they are chosen here. The tool starts at its first
-    point, r[0] = 0, and the oval starts it without velocity; the convexity leaves the small 2 bulge
-    feed spindle_speed / length [mm/s], so the velocity at t = 0 is exactly zero for bulge = 0.
+    It is measured from its start, r = y - y(0). D (printed Delta D) varies the long axis: a
+    parabola, 0 at both ends of the length and `bulge` in the middle. G, the ellipticity, runs from
+    ellipticity[0] to ellipticity[1] as half a cosine period, level at both ends.
 
-    spindle_speed: [rev/s], the oval's 2 spindle_speed below Nyquist;  feed: [mm/rev];  duration,
-    dt: [s]
-    ellipticity:   (2,) >= 0 [mm], at Z = 0 and Z = length;  bulge: >= 0 [mm];  length: [mm]
+    It is read as printed: G is the amplitude of the oscillation, two periods a revolution. (An oval
+    whose diameters differ by G would need the amplitude G / 4, the same as its share in f; the
+    print has G.) The shapes of D and G are not printed, they are chosen here. The tool starts at
+    its first point, r[0] = 0, and the oval starts it without velocity; the convexity leaves the
+    small 2 bulge feed spindle_speed / length [mm/s], so the velocity at t = 0 is exactly zero for
+    bulge = 0.
+
+    spindle_speed: [rev/s], the oval's 2 spindle_speed below Nyquist
+    feed:          [mm/rev]
+    duration, dt:  [s]
+    ellipticity:   (2,) >= 0 [mm], at Z = 0 and Z = length
+    bulge:         >= 0 [mm]
+    length:        [mm]
+
     Raises ValueError for a value outside its range, or a duration in which Z leaves the length or
     that is not a whole number of samples.
     """
-    time = _time("noncircular", duration, dt)
+    time = sample_times("noncircular", duration, dt)
     require("noncircular", "spindle_speed", spindle_speed, f"(0, {0.25 / dt})", " rev/s")
     require("noncircular", "feed", feed, POSITIVE, " mm/rev")
     require("noncircular", "ellipticity", ellipticity, NONNEGATIVE, " mm", many=True)
@@ -263,31 +178,11 @@ def noncircular(*, duration, dt, spindle_speed, feed, ellipticity, bulge, length
     longest = length / (feed * spindle_speed)
     if duration > longest * (1 + 1e-9):
         raise ValueError(
-            f"noncircular: duration = {duration:g} s is outside its allowed range (0, {longest:.9g}], else Z leaves length"
+            f"noncircular: duration = {duration:g} s is outside its allowed range (0, "
+            f"{longest:.9g}], else Z leaves length"
         )
     z = time / longest  # Z / length
     D = 4 * bulge * z * (1 - z)
     G = ellipticity[0] + (ellipticity[1] - ellipticity[0]) * np.sin(np.pi * z / 2) ** 2
     y = D / 2 + G / 4 - G * np.cos(4 * np.pi * spindle_speed * time)
     return y - y[0]
-
-
-def _time(function, duration, dt, arrays=ARRAYS):
-    """(N+1,) sample times, N = round(duration / dt). arrays: of that length that will be needed"""
-    require(function, "dt", dt, POSITIVE, " s")
-    require(function, "duration", duration, POSITIVE, " s")
-    samples = float(duration) / float(dt)
-    said = f"{function}: duration = {duration:g} s"
-    check_size(said, lambda samples: 8 * arrays * samples, samples=samples)
-    N = round(samples)
-    if N < 1 or abs(samples - N) > 1e-6:
-        raise ValueError(
-            f"{function}: duration = {duration:g} s is not a whole number >= 1 of samples of dt = {dt:g} s"
-        )
-    return np.arange(N + 1) * dt
-
-
-def _require_limits(function, velocity, acceleration, jerk):
-    require(function, "velocity", velocity, POSITIVE, " mm/s")
-    require(function, "acceleration", acceleration, POSITIVE, " mm/s^2")
-    require(function, "jerk", jerk, POSITIVE, " mm/s^3")

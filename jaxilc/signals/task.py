@@ -26,9 +26,10 @@ class Task:
     reference: (N+1, n_y) desired output `r`; a flat (N+1,) array means one output
     dt:        sample time [s], from a picosecond to decades
     settle:    (start, stop) [s], the part of the trial that counts as settled; None is its second
-    half
+               half
     inputs:    number of inputs n_u; None means as many as outputs
     unit, input_unit: of y and of u, for labels only
+
     Raises ValueError for a reference that is not finite, too short, of more than two dimensions, or
     so large or small that the squares of its errors would leave the range of single precision.
     """
@@ -46,11 +47,13 @@ class Task:
             r = r[:, None]
         if r.ndim != 2 or len(r) < 2:
             raise ValueError(
-                f"Task: reference has shape {self.reference.shape}; allowed are (N+1,) and (N+1, n_y) with N >= 1"
+                f"Task: reference has shape {self.reference.shape}; allowed are (N+1,) and (N+1, "
+                "n_y) with N >= 1"
             )
         if known(r) and 0 < np.max(np.abs(r)) < SMALLEST:
             raise ValueError(
-                f"Task: reference is {np.max(np.abs(r)):g} at most; allowed is none at all, or one from {SMALLEST:g} on"
+                f"Task: reference is {np.max(np.abs(r)):g} at most; allowed is none at all, or one "
+                f"from {SMALLEST:g} on"
             )
         object.__setattr__(self, "reference", r)
         object.__setattr__(self, "inputs", r.shape[1] if self.inputs is None else self.inputs)
@@ -58,13 +61,14 @@ class Task:
             start, stop = self.settle
             if not 0 <= start < stop < float("inf") or start > self.duration:
                 raise ValueError(
-                    f"Task: settle = {self.settle} s is not a window within [0, {self.duration:g}] s"
+                    f"Task: settle = {self.settle} s is not a window within [0, {self.duration:g}] "
+                    "s"
                 )
             object.__setattr__(self, "settle", (float(start), float(stop)))
 
     @property
     def N(self) -> int:
-        """Number of inputs samples; the outputs have N+1."""
+        """Number of samples of the input; the outputs have N+1."""
         return self.reference.shape[-2] - 1
 
     @property
@@ -92,15 +96,14 @@ class Task:
 class Sample(NamedTuple):
     """What a scheme sees at sample `k`, when it must decide `u[k]`.
 
-    r:     (n_y,) reference r[k]
-    ahead: (preview, n_y) r[k+1], r[k+2], ... as far as the scheme's `preview` asks; held at its end
-    value
-    y:     (n_y,) measured output y[k]
-    row:   the k-th row of the scheme's table
-    dt:    sample time [s]
-    applied: (n_u,) what the actuator made of the input of the sample before, zero at k = 0; None
-    where there is no actuator, or where
-           nobody can tell, so that it is what was commanded
+    r:       (n_y,) reference r[k]
+    ahead:   (preview, n_y) r[k+1], r[k+2], ... as far as the scheme's `preview` asks; held at its
+             end value
+    y:       (n_y,) measured output y[k]
+    row:     the k-th row of what the scheme plays
+    dt:      sample time [s]
+    applied: (n_u,) what the actuator made of the input of the sample before, zero at k = 0. None
+             where there is no actuator, or where nobody can tell; it is then what was commanded
     """
 
     r: jax.Array
@@ -114,10 +117,11 @@ class Sample(NamedTuple):
 class Trial(NamedTuple):
     """The record of a trial, simulated or measured.
 
-    r: (N+1, n_y) reference;  y: (N+1, n_y) measured output;  u: (N, n_u) input as the actuator
-    applied it
-    dt: sample time [s];  signals: the scheme's own signals by name, each (N, ...); empty for a
-    measured trial
+    r:       (N+1, n_y) reference
+    y:       (N+1, n_y) measured output
+    u:       (N, n_u) input as the actuator applied it
+    dt:      sample time [s]
+    signals: the scheme's own signals by name, each (N, ...); empty for a measured trial
     """
 
     r: jax.Array
@@ -133,8 +137,10 @@ class Trial(NamedTuple):
 
 
 class Limit(NamedTuple):
-    """What a limit acts on. signal: (K, n);  bound: () or (n,) largest |signal| that passes
-    unchanged
+    """What a limit acts on.
+
+    signal: (K, n)
+    bound:  () or (n,) largest |signal| that passes unchanged
     """
 
     signal: jax.Array
@@ -147,8 +153,9 @@ def quantise(x, step) -> jax.Array:
 
 
 def product(matrix, vector) -> jax.Array:
-    """matrix @ vector; of up to 8 columns as their sum, which a loop over samples vectorises over a
-    batch, up to twice as fast.
+    """matrix @ vector, for a loop over samples.
+
+    Up to 8 columns are taken as their sum, which vectorises over a batch, up to twice as fast.
     """
     columns = matrix.shape[-1]
     if not 0 < columns <= 8:

@@ -1,26 +1,39 @@
-"""What theory says of a machine, a scheme and a task: conditions of convergence with their
-premises.
+"""What theory says of a machine, a scheme and a task: conditions of convergence and their premises.
 
-    structure    what is linear in a program, read off the program;  linearity: of machine, feedback
-    and learning law by name
-    loop, law    the loop and the learning law far from the ends of a trial;  enclosure: largest
-    values over frequency, enclosed
-    frequency    |Q (keep - L P)| < 1: of one machine (by_frequency), for every plant within a bound
-    (robust), for a set (family)
-    lifted       G, L and Q as matrices of the simulator and the scheme; singular values, spectral
-    radius, transient growth
-    outlook      all trials to come of a linear law: its limit, how fast, which limits of the
-    machine it meets contraction  the gain of the learning step of any scheme, without a matrix;
-    iteration: by Lanczos and Arnoldi certificates many machines at once, against simulation;
-    bounds: d1 and d2 of Cao 2019;  sliding: Xu 2024
+Each condition is a `Condition`: value, margin, premises, theorem and verdict. The modules, from the
+ground up:
 
-Each condition is a `Condition`: value, margin, premises, theorem, verdict.
+    structure        which outputs of a program are affine in its inputs, read off the program
+    linearity        whether machine, feedback and learning law are linear, each by name
+    loop             machine and feedback as one linear system from sample to sample
+    to_python_control  that loop as a system of python-control
+    law              the learning law far from the ends of a trial
+    law_and_loop     both, with the premises that conditions on them share
+    enclosure        the largest value of a frequency response, enclosed from above
+    over_frequency   a curve over frequency, its largest value and where it reaches 1
+    frequency        |Q (keep - L P)| < 1 of one machine (`by_frequency`), of every plant within a
+                     bound (`robust`) and of a set of plants (`family`)
+    lifted           G, L and Q of a whole trial as matrices of the simulator and the scheme
+    spectrum         singular values, spectral radius and transient growth of given matrices
+    affine           one trial and its learning as a map of what is played
+    as_matrix, as_map  these maps of many machines, as matrices and without a matrix
+    outlook          all trials to come of a linear law: its limit, how fast it comes there, and
+                     which limits of the machine it meets
+    maps             one trial and its learning as a map of all that any scheme knows
+    contraction      the gain of these maps, without a matrix
+    iteration        singular values and eigenvalues by the methods of Lanczos and Arnoldi
+    forecast         the error of each trial, as predicted and as simulated
+    certificates     many machines at once, against simulation
+    bounds           d1 and d2 of Cao 2019 along a run (`bounds_of_machines`: over many machines)
+    sliding          the conditions of Xu 2024 (`sliding_run`: along a run)
 """
 
 from . import condition, contraction, frequency, lifted, outlook, structure
-from .bounds import CFDLBounds, FFDLBounds, PremiseShare, cfdl_bounds, ffdl_bounds, premises
+from .bounds import CFDLBounds, FFDLBounds, cfdl_bounds, ffdl_bounds
+from .bounds_of_machines import PremiseShare, premises
 from .certificates import CLAIMS, COURSES, Certificate, certify, certify_each
 from .condition import Condition, Premise
+from .to_python_control import to_control
 
 __all__ = [
     "CLAIMS",
@@ -42,4 +55,5 @@ __all__ = [
     "outlook",
     "premises",
     "structure",
+    "to_control",
 ]

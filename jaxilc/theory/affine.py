@@ -1,11 +1,10 @@
-"""One trial and its learning as a map of what is played: from w_j, what is learned so far, to
-w_{j+1} = F(w_j), limits left out.
+"""One trial and its learning as a map of what is played.
 
-Where learning depends on the last trial alone, w is what the scheme plays back, its `feedforward`,
-as far as learning ever changes
-it: with a lead, the last samples stay what they are for ever, and are no deviation from anything. A
-scheme that remembers more, as learning of higher order does, has all that it knows for w. For a
-linear law on a linear machine F is affine; see `linearity`.
+The map takes w_j, what is learned so far, to w_{j+1} = F(w_j). Limits are left out. Where learning
+depends on the last trial alone, w is what the scheme plays back, its `feedforward`, as far as
+learning ever changes it: under a law with a lead, the last samples are never learned and do not
+deviate from anything. A scheme that remembers more, as learning of higher order does, has all that
+it knows for w. For a linear law on a linear machine F is affine; see `linearity`.
 """
 
 from __future__ import annotations
@@ -26,8 +25,10 @@ from .trials import learned_shape, next_learned, played, trial_of
 
 
 class View(NamedTuple):
-    """What w is. whole: all that the scheme knows, in place of its feedforward;  moving: (n,) which
-    entries of either learning changes
+    """What the vector w of a scheme consists of.
+
+    whole:  whether w is all that the scheme knows, in place of its feedforward
+    moving: (n,) which entries of it learning ever changes
     """
 
     whole: bool
@@ -35,10 +36,13 @@ class View(NamedTuple):
 
 
 class Learning(NamedTuple):
-    """Flat w (n,) in all of them. start: the w of the first trial;  following: F;  error: w -> (N
-    n_y,) e[1..N] of its trial
-    limits: w -> {name: what a limit acts on in the trial of w and in learning from it, in units of
-    its bound}
+    """The learning map and what belongs to it, as functions of the flat vector w (n,).
+
+    start:     (n,) the w of the first trial
+    following: F, from w to the w of the next trial
+    error:     from w to (N n_y,), the errors e[1..N] of its trial
+    limits:    from w to {name: what a limit acts on, in the trial of w and in learning from it}, in
+               units of its bound
     """
 
     start: jax.Array
@@ -48,7 +52,7 @@ class Learning(NamedTuple):
 
 
 def learning_of(machine: Machine, scheme: Scheme, task: Task, view: View) -> Learning:
-    """F of a machine and a scheme. Pure."""
+    """The learning map F of a machine and a scheme. The function is pure."""
     bounded = machine, scheme
     machine, scheme = machine.unlimited(), scheme.unlimited().prepared(task)
     first, moving = scheme.initial_memory(task), np.array(view.moving)
@@ -73,15 +77,17 @@ def learning_of(machine: Machine, scheme: Scheme, task: Task, view: View) -> Lea
 
 
 def known_as(memory, scheme: Scheme, task: Task, view: View) -> jax.Array:
-    """(n,) the w of a memory."""
+    """(n,) the vector w of a memory."""
     return ravel_pytree(memory if view.whole else scheme.feedforward(memory, task))[0][
         np.array(view.moving)
     ]
 
 
 def view_of(scheme: Scheme, task: Task) -> View:
-    """What w is for a linear law. That learning leaves a sample alone is seen at a random input and
-    error, which is enough then.
+    """What w is for a linear law.
+
+    Whether learning leaves a sample alone is seen at a random input and error. For a linear law one
+    such look is enough.
     """
     if remembers(scheme, task):
         size = sum(
@@ -110,7 +116,7 @@ def _moved(scheme, task, w, e):
 
 
 def limit_names(machines: Machine, scheme: Scheme, task: Task) -> list[str]:
-    """The limits that machines and scheme have. machines: with a leading axis"""
+    """The names of the limits that machines and scheme have. machines: with a leading axis."""
 
     def one(machine, scheme, task):
         first = scheme.initial_memory(task)
@@ -121,5 +127,5 @@ def limit_names(machines: Machine, scheme: Scheme, task: Task) -> list[str]:
 
 
 def limits_as_one(limits: dict[str, jax.Array]) -> jax.Array:
-    """All limits in one row."""
+    """What all limits act on, one after the other in one row."""
     return jnp.concatenate(list(limits.values()))

@@ -1,5 +1,6 @@
-"""The learning maps of many machines without a matrix, for trials of any length: norms bounded by
-Lanczos, limits by minimal residuals.
+"""The learning maps of many machines without a matrix, for trials of any length.
+
+Norms are bounded by Lanczos's method; the limit of learning is found by minimal residuals.
 """
 
 from __future__ import annotations
@@ -26,7 +27,10 @@ TILE = 2**28  # bytes of Lanczos vectors in a tile
 
 
 class Maps(NamedTuple):
-    """F of S machines, with what `Matrices` offers. steps: of the Lanczos process, at most"""
+    """The learning maps F of S machines, with the functions that `Matrices` has.
+
+    steps: largest number of steps of the Lanczos process
+    """
 
     machines: Machine
     scheme: Scheme
@@ -39,26 +43,27 @@ class Maps(NamedTuple):
         return self._bounded(_norm_of_power, jnp.asarray(power), self.steps if power == 1 else FEW)
 
     def late(self, power: int) -> np.ndarray:
-        """(S,) a lower bound of ||M^power||: what it makes of a random unit vector."""
+        """(S,) a lower bound of ||M^power||: the length that a random unit vector gets."""
         return self._found(_of_random, jnp.asarray(power))
 
     def error_norm(self, scheme: Scheme, task: Task, view: View) -> np.ndarray:
-        """(S,) an upper bound of ||I - G L||, for the law of a scheme that keeps all that it has
-        learned.
-        """
+        """(S,) an upper bound of ||I - G L||, of a scheme that keeps all that it has learned."""
         return self._bounded(_error_norm, None, self.steps)
 
     def limit(self):
-        """(S, n) w_inf, (S,) |F(w_inf) - w_inf|, (S,) the root mean square error there, (S,) an
-        upper bound of its gain by w
+        """Where learning goes: w_inf (S, n), |F(w_inf) - w_inf| (S,), the error there and its gain.
+
+        The error is its root mean square (S,). The gain (S,) is an upper bound of how the error
+        changes with w.
         """
         return tuple(
             map(np.asarray, self._run(_limit)((self.scheme, self.task, None), self.machines))
         )
 
     def radius(self):
-        """(S,) spectral radius of M and its doubt, to first order; zero and infinite on a backend
-        without `eig`.
+        """(S,) spectral radius of M and, to first order, its doubt.
+
+        They are zero and infinite on a backend without `eig`.
         """
         if jax.default_backend() != "cpu":
             return np.zeros(self._count), np.full(self._count, np.inf)
@@ -70,8 +75,9 @@ class Maps(NamedTuple):
         )
 
     def first_met(self, reach):
-        """(S,) the first trial that meets a limit (0: none seen), whether none ever is, and the
-        number of the limit.
+        """The first trial that meets a limit, whether none ever is met, and which limit it is.
+
+        Each is (S,). The trial is 0 where none was seen to meet a limit.
         """
         found = self._run(_first_met)(
             (self.scheme, self.task, None), (self.machines, jnp.asarray(reach))
@@ -83,8 +89,10 @@ class Maps(NamedTuple):
         return len(jax.tree.leaves(self.machines)[0])
 
     def _bounded(self, function, extra, most: int) -> np.ndarray:
-        """(S,) upper bounds of a norm: with few steps, and with more where these do not tell
-        whether it is below 1.
+        """(S,) upper bounds of a norm.
+
+        They are computed in few steps, and in more where these do not tell whether the norm is
+        below 1.
         """
         for steps in (FEW, most):
             value, bound = (
@@ -162,7 +170,7 @@ def _value_and_bound(found):
 
 
 def _limit(common, machine, *, view, rounds: int = 4):
-    """The residual over a Krylov space is made small, a few times."""
+    """Where the map goes: the residual over a Krylov space is minimised a few times in turn."""
     scheme, task, _ = common
     found = learning_of(machine, scheme, task, view)
     _, push = jax.linearize(found.following, found.start)

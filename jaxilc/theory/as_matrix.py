@@ -1,5 +1,6 @@
-"""The learning maps of many machines as matrices, for trials of a few hundred samples: norms,
-limits and eigenvalues by LAPACK.
+"""The learning maps of many machines as matrices, for trials of a few hundred samples.
+
+Norms, limits and eigenvalues are computed by LAPACK.
 """
 
 from __future__ import annotations
@@ -26,9 +27,13 @@ WIDE = 1e-12  # relative width that covers the rounding of a norm
 class Matrices(NamedTuple):
     """F(w) = M w + c, e(w) = E w + e0, and what limits act on, T w + t, of S machines.
 
-    start: (S, n) w of the first trial;  M: (S, n, n);  c: (S, n);  E: (S, N n_y, n);  e0: (S, N
-    n_y)
-    T: {name: (S, K, n)}, t: {name: (S, K)} of each limit, in units of its bound
+    start: (S, n) the w of the first trial
+    M:     (S, n, n)
+    c:     (S, n)
+    E:     (S, N n_y, n)
+    e0:    (S, N n_y)
+    T:     {name: (S, K, n)} of each limit, in units of its bound
+    t:     {name: (S, K)} likewise
     """
 
     start: np.ndarray
@@ -41,7 +46,7 @@ class Matrices(NamedTuple):
 
     @classmethod
     def of(cls, machines: Machine, scheme: Scheme, task: Task, view: View) -> Matrices:
-        """By linearising each trial and its learning at the start."""
+        """The matrices, by linearising each trial and its learning at the start."""
         found = cls(*jax.tree.map(np.asarray, _matrices(view)((scheme, task), machines)))
         usable = np.array(
             [
@@ -49,9 +54,8 @@ class Matrices(NamedTuple):
                 for M, E in zip(found.M, found.E, strict=True)
             ]
         )
-        huge = np.sqrt(
-            np.finfo(found.M.dtype).max
-        )  # nothing can be claimed of a machine that overflows
+        # nothing can be claimed of a machine whose numbers overflow
+        huge = np.sqrt(np.finfo(found.M.dtype).max)
         M = np.where(usable[:, None, None], found.M, huge)
         return found._replace(
             M=M, E=np.where(usable[:, None, None], found.E, 0.0), c=np.nan_to_num(found.c)
@@ -68,14 +72,15 @@ class Matrices(NamedTuple):
         return self.norm(power) * (1 - 2 * WIDE)
 
     def error_norm(self, scheme: Scheme, task: Task, view: View) -> np.ndarray:
-        """(S,) an upper bound of ||I - G L||, G = -E, for the law of a scheme that keeps all that
-        it has learned.
-        """
+        """(S,) an upper bound of ||I - G L||, G = -E, of a scheme that keeps all it has learned."""
         L = learning_law(scheme.unlimited(), task).L[list(view.moving)]
         return _norms(np.eye(self.E.shape[1]) + self.E @ L) * (1 + WIDE)
 
     def limit(self):
-        """(S, n) w_inf, (S,) |F(w_inf) - w_inf|, (S,) the root mean square error there, (S,) ||E||"""
+        """Where learning goes: w_inf (S, n), |F(w_inf) - w_inf| (S,), the error and ||E|| (S,).
+
+        The error is its root mean square (S,) at w_inf.
+        """
         unit, limit = np.eye(self.M.shape[1]), np.zeros_like(self.c)
         for i, (M, c) in enumerate(zip(self.M, self.c, strict=True)):
             limit[i] = np.linalg.lstsq(unit - M, c)[0]
@@ -88,10 +93,9 @@ class Matrices(NamedTuple):
         return np.array([radius_with_doubt(M) for M in self.M]).T
 
     def first_met(self, reach):
-        """(S,) the first trial that meets a limit (0: none seen), whether none ever is, and the
-        number of the limit.
+        """The first trial that meets a limit, whether none ever is met, and which limit it is.
 
-        reach: (S,) of `Decay`
+        Each is (S,). The trial is 0 where none was seen to meet a limit. reach: (S,) of `Decay`
         """
         T, t = (
             np.concatenate(list(self.T.values()), axis=1),

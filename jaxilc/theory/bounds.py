@@ -1,31 +1,24 @@
 """The contraction bounds d1 and d2 of Cao 2019, as realised on a run, with every premise checked.
 
-The theory takes D y(k+1, j) = phi(k, j) D u(k, j) for a pseudo partial derivative phi that is
-bounded, of constant sign and away from zero. On a static plant that holds. On a dynamic one D
-y(k+1, j) depends on the whole past of D u(., j), so phi can change its sign and grow without bound,
-and the bounds do not apply. Here phi is what it turned out to be, and a bound is claimed only where
-every
-premise held at every sample and trial.
+The theory takes D y(k+1, j) = phi(k, j) D u(k, j), for a pseudo partial derivative (PPD) phi that
+is bounded, of constant sign and away from zero. On a static plant that holds. On a dynamic plant
+D y(k+1, j) depends on the whole past of D u(., j), so phi can change its sign and grow without
+bound, and the bounds do not apply. Here phi is computed from the run, and a bound is claimed only
+where every premise held at every sample and trial.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..learning.machine import Machine
-from ..learning.over_trials import learn
 from ..runtime.capacity import check_size
-from ..runtime.tiles import tiled
 from ..schemes import CFDLMFAILC, FFDLMFAILC
 from ..signals.task import Task, Trial
-from ..uncertainty import Uncertainty, drawn_machines
 from .condition import Condition, condition, premise
 
 CHUNK = 16  # machines whose signals are looked at together
@@ -34,16 +27,23 @@ INCREMENT = 1e-9  # increments below this share of the largest one are no excita
 
 
 class CFDLBounds(NamedTuple):
-    """The bounds on each sample k and trial j = 2..J; arrays (J-1, N), NaN where the input
-    increment is no excitation.
+    """The bounds on each sample k and trial j = 2..J of CFDL-MFAILC.
 
-    phi: realised PPD D y(k+1,j) / D u(k,j);  estimate: phi_hat(k,j) as the law used it
-    b: () largest |phi|;  lam_min: () b^2 / 4;  M1: () smallest phi phi_hat / (lam + phi_hat^2)
-    d1, d2: realised 1 - eta du^2 / (mu + du^2) and |1 - rho phi phi_hat / (lam + phi_hat^2)|
-    d1_worst: () 1 - eta epsilon^2 / (mu + epsilon^2), which is all that eq. 14 promises;  d2_worst:
-    () 1 - rho M1 (eq. 15)
-    ppd_bound, ppd_error: d1 |error of trial j-1| + 2 b, and |phi_hat - phi|
-    observed: |e(k+1,j)| / |e(k+1,j-1)|;  condition: eq. 15 with its premises
+    Arrays are (J-1, N), with NaN where the increment of the input is too small to tell anything.
+
+    phi:       realised PPD D y(k+1,j) / D u(k,j)
+    estimate:  phi_hat(k,j) as the law used it
+    b:         () largest |phi|
+    lam_min:   () b^2 / 4
+    M1:        () smallest phi phi_hat / (lam + phi_hat^2)
+    d1:        realised 1 - eta du^2 / (mu + du^2)
+    d2:        realised |1 - rho phi phi_hat / (lam + phi_hat^2)|
+    d1_worst:  () 1 - eta epsilon^2 / (mu + epsilon^2), which is all that eq. 14 promises
+    d2_worst:  () 1 - rho M1 (eq. 15)
+    ppd_bound: d1 |error of trial j-1| + 2 b, a bound of `ppd_error`
+    ppd_error: |phi_hat - phi|
+    observed:  |e(k+1,j)| / |e(k+1,j-1)|
+    condition: eq. 15 with its premises
     """
 
     phi: np.ndarray
@@ -62,10 +62,13 @@ class CFDLBounds(NamedTuple):
 
 
 def cfdl_bounds(scheme: CFDLMFAILC, task: Task, y, u) -> CFDLBounds:
-    """d1 and d2 of a run of CFDL-MFAILC on one machine with one input and one output (Cao 2019, eq.
-    13 to 15).
+    """d1 and d2 of a run of CFDL-MFAILC on one machine (Cao 2019, eq. 13 to 15).
 
-    y: (J, N+1, 1) outputs and u: (J, N, 1) inputs of the trials, J >= 3, from the first one on
+    The machine has one input and one output.
+
+    y: (J, N+1, 1) outputs of the trials, J >= 3, from the first one on
+    u: (J, N, 1) inputs of the trials
+
     Raises ValueError for shapes that are not those of the task, or a run that is not finite.
     """
     y, u = _run("cfdl_bounds", task, y, u)
@@ -139,15 +142,18 @@ def cfdl_bounds(scheme: CFDLMFAILC, task: Task, y, u) -> CFDLBounds:
 
 
 class FFDLBounds(NamedTuple):
-    """What Theorem 2 of Cao 2019 promises of the pseudo gradient, on each sample k and trial j =
-    2..J; arrays (J-1, N).
+    """What Theorem 2 of Cao 2019 promises of the pseudo gradient.
 
-    b: () largest |Dy(k+1,j)| / |DH(k,j)|, which bounds the shortest pseudo gradient, Dy DH / |DH|^2
-    gradient: |Dy| / |DH|, its length;  estimate: length of Phi_hat(k,j)
-    d1: 1 - eta |DH|^2 / (mu + |DH|^2), the estimator's contraction along DH (across DH it contracts
-    nothing)
-    mismatch: |Dy - Phi_hat . DH| / |DH|, what the estimate misses along DH;  observed: |e(k+1,j)| /
-    |e(k+1,j-1)|
+    Arrays are (J-1, N), for each sample k and trial j = 2..J.
+
+    b:         () largest |Dy(k+1,j)| / |DH(k,j)|, which bounds the shortest pseudo gradient,
+               Dy DH / |DH|^2
+    gradient:  |Dy| / |DH|, the length of that gradient
+    estimate:  length of Phi_hat(k,j)
+    d1:        1 - eta |DH|^2 / (mu + |DH|^2), the estimator's contraction along DH (across DH it
+               contracts nothing)
+    mismatch:  |Dy - Phi_hat . DH| / |DH|, what the estimate misses along DH
+    observed:  |e(k+1,j)| / |e(k+1,j-1)|
     condition: the boundedness of the pseudo gradient with its premise
     """
 
@@ -161,8 +167,9 @@ class FFDLBounds(NamedTuple):
 
 
 def ffdl_bounds(scheme: FFDLMFAILC, task: Task, y, u) -> FFDLBounds:
-    """The pseudo gradient of a run of FFDL- or PFDL-MFAILC on one machine (Cao 2019, eq. 17, 18 and
-    27). As `cfdl_bounds`.
+    """The pseudo gradient of a run of FFDL- or PFDL-MFAILC on one machine.
+
+    It is Cao 2019, eq. 17, 18 and 27. Arguments and errors are those of `cfdl_bounds`.
     """
     y, u = _run("ffdl_bounds", task, y, u)
     eta, mu = float(scheme.eta), float(scheme.mu)
@@ -182,7 +189,8 @@ def ffdl_bounds(scheme: FFDLMFAILC, task: Task, y, u) -> FFDLBounds:
         premise(
             "a statement on convergence",
             False,
-            "any finite b fulfils it: Theorem 2 bounds the pseudo gradient and says nothing of the error",
+            "any finite b fulfils it: Theorem 2 bounds the pseudo gradient and says nothing of the "
+            "error",
         ),
     )
     return FFDLBounds(
@@ -194,67 +202,16 @@ def ffdl_bounds(scheme: FFDLMFAILC, task: Task, y, u) -> FFDLBounds:
         observed=_ratio(np.asarray(task.reference)[None, 1:, 0] - y[:, 1:]),
         condition=condition(
             b,
-            "Cao 2019, Theorem 2: a pseudo gradient with |Phi(k,j)| <= b exists. Nothing follows of the error",
+            "Cao 2019, Theorem 2: a pseudo gradient with |Phi(k,j)| <= b exists. Nothing follows "
+            "of the error",
             limit=np.finfo(float).max,
             premises=premises,
         ),
     )
 
 
-class PremiseShare(NamedTuple):
-    """A premise over S machines: on how many it held throughout, and the mean share of samples and
-    trials that broke it.
-    """
-
-    name: str
-    held: int
-    share_broken: float
-
-
-def premises(
-    machine: Machine,
-    scheme: FFDLMFAILC,
-    task: Task,
-    trials: int,
-    uncertainty: Uncertainty,
-    drawn: Mapping[str, Any],
-    *,
-    chunk: int = CHUNK,
-) -> tuple[list[PremiseShare], dict[str, int]]:
-    """The premises of Cao 2019's bounds on each machine's run, and how often the bound itself
-    holds, fails or is not claimed.
-
-    Machines whose run is not finite are left out of both. Raises ValueError for trials whose
-    signals do not fit into memory.
-    """
-    need_room(task, trials, chunk)
-    bounds: Any = cfdl_bounds if isinstance(scheme, CFDLMFAILC) else ffdl_bounds
-    run, machines = (
-        tiled(partial(_signals, trials=trials)),
-        drawn_machines(machine, uncertainty, drawn),
-    )
-    total, conditions = len(jax.tree.leaves(machines)[0]), []
-    for start in range(0, total, chunk):
-        batch = jax.tree.map(lambda leaf, start=start: leaf[start : start + chunk], machines)
-        for y, u in zip(*(np.asarray(s) for s in run((scheme, task), batch)), strict=True):
-            if np.all(np.isfinite(y)) and np.all(np.isfinite(u)):
-                conditions.append(bounds(scheme, task, y, u).condition)
-    names = [p.name for p in conditions[0].premises] if conditions else []
-    shares = [
-        PremiseShare(
-            name,
-            sum(bool(c.premises[i].held) for c in conditions),
-            float(np.mean([c.premises[i].share_broken for c in conditions])),
-        )
-        for i, name in enumerate(names)
-    ]
-    return shares, {
-        v: sum(c.verdict == v for c in conditions) for v in ("holds", "fails", "not claimed")
-    }
-
-
 def need_room(task: Task, trials: int, chunk: int = CHUNK) -> None:
-    """Raises ValueError for trials whose signals, of a chunk of machines, do not fit into memory."""
+    """Raises ValueError for trials whose signals, for a chunk of machines, exceed the RAM."""
     signals = COPIES * 8 * chunk * (task.N + 1) * (task.outputs + task.inputs)
     check_size("certify: the bounds of Cao 2019", lambda trials: signals * trials, trials=trials)
 
@@ -264,12 +221,14 @@ def _run(name: str, task: Task, y, u):
     y, u = np.asarray(y, float), np.asarray(u, float)
     if task.inputs != 1 or task.outputs != 1:
         raise ValueError(
-            f"{name}: the task has {task.inputs} inputs and {task.outputs} outputs; allowed is one of each"
+            f"{name}: the task has {task.inputs} inputs and {task.outputs} outputs; allowed is one "
+            "of each"
         )
     J = len(y)
     if y.shape != (J, task.N + 1, 1) or u.shape != (J, task.N, 1) or J < 3:
         raise ValueError(
-            f"{name}: y {y.shape} and u {u.shape} do not fit; allowed are (J, {task.N + 1}, 1) and (J, {task.N}, 1) with J >= 3"
+            f"{name}: y {y.shape} and u {u.shape} do not fit; allowed are (J, {task.N + 1}, 1) and "
+            f"(J, {task.N}, 1) with J >= 3"
         )
     if not (np.all(np.isfinite(y)) and np.all(np.isfinite(u))):
         raise ValueError(f"{name}: the run is not finite; cut it before the trial that diverged")
@@ -277,8 +236,9 @@ def _run(name: str, task: Task, y, u):
 
 
 def _excited(cause, effect):
-    """Where the cause is large enough to divide by, and where the effect is bounded by it: not an
-    effect without a cause.
+    """Where the cause is large enough to divide by, and where the effect is bounded by the cause.
+
+    The effect is not bounded where it comes without a cause.
     """
     excited = np.abs(cause) > INCREMENT * max(np.max(np.abs(cause)), 1e-300)
     still = np.abs(effect) <= INCREMENT * max(np.max(np.abs(effect)), 1e-300)
@@ -286,7 +246,7 @@ def _excited(cause, effect):
 
 
 def _estimates(scheme, task: Task, y, u):
-    """L arrays (J-1, N): the estimates that trial j = 2..J used, replayed from the record."""
+    """L arrays (J-1, N): the estimates that trial j = 2..J used, computed again from the record."""
     return [
         np.asarray(phi)[..., 0] for phi in _replayed(scheme, task, y[:-1, :, None], u[:-1, :, None])
     ]
@@ -302,8 +262,9 @@ def _replayed(scheme, task: Task, y, u):
 
 
 def _lawful(du, estimate, *, lam, rho, e, lead):
-    """Where the applied increment is that of the law: no limit, quantiser, filter or rule of when
-    to learn came between.
+    """Where the increment that was applied is that of the law.
+
+    It is not where a limit, a quantiser, a filter or a rule of when to learn came between.
     """
     wanted = rho * estimate / (lam + estimate**2) * np.pad(e[:-1, lead:], ((0, 0), (0, lead)))
     return np.abs(du - wanted) <= 1e-6 * np.abs(wanted) + INCREMENT * np.max(np.abs(wanted))
@@ -317,11 +278,3 @@ def _ratio(e):
 def _past(signal, samples: int):
     """signal[:, k - samples], zero before the trial."""
     return signal if samples == 0 else np.pad(signal, ((0, 0), (samples, 0)))[:, :-samples]
-
-
-def _signals(common, machine, *, trials):
-    return learn(machine.noiseless(), *common, trials, save=_y_and_u).saved
-
-
-def _y_and_u(trial: Trial):
-    return trial.y, trial.u

@@ -1,28 +1,27 @@
-"""What theory claims of each uncertain machine in the long run, what it expects within some trials,
-and what simulation does.
+"""What theory claims of each uncertain machine, what it predicts, and what simulation does.
 
-Two questions, two answers. **The long run** does not depend on how many trials one cares to watch.
-It is claimed only where machine, feedback and learning law are linear and learn alike in every
-trial (`linearity`), and no limit is met in any trial to come (`outlook`):
+Two questions are answered separately. **The long run** does not depend on how many trials are
+watched. It is claimed only where machine, feedback and learning law are linear and learn alike in
+every trial (`linearity`), and where no limit is met in any trial to come (`outlook`):
 
-    monotone     the error falls in every trial to come (sigma_max(I - G L) < 1), or, with a filter
-    or a leak, which leave an error,
-                 the distance of what is learned from its limit does (sigma_max of the learning map
-                 < 1)
-    converges    it comes to its limit in the end: a power of the learning map contracts; what it
-    does before is bounded
-    diverges     it grows without bound: an eigenvalue lies beyond 1, with its doubt, and there is
-    no limit to stop it not claimed  for a reason that is told
+    monotone     the error falls in every trial to come, sigma_max(I - G L) < 1. With a filter or a
+                 leak, which leave an error, it is the distance of what is learned from its limit
+                 that falls: sigma_max of the learning map < 1
+    converges    learning comes to its limit in the end: a power of the learning map contracts. What
+                 it does before is bounded
+    diverges     learning grows without bound: an eigenvalue lies beyond 1 by more than its doubt,
+                 and there is no limit to stop it
+    not claimed  for a reason that is told
 
-**Within J trials** theory predicts the error of each trial: an adaptive scheme is taken with its
+**Within J trials** theory predicts the error of each trial. An adaptive scheme is taken with its
 estimates frozen, rules and limits are left out, and what is not linear is linearised at the third
-trial. That is a prediction, and the confusion table says how good a one.
+trial. That is a prediction, and the confusion table says how good it is:
 
-    falls                 the error falls in every trial
-    falls, not always     it ends low, but grew between two trials
-    turns                 it has a best trial before the last and has since grown by a half: it
-    semi-converges
-    grows                 it ends above its start
+    falls              the error falls in every trial
+    falls, not always  the error ends low, but grew between two trials
+    turns              the best trial is before the last, and the error has since grown by a half:
+                       learning semi-converges
+    grows              the error ends above its start
 """
 
 from __future__ import annotations
@@ -58,19 +57,24 @@ COPIES = 64  # bytes for each trial of each machine: three curves, with what lie
 class Certificate(NamedTuple):
     """What theory claims of S machines, what it expects of J trials, and what simulation does.
 
-    claim: (S,) of `CLAIMS`;  reason: (S,) on what a claim rests, or why nothing is claimed
-    of_error: (S,) whether `monotone` is of the error itself, else of the distance from the limit
-    sigma: (S,) bound of the largest singular value of the map that decides, inf where nothing is
-    linear
-    floor: (S,) root mean square error left at the limit, NaN where none is claimed;  doubt: (S,)
-    within which that is known
-    expected, observed: (S,) of `COURSES` by theory and by simulation, within J trials
-    predicted, simulated: (S, J) root mean square error by trial;  turning, observed_turning: (S,)
-    best trial
-    growth: (S,) largest rise of the predicted error above a lower one before it, as a factor
-    distance: (S, J) of what is learned from its limit by trial, as simulated; None where nothing is
-    linear
-    outlook: of all trials to come, None where nothing is linear
+    claim:     (S,) of `CLAIMS`
+    reason:    (S,) on what a claim rests, or why nothing is claimed
+    of_error:  (S,) whether `monotone` is of the error itself; if not, of the distance from the
+               limit
+    sigma:     (S,) bound of the largest singular value of the map that decides; inf where nothing
+               is linear
+    floor:     (S,) root mean square error left at the limit; NaN where no limit is claimed
+    doubt:     (S,) the distance within which `floor` is known
+    expected:  (S,) of `COURSES`, by theory, within J trials
+    observed:  (S,) of `COURSES`, by simulation, within J trials
+    predicted: (S, J) root mean square error of each trial, by theory
+    simulated: (S, J) the same by simulation
+    turning:   (S,) the best trial, by theory
+    observed_turning: (S,) the best trial, by simulation
+    growth:    (S,) largest rise of the predicted error above a lower one before it, as a factor
+    distance:  (S, J) simulated distance of what is learned from its limit; None where nothing is
+               linear
+    outlook:   of all trials to come; None where nothing is linear
     """
 
     claim: np.ndarray
@@ -95,9 +99,7 @@ class Certificate(NamedTuple):
         return {p: {o: sum(pair == (p, o) for pair in pairs) for o in COURSES} for p in COURSES}
 
     def broken_promises(self) -> np.ndarray:
-        """Indices of machines of which a claim was made that the simulation contradicts: there must
-        be none.
-        """
+        """Indices of machines whose claim the simulation contradicts. There must be none."""
         return np.flatnonzero([self._broken(i) for i in range(len(self.claim))])
 
     def _broken(self, i: int) -> bool:
@@ -124,9 +126,7 @@ def certify(
     *,
     steps: int = 300,
 ) -> Certificate:
-    """The certificate of each machine drawn (`uncertainty.draw`), without noise; see
-    `certify_each`.
-    """
+    """The certificate of each machine drawn (`uncertainty.draw`); see `certify_each`."""
     check(machine, scheme, task)
     return certify_each(
         drawn_machines(machine, uncertainty, drawn), scheme, task, trials, steps=steps
@@ -138,9 +138,10 @@ def certify_each(
 ) -> Certificate:
     """The certificate of each of S machines, without noise.
 
-    machines: one whose leaves have a leading axis of S;  trials: J, of the prediction and the
-    simulation; claims do not depend on it
-    steps: of the Lanczos process, at most
+    machines: one machine whose leaves have a leading axis of S
+    trials:   J, of the prediction and of the simulation; claims do not depend on it
+    steps:    largest number of steps of the Lanczos process
+
     Raises as `learn` does, and ValueError, before anything runs, for more machines or trials than
     fit into memory.
     """
@@ -226,9 +227,7 @@ def course(errors) -> str:
 
 
 def _claims(machines, scheme, task, ahead: Outlook, maps: Matrices | Maps):
-    """(S,) claims with their reasons, whether they are of the error, and the singular values that
-    decide.
-    """
+    """(S,) claims and their reasons, whether they are of the error, and the deciding values."""
     size, decay = len(ahead.met), ahead.decay
     of_errors = np.full(size, np.inf)
     if keeps_all(scheme, task):

@@ -1,9 +1,8 @@
-"""One shape for every condition of convergence: a number, how far it is from its limit, and what
-the claim rests on.
+"""One shape for every condition of convergence: a number, its margin, and what the claim rests on.
 
 A condition claims nothing where a premise of its theorem is broken. The numbers come from compiled
-code, the verdict is given here, outside of it, where they are known. Premises are looked at, not
-assumed: `linearity` reads them off the program, `outlook` bounds all trials to come.
+code; the verdict is given here, outside of it, where the numbers are known. Premises are looked at,
+not assumed: `linearity` reads them off the program, and `outlook` bounds all trials to come.
 """
 
 from __future__ import annotations
@@ -20,9 +19,10 @@ ROUNDING = 1000.0  # in units of the last place
 class Premise(NamedTuple):
     """What a theorem presumes.
 
-    name: as in "plant stable";  detail: what was looked at, and what was found
-    held: () or (S,) whether it holds throughout, for each of S plants;  share_broken: the share of
-    samples, trials or plants without it
+    name:   as in "plant stable"
+    detail: what was looked at, and what was found
+    held:   () or (S,) whether it holds throughout, for each of S plants
+    share_broken: the share of samples, trials or plants for which it does not hold
     """
 
     name: str
@@ -34,10 +34,11 @@ class Premise(NamedTuple):
 class Condition(NamedTuple):
     """A condition `value < limit`.
 
-    value: () or (S,) what was computed;  margin: limit - value, positive where the condition holds
-    premises: of the theorem;  theorem: what follows from the condition, and its source
-    verdict: 'holds', 'fails' or 'not claimed', of each plant where there are several ((S,) array of
-    text)
+    value:    () or (S,) what was computed
+    margin:   limit - value, positive where the condition holds
+    premises: of the theorem
+    theorem:  what follows from the condition, and its source
+    verdict:  'holds', 'fails' or 'not claimed'; of several plants an (S,) array of these
     """
 
     value: float | np.ndarray
@@ -48,7 +49,7 @@ class Condition(NamedTuple):
 
     @property
     def holds(self) -> bool:
-        """Whether it is claimed to hold, for every plant."""
+        """Whether the condition is claimed to hold, for every plant."""
         return bool(np.all(np.asarray(self.verdict) == HOLDS))
 
     @property
@@ -60,8 +61,8 @@ class Condition(NamedTuple):
 def premise(name: str, holds, detail: str = "", *, plants: bool = False) -> Premise:
     """A premise from what was looked at.
 
-    holds: booleans of any shape, such as (J, N) of trials and samples;  plants: whether the first
-    axis counts plants
+    holds:  booleans of any shape, such as (J, N) of trials and samples
+    plants: whether the first axis counts plants
     """
     holds = np.asarray(holds, dtype=bool)
     within = tuple(range(1 if plants else 0, holds.ndim))
@@ -75,12 +76,15 @@ def condition(
 ) -> Condition:
     """The condition `value < limit` with its verdict.
 
-        broken premise, or value not a number  ->  'not claimed';  value < limit  ->  'holds';  else
-        ->  'fails'
+        a premise is broken, or the value is not a number   ->  'not claimed'
+        value < limit                                       ->  'holds'
+        otherwise                                           ->  'fails'
 
-    value: () or (S,);  premises: their `held` is () or (S,). What lies below the limit by rounding
-    only does not hold: a singular value that is 1 in theory, as of a law that leaves a sample
-    alone, may come out as 1 - 1e-15.
+    value:    () or (S,)
+    premises: their `held` is () or (S,)
+
+    A value that lies below the limit by no more than rounding does not hold: a singular value that
+    is 1 in theory, as of a law that leaves a sample alone, may be computed as 1 - 1e-15.
     """
     value, premises = np.asarray(value), tuple(premises)
     rounding = (

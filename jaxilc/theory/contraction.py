@@ -1,24 +1,16 @@
-"""Contraction of any scheme without a matrix: one trial and its learning as a map, its gain and
-growth by Lanczos and Arnoldi.
+"""Contraction of any scheme without a matrix: the gain and the growth of its learning maps.
 
-    memory -> trial -> next memory          `learning_map`: all a scheme knows, estimates included,
-    or the parts of it that are named
-    e_j -> e_{j+1}, ..., e_{j+J}            `error_map`: what becomes of the error of a trial; I - G
-    L for a linear law, in any scheme
-
-Both are differentiated through the simulator, forward (`jvp`) and backward (`vjp`), at the cost of
-a trial each. The scheme may adapt,
-switch and be nonlinear: what is found is then true near the memory it was found at, as far as the
-simulation has the derivative that JAX gives it; a rounding has none. It is true everywhere where
-the map is affine, which is read off its program (`structure`). All functions down to `over_plants`
-are pure and may be vmapped over machines.
+The maps (`maps`) are differentiated through the simulator, and their gain and growth are found by
+the methods of Lanczos and Arnoldi (`iteration`). The scheme may adapt, switch and be nonlinear.
+What is found is then true near the memory at which it was found, as far as the simulation has the
+derivative that JAX gives it; a rounding has none. It is true everywhere where the map is affine,
+which is read off its program (`structure`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -26,16 +18,14 @@ from jax import lax
 
 from ..learning.machine import Machine
 from ..learning.over_trials import check
-from ..pytree.named_paths import named_leaves
-from ..runtime.tiles import tiled
 from ..schemes import Scheme
 from ..signals.task import Task
-from ..uncertainty import Uncertainty, drawn_machine
 from .condition import Condition, Premise, condition, premise
 from .iteration import SingularValue, SpectralRadius, singular_value, spectral_radius_of
 from .linearity import linear_law
+from .maps import Map, error_growth, error_map, learning_map, over_plants
 from .structure import blind, obstacle
-from .trials import LEARNED, Prescribed, learned_memory, step, trial_of, with_output
+from .trials import LEARNED, learned_memory
 
 __all__ = [
     "LEARNED",
@@ -55,154 +45,22 @@ __all__ = [
 ]
 
 FIXED = 1e-6  # by how much of itself a trial may move a memory that counts as a fixed point
-FLAGS = (
-    "seen",
-)  # leaves of a memory that are no state: they only tell the first trial from the others
-OF_OUTPUT = ("y",)  # leaves of a memory that have the unit of the output
 
-CONTRACTION = "largest singular value of the learning map < 1: it contracts in the 2-norm of the weighted memory (Banach), {where}"
-ERROR = "sup |e_(j+{n})| / |e_j| < 1 over all {which}changes of the error: the 2-norm of the error contracts in {n} trial(s), {where}"
-ATTRACTION = "spectral radius of the learning map < 1: its fixed point attracts (Ostrowski 1960; linear: Bristow 2006), {where}"
+CONTRACTION = (
+    "largest singular value of the learning map < 1: it contracts in the 2-norm of the weighted "
+    "memory (Banach), {where}"
+)
+ERROR = (
+    "sup |e_(j+{n})| / |e_j| < 1 over all {which}changes of the error: the 2-norm of the error "
+    "contracts in {n} trial(s), {where}"
+)
+ATTRACTION = (
+    "spectral radius of the learning map < 1: its fixed point attracts (Ostrowski 1960; linear: "
+    "Bristow 2006), {where}"
+)
 EVERYWHERE, NEARBY = "everywhere, as the map is affine", "near the memory at which it is linearised"
 RESOLVED = "iteration converged"
 DIFFERENTIABLE = "the derivative is that of the simulation"
-
-
-class Map(NamedTuple):
-    """A map and where to linearise it. f: (n,) -> (m,) or (J, m);  at: (n,)"""
-
-    f: Callable[[jax.Array], jax.Array]
-    at: jax.Array
-
-
-def learning_map(
-    machine: Machine,
-    scheme: Scheme,
-    task: Task,
-    memory: Any = None,
-    *,
-    leaves: tuple[str, ...] | None = None,
-    weights: Mapping[str, Any] | None = None,
-) -> Map:
-    """One trial and its learning, as a map on the weighted memory.
-
-    memory: where to linearise, None for that after 3 trials
-    leaves: names of what varies, all else held ("u"; "learning.phi", which is all of phi[0],
-    phi[1], ...); None for all but flags.
-            ("u", "y") of MFAILC leaves out its estimates. It matters: at a fixed point without
-            error nothing moves phi, so the full map has the eigenvalue 1 there, once for each phi
-            that no reset holds. Its u alone says nothing, as y goes with it.
-    weights: {name: number} by which leaves are multiplied before they are compared, as u, y and phi
-    have different units. Spectral
-            radii do not depend on them, singular values do. Without one, a leaf is brought to the
-            size of the output by rms(y) / rms(leaf), or by 1 if either is zero; `y` keeps its unit.
-            The longest name that fits a leaf counts.
-    Raises ValueError for a name that the memory has not, or a memory without anything that varies.
-    """
-    scheme = scheme.prepared(task)
-    memory = learned_memory(machine, scheme, task) if memory is None else memory
-    found = named_leaves(memory)
-    names, values = list(found), [jnp.asarray(v) for v in found.values()]
-    for name in (*(leaves or ()), *(weights or ())):
-        if not any(_names(name, of) for of in names):
-            raise ValueError(
-                f"learning_map: {name!r} is not in this memory; known: {', '.join(names) or 'nothing'}"
-            )
-    varies = [
-        any(_names(name, of) for name in leaves)
-        if leaves is not None
-        else of.split(".")[-1] not in FLAGS
-        for of in names
-    ]
-    varies = [
-        v and jnp.issubdtype(value.dtype, jnp.floating)
-        for v, value in zip(varies, values, strict=True)
-    ]
-    if not any(varies):
-        raise ValueError(
-            f"learning_map: the memory of {type(scheme).__name__} has no floating leaf that varies"
-        )
-    size_y = _rms(trial_of(machine, scheme, task, memory).y)
-    scales = [
-        _weight(of, value, weights or {}, size_y) for of, value in zip(names, values, strict=True)
-    ]
-    shape = jax.tree.structure(memory)
-
-    def flat(of_memory):
-        return jnp.concatenate(
-            [
-                (w * v).ravel()
-                for v, w, free in zip(jax.tree.leaves(of_memory), scales, varies, strict=True)
-                if free
-            ]
-        )
-
-    def unflat(x):
-        rest, at = [], 0
-        for value, w, free in zip(values, scales, varies, strict=True):
-            rest.append(x[at : at + value.size].reshape(value.shape) / w if free else value)
-            at += value.size if free else 0
-        return shape.unflatten(rest)
-
-    return Map(lambda x: flat(step(machine, scheme, task, unflat(x))), flat(memory))
-
-
-def error_map(
-    machine: Machine, scheme: Scheme, task: Task, memory: Any = None, *, trials: int = 1
-) -> Map:
-    """From the error e[1..N] of a trial, (N n_y,), to that of each of the next `trials` trials, (J,
-    N n_y).
-
-    Another error comes with the repetitive disturbance of the output that causes it, which then
-    stays: it is the error, not the input, that is prescribed. That trial is run with the prescribed
-    output fed back, so nothing has to be inverted. For a linear law under a linear loop G the
-    derivative is (I - G L)^j; a scheme that adapts learns from the change as well, and that counts.
-    memory: with which the trial is entered, None for that after 3 trials
-    """
-    scheme = scheme.prepared(task)
-    memory = learned_memory(machine, scheme, task) if memory is None else memory
-    r, first = jnp.asarray(task.reference), trial_of(machine, scheme, task, memory)
-
-    def f(e):
-        y = jnp.concatenate([first.y[:1], r[1:] - e.reshape(task.N, -1)])
-        trial = trial_of(machine, Prescribed(scheme), task, (memory, y))
-        disturbed = with_output(machine, y - trial.y)
-
-        def following(memory, _):
-            trial = trial_of(disturbed, scheme, task, memory)
-            return scheme.learn(memory, trial), trial.e[1:].ravel()
-
-        return lax.scan(following, scheme.learn(memory, trial._replace(y=y)), length=trials)[1]
-
-    return Map(f, first.e[1:].ravel())
-
-
-def error_growth(
-    f: Callable, at, trials: int, *, steps: int = 300, tolerance: float = 1e-6
-) -> SingularValue:
-    """The largest |e_{j+i}| / |e_j| for i = 1..J: fields with a leading axis of J. f, at: an
-    `error_map` over J `trials`
-    """
-    return lax.map(
-        lambda row: singular_value(f, at, steps=steps, tolerance=tolerance, row=row),
-        jnp.arange(trials),
-    )
-
-
-def over_plants(
-    quantity: Callable[[Machine], Any],
-    machine: Machine,
-    uncertainty: Uncertainty,
-    drawn: Mapping[str, Any],
-    lanes: int = 4,
-):
-    """quantity(machine) for every plant drawn, tiled over devices; `drawn` as from
-    `uncertainty.draw`.
-    """
-    run = tiled(
-        lambda common, values: quantity(drawn_machine(common, uncertainty, values)), lanes=lanes
-    )
-    return run(machine, {name: jnp.asarray(values) for name, values in drawn.items()})
 
 
 # Conditions: not for use inside compiled code
@@ -214,10 +72,11 @@ def contracting(
 ) -> Condition:
     """The learning map contracts in the norm of the weighted memory.
 
-    weights, and of options `leaves`: as for `learning_map`;  options `steps`, `tolerance`: as for
-    `iteration.singular_value`
-    Raises ValueError where machine, scheme and task do not fit, or for a name that the memory has
-    not.
+    weights: as for `learning_map`
+    options: `leaves` as for `learning_map`; `steps`, `tolerance` as for `iteration.singular_value`
+
+    Raises ValueError where machine, scheme and task do not fit, or for a name that is not in the
+    memory.
     """
     check(machine, scheme, task)
     found, distance = _singular_of_memory(machine, scheme, task, memory, weights, **options)
@@ -230,11 +89,14 @@ def contracting(
 def attracting(
     machine: Machine, scheme: Scheme, task: Task, memory: Any = None, **options
 ) -> Condition:
-    """The fixed point of the learning map attracts. options: `leaves` of `learning_map`, `steps` of
-    `spectral_radius_of`; raises as above
+    """The fixed point of the learning map attracts.
 
-    Where the eigenvalue is in doubt, it still is < 1 if the eighth power of the derivative
-    contracts, since rho^8 <= ||J^8||.
+    Where the doubt of the spectral radius leaves open whether it is < 1, it still is if the eighth
+    power of the derivative contracts, since rho^8 <= ||J^8||.
+
+    options: `leaves` of `learning_map`; `steps` of `spectral_radius_of`
+
+    Raises as `contracting` does.
     """
     check(machine, scheme, task)
     found, distance = _radius_of_memory(machine, scheme, task, memory, **options)
@@ -250,11 +112,11 @@ def attracting(
 def error_contracting(
     machine: Machine, scheme: Scheme, task: Task, memory: Any = None, *, trials: int = 1, **options
 ) -> Condition:
-    """A change of the error, however it is shaped, has become smaller `trials` trials later; see
-    `error_map`.
+    """A change of the error, whatever its shape, is smaller `trials` trials later; see `error_map`.
 
-    options: `steps`, `tolerance` of `iteration.singular_value`. Raises ValueError where machine,
-    scheme and task do not fit.
+    options: `steps`, `tolerance` of `iteration.singular_value`
+
+    Raises ValueError where machine, scheme and task do not fit.
     """
     check(machine, scheme, task)
     found = _singular_of_error(machine, scheme, task, memory, trials=trials, **options)
@@ -310,9 +172,7 @@ def _distance(map_: Map):
 
 
 def _where(machine, scheme, task, memory, leaves, distance) -> tuple[tuple[Premise, Premise], str]:
-    """The premises under which a derivative at one memory says where learning goes, and where that
-    is true.
-    """
+    """The premises of a derivative at one memory, and where what it says is true."""
     memory = learned_memory(machine, scheme, task) if memory is None else memory
     fixed, at = (
         (machine, scheme, task, memory),
@@ -321,7 +181,10 @@ def _where(machine, scheme, task, memory, leaves, distance) -> tuple[tuple[Premi
     law = linear_law(scheme, task, memory)
     why = "" if law.held else law.detail
     why = obstacle(partial(_learned, leaves=leaves), fixed, at) or why
-    found = f"{why or 'affine, read off its program'}; another trial moves the memory by {float(distance):.1e} of itself"
+    found = (
+        f"{why or 'affine, read off its program'}; another trial moves the memory by "
+        f"{float(distance):.1e} of itself"
+    )
     local = premise("map affine, or taken at its fixed point", not why or distance <= FIXED, found)
     smooth = not why or not blind(partial(_learned, leaves=leaves), fixed, at)
     return (local, _differentiable(smooth)), NEARBY if why else EVERYWHERE
@@ -344,30 +207,8 @@ def _errors(fixed, at, *, trials):
 
 
 def _bounded(found: SingularValue) -> Premise:
-    """The premise that the iteration came close enough to tell the value from 1."""
+    """The premise that the iteration came close enough to tell whether the value is below 1."""
     clear = found.bound < 1 or found.value >= 1
     return premise(
         RESOLVED, clear, f"{float(found.value):.9g}, and at most {float(found.bound):.9g}"
     )
-
-
-# How it is done
-# --------------------------------------------------------------------------------------------------
-
-
-def _names(name: str, leaf: str) -> bool:
-    """Whether a name means this leaf, or something it is a part of."""
-    return leaf == name or leaf.startswith((f"{name}.", f"{name}["))
-
-
-def _weight(leaf: str, value, weights: Mapping[str, Any], size_y):
-    named = [name for name in weights if _names(name, leaf)]
-    if named:
-        return weights[max(named, key=len)]
-    size = _rms(value)
-    usable = (size > 0) & (size_y > 0) & (leaf.split(".")[-1] not in OF_OUTPUT)
-    return jnp.where(usable, size_y / jnp.where(size > 0, size, 1.0), 1.0)
-
-
-def _rms(signal):
-    return jnp.sqrt(jnp.mean(signal**2))

@@ -1,14 +1,13 @@
-"""The largest value of a frequency response, enclosed: no frequency is missed between the lines of
-a grid.
+"""The largest value of a frequency response, enclosed from above.
 
-On an arc of angles |theta - centre| <= h, theta = 2 pi f dt, a response is enclosed by a line and
-what it may depart from it,
+No frequency is missed between the lines of a grid. On an arc of angles |theta - centre| <= h, where
+theta = 2 pi f dt, a response is enclosed by a line and by how far it can depart from that line,
 
     |X(theta) - X0 - (theta - centre) X1| <= c (theta - centre)^2
 
-with c from the resolvent of a loop or the taps of a law. |X0 + t X1| is convex in t, so it is
+with c from the resolvent of a loop or from the taps of a law. |X0 + t X1| is convex in t, so it is
 largest at an end of the arc. Arcs whose bound lies above the largest value found so far are split,
-until none is left but within a tolerance (branch and bound).
+until no bound exceeds that value by more than a tolerance (branch and bound).
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ CHUNK = 4096  # arcs at a time
 
 
 class Arc(NamedTuple):
-    """Responses on F arcs. value, slope: (F, n, m) X0 and X1;  curve: (F,) c"""
+    """Responses on F arcs: (F, n, m) value X0 and slope X1 at the centre, and (F,) curve c."""
 
     value: np.ndarray
     slope: np.ndarray
@@ -59,8 +58,9 @@ class Arc(NamedTuple):
         return Arc(*(np.conj(np.swapaxes(x, -1, -2)) for x in self[:2]), self.curve)
 
     def inverse(self, h) -> Arc:
-        """The inverse of a square response, on arcs of half width h (F,); unbounded where it may be
-        singular.
+        """The inverse of a square response on arcs of half width h (F,).
+
+        It is unbounded where the response may be singular.
         """
         inverse = np.linalg.inv(self.value)
         away = size(inverse) * (h * size(self.slope) + h**2 * self.curve)
@@ -76,7 +76,7 @@ class Arc(NamedTuple):
 
 
 class Supremum(NamedTuple):
-    """value: largest one found;  bound: that none lies above;  angle: where the value was found"""
+    """The largest value found, a bound that no value exceeds, and the angle where it was found."""
 
     value: float
     bound: float
@@ -84,10 +84,10 @@ class Supremum(NamedTuple):
 
 
 def supremum(bounds: Callable, low: float, high: float, tolerance: float = TOLERANCE) -> Supremum:
-    """The largest value of a function of the angle on [low, high], in [0, pi].
+    """The largest value of a function of the angle on [low, high], within [0, pi].
 
     bounds: from the centres (F,) and half widths (F,) of arcs to the values (F,) at the centres and
-    upper bounds (F,) over the arcs
+            the upper bounds (F,) over the arcs
     """
     edges = np.linspace(low, high, ARCS + 1)
     centre, h = (edges[1:] + edges[:-1]) / 2, np.diff(edges) / 2
@@ -116,7 +116,7 @@ def supremum(bounds: Callable, low: float, high: float, tolerance: float = TOLER
 
 
 def arc_of_taps(of: Taps, centre, h) -> Arc:
-    """A law, or a filter, on arcs."""
+    """The response of a law, or of a filter, on arcs."""
     turned = np.exp(1j * np.multiply.outer(centre, of.powers))
     slope = np.tensordot(1j * turned * of.powers, of.taps, axes=1)
     curve = np.sum(of.powers**2 * size(of.taps)) / 2 if len(of.powers) else 0.0
@@ -124,10 +124,11 @@ def arc_of_taps(of: Taps, centre, h) -> Arc:
 
 
 def arc_of_loop(loop: Loop, centre, h) -> Arc:
-    """A stable loop, best balanced, on arcs: P = C R B with the resolvent R = (z I - A)^-1, and
-    with |R| bounded on the arc
+    """The response of a stable loop on arcs, P = C R B with the resolvent R = (z I - A)^-1.
 
-    d/dtheta P = -i z C R R B,      |d^2/dtheta^2 P| <= |C R| |R B| (1 + 2 |R|)
+        d/dtheta P = -i z C R R B,      |d^2/dtheta^2 P| <= |C R| |R B| (1 + 2 |R|)
+
+    |R| is bounded over each arc. The bound is sharp for a loop that is `balanced`.
     """
     z, unit = np.exp(1j * np.asarray(centre))[:, None, None], np.eye(len(loop.A))
     R = np.linalg.inv(z * unit - loop.A) if len(unit) else np.zeros((len(z), 0, 0))
@@ -152,11 +153,10 @@ def size(X) -> np.ndarray:
 
 
 def balanced(loop: Loop) -> Loop:
-    """A stable loop in coordinates in which each state is reached as well as it is seen; the
-    resolvent is then as small as it can be.
+    """A stable loop in coordinates in which each state is as easily reached as it is seen.
 
-    States of which rounding would decide are left out: what they add to P is less than 1e-13 of its
-    largest value.
+    The resolvent is then as small as it can be. States whose weight is lost in rounding are left
+    out: what they add to P is less than 1e-13 of its largest value.
     """
     A, B, C = (np.asarray(M, float) for M in loop)
     if not len(A):
@@ -174,6 +174,6 @@ def balanced(loop: Loop) -> Loop:
 
 
 def _root(W):
-    """R with R R' = W, of a positive semidefinite matrix."""
+    """R with R R' = W, of a positive semidefinite matrix W."""
     values, vectors = np.linalg.eigh((W + W.T) / 2)
     return vectors * np.sqrt(np.maximum(values, 0.0))

@@ -1,5 +1,6 @@
-"""A condition over a parametric set of plants: the worst of those that were tried, each enclosed
-over frequency.
+"""A condition over a parametric set of plants: the worst plant of those that were tried.
+
+The condition of each plant is enclosed over frequency.
 """
 
 from __future__ import annotations
@@ -19,13 +20,16 @@ from ..runtime.tiles import tiled
 from ..schemes import Scheme
 from ..signals.task import Task
 from ..uncertainty import Uncertainty, draw, drawn_machine, drawn_machines
-from .by_frequency import CAUSAL, LEARNING, STABLE, largest_of, lines, of_trial, parts_of
+from .by_frequency import CAUSAL, LEARNING, largest_of
 from .condition import Condition, condition, premise
 from .law import Taps, at_points, law_of
+from .law_and_loop import STABLE, of_trial, parts_of
 from .loop import Loop, linear_loop, minimal, on_circle, response
+from .over_frequency import lines
 
 TRIED = (
-    "sup |Q (keep - L P)| < 1 for each of the plants that were tried: samples of the box, its corners, and where gradient ascent from the "
+    "sup |Q (keep - L P)| < 1 for each of the plants that were tried: samples of the box, its "
+    "corners, and where gradient ascent from the "
     "worst of them ended. Of the plants between them nothing is proved. For each one tried: "
 )
 BETWEEN = 65  # lines of the ascent between those next to the largest
@@ -35,10 +39,12 @@ CORNERS = 8  # names up to which all corners of the box are tried
 class FamilyTest(NamedTuple):
     """A condition over a parametric set of plants.
 
-    condition: on the supremum over the plants tried and all frequencies;  at: the worst plant's
-    numbers;  worst: its frequency [Hz]
-    values, critical: (S,) supremum and critical frequency [Hz] of each plant tried;  drawn: {name:
-    (S,)} their numbers
+    condition: on the supremum over the plants tried and over all frequencies
+    at:        the numbers of the worst plant, by name
+    worst:     the frequency at which it is worst [Hz]
+    values:    (S,) supremum of each plant tried
+    critical:  (S,) critical frequency of each plant tried [Hz]
+    drawn:     {name: (S,)} the numbers of each plant tried
     """
 
     condition: Condition
@@ -62,20 +68,26 @@ def family_condition(
     steps: int = 60,
     frequencies=None,
 ) -> FamilyTest:
-    """sup |Q (keep - L P)| over the box that the distributions' corners span: samples, corners, and
-    gradient ascent from the worst.
+    """sup |Q (keep - L P)| over the box of numbers that the distributions span.
 
-        p <- clip(p + h g / |g|),  g = d/dp max_w |Q (keep - L P(p))|    (h grows by 1.5 after a
-        gain and is halved after a loss)
+    Plants are drawn at random, the corners of the box are added, and from the worst of them
+    gradient ascent goes on:
 
-    The ascent runs on the lines of each plant it starts from, and only keeps what is better; every
-    plant that is tried is then enclosed over all frequencies, so that the worst of them is the
-    worst.
-    samples, sampling, seed: as for `uncertainty.draw`, moved into the box where a normal
-    distribution leaves it
-    climbers: how many of the worst ascend, 0 for none;  steps: of each;  frequencies: lines of the
-    ascent, None for a `grid` What differs from plant to plant in the premises is looked at for
-    every plant tried. Raises ValueError as `draw` does.
+        p <- clip(p + h g / |g|),  g = d/dp max_w |Q (keep - L P(p))|
+
+    h grows by 1.5 after a gain and is halved after a loss. The ascent runs on a grid of frequencies
+    for each plant it starts from, and keeps a plant only if it is worse than the one before. Every
+    plant that is tried is then enclosed over all frequencies, so that the worst of them is found
+    reliably.
+
+    samples, sampling, seed: as for `uncertainty.draw`; a number that a normal distribution puts
+                  outside the box is moved into it
+    climbers:    how many of the worst plants the ascent starts from; 0 for no ascent
+    steps:       of each ascent
+    frequencies: (F,) at which the ascent looks [Hz]; None for a `grid`
+
+    Premises that differ from plant to plant are looked at for every plant tried. Raises ValueError
+    as `draw` does.
     """
     check(machine, scheme, task)
     names, law = tuple(uncertainty.items()), law_of(scheme, task)
@@ -144,8 +156,9 @@ def _loop_of(common, point, *, names):
 
 
 def _climb(common, start, *, names, steps):
-    """Where projected gradient ascent from `start` ends, both in the units of the numbers drawn; it
-    runs in the unit box.
+    """Where projected gradient ascent from `start` ends.
+
+    Both are in the units of the numbers drawn; the ascent runs in the unit box.
     """
     machine, scheme, task, f, (keep, L), low, high = common
     z = on_circle(f, task.dt)
@@ -160,8 +173,9 @@ def _climb(common, start, *, names, steps):
         )
 
     def peak(x):
-        """The largest size on the lines, and then between those around it, so that no line is a
-        summit of its own.
+        """The largest size on the grid, and then between its neighbours.
+
+        So no line of the grid is a local maximum only because it is a line of the grid.
         """
         loop = _loop_of((machine, scheme, task), low + (high - low) * x, names=names)
         i = jnp.argmax(sizes(loop, f, law))

@@ -1,4 +1,4 @@
-"""The error of each trial on many machines: as linear theory predicts it, and as it is simulated."""
+"""The error of each trial on many machines, as linear theory predicts it and as it is simulated."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ FIRST = 2
 
 
 def predict(machines: Machine, scheme: Scheme, task: Task, trials: int) -> np.ndarray:
-    """(S, J) root mean square errors by linear theory: two trials, then the learning map linearised
-    at what they left.
+    """(S, J) root mean square errors by linear theory.
 
-    Estimates are frozen at their start, rules of when to learn and limits are left out. Where a
-    scheme runs several trials before it learns once, each error stands that often.
+    Two trials are simulated; then the learning map is linearised at what they left. Estimates are
+    frozen at their start; rules of when to learn, and limits, are left out. Where a scheme runs
+    several trials before it learns once, each error is repeated that many times.
     """
     run = _predicting(-(-trials // scheme.trials_a_step))
     found = np.asarray(run((scheme.frozen().unlimited(), task), machines))
@@ -42,8 +42,9 @@ def simulate(machines: Machine, scheme: Scheme, task: Task, trials: int) -> np.n
 def follow(
     machines: Machine, scheme: Scheme, task: Task, trials: int, limit, view: View
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(S, J) root mean square errors as simulated, and (S, J) distances of what is played from a
-    limit (S, n), see `affine`.
+    """(S, J) root mean square errors as simulated, and (S, J) distances from a limit.
+
+    The distance is that of what is played from a limit (S, n), see `affine`.
     """
     errors, distance = _following(trials, view)((scheme, task), (machines, jnp.asarray(limit)))
     return np.asarray(errors), np.asarray(distance)
@@ -69,8 +70,9 @@ def _following(trials, view):
 
 
 def _predict(common, machine, *, trials):
-    """(J,) root mean square errors, one number a trial: the first trials as simulated, then by the
-    learning map linearised after them.
+    """(J,) root mean square errors of one machine.
+
+    The first trials are simulated; the others follow by the learning map, linearised after them.
     """
     scheme, task = common
     machine, scheme = machine.unlimited(), scheme.prepared(task)
@@ -104,8 +106,9 @@ def _rms(error):
 
 
 def _floats(memory):
-    """The floating leaves of a memory that are signals, and the way back; counters and flags are
-    held.
+    """The floating leaves of a memory that are signals, and the way back.
+
+    Counters and flags are held.
     """
     leaves, shape = jax.tree.flatten(memory)
     free = [jnp.issubdtype(jnp.result_type(x), jnp.floating) and jnp.ndim(x) > 0 for x in leaves]
@@ -122,7 +125,7 @@ def _simulate(common, machine, *, trials):
 
 
 def _follow(common, one, *, trials, view):
-    """(J,) root mean square errors as simulated, and distances of what is learned from its limit."""
+    """(J,) root mean square errors as simulated, and distances from the limit of learning."""
     (scheme, task), (machine, limit) = common, one
     scheme = scheme.prepared(task)
 
@@ -135,5 +138,5 @@ def _follow(common, one, *, trials, view):
 
 
 def _error(history):
-    """(J,) root mean square over all outputs."""
+    """() root mean square over all outputs, for each of J trials."""
     return jnp.sqrt(jnp.mean(history.rms**2, axis=1))

@@ -1,5 +1,6 @@
-"""Singular values and eigenvalues of a linear map that is given by what it does to a vector:
-Lanczos and Arnoldi. Pure.
+"""Singular values and eigenvalues of a linear map that is given by what it does to a vector.
+
+The methods are those of Lanczos and Arnoldi. All functions are pure.
 """
 
 from __future__ import annotations
@@ -19,11 +20,14 @@ CHANCE = 1e-9  # with which the largest singular value may lie above its bound
 
 
 class SingularValue(NamedTuple):
-    """value: () largest singular value, never above the true one;  residual: () |J^T u - value v|,
-    within which a singular value lies
-    bound: () that the true one does not exceed, but with a chance of 1e-9 over the start of the
-    process
-    steps: () of the Lanczos process;  direction: (n,) v, the unit change that grows most"""
+    """The largest singular value of a map, as found by the Lanczos process.
+
+    value:     () it, never above the true one
+    residual:  () |J^T u - value v|; some singular value lies within this distance of `value`
+    bound:     () an upper bound of the true one, wrong with a chance of 1e-9 over the random start
+    steps:     () of the Lanczos process
+    direction: (n,) v, the unit change that grows most
+    """
 
     value: jax.Array
     residual: jax.Array
@@ -37,8 +41,8 @@ def singular_value(
 ) -> SingularValue:
     """The largest singular value of the derivative J of f at a point; see `largest`.
 
-    f: from (n,) to (m,) or (J, m);  row: of an f with values (J, m), the row to look at, counted
-    from 0; None for all of the values
+    f:   from (n,) to (m,) or (J, m)
+    row: of an f with values (J, m), the row to look at, counted from 0; None for all of the values
     """
     here, push = jax.linearize(f, at)
     pull = jax.linear_transpose(push, at)
@@ -67,24 +71,28 @@ def largest(
 ) -> SingularValue:
     """The largest singular value of J by Golub-Kahan-Lanczos bidiagonalisation from a random start.
 
-        J V = U B,  J^T U = V B^T + beta v e^T     with U, V orthonormal (reorthogonalised in full,
-        twice) and B bidiagonal
+        J V = U B,    J^T U = V B^T + beta v e^T
 
-    push, pull: v -> J v from (n,) to (m,), and w -> J^T w;  like: (n,) of the type of v
-    steps: at most, and at most n or m;  tolerance: on residual / value, looked at now and then; 0
-    takes all steps The residual is small where a singular value was found, though it need not be
-    the largest. That it is, within a factor, follows from
-    the random start: after k steps the largest one exceeds value / sqrt(1 - c) with a chance below
-    1.648 sqrt(n) exp(-(2 k - 1) sqrt(c)) (Kuczynski and Wozniakowski 1992), and not at all where
-    the process has come to its end.
-    Storage: two (steps, n) arrays.
+    U and V are orthonormal (reorthogonalised in full, twice), and B is bidiagonal.
+
+    push, pull: v -> J v from (n,) to (m,), and w -> J^T w
+    like:       (n,) an array of the type of v
+    steps:      at most so many, and at most n or m
+    tolerance:  on residual / value, looked at from time to time; 0 takes all steps
+
+    The residual is small where a singular value was found, which need not be the largest. That it
+    is the largest, within a factor, follows from the random start: after k steps the largest one
+    exceeds value / sqrt(1 - c) with a chance below 1.648 sqrt(n) exp(-(2 k - 1) sqrt(c)) (Kuczynski
+    and Wozniakowski 1992), and not at all where the process has come to its end. Storage: two
+    (steps, n) arrays.
     """
     n = like.size
     steps = min(steps, n, m)
 
     def fresh(x, basis):
-        """The direction that x adds to the basis, and how much; what rounding left over is no
-        direction.
+        """The direction that x adds to the basis, and its length.
+
+        What rounding alone leaves over is no direction.
         """
         scale = jnp.linalg.norm(x)
         for _ in range(2):
@@ -104,9 +112,8 @@ def largest(
         built = jnp.arange(steps) < k
         alpha, above = jnp.where(built, alpha, 0.0), jnp.where(built, beta, 0.0)
         B = jnp.diag(alpha) + jnp.diag(above[:-1] * built[1:], 1)
-        squares, left = jnp.linalg.eigh(
-            B @ B.T
-        )  # many times as fast as an SVD, and as exact for the largest one
+        # this is many times as fast as an SVD, and as exact for the largest singular value
+        squares, left = jnp.linalg.eigh(B @ B.T)
         value, left = jnp.sqrt(jnp.maximum(squares[-1], 0.0)), left[:, -1]
         right = B.T @ left / jnp.where(value > 0, value, 1.0)
         exhausted = (k >= min(n, m)) | (jnp.min(jnp.where(built, beta, jnp.inf)) == 0)
@@ -145,11 +152,14 @@ def largest(
 
 
 class SpectralRadius(NamedTuple):
-    """value: () |theta| of the dominant Ritz value;  residual: () |J x - theta x| for its unit
-    vector x
-    doubt: () residual, or rounding, over the cosine between left and right eigenvector: by how much
-    theta may be off to first order
-    steps: of the Arnoldi process"""
+    """The spectral radius of a map, as found by Arnoldi's process.
+
+    value:    () |theta| of the dominant Ritz value
+    residual: () |J x - theta x| for its unit vector x
+    doubt:    () residual, or rounding, over the cosine between left and right eigenvector: to first
+              order, by how much theta may be wrong
+    steps:    of the Arnoldi process
+    """
 
     value: jax.Array
     residual: jax.Array
@@ -158,15 +168,19 @@ class SpectralRadius(NamedTuple):
 
 
 def spectral_radius_of(f: Callable, at, *, steps: int = 100) -> SpectralRadius:
-    """The spectral radius of the derivative J of f at a point, real or complex eigenvalues, by
-    Arnoldi's process.
+    """The spectral radius of the derivative J of f at a point, by Arnoldi's process.
 
-        J V = V H + h v e^T,  V orthonormal: eigenvalues of the (steps, steps) matrix H
+        J V = V H + h v e^T,  V orthonormal
 
-    f: from (n,) onto itself;  steps: at most n; with n it is exact up to rounding. Needs a backend
-    that has `eig`, as the CPU has A second process on J^T gives the left eigenvector. Learning maps
-    without a filter are far from normal: for I - gamma G any few steps, and rounding alone, show
-    values near sup |1 - gamma z P| and not the one eigenvalue 1 - gamma C B; `doubt` is then large.
+    The eigenvalues, real or complex, are those of the (steps, steps) matrix H.
+
+    f:     from (n,) onto itself
+    steps: at most n; with n steps the result is exact up to rounding
+
+    It needs a backend that has `eig`, as the CPU has. A second process on J^T gives the left
+    eigenvector. Learning maps without a filter are far from normal: for I - gamma G, a few steps
+    (and rounding alone) show values near sup |1 - gamma z P| instead of the one eigenvalue 1 -
+    gamma C B. `doubt` is then large.
     """
     _, push = jax.linearize(f, at)
     pull = jax.linear_transpose(push, at)
@@ -182,16 +196,18 @@ def spectral_radius_of(f: Callable, at, *, steps: int = 100) -> SpectralRadius:
 
 
 def _excess(k, n: int):
-    """By how much the largest singular value may exceed what k steps from a random start found, as
-    a factor.
+    """The factor by which the largest singular value may exceed what k steps found.
+
+    The steps begin at a random start.
     """
     c = ((math.log(1.648 * math.sqrt(n) / CHANCE)) / jnp.maximum(2.0 * k - 1.0, 1.0)) ** 2
     return jnp.where(c < 1, 1 / jnp.sqrt(jnp.maximum(1 - c, 1e-12)), jnp.inf)
 
 
 def _arnoldi(apply, like, steps, near):
-    """The dominant Ritz value (or that nearest to `near`), its unit vector, its residual, and the
-    Frobenius norm of H.
+    """The dominant Ritz value, its unit vector, its residual, and the Frobenius norm of H.
+
+    With `near`, it is the Ritz value nearest to that number instead of the dominant one.
     """
     V, H = krylov(apply, jax.random.normal(jax.random.key(1), like.shape, like.dtype), steps)
     values, vectors = jnp.linalg.eig(H[:-1])
@@ -205,10 +221,10 @@ def _arnoldi(apply, like, steps, near):
 
 
 def krylov(apply: Callable, start, steps: int) -> tuple[jax.Array, jax.Array]:
-    """V (steps + 1, n), orthonormal rows, and H (steps + 1, steps) with J V^T = V^T H, by Arnoldi's
-    process from `start` (n,).
+    """V (steps + 1, n) of orthonormal rows and H (steps + 1, steps), with J V^T = V^T H.
 
-    apply: v -> J v. Where the process comes to its end before, the rows of V beyond are zero.
+    They come from Arnoldi's process, begun at `start` (n,). apply: v -> J v. Where the process
+    comes to its end earlier, the remaining rows of V are zero.
     """
     size = jnp.linalg.norm(start)
     V = (
@@ -226,9 +242,8 @@ def krylov(apply: Callable, start, steps: int) -> tuple[jax.Array, jax.Array]:
         second = V @ x
         x = x - second @ V
         size = jnp.linalg.norm(x)
-        size = jnp.where(
-            size > ROUNDING * jnp.finfo(x.dtype).eps * scale, size, 0.0
-        )  # what rounding left over is no direction
+        # what rounding left over is no direction
+        size = jnp.where(size > ROUNDING * jnp.finfo(x.dtype).eps * scale, size, 0.0)
         H = H.at[:, i].set(first + second).at[i + 1, i].set(size)
         return V.at[i + 1].set(jnp.where(size > 0, x / jnp.where(size > 0, size, 1.0), 0.0)), H
 

@@ -1,11 +1,11 @@
-"""The learning law of a scheme, filters included: as matrices for one trial, and far from its ends
-what it makes of an impulse.
+"""The learning law of a scheme, filters included, as matrices and as what it makes of an impulse.
 
     u_{j+1} = keep u_j + L e_j,    keep(z) = sum_p keep_p z^p,    L(z) = sum_p L_p z^p
 
-u is what is learned and played back, e the error of the trial that played it. Every law is taken
-from the scheme's own `learn` and `feedforward`, by linearisation; an adaptive one is so frozen at
-its start. P-type learning of lead m and gain gamma has the one tap gamma of L at p = 1 + m, since
+u is what is learned and played back, and e is the error of the trial that played it. The matrices
+are of one trial; the taps keep_p and L_p are those far from its ends. Every law is taken from the
+scheme's own `learn` and `feedforward`, by linearisation; an adaptive law is thereby frozen at its
+start. P-type learning of lead m and gain gamma has the single tap gamma of L at p = 1 + m, since
 u[k] is learned from e[k+1+m].
 """
 
@@ -33,15 +33,18 @@ INVARIANT_LAW = "learning law the same throughout the trial"
 
 
 class Taps(NamedTuple):
-    """M(z) = sum_p taps_p z^p. powers: (K,) whole numbers;  taps: (K, n, m)"""
+    """M(z) = sum_p taps_p z^p, with whole numbers p = powers (K,) and taps (K, n, m)."""
 
     powers: np.ndarray | jax.Array
     taps: np.ndarray | jax.Array
 
 
 class Law(NamedTuple):
-    """keep, L: `Taps`;  departure: by how much another place of the trial has other taps, relative;
-    tail: the last tap, relative
+    """The taps of a learning law, and how far they may be trusted.
+
+    keep, L:   `Taps`
+    departure: largest difference from the taps at another place of the trial, relative
+    tail:      size of the last tap, relative
     """
 
     keep: Taps
@@ -52,19 +55,23 @@ class Law(NamedTuple):
     @property
     def invariant(self) -> Premise:
         """The premise that the taps are those of every sample far from the ends."""
-        found = f"taps differ by {self.departure:.1e} over the trial; {self.tail:.1e} of the largest is left after half of it"
+        found = (
+            f"taps differ by {self.departure:.1e} over the trial; {self.tail:.1e} of the largest "
+            "is left after half of it"
+        )
         return premise(
             INVARIANT_LAW, self.departure <= ALIKE and self.tail <= FORGOTTEN**0.5, found
         )
 
     @property
     def causal(self) -> bool:
-        """Whether u_{j+1}[k] follows from u_j up to k and e_j up to k + 1, as far as the taps tell."""
+        """Whether u_{j+1}[k] follows from u_j up to k and e_j up to k + 1, by its taps."""
         return bool(np.all(self.keep.powers <= 0) and np.all(self.L.powers <= 1))
 
     def cut_off(self, scheme: Scheme, task: Task) -> bool:
-        """Whether the law of this trial is that of the taps, with zeros beyond its ends: looked at
-        for a random trial, as it is linear.
+        """Whether the law of this trial is that of the taps, with zeros beyond its ends.
+
+        As the law is linear, it is enough to look at a random trial.
         """
         random = np.random.default_rng(5)
         u, e = (
@@ -109,18 +116,20 @@ def law_of(scheme: Scheme, task: Task) -> Law:
 
 
 class LawMatrices(NamedTuple):
-    """u_{j+1} = keep u_j + L e_j + const. over one trial. keep: (N n_w, N n_w);  L: (N n_w, N n_y)"""
+    """u_{j+1} = keep u_j + L e_j + const. over one trial: keep (N n_w, N n_w), L (N n_w, N n_y)."""
 
     keep: np.ndarray
     L: np.ndarray
 
 
 def learning_law(scheme: Scheme, task: Task, memory: Any = None) -> LawMatrices:
-    """The learning law of a scheme with a feedforward, by linearising its own `learn` and
-    `feedforward`.
+    """The learning law of a scheme with a feedforward over one trial, as matrices.
 
-    memory: what it knows, None for its start. A law that adapts (MFAILC) is frozen at what it
-    knows; `linear_law` tells.
+    It is found by linearising the scheme's own `learn` and `feedforward`. A law that adapts
+    (MFAILC) is frozen at what it knows; `linear_law` tells whether a law does.
+
+    memory: what the scheme knows; None for its start
+
     Raises ValueError for a scheme that learns no feedforward.
     """
     _width(scheme, task)
@@ -133,7 +142,7 @@ def learning_law(scheme: Scheme, task: Task, memory: Any = None) -> LawMatrices:
 
 
 class LawResponse(NamedTuple):
-    """keep: (F, n_w, n_w);  L: (F, n_w, n_y), the lead included"""
+    """The frequency responses keep (F, n_w, n_w) and L (F, n_w, n_y), the lead included."""
 
     keep: jax.Array
     L: jax.Array
@@ -151,8 +160,9 @@ def at_points(of: Taps, z) -> jax.Array:
 
 
 def filter_response(q: Filter, task: Task, frequencies) -> jax.Array:
-    """(F,) Q(z) of a filter at frequencies [Hz], from its answer to an impulse in the middle of a
-    long trial.
+    """(F,) Q(z) of a filter at frequencies [Hz].
+
+    It is taken from the filter's answer to an impulse in the middle of a long trial.
     """
     N = max(LONG, task.N)
     answer = np.asarray(_filtered(q, jnp.zeros((N, 1)).at[N // 2].set(1.0), task.dt))
@@ -173,9 +183,7 @@ def _width(scheme: Scheme, task: Task) -> int:
 
 
 def _long(scheme: Scheme, task: Task) -> Task:
-    """The task made long enough for the taps to die out, where the scheme admits another length at
-    all.
-    """
+    """The task made long enough for the taps to die out, where the scheme admits another length."""
     longer = shortened(task, max(LONG, task.N))
     try:
         scheme.check(longer)
@@ -186,8 +194,9 @@ def _long(scheme: Scheme, task: Task) -> Task:
 
 @partial(jax.jit, static_argnames="place")
 def _impulses(scheme, task, place):
-    """(N, n_w n_w) and (N, n_w n_y): what is learned from an impulse of what was played, and of the
-    error, at a place of the trial.
+    """(N, n_w n_w) and (N, n_w n_y): what is learned from an impulse at one place of the trial.
+
+    The first is for an impulse of what was played, the second for an impulse of the error.
     """
     scheme = scheme.prepared(task)
     at = jnp.zeros((task.N, _width(scheme, task))), jnp.zeros((task.N, task.outputs))
@@ -232,7 +241,7 @@ def _convolved(of: Taps, signal, late: int = 0):
 
 
 def _trimmed(powers, taps) -> Taps:
-    """Without the taps at both ends of the row that are zero, or together next to it."""
+    """The taps without those at both ends that are zero, or that add up to next to nothing."""
     size = np.max(np.abs(taps), axis=tuple(range(1, taps.ndim)))
     nothing = NEGLIGIBLE * np.max(size, initial=0.0)
     kept = (np.cumsum(size) > nothing) & (np.cumsum(size[::-1])[::-1] > nothing)

@@ -1,14 +1,13 @@
-"""The lifted form: a whole trial as one vector, and what one trial of learning does to it as one
-matrix.
+"""The lifted form: a whole trial as one vector, and one trial of learning as one matrix.
 
     y = G u + d,  u_{j+1} = keep u_j + L e_j     =>   u_{j+1} - u_inf = (keep - L G)(u_j - u_inf)
                                                  =>   e_{j+1} = (I - G L) e_j  where keep = I
 
-u is what is learned and played back, and keep and L contain the filters of the law. Rows of G and L
-count samples first and channels
-second: row k n + c is channel c of y[k+1], and of u[k]. Every matrix is taken from the simulator
-and from the scheme itself by linearisation, none is written down a second time. Dense, for N up to
-a few thousand; beyond that `contraction` gives the same numbers without a matrix.
+u is what is learned and played back; keep and L contain the filters of the law. Rows of G and L
+count samples first and channels second: row k n + c is channel c of y[k+1], and of u[k]. Every
+matrix is taken from the simulator and from the scheme itself by linearisation; none is written down
+a second time. The matrices are dense, for N up to a few thousand. Beyond that `contraction` gives
+the same numbers without a matrix.
 """
 
 from __future__ import annotations
@@ -61,20 +60,19 @@ def lifted_plant(
     memory: Any = None,
     time_invariant: bool | None = None,
 ) -> np.ndarray:
-    """(N n_y, N n_w) G = d y[1..N] / d w[0..N-1] of what is played, w: exact, from the simulator.
+    """(N n_y, N n_w) G = d y[1..N] / d w[0..N-1] of what is played, w, exactly from the simulator.
 
-    scheme: plays w (N, n_w) in place of what it learned, so for `WithFeedback(learning, feedback)`
-    G is the closed loop that the
-            learning sees, P / (1 + C P); of `OnReference` w is the correction of the reference, and
-            G is C P / (1 + C P); of `MultivariableILC` it is input and reference. One that learns
-            nothing has w added to its input; None is no scheme.
-    about:  (N, n_w) w at which a machine that is not linear is linearised, None for what is learned
-    so far
-    memory: what the scheme knows, None for its start
+    scheme: plays w (N, n_w) in place of what it learned. For `WithFeedback(learning, feedback)` G
+            is the closed loop that the learning sees, P / (1 + C P). For `OnReference` w is the
+            correction of the reference, and G is C P / (1 + C P). For `MultivariableILC` w is input
+            and reference. A scheme that learns nothing has w added to its input; None is no scheme
+    about:  (N, n_w) w at which a machine that is not linear is linearised; None for what is learned
+            so far
+    memory: what the scheme knows; None for its start
     time_invariant: True takes one impulse response for all columns; False takes every column by
-    itself;
-            None takes one if it also explains the answer to a random input, which for no
-            time-varying loop happens but by accident
+                  itself; None takes one if it also explains the answer to a random input, which
+                  under a time-varying loop it does not
+
     Raises ValueError where machine, scheme and task do not fit, or for `about` of another shape.
     """
     arguments = _arguments("lifted_plant", machine, scheme, task, about, memory)
@@ -88,31 +86,39 @@ def lifted_plant(
 
 
 def error_map(G, L) -> np.ndarray:
-    """I - G L, of e_{j+1} = (I - G L) e_j, where the law keeps all of u_j. G: (N n_y, N n_w);  L:
-    (N n_w, N n_y)
+    """(N n_y, N n_y) I - G L of e_{j+1} = (I - G L) e_j, where the law keeps all of u_j.
+
+    G: (N n_y, N n_w)
+    L: (N n_w, N n_y)
     """
     _need_product("error_map", "L", L, (G.shape[-1], G.shape[-2]))
     return np.eye(G.shape[-2]) - G @ L
 
 
 def input_map(G, L, *, keep=None) -> np.ndarray:
-    """keep - L G, of u_{j+1} - u_inf. G, L: as in `error_map`;  keep: (N n_w, N n_w), None for the
-    identity
+    """(N n_w, N n_w) keep - L G, the map of u_j - u_inf to u_{j+1} - u_inf.
+
+    G, L: as in `error_map`
+    keep: (N n_w, N n_w); None for the identity
     """
     _need_product("input_map", "L", L, (G.shape[-1], G.shape[-2]))
     return (np.eye(G.shape[-1]) if keep is None else keep) - L @ G
 
 
 def mfailc_map(G, phi, lam, rho=1.0, *, lead: int = 0) -> np.ndarray:
-    """(..., N n, N n) I - G diag(gamma) S^lead of e_{j+1} under CFDL-MFAILC (Cao 2019, eq. 12),
-    gamma = rho phi / (lam + phi^2).
+    """(..., N n, N n) I - G diag(gamma) S^lead of e_{j+1} under CFDL-MFAILC (Cao 2019, eq. 12).
 
-    G: (N n, N n);  phi: (N, n) or (N,) the estimate, frozen; with leading axes one map for each, so
-    (J, N, n) gives those of J trials
-    lam, rho: (), or (n,) of each channel;  lead: samples by which learning looks further ahead, S
-    e[k] = e[k+1] This is the exact map of a linear machine. |1 - rho phi phi_hat / (lam +
-    phi_hat^2)| < 1 (15) is its diagonal only: it ignores that y[k+1] also depends on the inputs
-    before u[k]. Raises ValueError for a phi that does not fit G.
+        gamma = rho phi / (lam + phi^2),    S e[k] = e[k+1]
+
+    G:        (N n, N n)
+    phi:      (N, n) or (N,) the estimate, frozen; leading axes give one map for each, so (J, N, n)
+              gives those of J trials
+    lam, rho: (), or (n,) of each channel
+    lead:     samples by which learning looks further ahead
+
+    This is the exact map of a linear machine. |1 - rho phi phi_hat / (lam + phi_hat^2)| < 1 (eq.
+    15) looks at its diagonal only: it ignores that y[k+1] also depends on the inputs before u[k].
+    Raises ValueError for a phi that does not fit G.
     """
     G, phi = np.asarray(G), np.asarray(phi, float)
     size = G.shape[-1]
@@ -120,7 +126,8 @@ def mfailc_map(G, phi, lam, rho=1.0, *, lead: int = 0) -> np.ndarray:
         phi.shape[-1:] == (size,) or (phi.ndim > 1 and phi.shape[-2] * phi.shape[-1] == size)
     ):
         raise ValueError(
-            f"mfailc_map: phi has shape {phi.shape}, G {G.shape}; allowed are (..., N) and (..., N, n) with G (N n, N n)"
+            f"mfailc_map: phi has shape {phi.shape}, G {G.shape}; allowed are (..., N) and (..., "
+            "N, n) with G (N n, N n)"
         )
     phi = phi[..., None] if phi.shape[-1] == size else phi
     gamma = np.asarray(rho * phi / (lam + phi**2)).reshape(*phi.shape[:-2], 1, size)
@@ -133,13 +140,14 @@ def mfailc_map(G, phi, lam, rho=1.0, *, lead: int = 0) -> np.ndarray:
 def learning_conditions(
     machine: Machine, scheme: Scheme, task: Task, *, about=None, memory: Any = None
 ) -> dict[str, Condition]:
-    """`monotone` and `asymptotic` of the input, keep - L G, and `monotone_error`, I - G L, where
-    nothing is filtered or forgotten.
+    """The conditions `monotone` and `asymptotic` of the input, and `monotone_error` of the error.
 
+    The first two are of keep - L G. The last is of I - G L, where nothing is filtered or forgotten.
     They hold for all trials to come: a premise says whether a limit of machine or scheme is ever
     met.
+
     about, memory: where a machine or law that is not linear is linearised; a premise then says that
-    it is not
+                  it is not linear
     """
     G, law = (
         lifted_plant(machine, scheme, task, about=about, memory=memory),
@@ -177,7 +185,7 @@ def learning_conditions(
 
 
 def _arguments(function, machine, scheme, task, about, memory):
-    """What the compiled functions take, checked."""
+    """The arguments of the compiled functions, checked."""
     if scheme is None:
         machine.check(task)
     else:
@@ -194,13 +202,16 @@ def _arguments(function, machine, scheme, task, about, memory):
 
 
 def _output(machine, scheme, task, memory, w):
-    """(N, n_y) y[1..N]"""
+    """(N, n_y) y[1..N] of a trial."""
     return played(machine, scheme, task, memory, w).y[1:]
 
 
 @jax.jit
 def _impulse_response(machine, scheme, task, memory, about):
-    """(N, n_y, n_u) of an impulse at k = 0, a random (N, n_u) input, and the (N, n_y) answer to it."""
+    """The answer (N, n_y, n_u) to impulses at k = 0, and a random (N, n_u) input with its answer.
+
+    The last is (N, n_y); it tests whether the impulse response explains other inputs.
+    """
     _, push = jax.linearize(partial(_output, machine, scheme, task, memory), about)
     impulses = jnp.zeros((about.shape[1], *about.shape)).at[:, 0].set(jnp.eye(about.shape[1]))
     probe = jnp.asarray(np.random.default_rng(1).standard_normal(about.shape), about.dtype)

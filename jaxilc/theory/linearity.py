@@ -1,14 +1,14 @@
-"""The premises under which linear theory is more than a prediction, each read off the program of
-the part that it is about.
+"""The premises under which linear theory is more than a prediction.
 
-    loop      a sample: state and input -> next state, the same at each sample
-    `invariant_loop`
-    trial     what is played -> the output of a trial
-    `linear_trial` learning  what is known, and a trial -> what is known next, the same in each
-    trial  `linear_law`
+Each is read off the program of the part that it is about:
 
-Limits are left out of all of them (`unlimited`): they are no obstacle as long as none is met, which
-is for `outlook` to say.
+    invariant_loop  a sample: state and input -> next state, the same at each sample
+    linear_trial    a trial: what is played -> the output
+    linear_law      learning: what is known, and a trial -> what is known next, the same in each
+                    trial
+
+Limits are left out of all of them (`unlimited`): as long as none is met, they change nothing.
+Whether one is met is for `outlook` to say.
 """
 
 from __future__ import annotations
@@ -34,11 +34,10 @@ INVARIANT = "loop linear and time invariant"
 
 
 def linear_law(scheme: Scheme, task: Task, memory: Any = None) -> Premise:
-    """That what a scheme knows next is an affine function of what it knows and of the trial, the
-    same after every trial.
+    """The premise that learning is an affine map, the same after every trial.
 
-    An estimator, a rule that stops or switches the learning, or learning only in some of the trials
-    breaks it.
+    The map goes from what a scheme knows, and from a trial, to what it knows next. An estimator, a
+    rule that stops or switches the learning, or learning only in some of the trials breaks it.
     """
     free, what = scheme.unlimited(), type(scheme).__name__
     memory = scheme.initial_memory(task) if memory is None else memory
@@ -75,7 +74,7 @@ def linear_law(scheme: Scheme, task: Task, memory: Any = None) -> Premise:
 def linear_trial(
     machine: Machine, scheme: Scheme | None, task: Task, *, memory: Any = None
 ) -> Premise:
-    """That the output of a trial is an affine function of what is played in it."""
+    """The premise that the output of a trial is an affine function of what is played in it."""
     free = None if scheme is None else scheme.unlimited()
     memory = memory if scheme is None or memory is not None else scheme.initial_memory(task)
     shape = learned_shape(scheme, task) or (task.N, task.inputs)
@@ -100,8 +99,9 @@ def nonlinear_part(machine: Machine, scheme: Scheme | None, task: Task, memory: 
 
 
 def invariant_loop(machine: Machine, scheme: Scheme | None, task: Task) -> Premise:
-    """That machine and feedback do the same linear thing at each sample, so that `linear_loop`
-    holds for all of them.
+    """The premise that machine and feedback do the same linear thing at each sample.
+
+    Only then does `linear_loop` hold for all samples.
     """
     free = None if scheme is None else scheme.unlimited()
     tick, fixed, varying = tick_of(machine.unlimited(), free, task)
@@ -115,8 +115,10 @@ def invariant_loop(machine: Machine, scheme: Scheme | None, task: Task) -> Premi
 
 
 def learning_premises(machine: Machine, scheme: Scheme, task: Task) -> tuple[Premise, Premise]:
-    """That a trial and what is learned from it is one affine map of what is known, in every trial;
-    the parts by name.
+    """The premises that a trial and learning from it are one affine map, the same in every trial.
+
+    The map is of all that the scheme knows. The first premise is of the trial, the second of
+    learning, so that the part that breaks one is named.
     """
     whole = obstacle(
         _step,
@@ -132,8 +134,9 @@ def learning_premises(machine: Machine, scheme: Scheme, task: Task) -> tuple[Pre
 
 
 def remembers(scheme: Scheme, task: Task) -> bool:
-    """Whether what is learned depends on more than the last trial: on earlier trials, estimates,
-    counters.
+    """Whether what is learned depends on more than the last trial.
+
+    It may depend on earlier trials, estimates or counters.
     """
     free, shape = scheme.unlimited(), learned_shape(scheme, task)
     trial = free.record(jnp.zeros(shape), jnp.zeros((task.N + 1, task.outputs)), task)
@@ -153,7 +156,9 @@ def keeps_all(scheme: Scheme, task: Task, *, off: bool = False) -> bool:
     """Whether a trial without error changes nothing of what is learned: no filter, no leak.
 
     off: with an error at k = 0 all the same, which no input can reach; a derivative of the error
-    reads it Looked at for a random input, which is enough of a linear law.
+         reads it
+
+    It is looked at for a random input, which is enough for a linear law.
     """
     if remembers(scheme, task):
         return False

@@ -1,8 +1,7 @@
-"""The loop from what is learned to the output, machine and feedback together, as a linear system
-from sample to sample.
+"""Machine and feedback as one linear system, from what is learned to the output.
 
-It is that of the simulator's own step, linearised at rest; so any plant has one, differentiable in
-every leaf. Frequencies are in Hz throughout.
+The system goes from sample to sample. It is the simulator's own step, linearised at rest; so any
+plant has one, and it can be differentiated in every leaf. Frequencies are in Hz throughout.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ NEGLIGIBLE = (1e-10, 1e-14)  # shares of a direction that are tried for too litt
 
 
 class Loop(NamedTuple):
-    """x[k+1] = A x[k] + B w[k], y[k] = C x[k]. A: (n, n), B: (n, n_w), C: (n_y, n)"""
+    """x[k+1] = A x[k] + B w[k], y[k] = C x[k], with A (n, n), B (n, n_w) and C (n_y, n)."""
 
     A: jax.Array | np.ndarray
     B: jax.Array | np.ndarray
@@ -33,8 +32,14 @@ class Loop(NamedTuple):
 
 
 class Now(NamedTuple):
-    """What differs from sample to sample: the flat state x, the learned w, the rest of the scheme's
-    row, reference, disturbances.
+    """What differs from sample to sample.
+
+    x:        (n,) the state of the loop, flat
+    w:        (n_w,) what is learned for this sample
+    row:      the other entries of the scheme's row
+    r:        (n_y,) reference r[k]
+    ahead:    (preview, n_y) reference r[k+1], r[k+2], ...
+    d_u, d_y: (n_u,) and (n_y,) disturbances of input and output
     """
 
     x: jax.Array
@@ -47,8 +52,10 @@ class Now(NamedTuple):
 
 
 def tick_of(machine: Machine, scheme: Scheme | None, task: Task):
-    """(tick, fixed, rest): a sample of the simulator as a function tick(fixed, now) -> (next flat
-    state, y), what it needs, and rest.
+    """One sample of the simulator as a function, with its arguments at rest.
+
+    The result (tick, fixed, rest) is a function tick(fixed, now) -> (next flat state, y), the
+    machine and scheme that it needs, and `rest`, the `Now` of a loop at rest.
 
     Raises ValueError for a scheme that plays several samples of what it learned at once, as
     OnReference over a feedback with preview.
@@ -67,8 +74,9 @@ def tick_of(machine: Machine, scheme: Scheme | None, task: Task):
     flat, unravel = ravel_pytree(state)
 
     def row_of(scheme, learned):
-        """The second row of a trial that plays `learned`: the first would know nothing of the
-        sample before.
+        """The second row of a trial that plays `learned`.
+
+        The first row would know nothing of the sample before.
         """
         memory = scheme.initial_memory(short)
         return jax.tree.map(
@@ -78,7 +86,8 @@ def tick_of(machine: Machine, scheme: Scheme | None, task: Task):
 
     if shape is not None and preview > 1 and _looks_ahead(row_of, scheme, zeros):
         raise ValueError(
-            f"linear_loop: {type(scheme).__name__} with preview = {preview} plays several samples of what it learned at once; "
+            f"linear_loop: {type(scheme).__name__} with preview = {preview} plays several samples "
+            "of what it learned at once; "
             "allowed is a feedback of preview 1"
         )
 
@@ -104,14 +113,15 @@ def tick_of(machine: Machine, scheme: Scheme | None, task: Task):
 
 
 def linear_loop(machine: Machine, scheme: Scheme | None, task: Task) -> Loop:
-    """Machine and feedback from what is learned to y, linearised at rest: one sample of the
-    simulator, differentiated.
+    """Machine and feedback from what is learned to y, linearised at rest.
 
-    scheme: the closed loop that its learning sees, P / (1 + C P); of `OnReference` what is learned
-    corrects the reference, of
-            `MultivariableILC` it is input and reference; of feedback alone it is an input on top;
-            None is the machine alone
-    Pure: to be vmapped and differentiated. Raises ValueError as `tick_of` does.
+    It is one sample of the simulator, differentiated.
+
+    scheme: the result is the closed loop that its learning sees, P / (1 + C P). For `OnReference`
+            what is learned corrects the reference; for `MultivariableILC` it is input and
+            reference; for feedback alone it is an input on top. None is the machine alone
+
+    The function is pure: it may be vmapped and differentiated. Raises ValueError as `tick_of` does.
     """
     tick, fixed, rest = tick_of(machine, scheme, task)
     # the output of the next state: what w does to y[k] at once, through a sample's own reference,
@@ -136,12 +146,11 @@ def on_circle(frequencies, dt) -> jax.Array:
 
 
 def minimal(loop: Loop, samples: int) -> Loop:
-    """The part of the loop which w reaches and y shows, balanced: an unused integrator of a PID is
-    no part of it.
+    """The part of the loop which w reaches and y shows, balanced.
 
-    States are left out only where that changes nothing in a trial of so many samples: an unstable
-    mode of however small a weight, which would show in the end, stays, and then all of the loop
-    does.
+    An integrator of a PID that is not used is no part of it, for example. States are left out only
+    where that changes nothing in a trial of so many samples. An unstable mode, however small its
+    weight, would show in the end; where there is one, the whole loop is kept.
     """
     A, B, C = (np.asarray(M, float) for M in loop)
     if not all(np.all(np.isfinite(M)) for M in (A, B, C)):
@@ -150,9 +159,8 @@ def minimal(loop: Loop, samples: int) -> Loop:
     whole = B, C = B / scale[:, None], C * scale
     for share in NEGLIGIBLE:
         reduced = A, *whole
-        for _ in range(
-            2
-        ):  # the reachable part, then the observable part, as the reachable part of the transposed system
+        # the reachable part, then the observable part: the reachable part of the transposed system
+        for _ in range(2):
             V = _reachable(reduced[0], reduced[1], share)
             reduced = (V.T @ reduced[0] @ V).T, (reduced[2] @ V).T, (V.T @ reduced[1]).T
         difference, size = _apart((A, *whole), reduced, samples)
@@ -162,8 +170,9 @@ def minimal(loop: Loop, samples: int) -> Loop:
 
 
 def pole_radius(loop: Loop, samples: int = 2000) -> float:
-    """Largest |pole| of P, that is of the part of the loop that shows in a trial of so many
-    samples; see `minimal`.
+    """Largest |pole| of P, of that part of the loop that shows in a trial of so many samples.
+
+    See `minimal`.
     """
     A = minimal(loop, samples).A
     return (
@@ -178,8 +187,9 @@ def pole_radius(loop: Loop, samples: int = 2000) -> float:
 
 
 def _looks_ahead(row_of, scheme, zeros) -> bool:
-    """Whether the row of a sample depends on what is learned for later ones; looked at for weights
-    of 1, as it may be traced.
+    """Whether the row of a sample depends on what is learned for later samples.
+
+    It is looked at with all weights 1, as the weights themselves may be traced.
     """
     with jax.ensure_compile_time_eval():
         ones = jax.tree.map(lambda leaf: np.ones(np.shape(leaf), leaf.dtype), scheme)
@@ -188,8 +198,9 @@ def _looks_ahead(row_of, scheme, zeros) -> bool:
 
 
 def _reachable(A, B, share):
-    """Orthonormal basis (n, r) of span(B, A B, A^2 B, ...), without directions that add less than a
-    share of the size of A and B.
+    """Orthonormal basis (n, r) of span(B, A B, A^2 B, ...).
+
+    Directions that add less than a share of the size of A and B are left out.
     """
     V, fresh = np.zeros((len(A), 0)), B
     size = max(np.linalg.norm(A), np.linalg.norm(B), 1e-300)
@@ -204,8 +215,9 @@ def _reachable(A, B, share):
 
 
 def _apart(one, other, samples: int):
-    """Largest difference of two impulse responses over so many samples, and the largest value of
-    the first.
+    """Largest difference of two impulse responses over so many samples.
+
+    The second result is the largest value of the first response.
     """
     (A, X, C), (a, x, c) = one, other
     difference = size = 0.0

@@ -1,13 +1,13 @@
-"""All trials to come of a linear law on a linear machine: where learning goes, how fast, and which
-limits it meets on the way.
+"""All trials to come of a linear law on a linear machine.
 
-One trial and its learning take what is played, w, to F(w) = M w + c, with limits left out
-(`affine`). So w_j - w_inf = M^(j-1) (w_1 - w_inf), and
+The questions are where learning goes, how fast, and which limits it meets on the way. One trial and
+its learning take what is played, w, to F(w) = M w + c, with limits left out (`affine`). So
+w_j - w_inf = M^(j-1) (w_1 - w_inf), and
 
     ||M^i|| <= growth * factor^(i // trials)    with factor < 1
 
-says at once that learning converges, what it can do before (`Decay`), and within which distance of
-w_j all later trials stay:
+says that learning converges, what it can do before (`Decay`), and within which distance of w_j all
+later trials stay:
 
     ||w_i - w_j|| <= reach ||w_(j+1) - w_j||,    reach = growth * trials / (1 - factor)
 
@@ -41,10 +41,11 @@ WHOLE = "the whole trial converges, its ends included"
 
 
 class Decay(NamedTuple):
-    """||M^i|| <= growth factor^(i // trials). Each (S,), of S machines; trials is 0, factor and
-    growth infinite, where none was found.
+    """||M^i|| <= growth factor^(i // trials) of S machines.
 
-    norm: (S,) an upper bound of ||M||
+    trials: (S,) 0 where no such bound was found
+    factor, growth: (S,) infinite where no such bound was found
+    norm:   (S,) an upper bound of ||M||
     """
 
     trials: np.ndarray
@@ -65,14 +66,22 @@ class Decay(NamedTuple):
             float(self.growth[machine]),
         )
         if not k:
-            return f"no power of the learning map up to {POWERS[-1]} contracts; the norm of one trial is up to {self.norm[machine]:.6g}"
+            return (
+                f"no power of the learning map up to {POWERS[-1]} contracts; "
+                f"the norm of one trial is up to {self.norm[machine]:.6g}"
+            )
         before = f", and grows at most {growth:.3g} times before" if growth > 1 else ""
-        return f"the distance from the limit falls to {factor:.6g} of itself in {'every trial' if k == 1 else f'{k} trials'}, or below{before}"
+        within = "every trial" if k == 1 else f"{k} trials"
+        return (
+            f"the distance from the limit falls to {factor:.6g} of itself in {within}, "
+            f"or below{before}"
+        )
 
     @property
     def reach(self) -> np.ndarray:
-        """(S,) how far later trials stray from w_j, in units of ||w_(j+1) - w_j||; infinite without
-        a decay
+        """(S,) how far later trials stray from w_j, in units of ||w_(j+1) - w_j||.
+
+        It is infinite where there is no decay.
         """
         found = self.trials > 0
         growth, left = np.where(found, self.growth, 1.0), np.where(found, 1 - self.factor, 1.0)
@@ -82,13 +91,14 @@ class Decay(NamedTuple):
 class Outlook(NamedTuple):
     """What linear theory says of all trials to come of S machines.
 
-    decay: of the distance from the limit;  limit: (S, n) w_inf;  radius: (S,) within which it is
-    known
-    floor: (S,) root mean square error that is left at the limit;  doubt: (S,) within which that is
-    known
-    met: (S,) first trial that meets a limit, 0 if none was seen to;  clear: (S,) whether none ever
-    is
-    which: name of the limit that comes first, of each machine
+    decay:  of the distance from the limit
+    limit:  (S, n) w_inf
+    radius: (S,) distance within which w_inf is known
+    floor:  (S,) root mean square error that is left at the limit
+    doubt:  (S,) distance within which `floor` is known
+    met:    (S,) first trial that meets a limit; 0 if none was seen to
+    clear:  (S,) whether no limit is ever met
+    which:  name of the limit that is met first, of each machine
     """
 
     decay: Decay
@@ -101,7 +111,7 @@ class Outlook(NamedTuple):
     which: np.ndarray
 
     def of_limits(self, machine: int) -> Premise:
-        """The premise that all stays as linear as without limits."""
+        """The premise that the limits change nothing, so that all stays linear."""
         return premise(NO_LIMIT, self.clear[machine], self.told(machine))
 
     def told(self, machine: int) -> str:
@@ -117,7 +127,7 @@ class Outlook(NamedTuple):
 
 
 def maps_of(machines: Machine, scheme: Scheme, task: Task, steps: int = STEPS) -> Matrices | Maps:
-    """M, c, and what belongs to them, of each machine (`uncertainty.drawn_machines`)."""
+    """The learning maps of each machine drawn: M, c and what belongs to them."""
     view = view_of(scheme, task)
     dense = len(view.moving) <= DENSE
     return (
@@ -128,7 +138,7 @@ def maps_of(machines: Machine, scheme: Scheme, task: Task, steps: int = STEPS) -
 
 
 def that_fit(machines: Machine, task: Task) -> list[Machine]:
-    """The machines in parts whose matrices fit into `ROOM`, where they are dense."""
+    """The machines in groups, so that the dense matrices of each group fit into `ROOM`."""
     count, rows = len(jax.tree.leaves(machines)[0]), task.N * max(task.inputs, task.outputs)
     chunk = max(1, ROOM // (8 * rows**2)) if rows <= DENSE else count
     return [
@@ -138,7 +148,7 @@ def that_fit(machines: Machine, task: Task) -> list[Machine]:
 
 
 def joined(parts: list[Any]) -> Any:
-    """What was found of parts of the machines, as found of all."""
+    """The results of groups of machines, as one result for all."""
     return (
         parts[0]
         if len(parts) == 1
@@ -149,8 +159,9 @@ def joined(parts: list[Any]) -> Any:
 def outlooks(
     machines: Machine, scheme: Scheme, task: Task, *, maps: Matrices | Maps | None = None
 ) -> Outlook:
-    """The outlook of each machine. Its premises are for `linearity` to look at: here all is taken
-    to be linear.
+    """The outlook of each machine.
+
+    Its premises are left to `linearity`: here everything is taken to be linear.
     """
     if maps is None:
         return joined(

@@ -1,20 +1,19 @@
-"""Learning on every plant P (1 + W D) with a stable D of |D| <= 1: by frequency, and over a whole
-trial with its ends.
+"""Learning on every plant P (1 + W D) with a stable D of |D| <= 1.
 
-Frequency by frequency |Q (keep - L P)| + |Q L P W| < 1 is enough, far from the ends of a long
+Frequency by frequency, |Q (keep - L P)| + |Q L P W| < 1 is enough: far from the ends of a long
 trial, and everywhere for a causal law. With a lead or a zero-phase filter the ends need a proof of
 their own. On a trial of N samples M = X + Y D with
 
     X = Q (keep - L G),   Y = -Q L G W,   D lower triangular and Toeplitz, |D v| <= |v| for each v
 
-W the causal operator of minimum phase. D commutes with each causal Psi, so that |Psi D v| <= |Psi
-v|. If a matrix R fulfils
+where W is the causal operator of minimum phase. D commutes with each causal Psi, so that |Psi D v|
+<= |Psi v|. If a matrix R fulfils
 
     R >= Psi'Psi + X'R X + X'R Y (Psi'Psi - Y'R Y)^-1 Y'R X,    Psi'Psi > Y'R Y
 
-then |M v|_R <= |v|_R for all those D at once (S-procedure). With strictness, learning converges on
-each plant. |Psi|^2 is taken as the share |Y| / (|X| + |Y|) of each frequency, and R is found by
-iterating the right-hand side from the identity.
+then |M v|_R <= |v|_R for all those D at once (S-procedure). If the inequality is strict, learning
+converges on each plant. |Psi|^2 is taken as the share |Y| / (|X| + |Y|) of each frequency, and R is
+found by iterating the right-hand side from the identity.
 """
 
 from __future__ import annotations
@@ -27,17 +26,20 @@ from ..schemes import Scheme
 from ..signals.task import Task
 from ..uncertainty import drawn_machines
 from .affine import limit_names
-from .by_frequency import FrequencyTest, on_supremum, parts_of, weight_on
 from .condition import Premise, premise
 from .enclosure import size
 from .law import learning_law
+from .law_and_loop import parts_of
 from .lifted import lifted_plant
 from .outlook import WHOLE
+from .over_frequency import FrequencyTest, on_supremum, weight_on
 from .trials import shortened
 
 ROBUST = (
-    "sup |Q| (|keep - L P| + |L P W|) < 1, for every plant P (1 + W D) with a stable |D| <= 1: far from the ends of a long trial each "
-    "frequency comes nearer to its limit by this factor or more in every trial (Bristow 2006); the whole trial as its premise says"
+    "sup |Q| (|keep - L P| + |L P W|) < 1, for every plant P (1 + W D) with a stable |D| <= 1: far "
+    "from the ends of a long trial each "
+    "frequency comes nearer to its limit by this factor or more in every trial (Bristow 2006); the "
+    "whole trial as its premise says"
 )
 NO_LIMIT = "machine and scheme have no limit"
 DENSE = 256  # samples of the trial at which the ends are looked at
@@ -50,10 +52,12 @@ ITERATIONS = 200
 def robust_condition(
     machine: Machine, scheme: Scheme, task: Task, weight, *, frequencies=None
 ) -> FrequencyTest:
-    """sup_w |Q| (|keep - L P| + |L P W|) < 1, for all plants P (1 + W D), |D| <= 1.
+    """sup_w |Q| (|keep - L P| + |L P W|) < 1, for all plants P (1 + W D) with |D| <= 1.
 
-    weight: |W|, a number or a function of f [Hz], taken as constant from line to line;
+    weight:      |W|, a number or a function of f [Hz], taken as constant from line to line of the
+                 grid
     frequencies: as for `learning_condition`
+
     Raises ValueError where machine, scheme and task do not fit, or for a weight that is negative.
     """
     parts = parts_of(machine, scheme, task)
@@ -91,7 +95,7 @@ def robust_condition(
 
 
 def _whole_trial(machine: Machine, scheme: Scheme, task: Task, parts, lines) -> Premise:
-    """That learning converges on every plant over a trial with its ends, by the matrix R."""
+    """The premise, by the matrix R, that learning converges on every plant over a whole trial."""
     short = shortened(task, min(task.N, DENSE))
     try:
         scheme.check(short)
@@ -110,12 +114,15 @@ def _whole_trial(machine: Machine, scheme: Scheme, task: Task, parts, lines) -> 
     W = _causal(lines, short.N, width)
     X, Y = law.keep - law.L @ G, law.L @ G @ W
     steps = _iterated(X, Y, _causal(np.sqrt(_shares(parts, lines)), short.N, width))
-    found = f"a norm that falls on every plant was {'found' if steps else 'not found'} for a trial of {short.N} samples"
+    found = (
+        f"a norm that falls on every plant was {'found' if steps else 'not found'} for a trial of "
+        f"{short.N} samples"
+    )
     return premise(WHOLE, steps > 0, found)
 
 
 def _memory(parts) -> int:
-    """Samples in which the responses of loop and law fade."""
+    """The number of samples in which the responses of loop and law fade."""
     radius = np.max(np.abs(np.linalg.eigvals(parts.loop.A)), initial=0.0)
     of_loop = int(np.ceil(np.log(FADED) / np.log(np.clip(radius, 1e-6, 1 - 1e-12))))
     reach = [of_loop]
@@ -140,8 +147,9 @@ def _shares(parts, lines):
 
 
 def _causal(magnitude, N: int, width: int):
-    """(N width, N width) the lower triangular operator of minimum phase with this magnitude
-    (POINTS+1,) at equidistant angles.
+    """(N width, N width) the lower triangular operator of minimum phase with a given magnitude.
+
+    The magnitude (POINTS+1,) is given at equidistant angles.
     """
     cepstrum = np.fft.irfft(np.log(np.maximum(magnitude, 1e-9 * np.max(magnitude, initial=1e-200))))
     folded = np.concatenate(
@@ -152,7 +160,7 @@ def _causal(magnitude, N: int, width: int):
 
 
 def _iterated(X, Y, Psi) -> int:
-    """Iterations after which R fulfils its inequality, 0 if it is not seen to."""
+    """The number of iterations after which R fulfils its inequality; 0 if it is not seen to."""
     share, R = Psi.T @ Psi, np.eye(len(X))
     for i in range(ITERATIONS):
         RX, RY = R @ X, R @ Y

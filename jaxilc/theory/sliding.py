@@ -1,12 +1,10 @@
-"""Sliding mode control and learning over it (Xu 2024): does sigma slide on a run, and does learning
-contract.
+"""Conditions of Xu 2024 on learning over sliding mode control: does learning contract.
 
-    sigma' = f - eta_hat s(sigma) - k_n sigma,    V = sigma^2 / 2,    s = sgn, or sat(sigma / Delta)
-    with a boundary layer
     rho = 1 - (K_P + s K_D) exp(lam0 t) / (s (s + lam1 + lam2 / s)),    e_{j+1} = rho e_j + ...
 
-The paper takes the disturbance f to be bounded and rho to be below 1. Here f is what it turned out
-to be, and rho is evaluated, beside the factor that the sampled loop really has.
+The paper takes |rho| to be below 1. Here rho is evaluated, and beside it the factor that the
+sampled loop really has. Whether sigma slides on a run is for `sliding_run`, whose names are
+reachable here.
 """
 
 from __future__ import annotations
@@ -24,132 +22,41 @@ from ..plants import StateSpace
 from ..pytree.fields import pytree
 from ..pytree.named_paths import named_leaves, replaced
 from ..schemes import ASMC, SMC, ExponentialPD, Filtered, Scheme, WithFeedback
-from ..schemes.compose import signals_of_part
 from ..signals.task import Task, Trial
 from ..uncertainty import drawn_machines
 from .by_frequency import learning_condition
 from .condition import Condition, Premise, condition, premise
 from .outlook import WHOLE, decays
+from .sliding_run import Sliding, sliding, sliding_mode_of
 
-SLIDING = (
-    "|f| < eta_hat + k_n Delta: V falls outside the boundary layer, so that sigma reaches it and stays (Xu 2024, eq. 9 and 17, without the "
-    "k_n Delta by which the reaching law helps at the edge of the layer; Delta = 0 for sgn, sampled: a band in proportion to dt)"
-)
+__all__ = [
+    "ExponentialTest",
+    "Reaching",
+    "Sliding",
+    "printed_condition",
+    "sampled_condition",
+    "sliding",
+    "within_layer",
+]
+
 SAMPLED = "the loop as it is sampled agrees"
-PRINTED = "sup |1 - (K_P + s K_D) exp(lam0 t) / ((s + K) (s + lam1 + lam2 / s))| < 1: the error falls in every trial (Xu 2024, eq. 36)"
-
-
-class Sliding(NamedTuple):
-    """How a trial slid.
-
-    V: (N, n) sigma^2 / 2 [y^2/s^2];  eta_hat: (N, n) switching gain [y/s^2]
-    disturbance: (N-1, n) realised f[k], k = 1..N-1 [y/s^2]: all that the law did not foresee, as
-    mismatch, loads, the half sample by which
-        u acts late, limits, and b times a learned part of u
-    band: (n,) Delta, or the overshoot (eta_hat + 2 |f|) (dt + tau) of an input that is held, if
-    that is wider [y/s]
-    error_band: (n,) largest |e| that a sigma within the band can bring about [y]
-    towards: share of samples, of those outside the layer, with sigma[k] (sigma[k+1] - sigma[k]) <=
-    0;  falling: with V[k+1] <= V[k]
-    dominated: share of all samples with eta_hat > |f|;  reached: first sample from which on sigma
-    stays in the band, N if it does not
-    condition: |f| / (eta_hat + k_n Delta) < 1 at every sample
-    """
-
-    V: np.ndarray
-    eta_hat: np.ndarray
-    disturbance: np.ndarray
-    band: np.ndarray
-    error_band: np.ndarray
-    towards: float
-    falling: float
-    dominated: float
-    reached: int
-    condition: Condition
-
-
-def sliding(scheme: Scheme, trial: Trial) -> Sliding:
-    """The sliding condition along a trial of `SMC` or `ASMC`, alone or as the feedback of
-    `WithFeedback`.
-
-        f[k] = e'' + lam1 e' + lam2 e + mean_{i=k-1,k} (eta_hat[i] s(sigma[i]) + k_n sigma[i])
-        (central differences of e = y - r)
-
-    The mean is over the two intervals that the second difference spans. trial: simulated, or
-    measured with the signals `sigma` and `eta_hat` (of WithFeedback: `feedback`, `feedback.sigma`,
-    `feedback.eta_hat`).
-    Raises ValueError for another scheme, or a trial without these signals.
-    """
-    law, signals, u, dt = _feedback("sliding", scheme), trial.signals, trial.u, trial.dt
-    if isinstance(scheme, WithFeedback):
-        u, signals = signals.get("feedback", u), signals_of_part("feedback", signals)
-    missing = [name for name in ("sigma", "eta_hat") if name not in signals]
-    if missing:
-        raise ValueError(
-            f"sliding: the trial has no signal {' and '.join(map(repr, missing))} (N, n_u)"
-        )
-    sigma, eta_hat, e = (
-        np.asarray(x, float) for x in (signals["sigma"], signals["eta_hat"], -trial.e)
-    )
-    layer = np.broadcast_to(getattr(law, "Delta", 0.0), sigma.shape[1:])
-    acted = eta_hat * np.asarray(law.switching(sigma)) + law.k_n * sigma
-    f = (
-        np.diff(e, 2, axis=0) / dt**2
-        + law.lam1 * (e[2:] - e[:-2]) / (2 * dt)
-        + law.lam2 * e[1:-1]
-        + (acted[1:] + acted[:-1]) / 2
-    )
-    size, gain, reserve = np.abs(f), eta_hat[1:], law.k_n * layer
-    value = np.max(
-        np.divide(
-            size, gain + reserve, out=np.where(size > 0, np.inf, 0.0), where=gain + reserve > 0
-        )
-    )
-    band = np.maximum(layer, np.max(gain + 2 * size, axis=0) * (dt + law.tau))
-    now, V, step = sigma[:-1], sigma**2 / 2, np.diff(sigma, axis=0)
-    outside, beyond = np.abs(now) > layer, np.flatnonzero(np.any(np.abs(sigma) > band, axis=1))
-    steepest = (
-        law.lam1 + law.k_n + (np.max(eta_hat, axis=0) / layer if isinstance(law, ASMC) else 0.0)
-    )
-    within = True if law.limit is None else np.abs(np.asarray(u)) < law.limit
-    found = f"|f| up to {np.max(size):.4g}, eta_hat {np.min(eta_hat):.4g} to {np.max(eta_hat):.4g}, k_n Delta up to {np.max(reserve):.4g}"
-    error_band, inside = band * _error_of_sigma(law), np.abs(sigma) <= band
-    left = inside[:-1] & ~inside[1:]
-    of_error = f"within it |e| may be up to {np.max(error_band):.4g}, and was up to {np.max(np.abs(e)):.4g}"
-    premises = (
-        premise("u within its limit", within, f"limit {law.limit}; {found}"),
-        premise(
-            "sampled fast enough: (lam1 + k_n + eta_hat / Delta) dt < 2",
-            steepest * dt < 2,
-            f"{np.max(steepest) * dt:.3g}",
-        ),
-        premise(
-            "sigma, once in its band, is seen to stay",
-            ~left | (value >= 1),
-            f"it leaves it {int(np.sum(left))} times; {of_error}",
-        ),
-    )
-    return Sliding(
-        V=V,
-        eta_hat=eta_hat,
-        disturbance=f,
-        band=band,
-        error_band=error_band,
-        towards=_share(now * step <= 0, outside),
-        falling=_share(V[1:] <= V[:-1], outside),
-        dominated=float(np.mean(gain > size)),
-        reached=int(beyond[-1]) + 1 if beyond.size else 0,
-        condition=condition(value, SLIDING, premises=premises),
-    )
+PRINTED = (
+    "sup |1 - (K_P + s K_D) exp(lam0 t) / ((s + K) (s + lam1 + lam2 / s))| < 1: the error falls in "
+    "every trial (Xu 2024, eq. 36)"
+)
 
 
 class ExponentialTest(NamedTuple):
-    """A condition over frequency and over the time within the trial. As |1 - g x| is convex in the
-    gain g = exp(lam0 t), it is greatest at one of the trial's ends, so only these are looked at.
+    """A condition over frequency and over the time within the trial.
 
-    condition: with its premises;  frequencies: (F,) [Hz];  curves: (2, F) at the trial's start and
-    at its end
-    worst: frequency [Hz] and time: [s] of the supremum
+    As |1 - g x| is convex in the gain g = exp(lam0 t), it is greatest at one of the trial's ends,
+    so only these are looked at.
+
+    condition:   with its premises
+    frequencies: (F,) [Hz]
+    curves:      (2, F) at the trial's start and at its end
+    worst:       frequency of the supremum [Hz]
+    time:        time within the trial of the supremum [s]
     """
 
     condition: Condition
@@ -162,23 +69,26 @@ class ExponentialTest(NamedTuple):
 def printed_condition(
     scheme: WithFeedback, task: Task, *, reaching: float = 0.0, frequencies=None
 ) -> ExponentialTest:
-    """|rho| < 1 of Xu 2024, eq. 36, in continuous time, for `WithFeedback(ExponentialPD(...),
-    SMC(...) or ASMC(...))`.
+    """|rho| < 1 of Xu 2024, eq. 36, in continuous time.
 
-    reaching: K [1/s], 0 as printed. The proof counts k_n sigma + eta_hat sat(sigma) to the
-    disturbance and has it unchanged from trial to
-              trial; but sigma changes, so the premise is broken unless both gains are zero. K = k_n
-              + eta / Delta puts them where they belong, into the loop, as long as sigma stays
-              within the boundary layer.
-    frequencies: (F,) [Hz], None for 2000 from 1 / duration to Nyquist. With w = 2 pi f, G =
-    exp(lam0 t) and K = 0, |rho| < 1 means
-              G (K_P^2 + w^2 K_D^2) < 2 (K_P lam2 + w^2 (K_D lam1 - K_P)): so with lam2 = 0.3 slow
-              frequencies admit hardly any K_P.
+    scheme:   `WithFeedback(ExponentialPD(...), SMC(...) or ASMC(...))`
+    reaching: K [1/s], 0 as printed. The proof counts k_n sigma + eta_hat sat(sigma) as part of the
+              disturbance and takes it to be unchanged from trial to trial. But sigma changes, so
+              the premise is broken unless both gains are zero. K = k_n + eta / Delta puts them
+              where they belong, into the loop, as long as sigma stays within the boundary layer
+    frequencies: (F,) [Hz]; None for 2000 from 1 / duration to Nyquist
+
+    With w = 2 pi f, G = exp(lam0 t) and K = 0, |rho| < 1 means
+
+        G (K_P^2 + w^2 K_D^2) < 2 (K_P lam2 + w^2 (K_D lam1 - K_P))
+
+    so that with lam2 = 0.3 slow frequencies admit hardly any K_P.
+
     Raises ValueError for another scheme, several channels, or frequencies that are not positive.
     """
     law, feedback = (
         _learning("printed_condition", scheme, task),
-        _feedback("printed_condition", scheme),
+        sliding_mode_of("printed_condition", scheme),
     )
     K_P, K_D, lam0, b_law, b, lam1, lam2, k_n = (
         _number("printed_condition", v)
@@ -207,7 +117,10 @@ def printed_condition(
     adapting = isinstance(feedback, ASMC) and np.any(np.asarray(feedback.phi) > 0)
     switching = not isinstance(feedback, ASMC) and np.any(np.asarray(feedback.eta) > 0)
     unchanged = not adapting and not switching and np.isclose(in_loop, reaching)
-    detail = f"sigma changes, and with it {in_loop:.4g} sigma, of which {reaching:.4g} sigma is in the loop; eta_hat adapts: {adapting}"
+    detail = (
+        f"sigma changes, and with it {in_loop:.4g} sigma, of which {reaching:.4g} sigma is in the "
+        f"loop; eta_hat adapts: {adapting}"
+    )
     premises = (
         premise("w_{j+1} = w_j: the same disturbance in each trial", unchanged, detail),
         premise("learning without a lead, as printed", law.lead == 0, f"lead = {law.lead}"),
@@ -217,8 +130,9 @@ def printed_condition(
 
 
 def _sampled_too(scheme: WithFeedback, feedback: SMC, task: Task, value: float) -> Premise:
-    """The premise that the inequality, which is in continuous time, is borne out by the loop as it
-    is sampled, on the nominal model.
+    """The premise that the loop as it is sampled confirms the inequality in continuous time.
+
+    It is looked at on the nominal model.
     """
     if value >= 1:
         return premise(SAMPLED, True, "not asked, as the inequality fails")
@@ -232,8 +146,9 @@ def _sampled_too(scheme: WithFeedback, feedback: SMC, task: Task, value: float) 
 
 @pytree
 class Reaching(SMC):
-    """`SMC` that only reaches and never switches: what is left of it within a boundary layer, and
-    linear.
+    """`SMC` that only reaches and never switches.
+
+    This linear law is what is left of sliding mode control within a boundary layer.
     """
 
     def switching(self, sigma) -> jax.Array:
@@ -241,16 +156,18 @@ class Reaching(SMC):
 
 
 def within_layer(scheme: Scheme, eta_hat=None) -> Scheme:
-    """The scheme with its `ASMC` as it acts within the boundary layer: the linear `Reaching` of k_n
-    + eta_hat / Delta for k_n.
+    """The scheme with its `ASMC` as it acts within the boundary layer.
 
-    eta_hat: () or (n,) at which the adaptation is frozen, None for its start value. An `SMC` loses
-    its switching.
+    It becomes the linear `Reaching` with k_n + eta_hat / Delta in place of k_n. An `SMC` loses its
+    switching.
+
+    eta_hat: () or (n,) value at which the adaptation is frozen; None for its start value
+
     Raises ValueError for a scheme that is neither of them, nor `WithFeedback` over one.
     """
     if isinstance(scheme, WithFeedback):
         return dataclasses.replace(scheme, feedback=within_layer(scheme.feedback, eta_hat))
-    feedback = _feedback("within_layer", scheme)
+    feedback = sliding_mode_of("within_layer", scheme)
     own = {field.name: getattr(feedback, field.name) for field in dataclasses.fields(SMC)}
     steep = (
         0.0
@@ -269,19 +186,21 @@ def sampled_condition(
     trial: Trial | None = None,
     frequencies=None,
 ) -> ExponentialTest:
-    """sup |Q (1 - L P)| < 1 of the loop as it is sampled and acts within the boundary layer, at the
-    least and the largest gain.
+    """sup |Q (1 - L P)| < 1 of the loop as it is sampled and acts within the boundary layer.
 
-    trial: on which to look whether sigma stays within the layer, and whose last eta_hat counts;
-    None for the start value of eta_hat
+    It is looked at for the least and the largest gain of the trial. These curves are of a gain that
+    is frozen in time. That the gain grows along the trial is looked at as well: the whole trial
+    must converge.
+
+    trial:       on which to look whether sigma stays within the layer, and whose last eta_hat
+                 counts; None for the start value of eta_hat
     frequencies: as for `learning_condition`
-    The curves are of a gain that is frozen in time. That it grows along the trial is looked at as
-    well: the whole trial must converge.
+
     Raises ValueError for another scheme, or where machine, scheme and task do not fit.
     """
     law, feedback = (
         _learning("sampled_condition", scheme, task, filtered=True),
-        _feedback("sampled_condition", scheme),
+        sliding_mode_of("sampled_condition", scheme),
     )
     check(machine, scheme, task)
     eta_hat, premises = None, ()
@@ -349,15 +268,6 @@ def _worst(f, curves, task, theorem, premises) -> ExponentialTest:
     )
 
 
-def _feedback(name: str, scheme: Scheme) -> SMC:
-    feedback = scheme.feedback if isinstance(scheme, WithFeedback) else scheme
-    if not isinstance(feedback, SMC):
-        raise ValueError(
-            f"{name}: {type(feedback).__name__} is no sliding mode control; allowed are SMC and ASMC, also within WithFeedback"
-        )
-    return feedback
-
-
 def _learning(name: str, scheme: Scheme, task: Task, *, filtered: bool = False) -> ExponentialPD:
     parts = [scheme]
     if isinstance(scheme, WithFeedback):
@@ -374,31 +284,7 @@ def _learning(name: str, scheme: Scheme, task: Task, *, filtered: bool = False) 
     return law
 
 
-def _error_of_sigma(law: SMC):
-    """(n,) sup |e| / sup |sigma| of sigma = e' + lam1 e + lam2 int e: the area under |its impulse
-    response|, 1 / lam1 for lam2 = 0.
-
-    The step response (exp(-slow t) - exp(-fast t)) / (fast - slow) has humps, of which each is
-    smaller than the last by the same factor, if the roots are complex, and one if they are real.
-    The area is its total variation, twice the sum of the humps.
-    """
-    lam1, lam2 = np.broadcast_arrays(np.asarray(law.lam1, float), np.asarray(law.lam2, float))
-    root = np.sqrt(
-        lam1**2 * (1 + 1e-12) - 4 * lam2 + 0j
-    )  # off the double root, where the quotients below are 0 / 0
-    fast, slow = (lam1 + root) / 2, np.where(lam2 > 0, (lam1 - root) / 2, 1.0)
-    top = np.real(np.log(fast / slow) / (fast - slow))
-    hump = np.abs((np.exp(-slow * top) - np.exp(-fast * top)) / (fast - slow))
-    following = np.exp(-np.pi * lam1 / np.maximum(np.abs(root.imag), 1e-3 * lam1))
-    return np.where(lam2 > 0, 2 * hump / (1 - following), 1 / lam1)
-
-
 def _number(name: str, value) -> float:
     if np.size(value) != 1:
         raise ValueError(f"{name}: a weight has shape {np.shape(value)}; allowed is one number")
     return float(np.reshape(value, ()))
-
-
-def _share(holds, among) -> float:
-    """Of the samples in question, the share where it holds; 1 if there are none."""
-    return float(np.mean(holds[among])) if np.any(among) else 1.0

@@ -1,6 +1,4 @@
-"""Singular values, eigenvalues and transient growth of learning maps given as matrices, and the
-conditions on them.
-"""
+"""Singular values, eigenvalues and transient growth of given matrices, and conditions on them."""
 
 from __future__ import annotations
 
@@ -14,11 +12,18 @@ from .condition import Condition, Premise, condition, premise
 from .iteration import MARGIN
 
 MONOTONE = (
-    "sigma_max < 1: the 2-norm of the deviation from the limit falls by at least this factor in every trial (Bristow 2006; Norrlöf, "
+    "sigma_max < 1: the 2-norm of the deviation from the limit falls by at least this factor in "
+    "every trial (Bristow 2006; Norrlöf, "
     "Gunnarsson 2002)"
 )
-ASYMPTOTIC = "rho < 1: the deviation goes to zero in the end, whatever it does before (Bristow 2006; Norrlöf, Gunnarsson 2002)"
-TRANSIENT = "||M_j ... M_1|| bounds how large the deviation is after j trials, for any start (sub-multiplicativity; tight for each j)"
+ASYMPTOTIC = (
+    "rho < 1: the deviation goes to zero in the end, whatever it does before (Bristow 2006; "
+    "Norrlöf, Gunnarsson 2002)"
+)
+TRANSIENT = (
+    "||M_j ... M_1|| bounds how large the deviation is after j trials, for any start "
+    "(sub-multiplicativity; tight for each j)"
+)
 
 
 def sigma_max(M) -> np.ndarray:
@@ -27,17 +32,19 @@ def sigma_max(M) -> np.ndarray:
 
 
 def spectral_radius(M) -> np.ndarray:
-    """(...) largest |eigenvalue| of (..., n, n); of triangular matrices, also permuted and block by
-    block, exactly.
+    """(...) largest |eigenvalue| of (..., n, n).
+
+    It is exact for triangular matrices, also permuted ones, and block by block.
     """
     M = np.asarray(M)
     return np.reshape([radius_with_doubt(m)[0] for m in M.reshape(-1, *M.shape[-2:])], M.shape[:-2])
 
 
 def transient_growth(M, trials: int | None = None) -> np.ndarray:
-    """(J,) ||M_j ... M_1||_2 for j = 1..J, by how much a deviation can have grown after j trials.
+    """(J,) ||M_j ... M_1||_2 for j = 1..J, the factor by which a deviation can have grown.
 
-    M: (n, n), the same in each trial, then `trials` is J; or (J, n, n), the map of each trial.
+    M: (n, n), the same in each trial, then `trials` is J; or (J, n, n), the map of each trial
+
     Raises ValueError for anything else.
     """
     M = np.asarray(M)
@@ -47,7 +54,8 @@ def transient_growth(M, trials: int | None = None) -> np.ndarray:
         or (trials is not None and trials < 1)
     ):
         raise ValueError(
-            f"transient_growth: M {M.shape}, trials = {trials}; allowed are (n, n) with trials in [1, inf), or (J, n, n)"
+            f"transient_growth: M {M.shape}, trials = {trials}; allowed are (n, n) with trials in "
+            "[1, inf), or (J, n, n)"
         )
     product, norms = np.eye(M.shape[-1]), []
     for m in M if M.ndim == 3 else (M,) * (trials or 0):
@@ -57,18 +65,16 @@ def transient_growth(M, trials: int | None = None) -> np.ndarray:
 
 
 def monotone(M, *, premises: Iterable[Premise] = ()) -> Condition:
-    """sigma_max(M) < 1 of one (n, n) or several (S, n, n) maps of the input's or the error's
-    deviation.
-    """
+    """sigma_max(M) < 1 of one (n, n) or several (S, n, n) maps of a deviation of input or error."""
     return condition(sigma_max(M), MONOTONE, premises=premises)
 
 
 def asymptotic(M, *, premises: Iterable[Premise] = ()) -> Condition:
     """rho(M) < 1 of one (n, n) or several (S, n, n) maps.
 
-    Where a map is far from normal its eigenvalues cannot be had from its entries in floating point.
-    Then rho < 1 is claimed only if a power of M contracts, since rho^k <= ||M^k||; else a premise
-    is broken.
+    The eigenvalues of a map that is far from normal cannot be computed reliably from its entries in
+    floating point. Then rho < 1 is claimed only if a power of M contracts, since rho^k <= ||M^k||;
+    otherwise a premise is broken.
     """
     M = np.asarray(M)
     maps = M.reshape(-1, *M.shape[-2:])
@@ -87,8 +93,9 @@ def asymptotic(M, *, premises: Iterable[Premise] = ()) -> Condition:
 def transient(
     M, trials: int | None = None, *, allowed: float = 1.0, premises: Iterable[Premise] = ()
 ) -> Condition:
-    """max_j ||M_j ... M_1||_2 < allowed: no deviation ever grows by this factor. M, trials: as for
-    `transient_growth`
+    """max_j ||M_j ... M_1||_2 < allowed: no deviation ever grows by this factor.
+
+    M, trials: as for `transient_growth`
     """
     return condition(
         np.max(transient_growth(M, trials)), TRANSIENT, limit=allowed, premises=premises
@@ -96,12 +103,12 @@ def transient(
 
 
 def radius_with_doubt(M) -> tuple[float, float]:
-    """rho of (n, n), and how far rounding may have moved it: 10 eps ||M|| over the cosine between
-    left and right eigenvector.
+    """rho of (n, n), and how far rounding may have moved it.
 
-    Taken over the irreducible diagonal blocks: of a triangular matrix far from normal, and I -
-    gamma G is one, the QR algorithm finds eigenvalues that are wrong in the first digit, while they
-    are simply its diagonal.
+    The doubt is 10 eps ||M|| over the cosine between left and right eigenvector. Both are taken
+    over the irreducible diagonal blocks. For a triangular matrix far from normal, such as I - gamma
+    G, the QR algorithm finds eigenvalues that are wrong in the first digit, while the true ones are
+    simply the diagonal.
     """
     if not np.all(np.isfinite(M)):
         return np.nan, np.nan

@@ -1,6 +1,4 @@
-"""Trials as theory runs them: without noise, playing a given signal in place of what was learned,
-or with a prescribed output.
-"""
+"""Trials as theory runs them: without noise, with a given signal played or a given output."""
 
 from __future__ import annotations
 
@@ -48,7 +46,7 @@ def learned_memory(machine: Machine, scheme: Scheme, task: Task, trials: int = L
 
 
 def learned_shape(scheme: Scheme | None, task: Task) -> tuple[int, ...] | None:
-    """(N, m) of what a scheme learns and plays back, None for one that learns nothing of the kind."""
+    """(N, m) of what a scheme learns and plays back; None for one that learns no feedforward."""
     if scheme is None:
         return None
     try:
@@ -58,11 +56,10 @@ def learned_shape(scheme: Scheme | None, task: Task) -> tuple[int, ...] | None:
 
 
 def played(machine: Machine, scheme: Scheme | None, task: Task, memory, learned) -> Trial:
-    """A trial that plays `learned` (N, m) in place of what the scheme learned; the scheme acts
-    within the trial as it does.
+    """A trial that plays `learned` (N, m) in place of what the scheme learned.
 
-    Of a scheme that learns nothing, `learned` (N, n_u) is added to its input; None is a machine
-    without a scheme.
+    The scheme acts within the trial as usual. Where it learns no feedforward, `learned` (N, n_u) is
+    added to its input. None is a machine without a scheme.
     """
     if scheme is None:
         return trial_of(machine, Scheme(), task, Feedforward(learned))
@@ -74,11 +71,12 @@ def played(machine: Machine, scheme: Scheme | None, task: Task, memory, learned)
 
 
 def next_learned(scheme: Scheme, task: Task, memory, learned, e, e0: Any = 0.0):
-    """(N, m) what a scheme will play after a trial that played `learned` (N, m) with the errors
-    e[1..N] (N, n_y).
+    """(N, m) what a scheme plays after a trial that played `learned` (N, m) with errors e (N, n_y).
 
-    e0: (n_y,) e[0], which no input can reach. Raises ValueError for a scheme that learns no
-    feedforward.
+    e:  (N, n_y) the errors e[1..N]
+    e0: (n_y,) e[0], which no input can reach
+
+    Raises ValueError for a scheme that learns no feedforward.
     """
     e = jnp.concatenate([jnp.broadcast_to(e0, (1, e.shape[1])), e])
     return scheme.feedforward(scheme.learn(memory, scheme.record(learned, e, task)), task)
@@ -91,9 +89,7 @@ def starts_off(machine: Machine, scheme: Scheme, task: Task):
 
 
 def shortened(task: Task, samples: int) -> Task:
-    """The first so many samples of the task, or the task with its reference held at its end for
-    longer.
-    """
+    """The first so many samples of the task, or the task with its reference held at its end."""
     r = jnp.asarray(task.reference)
     r = (
         r[: samples + 1]
@@ -138,7 +134,7 @@ class _Inside(Scheme):
 
 @pytree
 class _Playing(_Inside):
-    """Its memory is the scheme's, and what is played."""
+    """A scheme that plays a given signal. Its memory is the scheme's, and what is played."""
 
     def table(self, memory, task: Task) -> Any:
         return self.scheme.play(memory[1], memory[0], task)
@@ -146,8 +142,9 @@ class _Playing(_Inside):
 
 @pytree
 class Prescribed(_Inside):
-    """A scheme that is shown a prescribed output instead of the measured one. Its memory is the
-    scheme's, and that output (N+1, n_y).
+    """A scheme that is shown a prescribed output instead of the measured one.
+
+    Its memory is the scheme's, and that output (N+1, n_y).
     """
 
     @property

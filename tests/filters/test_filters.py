@@ -64,7 +64,7 @@ def test_mirrored_at_its_ends_a_signal_is_weighted_by_q_cosine_by_cosine(order):
     "q", [ZeroPhaseButterworth(40.0), ZeroPhaseIIR(*scipy.signal.butter(3, 200.0, fs=1 / DT))]
 )
 def test_mirrored_nothing_comes_out_larger_and_a_constant_stays(q):
-    """The odd extension passes more than it is given at the ends, so that learning can grow there."""
+    """The odd extension passes more than it is given at the ends, so learning can grow there."""
     matrix = np.asarray(filtered(q, jnp.eye(N)))
     np.testing.assert_allclose(matrix, matrix.T, atol=1e-12)
     assert np.linalg.norm(matrix, 2) <= 1 + 1e-12

@@ -1,5 +1,6 @@
-"""Feedforward inversion against forward simulation by scipy and python-control, and a two-sided
-convolution.
+"""Feedforward inversion against forward simulation and a two-sided convolution.
+
+The simulations are by scipy and python-control.
 """
 
 import control
@@ -56,7 +57,7 @@ def polynomials(P):
 
 
 def moving(rest, N=N, level=5.0, seed=3):
-    """(N, 1) a rough signal that rests at `level` for so many samples and then never comes to rest."""
+    """(N, 1) a rough signal that rests at `level` for so many samples, and never again."""
     steps = np.random.default_rng(seed).normal(size=N)
     steps[:rest] = 0.0
     return level + np.cumsum(steps)[:, None]
@@ -146,7 +147,7 @@ def test_extension_leaves_the_ratio_of_the_slowest_zeros_to_its_power():
 
 
 def response(q, omega, samples=2400):
-    """Frequency response of a filter, by its pulse response to both sides, at omega [rad/sample]."""
+    """Frequency response of a filter at omega [rad/sample], by its pulse response to both sides."""
     at = samples // 2
     pulse = np.zeros((samples, 1))
     pulse[at] = 1.0

@@ -1,5 +1,6 @@
-"""The switchable filter, general recursive filters and the choice of segments, against scipy,
-closed forms and scalar loops.
+"""The switchable filter, recursive filters and the choice of segments.
+
+They are tested against scipy, closed forms and scalar loops.
 """
 
 import dataclasses
@@ -197,7 +198,7 @@ SWEEP = {"duration": 4.0, "dt": 2e-3}
 @pytest.mark.parametrize("of", ["velocity", "position"])
 @pytest.mark.parametrize("method", ["linear", "logarithmic"])
 def test_instantaneous_frequency_of_a_chirp(of, method):
-    """Li 2020, Fig. 22. The ends, where the periodic Hilbert transform sees a jump, are left out."""
+    """Li 2020, Fig. 22, without the ends, where the periodic Hilbert transform sees a jump."""
     t = np.arange(2001) * 2e-3
     true = 3 + 17 * t / 4 if method == "linear" else 3 * (20 / 3) ** (t / 4)
     inner = (t > 0.5) & (t < 3.5)

@@ -1,5 +1,7 @@
-"""The ball-screw drive against python-control, formulas of the two-mass system, scipy's integrator,
-and the conservation of energy.
+"""The ball-screw drive against independent computations.
+
+These are python-control, formulas of the two-mass system, scipy's integrator, and the conservation
+of energy.
 """
 
 import dataclasses
@@ -270,7 +272,8 @@ def test_the_lead_error_does_no_work(damping):
     and never gives.
     """
     coasting = BallScrewDrive(
-        motor_mass=2.0, table_mass=1.0, stiffness=4e4, damping=damping, force_gain=1.0, speed_gain=0.0, speed_integral_gain=0.0,
+        motor_mass=2.0, table_mass=1.0, stiffness=4e4, damping=damping, force_gain=1.0,
+        speed_gain=0.0, speed_integral_gain=0.0,
         lead_error=LeadError(amplitude=3e-4, period=2e-3),
     )  # fmt: skip
     start = DriveState(np.array([0.0, 0.1, 2e-4, 0.1]), np.zeros(()), np.zeros(()))
@@ -382,9 +385,8 @@ BAD = {
         [0.0, 1.0, 1.0], [0.0, 1.0, 2.0]
     ),
     # 6 N / 1 mm/s + 1 N s/m on 1 kg, against 2.6 / 1 ms
-    r"BallScrewDrive: table_friction damps at rest with 6001 1/s, .* longest_dt = 0.001 s .* lower longest_dt to 0.000433": lambda: (
-        BallScrewDrive(**DRIVE, table_friction=STIFF)
-    ),
+    r"BallScrewDrive: table_friction damps at rest with 6001 1/s, .* longest_dt = 0.001 s "
+    r".* lower longest_dt to 0.000433": lambda: BallScrewDrive(**DRIVE, table_friction=STIFF),
     "BallScrewDrive: motor_friction damps at rest with 3000 1/s": lambda: BallScrewDrive(
         **DRIVE, motor_friction=STIFF
     ),

@@ -1,5 +1,6 @@
-"""Trials in blocks: SciPy's, python-control's and the plant's own numbers, and the cases in which
-the plant steps instead.
+"""Trials in blocks: the numbers, and the cases in which the plant steps instead.
+
+The numbers are compared with SciPy's, python-control's and the plant's own.
 """
 
 import control
@@ -219,7 +220,8 @@ def test_a_plant_that_is_not_linear_and_time_invariant_is_refused(name):
     plant = PLANTS[name]
     with pytest.raises(
         ValueError,
-        match=rf"InBlocks: plant = {type(plant).__name__} is not linear and time-invariant; allowed are",
+        match=rf"InBlocks: plant = {type(plant).__name__} is not linear and time-invariant; "
+        "allowed are",
     ):
         learn(Machine(InBlocks(plant)), PIDType(), task_for(plant, 12), 1)
 

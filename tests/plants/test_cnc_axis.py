@@ -1,4 +1,4 @@
-"""The CNC axis of Li 2020, two axes side by side, learning from a filtered error, and the scenario."""
+"""The CNC axis of Li 2020, two axes side by side, learning from a filtered error, the scenario."""
 
 import dataclasses
 

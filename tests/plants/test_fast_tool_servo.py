@@ -1,5 +1,6 @@
-"""The fast tool servo and its hysteresis against python-control, scipy's solvers, closed forms and
-the printed model (Xu 2024).
+"""The fast tool servo and its hysteresis (Xu 2024).
+
+They are tested against python-control, scipy's solvers, closed forms and the printed model.
 """
 
 import dataclasses
@@ -337,7 +338,7 @@ def test_full_form_answers_small_strokes_like_the_identified_one():
 
 
 def test_full_form_has_the_loop_and_the_mode_that_it_states():
-    """A loop as wide as 8 % of the stroke at 20 um, a mode that raises the gain at 900 Hz by 40 %."""
+    """A loop as wide as 8 % of the stroke at 20 um, and a mode that adds 40 % at 900 Hz."""
     servo = fast_tool_servo("full")
     u = loop(40, amplitude=1.93)
     v = u - np.asarray(along(servo.hysteresis, u))
@@ -560,13 +561,15 @@ def test_too_long_a_sample_time_is_refused_before_anything_runs():
     task = Task(np.zeros(9), dt=5e-4, unit="um", input_unit="V")
     with pytest.raises(
         ValueError,
-        match=r"FastToolServo: dt = 0.0005 s is outside its allowed range \(0, 0.0002\], see longest_dt",
+        match=r"FastToolServo: dt = 0.0005 s is outside its allowed range \(0, 0.0002\], "
+        "see longest_dt",
     ):
         learn(Machine(fast_tool_servo()), PIDType(gamma_p=0.1), task, 2)
     jax.eval_shape(lambda: FastToolServo(longest_dt=5e-4).sampled(task.dt))
     with pytest.raises(
         ValueError,
-        match=r"ForcedServo is sampled at 0.0001 s but the task at 0.0002 s; allowed is dt = 0.0001",
+        match=r"ForcedServo is sampled at 0.0001 s but the task at 0.0002 s; "
+        r"allowed is dt = 0.0001",
     ):
         jax.eval_shape(lambda: FastToolServo(cutting=CUT).sampled(DT).sampled(2e-4))
 
@@ -576,7 +579,8 @@ def test_too_long_a_sample_time_is_refused_before_anything_runs():
     [
         (
             lambda: FastToolServo(longest_dt=1e-3),
-            r"longest_dt = 0.001 s leaves 4.04 samples a period of the fastest mode, 247.2 Hz; .* parameters is \(0, 0.000809\]",
+            r"longest_dt = 0.001 s leaves 4.04 samples a period of the fastest mode, 247.2 Hz; "
+            r".* parameters is \(0, 0.000809\]",
         ),
         (
             lambda: FastToolServo(mode=FlexibleMode(1500.0, 0.1, 0.1)),
@@ -605,7 +609,8 @@ def test_too_long_a_sample_time_is_refused_before_anything_runs():
         ),
         (
             lambda: FastToolServo(substeps=0),
-            r"FastToolServo: substeps = 0 is outside its allowed range \[1, 10000\] of whole numbers",
+            r"FastToolServo: substeps = 0 is outside its allowed range \[1, 10000\] "
+            "of whole numbers",
         ),
         (
             lambda: FastToolServo(hysteresis=BoucWen(1.2, 1.0)),

@@ -1,4 +1,4 @@
-"""Integrators against the matrix exponential, scipy's integrators and the order they should have."""
+"""Integrators against the matrix exponential, scipy's integrators and the order they must have."""
 
 from typing import NamedTuple
 

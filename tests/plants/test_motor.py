@@ -1,6 +1,4 @@
-"""The physical motor against python-control, closed forms, the printed data and its identified
-model.
-"""
+"""The physical motor against python-control, closed forms, printed data and the fitted model."""
 
 import dataclasses
 import re
@@ -130,7 +128,10 @@ def test_response_is_that_of_python_control(motor):
 
 
 def test_output_is_in_millimetres_and_follows_the_identified_slope():
-    """One volt for half a second: -4.798 mm (1 - exp(-6.404 t)) in the long run (Cao 2019, eq. 7)."""
+    """One volt for half a second: in the long run -4.798 mm (1 - exp(-6.404 t)).
+
+    This is Cao 2019, eq. 7.
+    """
     y = positions(voice_coil_motor(), np.ones(500))[-1]
     assert y == pytest.approx(-4.798 * (1 - np.exp(-6.404 * (0.5 - 2 / 474 - 1 / 928.2))), rel=2e-3)
 
@@ -212,7 +213,8 @@ def test_reduction_of_a_complex_pair_and_of_none():
     assert np.max(poles.imag) > 100
     with pytest.raises(
         ValueError,
-        match=r"no third-order form, since its third and fourth pole are a pair .*current_gain or speed_gain",
+        match=r"no third-order form, since its third and fourth pole are a pair "
+        ".*current_gain or speed_gain",
     ):
         VoiceCoilMotor(
             speed_gain=300.0, speed_integral_gain=3e4, setpoint_weight=1.0, command_delay=None
@@ -262,7 +264,8 @@ def test_sample_time_does_not_change_the_motion():
 def test_unstable_substep_is_refused_where_it_is_known():
     with pytest.raises(
         ValueError,
-        match=r"VoiceCoilMotor: substep = 0.0005 s is unstable for the fastest pole, 1.16e\+04 rad/s",
+        match=r"VoiceCoilMotor: substep = 0.0005 s is unstable for the fastest pole, "
+        r"1.16e\+04 rad/s",
     ) as refused:
         VoiceCoilMotor(substep=5e-4)
     longest = float(
@@ -386,7 +389,8 @@ def pushed(force, **parts):
     do not brake.
     """
     motor = VoiceCoilMotor(
-        **UNLIMITED, **parts, command_delay=None, holding_gain=0.0, viscous_damping=0.0, command_scale=1.0, setpoint_weight=1.0,
+        **UNLIMITED, **parts, command_delay=None, holding_gain=0.0, viscous_damping=0.0,
+        command_scale=1.0, setpoint_weight=1.0,
         speed_gain=1e-6, speed_integral_gain=1e-12, substep=5e-5,
     )  # fmt: skip
     gain = motor.force_constant * motor.current_gain / (motor.resistance + motor.current_gain)

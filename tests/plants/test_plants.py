@@ -217,7 +217,8 @@ def test_unstable_plant_under_a_stabilising_loop():
 def test_another_sample_time_is_refused(plant):
     with pytest.raises(
         ValueError,
-        match=rf"{type(plant).__name__} is sampled at 0.001 s but the task at 0.002 s; allowed is dt = 0.001",
+        match=f"{type(plant).__name__} is sampled at 0.001 s but the task at 0.002 s; "
+        "allowed is dt = 0.001",
     ):
         learn(Machine(plant), PID(), Task(np.zeros(9), dt=2e-3), 1)
 

@@ -1,4 +1,6 @@
-"""Planned paths against closed forms and a phase-plane integration; contour errors against closed
+"""Planned paths and contour errors.
+
+Paths are tested against closed forms and a phase-plane integration, contour errors against closed
 forms and brute force.
 """
 
@@ -280,13 +282,15 @@ REFUSED = {
         cycloid,
         (1.0, 9.0),
         {},
-        r"corner or cusp of 180 deg at parameter 6\.2831\d*, position \[6\.28.*split the path there",
+        r"corner or cusp of 180 deg at parameter 6\.2831\d*, position \[6\.28.*"
+        "split the path there",
     ),
     "corner": (
         bent,
         (0.0, 1.0),
         {},
-        r"corner or cusp of 45 deg at parameter 0\.7\d*, position \[0\.7 +0\. *\] mm; split the path there",
+        r"corner or cusp of 45 deg at parameter 0\.7\d*, position \[0\.7 +0\. *\] mm; "
+        "split the path there",
     ),
     "standing still": (waiting, (0.0, 1.0), {}, r"stands still from parameter 0 to 5e-05"),
     "not finite": (pole, (0.0, 1.0), {}, r"not finite at parameter 0\.40005"),

@@ -1,6 +1,4 @@
-"""References against closed forms, and against scipy and linear programming as independent
-computations.
-"""
+"""References against closed forms, and against scipy and linear programming."""
 
 from __future__ import annotations
 
@@ -347,11 +345,13 @@ STEP = LIMITS | {"dt": 1e-3}
         ),
         (
             lambda: multisine([1, 1], [1], **SPAN),
-            "multisine: amplitudes (2,), frequencies (1,), phases (2,) must have one shape (M,), M >= 1",
+            "multisine: amplitudes (2,), frequencies (1,), phases (2,) must have one shape (M,), M "
+            ">= 1",
         ),
         (
             lambda: multisine([], [], **SPAN),
-            "multisine: amplitudes (0,), frequencies (0,), phases (0,) must have one shape (M,), M >= 1",
+            "multisine: amplitudes (0,), frequencies (0,), phases (0,) must have one shape (M,), M "
+            ">= 1",
         ),
         (
             lambda: chirp(np.inf, 1, 2, **SPAN),
@@ -407,7 +407,8 @@ STEP = LIMITS | {"dt": 1e-3}
         ),
         (
             lambda: s_curve([0, 30], duration=0.369, **STEP),
-            "s_curve: duration = 0.369 s is outside its allowed range [0.37, inf), the time of all moves",
+            "s_curve: duration = 0.369 s is outside its allowed range [0.37, inf), the time of all "
+            "moves",
         ),
         (
             lambda: s_curve([0, 30], duration=1.0005, **STEP),

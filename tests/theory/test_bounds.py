@@ -1,5 +1,6 @@
-"""d1 and d2 of Cao 2019 on real runs: met exactly on a static plant, never claimed where a premise
-is broken.
+"""d1 and d2 of Cao 2019 on real runs.
+
+They are met exactly on a static plant, and never claimed where a premise is broken.
 """
 
 import dataclasses

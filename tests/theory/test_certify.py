@@ -1,5 +1,6 @@
-"""Certificates against simulation: what is claimed is kept, a prediction is theory's own, a limit
-ahead is told with its trial.
+"""Certificates against simulation.
+
+What is claimed is kept, a prediction is theory's own, and a limit ahead is told with its trial.
 """
 
 from dataclasses import replace

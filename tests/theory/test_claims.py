@@ -1,5 +1,6 @@
-"""Claims that were once made and did not hold: each with what the simulation does, and with what is
-said now.
+"""Claims that were once made and did not hold.
+
+Each is tested with what the simulation does, and with what is said now.
 """
 
 import dataclasses
@@ -45,8 +46,9 @@ def rms(machine, scheme, task, trials):
 
 
 def test_a_limit_that_the_fixed_point_needs_more_than():
-    """Limit 6, needed 10: monotone and asymptotic were said to hold, and the error stalls at nearly
-    half.
+    """The limit is 6, and 10 is needed.
+
+    Monotone and asymptotic were said to hold, and the error stalls at nearly half.
     """
     task = Task(10.0 * np.asarray(TASK.reference) / 1.0, dt=DT)
     machine, scheme = Machine(STATIC.plant, actuator=Actuator(limit=6.0)), PIDType(gamma_p=0.2)
@@ -74,8 +76,9 @@ def test_a_limit_that_the_fixed_point_needs_more_than():
     ],
 )
 def test_a_rule_of_when_to_learn_is_no_law_of_each_trial(scheme, why):
-    """The rule was taken off, and "in every trial" was claimed of what was left; with a growing
-    gain learning went to 1e111.
+    """The rule was taken off, and "in every trial" was claimed of what was left.
+
+    With a growing gain learning went to 1e111.
     """
     errors = rms(LAG, scheme, TASK, 40)
     assert np.any(errors[1:] >= errors[:-1]), "not in every trial does it fall"
@@ -87,8 +90,9 @@ def test_a_rule_of_when_to_learn_is_no_law_of_each_trial(scheme, why):
 
 
 def test_contraction_everywhere_is_claimed_of_affine_maps_alone():
-    """Beyond a limit that the probe never met 633 was measured where 0.81 had been claimed, and
-    10.9 beside a quantiser.
+    """Beyond a limit that the probe never met, 633 was measured where 0.81 had been claimed.
+
+    Beside a quantiser it was 10.9.
     """
     scheme = PIDType(gamma_p=0.5)
     assert "everywhere" in contraction.error_contracting(LAG, scheme, TASK).theorem
@@ -102,8 +106,9 @@ def test_contraction_everywhere_is_claimed_of_affine_maps_alone():
 
 
 def test_with_a_leak_the_distance_from_the_limit_falls_and_not_each_error():
-    """A static plant of gain 1 with a leak of 0.5: errors 0.70, 0, 0.35, 0.17, 0.26 of the
-    reference, where 0.5 a trial was told.
+    """A static plant of gain 1 with a leak of 0.5.
+
+    The errors are 0.70, 0, 0.35, 0.17 and 0.26 of the reference, where 0.5 a trial was told.
     """
     scheme = PIDType(gamma_p=1.0, leak=0.5)
     errors = rms(STATIC, scheme, TASK, 6)
@@ -150,8 +155,9 @@ def test_a_time_varying_model_of_a_long_trial_is_abstained_from():
 
 
 def test_an_unstable_pole_of_a_tiny_residue_counts():
-    """A residue of 1e-12 is nothing in an impulse response of a hundred samples, and all of it in
-    the end.
+    """A residue of 1e-12 does not show in an impulse response of a hundred samples.
+
+    In the end it is all of it.
     """
     A, B = np.diag([0.5, 1.4]), np.array([[1.0], [1.0]])
     for residue, radius in ((1e-12, 1.4), (0.0, 0.5)):
@@ -179,8 +185,9 @@ def random_loop(rng) -> Loop:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_no_peak_lies_above_its_enclosure(seed):
-    """Against the Hamiltonian test: a bound b is above the maximum if and only if a matrix pencil
-    has no eigenvalue on the circle.
+    """The Hamiltonian test: a bound b is above the maximum if and only if a matrix pencil says so.
+
+    It does so where it has no eigenvalue on the unit circle.
     """
     loop = random_loop(np.random.default_rng(seed))
 
@@ -202,8 +209,9 @@ def test_no_peak_lies_above_its_enclosure(seed):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_norm_optimal_learning_looks_at_the_poles_of_model_and_machine(seed):
-    """The lines lay around the machine's poles only: 0.638 was told where it is 1.108, and the
-    error grew from 0.7 to 192.
+    """The lines of the grid lay around the machine's poles only.
+
+    0.638 was told where it is 1.108, and the error grew from 0.7 to 192.
     """
     rng = np.random.default_rng(seed)
     ends = rng.uniform(150, 1200, 2), 10 ** rng.uniform(-3.5, -1.0, 2)
@@ -242,8 +250,9 @@ def resonant(w, zeta) -> Machine:
 
 
 def test_filtered_learning_on_lightly_damped_machines_is_claimed():
-    """The main cure was abstained from: Butterworth filters, robust conditions over them, and light
-    damping in 600 samples.
+    """The most useful cure was not claimed.
+
+    It is Butterworth filters, robust conditions over them, and light damping in 600 samples.
     """
     task = Task(0.5 - 0.5 * np.cos(2 * np.pi * np.arange(601) / 600), dt=DT)
     machine = resonant(2 * np.pi * 180.0, 0.01)
@@ -263,8 +272,9 @@ def test_filtered_learning_on_lightly_damped_machines_is_claimed():
 
 
 def test_the_law_of_cao_2019_with_a_lead_has_no_d2():
-    """Equation 15 compares e(k+1) with itself. With a lead d2 = 0.999 was claimed, and the largest
-    error grew from 0.55 to 1.4.
+    """Equation 15 compares e(k+1) with itself.
+
+    With a lead d2 = 0.999 was claimed, and the largest error grew from 0.55 to 1.4.
     """
     plant = DifferenceEquation((0.0,), (1.0,), dt=DT)
     for lead, verdict in ((0, "holds"), (2, "not claimed")):
@@ -289,9 +299,11 @@ def test_the_inequality_of_xu_2024_says_nothing_with_a_lead():
 
 
 def test_sigma_that_leaves_its_layer_slides_nowhere():
-    """The inequality is about each sample, and says of an input that is held and a velocity that is
-    filtered less than it seems: it held at 0.18 on a trial whose sigma left the layer 277 times.
-    That sigma stays is looked at, and the band is told in the unit of y.
+    """The inequality is about each sample.
+
+    It says less than it seems of an input that is held and a velocity that is filtered: it held at
+    0.18 on a trial whose sigma left the layer 277 times. That sigma stays is looked at, and the
+    band is told in the unit of y.
     """
     s = scenarios.load("xu-2024")
     scheme = dataclasses.replace(s.schemes["asmc"], phi=0.0, eta=7.6e5, Delta=12500.0, k_n=4770.0)

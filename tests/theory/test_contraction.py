@@ -1,6 +1,4 @@
-"""The matrix-free learning map against dense linear algebra, the lifted form, and what simulated
-learning does.
-"""
+"""The matrix-free learning map against dense matrices, the lifted form and simulated learning."""
 
 import dataclasses
 
@@ -133,7 +131,7 @@ def test_an_adaptive_scheme_does_what_its_derivative_says():
 
 
 def test_names_and_weights_of_the_memory():
-    """Scaling a leaf by its weight scales rows and columns of the Jacobian; names pick its blocks."""
+    """A weight of a leaf scales rows and columns of the Jacobian; names pick its blocks."""
     task, scheme = task_for(PLANTS["arx"], 20), SCHEMES["ffdl"]
     memory = contraction.learned_memory(MACHINE, scheme, task)
     assert set(named_leaves(memory)) == {"u", "y", "phi[0]", "phi[1]", "phi[2]", "phi[3]", "seen"}

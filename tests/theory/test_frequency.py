@@ -1,5 +1,6 @@
-"""Frequency conditions against python-control, dense matrices and closed forms, and what they
-promise against simulation.
+"""Frequency conditions against other computations, and their promises against simulation.
+
+The computations are python-control, dense matrices and closed forms.
 """
 
 import dataclasses

@@ -1,6 +1,4 @@
-"""The lifted form against hand-written matrices, and what it predicts against what the simulation
-does.
-"""
+"""The lifted form against hand-written matrices, and its predictions against simulation."""
 
 import jax
 import numpy as np
@@ -330,7 +328,7 @@ def test_nothing_is_claimed_where_a_premise_is_broken():
 
 
 def test_verdicts_of_a_batch():
-    """One verdict for each plant, its own premises counted only; samples and trials are averaged."""
+    """One verdict for each plant, from its own premises; samples and trials are averaged."""
     held = np.array([[True, True], [True, False], [True, True], [True, True]])
     p = premise("constant sign", held, plants=True)
     np.testing.assert_array_equal(p.share_broken, [0.0, 0.5, 0.0, 0.0])

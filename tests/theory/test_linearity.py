@@ -1,5 +1,6 @@
-"""What theory reads off the programs of machines and schemes, against what they do; any wrapper,
-any composition.
+"""What theory reads off the programs of machines and schemes, against what they do.
+
+It is tested for any wrapper and any composition.
 """
 
 from typing import Any

@@ -1,0 +1,132 @@
+"""Systems of python-control and of scipy.signal as plants."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from .linear import StateSpace
+from .nonlinear_system import nonlinear_system
+
+
+def from_control(
+    system: Any, *, allow_unstable: bool = False, x0: Any = None, substep: float | None = None
+) -> Any:
+    """A plant from a system of python-control or of scipy.signal, with one or several channels.
+
+    system: `control.StateSpace`, `control.TransferFunction` or `control.nlsys`; or `lti`, `dlti`,
+            `StateSpace`, `TransferFunction` or `ZerosPolesGain` of scipy.signal
+    allow_unstable: whether an unstable linear system is taken, because the scheme stabilises it
+    x0:     (n,) initial state; None is rest
+    substep: longest step [s] of the integrator of a nonlinear system in continuous time, the
+            classical Runge-Kutta method of order 4; needed there, and there only
+
+    A linear system in continuous time is sampled with a zero-order hold at the task's sample time;
+    a discrete system keeps its own sample time, which must be the task's. A transfer function of
+    several channels becomes one realisation per entry, side by side: not minimal, but exact.
+    The functions of a nonlinear system must be ones that JAX can trace, so they compute with
+    jax.numpy; its numeric parameters become the leaves `parameters.NAME`.
+
+    Raises ValueError for another kind of system, an improper one, direct feedthrough, an
+    unspecified sample time, an unstable linear system (unless `allow_unstable`), and a nonlinear
+    system whose functions JAX cannot trace.
+    """
+    import control
+
+    if type(system).__module__.startswith("scipy.signal"):
+        system = _of_scipy(system)
+    linear = isinstance(system, control.StateSpace | control.TransferFunction)
+    if not linear and not isinstance(system, control.NonlinearIOSystem):
+        raise ValueError(
+            f"from_control: {type(system).__name__} is not a control.StateSpace or "
+            "control.TransferFunction, a control.nlsys, or a linear system of scipy.signal"
+        )
+    if system.dt is None or system.dt is True:
+        raise ValueError(
+            f"from_control: dt = {system.dt} leaves the sample time open; allowed are 0 "
+            "(continuous) and a time in s"
+        )
+    if not linear:
+        return nonlinear_system(system, x0, substep)
+    if substep is not None:
+        raise ValueError("from_control: substep is for a nonlinear system; this one is linear")
+    A, B, C, D = system_matrices(system)
+    if np.any(D):
+        raise ValueError(
+            f"from_control: direct feedthrough D = {D.tolist()}; u[k] acts on y[k+1] at the "
+            "earliest, so D must be 0: make the system strictly proper, or delay it by a sample"
+        )
+    if not allow_unstable:
+        _need_stable(A, system.dt == 0)
+    return StateSpace(A, B, C, x0, dt=float(system.dt))
+
+
+def _of_scipy(system: Any):
+    """A linear system of scipy.signal as a `control.StateSpace`."""
+    import control
+    from scipy.signal import dlti, lti
+
+    if not isinstance(system, lti | dlti):
+        return system
+    try:
+        found = system.to_ss()
+    except ValueError as error:
+        raise ValueError(f"from_control: the system is improper or not valid: {error}") from None
+    dt = 0 if isinstance(system, lti) else system.dt
+    return control.ss(found.A, found.B, found.C, found.D, dt, remove_useless_states=False)
+
+
+def _need_stable(A, continuous: bool) -> None:
+    poles = np.linalg.eigvals(A) if A.size else np.zeros(0)
+    growth = (
+        np.max(poles.real, initial=-np.inf)
+        if continuous
+        else np.max(np.abs(poles), initial=0.0) - 1.0
+    )
+    if growth > 1e-7:
+        where = "right of the imaginary axis" if continuous else "outside the unit circle"
+        raise ValueError(
+            f"from_control: the system is unstable (a pole {growth:.3g} {where}); close a loop "
+            "first or pass allow_unstable=True"
+        )
+
+
+def system_matrices(system):
+    """A, B, C, D of a python-control system. Raises ValueError for an improper one."""
+    import control
+
+    if isinstance(system, control.StateSpace):
+        return system.A, system.B, system.C, system.D
+    blocks = {}
+    for i in range(system.noutputs):
+        for j in range(system.ninputs):
+            num, den = np.atleast_1d(system.num[i][j]), np.atleast_1d(system.den[i][j])
+            if len(np.trim_zeros(num, "f")) > len(np.trim_zeros(den, "f")):
+                raise ValueError(
+                    f"from_control: entry ({i}, {j}) is improper (numerator of higher order than "
+                    "the denominator)"
+                )
+            blocks[i, j] = control.tf2ss(num, den)
+    return _side_by_side(blocks, system.noutputs, system.ninputs)
+
+
+def _side_by_side(blocks, n_y, n_u):
+    order = sum(b.nstates for b in blocks.values())
+    A, B, C, D = (
+        np.zeros((order, order)),
+        np.zeros((order, n_u)),
+        np.zeros((n_y, order)),
+        np.zeros((n_y, n_u)),
+    )
+    at = 0
+    for (i, j), block in blocks.items():
+        here = slice(at, at + block.nstates)
+        A[here, here], B[here, j], C[i, here], D[i, j] = (
+            block.A,
+            block.B[:, 0],
+            block.C[0],
+            block.D[0, 0],
+        )
+        at = here.stop
+    return A, B, C, D

@@ -1,0 +1,260 @@
+"""Which outputs of a program are affine functions of its inputs, read off the program itself.
+
+Trying a map at a few points cannot show that it is linear: a limit that matters may lie beyond
+them. Here the program that JAX traced is followed instead, operation by operation. Each value in it
+is found to be
+
+    constant     the same whatever the inputs are
+    affine       M x + c of the inputs x, with M and c constant
+    otherwise    with the operation that made it so, such as a product of two signals or a rounding
+
+An operation that is not known to keep a value affine counts as one that does not. So the answer
+"affine" is a proof, for plants and schemes of the package as for a user's own. The answer
+"otherwise" is not: x * x - x * x is not seen to be 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+CONSTANT, AFFINE, OTHERWISE = 0, 1, 2
+
+
+class Dependence(NamedTuple):
+    """How a value depends on the inputs.
+
+    order: CONSTANT, AFFINE or OTHERWISE
+    why:   the operation that made it OTHERWISE, in words
+    blind: whether a derivative misses a part of it, because of `stop_gradient` (as in a quantiser
+           with a straight-through gradient)
+    """
+
+    order: int = CONSTANT
+    why: str = ""
+    blind: bool = False
+
+
+# linear in all operands together
+# fmt: off
+LINEAR = frozenset((
+    "add", "add_any", "sub", "neg", "reshape", "broadcast_in_dim", "transpose", "squeeze",
+    "expand_dims", "slice", "split", "concatenate", "stack", "pad", "rev", "copy", "copy_p",
+    "reduce_sum", "cumsum", "reduce_window_sum", "real", "imag", "complex", "conj", "fft",
+    "by_sample", "device_put",
+))
+# linear in each of two operands by itself
+BILINEAR = frozenset(["mul", "dot_general", "conv_general_dilated"])
+# linear in the operands counted here, as long as the others are constant
+LINEAR_IN = {
+    "div": (0,),
+    "triangular_solve": (1,),
+    "gather": (0,),
+    "dynamic_slice": (0,),
+    "dynamic_update_slice": (0, 1),
+    "scatter": (0, 2),
+    "scatter-add": (0, 2),
+}
+DECISIONS = frozenset((
+    "eq", "ne", "lt", "le", "gt", "ge", "lt_to", "le_to", "is_finite", "and", "or", "not", "xor",
+    "reduce_and", "reduce_or", "argmax", "argmin",
+))
+# fmt: on
+WORDS = {
+    "mul": "a product of two signals",
+    "dot_general": "a product of two signals",
+    "div": "a division by a signal",
+    "integer_pow": "a power of a signal",
+    "select_n": "a choice that depends on a signal",
+    "max": "a limit",
+    "min": "a limit",
+    "clamp": "a limit",
+    "round": "rounding",
+    "abs": "the size of a signal",
+    "sign": "the sign of a signal",
+    "gather": "a table that is looked up by a signal",
+    "dynamic_slice": "a table that is looked up by a signal",
+    "cond": "a choice that depends on a signal",
+    "while": "a loop that depends on a signal",
+    "stop_gradient": "rounding",
+}
+
+
+def dependence(f: Callable, fixed: Any, varying: Any) -> Any:
+    """The `Dependence` of each output of f(fixed, varying) on `varying`, in the output's shape.
+
+    f: a pure function, as for `jax.jit`
+    """
+    closed, shape = jax.make_jaxpr(f, return_shape=True)(fixed, varying)
+    known = [Dependence()] * len(jax.tree.leaves(fixed)) + [Dependence(AFFINE)] * len(
+        jax.tree.leaves(varying)
+    )
+    return jax.tree.unflatten(
+        jax.tree.structure(shape),
+        _through(closed.jaxpr, [Dependence()] * len(closed.consts), known),
+    )
+
+
+def obstacle(f: Callable, fixed: Any, varying: Any) -> str:
+    """What keeps f(fixed, varying) from being affine in `varying`, in words; empty if it is.
+
+    Whole numbers and flags must be constant.
+    """
+    found = jax.tree.leaves(
+        dependence(f, fixed, varying), is_leaf=lambda x: isinstance(x, Dependence)
+    )
+    shapes = jax.tree.leaves(jax.eval_shape(f, fixed, varying))
+    for one, shape in zip(found, shapes, strict=True):
+        allowed = AFFINE if jnp.issubdtype(shape.dtype, jnp.inexact) else CONSTANT
+        if one.order > allowed:
+            return one.why or "a whole number that depends on a signal"
+    return ""
+
+
+def blind(f: Callable, fixed: Any, varying: Any) -> bool:
+    """Whether the derivative of f by `varying` misses a part, such as rounding."""
+    found = jax.tree.leaves(
+        dependence(f, fixed, varying), is_leaf=lambda x: isinstance(x, Dependence)
+    )
+    return any(one.blind for one in found)
+
+
+# How it is done
+# --------------------------------------------------------------------------------------------------
+
+
+def _through(
+    program, of_consts: Sequence[Dependence], of_inputs: Sequence[Dependence]
+) -> list[Dependence]:
+    """The dependence of the results of a jaxpr, from that of its inputs."""
+    known = dict(zip([*program.constvars, *program.invars], [*of_consts, *of_inputs], strict=True))
+
+    def look(variable) -> Dependence:
+        # a literal has its value with it
+        return Dependence() if hasattr(variable, "val") else known[variable]
+
+    for step in program.eqns:
+        known |= zip(step.outvars, _after(step, [look(v) for v in step.invars]), strict=True)
+    return [look(v) for v in program.outvars]
+
+
+def _after(step, operands: list[Dependence]) -> list[Dependence]:
+    """The dependence of each result of an operation, from that of its operands."""
+    name, results = step.primitive.name, len(step.outvars)
+    if all(one.order == CONSTANT for one in operands):
+        return [Dependence()] * results
+    if name in LOOPS_AND_CALLS:
+        return LOOPS_AND_CALLS[name](step, operands)
+    inner = _called(step)
+    if inner is not None:
+        return _through(
+            inner.jaxpr if hasattr(inner, "jaxpr") else inner,
+            [Dependence()] * len(getattr(inner, "consts", ())),
+            operands,
+        )
+    together = _joined(operands)
+    if name == "optimization_barrier":
+        return operands
+    if name == "stop_gradient":
+        return [together._replace(blind=True)] * results
+    keeps = (
+        name in LINEAR or _to_float(step) or (name == "select_n" and operands[0].order == CONSTANT)
+    )
+    if name in BILINEAR:
+        keeps = sum(one.order > CONSTANT for one in operands) == 1
+    if name in LINEAR_IN:
+        keeps = all(
+            one.order == CONSTANT for i, one in enumerate(operands) if i not in LINEAR_IN[name]
+        )
+    if not keeps and together.order == AFFINE:
+        why = WORDS["cond"] if name in DECISIONS else WORDS.get(name, name)
+        together = Dependence(OTHERWISE, why, together.blind)
+    if name in DECISIONS:
+        # what only decides has the derivative zero, which is correct
+        together = together._replace(blind=False)
+    if name == "select_n":
+        together = together._replace(blind=any(one.blind for one in operands[1:]))
+    return [together] * results
+
+
+def _joined(several: Sequence[Dependence]) -> Dependence:
+    """The dependence of what is made of several values at once."""
+    worst = max(several, key=lambda one: one.order)
+    return worst._replace(blind=any(one.blind for one in several))
+
+
+def _to_float(step) -> bool:
+    kinds = (
+        [v.aval.dtype for v in (*step.invars, *step.outvars)]
+        if step.primitive.name == "convert_element_type"
+        else []
+    )
+    return bool(kinds) and all(jnp.issubdtype(kind, jnp.inexact) for kind in kinds)
+
+
+def _called(step):
+    """The program that an operation only calls; None for other operations.
+
+    Such operations are jit, checkpoint, and a function with a derivative of its own.
+    """
+    inner = [p for p in step.params.values() if hasattr(p, "eqns") or hasattr(p, "jaxpr")]
+    fits = [
+        p for p in inner if len((p.jaxpr if hasattr(p, "jaxpr") else p).invars) == len(step.invars)
+    ]
+    return fits[0] if len(inner) == 1 and fits else None
+
+
+def _scan(step, operands):
+    fixed, carried = step.params["num_consts"], step.params["num_consts"] + step.params["num_carry"]
+    return _repeated(
+        step.params["jaxpr"], operands[:fixed], operands[fixed:carried], operands[carried:]
+    )
+
+
+def _while(step, operands):
+    of_condition, of_body = step.params["cond_nconsts"], step.params["body_nconsts"]
+    carry = operands[of_condition + of_body :]
+    following = _repeated(
+        step.params["body_jaxpr"], operands[of_condition : of_condition + of_body], carry, []
+    )
+    decides = step.params["cond_jaxpr"]
+    found = _through(
+        decides.jaxpr, [Dependence()] * len(decides.consts), [*operands[:of_condition], *following]
+    )
+    return (
+        following
+        if found[0].order == CONSTANT
+        else [Dependence(OTHERWISE, WORDS["while"])] * len(following)
+    )
+
+
+def _repeated(body, fixed, carry, rows):
+    """The dependence of the results of a loop.
+
+    What is carried is joined with what a turn makes of it, until nothing changes.
+    """
+    while True:
+        found = _through(body.jaxpr, [Dependence()] * len(body.consts), [*fixed, *carry, *rows])
+        grown = [_joined([old, new]) for old, new in zip(carry, found[: len(carry)], strict=True)]
+        if grown == carry:
+            return [*carry, *found[len(carry) :]]
+        carry = grown
+
+
+def _cond(step, operands):
+    decides, *rest = operands
+    branches = [
+        _through(b.jaxpr, [Dependence()] * len(b.consts), rest) for b in step.params["branches"]
+    ]
+    joined = [_joined(several) for several in zip(*branches, strict=True)]
+    return (
+        joined
+        if decides.order == CONSTANT
+        else [Dependence(OTHERWISE, WORDS["cond"], one.blind) for one in joined]
+    )
+
+
+LOOPS_AND_CALLS = {"scan": _scan, "while": _while, "cond": _cond}

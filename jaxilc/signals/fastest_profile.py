@@ -1,0 +1,152 @@
+"""The fastest speed profile along a path within limits, by an interior-point method."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg import solveh_banded
+
+_GAUSS = (np.polynomial.legendre.leggauss(4)[0] + 1) / 2, np.polynomial.legendre.leggauss(4)[1] / 2
+
+
+def fastest(path, h, G, feed, groups, gap):
+    """(G+2,) coefficients of the quadratic B-spline beta that minimises the time.
+
+    It is found to a relative gap, by a barrier method. The limits are taken at both ends of each of
+    the G intervals. A jerk beta^(1/2) l, with l linear in beta, is within its limit where 1 / beta
+    >= |l|^2. For a step 1 / beta is replaced by the square of the tangent of beta^(-1/2), which
+    lies below it: this makes the problem a convex one of the same gradient.
+    """
+    x = np.add.outer([0, 1], np.arange(G)) * h
+    p1, p2, p3 = (np.moveaxis(path.derivative(i)(x), -1, 0).copy()[:, None] for i in (1, 2, 3))
+    # beta, beta' and beta'' from three coefficients, (3, 2, G) each
+    bend = [1 / h**2, -2 / h**2, 1 / h**2]
+    stencil = np.array(
+        [[[0.5, 0.5, 0], [-1 / h, 1 / h, 0], bend], [[0, 0.5, 0.5], [0, -1 / h, 1 / h], bend]]
+    )
+    stencil = np.repeat(stencil.transpose(1, 2, 0)[..., None], G, axis=-1)
+    # beta' = 0 at both ends, or the motion would start with a jump of acceleration: the outermost
+    # coefficient counts to its neighbour
+    for outermost, interval in ((0, 0), (2, -1)):
+        stencil[:, 1, :, interval] += stencil[:, outermost, :, interval]
+        stencil[:, outermost, :, interval] = 0.0
+    E, E1, E2 = stencil
+    speed = (p1[-1, 0] / feed) ** 2
+    # Gram matrices of the linear forms: |a|^2 and |l|^2 = C Q C, of limits 1 and 1 / beta, C the
+    # three coefficients
+    a, ell = p2 * E + p1 / 2 * E1, p3 * E + 1.5 * p2 * E1 + p1 / 2 * E2
+    forms = [a[axes] / acceleration for axes, acceleration, _ in groups] + [
+        ell[axes] / jerk for axes, _, jerk in groups
+    ]
+    Q = np.stack([np.einsum("aieg,ajeg->ijeg", form, form) for form in forms])
+    n = len(groups)
+    rows, cols = np.triu_indices(3)  # all a symmetric matrix holds
+    weights = Q[:, rows, cols] * np.where(rows == cols, 1, 2)[:, None, None]
+
+    def local(c):
+        """The three coefficients of each interval, beta, and what is left of the limits.
+
+        These are the limit of the speed and the others. All are > 0 within the limits.
+        """
+        C = np.stack([c[:-2], c[1:-1], c[2:]])
+        beta = np.einsum("ieg,ig->eg", E, C)
+        used = np.einsum("lkeg,kg->leg", weights, C[rows] * C[cols])
+        used[n:] *= beta
+        return C, beta, 1 - speed * beta, 1 - used
+
+    def cost(c, weight):
+        _, beta, left, others = local(c)
+        if not (c.min() > 0 and min(left.min(), others.min()) > 0):
+            return np.inf
+        return weight * np.sum(beta**-0.5) - sum(np.sum(np.log(part)) for part in (left, *others))
+
+    def newton_step(c, weight):
+        C, beta, left, others = local(c)
+        others[n:] /= beta
+        inverse = 1 / others
+        slope = 2 * np.einsum("lijeg,jg->lieg", Q, C)
+        slope[n:] += beta**-2 * E
+        slope *= inverse[:, None]
+        along = speed / left - 0.5 * weight * beta**-1.5 - n / beta
+        bend = (
+            (speed / left) ** 2
+            + 0.75 * weight * beta**-2.5
+            + n / beta**2
+            - 0.5 * beta**-3 * np.sum(inverse[n:], axis=0)
+        )
+        total, banded = np.zeros(G + 2), np.zeros((3, G + 2))
+        for i in range(3):
+            total[i : i + G] += np.sum(along * E[i], axis=0) + np.einsum("leg->g", slope[:, i])
+            for j in range(i, 3):
+                outer = np.einsum("leg,leg->g", slope[:, i], slope[:, j]) + 2 * np.einsum(
+                    "leg,leg->g", Q[:, i, j], inverse
+                )
+                banded[2 + i - j, j : j + G] += outer + np.sum(bend * E[i] * E[j], axis=0)
+        banded[2, [0, -1]] = 1.0  # the outermost coefficients follow their neighbours
+        step = solveh_banded(banded, -total)
+        step[[0, -1]] = step[[1, -2]]
+        return step, -np.sum(total * step)  # a dot product would wait for BLAS threads
+
+    # the given profile, slowed down into the limits
+    worst = np.max(np.sum(Q, axis=(1, 2)), axis=(1, 2)) ** np.repeat([1 / 4, 1 / 6], n)
+    c = np.full(G + 2, 0.9 * max(np.sqrt(speed.max()), *worst) ** -2)
+    limits = x.size * (1 + 2 * n)
+    reached = 1.0
+    while reached > gap:
+        weight = limits / reached / np.sum(local(c)[1] ** -0.5)
+        now = cost(c, weight)
+        for _ in range(30):
+            try:
+                step, decrease = newton_step(c, weight)
+            except np.linalg.LinAlgError:  # rounding, close to a limit; c keeps them all
+                return c
+            scale = 1.0
+            while (
+                not (tried := cost(c + scale * step, weight)) <= now - 1e-4 * scale * decrease
+                and scale > 1e-9
+            ):
+                scale /= 2
+            if scale <= 1e-9:
+                break
+            c, now = c + scale * step, tried
+            if decrease < 0.1 * np.sqrt(G):
+                break
+        reached /= 8
+    return c
+
+
+class Profile:
+    """The motion x(t) of dx/dt = beta(x)^(1/2)."""
+
+    def __init__(self, coefficients, h):
+        self.c, self.h = coefficients, h
+        self.G = len(coefficients) - 2
+        self.times = np.append(0.0, np.cumsum(self._time(np.arange(self.G), 1.0)))
+
+    def beta(self, x):
+        """beta and its two derivatives at x, (M,) each."""
+        g = np.clip((x / self.h).astype(int), 0, self.G - 1)
+        return self._beta(g, x / self.h - g)
+
+    def _beta(self, g, f):
+        """The same at the fraction f of interval g."""
+        a, b, c = self.c[g], self.c[g + 1], self.c[g + 2]
+        value = (a * (1 - f) ** 2 + c * f**2) / 2 + b * (0.75 - (f - 0.5) ** 2)
+        return value, (a * (f - 1) + c * f + b * (1 - 2 * f)) / self.h, (a - 2 * b + c) / self.h**2
+
+    def _time(self, g, f):
+        """Time from the start of interval g to its fraction f, by Gauss quadrature."""
+        return sum(
+            weight * f * self.h / np.sqrt(self._beta(g, f * node)[0])
+            for node, weight in zip(*_GAUSS, strict=True)
+        )
+
+    def at(self, t):
+        """x at the times t, (M,), by Newton's method."""
+        g = np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, self.G - 1)
+        rest = t - self.times[g]
+        f = rest / (self.times[g + 1] - self.times[g])
+        for _ in range(4):
+            f = np.clip(
+                f - (self._time(g, f) - rest) * np.sqrt(self._beta(g, f)[0]) / self.h, 0.0, 1.0
+            )
+        return (g + f) * self.h

@@ -1,0 +1,358 @@
+"""Systems of python-control and scipy.signal to and from plants, against their own simulators."""
+
+import control
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.signal
+from cases import ALGEBRA, DRIVE, DT, PLANTS
+
+from jaxilc.learning import Machine, learn
+from jaxilc.plants import (
+    BallScrewDrive,
+    DifferenceEquation,
+    InBlocks,
+    Plant,
+    StateSpace,
+    TwoAxes,
+    VoiceCoil,
+    VoiceCoilMotor,
+    fast_tool_servo,
+    from_control,
+    to_control,
+    voice_coil_motor,
+)
+from jaxilc.plants.to_python_control import initial_state
+from jaxilc.pytree import leaf, pytree
+from jaxilc.schemes import Scheme
+from jaxilc.schemes.scheme import Feedforward
+from jaxilc.signals import Task
+from jaxilc.uncertainty import Uniform, drawn_machines
+
+N = 40
+U = np.random.default_rng(8).normal(size=(N, 2))
+NONLINEAR = ("fast_tool_servo_nonlinear", "ball_screw_real", "time_varying")
+LINEAR = {
+    name: plant
+    for name, plant in PLANTS.items()
+    if name not in (*NONLINEAR, "voice_coil_printed", "voice_coil_dai")
+} | {
+    "in_blocks": InBlocks(PLANTS["discrete"]),
+    "two_axes": TwoAxes(VoiceCoil(), PLANTS["continuous"]),
+    "two_axes_discrete": TwoAxes(PLANTS["arx"], VoiceCoil()),
+}  # fmt: skip
+
+
+@pytree
+class PlayBack(Scheme):
+    """It plays u (N, n_u) back, on any machine."""
+
+    u: jax.Array = leaf()
+
+    def initial_memory(self, task):
+        return Feedforward(self.u)
+
+
+def simulated(plant, u, dt=DT):
+    """(N+1, n_y) the output by `learn`."""
+    task = Task(np.zeros((len(u) + 1, plant.n_y)), dt=dt, inputs=plant.n_u)
+    return np.asarray(learn(Machine(plant), PlayBack(u), task, 1).final.y)
+
+
+def forced(system, u, x0=0.0):
+    """(N+1, n_y) the output of a discrete system by python-control."""
+    held = np.vstack([u, u[-1:]]).T
+    time = np.arange(len(u) + 1) * system.dt
+    return control.forced_response(system, time, held, X0=x0, squeeze=False).outputs.T
+
+
+@pytest.mark.parametrize("name", LINEAR)
+def test_a_linear_plant_leaves_as_the_system_that_the_simulator_steps(name):
+    plant = LINEAR[name]
+    system, u = to_control(plant, DT), U[:, : plant.n_u]
+    assert system.dt == DT
+    assert (system.ninputs, system.noutputs) == (plant.n_u, plant.n_y)
+    y = simulated(plant, u)
+    np.testing.assert_allclose(
+        forced(system, u, initial_state(plant, DT)), y, rtol=1e-8, atol=1e-10
+    )
+    assert np.max(np.abs(y)) > 1e-4
+
+
+@pytest.mark.parametrize("name", LINEAR)
+def test_and_in_its_own_time(name):
+    """In continuous time python-control's own zero-order hold leads to the system sampled here."""
+    plant = LINEAR[name]
+    if "ball_screw" in name:
+        with pytest.raises(ValueError, match=r"no form in continuous time .* give dt"):
+            to_control(plant)
+        return
+    system, sampled = to_control(plant), to_control(plant, DT)
+    assert system.dt == (0 if plant.continuous() is not None else DT)
+    if system.dt == 0:
+        system = control.sample_system(system, DT)
+    u = U[:, : plant.n_u]
+    y, own = forced(system, u, initial_state(plant)), forced(sampled, u, initial_state(plant, DT))
+    # the motor is integrated by Runge-Kutta steps as long as its fastest pole allows
+    tolerance = 5e-2 if name == "motor" else 1e-9
+    np.testing.assert_allclose(y, own, rtol=0, atol=tolerance * np.max(np.abs(own)))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_random_system_comes_back_as_it_left(seed):
+    rng = np.random.default_rng(seed)
+    n, n_u, n_y = rng.integers(1, 5), rng.integers(1, 3), rng.integers(1, 3)
+    for dt in (0.0, 0.02):
+        system = control.rss(n, n_y, n_u, dt=dt, strictly_proper=True)
+        back = to_control(from_control(system, allow_unstable=True))
+        for name in "ABCD":
+            np.testing.assert_array_equal(getattr(back, name), getattr(system, name))
+        assert back.dt == system.dt
+
+
+def test_the_channels_keep_their_names():
+    drive = to_control(BallScrewDrive(**DRIVE), DT)
+    assert drive.input_labels == ["velocity_command"]
+    assert drive.output_labels == ["motor_position", "table_position"]
+    both = to_control(TwoAxes(VoiceCoil(), VoiceCoil()))
+    assert both.input_labels == ["x_voltage", "y_voltage"]
+    assert to_control(PLANTS["mimo"]).input_labels == ["u[0]", "u[1]"]
+
+
+@pytree
+class Offset(Plant):
+    """A user's plant that is affine, not linear."""
+
+    c: jax.Array = leaf(default=0.3)
+
+    def initial_state(self):
+        return jnp.zeros(1)
+
+    def step(self, x, u, dt):
+        return 0.5 * x + u + self.c
+
+    def output(self, x):
+        return x
+
+
+@pytree
+class Cubic(Offset):
+    def step(self, x, u, dt):
+        return 0.5 * x - self.c * x**3 + u
+
+
+@pytest.mark.parametrize(
+    ("plant", "message"),
+    [
+        (
+            voice_coil_motor(),
+            r"VoiceCoilMotor is not linear, because of current_limit \(a limit\), voltage_limit "
+            r"\(a limit\), speed_limit \(a limit\); allowed",
+        ),
+        (
+            PLANTS["ball_screw_real"],
+            r"because of motor_friction \(.*\), table_friction \(.*\), lead_error \(",
+        ),
+        (fast_tool_servo("full"), r"FastToolServo is not linear, because of hysteresis \("),
+        (
+            TwoAxes(VoiceCoil(), VoiceCoilMotor(current_limit=None, speed_limit=None)),
+            r"TwoAxes is not linear, because of y.voltage_limit \(a limit\);",
+        ),
+        (PLANTS["time_varying"], "varies over the trial"),
+        (Cubic(), r"Cubic is not linear, because of a power of a signal"),
+        (Offset(), "Offset has no form in continuous time and no sample time of its own; give dt"),
+        ((Offset(), DT), "Offset adds a constant"),
+        (control.tf([1.0], [1.0, 1.0]), "TransferFunction is not a plant of jaxilc"),
+    ],
+)
+def test_what_is_not_linear_is_refused_by_name(plant, message):
+    with pytest.raises(ValueError, match="to_control: .*" + message):
+        to_control(*plant) if isinstance(plant, tuple) else to_control(plant)
+
+
+def test_another_sample_time_is_refused():
+    with pytest.raises(ValueError, match=r"DifferenceEquation is sampled at 0.001 s"):
+        to_control(PLANTS["arx"], 2 * DT)
+
+
+# Nonlinear systems of python-control
+# --------------------------------------------------------------------------------------------------
+
+
+def pendulum(t, x, u, params):
+    return jnp.array(
+        [x[1], -params["stiffness"] * jnp.sin(x[0]) - 2.0 * x[1] + u[0] + 0.3 * jnp.cos(9.0 * t)]
+    )
+
+
+def pendulum_in_numpy(t, x, u, params):
+    return np.array(
+        [x[1], -params["stiffness"] * np.sin(x[0]) - 2.0 * x[1] + u[0] + 0.3 * np.cos(9.0 * t)]
+    )
+
+
+def angle(t, x, u, params):
+    return x[:1]
+
+
+SIZES = {"inputs": 1, "outputs": 1, "states": 2, "params": {"stiffness": 30.0}}
+
+
+def test_a_continuous_nonlinear_system_is_integrated():
+    dt = 0.02
+    plant = from_control(control.nlsys(pendulum, angle, **SIZES), x0=(0.4, -1.0), substep=dt / 4)
+    assert plant.timed
+    u = 20.0 * U[:, :1]
+    # python-control interpolates the input, so each sample is one call of its own
+    oracle = control.nlsys(pendulum_in_numpy, angle, **SIZES)
+    x, y = np.array([0.4, -1.0]), [0.4]
+    for k, held in enumerate(u[:, 0]):
+        found = control.input_output_response(
+            oracle, [k * dt, (k + 1) * dt], np.array([[held, held]]), x,
+            solve_ivp_kwargs={"rtol": 1e-11, "atol": 1e-12},
+        )  # fmt: skip
+        x = found.states[:, -1]
+        y.append(x[0])
+    errors = []
+    for steps in (2, 4):
+        plant = from_control(
+            control.nlsys(pendulum, angle, **SIZES), x0=(0.4, -1.0), substep=dt / steps
+        )
+        errors.append(np.max(np.abs(simulated(plant, u, dt)[:, 0] - y)))
+    assert errors[1] < 1e-7 * np.max(np.abs(y))
+    assert 3.5 < np.log2(errors[0] / errors[1]) < 4.5  # a method of order 4
+
+
+def mapped(t, x, u, params):
+    return jnp.stack([0.7 * x[0] + jnp.tanh(params["gain"] * u[0]), x[0] * u[1] + 0.1 * x[1]])
+
+
+def mapped_in_numpy(t, x, u, params):
+    return np.stack([0.7 * x[0] + np.tanh(params["gain"] * u[0]), x[0] * u[1] + 0.1 * x[1]])
+
+
+def test_a_discrete_nonlinear_system_steps_as_in_python_control():
+    given = {"inputs": 2, "outputs": 2, "states": 2, "params": {"gain": 0.8}, "dt": DT}
+    plant = from_control(control.nlsys(mapped, None, **given))
+    assert not plant.timed
+    y = control.input_output_response(
+        control.nlsys(mapped_in_numpy, None, **given),
+        np.arange(N + 1) * DT,
+        np.vstack([U, U[-1:]]).T,
+    ).outputs.T
+    np.testing.assert_allclose(simulated(plant, U), y, **ALGEBRA)
+    with pytest.raises(ValueError, match=r"NonlinearSystem is sampled at 0.001 s"):
+        simulated(plant, U, 2 * DT)
+
+
+def test_its_parameters_are_leaves():
+    machine = Machine(from_control(control.nlsys(pendulum, angle, **SIZES), substep=0.01))
+    name = "plant.parameters.stiffness"
+    drawn = drawn_machines(
+        machine, {name: Uniform(20.0, 40.0)}, {name: np.array([20.0, 28.0, 36.0])}
+    )
+    task = Task(np.zeros(N + 1), dt=0.02)
+
+    def last(machine):
+        return learn(machine, PlayBack(np.ones((N, 1))), task, 1).final.y[-1, 0]
+
+    ends = jax.vmap(last)(drawn)
+    assert len(set(np.asarray(ends).tolist())) == 3
+    slope = jax.grad(last)(machine).plant.parameters["stiffness"]
+    assert np.isfinite(slope)
+    assert slope < 0
+
+
+def with_feedthrough(t, x, u, params):
+    return x[:1] + u
+
+
+SCIPY = {
+    "lti_tf": scipy.signal.TransferFunction([30.0, 1e4], [1.0, 60.0, 1e4]),
+    "lti": scipy.signal.lti([40.0], [1.0, 40.0]),
+    "lti_zpk": scipy.signal.ZerosPolesGain([-300.0], [-40.0 + 30.0j, -40.0 - 30.0j], 9.0),
+    "lti_ss": scipy.signal.StateSpace(
+        *(np.asarray(getattr(PLANTS["mimo"], name)) for name in "ABC"), np.zeros((2, 2))
+    ),
+    "dlti": scipy.signal.dlti([0.06, 0.03], [1.0, -1.6, 0.65], dt=DT),
+    "dlti_zpk": scipy.signal.ZerosPolesGain([0.3], [0.9, 0.5], 0.2, dt=DT),
+}
+
+
+@pytest.mark.parametrize("name", SCIPY)
+def test_systems_of_scipy_respond_as_in_scipy(name):
+    system = SCIPY[name]
+    plant = from_control(system)
+    discrete = system if isinstance(system, scipy.signal.dlti) else system.to_ss().to_discrete(DT)
+    u = U[:, : plant.n_u]
+    y = scipy.signal.dlsim(discrete, np.vstack([u, u[-1:]]))[1]
+    np.testing.assert_allclose(simulated(plant, u), y, rtol=1e-7, atol=1e-10)
+    assert np.max(np.abs(y)) > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (
+            lambda: from_control(control.nlsys(pendulum_in_numpy, angle, **SIZES), substep=1e-3),
+            r"JAX cannot trace the update function \(TracerArrayConversionError\); write it with",
+        ),
+        (
+            lambda: from_control(control.nlsys(pendulum, angle, **SIZES)),
+            "substep = None for a nonlinear system in continuous time; give the longest step",
+        ),
+        (
+            lambda: from_control(
+                control.nlsys(mapped, None, inputs=2, outputs=2, states=2, dt=DT), substep=1e-3
+            ),
+            "substep is for a continuous system; this one is discrete",
+        ),
+        (
+            lambda: from_control(control.nlsys(pendulum, with_feedthrough, **SIZES), substep=1e-3),
+            "the output function uses u, a direct feedthrough",
+        ),
+        (
+            lambda: from_control(
+                control.nlsys(pendulum, angle, **SIZES | {"outputs": 2}), substep=1e-3
+            ),
+            r"the output function returns the shape \(1,\); allowed is \(2,\)",
+        ),
+        (
+            lambda: from_control(
+                control.nlsys(pendulum, angle, **SIZES | {"params": {"stiffness": "soft"}}),
+                substep=1e-3,
+            ),
+            "the parameter stiffness = 'soft' is not a number",
+        ),
+        (
+            lambda: from_control(control.nlsys(pendulum, angle, **SIZES, dt=True)),
+            "dt = True leaves the sample time open",
+        ),
+        (
+            lambda: from_control(control.tf([1.0], [1.0, 1.0]), substep=1e-3),
+            "substep is for a nonlinear system; this one is linear",
+        ),
+        (lambda: from_control(scipy.signal.lti([1.0, 0.0], [1.0, 1.0])), "direct feedthrough"),
+        (
+            lambda: from_control(scipy.signal.dlti([0.1], [1.0, -0.9])),
+            "dt = True leaves the sample time open",
+        ),
+        (lambda: from_control(scipy.signal.lti([1.0], [1.0, -1.0])), "the system is unstable"),
+        (
+            lambda: from_control(scipy.signal.firwin(5, 0.3)),
+            "ndarray is not a control.StateSpace or control.TransferFunction, a control.nlsys",
+        ),
+    ],
+)
+def test_what_cannot_come_in_is_refused_with_the_reason(build, message):
+    with pytest.raises(ValueError, match="from_control: .*" + message):
+        build()
+
+
+def test_an_initial_state_comes_in_with_a_linear_system():
+    plant = from_control(control.tf([40.0], [1.0, 40.0]), x0=(2.0,))
+    assert isinstance(plant, StateSpace)
+    y = simulated(plant, np.zeros((N, 1)))[:, 0]
+    np.testing.assert_allclose(y, y[0] * np.exp(-40 * DT * np.arange(N + 1)), rtol=1e-9)
+    assert isinstance(PLANTS["arx"], DifferenceEquation)
