@@ -33,7 +33,7 @@ def run_and_measure(
         and scheme.plays_back
         and not scheme.signals(scheme.initial_state(task))
     ):
-        return _at_once(machine, scheme.table(memory, task).u, task, key)
+        return _at_once(machine, scheme.schedule(memory, task).u, task, key)
     plant, dt, r, preview = machine.plant, task.dt, jnp.asarray(task.reference), scheme.preview
     draws = machine.draws(key, task)
     future = jnp.pad(r[1:], ((0, preview - 1), (0, 0)), mode="edge")
@@ -62,7 +62,7 @@ def run_and_measure(
         jnp.arange(task.N),
         r[:-1],
         r[1:],
-        scheme.table(memory, task),
+        scheme.schedule(memory, task),
         draws.input,
         _at(d_y, slice(1, None)),
         _at(noise, slice(1, None)),

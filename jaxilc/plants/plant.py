@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 
 import jax
 
+from ..pytree.fields import need_decorated
 from ..signals.task import Task
 
 State = Any
@@ -30,6 +31,9 @@ class Plant:
     n_u: int = 1
     n_y: int = 1
     response: Any = None
+
+    def __init__(self, *values: Any, **named: Any):
+        need_decorated(type(self))
 
     def sampled(self, dt: float) -> Plant:
         """The plant prepared for sample time dt [s]."""

@@ -12,31 +12,21 @@ from jax import lax
 
 from ..pytree.fields import Leaf, child, leaf, pytree, static
 from ..pytree.needs import need_channels
-from ..signals.task import Limit, Task, Trial
-from .compose import Wrapper
-from .mfailc import FFDLMFAILC
-from .scheme import Scheme
+from ..signals.task import Task, Trial
+from .scheme import Part, Scheme, with_all_parts
+from .wrapper import Wrapper
 
 
 class Guard(Wrapper):
-    """Within a trial it is the scheme it is put around; its memory holds that of the scheme as its
-    field `scheme`.
+    """A wrapper that decides when its scheme learns, and from what; within a trial it is that
+    scheme. Its memory holds the memory of the scheme as its field `scheme`.
     """
 
-    def table(self, memory, task: Task) -> Any:
-        return self.scheme.table(memory.scheme, task)
-
-    def feedforward(self, memory, task: Task) -> jax.Array:
-        return self.scheme.feedforward(memory.scheme, task)
+    def parts(self, task: Task, memory) -> dict[str, Part]:
+        return {"scheme": Part(self.scheme, task, memory.scheme)}
 
     def frozen(self) -> Scheme:
         return self.scheme.frozen()
-
-    def limits(self, task: Task, memory, trial: Trial) -> dict[str, Limit]:
-        return super().limits(task, memory.scheme, trial)
-
-    def play(self, learned, memory, task: Task) -> Any:
-        return self.scheme.play(learned, memory.scheme, task)
 
 
 class StopMemory(NamedTuple):
@@ -88,7 +78,7 @@ class StopWhen(Guard):
     def check(self, task: Task) -> None:
         need_channels(self, task.outputs, "max_error", "rms")
         _need_numbers(self, "growth")
-        self.scheme.check(task)
+        super().check(task)
 
     def initial_memory(self, task: Task) -> StopMemory:
         start = self.scheme.initial_memory(task)
@@ -183,13 +173,16 @@ class Ladder(Guard):
 
     def check(self, task: Task) -> None:
         _need_numbers(self, "growth_of_gain", "largest", "slow")
-        for scheme in jax.tree.leaves(self.scheme, is_leaf=lambda x: isinstance(x, FFDLMFAILC)):
-            if self.slow is not None and isinstance(scheme, FFDLMFAILC) and scheme.L_y:
+        for scheme, _, _ in with_all_parts(self.scheme, task):
+            comparing = [name for name in scheme.compares if getattr(scheme, name)]
+            if self.slow is not None and comparing:
+                name = comparing[0]
                 raise ValueError(
-                    f"Ladder: slow = {self.slow} with L_y = {scheme.L_y} of {type(scheme).__name__}, which compares outputs within the "
-                    "trial; allowed are None, or L_y = 0"
+                    f"Ladder: slow = {self.slow} with {name} = {getattr(scheme, name)} of "
+                    f"{type(scheme).__name__}, which compares outputs within the trial; allowed are "
+                    f"None, or {name} = 0"
                 )
-        self.scheme.check(task)
+        super().check(task)
 
     def initial_memory(self, task: Task) -> LadderMemory:
         signals = jax.eval_shape(lambda: self.scheme.signals(self.scheme.initial_state(task)))

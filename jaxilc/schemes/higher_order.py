@@ -12,7 +12,7 @@ from ..pytree.fields import Leaf, leaf, pytree, static
 from ..pytree.needs import known, need_channels
 from ..signals.task import Limit, Task, Trial
 from .pid_type import need_lead
-from .scheme import Feedforward, Scheme, advance, limit_of, limited, need_square
+from .scheme import Scheme, advance, limit_of, limited, need_square
 
 
 class Past(NamedTuple):
@@ -77,9 +77,6 @@ class HigherOrder(Scheme):
         rest = jnp.zeros((task.N, task.inputs))
         before = (rest,) * (self.alpha.shape[0] - 1)
         return Past(rest, before, before)
-
-    def table(self, memory: Past, task: Task) -> Feedforward:
-        return Feedforward(memory.u)
 
     def learn(self, memory: Past, trial: Trial) -> Past:
         inputs, errors = (

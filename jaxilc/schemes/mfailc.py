@@ -36,7 +36,7 @@ class Memory(NamedTuple):
     seen: jax.Array
 
 
-class Table(NamedTuple):
+class Schedule(NamedTuple):
     """u: (N, n) the law's part that is known before the trial;  y, u_last: (N, n) output and input
     of trial j-1
     weights: L_y+L_u-1 of them, each (N, n), of the increments D y(k..k-L_y+1, j) and D
@@ -103,6 +103,7 @@ class FFDLMFAILC(Scheme):
     reset: str = static(default="book", choices=RESETS)
     estimator_steps = ("eta",)
     clips = ("limit",)
+    compares = ("L_y",)
 
     def __post_init__(self):
         need_window(self)
@@ -138,7 +139,7 @@ class FFDLMFAILC(Scheme):
             ]
         return Memory(trial.u, trial.y, tuple(phi), jnp.ones_like(memory.seen))
 
-    def table(self, memory: Memory, task: Task) -> Table:
+    def schedule(self, memory: Memory, task: Task) -> Schedule:
         c, rho = self.L_y, jnp.broadcast_to(self.rho, (self.L_y + self.L_u,))
         lead = memory.phi[c]
         gain = lead / (self.lam + lead**2)
@@ -153,7 +154,7 @@ class FFDLMFAILC(Scheme):
             u = limited(
                 u, self.limit
             )  # with weights, the running trial's increments come on top first
-        return Table(u, memory.y[:-1], memory.u, weights)
+        return Schedule(u, memory.y[:-1], memory.u, weights)
 
     def initial_state(self, task: Task) -> Window:
         rest = jnp.zeros(task.inputs)

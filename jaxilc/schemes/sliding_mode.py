@@ -14,7 +14,6 @@ from ..pytree.fields import Leaf, leaf, pytree, static
 from ..pytree.needs import known, need_channels
 from ..signals.task import Sample, Task, Trial
 from .scheme import Scheme, limited, need_square
-from .velocity import filtered_difference
 
 
 class SlidingState(NamedTuple):
@@ -196,7 +195,7 @@ class ASMC(SMC):
     def initial_memory(self, task: Task) -> Any:
         return Carried(jnp.broadcast_to(self.eta, (task.outputs,))) if self.carry else ()
 
-    def table(self, memory, task: Task) -> Any:
+    def schedule(self, memory, task: Task) -> Any:
         return (
             CarriedRows(jnp.zeros((task.N, task.outputs)).at[0].set(memory.eta_hat))
             if self.carry
@@ -232,3 +231,20 @@ def need_input_gain(scheme) -> None:
         raise ValueError(
             f"{type(scheme).__name__}: b = {scheme.b} is outside its allowed range: any number but 0"
         )
+
+
+def filtered_difference(slope, x, x_last, tau, dt) -> jax.Array:
+    """One step of the backward difference behind a first-order low-pass: d/dt -> s / (tau s + 1) at
+    s = (1 - z^-1) / dt.
+
+        slope' = (tau slope + x - x_last) / (tau + dt),    H(z) = (1 - z^-1) / (tau + dt - tau z^-1)
+
+    A ramp comes out exactly, once settled; slow signals come out late by tau + dt / 2; at a
+    frequency w the amplitude is
+    |H| / w = |sin(w dt / 2)| / (w dt / 2) / |1 + tau (1 - z^-1) / dt|. White noise of standard
+    deviation q in x, as rounding to a resolution of sqrt(12) q is, becomes q sqrt(2 / ((tau + dt)
+    (2 tau + dt))) in the slope.
+    slope: (n,) of the sample before [x/s];  x, x_last: (n,) signal now and a sample before;  tau:
+    () or (n,) >= 0 [s];  dt: [s]
+    """
+    return (tau * slope + x - x_last) / (tau + dt)

@@ -88,7 +88,8 @@ class Sweep:
                 raise ValueError(f"Sweep: keep = {brief(name)} is not one of {', '.join(SIGNALS)}")
         if not isinstance(self.schemes, Mapping):
             raise ValueError(
-                f"Sweep: schemes = {brief(self.schemes)} is a {type(self.schemes).__name__}; allowed are schemes by name"
+                f"Sweep: schemes = {brief(self.schemes)} is a {type(self.schemes).__name__}; allowed are schemes by name, "
+                "such as {'name': scheme}"
             )
         if not self.schemes:
             raise ValueError("Sweep: schemes is empty; at least one is needed")
