@@ -13,8 +13,8 @@
 # %% [markdown]
 # # From simulation to the machine
 #
-# On a real machine the loop runs through files: the controller plays a table, records the trial,
-# and `jaxilc` makes the next table of it. The scheme is the one that was simulated. A *campaign* is
+# On a real machine the loop runs through files: the controller plays a schedule, records the trial,
+# and `jaxilc` makes the next schedule of it. The scheme is the one that was simulated. A *campaign* is
 # a folder that remembers what was learned from each trial; it checks each measured trial before it
 # learns, writes atomically, and can go back to any earlier trial.
 #
@@ -87,7 +87,7 @@ scheme, task = axis.schemes["ilc"], axis.task
 # %% [markdown]
 # ## The machine at the other end
 #
-# It reads the table, adds it to the input of its own PI feedback, and writes a trace: time,
+# It reads the schedule, adds it to the input of its own PI feedback, and writes a trace: time,
 # reference, output, input, each with its unit. Its gain is 15 % higher than ours and its damping 25
 # % lower, and its encoder is noisy.
 
@@ -123,7 +123,7 @@ def machine_plays(table, trace, number):
 
 # %%
 campaign = Campaign.start(folder / "x-axis", scheme, task, actuator=axis.machine.actuator)
-trial_files.write_tables(folder / "next-1.csv", campaign.tables(), task, trial=1)
+trial_files.write_schedules(folder / "next-1.csv", campaign.schedules(), task, trial=1)
 for j in range(1, 21):
     machine_plays(folder / f"next-{j}.csv", folder / f"trial-{j}.csv", j)
     measured = trial_files.read_measured(folder / f"trial-{j}.csv", task, campaign.recordable())
@@ -131,7 +131,7 @@ for j in range(1, 21):
     campaign.keep(
         turn
     )  # refuses what the checks refuse: saturation, an input beyond the limit, a gap
-    trial_files.write_tables(folder / f"next-{j + 1}.csv", turn.tables, task, trial=j + 1)
+    trial_files.write_schedules(folder / f"next-{j + 1}.csv", turn.schedules, task, trial=j + 1)
     if j in (1, 2, 5, 10, 15, 20):
         print(
             f"trial {j:2d}: RMS error {1e3 * turn.figures['error']:8.3f} µm",
@@ -141,7 +141,7 @@ errors = [row["rms_error"] for row in campaign.journal.log() if row["event"] == 
 assert errors[-1] < errors[0] / 10
 
 # %% [markdown]
-# The first table is zero, so trial 1 is the machine under its feedback alone.
+# The first schedule is zero, so trial 1 is the machine under its feedback alone.
 #
 # ## A trial that is wrong
 #
@@ -185,7 +185,7 @@ top.figure
 # ## The same by hand
 #
 # Without the campaign's folder and checks, three calls: `scheme.memory`, `feedforward`,
-# `next_memory`. They must give the same table.
+# `next_memory`. They must give the same schedule.
 
 # %%
 memory = scheme.initial_memory(task)
@@ -196,7 +196,7 @@ for j in range(1, 19):
         scheme, task, memory, record.y, record.u, feedback=signals["feedback"]
     )
 by_hand = np.asarray(jaxilc.feedforward(scheme, task, memory))
-np.testing.assert_allclose(by_hand, campaign.tables(18)["feedforward"], rtol=1e-9, atol=1e-12)
+np.testing.assert_allclose(by_hand, campaign.schedules(18)["feedforward"], rtol=1e-9, atol=1e-12)
 print("largest learned input:", np.round(np.max(np.abs(by_hand)), 4), "V")
 
 # %%

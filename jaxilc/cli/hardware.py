@@ -58,7 +58,7 @@ Share = Annotated[
     typer.Option("--saturation", help="Share of samples at the limit that is accepted."),
 ]
 Repeatability = Annotated[
-    float | None, typer.Option(help="Largest RMS difference of two trials of one table.")
+    float | None, typer.Option(help="Largest RMS difference of two trials of one schedule.")
 ]
 Growth = Annotated[
     float | None, typer.Option(help="Share by which the RMS error may grow without a warning.")
@@ -100,7 +100,9 @@ def next_(
     ] = False,
     no_learn: Annotated[
         bool,
-        typer.Option("--no-learn", help="Look at the trial only; the same table is played again."),
+        typer.Option(
+            "--no-learn", help="Look at the trial only; the same schedule is played again."
+        ),
     ] = False,
     replayed_input: Annotated[
         bool, typer.Option("--replayed-input", help="Without u: the scheme's over the measured y.")
@@ -169,10 +171,10 @@ def next_(
     common = {"actuator": chosen.machine.actuator, "rules": rules, "recipe": recipe}
     if new:
         campaign = Campaign.start(*subject, **common, dry_run=dry_run)
-        tables, trial = campaign.first_tables(), 1
+        schedules, trial = campaign.first_schedules(), 1
     else:
         campaign = Campaign.open(*subject, **common)
-        tables, trial = campaign.tables(undo), (campaign.trials if undo is None else undo) + 1
+        schedules, trial = campaign.schedules(undo), (campaign.trials if undo is None else undo) + 1
     if undo is not None and not dry_run:
         campaign.undo(undo)
     if measured is not None:
@@ -185,8 +187,8 @@ def next_(
             raise Refused(error) from None
         if not dry_run:
             campaign.keep(turn)
-        tables, trial = turn.tables, turn.trial + 1
-    _played(out, tables, campaign.task, trial, number, dry_run)
+        schedules, trial = turn.schedules, turn.trial + 1
+    _played(out, schedules, campaign.task, trial, number, dry_run)
 
 
 def trials(
@@ -338,21 +340,21 @@ def _report(turn, ignored, unit: str) -> None:
             )
 
 
-def _played(path: Path | None, tables, task, trial: int, number: str, dry_run: bool) -> None:
+def _played(path: Path | None, schedules, task, trial: int, number: str, dry_run: bool) -> None:
     """Write what the machine plays, and say what it is."""
     import numpy as np
 
-    from ..hardware.trial_files import write_tables
+    from ..hardware.trial_files import write_schedules
     from ..learning.playback import unit_of
     from .options import out
 
     peaks = ", ".join(
-        f"{name} up to {np.max(np.abs(table)):.6g} {unit_of(name, task)}".strip()
-        for name, table in tables.items()
+        f"{name} up to {np.max(np.abs(schedule)):.6g} {unit_of(name, task)}".strip()
+        for name, schedule in schedules.items()
     )
     out.print(f"next: trial {trial}, {peaks}", highlight=False, markup=False, soft_wrap=True)
     if dry_run or path is None:
         out.print("dry run: nothing was written", highlight=False)
         return
-    write_tables(path, tables, task, trial=trial, number=number)
+    write_schedules(path, schedules, task, trial=trial, number=number)
     out.print(f"written: {path}", highlight=False, markup=False, soft_wrap=True)

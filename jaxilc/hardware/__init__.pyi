@@ -1,7 +1,7 @@
 from .campaign import Campaign, Turn
 from .checks import Finding, Rules
 from .journal import Journal
-from .trial_files import Measured, read_measured, write_tables
+from .trial_files import Measured, read_measured, write_schedules
 
 __all__ = [
     "Campaign",
@@ -11,5 +11,5 @@ __all__ = [
     "Rules",
     "Turn",
     "read_measured",
-    "write_tables",
+    "write_schedules",
 ]

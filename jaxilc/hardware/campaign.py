@@ -17,7 +17,7 @@ import numpy as np
 from ..learning.machine import Actuator
 from ..learning.metrics import measure
 from ..learning.over_trials import check_length, measured_trial
-from ..learning.playback import replay, tables
+from ..learning.playback import replay, schedules
 from ..pytree.named_paths import named_leaves
 from ..runtime.provenance import describe, differences, environment
 from ..schemes import Scheme
@@ -34,7 +34,7 @@ MEMORY, TRIAL = "memory.npz", "trial.npz"
 class Turn(NamedTuple):
     """A measured trial and what follows from it; nothing is stored yet.
 
-    trial: its number;  record: with the signals of the scheme;  memory, tables: of the next trial;
+    trial: its number;  record: with the signals of the scheme;  memory, schedules: of the next trial;
     figures: of this one
     hashes: of what was measured and of what was played;  findings: what the checks found, refusals
     among them
@@ -44,7 +44,7 @@ class Turn(NamedTuple):
     trial: int
     record: Trial
     memory: Any
-    tables: dict[str, np.ndarray]
+    schedules: dict[str, np.ndarray]
     figures: dict[str, Any]
     hashes: dict[str, str]
     findings: list[Finding]
@@ -87,14 +87,14 @@ class Campaign:
         nothing
 
         Raises FileExistsError if something is there; ValueError where scheme and task do not fit,
-        and for a first table beyond a limit.
+        and for a first schedule beyond a limit.
         """
         check_length(task, scheme)
         scheme.check(task)
         campaign = cls(
             Journal(Path(path)), scheme, task, actuator, (rules or Rules()).checked(), recipe or {}
         )
-        refuse(checks.beyond_limits(campaign.first_tables(), task, actuator, campaign.rules))
+        refuse(checks.beyond_limits(campaign.first_schedules(), task, actuator, campaign.rules))
         if not dry_run:
             campaign.journal.create()
             campaign._append(
@@ -167,26 +167,26 @@ class Campaign:
             jax.tree.structure(template), [jnp.asarray(found[name]) for name in needed]
         )
 
-    def tables(self, trial: int | None = None) -> dict[str, np.ndarray]:
-        """What the machine plays after a trial, None for the last one; see `playback.tables`."""
-        return tables(self.scheme, self.memory(trial), self.task)
+    def schedules(self, trial: int | None = None) -> dict[str, np.ndarray]:
+        """What the machine plays after a trial, None for the last one; see `playback.schedules`."""
+        return schedules(self.scheme, self.memory(trial), self.task)
 
-    def first_tables(self) -> dict[str, np.ndarray]:
+    def first_schedules(self) -> dict[str, np.ndarray]:
         """What the machine plays in the first trial."""
-        return tables(self.scheme, self.scheme.initial_memory(self.task), self.task)
+        return schedules(self.scheme, self.scheme.initial_memory(self.task), self.task)
 
     def recordable(self) -> dict[str, tuple[int, int]]:
         """The signals besides y and u that a measured trial may hold: the feedback's share, and the
-        tables as they were played.
+        schedules as they were played.
         """
         return {"feedback": (self.task.N, self.task.inputs)} | {
-            name: t.shape for name, t in self.tables().items() if name != "u"
+            name: t.shape for name, t in self.schedules().items() if name != "u"
         }
 
     def turn(self, measured: Measured, *, learn: bool = True, replay_input: bool = False) -> Turn:
         """What a measured trial leads to, checked by the rules; nothing is stored until `keep`.
 
-        learn: False looks at the trial only, and has the same table played again
+        learn: False looks at the trial only, and has the same schedule played again
         replay_input: take the scheme's input over the measured output where the file has none
         The feedback's share is `feedback` of the file if it has it, else the scheme's own law over
         the measured output (`replay`), as the other signals of the scheme always are.
@@ -201,7 +201,7 @@ class Campaign:
             self.actuator,
         )
         memory, number = self.memory(), live[-1]["trial"] + 1
-        played = tables(scheme, memory, task)
+        played = schedules(scheme, memory, task)
         commanded, signals = replay(scheme, task, memory, measured.y, actuator)
         if measured.u is None and not replay_input:
             raise ValueError(
@@ -238,8 +238,8 @@ class Campaign:
         wrong = _not_a_number(_arrays(following))
         if wrong:
             findings.append(Finding("refusal", f"what would be learned is not a number in {wrong}"))
-        following_tables = tables(scheme, following, task)
-        findings += checks.beyond_limits(following_tables, task, actuator, rules)
+        following_schedules = schedules(scheme, following, task)
+        findings += checks.beyond_limits(following_schedules, task, actuator, rules)
         figures = {"error": error} | {
             name: np.asarray(value).tolist()
             for name, value in measure(record, task)._asdict().items()
@@ -248,7 +248,7 @@ class Campaign:
             number,
             record,
             following,
-            following_tables,
+            following_schedules,
             figures,
             hashes,
             findings,

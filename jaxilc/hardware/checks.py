@@ -14,7 +14,9 @@ from ..pytree.ranges import Interval
 from ..signals.task import Task, Trial
 
 AT_LIMIT = 1e-3  # of the limit, within which an input counts as saturated
-AS_PLAYED = 1e-4  # of a table's peak, by which it may differ from what the machine recorded of it
+AS_PLAYED = (
+    1e-4  # of a schedule's peak, by which it may differ from what the machine recorded of it
+)
 AS_COMMANDED = (
     0.01  # of the input's peak, by which the recorded input may differ from the replayed one
 )
@@ -32,7 +34,7 @@ class Rules(NamedTuple):
     correction: largest departure of a learned reference from the task's [unit of y]
     saturation: share of samples at the limit, of any input;  accept_saturation: warn instead of
     refusing
-    repeatability: RMS difference of two trials of one table, over all outputs [unit of y]
+    repeatability: RMS difference of two trials of one schedule, over all outputs [unit of y]
     growth: share by which the RMS error may exceed the last trial's, without a warning;
     stop_on_growth: refuse instead of warning
     """
@@ -107,32 +109,34 @@ def as_commanded(u, replayed, actuator: Actuator | None, task: Task) -> list[Fin
         Finding(
             "warning",
             f"the measured input is up to {off[k]:.3g} {unit} away (sample {k}) from the scheme's over the measured output: was another "
-            "table played, or is the machine's feedback, its delay or its limit not the scheme's?",
+            "schedule played, or is the machine's feedback, its delay or its limit not the scheme's?",
         )
     ]
 
 
 def as_played(
-    recorded: Mapping[str, np.ndarray], tables: Mapping[str, np.ndarray], actuator: Actuator | None
+    recorded: Mapping[str, np.ndarray],
+    schedules: Mapping[str, np.ndarray],
+    actuator: Actuator | None,
 ) -> list[Finding]:
-    """What the machine recorded of the tables it played against what it was given."""
+    """What the machine recorded of the schedules it played against what it was given."""
     findings = []
-    for name in recorded.keys() & tables.keys():
-        off = np.max(np.abs(recorded[name] - tables[name]), axis=1)
-        allowed = AS_PLAYED * np.max(np.abs(tables[name])) + np.max(_resolution(actuator))
+    for name in recorded.keys() & schedules.keys():
+        off = np.max(np.abs(recorded[name] - schedules[name]), axis=1)
+        allowed = AS_PLAYED * np.max(np.abs(schedules[name])) + np.max(_resolution(actuator))
         if np.max(off) > allowed:
             k = int(np.argmax(off))
-            text = f"{name} is {off[k]:.3g} away at sample {k} from the table of this trial: another one was played"
+            text = f"{name} is {off[k]:.3g} away at sample {k} from the schedule of this trial: another one was played"
             findings.append(Finding("refusal", text))
     return findings
 
 
 def repeated(trial: Trial, last_y, rules: Rules, unit: str) -> list[Finding]:
-    """Two trials of one table: what differs does not repeat and cannot be learned. last_y: (N+1,
+    """Two trials of one schedule: what differs does not repeat and cannot be learned. last_y: (N+1,
     n_y) of the other trial
     """
     difference, error = _rms(np.asarray(trial.y) - last_y), _rms(trial.e)
-    text = f"the same table as in the last trial: RMS difference of the outputs {difference:.3g} {unit}, RMS error {error:.3g} {unit}"
+    text = f"the same schedule as in the last trial: RMS difference of the outputs {difference:.3g} {unit}, RMS error {error:.3g} {unit}"
     if rules.repeatability is not None and difference > rules.repeatability:
         return [Finding("refusal", f"{text}; allowed is {rules.repeatability:.3g} {unit}")]
     return [Finding("warning" if difference > LITTLE * error else "note", text)]
@@ -153,26 +157,28 @@ def grown(error: float, history: list[tuple[int, float]], rules: Rules, unit: st
 
 
 def beyond_limits(
-    tables: Mapping[str, np.ndarray], task: Task, actuator: Actuator | None, rules: Rules
+    schedules: Mapping[str, np.ndarray], task: Task, actuator: Actuator | None, rules: Rules
 ) -> list[Finding]:
-    """The next tables against the input's limit and the largest correction of the reference."""
+    """The next schedules against the input's limit and the largest correction of the reference."""
     findings = []
-    for name, table in tables.items():
-        departure, unit, limits = table, task.input_unit, None
+    for name, schedule in schedules.items():
+        departure, unit, limits = schedule, task.input_unit, None
         if name == "reference":
-            unit, departure = task.unit, table - np.asarray(task.reference)
+            unit, departure = task.unit, schedule - np.asarray(task.reference)
             if (
-                departure.shape != table.shape
+                departure.shape != schedule.shape
             ):  # one reference for several outputs: the one that it is nearest to
                 departure = departure[:, [np.argmin(np.max(np.abs(departure), axis=0))]]
-            limits = None if rules.correction is None else np.full(table.shape[1], rules.correction)
+            limits = (
+                None if rules.correction is None else np.full(schedule.shape[1], rules.correction)
+            )
         elif name in ("u", "feedforward", "table.u"):
-            limits = rules.limits(actuator, table.shape[1])
-        if not np.all(np.isfinite(table)):
-            k = int(np.argmin(np.isfinite(table).all(axis=1)))
+            limits = rules.limits(actuator, schedule.shape[1])
+        if not np.all(np.isfinite(schedule)):
+            k = int(np.argmin(np.isfinite(schedule).all(axis=1)))
             findings.append(Finding("refusal", f"the next {name} is not finite at sample {k}"))
         elif limits is not None and np.any(np.abs(departure) > limits):
-            k, i = np.unravel_index(int(np.argmax(np.abs(departure) / limits)), table.shape)
+            k, i = np.unravel_index(int(np.argmax(np.abs(departure) / limits)), schedule.shape)
             option = "--limit" if name != "reference" else "--largest-correction"
             away = " away from the task's" if name == "reference" else ""
             text = f"the next {name} is {departure[k, i]:.6g} {unit}{away} at sample {k}; allowed are +-{limits[i]:g} {unit} ({option})"
