@@ -118,7 +118,7 @@ def _need_rows(scheme: Scheme, task: Task, memory) -> None:
 def _need_learned_alike(scheme: Scheme, task: Task, before, after) -> None:
     """Raises ValueError unless `learn` gave a memory like the one before, part by part."""
     name = type(scheme).__name__
-    if jax.tree.structure(before) == jax.tree.structure(after):
+    if type(before) is type(after):
         was, now = scheme.parts(task, before), scheme.parts(task, after)
         for part in was:
             inner, seen, memory = was[part]
@@ -129,9 +129,8 @@ def _need_learned_alike(scheme: Scheme, task: Task, before, after) -> None:
 def _need_alike(who: str, what: str, before, after, allowed: str) -> None:
     """Raises ValueError unless two pytrees have one structure, and leaves of one shape and type."""
     if jax.tree.structure(before) != jax.tree.structure(after):
-        was, now = (brief(jax.tree.structure(tree)) for tree in (before, after))
         raise ValueError(
-            f"{who} makes a {what} {now} of one that is {was}; allowed is the structure that {allowed}"
+            f"{who} makes a {what} {_in_words(after)} of {_in_words(before)}; allowed is what {allowed}"
         )
     for (path, was), now in zip(named_leaves(before).items(), jax.tree.leaves(after), strict=True):
         known, found = jnp.shape(was), jnp.shape(now)
@@ -142,3 +141,8 @@ def _need_alike(who: str, what: str, before, after, allowed: str) -> None:
                 f"{who} makes {path or what} {types[1]}{list(found)} of {types[0]}{list(known)}; "
                 f"allowed is what {allowed}"
             )
+
+
+def _in_words(tree) -> str:
+    names = ", ".join(name for name in named_leaves(tree) if name)
+    return type(tree).__name__ + (f" ({names})" if names else "")
