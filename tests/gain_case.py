@@ -1,4 +1,5 @@
-"""Learning and tuning with a closed form: a static gain under P-type ILC, for the tests of tuning."""
+"""Learning and tuning with a closed form: a static gain under P-type ILC, for the tests of "
+"tuning."""
 
 import jax.numpy as jnp
 import numpy as np

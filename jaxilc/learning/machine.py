@@ -95,7 +95,8 @@ class Disturbance:
 
 
 class Draws(NamedTuple):
-    """One trial's disturbances and sensor noise, sample by sample; None where the machine has none."""
+    """One trial's disturbances and sensor noise, sample by sample; None where the machine has "
+    "none."""
 
     input: jax.Array | None  # (N, n_u), in units of the input
     output: jax.Array | None  # (N+1, n_y), in units of the output
@@ -175,7 +176,8 @@ class Machine:
         ):
             if here != there:
                 raise ValueError(
-                    f"the task has {there} {what} but the plant {type(self.plant).__name__} has {here}"
+                    f"the task has {there} {what} but the plant {type(self.plant).__name__} has "
+                    f"{here}"
                 )
         need_scalars(self.plant)
         self.plant.check(task)

@@ -99,7 +99,8 @@ def learn(
         require("learn", "first", first, "[1, inf)", whole=True)
     if save is not None and not (callable(save) and isinstance(save, Hashable)):
         raise ValueError(
-            f"learn: save = {save!r} is not a function of a trial; allowed are functions, and objects that can be hashed"
+            f"learn: save = {save!r} is not a function of a trial; allowed are functions, and "
+            "objects that can be hashed"
         )
     check(machine, scheme, task)
     figures = bytes_of_figures(task)
@@ -233,7 +234,8 @@ def measured_trial(task: Task, y, u, **signals) -> Trial:
             )
         if not np.all(np.isfinite(values)):
             raise ValueError(
-                f"measured_trial: {name} is not finite at sample {int(np.argmin(np.isfinite(values).all(axis=1)))}"
+                f"measured_trial: {name} is not finite at sample "
+                f"{int(np.argmin(np.isfinite(values).all(axis=1)))}"
             )
         measured[name] = jnp.asarray(values)
     return Trial(

@@ -33,7 +33,8 @@ def schedules(scheme: Scheme, memory, task: Task) -> dict[str, np.ndarray]:
     found = _compiled(scheme, memory, task)
     if not scheme.learns or not found:
         raise ValueError(
-            f"{type(scheme).__name__} learns nothing that a machine could play; allowed are schemes "
+            f"{type(scheme).__name__} learns nothing that a machine could play; allowed are "
+            "schemes "
             "that learn"
         )
     return {

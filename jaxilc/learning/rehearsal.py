@@ -28,7 +28,8 @@ def need_pytrees(*trees: Any) -> None:
         if not hasattr(leaf, "dtype") and not isinstance(leaf, numbers.Number):
             name = type(leaf).__name__
             raise ValueError(
-                f"{brief(leaf)} is no pytree; write @pytree (from jaxilc.pytree) above `class {name}`, "
+                f"{brief(leaf)} is no pytree; write @pytree (from jaxilc.pytree) above `class "
+                f"{name}`, "
                 "or register the class with JAX"
             )
 
@@ -78,7 +79,8 @@ def _turn(scheme: Scheme, task: Task, *, actuated: bool) -> None:
     after, u = scheme.act(before, sample)
     if jnp.shape(u) != (task.inputs,):
         raise ValueError(
-            f"{name}: act gives an input of shape {jnp.shape(u)}; allowed is (n_u,) = ({task.inputs},)"
+            f"{name}: act gives an input of shape {jnp.shape(u)}; allowed is (n_u,) = "
+            f"({task.inputs},)"
         )
     _need_alike(f"{name}: act", "state", before, after, "initial_state gives")
     signals = {
@@ -110,7 +112,8 @@ def _need_rows(scheme: Scheme, task: Task, memory) -> None:
     for path, rows in named_leaves(schedule).items():
         if jnp.shape(rows)[:1] != (task.N,):
             raise ValueError(
-                f"{name}: {path or 'the leaf'} of its schedule has shape {jnp.shape(rows)}; allowed "
+                f"{name}: {path or 'the leaf'} of its schedule has shape {jnp.shape(rows)}; "
+                "allowed "
                 f"are N = {task.N} rows, so override schedule to leave out what act does not need"
             )
 
@@ -130,7 +133,8 @@ def _need_alike(who: str, what: str, before, after, allowed: str) -> None:
     """Raises ValueError unless two pytrees have one structure, and leaves of one shape and type."""
     if jax.tree.structure(before) != jax.tree.structure(after):
         raise ValueError(
-            f"{who} makes a {what} {_in_words(after)} of {_in_words(before)}; allowed is what {allowed}"
+            f"{who} makes a {what} {_in_words(after)} of {_in_words(before)}; allowed is what "
+            f"{allowed}"
         )
     for (path, was), now in zip(named_leaves(before).items(), jax.tree.leaves(after), strict=True):
         known, found = jnp.shape(was), jnp.shape(now)

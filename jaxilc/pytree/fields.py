@@ -140,7 +140,8 @@ def is_decorated(cls: type) -> bool:
 
 
 def need_decorated(cls: type) -> None:
-    """Raises ValueError for a class that has no fields of its own because `@pytree` was forgotten."""
+    """Raises ValueError for a class that has no fields of its own because `@pytree` was "
+    "forgotten."""
     if "__dataclass_params__" not in vars(cls):
         raise ValueError(
             f"{cls.__name__}: the class is no pytree, so its fields would not be seen; write "
@@ -197,7 +198,8 @@ def _checked_leaf(owner: str, field, value):
     value = _as_float(owner, field.name, value)
     if not isinstance(value, jax.core.Tracer) and not field.metadata["interval"].contains(value):
         raise ValueError(
-            f"{owner}: {field.name} = {shown(value)} is outside its allowed range {field.metadata['interval']}"
+            f"{owner}: {field.name} = {shown(value)} is outside its allowed range "
+            f"{field.metadata['interval']}"
         )
     return value
 

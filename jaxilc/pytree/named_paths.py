@@ -77,7 +77,8 @@ def get_at(tree, path: str) -> Any:
         if isinstance(key, str):
             if key not in below:
                 raise KeyError(
-                    f"{path!r} is not a parameter here; known: {', '.join(settable(tree)) or 'none'}"
+                    f"{path!r} is not a parameter here; known: "
+                    f"{', '.join(settable(tree)) or 'none'}"
                 )
             value, name = below[key], key
         elif key in below:
@@ -86,7 +87,8 @@ def get_at(tree, path: str) -> Any:
             shape = (len(value),) if isinstance(value, list | tuple) else np.shape(value)
             if not shape or key >= shape[0]:
                 raise KeyError(f"{path!r}: {name} has shape {shape}")
-            value = value[key]
+            with jax.ensure_compile_time_eval():  # of a known array it is known inside `jit` too
+                value = value[key]
     return value
 
 
@@ -198,7 +200,8 @@ def _rebuilt_foreign(tree, whole, parts):
 
 
 def _like(old, new, name: str):
-    """A leaf for a leaf: of the same shape and precision. Anything may stand for what is no leaf."""
+    """A leaf for a leaf: of the same shape and precision. Anything may stand for what is no "
+    "leaf."""
     if not hasattr(old, "dtype"):
         return new
     if not hasattr(new, "dtype") and as_numbers(new) is None:

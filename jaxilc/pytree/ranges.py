@@ -45,7 +45,8 @@ class Interval(NamedTuple):
         return bool(np.all(above & below))
 
     def __str__(self) -> str:
-        return f"{'[' if self.closed_low else '('}{self.low:g}, {self.high:g}{']' if self.closed_high else ')'}"
+        left, right = "[" if self.closed_low else "(", "]" if self.closed_high else ")"
+        return f"{left}{self.low:g}, {self.high:g}{right}"
 
 
 def require(
@@ -68,7 +69,8 @@ def require(
         )
     for i, value in np.ndenumerate(found):
         if not wanted.contains(value) or (whole and not is_whole(values)):
-            said = f"{value:g}{unit} is outside its allowed range {wanted}{' of whole numbers' * whole}"
+            of_kind = " of whole numbers" * whole
+            said = f"{value:g}{unit} is outside its allowed range {wanted}{of_kind}"
             raise ValueError(f"{owner}: {name}{list(i) or ''} = {said}")
 
 

@@ -179,7 +179,8 @@ class Ladder(Guard):
                 name = comparing[0]
                 raise ValueError(
                     f"Ladder: slow = {self.slow} with {name} = {getattr(scheme, name)} of "
-                    f"{type(scheme).__name__}, which compares outputs within the trial; allowed are "
+                    f"{type(scheme).__name__}, which compares outputs within the trial; allowed "
+                    "are "
                     f"None, or {name} = 0"
                 )
         super().check(task)

@@ -70,7 +70,8 @@ class HigherOrder(Scheme):
         if self.gamma.shape[1:] not in ((), (task.inputs,)):
             P = self.gamma.shape[0]
             raise ValueError(
-                f"HigherOrder: gamma has shape {self.gamma.shape}; allowed are ({P},) and ({P}, {task.inputs})"
+                f"HigherOrder: gamma has shape {self.gamma.shape}; allowed are ({P},) and ({P}, "
+                f"{task.inputs})"
             )
 
     def initial_memory(self, task: Task) -> Past:

@@ -171,11 +171,13 @@ class CFDLMFAPC(Scheme):
     def __post_init__(self):
         if self.P_u > self.P:
             raise ValueError(
-                f"CFDLMFAPC: P_u = {self.P_u} is outside its allowed range [1, {self.P}] for P = {self.P}"
+                f"CFDLMFAPC: P_u = {self.P_u} is outside its allowed range [1, {self.P}] for P = "
+                f"{self.P}"
             )
         if self.theta0 is not None and self.theta0.shape != (self.n_p,):
             raise ValueError(
-                f"CFDLMFAPC: theta0 has shape {self.theta0.shape}; n_p = {self.n_p} needs ({self.n_p},)"
+                f"CFDLMFAPC: theta0 has shape {self.theta0.shape}; n_p = {self.n_p} needs "
+                f"({self.n_p},)"
             )
 
     @property
@@ -247,7 +249,8 @@ class CFDLMFAPC(Scheme):
         return future
 
     def _wanted(self, sample: Sample):
-        """A^T (Y* - E y) without its factor phi: (P_u, n) sums over rows i..P-1 of r(k+1+p) - y(k)."""
+        """A^T (Y* - E y) without its factor phi: (P_u, n) sums over rows i..P-1 of r(k+1+p) - "
+        "y(k)."""
         if self.reference == "constant":
             return (self.P - jnp.arange(self.P_u))[:, None] * (sample.ahead[0] - sample.y)
         miss = sample.ahead - sample.y

@@ -83,7 +83,8 @@ class NormOptimal(Scheme):
     def __post_init__(self):
         if not isinstance(self.solved, Recursion | Lifted | None):
             raise ValueError(
-                f"NormOptimal: solved = {brief(self.solved)} is a {type(self.solved).__name__}; allowed is None"
+                f"NormOptimal: solved = {brief(self.solved)} is a {type(self.solved).__name__}; "
+                "allowed is None"
             )
         for name, size in (
             ("w_q", self.model.n_y),
@@ -100,7 +101,8 @@ class NormOptimal(Scheme):
             )
             if np.any(both <= 1e-14 * np.max(total)):
                 raise ValueError(
-                    f"NormOptimal: w_r + w_s has the eigenvalues {both}; allowed are positive ones only"
+                    f"NormOptimal: w_r + w_s has the eigenvalues {both}; allowed are positive "
+                    "ones only"
                 )
         if isinstance(self.model, StateSpace) and known(self.model):
             poles = np.linalg.eigvals(np.asarray(self.model.A))
@@ -110,14 +112,16 @@ class NormOptimal(Scheme):
                     "outside the unit circle" if self.model.dt else "right of the imaginary axis"
                 )
                 raise ValueError(
-                    f"NormOptimal: the model is unstable (a pole {growth:.3g} {where}); give the closed loop that the learned input meets"
+                    f"NormOptimal: the model is unstable (a pole {growth:.3g} {where}); give the "
+                    "closed loop that the learned input meets"
                 )
 
     def _check_weight(self, name: str, size: int) -> None:
         weight = getattr(self, name)
         if weight.shape not in ((), (size,), (size, size)):
             raise ValueError(
-                f"NormOptimal: {name} has shape {weight.shape}; allowed are (), ({size},) and ({size}, {size})"
+                f"NormOptimal: {name} has shape {weight.shape}; allowed are (), ({size},) and "
+                f"({size}, {size})"
             )
         if not known(weight):
             return
@@ -146,12 +150,14 @@ class NormOptimal(Scheme):
         need_channels(self, task.inputs, "limit")
         if isinstance(self.model, TimeVaryingStateSpace) and self.model.N != task.N:
             raise ValueError(
-                f"NormOptimal: the model is given for N = {self.model.N} samples but the task has N = {task.N}"
+                f"NormOptimal: the model is given for N = {self.model.N} samples but the task has "
+                f"N = {task.N}"
             )
         size = task.N * max(task.inputs, task.outputs)
         if self.form == "lifted" and size > LARGEST_LIFTED:
             raise ValueError(
-                f"NormOptimal: form = 'lifted' would need a dense matrix of {size} rows or columns; allowed are {LARGEST_LIFTED}: "
+                f"NormOptimal: form = 'lifted' would need a dense matrix of {size} rows or "
+                f"columns; allowed are {LARGEST_LIFTED}: "
                 "use form = 'riccati', which gives the same input in memory linear in N"
             )
 

@@ -1,4 +1,5 @@
-"""P-, PD- and PID-type iterative learning control: the classical laws with a fixed learning gain."""
+"""P-, PD- and PID-type iterative learning control: the classical laws with a fixed learning "
+"gain."""
 
 from __future__ import annotations
 
@@ -58,5 +59,6 @@ def need_lead(scheme, task: Task) -> None:
     """Raises ValueError if the learning lead leaves nothing of the trial to learn from."""
     if scheme.lead >= task.N:
         raise ValueError(
-            f"{type(scheme).__name__}: lead = {scheme.lead} is outside its allowed range [0, {task.N - 1}] for N = {task.N}"
+            f"{type(scheme).__name__}: lead = {scheme.lead} is outside its allowed range [0, "
+            f"{task.N - 1}] for N = {task.N}"
         )

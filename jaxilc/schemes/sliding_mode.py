@@ -211,7 +211,8 @@ class ASMC(SMC):
             return memory
         if "eta_hat" not in trial.signals:
             raise ValueError(
-                "ASMC: the trial has no signal 'eta_hat' (N, n_u), so carry = True has nothing to go on from"
+                "ASMC: the trial has no signal 'eta_hat' (N, n_u), so carry = True has nothing "
+                "to go on from"
             )
         return Carried(trial.signals["eta_hat"][-1])
 
@@ -229,7 +230,8 @@ def need_input_gain(scheme) -> None:
     """Raises ValueError if the input gain b, by which the scheme divides, is zero."""
     if known(scheme) and np.any(np.asarray(scheme.b) == 0):
         raise ValueError(
-            f"{type(scheme).__name__}: b = {scheme.b} is outside its allowed range: any number but 0"
+            f"{type(scheme).__name__}: b = {scheme.b} is outside its allowed range: any number "
+            "but 0"
         )
 
 

@@ -229,7 +229,7 @@ class Plain(Scheme):
 @pytest.mark.parametrize("cls", [Undecorated, UndecoratedBelow, UndecoratedPlant])
 def test_a_forgotten_pytree(cls):
     for build in (cls, lambda: cls(gain=0.3) if cls is not UndecoratedBelow else cls(gamma_p=0.3)):
-        with pytest.raises(ValueError, match=f"write @pytree .* above `class {cls.__name__}`"):
+        with pytest.raises(ValueError, match=rf"write @pytree .* above `class {cls.__name__}`"):
             build()
 
 
@@ -239,7 +239,7 @@ def test_a_dataclass_that_is_no_pytree():
         inner: Any = child()
 
     for scheme in (Plain(), Around(Plain())):
-        with pytest.raises(ValueError, match="write @pytree .* above `class Plain`"):
+        with pytest.raises(ValueError, match=r"write @pytree .* above `class Plain`"):
             learn(MACHINE, scheme, TASK, 3)
 
 

@@ -15,7 +15,7 @@ from jaxilc.learning import Machine, learn, next_memory
 from jaxilc.learning.playback import schedules
 from jaxilc.plants import DifferenceEquation
 from jaxilc.pytree import child, leaf, named_leaves, pytree
-from jaxilc.schemes import PID, FFDLMFAILC, Ladder, PIDType, Scheme, WithFeedback
+from jaxilc.schemes import FFDLMFAILC, PID, Ladder, PIDType, Scheme, WithFeedback
 from jaxilc.schemes.scheme import with_all_parts
 from jaxilc.schemes.wrapper import Wrapper
 from jaxilc.signals import Task
