@@ -186,7 +186,9 @@ def _rebuilt(tree, changes: dict[tuple[Key, ...], Any]) -> Any:
         return _rebuilt_foreign(tree, whole, parts)
     below = _below(tree) | whole
     new = whole | {key: _rebuilt(below[key], deeper) for key, deeper in parts.items()}
-    return {**tree, **new} if isinstance(tree, dict) else dataclasses.replace(tree, **new)
+    if isinstance(tree, dict):
+        return {**tree, **new}
+    return dataclasses.replace(tree, **{str(name): value for name, value in new.items()})
 
 
 def _rebuilt_foreign(tree, whole, parts):

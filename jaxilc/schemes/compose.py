@@ -232,9 +232,8 @@ class OnOutputs(Wrapper):
 
     def act(self, state, sample: Sample) -> tuple[Any, jax.Array]:
         seen = list(self.outputs)
-        shown = {"r": sample.r, "ahead": sample.ahead, "y": sample.y}
-        picked = {name: signal[..., seen] for name, signal in shown.items()}
-        return self.scheme.act(state, sample._replace(**picked))
+        r, ahead, y = (signal[..., seen] for signal in (sample.r, sample.ahead, sample.y))
+        return self.scheme.act(state, sample._replace(r=r, ahead=ahead, y=y))
 
     def record(self, learned, e, task: Task) -> Trial:
         r = jnp.asarray(task.reference)

@@ -50,17 +50,17 @@ class StopWhen(Guard):
     Fig. 19 and section 6.3).
 
         max |e_j| <= max_error and RMS(e_j) <= rms     keep the memory that brought about trial j
-        RMS(e_j) > (1 + growth) min_{i<j} RMS(e_i)     go back to the memory that brought about the
-        best trial
+        RMS(e_j) > (1 + growth) min_{i<j} RMS(e_i)     go back to that of the best trial
 
-    over the samples k = 1..N. From then on each trial plays back the same table; noise is not
+    over the samples k = 1..N. From then on each trial plays back the same schedule; noise is not
     looked at again.
     max_error, rms: () or (n_y,) tolerances [unit of y], None for none; every output must meet those
     that are given
     growth: () >= 0, None for never; its RMS is over all outputs together, and a trial that is not
-    finite has grown What is compared carries no gradient, so that in a tolerance is zero. A frozen
-    trial's gradient is that of the memory it is frozen
-    with: the trials learned from until then, and nothing of those that were discarded.
+        finite has grown
+    What is compared carries no gradient, so the gradient by a tolerance is zero. The gradient of a
+    frozen trial is that of the memory it is frozen with: of the trials learned from until then, and
+    nothing of those that were discarded.
     Raises ValueError if there is nothing to stop it.
     """
 
@@ -125,7 +125,7 @@ class Sums(NamedTuple):
 
 
 class LadderMemory(NamedTuple):
-    """scheme: memory of the scheme;  count: () repeats so far of the present table;  sums: over
+    """scheme: memory of the scheme;  count: () repeats so far of the present schedule;  sums: over
     them
     gain: () on the error;  rms: () of the mean trial last learned from, inf before; both None where
     the gain is fixed
@@ -140,23 +140,25 @@ class LadderMemory(NamedTuple):
 
 @pytree
 class Ladder(Guard):
-    """Each table is run R times, and learned from once, by the mean trial (ladder-type learning, Li
-    2020, section 6.2).
+    """Each schedule is run R times, and learned from once, by the mean trial.
 
+    This is ladder-type learning (Li 2020, section 6.2).
     Noise that does not repeat enters what is learned with 1/sqrt(R) of its size. Between, the
     memory of the scheme stays. With `slow` the gain of learning adapts: where the mean trial's RMS
     error has fallen since the last one, but to more than `slow` of it, the gain grows, and stays in
     force:
 
-        slow < RMS_i / RMS_{i-1} <= 1:    gain' = min(growth_of_gain gain, largest),    from gain =
-        1
+        slow < RMS_i / RMS_{i-1} <= 1:    gain' = min(growth_of_gain gain, largest)
+
+    from gain = 1.
 
     The paper prints no rule. An error that has *risen* leaves the gain alone here, since more gain
     is not what it lacks. For any scheme the gain is on the error it is shown, y' = r - gain (r -
     y). An adaptive law takes that for a plant that reacts differently, and adapts to it as well.
 
-    repeats: R;  growth_of_gain: () >= 1;  largest: () >= 1;  slow: () in (0, 1), None for a gain of
-    1 What is compared carries no gradient, so that in `slow` is zero.
+    repeats: R;  growth_of_gain: () >= 1;  largest: () >= 1
+    slow: () in (0, 1), None for a gain of 1
+    What is compared carries no gradient, so the gradient by `slow` is zero.
     Raises ValueError, for an adapted gain, around FFDL-MFAILC, which compares the running trial
     with the output it was shown.
     """

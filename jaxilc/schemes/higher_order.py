@@ -34,12 +34,17 @@ class HigherOrder(Scheme):
 
     Trials before the first, and errors beyond the end of a trial, count as zero. P = 1 is `PIDType`
     with gamma_p alone.
-    alpha: (P,) of sum 1, so that what has been learned stays where the error is zero; a sum in (0,
-    1) forgets (leaky)
-    gamma: (P,), or (P, n) for each channel [unit of u per unit of y];  lead: m, as for `PIDType`;
-    limit: largest |u| learned On a plant P(z) each frequency's error obeys e_{j+1} = sum_i (alpha_i
-    - gamma_i z^(1+m) P) e_{j-i} + (1 - sum alpha) r, so it converges if the roots s of s^P = sum_i
-    (alpha_i - gamma_i z^(1+m) P) s^(P-1-i) lie within the unit circle, not always monotonically.
+    On a plant P(z) the error at each frequency obeys
+
+        e_{j+1} = sum_i (alpha_i - gamma_i z^(1+m) P) e_{j-i} + (1 - sum alpha) r
+
+    so it converges, not always monotonically, if the roots s of
+    s^P = sum_i (alpha_i - gamma_i z^(1+m) P) s^(P-1-i) lie within the unit circle.
+
+    alpha: (P,) of sum 1, so that what has been learned stays where the error is zero; with a sum in
+        (0, 1) the law forgets
+    gamma: (P,), or (P, n) for each channel [unit of u per unit of y]
+    lead: m, as for `PIDType`;  limit: () or (n,) largest |u| learned, None for none
     Raises ValueError for shapes that do not fit or a sum of alpha outside (0, 1].
     """
 

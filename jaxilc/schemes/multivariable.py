@@ -17,8 +17,10 @@ from .scheme import UNASKED, Part, Scheme, State, delay, limits_of_parts, under
 
 
 class LearnedState(NamedTuple):
-    """feedback: its state;  u: (n_u,) the feedback's share;  reference: (1,) r[k+1], what the
-    feedback will follow
+    """What MILC keeps within a trial.
+
+    feedback: its state;  u: (n_u,) the feedback's share
+    reference: (1,) r[k+1], what the feedback will follow
     """
 
     feedback: State
@@ -38,12 +40,12 @@ class MultivariableILC(Scheme):
     reference moves along.
 
     learning: of two inputs (u, r) and two outputs, usually `NormOptimal` with
-    `plants.multivariable_model`; it plays back what it
-              learned, and its second input is the whole reference, as printed, not a correction
-    feedback: follows the learned reference with the motor;  prefilter: 1 / P_Z on the reference,
-    None for r_0 = r_d
-    motor_output, table_output: their numbers among the task's outputs. The sample k = 0 keeps
-    r_d[0].
+        `plants.multivariable_model`; it plays back what it learned, and its second input is the
+        whole reference, as printed, not a correction
+    feedback: follows the learned reference with the motor
+    prefilter: 1 / P_Z on the reference, None for r_0 = r_d
+    motor_output, table_output: their numbers among the task's outputs
+    The sample k = 0 keeps r_d[0].
     Signals of a trial: `feedback`, its share of the input, and `reference`, r[k+1] as learned.
     """
 

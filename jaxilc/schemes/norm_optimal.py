@@ -26,8 +26,9 @@ LARGEST_LIFTED = (
 
 
 class Recursion(NamedTuple):
-    """What the Riccati recursion leaves. K: (N, n_u, n) gain of the state's deviation;  G: (N, n_u,
-    n_u) inverse of the input's cost
+    """What the Riccati recursion leaves.
+
+    K: (N, n_u, n) gain of the state's deviation;  G: (N, n_u, n_u) inverse of the input's cost
     """
 
     K: jax.Array
@@ -46,26 +47,27 @@ class NormOptimal(Scheme):
     """The next input minimises, by the model H, the cost of the next trial (Amann, Owens, Rogers
     1996; MILC 2024, eq. 5 to 8)
 
-        J = |e_{j+1}|^2_Wq + |u_{j+1} - u_j|^2_Wr + |u_{j+1}|^2_Ws,    e_{j+1} = e_j - H (u_{j+1} -
-        u_j) u_{j+1} = u_j + (H' W_q H + W_s + W_r)^-1 (H' W_q e_j - W_s u_j)
+        J = |e_{j+1}|^2_Wq + |u_{j+1} - u_j|^2_Wr + |u_{j+1}|^2_Ws
+        e_{j+1} = e_j - H (u_{j+1} - u_j)
+        u_{j+1} = u_j + (H' W_q H + W_s + W_r)^-1 (H' W_q e_j - W_s u_j)
 
     `riccati` solves it in time and memory linear in N. With d = u_{j+1} - u_j, x' = A x + B d from
     x[0] = 0, P[N] = 0, p[N] = 0:
 
-        Z = P[k+1] + C' w_q C,   G[k] = (B' Z B + w_r + w_s)^-1,   K[k] = G[k] B' Z A,   P[k] = A' Z
-        (A - B K[k])
-        z = p[k+1] + C' w_q e_j[k+1],   g[k] = G[k] (B' z - w_s u_j[k]),   p[k] = A' z - K[k]' (B' z
-        - w_s u_j[k]) d[k] = g[k] - K[k] x[k]
+        Z = P[k+1] + C' w_q C,           G[k] = (B' Z B + w_r + w_s)^-1
+        K[k] = G[k] B' Z A,              P[k] = A' Z (A - B K[k])
+        z = p[k+1] + C' w_q e_j[k+1],    g[k] = G[k] (B' z - w_s u_j[k])
+        p[k] = A' z - K[k]' (B' z - w_s u_j[k])
+        d[k] = g[k] - K[k] x[k]
 
-    derived afresh (Appendix A of MILC 2024 has slips); `lifted` solves the same in dense form, N
-    n_u and N n_y up to 8192.
+    derived again, as Appendix A of MILC 2024 has slips; `lifted` solves the same in dense form,
+    with N n_u and N n_y up to 8192.
 
     model: n_u inputs to n_y outputs, of the task's sample time, u[k] acting on y[k+1]; stable, so
-    of the closed loop under feedback.
-           Nominal: the machine may differ
-    w_q: () or (n_y,) or (n_y, n_y);  w_r, w_s: () or (n_u,) or (n_u, n_u), positive semidefinite,
-    w_r + w_s definite; symmetric up to
-         rounding, as a product A' A is: its symmetric part counts
+        of the closed loop under feedback; nominal, as the machine may differ
+    w_q: () or (n_y,) or (n_y, n_y), positive semidefinite
+    w_r, w_s: () or (n_u,) or (n_u, n_u), positive semidefinite, w_r + w_s definite
+        Weights are symmetric up to rounding, as a product A' A is; the symmetric part counts.
     limit: () or (n_u,) largest |u| learned, None for none
     Raises ValueError for an unstable model, and weights that are not symmetric or not semidefinite.
     Differentiable in the weights and in the model, through the recursion.

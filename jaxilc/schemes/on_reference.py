@@ -15,9 +15,11 @@ from .scheme import UNASKED, Part, Scheme, State, delay, under
 
 
 class ReferenceSchedule(NamedTuple):
-    """u: (N, n_y) correction w[k] of the reference r[k+1];  now: (N, n_y) that of r[k];  ahead: (N,
-    preview, n_y) those of r[k+1], ...
-    feedback: the feedback's own schedule"""
+    """The rows of a feedback whose reference is learned.
+
+    u: (N, n_y) correction w[k] of the reference r[k+1];  now: (N, n_y) that of r[k]
+    ahead: (N, preview, n_y) those of r[k+1], ...;  feedback: the feedback's own schedule
+    """
 
     u: jax.Array
     now: jax.Array
@@ -37,8 +39,9 @@ class OnReference(Scheme):
     """The feedback follows r + w, and w is what is learned (the series structure of Li 2020, Fig.
     1).
 
-    learning: pure feedforward, its `u` is the correction w, with w[k] added to r[k+1];  feedback:
-    any scheme The signal `correction` of the trial records w. The error is that from r itself.
+    learning: pure feedforward, its `u` is the correction w, with w[k] added to r[k+1]
+    feedback: any scheme
+    The signal `correction` of the trial records w. The error is that from r itself.
     """
 
     learning: Scheme = child()
