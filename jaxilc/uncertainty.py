@@ -172,7 +172,7 @@ def check(machine, uncertainty: Uncertainty) -> None:
         if not callable(getattr(distribution, "quantile", None)):
             raise ValueError(
                 f"uncertainty: {name} = {brief(distribution)} is no distribution; allowed are "
-                "Uniform, Normal and LogUniform"
+                "Uniform, Normal and LogUniform, such as Uniform(0.9, 1.1, relative=True)"
             )
         try:
             value = get_at(machine, name)

@@ -37,7 +37,7 @@ import numpy as np
 import jaxilc
 from jaxilc import Campaign, Machine, Sensor, load_scenario, plants
 from jaxilc.figures import campaign_figure
-from jaxilc.hardware import read_measured, write_tables
+from jaxilc.hardware import read_measured, write_schedules
 from jaxilc.schemes import Feedforward, Scheme, WithFeedback
 
 # %matplotlib inline
@@ -122,14 +122,14 @@ def machine_plays(table, trace, number):
 
 # %%
 campaign = Campaign.start(folder / "x-axis", scheme, task, actuator=axis.machine.actuator)
-write_tables(folder / "next-1.csv", campaign.tables(), task, trial=1)
+write_schedules(folder / "next-1.csv", campaign.schedules(), task, trial=1)
 for j in range(1, 21):
     machine_plays(folder / f"next-{j}.csv", folder / f"trial-{j}.csv", j)
     measured = read_measured(folder / f"trial-{j}.csv", task, campaign.recordable())
     turn = campaign.turn(measured)
     # `keep` refuses what the checks refuse: saturation, an input beyond the limit, a gap
     campaign.keep(turn)
-    write_tables(folder / f"next-{j + 1}.csv", turn.tables, task, trial=j + 1)
+    write_schedules(folder / f"next-{j + 1}.csv", turn.schedules, task, trial=j + 1)
     if j in (1, 2, 5, 10, 15, 20):
         print(
             f"trial {j:2d}: RMS error {1e3 * turn.metrics['error']:8.3f} µm",
@@ -192,7 +192,7 @@ for j in range(1, 19):
         scheme, task, memory, record.y, record.u, feedback=signals["feedback"]
     )
 by_hand = np.asarray(jaxilc.feedforward(scheme, task, memory))
-np.testing.assert_allclose(by_hand, campaign.tables(18)["feedforward"], rtol=1e-9, atol=1e-12)
+np.testing.assert_allclose(by_hand, campaign.schedules(18)["feedforward"], rtol=1e-9, atol=1e-12)
 print("largest learned input:", np.round(np.max(np.abs(by_hand)), 4), "V")
 
 # %%

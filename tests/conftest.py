@@ -2,13 +2,13 @@
 
 import os
 
-# Compiling dominates these tests. Without the optimiser of LLVM and the newer code generator it takes
-# half the time. `XLA_FLAGS= pytest` runs what ships.
+# Compiling dominates these tests. Without the optimiser of LLVM and the newer code generator it
+# takes half the time. `XLA_FLAGS= pytest` runs what ships.
 FLAGS = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
 os.environ.setdefault("XLA_FLAGS", FLAGS)
 os.environ.setdefault("JAXILC_CACHE", "off")  # the command line keeps programs in a user's folder
 
-import jaxilc.runtime
+import jaxilc.runtime  # noqa: E402
 
 jaxilc.runtime.setup()
 

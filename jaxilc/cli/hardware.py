@@ -161,9 +161,9 @@ def next_(
     )
     now = campaign(state, given, new=new, dry_run=dry_run)
     if new:
-        tables, trial = now.first_tables(), 1
+        schedules, trial = now.first_schedules(), 1
     else:
-        tables, trial = now.tables(undo), (now.trials if undo is None else undo) + 1
+        schedules, trial = now.schedules(undo), (now.trials if undo is None else undo) + 1
     if undo is not None and not dry_run:
         now.undo(undo)
     if measured is not None:
@@ -176,8 +176,8 @@ def next_(
             raise Refused(error) from None
         if not dry_run:
             now.keep(turn)
-        tables, trial = turn.tables, turn.trial + 1
-    _played(None if dry_run else out_file, tables, now.task, trial, number)
+        schedules, trial = turn.schedules, turn.trial + 1
+    _played(None if dry_run else out_file, schedules, now.task, trial, number)
 
 
 def trials(
@@ -248,20 +248,20 @@ def _report(turn, ignored, unit: str) -> None:
             )
 
 
-def _played(path: Path | None, tables, task, trial: int, number: str) -> None:
+def _played(path: Path | None, schedules, task, trial: int, number: str) -> None:
     """Print what the machine plays next, and write it; None for the path writes nothing."""
     import numpy as np
 
-    from ..hardware.input_files import write_tables
+    from ..hardware.input_files import write_schedules
     from ..learning.playback import unit_of
 
     peaks = ", ".join(
-        f"{name} up to {np.max(np.abs(table)):.6g} {unit_of(name, task)}".strip()
-        for name, table in tables.items()
+        f"{name} up to {np.max(np.abs(schedule)):.6g} {unit_of(name, task)}".strip()
+        for name, schedule in schedules.items()
     )
     out.print(f"next: trial {trial}, {peaks}", highlight=False, markup=False, soft_wrap=True)
     if path is None:
         out.print("dry run: nothing was written", highlight=False)
         return
-    write_tables(path, tables, task, trial=trial, number=number)
+    write_schedules(path, schedules, task, trial=trial, number=number)
     out.print(f"written: {path}", highlight=False, markup=False, soft_wrap=True)

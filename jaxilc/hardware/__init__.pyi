@@ -1,6 +1,6 @@
 from .campaign import Campaign
 from .checks import Finding, Rules
-from .input_files import write_tables
+from .input_files import write_schedules
 from .journal import Journal
 from .trial_files import Measured, read_measured
 from .turn import Turn
@@ -13,5 +13,5 @@ __all__ = [
     "Rules",
     "Turn",
     "read_measured",
-    "write_tables",
+    "write_schedules",
 ]

@@ -17,7 +17,7 @@ import numpy as np
 
 from ..learning.machine import Actuator
 from ..learning.over_trials import check_length, measured_trial
-from ..learning.playback import replay, tables
+from ..learning.playback import replay, schedules
 from ..runtime.provenance import describe, differences, environment
 from ..schemes import Scheme
 from ..signals.task import Task, Trial
@@ -65,14 +65,14 @@ class Campaign:
 
         dry_run: check, and store nothing
         Raises FileExistsError if the folder is not empty, and ValueError where scheme and task do
-        not fit, and for a first table beyond a limit.
+        not fit, and for a first schedule beyond a limit.
         """
         check_length(task, scheme)
         scheme.check(task)
         campaign = cls(
             Journal(Path(path)), scheme, task, actuator, (rules or Rules()).checked(), recipe or {}
         )
-        refuse(checks.beyond_limits(campaign.first_tables(), task, actuator, campaign.rules))
+        refuse(checks.beyond_limits(campaign.first_schedules(), task, actuator, campaign.rules))
         if not dry_run:
             campaign.journal.create()
             campaign._append(
@@ -148,21 +148,21 @@ class Campaign:
             jax.tree.structure(template), [jnp.asarray(found[name]) for name in needed]
         )
 
-    def tables(self, trial: int | None = None) -> dict[str, np.ndarray]:
-        """What the machine plays after a trial, None for the last one; see `playback.tables`."""
-        return tables(self.scheme, self.memory(trial), self.task)
+    def schedules(self, trial: int | None = None) -> dict[str, np.ndarray]:
+        """What the machine plays after a trial, None for the last one; see `playback.schedules`."""
+        return schedules(self.scheme, self.memory(trial), self.task)
 
-    def first_tables(self) -> dict[str, np.ndarray]:
+    def first_schedules(self) -> dict[str, np.ndarray]:
         """What the machine plays in the first trial."""
-        return tables(self.scheme, self.scheme.initial_memory(self.task), self.task)
+        return schedules(self.scheme, self.scheme.initial_memory(self.task), self.task)
 
     def recordable(self) -> dict[str, tuple[int, int]]:
         """The shapes, by name, of the signals besides y and u that a measured trial may hold.
 
-        These are the feedback's share of the input, and the tables as they were played.
+        These are the feedback's share of the input, and the schedules as they were played.
         """
         return {"feedback": (self.task.N, self.task.inputs)} | {
-            name: t.shape for name, t in self.tables().items() if name != "u"
+            name: t.shape for name, t in self.schedules().items() if name != "u"
         }
 
     def turn(self, measured: Measured, *, learn: bool = True, replay_input: bool = False) -> Turn:
@@ -172,14 +172,14 @@ class Campaign:
         the scheme's own law over the measured output (see `replay`), from which the other signals
         of the scheme always come.
 
-        learn: False only looks at the trial; the same table is then played again
+        learn: False only looks at the trial; the same schedule is then played again
         replay_input: where the file has no input, take the scheme's over the measured output
         Raises ValueError for a trial without an input, and for one that was measured already, also
         where its file was rounded.
         """
         scheme, task, live = self.scheme, self.task, self.journal.live()
         memory, number = self.memory(), live[-1]["trial"] + 1
-        played = tables(scheme, memory, task)
+        played = schedules(scheme, memory, task)
         commanded, signals = replay(scheme, task, memory, measured.y, self.actuator)
         if measured.u is None and not replay_input:
             raise ValueError(
@@ -202,13 +202,13 @@ class Campaign:
             findings += checks.as_commanded(u, commanded, self.actuator, task)
         findings += self._against_those_before(record, error, hashes["played"], live)
         following = learned(scheme, task, memory, record) if learn else memory
-        following_tables = tables(scheme, following, task)
-        findings += of_the_next(following, following_tables, task, self.actuator, self.rules)
+        following_schedules = schedules(scheme, following, task)
+        findings += of_the_next(following, following_schedules, task, self.actuator, self.rules)
         return Turn(
             number,
             record,
             following,
-            following_tables,
+            following_schedules,
             metrics_of(record, task, error),
             hashes,
             findings,
@@ -219,10 +219,10 @@ class Campaign:
     def _against_those_before(
         self, record: Trial, error: float, played: str, live: list[dict[str, Any]]
     ) -> list[Finding]:
-        """A trial against the last one, if it played the same table, and against all errors.
+        """A trial against the last one, if it played the same schedule, and against all errors.
 
         error: RMS error over all outputs
-        played: hash of the table
+        played: hash of the schedule
         live: the manifests of the trials before
         """
         findings, unit = [], self.task.unit

@@ -12,7 +12,7 @@ from ..pytree.ranges import require
 from ..signals.task import Task, Trial
 
 AT_LIMIT = 1e-3  # of the limit, within which an input counts as saturated
-AS_PLAYED = 1e-4  # of a table's peak, by which it may differ from what the machine recorded of it
+AS_PLAYED = 1e-4  # of a schedule's peak: how far from it the machine's record of it may be
 # Of the input's peak, by which the recorded input may differ from the replayed one.
 AS_COMMANDED = 0.01
 # Of a signal's peak, by which two files of one trial may differ: one may be rounded to 9 digits.
@@ -28,7 +28,8 @@ class Rules(NamedTuple):
     correction: largest distance of a learned reference from the task's [unit of y]
     saturation: largest share of samples at the limit, of any input
     accept_saturation: warn of saturation instead of refusing
-    repeatability: largest RMS difference of two trials of one table, over all outputs [unit of y]
+    repeatability: largest RMS difference of two trials of one schedule, over all outputs, in the
+        unit of y
     growth: share by which the RMS error may exceed the last trial's without a warning
     stop_on_growth: refuse growth instead of warning
     """
@@ -109,24 +110,26 @@ def as_commanded(u, replayed, actuator: Actuator | None, task: Task) -> list[Fin
         Finding(
             "warning",
             f"the measured input is up to {off[k]:.3g} {unit} away (sample {k}) from the scheme's "
-            "over the measured output: was another table played, or is the machine's feedback, "
+            "over the measured output: was another schedule played, or is the machine's feedback, "
             "its delay or its limit not the scheme's?",
         )
     ]
 
 
 def as_played(
-    recorded: Mapping[str, np.ndarray], tables: Mapping[str, np.ndarray], actuator: Actuator | None
+    recorded: Mapping[str, np.ndarray],
+    schedules: Mapping[str, np.ndarray],
+    actuator: Actuator | None,
 ) -> list[Finding]:
-    """What the machine recorded of the tables it played against what it was given."""
+    """What the machine recorded of the schedules it played against what it was given."""
     findings = []
-    for name in recorded.keys() & tables.keys():
-        off = np.max(np.abs(recorded[name] - tables[name]), axis=1)
-        allowed = AS_PLAYED * np.max(np.abs(tables[name])) + np.max(_resolution(actuator))
+    for name in recorded.keys() & schedules.keys():
+        off = np.max(np.abs(recorded[name] - schedules[name]), axis=1)
+        allowed = AS_PLAYED * np.max(np.abs(schedules[name])) + np.max(_resolution(actuator))
         if np.max(off) > allowed:
             k = int(np.argmax(off))
             text = (
-                f"{name} is {off[k]:.3g} away at sample {k} from the table of this trial: "
+                f"{name} is {off[k]:.3g} away at sample {k} from the schedule of this trial: "
                 "another one was played"
             )
             findings.append(Finding("refusal", text))
@@ -134,13 +137,13 @@ def as_played(
 
 
 def repeated(trial: Trial, last_y, rules: Rules, unit: str) -> list[Finding]:
-    """Two trials of one table: their difference does not repeat and cannot be learned.
+    """Two trials of one schedule: their difference does not repeat and cannot be learned.
 
     last_y: (N+1, n_y) output of the other trial
     """
     difference, error = _rms(np.asarray(trial.y) - last_y), _rms(trial.e)
     text = (
-        "the same table as in the last trial: RMS difference of the outputs "
+        "the same schedule as in the last trial: RMS difference of the outputs "
         f"{difference:.3g} {unit}, RMS error {error:.3g} {unit}"
     )
     if rules.repeatability is not None and difference > rules.repeatability:
@@ -165,25 +168,27 @@ def grown(error: float, history: list[tuple[int, float]], rules: Rules, unit: st
 
 
 def beyond_limits(
-    tables: Mapping[str, np.ndarray], task: Task, actuator: Actuator | None, rules: Rules
+    schedules: Mapping[str, np.ndarray], task: Task, actuator: Actuator | None, rules: Rules
 ) -> list[Finding]:
-    """The next tables against the input's limit and the largest correction of the reference."""
+    """The next schedules against the input's limit and the largest correction of the reference."""
     findings = []
-    for name, table in tables.items():
-        departure, unit, limits = table, task.input_unit, None
+    for name, schedule in schedules.items():
+        departure, unit, limits = schedule, task.input_unit, None
         if name == "reference":
-            unit, departure = task.unit, table - np.asarray(task.reference)
+            unit, departure = task.unit, schedule - np.asarray(task.reference)
             # One reference for several outputs: the output that it is nearest to counts.
-            if departure.shape != table.shape:
+            if departure.shape != schedule.shape:
                 departure = departure[:, [np.argmin(np.max(np.abs(departure), axis=0))]]
-            limits = None if rules.correction is None else np.full(table.shape[1], rules.correction)
+            limits = (
+                None if rules.correction is None else np.full(schedule.shape[1], rules.correction)
+            )
         elif name in ("u", "feedforward", "table.u"):
-            limits = rules.limits(actuator, table.shape[1])
-        if not np.all(np.isfinite(table)):
-            k = int(np.argmin(np.isfinite(table).all(axis=1)))
+            limits = rules.limits(actuator, schedule.shape[1])
+        if not np.all(np.isfinite(schedule)):
+            k = int(np.argmin(np.isfinite(schedule).all(axis=1)))
             findings.append(Finding("refusal", f"the next {name} is not finite at sample {k}"))
         elif limits is not None and np.any(np.abs(departure) > limits):
-            k, i = np.unravel_index(int(np.argmax(np.abs(departure) / limits)), table.shape)
+            k, i = np.unravel_index(int(np.argmax(np.abs(departure) / limits)), schedule.shape)
             option = "--limit" if name != "reference" else "--largest-correction"
             away = " away from the task's" if name == "reference" else ""
             text = (

@@ -1,6 +1,6 @@
 """What a machine plays in its next trial, in a file: CSV, MATLAB or a C header.
 
-CSV and MATLAB hold the time t and the reference r beside the tables, with their units: in the
+CSV and MATLAB hold the time t and the reference r beside the schedules, with their units: in the
 header of a CSV file, `t [s], r [mm], u [V]`, and in the struct `units` of a .mat file. Several
 channels are u0, u1, ... in CSV, and columns in the other formats.
 """
@@ -20,20 +20,20 @@ from ..storage.files import atomically
 FORMATS = (".csv", ".mat", ".h")
 
 
-def write_tables(
+def write_schedules(
     path: str | Path,
-    tables: Mapping[str, np.ndarray],
+    schedules: Mapping[str, np.ndarray],
     task: Task,
     *,
     trial: int,
     number: str = "double",
 ) -> None:
-    """Write what `playback.tables` gives, in the format of the file's name: .csv, .mat or .h.
+    """Write what `playback.schedules` gives, in the format of the file's name: .csv, .mat or .h.
 
     The file is written whole or not at all, and numbers keep every digit. CSV and MATLAB also hold
-    t and r, which have N+1 rows; in CSV a table of N rows repeats its last row.
+    t and r, which have N+1 rows; in CSV a schedule of N rows repeats its last row.
 
-    tables: (rows, channels) by name
+    schedules: (rows, channels) by name
     trial: the trial in which they are played
     number: type of the numbers in a C header, `double` or `float`
     Raises ValueError for another format.
@@ -41,17 +41,17 @@ def write_tables(
     check_format(path, number)
     match Path(path).suffix:
         case ".csv":
-            atomically(path, lambda file: file.write(_as_text(tables, task).encode()))
+            atomically(path, lambda file: file.write(_as_text(schedules, task).encode()))
         case ".mat":
-            atomically(path, lambda file: _save_mat(file, tables, task, trial))
+            atomically(path, lambda file: _save_mat(file, schedules, task, trial))
         case _:
             atomically(
-                path, lambda file: file.write(_as_header(tables, task, trial, number).encode())
+                path, lambda file: file.write(_as_header(schedules, task, trial, number).encode())
             )
 
 
 def check_format(path: str | Path, number: str = "double") -> None:
-    """Raises ValueError for a file that `write_tables` cannot write."""
+    """Raises ValueError for a file that `write_schedules` cannot write."""
     if Path(path).suffix not in FORMATS:
         raise ValueError(f"{path} is none of the formats {', '.join(FORMATS)}")
     if number not in ("double", "float"):
@@ -60,8 +60,8 @@ def check_format(path: str | Path, number: str = "double") -> None:
         raise ValueError(f"{path}: the folder does not exist")
 
 
-def _as_text(tables, task: Task) -> str:
-    columns = {"t": task.time[:, None], "r": np.asarray(task.reference)} | dict(tables)
+def _as_text(schedules, task: Task) -> str:
+    columns = {"t": task.time[:, None], "r": np.asarray(task.reference)} | dict(schedules)
     header, values = [], []
     for name, signal in columns.items():
         unit, several = unit_of(name, task), signal.shape[1] > 1
@@ -71,17 +71,17 @@ def _as_text(tables, task: Task) -> str:
     return "\n".join([",".join(header), *(",".join(map(repr, row)) for row in rows)]) + "\n"
 
 
-def _save_mat(file, tables, task: Task, trial: int) -> None:
+def _save_mat(file, schedules, task: Task, trial: int) -> None:
     from scipy.io import savemat
 
     signals = {"t": task.time[:, None], "r": np.asarray(task.reference)} | {
-        _identifier(name): t for name, t in tables.items()
+        _identifier(name): t for name, t in schedules.items()
     }
-    units = {_identifier(name): unit_of(name, task) for name in ("t", "r", *tables)}
+    units = {_identifier(name): unit_of(name, task) for name in ("t", "r", *schedules)}
     savemat(file, {**signals, "units": units, "trial": float(trial), "dt": task.dt})
 
 
-def _as_header(tables, task: Task, trial: int, number: str) -> str:
+def _as_header(schedules, task: Task, trial: int, number: str) -> str:
     lines = [
         f"/* What the machine plays in trial {trial}, written by jaxilc. "
         "Row k holds from k dt to (k+1) dt. */",
@@ -95,11 +95,11 @@ def _as_header(tables, task: Task, trial: int, number: str) -> str:
         f"#define JAXILC_SAMPLES {task.N}",
     ]
     lines += [f"#define JAXILC_SAMPLE_TIME {task.dt!r} /* s */", ""]
-    for name, table in tables.items():
-        sizes = f"[{len(table)}]" + (f"[{table.shape[1]}]" if table.shape[1] > 1 else "")
+    for name, schedule in schedules.items():
+        sizes = f"[{len(schedule)}]" + (f"[{schedule.shape[1]}]" if schedule.shape[1] > 1 else "")
         lines.append(f"/* {name} [{unit_of(name, task) or '-'}], trial {trial} */")
-        rows = [", ".join(_literal(v, number) for v in row) for row in table]
-        rows = [f"{{{row}}}" for row in rows] if table.shape[1] > 1 else rows
+        rows = [", ".join(_literal(v, number) for v in row) for row in schedule]
+        rows = [f"{{{row}}}" for row in rows] if schedule.shape[1] > 1 else rows
         lines += [
             f"static const {number} jaxilc_{_identifier(name)}{sizes} = {{",
             *(f"  {row}," for row in rows),

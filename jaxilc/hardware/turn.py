@@ -22,7 +22,7 @@ class Turn(NamedTuple):
 
     trial: its number
     record: the trial with the signals of the scheme
-    memory, tables: of the next trial
+    memory, schedules: of the next trial
     metrics: of this trial by name, those of `Metrics` and `error`, the RMS error over all outputs
     hashes: of what was measured and of what was played
     findings: what the checks found, refusals among them
@@ -33,7 +33,7 @@ class Turn(NamedTuple):
     trial: int
     record: Trial
     memory: Any
-    tables: dict[str, np.ndarray]
+    schedules: dict[str, np.ndarray]
     metrics: dict[str, Any]
     hashes: dict[str, str]
     findings: list[Finding]
@@ -80,16 +80,16 @@ def hash_of(*arrays) -> str:
 
 def of_the_next(
     memory: Any,
-    tables: dict[str, np.ndarray],
+    schedules: dict[str, np.ndarray],
     task: Task,
     actuator: Actuator | None,
     rules: Rules,
 ) -> list[Finding]:
-    """What is wrong with the memory after a trial, and with the tables of the next one."""
+    """What is wrong with the memory after a trial, and with the schedules of the next one."""
     wrong = not_a_number(arrays_of(memory))
     text = f"what would be learned is not a number in {wrong}"
     findings = [Finding("refusal", text)] if wrong else []
-    return findings + checks.beyond_limits(tables, task, actuator, rules)
+    return findings + checks.beyond_limits(schedules, task, actuator, rules)
 
 
 def metrics_of(record: Trial, task: Task, error: float) -> dict[str, Any]:

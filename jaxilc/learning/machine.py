@@ -20,8 +20,8 @@ from ..signals.task import Limit, Task, Trial, quantise
 class Actuator:
     """Rate limit, saturation and converter of the input, in this order:
 
-        v[k] = clip(v[k-1] + clip(u - v[k-1], -rate dt, rate dt), -limit, limit),    applied:
-        clip(Q(v[k]), -limit, limit)
+        v[k] = clip(v[k-1] + clip(u - v[k-1], -rate dt, rate dt), -limit, limit)
+        applied: clip(Q(v[k]), -limit, limit)
 
     limit:      () or (n_u,) largest |u| [unit of u]; gradient zero beyond it
     rate:       () or (n_u,) largest |du/dt| [unit of u per s]; gradient zero beyond it
@@ -82,8 +82,8 @@ class Disturbance:
     """What acts on the machine besides the input; the repetitive part is the same in each trial,
     the noise is drawn anew.
 
-    input:        (N, n_u) repetitive, added to the plant's input;   output: (N+1, n_y) repetitive,
-    added to the plant's output
+    input:        (N, n_u) repetitive, added to the plant's input
+    output:       (N+1, n_y) repetitive, added to the plant's output
     input_noise:  () or (n_u,) standard deviation of the non-repetitive part at the input
     output_noise: () or (n_y,) the same at the output (true motion, unlike the sensor's noise)
     """
@@ -95,7 +95,8 @@ class Disturbance:
 
 
 class Draws(NamedTuple):
-    """One trial's disturbances and sensor noise, sample by sample; None where the machine has none."""
+    """One trial's disturbances and sensor noise, sample by sample; None where the machine has "
+    "none."""
 
     input: jax.Array | None  # (N, n_u), in units of the input
     output: jax.Array | None  # (N+1, n_y), in units of the output
@@ -175,18 +176,19 @@ class Machine:
         ):
             if here != there:
                 raise ValueError(
-                    f"the task has {there} {what} but the plant {type(self.plant).__name__} has {here}"
+                    f"the task has {there} {what} but the plant {type(self.plant).__name__} has "
+                    f"{here}"
                 )
         need_scalars(self.plant)
         self.plant.check(task)
-        for part_, names, channels in (
+        for part, names, channels in (
             (self.actuator, ("limit", "rate", "resolution"), task.inputs),
             (self.sensor, ("resolution", "noise"), task.outputs),
             (self.disturbance, ("input_noise",), task.inputs),
             (self.disturbance, ("output_noise",), task.outputs),
         ):
-            if part_ is not None:
-                need_channels(part_, channels, *names)
+            if part is not None:
+                need_channels(part, channels, *names)
         for name, shape in (
             ("input", (task.N, task.inputs)),
             ("output", (task.N + 1, task.outputs)),

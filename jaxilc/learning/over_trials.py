@@ -21,6 +21,7 @@ from ..signals.task import Task, Trial
 from .divergence import course
 from .known_metrics import Metrics, bytes_of_metrics
 from .machine import Machine
+from .rehearsal import need_pytrees, rehearse
 from .sample_layout import for_carry
 from .within_trial import run_and_measure
 
@@ -79,7 +80,8 @@ def learn(
         require("learn", "first", first, "[1, inf)", whole=True)
     if save is not None and not (callable(save) and isinstance(save, Hashable)):
         raise ValueError(
-            f"learn: save = {save!r} is not a function of a trial; allowed are functions, and objects that can be hashed"
+            f"learn: save = {save!r} is not a function of a trial; allowed are functions, and "
+            "objects that can be hashed"
         )
     check(machine, scheme, task)
     size = bytes_of_metrics(task)
@@ -101,33 +103,16 @@ def check(machine: Machine, scheme: Scheme, task: Task) -> None:
         ("task", task, Task),
     ):
         if not isinstance(given, wanted):
+            hint = ": write Machine(plant)" if isinstance(given, Plant) else ""
             raise ValueError(
-                f"{name} = {brief(given)} is a {type(given).__name__}; allowed is a {wanted.__name__}"
+                f"{name} = {brief(given)} is a {type(given).__name__}; "
+                f"allowed is a {wanted.__name__}{hint}"
             )
+    need_pytrees(machine, scheme)
     check_length(task, scheme)
     machine.check(task)
     scheme.check(task)
-    before, after, y = _one_step.eval_shape(machine.plant, task.dt)
-    name, shapes = (
-        type(machine.plant).__name__,
-        [jax.tree.map(lambda x: x.shape, state) for state in (before, after)],
-    )
-    if shapes[0] != shapes[1]:
-        raise ValueError(
-            f"{name}: a step makes a state of {brief(shapes[1])} of one of {brief(shapes[0])}; allowed is the same again"
-        )
-    if y.shape != (machine.plant.n_y,):
-        raise ValueError(
-            f"{name}: the output has shape {y.shape}; allowed is (n_y,) = ({machine.plant.n_y},)"
-        )
-
-
-@partial(jax.jit, static_argnames="dt")
-def _one_step(plant: Plant, dt: float) -> Any:
-    """State at rest and after a step, and the output."""
-    plant = plant.sampled(dt)
-    x = plant.initial_state()
-    return x, plant.step(x, jnp.zeros(plant.n_u), dt), plant.output(x)
+    rehearse(machine, scheme, task)
 
 
 @lru_cache(maxsize=PROGRAMS)
@@ -225,7 +210,8 @@ def measured_trial(task: Task, y, u, **signals) -> Trial:
             )
         if not np.all(np.isfinite(values)):
             raise ValueError(
-                f"measured_trial: {name} is not finite at sample {int(np.argmin(np.isfinite(values).all(axis=1)))}"
+                f"measured_trial: {name} is not finite at sample "
+                f"{int(np.argmin(np.isfinite(values).all(axis=1)))}"
             )
         measured[name] = jnp.asarray(values)
     return Trial(

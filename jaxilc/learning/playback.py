@@ -11,29 +11,31 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..pytree.named_paths import named_leaves
-from ..schemes import MultivariableILC, OnOutputs, OnReference, Scheme, WithFeedback
-from ..schemes.compose import Wrapper
+from ..schemes import Scheme
 from ..signals.task import Sample, Task
 from .machine import Actuator
 
 
-def tables(scheme: Scheme, memory, task: Task) -> dict[str, np.ndarray]:
-    """What the machine plays in the next trial, by name; each (N, n) but for `reference`, (N+1, n).
+def schedules(scheme: Scheme, memory, task: Task) -> dict[str, np.ndarray]:
+    """What the machine plays in the next trial, by name; each (N, n), but `reference` (N+1, n).
 
-        u             the whole input, of a scheme that only plays back
-        feedforward   what is added to the input of the feedback
-        reference     what the feedback follows in place of the task's reference, of a scheme that
-        learns one
-        table.NAME    rows of a law that acts within the trial, such as FFDL-MFAILC, which the
-        controller must then run feedback.NAME likewise of a feedback that learns
+    u: the whole input, of a scheme that only plays back
+    feedforward: what is added to the input of the feedback
+    reference: what the feedback follows in place of the task's reference, of a scheme that learns
+        one
+    table.NAME: rows of a law that acts within the trial, such as FFDL-MFAILC, which the controller
+        must then run
+    feedback.NAME: the same of a feedback that learns
 
+    Each scheme says what it plays, see `Scheme.played`.
     Raises ValueError for a scheme that learns nothing.
     """
     found = _compiled(scheme, memory, task)
     if not scheme.learns or not found:
         raise ValueError(
-            f"{type(scheme).__name__} learns nothing that a machine could play; allowed are schemes that learn"
+            f"{type(scheme).__name__} learns nothing that a machine could play; allowed are "
+            "schemes "
+            "that learn"
         )
     return {
         name: np.asarray(values, float).reshape(len(values), -1) for name, values in found.items()
@@ -42,40 +44,11 @@ def tables(scheme: Scheme, memory, task: Task) -> dict[str, np.ndarray]:
 
 @jax.jit
 def _compiled(scheme: Scheme, memory, task: Task) -> dict[str, Any]:
-    return _tables(scheme, scheme.table(memory, task), task)
-
-
-def _tables(scheme: Scheme, table: Any, task: Task) -> dict[str, Any]:
-    match scheme:
-        case OnOutputs():
-            return _tables(scheme.scheme, table, scheme._task(task))
-        case Wrapper():
-            return _tables(scheme.scheme, table, task)
-        case WithFeedback():
-            learned = {
-                "feedforward" if name == "u" else name: t
-                for name, t in _tables(scheme.learning, table.learning, task).items()
-            }
-            return learned | _of_feedback(scheme.feedback, table.feedback, task)
-        case OnReference():
-            reference = jnp.asarray(task.reference).at[1:].add(table.u)
-            return {"reference": reference} | _of_feedback(scheme.feedback, table.feedback, task)
-        case MultivariableILC():
-            reference = jnp.concatenate([table.now, table.ahead[-1:, 0]])
-            return {"feedforward": table.u, "reference": reference} | _of_feedback(
-                scheme.feedback, table.feedback, task
-            )
-    if scheme.plays_back and hasattr(table, "u"):
-        return {"u": table.u}
-    return {f"table.{name}": leaf for name, leaf in named_leaves(table).items()}
-
-
-def _of_feedback(scheme: Scheme, table: Any, task: Task) -> dict[str, Any]:
-    return {f"feedback.{name}": values for name, values in _tables(scheme, table, task).items()}
+    return scheme.played(scheme.schedule(memory, task), task)
 
 
 def unit_of(name: str, task: Task) -> str:
-    """The unit of a signal or table, by its name; none for the weights of a law."""
+    """The unit of a signal or schedule, by its name; none for the weights of a law."""
     last = name.rpartition(".")[2]
     if last in ("r", "y", "reference"):
         return task.unit
@@ -106,7 +79,7 @@ def replay(scheme: Scheme, task: Task, memory, y, actuator: Actuator | None = No
         return (state, v, None if actuator is None else u), (u, scheme.signals(state))
 
     rows, rest = (
-        (r[:-1], windows, jnp.asarray(y)[:-1], scheme.table(memory, task)),
+        (r[:-1], windows, jnp.asarray(y)[:-1], scheme.schedule(memory, task)),
         jnp.zeros(task.inputs),
     )
     start = (scheme.initial_state(task), rest, None if actuator is None else rest)

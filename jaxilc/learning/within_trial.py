@@ -16,9 +16,9 @@ from .sample_layout import for_scan
 def run_trial(machine: Machine, scheme: Scheme, task: Task, memory, key) -> Trial:
     """The machine under the scheme for one trial of the task, from rest.
 
-    memory: what the scheme knows (`scheme.initial_memory(task)` before the first trial);  key: of this
-    trial's noise Pure; to be called inside `jit`. Fields of the returned `Trial` have N or N+1
-    rows.
+    memory: what the scheme knows, which is `scheme.initial_memory(task)` before the first trial
+    key: of this trial's noise
+    Pure, to be called inside `jit`. Fields of the returned `Trial` have N or N+1 rows.
     """
     return run_and_measure(machine, scheme, task, memory, key)[0]
 
@@ -33,7 +33,7 @@ def run_and_measure(
         and scheme.plays_back
         and not scheme.signals(scheme.initial_state(task))
     ):
-        return _at_once(machine, scheme.table(memory, task).u, task, key)
+        return _at_once(machine, scheme.schedule(memory, task).u, task, key)
     plant, dt, r, preview = machine.plant, task.dt, jnp.asarray(task.reference), scheme.preview
     draws = machine.draws(key, task)
     future = jnp.pad(r[1:], ((0, preview - 1), (0, 0)), mode="edge")
@@ -62,7 +62,7 @@ def run_and_measure(
         jnp.arange(task.N),
         r[:-1],
         r[1:],
-        scheme.table(memory, task),
+        scheme.schedule(memory, task),
         draws.input,
         _at(d_y, slice(1, None)),
         _at(noise, slice(1, None)),
@@ -75,8 +75,9 @@ def run_and_measure(
 
 
 def _at_once(machine: Machine, command, task: Task, key) -> tuple[Trial, Metrics]:
-    """The trial of a plant that knows its outputs from all inputs at once. command: (N, n_u) what
-    the scheme plays back
+    """The trial of a plant that knows its outputs from all inputs at once.
+
+    command: (N, n_u) what the scheme plays back
     """
     draws = machine.draws(key, task)
     u = machine.actuate(command, command, task.dt)[1]

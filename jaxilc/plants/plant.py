@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 
 import jax
 
+from ..pytree.fields import need_decorated
 from ..signals.task import Task
 
 State = Any
@@ -33,6 +34,9 @@ class Plant:
     response: Any = None
     input_names: tuple[str, ...] = ()
     output_names: tuple[str, ...] = ()
+
+    def __init__(self, *values: Any, **named: Any):
+        need_decorated(type(self))
 
     def sampled(self, dt: float) -> Plant:
         """The plant prepared for sample time dt [s]."""

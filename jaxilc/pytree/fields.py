@@ -13,6 +13,7 @@ import dataclasses
 from typing import Any, TypeAlias, TypeVar, dataclass_transform
 
 import jax.core
+import numpy as np
 
 from .ranges import (
     Interval,
@@ -76,6 +77,9 @@ def static(
 def child(default: Any = dataclasses.MISSING) -> Any:
     """A nested pytree (a plant in a machine, a scheme in a scheme), of the class or the classes
     that it is annotated with.
+
+    Annotated with Any, or with a class of another library, it takes any pytree that is registered
+    with JAX, such as a network of equinox; the float leaves of that have names too.
     """
     return dataclasses.field(default=default, metadata={"kind": "child"})
 
@@ -92,6 +96,7 @@ def pytree(cls: type[T]) -> type[T]:
         made._own_check = made.__post_init__
 
     def __post_init__(self):
+        need_decorated(type(self))
         for field in dataclasses.fields(self):
             object.__setattr__(
                 self, field.name, _settled(type(self), field, getattr(self, field.name))
@@ -101,6 +106,7 @@ def pytree(cls: type[T]) -> type[T]:
 
     made.__post_init__ = __post_init__
     made = dataclasses.dataclass(frozen=True, eq=False)(cls)
+    made._made_by_pytree = True
     fields = dataclasses.fields(made)
     children = tuple(f.name for f in fields if kind_of(f) != "static")
     statics = tuple(f.name for f in fields if kind_of(f) == "static")
@@ -128,6 +134,21 @@ def kind_of(field) -> str:
     return field.metadata.get("kind", "child")
 
 
+def is_decorated(cls: type) -> bool:
+    """Whether `@pytree` made the class itself, rather than one that it inherits from."""
+    return "_made_by_pytree" in vars(cls)
+
+
+def need_decorated(cls: type) -> None:
+    """Raises ValueError for a class that has no fields of its own because `@pytree` was "
+    "forgotten."""
+    if "__dataclass_params__" not in vars(cls):
+        raise ValueError(
+            f"{cls.__name__}: the class is no pytree, so its fields would not be seen; write "
+            f"@pytree (from jaxilc.pytree) above `class {cls.__name__}`"
+        )
+
+
 def _settled(cls: type, field, value):
     """The value a field really stores: floats as strongly typed arrays, everything of its kind and
     inside its allowed range.
@@ -152,14 +173,33 @@ def _settled(cls: type, field, value):
         raise ValueError(
             f"{owner}: {field.name}{given} is a {type(value).__name__}; {allowed(wanted)}"
         )
+    else:
+        value = _without_loose_leaves(value)
     return value
+
+
+def _without_loose_leaves(value):
+    """A pytree of another library with functions as `jax.tree_util.Partial`, so that they belong to
+    its structure as an activation does, and Python's floats as strongly typed ones.
+    """
+    if is_decorated(type(value)) or jax.tree_util.all_leaves([value]):
+        return value
+
+    def settled(leaf):
+        if isinstance(leaf, float):
+            return np.asarray(leaf, float)
+        is_function = callable(leaf) and not hasattr(leaf, "dtype")
+        return jax.tree_util.Partial(leaf) if is_function else leaf
+
+    return jax.tree.map(settled, value)
 
 
 def _checked_leaf(owner: str, field, value):
     value = _as_float(owner, field.name, value)
     if not isinstance(value, jax.core.Tracer) and not field.metadata["interval"].contains(value):
         raise ValueError(
-            f"{owner}: {field.name} = {shown(value)} is outside its allowed range {field.metadata['interval']}"
+            f"{owner}: {field.name} = {shown(value)} is outside its allowed range "
+            f"{field.metadata['interval']}"
         )
     return value
 

@@ -1,5 +1,9 @@
 """The fields of nested pytrees under their paths, such as `plant.poles[2]`: listed, looked up,
 replaced.
+
+A path goes through dictionaries, through classes of `@pytree`, and through pytrees of other
+libraries that are registered with JAX, by the keys that JAX names their children with:
+`plant.law.layers[0].weight[1][2]`.
 """
 
 from __future__ import annotations
@@ -12,34 +16,35 @@ from typing import Any
 import jax
 import numpy as np
 
-from .fields import kind_of
-from .ranges import Interval, annotations_of, brief
+from .fields import is_decorated, kind_of
+from .ranges import Interval, annotations_of, as_numbers, brief
 
 _INDEX = re.compile(r"^(\w[\w-]*)((?:\[\d+\])*)$")
+_ANY = Interval.parse("(-inf, inf)")
+
+Key = str | int  # a name, or the number of an element
 
 
 def named_leaves(tree) -> dict[str, Any]:
     """Every leaf under its path, for instance `{"plant.gain": ..., "sensor.resolution": ...}`."""
     return {
-        _path_name(path): value for path, value in jax.tree_util.tree_flatten_with_path(tree)[0]
+        _path_of(map(_key, path)): value
+        for path, value in jax.tree_util.tree_flatten_with_path(tree)[0]
     }
 
 
 def settable(tree) -> dict[str, Any]:
     """Every leaf *and* every static field under its path: what `replaced` accepts."""
-    found: dict[str, Any] = {}
-    for name in field_names(tree):
-        value, field = child_of(tree, name), field_of(tree, name)
-        if field_names(value):
-            found |= {f"{name}.{path}": v for path, v in settable(value).items()}
-        elif field is None or kind_of(field) != "child":
-            found[name] = value
-    return found
+    return {_path_of(keys): value for keys, value in _settable(tree).items()}
 
 
 def interval_at(tree, path: str) -> Interval | None:
-    """The allowed range declared for the field at `path` (None for a field without one)."""
-    _, field = _field_at(tree, path)
+    """The allowed range declared for the field at `path`, None for a field without one. A leaf of
+    another library's pytree may be any number.
+    """
+    owner, field = _field_at(tree, path)
+    if _is_foreign(owner):
+        return _ANY
     return field.metadata.get("interval") if field is not None else None
 
 
@@ -55,50 +60,45 @@ def kind_at(tree, path: str) -> tuple[str, Any]:
     field's kind.
     """
     owner, field = _field_at(tree, path)
-    return (
-        ("child", Any)
-        if field is None
-        else (kind_of(field), annotations_of(type(owner)).get(field.name, Any))
-    )
+    if _is_foreign(owner):
+        return "leaf", Any
+    if field is None:
+        return "child", Any
+    return kind_of(field), annotations_of(type(owner)).get(field.name, Any)
 
 
 def get_at(tree, path: str) -> Any:
     """The leaf, element or static field at `path`: `"plant.poles[2]"`. Raises KeyError naming what
     exists.
     """
-    value = tree
-    for head in path.split("."):
-        name, index = _split_index(head)
-        if name not in field_names(value):
-            raise KeyError(
-                f"{path!r} is not a parameter here; known: {', '.join(settable(tree)) or 'none'}"
-            )
-        value = child_of(value, name)
-        for i in index:
-            if not np.shape(value) or i >= len(value):
-                raise KeyError(f"{path!r}: {name} has shape {np.shape(value)}")
-            value = value[i]
+    value, name = tree, ""
+    for key in _keys(path):
+        below = _below(value)
+        if isinstance(key, str):
+            if key not in below:
+                raise KeyError(
+                    f"{path!r} is not a parameter here; known: "
+                    f"{', '.join(settable(tree)) or 'none'}"
+                )
+            value, name = below[key], key
+        elif key in below:
+            value = below[key]
+        else:
+            shape = (len(value),) if isinstance(value, list | tuple) else np.shape(value)
+            if not shape or key >= shape[0]:
+                raise KeyError(f"{path!r}: {name} has shape {shape}")
+            with jax.ensure_compile_time_eval():  # of a known array it is known inside `jit` too
+                value = value[key]
     return value
 
 
 def replaced(tree, changes: Mapping[str, Any]) -> Any:
     """A copy of `tree` with the fields or elements at the given paths replaced together; validated
-    like a construction.
+    like a construction. A leaf of another library's pytree keeps its shape and its precision.
     """
-    inner: dict[str, dict[str, Any]] = {}
-    new: dict[str, Any] = {}
-    for path, value in changes.items():
+    for path in changes:
         get_at(tree, path)
-        head, _, rest = path.partition(".")
-        name, index = _split_index(head)
-        if rest:
-            inner.setdefault(name, {})[rest] = value
-        else:
-            new[name] = (
-                _with_element(new.get(name, child_of(tree, name)), index, value) if index else value
-            )
-    new |= {name: replaced(child_of(tree, name), below) for name, below in inner.items()}
-    return {**tree, **new} if isinstance(tree, dict) else dataclasses.replace(tree, **new)
+    return _rebuilt(tree, {_keys(path): value for path, value in changes.items()})
 
 
 def field_names(tree) -> list[str]:
@@ -108,29 +108,120 @@ def field_names(tree) -> list[str]:
 
 
 def field_of(tree, name):
-    return (
-        None
-        if isinstance(tree, dict)
-        else next((f for f in dataclasses.fields(tree) if f.name == name), None)
-    )
-
-
-def _field_at(tree, path: str):
-    """The object that has the field at `path`, and that field."""
-    head, _, rest = path.partition(".")
-    name, _ = _split_index(head)
-    return _field_at(child_of(tree, name), rest) if rest else (tree, field_of(tree, name))
+    """The declaration of a field; None where there is none, as of an entry of a dictionary."""
+    if isinstance(tree, dict) or not dataclasses.is_dataclass(tree) or _is_foreign(tree):
+        return None
+    return next((f for f in dataclasses.fields(tree) if f.name == name), None)
 
 
 def child_of(tree, name):
     return tree[name] if isinstance(tree, dict) else getattr(tree, name)
 
 
-def _split_index(head: str) -> tuple[str, tuple[int, ...]]:
+# How it is done
+# --------------------------------------------------------------------------------------------------
+
+
+def _is_foreign(tree) -> bool:
+    """Whether it is a pytree that another library registered with JAX; lists and tuples are."""
+    if isinstance(tree, dict) or is_decorated(type(tree)):
+        return False
+    return not jax.tree_util.all_leaves([tree])
+
+
+def _one_level(tree) -> tuple[list[Key], list[Any], Any]:
+    """Keys and values of the children of a pytree, and its structure with these as leaves."""
+    pairs, structure = jax.tree_util.tree_flatten_with_path(tree, lambda node: node is not tree)
+    return [_key(path[0]) for path, _ in pairs], [value for _, value in pairs], structure
+
+
+def _below(tree) -> dict[Key, Any]:
+    """What lies one level below, by name or number; nothing for an array."""
+    if not _is_foreign(tree):
+        return {name: child_of(tree, name) for name in field_names(tree)}
+    keys, values, _ = _one_level(tree)
+    return dict(zip(keys, values, strict=True))
+
+
+def _settable(tree) -> dict[tuple[Key, ...], Any]:
+    found: dict[tuple[Key, ...], Any] = {}
+    for key, value in _below(tree).items():
+        field = field_of(tree, key)
+        is_child = field is None or kind_of(field) == "child"
+        deeper = _settable(value) if is_child or field_names(value) else {}
+        if deeper:
+            found |= {(key, *keys): below for keys, below in deeper.items()}
+        elif not is_child or isinstance(tree, dict) or hasattr(value, "dtype"):
+            found[(key,)] = value
+    return found
+
+
+def _field_at(tree, path: str):
+    """The object that has the field at `path`, and that field."""
+    node, owner, field = tree, tree, None
+    for key in _keys(path):
+        below = _below(node) if field is None or kind_of(field) == "child" else {}
+        if key in below:
+            owner, field, node = node, field_of(node, key), below[key]
+        else:
+            node = node[key]
+    return owner, field
+
+
+def _rebuilt(tree, changes: dict[tuple[Key, ...], Any]) -> Any:
+    """`tree` with what is at the given keys changed."""
+    if not _below(tree):
+        for index, value in changes.items():
+            tree = _with_element(tree, index, value)
+        return tree
+    whole: dict[Key, Any] = {}
+    parts: dict[Key, dict[tuple[Key, ...], Any]] = {}
+    for (key, *rest), value in changes.items():
+        if rest:
+            parts.setdefault(key, {})[tuple(rest)] = value
+        else:
+            whole[key] = value
+            parts.pop(key, None)
+    if _is_foreign(tree):
+        return _rebuilt_foreign(tree, whole, parts)
+    below = _below(tree) | whole
+    new = whole | {key: _rebuilt(below[key], deeper) for key, deeper in parts.items()}
+    if isinstance(tree, dict):
+        return {**tree, **new}
+    return dataclasses.replace(tree, **{str(name): value for name, value in new.items()})
+
+
+def _rebuilt_foreign(tree, whole, parts):
+    keys, values, structure = _one_level(tree)
+    for i, key in enumerate(keys):
+        if key in whole:
+            values[i] = _like(values[i], whole[key], f"{type(tree).__name__}: {key}")
+        if key in parts:
+            values[i] = _rebuilt(values[i], parts[key])
+    return jax.tree.unflatten(structure, values)
+
+
+def _like(old, new, name: str):
+    """A leaf for a leaf: of the same shape and precision. Anything may stand for what is no "
+    "leaf."""
+    if not hasattr(old, "dtype"):
+        return new
+    if not hasattr(new, "dtype") and as_numbers(new) is None:
+        raise ValueError(f"{name} = {brief(new)} is not a number or an array of numbers")
+    if np.shape(new) != np.shape(old):
+        raise ValueError(f"{name} has shape {np.shape(new)}; allowed is {np.shape(old)}")
+    return jax.numpy.asarray(new, old.dtype)
+
+
+def _keys(path: str) -> tuple[Key, ...]:
+    return tuple(key for head in path.split(".") for key in _split_index(head))
+
+
+def _split_index(head: str) -> tuple[Key, ...]:
     match = _INDEX.match(head)
     if not match:
         raise KeyError(f"{head!r} is not a parameter name such as gain or poles[2]")
-    return match.group(1), tuple(int(i) for i in re.findall(r"\d+", match.group(2)))
+    return match.group(1), *(int(i) for i in re.findall(r"\d+", match.group(2)))
 
 
 def _with_element(old, index, value):
@@ -144,12 +235,16 @@ def _with_element(old, index, value):
     return new
 
 
-def _path_name(path) -> str:
-    text = ""
-    for key in path:
-        match key:
-            case jax.tree_util.GetAttrKey(name=name) | jax.tree_util.DictKey(key=name):
-                text += f".{name}"
-            case jax.tree_util.SequenceKey(idx=i) | jax.tree_util.FlattenedIndexKey(key=i):
-                text += f"[{i}]"
+def _key(entry) -> Key:
+    """The name or number with which JAX tells a child from its siblings."""
+    match entry:
+        case jax.tree_util.GetAttrKey(name=name) | jax.tree_util.DictKey(key=name):
+            return name
+        case jax.tree_util.SequenceKey(idx=i) | jax.tree_util.FlattenedIndexKey(key=i):
+            return i
+    return str(entry)
+
+
+def _path_of(keys) -> str:
+    text = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in keys)
     return text.removeprefix(".")

@@ -20,12 +20,14 @@ def known(tree) -> bool:
 
 
 def need_channels(tree, channels: int, *names: str) -> None:
-    """Raises ValueError unless each named field is one number, or one for each channel, or absent."""
+    """Raises ValueError unless each named field is one number, or one for each channel, or "
+    "absent."""
     for name in names:
         value = getattr(tree, name)
         if value is not None and np.shape(value) not in ((), (channels,)):
             raise ValueError(
-                f"{type(tree).__name__}: {name} has shape {np.shape(value)}; allowed are () and ({channels},)"
+                f"{type(tree).__name__}: {name} has shape {np.shape(value)}; allowed are () and "
+                f"({channels},)"
             )
 
 
@@ -36,6 +38,7 @@ def need_scalars(tree) -> None:
         if field is not None and field.metadata.get("scalar") and np.shape(value):
             given = "" if isinstance(value, jax.core.Tracer) else f" = {shown(value)}"
             raise ValueError(
-                f"{type(tree).__name__}: {name}{given} has shape {np.shape(value)}; allowed is one number"
+                f"{type(tree).__name__}: {name}{given} has shape {np.shape(value)}; allowed is "
+                "one number"
             )
         need_scalars(value)

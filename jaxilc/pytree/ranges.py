@@ -45,7 +45,8 @@ class Interval(NamedTuple):
         return bool(np.all(above & below))
 
     def __str__(self) -> str:
-        return f"{'[' if self.closed_low else '('}{self.low:g}, {self.high:g}{']' if self.closed_high else ')'}"
+        opening, closing = "[" if self.closed_low else "(", "]" if self.closed_high else ")"
+        return f"{opening}{self.low:g}, {self.high:g}{closing}"
 
 
 def require(

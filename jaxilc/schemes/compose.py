@@ -11,7 +11,16 @@ import jax.numpy as jnp
 from ..filters.zero_phase import Filter
 from ..pytree.fields import child, pytree, static
 from ..signals.task import Limit, Sample, Task, Trial
-from .scheme import Scheme, State, limit_of, limited, limits_below
+from .scheme import (
+    Part,
+    Scheme,
+    State,
+    limit_of,
+    limited,
+    limits_of_parts,
+    under,
+)
+from .wrapper import Wrapper
 
 
 class Pair(NamedTuple):
@@ -46,17 +55,41 @@ class WithFeedback(Scheme):
     def preview(self) -> int:
         return max(self.learning.preview, self.feedback.preview)
 
-    def check(self, task: Task) -> None:
-        self.learning.check(task)
-        self.feedback.check(task)
+    @property
+    def trials_a_step(self) -> int:
+        return self.learning.trials_a_step
+
+    def shown(self, trial: Trial) -> dict[str, Trial]:
+        if "feedback" not in trial.signals:
+            raise ValueError(
+                "WithFeedback: the trial has no signal 'feedback' (N, n_u), so its learned part "
+                "cannot be told from u"
+            )
+        learning, feedback = (
+            trial._replace(signals=signals_of_part(name, trial.signals))
+            for name in ("learning", "feedback")
+        )
+        own = learning._replace(u=trial.u - trial.signals["feedback"])
+        return {"learning": own, "feedback": feedback}
 
     def initial_memory(self, task: Task) -> Pair:
         return Pair(self.learning.initial_memory(task), self.feedback.initial_memory(task))
 
-    def table(self, memory: Pair, task: Task) -> Pair:
+    def learn(self, memory: Pair, trial: Trial) -> Pair:
+        shown = self.shown(trial)
         return Pair(
-            self.learning.table(memory.learning, task), self.feedback.table(memory.feedback, task)
+            self.learning.learn(memory.learning, shown["learning"]),
+            self.feedback.learn(memory.feedback, shown["feedback"]),
         )
+
+    def schedule(self, memory: Pair, task: Task) -> Pair:
+        return Pair(
+            self.learning.schedule(memory.learning, task),
+            self.feedback.schedule(memory.feedback, task),
+        )
+
+    def feedforward(self, memory: Pair, task: Task) -> jax.Array:
+        return self.learning.feedforward(memory.learning, task)
 
     def initial_state(self, task: Task) -> PairState:
         return PairState(
@@ -76,51 +109,30 @@ class WithFeedback(Scheme):
         return PairState(learning, feedback, u_feedback), u_learning + u_feedback
 
     def signals(self, state: PairState) -> dict[str, jax.Array]:
-        learning = of_part("learning", self.learning, state.learning)
-        return {"feedback": state.u} | learning | of_part("feedback", self.feedback, state.feedback)
+        learning = under("learning", self.learning.signals(state.learning))
+        feedback = under("feedback", self.feedback.signals(state.feedback))
+        return {"feedback": state.u} | learning | feedback
 
-    def learn(self, memory: Pair, trial: Trial) -> Pair:
-        own, of_feedback = self._shown(trial)
-        return Pair(
-            self.learning.learn(memory.learning, own),
-            self.feedback.learn(memory.feedback, of_feedback),
-        )
-
-    def _shown(self, trial: Trial) -> Pair:
-        """The trial as each part learns from it."""
-        if "feedback" not in trial.signals:
-            raise ValueError(
-                "WithFeedback: the trial has no signal 'feedback' (N, n_u), so its learned part cannot be told from u"
-            )
-        of_learning, of_feedback = (
-            trial._replace(signals=signals_of_part(name, trial.signals))
-            for name in ("learning", "feedback")
-        )
-        return Pair(of_learning._replace(u=trial.u - trial.signals["feedback"]), of_feedback)
-
-    def feedforward(self, memory: Pair, task: Task) -> jax.Array:
-        return self.learning.feedforward(memory.learning, task)
-
-    @property
-    def trials_a_step(self) -> int:
-        return self.learning.trials_a_step
+    def played(self, schedule: Pair, task: Task) -> dict[str, jax.Array]:
+        """`feedforward` is what is added to the input of the feedback."""
+        learning = self.learning.played(schedule.learning, task)
+        renamed = {"feedforward" if name == "u" else name: rows for name, rows in learning.items()}
+        return renamed | under("feedback", self.feedback.played(schedule.feedback, task))
 
     def limits(self, task: Task, memory: Pair, trial: Trial) -> dict[str, Limit]:
-        own, of_feedback = self._shown(trial)
-        of_feedback = of_feedback._replace(u=trial.signals["feedback"])
-        return limits_below(
-            "learning", self.learning.limits(task, memory.learning, own)
-        ) | limits_below("feedback", self.feedback.limits(task, memory.feedback, of_feedback))
+        shown = self.shown(trial)
+        acted = shown["feedback"]._replace(u=trial.signals["feedback"])
+        return limits_of_parts(self.parts(task, memory), shown | {"feedback": acted})
 
     def play(self, learned, memory: Pair, task: Task) -> Pair:
         return Pair(
             self.learning.play(learned, memory.learning, task),
-            self.feedback.table(memory.feedback, task),
+            self.feedback.schedule(memory.feedback, task),
         )
 
     def record(self, learned, e, task: Task) -> Trial:
         trial = self.learning.record(learned, e, task)
-        own = {f"learning.{name}": signal for name, signal in trial.signals.items()}
+        own = under("learning", trial.signals)
         return trial._replace(signals=silent_signals(self, task) | own)
 
 
@@ -128,11 +140,6 @@ def silent_signals(scheme: Scheme, task: Task) -> dict[str, jax.Array]:
     """The signals of a scheme over a trial in which they are all zero."""
     shapes = jax.eval_shape(lambda: scheme.signals(scheme.initial_state(task)))
     return {name: jnp.zeros((task.N, *one.shape), one.dtype) for name, one in shapes.items()}
-
-
-def of_part(name: str, scheme: Scheme, state: State) -> dict[str, jax.Array]:
-    """The signals of a part, under its name."""
-    return {f"{name}.{signal}": value for signal, value in scheme.signals(state).items()}
 
 
 def signals_of_part(name: str, signals: dict[str, jax.Array]) -> dict[str, jax.Array]:
@@ -144,71 +151,12 @@ def signals_of_part(name: str, signals: dict[str, jax.Array]) -> dict[str, jax.A
     }
 
 
-class Wrapper(Scheme):
-    """A scheme put around another, `scheme`, that does as that one does but for what it overrides."""
-
-    scheme: Scheme
-
-    @property
-    def preview(self) -> int:
-        return self.scheme.preview
-
-    @property
-    def learns(self) -> bool:
-        return self.scheme.learns
-
-    @property
-    def plays_back(self) -> bool:
-        return self.scheme.plays_back
-
-    @property
-    def limit(self) -> Any:
-        return getattr(self.scheme, "limit", None)
-
-    @property
-    def trials_a_step(self) -> int:
-        return self.scheme.trials_a_step
-
-    def check(self, task: Task) -> None:
-        self.scheme.check(task)
-
-    def initial_memory(self, task: Task) -> Any:
-        return self.scheme.initial_memory(task)
-
-    def table(self, memory, task: Task) -> Any:
-        return self.scheme.table(memory, task)
-
-    def feedforward(self, memory, task: Task) -> jax.Array:
-        return self.scheme.feedforward(memory, task)
-
-    def initial_state(self, task: Task) -> Any:
-        return self.scheme.initial_state(task)
-
-    def act(self, state, sample: Sample) -> tuple[Any, jax.Array]:
-        return self.scheme.act(state, sample)
-
-    def signals(self, state) -> dict[str, jax.Array]:
-        return self.scheme.signals(state)
-
-    def learn(self, memory, trial: Trial) -> Any:
-        return self.scheme.learn(memory, trial)
-
-    def limits(self, task: Task, memory, trial: Trial) -> dict[str, Limit]:
-        return limits_below("scheme", self.scheme.limits(task, memory, trial))
-
-    def play(self, learned, memory, task: Task) -> Any:
-        return self.scheme.play(learned, memory, task)
-
-    def record(self, learned, e, task: Task) -> Trial:
-        return self.scheme.record(learned, e, task)
-
-
 @pytree
 class Filtered(Wrapper):
     """u_{j+1} = Q(u_j + L e_j): a robustness filter on what any learning scheme is about to apply.
 
-    scheme: one whose table has a field `u`, and whose `limit`, if it has one, holds for the
-    filtered u too
+    scheme: one whose schedule has a field `u`; its `limit`, if it has one, holds for the filtered u
+        too
     filter: zero-phase, applied to each channel of `u`
     """
 
@@ -216,21 +164,21 @@ class Filtered(Wrapper):
     filter: Filter = child()
 
     def check(self, task: Task) -> None:
-        self.scheme.check(task)
+        super().check(task)
         self.filter.check(task.N, task.dt)
         need_feedforward(self, self.scheme, task)
 
-    def table(self, memory, task: Task) -> Any:
-        table = self.scheme.table(memory, task)
-        return table._replace(u=limited(self.filter(table.u, task.dt), self.limit))
+    def schedule(self, memory, task: Task) -> Any:
+        schedule = self.scheme.schedule(memory, task)
+        return schedule._replace(u=limited(self.filter(schedule.u, task.dt), self.limit))
 
     def feedforward(self, memory, task: Task) -> jax.Array:
-        return self.table(memory, task).u
+        return self.schedule(memory, task).u
 
     def limits(self, task: Task, memory, trial: Trial) -> dict[str, Limit]:
         free = self.unlimited()
         filtered = limit_of(free.feedforward(free.learn(memory, trial), task), self.limit)
-        return super().limits(task, memory, trial) | limits_below("filtered", filtered)
+        return super().limits(task, memory, trial) | under("filtered", filtered)
 
 
 @pytree
@@ -248,17 +196,11 @@ class ErrorFiltered(Wrapper):
     filter: Filter = child()
 
     def check(self, task: Task) -> None:
-        self.scheme.check(task)
+        super().check(task)
         self.filter.check(task.N + 1, task.dt)
 
-    def learn(self, memory, trial: Trial) -> Any:
-        return self.scheme.learn(memory, self._shown(trial))
-
-    def limits(self, task: Task, memory, trial: Trial) -> dict[str, Limit]:
-        return super().limits(task, memory, self._shown(trial))
-
-    def _shown(self, trial: Trial) -> Trial:
-        return trial._replace(y=trial.r - self.filter(trial.e, trial.dt))
+    def shown(self, trial: Trial) -> dict[str, Trial]:
+        return {"scheme": trial._replace(y=trial.r - self.filter(trial.e, trial.dt))}
 
 
 @pytree
@@ -272,65 +214,37 @@ class OnOutputs(Wrapper):
     scheme: Scheme = child()
     outputs: tuple[int, ...] = static()
 
-    def _task(self, task: Task) -> Task:
-        return dataclasses.replace(task, reference=task.reference[..., list(self.outputs)])
+    def parts(self, task: Task, memory) -> dict[str, Part]:
+        seen = dataclasses.replace(task, reference=task.reference[..., list(self.outputs)])
+        return {"scheme": Part(self.scheme, seen, memory)}
+
+    def shown(self, trial: Trial) -> dict[str, Trial]:
+        seen = list(self.outputs)
+        return {"scheme": trial._replace(r=trial.r[..., seen], y=trial.y[..., seen])}
 
     def check(self, task: Task) -> None:
         if not self.outputs or not all(0 <= i < task.outputs for i in self.outputs):
             raise ValueError(
-                f"OnOutputs: outputs = {self.outputs} is not a choice among the task's outputs 0..{task.outputs - 1}"
+                f"OnOutputs: outputs = {self.outputs} is not a choice among the task's outputs "
+                f"0..{task.outputs - 1}"
             )
-        self.scheme.check(self._task(task))
-
-    def prepared(self, task: Task) -> OnOutputs:
-        return dataclasses.replace(self, scheme=self.scheme.prepared(self._task(task)))
-
-    def initial_memory(self, task: Task) -> Any:
-        return self.scheme.initial_memory(self._task(task))
-
-    def table(self, memory, task: Task) -> Any:
-        return self.scheme.table(memory, self._task(task))
-
-    def feedforward(self, memory, task: Task) -> jax.Array:
-        return self.scheme.feedforward(memory, self._task(task))
-
-    def initial_state(self, task: Task) -> Any:
-        return self.scheme.initial_state(self._task(task))
+        super().check(task)
 
     def act(self, state, sample: Sample) -> tuple[Any, jax.Array]:
         seen = list(self.outputs)
-        return self.scheme.act(
-            state,
-            sample._replace(
-                r=sample.r[..., seen], ahead=sample.ahead[..., seen], y=sample.y[..., seen]
-            ),
-        )
-
-    def learn(self, memory, trial: Trial) -> Any:
-        return self.scheme.learn(memory, self._shown(trial))
-
-    def _shown(self, trial: Trial) -> Trial:
-        seen = list(self.outputs)
-        return trial._replace(r=trial.r[..., seen], y=trial.y[..., seen])
-
-    def limits(self, task: Task, memory, trial: Trial) -> dict[str, Limit]:
-        return super().limits(self._task(task), memory, self._shown(trial))
-
-    def play(self, learned, memory, task: Task) -> Any:
-        return self.scheme.play(learned, memory, self._task(task))
+        r, ahead, y = (signal[..., seen] for signal in (sample.r, sample.ahead, sample.y))
+        return self.scheme.act(state, sample._replace(r=r, ahead=ahead, y=y))
 
     def record(self, learned, e, task: Task) -> Trial:
         r = jnp.asarray(task.reference)
-        return self.scheme.record(learned, e[:, list(self.outputs)], self._task(task))._replace(
-            r=r, y=r - e
-        )
+        of_seen = super().record(learned, e[:, list(self.outputs)], task)
+        return of_seen._replace(r=r, y=r - e)
 
 
 def need_feedforward(scheme: Scheme, learning: Scheme, task: Task) -> None:
-    """Raises ValueError unless the table of `learning` has a feedforward signal `u`."""
-    if not hasattr(
-        jax.eval_shape(lambda: learning.table(learning.initial_memory(task), task)), "u"
-    ):
+    """Raises ValueError unless the schedule of `learning` has a feedforward signal `u`."""
+    found = jax.eval_shape(lambda: learning.schedule(learning.initial_memory(task), task))
+    if not hasattr(found, "u"):
         raise ValueError(
             f"{type(scheme).__name__}: {type(learning).__name__} learns no feedforward signal u"
         )

@@ -12,31 +12,21 @@ from jax import lax
 
 from ..pytree.fields import Leaf, child, leaf, pytree, static
 from ..pytree.needs import need_channels
-from ..signals.task import Limit, Task, Trial
-from .compose import Wrapper
-from .mfailc import FFDLMFAILC
-from .scheme import Scheme
+from ..signals.task import Task, Trial
+from .scheme import Part, Scheme, with_all_parts
+from .wrapper import Wrapper
 
 
 class Guard(Wrapper):
-    """Within a trial it is the scheme it is put around; its memory holds that of the scheme as its
-    field `scheme`.
+    """A wrapper that decides when its scheme learns, and from what; within a trial it is that
+    scheme. Its memory holds the memory of the scheme as its field `scheme`.
     """
 
-    def table(self, memory, task: Task) -> Any:
-        return self.scheme.table(memory.scheme, task)
-
-    def feedforward(self, memory, task: Task) -> jax.Array:
-        return self.scheme.feedforward(memory.scheme, task)
+    def parts(self, task: Task, memory) -> dict[str, Part]:
+        return {"scheme": Part(self.scheme, task, memory.scheme)}
 
     def frozen(self) -> Scheme:
         return self.scheme.frozen()
-
-    def limits(self, task: Task, memory, trial: Trial) -> dict[str, Limit]:
-        return super().limits(task, memory.scheme, trial)
-
-    def play(self, learned, memory, task: Task) -> Any:
-        return self.scheme.play(learned, memory.scheme, task)
 
 
 class StopMemory(NamedTuple):
@@ -60,17 +50,17 @@ class StopWhen(Guard):
     Fig. 19 and section 6.3).
 
         max |e_j| <= max_error and RMS(e_j) <= rms     keep the memory that brought about trial j
-        RMS(e_j) > (1 + growth) min_{i<j} RMS(e_i)     go back to the memory that brought about the
-        best trial
+        RMS(e_j) > (1 + growth) min_{i<j} RMS(e_i)     go back to that of the best trial
 
-    over the samples k = 1..N. From then on each trial plays back the same table; noise is not
+    over the samples k = 1..N. From then on each trial plays back the same schedule; noise is not
     looked at again.
     max_error, rms: () or (n_y,) tolerances [unit of y], None for none; every output must meet those
     that are given
     growth: () >= 0, None for never; its RMS is over all outputs together, and a trial that is not
-    finite has grown What is compared carries no gradient, so that in a tolerance is zero. A frozen
-    trial's gradient is that of the memory it is frozen
-    with: the trials learned from until then, and nothing of those that were discarded.
+        finite has grown
+    What is compared carries no gradient, so the gradient by a tolerance is zero. The gradient of a
+    frozen trial is that of the memory it is frozen with: of the trials learned from until then, and
+    nothing of those that were discarded.
     Raises ValueError if there is nothing to stop it.
     """
 
@@ -88,7 +78,7 @@ class StopWhen(Guard):
     def check(self, task: Task) -> None:
         need_channels(self, task.outputs, "max_error", "rms")
         _need_numbers(self, "growth")
-        self.scheme.check(task)
+        super().check(task)
 
     def initial_memory(self, task: Task) -> StopMemory:
         start = self.scheme.initial_memory(task)
@@ -135,7 +125,7 @@ class Sums(NamedTuple):
 
 
 class LadderMemory(NamedTuple):
-    """scheme: memory of the scheme;  count: () repeats so far of the present table;  sums: over
+    """scheme: memory of the scheme;  count: () repeats so far of the present schedule;  sums: over
     them
     gain: () on the error;  rms: () of the mean trial last learned from, inf before; both None where
     the gain is fixed
@@ -150,23 +140,25 @@ class LadderMemory(NamedTuple):
 
 @pytree
 class Ladder(Guard):
-    """Each table is run R times, and learned from once, by the mean trial (ladder-type learning, Li
-    2020, section 6.2).
+    """Each schedule is run R times, and learned from once, by the mean trial.
 
+    This is ladder-type learning (Li 2020, section 6.2).
     Noise that does not repeat enters what is learned with 1/sqrt(R) of its size. Between, the
     memory of the scheme stays. With `slow` the gain of learning adapts: where the mean trial's RMS
     error has fallen since the last one, but to more than `slow` of it, the gain grows, and stays in
     force:
 
-        slow < RMS_i / RMS_{i-1} <= 1:    gain' = min(growth_of_gain gain, largest),    from gain =
-        1
+        slow < RMS_i / RMS_{i-1} <= 1:    gain' = min(growth_of_gain gain, largest)
+
+    from gain = 1.
 
     The paper prints no rule. An error that has *risen* leaves the gain alone here, since more gain
     is not what it lacks. For any scheme the gain is on the error it is shown, y' = r - gain (r -
     y). An adaptive law takes that for a plant that reacts differently, and adapts to it as well.
 
-    repeats: R;  growth_of_gain: () >= 1;  largest: () >= 1;  slow: () in (0, 1), None for a gain of
-    1 What is compared carries no gradient, so that in `slow` is zero.
+    repeats: R;  growth_of_gain: () >= 1;  largest: () >= 1
+    slow: () in (0, 1), None for a gain of 1
+    What is compared carries no gradient, so the gradient by `slow` is zero.
     Raises ValueError, for an adapted gain, around FFDL-MFAILC, which compares the running trial
     with the output it was shown.
     """
@@ -183,13 +175,17 @@ class Ladder(Guard):
 
     def check(self, task: Task) -> None:
         _need_numbers(self, "growth_of_gain", "largest", "slow")
-        for scheme in jax.tree.leaves(self.scheme, is_leaf=lambda x: isinstance(x, FFDLMFAILC)):
-            if self.slow is not None and isinstance(scheme, FFDLMFAILC) and scheme.L_y:
+        for scheme, _, _ in with_all_parts(self.scheme, task):
+            comparing = [name for name in scheme.compares if getattr(scheme, name)]
+            if self.slow is not None and comparing:
+                name = comparing[0]
                 raise ValueError(
-                    f"Ladder: slow = {self.slow} with L_y = {scheme.L_y} of {type(scheme).__name__}, which compares outputs within the "
-                    "trial; allowed are None, or L_y = 0"
+                    f"Ladder: slow = {self.slow} with {name} = {getattr(scheme, name)} of "
+                    f"{type(scheme).__name__}, which compares outputs within the trial; allowed "
+                    "are "
+                    f"None, or {name} = 0"
                 )
-        self.scheme.check(task)
+        super().check(task)
 
     def initial_memory(self, task: Task) -> LadderMemory:
         signals = jax.eval_shape(lambda: self.scheme.signals(self.scheme.initial_state(task)))

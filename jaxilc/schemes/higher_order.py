@@ -12,7 +12,7 @@ from ..pytree.fields import Leaf, leaf, pytree, static
 from ..pytree.needs import known, need_channels
 from ..signals.task import Limit, Task, Trial
 from .pid_type import need_lead
-from .scheme import Feedforward, Scheme, advance, limit_of, limited, need_square
+from .scheme import Scheme, advance, limit_of, limited, need_square
 
 
 class Past(NamedTuple):
@@ -34,12 +34,17 @@ class HigherOrder(Scheme):
 
     Trials before the first, and errors beyond the end of a trial, count as zero. P = 1 is `PIDType`
     with gamma_p alone.
-    alpha: (P,) of sum 1, so that what has been learned stays where the error is zero; a sum in (0,
-    1) forgets (leaky)
-    gamma: (P,), or (P, n) for each channel [unit of u per unit of y];  lead: m, as for `PIDType`;
-    limit: largest |u| learned On a plant P(z) each frequency's error obeys e_{j+1} = sum_i (alpha_i
-    - gamma_i z^(1+m) P) e_{j-i} + (1 - sum alpha) r, so it converges if the roots s of s^P = sum_i
-    (alpha_i - gamma_i z^(1+m) P) s^(P-1-i) lie within the unit circle, not always monotonically.
+    On a plant P(z) the error at each frequency obeys
+
+        e_{j+1} = sum_i (alpha_i - gamma_i z^(1+m) P) e_{j-i} + (1 - sum alpha) r
+
+    so it converges, not always monotonically, if the roots s of
+    s^P = sum_i (alpha_i - gamma_i z^(1+m) P) s^(P-1-i) lie within the unit circle.
+
+    alpha: (P,) of sum 1, so that what has been learned stays where the error is zero; with a sum in
+        (0, 1) the law forgets
+    gamma: (P,), or (P, n) for each channel [unit of u per unit of y]
+    lead: m, as for `PIDType`;  limit: () or (n,) largest |u| learned, None for none
     Raises ValueError for shapes that do not fit or a sum of alpha outside (0, 1].
     """
 
@@ -70,16 +75,14 @@ class HigherOrder(Scheme):
         if self.gamma.shape[1:] not in ((), (task.inputs,)):
             P = self.gamma.shape[0]
             raise ValueError(
-                f"HigherOrder: gamma has shape {self.gamma.shape}; allowed are ({P},) and ({P}, {task.inputs})"
+                f"HigherOrder: gamma has shape {self.gamma.shape}; allowed are ({P},) and ({P}, "
+                f"{task.inputs})"
             )
 
     def initial_memory(self, task: Task) -> Past:
         rest = jnp.zeros((task.N, task.inputs))
         before = (rest,) * (self.alpha.shape[0] - 1)
         return Past(rest, before, before)
-
-    def table(self, memory: Past, task: Task) -> Feedforward:
-        return Feedforward(memory.u)
 
     def learn(self, memory: Past, trial: Trial) -> Past:
         inputs, errors = (

@@ -38,15 +38,16 @@ class FFDLMFAC(Scheme):
     """Full-form MFAC (Hou and Jin's book, the time-axis twin of Cao 2019, eq. 25 and 27), with c =
     L_y + 1:
 
-        u(k) = u(k-1) + phi_c / (lam + phi_c^2) [ rho_c (r(k+1) - y(k)) - sum_{i<=L_y} rho_i phi_i d
-        y(k-i+1)
+        u(k) = u(k-1) + phi_c / (lam + phi_c^2) [ rho_c (r(k+1) - y(k))
+                                                  - sum_{i<=L_y} rho_i phi_i d y(k-i+1)
                                                   - sum_{i>c} rho_i phi_i d u(k+L_y-i+1) ]
 
     lam: () > 0 [(y/u)^2];  rho: () or (L_y+L_u,) in (0, 1];  eta: () in (0, 2];  mu: () > 0 [u^2]
     phi0: (L_y+L_u,) start value, whose c-th sign is that of the plant's reaction;  epsilon: ()
     reset threshold
-    limit: largest |u|, from which the increments are then taken;  L_y, L_u: windows;  reset: see
-    `reset_estimate` The signal `phi` of the trial records phi_c.
+    limit: largest |u|, from which the increments are then taken
+    L_y, L_u: windows;  reset: see `reset_estimate`
+    The signal `phi` of the trial records phi_c.
     """
 
     lam: Leaf = leaf(default=1.0, interval="(0, inf)")
@@ -171,11 +172,13 @@ class CFDLMFAPC(Scheme):
     def __post_init__(self):
         if self.P_u > self.P:
             raise ValueError(
-                f"CFDLMFAPC: P_u = {self.P_u} is outside its allowed range [1, {self.P}] for P = {self.P}"
+                f"CFDLMFAPC: P_u = {self.P_u} is outside its allowed range [1, {self.P}] for P = "
+                f"{self.P}"
             )
         if self.theta0 is not None and self.theta0.shape != (self.n_p,):
             raise ValueError(
-                f"CFDLMFAPC: theta0 has shape {self.theta0.shape}; n_p = {self.n_p} needs ({self.n_p},)"
+                f"CFDLMFAPC: theta0 has shape {self.theta0.shape}; n_p = {self.n_p} needs "
+                f"({self.n_p},)"
             )
 
     @property
@@ -247,7 +250,8 @@ class CFDLMFAPC(Scheme):
         return future
 
     def _wanted(self, sample: Sample):
-        """A^T (Y* - E y) without its factor phi: (P_u, n) sums over rows i..P-1 of r(k+1+p) - y(k)."""
+        """A^T (Y* - E y) without its factor phi: (P_u, n) sums over rows i..P-1 of r(k+1+p) - "
+        "y(k)."""
         if self.reference == "constant":
             return (self.P - jnp.arange(self.P_u))[:, None] * (sample.ahead[0] - sample.y)
         miss = sample.ahead - sample.y

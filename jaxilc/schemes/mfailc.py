@@ -36,11 +36,13 @@ class Memory(NamedTuple):
     seen: jax.Array
 
 
-class Table(NamedTuple):
-    """u: (N, n) the law's part that is known before the trial;  y, u_last: (N, n) output and input
-    of trial j-1
-    weights: L_y+L_u-1 of them, each (N, n), of the increments D y(k..k-L_y+1, j) and D
-    u(k-1..k-L_u+1, j) of the running trial.
+class Schedule(NamedTuple):
+    """The rows that FFDL-MFAILC sees within a trial.
+
+    u: (N, n) the part of the law that is known before the trial
+    y, u_last: (N, n) output and input of trial j-1
+    weights: L_y+L_u-1 of them, each (N, n), of the increments D y(k..k-L_y+1, j) and
+        D u(k-1..k-L_u+1, j) of the running trial
     """
 
     u: jax.Array
@@ -66,8 +68,8 @@ class Window(NamedTuple):
 class FFDLMFAILC(Scheme):
     """Full-form MFAILC (Cao 2019, eq. 25 and 27), with c = L_y + 1 the component of u(k):
 
-        u(k,j) = u(k,j-1) + phi_c / (lam + phi_c^2) [ rho_c e(k+1,j-1) - sum_{i<=L_y} rho_i phi_i D
-        y(k-i+1,j)
+        u(k,j) = u(k,j-1) + phi_c / (lam + phi_c^2) [ rho_c e(k+1,j-1)
+                                                      - sum_{i<=L_y} rho_i phi_i D y(k-i+1,j)
                                                       - sum_{i>c} rho_i phi_i D u(k+L_y-i+1,j) ]
 
     D y(k,j) belongs to the running trial: FFDL acts as feedback within the trial, CFDL does not.
@@ -79,15 +81,14 @@ class FFDLMFAILC(Scheme):
     increments between trials come from `Trial.u`, those within the running trial from
     `Sample.applied`. Only what this sample adds is a command, which the actuator then limits, slows
     or rounds. A controller that cannot know what its actuator applies takes what it commanded;
-    record that as the
-    trial's u as well, so that both increments are of the commanded input.
+    record that as the trial's u as well, so that both increments are of the commanded input.
 
-    lam: () > 0 weight on the input increment [(y/u)^2];  rho: () or (L_y+L_u,) step factors in (0,
-    1]
+    lam: () > 0 weight on the input increment [(y/u)^2]
+    rho: () or (L_y+L_u,) step factors in (0, 1]
     eta: () estimator step in (0, 2];  mu: () > 0 [u^2], for L_y > 0 mixed units as in the paper
-    phi0: (L_y+L_u,) start value; Cao 2019 does not print it, and the outcome hangs on it
-    epsilon: () reset threshold;  limit: largest |u|, None for none;  L_y, L_u: windows;  lead: m;
-    reset: see `reset_estimate`
+    phi0: (L_y+L_u,) start value; Cao 2019 does not print it, and the result depends on it
+    epsilon: () reset threshold;  limit: largest |u|, None for none
+    L_y, L_u: windows;  lead: m;  reset: see `reset_estimate`
     """
 
     lam: Leaf = leaf(default=1.2, interval="(0, inf)")
@@ -103,6 +104,7 @@ class FFDLMFAILC(Scheme):
     reset: str = static(default="book", choices=RESETS)
     estimator_steps = ("eta",)
     clips = ("limit",)
+    compares = ("L_y",)
 
     def __post_init__(self):
         need_window(self)
@@ -138,7 +140,7 @@ class FFDLMFAILC(Scheme):
             ]
         return Memory(trial.u, trial.y, tuple(phi), jnp.ones_like(memory.seen))
 
-    def table(self, memory: Memory, task: Task) -> Table:
+    def schedule(self, memory: Memory, task: Task) -> Schedule:
         c, rho = self.L_y, jnp.broadcast_to(self.rho, (self.L_y + self.L_u,))
         lead = memory.phi[c]
         gain = lead / (self.lam + lead**2)
@@ -153,7 +155,7 @@ class FFDLMFAILC(Scheme):
             u = limited(
                 u, self.limit
             )  # with weights, the running trial's increments come on top first
-        return Table(u, memory.y[:-1], memory.u, weights)
+        return Schedule(u, memory.y[:-1], memory.u, weights)
 
     def initial_state(self, task: Task) -> Window:
         rest = jnp.zeros(task.inputs)

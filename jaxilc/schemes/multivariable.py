@@ -11,14 +11,16 @@ import jax.numpy as jnp
 from ..filters.zero_phase import Filter
 from ..pytree.fields import child, pytree, static
 from ..signals.task import Limit, Sample, Task, Trial
-from .compose import Pair, of_part, signals_of_part, silent_signals
-from .on_reference import ReferenceTable
-from .scheme import Scheme, State, delay, limits_below
+from .compose import Pair, signals_of_part, silent_signals
+from .on_reference import ReferenceSchedule
+from .scheme import UNASKED, Part, Scheme, State, delay, limits_of_parts, under
 
 
 class LearnedState(NamedTuple):
-    """feedback: its state;  u: (n_u,) the feedback's share;  reference: (1,) r[k+1], what the
-    feedback will follow
+    """What MILC keeps within a trial.
+
+    feedback: its state;  u: (n_u,) the feedback's share
+    reference: (1,) r[k+1], what the feedback will follow
     """
 
     feedback: State
@@ -38,12 +40,12 @@ class MultivariableILC(Scheme):
     reference moves along.
 
     learning: of two inputs (u, r) and two outputs, usually `NormOptimal` with
-    `plants.multivariable_model`; it plays back what it
-              learned, and its second input is the whole reference, as printed, not a correction
-    feedback: follows the learned reference with the motor;  prefilter: 1 / P_Z on the reference,
-    None for r_0 = r_d
-    motor_output, table_output: their numbers among the task's outputs. The sample k = 0 keeps
-    r_d[0].
+        `plants.multivariable_model`; it plays back what it learned, and its second input is the
+        whole reference, as printed, not a correction
+    feedback: follows the learned reference with the motor
+    prefilter: 1 / P_Z on the reference, None for r_0 = r_d
+    motor_output, table_output: their numbers among the task's outputs
+    The sample k = 0 keeps r_d[0].
     Signals of a trial: `feedback`, its share of the input, and `reference`, r[k+1] as learned.
     """
 
@@ -63,8 +65,32 @@ class MultivariableILC(Scheme):
             task, reference=task.reference[:, [self.table_output, self.table_output]], inputs=2
         )
 
-    def _motor_task(self, task: Task) -> Task:
-        return dataclasses.replace(task, reference=task.reference[:, [self.motor_output]])
+    def parts(self, task: Task, memory: Pair) -> dict[str, Part]:
+        motor = dataclasses.replace(task, reference=task.reference[:, [self.motor_output]])
+        return {
+            "learning": Part(self.learning, self.learning_task(task), memory.learning),
+            "feedback": Part(self.feedback, motor, memory.feedback),
+        }
+
+    def shown(self, trial: Trial) -> dict[str, Trial]:
+        for name in ("feedback", "reference"):
+            if name not in trial.signals:
+                raise ValueError(
+                    f"MultivariableILC: the trial has no signal {name!r} (N, 1), so what was "
+                    "learned cannot be told from it"
+                )
+        start, r = trial.r[:1, self.table_output, None], trial.signals["reference"]
+        y = trial.y[:, [self.motor_output, self.table_output]]
+        followed, wanted = jnp.concatenate([start, r]), trial.r[:, self.table_output, None]
+        own = Trial(
+            jnp.concatenate([followed, wanted], axis=1),
+            y,
+            jnp.concatenate([trial.u - trial.signals["feedback"], r], axis=1),
+            trial.dt,
+        )
+        signals = signals_of_part("feedback", trial.signals)
+        of_motor = trial._replace(r=followed, y=y[:, :1], signals=signals)
+        return {"learning": own, "feedback": of_motor}
 
     def check(self, task: Task) -> None:
         if (
@@ -73,63 +99,61 @@ class MultivariableILC(Scheme):
             or max(self.motor_output, self.table_output) >= task.outputs
         ):
             raise ValueError(
-                f"MultivariableILC: motor_output = {self.motor_output} and table_output = {self.table_output} must be two of the task's "
-                f"{task.outputs} outputs, and its inputs one, not {task.inputs}"
+                f"MultivariableILC: motor_output = {self.motor_output} and table_output = "
+                f"{self.table_output} must be two of the task's {task.outputs} outputs, and its "
+                f"inputs one, not {task.inputs}"
             )
-        self.learning.check(self.learning_task(task))
+        super().check(task)
+        name = type(self.learning).__name__
         if not self.learning.plays_back:
-            name = type(self.learning).__name__
             raise ValueError(
-                f"MultivariableILC: {name} acts within the trial; allowed are schemes that play back a learned signal"
+                f"MultivariableILC: {name} acts within the trial; allowed are schemes that play "
+                "back a learned signal"
             )
         if not hasattr(
             jax.eval_shape(lambda: self.learning.initial_memory(self.learning_task(task))), "u"
         ):
             raise ValueError(
-                f"MultivariableILC: the memory of {type(self.learning).__name__} has no field u that could start at r_0"
+                f"MultivariableILC: the memory of {name} has no field u that could start at r_0"
             )
-        self.feedback.check(self._motor_task(task))
         if self.prefilter is not None:
             self.prefilter.check(task.N + 1, task.dt)
-
-    def prepared(self, task: Task) -> MultivariableILC:
-        learning, feedback = (
-            self.learning.prepared(self.learning_task(task)),
-            self.feedback.prepared(self._motor_task(task)),
-        )
-        return dataclasses.replace(self, learning=learning, feedback=feedback)
 
     def initial_memory(self, task: Task) -> Pair:
         learning = self.learning.initial_memory(self.learning_task(task))
         r = jnp.asarray(task.reference)[:, [self.table_output]]
         r = r if self.prefilter is None else self.prefilter(r, task.dt)
+        feedback, motor, _ = self.parts(task, UNASKED)["feedback"]
         return Pair(
-            learning._replace(u=learning.u.at[:, 1:].set(r[1:])),
-            self.feedback.initial_memory(self._motor_task(task)),
+            learning._replace(u=learning.u.at[:, 1:].set(r[1:])), feedback.initial_memory(motor)
         )
 
-    def table(self, memory: Pair, task: Task) -> ReferenceTable:
-        return self.play(
-            self.learning.table(memory.learning, self.learning_task(task)).u, memory, task
+    def learn(self, memory: Pair, trial: Trial) -> Pair:
+        shown = self.shown(trial)
+        return Pair(
+            self.learning.learn(memory.learning, shown["learning"]),
+            self.feedback.learn(memory.feedback, shown["feedback"]),
         )
 
-    def play(self, learned, memory: Pair, task: Task) -> ReferenceTable:
+    def schedule(self, memory: Pair, task: Task) -> ReferenceSchedule:
+        learning, seen, known = self.parts(task, memory)["learning"]
+        return self.play(learning.schedule(known, seen).u, memory, task)
+
+    def play(self, learned, memory: Pair, task: Task) -> ReferenceSchedule:
         u, r = learned[:, :1], learned[:, 1:]
         held = jnp.pad(r, ((0, self.preview - 1), (0, 0)), mode="edge")
         window = jnp.stack([held[i : i + task.N] for i in range(self.preview)], axis=1)
         now = delay(r, 1).at[0].set(task.reference[0, self.table_output])
-        return ReferenceTable(
-            u, now, window, self.feedback.table(memory.feedback, self._motor_task(task))
-        )
+        feedback, motor, known = self.parts(task, memory)["feedback"]
+        return ReferenceSchedule(u, now, window, feedback.schedule(known, motor))
 
     def feedforward(self, memory: Pair, task: Task) -> jax.Array:
         """(N, 2) the learned input and reference r[k+1] of the next trial."""
         return self.learning.feedforward(memory.learning, self.learning_task(task))
 
     def initial_state(self, task: Task) -> LearnedState:
-        return LearnedState(
-            self.feedback.initial_state(self._motor_task(task)), jnp.zeros(1), jnp.zeros(1)
-        )
+        feedback, motor, _ = self.parts(task, UNASKED)["feedback"]
+        return LearnedState(feedback.initial_state(motor), jnp.zeros(1), jnp.zeros(1))
 
     def act(self, state: LearnedState, sample: Sample) -> tuple[Any, jax.Array]:
         row = sample.row
@@ -140,51 +164,26 @@ class MultivariableILC(Scheme):
         return LearnedState(feedback, u, row.ahead[0]), row.u + u
 
     def signals(self, state: LearnedState) -> dict[str, jax.Array]:
-        return {"feedback": state.u, "reference": state.reference} | of_part(
-            "feedback", self.feedback, state.feedback
-        )
+        feedback = self.feedback.signals(state.feedback)
+        return {"feedback": state.u, "reference": state.reference} | under("feedback", feedback)
 
-    def learn(self, memory: Pair, trial: Trial) -> Pair:
-        own, of_motor = self._shown(trial)
-        return Pair(
-            self.learning.learn(memory.learning, own),
-            self.feedback.learn(memory.feedback, of_motor),
-        )
-
-    def _shown(self, trial: Trial) -> Pair:
-        """The trial as each part learns from it."""
-        for name in ("feedback", "reference"):
-            if name not in trial.signals:
-                raise ValueError(
-                    f"MultivariableILC: the trial has no signal {name!r} (N, 1), so what was learned cannot be told from it"
-                )
-        start, r = trial.r[:1, self.table_output, None], trial.signals["reference"]
-        y = trial.y[:, [self.motor_output, self.table_output]]
-        wanted = jnp.concatenate(
-            [jnp.concatenate([start, r]), trial.r[:, self.table_output, None]], axis=1
-        )
-        own = Trial(
-            wanted, y, jnp.concatenate([trial.u - trial.signals["feedback"], r], axis=1), trial.dt
-        )
-        return Pair(
-            own,
-            trial._replace(
-                r=wanted[:, :1], y=y[:, :1], signals=signals_of_part("feedback", trial.signals)
-            ),
-        )
+    def played(self, schedule: ReferenceSchedule, task: Task) -> dict[str, jax.Array]:
+        """`feedforward` is the learned input, `reference` (N+1, 1) what the motor's feedback
+        follows.
+        """
+        reference = jnp.concatenate([schedule.now, schedule.ahead[-1:, 0]])
+        feedback, motor, _ = self.parts(task, UNASKED)["feedback"]
+        own = {"feedforward": schedule.u, "reference": reference}
+        return own | under("feedback", feedback.played(schedule.feedback, motor))
 
     @property
     def trials_a_step(self) -> int:
         return self.learning.trials_a_step
 
     def limits(self, task: Task, memory: Pair, trial: Trial) -> dict[str, Limit]:
-        own, of_motor = self._shown(trial)
-        of_motor = of_motor._replace(u=trial.signals["feedback"])
-        return limits_below(
-            "learning", self.learning.limits(self.learning_task(task), memory.learning, own)
-        ) | limits_below(
-            "feedback", self.feedback.limits(self._motor_task(task), memory.feedback, of_motor)
-        )
+        shown = self.shown(trial)
+        acted = shown["feedback"]._replace(u=trial.signals["feedback"])
+        return limits_of_parts(self.parts(task, memory), shown | {"feedback": acted})
 
     def record(self, learned, e, task: Task) -> Trial:
         r = jnp.asarray(task.reference)

@@ -26,8 +26,9 @@ LARGEST_LIFTED = (
 
 
 class Recursion(NamedTuple):
-    """What the Riccati recursion leaves. K: (N, n_u, n) gain of the state's deviation;  G: (N, n_u,
-    n_u) inverse of the input's cost
+    """What the Riccati recursion leaves.
+
+    K: (N, n_u, n) gain of the state's deviation;  G: (N, n_u, n_u) inverse of the input's cost
     """
 
     K: jax.Array
@@ -46,26 +47,27 @@ class NormOptimal(Scheme):
     """The next input minimises, by the model H, the cost of the next trial (Amann, Owens, Rogers
     1996; MILC 2024, eq. 5 to 8)
 
-        J = |e_{j+1}|^2_Wq + |u_{j+1} - u_j|^2_Wr + |u_{j+1}|^2_Ws,    e_{j+1} = e_j - H (u_{j+1} -
-        u_j) u_{j+1} = u_j + (H' W_q H + W_s + W_r)^-1 (H' W_q e_j - W_s u_j)
+        J = |e_{j+1}|^2_Wq + |u_{j+1} - u_j|^2_Wr + |u_{j+1}|^2_Ws
+        e_{j+1} = e_j - H (u_{j+1} - u_j)
+        u_{j+1} = u_j + (H' W_q H + W_s + W_r)^-1 (H' W_q e_j - W_s u_j)
 
     `riccati` solves it in time and memory linear in N. With d = u_{j+1} - u_j, x' = A x + B d from
     x[0] = 0, P[N] = 0, p[N] = 0:
 
-        Z = P[k+1] + C' w_q C,   G[k] = (B' Z B + w_r + w_s)^-1,   K[k] = G[k] B' Z A,   P[k] = A' Z
-        (A - B K[k])
-        z = p[k+1] + C' w_q e_j[k+1],   g[k] = G[k] (B' z - w_s u_j[k]),   p[k] = A' z - K[k]' (B' z
-        - w_s u_j[k]) d[k] = g[k] - K[k] x[k]
+        Z = P[k+1] + C' w_q C,           G[k] = (B' Z B + w_r + w_s)^-1
+        K[k] = G[k] B' Z A,              P[k] = A' Z (A - B K[k])
+        z = p[k+1] + C' w_q e_j[k+1],    g[k] = G[k] (B' z - w_s u_j[k])
+        p[k] = A' z - K[k]' (B' z - w_s u_j[k])
+        d[k] = g[k] - K[k] x[k]
 
-    derived afresh (Appendix A of MILC 2024 has slips); `lifted` solves the same in dense form, N
-    n_u and N n_y up to 8192.
+    derived again, as Appendix A of MILC 2024 has slips; `lifted` solves the same in dense form,
+    with N n_u and N n_y up to 8192.
 
     model: n_u inputs to n_y outputs, of the task's sample time, u[k] acting on y[k+1]; stable, so
-    of the closed loop under feedback.
-           Nominal: the machine may differ
-    w_q: () or (n_y,) or (n_y, n_y);  w_r, w_s: () or (n_u,) or (n_u, n_u), positive semidefinite,
-    w_r + w_s definite; symmetric up to
-         rounding, as a product A' A is: its symmetric part counts
+        of the closed loop under feedback; nominal, as the machine may differ
+    w_q: () or (n_y,) or (n_y, n_y), positive semidefinite
+    w_r, w_s: () or (n_u,) or (n_u, n_u), positive semidefinite, w_r + w_s definite
+        Weights are symmetric up to rounding, as a product A' A is; the symmetric part counts.
     limit: () or (n_u,) largest |u| learned, None for none
     Raises ValueError for an unstable model, and weights that are not symmetric or not semidefinite.
     Differentiable in the weights and in the model, through the recursion.
@@ -83,7 +85,8 @@ class NormOptimal(Scheme):
     def __post_init__(self):
         if not isinstance(self.solved, Recursion | Lifted | None):
             raise ValueError(
-                f"NormOptimal: solved = {brief(self.solved)} is a {type(self.solved).__name__}; allowed is None"
+                f"NormOptimal: solved = {brief(self.solved)} is a {type(self.solved).__name__}; "
+                "allowed is None"
             )
         for name, size in (
             ("w_q", self.model.n_y),
@@ -100,7 +103,8 @@ class NormOptimal(Scheme):
             )
             if np.any(both <= 1e-14 * np.max(total)):
                 raise ValueError(
-                    f"NormOptimal: w_r + w_s has the eigenvalues {both}; allowed are positive ones only"
+                    f"NormOptimal: w_r + w_s has the eigenvalues {both}; allowed are positive "
+                    "ones only"
                 )
         if isinstance(self.model, StateSpace) and known(self.model):
             poles = np.linalg.eigvals(np.asarray(self.model.A))
@@ -110,14 +114,16 @@ class NormOptimal(Scheme):
                     "outside the unit circle" if self.model.dt else "right of the imaginary axis"
                 )
                 raise ValueError(
-                    f"NormOptimal: the model is unstable (a pole {growth:.3g} {where}); give the closed loop that the learned input meets"
+                    f"NormOptimal: the model is unstable (a pole {growth:.3g} {where}); give the "
+                    "closed loop that the learned input meets"
                 )
 
     def _check_weight(self, name: str, size: int) -> None:
         weight = getattr(self, name)
         if weight.shape not in ((), (size,), (size, size)):
             raise ValueError(
-                f"NormOptimal: {name} has shape {weight.shape}; allowed are (), ({size},) and ({size}, {size})"
+                f"NormOptimal: {name} has shape {weight.shape}; allowed are (), ({size},) and "
+                f"({size}, {size})"
             )
         if not known(weight):
             return
@@ -146,12 +152,14 @@ class NormOptimal(Scheme):
         need_channels(self, task.inputs, "limit")
         if isinstance(self.model, TimeVaryingStateSpace) and self.model.N != task.N:
             raise ValueError(
-                f"NormOptimal: the model is given for N = {self.model.N} samples but the task has N = {task.N}"
+                f"NormOptimal: the model is given for N = {self.model.N} samples but the task has "
+                f"N = {task.N}"
             )
         size = task.N * max(task.inputs, task.outputs)
         if self.form == "lifted" and size > LARGEST_LIFTED:
             raise ValueError(
-                f"NormOptimal: form = 'lifted' would need a dense matrix of {size} rows or columns; allowed are {LARGEST_LIFTED}: "
+                f"NormOptimal: form = 'lifted' would need a dense matrix of {size} rows or "
+                f"columns; allowed are {LARGEST_LIFTED}: "
                 "use form = 'riccati', which gives the same input in memory linear in N"
             )
 

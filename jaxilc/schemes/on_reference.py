@@ -9,15 +9,17 @@ import jax
 import jax.numpy as jnp
 
 from ..pytree.fields import child, pytree
-from ..signals.task import Limit, Sample, Task, Trial
-from .compose import Pair, need_feedforward, of_part, signals_of_part, silent_signals
-from .scheme import Scheme, State, delay, limits_below
+from ..signals.task import Sample, Task, Trial
+from .compose import Pair, need_feedforward, signals_of_part, silent_signals
+from .scheme import UNASKED, Part, Scheme, State, delay, under
 
 
-class ReferenceTable(NamedTuple):
-    """u: (N, n_y) correction w[k] of the reference r[k+1];  now: (N, n_y) that of r[k];  ahead: (N,
-    preview, n_y) those of r[k+1], ...
-    feedback: the feedback's own table"""
+class ReferenceSchedule(NamedTuple):
+    """The rows of a feedback whose reference is learned.
+
+    u: (N, n_y) correction w[k] of the reference r[k+1];  now: (N, n_y) that of r[k]
+    ahead: (N, preview, n_y) those of r[k+1], ...;  feedback: the feedback's own schedule
+    """
 
     u: jax.Array
     now: jax.Array
@@ -37,8 +39,9 @@ class OnReference(Scheme):
     """The feedback follows r + w, and w is what is learned (the series structure of Li 2020, Fig.
     1).
 
-    learning: pure feedforward, its `u` is the correction w, with w[k] added to r[k+1];  feedback:
-    any scheme The signal `correction` of the trial records w. The error is that from r itself.
+    learning: pure feedforward, its `u` is the correction w, with w[k] added to r[k+1]
+    feedback: any scheme
+    The signal `correction` of the trial records w. The error is that from r itself.
     """
 
     learning: Scheme = child()
@@ -48,39 +51,57 @@ class OnReference(Scheme):
     def preview(self) -> int:
         return self.feedback.preview
 
-    def _task(self, task: Task) -> Task:
-        return dataclasses.replace(task, inputs=task.outputs)
+    @property
+    def trials_a_step(self) -> int:
+        return self.learning.trials_a_step
+
+    def parts(self, task: Task, memory: Pair) -> dict[str, Part]:
+        corrections = dataclasses.replace(task, inputs=task.outputs)
+        return {
+            "learning": Part(self.learning, corrections, memory.learning),
+            "feedback": Part(self.feedback, task, memory.feedback),
+        }
+
+    def shown(self, trial: Trial) -> dict[str, Trial]:
+        if "correction" not in trial.signals:
+            raise ValueError(
+                "OnReference: the trial has no signal 'correction' (N, n_y), so what was learned "
+                "cannot be told"
+            )
+        own = trial._replace(u=trial.signals["correction"], signals={})
+        of_feedback = trial._replace(signals=signals_of_part("feedback", trial.signals))
+        return {"learning": own, "feedback": of_feedback}
 
     def check(self, task: Task) -> None:
-        self.learning.check(self._task(task))
-        need_feedforward(self, self.learning, self._task(task))
+        super().check(task)
+        need_feedforward(self, self.learning, self.parts(task, UNASKED)["learning"].task)
         if not self.learning.plays_back:
-            name = type(self.learning).__name__
             raise ValueError(
-                f"OnReference: {name} acts within the trial; allowed are schemes that play back a learned signal"
+                f"OnReference: {type(self.learning).__name__} acts within the trial; allowed are "
+                "schemes that play back a learned signal"
             )
-        self.feedback.check(task)
-
-    def prepared(self, task: Task) -> OnReference:
-        return dataclasses.replace(
-            self,
-            learning=self.learning.prepared(self._task(task)),
-            feedback=self.feedback.prepared(task),
-        )
 
     def initial_memory(self, task: Task) -> Pair:
+        corrections = self.parts(task, UNASKED)["learning"].task
+        return Pair(self.learning.initial_memory(corrections), self.feedback.initial_memory(task))
+
+    def learn(self, memory: Pair, trial: Trial) -> Pair:
+        shown = self.shown(trial)
         return Pair(
-            self.learning.initial_memory(self._task(task)), self.feedback.initial_memory(task)
+            self.learning.learn(memory.learning, shown["learning"]),
+            self.feedback.learn(memory.feedback, shown["feedback"]),
         )
 
-    def table(self, memory: Pair, task: Task) -> ReferenceTable:
-        return self.play(self.learning.table(memory.learning, self._task(task)).u, memory, task)
+    def schedule(self, memory: Pair, task: Task) -> ReferenceSchedule:
+        learning, corrections, known = self.parts(task, memory)["learning"]
+        return self.play(learning.schedule(known, corrections).u, memory, task)
 
-    def play(self, learned, memory: Pair, task: Task) -> ReferenceTable:
+    def play(self, learned, memory: Pair, task: Task) -> ReferenceSchedule:
         w = learned
         held = jnp.pad(w, ((0, self.preview - 1), (0, 0)), mode="edge")
         window = jnp.stack([held[i : i + task.N] for i in range(self.preview)], axis=1)
-        return ReferenceTable(w, delay(w, 1), window, self.feedback.table(memory.feedback, task))
+        feedback = self.feedback.schedule(memory.feedback, task)
+        return ReferenceSchedule(w, delay(w, 1), window, feedback)
 
     def initial_state(self, task: Task) -> ReferenceState:
         return ReferenceState(self.feedback.initial_state(task), jnp.zeros(task.outputs))
@@ -94,33 +115,14 @@ class OnReference(Scheme):
         return ReferenceState(feedback, row.u), u
 
     def signals(self, state: ReferenceState) -> dict[str, jax.Array]:
-        return {"correction": state.correction} | of_part("feedback", self.feedback, state.feedback)
+        feedback = self.feedback.signals(state.feedback)
+        return {"correction": state.correction} | under("feedback", feedback)
 
-    def learn(self, memory: Pair, trial: Trial) -> Pair:
-        own, of_feedback = self._shown(trial)
-        return Pair(
-            self.learning.learn(memory.learning, own),
-            self.feedback.learn(memory.feedback, of_feedback),
-        )
-
-    def _shown(self, trial: Trial) -> Pair:
-        """The trial as each part learns from it."""
-        if "correction" not in trial.signals:
-            raise ValueError(
-                "OnReference: the trial has no signal 'correction' (N, n_y), so what was learned cannot be told"
-            )
-        own = trial._replace(u=trial.signals["correction"], signals={})
-        return Pair(own, trial._replace(signals=signals_of_part("feedback", trial.signals)))
-
-    @property
-    def trials_a_step(self) -> int:
-        return self.learning.trials_a_step
-
-    def limits(self, task: Task, memory: Pair, trial: Trial) -> dict[str, Limit]:
-        own, of_feedback = self._shown(trial)
-        return limits_below(
-            "learning", self.learning.limits(self._task(task), memory.learning, own)
-        ) | limits_below("feedback", self.feedback.limits(task, memory.feedback, of_feedback))
+    def played(self, schedule: ReferenceSchedule, task: Task) -> dict[str, jax.Array]:
+        """`reference` (N+1, n_y) is what the feedback follows in place of the task's reference."""
+        reference = jnp.asarray(task.reference).at[1:].add(schedule.u)
+        feedback = self.feedback.played(schedule.feedback, task)
+        return {"reference": reference} | under("feedback", feedback)
 
     def record(self, learned, e, task: Task) -> Trial:
         r = jnp.asarray(task.reference)

@@ -34,21 +34,24 @@ class PID(Scheme):
     channel by channel.
 
         position:  u[k] = kp e[k] + ki dt sum_{i<=k} e[i] + kd s[k] + f[k]
-        increment: u[k] = u[k-1] + kp (e[k] - e[k-1]) + ki dt e[k] + kd (s[k] - s[k-1]) + f[k] -
-        f[k-1] s[k] = (tau s[k-1] + e[k] - e[k-1]) / (tau + dt), which is the backward difference of
-        e for tau = 0 f[k] = kv (r[k+1] - r[k]) / dt + ka (r[k+2] - r[k+1] - r[k] + r[k-1]) / (2
-        dt^2)
+        increment: u[k] = u[k-1] + kp (e[k] - e[k-1]) + ki dt e[k] + kd (s[k] - s[k-1])
+                          + f[k] - f[k-1]
+        s[k] = (tau s[k-1] + e[k] - e[k-1]) / (tau + dt)
+        f[k] = kv (r[k+1] - r[k]) / dt + ka (r[k+2] - r[k+1] - r[k] + r[k-1]) / (2 dt^2)
 
-    Before the first sample e = 0 and f = 0. Where u hits `limit`, the position form stops
-    integrating unless the error drives it back (conditional integration); the increment form starts
-    from the limited u and so needs no more. f is velocity and acceleration feedforward, central for
-    the middle of the interval over which u[k] is held: so an integrator follows exactly with kv
-    alone, and a double integrator with ka alone at zero phase, y[k] = (r[k+1] + 2 r[k] + r[k-1]) /
-    4. The
-    reference holds its ends before and after the trial. f is nothing learned: under `WithFeedback`
-    it belongs to the feedback's share. kp [u/y], ki [u/(y s)], kd [u s/y]: () or (n,);  tau:
-    derivative filter [s];  limit: largest |u|, None for none kv [u s/y], ka [u s^2/y]: () or (n,),
-    None for none; ka previews two samples
+    For tau = 0, s is the backward difference of e. Before the first sample e = 0 and f = 0. Where u
+    hits `limit`, the position form stops integrating unless the error drives it back (conditional
+    integration); the increment form starts from the limited u and so needs no more.
+
+    f is velocity and acceleration feedforward, central for the middle of the interval over which
+    u[k] is held: so an integrator follows exactly with kv alone, and a double integrator with ka
+    alone at zero phase, y[k] = (r[k+1] + 2 r[k] + r[k-1]) / 4. The reference holds its ends before
+    and after the trial. f is not learned: under `WithFeedback` it belongs to the feedback's share.
+
+    kp [u/y], ki [u/(y s)], kd [u s/y]: () or (n,)
+    tau: () or (n,) time constant of the derivative filter [s]
+    limit: () or (n,) largest |u|, None for none
+    kv [u s/y], ka [u s^2/y]: () or (n,), None for none; ka previews two samples
     """
 
     kp: Leaf = leaf(default=0.0)

@@ -1,4 +1,5 @@
-"""P-, PD- and PID-type iterative learning control: the classical laws with a fixed learning gain."""
+"""P-, PD- and PID-type iterative learning control: the classical laws with a fixed learning "
+"gain."""
 
 from __future__ import annotations
 
@@ -12,16 +13,19 @@ from .scheme import Feedforward, Scheme, advance, limit_of, limited, need_square
 
 @pytree
 class PIDType(Scheme):
-    """Learns u_{j+1}[k] = (1 - leak) u_j[k] + gamma_p e_j[k+1+m] + gamma_i sum_{i<=k} e_j[i+1] +
-    gamma_d (e_j[k+1+m] - e_j[k+m]).
+    """P-, PD- and PID-type learning:
+
+        u_{j+1}[k] = (1 - leak) u_j[k] + gamma_p e_j[k+1+m] + gamma_i sum_{i<=k} e_j[i+1]
+                     + gamma_d (e_j[k+1+m] - e_j[k+m])
 
     The gains are per sample, as Cao 2019 (section IV-D) and Li 2020 (eq. 2) print theirs.
-    `Filtered(scheme, filter)` adds the
-    robustness filter: u_{j+1} = Q(u_j + L e_j). Errors and differences that lie beyond the end of
-    the trial count as zero.
-    gamma_p, gamma_i, gamma_d: () or (n,) [unit of u per unit of y];  leak: () forgetting in [0, 1)
-    lead: m, samples by which learning looks ahead beyond the one of u[k] -> y[k+1];  limit: largest
-    |u| learned
+    `Filtered(scheme, filter)` adds the robustness filter: u_{j+1} = Q(u_j + L e_j). Errors and
+    differences that lie beyond the end of the trial count as zero.
+
+    gamma_p, gamma_i, gamma_d: () or (n,) [unit of u per unit of y]
+    leak: () or (n,) forgetting in [0, 1)
+    lead: m, samples by which learning looks ahead beyond the one of u[k] -> y[k+1]
+    limit: () or (n,) largest |u| learned, None for none
     """
 
     gamma_p: Leaf = leaf(default=0.0)
@@ -58,5 +62,6 @@ def need_lead(scheme, task: Task) -> None:
     """Raises ValueError if the learning lead leaves nothing of the trial to learn from."""
     if scheme.lead >= task.N:
         raise ValueError(
-            f"{type(scheme).__name__}: lead = {scheme.lead} is outside its allowed range [0, {task.N - 1}] for N = {task.N}"
+            f"{type(scheme).__name__}: lead = {scheme.lead} is outside its allowed range [0, "
+            f"{task.N - 1}] for N = {task.N}"
         )

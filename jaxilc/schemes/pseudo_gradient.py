@@ -60,7 +60,8 @@ def need_window(scheme) -> None:
     name, phi0, rho = type(scheme).__name__, scheme.phi0.shape, scheme.rho.shape
     if phi0 != (window,) and (phi0, window) != ((), 1):
         raise ValueError(
-            f"{name}: phi0 has shape {phi0}; L_y = {scheme.L_y} and L_u = {scheme.L_u} need ({window},)"
+            f"{name}: phi0 has shape {phi0}; L_y = {scheme.L_y} and L_u = {scheme.L_u} need "
+            f"({window},)"
         )
     if rho not in ((), (window,)):
         raise ValueError(f"{name}: rho has shape {rho}; allowed are () and ({window},)")

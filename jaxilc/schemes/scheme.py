@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Iterator
 from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
+from ..pytree.fields import need_decorated
+from ..pytree.named_paths import named_leaves
 from ..signals.task import Limit, Sample, Task, Trial
 
 Memory = Any
@@ -17,35 +19,69 @@ STOPPED = 1e-30  # an estimator step that moves nothing
 
 
 class Feedforward(NamedTuple):
-    """The table of a scheme that only plays back what it learned. u: (N, n_u)"""
+    """The schedule of a scheme that only plays back what it learned. u: (N, n_u)"""
 
     u: jax.Array
+
+
+class Part(NamedTuple):
+    """A scheme that another one is made of, with the task and the memory that it sees."""
+
+    scheme: Scheme
+    task: Task
+    memory: Memory
+
+
+class _Unasked:
+    """Stands for a memory where nobody asks for it: each field and each element is it again."""
+
+    def __getattr__(self, name: str) -> _Unasked:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return self
+
+    def __getitem__(self, index) -> _Unasked:
+        return self
+
+
+UNASKED: Any = _Unasked()
 
 
 class Scheme:
     """A control scheme. Its weights are the fields of a `@pytree` class; a user's own scheme
     subclasses this.
 
-    Between trials a `memory` is carried (any pytree); within a trial a `state`. `table(memory,
-    task)` is what the trial needs of the memory, sample by sample, each leaf (N, ...); where it has
-    a field `u`, that is the learned feedforward input. Pure feedback overrides `initial_state`
-    and `act`; pure feedforward overrides `initial_memory` and `learn`.
+    Between trials a `memory` is carried, which is any pytree; within a trial a `state`.
+    `schedule(memory, task)` gives the rows that `act` sees, one for each sample. Where it has a
+    field `u`, that is the learned feedforward input. Pure feedback overrides `initial_state` and
+    `act`; pure feedforward overrides `initial_memory` and `learn`.
+
+    A scheme that is made of schemes says so with `parts`, and with `shown` what each of them learns
+    from. Preparation, checks, limits and what a machine plays then follow from those of the parts.
 
     Theory reads off the program itself whether a scheme is linear and learns alike in every trial
     (`theory.structure`). What it cannot read off, the scheme says: `estimator_steps` (see
-    `frozen`), `clips` (see `limits`), `trials_a_step`; and, where it is made of schemes, `play` and
-    `record`.
+    `frozen`), `clips` (see `limits`), `compares`, `trials_a_step`, `play` and `record`.
+
+    estimator_steps: fields that are the step of an estimator; with 0, nothing adapts
+    clips: fields that are a limit, which None takes away
+    compares: fields that, unless they are 0, make `act` compare the output of the running trial
+        with the one that `learn` was shown
+    preview: samples of the reference after k that `act` wants to see
+    trials_a_step: trials that are run before the scheme learns once
     """
 
-    __dataclass_fields__: ClassVar[
-        dict[str, dataclasses.Field]
-    ]  # `@pytree` makes a dataclass of each subclass
-    estimator_steps: ClassVar[
-        tuple[str, ...]
-    ] = ()  # fields that are the step of an estimator: at 0 nothing adapts
-    clips: ClassVar[tuple[str, ...]] = ()  # fields that are a limit, which None takes away
-    preview: int = 1  # samples of the reference ahead of k that `act` wants to see
-    trials_a_step: int = 1  # trials that are run before it learns once
+    # `@pytree` makes a dataclass of each subclass
+    __dataclass_fields__: ClassVar[dict[str, dataclasses.Field]]
+    estimator_steps: ClassVar[tuple[str, ...]] = ()
+    clips: ClassVar[tuple[str, ...]] = ()
+    compares: ClassVar[tuple[str, ...]] = ()
+    preview: int = 1
+    trials_a_step: int = 1
+
+    def __init__(self, *values: Any, **named: Any):
+        if type(self) is not Scheme or values or named:
+            need_decorated(type(self))
 
     @property
     def learns(self) -> bool:
@@ -54,54 +90,100 @@ class Scheme:
 
     @property
     def plays_back(self) -> bool:
-        """Whether `act` only plays back the table's `u`, whatever happens in the trial."""
+        """Whether `act` only plays back the `u` of the schedule, whatever happens in the trial."""
         return type(self).act is Scheme.act
+
+    # What it is made of
+    # ----------------------------------------------------------------------------------------------
+
+    def parts(self, task: Task, memory: Memory) -> dict[str, Part]:
+        """The schemes that this one is made of, by the field that holds each: (scheme, task,
+        memory), with the task and the memory that the part sees.
+
+        A plain scheme has none. Unless it is overridden, the parts are the fields that are schemes,
+        each with the same task and with the field of its name in the memory; a scheme for which the
+        memory has no field is left out, and override `parts` to have its limits seen. `memory` may
+        be a placeholder (`UNASKED`), so pick from it, and compute nothing.
+        """
+        return {
+            name: Part(scheme, task, getattr(memory, name))
+            for name, scheme in self._fields_that_are_schemes().items()
+            if hasattr(memory, name)
+        }
+
+    def shown(self, trial: Trial) -> dict[str, Trial]:
+        """The trial as each part learns from it, by the field that holds the part."""
+        return dict.fromkeys(self._fields_that_are_schemes(), trial)
 
     def prepared(self, task: Task) -> Scheme:
         """This scheme with what depends on its weights and the task alone worked out, once, outside
         the scans; parts likewise.
         """
-        return self._changed(lambda part: part.prepared(task), {})
+        return self._with(
+            {
+                name: scheme.prepared(seen)
+                for name, (scheme, seen, _) in self.parts(task, UNASKED).items()
+            }
+        )
 
     def frozen(self) -> Scheme:
         """The linear law that this scheme starts as: estimators stopped at their start values,
         rules of when to learn left out.
         """
-        stopped = {
-            name: STOPPED * jnp.ones_like(getattr(self, name)) for name in self.estimator_steps
-        }
-        return self._changed(lambda part: part.frozen(), stopped)
+        parts = {name: one.frozen() for name, one in self._fields_that_are_schemes().items()}
+        steps = {name: getattr(self, name) for name in self.estimator_steps}
+        return self._with(
+            parts | {name: STOPPED * jnp.ones_like(step) for name, step in steps.items()}
+        )
 
     def unlimited(self) -> Scheme:
         """This scheme without the limits that it and its parts have."""
-        return self._changed(lambda part: part.unlimited(), dict.fromkeys(self.clips))
+        parts = {name: one.unlimited() for name, one in self._fields_that_are_schemes().items()}
+        return self._with(parts | dict.fromkeys(self.clips))
 
-    def _changed(self, of_part: Callable[[Scheme], Scheme], own: dict[str, Any]) -> Scheme:
-        """This scheme with each scheme that it is made of changed, and fields of its own."""
-        parts = (
-            {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
-            if dataclasses.is_dataclass(self)
-            else {}
-        )
-        new = {name: of_part(one) for name, one in parts.items() if isinstance(one, Scheme)} | own
-        return dataclasses.replace(self, **new) if new else self
+    def _fields_that_are_schemes(self) -> dict[str, Scheme]:
+        fields = dataclasses.fields(self) if dataclasses.is_dataclass(self) else ()
+        values = {field.name: getattr(self, field.name) for field in fields}
+        return {name: value for name, value in values.items() if isinstance(value, Scheme)}
+
+    def _with(self, changed: dict[str, Any]) -> Scheme:
+        return dataclasses.replace(self, **changed) if changed else self
+
+    # Between trials
+    # ----------------------------------------------------------------------------------------------
+
+    def check(self, task: Task) -> None:
+        """Raises ValueError where the scheme, or one of its parts, cannot do this task."""
+        for scheme, seen, _ in self.parts(task, UNASKED).values():
+            scheme.check(seen)
 
     def initial_memory(self, task: Task) -> Memory:
         """What is known before the first trial."""
         return ()
 
-    def table(self, memory: Memory, task: Task) -> Any:
-        """The rows that `act` sees, one a sample."""
+    def learn(self, memory: Memory, trial: Trial) -> Memory:
+        """What is known after a trial, simulated or measured."""
         return memory
+
+    def schedule(self, memory: Memory, task: Task) -> Any:
+        """The rows that `act` sees: a pytree of which each leaf has N rows, one for each sample.
+
+        Unless it is overridden, the feedforward alone where the memory has a field `u` (N, n_u),
+        else the memory as it is.
+        """
+        return Feedforward(memory.u) if hasattr(memory, "u") else memory
 
     def feedforward(self, memory: Memory, task: Task) -> jax.Array:
         """(N, n_u) the learned input that the next trial plays back. Raises ValueError for a scheme
         that learns none.
         """
-        table = self.table(memory, task)
-        if not hasattr(table, "u"):
+        schedule = self.schedule(memory, task)
+        if not hasattr(schedule, "u"):
             raise ValueError(f"{type(self).__name__} learns no feedforward input")
-        return table.u
+        return schedule.u
+
+    # Within a trial
+    # ----------------------------------------------------------------------------------------------
 
     def initial_state(self, task: Task) -> State:
         """The state before the first sample of a trial."""
@@ -115,24 +197,42 @@ class Scheme:
         """Internal signals worth recording, read off the state after `act`."""
         return {}
 
-    def learn(self, memory: Memory, trial: Trial) -> Memory:
-        """What is known after a trial, simulated or measured."""
-        return memory
+    # For real machines and for theory
+    # ----------------------------------------------------------------------------------------------
+
+    def played(self, schedule: Any, task: Task) -> dict[str, jax.Array]:
+        """What a real machine is given of the schedule of a trial, by name, each (N, ...).
+
+        `u` of a scheme that only plays back. Of a scheme whose schedule has a field for each of its
+        parts, what each part plays, as `PART.NAME`. Else the rows that the controller needs to run
+        the law, as `table.NAME`.
+        """
+        if self.plays_back and hasattr(schedule, "u"):
+            return {"u": schedule.u}
+        parts = self.parts(task, UNASKED)
+        if not parts or not all(hasattr(schedule, name) for name in parts):
+            return {f"table.{name}": rows for name, rows in named_leaves(schedule).items()}
+        found = {}
+        for name, (scheme, seen, _) in parts.items():
+            found |= under(name, scheme.played(getattr(schedule, name), seen))
+        return found
 
     def limits(self, task: Task, memory: Memory, trial: Trial) -> dict[str, Limit]:
         """By name, what must stay within its bound for the limits of this scheme to change nothing.
 
         memory, trial: with which a trial was entered, and its record, under the `unlimited` scheme
         A field `limit` is taken to be the largest |u| within a trial; a scheme that limits what it
-        learns says so.
+        learns overrides this. The limits of a part are under its name.
         """
-        return limit_of(trial.u, getattr(self, "limit", None)) if "limit" in self.clips else {}
+        own = limit_of(trial.u, getattr(self, "limit", None)) if "limit" in self.clips else {}
+        parts = self.parts(task, memory)
+        return own | limits_of_parts(parts, self.shown(trial) if parts else {})
 
     def play(self, learned, memory: Memory, task: Task) -> Any:
-        """The `table` of a trial that plays `learned` (of the shape of `feedforward`) in place of
-        what was learned.
+        """The `schedule` of a trial that plays `learned` (of the shape of `feedforward`) in place
+        of what was learned.
         """
-        return self.table(memory, task)._replace(u=learned)
+        return self.schedule(memory, task)._replace(u=learned)
 
     def record(self, learned, e, task: Task) -> Trial:
         """The record of a trial that played `learned` with the error e (N+1, n_y), as `learn` takes
@@ -141,23 +241,33 @@ class Scheme:
         r = jnp.asarray(task.reference)
         return Trial(r, r - e, learned, task.dt)
 
-    def check(self, task: Task) -> None:
-        """Raises ValueError where the scheme cannot do this task."""
+
+def with_all_parts(scheme: Scheme, task: Task, memory: Memory = UNASKED) -> Iterator[Part]:
+    """The scheme, the schemes that it is made of, those that they are made of, and so on."""
+    yield Part(scheme, task, memory)
+    for part in scheme.parts(task, memory).values():
+        yield from with_all_parts(*part)
+
+
+def under(name: str, found: dict[str, Any]) -> dict[str, Any]:
+    """What a part has by name, under the name of the part: `NAME.KEY`."""
+    return {f"{name}.{key}": value for key, value in found.items()}
 
 
 def need_square(scheme: Scheme, task: Task) -> None:
-    """Raises ValueError unless the task has as many inputs as outputs (schemes that work channel by
-    channel).
+    """Raises ValueError unless the task has as many inputs as outputs, which a scheme that works
+    channel by channel needs.
     """
     if task.inputs != task.outputs:
         raise ValueError(
-            f"{type(scheme).__name__} works channel by channel and needs as many inputs as outputs, not {task.inputs} and {task.outputs}; "
-            "pick the outputs it shall see with OnOutputs"
+            f"{type(scheme).__name__} works channel by channel and needs as many inputs as "
+            "outputs, "
+            f"not {task.inputs} and {task.outputs}; pick the outputs it shall see with OnOutputs"
         )
 
 
 def limited(u, limit) -> jax.Array:
-    """u within +-limit (no limit: None)."""
+    """u within +-limit; None is no limit."""
     return u if limit is None else jnp.clip(u, -limit, limit)
 
 
@@ -166,13 +276,17 @@ def limit_of(signal, bound) -> dict[str, Limit]:
     return {} if bound is None else {"limit": Limit(signal, bound)}
 
 
-def limits_below(name: str, limits: dict[str, Limit]) -> dict[str, Limit]:
-    """The limits of a part, under its name."""
-    return {f"{name}.{path}": limit for path, limit in limits.items()}
+def limits_of_parts(parts: dict[str, Part], shown: dict[str, Trial]) -> dict[str, Limit]:
+    """The limits of each part, under its name. shown: the trial as each part acted in it"""
+    found = {}
+    for name, (scheme, task, memory) in parts.items():
+        found |= under(name, scheme.limits(task, memory, shown[name]))
+    return found
 
 
 def advance(signal, samples: int) -> jax.Array:
-    """signal[k + samples] for k = 0..N-1, from a (N+1, n) signal; zero where the trial has ended."""
+    """signal[k + samples] for k = 0..N-1, from a (N+1, n) signal; zero where the trial has "
+    "ended."""
     return jnp.pad(signal[samples:], ((0, samples - 1), (0, 0))) if samples else signal[:-1]
 
 

@@ -14,7 +14,6 @@ from ..pytree.fields import Leaf, leaf, pytree, static
 from ..pytree.needs import known, need_channels
 from ..signals.task import Sample, Task, Trial
 from .scheme import Scheme, limited, need_square
-from .velocity import filtered_difference
 
 
 class SlidingState(NamedTuple):
@@ -37,29 +36,32 @@ class SMC(Scheme):
     """Integral sliding mode control with the nominal model y'' = -a1 y - a2 y' + b u (Xu 2024, eq.
     5 to 9), channel by channel.
 
-        sigma = e' + lam1 e + lam2 int e,    e = y - r: the paper's sign, opposite to that of
-        `Trial.e` u = (a1 y + a2 y' + r'' - lam1 e' - lam2 e - eta sgn(sigma) - k_n sigma) / b
+        sigma = e' + lam1 e + lam2 int e,    e = y - r
+        u = (a1 y + a2 y' + r'' - lam1 e' - lam2 e - eta sgn(sigma) - k_n sigma) / b
 
-    The model is given to the scheme and need not be that of the plant. Reference and position are
-    taken at the sample (`centre` = "sample", as printed) or for the middle of the interval over
-    which u[k] is held ("hold"), which takes out the half sample by which the input otherwise acts
-    late; for a stiffness a1 that is a disturbance of a1 y' dt / 2:
+    e has the paper's sign, opposite to that of `Trial.e`. The model is given to the scheme and need
+    not be that of the plant. Reference and position are taken at the sample (`centre` = "sample",
+    as printed) or for the middle of the interval over which u[k] is held ("hold"), which takes out
+    the half sample by which the input otherwise acts late; for a stiffness a1 that is a disturbance
+    of a1 y' dt / 2:
 
         sample: r' = (r[k+1] - r[k-1]) / (2 dt),  r'' = (r[k+1] - 2 r[k] + r[k-1]) / dt^2,  y = y[k]
-        hold:   r' = (r[k+1] - r[k]) / dt,  r'' = 3/2 of that now - 1/2 of that before,  y = (r[k+1]
-        + r[k]) / 2 + e + e' dt / 2
+        hold:   r' = (r[k+1] - r[k]) / dt,  r'' = 3/2 of that now - 1/2 of that before,
+                y = (r[k+1] + r[k]) / 2 + e + e' dt / 2
 
     e' is a `filtered_difference` of e with time constant tau, late by tau + dt / 2, and y' = r' +
     e': as the reference is known, only the velocity of the error is late. No observer on the
     nominal model: under `WithFeedback` it would not know the learned part of u. int e is dt
-    sum_{i<=k} e[i]. Before the first sample e = 0, and the reference rests at its first value; it
-    rests at its last after the
-    trial. Where u would pass `limit`, the integral stops unless the error drives it back.
-    sgn(0) = 0; the gradient through sgn is zero, that by eta is not.
-    a1 [1/s^2], a2 [1/s], b [y/(u s^2)], not 0;  eta: above the disturbance [y/s^2];  k_n: reaching
-    rate [1/s];  lam1 [1/s], lam2 [1/s^2]
-    tau: [s];  limit: largest |u|, None for none. All () or (n,). eta and k_n are not printed: the
-    defaults suit the paper's servo, in um. The signals `sigma` and `eta_hat` of the trial record
+    sum_{i<=k} e[i]. Before the first sample e = 0, and the reference rests at its first value;
+    after the trial it rests at its last. Where u would pass `limit`, the integral stops unless the
+    error drives it back. sgn(0) = 0; the gradient through sgn is zero, that by eta is not.
+
+    a1 [1/s^2], a2 [1/s], b [y/(u s^2)]: of the nominal model, b not 0
+    eta: switching gain, above the disturbance [y/s^2];  k_n: reaching rate [1/s]
+    lam1 [1/s], lam2 [1/s^2]: of sigma
+    tau: time constant of the estimated velocity [s];  limit: largest |u|, None for none
+    All are () or (n,). eta and k_n are not printed: the defaults suit the paper's servo, in um.
+    The signals `sigma` and `eta_hat` of the trial record
     the sliding variable and the switching gain.
     Raises ValueError for b = 0, or a task with another number of inputs than outputs.
     """
@@ -158,23 +160,22 @@ class ASMC(SMC):
     """`SMC` with an adaptive switching gain, a dead zone and a boundary layer (Xu 2024, eq. 10 to
     13):
 
-        eta_hat' = phi |sigma| while |e| > epsilon, else 0;    sgn(sigma) -> sat(sigma / Delta) =
-        sigma / Delta for |sigma| <= Delta
+        eta_hat' = phi |sigma| while |e| > epsilon, else 0
+        sgn(sigma) -> sat(sigma / Delta) = sigma / Delta for |sigma| <= Delta
 
     and sgn(sigma) beyond (eq. 13; the sentence below it has inside and outside the layer
     exchanged). So within the layer the loop is linear if phi = 0, with k_n + eta / Delta for k_n.
     eta_hat[k] = eta_hat[k-1] + dt phi |sigma[k]| acts at once. It never falls; where u would pass
     `limit` it waits, as a larger gain would change nothing. Sampled, the loop is stable about as
-    long as
-    lam1 + k_n + eta_hat / Delta < 2 / dt, less with a large lam1 tau; beyond, the oscillation feeds
-    the adaptation, and eta_hat runs away. The gradient of sat by sigma is 1 / Delta within the
-    layer and zero beyond; of the dead zone's switching by epsilon it is zero.
-    eta: start value of eta_hat;  phi: rate of adaptation [1/s^2];  epsilon: dead zone [y];  Delta:
-    boundary layer > 0 [y/s]
+    long as lam1 + k_n + eta_hat / Delta < 2 / dt, less with a large lam1 tau; beyond, the
+    oscillation feeds the adaptation, and eta_hat runs away. The gradient of sat by sigma is 1 /
+    Delta within the layer and zero beyond; of the dead zone's switching by epsilon it is zero.
+
+    eta: start value of eta_hat;  phi: rate of adaptation [1/s^2]
+    epsilon: dead zone [y];  Delta: boundary layer > 0 [y/s]
     carry: whether a trial goes on with the eta_hat that the one before left. The paper's proof
-    needs that it does not: only if each trial
-           starts with the same eta_hat is w_{k+1} - w_k = 0 under a repetitive disturbance (eq.
-           37).
+        needs that it does not: only if each trial starts with the same eta_hat is w_{k+1} - w_k = 0
+        under a repetitive disturbance (eq. 37).
     Raises ValueError as `SMC` does, and from `learn` for a trial without the signal eta_hat if it
     is to be carried.
     """
@@ -196,7 +197,7 @@ class ASMC(SMC):
     def initial_memory(self, task: Task) -> Any:
         return Carried(jnp.broadcast_to(self.eta, (task.outputs,))) if self.carry else ()
 
-    def table(self, memory, task: Task) -> Any:
+    def schedule(self, memory, task: Task) -> Any:
         return (
             CarriedRows(jnp.zeros((task.N, task.outputs)).at[0].set(memory.eta_hat))
             if self.carry
@@ -212,7 +213,8 @@ class ASMC(SMC):
             return memory
         if "eta_hat" not in trial.signals:
             raise ValueError(
-                "ASMC: the trial has no signal 'eta_hat' (N, n_u), so carry = True has nothing to go on from"
+                "ASMC: the trial has no signal 'eta_hat' (N, n_u), so carry = True has nothing "
+                "to go on from"
             )
         return Carried(trial.signals["eta_hat"][-1])
 
@@ -230,5 +232,22 @@ def need_input_gain(scheme) -> None:
     """Raises ValueError if the input gain b, by which the scheme divides, is zero."""
     if known(scheme) and np.any(np.asarray(scheme.b) == 0):
         raise ValueError(
-            f"{type(scheme).__name__}: b = {scheme.b} is outside its allowed range: any number but 0"
+            f"{type(scheme).__name__}: b = {scheme.b} is outside its allowed range: any number "
+            "but 0"
         )
+
+
+def filtered_difference(slope, x, x_last, tau, dt) -> jax.Array:
+    """One step of the backward difference behind a first-order low-pass: d/dt -> s / (tau s + 1) at
+    s = (1 - z^-1) / dt.
+
+        slope' = (tau slope + x - x_last) / (tau + dt),    H(z) = (1 - z^-1) / (tau + dt - tau z^-1)
+
+    Once settled, a ramp is estimated exactly; slow signals are late by tau + dt / 2; at a frequency
+    w the amplitude is |H| / w = |sin(w dt / 2)| / (w dt / 2) / |1 + tau (1 - z^-1) / dt|. White
+    noise of standard deviation q in x, as rounding to a resolution of sqrt(12) q is, becomes q
+    sqrt(2 / ((tau + dt) (2 tau + dt))) in the slope.
+    slope: (n,) of the sample before [x/s];  x, x_last: (n,) signal now and a sample before;  tau:
+    () or (n,) >= 0 [s];  dt: [s]
+    """
+    return (tau * slope + x - x_last) / (tau + dt)

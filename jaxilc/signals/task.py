@@ -100,7 +100,7 @@ class Sample(NamedTuple):
     ahead:   (preview, n_y) r[k+1], r[k+2], ... as far as the scheme's `preview` asks; held at its
              end value
     y:       (n_y,) measured output y[k]
-    row:     the k-th row of what the scheme plays
+    row:     the k-th row of the scheme's schedule
     dt:      sample time [s]
     applied: (n_u,) what the actuator made of the input of the sample before, zero at k = 0. None
              where there is no actuator, or where nobody can tell; it is then what was commanded

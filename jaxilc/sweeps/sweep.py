@@ -91,7 +91,7 @@ class Sweep:
         if not isinstance(self.schemes, Mapping):
             raise ValueError(
                 f"Sweep: schemes = {brief(self.schemes)} is a {type(self.schemes).__name__}; "
-                "allowed are schemes by name"
+                "allowed are schemes by name, such as {'name': scheme}"
             )
         if not self.schemes:
             raise ValueError("Sweep: schemes is empty; at least one is needed")

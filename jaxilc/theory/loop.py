@@ -81,7 +81,9 @@ def tick_of(machine: Machine, scheme: Scheme | None, task: Task):
         memory = scheme.initial_memory(short)
         return jax.tree.map(
             lambda rows: rows[1],
-            scheme.table(memory, short) if shape is None else scheme.play(learned, memory, short),
+            scheme.schedule(memory, short)
+            if shape is None
+            else scheme.play(learned, memory, short),
         )
 
     if shape is not None and preview > 1 and _looks_ahead(row_of, scheme, zeros):

@@ -10,7 +10,8 @@ from ..learning.machine import Machine
 from ..schemes import FFDLMFAILC, Scheme
 from ..signals.task import Task
 from ..uncertainty import Uncertainty
-from .bounds import PremiseShare, need_room, premises
+from .bounds import need_room
+from .bounds_of_machines import PremiseShare, premises
 from .certificates import Certificate, certify
 
 NEEDED = 3  # trials: the premises of a bound are about increments between increments

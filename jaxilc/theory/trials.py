@@ -110,7 +110,7 @@ def with_output(machine: Machine, d) -> Machine:
 
 @pytree
 class _Inside(Scheme):
-    """A scheme within a trial, with another table than its own."""
+    """A scheme within a trial, with another schedule than its own."""
 
     scheme: Scheme = child()
 
@@ -136,7 +136,7 @@ class _Inside(Scheme):
 class _Playing(_Inside):
     """A scheme that plays a given signal. Its memory is the scheme's, and what is played."""
 
-    def table(self, memory, task: Task) -> Any:
+    def schedule(self, memory, task: Task) -> Any:
         return self.scheme.play(memory[1], memory[0], task)
 
 
@@ -151,8 +151,8 @@ class Prescribed(_Inside):
     def plays_back(self) -> bool:
         return False
 
-    def table(self, memory, task: Task) -> Any:
-        return self.scheme.table(memory[0], task), memory[1][:-1]
+    def schedule(self, memory, task: Task) -> Any:
+        return self.scheme.schedule(memory[0], task), memory[1][:-1]
 
     def act(self, state, sample) -> Any:
         row, y = sample.row

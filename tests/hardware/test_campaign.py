@@ -389,7 +389,9 @@ def test_growth_and_saturation_warn_or_refuse_with_numbers(copied):
         call(*arguments, folder / "worse.csv", "--stop-on-growth")
     _, _, err = call(*arguments, folder / "worse.csv", "--dry-run")
     assert "warning: the RMS error grew" in err
-    assert "another table played" in err, "u is not what the feedback would have done about this y"
+    assert "another schedule played" in err, (
+        "u is not what the feedback would have done about this y"
+    )
     saturated = u.copy()
     saturated[40:90] = 10.0
     write_trial(folder / "saturated.csv", t, r, y, saturated)

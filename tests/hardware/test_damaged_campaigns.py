@@ -49,10 +49,10 @@ def campaign(tmp_path_factory):
     """The folder of a campaign of three trials, and what the machine plays after each."""
     folder = tmp_path_factory.mktemp("campaign") / "state"
     running = Campaign.start(folder, SCHEME, TASK, recipe={"scenario": "axis"})
-    played = [running.tables()["u"]]
+    played = [running.schedules()["u"]]
     for trial in TRIALS[:3]:
         running.keep(running.turn(trial))
-        played.append(running.tables()["u"])
+        played.append(running.schedules()["u"])
     return folder, played
 
 
@@ -70,7 +70,7 @@ def goes_on_or_back(folder, played):
     """It continues from its third trial, or says in one line that it cannot, and goes back."""
 
     def goes_on():
-        np.testing.assert_array_equal(opened(folder).tables()["u"], played[3])
+        np.testing.assert_array_equal(opened(folder).schedules()["u"], played[3])
         opened(folder).keep(opened(folder).turn(TRIALS[3]))
 
     said = refusal(goes_on)
@@ -79,9 +79,9 @@ def goes_on_or_back(folder, played):
     assert "--undo goes back" in said
     assert "a second line" not in said
     last = max(m["trial"] for m in Journal(folder).behind())
-    np.testing.assert_array_equal(opened(folder).tables(last)["u"], played[last])
+    np.testing.assert_array_equal(opened(folder).schedules(last)["u"], played[last])
     opened(folder).undo(last)
-    np.testing.assert_array_equal(opened(folder).tables()["u"], played[last])
+    np.testing.assert_array_equal(opened(folder).schedules()["u"], played[last])
     opened(folder).keep(opened(folder).turn(TRIALS[last]))
 
 
@@ -106,7 +106,7 @@ def test_a_flipped_bit_in_a_campaign_is_refused_or_changes_nothing(campaign, tmp
 def test_a_manifest_that_is_none_is_passed_by(copied, entry, content):
     folder, played = copied
     (folder / entry / "manifest.json").write_bytes(content)
-    np.testing.assert_array_equal(opened(folder).tables()["u"], played[3])  # it is there twice
+    np.testing.assert_array_equal(opened(folder).schedules()["u"], played[3])  # it is there twice
     (folder / entry / "manifest.copy.json").write_bytes(content)
     goes_on_or_back(folder, played)
     assert [row["event"] for row in Journal(folder).log()].count("damaged") == 1
@@ -138,7 +138,7 @@ def test_a_manifest_without_a_checksum_is_looked_at(copied, change):
         (entry / "manifest.json").write_text(json.dumps(manifest | {"format": 1}))
         for file in entry.glob("*.npz"):
             np.savez(file, **read_arrays(file))
-    np.testing.assert_array_equal(opened(folder).tables()["u"], played[3])
+    np.testing.assert_array_equal(opened(folder).schedules()["u"], played[3])
     last = folder / "000003" / "manifest.json"
     last.write_text(json.dumps(CHANGES[change](json.loads(last.read_text()))))
     goes_on_or_back(folder, played)
@@ -151,13 +151,13 @@ def test_a_memory_that_is_not_a_number_is_refused(copied):
     lost = {name: np.full_like(of, np.nan) for name, of in read_arrays(file).items()}
     np.savez(file, **lost)
     with pytest.raises(ValueError, match=r"memory.npz cannot be read .*its checksum is missing"):
-        opened(folder).tables()
+        opened(folder).schedules()
     file.write_bytes(archive(lost))  # with a checksum of its own
     with pytest.raises(ValueError, match="the memory after trial 3 is not a number in 000 u"):
-        opened(folder).tables()
+        opened(folder).schedules()
     file.write_bytes(archive({name: of[:-1] for name, of in lost.items()}))
     with pytest.raises(ValueError, match=r"the memory holds 000 u .*; this scheme needs 000 u"):
-        opened(folder).tables()
+        opened(folder).schedules()
     goes_on_or_back(folder, played)
 
 

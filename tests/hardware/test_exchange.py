@@ -13,9 +13,9 @@ import pytest
 import scipy.io
 from cases import ALGEBRA, DT, case
 
-from jaxilc.hardware import read_measured, write_tables
+from jaxilc.hardware import read_measured, write_schedules
 from jaxilc.learning import Actuator, learn, replay, run_trial
-from jaxilc.learning.playback import tables
+from jaxilc.learning.playback import schedules
 from jaxilc.schemes import OnOutputs, Scheme, WithFeedback
 from jaxilc.schemes.compose import Pair
 from jaxilc.schemes.scheme import Feedforward
@@ -113,7 +113,7 @@ def test_a_clock_that_drifts_is_refused_and_one_that_starts_late_is_not(tmp_path
         read_measured(text(tmp_path / "trial.csv", "t [s];y", [], []), task)
 
 
-def two_tables():
+def two_schedules():
     rng = np.random.default_rng(1)
     return {
         "feedforward": rng.standard_normal((N, 1)) * 1e-3,
@@ -122,9 +122,9 @@ def two_tables():
 
 
 def test_written_files_keep_every_digit(tmp_path):
-    given = two_tables()
+    given = two_schedules()
     for name in ("next.csv", "next.mat"):
-        write_tables(tmp_path / name, given, TWO, trial=4)
+        write_schedules(tmp_path / name, given, TWO, trial=4)
     header, *rows = (tmp_path / "next.csv").read_text().splitlines()
     assert header == "t [s],r0 [µm],r1 [µm],feedforward [],reference0 [µm],reference1 [µm]"
     columns = np.array([row.split(",") for row in rows], float)
@@ -143,8 +143,8 @@ def test_written_files_keep_every_digit(tmp_path):
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 @pytest.mark.parametrize("number", ["double", "float"])
 def test_a_compiler_reads_the_c_header_as_it_was_meant(tmp_path, number):
-    given = two_tables()
-    write_tables(tmp_path / "next.h", given, TWO, trial=4, number=number)
+    given = two_schedules()
+    write_schedules(tmp_path / "next.h", given, TWO, trial=4, number=number)
     header = (tmp_path / "next.h").read_text()
     assert re.search(r"/\* reference \[µm\], trial 4 \*/", header)
     (tmp_path / "main.c").write_text(
@@ -180,14 +180,14 @@ def test_another_format_is_refused(tmp_path):
         (tmp_path / "no/next.h", "float", "the folder does not exist"),
     ):
         with pytest.raises(ValueError, match=message):
-            write_tables(path, two_tables(), TWO, trial=1, number=number)
+            write_schedules(path, two_schedules(), TWO, trial=1, number=number)
 
 
 @pytest.mark.parametrize("name", ["p_type_on_reference", "milc"])
 def test_the_feedback_alone_along_the_learned_reference_makes_the_scheme_s_trial(name):
     machine, scheme, task = case(name)
     memory = learn(machine, scheme, task, 2).memory
-    played = tables(scheme, memory, task)
+    played = schedules(scheme, memory, task)
     motor = name == "milc"
     along = np.hstack([played["reference"], np.asarray(task.reference)[:, 1:]])
     feedback = OnOutputs(scheme.feedback, (0,)) if motor else scheme.feedback
@@ -222,9 +222,9 @@ def test_only_what_is_learned_can_be_played():
         ValueError,
         match="PID learns nothing that a machine could play; allowed are schemes that learn",
     ):
-        tables(scheme, scheme.initial_memory(task), task)
+        schedules(scheme, scheme.initial_memory(task), task)
     _, scheme, task = case("ffdl_none")
-    rows = tables(scheme, scheme.initial_memory(task), task)
+    rows = schedules(scheme, scheme.initial_memory(task), task)
     assert list(rows) == [
         "table.u",
         "table.u_last",

@@ -35,7 +35,8 @@ C_P = {"gain": 0.4, "pi": control.tf([0.5, -0.45], [1.0, -1.0], DT)}
 
 
 def impulse(system, samples=N):
-    """(n_y, n_u, samples) of a python-control system, the first sample with what it lets through."""
+    """(n_y, n_u, samples) of a python-control system, the first sample with what it lets "
+    "through."""
     u = np.zeros((system.ninputs, system.ninputs, samples))
     u[range(system.ninputs), range(system.ninputs), 0] = 1.0
     answers = [
@@ -128,7 +129,7 @@ BROKEN = {
         1.0,
         StateSpace([[-5.0]], [[1.0]], [[1.0], [2.0]]),
     ),
-    r"direct_model: C_P makes the position loop unstable \(spectral radius 1\.\d+\); allowed is at most 1": (
+    r"direct_model: C_P makes the position loop unstable \(spectral radius 1\.\d+\); allowed is at most 1": (  # noqa: E501
         direct_model,
         40.0,
         DRIVE_OF_BLOCKS,
@@ -502,7 +503,7 @@ def test_what_is_not_certified_may_diverge():
 def test_the_task_must_have_a_motor_and_a_table():
     scheme = multivariable()
     cases = {
-        "motor_output = 0 and table_output = 2 must be two of the task's 2 outputs, and its inputs one, not 1": (
+        "motor_output = 0 and table_output = 2 must be two of the task's 2 outputs, and its inputs one, not 1": (  # noqa: E501
             dataclasses.replace(scheme, table_output=2),
             TASK,
         ),
@@ -515,7 +516,7 @@ def test_the_task_must_have_a_motor_and_a_table():
             dataclasses.replace(scheme, learning=NormOptimal(direct_model(GAIN, MODEL), w_r=1.0)),
             TASK,
         ),
-        "MultivariableILC: WithFeedback acts within the trial; allowed are schemes that play back": (
+        "MultivariableILC: WithFeedback acts within the trial; allowed are schemes that play back": (  # noqa: E501
             dataclasses.replace(scheme, learning=WithFeedback(PIDType(gamma_p=1.0), PID(kp=1.0))),
             TASK,
         ),

@@ -249,7 +249,7 @@ BAD = {
     r"NormOptimal: w_r \+ w_s has the eigenvalues \[0. 1.\]": {"w_r": (0.0, 1.0)},
     "NormOptimal: limit = 0 ": {"w_r": 1.0, "limit": 0.0},
     "NormOptimal: form = 'dense' is not one of 'riccati', 'lifted'": {"w_r": 1.0, "form": "dense"},
-    "NormOptimal: model is a DifferenceEquation; allowed are StateSpace and TimeVaryingStateSpace": {
+    "NormOptimal: model is a DifferenceEquation; allowed are StateSpace and TimeVaryingStateSpace": {  # noqa: E501
         "model": PLANTS["arx"],
         "w_r": 1.0,
     },
@@ -308,7 +308,7 @@ MISFITS = {
         {"model": MODELS["varying"]},
         Task(REFERENCE[:-1], dt=DT),
     ),
-    f"'lifted' would need a dense matrix of {LARGEST_LIFTED + 2} rows .* allowed are {LARGEST_LIFTED}: use form = 'riccati'": (
+    f"'lifted' would need a dense matrix of {LARGEST_LIFTED + 2} rows .* allowed are {LARGEST_LIFTED}: use form = 'riccati'": (  # noqa: E501
         {"form": "lifted"},
         LONG,
     ),

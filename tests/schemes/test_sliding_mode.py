@@ -25,7 +25,7 @@ from jaxilc.learning import (
 )
 from jaxilc.plants import StateSpace
 from jaxilc.schemes import ASMC, PID, SMC, ExponentialPD, Filtered, PIDType, WithFeedback
-from jaxilc.schemes.velocity import filtered_difference
+from jaxilc.schemes.sliding_mode import filtered_difference
 from jaxilc.signals import Task, Trial
 from jaxilc.theory import contraction, frequency
 from jaxilc.theory.sliding import printed_condition, sampled_condition, sliding, within_layer

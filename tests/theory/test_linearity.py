@@ -155,8 +155,8 @@ class OnlyTen(Scheme):
     def initial_memory(self, task):
         return self.scheme.initial_memory(task), jnp.asarray(0.0)
 
-    def table(self, memory, task):
-        return self.scheme.table(memory[0], task)
+    def schedule(self, memory, task):
+        return self.scheme.schedule(memory[0], task)
 
     def learn(self, memory, trial) -> Any:
         inner, count = memory
@@ -178,8 +178,8 @@ class Bent(Scheme):
     def initial_memory(self, task):
         return self.scheme.initial_memory(task)
 
-    def table(self, memory, task):
-        return self.scheme.table(memory, task)
+    def schedule(self, memory, task):
+        return self.scheme.schedule(memory, task)
 
     def learn(self, memory, trial):
         e = jnp.clip(trial.e, -self.knee, self.knee)

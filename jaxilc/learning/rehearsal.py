@@ -1,0 +1,152 @@
+"""One sample and one turn of learning with shapes alone, before anything is compiled: what a user's
+own plant or scheme gives in a wrong shape is found here, and said by name.
+"""
+
+from __future__ import annotations
+
+import numbers
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from ..plants import Plant
+from ..pytree.named_paths import named_leaves
+from ..pytree.ranges import brief
+from ..schemes import Scheme
+from ..schemes.scheme import Part
+from ..signals.task import Sample, Task, Trial
+from .machine import Machine
+
+
+def need_pytrees(*trees: Any) -> None:
+    """Raises ValueError for an object that is neither a number nor a pytree, as one whose class
+    lacks `@pytree`.
+    """
+    for leaf in jax.tree.leaves(trees):
+        if not hasattr(leaf, "dtype") and not isinstance(leaf, numbers.Number):
+            name = type(leaf).__name__
+            raise ValueError(
+                f"{brief(leaf)} is no pytree; write @pytree (from jaxilc.pytree) above `class "
+                f"{name}`, "
+                "or register the class with JAX"
+            )
+
+
+def rehearse(machine: Machine, scheme: Scheme, task: Task) -> None:
+    """Raises ValueError where a method of the plant, or of the scheme, gives something of a shape
+    that a trial or the learning after it cannot go on with.
+    """
+    _rehearse_plant(machine.plant, task.dt)
+    _turn.eval_shape(scheme, task, actuated=machine.actuator is not None)
+
+
+def _rehearse_plant(plant: Plant, dt: float) -> None:
+    before, after, y = _step.eval_shape(plant, dt)
+    name = type(plant).__name__
+    was, now = (jax.tree.map(lambda x: x.shape, state) for state in (before, after))
+    if was != now:
+        raise ValueError(
+            f"{name}: a step makes a state of {brief(now)} of one of {brief(was)}; "
+            "allowed is the same again"
+        )
+    if getattr(y, "shape", None) != (plant.n_y,):
+        shape = getattr(y, "shape", type(y).__name__)
+        raise ValueError(
+            f"{name}: the output has shape {shape}; allowed is (n_y,) = ({plant.n_y},)"
+        )
+
+
+@partial(jax.jit, static_argnames="dt")
+def _step(plant: Plant, dt: float) -> Any:
+    """State at rest and after a step, and the output."""
+    plant = plant.sampled(dt)
+    x = plant.initial_state()
+    return x, plant.step(x, jnp.zeros(plant.n_u), dt), plant.output(x)
+
+
+@partial(jax.jit, static_argnames="actuated")
+def _turn(scheme: Scheme, task: Task, *, actuated: bool) -> None:
+    """The first sample of a trial, and what is learned from the trial."""
+    scheme, name = scheme.prepared(task), type(scheme).__name__
+    memory = scheme.initial_memory(task)
+    _need_rows(scheme, task, memory)
+    row = jax.tree.map(lambda rows: rows[0], scheme.schedule(memory, task))
+    rest, seen = jnp.zeros(task.inputs), jnp.zeros((scheme.preview, task.outputs))
+    before = scheme.initial_state(task)
+    sample = Sample(seen[0], seen, seen[0], row, task.dt, rest if actuated else None)
+    after, u = scheme.act(before, sample)
+    if jnp.shape(u) != (task.inputs,):
+        raise ValueError(
+            f"{name}: act gives an input of shape {jnp.shape(u)}; allowed is (n_u,) = "
+            f"({task.inputs},)"
+        )
+    _need_alike(f"{name}: act", "state", before, after, "initial_state gives")
+    signals = {
+        signal: jnp.zeros((task.N, *jnp.shape(value)), jnp.result_type(value))
+        for signal, value in scheme.signals(after).items()
+    }
+    r = jnp.asarray(task.reference)
+    trial = Trial(r, jnp.zeros_like(r), jnp.zeros((task.N, task.inputs)), task.dt, signals)
+    _need_learned_alike(scheme, task, memory, scheme.learn(memory, trial))
+
+
+def _need_rows(scheme: Scheme, task: Task, memory) -> None:
+    """Raises ValueError unless the schedule of the scheme, and of each of its parts, has N rows."""
+    for part in scheme.parts(task, memory).values():
+        _need_rows(*part)
+    name, schedule = type(scheme).__name__, scheme.schedule(memory, task)
+    if scheme.plays_back:
+        allowed = (task.N, task.inputs)
+        if not hasattr(schedule, "u"):
+            raise ValueError(
+                f"{name}: act plays back the u of the schedule, which has none; give the memory a "
+                f"field u (N, n_u) = {allowed}, or override schedule or act"
+            )
+        if jnp.shape(schedule.u) != allowed:
+            raise ValueError(
+                f"{name}: the u of its memory or schedule has shape {jnp.shape(schedule.u)}; "
+                f"allowed is (N, n_u) = {allowed}"
+            )
+    for path, rows in named_leaves(schedule).items():
+        if jnp.shape(rows)[:1] != (task.N,):
+            raise ValueError(
+                f"{name}: {path or 'the leaf'} of its schedule has shape {jnp.shape(rows)}; "
+                "allowed "
+                f"are N = {task.N} rows, so override schedule to leave out what act does not need"
+            )
+
+
+def _need_learned_alike(scheme: Scheme, task: Task, before, after) -> None:
+    """Raises ValueError unless `learn` gave a memory like the one before, part by part."""
+    name = type(scheme).__name__
+    if type(before) is type(after):
+        was, now = scheme.parts(task, before), scheme.parts(task, after)
+        for part in was:
+            inner, seen, memory = was[part]
+            _need_learned_alike(inner, seen, memory, Part(*now[part]).memory)
+    _need_alike(f"{name}: learn", "memory", before, after, "initial_memory gives")
+
+
+def _need_alike(who: str, what: str, before, after, allowed: str) -> None:
+    """Raises ValueError unless two pytrees have one structure, and leaves of one shape and type."""
+    if jax.tree.structure(before) != jax.tree.structure(after):
+        raise ValueError(
+            f"{who} makes a {what} {_in_words(after)} of {_in_words(before)}; allowed is what "
+            f"{allowed}"
+        )
+    for (path, was), now in zip(named_leaves(before).items(), jax.tree.leaves(after), strict=True):
+        known, found = jnp.shape(was), jnp.shape(now)
+        types = jnp.result_type(was), jnp.result_type(now)
+        weak = getattr(jax.typeof(was), "weak_type", False)  # such as 0.0, which takes any type
+        if known != found or (types[0] != types[1] and not weak):
+            raise ValueError(
+                f"{who} makes {path or what} {types[1]}{list(found)} of {types[0]}{list(known)}; "
+                f"allowed is what {allowed}"
+            )
+
+
+def _in_words(tree) -> str:
+    names = ", ".join(name for name in named_leaves(tree) if name)
+    return type(tree).__name__ + (f" ({names})" if names else "")

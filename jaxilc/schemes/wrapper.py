@@ -1,0 +1,85 @@
+"""A scheme around another scheme."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+
+from ..signals.task import Sample, Task, Trial
+from .scheme import UNASKED, Part, Scheme
+
+
+class Wrapper(Scheme):
+    """A scheme put around another, its field `scheme`, that does as that one does except for what
+    it overrides.
+
+    A wrapper whose inner scheme sees another task, or keeps another memory, says so in `parts`, and
+    all that is done within a trial follows. A wrapper whose inner scheme learns from another trial
+    says so in `shown`.
+    """
+
+    scheme: Scheme
+
+    def parts(self, task: Task, memory) -> dict[str, Part]:
+        return {"scheme": Part(self.scheme, task, memory)}
+
+    def _inner(self, task: Task, memory=UNASKED) -> Part:
+        return Part(*self.parts(task, memory)["scheme"])
+
+    @property
+    def preview(self) -> int:
+        return self.scheme.preview
+
+    @property
+    def learns(self) -> bool:
+        return self.scheme.learns
+
+    @property
+    def plays_back(self) -> bool:
+        return self.scheme.plays_back
+
+    @property
+    def limit(self) -> Any:
+        return getattr(self.scheme, "limit", None)
+
+    @property
+    def trials_a_step(self) -> int:
+        return self.scheme.trials_a_step
+
+    def initial_memory(self, task: Task) -> Any:
+        scheme, task, _ = self._inner(task)
+        return scheme.initial_memory(task)
+
+    def learn(self, memory, trial: Trial) -> Any:
+        return self.scheme.learn(memory, self.shown(trial)["scheme"])
+
+    def schedule(self, memory, task: Task) -> Any:
+        scheme, task, memory = self._inner(task, memory)
+        return scheme.schedule(memory, task)
+
+    def feedforward(self, memory, task: Task) -> jax.Array:
+        scheme, task, memory = self._inner(task, memory)
+        return scheme.feedforward(memory, task)
+
+    def initial_state(self, task: Task) -> Any:
+        scheme, task, _ = self._inner(task)
+        return scheme.initial_state(task)
+
+    def act(self, state, sample: Sample) -> tuple[Any, jax.Array]:
+        return self.scheme.act(state, sample)
+
+    def signals(self, state) -> dict[str, jax.Array]:
+        return self.scheme.signals(state)
+
+    def played(self, schedule, task: Task) -> dict[str, jax.Array]:
+        scheme, task, _ = self._inner(task)
+        return scheme.played(schedule, task)
+
+    def play(self, learned, memory, task: Task) -> Any:
+        scheme, task, memory = self._inner(task, memory)
+        return scheme.play(learned, memory, task)
+
+    def record(self, learned, e, task: Task) -> Trial:
+        scheme, task, _ = self._inner(task)
+        return scheme.record(learned, e, task)

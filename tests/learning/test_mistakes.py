@@ -1,0 +1,265 @@
+"""What a user's own code gets wrong is said before anything is compiled, with what to do."""
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cases import DT
+
+from jaxilc.learning import Machine, learn, over_trials
+from jaxilc.plants import DifferenceEquation, Plant
+from jaxilc.pytree import child, leaf, pytree
+from jaxilc.schemes import PID, PIDType, Scheme, WithFeedback
+from jaxilc.signals import Task
+from jaxilc.sweeps import Sweep
+from jaxilc.tuning import Tuning
+from jaxilc.tuning.objectives import Final
+from jaxilc.uncertainty import Uniform, draw
+
+N = 12
+TASK = Task(np.sin(0.3 * np.arange(N + 1)), dt=DT)
+PLANT = DifferenceEquation((0.7,), (0.3,), dt=DT)
+MACHINE = Machine(PLANT)
+
+
+class M(NamedTuple):
+    u: Any
+    n: Any
+
+
+class Reversed(NamedTuple):
+    n: Any
+    u: Any
+
+
+@pytree
+class Own(Scheme):
+    """Adds the gain times the error, and counts trials in its memory."""
+
+    gain: jax.Array = leaf(default=0.5)
+
+    def initial_memory(self, task):
+        return M(jnp.zeros((task.N, task.inputs)), jnp.zeros(()))
+
+    def learn(self, memory, trial):
+        return M(trial.u + self.gain * trial.e[1:], memory.n + 1)
+
+
+@pytree
+class FieldsExchanged(Own):
+    def initial_memory(self, task):
+        return M(jnp.zeros(()), jnp.zeros((task.N, task.inputs)))
+
+
+@pytree
+class AxesExchanged(Own):
+    def initial_memory(self, task):
+        return M(jnp.zeros((task.inputs, task.N)), jnp.zeros(()))
+
+
+@pytree
+class OneAxisLess(Own):
+    def initial_memory(self, task):
+        return M(jnp.zeros(task.N), jnp.zeros(()))
+
+
+@pytree
+class NoFeedforward(Own):
+    def initial_memory(self, task):
+        return {"input": jnp.zeros((task.N, task.inputs))}
+
+
+@pytree
+class ScheduleOfOneRow(Own):
+    def act(self, state, sample):
+        return state, sample.row["u"]
+
+    def schedule(self, memory, task):
+        return {"u": memory.u, "n": memory.n}
+
+
+@pytree
+class LearnsLonger(Own):
+    def learn(self, memory, trial):
+        return M(self.gain * trial.e, memory.n + 1)
+
+
+@pytree
+class LearnsWholeNumbers(Own):
+    def learn(self, memory, trial):
+        return M(trial.u, jnp.asarray(memory.n + 1, int))
+
+
+@pytree
+class LearnsAnother(Own):
+    def learn(self, memory, trial):
+        return Reversed(memory.n, trial.u)
+
+
+@pytree
+class ActsTwice(Own):
+    def act(self, state, sample):
+        return state, jnp.concatenate([sample.row.u, sample.row.u])
+
+
+@pytree
+class ActsForgets(Own):
+    def act(self, state, sample):
+        return None, sample.row.u
+
+    def initial_state(self, task):
+        return jnp.zeros(1)
+
+
+SHAPE = r"the u of its memory or schedule has shape {}; allowed is \(N, n_u\) = \(12, 1\)"
+MISTAKES = {
+    "fields": (FieldsExchanged, "FieldsExchanged: " + SHAPE.format(r"\(\)")),
+    "axes": (AxesExchanged, SHAPE.format(r"\(1, 12\)")),
+    "rank": (OneAxisLess, SHAPE.format(r"\(12,\)")),
+    "no_u": (NoFeedforward, r"NoFeedforward: act plays back the u .* give the memory a field u"),
+    "row": (ScheduleOfOneRow, r"n of its schedule has shape \(\).* override schedule"),
+    "longer": (LearnsLonger, r"LearnsLonger: learn makes u float64\[13, 1\] of float64\[12, 1\]"),
+    "type": (
+        LearnsWholeNumbers,
+        r"learn makes n int64\[\] of float64\[\]; .* initial_memory gives",
+    ),
+    "another": (
+        LearnsAnother,
+        r"LearnsAnother: learn makes a memory Reversed \(n, u\) of M \(u, n\)",
+    ),
+    "input": (ActsTwice, r"act gives an input of shape \(2,\); allowed is \(n_u,\) = \(1,\)"),
+    "state": (ActsForgets, r"ActsForgets: act makes a state .*initial_state gives"),
+}
+
+
+@pytest.fixture(autouse=True)
+def nothing_is_compiled(monkeypatch):
+    def compiling(*args, **options):
+        raise AssertionError("it came to compiling")
+
+    monkeypatch.setattr(over_trials, "_program", lambda save: compiling)
+
+
+@pytest.mark.parametrize(("scheme", "message"), MISTAKES.values(), ids=MISTAKES)
+def test_a_scheme_of_a_wrong_shape(scheme, message):
+    for one in (scheme(), WithFeedback(scheme(), PID(kp=0.1))):
+        if one is not None and isinstance(one, WithFeedback) and scheme in (ActsTwice, ActsForgets):
+            message = message.removeprefix("ActsForgets: ")  # what acts is the whole
+        with pytest.raises(ValueError, match=message):
+            learn(MACHINE, one, TASK, 3)
+
+
+def test_the_schedule_is_the_feedforward_alone_where_the_memory_has_one():
+    schedule = Own().schedule(Own().initial_memory(TASK), TASK)
+    assert schedule._fields == ("u",)
+    with pytest.raises(AssertionError, match="it came to compiling"):
+        learn(MACHINE, Own(), TASK, 3)
+
+
+@pytree
+class Gain(Plant):
+    """y = gain x, and x the last input."""
+
+    gain: jax.Array = leaf(default=1.0)
+
+    def initial_state(self):
+        return jnp.zeros(1)
+
+    def step(self, x, u, dt):
+        return u
+
+    def output(self, x):
+        return self.gain * x
+
+
+@pytree
+class NumberAsOutput(Gain):
+    def output(self, x):
+        return self.gain * x[0]
+
+
+@pytree
+class TwoOutputs(Gain):
+    def output(self, x):
+        return jnp.concatenate([x, x])
+
+
+@pytree
+class Growing(Gain):
+    def step(self, x, u, dt):
+        return jnp.concatenate([x, u])
+
+
+@pytest.mark.parametrize(
+    ("plant", "message"),
+    [
+        (
+            NumberAsOutput,
+            r"NumberAsOutput: the output has shape \(\); allowed is \(n_y,\) = \(1,\)",
+        ),
+        (TwoOutputs, r"TwoOutputs: the output has shape \(2,\)"),
+        (Growing, r"Growing: a step makes a state of \(2,\) of one of \(1,\)"),
+    ],
+)
+def test_a_plant_of_a_wrong_shape(plant, message):
+    with pytest.raises(ValueError, match=message):
+        learn(Machine(plant()), PIDType(), TASK, 3)
+
+
+class Undecorated(Scheme):
+    gain: Any = leaf(default=0.5)
+
+
+class UndecoratedBelow(PIDType):
+    more: Any = leaf(default=0.5)
+
+
+class UndecoratedPlant(Plant):
+    gain: Any = leaf(default=0.5)
+
+
+@dataclasses.dataclass
+class Plain(Scheme):
+    gain: float = 0.5
+
+
+@pytest.mark.parametrize("cls", [Undecorated, UndecoratedBelow, UndecoratedPlant])
+def test_a_forgotten_pytree(cls):
+    for build in (cls, lambda: cls(gain=0.3) if cls is not UndecoratedBelow else cls(gamma_p=0.3)):
+        with pytest.raises(ValueError, match=rf"write @pytree .* above `class {cls.__name__}`"):
+            build()
+
+
+def test_a_dataclass_that_is_no_pytree():
+    @pytree
+    class Around(Scheme):
+        inner: Any = child()
+
+    for scheme in (Plain(), Around(Plain())):
+        with pytest.raises(ValueError, match=r"write @pytree .* above `class Plain`"):
+            learn(MACHINE, scheme, TASK, 3)
+
+
+def test_a_plant_in_place_of_a_machine():
+    with pytest.raises(ValueError, match=r"is a DifferenceEquation; .*: write Machine\(plant\)"):
+        learn(PLANT, PIDType(), TASK, 3)
+
+
+def test_a_scheme_in_place_of_schemes_by_name():
+    with pytest.raises(ValueError, match=r"is a PIDType; .* such as \{'name': scheme\}"):
+        Sweep(MACHINE, PIDType(), TASK, 3, {"plant.b": Uniform(0.9, 1.1, relative=True)})
+
+
+def test_a_pair_in_place_of_a_distribution():
+    pair = {"plant.b": (0.9, 1.1)}
+    message = r"plant.b = \(0.9, 1.1\) is no distribution; .* such as Uniform\(0.9, 1.1, relative"
+    for attempt in (
+        lambda: Sweep(MACHINE, {"p": PIDType()}, TASK, 3, pair),
+        lambda: Tuning(MACHINE, PIDType(), TASK, 3, ["gamma_p"], pair, Final("rms")).run(),
+        lambda: draw(MACHINE, pair, 3),
+    ):
+        with pytest.raises(ValueError, match=message):
+            attempt()
