@@ -11,6 +11,7 @@ Schemes keep colour, line style and mark through all figures of a dataset, trial
 grey, so that both can be told apart in print. Figures are made without pyplot's global state.
 """
 
+from . import report
 from .by_frequency import frequency_tests, spectrum, time_frequency
 from .by_trial import certificate, error_band, error_by_trial
 from .experiments import record_figure, validation_figure
@@ -31,6 +32,7 @@ __all__ = [
     "loss_by_step",
     "pareto_front",
     "record_figure",
+    "report",
     "save",
     "spectrum",
     "time_frequency",
