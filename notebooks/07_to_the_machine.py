@@ -191,7 +191,7 @@ top.figure
 memory = scheme.initial_memory(task)
 for j in range(1, 19):
     record = trial_files.read_measured(folder / f"trial-{j}.csv", task)
-    _, signals = jaxilc.playback.replay(scheme, task, memory, record.y, axis.machine.actuator)
+    _, signals = jaxilc.learning.replay(scheme, task, memory, record.y, axis.machine.actuator)
     memory = jaxilc.next_memory(
         scheme, task, memory, record.y, record.u, feedback=signals["feedback"]
     )

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from .. import filters, plants, schemes
-from ..filters import switching
+from .. import plants, schemes
+from ..filters import switching, zero_phase
 from ..plants import Plant
 from ..pytree.ranges import as_numbers, brief, is_whole
 from ..schemes import Scheme
@@ -29,12 +29,12 @@ def classes() -> dict[str, type]:
     """Every class a file may name: schemes, filters, plants and their parts."""
     found = {name: getattr(module, name) for module in (schemes, plants) for name in module.__all__}
     found |= {
-        name: value for module in (filters, switching) for name, value in vars(module).items()
+        name: value for module in (zero_phase, switching) for name, value in vars(module).items()
     }
     return {
         n: c
         for n, c in found.items()
-        if dataclasses.is_dataclass(c) and c.__module__.startswith(__package__)
+        if dataclasses.is_dataclass(c) and c.__module__.startswith(__package__.partition(".")[0] + ".")
     }
 
 

@@ -71,7 +71,7 @@ def test_setup_too_late_for_loops_says_so_even_where_the_devices_are_given():
 
 KEPT = """
 import jaxilc, jax; jaxilc.setup()
-from jaxilc.runtime import keep_programs
+from jaxilc.runtime.start import keep_programs
 hits = []
 jax.monitoring.register_event_listener(lambda name, **_: hits.append(name) if name.endswith("cache_hits") else None)
 folder = keep_programs()

@@ -67,7 +67,7 @@ def test_results_are_whole_at_every_moment(tmp_path):
 
 
 def test_what_killed_processes_left_is_removed_and_what_is_being_written_stays(tmp_path):
-    program = "import sys, time; from pathlib import Path; from jaxilc import files\n"
+    program = "import sys, time; from pathlib import Path; from jaxilc.storage import files\n"
     program += "with files.whole_folder(Path(sys.argv[1]) / 'store') as unfinished: print(unfinished.name, flush=True); time.sleep(60)"
     writer = subprocess.Popen(
         [sys.executable, "-c", program, str(tmp_path)], stdout=subprocess.PIPE, text=True

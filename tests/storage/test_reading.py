@@ -227,7 +227,7 @@ def test_without_a_home_it_works_and_keeps_nothing():
         "import os, pwd\n"
         "def nobody(uid): raise KeyError(uid)\n"
         "pwd.getpwuid = nobody\n"
-        "from jaxilc.runtime import keep_programs, setup\n"
+        "from jaxilc.runtime.start import keep_programs, setup\n"
         "setup(); print(keep_programs())"
     )
     gone = ("HOME", "XDG_CACHE_HOME", "JAXILC_CACHE", "JAX_COMPILATION_CACHE_DIR")
