@@ -34,8 +34,7 @@ def classes() -> dict[str, type]:
     return {
         n: c
         for n, c in found.items()
-        if dataclasses.is_dataclass(c)
-        and c.__module__.startswith(__package__.partition(".")[0] + ".")
+        if dataclasses.is_dataclass(c) and c.__module__.startswith(__name__.partition(".")[0] + ".")
     }
 
 
