@@ -1,29 +1,39 @@
-# The environment is built once, from the pinned list: with uv where it is installed, else with venv and pip.
+# The environment is built once, from the pinned list: with uv where it is installed, else with
+# venv and pip.
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 PINNED := .ci/requirements.txt
 UV     := $(shell command -v uv 2>/dev/null)
 
-.PHONY: run test docs wheel clean
+.DEFAULT_GOAL := help
+.PHONY: help run check lint test docs wheel clean
 
-run: $(VENV)/.ready
+help:  ## this list
+	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-7s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+run: $(VENV)/.ready  ## a sweep over 1024 uncertain motors, to out/sweep-cao-2019
 	$(BIN)/jaxilc sweep cao-2019 --out out/sweep-cao-2019 --resume
 
-test: $(VENV)/.ready
-	$(BIN)/ruff check .
-	$(BIN)/ruff format --check .
-	$(BIN)/ty check
+check: lint  ## lint, format, types, quick tests: under 2 minutes on 2 cores
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "quick and not slow"
+
+test: lint  ## everything, as CI runs it: also the documentation and all tests
 	JAX_PLATFORMS=cpu $(BIN)/python .ci/docs/render.py
 	$(BIN)/python -m pytest -n 2
 
-docs: $(VENV)/.ready
+lint: $(VENV)/.ready  ## lint, format and types alone
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/ty check
+
+docs: $(VENV)/.ready  ## the guide and a page for each public module, to out/docs
 	JAX_PLATFORMS=cpu $(BIN)/python .ci/docs/render.py out/docs
 
-wheel: $(VENV)/.ready
+wheel: $(VENV)/.ready  ## a wheel, to dist
 	$(BIN)/python -m build --no-isolation --wheel
 
-clean:
+clean:  ## remove the environment, out and dist
 	rm -rf $(VENV) out dist
 
 $(VENV)/.ready: $(PINNED) pyproject.toml

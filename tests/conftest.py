@@ -20,6 +20,21 @@ from jax.experimental.compilation_cache import compilation_cache  # noqa: E402
 from jaxilc.learning import Machine  # noqa: E402
 
 
+def pytest_addoption(parser):
+    parser.addini("quick", "files and tests that `make check` runs", type="linelist")
+
+
+def pytest_collection_modifyitems(config, items):
+    """Mark what `quick` in pyproject.toml lists, so that `-m quick` runs it."""
+    entries = config.getini("quick")
+    listed = {entry for entry in entries if not entry.startswith("not ")}
+    left_out = {entry.removeprefix("not ") for entry in entries} - listed
+    for item in items:
+        test = item.nodeid.partition("[")[0]
+        if {test, test.partition("::")[0]} & listed and test not in left_out:
+            item.add_marker(pytest.mark.quick)
+
+
 @pytest.fixture(scope="module", autouse=True)
 def _forget_compiled_programs():
     """What a module compiled is of no use to the next one; all of it together takes gigabytes."""

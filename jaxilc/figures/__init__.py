@@ -13,6 +13,7 @@ of grey, so that both can be told apart in print. Figures are made without the g
 pyplot.
 """
 
+from . import report
 from .by_frequency import frequency_tests, spectrum, time_frequency
 from .by_trial import certificate, error_band, error_by_trial
 from .campaign import campaign_figure
@@ -35,6 +36,7 @@ __all__ = [
     "loss_by_step",
     "pareto_front",
     "record_figure",
+    "report",
     "save",
     "spectrum",
     "time_frequency",

@@ -1,0 +1,142 @@
+"""The guide and the start page: their links lead somewhere, and their Python code passes type
+checkers as a user's script.
+"""
+
+import importlib
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import jaxilc
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / ".ci" / "docs"
+CODE = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+WITH_PYTHON = ["README.md", ".ci/docs/guide/library.md"]
+SHORTEST = """
+import numpy as np
+
+from jaxilc import Machine, Task, learn
+from jaxilc.plants import DifferenceEquation
+from jaxilc.schemes import PIDType
+
+r = np.sin(np.arange(101) / 10)
+p = DifferenceEquation((1.6, -0.65), (0.06, 0.03), dt=1e-3)
+dt = 1e-3
+learn(Machine(p), PIDType(gamma_p=0.5), Task(r, dt), trials=2)
+learn(Machine(p), PIDType(gamma_p=np.array(0.5)), Task(list(r), dt), trials=2)
+"""
+CHECKERS = {  # what stands before the scripts on the command line
+    "mypy": ["--no-incremental", "--python-executable", sys.executable],
+    "pyright": ["--pythonpath", sys.executable],
+    "ty": ["check", "--quiet", "--python", sys.prefix, "--extra-search-path", str(ROOT)],
+}
+
+
+def code_of(file: str) -> str:
+    """The Python blocks of a page, one after another."""
+    return "\n".join(CODE.findall((ROOT / file).read_text(encoding="utf-8")))
+
+
+@pytest.fixture(scope="module")
+def scripts(tmp_path_factory) -> list[Path]:
+    """The Python code of each page as one script, and the shortest script of a user."""
+    folder = tmp_path_factory.mktemp("scripts")
+    texts = [code_of(file) for file in WITH_PYTHON]
+    assert all(text.count("jaxilc.learn(") >= 2 for text in texts)
+    for name, text in zip(("start_page", "library", "shortest"), [*texts, SHORTEST], strict=True):
+        (folder / f"{name}.py").write_text(text)
+    return sorted(folder.glob("*.py"))
+
+
+@pytest.mark.parametrize("name", CHECKERS)
+def test_a_users_script_passes_type_checkers(name, scripts):
+    beside = Path(sys.executable).parent / name
+    checker = str(beside) if beside.exists() else shutil.which(name)
+    if checker is None:  # mypy and ty are among the pinned versions; pyright needs node
+        pytest.skip(f"{name} is not installed")
+    path = {"MYPYPATH": str(ROOT), "PYTHONPATH": str(ROOT)}
+    found = subprocess.run(
+        [checker, *CHECKERS[name], *map(str, scripts)],
+        cwd=scripts[0].parent,
+        env=os.environ | path,
+        capture_output=True,
+        text=True,
+    )
+    assert found.returncode == 0, found.stdout + found.stderr
+
+
+def test_the_shortest_script_of_a_user_runs():
+    exec(SHORTEST, {})
+
+
+@pytest.fixture
+def pages(monkeypatch):
+    """The module that writes the guide, which stands outside the package."""
+    pytest.importorskip("pdoc")
+    monkeypatch.syspath_prepend(str(DOCS))
+    return importlib.import_module("pages")
+
+
+def test_every_link_of_the_guide_leads_somewhere(pages):
+    found = {file: pages.links(file) for file in pages.PAGES}
+    assert len(found["README.md"]) >= 8
+    read = {leads for links in found.values() for _, leads, _ in links} | {"CHANGELOG.md"}
+    assert set(pages.PAGES) <= read | {"README.md"}, "a page that no other page leads to"
+
+
+def test_a_broken_link_is_refused(pages, monkeypatch, tmp_path):
+    monkeypatch.setattr(pages, "ROOT", tmp_path)
+    (tmp_path / "a.md").write_text("# A\n\n[b](b.md)\n")
+    with pytest.raises(
+        ValueError, match=r"a\.md: the link b\.md leads to b\.md, which is not there"
+    ):
+        pages.links("a.md")
+    (tmp_path / "b.md").write_text("# The b\n")
+    assert pages.links("a.md") == [("b.md", "b.md", "")]
+    (tmp_path / "a.md").write_text("# A\n\n[b](b.md#the-c)\n")
+    with pytest.raises(ValueError, match=r"b\.md#the-c leads to a heading that is not there"):
+        pages.links("a.md")
+
+
+def test_every_page_of_the_folder_is_listed(pages):
+    written = {path.relative_to(ROOT).as_posix() for path in DOCS.glob("guide/*.md")}
+    assert written <= set(pages.PAGES)
+
+
+def test_every_public_name_is_there():
+    for name in jaxilc.__all__:
+        assert getattr(jaxilc, name) is not None
+
+
+def test_the_start_page_is_short():
+    lines = (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
+    assert len(lines) <= 150
+    assert max(map(len, lines)) <= 100
+
+
+def test_files_that_the_pages_name_are_there():
+    """Paths such as `jaxilc/cli/entry.py` or `experiments/...py` in backquotes."""
+    for file in [*DOCS.glob("guide/*.md"), ROOT / "README.md", ROOT / ".github/CONTRIBUTING.md"]:
+        text = file.read_text(encoding="utf-8")
+        named = re.findall(r"`((?:jaxilc|tests|experiments|notebooks|\.ci)/[\w./]*)`", text)
+        for path in named:
+            if "NAME" not in path:
+                assert (ROOT / path).exists(), f"{file.name} names {path}"
+
+
+def test_the_quick_tests_are_there():
+    """Each entry of `quick` in pyproject.toml is a file, or a test that its file has."""
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    quick = settings["tool"]["pytest"]["ini_options"]["quick"]
+    assert len(quick) == len(set(quick))
+    for entry in quick:
+        file, _, test = entry.removeprefix("not ").partition("::")
+        assert (ROOT / file).exists(), entry
+        assert not test or f"def {test}(" in (ROOT / file).read_text(encoding="utf-8"), entry
