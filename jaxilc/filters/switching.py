@@ -109,8 +109,7 @@ class SwitchableFilter(Filter):
             if self.width > length:
                 raise ValueError(
                     f"SwitchableFilter: width = {self.width:g} s is outside its allowed range [0, "
-                    f"{length:g}], "
-                    f"the length of segment {i}{where}"
+                    f"{length:g}], the length of segment {i}{where}"
                 )
 
 

@@ -95,8 +95,9 @@ class Disturbance:
 
 
 class Draws(NamedTuple):
-    """One trial's disturbances and sensor noise, sample by sample; None where the machine has "
-    "none."""
+    """One trial's disturbances and sensor noise, sample by sample; None where the machine has
+    none.
+    """
 
     input: jax.Array | None  # (N, n_u), in units of the input
     output: jax.Array | None  # (N+1, n_y), in units of the output

@@ -34,8 +34,7 @@ def schedules(scheme: Scheme, memory, task: Task) -> dict[str, np.ndarray]:
     if not scheme.learns or not found:
         raise ValueError(
             f"{type(scheme).__name__} learns nothing that a machine could play; allowed are "
-            "schemes "
-            "that learn"
+            "schemes that learn"
         )
     return {
         name: np.asarray(values, float).reshape(len(values), -1) for name, values in found.items()

@@ -29,8 +29,7 @@ def need_pytrees(*trees: Any) -> None:
             name = type(leaf).__name__
             raise ValueError(
                 f"{brief(leaf)} is no pytree; write @pytree (from jaxilc.pytree) above `class "
-                f"{name}`, "
-                "or register the class with JAX"
+                f"{name}`, or register the class with JAX"
             )
 
 
@@ -113,8 +112,8 @@ def _need_rows(scheme: Scheme, task: Task, memory) -> None:
         if jnp.shape(rows)[:1] != (task.N,):
             raise ValueError(
                 f"{name}: {path or 'the leaf'} of its schedule has shape {jnp.shape(rows)}; "
-                "allowed "
-                f"are N = {task.N} rows, so override schedule to leave out what act does not need"
+                f"allowed are N = {task.N} rows, so override schedule to leave out what act does "
+                "not need"
             )
 
 

@@ -138,8 +138,7 @@ def nonlinear_system(system, x0, substep: float | None) -> NonlinearSystem:
     if _depends(read, parameters, given, "u"):
         raise ValueError(
             "from_control: the output function uses u, a direct feedthrough; u[k] acts on y[k+1] "
-            "at "
-            "the earliest, so it may use t, x and the parameters only"
+            "at the earliest, so it may use t, x and the parameters only"
         )
     timed = any(_depends(f, parameters, given, "t") for f in (update, read))
     return dataclasses.replace(plant, timed=timed)
@@ -168,8 +167,7 @@ def _check_substep(discrete: bool, substep: float | None) -> None:
     if not discrete and (substep is None or not substep > 0):
         raise ValueError(
             f"from_control: substep = {substep} for a nonlinear system in continuous time; give "
-            "the "
-            "longest step of the integrator (Runge-Kutta of order 4) in s, above 0"
+            "the longest step of the integrator (Runge-Kutta of order 4) in s, above 0"
         )
 
 
@@ -190,8 +188,7 @@ def _traced(what: str, f: Callable, parameters, given, shape: tuple[int, ...]) -
     except Exception as error:  # whatever a user's function raises when it is given tracers
         raise ValueError(
             f"from_control: JAX cannot trace the {what} function ({type(error).__name__}); write "
-            "it "
-            "with jax.numpy in place of numpy or math, and without `if` on t, x or u"
+            "it with jax.numpy in place of numpy or math, and without `if` on t, x or u"
         ) from error
     if found != shape:
         raise ValueError(

@@ -140,8 +140,9 @@ def is_decorated(cls: type) -> bool:
 
 
 def need_decorated(cls: type) -> None:
-    """Raises ValueError for a class that has no fields of its own because `@pytree` was "
-    "forgotten."""
+    """Raises ValueError for a class that has no fields of its own because `@pytree` was
+    forgotten.
+    """
     if "__dataclass_params__" not in vars(cls):
         raise ValueError(
             f"{cls.__name__}: the class is no pytree, so its fields would not be seen; write "

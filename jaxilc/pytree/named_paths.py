@@ -202,8 +202,9 @@ def _rebuilt_foreign(tree, whole, parts):
 
 
 def _like(old, new, name: str):
-    """A leaf for a leaf: of the same shape and precision. Anything may stand for what is no "
-    "leaf."""
+    """A leaf for a leaf: of the same shape and precision. Anything may stand for what is no
+    leaf.
+    """
     if not hasattr(old, "dtype"):
         return new
     if not hasattr(new, "dtype") and as_numbers(new) is None:

@@ -20,8 +20,9 @@ def known(tree) -> bool:
 
 
 def need_channels(tree, channels: int, *names: str) -> None:
-    """Raises ValueError unless each named field is one number, or one for each channel, or "
-    "absent."""
+    """Raises ValueError unless each named field is one number, or one for each channel, or
+    absent.
+    """
     for name in names:
         value = getattr(tree, name)
         if value is not None and np.shape(value) not in ((), (channels,)):

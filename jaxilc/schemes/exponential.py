@@ -1,5 +1,6 @@
-"""PD-type iterative learning control with a gain that grows along the trial (Xu 2024, section "
-"4)."""
+"""PD-type iterative learning control with a gain that grows along the trial (Xu 2024, section
+4).
+"""
 
 from __future__ import annotations
 

@@ -182,8 +182,7 @@ class Ladder(Guard):
                 raise ValueError(
                     f"Ladder: slow = {self.slow} with {name} = {getattr(scheme, name)} of "
                     f"{type(scheme).__name__}, which compares outputs within the trial; allowed "
-                    "are "
-                    f"None, or {name} = 0"
+                    f"are None, or {name} = 0"
                 )
         super().check(task)
 

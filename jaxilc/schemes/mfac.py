@@ -250,8 +250,9 @@ class CFDLMFAPC(Scheme):
         return future
 
     def _wanted(self, sample: Sample):
-        """A^T (Y* - E y) without its factor phi: (P_u, n) sums over rows i..P-1 of r(k+1+p) - "
-        "y(k)."""
+        """A^T (Y* - E y) without its factor phi: (P_u, n) sums over rows i..P-1 of r(k+1+p) -
+        y(k).
+        """
         if self.reference == "constant":
             return (self.P - jnp.arange(self.P_u))[:, None] * (sample.ahead[0] - sample.y)
         miss = sample.ahead - sample.y

@@ -1,5 +1,6 @@
-"""P-, PD- and PID-type iterative learning control: the classical laws with a fixed learning "
-"gain."""
+"""P-, PD- and PID-type iterative learning control: the classical laws with a fixed learning
+gain.
+"""
 
 from __future__ import annotations
 

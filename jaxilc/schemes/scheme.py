@@ -261,8 +261,8 @@ def need_square(scheme: Scheme, task: Task) -> None:
     if task.inputs != task.outputs:
         raise ValueError(
             f"{type(scheme).__name__} works channel by channel and needs as many inputs as "
-            "outputs, "
-            f"not {task.inputs} and {task.outputs}; pick the outputs it shall see with OnOutputs"
+            f"outputs, not {task.inputs} and {task.outputs}; pick the outputs it shall see with "
+            "OnOutputs"
         )
 
 
@@ -285,8 +285,9 @@ def limits_of_parts(parts: dict[str, Part], shown: dict[str, Trial]) -> dict[str
 
 
 def advance(signal, samples: int) -> jax.Array:
-    """signal[k + samples] for k = 0..N-1, from a (N+1, n) signal; zero where the trial has "
-    "ended."""
+    """signal[k + samples] for k = 0..N-1, from a (N+1, n) signal; zero after the
+    trial.
+    """
     return jnp.pad(signal[samples:], ((0, samples - 1), (0, 0))) if samples else signal[:-1]
 
 

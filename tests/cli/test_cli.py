@@ -525,9 +525,8 @@ def started(*words, **environment):
 @pytest.mark.parametrize("words", [("--help",), ("sweep", "--help"), ("--version",), ("list",)])
 def test_what_needs_no_jax_does_not_wait_for_it(words):
     program = (
-        "import sys, atexit; from jaxilc.cli import main\n"
-        "said = lambda: [name in sys.modules for name in ('jax', 'numpy')]\n"
-        "atexit.register(lambda: print(*said(), file=sys.stderr))\n"
+        "import sys, atexit; from jaxilc.cli import main\nsaid = lambda: [name in sys.modules for "
+        "name in ('jax', 'numpy')]\natexit.register(lambda: print(*said(), file=sys.stderr))\n"
         "main()"
     )
     done = subprocess.run(

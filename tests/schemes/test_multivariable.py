@@ -35,8 +35,9 @@ C_P = {"gain": 0.4, "pi": control.tf([0.5, -0.45], [1.0, -1.0], DT)}
 
 
 def impulse(system, samples=N):
-    """(n_y, n_u, samples) of a python-control system, the first sample with what it lets "
-    "through."""
+    """(n_y, n_u, samples) of a python-control system, the first sample with what it lets
+    through.
+    """
     u = np.zeros((system.ninputs, system.ninputs, samples))
     u[range(system.ninputs), range(system.ninputs), 0] = 1.0
     answers = [

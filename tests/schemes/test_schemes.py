@@ -1,5 +1,6 @@
-"""Each scheme against scalar loops over trials j and samples k, written from the papers' "
-"equations."""
+"""Each scheme against scalar loops over trials j and samples k, written from the papers'
+equations.
+"""
 
 import math
 
@@ -414,8 +415,9 @@ def test_filtered(law, q):
 
 @pytest.mark.parametrize("law", ["p_type", "filtered", "ffdl"])
 def test_with_feedback(law):
-    """Learned feedforward over a PID loop: the learning part knows its own share of the input "
-    "only."""
+    """Learned feedforward over a PID loop: the learning part knows its own share of the input
+    only.
+    """
     gains = {"kp": 0.8, "ki": 20.0, "kd": 2e-4}
     if law == "ffdl":
         learning, loop = mfailc("arx", "ffdl", OPTIONS["none"])
