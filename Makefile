@@ -16,7 +16,7 @@ run: $(VENV)/.ready  ## a sweep over 1024 uncertain motors, to out/sweep-cao-201
 	$(BIN)/jaxilc sweep cao-2019 --out out/sweep-cao-2019 --resume
 
 check: lint  ## lint, format, types, quick tests: under 2 minutes on 2 cores
-	$(BIN)/python -m pytest -n 2 --dist worksteal -m "quick and not slow"
+	$(BIN)/python -m pytest -n 2 -m "quick and not slow"
 
 test: lint  ## everything, as CI runs it: also the documentation and all tests
 	JAX_PLATFORMS=cpu $(BIN)/python .ci/docs/render.py
