@@ -42,7 +42,7 @@ class Uniform:
         _need_finite(self)
 
     def quantile(self, p) -> np.ndarray:
-        """The value below which a share p of the draws lies."""
+        """The quantile function: a draw is below this value with probability p."""
         return self.low + p * (self.high - self.low)
 
     def corners(self) -> tuple[float, float]:
@@ -66,8 +66,8 @@ class Normal:
         _need_finite(self)
 
     def quantile(self, p) -> np.ndarray:
-        """The value below which a share p of the draws lies."""
-        from scipy.special import ndtri  # imported here, since it takes long
+        """The quantile function: a draw is below this value with probability p."""
+        from scipy.special import ndtri  # imported here, because the import is slow
 
         return self.mean + self.std * ndtri(np.clip(p, 1e-12, 1.0 - 1e-12))
 
@@ -263,7 +263,7 @@ def _unit_cube(points: int, dimensions: int, seed: int, sampling: str) -> np.nda
         return np.zeros((points, dimensions))
     if sampling == "monte-carlo":
         return np.random.default_rng(seed).random((points, dimensions))
-    from scipy.stats import qmc  # imported here, since it takes long
+    from scipy.stats import qmc  # imported here, because the import is slow
 
     if sampling == "latin-hypercube":
         return qmc.LatinHypercube(dimensions, rng=seed).random(points)

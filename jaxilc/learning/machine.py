@@ -170,7 +170,7 @@ class Machine:
         return y if self.sensor is None else self.sensor.measure(y, noise)
 
     def draws(self, key, task: Task) -> Draws:
-        """The disturbances and noise of one trial."""
+        """The disturbances and the noise of one trial, drawn with the random key `key`."""
         of_input, of_output, of_sensor = jax.random.split(key, 3)
         d, shape_u, shape_y = self.disturbance, (task.N, task.inputs), (task.N + 1, task.outputs)
         noisy = self.sensor is not None and self.sensor.noise is not None

@@ -64,9 +64,9 @@ def replay(scheme: Scheme, task: Task, memory, y, actuator: Actuator | None = No
     y: (N+1, n_y) measured output [unit of y]
     actuator: actuator of the machine; None: the command is applied as it is
 
-    `act` sees nothing of the machine but y. So this is exactly what the feedback contributed in
-    that trial, if the controller computes the same law on the same samples. A feedback that is not
-    part of the scheme, such as the loops of a drive, belongs to the machine.
+    Of the signals of the machine `act` sees only y. So this is exactly what the feedback
+    contributed in that trial, if the controller computes the same law on the same samples. A
+    feedback that is not part of the scheme, such as the loops of a drive, belongs to the machine.
     """
     scheme = scheme.prepared(task)
     r = jnp.asarray(task.reference)

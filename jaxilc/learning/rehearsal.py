@@ -139,7 +139,7 @@ def _need_alike(who: str, what: str, before, after, allowed: str) -> None:
     for (path, was), now in zip(named_leaves(before).items(), jax.tree.leaves(after), strict=True):
         known, found = jnp.shape(was), jnp.shape(now)
         types = jnp.result_type(was), jnp.result_type(now)
-        weak = getattr(jax.typeof(was), "weak_type", False)  # such as 0.0, which takes any type
+        weak = getattr(jax.typeof(was), "weak_type", False)  # such as 0.0, which adapts its type
         if known != found or (types[0] != types[1] and not weak):
             raise ValueError(
                 f"{who} makes {path or what} {types[1]}{list(found)} of {types[0]}{list(known)}; "

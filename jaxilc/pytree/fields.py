@@ -146,7 +146,7 @@ def kind_of(field) -> str:
 
 
 def is_decorated(cls: type) -> bool:
-    """Whether `@pytree` made the class itself, rather than one that it inherits from."""
+    """Whether `@pytree` was applied to the class itself, not only to one of its base classes."""
     return "_made_by_pytree" in vars(cls)
 
 
@@ -242,9 +242,8 @@ def _as_float(owner: str, name: str, value):
         and not jax.numpy.iscomplexobj(value)
     ):
         floating = jax.numpy.issubdtype(value.dtype, jax.numpy.floating)
-        return jax.lax.convert_element_type(
-            value, value.dtype if floating else float
-        )  # also makes a weak type strong
+        # the conversion also makes a weak type strong
+        return jax.lax.convert_element_type(value, value.dtype if floating else float)
     found = None if isinstance(value, jax.Array) else as_numbers(value)
     if found is None:
         raise ValueError(f"{owner}: {name} = {brief(value)} is not a number or an array of numbers")

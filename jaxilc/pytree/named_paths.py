@@ -113,7 +113,7 @@ def field_names(tree) -> list[str]:
 
 
 def field_of(tree, name):
-    """The declaration of a field; None for what has no declaration, as an entry of a dictionary."""
+    """The declaration of a field; None if it has none, such as an entry of a dictionary."""
     if isinstance(tree, dict) or not dataclasses.is_dataclass(tree) or _is_foreign(tree):
         return None
     return next((f for f in dataclasses.fields(tree) if f.name == name), None)

@@ -35,9 +35,8 @@ class Interval(NamedTuple):
     def contains(self, value) -> bool:
         """Whether every element is in the interval; NaN never is."""
         value = np.asarray(value)
-        value = (
-            value.astype(float) if value.dtype.kind == "f" and value.itemsize < 4 else value
-        )  # half precision ends at 65,504
+        # the bounds may be beyond the largest number of half precision, 65,504
+        value = value.astype(float) if value.dtype.kind == "f" and value.itemsize < 4 else value
         above = value >= self.low if self.closed_low else value > self.low
         below = value <= self.high if self.closed_high else value < self.high
         return bool(np.all(above & below))
@@ -91,16 +90,11 @@ def as_numbers(value: Any) -> np.ndarray | None:
     """
     try:
         array = np.asarray(value)
-        if (
-            array.dtype == object and array.size and all(isinstance(x, int) for x in array.flat)
-        ):  # too long for an integer of NumPy
+        # integers that are too large for an integer type of NumPy
+        if array.dtype == object and array.size and all(isinstance(x, int) for x in array.flat):
             return array.astype(float)
-    except (
-        ValueError,
-        TypeError,
-        OverflowError,
-        RecursionError,
-    ):  # of unequal rows, or within itself
+    # rows of different lengths, or a list that contains itself
+    except (ValueError, TypeError, OverflowError, RecursionError):
         return None
     if array.dtype.kind not in "fiu":
         return None
@@ -129,7 +123,7 @@ def brief(value: Any) -> str:
     """The value as one short line of text."""
     try:
         text = repr(value)
-    except (ValueError, RecursionError):  # thousands of digits, or within itself
+    except (ValueError, RecursionError):  # thousands of digits, or a list that contains itself
         text = f"a {type(value).__name__} too long to show"
     text = " ".join(text.split())
     return text if len(text) <= _LONG else f"{text[: _LONG - 4]} ..."

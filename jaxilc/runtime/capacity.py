@@ -11,7 +11,7 @@ import jax
 
 try:
     import resource
-except ImportError:  # Windows limits processes in other ways
+except ImportError:  # Windows has no such limits of processes
     resource = None
 
 GROUPS = Path("/sys/fs/cgroup")
@@ -100,7 +100,7 @@ def shown(size: float) -> str:
 
 
 def _fitting(need: Callable[..., float], counts: Mapping[str, float], name: str, room: int) -> int:
-    """The largest value of one count that fits."""
+    """The largest value of one count with which the computation fits."""
     none, one = (need(**{**counts, name: count}) for count in (0, 1))
     return math.floor((room - none) / (one - none)) if none < room and one > none else 0
 
@@ -148,7 +148,7 @@ def _of_groups() -> Iterator[int]:
         _, controllers, path = line.split(":", 2)
         if controllers and "memory" not in controllers.split(","):
             continue
-        root = GROUPS / controllers if controllers else GROUPS  # of version 1, or of version 2
+        root = GROUPS / controllers if controllers else GROUPS  # version 1 or 2 of control groups
         limit, used = OF_GROUP_1 if controllers else OF_GROUP_2
         group = root / path.lstrip("/")
         for folder in (group, *(above for above in group.parents if above.is_relative_to(root))):

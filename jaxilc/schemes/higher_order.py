@@ -67,7 +67,7 @@ class HigherOrder(Scheme):
             )
         if known(self):
             total = float(np.sum(self.alpha))
-            if not 0 < total <= 1 + 1e-6:  # a sum such as 0.7 + 0.2 + 0.1, in single precision
+            if not 0 < total <= 1 + 1e-6:  # 0.7 + 0.2 + 0.1 may exceed 1 in single precision
                 raise ValueError(
                     f"HigherOrder: the sum of alpha = {total:g} is outside its allowed range (0, 1]"
                 )

@@ -163,10 +163,8 @@ class FFDLMFAILC(Scheme):
         )
         e = memory.seen * advance(task.reference - memory.y, 1 + self.lead)
         u = memory.u + gain * rho[c] * e
-        if not weights:
-            u = limited(
-                u, self.limit
-            )  # with weights, the running trial's increments come on top first
+        if not weights:  # with weights, `act` first adds the increments of the running trial
+            u = limited(u, self.limit)
         return Schedule(u, memory.y[:-1], memory.u, weights)
 
     def initial_state(self, task: Task) -> Window:

@@ -131,9 +131,8 @@ class NormOptimal(Scheme):
         if not known(weight):
             return
         W = np.asarray(_matrix(weight, size))
-        rounding = max(
-            1e-6, np.sqrt(np.finfo(W.dtype).eps)
-        )  # half of the digits, of single precision at least
+        # half of the digits must agree, but no more than 6, also in double precision
+        rounding = max(1e-6, np.sqrt(np.finfo(W.dtype).eps))
         if np.max(np.abs(W - W.T)) > rounding * np.max(np.abs(W)):
             raise ValueError(f"NormOptimal: {name} = {W.tolist()} is not symmetric")
         values = _eigenvalues(W)

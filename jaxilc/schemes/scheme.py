@@ -15,7 +15,7 @@ from ..signals.task import Limit, Sample, Task, Trial
 
 Memory = Any
 State = Any
-STOPPED = 1e-30  # an estimator step that moves nothing
+STOPPED = 1e-30  # step of an estimator with which its estimate does not change
 
 
 class Feedforward(NamedTuple):
@@ -25,7 +25,7 @@ class Feedforward(NamedTuple):
 
 
 class Part(NamedTuple):
-    """A scheme that another one is made of, with the task and the memory that it sees."""
+    """A scheme that is a part of another scheme, with the task and the memory that it sees."""
 
     scheme: Scheme
     task: Task

@@ -20,7 +20,7 @@ from typing import BinaryIO
 
 try:
     import fcntl
-except ImportError:  # Windows has other locks; there, nothing is removed and nothing is refused
+except ImportError:  # Windows has no fcntl; there, nothing is removed and nothing is refused
     fcntl = None
 
 UNFINISHED = ".unfinished-"
@@ -147,7 +147,7 @@ def _locked(path: Path) -> int | None:
     """
     if fcntl is None:
         return None
-    try:  # a lock on NFS needs a file that may be written to; a pipe must not make us wait
+    try:  # a lock on NFS needs a file open for writing; opening a pipe must not block
         access = os.O_RDONLY if path.is_dir() else os.O_RDWR
         descriptor = os.open(path, access | os.O_NOFOLLOW | os.O_NONBLOCK)
     except OSError:

@@ -40,7 +40,7 @@ STORED = {
 }  # types of elements
 TEXTS = {1: "utf-8", 2: "utf-8", 4: "utf-16", 16: "utf-8", 17: "utf-16", 18: "utf-32"}
 STRUCTURE, TEXT, OBJECT, NUMBERS = 2, 4, 17, range(6, 16)  # classes of arrays
-COMPLEX = 0x08  # among the flags
+COMPLEX = 0x08  # bit of the flags
 
 
 @dataclasses.dataclass(frozen=True)
