@@ -63,7 +63,7 @@ class NormOptimal(Scheme):
         p[k] = A' z - K[k]' (B' z - w_s u_j[k])
         d[k] = g[k] - K[k] x[k]
 
-    These equations were derived anew, because Appendix A of MILC 2024 has misprints. `lifted`
+    These equations were derived anew, because Appendix A of MILC 2024 has errors. `lifted`
     solves the same problem in dense form, with N n_u and N n_y up to 8192.
 
     model: nominal model of n_u inputs and n_y outputs, at the sample time of the task, where u[k]
