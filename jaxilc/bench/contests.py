@@ -59,7 +59,8 @@ def opponents() -> tuple[dict[str, tuple[Peer, float]], list[str]]:
 class Setting(NamedTuple):
     """MFAILC on the motor of Cao 2019, eq. 29, whose gain is uncertain by 10 %.
 
-    trials: J;  b: (S, 3) numerators of the plants
+    trials: J
+    b: (S, 3) numerators of the plants
     """
 
     machine: Any
@@ -93,7 +94,10 @@ class Setting(NamedTuple):
 def setting(scheme: str, plants: int, trials: int, samples: int) -> Setting:
     """The scenario `cao-2019` in that size, with one period of the sinusoid in each trial.
 
-    scheme: `cfdl` or `ffdl`;  plants: S;  trials: J;  samples: N
+    scheme: `cfdl` or `ffdl`
+    plants: S
+    trials: J
+    samples: N
     Raises ValueError for another scheme, and for a size that is too small or too large.
     """
     if scheme not in SCHEMES:

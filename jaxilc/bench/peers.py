@@ -19,9 +19,13 @@ METRICS = ("max_error", "rms", "settled_error", "effort")
 class Problem(NamedTuple):
     """S plants, J trials of N samples.
 
-    a: (3,) coefficients of the outputs;  b: (S, 3) coefficients of the inputs, of each plant
-    r: (N+1,) reference;  trials: J;  settled: first sample of the settled window
-    weights: (5,) lam, rho, eta, mu, epsilon;  phi0: (1,) for CFDL, (4,) for FFDL
+    a: (3,) coefficients of the outputs
+    b: (S, 3) coefficients of the inputs, of each plant
+    r: (N+1,) reference
+    trials: J
+    settled: first sample of the settled window
+    weights: (5,) lam, rho, eta, mu, epsilon
+    phi0: (1,) for CFDL, (4,) for FFDL
     """
 
     a: np.ndarray

@@ -22,8 +22,12 @@ ByTheSize = dict[str, tuple[dict[int, float], Cost]]  # of `contests.cost_by_siz
 class Programme(NamedTuple):
     """The sizes of a benchmark.
 
-    plants: numbers S of plants;  trials: J;  samples: N;  schemes: of `SCHEMES` and `ALONE`
-    long: samples of the long trial, 0 for none;  repeats: turns of every contender
+    plants: numbers S of plants
+    trials: J
+    samples: N
+    schemes: of `SCHEMES` and `ALONE`
+    long: samples of the long trial, 0 for none
+    repeats: turns of every contender
     """
 
     plants: Sequence[int]

@@ -48,8 +48,11 @@ def chosen_scenario(
 ) -> Scenario:
     """The scenario with what was set: its options first, then the parameter file, then the rest.
 
-    name: of a scenario, or a TOML or JSON file;  schemes: None for all;  trials: None for its own
-    settings: texts of `--set`;  params: a file that `jaxilc tune` wrote
+    name: of a scenario, or a TOML or JSON file
+    schemes: None for all
+    trials: None for its own
+    settings: texts of `--set`
+    params: a file that `jaxilc tune` wrote
     """
     from .. import scenarios
     from ..scenarios.from_file import load_scenario

@@ -16,7 +16,9 @@ def certificate_sentence(
 ) -> str:
     """What a certificate says, in words.
 
-    name: of the scheme;  trials: J;  numbers: of `certificate_numbers`
+    name: of the scheme
+    trials: J
+    numbers: of `certificate_numbers`
     scale, unit: in which errors are shown
     """
     in_the_long_run, within = _claimed(numbers, scale, unit), _expected(numbers)

@@ -79,7 +79,8 @@ def sweep_numbers(
 ) -> dict[str, Any]:
     """The summary of a sweep [shown unit] by scheme, with quantiles and the worst machine by trial.
 
-    tolerance: largest metric that passes [unit of the dataset];  machines: S
+    tolerance: largest metric that passes [unit of the dataset]
+    machines: S
     """
     k, unit = scenario.shown(scenario.judged_by)
     schemes = {
@@ -117,7 +118,8 @@ def sweep_numbers(
 def certificate_numbers(of_scheme: OfScheme) -> dict[str, Any]:
     """What a certificate says of the machines, as counts.
 
-    claims, reasons: for the long run;  expected, observed, confusion: what the error does in J
+    claims, reasons: for the long run
+    expected, observed, confusion: what the error does in J
     trials, by theory and by simulation;  premises, bound: of a scheme that has bounds
     """
     found = of_scheme.certificate

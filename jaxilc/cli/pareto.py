@@ -174,7 +174,9 @@ def _need_one_kind(second: str | None, budgets: str | None, **of_a_front: object
 class _Of(NamedTuple):
     """What both kinds of a trade-off start from.
 
-    source: name or file of the scenario;  folder: for results;  resume: go on with what is there
+    source: name or file of the scenario
+    folder: for results
+    resume: go on with what is there
     """
 
     chosen: Scenario

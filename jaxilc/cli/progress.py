@@ -119,7 +119,8 @@ def run_tunings(tunings: Callable, state: Path, *, count: int, steps: int, resum
     """Several tunings behind one bar each; what `tunings` returns.
 
     tunings: a function of the folder `state`, `resume` and `progress`, as `pareto` and `by_trials`
-    count: of the tunings;  steps: of each
+    count: of the tunings
+    steps: of each
     Ctrl-C ends the command with exit code 130.
     """
     with progress_bar("loss") as bar:

@@ -43,7 +43,8 @@ def parameter_file(
 ) -> Path:
     """Write the parameters in which a tuned scheme differs from that of its scenario.
 
-    command: that found them;  obtained: what else is worth knowing of that, as JSON
+    command: that found them
+    obtained: what else is worth knowing of that, as JSON
     source: name or file that the scenario was loaded from
     """
     from ..scenarios.from_file import load_scenario

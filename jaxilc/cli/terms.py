@@ -28,7 +28,8 @@ RISKS = "mean, worst, cvar[:alpha], smooth-max[:temperature]"
 def objective_of(text: str, metric: str, scale: float, option: str = "--objective") -> Objective:
     """An objective from `final:20 + 0.3*final@max_error`.
 
-    metric: of the terms that name none;  scale: tolerances are given as `scale` times the metric
+    metric: of the terms that name none
+    scale: tolerances are given as `scale` times the metric
     option: that the text was given to, for messages
     Raises ValueError naming what is allowed.
     """
@@ -100,7 +101,8 @@ def weights_of(text: str, bounds: list[str] | None) -> dict[str, tuple[float, fl
 def numbers_of(option: str, text: str, *, whole: bool = False) -> list[float]:
     """Different numbers from `0.1,0.3`.
 
-    option: that the text was given to, for messages;  whole: numbers of trials
+    option: that the text was given to, for messages
+    whole: numbers of trials
     Raises ValueError for what is not a number, and for a number that is there twice.
     """
     items = [item.strip() for item in text.split(",")]

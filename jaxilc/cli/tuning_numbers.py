@@ -69,7 +69,8 @@ def front_numbers(
 ) -> dict[str, Any]:
     """Both objectives and the weights of each point of a front, and of the weights as given.
 
-    given: both objectives with the weights as given;  shares: all that were asked for
+    given: both objectives with the weights as given
+    shares: all that were asked for
     """
     rows = {"given": {"first": given[0], "second": given[1], "weights": problem.start}}
     rows |= {
@@ -85,7 +86,8 @@ def budget_numbers(
 ) -> dict[str, Any]:
     """The metric of trial J [shown unit] for each number J of trials that was tuned for.
 
-    found: of `by_trials`;  dataset: of all these schemes, by J as text, and of the one `given`
+    found: of `by_trials`
+    dataset: of all these schemes, by J as text, and of the one `given`
     """
     metric, (scale, unit) = scenario.judged_by, scenario.shown(scenario.judged_by)
     summary = {row.scheme: row for row in summarise(dataset, 1.0, metric=metric)}

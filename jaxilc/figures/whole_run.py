@@ -30,7 +30,8 @@ def save_run(
     spectrum-SCHEME.png, time-frequency-SCHEME.png    of the error, for a scheme that learns
     contour-SCHEME.png      for two axes
 
-    dataset: of `run_schemes`;  shown: trials that have a row in the table of the run
+    dataset: of `run_schemes`
+    shown: trials that have a row in the table of the run
     """
     in_unit = {"scale": scenario.shown_scale, "unit": scenario.shown_unit}
     scale, unit = scenario.shown(scenario.judged_by)

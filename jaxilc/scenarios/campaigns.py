@@ -24,8 +24,10 @@ KEPT_RULES = ("limit", "correction", "saturation", "repeatability", "growth")
 class Given(NamedTuple):
     """What a call is given; a None is taken from the campaign that is there.
 
-    scenario: a name or a file;  plant_file: in its place, a TOML or JSON file
-    scheme: may be None where one scheme learns;  settings: values by path, over those kept
+    scenario: a name or a file
+    plant_file: in its place, a TOML or JSON file
+    scheme: may be None where one scheme learns
+    settings: values by path, over those kept
     rules: numbers of `KEPT_RULES` by name
     accept_saturation, stop_on_growth: of `Rules`, for this call alone
     """

@@ -18,8 +18,10 @@ from ..uncertainty import Uncertainty
 class Chunk(NamedTuple):
     """Machines under one scheme that are computed and stored together.
 
-    scheme: the scheme's place in the sweep;  name: its name
-    number: of the chunk;  start, stop: its machines are start, ..., stop - 1
+    scheme: the scheme's place in the sweep
+    name: its name
+    number: of the chunk
+    start, stop: its machines are start, ..., stop - 1
     """
 
     scheme: int

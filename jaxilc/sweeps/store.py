@@ -50,7 +50,8 @@ class Variable:
 class Layout:
     """All of a store that is known before anything is computed.
 
-    variables: by name;  coordinates: dimensions and values by name; every dimension has one
+    variables: by name
+    coordinates: dimensions and values by name; every dimension has one
     chunk: machines that are computed and stored together
     configuration: all that determines the numbers, as JSON
     """

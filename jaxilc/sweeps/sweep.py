@@ -43,7 +43,8 @@ WORK = 4  # arrays as large as a metric of all machines and trials, to find and 
 class Sweep:
     """A sweep, fully specified. `run` computes it.
 
-    machine, task, trials: as for `learn`;  schemes: by name
+    machine, task, trials: as for `learn`
+    schemes: by name
     uncertainty: distributions on the machine's named leaves
     machines, seed, sampling: how many machines are drawn and how, see `uncertainty.draw`; `samples`
     is an earlier name of `machines`

@@ -31,7 +31,8 @@ class UnlikeWorkers(ValueError):
 class Found(NamedTuple):
     """What was found of a worker.
 
-    environment: see `provenance.environment`;  host: name of the machine that it runs on
+    environment: see `provenance.environment`
+    host: name of the machine that it runs on
     free: bytes of RAM that are free on this host, None where unknown
     on_devices: bytes that are free on its devices, None where they have no RAM of their own
     limit: bytes that Dask lets it take, None where there is no limit
@@ -88,7 +89,8 @@ def call_host(
     """The result of a method of the plan's `Host` in this worker.
 
     There is one call at a time, however many threads the worker has: a chunk takes all devices.
-    plan: a pickled `Plan`;  expected: the environment of the other workers
+    plan: a pickled `Plan`
+    expected: the environment of the other workers
     Raises UnlikeWorkers where that of this worker differs.
     """
     from distributed import get_worker

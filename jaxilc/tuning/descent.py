@@ -19,8 +19,10 @@ from jax import lax
 class Evaluation(NamedTuple):
     """What is known of the loss at one z of P numbers.
 
-    value: () what is minimised;  gradient: (P,) of the value
-    residuals: (R,) for least squares;  slopes: (R, P) of the residuals
+    value: () what is minimised
+    gradient: (P,) of the value
+    residuals: (R,) for least squares
+    slopes: (R, P) of the residuals
     dropped: () how many residuals had no finite slope
     """
 
@@ -77,7 +79,8 @@ def repaired(losses, slopes, clip: float):
 class Method(NamedTuple):
     """An optimiser, for one start. Both functions are pure.
 
-    init: z -> state;  step: (z, state) -> (z, state, Step)
+    init: z -> state
+    step: (z, state) -> (z, state, Step)
     programs: both, compiled for many starts, see `for_starts`
     """
 
@@ -89,7 +92,9 @@ class Method(NamedTuple):
 class Step(NamedTuple):
     """What is recorded of a step, at the z from which it started.
 
-    loss: ();  slope: () length of the gradient;  dropped: () see `Evaluation`
+    loss: ()
+    slope: () length of the gradient
+    dropped: () see `Evaluation`
     """
 
     loss: jax.Array
@@ -203,10 +208,12 @@ def arguments_like(method: Method, z) -> tuple[Any, Any]:
 class State(NamedTuple):
     """A descent after `step` steps from K starts: all that is needed to go on.
 
-    z: (K, P) where it is;  inner: state of the method
+    z: (K, P) where it is
+    inner: state of the method
     best_z, best, best_step: (P,), (), () the z with the least held-out loss, this loss, its step
     stale: () how often the held-out loss was computed since then
-    loss, slope, dropped: (steps, K) see `Step`;  path: (steps, K, P) z of each step
+    loss, slope, dropped: (steps, K) see `Step`
+    path: (steps, K, P) z of each step
     held_out: (steps + 1, K) the held-out loss, NaN where it was not computed
     """
 
@@ -266,7 +273,8 @@ def descended(
 ) -> tuple[State, str]:
     """The state at the end of the descent, and why it ended.
 
-    method: compiled for many starts;  held_out: (K,) losses of z (K, P)
+    method: compiled for many starts
+    held_out: (K,) losses of z (K, P)
     validate_every: steps from one computation of the held-out losses to the next
     patience: how many computations without improvement are allowed
     after_step: called with the new state and the record of each step

@@ -43,7 +43,8 @@ from .weights import Weights
 class Losses:
     """Losses with their slopes. The fields are those of `Tuning`, and
 
-    machines: how they are drawn;  weights: those that are tuned, with their maps
+    machines: how they are drawn
+    weights: those that are tuned, with their maps
     """
 
     machines: Machines
@@ -75,7 +76,8 @@ class Losses:
     ) -> jax.Array:
         """() the risk over a batch of machines with these weights, and the nominal terms.
 
-        batch: as `Machines.drawn` gives it;  seed: of the noise
+        batch: as `Machines.drawn` gives it
+        seed: of the noise
         """
         of_machines, of_nominal = split(objective)
         run = self.machines.tiled(
@@ -95,7 +97,8 @@ class Losses:
             slope = sum_s (d risk / d l_s) (d l_s / d z) + slope of the nominal terms
 
         batch, seed: as in `risk_of`
-        clip: of the slope of a machine, see `descent.repaired`;  forward: how it is differentiated
+        clip: of the slope of a machine, see `descent.repaired`
+        forward: how it is differentiated
         """
         of_machines, of_nominal = split(objective)
 

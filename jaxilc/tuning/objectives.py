@@ -244,7 +244,9 @@ class Contraction(Objective):
     The supremum is over all small changes of the error (`theory.contraction.error_map`). The slope
     of sigma is that of |J v| at the singular vector v that Lanczos found, d sigma = u^T dJ v, so
     the iteration itself need not be differentiated.
-    below: what sigma shall stay below;  trials: n;  steps: of the Lanczos iteration
+    below: what sigma shall stay below
+    trials: n
+    steps: of the Lanczos iteration
     """
 
     below: float = 1.0

@@ -240,7 +240,8 @@ class Tuning:
         """The dataset of a sweep of the scheme as given and as tuned, for `summarise`.
 
         Its machines have had no part in the tuning, nor in the choice among the iterates.
-        trials: None for those of the tuning;  machines: how many, machine 0 is the nominal one
+        trials: None for those of the tuning
+        machines: how many, machine 0 is the nominal one
         seed: of the machines, None for that of the tuning + 2. Whoever changes a tuning after
         looking at a comparison needs other machines for the next one.
         Raises ValueError for the seeds of machines that had a part.

@@ -23,7 +23,8 @@ Progress = Callable[[str, int, np.ndarray, float], None]
 class Point(NamedTuple):
     """One point of a trade-off.
 
-    share: of the first objective;  tuned: what its tuning found
+    share: of the first objective
+    tuned: what its tuning found
     first, second: the risk of either objective over the held-out machines
     """
 
@@ -98,7 +99,8 @@ def by_trials(
     """The problem tuned anew for each number of trials, to see what error can be reached by then.
 
     Each tuning starts from the weights as given.
-    budgets: numbers of trials, each once;  out, resume, progress: as for `pareto`
+    budgets: numbers of trials, each once
+    out, resume, progress: as for `pareto`
     Raises ValueError naming budgets that are not allowed or too short for the objective, and what
     `Tuning.run` raises.
     """

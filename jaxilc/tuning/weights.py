@@ -99,13 +99,15 @@ class Weights:
 class Tuned:
     """What tuning found.
 
-    values: by name, of the iterate with the least held-out loss;  scheme: with these values
+    values: by name, of the iterate with the least held-out loss
+    scheme: with these values
     start: by name, as given
     loss, slope, dropped: (steps, K) of each step and start: training loss, length of its gradient,
     how many machines had no finite gradient
     weights: (steps, K) by name, the values that these belong to
     held_out: (steps + 1, K) held-out loss, NaN where it was not computed
-    before, after: held-out loss with `start` and with `values`;  step: of the best iterate
+    before, after: held-out loss with `start` and with `values`
+    step: of the best iterate
     nudged: by name, where weights were moved to that lay on an end of their range
     reason: why it stopped
     """

@@ -29,9 +29,12 @@ GROW, SHRINK, FIRST, SMALLEST = 1.5, 0.4, 0.1, 1e-6  # Riedmiller 1993 has 1.2 a
 class WorstCase(NamedTuple):
     """The largest loss that a search found.
 
-    values: by name, as `drawn_machine` takes them;  subject: rebuilt from them;  loss: there
+    values: by name, as `drawn_machine` takes them
+    subject: rebuilt from them
+    loss: there
     evaluations: of the loss, where a gradient counts as GRADIENT_COST further ones
-    found: (starts,) the largest loss from each start;  best: (steps,) the largest loss so far
+    found: (starts,) the largest loss from each start
+    best: (steps,) the largest loss so far
     """
 
     values: dict[str, float]

@@ -35,7 +35,8 @@ from .worst_case import (
 class Search(NamedTuple):
     """One search for the worst machine.
 
-    case: what it found;  value: the metric of that machine in the last trial
+    case: what it found
+    value: the metric of that machine in the last trial
     needed: evaluations until it had found it
     level_with_chance: evaluations until it had found as much as chance did; None if it never did
     """
@@ -77,9 +78,11 @@ def worst_machine(
 ) -> WorstMachine:
     """Search for the machine whose metric of the last trial is largest.
 
-    metric: of `Metrics`, or a name of `quantities`;  scale: metrics are returned as `scale` times
+    metric: of `Metrics`, or a name of `quantities`
+    scale: metrics are returned as `scale` times
     quantities: further metrics of a trial, by name
-    starts, steps: of the climb;  evaluations: to spend on it, in place of `steps`
+    starts, steps: of the climb
+    evaluations: to spend on it, in place of `steps`
     draws: of a larger search by chance besides
     Raises ValueError as `worst_case_search` does, and, before the climb, for what memory cannot
     hold.
