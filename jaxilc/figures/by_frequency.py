@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from ..theory.frequency import FrequencyTest
 
-DECADES = 4  # of amplitude that a map shows
+DECADES = 4  # decades of amplitude that a map shows
 
 
 def spectrum(
@@ -98,8 +98,8 @@ def time_frequency(
 ) -> np.ndarray:
     """Amplitude of the error over time and frequency, a map for each trial; axes (trials,).
 
-    The short-time Fourier transform under a Hann window, scaled as in `spectrum`; of several
-    outputs the largest amplitude. All maps have the same colours.
+    It is the short-time Fourier transform under a Hann window, scaled as in `spectrum`. With
+    several outputs the largest amplitude is shown. All maps have the same colours.
 
     dataset: with e, as for `signal_of`
     window: its length T [s], None for a sixteenth of the trial; the resolution is T / 2 in time and
@@ -167,9 +167,9 @@ def frequency_tests(tests: Mapping[str, FrequencyTest], *, ax=None) -> Axes:
     """|Q (keep - L P)|, which must stay below 1, against frequency; two axes.
 
     The lower axes show the part near 1. The frequency at which a test first reaches 1 is marked.
-    Four decades below the Nyquist frequency are shown.
+    The frequencies shown are the four decades below the Nyquist frequency.
 
-    tests: by name, of `theory.frequency.learning_condition`, `robust_condition` or
+    tests: tests by name, from `theory.frequency.learning_condition`, `robust_condition` or
         `norm_optimal_condition`
     """
     axes = new_axes(ax, 2)
