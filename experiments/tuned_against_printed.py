@@ -37,7 +37,7 @@ from jaxilc.tuning.objectives import Final, Growth, Holding, Objective
 from jaxilc.tuning.risks import CVaR, Mean
 
 JUDGED_SEED = 20261121
-FINE = 1e-4  # floor relative to the reference's peak; gains below it are not worth a larger peak error
+FINE = 1e-4  # floor relative to the reference's peak; errors below it count as equal
 MFAILC = {"lam": (1e-2, 1e2), "eta": None, "mu": (1e-3, 1e4)}
 
 

@@ -77,7 +77,7 @@ def repaired(losses, slopes, clip: float):
 
 
 class Method(NamedTuple):
-    """An optimiser, for one start. Both functions are pure.
+    """An optimiser for one start, with two pure functions.
 
     init: function z -> state
     step: function (z, state) -> (z, state, Step)

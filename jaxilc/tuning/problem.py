@@ -54,7 +54,7 @@ FORWARD_UP_TO = 3  # weights
 @takes_also(samples="machines")
 @dataclasses.dataclass(frozen=True)
 class Tuning:
-    """A tuning problem, fully specified. `run` solves it.
+    """A fully specified tuning problem, which `run` solves.
 
     machine, scheme, task, trials: as for `learn`
     weights: names of float leaves of the scheme, or of elements (`phi0[0]`), with (low, high)
