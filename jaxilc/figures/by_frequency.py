@@ -46,7 +46,7 @@ def spectrum(
     drawn. The first sample, which no input reaches, and the mean are left out. Outputs other than
     the first are dashed.
 
-    dataset: with e, as for `signal_of`
+    dataset: dataset with e, as for `signal_of`
     scale, unit: the error is shown as `scale` times that of the dataset, in `unit`
     Raises as `signal_of` does.
     """
@@ -101,9 +101,9 @@ def time_frequency(
     It is the short-time Fourier transform under a Hann window, scaled as in `spectrum`. With
     several outputs the largest amplitude is shown. All maps have the same colours.
 
-    dataset: with e, as for `signal_of`
-    window: its length T [s], None for a sixteenth of the trial; the resolution is T / 2 in time and
-        2 / T in frequency
+    dataset: dataset with e, as for `signal_of`
+    window: length T of the window [s], None for a sixteenth of the trial; the resolution is T / 2
+        in time and 2 / T in frequency
     scale, unit: the error is shown as `scale` times that of the dataset, in `unit`
     Raises ValueError for a window shorter than 8 samples or longer than the trial, and as
     `signal_of` does.

@@ -109,7 +109,7 @@ def error_band(
 
     dataset: over (scheme, sample, trial), one machine a sample
     metric: name of a variable over these
-    tolerance: in the unit of the dataset
+    tolerance: largest error that passes [unit of the dataset]
     scale, unit: the errors are shown as `scale` times those of the dataset, in `unit`
     """
     from ..sweeps.summary import summarise
@@ -173,7 +173,7 @@ def certificate(
 ) -> Axes:
     """The RMS error of every machine by trial, predicted by theory and simulated.
 
-    found: from `theory.certify`
+    found: certificate from `theory.certify`
     scale, unit: the errors are shown as `scale` times those found, in `unit`
     """
     ax = new_axes(ax)

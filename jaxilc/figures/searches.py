@@ -93,7 +93,7 @@ def pareto_front(
 ) -> Axes:
     """A trade-off: both objectives of each point, labelled with the share of the first one.
 
-    points: from `tuning.pareto`
+    points: points from `tuning.pareto`
     first, second: names of the objectives
     given: both objectives with the weights as given
     """

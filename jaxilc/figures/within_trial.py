@@ -59,7 +59,7 @@ def tracking(
     The chosen trials are shown, with a zoom beside each plot. With several trials, the axis of the
     error is scaled to all but the first one.
 
-    dataset: with y, e, u, as for `signal_of`
+    dataset: dataset with y, e, u, as for `signal_of`
     zoom: (from, to) [s]; None for a twentieth of the trial, around the largest error of the last
         trial chosen
     scale, unit: the error is shown as `scale` times that of the dataset, in `unit`
@@ -141,8 +141,8 @@ def contour(
 
     The distance of the motion from the path is drawn magnified.
 
-    dataset: with y, e of two channels, as for `signal_of`
-    window: of `contour_error`
+    dataset: dataset with y, e of two channels, as for `signal_of`
+    window: half width in points of the path, see `contour_error`
     magnification: None for a number 1, 2 or 5 times a power of ten, with which the largest error is
         drawn as 5 to 10 % of the path's width
     scale, unit: the error is shown as `scale` times that of the dataset, in `unit`

@@ -277,7 +277,7 @@ class Campaign:
     ) -> bool:
         """Whether a measured trial is that of an entry, see `is_same_trial`.
 
-        error: its RMS error, which distinguishes most trials without reading their files
+        error: RMS error of the trial, which distinguishes most trials without reading their files
         """
         if abs(entry[METRICS]["error"] - error) > checks.same_up_to(record.y):
             return False

@@ -62,7 +62,7 @@ class Finding(NamedTuple):
     """A finding of a check.
 
     kind: `note`, `warning` or `refusal`
-    text: what was found, with its numbers
+    text: description of the finding, with its numbers
     """
 
     kind: str
