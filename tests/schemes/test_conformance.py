@@ -1,4 +1,4 @@
-"""What holds for every plant and every scheme listed in cases.py."""
+"""These tests hold for every plant and every scheme that cases.py lists."""
 
 from typing import Any, NamedTuple
 
