@@ -148,14 +148,7 @@ PLANTS = {
 # This is a model of motor_and_table.
 _NOMINAL = StateSpace([[0.87, 0.12], [0.33, 0.58]], [[0.22], [0.0]], np.eye(2), dt=DT)
 # These numbers are close to the model of arx.
-_SLIDING = {
-    "a1": 5.8e4,
-    "a2": 400.0,
-    "b": 1.15e5,
-    "k_n": 200.0,
-    "lam1": 150.0,
-    "lam2": 300.0,
-}
+_SLIDING = {"a1": 5.8e4, "a2": 400.0, "b": 1.15e5, "k_n": 200.0, "lam1": 150.0, "lam2": 300.0}
 _ADAPTIVE = _SLIDING | {"eta": 1e3, "phi": 2e4, "epsilon": 0.03, "Delta": 6.0}
 _CFDL = {"phi0": -0.065, "lam": 0.02, "mu": 0.05, "rho": 0.9}
 _PFDL = {"phi0": (-0.065, 0.02), "lam": 0.02, "mu": 0.05, "rho": (0.9, 0.7)}

@@ -182,10 +182,8 @@ def damaged(rng, tree):
 def dumped(tree):
     try:
         return json.dumps(tree)
-    except (
-        RecursionError,
-        ValueError,
-    ):  # nested too deeply for the JSON writer, or a number with thousands of digits
+    # The tree is nested too deeply for the JSON writer, or has a number with thousands of digits.
+    except (RecursionError, ValueError):
         return "[" * 100_000
 
 

@@ -155,10 +155,7 @@ def test_every_figure_is_embedded(tmp_path):
     assert pictures[0][1] == (tmp_path / "error-band.png").read_bytes()
     assert pictures[1][1] == (tmp_path / "second.svg").read_bytes()
     # The header of a PNG file holds its size: 2 in by 1 in at 200 dots per inch.
-    assert struct.unpack(">II", pictures[2][1][16:24]) == (
-        400,
-        200,
-    )
+    assert struct.unpack(">II", pictures[2][1][16:24]) == (400, 200)
     assert [f.text for f in tree.iter("figcaption")] == [
         "error band",
         "a caption",
@@ -198,10 +195,7 @@ def test_a_run_reported_as_the_command_line_does(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "argv", ["/somewhere/jaxilc", "run", "dai-2014", "--set", "name=a b"])
     path = tmp_path / "new folder" / "report.html"
     # The store is not a picture.
-    figures = [
-        tmp_path / "error-by-trial.png",
-        tmp_path / "dataset.zarr",
-    ]
+    figures = [tmp_path / "error-by-trial.png", tmp_path / "dataset.zarr"]
     assert command_report(
         path, "run", [tables.run_table(chosen, numbers)], figures, scenario=chosen, lines=["a line"]
     ) == [path]

@@ -86,10 +86,7 @@ def test_a_mat_file_that_does_not_fit_is_refused(tmp_path, contents, message):
 def test_channels_are_numbered_and_share_a_unit(tmp_path):
     y0, y1, u = np.asarray(K / 3), np.asarray(K / 9), np.asarray(K * 2.0)
     # Unicode has two micro signs. A quantity without a unit has no brackets, or has `[-]`.
-    for header in (
-        "t [s];y1 [µm];y0 [μm];u;note",
-        "t [s];y_1 [µm];y_0 [µm];u [-];note",
-    ):
+    for header in ("t [s];y1 [µm];y0 [μm];u;note", "t [s];y_1 [µm];y_0 [µm];u [-];note"):
         found = read_measured(text(tmp_path / "trial.csv", header, TWO.time, y1, y0, u, u), TWO)
         np.testing.assert_array_equal(found.y, np.stack([y0, y1], axis=1))
         np.testing.assert_array_equal(found.u[:, 0], u[:-1])

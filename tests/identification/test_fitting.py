@@ -20,11 +20,7 @@ NAMES = ("a", "b", "c")
 DESIGN = np.random.default_rng(0).normal(size=(12, 3))
 DATA = DESIGN @ np.array([0.7, 3.0, -0.02]) + 0.1 * np.random.default_rng(1).normal(size=12)
 # The first range is searched linearly, the others by the logarithm, of which one is negative.
-WIDE = {
-    "a": (-5.0, 5.0),
-    "b": (0.1, 50.0),
-    "c": (-1.0, -1e-4),
-}
+WIDE = {"a": (-5.0, 5.0), "b": (0.1, 50.0), "c": (-1.0, -1e-4)}
 
 
 def linear(values):

@@ -28,10 +28,7 @@ from jaxilc.uncertainty import Uniform
 STATIC = StateSpace([[0.0]], [[1.0]], [[1.0]], dt=DT)  # y[k+1] = u[k], so e_j = (1 - gamma)^(j-1) r
 MACHINE, TASK, TRIALS = Machine(STATIC), task_for(STATIC, 20), 12
 # (-4)^(j-1) exceeds 1000 for the first time at j = 6, where 4^5 = 1024.
-GROWING, STEADY = (
-    PIDType(gamma_p=5.0),
-    PIDType(gamma_p=0.5),
-)
+GROWING, STEADY = (PIDType(gamma_p=5.0), PIDType(gamma_p=0.5))
 
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])

@@ -28,7 +28,7 @@ def test_a_new_lambda_a_call_does_not_fill_the_memory(machine, monkeypatch):
     task, saved = Task(np.sin(np.arange(9.0)), dt=1e-3), []
 
     def call():
-        save = lambda trial: trial.y  # noqa: E731  a new function in every call, as in a loop of a notebook
+        save = lambda trial: trial.y  # noqa: E731  new in each call, as in a loop of a notebook
         saved.append(weakref.ref(save))
         learn(machine, PIDType(gamma_p=-0.5), task, 2, save=save)
 

@@ -379,13 +379,7 @@ def test_rows_of_a_made_up_scenario(made_up):
     assert [r.published for r in rows] == list(published)
     np.testing.assert_allclose([r.ratio for r in rows], [1.0, 1.9, 0.5, 1 / 1.2, 1.0], rtol=1e-9)
     # The third row is in order with feedback, which is the same at every trial.
-    assert [r.verdict for r in rows] == [
-        "met",
-        "shape",
-        "shape",
-        "met",
-        "met",
-    ]
+    assert [r.verdict for r in rows] == ["met", "shape", "shape", "met", "met"]
     assert {r.unit for r in rows} == {"µm"}
     assert sorted(runs) == [("PID", 1), ("PIDType", 3), ("PIDType", 4)]
 
