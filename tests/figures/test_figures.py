@@ -278,8 +278,11 @@ def test_the_map_follows_a_chirp_and_shares_its_colours_among_trials():
 def test_the_crossing_is_marked_where_the_closed_form_has_it():
     """The crossing is marked where the closed form has it.
 
-    The plant P = b z^(-1-d) learns by u + gamma e[k+1], with g = gamma b. Then |1 - g z^-d|^2 = 1 -
-    2 g cos(d w) + g^2, which is 1 where cos(d w) = g / 2.
+    The plant P = b z^(-1-d) learns by u + gamma e[k+1]. With g = gamma b,
+
+        |1 - g z^-d|^2 = 1 - 2 g cos(d w) + g^2,
+
+    which is 1 where cos(d w) = g / 2.
     """
     d, gain, gamma = 3, 0.8, 0.5
     plant = DifferenceEquation(a=(0.0,) * (d + 1), b=(0.0,) * d + (gain,), dt=DT)

@@ -189,8 +189,8 @@ def test_zpetc_has_no_phase_error_and_the_size_of_the_mirrored_zeros(zeros, radi
 def test_zpetc_keeps_the_ends_held():
     """ZPETC keeps a signal that is constant at its ends.
 
-    The reference r rests, moves within the trial, and rests again. The output y is |B_u|^2 /
-    B_u(1)^2 r, a symmetric sum, at every sample.
+    The reference r rests, moves within the trial, and rests again. The output y is
+    |B_u|^2 / B_u(1)^2 r, a symmetric sum, at every sample.
     """
     P, r = PLANTS["real"], moving(rest=10)
     r[90:] = r[90]

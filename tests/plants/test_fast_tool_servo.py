@@ -126,8 +126,9 @@ def test_response_is_the_zero_order_hold_of_the_transfer_function(parts, system)
 def test_a_load_of_one_newton_moves_the_tool_by_one_micrometre():
     """A load of one newton moves the tool by one micrometre.
 
-    The step response of the servo is -F/k (1 - e^(-zeta w t) (cos + zeta/sqrt(1 - zeta^2) sin)),
-    which ends at -F/k.
+    The step response of the servo ends at -F/k:
+
+        -F/k (1 - e^(-zeta w t) (cos + zeta/sqrt(1 - zeta^2) sin)).
     """
     w, zeta = np.sqrt(2.413e6), 70.16 / (2 * np.sqrt(2.413e6))
     root = np.sqrt(1 - zeta**2)
@@ -446,10 +447,13 @@ def test_dahl_is_that_of_solve_ivp_for_any_jumps(h):
 
 
 def test_dahl_from_rest_in_closed_form():
-    """Dahl's model from rest has a closed form.
+    """Dahl's model from rest has a closed form (Dahl 1968).
 
-    F = F_c (1 - exp(-sigma x / F_c)) (Dahl 1968). For i = 2 it is the hyperbola F = F_c (1 - 1 / (1
-    + sigma x / F_c)).
+        F = F_c (1 - exp(-sigma x / F_c)),
+
+    and for i = 2 the hyperbola
+
+        F = F_c (1 - 1 / (1 + sigma x / F_c)).
     """
     x = np.linspace(0.01, 2.0, 50)
     np.testing.assert_allclose(along(Dahl(2.0, 0.7), x), 0.7 * -np.expm1(-2.0 * x / 0.7), **ALGEBRA)
@@ -490,8 +494,9 @@ def test_width_of_the_settled_loop(h):
 def test_width_of_the_loop_in_closed_form():
     """The width of the loop has a closed form.
 
-    Without gamma, z settles to a loop with z(x_max) = A/beta tanh(beta x_max), which is 2 A/beta (1
-    - 1/cosh(beta x_max)) wide.
+    Without gamma, z settles to a loop with z(x_max) = A/beta tanh(beta x_max), whose width is
+
+        2 A/beta (1 - 1/cosh(beta x_max)).
     """
     z = np.asarray(along(BoucWen(0.3, 1.1), loop(40, turns=12)))
     assert z[-31] == pytest.approx(0.3 / 1.1 * np.tanh(1.1 * 1.5), rel=1e-10)

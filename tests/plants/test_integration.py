@@ -94,8 +94,9 @@ def test_the_stiffness_of_the_linear_part_does_not_limit_the_step():
 def test_what_is_faster_than_the_step_is_stable_but_not_accurate_under_f():
     """Motion faster than the step is stable under f, but not accurate.
 
-    For x' = -a x + 1 with the 1 in f, x settles at 1/a. The method settles at h/6 (e + 4 sqrt(e) +
-    1) / (1 - e), with e = exp(-a h).
+    For x' = -a x + 1 with the 1 in f, x settles at 1/a. With e = exp(-a h) the method settles at
+
+        h/6 (e + 4 sqrt(e) + 1) / (1 - e).
     """
     h = 0.01
     for a, agree in ((20.0, True), (1e4, False)):

@@ -287,8 +287,8 @@ def test_ladder_by_hand_needs_the_signals_of_what_it_is_around():
 def test_repeatability():
     """Repeatability equals its definition.
 
-    For a machine with known noise, the RMS of N noise samples has the standard deviation sigma /
-    sqrt(2 N).
+    For a machine with known noise, the RMS of N noise samples has the standard deviation
+    sigma / sqrt(2 N).
     """
     rms = np.array([[0.031, 0.5], [0.033, 0.4], [0.032, 0.6]])
     found = repeatability(rms)

@@ -363,8 +363,9 @@ def test_milc_learns_from_the_input_as_it_was_applied():
 def test_theorem_2_the_nominal_plant_is_learned_monotonically(scheme, matrix):
     """The nominal plant is learned monotonically (Theorem 2).
 
-    M = L_u - L_e H = (H' W_q H + W_s + W_r)^-1 W_r holds for the schemes and the simulator as they
-    are, and |M| < 1.
+        M = L_u - L_e H = (H' W_q H + W_s + W_r)^-1 W_r
+
+    holds for the schemes and the simulator as they are, and |M| < 1.
     """
     machine, H = Machine(NOMINAL), matrix(MODEL)
     found = lifted.learning_conditions(machine, scheme(), TASK)
@@ -397,8 +398,11 @@ def test_a_far_too_soft_model_is_predicted_to_diverge_and_does(scheme):
 def test_a_model_of_the_wrong_sign_doubles_the_error_every_trial():
     """A model of the wrong sign doubles the error in every trial.
 
-    With L of -H, M = (H' W_q H + W_s + W_r)^-1 (2 H' W_q H + W_r), which is close to 2 where w_q is
-    much larger than the other weights.
+    With L of -H,
+
+        M = (H' W_q H + W_s + W_r)^-1 (2 H' W_q H + W_r),
+
+    which is close to 2 where w_q is much larger than the other weights.
     """
     model = direct_model(GAIN, MODEL)
     model = dataclasses.replace(model, C=-np.asarray(model.C))
@@ -449,8 +453,9 @@ def test_proposition_1a_the_errors_of_dilc_bound_each_other(name):
 def test_proposition_1b_the_feedback_of_dilc_cancels_what_was_learned():
     """The feedback of DILC cancels what was learned.
 
-    In the steady state, u_c = S (I - L_u + L_e H_D)^-1 [(I - L_u) C_P r_d[0..N-1] + L_e r_d[1..N]]
-    - u.
+    In the steady state
+
+        u_c = S (I - L_u + L_e H_D)^-1 [(I - L_u) C_P r_d[0..N-1] + L_e r_d[1..N]] - u.
 
     MILC 2024, Proposition 1 (b), has the factors in another order: operators of the frequency
     domain commute, lifted L_u and L_e do not.
@@ -472,8 +477,9 @@ def test_proposition_1b_the_feedback_of_dilc_cancels_what_was_learned():
 def test_milc_brings_both_errors_down_where_dilc_cannot():
     """MILC reduces both errors where DILC cannot.
 
-    DILC leaves the motor at (1 - 1/P_Z) r_d. There c_s y_M' + k_s y_M = m_T r'' + (c_s + c_T) r' +
-    k_s r, while the table is on r.
+    DILC leaves the motor at (1 - 1/P_Z) r_d, while the table is on r. There
+
+        c_s y_M' + k_s y_M = m_T r'' + (c_s + c_T) r' + k_s r.
     """
     t = np.arange(N + 1) * DT
     path = [np.gradient(DESIRED, DT, edge_order=2)]

@@ -264,8 +264,8 @@ def test_pid(plant, form, options):
 def test_feedforward_of_the_reference_in_closed_form():
     """The feedforward of the reference has a closed form.
 
-    An integrator follows exactly. A double integrator is moved by the mean acceleration, y[k] =
-    (r[k+1] + 2 r[k] + r[k-1]) / 4.
+    An integrator follows exactly. A double integrator is moved by the mean acceleration,
+    y[k] = (r[k+1] + 2 r[k] + r[k-1]) / 4.
     """
     t = np.linspace(0.0, 1.0, N - 1)
     # The reference is at rest for the first two samples.

@@ -407,8 +407,8 @@ def test_a_matched_disturbance_is_held_below_eta_and_not_above(ratio):
 def test_the_boundary_layer_holds_a_disturbance_with_the_reaching_rate_as_well():
     """In the boundary layer the reaching rate also acts against a disturbance.
 
-    A constant f settles at sigma = f / (k_n + eta / Delta) within the layer, even with eta < f <
-    eta + k_n Delta.
+    A constant f settles at sigma = f / (k_n + eta / Delta) within the layer, even with
+    eta < f < eta + k_n Delta.
     """
     f, scheme = 1.2e6, ASMC(**MODEL, eta=1e6, phi=0.0, k_n=1000.0, Delta=600.0, lam2=0.0)
     trial = run(

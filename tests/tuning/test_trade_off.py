@@ -50,9 +50,9 @@ def front():
 
 
 def test_a_quadratic_front_meets_the_analytic_one(front):
-    # Both objectives are quadratic in u_2, so the best points lie on the line from 0 to r, u_2 =
-    # gamma r, where sqrt(first) + scale sqrt(second) = |r|. There share / first_0 (1 - gamma)^2 +
-    # (1 - share) / second_0 (gamma / scale)^2 is least at gamma = a / (a + b).
+    # Both objectives are quadratic in u_2, so the best points lie on the line from 0 to r,
+    # u_2 = gamma r, where sqrt(first) + scale sqrt(second) = |r|. There share / first_0
+    # (1 - gamma)^2 + (1 - share) / second_0 (gamma / scale)^2 is least at gamma = a / (a + b).
     first, second = both(p=GIVEN["gamma_p"], d=GIVEN["gamma_d"])
     assert [p.share for p in front] == [0.6, 0.2]
     for point in front:

@@ -136,8 +136,8 @@ def test_the_best_gain_of_p_type_learning_is_found_by_one_program(optimiser):
 
 
 def test_the_gain_for_the_worst_of_two_plants_is_the_minimax_one():
-    # The maximum of |1 - gamma g| over g is least where both ends are equal, at gamma = 2 / (g_low
-    # + g_high).
+    # The maximum of |1 - gamma g| over g is least where both ends are equal, at
+    # gamma = 2 / (g_low + g_high).
     options = {
         "sampling": "corners",
         "risk": Worst(),

@@ -58,8 +58,8 @@ def test_the_worst_gain_of_p_type_learning_is_an_end_of_its_range():
 
 
 def test_the_worst_phase_of_a_disturbance_is_inside_its_range():
-    # With y = 0.3 sin(t + phase) and r = sin(t), the largest rms is that of opposite phase, (1 +
-    # 0.3) / sqrt(2).
+    # With y = 0.3 sin(t + phase) and r = sin(t), the largest rms is that of opposite phase,
+    # (1 + 0.3) / sqrt(2).
     def loss(subject):
         output = 0.3 * jnp.sin(jnp.asarray(TIME) + subject["phase"].x)
         machine = Machine(subject["plant"], disturbance=Disturbance(output=output[:, None]))
