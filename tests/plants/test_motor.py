@@ -455,8 +455,8 @@ def test_cogging_is_periodic_in_position():
     assert np.max(np.abs(half - here)) > 1e-3
     still = pushed(0.0, cogging=Cogging(20.0, 0.016))[0]
     assert np.max(np.abs(states(still, np.zeros(N), rest(still)).position)) == 0.0
-    # The motion starts from rest at the top of the potential. At its lowest point the energy is m
-    # v^2 / 2 = 2 A pitch / (2 pi). The back-EMF takes a little.
+    # The motion starts from rest at the top of the potential. At its lowest point the energy is
+    # m v^2 / 2 = 2 A pitch / (2 pi). The back-EMF takes a little.
     falling = np.asarray(states(still, np.zeros(1000), rest(still, 0.0079)).speed)
     assert np.max(np.abs(falling)) == pytest.approx(
         np.sqrt(2 * 2 * 20.0 * 0.016 / (2 * np.pi) / 3.0), rel=0.25
