@@ -585,7 +585,7 @@ def test_colours_are_for_a_terminal_that_wants_them(environment, coloured):
     )
     os.close(theirs)
     text = b""
-    with contextlib.suppress(OSError):  # this ends the output of a terminal
+    with contextlib.suppress(OSError):  # raised at the end of the terminal's output
         while part := os.read(ours, 65536):
             text += part
     os.close(ours)

@@ -378,7 +378,7 @@ def test_labels_do_not_overlap():
                 [label.get_window_extent() for label in axis.get_ticklabels() if label.get_text()]
                 for axis in (ax.xaxis, ax.yaxis)
             ]
-            # Other labels are not drawn.
+            # Labels outside the view are not drawn.
             boxes = [box for box in ticks[0] if view.x0 <= (box.x0 + box.x1) / 2 <= view.x1]
             boxes += [box for box in ticks[1] if view.y0 <= (box.y0 + box.y1) / 2 <= view.y1]
             boxes += [

@@ -407,9 +407,8 @@ def test_growth_and_saturation_warn_or_refuse_with_numbers(copied):
         ),
     ):
         call(*arguments, folder / "saturated.csv")
-    with pytest.raises(
-        ValueError, match="the next feedforward is"
-    ) as error:  # saturation is accepted, but the table that would follow is not
+    # Saturation is accepted, but the table that would follow is not.
+    with pytest.raises(ValueError, match="the next feedforward is") as error:
         call(*arguments, folder / "saturated.csv", "--accept-saturation")
     assert "at its limit" not in str(error.value)
     write_trial(folder / "saturated.csv", t, r, y, np.where(np.arange(len(u)) == 40, 10.0, u))

@@ -63,10 +63,8 @@ TRIALS = [row(8.0, trial=10), row(4.0, trial=20), row(1.0, trial=30)]
         ([15.0, 7.5, 1.9], ["shape", "shape", "shape"]),  # almost twice as much, in the right order
         ([4.1, 2.1, 0.55], ["shape", "shape", "shape"]),
         ([4.1, 5.4, 1.9], ["open", "open", "shape"]),  # the first two are in the wrong order
-        (
-            [15.0, 4.0, 10.0],
-            ["shape", "met", "open"],
-        ),  # `met`, since the number is right although its order is not
+        # `met`, since the number is right although its order is not
+        ([15.0, 4.0, 10.0], ["shape", "met", "open"]),
         ([20.0, 40.0, 80.0], ["open", "open", "open"]),
         ([8.0, 4.0, 10.0], ["met", "met", "open"]),
     ],

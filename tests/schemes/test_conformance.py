@@ -14,9 +14,8 @@ from jaxilc.pytree import named_leaves, replaced
 from jaxilc.schemes import PID, PIDType
 
 THRESHOLDS = ("epsilon", "theta_limit", "delta", "max_error", "growth", "slow", "scheme.rms")
-TRIALS = (
-    4  # the estimators of MFAILC get their first data after two trials and use it in the fourth
-)
+# The estimators of MFAILC get their first data after two trials and use it in the fourth.
+TRIALS = 4
 SAMPLES = 3  # lanes of a batch
 
 

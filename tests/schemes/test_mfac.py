@@ -153,7 +153,7 @@ def mfapc_loop(
         if reset != "none" and loop.useless(phi, phi0, du):  # (12)
             phi = phi0
         regressor = np.array(before)
-        # (13)
+        # Dai 2014, (13)
         theta = theta + regressor / (delta + regressor @ regressor) * (phi - regressor @ theta)
         if np.linalg.norm(theta) >= theta_limit:  # (14)
             theta = theta0
@@ -172,7 +172,7 @@ def mfapc_loop(
             A = np.zeros((P, P_u))
             for i in range(P_u):
                 A[i:, i] = line[n_p - 1 + i]
-            # (17)
+            # Dai 2014, (17)
             move = np.linalg.solve(A.T @ A + lam * np.eye(P_u), A.T @ (wanted - loop.y(k)))[0]
         loop.phi[k] = phi
         loop.apply(k, (loop.u[k - 1] if k else 0.0) + move)  # (18)
