@@ -23,11 +23,8 @@ class Run(NamedTuple):
     """A case is run once by itself and once as a batch.
 
     parts: {"machine", "scheme"}
-
     history: of the parts
-
     lanes: the parts perturbed, leaves (SAMPLES, ...)
-
     batch, gradient: history and gradient of the loss of the lanes, by vmap
     """
 

@@ -248,11 +248,8 @@ class Played(NamedTuple):
     """The signals of a learning run on the drive.
 
     u, feedback: (J, N) learned input and the part of the feedback
-
     r: (J, N) reference r[k+1] that the feedback followed
-
     e_c, e_z: (J, N) r - y_M and r_d - y_T, one sample later
-
     history: of the learning
     """
 
