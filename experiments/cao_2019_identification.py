@@ -1,9 +1,9 @@
 """Cao 2019, section II-B and Fig. 2 to 4: identification of the motor of eq. 7.
 
-The motor is excited with an M-sequence, recorded, and eq. 6 is identified again.
+The motor is excited with an M-sequence and recorded, and eq. 6 is identified again.
 
-The record has the encoder's step of 0.1 µm and 0.1 µm of noise. The structure is that of eq. 6,
-with the double pole as a pair.
+The record has the encoder step of 0.1 µm, and noise of 0.1 µm. The structure is that of eq. 6, with
+the double pole as a pair.
 """
 
 import jax
@@ -22,7 +22,7 @@ u = references.m_sequence(10, amplitude=0.5, hold=5)
 record = excite(machine, u, 1e-3, key=jax.random.key(2019))
 write_record(folder / "record.csv", record)
 found = identify(record)
-# of eq. 7, as eq. 6 has them
+# The values of eq. 7, in the form of eq. 6.
 TRUE = {
     "gain": -7437.7769 * 928.2 / (474.0**2 * 6.404),
     "zeros[0]": 928.2,

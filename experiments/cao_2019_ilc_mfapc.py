@@ -1,10 +1,13 @@
-"""Cao 2019, section IV-D: which reading of ILC-MFAPC meets its printed errors?
+"""Cao 2019, section IV-D: a search for the reading of ILC-MFAPC that meets its printed errors.
 
-Printed are the gains 0.2, 0 and 1, lam = 2 and P = 10.
+The paper prints the gains 0.2, 0 and 1, lam = 2 and P = 10. Open are:
 
-Structures: learned input added to the feedback's (parallel) or to the reference (series). Gains
-with either sign, the derivative gain per sample or per second. lam as the paper's lam / P or as
-printed. For each, 80 start values of the PPD; the best is shown.
+    structure   the learned input is added to that of the feedback (parallel) or to the reference
+                (series)
+    gains       either sign, and the derivative gain per sample or per second
+    lam         the paper's lam / P, or lam as printed
+
+Each reading is simulated with 80 start values of the PPD, and the best one is shown.
 """
 
 import itertools

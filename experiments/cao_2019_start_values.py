@@ -1,8 +1,7 @@
-"""Cao 2019, Table 1: the unprinted start values of the estimates, by least squares.
+"""Cao 2019, Table 1: start values of the estimates, which are not printed, by least squares.
 
-The least squares go through the whole learning process.
-
-Fitted on every other row of the table, judged on the rest; one free number for CFDL, four for FFDL.
+The least squares go through the whole learning process. The values are fitted to every other row of
+the table and tested on the rest. CFDL has one free number, FFDL has four.
 """
 
 import dataclasses
@@ -30,7 +29,7 @@ RANGES = {
 
 
 def errors(name, reset, values):
-    """(J,) settled errors [µm] from the start values given."""
+    """(J,) settled errors [µm] with these start values."""
     scheme = dataclasses.replace(
         s.schemes[name], phi0=jnp.stack([jnp.asarray(values[n]) for n in RANGES[name]]), reset=reset
     )

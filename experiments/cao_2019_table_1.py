@@ -1,4 +1,4 @@
-"""Cao 2019, Table 1 and Fig. 5 to 12: errors by trial of four schemes on eq. 29's plant.
+"""Cao 2019, Table 1 and Fig. 5 to 12: errors by trial of four schemes on the plant of eq. 29.
 
 The schemes are CFDL- and FFDL-MFAILC, ILC-MFAPC and PID.
 """

@@ -1,16 +1,17 @@
-"""Certificates under attack: random machines under every learning law.
+"""Tests of the certificates on random machines under every learning law.
 
 Each claim is compared with 1500 simulated trials.
 
-Machines of order 1 to 6, some with a delay, resonances of damping down to 0.003 or zeros outside
-the unit circle, every second one with limits of input and rate, every eighth with two inputs and
-outputs; a disturbance that repeats on each output. Counted for each law: what is claimed, what of
-it the simulation contradicts, and why nothing is claimed of the rest.
+The machines have order 1 to 6. Some have a delay, resonances of damping down to 0.003 or zeros
+outside the unit circle. Every second one has limits of input and rate, every eighth has two inputs
+and outputs. A repeating disturbance acts on each output. For each law are counted: the claims, the
+claims that the simulation contradicts, and the reasons why nothing is claimed of the other
+machines.
 
-Where a claim is due is decided by another calculation, with matrices that NumPy and SciPy make of
-the equations: learning is truly monotone if sigma_max(keep - L G) < 1 on what learning moves, or
-sigma_max(I - G L) < 1 where nothing is forgotten and the law reads nothing of e[0], and no limit is
-met in 1500 trials of u_{j+1} = keep u_j + L e_j.
+A second calculation decides where a claim is due, with matrices that NumPy and SciPy make from the
+equations. Learning is truly monotone if sigma_max(keep - L G) < 1 on the inputs that learning
+changes, or sigma_max(I - G L) < 1 where nothing is forgotten and the law does not use e[0], and if
+no limit is reached in 1500 trials of u_{j+1} = keep u_j + L e_j.
 """
 
 import sys
@@ -103,7 +104,7 @@ def laws(channels: int) -> dict:
 
 
 def random_plant(rng):
-    """A (10, 10), B (10, 1), C (1, 10), padded with zeros, of a random size of response."""
+    """A (10, 10), B (10, 1), C (1, 10), padded with zeros, with a random size of the response."""
     order, kind = rng.integers(1, 7), rng.choice(["real", "resonant", "mixed", "nonminimum phase"])
     poles: list = []
     while len(poles) < order:
@@ -142,9 +143,9 @@ def random_plant(rng):
 
 
 def plants(rng, count: int, channels: int):
-    """(A, B, C) with a leading axis.
+    """(A, B, C) of `count` plants, with a leading axis.
 
-    Of two channels: four plants side by side, those across a tenth as strong.
+    With two channels there are four plants, and the coupling is a tenth as strong as the diagonal.
     """
     if channels == 1:
         return tuple(
@@ -163,7 +164,7 @@ def plants(rng, count: int, channels: int):
 
 
 def stacked(rng, count: int, channels: int, limited: bool):
-    """Machines with a leading axis, and their task."""
+    """The machines with a leading axis, and their task."""
     A, B, C = plants(rng, count, channels)
     d = 0.1 * rng.standard_normal((count, SAMPLES + 1, channels))
     limits = (
@@ -180,17 +181,17 @@ def stacked(rng, count: int, channels: int, limited: bool):
     return jax.tree.unflatten(jax.tree.structure(machine), [A, B, C, *limits, d]), task
 
 
-# What is true, by other means
+# The true result, by a second calculation
 # --------------------------------------------------------------------------------------------------
 
 
 def shifted(m: int):
-    """S of (S e)[k] = e[k+1+m], e counted from 1; zero beyond the end."""
+    """The matrix S of (S e)[k] = e[k+1+m], with e counted from 1, and zero beyond the end."""
     return np.eye(SAMPLES, k=m)
 
 
 def difference():
-    """e[k+1] - e[k] of e counted from 1, without e[0]."""
+    """The matrix of e[k+1] - e[k], with e counted from 1, without e[0]."""
     return np.eye(SAMPLES) - np.eye(SAMPLES, k=-1)
 
 
@@ -215,7 +216,7 @@ def filter_matrix(kind: str):
 
 
 def matrices() -> dict:
-    """(keep, L, whether e[0] is read) of one channel for the laws that are a line or two."""
+    """(keep, L, whether e[0] is used) for one channel, for the laws with a short formula."""
     eye, time = np.eye(SAMPLES), DT * np.arange(SAMPLES)
     mirrored, odd, fir = (filter_matrix(kind) for kind in ("mirrored", "odd", "FIR"))
     return {
@@ -233,7 +234,7 @@ def matrices() -> dict:
 
 
 def truly_monotone(machines, task, law) -> np.ndarray:
-    """(S,) by dense matrices and a recursion, channel by channel where there are two."""
+    """(S,) whether learning is monotone, by dense matrices and a recursion for each channel."""
     keep, L, reads_start = law
     channels = task.outputs
     keep, L = np.kron(keep, np.eye(channels)), np.kron(L, np.eye(channels))
@@ -254,7 +255,7 @@ def truly_monotone(machines, task, law) -> np.ndarray:
 
 
 def lifted(A, B, C):
-    """The block Toeplitz matrix of C A^k B."""
+    """The lifted plant: the block Toeplitz matrix of C A^k B."""
     x, markov = B, []
     for _ in range(SAMPLES):
         markov.append(C @ x)
@@ -281,12 +282,12 @@ def within_limits(actuator, i, keep, L, G, error, channels) -> bool:
     return True
 
 
-# The attack
+# The comparison
 # --------------------------------------------------------------------------------------------------
 
 
 def attacked(name: str, groups, oracle) -> tuple[dict, Counter]:
-    """A row of the table, and why nothing was claimed."""
+    """A row of the table, and the reasons why nothing was claimed."""
     claims, reasons, broken, true, certified = Counter(), Counter(), 0, 0, 0
     for machines, task in groups:
         found = certify_each(machines, laws(task.outputs)[name], task, TRIALS)

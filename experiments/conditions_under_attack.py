@@ -1,14 +1,15 @@
-"""Conditions on the frequency response under attack.
+"""Tests of the conditions on the frequency response.
 
-Are their maxima the maxima, do they hold on the whole trial, and do they abstain where they must?
+The tests ask whether the maxima are found, whether the conditions hold for the whole trial, and
+whether no claim is made where none is allowed.
 
-norm-optimal  120 pairs of a model and a machine, each with a resonance of its own, against a dense
-row of lines around both
-family        60 boxes of a gain and a resonance, against a grid of plants and lines
-filtered      60 servo loops under a Butterworth filter and a lead, against eigenvalues of the dense
-learning matrix
-robust        the same with a plant that is uncertain by 10 %, against perturbed plants
-light damping 150 machines of damping 0.003 to 0.1 in trials of 600 samples
+    norm-optimal    120 pairs of a model and a machine, each with its own resonance, against dense
+                    frequency lines around both
+    family          60 boxes of a gain and a resonance, against a grid of plants and lines
+    filtered        60 servo loops under a Butterworth filter and a lead, against eigenvalues of the
+                    dense learning matrix
+    robust          the same with a plant that is uncertain by 10 %, against perturbed plants
+    light damping   150 machines of damping 0.003 to 0.1 in trials of 600 samples
 """
 
 import numpy as np
@@ -33,9 +34,9 @@ def task_of(samples: int) -> Task:
 
 
 def held(modes, gain=1.0):
-    """(A, B, C) of gain prod w^2 / (s^2 + 2 zeta w s + w^2) sampled with a hold, by SciPy.
+    """(A, B, C) of gain prod w^2 / (s^2 + 2 zeta w s + w^2), sampled with a hold, by SciPy.
 
-    modes: [(w, zeta)]
+    modes: pairs (w, zeta) of a frequency [rad/s] and a damping
     """
     top, bottom = gain, np.array([1.0])
     for w, zeta in modes:
@@ -53,7 +54,7 @@ def response(plant, f):
 
 
 def lines(*modes):
-    """A row of lines [Hz], dense around resonances."""
+    """Frequency lines [Hz], dense around the resonances."""
     near = [w / (2 * np.pi) * (1 + zeta * np.linspace(-12, 12, 241)) for w, zeta in modes]
     f = np.concatenate([np.geomspace(0.1, 500.0, 1500), *near])
     return np.unique(f[(f > 0) & (f < 500)])
@@ -64,7 +65,7 @@ def q_response(cutoff, f):
 
 
 def radius(plant, law: Filtered, samples: int) -> float:
-    """Spectral radius of Q (I - L G) by NumPy, for P-type with a lead under a mirrored filter."""
+    """Spectral radius of Q (I - L G), for P-type with a lead and a filter with mirrored ends."""
     A, B, C = plant
     markov = np.array([(C @ x)[0, 0] for x in _powers(A, B, samples)])
     G = scipy.linalg.toeplitz(markov, np.zeros(samples))
@@ -185,7 +186,7 @@ def filtered(rng, count=60) -> list[dict]:
 
 
 def perturbed(rng, plant, count=4):
-    """P (1 + 0.1 D), D = +-1 or an all-pass of first order."""
+    """Plants P (1 + 0.1 D), where D is +-1 or an all-pass of first order."""
     A, B, C = plant
     found = [(A, share * B, C) for share in (0.9, 1.1)]
     for a in rng.uniform(-0.9, 0.9, count):

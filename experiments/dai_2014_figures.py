@@ -1,4 +1,4 @@
-"""Dai 2014, Fig. 2 to 9: PID and CFDL-MFAPC at 0.5 and 2.5 Hz, tracking and error."""
+"""Dai 2014, Fig. 2 to 9: tracking and error of PID and CFDL-MFAPC at 0.5 and 2.5 Hz."""
 
 import output
 

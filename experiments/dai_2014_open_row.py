@@ -1,12 +1,11 @@
-"""Dai 2014, Fig. 9: does a reading of the 2.5 Hz row meet it?
+"""Dai 2014, Fig. 9: a search for a reading of the paper that meets the row at 2.5 Hz.
 
-The row: CFDL-MFAPC, P = 250, lam = 8700, error 0.047.
+The row is CFDL-MFAPC with P = 250, lam = 8700 and the error 0.047.
 
 Every combination of plant, control horizon, reference over the horizon and 160 start values of the
-PPD is simulated for ten periods.
-What is printed for each: the smallest error, the share of start values within 30 % of the print,
-and how the error at the best start value answers to a change of 1 % of it. A reading would have to
-meet the print over a range of start values to count.
+PPD is simulated for ten periods. For each are shown: the smallest error, the share of start values
+with an error within 30 % of the printed one, and the change of the error when the best start value
+is changed by 1 %. A reading counts only if it meets the printed error over a range of start values.
 """
 
 import itertools

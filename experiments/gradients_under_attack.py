@@ -1,23 +1,22 @@
-"""Derivatives through learning under attack, against central differences.
+"""Tests of the derivatives through learning against central differences.
 
-Twelve configurations, three metrics, 24 machines at once.
+There are twelve configurations, three metrics and 24 machines at once.
 
 In each configuration some leaves of the plant, the actuator or the scheme are batched, and the
 metric of the last trial, and the sum over all trials, is differentiated along a random direction of
 each machine in three ways: in tiles, as one `jit(vmap(grad))`, and machine by machine without
-either. 12 x 3 x 24 = 864 derivatives for each way and each of the two losses.
+either. These are 12 x 3 x 24 = 864 derivatives for each way and each of the two losses.
 
-A largest error has kinks where another sample becomes the largest, a limit where another sample
-meets it. They are recognised and not
-hidden in a tolerance: where the differences to either side disagree by more than curvature
-explains, which halves with the step, or another sample is the largest, the step shrinks. What is
-still a kink at the smallest step is counted, and its derivative must be that of one of the two
-sides.
+The largest error has a kink where another sample becomes the largest, and a limit causes one where
+another sample reaches it. Kinks are detected, and not hidden in a tolerance: the step is reduced
+where another sample is the largest, or where the differences to the two sides disagree by more than
+the effect of curvature, which halves with the step. A kink that remains at the smallest step is
+counted, and the derivative there must be that of one of the two sides.
 
-Measured (two cores, AVX-512, jax 0.10.2): 0 of 2 x 864 wrong in each of the three ways, 18 beside a
-kink, none at one. When the largest error was found by equality, each of the 24 derivatives of a
-summed largest error was wrong in three configurations (order 1, Butterworth, switching; 23 of 24
-for one metric), compiled by jit(vmap(grad)).
+Measured (two cores, AVX-512, jax 0.10.2): 0 of 2 x 864 derivatives are wrong in each of the three
+ways; 18 are near a kink, none is at one. When the sample of the largest error was found by
+equality, all 24 derivatives of a summed largest error were wrong in three configurations (order 1,
+Butterworth, switching; 23 of 24 for one metric) under jit(vmap(grad)).
 """
 
 from typing import Any, NamedTuple
@@ -36,21 +35,19 @@ from jaxilc.pytree import get_at, replaced
 from jaxilc.schemes import CFDLMFAILC, FFDLMFAILC, PID, Filtered, HigherOrder, PIDType, WithFeedback
 
 METRICS, LOSSES, MACHINES = ("max_error", "settled_error", "rms"), ("last", "summed"), 24
-STEPS = (1e-5, 1e-6, 1e-7)  # of the differences, relative to the leaf
-AGREED = 1e-5  # how far a derivative and a difference may lie apart, relative to the latter,
-ROUNDING = (
-    1e-14  # and what rounding leaves of a metric, absolute: the references are of the size of one
-)
+STEPS = (1e-5, 1e-6, 1e-7)  # steps of the differences, relative to the leaf
+AGREED = 1e-5  # allowed distance of a derivative from a difference, relative to the latter
+ROUNDING = 1e-14  # absolute rounding error of a metric; the references have a size of about one
 DT = 1e-3
 
 
 class Configuration(NamedTuple):
-    """What is learned, and which of its leaves differ between the machines.
+    """A machine and a scheme, and the leaves that differ between the machines.
 
-    subject: {"machine": ..., "scheme": ...}
-    trials: J
-    leaves: the paths in the subject that are batched
-    samples, outputs: of the reference
+    subject: dictionary {"machine": ..., "scheme": ...}
+    trials: number J of trials
+    leaves: paths of the leaves in the subject that are batched
+    samples, outputs: numbers of samples and outputs of the reference
     """
 
     subject: dict[str, Any]
@@ -69,7 +66,10 @@ class Configuration(NamedTuple):
         )
 
     def history(self, x, save=None):
-        """x: the batched leaves by name"""
+        """The history of one machine.
+
+        x: its values of the batched leaves, by name
+        """
         subject = replaced(self.subject, x)
         return learn(subject["machine"], subject["scheme"], self.task, self.trials, save=save)
 
@@ -78,7 +78,7 @@ class Configuration(NamedTuple):
         return by_trial[-1] if loss == "last" else jnp.sum(by_trial)
 
     def batch(self, rng) -> tuple[dict, dict]:
-        """Leaves of `MACHINES` machines, 5 % around those given, and a direction for each."""
+        """Leaves of `MACHINES` machines, 5 % around the given ones, and a direction for each."""
         at = {name: np.asarray(get_at(self.subject, name)) for name in self.leaves}
         x = {
             name: value * (1 + 0.05 * rng.uniform(-1, 1, (MACHINES, *value.shape)))
@@ -90,7 +90,7 @@ class Configuration(NamedTuple):
 
 
 def configurations() -> dict[str, Configuration]:
-    """Plants of random matrices under laws of 30 % of their inverse gain; always the same ones."""
+    """Plants of random matrices with laws of 30 % of their inverse gain, from a fixed seed."""
     rng = np.random.default_rng(0)
 
     def stable(order):
@@ -180,12 +180,12 @@ def configurations() -> dict[str, Configuration]:
 
 
 class Differences(NamedTuple):
-    """Finite differences of one metric and loss, (S,) each.
+    """The finite differences of one metric and loss, (S,) each.
 
-    left, right: the differences to either side
-    allowed: by how much a derivative may differ
+    left, right: differences to the two sides
+    allowed: largest difference that a derivative may have
     kink: whether the two sides differ
-    shrunk: whether the step had to be made smaller
+    shrunk: whether the step was reduced
     """
 
     left: np.ndarray
@@ -195,7 +195,7 @@ class Differences(NamedTuple):
     shrunk: np.ndarray
 
     def wrong(self, slope) -> np.ndarray:
-        """(S,) whether it is neither the central difference nor, at a kink, a one-sided one."""
+        """(S,) whether a slope is not the central difference nor, at a kink, a one-sided one."""
         central = np.abs(slope - (self.left + self.right) / 2) <= self.allowed
         one_sided = (
             np.minimum(np.abs(slope - self.left), np.abs(slope - self.right)) <= self.allowed
@@ -204,7 +204,7 @@ class Differences(NamedTuple):
 
 
 def differences(case: Configuration, x, d) -> dict[tuple[str, str], Differences]:
-    """By metric and loss, at the first step that meets no kink."""
+    """The differences by metric and loss, at the first step that meets no kink."""
 
     def look(one):
         history = case.history(one, save=Keep(signals=("e",)))
@@ -243,10 +243,10 @@ def differences(case: Configuration, x, d) -> dict[tuple[str, str], Differences]
             bend, nearer_bend = right - left, 2 * (nearer[key] - 2 * value + nearer_before[key]) / h
             kink = (
                 np.abs(bend - 2 * nearer_bend) > 6 * allowed
-            )  # curvature halves with the step, and what a kink turns does not
+            )  # the effect of curvature halves with the step, that of a kink does not
             kink |= (
                 np.abs((left + right) / 2 - (nearer[key] - nearer_before[key]) / h) > allowed / 2
-            )  # or the step is too long
+            )  # the step is too long
             kink |= moved[METRICS.index(metric)] if metric != "rms" else False
             now = Differences(left, right, allowed, kink, np.full(kink.shape, h < STEPS[0]))
             old = found.get(key, now)
@@ -257,7 +257,7 @@ def differences(case: Configuration, x, d) -> dict[tuple[str, str], Differences]
 
 
 def derivative(case: Configuration, metric: str, loss: str):
-    """The derivative of one machine's loss along a direction, a function of (leaves, direction)."""
+    """The derivative of a machine's loss along a direction, a function of (leaves, direction)."""
 
     def along(one):
         gradient = jax.grad(lambda x: case.loss(x, metric, loss))(one[0])
@@ -267,7 +267,7 @@ def derivative(case: Configuration, metric: str, loss: str):
 
 
 def slopes(case: Configuration, metric: str, loss: str, x, d) -> dict[str, np.ndarray]:
-    """(S,) derivatives along d, by the way in which they were had."""
+    """(S,) derivatives along d, by the way in which they were computed."""
     along, batch = derivative(case, metric, loss), jax.tree.map(jnp.asarray, (x, d))
     machines = [jax.tree.map(lambda leaf, i=i: leaf[i], batch) for i in range(MACHINES)]
     return {

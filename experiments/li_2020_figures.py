@@ -1,6 +1,6 @@
 """Li 2020: RMS error by trial without a filter, with a fixed and with a switchable one.
 
-Also the shares of feedback and learning in the input, and theory against simulation.
+Further figures show the shares of feedback and learning in the input, and theory with simulation.
 """
 
 import numpy as np
@@ -48,7 +48,7 @@ left.figure.savefig(folder / "rmse-by-trial.png")
 output.write_rows(folder / "rows.csv", rows)
 
 
-# Fig. 36 to 39: learning takes over from the position controller, the sum stays
+# Fig. 36 to 39: learning replaces the input of the position controller; the sum is unchanged
 def learned(trial):
     return (trial.u - trial.signals["feedback"])[:, 0]
 
@@ -93,7 +93,7 @@ ax.set(xlabel="time [s]", ylabel="error [µm]", title="a repetitive disturbance 
 ax.legend()
 ax.figure.savefig(folder / "disturbance.png")
 
-# the contour error of two axes, fixed filter
+# The contour error of two axes with the fixed filter.
 s = jaxilc.scenarios.load("li-2020", setting="experiment", axes="xy")
 found = run(s, "fixed-filter", 10)
 axis_error, contour = (

@@ -1,6 +1,6 @@
-"""Li 2020: cutoffs, switching times and learning gain by gradient, against the printed 10/50/10 Hz.
+"""Li 2020: cutoffs, switching times and gain tuned by gradient, against the printed 10/50/10 Hz.
 
-They are compared on machines and noise that the tuning never saw.
+They are compared on machines and noise that were not used in the tuning.
 """
 
 import numpy as np
@@ -15,7 +15,7 @@ LAW, FILTER = "learning.scheme.gamma_p", "learning.filter"
 
 
 def problem(s) -> Tuning:
-    """Of the scenario: the switchable filter, which starts with the printed cutoffs."""
+    """The tuning of the switchable filter of a scenario, from the printed cutoffs."""
     found = s.schemes["switchable"].learning.filter
     gap = (
         0.4 * np.min(np.diff(np.concatenate([[0.0], found.times, [s.task.duration]])))

@@ -21,12 +21,12 @@ def lowest_of(
     machines: int,
     seed: int,
 ) -> tuple[float, float]:
-    """The error that the ideal input leaves with noise and steps, and the one without them.
+    """The error of the ideal input with noise and quantisation, and its error without them.
 
-    Both are medians over machines never seen. The ideal input is learned on a machine without
-    converter step, encoder step and noise, until its error is a fraction of what is measured with
-    them. It is then played on the real machine, under the same feedback. This is no bound: an input
-    that knows the converter's codes may have a lower error.
+    Both are medians over machines that were not used in the tuning. The ideal input is learned on a
+    machine without converter step, encoder step and noise, until its error is a fraction of the
+    error with them. It is then played on the real machine with the same feedback. This is not a
+    lower bound: an input that takes the converter's codes into account may have a lower error.
 
     judged: metric, and the trials that are shown
     machines, seed: number of drawn machines, and their seed
@@ -71,9 +71,9 @@ def best_of_one_move(s, seed: int, machines: int = 33) -> float:
         u[k] = u[k-1] + K (mean r[k+1..k+P] - y[k])
         e = 1 - L / (1 + L) mean z^i,   L = K z / (z - 1) G
 
-    It is the least over all P <= 500 and all gains K with which the loop is stable.
+    The minimum is taken over all P <= 500 and all gains K with which the loop is stable.
 
-    seed, machines: of the drawn machines, and their number
+    seed, machines: seed of the drawn machines, and their number
     """
     drawn = draw(s.machine, s.uncertainty, machines, seed=seed)
     sampled = jax.vmap(

@@ -1,10 +1,11 @@
-"""MILC 2024: what is not printed, fitted to three numbers of the DILC row of Table 1.
+"""MILC 2024: a fit of the numbers that are not printed, to three of the DILC row of Table 1.
 
-The other seven numbers of the table judge it.
+The other seven numbers of the table test the fit.
 
-Free: the path's velocity (table RMS of the first trial), the drive's antiresonance (motor RMS of
-the last), the table's noise (table RMS of the last). The force gain follows from the printed
-bandwidth of 50 Hz. MILC has no part in the fit.
+The free numbers are the velocity of the path (fitted to the table RMS of the first trial), the
+antiresonance of the drive (motor RMS of the last trial) and the noise of the table (table RMS of
+the last trial). The force gain follows from the printed bandwidth of 50 Hz. Numbers of MILC are not
+used in the fit.
 """
 
 import numpy as np

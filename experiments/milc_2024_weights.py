@@ -1,4 +1,4 @@
-"""MILC 2024: w_q, w_r and w_s by gradient through the learning and the Riccati recursion.
+"""MILC 2024: w_q, w_r and w_s tuned by gradients through learning and the Riccati recursion.
 
 Stiffness and table mass are uncertain.
 """
@@ -19,10 +19,10 @@ BOUNDS = {"w_q": (1e3, 1e10), "w_r": (1e-8, 1e3), "w_s": (1e-6, 1e4)}
 
 
 def problem(s, name: str) -> Tuning:
-    """Of the scenario: `dilc` or `milc`."""
+    """The tuning problem of the scheme `dilc` or `milc` of a scenario."""
     scheme, path = s.schemes[name], "learning.scheme." if name == "dilc" else "learning."
-    # The penalty on the learned reference gets a weight of its own: the printed one also pulls the
-    # whole reference towards zero.
+    # The penalty on the learned reference gets its own weight, since the printed weight also pulls
+    # the whole reference towards zero.
     if name == "milc":
         scheme = dataclasses.replace(
             scheme,
@@ -46,7 +46,7 @@ def problem(s, name: str) -> Tuning:
 
 
 def problem_of(name: str):
-    """`problem` of one scheme, as a function of the scenario."""
+    """The function `problem` of one scheme, with the scenario as its only argument."""
     return partial(problem, name=name)
 
 

@@ -1,9 +1,7 @@
 """Norm-optimal learning by the Riccati recursion against the dense lifted form, by trial length.
 
-Compared are the learned signals, time and memory.
-
-MILC of two inputs and two outputs on the drive of MILC 2024, ten trials; each measurement in a
-process of its own.
+The learned signals, the time and the memory are compared. The case is MILC with two inputs and two
+outputs on the drive of MILC 2024 in ten trials. Each measurement runs in its own process.
 """
 
 import dataclasses
@@ -20,7 +18,7 @@ LENGTHS, LONGEST, TRIALS = (250, 1000, 4000), 100_000, 10
 def measure(form, N):
     """Seconds to compile and to run ten trials, peak memory, and the learned signals (N, 2).
 
-    The peak memory [MB] is that beyond an idle process.
+    The peak memory [MB] is the excess over an idle process.
     """
     import jax
 

@@ -1,4 +1,4 @@
-"""Where an experiment leaves its rows and figures: out/experiments/NAME."""
+"""The folder for rows and figures of an experiment: out/experiments/NAME."""
 
 import csv
 from pathlib import Path
@@ -7,14 +7,14 @@ from matplotlib.figure import Figure
 
 
 def folder(script: str) -> Path:
-    """The folder of a script, given its __file__."""
+    """The folder for the results of a script, from its `__file__`."""
     path = Path("out") / "experiments" / Path(script).stem
     path.mkdir(parents=True, exist_ok=True)
     return path
 
 
 def write_rows(path: Path, rows: list[dict]) -> None:
-    """Rows as CSV, and on the screen."""
+    """Write rows to a CSV file, and print them."""
     with path.open("w", newline="") as file:
         writer = csv.DictWriter(file, fieldnames=list(rows[0]))
         writer.writeheader()
@@ -29,5 +29,5 @@ def write_rows(path: Path, rows: list[dict]) -> None:
 
 
 def axes(rows: int = 1, columns: int = 1, *, size=(7.2, 4.2)):
-    """Axes of a new figure."""
+    """The axes of a new figure."""
     return Figure(figsize=size, layout="constrained", dpi=150).subplots(rows, columns)

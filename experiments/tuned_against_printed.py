@@ -1,19 +1,19 @@
-"""Printed weights against tuned ones, for each scenario, on machines that the tuning never saw.
+"""Printed weights against tuned ones, for each scenario, on machines not used in the tuning.
 
-`python tuned_against_printed.py NAME ...` runs the cases whose name contains one of the NAMEs. What
-no gradient can choose (a lead, a horizon, a stop rule) is set before tuning. The column `structure`
-has these settings with the printed weights, at which the tuning starts.
+`python tuned_against_printed.py NAME ...` runs the cases whose name contains one of the NAMEs.
+Settings without a gradient (a lead, a horizon, a stop rule) are fixed before tuning. The column
+`structure` has these settings with the printed weights, at which the tuning starts.
 
-Targets: CFDL 10 times better at trial 20, FFDL 0.3 µm by trial 15, every other scheme 2 times
-better at its last trial. For CFDL and FFDL the table also says whether the median and the worst
-error stay below their goals in every later trial, and for how many machines the error is larger at
-the last trial than at the target's; there are such machines. Where a target is missed, the lowest
-error found is given.
+The targets are: CFDL 10 times better at trial 20, FFDL 0.3 µm by trial 15, every other scheme
+2 times better at its last trial. For CFDL and FFDL the table also says whether the median and the
+worst error stay below their targets in every later trial, and for how many machines the error is
+larger at the last trial than at the trial of the target; there are such machines. Where a target is
+missed, the lowest error found is given.
 
-Tuning draws its machines from seed 0 and chooses among its iterates by those of seed 1; the
-settings of the cases were chosen while looking at machines of seed 2. The table is made with those
-of JUDGED_SEED, which was chosen once and not looked at before all settings were final. No setting
-was changed after that.
+Tuning draws its machines from seed 0 and selects its best iterate with those of seed 1. The
+settings of the cases were chosen with machines of seed 2. The table is made with machines of
+JUDGED_SEED, which was chosen once and not used before all settings were final. No setting was
+changed after that.
 """
 
 import dataclasses
@@ -37,23 +37,24 @@ from jaxilc.tuning.objectives import Final, Growth, Holding, Objective
 from jaxilc.tuning.risks import CVaR, Mean
 
 JUDGED_SEED = 20261121
-FINE = 1e-4  # of the reference's peak: what lies below is not worth a growth of the largest error
+FINE = 1e-4  # floor relative to the reference's peak; errors below it count as equal
 MFAILC = {"lam": (1e-2, 1e2), "eta": None, "mu": (1e-3, 1e4)}
 
 
 @dataclasses.dataclass(frozen=True)
 class Case:
-    """A comparison.
+    """A case of the comparison.
 
-    scenario, scheme: names of the printed ones
-    problem: from a scenario to the tuning, whose scheme is the structure with the printed weights
-    judged: metric, and the trials that the table shows
-    target: a trial, and how many times better than printed it shall be; below 0, minus the error
-    finish: adds what the tuned scheme is finally wrapped in
-    holds: whether the trials after the target's are judged too
-    unseen: number of machines, the nominal one included
-    lowest: number of machines with which the lowest error is looked for, 0 for no such search
-    lowest_over: changes of the tuned scheme with which it is looked for
+    scenario, scheme: names of the printed scenario and scheme
+    problem: function from a scenario to the tuning, whose scheme has the printed weights
+    judged: the metric, and the trials that the table shows
+    target: a trial, and the factor by which it shall be better than printed; a negative number is
+        minus the target error
+    finish: function that adds the wrappers of the tuned scheme
+    holds: whether the trials after that of the target are judged too
+    unseen: number of machines that were not used in the tuning, with the nominal one
+    lowest: number of machines for the search for the lowest error, 0 for no such search
+    lowest_over: changes of the tuned scheme over which the lowest error is searched
     """
 
     scenario: str
@@ -107,9 +108,9 @@ def ffdl(s):
 
 
 def mfapc(s):
-    # One move of the input acts as an integrator on the mean of the previewed reference;
-    # `best_of_one_move` gives the least error of that. The first of two moves gives r(k+1) a weight
-    # of its own beside a long horizon, which meets the loop's phase and magnitude at 0.5 Hz.
+    # With one move, the input is the integral of the mean previewed reference minus the output;
+    # `best_of_one_move` gives its least error. The first of two moves gives r(k+1) its own weight
+    # besides a long horizon, which fits the phase and magnitude of the loop at 0.5 Hz.
     scheme = dataclasses.replace(s.schemes["cfdl-mfapc"], P=470, P_u=2, phi0=-40.0, lam=100.0)
     weights = {"lam": (10.0, 1e3), "phi0": (-100.0, -10.0)}
     return tuning(
@@ -175,7 +176,7 @@ CASES = {
         ffdl,
         ("settled_error", (10, 15, 50, 80, 200)),
         (15, -0.3),
-        # otherwise the error at the start of the trial grows after trial 80, see max_error
+        # without it the error at the start of the trial grows after trial 80, see max_error
         finish=lambda scheme: StopWhen(scheme, growth=0.02),
         holds=True,
     ),
@@ -186,10 +187,10 @@ CASES = {
         rig,
         ("settled_error", (8, 40)),
         (40, 2.0),
-        finish=lambda scheme: StopWhen(scheme, growth=0.02),  # likewise
+        finish=lambda scheme: StopWhen(scheme, growth=0.02),  # for the same reason
         unseen=33,
         lowest=8,
-        # 1.2 is unstable
+        # with 1.2 learning is unstable
         lowest_over=tuple({"feedback.kp": kp} for kp in (0.29, 0.5, 0.7, 0.8, 0.9, 1.0, 1.1)),
     ),
     "li": Case(
@@ -224,7 +225,7 @@ CASES = {
 
 
 def errors_of(s, case: Case, problem: Tuning, tuned: Tuned):
-    """Errors (scheme, sample, trial) by metric, in the unit shown; infinite where not finite."""
+    """Errors (scheme, sample, trial) by metric [shown unit]; infinite where not finite."""
     metric, trials = case.judged
     schemes = {
         "printed": s.schemes[case.scheme],
@@ -315,7 +316,7 @@ def main(names: list[str]) -> None:
 
 
 def draw_curves(ax, s, case: Case, errors) -> None:
-    """Medians as lines, worst machines dashed, over the trials."""
+    """Draw the medians as solid lines and the worst machines as dashed lines over the trials."""
     marker = "o" if max(case.judged[1]) == 1 else None
     for which in ("printed", "structure", "tuned"):
         line = ax.semilogy(

@@ -4,7 +4,7 @@ import numpy as np
 
 
 def rows_of(case, errors) -> list[dict]:
-    """A row for each metric and trial: median, 95 % and worst of each scheme."""
+    """A row for each metric and trial: median, 95 % quantile and worst of each scheme."""
     rows = []
     for metric, values in errors.items():
         for j in case.judged[1]:
@@ -21,11 +21,12 @@ def rows_of(case, errors) -> list[dict]:
 
 
 def verdict_of(case, errors, lowest: float | None) -> dict:
-    """Median and, in brackets, worst machine at the target's trial, printed and tuned; the verdict.
+    """The row with the errors at the trial of the target, printed and tuned, and the verdict.
 
-    The row also has the largest later value and the last one of the tuned curves.
+    An error is the median and, in brackets, that of the worst machine. The row also has the largest
+    later value and the last one of the tuned curves.
 
-    lowest: the lowest error found, None where it was not looked for
+    lowest: lowest error found, None where it was not searched for
     """
     (j, wanted), last_trial = case.target, max(case.judged[1])
     values = errors[case.judged[0]]

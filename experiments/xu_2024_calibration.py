@@ -1,9 +1,7 @@
-"""Xu 2024: what is not printed, fitted to the PID, SMC and ASMC rows of Table 1.
+"""Xu 2024: a fit of the numbers that are not printed, to the PID, SMC and ASMC rows of Table 1.
 
-The learning gain is fitted to one number of its row.
-
-Six free numbers for six printed ones, then one for one. The rest of the learning row and the whole
-of Table 2 are predicted.
+Six free numbers are fitted to six printed ones. Then the learning gain is fitted to one number of
+its row. The rest of this row and all of Table 2 are predicted.
 """
 
 import jax.numpy as jnp
@@ -19,8 +17,8 @@ jaxilc.setup()
 folder = output.folder(__file__)
 s = jaxilc.scenarios.load("xu-2024")
 ROWS = ("pid", "smc", "asmc")
-# a k_n below 1000 fits a little better, but leaves the loop without margin against 20 % more gain,
-# which hysteresis alone may add
+# A k_n below 1000 fits a little better, but the loop then has no margin for 20 % more gain, which
+# hysteresis alone may cause.
 RANGES = {
     "A": (0.01, 0.15),
     "ki": (300.0, 1200.0),
@@ -32,7 +30,7 @@ RANGES = {
 
 
 def errors(A, scheme, trials=1, load=None):
-    """Largest and RMS error of the last trial [nm]."""
+    """The largest and the RMS error of the last trial [nm]."""
     machine = jaxilc.Machine(servo(A, load), s.machine.actuator, s.machine.sensor)
     history = jaxilc.learn(machine, scheme, s.task, trials, save=settled_rms)
     return 1e3 * jnp.stack([history.settled_error[-1, 0], history.saved[-1]])
@@ -51,7 +49,7 @@ print("fitted, with costs of the best minima", np.round(best.refined, 4), fitted
 
 
 def too_much(share):
-    """log of ours over printed, largest error of the tenth trial, for gains that are too small."""
+    """log(ours / printed) for the largest error of the tenth trial; positive for small gains."""
     found = float(errors(fitted["A"], schemes_for(fitted, share)["ilc-asmc"], 10)[0])
     return np.log(found / TABLE_1["ilc-asmc"][0])
 

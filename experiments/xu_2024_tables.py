@@ -66,8 +66,8 @@ bottom.grid(True, which="both", alpha=0.25)
 bottom.legend()
 top.figure.savefig(folder / "figures-8-12.png")
 
-# theory: the sliding condition along a trial of ASMC; contraction of the whole nonlinear learning
-# map
+# Theory: the sliding condition along a trial of ASMC, and the contraction of the whole nonlinear
+# learning map.
 asmc = s.schemes["asmc"]
 trial = jaxilc.learn(s.machine, asmc, s.task, 1).final
 found = sliding.sliding(asmc, trial)

@@ -1,11 +1,11 @@
-"""Uncertain plants: distributions on named leaves of a machine, and how machines are drawn.
+"""Uncertain plants: distributions of named leaves of a machine, and the drawing of machines.
 
     {"plant.gain": Uniform(0.9, 1.1, relative=True), "plant.poles[2]": Normal(6.4, 0.5),
-    "actuator.limit": LogUniform(5, 20)}
+     "actuator.limit": LogUniform(5, 20)}
 
-One number is drawn for each name. A relative one scales the leaf (all of it, if it is an array); an
-absolute one replaces a scalar or a single element. Machine 0 is always the nominal one. Drawing
-happens on the host, in float64, from a seed.
+One number is drawn for each name. A relative number scales the leaf (an array as a whole). An
+absolute number replaces a scalar or a single element. Machine 0 is always the nominal one. Numbers
+are drawn on the host, in float64, from a seed.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from .pytree.named_paths import get_at, interval_at, replaced
 from .pytree.ranges import SEEDS, brief, is_number, require
 from .runtime.capacity import check_size
 
-COPIES = 6  # of all numbers are in the RAM while they are drawn
+COPIES = 6  # number of copies of all numbers that are in RAM while they are drawn
 SAMPLINGS = ("monte-carlo", "latin-hypercube", "sobol", "corners")
 
 
 @dataclasses.dataclass(frozen=True)
 class Uniform:
-    """Uniform on [low, high]."""
+    """The uniform distribution on [low, high]."""
 
     low: float
     high: float
@@ -42,20 +42,20 @@ class Uniform:
         _need_finite(self)
 
     def quantile(self, p) -> np.ndarray:
-        """The value below which a share p of the draws lies."""
+        """The quantile function: a draw is below this value with probability p."""
         return self.low + p * (self.high - self.low)
 
     def corners(self) -> tuple[float, float]:
         return self.low, self.high
 
     def spread(self, half_width: float) -> Uniform:
-        """The same centre (1 if relative), `half_width` to either side."""
+        """The relative uniform distribution on [1 - half_width, 1 + half_width]."""
         return Uniform(1.0 - half_width, 1.0 + half_width, relative=True)
 
 
 @dataclasses.dataclass(frozen=True)
 class Normal:
-    """Normal with a mean and a standard deviation; its corners lie two of these from the mean."""
+    """The normal distribution; its corners are two standard deviations from the mean."""
 
     mean: float
     std: float
@@ -66,8 +66,8 @@ class Normal:
         _need_finite(self)
 
     def quantile(self, p) -> np.ndarray:
-        """The value below which a share p of the draws lies."""
-        from scipy.special import ndtri  # imported here, since it takes long
+        """The quantile function: a draw is below this value with probability p."""
+        from scipy.special import ndtri  # imported here, because the import is slow
 
         return self.mean + self.std * ndtri(np.clip(p, 1e-12, 1.0 - 1e-12))
 
@@ -75,13 +75,13 @@ class Normal:
         return self.mean - 2.0 * self.std, self.mean + 2.0 * self.std
 
     def spread(self, half_width: float) -> Normal:
-        """Centre 1, two standard deviations at `half_width`."""
+        """The relative normal distribution of mean 1 with two standard deviations = half_width."""
         return Normal(1.0, half_width / 2.0, relative=True)
 
 
 @dataclasses.dataclass(frozen=True)
 class LogUniform:
-    """Uniform in the logarithm, on [low, high] with 0 < low < high."""
+    """The distribution on [low, high], 0 < low < high, whose logarithm is uniform."""
 
     low: float
     high: float
@@ -123,10 +123,7 @@ def _need_numbers(distribution, **ranges: str) -> None:
 
 
 def _need_finite(distribution) -> None:
-    """Raises ValueError where a draw would not be a finite number.
-
-    One between 1e-300 and 1e300 is not where it goes by the ratio of the two.
-    """
+    """Raises ValueError where a draw, or the ratio high / low of a `LogUniform`, is not finite."""
     with np.errstate(all="ignore"):
         ends = [*distribution.quantile(np.array([0.0, 1.0])), *distribution.corners()]
     if not np.all(np.isfinite(ends)):
@@ -136,7 +133,7 @@ def _need_finite(distribution) -> None:
 
 
 def with_spread(uncertainty: Uncertainty, half_width: float) -> dict[str, Distribution]:
-    """The same names, with every relative distribution at +-half_width (0.2 is 20 %).
+    """The same names with a width of +-half_width (0.2 is 20 %) for all relative distributions.
 
     Raises ValueError for a half_width outside (0, 1).
     """
@@ -148,9 +145,9 @@ def with_spread(uncertainty: Uncertainty, half_width: float) -> dict[str, Distri
 
 
 def nominal(machine, uncertainty: Uncertainty) -> dict[str, float]:
-    """The numbers that leave the machine as it is.
+    """The numbers of the nominal machine, with which the machine is not changed.
 
-    It is 1 for a relative distribution, and the value of the leaf for an absolute one.
+    The number is 1 for a relative distribution, and the value of the leaf for an absolute one.
     """
     return {
         name: 1.0 if d.relative else float(get_at(machine, name)) for name, d in uncertainty.items()
@@ -160,8 +157,8 @@ def nominal(machine, uncertainty: Uncertainty) -> dict[str, float]:
 def check(machine, uncertainty: Uncertainty) -> None:
     """Raises ValueError for an uncertainty that does not fit the machine.
 
-    The message names a leaf that does not exist, is absent, or cannot take an absolute value, and
-    what is not a distribution.
+    The message names a leaf that does not exist, is None, or cannot take an absolute value, and a
+    value that is not a distribution.
     """
     if not isinstance(uncertainty, Mapping):
         raise ValueError(
@@ -198,12 +195,12 @@ def draw(
     seed: int = 0,
     sampling: str = "monte-carlo",
 ) -> dict[str, np.ndarray]:
-    """(S,) drawn numbers for each name; the first is nominal.
+    """The drawn numbers (S,) for each name, of which the first is nominal.
 
-    machines: S >= 1, the nominal one among them; `corners` draws 1 + 2^n and ignores it
-    sampling: monte-carlo (a longer draw starts with the shorter one), latin-hypercube, sobol
-    (scrambled; here, too, a longer draw starts with the shorter one), corners
-    Raises ValueError for an unknown name or sampling, and where a draw leaves the allowed range of
+    machines: S >= 1, including the nominal one; `corners` ignores it and draws 1 + 2^n for n names
+    sampling: `monte-carlo`, `latin-hypercube`, `sobol` (scrambled) or `corners`. With `monte-carlo`
+        and `sobol` a longer draw starts with the numbers of a shorter one.
+    Raises ValueError for an unknown name or sampling, and for a number outside the allowed range of
     its leaf.
     """
     if sampling not in SAMPLINGS:
@@ -228,18 +225,18 @@ def draw(
 
 
 def drawn_count(uncertainty: Uncertainty, machines: int, sampling: str) -> int:
-    """How many machines `draw` gives: all corners and the nominal one, or as many as asked for."""
+    """The number of machines that `draw` returns."""
     return 1 + 2 ** len(uncertainty) if sampling == "corners" else machines
 
 
 def bytes_drawn(machine, uncertainty: Uncertainty, machines: float) -> float:
-    """Bytes that drawing so many machines takes, at most."""
+    """The largest number of bytes that `draw` takes for this number of machines."""
     largest = max((np.size(get_at(machine, name)) for name in uncertainty), default=0)
     return 8 * machines * (COPIES * len(uncertainty) + 2 * largest)
 
 
 def drawn_machine(machine, uncertainty: Uncertainty, values: Mapping[str, float]) -> Any:
-    """The machine with one set of drawn numbers put in; also inside `jit` and `vmap`."""
+    """The machine with one set of drawn numbers; can be called inside `jit` and `vmap`."""
     scale = {
         name: jnp.asarray(get_at(machine, name)) if d.relative else 1.0
         for name, d in uncertainty.items()
@@ -250,7 +247,7 @@ def drawn_machine(machine, uncertainty: Uncertainty, values: Mapping[str, float]
 
 
 def drawn_machines(machine, uncertainty: Uncertainty, drawn: Mapping[str, Any]) -> Any:
-    """All machines drawn, as one whose leaves have a leading axis that counts the machines.
+    """All drawn machines as one, whose leaves have a leading axis over the machines.
 
     If nothing was drawn, this axis has the length 1.
     """
@@ -261,12 +258,12 @@ def drawn_machines(machine, uncertainty: Uncertainty, drawn: Mapping[str, Any]) 
 
 
 def _unit_cube(points: int, dimensions: int, seed: int, sampling: str) -> np.ndarray:
-    """(points, dimensions) points in the unit cube."""
+    """The points (points, dimensions) in the unit cube."""
     if points == 0 or dimensions == 0:
         return np.zeros((points, dimensions))
     if sampling == "monte-carlo":
         return np.random.default_rng(seed).random((points, dimensions))
-    from scipy.stats import qmc  # imported here, since it takes long
+    from scipy.stats import qmc  # imported here, because the import is slow
 
     if sampling == "latin-hypercube":
         return qmc.LatinHypercube(dimensions, rng=seed).random(points)

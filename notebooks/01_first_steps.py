@@ -51,8 +51,8 @@ for trial in (1, 2, 5, 10, 20, 30):
     )
 
 # %% [markdown]
-# The first trial plays nothing, so its error is the whole millimetre. Each later one plays what the
-# one before has taught.
+# The first trial plays no input, so its error is the whole millimetre. Each later trial plays what
+# was learned from the trial before.
 #
 # `history` holds the metrics of every trial (`settled_error`, `max_error`, `rms`, `effort`), the
 # last trial's signals (`history.final`) and what the scheme has learned (`history.memory`, from
@@ -82,9 +82,9 @@ except ValueError as error:
     print(error)
 
 # %% [markdown]
-# A small `lam` learns fast, but at a price: on this motor the error of every such law grows again
-# after enough trials, and the sooner, the smaller `lam` is (notebook 05 says why, and how to know
-# it beforehand).
+# A small `lam` learns fast. On this motor, however, the error of every such law grows again after
+# enough trials, and a smaller `lam` makes this happen earlier. Notebook 05 explains why, and how to
+# know it beforehand.
 #
 # ## Many machines, and gradients
 #

@@ -24,10 +24,10 @@
 # | `xu-2024` | piezo fast tool servo | PD-type with exponential gain over adaptive sliding mode |
 # | `milc-2024` | flexible ball-screw drive | norm-optimal: direct (DILC), multivariable (MILC) |
 #
-# The verdict is `met` within 30 % of the printed number, `shape` where the number is in the printed
-# order with every comparable one and within a factor of two of the printed one, and else `open`,
-# with the reason. What a paper does not print was chosen or fitted. Each row says how it was read
-# and what was fitted to which numbers; a row that is among these proves nothing.
+# The verdict is `met` within 30 % of the printed number. It is `shape` where the number is in the
+# printed order with every comparable one, and within a factor of two of the printed one. Otherwise
+# it is `open`, with the reason. What a paper does not print was chosen or fitted. Each row says how
+# it was read, and which numbers were fitted. A row to which a number was fitted proves nothing.
 
 # %%
 import numpy as np
@@ -78,7 +78,8 @@ def show(rows):
 # ## Cao 2019, Table 1: errors by trial
 #
 # $\hat\varphi(\cdot, 1)$, where the estimates start, is not printed, and the result depends on it.
-# It was fitted through the learning process to some rows of the table and judged on the others.
+# It was fitted through the learning process to some rows of the table, and is judged on the other
+# rows.
 
 # %%
 cao = jaxilc.reproduce(["cao-2019"])
@@ -97,8 +98,8 @@ ax.figure
 # %% [markdown]
 # ## Dai 2014: predictive MFAC against PID
 #
-# The row at 2.5 Hz is open: the loop is at its limit of stability, where the error is erratic in
-# the unprinted start value.
+# The row at 2.5 Hz is open: the loop is at its limit of stability, where the error changes
+# irregularly with the start value, which is not printed.
 
 # %%
 show(jaxilc.reproduce(["dai-2014"]))
@@ -121,11 +122,11 @@ last = {
 assert last["milc", "motor_rms"] < last["dilc", "motor_rms"] / 3
 
 # %% [markdown]
-# ## Li 2020: learning noise, and not
+# ## Li 2020: learning with and without a filter
 #
-# Here is one of the paper's settings, the experiment. Without a filter the error falls until about
-# trial 6 and then rises again; with learning through a filter of 10 Hz it does not. All settings:
-# `jaxilc reproduce`.
+# This is one of the paper's settings, the experiment. Without a filter the error falls until about
+# trial 6 and then rises again, because the noise is learned. With learning through a filter of 10
+# Hz it does not. For all settings: `jaxilc reproduce`.
 
 # %%
 li = jaxilc.scenarios.load("li-2020", setting="experiment").select(("p-type", "fixed-filter"))
@@ -144,8 +145,8 @@ ax_li = figures.error_by_trial(of_li, metric="rms", scale=1e3, unit="µm")
 ax_li.figure
 
 # %% [markdown]
-# Where does it grow? Around 80 Hz, where $|1 - \gamma z P|$ first exceeds 1, and all along the
-# path: the encoder's noise grows, while the errors of the path itself, below 20 Hz, are gone.
+# The error grows around 80 Hz, where $|1 - \gamma z P|$ first exceeds 1, and all along the path. It
+# is the encoder's noise that grows, while the errors of the path itself, below 20 Hz, are gone.
 
 # %%
 shown = {"scale": 1e3, "unit": "µm"}
@@ -187,8 +188,8 @@ of_rms = [
 assert of_rms == sorted(of_rms)  # the printed order
 
 # %% [markdown]
-# By RMS the order is the printed one. By largest error PID and SMC change places; their printed
-# numbers differ by less than 9 %.
+# By RMS the order is the printed one. By largest error, PID and SMC are in the opposite order;
+# their printed numbers differ by less than 9 %.
 
 # %% [markdown]
 # All printed numbers, with their sources and readings: `jaxilc reproduce`. The misprints: notebook

@@ -123,4 +123,4 @@ shutil.rmtree(folder)
 
 # %% [markdown]
 # On the command line: `jaxilc sweep cao-2019 --samples 4096 --spread 0.2 --out out/wide`, and
-# `--resume` after a kill.
+# `--resume` if the process was killed.

@@ -21,11 +21,11 @@
 #
 # over many uncertain machines at once, and judged on machines that the tuning has never seen.
 #
-# The example: a feed axis with a lag at 10 Hz and a lightly damped resonance at 64 Hz under PI
+# The example is a feed axis with a lag at 10 Hz and a lightly damped resonance at 64 Hz under PI
 # control, P-type learning with a lead of 12 samples and a zero-phase low-pass filter $Q$ on what is
-# learned, $u_{j+1} = Q(u_j + \gamma\,e_j[k+13])$. Two numbers to choose: the gain $\gamma$ and the
-# cutoff of $Q$. Too low, and little is learned; too high, and the error grows on some of the
-# machines.
+# learned, $u_{j+1} = Q(u_j + \gamma\,e_j[k+13])$. Two numbers must be chosen: the gain $\gamma$ and
+# the cutoff of $Q$. If they are too low, little is learned. If they are too high, the error grows
+# on some of the machines.
 
 # %%
 import dataclasses
@@ -63,9 +63,9 @@ print("what can be tuned:", ", ".join(jaxilc.pytree.named_leaves(scheme)))
 
 # %% [markdown]
 # Gain and resonance are known to ±20 %. The objective is the logarithm of the last trial's RMS
-# error, with a penalty on growth from trial to trial; the risk is the mean of the worst quarter of
-# the machines (CVaR). Adam takes 25 steps; every fifth, machines that it has not seen choose the
-# best iterate.
+# error, with a penalty on growth from trial to trial. The risk is the mean of the worst quarter of
+# the machines (CVaR). Adam takes 25 steps. At every fifth step, machines that it has not seen are
+# used to choose the best iterate.
 
 # %%
 problem = Tuning(
@@ -117,10 +117,10 @@ bottom.legend()
 bottom.figure
 
 # %% [markdown]
-# ## On machines that nobody has seen
+# ## On machines that the tuning has not seen
 #
-# `compare` is a sweep of the given and the tuned scheme over fresh machines, here for twice as many
-# trials as the tuning looked at, since the tuning of 12 trials does not see the thirteenth.
+# `compare` is a sweep of the given and the tuned scheme over fresh machines. Here it runs twice as
+# many trials as the tuning, since a tuning over 12 trials does not see the thirteenth.
 
 # %%
 dataset = problem.compare(tuned, trials=24, machines=65)
@@ -144,8 +144,8 @@ for row in jaxilc.summarise(dataset, tolerance=0.02, metric="rms"):
 #
 # The estimators of model-free adaptive schemes reset an estimate to its start value where it is
 # useless. The gradient of such a switch is that of the branch taken: it does not see the samples
-# that change from one branch to the other as a weight moves. The test needs no step size:
-# integrated over a range of a weight, the slope must give the change of the loss,
+# that change from one branch to the other when a weight changes. The following test needs no step
+# size. Integrated over a range of a weight, the slope must give the change of the loss,
 # $\int_a^b J'\,\mathrm{d}\eta = J(b) - J(a)$. Here the weight is the step $\eta$ of the estimator
 # of CFDL-MFAILC.
 
@@ -174,15 +174,16 @@ for reset in ("sign", "book", "smooth"):
 assert missed["sign"] < 1e-3 < missed["smooth"] < 0.01 < 0.05 < missed["book"]
 
 # %% [markdown]
-# With `book` the slope sees half of what happens; `sign` resets nothing here and is exact.
-# `reset="smooth"` blends the two branches over widths of `epsilon`, and its slope is whole. It is
-# another scheme, though, and the narrower `epsilon`, the steeper: tune with it, then judge the
-# weights with the reset that the machine will have.
+# With `book` the slope gives half of the change; `sign` resets nothing here and is exact.
+# `reset="smooth"` blends the two branches over widths of `epsilon`, and its slope gives the whole
+# change. It is another scheme, though, and its slope is steeper for a narrower `epsilon`. So tune
+# with it, and then judge the weights with the reset that the machine will have.
 #
 # ## Saturation
 #
-# A clip has an exact slope, but a sample at the limit contributes nothing: the more of the trial is
-# saturated, the less is left to descend, until nothing is.
+# A limit has an exact slope, but a sample at the limit contributes nothing to it. The more of the
+# trial is saturated, the smaller the gradient is, and it is zero where the whole trial is
+# saturated.
 
 # %%
 gain, cutoff, lead = "learning.scheme.gamma_p", "learning.filter.cutoff", "learning.scheme.lead"
@@ -212,8 +213,8 @@ assert np.all(np.diff(slopes) < 0)
 assert slopes[-1] < 1e-3 * slopes[0]
 
 # %% [markdown]
-# So start inside the limits: from smaller gains, or with wider limits that are then narrowed; an
-# `Effort` term keeps it there.
+# So start inside the limits: from smaller gains, or with wider limits that are then narrowed. An
+# `Effort` term keeps the input inside.
 #
 # ## Long learning
 #
@@ -285,5 +286,5 @@ assert abs(cut[2]) < 0.5 * abs(cut[20])
 
 # %% [markdown]
 # The loss is a logarithm, and so the whole slope here is a moderate number: long learning alone is
-# no reason to truncate. Take it where capacity is short, and only if the truncated slope has the
-# sign of the whole one.
+# no reason to truncate. Truncate where RAM is short, and only if the truncated slope has the sign
+# of the whole one.

@@ -140,17 +140,17 @@ ax = figures.certificate(
 ax.figure
 
 # %% [markdown]
-# Of the linear law the prediction is exact. The adaptive law moves its estimates, so that nothing
-# is claimed of it: here it turns some thirty trials before the frozen law does. (At the paper's own
-# 0.5 Hz the two differ by three trials of eighty.)
+# For the linear law the prediction is exact. The adaptive law moves its estimates, so nothing is
+# claimed of it. Here its error starts to grow about thirty trials earlier than that of the frozen
+# law. (At the paper's own 0.5 Hz the two differ by three trials of eighty.)
 
 # %% [markdown]
 # ## The cure, certified
 #
-# A low-pass filter $Q$ on what is learned, with its cutoff below the crossing, makes $|Q(1 - \gamma
-# z P)| < 1$ again. What is learned then comes nearer to its limit in every trial. The price is that
-# nothing is learned above the cutoff, so that the limit leaves an error. Other solutions are a leak
-# or a stop rule (notebook 08).
+# A low-pass filter $Q$ on what is learned, with its cutoff below the crossing, makes
+# $|Q(1 - \gamma z P)| < 1$ again. What is learned then comes nearer to its limit in every trial.
+# The disadvantage is that nothing is learned above the cutoff, so that an error remains. Other
+# solutions are a leak or a stop rule (notebook 08).
 
 # %%
 tests = {"without a filter": test}
@@ -186,7 +186,8 @@ axes = figures.frequency_tests(tests)
 axes[0].figure
 
 # %% [markdown]
-# A cutoff of 30 Hz still leaves a little above 1, at 6 to 8 Hz; one of 10 Hz leaves nothing.
+# With a cutoff of 30 Hz the value is still a little above 1, at 6 to 8 Hz. With 10 Hz it is below 1
+# at every frequency.
 
 # %% [markdown]
 # "$\lambda > b^2/4$ guarantees convergence" is not a design rule for a feed drive;

@@ -20,16 +20,16 @@
 # | question | if so | then |
 # |---|---|---|
 # | Does the error repeat from trial to trial? | no | improve the feedback; learning cannot help |
-# | Does the loop lag (it does)? | yes | first of all, a learning lead of about the loop's delay |
-# | Do you have a model good to the resonance? | yes | norm-optimal learning: a handful of trials |
+# | Does the loop lag? | yes, always | first of all, a learning lead of about the loop's delay |
+# | Do you have a model good to the resonance? | yes | norm-optimal learning: a few trials |
 # | Is the model rough? | yes | P-type with lead, or norm-optimal with a large weight on changes |
 # | No model at all? | | P-type, or MFAILC, whose sign of `phi0` must be that of the plant |
 # | Does some of the error not repeat? | yes | learn fast first, then slowly, and stop in time |
 # | Must convergence be certain? | yes | a filter $Q$ that certifies it (notebook 05) |
 # | Is the drive flexible? | yes | learn input and reference together (MILC, notebook 02) |
 #
-# Whatever the choice: certify before (notebook 05), sweep over what you do not know (03), watch the
-# error on the machine (07).
+# Whatever you choose: certify it before use (notebook 05), sweep over what you do not know (03),
+# and observe the error on the machine (07).
 
 # %%
 import dataclasses
@@ -130,12 +130,12 @@ assert without[-1] > 10 * np.min(without)
 assert with_lead[-1] < 1e-2 * feedback_only[0]
 
 # %% [markdown]
-# ## 2. A model is worth trials, as long as it is right
+# ## 2. A model saves trials, as long as it is right
 #
 # Norm-optimal learning minimises $|e_{j+1}|^2_{w_q} + |u_{j+1} - u_j|^2_{w_r} + |u_{j+1}|^2_{w_s}$
-# with a model of the closed loop. With the true model five trials do. With the resonance at 45 Hz
-# instead of 64 and 15 % more gain it diverges, while P-type with lead does not notice. A weight
-# $w_r$ a thousand times larger makes it cautious.
+# with a model of the closed loop. With the true model five trials are enough. With the resonance at
+# 45 Hz instead of 64 and 15 % more gain it diverges, while P-type with lead is hardly affected. A
+# weight $w_r$ a thousand times larger makes it cautious.
 
 # %%
 model = plants.StateSpace(loop.A, loop.B, loop.C, dt=task.dt)
@@ -153,10 +153,10 @@ assert wrong_model[-1] > 1e3 * wrong_model[0]
 assert lead_other[-1] < 1e-2 * lead_other[0]
 
 # %% [markdown]
-# ## 3. No model: mind the sign
+# ## 3. No model: check the sign
 #
 # MFAILC estimates its gain from the trials. With `phi0` of the plant's sign it does what P-type
-# with a tuned gain does; with the other sign it diverges, and the reset keeps it there.
+# with a tuned gain does. With the other sign it diverges, and the reset keeps the wrong sign.
 
 # %%
 adaptive = WithFeedback(CFDLMFAILC(phi0=0.5, lam=1.0, lead=12), pid)
@@ -221,8 +221,8 @@ ax.figure
 # %% [markdown]
 # ## Before the machine
 #
-# 1. Run the same trial a few times without learning. The spread is your floor
-#    (`jaxilc.repeatability`).
+# 1. Run the same trial a few times without learning. The spread is the lowest error that learning
+#    can reach (`jaxilc.repeatability`).
 # 2. Choose lead and filter in simulation. Check $|Q(1 - \gamma z P)| < 1$ for every plant within a
 #    bound of the nominal one (`theory.frequency.robust_condition`), or for the corners of the
 #    uncertainty, drawn machines and the worst one that a search finds (`family_condition`, which

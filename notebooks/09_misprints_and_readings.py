@@ -13,9 +13,10 @@
 # %% [markdown]
 # # The papers' misprints and readings
 #
-# Five papers, and what in their print does not fit together. Each entry says how it is read here;
-# where it takes little time, the number is computed again. What was *chosen* because a paper does
-# not print it is listed by `jaxilc.scenarios.load(name).chosen`, at the end of this page.
+# This page lists what does not fit together in the printed text of five papers. Each entry says how
+# it is read here; where it takes little time, the number is computed again. What was *chosen*
+# because a paper does not print it is listed by `jaxilc.scenarios.load(name).chosen`, at the end of
+# this page.
 
 # %%
 import control
@@ -70,8 +71,8 @@ assert abs(dc_gain(**EQ_29) + 4.3) < 1e-6
 
 # %% [markdown]
 # The first sample of the step response is positive and the DC gain negative. So the sign of the
-# pseudo partial derivative depends on where one looks; $\hat\varphi(\cdot, 1)$ is not printed, and
-# a positive one diverges.
+# pseudo partial derivative depends on the sample. $\hat\varphi(\cdot, 1)$ is not printed, and with
+# a positive value learning diverges.
 #
 # **Equation 15** prints the contraction as $|\rho\varphi\hat\varphi/(\lambda + \hat\varphi^2)|$; a
 # "1 −" is missing. On the static plant $y[k+1] = \varphi u[k]$ one trial decides which is right:
@@ -99,7 +100,7 @@ assert np.isclose(abs(after / e), abs(1 - gain * phi))
 #
 # ## Dai 2014: predictive control of the same motor
 #
-# **Equation 24** prints 2.236 for 2.2386. One digit lost, and another motor:
+# **Equation 24** prints 2.236 for 2.2386. With this digit missing it is another motor:
 
 # %%
 for name, form in {"Cao 2019, eq. 29": EQ_29, "Dai 2014, eq. 24": EQ_24}.items():
@@ -171,9 +172,9 @@ for name, error, percent in (("ASMC", 987.91, 4.94), ("ILC-ASMC", 268.87, 1.34))
 # %% [markdown]
 # ## MILC 2024: flexible ball-screw drive
 #
-# **Equation 10** prints the motor's acceleration in the table's equation, and **$P_Z$** with $c_T +
-# c_M$ where $c_s + c_T$ follows. Two masses, numbers of any size, and the transfer function from
-# motor to table decide:
+# **Equation 10** prints the motor's acceleration in the table's equation, and **$P_Z$** with
+# $c_T + c_M$ where $c_s + c_T$ follows. Two masses with arbitrary numbers, and the transfer
+# function from motor to table, decide which is right:
 
 # %%
 m_M, m_T, k, c_s, c_T, c_M = 2.0, 3.0, 5e3, 7.0, 11.0, 13.0

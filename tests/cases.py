@@ -1,5 +1,6 @@
-"""Every plant and every scheme once, by name; listing one here gives it every test of
-test_conformance.py.
+"""This file lists every plant and every scheme once, by name.
+
+What is listed here gets every test of test_conformance.py.
 """
 
 import numpy as np
@@ -53,8 +54,8 @@ from jaxilc.schemes import (
 )
 from jaxilc.signals import Task
 
-# The three tolerance tiers: rounding, central differences, and chance in units of one standard
-# error.
+# The three tolerance tiers: rounding, central differences, and random scatter in units of one
+# standard error.
 ALGEBRA = {"rtol": 1e-10, "atol": 1e-12}
 DIFFERENCES = {"rtol": 2e-6, "atol": 1e-8}
 SIGMAS = 6.0
@@ -62,10 +63,11 @@ SIGMAS = 6.0
 DT = 1e-3
 PRINTED = ((2.2386, -1.6246, 0.385), (0.0018, -0.0036, -0.0025))  # Cao 2019, eq. 29
 ARX = ((1.6, -0.65), (0.06, 0.03))  # stable, with its zero at -0.5: minimum phase
-SAMPLES = 32  # of a trial, unless a test asks for another number, or the case is of the slow ones
+SAMPLES = 32  # of a trial, unless a test sets another number or the case is one of the slow ones
 FEW = 12
 
-# a light drive of 32 Hz antiresonance, soft enough for 1 ms: its speed loop is 50 Hz wide
+# a low-mass drive with an antiresonance at 32 Hz, soft enough for 1 ms: its speed loop is 50 Hz
+# wide
 DRIVE = {
     "motor_mass": 2.0,
     "table_mass": 1.0,
@@ -100,8 +102,8 @@ PLANTS = {
     "mimo": StateSpace(
         [[-50.0, 20.0], [5.0, -90.0]], [[50.0, 5.0], [-10.0, 80.0]], [[1.0, 0.1], [0.2, 1.0]]
     ),
-    # an inactive limit has no gradient, so the motor goes without; a slow current loop takes one
-    # substep a sample
+    # A limit that is not reached has a gradient of zero, so this motor has no limits. Its current
+    # loop is slow, so one substep for each sample is enough.
     "motor": VoiceCoilMotor(
         current_gain=30.0, substep=1e-3, current_limit=None, voltage_limit=None, speed_limit=None
     ),
@@ -143,17 +145,10 @@ PLANTS = {
     ),
 }
 
-_NOMINAL = StateSpace(
-    [[0.87, 0.12], [0.33, 0.58]], [[0.22], [0.0]], np.eye(2), dt=DT
-)  # of motor_and_table
-_SLIDING = {
-    "a1": 5.8e4,
-    "a2": 400.0,
-    "b": 1.15e5,
-    "k_n": 200.0,
-    "lam1": 150.0,
-    "lam2": 300.0,
-}  # nearly the model of arx
+# This is a model of motor_and_table.
+_NOMINAL = StateSpace([[0.87, 0.12], [0.33, 0.58]], [[0.22], [0.0]], np.eye(2), dt=DT)
+# These numbers are close to the model of arx.
+_SLIDING = {"a1": 5.8e4, "a2": 400.0, "b": 1.15e5, "k_n": 200.0, "lam1": 150.0, "lam2": 300.0}
 _ADAPTIVE = _SLIDING | {"eta": 1e3, "phi": 2e4, "epsilon": 0.03, "Delta": 6.0}
 _CFDL = {"phi0": -0.065, "lam": 0.02, "mu": 0.05, "rho": 0.9}
 _PFDL = {"phi0": (-0.065, 0.02), "lam": 0.02, "mu": 0.05, "rho": (0.9, 0.7)}
@@ -220,15 +215,15 @@ SCHEMES = {
         PIDType(gamma_p=-1.0),
         SwitchableFilter((60.0, 150.0, 90.0), (0.0083, 0.0187), 0.006, order=1, padding=4),
     ),
-    # a Butterworth of 80 Hz at 1 kHz
+    # a Butterworth filter of 80 Hz at 1 kHz
     "p_type_iir": Filtered(
         PIDType(gamma_p=-1.0), ZeroPhaseIIR((0.0461, 0.0922, 0.0461), (1.0, -1.3073, 0.4918))
     ),
-    # good enough, for the first time, in the third trial
+    # The error is small enough for the first time in the third trial.
     "p_type_stop": StopWhen(
         Filtered(PIDType(gamma_p=-1.0), ZeroPhaseFIR()), max_error=0.85, rms=0.6, growth=0.5
     ),
-    # the gain grows after the second trial, and after the third as far as it may
+    # The gain grows after the second trial, and after the third it reaches its largest value.
     "p_type_ladder": Ladder(
         PIDType(gamma_p=-0.3, lead=1), repeats=1, growth_of_gain=1.2, largest=1.3, slow=0.5
     ),
@@ -275,7 +270,7 @@ SCHEMES = {
     ),
 }
 
-# what runs: every scheme on a plant of its shape, and every plant under a scheme
+# What is simulated: every scheme on a plant with the right shape, and every plant under a scheme.
 _PLANT_OF = {
     "p_type_on_table": "motor_and_table",
     "norm_optimal": "mimo",
@@ -308,7 +303,7 @@ CASES = {
 
 
 def task_for(plant, N=SAMPLES):
-    """A smooth bump, a little higher for each further output."""
+    """Return a task whose reference is a smooth bump, a little higher for each further output."""
     bump = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(N + 1) / N)
     return Task(
         np.stack([(1 + 0.3 * i) * bump for i in range(plant.n_y)], axis=1), dt=DT, inputs=plant.n_u
@@ -316,6 +311,6 @@ def task_for(plant, N=SAMPLES):
 
 
 def case(name):
-    """(machine, scheme, task) of a case."""
+    """Return (machine, scheme, task) of a case."""
     plant, scheme = CASES[name]
     return Machine(plant), scheme, task_for(plant, FEW if name in _FEW else SAMPLES)

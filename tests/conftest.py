@@ -1,12 +1,12 @@
-"""JAX is started here, before any test module touches it."""
+"""This file starts JAX before any test module uses it."""
 
 import os
 
-# Compiling dominates these tests. Without the optimiser of LLVM and the newer code generator it
-# takes half the time. `XLA_FLAGS= pytest` runs what ships.
+# Most of the time of these tests is compilation. Without LLVM's optimiser and the newer code
+# generator it takes half as long. `XLA_FLAGS= pytest` tests the programs as users get them.
 FLAGS = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
 os.environ.setdefault("XLA_FLAGS", FLAGS)
-os.environ.setdefault("JAXILC_CACHE", "off")  # the command line keeps programs in a user's folder
+os.environ.setdefault("JAXILC_CACHE", "off")  # it would write to the user's folder
 
 import jaxilc.runtime  # noqa: E402
 
@@ -25,7 +25,7 @@ def pytest_addoption(parser):
 
 
 def pytest_collection_modifyitems(config, items):
-    """Mark what `quick` in pyproject.toml lists, so that `-m quick` runs it."""
+    """Mark the tests that `quick` in pyproject.toml lists, so that `-m quick` runs them."""
     entries = config.getini("quick")
     listed = {entry for entry in entries if not entry.startswith("not ")}
     left_out = {entry.removeprefix("not ") for entry in entries} - listed
@@ -37,14 +37,20 @@ def pytest_collection_modifyitems(config, items):
 
 @pytest.fixture(scope="module", autouse=True)
 def _forget_compiled_programs():
-    """What a module compiled is of no use to the next one; all of it together takes gigabytes."""
+    """Forget the compiled programs after each module.
+
+    The next module cannot use them, and all of them together take gigabytes.
+    """
     yield
     jax.clear_caches()
 
 
 @pytest.fixture(scope="module")
 def compiled_once(tmp_path_factory):
-    """For modules whose commands and problems would each compile the same programs again."""
+    """Keep compiled programs on disk within a module.
+
+    The commands and problems of such a module would each compile the same programs again.
+    """
     settings = {
         "jax_compilation_cache_dir": str(tmp_path_factory.mktemp("programs")),
         "jax_persistent_cache_min_compile_time_secs": 0.0,
@@ -61,11 +67,11 @@ def compiled_once(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def task():
-    """One input, one output, 60 samples of 1 ms."""
+    """Return a task with one input, one output and 60 samples of 1 ms."""
     return task_for(PLANTS["voice_coil_printed"], N=60)
 
 
 @pytest.fixture(scope="session")
 def machine():
-    """The printed voice coil, without noise."""
+    """Return the voice coil with the printed coefficients, without noise."""
     return Machine(PLANTS["voice_coil_printed"])

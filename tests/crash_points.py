@@ -1,10 +1,9 @@
-"""Every state of a folder that a kill could leave behind: a copy before each thing that is done
-there.
+"""This module records every state of a folder that a killed process could leave behind.
 
-Python tells of each file that is opened, each folder made and each name changed
-(`sys.addaudithook`), before it happens. Of a file that was opened for writing, copies are taken
-with nothing and with half of what was written by the time of the next event. States that are alike
-are kept once.
+It copies the folder before each operation in it. Python reports each file that is opened, each
+folder that is made and each name that is changed before it happens (`sys.addaudithook`). For a file
+that was opened for writing, two copies are taken: one without its content, and one with half of
+what was written by the time of the next event. Equal states are kept once.
 """
 
 import hashlib
@@ -26,7 +25,10 @@ WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC
 
 
 class Recorder:
-    """snapshots: folders, each a state of `root`, in order."""
+    """The recorder copies the states of a folder.
+
+    snapshots: folders, each a state of `root`, in order.
+    """
 
     def __init__(self, root, kept):
         self.root, self.kept, self.snapshots = str(root), kept, []
@@ -83,10 +85,10 @@ def _hook(event, arguments):
 
 @contextmanager
 def recorded(root, kept):
-    """The states that `root` goes through within the block, as folders in `kept`."""
+    """Record the states that `root` goes through within the block, as folders in `kept`."""
     if not getattr(sys, "_crash_points", False):
         sys._crash_points = True
-        sys.addaudithook(_hook)  # for the rest of the process: a hook cannot be removed
+        sys.addaudithook(_hook)  # stays until the process ends, since a hook cannot be removed
     root.mkdir()
     recorder = Recorder(root, kept)
     _recording.append(recorder)

@@ -1,11 +1,14 @@
-"""What the fuzzers share: how often they run, values that no parameter wants, and how files and
-folders are damaged.
+"""This module holds what the fuzz tests share.
 
-Each runs a few times with the other tests. For more, say how many, and from which seed on:
+It says how often they run, which values are invalid for every parameter, and how files and folders
+are damaged.
+
+Each fuzz test runs a few times with the other tests. For more, give the number of runs and the
+first seed:
 
     JAXILC_FUZZ=10000 JAXILC_FUZZ_SEED=1 pytest tests/test_fuzz_*.py tests/test_damaged_*.py
 
-What is found is named with the seed of that one run: JAXILC_FUZZ=1 with it repeats it alone.
+A failure is reported with the seed of its run. JAXILC_FUZZ=1 with this seed repeats that run alone.
 """
 
 import copy
@@ -77,14 +80,16 @@ HOSTILE = (
         np.bool_(True),
     ),
 )
+# These values can be written as JSON.
 PLAIN = tuple(
     x for x in HOSTILE if x is None or isinstance(x, bool | int | float | str | list | dict)
-)  # what JSON can hold
+)
 
 
 def fuzz(few, attempt, allowed=ValueError):
-    """`attempt(rng)`, `few` times or as often as was asked for, which may raise what is allowed
-    only. Returns how many raised nothing.
+    """Run `attempt(rng)` `few` times, or as often as the environment asks.
+
+    It may raise the exceptions in `allowed` only. Returns how many runs raised nothing.
     """
     accepted, found = 0, []
     first = int(os.environ.get("JAXILC_FUZZ_SEED", "0"))
@@ -129,7 +134,7 @@ BYTES = (
 
 
 def places(tree, path=()):
-    """Every place in nested tables and lists."""
+    """Yield every place in nested tables and lists."""
     inside = (
         tree.items()
         if isinstance(tree, dict)
@@ -143,7 +148,10 @@ def places(tree, path=()):
 
 
 def damaged(rng, tree):
-    """A copy with a value replaced, removed, doubled, wrapped, or under another name."""
+    """Return a copy with a random damage.
+
+    A value is replaced, removed, doubled, wrapped, or stored under another name.
+    """
     tree = copy.deepcopy(tree)
     for _ in range(1 + rng.integers(2)):
         found = list(places(tree))
@@ -174,10 +182,8 @@ def damaged(rng, tree):
 def dumped(tree):
     try:
         return json.dumps(tree)
-    except (
-        RecursionError,
-        ValueError,
-    ):  # deeper than JSON's writer goes, or a number of thousands of digits
+    # The tree is nested too deeply for the JSON writer, or has a number with thousands of digits.
+    except (RecursionError, ValueError):
         return "[" * 100_000
 
 
@@ -204,7 +210,7 @@ def files_of(folder):
 
 
 def flipped(rng, folder, to):
-    """A copy of a folder with a bit flipped in one of its files."""
+    """Make a copy of a folder with one bit changed in one of its files."""
     shutil.rmtree(to, ignore_errors=True)
     shutil.copytree(folder, to)
     file = to / pick(rng, files_of(folder))
@@ -216,7 +222,7 @@ def flipped(rng, folder, to):
 
 
 def refusal(call):
-    """What a call is refused with, in one line; None where it is not."""
+    """Return the message of one line with which a call is refused, or None where it is accepted."""
     try:
         call()
     except ValueError as error:

@@ -1,4 +1,7 @@
-"""Learning and tuning with a closed form, for tests: a static gain under P-type ILC."""
+"""For tests, this module holds learning and tuning problems with a closed form.
+
+The plant is a static gain under P-type ILC.
+"""
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,9 +16,8 @@ from jaxilc.uncertainty import Uniform
 
 N = 20
 TASK = Task(np.sin(2 * np.pi * np.arange(N + 1) / N), dt=1e-3)
-STATIC = Machine(
-    StateSpace([[0.0]], [[1.0]], [[1.0]], dt=1e-3)
-)  # y[k+1] = u[k], so e_j = (1 - gamma g)^(j-1) r with the gain g
+# The plant is y[k+1] = u[k], so e_j = (1 - gamma g)^(j-1) r with the gain g.
+STATIC = Machine(StateSpace([[0.0]], [[1.0]], [[1.0]], dt=1e-3))
 GAINS = {"plant.B": Uniform(0.6, 1.2, relative=True)}
 PROBLEM = Tuning(
     STATIC,

@@ -1,5 +1,6 @@
-"""A small store and a way to fill it, whatever is there already, for the tests of kills and of
-damage.
+"""For tests of kills and of damage, this module holds a small store.
+
+It can be filled, whatever it already contains.
 """
 
 import numpy as np
@@ -19,8 +20,9 @@ FIGURES = {
 
 
 def filled(path):
-    """The store at a place, whatever is there by now, filled to the end; its dataset, and the
-    chunks that were written.
+    """Fill the store at a path to the end, whatever it already contains.
+
+    Returns its dataset, and the chunks that were written.
     """
     written = []
     with Store.resume(path, LAYOUT) if path.exists() else Store.create(path, LAYOUT) as store:

@@ -1,4 +1,7 @@
-"""A small sweep with noise, two schemes and chunks that do not come out even."""
+"""For tests, this module holds a small sweep.
+
+It has noise, two schemes, and a number of machines that is not a multiple of the chunk.
+"""
 
 import numpy as np
 

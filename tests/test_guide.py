@@ -1,5 +1,6 @@
-"""The guide and the start page: their links lead somewhere, and their Python code passes type
-checkers as a user's script.
+"""The links of the guide and the start page lead to pages that exist.
+
+Their Python code passes type checkers as a user's script.
 """
 
 import importlib
@@ -32,7 +33,7 @@ dt = 1e-3
 learn(Machine(p), PIDType(gamma_p=0.5), Task(r, dt), trials=2)
 learn(Machine(p), PIDType(gamma_p=np.array(0.5)), Task(list(r), dt), trials=2)
 """
-CHECKERS = {  # what stands before the scripts on the command line
+CHECKERS = {  # the words before the scripts on the command line
     "mypy": ["--no-incremental", "--python-executable", sys.executable],
     "pyright": ["--pythonpath", sys.executable],
     "ty": ["check", "--quiet", "--python", sys.prefix, "--extra-search-path", str(ROOT)],
@@ -40,13 +41,13 @@ CHECKERS = {  # what stands before the scripts on the command line
 
 
 def code_of(file: str) -> str:
-    """The Python blocks of a page, one after another."""
+    """Return the Python blocks of a page, one after another."""
     return "\n".join(CODE.findall((ROOT / file).read_text(encoding="utf-8")))
 
 
 @pytest.fixture(scope="module")
 def scripts(tmp_path_factory) -> list[Path]:
-    """The Python code of each page as one script, and the shortest script of a user."""
+    """Return the Python code of each page as one script, and the shortest script of a user."""
     folder = tmp_path_factory.mktemp("scripts")
     texts = [code_of(file) for file in WITH_PYTHON]
     assert all(text.count("jaxilc.learn(") >= 2 for text in texts)
@@ -59,7 +60,7 @@ def scripts(tmp_path_factory) -> list[Path]:
 def test_a_users_script_passes_type_checkers(name, scripts):
     beside = Path(sys.executable).parent / name
     checker = str(beside) if beside.exists() else shutil.which(name)
-    if checker is None:  # mypy and ty are among the pinned versions; pyright needs node
+    if checker is None:  # mypy and ty are among the pinned versions; pyright needs Node.js
         pytest.skip(f"{name} is not installed")
     path = {"MYPYPATH": str(ROOT), "PYTHONPATH": str(ROOT)}
     found = subprocess.run(
@@ -78,7 +79,7 @@ def test_the_shortest_script_of_a_user_runs():
 
 @pytest.fixture
 def pages(monkeypatch):
-    """The module that writes the guide, which stands outside the package."""
+    """Return the module that writes the guide, which is outside the package."""
     pytest.importorskip("pdoc")
     monkeypatch.syspath_prepend(str(DOCS))
     return importlib.import_module("pages")
@@ -122,7 +123,10 @@ def test_the_start_page_is_short():
 
 
 def test_files_that_the_pages_name_are_there():
-    """Paths such as `jaxilc/cli/entry.py` or `experiments/...py` in backquotes."""
+    """The files that the pages name exist.
+
+    They are paths such as `jaxilc/cli/entry.py` or `experiments/...py` in backquotes.
+    """
     for file in [*DOCS.glob("guide/*.md"), ROOT / "README.md", ROOT / ".github/CONTRIBUTING.md"]:
         text = file.read_text(encoding="utf-8")
         named = re.findall(r"`((?:jaxilc|tests|experiments|notebooks|\.ci)/[\w./]*)`", text)

@@ -1,4 +1,7 @@
-"""The order of imports: each family imports from those before it, none from one after it."""
+"""These tests check the order of imports.
+
+Each family imports from those before it, and from none after it.
+"""
 
 import ast
 from pathlib import Path
@@ -29,7 +32,7 @@ ROOT = Path(jaxilc.__file__).parent
 
 
 def imports_of(file: Path) -> set[str]:
-    """The families that a file of the package imports from, at its head or within a function."""
+    """Return the families that a file imports from, at its head or within a function."""
     folder, found = [*file.relative_to(ROOT.parent).parts[:-1]], set()
     for node in ast.walk(ast.parse(file.read_text())):
         if isinstance(node, ast.Import):
@@ -57,8 +60,10 @@ def test_the_families_are_all_there_is():
 
 
 def test_no_circle_within_a_family():
-    """Modules of one family import one another in one direction only, be it at their heads, for a
-    type checker, or within a function.
+    """There is no circle of imports within a family.
+
+    Modules of one family import one another in one direction only. This holds for imports at the
+    head, for a type checker, and within a function.
     """
     graph: dict[str, set[str]] = {}
     for file in ROOT.rglob("*.py"):

@@ -1,6 +1,6 @@
-"""The notebooks, each executed as a notebook.
+"""Each notebook is executed as a notebook.
 
-There is no display and no network, nothing is left behind, and every figure is shown.
+There is no display and no network, no file is left behind, and every figure is shown.
 """
 
 import os
@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 NOTEBOOKS = sorted((Path(__file__).parent.parent / "notebooks").glob("*.py"))
-QUICK = ("01", "06", "07")  # each about 10 s on a quiet core
-LIMIT = 600  # s for a cell; far above what one takes, for machines that are busy
+QUICK = ("01", "06", "07")  # each takes about 10 s on an idle core
+LIMIT = 600  # [s] for a cell; far more than a cell takes, for machines that are busy
 CELL = re.compile(r"^# %%(?: \[markdown\])?$")
 FIRST = """
 import socket, warnings

@@ -1,8 +1,7 @@
-"""The benchmark at 1 to 65,536 plants, written out row by row: nanoseconds per sample-step, ratios,
-compile time, memory.
+"""The benchmark at 1 to 65,536 plants: nanoseconds per sample-step, ratios, compile time, memory.
 
-Takes half an hour on two cores. Numba is an opponent where it is installed, the C program where
-there is a compiler.
+Each row is written when it is measured. The whole takes half an hour on two cores. Numba is an
+opponent where it is installed, and the C program where there is a compiler.
 """
 
 import csv
@@ -12,7 +11,7 @@ from pathlib import Path
 import jaxilc
 
 PLANTS, TRIALS, SAMPLES = (1, 16, 1024, 65_536), 80, 2000
-WHOLE = 1024  # plants beyond which two turns are enough
+WHOLE = 1024  # largest number of plants with more than two turns
 
 
 def rows(plants):

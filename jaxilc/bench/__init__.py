@@ -1,4 +1,4 @@
-"""The benchmark: the same learning run by jaxilc and by others, timed once the numbers agree."""
+"""The benchmark: the same learning by jaxilc and by other programs, timed after a comparison."""
 
 import lazy_loader
 

@@ -1,6 +1,6 @@
 """Opponents of `jaxilc bench` that are compiled: loops for Numba, and a program in C (limit.c).
 
-What they compute is said in `peers`.
+The module `peers` says what they compute.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ import numpy as np
 
 from .peers import Peer, Problem
 
-LANES = 8  # of the C program: doubles in the widest register there is
+LANES = 8  # lanes of the C program: doubles in the widest register that exists
 
 
 def _cfdl_plant(a, b, r, trials, settled, weights, phi0, metrics):
-    # One pass over the samples of a trial: what the next trial needs is computed in place.
+    # One pass over the samples of a trial; the numbers for the next trial are computed in place.
     lam, rho, eta, mu, epsilon = weights
     N, start = len(r) - 1, phi0[0]
     u, u_last, y, phi = np.zeros(N), np.zeros(N), np.zeros(N + 1), np.full(N, start)
@@ -104,7 +104,7 @@ def _ffdl_plant(a, b, r, trials, settled, weights, phi0, metrics):
 
 
 def numba_parallel() -> Peer:
-    """The loops above compiled by Numba, with fast math and one plant after another on each thread.
+    """The loops above compiled by Numba, with fast math; each thread runs plant after plant.
 
     Raises ImportError without Numba.
     """
@@ -128,10 +128,12 @@ def numba_parallel() -> Peer:
 
 
 def c_program(threads: int) -> Peer:
-    """The same in C with explicit SIMD lanes and OpenMP threads: about the limit of a processor.
+    """The same in C with explicit SIMD lanes and OpenMP threads, near the limit of a processor.
 
-    It is built with the compiler `cc`. Raises FileNotFoundError where there is none, OSError where
-    it cannot build the program.
+    It is built with the compiler `cc`.
+
+    Raises FileNotFoundError where there is no compiler, and OSError where it cannot build the
+    program.
     """
     compiler = shutil.which("cc")
     if compiler is None:

@@ -30,14 +30,14 @@ from .timing import OURS, Cost, Entry, Row, cores, cost, difference, in_turns
 SCHEMES = {"cfdl": "cfdl-mfailc", "ffdl": "ffdl-mfailc"}
 ALONE = ("noilc", "ilc-asmc")
 BLOCKS = "jaxilc in blocks"
-# Plants and trials that are enough to know what a sample-step costs.
+# Plants and trials that are enough to measure the time of a sample-step.
 SLOW = {"NumPy loop": (1, 20), "NumPy batch": (1024, 5)}
 
 
 def opponents() -> tuple[dict[str, tuple[Peer, float]], list[str]]:
-    """The opponents that run here, each with the seconds to build it, and a note on each other one.
+    """The opponents that run here with the seconds to build them, and a note on each other one.
 
-    Numba and a C compiler need not be there.
+    Numba and a C compiler are optional.
     """
     found: dict[str, tuple[Peer, float]] = {
         "NumPy loop": (peers.numpy_loop, 0.0),
@@ -59,7 +59,8 @@ def opponents() -> tuple[dict[str, tuple[Peer, float]], list[str]]:
 class Setting(NamedTuple):
     """MFAILC on the motor of Cao 2019, eq. 29, whose gain is uncertain by 10 %.
 
-    trials: J;  b: (S, 3) numerators of the plants
+    trials: number J of trials
+    b: (S, 3) numerator coefficients of the plants
     """
 
     machine: Any
@@ -84,16 +85,19 @@ class Setting(NamedTuple):
         )
 
     def ours(self, lanes: int | None = None) -> Callable[[], np.ndarray]:
-        """(S, J, 4) metrics by `learn`, the plants tiled as a sweep tiles them."""
+        """(S, J, 4) metrics by `learn`, with the plants in tiles as in a sweep."""
         run = tiled(partial(_metrics, leaf="plant.b", trials=self.trials), lanes=lanes)
         common = (self.machine, self.scheme, self.task)
         return lambda: np.asarray(run(common, self.b))
 
 
 def setting(scheme: str, plants: int, trials: int, samples: int) -> Setting:
-    """The scenario `cao-2019` in that size, with one period of the sinusoid in each trial.
+    """The scenario `cao-2019` in a given size, with one period of the sinusoid in each trial.
 
-    scheme: `cfdl` or `ffdl`;  plants: S;  trials: J;  samples: N
+    scheme: `cfdl` or `ffdl`
+    plants: number S of plants
+    trials: number J of trials
+    samples: number N of samples of a trial
     Raises ValueError for another scheme, and for a size that is too small or too large.
     """
     if scheme not in SCHEMES:
@@ -114,9 +118,11 @@ def setting(scheme: str, plants: int, trials: int, samples: int) -> Setting:
 
 
 def need_room(plants: int, trials: int, samples: int) -> None:
-    """Raises ValueError where the contenders do not fit into memory together.
+    """Check that all contenders fit into the RAM together.
 
     They keep the metrics of every trial, signals of a few plants, and the outputs of the plants.
+
+    Raises ValueError where they do not fit.
     """
 
     def need(plants: float, trials: float, samples: float) -> float:
@@ -129,9 +135,9 @@ def need_room(plants: int, trials: int, samples: int) -> None:
 def compare(
     of: Setting, opponents: Mapping[str, tuple[Peer, float]], *, repeats: int = 5
 ) -> dict[str, Row]:
-    """Ours and every opponent on one setting.
+    """The times of jaxilc and of every opponent on one setting.
 
-    Raises ArithmeticError, naming the opponent, where one computes other numbers.
+    Raises ArithmeticError naming an opponent that computes other numbers.
     """
     whole, N, entries = of.problem, of.task.N, {}
     for name, (peer, built) in opponents.items():
@@ -143,7 +149,7 @@ def compare(
 
 
 def compare_plant(of: Setting, *, repeats: int = 5) -> dict[str, Row]:
-    """The plants alone, driven by one input: python-control, SciPy and `run_trial`.
+    """The times for the plants alone under one input: python-control, SciPy and `run_trial`.
 
     Raises ArithmeticError where their outputs differ.
     """
@@ -152,7 +158,7 @@ def compare_plant(of: Setting, *, repeats: int = 5) -> dict[str, Row]:
 
     a, dt, N, S = np.asarray(of.machine.plant.a), of.task.dt, of.task.N, len(of.b)
     u = np.random.default_rng(1).normal(size=N)
-    few = min(S, 64)  # python-control takes a Python step a sample
+    few = min(S, 64)  # python-control runs a Python step for each sample
     instants, last, denominator = np.arange(N + 1) * dt, np.append(u, 0.0), np.append(1.0, -a)
     systems = [control.ss(control.tf(b, denominator, dt)) for b in of.b[:few]]
     run, common = tiled(_response), (of.machine, of.task, u[:, None])
@@ -173,7 +179,7 @@ def compare_plant(of: Setting, *, repeats: int = 5) -> dict[str, Row]:
 
 
 def compare_long(samples: int, *, repeats: int = 5) -> dict[str, Row]:
-    """One plant in one long trial: SciPy, `run_trial` step by step, and with the plant in blocks.
+    """The times for one long trial of one plant: SciPy, and `run_trial` by steps and in blocks.
 
     Raises ArithmeticError where outputs in blocks differ by more than 1e-9 of the largest one,
     ValueError for fewer than 4 samples.
@@ -203,7 +209,9 @@ def compare_long(samples: int, *, repeats: int = 5) -> dict[str, Row]:
 
 
 def alone(name: str, plants: int, *, repeats: int = 5) -> Row:
-    """Ours without opponents, in ten trials of 2000 samples.
+    """The time of jaxilc without opponents, in ten trials of 2000 samples.
+
+    The names are:
 
     noilc       norm-optimal learning by the Riccati recursion on the drive of MILC 2024, with 10 %
                 model error
@@ -237,7 +245,7 @@ def alone(name: str, plants: int, *, repeats: int = 5) -> Row:
 def cost_by_size(
     scheme: str, plants: int, trials: int, samples: int, *, repeats: int = 5
 ) -> dict[str, tuple[dict[int, float], Cost]]:
-    """Seconds of our best run by the numbers of plants, trials and samples, with fitted lines.
+    """Seconds of our best run by numbers of plants, trials and samples, with fitted lines.
 
     One number is varied at a time: a quarter, a half and all of its size.
     """

@@ -1,9 +1,9 @@
-"""The problem that `jaxilc bench` gives its opponents, and two opponents in NumPy.
+"""The problem that the opponents in `jaxilc bench` solve, and two opponents in NumPy.
 
 The problem is MFAILC on a difference equation of third order. Every opponent computes what `learn`
 does, trial by trial: the laws CFDL (Cao 2019, eq. 12 and 13) and FFDL with L_y = L_u = 2 (eq. 25
 and 27), the reset `sign`, the plant, and four metrics of each trial: max |e|, RMS of e, settled
-|e|, RMS of u. Opponents that are compiled are in `compiled_peers`.
+|e|, RMS of u. The compiled opponents are in `compiled_peers`.
 """
 
 from __future__ import annotations
@@ -17,11 +17,15 @@ METRICS = ("max_error", "rms", "settled_error", "effort")
 
 
 class Problem(NamedTuple):
-    """S plants, J trials of N samples.
+    """The problem of S plants that learn in J trials of N samples.
 
-    a: (3,) coefficients of the outputs;  b: (S, 3) coefficients of the inputs, of each plant
-    r: (N+1,) reference;  trials: J;  settled: first sample of the settled window
-    weights: (5,) lam, rho, eta, mu, epsilon;  phi0: (1,) for CFDL, (4,) for FFDL
+    a: (3,) coefficients of the outputs
+    b: (S, 3) coefficients of the inputs for each plant
+    r: (N+1,) reference [mm]
+    trials: number J of trials
+    settled: first sample of the settled window
+    weights: (5,) lam, rho, eta, mu, epsilon
+    phi0: (1,) for CFDL, (4,) for FFDL
     """
 
     a: np.ndarray
@@ -34,11 +38,11 @@ class Problem(NamedTuple):
 
     @property
     def steps(self) -> int:
-        """Sample-steps: each is one sample of one trial of one plant."""
+        """The number of sample-steps; each is one sample of one trial of one plant."""
         return len(self.b) * self.trials * (len(self.r) - 1)
 
     def part(self, plants: int, trials: int) -> Problem:
-        """The same problem with the first plants and trials alone."""
+        """The same problem with the first plants and trials only."""
         return self._replace(b=self.b[:plants], trials=min(self.trials, trials))
 
 
@@ -46,7 +50,7 @@ Peer = Callable[[Problem], np.ndarray]  # -> (S, J, 4) metrics
 
 
 def numpy_loop(problem: Problem) -> np.ndarray:
-    """Plant by plant: a Python loop over the samples, learning in whole arrays."""
+    """The metrics plant by plant: a Python loop over the samples, and learning in whole arrays."""
     return np.stack([_one_by_one(problem, b) for b in problem.b])
 
 
@@ -97,7 +101,7 @@ def _one_by_one(problem, b):
 
 
 def numpy_batch(problem: Problem) -> np.ndarray:
-    """All plants at once: the same loop over the samples, with arrays of S numbers at each step."""
+    """The metrics of all plants at once: the same loop, with arrays of S numbers at each sample."""
     a, b, r, phi0 = problem.a, problem.b.T.copy(), problem.r, problem.phi0
     N, S = len(r) - 1, len(problem.b)
     lam, rho, eta, mu, epsilon = problem.weights

@@ -1,9 +1,9 @@
-"""What `jaxilc bench` runs: every contest for every scheme and number of plants, one after another.
+"""The programme of `jaxilc bench`: every contest for every scheme and number of plants, in turn.
 
 SCHEME, plants    MFAILC against all opponents, or a scheme alone (`contests.ALONE`)
 plant, plants     the plants alone
 long, samples     one plant in one long trial
-cost, SCHEME      what our run costs by its size
+cost, SCHEME      the time of our run by its size
 """
 
 from __future__ import annotations
@@ -16,14 +16,18 @@ import jax
 from . import contests
 from .timing import OURS, Cost, Row, as_json, machine
 
-ByTheSize = dict[str, tuple[dict[int, float], Cost]]  # of `contests.cost_by_size`
+ByTheSize = dict[str, tuple[dict[int, float], Cost]]  # result of `contests.cost_by_size`
 
 
 class Programme(NamedTuple):
     """The sizes of a benchmark.
 
-    plants: numbers S of plants;  trials: J;  samples: N;  schemes: of `SCHEMES` and `ALONE`
-    long: samples of the long trial, 0 for none;  repeats: turns of every contender
+    plants: numbers S of plants
+    trials: number J of trials
+    samples: number N of samples of a trial
+    schemes: names from `SCHEMES` and `ALONE`
+    long: number of samples of the long trial, 0 for no such trial
+    repeats: number of turns of every contender
     """
 
     plants: Sequence[int]
@@ -34,7 +38,7 @@ class Programme(NamedTuple):
     repeats: int
 
     def check(self) -> None:
-        """Raises ValueError, before anything runs, for what is unknown, too short or too large."""
+        """Raises ValueError, before anything runs, for an unknown scheme or a wrong size."""
         allowed = (*contests.SCHEMES, *contests.ALONE)
         for name in self.schemes:
             if name not in allowed:
@@ -53,12 +57,12 @@ def measure(
     rows: Callable[[str, dict[str, Row]], object],
     costs: Callable[[str, ByTheSize], object],
 ) -> dict[str, Any]:
-    """Run the programme; all that was measured, as JSON takes it.
+    """Run the programme, and return all measurements in a form for JSON.
 
-    note: called with a text on each opponent that does not run here
-    rows: called with the title and the rows of each contest when it ends
-    costs: called with a scheme and what it costs by its size
-    Raises ValueError as `Programme.check` does, ArithmeticError where numbers differ.
+    note: function that is called with a text on each opponent that does not run here
+    rows: function that is called with the title and the rows of each contest when it ends
+    costs: function that is called with a scheme and its times by size
+    Raises ValueError as `Programme.check` does, and ArithmeticError where numbers differ.
     """
     programme.check()
     jax.config.update("jax_enable_compilation_cache", False)  # compiling is measured too

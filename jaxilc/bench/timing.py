@@ -1,8 +1,8 @@
-"""How programs are timed against each other: numbers are compared first, then they take turns.
+"""Timing of programs against each other: numbers are compared first, then the programs take turns.
 
-On a machine that others use too, the times of one program differ more than those of two programs.
-So contenders take turns, and a ratio is the median over the turns. Beside the time by the clock
-stands the processor time of all threads, which does not count waiting for a core.
+On a computer with other users, two runs of one program may differ more in time than two programs.
+So contenders take turns, and a ratio is the median over the turns. Besides the wall time, the
+processor time of all threads is measured, which does not include waiting for a core.
 """
 
 from __future__ import annotations
@@ -16,18 +16,19 @@ import jax
 import numpy as np
 
 OURS = "jaxilc"
-TOLERANCE = {"float64": 1e-8, "float32": 2e-2}  # of the largest metric of its kind
+TOLERANCE = {"float64": 1e-8, "float32": 2e-2}  # share of the largest metric of its kind
 
 
 class Row(NamedTuple):
-    """What one contender took.
+    """The times of one contender.
 
-    plants, trials: that it ran; a slow one runs a part of them
+    plants, trials: plants and trials that it ran; a slow contender runs a part of them
     difference: largest difference from ours, as a share of the largest metric of its kind
-    compile_seconds: of the first call beyond a later one, with the time to build the program
-    seconds, cpu_seconds: of each turn, by the clock and by the processors
-    peak_bytes: memory that the first call took, None where that is unknown
-    steps: sample-steps of a turn
+    compile_seconds: excess time of the first call over a later one, plus the time to build the
+        program [s]
+    seconds, cpu_seconds: (turns,) wall time and processor time of each turn [s]
+    peak_bytes: RAM that the first call used, None where that is unknown
+    steps: number of sample-steps of a turn
     """
 
     name: str
@@ -42,21 +43,21 @@ class Row(NamedTuple):
 
     @property
     def best(self) -> float:
-        """ns per sample-step in the best turn."""
+        """The wall time per sample-step in the best turn [ns]."""
         return 1e9 * min(self.seconds) / self.steps
 
     @property
     def median(self) -> float:
-        """ns per sample-step in the median turn."""
+        """The wall time per sample-step in the median turn [ns]."""
         return 1e9 * float(np.median(self.seconds)) / self.steps
 
     @property
     def cpu(self) -> float:
-        """Processor ns per sample-step, of all threads together, in the best turn."""
+        """The processor time of all threads per sample-step in the best turn [ns]."""
         return 1e9 * min(self.cpu_seconds) / self.steps
 
     def ratios(self, ours: Row, clock: str = "seconds") -> np.ndarray:
-        """(turns,) the time of this contender over that of `ours`, for the same work.
+        """(turns,) the time of this contender divided by that of `ours`, for the same work.
 
         clock: `seconds` or `cpu_seconds`
         """
@@ -68,7 +69,7 @@ class Row(NamedTuple):
 
 
 class Entry(NamedTuple):
-    """A contender: what it runs, how much of the whole, and the seconds it took to build it."""
+    """A contender: the function that it runs, its part of the problem, and its build time [s]."""
 
     call: Callable[[], np.ndarray]
     plants: int
@@ -78,12 +79,12 @@ class Entry(NamedTuple):
 
 
 def cores() -> int:
-    """Cores this process may use."""
+    """The number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def machine() -> dict[str, Any]:
-    """Where and under what load it is measured."""
+    """The computer on which the times are measured, and its load."""
     return {
         "cores": cores(),
         "devices": jax.device_count(),
@@ -93,9 +94,9 @@ def machine() -> dict[str, Any]:
 
 
 def in_turns(entries: Mapping[str, Entry], *, repeats: int) -> dict[str, Row]:
-    """Run each once, compare the numbers with ours, then time them turn by turn.
+    """Run each contender once, compare its numbers with ours, then time all in turns.
 
-    Raises ArithmeticError where numbers differ, ValueError for repeats < 1.
+    Raises ArithmeticError where numbers differ, and ValueError for repeats < 1.
     """
     if repeats < 1:
         raise ValueError(f"bench: repeats = {repeats} is outside its allowed range [1, inf)")
@@ -136,9 +137,10 @@ def in_turns(entries: Mapping[str, Entry], *, repeats: int) -> dict[str, Row]:
 
 
 def difference(part: np.ndarray, whole: np.ndarray) -> float:
-    """Largest difference of a part (S', J', n) from the first entries of the whole (S, J, n).
+    """The largest difference of a part (S', J', n) from the first entries of the whole (S, J, n).
 
-    Each of the n is divided by its largest value; NaN if any difference is.
+    Each of the n differences is divided by the largest value of its kind. The result is NaN if any
+    difference is NaN.
     """
     whole = whole[: part.shape[0], : part.shape[1]]
     largest = np.max(np.abs(whole), axis=(0, 1))
@@ -146,9 +148,9 @@ def difference(part: np.ndarray, whole: np.ndarray) -> float:
 
 
 class Cost(NamedTuple):
-    """A line through times of one kind: seconds = start + slope x.
+    """A straight line through times of one kind: seconds = start + slope x.
 
-    residual: the largest one, as a share of the largest time
+    residual: largest residual, as a share of the largest time
     """
 
     start: float
@@ -157,7 +159,7 @@ class Cost(NamedTuple):
 
 
 def cost(sizes: Iterable[int], seconds: Iterable[float]) -> Cost:
-    """Fit a line through the times measured at two sizes or more."""
+    """Fit a straight line to the times measured at two sizes or more."""
     x, t = np.array(list(sizes), float), np.array(list(seconds), float)
     slope, start = np.polyfit(x, t, 1)
     return Cost(
@@ -182,9 +184,9 @@ def as_json(rows: Mapping[str, Row]) -> dict[str, Any]:
 
 
 class _Peak:
-    """The largest resident memory from here on, beyond what is in use now.
+    """The peak of the resident memory from now on, beyond what is in use now.
 
-    Linux keeps this number and lets it be set back; elsewhere it is unknown.
+    Linux records this peak and allows a process to reset it; on other systems it is unknown.
     """
 
     def __init__(self):

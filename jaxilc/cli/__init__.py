@@ -1,4 +1,4 @@
-"""The command line: a command parses what was asked, calls the library, and prints."""
+"""The command line: a command reads its options, calls the library, and prints the result."""
 
 import lazy_loader
 

@@ -1,6 +1,6 @@
-"""What was asked for, as objects of the library: the scenario, its uncertainty, the tuning problem.
+"""Objects of the library from the options of a command: scenario, uncertainty, tuning problem.
 
-The functions here read the values of options. Each raises ValueError naming what is allowed.
+Each function reads the values of options, and raises ValueError naming what is allowed.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def begin(precision: str) -> None:
-    """Start JAX, with compiled programs kept from one start to the next."""
+    """Start JAX, with a cache of compiled programs that is kept on the disk."""
     from ..runtime.start import keep_programs, setup
 
     setup(precision=precision)
@@ -29,7 +29,7 @@ def begin(precision: str) -> None:
 
 
 def settings_of(given: list[str] | None) -> dict[str, str]:
-    """The values of `--set PATH=VALUE` by path."""
+    """The values of the options `--set PATH=VALUE`, by path."""
     values = {}
     for setting in given or []:
         path, equals, value = setting.partition("=")
@@ -46,10 +46,13 @@ def chosen_scenario(
     settings: list[str] | None,
     params: Path | None = None,
 ) -> Scenario:
-    """The scenario with what was set: its options first, then the parameter file, then the rest.
+    """The scenario with its settings: first its options, then the parameter file, then the others.
 
-    name: of a scenario, or a TOML or JSON file;  schemes: None for all;  trials: None for its own
-    settings: texts of `--set`;  params: a file that `jaxilc tune` wrote
+    name: name of a scenario, or a TOML or JSON file
+    schemes: names of schemes, None for all
+    trials: number of trials, None for that of the scenario
+    settings: texts of the options `--set`
+    params: parameter file that `jaxilc tune` wrote
     """
     from .. import scenarios
     from ..scenarios.from_file import load_scenario
@@ -75,16 +78,16 @@ def chosen_scenario(
 
 
 def spread_of(chosen: Scenario, spread: float | None) -> Uncertainty:
-    """The scenario's uncertainty, with the half-width that `--spread` asks for, if any."""
+    """The uncertainty of the scenario, with the half-width of `--spread` if that is given."""
     from ..uncertainty import with_spread
 
     return chosen.uncertainty if spread is None else with_spread(chosen.uncertainty, spread)
 
 
 def objective_asked(chosen: Scenario, text: str, option: str = "--objective") -> Objective:
-    """The objective that the text of an option says.
+    """The objective that the text of an option describes.
 
-    A term without `@METRIC` takes the metric that the scenario is judged by.
+    A term without `@METRIC` uses the metric by which the scenario is judged.
     """
     return objective_of(text, chosen.judged_by, chosen.shown(chosen.judged_by)[0], option)
 
@@ -102,7 +105,7 @@ def tuning_problem(
 ) -> Tuning:
     """The tuning problem of one scheme of the scenario.
 
-    weights, bounds, spread, risk: texts and numbers of the options of the same name
+    weights, bounds, spread, risk: values of the options of the same name
     options: further arguments of `Tuning`, by name
     """
     from ..tuning.problem import Tuning

@@ -1,4 +1,4 @@
-"""`jaxilc bench`: our speed beside that of others."""
+"""`jaxilc bench`: the speed of jaxilc compared with that of other programs."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def bench(
 
 
 def _numbers(text: str) -> list[int]:
-    """Whole numbers from `1,16`. Raises ValueError for anything else."""
+    """Whole numbers from a text such as `1,16`; raises ValueError for any other text."""
     try:
         numbers = [int(part) for part in text.split(",")]
     except ValueError:
@@ -89,7 +89,7 @@ def _numbers(text: str) -> list[int]:
 
 
 def _table(rows, title: str) -> Table:
-    """A row for each contender, ratios to ours by the clock and by the processors."""
+    """A table with a row for each contender, and ratios to ours by wall time and processor time."""
     from ..bench.timing import OURS
 
     table = Table(*COLUMNS, title=title)
@@ -112,7 +112,7 @@ def _table(rows, title: str) -> Table:
 
 
 def _print_costs(name: str, by_size) -> None:
-    """A line for each size that was varied: the times, and the line fitted through them."""
+    """Print for each size that was varied the times and the straight line fitted to them."""
     for what, (best, line) in by_size.items():
         times = ", ".join(f"{size}: {seconds:.3g} s" for size, seconds in best.items())
         fit = (

@@ -1,4 +1,4 @@
-"""Tables and sentences of `jaxilc certify`: what is claimed, what is expected, and the premises."""
+"""Tables and sentences of `jaxilc certify`: claims, expected errors, and premises."""
 
 from __future__ import annotations
 
@@ -14,17 +14,19 @@ COURSE_WORDS = {TURNS: "have a best trial and then turn", GROWS: "end above thei
 def certificate_sentence(
     name: str, trials: int, numbers: dict[str, Any], scale: float, unit: str
 ) -> str:
-    """What a certificate says, in words.
+    """The content of a certificate in words.
 
-    name: of the scheme;  trials: J;  numbers: of `certificate_numbers`
-    scale, unit: in which errors are shown
+    name: name of the scheme
+    trials: number J of trials
+    numbers: result of `certificate_numbers`
+    scale, unit: scale and unit in which errors are shown
     """
     in_the_long_run, within = _claimed(numbers, scale, unit), _expected(numbers)
     return f"{name}: {in_the_long_run}. Within {trials} trials {within}."
 
 
 def _claimed(numbers: dict[str, Any], scale: float, unit: str) -> str:
-    """What is claimed for the long run."""
+    """The claims for an unlimited number of trials, in words."""
     claims, machines = numbers["claims"], sum(numbers["claims"].values())
     certified = claims[MONOTONE] + claims[CONVERGES]
     parts = []
@@ -49,7 +51,7 @@ def _claimed(numbers: dict[str, Any], scale: float, unit: str) -> str:
 
 
 def _expected(numbers: dict[str, Any]) -> str:
-    """What the error does within the trials, by theory and by simulation."""
+    """The course of the error within the trials, by theory and by simulation, in words."""
     expected, observed, turning = numbers["expected"], numbers["observed"], numbers["turning"]
     bad = {c: (expected[c], observed[c]) for c in (TURNS, GROWS) if expected[c] or observed[c]}
     if not bad:
@@ -66,7 +68,7 @@ def _expected(numbers: dict[str, Any]) -> str:
 
 
 def certificate_tables(name: str, trials: int, numbers: dict[str, Any]) -> list[Table]:
-    """The claims with their reasons, the course by theory against simulation, and the premises.
+    """The tables of claims with reasons, of the course by theory and simulation, and of premises.
 
     The arguments are those of `certificate_sentence`.
     """
@@ -90,7 +92,7 @@ def certificate_tables(name: str, trials: int, numbers: dict[str, Any]) -> list[
 
 
 def _premises(name: str, numbers: dict[str, Any]) -> Table:
-    """On how many machines each premise of the bounds held, and where it was broken."""
+    """The number of machines on which each premise of the bounds held, and where it failed."""
     machines = sum(numbers["bound"].values())
     tested = "; ".join(
         f"it {verdict} on {count}"
@@ -108,5 +110,5 @@ def _premises(name: str, numbers: dict[str, Any]) -> Table:
 
 
 def _of_all(share: float) -> str:
-    """A share in percent; one that is not zero never reads as zero."""
+    """A share in percent as text; a share above zero is never shown as zero."""
     return "nowhere" if share == 0 else "< 0.01 %" if share < 1e-4 else f"{100 * share:.2f} %"

@@ -1,4 +1,4 @@
-"""`jaxilc certify`: what theory says of each machine, beside simulation."""
+"""`jaxilc certify`: the claims of theory for each machine, compared with simulation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a shell completes on the command line, without waiting for JAX."""
+"""Completion of the command line by a shell, without importing JAX."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from ..storage.reading import read_tree
 
 
 def scenarios_from(incomplete: str) -> list[str]:
-    """Scenarios that begin so; where there is none, the shell completes the name of a file."""
+    """Scenarios whose name begins with this text; if none does, the shell completes a file name."""
     return [name for name in SCHEMES if name.startswith(incomplete)]
 
 
 def schemes_from(ctx: typer.Context, incomplete: str) -> list[str]:
-    """Schemes that begin so, of the scenario or the file that the command names."""
-    # While an option waits for its value, arguments are not yet read.
+    """Schemes, of the scenario or file of the command, whose name begins with this text."""
+    # While the value of an option is completed, the arguments are not yet parsed.
     scenario = ctx.params.get("scenario") or next(iter(ctx.args), "")
     return [
         name for name in SCHEMES.get(scenario) or _of_file(scenario) if name.startswith(incomplete)
@@ -25,13 +25,13 @@ def schemes_from(ctx: typer.Context, incomplete: str) -> list[str]:
 
 
 def of_list(*words: str) -> Callable[[str], list[str]]:
-    """A completion that offers the words that begin so."""
+    """A completion function that offers those of the words that begin with the text."""
     return lambda incomplete: [word for word in words if word.startswith(incomplete)]
 
 
 def _of_file(path: str) -> list[str]:
-    """The names of the schemes in a scenario's file, none where it cannot be read."""
+    """The names of the schemes in a scenario file; an empty list where it cannot be read."""
     try:
         return list(read_tree(path)["schemes"])
     except (OSError, ValueError, KeyError, TypeError):
-        return []  # the file is not there, or not yet finished
+        return []  # the file does not exist, or is not complete

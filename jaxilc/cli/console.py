@@ -1,4 +1,4 @@
-"""How much the command line says, and where.
+"""The messages of the command line: how many are printed, and where.
 
 Results go to standard output, everything else to standard error.
 """
@@ -15,8 +15,8 @@ from pathlib import Path
 
 from .titled_table import Console
 
-PIPED_WIDTH = 160  # columns where there is no terminal to ask
-WORTH_A_LINE = 0.05  # seconds that a program takes to be compiled or found
+PIPED_WIDTH = 160  # columns of output that does not go to a terminal
+WORTH_A_LINE = 0.05  # seconds of compiling or loading a program from which on it is logged
 # Events of jax.monitoring.
 COMPILED = "/jax/core/compile/backend_compile_duration"
 FOUND = "/jax/compilation_cache/cache_hits"
@@ -28,7 +28,7 @@ counted: defaultdict[str, float] = defaultdict(float)
 
 
 def speak(*, quiet: bool, verbose: bool) -> None:
-    """Print warnings and errors only, or log what happens besides.
+    """Set how much is printed: warnings and errors only, or a log in addition.
 
     Raises ValueError if both are asked for.
     """
@@ -45,14 +45,14 @@ def speak(*, quiet: bool, verbose: bool) -> None:
 
 
 def tracebacks() -> bool:
-    """Whether a mistake is shown with its traceback."""
+    """Whether an error is shown with its traceback."""
     return log.isEnabledFor(logging.INFO) or bool(os.environ.get("JAXILC_TRACEBACK"))
 
 
 def log_jax(programs: Path | None) -> None:
-    """Log what JAX runs on, and from now on every program that takes long to compile.
+    """Log the devices of JAX, and from now on every program that takes long to compile.
 
-    programs: folder where compiled programs are kept, None for no folder
+    programs: folder in which compiled programs are kept, None if they are not kept
     """
     if not log.isEnabledFor(logging.INFO):
         return
@@ -74,7 +74,7 @@ def log_jax(programs: Path | None) -> None:
 
 
 def ended() -> None:
-    """Log the time that the command took, and the part of it for compiling."""
+    """Log the time that the command took, and how much of it was compiling."""
     if log.isEnabledFor(logging.INFO):
         took = time.perf_counter() - counted["started"]
         log.info(
@@ -88,7 +88,7 @@ def ended() -> None:
 
 @functools.cache
 def _follow() -> None:
-    """Count programs, and log those that take long. Once a process is enough: listeners stay."""
+    """Count programs and log slow ones; cached, since listeners stay for the whole process."""
     from jax import monitoring
 
     def compiled(event: str, duration_secs: float, **about: object) -> None:

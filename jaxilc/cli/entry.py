@@ -1,4 +1,4 @@
-"""The command `jaxilc`: its commands, what holds for all of them, and how it ends."""
+"""The program `jaxilc`: its commands, the options for all of them, and its exit codes."""
 
 from __future__ import annotations
 
@@ -86,10 +86,10 @@ for room in (run, sweep, certify, identify, reproduce, tune, worst_case, pareto,
 
 
 def main() -> None:
-    """The console script.
+    """Run the command line.
 
-    A user's mistake is one line on standard error, without a traceback, and exit code 2; a measured
-    trial that is refused has exit code 3.
+    A mistake of the user gives one line on standard error without a traceback, and exit code 2. A
+    measured trial that is refused gives exit code 3.
     """
     try:
         app()
@@ -103,7 +103,7 @@ def main() -> None:
 
 
 def _said(error: ValueError | OSError) -> str:
-    """The message in one line; of an error of the system, the file and then what is wrong."""
+    """The message of an error in one line; for an OSError the file, then what is wrong."""
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename2 or error.filename or 'input or output'}: {error.strerror.lower()}"
     return " ".join(str(error).split("\n"))

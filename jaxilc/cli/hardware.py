@@ -15,7 +15,7 @@ from .titled_table import Table
 
 
 class Refused(ValueError):
-    """A measured trial, or the input that it leads to, that the checks refuse."""
+    """The checks refuse a measured trial, or the next input that follows from it."""
 
 
 Folder = Annotated[Path, typer.Option("--state", help="Folder of the campaign.")]
@@ -211,7 +211,7 @@ def trials(
 
 
 def _log_table(title: str, rows: list[dict]) -> Table:
-    """A row for each entry of the journal; of several channels all metrics, side by side."""
+    """A table with a row for each entry of the journal, and all channels of each metric."""
     columns = ("entry", "trial", "event", "rms error", "max error", "effort", "file", "warnings")
     shown = Table(*columns, title=title)
     for row in rows:
@@ -235,7 +235,7 @@ def _log_table(title: str, rows: list[dict]) -> Table:
 
 
 def _report(turn, ignored, unit: str) -> None:
-    """Print what the checks found: notes to standard output, warnings to standard error."""
+    """Print the findings of the checks: notes to standard output, warnings to standard error."""
     largest = ", ".join(f"{value:.6g}" for value in turn.metrics["max_error"])
     rms = f"RMS error {turn.metrics['error']:.6g} {unit}"
     out.print(f"trial {turn.trial}: {rms}, largest {largest} {unit}", highlight=False)
@@ -249,7 +249,7 @@ def _report(turn, ignored, unit: str) -> None:
 
 
 def _played(path: Path | None, schedules, task, trial: int, number: str) -> None:
-    """Print what the machine plays next, and write it; None for the path writes nothing."""
+    """Print the next schedules of the machine, and write them to the path, if it is not None."""
     import numpy as np
 
     from ..hardware.input_files import write_schedules

@@ -1,7 +1,7 @@
-"""What the commands print of runs, sweeps and certificates, as plain numbers under stable keys.
+"""The results of runs, sweeps and certificates, as dictionaries of numbers with stable keys.
 
-These dictionaries are what `--json` writes. Keys keep their names from one version to the next: a
-key `samples` counts machines, and `figure` names a metric.
+The option `--json` writes these dictionaries. Keys keep their names in all versions: the key
+`samples` counts machines, and `figure` names a metric.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w])")
 
 
 def shown_trials(scenario: Scenario) -> list[int]:
-    """The trials that have a row in a table: those that the scenario names, and the last."""
+    """The trials that have a row in a table: those that the scenario names, and the last one."""
     return sorted({j for j in scenario.show_trials if j <= scenario.trials} | {scenario.trials})
 
 
 def run_numbers(scenario: Scenario, dataset: xr.Dataset) -> dict[str, Any]:
-    """The metrics of a run [shown unit] by scheme, metric and trial, beside the published ones.
+    """The metrics of a run [shown unit] by scheme, metric and trial, with the published ones.
 
-    Of several channels the largest counts. The errors of a trial that diverged are infinite (see
+    With several channels the largest counts. The errors of a trial that diverged are infinite (see
     `learning.divergence`).
 
-    dataset: of `run_schemes`
+    dataset: result of `run_schemes`
     """
     schemes: dict[str, Any] = {}
     for name in scenario.schemes:
@@ -61,7 +61,7 @@ def run_numbers(scenario: Scenario, dataset: xr.Dataset) -> dict[str, Any]:
 
 
 def _beside(p: Published, scenario: Scenario, shown: dict[str, xr.DataArray]) -> dict[str, Any]:
-    """A published number beside ours, which is None for a trial that was not run."""
+    """A published number and ours, which is None for a trial that was not run."""
     trial = p.trial or 1
     ours = float(shown[p.quantity].sel(trial=trial)) if trial <= scenario.trials else None
     return {
@@ -79,7 +79,8 @@ def sweep_numbers(
 ) -> dict[str, Any]:
     """The summary of a sweep [shown unit] by scheme, with quantiles and the worst machine by trial.
 
-    tolerance: largest metric that passes [unit of the dataset];  machines: S
+    tolerance: largest metric that passes [unit of the dataset]
+    machines: number S of machines
     """
     k, unit = scenario.shown(scenario.judged_by)
     schemes = {
@@ -115,10 +116,13 @@ def sweep_numbers(
 
 
 def certificate_numbers(of_scheme: OfScheme) -> dict[str, Any]:
-    """What a certificate says of the machines, as counts.
+    """The content of a certificate, as counts of machines.
 
-    claims, reasons: for the long run;  expected, observed, confusion: what the error does in J
-    trials, by theory and by simulation;  premises, bound: of a scheme that has bounds
+    The keys of the dictionary are:
+
+    claims, reasons: claims for an unlimited number of trials, with their reasons
+    expected, observed, confusion: course of the error in J trials, by theory and by simulation
+    premises, bound: premises and bound, for a scheme that has bounds
     """
     found = of_scheme.certificate
     claimed = np.isin(found.claim, (MONOTONE, CONVERGES))
@@ -151,9 +155,9 @@ def certificate_numbers(of_scheme: OfScheme) -> dict[str, Any]:
 
 
 def told(reasons) -> dict[str, int]:
-    """How often each reason is given.
+    """The number of times that each reason is given.
 
-    Reasons that differ only in their numbers count as one, with the range of each number.
+    Reasons that differ only in their numbers are counted together, with the range of each number.
     """
     groups: dict[str, list[list[float]]] = {}
     for reason in reasons:

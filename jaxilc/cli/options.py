@@ -1,6 +1,6 @@
-"""The arguments and options that several commands share, each declared once, and what they accept.
+"""The arguments and options that several commands share, and the checks of their values.
 
-Nothing here imports JAX, so that `--help` and a shell's completion answer at once.
+This module does not import JAX, so that `--help` and the completion of a shell are fast.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ def folder_to_write(path: Path | None) -> Path | None:
 
 
 def _may_write(path: Path) -> bool:
-    """Whether one may write to the path, or, if it does not exist, to the nearest folder above."""
+    """Whether the path is writable; if it does not exist, whether the nearest folder above is."""
     there = next(p for p in (path.absolute(), *path.absolute().parents) if p.exists())
     return os.access(there, os.W_OK) and (there == path.absolute() or there.is_dir())
 
 
 def seed_in_range(seed: int) -> int:
-    """The seed. Raises ValueError for a seed that the random generators do not accept."""
+    """The seed; raises ValueError for one that the random generators do not accept."""
     from ..pytree.ranges import SEEDS, Interval, brief
 
     if not Interval.parse(SEEDS).contains(seed):
@@ -53,9 +53,10 @@ def seed_in_range(seed: int) -> int:
 
 
 def at_least(low: int, **given: int | None) -> None:
-    """Raises ValueError, naming the option, for the first number below `low`.
+    """Check that the numbers of options are at least `low`.
 
-    given: numbers by the name of their option, `_` for `-`; None stands for an option not given
+    given: numbers by the name of the option, with `_` for `-`; None for an option not given
+    Raises ValueError naming the first option whose number is below `low`.
     """
     for name, value in given.items():
         if value is not None and value < low:
@@ -151,7 +152,7 @@ Optimiser = Annotated[
     ),
 ]
 
-# What is left behind
+# Files that are written
 # --------------------------------------------------------------------------------------------------
 
 OutFolder = Annotated[

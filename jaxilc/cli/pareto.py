@@ -1,4 +1,4 @@
-"""`jaxilc pareto`: design under a budget, as a front of two objectives or by numbers of trials."""
+"""`jaxilc pareto`: a front of two objectives, or the best result for each number of trials."""
 
 from __future__ import annotations
 
@@ -161,7 +161,7 @@ def pareto(
 
 
 def _need_one_kind(second: str | None, budgets: str | None, **of_a_front: object) -> None:
-    """Raises ValueError unless one of --second and --budgets is given, and what belongs to it."""
+    """Raises ValueError unless one of --second and --budgets is given, with its options only."""
     if (second is None) == (budgets is None):
         raise ValueError(
             f"--second {second} and --budgets {budgets}: one of the two is needed, and not both"
@@ -172,9 +172,11 @@ def _need_one_kind(second: str | None, budgets: str | None, **of_a_front: object
 
 
 class _Of(NamedTuple):
-    """What both kinds of a trade-off start from.
+    """The arguments that both kinds of trade-off share.
 
-    source: name or file of the scenario;  folder: for results;  resume: go on with what is there
+    source: name or file of the scenario
+    folder: folder for results
+    resume: whether to continue from the stored states
     """
 
     chosen: Scenario
@@ -185,7 +187,7 @@ class _Of(NamedTuple):
     resume: bool
 
     def parameters(self, name: str, tuned, point: dict) -> Path:
-        """Write the parameter file of one point."""
+        """Write the parameter file of one point of the trade-off."""
         return parameter_file(
             self.folder / name,
             self.chosen,
@@ -198,7 +200,7 @@ class _Of(NamedTuple):
 
 
 class _Found(NamedTuple):
-    """What a trade-off gives: numbers for --json, a table, and the files that were written."""
+    """The result of a trade-off: numbers for --json, a table, and the files that were written."""
 
     numbers: dict[str, Any]
     table: Table
@@ -206,7 +208,7 @@ class _Found(NamedTuple):
 
 
 def _front(of: _Of, second: Objective, shares: Sequence[float]) -> _Found:
-    """A front of two objectives, the first that of the problem."""
+    """The front of two objectives; the first one is that of the problem."""
     from .. import figures
     from ..tuning.trade_off import held_out_losses, pareto
     from .progress import run_tunings
@@ -237,7 +239,7 @@ def _front(of: _Of, second: Objective, shares: Sequence[float]) -> _Found:
 
 
 def _by_trials(of: _Of, budgets: list[int], unseen: int) -> _Found:
-    """One tuning for each number of trials, judged on the same machines, which none has seen."""
+    """One tuning for each number of trials, all judged on the same machines, unused in tuning."""
     from .. import figures
     from ..tuning.trade_off import by_trials
     from .progress import run_tunings
@@ -246,7 +248,7 @@ def _by_trials(of: _Of, budgets: list[int], unseen: int) -> _Found:
 
     problem, longest = of.problem, max(budgets)
     same = dict.fromkeys(("given", *map(str, budgets)), problem.scheme)
-    problem.comparison(same, trials=longest, machines=unseen)  # refused before the tuning
+    problem.comparison(same, trials=longest, machines=unseen)  # raises before the tuning
     found = run_tunings(
         partial(by_trials, problem, budgets),
         of.folder / "state",

@@ -1,4 +1,4 @@
-"""Bars of progress, which are for terminals alone, and how a long computation is stopped."""
+"""Progress bars, which are shown in terminals only, and stopping a long computation."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def progress_bar(field: str):
-    """A bar of progress that also shows a field of its tasks; silent where there is no terminal."""
+    """A progress bar that also shows a field of its tasks; nothing is shown without a terminal."""
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,
@@ -44,7 +44,7 @@ def progress_bar(field: str):
 
 
 def stopped(store: Path) -> NoReturn:
-    """Say how to go on after Ctrl-C, and end with exit code 130."""
+    """Print how to continue after Ctrl-C, and end with exit code 130."""
     console.err.print(
         f"stopped; {store} holds what is done: the same command with --resume goes on",
         highlight=False,
@@ -53,11 +53,11 @@ def stopped(store: Path) -> NoReturn:
 
 
 class Swept(NamedTuple):
-    """A sweep that was run.
+    """The result of a sweep.
 
-    dataset: as `Sweep.run` returns it
-    seconds: that it took, compilation included
-    steps: sample-steps that were computed: 0 where the store held all machines
+    dataset: dataset that `Sweep.run` returns
+    seconds: time of the sweep, with compilation [s]
+    steps: number of sample-steps that were computed; 0 where the store held all machines
     """
 
     dataset: xr.Dataset
@@ -66,9 +66,10 @@ class Swept(NamedTuple):
 
 
 def run_sweep(plan: Sweep, store: Path, *, resume: bool, cluster: str | None) -> Swept:
-    """Run a sweep behind one bar for each scheme.
+    """Run a sweep with a progress bar for each scheme.
 
-    Ctrl-C ends the command with exit code 130, a chunk that no worker could compute with 1.
+    Ctrl-C ends the command with exit code 130, and a chunk that no worker could compute ends it
+    with exit code 1.
     """
     from ..sweeps.cluster import ChunkFailed
 
@@ -102,7 +103,7 @@ def run_sweep(plan: Sweep, store: Path, *, resume: bool, cluster: str | None) ->
 
 
 def run_tuning(problem: Tuning, state: Path, *, resume: bool) -> Tuned:
-    """Tune behind a bar. Ctrl-C ends the command with exit code 130."""
+    """Run a tuning with a progress bar; Ctrl-C ends the command with exit code 130."""
     with progress_bar("loss") as bar:
         one = bar.add_task("tuning", total=problem.steps, loss="")
 
@@ -116,11 +117,13 @@ def run_tuning(problem: Tuning, state: Path, *, resume: bool) -> Tuned:
 
 
 def run_tunings(tunings: Callable, state: Path, *, count: int, steps: int, resume: bool):
-    """Several tunings behind one bar each; what `tunings` returns.
+    """Run several tunings with a progress bar each, and return the result of `tunings`.
 
-    tunings: a function of the folder `state`, `resume` and `progress`, as `pareto` and `by_trials`
-    count: of the tunings;  steps: of each
     Ctrl-C ends the command with exit code 130.
+
+    tunings: function of the folder `state`, `resume` and `progress`, as `pareto` and `by_trials`
+    count: number of tunings
+    steps: number of steps of each tuning
     """
     with progress_bar("loss") as bar:
         bars: dict = {}

@@ -1,4 +1,4 @@
-"""`jaxilc reproduce`: every published number beside ours."""
+"""`jaxilc reproduce`: every published number compared with ours."""
 
 from __future__ import annotations
 

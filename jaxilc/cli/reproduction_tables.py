@@ -1,4 +1,4 @@
-"""Tables of `jaxilc reproduce`: the published numbers beside ours."""
+"""Tables of `jaxilc reproduce`: the published numbers compared with ours."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from ..scenarios.reproduction import SHAPE
 from .tables import number
 from .titled_table import Table
 
-READING_FITS = 120  # columns from which on the reading of a paper fits beside the numbers
+READING_FITS = 120  # least columns of a terminal for a column with the reading of a paper
 COLUMNS = ("scheme", "trial", "quantity", "published", "ours", "ratio", "verdict")
 IN_NUMBERS = ("trial", "published", "ours", "ratio")  # columns of numbers
 
 
 def reproduction_table(numbers: Sequence[dict[str, Any]]) -> Table:
-    """A row for each published number, for a terminal of 120 columns or more, and for a page.
+    """The table of published numbers for a terminal of at least 120 columns, and for a report.
 
     The last column says how the paper was read, what was fitted, and why a row is open.
 
@@ -31,9 +31,9 @@ def reproduction_table(numbers: Sequence[dict[str, Any]]) -> Table:
 
 
 def narrow_reproduction(numbers: Sequence[dict[str, Any]]) -> list[Table | str]:
-    """The same for a terminal of 80 columns: a table for each scenario, and lines below it.
+    """The same for a terminal of 80 columns: a table for each scenario, with lines below it.
 
-    A line has the source of a row and its reading.
+    Each line has the source of a row, and how the paper was read.
     """
     shown: list[Table | str] = [_counted(numbers)]
     for scenario, rows in groupby(numbers, key=lambda row: row["scenario"]):
@@ -49,7 +49,7 @@ def narrow_reproduction(numbers: Sequence[dict[str, Any]]) -> list[Table | str]:
 
 
 def _cells(row: dict[str, Any]) -> tuple[str, ...]:
-    """The cells of `COLUMNS`."""
+    """The cells of a row, in the order of `COLUMNS`."""
     return (
         row["scheme"],
         "" if row["trial"] is None else str(row["trial"]),
@@ -62,7 +62,7 @@ def _cells(row: dict[str, Any]) -> tuple[str, ...]:
 
 
 def _counted(numbers: Sequence[dict[str, Any]]) -> str:
-    """How many numbers have which verdict."""
+    """A text with the count of each verdict."""
     count = {v: sum(row["verdict"] == v for row in numbers) for v in ("met", "shape", "open")}
     in_shape = f"{count['shape']} in shape (the printed order, within a factor of {SHAPE:g})"
     met = f"{count['met']} met within 30 %"
@@ -70,7 +70,7 @@ def _counted(numbers: Sequence[dict[str, Any]]) -> str:
 
 
 def _reading(row: dict[str, Any]) -> str:
-    """Under which options, how the paper was read, what was fitted, and why the row is open."""
+    """The options, how the paper was read, what was fitted, and why the row is open, as text."""
     options = [f"{name} {value}" for name, value in row["options"].items() if name != "plant"]
     reason = [f"open: {row['reason']}"] if row["reason"] else []
     return "; ".join([*options, row["reading"], row["fitted"], *reason])

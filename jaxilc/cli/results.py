@@ -1,4 +1,4 @@
-"""What a command leaves behind: folders, and files of numbers and of parameters."""
+"""The results that a command writes: folders, and files of numbers and of parameters."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ if TYPE_CHECKING:
 
 
 def folder_of(folder: Path | None, default: str) -> Path:
-    """The folder for results, made if it is not there; out/DEFAULT where none was asked for."""
+    """The folder for results, created if needed; out/DEFAULT where none was asked for."""
     folder = folder or Path("out") / default
     folder.mkdir(parents=True, exist_ok=True)
     return folder
 
 
 def unless_there(place: Path, resume: bool) -> Path:
-    """The place that a command keeps its state in, inside the folder for results.
+    """The place of the state of a command, inside the folder for results.
 
-    Raises FileExistsError if it is there already and `--resume` was not given.
+    Raises FileExistsError if it exists already and `--resume` was not given.
     """
     if place.exists() and not resume:
         raise FileExistsError(
@@ -43,8 +43,9 @@ def parameter_file(
 ) -> Path:
     """Write the parameters in which a tuned scheme differs from that of its scenario.
 
-    command: that found them;  obtained: what else is worth knowing of that, as JSON
-    source: name or file that the scenario was loaded from
+    command: name of the command that found them
+    source: name or file from which the scenario was loaded
+    obtained: further facts on how they were found, as JSON
     """
     from ..scenarios.from_file import load_scenario
     from ..scenarios.parameters import differing, write_parameters
@@ -56,7 +57,7 @@ def parameter_file(
 
 
 def written(paths: list[Path], json_file: Path | None, numbers: dict | list) -> None:
-    """Write the numbers to the file of `--json`, if there is one, and say what was written."""
+    """Write the numbers to the file of `--json`, if given, and print which files were written."""
     from ..storage.sealed import write_json
 
     if json_file is not None:

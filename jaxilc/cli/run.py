@@ -1,4 +1,4 @@
-"""`jaxilc list`: the scenarios and what can be set in one; `jaxilc run`: learn on one machine."""
+"""`jaxilc list` shows the scenarios and their settings, `jaxilc run` learns on one machine."""
 
 from __future__ import annotations
 

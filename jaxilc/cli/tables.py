@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def settable_table(scenario: Scenario) -> Table:
-    """All that `--set` can set in a scenario, with its value and what is allowed."""
+    """The table of all that `--set` can set in a scenario, with values and allowed ranges."""
     table = Table(title=scenario.title)
     table.add_column("--set", whole=True)
     table.add_column("value")
@@ -29,9 +29,9 @@ def settable_table(scenario: Scenario) -> Table:
 
 
 def run_table(scenario: Scenario, numbers: dict[str, Any]) -> Table:
-    """The metric that the scenario is judged by, for each trial and scheme.
+    """The table of the metric by which the scenario is judged, for each trial and scheme.
 
-    A published value stands in brackets.
+    A published value is shown in brackets.
     """
     metric, (_, unit) = scenario.judged_by, scenario.shown(scenario.judged_by)
     what = f"{metric.replace('_', ' ')} [{unit}] by trial, published value in brackets"
@@ -52,7 +52,7 @@ def run_table(scenario: Scenario, numbers: dict[str, Any]) -> Table:
 
 
 def other_rows(scenario: Scenario, numbers: dict[str, Any]) -> list[str]:
-    """The published numbers that have no cell in `run_table`, a line each."""
+    """The published numbers that have no cell in `run_table`, one line each."""
     in_table = {(scenario.judged_by, j) for j in shown_trials(scenario)}
     lines = []
     for name, rows in numbers["schemes"].items():
@@ -65,7 +65,7 @@ def other_rows(scenario: Scenario, numbers: dict[str, Any]) -> list[str]:
 
 
 def course_lines(numbers: dict[str, Any]) -> list[str]:
-    """Where learning went wrong in a run: a line for each scheme that diverged or has grown."""
+    """A line for each scheme of a run that diverged, or whose error has grown."""
     lines = []
     for name, rows in numbers["schemes"].items():
         if rows["diverged_at"]:
@@ -82,9 +82,10 @@ def course_lines(numbers: dict[str, Any]) -> list[str]:
 
 
 def yield_table(numbers: dict[str, Any]) -> Table:
-    """The yield of each scheme with its interval, and the shares that have grown or diverged.
+    """The table of yields with their intervals, and of shares that have grown or diverged.
 
-    `(from)` is the first trial from which on one of these machines has grown or diverged.
+    The number in brackets, `(from)`, is the earliest trial from which on one of these machines has
+    grown or diverged.
     """
     within = f"within {numbers['tolerance']:g} {numbers['unit']}"
     what = f"{numbers['figure']} of trial {numbers['trials']} {within}"
@@ -103,12 +104,12 @@ def yield_table(numbers: dict[str, Any]) -> Table:
 
 
 def _share(share: float, trial: int) -> str:
-    """`5.2% (43)`: the share of the machines, and the trial from which on the first of them is."""
+    """A text `5.2% (43)`: the share of such machines, and the earliest trial of one of them."""
     return f"{share:.1%}" + (f" ({trial})" if trial else "")
 
 
 def spread_table(numbers: dict[str, Any]) -> Table:
-    """Quantiles of the last trial over the machines for each scheme, and the worst machine."""
+    """The table of quantiles over the machines in the last trial, and of the worst machine."""
     last = str(numbers["trials"])
     table = Table(title=f"{numbers['figure']} [{numbers['unit']}] of trial {last}")
     for column in ("scheme", "median", "5 %", "95 %", "worst", "its machine"):
@@ -121,7 +122,7 @@ def spread_table(numbers: dict[str, Any]) -> Table:
 
 
 def band_table(numbers: dict[str, Any]) -> Table:
-    """Median and 95 % quantile for each trial and scheme."""
+    """The table of the median and the 95 % quantile for each trial and scheme."""
     table = Table(title=f"{numbers['figure']} [{numbers['unit']}] by trial: median (95 % quantile)")
     table.add_column("trial", justify="right")
     for name in numbers["schemes"]:
@@ -133,7 +134,7 @@ def band_table(numbers: dict[str, Any]) -> Table:
 
 
 def identification_table(title: str, rows: Sequence[tuple[str, float, float, float]]) -> Table:
-    """Identified quantities with their 95 % intervals."""
+    """The table of identified quantities with their 95 % intervals."""
     table = Table(title=f"{title}: identified, with 95 % intervals")
     for column in ("quantity", "value", "low", "high"):
         table.add_column(column, justify="left" if column == "quantity" else "right")
@@ -143,7 +144,7 @@ def identification_table(title: str, rows: Sequence[tuple[str, float, float, flo
 
 
 def number(value: float) -> str:
-    """Three significant digits; ∞ for an error that diverged, – for what is not a number."""
+    """A number with three significant digits; ∞ for an error that diverged, – for NaN."""
     if not np.isfinite(value):
         return "∞" if value == np.inf else "–"
     if value == 0 or 1e-3 <= abs(value) < 1e5:

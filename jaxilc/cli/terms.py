@@ -1,7 +1,7 @@
 """Objectives, risks and weights from the text of an option.
 
-For example `final:20 + 0.3*final@max_error` is an objective, `cvar:0.9` a risk, `lam=0.01:10` the
-bounds of a weight.
+For example, `final:20 + 0.3*final@max_error` is an objective, `cvar:0.9` is a risk, and
+`lam=0.01:10` gives the bounds of a weight.
 """
 
 from __future__ import annotations
@@ -26,10 +26,11 @@ RISKS = "mean, worst, cvar[:alpha], smooth-max[:temperature]"
 
 
 def objective_of(text: str, metric: str, scale: float, option: str = "--objective") -> Objective:
-    """An objective from `final:20 + 0.3*final@max_error`.
+    """An objective from a text such as `final:20 + 0.3*final@max_error`.
 
-    metric: of the terms that name none;  scale: tolerances are given as `scale` times the metric
-    option: that the text was given to, for messages
+    metric: metric of the terms that name none
+    scale: the tolerances in the text are `scale` times the metric
+    option: name of the option, for messages
     Raises ValueError naming what is allowed.
     """
     from ..tuning import objectives as o
@@ -59,7 +60,7 @@ def objective_of(text: str, metric: str, scale: float, option: str = "--objectiv
 
 
 def risk_of(text: str) -> Risk:
-    """A risk from `cvar:0.9`. Raises ValueError naming what is allowed."""
+    """A risk from a text such as `cvar:0.9`; raises ValueError naming what is allowed."""
     from ..tuning import risks
 
     name, _, number = text.strip().partition(":")
@@ -76,10 +77,11 @@ def risk_of(text: str) -> Risk:
 
 
 def weights_of(text: str, bounds: list[str] | None) -> dict[str, tuple[float, float] | None]:
-    """The weights from `lam,phi0[0]` and bounds from `lam=0.01:10`.
+    """The weights from a text such as `lam,phi0[0]`, and their bounds from `lam=0.01:10`.
 
-    A weight without bounds has None: its range is all that the leaf allows.
-    Raises ValueError for a text that is not NAME=LOW:HIGH, and for bounds of what is no weight.
+    A weight without bounds has None, which stands for the range that the leaf allows.
+
+    Raises ValueError for a text that is not NAME=LOW:HIGH, and for bounds of another name.
     """
     weights: dict[str, tuple[float, float] | None] = {
         name.strip(): None for name in text.split(",") if name.strip()
@@ -98,10 +100,11 @@ def weights_of(text: str, bounds: list[str] | None) -> dict[str, tuple[float, fl
 
 
 def numbers_of(option: str, text: str, *, whole: bool = False) -> list[float]:
-    """Different numbers from `0.1,0.3`.
+    """Numbers, all different, from a text such as `0.1,0.3`.
 
-    option: that the text was given to, for messages;  whole: numbers of trials
-    Raises ValueError for what is not a number, and for a number that is there twice.
+    option: name of the option, for messages
+    whole: whether the numbers are numbers of trials
+    Raises ValueError for a text that is not a number, and for a number that is given twice.
     """
     items = [item.strip() for item in text.split(",")]
     numbers = [

@@ -1,4 +1,4 @@
-"""What a terminal shows: text as it stands, whatever is in it, and tables that fit its width."""
+"""Output to a terminal: text without interpretation, and tables that fit the width."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from rich.text import Text
 
 from ..storage.printable import printable
 
-WHOLE = 0.6  # of the width: a column that is wider than this is folded in any case
-NARROWEST = 4  # columns, with the space beside the text
+WHOLE = 0.6  # share of the width; a column that is wider than this is always folded
+NARROWEST = 4  # least width of a column, with the space beside the text
 
 
 class Console(rich.console.Console):
-    """A console of rich that takes no text for markup.
+    """A console of rich that never interprets text as markup.
 
-    Titles, names and paths are the user's, and are shown as they are.
+    Titles, names and paths come from the user, and are shown unchanged.
     """
 
     def __init__(self, **options: Any):
@@ -31,11 +31,11 @@ class Console(rich.console.Console):
 
 
 class Table(rich.table.Table):
-    """A table of rich in which nothing is cut off, under a title that may be wider than the table.
+    """A table of rich that is never truncated, with a title that may be wider than the table.
 
-    Title, headers and cells are text as it stands, for every console. Where the columns do not fit
-    beside each other without a word being broken, the table is printed in several parts, one below
-    the other, and each part begins with the first column.
+    Title, headers and cells are shown unchanged on every console. Where the columns do not fit
+    beside each other without breaking a word, the table is printed in several parts, one below the
+    other, and each part begins with the first column.
     """
 
     def __init__(self, *headers: str, title: str = "", **options: Any):
@@ -44,7 +44,10 @@ class Table(rich.table.Table):
             self.add_column(header)
 
     def add_column(self, header: Any = "", *args: Any, whole: bool = False, **options: Any) -> None:
-        """whole: other columns are folded before this one"""
+        """Add a column.
+
+        whole: whether other columns are folded before this one
+        """
         options = {"overflow": "fold", "no_wrap": whole} | options
         super().add_column(_plain(header), *args, **options)
 
@@ -87,10 +90,12 @@ class Table(rich.table.Table):
 
 
 def _shared(room: int, sizes: list[tuple[int, int]]) -> list[int]:
-    """Widths of columns that fit the room: the widest columns give way, each down to its least.
+    """Widths of columns that fit the room: the widest are reduced, each down to its least width.
 
-    sizes: least width, at which no word is broken, and the width without a fold, of each column
-    Where even the least widths do not fit, the widest columns are narrower than that.
+    Where even the least widths do not fit, the widest columns become narrower than that.
+
+    room: width that all columns share
+    sizes: for each column its least width, at which no word is broken, and its width without a fold
     """
     widths, least = [most for _, most in sizes], [low for low, _ in sizes]
     while sum(widths) > room:

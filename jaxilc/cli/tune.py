@@ -1,4 +1,4 @@
-"""`jaxilc tune`: weights by gradient through the learning."""
+"""`jaxilc tune`: weights tuned by gradients through the learning process."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def tune(
     )
     at_least(1, unseen=unseen, compare_trials=compare_trials)
     folder = out_dir or Path("out") / f"tune-{chosen.name}"
-    problem.comparison(trials=compare_trials, machines=unseen)  # refused before the tuning
+    problem.comparison(trials=compare_trials, machines=unseen)  # raises before the tuning
     state = unless_there(folder / "state", resume)
     tuned = run_tuning(problem, state, resume=resume)
     dataset = problem.compare(tuned, trials=compare_trials, machines=unseen)

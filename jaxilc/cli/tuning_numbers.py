@@ -1,6 +1,6 @@
-"""What `jaxilc tune`, `pareto` and `worst-case` print, as plain numbers under stable keys.
+"""The results of `jaxilc tune`, `pareto` and `worst-case`, as numbers with stable keys.
 
-As in `numbers`, keys stay as they are: `samples` counts machines, `figure` names a metric.
+As in `numbers`, keys keep their names: `samples` counts machines, `figure` names a metric.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ def tuning_numbers(
 ) -> dict[str, Any]:
     """Weights and held-out losses, and quantiles over the machines of a comparison [shown unit].
 
-    Quantiles are by metric, `given` or `tuned`, and trial.
+    Quantiles are stored by metric, by `given` or `tuned`, and by trial.
 
-    dataset: of `Tuning.compare`
+    dataset: result of `Tuning.compare`
     """
     trials, machines = dataset.sizes["trial"], dataset.sizes["sample"]
     by_metric = {}
@@ -67,9 +67,10 @@ def tuning_numbers(
 def front_numbers(
     problem: Tuning, points: Sequence[Point], given: Sequence[float], shares: Sequence[float]
 ) -> dict[str, Any]:
-    """Both objectives and the weights of each point of a front, and of the weights as given.
+    """Both objectives and the weights for each point of a front, and for the weights as given.
 
-    given: both objectives with the weights as given;  shares: all that were asked for
+    given: both objectives with the weights as given
+    shares: all shares that were asked for
     """
     rows = {"given": {"first": given[0], "second": given[1], "weights": problem.start}}
     rows |= {
@@ -83,9 +84,10 @@ def front_numbers(
 def budget_numbers(
     scenario: Scenario, found: Mapping[int, Tuned], dataset: xr.Dataset
 ) -> dict[str, Any]:
-    """The metric of trial J [shown unit] for each number J of trials that was tuned for.
+    """The metric of trial J [shown unit] for each number J of trials of a tuning.
 
-    found: of `by_trials`;  dataset: of all these schemes, by J as text, and of the one `given`
+    found: result of `by_trials`
+    dataset: sweep of all tuned schemes, named by J as text, and of the scheme `given`
     """
     metric, (scale, unit) = scenario.judged_by, scenario.shown(scenario.judged_by)
     summary = {row.scheme: row for row in summarise(dataset, 1.0, metric=metric)}
@@ -109,7 +111,7 @@ def budget_numbers(
 
 
 def worst_case_numbers(found: WorstMachine, uncertainty: Uncertainty) -> dict[str, Any]:
-    """What each search found and what it cost, with the machine as `--set` takes it."""
+    """The result and cost of each search, with the machine as arguments of `--set`."""
     searches = {
         name: {
             "value": search.value,
@@ -126,7 +128,7 @@ def worst_case_numbers(found: WorstMachine, uncertainty: Uncertainty) -> dict[st
 
 
 def _settings(machine, uncertainty: Uncertainty) -> list[str]:
-    """The leaves that were drawn, element by element, as `--set` takes them."""
+    """The drawn leaves, element by element, as arguments of `--set`."""
     found = []
     for name in uncertainty:
         value = np.asarray(get_at(machine, name))

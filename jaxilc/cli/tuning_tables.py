@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def tuning_tables(scenario: Scenario, numbers: dict[str, Any]) -> list[Table]:
-    """The weights, and given against tuned by trial for each metric."""
+    """The table of weights, and for each metric a table by trial, as given and as tuned."""
     scheme = numbers["scheme"]
     weights = Table("weight", title=f"{scenario.title}\n{scheme}: weights")
     for column in WHICH:
@@ -40,7 +40,7 @@ def tuning_tables(scenario: Scenario, numbers: dict[str, Any]) -> list[Table]:
 
 
 def tuning_lines(tuned: Tuned, numbers: dict[str, Any]) -> tuple[str, list[str]]:
-    """The held-out loss before and after in one line, and a line for each warning."""
+    """One line with the held-out loss before and after tuning, and a line for each warning."""
     held = numbers["held_out"]
     result = (
         f"held-out loss {held['given']:.6g} -> {held['tuned']:.6g}, "
@@ -57,7 +57,7 @@ def tuning_lines(tuned: Tuned, numbers: dict[str, Any]) -> tuple[str, list[str]]
 
 
 def front_table(scenario: Scenario, scheme: str, numbers: dict[str, Any]) -> Table:
-    """Both objectives and the weights of each point of a front."""
+    """The table of both objectives and the weights for each point of a front."""
     what = f"{scheme}, {numbers['trials']} trials: objectives on held-out machines"
     table = Table("share of first", title=f"{scenario.title}\n{what}")
     for column in ("first", "second", *numbers["points"]["given"]["weights"]):
@@ -69,7 +69,7 @@ def front_table(scenario: Scenario, scheme: str, numbers: dict[str, Any]) -> Tab
 
 
 def budget_table(scenario: Scenario, scheme: str, numbers: dict[str, Any]) -> Table:
-    """Given against tuned, and the weights, for each number of trials that was tuned for."""
+    """The table for each number of trials: the metric as given and as tuned, and the weights."""
     rows = numbers["budgets"]
     metric = f"{numbers['figure'].replace('_', ' ')} [{numbers['unit']}] of trial J"
     what = f"{metric} on {numbers['samples']} machines never seen: median (95 %, worst)"
@@ -83,7 +83,7 @@ def budget_table(scenario: Scenario, scheme: str, numbers: dict[str, Any]) -> Ta
 
 
 def worst_case_tables(scenario: Scenario, numbers: dict[str, Any]) -> list[Table]:
-    """What each search found and what it cost; the worst machine as `--set` takes it."""
+    """The tables of the result and cost of each search, and of the worst machine for `--set`."""
     metric = f"{numbers['figure'].replace('_', ' ')} [{numbers['unit']}]"
     what = f"largest {metric} at trial {numbers['trial']}, nominal {number(numbers['nominal'])}"
     table = Table("search", title=f"{scenario.title}\n{numbers['scheme']}: {what}")
@@ -106,7 +106,7 @@ def worst_case_tables(scenario: Scenario, numbers: dict[str, Any]) -> list[Table
 
 
 def _quantiles(row: dict[str, float]) -> str:
-    """`1.2 (1.5, 1.8)`: the median, and in brackets the 95 % quantile and the worst."""
+    """A text `1.2 (1.5, 1.8)`: the median, and in brackets the 95 % quantile and the worst."""
     return f"{number(row['median'])} ({number(row['high'])}, {number(row['worst'])})"
 
 

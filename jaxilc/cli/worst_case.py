@@ -1,4 +1,4 @@
-"""`jaxilc worst-case`: the machine within the uncertainty on which a scheme ends worst."""
+"""`jaxilc worst-case`: the machine within the uncertainty with the largest final error."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Figures: each function takes a dataset, or what its name says, and returns the axes that it drew.
+"""Figures: each function draws a dataset or another result, and returns the axes.
 
     by_trial      errors against the trial: one machine, many machines, theory against simulation
     within_trial  signals against time with a zoom, and the contour of two axes
@@ -9,8 +9,7 @@
     report        one HTML page with figures and tables
 
 A scheme has the same colour, line style and mark in all figures of a dataset, and trials are shades
-of grey, so that both can be told apart in print. Figures are made without the global state of
-pyplot.
+of grey, so that both can be distinguished in print. Figures do not use the global state of pyplot.
 """
 
 from . import report

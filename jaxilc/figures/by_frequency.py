@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from ..theory.frequency import FrequencyTest
 
-DECADES = 4  # of amplitude that a map shows
+DECADES = 4  # decades of amplitude that a map shows
 
 
 def spectrum(
@@ -46,7 +46,7 @@ def spectrum(
     drawn. The first sample, which no input reaches, and the mean are left out. Outputs other than
     the first are dashed.
 
-    dataset: with e, as for `signal_of`
+    dataset: dataset with e, as for `signal_of`
     scale, unit: the error is shown as `scale` times that of the dataset, in `unit`
     Raises as `signal_of` does.
     """
@@ -98,12 +98,12 @@ def time_frequency(
 ) -> np.ndarray:
     """Amplitude of the error over time and frequency, a map for each trial; axes (trials,).
 
-    The short-time Fourier transform under a Hann window, scaled as in `spectrum`; of several
-    outputs the largest amplitude. All maps have the same colours.
+    It is the short-time Fourier transform under a Hann window, scaled as in `spectrum`. With
+    several outputs the largest amplitude is shown. All maps have the same colours.
 
-    dataset: with e, as for `signal_of`
-    window: its length T [s], None for a sixteenth of the trial; the resolution is T / 2 in time and
-        2 / T in frequency
+    dataset: dataset with e, as for `signal_of`
+    window: length T of the window [s], None for a sixteenth of the trial; the resolution is T / 2
+        in time and 2 / T in frequency
     scale, unit: the error is shown as `scale` times that of the dataset, in `unit`
     Raises ValueError for a window shorter than 8 samples or longer than the trial, and as
     `signal_of` does.
@@ -167,9 +167,9 @@ def frequency_tests(tests: Mapping[str, FrequencyTest], *, ax=None) -> Axes:
     """|Q (keep - L P)|, which must stay below 1, against frequency; two axes.
 
     The lower axes show the part near 1. The frequency at which a test first reaches 1 is marked.
-    Four decades below the Nyquist frequency are shown.
+    The frequencies shown are the four decades below the Nyquist frequency.
 
-    tests: by name, of `theory.frequency.learning_condition`, `robust_condition` or
+    tests: tests by name, from `theory.frequency.learning_condition`, `robust_condition` or
         `norm_optimal_condition`
     """
     axes = new_axes(ax, 2)

@@ -1,4 +1,4 @@
-"""Errors against the trial, log axis."""
+"""Errors against the trial, with a logarithmic axis."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def error_band(
 
     dataset: over (scheme, sample, trial), one machine a sample
     metric: name of a variable over these
-    tolerance: in the unit of the dataset
+    tolerance: largest error that passes [unit of the dataset]
     scale, unit: the errors are shown as `scale` times those of the dataset, in `unit`
     """
     from ..sweeps.summary import summarise
@@ -151,7 +151,7 @@ def error_band(
 
 
 def _course(dataset: xr.Dataset, name: str) -> str:
-    """For the legend: when a scheme diverged, or from when on its error has grown, if so."""
+    """The text for the legend: in which trial a scheme diverged, or its error began to grow."""
     for what, since in (("diverged", "diverged_at"), ("grown", "grown_from")):
         trial = int(dataset[since].sel(scheme=name)) if since in dataset else 0
         if trial:
@@ -171,9 +171,9 @@ def certificate(
     title: str = "",
     ax: Axes | None = None,
 ) -> Axes:
-    """Root mean square error by trial of every machine, predicted by theory and simulated.
+    """The RMS error of every machine by trial, predicted by theory and simulated.
 
-    found: from `theory.certify`
+    found: certificate from `theory.certify`
     scale, unit: the errors are shown as `scale` times those found, in `unit`
     """
     ax = new_axes(ax)

@@ -18,12 +18,12 @@ def campaign_figure(
     input_unit: str = "",
     ax: Sequence[Axes] | None = None,
 ) -> Any:
-    """The errors by trial with a log axis, and below them the RMS input; two axes.
+    """The errors by trial with a logarithmic axis, and below them the RMS input; two axes.
 
     Trials that were undone are open marks.
 
-    rows: of `Journal.log`
-    unit, input_unit: of y and of u
+    rows: result of `Journal.log`
+    unit, input_unit: units of y and of u
     """
     top, bottom = axes = new_axes(ax, rows=2)
     measured = [row for row in rows if row["event"] == "trial"]

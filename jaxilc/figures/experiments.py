@@ -1,4 +1,4 @@
-"""Identification: a recorded experiment, and the model against it."""
+"""Figures of identification: a recorded experiment, and the model compared with it."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def validation_figure(
 
     The part that was not fitted is shaded.
 
-    output_unit: of the output
+    output_unit: unit of the output
     scale, unit: the difference is shown as `scale` times that of the record, in `unit`
     """
     top, bottom = axes = new_axes(ax, rows=2)

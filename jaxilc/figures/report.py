@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from ..scenarios import Scenario
 
 MEDIA = {".png": "image/png", ".svg": "image/svg+xml"}
-DPI = 200  # of axes that are drawn for the page
+DPI = 200  # resolution of axes that are drawn for the page
 NOT_IN_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 
@@ -48,12 +48,12 @@ def html_report(
 ) -> str:
     """The page as text.
 
-    title: of the page
-    asked: what was asked for, by name
+    title: title of the page
+    asked: arguments of the command or call, by name
     tables: tables of `rich`, whose texts are taken as they are, or pairs (caption, rows by column)
     figures: PNG or SVG files or axes, or pairs (caption, one of these)
     configuration: all that determines the numbers, as JSON
-    notes: paragraphs by their heading
+    notes: paragraphs by heading
     Raises ValueError naming a figure that is neither PNG nor SVG, and FileNotFoundError for a file
     that does not exist.
     """
@@ -99,7 +99,7 @@ def html_report(
 def write_report(
     path: str | Path, title: str, asked: Mapping[str, object], *parts, **named
 ) -> Path:
-    """Write the page of `html_report`, whole or not at all; its folder is made where needed.
+    """Write the page of `html_report`, completely or not at all, and make its folder if needed.
 
     parts, named: the further arguments of `html_report`
     """
@@ -120,15 +120,16 @@ def command_report(
     lines: Sequence[str] = (),
     asked: Mapping[str, object] | None = None,
 ) -> list[Path]:
-    """Write the page of a command of the command line; the file written, in a list.
+    """Write the page of a command of the command line, and return a list with its file.
 
-    path: of the page; None writes nothing, and the list is empty
-    command: its name
-    figures: axes or files; files that are no pictures are left out
-    scenario: as it was run, None for a command without one
-    configuration: None for that of the scenario
-    lines: what was printed besides the tables
-    asked: further rows below the command
+    path: path of the page; None writes nothing, and the list is empty
+    command: name of the command
+    tables: tables that were printed
+    figures: axes or files; files that are not pictures are left out
+    scenario: the scenario that was run, None for a command without one
+    configuration: all that determines the numbers, None for that of the scenario
+    lines: lines that were printed besides the tables
+    asked: further rows below the name of the command
     """
     if path is None:
         return []
@@ -171,7 +172,7 @@ def _versions() -> dict[str, object]:
 
 
 def _of_rich(table: Table) -> tuple[str, list[str], list[bool], list[list[str]]]:
-    """Caption, headers, which columns hold numbers, and rows."""
+    """The caption, the headers, which columns hold numbers, and the rows of a table."""
     rows = zip(*([_plain(cell) for cell in column.cells] for column in table.columns), strict=True)
     return (
         _plain(table.title),
@@ -208,7 +209,7 @@ def _table(
 
 
 def _named(values: Mapping[str, object]) -> str:
-    """Two columns, name and value."""
+    """A table with the columns name and value, as text."""
     rows = (
         _element("tr", _element("th", _text(name)), _element("td", _text(_value(value))))
         for name, value in values.items()
@@ -239,7 +240,7 @@ def _picture(drawing: Drawing) -> tuple[str, bytes]:
 
 
 def _caption(drawing: Drawing) -> str:
-    """The name of a file, the title of axes."""
+    """The caption of a drawing: the name of a file, or the title of axes."""
     return (
         Path(drawing).stem.replace("-", " ")
         if isinstance(drawing, str | Path)
@@ -278,7 +279,7 @@ def _is_number(value: object) -> bool:
 
 
 def _text(text: str) -> str:
-    """The text escaped; a character that XML cannot hold becomes a replacement character."""
+    """The escaped text; a character that XML does not allow becomes a replacement character."""
     return html.escape(NOT_IN_XML.sub("\ufffd", text))
 
 

@@ -1,4 +1,4 @@
-"""Searches: a tuning step by step, a trade-off, the worst machine."""
+"""Figures of searches: a tuning step by step, a trade-off, the worst machine."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def loss_by_step(tuned: Tuned, *, ax: Axes | None = None) -> Axes:
 def worst_against_chance(
     drawn, found: Mapping[str, float], *, nominal: float, metric: str = "", unit: str = "", ax=None
 ) -> Axes:
-    """A search for the worst machine: the metric of drawn machines, and what each search found.
+    """A search for the worst machine: the metric of drawn machines and the result of each search.
 
     drawn: (S,) the metric of the machines drawn at random, shown as a distribution with a log axis
     found: the largest value by the name of the search
@@ -93,7 +93,7 @@ def pareto_front(
 ) -> Axes:
     """A trade-off: both objectives of each point, labelled with the share of the first one.
 
-    points: from `tuning.pareto`
+    points: points from `tuning.pareto`
     first, second: names of the objectives
     given: both objectives with the weights as given
     """

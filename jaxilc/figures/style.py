@@ -1,4 +1,4 @@
-"""What all figures share: colours, line styles, marks, axes, ticks, labels with units."""
+"""The common style of all figures: colours, line styles, marks, axes, ticks, labels with units."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.axes import Axes
 
-# These colours can be told apart by the colour-blind, too.
+# Colour-blind readers can distinguish these colours.
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")
 DASHES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (3, 1, 1, 1)), (0, (1, 1)))
 MARKS = ("s", "^", "D", "x", "P", "*", "p")  # circles are printed numbers
@@ -36,7 +36,7 @@ def style_of(i: int) -> dict[str, Any]:
 def marks_of(i: int, points: int, marks: int = 8) -> dict[str, Any]:
     """Open marks at some points of the i-th curve.
 
-    Neighbouring curves have theirs at other points, so that curves which coincide are seen.
+    Neighbouring curves have their marks at different points, so that curves that coincide are seen.
     """
     every = max(points // marks, 1)
     return {
@@ -48,7 +48,7 @@ def marks_of(i: int, points: int, marks: int = 8) -> dict[str, Any]:
 
 
 def shades_of(trials: Sequence[int]) -> list[str]:
-    """A grey for each trial, the last one black."""
+    """A shade of grey for each trial; the last one is black."""
     return (
         [str(shade) for shade in np.linspace(0.75, 0.0, len(trials))]
         if len(trials) > 1
@@ -73,12 +73,12 @@ def new_axes(
 
 
 def labelled(name: str, unit: str) -> str:
-    """`settled error [µm]`"""
+    """A label such as `settled error [µm]`."""
     return name.replace("_", " ") + (f" [{unit}]" if unit else "")
 
 
 def grid(ax: Axes) -> None:
-    """A pale grid, and plain numbers on logarithmic axes; to be called when all curves are drawn.
+    """Add a pale grid, and plain numbers on logarithmic axes, after all curves are drawn.
 
     A logarithmic axis of fewer than three decades has ticks at 1, 2 and 5.
     """
@@ -97,7 +97,7 @@ def grid(ax: Axes) -> None:
 
 
 def trial_axis(ax: Axes) -> None:
-    """Whole numbers of trials along x."""
+    """Set ticks at whole numbers of trials along x."""
     from matplotlib.ticker import MaxNLocator
 
     ax.set_xlabel("trial")
@@ -105,17 +105,17 @@ def trial_axis(ax: Axes) -> None:
 
 
 def legend_beside(ax: Axes) -> None:
-    """The legend to the right of the axes, where it hides nothing."""
+    """Place the legend to the right of the axes, where it hides nothing."""
     ax.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1.0, 1.02))
 
 
 def legend_above(ax: Axes, columns: int = 2) -> None:
-    """The legend above the axes, which have no title; for long names."""
+    """Place the legend above the axes, for long names; the axes then have no title."""
     ax.legend(fontsize="small", loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns)
 
 
 def save(axes, path: str | Path) -> Path:
-    """Write the figure of the axes, whole or not at all, in the format of the file's name."""
+    """Write the figure of the axes, completely or not at all, in the format of the file's name."""
     figure, kind = np.ravel(axes)[0].figure, Path(path).suffix.removeprefix(".") or None
     atomically(path, lambda file: figure.savefig(file, format=kind))
     return Path(path)

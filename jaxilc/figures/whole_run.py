@@ -17,20 +17,22 @@ if TYPE_CHECKING:
 
     from ..scenarios import Scenario
 
-CURVES = (2, 20)  # trials worth a curve besides the last one
+CURVES = (2, 20)  # trials that are drawn besides the last one
 
 
 def save_run(
     scenario: Scenario, dataset: xr.Dataset, folder: Path, shown: Sequence[int]
 ) -> list[Path]:
-    """Draw a run and save it; the files that were written.
+    """Draw a run, save its figures, and return the files that were written.
 
-    error-by-trial.png      the metric that the scenario is judged by, beside the published values
+    error-by-trial.png      the metric by which the scenario is judged, with the published values
     tracking-SCHEME.png     reference and output of some trials
     spectrum-SCHEME.png, time-frequency-SCHEME.png    of the error, for a scheme that learns
     contour-SCHEME.png      for two axes
 
-    dataset: of `run_schemes`;  shown: trials that have a row in the table of the run
+    dataset: result of `run_schemes`
+    folder: folder for the figures
+    shown: trials that have a row in the table of the run
     """
     in_unit = {"scale": scenario.shown_scale, "unit": scenario.shown_unit}
     scale, unit = scenario.shown(scenario.judged_by)

@@ -12,16 +12,16 @@ from .style import COLOURS, DASHES, grid, labelled, legend_beside, new_axes, sha
 if TYPE_CHECKING:
     import xarray as xr
 
-ZOOM = 0.05  # share of the trial that is looked at closely
-SPAN = "#e69f00"  # marks the part that is zoomed
-SHOWN = 0.1  # of the width of a path, as which its largest contour error is drawn
+ZOOM = 0.05  # share of the trial that the zoom shows
+SPAN = "#e69f00"  # colour that marks the zoomed part
+SHOWN = 0.1  # share of the width of a path, with which its largest contour error is drawn
 
 
 def signal_of(dataset: xr.Dataset, name: str, scheme: str, trial: int) -> np.ndarray:
     """(N+1, channels) y or e, or (N, inputs) u, of one trial of one machine.
 
-    dataset: of `run_schemes`, or of one machine of a sweep, `dataset.sel(sample=17)`; a sweep keeps
-        the signals that it was told to, of the last trial
+    dataset: result of `run_schemes`, or one machine of a sweep, `dataset.sel(sample=17)`; a sweep
+        stores only the signals in `keep`, of the last trial
     Raises ValueError for a signal, scheme or trial that is not there, naming those that are.
     """
     if name not in dataset:
@@ -56,10 +56,10 @@ def tracking(
 ) -> np.ndarray:
     """Output, error of each channel and input of one scheme against time; axes (rows, 2).
 
-    Chosen trials are shown, with a zoom beside each. The axis of the error fits all of them but the
-    first one, if there are several.
+    The chosen trials are shown, with a zoom beside each plot. With several trials, the axis of the
+    error is scaled to all but the first one.
 
-    dataset: with y, e, u, as for `signal_of`
+    dataset: dataset with y, e, u, as for `signal_of`
     zoom: (from, to) [s]; None for a twentieth of the trial, around the largest error of the last
         trial chosen
     scale, unit: the error is shown as `scale` times that of the dataset, in `unit`
@@ -141,8 +141,8 @@ def contour(
 
     The distance of the motion from the path is drawn magnified.
 
-    dataset: with y, e of two channels, as for `signal_of`
-    window: of `contour_error`
+    dataset: dataset with y, e of two channels, as for `signal_of`
+    window: half width in points of the path, see `contour_error`
     magnification: None for a number 1, 2 or 5 times a power of ten, with which the largest error is
         drawn as 5 to 10 % of the path's width
     scale, unit: the error is shown as `scale` times that of the dataset, in `unit`
@@ -201,15 +201,15 @@ def _reference(dataset, y, e) -> np.ndarray:
 
 
 def _around_the_largest(time, e) -> tuple[float, float]:
-    """A window of ZOOM of the trial, but of four samples at least, around the largest error."""
+    """A window around the largest error: a share ZOOM of the trial, but at least four samples."""
     half = min(max(0.5 * ZOOM * time[-1], 2.0 * time[1]), 0.5 * time[-1])
     at = time[np.argmax(np.max(np.nan_to_num(np.abs(e)), axis=1))]
     low = np.clip(at - half, time[0], time[-1] - 2 * half)
-    return low, min(low + 2 * half, time[-1])  # the sum may round to just beyond the end
+    return low, min(low + 2 * half, time[-1])  # rounding may put the sum beyond the end
 
 
 def _fit(axis, lines) -> None:
-    """Limits about zero that show all of the lines."""
+    """Set limits that are symmetric about zero and show all of the lines."""
     largest = np.max(np.abs(lines))
     if np.isfinite(largest) and largest > 0:
         axis.set_ylim(-1.2 * largest, 1.2 * largest)
@@ -222,7 +222,7 @@ def _one_two_five(value: float) -> float:
 
 
 def _legend_below(axis) -> None:
-    """One entry a name, under all axes of the figure."""
+    """Place one legend with an entry for each name below all axes of the figure."""
     named = {
         label: handle
         for handle, label in reversed(list(zip(*axis.get_legend_handles_labels(), strict=True)))

@@ -1,6 +1,6 @@
 """A learning campaign on a real machine.
 
-A journal keeps what was learned from each measured trial; from it follows the next input.
+A journal stores what was learned from each measured trial, which determines the next input.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ MEMORY, TRIAL = "memory.npz", "trial.npz"
 
 @dataclasses.dataclass(frozen=True)
 class Campaign:
-    """What is learned, for which task and actuator, and the journal. See `start` and `open`.
+    """A campaign with its scheme, task, actuator and journal, made by `start` or `open`.
 
-    journal: the folder of the campaign
-    scheme, task, actuator: as the machine has them
-    rules: what is refused
-    recipe: JSON, how scheme, task and rules were made, kept for whoever continues the campaign
+    journal: journal in the folder of the campaign
+    scheme, task, actuator: those of the real machine
+    rules: rules for what is refused
+    recipe: how scheme, task and rules were made, as JSON, stored for a later continuation
     """
 
     journal: Journal
@@ -63,7 +63,7 @@ class Campaign:
     ) -> Campaign:
         """A new campaign, before its first trial, in a folder of its own.
 
-        dry_run: check, and store nothing
+        dry_run: whether only to check, and to store nothing
         Raises FileExistsError if the folder is not empty, and ValueError where scheme and task do
         not fit, and for a first schedule beyond a limit.
         """
@@ -94,7 +94,7 @@ class Campaign:
     ) -> Campaign:
         """The campaign in a folder, to continue it.
 
-        recipe: None keeps the stored one
+        recipe: new recipe, None to keep the stored one
         Raises ValueError if it was started with another configuration, naming what differs.
         """
         journal = Journal(Path(path))
@@ -116,7 +116,7 @@ class Campaign:
 
     @property
     def configuration(self) -> dict[str, Any]:
-        """Scheme, task and actuator, on which learning depends; long arrays by their hash."""
+        """Scheme, task and actuator, which determine learning; long arrays as their hash."""
         return as_json(
             {name: describe(getattr(self, name)) for name in ("scheme", "task", "actuator")}
         )
@@ -149,33 +149,33 @@ class Campaign:
         )
 
     def schedules(self, trial: int | None = None) -> dict[str, np.ndarray]:
-        """What the machine plays after a trial, None for the last one; see `playback.schedules`."""
+        """The schedules to play after a trial, None for the last one; see `playback.schedules`."""
         return schedules(self.scheme, self.memory(trial), self.task)
 
     def first_schedules(self) -> dict[str, np.ndarray]:
-        """What the machine plays in the first trial."""
+        """The schedules that the machine plays in the first trial."""
         return schedules(self.scheme, self.scheme.initial_memory(self.task), self.task)
 
     def recordable(self) -> dict[str, tuple[int, int]]:
         """The shapes, by name, of the signals besides y and u that a measured trial may hold.
 
-        These are the feedback's share of the input, and the schedules as they were played.
+        These are the share of the feedback in the input, and the schedules as they were played.
         """
         return {"feedback": (self.task.N, self.task.inputs)} | {
             name: t.shape for name, t in self.schedules().items() if name != "u"
         }
 
     def turn(self, measured: Measured, *, learn: bool = True, replay_input: bool = False) -> Turn:
-        """What follows from a measured trial, checked by the rules; `keep` stores it.
+        """The result of a measured trial, checked by the rules; `keep` stores it.
 
-        The feedback's share of the input is `feedback` of the file if the file has it, else that of
-        the scheme's own law over the measured output (see `replay`), from which the other signals
-        of the scheme always come.
+        The share of the feedback in the input is `feedback` of the file. If the file does not have
+        it, it is computed by the scheme's law from the measured output (see `replay`). The other
+        signals of the scheme are always computed that way.
 
-        learn: False only looks at the trial; the same schedule is then played again
-        replay_input: where the file has no input, take the scheme's over the measured output
-        Raises ValueError for a trial without an input, and for one that was measured already, also
-        where its file was rounded.
+        learn: False only inspects the trial; the same schedule is then played again
+        replay_input: whether to compute an input that the file lacks by the scheme's law
+        Raises ValueError for a trial without an input, and for one that was measured already, even
+        if its file was rounded.
         """
         scheme, task, live = self.scheme, self.task, self.journal.live()
         memory, number = self.memory(), live[-1]["trial"] + 1
@@ -219,9 +219,9 @@ class Campaign:
     def _against_those_before(
         self, record: Trial, error: float, played: str, live: list[dict[str, Any]]
     ) -> list[Finding]:
-        """A trial against the last one, if it played the same schedule, and against all errors.
+        """Compare a trial with the last one, if both played one schedule, and with all errors.
 
-        error: RMS error over all outputs
+        error: RMS error over all outputs [unit of y]
         played: hash of the schedule
         live: the manifests of the trials before
         """
@@ -233,7 +233,7 @@ class Campaign:
         return findings + checks.grown(error, errors, self.rules, unit)
 
     def keep(self, turn: Turn) -> None:
-        """Store a turn, from which the campaign continues.
+        """Store a turn; the campaign then continues from it.
 
         Raises ValueError if it has refusals, or if its trial does not follow the last stored one.
         """
@@ -253,7 +253,7 @@ class Campaign:
         )
 
     def undo(self, trial: int) -> None:
-        """Go back to the memory after a trial, 0 for the start.
+        """Go back to the memory after a trial; 0 stands for the start.
 
         Raises ValueError for a trial that is not one of the past.
         """
@@ -263,7 +263,7 @@ class Campaign:
         )
 
     def _after(self, trial: int | None) -> dict[str, Any]:
-        """The entry after a trial of the past, or the last one for None."""
+        """The entry after an earlier trial, or the last entry for None."""
         if trial is None:
             return self.journal.live()[-1]
         behind = {m["trial"]: m for m in self.journal.behind()}
@@ -277,7 +277,7 @@ class Campaign:
     ) -> bool:
         """Whether a measured trial is that of an entry, see `is_same_trial`.
 
-        error: its RMS error, which tells most trials apart without reading their files
+        error: RMS error of the trial, which distinguishes most trials without reading their files
         """
         if abs(entry[METRICS]["error"] - error) > checks.same_up_to(record.y):
             return False

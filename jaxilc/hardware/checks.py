@@ -11,17 +11,17 @@ from ..learning.machine import Actuator
 from ..pytree.ranges import require
 from ..signals.task import Task, Trial
 
-AT_LIMIT = 1e-3  # of the limit, within which an input counts as saturated
-AS_PLAYED = 1e-4  # of a schedule's peak: how far from it the machine's record of it may be
-# Of the input's peak, by which the recorded input may differ from the replayed one.
+AT_LIMIT = 1e-3  # share of the limit; an input that is this close to it counts as saturated
+AS_PLAYED = 1e-4  # share of a schedule's peak by which the machine's record of it may differ
+# Share of the input's peak by which the recorded input may differ from the replayed one.
 AS_COMMANDED = 0.01
-# Of a signal's peak, by which two files of one trial may differ: one may be rounded to 9 digits.
+# Share of a signal's peak by which two files of one trial may differ; one may have 9 digits only.
 SAME = 1e-8
-LITTLE = 0.5  # of the error: a difference between repeated trials above it leaves little to learn
+LITTLE = 0.5  # share of the error; if repeated trials differ by more, little can be learned
 
 
 class Rules(NamedTuple):
-    """What is refused. A number that is None is not checked.
+    """The rules for what is refused; a number that is None is not checked.
 
     limit: largest |u| that is played, at which an input counts as saturated [unit of u]; None takes
         the actuator's limit
@@ -30,7 +30,7 @@ class Rules(NamedTuple):
     accept_saturation: warn of saturation instead of refusing
     repeatability: largest RMS difference of two trials of one schedule, over all outputs, in the
         unit of y
-    growth: share by which the RMS error may exceed the last trial's without a warning
+    growth: share by which the RMS error may exceed that of the last trial without a warning
     stop_on_growth: refuse growth instead of warning
     """
 
@@ -43,7 +43,7 @@ class Rules(NamedTuple):
     stop_on_growth: bool = False
 
     def checked(self) -> Rules:
-        """These rules. Raises ValueError for a number outside its range."""
+        """These rules; raises ValueError for a number outside its range."""
         ranges = {"saturation": "[0, 1]", "growth": "[0, inf)"} | dict.fromkeys(
             ("limit", "correction", "repeatability"), "(0, inf)"
         )
@@ -53,7 +53,7 @@ class Rules(NamedTuple):
         return self
 
     def limits(self, actuator: Actuator | None, inputs: int) -> np.ndarray | None:
-        """(n_u,) the limit in force."""
+        """(n_u,) the limits that apply to the inputs, None if there are none."""
         limit = self.limit if self.limit is not None else getattr(actuator, "limit", None)
         return None if limit is None else np.broadcast_to(np.asarray(limit, float), (inputs,))
 
@@ -62,7 +62,7 @@ class Finding(NamedTuple):
     """A finding of a check.
 
     kind: `note`, `warning` or `refusal`
-    text: what was found, with its numbers
+    text: description of the finding, with its numbers
     """
 
     kind: str
@@ -72,7 +72,7 @@ class Finding(NamedTuple):
 def saturation(u, actuator: Actuator | None, rules: Rules) -> list[Finding]:
     """The share of samples of the measured input u (N, n_u) that are at the limit.
 
-    There the input follows the limit, not what was learned from the error.
+    At these samples the input equals the limit, whatever was learned from the error.
     """
     limits = rules.limits(actuator, u.shape[1])
     if limits is None:
@@ -100,7 +100,7 @@ def saturation(u, actuator: Actuator | None, rules: Rules) -> list[Finding]:
 
 
 def as_commanded(u, replayed, actuator: Actuator | None, task: Task) -> list[Finding]:
-    """The measured input against that of the scheme, replayed over the measured output."""
+    """Compare the measured input with that of the scheme, replayed over the measured output."""
     off = np.max(np.abs(u - replayed), axis=1)
     allowed = AS_COMMANDED * np.max(np.abs(u), initial=0.0) + np.max(_resolution(actuator))
     if np.max(off) <= allowed:
@@ -121,7 +121,7 @@ def as_played(
     schedules: Mapping[str, np.ndarray],
     actuator: Actuator | None,
 ) -> list[Finding]:
-    """What the machine recorded of the schedules it played against what it was given."""
+    """Compare the schedules that the machine recorded with those that it was given."""
     findings = []
     for name in recorded.keys() & schedules.keys():
         off = np.max(np.abs(recorded[name] - schedules[name]), axis=1)
@@ -137,7 +137,7 @@ def as_played(
 
 
 def repeated(trial: Trial, last_y, rules: Rules, unit: str) -> list[Finding]:
-    """Two trials of one schedule: their difference does not repeat and cannot be learned.
+    """Compare two trials of one schedule, whose difference does not repeat and cannot be learned.
 
     last_y: (N+1, n_y) output of the other trial
     """
@@ -152,9 +152,9 @@ def repeated(trial: Trial, last_y, rules: Rules, unit: str) -> list[Finding]:
 
 
 def grown(error: float, history: list[tuple[int, float]], rules: Rules, unit: str) -> list[Finding]:
-    """The error of this trial against that of the last one.
+    """Compare the error of this trial with that of the last one.
 
-    history: (trial, RMS error over all outputs) of the trials before, in order
+    history: (trial, RMS error over all outputs) for the trials before, in order
     """
     if not history or error <= (1 + rules.growth) * history[-1][1]:
         return []
@@ -170,13 +170,13 @@ def grown(error: float, history: list[tuple[int, float]], rules: Rules, unit: st
 def beyond_limits(
     schedules: Mapping[str, np.ndarray], task: Task, actuator: Actuator | None, rules: Rules
 ) -> list[Finding]:
-    """The next schedules against the input's limit and the largest correction of the reference."""
+    """Check the next schedules against the input limit and the largest reference correction."""
     findings = []
     for name, schedule in schedules.items():
         departure, unit, limits = schedule, task.input_unit, None
         if name == "reference":
             unit, departure = task.unit, schedule - np.asarray(task.reference)
-            # One reference for several outputs: the output that it is nearest to counts.
+            # If several outputs share one reference, the output that is nearest to it counts.
             if departure.shape != schedule.shape:
                 departure = departure[:, [np.argmin(np.max(np.abs(departure), axis=0))]]
             limits = (
@@ -205,9 +205,9 @@ def _resolution(actuator: Actuator | None):
 
 
 def same(one, other) -> bool:
-    """Whether two records of a signal are one measurement.
+    """Whether two records of a signal come from one measurement.
 
-    They are if they agree to eight digits, to which no two trials of a machine agree.
+    They do if they agree to eight digits; two different trials of a machine never agree so well.
     """
     return np.shape(one) == np.shape(other) and bool(
         np.max(np.abs(np.asarray(one) - other)) <= same_up_to(one)
@@ -215,7 +215,7 @@ def same(one, other) -> bool:
 
 
 def same_up_to(signal) -> float:
-    """By how much two records of one measurement may differ."""
+    """The largest difference that two records of one measurement may have."""
     return SAME * float(np.max(np.abs(signal)))
 
 

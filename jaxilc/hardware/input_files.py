@@ -1,4 +1,4 @@
-"""What a machine plays in its next trial, in a file: CSV, MATLAB or a C header.
+"""Files with what a machine plays in its next trial: CSV, MATLAB or a C header.
 
 CSV and MATLAB hold the time t and the reference r beside the schedules, with their units: in the
 header of a CSV file, `t [s], r [mm], u [V]`, and in the struct `units` of a .mat file. Several
@@ -28,13 +28,13 @@ def write_schedules(
     trial: int,
     number: str = "double",
 ) -> None:
-    """Write what `playback.schedules` gives, in the format of the file's name: .csv, .mat or .h.
+    """Write the schedules in the format of the file's name: .csv, .mat or .h.
 
-    The file is written whole or not at all, and numbers keep every digit. CSV and MATLAB also hold
-    t and r, which have N+1 rows; in CSV a schedule of N rows repeats its last row.
+    The file is written completely or not at all, and numbers keep every digit. CSV and MATLAB also
+    hold t and r, which have N+1 rows; in CSV a schedule of N rows repeats its last row.
 
-    schedules: (rows, channels) by name
-    trial: the trial in which they are played
+    schedules: (rows, channels) by name, as `playback.schedules` returns them
+    trial: number of the trial in which they are played
     number: type of the numbers in a C header, `double` or `float`
     Raises ValueError for another format.
     """

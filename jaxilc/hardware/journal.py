@@ -1,10 +1,10 @@
-"""The journal of a campaign: a folder of entries 000000, 000001, ..., to which is only appended.
+"""The journal of a campaign: an append-only folder of entries 000000, 000001, ...
 
 Each entry is a manifest (JSON) and arrays (npz). It is written under another name and renamed when
-it is on the disk, so that the journal is whole whenever the process is stopped. To undo is an entry
-too, which points back: nothing that was measured is lost. Every file has a checksum, and the
-manifest is stored twice. So damage is found, and an entry that cannot be read is passed over by
-going back to a trial before it.
+it is on the disk, so that the journal is complete whenever the process is stopped. An undo is also
+an entry, which points to an earlier one, so that no measurement is lost. Every file has a checksum,
+and the manifest is stored twice, so that damage is found. An entry that cannot be read is left out
+by going back to a trial before it.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from ..pytree.ranges import is_number
 from ..storage.files import UNFINISHED, whole_folder
 from ..storage.sealed import Damaged, archive, json_text, read_arrays, read_json, sealed, unsealed
 
-FORMAT, UNCHECKED = 2, 1  # the first format had no checksums, and no copy of the manifest
+FORMAT, UNCHECKED = 2, 1  # the first format had neither checksums nor a copy of the manifest
 MANIFEST, COPY = "manifest.json", "manifest.copy.json"
 DAMAGED = "damaged"  # the event of an entry that cannot be read
 BACK = "--undo goes back to an earlier trial"
 _ENTRY = re.compile(r"^\d{6}$")
-METRICS = "figures"  # the key of a trial's metrics; campaigns that were begun before have it so
-_METRICS = ("rms", "max_error", "settled_error", "effort")  # of each channel
+METRICS = "figures"  # key of a trial's metrics, as in the first campaigns
+_METRICS = ("rms", "max_error", "settled_error", "effort")  # for each channel
 _NEEDED = {"trial": int, "recipe": dict, "configuration": dict}
 _NEEDED_OF = {
     "start": {},
@@ -46,11 +46,11 @@ _NEEDED_OF = {
 
 @dataclasses.dataclass(frozen=True)
 class Journal:
-    """The entries in a folder, which need not exist yet.
+    """The journal in a folder, which need not exist yet.
 
     A manifest holds `serial`, `time`, `event` (start, trial or undo), `trial` (the last one
-    measured), and `parent`, the serial of the entry that it follows. The manifest of an undo holds
-    `to`, the serial of the entry to which it goes back. Where an entry cannot be read, the event is
+    measured), and `parent`, the serial of the preceding entry. The manifest of an undo also holds
+    `to`, the serial of the entry to which it goes back. If an entry cannot be read, its event is
     `damaged`, and `wrong` says why.
     """
 
@@ -58,11 +58,11 @@ class Journal:
 
     @property
     def exists(self) -> bool:
-        """Whether there is an entry."""
+        """Whether the journal has an entry."""
         return self.path.is_dir() and bool(self._entries())
 
     def create(self) -> None:
-        """Make the folder. Raises FileExistsError if there is one with something in it."""
+        """Make the folder; raises FileExistsError for an existing one that is not empty."""
         if self.path.exists() and (
             not self.path.is_dir() or any(UNFINISHED not in f.name for f in self.path.iterdir())
         ):
@@ -87,7 +87,7 @@ class Journal:
         return manifests
 
     def last_known(self) -> dict[str, Any]:
-        """The last manifest that can be read. Raises as `manifests` does."""
+        """The last manifest that can be read; raises as `manifests` does."""
         return next(m for m in reversed(self.manifests()) if m["event"] != DAMAGED)
 
     def live(self) -> list[dict[str, Any]]:
@@ -101,8 +101,8 @@ class Journal:
     def behind(self) -> list[dict[str, Any]]:
         """The manifests to which an undo can go back.
 
-        These are those of `live` before the last one, or, where one of them is damaged, all whose
-        entries can be read from the start on.
+        These are the manifests of `live` without the last one. Where one of them is damaged, these
+        are all manifests whose entries can be read from the start on.
         """
         manifests = self.manifests()
         try:
@@ -113,7 +113,7 @@ class Journal:
             ]
 
     def arrays(self, manifest: Mapping[str, Any], name: str) -> dict[str, np.ndarray]:
-        """The arrays in a file of an entry. Raises ValueError for a damaged file."""
+        """The arrays in a file of an entry; raises ValueError for a damaged file."""
         file = self.path / f"{manifest['serial']:06d}" / name
         try:
             return read_arrays(file, checked=manifest.get("format") != UNCHECKED)
@@ -123,7 +123,7 @@ class Journal:
     def append(self, manifest: Mapping[str, Any], arrays: Mapping[str, Mapping[str, Any]]) -> None:
         """Append an entry.
 
-        arrays: by the name of their file
+        arrays: arrays by name, in a dictionary by the name of their file
         Raises ValueError where it cannot be written; the journal is then unchanged.
         """
         serial = self._next()
@@ -135,7 +135,7 @@ class Journal:
         try:
             with whole_folder(
                 self.path / f"{serial:06d}"
-            ) as unfinished:  # fails where another process was quicker
+            ) as unfinished:  # fails if another process has made this entry
                 for name, values in arrays.items():
                     (unfinished / name).write_bytes(archive(values))
                 for name in (MANIFEST, COPY):
@@ -149,7 +149,7 @@ class Journal:
             ) from None
 
     def log(self) -> list[dict[str, Any]]:
-        """A row for every entry in order: the event, the trial, its metrics, warnings.
+        """A row for every entry in order: event, trial, metrics, warnings.
 
         `live` says whether the entry still counts, or was undone.
         """
@@ -195,7 +195,7 @@ class Journal:
 
 
 def _checked(content: Any, serial: int) -> dict[str, Any]:
-    """The manifest of an entry. Raises Damaged naming what is wrong with it."""
+    """The manifest of an entry; raises Damaged naming what is wrong with it."""
     unchecked = isinstance(content, dict) and content.get("format") == UNCHECKED
     manifest = content if unchecked else unsealed(content)
     if (manifest.get("format"), manifest.get("serial")) not in (
@@ -233,11 +233,11 @@ def _is_finding(value: Any) -> bool:
 
 
 def _led_to(manifests: Sequence[dict[str, Any]], last: dict[str, Any]) -> list[dict[str, Any]]:
-    """The manifests from the start to where `last` stands. Raises Damaged where one of them is."""
+    """The manifests from the start to the entry `last`; raises Damaged where one is damaged."""
     chain = [manifests[last["to"]] if last["event"] == "undo" else last]
     while chain[0]["event"] == "trial":
         chain.insert(0, manifests[chain[0]["parent"]])
-    if chain[0]["serial"] != 0:  # entry 0 is the start, and can be told from its place
+    if chain[0]["serial"] != 0:  # entry 0 is always the start
         wrong = chain[0].get("wrong", f"entry {chain[0]['serial']} is no trial to go on from")
         raise Damaged(f"{wrong}; {BACK}")
     return chain

@@ -13,7 +13,7 @@ from .journal import Journal
 
 
 def write_log(path: str | Path, rows: Sequence[dict[str, Any]]) -> Path:
-    """Write the rows of `Journal.log`, a column for each name; a cell that a row lacks is empty."""
+    """Write the rows of `Journal.log` with a column for each name; missing values are empty."""
     text = io.StringIO()
     names = list(dict.fromkeys(name for row in rows for name in row))
     writer = csv.DictWriter(text, names, restval="", lineterminator="\n")
@@ -24,7 +24,7 @@ def write_log(path: str | Path, rows: Sequence[dict[str, Any]]) -> Path:
 
 
 def units(journal: Journal) -> tuple[str, str]:
-    """The units of the output and of the input, empty where the campaign has none."""
+    """The units of the output and of the input; empty texts where the campaign has none."""
     task = journal.last_known()["configuration"].get("task")
     task = task if isinstance(task, dict) else {}
     return str(task.get("unit", "")), str(task.get("input_unit", ""))

@@ -1,8 +1,8 @@
-"""Measured trials from files: CSV or MATLAB.
+"""Measured trials from files in CSV or MATLAB format.
 
 A text file of columns has a header that declares units, `t [s], r [mm], y [mm], u [V]`; several
-channels are y0, y1, ... Row k holds what belongs to t[k]: y is measured there, then u acts until
-t[k+1], so the last row's u means nothing and may be empty. A .mat file has variables of the same
+channels are y0, y1, ... Row k belongs to t[k]: y is measured at t[k], then u acts until t[k+1]. So
+the u of the last row is not used and may be empty. A .mat file has variables of the same
 names, with several channels as columns, and a struct `units` with a field for each.
 """
 
@@ -21,9 +21,9 @@ from ..signals.task import Task
 from ..storage.mat_files import ROOM, Other, read_mat
 from ..storage.reading import name_and_unit, numbers_in, read_columns
 
-STEP_TOLERANCE = 0.01  # of the sample time, by which a single step may differ
-RATE_TOLERANCE = 1e-3  # of the sample time, by which the median step may differ
-REFERENCE_TOLERANCE = 1e-4  # of the reference's range
+STEP_TOLERANCE = 0.01  # share of the sample time by which a single step may differ
+RATE_TOLERANCE = 1e-3  # share of the sample time by which the median step may differ
+REFERENCE_TOLERANCE = 1e-4  # share of the reference's range by which r may differ
 
 
 class Measured(NamedTuple):
@@ -32,8 +32,8 @@ class Measured(NamedTuple):
     y: (N+1, n_y) output
     u: (N, n_u) input, None where the file has none
     others: further signals that were asked for, by name
-    ignored: names of the columns that mean nothing here
-    source: the file
+    ignored: names of the columns that are not used
+    source: path of the file
     """
 
     y: np.ndarray
@@ -44,11 +44,11 @@ class Measured(NamedTuple):
 
 
 class _File(NamedTuple):
-    """What was read from a file.
+    """The contents of a file.
 
     columns: (rows, channels) values and unit by name; the unit is None where it is not declared
-    places: where each row stands in the file, for messages
-    ignored: names of the columns that mean nothing here
+    places: place of each row in the file, for messages
+    ignored: names of the columns that are not used
     """
 
     columns: dict[str, tuple[np.ndarray, str | None]]
@@ -132,7 +132,7 @@ def _read_text(path, shapes) -> _File:
 
 
 def _channels(path, name: str, channels: int, names: list[str]) -> list[int] | None:
-    """Where the channels of a signal stand; None where it is not there and need not be."""
+    """The columns of the channels of a signal; None where it is missing and not required."""
     spelled = [[f"{name}{i}", f"{name}_{i}"] + [name] * (channels == 1) for i in range(channels)]
     at = [next((names.index(s) for s in ways if s in names), None) for ways in spelled]
     found = [i for i in at if i is not None]
@@ -148,7 +148,7 @@ def _channels(path, name: str, channels: int, names: list[str]) -> list[int] | N
 
 def _read_mat(path, shapes) -> _File:
     needed = 8 * sum(rows * channels for rows, channels in shapes.values())
-    contents = read_mat(path, ROOM + 32 * needed)  # it may hold much besides
+    contents = read_mat(path, ROOM + 32 * needed)  # the file may hold many other variables
     units = contents.get("units")
     if not isinstance(units, dict):
         raise ValueError(f"{path} has no struct 'units'; declare them there: units.y = 'mm'")
@@ -182,7 +182,7 @@ def _read_mat(path, shapes) -> _File:
 
 
 def _plain(unit: str) -> str:
-    """A unit's spelling: the two micro signs are one, and "-" or "1" is no unit."""
+    """A unit in one spelling: the two micro signs are made equal, and "-" or "1" is no unit."""
     unit = unicodedata.normalize("NFKC", unit).strip()
     return "" if unit in ("-", "1") else unit
 

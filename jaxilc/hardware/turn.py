@@ -1,4 +1,4 @@
-"""A measured trial of a campaign and what follows from it."""
+"""A measured trial of a campaign, and the memory and schedules that follow from it."""
 
 from __future__ import annotations
 
@@ -18,16 +18,17 @@ from .named_arrays import arrays_of, not_a_number
 
 
 class Turn(NamedTuple):
-    """A measured trial and what follows from it; nothing is stored yet.
+    """A measured trial and the results that follow from it, before they are stored.
 
-    trial: its number
+    trial: number of the trial
     record: the trial with the signals of the scheme
-    memory, schedules: of the next trial
-    metrics: of this trial by name, those of `Metrics` and `error`, the RMS error over all outputs
-    hashes: of what was measured and of what was played
-    findings: what the checks found, refusals among them
-    learned: False for a trial that was only looked at
-    source: the file of the trial
+    memory, schedules: memory and schedules for the next trial
+    metrics: metrics of this trial by name: those of `Metrics`, and `error`, the RMS error over all
+        outputs
+    hashes: hashes of the measured signals and of the schedules that were played
+    findings: findings of the checks, refusals included
+    learned: False for a trial that was only inspected
+    source: file of the trial
     """
 
     trial: int
@@ -47,16 +48,16 @@ class Turn(NamedTuple):
 
 
 def refuse(findings: list[Finding]) -> None:
-    """Raises ValueError with what the checks refuse, if anything."""
+    """Raises ValueError with the refusals among the findings, if there are any."""
     texts = [f.text for f in findings if f.kind == "refusal"]
     if texts:
         raise ValueError("; ".join(texts))
 
 
 def is_same_trial(stored: dict[str, np.ndarray], record: Trial, *, with_input: bool) -> bool:
-    """Whether a measured trial is a stored one, up to the digits that a file may lose.
+    """Whether a measured trial equals a stored one, up to the rounding of a file.
 
-    with_input: whether the input was measured too, and is compared
+    with_input: whether the input was measured too and is compared
     """
     return checks.same(stored["y"], record.y) and (
         not with_input or checks.same(stored["u"], record.u)
@@ -64,7 +65,7 @@ def is_same_trial(stored: dict[str, np.ndarray], record: Trial, *, with_input: b
 
 
 def known_as(entry: dict[str, Any]) -> str:
-    """How a trial is known already."""
+    """A text that says as which trial an entry is stored already."""
     if entry["learned"]:
         return "which was learned from already;"
     undo = f"--undo {entry['trial'] - 1}"
@@ -85,7 +86,7 @@ def of_the_next(
     actuator: Actuator | None,
     rules: Rules,
 ) -> list[Finding]:
-    """What is wrong with the memory after a trial, and with the schedules of the next one."""
+    """The findings on the memory after a trial, and on the schedules of the next one."""
     wrong = not_a_number(arrays_of(memory))
     text = f"what would be learned is not a number in {wrong}"
     findings = [Finding("refusal", text)] if wrong else []
@@ -93,7 +94,10 @@ def of_the_next(
 
 
 def metrics_of(record: Trial, task: Task, error: float) -> dict[str, Any]:
-    """The metrics of a trial as the journal stores them. error: RMS error over all outputs"""
+    """The metrics of a trial as the journal stores them.
+
+    error: RMS error over all outputs [unit of y]
+    """
     metrics = measure(record, task)._asdict()
     return {"error": error} | {name: np.asarray(v).tolist() for name, v in metrics.items()}
 

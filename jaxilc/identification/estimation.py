@@ -1,4 +1,4 @@
-"""Identification: a plant is fitted to the record of an experiment (Cao 2019, section II-B)."""
+"""Identification fits a plant to the record of an experiment (Cao 2019, section II-B)."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from .problem import checked_record, free_elements, need_samples, problem_of
 from .records import Record
 from .verdict import Identified, judged
 
-MOST = 50  # poles, pairs or zeros: what a record can tell apart is far less
-REWEIGHTINGS = 5  # of several outputs
+MOST = 50  # largest number of poles, pairs or zeros; a record can determine far fewer
+REWEIGHTINGS = 5  # iterations of the weights of several outputs
 
 
 def identify(
@@ -43,14 +43,15 @@ def identify(
     where the noises of the outputs are independent.
 
     record: the experiment
-    plant: the plant to start from; None for a ProcessModel with the numbers of `poles`, of complex
-        `pairs` of poles and of `zeros` given (1, 1, 1 is Cao 2019, eq. 6), started automatically
+    plant: the plant to start from; None for a ProcessModel with the given numbers of `poles`, of
+        complex `pairs` of poles and of `zeros` (1, 1, 1 is Cao 2019, eq. 6), started automatically
     free: leaves of the plant, or elements of them, that are fitted; None for all
     fit_share: (0, 1], share of the record that is fitted; the rest validates the fit, and is
         simulated without a break
     starts: number of structures drawn, with rates log-uniform between 1 / duration and half the
         Nyquist frequency; the best are refined; take more for several lightly damped pairs
-    seed: of these draws
+    seed: seed of these draws
+
     The confidence intervals are Student's t times the standard deviation on each side, to first
     order in the parameters. Needs float64.
     Raises ValueError for a record that is not finite, does not fit the plant, is too short for the

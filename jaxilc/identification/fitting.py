@@ -1,4 +1,4 @@
-"""Least squares through the learning process: from many starts, with exact Jacobians."""
+"""Least squares through the learning process, from many starts and with exact Jacobians."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from ..runtime.tiles import tiled
 class Fit(NamedTuple):
     """The best minimum found.
 
-    values: of the parameters, by name
-    residuals: (M,) there
+    values: values of the parameters, by name
+    residuals: (M,) residuals at these values
     jacobian: (M, P) derivatives of the residuals with respect to the values
     costs: (starts,) half the sum of squares at every start, sorted
     refined: (refine,) half the sum of squares of the refined starts, sorted
@@ -43,13 +43,13 @@ def fit(
 
     The starts are spread over the ranges, and the best ones are refined by Gauss-Newton steps
     within a trust region. The Jacobian comes from forward-mode differentiation through the whole
-    simulation. Resets and limits within it have piecewise gradients; many starts are needed to get
-    across their jumps. A start whose residuals are not finite counts as infinitely bad.
+    simulation. Resets and limits within it have piecewise gradients; many starts are needed because
+    of their jumps. A start whose residuals are not finite has an infinite cost.
 
-    residuals: pure function of named scalars, (M,)
+    residuals: pure function from scalars by name to (M,) residuals
     ranges: (low, high) by name; a range that does not contain 0 is searched by its logarithm
     starts, refine: number of starts, and of those that are refined
-    seed: of the starts
+    seed: seed of the starts
     lanes: number of starts that are computed at a time, see `tiled`
     Raises ValueError for an empty range, for counts below 1, or if no start is finite.
     """

@@ -19,7 +19,7 @@ from ..signals.task import Task
 from .problem import Minimum, Problem
 from .records import played
 
-REFINED = 16  # of the starts, those that fit best
+REFINED = 16  # number of starts, those with the best fit, that are refined
 
 
 def from_many_starts(problem: Problem, starts: int, seed: int) -> Minimum:
@@ -73,7 +73,7 @@ def _draw(shape: ProcessModel, task: Task, starts: int, seed: int) -> ProcessMod
 
 @functools.cache
 def _products():
-    """`_inner_products` for many plants; made on first use, since `tiled` asks for the devices."""
+    """The function `_inner_products` for many plants, made on first use, when devices are known."""
     return tiled(_inner_products)
 
 
@@ -96,7 +96,7 @@ def _inner_products(common, plant: ProcessModel):
 
 
 def _numerator(products):
-    """The least sum of squares over bias and numerator, and the weights (m+1,) of the numerator."""
+    """The least sum of squares over bias and numerator, and the (m+1,) numerator weights."""
     if not np.all(np.isfinite(products)):
         return np.inf, None
     size = np.sqrt(np.maximum(np.diag(products)[:-1], np.finfo(float).tiny))

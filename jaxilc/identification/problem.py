@@ -17,7 +17,7 @@ from ..pytree.ranges import Interval
 from ..signals.task import Task
 from .records import Record, as_columns, played, task_of
 
-# With fewer samples a parameter the intervals, which hold for long records, would mean nothing.
+# With fewer samples for each parameter, the intervals would be wrong: they hold for long records.
 SAMPLES_PER_PARAMETER = 5
 
 
@@ -40,7 +40,7 @@ class Coordinates(NamedTuple):
     ProcessModel, so that the zero can change its sign through infinity. Any other value is taken
     as it is.
 
-    log, reciprocal: (P,) true where this coordinate is taken
+    log, reciprocal: (P,) true where this coordinate is used
     low, high: (P,) bounds of the coordinates
     """
 
@@ -51,7 +51,7 @@ class Coordinates(NamedTuple):
 
     @classmethod
     def of(cls, plant: Plant, names: tuple[str, ...]) -> Coordinates:
-        """For the elements `names` of the plant and one bias an output."""
+        """The coordinates for the elements `names` of the plant and one bias for each output."""
         free = Interval(-np.inf, np.inf, False, False)
         allowed = [interval_at(plant, name) or free for name in names] + [free] * plant.n_y
         log = np.array([tuple(a) == (0.0, np.inf, False, False) for a in allowed])
@@ -86,11 +86,11 @@ class Coordinates(NamedTuple):
 
 
 class Minimum(NamedTuple):
-    """Where the optimiser stopped.
+    """The point at which the optimiser stopped.
 
-    theta: (P,) values there
-    cost: half the sum of squares there
-    converged: whether it met its tolerances before its budget of simulations was used up
+    theta: (P,) values at this point
+    cost: half the sum of squares at this point
+    converged: whether the tolerances were met before the budget of simulations was used up
     """
 
     theta: np.ndarray
@@ -101,11 +101,13 @@ class Minimum(NamedTuple):
 class Problem(NamedTuple):
     """The least-squares problem: theta (P,) holds the values of `names`, then the n_y biases.
 
-    record, plant, task: the record, the plant with its values at the start, and the record's task
+    record: the record
+    plant: the plant with its values at the start
+    task: task of the record
     names: elements of the plant that are fitted
-    coordinates: in which the optimiser works
+    coordinates: coordinates in which the optimiser works
     samples: number of samples, from the first one on, that are fitted
-    scale: (n_y,) by which the residuals of each output are divided
+    scale: (n_y,) numbers by which the residuals of each output are divided
     """
 
     record: Record
@@ -141,7 +143,7 @@ class Problem(NamedTuple):
         )
 
     def start(self, plant):
-        """theta of a plant, with the biases that make the mean residual 0."""
+        """The vector theta of a plant, with the biases that make the mean residual 0."""
         values = [float(get_at(plant, name)) for name in self.names]
         bias = np.mean(self.residual(np.array(values + [0.0] * plant.n_y))[: self.samples], axis=0)
         if not np.all(np.isfinite(bias)):
@@ -181,7 +183,7 @@ class Problem(NamedTuple):
 
 
 def checked_record(record: Record) -> Record:
-    """The record with u (N, n_u) and y (N+1, n_y); raises ValueError where it is none."""
+    """The record with u (N, n_u) and y (N+1, n_y); raises ValueError for an invalid record."""
     u, y = as_columns("identify", "u", record.u), as_columns("identify", "y", record.y)
     if len(y) != len(u) + 1:
         raise ValueError(

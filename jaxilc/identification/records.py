@@ -18,12 +18,12 @@ from ..signals.task import Task, Trial
 from ..storage.files import atomically
 from ..storage.reading import name_and_unit, numbers_in, read_columns
 
-# Of the sample time, by which a step of a record's time may differ from the others.
+# Share of the sample time by which a step of a record's time may differ from the others.
 STEP_TOLERANCE = 0.01
 
 
 class Record(NamedTuple):
-    """An experiment.
+    """The record of an experiment.
 
     u: (N, n_u) input, held over each sample
     y: (N+1, n_y) output; y[0] is measured before u[0] acts
@@ -36,14 +36,14 @@ class Record(NamedTuple):
 
 
 def excite(machine: Machine, u, dt: float, *, key: jax.Array | None = None) -> Record:
-    """The open-loop experiment: the machine plays u from rest, and its encoder records the output.
+    """Run an open-loop experiment: the machine plays u from rest, its encoder records the output.
 
     The record holds the input as the actuator applied it, with limits and converter. A disturbance
     at the input is not recorded, as on a real machine.
 
     u: (N, n_u) or (N,), for instance `references.m_sequence`
     dt: sample time [s]
-    key: of the noise, None for a fixed one; may be batched by `vmap`
+    key: key of the noise, None for a fixed one; may be batched by `vmap`
     Raises ValueError for an input that is not finite or does not fit the plant.
     """
     u = as_columns("excite", "u", u)
@@ -144,7 +144,7 @@ def _columns(path, time, inputs, outputs) -> tuple[np.ndarray, list[int]]:
 
 
 def _place(path, name: str, header: list[str]) -> int:
-    """Where a column stands, by its whole heading or by its heading without the unit."""
+    """The index of a column, found by its whole heading or its heading without the unit."""
     for headings in (header, [name_and_unit(heading)[0] for heading in header]):
         if name in headings:
             return headings.index(name)
@@ -173,5 +173,5 @@ def task_of(plant: Plant, u, dt: float) -> Task:
 
 @jax.jit
 def played(machine: Machine, task: Task, u, key) -> Trial:
-    """The trial that plays u back; the plain Scheme has nothing but its feedforward."""
+    """The trial that plays u back; the plain Scheme has only its feedforward."""
     return run_trial(machine, Scheme(), task, Feedforward(u), key)

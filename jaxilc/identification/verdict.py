@@ -1,4 +1,4 @@
-"""What identification found, and how far to trust it: confidence intervals, poles, whiteness."""
+"""The result of identification and its reliability: confidence intervals, poles, whiteness."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from ..pytree.named_paths import replaced
 from .problem import Minimum, Problem
 
 CONFIDENCE = 0.95
-LAGS = 20  # of the residual's autocorrelation
-DRAWS = 4000  # of the parameters, for the intervals of the poles
+LAGS = 20  # lags of the residual's autocorrelation that are tested
+DRAWS = 4000  # draws of the parameters, for the intervals of the poles
 
 
 class Estimate(NamedTuple):
@@ -39,15 +39,15 @@ class PoleEstimate(NamedTuple):
 
 
 class Identified(NamedTuple):
-    """What identification found.
+    """The result of an identification.
 
     plant: the plant with the fitted values
     parameters: the estimates by the path of the parameter, and `bias`, the output at rest
         (`bias[i]` of several outputs)
-    covariance: (P, P) of the parameters in this order; inf on the diagonal of a parameter that the
-        record does not determine
-    poles: of a ProcessModel; the intervals are quantiles over draws of the parameters, since a
-        double pole is not a smooth function of them
+    covariance: (P, P) covariance of the parameters in this order; inf on the diagonal for a
+        parameter that the record does not determine
+    poles: poles of a ProcessModel; the intervals are quantiles over draws of the parameters, since
+        a double pole is not a smooth function of them
     samples: the output samples 0 .. samples-1 were fitted, the others validate the fit
     simulated: (N+1, n_y) the plant's output, with the bias
     fit: (n_y,) 100 (1 - |y - simulated| / |y - mean y|) [%] over the fitted part; 100 is perfect
@@ -57,7 +57,7 @@ class Identified(NamedTuple):
     whiteness: (n_y,) share of the residual's autocorrelations at lags 1 .. 20 that lie within
         +-1.96 / sqrt(samples); 0.95 is expected of white noise
     white: whether all shares reach 0.8, which white noise misses once in 400 times. If false, the
-        structure is too simple, or the noise is coloured, or there is no noise but rounding: the
+        structure is too simple, or the noise is coloured, or rounding is the only noise: the
         plant may still be good, but the intervals are too narrow
     converged: whether the optimiser met its tolerances; with too many parameters for the record it
         may make ever smaller progress without meeting them
@@ -99,7 +99,7 @@ class Identified(NamedTuple):
 
 
 def judged(problem: Problem, found: Minimum) -> Identified:
-    """The minimum with its intervals, poles and tests of the residual."""
+    """The result at the minimum, with its intervals, poles and tests of the residual."""
     theta, samples, y = found.theta, problem.samples, problem.record.y
     residual, J = problem.residual(theta), problem.sensitivity(theta) / problem.scale[:, None]
     freedom = samples * problem.plant.n_y - len(theta)
@@ -149,7 +149,7 @@ def _inverse_of_normal(J):
 
 
 def _fit(y, residual):
-    """(n_y,) 100 (1 - |residual| / |y - mean y|) [%]"""
+    """(n_y,) fit of each output, 100 (1 - |residual| / |y - mean y|) [%]."""
     if len(y) < 2:
         return np.full(y.shape[1], np.nan)
     return 100 * (

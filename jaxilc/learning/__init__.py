@@ -1,6 +1,4 @@
-"""Learning: one trial of a machine under a scheme, the scan over trials, and what a trial is judged
-by.
-"""
+"""One trial of a machine under a scheme, the scan over trials, and the metrics of a trial."""
 
 import lazy_loader
 

@@ -1,12 +1,12 @@
-"""What "diverged" and "grown" mean, in one place, for one learning process and for many.
+"""The definitions of "diverged" and "grown", for one learning process and for many.
 
-    diverged   a trial with a signal that is not finite, or with an error |e| of more than CEILING
-               times the peak of the reference in any output. No machine survives such a trial. From
-               there, single precision may be a few trials from infinity, double precision many.
-    grown      none of the trials diverged, and yet the error of the last one is more than
-               1 + GROWTH times that of the best one: learning has turned (semi-convergence). It
-               has grown from the first trial on after which the error was never below that level
-               again.
+    diverged   a trial has a signal that is not finite, or an error |e| of more than CEILING times
+               the peak of the reference in any output. Such a trial would damage a real machine.
+               After it, the signals may become infinite within a few trials in single precision,
+               and only after many in double precision.
+    grown      none of the trials diverged, but the error of the last trial is more than 1 + GROWTH
+               times that of the best trial (semi-convergence). It has grown from the first trial
+               on after which the error was never below that level again.
 
 Peaks and errors are compared once a trial. So both words mean the same in single and in double
 precision, except for rounding at the limit.
@@ -22,17 +22,17 @@ import jax.numpy as jnp
 from ..signals.task import Task
 from .known_metrics import Metrics
 
-CEILING = 1e3  # times the peak of the reference: largest error of a trial that has not diverged
-GROWTH = 0.5  # relative rise above the best trial's error that counts as growing again
+CEILING = 1e3  # largest error of a trial that has not diverged, in peaks of the reference
+GROWTH = 0.5  # relative increase above the error of the best trial that counts as growth
 
 
 class Course(NamedTuple):
-    """How J trials went.
+    """Which of J trials diverged, and from which trial on the error has grown.
 
     diverged: (J,) whether each trial diverged
     diverged_at: () number of the first trial that diverged, 0 if none did
     grown_from: () number of the trial from which on the error stays above 1 + GROWTH times the
-    least, 0 if it does not stay there, or if a trial diverged
+        least error; 0 if it does not stay there, or if a trial diverged
     """
 
     diverged: jax.Array
@@ -41,9 +41,12 @@ class Course(NamedTuple):
 
 
 def course(metrics: Metrics, task: Task, first: Any = 1) -> Course:
-    """How J trials of a task went. Growth is that of the rms error of the output with the largest.
+    """The `Course` of J trials of a task.
 
-    metrics: of the J trials;  first: the number of the first of them
+    Growth is that of the rms error of the output with the largest rms error.
+
+    metrics: metrics of the J trials
+    first: number of the first of these trials
     """
     diverged = ~metrics.finite | jnp.any(metrics.max_error > CEILING * peak(task), axis=-1)
     errors = jnp.where(diverged, jnp.inf, jnp.max(metrics.rms, axis=-1))
@@ -56,10 +59,10 @@ def course(metrics: Metrics, task: Task, first: Any = 1) -> Course:
 
 
 def peak(task: Task) -> jax.Array:
-    """(n_y,) largest |r| of each output.
+    """The largest |r| of each output, as (n_y,).
 
-    An output that shall stay at zero has the largest |r| of all outputs, and 1 if all of them shall
-    stay at zero.
+    For an output whose reference is zero it is the largest |r| of all outputs, and 1 if the
+    references of all outputs are zero.
     """
     largest = jnp.max(jnp.abs(jnp.asarray(task.reference)), axis=0)
     overall = jnp.max(largest)
@@ -67,13 +70,15 @@ def peak(task: Task) -> jax.Array:
 
 
 def grown_from(errors, growth: float = GROWTH) -> Any:
-    """(...) the trial, counted from 1, from which on the errors stay above 1 + growth times the
-    least of them until the last trial; 0 if they do not.
+    """The trial from which on the errors stay above 1 + growth times the least error, as (...).
 
-    errors: (..., J) >= 0, infinite where a trial diverged; what diverged has not grown
+    Trials are counted from 1. The result is 0 if the last error is not above that level, and if a
+    trial diverged.
+
+    errors: (..., J) >= 0, infinite where a trial diverged
     """
     trials, worst = errors.shape[-1], errors.max(axis=-1)
     near_the_best = errors <= (1.0 + growth) * errors.min(axis=-1, keepdims=True)
-    # how many trials there are up to the last one that is near the best
+    # number of trials up to the last one whose error is near that of the best
     after = trials - near_the_best[..., ::-1].argmax(axis=-1)
     return (after + 1) * ((after < trials) & (worst < float("inf")))

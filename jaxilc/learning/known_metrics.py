@@ -1,14 +1,14 @@
-"""The metrics that every trial has, declared once.
+"""The metrics that every trial has, declared in one place.
 
-Each stands in `METRICS` with its name, its axes, its unit, its meaning, and how it is gathered from
-the signals of a trial. To add one that is gathered, add
+`METRICS` declares each with its name, its axes, its unit, its meaning, and how it is computed from
+the signals of a trial. To add one that is computed from the signals, add
 
     1. a line to `METRICS`, and
     2. a field of the same name to `Metrics`, which a type checker reads.
 
-Everything else follows from these two: `Tally` with its derivative, `measure`, the attributes of
-`History`, the variables of the datasets of a sweep and of `run_schemes`, the names that an
-objective may have, and the names that a further quantity of the user must not have.
+All other places use these two: `Tally` with its derivative, `measure`, the attributes of `History`,
+the variables of the datasets of a sweep and of `run_schemes`, the names that an objective may have,
+and the names that an additional quantity of the user must not have.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from ..signals.task import Task
 
 
 class Gathering(NamedTuple):
-    """How a metric is gathered from one signal of a trial, channel by channel.
+    """How a metric is computed from one signal of a trial, for each channel.
 
     signal: the error e, or the input u
     of: the largest absolute value, or the root mean square
@@ -36,15 +36,16 @@ class Gathering(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Metric:
-    """A metric as tables, datasets and objectives know it.
+    """The declaration of a metric for tables, datasets and objectives.
 
-    axes: of its values for one learning process: trial, and channel (of y) or input (of u)
-    unit: that of the `output`, that of the `input`, or none
-    text: what it is, as a dataset describes it
-    dtype: kind of its values: `float`, `bool`, or a type of whole numbers
+    name: its name
+    axes: the axes of its values for one learning process: trial, and channel (of y) or input (of u)
+    unit: the unit of the `output`, that of the `input`, or no unit
+    text: its description in a dataset
+    dtype: type of its values: `float`, `bool`, or a type of whole numbers
     tuned: whether an objective may minimise it
-    swept: whether the dataset of a sweep has it; that of `run_schemes` has all
-    gathered: how it comes from the signals, None for what is concluded from other metrics
+    swept: whether the dataset of a sweep contains it; that of `run_schemes` contains all metrics
+    gathered: how it is computed from the signals; None if it follows from other metrics
     """
 
     name: str
@@ -57,7 +58,7 @@ class Metric:
     gathered: Gathering | None = None
 
     def unit_of(self, task: Task) -> str:
-        """The unit of its values for a task."""
+        """The unit of the values of this metric for a task."""
         return {"output": task.unit, "input": task.input_unit, "": ""}[self.unit]
 
 
@@ -85,14 +86,13 @@ TUNED = tuple(m.name for m in METRICS if m.tuned)  # the names that an objective
 
 
 class Metrics(NamedTuple):
-    """The metrics of one trial, over the samples that the input can reach (k = 1..N). Errors have
-    the unit of y, effort has that of u.
+    """The metrics of one trial, over the samples that the input can reach (k = 1..N).
 
-    max_error: (n_y,) max |e|
-    rms: (n_y,) root mean square of e
-    settled_error: (n_y,) max |e| in the settled window
-    effort: (n_u,) root mean square of u
-    finite: () whether all of these are finite, and every y and u
+    max_error: (n_y,) max |e| [unit of y]
+    rms: (n_y,) root mean square of e [unit of y]
+    settled_error: (n_y,) max |e| in the settled window [unit of y]
+    effort: (n_u,) root mean square of u [unit of u]
+    finite: () whether all of these, and every y and u, are finite
     """
 
     max_error: jax.Array
@@ -103,6 +103,6 @@ class Metrics(NamedTuple):
 
 
 def bytes_of_metrics(task: Task) -> int:
-    """Bytes of the metrics of one trial of one machine."""
+    """The bytes that the metrics of one trial of one machine take."""
     channels = {"channel": task.outputs, "input": task.inputs, "trial": 1}
     return 8 * sum(channels[m.axes[-1]] for m in METRICS if m.name in Metrics._fields)

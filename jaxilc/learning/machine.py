@@ -1,5 +1,6 @@
-"""The machine around a plant: actuator, sensors, disturbances. Each part is optional and costs
-nothing when absent.
+"""The machine around a plant: actuator, sensors and disturbances.
+
+Each of these parts is optional and takes no time when it is absent.
 """
 
 from __future__ import annotations
@@ -18,14 +19,16 @@ from ..signals.task import Limit, Task, Trial, quantise
 
 @pytree
 class Actuator:
-    """Rate limit, saturation and converter of the input, in this order:
+    """Rate limit, saturation and converter of the input, in this order.
 
         v[k] = clip(v[k-1] + clip(u - v[k-1], -rate dt, rate dt), -limit, limit)
         applied: clip(Q(v[k]), -limit, limit)
 
-    limit:      () or (n_u,) largest |u| [unit of u]; gradient zero beyond it
-    rate:       () or (n_u,) largest |du/dt| [unit of u per s]; gradient zero beyond it
-    resolution: () or (n_u,) converter step [unit of u]; gradient straight-through
+    limit: () or (n_u,) largest |u| [unit of u]; the gradient is zero beyond it
+    rate: () or (n_u,) largest |du/dt| [unit of u per s]; the gradient is zero beyond it
+    resolution: () or (n_u,) step of the converter [unit of u]; its gradient is that of the
+        identity (straight-through)
+    With None there is no limit, no rate limit or no converter.
     """
 
     limit: Leaf | None = leaf(default=None, interval="(0, inf)", optional=True)
@@ -33,8 +36,11 @@ class Actuator:
     resolution: Leaf | None = leaf(default=None, interval="(0, inf)", optional=True)
 
     def apply(self, u, v_last, dt) -> tuple[jax.Array, jax.Array]:
-        """u: (n_u,) commanded, v_last: (n_u,) v of the sample before -> v (n_u,) and what is
-        applied (n_u,).
+        """The state v (n_u,) of the actuator and the applied input (n_u,).
+
+        u: (n_u,) commanded input [unit of u]
+        v_last: (n_u,) v of the sample before [unit of u]
+        dt: () sample time [s]
         """
         v = (
             u
@@ -45,8 +51,10 @@ class Actuator:
         return v, v if self.resolution is None else self._within_limit(quantise(v, self.resolution))
 
     def limits(self, u, dt) -> dict[str, Limit]:
-        """By name, what must stay within its bound for the limits to change nothing. u: (N, n_u)
-        commanded in a trial
+        """The signals that must stay within their bounds so that no limit has an effect, by name.
+
+        u: (N, n_u) input commanded in a trial [unit of u]
+        dt: () sample time [s]
         """
         rate = jnp.diff(u, axis=0, prepend=jnp.zeros_like(u[:1])) / dt
         found = {"actuator.limit": (u, self.limit), "actuator.rate": (rate, self.rate)}
@@ -62,10 +70,11 @@ class Actuator:
 
 @pytree
 class Sensor:
-    """An encoder: y_measured = Q(y + noise).
+    """An encoder with quantisation Q and noise: y_measured = Q(y + noise).
 
-    resolution: () or (n_y,) step [unit of y]; gradient straight-through
-    noise:      () or (n_y,) standard deviation of white noise [unit of y]
+    resolution: () or (n_y,) step [unit of y]; its gradient is that of the identity
+        (straight-through); None: no quantisation
+    noise: () or (n_y,) standard deviation of white noise [unit of y]; None: no noise
     """
 
     resolution: Leaf | None = leaf(default=None, interval="(0, inf)", optional=True)
@@ -79,13 +88,15 @@ class Sensor:
 
 @pytree
 class Disturbance:
-    """What acts on the machine besides the input; the repetitive part is the same in each trial,
-    the noise is drawn anew.
+    """The disturbances that act on the machine, repetitive and not repetitive.
 
-    input:        (N, n_u) repetitive, added to the plant's input
-    output:       (N+1, n_y) repetitive, added to the plant's output
-    input_noise:  () or (n_u,) standard deviation of the non-repetitive part at the input
-    output_noise: () or (n_y,) the same at the output (true motion, unlike the sensor's noise)
+    The repetitive part is the same in each trial; the noise is drawn anew for each trial.
+
+    input: (N, n_u) repetitive part, added to the input of the plant [unit of u]
+    output: (N+1, n_y) repetitive part, added to the output of the plant [unit of y]
+    input_noise: () or (n_u,) standard deviation of the white noise at the input [unit of u]
+    output_noise: () or (n_y,) standard deviation of the white noise at the output [unit of y]; it
+        is true motion, unlike the noise of the sensor
     """
 
     input: Leaf | None = leaf(default=None, optional=True)
@@ -95,13 +106,16 @@ class Disturbance:
 
 
 class Draws(NamedTuple):
-    """One trial's disturbances and sensor noise, sample by sample; None where the machine has
-    none.
+    """The disturbances and the sensor noise of one trial; None where the machine has no such part.
+
+    input: (N, n_u) disturbance at the input [unit of u]
+    output: (N+1, n_y) disturbance at the output [unit of y]
+    sensor: (N+1, n_y) sensor noise of variance 1
     """
 
-    input: jax.Array | None  # (N, n_u), in units of the input
-    output: jax.Array | None  # (N+1, n_y), in units of the output
-    sensor: jax.Array | None  # (N+1, n_y), of unit variance
+    input: jax.Array | None
+    output: jax.Array | None
+    sensor: jax.Array | None
 
 
 @pytree
@@ -115,15 +129,16 @@ class Machine:
 
     @property
     def answers_at_once(self) -> bool:
-        """Whether a whole trial follows from an input that is known before it: the plant has a
-        `response`, and no rate is limited.
+        """Whether a whole trial can be computed at once from an input that is known before it.
+
+        For that the plant must have a `response`, and no rate may be limited.
         """
         return self.plant.response is not None and (
             self.actuator is None or self.actuator.rate is None
         )
 
     def unlimited(self) -> Machine:
-        """This machine without the limits of its actuator; the converter's step stays."""
+        """This machine without the limits of its actuator; the step of its converter is kept."""
         actuator = (
             self.actuator
             if self.actuator is None
@@ -132,9 +147,7 @@ class Machine:
         return dataclasses.replace(self, actuator=actuator)
 
     def noiseless(self) -> Machine:
-        """This machine without what differs from trial to trial: noise of the sensors and of the
-        disturbances.
-        """
+        """This machine without the noise of its sensors and of its disturbances."""
         sensor, disturbance = self.sensor, self.disturbance
         sensor = None if sensor is None else dataclasses.replace(sensor, noise=None)
         if disturbance is not None:
@@ -142,24 +155,22 @@ class Machine:
         return dataclasses.replace(self, sensor=sensor, disturbance=disturbance)
 
     def limits(self, trial: Trial) -> dict[str, Limit]:
-        """As of its `Actuator`, for the record of a trial of the `unlimited` machine."""
+        """The `limits` of its actuator, for the record of a trial of the `unlimited` machine."""
         return {} if self.actuator is None else self.actuator.limits(trial.u, trial.dt)
 
     def sampled(self, dt: float) -> Machine:
-        """This machine with its plant's sample-time dependent part worked out, once, outside the
-        scans.
-        """
+        """This machine with all of its plant that depends on dt computed before the scans."""
         return Machine(self.plant.sampled(dt), self.actuator, self.sensor, self.disturbance)
 
     def actuate(self, u, v_last, dt) -> tuple[jax.Array, jax.Array]:
-        """The actuator's state and the applied input, see `Actuator.apply`."""
+        """The state of the actuator and the applied input, see `Actuator.apply`."""
         return (u, u) if self.actuator is None else self.actuator.apply(u, v_last, dt)
 
     def measure(self, y, noise) -> jax.Array:
         return y if self.sensor is None else self.sensor.measure(y, noise)
 
     def draws(self, key, task: Task) -> Draws:
-        """The disturbances and noise of one trial."""
+        """The disturbances and the noise of one trial, drawn with the random key `key`."""
         of_input, of_output, of_sensor = jax.random.split(key, 3)
         d, shape_u, shape_y = self.disturbance, (task.N, task.inputs), (task.N + 1, task.outputs)
         noisy = self.sensor is not None and self.sensor.noise is not None
@@ -170,7 +181,7 @@ class Machine:
         )
 
     def check(self, task: Task) -> None:
-        """Raises ValueError where machine and task do not fit: channels, lengths, sample time."""
+        """Raises ValueError where machine and task differ in channels, lengths or sample time."""
         for what, here, there in (
             ("inputs", self.plant.n_u, task.inputs),
             ("outputs", self.plant.n_y, task.outputs),

@@ -1,6 +1,6 @@
-"""What a trial is judged by: its metrics while it runs, those of a record, and further quantities.
+"""The metrics of a trial, computed while it runs or from its record, and further quantities.
 
-Which metrics there are stands in `known_metrics`.
+The metrics are declared in `known_metrics`.
 """
 
 from __future__ import annotations
@@ -20,19 +20,25 @@ from .known_metrics import GATHERED, METRICS, Gathering, Metrics
 
 
 class Tally(NamedTuple):
-    """What metrics are made of, gathered sample by sample while a trial runs. A second pass over
-    the record would take as much time again.
+    """The running values from which metrics are computed, updated at each sample of a trial.
 
-    gathered: for each of `GATHERED`, (n_y,) or (n_u,) the largest absolute value so far, or the sum
-    of squares
+    A second pass over the record would take as much time as the trial itself.
+
+    gathered: (n_y,) or (n_u,) for each of `GATHERED`, the largest absolute value or the sum of
+        squares so far
     """
 
     gathered: tuple[jax.Array, ...]
 
     @classmethod
     def start(cls, e, inputs: int, settled: bool) -> Tally:
-        """e: (n_y,) error of sample 0, which no input can reach. It counts only in metrics of the
-        settled window, where that begins with sample 0.
+        """The tally after sample 0, which no input can reach.
+
+        Sample 0 counts only in metrics of the settled window, if this window begins with it.
+
+        e: (n_y,) error of sample 0 [unit of y]
+        inputs: number of inputs n_u
+        settled: whether the settled window begins with sample 0
         """
         none = {"e": jnp.zeros_like(e), "u": jnp.zeros_like(e, shape=inputs)}
         first = {"largest": jnp.abs(e), "root mean square": e * e}
@@ -46,8 +52,9 @@ class Tally(NamedTuple):
     def add(self, e, u, settled) -> Tally:
         """The tally with one more sample.
 
-        e: (n_y,) error of the sample;  u: (n_u,) input that led to it;  settled: () whether the
-        sample lies in the settled window
+        e: (n_y,) error of the sample [unit of y]
+        u: (n_u,) input that led to it [unit of u]
+        settled: () whether the sample is in the settled window
         """
         signals, added = {"e": e, "u": u}, []
         for (_, how), so_far in zip(GATHERED, self.gathered, strict=True):
@@ -57,21 +64,21 @@ class Tally(NamedTuple):
         return Tally(tuple(added))
 
     def metrics(self, trial: Trial, task: Task) -> Metrics:
-        """The metrics of the trial that was gathered, with their derivative by its signals."""
+        """The metrics of the trial of this tally, with their derivative by its signals e and u."""
         e, u = trial.e, trial.u
         found, finite = {}, jnp.all(jnp.isfinite(e[0]))
         gathered = _of_signals(self.gathered, e, u, task.settled)
         for (name, how), value in zip(GATHERED, gathered, strict=True):
             if how.of == "root mean square":
                 value = _root(value / len(_rows(how, e, u, task.settled)))
-                # squares of all samples: where their sum is finite, each sample is finite
+                # if the sum of the squares of all samples is finite, each sample is finite
                 finite = finite if how.settled else finite & jnp.all(jnp.isfinite(value))
             found[name] = value
         return Metrics(**found, finite=finite)
 
 
 def _rows(how: Gathering, e, u, settled: slice):
-    """The rows of e (N+1, n_y) or u (N, n_u) that count. u[k] leads to e[k+1]."""
+    """The rows of e (N+1, n_y) or u (N, n_u) that a metric uses; u[k] leads to e[k+1]."""
     if how.signal == "e":
         return e[settled] if how.settled else e[1:]
     start, stop, _ = settled.indices(len(e))
@@ -80,8 +87,10 @@ def _rows(how: Gathering, e, u, settled: slice):
 
 @partial(jax.custom_jvp, nondiff_argnums=(3,))
 def _of_signals(gathered: tuple, e, u, settled: slice) -> tuple:
-    """What was gathered of e (N+1, n_y) and u (N, n_u), with a derivative by these signals as a
-    whole. Differentiated sample by sample, a gradient would store every intermediate value.
+    """The values gathered from e (N+1, n_y) and u (N, n_u), with a derivative rule of their own.
+
+    The rule uses the whole signals. A derivative sample by sample would store every intermediate
+    value.
     """
     return gathered
 
@@ -94,8 +103,8 @@ def _of_signals_jvp(settled, signals, tangents):
         x, dx = _rows(how, e, u, settled), _rows(how, de, du, settled)
         if how.of == "root mean square":
             return 2.0 * _dot(x, dx)
-        # by its index: the value in the tally may be rounded differently from the same error here,
-        # and then equals none of them
+        # found by its index: the value in the tally may be rounded differently from the same error
+        # here, and would then be equal to none of the errors
         largest = jnp.argmax(jnp.abs(x), axis=0)
         return _dot(jnp.where(jnp.arange(len(x))[:, None] == largest, jnp.sign(x), 0.0), dx)
 
@@ -103,13 +112,14 @@ def _of_signals_jvp(settled, signals, tangents):
 
 
 def _dot(a, b):
-    """(n,) sum of a b over time. A sum over time of a product would be added up one by one."""
+    """The sum of a b over time, as (n,); `jnp.sum` would add the products one after another."""
     return jnp.einsum("kn,kn->n", a, b)
 
 
 def measure(trial: Trial, task: Task) -> Metrics:
-    """The metrics of one trial. A sample at which |e| or |u| is not finite makes the metrics that
-    it enters not finite.
+    """The metrics of one trial, from its record.
+
+    Where |e| or |u| of a sample is not finite, the metrics that use this sample are not finite.
     """
     e, u = lax.stop_gradient((trial.e, trial.u))
 
@@ -124,10 +134,11 @@ def measure(trial: Trial, task: Task) -> Metrics:
 class Keep:
     """A `save` for `learn`: a dictionary of signals and further metrics of each trial.
 
-    Two that are equal share a compiled program.
+    Two equal objects share a compiled program.
+
     signals: names of fields of `Trial`
-    quantities: (name, function of a trial) pairs. A function that shall be differentiated takes
-    `largest` in place of `jnp.max`.
+    quantities: pairs of a name and a function of a trial. A function that will be differentiated
+        must use `largest` instead of `jnp.max`.
     """
 
     signals: tuple[str, ...] = ()
@@ -135,7 +146,10 @@ class Keep:
 
     @classmethod
     def of(cls, quantities: Mapping[str, Callable[[Trial], jax.Array]], *signals: str) -> Keep:
-        """Raises ValueError for a quantity named as one of the metrics or a signal."""
+        """The `Keep` of these quantities and signals.
+
+        Raises ValueError for a quantity with the name of a metric or of a signal.
+        """
         for name in quantities:
             if name in (*(metric.name for metric in METRICS), *Trial._fields, "e"):
                 raise ValueError(
@@ -150,17 +164,17 @@ class Keep:
 
 
 def largest(x, axis: int | None = None) -> jax.Array:
-    """The largest value of x, or those along an axis, with a derivative that goes by its place.
+    """The largest value of x, or those along an axis, with a derivative that uses its index.
 
     Where several values are equal, the first of them has the derivative. The derivative of
-    `jnp.max` asks instead which of the values equal the largest. In a compiled program they may
-    have been computed twice and rounded differently, so that none does, and a part of the
+    `jnp.max` instead compares all values with the largest one. A compiled program may compute them
+    twice and round them differently. Then no value is equal to the largest one, and a part of the
     derivative is zero without a warning.
     """
     x, axis = (jnp.ravel(x), 0) if axis is None else (jnp.asarray(x), axis)
     place = jnp.argmax(lax.stop_gradient(x), axis=axis, keepdims=True)
-    # by a choice and a sum: a gather has a scatter as its derivative, of which XLA's partitioner
-    # dies where x lies on many devices
+    # with a selection and a sum: the derivative of a gather is a scatter, on which XLA's
+    # partitioner crashes if x is distributed over many devices
     return jnp.sum(
         jnp.where(lax.broadcasted_iota(place.dtype, x.shape, axis % x.ndim) == place, x, 0.0),
         axis=axis,
@@ -168,11 +182,12 @@ def largest(x, axis: int | None = None) -> jax.Array:
 
 
 def best_trial(rms) -> np.ndarray:
-    """(J,) the trial with the smallest error among the first j = 1..J. Where it stays behind j,
-    learning has turned: the error has grown again.
+    """The number of the best trial among the first j trials, for j = 1..J, as (J,).
 
-    rms: (J, n_y). The output with the largest error counts; a trial that is not finite is never the
-    best.
+    The best trial has the smallest error of the output with the largest error. A trial that is not
+    finite is never the best. Where the number remains below j, the error has grown again.
+
+    rms: (J, n_y) root mean square errors [unit of y]
     """
     errors = np.max(np.nan_to_num(np.asarray(rms, float), nan=np.inf), axis=1)
     better = errors < np.concatenate([[np.inf], np.minimum.accumulate(errors)[:-1]])
@@ -180,10 +195,10 @@ def best_trial(rms) -> np.ndarray:
 
 
 class Repeatability(NamedTuple):
-    """How alike repeated runs are.
+    """How well repeated runs agree.
 
-    mean: (n_y,) of the rms errors [unit of y]
-    spread: (n_y,) the largest less the smallest of them [unit of y]
+    mean: (n_y,) mean of the rms errors [unit of y]
+    spread: (n_y,) difference of the largest and the smallest rms error [unit of y]
     share: (n_y,) spread / mean
     """
 
@@ -193,11 +208,12 @@ class Repeatability(NamedTuple):
 
 
 def repeatability(rms) -> Repeatability:
-    """How well the same input leads to the same error in each run, which learning presumes.
+    """How well the same input leads to the same error in each run (Li 2020, section 6.1).
 
-    Li 2020, section 6.1, found a spread of 0.0003 mm over 10 runs.
+    Learning assumes that it does. Li found a spread of 0.0003 mm over 10 runs.
+
     rms: (J, n_y) or (J,) root mean square errors of J >= 2 runs without learning between them, such
-    as `History.rms` of pure feedback
+        as `History.rms` of pure feedback [unit of y]
     Raises ValueError for fewer runs.
     """
     rms = jnp.asarray(rms)
@@ -210,20 +226,20 @@ def repeatability(rms) -> Repeatability:
 
 
 def total_variation(signal) -> jax.Array:
-    """(n,) sum_k |x[k+1] - x[k]| of a (N, n) signal."""
+    """The total variation sum_k |x[k+1] - x[k]| of a (N, n) signal, as (n,)."""
     return jnp.sum(jnp.abs(jnp.diff(signal, axis=0)), axis=0)
 
 
 def chattering(trial: Trial) -> jax.Array:
-    """(n_u,) total variation of u per second [unit of u per s].
+    """The total variation of u per second, as (n_u,) [unit of u per s].
 
-    For a smooth u it is about the mean of |u'|; for one that switches it is far larger.
+    For a smooth u it is about the mean of |u'|. For a u that switches it is much larger.
     """
     return total_variation(trial.u) / (trial.u.shape[0] * trial.dt)
 
 
 def root_mean_square(signal) -> jax.Array:
-    """(n,) root mean square of a (N, n) signal. Where it is zero, its gradient is zero, not NaN."""
+    """The root mean square (n,) of a (N, n) signal; where it is zero, its gradient is also zero."""
     return _root(jnp.mean(signal**2, axis=0))
 
 

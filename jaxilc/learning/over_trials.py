@@ -1,4 +1,4 @@
-"""Learning: the scan over trials, and the same loop by hand for a real machine."""
+"""Learning over many trials: as a scan in simulation, and step by step for a real machine."""
 
 from __future__ import annotations
 
@@ -25,18 +25,22 @@ from .rehearsal import need_pytrees, rehearse
 from .sample_layout import for_carry
 from .within_trial import run_and_measure
 
-LITTLE = 2**24  # bytes, below which no size is looked at
-# signals of its length that a trial takes while it runs, its schedule and its copies among them
+LITTLE = 2**24  # bytes, below which the size is not checked
+# number of signals that a trial holds in RAM while it runs, with its schedule and its copies
 OF_A_TRIAL = 32
-PROGRAMS = 8  # of different `save` that stay compiled
+PROGRAMS = 8  # number of compiled programs, of different `save`, that are kept
 
 
 class History(NamedTuple):
-    """What learning left behind, J trials.
+    """The results of learning over J trials.
 
-    metrics: each field with a leading axis of J;  saved: what `save` returned, likewise
-    diverged, diverged_at, grown_from: (J,), (), () how learning went, see `divergence.Course`
-    final: the last Trial;  memory: the state of knowledge to go on from
+    metrics: metrics of the trials, each field with a leading axis of length J
+    saved: what `save` returned for the trials, each leaf with a leading axis of length J
+    diverged: (J,) whether each trial diverged, see `divergence.Course`
+    diverged_at: () number of the first trial that diverged, 0 if none did
+    grown_from: () number of the trial from which on the error has grown, 0 if it has not
+    final: the last `Trial`
+    memory: the memory after the last trial, from which learning can be continued
     """
 
     metrics: Metrics
@@ -48,7 +52,7 @@ class History(NamedTuple):
     memory: Any
 
     def __getattr__(self, name: str) -> jax.Array:
-        """A metric of each trial by its name: `rms` is (J, n_y), see `metrics.Metrics`."""
+        """A metric of each trial by its name, such as `rms` (J, n_y), see `metrics.Metrics`."""
         if name in Metrics._fields:
             return getattr(self.metrics, name)
         raise AttributeError(f"History has no {name!r}; its metrics are {Metrics._fields}")
@@ -65,14 +69,20 @@ def learn(
     first: int = 1,
     save: Callable[[Trial], Any] | None = None,
 ) -> History:
-    """Repeat the task, learning after each trial.
+    """Repeat the task J times, with a learning step after each trial.
 
-    trials: J >= 1;  key: of the noise, trial j uses `fold_in(key, j)`; None is a fixed key
-    memory: to go on from (`history.memory`), None to start afresh;  first: number j of the first
-    trial, so that the noise goes on too
-    save: what to keep of each trial, besides its metrics
-    Differentiable and vmappable; a gradient stores no samples, but the memories of B + J / B
-    trials, B the largest divisor of J up to its root (20 for J = 100; a prime J takes J).
+    machine: the machine that repeats the task
+    scheme: the scheme that learns
+    task: the task of each trial
+    trials: J >= 1
+    key: random key of the noise; trial j uses `fold_in(key, j)`; None: a fixed key
+    memory: memory to continue from, such as `history.memory`; None: start without knowledge
+    first: number j of the first trial, so that the noise is continued too
+    save: function of a trial that returns what to keep of it besides its metrics; None: nothing
+
+    The function is compatible with `grad` and `vmap`. A gradient stores no samples, but the
+    memories of B + J / B trials, where B is the largest divisor of J that is not larger than its
+    square root (20 memories for J = 100; for a prime J about J).
     Raises ValueError, before anything is compiled, where machine, scheme and task do not fit.
     """
     require("learn", "trials", trials, "[1, inf)", whole=True)
@@ -94,8 +104,9 @@ def learn(
 
 
 def check(machine: Machine, scheme: Scheme, task: Task) -> None:
-    """Raises ValueError, naming the parameter, where machine, scheme and task do not fit, and for a
-    task that memory cannot hold.
+    """Raises ValueError where machine, scheme and task do not fit together or not into RAM.
+
+    The message names the parameter.
     """
     for name, given, wanted in (
         ("machine", machine, Machine),
@@ -117,16 +128,15 @@ def check(machine: Machine, scheme: Scheme, task: Task) -> None:
 
 @lru_cache(maxsize=PROGRAMS)
 def _program(save: Callable[[Trial], Any]) -> Any:
-    """`_learn` to be compiled with this `save`. Each new lambda is another one, so those that were
-    used longest ago are let go.
+    """The compiled `_learn` for this `save`.
+
+    Each new lambda is another `save`, so the programs that were not used for longest are dropped.
     """
     return jax.jit(partial(_learn, save=save), static_argnames="trials")
 
 
 def check_length(task: Task, scheme: Scheme) -> None:
-    """Raises ValueError where a single trial of the task does not fit into memory, or what the
-    scheme sees ahead of each sample.
-    """
+    """Raises ValueError where one trial, or the preview of its samples, does not fit in RAM."""
     signals, seen = (
         8 * OF_A_TRIAL * max(task.outputs, task.inputs),
         8 * 2 * task.outputs * (task.N + 1),
@@ -153,9 +163,10 @@ def _learn(machine, scheme, task, trials, key, memory, first, save) -> History:
         lambda s: jnp.zeros(s.shape, s.dtype), jax.eval_shape(trial_and_learning, memory, 1)[1]
     )
     blocks = max(d for d in range(1, math.isqrt(trials) + 1) if trials % d == 0)
-    # two trials a turn: what one wrote the next reads, and nothing is copied to where it came from
+    # two trials in each pass of the loop: the second reads what the first wrote, without a copy
     block = partial(lax.scan, body, unroll=1 if trials // blocks % 2 else 2)
-    # a gradient goes back block by block, each run again from the memory at its start
+    # a gradient is computed block by block, and each block is run again from the memory at its
+    # start
     (memory, final), kept = lax.scan(
         jax.checkpoint(block) if blocks > 1 else block,
         (memory, blank),
@@ -172,8 +183,13 @@ def _nothing(trial: Trial) -> None:
 def truncated(
     machine: Machine, scheme: Scheme, task: Task, trials: int, last: int, **options
 ) -> History:
-    """Learning, of which the gradient sees the last trials alone (truncated back-propagation:
-    Williams and Peng 1990).
+    """Learning with truncated back-propagation (Williams and Peng 1990).
+
+    The gradient is that of the last trials alone.
+
+    trials: J, number of all trials
+    last: number of trials at the end that the gradient includes
+    options: further arguments of `learn`
     """
     first = trials - last + 1
     before = learn(*lax.stop_gradient((machine, scheme)), task, first - 1, **options)
@@ -189,12 +205,12 @@ def truncated(
 def measured_trial(task: Task, y, u, **signals) -> Trial:
     """The record of a trial measured on a real machine.
 
-    y: (N+1, n_y) or (N+1,) output, y[0] before the first input;  u: (N, n_u) or (N,) input as
-    applied
-    signals: (N, n_u) or (N,) what the scheme needs besides, by name: `feedback`, the feedback's
-    share of u, for `WithFeedback`
-    Raises ValueError naming the signal where its length, channels or values are not those of the
-    task.
+    y: (N+1, n_y) or (N+1,) output, with y[0] measured before the first input [unit of y]
+    u: (N, n_u) or (N,) input as it was applied [unit of u]
+    signals: (N, n_u) or (N,) further signals that the scheme needs, by name, such as `feedback`,
+        the contribution of the feedback to u, for `WithFeedback`
+    Raises ValueError, naming the signal, where its length or its number of channels does not fit
+    the task, and where a value is not finite.
     """
     shapes = {"y": (task.N + 1, task.outputs)} | dict.fromkeys(
         ("u", *signals), (task.N, task.inputs)
@@ -220,19 +236,18 @@ def measured_trial(task: Task, y, u, **signals) -> Trial:
 
 
 def next_memory(scheme: Scheme, task: Task, memory, y, u, **signals) -> Any:
-    """One turn of the loop by hand: what the scheme knows after a measured trial; `feedforward`
-    then gives the next input.
+    """The memory of the scheme after a measured trial: one step of learning on a real machine.
 
-    Raises as `measured_trial` does.
+    `feedforward` then gives the next input. The arguments are those of `measured_trial`, which also
+    says what is raised.
     """
     return scheme.learn(memory, measured_trial(task, y, u, **signals))
 
 
 def feedforward(scheme: Scheme, task: Task, memory) -> jax.Array:
-    """(N, n_u) the input that the scheme will play back in the next trial; feedback within the
-    trial comes on top.
+    """The input (N, n_u) that the scheme will play back in the next trial.
 
-    Of `OnReference` it is the correction of the reference. Raises ValueError for a scheme that
-    learns no feedforward.
+    Feedback within the trial is added to it. For `OnReference` it is the correction of the
+    reference. Raises ValueError for a scheme that learns no feedforward.
     """
     return scheme.feedforward(memory, task)

@@ -1,6 +1,4 @@
-"""What a real machine plays of a scheme in the next trial, and what the scheme's feedback did in a
-measured one.
-"""
+"""The signals that a real machine plays in the next trial, and the feedback of a measured trial."""
 
 from __future__ import annotations
 
@@ -17,17 +15,17 @@ from .machine import Actuator
 
 
 def schedules(scheme: Scheme, memory, task: Task) -> dict[str, np.ndarray]:
-    """What the machine plays in the next trial, by name; each (N, n), but `reference` (N+1, n).
+    """The signals that the machine plays in the next trial, by name.
 
-    u: the whole input, of a scheme that only plays back
-    feedforward: what is added to the input of the feedback
-    reference: what the feedback follows in place of the task's reference, of a scheme that learns
-        one
-    table.NAME: rows of a law that acts within the trial, such as FFDL-MFAILC, which the controller
-        must then run
-    feedback.NAME: the same of a feedback that learns
+    u: (N, n_u) whole input, for a scheme that only plays back [unit of u]
+    feedforward: (N, n_u) input that is added to that of the feedback [unit of u]
+    reference: (N+1, n_y) reference that the feedback follows in place of that of the task, for a
+        scheme that learns a reference [unit of y]
+    table.NAME: (N, n) rows of a law that acts within the trial, such as FFDL-MFAILC, which the
+        controller must then compute
+    feedback.NAME: the same for a feedback that learns
 
-    Each scheme says what it plays, see `Scheme.played`.
+    Each scheme declares what it plays, see `Scheme.played`.
     Raises ValueError for a scheme that learns nothing.
     """
     found = _compiled(scheme, memory, task)
@@ -47,7 +45,7 @@ def _compiled(scheme: Scheme, memory, task: Task) -> dict[str, Any]:
 
 
 def unit_of(name: str, task: Task) -> str:
-    """The unit of a signal or schedule, by its name; none for the weights of a law."""
+    """The unit of a signal or schedule, by its name; an empty text for the weights of a law."""
     last = name.rpartition(".")[2]
     if last in ("r", "y", "reference"):
         return task.unit
@@ -58,13 +56,17 @@ def unit_of(name: str, task: Task) -> str:
 
 @jax.jit
 def replay(scheme: Scheme, task: Task, memory, y, actuator: Actuator | None = None):
-    """The scheme's `act` over a measured output: its input (N, n_u), as the actuator would have
-    applied it, and its signals by name.
+    """The input and the signals of a scheme, computed from a measured output.
 
-    y: (N+1, n_y) measured;  memory: of the trial in which it was measured
-    `act` sees nothing of the machine but y, so this is what the feedback contributed in that trial,
-    exactly, wherever the controller runs the same law on the same samples. A feedback that is not
-    the scheme's, such as a drive's own loops, belongs to the machine.
+    The input (N, n_u) is that which the actuator would have applied. The signals are by name.
+
+    memory: memory of the trial in which y was measured
+    y: (N+1, n_y) measured output [unit of y]
+    actuator: actuator of the machine; None: the command is applied as it is
+
+    Of the signals of the machine `act` sees only y. So this is exactly what the feedback
+    contributed in that trial, if the controller computes the same law on the same samples. A
+    feedback that is not part of the scheme, such as the loops of a drive, belongs to the machine.
     """
     scheme = scheme.prepared(task)
     r = jnp.asarray(task.reference)

@@ -1,5 +1,7 @@
-"""One sample and one turn of learning with shapes alone, before anything is compiled: what a user's
-own plant or scheme gives in a wrong shape is found here, and said by name.
+"""A check of the shapes of a plant and a scheme before anything is compiled.
+
+One sample and one learning step are evaluated with shapes alone. Where a user's own plant or scheme
+returns a wrong shape, the error names it.
 """
 
 from __future__ import annotations
@@ -21,8 +23,9 @@ from .machine import Machine
 
 
 def need_pytrees(*trees: Any) -> None:
-    """Raises ValueError for an object that is neither a number nor a pytree, as one whose class
-    lacks `@pytree`.
+    """Raises ValueError for an object that is neither a number nor a pytree.
+
+    An example is an object whose class lacks `@pytree`.
     """
     for leaf in jax.tree.leaves(trees):
         if not hasattr(leaf, "dtype") and not isinstance(leaf, numbers.Number):
@@ -34,9 +37,7 @@ def need_pytrees(*trees: Any) -> None:
 
 
 def rehearse(machine: Machine, scheme: Scheme, task: Task) -> None:
-    """Raises ValueError where a method of the plant, or of the scheme, gives something of a shape
-    that a trial or the learning after it cannot go on with.
-    """
+    """Raises ValueError where a method of the plant or of the scheme returns a wrong shape."""
     _rehearse_plant(machine.plant, task.dt)
     _turn.eval_shape(scheme, task, actuated=machine.actuator is not None)
 
@@ -59,7 +60,7 @@ def _rehearse_plant(plant: Plant, dt: float) -> None:
 
 @partial(jax.jit, static_argnames="dt")
 def _step(plant: Plant, dt: float) -> Any:
-    """State at rest and after a step, and the output."""
+    """The state at rest, the state after one step, and the output."""
     plant = plant.sampled(dt)
     x = plant.initial_state()
     return x, plant.step(x, jnp.zeros(plant.n_u), dt), plant.output(x)
@@ -67,7 +68,7 @@ def _step(plant: Plant, dt: float) -> Any:
 
 @partial(jax.jit, static_argnames="actuated")
 def _turn(scheme: Scheme, task: Task, *, actuated: bool) -> None:
-    """The first sample of a trial, and what is learned from the trial."""
+    """The first sample of a trial, and the learning step after the trial."""
     scheme, name = scheme.prepared(task), type(scheme).__name__
     memory = scheme.initial_memory(task)
     _need_rows(scheme, task, memory)
@@ -118,7 +119,7 @@ def _need_rows(scheme: Scheme, task: Task, memory) -> None:
 
 
 def _need_learned_alike(scheme: Scheme, task: Task, before, after) -> None:
-    """Raises ValueError unless `learn` gave a memory like the one before, part by part."""
+    """Raises ValueError unless `learn` gave each part a memory of the same structure as before."""
     name = type(scheme).__name__
     if type(before) is type(after):
         was, now = scheme.parts(task, before), scheme.parts(task, after)
@@ -129,7 +130,7 @@ def _need_learned_alike(scheme: Scheme, task: Task, before, after) -> None:
 
 
 def _need_alike(who: str, what: str, before, after, allowed: str) -> None:
-    """Raises ValueError unless two pytrees have one structure, and leaves of one shape and type."""
+    """Raises ValueError unless two pytrees agree in structure, and in shape and type of leaves."""
     if jax.tree.structure(before) != jax.tree.structure(after):
         raise ValueError(
             f"{who} makes a {what} {_in_words(after)} of {_in_words(before)}; allowed is what "
@@ -138,7 +139,7 @@ def _need_alike(who: str, what: str, before, after, allowed: str) -> None:
     for (path, was), now in zip(named_leaves(before).items(), jax.tree.leaves(after), strict=True):
         known, found = jnp.shape(was), jnp.shape(now)
         types = jnp.result_type(was), jnp.result_type(now)
-        weak = getattr(jax.typeof(was), "weak_type", False)  # such as 0.0, which takes any type
+        weak = getattr(jax.typeof(was), "weak_type", False)  # such as 0.0, which adapts its type
         if known != found or (types[0] != types[1] and not weak):
             raise ValueError(
                 f"{who} makes {path or what} {types[1]}{list(found)} of {types[0]}{list(known)}; "

@@ -1,8 +1,8 @@
-"""Where the samples of a batch lie in RAM: those of all its members at one instant side by side.
+"""The layout of the samples of a batch in RAM: those of all machines at one instant are adjacent.
 
-XLA would keep each member's samples together, as `vmap` numbers them, and transpose every signal on
-its way into the loop over time and out of it. On a CPU that took a quarter of the time of
-CFDL-MFAILC. Both functions return what they are given, and matter only under `vmap`.
+XLA would keep the samples of each machine together, as `vmap` numbers them, and would transpose
+every signal before the loop over time and after it. On a CPU that took a quarter of the time of
+CFDL-MFAILC. Both functions return their argument, and have an effect only under `vmap`.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ from ..runtime.jax_internals import rows_together
 
 
 def for_carry(signals):
-    """The signals, laid out for their way from trial to trial.
+    """The signals with the layout for the carry of the loop over trials.
 
-    signals: a tree; its arrays of two or more axes have one row a sample
+    signals: a tree; its arrays of two or more axes have one row for each sample
     """
     return _laid_out(signals, turned=False)
 
 
 def for_scan(signals):
-    """The signals, laid out for their way into a scan over samples, or out of it."""
+    """The signals with the layout for the rows of a scan over samples, before or after the scan."""
     return _laid_out(signals, turned=True)
 
 

@@ -1,4 +1,4 @@
-"""One trial: the scan over time."""
+"""One trial of a machine, as a scan over time."""
 
 from __future__ import annotations
 
@@ -14,11 +14,15 @@ from .sample_layout import for_scan
 
 
 def run_trial(machine: Machine, scheme: Scheme, task: Task, memory, key) -> Trial:
-    """The machine under the scheme for one trial of the task, from rest.
+    """The record of one trial of the machine under the scheme, from rest.
 
-    memory: what the scheme knows, which is `scheme.initial_memory(task)` before the first trial
-    key: of this trial's noise
-    Pure, to be called inside `jit`. Fields of the returned `Trial` have N or N+1 rows.
+    machine: the machine that runs the trial
+    scheme: the scheme that acts within the trial
+    task: the task of the trial
+    memory: memory of the scheme, which is `scheme.initial_memory(task)` before the first trial
+    key: random key of the noise of this trial
+    The function is pure and can be called inside `jit`. Fields of the returned `Trial` have N or
+    N+1 rows.
     """
     return run_and_measure(machine, scheme, task, memory, key)[0]
 
@@ -26,7 +30,7 @@ def run_trial(machine: Machine, scheme: Scheme, task: Task, memory, key) -> Tria
 def run_and_measure(
     machine: Machine, scheme: Scheme, task: Task, memory, key
 ) -> tuple[Trial, Metrics]:
-    """`run_trial` with its metrics, which are gathered in the same pass."""
+    """The record of `run_trial` and its metrics, which are computed in the same pass."""
     machine = machine.sampled(task.dt)
     if (
         machine.answers_at_once
@@ -75,9 +79,9 @@ def run_and_measure(
 
 
 def _at_once(machine: Machine, command, task: Task, key) -> tuple[Trial, Metrics]:
-    """The trial of a plant that knows its outputs from all inputs at once.
+    """The trial and the metrics for a plant that computes all outputs at once from all inputs.
 
-    command: (N, n_u) what the scheme plays back
+    command: (N, n_u) input that the scheme plays back [unit of u]
     """
     draws = machine.draws(key, task)
     u = machine.actuate(command, command, task.dt)[1]
@@ -89,7 +93,7 @@ def _at_once(machine: Machine, command, task: Task, key) -> tuple[Trial, Metrics
 
 
 def _is_settled(task: Task) -> np.ndarray:
-    """(N+1,) whether a sample lies in the settled window."""
+    """Whether each sample is in the settled window, as (N+1,)."""
     settled = np.zeros(task.N + 1, bool)
     settled[task.settled] = True
     return settled

@@ -1,6 +1,4 @@
-"""Dataclasses that are JAX pytrees: their fields, the intervals that values must lie in, and their
-fields by name.
-"""
+"""Dataclasses that are JAX pytrees: their fields, allowed intervals, and names of fields."""
 
 import lazy_loader
 

@@ -1,10 +1,10 @@
-"""Dataclasses that are JAX pytrees: an object *is* its parameters.
+"""Dataclasses that are JAX pytrees, so that an object consists of its parameters alone.
 
-`@pytree` turns a class into a frozen dataclass whose float fields are leaves (batched by `vmap`,
-differentiated by `grad`) and whose `static` fields are part of the compiled program. Each field
-states its allowed range once; construction, the command line and the tuner all read it from there.
-Validation runs only when a user constructs an object: unflattening inside a transformation bypasses
-`__init__`, so tracers are never inspected.
+`@pytree` turns a class into a frozen dataclass. Its float fields are leaves, which `vmap` batches
+and `grad` differentiates; its `static` fields are part of the compiled program. Each field declares
+its allowed range once; the constructor, the command line and the tuner all use this declaration.
+Values are validated only when a user constructs an object: unflattening inside a transformation
+bypasses `__init__`, so tracers are never inspected.
 """
 
 from __future__ import annotations
@@ -34,9 +34,11 @@ T = TypeVar("T")
 def leaf(
     default: Any = dataclasses.MISSING, interval: str = "(-inf, inf)", *, optional: bool = False
 ) -> Any:
-    """A float leaf (scalar or array). With `optional`, None switches the feature off at no cost.
+    """A float leaf, which is a scalar or an array.
 
-    A type checker sees a default only where it is given by name: `leaf(default=0.5)`.
+    default: default value; a type checker sees it only if it is given by name: `leaf(default=0.5)`
+    interval: allowed range of each element
+    optional: whether None is allowed, which switches the feature off at no cost
     """
     metadata = {"kind": "leaf", "interval": Interval.parse(interval), "optional": optional}
     return dataclasses.field(default=default, metadata=metadata)
@@ -45,7 +47,10 @@ def leaf(
 def scalar(
     default: Any = dataclasses.MISSING, interval: str = "(-inf, inf)", *, optional: bool = False
 ) -> Any:
-    """A float leaf that is one number, such as a mass; `need_scalars` refuses several of them."""
+    """A float leaf that is one number, such as a mass; `need_scalars` refuses an array.
+
+    default, interval, optional: as for `leaf`
+    """
     metadata = {"kind": "leaf", "interval": Interval.parse(interval), "optional": optional}
     return dataclasses.field(default=default, metadata=metadata | {"scalar": True})
 
@@ -58,10 +63,15 @@ def static(
     whole: bool = False,
     optional: bool = False,
 ) -> Any:
-    """A static field: a length, a window, a mode, of the kind that it is annotated with. Changing
-    it compiles another program.
+    """A static field, such as a length, a window or a mode; another value needs another program.
 
-    `whole` admits whole numbers only. Lists become tuples.
+    The value must have the type with which the field is annotated. Lists become tuples.
+
+    default: default value
+    interval: allowed range of a number; None: no range
+    choices: allowed values; an empty tuple: any value
+    whole: whether only whole numbers are allowed
+    optional: whether None is allowed
     """
     parsed = Interval.parse(interval) if interval else None
     metadata = {
@@ -75,21 +85,22 @@ def static(
 
 
 def child(default: Any = dataclasses.MISSING) -> Any:
-    """A nested pytree (a plant in a machine, a scheme in a scheme), of the class or the classes
-    that it is annotated with.
+    """A nested pytree, such as a plant in a machine or a scheme in a scheme.
 
-    Annotated with Any, or with a class of another library, it takes any pytree that is registered
-    with JAX, such as a network of equinox; the float leaves of that have names too.
+    The value must be of the class, or of one of the classes, with which the field is annotated. If
+    it is annotated with Any or with a class of another library, any pytree that is registered with
+    JAX is allowed, such as a network of equinox. The float leaves of such a pytree have names too.
     """
     return dataclasses.field(default=default, metadata={"kind": "child"})
 
 
 @dataclass_transform(frozen_default=True, field_specifiers=(leaf, scalar, static, child))
 def pytree(cls: type[T]) -> type[T]:
-    """Make the class a frozen dataclass and a pytree. Fields are declared with `leaf`, `scalar`,
-    `static` or `child`.
+    """A class decorator that makes the class a frozen dataclass and a pytree.
 
-    Raises at construction: ValueError naming the class, the field, its value and the allowed range.
+    Fields are declared with `leaf`, `scalar`, `static` or `child`. The constructor raises
+    ValueError for a value that is not allowed. The message names the class, the field, its value
+    and the allowed range.
     """
     made: Any = cls
     if "__post_init__" in cls.__dict__:
@@ -135,14 +146,12 @@ def kind_of(field) -> str:
 
 
 def is_decorated(cls: type) -> bool:
-    """Whether `@pytree` made the class itself, rather than one that it inherits from."""
+    """Whether `@pytree` was applied to the class itself, not only to one of its base classes."""
     return "_made_by_pytree" in vars(cls)
 
 
 def need_decorated(cls: type) -> None:
-    """Raises ValueError for a class that has no fields of its own because `@pytree` was
-    forgotten.
-    """
+    """Raises ValueError for a class that has no fields of its own because it lacks `@pytree`."""
     if "__dataclass_params__" not in vars(cls):
         raise ValueError(
             f"{cls.__name__}: the class is no pytree, so its fields would not be seen; write "
@@ -151,9 +160,7 @@ def need_decorated(cls: type) -> None:
 
 
 def _settled(cls: type, field, value):
-    """The value a field really stores: floats as strongly typed arrays, everything of its kind and
-    inside its allowed range.
-    """
+    """The value that a field stores, after it was checked; floats become strongly typed arrays."""
     owner, kind = cls.__name__, kind_of(field)
     if kind == "leaf":
         return (
@@ -180,8 +187,10 @@ def _settled(cls: type, field, value):
 
 
 def _without_loose_leaves(value):
-    """A pytree of another library with functions as `jax.tree_util.Partial`, so that they belong to
-    its structure as an activation does, and Python's floats as strongly typed ones.
+    """A pytree of another library in which functions and floats of Python are converted.
+
+    Functions, such as an activation, become `jax.tree_util.Partial` and so part of the structure.
+    Floats of Python become strongly typed arrays.
     """
     if is_decorated(type(value)) or jax.tree_util.all_leaves([value]):
         return value
@@ -233,9 +242,8 @@ def _as_float(owner: str, name: str, value):
         and not jax.numpy.iscomplexobj(value)
     ):
         floating = jax.numpy.issubdtype(value.dtype, jax.numpy.floating)
-        return jax.lax.convert_element_type(
-            value, value.dtype if floating else float
-        )  # also makes a weak type strong
+        # the conversion also makes a weak type strong
+        return jax.lax.convert_element_type(value, value.dtype if floating else float)
     found = None if isinstance(value, jax.Array) else as_numbers(value)
     if found is None:
         raise ValueError(f"{owner}: {name} = {brief(value)} is not a number or an array of numbers")

@@ -1,9 +1,8 @@
-"""The fields of nested pytrees under their paths, such as `plant.poles[2]`: listed, looked up,
-replaced.
+"""The fields of nested pytrees by their paths, such as `plant.poles[2]`.
 
-A path goes through dictionaries, through classes of `@pytree`, and through pytrees of other
-libraries that are registered with JAX, by the keys that JAX names their children with:
-`plant.law.layers[0].weight[1][2]`.
+They can be listed, looked up and replaced. A path leads through dictionaries, through classes of
+`@pytree`, and through pytrees of other libraries that are registered with JAX. The children of the
+latter have the keys that JAX gives them: `plant.law.layers[0].weight[1][2]`.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ Key = str | int  # a name, or the number of an element
 
 
 def named_leaves(tree) -> dict[str, Any]:
-    """Every leaf under its path, for instance `{"plant.gain": ..., "sensor.resolution": ...}`."""
+    """All leaves by their paths, for instance `{"plant.gain": ..., "sensor.resolution": ...}`."""
     return {
         _path_of(map(_key, path)): value
         for path, value in jax.tree_util.tree_flatten_with_path(tree)[0]
@@ -34,13 +33,14 @@ def named_leaves(tree) -> dict[str, Any]:
 
 
 def settable(tree) -> dict[str, Any]:
-    """Every leaf *and* every static field under its path: what `replaced` accepts."""
+    """All leaves and all static fields by their paths, which are those that `replaced` accepts."""
     return {_path_of(keys): value for keys, value in _settable(tree).items()}
 
 
 def interval_at(tree, path: str) -> Interval | None:
-    """The allowed range declared for the field at `path`, None for a field without one. A leaf of
-    another library's pytree may be any number.
+    """The allowed range of the field at `path`, or None for a field without an allowed range.
+
+    A leaf of a pytree of another library may be any number.
     """
     owner, field = _field_at(tree, path)
     if _is_foreign(owner):
@@ -49,15 +49,16 @@ def interval_at(tree, path: str) -> Interval | None:
 
 
 def allowed_at(tree, path: str) -> str:
-    """What the field at `path` accepts, as text: a range, or a choice."""
+    """The allowed range or the allowed choices of the field at `path`, as text."""
     _, field = _field_at(tree, path)
     choices = field.metadata.get("choices") if field is not None else None
     return " | ".join(map(str, choices)) if choices else str(interval_at(tree, path) or "")
 
 
 def kind_at(tree, path: str) -> tuple[str, Any]:
-    """`leaf`, `static` or `child`, and the annotation, of the field at `path`; an element is of its
-    field's kind.
+    """The kind (`leaf`, `static` or `child`) and the annotation of the field at `path`.
+
+    An element has the kind of its field.
     """
     owner, field = _field_at(tree, path)
     if _is_foreign(owner):
@@ -68,8 +69,9 @@ def kind_at(tree, path: str) -> tuple[str, Any]:
 
 
 def get_at(tree, path: str) -> Any:
-    """The leaf, element or static field at `path`: `"plant.poles[2]"`. Raises KeyError naming what
-    exists.
+    """The leaf, element or static field at `path`, such as `"plant.poles[2]"`.
+
+    Raises KeyError for a path that does not exist; the message names those that exist.
     """
     value, name = tree, ""
     for key in _keys(path):
@@ -87,14 +89,17 @@ def get_at(tree, path: str) -> Any:
             shape = (len(value),) if isinstance(value, list | tuple) else np.shape(value)
             if not shape or key >= shape[0]:
                 raise KeyError(f"{path!r}: {name} has shape {shape}")
-            with jax.ensure_compile_time_eval():  # of a known array it is known inside `jit` too
+            with jax.ensure_compile_time_eval():  # a known array has a known element inside `jit`
                 value = value[key]
     return value
 
 
 def replaced(tree, changes: Mapping[str, Any]) -> Any:
-    """A copy of `tree` with the fields or elements at the given paths replaced together; validated
-    like a construction. A leaf of another library's pytree keeps its shape and its precision.
+    """A copy of `tree` with the fields or elements at the given paths replaced together.
+
+    The new values are validated as in a constructor. A leaf of a pytree of another library keeps
+    its shape and its precision.
+    Raises KeyError for a path that does not exist, and ValueError for a value that is not allowed.
     """
     for path in changes:
         get_at(tree, path)
@@ -108,7 +113,7 @@ def field_names(tree) -> list[str]:
 
 
 def field_of(tree, name):
-    """The declaration of a field; None where there is none, as of an entry of a dictionary."""
+    """The declaration of a field; None if it has none, such as an entry of a dictionary."""
     if isinstance(tree, dict) or not dataclasses.is_dataclass(tree) or _is_foreign(tree):
         return None
     return next((f for f in dataclasses.fields(tree) if f.name == name), None)
@@ -118,25 +123,25 @@ def child_of(tree, name):
     return tree[name] if isinstance(tree, dict) else getattr(tree, name)
 
 
-# How it is done
+# Implementation
 # --------------------------------------------------------------------------------------------------
 
 
 def _is_foreign(tree) -> bool:
-    """Whether it is a pytree that another library registered with JAX; lists and tuples are."""
+    """Whether `tree` is a pytree that another library registered with JAX, or a list or a tuple."""
     if isinstance(tree, dict) or is_decorated(type(tree)):
         return False
     return not jax.tree_util.all_leaves([tree])
 
 
 def _one_level(tree) -> tuple[list[Key], list[Any], Any]:
-    """Keys and values of the children of a pytree, and its structure with these as leaves."""
+    """The keys and values of the children of a pytree, and its structure with these as leaves."""
     pairs, structure = jax.tree_util.tree_flatten_with_path(tree, lambda node: node is not tree)
     return [_key(path[0]) for path, _ in pairs], [value for _, value in pairs], structure
 
 
 def _below(tree) -> dict[Key, Any]:
-    """What lies one level below, by name or number; nothing for an array."""
+    """The children of a pytree, by name or number; an array has none."""
     if not _is_foreign(tree):
         return {name: child_of(tree, name) for name in field_names(tree)}
     keys, values, _ = _one_level(tree)
@@ -169,7 +174,7 @@ def _field_at(tree, path: str):
 
 
 def _rebuilt(tree, changes: dict[tuple[Key, ...], Any]) -> Any:
-    """`tree` with what is at the given keys changed."""
+    """The tree with new values at the given keys."""
     if not _below(tree):
         for index, value in changes.items():
             tree = _with_element(tree, index, value)
@@ -202,8 +207,10 @@ def _rebuilt_foreign(tree, whole, parts):
 
 
 def _like(old, new, name: str):
-    """A leaf for a leaf: of the same shape and precision. Anything may stand for what is no
-    leaf.
+    """The new value for a leaf, with the shape and the precision of the old one.
+
+    What is not a leaf may be replaced by anything.
+    Raises ValueError for a value of another shape, and for what is not numbers.
     """
     if not hasattr(old, "dtype"):
         return new
@@ -237,7 +244,7 @@ def _with_element(old, index, value):
 
 
 def _key(entry) -> Key:
-    """The name or number with which JAX tells a child from its siblings."""
+    """The name or number by which JAX identifies a child."""
     match entry:
         case jax.tree_util.GetAttrKey(name=name) | jax.tree_util.DictKey(key=name):
             return name

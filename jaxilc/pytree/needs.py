@@ -1,6 +1,4 @@
-"""What code may need of a pytree before it computes: known values, a number for each channel, one
-number alone.
-"""
+"""Checks of a pytree before a computation: known values, one number a channel, single numbers."""
 
 from __future__ import annotations
 
@@ -13,16 +11,12 @@ from .ranges import shown
 
 
 def known(tree) -> bool:
-    """Whether every leaf has a value that can be looked at, rather than being traced by a
-    transformation.
-    """
+    """Whether every leaf has a known value, and none is traced by a transformation."""
     return not any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(tree))
 
 
 def need_channels(tree, channels: int, *names: str) -> None:
-    """Raises ValueError unless each named field is one number, or one for each channel, or
-    absent.
-    """
+    """Raises ValueError unless each named field is one number, one for each channel, or None."""
     for name in names:
         value = getattr(tree, name)
         if value is not None and np.shape(value) not in ((), (channels,)):
@@ -33,7 +27,7 @@ def need_channels(tree, channels: int, *names: str) -> None:
 
 
 def need_scalars(tree) -> None:
-    """Raises ValueError for a `scalar` of the tree, or of a part of it, that is several numbers."""
+    """Raises ValueError where a `scalar` of the tree, or of a part of it, is not one number."""
     for name in field_names(tree):
         value, field = child_of(tree, name), field_of(tree, name)
         if field is not None and field.metadata.get("scalar") and np.shape(value):

@@ -1,6 +1,4 @@
-"""What a parameter may be: intervals as papers write them, kinds as annotations name them, and the
-one line that says so.
-"""
+"""The allowed values of a parameter: its interval, its type, and the message that states them."""
 
 from __future__ import annotations
 
@@ -14,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 _INTERVAL = re.compile(r"^([\[(])\s*(\S+)\s*,\s*(\S+)\s*([\])])$")
-_LONG = 60  # characters of a value that a message shows
-SEEDS = "[0, 9e18]"  # what the generators of numbers take, with room for the seeds next to it
+_LONG = 60  # number of characters of a value that a message shows
+SEEDS = "[0, 9e18]"  # what random generators accept, with room for the seeds that follow
 
 
 class Interval(NamedTuple):
@@ -35,11 +33,10 @@ class Interval(NamedTuple):
         return cls(float(low), float(high), left == "[", right == "]")
 
     def contains(self, value) -> bool:
-        """True if every element lies in the interval (NaN never does)."""
+        """Whether every element is in the interval; NaN never is."""
         value = np.asarray(value)
-        value = (
-            value.astype(float) if value.dtype.kind == "f" and value.itemsize < 4 else value
-        )  # half precision ends at 65,504
+        # the bounds may be beyond the largest number of half precision, 65,504
+        value = value.astype(float) if value.dtype.kind == "f" and value.itemsize < 4 else value
         above = value >= self.low if self.closed_low else value > self.low
         below = value <= self.high if self.closed_high else value < self.high
         return bool(np.all(above & below))
@@ -60,12 +57,16 @@ def require(
     many: bool = False,
     note: str = "",
 ) -> None:
-    """Raises ValueError for what is not a number in the interval.
+    """Raises ValueError for a value that is not a number in the interval.
 
-    owner: whose number it is, the first word of the message; it may be empty
-    whole: only whole numbers are allowed
-    many: an array of numbers is allowed; the first one outside the interval is named
-    note: what the message says behind the interval, for instance `, the order`
+    owner: class or function that has the parameter, the first word of the message; may be empty
+    name: name of the parameter
+    values: value to be checked
+    interval: allowed range
+    unit: unit of the value, for the message
+    whole: whether only whole numbers are allowed
+    many: whether an array is allowed; the message names its first number outside the interval
+    note: text of the message after the interval, for instance `, the order`
     """
     wanted = Interval.parse(interval)
     name = f"{owner}: {name}" if owner else name
@@ -83,21 +84,17 @@ def require(
 
 
 def as_numbers(value: Any) -> np.ndarray | None:
-    """The value as an array of floats, one of half to double precision as it is; None if it is not
-    made of real numbers.
+    """The value as an array of floats, or None if it does not consist of real numbers.
+
+    An array of half to double precision keeps its precision.
     """
     try:
         array = np.asarray(value)
-        if (
-            array.dtype == object and array.size and all(isinstance(x, int) for x in array.flat)
-        ):  # too long for an integer of NumPy
+        # integers that are too large for an integer type of NumPy
+        if array.dtype == object and array.size and all(isinstance(x, int) for x in array.flat):
             return array.astype(float)
-    except (
-        ValueError,
-        TypeError,
-        OverflowError,
-        RecursionError,
-    ):  # of unequal rows, or within itself
+    # rows of different lengths, or a list that contains itself
+    except (ValueError, TypeError, OverflowError, RecursionError):
         return None
     if array.dtype.kind not in "fiu":
         return None
@@ -106,7 +103,7 @@ def as_numbers(value: Any) -> np.ndarray | None:
 
 
 def is_number(value: Any) -> bool:
-    """Whether it is one real number that a float can be; True and False are none."""
+    """Whether the value is one real number in the range of a float; True and False are not."""
     try:
         return (
             isinstance(value, numbers.Real)
@@ -118,15 +115,15 @@ def is_number(value: Any) -> bool:
 
 
 def is_whole(value: Any) -> bool:
-    """Whether it is one whole number by its kind, as 2 is and 2.0 is not."""
+    """Whether the value is of a type of whole numbers: 2 is, and 2.0 is not."""
     return isinstance(value, numbers.Integral) and not isinstance(value, bool)
 
 
 def brief(value: Any) -> str:
-    """The value as text of one short line."""
+    """The value as one short line of text."""
     try:
         text = repr(value)
-    except (ValueError, RecursionError):  # thousands of digits, or within itself
+    except (ValueError, RecursionError):  # thousands of digits, or a list that contains itself
         text = f"a {type(value).__name__} too long to show"
     text = " ".join(text.split())
     return text if len(text) <= _LONG else f"{text[: _LONG - 4]} ..."
@@ -142,14 +139,15 @@ def shown(values: Any) -> str:
     )
 
 
-# Kinds, as annotations name them
+# Types, as annotations name them
 # ---------------------------------------------------------------------------------------------
 
 
 @functools.cache
 def annotations_of(cls: type) -> dict[str, Any]:
-    """What the fields of a class are annotated with; nothing where a name cannot be looked up, as
-    one that a function defines.
+    """The annotations of the fields of a class, by name.
+
+    The result is empty if a name in them cannot be resolved, such as one defined in a function.
     """
     try:
         return typing.get_type_hints(cls)
@@ -158,8 +156,9 @@ def annotations_of(cls: type) -> dict[str, Any]:
 
 
 def fits(value: Any, kind: Any) -> bool:
-    """Whether a value is what an annotation says. One that is understood as no kind, such as Any,
-    takes everything.
+    """Whether a value agrees with an annotation.
+
+    Any value agrees with Any, and with an annotation that is not understood as a type.
     """
     origin, inside = typing.get_origin(kind), typing.get_args(kind)
     if origin in (typing.Union, types.UnionType):
@@ -176,18 +175,18 @@ def fits(value: Any, kind: Any) -> bool:
         return is_whole(value) if kind is int else is_number(value)
     try:
         return kind is Any or isinstance(value, origin or kind)
-    except TypeError:  # of what is no class, nothing can be said
+    except TypeError:  # the annotation is not a class, so nothing can be checked
         return True
 
 
 def allowed(kind: Any) -> str:
-    """`allowed is Scheme`, the end of a message about what is of another kind."""
+    """The end of a message about a value of a wrong type, such as `allowed is Scheme`."""
     words = named(kind)
     return f"allowed {'are' if ' and ' in words else 'is'} {words}"
 
 
 def named(kind: Any) -> str:
-    """A kind in words."""
+    """The name of a type in words."""
     origin, inside = typing.get_origin(kind), typing.get_args(kind)
     if origin in (typing.Union, types.UnionType):
         return " and ".join(map(named, inside))

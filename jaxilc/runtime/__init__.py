@@ -1,4 +1,4 @@
-"""How JAX is started, how a batch runs, how much RAM there is, and what numbers depend on."""
+"""The start of JAX, the execution of batches, the RAM that is free, and provenance of numbers."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""How much RAM something takes, how much there is, and an error for what would not fit."""
+"""The RAM that a computation takes, the RAM that is free, and an error if it does not fit."""
 
 from __future__ import annotations
 
@@ -11,21 +11,23 @@ import jax
 
 try:
     import resource
-except ImportError:  # Windows limits processes in other ways
+except ImportError:  # Windows has no such limits of processes
     resource = None
 
 GROUPS = Path("/sys/fs/cgroup")
 OF_PROCESS = Path("/proc/self")
 OF_GROUP_1 = ("memory.limit_in_bytes", "memory.usage_in_bytes")
 OF_GROUP_2 = ("memory.max", "memory.current")
-SPARE = 256 * 2**20  # bytes of address space that compilers, threads and libraries may still take
+SPARE = 256 * 2**20  # bytes of address space kept free for compilers, threads and libraries
 
 
 def check_size(what: str, need: Callable[..., float], **counts: float) -> None:
-    """Raises ValueError where something needs more bytes than there are.
+    """Raises ValueError where a computation needs more bytes of RAM than are free.
 
-    need: how many bytes, a function of the counts by their names, linear in each of them
-    The message says of each count how large it may be while the others stay as they are.
+    what: name of the computation, for the message
+    need: function that gives the number of bytes from the counts, linear in each of them
+    counts: the counts, such as the number of machines, by name
+    For each count the message gives the largest value that fits while the others do not change.
     """
     room = host_bytes()
     if room is None or need(**counts) <= room:
@@ -39,9 +41,11 @@ def check_size(what: str, need: Callable[..., float], **counts: float) -> None:
 
 
 def check_program(what: str, instead: str, run, *arguments, devices: int | None = None) -> None:
-    """Raises ValueError where a jitted function does not fit in RAM. It is compiled, not run.
+    """Raises ValueError where a jitted function does not fit in RAM; it is compiled but not run.
 
-    instead: what would fit, for the message;  devices: how many it runs on, None for all
+    what: name of the computation, for the message
+    instead: what would fit, for the message
+    devices: number of devices on which it runs; None: all
     """
     host, on_devices = host_bytes(), device_bytes()
     room = host if on_devices is None else on_devices
@@ -52,11 +56,12 @@ def check_program(what: str, instead: str, run, *arguments, devices: int | None 
 
 
 def program_bytes(run, *arguments, devices: int | None = None) -> int:
-    """Bytes that a jitted function takes on its devices. It is compiled, not run.
+    """The bytes that a jitted function takes on its devices; it is compiled but not run.
 
-    They hold its arguments, its results and what it computes on the way. Calling it later with
-    arguments of these shapes does not compile it again.
-    devices: how many it runs on, None for all
+    They hold its arguments, its results and its intermediate values. A later call with arguments of
+    these shapes does not compile it again.
+
+    devices: number of devices on which it runs; None: all
     """
     found = run.lower(*arguments).compile().memory_analysis()  # of one device
     devices = jax.device_count() if devices is None else devices
@@ -65,16 +70,17 @@ def program_bytes(run, *arguments, devices: int | None = None) -> int:
 
 
 def host_bytes() -> int | None:
-    """Bytes of RAM that are free or can be made free, None if unknown.
+    """The bytes of RAM that are free or can be made free; None if unknown.
 
-    The limits of the process (ulimit -v) and of its control groups (SLURM, containers) count.
+    The limits of the process (ulimit -v) and of its control groups (SLURM, containers) are
+    included.
     """
     known = [size for size in (_system(), *_of_process(), *_of_groups()) if size is not None]
     return max(0, min(known)) if known else None
 
 
 def device_bytes() -> int | None:
-    """Bytes that are free on all devices together, where they have RAM of their own.
+    """The bytes that are free on all devices together, if the devices have RAM of their own.
 
     None on a CPU, and if unknown.
     """
@@ -85,7 +91,7 @@ def device_bytes() -> int | None:
 
 
 def shown(size: float) -> str:
-    """A size as text, in the unit that fits."""
+    """A size as text, in bytes, kB, MB or GB."""
     for unit in ("B", "kB", "MB"):
         if size < 1000:
             return f"{size:.3g} {unit}"
@@ -94,7 +100,7 @@ def shown(size: float) -> str:
 
 
 def _fitting(need: Callable[..., float], counts: Mapping[str, float], name: str, room: int) -> int:
-    """The largest value of one count that fits."""
+    """The largest value of one count with which the computation fits."""
     none, one = (need(**{**counts, name: count}) for count in (0, 1))
     return math.floor((room - none) / (one - none)) if none < room and one > none else 0
 
@@ -113,7 +119,7 @@ def _system() -> int | None:
 
 
 def _of_process() -> Iterator[int]:
-    """Bytes that the limits of this process leave: of its address space, and of its data."""
+    """The bytes that the limits of this process leave free in its address space and its data."""
     if resource is None:
         return
     for limit, field in ((resource.RLIMIT_AS, "VmSize"), (resource.RLIMIT_DATA, "VmData")):
@@ -124,7 +130,7 @@ def _of_process() -> Iterator[int]:
 
 
 def _status(field: str) -> int:
-    """Bytes that a line of /proc/self/status tells; 0 where there is no such line."""
+    """The bytes in a line of /proc/self/status; 0 where there is no such line."""
     try:
         lines = (OF_PROCESS / "status").read_text().splitlines()
         return next(1024 * int(line.split()[1]) for line in lines if line.startswith(f"{field}:"))
@@ -133,7 +139,7 @@ def _status(field: str) -> int:
 
 
 def _of_groups() -> Iterator[int]:
-    """Bytes that each control group of this process leaves, and each group above it."""
+    """The bytes that each control group of this process, and each group above it, leaves free."""
     try:
         lines = (OF_PROCESS / "cgroup").read_text().splitlines()
     except OSError:
@@ -142,7 +148,7 @@ def _of_groups() -> Iterator[int]:
         _, controllers, path = line.split(":", 2)
         if controllers and "memory" not in controllers.split(","):
             continue
-        root = GROUPS / controllers if controllers else GROUPS  # of version 1, or of version 2
+        root = GROUPS / controllers if controllers else GROUPS  # version 1 or 2 of control groups
         limit, used = OF_GROUP_1 if controllers else OF_GROUP_2
         group = root / path.lstrip("/")
         for folder in (group, *(above for above in group.parents if above.is_relative_to(root))):
@@ -154,7 +160,7 @@ def _of_groups() -> Iterator[int]:
 
 
 def _reclaimable(group: Path) -> int:
-    """Bytes of cached files that were not read lately: a group short of RAM gives them back."""
+    """The bytes of cached files that were not used recently; the system frees them if needed."""
     try:
         rows = dict(line.split() for line in (group / "memory.stat").read_text().splitlines())
         return int(rows.get("total_inactive_file", rows.get("inactive_file", 0)))

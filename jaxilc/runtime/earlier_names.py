@@ -1,8 +1,8 @@
-"""Names that were changed, so that what was written under the earlier ones is still understood.
+"""Names that were changed, so that files with the earlier names can still be read.
 
-A drawn member of an uncertain set was called a sample, and is a machine; a number that judges a
-trial was called a figure, and is a metric. Stores and folders made before say so in their
-configurations.
+A drawn member of an uncertain set was called a sample and is now called a machine. A number that
+judges a trial was called a figure and is now called a metric. Stores and folders that were made
+before this change have the earlier names in their configurations.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ T = TypeVar("T")
 
 
 def in_todays_names(configuration: Any) -> Any:
-    """A configuration, as JSON, with today's names for those in `EARLIER`."""
+    """A configuration, as JSON, with the present names in place of those in `EARLIER`."""
     if isinstance(configuration, dict):
         return {EARLIER.get(n, n): in_todays_names(of) for n, of in configuration.items()}
     if isinstance(configuration, list):
@@ -26,9 +26,10 @@ def in_todays_names(configuration: Any) -> Any:
 
 
 def takes_also(**earlier: str) -> Callable[[type[T]], type[T]]:
-    """A decorator of classes whose constructor takes keywords under earlier names, too.
+    """A class decorator that makes the constructor accept keywords under earlier names, too.
 
-    earlier: today's name of each. The constructor then raises TypeError where both are given.
+    earlier: the present name for each earlier name
+    The constructor then raises TypeError where both names are given.
     """
 
     def decorated(cls: type[T]) -> type[T]:

@@ -1,14 +1,14 @@
-"""The parts of JAX that it may change without notice, all in this one place, each with a fallback.
+"""All uses of parts of JAX that may change without notice, with a fallback for each.
 
-Used here: `jax.extend.core.Primitive`, `jax.interpreters` (`ad`, `batching`, `mlir`) and
-`jax.experimental.layout`. They give `rows_together` its effect on where arrays lie. Its fallback
-does nothing, which costs time and changes no result. It is taken
+These parts are `jax.extend.core.Primitive`, `jax.interpreters` (`ad`, `batching`, `mlir`) and
+`jax.experimental.layout`. `rows_together` uses them to set the layout of arrays in RAM. Its
+fallback does nothing; then programs are slower, and no result changes. The fallback is used
 
-    where this version of JAX lacks one of these parts, or handles it differently: a RuntimeWarning
-    says so once a process, and names the version
-    where the environment variable JAXILC_JAX_INTERNALS is `off`, without a warning
+    if this version of JAX lacks one of these parts, or they behave differently. A RuntimeWarning,
+    once in a process, reports this and names the version.
+    if the environment variable JAXILC_JAX_INTERNALS is `off`, without a warning.
 
-`jax.core.Tracer`, which other modules ask for, is a documented part of JAX.
+`jax.core.Tracer`, which other modules use, is a documented part of JAX.
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ SWITCH = "JAXILC_JAX_INTERNALS"
 
 
 def rows_together(x, *, turned: bool):
-    """x itself; under `vmap`, the rows (the leading axis) of all its members lie side by side.
+    """The array x unchanged, but under `vmap` equal rows of all members are adjacent in RAM.
 
-    x: (N, ...) an array or tracer
-    turned: how XLA is told. Of a loop's carry it takes a layout of the axes as they are, of a
-    scan's rows an array whose axes are transposed.
+    x: (N, ...) an array or tracer, whose rows are along the leading axis
+    turned: how the layout is requested from XLA. False, for the carry of a loop: as a layout of the
+        axes in their present order. True, for the rows of a scan: as an array with transposed axes.
     """
     bind = _bind()
     return x if bind is None else bind(x, axis=0, turned=turned)
 
 
 def why_not() -> str | None:
-    """Why the fallback is taken, None where it is not."""
+    """The reason why the fallback is used; None where it is not used."""
     return _found()[1]
 
 
@@ -47,13 +47,13 @@ def _bind() -> Callable[..., Any] | None:
 
 @cache
 def _found() -> tuple[Callable[..., Any] | None, str | None]:
-    """`bind` of the primitive, or None and the reason."""
+    """The function `bind` of the primitive and None, or None and the reason for the fallback."""
     if os.environ.get(SWITCH, "") == "off":
         return None, f"{SWITCH} is off"
     try:
         bind = _primitive()
         _try_out(bind)
-    except Exception as error:  # whatever another version of JAX says
+    except Exception as error:  # another version of JAX may raise any error
         reason = f"{type(error).__name__}: {error}"
         warnings.warn(
             f"jaxilc does not know how JAX {jax.__version__} lays out arrays ({reason}); results "
@@ -66,8 +66,10 @@ def _found() -> tuple[Callable[..., Any] | None, str | None]:
 
 
 def _primitive() -> Callable[..., Any]:
-    """`bind(x, axis, turned)` of a primitive that is the identity, and asks for a layout in which
-    the elements along `axis` come first.
+    """The function `bind(x, axis, turned)` of a primitive that sets the layout of an array.
+
+    The primitive is the identity, and requests a layout in which the elements along `axis` come
+    first.
     """
     from jax.experimental.layout import Layout, with_layout_constraint
     from jax.extend.core import Primitive
@@ -97,8 +99,9 @@ def _primitive() -> Callable[..., Any]:
 
 
 def _try_out(bind: Callable[..., Any]) -> None:
-    """Take the primitive through `vmap`, a derivative either way, and the lowering to XLA; nothing
-    is compiled. Raises whatever JAX does where it handles one of them differently.
+    """Try the primitive with `vmap`, `grad`, `jvp` and the lowering to XLA, without compiling.
+
+    Raises the error of JAX where one of them does not work.
     """
 
     def both_ways(x):

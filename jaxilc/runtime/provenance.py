@@ -1,7 +1,7 @@
-"""What the numbers of a result depend on: a description as JSON, and where two of them differ.
+"""A description, as JSON, of what the numbers of a result depend on, and a comparison of two.
 
-A resumed run compares the description that was stored with its own, to tell whether it was started
-with the same.
+A run that is resumed compares the stored description with its own, to detect whether it was started
+with the same parameters.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from .earlier_names import in_todays_names
 
 
 def environment(*packages: str) -> dict[str, Any]:
-    """What the numbers depend on besides the parameters: versions, backend, devices, precision.
+    """The versions, backend, devices and precision, on which numbers depend besides parameters.
 
-    packages: further packages whose versions count
+    packages: further packages whose versions are included
     """
     return {
         "versions": {
@@ -36,9 +36,9 @@ def environment(*packages: str) -> dict[str, Any]:
 
 
 def differences(found: Any, wanted: Any) -> list[str]:
-    """Where two configurations differ, one line each: `seed: 1 there, 2 here`.
+    """The differences of two configurations, one line for each, such as `seed: 1 there, 2 here`.
 
-    Names that were changed since one of them was written make no difference.
+    Earlier names of a field are no difference.
     """
     return _differences(in_todays_names(found), in_todays_names(wanted), "")
 
@@ -54,15 +54,16 @@ def _differences(found: Any, wanted: Any, name: str) -> list[str]:
 
 
 def describe(value: Any, *, within: tuple[int, ...] = ()) -> Any:
-    """A description of a value, as JSON, that changes whenever the numbers do.
+    """A description of a value, as JSON, that changes whenever the numbers of the value change.
 
-    It has classes with their fields, long arrays by shape and hash, and functions by their code.
-    Functions, and what is made of them such as an optax transformation, are known by their names,
-    their code and the values that they close over: two functions of one name differ where their
-    settings do. Where they stand in a file does not count. It does not see what a function reads
-    from its module, the code that it calls there, or an object that has no attributes. The code
-    differs between versions of Python.
-    within: the values that this one is a part of, for a value that refers to itself
+    A class is described by its fields, and a long array by its shape and hash. A function, and an
+    object made of functions such as an optax transformation, is described by its name, its code and
+    the values in its closure. So two functions of the same name differ if their settings differ.
+    Their position in a file is not included. The description does not contain what a function reads
+    from its module, the code that it calls there, or an object that has no attributes. The code of
+    a function differs between versions of Python.
+
+    within: identities of the values that contain this one, for a value that refers to itself
     """
     again = partial(describe, within=(*within, id(value)))
     if value is None or isinstance(value, str | bool | int):
@@ -112,8 +113,9 @@ def _name(value: Any) -> str:
 
 
 def _body(code) -> tuple:
-    """Instructions, names and constants, also of the functions within; nothing that tells where
-    they lie in a file or in memory.
+    """The instructions, names and constants of a function and of the functions inside it.
+
+    Positions in a file and addresses in RAM are not included.
     """
     constants = [
         _body(c)

@@ -1,4 +1,4 @@
-"""How JAX is started. Scripts and notebooks call `setup()` first; the command line does it, too."""
+"""The start of JAX: scripts, notebooks and the command line call `setup()` first."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ import jaxlib
 from ..pytree.ranges import require
 
 _WHOLE_LOOPS = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1000000000"
-# LLVM unrolls a loop over the 8 or 16 machines of a tile before it could vectorise it, and so
-# leaves it scalar. This keeps the loop.
+# LLVM unrolls a loop over the 8 or 16 machines of a tile before it could vectorise it, so the code
+# remains scalar. This option keeps the loop.
 _LANES_VECTORISED = ",-unroll-full-max-count=4"
-# XLA takes registers of 256 bits where a processor has wider ones. An option that it does not know
-# ends the process, so it is given to the versions of jaxlib alone that were seen to know it.
+# XLA uses registers of 256 bits even if a processor has wider ones. An option that it does not know
+# ends the process, so this option is given only to versions of jaxlib that are known to accept it.
 _WIDE_REGISTERS = " --xla_cpu_prefer_vector_width=512"
 _KNOWN = ((0, 10), (0, 12))
 
@@ -27,11 +27,13 @@ _KNOWN = ((0, 10), (0, 12))
 def setup(*, precision: str = "float64", devices: int | None = None) -> None:
     """Choose the precision and make every CPU core a device, with loops compiled as a whole.
 
-    precision: `float64` or `float32`;  devices: CPU devices, None for one per core
-    Without it XLA dispatches every small operation of a loop by itself, which is several times
-    slower. Options that XLA_FLAGS has already are left alone. Where JAX has an accelerator, only
-    options are set that it ignores. `setup` must run before JAX computes anything. Otherwise the
-    precision still takes effect, and a RuntimeWarning says that the rest does not.
+    precision: `float64` or `float32`
+    devices: number of CPU devices; None: one for each core
+
+    Without `setup` XLA dispatches every small operation of a loop separately, which is several
+    times slower. Options that XLA_FLAGS contains already are not changed. If JAX has an
+    accelerator, only options are set that the accelerator ignores. `setup` must run before JAX
+    computes anything. Otherwise only the precision takes effect, and a RuntimeWarning reports this.
     Raises ValueError for another precision or devices < 1.
     """
     if precision not in ("float64", "float32"):
@@ -42,8 +44,8 @@ def setup(*, precision: str = "float64", devices: int | None = None) -> None:
     devices = cores if devices is None else devices
     require("setup", "devices", devices, "[1, 4096]", whole=True)
     jax.config.update("jax_enable_x64", precision == "float64")
-    # XLA's pool has a thread per core. A batched LAPACK call on every device at once then waits for
-    # workers that all wait likewise; threads to spare are what prevents it. XLA reads this name.
+    # XLA's pool has a thread per core. If every device makes a batched LAPACK call at once, all
+    # threads wait for each other; additional threads prevent this. XLA reads this variable.
     os.environ.setdefault("NPROC", str(2 * max(cores, devices)))
     flags = os.environ.get("XLA_FLAGS", "")
     too_late = False
@@ -73,11 +75,12 @@ def setup(*, precision: str = "float64", devices: int | None = None) -> None:
 
 
 def keep_programs() -> Path | None:
-    """Keep compiled programs on disk for the next start. Returns the folder, None if switched off.
+    """Keep compiled programs on disk for the next start; the result is their folder or None.
 
-    They lie below the user's cache folder (XDG_CACHE_HOME, else ~/.cache), with one folder for each
-    kind of processor, since several may share a home. JAXILC_CACHE names another folder; with `off`
-    nothing is kept. A folder that JAX was already given is left alone.
+    The folder is below the cache folder of the user (XDG_CACHE_HOME, else ~/.cache), one for each
+    kind of processor, since several computers may share a home. The environment variable
+    JAXILC_CACHE names another folder; with `off` nothing is kept, and the result is None. A folder
+    that was already given to JAX is not changed.
     """
     chosen = os.environ.get("JAXILC_CACHE", "")
     if chosen == "off":
@@ -89,7 +92,7 @@ def keep_programs() -> Path | None:
         )
         folder.mkdir(parents=True, exist_ok=True)
     except (OSError, RuntimeError, ValueError):
-        # there is no home, it cannot be written to, or the name is none of a folder: keep nothing
+        # keep nothing: there is no home, it cannot be written to, or the name is not a folder
         return None
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
@@ -98,7 +101,7 @@ def keep_programs() -> Path | None:
 
 
 def _users_cache() -> Path:
-    """Raises RuntimeError for a user without a home, as containers have them."""
+    """The cache folder of the user; raises RuntimeError for a user without a home folder."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
 
 
@@ -112,12 +115,12 @@ def _wide_registers(flags: str) -> str:
 
 
 def _accelerated() -> bool:
-    """Whether JAX could use another backend than the CPU's."""
+    """Whether JAX could use another backend than that of the CPU."""
     return jax.config.jax_platforms != "cpu" and bool(entry_points(group="jax_plugins"))
 
 
 def _started() -> bool:
-    """Whether JAX has started its backends: from then on it takes no other number of devices."""
+    """Whether JAX has started its backends, after which the number of devices is fixed."""
     devices = jax.config.jax_num_cpu_devices
     try:
         jax.config.update("jax_num_cpu_devices", 2 if devices == 1 else 1)
@@ -128,7 +131,7 @@ def _started() -> bool:
 
 
 def _processor() -> str:
-    """The kind of processor: programs are compiled for exactly its instructions."""
+    """A name for the kind of processor, since programs are compiled for its instructions."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
         known = next(line for line in lines if line.startswith(("flags", "Features")))

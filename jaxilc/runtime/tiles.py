@@ -1,4 +1,4 @@
-"""How a batch runs: in tiles over the devices, in lanes within a tile."""
+"""The execution of a batch in tiles that are spread over the devices."""
 
 from __future__ import annotations
 
@@ -13,26 +13,28 @@ from jax.sharding import Mesh, PartitionSpec
 
 from ..pytree.ranges import require
 
-LANES = {"cpu": 16}  # measured; a trial of 16 plants still fits the cache of a core
-WIDE = 4096  # on other backends, which were not measured
-OPEN: Any = None  # default of a field that is chosen at construction, and is not None from then on
+LANES = {"cpu": 16}  # measured; a trial of 16 plants fits into the cache of a core
+WIDE = 4096  # for other backends, which were not measured
+OPEN: Any = None  # default of a field whose value is chosen at construction and is then not None
 
 
 def usual_lanes() -> int:
-    """How many machines at a time suit the backend best. Starts JAX."""
+    """The number of machines to vectorise at a time that is best for the backend; starts JAX."""
     return LANES.get(jax.default_backend(), WIDE)
 
 
 def tiled(fn: Callable[[Any, Any], Any], *, lanes: int | None = None) -> Callable[[Any, Any], Any]:
-    """A compiled `run(common, batch)` that gives fn(common, one) for each `one` along the leading
-    axis of the batch's leaves.
+    """A compiled `run(common, batch)` that gives fn(common, one) for each `one` of the batch.
 
-    The batch is spread over all devices. Each works through tiles of `lanes` elements (None:
-    `usual_lanes`), which are vectorised. A tile as small as 16 keeps a trial in the cache of a CPU;
-    there, a batch vectorised as a whole is several times slower. A batch smaller than
-    lanes x devices makes one smaller tile for each device. A tile that is not full is filled with
-    copies of the last element, whose results are dropped.
+    The elements of the batch are along the leading axis of its leaves. The batch is spread over all
+    devices, and each device computes one tile after another. A tile of 16 elements keeps a trial in
+    the cache of a CPU; a batch that is vectorised as a whole is several times slower there. A batch
+    smaller than lanes x devices makes one smaller tile for each device. A tile that is not full is
+    filled with copies of the last element, whose results are dropped.
     Keep the returned function: it compiles once for each shape of its arguments.
+
+    fn: function of what is common to all elements, and of one element
+    lanes: number of elements of a tile, which are vectorised; None: `usual_lanes`
     Raises ValueError for lanes < 1.
     """
     lanes = usual_lanes() if lanes is None else lanes

@@ -1,7 +1,7 @@
 """Campaigns on a real machine whose scheme and task come from a scenario or a plant file.
 
-The recipe of a campaign says how scheme, task and rules were made. It is kept in the journal, so
-that a later call need not repeat what the first one was given.
+The recipe of a campaign says how scheme, task and rules were made. It is stored in the journal, so
+that later calls need not repeat the arguments of the first one.
 """
 
 from __future__ import annotations
@@ -17,17 +17,19 @@ from .from_file import load_scenario
 from .loading import SCENARIOS
 from .scenario import Scenario
 
-# Rules that hold from the first call on, until one is given anew.
+# Rules that are kept from the first call on, until a new value is given.
 KEPT_RULES = ("limit", "correction", "saturation", "repeatability", "growth")
 
 
 class Given(NamedTuple):
-    """What a call is given; a None is taken from the campaign that is there.
+    """The arguments of a call; None takes the value of the existing campaign.
 
-    scenario: a name or a file;  plant_file: in its place, a TOML or JSON file
-    scheme: may be None where one scheme learns;  settings: values by path, over those kept
+    scenario: name or file of a scenario
+    plant_file: a TOML or JSON file in place of the scenario
+    scheme: name of the scheme; it may be None where only one scheme learns
+    settings: values by path, which replace those that are kept
     rules: numbers of `KEPT_RULES` by name
-    accept_saturation, stop_on_growth: of `Rules`, for this call alone
+    accept_saturation, stop_on_growth: fields of `Rules`, for this call only
     """
 
     scenario: str | None = None
@@ -40,11 +42,12 @@ class Given(NamedTuple):
 
 
 def campaign(state: Path, given: Given, *, new: bool, dry_run: bool = False) -> Campaign:
-    """The campaign in a folder, to go on with, or a new one.
+    """The campaign in a folder, to continue it, or a new one.
 
-    dry_run: a new campaign is checked, and not stored
-    Raises ValueError naming what is missing, wrong, or not as the campaign was started;
-    FileNotFoundError where there is no campaign to go on with.
+    new: whether to start a new campaign
+    dry_run: whether a new campaign is only checked, and not stored
+    Raises ValueError naming what is missing, wrong, or different from the start of the campaign,
+    and FileNotFoundError where there is no campaign to continue.
     """
     recipe = _recipe({} if new else _kept(Journal(state)), given)
     rules = Rules(
@@ -62,7 +65,7 @@ def campaign(state: Path, given: Given, *, new: bool, dry_run: bool = False) -> 
 
 
 def _kept(journal: Journal) -> dict[str, Any]:
-    """The recipe of a campaign. Raises ValueError for one that `jaxilc next` does not write."""
+    """The recipe of a campaign; raises ValueError for one that `jaxilc next` does not write."""
     recipe = journal.last_known()["recipe"]
     kinds = {"scenario": str, "scheme": str, "settings": dict, "rules": dict}
     rules = recipe.get("rules", {})
@@ -77,7 +80,7 @@ def _kept(journal: Journal) -> dict[str, Any]:
 
 
 def _recipe(before: dict[str, Any], given: Given) -> dict[str, Any]:
-    """The recipe of this call: as before, except for what is given anew."""
+    """The recipe of this call: the one before, with the values that are given now."""
     if given.scenario is not None and given.plant_file is not None:
         raise ValueError("--scenario and --plant-file exclude each other")
     source = given.scenario if given.plant_file is None else str(given.plant_file)
@@ -95,7 +98,7 @@ def _recipe(before: dict[str, Any], given: Given) -> dict[str, Any]:
 
 
 def _learning_scheme(chosen: Scenario, name: str | None) -> str:
-    """The name of the scheme, which may be left out where only one learns."""
+    """The name of the scheme, which may be None where only one scheme learns."""
     learning = [name for name, scheme in chosen.schemes.items() if scheme.learns]
     name = name or (learning[0] if len(learning) == 1 else None)
     if name is None and learning:

@@ -21,7 +21,7 @@ TABLE_1 = {
     "ffdl-mfailc": {20: 13.0, 30: 2.5, 40: 0.5, 50: 0.2, 60: 0.15, 70: 0.15, 80: 0.15},
 }
 
-# The trials to which phi0 was fitted; the others judge it.
+# The trials to which phi0 was fitted; the others test the fit.
 FITTED = {"cfdl-mfailc": (20, 40, 60, 80), "ffdl-mfailc": (20, 40, 60)}
 FITTED_MFAPC = Fit(("phi0",), "its four rows", among=True)
 ON_PRINTED_PLANT = (("plant", "printed"),)
@@ -90,12 +90,12 @@ CHOSEN = (
 
 
 def cao_2019(plant: str = "exact", reference: str = "sinusoid", frequency: float = 0.5) -> Scenario:
-    """The simulations of Cao 2019, section IV: 1 mm at 0.5 Hz, 1 ms, one period a trial.
+    """The simulations of Cao 2019, section IV: 1 mm at 0.5 Hz, 1 ms, one period in each trial.
 
     plant: `exact` (eq. 7), `printed` (eq. 29) or `dai_2014_printed`
     reference: `sinusoid`, or `piston`, the middle-convex varying-oval piston of eq. 28, whose
         ellipse turns at `frequency` / 2
-    frequency: of the tool's motion [Hz]
+    frequency: frequency of the tool's motion [Hz]
     Raises ValueError for another plant or reference, or a frequency that does not fit the sample
     time.
     """
@@ -156,7 +156,7 @@ def cao_2019(plant: str = "exact", reference: str = "sinusoid", frequency: float
 
 
 def motor_uncertainty(plant: str) -> dict[str, Uniform]:
-    """±10 % on the parameters that identification leaves uncertain.
+    """An uncertainty of ±10 % on the parameters that identification leaves uncertain.
 
     Of the rounded difference equations only the gain is varied, since with a change of 10 % in a
     coefficient of `a` it would be another motor.

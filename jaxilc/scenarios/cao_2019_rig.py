@@ -1,7 +1,7 @@
 """Cao 2019, section V: the laboratory rig, CFDL-MFAILC against PID at five frequencies.
 
-The machine is the physical motor with its drive, not the identified model: in the experiment the
-loop gains are positive. Lengths in mm, input in V, errors shown in µm.
+The machine is the physical motor with its drive, not the identified model, since in the experiment
+the loop gains are positive. Lengths in mm, input in V, errors shown in µm.
 """
 
 from __future__ import annotations
@@ -57,11 +57,11 @@ CHOSEN = (
 
 
 def cao_2019_rig(frequency: float = 0.5) -> Scenario:
-    """The experiments of Cao 2019: 1 mm, 1 ms, 10 s a trial, with friction.
+    """The experiments of Cao 2019: 1 mm, 1 ms, trials of 10 s, with friction.
 
     The encoder has steps of 0.1 µm, the converter 16 bits for ±10 V.
 
-    frequency: of the sinusoid, a whole number of periods in 10 s [Hz]
+    frequency: frequency of the sinusoid [Hz], with a whole number of periods in 10 s
     Raises ValueError for a frequency outside [0.01, 5].
     """
     require("cao-2019-rig", "frequency", frequency, "[0.01, 5]", " Hz")

@@ -1,4 +1,4 @@
-"""The list of the scenarios: names can be listed and completed without JAX or planned motions."""
+"""The list of the scenarios, which needs neither JAX nor planned motions."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ class Listed(NamedTuple):
     """A scenario as `jaxilc list` shows it.
 
     title, schemes: as in the scenario
-    trials: J
-    samples: N of a trial
+    trials: number J of trials
+    samples: number N of samples of a trial
     """
 
     title: str

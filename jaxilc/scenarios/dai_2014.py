@@ -1,7 +1,8 @@
 """Dai 2014: the voice-coil motor of Cao 2019 under predictive MFAC, against PID.
 
 MFAC is model-free adaptive control. Lengths are in units of the reference's amplitude (1 mm), the
-input in V. Nothing is learned: one trial of several periods, with the errors of the last but one.
+input in V. Nothing is learned: there is one trial of several periods, and the errors are those of
+the last period but one.
 """
 
 from __future__ import annotations
@@ -73,7 +74,7 @@ def dai_2014(plant: str = "exact", frequency: float = 0.5) -> Scenario:
     """The simulations of Dai 2014, section 3.
 
     plant: `exact`, `printed` (Cao 2019, eq. 29) or `dai_2014_printed` (eq. 24)
-    frequency: 0.5 or 2.5 [Hz]
+    frequency: frequency of the reference, 0.5 or 2.5 [Hz]
     Raises ValueError for another plant or frequency.
     """
     if frequency not in SETTINGS:
@@ -88,7 +89,7 @@ def dai_2014(plant: str = "exact", frequency: float = 0.5) -> Scenario:
         task=Task(
             reference=references.sinusoid(1.0, frequency, duration=duration, dt=dt),
             dt=dt,
-            # at the end of the last period there is no reference left to preview
+            # At the end of the last period there is no further reference to preview.
             settle=(duration - 2 * period, duration - period),
             unit="mm",
             input_unit="V",

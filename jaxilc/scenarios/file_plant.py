@@ -1,4 +1,4 @@
-"""The plant of a TOML or JSON file: a transfer function, a state space, a fit, or a named class."""
+"""The plant of a TOML or JSON file: transfer function, state space, fit, or a named class."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ from .specification import (
 def plant_of(values: Any, where: str, folder: Path, notes: list[str]) -> Plant:
     """The plant that a table describes.
 
-    folder: of the file
-    notes: what was chosen for the plant is appended here
+    folder: folder of the file
+    notes: list to which texts on the choices for the plant are appended
     Raises ValueError naming the key that is wrong.
     """
     table = Table(values, where)
@@ -63,9 +63,9 @@ def plant_of(values: Any, where: str, folder: Path, notes: list[str]) -> Plant:
 
 
 def _transfer_function(table: Table):
-    """A transfer function by its coefficients of descending powers, of s or, with dt, of z.
+    """A transfer function from its coefficients of descending powers of s or, with dt, of z.
 
-    Of several channels, num and den are lists [output][input] of such lists.
+    With several channels, num and den are lists [output][input] of such lists.
     """
     import control
 
@@ -91,10 +91,10 @@ def _transfer_function(table: Table):
 
 
 def _zeros_poles_gain(table: Table):
-    """gain prod (s - zeros) / prod (s - poles); complex ones as [re, im], with their conjugates.
+    """A plant gain prod (s - zeros) / prod (s - poles), as a chain of second-order sections.
 
-    It is made as a chain of sections of second order, since the coefficients of a single polynomial
-    lose the digits of poles that lie close together.
+    Complex zeros and poles are given as [re, im], together with their conjugates. Sections are used
+    because the coefficients of a single polynomial lose digits of poles that are close together.
     """
     import control
     from scipy.signal import zpk2sos
@@ -108,7 +108,7 @@ def _zeros_poles_gain(table: Table):
             "allowed are fewer zeros than poles"
         )
     try:
-        # With `analog` the poles may be those of z, too: the variable has no meaning to it.
+        # `analog` also works for poles in z, since it does not use the meaning of the variable.
         sections = zpk2sos(zeros, poles, gain, analog=True)
     except ValueError as error:
         raise ValueError(f"{table.where}: {error}") from None
@@ -151,7 +151,7 @@ def _state_space(table: Table):
 
 
 def _identified(table: Table, folder: Path, notes: list[str]) -> Plant:
-    """A ProcessModel fitted to a record; keys as the options of `jaxilc identify`."""
+    """A ProcessModel fitted to a record; the keys are the options of `jaxilc identify`."""
     record = folder / table.take("record", text)
     columns = {
         key: table.take(key, text, default)

@@ -34,7 +34,10 @@ def machine_of(values: Any, where: str, plant: Plant) -> Machine:
 
 
 def task_of(values: Any, where: str, folder: Path, plant: Plant) -> Task:
-    """The task that a table describes. folder: of the file"""
+    """The task that a table describes.
+
+    folder: folder of the file
+    """
     table = Table(values, where)
     dt = table.take("dt", number)
     require("", table.at("dt"), dt, "(0, inf)")
@@ -69,7 +72,7 @@ def task_of(values: Any, where: str, folder: Path, plant: Plant) -> Task:
 
 
 def _reference(value: Any, where: str, folder: Path, dt: float) -> np.ndarray:
-    """(N+1,) from a function of `references`, or a column of a text file with a header."""
+    """(N+1,) reference from a function of `references` or a column of a file with a header."""
     table = Table(value, where)
     if "csv" not in table:
         function = table.take("function", one_of(REFERENCES))
@@ -87,7 +90,7 @@ def _reference(value: Any, where: str, folder: Path, dt: float) -> np.ndarray:
 
 
 def uncertainty_of(values: Any, where: str):
-    """Pairs of a name and its distribution; a name is one key, "plant.B", or nested tables."""
+    """Pairs of a name and its distribution; names are keys such as "plant.B" or nested tables."""
     table = Table(values, where)
     for name in table.values:
         inner = Table(table.values[name], table.at(name))

@@ -1,4 +1,4 @@
-"""A user's own machine from a TOML or JSON file, as a `Scenario`.
+"""A scenario with a user's own machine from a TOML or JSON file.
 
     # All keys before the first table are optional: name, title, trials, tolerance, shown_unit,
     # shown_scale, show_trials.
@@ -40,8 +40,8 @@
     [uncertainty]
     "plant.B" = { distribution = "uniform", low = 0.9, high = 1.1, relative = true }
 
-Names of files are relative to the folder of this file. A key that has no meaning is refused, and
-the message names those that are allowed.
+Names of files are relative to the folder of this file. An unknown key is refused, and the message
+names the allowed ones.
 """
 
 from __future__ import annotations
@@ -67,8 +67,8 @@ def load_scenario(name: str | Path, settings: Mapping[str, object] | None = None
     """A scenario by its name, or from a TOML or JSON file.
 
     settings: options of the scenario and values by path, as `--set` takes them; values may be text
-    Raises ValueError naming the known scenarios, what can be set, or the file's key that is wrong
-    and what is allowed.
+    Raises ValueError naming the known scenarios, what can be set, or the wrong key of the file and
+    what is allowed.
     """
     settings = dict(settings or {})
     if str(name) in scenarios.SCENARIOS:
@@ -85,10 +85,10 @@ def load_scenario(name: str | Path, settings: Mapping[str, object] | None = None
 
 
 def read_scenario(path: str | Path) -> Scenario:
-    """The scenario that a file describes, see the module.
+    """The scenario that a file describes, in the format of this module's docstring.
 
-    A scenario without a name takes that of the file, with dashes for characters that a name cannot
-    have.
+    A scenario without a name takes that of the file, with dashes for characters that are not
+    allowed in a name.
 
     Raises FileNotFoundError, and ValueError naming the key that is wrong.
     """
@@ -140,7 +140,7 @@ def _require_ranges(given: dict[str, Any]) -> None:
 
 
 def _check(path: Path, where: str, check: Callable[[], Any]) -> Any:
-    """What a check returns; its ValueError is raised with the file and the place in it."""
+    """The result of a check; its ValueError is raised with the file and the place in it."""
     try:
         return check()
     except ValueError as error:

@@ -1,10 +1,10 @@
 """Li 2020: an axis of a CNC machine under iterative learning.
 
-High-frequency noise makes learning diverge, against which the paper has three cures.
+High-frequency noise makes learning diverge; the paper proposes three remedies.
 
 Li, Wang, Chen, Ma: Iterative Learning Controller Design for CNC Machine Tools, Journal of Harbin
 Institute of Technology (2020). Lengths in mm, input in the unit of the identified model, errors
-shown in µm. The first trial is under feedback alone.
+shown in µm. The first trial runs under feedback only.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from .scenario import Quantity, Scenario
 # With these gains the loop's spectral radius is 0.913.
 PROPORTIONAL = 1.66  # [1/mm]
 DERIVATIVE = 16.9 * SAMPLE_TIME  # [s/mm]
-SPEED_FEEDFORWARD = 0.72  # of the derivative's share, fitted to 18 µm
+SPEED_FEEDFORWARD = 0.72  # share of the reference's speed in the derivative, fitted to 18 µm
 CUTOFFS = (10.0, 50.0)  # [Hz], printed
 FILTFILT = 9  # samples of odd extension, as `filtfilt` takes them for these filters
 WIDTH = 13.8  # of the butterfly [mm], fitted to 60 µm
@@ -52,11 +52,11 @@ REST = 497
 
 
 class Setting(NamedTuple):
-    """What differs between the paper's runs; gain and noise are fitted, see `li_2020_printed`.
+    """The differences between the paper's runs; gain and noise are fitted (`li_2020_printed`).
 
-    gain: phi of the learning law
-    noise: standard deviation of the encoder [mm]
-    trials: J
+    gain: gain phi of the learning law
+    noise: standard deviation of the encoder noise [mm]
+    trials: number J of trials
     pulse: height of the repetitive disturbance [unit of u]
     """
 
@@ -77,7 +77,7 @@ SETTINGS = {
 def butterfly_path(width: float = WIDTH) -> np.ndarray:
     """(N+1, 2) the planned butterfly [mm], after a second of rest.
 
-    width: of the butterfly [mm]; feed, acceleration and jerk are proportional to it
+    width: width of the butterfly [mm]; feed, acceleration and jerk are proportional to it
     """
     limits = {"feed": width / 4.793, "acceleration": width / 0.09716, "jerk": width / 0.0009716}
     planned = paths.plan(paths.butterfly(width), (0.0, 1.0), dt=SAMPLE_TIME, **limits)
@@ -95,8 +95,8 @@ def position_loop(feedforward: float) -> PID:
 def schemes_for(gain: float, reference: np.ndarray, tolerance: float = 2e-3) -> dict[str, Scheme]:
     """The paper's schemes by name.
 
-    gain: phi of the learning law
-    reference: (N+1,) or (N+1, n_y) [mm]
+    gain: gain phi of the learning law
+    reference: (N+1,) or (N+1, n_y) reference [mm]
     tolerance: RMS error at which learning stops [mm]
     """
     feedback, law = position_loop(0.0), PIDType(gamma_p=gain)
@@ -131,7 +131,7 @@ def li_2020(
 
     setting: `simulation`, `disturbance` (a repetitive one at sample 625) or `experiment`
     plant: `double_integrator` or `printed` (eq. 3)
-    axes: `x`, or `xy`, whose second axis has 90 % of the gain
+    axes: `x`, or `xy` with a second axis of 90 % of the gain
     Raises ValueError for another setting, plant or choice of axes.
     """
     if setting not in SETTINGS:
@@ -177,7 +177,7 @@ def li_2020(
 
 
 def half_sine(N: int, height: float, start: int = 625, width: int = 250) -> np.ndarray:
-    """(N, 1) zero but for half a sine over `width` samples from `start`."""
+    """(N, 1) signal: half a sine over `width` samples from `start`, zero elsewhere."""
     k = np.arange(N) - start
     return np.where((k >= 0) & (k < width), height * np.sin(np.pi * k / width), 0.0)[:, None]
 
@@ -185,13 +185,13 @@ def half_sine(N: int, height: float, start: int = 625, width: int = 250) -> np.n
 def feedback_effort(trial) -> jax.Array:
     """Root mean square of the proportional share of the input (Li 2020, Fig. 38).
 
-    The damping on the speed is taken as a part of the drive.
+    The damping by speed feedback counts as a part of the drive.
     """
     return PROPORTIONAL * largest(root_mean_square(trial.e[:-1]))
 
 
 def learned_effort(trial) -> jax.Array:
-    """Root mean square of the learned share of the input; the largest axis (Li 2020, Fig. 37)."""
+    """Root mean square of the learned share of the input, largest over axes (Li 2020, Fig. 37)."""
     return (
         largest(root_mean_square(trial.u - trial.signals["feedback"]))
         if "feedback" in trial.signals

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from .scenario import Fit, Published
 
-# The free numbers and the printed ones that they were fitted to. Every row is run on the path; the
-# others hold for the settings that they are named after.
+# The free numbers and the printed ones to which they were fitted. The path is used in every row,
+# each other fit in the settings of the same name.
 OF_PATH = (("rest before the path", "its speed", "its width"), "four printed samples, Fig. 7")
 OF_FEEDFORWARD = (("share of feedforward",), "Fig. 8")
 OF_SIMULATION = (("learning gain", "encoder's noise"), "Fig. 14")
@@ -16,10 +16,10 @@ OF_EXPERIMENT = (("learning gain", "encoder's noise"), "runs 1 and 5 of Fig. 36"
 def _row(
     setting, scheme, trial, quantity, value, source, reading, *beyond, among=False, at_most=False
 ) -> Published:
-    """A printed number.
+    """A row with a printed number.
 
-    beyond: what was fitted besides the path
-    among: whether it was fitted to this row
+    beyond: fits that the row uses besides that of the path
+    among: whether they were fitted to this row
     """
     names, to = zip(OF_PATH, *beyond, strict=True)
     fitted = Fit(sum(names, ()), " and ".join(to), among)

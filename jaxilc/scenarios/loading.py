@@ -1,4 +1,4 @@
-"""A scenario by its name, with its options."""
+"""Loading a scenario by its name, with its options."""
 
 from __future__ import annotations
 

@@ -37,13 +37,14 @@ DT = 1 / 4000
 POSITION_GAIN = 180.0  # K_pp [1/s]
 WEIGHTS: dict[str, Any] = {"w_q": 2e6, "w_r": 1e-4, "w_s": 20.0}
 PITCH = {"x": 10.0, "z": 12.0}  # [mm]
-PULSE = 52e-6 / (2 * np.pi)  # of the motor's encoder [revolutions]
-TABLE_STEP = 0.25e-3  # of the linear encoder [mm]
+PULSE = 52e-6 / (2 * np.pi)  # step of the motor's encoder [revolutions]
+TABLE_STEP = 0.25e-3  # step of the linear encoder [mm]
 
 # Fitted to three numbers of the DILC row (experiments/milc_2024_calibration.py): 201.00, 5.39 and
 # 0.55 µm.
 FITTED = {"velocity": 68.71, "antiresonance": 77.28, "noise": 0.5236e-3}  # [mm/s], [Hz], [mm]
-# [N/V]; makes the position loop of the motor 50 Hz wide (-3 dB) with this antiresonance.
+# Force gain [N/V]; gives the motor's position loop a bandwidth of 50 Hz (-3 dB) with this
+# antiresonance.
 FORCE_GAIN = 113.8
 
 TABLE_1 = {
@@ -107,8 +108,8 @@ CHOSEN = (
 def nominal_drive(antiresonance: float, force_gain: float) -> BallScrewDrive:
     """The drive as the model describes it.
 
-    antiresonance: [Hz]
-    force_gain: [N/V]
+    antiresonance: frequency of the antiresonance [Hz]
+    force_gain: gain from the command to the force [N/V]
     """
     table_mass = 30.0
     stiffness = table_mass * (2 * jnp.pi * antiresonance) ** 2
@@ -127,10 +128,10 @@ def nominal_drive(antiresonance: float, force_gain: float) -> BallScrewDrive:
 
 
 def real_machine(drive: BallScrewDrive, noise: float, pitch: float = 10.0) -> Machine:
-    """The drive with what its model leaves out.
+    """The machine with the drive and the effects that its model leaves out.
 
-    noise: standard deviation on the machine table [mm]
-    pitch: of the screw [mm]
+    noise: standard deviation of the noise on the machine table [mm]
+    pitch: pitch of the screw [mm]
     """
     friction = StribeckFriction(coulomb_force=20.0, static_force=26.0, transition_velocity=1e-3)
     compensated = dataclasses.replace(friction, coulomb_force=0.9 * 20.0, static_force=0.9 * 26.0)
@@ -148,28 +149,28 @@ def real_machine(drive: BallScrewDrive, noise: float, pitch: float = 10.0) -> Ma
 
 
 def position_gain(drive: BallScrewDrive) -> float:
-    """C_P [V/mm]."""
+    """The gain C_P of the position loop [V/mm]."""
     return POSITION_GAIN / float(drive.command_scale)
 
 
 @jax.jit
 def linear_model(drive: BallScrewDrive) -> StateSpace:
-    """The drive as the model-based schemes are given it, at 4 kHz.
+    """The drive as a linear model for the model-based schemes, at 4 kHz.
 
-    Compiled as one program: operation by operation it would be ninety.
+    It is compiled as one program, since operation by operation there would be ninety programs.
     """
     return drive.linear(DT)
 
 
 def direct_ilc(drive: BallScrewDrive) -> WithFeedback:
-    """DILC: learns on the table's error, over the position loop on the motor."""
+    """DILC learns from the error of the table, with the position loop on the motor."""
     gain = position_gain(drive)
     learning = NormOptimal(direct_model(gain, linear_model(drive)), **WEIGHTS)
     return WithFeedback(OnOutputs(learning, (1,)), OnOutputs(PID(kp=gain), (0,)))
 
 
 def multivariable_ilc(drive: BallScrewDrive) -> MultivariableILC:
-    """MILC: learns control and reference on both errors."""
+    """MILC learns control and reference from both errors."""
     gain, model = position_gain(drive), linear_model(drive)
     learning = NormOptimal(multivariable_model(gain, model), **WEIGHTS)
     return MultivariableILC(
@@ -178,9 +179,11 @@ def multivariable_ilc(drive: BallScrewDrive) -> MultivariableILC:
 
 
 def path(velocity: float) -> np.ndarray:
-    """25 ms of rest, which the prefilter needs to start early, then forward and back.
+    """The reference path: 25 ms of rest, then a stroke forward and back.
 
-    velocity: [mm/s]
+    The prefilter needs the rest to start early.
+
+    velocity: velocity of the stroke [mm/s]
     """
     move = references.s_curve(
         [0.0, 10.0, 0.0],
@@ -195,9 +198,9 @@ def path(velocity: float) -> np.ndarray:
 
 
 def milc_2024(axis: str = "x") -> Scenario:
-    """The experiments of MILC 2024, section 5: ten trials after one under feedback alone, 4 kHz.
+    """The experiments of MILC 2024, section 5: a trial with feedback only, then ten more, 4 kHz.
 
-    axis: `x`, a screw of 10 mm pitch, or `z`, of 12 mm
+    axis: `x` with a screw of 10 mm pitch, or `z` with one of 12 mm
     Raises ValueError for another axis.
     """
     if axis not in PITCH:

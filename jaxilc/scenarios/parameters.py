@@ -1,4 +1,4 @@
-"""Parameter files: the values that were found for the schemes of a scenario, and how, in JSON.
+"""Parameter files in JSON: the values found for the schemes of a scenario, and how they were found.
 
 {"scenario": "cao-2019", "schemes": {"cfdl-mfailc": {"lam": 0.003, "lead": 3}},
  "versions": {...}, "obtained": {...}}
@@ -23,8 +23,8 @@ from . import Scenario
 def differing(scheme: Scheme, printed: Scheme) -> dict[str, Any]:
     """Leaves and static fields of a scheme that differ from another scheme, by path, as JSON.
 
-    A leaf that the other one does not have is included, so that what was set by hand before tuning
-    is not lost.
+    A leaf that the other scheme does not have is included, so that values set by hand before tuning
+    are not lost.
     """
     before, now = settable(printed), settable(scheme)
     changed = {
@@ -40,8 +40,9 @@ def write_parameters(
 ) -> Path:
     """Write a parameter file.
 
+    scenario: name of the scenario
     schemes: values by the scheme's name and the path within it
-    obtained: how they were found, as JSON
+    obtained: how the values were found, as JSON
     """
     content = {
         "scenario": scenario,
@@ -93,7 +94,7 @@ def _same(one, other) -> bool:
 
 
 def _plain(value):
-    """As JSON: numbers and lists of them, text, None."""
+    """The value as JSON: a number, a list of numbers, text or None."""
     return (
         value
         if value is None or isinstance(value, str | bool | int)

@@ -1,13 +1,13 @@
-"""Published numbers beside ours, with a verdict on each.
+"""Published numbers compared with ours, with a verdict on each.
 
     met      within 30 % of the printed number, or below it where it is printed as "less than"
     shape    in the printed order, larger or smaller, with every comparable row, and at most twice
              and at least half of the printed number
-    open     neither; the reason is given
+    open     neither of these; the reason is given
 
-Why a factor of two: the order alone would accept any size. Two is 6 dB, the gain margin that a loop
-usually has at least, so that nobody who designs with this margin is misled by a curve of the same
-shape. It is also the step from one row to the next in the printed tables of errors by trial (Cao
+The factor of two is needed because the order alone would accept any size. Two is 6 dB, the usual
+least gain margin of a loop, so that a curve of the same shape does not mislead a design with this
+margin. It is also the step from one row to the next in the printed tables of errors by trial (Cao
 2019, Table 1: from 18 to 0.3 µm in six steps), so that a number beyond it would belong to another
 row.
 """
@@ -31,10 +31,11 @@ SHAPE = 2.0
 class Row(NamedTuple):
     """A published number and ours.
 
-    scenario: its name
+    scenario: name of the scenario
     published: the printed number, how it was read and what was fitted
-    ours: our number [unit], and ratio: of ours to the printed one
-    unit: in which the scenario shows both
+    ours: our number [unit]
+    ratio: our number divided by the printed one
+    unit: unit in which the scenario shows both numbers
     verdict: `met`, `shape` or `open`, as this module says
     reason: why a row is open, empty for the others
     """
@@ -62,7 +63,7 @@ class Row(NamedTuple):
 
 
 def reproduce(names: Iterable[str] = ()) -> list[Row]:
-    """Every published number of the scenarios named (all if none is), simulated anew.
+    """Simulate every published number of the named scenarios; without names, of all scenarios.
 
     Raises ValueError naming the allowed scenarios.
     """
@@ -152,8 +153,8 @@ def _verdict(i: int, published: tuple[Published, ...], ours: list[float]) -> tup
 def _comparable(a: Published, b: Published) -> bool:
     """Whether two rows can be put in order.
 
-    They can if they are one scheme at several trials or settings, or several schemes at one trial
-    and setting. A scheme that does not learn is the same at every trial.
+    They can if they belong to one scheme at different trials or settings, or to different schemes
+    at one trial and setting. A scheme that does not learn has the same value at every trial.
     """
     one_trial = a.trial == b.trial or None in (a.trial, b.trial)
     one_setting = one_trial and a.options == b.options

@@ -1,4 +1,4 @@
-"""What a scenario is: machine, task, schemes, uncertainty, and what was published about it."""
+"""The class of a scenario: machine, task, schemes, uncertainty, and published numbers."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from ..signals.task import Task, Trial
 from ..storage.printable import printable
 from ..uncertainty import Uncertainty
 
-# Of a scheme: it is part of the paths of its parameters and of files' names.
+# Name of a scheme: it is part of the paths of its parameters and of the names of files.
 _NAME = re.compile(r"[^\W_][\w +-]{0,49}")
-_FREE_NAME = re.compile(r"[^\W_][\w .+()-]{0,49}")  # of a scenario: part of files' names
+_FREE_NAME = re.compile(r"[^\W_][\w .+()-]{0,49}")  # name of a scenario
 
 
 class Fit(NamedTuple):
-    """What was fitted to printed numbers before a row could be simulated.
+    """The numbers that were fitted to printed ones before a row could be simulated.
 
-    names: of the free numbers, empty if nothing was fitted
-    to: the printed numbers to which they were fitted
+    names: names of the free numbers, empty if nothing was fitted
+    to: printed numbers to which they were fitted
     among: whether the row is one of these, so that its agreement proves nothing
     """
 
@@ -56,13 +56,13 @@ class Published(NamedTuple):
     """A printed number to compare with; no simulation uses it.
 
     scheme: name of the scheme
-    trial: None for a scheme that does not learn
+    trial: number of the trial, None for a scheme that does not learn
     quantity: `settled_error`, `max_error`, `rms`, `best_trial` (the best of the first `trial` ones)
         or a quantity of the scenario
     value: the printed number [the unit in which the quantity is shown]
-    source: the place in the paper
-    options: of the scenario, under which the number was obtained
-    reading: what the paper leaves open there, and how it was read
+    source: place in the paper
+    options: options of the scenario with which the number was obtained
+    reading: what the paper leaves open at this place, and how it was read
     at_most: whether it is printed as "less than"
     fitted: what was fitted to printed numbers for it, `NOTHING` if nothing was, None if unknown
     """
@@ -79,7 +79,7 @@ class Published(NamedTuple):
 
 
 class Quantity(NamedTuple):
-    """A metric of a trial by which this system is judged, besides those of every trial.
+    """A metric of a trial for this system, in addition to the common metrics of every trial.
 
     of: function from a trial to a number
     unit, scale: it is shown as `scale` times the number, in `unit`; None for those of the errors
@@ -95,20 +95,21 @@ class Scenario:
     """A system of a paper, ready to run.
 
     name, title: short and long name
-    machine, task: what learns, and what it learns
-    schemes: by name
-    trials: J
+    machine, task: the machine that learns, and its task
+    schemes: schemes by name
+    trials: number J of trials
     uncertainty: distributions of the machine's leaves, by path
     published: printed numbers [shown unit]
-    chosen: texts that say what the paper leaves open, and what was chosen here
+    chosen: texts on what the paper leaves open, and what was chosen here
     tolerance: largest value of `judged_by` that passes [shown unit]
     shown_unit, shown_scale: errors are shown as shown_scale times the simulated ones, in shown_unit
     show_trials: trials that have a row in a table or a curve in a figure
-    options: with which the scenario was loaded
+    options: options with which the scenario was loaded
     quantities: further metrics of a trial, by name
     judged_by: the metric that tables show, and to which the tolerance belongs
-    Names become parts of files' names and of parameters' paths; titles and units are printed.
-    Raises ValueError for characters that they cannot have.
+
+    Names are used in names of files and in paths of parameters; titles and units are printed.
+    Raises ValueError for characters that are not allowed in them.
     """
 
     name: str
@@ -162,7 +163,7 @@ class Scenario:
         return {name: quantity.of for name, quantity in self.quantities.items()}
 
     def shown(self, metric: str) -> tuple[float, str]:
-        """Scale and unit in which a metric is shown; raises ValueError naming those there are."""
+        """The scale and unit of a metric when shown; raises ValueError naming the known metrics."""
         if metric in self.quantities:
             _, unit, scale = self.quantities[metric]
             return (
@@ -184,7 +185,7 @@ class Scenario:
 
     @property
     def due(self) -> tuple[Published, ...]:
-        """The published rows of these options, for any form of the plant."""
+        """The published rows for these options, with any form of the plant."""
         return tuple(
             p
             for p in self.published
@@ -192,7 +193,10 @@ class Scenario:
         )
 
     def select(self, names: tuple[str, ...]) -> Scenario:
-        """Only the schemes named; all if none is. Raises ValueError naming the allowed ones."""
+        """The scenario with the named schemes only, or with all if `names` is empty.
+
+        Raises ValueError naming the allowed schemes.
+        """
         for name in names:
             if name not in self.schemes:
                 raise ValueError(f"scheme = {name!r} is not one of {', '.join(self.schemes)}")
@@ -227,7 +231,7 @@ class Scenario:
     def with_values(self, settings: Mapping[str, object]) -> Scenario:
         """This scenario with leaves or static fields replaced, all at once.
 
-        settings: values by path, {"ffdl-mfailc.lam": 0.5}; they may be text
+        settings: values by path, such as {"ffdl-mfailc.lam": 0.5}; they may be text
         Raises ValueError naming what can be set, or the allowed range.
         """
         objects = {"machine": self.machine, **self.schemes}
@@ -247,7 +251,7 @@ class Scenario:
 
 
 def _typed(tree, path: str, value, shown: str):
-    """The value, which may be text, in the type of the field at the path.
+    """The value, which may be text, converted to the type of the field at the path.
 
     A static field has the type of its annotation; all others are numbers.
     """

@@ -1,4 +1,4 @@
-"""Objects from the tables of a TOML or JSON file: a class by its name, its fields as keys."""
+"""Objects from tables of a TOML or JSON file, with the name of a class and its fields as keys."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from ..plants import Plant
 from ..pytree.ranges import as_numbers, brief, is_whole
 from ..schemes import Scheme
 
-_HIDDEN = {"solved"}  # worked out by the scheme itself
+_HIDDEN = {"solved"}  # computed by the scheme itself
 _MODELS = {"direct_model": plants.direct_model, "multivariable_model": plants.multivariable_model}
 
 
 @functools.cache
 def classes() -> dict[str, type]:
-    """Every class a file may name: schemes, filters, plants and their parts."""
+    """Every class that a file may name: schemes, filters, plants and their parts."""
     found = {name: getattr(module, name) for module in (schemes, plants) for name in module.__all__}
     found |= {
         name: value for module in (zero_phase, switching) for name, value in vars(module).items()
@@ -37,10 +37,10 @@ def classes() -> dict[str, type]:
 
 
 class Table:
-    """A table of a file, from which the values are taken key by key.
+    """A table of a file, whose values are read key by key.
 
-    where: its name in messages
-    read: the keys that were asked for; `done` refuses all others
+    where: name of the table in messages
+    read: keys that were read; `done` refuses all others
     """
 
     def __init__(self, values: Any, where: str):
@@ -74,7 +74,7 @@ class Table:
         return default
 
     def done(self) -> None:
-        """Raises ValueError for a key that nobody asked for, naming those that are allowed."""
+        """Raises ValueError for a key that was not read, naming those that are allowed."""
         for key in self.values:
             if key not in self.read:
                 raise ValueError(
@@ -110,7 +110,7 @@ def flag(value: Any, where: str) -> bool:
 
 
 def numbers(value: Any, where: str) -> np.ndarray:
-    """A number, or nested lists of numbers of one shape; all finite."""
+    """A number, or nested lists of numbers that form an array; all must be finite."""
     return _finite(value, where, "a number or a list of numbers")
 
 
@@ -120,7 +120,7 @@ def list_of_numbers(value: Any, where: str) -> np.ndarray:
 
 
 def _finite(value: Any, where: str, said: str, shape: tuple | None = None) -> np.ndarray:
-    """The value as an array of the shape, () or (-1,), any if None."""
+    """The value as a finite array of the shape (), (-1,), or any shape for None."""
     found = None if isinstance(value, bool | np.bool_ | str) else as_numbers(value)
     if found is None or (shape is not None and found.ndim != len(shape)):
         raise ValueError(f"{where} = {brief(value)} is not {said}")
@@ -130,7 +130,7 @@ def _finite(value: Any, where: str, said: str, shape: tuple | None = None) -> np
 
 
 def one_of(choices: Iterable[str]) -> Callable[[Any, str], str]:
-    """The kind of a value that is one of these words."""
+    """The kind of a value that must be one of these words."""
 
     def kind(value: Any, where: str) -> str:
         if not isinstance(value, str) or value not in choices:
@@ -220,7 +220,7 @@ def _field(
 
 
 def _kinds(hint: Any) -> str:
-    """The names of the classes that are allowed for a part, as a message says them."""
+    """The names of the classes that are allowed for a part, as text for a message."""
     wanted = tuple(c for c in typing.get_args(hint) or (hint,) if c is not type(None))
     subclasses = [name for name, c in classes().items() if issubclass(c, wanted)]
     return (
@@ -259,7 +259,7 @@ def _nominal(where: str, plant: Plant | None, dt: float | None) -> plants.StateS
 
 
 def scheme(values: Any, where: str, plant: Plant, dt: float) -> Scheme:
-    """A scheme with its parts. Raises ValueError as `built`."""
+    """The scheme with its parts that a table describes; raises ValueError as `built` does."""
     made = built(values, where, plant=plant, dt=dt)
     if not isinstance(made, Scheme):
         raise ValueError(f"{where} is a {type(made).__name__}; allowed is {_kinds(Scheme)}")
@@ -267,9 +267,9 @@ def scheme(values: Any, where: str, plant: Plant, dt: float) -> Scheme:
 
 
 def called(function: Callable, table: Table, **given: Any) -> Any:
-    """What a function returns whose arguments are the remaining keys of a table.
+    """The result of a function whose arguments are the remaining keys of a table.
 
-    given: further arguments
+    given: further arguments of the function
     Raises ValueError naming the argument that does not fit.
     """
     arguments = {}
@@ -287,9 +287,9 @@ def called(function: Callable, table: Table, **given: Any) -> Any:
 
 
 def _named(where: str, make: Callable[[], Any]) -> Any:
-    """What `make` returns; its error is raised with the place in the file."""
+    """The result of `make`; its error is raised with the place in the file."""
     try:
-        with np.errstate(all="ignore"):  # what is not finite in the end is refused where it is used
+        with np.errstate(all="ignore"):  # infinite results are refused where they are used
             return make()
     except (ValueError, TypeError) as error:
         raise ValueError(f"{where}: {error}") from None

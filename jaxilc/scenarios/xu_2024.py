@@ -1,8 +1,8 @@
 """Xu 2024: a piezo fast tool servo under PID, sliding mode, adaptive sliding mode, and learning.
 
 Xu et al.: adaptive sliding mode control with closed-loop iterative learning for a fast tool servo
-(2024), section 5. Lengths in µm, input in V, errors shown in nm. The experiments are the paper's;
-the numbers that it leaves out are fitted, see `FITTED`.
+(2024), section 5. Lengths in µm, input in V, errors shown in nm. The experiments are those of the
+paper; numbers that are not printed are fitted, see `FITTED`.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ READING = "after the start, from 0.1 s on"
 
 
 def _fit(scheme: str, quantity: str, load: float) -> Fit:
-    """What was fitted: the six numbers, and the learning gain for the scheme that learns."""
+    """The fit of a row: the six numbers, and the learning gain for the scheme that learns."""
     names, to, learns = (
         tuple(FITTED),
         "the six numbers of PID, SMC and ASMC in Table 1",
@@ -94,7 +94,7 @@ CHOSEN = (
 
 
 def servo(A: float, load: float | None = None, disturbance: str = "none") -> FastToolServo:
-    """The tool with hysteresis of initial slope A [V/V], a load [N] and a periodic force.
+    """The tool with a hysteresis of initial slope A [V/V], a load [N] and a periodic force.
 
     Its gain for small strokes is the identified one, whatever A is.
     """
@@ -129,7 +129,7 @@ def schemes_for(fitted: dict[str, float], learning: float = LEARNING) -> dict[st
 def xu_2024(load: float = 0.0, disturbance: str = "none") -> Scenario:
     """The experiments of Xu 2024, section 5.3: 20 µm at 40 Hz for 0.5 s, 10 kHz, ten trials.
 
-    load: constant force on the tool [N], 1 in Table 2
+    load: constant force on the tool [N]; 1 N in Table 2
     disturbance: `none`, or `multi`, a periodic force of three frequencies (Fig. 10)
     Raises ValueError for another disturbance, and for a load beyond 5 N, which is a quarter of the
     stroke.

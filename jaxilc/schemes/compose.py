@@ -1,4 +1,4 @@
-"""Schemes made of schemes."""
+"""Schemes that are composed of other schemes."""
 
 from __future__ import annotations
 
@@ -24,14 +24,19 @@ from .wrapper import Wrapper
 
 
 class Pair(NamedTuple):
-    """What the learning and the feedback part keep, and the feedback's last input."""
+    """The memory of the learning part and that of the feedback part, or the schedule of each."""
 
     learning: Any
     feedback: Any
 
 
 class PairState(NamedTuple):
-    """States of the two parts;  u: (n_u,) what the feedback part contributed last."""
+    """The states of the two parts, and the last input of the feedback part.
+
+    learning: state of the learning part
+    feedback: state of the feedback part
+    u: (n_u,) last contribution of the feedback part to the input [unit of u]
+    """
 
     learning: State
     feedback: State
@@ -40,12 +45,19 @@ class PairState(NamedTuple):
 
 @pytree
 class WithFeedback(Scheme):
-    """u = u_learning + u_feedback: learned feedforward over a feedback loop (the parallel structure
-    of Li 2020, eq. 2).
+    """Learned feedforward and feedback in parallel (Li 2020, eq. 2).
 
-    The learning part is shown the input less the feedback's share, so that it learns its own
-    contribution only: what an actuator takes away counts as taken from it. The trial's signal
-    `feedback` is that share; those of the parts are `learning.NAME`, `feedback.NAME`.
+        u = u_learning + u_feedback
+
+    learning: scheme that learns the feedforward input
+    feedback: scheme that acts within the trial
+
+    The learning part is shown the input minus the contribution of the feedback, so that it learns
+    its own contribution only. What an actuator cuts off from u is counted as cut off from the
+    learned part.
+    The signal `feedback` of the trial records the contribution of the feedback. The signals of the
+    parts are recorded as `learning.NAME` and `feedback.NAME`.
+    `learn` raises ValueError for a trial without the signal `feedback`.
     """
 
     learning: Scheme = child()
@@ -114,7 +126,7 @@ class WithFeedback(Scheme):
         return {"feedback": state.u} | learning | feedback
 
     def played(self, schedule: Pair, task: Task) -> dict[str, jax.Array]:
-        """`feedforward` is what is added to the input of the feedback."""
+        """What a machine plays; `feedforward` is added to the output of the feedback."""
         learning = self.learning.played(schedule.learning, task)
         renamed = {"feedforward" if name == "u" else name: rows for name, rows in learning.items()}
         return renamed | under("feedback", self.feedback.played(schedule.feedback, task))
@@ -143,7 +155,7 @@ def silent_signals(scheme: Scheme, task: Task) -> dict[str, jax.Array]:
 
 
 def signals_of_part(name: str, signals: dict[str, jax.Array]) -> dict[str, jax.Array]:
-    """The signals of a part, as it named them itself."""
+    """The signals of a part, under the names that the part itself gave them."""
     return {
         signal.removeprefix(f"{name}."): value
         for signal, value in signals.items()
@@ -153,11 +165,13 @@ def signals_of_part(name: str, signals: dict[str, jax.Array]) -> dict[str, jax.A
 
 @pytree
 class Filtered(Wrapper):
-    """u_{j+1} = Q(u_j + L e_j): a robustness filter on what any learning scheme is about to apply.
+    """A robustness filter Q on the learned input of any learning scheme.
 
-    scheme: one whose schedule has a field `u`; its `limit`, if it has one, holds for the filtered u
-        too
-    filter: zero-phase, applied to each channel of `u`
+        u_{j+1} = Q(u_j + L e_j)
+
+    scheme: a scheme whose schedule has a field `u`; if it has a `limit`, the filtered u is also
+        limited
+    filter: zero-phase filter Q, applied to each channel of `u`
     """
 
     scheme: Scheme = child()
@@ -183,13 +197,16 @@ class Filtered(Wrapper):
 
 @pytree
 class ErrorFiltered(Wrapper):
-    """u_{j+1} = u_j + L F e_j: the error is filtered between trials, before any scheme learns from
-    it (Li 2020, eq. 11 and Fig. 17).
+    """The error is filtered before a scheme learns from it (Li 2020, eq. 11 and Fig. 17).
 
-    What F blocks is not learned, but nothing that was learned is forgotten either: there the error
-    is multiplied by 1 - P L F, about 1, where `Filtered` leaves |Q (1 - P L)|. Noise that F lets
-    through still adds up.
-    scheme: any that learns from the error;  filter: zero-phase, applied to each channel of e
+        u_{j+1} = u_j + L F e_j
+
+    scheme: any scheme that learns from the error
+    filter: zero-phase filter F, applied to each channel of e
+
+    At frequencies that F blocks, nothing is learned, and nothing that was learned is forgotten:
+    from trial to trial the error is multiplied by 1 - P L F, which is about 1 there. With
+    `Filtered` the factor is |Q (1 - P L)| instead. Noise that F passes still accumulates.
     """
 
     scheme: Scheme = child()
@@ -205,10 +222,14 @@ class ErrorFiltered(Wrapper):
 
 @pytree
 class OnOutputs(Wrapper):
-    """A scheme that sees only some of the outputs: a motor-side loop on a machine that also
-    measures its table.
+    """A scheme that sees only some of the outputs of the machine.
 
-    scheme: acts on all inputs;  outputs: indices of the outputs it sees
+    An example is a feedback loop on the motor side of a machine that also measures its table.
+
+    scheme: the scheme, which acts on all inputs
+    outputs: indices of the outputs that the scheme sees
+
+    `check` raises ValueError for an index that is not one of the task's outputs.
     """
 
     scheme: Scheme = child()

@@ -1,6 +1,4 @@
-"""PD-type iterative learning control with a gain that grows along the trial (Xu 2024, section
-4).
-"""
+"""PD-type learning with a gain that grows along the trial (Xu 2024, section 4)."""
 
 from __future__ import annotations
 
@@ -16,29 +14,31 @@ from .sliding_mode import need_input_gain
 
 @pytree
 class ExponentialPD(Scheme):
-    """PD-type learning with a gain that grows along the trial (Xu 2024, eq. 21 to 27):
+    """PD-type learning with a gain that grows along the trial (Xu 2024, eq. 21 to 27).
 
         u_{j+1}[k] = u_j[k] + exp(lam0 k dt) (K_P e_j[k+1+m] + K_D e_j'[k+1+m]) / b,    e = r - y
 
-    For `WithFeedback(ExponentialPD(...), ASMC(...))`, which is u_j = u_asmc,j + u_ilc,j / b: u here
-    is u_ilc / b. The paper writes the whole input u_k on the right of eq. 24 to 27, and would so
-    learn the feedback's share again in every trial; it is read as the part that is learned, as eq.
-    33 to 36 do. e' is the central difference (e[k+1] - e[k-1]) / (2 dt), of zero phase, since a
-    whole trial is known; it is one-sided at the two ends of the trial. What lies beyond the end of
-    the trial counts as zero.
+    It is intended for `WithFeedback(ExponentialPD(...), ASMC(...))`, where the input is
+    u_j = u_asmc,j + u_ilc,j / b; the u above is u_ilc / b. The paper prints the whole input u_k on
+    the right-hand side of eq. 24 to 27. Then the contribution of the feedback would be learned
+    again in every trial. Here that u_k is read as the learned part only, as in eq. 33 to 36.
+    e' is the central difference (e[k+1] - e[k-1]) / (2 dt), which has zero phase; it is possible
+    because the whole trial is known. At the two ends of the trial the difference is one-sided.
+    Values beyond the end of the trial count as zero.
 
-    In a trial, slow errors fall by the factor |1 - K_P exp(lam0 t) / (lam1 (k_n + eta_hat /
-    Delta))|. Once they are below the dead zone, eta_hat stays at its start value in the next trial,
-    and the feedback is then as weak as it can be: with a start value of 0, K_P exp(lam0 t) <
-    2 lam1 k_n is the condition.
+    From one trial to the next, slow errors are multiplied by
+    |1 - K_P exp(lam0 t) / (lam1 (k_n + eta_hat / Delta))|. When the error is below the dead zone,
+    eta_hat stays at its start value in the next trial, and the feedback is then at its weakest.
+    With a start value of 0 the condition for convergence is therefore
+    K_P exp(lam0 t) < 2 lam1 k_n.
 
-    K_P: [u b/y];  K_D: [u b s/y]; with b of the nominal model in y/(u s^2), 1/s^2 and 1/s
-    b: input gain of the nominal model, not 0; 1 for gains per unit of u
-    lam0: >= 0 [1/s]
-    lead: m, samples by which learning looks ahead beyond the one of u[k] -> y[k+1]
-    limit: largest |u| learned, None for none
-    K_P, K_D, b, lam0 and limit are () or (n,).
-    Raises ValueError for b = 0, or a lead that leaves nothing of the trial.
+    K_P: () or (n,) proportional gain [u b/y], which is [1/s^2] for b in y/(u s^2)
+    K_D: () or (n,) derivative gain [u b s/y], which is [1/s] for b in y/(u s^2)
+    b: () or (n,) input gain of the nominal model, not 0; 1 if the gains are per unit of u
+    lam0: () or (n,) >= 0, growth rate of the gain [1/s]
+    lead: m, samples of look-ahead of the learning beyond the one sample from u[k] to y[k+1]
+    limit: () or (n,) largest |u| that is learned [unit of u]; None: no limit
+    Raises ValueError for b = 0, and for a lead that is not shorter than the trial.
     """
 
     K_P: Leaf = leaf(default=0.0)

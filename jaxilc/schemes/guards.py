@@ -1,6 +1,4 @@
-"""When to learn, and from what: the stop rule and the ladder (Li 2020, sections 4 and 6.2), around
-any scheme that learns.
-"""
+"""Wrappers that decide when a scheme learns and from which trial (Li 2020, sections 4 and 6.2)."""
 
 from __future__ import annotations
 
@@ -18,8 +16,10 @@ from .wrapper import Wrapper
 
 
 class Guard(Wrapper):
-    """A wrapper that decides when its scheme learns, and from what; within a trial it is that
-    scheme. Its memory holds the memory of the scheme as its field `scheme`.
+    """A wrapper that decides when its scheme learns, and from which trial.
+
+    Within a trial it does the same as its scheme. The field `scheme` of its memory is the memory of
+    the scheme.
     """
 
     def parts(self, task: Task, memory) -> dict[str, Part]:
@@ -30,11 +30,13 @@ class Guard(Wrapper):
 
 
 class StopMemory(NamedTuple):
-    """scheme: memory of the scheme, of the trial to come;  frozen: () 1 once learning has stopped,
-    else 0
-    trials: () trials looked at until it stopped, that one included
-    best: memory that brought about the best trial so far;  best_rms: () its error; both None
-    without `growth`
+    """The memory of `StopWhen`.
+
+    scheme: memory of the scheme for the next trial
+    frozen: () 1 if learning has stopped, else 0
+    trials: () number of trials that were examined, including the one after which learning stopped
+    best: memory with which the best trial so far was run; None without `growth`
+    best_rms: () RMS error of that trial [unit of y]; None without `growth`
     """
 
     scheme: Any
@@ -46,22 +48,25 @@ class StopMemory(NamedTuple):
 
 @pytree
 class StopWhen(Guard):
-    """Learning that stops for good once a trial is good enough, or before the error grows (Li 2020,
-    Fig. 19 and section 6.3).
+    """Learning stops when a trial is good enough or the error grows (Li 2020, Fig. 19, sec. 6.3).
 
-        max |e_j| <= max_error and RMS(e_j) <= rms     keep the memory that brought about trial j
-        RMS(e_j) > (1 + growth) min_{i<j} RMS(e_i)     go back to that of the best trial
+        max |e_j| <= max_error and RMS(e_j) <= rms     keep the memory with which trial j was run
+        RMS(e_j) > (1 + growth) min_{i<j} RMS(e_i)     return to the memory of the best trial
 
-    over the samples k = 1..N. From then on each trial plays back the same schedule; noise is not
-    looked at again.
-    max_error, rms: () or (n_y,) tolerances [unit of y], None for none; every output must meet those
-    that are given
-    growth: () >= 0, None for never; its RMS is over all outputs together, and a trial that is not
-        finite has grown
-    What is compared carries no gradient, so the gradient by a tolerance is zero. The gradient of a
-    frozen trial is that of the memory it is frozen with: of the trials learned from until then, and
-    nothing of those that were discarded.
-    Raises ValueError if there is nothing to stop it.
+    The maximum and the RMS are over the samples k = 1..N. After that each trial plays back the same
+    schedule, and later errors are not examined any more.
+
+    scheme: the scheme whose learning is stopped
+    max_error: () or (n_y,) tolerance of the largest error [unit of y]; None: no such tolerance
+    rms: () or (n_y,) tolerance of the RMS error [unit of y]; None: no such tolerance
+        Every output must meet each tolerance that is given.
+    growth: () >= 0, relative growth of the RMS error over all outputs together; None: growth never
+        stops the learning. A trial that is not finite counts as grown.
+
+    The comparisons carry no gradient, so the gradient with respect to a tolerance is zero. The
+    gradient of a trial after the stop is that of the memory that was kept: it includes the trials
+    from which this memory was learned, and none of the discarded trials.
+    Raises ValueError if max_error, rms and growth are all None.
     """
 
     scheme: Scheme = child()
@@ -105,7 +110,7 @@ class StopWhen(Guard):
         return StopMemory(following, stop.astype(memory.frozen.dtype), trials, best, best_rms)
 
     def _within_tolerance(self, e):
-        """() whether every tolerance that is given is met."""
+        """Whether the error e (N, n_y) meets every tolerance that is given, as ()."""
         met = []
         if self.max_error is not None:
             met.append(jnp.max(jnp.abs(e), axis=0) <= self.max_error)
@@ -115,8 +120,11 @@ class StopWhen(Guard):
 
 
 class Sums(NamedTuple):
-    """Sums over the repeats so far of y (N+1, n_y), u (N, n_u) and the signals by name, each (N,
-    ...).
+    """Sums of the records of the repeats so far.
+
+    y: (N+1, n_y) sum of the outputs [unit of y]
+    u: (N, n_u) sum of the inputs [unit of u]
+    signals: (N, ...) sum of each signal, by name
     """
 
     y: jax.Array
@@ -125,10 +133,14 @@ class Sums(NamedTuple):
 
 
 class LadderMemory(NamedTuple):
-    """scheme: memory of the scheme;  count: () repeats so far of the present schedule;  sums: over
-    them
-    gain: () on the error;  rms: () of the mean trial last learned from, inf before; both None where
-    the gain is fixed
+    """The memory of `Ladder`.
+
+    scheme: memory of the scheme
+    count: () number of repeats so far of the present schedule
+    sums: sums over these repeats
+    gain: () factor on the error; None if the gain is fixed
+    rms: () RMS error of the mean trial last learned from [unit of y], inf before the first; None if
+        the gain is fixed
     """
 
     scheme: Any
@@ -140,27 +152,31 @@ class LadderMemory(NamedTuple):
 
 @pytree
 class Ladder(Guard):
-    """Each schedule is run R times, and learned from once, by the mean trial.
+    """Ladder-type learning: one learning step from the mean of R trials (Li 2020, section 6.2).
 
-    This is ladder-type learning (Li 2020, section 6.2).
-    Noise that does not repeat enters what is learned with 1/sqrt(R) of its size. Between, the
-    memory of the scheme stays. With `slow` the gain of learning adapts: where the mean trial's RMS
-    error has fallen since the last one, but to more than `slow` of it, the gain grows, and stays in
-    force:
+    Each schedule is run R times; then the scheme learns once, from the mean of these R trials. In
+    between, the memory of the scheme does not change. Noise that does not repeat enters the learned
+    input with 1/sqrt(R) of its standard deviation. With `slow` the gain of learning adapts. Where
+    the RMS error of the mean trial has decreased since the last mean trial, but only slowly, the
+    gain is increased and keeps its new value. It starts at 1:
 
         slow < RMS_i / RMS_{i-1} <= 1:    gain' = min(growth_of_gain gain, largest)
 
-    from gain = 1.
+    The paper prints no rule for the gain. Here an error that has increased does not change the
+    gain, since a larger gain would not help. For any scheme the gain multiplies the error that the
+    scheme is shown, y' = r - gain (r - y). To an adaptive law this looks like a different plant,
+    and the law adapts to it as well.
 
-    The paper prints no rule. An error that has *risen* leaves the gain alone here, since more gain
-    is not what it lacks. For any scheme the gain is on the error it is shown, y' = r - gain (r -
-    y). An adaptive law takes that for a plant that reacts differently, and adapts to it as well.
+    scheme: the scheme that learns from the mean trial
+    repeats: R, number of trials for each learning step
+    growth_of_gain: () >= 1, factor by which the gain is increased
+    largest: () >= 1, largest gain
+    slow: () in (0, 1), ratio of RMS errors above which the decrease counts as slow; None: the gain
+        is 1
 
-    repeats: R;  growth_of_gain: () >= 1;  largest: () >= 1
-    slow: () in (0, 1), None for a gain of 1
-    What is compared carries no gradient, so the gradient by `slow` is zero.
-    Raises ValueError, for an adapted gain, around FFDL-MFAILC, which compares the running trial
-    with the output it was shown.
+    The comparisons carry no gradient, so the gradient with respect to `slow` is zero.
+    `check` raises ValueError if the gain adapts and the scheme, such as FFDL-MFAILC, compares the
+    output of the running trial with the output that it was shown.
     """
 
     scheme: Scheme = child()
@@ -196,7 +212,7 @@ class Ladder(Guard):
         return LadderMemory(self.scheme.initial_memory(task), jnp.zeros(()), sums, *adapted)
 
     def learn(self, memory: LadderMemory, trial: Trial) -> LadderMemory:
-        # a measured trial may lack signals; the scheme shall see that it does
+        # a measured trial may lack signals; the scheme must see that they are missing
         names = [name for name in memory.sums.signals if name in trial.signals]
         now = Sums(
             trial.y, trial.u, memory.sums.signals | {name: trial.signals[name] for name in names}
@@ -225,7 +241,7 @@ class Ladder(Guard):
 
 
 def _need_numbers(scheme: Scheme, *names: str) -> None:
-    """Raises ValueError unless each named field is a single number, or absent."""
+    """Raises ValueError unless each named field is a single number or None."""
     for name in names:
         value = getattr(scheme, name)
         if value is not None and value.shape != ():
@@ -235,10 +251,10 @@ def _need_numbers(scheme: Scheme, *names: str) -> None:
 
 
 def _choose(condition, one, other):
-    """The one tree or the other, leaf by leaf."""
+    """The tree `one` where the condition holds, else the tree `other`, leaf by leaf."""
     return jax.tree.map(lambda a, b: jnp.where(condition, a, b), one, other)
 
 
 def _root_mean_square(e):
-    """() over all samples and outputs."""
+    """The root mean square over all samples and outputs, as ()."""
     return jnp.sqrt(jnp.mean(e**2))

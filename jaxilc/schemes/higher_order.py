@@ -1,4 +1,4 @@
-"""Higher-order learning: from the errors of several trials, not only of the last."""
+"""Higher-order learning, which uses the errors of several trials and not only of the last one."""
 
 from __future__ import annotations
 
@@ -16,9 +16,12 @@ from .scheme import Scheme, advance, limit_of, limited, need_square
 
 
 class Past(NamedTuple):
-    """u: (N, n) input of the trial to come;  inputs, errors: of the P-1 trials before the last,
-    newest first, each (N, n); zero before the first trial. An error is that from which its trial is
-    learned, e[k+1+lead].
+    """The memory of `HigherOrder`.
+
+    u: (N, n) input of the next trial [unit of u]
+    inputs: (N, n) each, inputs of the P-1 trials before the last, newest first [unit of u]
+    errors: (N, n) each, errors e[k+1+lead] of the same trials [unit of y]
+    Inputs and errors before the first trial are zero.
     """
 
     u: jax.Array
@@ -28,24 +31,25 @@ class Past(NamedTuple):
 
 @pytree
 class HigherOrder(Scheme):
-    """P-type learning of order P (Bien and Huh 1989; Chen, Gong and Wen 1998; Li 2020, section 1):
+    """P-type learning of order P (Bien and Huh 1989; Chen, Gong and Wen 1998; Li 2020, section 1).
 
         u_{j+1}[k] = sum_{i<P} alpha_i u_{j-i}[k] + sum_{i<P} gamma_i e_{j-i}[k+1+m]
 
-    Trials before the first, and errors beyond the end of a trial, count as zero. P = 1 is `PIDType`
-    with gamma_p alone.
-    On a plant P(z) the error at each frequency obeys
+    Inputs and errors before the first trial, and errors beyond the end of a trial, count as zero.
+    For P = 1 and alpha = 1 the law is `PIDType` with gamma_p alone.
+    On a plant G(z) the error at each frequency satisfies
 
-        e_{j+1} = sum_i (alpha_i - gamma_i z^(1+m) P) e_{j-i} + (1 - sum alpha) r
+        e_{j+1} = sum_i (alpha_i - gamma_i z^(1+m) G) e_{j-i} + (1 - sum alpha) r
 
-    so it converges, not always monotonically, if the roots s of
-    s^P = sum_i (alpha_i - gamma_i z^(1+m) P) s^(P-1-i) lie within the unit circle.
+    It converges, not always monotonically, if all roots s of
+    s^P = sum_i (alpha_i - gamma_i z^(1+m) G) s^(P-1-i) lie within the unit circle.
 
-    alpha: (P,) of sum 1, so that what has been learned stays where the error is zero; with a sum in
-        (0, 1) the law forgets
-    gamma: (P,), or (P, n) for each channel [unit of u per unit of y]
-    lead: m, as for `PIDType`;  limit: () or (n,) largest |u| learned, None for none
-    Raises ValueError for shapes that do not fit or a sum of alpha outside (0, 1].
+    alpha: (P,) with the sum 1, so that the learned input does not change where the error is zero;
+        with a sum in (0, 1) the law forgets
+    gamma: (P,) or (P, n) learning gain [unit of u per unit of y]
+    lead: m, samples of look-ahead of the learning, as for `PIDType`
+    limit: () or (n,) largest |u| that is learned [unit of u]; None: no limit
+    Raises ValueError for shapes that do not fit, and for a sum of alpha outside (0, 1].
     """
 
     alpha: Leaf = leaf(default=(1.0,))
@@ -63,7 +67,7 @@ class HigherOrder(Scheme):
             )
         if known(self):
             total = float(np.sum(self.alpha))
-            if not 0 < total <= 1 + 1e-6:  # a sum such as 0.7 + 0.2 + 0.1, in single precision
+            if not 0 < total <= 1 + 1e-6:  # 0.7 + 0.2 + 0.1 may exceed 1 in single precision
                 raise ValueError(
                     f"HigherOrder: the sum of alpha = {total:g} is outside its allowed range (0, 1]"
                 )

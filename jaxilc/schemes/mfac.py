@@ -1,8 +1,7 @@
-"""Model-free adaptive control along the time axis: CFDL-, PFDL-, FFDL-MFAC and the predictive
-CFDL-MFAPC (Dai 2014).
+"""Model-free adaptive control (MFAC) along the time axis, also in predictive form (Dai 2014).
 
-Feedback that needs no model: the pseudo gradient is estimated from the increments between samples,
-d x(k) = x(k) - x(k-1), while the controller runs. Several channels are taken one by one.
+These feedback schemes need no model. While they run, they estimate the pseudo gradient from the
+increments between samples, d x(k) = x(k) - x(k-1). Several channels are controlled independently.
 """
 
 from __future__ import annotations
@@ -20,9 +19,13 @@ from .scheme import Scheme, limited, need_square
 
 
 class State(NamedTuple):
-    """u, y: (n,) input and output one sample ago;  seen: () 1 once there is one, else 0
-    dy, du: windows of increments, newest first, each (n,), as they stood one sample ago;  phi: the
-    estimate, each (n,)
+    """The state of `FFDLMFAC`, all values as they were one sample ago.
+
+    u, y: (n,) input [unit of u] and output [unit of y]
+    seen: () 0 at the first sample of a trial, else 1
+    dy: (n,) each, the L_y output increments, newest first [unit of y]
+    du: (n,) each, the L_u input increments, newest first [unit of u]
+    phi: (n,) each, the L_y+L_u components of the estimate
     """
 
     u: jax.Array
@@ -35,18 +38,23 @@ class State(NamedTuple):
 
 @pytree
 class FFDLMFAC(Scheme):
-    """Full-form MFAC (Hou and Jin's book, the time-axis twin of Cao 2019, eq. 25 and 27), with c =
-    L_y + 1:
+    """Full-form MFAC (book of Hou and Jin; Cao 2019, eq. 25 and 27, with time in place of trials).
 
         u(k) = u(k-1) + phi_c / (lam + phi_c^2) [ rho_c (r(k+1) - y(k))
                                                   - sum_{i<=L_y} rho_i phi_i d y(k-i+1)
                                                   - sum_{i>c} rho_i phi_i d u(k+L_y-i+1) ]
 
-    lam: () > 0 [(y/u)^2];  rho: () or (L_y+L_u,) in (0, 1];  eta: () in (0, 2];  mu: () > 0 [u^2]
-    phi0: (L_y+L_u,) start value, whose c-th sign is that of the plant's reaction;  epsilon: ()
-    reset threshold
-    limit: largest |u|, from which the increments are then taken
-    L_y, L_u: windows;  reset: see `reset_estimate`
+    where c = L_y + 1.
+
+    lam: () > 0, weight on the input increment [(y/u)^2]
+    rho: () or (L_y+L_u,) step factors in (0, 1]
+    eta: () in (0, 2], step of the estimator
+    mu: () > 0 [u^2]
+    phi0: (L_y+L_u,) start value; the sign of its component c is that of the plant's reaction to u
+    epsilon: () reset threshold
+    limit: () or (n,) largest |u| [unit of u]; the increments are those of the limited u
+    L_y, L_u: lengths of the windows of output and of input increments
+    reset: see `reset_estimate`
     The signal `phi` of the trial records phi_c.
     """
 
@@ -98,7 +106,7 @@ class FFDLMFAC(Scheme):
 
 @pytree
 class PFDLMFAC(FFDLMFAC):
-    """Partial-form MFAC: no output increments, L_y = 0. phi0: (L_u,)"""
+    """Partial-form MFAC, which has no output increments (L_y = 0); phi0 has the shape (L_u,)."""
 
     phi0: Leaf = leaf(default=(-0.1, 0.0))
     L_y: int = static(default=0, interval="[0, 0]")
@@ -106,9 +114,12 @@ class PFDLMFAC(FFDLMFAC):
 
 @pytree
 class CFDLMFAC(FFDLMFAC):
-    """Compact-form MFAC: L_y = 0, L_u = 1. eta: () in (0, 1];  phi0: () or (1,)
+    """Compact-form MFAC: L_y = 0 and L_u = 1.
 
-    u(k) = u(k-1) + rho phi(k) / (lam + phi(k)^2) (r(k+1) - y(k))
+        u(k) = u(k-1) + rho phi(k) / (lam + phi(k)^2) (r(k+1) - y(k))
+
+    eta: () in (0, 1], step of the estimator
+    phi0: () or (1,) start value of the estimate
     """
 
     eta: Leaf = leaf(default=1.0, interval="(0, 1]")
@@ -118,9 +129,13 @@ class CFDLMFAC(FFDLMFAC):
 
 
 class PredictiveState(NamedTuple):
-    """u, y, du: (n,) input, output and input increment one sample ago; before the first, du = 0 and
-    nothing is estimated
-    phi: (n_p, n) estimates, newest first;  theta: (n_p, n) coefficients of their forecast"""
+    """The state of `CFDLMFAPC`, all values as they were one sample ago.
+
+    u, y: (n,) input [unit of u] and output [unit of y]
+    du: (n,) input increment [unit of u]; 0 before the first sample, so that nothing is estimated
+    phi: (n_p, n) estimates, newest first
+    theta: (n_p, n) coefficients of the forecast of phi
+    """
 
     u: jax.Array
     y: jax.Array
@@ -131,24 +146,32 @@ class PredictiveState(NamedTuple):
 
 @pytree
 class CFDLMFAPC(Scheme):
-    """Predictive compact-form MFAC (Dai 2014): P samples ahead, P_u moves of the input.
+    """Predictive compact-form MFAC with prediction horizon P and control horizon P_u (Dai 2014).
 
-        Y(k+1) = E y(k) + A dU(k)                                   (5)   A: column i is phi(k+i)
-        from row i down
-        dU = (A^T A + lam I)^-1 A^T (Y* - E y(k)), u(k) = u(k-1) + dU_1    (17, 18; the print lacks
-        "+" before lam I)
+        Y(k+1) = E y(k) + A dU(k)                                                  (5)
+        dU = (A^T A + lam I)^-1 A^T (Y* - E y(k)),    u(k) = u(k-1) + dU_1         (17, 18)
 
-    For P_u = 1 this is eq. 10. Future phi come from theta . (phi(k), ..., phi(k-n_p+1)), and theta
-    from a normalised projection (13) that is reset where |theta| >= theta_limit (14); forecasts are
-    reset like the estimate, but without the |du| clause (16). A^T A and A^T (.) are formed from
-    sums, so that nothing of size P x P_u is ever built: P = 250 costs P additions a sample.
+    Column i of A is zero above row i and phi(k+i) from row i on. In eq. 17 the "+" before lam I is
+    missing in print. For P_u = 1 the law is eq. 10. The future phi are forecast as
+    theta . (phi(k), ..., phi(k-n_p+1)). theta comes from a normalised projection (13), which is
+    reset where |theta| >= theta_limit (14). The forecasts are reset like the estimate, but without
+    the condition on |du| (16). A^T A and A^T (.) are computed from sums, without a matrix of size
+    P x P_u: P = 250 costs P additions a sample.
 
-    lam: () > 0 [(y/u)^2];  eta: () in (0, 1];  mu: () > 0 [u^2];  phi0: () start value;  epsilon:
-    () reset threshold
-    delta: () in (0, 1], of (13);  theta_limit: () M of (14);  limit: largest |u|, None for none
-    theta0: (n_p,) start of the forecast; not printed, None is (1, 0, ..., 0), that is "phi stays"
-    P: prediction horizon;  P_u: control horizon <= P;  n_p: order of the forecast >= 1
-    reference: `preview` takes Y* = r(k+1..k+P), `constant` takes r(k+1) for all of it
+    lam: () > 0, weight on the input increment [(y/u)^2]
+    eta: () in (0, 1], step of the estimator
+    mu: () > 0 [u^2]
+    phi0: () start value of the estimate
+    epsilon: () reset threshold
+    delta: () in (0, 1], of eq. 13
+    theta_limit: () M of eq. 14
+    theta0: (n_p,) start value of theta, which is not printed; None: (1, 0, ..., 0), so that the
+        forecast of phi is constant
+    limit: () or (n,) largest |u| [unit of u]; None: no limit
+    P, P_u: prediction horizon, and control horizon <= P
+    n_p: order of the forecast >= 1
+    reset: see `reset_estimate`
+    reference: `preview` sets Y* = r(k+1..k+P); `constant` sets all of Y* to r(k+1)
     The signal `phi` of the trial records phi(k).
     """
 
@@ -228,7 +251,7 @@ class CFDLMFAPC(Scheme):
         return start[:, None]
 
     def _forecaster(self, state, phi_now):
-        """theta(k) by eq. 13 and 14; the regressor is (phi(k-1), ..., phi(k-n_p))."""
+        """The coefficients theta(k) of eq. 13, 14; the regressor is phi(k-1), ..., phi(k-n_p)."""
         miss = phi_now - jnp.sum(state.phi * state.theta, axis=0)
         theta = state.theta + state.phi * miss / (self.delta + jnp.sum(state.phi**2, axis=0))
         return jnp.where(
@@ -236,7 +259,7 @@ class CFDLMFAPC(Scheme):
         )
 
     def _future(self, phi, theta):
-        """phi(k), ..., phi(k+P_u-1), each (n,), by eq. 15 and 16."""
+        """The forecasts phi(k), ..., phi(k+P_u-1) of eq. 15 and 16, each (n,)."""
         mode = "none" if self.reset == "none" else "sign"
         past = [phi[i] for i in range(self.n_p)]
         future = past[:1]
@@ -250,8 +273,9 @@ class CFDLMFAPC(Scheme):
         return future
 
     def _wanted(self, sample: Sample):
-        """A^T (Y* - E y) without its factor phi: (P_u, n) sums over rows i..P-1 of r(k+1+p) -
-        y(k).
+        """The product A^T (Y* - E y) without its factor phi, as (P_u, n).
+
+        Row i is the sum of r(k+1+p) - y(k) over p = i..P-1.
         """
         if self.reference == "constant":
             return (self.P - jnp.arange(self.P_u))[:, None] * (sample.ahead[0] - sample.y)
@@ -259,8 +283,9 @@ class CFDLMFAPC(Scheme):
         return jnp.cumsum(miss[::-1], axis=0)[::-1][: self.P_u]
 
     def _first_move(self, future, wanted):
-        """(n,) the first element of (A^T A + lam I)^-1 A^T (Y* - E y); (A^T A)_ij = phi_i phi_j (P
-        - max(i, j)).
+        """The first element of (A^T A + lam I)^-1 A^T (Y* - E y), as (n,).
+
+        (A^T A)_ij = phi_i phi_j (P - max(i, j))
         """
         if self.P_u == 1:
             return future[0] * wanted[0] / (self.P * future[0] ** 2 + self.lam)

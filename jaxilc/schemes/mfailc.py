@@ -1,10 +1,10 @@
-"""Model-free adaptive iterative learning control along the trial axis (Cao 2019): CFDL, PFDL and
-FFDL.
+"""Model-free adaptive iterative learning control (MFAILC) along the trial axis (Cao 2019).
 
-All three are one scheme. The data model is a pseudo gradient Phi over a window of L_y output and
-L_u input increments between trials (eq. 18); CFDL is the window (0, 1), whose Phi is the scalar
-pseudo partial derivative, and PFDL is (0, L_u). Below, D x(k, j) = x(k, j) - x(k, j-1) is the
-increment between trials; several channels are taken one by one.
+CFDL, PFDL and FFDL (the compact, the partial and the full form of dynamic linearisation) are one
+scheme. Its data model is a pseudo gradient Phi over a window of L_y output and L_u input increments
+between trials (eq. 18). CFDL has the window (0, 1), and its Phi is the scalar pseudo partial
+derivative. PFDL has the window (0, L_u). Below, D x(k, j) = x(k, j) - x(k, j-1) is the increment
+between trials. Several channels are controlled independently of each other.
 """
 
 from __future__ import annotations
@@ -23,11 +23,12 @@ from .scheme import Scheme, advance, delay, limited, need_square
 
 
 class Memory(NamedTuple):
-    """What MFAILC knows after trial j.
+    """The memory of MFAILC after trial j.
 
-    u: (N, n) input of trial j;  y: (N+1, n) output of trial j
-    phi: L_y+L_u estimates, each (N, n), for the coming trial;  seen: () 1 once a trial has been
-    seen, else 0
+    u: (N, n) input of trial j [unit of u]
+    y: (N+1, n) output of trial j [unit of y]
+    phi: (N, n) each, L_y+L_u components of the estimate for the next trial
+    seen: () 0 before the first trial, else 1
     """
 
     u: jax.Array
@@ -39,9 +40,10 @@ class Memory(NamedTuple):
 class Schedule(NamedTuple):
     """The rows that FFDL-MFAILC sees within a trial.
 
-    u: (N, n) the part of the law that is known before the trial
-    y, u_last: (N, n) output and input of trial j-1
-    weights: L_y+L_u-1 of them, each (N, n), of the increments D y(k..k-L_y+1, j) and
+    u: (N, n) the part of the law that is known before the trial [unit of u]
+    y: (N, n) output of trial j-1 [unit of y]
+    u_last: (N, n) input of trial j-1 [unit of u]
+    weights: (N, n) each, the L_y+L_u-1 weights of the increments D y(k..k-L_y+1, j) and
         D u(k-1..k-L_u+1, j) of the running trial
     """
 
@@ -52,11 +54,13 @@ class Schedule(NamedTuple):
 
 
 class Window(NamedTuple):
-    """Increments of the running trial, newest first, each (n,): L_y-1 of the output and L_u-1 of
-    the input.
+    """The increments of the running trial that MFAILC keeps, newest first.
 
-    u_last: (n,) what was applied in trial j-1 at the sample before
-    Tuples of arrays rather than one array: in a loop over samples, shifting an array costs a copy.
+    dy: (n,) each, L_y-1 increments of the output [unit of y]
+    du: (n,) each, L_u-1 increments of the input [unit of u]
+    u_last: (n,) input that was applied in trial j-1 at the sample before [unit of u]
+    The increments are tuples of arrays, because to shift one array in a loop over samples costs a
+    copy.
     """
 
     dy: tuple[jax.Array, ...]
@@ -66,29 +70,37 @@ class Window(NamedTuple):
 
 @pytree
 class FFDLMFAILC(Scheme):
-    """Full-form MFAILC (Cao 2019, eq. 25 and 27), with c = L_y + 1 the component of u(k):
+    """Full-form MFAILC (Cao 2019, eq. 25 and 27).
 
         u(k,j) = u(k,j-1) + phi_c / (lam + phi_c^2) [ rho_c e(k+1,j-1)
                                                       - sum_{i<=L_y} rho_i phi_i D y(k-i+1,j)
                                                       - sum_{i>c} rho_i phi_i D u(k+L_y-i+1,j) ]
 
-    D y(k,j) belongs to the running trial: FFDL acts as feedback within the trial, CFDL does not.
-    The first trial applies u = 0, the second uses phi0, the estimator has data from the third on.
-    With a learning lead m, e and D y are taken m samples later; where that lies beyond the end of
-    the trial the error counts as zero and the estimate stays.
+    where c = L_y + 1 is the number of the component of u(k).
 
-    Every u above is the input as the actuator applied it, of both trials: u(k,j-1) and the
-    increments between trials come from `Trial.u`, those within the running trial from
-    `Sample.applied`. Only what this sample adds is a command, which the actuator then limits, slows
-    or rounds. A controller that cannot know what its actuator applies takes what it commanded;
-    record that as the trial's u as well, so that both increments are of the commanded input.
+    D y(k,j) is an increment of the running trial, so FFDL acts as feedback within the trial; CFDL
+    does not. The first trial applies u = 0, the second uses phi0, and the estimator has data from
+    the third trial on. With a learning lead m, e and D y are taken m samples later. Where that is
+    beyond the end of the trial, the error counts as zero and the estimate does not change.
 
-    lam: () > 0 weight on the input increment [(y/u)^2]
+    Every u above is the input that the actuator applied, in both trials. u(k,j-1) and the
+    increments between trials come from `Trial.u`; the increments within the running trial come from
+    `Sample.applied`. Only the contribution of the present sample is a command, which the actuator
+    then limits in size, limits in rate, or rounds. A controller that cannot know what its actuator
+    applies uses what it commanded. Then record the command also as the u of the trial, so that both
+    kinds of increments are those of the commanded input.
+
+    lam: () > 0, weight on the input increment [(y/u)^2]
     rho: () or (L_y+L_u,) step factors in (0, 1]
-    eta: () estimator step in (0, 2];  mu: () > 0 [u^2], for L_y > 0 mixed units as in the paper
-    phi0: (L_y+L_u,) start value; Cao 2019 does not print it, and the result depends on it
-    epsilon: () reset threshold;  limit: largest |u|, None for none
-    L_y, L_u: windows;  lead: m;  reset: see `reset_estimate`
+    eta: () in (0, 2], step of the estimator
+    mu: () > 0 [u^2]; for L_y > 0 its units are mixed, as in the paper
+    phi0: (L_y+L_u,) start value of the estimate; Cao 2019 does not print it, and the result depends
+        on it
+    epsilon: () reset threshold
+    limit: () or (n,) largest |u| [unit of u]; None: no limit
+    L_y, L_u: lengths of the windows of output and of input increments
+    lead: m, samples of look-ahead of the learning
+    reset: see `reset_estimate`
     """
 
     lam: Leaf = leaf(default=1.2, interval="(0, inf)")
@@ -151,10 +163,8 @@ class FFDLMFAILC(Scheme):
         )
         e = memory.seen * advance(task.reference - memory.y, 1 + self.lead)
         u = memory.u + gain * rho[c] * e
-        if not weights:
-            u = limited(
-                u, self.limit
-            )  # with weights, the running trial's increments come on top first
+        if not weights:  # with weights, `act` first adds the increments of the running trial
+            u = limited(u, self.limit)
         return Schedule(u, memory.y[:-1], memory.u, weights)
 
     def initial_state(self, task: Task) -> Window:
@@ -166,7 +176,7 @@ class FFDLMFAILC(Scheme):
         if self.L_y + self.L_u == 1:
             return state, limited(row.u, self.limit)
         dy, du = (sample.y - row.y, *state.dy)[: self.L_y], state.du
-        if du and sample.applied is not None:  # what was commanded a sample ago has become this
+        if du and sample.applied is not None:  # the actuator made this of the last command
             du = (sample.applied - state.u_last, *du[1:])
         u = row.u - sum(
             weight * increment for weight, increment in zip(row.weights, dy + du, strict=True)
@@ -181,7 +191,7 @@ class FFDLMFAILC(Scheme):
 
 @pytree
 class PFDLMFAILC(FFDLMFAILC):
-    """Partial-form MFAILC: the full form without output increments, L_y = 0. phi0: (L_u,)"""
+    """Partial-form MFAILC, which has no output increments (L_y = 0); phi0 has the shape (L_u,)."""
 
     phi0: Leaf = leaf(default=(-0.065, 0.0))
     L_y: int = static(default=0, interval="[0, 0]")
@@ -189,14 +199,16 @@ class PFDLMFAILC(FFDLMFAILC):
 
 @pytree
 class CFDLMFAILC(FFDLMFAILC):
-    """Compact-form MFAILC (Cao 2019, eq. 12 and 13): L_y = 0, L_u = 1, phi the pseudo partial
-    derivative.
+    """Compact-form MFAILC (Cao 2019, eq. 12 and 13): L_y = 0 and L_u = 1.
 
         u(k,j) = u(k,j-1) + rho phi(k,j) / (lam + phi(k,j)^2) e(k+1,j-1)
 
-    An adaptive P-type law: on a dynamic plant the error can fall for some trials and then grow at
-    any lam. A `Filtered` wrapper, a learning lead or a stop rule makes it usable there. eta: () in
-    (0, 1];  phi0: () or (1,)
+    phi is the pseudo partial derivative. This is an adaptive P-type law. On a dynamic plant the
+    error can decrease for some trials and then grow, whatever lam is. With a `Filtered` wrapper, a
+    learning lead or a stop rule it can be used on such plants.
+
+    eta: () in (0, 1], step of the estimator
+    phi0: () or (1,) start value of the estimate
     """
 
     lam: Leaf = leaf(default=1.0, interval="(0, inf)")

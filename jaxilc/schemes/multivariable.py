@@ -17,10 +17,11 @@ from .scheme import UNASKED, Part, Scheme, State, delay, limits_of_parts, under
 
 
 class LearnedState(NamedTuple):
-    """What MILC keeps within a trial.
+    """The state of MILC within a trial.
 
-    feedback: its state;  u: (n_u,) the feedback's share
-    reference: (1,) r[k+1], what the feedback will follow
+    feedback: state of the feedback
+    u: (n_u,) contribution of the feedback to the input [unit of u]
+    reference: (1,) r[k+1], the learned reference that the feedback follows [unit of y]
     """
 
     feedback: State
@@ -30,23 +31,27 @@ class LearnedState(NamedTuple):
 
 @pytree
 class MultivariableILC(Scheme):
-    """MILC: learns the control u and the reference r of the position loop together (MILC 2024, eq.
-    23 to 29).
+    """MILC learns the input u and the reference r of the position loop (MILC 2024, eq. 23 to 29).
 
         v = u_j + C_P (r_j - y_M),   errors (r_j - y_M, r_d - y_T),   start r_0 = r_d / P_Z, u_0 = 0
 
-    Learning on the table's error alone cannot bring the motor's and the table's error down together
-    (Proposition 1 there): the feedback, which wants y_M = r_d, fights what was learned. Here its
-    reference moves along.
+    v is the whole input, y_M and y_T are the positions of motor and table. Learning from the error
+    of the table alone cannot reduce the error of the motor and that of the table together
+    (Proposition 1 there): the feedback, whose aim is y_M = r_d, acts against the learned input.
+    Here the reference of the feedback is learned too.
 
-    learning: of two inputs (u, r) and two outputs, usually `NormOptimal` with
-        `plants.multivariable_model`; it plays back what it learned, and its second input is the
-        whole reference, as printed, not a correction
-    feedback: follows the learned reference with the motor
-    prefilter: 1 / P_Z on the reference, None for r_0 = r_d
-    motor_output, table_output: their numbers among the task's outputs
-    The sample k = 0 keeps r_d[0].
-    Signals of a trial: `feedback`, its share of the input, and `reference`, r[k+1] as learned.
+    learning: scheme with two inputs (u, r) and two outputs, usually `NormOptimal` with
+        `plants.multivariable_model`; it must play back what it learned. As printed, its second
+        input is the whole reference and not a correction.
+    feedback: scheme that makes the motor follow the learned reference
+    prefilter: filter 1 / P_Z on the reference; None: r_0 = r_d
+    motor_output: index of the motor's position among the outputs of the task
+    table_output: index of the table's position among the outputs of the task
+
+    The reference of the sample k = 0 remains r_d[0]. The signal `feedback` of a trial records the
+    contribution of the feedback to the input, the signal `reference` records the learned r[k+1].
+    `check` raises ValueError for a task or a learning scheme that does not fit; `learn` raises it
+    for a trial without these signals.
     """
 
     learning: Scheme = child()
@@ -60,7 +65,7 @@ class MultivariableILC(Scheme):
         return self.feedback.preview
 
     def learning_task(self, task: Task) -> Task:
-        """The task as the learning part sees it: two inputs, and both errors."""
+        """The task as the learning part sees it, with two inputs and two outputs."""
         return dataclasses.replace(
             task, reference=task.reference[:, [self.table_output, self.table_output]], inputs=2
         )
@@ -148,7 +153,7 @@ class MultivariableILC(Scheme):
         return ReferenceSchedule(u, now, window, feedback.schedule(known, motor))
 
     def feedforward(self, memory: Pair, task: Task) -> jax.Array:
-        """(N, 2) the learned input and reference r[k+1] of the next trial."""
+        """The learned input u[k] and reference r[k+1] of the next trial, as (N, 2)."""
         return self.learning.feedforward(memory.learning, self.learning_task(task))
 
     def initial_state(self, task: Task) -> LearnedState:
@@ -168,8 +173,10 @@ class MultivariableILC(Scheme):
         return {"feedback": state.u, "reference": state.reference} | under("feedback", feedback)
 
     def played(self, schedule: ReferenceSchedule, task: Task) -> dict[str, jax.Array]:
-        """`feedforward` is the learned input, `reference` (N+1, 1) what the motor's feedback
-        follows.
+        """What a machine plays in a trial, by name.
+
+        feedforward: (N, 1) the learned input [unit of u]
+        reference: (N+1, 1) the reference that the feedback of the motor follows [unit of y]
         """
         reference = jnp.concatenate([schedule.now, schedule.ahead[-1:, 0]])
         feedback, motor, _ = self.parts(task, UNASKED)["feedback"]

@@ -1,6 +1,4 @@
-"""Norm-optimal iterative learning control: each trial minimises a quadratic cost of the next error,
-by a nominal model.
-"""
+"""Norm-optimal learning, which minimises a quadratic cost of the next trial by a nominal model."""
 
 from __future__ import annotations
 
@@ -20,15 +18,15 @@ from ..pytree.ranges import brief
 from ..signals.task import Limit, Task, Trial, product
 from .scheme import Feedforward, Scheme, limit_of, limited
 
-LARGEST_LIFTED = (
-    8192  # rows or columns of the dense form: half a gigabyte each for H and the factor, in float64
-)
+# rows or columns of the dense form: in float64, H and the factor then take half a gigabyte each
+LARGEST_LIFTED = 8192
 
 
 class Recursion(NamedTuple):
-    """What the Riccati recursion leaves.
+    """The result of the Riccati recursion.
 
-    K: (N, n_u, n) gain of the state's deviation;  G: (N, n_u, n_u) inverse of the input's cost
+    K: (N, n_u, n) gain on the deviation of the state
+    G: (N, n_u, n_u) inverse of the cost of the input
     """
 
     K: jax.Array
@@ -36,7 +34,11 @@ class Recursion(NamedTuple):
 
 
 class Lifted(NamedTuple):
-    """H: (N n_y, N n_u) the lifted model;  factor: Cholesky factor of H' W_q H + W_s + W_r"""
+    """The lifted model with its factorised cost.
+
+    H: (N n_y, N n_u) lifted model
+    factor: (N n_u, N n_u) Cholesky factor of H' W_q H + W_s + W_r
+    """
 
     H: jax.Array
     factor: jax.Array
@@ -44,15 +46,16 @@ class Lifted(NamedTuple):
 
 @pytree
 class NormOptimal(Scheme):
-    """The next input minimises, by the model H, the cost of the next trial (Amann, Owens, Rogers
-    1996; MILC 2024, eq. 5 to 8)
+    """Norm-optimal learning (Amann, Owens, Rogers 1996; MILC 2024, eq. 5 to 8).
+
+    The next input minimises the cost J of the next trial, as the model H predicts it:
 
         J = |e_{j+1}|^2_Wq + |u_{j+1} - u_j|^2_Wr + |u_{j+1}|^2_Ws
         e_{j+1} = e_j - H (u_{j+1} - u_j)
         u_{j+1} = u_j + (H' W_q H + W_s + W_r)^-1 (H' W_q e_j - W_s u_j)
 
-    `riccati` solves it in time and memory linear in N. With d = u_{j+1} - u_j, x' = A x + B d from
-    x[0] = 0, P[N] = 0, p[N] = 0:
+    `riccati` solves it in time and memory linear in N. With d = u_{j+1} - u_j, x' = A x + B d and
+    the start values x[0] = 0, P[N] = 0, p[N] = 0:
 
         Z = P[k+1] + C' w_q C,           G[k] = (B' Z B + w_r + w_s)^-1
         K[k] = G[k] B' Z A,              P[k] = A' Z (A - B K[k])
@@ -60,17 +63,17 @@ class NormOptimal(Scheme):
         p[k] = A' z - K[k]' (B' z - w_s u_j[k])
         d[k] = g[k] - K[k] x[k]
 
-    derived again, as Appendix A of MILC 2024 has slips; `lifted` solves the same in dense form,
-    with N n_u and N n_y up to 8192.
+    These equations were derived anew, because Appendix A of MILC 2024 has errors. `lifted`
+    solves the same problem in dense form, with N n_u and N n_y up to 8192.
 
-    model: n_u inputs to n_y outputs, of the task's sample time, u[k] acting on y[k+1]; stable, so
-        of the closed loop under feedback; nominal, as the machine may differ
+    model: nominal model of n_u inputs and n_y outputs, at the sample time of the task, where u[k]
+        acts on y[k+1]. It must be stable; under feedback it is the model of the closed loop.
     w_q: () or (n_y,) or (n_y, n_y), positive semidefinite
-    w_r, w_s: () or (n_u,) or (n_u, n_u), positive semidefinite, w_r + w_s definite
-        Weights are symmetric up to rounding, as a product A' A is; the symmetric part counts.
-    limit: () or (n_u,) largest |u| learned, None for none
+    w_r, w_s: () or (n_u,) or (n_u, n_u), positive semidefinite; w_r + w_s positive definite
+        Weights must be symmetric except for rounding; their symmetric part is used.
+    limit: () or (n_u,) largest |u| that is learned [unit of u]; None: no limit
     Raises ValueError for an unstable model, and weights that are not symmetric or not semidefinite.
-    Differentiable in the weights and in the model, through the recursion.
+    The result is differentiable in the weights and in the model, through the recursion.
     """
 
     model: StateSpace | TimeVaryingStateSpace = child()
@@ -128,9 +131,8 @@ class NormOptimal(Scheme):
         if not known(weight):
             return
         W = np.asarray(_matrix(weight, size))
-        rounding = max(
-            1e-6, np.sqrt(np.finfo(W.dtype).eps)
-        )  # half of the digits, of single precision at least
+        # half of the digits must agree, but no more than 6, also in double precision
+        rounding = max(1e-6, np.sqrt(np.finfo(W.dtype).eps))
         if np.max(np.abs(W - W.T)) > rounding * np.max(np.abs(W)):
             raise ValueError(f"NormOptimal: {name} = {W.tolist()} is not symmetric")
         values = _eigenvalues(W)
@@ -167,7 +169,7 @@ class NormOptimal(Scheme):
         return Feedforward(jnp.zeros((task.N, task.inputs)))
 
     def prepared(self, task: Task) -> NormOptimal:
-        """With what depends on model and weights alone solved, once."""
+        """This scheme with the equations solved that depend on model and weights alone."""
         return self._prepared(task.N, task.dt)
 
     def learn(self, memory: Feedforward, trial: Trial) -> Feedforward:
@@ -186,9 +188,7 @@ class NormOptimal(Scheme):
         return dataclasses.replace(self, model=model, solved=self._solve(model, N))
 
     def _weights(self):
-        """Symmetric parts, so that a gradient is symmetric too, and a step along it keeps the
-        weight so, in either form.
-        """
+        """The symmetric parts of the weights, so that a gradient step keeps a weight symmetric."""
         n_u, n_y = self.model.n_u, self.model.n_y
         full = _matrix(self.w_q, n_y), _matrix(self.w_r, n_u), _matrix(self.w_s, n_u)
         return tuple((W + W.T) / 2 for W in full)
@@ -215,7 +215,7 @@ class NormOptimal(Scheme):
         return Recursion(*_scan(back, start, model, N, reverse=True)[1])
 
     def _step_riccati(self, e, u):
-        """(N, n_u) u_{j+1} - u_j."""
+        """The change u_{j+1} - u_j of the input, as (N, n_u)."""
         (Q, _, S), model, solved = self._weights(), self.model, self.solved
 
         def back(p, now):
@@ -240,7 +240,7 @@ class NormOptimal(Scheme):
 
 
 def lifted_model(model: StateSpace | TimeVaryingStateSpace, N: int, dt: float) -> jax.Array:
-    """(N n_y, N n_u) H of a model: y[1..N] = H u[0..N-1], block row k being y[k+1]."""
+    """The lifted matrix H (N n_y, N n_u) of a model: y[1..N] = H u[0..N-1]; block row k: y[k+1]."""
     model = model.sampled(dt)
     n_u, n_y = model.n_u, model.n_y
 
@@ -254,9 +254,7 @@ def lifted_model(model: StateSpace | TimeVaryingStateSpace, N: int, dt: float) -
 
 
 def _scan(f, start, model, N, *rows, reverse=False):
-    """Scan f over the rows with the model's matrices A, B and the C of the sample after, constant
-    or of each sample.
-    """
+    """Scan f over the rows with A and B of each sample, constant or not, and C of the next one."""
     if isinstance(model, TimeVaryingStateSpace):
         return lax.scan(
             lambda c, now: f(c, (now[0], *now[1:]) if rows else now[0]),
@@ -275,19 +273,20 @@ def _scan(f, start, model, N, *rows, reverse=False):
 
 
 def _matrix(weight, size: int):
-    """A weight given as a number, a diagonal or a matrix, as a matrix."""
+    """A weight, which was given as a number, a diagonal or a matrix, as a matrix."""
     return weight if weight.ndim == 2 else weight * np.eye(size, dtype=weight.dtype)
 
 
 def _eigenvalues(W):
-    """Of the symmetric part."""
+    """The eigenvalues of the symmetric part of W."""
     W = np.asarray(W)
     return np.linalg.eigvalsh((W + W.T) / 2)
 
 
 def _inverse(M):
-    """Of a small symmetric matrix; in closed form up to two rows, since LAPACK costs more than the
-    rest of a step.
+    """The inverse of a small symmetric matrix, in closed form for one or two rows.
+
+    For so few rows LAPACK would take longer than the rest of a step.
     """
     if M.shape[0] == 1:
         return 1 / M

@@ -1,4 +1,4 @@
-"""Learning that corrects the reference of a feedback, instead of its output."""
+"""Learning that corrects the reference of a feedback instead of its output."""
 
 from __future__ import annotations
 
@@ -17,8 +17,10 @@ from .scheme import UNASKED, Part, Scheme, State, delay, under
 class ReferenceSchedule(NamedTuple):
     """The rows of a feedback whose reference is learned.
 
-    u: (N, n_y) correction w[k] of the reference r[k+1];  now: (N, n_y) that of r[k]
-    ahead: (N, preview, n_y) those of r[k+1], ...;  feedback: the feedback's own schedule
+    u: (N, n_y) correction w[k] of the reference r[k+1] [unit of y]
+    now: (N, n_y) correction of r[k] [unit of y]
+    ahead: (N, preview, n_y) corrections of r[k+1], r[k+2], ... [unit of y]
+    feedback: schedule of the feedback
     """
 
     u: jax.Array
@@ -28,7 +30,11 @@ class ReferenceSchedule(NamedTuple):
 
 
 class ReferenceState(NamedTuple):
-    """The feedback's state;  correction: (n_y,) w[k]"""
+    """The state of `OnReference`.
+
+    feedback: state of the feedback
+    correction: (n_y,) w[k] [unit of y]
+    """
 
     feedback: State
     correction: jax.Array
@@ -36,12 +42,14 @@ class ReferenceState(NamedTuple):
 
 @pytree
 class OnReference(Scheme):
-    """The feedback follows r + w, and w is what is learned (the series structure of Li 2020, Fig.
-    1).
+    """The feedback follows r + w, and w is learned (the series structure of Li 2020, Fig. 1).
 
-    learning: pure feedforward, its `u` is the correction w, with w[k] added to r[k+1]
+    learning: pure feedforward scheme, whose `u` is the correction w; w[k] is added to r[k+1]
     feedback: any scheme
-    The signal `correction` of the trial records w. The error is that from r itself.
+    The signal `correction` of the trial records w. The scheme learns from the error r - y, without
+    w.
+    `check` raises ValueError for a learning scheme that acts within the trial; `learn` raises it
+    for a trial without the signal `correction`.
     """
 
     learning: Scheme = child()
@@ -119,7 +127,7 @@ class OnReference(Scheme):
         return {"correction": state.correction} | under("feedback", feedback)
 
     def played(self, schedule: ReferenceSchedule, task: Task) -> dict[str, jax.Array]:
-        """`reference` (N+1, n_y) is what the feedback follows in place of the task's reference."""
+        """What a machine plays; the feedback follows `reference` (N+1, n_y), not the task's r."""
         reference = jnp.asarray(task.reference).at[1:].add(schedule.u)
         feedback = self.feedback.played(schedule.feedback, task)
         return {"reference": reference} | under("feedback", feedback)

@@ -14,10 +14,14 @@ from .scheme import Scheme, limited, need_square
 
 
 class PIDState(NamedTuple):
-    """integral: (n,) [unit of u];  e, slope, u: (n,) error, filtered de/dt and input of the sample
-    before
-    r, feedforward: (n,) reference and feedforward of the sample before; None where nothing needs
-    them
+    """The state of `PID`; all but `integral` are values of the sample before.
+
+    integral: (n,) integral part of the input [unit of u]
+    e: (n,) error [unit of y]
+    slope: (n,) filtered de/dt [unit of y per s]
+    u: (n,) input [unit of u]
+    r: (n,) reference [unit of y]; None where it is not needed
+    feedforward: (n,) feedforward f [unit of u]; None where it is not needed
     """
 
     integral: jax.Array
@@ -30,8 +34,7 @@ class PIDState(NamedTuple):
 
 @pytree
 class PID(Scheme):
-    """PID with derivative filter, feedforward of the reference, input limit and anti-windup,
-    channel by channel.
+    """PID with derivative filter, feedforward of the reference, input limit and anti-windup.
 
         position:  u[k] = kp e[k] + ki dt sum_{i<=k} e[i] + kd s[k] + f[k]
         increment: u[k] = u[k-1] + kp (e[k] - e[k-1]) + ki dt e[k] + kd (s[k] - s[k-1])
@@ -39,19 +42,25 @@ class PID(Scheme):
         s[k] = (tau s[k-1] + e[k] - e[k-1]) / (tau + dt)
         f[k] = kv (r[k+1] - r[k]) / dt + ka (r[k+2] - r[k+1] - r[k] + r[k-1]) / (2 dt^2)
 
-    For tau = 0, s is the backward difference of e. Before the first sample e = 0 and f = 0. Where u
-    hits `limit`, the position form stops integrating unless the error drives it back (conditional
-    integration); the increment form starts from the limited u and so needs no more.
+    Each channel has its own loop. For tau = 0, s is the backward difference of e. Before the first
+    sample e = 0 and f = 0. Where u reaches `limit`, the position form stops the integration unless
+    the error drives u back (conditional integration). The increment form continues from the limited
+    u and needs no other anti-windup.
 
-    f is velocity and acceleration feedforward, central for the middle of the interval over which
-    u[k] is held: so an integrator follows exactly with kv alone, and a double integrator with ka
-    alone at zero phase, y[k] = (r[k+1] + 2 r[k] + r[k-1]) / 4. The reference holds its ends before
-    and after the trial. f is not learned: under `WithFeedback` it belongs to the feedback's share.
+    f is the feedforward of velocity and acceleration. Its differences are central with respect to
+    the middle of the interval over which u[k] is held. So an integrator follows exactly with kv
+    alone, and a double integrator follows with zero phase with ka alone:
+    y[k] = (r[k+1] + 2 r[k] + r[k-1]) / 4. Before and after the trial the reference is constant. f
+    is not learned; under `WithFeedback` it belongs to the contribution of the feedback.
 
-    kp [u/y], ki [u/(y s)], kd [u s/y]: () or (n,)
+    kp: () or (n,) proportional gain [u/y]
+    ki: () or (n,) integral gain [u/(y s)]
+    kd: () or (n,) derivative gain [u s/y]
     tau: () or (n,) time constant of the derivative filter [s]
-    limit: () or (n,) largest |u|, None for none
-    kv [u s/y], ka [u s^2/y]: () or (n,), None for none; ka previews two samples
+    limit: () or (n,) largest |u| [unit of u]; None: no limit
+    kv: () or (n,) gain of the velocity feedforward [u s/y]; None: no such feedforward
+    ka: () or (n,) gain of the acceleration feedforward [u s^2/y]; None: no such feedforward. It
+        needs a preview of two samples.
     """
 
     kp: Leaf = leaf(default=0.0)
@@ -100,7 +109,7 @@ class PID(Scheme):
         return PIDState(integral, e, slope, u, r, None), u
 
     def _feedforward(self, state: PIDState, sample: Sample):
-        """(n,) f[k], or None where there is none."""
+        """The feedforward f[k] (n,), or None where there is no feedforward."""
         f, dt = None, sample.dt
         if self.kv is not None:
             f = self.kv * (sample.ahead[0] - sample.r) / dt

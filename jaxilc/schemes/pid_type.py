@@ -1,6 +1,4 @@
-"""P-, PD- and PID-type iterative learning control: the classical laws with a fixed learning
-gain.
-"""
+"""P-, PD- and PID-type learning, the classical laws with a fixed learning gain."""
 
 from __future__ import annotations
 
@@ -14,19 +12,20 @@ from .scheme import Feedforward, Scheme, advance, limit_of, limited, need_square
 
 @pytree
 class PIDType(Scheme):
-    """P-, PD- and PID-type learning:
+    """P-, PD- and PID-type learning (Cao 2019, section IV-D; Li 2020, eq. 2).
 
         u_{j+1}[k] = (1 - leak) u_j[k] + gamma_p e_j[k+1+m] + gamma_i sum_{i<=k} e_j[i+1]
                      + gamma_d (e_j[k+1+m] - e_j[k+m])
 
-    The gains are per sample, as Cao 2019 (section IV-D) and Li 2020 (eq. 2) print theirs.
-    `Filtered(scheme, filter)` adds the robustness filter: u_{j+1} = Q(u_j + L e_j). Errors and
-    differences that lie beyond the end of the trial count as zero.
+    The gains are per sample, as both papers print them. `Filtered(scheme, filter)` adds the
+    robustness filter: u_{j+1} = Q(u_j + L e_j). Errors and differences beyond the end of the trial
+    count as zero.
 
-    gamma_p, gamma_i, gamma_d: () or (n,) [unit of u per unit of y]
-    leak: () or (n,) forgetting in [0, 1)
-    lead: m, samples by which learning looks ahead beyond the one of u[k] -> y[k+1]
-    limit: () or (n,) largest |u| learned, None for none
+    gamma_p, gamma_i, gamma_d: () or (n,) learning gains [unit of u per unit of y]
+    leak: () or (n,) forgetting factor in [0, 1)
+    lead: m, samples of look-ahead of the learning beyond the one sample from u[k] to y[k+1]
+    limit: () or (n,) largest |u| that is learned [unit of u]; None: no limit
+    `check` raises ValueError for a lead that is not shorter than the trial.
     """
 
     gamma_p: Leaf = leaf(default=0.0)
@@ -60,7 +59,7 @@ class PIDType(Scheme):
 
 
 def need_lead(scheme, task: Task) -> None:
-    """Raises ValueError if the learning lead leaves nothing of the trial to learn from."""
+    """Raises ValueError unless the learning lead is shorter than the trial."""
     if scheme.lead >= task.N:
         raise ValueError(
             f"{type(scheme).__name__}: lead = {scheme.lead} is outside its allowed range [0, "

@@ -1,4 +1,4 @@
-"""What a scheme is: it acts within a trial and learns between trials."""
+"""The interface of a scheme, which acts within a trial and learns between trials."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from ..signals.task import Limit, Sample, Task, Trial
 
 Memory = Any
 State = Any
-STOPPED = 1e-30  # an estimator step that moves nothing
+STOPPED = 1e-30  # step of an estimator with which its estimate does not change
 
 
 class Feedforward(NamedTuple):
-    """The schedule of a scheme that only plays back what it learned. u: (N, n_u)"""
+    """The schedule of a scheme that only plays back its learned input u (N, n_u)."""
 
     u: jax.Array
 
 
 class Part(NamedTuple):
-    """A scheme that another one is made of, with the task and the memory that it sees."""
+    """A scheme that is a part of another scheme, with the task and the memory that it sees."""
 
     scheme: Scheme
     task: Task
@@ -33,7 +33,7 @@ class Part(NamedTuple):
 
 
 class _Unasked:
-    """Stands for a memory where nobody asks for it: each field and each element is it again."""
+    """A placeholder for a memory that is not used; each of its fields and elements is itself."""
 
     def __getattr__(self, name: str) -> _Unasked:
         if name.startswith("__"):
@@ -48,27 +48,29 @@ UNASKED: Any = _Unasked()
 
 
 class Scheme:
-    """A control scheme. Its weights are the fields of a `@pytree` class; a user's own scheme
-    subclasses this.
+    """A control scheme, whose weights are the fields of a `@pytree` class.
 
-    Between trials a `memory` is carried, which is any pytree; within a trial a `state`.
-    `schedule(memory, task)` gives the rows that `act` sees, one for each sample. Where it has a
-    field `u`, that is the learned feedforward input. Pure feedback overrides `initial_state` and
-    `act`; pure feedforward overrides `initial_memory` and `learn`.
+    A user's own scheme is a subclass. Between trials a `memory` is carried, which is any pytree;
+    within a trial a `state` is carried. `schedule(memory, task)` gives the rows that `act` sees,
+    one for each sample. If the schedule has a field `u`, that is the learned feedforward input.
+    Pure feedback overrides `initial_state` and `act`; pure feedforward overrides `initial_memory`
+    and `learn`.
 
-    A scheme that is made of schemes says so with `parts`, and with `shown` what each of them learns
-    from. Preparation, checks, limits and what a machine plays then follow from those of the parts.
+    A scheme that is composed of other schemes returns them from `parts`, and returns from `shown`
+    the trial from which each of them learns. Preparation, checks, limits and what a machine plays
+    then follow from those of the parts.
 
-    Theory reads off the program itself whether a scheme is linear and learns alike in every trial
-    (`theory.structure`). What it cannot read off, the scheme says: `estimator_steps` (see
-    `frozen`), `clips` (see `limits`), `compares`, `trials_a_step`, `play` and `record`.
+    `theory.structure` finds from the program itself whether a scheme is linear and whether it
+    learns in the same way in every trial. What cannot be found from the program, the scheme
+    declares: `estimator_steps` (see `frozen`), `clips` (see `limits`), `compares`, `trials_a_step`,
+    `play` and `record`.
 
     estimator_steps: fields that are the step of an estimator; with 0, nothing adapts
-    clips: fields that are a limit, which None takes away
+    clips: fields that are a limit; with None, there is no limit
     compares: fields that, unless they are 0, make `act` compare the output of the running trial
         with the one that `learn` was shown
-    preview: samples of the reference after k that `act` wants to see
-    trials_a_step: trials that are run before the scheme learns once
+    preview: number of samples of the reference after k that `act` needs
+    trials_a_step: number of trials that are run before the scheme learns once
     """
 
     # `@pytree` makes a dataclass of each subclass
@@ -85,7 +87,7 @@ class Scheme:
 
     @property
     def learns(self) -> bool:
-        """Whether anything is carried from trial to trial."""
+        """Whether the scheme carries anything from trial to trial."""
         return type(self).learn is not Scheme.learn
 
     @property
@@ -93,17 +95,17 @@ class Scheme:
         """Whether `act` only plays back the `u` of the schedule, whatever happens in the trial."""
         return type(self).act is Scheme.act
 
-    # What it is made of
+    # The schemes that it is composed of
     # ----------------------------------------------------------------------------------------------
 
     def parts(self, task: Task, memory: Memory) -> dict[str, Part]:
-        """The schemes that this one is made of, by the field that holds each: (scheme, task,
-        memory), with the task and the memory that the part sees.
+        """The schemes that this one is composed of, each with the task and the memory that it sees.
 
-        A plain scheme has none. Unless it is overridden, the parts are the fields that are schemes,
-        each with the same task and with the field of its name in the memory; a scheme for which the
-        memory has no field is left out, and override `parts` to have its limits seen. `memory` may
-        be a placeholder (`UNASKED`), so pick from it, and compute nothing.
+        They are named by the fields that hold them; a plain scheme has none. By default they are
+        all fields that are schemes, each with the same task and with the field of its name in the
+        memory. A scheme for which the memory has no such field is left out; override `parts` if its
+        limits shall count. `memory` may be the placeholder `UNASKED`: select from it, do not
+        compute with it.
         """
         return {
             name: Part(scheme, task, getattr(memory, name))
@@ -116,9 +118,7 @@ class Scheme:
         return dict.fromkeys(self._fields_that_are_schemes(), trial)
 
     def prepared(self, task: Task) -> Scheme:
-        """This scheme with what depends on its weights and the task alone worked out, once, outside
-        the scans; parts likewise.
-        """
+        """This scheme with all that depends on weights and task alone computed before the scans."""
         return self._with(
             {
                 name: scheme.prepared(seen)
@@ -127,8 +127,9 @@ class Scheme:
         )
 
     def frozen(self) -> Scheme:
-        """The linear law that this scheme starts as: estimators stopped at their start values,
-        rules of when to learn left out.
+        """The linear law with which this scheme starts.
+
+        Its estimators stay at their start values, and rules that decide when to learn are left out.
         """
         parts = {name: one.frozen() for name, one in self._fields_that_are_schemes().items()}
         steps = {name: getattr(self, name) for name in self.estimator_steps}
@@ -137,7 +138,7 @@ class Scheme:
         )
 
     def unlimited(self) -> Scheme:
-        """This scheme without the limits that it and its parts have."""
+        """This scheme without its limits and those of its parts."""
         parts = {name: one.unlimited() for name, one in self._fields_that_are_schemes().items()}
         return self._with(parts | dict.fromkeys(self.clips))
 
@@ -153,29 +154,30 @@ class Scheme:
     # ----------------------------------------------------------------------------------------------
 
     def check(self, task: Task) -> None:
-        """Raises ValueError where the scheme, or one of its parts, cannot do this task."""
+        """Raises ValueError where the scheme, or one of its parts, does not fit the task."""
         for scheme, seen, _ in self.parts(task, UNASKED).values():
             scheme.check(seen)
 
     def initial_memory(self, task: Task) -> Memory:
-        """What is known before the first trial."""
+        """The memory before the first trial."""
         return ()
 
     def learn(self, memory: Memory, trial: Trial) -> Memory:
-        """What is known after a trial, simulated or measured."""
+        """The memory after a simulated or measured trial."""
         return memory
 
     def schedule(self, memory: Memory, task: Task) -> Any:
         """The rows that `act` sees: a pytree of which each leaf has N rows, one for each sample.
 
-        Unless it is overridden, the feedforward alone where the memory has a field `u` (N, n_u),
-        else the memory as it is.
+        By default it is the feedforward alone where the memory has a field `u` (N, n_u), else the
+        memory itself.
         """
         return Feedforward(memory.u) if hasattr(memory, "u") else memory
 
     def feedforward(self, memory: Memory, task: Task) -> jax.Array:
-        """(N, n_u) the learned input that the next trial plays back. Raises ValueError for a scheme
-        that learns none.
+        """The learned input (N, n_u) that the next trial plays back.
+
+        Raises ValueError for a scheme that learns no input.
         """
         schedule = self.schedule(memory, task)
         if not hasattr(schedule, "u"):
@@ -190,22 +192,22 @@ class Scheme:
         return ()
 
     def act(self, state: State, sample: Sample) -> tuple[State, jax.Array]:
-        """The input u[k] (n_u,) and the state that goes with it."""
+        """The state after the sample k, and the input u[k] (n_u,) of this sample."""
         return state, sample.row.u
 
     def signals(self, state: State) -> dict[str, jax.Array]:
-        """Internal signals worth recording, read off the state after `act`."""
+        """Internal signals to record, by name, taken from the state after `act`."""
         return {}
 
     # For real machines and for theory
     # ----------------------------------------------------------------------------------------------
 
     def played(self, schedule: Any, task: Task) -> dict[str, jax.Array]:
-        """What a real machine is given of the schedule of a trial, by name, each (N, ...).
+        """The parts of the schedule that a real machine needs in a trial, by name, each (N, ...).
 
-        `u` of a scheme that only plays back. Of a scheme whose schedule has a field for each of its
-        parts, what each part plays, as `PART.NAME`. Else the rows that the controller needs to run
-        the law, as `table.NAME`.
+        For a scheme that only plays back, this is `u`. For a scheme whose schedule has a field for
+        each of its parts, it is what each part plays, as `PART.NAME`. Otherwise it is the rows that
+        the controller needs to compute the law, as `table.NAME`.
         """
         if self.plays_back and hasattr(schedule, "u"):
             return {"u": schedule.u}
@@ -218,10 +220,11 @@ class Scheme:
         return found
 
     def limits(self, task: Task, memory: Memory, trial: Trial) -> dict[str, Limit]:
-        """By name, what must stay within its bound for the limits of this scheme to change nothing.
+        """The signals that must stay within their bounds so that no limit has an effect, by name.
 
-        memory, trial: with which a trial was entered, and its record, under the `unlimited` scheme
-        A field `limit` is taken to be the largest |u| within a trial; a scheme that limits what it
+        memory: the memory before a trial of the `unlimited` scheme
+        trial: the record of this trial
+        By default a field `limit` is the largest |u| within a trial; a scheme that limits what it
         learns overrides this. The limits of a part are under its name.
         """
         own = limit_of(trial.u, getattr(self, "limit", None)) if "limit" in self.clips else {}
@@ -229,35 +232,32 @@ class Scheme:
         return own | limits_of_parts(parts, self.shown(trial) if parts else {})
 
     def play(self, learned, memory: Memory, task: Task) -> Any:
-        """The `schedule` of a trial that plays `learned` (of the shape of `feedforward`) in place
-        of what was learned.
-        """
+        """The `schedule` with `learned`, of the shape of `feedforward`, as the learned signal."""
         return self.schedule(memory, task)._replace(u=learned)
 
     def record(self, learned, e, task: Task) -> Trial:
-        """The record of a trial that played `learned` with the error e (N+1, n_y), as `learn` takes
-        it; a feedback added nothing.
+        """The record for `learn` of a trial that played `learned` with the error e (N+1, n_y).
+
+        A feedback contributed nothing in this trial.
         """
         r = jnp.asarray(task.reference)
         return Trial(r, r - e, learned, task.dt)
 
 
 def with_all_parts(scheme: Scheme, task: Task, memory: Memory = UNASKED) -> Iterator[Part]:
-    """The scheme, the schemes that it is made of, those that they are made of, and so on."""
+    """The scheme, its parts, the parts of these parts, and so on."""
     yield Part(scheme, task, memory)
     for part in scheme.parts(task, memory).values():
         yield from with_all_parts(*part)
 
 
 def under(name: str, found: dict[str, Any]) -> dict[str, Any]:
-    """What a part has by name, under the name of the part: `NAME.KEY`."""
+    """The entries of a part under the name of the part, as `NAME.KEY`."""
     return {f"{name}.{key}": value for key, value in found.items()}
 
 
 def need_square(scheme: Scheme, task: Task) -> None:
-    """Raises ValueError unless the task has as many inputs as outputs, which a scheme that works
-    channel by channel needs.
-    """
+    """Raises ValueError unless the task has as many inputs as outputs, one pair a channel."""
     if task.inputs != task.outputs:
         raise ValueError(
             f"{type(scheme).__name__} works channel by channel and needs as many inputs as "
@@ -267,17 +267,17 @@ def need_square(scheme: Scheme, task: Task) -> None:
 
 
 def limited(u, limit) -> jax.Array:
-    """u within +-limit; None is no limit."""
+    """The signal u, clipped to +-limit; with None there is no limit."""
     return u if limit is None else jnp.clip(u, -limit, limit)
 
 
 def limit_of(signal, bound) -> dict[str, Limit]:
-    """What `Scheme.limits` returns for a scheme of one field `limit`."""
+    """What `Scheme.limits` returns for a scheme that has one field `limit`."""
     return {} if bound is None else {"limit": Limit(signal, bound)}
 
 
 def limits_of_parts(parts: dict[str, Part], shown: dict[str, Trial]) -> dict[str, Limit]:
-    """The limits of each part, under its name. shown: the trial as each part acted in it"""
+    """The limits of each part under its name; `shown` is the trial as each part acted in it."""
     found = {}
     for name, (scheme, task, memory) in parts.items():
         found |= under(name, scheme.limits(task, memory, shown[name]))
@@ -285,12 +285,10 @@ def limits_of_parts(parts: dict[str, Part], shown: dict[str, Trial]) -> dict[str
 
 
 def advance(signal, samples: int) -> jax.Array:
-    """signal[k + samples] for k = 0..N-1, from a (N+1, n) signal; zero after the
-    trial.
-    """
+    """The rows signal[k + samples], k = 0..N-1, of a (N+1, n) signal; zero after the trial."""
     return jnp.pad(signal[samples:], ((0, samples - 1), (0, 0))) if samples else signal[:-1]
 
 
 def delay(signal, samples: int) -> jax.Array:
-    """signal[k - samples] of a (N, n) signal; zero before the trial."""
+    """The rows signal[k - samples], k = 0..N-1, of a (N, n) signal; zero before the trial."""
     return signal if samples == 0 else jnp.pad(signal, ((samples, 0), (0, 0)))[:-samples]

@@ -1,6 +1,4 @@
-"""Sliding mode control of a second-order servo, with a fixed and with an adaptive switching gain
-(Xu 2024, section 3).
-"""
+"""Sliding mode control with a fixed or an adaptive switching gain (Xu 2024, section 3)."""
 
 from __future__ import annotations
 
@@ -17,10 +15,17 @@ from .scheme import Scheme, limited, need_square
 
 
 class SlidingState(NamedTuple):
-    """total: (n,) sum of e so far, without dt, so that linearised loops stay well scaled
-    e, slope, r: (n,) error, its estimated rate and reference of the sample before;  r_before: (n,)
-    r[k-2]
-    sigma: (n,) sliding variable [y/s];  eta_hat: (n,) switching gain in force [y/s^2]"""
+    """The state of `SMC`, and of `ASMC`.
+
+    total: (n,) sum of e so far [y]; it does not contain dt, so that linearised loops are well
+        scaled
+    e: (n,) error of the sample before [y]
+    slope: (n,) estimated rate of that error [y/s]
+    r: (n,) reference of the sample before [y]
+    r_before: (n,) reference one sample earlier still, r[k-2] [y]
+    sigma: (n,) sliding variable [y/s]
+    eta_hat: (n,) present switching gain [y/s^2]
+    """
 
     total: jax.Array
     e: jax.Array
@@ -33,36 +38,41 @@ class SlidingState(NamedTuple):
 
 @pytree
 class SMC(Scheme):
-    """Integral sliding mode control with the nominal model y'' = -a1 y - a2 y' + b u (Xu 2024, eq.
-    5 to 9), channel by channel.
+    """Integral sliding mode control of a second-order servo (Xu 2024, eq. 5 to 9).
 
-        sigma = e' + lam1 e + lam2 int e,    e = y - r
+        y'' = -a1 y - a2 y' + b u,    e = y - r,    sigma = e' + lam1 e + lam2 int e
         u = (a1 y + a2 y' + r'' - lam1 e' - lam2 e - eta sgn(sigma) - k_n sigma) / b
 
-    e has the paper's sign, opposite to that of `Trial.e`. The model is given to the scheme and need
-    not be that of the plant. Reference and position are taken at the sample (`centre` = "sample",
-    as printed) or for the middle of the interval over which u[k] is held ("hold"), which takes out
-    the half sample by which the input otherwise acts late; for a stiffness a1 that is a disturbance
-    of a1 y' dt / 2:
+    Each channel has its own loop. e has the sign of the paper, opposite to that of `Trial.e`. The
+    nominal model is given to the scheme and may differ from the plant. Reference and position are
+    those at the sample (`centre` = "sample", as printed) or those in the middle of the interval
+    over which u[k] is held ("hold"). "hold" removes the delay of half a sample with which the input
+    otherwise acts; for a stiffness a1 this delay is a disturbance of a1 y' dt / 2:
 
         sample: r' = (r[k+1] - r[k-1]) / (2 dt),  r'' = (r[k+1] - 2 r[k] + r[k-1]) / dt^2,  y = y[k]
         hold:   r' = (r[k+1] - r[k]) / dt,  r'' = 3/2 of that now - 1/2 of that before,
                 y = (r[k+1] + r[k]) / 2 + e + e' dt / 2
 
-    e' is a `filtered_difference` of e with time constant tau, late by tau + dt / 2, and y' = r' +
-    e': as the reference is known, only the velocity of the error is late. No observer on the
-    nominal model: under `WithFeedback` it would not know the learned part of u. int e is dt
-    sum_{i<=k} e[i]. Before the first sample e = 0, and the reference rests at its first value;
-    after the trial it rests at its last. Where u would pass `limit`, the integral stops unless the
-    error drives it back. sgn(0) = 0; the gradient through sgn is zero, that by eta is not.
+    e' is the `filtered_difference` of e with time constant tau, which has a delay of tau + dt / 2,
+    and y' = r' + e'. Since the reference is known, only the velocity of the error is delayed. There
+    is no observer with the nominal model, because under `WithFeedback` it would not know the
+    learned part of u. int e is dt sum_{i<=k} e[i]. Before the first sample e = 0, and the reference
+    has its first value; after the trial it has its last value. Where u would exceed `limit`, the
+    integration stops unless the error drives u back. sgn(0) = 0. The gradient through sgn is zero;
+    the gradient with respect to eta is not.
 
-    a1 [1/s^2], a2 [1/s], b [y/(u s^2)]: of the nominal model, b not 0
-    eta: switching gain, above the disturbance [y/s^2];  k_n: reaching rate [1/s]
-    lam1 [1/s], lam2 [1/s^2]: of sigma
-    tau: time constant of the estimated velocity [s];  limit: largest |u|, None for none
-    All are () or (n,). eta and k_n are not printed: the defaults suit the paper's servo, in um.
-    The signals `sigma` and `eta_hat` of the trial record
-    the sliding variable and the switching gain.
+    a1: stiffness of the nominal model [1/s^2]
+    a2: damping of the nominal model [1/s]
+    b: input gain of the nominal model, not 0 [y/(u s^2)]
+    eta: switching gain, larger than the disturbance [y/s^2]
+    k_n: reaching rate [1/s]
+    lam1, lam2: weights of sigma [1/s], [1/s^2]
+    tau: time constant of the estimated velocity [s]
+    limit: largest |u| [unit of u]; None: no limit
+    centre: `sample` or `hold`, see above
+    All but `centre` are () or (n,). The paper does not print eta and k_n; the defaults suit the
+    servo of the paper with y in um.
+    The signals `sigma` and `eta_hat` of the trial record the sliding variable and switching gain.
     Raises ValueError for b = 0, or a task with another number of inputs than outputs.
     """
 
@@ -111,11 +121,11 @@ class SMC(Scheme):
         return {"sigma": state.sigma, "eta_hat": state.eta_hat}
 
     def switching(self, sigma) -> jax.Array:
-        """(n,) sgn(sigma), or what takes its place."""
+        """The switching function of sigma, as (n,): sgn(sigma) unless a subclass overrides it."""
         return jnp.sign(sigma)
 
     def _equivalent(self, e, slope, state: SlidingState, sample: Sample):
-        """(n,) b u_eq (eq. 8) [y/s^2]"""
+        """The equivalent control b u_eq (eq. 8), as (n,) [y/s^2]."""
         r, following, dt = sample.r, sample.ahead[0], sample.dt
         acceleration = (following - 2 * r + state.r) / dt**2
         if self.centre == "sample":
@@ -135,49 +145,51 @@ class SMC(Scheme):
         return (wanted - eta_hat * self.switching(sigma) - self.k_n * sigma) / self.b
 
     def _start(self, state: SlidingState, sample: Sample):
-        """(n,) switching gain before it adapts."""
+        """The switching gain (n,) before it adapts."""
         return state.eta_hat
 
     def _adapted(self, eta_hat, e, sigma, dt):
-        """(n,) switching gain for this sample."""
+        """The switching gain (n,) for this sample."""
         return eta_hat
 
 
 class Carried(NamedTuple):
-    """eta_hat: (n,) with which the next trial starts"""
+    """The memory of `ASMC` with `carry`: eta_hat (n,), with which the next trial starts."""
 
     eta_hat: jax.Array
 
 
 class CarriedRows(NamedTuple):
-    """eta_hat: (N, n) the gain to start with in its first row, then zero"""
+    """The schedule of `ASMC` with `carry`: the start gain in row 0 of eta_hat (N, n), then zero."""
 
     eta_hat: jax.Array
 
 
 @pytree
 class ASMC(SMC):
-    """`SMC` with an adaptive switching gain, a dead zone and a boundary layer (Xu 2024, eq. 10 to
-    13):
+    """`SMC` with adaptive switching gain, dead zone and boundary layer (Xu 2024, eq. 10 to 13).
 
         eta_hat' = phi |sigma| while |e| > epsilon, else 0
-        sgn(sigma) -> sat(sigma / Delta) = sigma / Delta for |sigma| <= Delta
+        sgn(sigma) -> sat(sigma / Delta) = sigma / Delta for |sigma| <= Delta, else sgn(sigma)
 
-    and sgn(sigma) beyond (eq. 13; the sentence below it has inside and outside the layer
-    exchanged). So within the layer the loop is linear if phi = 0, with k_n + eta / Delta for k_n.
-    eta_hat[k] = eta_hat[k-1] + dt phi |sigma[k]| acts at once. It never falls; where u would pass
-    `limit` it waits, as a larger gain would change nothing. Sampled, the loop is stable about as
-    long as lam1 + k_n + eta_hat / Delta < 2 / dt, less with a large lam1 tau; beyond, the
-    oscillation feeds the adaptation, and eta_hat runs away. The gradient of sat by sigma is 1 /
-    Delta within the layer and zero beyond; of the dead zone's switching by epsilon it is zero.
+    The sentence below eq. 13 has inside and outside of the layer exchanged. If phi = 0, the loop is
+    linear within the layer, with k_n + eta / Delta in place of k_n. The gain
+    eta_hat[k] = eta_hat[k-1] + dt phi |sigma[k]| acts at the same sample. It never decreases. Where
+    u would exceed `limit` it does not change, as a larger gain would have no effect. The sampled
+    loop is stable approximately for lam1 + k_n + eta_hat / Delta < 2 / dt; with a large lam1 tau
+    the bound is lower. Above it, the oscillation drives the adaptation, and eta_hat grows without
+    bound. The gradient of sat with respect to sigma is 1 / Delta within the layer and zero outside;
+    the gradient of the switching of the dead zone with respect to epsilon is zero.
 
-    eta: start value of eta_hat;  phi: rate of adaptation [1/s^2]
-    epsilon: dead zone [y];  Delta: boundary layer > 0 [y/s]
-    carry: whether a trial goes on with the eta_hat that the one before left. The paper's proof
-        needs that it does not: only if each trial starts with the same eta_hat is w_{k+1} - w_k = 0
-        under a repetitive disturbance (eq. 37).
-    Raises ValueError as `SMC` does, and from `learn` for a trial without the signal eta_hat if it
-    is to be carried.
+    eta: () or (n,) start value of eta_hat [y/s^2]
+    phi: () or (n,) rate of adaptation [1/s^2]
+    epsilon: () or (n,) dead zone [y]
+    Delta: () or (n,) boundary layer > 0 [y/s]
+    carry: whether a trial starts with the last eta_hat of the trial before. The proof in the paper
+        requires that it does not: w_{k+1} - w_k = 0 under a repetitive disturbance (eq. 37) only
+        if each trial starts with the same eta_hat.
+    Raises ValueError as `SMC` does. With `carry`, `learn` raises it for a trial without the signal
+    eta_hat.
     """
 
     eta: Leaf = leaf(default=0.0, interval="[0, inf)")
@@ -238,16 +250,20 @@ def need_input_gain(scheme) -> None:
 
 
 def filtered_difference(slope, x, x_last, tau, dt) -> jax.Array:
-    """One step of the backward difference behind a first-order low-pass: d/dt -> s / (tau s + 1) at
-    s = (1 - z^-1) / dt.
+    """One step of the backward difference with a first-order low-pass filter.
 
         slope' = (tau slope + x - x_last) / (tau + dt),    H(z) = (1 - z^-1) / (tau + dt - tau z^-1)
 
-    Once settled, a ramp is estimated exactly; slow signals are late by tau + dt / 2; at a frequency
-    w the amplitude is |H| / w = |sin(w dt / 2)| / (w dt / 2) / |1 + tau (1 - z^-1) / dt|. White
-    noise of standard deviation q in x, as rounding to a resolution of sqrt(12) q is, becomes q
-    sqrt(2 / ((tau + dt) (2 tau + dt))) in the slope.
-    slope: (n,) of the sample before [x/s];  x, x_last: (n,) signal now and a sample before;  tau:
-    () or (n,) >= 0 [s];  dt: [s]
+    This is s / (tau s + 1) with s = (1 - z^-1) / dt. In the steady state the slope of a ramp is
+    exact. Slow signals have a delay of tau + dt / 2. At a frequency w the relative amplitude is
+    |H| / w = |sin(w dt / 2)| / (w dt / 2) / |1 + tau (1 - z^-1) / dt|. White noise of standard
+    deviation q in x, such as rounding to a resolution of sqrt(12) q, becomes noise of standard
+    deviation q sqrt(2 / ((tau + dt) (2 tau + dt))) in the slope.
+
+    slope: (n,) slope at the sample before [x/s]
+    x: (n,) signal now [x]
+    x_last: (n,) signal at the sample before [x]
+    tau: () or (n,) >= 0, time constant [s]
+    dt: () sample time [s]
     """
     return (tau * slope + x - x_last) / (tau + dt)

@@ -1,4 +1,4 @@
-"""A scheme around another scheme."""
+"""The base class of a scheme that is put around another scheme."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ from .scheme import UNASKED, Part, Scheme
 
 
 class Wrapper(Scheme):
-    """A scheme put around another, its field `scheme`, that does as that one does except for what
-    it overrides.
+    """A scheme around another scheme, which behaves like it except for what the wrapper overrides.
 
-    A wrapper whose inner scheme sees another task, or keeps another memory, says so in `parts`, and
-    all that is done within a trial follows. A wrapper whose inner scheme learns from another trial
-    says so in `shown`.
+    scheme: the inner scheme
+
+    A wrapper whose inner scheme sees another task, or has another memory, overrides `parts`; what
+    is done within a trial follows from that. A wrapper whose inner scheme learns from another trial
+    overrides `shown`.
     """
 
     scheme: Scheme

@@ -1,1 +1,1 @@
-"""Files that are whole or not there, files with checksums, and careful reading of other files."""
+"""Files that are written completely or not at all, files with checksums, and safe reading."""

@@ -1,4 +1,4 @@
-"""A Zarr store in a folder, in which every value is whole and on the disk before the next one."""
+"""A Zarr store in a folder that writes each value completely to the disk before the next one."""
 
 from __future__ import annotations
 
@@ -12,14 +12,17 @@ from .files import atomically, to_disk
 
 
 class DurableStore(LocalStore):
-    """After a power failure, Zarr's own store may have the mark of a chunk without its numbers."""
+    """A local Zarr store that is consistent after a power failure.
+
+    After a power failure, Zarr's own store may have the mark of a chunk without its numbers.
+    """
 
     async def set(self, key: str, value: Buffer) -> None:
         await asyncio.to_thread(write_file, self.root, key, value.to_bytes())
 
 
 def write_file(root: Path, key: str, content: bytes) -> None:
-    """Write a file below a folder, with the folders between them, and bring all to the disk."""
+    """Write a file below a folder to the disk, and make the folders between them if needed."""
     path = root / key
     made = [folder for folder in path.parents if not folder.exists()]
     path.parent.mkdir(parents=True, exist_ok=True)

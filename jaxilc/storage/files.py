@@ -1,9 +1,10 @@
-"""Files and folders that are whole or not there, whenever the process is killed or the power fails.
+"""Writing of files and folders completely or not at all, also if the process is killed.
 
-What is written has another name first, `.unfinished-...` in the same folder, and is renamed when it
-is on the disk. As long as a process writes there, it holds a lock on that name. A name without a
-lock was left by a process that was killed, and whoever writes into the folder next removes it.
-Where a file system cannot lock, such as a folder on NFS, nothing is removed and nothing is refused.
+The same holds if the power fails. A file or folder first has a temporary name, `.unfinished-...` in
+the same folder, and is renamed when it is on the disk. While a process writes, it holds a lock on
+the temporary name. A temporary name without a lock was left by a process that was killed; the next
+process that writes into the folder removes it. Where a file system cannot lock, such as a folder on
+NFS, nothing is removed and nothing is refused.
 """
 
 from __future__ import annotations
@@ -19,17 +20,20 @@ from typing import BinaryIO
 
 try:
     import fcntl
-except ImportError:  # Windows has other locks; there, nothing is removed and nothing is refused
+except ImportError:  # Windows has no fcntl; there, nothing is removed and nothing is refused
     fcntl = None
 
 UNFINISHED = ".unfinished-"
-STREAMS = ("/dev/std", "/dev/fd/", "/proc/")  # names of what the process has open already
+STREAMS = ("/dev/std", "/dev/fd/", "/proc/")  # names of files that the process has open already
 
 
 def atomically(path: str | Path, write: Callable[[BinaryIO], object]) -> None:
-    """Write a file whole or not at all; `write` is given the open file. A link is followed.
+    """Write a file completely or not at all.
 
-    A pipe or a device, which cannot be replaced, is written to directly.
+    path: file to write; a link is followed
+    write: function that is called with the open file
+
+    A pipe or a device cannot be replaced and is written to directly.
     """
     path = Path(path)
     if (path.exists() and not path.is_file()) or str(path.absolute()).startswith(STREAMS):
@@ -48,10 +52,11 @@ def atomically(path: str | Path, write: Callable[[BinaryIO], object]) -> None:
 
 @contextlib.contextmanager
 def whole_folder(path: str | Path, *, replace: bool = False) -> Generator[Path]:
-    """A folder to fill, which gets its name when the block ends well. Folders above it are made.
+    """A context with a folder to fill, which gets its name when the block ends without an error.
 
-    replace: put it in place of the folder that has the name, which is removed
-    Raises FileExistsError where something else has the name by then.
+    path: name of the folder; folders above it are made if needed
+    replace: whether a folder that has this name already is replaced
+    Raises FileExistsError where the name exists at that time and is not to be replaced.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -74,7 +79,10 @@ def whole_folder(path: str | Path, *, replace: bool = False) -> Generator[Path]:
 
 @contextlib.contextmanager
 def only_one(folder: str | Path) -> Generator[None]:
-    """Keep a folder to this process. Raises ValueError where another process is at work in it."""
+    """A context in which only this process uses a folder.
+
+    Raises ValueError if another process uses the folder.
+    """
     try:
         lock = _locked(Path(os.path.realpath(folder)))
     except BlockingIOError:
@@ -87,7 +95,10 @@ def only_one(folder: str | Path) -> Generator[None]:
 
 
 def remove_leftovers(folder: Path) -> None:
-    """Remove what processes that were killed left in a folder. What is being written stays."""
+    """Remove the unfinished files that killed processes left in a folder.
+
+    Files that a process is writing are kept.
+    """
     for left in folder.glob(f"*{UNFINISHED}*"):
         with contextlib.suppress(BlockingIOError):  # another process is writing there
             lock = _locked(left)
@@ -97,9 +108,9 @@ def remove_leftovers(folder: Path) -> None:
 
 
 def to_disk(path: Path) -> None:
-    """Bring a file, or the names in a folder, to the disk."""
+    """Force a file, or the names in a folder, to the disk."""
     if path.is_dir() and not hasattr(os, "O_DIRECTORY"):
-        return  # the system opens no folders
+        return  # this operating system cannot open folders
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -109,12 +120,15 @@ def to_disk(path: Path) -> None:
 
 @contextlib.contextmanager
 def _aside(folder: Path, make: Callable[[Path], object]) -> Generator[Path]:
-    """A name of our own in a folder, made and locked; what still has it at the end is removed."""
+    """A context with a new, locked temporary name in a folder.
+
+    A file or folder that still has this name at the end is removed.
+    """
     remove_leftovers(folder)
     while True:
         name = folder / f"{UNFINISHED}{os.getpid()}-{secrets.token_hex(4)}"
         make(name)
-        with contextlib.suppress(BlockingIOError):  # another process took it for a leftover
+        with contextlib.suppress(BlockingIOError):  # another process is about to remove it
             lock = _locked(name)
             if name.exists():
                 break
@@ -127,13 +141,13 @@ def _aside(folder: Path, make: Callable[[Path], object]) -> Generator[Path]:
 
 
 def _locked(path: Path) -> int | None:
-    """A descriptor that locks a file or folder until it is closed; None where there is no lock.
+    """A descriptor that locks a file or folder until it is closed; None where there are no locks.
 
     Raises BlockingIOError where another process, or another place in this one, holds the lock.
     """
     if fcntl is None:
         return None
-    try:  # a lock on NFS needs a file that may be written to; a pipe must not make us wait
+    try:  # a lock on NFS needs a file open for writing; opening a pipe must not block
         access = os.O_RDONLY if path.is_dir() else os.O_RDWR
         descriptor = os.open(path, access | os.O_NOFOLLOW | os.O_NONBLOCK)
     except OSError:

@@ -1,13 +1,13 @@
 """Reading .mat files of MATLAB 5 to 7 (-v6, -v7): arrays of real numbers, and structures of text.
 
-A trial has nothing else. SciPy's reader believes the sizes that a file declares and takes RAM for
-them. Here everything is checked against the bytes that are there, and what a compressed element
-unpacks to is bounded, so that a damaged file raises ValueError and nothing else.
+A file of a trial needs nothing else. SciPy's reader trusts the sizes that a file declares, and
+allocates RAM for them. Here each size is checked against the bytes in the file, and the size of an
+unpacked element is limited. So a damaged file raises ValueError and nothing else.
 
-    file:     128 bytes of header, the last two of which tell the order of bytes, then elements
-    element:  type and size, 4 bytes each, then data up to a multiple of 8 bytes; or type and size
-              in 2 bytes each, then up to 4 bytes of data
-    array:    an element of elements: flags, dimensions, name, then what its class needs
+    file:     128 bytes of header, whose last two bytes give the byte order, then elements
+    element:  type and size, 4 bytes each, then data, padded to a multiple of 8 bytes; or type and
+              size in 2 bytes each, then up to 4 bytes of data
+    array:    an element that consists of elements: flags, dimensions, name, then those of its class
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import numpy as np
 from ..pytree.ranges import brief
 from .reading import read_bytes
 
-ROOM = 64_000_000  # bytes of a file, and of what it unpacks to, unless more is asked for
+ROOM = 64_000_000  # default of the largest number of bytes of a file, packed or unpacked
 HEADER, ARRAY, COMPRESSED = 128, 14, 15
 STORED = {
     1: "i1",
@@ -40,23 +40,25 @@ STORED = {
 }  # types of elements
 TEXTS = {1: "utf-8", 2: "utf-8", 4: "utf-16", 16: "utf-8", 17: "utf-16", 18: "utf-32"}
 STRUCTURE, TEXT, OBJECT, NUMBERS = 2, 4, 17, range(6, 16)  # classes of arrays
-COMPLEX = 0x08  # among the flags
+COMPLEX = 0x08  # bit of the flags
 
 
 @dataclasses.dataclass(frozen=True)
 class Other:
-    """What is no array of real numbers, no text and no structure. said: what it is instead"""
+    """A value that is no array of real numbers, no text and no structure; `said` describes it."""
 
     said: str
 
 
 def read_mat(path: str | Path, room: int = ROOM) -> dict[str, Any]:
-    """The variables of a file by name.
+    """The variables of a file, by name.
 
     They are arrays of numbers with two dimensions or more, text, structures as dictionaries, and
     `Other`.
-    Raises ValueError, naming the file, for one of another version, a damaged one, and one that
-    unpacks to more than `room` bytes.
+
+    room: largest number of bytes of the file, and of its unpacked content
+    Raises ValueError, naming the file, for a file of another version, a damaged file, and a file
+    that needs more than `room` bytes.
     """
     content = read_bytes(path, room)
     mark = content[HEADER - 2 : HEADER]
@@ -75,7 +77,7 @@ def read_mat(path: str | Path, room: int = ROOM) -> dict[str, Any]:
                 left -= len(unpacked)
                 kind, data = next(_elements(memoryview(unpacked), order), (0, data))
             name, value = _array(data, order) if kind == ARRAY else ("", None)
-            if name:  # MATLAB adds an array of its own without one
+            if name:  # MATLAB adds an array of its own that has no name
                 found[name] = value
     except (ValueError, zlib.error) as error:
         raise ValueError(f"{path} is damaged or no MATLAB file: {error}") from None
@@ -93,13 +95,13 @@ def _unpacked(data: memoryview, room: int) -> bytes:
 
 
 def _elements(data: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
-    """Type and data of each element."""
+    """The type and the data of each element."""
     at = 0
     while at < len(data):
         if at + 8 > len(data):
             raise ValueError("it ends within an element's size")
         first, size = (int(x) for x in np.frombuffer(data, order + "u4", 2, at))
-        if first >> 16:  # a small one
+        if first >> 16:  # a small element
             kind, size, start, after = first & 0xFFFF, first >> 16, at + 4, at + 8
             if size > 4:
                 raise ValueError(f"a small element of {size} bytes")
@@ -113,7 +115,7 @@ def _elements(data: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
 
 
 def _array(data: memoryview, order: str, depth: int = 0) -> tuple[str, Any]:
-    """Name and value of an array."""
+    """The name and the value of an array."""
     parts = _elements(data, order)
     flags = int(_need(parts, order, "flags", "iu")[0])
     kind = flags & 0xFF
@@ -144,7 +146,11 @@ def _array(data: memoryview, order: str, depth: int = 0) -> tuple[str, Any]:
 def _need(parts: Iterator[tuple[int, memoryview]], order: str, what: str, kinds: str) -> np.ndarray:
     """The numbers of the next element.
 
-    kinds: those that are allowed, whole numbers `iu`, fractions `f`, single bytes `S`
+    parts: the elements that are left
+    order: byte order, `<` or `>`
+    what: name of the element, for messages
+    kinds: allowed types: whole numbers `iu`, floating-point numbers `f`, single bytes `S`
+    Raises ValueError if the element is missing, of another type, or of a wrong size.
     """
     kind, data = next(parts, (0, memoryview(b"")))
     dtype = np.dtype(order + STORED.get(kind, "i1"))

@@ -1,4 +1,4 @@
-"""Text that is safe to print: what a terminal would act on, such as a colour code, is escaped."""
+"""Text that is safe to print, in which control characters, such as colour codes, are escaped."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import unicodedata
 
 
 def printable(text: str) -> str:
-    """The text; what cannot be printed is escaped as Python does it, except for line ends."""
+    """The text with Python's escapes for characters that cannot be printed, except line ends."""
     return "".join(
         c if c == "\n" or c.isprintable() or unicodedata.category(c) == "Zs" else _written(c)
         for c in text

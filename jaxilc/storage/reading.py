@@ -1,8 +1,8 @@
-"""Files from outside, read so that none can block the process or fill its RAM.
+"""Safe reading of files from outside, which cannot block the process or fill its RAM.
 
-Only a regular file of a bounded size is read, as text, as a tree (TOML, JSON) or as columns. What
-is wrong with it is a ValueError that names the file; a file that is not there, or may not be read,
-is an OSError.
+Only regular files of a limited size are read: as text, as a tree (TOML, JSON) or as columns. An
+error in the content raises ValueError, which names the file. A file that does not exist, or may not
+be read, raises OSError.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from typing import Any
 BLOCK = 2**24  # bytes
 LARGEST_TREE = 16_000_000  # bytes of a TOML or JSON file
 LARGEST_TABLE = 256_000_000  # bytes of a file of columns
-DEEPEST = 32  # tables and lists within one another
+DEEPEST = 32  # largest number of levels of nested tables and lists
 PARSERS = {".toml": tomllib.loads, ".json": json.loads}
 _HEADING = re.compile(r"^([^\[\]]+?)\s*(?:\[([^\[\]]*)\])?$")
 
 
 def read_bytes(path: str | Path, largest: int) -> bytes:
-    """All of a file.
+    """The whole content of a file.
 
     Raises ValueError for a device, a pipe, a folder, and a file of more bytes than `largest`.
     """
-    # without waiting: to open a pipe would wait for whoever writes to it
+    # non-blocking: otherwise, to open a pipe would wait for a process that writes to it
     descriptor = os.open(
         path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     )
@@ -43,7 +43,7 @@ def read_bytes(path: str | Path, largest: int) -> bytes:
         )
     content = bytearray()
     with open(descriptor, "rb") as file:
-        # block by block, since a single read would take RAM for all that is allowed
+        # block by block, since a single read would allocate RAM for the largest allowed size
         while block := file.read(BLOCK):
             content += block
             if len(content) > largest:
@@ -52,9 +52,9 @@ def read_bytes(path: str | Path, largest: int) -> bytes:
 
 
 def read_text(path: str | Path, largest: int) -> str:
-    """All of a text file in UTF-8, with or without a byte order mark.
+    """The whole text of a file in UTF-8, with or without a byte order mark.
 
-    Raises as `read_bytes`, and ValueError for what is no text.
+    Raises as `read_bytes`, and ValueError for a file that is not text.
     """
     try:
         return read_bytes(path, largest).decode("utf-8-sig")
@@ -66,8 +66,9 @@ def read_text(path: str | Path, largest: int) -> str:
 
 
 def read_tree(path: str | Path, kind: str | None = None) -> Any:
-    """What a TOML or JSON file says. kind: `.toml` or `.json`, None to go by its name
+    """The content of a TOML or JSON file as dictionaries, lists and values.
 
+    kind: `.toml` or `.json`; None: the suffix of the file
     Raises as `read_text`, and ValueError for a file of another kind, or one nested too deeply.
     """
     parser = PARSERS.get(kind or Path(path).suffix)
@@ -77,9 +78,10 @@ def read_tree(path: str | Path, kind: str | None = None) -> Any:
 
 
 def tree_of(text: str, parser: Callable[[str], Any], source: Any) -> Any:
-    """What a text in TOML or JSON says.
+    """The content of a text in TOML or JSON as dictionaries, lists and values.
 
-    source: where it is from, for messages
+    parser: function that reads the text
+    source: origin of the text, for messages
     Raises ValueError for a text that the parser refuses, or that is nested too deeply.
     """
     try:
@@ -110,9 +112,9 @@ def _too_deep(source) -> Any:
 def read_columns(path: str | Path) -> tuple[list[str], Iterator[tuple[int, list[str]]]]:
     """The header of a text file of columns, and its rows that are not empty, with line numbers.
 
-    The rows come one after another. Columns are separated by semicolons where the header has one,
-    else by tabs where it has one, else by commas.
-    Raises as `read_text`, and ValueError, also while rows are taken, for a line that is no row.
+    The rows are an iterator. Columns are separated by semicolons if the header contains one, else
+    by tabs if it contains one, else by commas.
+    Raises as `read_text`, and ValueError, also during the iteration, for a line that is not a row.
     """
     text = read_text(path, LARGEST_TABLE)
     head = text[: text.find("\n") + 1 or len(text)]
@@ -136,16 +138,17 @@ def read_columns(path: str | Path) -> tuple[list[str], Iterator[tuple[int, list[
 
 
 def name_and_unit(heading: str) -> tuple[str, str | None]:
-    """The parts of a column's heading: `y [mm]` is y in mm, `y` is y without a declared unit, None.
+    """The name and the unit in the heading of a column, such as `y [mm]`.
 
-    The name is empty where the heading is none of these.
+    The unit is None where the heading has none, such as `y`. The name is empty where the heading
+    has neither of these forms.
     """
     found = _HEADING.match(heading)
     return (found[1], found[2]) if found else ("", None)
 
 
 def numbers_in(row: list[str], at: Sequence[int]) -> list[float]:
-    """The numbers of a row in the columns `at`; NaN for a cell that is missing or no number."""
+    """The numbers of a row in the columns `at`; NaN for a cell that is missing or not a number."""
     return [_number(row[i]) if i < len(row) else math.nan for i in at]
 
 

@@ -1,7 +1,7 @@
-"""Strict JSON, and JSON and arrays with a checksum of their bytes, so that damage is found.
+"""Strict JSON, and JSON and arrays with a checksum of their bytes, so that damage is detected.
 
-JSON has no numbers that are not finite. They stand there as the strings "Infinity", "-Infinity" and
-"NaN", which `float` understands, and `read_json` gives them back as numbers.
+JSON has no numbers that are not finite. They are written as the strings "Infinity", "-Infinity" and
+"NaN", which `float` understands, and `read_json` returns them as numbers.
 """
 
 from __future__ import annotations
@@ -22,31 +22,34 @@ from .reading import read_bytes, read_tree
 NOT_FINITE = {"Infinity": math.inf, "-Infinity": -math.inf, "NaN": math.nan}
 SEAL = "sha256"
 LARGEST_ARCHIVE = 2**36  # bytes
-LENGTH = 2  # bytes in which a zip archive says how long its comment is, which comes last
+LENGTH = 2  # number of bytes for the length of the comment, which is at the end of a zip archive
 
 
 class Damaged(ValueError):
-    """A file that is not as it was written."""
+    """The error for a file whose content is not as it was written."""
 
 
 def json_text(value: Any) -> str:
-    """The value as strict JSON, a line for each entry."""
+    """The value as strict JSON with one line for each entry."""
     return json.dumps(_strict(value), indent=1, allow_nan=False) + "\n"
 
 
 def as_json(value: Any) -> Any:
-    """The value as it reads from a file of strict JSON."""
+    """The value as it would be read from a file of strict JSON."""
     return json.loads(json_text(value))
 
 
 def write_json(path: str | Path, value: Any) -> None:
-    """Write a file of strict JSON, whole or not at all."""
+    """Write a file of strict JSON completely or not at all."""
     text = json_text(value).encode()
     atomically(path, lambda file: file.write(text))
 
 
 def read_json(path: str | Path) -> Any:
-    """The value in a file of JSON. Raises Damaged naming a file that holds none, OSError."""
+    """The value in a file of JSON.
+
+    Raises Damaged, naming the file, for a file that is not JSON, and OSError.
+    """
     try:
         return _with_numbers(read_tree(path, ".json"))
     except ValueError as error:
@@ -54,12 +57,15 @@ def read_json(path: str | Path) -> Any:
 
 
 def sealed(content: Mapping[str, Any]) -> dict[str, Any]:
-    """The content as strict JSON has it, with a checksum of it."""
+    """The content as it is in strict JSON, with its checksum."""
     return {**as_json(content), SEAL: _sha256(json_text(content).encode())}
 
 
 def unsealed(found: Any) -> dict[str, Any]:
-    """What `sealed` was given. Raises Damaged where the checksum is missing or another one."""
+    """The content that was given to `sealed`.
+
+    Raises Damaged where the checksum is missing or does not agree with the content.
+    """
     seal = found.get(SEAL) if isinstance(found, dict) else None
     content = {name: of for name, of in found.items() if name != SEAL} if seal else {}
     if seal is None:
@@ -70,7 +76,7 @@ def unsealed(found: Any) -> dict[str, Any]:
 
 
 def archive(arrays: Mapping[str, Any]) -> bytes:
-    """A .npz file that holds a checksum of itself, as the comment of the archive."""
+    """The bytes of a .npz file with its own checksum as the comment of the archive."""
     file, named = io.BytesIO(), {name: np.asarray(value) for name, value in arrays.items()}
     np.savez(file, **cast(dict[str, Any], named))
     whole = file.getvalue()
@@ -79,9 +85,10 @@ def archive(arrays: Mapping[str, Any]) -> bytes:
 
 
 def read_arrays(path: str | Path, *, checked: bool = True) -> dict[str, np.ndarray]:
-    """The arrays of a file that `archive` made. Raises Damaged naming what is wrong, OSError.
+    """The arrays of a file that `archive` made.
 
-    checked: False takes a .npz file without a checksum as well
+    checked: whether the file must have a checksum; False also accepts other .npz files
+    Raises Damaged, naming the defect, for a file that is damaged, and OSError.
     """
     try:
         found = read_bytes(path, LARGEST_ARCHIVE)
@@ -95,7 +102,7 @@ def read_arrays(path: str | Path, *, checked: bool = True) -> dict[str, np.ndarr
     try:
         with np.load(io.BytesIO(found), allow_pickle=False) as arrays:
             return dict(arrays)
-    except Exception as error:  # what NumPy and zipfile make of bytes that are no archive
+    except Exception as error:  # NumPy and zipfile raise various errors for a damaged archive
         raise Damaged(f"{path} is damaged: it holds no arrays ({error})") from None
 
 

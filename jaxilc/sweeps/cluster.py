@@ -1,11 +1,11 @@
 """A sweep over many hosts: workers of a Dask cluster compute its chunks.
 
-The calling process alone writes them. Dask may run on SLURM, Kubernetes, over SSH, or in two
-shells. The scheduler and all workers need this package and the modules of the user's own classes;
-they share no files. A chunk whose worker dies is computed again by another one.
+Only the calling process writes them to the store. Dask may run on SLURM, Kubernetes, over SSH, or
+in two shells. The scheduler and all workers need this package and the modules of the user's own
+classes, but no shared files. A chunk whose worker dies is computed again by another one.
 
-The workers must be alike, see `worker`. If they are, and their processors are of one kind, the
-dataset is the one that such a host makes alone, bit for bit.
+All workers must have the same environment, see `worker`. If their processors are of one kind as
+well, the dataset equals the one that a single such host computes, bit for bit.
 """
 
 from __future__ import annotations
@@ -29,26 +29,26 @@ from .worker import Found, UnlikeWorkers, call_host, common_environment, describ
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-PATIENCE = 30.0  # seconds until a scheduler must have answered
-# seconds until a first worker must have joined: on many nodes at once, Python starts slowly
+PATIENCE = 30.0  # seconds within which a scheduler must answer
+# Seconds within which a first worker must join: Python starts slowly on many nodes at once.
 ARRIVAL = 120.0
-AHEAD = 2  # chunks given to each worker: one that it computes, and the one after it
+AHEAD = 2  # chunks given to each worker: the one that it computes, and the next one
 LARGE = "1GB"  # size of a pickled plan above which Dask warns, in place of its usual 10 MB
 
 
 class ChunkFailed(RuntimeError):
-    """A chunk that no worker could compute. What was finished before is in the store."""
+    """A chunk could not be computed by any worker; the chunks finished before are in the store."""
 
 
 @contextmanager
 def workers(plan: Plan, cluster: str | Path | Client) -> Generator[Workers]:
-    """The workers of a Dask cluster, ready for a plan. At the end their tasks are cancelled.
+    """The workers of a Dask cluster, ready for a plan; their tasks are cancelled at the end.
 
     cluster: the scheduler's address (`tcp://host:8786`), the file that it wrote
-    (`--scheduler-file`), or a Client, which stays open
+        (`--scheduler-file`), or a Client, which stays open
     Raises ImportError without `distributed`, ConnectionError where no scheduler answers or no
-    worker joins, ValueError for a text that is neither, for workers that are not alike, and for a
-    sweep of classes that workers cannot import.
+    worker joins, and ValueError for a text that is neither address nor file, for workers with
+    different environments, and for a sweep of classes that workers cannot import.
     """
     try:
         from distributed import Client
@@ -74,8 +74,8 @@ def workers(plan: Plan, cluster: str | Path | Client) -> Generator[Workers]:
 class Workers:
     """The processes that compute the chunks of a plan, with the methods of `Host`.
 
-    environment: of all workers. A worker with another environment that joins later refuses its
-    first chunk.
+    environment: environment that all workers have; a worker with another one that joins later
+        refuses its first chunk
     """
 
     def __init__(self, client: Client, plan: Plan):
@@ -90,14 +90,15 @@ class Workers:
         )
         self._run = uuid.uuid4().hex
         with dask.config.set({"distributed.admin.large-graph-warning-threshold": LARGE}):
-            # a task rather than scattered data, which would be lost with the workers that hold it
+            # A task is used, since scattered data would be lost with the workers that hold it.
             self._plan = client.submit(
                 bytes, cloudpickle.dumps(plan), key=f"jaxilc-plan-{self._run}"
             )
 
     def room(self, stored: int) -> tuple[int | None, str]:
-        """Bytes that are available for a chunk on the worker that has least, None if unknown, and
-        which worker that is, as text.
+        """Bytes that are available for a chunk on the worker that has least, and which one it is.
+
+        The bytes are None if unknown; the worker is given as text.
         """
         sharing = Counter(found.host for found in self._found.values())
         rooms = {
@@ -109,7 +110,7 @@ class Workers:
         return (None, "") if least is None else (known[least], f" on the worker {least}")
 
     def chunk_bytes(self, names: tuple[str, ...], size: int) -> Iterator[tuple[str, int]]:
-        """Name and `Host.bytes_of` of each scheme. Several workers compile them at once."""
+        """Name and `Host.bytes_of` of each scheme; several workers compile them at once."""
         futures = {
             name: self._submit(("jaxilc-compile", self._run, name, size), "bytes_of", name, size)
             for name in names
@@ -120,9 +121,9 @@ class Workers:
         )
 
     def computed(self, chunks: list[Chunk]) -> Iterator[tuple[Chunk, dict[str, Any]]]:
-        """Each chunk with what `Host.compute` gives, in the order in which they are finished.
+        """Each chunk with the result of `Host.compute`, in the order in which they are finished.
 
-        Few are under way at a time, so that no process fills its RAM.
+        Few chunks are computed at a time, so that no process fills its RAM.
         """
         from distributed import as_completed
 
@@ -159,7 +160,7 @@ class Workers:
         )
 
     def _known(self) -> dict[str, Found]:
-        """What is known of each worker, by its address."""
+        """The properties of each worker, by its address."""
         try:
             self.client.wait_for_workers(1, timeout=ARRIVAL)
         except TimeoutError:
@@ -203,7 +204,7 @@ def _address(cluster: str | Path) -> str:
 
 
 def _check_importable(plan: Plan) -> None:
-    # cloudpickle would send such a class along, but JAX does not know it there
+    # cloudpickle would send such a class along, but JAX has not registered it on the worker.
     for node in _nodes([plan.machine, plan.task, plan.schemes]):
         cls = type(node)
         if cls.__module__ == "__main__" or "<locals>" in cls.__qualname__:

@@ -20,10 +20,9 @@ from .plan import Chunk, Plan
 
 
 class Host:
-    """This process as the one that computes a plan's chunks. Each worker of a cluster has a host,
-    too.
+    """The process that computes the chunks of a plan: this one, or a worker of a cluster.
 
-    environment: what its numbers depend on besides the plan, see `provenance.environment`
+    environment: what the numbers depend on besides the plan, see `provenance.environment`
     """
 
     def __init__(self, plan: Plan):
@@ -38,14 +37,15 @@ class Host:
         self._run = jax.jit(tiled(one, lanes=plan.lanes))
 
     def room(self, stored: int) -> tuple[int | None, str]:
-        """Bytes that are available for a chunk beside a dataset of `stored` bytes, None if unknown,
-        and where that is, as text.
+        """Bytes that are available for a chunk beside a dataset of `stored` bytes, and where.
+
+        The bytes are None if unknown; the place is given as text.
         """
         host, device = capacity.host_bytes(), capacity.device_bytes()
         return (device if device is not None else None if host is None else host - stored), ""
 
     def bytes_of(self, name: str, size: int) -> int:
-        """Bytes that `size` machines under a scheme take. The program is compiled, not run."""
+        """Bytes that `size` machines need under a scheme; the program is compiled, but not run."""
         return capacity.program_bytes(self._run, *self._arguments(name, 0, size))
 
     def chunk_bytes(self, names: tuple[str, ...], size: int) -> Iterator[tuple[str, int]]:
@@ -53,17 +53,17 @@ class Host:
         return ((name, self.bytes_of(name, size)) for name in names)
 
     def compute(self, chunk: Chunk) -> dict[str, np.ndarray]:
-        """The metrics and signals of a chunk by name, each with its machines first."""
+        """The metrics and signals of a chunk by name; the first axis is that of the machines."""
         found = self._run(*self._arguments(chunk.name, chunk.start, self.plan.chunk))
         return {name: np.asarray(value)[: chunk.size] for name, value in found.items()}
 
     def computed(self, chunks: list[Chunk]) -> Iterator[tuple[Chunk, dict[str, np.ndarray]]]:
-        """Each chunk with what `compute` gives, one after another."""
+        """Each chunk with the result of `compute`, one after another."""
         return ((chunk, self.compute(chunk)) for chunk in chunks)
 
     def _arguments(self, name: str, start: int, size: int):
-        # the last chunk is filled up to full size with the last machine, so that it runs the same
-        # program as the others
+        # The last chunk is filled up to full size with the last machine, so that it runs the same
+        # program as the others.
         plan = self.plan
         index = np.minimum(np.arange(start, start + min(size, plan.machines)), plan.machines - 1)
         drawn = {name: jnp.asarray(values[index]) for name, values in plan.drawn.items()}
@@ -74,7 +74,7 @@ class Host:
 def _one_machine(
     common, one, *, names, trials: int, keep: tuple[str, ...], save: Keep
 ) -> dict[str, jax.Array]:
-    """The metrics and signals of one drawn machine: what `tiled` runs."""
+    """The metrics and signals of one drawn machine, for `tiled`."""
     machine, scheme, task, key = common
     index, values = one
     machine = drawn_machine(machine, dict(names), values)

@@ -1,4 +1,4 @@
-"""What the processes that compute a sweep are given: everything that determines its numbers."""
+"""The plan of a sweep: everything that determines its numbers, for the computing processes."""
 
 from __future__ import annotations
 
@@ -18,8 +18,10 @@ from ..uncertainty import Uncertainty
 class Chunk(NamedTuple):
     """Machines under one scheme that are computed and stored together.
 
-    scheme: the scheme's place in the sweep;  name: its name
-    number: of the chunk;  start, stop: its machines are start, ..., stop - 1
+    scheme: position of the scheme in the sweep
+    name: name of the scheme
+    number: number of the chunk
+    start, stop: the machines of the chunk are start, ..., stop - 1
     """
 
     scheme: int
@@ -30,15 +32,16 @@ class Chunk(NamedTuple):
 
     @property
     def size(self) -> int:
-        """How many machines it has."""
+        """The number of machines in the chunk."""
         return self.stop - self.start
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Plan:
-    """A sweep whose machines are drawn. The fields are those of `Sweep`, and
+    """A sweep with its drawn machines.
 
     drawn: (machines,) drawn numbers by the name of a leaf
+    The other fields are those of `Sweep`.
     """
 
     machine: Machine

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
-# of y and u are in the RAM: as learned, stacked over the schemes, the error, and as written
+# Copies of y and u in the RAM: as learned, stacked over the schemes, the error, and as written.
 COPIES = 4
 
 
@@ -34,12 +34,12 @@ def run_schemes(
     key: jax.Array | None = None,
     quantities: Mapping[str, Callable[[Trial], jax.Array]] | None = None,
 ) -> tuple[xr.Dataset, dict[str, History]]:
-    """Learn with each scheme and keep every trial's signals.
+    """Learn with each scheme and keep the signals of every trial.
 
-    quantities: further metrics by name, each a function of a trial to a number
-    Returns the dataset and the histories by the scheme's name, whose `memory` lets each scheme go
-    on. The dataset has the dimensions scheme, trial, time, channel, input_time and input; its
-    variables are r, y, e, u, the metrics and the quantities.
+    quantities: further metrics by name, each a function from a trial to a number
+    Returns the dataset and the histories by the name of the scheme. With the `memory` of a history
+    learning can be continued. The dataset has the dimensions scheme, trial, time, channel,
+    input_time and input; its variables are r, y, e, u, the metrics and the quantities.
     Raises as `learn` does, and ValueError, before anything runs, for more trials than the RAM can
     hold.
     """
@@ -56,7 +56,7 @@ def run_schemes(
 
 
 def history_dataset(histories: Mapping[str, History], task: Task) -> xr.Dataset:
-    """The dataset of histories by name, whose `saved` has y, u and each quantity of each trial."""
+    """The dataset of histories by name, with y, u and each quantity of every trial in `saved`."""
     import xarray as xr
 
     def stacked(pick):

@@ -1,10 +1,10 @@
 """Labelled results: a Zarr store that is filled chunk by chunk, and opened as an xarray dataset.
 
 A store holds one array for each variable, the coordinates, the configuration that made it, and a
-mark for every chunk that is complete: a checksum of the chunk's numbers and of the configuration. A
-chunk is marked when all of its arrays are on the disk. Whoever resumes or opens a store reads the
-numbers again and compares them with their marks, so that what is missing, cut short or altered is
-found. The bytes of each file have a checksum, too (crc32c), for readers that do not know the marks.
+mark for every complete chunk: a checksum of the chunk's numbers and of the configuration. A chunk
+is marked when all of its arrays are on the disk. When a store is resumed or opened, its numbers are
+read and compared with their marks, so that missing, truncated or altered data are found. The bytes
+of each file also have a checksum (crc32c), for programs that do not know the marks.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ if TYPE_CHECKING:
 
 DONE = "chunk_done"
 METADATA = "zarr.json"
-VOUCHING = (METADATA, f"{DONE}/{METADATA}")  # these files have the checksums of the others
-UNFILLED = {"f": np.nan, "i": -1, "u": 0, "b": False, "U": ""}  # where nothing was computed
+VOUCHING = (METADATA, f"{DONE}/{METADATA}")  # files with the checksums of the others
+UNFILLED = {"f": np.nan, "i": -1, "u": 0, "b": False, "U": ""}  # values where nothing was computed
 
 log = logging.getLogger("jaxilc")
 
 
 @dataclasses.dataclass(frozen=True)
 class Variable:
-    """An array of the dataset: its dimensions, its dtype, its unit, and what it is."""
+    """An array of the dataset: its dimensions, dtype, unit and description."""
 
     dims: tuple[str, ...]
     dtype: str
@@ -48,10 +48,11 @@ class Variable:
 
 @dataclasses.dataclass(frozen=True)
 class Layout:
-    """All of a store that is known before anything is computed.
+    """The contents of a store that are known before anything is computed.
 
-    variables: by name;  coordinates: dimensions and values by name; every dimension has one
-    chunk: machines that are computed and stored together
+    variables: arrays by name
+    coordinates: dimensions and values by name; every dimension has one
+    chunk: number of machines that are computed and stored together
     configuration: all that determines the numbers, as JSON
     """
 
@@ -90,28 +91,28 @@ class Layout:
         marked = _array(group, DONE, np.dtype("u8"), ("scheme", "chunk"), marks, (1, 1))
         sums = {name: _sum(f.to_bytes()) for name, f in files.items() if name not in VOUCHING}
         known = {"configuration": self.recipe, "chunk": self.chunk, "checksums": sums}
-        for place in (group, marked):  # twice: a flipped bit in one of them does not lose the store
+        for place in (group, marked):  # two copies, since one may be damaged
             place.attrs.update(sealed(known))
         return files
 
 
 class Store:
-    """A Zarr store of a layout, filled in chunks along (scheme, sample). See `create`, `resume`.
+    """A Zarr store of a layout, filled in chunks along (scheme, sample).
 
-    While it is open, no other process can resume it.
+    It is made by `create` or `resume`. While it is open, no other process can resume it.
     """
 
     def __init__(self, store: Any, layout: Layout, closing: ExitStack):
         import zarr
 
         self.layout, self._store, self._closing = layout, store, closing
-        with zarr.config.set({"array.write_empty_chunks": True}):  # NaN is a value, too
+        with zarr.config.set({"array.write_empty_chunks": True}):  # NaN may be a computed value
             group = zarr.open_group(store, mode="r+")
             self._arrays: dict[str, Any] = {name: group[name] for name in (*layout.variables, DONE)}
 
     @classmethod
     def create(cls, path: str | Path | None, layout: Layout) -> Store:
-        """A new store; path None keeps it in memory.
+        """A new store at `path`; None keeps it in the RAM.
 
         Raises FileExistsError if something is already there.
         """
@@ -133,9 +134,11 @@ class Store:
 
     @classmethod
     def resume(cls, path: str | Path, layout: Layout) -> Store:
-        """The store at `path`, to go on with. What is known before computing is mended there.
+        """The store at `path`, to continue it.
 
-        A store that has earlier names in its configuration keeps them (see `earlier_names`).
+        Files that are known before computing are repaired. A store that has earlier names in its
+        configuration keeps them (see `earlier_names`).
+
         Raises ValueError if it is no store, was made with another configuration, or is in use.
         """
         from ..storage.durable import DurableStore, write_file
@@ -148,7 +151,7 @@ class Store:
             if differing:
                 said = f"was made with another configuration; it differs in: {'; '.join(differing)}"
                 raise ValueError(f"{path} {said}")
-            layout = dataclasses.replace(layout, configuration=found)  # its marks depend on it
+            layout = dataclasses.replace(layout, configuration=found)  # marks depend on it
             remove_leftovers(path)
             for name, content in layout.files().items():
                 file, wanted = path / name, content.to_bytes()
@@ -164,7 +167,7 @@ class Store:
         self._closing.close()
 
     def is_done(self, scheme: int, chunk: int) -> bool:
-        """Whether a chunk is there as it was marked: its values are read and compared."""
+        """Whether a chunk is stored undamaged; its values are read and compared with its mark."""
         try:
             mark = int(self._arrays[DONE][scheme, chunk])
             if not mark:
@@ -174,27 +177,32 @@ class Store:
             if mark == _mark(self.layout.recipe, values):
                 return True
             wrong = "its values are not those that were marked"
-        except Exception as error:  # whatever becomes of damaged bytes in a codec
+        except Exception as error:  # any error of a codec on damaged bytes
             wrong = str(error)
         log.warning("chunk %d of scheme %d is damaged and computed again: %s", chunk, scheme, wrong)
         return False
 
     def write(self, scheme: int, chunk: int, machines: slice, values: Mapping[str, Any]) -> None:
-        """Store and mark one finished chunk of one scheme. values: by name, machines first"""
+        """Store and mark one finished chunk of one scheme.
+
+        values: arrays by name; the first axis is that of the machines
+        """
         values = {n: np.asarray(value, self._arrays[n].dtype) for n, value in values.items()}
         for name, value in values.items():
             self._arrays[name][scheme, machines] = value
         self._arrays[DONE][scheme, chunk] = _mark(self.layout.recipe, values)
 
     def dataset(self) -> xr.Dataset:
-        """All that is stored so far."""
+        """The dataset with everything stored so far."""
         return _labelled(_loaded(self._store), self.layout.recipe)
 
 
 def open_dataset(path: str | Path) -> xr.Dataset:
-    """The dataset of a store, complete or not. What was not computed is NaN, -1 or False.
+    """The dataset of a store, complete or not.
 
-    Raises FileNotFoundError, and ValueError naming what is not as it was written.
+    Values that were not computed are NaN, -1 or False.
+
+    Raises FileNotFoundError, and ValueError naming what is damaged.
     """
     path = Path(path)
     if not path.is_dir():
@@ -206,15 +214,15 @@ def open_dataset(path: str | Path) -> xr.Dataset:
                 raise Damaged(f"{name} is not as it was written")
         dataset = _loaded(str(path))
         _check_marks(dataset, known["configuration"], known["chunk"])
-    except Exception as error:  # whatever becomes of damaged bytes in a codec
+    except Exception as error:  # any error of a codec on damaged bytes
         raise Damaged(f"{path} is damaged: {error}; resuming the sweep mends it") from None
     return _labelled(dataset, known["configuration"])
 
 
 def _configuration(path: Path) -> dict[str, Any]:
-    """The configuration of a store, from the first of its two places that is whole.
+    """The configuration of a store, from the first undamaged one of its two copies.
 
-    Raises ValueError where neither is.
+    Raises ValueError where both are damaged.
     """
     for name in VOUCHING:
         try:
@@ -225,7 +233,7 @@ def _configuration(path: Path) -> dict[str, Any]:
 
 
 def _check_marks(dataset: xr.Dataset, recipe: Mapping[str, Any], chunk: int) -> None:
-    """Raises Damaged for a chunk that is not as it was marked."""
+    """Raises Damaged for a chunk that does not agree with its mark."""
     variables = [name for name, array in dataset.data_vars.items() if "units" in array.attrs]
     for (scheme, number), mark in np.ndenumerate(dataset[DONE].values):
         machines = _machines(number, chunk, dataset.sizes["sample"])
@@ -241,7 +249,7 @@ def _machines(chunk: int, size: int, machines: int) -> slice:
 
 
 def _mark(recipe: Mapping[str, Any], values: Mapping[str, np.ndarray]) -> int:
-    """A checksum of a chunk's values and of the configuration; never 0, which is no mark."""
+    """A checksum of a chunk's values and of the configuration; never 0, which means no mark."""
     found = hashlib.blake2b(json_text(recipe).encode(), digest_size=8)
     for name in sorted(values):
         found.update(name.encode() + values[name].tobytes())
@@ -273,7 +281,7 @@ def _loaded(store: Any) -> xr.Dataset:
 
 
 def _labelled(dataset: xr.Dataset, recipe: Mapping[str, Any]) -> xr.Dataset:
-    """The dataset without what only the store needs, and with its coordinates as coordinates."""
+    """The dataset without the marks of the store, and with its coordinates declared as such."""
     dataset = dataset.drop_vars(DONE)
     dataset.attrs = {"configuration": dict(recipe)}
     known = [name for name, array in dataset.data_vars.items() if "units" not in array.attrs]

@@ -1,4 +1,4 @@
-"""What a sweep says of each scheme: yield, quantiles, worst machine, semi-convergence."""
+"""The summary of a sweep for each scheme: yield, quantiles, worst machine, semi-convergence."""
 
 from __future__ import annotations
 
@@ -15,19 +15,21 @@ QUANTILES = (0.05, 0.5, 0.95)
 
 
 class SchemeSummary(NamedTuple):
-    """One scheme over all machines, by one metric.
+    """The summary of one scheme over all machines, by one metric.
 
     The metric has the unit of the dataset, and is infinite in a trial that diverged (see
     `learning.divergence`).
+
     yield_share: share of machines within the tolerance at the last trial
-    yield_low, yield_high: the 95 % Wilson interval of this share
-    median, low, high: (J,) quantiles of 50, 5 and 95 % of each trial
-    worst, worst_machine: (J,) the largest of each trial, and the number of its machine
-    semi_converged: share of machines that have grown: at the last trial they are above 1 + `growth`
-    times their best, though none of their trials diverged
-    grown_from: the earliest trial from which on one of these stays above that, 0 if there are none
-    diverged: share of machines of which any trial diverged
-    diverged_at: the earliest trial that diverged, 0 if there are none
+    yield_low, yield_high: ends of the 95 % Wilson interval of this share
+    median, low, high: (J,) quantiles of 50, 5 and 95 % for each trial
+    worst, worst_machine: (J,) largest value for each trial, and the number of its machine
+    semi_converged: share of machines whose error has grown: at the last trial it is above
+        1 + `growth` times their best, though none of their trials diverged
+    grown_from: earliest trial from which on one of these machines stays above that level, 0 if
+        there are none
+    diverged: share of machines with at least one trial that diverged
+    diverged_at: earliest trial that diverged, 0 if there are none
     """
 
     scheme: str
@@ -51,8 +53,9 @@ def summarise(
     """The summary of each scheme.
 
     tolerance: the largest value of the metric that passes, in its unit
-    metric: a variable over (scheme, sample, trial); with several channels the largest counts
-    growth: relative rise above the best trial that counts as growing again
+    metric: name of a variable over (scheme, sample, trial); with several channels the largest
+        counts
+    growth: relative rise above the best trial from which on the error counts as grown
     Raises ValueError for a tolerance that is not positive or a metric that is not there.
     """
     if not tolerance > 0:

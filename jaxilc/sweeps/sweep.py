@@ -35,26 +35,29 @@ if TYPE_CHECKING:
     from distributed import Client
 
 CHUNK = 256
-WORK = 4  # arrays as large as a metric of all machines and trials, to find and draw its quantiles
+WORK = 4  # arrays of the size of a metric over all machines and trials, needed for its quantiles
 
 
 @takes_also(samples="machines")
 @dataclasses.dataclass(frozen=True)
 class Sweep:
-    """A sweep, fully specified. `run` computes it.
+    """A fully specified sweep, which `run` computes.
 
-    machine, task, trials: as for `learn`;  schemes: by name
-    uncertainty: distributions on the machine's named leaves
+    machine, task, trials: as for `learn`
+    schemes: schemes by name
+    uncertainty: distributions of the named leaves of the machine
     machines, seed, sampling: how many machines are drawn and how, see `uncertainty.draw`; `samples`
-    is an earlier name of `machines`
+        is an earlier name of `machines`
     keep: signals of the last trial to store, any of y, e, u (they are large)
-    chunk: machines computed and stored at a time, None for 256, or a tile on each device if that is
-    more
-    lanes: machines vectorised together, None for what suits this backend, see `runtime.tiled`
-    quantities: further metrics of each trial, by name, each a function of a trial to a number
+    chunk: number of machines computed and stored at a time; None for 256, or for a tile on each
+        device if that is more
+    lanes: number of machines vectorised together, None for what suits this backend, see
+        `runtime.tiled`
+    quantities: further metrics of each trial, by name, each a function from a trial to a number
 
-    The configuration has chunk, lanes and the number of devices, too, since sums in another order
+    The configuration also has chunk, lanes and the number of devices, since sums in another order
     are rounded differently.
+
     Raises ValueError, before anything is compiled or written, naming what does not fit.
     """
 
@@ -99,26 +102,26 @@ class Sweep:
         for scheme in self.schemes.values():
             check(self.machine, scheme, self.task)
         self.need_room()
-        if self.drawn:  # as many as there are corners, whatever was asked for
+        if self.drawn:  # the number of corners, whatever was asked for
             object.__setattr__(self, "machines", len(next(iter(self.drawn.values()))))
 
     @cached_property
     def drawn(self) -> dict[str, np.ndarray]:
-        """(machines,) drawn numbers by the leaf's name."""
+        """(machines,) drawn numbers by the name of the leaf."""
         return draw(
             self.machine, self.uncertainty, self.machines, seed=self.seed, sampling=self.sampling
         )
 
     @cached_property
     def plan(self) -> Plan:
-        """What the processes that compute this sweep are given."""
+        """The plan of this sweep for the processes that compute it."""
         fields = {f.name for f in dataclasses.fields(Plan)} - {"drawn"}
         return Plan(**{name: getattr(self, name) for name in fields}, drawn=self.drawn)
 
     def configuration(self, environment: dict[str, Any] | None = None) -> dict[str, Any]:
         """All that determines the numbers, as JSON.
 
-        environment: of the processes that compute, None for this one
+        environment: environment of the processes that compute, None for this process
         """
         fields = {f.name: describe(getattr(self, f.name)) for f in dataclasses.fields(self)}
         return fields | {"environment": environment or provenance.environment()}
@@ -133,16 +136,16 @@ class Sweep:
     ) -> xr.Dataset:
         """Compute what is not done yet and return the dataset.
 
-        Its dimensions are scheme, sample (the machines) and trial; its coordinates have every drawn
-        number. Killed at any moment, a resumed run ends with the dataset of an uninterrupted one,
-        bit for bit. What is damaged in the store is computed again.
-        out: where to keep it as a Zarr store, None to keep it in the RAM only
-        resume: go on with the store at `out`
-        progress: called after each chunk with the scheme's name, how many of its machines are done
-        so far, and how many of them this call computed
-        cluster: a Dask scheduler whose workers compute the chunks, as its address, the file that it
-        wrote, or a Client; see `cluster.workers`
+        Its dimensions are scheme, sample (the machines) and trial; its coordinates hold every drawn
+        number. A run that was killed at any moment and resumed ends with the dataset of an
+        uninterrupted one, bit for bit. Damaged chunks of the store are computed again.
 
+        out: path of a Zarr store for the dataset, None to keep it in the RAM only
+        resume: continue the store at `out`
+        progress: function that is called after each chunk with the scheme's name, how many of its
+            machines are done so far, and how many of them this call computed
+        cluster: a Dask scheduler whose workers compute the chunks, as its address, the file that it
+            wrote, or a Client; see `cluster.workers`
         Raises FileExistsError for an `out` that exists without `resume`; ValueError for one that is
         in use, is no store, or was made with another configuration, and, before anything is
         written, for a chunk or a dataset that the RAM cannot hold, with what would fit. On a
@@ -198,13 +201,13 @@ class Sweep:
         return drawn_machine(self.machine, self.uncertainty, drawn)
 
     def key_of(self, number: int) -> jax.Array:
-        """The key of one machine's noise. It does not depend on chunks or on how many there are."""
+        """The key of one machine's noise, which does not depend on the chunks or their number."""
         return jax.random.fold_in(jax.random.key(self.seed), number)
 
     def bytes_stored(self, machines: float | None = None, trials: float | None = None) -> int:
         """Bytes of the whole dataset, before compression.
 
-        machines, trials: None for those of this sweep
+        machines, trials: their numbers, None for those of this sweep
         """
         machines = self.machines if machines is None else machines
         trials = self.trials if trials is None else trials
@@ -215,7 +218,7 @@ class Sweep:
         )
 
     def need_room(self, copies: int = 1) -> None:
-        """Raises ValueError where so many copies of the dataset and its summary do not fit in RAM.
+        """Raises ValueError where `copies` of the dataset and its summary do not fit in RAM.
 
         The message says how many machines or trials would fit.
         """
@@ -237,8 +240,10 @@ class Sweep:
         )
 
     def _need_memory(self, hosts, names: tuple[str, ...], *, copies: int) -> None:
-        """Compile a chunk of each scheme. Raises ValueError where one does not fit in RAM beside
-        `copies` of the dataset; where the size of the RAM is unknown, every chunk fits.
+        """Compile a chunk of each scheme, and check that it fits in RAM.
+
+        Raises ValueError where one does not fit beside `copies` of the dataset. Where the size of
+        the RAM is unknown, nothing is refused.
         """
         self.need_room(copies)
         room, where = hosts.room(copies * self.bytes_stored())
@@ -251,8 +256,8 @@ class Sweep:
                 )
 
     def _that_fits(self, hosts, name: str, need: int, room: int) -> str:
-        # from two tiles on, what a chunk needs is linear in its size; a single tile needs less, as
-        # there is no loop over tiles
+        # From two tiles on, the RAM of a chunk is linear in its size; a single tile needs less,
+        # since there is no loop over tiles.
         tile, size = self.lanes * hosts.environment["devices"], min(self.chunk, self.machines)
         small = min(2 * tile, size)
         least = next(hosts.chunk_bytes((name,), small))[1] if small < size else need

@@ -1,6 +1,6 @@
 """The variables and coordinates of a sweep's dataset.
 
-Its dimension over machines is called `sample`, as in the datasets that exist.
+The dimension over the machines is called `sample`, as in existing datasets.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ SIGNALS = {"y": ("time", "channel"), "e": ("time", "channel"), "u": ("input_time
 
 
 def variables(task: Task, keep: tuple[str, ...], quantities: Iterable[str]) -> dict[str, Variable]:
-    """The metrics, the further quantities and the signals that are kept, by name.
+    """The variables by name: metrics, further quantities, and the signals that are kept.
 
     A task with one output has no dimension `channel`, one with one input no dimension `input`.
     """
@@ -59,7 +59,7 @@ def sizes(task: Task, schemes: int, machines: float, trials: float) -> dict[str,
 
 
 def coordinates(plan: Plan) -> dict[str, tuple]:
-    """Dimensions and values of each coordinate, the drawn numbers among them."""
+    """Dimensions and values of each coordinate, including the drawn numbers."""
     task = plan.task
     known = {
         "scheme": np.array(list(plan.schemes)),

@@ -1,7 +1,7 @@
-"""What runs in a worker of a Dask cluster: the chunks of a plan, and what is known of the worker.
+"""The functions that run in a worker of a Dask cluster: its description, and chunks of a plan.
 
-Sums in another order are rounded differently, so all workers of a sweep must be alike: the same
-versions, backend, number of devices.
+Sums in another order are rounded differently, so all workers of a sweep must have the same
+versions, backend and number of devices.
 """
 
 from __future__ import annotations
@@ -25,16 +25,17 @@ _ONE_AT_A_TIME = threading.Lock()
 
 
 class UnlikeWorkers(ValueError):
-    """Workers that would round differently."""
+    """The workers differ, so that their numbers would be rounded differently."""
 
 
 class Found(NamedTuple):
-    """What was found of a worker.
+    """The properties of a worker.
 
-    environment: see `provenance.environment`;  host: name of the machine that it runs on
+    environment: what its numbers depend on, see `provenance.environment`
+    host: name of the computer that it runs on
     free: bytes of RAM that are free on this host, None where unknown
     on_devices: bytes that are free on its devices, None where they have no RAM of their own
-    limit: bytes that Dask lets it take, None where there is no limit
+    limit: bytes that Dask allows the worker, None where there is no limit
     """
 
     environment: dict[str, Any]
@@ -46,8 +47,8 @@ class Found(NamedTuple):
     def room(self, stored: int, sharing: int) -> int | None:
         """Bytes that are available for a chunk, None where unknown.
 
-        stored: bytes of the dataset, which lies on the host of the calling process
-        sharing: how many workers there are on this worker's host
+        stored: bytes of the dataset, which is on the host of the calling process
+        sharing: number of workers on this worker's host
         """
         if self.on_devices is not None:
             return self.on_devices
@@ -57,9 +58,9 @@ class Found(NamedTuple):
 
 
 async def described(precision: str, dask_worker=None) -> Found:
-    """What is known of this worker. Dask hands over `dask_worker`."""
-    # in a thread: starting JAX, or waiting for another sweep's chunk, must not keep the worker from
-    # answering the scheduler
+    """The properties of this worker; Dask passes the argument `dask_worker`."""
+    # A thread is used, so that the worker answers the scheduler while JAX starts or while it waits
+    # for a chunk of another sweep.
     return await asyncio.to_thread(_found, precision, dask_worker)
 
 
@@ -70,7 +71,7 @@ def _found(precision: str, worker) -> Found:
     with _ONE_AT_A_TIME:
         setup(precision=precision)
         limit = worker.memory_manager.memory_limit
-        if limit is not None:  # beyond this share of it Dask kills a worker
+        if limit is not None:  # Dask kills a worker beyond this share of the limit
             share = dask.config.get("distributed.worker.memory.terminate") or 1.0
             limit = max(0, int(share * limit) - psutil.Process().memory_info().rss)
         return Found(
@@ -87,14 +88,16 @@ def call_host(
 ) -> Any:
     """The result of a method of the plan's `Host` in this worker.
 
-    There is one call at a time, however many threads the worker has: a chunk takes all devices.
-    plan: a pickled `Plan`;  expected: the environment of the other workers
-    Raises UnlikeWorkers where that of this worker differs.
+    Calls run one at a time, however many threads the worker has, since a chunk uses all devices.
+
+    plan: a pickled `Plan`
+    expected: environment of the other workers
+    Raises UnlikeWorkers where the environment of this worker differs.
     """
     from distributed import get_worker
 
     with _ONE_AT_A_TIME:
-        setup(precision=precision)  # before the plan is unpickled, which makes arrays
+        setup(precision=precision)  # must come before the plan is unpickled, which makes arrays
         host = _host(plan, precision)
         differing = differences(host.environment, expected)
         if differing:
@@ -114,8 +117,8 @@ def _host(plan: bytes, precision: str) -> Host:
 def common_environment(environments: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
     """The environment that all workers have.
 
-    environments: by the worker's address
-    Raises UnlikeWorkers, naming the workers that differ from most of them.
+    environments: environments by the address of the worker
+    Raises UnlikeWorkers naming the workers that differ from the majority.
     """
     texts = {address: json.dumps(found, sort_keys=True) for address, found in environments.items()}
     ((most, _),) = Counter(texts.values()).most_common(1)

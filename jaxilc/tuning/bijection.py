@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-MARGIN = 1e-6  # of the unit interval: how near a value may come to an end of its range
-FAR = 60.0  # on the real line: from here on, exponentials keep their value
-NUDGE = 1e-3  # of its range: by how much a start on an end of it is moved inside
+MARGIN = 1e-6  # smallest distance of a value from an end of its range, on the unit interval
+FAR = 60.0  # largest |z| on the real line; beyond it exponentials are held constant
+NUDGE = 1e-3  # share of the range by which a start on its end is moved inside
 
 
 @dataclasses.dataclass(frozen=True)
@@ -21,10 +21,10 @@ class Bijection:
         (a, inf)       a + e^z
         (-inf, b)      b - e^z
         (a, b)         a + (b - a) s(z)
-        (a, b), a and b of one sign    a (b / a)^s(z), so that orders of magnitude count alike
+        (a, b), a and b of one sign    a (b / a)^s(z): each order of magnitude has the same weight
 
-    low, high: ends of the interval
-    scale: of the map onto the whole real line
+    low, high: () ends of the interval
+    scale: () factor of the map onto the whole real line
     """
 
     low: float
@@ -43,7 +43,7 @@ class Bijection:
         return low * (high / low) ** share if low * high > 0 else low + (high - low) * share
 
     def inverse(self, value: float) -> float:
-        """z of a value inside the interval."""
+        """The number z that is mapped to this value inside the interval."""
         low, high = self.low, self.high
         if np.isinf(low) and np.isinf(high):
             return value / self.scale
@@ -60,9 +60,10 @@ class Bijection:
         return float(np.log(share / (1.0 - share)))
 
     def inside(self, value: float) -> float:
-        """The value, moved inside if it lies on an end."""
+        """The value, moved inside the interval if it lies on an end of it."""
         width = self.high - self.low if np.isfinite(self.high - self.low) else 1.0
         if value <= self.low + 10 * MARGIN * width:
-            # the end 0 of a range that has no other is approached by exponents, and needs no room
+            # If the range has only the end 0, the value approaches it exponentially and needs no
+            # distance from it.
             return value if value > self.low and np.isinf(self.high) else self.low + NUDGE * width
         return self.high - NUDGE * width if value >= self.high - 10 * MARGIN * width else value

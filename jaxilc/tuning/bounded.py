@@ -1,4 +1,4 @@
-"""A scheme that stays finite where learning diverges, so that its loss has a gradient to follow."""
+"""A scheme that stays finite where learning diverges, so that its loss has a finite gradient."""
 
 from __future__ import annotations
 
@@ -16,7 +16,10 @@ from ..signals.task import Sample, Task, Trial
 
 
 class Held(NamedTuple):
-    """What `Bounded` knows. scheme: memory of the scheme that is bounded"""
+    """The memory of `Bounded`.
+
+    scheme: memory of the scheme that is bounded
+    """
 
     scheme: Any
 
@@ -28,12 +31,13 @@ class Bounded(Guard):
         y seen = clip(y, r - level, r + level)
         memory' = memory if max |e| > level, else what the scheme learns
 
-    As long as no error passes the level, it equals the scheme, number for number. After a trial
-    that passes it, every later trial repeats that one. So the error stays finite, and so does its
-    gradient, which says how that trial came to pass the level; what the clip cuts off has the
-    gradient zero. A learning process that diverges thus has a loss of about log(ceiling / floor),
-    and a slope that leads back to weights that converge.
-    level: (n_y,) > 0 [unit of y]
+    As long as no error exceeds the level, all numbers are those of the scheme itself. After a trial
+    that exceeds it, every later trial repeats that trial. So the error and its gradient stay
+    finite. The gradient is that of the trial that exceeded the level; the part of an error that is
+    clipped has the gradient zero. A learning process that diverges thus has a loss of about
+    log(ceiling / floor), and a slope that leads back to weights that converge.
+
+    level: (n_y,) largest error that the scheme sees, > 0 [unit of y]
     """
 
     scheme: Scheme = child()

@@ -1,7 +1,7 @@
 """Descent on a loss of few numbers that takes long to evaluate: optimisers, and their state.
 
-Nothing here knows what is tuned. An `evaluate(z)` gives an `Evaluation`; a method has `init(z)` and
-`step(z, state)`, both pure.
+This module does not depend on what is tuned. A function `evaluate(z)` returns an `Evaluation`; a
+method has the pure functions `init(z)` and `step(z, state)`.
 """
 
 from __future__ import annotations
@@ -17,10 +17,12 @@ from jax import lax
 
 
 class Evaluation(NamedTuple):
-    """What is known of the loss at one z of P numbers.
+    """The loss and its derivatives at one z of P numbers.
 
-    value: () what is minimised;  gradient: (P,) of the value
-    residuals: (R,) for least squares;  slopes: (R, P) of the residuals
+    value: () the number that is minimised
+    gradient: (P,) gradient of the value
+    residuals: (R,) residuals for least squares
+    slopes: (R, P) derivatives of the residuals by z
     dropped: () how many residuals had no finite slope
     """
 
@@ -32,7 +34,7 @@ class Evaluation(NamedTuple):
 
 
 def value_and_slope(f: Callable, z, *, forward: bool):
-    """f(z) and its (P,) gradient, by P tangents at once or by one pass backwards."""
+    """f(z) and its (P,) gradient, by P forward derivatives at once or by one reverse pass."""
     if forward:
         return jax.vmap(lambda tangent: jax.jvp(f, (z,), (tangent,)), out_axes=(None, 0))(
             jnp.eye(z.size, dtype=z.dtype)
@@ -53,11 +55,11 @@ def counted(losses):
 def repaired(losses, slopes, clip: float):
     """Losses and slopes that can be averaged, and which slopes were finite: (S,), (S, P), (S,).
 
-    A loss that is not finite is `counted`; a slope that is not finite becomes zero. No slope is
-    longer than `clip` times the median length. Where the median is below 1, as it is once most
-    machines are below an objective's floor, no slope is longer than `clip`. A machine that chatters
-    may have a slope of 1e70 in any direction; this bound gives it no more weight than others. An
-    absolute bound could not know how long their slopes are.
+    A loss that is not finite is replaced as in `counted`; a slope that is not finite becomes zero.
+    Each slope is shortened to at most `clip` times the larger of the median length and 1. The
+    median is below 1 once most machines are below an objective's floor. A machine that chatters may
+    have a slope of 1e70 in any direction; the bound limits its weight among the others. The bound
+    is relative, since the usual length of a slope is not known beforehand.
     """
     good = jnp.isfinite(losses) & jnp.all(jnp.isfinite(slopes), axis=1)
     slopes = jnp.where(good[:, None], slopes, 0.0)
@@ -75,10 +77,11 @@ def repaired(losses, slopes, clip: float):
 
 
 class Method(NamedTuple):
-    """An optimiser, for one start. Both functions are pure.
+    """An optimiser for one start, with two pure functions.
 
-    init: z -> state;  step: (z, state) -> (z, state, Step)
-    programs: both, compiled for many starts, see `for_starts`
+    init: function z -> state
+    step: function (z, state) -> (z, state, Step)
+    programs: both functions, compiled for many starts, see `for_starts`
     """
 
     init: Callable[[Any], Any]
@@ -87,9 +90,11 @@ class Method(NamedTuple):
 
 
 class Step(NamedTuple):
-    """What is recorded of a step, at the z from which it started.
+    """The record of one step, taken at the z from which it started.
 
-    loss: ();  slope: () length of the gradient;  dropped: () see `Evaluation`
+    loss: () value of the loss
+    slope: () length of the gradient
+    dropped: () how many residuals had no finite slope
     """
 
     loss: jax.Array
@@ -100,9 +105,9 @@ class Step(NamedTuple):
 def by_gradient(
     evaluate: Callable[[Any], Evaluation], optimiser: optax.GradientTransformation
 ) -> Method:
-    """The method of an optax transformation.
+    """The method that an optax transformation defines.
 
-    A line search sees the loss with the gradient that `evaluate` gives.
+    A line search uses the loss and the gradient that `evaluate` returns.
     """
     optimiser = optax.with_extra_args_support(optimiser)
 
@@ -131,7 +136,11 @@ def by_gradient(
 
 
 class Damped(NamedTuple):
-    """The state of `by_least_squares`. damping: ();  at: the evaluation at z"""
+    """The state of `by_least_squares`.
+
+    damping: () damping of the next step
+    at: the evaluation at z
+    """
 
     damping: jax.Array
     at: Evaluation
@@ -142,7 +151,8 @@ def by_least_squares(evaluate: Callable[[Any], Evaluation], damping: float = 1e-
 
         (J^T J + damping diag(J^T J)) dz = -J^T r
 
-    The step is taken only if |r| falls. Then the damping is divided by 3, else multiplied by 4.
+    The step is taken only if |r| falls. Then the damping is divided by 3;
+    otherwise it is multiplied by 4.
     """
 
     def init(z):
@@ -167,9 +177,9 @@ def by_least_squares(evaluate: Callable[[Any], Evaluation], damping: float = 1e-
 
 
 def for_starts(method: Method) -> Method:
-    """The method for many starts at once, compiled; one program serves all steps.
+    """The method for many starts at once, compiled into one program for all steps.
 
-    It takes NumPy arrays and gives NumPy arrays.
+    It takes and returns NumPy arrays.
     """
 
     @jax.jit
@@ -183,8 +193,8 @@ def for_starts(method: Method) -> Method:
             record,
         )
 
-    # results are copied to the host after each step: a compiled program also depends on where its
-    # arguments lie, and would be compiled anew
+    # Results are copied to the host after each step: a compiled program depends on the device of
+    # its arguments, and would be compiled again for others.
     init = jax.jit(jax.vmap(method.init))
     programs = (init, step)
     return Method(
@@ -193,20 +203,23 @@ def for_starts(method: Method) -> Method:
 
 
 def arguments_like(method: Method, z) -> tuple[Any, Any]:
-    """The arguments that the compiled step of a method `for_starts` takes: z (K, P), and the state
-    by its shapes. Nothing is computed.
+    """The arguments of the compiled step of a method `for_starts`: z (K, P) and the state.
+
+    Only shapes are worked out; nothing is computed.
     """
     state = jax.eval_shape(method.programs[0], z)
     return z, jax.tree.map(lambda s: jax.ShapeDtypeStruct(s.shape, s.dtype), state)
 
 
 class State(NamedTuple):
-    """A descent after `step` steps from K starts: all that is needed to go on.
+    """The state of a descent after `step` steps from K starts, complete for continuing it.
 
-    z: (K, P) where it is;  inner: state of the method
+    z: (K, P) present points
+    inner: state of the method
     best_z, best, best_step: (P,), (), () the z with the least held-out loss, this loss, its step
-    stale: () how often the held-out loss was computed since then
-    loss, slope, dropped: (steps, K) see `Step`;  path: (steps, K, P) z of each step
+    stale: () how often the held-out loss was computed since `best_step`
+    loss, slope, dropped: (steps, K) records of the steps, see `Step`
+    path: (steps, K, P) z at each step
     held_out: (steps + 1, K) the held-out loss, NaN where it was not computed
     """
 
@@ -235,7 +248,7 @@ class State(NamedTuple):
         )  # fmt: skip
 
     def validated(self, losses) -> State:
-        """The state with the (K,) held-out losses of its z; one not finite is never the best."""
+        """The state with the (K,) held-out losses of its z; only a finite loss can be best."""
         losses = np.asarray(losses)
         self.held_out[int(self.step)] = losses
         k = int(np.argmin(np.where(np.isfinite(losses), losses, np.inf)))
@@ -264,12 +277,13 @@ def descended(
     patience: int,
     after_step: Callable[[State, Step], None],
 ) -> tuple[State, str]:
-    """The state at the end of the descent, and why it ended.
+    """The state at the end of the descent, and the reason why it ended.
 
-    method: compiled for many starts;  held_out: (K,) losses of z (K, P)
+    method: the method, compiled for many starts
+    held_out: function from z (K, P) to the (K,) held-out losses
     validate_every: steps from one computation of the held-out losses to the next
-    patience: how many computations without improvement are allowed
-    after_step: called with the new state and the record of each step
+    patience: number of computations without improvement that are allowed
+    after_step: function that is called with the new state and the record of each step
     """
     steps = len(now.loss)
     while True:

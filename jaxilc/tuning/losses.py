@@ -1,19 +1,20 @@
-"""The loss of a tuning over its machines, and its slope by the weights.
+"""The loss of a tuning over its machines, and its derivatives by the weights.
 
-What learning does to gradients:
+How learning affects the gradients:
 
     clips, quantisers, resets     Their docstrings say what the gradient is: zero, straight-through,
                                   or that of the branch that was taken. `reset="smooth"` has the
                                   whole gradient (`schemes.pseudo_gradient`).
-    a diverging learning process  `bounded.Bounded` holds it at a ceiling. The gradient is that of
-                                  the trial that reached the ceiling.
-    many trials                   The slope of log e grows with the number of trials where learning
-                                  amplifies. `clip` bounds the slope of each machine; `truncate`
-                                  takes the slope of the last trials alone, which is another slope.
-    a settled metric              It does not see the start of a trial, where errors may grow: add a
-                                  term of `max_error`.
-    a slope that is not finite    The slope of that machine is left out of the step, its loss
-                                  counts, and `dropped` says how many there were.
+    a diverging learning process  `bounded.Bounded` limits its error to a ceiling. The gradient is
+                                  that of the trial that reached the ceiling.
+    many trials                   Where learning amplifies, the slope of log e grows with the number
+                                  of trials. `clip` bounds the slope of each machine. `truncate`
+                                  takes the slope through the last trials only, which is not the
+                                  slope of the loss.
+    a settled metric              It does not include the start of a trial, where errors may grow:
+                                  add a term of `max_error`.
+    a slope that is not finite    The slope of that machine is left out of the step. Its loss still
+                                  counts, and `dropped` says how many such slopes there were.
 """
 
 from __future__ import annotations
@@ -41,9 +42,11 @@ from .weights import Weights
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Losses:
-    """Losses with their slopes. The fields are those of `Tuning`, and
+    """The losses of a tuning, with their slopes.
 
-    machines: how they are drawn;  weights: those that are tuned, with their maps
+    machines: the machines and how they are drawn
+    weights: the weights that are tuned, with their maps
+    The other fields are those of `Tuning`.
     """
 
     machines: Machines
@@ -59,7 +62,7 @@ class Losses:
     def of_machine(
         self, machine: Machine, values: Mapping[str, Any], objective: Objective, *, key=None
     ) -> jax.Array:
-        """() the objective of one machine with the weights of these names."""
+        """() the objective of one machine, with these values of the weights by name."""
         scheme, save = replaced(self.scheme, values), Keep.of(self.quantities)
         options = {"key": key, "save": save}
         if self.truncate is None or self.truncate >= self.trials:
@@ -73,9 +76,10 @@ class Losses:
     def risk_of(
         self, values: Mapping[str, Any], objective: Objective, batch, seed: int
     ) -> jax.Array:
-        """() the risk over a batch of machines with these weights, and the nominal terms.
+        """() the risk over a batch of machines with these weights, plus the nominal terms.
 
-        batch: as `Machines.drawn` gives it;  seed: of the noise
+        batch: machines as `Machines.drawn` returns them
+        seed: seed of the noise
         """
         of_machines, of_nominal = split(objective)
         run = self.machines.tiled(
@@ -95,7 +99,8 @@ class Losses:
             slope = sum_s (d risk / d l_s) (d l_s / d z) + slope of the nominal terms
 
         batch, seed: as in `risk_of`
-        clip: of the slope of a machine, see `descent.repaired`;  forward: how it is differentiated
+        clip: bound on the slope of a machine, see `descent.repaired`
+        forward: true for forward, false for reverse differentiation
         """
         of_machines, of_nominal = split(objective)
 
@@ -132,7 +137,7 @@ class Losses:
 
 
 def split(objective: Objective) -> tuple[Sum, Sum]:
-    """What an objective asks of each machine, and what of the nominal one alone."""
+    """The terms of an objective for every machine, and its terms for the nominal machine alone."""
     of_machines, of_nominal = (
         Sum(tuple(t for t in objective.terms if t[1].nominal is nominal))
         for nominal in (False, True)

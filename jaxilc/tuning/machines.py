@@ -1,4 +1,4 @@
-"""The machines that a tuning looks at: how they are drawn, and how they run in tiles."""
+"""The machines of a tuning: how they are drawn, and how they run in tiles."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ..uncertainty import Uncertainty, draw, drawn_machine
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Machines:
-    """Where a tuning draws its machines from. The fields are those of `Tuning`."""
+    """The set that a tuning draws its machines from; the fields are those of `Tuning`."""
 
     machine: Machine
     uncertainty: Uncertainty
@@ -25,12 +25,12 @@ class Machines:
     starts: int
 
     def drawn(self, seed: int, size: int, *, nominal: bool) -> tuple[Any, dict[str, Any]]:
-        """Numbers and drawn values of `size` machines: a batch for `tiled`.
+        """The numbers and drawn values of `size` machines, as a batch for `tiled`.
 
         nominal: whether the nominal machine, number 0, is one of them
         """
         skipped = 0 if nominal else 1
-        # there are no other corners, so machines with another seed are drawn in another way
+        # The corners do not depend on the seed, so for another seed another sampling is used.
         other = self.sampling == "corners" and seed != self.seed
         sampling = "sobol" if other else self.sampling
         drawn = draw(self.machine, self.uncertainty, size + skipped, seed=seed, sampling=sampling)
@@ -39,12 +39,15 @@ class Machines:
         return jnp.arange(skipped, count), values
 
     def one(self, numbered, seed: int) -> tuple[Machine, jax.Array]:
-        """One machine of a batch, and the key of its noise. numbered: an element of the batch"""
+        """One machine of a batch, and the key of its noise.
+
+        numbered: an element of the batch
+        """
         number, drawn = numbered
         machine = drawn_machine(self.machine, self.uncertainty, drawn)
         return machine, jax.random.fold_in(jax.random.key(seed), number)
 
     def tiled(self, of_one, batch):
-        """`tiled(of_one)` over a batch and, under `vmap`, all starts."""
+        """The result of `tiled(of_one)` over a batch and, under `vmap`, over all starts."""
         of_a_device = -(-len(batch[0]) // jax.device_count())
         return tiled(of_one, lanes=max(1, min(self.lanes, of_a_device) // self.starts))

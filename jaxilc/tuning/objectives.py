@@ -1,13 +1,13 @@
-"""What tuning minimises and a worst-case search maximises: numbers of one learning process.
+"""Objectives: numbers of a learning process, which tuning minimises and a search maximises.
 
-An objective is a function of one machine's `Run`. Objectives add up, with weights:
-`Final() + 0.1 * Growth()`. A risk then makes one number of those of many machines (`risks`). Errors
-enter by their logarithm, so that orders of magnitude count alike:
+An objective is a function of one machine's `Run`. Objectives are added with weights:
+`Final() + 0.1 * Growth()`. A risk then combines the numbers of many machines into one (`risks`).
+Errors enter by their logarithm, so that each order of magnitude has the same weight:
 
     l(x) = 1/2 log((x / peak)^2 + floor^2) - log floor,     peak = max |r|
 
-It is >= 0, and about log(x / (floor peak)) where x is above floor peak. The metrics that objectives
-take are those of `learning.known_metrics` that may be tuned, and the further quantities by name.
+It is >= 0, and about log(x / (floor peak)) where x is above floor peak. Objectives accept the
+metrics of `learning.known_metrics` that may be tuned, and the further quantities by name.
 Where learning diverges, the numbers grow until no gradient is finite. `Bounded` keeps them finite.
 """
 
@@ -34,10 +34,10 @@ FLOOR = 1e-6  # relative to the peak of the reference
 
 
 class Run(NamedTuple):
-    """One machine's learning process.
+    """The learning process of one machine.
 
-    history: its `saved` has the further quantities by name
-    ceiling: of the error, relative to the peak of the reference, see `Bounded`
+    history: the metrics; its `saved` has the further quantities by name
+    ceiling: largest error, relative to the peak of the reference, see `Bounded`
     """
 
     machine: Machine
@@ -58,10 +58,10 @@ def judge(
     ceiling: float = CEILING,
     save: Keep | None = None,
 ) -> jax.Array:
-    """() the objective of one machine's learning process, bounded. Pure.
+    """() the objective of one machine's learning process under `Bounded`; a pure function.
 
-    ceiling: of the error, relative to the peak of the reference, see `Bounded`
-    save: further quantities, for objectives of these
+    ceiling: largest error, relative to the peak of the reference, see `Bounded`
+    save: further quantities, for objectives that use them
     """
     history = learn(
         machine, Bounded.around(scheme, task, ceiling), task, trials, key=key, save=save
@@ -76,9 +76,9 @@ _RANGES |= dict.fromkeys(("trial", "first", "after", "trials", "steps"), _COUNT)
 
 @dataclasses.dataclass(frozen=True)
 class Objective:
-    """A function of a `Run` to a number.
+    """A function from a `Run` to a number.
 
-    nominal: whether it is asked of the nominal machine only, so that no risk is taken of it
+    nominal: whether it is computed for the nominal machine only, without a risk over machines
     """
 
     nominal: ClassVar[bool] = False
@@ -110,7 +110,10 @@ class Objective:
 
 @dataclasses.dataclass(frozen=True)
 class Sum(Objective):
-    """The sum of weight_i objective_i. parts: (weight, objective) pairs"""
+    """The sum of weight_i objective_i over all parts.
+
+    parts: (weight, objective) pairs
+    """
 
     parts: tuple[tuple[float, Objective], ...]
 
@@ -124,10 +127,10 @@ class Sum(Objective):
 
 @dataclasses.dataclass(frozen=True)
 class Final(Objective):
-    """l of a metric at one trial.
+    """The value l of a metric at one trial.
 
-    trial: number of the trial, None for the last
-    floor: relative to the peak of the reference, in this and the other objectives
+    trial: number of the trial, None for the last one
+    floor: the floor in l, relative to the peak of the reference; also in the other objectives
     """
 
     metric: str = "settled_error"
@@ -156,9 +159,9 @@ class EveryTrial(Objective):
 
 @dataclasses.dataclass(frozen=True)
 class Holding(Objective):
-    """The largest l from a trial on: the level that is reached by then and kept.
+    """The largest l from one trial on: the level that is reached by this trial and kept.
 
-    first: number of that trial
+    first: number of this trial
     """
 
     first: int = 1
@@ -180,8 +183,8 @@ class TrialsTo(Objective):
 
         sum_j 1 / (1 + (tolerance / x_j)^(1 / width))
 
-    tolerance: [unit of the metric]
-    width: of the transition, in units of log x; for a width towards 0 the sum is the number
+    tolerance: largest value that counts as reached [unit of the metric]
+    width: width of the transition, in units of log x; for width -> 0 the sum is the exact number
     """
 
     tolerance: float
@@ -196,11 +199,11 @@ class TrialsTo(Objective):
 
 @dataclasses.dataclass(frozen=True)
 class Growth(Objective):
-    """All growth from trial to trial: the logarithm of the factor by which the metric rose in all.
+    """The sum of all rises of a metric from trial to trial, in logarithms.
 
         sum_j max(0, l(x_{j+1}) - l(x_j)),     j >= after
 
-    after: number of the first trial that counts; growth up to it is allowed
+    after: number of the first trial that counts; growth up to this trial is allowed
     """
 
     metric: str = "settled_error"
@@ -214,7 +217,10 @@ class Growth(Objective):
 
 @dataclasses.dataclass(frozen=True)
 class Effort(Objective):
-    """The mean square of all inputs in the last trial over scale^2. scale: [unit of u]"""
+    """The mean square of all inputs in the last trial, divided by scale^2.
+
+    scale: input that counts as 1 [unit of u]
+    """
 
     scale: float = 1.0
 
@@ -224,9 +230,9 @@ class Effort(Objective):
 
 @dataclasses.dataclass(frozen=True)
 class InputRate(Objective):
-    """The mean square of (u[k+1] - u[k]) / dt in the last trial over scale^2.
+    """The mean square of (u[k+1] - u[k]) / dt in the last trial, divided by scale^2.
 
-    scale: [unit of u per s]
+    scale: rate that counts as 1 [unit of u per s]
     """
 
     scale: float = 1.0
@@ -237,14 +243,17 @@ class InputRate(Objective):
 
 @dataclasses.dataclass(frozen=True)
 class Contraction(Objective):
-    """By how much the learning map of the nominal machine misses a contraction; 0 where it is one.
+    """How far the nominal learning map is from being a contraction; 0 where it is one.
 
         max(0, log(sigma / below)),     sigma = sup |e_{j+n}| / |e_j|
 
     The supremum is over all small changes of the error (`theory.contraction.error_map`). The slope
-    of sigma is that of |J v| at the singular vector v that Lanczos found, d sigma = u^T dJ v, so
-    the iteration itself need not be differentiated.
-    below: what sigma shall stay below;  trials: n;  steps: of the Lanczos iteration
+    of sigma is that of |J v| at the singular vector v of the Lanczos iteration, d sigma = u^T dJ v,
+    so the iteration itself need not be differentiated.
+
+    below: upper limit for sigma
+    trials: n
+    steps: steps of the Lanczos iteration
     """
 
     below: float = 1.0
@@ -267,12 +276,13 @@ class Contraction(Objective):
 
 
 def levels(run: Run, metric: str, floor: float) -> jax.Array:
-    """(J,) l of a metric, of its largest channel.
+    """(J,) values l of a metric, for its largest channel.
 
-    Of a trial that passed the ceiling at any sample, it is l of max |e| if that is larger. Without
-    this, an error that diverges at the start of the trial, outside the settled window, would not be
-    seen, since the bound stops it from spreading.
-    Raises ValueError naming the metrics that there are.
+    For a trial that exceeded the ceiling at any sample, it is l of max |e| if that is larger.
+    Otherwise an error that diverges at the start of the trial, outside the settled window, would
+    not count, since the bound keeps it from spreading to later samples.
+
+    Raises ValueError naming the metrics that exist.
     """
     history = run.history
     anywhere = largest(history.max_error / peak(run.task), axis=1)

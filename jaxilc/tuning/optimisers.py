@@ -18,7 +18,10 @@ def method_of(
     rate: float,
     steps: int,
 ) -> Method:
-    """The optimiser on a loss. rate, steps: of adam, whose rate falls to zero over the steps"""
+    """The method of an optimiser on a loss.
+
+    rate, steps: rate of adam, and the number of steps over which it falls to zero
+    """
     if optimiser == "least-squares":
         return by_least_squares(evaluate)
     if isinstance(optimiser, str):

@@ -3,8 +3,8 @@
     minimise over w:   risk(l_1, ..., l_S) + nominal terms,   l_s = objective(learn(machine_s, w))
 
 Loss and slope of each machine are computed in tiles, and only these numbers are kept; the slopes
-are then weighted by the derivatives of the risk by the losses. The weights move through smooth maps
-of the real line onto their allowed ranges. `losses` says what learning does to gradients.
+are then weighted by the derivatives of the risk by the losses. Smooth maps from the real line keep
+the weights inside their ranges. `losses` says how learning affects the gradients.
 """
 
 from __future__ import annotations
@@ -54,38 +54,38 @@ FORWARD_UP_TO = 3  # weights
 @takes_also(samples="machines")
 @dataclasses.dataclass(frozen=True)
 class Tuning:
-    """A tuning problem, fully specified. `run` solves it.
+    """A fully specified tuning problem, which `run` solves.
 
     machine, scheme, task, trials: as for `learn`
     weights: names of float leaves of the scheme, or of elements (`phi0[0]`), with (low, high)
         bounds, or None for the range that the leaf allows. An array stands for all of its elements.
-        A weight with a range of one sign keeps its sign. The ends of a range are excluded.
+        The ends of a range are excluded, so a weight whose range has one sign keeps that sign.
     uncertainty, machines, seed, sampling: which machines are drawn, see `uncertainty.draw`. The
         first is nominal; `samples` is an earlier name of `machines`.
-    objective, risk: what is minimised
+    objective, risk: number of one machine, and how the numbers of all machines are combined
     quantities: further metrics of a trial, by name, for the objective
-    held_out: how many machines, drawn with seed + 1, choose among the iterates. With 0, the
-        training loss chooses.
-    optimiser: adam (its rate falls to zero over the steps, by a cosine), lbfgs (with line search),
-        any optax transformation (a configuration knows its functions by their code and what they
-        close over, not by what they read from a module), or least-squares: Levenberg-Marquardt on
-        the losses of the machines. It minimises their mean square, not the risk, and needs
-        losses >= 0.
-    rate: of adam, in units of the real line: 0.1 is 10 % of a positive weight
+    held_out: number of machines, drawn with seed + 1, whose loss selects the best iterate; with 0,
+        the training loss selects it
+    optimiser: `adam` (its rate falls to zero over the steps, by a cosine), `lbfgs` (with line
+        search), any optax transformation (a configuration identifies its functions by their code
+        and closures, not by what they read from a module), or `least-squares`: Levenberg-Marquardt
+        on the losses of the machines; it minimises their mean square, not the risk, and needs
+        losses >= 0
+    rate: rate of adam on the real line: 0.1 is 10 % of a positive weight
     steps: largest number of steps
-    starts: K. The first is the scheme's own values, the others lie around it with the standard
-        deviation `scatter` on the real line.
+    starts: number K of starts; the first has the scheme's own values, the others lie around it with
+        the standard deviation `scatter` on the real line
     validate_every: steps from one computation of the held-out loss to the next
-    patience: how many of these without improvement are allowed before it stops
-    mode: forward or reverse differentiation; auto takes forward for up to FORWARD_UP_TO weights.
+    patience: number of these computations without improvement before the tuning stops
+    mode: `forward` or `reverse` differentiation; `auto` is forward for up to FORWARD_UP_TO weights.
         On a CPU, a forward gradient took as long as 5, 8 and 13 runs without one for 1, 2 and 3
-        weights (CFDL-MFAILC, 80 trials of 2000 samples; FFDL: 3, 6, 9), a reverse one as long as 9
-        to 12 for any number, and RAM for what is learned, see `learn`.
-    truncate: K, slopes go through the last K trials alone, None for all trials. What the weights
-        did to the trials before is then left out of the slope, not of the loss.
-    clip: longest slope of one machine, in units of the median length over the machines, or of 1 if
-        that is less; inf for no bound
-    ceiling: of the error, relative to the peak of the reference, see `Bounded`
+        weights (CFDL-MFAILC, 80 trials of 2000 samples; FFDL: 3, 6, 9). A reverse gradient took as
+        long as 9 to 12 runs for any number, and needs RAM for what is learned, see `learn`.
+    truncate: number of last trials through which slopes are computed, None for all. The effect of
+        the weights on earlier trials is then missing in the slope, but not in the loss.
+    clip: largest length of a machine's slope, in units of the median length over the machines, or
+        of 1 if the median is less; inf for no bound
+    ceiling: largest error, relative to the peak of the reference, see `Bounded`
     lanes: machines vectorised together, over all starts; None for what suits this backend
 
     Raises ValueError, before anything is compiled, as `Weights.of` does for the weights.
@@ -154,7 +154,7 @@ class Tuning:
         return described | {"environment": environment("optax")}
 
     def scheme_of(self, values: Mapping[str, Any]) -> Scheme:
-        """The scheme with the weights of these names; also inside `jit`."""
+        """The scheme with these values of the weights by name; also usable inside `jit`."""
         return replaced(self.scheme, values)
 
     def loss_of(
@@ -165,15 +165,13 @@ class Tuning:
         *,
         key=None,
     ) -> jax.Array:
-        """() the objective of one machine with these weights: what is differentiated. Pure."""
+        """() the objective of one machine with these weights, a pure function."""
         return self._losses.of_machine(machine, values, objective or self.objective, key=key)
 
     def held_out_loss(
         self, values: Mapping[str, Any], objective: Objective | None = None
     ) -> jax.Array:
-        """() the risk of the objective over the held-out machines with these weights, and the
-        nominal terms. Pure.
-        """
+        """() the risk over the held-out machines plus the nominal terms, a pure function."""
         seed, size = (self.seed + 1, self.held_out) if self.held_out else (self.seed, self.machines)
         batch = self._losses.machines.drawn(seed, size, nominal=not self.held_out)
         return self._losses.risk_of(values, objective or self.objective, batch, seed)
@@ -187,16 +185,16 @@ class Tuning:
     ) -> Tuned:
         """Tune, and return the iterate with the least loss on the held-out machines.
 
-        Killed at any moment, a resumed run ends with the numbers of an uninterrupted one, bit for
-        bit. Where the newest state is damaged, it goes on from the one before.
-        out: a folder for the state after each step, None to keep it in the RAM only
-        resume: go on with the state at `out`
-        progress: called after each step with its number, the (K,) training losses and the best
-        held-out loss so far
+        A run that was killed at any moment and resumed ends with the numbers of an uninterrupted
+        one, bit for bit. Where the newest state is damaged, it continues from the one before.
 
+        out: folder for the state after each step, None to keep it in the RAM only
+        resume: continue from the state at `out`
+        progress: function that is called after each step with its number, the (K,) training losses
+            and the best held-out loss so far
         Raises FileExistsError for an `out` that exists without `resume`; ValueError for one that is
-        in use, has no state that is whole, or was made with another configuration, and for a step
-        that the RAM cannot hold.
+        in use, has no undamaged state, or was made with another configuration, and for a step that
+        the RAM cannot hold.
         """
         z = self._weights.starts(self.starts, self.scatter, self.seed)
         method, held_out = self._programs
@@ -239,11 +237,13 @@ class Tuning:
     ) -> xr.Dataset:
         """The dataset of a sweep of the scheme as given and as tuned, for `summarise`.
 
-        Its machines have had no part in the tuning, nor in the choice among the iterates.
-        trials: None for those of the tuning;  machines: how many, machine 0 is the nominal one
-        seed: of the machines, None for that of the tuning + 2. Whoever changes a tuning after
-        looking at a comparison needs other machines for the next one.
-        Raises ValueError for the seeds of machines that had a part.
+        Its machines were not used in the tuning, nor to select the iterate.
+
+        trials: number of trials, None for that of the tuning
+        machines: number of machines; machine 0 is the nominal one
+        seed: seed of the machines, None for that of the tuning + 2; after a change of the tuning
+            that was based on a comparison, the next comparison needs another seed
+        Raises ValueError for the seeds of machines that were used.
         """
         schemes = {"given": self.scheme, "tuned": tuned.scheme}
         return self.comparison(schemes, trials=trials, machines=machines, seed=seed).run()
@@ -258,8 +258,8 @@ class Tuning:
     ) -> Sweep:
         """The sweep of `compare`, not run yet, for any schemes by name.
 
-        schemes: None for two like the one given, to see before a long tuning whether the RAM can
-        hold the comparison after it
+        schemes: None for two copies of the given one, to check before a long tuning whether the RAM
+            can hold the comparison after it
         Raises as `compare` does, and ValueError for more machines or trials than the RAM can hold.
         """
         if seed in (self.seed, self.seed + 1):
@@ -283,7 +283,7 @@ class Tuning:
 
     @cached_property
     def _programs(self) -> tuple[Method, Callable]:
-        """The optimiser for all starts, and the held-out losses. Compiled once a problem."""
+        """The optimiser for all starts and the held-out losses, compiled once for a problem."""
         return for_starts(self._method()), jax.jit(jax.vmap(self.held_out_loss))
 
     def _method(self) -> Method:

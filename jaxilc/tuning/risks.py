@@ -1,4 +1,4 @@
-"""One number of the losses of many machines: what a robust tuning minimises."""
+"""Risks: one number from the losses of many machines, which a robust tuning minimises."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from ..pytree.ranges import require
 
 @dataclasses.dataclass(frozen=True)
 class Risk:
-    """rho(losses) of (S,) losses. Its derivatives by them, `weights`, are >= 0 and sum to 1."""
+    """A risk rho of (S,) losses, whose derivatives (`weights`) are >= 0 and sum to 1."""
 
     def __call__(self, losses) -> jax.Array:
         raise NotImplementedError
 
     def weights(self, losses) -> jax.Array:
-        """(S,) d rho / d losses."""
+        """(S,) derivatives d rho / d losses."""
         return jax.grad(lambda x: self(x))(losses)
 
 
 @dataclasses.dataclass(frozen=True)
 class Mean(Risk):
-    """The mean."""
+    """The mean of the losses."""
 
     def __call__(self, losses):
         return jnp.mean(losses)
@@ -36,9 +36,10 @@ class Mean(Risk):
 class CVaR(Risk):
     """Conditional value at risk: the mean of the worst share 1 - alpha of the losses.
 
-    Rockafellar and Uryasev 2000. Where the share is not a whole number of losses, the last one
-    counts in part.
-    alpha: in [0, 1); 0 is the mean
+    The definition is that of Rockafellar and Uryasev 2000. Where the share is not a whole number of
+    losses, the smallest of them counts in part.
+
+    alpha: () level in [0, 1); 0 gives the mean
     """
 
     alpha: float = 0.9
@@ -48,9 +49,9 @@ class CVaR(Risk):
 
     def __call__(self, losses):
         size = (1.0 - self.alpha) * losses.shape[0]
-        size = max(size, 1.0)  # fewer than one machine: the worst of them
-        # by places: sorted losses have a scatter as their derivative, of which XLA's partitioner
-        # dies where they lie on many devices
+        size = max(size, 1.0)  # a share of less than one machine: the worst one
+        # By the ranks of the losses: the derivative of a sort is a scatter, at which XLA's
+        # partitioner crashes where the losses are on many devices.
         place = jnp.argsort(jnp.argsort(-lax.stop_gradient(losses)))
         share = jnp.clip(size - place, 0.0, 1.0)
         return jnp.sum(share * losses) / size
@@ -58,7 +59,7 @@ class CVaR(Risk):
 
 @dataclasses.dataclass(frozen=True)
 class Worst(Risk):
-    """The largest."""
+    """The largest loss."""
 
     def __call__(self, losses):
         return largest(losses)
@@ -66,9 +67,11 @@ class Worst(Risk):
 
 @dataclasses.dataclass(frozen=True)
 class SmoothMax(Risk):
-    """T log(mean exp(losses / T)): for T towards infinity the mean, for T towards 0 the largest.
+    """A smooth maximum: the largest loss for T towards 0, the mean for T towards infinity.
 
-    temperature: T > 0 [unit of the loss]
+        rho = T log(mean exp(losses / T))
+
+    temperature: () T > 0 [unit of the loss]
     """
 
     temperature: float = 0.3

@@ -1,4 +1,4 @@
-"""What the settings of a tuning may be."""
+"""The values that the settings of a tuning may have."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ CHOICES = {"mode": ("auto", "forward", "reverse"), "optimiser": OPTIMISERS}
 
 
 def check_settings(settings: Mapping[str, Any]) -> None:
-    """Raises ValueError, naming the setting, its value and what is allowed.
+    """Check the settings of a tuning.
 
     settings: fields of `Tuning` by name
+    Raises ValueError naming the setting, its value and what is allowed.
     """
     for name, allowed in WHOLE.items():
         require("Tuning", name, settings[name], allowed, whole=True)

@@ -12,11 +12,15 @@ from ..runtime.capacity import check_size
 from ..signals.task import Task
 from ..uncertainty import Uncertainty, bytes_drawn, check
 
-COPIES = 6  # of what is kept of each step: in the state, in its file, and on the way to the file
+COPIES = 6  # of the record of each step: in the state, in its file, and while it is written
 
 
 class Counts(NamedTuple):
-    """How much of everything a tuning has. weights: how many;  the others: see `Tuning`"""
+    """The numbers that determine the RAM of a tuning.
+
+    weights: number of weights
+    The other fields are those of `Tuning`.
+    """
 
     weights: int
     trials: int
@@ -28,8 +32,10 @@ class Counts(NamedTuple):
 
 
 def need_room(machine: Machine, uncertainty: Uncertainty, task: Task, counts: Counts) -> None:
-    """Raises ValueError where trials, machines, starts or steps do not fit in RAM, with how many
-    would fit, and for an uncertainty that does not fit the machine.
+    """Check that trials, machines, starts and steps fit in RAM.
+
+    Raises ValueError, saying how many would fit, where they do not, and for an uncertainty that
+    does not fit the machine.
     """
     check(machine, uncertainty)
     together = min(counts.lanes * jax.device_count(), counts.machines)

@@ -1,7 +1,8 @@
-"""The folder of a descent: its configuration, its newest state, and the state before.
+"""The folder of a descent: its configuration, its newest state, and the state before that.
 
-All three have checksums. A state has the configuration as well, so that a tuning survives damage to
-any single file: it goes on from what is whole, and ends with the same numbers, bit for bit.
+All three files have checksums. A state also holds the configuration, so that a tuning survives
+damage to any single file: it continues from the undamaged files, and ends with the same numbers,
+bit for bit.
 """
 
 from __future__ import annotations
@@ -39,11 +40,14 @@ log = logging.getLogger("jaxilc")
 
 
 class Folder:
-    """The folder of a descent. While it is open, no other process can open it."""
+    """The folder of a descent, which no other process can open while it is open here."""
 
     def __init__(self, path: Path, configuration: dict[str, Any], resume: bool):
-        """Raises FileExistsError, and ValueError for a folder that is in use, is not of a tuning,
-        or was made with another configuration, as `Tuning.run` says."""
+        """Open the folder, or make it.
+
+        Raises FileExistsError, and ValueError for a folder that is in use, does not belong to a
+        tuning, or was made with another configuration, as `Tuning.run` says.
+        """
         self.path, self._recipe = path, json_text(configuration)
         if not path.exists():
             with whole_folder(path) as unfinished:
@@ -68,20 +72,20 @@ class Folder:
         self._closing.close()
 
     def write(self, state: State) -> None:
-        """Make this the newest state; at any moment at least one of the two is whole."""
+        """Store the newest state, so that at any moment one of the two states is undamaged."""
         leaves = {f"arr_{i}": leaf for i, leaf in enumerate(jax.tree.leaves(state))}
         content = archive(leaves | {"configuration": np.asarray(self._recipe)})
         atomically(self.path / FRESH, lambda file: file.write(content))
-        if self._newest_is_whole:  # else the state before it is all there is to fall back on
+        if self._newest_is_whole:  # else only the state before it is undamaged
             os.replace(self.path / STATE, self.path / PREVIOUS)
         os.replace(self.path / FRESH, self.path / STATE)
         self._newest_is_whole = True
         to_disk(self.path)
 
     def latest(self, state: State) -> State:
-        """The newest state that is whole, or the one given if there was none before it.
+        """The newest undamaged state, or the given one if none was stored.
 
-        Raises ValueError where both that there were are damaged.
+        Raises ValueError where both stored states are damaged.
         """
         if self._damaged and not self._whole and (self.path / PREVIOUS).exists():
             raise ValueError(f"{'; '.join(self._damaged)}; remove {self.path} and start again")
@@ -98,7 +102,7 @@ class Folder:
         return jax.tree.unflatten(structure, found)
 
     def _configuration(self) -> dict[str, Any]:
-        """The configuration of the folder; where its file is damaged, from a state, and mended."""
+        """The configuration of the folder; a damaged file is repaired from a state."""
         file, found = self.path / CONFIGURATION, None
         try:
             return as_json(unsealed(read_json(file)))
@@ -118,7 +122,7 @@ def _kind(leaf: Any) -> tuple[Any, ...]:
 
 
 def _states(path: Path) -> tuple[dict[str, dict[str, Any]], list[str]]:
-    """The states that are whole by name, the newest first, and what is wrong with the others."""
+    """The undamaged states by name, the newest first, and what is wrong with the others."""
     whole: dict[str, dict[str, Any]] = {}
     damaged: list[str] = []
     for name in (STATE, PREVIOUS):

@@ -16,15 +16,16 @@ from .objectives import Objective
 from .problem import Tuned, Tuning
 
 SHARES = (0.1, 0.3, 0.5, 0.7, 0.9)
-# the name of the tuning, then what `Tuning.run` hands to its `progress`
+# Called with the name of the tuning, then with the arguments of `progress` of `Tuning.run`.
 Progress = Callable[[str, int, np.ndarray, float], None]
 
 
 class Point(NamedTuple):
     """One point of a trade-off.
 
-    share: of the first objective;  tuned: what its tuning found
-    first, second: the risk of either objective over the held-out machines
+    share: weight of the first objective, from 0 to 1
+    tuned: result of its tuning
+    first, second: risk of each objective over the held-out machines
     """
 
     share: float
@@ -43,20 +44,21 @@ def pareto(
     resume: bool = False,
     progress: Progress | None = None,
 ) -> tuple[Point, ...]:
-    """The points of a trade-off between two objectives, by rising first objective.
+    """The points of a trade-off between two objectives, sorted by the first objective.
 
         minimise  share first / |first_0| + (1 - share) second / |second_0|
 
-    A point that is worse than another one in both objectives is left out.
-    first_0, second_0: on the held-out machines with the weights as given, so that a share of 1/2
-    weighs a gain of 1 % in either objective alike. An objective that is zero or not finite there is
-    not divided. Each tuning starts from the weights as given. A weighted sum finds only the convex
-    part of the front (Das and Dennis 1997), and evenly spaced shares need not give evenly spaced
-    points.
-    shares: in [0, 1], each once
-    out: a folder that has a folder with the state of each tuning, None to keep them in the RAM only
-    resume: go on with the states at `out`, where shares may be added
-    progress: called after each step of each tuning
+    first_0 and second_0 are the objectives on the held-out machines with the weights as given, so
+    that with a share of 1/2 a gain of 1 % in either objective counts the same. An objective that is
+    zero or not finite there is not divided. Each tuning starts from the weights as given. A point
+    that is worse than another one in both objectives is left out. A weighted sum finds only the
+    convex part of the front (Das and Dennis 1997), and evenly spaced shares need not give evenly
+    spaced points.
+
+    shares: numbers in [0, 1], all different
+    out: folder that gets a folder for the state of each tuning, None to keep them in the RAM only
+    resume: continue from the states at `out`, where shares may be added
+    progress: function that is called after each step of each tuning
     Raises ValueError naming shares that are not allowed, and what `Tuning.run` raises.
     """
     if not shares or len(set(shares)) < len(shares) or not all(0 <= share <= 1 for share in shares):
@@ -95,10 +97,12 @@ def by_trials(
     resume: bool = False,
     progress: Progress | None = None,
 ) -> dict[int, Tuned]:
-    """The problem tuned anew for each number of trials, to see what error can be reached by then.
+    """Tune the problem separately for each number of trials, to find the error that is reached.
 
     Each tuning starts from the weights as given.
-    budgets: numbers of trials, each once;  out, resume, progress: as for `pareto`
+
+    budgets: numbers of trials, all different
+    out, resume, progress: as for `pareto`
     Raises ValueError naming budgets that are not allowed or too short for the objective, and what
     `Tuning.run` raises.
     """
@@ -114,9 +118,9 @@ def by_trials(
 def held_out_losses(
     problem: Tuning, *objectives: Objective
 ) -> Callable[[Mapping[str, float]], np.ndarray]:
-    """A compiled function of the weights by name.
+    """A compiled function from weights by name to the risks of the objectives.
 
-    It gives the risk of each objective over the held-out machines.
+    Each risk is taken over the held-out machines.
     """
     losses = jax.jit(
         lambda values: jnp.stack(

@@ -1,7 +1,7 @@
-"""The weights that are tuned, and what tuning found for them.
+"""The weights that are tuned, and the result of a tuning.
 
-A weight is a float leaf of a scheme, or an element of one. It has an open range, and a place z on
-the real line, where an optimiser may move it.
+A weight is a float leaf of a scheme, or an element of one. It has an open range, which is mapped to
+the real line: the optimiser moves its coordinate z there.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from ..signals.task import Task
 from .bijection import Bijection
 from .descent import State
 
-FAR = 12.0  # how far a weight might go on the real line: to e^12, or 6e-6 from an end of its range
+FAR = 12.0  # largest |z| for which room is checked: a factor e^12, or 6e-6 from an end of the range
 
 Asked = (
     Mapping[str, tuple[float, float] | None] | Sequence[str]
-)  # names with their bounds, None for all that a leaf allows
+)  # names with their bounds, None for the range that the leaf allows
 
 
 @dataclasses.dataclass(frozen=True)
 class Weights:
-    """P weights by name.
+    """The P weights of a tuning by name.
 
-    bijections: map z on the real line to the weight
+    bijections: maps from z on the real line to each weight
     start: values in the scheme, which may be ends of a range
     """
 
@@ -42,10 +42,10 @@ class Weights:
 
     @classmethod
     def of(cls, scheme: Scheme, asked: Asked) -> Weights:
-        """The weights of a scheme that are asked for.
+        """The weights of a scheme that were asked for.
 
-        Raises ValueError, naming a weight that does not exist, is absent or static, bounds that are
-        empty or not allowed, and a start outside them.
+        Raises ValueError naming a weight that does not exist, is absent or static, bounds that are
+        empty or not allowed, and a start outside its bounds.
         """
         asked = asked if isinstance(asked, Mapping) else dict.fromkeys(asked)
         if not asked:
@@ -61,16 +61,16 @@ class Weights:
         )
 
     def at(self, z) -> dict[str, jax.Array]:
-        """The weights by name of z (..., P)."""
+        """The values of the weights by name, for z (..., P)."""
         return {name: b(z[..., i]) for i, (name, b) in enumerate(self.bijections.items())}
 
     @property
     def inside(self) -> dict[str, float]:
-        """The start, moved inside where it lies on an end of a range."""
+        """The start values, moved inside where they lie on an end of a range."""
         return {name: b.inside(self.start[name]) for name, b in self.bijections.items()}
 
     def starts(self, count: int, scatter: float, seed: int) -> np.ndarray:
-        """(count, P) z of the start, and around it with the standard deviation `scatter`."""
+        """(count, P) z of the start, and random z around it with standard deviation `scatter`."""
         scattered = scatter * np.random.default_rng(seed).standard_normal((count, len(self.start)))
         scattered[0] = 0.0
         z = (
@@ -80,8 +80,9 @@ class Weights:
         return z.astype(jnp.result_type(float))
 
     def need_room(self, machine: Machine, scheme: Scheme, task: Task) -> None:
-        """Raises ValueError if the scheme refuses what the bounds of a weight allow, such as a
-        cutoff of a filter beyond the Nyquist frequency.
+        """Check that the scheme accepts the values that the bounds of each weight allow.
+
+        Raises ValueError if it does not, as for a cutoff of a filter beyond the Nyquist frequency.
         """
         for name, bijection in self.bijections.items():
             for z in (-FAR, FAR):
@@ -97,17 +98,20 @@ class Weights:
 
 @dataclasses.dataclass(frozen=True)
 class Tuned:
-    """What tuning found.
+    """The result of a tuning.
 
-    values: by name, of the iterate with the least held-out loss;  scheme: with these values
-    start: by name, as given
-    loss, slope, dropped: (steps, K) of each step and start: training loss, length of its gradient,
-    how many machines had no finite gradient
-    weights: (steps, K) by name, the values that these belong to
+    values: weights by name, of the iterate with the least held-out loss
+    scheme: the scheme with these values
+    start: weights by name, as given
+    loss: (steps, K) training loss of each step and start
+    slope: (steps, K) length of the gradient
+    dropped: (steps, K) how many machines had no finite gradient
+    weights: (steps, K) values by name at which the loss was computed
     held_out: (steps + 1, K) held-out loss, NaN where it was not computed
-    before, after: held-out loss with `start` and with `values`;  step: of the best iterate
-    nudged: by name, where weights were moved to that lay on an end of their range
-    reason: why it stopped
+    before, after: held-out loss with `start` and with `values`
+    step: number of the best step
+    nudged: new values by name, of weights that were moved away from an end of their range
+    reason: why the tuning stopped
     """
 
     values: dict[str, float]
@@ -134,7 +138,7 @@ class Tuned:
         after: float,
         reason: str,
     ) -> Tuned:
-        """What the descent that ended in `state` found for the weights of a scheme."""
+        """The result of the descent that ended in `state`, for the weights of a scheme."""
         done = int(state.step)
         values = {name: float(value) for name, value in weights.at(state.best_z).items()}
         return cls(
@@ -163,7 +167,10 @@ class Tuned:
 def _elements(
     scheme: Scheme, name: str, bounds: tuple[float, float] | None
 ) -> dict[str, tuple[float, float]]:
-    """The elements of a leaf by name, with their bounds. Raises ValueError as `Weights.of` says."""
+    """The elements of a leaf by name, with their bounds.
+
+    Raises ValueError as `Weights.of` says.
+    """
     try:
         value = get_at(scheme, name)
     except KeyError as error:
@@ -172,7 +179,7 @@ def _elements(
         raise ValueError(
             f"weights: {name} = {value!r} is not a float leaf of this scheme and cannot be tuned"
         )
-    allowed: Any = interval_at(scheme, name)  # a float leaf has one
+    allowed: Any = interval_at(scheme, name)  # every float leaf has an interval
     low, high = (allowed.low, allowed.high) if bounds is None else map(float, bounds)
     if not low < high:
         raise ValueError(f"weights: the bounds ({low:g}, {high:g}) of {name} are empty")

@@ -2,9 +2,9 @@
 
     maximise over t in [0, 1]^n:   loss(subject with each named leaf at the place t of its range)
 
-The set is the box between the `corners` of the distributions: the ends of a uniform one, two
-standard deviations of a normal one to either side of its mean. The subject may be any pytree: a
-machine, or a dictionary of a machine and a phase, an initial state, or a reference.
+The set is the box between the `corners` of the distributions: the ends of a uniform distribution,
+and the mean plus and minus two standard deviations of a normal one. The subject may be any pytree:
+a machine, or a dictionary of a machine and a phase, an initial state, or a reference.
 """
 
 from __future__ import annotations
@@ -21,17 +21,20 @@ from ..runtime.capacity import check_program, check_size
 from ..runtime.tiles import tiled
 from ..uncertainty import LogUniform, Uncertainty, check, drawn_machine
 
-GRADIENT_COST = 3  # evaluations of the loss that take as long as a gradient besides its loss
-COPIES = 8  # in the RAM of the places of all climbs or draws, and of the losses there
+GRADIENT_COST = 3  # cost of a gradient beyond that of its loss, in evaluations of the loss
+COPIES = 8  # in the RAM, of the points of all climbs or draws, and of their losses
 GROW, SHRINK, FIRST, SMALLEST = 1.5, 0.4, 0.1, 1e-6  # Riedmiller 1993 has 1.2 and 0.5
 
 
 class WorstCase(NamedTuple):
     """The largest loss that a search found.
 
-    values: by name, as `drawn_machine` takes them;  subject: rebuilt from them;  loss: there
-    evaluations: of the loss, where a gradient counts as GRADIENT_COST further ones
-    found: (starts,) the largest loss from each start;  best: (steps,) the largest loss so far
+    values: drawn numbers by name, as `drawn_machine` takes them
+    subject: the subject with these values
+    loss: () loss of this subject
+    evaluations: evaluations of the loss, where a gradient counts as GRADIENT_COST further ones
+    found: (starts,) the largest loss from each start
+    best: (steps,) the largest loss so far
     """
 
     values: dict[str, float]
@@ -52,18 +55,19 @@ def worst_case_search(
     seed: int = 0,
     lanes: int | None = None,
 ) -> WorstCase:
-    """Projected ascent on the loss from scattered starts, the centre of the box first, in tiles.
+    """Search by projected ascent on the loss, from the centre of the box and scattered starts.
 
         t <- clip(t + step sign(d loss / d t), 0, 1)
 
     The step of a coordinate grows by 1.5 while its slope keeps its sign, and shrinks by 0.4 when
     the sign changes. Only signs of slopes are used (Rprop, Riedmiller 1993), so the loss may be of
     any size. A coordinate whose slope is not finite stays where it is; a climb whose loss is not
-    finite returns to its best place with smaller steps. What is found is a local maximum in the
-    box; there may be a larger one.
-    loss: pure, of a subject to a number; that of `objectives.judge` stays finite where a machine
-    diverges
-    lanes: subjects vectorised together, None for what suits this backend
+    finite returns to its best point with smaller steps. The result is a local maximum in the box;
+    there may be a larger one.
+
+    loss: pure function from a subject to a number; that of `objectives.judge` stays finite where a
+    machine diverges
+    lanes: number of subjects vectorised together, None for what suits this backend
     Raises ValueError for an uncertainty that is empty or does not fit the subject, or where no loss
     is finite.
     """
@@ -123,7 +127,7 @@ def monte_carlo_search(
     seed: int = 0,
     lanes: int | None = None,
 ) -> WorstCase:
-    """The largest of so many losses, drawn at random and evenly from the same box.
+    """The largest loss of `evaluations` subjects drawn uniformly from the same box.
 
     Raises as `worst_case_search` does.
     """
@@ -161,12 +165,12 @@ class _Box:
             drawn_machine(subject, uncertainty, self.values(np.full(self.n, end)))
 
     def values(self, t) -> dict[str, Any]:
-        """The numbers at t (n,); those of a log-uniform distribution go by their logarithm."""
+        """The values by name at t (n,); a log-uniform one is interpolated by its logarithm."""
         values = {}
         for i, (name, distribution) in enumerate(self.uncertainty.items()):
             low, high = distribution.corners()
             log = isinstance(distribution, LogUniform)
-            # exact at both ends
+            # this form is exact at both ends
             values[name] = (
                 low ** (1 - t[i]) * high ** t[i] if log else (1 - t[i]) * low + t[i] * high
             )

@@ -1,4 +1,4 @@
-"""The machine on which a scheme ends worst: a climb beside draws by chance, judged by one metric.
+"""The machine with the largest metric: a search by gradient ascent, and one by random draws.
 
 `worst_case` searches for the largest loss of any subject. Here the subject is a machine, and the
 loss is that of the last trial's metric (`objectives.Final`).
@@ -35,9 +35,11 @@ from .worst_case import (
 class Search(NamedTuple):
     """One search for the worst machine.
 
-    case: what it found;  value: the metric of that machine in the last trial
-    needed: evaluations until it had found it
-    level_with_chance: evaluations until it had found as much as chance did; None if it never did
+    case: result of the search
+    value: the metric of that machine in the last trial
+    needed: number of evaluations until this machine was found
+    level_with_chance: number of evaluations until the loss reached that of the random search, None
+        if it never did
     """
 
     case: WorstCase
@@ -47,11 +49,12 @@ class Search(NamedTuple):
 
 
 class WorstMachine(NamedTuple):
-    """What the searches found; metrics in units of `scale`.
+    """The results of the searches, with metrics multiplied by `scale`.
 
-    nominal: the metric of the machine itself in the last trial
-    searches: by name: `gradient`, `chance` with as many evaluations, `more chance` if asked for
-    by_chance: (n,) the metric of each machine of the largest search by chance
+    nominal: metric of the nominal machine in the last trial
+    searches: searches by name: `gradient`, `chance` with as many evaluations, and `more chance` if
+        asked for
+    by_chance: (n,) metric of each machine of the largest random search
     """
 
     nominal: float
@@ -77,11 +80,13 @@ def worst_machine(
 ) -> WorstMachine:
     """Search for the machine whose metric of the last trial is largest.
 
-    metric: of `Metrics`, or a name of `quantities`;  scale: metrics are returned as `scale` times
+    metric: name of a field of `Metrics`, or of one of the `quantities`
+    scale: factor by which metrics are multiplied
     quantities: further metrics of a trial, by name
-    starts, steps: of the climb;  evaluations: to spend on it, in place of `steps`
-    draws: of a larger search by chance besides
-    Raises ValueError as `worst_case_search` does, and, before the climb, for what memory cannot
+    starts, steps: numbers of starts and of steps of the ascent
+    evaluations: number of evaluations to spend on the ascent, in place of `steps`
+    draws: number of draws of a further, larger random search
+    Raises ValueError as `worst_case_search` does, and, before the ascent, for what the RAM cannot
     hold.
     """
     of_a_step = starts * (1 + GRADIENT_COST)
@@ -106,7 +111,7 @@ def worst_machine(
         return scale * float(jnp.max(values[-1])) if not history.diverged[-1] else float("inf")
 
     def of_losses(losses: np.ndarray) -> np.ndarray:
-        """Metrics from losses; of several outputs the largest peak of the reference counts."""
+        """Metrics from losses; with several outputs the largest peak of the reference is used."""
         unit = scale * float(jnp.max(peak(task))) * objective.floor
         return unit * np.sqrt(np.maximum(np.exp(2.0 * losses) - 1.0, 0.0))
 
@@ -132,7 +137,11 @@ def worst_machine(
 
 
 def _search(case: WorstCase, *, value: float, each: int, chance: float) -> Search:
-    """each: evaluations between two entries of `case.best`;  chance: loss that chance found"""
+    """The record of one search.
+
+    each: evaluations between two entries of `case.best`
+    chance: loss that the random search found
+    """
     level = each * (1 + int((case.best >= chance).argmax())) if case.loss >= chance else None
     return Search(case, value, each * (1 + int(case.best.argmax())), level)
 
@@ -147,7 +156,7 @@ def _need_room(
     evaluations: int | None,
     draws: int | None,
 ) -> None:
-    """Raises ValueError where the climb or a search by chance does not fit into memory."""
+    """Raises ValueError where the ascent or a random search does not fit into the RAM."""
     of_trial, each = bytes_of_metrics(task), bytes_of_a_draw(uncertainty)
     check_size(
         "worst-case",

@@ -1,4 +1,4 @@
-"""The benchmark: opponents compute what we compute, and wrong numbers are refused."""
+"""The benchmark's opponents compute what the package computes, and wrong numbers are refused."""
 
 import json
 
@@ -17,7 +17,7 @@ OPPONENTS, NOTES = bench.opponents()
 
 @pytest.fixture(scope="module", params=["cfdl", "ffdl"])
 def small(request):
-    """(setting, our metrics) of 3 plants, 6 trials of 40 samples."""
+    """Return a setting and the package's metrics of 3 plants, each over 6 trials of 40 samples."""
     of = bench.setting(request.param, 3, 6, 40)
     return of, of.ours(lanes=2)()
 
@@ -30,12 +30,15 @@ def test_every_opponent_has_our_numbers(small, name):
     theirs = OPPONENTS[name][0](of.problem)
     assert ours.shape == (3, 6, 4)
     np.testing.assert_allclose(theirs, ours, **ALGEBRA)
-    assert np.all(np.diff(ours[..., 1], axis=1) != 0)  # it learns
-    assert len(np.unique(ours[:, -1, 1])) == 3  # plants differ
+    assert np.all(np.diff(ours[..., 1], axis=1) != 0)  # the error changes from trial to trial
+    assert len(np.unique(ours[:, -1, 1])) == 3  # the plants differ
 
 
 def test_the_reset_is_the_same_for_all():
-    """A start value of the wrong size, whose estimate changes sign."""
+    """The estimator's reset gives the same numbers in every opponent.
+
+    The start value has the wrong size, and the estimate changes its sign.
+    """
     of = bench.setting("cfdl", 2, 12, 40)
     of = of._replace(scheme=type(of.scheme)(lam=0.01, mu=1e-4, phi0=-1e-3, reset="sign"))
     ours, problem = of.ours(lanes=1)(), of.problem
@@ -44,7 +47,7 @@ def test_the_reset_is_the_same_for_all():
     never = of._replace(scheme=type(of.scheme)(lam=0.01, mu=1e-4, phi0=-1e-3, reset="none")).ours(
         lanes=1
     )()
-    assert np.max(np.abs(never - ours)) > 1e-6 * np.max(np.abs(ours))  # it did happen
+    assert np.max(np.abs(never - ours)) > 1e-6 * np.max(np.abs(ours))  # a reset took place
 
 
 def entry(value, **changes):
@@ -77,7 +80,7 @@ def test_a_row_says_what_was_measured():
     assert rows["other"].compile_seconds >= 7.0
     slow = rows["other"]._replace(seconds=(3e-6, 1e-6, 8e-6), steps=100)
     ours = rows[timing.OURS]._replace(seconds=(1e-6, 1e-6, 1e-6), steps=50)
-    assert (slow.best, slow.median) == pytest.approx((10.0, 30.0))  # ns
+    assert (slow.best, slow.median) == pytest.approx((10.0, 30.0))  # [ns]
     np.testing.assert_allclose(slow.ratios(ours), [1.5, 0.5, 4.0])
     assert json.dumps(timing.as_json({"other": slow, timing.OURS: ours}))
 
@@ -93,9 +96,8 @@ def test_memory_of_a_call_is_seen():
 def test_the_cost_of_a_size_is_a_line():
     found = timing.cost([1, 2, 4], [0.7, 1.2, 2.2])
     assert (found.start, found.slope, found.residual) == pytest.approx((0.2, 0.5, 0.0), abs=1e-12)
-    assert timing.cost([1, 2, 3], [1.0, 1.0, 4.0]).residual == pytest.approx(
-        0.25
-    )  # off by 0.5, -1, 0.5 of 4
+    # The line misses the three times by 0.5, -1 and 0.5, and the largest time is 4.
+    assert timing.cost([1, 2, 3], [1.0, 1.0, 4.0]).residual == pytest.approx(0.25)
 
 
 def test_the_command(tmp_path):

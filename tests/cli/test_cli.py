@@ -1,4 +1,7 @@
-"""The command line: what it prints and writes, what it refuses, and a sweep killed with SIGKILL."""
+"""These tests check what the command line prints, writes and refuses.
+
+They also kill a sweep with SIGKILL and resume it.
+"""
 
 import contextlib
 import inspect
@@ -54,7 +57,10 @@ COLOUR = re.compile("\x1b\\[[0-9;]*3[0-7]")
 
 @pytest.fixture
 def jaxilc_command(monkeypatch, capsys, tmp_path):
-    """Runs the command in this process: exit code, standard output, standard error."""
+    """Return a function that runs the command in this process.
+
+    It returns the exit code, standard output and standard error.
+    """
     monkeypatch.chdir(tmp_path)
 
     def call(*arguments):
@@ -320,7 +326,7 @@ def command(store, *more):
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """The store of an uninterrupted sweep."""
+    """Return the store of an uninterrupted sweep."""
     store = tmp_path_factory.mktemp("sweep") / "whole"
     subprocess.run(command(store), check=True, capture_output=True)
     return store
@@ -409,7 +415,7 @@ def test_identify_reads_a_record_and_names_what_is_wrong_with_it(jaxilc_command,
 
 
 def test_a_run_leaves_a_report(tmp_path):
-    """One page with the table, every figure embedded, and how it was asked for."""
+    """A run writes one page with the table, every figure, and the command that made it."""
     page = tmp_path / "page.html"
     result = CliRunner().invoke(
         app,
@@ -431,7 +437,7 @@ def test_a_run_leaves_a_report(tmp_path):
 
 
 def examples():
-    """Every command with the examples of its help."""
+    """Return every command with the examples of its help text."""
     for command in get_command(app).commands.values():
         found = re.findall(
             r"Example: jaxilc (.+?)(?:\n\n|\Z)",
@@ -446,7 +452,10 @@ def examples():
 
 @pytest.mark.parametrize(("command", "words"), [*examples()])
 def test_the_example_of_a_command_is_one_of_it(command, words):
-    """Its options exist and its values are of the right kind; anything else would raise."""
+    """The options of each example exist, and their values are of the right type.
+
+    Anything else would raise.
+    """
     assert words[0] == command.name
     with command.make_context(command.name, words[1:]) as context:
         assert not context.args
@@ -484,7 +493,10 @@ def test_a_help_page_fits_80_columns(name):
 
 
 def test_what_commands_share_is_declared_once():
-    """A shared option reads the same wherever it is; a count of machines keeps its old name."""
+    """A shared option has the same help text in every command.
+
+    The option that counts machines keeps its old name.
+    """
     said, of_machines = {}, {}
     for name, command in get_command(app).commands.items():
         for option in command.params:
@@ -512,7 +524,7 @@ def test_a_table_fits_80_columns_and_nothing_is_cut(jaxilc_command, monkeypatch,
 
 
 def started(*words, **environment):
-    """The console script as another process: its result, without a terminal."""
+    """Run the console script as another process, without a terminal, and return its result."""
     program = "import sys; from jaxilc.cli import main; sys.argv[0] = 'jaxilc'; main()"
     return subprocess.run(
         [sys.executable, "-c", program, *words],
@@ -548,7 +560,7 @@ def test_a_shell_completes_scenarios_schemes_and_choices(tmp_path):
         (f"jaxilc certify {tmp_path / 'mine.toml'} --scheme i", ["ilc"]),
         ("jaxilc next --scenario milc-2024 --scheme m", ["milc"]),
         ("jaxilc sweep cao-2019 --sampling so", ["sobol"]),
-        ("jaxilc run elsewhere/", []),  # the shell completes files
+        ("jaxilc run elsewhere/", []),  # the shell completes the names of files
     ):
         environment = {
             "_JAXILC_COMPLETE": "complete_bash",
@@ -573,7 +585,7 @@ def test_colours_are_for_a_terminal_that_wants_them(environment, coloured):
     )
     os.close(theirs)
     text = b""
-    with contextlib.suppress(OSError):  # the end of a terminal
+    with contextlib.suppress(OSError):  # raised at the end of the terminal's output
         while part := os.read(ours, 65536):
             text += part
     os.close(ours)

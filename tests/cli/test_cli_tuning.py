@@ -1,6 +1,6 @@
-"""The commands that tune and search: their numbers are the library's, and they can be resumed.
+"""The commands that tune and search give the numbers of the library, and they can be resumed.
 
-Parameter files, worst machines that are rebuilt, and mistakes have their tests here too.
+Parameter files, worst machines that are built again, and mistakes of users are tested here too.
 """
 
 import contextlib
@@ -82,7 +82,7 @@ PARETO = (
 
 
 def call(*arguments):
-    """Runs the command in this process: exit code, standard output, standard error."""
+    """Run the command in this process and return exit code, standard output and standard error."""
     out, err, code = io.StringIO(), io.StringIO(), 0
     with (
         mock.patch.object(sys, "argv", ["jaxilc", *map(str, arguments)]),
@@ -106,7 +106,7 @@ def scenario():
 
 @pytest.fixture(scope="module")
 def tuned(tmp_path_factory):
-    """The folder of a tuning, and what it printed."""
+    """Return the folder of a tuning, and what the command printed."""
     folder = tmp_path_factory.mktemp("tune")
     code, out, err = call(*TUNE, "--out", folder, "--json", folder / "numbers.json")
     assert code == 0, err

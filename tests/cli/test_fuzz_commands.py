@@ -1,7 +1,7 @@
-"""Every command with options that nobody wants, up to where it would compute.
+"""Every command gets invalid options, and runs up to the point where it would compute.
 
-A command ends well, or with a mistake in one line, and never with exit code 1. See fuzz.py for how
-to run more.
+A command ends without an error, or with a message of one line, and never with exit code 1. fuzz.py
+says how to run more cases.
 """
 
 import contextlib
@@ -128,7 +128,7 @@ LETTERS = ("\x1b[31m", "[bold]", ":x:", "\u202e", "\n", "\udcff", "é", "a" * 30
 
 
 class Computes(BaseException):
-    """All that was asked for was allowed."""
+    """All options were accepted, and the command is about to compute."""
 
 
 def computes(*_, **__):
@@ -136,7 +136,7 @@ def computes(*_, **__):
 
 
 def ended():
-    """The exit code of the command."""
+    """Return the exit code of the command."""
     try:
         return cli.main()
     except SystemExit as stop:
@@ -145,7 +145,7 @@ def ended():
 
 @pytest.fixture(autouse=True)
 def settings_kept():
-    """Commands set up JAX for the rest of the process."""
+    """Restore the settings of JAX, since a command changes them for the whole process."""
     kept = jax.config.jax_enable_compilation_cache
     yield
     runtime.setup()
@@ -202,7 +202,7 @@ bench --plants {10**12} --long 0
 
 @pytest.mark.parametrize("line", FOUND.strip().split("\n"), ids=lambda line: line[:50])
 def test_what_was_found(line, folder, monkeypatch):
-    """These once ended in a traceback, or were not refused although they were too large."""
+    """Each of these once ended in a traceback, or was not refused although it was too large."""
     (folder / "deep.json").write_text("[" * 100_000)
     monkeypatch.setattr(sys, "argv", ["jaxilc", *line.split()])
     assert ended() == 2
@@ -220,7 +220,7 @@ def test_commands(folder, monkeypatch):
     }
 
     def attempt(rng):
-        (folder / "p.toml").write_text(PLANT)  # whatever was written over it
+        (folder / "p.toml").write_text(PLANT)  # restored, since a command may have overwritten it
         arguments = list(pick(rng, COMMANDS))
         name = arguments[0]
         for _ in range(1 + rng.integers(3)):

@@ -1,6 +1,6 @@
 """Names, titles and units are checked before anything runs.
 
-They become parts of files' names, of paths of parameters, and of what a terminal prints.
+They become parts of file names, of paths of parameters, and of what a terminal prints.
 """
 
 import dataclasses

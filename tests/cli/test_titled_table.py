@@ -1,4 +1,4 @@
-"""Titles of tables on a terminal."""
+"""These tests check the titles of tables on a terminal."""
 
 from __future__ import annotations
 
@@ -30,11 +30,14 @@ def test_a_title_is_not_folded_to_the_width_of_its_table():
     ]
     assert len(lines) == 7
     assert all(len(line) == len("┃ trial ┃ pid  ┃") for line in lines[2:])
-    assert str(table.title) == TITLE  # which a report reads
+    assert str(table.title) == TITLE  # a report reads this title
 
 
 def test_a_table_that_is_too_wide_goes_on_below():
-    """Every part has the first column, no cell is cut, and each other column is there once."""
+    """A table that is too wide continues in further parts below.
+
+    Every part has the first column, no cell is cut, and each other column appears once.
+    """
     names = [f"scheme-number-{i}" for i in range(9)]
     table = Table("trial", *names, title=TITLE)
     table.add_row("1", *(f"cell {i}" for i in range(9)))
@@ -48,7 +51,7 @@ def test_a_table_that_is_too_wide_goes_on_below():
     assert [header[0] for header in headers] == ["trial"] * len(headers)
     assert [name for header in headers for name in header[1:]] == names
     assert [f"cell {i}" in shown.get() for i in range(9)] == [True] * 9
-    assert len(table.columns) == 10  # which a report reads
+    assert len(table.columns) == 10  # a report reads these columns
 
 
 def test_a_word_is_not_broken_where_another_column_can_give_way():
@@ -79,9 +82,10 @@ AS_IT_STANDS = "[bold]x[/nothing] :x: \\x1b[31mred\\x07 \\u202ereversed\\ud800 [
 
 @pytest.mark.parametrize("terminal", [False, True])
 def test_text_of_the_user_is_shown_as_it_stands(terminal):
-    """Neither markup nor emoji nor a code that a terminal would act on, whatever the console.
+    """Text of the user is shown unchanged, on every console.
 
-    This holds in tables, their headers and titles, and in lines.
+    Neither markup, nor emoji codes, nor control sequences of the terminal take effect. This holds
+    in tables, their headers and titles, and in single lines.
     """
     table = Table("header " + HOSTILE, title="title " + HOSTILE)
     table.add_row("cell " + HOSTILE)

@@ -1,6 +1,6 @@
-"""What the figures show, read back from their axes.
+"""These tests read back from the axes what the figures show.
 
-Signals of known amplitude, time and frequency, and closed forms; no pixels.
+The signals have known amplitudes, times and frequencies, or closed forms. No pixels are compared.
 """
 
 import ast
@@ -28,7 +28,10 @@ TIME = np.arange(1001) * DT
 
 
 def dataset_of(errors, reference=None, u=None):
-    """One scheme, `a`. errors: (trial, time, channel) [mm]"""
+    """Return a dataset of one scheme, `a`.
+
+    errors: (trial, time, channel) [mm]
+    """
     errors = np.asarray(errors, float)
     r = np.zeros(errors.shape[1:]) if reference is None else reference
     u = np.zeros((len(errors), errors.shape[1] - 1, 1)) if u is None else u
@@ -69,7 +72,7 @@ def test_no_two_of_49_schemes_look_alike():
         (style_of(i)["linestyle"], marks_of(i, 80)["marker"], marks_of(i, 80)["markevery"])
         for i in range(9)
     ]
-    assert len(set(in_grey)) == 9  # the most schemes that a scenario has
+    assert len(set(in_grey)) == 9  # no scenario has more schemes
 
 
 def test_a_printed_bound_is_no_printed_number():
@@ -78,7 +81,7 @@ def test_a_printed_bound_is_no_printed_number():
         Published("a", 1, "rms", 3.0, ""),
         Published("a", 2, "rms", 1.5, "", at_most=True),
         Published("a", None, "rms", 7.0, ""),
-        Published("a", 9, "rms", 9.0, ""),  # of a trial that was not run
+        Published("a", 9, "rms", 9.0, ""),  # this trial was not run
         Published("a", 1, "max_error", 8.0, ""),
         Published("b", 1, "rms", 6.0, ""),
     ]
@@ -115,9 +118,8 @@ def test_tracking_zooms_in_on_the_largest_error():
     assert axes.shape == (3, 2)
     low, high = axes[1, 1].get_xlim()
     assert (low, high) == pytest.approx((0.675, 0.725))
-    assert axes[1, 1].get_ylim()[1] == pytest.approx(
-        6.0
-    )  # the first trial, 1 mm, does not set the scale
+    # The first trial, with 1 mm, does not determine the scale.
+    assert axes[1, 1].get_ylim()[1] == pytest.approx(6.0)
     for column in axes.T:
         error, output = line_of(column[1], "trial 2"), line_of(column[0], "trial 2")
         np.testing.assert_allclose(
@@ -177,19 +179,22 @@ def circle_at(radius):
 
 
 def test_the_contour_error_is_drawn_magnified():
-    """A circle 10 µm too large, a hundredth of a turn late, is at a distance of 10 µm."""
+    """The contour error is drawn magnified.
+
+    A circle that is 10 µm too large, run through a hundredth of a turn late, is 10 µm away from the
+    path.
+    """
     path, late = circle_at(20.0), 10
     motion = circle_at(20.01)[np.maximum(np.arange(len(TIME)) - late, 0)]
     top, bottom = figures.contour(
         dataset_of([path - motion], path), "a", (1,), scale=1e3, unit="µm"
     )
     error = line_of(bottom, "trial 1")
-    np.testing.assert_allclose(
-        error.get_ydata(), -10.0, atol=0.11
-    )  # outside is right; a chord's sagitta is 0.1 µm
+    # Outside is the right side; the sagitta of a chord is 0.1 µm.
+    np.testing.assert_allclose(error.get_ydata(), -10.0, atol=0.11)
     assert error.get_xdata()[-1] == pytest.approx(2 * np.pi * 20.0, rel=1e-5)
     magnification = float(top.get_title().split()[-2])
-    assert magnification == 200.0  # 2 mm: 5 % of the 40 mm; 500 would be 12.5 %
+    assert magnification == 200.0  # 2 mm is 5 % of the 40 mm; with 500 it would be 12.5 %
     drawn = np.linalg.norm(line_of(top, "trial 1").get_xydata(), axis=1)
     np.testing.assert_allclose(drawn, 20.0 + 2.0, atol=0.03)
     with pytest.raises(ValueError, match="the dataset has 1 outputs; allowed are 2"):
@@ -214,9 +219,10 @@ def test_a_sinusoid_shows_its_amplitude_at_its_frequency(amplitude, hertz):
 
 
 def test_lines_of_noise_are_those_that_the_docstring_says():
-    """In power they average to 6 s^2 / N.
+    """The spectral lines of noise have the mean that the docstring states.
 
-    The lowest lines, fewer than one in a sixtieth of a decade, are drawn one by one.
+    The mean of their power is 6 s^2 / N. At the lowest frequencies there is less than one line in a
+    sixtieth of a decade, so these lines are drawn one by one.
     """
     noise = np.random.default_rng(1).normal(size=(100, 1001, 1))
     lines = [
@@ -224,13 +230,12 @@ def test_lines_of_noise_are_those_that_the_docstring_says():
     ]
     assert [f for f, _ in lines[0]] == pytest.approx(np.arange(3, 21))
     power = np.mean([line[:, 1] ** 2 for line in lines])
-    assert power == pytest.approx(
-        6 / 1000, rel=6 * np.sqrt(2.0 / (100 * 18))
-    )  # neighbours share a Hann window: half as many
+    # Neighbouring lines share a Hann window, so half as many are independent.
+    assert power == pytest.approx(6 / 1000, rel=6 * np.sqrt(2.0 / (100 * 18)))
 
 
 def shown_in(ax):
-    """Times, frequencies and (F, T) amplitudes of a map."""
+    """Return the times, the frequencies and the (F, T) amplitudes of a map."""
     mesh = ax.collections[0]
     edges = mesh.get_coordinates()
     centres = [(line[1:] + line[:-1]) / 2 for line in (edges[0, :, 0], edges[:, 0, 1])]
@@ -248,9 +253,8 @@ def test_the_map_finds_when_the_frequency_switches():
         np.testing.assert_allclose(f[np.argmax(among, axis=0)], hertz)
         np.testing.assert_allclose(np.max(among, axis=0), height, rtol=1e-6)
     low, high = (amplitude[np.argmin(np.abs(f - hertz))] for hertz in (50.0, 200.0))
-    assert t[np.argmax(high / 500.0 > low / 2e3)] == pytest.approx(
-        0.5, abs=0.013
-    )  # a step of the map
+    # The tolerance is one time step of the map.
+    assert t[np.argmax(high / 500.0 > low / 2e3)] == pytest.approx(0.5, abs=0.013)
 
 
 def test_the_map_follows_a_chirp_and_shares_its_colours_among_trials():
@@ -259,9 +263,10 @@ def test_the_map_follows_a_chirp_and_shares_its_colours_among_trials():
     for ax in axes:
         t, f, amplitude = shown_in(ax)
         middle = (t > 0.1) & (t < 0.9)
+        # The tolerance is the distance of two lines, 1 / 62 ms.
         np.testing.assert_allclose(
             f[np.argmax(amplitude, axis=0)][middle], 50.0 + 200.0 * t[middle], atol=16.2
-        )  # a line: 1 / 62 ms
+        )
     first, second = (ax.collections[0] for ax in axes)
     assert first.norm is second.norm
     with pytest.raises(
@@ -271,9 +276,13 @@ def test_the_map_follows_a_chirp_and_shares_its_colours_among_trials():
 
 
 def test_the_crossing_is_marked_where_the_closed_form_has_it():
-    """P = b z^(-1-d) under u + gamma e[k+1], with g = gamma b.
+    """The crossing is marked where the closed form has it.
 
-    |1 - g z^-d|^2 = 1 - 2 g cos(d w) + g^2 is 1 where cos(d w) = g / 2.
+    The plant P = b z^(-1-d) learns by u + gamma e[k+1]. With g = gamma b,
+
+        |1 - g z^-d|^2 = 1 - 2 g cos(d w) + g^2,
+
+    which is 1 where cos(d w) = g / 2.
     """
     d, gain, gamma = 3, 0.8, 0.5
     plant = DifferenceEquation(a=(0.0,) * (d + 1), b=(0.0,) * d + (gain,), dt=DT)
@@ -288,7 +297,7 @@ def test_the_crossing_is_marked_where_the_closed_form_has_it():
         marks = [
             line.get_xydata()[0] for line in ax.lines if line.get_marker() not in ("None", None, "")
         ]
-        assert len(marks) == 1  # with the lead it is 1 - g everywhere
+        assert len(marks) == 1  # with the lead it is 1 - g at every frequency
         np.testing.assert_allclose(marks[0], (critical, 1.0), rtol=1e-4)
         f, magnitude = ax.lines[0].get_data()
         np.testing.assert_allclose(
@@ -326,7 +335,10 @@ def test_a_short_trial_is_drawn(samples, tmp_path):
 
 
 def test_a_zoom_at_the_end_of_the_trial_lies_within_it():
-    """Of each length some samples round so that start and length add up to more than the end."""
+    """A zoomed window at the end of the trial stays within the trial.
+
+    For each window length, some sample times round so that start plus length is more than the end.
+    """
     for samples in range(10, 60):
         time = np.arange(samples + 1) * DT
         low, high = _around_the_largest(time, np.arange(samples + 1.0)[:, None])
@@ -334,7 +346,10 @@ def test_a_zoom_at_the_end_of_the_trial_lies_within_it():
 
 
 def test_labels_do_not_overlap():
-    """Tick labels, axis labels and legend, with as many schemes as a scenario has."""
+    """Labels do not overlap, with as many schemes as a scenario has.
+
+    These are tick labels, axis labels and the legend.
+    """
     dataset = dataset_of([sinusoid(a, 10.0) for a in (4.0, 2.0, 1e-3)])
     names = [f"scheme-number-{i}" for i in range(9)]
     dataset = xr.concat(
@@ -363,9 +378,8 @@ def test_labels_do_not_overlap():
                 [label.get_window_extent() for label in axis.get_ticklabels() if label.get_text()]
                 for axis in (ax.xaxis, ax.yaxis)
             ]
-            boxes = [
-                box for box in ticks[0] if view.x0 <= (box.x0 + box.x1) / 2 <= view.x1
-            ]  # others are not drawn
+            # Labels outside the view are not drawn.
+            boxes = [box for box in ticks[0] if view.x0 <= (box.x0 + box.x1) / 2 <= view.x1]
             boxes += [box for box in ticks[1] if view.y0 <= (box.y0 + box.y1) / 2 <= view.y1]
             boxes += [
                 axis.label.get_window_extent()
@@ -380,7 +394,10 @@ def test_labels_do_not_overlap():
 
 
 def test_a_legend_has_its_place():
-    """Matplotlib's "best" place is searched for among all points, and warns where it is slow."""
+    """A legend has a fixed place.
+
+    For the place "best", Matplotlib searches among all points, and warns where this is slow.
+    """
     calls = [
         (file.name, node.lineno, {k.arg for k in node.keywords})
         for file in Path(figures.__file__).parents[1].rglob("*.py")

@@ -1,4 +1,4 @@
-"""The HTML report: parsed by parsers of the standard library and shown by a browser.
+"""The HTML report is parsed with the standard library and shown in a browser.
 
 Its numbers and pictures are compared with what was put in.
 """
@@ -34,7 +34,10 @@ REFERRING = {"src", "href", "data", "action", "poster", "srcset", "background", 
 
 
 class Page(HTMLParser):
-    """Elements, attributes and text of a page, and whether every element is closed in order."""
+    """The parser collects the parts of a page.
+
+    These are its elements, attributes and text, and whether every element is closed in order.
+    """
 
     def __init__(self, text):
         super().__init__()
@@ -58,7 +61,7 @@ class Page(HTMLParser):
 
 
 def parsed(text):
-    """The tree of the page, after the checks that every page must pass."""
+    """Return the tree of the page, after the checks that every page must pass."""
     page = Page(text)
     assert page.balanced
     assert not page.open
@@ -72,13 +75,13 @@ def parsed(text):
 
 
 def cells(table):
-    """Headers and rows of a table element, as text."""
+    """Return headers and rows of a table element, as text."""
     head = [c.text or "" for c in table.findall("thead/tr/th")]
     return head, [[c.text or "" for c in row] for row in table.findall("tbody/tr")]
 
 
 def picture(image):
-    """Media type and bytes of an embedded figure."""
+    """Return the media type and the bytes of an embedded figure."""
     kind, data = image.get("src").removeprefix("data:").split(";base64,")
     return kind, base64.b64decode(data, validate=True)
 
@@ -105,9 +108,8 @@ def test_page_is_well_formed_and_escaped():
     assert table_of(tree, shown) is not None
     assert [i.get("alt") for i in tree.iter("img")] == [shown]
     assert tree.findtext(".//figcaption") == tree.findtext(".//li") == shown
-    assert (
-        json.loads(tree.findtext(".//pre")) == configuration
-    )  # JSON escapes the terminal's sequence, so nothing is lost
+    # JSON escapes the control sequence of the terminal, so nothing is lost.
+    assert json.loads(tree.findtext(".//pre")) == configuration
 
 
 def test_rows_hold_the_numbers():
@@ -152,10 +154,8 @@ def test_every_figure_is_embedded(tmp_path):
     ]
     assert pictures[0][1] == (tmp_path / "error-band.png").read_bytes()
     assert pictures[1][1] == (tmp_path / "second.svg").read_bytes()
-    assert struct.unpack(">II", pictures[2][1][16:24]) == (
-        400,
-        200,
-    )  # 2 in by 1 in at 200 dots an inch: the size in the header of a PNG
+    # The header of a PNG file holds its size: 2 in by 1 in at 200 dots per inch.
+    assert struct.unpack(">II", pictures[2][1][16:24]) == (400, 200)
     assert [f.text for f in tree.iter("figcaption")] == [
         "error band",
         "a caption",
@@ -194,10 +194,8 @@ def test_a_run_reported_as_the_command_line_does(tmp_path, monkeypatch):
     drawn_axes().figure.savefig(tmp_path / "error-by-trial.png")
     monkeypatch.setattr(sys, "argv", ["/somewhere/jaxilc", "run", "dai-2014", "--set", "name=a b"])
     path = tmp_path / "new folder" / "report.html"
-    figures = [
-        tmp_path / "error-by-trial.png",
-        tmp_path / "dataset.zarr",
-    ]  # the store is no picture
+    # The store is not a picture.
+    figures = [tmp_path / "error-by-trial.png", tmp_path / "dataset.zarr"]
     assert command_report(
         path, "run", [tables.run_table(chosen, numbers)], figures, scenario=chosen, lines=["a line"]
     ) == [path]
@@ -207,7 +205,8 @@ def test_a_run_reported_as_the_command_line_does(tmp_path, monkeypatch):
     assert (asked["plant"], asked["schemes"], asked["trials"]) == ("printed", "pid", "1")
     head, (row,) = cells(tree.findall("body/section")[1].find(".//table"))
     assert head == ["trial", "pid"]
-    # the same number by another way, learning without the dataset; three digits are shown
+    # The same number is computed in another way, by learning without the dataset; three digits are
+    # shown.
     error = float(
         np.max(
             np.asarray(learn(chosen.machine, chosen.schemes["pid"], chosen.task, 1).settled_error)
@@ -241,11 +240,11 @@ def test_writing_is_all_or_nothing(tmp_path):
 CHROMIUM = (
     shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 )
-BLUE = (12, 34, 210)  # of no style and no other figure
+BLUE = (12, 34, 210)  # no style and no other figure has this colour
 
 
 def photographed(page, folder):
-    """(rows, columns, 3) what a browser shows of a page, in 0..255."""
+    """Return what a browser shows of a page, (rows, columns, 3) in 0..255."""
     silent = (
         "--no-first-run",
         "--disable-background-networking",
@@ -273,7 +272,7 @@ def photographed(page, folder):
 
 @pytest.fixture
 def server():
-    """The address of a server on this machine, and the paths it was asked for."""
+    """Return the address of a server on this machine, and the paths that were requested from it."""
     asked = []
 
     class Handler(http.server.BaseHTTPRequestHandler):
@@ -294,7 +293,10 @@ def server():
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no chromium here")
 def test_a_browser_shows_every_figure_and_asks_nobody(tmp_path, server):
-    """Even where a reference to the outside had come into the page, its policy holds it back."""
+    """A browser shows every figure, and requests nothing from the network.
+
+    If the page contained a reference to another site, the policy of the page would block it.
+    """
     address, asked = server
     axes = [
         Figure(figsize=(2.0, 1.0), dpi=100, facecolor=tuple(c / 255 for c in BLUE)).subplots()

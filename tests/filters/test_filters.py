@@ -1,4 +1,4 @@
-"""Zero-phase filters against scipy and numpy."""
+"""Zero-phase filters are compared with scipy and numpy."""
 
 import dataclasses
 
@@ -16,9 +16,8 @@ from jaxilc.schemes import Filtered, PIDType
 from jaxilc.signals import Task
 
 N = 90
-SIGNAL = (
-    np.cumsum(np.random.default_rng(2).normal(size=(N, 2)), axis=0) + 5.0
-)  # neither starts nor ends at zero
+# The signal neither starts nor ends at zero.
+SIGNAL = np.cumsum(np.random.default_rng(2).normal(size=(N, 2)), axis=0) + 5.0
 
 
 @jax.jit
@@ -42,8 +41,10 @@ def test_butterworth_is_sosfiltfilt(order):
 
 @pytest.mark.parametrize("order", [1, 2, 7])
 def test_mirrored_at_its_ends_a_signal_is_weighted_by_q_cosine_by_cosine(order):
-    """By scipy's transform of cosines, and by filtering forth and back a signal that is mirrored
-    again and again.
+    """A filter that mirrors a signal at its ends multiplies each of its cosines by Q.
+
+    This is compared with scipy's cosine transform, and with filtering, forward and backward, a
+    signal that is mirrored again and again.
     """
     for cutoff in (9.0, 120.0, 499.0):
         sections = scipy.signal.butter(order, cutoff, fs=1 / DT, output="sos")
@@ -53,7 +54,7 @@ def test_mirrored_at_its_ends_a_signal_is_weighted_by_q_cosine_by_cosine(order):
         )
         found = filtered(ZeroPhaseButterworth(cutoff, order), SIGNAL)
         np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-8, err_msg=cutoff)
-        if cutoff == 499.0:  # its pole next to -1 forgets too slowly
+        if cutoff == 499.0:  # its pole is close to -1, so its transient decays too slowly
             continue
         again = np.concatenate([SIGNAL, SIGNAL[::-1]] * 21 + [SIGNAL])
         far = scipy.signal.sosfiltfilt(sections, again, axis=0)[20 * N : 21 * N]
@@ -64,7 +65,10 @@ def test_mirrored_at_its_ends_a_signal_is_weighted_by_q_cosine_by_cosine(order):
     "q", [ZeroPhaseButterworth(40.0), ZeroPhaseIIR(*scipy.signal.butter(3, 200.0, fs=1 / DT))]
 )
 def test_mirrored_nothing_comes_out_larger_and_a_constant_stays(q):
-    """The odd extension passes more than it is given at the ends, so learning can grow there."""
+    """With mirrored ends nothing becomes larger, and a constant stays as it is.
+
+    The odd extension can amplify a signal at the ends, so learning can grow there.
+    """
     matrix = np.asarray(filtered(q, jnp.eye(N)))
     np.testing.assert_allclose(matrix, matrix.T, atol=1e-12)
     assert np.linalg.norm(matrix, 2) <= 1 + 1e-12
@@ -110,7 +114,10 @@ def test_derivative_with_respect_to_the_cutoff(padding):
 
 
 def test_butterworth_keeps_a_straight_line_and_is_symmetric_in_time():
-    """Zero phase: reversing the signal reverses the result, up to the transient of the ends."""
+    """A zero-phase Butterworth filter keeps a straight line, and is symmetric in time.
+
+    Reversing the signal reverses the result, except for the transients at the ends.
+    """
     line = np.linspace(-1.0, 3.0, N)[:, None]
     q = ZeroPhaseButterworth(100.0, padding=9)
     np.testing.assert_allclose(filtered(q, line), line, atol=1e-3)

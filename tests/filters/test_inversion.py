@@ -1,4 +1,4 @@
-"""Feedforward inversion against forward simulation and a two-sided convolution.
+"""Feedforward inversion is compared with forward simulation and with a two-sided convolution.
 
 The simulations are by scipy and python-control.
 """
@@ -27,7 +27,7 @@ from jaxilc.signals.references import s_curve
 N = 120
 PAIR = 0.95 * np.exp(0.9j)
 
-# zeros, poles, gain; the relative degree is the difference of their numbers
+# Each entry has zeros, poles and gain; the relative degree is the difference of their numbers.
 MINIMUM_PHASE = {
     "static": ((), (), -4.0),
     "delay": ((), (0.0, 0.0, 0.0), 2.0),
@@ -50,23 +50,23 @@ PLANTS = {
 
 
 def polynomials(P):
-    """Numerator and denominator of P, high order first."""
+    """Return numerator and denominator of P, with the highest order first."""
     return P.gain * np.real(np.atleast_1d(np.poly(P.zeros))), np.real(
         np.atleast_1d(np.poly(P.poles))
     )
 
 
 def moving(rest, N=N, level=5.0, seed=3):
-    """(N, 1) a rough signal that rests at `level` for so many samples, and never again."""
+    """Return a rough signal (N, 1) that is `level` for the first `rest` samples, and then moves."""
     steps = np.random.default_rng(seed).normal(size=N)
     steps[:rest] = 0.0
     return level + np.cumsum(steps)[:, None]
 
 
 def simulated(P, r_0):
-    """y of P under r_0, from the steady state of its first sample, by scipy."""
+    """Return the output y of P for r_0 by scipy, from the steady state of its first sample."""
     b, a = polynomials(P)
-    if len(b) > len(a):  # an improper P looks ahead: the last samples want input that is not there
+    if len(b) > len(a):  # an improper P needs input from after the end of the trial
         ahead = len(b) - len(a)
         y = simulated(P._replace(poles=np.append(P.poles, [0.0] * ahead)), r_0)
         return np.append(y[ahead:], [np.nan] * ahead)
@@ -76,8 +76,9 @@ def simulated(P, r_0):
 
 
 def two_sided(P, r, half=3000):
-    """The one inverse whose impulse response is bounded both ways in time, sampled from its
-    frequency response; ends held for ever.
+    """Return the only inverse whose impulse response is bounded in both directions of time.
+
+    It is sampled from its frequency response, and the signal keeps its end values for all time.
     """
     b, a = polynomials(P)
     z = np.exp(2j * np.pi * np.fft.fftfreq(2 * half))
@@ -105,8 +106,10 @@ def test_minimum_phase_is_inverted_exactly(name):
 
 @pytest.mark.parametrize("name", PLANTS)
 def test_stable_inversion_is_the_bounded_two_sided_inverse(name):
-    """At a reference that moves at both ends: what is cut off is not missed, and beyond the ends it
-    is held.
+    """Stable inversion is the two-sided inverse whose impulse response is bounded.
+
+    The reference moves at both ends. The part that is cut off has no effect, and beyond its ends
+    the reference keeps its end values.
     """
     P, r = PLANTS[name], moving(rest=1)
     expected = two_sided(P, r[:, 0])
@@ -147,7 +150,10 @@ def test_extension_leaves_the_ratio_of_the_slowest_zeros_to_its_power():
 
 
 def response(q, omega, samples=2400):
-    """Frequency response of a filter at omega [rad/sample], by its pulse response to both sides."""
+    """Return the frequency response of a filter at omega [rad/sample].
+
+    It is computed from the pulse response in both directions of time.
+    """
     at = samples // 2
     pulse = np.zeros((samples, 1))
     pulse[at] = 1.0
@@ -181,8 +187,10 @@ def test_zpetc_has_no_phase_error_and_the_size_of_the_mirrored_zeros(zeros, radi
 
 
 def test_zpetc_keeps_the_ends_held():
-    """r at rest, moving within the trial, at rest again: y is |B_u|^2 / B_u(1)^2 r, a symmetric
-    sum, at every sample.
+    """ZPETC keeps a signal that is constant at its ends.
+
+    The reference r rests, moves within the trial, and rests again. The output y is
+    |B_u|^2 / B_u(1)^2 r, a symmetric sum, at every sample.
     """
     P, r = PLANTS["real"], moving(rest=10)
     r[90:] = r[90]
@@ -203,8 +211,9 @@ def test_zpetc_keeps_the_ends_held():
     ],
 )
 def test_sampling_zeros_of_integrators(degree, expected):
-    """Those of s^-n (Åström, Hagander, Sternby 1984); the gain, the first sample of the step
-    response, is dt^n / n!.
+    """The sampling zeros of s^-n have the published values (Åström, Hagander, Sternby 1984).
+
+    The gain is the first sample of the step response, dt^n / n!.
     """
     chain = StateSpace(np.eye(degree, k=1), np.eye(degree)[:, -1:], np.eye(degree)[:1])
     P = factors(chain, DT)
@@ -236,20 +245,18 @@ def test_every_kind_of_system_has_the_same_factors():
     assert P.gain * np.prod(z - P.zeros) / np.prod(z - P.poles) == pytest.approx(
         through(z), rel=1e-10
     )
-    delayed = (
-        control.ss(control.tf([1.0], [1.0, 0.0, 0.0], DT)) * discrete
-    )  # two samples of dead time more
-    T = np.linalg.qr(np.random.default_rng(7).normal(size=(delayed.nstates,) * 2))[
-        0
-    ]  # after which C B is 1e-17 and not 0
+    # There are two more samples of dead time.
+    delayed = control.ss(control.tf([1.0], [1.0, 0.0, 0.0], DT)) * discrete
+    # After this transformation C B is 1e-17 instead of 0.
+    T = np.linalg.qr(np.random.default_rng(7).normal(size=(delayed.nstates,) * 2))[0]
     for system in (delayed, control.ss(T.T @ delayed.A @ T, T.T @ delayed.B, delayed.C @ T, 0, DT)):
         P = factors(system)
         assert len(P.poles) - len(P.zeros) == 3
         np.testing.assert_allclose(P.zeros, [zero], rtol=1e-9)
 
 
-# a two-mass drive: 30 kg each, 70 Hz antiresonance of damping ratio 0.02, current loop of 1 kHz, 4
-# kHz samples; from force to positions
+# A two-mass drive from force to positions: 30 kg each, an antiresonance at 70 Hz with damping ratio
+# 0.02, a current loop of 1 kHz, sampled at 4 kHz.
 FAST = 1 / 4000
 m, c_T, c_M, lag = 30.0, 50.0, 100.0, 2 * np.pi * 1000.0
 k_s = m * (2 * np.pi * 70.0) ** 2
@@ -273,8 +280,9 @@ MOVE = np.pad(
 
 
 def positions(force):
-    """(N, 2) motor and table position of the drive under a held force (N,), sampled and simulated
-    by python-control.
+    """Return motor and table position (N, 2) of the drive for a held force (N,).
+
+    python-control samples and simulates the drive.
     """
     drive = control.sample_system(control.ss(DRIVE.A, DRIVE.B, DRIVE.C, 0), FAST)
     return control.forced_response(drive, np.arange(len(force)) * FAST, force).outputs.T
@@ -282,8 +290,10 @@ def positions(force):
 
 @pytest.mark.parametrize("method", ["stable", "zpetc"])
 def test_table_follows_an_s_curve_through_the_inverse_of_the_transmission(method):
-    """Sampled as it stands P_Z has its one zero at -0.21, so both inverses are exact: 1e-12 of the
-    10 mm is some thousand roundings.
+    """The table follows an S-curve through the inverse of the transmission.
+
+    Sampled without further changes, P_Z has a single zero at -0.21, so both inverses are exact. The
+    tolerance, 1e-12 of the 10 mm, is some thousand rounding errors.
     """
     r_0 = np.asarray(applied(inverse(P_Z, FAST, method), MOVE))[:, 0]
     held = control.sample_system(control.ss(P_Z), FAST)
@@ -295,8 +305,10 @@ def test_table_follows_an_s_curve_through_the_inverse_of_the_transmission(method
 
 
 def test_ratio_of_two_outputs_recovers_one_from_the_other():
-    """Zeros outside the circle in both: -1.2 and -11.4 of the table's, -2.7 of the motor's, so the
-    ratio itself is unstable.
+    """The ratio of two outputs computes one output from the other.
+
+    Both outputs have zeros outside the unit circle: the table's are -1.2 and -11.4, the motor's is
+    -2.7. So the ratio itself is unstable.
     """
     ratio = output_ratio(DRIVE, FAST)
     assert np.sum(np.abs(ratio.zeros) > 1) == 2
@@ -304,7 +316,7 @@ def test_ratio_of_two_outputs_recovers_one_from_the_other():
     q = stable_inverse(ratio)
     force = np.pad(np.cumsum(np.random.default_rng(5).normal(size=500)), (100, 0))
     y = positions(1e3 * force)
-    # beyond its end the table is taken to rest; the last samples wait for that
+    # After its end the signal of the table is taken as constant, which affects the last samples.
     y_M = np.asarray(applied(q, y[:, 1:]))[:, 0]
     inside = slice(0, len(y) - q.pre_actuation(1e-13))
     np.testing.assert_allclose(y_M[inside], y[inside, 0], rtol=1e-9, atol=1e-9 * np.abs(y).max())
@@ -312,8 +324,10 @@ def test_ratio_of_two_outputs_recovers_one_from_the_other():
 
 
 def test_held_motor_position_puts_the_table_half_a_sample_ahead():
-    """The force that makes the motor follow r_0 exactly, from its own inverse; then the table
-    follows r only with the ratio's r_0.
+    """With a held motor position the table is half a sample ahead.
+
+    The force comes from the inverse of the motor and makes the motor follow r_0 exactly. The table
+    then follows r only if r_0 comes from the ratio.
     """
     motor = stable_inverse(StateSpace(DRIVE.A, DRIVE.B, DRIVE.C[:1]), FAST)
     error = {}
@@ -330,7 +344,7 @@ def test_held_motor_position_puts_the_table_half_a_sample_ahead():
     np.testing.assert_allclose(
         error["held"], velocity * FAST / 2, atol=0.01 * velocity.max() * FAST / 2
     )
-    assert error["held"].max() > 0.02  # mm
+    assert error["held"].max() > 0.02  # [mm]
 
 
 BOTH = {"stable": stable_inverse(PLANTS["pair"], extension=6), "zpetc": zpetc(PLANTS["pair"])}
@@ -342,9 +356,8 @@ def test_gradient_with_respect_to_the_reference_equals_finite_differences(name):
 
     @jax.jit
     def level(r):
-        return jnp.mean(
-            jnp.sin(q(r, DT)) ** 2
-        )  # not linear in r, so that the gradient depends on it
+        # It is not linear in r, so that the gradient depends on r.
+        return jnp.mean(jnp.sin(q(r, DT)) ** 2)
 
     gradient = np.asarray(jax.jit(jax.grad(level))(r))
     assert np.all(np.isfinite(gradient))

@@ -1,6 +1,6 @@
-"""The switchable filter, recursive filters and the choice of segments.
+"""These tests check the switchable filter, recursive filters and the choice of segments.
 
-They are tested against scipy, closed forms and scalar loops.
+They are compared with scipy, closed forms and scalar loops.
 """
 
 import dataclasses
@@ -30,9 +30,8 @@ from jaxilc.signals.references import chirp
 from jaxilc.theory.frequency import learning_condition
 
 N = 90
-SIGNAL = (
-    np.cumsum(np.random.default_rng(2).normal(size=(N, 2)), axis=0) + 5.0
-)  # neither starts nor ends at zero
+# The signal neither starts nor ends at zero.
+SIGNAL = np.cumsum(np.random.default_rng(2).normal(size=(N, 2)), axis=0) + 5.0
 CUTOFFS, TIMES = (20.0, 110.0, 45.0), (0.025, 0.0612)
 
 
@@ -48,7 +47,7 @@ def butterworth(cutoff, order=2, signal=SIGNAL):
 
 
 def share_after(t, time, width):
-    """How far the change at `time` has gone."""
+    """Return how far the change at `time` has progressed, from 0 to 1."""
     if width == 0:
         return float(t >= time)
     if t <= time - width / 2:
@@ -92,8 +91,10 @@ def test_one_segment_is_a_butterworth():
 
 
 def test_a_change_makes_no_step_in_what_every_segment_passes():
-    """A slow sine comes through as it is; with white noise, only a change of some width leaves the
-    largest step to the signal itself.
+    """A change of the cutoff makes no step in what every segment passes.
+
+    A slow sine passes unchanged. For white noise, the largest step is that of the signal itself
+    only if the change has some width.
     """
     slow = np.sin(2 * np.pi * 3.0 * np.arange(200) * DT)[:, None]
     for width in (0.0, 0.02):
@@ -177,7 +178,8 @@ def test_printed_filter_of_li_2020_is_a_third_order_butterworth_with_its_gain_lo
     np.testing.assert_allclose(
         filtered(q, SIGNAL), scipy.signal.filtfilt(q.b, q.a, SIGNAL, axis=0), rtol=1e-8, atol=1e-8
     )
-    # impulse invariance: poles exp(s), numerator from the residues of the analog prototype
+    # impulse invariance: the poles are exp(s), the numerator comes from the residues of the analog
+    # filter
     w = 2 * np.pi * 0.0117
     s = w * np.exp(1j * np.pi * np.array([2 / 3, 1.0, 4 / 3]))
     residues = [w**3 / np.prod([p - other for other in s if other != p]) for p in s]
@@ -198,7 +200,10 @@ SWEEP = {"duration": 4.0, "dt": 2e-3}
 @pytest.mark.parametrize("of", ["velocity", "position"])
 @pytest.mark.parametrize("method", ["linear", "logarithmic"])
 def test_instantaneous_frequency_of_a_chirp(of, method):
-    """Li 2020, Fig. 22, without the ends, where the periodic Hilbert transform sees a jump."""
+    """The instantaneous frequency of a chirp is found (Li 2020, Fig. 22).
+
+    The ends are left out, since the periodic Hilbert transform sees a jump there.
+    """
     t = np.arange(2001) * 2e-3
     true = 3 + 17 * t / 4 if method == "linear" else 3 * (20 / 3) ** (t / 4)
     inner = (t > 0.5) & (t < 3.5)
@@ -219,7 +224,8 @@ def test_velocity_knows_no_offset_or_ramp_and_columns_are_told_apart():
     np.testing.assert_allclose(
         instantaneous_frequency(a + 70.0, 2e-3, window=0.1), both[:, 0], rtol=1e-9, atol=1e-9
     )
-    # a ramp is an offset of the velocity: small beside it, it does little
+    # A ramp is an offset of the velocity; an offset that is small beside the velocity has little
+    # effect.
     np.testing.assert_allclose(
         instantaneous_frequency(a + 0.1 * t, 2e-3, window=0.1)[250:-250],
         both[250:-250, 0],
@@ -228,7 +234,10 @@ def test_velocity_knows_no_offset_or_ramp_and_columns_are_told_apart():
 
 
 def test_where_nothing_moves_there_is_no_frequency():
-    """The encoder's last digit, in a dwell, has a high frequency of its own that must not count."""
+    """Where nothing moves there is no frequency.
+
+    While the axis rests, the last digit of the encoder has a high frequency, which must not count.
+    """
     t = np.arange(2001) * 2e-3
     r = np.where((t > 1.0) & (t < 2.0), 5.0 * np.sin(2 * np.pi * 8.0 * (t - 1.0)), 0.0)
     noisy = r + 1e-5 * np.random.default_rng(1).standard_normal(len(t))
@@ -240,7 +249,10 @@ def test_where_nothing_moves_there_is_no_frequency():
 
 
 def burst(*spans, N=2000, dt=2e-3, slow=2.0, fast=16.0):
-    """A reference of 2 Hz, 16 Hz within the spans [s], with a continuous phase and one speed."""
+    """Return a reference of 2 Hz, and of 16 Hz within the spans [s].
+
+    Its phase is continuous, and the amplitude of its speed is constant.
+    """
     t = np.arange(N + 1) * dt
     f = np.full(N + 1, slow)
     for start, stop in spans:
@@ -261,7 +273,7 @@ def test_segments_follow_the_reference():
     np.testing.assert_array_equal(q.cutoff, [10.0, 50.0, 10.0, 50.0, 10.0])
     np.testing.assert_allclose(q.times, [1.0, 1.6, 2.5, 3.0], atol=0.06)
     assert (float(q.width), q.order) == (0.05, 2)
-    # the chirp passes 11 Hz in the middle
+    # the frequency of the chirp reaches 11 Hz in the middle
     q = segments(
         chirp(1.0, 2.0, 20.0, **SWEEP),
         2e-3,
@@ -272,7 +284,7 @@ def test_segments_follow_the_reference():
     )
     np.testing.assert_array_equal(q.cutoff, [10.0, 50.0])
     np.testing.assert_allclose(q.times, [2.0], atol=0.03)
-    # of two axes, the faster one decides
+    # the faster of the two axes decides
     q = segments(
         np.stack([burst((1.0, 1.6)), burst((2.5, 3.0))], 1),
         2e-3,
@@ -287,14 +299,13 @@ def test_segments_follow_the_reference():
 def test_short_segments_are_merged_shortest_first():
     options = {"cutoffs": (10.0, 50.0), "threshold": 6.0, "window": 0.1}
     r = burst((1.0, 1.6), (1.8, 2.4), (3.1, 3.4))
-    q = segments(r, 2e-3, shortest=0.25, **options)  # the pause of 0.2 s goes
+    q = segments(r, 2e-3, shortest=0.25, **options)  # the pause of 0.2 s is removed
     np.testing.assert_allclose(q.times, [1.0, 2.4, 3.1, 3.4], atol=0.06)
-    q = segments(r, 2e-3, shortest=0.5, **options)  # then the burst of 0.3 s
+    q = segments(r, 2e-3, shortest=0.5, **options)  # then the burst of 0.3 s is removed
     np.testing.assert_array_equal(q.cutoff, [10.0, 50.0, 10.0])
     np.testing.assert_allclose(q.times, [1.0, 2.4], atol=0.06)
-    q = segments(
-        r, 2e-3, shortest=1.5, **options
-    )  # then the lead-in of 1 s, and the burst of 1.4 s has become one of 2.4 s
+    # Then the lead-in of 1 s is removed, and the burst of 1.4 s has become one of 2.4 s.
+    q = segments(r, 2e-3, shortest=1.5, **options)
     np.testing.assert_array_equal(q.cutoff, [50.0, 10.0])
     np.testing.assert_allclose(q.times, [2.4], atol=0.06)
     q = segments(r, 2e-3, shortest=3.0, **options)
@@ -303,8 +314,10 @@ def test_short_segments_are_merged_shortest_first():
 
 
 def test_switchable_filter_learns_the_fast_part_but_not_the_noise_of_the_slow_one():
-    """Li 2020, Fig. 27 and 42: the small error of a high cutoff with the smooth input of a low one,
-    on a noisy lag of 22 Hz at 1 kHz.
+    """The switchable filter learns the fast part of the path, and not the noise of the slow part.
+
+    It has the small error of a high cutoff with the smooth input of a low one, on a noisy lag of 22
+    Hz at 1 kHz (Li 2020, Fig. 27 and 42).
     """
     plant = StateSpace([[0.0, 1.0], [-2e4, -200.0]], [[0.0], [2e4]], [[1.0, 0.0]])
     law, noisy = PIDType(gamma_p=0.6, lead=6), Machine(plant, sensor=Sensor(noise=0.01))
@@ -330,9 +343,8 @@ def test_switchable_filter_learns_the_fast_part_but_not_the_noise_of_the_slow_on
     }.items():
         history = learn(noisy, Filtered(law, q), task, 16)
         rms[name] = float(history.rms[-1, 0])
-        roughness[name] = np.std(
-            np.diff(history.final.u[550:760, 0], 3)
-        )  # far from the end, and without the motion
+        # This part is far from the end, and the differences remove the motion.
+        roughness[name] = np.std(np.diff(history.final.u[550:760, 0], 3))
     assert rms["switchable"] < 0.7 * rms["low"]
     assert roughness["switchable"] < 0.5 * roughness["high"]
 

@@ -1,6 +1,6 @@
-"""A campaign on a machine that is only known by the files that it reads and writes.
+"""A campaign runs on a machine that is known only by the files that it reads and writes.
 
-20 trials, stops of the process, undo, and everything that is refused.
+The tests run 20 trials, stop the process, undo trials, and check everything that is refused.
 """
 
 import csv
@@ -32,7 +32,7 @@ from jaxilc.schemes.scheme import Feedforward
 from jaxilc.storage import files
 
 TRIALS, KEY = 20, jax.random.key(3)
-FACTOR = 40  # by which the error of the session falls
+FACTOR = 40  # the error of the session falls by this factor
 AXIS = """
 [plant]
 kind = "transfer_function"
@@ -70,7 +70,10 @@ PROGRAM = (
 
 
 def real_machine(axis):
-    """Not the machine of the file: another plant, an encoder and noise."""
+    """Return a machine that differs from that of the file.
+
+    It has another plant, an encoder and noise.
+    """
     plant = from_control(control.tf([4600.0], [1.0, 60.0, 4000.0]))
     return dataclasses.replace(
         axis.machine, plant=plant, sensor=Sensor(resolution=1e-4, noise=5e-5)
@@ -83,21 +86,21 @@ def _play(machine, feedback, task, u, key):
 
 
 def read_table(path):
-    """Columns of a file by their header."""
+    """Return the columns of a file by the names in its header."""
     with open(path, newline="") as file:
         header, *rows = csv.reader(file)
     return dict(zip(header, np.array(rows, float).T, strict=True))
 
 
 def write_trial(path, t, r, y, u, units=("s", "mm", "mm", "V")):
-    """As a machine's trace: 17 digits, the last input empty."""
+    """Write a trial as a machine's trace, with 17 digits and an empty last input."""
     header = ",".join(f"{name} [{unit}]" for name, unit in zip("tryu", units, strict=True))
     rows = [",".join(f"{v:.17g}" for v in row) for row in zip(t[:-1], r, y, u, strict=False)]
     path.write_text("\n".join([header, *rows, f"{t[-1]:.17g},{r[-1]:.17g},{y[-1]:.17g},"]) + "\n")
 
 
 class Rig:
-    """The machine at the other end of the files.
+    """The rig is the machine at the other end of the files.
 
     `measure` plays the table of a file and writes the trace of trial j.
     """
@@ -130,7 +133,7 @@ hardware.register(app)
 
 
 def call(*arguments):
-    """Exit code, standard output and standard error of a command; a mistake raises."""
+    """Return exit code, standard output and standard error of a command; a mistake raises."""
     result = CliRunner().invoke(app, [str(a) for a in arguments])
     if result.exception is not None and not isinstance(result.exception, SystemExit):
         raise result.exception
@@ -139,7 +142,10 @@ def call(*arguments):
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory):
-    """A campaign of 20 trials driven through files only; the folder keeps every table and trace."""
+    """Run a campaign of 20 trials through files only.
+
+    The folder keeps every table and every trace.
+    """
     folder = tmp_path_factory.mktemp("session")
     rig = Rig(folder)
     state, played = folder / "state", []
@@ -169,7 +175,7 @@ def session(tmp_path_factory):
             "--out",
             folder / f"next-{j + 1}.csv",
         )
-        if j == 7:  # once from the outside
+        if j == 7:  # once in a process of its own
             program = PROGRAM.format("sys.argv[0] = 'jaxilc';")
             done = subprocess.run(
                 [sys.executable, "-c", program, *map(str, arguments)],
@@ -185,7 +191,7 @@ def session(tmp_path_factory):
 
 @pytest.fixture
 def copied(session, tmp_path):
-    """The session's campaign, to go on with in another folder."""
+    """Return a copy of the session's campaign in another folder, to continue it there."""
     rig, state, _ = session
     shutil.copytree(state, tmp_path / "state")
     return rig, tmp_path / "state", tmp_path
@@ -234,9 +240,8 @@ def test_undo_goes_back_to_the_table_that_was_played_and_on_from_there(copied, s
     rig, state, folder = copied
     call("next", "--state", state, "--undo", 15, "--out", folder / "next.csv")
     assert (folder / "next.csv").read_bytes() == (rig.folder / "next-16.csv").read_bytes()
-    rig.measure(
-        folder / "next.csv", 16, folder / "again.csv"
-    )  # the very same trial, learned from once more
+    # The same trial is measured again, and its data are learned from once more.
+    rig.measure(folder / "next.csv", 16, folder / "again.csv")
     call("next", "--state", state, "--measured", folder / "again.csv", "--out", folder / "next.csv")
     assert (folder / "next.csv").read_bytes() == (rig.folder / "next-17.csv").read_bytes()
     call("next", "--state", state, "--undo", 0, "--out", folder / "next.csv")
@@ -247,7 +252,7 @@ def test_undo_goes_back_to_the_table_that_was_played_and_on_from_there(copied, s
 
 
 class Killed(BaseException):
-    """What no handler catches."""
+    """This exception is not caught by any handler."""
 
 
 KILLED_IN = {
@@ -268,9 +273,8 @@ def test_killed_at_any_moment_nothing_is_lost(copied, monkeypatch, when):
         raise Killed
 
     with monkeypatch.context() as broken:
-        broken.setattr(
-            files.shutil, "rmtree", lambda *_, **__: None
-        )  # a killed process tidies nothing up
+        # A killed process does not remove its temporary files.
+        broken.setattr(files.shutil, "rmtree", lambda *_, **__: None)
         broken.setattr(*KILLED_IN[when], killed)
         with pytest.raises(Killed):
             call(
@@ -284,7 +288,7 @@ def test_killed_at_any_moment_nothing_is_lost(copied, monkeypatch, when):
             )
     assert all(f.read_bytes() == content for f, content in before.items())
     assert not (folder / "next.csv").exists()
-    stored = when == "table"  # the entry was complete, its table was not
+    stored = when == "table"  # the entry was complete, but its table was not
     assert Journal(state).live()[-1]["trial"] == TRIALS + stored
     arguments = ("--measured", folder / "trial.csv") * (not stored)
     call("next", "--state", state, *arguments, "--out", folder / "next.csv")
@@ -403,9 +407,8 @@ def test_growth_and_saturation_warn_or_refuse_with_numbers(copied):
         ),
     ):
         call(*arguments, folder / "saturated.csv")
-    with pytest.raises(
-        ValueError, match="the next feedforward is"
-    ) as error:  # saturation is accepted, what would come of it is not
+    # Saturation is accepted, but the table that would follow is not.
+    with pytest.raises(ValueError, match="the next feedforward is") as error:
         call(*arguments, folder / "saturated.csv", "--accept-saturation")
     assert "at its limit" not in str(error.value)
     write_trial(folder / "saturated.csv", t, r, y, np.where(np.arange(len(u)) == 40, 10.0, u))
@@ -509,7 +512,7 @@ def test_a_trace_that_is_not_of_this_task_is_refused(copied, change, message):
 
 
 def cut(row, i, value=""):
-    """A row of text with one cell replaced."""
+    """Return a row of text with one cell replaced."""
     cells = row.split(",")
     return ",".join([*cells[:i], value, *cells[i + 1 :]])
 
@@ -587,9 +590,8 @@ def test_a_damaged_entry_is_named_and_can_be_left_behind(copied):
 
 def _ladder():
     machine, scheme, task = case("p_type_over_pid")
-    noisy = dataclasses.replace(
-        machine, sensor=Sensor(noise=1e-5)
-    )  # its trials of one table differ
+    # With noise, two trials of the same table differ.
+    noisy = dataclasses.replace(machine, sensor=Sensor(noise=1e-5))
     return noisy, Ladder(scheme, repeats=2), task
 
 
@@ -626,7 +628,7 @@ def test_a_learned_reference_is_held_to_its_largest_correction(tmp_path):
     with pytest.raises(ValueError, match="trial 1 has no input u"):
         campaign.turn(measured)
     turn = campaign.turn(measured, replay_input=True)
-    correction = 0.4 * np.asarray(trial.e)[2:, 0]  # gamma_p e[k+1+lead]
+    correction = 0.4 * np.asarray(trial.e)[2:, 0]  # this is gamma_p e[k+1+lead]
     k = int(np.argmax(np.abs(correction))) + 1  # w[k] is added to r[k+1]
     assert (
         f"the next reference is {correction[k - 1]:.6g}  away from the task's at sample {k}"

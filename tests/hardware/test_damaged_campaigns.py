@@ -1,6 +1,6 @@
-"""Damaged campaigns lead to the same input, or say in one line how to go back.
+"""A damaged campaign leads to the same input, or says in one line how to go back.
 
-Also: a trial that was measured once counts once.
+A trial that was measured once is also counted once.
 """
 
 import contextlib
@@ -25,9 +25,8 @@ from jaxilc.storage.sealed import archive, read_arrays, sealed
 
 @pytest.fixture(autouse=True)
 def quickly_and_quietly(monkeypatch, caplog):
-    monkeypatch.setattr(
-        files.os, "fsync", lambda _: None
-    )  # a kill loses nothing that was written, only a power failure does
+    # Only a power failure loses written data, so a test of kills need not wait for the disk.
+    monkeypatch.setattr(files.os, "fsync", lambda _: None)
     caplog.set_level(logging.ERROR, "jaxilc")
 
 
@@ -46,7 +45,7 @@ TRIALS = [
 
 @pytest.fixture(scope="module")
 def campaign(tmp_path_factory):
-    """The folder of a campaign of three trials, and what the machine plays after each."""
+    """Return the folder of a campaign of three trials, and what the machine plays after each."""
     folder = tmp_path_factory.mktemp("campaign") / "state"
     running = Campaign.start(folder, SCHEME, TASK, recipe={"scenario": "axis"})
     played = [running.schedules()["u"]]
@@ -67,7 +66,10 @@ def opened(folder):
 
 
 def goes_on_or_back(folder, played):
-    """It continues from its third trial, or says in one line that it cannot, and goes back."""
+    """Check that a campaign continues from its third trial, or that it refuses and can go back.
+
+    The refusal is a message of one line.
+    """
 
     def goes_on():
         np.testing.assert_array_equal(opened(folder).schedules()["u"], played[3])
@@ -106,7 +108,7 @@ def test_a_flipped_bit_in_a_campaign_is_refused_or_changes_nothing(campaign, tmp
 def test_a_manifest_that_is_none_is_passed_by(copied, entry, content):
     folder, played = copied
     (folder / entry / "manifest.json").write_bytes(content)
-    np.testing.assert_array_equal(opened(folder).schedules()["u"], played[3])  # it is there twice
+    np.testing.assert_array_equal(opened(folder).schedules()["u"], played[3])  # it is stored twice
     (folder / entry / "manifest.copy.json").write_bytes(content)
     goes_on_or_back(folder, played)
     assert [row["event"] for row in Journal(folder).log()].count("damaged") == 1
@@ -126,7 +128,11 @@ CHANGES = {
 
 @pytest.mark.parametrize("change", CHANGES)
 def test_a_manifest_without_a_checksum_is_looked_at(copied, change):
-    """Campaigns of the format that had none go on; what does not fit is refused."""
+    """A manifest without a checksum is checked by its content.
+
+    Campaigns of the earlier format, which had no checksum, can continue. A manifest that does not
+    fit is refused.
+    """
     folder, played = copied
     for entry in folder.iterdir():
         manifest = {
@@ -152,7 +158,7 @@ def test_a_memory_that_is_not_a_number_is_refused(copied):
     np.savez(file, **lost)
     with pytest.raises(ValueError, match=r"memory.npz cannot be read .*its checksum is missing"):
         opened(folder).schedules()
-    file.write_bytes(archive(lost))  # with a checksum of its own
+    file.write_bytes(archive(lost))  # the archive has a valid checksum
     with pytest.raises(ValueError, match="the memory after trial 3 is not a number in 000 u"):
         opened(folder).schedules()
     file.write_bytes(archive({name: of[:-1] for name, of in lost.items()}))
@@ -187,9 +193,8 @@ def test_one_measured_trial_is_one_trial(copied):
                 ),
             ):
                 opened(folder).turn(again, learn=learn)
-    other = TRIALS[3]._replace(
-        y=TRIALS[3].y * (1 + 1e-6)
-    )  # a machine's trials of one table differ by more
+    # On a real machine two trials of the same table differ by more.
+    other = TRIALS[3]._replace(y=TRIALS[3].y * (1 + 1e-6))
     assert opened(folder).turn(other).trial == 5
     opened(folder).undo(3)
     opened(folder).keep(opened(folder).turn(TRIALS[3]))
@@ -225,7 +230,7 @@ class = "PIDType"
 
 
 def command(*arguments):
-    """The exit code of a command."""
+    """Return the exit code of a command."""
     sys.argv = ["jaxilc", *map(str, arguments)]
     try:
         cli.main()
@@ -235,7 +240,10 @@ def command(*arguments):
 
 
 def test_a_manifest_that_somebody_made_is_refused_in_one_line(tmp_path, monkeypatch):
-    """With a checksum that is right, or in the format that had none; also through the commands."""
+    """A manifest that somebody made by hand is refused in one line, also by the commands.
+
+    It has a correct checksum, or is in the earlier format without a checksum.
+    """
     monkeypatch.setattr(sys, "argv", [])
     monkeypatch.chdir(tmp_path)
     (tmp_path / "axis.toml").write_text(PLANT)
@@ -272,9 +280,8 @@ def test_a_manifest_that_somebody_made_is_refused_in_one_line(tmp_path, monkeypa
         )
         if rng.random() < 0.5 and isinstance(changed, dict):
             changed["format"] = 1
-        with contextlib.suppress(
-            ValueError, RecursionError
-        ):  # what cannot be written strictly is written as it is
+        # A value that strict JSON cannot hold is written as it is.
+        with contextlib.suppress(ValueError, RecursionError):
             changed = changed if changed.get("format") == 1 else sealed(changed)
         for name in ("manifest.json", "manifest.copy.json"):
             (entry / name).write_text(dumped(changed), encoding="utf-8", errors="surrogatepass")

@@ -1,6 +1,7 @@
-"""Files of measured trials and of tables to play.
+"""These tests check files of measured trials and of tables to play.
 
-They are written by other programs, read by a C compiler, and played by the feedback alone.
+The measured files are written by other programs. The tables are read by a C compiler, and played by
+the feedback alone.
 """
 
 import re
@@ -28,7 +29,7 @@ TWO = Task(np.stack([np.sin(0.3 * K), np.cos(0.3 * K)], axis=1), dt=DT, inputs=1
 
 
 def mat(path, task=ONE, units=None, **signals):
-    """A file as MATLAB's `save` writes it."""
+    """Write a file as MATLAB's `save` does."""
     units = (
         {"t": "s", "y": task.unit, "r": task.unit, "u": task.input_unit} if units is None else units
     )
@@ -39,7 +40,7 @@ def mat(path, task=ONE, units=None, **signals):
 
 
 def text(path, header, *columns):
-    """A file of columns with semicolons."""
+    """Write a file of columns, separated by semicolons."""
     rows = [";".join(repr(float(v)) for v in row) for row in zip(*columns, strict=True)]
     path.write_text("\n".join([header, *rows]) + "\n", encoding="utf-8-sig")
     return path
@@ -84,10 +85,8 @@ def test_a_mat_file_that_does_not_fit_is_refused(tmp_path, contents, message):
 
 def test_channels_are_numbered_and_share_a_unit(tmp_path):
     y0, y1, u = np.asarray(K / 3), np.asarray(K / 9), np.asarray(K * 2.0)
-    for header in (
-        "t [s];y1 [µm];y0 [μm];u;note",
-        "t [s];y_1 [µm];y_0 [µm];u [-];note",
-    ):  # two micro signs; no unit, spelled out
+    # Unicode has two micro signs. A quantity without a unit has no brackets, or has `[-]`.
+    for header in ("t [s];y1 [µm];y0 [μm];u;note", "t [s];y_1 [µm];y_0 [µm];u [-];note"):
         found = read_measured(text(tmp_path / "trial.csv", header, TWO.time, y1, y0, u, u), TWO)
         np.testing.assert_array_equal(found.y, np.stack([y0, y1], axis=1))
         np.testing.assert_array_equal(found.u[:, 0], u[:-1])

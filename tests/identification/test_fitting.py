@@ -1,6 +1,6 @@
-"""Least squares with bounds from many starts, against closed forms and a reference solver.
+"""Least squares with bounds and many starts are compared with closed forms and a reference solver.
 
-Also a learning run whose answer is known.
+A learning run whose answer is known is tested too.
 """
 
 import jax
@@ -19,11 +19,8 @@ from jaxilc.signals import Task
 NAMES = ("a", "b", "c")
 DESIGN = np.random.default_rng(0).normal(size=(12, 3))
 DATA = DESIGN @ np.array([0.7, 3.0, -0.02]) + 0.1 * np.random.default_rng(1).normal(size=12)
-WIDE = {
-    "a": (-5.0, 5.0),
-    "b": (0.1, 50.0),
-    "c": (-1.0, -1e-4),
-}  # linear, by the logarithm, and that of a negative number
+# The first range is searched linearly, the others by the logarithm, of which one is negative.
+WIDE = {"a": (-5.0, 5.0), "b": (0.1, 50.0), "c": (-1.0, -1e-4)}
 
 
 def linear(values):
@@ -60,12 +57,18 @@ def test_costs_of_the_starts_and_of_the_refined(found):
 
 
 def test_jacobian_is_that_of_the_residuals_by_the_values(found):
-    """For residuals that are linear in the values, the Jacobian is the design matrix."""
+    """The Jacobian is that of the residuals with respect to the values.
+
+    For residuals that are linear in the values, it is the design matrix.
+    """
     np.testing.assert_allclose(found.jacobian, DESIGN, rtol=1e-6)
 
 
 def test_linear_least_squares_on_the_bounds():
-    """Where the free minimum lies outside, the fit ends on the bounds, as with scipy's solver."""
+    """Where the minimum without bounds lies outside, the fit ends on the bounds.
+
+    scipy's solver ends at the same values.
+    """
     ranges = {"a": (-5.0, 0.5), "b": (0.1, 2.0), "c": (-1.0, -1e-4)}
     result = fit(linear, ranges, starts=20, refine=3)
     low, high = np.array(list(ranges.values())).T
@@ -78,7 +81,10 @@ def test_linear_least_squares_on_the_bounds():
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_range_of_one_sign_is_searched_by_its_logarithm(sign):
-    """Over eight decades there is one start in each of 64 equal parts of the logarithm."""
+    """A range of one sign is searched by its logarithm.
+
+    Over eight decades there is one start in each of 64 equal parts of the logarithm.
+    """
 
     def decades_from_target(values):
         return (jnp.log10(sign * values["x"]) + 2.3)[None]
@@ -103,7 +109,10 @@ def test_a_range_with_zero_is_searched_evenly(ends):
 
 
 def bumpy(values):
-    """Least squares with minima about 2 pi / 5 apart; zero only at (0.8, -0.4)."""
+    """Return residuals whose sum of squares has minima about 2 pi / 5 apart.
+
+    It is zero only at (0.8, -0.4).
+    """
     return jnp.stack(
         [
             r
@@ -142,7 +151,10 @@ def test_starts_that_are_not_finite_count_as_infinitely_bad():
 
 
 def test_large_residuals_are_still_finite():
-    """Errors in nanometres: the sum of squares is large, and the problem as good as any."""
+    """Large residuals are treated as finite.
+
+    With errors in nanometres the sum of squares is large, but the problem is well posed.
+    """
     result = fit(
         lambda values: 1e6 * jnp.stack([values["x"] - 3.0, values["x"] - 1.0]),
         {"x": (-5.0, 5.0)},
@@ -152,14 +164,14 @@ def test_large_residuals_are_still_finite():
     np.testing.assert_allclose(result.values["x"], 2.0, rtol=1e-6)
 
 
-# y settles at each sample by itself, so a lane is quick; the error curve of the learning shows its
-# start value and its weight
+# Each sample of y depends on the input of one sample only, so a learning run is computed quickly.
+# The error curve over the trials determines the start value and the weight of the scheme.
 TASK = Task(0.5 - 0.5 * np.cos(2 * np.pi * np.arange(21) / 20), dt=DT)
 MACHINE = Machine(DifferenceEquation(*ARX, dt=DT))
 
 
 def error_curve(phi0, lam):
-    """Logarithm of the RMS error of trials 2 to 7 under CFDL-MFAILC."""
+    """Return the logarithm of the RMS error of trials 2 to 7 under CFDL-MFAILC."""
     return jnp.log(learn(MACHINE, CFDLMFAILC(phi0=phi0, lam=lam, mu=0.05), TASK, 7).rms[1:, 0])
 
 
@@ -181,7 +193,10 @@ def test_start_value_and_weight_are_recovered_from_the_error_curve_they_gave():
 
 
 def test_the_search_runs_through_jit_and_its_caller_stays_pure():
-    """The residuals see tracers by name, and all names at once."""
+    """The search runs within jit, and its caller has no side effects.
+
+    The residuals get tracers by name, and all names at once.
+    """
     seen = []
 
     def residuals(values):

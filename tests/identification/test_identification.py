@@ -1,4 +1,4 @@
-"""Identification against python-control, the true parameters and the statistics of noise."""
+"""Identification is compared with python-control, the true parameters and statistics of noise."""
 
 import control
 import jax
@@ -106,7 +106,10 @@ def test_all_poles_are_those_of_the_denominator(model):
 
 
 def test_regrouping_pairs_the_nearest_real_poles_and_keeps_the_response():
-    """Poles 6.4, 470, 480, with the slow one hidden in the pair."""
+    """Regrouping pairs the real poles that are nearest to each other, and keeps the response.
+
+    The poles are 6.4, 470 and 480, and the slow one is hidden in the pair.
+    """
     w, zeta = np.sqrt(6.4 * 470.0), (6.4 + 470.0) / (2 * np.sqrt(6.4 * 470.0))
     hidden = ProcessModel(1.0, [900.0, -20.0], [480.0], [w, 50.0], [zeta, 0.3])
     model = hidden.regrouped()
@@ -208,7 +211,7 @@ def test_eq_7_is_recovered_within_the_intervals(identified):
             assert float(get_at(identified.plant, name)) == identified.parameters[name].value
     assert identified.white
     assert identified.converged
-    # what remains is the noise, and the rounding of the encoder
+    # What remains is the noise and the rounding of the encoder.
     assert identified.samples == round(0.7 * 3067)
     assert identified.residual_std[0] == pytest.approx(
         np.sqrt(NOISE**2 + ENCODER**2 / 12), rel=SIGMAS / np.sqrt(2 * identified.samples)
@@ -222,8 +225,8 @@ def test_poles_have_intervals_even_where_they_meet(identified):
         assert inside(pole.imag, 0.0)
         assert inside(pole.real, pole.value.real)
         assert inside(pole.imag, pole.value.imag)
-    # the split of a double pole goes with the square root of the damping's error, so it is far less
-    # certain than the frequency
+    # The distance of the two poles of a double pole is proportional to the square root of the error
+    # of the damping, so it is much less certain than the frequency.
     assert width(identified.poles[1].real) > 5 * width(identified.parameters["frequencies[0]"])
 
 
@@ -253,7 +256,11 @@ def test_another_seed_finds_the_same_minimum(record, identified):
 
 
 def test_intervals_cover_the_truth_as_often_as_they_say():
-    """With 100 noises: 95 % of the time, and errors over standard deviation have the spread 1."""
+    """The intervals contain the true values as often as they state.
+
+    Over 100 noise records this is 95 % of the time, and errors divided by standard deviations have
+    a standard deviation of 1.
+    """
     seeds, machine = 100, Machine(EQ_7, sensor=Sensor(ENCODER, NOISE))
     keys = jax.random.split(jax.random.key(1), seeds)
     outputs = np.asarray(jax.vmap(lambda key: excite(machine, U, DT, key=key).y)(keys))
@@ -285,7 +292,11 @@ def test_too_low_an_order_shows(record, identified):
 
 
 def test_a_lightly_damped_drive_is_found_without_a_start():
-    """Xu 2024: 2.229e7 / (s^2 + 70.16 s + 2.413e6), 247 Hz, damping 0.0226, encoder of 1.2 nm."""
+    """A lightly damped drive is identified without start values.
+
+    The drive is 2.229e7 / (s^2 + 70.16 s + 2.413e6) (Xu 2024), with 247 Hz, a damping of 0.0226 and
+    an encoder of 1.2 nm.
+    """
     w, zeta = np.sqrt(2.413e6), 70.16 / (2 * np.sqrt(2.413e6))
     servo = Machine(
         ProcessModel(2.229e7 / 2.413e6, [], [], [w], [zeta]), sensor=Sensor(1.2e-3, 5e-3)
@@ -318,7 +329,11 @@ def test_chosen_leaves_and_elements_of_a_given_plant(record):
 
 
 def test_difference_equation_from_its_rounded_coefficients(record):
-    """Cao 2019, eq. 29 as a start: the fit returns to what eq. 7 is at 1 ms, and to its DC gain."""
+    """A difference equation is identified from its rounded coefficients.
+
+    The fit starts from Cao 2019, eq. 29, and returns to what eq. 7 is when it is sampled at 1 ms,
+    and to its DC gain.
+    """
     found = identify(record, voice_coil("printed"))
     exact = voice_coil().sampled(DT)
     for name in "ab":
@@ -329,7 +344,10 @@ def test_difference_equation_from_its_rounded_coefficients(record):
 
 
 def test_what_the_record_cannot_tell_apart_has_no_interval():
-    """Of y = C x, x' = A x + B u only A and the product C B enter the output."""
+    """A parameter that the record cannot determine has no interval.
+
+    For y = C x, x' = A x + B u only A and the product C B determine the output.
+    """
     lag = StateSpace([[-50.0]], [[50.0]], [[2.0]])
     found = identify(
         excite(Machine(lag, sensor=Sensor(noise=1e-3)), U, DT),
@@ -343,7 +361,10 @@ def test_what_the_record_cannot_tell_apart_has_no_interval():
 
 
 def test_a_double_pole_needs_a_pair(record):
-    """Two equal `poles` have the same derivative; the pair there is determined to 0.2 %."""
+    """A double pole needs a pair of poles as its parameters.
+
+    Two equal `poles` have the same derivative. The pair is determined to 0.2 %.
+    """
     twice = identify(record, ProcessModel(TRUE["gain"], [928.2], [6.404, 474.0, 474.0]))
     assert width(twice.parameters["poles[0]"]) < 0.01
     assert min(width(twice.parameters[f"poles[{i}]"]) for i in (1, 2)) > 0.02 * 474.0
@@ -366,8 +387,8 @@ def test_two_outputs_are_weighted_by_their_noise():
     ):
         assert inside(found.parameters[name], true), name
     np.testing.assert_allclose(found.residual_std, noise, rtol=SIGMAS / np.sqrt(2 * found.samples))
-    # the first output alone says as much of its pole as both together, since the second is fifty
-    # times noisier
+    # The first output alone determines its pole as well as both together, since the second output
+    # is fifty times noisier.
     alone = identify(
         record._replace(y=record.y[:, :1]),
         StateSpace(start.A[:1, :1], start.B[:1], [[1.0]]),
@@ -409,7 +430,10 @@ def test_several_channels_and_foreign_columns(tmp_path):
 
 
 def test_a_record_is_read_from_the_file_of_a_measured_trial(tmp_path):
-    """Names with units, in any order of the columns, and no input in the last row."""
+    """A record is read from the file of a measured trial.
+
+    The columns have names with units, may be in any order, and the last row has no input.
+    """
     (tmp_path / "trial.csv").write_text("y [mm],t [s],u [V]\n0,0.5,1\n0.25,0.52,-1\n0.5,0.54,\n")
     read = read_record(tmp_path / "trial.csv")
     np.testing.assert_array_equal(read.u, [[1.0], [-1.0]])

@@ -1,5 +1,7 @@
-"""What diverged and what has grown: closed forms, plain loops, and the same words in every
-precision, table and figure.
+"""These tests check which runs are said to diverge or to grow.
+
+They compare with closed forms and plain loops, and check that every precision, table and figure
+uses the same words.
 """
 
 import dataclasses
@@ -25,15 +27,16 @@ from jaxilc.uncertainty import Uniform
 
 STATIC = StateSpace([[0.0]], [[1.0]], [[1.0]], dt=DT)  # y[k+1] = u[k], so e_j = (1 - gamma)^(j-1) r
 MACHINE, TASK, TRIALS = Machine(STATIC), task_for(STATIC, 20), 12
-GROWING, STEADY = (
-    PIDType(gamma_p=5.0),
-    PIDType(gamma_p=0.5),
-)  # (-4)^(j-1) passes 1000 at j = 6: 4^5 = 1024
+# (-4)^(j-1) exceeds 1000 for the first time at j = 6, where 4^5 = 1024.
+GROWING, STEADY = (PIDType(gamma_p=5.0), PIDType(gamma_p=0.5))
 
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 def test_a_trial_diverges_at_a_thousand_times_the_reference_in_either_precision(precision):
-    """In float32 the errors overflow at trial 65, in float64 never within 200."""
+    """A trial diverges at a thousand times the reference, in both precisions.
+
+    In float32 the errors overflow at trial 65; in float64 they do not within 200 trials.
+    """
     with jax.enable_x64(precision == "float64"):
         machine, scheme, task = jax.tree.map(
             lambda x: jnp.asarray(x, precision), (MACHINE, GROWING, TASK)
@@ -54,7 +57,10 @@ def test_a_reference_of_zero_and_of_several_outputs_has_a_peak():
 
 
 def by_hand(errors, peak, growth, first):
-    """diverged_at and grown_from of one process, trial by trial. errors: (J, n)"""
+    """Compute diverged_at and grown_from of one learning process, trial by trial.
+
+    errors: (J, n)
+    """
     lost = [
         j for j, e in enumerate(errors) if not np.all(np.isfinite(e)) or np.any(e > 1000 * peak)
     ]
@@ -122,8 +128,9 @@ def test_trials_that_go_on_keep_their_numbers():
 
 @pytest.fixture(scope="module")
 def swept():
-    """Gains of learning from 0.5 to 5, spread over machines: steady, growing and diverging ones,
-    none of them infinite.
+    """Return a sweep whose learning gains go from 0.5 to 5 over the machines.
+
+    Some machines are steady, some grow and some diverge, but no number is infinite.
     """
     schemes = {"steady": STEADY, "growing": PIDType(gamma_p=2.5)}
     plan = Sweep(
@@ -140,7 +147,7 @@ def swept():
 
 def test_a_sweep_counts_what_diverged_though_it_stayed_finite(swept):
     plan, dataset = swept
-    factor = np.abs(1 - 2.5 * plan.drawn["plant.B"])  # of the error from trial to trial
+    factor = np.abs(1 - 2.5 * plan.drawn["plant.B"])  # the ratio of two successive errors
     lost, grown = factor ** (TRIALS - 1) > 1000, (factor ** (TRIALS - 1) <= 1000) & (factor > 1)
     assert bool(dataset["finite"].all())
     np.testing.assert_array_equal(dataset["diverged_at"].sel(scheme="growing") > 0, lost)

@@ -1,5 +1,7 @@
-"""Constructors given what they do not want: a ValueError, or what the checks can look at. See
-fuzz.py for how to run more.
+"""Constructors get invalid values.
+
+Each raises a ValueError, or makes an object that the later checks can handle. fuzz.py says how to
+run more cases.
 """
 
 import dataclasses
@@ -30,7 +32,7 @@ PLAN = (
 
 
 def with_parts(machine):
-    """The same machine with an actuator, sensors and disturbances, so that theirs are tried too."""
+    """Return the same machine with an actuator, sensors and disturbances, to test these too."""
     parts = {
         "actuator": Actuator(3.0, 500.0, 0.01),
         "sensor": Sensor(1e-6, 1e-6),
@@ -40,7 +42,7 @@ def with_parts(machine):
 
 
 def mutated(rng, tree, changes=1):
-    """The tree with a field of it, or of a part of it, replaced by what nobody wants."""
+    """Return the tree with one of its fields, or a field of one of its parts, made invalid."""
     for _ in range(changes):
         tree = _mutated(rng, tree)
     return tree
@@ -120,9 +122,8 @@ def test_sweeps_tunings_and_numbers_of_trials():
                     "lanes",
                 )
                 plan = dict(zip(names, (*PLAN, 3, 0, "monte-carlo", (), 2, 2), strict=True))
-                small = [
-                    x for x in HOSTILE if not (isinstance(x, int) and x > 1000)
-                ]  # how large they may be is another matter
+                # Another test limits how large they may be.
+                small = [x for x in HOSTILE if not (isinstance(x, int) and x > 1000)]
                 Sweep(**plan | {pick(rng, names): pick(rng, small)})
             case 1:
                 machine, schemes, task, trials, uncertainty = PLAN

@@ -1,8 +1,9 @@
-"""Derivatives of compiled, batched programs against central differences: a small part of
-`experiments/gradients_under_attack.py`.
+"""Derivatives of compiled, batched programs are compared with central differences.
 
-The tests' programs are compiled without optimisation, which hides what rounds one number in two
-ways; these are compiled as shipped.
+This is a small part of `experiments/gradients_under_attack.py`.
+
+The other tests compile their programs without optimisation. That hides programs that compute one
+number twice with different rounding. The programs here are compiled as users get them.
 """
 
 import gradients_under_attack as attack
@@ -31,7 +32,11 @@ def compiled(f):
 
 @pytest.mark.parametrize(("metric", "way"), [("max_error", "tiled"), ("settled_error", "vmap")])
 def test_no_derivative_of_a_largest_error_is_lost_where_c_is_batched(metric, way):
-    """Found by equality with the tally, 23 and 14 of the 24 derivatives were exactly zero."""
+    """No derivative of a largest error is lost where C is batched.
+
+    When the largest error was found by comparing for equality, 23 of the 24 derivatives were
+    exactly zero in one case, and 14 in the other.
+    """
     one = attack.configurations()["order 1"]
     x, d = one.batch(np.random.default_rng(1))
     along = attack.derivative(one, metric, "last")
@@ -60,7 +65,10 @@ def test_the_attack_sees_a_wrong_derivative_and_takes_either_side_of_a_kink():
 
 
 def test_switching_boundaries_and_cutoffs_through_learning():
-    """Each cutoff, each switching time and the width by itself, after five trials."""
+    """Every cutoff, every switching time and the width have a correct derivative.
+
+    They are taken after five trials.
+    """
     one = attack.configurations()["switching"]
     at = {name: np.asarray(attack.get_at(one.subject, name)) for name in one.leaves}
     flat, unravel = ravel_pytree(at)
@@ -92,11 +100,13 @@ ROBUST = {
 
 @pytest.mark.parametrize("name", ROBUST)
 def test_the_loss_of_a_robust_tuning_has_the_slope_of_its_differences(name):
-    """Risk, objective and bounds of weights together, as the optimiser is given them; a descent at
-    rate 1 moves by the gradient.
+    """The gradient of the loss of a robust tuning is that of finite differences.
 
-    Five plants and three starts on two devices: of a scatter over them, as the derivative of a sort
-    has it, XLA's partitioner died.
+    Risk, objective and bounds of the weights are taken together, as the optimiser gets them. A
+    descent step at rate 1 moves the weights by the gradient.
+
+    Five plants and three starts run on two devices. The derivative of a sort is a scatter, and
+    XLA's partitioner crashed on a scatter over them.
     """
     risk, mode, objective = ROBUST[name]
     machine, scheme, task = case("p_type_switchable")
@@ -129,8 +139,9 @@ N, MACHINES = 60, 32
 
 
 def test_largest_keeps_every_part_of_its_derivative():
-    """Where `jnp.max` loses some: the error is a sum of products, which is rounded differently
-    where it is computed again.
+    """`largest` keeps every part of its derivative, where `jnp.max` loses some.
+
+    The error is a sum of products. It is computed twice, and rounded differently the second time.
     """
     rng = np.random.default_rng(0)
     r, R = rng.standard_normal(N), rng.standard_normal((N, 3))

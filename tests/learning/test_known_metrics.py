@@ -1,4 +1,7 @@
-"""Metrics are declared once: all that follows agrees, also for metrics not declared yet."""
+"""Metrics are declared once, and everything that uses them agrees.
+
+This holds also for metrics that are added later.
+"""
 
 import dataclasses
 from collections import namedtuple
@@ -49,7 +52,11 @@ KINDS = [Gathering(*kind) for kind in product("eu", ("largest", "root mean squar
 
 @pytest.mark.parametrize("settle", [(0.0, 0.020), (0.011, 0.020), (0.004, 0.013)])
 def test_every_way_to_gather_gives_the_metric_of_the_record(monkeypatch, settle):
-    """Sample by sample and at once, with its derivative, against a plain formula."""
+    """Every way to compute a metric gives the metric of the record.
+
+    It is computed sample by sample and at once, with its derivative, and compared with a plain
+    formula.
+    """
     names = [f"metric_{i}" for i in range(len(KINDS))]
     monkeypatch.setattr(metrics, "GATHERED", tuple(zip(names, KINDS, strict=True)))
     monkeypatch.setattr(metrics, "Metrics", namedtuple("Metrics", (*names, "finite")))
@@ -73,7 +80,7 @@ def test_every_way_to_gather_gives_the_metric_of_the_record(monkeypatch, settle)
             ("e", False): -y[1:],
             ("e", True): -y[start:stop],
             ("u", False): u,
-            ("u", True): u[max(start - 1, 0) : stop - 1],  # u[k] leads to e[k+1]
+            ("u", True): u[max(start - 1, 0) : stop - 1],  # u[k] acts on e[k+1]
         }
         return tuple(
             jnp.max(jnp.abs(rows[signal, late]), axis=0)

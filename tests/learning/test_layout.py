@@ -1,5 +1,6 @@
-"""Where a batch's samples lie: no number changes under any transformation, and XLA does as it is
-told.
+"""These tests check the memory layout of a batch.
+
+No number changes under any transformation, and XLA uses the layout that it is given.
 """
 
 import re
@@ -21,7 +22,10 @@ X = jnp.asarray(np.random.default_rng(0).normal(size=(3, 5, 2)))
 
 
 def through(x, place=lambda x: x):
-    """A loop over trials around a scan over samples, as `learn` has them. x: (5, 2)"""
+    """Run a loop over trials around a scan over samples, as `learn` does.
+
+    x: (5, 2)
+    """
 
     def trial(memory, _):
         total, seen = lax.scan(
@@ -94,7 +98,7 @@ def test_a_batch_goes_from_trial_to_trial_with_its_samples_side_by_side(scheme):
         " ".join(line for line in program.splitlines() if " while(" in line),
     )
     assert carry
-    assert set(carry) == {"2,0,1"}  # minor to major: the samples' axis is the slowest
+    assert set(carry) == {"2,0,1"}  # from minor to major: the axis of the samples is the slowest
 
 
 def test_rows_out_of_a_batch_are_those_of_its_members():

@@ -1,4 +1,4 @@
-"""The loop over trials, the same loop by hand, and what a trial is judged by."""
+"""These tests compare the loop over trials with the same loop by hand, and check the metrics."""
 
 import jax
 import jax.numpy as jnp
@@ -44,7 +44,10 @@ def assert_trees_close(one, other, **tolerance):
 
 @pytest.mark.parametrize("name", ["pd_type", "ffdl_book", "p_type_over_pid"])
 def test_learn_is_the_loop_by_hand(name, machine, task):
-    """Trial j uses the key folded with j; the scheme learns after each trial."""
+    """`learn` gives the same numbers as the loop by hand.
+
+    Trial j uses the key folded with j, and the scheme learns after each trial.
+    """
     scheme, key = SCHEMES[name], jax.random.key(4)
     noisy = Machine(
         machine.plant, sensor=Sensor(noise=1e-3), disturbance=Disturbance(input_noise=0.01)
@@ -69,8 +72,9 @@ def test_learn_is_the_loop_by_hand(name, machine, task):
 
 @pytest.mark.parametrize("name", ["pd_type", "cfdl_sign", "p_type_fir", "cfdl_lead_limited"])
 def test_a_measured_machine_learns_as_the_simulated_one(name, machine, task):
-    """The machine of the loop by hand is a NumPy loop over eq. 29 that knows nothing of the
-    package.
+    """A measured machine learns as the simulated one does.
+
+    The machine of the loop by hand is a NumPy loop over eq. 29, independent of the package.
     """
     scheme = SCHEMES[name]
     history = learn(machine, scheme, task, TRIALS, save=y_and_u)
@@ -98,8 +102,10 @@ def test_going_on_from_a_memory_equals_one_long_run(name, machine, task):
 
 
 def test_cfdl_on_a_static_plant_contracts_by_d1_and_d2(task):
-    """y(k+1) = phi u(k): |e| falls by 1 - rho phi phi^/(lam + phi^^2), phi^ - phi by 1 - eta
-    Du^2/(mu + Du^2), sample by sample.
+    """CFDL-MFAILC on a static plant contracts by d1 and d2, sample by sample.
+
+    The plant is y(k+1) = phi u(k). |e| falls by 1 - rho phi phi^/(lam + phi^^2), and phi^ - phi
+    falls by 1 - eta Du^2/(mu + Du^2).
     """
     phi, start, lam, rho, eta, mu = 0.8, 0.5, 0.3, 0.7, 0.6, 0.4
     scheme = CFDLMFAILC(phi0=start, lam=lam, rho=rho, eta=eta, mu=mu, reset="none")
@@ -121,8 +127,9 @@ def test_cfdl_on_a_static_plant_contracts_by_d1_and_d2(task):
 @pytest.mark.parametrize("plant", [PRINTED, ARX])
 @pytest.mark.parametrize("m", [0, 2])
 def test_lifted_error_recursion(plant, m, task):
-    """e_{j+1} = ((1 - leak) I - G L) e_j + leak r with dense G (Markov parameters) and L, e =
-    e(1..N).
+    """The errors obey the lifted recursion e_{j+1} = ((1 - leak) I - G L) e_j + leak r.
+
+    G (of Markov parameters) and L are dense matrices, and e = e(1..N).
     """
     (a, b), N, r = plant, task.N, np.asarray(task.reference)[1:, 0]
     p, i, d, leak = *(np.sign(sum(b)) * np.array([0.6, 0.02, 1.5])), 0.1
@@ -133,7 +140,7 @@ def test_lifted_error_recursion(plant, m, task):
     markov = scipy.signal.lfilter((0.0, *b), (1.0, *(-c for c in a)), np.eye(1, N + 1)[0])[1:]
     G = scipy.linalg.toeplitz(markov, np.zeros(N))
     D = np.eye(N, k=m) - np.eye(N, k=m - 1)
-    D[N - m :] = 0.0  # no difference reaches beyond the end of the trial
+    D[N - m :] = 0.0  # no difference extends beyond the end of the trial
     L = p * np.eye(N, k=m) + i * np.tril(np.ones((N, N))) + d * D
     np.testing.assert_allclose(e[0], r, atol=1e-15)
     for j in range(TRIALS - 1):
@@ -146,8 +153,9 @@ def test_lifted_error_recursion(plant, m, task):
 
 
 def test_feedforward_of_a_scheme_with_feedback_is_its_learned_part(machine, task):
-    """The feedback comes on top within the trial, so what a controller is loaded with is the
-    learned share.
+    """The feedforward of a scheme with feedback is its learned part.
+
+    The feedback is added within the trial, so a controller is given the learned part only.
     """
     learning, feedback = PIDType(gamma_p=-1.0, lead=2), PID(kp=-4.0)
     scheme = WithFeedback(learning, feedback)
@@ -208,7 +216,7 @@ def figures_by_hand(y, u, r, window):
 def test_metrics_against_numpy(settle, window):
     rng, N = np.random.default_rng(8), 20
     r, y, u = rng.normal(size=(N + 1, 2)), rng.normal(size=(N + 1, 2)), rng.normal(size=(N, 3))
-    y[0] += 100.0  # no input can reach the first sample
+    y[0] += 100.0  # no input acts on the first sample
     figures = measure(Trial(r, y, u, DT, {}), Task(r, dt=DT, settle=settle, inputs=3))._asdict()
     for name, expected in figures_by_hand(y, u, r, window).items():
         np.testing.assert_allclose(figures[name], expected, rtol=1e-12, err_msg=name)
@@ -223,7 +231,10 @@ def test_metrics_against_numpy(settle, window):
     [((0.0, 9.0), range(61)), ((0.01, 0.02), range(10, 21)), ((0.059, 9.0), range(59, 61))],
 )
 def test_metrics_gathered_while_learning_are_those_of_the_record(settle, window, machine, task):
-    """Settled windows that begin with the trial, lie within it, and end with it."""
+    """Metrics computed while learning are those of the record.
+
+    The settled windows begin with the trial, lie within it, and end with it.
+    """
     task = Task(task.reference, dt=DT, settle=settle)
     history = learn(machine, SCHEMES["ffdl_book"], task, 3, save=y_and_u)
     for j in range(3):
@@ -236,8 +247,9 @@ def test_metrics_gathered_while_learning_are_those_of_the_record(settle, window,
 
 @pytest.mark.parametrize("settle", [(0.0, 0.02), (0.005, 0.012)])
 def test_gradient_of_the_metrics_is_that_of_their_definition(settle):
-    """By y and u, with a largest error that two samples share: then the first of them has the
-    derivative.
+    """The gradient of the metrics, with respect to y and u, is that of their definition.
+
+    Two samples share the largest error; then the first of them has the derivative.
     """
     rng, N = np.random.default_rng(8), 20
     r, y, u = np.zeros((N + 1, 2)), rng.normal(size=(N + 1, 2)), rng.normal(size=(N, 1))
@@ -264,8 +276,10 @@ def test_gradient_of_the_metrics_is_that_of_their_definition(settle):
 
 
 def test_memory_of_a_gradient_grows_like_the_root_of_the_trials():
-    """B + J / B memories: 8 for J = 16, 16 for 64; the slope of 64 trials is that of 61 and 3,
-    which are primes and stored one by one.
+    """The RAM for a gradient grows with the square root of the number of trials.
+
+    B + J / B memories are stored: 8 for J = 16, and 16 for 64. The slope of 64 trials is that of 61
+    and of 3, which are primes and stored one by one.
     """
     machine, task = Machine(PLANTS["arx"]), Task(np.sin(np.arange(1001) / 50), dt=DT)
 
@@ -287,8 +301,10 @@ def test_memory_of_a_gradient_grows_like_the_root_of_the_trials():
 
 @pytest.mark.parametrize("figure", ["effort", "rms", "max_error", "settled_error"])
 def test_gradient_of_a_figure_that_is_zero_is_finite(figure):
-    """In the first trial u is 0 and so is the effort; a machine that meets r = 0 has no error.
-    Tuning must survive both.
+    """The gradient of a metric that is zero is finite.
+
+    In the first trial u is 0, and so is the effort. A machine whose reference is 0 has no error.
+    Tuning must work in both cases.
     """
     machine, r = Machine(PLANTS["arx"]), np.zeros(11)
     r[5:] = figure == "effort"
@@ -303,7 +319,10 @@ def test_gradient_of_a_figure_that_is_zero_is_finite(figure):
 
 @pytree
 class Looker(Scheme):
-    """Applies gain times the reference three samples ahead, and records what it saw."""
+    """A test scheme applies gain times the reference three samples ahead.
+
+    It records what it gets.
+    """
 
     gain: jax.Array = leaf(default=2.0)
     preview = 3

@@ -1,4 +1,4 @@
-"""The machine around a plant: actuator, sensors, disturbances."""
+"""These tests check the machine around a plant: actuator, sensors and disturbances."""
 
 import jax
 import jax.numpy as jnp
@@ -23,7 +23,7 @@ def y_and_u(trial):
 
 
 def signals(machine, scheme, task, trials=1, **options):
-    """(J, N+1) and (J, N): measured outputs and applied inputs."""
+    """Return the measured outputs (J, N+1) and the applied inputs (J, N)."""
     return tuple(
         np.asarray(s)[..., 0]
         for s in learn(machine, scheme, task, trials, save=y_and_u, **options).saved
@@ -36,8 +36,10 @@ def clip(x, low, high):
 
 @pytest.mark.parametrize("part", ["limit", "rate", "resolution", "all"])
 def test_machine_equals_a_loop_by_hand(part):
-    """Everything between scheme and plant: limit, rate, converter, disturbances at input and
-    output, encoder.
+    """The machine gives the same numbers as a loop by hand.
+
+    The loop has everything between scheme and plant: limit, rate limit, converter, disturbances at
+    input and output, and encoder.
     """
     chosen = {"limit": 0.5, "rate": 250.0, "resolution": 0.07}
     chosen = chosen if part == "all" else {part: chosen[part]}
@@ -66,7 +68,7 @@ def test_machine_equals_a_loop_by_hand(part):
             break
         v[k] = wanted = kp * (r[k] - y[k])
         limit = chosen.get("limit", np.inf)
-        if "rate" in chosen:  # limits how fast the value before the converter moves
+        if "rate" in chosen:  # it limits how fast the value before the converter changes
             last = v[k - 1] if k else 0.0
             v[k] = clip(v[k], last - chosen["rate"] * DT, last + chosen["rate"] * DT)
             reached["rate"] += v[k] != wanted
@@ -85,8 +87,10 @@ def test_machine_equals_a_loop_by_hand(part):
 
 
 def test_learning_sees_the_input_as_applied():
-    """A learning law goes on from the saturated input, so it does not wind up: u_{j+1} = clip(u_j)
-    + gamma e_j.
+    """Learning uses the input as it was applied.
+
+    The law starts from the saturated input, so it does not wind up: u_{j+1} = clip(u_j) + gamma
+    e_j.
     """
     r = np.array([0.0, 1.0, 1.0, 0.1, -1.0])
     y, u = signals(Machine(DELAY, Actuator(limit=0.4)), PIDType(gamma_p=0.5), Task(r, dt=DT), 8)
@@ -103,8 +107,11 @@ NOISES = {
 
 @pytest.mark.parametrize("source", NOISES)
 def test_noise_is_white_of_the_given_deviation_and_new_in_each_trial(source):
-    """With u = 0 and y[k+1] = u[k] + d_u[k] the output is the noise. Standard errors: s/sqrt(n),
-    s^2 sqrt(2/n), and 1/sqrt(n) of a correlation."""
+    """Noise is white, has the given standard deviation, and is new in each trial.
+
+    With u = 0 and y[k+1] = u[k] + d_u[k] the output is the noise. The standard errors are
+    s/sqrt(n), s^2 sqrt(2/n), and 1/sqrt(n) for a correlation.
+    """
     sigma, N = 0.3, 3000
     machine = Machine(DELAY, **NOISES[source](sigma))
     y, u = signals(machine, ZERO, Task(np.zeros(N + 1), dt=DT), 2, key=jax.random.key(11))
@@ -165,8 +172,10 @@ def test_noise_of_each_channel_is_its_own():
 
 
 def test_gradients_of_the_discontinuous_parts():
-    """Quantisers pass the gradient straight through; limits and rates pass it inside and block it
-    beyond.
+    """The discontinuous parts have the stated gradients.
+
+    Quantisers pass the gradient unchanged. Limits and rate limits pass it inside their range and
+    block it outside.
     """
     slope = jax.vmap(jax.grad(quantise), in_axes=(0, None))
     np.testing.assert_array_equal(slope(jnp.array([-0.31, 0.0, 0.04, 7.2]), 0.1), 1.0)
@@ -187,8 +196,10 @@ def test_gradients_of_the_discontinuous_parts():
 
 
 def test_gradient_through_learning_on_quantised_signals_is_straight_through():
-    """For y[k+1] = Q(u[k]) the law's derivative is that of the smooth loop with the quantised
-    values put in.
+    """The gradient of learning on quantised signals passes the quantiser unchanged.
+
+    For y[k+1] = Q(u[k]) the derivative of the law is that of the smooth loop, evaluated at the
+    quantised values.
     """
     r, step = np.array([0.0, 0.73, -0.41, 0.22]), 0.05
     task = Task(r, dt=DT)
@@ -199,7 +210,8 @@ def test_gradient_through_learning_on_quantised_signals_is_straight_through():
 
     e1 = r[1:]
     y2 = step * np.round(0.3 * e1 / step)
-    # u_3 = gamma e_1 + gamma (r - y_2), y_2' = e_1: derivative e_1 + (r - y_2) - gamma e_1
+    # u_3 = gamma e_1 + gamma (r - y_2) and y_2' = e_1, so the derivative is e_1 + (r - y_2) - gamma
+    # e_1.
     assert jax.grad(loss)(0.3) == pytest.approx(np.sum(e1 + (r[1:] - y2) - 0.3 * e1), rel=1e-12)
 
 
@@ -259,7 +271,7 @@ MISFITS = {
         TASK,
         r"Filtered: PID learns no feedforward",
     ),
-    # weights of the wrong length
+    # the weights have the wrong length
     "kp": (Machine(PLANT), PID(kp=(1.0, 2.0)), TASK, "PID: kp"),
     "gamma_p": (Machine(PLANT), PIDType(gamma_p=(1.0, 2.0)), TASK, "PIDType: gamma_p"),
     "noise": (Machine(PLANT, sensor=Sensor(noise=(0.1, 0.2))), ZERO, TASK, "Sensor: noise"),

@@ -1,4 +1,4 @@
-"""What a user's own code gets wrong is said before anything is compiled, with what to do."""
+"""A mistake in a user's own code is reported before anything is compiled, with what to do."""
 
 import dataclasses
 from typing import Any, NamedTuple
@@ -37,7 +37,7 @@ class Reversed(NamedTuple):
 
 @pytree
 class Own(Scheme):
-    """Adds the gain times the error, and counts trials in its memory."""
+    """A test scheme adds the gain times the error, and counts trials in its memory."""
 
     gain: jax.Array = leaf(default=0.5)
 
@@ -147,7 +147,7 @@ def nothing_is_compiled(monkeypatch):
 def test_a_scheme_of_a_wrong_shape(scheme, message):
     for one in (scheme(), WithFeedback(scheme(), PID(kp=0.1))):
         if one is not None and isinstance(one, WithFeedback) and scheme in (ActsTwice, ActsForgets):
-            message = message.removeprefix("ActsForgets: ")  # what acts is the whole
+            message = message.removeprefix("ActsForgets: ")  # what acts is the whole scheme
         with pytest.raises(ValueError, match=message):
             learn(MACHINE, one, TASK, 3)
 
@@ -161,7 +161,7 @@ def test_the_schedule_is_the_feedforward_alone_where_the_memory_has_one():
 
 @pytree
 class Gain(Plant):
-    """y = gain x, and x the last input."""
+    """The plant is y = gain x, where x is the last input."""
 
     gain: jax.Array = leaf(default=1.0)
 

@@ -1,5 +1,6 @@
-"""Slopes through learning, against finite differences and closed forms; what divergence does to
-them.
+"""Slopes through learning are compared with finite differences and closed forms.
+
+The tests also check what divergence does to slopes.
 """
 
 import dataclasses
@@ -51,8 +52,8 @@ EVERYTHING = (
     + 0.2 * InputRate(50.0)
 )
 LEARNING = {name: scheme for name, scheme in SCHEMES.items() if scheme.learns}
-# each kind of scheme once; a StopWhen that has stopped learns nothing, so that its map is the same
-# at any weights
+# Each kind of scheme occurs once. A StopWhen that has stopped learns nothing more, so its map would
+# be the same at any weights.
 CONTRACTING = (
     "ffdl_book",
     "p_type_on_reference",
@@ -69,8 +70,9 @@ CONTRACTING += ("p_type_on_table", "norm_optimal", "milc", "ilc_asmc")
 
 
 def line_through(scheme):
-    """x -> the scheme with all its leaves moved by x along one random direction, each by a tenth of
-    its size at x = 1.
+    """Return the function x -> the scheme with its leaves moved along a line.
+
+    The line has one random direction. At x = 1 each leaf has moved by a tenth of its size.
     """
     leaves, shape = jax.tree.flatten(scheme)
     rng = np.random.default_rng(2)
@@ -96,7 +98,7 @@ def test_slope_of_every_objective_equals_finite_differences(name):
 
         return jax.jvp(losses, (x,), (1.0,))
 
-    at, h = -0.003, 1e-6  # off the place where some schemes of the list sit on a switch
+    at, h = -0.003, 1e-6  # at x = 0 some schemes of the list are exactly at a switch
     expected = (along(at + h)[0] - along(at - h)[0]) / (2 * h)
     assert np.count_nonzero(expected) >= len(expected) - 1, "only Growth may be at rest"
     np.testing.assert_allclose(along(at)[1], expected, **DIFFERENCES)
@@ -107,7 +109,7 @@ def test_slope_of_every_objective_equals_finite_differences(name):
 def test_slope_of_contraction_equals_finite_differences(name):
     machine, scheme, task = case(name)
     moved = line_through(scheme)
-    objective = Contraction(below=1e-3, steps=task.N * task.outputs)  # all Lanczos steps there are
+    objective = Contraction(below=1e-3, steps=task.N * task.outputs)  # all possible Lanczos steps
 
     @jax.jit
     def along(x):
@@ -146,7 +148,7 @@ def test_every_objective_and_every_learning_scheme_is_among_them():
 
 
 def parts_of(scheme):
-    """The scheme and those within."""
+    """Yield the scheme and the schemes within it."""
     inner = [getattr(scheme, field.name) for field in dataclasses.fields(scheme)]
     return [
         scheme,
@@ -158,8 +160,8 @@ RESETS = {"phi0": -0.065, "lam": 0.02, "mu": 0.05, "epsilon": 0.01}
 
 
 def test_a_smooth_reset_has_the_slope_that_the_switch_hides():
-    # through both clauses: the integral of a slope is the change of the value, but for what a jump
-    # hides
+    # Over a range in which both clauses switch, the integral of a slope is the change of the value,
+    # except for jumps, which the slope does not see.
     epsilon, phi0 = 0.01, -0.065
     path = np.linspace(-1.0, 1.0, 20001)
 
@@ -169,8 +171,8 @@ def test_a_smooth_reset_has_the_slope_that_the_switch_hides():
         )
         return kept
 
-    # `book` is phi0 up to x = 1/3, where |du| passes epsilon, and phi0 x / 2 from there: what its
-    # slope misses is the jump
+    # `book` gives phi0 up to x = 1/3, where |du| exceeds epsilon, and phi0 x / 2 from there. The
+    # jump is the part that its slope misses.
     for mode, hidden in (("smooth", 0.0), ("book", phi0 / 6 - phi0)):
         value, slope = jax.vmap(jax.value_and_grad(partial(estimate, mode=mode)))(path)
         missed = value[-1] - value[0] - scipy.integrate.trapezoid(slope, path)
@@ -192,7 +194,8 @@ def loss_of_gain(problem, gamma):
 
 
 def test_slopes_through_the_last_trials_alone_are_those_of_the_closed_form():
-    # e_J = (1 - gamma g)^(K-1) e_(J-K+1), the latter held: K - 1 of J - 1 factors have a slope
+    # e_J = (1 - gamma g)^(K-1) e_(J-K+1), where the last factor is held constant: K - 1 of J - 1
+    # factors have a slope.
     problem = dataclasses.replace(
         PROBLEM,
         uncertainty={},
@@ -268,7 +271,7 @@ def test_terms_are_what_they_say():
     errors = np.array([1.0, 0.3, 0.45, 0.45, 0.1])
 
     def run(trial_errors):
-        # a scheme cannot be told to make these errors, so the figures are put into a real history
+        # No scheme makes exactly these errors, so the metrics are put into a real history.
         history = learn(STATIC, PIDType(gamma_p=0.5), TASK, len(trial_errors))
         metrics = history.metrics._replace(settled_error=jnp.asarray(trial_errors)[:, None])
         return Run(STATIC, PIDType(gamma_p=0.5), TASK, history._replace(metrics=metrics))
@@ -306,7 +309,8 @@ def test_a_scheme_within_bounds_is_the_scheme():
 
 
 def test_divergence_has_the_loss_of_the_trial_that_passed_the_ceiling_and_its_slope():
-    # gamma g = 3: |e_j| = 2^(j-1), above 1000 in the 11th trial, which all later ones repeat
+    # With gamma g = 3, |e_j| = 2^(j-1) exceeds 1000 in the 11th trial, which all later trials
+    # repeat.
     def loss(gamma):
         return judge(STATIC, PIDType(gamma_p=gamma), TASK, 200, Final("max_error"))
 
@@ -316,8 +320,8 @@ def test_divergence_has_the_loss_of_the_trial_that_passed_the_ceiling_and_its_sl
 
 
 def test_divergence_outside_the_settled_window_is_seen():
-    # a reference that rests in its second half: nothing to learn there, while the first half
-    # diverges as before
+    # The reference is constant in its second half. There is nothing to learn there, while the first
+    # half diverges as before.
     task = Task(
         np.where(np.arange(N + 1) < N // 2, np.sin(2 * np.pi * np.arange(N + 1) / N), 0.0), dt=1e-3
     )
@@ -334,7 +338,7 @@ def test_no_divergence_gives_a_slope_that_is_not_finite(strength):
     lightly_damped, _, other = case("p_type")
     for machine, scheme, of in (
         (static, lambda x: PIDType(gamma_p=x), task),
-        (static, lambda x: PID(kp=x), task),  # blows up within the trial
+        (static, lambda x: PID(kp=x), task),  # diverges within the trial
         (lightly_damped, lambda x: PIDType(gamma_p=-x), other),
         (lightly_damped, lambda x: CFDLMFAILC(phi0=-0.06, lam=1e-3 / x), other),
     ):
@@ -348,7 +352,7 @@ def test_no_divergence_gives_a_slope_that_is_not_finite(strength):
 
 
 def test_a_plant_without_a_finite_slope_is_counted_and_left_out():
-    # of the two corners of the pole one overflows within the trial, whatever is done about it
+    # At one of the two corners of the pole the trial overflows, whatever is done about it.
     machine = dataclasses.replace(
         STATIC, plant=StateSpace([[0.1]], [[1.0]], [[1.0]], dt=1e-3, x0=(0.1,))
     )
@@ -370,7 +374,7 @@ def test_a_plant_without_a_finite_slope_is_counted_and_left_out():
 def test_repaired_losses_and_slopes():
     losses = jnp.array([1.0, jnp.nan, 2.0, 3.0, 0.5])
     slopes = jnp.array([[3.0, 4.0], [1.0, 1.0], [jnp.inf, 0.0], [6e200, 8e200], [0.0, 0.5]])
-    losses, slopes, good = repaired(losses, slopes, clip=2.0)  # lengths 0.5, 5, 1e201
+    losses, slopes, good = repaired(losses, slopes, clip=2.0)  # their lengths are 0.5, 5 and 1e201
     np.testing.assert_array_equal(good, [True, False, False, True, True])
     np.testing.assert_array_equal(losses, [1, 3, 2, 3, 0.5])
     np.testing.assert_allclose(slopes, [[3, 4], [0, 0], [0, 0], [6, 8], [0, 0.5]], rtol=1e-12)
@@ -388,8 +392,8 @@ def test_a_plant_above_the_floor_is_heard_among_those_below_it():
 
 @pytest.mark.parametrize(("clip", "found"), [(3.0, True), (np.inf, False)])
 def test_chaotic_slopes_do_not_drown_the_others(clip, found):
-    # nine plants want z = 1; the slope of a tenth is huge and of either sign, as that of a
-    # chattering loop is
+    # Nine plants have their optimum at z = 1. The slope of the tenth is very large, with either
+    # sign, as for a loop that chatters.
     def evaluate(z):
         slopes = jnp.append(jnp.full(9, 2.0 * (z[0] - 1.0)), 1e30 * jnp.sign(jnp.sin(1e4 * z[0])))[
             :, None

@@ -1,4 +1,4 @@
-"""The ball-screw drive against independent computations.
+"""The ball-screw drive is compared with independent computations.
 
 These are python-control, formulas of the two-mass system, scipy's integrator, and the conservation
 of energy.
@@ -25,7 +25,7 @@ N = 100
 LINEAR = BallScrewDrive(**DRIVE)
 LAGGING = BallScrewDrive(**DRIVE, current_bandwidth=80.0)
 COMMAND = 4.0 * np.sin(2 * np.pi * 9.0 * DT * np.arange(N)) ** 3 + 0.5  # [V]
-S = 1j * np.linspace(3.0, 900.0, 23) - 4.0  # off the poles
+S = 1j * np.linspace(3.0, 900.0, 23) - 4.0  # away from the poles
 GREASE = StribeckFriction(
     coulomb_force=4.0,
     static_force=6.0,
@@ -37,7 +37,7 @@ GREASE = StribeckFriction(
 
 @partial(jax.jit, static_argnames="dt")
 def simulate(drive, u, dt=DT, start=None):
-    """(N+1, 2) positions [mm] and the states, stacked, of commands u (N,) [V]."""
+    """Return positions (N+1, 2) [mm] and stacked states of a drive for the commands u (N,) [V]."""
     drive = drive.sampled(dt)
 
     def tick(x, u):
@@ -79,9 +79,8 @@ def test_resonance_and_antiresonance_are_poles_and_zeros_of_the_undamped_mechani
     np.testing.assert_allclose(
         poles[[0, -1]], 2j * np.pi * float(free.resonance) * np.array([-1, 1]), atol=1e-5
     )
-    np.testing.assert_allclose(
-        np.abs(poles[1:3]), 0.0, atol=1e-4
-    )  # a double pole is found to half of the digits
+    # A double pole is found to half of the digits only.
+    np.testing.assert_allclose(np.abs(poles[1:3]), 0.0, atol=1e-4)
     np.testing.assert_allclose(
         zeros, 2j * np.pi * float(free.antiresonance) * np.array([-1, 1]), atol=1e-5
     )
@@ -121,15 +120,16 @@ def test_transfer_functions_are_those_of_the_paper(drive):
 
 @pytest.mark.parametrize("drive", [LINEAR, LAGGING])
 def test_the_three_loop_drive_is_that_of_python_control(drive):
-    """Zero-order hold of the mechanics; PI with backward integrator; speed by a backward difference
-    of the motor position.
+    """The drive with three loops is that of python-control.
+
+    The mechanics are sampled with a zero-order hold, the PI controller integrates backward, and the
+    speed is a backward difference of the motor position.
     """
     P = 1e3 * control.sample_system(system(drive.mechanics()), DT, "zoh")
     difference = control.ss(0.0, 1.0, -1 / DT, 1 / DT, DT)
     K_p, K_i = float(drive.speed_gain), float(drive.speed_integral_gain) * DT
-    controller = DRIVE["force_gain"] * control.ss(
-        1.0, 1.0, K_i, K_p + K_i, DT
-    )  # K_p + K_i z / (z - 1)
+    # The controller is K_p + K_i z / (z - 1).
+    controller = DRIVE["force_gain"] * control.ss(1.0, 1.0, K_i, K_p + K_i, DT)
     force = control.feedback(controller, difference * P[0, 0])
     time = DT * np.arange(N + 1)
     expected = control.forced_response(
@@ -174,8 +174,9 @@ REAL = dataclasses.replace(
 
 
 def sampled_loop(drive, u, dt=DT):
-    """(N+1, 2) positions [mm]: the sampled speed loop in NumPy around a continuous drive that scipy
-    integrates.
+    """Return positions (N+1, 2) [mm] of the sampled speed loop in NumPy.
+
+    It surrounds a continuous drive that scipy integrates.
     """
     drive = jax.tree.map(
         lambda leaf: float(leaf) if np.ndim(leaf) == 0 else np.asarray(leaf), drive
@@ -253,7 +254,10 @@ def test_the_real_drive_is_its_differential_equation_under_a_sampled_speed_loop(
 
 
 def energy(drive, x):
-    """Kinetic, and of the spring [J]. x: (..., 4)"""
+    """Return the kinetic energy plus the energy of the spring [J].
+
+    x: (..., 4)
+    """
     x_M, v_M, x_T, v_T = np.moveaxis(np.asarray(x), -1, 0)
     stretch = (
         x_M
@@ -268,8 +272,10 @@ def energy(drive, x):
 
 @pytest.mark.parametrize("damping", [0.0, 30.0])
 def test_the_lead_error_does_no_work(damping):
-    """Coasting: what motor and table lose is in the spring, or went into its damper, which takes
-    and never gives.
+    """The lead error does no work.
+
+    While the drive coasts, the energy that motor and table lose is in the spring, or was dissipated
+    by its damper, which never returns energy.
     """
     coasting = BallScrewDrive(
         motor_mass=2.0, table_mass=1.0, stiffness=4e4, damping=damping, force_gain=1.0,
@@ -289,8 +295,10 @@ def test_the_lead_error_does_no_work(damping):
 
 
 def test_at_the_force_limit_the_drive_falls_freely_and_its_integral_stops():
-    """The centre of mass of an undamped drive moves as F t^2 / 2 m; the force turns in the sample
-    in which the error does.
+    """At the force limit the drive moves freely, and its integral stops.
+
+    The centre of mass of an undamped drive moves as F t^2 / 2 m. The force changes its sign in the
+    sample in which the error does.
     """
     drive = dataclasses.replace(LINEAR, motor_damping=0.0, table_damping=0.0, force_limit=30.0)
     y, states = simulate(drive, np.concatenate([np.full(60, 80.0), np.full(60, 50.0)]))
@@ -303,8 +311,8 @@ def test_at_the_force_limit_the_drive_falls_freely_and_its_integral_stops():
     np.testing.assert_array_equal(integral[:62], 0.0)
     np.testing.assert_allclose(np.diff(centre, 2)[60] / DT**2, -1e3 * 30.0 / 3.0, rtol=1e-6)
     assert integral[-1] != 0.0
-    # had it summed up the 60 samples of at least 200 mm/s, it would command more than the limit by
-    # itself
+    # If it had integrated the 60 samples of at least 200 mm/s, the integral alone would command
+    # more than the limit.
     assert (
         np.max(np.abs(integral)) * DRIVE["force_gain"]
         < 0.5 * 30.0
@@ -342,7 +350,10 @@ def test_a_friction_table_holds_its_ends_and_is_linear_between_its_points():
 
 
 def test_at_constant_speed_the_integral_carries_what_the_table_does_not():
-    """g q + F_table(v) = F_friction,M(v) + F_friction,T(v) + (c_M + c_T) v, a balance of forces."""
+    """At constant speed the integral carries all forces that the table does not.
+
+    The balance of forces is g q + F_table(v) = F_friction,M(v) + F_friction,T(v) + (c_M + c_T) v.
+    """
     v = 0.02
     drive = dataclasses.replace(
         LAGGING,
@@ -356,8 +367,8 @@ def test_at_constant_speed_the_integral_carries_what_the_table_does_not():
         2 * friction + (DRIVE["motor_damping"] + DRIVE["table_damping"]) * v - 90.0 * v
     ) / DRIVE["force_gain"]
     np.testing.assert_allclose(states.integral[-1], expected, rtol=1e-6)
-    # to 1e-6 only: an explicit step holds the friction at the stages, so a constant force is met by
-    # a stretch a little off
+    # The tolerance is 1e-6 only. An explicit step holds the friction at its stages, so a constant
+    # force is met by a slightly different stretch of the spring.
     np.testing.assert_allclose(states.mechanics[-1, [1, 3]], v, rtol=1e-5)
 
 
@@ -384,7 +395,7 @@ BAD = {
     r"FrictionTable: velocity = \[0. 1. 1.\] must increase": lambda: FrictionTable(
         [0.0, 1.0, 1.0], [0.0, 1.0, 2.0]
     ),
-    # 6 N / 1 mm/s + 1 N s/m on 1 kg, against 2.6 / 1 ms
+    # 6 N / 1 mm/s + 1 N s/m on 1 kg, compared with 2.6 / 1 ms
     r"BallScrewDrive: table_friction damps at rest with 6001 1/s, .* longest_dt = 0.001 s "
     r".* lower longest_dt to 0.000433": lambda: BallScrewDrive(**DRIVE, table_friction=STIFF),
     "BallScrewDrive: motor_friction damps at rest with 3000 1/s": lambda: BallScrewDrive(

@@ -1,6 +1,7 @@
-"""Trials in blocks: the numbers, and the cases in which the plant steps instead.
+"""Trials are simulated in blocks.
 
-The numbers are compared with SciPy's, python-control's and the plant's own.
+The numbers are compared with SciPy's, python-control's and the plant's own. The tests also check
+the cases in which the plant steps instead.
 """
 
 import control
@@ -20,15 +21,14 @@ from jaxilc.signals import Task
 
 RNG = np.random.default_rng(0)
 POLES = (0.99, 0.95, 0.8, 0.97 * np.exp(0.2j), 0.97 * np.exp(-0.2j), 0.5)
-CLOSE = DifferenceEquation(
-    -np.poly(POLES).real[1:], (1e-3, -4e-4, 0.0, 0.0, 2e-4, 1e-4), dt=DT
-)  # loses nine digits in blocks
+# It loses nine digits in blocks.
+CLOSE = DifferenceEquation(-np.poly(POLES).real[1:], (1e-3, -4e-4, 0.0, 0.0, 2e-4, 1e-4), dt=DT)
 OVERFLOWING = DifferenceEquation((1e8,), (1.0,), dt=DT)
 
 
 @pytest.fixture
 def no_steps(monkeypatch):
-    """Whoever steps gets NaN, so that what is finite came from the blocks."""
+    """Make every step of a plant return NaN, so that a finite number must come from the blocks."""
     monkeypatch.setattr(
         blocks, "_stepped", lambda plant, u, dt: jnp.full((len(u), plant.n_y), jnp.nan)
     )
@@ -78,7 +78,11 @@ LINEAR = [
 
 @pytest.mark.parametrize("name", LINEAR)
 def test_every_linear_plant_moves_as_in_steps(no_steps, name):
-    """The plant as it is, at rest or not, against its wrapped self in one trial."""
+    """Every linear plant moves in blocks as it does in steps.
+
+    One trial of the plant as it is, starting at rest or not, is compared with one of the same plant
+    in a wrapper.
+    """
     plant = PLANTS[name]
     task, u = task_for(plant, 40), RNG.normal(size=(40, plant.n_u))
     plain, wrapped = (
@@ -113,9 +117,8 @@ def assert_same_learning(one, other):
 @pytest.mark.parametrize("parts", PARTS.values(), ids=PARTS)
 @pytest.mark.parametrize("settle", [None, (0.0, 0.02)])
 def test_learning_in_blocks_is_that_in_steps(no_steps, parts, settle):
-    task = Task(
-        TASK.reference + 0.1, dt=DT, settle=settle
-    )  # an error at k = 0, which counts only where it is settled
+    # There is an error at k = 0, which counts only where the window contains it.
+    task = Task(TASK.reference + 0.1, dt=DT, settle=settle)
     plain = learn(Machine(PLANTS["arx"], **parts), PIDType(gamma_p=0.8, gamma_d=2.0), task, 5)
     assert_same_learning(
         learn(
@@ -168,8 +171,10 @@ def test_what_blocks_cannot_do_is_done_in_steps(scheme, parts):
 
 
 def test_digits_that_blocks_would_lose_are_kept(monkeypatch):
-    """Poles close together, and a reference long enough for rounding to add up: the blocks are
-    wrong, and are not taken.
+    """Blocks are not used where they would lose digits.
+
+    The poles are close together, and the reference is long enough for rounding errors to
+    accumulate, so the blocks would be wrong.
     """
     u = RNG.normal(size=(4000, 1))
     expected = scipy.signal.lfilter((0.0, *CLOSE.b), np.poly(POLES).real, np.append(u, 0.0))[
@@ -182,7 +187,11 @@ def test_digits_that_blocks_would_lose_are_kept(monkeypatch):
 
 
 def test_growth_is_kept_as_long_as_it_is_finite(no_steps):
-    """y[k] = 1.05^(k-1) of a unit impulse, to 1e21; the estimate of what is lost passes it."""
+    """Growth is computed in blocks as long as it is finite.
+
+    A unit impulse gives y[k] = 1.05^(k-1), which grows to 1e21. The estimate of the lost digits
+    accepts it.
+    """
     u = np.eye(1000, 1)
     y = response(DifferenceEquation((1.05,), (1.0,), dt=DT), u, 32)[:, 0]
     np.testing.assert_allclose(y[1:], 1.05 ** np.arange(1000), rtol=1e-11)

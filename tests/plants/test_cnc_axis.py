@@ -1,4 +1,7 @@
-"""The CNC axis of Li 2020, two axes side by side, learning from a filtered error, the scenario."""
+"""These tests check the CNC axis of Li 2020 and its scenario.
+
+They also check two axes side by side, and learning from a filtered error.
+"""
 
 import dataclasses
 
@@ -21,8 +24,10 @@ from jaxilc.signals import Task, Trial
     [("printed", (0.8602, 0.9567, 1.0331)), ("double_integrator", (0.85, 1.0, 1.0))],
 )
 def test_poles_and_first_markov_parameter(form, poles):
-    """As printed the axis is unstable; what it stands for is (z - 1)^2 (z - 0.85). Both have CB =
-    0.0475.
+    """The poles and the first Markov parameter are those stated.
+
+    With the printed coefficients the axis is unstable. The intended model is (z - 1)^2 (z - 0.85).
+    Both have CB = 0.0475.
     """
     plant = cnc_axis(form)
     found = np.sort(np.linalg.eigvals(plant.A).real)
@@ -57,7 +62,10 @@ def test_two_axes_are_two_machines():
 
 
 def test_learning_from_a_filtered_error():
-    """u_{j+1}[k] = u_j[k] + gamma (F e_j)[k+1] with scipy's zero-phase filter."""
+    """Learning from a filtered error is u_{j+1}[k] = u_j[k] + gamma (F e_j)[k+1].
+
+    F is scipy's zero-phase filter.
+    """
     task, cutoff, gamma = task_for(PLANTS["arx"], 80), 60.0, 0.4
     scheme = ErrorFiltered(PIDType(gamma_p=gamma), ZeroPhaseButterworth(cutoff, padding=9))
     found = learn(Machine(PLANTS["arx"]), scheme, task, 4, save=Keep(("e", "u"))).saved
@@ -70,8 +78,10 @@ def test_learning_from_a_filtered_error():
 
 
 def test_filtering_the_error_forgets_nothing():
-    """Where nothing is left to learn, the learned input stays as it is; a robustness filter goes on
-    smoothing it.
+    """Filtering the error does not change what was learned.
+
+    Where nothing is left to learn, the learned input stays as it is. A robustness filter would
+    continue to smooth it.
     """
     task = Task(np.zeros(81), dt=DT)
     noise = np.random.default_rng(0).standard_normal((80, 1))
@@ -112,7 +122,7 @@ def s():
 
 
 def test_the_path_has_its_sharp_points_where_it_says(s):
-    """Slowest along the path: where the planner brakes."""
+    """At its sharp points the path is slowest, because the planner brakes there."""
     path = np.asarray(scenarios.load("li-2020", axes="xy").task.reference)
     speed = np.linalg.norm(np.diff(path, axis=0), axis=1)
     slow = [
@@ -124,8 +134,9 @@ def test_the_path_has_its_sharp_points_where_it_says(s):
 
 
 def test_noise_turns_the_error_and_a_filter_does_not_let_it(s):
-    """The paper's observation, on two seconds of its path: without a filter the error turns, with
-    one it does not.
+    """Noise makes the error grow again, and a filter prevents it.
+
+    This is the paper's observation, on two seconds of its path.
     """
     short = dataclasses.replace(
         s.task, reference=s.task.reference[2400:3401] - s.task.reference[2400], settle=None
@@ -162,8 +173,10 @@ def test_options_are_refused(option, value):
 
 
 def test_the_limit_of_a_law_that_sees_some_outputs_holds_behind_a_filter():
-    """What a filter makes of the learned input stays within the law's limit, also where that law is
-    put on one output.
+    """The limit of a law that sees some of the outputs also holds behind a filter.
+
+    The filtered learned input stays within the limit of the law, also where that law learns from
+    one output.
     """
     plant = PLANTS["motor_and_table"]
     scheme = Filtered(OnOutputs(PIDType(gamma_p=3.0, limit=0.4), (1,)), ZeroPhaseButterworth(150.0))

@@ -1,6 +1,6 @@
-"""The fast tool servo and its hysteresis (Xu 2024).
+"""These tests check the fast tool servo and its hysteresis (Xu 2024).
 
-They are tested against python-control, scipy's solvers, closed forms and the printed model.
+They are compared with python-control, scipy's solvers, closed forms and the printed model.
 """
 
 import dataclasses
@@ -42,7 +42,7 @@ TOLERANCES = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-13}
 
 @partial(jax.jit, static_argnames="dt")
 def outputs(plant, u, dt=DT):
-    """(N+1,) [um] from rest, the input u (N,) held over each sample."""
+    """Return the outputs (N+1,) [um] from rest; the input u (N,) is held over each sample."""
     plant = plant.sampled(dt)
     x, y = lax.scan(
         lambda x, u: (plant.step(x, u[None], dt), plant.output(x)[0]),
@@ -57,12 +57,12 @@ def value(x):
 
 
 def assert_close(y, expected, relative):
-    """Within a part of the largest output."""
+    """Check that the difference is a small part of the largest output."""
     assert np.max(np.abs(expected)) > 1e-3
     np.testing.assert_allclose(y, expected, rtol=0, atol=relative * np.max(np.abs(expected)))
 
 
-# ---- the linear servo
+# The linear servo
 # --------------------------------------------------------------------------------------------------
 
 
@@ -71,7 +71,10 @@ def as_control(plant):
 
 
 def test_identified_servo_is_the_printed_one():
-    """Section 5.2: G(s) and a1, a2, b; its resonance is 247 Hz with a damping of 0.0226."""
+    """The identified servo is the printed one.
+
+    Section 5.2 prints G(s) and a1, a2, b. Its resonance is at 247 Hz with a damping of 0.0226.
+    """
     servo = fast_tool_servo()
     np.testing.assert_allclose(servo.coefficients, (2.413e6, 70.16, 2.229e7), rtol=1e-14)
     s = 2j * np.pi * np.array([0.1, 40.0, 247.0, 1000.0])
@@ -103,7 +106,7 @@ def test_each_part_has_its_transfer_function(parts, system):
     np.testing.assert_allclose(as_control(FastToolServo(**parts).linear())(s), system(s), rtol=1e-9)
 
 
-# block by block: a transfer function of order 7 has lost half its digits
+# The system is built block by block, since a transfer function of order 7 has lost half its digits.
 TOGETHER = control.ss(LAG) * (control.ss(G) + control.ss(MODE) + control.ss(CREEP))
 
 
@@ -111,15 +114,21 @@ TOGETHER = control.ss(LAG) * (control.ss(G) + control.ss(MODE) + control.ss(CREE
     ("parts", "system"), [({}, control.ss(G)), (ALL, TOGETHER)], ids=["identified", "all_parts"]
 )
 def test_response_is_the_zero_order_hold_of_the_transfer_function(parts, system):
-    """Parts are superposed, and the amplifier's lag acts on each."""
+    """The response is that of the zero-order hold of the transfer function.
+
+    The responses of parts add up, and the lag of the amplifier acts on each.
+    """
     discrete = control.sample_system(system, DT, method="zoh")
     y = control.forced_response(discrete, TIME, np.append(U, 0.0)).outputs
     assert_close(outputs(FastToolServo(**parts), U), y, 1e-12)
 
 
 def test_a_load_of_one_newton_moves_the_tool_by_one_micrometre():
-    """The step response of the servo, -F/k (1 - e^(-zeta w t) (cos + zeta/sqrt(1 - zeta^2) sin)),
-    in the long run -F/k.
+    """A load of one newton moves the tool by one micrometre.
+
+    The step response of the servo ends at -F/k:
+
+        -F/k (1 - e^(-zeta w t) (cos + zeta/sqrt(1 - zeta^2) sin)).
     """
     w, zeta = np.sqrt(2.413e6), 70.16 / (2 * np.sqrt(2.413e6))
     root = np.sqrt(1 - zeta**2)
@@ -136,12 +145,14 @@ def test_drift_adds_a_ramp():
 
 
 def test_periodic_force_is_the_sum_of_its_sines():
-    """The forced motion, plus the free motion that makes position and speed zero at the start."""
+    """The response to a periodic force is the sum of the responses to its sines.
+
+    It is the forced motion, plus the free motion that makes position and speed zero at the start.
+    """
     a, f, phase = np.array([[1.0, 0.5, 0.2], [40.0, 120.0, 700.0], [0.3, -1.0, 2.0]])
     s = 2j * np.pi * f
-    forced = (
-        -a * np.exp(1j * phase) / (0.41442 * 1e-6) / (s**2 + 70.16 * s + 2.413e6)
-    )  # N to um/s^2: 1e6 / m, m = 1 / 2.413
+    # From N to um/s^2 the factor is 1e6 / m, with m = 1 / 2.413.
+    forced = -a * np.exp(1j * phase) / (0.41442 * 1e-6) / (s**2 + 70.16 * s + 2.413e6)
     forced *= 0.41442 * 2.413
     poles = np.roots([1.0, 70.16, 2.413e6])
     free = np.linalg.solve(
@@ -152,14 +163,15 @@ def test_periodic_force_is_the_sum_of_its_sines():
 
 
 def test_creep_spaced_by_decades_is_logarithmic():
-    """y / y(t_0) = 1 + c log10(t / t_0): the share c in each decade of time, within 1 %, between
-    the fastest and the slowest operator.
+    """Creep whose operators are spaced by decades is logarithmic.
+
+    y / y(t_0) = 1 + c log10(t / t_0): each decade of time adds the share c, within 1 %, between the
+    fastest and the slowest operator.
     """
     tau = 10.0 ** np.arange(-3, 5)
     y = outputs(FastToolServo(creep=Creep(np.full(8, 0.02), tau)).linear(), np.ones(1000), 0.1)
-    growth = (
-        np.diff(np.asarray(y)[[10, 100, 1000]]) / GAIN
-    )  # from 1 s to 10 s to 100 s, the servo is nearly at rest
+    # From 1 s to 10 s to 100 s the servo is nearly at rest.
+    growth = np.diff(np.asarray(y)[[10, 100, 1000]]) / GAIN
     np.testing.assert_allclose(growth, 0.02, rtol=0.01)
 
 
@@ -174,7 +186,7 @@ def test_an_absent_part_costs_nothing():
     assert full.plant.A.shape == (6, 6)
 
 
-# ---- the nonlinear servo
+# The nonlinear servo
 # --------------------------------------------------------------------------------------------------
 
 PARTS = {
@@ -191,8 +203,9 @@ CUT = CuttingForce(0.3, -1.0, blur=4.0)
 
 
 def bouc_wen_path(h, x):
-    """z along the straight ways from 0 to x[0] to x[1] ..., by solve_ivp from Bouc's and Wen's
-    equation.
+    """Return z along straight lines from 0 to x[0], x[1] and so on.
+
+    solve_ivp solves the equation of Bouc and Wen.
     """
     A, beta, gamma, n = (
         float(v)
@@ -210,7 +223,7 @@ def bouc_wen_path(h, x):
 
 
 def numbers(part, names, absent):
-    """The named fields of a part as numbers, of an array its first."""
+    """Return the named fields of a part as numbers; of an array, the first element."""
     return (
         absent
         if part is None
@@ -219,8 +232,9 @@ def numbers(part, names, absent):
 
 
 def integrated(p, u, dt=DT):
-    """(N+1,) the output of a nonlinear servo by solve_ivp, sample by sample, written down from the
-    equations.
+    """Return the output (N+1,) of a nonlinear servo, by solve_ivp, sample by sample.
+
+    The differential equations are written here independently of the package.
     """
     m, k_c, k_f, T, k_b = numbers(p, "mass damping stiffness conversion amplifier_gain", None)
     load, drift = (0.0 if x is None else float(x) for x in (p.load, p.drift))
@@ -261,7 +275,10 @@ def integrated(p, u, dt=DT):
 
 
 def slope_of_error(servo, u, substeps):
-    """Regression of log error on log step, and the smallest error, against solve_ivp."""
+    """Return the slope of log error over log step, by regression, and the smallest error.
+
+    The error is the difference from solve_ivp.
+    """
     exact = integrated(servo, u)
     errors = [
         np.max(np.abs(outputs(dataclasses.replace(servo, substeps=s), u) - exact)) for s in substeps
@@ -273,7 +290,8 @@ def test_integrator_is_of_order_four_where_forces_are_smooth():
     slope, smallest = slope_of_error(FastToolServo(**PARTS, cutting=CUT), U[:40], (1, 2, 4))
     assert 3.7 < slope < 4.5
     assert smallest > 1e-11
-    # overdamped, under a held input: the motion never turns, and friction has no kink
+    # The servo is overdamped and the input is held, so the motion never reverses and friction has
+    # no kink.
     slope, smallest = slope_of_error(
         FastToolServo(damping=3e-3, friction=FRICTION), np.ones(40), (1, 2, 4)
     )
@@ -301,7 +319,7 @@ def test_full_servo_moves_as_by_solve_ivp(parts, relative):
     u = 2.0 * np.sin(2 * np.pi * 200.0 * TIME[:60]) + 0.2 * U[:60]
     y = integrated(servo, u)
     assert_close(outputs(servo, u), y, relative)
-    # each part matters far more than that
+    # each part changes the output by far more than that
     for name in parts.keys() - {"substeps"}:
         assert np.max(
             np.abs(integrated(dataclasses.replace(servo, **{name: None}), u) - y)
@@ -309,8 +327,10 @@ def test_full_servo_moves_as_by_solve_ivp(parts, relative):
 
 
 def test_default_step_is_enough_for_the_task():
-    """The 40 Hz of section 5 with a guide's friction: one step a sample keeps 1 nm, the resolution
-    of the encoder.
+    """The default step is accurate enough for the task.
+
+    The task is the 40 Hz of section 5 with the friction of a guide. With one step per sample the
+    error is below 1 nm, the resolution of the encoder.
     """
     servo = FastToolServo(damping=3e-4, friction=Dahl(0.2, 0.5, exponent=1.0))
     u = 2.0 * np.sin(2 * np.pi * 40.0 * np.arange(300) * DT)
@@ -320,25 +340,30 @@ def test_default_step_is_enough_for_the_task():
 
 
 def gain_at_40_hz(servo, amplitude):
-    """Fundamental of y over that of u, in the second half of the trial."""
+    """Return the ratio of the fundamentals of y and u in the second half of the trial."""
     u = amplitude * np.sin(2 * np.pi * 40.0 * np.arange(3000) * DT)
     wave = np.exp(-2j * np.pi * 40.0 * np.arange(1500) * DT)
     return (np.asarray(outputs(servo, u))[1500:3000] @ wave) / (u[1500:] @ wave)
 
 
 def test_full_form_answers_small_strokes_like_the_identified_one():
-    """Section 5.2 identified G with 10 mV; at 20 um the gain is larger, and the loop makes the tool
-    lag behind.
+    """For small strokes the full form answers as the identified one does.
+
+    Section 5.2 identified G with 10 mV. At 20 um the gain is larger, and the hysteresis loop makes
+    the tool lag behind.
     """
     small, large = (gain_at_40_hz(fast_tool_servo("full"), amplitude) for amplitude in (0.01, 2.16))
     expected = complex(G(80j * np.pi))
-    assert abs(small / expected - 1) < 0.03  # creep adds the most, its 1.5 % a decade
+    assert abs(small / expected - 1) < 0.03  # creep adds the most, 1.5 % per decade
     assert 1.05 < abs(large / small) < 1.25
     assert np.angle(large / expected) < np.angle(small / expected) - 0.02
 
 
 def test_full_form_has_the_loop_and_the_mode_that_it_states():
-    """A loop as wide as 8 % of the stroke at 20 um, and a mode that adds 40 % at 900 Hz."""
+    """The full form has the hysteresis loop and the mode that it states.
+
+    The loop is 8 % of the stroke wide at 20 um, and the mode adds 40 % at 900 Hz.
+    """
     servo = fast_tool_servo("full")
     u = loop(40, amplitude=1.93)
     v = u - np.asarray(along(servo.hysteresis, u))
@@ -352,7 +377,7 @@ def test_full_form_has_the_loop_and_the_mode_that_it_states():
     assert at_900 / abs(G(1800j * np.pi)) == pytest.approx(1.4, abs=0.05)
 
 
-# ---- hysteresis
+# Hysteresis
 # --------------------------------------------------------------------------------------------------
 
 BOUC_WEN = {
@@ -371,7 +396,7 @@ DAHL = {
 
 @jax.jit
 def along(h, x):
-    """(M,) z along the straight ways from 0 to x[0] to x[1] ..."""
+    """Return z (M,) along straight lines from 0 to x[0], x[1] and so on."""
     return lax.scan(
         lambda z, dx: ((z := h.over(z, dx)), z),
         jnp.zeros(()),
@@ -380,8 +405,9 @@ def along(h, x):
 
 
 def loop(samples, turns=3, amplitude=1.5):
-    """A sinusoid of some turns, `samples` samples in each; x = 0 is at the samples 0 and
-    `samples`/2 of a turn.
+    """Return a sinusoid of some turns with `samples` samples in each.
+
+    x = 0 is at the samples 0 and `samples`/2 of a turn.
     """
     return amplitude * np.sin(2 * np.pi * np.arange(1, turns * samples + 1) / samples)
 
@@ -393,7 +419,7 @@ def test_bouc_wen_is_that_of_solve_ivp_for_any_jumps(h):
     np.testing.assert_allclose(
         along(h, x), exact, rtol=0, atol=1e-11 if h.exponent is None else 1e-5
     )
-    assert np.ptp(exact) > 1.4 * h.limit  # branches below and above zero have been passed
+    assert np.ptp(exact) > 1.4 * h.limit  # the path passed branches below and above zero
 
 
 @pytest.mark.parametrize("h", DAHL.values(), ids=DAHL)
@@ -421,8 +447,13 @@ def test_dahl_is_that_of_solve_ivp_for_any_jumps(h):
 
 
 def test_dahl_from_rest_in_closed_form():
-    """F = F_c (1 - exp(-sigma x / F_c)) (Dahl 1968), and for i = 2 its hyperbola F = F_c (1 - 1 /
-    (1 + sigma x / F_c)).
+    """Dahl's model from rest has a closed form (Dahl 1968).
+
+        F = F_c (1 - exp(-sigma x / F_c)),
+
+    and for i = 2 the hyperbola
+
+        F = F_c (1 - 1 / (1 + sigma x / F_c)).
     """
     x = np.linspace(0.01, 2.0, 50)
     np.testing.assert_allclose(along(Dahl(2.0, 0.7), x), 0.7 * -np.expm1(-2.0 * x / 0.7), **ALGEBRA)
@@ -433,20 +464,25 @@ def test_dahl_from_rest_in_closed_form():
 
 @pytest.mark.parametrize("h", [*BOUC_WEN.values(), *DAHL.values()])
 def test_hysteresis_is_rate_independent(h):
-    """The same loop at two frequencies, at one sample rate: z at the shared points does not see how
-    densely the way was sampled.
+    """Hysteresis does not depend on the rate of the motion.
+
+    The same loop is run at two frequencies with one sample rate. At the common points z does not
+    depend on how densely the motion was sampled.
     """
     fast, slow = along(h, loop(40)), along(h, loop(400))[9::10]
-    # monotonic ways may be cut anywhere: exact where `over` is
+    # A monotonic motion may be divided anywhere. The result is exact where `over` is exact.
     exact = isinstance(h, Dahl) or h.exponent is None
     np.testing.assert_allclose(fast, slow, rtol=0, atol=1e-13 if exact else 1e-6)
     assert np.max(fast) > 0.3 * h.limit
-    assert abs(fast[-1]) > 0.05 * h.limit  # it remembers: x is back at 0
+    assert abs(fast[-1]) > 0.05 * h.limit  # it has a memory, since x is back at 0
 
 
 @pytest.mark.parametrize("h", BOUC_WEN.values(), ids=BOUC_WEN)
 def test_width_of_the_settled_loop(h):
-    """z at x = 0 on the way down and on the way up, in the third turn."""
+    """The width of the settled loop is that of z at x = 0.
+
+    It is taken on the way down and on the way up, in the third turn.
+    """
     z, exact = (
         np.asarray(path)[[2 * 40 + 19, 3 * 40 - 1]]
         for path in (along(h, loop(40)), bouc_wen_path(h, loop(40)))
@@ -456,8 +492,11 @@ def test_width_of_the_settled_loop(h):
 
 
 def test_width_of_the_loop_in_closed_form():
-    """Without gamma, z settles to a loop with z(x_max) = A/beta tanh(beta x_max), 2 A/beta (1 -
-    1/cosh(beta x_max)) wide.
+    """The width of the loop has a closed form.
+
+    Without gamma, z settles to a loop with z(x_max) = A/beta tanh(beta x_max), whose width is
+
+        2 A/beta (1 - 1/cosh(beta x_max)).
     """
     z = np.asarray(along(BoucWen(0.3, 1.1), loop(40, turns=12)))
     assert z[-31] == pytest.approx(0.3 / 1.1 * np.tanh(1.1 * 1.5), rel=1e-10)
@@ -468,8 +507,10 @@ def test_width_of_the_loop_in_closed_form():
     "h", [*BOUC_WEN.values(), BoucWen(0.5, 0.4, 0.1, exponent=3.0), *DAHL.values()]
 )
 def test_hysteresis_stays_within_its_bound(h):
-    """|z| <= (A / (beta + gamma))^(1/n), for jumps of any size; with few substeps 2 % may be
-    missing or too much after a huge one.
+    """Hysteresis stays within its bound, |z| <= (A / (beta + gamma))^(1/n).
+
+    This holds for jumps of any size. With few substeps the value after a huge jump may be 2 % too
+    small or too large.
     """
     x = np.random.default_rng(3).normal(size=200) * 10.0 ** np.random.default_rng(4).uniform(
         -2, 3, 200
@@ -492,8 +533,9 @@ def test_hysteresis_stays_within_its_bound(h):
     ],
 )
 def test_gradients_are_finite_everywhere(h):
-    """At rest, at zero, at the bound and beyond it; from rest the derivative by the way is the
-    initial slope.
+    """Gradients are finite everywhere: at rest, at zero, at the bound and beyond it.
+
+    From rest, the derivative with respect to the displacement is the initial slope.
     """
     levels = float(h.limit) * np.array([0.0, -1.01, -1.0, -0.5, 0.5, 1.0, 1.01])
     z, dx = (a.ravel() for a in np.meshgrid(levels, [0.0, -0.1, 0.1]))
@@ -513,8 +555,10 @@ def test_gradients_are_finite_everywhere(h):
 
 
 def test_gradient_of_a_servo_at_rest():
-    """No input, no load: all speeds and increments are exactly zero, and so is each derivative by a
-    parameter.
+    """The gradient of a servo at rest is finite.
+
+    Without input and load all speeds and increments are exactly zero, and so is the derivative with
+    respect to every parameter.
     """
     servo = FastToolServo(
         friction=FRICTION,
@@ -526,8 +570,8 @@ def test_gradient_of_a_servo_at_rest():
     )
     assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(by_servo))
     assert by_servo.mass == 0.0
-    # small strokes see the servo behind the initial slopes: 1 - A at the input, and friction as a
-    # spring of 0.4 N/um
+    # For small strokes the servo acts through the initial slopes: 1 - A at the input, and friction
+    # as a spring of 0.4 N/um.
     spring = control.tf([2.229e7 * 0.7], [1.0, 70.16, 2.413e6 * 1.4])
     _, impulse = control.impulse_response(
         control.sample_system(spring, DT, method="zoh"), np.arange(21) * DT
@@ -536,7 +580,10 @@ def test_gradient_of_a_servo_at_rest():
 
 
 def test_hysteresis_at_the_inputs_of_any_plant():
-    """Two inputs, each with its own z: as two plants of one input, summed."""
+    """Hysteresis can act at the inputs of any plant.
+
+    With two inputs, each has its own z, as for two plants of one input whose outputs are added.
+    """
     mixed = StateSpace([[0.5]], [[1.0, 2.0]], [[1.0]], dt=DT)
     u = np.stack([loop(40)[:60], np.cos(loop(40)[:60])], axis=1)
     plant = InputHysteresis(mixed, HYSTERESIS)
@@ -553,7 +600,7 @@ def test_hysteresis_at_the_inputs_of_any_plant():
     np.testing.assert_allclose(y, expected[1:], rtol=1e-9)
 
 
-# ---- errors
+# Errors
 # --------------------------------------------------------------------------------------------------
 
 

@@ -1,4 +1,7 @@
-"""Integrators against the matrix exponential, scipy's integrators and the order they must have."""
+"""The integrators are compared with the matrix exponential and with scipy's integrators.
+
+The tests also check the order of each method.
+"""
 
 from typing import NamedTuple
 
@@ -18,7 +21,7 @@ U, START, DURATION = np.array([0.7, -1.1]), np.array([0.4, -1.0, 0.3]), 1.0
 
 
 def bend(x):
-    """A smooth f, as strong as the linear part."""
+    """Return a smooth f that is as large as the linear part."""
     return jnp.stack([0.0 * x[0], -20.0 * jnp.sin(2 * x[0]) - x[1] * x[1], jnp.tanh(x[1])])
 
 
@@ -59,8 +62,10 @@ def test_the_order_is_four(method):
 
 
 def test_the_stiffness_of_the_linear_part_does_not_limit_the_step():
-    """A pole of 1e6 1/s beside a slow pendulum, in steps of 10 ms, a few thousand times too long
-    for the classical method.
+    """The stiffness of the linear part does not limit the step.
+
+    A pole of 1e6 1/s acts beside a slow pendulum. The steps of 10 ms are some thousand times too
+    long for the classical method.
     """
     stiff = np.array([[0.0, 1.0, 0.0], [-9.0, -0.5, 1.0], [0.0, 0.0, -1e6]])
     push, held = np.array([[0.0], [0.0], [1e6]]), np.array([2.0])
@@ -87,8 +92,11 @@ def test_the_stiffness_of_the_linear_part_does_not_limit_the_step():
 
 
 def test_what_is_faster_than_the_step_is_stable_but_not_accurate_under_f():
-    """x' = -a x + 1 with the 1 in f: x settles at 1/a; the method at h/6 (e + 4 sqrt(e) + 1) / (1 -
-    e), e = exp(-a h).
+    """Motion faster than the step is stable under f, but not accurate.
+
+    For x' = -a x + 1 with the 1 in f, x settles at 1/a. With e = exp(-a h) the method settles at
+
+        h/6 (e + 4 sqrt(e) + 1) / (1 - e).
     """
     h = 0.01
     for a, agree in ((20.0, True), (1e4, False)):

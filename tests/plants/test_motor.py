@@ -1,4 +1,7 @@
-"""The physical motor against python-control, closed forms, printed data and the fitted model."""
+"""The physical motor is compared with independent results.
+
+These are python-control, closed forms, printed data and the fitted model.
+"""
 
 import dataclasses
 import re
@@ -40,22 +43,22 @@ def rest(motor, position=0.0, speed=0.0):
 
 @partial(jax.jit, static_argnames="dt")
 def states(motor, u, start, dt=DT) -> MotorState:
-    """The states of any plant (N+1 rows) under the command u (N,), held over each sample."""
+    """Return N+1 rows of states of any plant under the command u (N,), held over each sample."""
     _, passed = lax.scan(lambda x, u: (motor.step(x, u[None], dt), x), start, jnp.append(u, 0.0))
     return passed
 
 
 def positions(motor, u, dt=DT):
-    """(N+1,) [mm] from rest."""
+    """Return the positions (N+1,) [mm] of a motion from rest."""
     return 1e3 * np.asarray(states(motor, u, rest(motor), dt).position)
 
 
-# ---- the linear motor
+# The linear motor
 # --------------------------------------------------------------------------------------------------
 
 
 def wired(motor):
-    """The motor as a block diagram of python-control, block by block as in Cao 2019, Fig. 1."""
+    """Return the motor as a block diagram of python-control, built as in Cao 2019, Fig. 1."""
     p = {name: float(value) for name, value in named_leaves(motor).items()}
     b, K_p, K_i = p["setpoint_weight"], p["speed_gain"], p["speed_integral_gain"]
 
@@ -90,7 +93,7 @@ def wired(motor):
 
 
 def as_control(plant):
-    """A VoiceCoil, or a continuous StateSpace, as a system of python-control."""
+    """Return a VoiceCoil, or a continuous StateSpace, as a system of python-control."""
     if isinstance(plant, VoiceCoil):
         return control.tf(
             [float(plant.gain), -float(plant.gain * plant.zero)], np.poly(-plant.poles)
@@ -113,8 +116,9 @@ MOTORS = {
 
 @pytest.mark.parametrize("motor", MOTORS.values(), ids=MOTORS)
 def test_response_is_that_of_python_control(motor):
-    """Small commands meet no limit. At its default step the integrator of order 4 is within 1e-5 of
-    the largest output.
+    """The response is that of python-control for commands that reach no limit.
+
+    At its default step the integrator of order 4 is accurate to 1e-5 of the largest output.
     """
     u = 0.1 * U
     discrete = control.sample_system(wired(motor), DT, method="zoh")
@@ -128,15 +132,16 @@ def test_response_is_that_of_python_control(motor):
 
 
 def test_output_is_in_millimetres_and_follows_the_identified_slope():
-    """One volt for half a second: in the long run -4.798 mm (1 - exp(-6.404 t)).
+    """The output is in millimetres and follows the identified slope.
 
-    This is Cao 2019, eq. 7.
+    One volt for half a second gives, after the first transient, -4.798 mm (1 - exp(-6.404 t)). This
+    is Cao 2019, eq. 7.
     """
     y = positions(voice_coil_motor(), np.ones(500))[-1]
     assert y == pytest.approx(-4.798 * (1 - np.exp(-6.404 * (0.5 - 2 / 474 - 1 / 928.2))), rel=2e-3)
 
 
-# ---- the reduction
+# The reduction
 # --------------------------------------------------------------------------------------------------
 
 EQ_7 = control.tf([7437.7769, -7437.7769 * 928.2], np.poly([-474.0, -474.0, -6.404]))
@@ -155,13 +160,13 @@ def test_reduced_motor_is_the_identified_one():
     )
 
 
-# the frequency [Hz] up to which the reduced form is within 3 %
+# up to this frequency [Hz] the reduced form is accurate to 3 %
 @pytest.mark.parametrize(("name", "up_to"), [("identified", 35), ("printed", 50), ("sprung", 22)])
 def test_reduction_keeps_poles_gain_and_delay(name, up_to):
     full, reduced = wired(MOTORS[name]), as_control(MOTORS[name].reduced())
     slowest = sorted(full.poles(), key=abs)[:3]
-    # a pair that rounding puts on either side; 1e-5 is what eigenvalues of a near-double pole keep
-    # of 1e-16
+    # Rounding makes this pair real or complex. Eigenvalues of a nearly double pole are accurate to
+    # 1e-5 where the numbers are accurate to 1e-16.
     for pole in reduced.poles():
         assert np.min(np.abs(pole - slowest)) < 1e-5 * max(abs(pole), 1.0)
     low = np.geomspace(0.1, up_to, 30)
@@ -173,8 +178,9 @@ def test_reduction_keeps_poles_gain_and_delay(name, up_to):
 
 
 def test_printed_bandwidths():
-    """Section II-A: about 500 Hz from speed command to speed, about 2 kHz of the current loop; no
-    finite DC gain.
+    """The bandwidths are those of section II-A, and there is no finite DC gain.
+
+    They are about 500 Hz from speed command to speed, and about 2 kHz for the current loop.
     """
     motor = voice_coil_motor("printed")
     speed = np.abs(
@@ -196,8 +202,10 @@ def test_printed_bandwidths():
 
 
 def test_a_spring_alone_leaves_the_integrator():
-    """The integral part of the speed loop pushes a spring away: position per volt stays unbounded
-    without a hold.
+    """A spring alone leaves the integrator.
+
+    The integral part of the speed loop overcomes a spring, so without a hold the position per volt
+    is unbounded.
     """
     held = VoiceCoilMotor(stiffness=5e4)
     free = replaced(held, {"holding_gain": 0.0})
@@ -222,12 +230,12 @@ def test_reduction_of_a_complex_pair_and_of_none():
 
 
 def test_linear_is_differentiable():
-    """d A[speed, current] / d mass = -k_f / m^2."""
+    """The reduced form is differentiable: d A[speed, current] / d mass = -k_f / m^2."""
     slope = jax.grad(lambda m: VoiceCoilMotor(mass=m).linear().A[1, 2])(3.0)
     assert slope == pytest.approx(-56.2 / 9.0)
 
 
-# ---- integration
+# Integration
 # --------------------------------------------------------------------------------------------------
 
 FULL = {
@@ -238,8 +246,9 @@ FULL = {
 
 
 def test_integrator_is_of_order_four():
-    """Regression of log error on log step, on a smooth motion with friction, cogging and end
-    effect.
+    """The integrator is of order four, on a smooth motion with friction, cogging and end effect.
+
+    The order is the slope of log error over log step, by regression.
     """
     motor = VoiceCoilMotor(**UNLIMITED, **FULL)
     steps = DT / np.array([12, 16, 24, 32])
@@ -252,7 +261,9 @@ def test_integrator_is_of_order_four():
 
 
 def test_sample_time_does_not_change_the_motion():
-    """The substep, not the sample time, decides on accuracy: the same steps in twice as many
+    """The sample time does not change the motion.
+
+    The substep alone determines the accuracy. The same steps are taken within twice as many
     samples.
     """
     motor = VoiceCoilMotor(**FULL)
@@ -275,7 +286,10 @@ def test_unstable_substep_is_refused_where_it_is_known():
 
     @jax.jit
     def unchecked(mass):
-        """Traced values are not looked at; what was refused above indeed diverges."""
+        """Simulate with a traced mass, whose value is not checked.
+
+        What was refused above diverges here.
+        """
         motor = VoiceCoilMotor(mass=mass, **UNLIMITED, substep=5e-4)
         return states(motor, np.zeros(N), rest(motor, speed=0.1)).position[-1]
 
@@ -299,22 +313,24 @@ def test_stiff_parts_count_for_the_substep(stiff):
         VoiceCoilMotor(**stiff)
 
 
-# ---- limits
+# Limits
 # --------------------------------------------------------------------------------------------------
 
-FINE = 5e-5  # s, to see the drive between the samples of the task
+FINE = 5e-5  # [s], fine enough to show the drive between the samples of the task
 
 
 def driven(motor, u):
-    """States and drive signals under u (N,), sampled finely."""
+    """Return states and drive signals under u (N,), finely sampled."""
     x = states(motor, u, rest(motor), FINE)
     signals = jax.vmap(motor.drive)(x, jnp.append(u, u[-1]))
     return jax.tree.map(np.asarray, (x, signals))
 
 
 def test_limits_hold_and_give_the_printed_acceleration():
-    """A command far beyond: 23 A, and with it 431 m/s^2 (Cao 2019, section II-A), until the speed
-    of 3.44 m/s is reached.
+    """The limits hold and give the printed acceleration.
+
+    The command is far beyond the limits. The current is 23 A, and the acceleration 431 m/s^2 (Cao
+    2019, section II-A), until the motor reaches its speed of 3.44 m/s.
     """
     motor = VoiceCoilMotor(holding_gain=0.0, command_delay=None)
     u = np.full(400, -200.0)
@@ -326,13 +342,13 @@ def test_limits_hold_and_give_the_printed_acceleration():
     assert np.max(np.abs(acceleration)) <= DTL85_708["acceleration"]
     assert np.max(np.abs(acceleration)) == pytest.approx(DTL85_708["acceleration"], rel=0.05)
     assert np.max(drive.speed) == DTL85_708["speed"]
-    # the coil's own equation: no faster than U_max / L
+    # The equation of the coil limits the rate to U_max / L.
     assert np.max(np.abs(np.diff(x.current))) <= 560.0 / 0.02 * FINE
 
 
 @pytree
 class WindingUp(VoiceCoilMotor):
-    """The motor without anti-windup: nothing wanted beyond the limit is reported."""
+    """This is the motor without anti-windup, since it does not report what exceeds the limit."""
 
     def drive(self, x, u):
         drive = super().drive(x, u)
@@ -343,8 +359,9 @@ class WindingUp(VoiceCoilMotor):
     ("motor", "low", "high"), [(VoiceCoilMotor, 0.0, 0.05), (WindingUp, 0.5, 1.0)]
 )
 def test_anti_windup(motor, low, high):
-    """To 3.44 m/s at the continuous current: the integral, which waits at the limit, drives hardly
-    beyond the commanded speed.
+    """With anti-windup the motor hardly exceeds the commanded speed.
+
+    It accelerates to 3.44 m/s at the continuous current, and its integral waits at the limit.
     """
     motor = motor(
         holding_gain=0.0, command_delay=None, current_limit=DTL85_708["continuous_current"]
@@ -380,13 +397,14 @@ def test_gradient_is_zero_beyond_a_limit():
     assert slopes(motor, -1.0)[1] != 0.0
 
 
-# ---- friction, cogging, end effect
+# Friction, cogging, end effect
 # ------------------------------------------------------------------------------------------------
 
 
 def pushed(force, **parts):
-    """A motor whose drive only pushes, and the command for that force [N]: loops so weak that they
-    do not brake.
+    """Return a motor whose drive applies a force only, and the command for that force [N].
+
+    Its loops are so weak that they do not brake.
     """
     motor = VoiceCoilMotor(
         **UNLIMITED, **parts, command_delay=None, holding_gain=0.0, viscous_damping=0.0,
@@ -408,13 +426,15 @@ def test_friction_curve():
 
 
 def test_friction_holds_against_a_small_force_and_yields_to_a_large_one():
-    """Below 12 N the carriage creeps at v_t artanh(F/F_s); above, it is driven by what Coulomb
-    friction and back-EMF leave.
+    """Friction holds against a small force and yields to a large one.
+
+    Below 12 N the carriage creeps at v_t artanh(F/F_s). Above, it is driven by the force that
+    Coulomb friction and back-EMF leave.
     """
     friction = StribeckFriction(8.0, 12.0, transition_velocity=1e-4, stribeck_velocity=0.01)
     motor, u = pushed(9.0, friction=friction)
     x = states(motor, u, rest(motor))
-    # the force creeps up with the current; F_s - F(v) is F_s up to (v/v_s)^2
+    # The force rises slowly with the current; F_s - F(v) equals F_s up to a term (v/v_s)^2.
     assert x.speed[-1] == pytest.approx(1e-4 * np.arctanh(9 / 12), rel=2e-3)
     assert x.position[-1] < 1e-4 * N * DT
     motor, u = pushed(100.0, friction=friction)
@@ -435,8 +455,8 @@ def test_cogging_is_periodic_in_position():
     assert np.max(np.abs(half - here)) > 1e-3
     still = pushed(0.0, cogging=Cogging(20.0, 0.016))[0]
     assert np.max(np.abs(states(still, np.zeros(N), rest(still)).position)) == 0.0
-    # energy: from rest at the top of the hill to its foot, m v^2 / 2 = 2 A pitch / (2 pi); the
-    # back-EMF takes a little
+    # The motion starts from rest at the top of the potential. At its lowest point the energy is
+    # m v^2 / 2 = 2 A pitch / (2 pi). The back-EMF takes a little.
     falling = np.asarray(states(still, np.zeros(1000), rest(still, 0.0079)).speed)
     assert np.max(np.abs(falling)) == pytest.approx(
         np.sqrt(2 * 2 * 20.0 * 0.016 / (2 * np.pi) / 3.0), rel=0.25
@@ -449,12 +469,12 @@ def test_end_effect_weakens_the_motor_and_the_buffer_stops_it():
     np.testing.assert_allclose(np.array(speeds) / speeds[0], (1.0, 0.9, 0.6, 0.6), rtol=2e-2)
     stopped, _ = pushed(0.0, end_effect=EndEffect(0.002, 0.0, buffer_stiffness=1e5))
     x = states(stopped, np.zeros(N), rest(stopped, speed=0.2))
-    # it penetrates by v sqrt(m / k) at most and comes back
+    # It moves into the buffer by v sqrt(m / k) at most, and comes back.
     assert 0.002 < np.max(x.position) < 0.002 + 0.2 * np.sqrt(3.0 / 1e5)
     assert np.min(x.speed) < -0.1
 
 
-# ---- in the simulator
+# In the simulator
 # --------------------------------------------------------------------------------------------------
 
 BUMP = Task(0.5 - 0.5 * np.cos(2 * np.pi * np.arange(41) / 40), dt=DT, unit="mm", input_unit="V")
@@ -466,8 +486,10 @@ def last_error(motor):
 
 
 def test_gradient_through_learning_equals_finite_differences():
-    """Every parameter of the motor and its parts; the limits are reached by none of these commands,
-    the 1.2 A limit by all.
+    """The gradient through learning equals finite differences.
+
+    This covers every parameter of the motor and of its parts. No command reaches the limits, except
+    for the 1.2 A limit, which all reach.
     """
     motor = VoiceCoilMotor(
         **(UNLIMITED | {"current_limit": 1.2}), **FULL, stiffness=500.0, setpoint_weight=0.3
@@ -491,7 +513,8 @@ def test_gradient_through_learning_equals_finite_differences():
         expected = float(high - low) / (2 * step)
         assert np.isfinite(gradient)
         assert gradient != 0.0, name
-        # in units of a relative change of the parameter, so that henry and newton per metre compare
+        # Slopes are in units of a relative change of the parameter, so that henry and newton per
+        # metre can be compared.
         scale = max(abs(centre), 1e-3)
         np.testing.assert_allclose(
             gradient * scale, expected * scale, rtol=1e-4, atol=DIFFERENCES["atol"], err_msg=name
@@ -510,8 +533,9 @@ def test_batch_of_motors_learns_as_each_alone():
 
 
 def test_motor_learns_like_its_reduced_form():
-    """Cao 2019's task, shortened: 1 mm at 2 Hz. The error falls to a quarter and stays that of eq.
-    7's structure.
+    """The motor learns as its reduced form does, on Cao 2019's task, shortened to 1 mm at 2 Hz.
+
+    The error falls to a quarter, and stays that of the structure of eq. 7.
     """
     task = Task(np.sin(4 * np.pi * np.arange(501) * DT), dt=DT, unit="mm", input_unit="V")
     motor = voice_coil_motor()
@@ -523,7 +547,7 @@ def test_motor_learns_like_its_reduced_form():
     assert full[-1] < 0.25 * full[0]
 
 
-# ---- errors
+# Errors
 # --------------------------------------------------------------------------------------------------
 
 

@@ -1,4 +1,4 @@
-"""Plants against python-control and the printed values."""
+"""Plants are compared with python-control and with printed values."""
 
 import control
 import jax
@@ -19,7 +19,10 @@ U = np.random.default_rng(3).normal(size=(N, 2))
 
 @pytree
 class PlayBack(Scheme):
-    """The smallest scheme a user may write: it plays u (N, n_u) back, on any machine."""
+    """This is the smallest scheme that a user may write.
+
+    It plays u (N, n_u) on any machine.
+    """
 
     u: jax.Array = leaf()
 
@@ -28,13 +31,16 @@ class PlayBack(Scheme):
 
 
 def response(plant, u, dt=DT):
-    """(N+1, n_y) output of the package for the input u (N, n_u)."""
+    """Return the output (N+1, n_y) of the package for the input u (N, n_u)."""
     task = Task(np.zeros((N + 1, plant.n_y)), dt=dt, inputs=plant.n_u)
     return np.asarray(learn(Machine(plant), PlayBack(u.reshape(N, plant.n_u)), task, 1).final.y)
 
 
 def oracle(system, u, dt=DT):
-    """The same by python-control; (n_y, N+1) for the input held over the sample."""
+    """Return the same output by python-control.
+
+    Its shape is (n_y, N+1), and the input is held over the sample.
+    """
     discrete = (
         control.sample_system(control.ss(system), dt, method="zoh") if system.isctime() else system
     )
@@ -64,8 +70,10 @@ def test_voice_coil_has_the_coefficients_of_the_paper():
     ("form", "gain"), [("printed", -4.3), ("dai_2014_printed", -4.3 * 0.0010 / 0.0036)]
 )
 def test_printed_forms_have_another_dc_gain(form, gain):
-    """The sums of the printed coefficients: b -0.0043, 1 - sum(a) 0.0010 and (2.236 for 2.2386)
-    0.0036, thus -4.3 and -1.19.
+    """The printed forms have another DC gain than the identified model.
+
+    The sums of the printed coefficients are -0.0043 for b, and for 1 - sum(a) 0.0010, or 0.0036
+    with 2.236 for 2.2386. So the gains are -4.3 and -1.19.
     """
     assert dc_gain(voice_coil(form)) == pytest.approx(gain, rel=1e-9)
     assert form != "dai_2014_printed" or gain == pytest.approx(-1.19, abs=5e-3)
@@ -156,7 +164,10 @@ def test_from_control_responds_as_python_control(name):
 
 
 def sum_of_entries(system, u):
-    """A MIMO transfer function entry by entry (python-control needs slycot to convert it whole)."""
+    """Return the response of a MIMO transfer function, entry by entry.
+
+    python-control needs slycot to convert the whole function.
+    """
     return np.stack(
         [
             sum(oracle(system[i, j], u[:, j : j + 1])[:, 0] for j in range(system.ninputs))
@@ -201,8 +212,10 @@ def test_from_control_names_what_it_cannot_take(system, message):
 
 
 def test_unstable_plant_under_a_stabilising_loop():
-    """x' = 20 x + u under u = -120 x has its pole at -100: sampled, exp(20 dt) - 120 (exp(20 dt) -
-    1) / 20.
+    """An unstable plant is simulated under a stabilising loop.
+
+    x' = 20 x + u under u = -120 x has its pole at -100. Sampled, the pole is exp(20 dt) - 120
+    (exp(20 dt) - 1) / 20.
     """
     plant = from_control(control.tf([1.0], [1.0, -20.0]), allow_unstable=True)
     kicked = StateSpace(plant.A, plant.B, plant.C, np.ones(1) / plant.C[0], plant.dt)

@@ -1,4 +1,7 @@
-"""Systems of python-control and scipy.signal to and from plants, against their own simulators."""
+"""Systems of python-control and scipy.signal become plants, and plants become systems.
+
+Both are compared with the simulators of these packages.
+"""
 
 import control
 import jax
@@ -46,7 +49,7 @@ LINEAR = {
 
 @pytree
 class PlayBack(Scheme):
-    """It plays u (N, n_u) back, on any machine."""
+    """The scheme plays u (N, n_u) on any machine."""
 
     u: jax.Array = leaf()
 
@@ -55,13 +58,13 @@ class PlayBack(Scheme):
 
 
 def simulated(plant, u, dt=DT):
-    """(N+1, n_y) the output by `learn`."""
+    """Return the output (N+1, n_y) by `learn`."""
     task = Task(np.zeros((len(u) + 1, plant.n_y)), dt=dt, inputs=plant.n_u)
     return np.asarray(learn(Machine(plant), PlayBack(u), task, 1).final.y)
 
 
 def forced(system, u, x0=0.0):
-    """(N+1, n_y) the output of a discrete system by python-control."""
+    """Return the output (N+1, n_y) of a discrete system by python-control."""
     held = np.vstack([u, u[-1:]]).T
     time = np.arange(len(u) + 1) * system.dt
     return control.forced_response(system, time, held, X0=x0, squeeze=False).outputs.T
@@ -82,7 +85,10 @@ def test_a_linear_plant_leaves_as_the_system_that_the_simulator_steps(name):
 
 @pytest.mark.parametrize("name", LINEAR)
 def test_and_in_its_own_time(name):
-    """In continuous time python-control's own zero-order hold leads to the system sampled here."""
+    """Continuous plants agree too.
+
+    The zero-order hold of python-control gives the system that is sampled here.
+    """
     plant = LINEAR[name]
     if "ball_screw" in name:
         with pytest.raises(ValueError, match=r"no form in continuous time .* give dt"):
@@ -94,7 +100,7 @@ def test_and_in_its_own_time(name):
         system = control.sample_system(system, DT)
     u = U[:, : plant.n_u]
     y, own = forced(system, u, initial_state(plant)), forced(sampled, u, initial_state(plant, DT))
-    # the motor is integrated by Runge-Kutta steps as long as its fastest pole allows
+    # Runge-Kutta steps integrate the motor; their length is as large as its fastest pole allows.
     tolerance = 5e-2 if name == "motor" else 1e-9
     np.testing.assert_allclose(y, own, rtol=0, atol=tolerance * np.max(np.abs(own)))
 
@@ -122,7 +128,7 @@ def test_the_channels_keep_their_names():
 
 @pytree
 class Offset(Plant):
-    """A user's plant that is affine, not linear."""
+    """A plant of a user, which is affine and not linear."""
 
     c: jax.Array = leaf(default=0.3)
 
@@ -204,7 +210,7 @@ def test_a_continuous_nonlinear_system_is_integrated():
     plant = from_control(control.nlsys(pendulum, angle, **SIZES), x0=(0.4, -1.0), substep=dt / 4)
     assert plant.timed
     u = 20.0 * U[:, :1]
-    # python-control interpolates the input, so each sample is one call of its own
+    # python-control interpolates the input, so every sample needs its own call
     oracle = control.nlsys(pendulum_in_numpy, angle, **SIZES)
     x, y = np.array([0.4, -1.0]), [0.4]
     for k, held in enumerate(u[:, 0]):
@@ -221,7 +227,7 @@ def test_a_continuous_nonlinear_system_is_integrated():
         )
         errors.append(np.max(np.abs(simulated(plant, u, dt)[:, 0] - y)))
     assert errors[1] < 1e-7 * np.max(np.abs(y))
-    assert 3.5 < np.log2(errors[0] / errors[1]) < 4.5  # a method of order 4
+    assert 3.5 < np.log2(errors[0] / errors[1]) < 4.5  # the method has order 4
 
 
 def mapped(t, x, u, params):

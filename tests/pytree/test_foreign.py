@@ -1,6 +1,7 @@
-"""A pytree of another library as a part of a plant and of a scheme: a network such as equinox has,
-registered with JAX by its own classes. Its weights have names, are replaced, drawn, tuned and
-differentiated.
+"""A pytree of another library can be a part of a plant and of a scheme.
+
+The example is a network such as those of equinox, which registers its own classes with JAX. Its
+weights have names, and can be replaced, drawn, tuned and differentiated.
 """
 
 from typing import Any
@@ -28,7 +29,7 @@ TASK = Task(np.sin(2 * np.pi * np.arange(N + 1) / N), dt=DT)
 
 
 def registered(*names):
-    """Registers a class with JAX by the names of its fields, as equinox does."""
+    """Register a class with JAX by the names of its fields, as equinox does."""
     keys = [jax.tree_util.GetAttrKey(name) for name in names]
 
     def flatten(tree):
@@ -49,7 +50,10 @@ def registered(*names):
 
 @registered("weight", "bias")
 class Linear:
-    """weight x + bias; built by its sizes, so that no field can be given to its constructor."""
+    """The layer is weight x + bias.
+
+    It is built from its sizes, so its constructor accepts no fields.
+    """
 
     def __init__(self, n_in, n_out, seed):
         rng = np.random.default_rng(seed)
@@ -62,7 +66,10 @@ class Linear:
 
 @registered("layers", "activation", "slope")
 class MLP:
-    """Layers with an activation between them, a function among the leaves, as in equinox."""
+    """The network has layers with an activation between them.
+
+    The activation is a function among the leaves, as in equinox.
+    """
 
     def __init__(self, width, activation=jnp.tanh, slope=1.0):
         self.layers = [Linear(1, width, 1), Linear(width, 1, 2)]
@@ -74,7 +81,7 @@ class MLP:
 
 
 class Positional:
-    """Registered without keys: its children are known by their numbers."""
+    """The class is registered without keys, so its children are known by their numbers."""
 
     def __init__(self, *values):
         self.values = values
@@ -87,7 +94,7 @@ jax.tree_util.register_pytree_node(
 
 @pytree
 class Bent(Plant):
-    """y[k+1] = u[k] + law(u[k]), with a law that was learned from data."""
+    """The plant is y[k+1] = u[k] + law(u[k]), with a law that was learned from data."""
 
     law: Any = child()
 
@@ -103,7 +110,7 @@ class Bent(Plant):
 
 @pytree
 class Shaped(Wrapper):
-    """Learns from e + net(e), sample by sample."""
+    """The scheme learns from e + net(e), sample by sample."""
 
     scheme: Scheme = child()
     net: MLP = child()
@@ -219,7 +226,10 @@ def test_its_weights_are_drawn_and_tuned_by_name():
 
 
 def test_without_a_plant_of_the_package_nothing_is_different():
-    """A bare array is a part too, and an element of it is replaced."""
+    """A foreign pytree works the same way without a plant of the package.
+
+    A bare array is a part too, and one of its elements is replaced.
+    """
 
     @pytree
     class Bare(Scheme):

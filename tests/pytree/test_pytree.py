@@ -1,4 +1,4 @@
-"""Parameters: what is refused at construction, how they are named, replaced, batched."""
+"""These tests check how parameters are validated, named, replaced and batched."""
 
 import dataclasses
 
@@ -177,8 +177,9 @@ def test_construction_names_class_field_value_and_range(build, message):
 
 
 def test_numbers_that_must_be_single_are_looked_at_with_the_task():
-    """A batch of machines has many of each number, so it is not their construction that refuses
-    them.
+    """Numbers that must be single are checked together with the task.
+
+    A batch of machines has many values of each number, so their construction does not refuse them.
     """
     task = Task(np.zeros(9), dt=DT)
     batch = Machine(VoiceCoil(zero=(900.0, 950.0)))
@@ -372,8 +373,10 @@ class Outer:
 
 
 def test_transformations_do_not_validate():
-    """Tracers, batches, and a gradient step out of the range pass: only a user's construction is
-    checked.
+    """Transformations do not validate.
+
+    Tracers, batches, and a gradient step that leaves the range are accepted. Only what a user
+    constructs is checked.
     """
     outer = Outer(Inner(gain=2.0))
     batch = jax.tree.map(lambda x: jnp.stack([x, -x]), outer)  # -2 is outside (0, 10)

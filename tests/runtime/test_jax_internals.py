@@ -1,4 +1,4 @@
-"""JAX's unstable parts are in one module and in use; without them the numbers are the same."""
+"""JAX's private parts are used in one module; without them the numbers are the same."""
 
 import ast
 import warnings
@@ -18,7 +18,7 @@ UNSTABLE = ("jax._src", "jax.extend", "jax.interpreters", "jax.experimental", "j
 
 @pytest.fixture
 def fresh():
-    """What was found of this JAX, and what was compiled with it, is forgotten before and after."""
+    """Before and after a test, forget what was found of this JAX and what was compiled with it."""
 
     def forget():
         jax_internals._found.cache_clear()
@@ -30,7 +30,10 @@ def fresh():
 
 
 def test_this_version_of_jax_needs_no_fallback(fresh):
-    """Fails where a test machine has a JAX that the package does not know well enough."""
+    """No fallback is needed for this version of JAX.
+
+    The test fails on a machine whose JAX the package does not know well enough.
+    """
     assert jax_internals.why_not() is None
 
 
@@ -50,7 +53,7 @@ def test_unstable_parts_of_jax_are_imported_in_one_module_only():
 
 
 def learned():
-    """Three machines at once, and a gradient through their learning."""
+    """Return the result of three machines at once, and a gradient through their learning."""
     law, machines = PLAN.schemes["learning"], jax.tree.map(np.asarray, PLAN.machine)
     gains = np.array([0.8, 1.0, 1.1])
 

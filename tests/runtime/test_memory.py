@@ -1,5 +1,6 @@
-"""Memory is planned: what a program takes is what its arrays say, and a sweep that would not fit
-says so before it starts.
+"""The RAM of a program is planned from its arrays.
+
+A sweep that would not fit says so before it starts.
 """
 
 import dataclasses
@@ -47,8 +48,8 @@ def test_the_dataset_is_as_large_as_counted():
 
 
 def test_a_chunk_that_does_not_fit_is_refused_with_one_that_does(monkeypatch, tmp_path):
-    # e and u of 64 samples are 205 kB among the program's results; of some 35 they fit, a tile's
-    # trials included
+    # e and u of 64 machines are 205 kB of the program's results. About 35 machines fit, together
+    # with the trials of a tile.
     with_memory(monkeypatch, PLAN.bytes_stored() + 200_000)
     store = tmp_path / "store.zarr"
     with pytest.raises(
@@ -61,7 +62,7 @@ def test_a_chunk_that_does_not_fit_is_refused_with_one_that_does(monkeypatch, tm
     assert TILE <= chunk < 64
     assert chunk % TILE == 0
     dataclasses.replace(PLAN, chunk=chunk).run(store)
-    with pytest.raises(ValueError, match="would fit"):  # and it is the largest
+    with pytest.raises(ValueError, match="would fit"):  # the next larger one does not fit
         dataclasses.replace(PLAN, chunk=chunk + 2 * TILE).run(tmp_path / "larger.zarr")
 
 
@@ -77,10 +78,10 @@ def test_a_dataset_that_does_not_fit_is_refused(monkeypatch, tmp_path):
         ValueError,
         match=r"Sweep: machines = 64 and trials = 3 take .* of memory, where .* would fit",
     ) as refusal:
-        PLAN.run()  # in memory it is there twice
+        PLAN.run()  # the dataset exists twice in RAM
     machines = int(re.search(r"machines = (\d+) would fit", str(refusal.value))[1])
     dataclasses.replace(PLAN, machines=machines).need_room(copies=2)
-    with pytest.raises(ValueError, match="would fit"):  # and it is the largest
+    with pytest.raises(ValueError, match="would fit"):  # the next larger one does not fit
         dataclasses.replace(PLAN, machines=machines + 1).need_room(copies=2)
     with_memory(monkeypatch, PLAN.bytes_stored() - 1)
     with pytest.raises(ValueError, match="machines = 64 and trials = 3 take"):
@@ -103,7 +104,7 @@ def test_what_there_is_lies_within_the_machine():
     with open("/proc/meminfo") as file:
         total = 1024 * int(file.readline().split()[1])
     assert 0 < capacity.host_bytes() <= total
-    assert capacity.device_bytes() is None  # a CPU's devices share the host's
+    assert capacity.device_bytes() is None  # the devices of a CPU share the RAM of the host
 
 
 @pytest.mark.parametrize(

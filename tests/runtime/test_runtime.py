@@ -1,4 +1,4 @@
-"""How JAX is started."""
+"""These tests check how JAX is started."""
 
 import os
 import subprocess
@@ -118,7 +118,10 @@ def test_keeping_programs_can_be_switched_off_and_sent_elsewhere(tmp_path):
 
 
 def test_batched_linear_algebra_on_every_device_does_not_deadlock():
-    """With a thread per core in XLA's pool this hung within a hundred calls."""
+    """Batched linear algebra on every device does not deadlock.
+
+    With one thread per core in XLA's pool, this stopped within a hundred calls.
+    """
     program = """
 import jaxilc; jaxilc.setup(devices=2)
 import jax, numpy as np

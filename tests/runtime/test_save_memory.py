@@ -1,5 +1,6 @@
-"""What `learn` keeps for a `save`: the programs of the last few, so that a new lambda a call does
-not fill the memory.
+"""These tests check which programs `learn` keeps for its `save` functions.
+
+It keeps those of the last few functions, so that a new lambda in every call does not fill the RAM.
 """
 
 import gc
@@ -15,7 +16,7 @@ from jaxilc.schemes import PIDType
 from jaxilc.signals import Task
 
 CALLS = 6
-LITTLE = 1.5e6  # bytes a call; a program takes twice as much, on a longer trial several times
+LITTLE = 1.5e6  # bytes per call; a program takes twice as much, for longer trials even more
 
 
 def resident():
@@ -27,7 +28,7 @@ def test_a_new_lambda_a_call_does_not_fill_the_memory(machine, monkeypatch):
     task, saved = Task(np.sin(np.arange(9.0)), dt=1e-3), []
 
     def call():
-        save = lambda trial: trial.y  # noqa: E731  a new one, as in a loop of a notebook
+        save = lambda trial: trial.y  # noqa: E731  new in each call, as in a loop of a notebook
         saved.append(weakref.ref(save))
         learn(machine, PIDType(gamma_p=-0.5), task, 2, save=save)
 

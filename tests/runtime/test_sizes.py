@@ -1,5 +1,6 @@
-"""Every size is reckoned before anything is drawn or allocated, under the limit of the process, and
-refused with what would fit.
+"""Every size is computed before anything is drawn or allocated.
+
+A size above the limit of the process is refused, with the size that would fit.
 """
 
 import dataclasses
@@ -246,8 +247,10 @@ for command in sys.stdin.read().split("\\n"):
 
 
 def test_every_command_reckons_within_the_limit_of_the_process(tmp_path):
-    """Each would fit into a machine of 16 GB, or none, and is refused where the process may take
-    one more.
+    """Every command computes its sizes within the limit of the process.
+
+    Each size would fit into 16 GB, or into no machine. It is refused here, since it exceeds the
+    limit of the process. A small sweep is accepted.
     """
     for name, duration in (("long", 10000.0), ("short", 0.01)):
         (tmp_path / f"{name}.toml").write_text(PLANT.format(duration))

@@ -1,4 +1,4 @@
-"""The bases of the scenarios MILC 2024 and Xu 2024, and that they give the printed numbers."""
+"""The derived numbers of the scenarios MILC 2024 and Xu 2024 give the printed ones."""
 
 import control
 import numpy as np
@@ -11,9 +11,10 @@ from jaxilc.scenarios.xu_2024 import MODEL, servo
 
 
 def test_the_position_loop_is_50_hz_wide():
-    """-3 dB of the motor's loop by python-control.
+    """The bandwidth of the position loop is 50 Hz.
 
-    Sampled mechanics, backward PI and difference, P position loop.
+    It is the -3 dB frequency of the motor's loop by python-control, with sampled mechanics,
+    backward PI and difference, and a P position loop.
     """
     drive = nominal_drive(FITTED["antiresonance"], FORCE_GAIN)
     A, B, C = (
@@ -30,9 +31,8 @@ def test_the_position_loop_is_50_hz_wide():
         name: system(np.exp(1j * w * DT))
         for name, system in (("x", mechanics), ("v", speed), ("pi", pi))
     }
-    forward = (
-        float(drive.force_gain) * at["pi"] * at["x"]
-    )  # from the deviation of the speed to the position
+    # This is the loop from the deviation of the speed to the position.
+    forward = float(drive.force_gain) * at["pi"] * at["x"]
     P_M = float(drive.command_scale) * forward / (1 + forward * at["v"])
     closed = np.abs(position_gain(drive) * P_M / (1 + position_gain(drive) * P_M))
     assert 49.5 < f[np.argmax(closed < np.sqrt(0.5))] < 50.5
@@ -62,7 +62,10 @@ def test_table_1_of_milc_2024():
 
 
 def test_a_small_stroke_sees_the_identified_gain_of_the_servo():
-    """Whatever the hysteresis: 10 mV move the tool by b / a1 per volt, as identification found."""
+    """A small stroke has the identified gain of the servo.
+
+    Whatever the hysteresis, 10 mV move the tool by b / a1 per volt, as in the identification.
+    """
     tool = servo(0.06)
     static = float(tool.conversion * tool.amplifier_gain / tool.stiffness) * (
         1 - float(tool.hysteresis.initial_slope)

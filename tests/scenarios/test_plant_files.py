@@ -1,6 +1,6 @@
-"""Plants and scenarios from TOML and JSON files, against python-control and scipy.
+"""Plants and scenarios from TOML and JSON files are compared with python-control and scipy.
 
-Also: what is refused is named by its key.
+What is refused is named by its key.
 """
 
 import json
@@ -44,7 +44,7 @@ U = np.sin(0.7 * np.arange(60)) + 0.3
 
 
 def write(folder, **tables):
-    """A JSON file; a table that is None is left out."""
+    """Write a JSON file, without the tables that are None."""
     path = folder / "axis.json"
     values = {"plant": PLANT, "task": TASK, "schemes": SCHEMES} | tables
     path.write_text(
@@ -54,12 +54,12 @@ def write(folder, **tables):
 
 
 def response(plant, inputs=1):
-    """(N+1, n_y) of the plant to U in every channel."""
+    """Return the response (N+1, n_y) of the plant to U in every channel."""
     return np.asarray(excite(Machine(plant), np.stack([U] * inputs, axis=1), DT).y)
 
 
 def expected(system, inputs=1):
-    """The same from python-control."""
+    """Return the same response from python-control."""
     if system.dt == 0:
         system = control.sample_system(control.ss(system), DT, "zoh")
     t = np.arange(len(U) + 1) * DT
@@ -505,7 +505,11 @@ def test_a_file_that_is_no_table_is_named(tmp_path):
 
 
 def test_every_command_accepts_a_file_in_a_scenario_s_place(tmp_path, monkeypatch):
-    """One run for each: the figures are those of the library, and what a file lacks is said."""
+    """Every command accepts a file in the place of a scenario.
+
+    Each command runs once. The numbers are those of the library, and a message says what a file
+    lacks.
+    """
     monkeypatch.chdir(tmp_path)
     file = str(
         write(

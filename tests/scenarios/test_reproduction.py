@@ -1,6 +1,7 @@
-"""Published numbers beside ours: what a verdict means, and that every printed row can be simulated.
+"""Published numbers are compared with ours.
 
-The short scenario is simulated in full.
+The tests check what a verdict means, and that every printed row can be simulated. The short
+scenario is simulated in full.
 """
 
 import dataclasses
@@ -59,13 +60,11 @@ TRIALS = [row(8.0, trial=10), row(4.0, trial=20), row(1.0, trial=30)]
 @pytest.mark.parametrize(
     ("ours", "expected"),
     [
-        ([15.0, 7.5, 1.9], ["shape", "shape", "shape"]),  # almost twice, in the right order
+        ([15.0, 7.5, 1.9], ["shape", "shape", "shape"]),  # almost twice as much, in the right order
         ([4.1, 2.1, 0.55], ["shape", "shape", "shape"]),
-        ([4.1, 5.4, 1.9], ["open", "open", "shape"]),  # the first two change places
-        (
-            [15.0, 4.0, 10.0],
-            ["shape", "met", "open"],
-        ),  # `met` where the number is right, though its order is not
+        ([4.1, 5.4, 1.9], ["open", "open", "shape"]),  # the first two are in the wrong order
+        # `met`, since the number is right although its order is not
+        ([15.0, 4.0, 10.0], ["shape", "met", "open"]),
         ([20.0, 40.0, 80.0], ["open", "open", "open"]),
         ([8.0, 4.0, 10.0], ["met", "met", "open"]),
     ],
@@ -75,7 +74,10 @@ def test_shape_is_the_order_among_the_trials_of_a_scheme(ours, expected):
 
 
 def test_shape_among_schemes_and_among_settings():
-    """Several schemes at one setting, or one scheme at several; a row is judged by all of them."""
+    """The verdict `shape` compares several schemes at one setting, or one scheme at several.
+
+    A row is judged by both comparisons.
+    """
     rows = [
         row(4.0, "a", None, options=FAST),
         row(2.0, "b", None, options=FAST),
@@ -89,9 +91,10 @@ def test_shape_among_schemes_and_among_settings():
 
 
 def test_shape_is_bounded_in_size_and_what_lies_beyond_says_so():
-    """A curve in the printed order, but 3.62 or 0.37 times as large as printed, has not its shape.
+    """The verdict `shape` needs a size within a factor of two of the printed one.
 
-    Twice and half are the ends.
+    A curve in the printed order, but 3.62 or 0.37 times as large as printed, has not the printed
+    shape, and the row says so. The bounds are twice and half the printed size.
     """
     for factor, verdict in (
         (3.62, "open"),
@@ -135,7 +138,7 @@ def test_an_open_row_says_why():
         row(1.0, "other", trial=2),  # another scheme at another trial
         row(1.0, quantity="max_error"),  # another quantity
         row(1.0, trial=1),  # the same, printed twice
-        row(8.0, trial=2),  # of the same printed value
+        row(8.0, trial=2),  # the printed value is the same
     ],
 )
 def test_rows_without_an_order_in_print_give_no_shape(other):
@@ -143,13 +146,20 @@ def test_rows_without_an_order_in_print_give_no_shape(other):
 
 
 def test_a_comparison_with_a_diverged_row_is_no_agreement():
-    """Printed 8, 4, 1; ours 12, NaN, 1.5: that the second stands below the first cannot be said."""
+    """A comparison with a diverged row is no agreement.
+
+    With 8, 4, 1 printed and 12, NaN, 1.5 computed, it is not known that the second is below the
+    first.
+    """
     for diverged in (NAN, np.inf):
         assert verdicts(TRIALS, [12.0, diverged, 1.5])[0] == "open", diverged
 
 
 def test_an_error_that_does_not_move_has_not_the_printed_shape():
-    """`larger or smaller as in print`: equal is neither, whichever of the two rows is judged."""
+    """An error that does not change has not the printed shape.
+
+    In `larger or smaller as in print`, equal is neither, whichever of the two rows is judged.
+    """
     assert verdicts([row(8.0, trial=1), row(4.0, trial=2)], [5.5, 5.5]) == ["open", "open"]
 
 
@@ -171,7 +181,10 @@ def learns(scheme: Scheme) -> bool:
 
 
 def test_every_published_row_can_be_simulated(scenario):
-    """Its options, scheme, quantity and trial exist in the scenario."""
+    """Every published row can be simulated.
+
+    Its options, scheme, quantity and trial exist in the scenario.
+    """
     assert scenario.published
     for p in scenario.published:
         here = loaded(scenario, p)
@@ -198,7 +211,7 @@ def test_every_published_row_can_be_simulated(scenario):
         assert p in here.due, "a row is due under its own options"
 
 
-FREE = {  # numbers fitted to print, by scenario and scheme; li-2020's by row
+FREE = {  # how many numbers were fitted to print, by scenario and scheme; for li-2020 by row
     "cao-2019": {"cfdl-mfailc": {1}, "ffdl-mfailc": {4}, "ilc-mfapc": {1}, "pid": {0}},
     "cao-2019-rig": {"cfdl-mfailc": {0}, "pid": {0}},
     "dai-2014": {"pid": {0}, "cfdl-mfapc": {1}},
@@ -217,7 +230,11 @@ AMONG = {
 
 
 def test_each_row_says_what_was_fitted(scenario):
-    """How many free numbers, to what they were fitted, and whether the row is one of these."""
+    """Each row says what was fitted.
+
+    It states how many free numbers were fitted, to which numbers, and whether the row is one of
+    these.
+    """
     found: dict[str, set] = {}
     for p in scenario.published:
         found.setdefault(p.scheme, set()).add(len(p.fitted.names))
@@ -230,9 +247,10 @@ def test_each_row_says_what_was_fitted(scenario):
 
 
 def test_the_settings_of_published_rows_fit_together(scenario):
-    """Machine, scheme and task of each row fit, and the errors are shown on one scale.
+    """The settings of published rows fit together.
 
-    The settled window holds samples. Nothing is simulated.
+    Machine, scheme and task of each row fit, and the errors are shown on one scale. The settled
+    window holds samples. Nothing is simulated.
     """
     for options in {p.options for p in scenario.published}:
         here = scenarios.load(scenario.name, **dict(options))
@@ -265,7 +283,7 @@ def test_dai_2014():
         assert r.unit == "mm"
     pid = [r for r in rows if r.published.scheme == "pid"]
     assert [r.verdict for r in pid] == ["met", "met"]
-    # by an independent NumPy loop with eq. 29's coefficients
+    # the result of an independent NumPy loop with the coefficients of eq. 29
     np.testing.assert_allclose([r.ours for r in pid], [0.0250, 0.0617], atol=6e-5)
     flat = rows[0].as_dict()
     assert flat["options"] == {"plant": "printed", "frequency": 0.5}
@@ -301,9 +319,9 @@ MACHINE = Machine(DifferenceEquation(*ARX, dt=DT))
 
 @pytest.fixture
 def made_up(monkeypatch):
-    """A scenario with a gain as its option, and how often it learned.
+    """Return a scenario with a gain as its option, and a count of its learning runs.
 
-    Its printed numbers are ours but for known factors.
+    Its printed numbers are ours, except for known factors.
     """
 
     def ours(name, trial, quantity, gain=1.0):
@@ -349,21 +367,17 @@ def made_up(monkeypatch):
 
 
 def test_rows_of_a_made_up_scenario(made_up):
-    """Each row in its own options, trial, quantity and shown unit, in the printed order.
+    """The rows of an invented scenario have the expected verdicts.
 
-    Each scheme learns once in a setting.
+    Each row uses its own options, trial, quantity and shown unit, in the printed order. Each scheme
+    learns once for each setting.
     """
     published, runs = made_up
     rows = reproduce(["made-up"])
     assert [r.published for r in rows] == list(published)
     np.testing.assert_allclose([r.ratio for r in rows], [1.0, 1.9, 0.5, 1 / 1.2, 1.0], rtol=1e-9)
-    assert [r.verdict for r in rows] == [
-        "met",
-        "shape",
-        "shape",
-        "met",
-        "met",
-    ]  # the third is in order with feedback, which is the same at every trial
+    # The third row is in order with feedback, which is the same at every trial.
+    assert [r.verdict for r in rows] == ["met", "shape", "shape", "met", "met"]
     assert {r.unit for r in rows} == {"µm"}
     assert sorted(runs) == [("PID", 1), ("PIDType", 3), ("PIDType", 4)]
 

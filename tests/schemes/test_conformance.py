@@ -1,4 +1,4 @@
-"""What holds for every plant and every scheme listed in cases.py."""
+"""These tests hold for every plant and every scheme that cases.py lists."""
 
 from typing import Any, NamedTuple
 
@@ -14,16 +14,19 @@ from jaxilc.pytree import named_leaves, replaced
 from jaxilc.schemes import PID, PIDType
 
 THRESHOLDS = ("epsilon", "theta_limit", "delta", "max_error", "growth", "slow", "scheme.rms")
-TRIALS = (
-    4  # the estimators of MFAILC see their first data after two trials and act on it in the fourth
-)
+# The estimators of MFAILC get their first data after two trials and use it in the fourth.
+TRIALS = 4
 SAMPLES = 3  # lanes of a batch
 
 
 class Run(NamedTuple):
-    """parts: {"machine", "scheme"};  history: of the parts;  lanes: the parts perturbed, leaves
-    (SAMPLES, ...);
-    batch, gradient: vmapped history and gradient of the loss, of the lanes"""
+    """A case is run once by itself and once as a batch.
+
+    parts: {"machine", "scheme"}
+    history: of the parts
+    lanes: the parts perturbed, leaves (SAMPLES, ...)
+    batch, gradient: history and gradient of the loss of the lanes, by vmap
+    """
 
     parts: dict
     task: Any
@@ -38,7 +41,7 @@ def of(parts, task):
 
 
 def loss(parts, task):
-    """Root mean square error of the last trial over all outputs, and the history."""
+    """Return the RMS error of the last trial over all outputs, and the history."""
     history = of(parts, task)
     return jnp.sqrt(jnp.mean(history.rms[-1] ** 2)), history
 
@@ -83,9 +86,8 @@ def test_leaves_are_strongly_typed_floats(run):
 
 
 def test_jit_equals_no_jit(run):
-    dt = (
-        run.task.dt
-    )  # sampling is a matrix exponential, hundreds of operations: test_plants.py does that one
+    # Sampling is a matrix exponential of hundreds of operations, which test_plants.py tests.
+    dt = run.task.dt
     sampled = run.parts | {
         "machine": jax.jit(lambda machine: machine.sampled(dt))(run.parts["machine"])
     }
@@ -105,8 +107,8 @@ def test_gradient_of_every_parameter_equals_finite_differences(run):
     for at, (name, gradient) in enumerate(named_leaves(run.gradient).items()):
         gradient = np.asarray(gradient)[0]
         assert np.all(np.isfinite(gradient)), name
-        # thresholds act by switching; the forecast of MFAPC (delta, theta) acts only with several
-        # moves
+        # Thresholds act by switching. The forecast of MFAPC (delta, theta) acts only with several
+        # moves.
         assert np.any(gradient != 0) or name.endswith(THRESHOLDS), (
             f"{name} has no effect in this case"
         )
@@ -159,8 +161,9 @@ DIVERGING = {
         1,
     ),
     "feedback": (lambda gain: (Machine(STATIC), PID(kp=gain)), 1, 1),
-    # e_j = (1 - gamma)^(j-1) r: with gamma = 1e45 and max r = 1 the second trial's error passes a
-    # thousand times the reference, and the square of the fifth trial's the largest float, 1.8e308
+    # e_j = (1 - gamma)^(j-1) r. With gamma = 1e45 and max r = 1 the error of the second trial
+    # exceeds a thousand times the reference, and the square of the fifth trial's error exceeds the
+    # largest float, 1.8e308.
     "learning": (lambda gain: (Machine(STATIC), PIDType(gamma_p=gain)), 2, 5),
 }
 

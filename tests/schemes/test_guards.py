@@ -1,4 +1,4 @@
-"""Stop rule and ladder against their rules, applied by hand to trials without them."""
+"""Stop rule and ladder are compared with their rules, applied by hand to trials without them."""
 
 import jax
 import jax.numpy as jnp
@@ -28,7 +28,7 @@ TASK = Task(R, dt=DT)
 COIL, SERVO = (Machine(DifferenceEquation(*c, dt=DT)) for c in (PRINTED, ARX))
 TWO = Machine(StateSpace([[0.7, 0.1], [0.0, 0.5]], [[0.3, 0.0], [0.1, 0.5]], np.eye(2), dt=DT))
 TASK_2 = Task(np.stack([R, R[::-1]], axis=1), dt=DT)
-LAW = PIDType(gamma_p=-0.4)  # on the coil its error falls for four trials, then grows
+LAW = PIDType(gamma_p=-0.4)  # on the voice coil its error falls for four trials, then grows
 
 
 def everything(trial):
@@ -36,7 +36,7 @@ def everything(trial):
 
 
 def run(machine, scheme, trials, task=TASK, **options):
-    """(J, N+1, n) outputs, (J, N, n) inputs and the history."""
+    """Return outputs (J, N+1, n), inputs (J, N, n) and the history."""
     history = learn(machine, scheme, task, trials, save=everything, **options)
     return (*map(np.asarray, history.saved), history)
 
@@ -46,7 +46,10 @@ def rms_of(y, r=TASK.reference):
 
 
 def replayed(y, *, max_error=np.inf, rms=np.inf, growth=np.inf, trials):
-    """Indices of the unguarded trials that the stop rule runs: what it says, word by word."""
+    """Return the indices of the unguarded trials that the stop rule runs.
+
+    The rule is applied here exactly as it is stated.
+    """
     shown, best, j = [], 0, 0
     for _ in range(trials):
         shown.append(j)
@@ -106,16 +109,18 @@ def test_every_output_must_meet_its_own_tolerance():
 
 
 def test_a_trial_that_is_not_finite_is_gone_back_from():
-    machine = Machine(
-        StateSpace([[0.0]], [[1.0]], [[1.0]], dt=DT)
-    )  # y[k+1] = u[k], e_j = (1 - gamma)^(j-1) r
+    # The plant is y[k+1] = u[k], so e_j = (1 - gamma)^(j-1) r.
+    machine = Machine(StateSpace([[0.0]], [[1.0]], [[1.0]], dt=DT))
     history = learn(machine, StopWhen(PIDType(gamma_p=1e200), growth=1e300), TASK, 5)
     np.testing.assert_array_equal(history.finite, [True, False, True, True, True])
     np.testing.assert_array_equal(history.rms[2:], np.tile(history.rms[0], (3, 1)))
 
 
 def test_gradient_of_a_frozen_trial_is_that_of_what_it_is_frozen_with():
-    """After the fifth trial it goes back to the memory that brought about the fourth."""
+    """The gradient of a frozen trial is that of the memory with which it is frozen.
+
+    After the fifth trial the rule returns to the memory that gave the fourth.
+    """
 
     def last(law, trials):
         return jnp.sum(learn(COIL, law, TASK, trials).rms[-1])
@@ -190,8 +195,10 @@ def test_a_guard_with_nothing_to_do_changes_nothing(nest, guard):
 
 
 def test_guards_fire_within_each_other():
-    """Ladder inside: two repeats a table, and it stops after the table that is good enough.
-    Outside: it judges the mean trial.
+    """A stop rule and a ladder work within each other.
+
+    With the ladder inside there are two repeats of each input, and the rule stops after the first
+    input that is good enough. With the ladder outside, the rule judges the mean trial.
     """
     y, _, _ = run(SERVO, PIDType(gamma_p=0.6, lead=1), 6)
     errors = [np.max(np.abs(TASK.reference - one)) for one in y]
@@ -229,7 +236,10 @@ def test_ladder_learns_from_the_mean_of_its_repeats(feedback):
 
 @pytest.mark.parametrize("law", ["p_type", "cfdl"])
 def test_gain_of_the_ladder(law):
-    """By hand: the scheme is shown r - gain (r - mean y), and the gain follows the rule."""
+    """The gain of the ladder follows its rule.
+
+    By hand, the scheme gets r - gain (r - mean y).
+    """
     scheme = (
         PIDType(gamma_p=0.3, lead=1)
         if law == "p_type"
@@ -275,8 +285,10 @@ def test_ladder_by_hand_needs_the_signals_of_what_it_is_around():
 
 
 def test_repeatability():
-    """Against the definition, and of a machine whose noise is known: the RMS of N samples of it
-    spreads by sigma / sqrt(2 N).
+    """Repeatability equals its definition.
+
+    For a machine with known noise, the RMS of N noise samples has the standard deviation
+    sigma / sqrt(2 N).
     """
     rms = np.array([[0.031, 0.5], [0.033, 0.4], [0.032, 0.6]])
     found = repeatability(rms)

@@ -1,5 +1,6 @@
-"""Higher-order learning against a scalar loop, and its errors against their recursion along the
-trials.
+"""Higher-order learning is compared with a scalar loop.
+
+Its errors are compared with their recursion along the trials.
 """
 
 import numpy as np
@@ -20,7 +21,7 @@ TASK_2 = Task(np.stack([R, R[::-1]], axis=1), dt=DT)
 
 
 def run(machine, scheme, trials, task=TASK):
-    """(J, N+1, n) outputs and (J, N, n) inputs."""
+    """Return outputs (J, N+1, n) and inputs (J, N, n)."""
     return tuple(map(np.asarray, learn(machine, scheme, task, trials, save=everything).saved))
 
 
@@ -33,7 +34,7 @@ class HigherOrderLoop:
         self.alpha, self.gamma, self.lead, self.limit = alpha, gamma, lead, limit
 
     def trials(self, a, b, trials):
-        """(J, N+1) outputs, (J, N) inputs, sample by sample."""
+        """Return outputs (J, N+1) and inputs (J, N), computed sample by sample."""
         Y, U = np.zeros((trials, N + 1)), np.zeros((trials, N))
         for j in range(trials):
             for k in range(N if j else 0):
@@ -77,8 +78,10 @@ def test_higher_order_takes_gains_for_each_channel():
 
 
 def test_higher_order_converges_as_its_characteristic_roots_say():
-    """On y[k+1] = u[k] every sample obeys e_{j+1} = sum_i (alpha_i - gamma_i) e_{j-i}: deadbeat
-    where all of these vanish.
+    """Higher-order learning converges as its characteristic roots say.
+
+    On y[k+1] = u[k] every sample obeys e_{j+1} = sum_i (alpha_i - gamma_i) e_{j-i}. Where all of
+    these coefficients are zero, learning is deadbeat.
     """
     machine, e_1 = Machine(StateSpace([[0.0]], [[1.0]], [[1.0]], dt=DT)), R[1:, None]
     for alpha, gamma in (
@@ -88,10 +91,8 @@ def test_higher_order_converges_as_its_characteristic_roots_say():
     ):
         y, _ = run(machine, HigherOrder(alpha, gamma), 30)
         step = np.array([[alpha[0] - gamma[0], alpha[1] - gamma[1]], [1.0, 0.0]])
-        e = [
-            e_1,
-            alpha[0] * e_1 - gamma[0] * e_1 + (1 - alpha[0]) * e_1,
-        ]  # u_1 = 0, and none before it
+        # u_1 is zero, and so is the input before it.
+        e = [e_1, alpha[0] * e_1 - gamma[0] * e_1 + (1 - alpha[0]) * e_1]
         for _ in range(28):
             e.append(step[0, 0] * e[-1] + step[0, 1] * e[-2])
         np.testing.assert_allclose(R[1:, None] - y[:, 1:], e, rtol=1e-8, atol=1e-12)

@@ -1,5 +1,6 @@
-"""Model-free adaptive control along the time axis against scalar loops, written from Dai 2014 and
-from Cao 2019, eq. 25 and 27.
+"""Model-free adaptive control along the time axis is compared with scalar loops.
+
+The loops follow Dai 2014, and eq. 25 and 27 of Cao 2019.
 """
 
 from collections import Counter
@@ -19,17 +20,15 @@ from jaxilc.signals import Task
 N = 70
 K = np.arange(N + 1)
 R = 0.5 - 0.5 * np.cos(3 * np.pi * K / N) + 0.1 * np.sin(1.3 * K) + 0.3 * (K > 40)
-PLANTS = {
-    "printed": PRINTED,
-    "arx": tuple((*c, 0.0) for c in ARX),
-}  # of one order: compiled once for both
+# The plants have one order, so that a program is compiled once for both.
+PLANTS = {"printed": PRINTED, "arx": tuple((*c, 0.0) for c in ARX)}
 SIGN = {"printed": -1.0, "arx": 1.0}  # of the plant's gain
 
 one_trial = jax.jit(run_trial)
 
 
 def run(machine, scheme, r=R):
-    """(N+1, n) outputs, (N, n) inputs and (N, n) estimates of the package."""
+    """Return outputs (N+1, n), inputs (N, n) and estimates (N, n) of the package."""
     task = Task(r, dt=DT)
     check(machine, scheme, task)
     trial = one_trial(machine, scheme, task, scheme.initial_memory(task), jax.random.key(0))
@@ -37,17 +36,19 @@ def run(machine, scheme, r=R):
 
 
 def machine_of(plant, offset=None):
-    """offset: constant disturbance of the output, so that the machine does not start at zero"""
+    """Return the machine of a plant.
+
+    offset: constant disturbance of the output, so that the machine does not start at zero
+    """
     disturbance = None if offset is None else Disturbance(output=np.full((N + 1, 1), offset))
     return Machine(DifferenceEquation(*PLANTS[plant], dt=DT), disturbance=disturbance)
 
 
 class Loop:
-    """A trial by hand: y, u over the samples, increments between samples, and how often each reset
-    was due.
+    """The loop runs a trial by hand.
 
-    Before the first sample nothing is known to have changed: increments are zero there, and the
-    input was zero.
+    It holds y and u over the samples, the increments between samples, and how often each reset was
+    due. Before the first sample the increments and the input are zero.
     """
 
     def __init__(self, plant, phi0, epsilon, reset, limit, offset=0.0):
@@ -66,7 +67,10 @@ class Loop:
         return self.u[k] - (self.u[k - 1] if k >= 1 else 0.0) if k >= 0 else 0.0
 
     def useless(self, phi, phi0, du=None):
-        """Dai 2014, eq. 12, and eq. 16 where no du is given."""
+        """Say whether an estimate is useless, by Dai 2014, eq. 12.
+
+        Without a du the rule is that of eq. 16.
+        """
         clauses = {"small phi": abs(phi) <= self.epsilon, "sign": np.sign(phi) != np.sign(phi0)}
         if self.reset == "book" and du is not None:
             clauses["small du"] = abs(du) <= self.epsilon
@@ -91,7 +95,10 @@ class Loop:
 def mfac_loop(
     plant, L_y, L_u, *, lam, rho, eta, mu, phi0, epsilon=1e-5, limit=None, reset="book", offset=0.0
 ):
-    """Full form; the papers' index i counts from 1, so that component i is [i - 1] here."""
+    """Run a trial in full form.
+
+    The index i of the papers starts at 1, so component i is [i - 1] here.
+    """
     phi0, rho = np.atleast_1d(phi0).astype(float), np.broadcast_to(rho, L_y + L_u)
     loop, phi = Loop(plant, phi0, epsilon, reset, limit, offset), phi0
     for k in range(N):
@@ -132,29 +139,27 @@ def mfapc_loop(
     offset=0.0,
     closed_form=False,
 ):
-    """Dai 2014, eq. 11 to 18, with the P x P_u matrix A_1 built and the normal equations solved;
-    eq. 10 if `closed_form`.
+    """Run a trial by Dai 2014, eq. 11 to 18.
+
+    The P x P_u matrix A_1 is built and the normal equations are solved. If `closed_form`, eq. 10 is
+    used.
     """
     theta0 = np.eye(n_p)[0] if theta0 is None else np.asarray(theta0)
-    loop, theta, before = (
-        Loop(plant, phi0, epsilon, reset, limit, offset),
-        theta0,
-        [phi0] * n_p,
-    )  # phi(k-1), ..., phi(k-n_p)
+    # `before` holds phi(k-1), ..., phi(k-n_p).
+    loop, theta, before = (Loop(plant, phi0, epsilon, reset, limit, offset), theta0, [phi0] * n_p)
     for k in range(N):
         du = loop.du(k - 1)
         phi = before[0] + eta * du / (mu + du**2) * (loop.dy(k) - before[0] * du)  # (11)
         if reset != "none" and loop.useless(phi, phi0, du):  # (12)
             phi = phi0
         regressor = np.array(before)
-        theta = theta + regressor / (delta + regressor @ regressor) * (
-            phi - regressor @ theta
-        )  # (13)
+        # Dai 2014, (13)
+        theta = theta + regressor / (delta + regressor @ regressor) * (phi - regressor @ theta)
         if np.linalg.norm(theta) >= theta_limit:  # (14)
             theta = theta0
             loop.due["theta"] += 1
         before = [phi, *before[:-1]]
-        line = before[::-1]  # phi(k-n_p+1), ..., phi(k), and then the forecasts
+        line = before[::-1]  # phi(k-n_p+1), ..., phi(k), followed by the forecasts
         for _ in range(P_u - 1):
             forecast = sum(theta[i - 1] * line[-i] for i in range(1, n_p + 1))  # (15)
             line.append(phi0 if loop.useless(forecast, phi0) else forecast)  # (16)
@@ -167,9 +172,8 @@ def mfapc_loop(
             A = np.zeros((P, P_u))
             for i in range(P_u):
                 A[i:, i] = line[n_p - 1 + i]
-            move = np.linalg.solve(A.T @ A + lam * np.eye(P_u), A.T @ (wanted - loop.y(k)))[
-                0
-            ]  # (17)
+            # Dai 2014, (17)
+            move = np.linalg.solve(A.T @ A + lam * np.eye(P_u), A.T @ (wanted - loop.y(k)))[0]
         loop.phi[k] = phi
         loop.apply(k, (loop.u[k - 1] if k else 0.0) + move)  # (18)
     return loop
@@ -200,7 +204,10 @@ OPTIONS = {
 
 
 def mfac(plant, law, **options):
-    """(scheme of the package, loop) with a start value that is right in sign and little more."""
+    """Return a scheme of the package and its loop.
+
+    The start value has the right sign, but is otherwise inaccurate.
+    """
     kind, L_y, L_u = WINDOWS[law]
     start = {"printed": [0.5, -0.1, -0.04, 0.02, 0.01], "arx": [0.5, -0.1, 0.08, 0.05, 0.02]}[plant]
     weights = {
@@ -257,8 +264,9 @@ MFAPC = {
 
 
 def mfapc(plant, offset=0.0, closed_form=False, **options):
-    """(scheme of the package, loop) whose forecasts and their coefficients leave the allowed region
-    now and then.
+    """Return a scheme of the package and its loop.
+
+    Its forecasts and their coefficients sometimes leave the allowed region.
     """
     weights = {
         "lam": 3.0,
@@ -300,8 +308,10 @@ def test_mfapc(options):
 
 
 def test_mfapc_without_resets():
-    """Where no forecast turns its sign: whether eq. 16 is part of what mode `none` switches off
-    does not matter here.
+    """MFAPC works without resets.
+
+    No forecast changes its sign here, so it does not matter whether mode `none` also switches off
+    eq. 16.
     """
     scheme, loop = mfapc("arx", P_u=3, reset="none", theta0=None, theta_limit=10.0)
     assert_equal(run(machine_of("arx"), scheme), loop)
@@ -310,7 +320,9 @@ def test_mfapc_without_resets():
 
 @pytest.mark.parametrize("P_u", [1, 2])
 def test_a_horizon_of_250_samples_beyond_the_end_of_the_trial(P_u):
-    """The reference is held at its end; nothing of size P x P_u is built, yet the result is that of
+    """A horizon of 250 samples may extend beyond the end of the trial.
+
+    The reference is held at its end. Nothing of size P x P_u is built, but the result is that of
     the matrix.
     """
     assert N < 250
@@ -321,7 +333,7 @@ def test_a_horizon_of_250_samples_beyond_the_end_of_the_trial(P_u):
 
 @pytest.mark.parametrize("law", ["cfdl", "ffdl", "mfapc"])
 def test_a_machine_that_does_not_start_at_zero(law):
-    """y[0] = 0.3 is no increment of the output."""
+    """A machine need not start at zero, and y[0] = 0.3 is not an increment of the output."""
     scheme, loop = mfapc("arx", offset=0.3) if law == "mfapc" else mfac("arx", law, offset=0.3)
     assert_equal(run(machine_of("arx", offset=0.3), scheme), loop)
 
@@ -335,8 +347,10 @@ DEADBEAT = {
 
 @pytest.mark.parametrize("law", DEADBEAT)
 def test_the_true_model_without_a_price_on_moves_is_deadbeat(law):
-    """Where the data model with start value phi0 is the plant itself, r is met at every sample the
-    input can reach.
+    """With the true model and no weight on moves the control is deadbeat.
+
+    Where the data model with start value phi0 is the plant itself, y equals r at every sample that
+    the input can reach.
     """
     (a, b), scheme = DEADBEAT[law]
     y, _, phi = run(Machine(DifferenceEquation(a, b, dt=DT)), scheme)
@@ -366,7 +380,11 @@ PREDICTIVE = CHANNELS | {"phi0": (0.12, -0.3), "delta": (0.05, 0.6), "theta_limi
     ids=["cfdl", "ffdl", "mfapc_1", "mfapc_2", "mfapc_3"],
 )
 def test_channels_are_taken_one_by_one(build):
-    """Two machines side by side, each with its own weights, are the two machines alone."""
+    """Channels are controlled independently.
+
+    Two machines side by side, each with its own weights, give the results of the two machines
+    alone.
+    """
     weights = PREDICTIVE if isinstance(build(CHANNELS), CFDLMFAPC) else CHANNELS
     poles, gains, r = (
         np.array([0.9, 0.6]),
@@ -374,7 +392,7 @@ def test_channels_are_taken_one_by_one(build):
         np.stack([R, -0.7 * R[::-1]], axis=1),
     )
     if "phi0" not in weights:
-        gains = np.abs(gains)  # of one sign, as the common start value
+        gains = np.abs(gains)  # the gains have one sign, as the common start value has
     together = run(
         Machine(StateSpace(np.diag(poles), np.diag(gains), np.eye(2), dt=DT)), build(weights), r
     )
@@ -443,8 +461,10 @@ losses = jax.jit(jax.vmap(loss))
 
 @pytest.mark.parametrize("law", SMOOTH)
 def test_gradient_of_every_weight_and_lanes_of_a_batch(law):
-    """Away from the switching of resets and limits. The batch of central differences is also looped
-    over, lane by lane.
+    """The gradient of every weight is correct, and the lanes of a batch equal single runs.
+
+    This is tested away from the switching of resets and limits. The batch of central differences is
+    also run in a loop, lane by lane.
     """
     scheme, without_effect = SMOOTH[law]
     leaves, shape = jax.tree.flatten(scheme)

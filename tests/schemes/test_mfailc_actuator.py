@@ -1,7 +1,8 @@
-"""MFAILC over an actuator that limits, slows and rounds, against scalar loops over trials and
-samples written from Cao 2019, eq. 25 and 27.
+"""MFAILC is tested over an actuator that limits, slows and rounds.
 
-Both increments of the input, of the last trial and of this one, are of what the actuator applied.
+It is compared with scalar loops over trials and samples, written from Cao 2019, eq. 25 and 27. Both
+increments of the input, that of the last trial and that of this one, are of what the actuator
+applied.
 """
 
 import jax
@@ -36,7 +37,10 @@ def scheme_of(name, rho):
 
 
 def actuator_of(rng):
-    """One of each kind in turn is all but absent."""
+    """Return an actuator with a limit, a rate limit and a resolution.
+
+    At random, one of them, or none, is nearly without effect.
+    """
     limit, rate, step = rng.uniform(0.4, 2.0), rng.uniform(100.0, 600.0), rng.uniform(1e-3, 0.2)
     absent = rng.integers(4)
     return {
@@ -47,8 +51,9 @@ def actuator_of(rng):
 
 
 def by_hand(name, rho, limit, rate, resolution, *, feedback=False):
-    """(J, N+1) outputs and (J, N) applied inputs. The learned share of what is applied is that less
-    the feedback's command.
+    """Return outputs (J, N+1) and applied inputs (J, N).
+
+    The learned part is the applied input minus the command of the feedback.
     """
     L_y, L_u, start = WINDOWS[name]
     (a, b), c = ARX, L_y
@@ -59,7 +64,7 @@ def by_hand(name, rho, limit, rate, resolution, *, feedback=False):
         return X[j, k] - X[j - 1, k] if k >= 0 else 0.0
 
     for j in range(1, TRIALS + 1):
-        for k in range(N if j > 2 else 0):  # the estimates, from the two trials before
+        for k in range(N if j > 2 else 0):  # the estimates use the two trials before
             dh = np.array(
                 [before(Y, j - 1, k - i) for i in range(L_y)]
                 + [before(W, j - 1, k - i) for i in range(L_u)]

@@ -1,5 +1,6 @@
-"""Models of a drive against python-control, and DILC and MILC against the equations of MILC 2024 in
-lifted NumPy matrices.
+"""Models of a drive are compared with python-control, and DILC and MILC with MILC 2024.
+
+The equations of the paper are written in lifted NumPy matrices.
 """
 
 import dataclasses
@@ -35,8 +36,9 @@ C_P = {"gain": 0.4, "pi": control.tf([0.5, -0.45], [1.0, -1.0], DT)}
 
 
 def impulse(system, samples=N):
-    """(n_y, n_u, samples) of a python-control system, the first sample with what it lets
-    through.
+    """Return the impulse response (n_y, n_u, samples) of a python-control system.
+
+    Its first sample is the direct feedthrough.
     """
     u = np.zeros((system.ninputs, system.ninputs, samples))
     u[range(system.ninputs), range(system.ninputs), 0] = 1.0
@@ -56,8 +58,9 @@ def of_model(model, samples=N):
 
 
 def blocks(controller):
-    """P_M S, S, P_M P_Z S, C P_M P_Z S, each an impulse response, by series and feedback of
-    python-control.
+    """Return the impulse responses of P_M S, S, P_M P_Z S and C P_M P_Z S.
+
+    They are made by series and feedback connections of python-control.
     """
     m, z = control.ss(P_M), control.ss(P_Z)
     c = (
@@ -91,7 +94,7 @@ def test_models_are_those_of_python_control(controller):
     np.testing.assert_allclose(of_model(direct_model(C, DRIVE_OF_BLOCKS))[0, 0], table, **ALGEBRA)
     found = of_model(multivariable_model(C, DRIVE_OF_BLOCKS))
     np.testing.assert_allclose(found[:, 0], [motor, table], **ALGEBRA)
-    # row k of the learned reference is r[k+1]: one sample later than in the paper
+    # Row k of the learned reference is r[k+1], which is one sample later than in the paper.
     np.testing.assert_allclose(found[:, 1, 1:], [-left[:-1], follow[:-1]], **ALGEBRA)
     np.testing.assert_array_equal(found[:, 1, 0], 0.0)
     assert np.max(np.abs(follow)) > 0.01
@@ -175,7 +178,7 @@ INVERSE = inverse(output_ratio(MODEL))
 
 
 def toeplitz(A, B, C):
-    """(N, N) from u to y[1..N]."""
+    """Return the matrix (N, N) from u to y[1..N]."""
     h, x = [], B
     for _ in range(N):
         h.append((C @ x).item())
@@ -184,14 +187,15 @@ def toeplitz(A, B, C):
 
 
 def plant_of(model):
-    """Lifted P_M and P_T."""
+    """Return lifted P_M and P_T."""
     A, B, C = (np.asarray(M) for M in (model.A, model.B, model.C))
     return toeplitz(A, B, C[:1]), toeplitz(A, B, C[1:])
 
 
 def loop_of(model):
-    """P_M, P_T and S of v = S (u + C_P r[0..N-1]); the feedback sees y a sample after it was
-    driven.
+    """Return P_M, P_T and S of v = S (u + C_P r[0..N-1]).
+
+    The feedback gets y one sample after the input that caused it.
     """
     motor, table = plant_of(model)
     return motor, table, np.linalg.inv(UNIT + GAIN * DELAY @ motor)
@@ -203,7 +207,7 @@ def direct_matrix(model):
 
 
 def multivariable_matrix(model):
-    """H_M, from rows (u[k], r[k+1]) to rows (y_M - r, y_T)[k+1] (MILC 2024, eq. 27)."""
+    """Return H_M, from rows (u[k], r[k+1]) to rows (y_M - r, y_T)[k+1] (MILC 2024, eq. 27)."""
     motor, table, S = loop_of(model)
     H = np.array(
         [[motor @ S, GAIN * motor @ S @ DELAY - UNIT], [table @ S, GAIN * table @ S @ DELAY]]
@@ -212,14 +216,14 @@ def multivariable_matrix(model):
 
 
 def gains(H, w_q, w_r, w_s):
-    """L_u and L_e (MILC 2024, eq. 7 and 8)."""
+    """Return L_u and L_e (MILC 2024, eq. 7 and 8)."""
     unit = np.eye(H.shape[1])
     inverted = np.linalg.inv(w_q * H.T @ H + (w_s + w_r) * unit)
     return inverted @ (w_q * H.T @ H + w_r * unit), w_q * inverted @ H.T
 
 
 def updated(H, u, e, w_q, w_r, w_s):
-    """L_u u + L_e e."""
+    """Return L_u u + L_e e."""
     normal = w_q * H.T @ H
     return np.linalg.solve(
         normal + (w_s + w_r) * np.eye(len(u)), normal @ u + w_r * u + w_q * H.T @ e
@@ -241,9 +245,13 @@ def relative(found, expected):
 
 
 class Played(NamedTuple):
-    """u, feedback: (J, N) learned input and the feedback's share;  r: (J, N) r[k+1] that the
-    feedback followed
-    e_c, e_z: (J, N) r - y_M and r_d - y_T a sample later;  history: of the learning"""
+    """The signals of a learning run on the drive.
+
+    u, feedback: (J, N) learned input and the part of the feedback
+    r: (J, N) reference r[k+1] that the feedback followed
+    e_c, e_z: (J, N) r - y_M and r_d - y_T, one sample later
+    history: of the learning
+    """
 
     u: np.ndarray
     feedback: np.ndarray
@@ -254,7 +262,7 @@ class Played(NamedTuple):
 
 
 def played(machine, scheme):
-    """All in TRIALS trials, so that a program is compiled once for each kind of scheme."""
+    """Learn over TRIALS trials, so that a program is compiled once for each kind of scheme."""
     history = learn(machine, scheme, TASK, TRIALS, save=KEEP)
     u, signals, y = (history.saved[name] for name in ("u", "signals", "y"))
     motor, table = np.moveaxis(np.asarray(y)[:, 1:], -1, 0)
@@ -277,7 +285,7 @@ def test_models_and_simulator_have_the_same_loop(name):
     H_D, H_M = direct_matrix(model), multivariable_matrix(model)
     G = lifted.lifted_plant(machine, direct(), TASK).reshape(N, 2, N)
     assert relative(G[:, 1], H_D) < 1e-10
-    of_outputs = H_M.copy()  # the model is of r - y_M, which follows a learned r also directly
+    of_outputs = H_M.copy()  # the model is of r - y_M, on which a learned r also acts directly
     of_outputs[0::2, 1::2] += np.eye(N)
     assert relative(lifted.lifted_plant(machine, multivariable(), TASK), of_outputs) < 1e-10
     f = np.geomspace(1.0, 499.0, 40)
@@ -295,7 +303,10 @@ def test_models_and_simulator_have_the_same_loop(name):
 
 
 def test_milc_starts_from_the_filtered_reference():
-    """P_Z r_0 = r_d, u_0 = 0: a motor that follows r_0 has the table on the path."""
+    """MILC starts from the filtered reference, with P_Z r_0 = r_d and u_0 = 0.
+
+    A motor that follows r_0 moves the table along the path.
+    """
     memory = multivariable().initial_memory(TASK)
     motor, table = plant_of(MODEL)
     start = np.asarray(memory.learning.u)
@@ -308,8 +319,9 @@ def test_milc_starts_from_the_filtered_reference():
 
 @pytest.mark.parametrize("name", DRIVES)
 def test_a_trial_of_milc_is_the_equation(name):
-    """e = (0, r_d) - H (u, r) of the drive, and [u; r] <- L_u [u; r] + L_e e by the model (MILC
-    2024, eq. 28 and 29).
+    """A trial of MILC obeys its equations (MILC 2024, eq. 28 and 29).
+
+    The drive gives e = (0, r_d) - H (u, r), and the model gives [u; r] <- L_u [u; r] + L_e e.
     """
     machine, model = DRIVES[name]
     run, H = played(machine, multivariable()), multivariable_matrix(model)
@@ -330,7 +342,10 @@ def test_a_trial_of_milc_is_the_equation(name):
 
 
 def test_milc_learns_from_the_input_as_it_was_applied():
-    """Under saturation u_j is what reached the drive, less the feedback's share."""
+    """MILC learns from the input as it was applied.
+
+    Under saturation u_j is the input of the drive minus the part of the feedback.
+    """
     run = played(Machine(NOMINAL, Actuator(limit=6.0)), multivariable())
     assert np.mean(np.abs(run.u + run.feedback)[0] == 6.0) > 0.1
     own, e = (
@@ -343,8 +358,11 @@ def test_milc_learns_from_the_input_as_it_was_applied():
     ("scheme", "matrix"), [(direct, direct_matrix), (multivariable, multivariable_matrix)]
 )
 def test_theorem_2_the_nominal_plant_is_learned_monotonically(scheme, matrix):
-    """M = L_u - L_e H = (H' W_q H + W_s + W_r)^-1 W_r, of the schemes and the simulator as they
-    are, and |M| < 1.
+    """The nominal plant is learned monotonically (Theorem 2).
+
+        M = L_u - L_e H = (H' W_q H + W_s + W_r)^-1 W_r
+
+    holds for the schemes and the simulator as they are, and |M| < 1.
     """
     machine, H = Machine(NOMINAL), matrix(MODEL)
     found = lifted.learning_conditions(machine, scheme(), TASK)
@@ -375,8 +393,13 @@ def test_a_far_too_soft_model_is_predicted_to_diverge_and_does(scheme):
 
 
 def test_a_model_of_the_wrong_sign_doubles_the_error_every_trial():
-    """With L of -H, M = (H' W_q H + W_s + W_r)^-1 (2 H' W_q H + W_r), close to 2 where w_q
-    outweighs the rest.
+    """A model of the wrong sign doubles the error in every trial.
+
+    With L of -H,
+
+        M = (H' W_q H + W_s + W_r)^-1 (2 H' W_q H + W_r),
+
+    which is close to 2 where w_q is much larger than the other weights.
     """
     model = direct_model(GAIN, MODEL)
     model = dataclasses.replace(model, C=-np.asarray(model.C))
@@ -393,8 +416,24 @@ def test_a_model_of_the_wrong_sign_doubles_the_error_every_trial():
 
 @pytest.mark.parametrize("name", DRIVES)
 def test_proposition_1a_the_errors_of_dilc_bound_each_other(name):
-    """e_z = P_Z e_c + (1 - P_Z) r_d, hence ||(1 - P_Z) r_d|| <= ||e_z|| + ||P_Z|| ||e_c||, in every
-    trial (MILC 2024, eq. 19).
+    """The errors of DILC bound each other in every trial (MILC 2024, eq. 19).
+
+    e_z = P_Z e_c + (1 - P_Z) r_d, hence
+
+    (1 - P_Z) r_d
+
+    <=
+
+    e_z
+
+    +
+
+    P_Z
+
+
+    e_c
+
+    .
     """
     machine, model = DRIVES[name]
     motor, table = plant_of(model)
@@ -409,8 +448,11 @@ def test_proposition_1a_the_errors_of_dilc_bound_each_other(name):
 
 
 def test_proposition_1b_the_feedback_of_dilc_cancels_what_was_learned():
-    """u_c = S (I - L_u + L_e H_D)^-1 [(I - L_u) C_P r_d[0..N-1] + L_e r_d[1..N]] - u in the steady
-    state.
+    """The feedback of DILC cancels what was learned.
+
+    In the steady state
+
+        u_c = S (I - L_u + L_e H_D)^-1 [(I - L_u) C_P r_d[0..N-1] + L_e r_d[1..N]] - u.
 
     MILC 2024, Proposition 1 (b), has the factors in another order: operators of the frequency
     domain commute, lifted L_u and L_e do not.
@@ -430,8 +472,11 @@ def test_proposition_1b_the_feedback_of_dilc_cancels_what_was_learned():
 
 
 def test_milc_brings_both_errors_down_where_dilc_cannot():
-    """DILC leaves the motor at (1 - 1/P_Z) r_d: on c_s y_M' + k_s y_M = m_T r'' + (c_s + c_T) r' +
-    k_s r, while the table is on r.
+    """MILC reduces both errors where DILC cannot.
+
+    DILC leaves the motor at (1 - 1/P_Z) r_d, while the table is on r. There
+
+        c_s y_M' + k_s y_M = m_T r'' + (c_s + c_T) r' + k_s r.
     """
     t = np.arange(N + 1) * DT
     path = [np.gradient(DESIRED, DT, edge_order=2)]
@@ -458,8 +503,9 @@ ROBUST = {"w_q": 1e3, "w_r": 1e-2, "w_s": 1.0}
 
 
 def certified(stiffness):
-    """The condition of DILC on a drive of another stiffness than the model's, and the changes of
-    its input, trial after trial.
+    """Return the condition of DILC on a drive whose stiffness differs from that of the model.
+
+    Also return the changes of its input, trial after trial.
     """
     true = Machine(
         direct_model(GAIN, linear(dataclasses.replace(NOMINAL, stiffness=stiffness * 4e4)))
@@ -539,8 +585,10 @@ def test_a_measured_trial_must_tell_what_was_learned():
 
 
 def test_the_loop_by_hand_is_the_simulated_one():
-    """A measured trial, its own signals given by name, teaches what the simulated one does; also
-    compiled, once prepared.
+    """The loop by hand is the simulated one.
+
+    A measured trial whose signals are given by name teaches what the simulated one does. This also
+    holds for a prepared scheme within jit.
     """
     scheme = multivariable()
     history = played(Machine(NOMINAL), scheme).history
@@ -559,7 +607,9 @@ def test_the_loop_by_hand_is_the_simulated_one():
 
 @pytest.mark.parametrize("build", [direct, multivariable])
 def test_the_error_map_of_a_norm_optimal_scheme_is_what_learning_does(build):
-    """Its derivative, where no disturbance is, is the change from one simulated error to the next:
+    """The error map of a norm-optimal scheme predicts what learning does.
+
+    Without a disturbance, its derivative is the change from one simulated error to the next, since
     the law is affine.
     """
     machine, scheme = Machine(REAL), build()

@@ -1,5 +1,7 @@
-"""Norm-optimal learning against its dense equation in NumPy, its closed forms, finite differences,
-and a measure of its memory.
+"""Norm-optimal learning is compared with independent computations.
+
+These are its dense equation in NumPy, closed forms, finite differences, and a measurement of its
+RAM.
 """
 
 import dataclasses
@@ -29,7 +31,7 @@ TASK = Task(REFERENCE, dt=DT)
 
 
 def wandering(model, size):
-    """A time-varying system around a constant one."""
+    """Return a time-varying system that differs a little from a constant one."""
     A, B, C = (
         np.asarray(M) * (1 + size * RANDOM.standard_normal((N, *M.shape)))
         for M in (model.A, model.B, model.C)
@@ -51,13 +53,16 @@ WEIGHTS = {
 
 
 def matrices(model):
-    """A, B, C of each sample, the output's that of the sample after."""
+    """Return A, B and C of each sample; C is that of the sample after."""
     parts = [np.asarray(M) for M in (model.A, model.B, model.C)]
     return [M if M.ndim == 3 else np.broadcast_to(M, (N, *M.shape)) for M in parts]
 
 
 def dense(model):
-    """H, column by column: the outputs y[1..N] after a unit impulse, by a loop over the samples."""
+    """Return H, column by column, by a loop over the samples.
+
+    A column is the output y[1..N] after a unit impulse.
+    """
     A, B, C = matrices(model)
     (n, n_u), n_y = B.shape[1:], C.shape[1]
     H = np.zeros((N, n_y, N, n_u))
@@ -71,14 +76,15 @@ def dense(model):
 
 
 def weights_of(scheme):
-    """W_q, W_r, W_s of the whole trial."""
+    """Return W_q, W_r and W_s of the whole trial."""
     per_sample = [np.asarray(w) for w in (scheme.w_q, scheme.w_r, scheme.w_s)]
     return [np.kron(np.eye(N), w if w.ndim == 2 else w * np.eye(2)) for w in per_sample]
 
 
 def next_input(scheme, H, e, u):
-    """u_{j+1} = (H' W_q H + W_s + W_r)^-1 ((H' W_q H + W_r) u_j + H' W_q e_j), MILC 2024, eq. 7 and
-    8.
+    """Return the next input of norm-optimal learning (MILC 2024, eq. 7 and 8).
+
+    u_{j+1} = (H' W_q H + W_s + W_r)^-1 ((H' W_q H + W_r) u_j + H' W_q e_j).
     """
     Q, R, S = weights_of(scheme)
     new = np.linalg.solve(H.T @ Q @ H + S + R, (H.T @ Q @ H + R) @ u.ravel() + H.T @ Q @ e.ravel())
@@ -124,14 +130,20 @@ def test_riccati_is_lifted_is_the_equation(kind, weights):
 
 @pytest.mark.parametrize("w_r", [1e-3, 1e-6, 1e-9])
 def test_small_weights_cost_the_recursion_no_digits(w_r):
-    """Where the equation is badly conditioned both forms lose the same digits, and no more."""
+    """Small weights cost the recursion no digits.
+
+    Where the equation is badly conditioned, both forms lose the same digits, and no more.
+    """
     schemes = [NormOptimal(MODEL, w_q=1.0, w_r=w_r, form=form) for form in ("riccati", "lifted")]
     found = [np.asarray(learn(Machine(MODEL), scheme, TASK, 3).memory.u) for scheme in schemes]
     assert relative(*found) < 1e-15 * np.linalg.cond(dense(MODEL)) ** 2 + 1e-12
 
 
 def last_rms(free, form):
-    """Root mean square error of the last trial, of weights and one entry of the model."""
+    """Return the RMS error of the last trial.
+
+    free: weights and one entry of the model
+    """
     model = dataclasses.replace(MODEL, A=jnp.asarray(MODEL.A).at[0, 1].set(free["entry"]))
     scheme = NormOptimal(model, free["w_q"], free["w_r"], free["w_s"], form=form)
     return jnp.sqrt(jnp.mean(learn(MACHINE, scheme, TASK, 3).rms[-1] ** 2))
@@ -187,8 +199,10 @@ def test_a_limit_is_respected_and_learning_goes_on(form):
 
 
 def test_without_a_weight_on_the_change_one_trial_is_enough():
-    """w_r = 0, right model: u_2 = (H' W_q H + W_s)^-1 H' W_q r, where it stays; w_r > 0 comes to
-    the same input in the end.
+    """Without a weight on the change of the input, one trial is enough.
+
+    With w_r = 0 and the right model, u_2 = (H' W_q H + W_s)^-1 H' W_q r, and it stays there. With
+    w_r > 0 learning ends at the same input.
     """
     H, r = dense(MODEL), REFERENCE[1:].ravel()
     scheme = NormOptimal(MODEL, w_q=2.0, w_s=0.3)
@@ -200,8 +214,10 @@ def test_without_a_weight_on_the_change_one_trial_is_enough():
 
 
 def test_without_a_weight_on_the_input_the_error_falls_by_the_closed_form():
-    """w_s = 0, right model: e_{j+1} = (I + H W_q H' / w_r)^-1 e_j; and for w_r -> 0 the plant is
-    inverted in one trial.
+    """Without a weight on the input the error falls by a closed form.
+
+    With w_s = 0 and the right model, e_{j+1} = (I + H W_q H' / w_r)^-1 e_j. For w_r -> 0 the plant
+    is inverted in one trial.
     """
     H, r = dense(MODEL), REFERENCE[1:].ravel()
     e = np.asarray(
@@ -272,8 +288,10 @@ def test_bad_weights_and_models_are_named(message):
 
 @pytest.mark.parametrize("precision", [np.float32, np.float64])
 def test_a_weight_is_symmetric_up_to_rounding(precision):
-    """A congruence T' D T, as a change of units gives, is symmetric in exact arithmetic only; its
-    symmetric part counts.
+    """A weight must be symmetric up to rounding.
+
+    A congruence T' D T, which a change of units gives, is symmetric in exact arithmetic only. Its
+    symmetric part is used.
     """
     rng, turned = np.random.default_rng(2), []
     while len(turned) < 20:
@@ -327,7 +345,7 @@ def test_a_model_that_does_not_fit_the_task_is_refused(message):
 
 
 def test_a_continuous_model_is_sampled_with_the_task():
-    """As a discrete one that scipy sampled."""
+    """A continuous model is sampled with the task, and equals a discrete one that scipy sampled."""
     import scipy.signal
 
     A, B, C = (
@@ -350,7 +368,11 @@ TALL = StateSpace(MODEL.A, np.asarray(MODEL.B)[:, :1], MODEL.C, dt=DT)
 
 @pytest.mark.parametrize("form", ["riccati", "lifted"])
 def test_models_need_not_be_square(form):
-    """One input, two outputs, and three inputs, which the recursion inverts by LAPACK."""
+    """Models need not be square.
+
+    They have one input, two outputs, and three inputs, where the recursion calls LAPACK for the
+    inverse.
+    """
     wide = StateSpace(
         MODEL.A, np.hstack([np.asarray(MODEL.B), [[0.3], [-0.2], [0.1]]]), MODEL.C, dt=DT
     )

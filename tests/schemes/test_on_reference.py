@@ -1,5 +1,6 @@
-"""Learning on the reference (the series structure of Li 2020, Fig. 1) against loops by hand, dense
-matrices and the parallel structure.
+"""Learning on the reference is the series structure of Li 2020, Fig. 1.
+
+It is compared with loops by hand, with dense matrices and with the parallel structure.
 """
 
 import jax
@@ -39,18 +40,18 @@ def everything(trial):
 
 
 def run(scheme, r=R, trials=TRIALS, machine=PLANT):
-    """(J, ...) signals of the package by name, one channel."""
+    """Return the signals (J, ...) of the package by name, for one channel."""
     saved = learn(machine, scheme, Task(r, dt=DT), trials, save=everything).saved
     return {name: np.asarray(signal)[..., 0] for name, signal in saved.items()}
 
 
 def plant_step(y, u, k):
-    """y[k+1], from y[..k] and u[..k]."""
+    """Return y[k+1] from y[..k] and u[..k]."""
     return sum(A[i] * y[k - i] + B[i] * u[k - i] for i in range(min(k + 1, len(A))))
 
 
 class PIDLoop:
-    """Follows seen[k]; position form."""
+    """The loop of a PID in position form, which follows seen[k]."""
 
     preview = 1
 
@@ -70,7 +71,10 @@ class PIDLoop:
 
 
 class MFAPCLoop:
-    """Dai 2014, eq. 10 to 12 with reset mode `book`; sees P samples ahead."""
+    """The loop of MFAPC by Dai 2014, eq. 10 to 12, with reset mode `book`.
+
+    It uses the reference P samples ahead.
+    """
 
     def __init__(self, P, lam, eta, mu, phi0, epsilon=1e-5):
         self.weights, self.preview = (P, lam, eta, mu, phi0, epsilon), P
@@ -91,15 +95,16 @@ class MFAPCLoop:
 
 
 def series(feedback, gamma_p, gamma_d=0.0, lead=0, r=R, trials=TRIALS, q=lambda w: w):
-    """The series structure by hand: seen(k, i) is what the feedback is told at sample k about
-    sample i >= k.
+    """Run the series structure by hand.
+
+    seen(k, i) is what the feedback gets at sample k about sample i >= k.
     """
     w, results = np.zeros(N), {"y": [], "u": [], "correction": []}
     for _ in range(trials):
 
         def seen(k, i, w=w):
             assert k <= i <= k + feedback.preview
-            i = min(i, N)  # held at the end
+            i = min(i, N)  # held at its end value
             return r[i] + (w[i - 1] if i >= 1 else 0.0)
 
         y, u = feedback.trial(seen)
@@ -124,7 +129,7 @@ def assert_same(one, other, names):
 
 
 def fir(w):
-    """0.5 w(k) + 0.25 (w(k-1) + w(k+1)), end values held."""
+    """Return 0.5 w(k) + 0.25 (w(k-1) + w(k+1)), with the end values held."""
     held = np.pad(w, 1, mode="edge")
     return 0.5 * w + 0.25 * (held[:-2] + held[2:])
 
@@ -144,8 +149,10 @@ FEEDBACKS = {
 @pytest.mark.parametrize("feedback", FEEDBACKS)
 @pytest.mark.parametrize("law", LAWS)
 def test_on_reference(feedback, law):
-    """The feedback is told r[k] + w[k-1] now, r[k+i] + w[k+i-1] ahead, both held at the end; w[-1]
-    = 0.
+    """The feedback gets the corrected reference.
+
+    It gets r[k] + w[k-1] for now and r[k+i] + w[k+i-1] for later samples. Both are held at the end,
+    and w[-1] = 0.
     """
     of_package, by_hand = FEEDBACKS[feedback]
     expected = series(by_hand, **LAWS[law])
@@ -174,8 +181,9 @@ def test_nothing_learned_is_the_feedback_alone():
 
 
 def closed_loop():
-    """T (N, N): response of y[1..N] to w[0..N-1], a unit impulse at a time, by the loop over
-    samples; w[k] is seen as r[k+1].
+    """Return T (N, N), the response of y[1..N] to w[0..N-1].
+
+    The loop over samples runs once for each unit impulse; w[k] acts as part of r[k+1].
     """
 
     def response(w):
@@ -185,13 +193,14 @@ def closed_loop():
 
 
 def shift(m):
-    """(N, N) e[k+1+m] from e[1..N], zero beyond the end."""
+    """Return the matrix (N, N) from e[1..N] to e[k+1+m], zero beyond the end."""
     return np.eye(N, k=m)
 
 
 def learning_operator(gamma_p=0.0, gamma_i=0.0, gamma_d=0.0, lead=0):
-    """L (N, N) of the PID-type law on e[1..N], for e[0] = 0; there is no difference beyond the end
-    of the trial.
+    """Return L (N, N) of the PID-type law on e[1..N], for e[0] = 0.
+
+    No difference extends beyond the end of the trial.
     """
     difference = shift(lead) - shift(lead - 1)
     difference[N - lead :] = 0.0
@@ -206,8 +215,9 @@ LIFTED = LAWS | {
 
 @pytest.mark.parametrize("law", LIFTED)
 def test_lifted(law):
-    """e_{j+1} = (I - T L) e_j, with T of the closed loop: the plant's own response to the
-    reference.
+    """The errors obey e_{j+1} = (I - T L) e_j, with T of the closed loop.
+
+    T is the response of the plant under feedback to the reference.
     """
     T, L = closed_loop(), learning_operator(**LIFTED[law])
     assert not np.any(np.triu(T)), "a position loop cannot answer r[k+1] before k+2"
@@ -221,8 +231,10 @@ def test_lifted(law):
 
 
 def test_the_inverse_of_the_closed_loop_is_deadbeat():
-    """y[k+1] = 2 u[k] under u = 0.5 (seen - y) gives y[k+2] + y[k+1] = r[k+1] + w[k]: learning
-    e[k+2] + e[k+1] meets r at once.
+    """Learning with the inverse of the closed loop is deadbeat.
+
+    y[k+1] = 2 u[k] under u = 0.5 (seen - y) gives y[k+2] + y[k+1] = r[k+1] + w[k]. Learning from
+    e[k+2] + e[k+1] makes y equal to r at once.
     """
     machine = Machine(StateSpace([[0.0]], [[2.0]], [[1.0]], dt=DT))
     sum_of_two = PIDType(gamma_p=2.0, gamma_d=-1.0, lead=1)  # 2 e[k+2] - (e[k+2] - e[k+1])
@@ -232,8 +244,10 @@ def test_the_inverse_of_the_closed_loop_is_deadbeat():
 
 
 def test_the_dense_matrix_foretells_convergence_and_growth():
-    """Over 60 trials: a lead of two samples converges; with a lead of one the error falls first and
-    then grows, as it must.
+    """The dense matrix predicts convergence and growth over 60 trials.
+
+    A lead of two samples converges. With a lead of one the error first falls and then grows, as the
+    matrix says.
     """
     T, falls = closed_loop(), {}
     for lead, gamma in ((2, 1.0), (1, 1.5)):
@@ -254,9 +268,11 @@ def test_the_dense_matrix_foretells_convergence_and_growth():
 
 
 def test_series_and_parallel_are_one_for_a_linear_feedback():
-    """A correction w through the PID C is an input C z^-1 w. So learning w += gamma e[k+2] on the
-    reference is PID-type learning on the input, with gains gamma times those of C per sample; the
-    first sample, which the reference reaches too late, is at rest.
+    """Series and parallel structure are equivalent for a linear feedback.
+
+    A correction w through the PID C is an input C z^-1 w. So learning w += gamma e[k+2] on the
+    reference is PID-type learning on the input, whose gains are gamma times those of C per sample.
+    The first sample, which the reference reaches too late, is at rest.
     """
     gamma = 0.7
     on_reference = run(OnReference(PIDType(gamma_p=gamma, lead=1), PID(**GAINS)), r=REST)
@@ -270,7 +286,10 @@ def test_series_and_parallel_are_one_for_a_linear_feedback():
 
 
 def test_series_and_parallel_differ_for_an_adaptive_feedback():
-    """No such equivalence holds where the feedback adapts itself to the input it gives."""
+    """Series and parallel structure differ for an adaptive feedback.
+
+    There is no such equivalence where the feedback adapts to the input that it gives.
+    """
     feedback = CFDLMFAC(phi0=0.3, lam=0.3, mu=0.1)
     one, other = (
         run(kind(PIDType(gamma_p=0.3, lead=1), feedback)) for kind in (OnReference, WithFeedback)
@@ -314,8 +333,10 @@ def test_signals_of_the_parts_carry_their_names(name):
 
 
 def test_two_corrections_add_up():
-    """The inner correction is learned from the error against what the outer one asks for, or
-    against r itself: the docstring says r.
+    """Two corrections of the reference add up.
+
+    The inner correction could be learned from the error against the reference of the outer one, or
+    against r itself. The docstring says r.
     """
     r, gammas = R, (0.2, 0.3)
     scheme = OnReference(
@@ -331,8 +352,10 @@ def test_two_corrections_add_up():
 
 
 def test_both_parts_learn():
-    """A feedback that learns on the input, under a correction of the reference: both from the same
-    error.
+    """Both parts of a scheme can learn.
+
+    A feedback that learns on the input acts under a correction of the reference. Both learn from
+    the same error.
     """
     scheme = OnReference(PIDType(gamma_p=0.3), WithFeedback(PIDType(gamma_p=0.2), PID(**GAINS)))
     saved = run(scheme, trials=3)
@@ -345,8 +368,10 @@ def test_both_parts_learn():
 
 
 def test_learning_from_some_of_the_outputs():
-    """One input, two outputs, the second followed: the correction has as many channels as outputs
-    are seen.
+    """A scheme can learn from some of the outputs.
+
+    There are one input and two outputs, and the second output is followed. The correction has as
+    many channels as the scheme has outputs.
     """
     plant = StateSpace([[0.9, 0.1], [0.3, 0.6]], [[0.2], [0.0]], np.eye(2), dt=DT)
     scheme = OnOutputs(OnReference(PIDType(gamma_p=0.5, lead=1), PID(kp=0.5)), (1,))
@@ -369,8 +394,10 @@ def test_learning_from_some_of_the_outputs():
 
 
 def test_more_outputs_than_inputs():
-    """The correction has the outputs' channels, the feedback gives the inputs: here it is a scheme
-    on one of two outputs.
+    """A machine can have more outputs than inputs.
+
+    The correction has the channels of the outputs, and the feedback gives the inputs. The feedback
+    here is a scheme on one of two outputs.
     """
     plant = StateSpace([[0.9, 0.1], [0.3, 0.6]], [[0.2], [0.0]], np.eye(2), dt=DT)
     scheme = OnReference(PIDType(gamma_p=0.4), OnOutputs(PID(kp=0.5), (0,)))
@@ -383,8 +410,9 @@ def test_more_outputs_than_inputs():
 
 
 def test_the_table_by_hand():
-    """`feedforward` is the correction of the next trial; a measured trial must bring the correction
-    along.
+    """The schedule is the same by hand.
+
+    `feedforward` is the correction of the next trial. A measured trial must contain the correction.
     """
     scheme, task = OnReference(PIDType(gamma_p=0.5), PID(**GAINS)), Task(R, dt=DT)
     history = learn(PLANT, scheme, task, 2, save=everything)
@@ -424,8 +452,10 @@ def test_gradient_of_every_gain_equals_central_differences():
 
 
 def test_adaptive_learning_on_the_reference():
-    """CFDL-MFAILC has everything in its table: it learns the correction as it would an input of the
-    closed loop.
+    """Adaptive learning works on the reference.
+
+    CFDL-MFAILC has everything in its schedule, so it learns the correction as it would learn an
+    input of the closed loop.
     """
     weights = {"lam": 0.05, "rho": 0.9, "eta": 0.9, "mu": 0.02, "phi0": 0.4, "reset": "none"}
     on_reference = run(OnReference(CFDLMFAILC(**weights, lead=1), PID(**GAINS)), r=REST, trials=6)
@@ -444,8 +474,10 @@ def test_adaptive_learning_on_the_reference():
 
 
 def test_learning_with_terms_of_the_running_trial_is_refused_or_complete():
-    """FFDL-MFAILC corrects its table by increments of the running trial (Cao 2019, eq. 25):
-    OnReference must not drop them silently.
+    """Learning with terms of the running trial is refused or complete.
+
+    FFDL-MFAILC corrects its schedule by increments of the running trial (Cao 2019, eq. 25), which
+    OnReference must not omit silently.
     """
     learning = FFDLMFAILC(phi0=(0.5, 0.3, 0.4, 0.2), lam=0.05, mu=0.02, rho=1.0, reset="none")
     try:
@@ -453,7 +485,7 @@ def test_learning_with_terms_of_the_running_trial_is_refused_or_complete():
     except ValueError:
         return
     dy, w, expected = saved["y"][1] - saved["y"][0], saved["correction"][1], np.zeros(N)
-    gain = 0.4 / (0.05 + 0.4**2)  # in the second trial Phi is still phi0, and w was zero before
+    gain = 0.4 / (0.05 + 0.4**2)  # in the second trial Phi is still phi0, and w was zero before it
     for k in range(N):
         terms = 0.5 * dy[k] + (0.3 * dy[k - 1] + 0.2 * expected[k - 1] if k else 0.0)
         expected[k] = gain * (R[k + 1] - saved["y"][0, k + 1] - terms)
@@ -495,7 +527,10 @@ def test_what_does_not_fit_is_named(name):
 
 
 def test_a_feedback_that_is_not_square_is_refused():
-    """OnReference itself is indifferent to the number of inputs; its feedback is not."""
+    """A feedback that is not square is refused.
+
+    OnReference itself works with any number of inputs, but its feedback does not.
+    """
     plant = StateSpace(np.eye(2), [[1.0], [0.0]], np.eye(2), dt=DT)
     with pytest.raises(ValueError, match="PID works channel by channel"):
         learn(

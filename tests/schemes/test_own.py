@@ -1,5 +1,6 @@
-"""A user's own wrapper and a user's own composition work everywhere without a change in the
-package: each does what a law of the package does with other gains, so everything has an oracle.
+"""A user's own wrapper and own composition work everywhere without a change in the package.
+
+Each does what a law of the package does with other gains, so every result can be compared.
 """
 
 from typing import NamedTuple
@@ -34,7 +35,10 @@ GAIN = {"plant.b": Uniform(0.8, 1.2, relative=True)}
 
 
 class Kept(NamedTuple):
-    """What the wrapper keeps: the memory of its scheme under a name of its own, and a count."""
+    """What the wrapper keeps.
+
+    It keeps the memory of its scheme under a name of its own, and a count.
+    """
 
     inner: object
     trials: jax.Array
@@ -42,7 +46,7 @@ class Kept(NamedTuple):
 
 @pytree
 class Cautious(Wrapper):
-    """Learns from a share of the error, and counts its trials."""
+    """The wrapper learns from a share of the error, and counts its trials."""
 
     scheme: Scheme = child()
     caution: jax.Array = leaf(default=0.5, interval="(0, 1]")
@@ -68,7 +72,10 @@ class Both(NamedTuple):
 
 @pytree
 class Blend(Scheme):
-    """u = share u_1 + (1 - share) u_2 of two laws, each of which learns from the whole trial."""
+    """The scheme is u = share u_1 + (1 - share) u_2 of two laws.
+
+    Each law learns from the whole trial.
+    """
 
     first: Scheme = child()
     second: Scheme = child()
@@ -92,7 +99,7 @@ class Blend(Scheme):
 
 @pytree
 class Beside(Scheme):
-    """u = u_1 + u_2 of two laws that both act within the trial."""
+    """The scheme is u = u_1 + u_2 of two laws that both act within the trial."""
 
     first: Scheme = child()
     second: Scheme = child()
@@ -118,8 +125,8 @@ class Beside(Scheme):
 
 
 class Case(NamedTuple):
-    own: Scheme  # of the user
-    theirs: Scheme  # what it must equal
+    own: Scheme  # the user's scheme
+    theirs: Scheme  # the scheme of the package that must be equal
     share: str  # path of one weight
 
 

@@ -1,5 +1,6 @@
-"""Each scheme against scalar loops over trials j and samples k, written from the papers'
-equations.
+"""Each scheme is compared with scalar loops over trials j and samples k.
+
+The loops are written from the papers' equations.
 """
 
 import math
@@ -26,10 +27,8 @@ from jaxilc.signals import Task
 
 N, TRIALS = 60, 6
 R = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(N + 1) / N) + 0.05 * np.sin(1.3 * np.arange(N + 1))
-PLANTS = {
-    "printed": PRINTED,
-    "arx": tuple((*c, 0.0) for c in ARX),
-}  # of one order: compiled once for both
+# The plants have one order, so that a program is compiled once for both.
+PLANTS = {"printed": PRINTED, "arx": tuple((*c, 0.0) for c in ARX)}
 SIGN = {"printed": -1.0, "arx": 1.0}  # of the plant's gain
 
 
@@ -38,7 +37,7 @@ def everything(trial):
 
 
 def run(plant, scheme, trials=TRIALS):
-    """(J, N+1) outputs and (J, N) inputs of the package."""
+    """Return outputs (J, N+1) and inputs (J, N) of the package."""
     a, b = PLANTS[plant]
     history = learn(
         Machine(DifferenceEquation(a, b, dt=DT)), scheme, Task(R, dt=DT), trials, save=everything
@@ -47,11 +46,13 @@ def run(plant, scheme, trials=TRIALS):
 
 
 def loops(plant, learning=None, feedback=None, trials=TRIALS):
-    """The same by hand. learning.prepare(j, Y, W) before trial j, then learning.input(k, j, Y, W);
-    feedback(k, e) within the trial.
+    """Return the same outputs and inputs by hand.
 
-    Row j of Y, U, W is trial j (outputs, applied inputs, learned inputs); row 0 stands for "before
-    the first trial".
+    Before trial j learning.prepare(j, Y, W) is called, and within it learning.input(k, j, Y, W) and
+    feedback(k, e).
+
+    Row j of Y, U, W is trial j (outputs, applied inputs, learned inputs). Row 0 is the state before
+    the first trial.
     """
     a, b = PLANTS[plant]
     Y, U, W = np.zeros((trials + 1, N + 1)), np.zeros((trials + 1, N)), np.zeros((trials + 1, N))
@@ -68,7 +69,7 @@ def loops(plant, learning=None, feedback=None, trials=TRIALS):
 
 
 def error(Y, j, k):
-    """e(k, j), zero beyond the end of the trial."""
+    """Return e(k, j), which is zero beyond the end of the trial."""
     return R[k] - Y[j, k] if k <= N else 0.0
 
 
@@ -77,16 +78,18 @@ def clip(u, limit):
 
 
 def pid(form, kp, ki, kd, tau=0.0, limit=None, kv=0.0, ka=0.0):
-    """u = kp e + ki integral e dt + kd s + f, with tau s' + s = e' by the backward difference: tau
-    (s - s_)/dt + s = (e - e_)/dt.
+    """Return u = kp e + ki integral e dt + kd s + f.
 
-    f = kv r' + ka r'', central at the middle of the interval from k to k+1; r holds its ends."""
+    tau s' + s = e' is solved by the backward difference: tau (s - s_)/dt + s = (e - e_)/dt.
+
+    f = kv r' + ka r'' uses central differences at the middle of the interval from k to k+1. Beyond
+    its ends r is constant.
+    """
     was = {}
     r = np.concatenate([R[:1], R, R[-1:]])  # r[k] is R[k-1]
     velocity = np.diff(R) / DT
-    acceleration = (np.diff(r[2:]) - np.diff(r[:-2])) / (
-        2 * DT**2
-    )  # (r[k+2] - r[k+1] - (r[k] - r[k-1])) / (2 dt^2)
+    # This is (r[k+2] - r[k+1] - (r[k] - r[k-1])) / (2 dt^2).
+    acceleration = (np.diff(r[2:]) - np.diff(r[:-2])) / (2 * DT**2)
     f = np.concatenate([kv * velocity + ka * acceleration, [0.0]])
 
     def feedback(k, e):
@@ -124,9 +127,8 @@ class PIDTypeLoop:
         self.u, total = np.zeros(N), 0.0
         for k in range(N if j > 1 else 0):
             ahead = error(Y, j - 1, k + 1 + self.m)
-            difference = (
-                ahead - error(Y, j - 1, k + self.m) if k + 1 + self.m <= N else 0.0
-            )  # none reaches beyond the end
+            # No difference extends beyond the end of the trial.
+            difference = ahead - error(Y, j - 1, k + self.m) if k + 1 + self.m <= N else 0.0
             total += error(Y, j - 1, k + 1)
             self.u[k] = clip(
                 (1 - leak) * W[j - 1, k] + p * ahead + i * total + d * difference, self.limit
@@ -138,7 +140,10 @@ class PIDTypeLoop:
 
 
 class MFAILCLoop:
-    """Cao 2019, eq. 25 and 27 with reset Dai 2014 eq. 12; (12) and (13) are L_y = 0, L_u = 1."""
+    """The loop of MFAILC by Cao 2019, eq. 25 and 27, with the reset of Dai 2014, eq. 12.
+
+    Equations 12 and 13 are the case L_y = 0, L_u = 1.
+    """
 
     def __init__(
         self,
@@ -169,7 +174,7 @@ class MFAILCLoop:
 
     def prepare(self, j, Y, W):
         L_y, L_u = self.L
-        for k in range(N if j > 2 else 0):  # two trials make the first increment
+        for k in range(N if j > 2 else 0):  # two trials are needed for the first increment
             if k + 1 + self.m > N:
                 continue
             dy = [Y[j - 1, k - i] - Y[j - 2, k - i] if k >= i else 0.0 for i in range(L_y)]
@@ -200,7 +205,7 @@ class MFAILCLoop:
         if j == 1:
             return 0.0
         total = 0.0
-        for i in range(1, L_y + L_u + 1):  # the papers' index
+        for i in range(1, L_y + L_u + 1):  # the index of the papers
             if i <= L_y and k - i + 1 >= 0:
                 total += (
                     self.rho[i - 1] * self.phi[k, i - 1] * (Y[j, k - i + 1] - Y[j - 1, k - i + 1])
@@ -257,13 +262,14 @@ def test_pid(plant, form, options):
 
 
 def test_feedforward_of_the_reference_in_closed_form():
-    """An integrator follows exactly; a double integrator is moved by the mean acceleration, y[k] =
-    (r[k+1] + 2 r[k] + r[k-1]) / 4.
+    """The feedforward of the reference has a closed form.
+
+    An integrator follows exactly. A double integrator is moved by the mean acceleration,
+    y[k] = (r[k+1] + 2 r[k] + r[k-1]) / 4.
     """
     t = np.linspace(0.0, 1.0, N - 1)
-    r = np.concatenate(
-        [[0.0, 0.0], t**3 * (10 - 15 * t + 6 * t**2)]
-    )  # at rest for the first two samples
+    # The reference is at rest for the first two samples.
+    r = np.concatenate([[0.0, 0.0], t**3 * (10 - 15 * t + 6 * t**2)])
     integrator = StateSpace([[0.0]], [[1.0]], [[1.0]])
     y = learn(Machine(integrator), PID(kv=1.0), Task(r, dt=DT), 1).final.y[:, 0]
     np.testing.assert_allclose(y, r, **ALGEBRA)
@@ -273,8 +279,8 @@ def test_feedforward_of_the_reference_in_closed_form():
     np.testing.assert_allclose(
         y[1:], (held[2:] + 2 * held[1:-1] + held[:-2]) / 4, rtol=1e-9, atol=1e-11
     )
-    # with feedback on top, the error stays near the curvature of the reference within a sample,
-    # dt^2 r'' / 4
+    # With the feedback added, the error stays near the curvature of the reference within a sample,
+    # dt^2 r'' / 4.
     e = learn(Machine(mass), PID(kp=400.0, kd=40.0, ka=1.0), Task(r, dt=DT), 1).final.e[:, 0]
     assert np.max(np.abs(e)) < 1.1 * np.max(np.abs(np.diff(r, 2))) / 4
     assert np.max(np.abs(e)) < 1e-2 * np.max(
@@ -284,8 +290,10 @@ def test_feedforward_of_the_reference_in_closed_form():
 
 @pytest.mark.parametrize("form", ["position", "increment"])
 def test_feedforward_is_the_feedbacks_share(form):
-    """The learning part is shown its own share only; gains of zero leave every number of plain PID
-    as it is.
+    """The feedforward of the reference belongs to the feedback.
+
+    The learning law gets its own part of the input only. With gains of zero every number is that of
+    plain PID.
     """
     gains, law = (
         {"kp": 0.8, "ki": 20.0, "kd": 2e-4, "kv": 0.02, "ka": 1e-5},
@@ -347,7 +355,10 @@ OPTIONS = {
 
 
 def mfailc(plant, law, options):
-    """(scheme of the package, loop) with a start value that is right in sign and little more."""
+    """Return a scheme of the package and its loop.
+
+    The start value has the right sign, but is otherwise inaccurate.
+    """
     kind, L_y, L_u = WINDOWS[law]
     start = {"printed": [0.5, -0.1, -0.06, 0.02, 0.01], "arx": [0.5, -0.1, 0.2, 0.05, 0.02]}[plant]
     phi0 = start[:L_y] + start[2 : 2 + L_u]
@@ -381,7 +392,10 @@ def test_mfailc(plant, law, options):
 
 
 def fir(u):
-    """0.5 u(k) + 0.2 (u(k-1) + u(k+1)) + 0.05 (u(k-2) + u(k+2)), end values held."""
+    """Return u filtered by symmetric weights, with the end values held.
+
+    It is 0.5 u(k) + 0.2 (u(k-1) + u(k+1)) + 0.05 (u(k-2) + u(k+2)).
+    """
     taps = {0: 0.5, 1: 0.2, -1: 0.2, 2: 0.05, -2: 0.05}
     return np.array(
         [sum(tap * u[min(max(k + i, 0), N - 1)] for i, tap in taps.items()) for k in range(N)]
@@ -415,8 +429,9 @@ def test_filtered(law, q):
 
 @pytest.mark.parametrize("law", ["p_type", "filtered", "ffdl"])
 def test_with_feedback(law):
-    """Learned feedforward over a PID loop: the learning part knows its own share of the input
-    only.
+    """A learned feedforward acts together with a PID loop.
+
+    The learning law gets its own part of the input only.
     """
     gains = {"kp": 0.8, "ki": 20.0, "kd": 2e-4}
     if law == "ffdl":
@@ -432,14 +447,14 @@ def test_with_feedback(law):
 
 
 def test_feedback_loops_nest():
-    """Two proportional loops are one with the sum of the gains, whichever way they are nested."""
+    """Two nested proportional loops are one loop with the sum of their gains, in either order."""
     law = PIDType(gamma_p=0.6, lead=1)
     expected = run("arx", WithFeedback(law, PID(kp=0.7)))
     assert_equal(run("arx", WithFeedback(WithFeedback(law, PID(kp=0.5)), PID(kp=0.2))), expected)
 
 
 def test_on_outputs():
-    """A scheme that sees output 1 of (0, 1) learns from that one alone."""
+    """A scheme that gets output 1 of (0, 1) learns from that output alone."""
     A, B, C = np.array([[0.9, 0.1], [0.3, 0.6]]), np.array([0.2, 0.0]), np.eye(2)
     r = np.stack([0 * R, R], axis=1)
     scheme = OnOutputs(PIDType(gamma_p=0.5, lead=1), (1,))
@@ -464,8 +479,10 @@ def test_on_outputs():
 
 
 def test_ffdl_with_the_true_model_takes_off_a_share_rho_of_the_error_in_each_trial():
-    """Eq. (25) with Phi the ARX vector and lam -> 0 gives e_{j+1} = (1 - rho_c) e_j: deadbeat in
-    one trial for rho_c = 1.
+    """FFDL with the true model reduces the error by the factor 1 - rho_c in each trial.
+
+    Equation 25 with Phi the ARX vector and lam -> 0 gives e_{j+1} = (1 - rho_c) e_j. For rho_c = 1
+    it is deadbeat in one trial.
     """
     a, b = ARX
     for rho, share in ((1.0, 0.0), ((1.0, 1.0, 0.6, 1.0), 0.4)):

@@ -1,5 +1,6 @@
-"""Sliding mode control, learning over it and their theory, against scalar loops written from Xu
-2024 and closed forms.
+"""Sliding mode control, learning over it and their theory are tested.
+
+They are compared with scalar loops written from Xu 2024, and with closed forms.
 """
 
 import dataclasses
@@ -30,7 +31,7 @@ from jaxilc.signals import Task, Trial
 from jaxilc.theory import contraction, frequency
 from jaxilc.theory.sliding import printed_condition, sampled_condition, sliding, within_layer
 
-# Xu 2024, section 5.2, in um and V
+# The numbers are from Xu 2024, section 5.2, in um and V.
 A1, A2, B = 2.413e6, 70.16, 2.229e7
 MODEL = {"a1": A1, "a2": A2, "b": B}
 DT, N = 1e-4, 250  # a period of the paper's 40 Hz
@@ -38,7 +39,7 @@ LAM1, LAM2 = 500.0, 0.3
 
 
 def plant(dt=DT):
-    """The printed second-order system, sampled by scipy."""
+    """Return the printed second-order system, sampled by scipy."""
     continuous = (
         np.array(M) for M in ([[0.0, 1.0], [-A1, -A2]], [[0.0], [B]], [[1.0, 0.0]], [[0.0]])
     )
@@ -51,12 +52,12 @@ def time(n=N, dt=DT):
 
 
 def bump(n=N, dt=DT):
-    """20 um peak to peak, starting and ending at rest, at 40 Hz."""
+    """Return a motion of 20 um peak to peak at 40 Hz that starts and ends at rest."""
     return 10.0 * (1 - np.cos(2 * np.pi * 40 * time(n, dt)))
 
 
 def force(n=N, dt=DT):
-    """A disturbance at the input, the same in each trial [V]."""
+    """Return a disturbance at the input that is the same in each trial [V]."""
     t = time(n, dt)[:-1]
     return 0.05 * np.sin(2 * np.pi * 40 * t - 1) + 0.03 * np.sin(2 * np.pi * 120 * t)
 
@@ -64,9 +65,8 @@ def force(n=N, dt=DT):
 PLANT = plant()
 TASK = Task(bump(), dt=DT)
 FREE = Machine(PLANT, disturbance=Disturbance(input=np.zeros((N, 1))))
-FORCED = Machine(
-    PLANT, disturbance=Disturbance(input=force()[:, None])
-)  # of one structure, so compiled once for both
+# The structure is the same, so that a program is compiled once for both.
+FORCED = Machine(PLANT, disturbance=Disturbance(input=force()[:, None]))
 
 one_trial, loop_of = jax.jit(run_trial), jax.jit(frequency.linear_loop)
 
@@ -77,7 +77,7 @@ def run(machine, scheme, task=TASK) -> Trial:
 
 
 def control(weights, adaptive, eq, fast, eta_hat, integral, *, grows):
-    """sigma, eta_hat and u of eq. 6 to 13, with fast = e' + lam1 e."""
+    """Return sigma, eta_hat and u of eq. 6 to 13, with fast = e' + lam1 e."""
     sigma = fast + LAM2 * integral
     gain = eta_hat + DT * weights["phi"] * abs(sigma) if grows else eta_hat
     switch = (
@@ -87,7 +87,10 @@ def control(weights, adaptive, eq, fast, eta_hat, integral, *, grows):
 
 
 class Loop:
-    """One trial of Xu 2024, eq. 5 to 13, by hand: y (N+1,) and u, sigma, eta_hat (N,)."""
+    """The loop runs one trial of Xu 2024, eq. 5 to 13, by hand.
+
+    It holds y (N+1,) and u, sigma, eta_hat (N,).
+    """
 
     def __init__(
         self,
@@ -189,8 +192,10 @@ def test_the_gain_adapts_outside_the_dead_zone_only():
 
 @pytest.mark.parametrize("phi", [1e5, 5e6])
 def test_too_quick_an_adaptation_runs_away(phi):
-    """The gain stays below the limit of the sampled loop, or passes it and grows on with the
-    oscillation that it causes.
+    """Adaptation that is too fast runs away.
+
+    The gain either stays below the limit of the sampled loop, or exceeds it and continues to grow
+    with the oscillation that it causes.
     """
     gain = np.asarray(
         run(FORCED, ASMC(**MODEL, k_n=1000.0, phi=phi, epsilon=0.01, Delta=100.0)).signals[
@@ -227,7 +232,10 @@ LEARNING = {"K_P": 6e5, "K_D": 1.5e3, "lam0": 12.0, "b": B}
 
 @pytest.mark.parametrize(("lead", "limit"), [(0, None), (2, 0.04)])
 def test_learning_equals_the_equations(lead, limit):
-    """u_ilc / b of eq. 26 next to the feedback, trial by trial; the derivative is central."""
+    """Learning equals the equations, trial by trial.
+
+    u_ilc / b of eq. 26 is added to the feedback, and the derivative is central.
+    """
     scheme = WithFeedback(ExponentialPD(**LEARNING, lead=lead, limit=limit), ASMC(**ADAPTIVE))
     history = learn(FORCED, scheme, TASK, 3, save=signals)
     learned, r = np.zeros(N), bump()
@@ -251,8 +259,9 @@ def test_learning_equals_the_equations(lead, limit):
 
 
 def test_both_signs_of_the_error_push_towards_the_reference():
-    """e = y - r in the feedback and e = r - y in the learning part: below the reference both raise
-    u.
+    """Both signs of the error act towards the reference.
+
+    The feedback uses e = y - r and the learning part e = r - y. Below the reference both raise u.
     """
     ramp = np.minimum(np.arange(N + 1.0), 1.0)
     task = Task(ramp, dt=DT)
@@ -282,8 +291,9 @@ def test_learning_reduces_the_repetitive_error_from_trial_to_trial():
 
 
 def test_the_derivative_is_of_zero_phase():
-    """A sine comes out of the central difference as its derivative times sin(w dt) / (w dt),
-    without shift.
+    """The derivative has zero phase.
+
+    The central difference of a sine is its derivative times sin(w dt) / (w dt), without a shift.
     """
     w, i = 2 * np.pi * 200, np.arange(N + 1)
     e = np.sin(w * DT * i)
@@ -341,7 +351,9 @@ def test_gradients_through_the_switching():
 
 
 def test_sigma_slides_in_a_band_proportional_to_the_sample_time():
-    """On the exact model, without a disturbance: |sigma| <= (eta + 2 |f|) dt, so of first order in
+    """Sigma slides in a band that is proportional to the sample time.
+
+    On the exact model, without a disturbance, |sigma| <= (eta + 2 |f|) dt, which has first order in
     dt, and |e| < |sigma| / lam1.
     """
     bands, errors, steps = [], [], (2e-4, 1e-4, 5e-5)
@@ -366,8 +378,10 @@ def test_sigma_slides_in_a_band_proportional_to_the_sample_time():
 
 @pytest.mark.parametrize("ratio", [0.7, 1.5])
 def test_a_matched_disturbance_is_held_below_eta_and_not_above(ratio):
-    """Above, sigma settles where the reaching rate makes up for what is missing: sigma = (f - eta)
-    / k_n, e = sigma / lam1.
+    """A matched disturbance is rejected below eta and not above.
+
+    Above, sigma settles where the reaching rate supplies the missing part: sigma = (f - eta) / k_n,
+    e = sigma / lam1.
     """
     eta, k_n = 1e6, 800.0
     machine = Machine(PLANT, disturbance=Disturbance(input=np.full((N, 1), ratio * eta / B)))
@@ -391,8 +405,10 @@ def test_a_matched_disturbance_is_held_below_eta_and_not_above(ratio):
 
 
 def test_the_boundary_layer_holds_a_disturbance_with_the_reaching_rate_as_well():
-    """A constant f settles at sigma = f / (k_n + eta / Delta) within the layer, even with eta < f <
-    eta + k_n Delta.
+    """In the boundary layer the reaching rate also acts against a disturbance.
+
+    A constant f settles at sigma = f / (k_n + eta / Delta) within the layer, even with
+    eta < f < eta + k_n Delta.
     """
     f, scheme = 1.2e6, ASMC(**MODEL, eta=1e6, phi=0.0, k_n=1000.0, Delta=600.0, lam2=0.0)
     trial = run(
@@ -437,8 +453,10 @@ def test_within_the_layer_the_loop_is_that_of_a_steeper_reaching_law():
 
 @pytest.mark.parametrize("tau", [0.0, 2e-4])
 def test_the_sampled_loop_is_stable_up_to_two_over_dt(tau):
-    """lam1 + k_n + eta / Delta < 2 / dt, about, with the velocity from differences, whatever tau,
-    as long as lam1 is small.
+    """The sampled loop is stable up to about 2 / dt.
+
+    The condition is lam1 + k_n + eta / Delta < 2 / dt, with the velocity from differences. It holds
+    for every tau, if lam1 is small.
     """
     for factor, stable in ((0.97, True), (1.08, False)):
         scheme = SMC(**MODEL, eta=0.0, k_n=factor * 2 / DT - 5.0, lam1=5.0, tau=tau)
@@ -446,8 +464,9 @@ def test_the_sampled_loop_is_stable_up_to_two_over_dt(tau):
 
 
 def test_the_printed_condition_is_its_inequality():
-    """G (K_P^2 + w^2 K_D^2) < 2 (K_P lam2 + w^2 (K_D lam1 - K_P)), at the start and at the end of
-    the trial.
+    """The printed condition is its inequality, at the start and at the end of the trial.
+
+    G (K_P^2 + w^2 K_D^2) < 2 (K_P lam2 + w^2 (K_D lam1 - K_P)).
     """
     rng, w, seen = np.random.default_rng(0), 2 * np.pi * np.geomspace(1.0, 5000.0, 300), set()
     for _ in range(20):
@@ -469,8 +488,10 @@ GAINS = {"good": (6e5, 1.5e3), "too_much": (2e6, 3e4)}
 
 @pytest.mark.parametrize("gains", GAINS)
 def test_the_conditions_tell_what_learning_does(gains):
-    """With the reaching rate in the loop: eq. 36, the sampled condition, and simulation, on a loop
-    that is linear.
+    """The conditions predict what learning does, on a loop that is linear.
+
+    The reaching rate is in the loop. Equation 36, the sampled condition and simulation are
+    compared.
     """
     K_P, K_D = GAINS[gains]
     learning, feedback = (
@@ -520,8 +541,10 @@ def test_the_sampled_condition_looks_at_the_layer():
 
 
 def test_the_nonlinear_learning_map_is_differentiated_as_a_whole():
-    """ILC-ASMC, adapting and saturating: the Lanczos value is that of the dense Jacobian; it is
-    claimed only where the map is affine.
+    """The nonlinear learning map is differentiated as a whole.
+
+    ILC-ASMC adapts and saturates. The Lanczos value is that of the dense Jacobian. It is claimed
+    only where the map is affine.
     """
     n, dt = 40, 5e-4
     task = Task(bump(n, dt), dt=dt)

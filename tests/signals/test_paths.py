@@ -1,7 +1,7 @@
-"""Planned paths and contour errors.
+"""These tests check planned paths and contour errors.
 
-Paths are tested against closed forms and a phase-plane integration, contour errors against closed
-forms and brute force.
+Paths are compared with closed forms and a phase-plane integration, contour errors with closed forms
+and a full search.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from jaxilc.signals.references import s_curve_move
 
 LIMITS = {"feed": 100.0, "acceleration": 2000.0, "jerk": 1e5}
 GENTLE = {"feed": 30.0, "acceleration": 300.0, "jerk": 8e3}
-SLACK = 1e-6  # of the limits on the sampled reference: rounding of its differences
+SLACK = 1e-6  # relative to the limits on the sampled reference: rounding of its differences
 
 
 def ellipse(s):
@@ -40,7 +40,7 @@ def parabola(s):
 
 
 def derivatives(signal, dt):
-    """First to third differences of a sampled signal at rest before and after."""
+    """Return the first three differences of a sampled signal that is at rest before and after."""
     held = np.pad(signal, ((3, 3), (0, 0)), mode="edge")
     return [np.diff(held, i, axis=0) / dt**i for i in (1, 2, 3)]
 
@@ -77,7 +77,7 @@ def test_the_sampled_reference_keeps_its_limits_and_uses_them(name):
         else:
             use += [np.max(np.linalg.norm(values, axis=1)) / limit, np.max(np.abs(path)) / limit]
     assert max(use) <= 1 + SLACK
-    assert max(use) > 0.98 or name == "coarse"  # few samples blur what lies between them
+    assert max(use) > 0.98 or name == "coarse"  # with few samples the peaks between them are missed
     assert_array_equal(planned.reference[[0, -1]], curve(np.array(interval, float)))
 
 
@@ -124,8 +124,10 @@ def test_a_straight_line_takes_the_time_of_the_closed_form(distance, acceleratio
 
 
 def test_a_sample_time_too_short_for_differences_is_no_endless_task():
-    """At 3 us the rounding of positions alone, 1e-13 mm / dt^3, passes the jerk limit; stretching
-    would not cure it.
+    """Planning ends even where the sample time is too short for differences.
+
+    At 3 us the rounding of positions alone, 1e-13 mm / dt^3, exceeds the jerk limit, and a longer
+    motion would not change that.
     """
     planned = plan(line((1000.0, 0.0), (1003.0, 0.0)), (0, 1), dt=3e-6, **GENTLE)
     best = s_curve_move(
@@ -154,7 +156,10 @@ def test_limits_of_each_axis_are_those_of_the_axis_that_binds():
     ids=["acceleration", "jerk"],
 )
 def test_a_circle_is_driven_at_the_speed_of_the_closed_form(jerk, speed):
-    """a = v^2 / r, or v^3 / r^2 = jerk where that is less."""
+    """A circle is driven at the speed of the closed form.
+
+    a = v^2 / r, or v^3 / r^2 = jerk where that speed is lower.
+    """
     planned = plan(
         circle(20.0, centre=(3.0, 4.0)),
         (0, 12 * np.pi),
@@ -167,8 +172,10 @@ def test_a_circle_is_driven_at_the_speed_of_the_closed_form(jerk, speed):
 
 
 def test_with_much_jerk_a_curve_takes_the_time_of_phase_plane_integration():
-    """The classical optimum without a jerk limit: |(kappa v^2, v dv/ds)| <= a, integrated forward
-    and backward in a plain loop.
+    """With a large jerk limit a curve takes the time of a phase-plane integration.
+
+    This is the classical optimum without a jerk limit: |(kappa v^2, v dv/ds)| <= a, integrated
+    forward and backward in a plain loop.
     """
     s = np.linspace(0, 2 * np.pi, 40_001)
     d1, d2 = np.stack([-20 * np.sin(s), 8 * np.cos(s)]), -ellipse(s).T
@@ -215,7 +222,7 @@ def test_a_jump_of_curvature_is_passed_slowly():
 
 
 def test_nurbs_is_the_rational_sum():
-    """A quarter circle of weights 1, 2^(-1/2), 1 is exact."""
+    """A NURBS is the rational sum: a quarter circle of weights 1, 2^(-1/2), 1 is exact."""
     s = np.linspace(0, 1, 11)
     points = nurbs([[1, 0], [1, 1], [0, 1]], [0, 0, 0, 1, 1, 1], [1, np.sqrt(0.5), 1])(s)
     assert_allclose(np.hypot(*points.T), 1, **ALGEBRA)
@@ -229,10 +236,12 @@ def test_butterfly_has_two_equal_wings():
 
 
 def test_butterfly_of_ten_thousand_samples():
-    """A feed of 20.27 mm/s, begun after 497 samples of rest, brings the notches and the tail to
-    three of the four sharp points that Li 2020 names, samples 2915, 5249 and 7576 of 2 ms; two
-    numbers fitted to a picture. The fourth, 6093, is 385 samples past the nearest sharp point of
-    this curve.
+    """The butterfly is planned with ten thousand samples.
+
+    A feed of 20.27 mm/s, after 497 samples of rest, puts the notches and the tail at three of the
+    four sharp points that Li 2020 names: samples 2915, 5249 and 7576 of 2 ms. Two numbers were
+    fitted to a picture. The fourth sharp point, 6093, is 385 samples past the nearest sharp point
+    of this curve.
     """
     dt = 2e-3
     limits = {"feed": 20.27, "acceleration": 1000.0, "jerk": 1e5}
@@ -243,10 +252,9 @@ def test_butterfly_of_ten_thousand_samples():
     assert_allclose(np.array([notch, tail, other]) + 497, [2915, 5249, 7576], atol=8)
     assert 9000 < len(planned.reference) < 10_500
     for k in (notch, spike, other):
-        assert (
-            np.min(planned.speed[k - 5 : k + 6]) < 0.5 * limits["feed"]
-        )  # slow where it is sharp,
-    assert np.mean(planned.speed > 0.99 * limits["feed"]) > 0.9  # and nowhere else
+        # The motion is slow at the sharp points.
+        assert np.min(planned.speed[k - 5 : k + 6]) < 0.5 * limits["feed"]
+    assert np.mean(planned.speed > 0.99 * limits["feed"]) > 0.9  # and slow at no other point
     _, acceleration, jerk = derivatives(planned.reference, dt)
     assert np.max(np.linalg.norm(acceleration, axis=1)) <= limits["acceleration"] * (1 + SLACK)
     assert np.max(np.linalg.norm(jerk, axis=1)) <= limits["jerk"] * (1 + SLACK)
@@ -358,11 +366,13 @@ ANGLES = np.linspace(0, 2 * np.pi, 401)
 
 
 def test_on_a_circle_it_is_the_error_of_the_radius():
-    """Anticlockwise the inside is on the left; the chords lie inside by r (1 - cos(half a step)) at
-    most.
+    """On a circle the contour error is the error of the radius.
+
+    In anticlockwise motion the inside is on the left. The chords lie inside by r (1 - cos(half a
+    step)) at most.
     """
     radius = 10 + 0.05 * np.cos(3 * ANGLES)
-    lagging = ANGLES - 0.02  # a lag along the path is no contour error
+    lagging = ANGLES - 0.02  # a lag along the path is not a contour error
     y = radius[:, None] * circle(1.0)(lagging)
     error = contour_error(y, circle(10.0)(ANGLES), window=5)
     assert_allclose(error, 10 - radius, atol=10 * (1 - np.cos(np.pi / 400)) * 1.01)
@@ -375,13 +385,16 @@ def test_on_a_line_it_is_the_signed_offset():
     offset = np.sin(k)
     y = path - 2.3 * np.array([0.6, 0.8]) + offset[:, None] * [-0.8, 0.6]
     assert_allclose(contour_error(y, path, window=4)[3:], offset[3:], **ALGEBRA)
-    # before the start of the path it is the distance from the start, with the sign of its side
+    # Before the start of the path it is the distance from the start, with the sign of its side.
     assert_allclose(contour_error(y, path, window=4)[0], np.hypot(2.3, offset[0]), **ALGEBRA)
     assert_allclose(contour_error(y[1:2], path, window=40)[0], np.hypot(1.3, offset[1]), **ALGEBRA)
 
 
 def brute_force(point, path):
-    """The least distance from the chords, each at the best of three candidates in a plain loop."""
+    """Return the least distance from the chords, found in a plain loop.
+
+    For each chord it is the best of three candidates.
+    """
     best = np.inf
     for a, b in itertools.pairwise(path):
         foot = np.dot(point - a, b - a) / np.dot(b - a, b - a)
@@ -392,7 +405,7 @@ def brute_force(point, path):
 
 @pytest.fixture(scope="module")
 def measured():
-    """A wing of the butterfly, its notch included, and a motion that lags and shakes."""
+    """Return a wing of the butterfly with its notch, and a motion that lags and oscillates."""
     path = butterfly()(np.linspace(0.22, 0.3, 121))
     rng = np.random.default_rng(3)
     y = path[np.maximum(np.arange(121) - 4, 0)] + 0.05 * rng.standard_normal((121, 2))
@@ -425,8 +438,10 @@ def test_a_denser_path_is_found_in_proportion(measured):
 
 
 def test_a_closed_path_has_no_start():
-    """A tool that lags on an ellipse is measured from the path's last part first, and is as far
-    from it there as anywhere else.
+    """A closed path has no start.
+
+    A tool that lags on an ellipse is first measured from the last part of the path. Its distance
+    there is the same as at every other place.
     """
     path = np.stack([4.0 * np.cos(ANGLES), 1.5 * np.sin(ANGLES)], axis=-1)
     lagging = ANGLES - 0.07 + 0.03 * np.sin(5 * ANGLES)
@@ -446,9 +461,8 @@ def test_a_closed_path_has_no_start():
     as_if_open = np.abs(contour_error(y, path, window=12, closed=False))
     assert_allclose(as_if_open[12:], expected[12:], **ALGEBRA)
     assert np.max(as_if_open) > 0.08 > 5 * np.max(expected)
-    nearly = (
-        path + 1e-4 * np.linspace(0, 1, 401)[:, None]
-    )  # its ends do not meet, but it can be said that it goes on
+    # The ends of the path do not meet, but an option says that it is closed.
+    nearly = path + 1e-4 * np.linspace(0, 1, 401)[:, None]
     assert np.max(np.abs(contour_error(y, nearly, window=12))) > 0.08
     assert_allclose(np.abs(contour_error(y, nearly, window=12, closed=True)), expected, atol=2e-4)
     with pytest.raises(
@@ -491,7 +505,10 @@ def test_vmapped_it_equals_a_loop(measured):
 
 
 def test_it_is_saved_by_learning():
-    """A table of two equal axes, whose tracking error halves with each trial."""
+    """The contour error can be saved while learning.
+
+    The task has two equal axes, and the tracking error is halved in each trial.
+    """
     dt = 1e-2
     planned = plan(ellipse, (0, 2 * np.pi), dt=dt, **LIMITS)
     table = StateSpace(0.5 * np.eye(2), 0.5 * np.eye(2), np.eye(2), x0=planned.reference[0], dt=dt)

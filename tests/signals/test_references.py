@@ -1,4 +1,4 @@
-"""References against closed forms, and against scipy and linear programming."""
+"""References are compared with closed forms, with scipy and with linear programming."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from jaxilc.signals.references import (
 )
 
 LIMITS = {"velocity": 100.0, "acceleration": 2000.0, "jerk": 1e5}
-# distance [mm], limits, and the closed-form time [s] of each of the four cases
+# Each row has distance [mm], limits, and the closed-form time [s] of one of the four cases.
 MOVES = {
     "all limits reached": (30.0, LIMITS, 30 / 100 + 100 / 2000 + 2000 / 1e5),
     "no acceleration limit": (
@@ -113,18 +113,16 @@ def test_move_takes_the_closed_form_time(case):
 
 
 def farthest(duration, *, velocity, acceleration, jerk, segments=100):
-    """The farthest rest-to-rest move in `duration`, by linear programming over the jerk of equal
-    segments; limits at their ends.
+    """Return the length of the longest rest-to-rest move in `duration`, by linear programming.
+
+    The unknowns are the jerks of equal segments; the limits hold at the ends of the segments.
     """
     h = duration / segments
-    after = np.arange(1, segments + 1)[:, None] - np.arange(
-        segments
-    )  # segments since the start of each jerk's, once it has begun
+    # `after` is the number of segments since the start of each segment's jerk, once it has begun.
+    after = np.arange(1, segments + 1)[:, None] - np.arange(segments)
     begun = after > 0
-    a, v = (
-        jerk * h * begun,
-        jerk * h**2 * (after - 0.5) * begun,
-    )  # of the unknowns, jerk as a part of its limit
+    # The matrices act on the unknowns, which are the jerks relative to their limit.
+    a, v = (jerk * h * begun, jerk * h**2 * (after - 0.5) * begun)
     p_end = jerk * h**3 * (after[-1] ** 2 / 2 - after[-1] / 2 + 1 / 6)
     within = np.vstack([a / acceleration, -a / acceleration, v / velocity, -v / velocity])
     rest = np.vstack([a[-1] / acceleration, v[-1] / velocity])
@@ -165,8 +163,8 @@ def test_profile_is_consistent_and_ends_exactly(case, sign):
     assert (p[-1], v[-1], a[-1]) == (sign * distance, 0, 0)
     assert np.all(sign * np.diff(p) >= 0)
     assert set(np.abs(j)) <= {0, limits["jerk"]}
-    # Trapezoids miss each of the eight switches of the jerk by up to one step, and a and v by the
-    # second order of h.
+    # The trapezoidal rule misses each of the eight switches of the jerk by up to one step, and a
+    # and v by the second order of h.
     assert_allclose(np.cumsum((j[1:] + j[:-1]) / 2 * h), a[1:], atol=8 * limits["jerk"] * h)
     assert_allclose(np.cumsum((a[1:] + a[:-1]) / 2 * h), v[1:], atol=1e-6 * limits["velocity"])
     assert_allclose(np.cumsum((v[1:] + v[:-1]) / 2 * h), p[1:], atol=1e-6 * distance)
@@ -181,9 +179,8 @@ def test_move_rests_outside():
 
 def test_jerk_between_the_switching_times():
     move = SCurveMove(6.0, 1.0, (1.0, 0.5, 1.0, 0.0, 1.0, 0.5, 1.0))
-    assert_array_equal(
-        move.at([0.5, 1.25, 2.0, 2.5, 3.0, 3.75, 4.5])[3], [1, 0, -1, -1, -1, 0, 1]
-    )  # 2.5 s is the middle
+    # The middle of the motion is at 2.5 s.
+    assert_array_equal(move.at([0.5, 1.25, 2.0, 2.5, 3.0, 3.75, 4.5])[3], [1, 0, -1, -1, -1, 0, 1])
 
 
 def test_no_distance_takes_no_time():
@@ -194,10 +191,9 @@ def test_no_distance_takes_no_time():
 
 def test_move_time_is_continuous_where_the_cases_meet():
     v, a, j = LIMITS.values()
-    for border in (
-        v**2 / a + v * a / j,
-        2 * a**3 / j**2,
-    ):  # velocity limit just reached, acceleration limit just reached
+    # The velocity limit is just reached at the first distance, the acceleration limit at the
+    # second.
+    for border in (v**2 / a + v * a / j, 2 * a**3 / j**2):
         below, at, above = (
             s_curve_move(border * (1 + x), **LIMITS).duration for x in (-1e-9, 0, 1e-9)
         )
@@ -236,9 +232,8 @@ def test_s_curve_holds_its_end():
     assert len(r) == 1001
     assert_array_equal(r[370:], 30.0)
     assert r[369] < 30.0
-    assert_array_equal(
-        r[:371], s_curve([0.0, 30.0], **LIMITS, dt=1e-3)
-    )  # 0.37 s is a whole number of samples but for rounding
+    # Up to rounding, 0.37 s is a whole number of samples.
+    assert_array_equal(r[:371], s_curve([0.0, 30.0], **LIMITS, dt=1e-3))
 
 
 # Identification and turning
@@ -269,9 +264,8 @@ def test_a_plain_oval_is_a_cosine():
 
 
 def test_noncircular_meets_equation_28_at_the_oval_axes():
-    r = noncircular(
-        **TURNING
-    )  # Z runs over the length in one revolution of 4 s; the cosine is 1, -1, ... every second
+    # Z covers the length in one revolution of 4 s; the cosine is 1, -1, ... every second.
+    r = noncircular(**TURNING)
     G = 0.4 + 0.6 * (1 - np.cos(np.pi * np.array([0, 0.25, 0.5, 0.75, 1]))) / 2
     D = 0.1 * np.array([0, 0.75, 1, 0.75, 0])
     y = D / 2 + G / 4 - G * np.array([1, -1, 1, -1, 1])

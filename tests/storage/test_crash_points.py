@@ -1,5 +1,6 @@
-"""Killed between any two things that are done to its folder, a sweep, a tuning and a campaign go on
-to the same numbers.
+"""A sweep, a tuning and a campaign that are killed continue to the same numbers.
+
+The process is killed between any two operations on the folder.
 """
 
 import dataclasses
@@ -27,7 +28,10 @@ def nothing_left_over(folder):
 
 @pytest.fixture
 def without_waiting(monkeypatch):
-    """Nothing waits for the disk: only a power failure, and no kill, loses what was written."""
+    """Let nothing wait for the disk.
+
+    Only a power failure loses written data; killing the process does not.
+    """
     monkeypatch.setattr(files.os, "fsync", lambda _: None)
 
 
@@ -107,7 +111,10 @@ def test_a_campaign_goes_on_from_every_state_of_its_folder(tmp_path, without_wai
     ]
 
     def go_on(folder):
-        """What is learned from two trials, however many were learned from already."""
+        """Return what a campaign learned from two trials.
+
+        It may have learned from some of them before.
+        """
         begun = folder.is_dir() and any(not f.name.startswith(UNFINISHED) for f in folder.iterdir())
         campaign = (
             Campaign.open(folder, scheme, task) if begun else Campaign.start(folder, scheme, task)

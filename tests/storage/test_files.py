@@ -1,4 +1,7 @@
-"""Files and folders are whole or not there at every moment, leftovers go, and JSON is strict."""
+"""Files and folders are complete or absent at every moment.
+
+Leftovers are removed, and JSON is strict.
+"""
 
 import json
 import os
@@ -41,7 +44,7 @@ def test_results_are_whole_at_every_moment(tmp_path):
     dataset, axes = xr.Dataset({"rms": ("trial", np.arange(3.0))}), Figure().subplots()
     out, numbers = tmp_path / "out", {"worst": float("inf"), "rows": [float("nan")] * 50}
     with recorded(out, tmp_path) as states:
-        for _ in range(2):  # the second time in place of the first
+        for _ in range(2):  # the second time it replaces the first
             written([], out / "numbers.json", numbers)
             write_parameters(out / "params.json", "axis", {"pid": {"kp": 1.0}}, {})
             figures.save(axes, out / "figure.png")
@@ -111,7 +114,7 @@ def test_a_name_that_another_process_takes_for_a_leftover_is_given_up(tmp_path, 
     locked, tried = files._locked, []
 
     def too_late(path):
-        """The first name is removed by another process before it is locked."""
+        """Another process removes the first name before it is locked."""
         tried.append(path)
         if len(tried) == 1:
             path.unlink()

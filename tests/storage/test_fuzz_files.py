@@ -1,8 +1,6 @@
-"""Files from outside, damaged or made by nobody who read a manual: plant files, parameter files,
-CSV, .mat.
+"""Files from outside are damaged or invalid: plant files, parameter files, CSV, .mat.
 
-See fuzz.py for how to run more. A file is refused with a ValueError, or read to something finite;
-nothing else.
+A file is refused with a ValueError, or read to finite numbers. fuzz.py says how to run more cases.
 """
 
 import json
@@ -119,7 +117,7 @@ FILES = (
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """Here trials are short; how long one may be is planned elsewhere."""
+    """Return a folder, and make trials short; their length is planned elsewhere."""
     whole = references._time
 
     def of_moderate_length(function, duration, dt, *arrays):
@@ -155,9 +153,8 @@ def test_plant_files(folder):
     for tree in FILES:
         (folder / "good.json").write_text(json.dumps(tree))
         read_scenario(folder / "good.json")
-    assert (
-        fuzz(60, attempt, (ValueError, OSError)) > 1
-    )  # another file may be named, that is not there
+    # A damaged file may name another file that does not exist.
+    assert fuzz(60, attempt, (ValueError, OSError)) > 1
 
 
 TOML = """name = "axis"
@@ -255,7 +252,7 @@ def test_mat_files(folder, packed):
         found = read_measured(path, ONE)
         assert found.y.shape == (21, 1)
         assert np.all(np.isfinite(found.y))
-        if packed:  # zlib's checksum finds every change
+        if packed:  # the checksum of zlib finds every change
             np.testing.assert_array_equal(found.y, signals["y"])
 
     fuzz(200, attempt)

@@ -1,5 +1,6 @@
-"""Files that would stop or fill whoever reads them: devices, pipes, folders, deep nesting, bombs.
-Refused at once, in little memory.
+"""Files that would stop the reader or fill its RAM are refused at once, with little RAM.
+
+These are devices, pipes, folders, deep nesting, and compressed files that unpack to a huge size.
 """
 
 import json
@@ -141,8 +142,10 @@ def test_arrays_and_text_are_those_that_scipy_reads(tmp_path, packed):
 
 
 def test_the_order_of_bytes_is_that_of_the_file(tmp_path):
-    """As MATLAB on a processor of the other order writes it: header, then one array `y` of two
-    doubles, and `s`, a text of two letters.
+    """The byte order is that of the file.
+
+    The file is as MATLAB writes it on a processor of the other byte order: a header, then one array
+    `y` of two doubles, and `s`, a text of two letters.
     """
 
     def element(kind, data):
@@ -167,7 +170,7 @@ def test_the_order_of_bytes_is_that_of_the_file(tmp_path):
 
 
 def of_bombs(tmp_path):
-    """Files of a few kB that claim gigabytes, or unpack to 150 MB."""
+    """Return files of a few kB that claim gigabytes, or unpack to 150 MB."""
     y = np.zeros((21, 1))
     whole = saved(tmp_path / "small.mat", y=y, t=y, units={"y": "mm", "t": "s"}).read_bytes()
     at = whole.index(np.array([21, 1], "<i4").tobytes())
@@ -190,7 +193,7 @@ def test_a_file_takes_no_more_memory_than_a_trial_could_need(tmp_path):
         tracemalloc.start()
         with pytest.raises(ValueError, match=r"trial\.mat"):
             read_measured(path, TASK)
-        assert tracemalloc.get_traced_memory()[1] < 150e6  # twice what may be unpacked, while it is
+        assert tracemalloc.get_traced_memory()[1] < 150e6  # the peak: twice the permitted size
         tracemalloc.stop()
 
 
@@ -222,7 +225,10 @@ def test_what_is_no_mat_file_of_these_versions_says_so(tmp_path):
 
 
 def test_without_a_home_it_works_and_keeps_nothing():
-    """As in a container whose user has no entry in the password file, and no HOME."""
+    """Without a home folder the package works and stores nothing.
+
+    An example is a container whose user has no entry in the password file, and no HOME.
+    """
     program = (
         "import os, pwd\n"
         "def nobody(uid): raise KeyError(uid)\n"

@@ -1,5 +1,6 @@
-"""A sweep over two worker processes: the dataset of one host whatever is killed, and what is
-refused.
+"""A sweep over two worker processes gives the dataset of one host, whatever is killed.
+
+The tests also check what is refused.
 """
 
 import contextlib
@@ -35,8 +36,9 @@ CHUNKS = [(scheme, chunk) for scheme in range(2) for chunk in range(8)]
 
 @pytest.fixture(scope="module")
 def client(tmp_path_factory):
-    """Two worker processes that are started again when they die; they inherit how JAX is set up
-    here, and share what they compile.
+    """Return a client of two worker processes that are started again when they die.
+
+    They inherit how JAX is set up here, and share their compiled programs.
     """
     programs = {
         "JAX_COMPILATION_CACHE_DIR": str(tmp_path_factory.mktemp("programs")),
@@ -67,13 +69,13 @@ def until(condition):
 
 @pytest.fixture(scope="module")
 def alone():
-    """The dataset that this process makes."""
+    """Return the dataset that this process computes."""
     return PLAN.run()
 
 
 @pytest.fixture
 def written(monkeypatch):
-    """Every chunk that is written, in order."""
+    """Record every chunk that is written, in order."""
     found, write = [], Store.write
 
     def counted(self, scheme, chunk, samples, values):
@@ -85,8 +87,10 @@ def written(monkeypatch):
 
 
 def test_a_killed_workers_chunks_are_computed_again(tmp_path, client, alone, written, monkeypatch):
-    """A worker is killed while chunks are its own: it is stopped first, and what it had sent before
-    has arrived.
+    """The chunks of a killed worker are computed again.
+
+    The worker is killed while it has chunks to compute. It is stopped first, so that what it has
+    sent before arrives.
     """
     pids, killed, submit = client.run(os.getpid), [], cluster.Workers._submit
 
@@ -108,9 +112,8 @@ def test_a_killed_workers_chunks_are_computed_again(tmp_path, client, alone, wri
     assert killed
     xr.testing.assert_identical(dataset, alone)
     assert sorted(written) == CHUNKS
-    xr.testing.assert_identical(
-        PLAN.run(tmp_path / "store.zarr", resume=True), alone
-    )  # a store like any other
+    # The store is like any other.
+    xr.testing.assert_identical(PLAN.run(tmp_path / "store.zarr", resume=True), alone)
     until(lambda: len(client.nthreads()) == 2 and not set(killed) & set(client.nthreads()))
 
 
@@ -152,7 +155,7 @@ def test_precision_goes_along(client):
 
 
 def seized(there, trial):
-    """0, unless a file is there."""
+    """Return 0, unless a file exists."""
 
     def look(_):
         if Path(there).exists():
@@ -188,7 +191,7 @@ def test_a_chunk_that_fails_for_good_is_named_and_the_others_stay(tmp_path, clie
 
 @contextlib.contextmanager
 def odd_worker(client):
-    """A worker with one device more."""
+    """Return a worker that has one device more."""
     flags = (
         f"{os.environ['XLA_FLAGS']} --xla_force_host_platform_device_count={jax.device_count() + 1}"
     )
@@ -247,9 +250,8 @@ def with_memory(size):
 
 def test_a_chunk_too_large_for_one_of_the_workers_is_refused(tmp_path, client):
     small, _ = client.run(os.getpid)
-    client.run(
-        with_memory, PLAN.bytes_stored() + 20_000, workers=[small]
-    )  # room for the dataset, and 10 kB for each of two
+    # There is room for the dataset, and 10 kB for each of two workers.
+    client.run(with_memory, PLAN.bytes_stored() + 20_000, workers=[small])
     try:
         with pytest.raises(
             ValueError,
@@ -264,7 +266,7 @@ def test_a_chunk_too_large_for_one_of_the_workers_is_refused(tmp_path, client):
 @pytest.mark.parametrize(
     ("found", "room"),
     [
-        ((1000, None, None), 400),  # shared by two, after the dataset
+        ((1000, None, None), 400),  # two workers share what the dataset leaves
         ((1000, None, 300), 300),
         ((1000, 5000, 300), 5000),
         ((None, None, None), None),

@@ -1,5 +1,6 @@
-"""Damaged stores: whatever bit is flipped, whatever is cut off or gone, no number is another one
-without a word.
+"""Damage to a store is never silent.
+
+Whatever bit is changed, and whatever is cut off or missing, no number changes without a message.
 """
 
 import dataclasses
@@ -20,9 +21,8 @@ from jaxilc.sweeps import Sweep
 
 @pytest.fixture(autouse=True)
 def quickly_and_quietly(monkeypatch, caplog):
-    monkeypatch.setattr(
-        files.os, "fsync", lambda _: None
-    )  # a kill loses nothing that was written, only a power failure does
+    # Only a power failure loses written data, so a test of kills need not wait for the disk.
+    monkeypatch.setattr(files.os, "fsync", lambda _: None)
     caplog.set_level(logging.ERROR, "jaxilc")
 
 
@@ -43,7 +43,10 @@ def test_a_flipped_bit_in_a_store_is_refused_or_computed_again(tmp_path):
 
 @pytest.fixture(scope="module")
 def swept(tmp_path_factory):
-    """A small sweep, its finished store and its dataset; its chunks are compiled once."""
+    """Return a small sweep, its finished store and its dataset.
+
+    Its chunks are compiled once.
+    """
     plan = dataclasses.replace(
         PLAN, schemes={"feedback": PLAN.schemes["feedback"]}, machines=5, chunk=3, keep=(), trials=2
     )
@@ -79,9 +82,8 @@ def test_what_is_gone_or_cut_short_is_refused_and_computed_again(swept, tmp_path
     DAMAGES[damaged](tmp_path / "store.zarr" / damaged)
     with pytest.raises(ValueError, match=r"store.zarr is damaged: .*; resuming the sweep mends it"):
         open_dataset(tmp_path / "store.zarr")
-    if damaged.startswith(
-        "settled_error"
-    ):  # whoever reads it with xarray alone sees a hole, not zeros that pass every tolerance
+    # A reader that uses xarray alone gets NaN, not zeros, which would be within every tolerance.
+    if damaged.startswith("settled_error"):
         read = xr.open_zarr(tmp_path / "store.zarr", chunks=None, consolidated=False)
         assert summarise(read, 1e9)[0].yield_share == 0.6
     resumed = plan.run(tmp_path / "store.zarr", resume=True)

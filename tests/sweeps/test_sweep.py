@@ -1,5 +1,6 @@
-"""Sweeps: equal to single runs, resumable bit for bit, refusing what does not fit; and their
-summary.
+"""Sweeps equal single runs, resume bit for bit, and refuse what does not fit.
+
+Their summary is tested too.
 """
 
 import dataclasses
@@ -88,7 +89,7 @@ def test_a_store_of_another_configuration_is_refused(tmp_path):
 
 
 def earlier_names(configuration):
-    """A configuration as it was written when machines were called samples."""
+    """Return a configuration as it was written when machines were called samples."""
     return {"samples" if name == "machines" else name: of for name, of in configuration.items()}
 
 
@@ -123,7 +124,7 @@ def test_the_earlier_name_of_machines_is_understood():
 
 
 def largest_above(level, body="jnp.maximum(jnp.max(trial.e), level)", lines=0, file="one.py"):
-    """A figure of a trial, from a source of its own."""
+    """Return a metric of a trial, defined by a source text of its own."""
     source = (
         "\n" * lines
         + f"import jax.numpy as jnp\ndef factory(level):\n    return lambda trial: {body}\n"
@@ -207,13 +208,13 @@ def made_up(errors):
 def test_summary_counts_yield_growth_and_divergence():
     steady, growing, noisy, lost = [9, 2, 0.5], [9, 0.2, 0.8], [9, 0.5, 0.51], [9, np.inf, np.nan]
     (row,) = summarise(made_up([steady, growing, noisy, lost]), tolerance=0.6)
-    assert row.yield_share == 0.5  # steady and noisy
-    assert row.semi_converged == 0.25  # growing; a rise of 2 % is not growth
+    assert row.yield_share == 0.5  # the machines steady and noisy
+    assert row.semi_converged == 0.25  # the machine growing; a rise of 2 % is not growth
     assert row.diverged == 0.25
     assert row.worst[-1] == np.inf
     assert row.worst_machine[-1] == 3
     assert row.median[0] == 9
-    # Wilson's interval for 2 of 4, from its closed form with z = 1.96
+    # Wilson's interval for 2 of 4 has a closed form, with z = 1.96.
     z, n, p = 1.959964, 4, 0.5
     half = z * np.sqrt(p * (1 - p) / n + z**2 / 4 / n**2) / (1 + z**2 / n)
     np.testing.assert_allclose([row.yield_low, row.yield_high], [0.5 - half, 0.5 + half], rtol=1e-5)

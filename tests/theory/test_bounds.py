@@ -1,6 +1,6 @@
-"""d1 and d2 of Cao 2019 on real runs.
+"""The bounds d1 and d2 of Cao 2019 are tested on simulated runs.
 
-They are met exactly on a static plant, and never claimed where a premise is broken.
+They are met exactly on a static plant, and never claimed where a premise does not hold.
 """
 
 import dataclasses
@@ -19,7 +19,7 @@ TASK = Task(reference=0.3 + np.sin(2 * np.pi * np.arange(N + 1) / N), dt=DT)
 
 
 def static_plant(gain):
-    """y(k+1) = gain u(k)"""
+    """Return the plant y(k+1) = gain u(k)."""
     return DifferenceEquation((0.0,), (gain,), dt=DT)
 
 
@@ -41,7 +41,8 @@ def test_a_static_plant_meets_d2_exactly():
     np.testing.assert_allclose(bounds.phi[~np.isnan(bounds.phi)], 1.2, rtol=1e-7)
     seen = ~np.isnan(bounds.d2)
     np.testing.assert_allclose(bounds.observed[seen], bounds.d2[seen], rtol=1e-6)
-    # clearly below 1, and what eq. 15 says by hand for the estimate that was furthest off
+    # The bound is clearly below 1, and it is what eq. 15 gives by hand for the least accurate
+    # estimate.
     assert bounds.d2_worst < 0.6
     worst = np.nanmin(1.2 * bounds.estimate / (0.5 + bounds.estimate**2))
     np.testing.assert_allclose(bounds.d2_worst, 1 - 0.8 * worst, rtol=1e-6)
@@ -53,7 +54,7 @@ def test_the_estimation_error_keeps_its_bound():
     bounds = cfdl_bounds(SCHEME, TASK, y, u)
     seen = ~np.isnan(bounds.ppd_bound) & ~np.isnan(bounds.ppd_error)
     assert np.all(bounds.ppd_error[seen] <= bounds.ppd_bound[seen])
-    # constant phi: the error contracts by the realised d1 alone, trial after trial
+    # For constant phi the estimation error is reduced by the computed d1 alone, trial after trial.
     step = bounds.d1[:-1] * bounds.ppd_error[:-1]
     both = ~np.isnan(step) & ~np.isnan(bounds.ppd_error[1:])
     np.testing.assert_allclose(bounds.ppd_error[1:][both], step[both], rtol=1e-5, atol=1e-9)
@@ -108,7 +109,7 @@ def test_each_premise_can_break_and_then_nothing_is_claimed(name):
 
 def test_an_output_that_moves_without_its_input_breaks_lipschitz():
     y, u = (signal.copy() for signal in run(static_plant(1.2), SCHEME, trials=4))
-    y[2:, 10] += 0.1  # a change at y(10) in trial 3 that no change of u(9) explains
+    y[2:, 10] += 0.1  # a change at y(10) in trial 3 without a change of u(9)
     u[2:, 9] = u[1, 9]
     bounds = cfdl_bounds(SCHEME, TASK, y, u)
     assert not premise_of(bounds, "Lipschitz").held
@@ -125,8 +126,10 @@ def test_on_the_voice_coil_the_theory_does_not_apply_and_says_so():
 
 @pytest.mark.parametrize(("lam", "trials"), [(1.0, 100), (3.0, 300)])
 def test_lambda_above_b_squared_over_four_guarantees_nothing_on_a_dynamic_plant(lam, trials):
-    """On a 60 Hz servo loop the error of CFDL-MFAILC falls a thousandfold, then grows; a larger lam
-    only slows the clock of trials.
+    """lam > b^2/4 guarantees nothing on a dynamic plant.
+
+    On a 60 Hz servo loop the error of CFDL-MFAILC is reduced by a factor of a thousand, and then
+    grows. A larger lam only makes the same course take more trials.
     """
     w = 2 * np.pi * 60.0
     servo = StateSpace([[0.0, 1.0], [-w * w, -1.4 * w]], [[0.0], [w * w]], [[1.0, 0.0]])
@@ -139,7 +142,7 @@ def test_lambda_above_b_squared_over_four_guarantees_nothing_on_a_dynamic_plant(
     assert errors[best] < 1e-3 * errors[0]
     assert errors[-1] > 10 * errors[best]
     bounds = cfdl_bounds(scheme, task, y, u)
-    first_markov = 0.0594  # of the sampled loop: lam is a thousand times its square over four
+    first_markov = 0.0594  # of the sampled loop; lam is more than a thousand times its square / 4
     assert lam > 1000 * first_markov**2 / 4
     assert bounds.condition.verdict == "not claimed"
     assert not premise_of(bounds, "constant sign").held
@@ -151,8 +154,8 @@ def test_ffdl_pseudo_gradient_is_bounded_and_its_length_right():
     y, u = run(plant, scheme)
     bounds = ffdl_bounds(scheme, TASK, y, u)
     assert bounds.condition.verdict == "not claimed", "a finite b says nothing of the error"
-    # a linear plant has its own coefficients as a pseudo gradient, and the shortest one is no
-    # longer
+    # The coefficients of a linear plant are a pseudo gradient of it, and the shortest one is not
+    # longer.
     assert bounds.b <= np.linalg.norm([0.5, 0.1, 1.0, 0.2]) * (1 + 1e-9)
     j, k = 2, 20
     DH = np.array(

@@ -1,6 +1,7 @@
-"""Certificates against simulation.
+"""Certificates are compared with simulation.
 
-What is claimed is kept, a prediction is theory's own, and a limit ahead is told with its trial.
+What is claimed is kept. A prediction uses theory alone. A limit that will be met is reported with
+its trial.
 """
 
 from dataclasses import replace
@@ -50,8 +51,9 @@ def sentence(found, trials=10):
 
 
 def dense_error_map(machine, gain):
-    """I - gain G with G the Toeplitz matrix of Markov parameters, from the impulse response by
-    hand.
+    """Return I - gain G, with G the Toeplitz matrix of Markov parameters.
+
+    They come from the impulse response, computed by hand.
     """
     a, b = float(machine.plant.a[0]), float(machine.plant.b[0])
     g = b * a ** np.arange(N)
@@ -106,8 +108,10 @@ def test_with_a_filter_or_a_leak_the_distance_from_the_limit_falls_and_its_floor
 
 
 def test_an_error_that_no_input_reaches_is_left_over_by_a_derivative():
-    """Learning reads e[0] for ever, so the error goes to what that makes of it, and not to zero: it
-    rose there for hundreds of trials.
+    """An error that no input reaches remains in a law with a derivative.
+
+    Learning uses e[0] in every trial, so the error converges to an effect of e[0] and not to zero.
+    It increases towards it for hundreds of trials.
     """
     d = np.zeros((N + 1, 1))
     d[0] = 0.3
@@ -152,7 +156,10 @@ def test_what_adapts_or_stops_is_never_claimed(scheme):
 
 
 def test_what_is_claimed_does_not_depend_on_how_long_one_watches():
-    """Of 174 machines said to converge after 25 trials, 54 diverged later."""
+    """A claim does not depend on the number of simulated trials.
+
+    Of 174 machines that were said to converge after 25 trials, 54 diverged later.
+    """
     wide = {
         "plant.a": Uniform(0.9, 1.39, relative=True),
         "plant.b": Uniform(0.5, 4.0, relative=True),
@@ -174,8 +181,9 @@ def test_what_is_claimed_does_not_depend_on_how_long_one_watches():
 
 
 def random_limited(rng, size):
-    """Stable plants of first order behind actuators whose limit is 0.8 to 1.2 of the input that the
-    reference takes, stacked.
+    """Return a stack of stable plants of first order behind limited actuators.
+
+    Each limit is 0.8 to 1.2 of the input that the reference needs.
     """
     a, b = rng.uniform(0.3, 0.9, size), rng.uniform(0.2, 0.6, size)
     r = np.asarray(TASK.reference)[:, 0]
@@ -187,8 +195,10 @@ def random_limited(rng, size):
 
 
 def test_a_limit_that_is_met_late_is_told_with_its_trial():
-    """P-type learning with a small gain meets its limit after hundreds of trials; near the third
-    one nothing shows it.
+    """A limit that is met late is reported with its trial.
+
+    P-type learning with a small gain meets its limit after hundreds of trials. Near the third trial
+    nothing indicates it.
     """
     machines, scheme, trials = (
         random_limited(np.random.default_rng(1), 24),
@@ -228,7 +238,10 @@ def test_a_limit_out_of_reach_takes_nothing_from_a_claim_and_one_within_reach_al
 
 
 def test_one_who_only_watched_knows_no_divergence():
-    """A machine that grows until its limit stops it does not grow without bound."""
+    """Divergence is not claimed of a machine whose growth a limit stops.
+
+    It grows until its limit stops it, and so does not grow without bound.
+    """
     found = certified(
         replace(FIRST_ORDER, actuator=Actuator(limit=10.0)), PIDType(gamma_p=-0.8), 15, B
     )
@@ -240,7 +253,10 @@ def test_one_who_only_watched_knows_no_divergence():
 
 
 def test_frozen_stops_estimators_alone():
-    """A field named eta may be a switching gain: that of SMC went from 1.36e6 to 1e-30."""
+    """`frozen` stops estimators only.
+
+    A field named eta may also be a switching gain: that of SMC was changed from 1.36e6 to 1e-30.
+    """
     sliding = cases.SCHEMES["smc"]
     scheme = WithFeedback(CFDLMFAILC(lam=2.0, eta=0.7), sliding)
     assert float(scheme.frozen().learning.eta) < 1e-20
@@ -266,15 +282,21 @@ SCHEMES = {
 
 @pytest.mark.parametrize("scheme", SCHEMES.values(), ids=SCHEMES)
 def test_the_prediction_is_the_simulation_where_all_is_linear(scheme):
-    """The one by a linear recursion from the third trial on, the other trial by trial."""
+    """The prediction equals the simulation where everything is linear.
+
+    The prediction is a linear recursion from the third trial on, the simulation goes trial by
+    trial.
+    """
     found = certified(FIRST_ORDER, scheme, 12, B, samples=3)
     np.testing.assert_allclose(found.predicted, found.simulated, rtol=1e-7, atol=1e-12)
     assert not len(found.broken_promises())
 
 
 def test_machines_in_parts_are_certified_as_all_at_once(monkeypatch):
-    """As where the dense matrices of all do not fit, whatever is claimed of them; also where
-    nothing is linear.
+    """Machines that are certified in parts get the same certificates as all at once.
+
+    This is needed where the dense matrices of all do not fit into RAM. It holds for every claim,
+    also where nothing is linear.
     """
     machines = random_limited(np.random.default_rng(3), 5)
     for scheme in (PIDType(gamma_p=0.3), CFDLMFAILC(lam=1.0, phi0=0.3, reset="sign")):

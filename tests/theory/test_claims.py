@@ -1,6 +1,6 @@
-"""Claims that were once made and did not hold.
+"""Each claim here was once made and did not hold.
 
-Each is tested with what the simulation does, and with what is said now.
+It is compared with what the simulation does, and with what is said now.
 """
 
 import dataclasses
@@ -46,9 +46,10 @@ def rms(machine, scheme, task, trials):
 
 
 def test_a_limit_that_the_fixed_point_needs_more_than():
-    """The limit is 6, and 10 is needed.
+    """A limit below the fixed point is reported.
 
-    Monotone and asymptotic were said to hold, and the error stalls at nearly half.
+    The limit is 6, and 10 is needed. Earlier, monotone and asymptotic convergence were claimed, but
+    the error stops decreasing at nearly half.
     """
     task = Task(10.0 * np.asarray(TASK.reference) / 1.0, dt=DT)
     machine, scheme = Machine(STATIC.plant, actuator=Actuator(limit=6.0)), PIDType(gamma_p=0.2)
@@ -76,9 +77,10 @@ def test_a_limit_that_the_fixed_point_needs_more_than():
     ],
 )
 def test_a_rule_of_when_to_learn_is_no_law_of_each_trial(scheme, why):
-    """The rule was taken off, and "in every trial" was claimed of what was left.
+    """A rule that decides when to learn makes claims for each trial impossible.
 
-    With a growing gain learning went to 1e111.
+    Earlier, the rule was left out, and "in every trial" was claimed of the rest. With a growing
+    gain learning diverged to 1e111.
     """
     errors = rms(LAG, scheme, TASK, 40)
     assert np.any(errors[1:] >= errors[:-1]), "not in every trial does it fall"
@@ -90,9 +92,10 @@ def test_a_rule_of_when_to_learn_is_no_law_of_each_trial(scheme, why):
 
 
 def test_contraction_everywhere_is_claimed_of_affine_maps_alone():
-    """Beyond a limit that the probe never met, 633 was measured where 0.81 had been claimed.
+    """Contraction everywhere is claimed of affine maps only.
 
-    Beside a quantiser it was 10.9.
+    Earlier, 0.81 was claimed where 633 was measured, beyond a limit that the test directions never
+    met. With a quantiser 10.9 was measured.
     """
     scheme = PIDType(gamma_p=0.5)
     assert "everywhere" in contraction.error_contracting(LAG, scheme, TASK).theorem
@@ -106,9 +109,10 @@ def test_contraction_everywhere_is_claimed_of_affine_maps_alone():
 
 
 def test_with_a_leak_the_distance_from_the_limit_falls_and_not_each_error():
-    """A static plant of gain 1 with a leak of 0.5.
+    """With a leak the distance from the limit falls, and not each error.
 
-    The errors are 0.70, 0, 0.35, 0.17 and 0.26 of the reference, where 0.5 a trial was told.
+    The plant is a static gain of 1, and the leak is 0.5. The errors are 0.70, 0, 0.35, 0.17 and
+    0.26 of the reference, where a factor of 0.5 in each trial was claimed.
     """
     scheme = PIDType(gamma_p=1.0, leak=0.5)
     errors = rms(STATIC, scheme, TASK, 6)
@@ -128,7 +132,11 @@ def test_with_a_leak_the_distance_from_the_limit_falls_and_not_each_error():
 
 @pytest.mark.parametrize("test", ["learning", "robust", "family"])
 def test_a_gain_that_grows_along_the_trial_has_no_frequency_response(test):
-    """Taken at mid-trial the law gave 0.60; the simulation goes from 0.7 to 1e36."""
+    """A gain that grows along the trial has no frequency response.
+
+    With the gain at the middle of the trial the result was 0.60, but in simulation the error goes
+    from 0.7 to 1e36.
+    """
     task = Task(0.5 - 0.5 * np.cos(2 * np.pi * np.arange(401) / 400), dt=DT)
     scheme = ExponentialPD(K_P=0.1, lam0=10.0)
     found = {
@@ -155,9 +163,10 @@ def test_a_time_varying_model_of_a_long_trial_is_abstained_from():
 
 
 def test_an_unstable_pole_of_a_tiny_residue_counts():
-    """A residue of 1e-12 does not show in an impulse response of a hundred samples.
+    """An unstable pole counts even if its residue is very small.
 
-    In the end it is all of it.
+    A residue of 1e-12 is not visible in an impulse response of a hundred samples. In the long run
+    it determines the response.
     """
     A, B = np.diag([0.5, 1.4]), np.array([[1.0], [1.0]])
     for residue, radius in ((1e-12, 1.4), (0.0, 0.5)):
@@ -171,7 +180,7 @@ def test_an_unstable_pole_of_a_tiny_residue_counts():
 
 
 def random_loop(rng) -> Loop:
-    """A balanced stable loop with one or two resonances of damping down to 1e-4."""
+    """Return a balanced stable loop with one or two resonances, of damping down to 1e-4."""
     modes = [(rng.uniform(0.1, 3.0), 10 ** rng.uniform(-4, -1)) for _ in range(rng.integers(1, 3))]
     A = scipy.linalg.block_diag(
         *(
@@ -185,9 +194,10 @@ def random_loop(rng) -> Loop:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_no_peak_lies_above_its_enclosure(seed):
-    """The Hamiltonian test: a bound b is above the maximum if and only if a matrix pencil says so.
+    """No peak of the frequency response lies above its upper bound.
 
-    It does so where it has no eigenvalue on the unit circle.
+    By the Hamiltonian test, a bound b is above the maximum if and only if a matrix pencil has no
+    eigenvalue on the unit circle.
     """
     loop = random_loop(np.random.default_rng(seed))
 
@@ -209,9 +219,10 @@ def test_no_peak_lies_above_its_enclosure(seed):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_norm_optimal_learning_looks_at_the_poles_of_model_and_machine(seed):
-    """The lines of the grid lay around the machine's poles only.
+    """Norm-optimal learning looks at the poles of both model and machine.
 
-    0.638 was told where it is 1.108, and the error grew from 0.7 to 192.
+    Earlier, the frequency grid was refined around the machine's poles only. 0.638 was reported
+    where the value is 1.108, and the error grew from 0.7 to 192.
     """
     rng = np.random.default_rng(seed)
     ends = rng.uniform(150, 1200, 2), 10 ** rng.uniform(-3.5, -1.0, 2)
@@ -240,7 +251,7 @@ def test_norm_optimal_learning_looks_at_the_poles_of_model_and_machine(seed):
 
 
 def resonant(w, zeta) -> Machine:
-    """w^2 / (s^2 + 2 zeta w s + w^2), sampled."""
+    """Return the sampled plant w^2 / (s^2 + 2 zeta w s + w^2)."""
     held = StateSpace([[0.0, 1.0], [-w * w, -2 * zeta * w]], [[0.0], [w * w]], [[1.0, 0.0]])
     return Machine(jax.tree.map(np.asarray, held.sampled(DT)))
 
@@ -250,9 +261,10 @@ def resonant(w, zeta) -> Machine:
 
 
 def test_filtered_learning_on_lightly_damped_machines_is_claimed():
-    """The most useful cure was not claimed.
+    """Filtered learning on lightly damped machines is claimed.
 
-    It is Butterworth filters, robust conditions over them, and light damping in 600 samples.
+    Earlier, the most useful remedy was not claimed: Butterworth filters, robust conditions over
+    them, and light damping in 600 samples.
     """
     task = Task(0.5 - 0.5 * np.cos(2 * np.pi * np.arange(601) / 600), dt=DT)
     machine = resonant(2 * np.pi * 180.0, 0.01)
@@ -272,9 +284,10 @@ def test_filtered_learning_on_lightly_damped_machines_is_claimed():
 
 
 def test_the_law_of_cao_2019_with_a_lead_has_no_d2():
-    """Equation 15 compares e(k+1) with itself.
+    """The law of Cao 2019 with a lead has no d2.
 
-    With a lead d2 = 0.999 was claimed, and the largest error grew from 0.55 to 1.4.
+    Equation 15 compares e(k+1) with itself. With a lead, d2 = 0.999 was claimed, and the largest
+    error grew from 0.55 to 1.4.
     """
     plant = DifferenceEquation((0.0,), (1.0,), dt=DT)
     for lead, verdict in ((0, "holds"), (2, "not claimed")):
@@ -299,11 +312,11 @@ def test_the_inequality_of_xu_2024_says_nothing_with_a_lead():
 
 
 def test_sigma_that_leaves_its_layer_slides_nowhere():
-    """The inequality is about each sample.
+    """If sigma leaves its boundary layer, sliding is not claimed.
 
-    It says less than it seems of an input that is held and a velocity that is filtered: it held at
-    0.18 on a trial whose sigma left the layer 277 times. That sigma stays is looked at, and the
-    band is told in the unit of y.
+    The inequality concerns each sample. It says little for an input that is held and a velocity
+    that is filtered: its value was 0.18 in a trial whose sigma left the layer 277 times. Now the
+    test checks that sigma stays in the layer, and the band is given in the unit of y.
     """
     s = scenarios.load("xu-2024")
     scheme = dataclasses.replace(s.schemes["asmc"], phi=0.0, eta=7.6e5, Delta=12500.0, k_n=4770.0)

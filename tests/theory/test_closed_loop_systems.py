@@ -1,4 +1,4 @@
-"""The closed loop as a system of python-control, against the simulator, with random machines."""
+"""The closed loop as a system of python-control equals the simulator, with random machines."""
 
 import control
 import numpy as np
@@ -36,7 +36,10 @@ def random_pid(rng) -> PID:
 
 
 def by_control(loop, w, system=None):
-    """(N+1, n_y) the output of the loop (machine, scheme, task) for what is learned w (N, m)."""
+    """Return the output (N+1, n_y) of the loop (machine, scheme, task) by python-control.
+
+    w: (N, m) learned input
+    """
     system = to_control(*loop) if system is None else system
     r = np.asarray(loop[2].reference)
     named = system.input_labels[-1]
@@ -66,12 +69,15 @@ def test_a_random_loop_responds_as_in_the_simulator(seed):
     system = to_control(machine, scheme, task)
     found = by_control((machine, scheme, task), w, system)
     np.testing.assert_allclose(found, y, rtol=1e-8, atol=1e-10 * np.max(np.abs(y)))
-    if scheme is not None:  # the reference acts
+    if scheme is not None:  # the reference has an effect
         assert np.max(np.abs(by_control((machine, scheme, task), 0 * w, system))) > 1e-6
 
 
 def test_it_follows_a_learning_process():
-    """The last trial of five, from what was learned before it."""
+    """The system describes a learning process.
+
+    It gives the last trial of five, from what was learned before it.
+    """
     machine = Machine(PLANTS["motor_and_table"])
     task = Task(np.random.default_rng(3).normal(size=(N + 1, 2)), dt=DT, inputs=1)
     scheme = WithFeedback(

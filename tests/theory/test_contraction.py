@@ -1,4 +1,4 @@
-"""The matrix-free learning map against dense matrices, the lifted form and simulated learning."""
+"""The matrix-free learning map equals dense matrices, the lifted form and simulated learning."""
 
 import dataclasses
 
@@ -35,14 +35,14 @@ def errors(trial):
 
 
 def top(J):
-    """Largest singular value of a dense matrix."""
+    """Return the largest singular value of a dense matrix."""
     J = np.asarray(J)
     return np.sqrt(scipy.linalg.eigvalsh(J.T @ J, subset_by_index=[J.shape[1] - 1] * 2)[0])
 
 
 @jax.jit
 def maps(machine, scheme, task):
-    """Both maps, densely and without a matrix."""
+    """Return both maps, as dense matrices and without a matrix."""
     memory = contraction.learned_memory(machine, scheme, task)
     learning = contraction.learning_map(machine, scheme, task, memory)
     error = contraction.error_map(machine, scheme, task, memory)
@@ -52,8 +52,10 @@ def maps(machine, scheme, task):
 
 @pytest.mark.parametrize("name", ["p_type", "cfdl", "ffdl", "ilc_mfapc"])
 def test_singular_values_are_those_of_the_dense_matrix(name):
-    """At N = 200 to 1e-6, of the whole memory and of the error; linear, adaptive, and over adaptive
-    feedback.
+    """The singular values are those of the dense matrix, to 1e-6 at N = 200.
+
+    This holds for the whole memory and for the error, with linear and adaptive schemes, and over
+    adaptive feedback.
     """
     dense, free = maps(MACHINE, SCHEMES[name], task_for(PLANTS["arx"], 200))
     for J, found in zip(dense, free, strict=True):
@@ -71,7 +73,10 @@ def test_singular_values_are_those_of_the_dense_matrix(name):
 
 
 def test_the_error_map_of_a_linear_law_is_the_lifted_one():
-    """I - G L, in the loop as well, and its powers over several trials."""
+    """The error map of a linear law is the lifted one, I - G L.
+
+    This also holds in a closed loop, and for powers of the map over several trials.
+    """
     task = task_for(PLANTS["arx"], 50)
     for scheme in (
         PIDType(gamma_p=0.5, gamma_d=0.3, lead=2),
@@ -101,16 +106,19 @@ def test_the_error_map_of_two_inputs_and_outputs():
 
 
 def test_an_adaptive_scheme_does_what_its_derivative_says():
-    """A small disturbance from the fourth trial on, shaped as the direction that grows most: the
-    simulated change of the next error is sigma_max times as large, and far from that with the
-    estimate frozen.
+    """An adaptive scheme does what its derivative says.
+
+    A small disturbance acts from the fourth trial on, in the direction that grows most. The
+    simulated change of the next error is sigma_max times as large. With the estimate frozen, the
+    change would be clearly different.
     """
     scheme, task, eps = SCHEMES["cfdl"], task_for(PLANTS["arx"], 60), 1e-6
     before = learn(MACHINE, scheme, task, 3).memory
 
     def following(v):
-        """e of trials 4 and 5, an output disturbance -v on top from trial 4 on; e_4 then changes by
-        v, as the law is not feedback.
+        """Return e of trials 4 and 5 with an output disturbance -v from trial 4 on.
+
+        e_4 then changes by v, since the law is not a feedback.
         """
         machine = dataclasses.replace(
             MACHINE, disturbance=Disturbance(output=jnp.pad(-v, (1, 0))[:, None])
@@ -131,7 +139,10 @@ def test_an_adaptive_scheme_does_what_its_derivative_says():
 
 
 def test_names_and_weights_of_the_memory():
-    """A weight of a leaf scales rows and columns of the Jacobian; names pick its blocks."""
+    """Leaves of the memory have names and weights.
+
+    The weight of a leaf scales rows and columns of the Jacobian, and names select its blocks.
+    """
     task, scheme = task_for(PLANTS["arx"], 20), SCHEMES["ffdl"]
     memory = contraction.learned_memory(MACHINE, scheme, task)
     assert set(named_leaves(memory)) == {"u", "y", "phi[0]", "phi[1]", "phi[2]", "phi[3]", "seen"}
@@ -232,8 +243,10 @@ def test_the_zero_map_and_a_map_that_is_not_square():
 
 
 def test_doubt_covers_the_error_of_a_map_far_from_normal():
-    """For I - gamma G the process sees sup |1 - gamma z P|, not the one eigenvalue 1 - gamma C B;
-    with all steps it is dense.
+    """The stated uncertainty covers the error for a map that is far from normal.
+
+    For I - gamma G the iteration sees sup |1 - gamma z P|, and not the only eigenvalue 1 - gamma C
+    B. With all steps it equals the dense computation.
     """
     task, scheme = task_for(PLANTS["arx"], 150), PIDType(gamma_p=4.0)
     for steps in (20, 150):
@@ -267,8 +280,11 @@ LAG = Machine(StateSpace([[0.3]], [[0.7]], [[1.0]], dt=DT))
 
 
 def test_designed_to_contract_and_designed_to_diverge():
-    """Adaptive learning on a lag: near its fixed point the map contracts and attracts, and learning
-    arrives; a law of too high a gain does neither, and its error grows."""
+    """A designed case contracts, and another one diverges.
+
+    For adaptive learning on a lag, the map contracts and attracts near its fixed point, and
+    learning converges to it. A law with too high a gain does neither, and its error grows.
+    """
     task = task_for(LAG.plant, 30)
     scheme = CFDLMFAILC(phi0=0.7, lam=0.1, rho=0.9, mu=0.1, reset="book")
     history = learn(LAG, scheme, task, 60)
@@ -305,8 +321,10 @@ def test_away_from_its_fixed_point_an_adaptive_map_claims_nothing():
 
 
 def test_estimates_that_nothing_resets_are_neutral():
-    """At a fixed point without error nothing moves phi: the eigenvalue 1, which the map without the
-    estimates has not.
+    """Estimates that are never reset are neutral.
+
+    At a fixed point without error nothing changes phi. This is the eigenvalue 1, which the map
+    without the estimates does not have.
     """
     task = task_for(LAG.plant, 20)
     scheme = CFDLMFAILC(phi0=0.7, lam=0.1, rho=0.9, mu=0.1, reset="none")
@@ -345,8 +363,9 @@ def test_over_plants_equals_one_by_one():
 
 @pytest.mark.slow
 def test_a_trial_of_5000_samples():
-    """Where the matrix would take 200 MB: sigma_max of the error map is sup |1 - gamma z P| to four
-    digits.
+    """A trial of 5000 samples is treated without the matrix, which would take 200 MB.
+
+    sigma_max of the error map equals sup |1 - gamma z P| to four digits.
     """
     task = Task(np.sin(2 * np.pi * np.arange(5001) / 1000), dt=DT)
     value = contraction.error_contracting(MACHINE, SCHEMES["p_type"], task).value

@@ -1,6 +1,6 @@
-"""Frequency conditions against other computations, and their promises against simulation.
+"""Frequency conditions are compared with other computations, and their claims with simulation.
 
-The computations are python-control, dense matrices and closed forms.
+The other computations are python-control, dense matrices and closed forms.
 """
 
 import dataclasses
@@ -56,7 +56,7 @@ def transfer(a, b):
 
 
 def of_plant(plant):
-    """The plant at Z by python-control."""
+    """Return the frequency response of the plant at Z by python-control."""
     if isinstance(plant, DifferenceEquation):
         return transfer(plant.a, plant.b)(Z)[:, None, None]
     system = control.ss(plant.A, plant.B, plant.C, 0, plant.dt)
@@ -89,7 +89,9 @@ GAINS = {"kp": 0.8, "ki": 20.0, "kd": 2e-4, "tau": 1e-3}
 
 @pytest.mark.parametrize("form", ["position", "increment"])
 def test_the_loop_is_that_of_python_control(form):
-    """P / (1 + C P) seen by the input, C P / (1 + C P) seen by the reference; the input's w[k]
+    """The loop is that of python-control.
+
+    From the input it is P / (1 + C P), from the reference C P / (1 + C P). w[k] of the input
     belongs to the reference r[k+1].
     """
     kp, ki, kd, tau = GAINS.values()
@@ -130,7 +132,7 @@ def test_derivatives_with_respect_to_plant_and_feedback():
 
 @pytree
 class TwoAhead(Scheme):
-    """A user's law: u_{j+1}[k] = 0.9 u_j[k] + gain (0.7 e_j[k+2] + 0.3 e_j[k])."""
+    """The law of a user is u_{j+1}[k] = 0.9 u_j[k] + gain (0.7 e_j[k+2] + 0.3 e_j[k])."""
 
     gain: jax.Array = leaf(default=0.5)
 
@@ -144,7 +146,7 @@ class TwoAhead(Scheme):
 
 @pytree
 class Own(Filter):
-    """A user's filter: the same as another, though of an unknown class."""
+    """The filter of a user does the same as one of the package, but has an unknown class."""
 
     other: Filter = child()
 
@@ -174,7 +176,10 @@ def test_laws_and_filters():
 
 
 def test_a_scheme_on_one_of_two_outputs():
-    """L has a column for each output, those it does not see are zero."""
+    """A scheme can use one of two outputs.
+
+    L has a column for each output; the columns of unused outputs are zero.
+    """
     plant = PLANTS["motor_and_table"]
     task = dataclasses.replace(task_for(plant, 200), reference=np.zeros((201, 2)))
     law = law_response(OnOutputs(PIDType(gamma_p=0.5, lead=1), (1,)), task, F)
@@ -183,7 +188,10 @@ def test_a_scheme_on_one_of_two_outputs():
 
 @pytest.mark.parametrize("gamma", [0.5, 4.0])
 def test_the_supremum_is_the_singular_value_of_a_long_trial(gamma):
-    """sup |1 - gamma z P| and sigma_max(I - gamma G) at N = 1000: three digits."""
+    """The supremum is the singular value of a long trial.
+
+    sup |1 - gamma z P| and sigma_max(I - gamma G) at N = 1000 agree to three digits.
+    """
     task = Task(np.zeros(1001), dt=DT)
     found = frequency.learning_condition(ARX_MACHINE, PIDType(gamma_p=gamma), task)
     G = lifted.lifted_plant(ARX_MACHINE, None, task)
@@ -201,7 +209,9 @@ def test_the_supremum_is_the_singular_value_of_a_long_trial(gamma):
 
 @pytest.mark.parametrize(("lead", "published"), [(0, 53.0), (10, 338.0)])
 def test_the_critical_frequency_of_a_60_hz_loop(lead, published):
-    """A loop of 60 Hz sampled at 5 kHz: ten samples of lead move the first crossing from about 53
+    """The critical frequency of a 60 Hz loop depends on the lead.
+
+    In a loop of 60 Hz sampled at 5 kHz, ten samples of lead move the first crossing from about 53
     to about 338 Hz (measured before).
     """
     w, dt, gamma = 2 * np.pi * 60.0, 2e-4, 0.5
@@ -225,8 +235,10 @@ def test_the_critical_frequency_of_a_60_hz_loop(lead, published):
 
 
 def test_the_cnc_condition_and_its_simulation():
-    """Li 2020, eq. 9 over a loop: below the critical frequency the error falls from trial to trial,
-    above it grows, as |.| says.
+    """The condition for the CNC axis agrees with its simulation (Li 2020, eq. 9).
+
+    Below the critical frequency the error falls from trial to trial, and above it grows, each at
+    the computed rate.
     """
     task = Task(np.zeros(2001), dt=DT)
     scheme = WithFeedback(PIDType(gamma_p=2.0), PID(kp=0.8))
@@ -237,7 +249,7 @@ def test_the_cnc_condition_and_its_simulation():
     assert found.condition.verdict == "fails"
     assert 20 < found.critical < 100
     for f in (0.5 * found.critical, 1.5 * found.critical):
-        f = round(f * 2.0) / 2.0  # whole periods in the trial
+        f = round(f * 2.0) / 2.0  # the trial holds whole periods
         window = slice(500, 1500)  # far from the ends
         r = np.sin(2 * np.pi * f * DT * np.arange(2001))
         e = np.asarray(learn(ARX_MACHINE, scheme, Task(r, dt=DT), 5, save=errors).saved)[:, window]
@@ -248,8 +260,10 @@ def test_the_cnc_condition_and_its_simulation():
 
 
 def test_monotone_by_design():
-    """A causal law with |1 - L z P| < 1 throughout: the claim holds, and the error of every trial
-    is smaller than the last.
+    """A law is designed for monotone convergence.
+
+    It is causal, with |1 - L z P| < 1 at all frequencies. The claim holds, and the error of every
+    trial is smaller than that of the trial before.
     """
     machine, task = (
         Machine(StateSpace([[0.3]], [[0.7]], [[1.0]], dt=DT)),
@@ -264,9 +278,11 @@ def test_monotone_by_design():
 
 
 def test_the_ends_of_the_trial_are_looked_at():
-    """A zero-phase filter whose odd extension pins the end, with a lead that finds no error beyond
-    it: |Q (1 - L P)| < 1 at every frequency, yet learning grows at the end by 0.2 % a trial. So
-    nothing is claimed; without the extension the claim is made.
+    """The ends of the trial are examined too.
+
+    A zero-phase filter has an odd extension, which fixes the end value, and a lead finds no error
+    beyond the end. |Q (1 - L P)| < 1 at every frequency, but learning grows at the end by 0.2 % per
+    trial. So nothing is claimed. Without the extension the claim is made.
     """
     task = task_for(PLANTS["arx"], 200)
     pinned = Filtered(PIDType(gamma_p=0.5, lead=3), ZeroPhaseButterworth(80.0, padding=9))
@@ -327,8 +343,10 @@ def test_a_limit_breaks_the_premise_and_an_unused_integrator_does_not():
 
 
 def test_robust_condition_is_the_worst_of_all_perturbed_plants():
-    """|Q| (|1 - L P| + |L P W|) is reached by some |D| <= 1 and exceeded by none; the condition
-    then decides on true plants.
+    """The robust condition is the worst of all perturbed plants.
+
+    |Q| (|1 - L P| + |L P W|) is reached by some |D| <= 1 and exceeded by none. The condition then
+    gives the right verdict on true plants.
     """
     task = task_for(PLANTS["arx"], 200)
     scheme = Filtered(PIDType(gamma_p=0.5, lead=3), ZeroPhaseButterworth(60.0, padding=0))
@@ -359,8 +377,10 @@ def test_robust_condition_is_the_worst_of_all_perturbed_plants():
 
 
 def test_norm_optimal_condition_is_the_norm_of_the_lifted_map():
-    """Against sigma_max of (W_e G'G + W_u + W_D)^-1 (W_D + W_e G'(G - G_t)) at N = 250; a plant of
-    the wrong sign fails.
+    """The norm-optimal condition is the norm of the lifted map.
+
+    It is compared with sigma_max of (W_e G'G + W_u + W_D)^-1 (W_D + W_e G'(G - G_t)) at N = 250. A
+    plant of the wrong sign fails.
     """
     task, weights = Task(np.zeros(251), dt=DT), {"w_e": 1.0, "w_u": 1e-3, "w_delta": 0.05}
     G = lifted.lifted_plant(ARX_MACHINE, None, task)
@@ -400,7 +420,9 @@ def test_two_channels_take_the_largest_singular_value():
 
 
 def test_the_worst_of_a_box_is_at_its_corner_at_least():
-    """By brute force it is a corner that no sample reaches. The value is that of the worst, over
+    """The worst value of a box is at least that at its corners.
+
+    A full search finds it at a corner that no drawn plant reaches. The value is the largest over
     all frequencies.
     """
     box = {"plant.b": Uniform(0.8, 1.2, relative=True), "plant.a[1]": Normal(-0.65, 0.005)}
@@ -431,8 +453,10 @@ def test_the_worst_of_a_box_is_at_its_corner_at_least():
 
 
 def test_ascent_finds_the_worst_within_a_box():
-    """A sharp resonance is worst in the middle of its range, where the filter still passes it and
-    the lead turns it against learning.
+    """Gradient ascent finds the worst plant within a box.
+
+    A sharp resonance is worst in the middle of its range. There the filter still passes it, and the
+    lead gives it a phase that makes learning diverge.
     """
     machine, task = (
         Machine(ProcessModel(gain=1.0, frequencies=(350.0, 700.0), dampings=(0.7, 0.05))),
@@ -498,7 +522,7 @@ BAD = {
 
 @pytree
 class Previewing(Scheme):
-    """Feedback that wants to see ten samples ahead."""
+    """The feedback needs the reference ten samples ahead."""
 
     @property
     def preview(self):

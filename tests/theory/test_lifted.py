@@ -1,4 +1,4 @@
-"""The lifted form against hand-written matrices, and its predictions against simulation."""
+"""The lifted form equals matrices written by hand, and its predictions equal simulation."""
 
 import jax
 import numpy as np
@@ -22,7 +22,7 @@ LOOP = PID(kp=0.8, ki=20.0, kd=2e-4, tau=1e-3)
 
 
 def impulse_response(a, b, samples):
-    """h[k] = y[k+1] after u[0] = 1, by the difference equation."""
+    """Return h[k] = y[k+1] after u[0] = 1, by the difference equation."""
     y = np.zeros(samples + 1)
     for k in range(samples):
         y[k + 1] = sum(a[i] * y[k - i] for i in range(len(a)) if k >= i) + (
@@ -48,7 +48,7 @@ def everything(trial):
 
 
 def run(machine, scheme, task, trials):
-    """(J, N n_y) errors and (J, N n_u) inputs as simulated."""
+    """Return simulated errors (J, N n_y) and inputs (J, N n_u)."""
     return tuple(
         np.asarray(s).reshape(trials, -1)
         for s in learn(machine, scheme, task, trials, save=errors).saved
@@ -67,7 +67,9 @@ def test_open_loop_matrix_is_the_toeplitz_matrix_of_the_impulse_response():
 
 
 def test_closed_loop_matrix_is_P_over_1_plus_C_P():
-    """With u_fb[k] from e[k], one sample before the row of y[k+1]: G = (I + P C S)^-1 P, S the
+    """The closed-loop matrix is P / (1 + C P).
+
+    u_fb[k] uses e[k], one sample before the row of y[k+1]. So G = (I + P C S)^-1 P, with S the
     delay of one sample.
     """
     P, delay = toeplitz(impulse_response(*ARX, N)), np.eye(N, k=-1)
@@ -85,8 +87,10 @@ def test_closed_loop_matrix_is_P_over_1_plus_C_P():
 
 
 def test_the_adjoint_is_the_plant_run_backward_in_time():
-    """G^T = J G J for a time-invariant plant of one input and output, J reversing time: so vjp is a
-    trial played backward.
+    """The adjoint is the plant run backward in time.
+
+    For a time-invariant plant with one input and one output, G^T = J G J, where J reverses time. So
+    a vjp is a trial in reversed time.
     """
     v = np.random.default_rng(0).normal(size=(N, 1))
     _, pull = jax.vjp(lambda u: played(ARX_MACHINE, None, TASK, None, u).y[1:], np.zeros((N, 1)))
@@ -95,8 +99,10 @@ def test_the_adjoint_is_the_plant_run_backward_in_time():
 
 
 def test_a_nonlinear_loop_is_linearised_where_it_is_asked_to_be():
-    """Adaptive feedback and a limit: not Toeplitz, its columns are finite differences, and the
-    premise of linearity is broken.
+    """A nonlinear loop is linearised at the requested signals.
+
+    With adaptive feedback and a limit the matrix is not Toeplitz, its columns are finite
+    differences, and the premise of linearity does not hold.
     """
     machine = Machine(PLANTS["arx"], actuator=Actuator(limit=1.0))
     feedback, about = CFDLMFAC(phi0=0.3, lam=0.5), 0.4 * np.sin(np.arange(N))[:, None]
@@ -142,8 +148,9 @@ LAWS = {
 
 @pytest.mark.parametrize("law", LAWS)
 def test_the_error_of_the_next_trial_is_predicted(law):
-    """e_{j+1} = (I - G L) e_j to rounding, the law taken from the scheme and the loop from the
-    simulator.
+    """The error of the next trial is predicted by e_{j+1} = (I - G L) e_j, to rounding.
+
+    The law comes from the scheme, and the loop from the simulator.
     """
     scheme = LAWS[law]
     e, _ = run(ARX_MACHINE, scheme, TASK, 4)
@@ -182,7 +189,10 @@ FILTERED = {
 
 @pytest.mark.parametrize("law", FILTERED)
 def test_the_change_of_the_input_is_predicted(law):
-    """u_{j+2} - u_{j+1} = Q (keep - L G)(u_{j+1} - u_j), of the learned part of the input."""
+    """The change of the input is predicted.
+
+    For the learned part of the input, u_{j+2} - u_{j+1} = Q (keep - L G)(u_{j+1} - u_j).
+    """
     scheme = FILTERED[law]
     u = np.asarray(learn(ARX_MACHINE, scheme, TASK, 5, save=learned).saved)[..., 0]
     G, law = lifted.lifted_plant(ARX_MACHINE, scheme, TASK), lifted.learning_law(scheme, TASK)
@@ -231,8 +241,9 @@ LAG = Machine(StateSpace([[0.3]], [[0.7]], [[1.0]], dt=DT))
 
 @pytest.mark.parametrize(("gamma", "factor"), [(0.3, 0.4), (0.8, 0.6), (1.2, 1.4)])
 def test_a_static_gain_by_hand(gamma, factor):
-    """e_{j+1} = (1 - 2 gamma) e_j: sigma_max, rho and every trial of the simulation are that
-    number.
+    """A static gain has its conditions by hand, with e_{j+1} = (1 - 2 gamma) e_j.
+
+    sigma_max, rho and the ratio of errors in every simulated trial are that number.
     """
     task = task_for(STATIC_GAIN.plant, N)
     found = lifted.learning_conditions(STATIC_GAIN, PIDType(gamma_p=gamma), task)
@@ -263,8 +274,9 @@ def test_what_is_predicted_to_be_monotone_is_and_what_is_predicted_to_diverge_do
 
 
 def test_convergent_in_the_end_but_not_before():
-    """rho < 1 < sigma_max: the error grows by orders of magnitude before it falls, as the transient
-    growth says.
+    """A law can converge in the end but not before: rho < 1 < sigma_max.
+
+    The error grows by orders of magnitude before it falls, as the computed transient growth says.
     """
     task, scheme = TASK, PIDType(gamma_p=4.0)
     found = lifted.learning_conditions(ARX_MACHINE, scheme, task)
@@ -282,7 +294,10 @@ def test_convergent_in_the_end_but_not_before():
 
 
 def test_spectral_radius_of_triangular_and_permuted_matrices_is_exact():
-    """Where a general eigenvalue routine errs in the first digit."""
+    """The spectral radius of triangular and permuted matrices is exact.
+
+    For them, a general eigenvalue routine has an error in the first digit.
+    """
     task = task_for(PLANTS["arx"], 100)
     M = lifted.error_map(lifted.lifted_plant(ARX_MACHINE, None, task), 8.0 * np.eye(100))
     exact = 1 - 8.0 * ARX[1][0]
@@ -328,7 +343,10 @@ def test_nothing_is_claimed_where_a_premise_is_broken():
 
 
 def test_verdicts_of_a_batch():
-    """One verdict for each plant, from its own premises; samples and trials are averaged."""
+    """A batch has one verdict for each plant, from its own premises.
+
+    Samples and trials are averaged.
+    """
     held = np.array([[True, True], [True, False], [True, True], [True, True]])
     p = premise("constant sign", held, plants=True)
     np.testing.assert_array_equal(p.share_broken, [0.0, 0.5, 0.0, 0.0])

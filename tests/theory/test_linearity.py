@@ -1,4 +1,4 @@
-"""What theory reads off the programs of machines and schemes, against what they do.
+"""What theory derives from the programs of machines and schemes is compared with what they do.
 
 It is tested for any wrapper and any composition.
 """
@@ -44,7 +44,7 @@ TASK = task_for(PLANTS["arx"], 40)
 # The programs of jaxilc, one by one
 # -----------------------------------------------------------------------------------------
 
-NOT_LINEAR = {  # by what, of the plants and schemes of cases.py that learn a feedforward
+NOT_LINEAR = {  # the reason, for those plants and schemes of cases.py that learn a feedforward
     "p_type_stop": "learns by",
     "p_type_ladder": "learns by",
     "ilc_mfapc": "acts within the trial by",
@@ -108,7 +108,7 @@ def composed(rng, depth: int) -> Scheme:
             found = wrappers[rng.integers(len(wrappers))]()
             found.check(TASK)
             return found
-        except (ValueError, TypeError):  # not every pair of them fits
+        except (ValueError, TypeError):  # not every pair of them fits together
             continue
 
 
@@ -122,8 +122,10 @@ def parts_of(scheme) -> list:
 
 @pytest.mark.parametrize("seed", range(14))
 def test_any_composition_superposes_if_it_is_said_to(seed):
-    """From what is known to what is known next, over large and small changes; and none that
-    superposes by its parts is refused.
+    """Any composition obeys superposition if this is claimed of it.
+
+    The map from one memory to the next is tested with large and small changes. No composition whose
+    parts obey superposition is refused.
     """
     scheme = composed(np.random.default_rng(seed), depth=1 + seed % 3).prepared(TASK)
     said = all(p.held for p in linearity.learning_premises(MACHINE, scheme, TASK))
@@ -146,8 +148,9 @@ def test_any_composition_superposes_if_it_is_said_to(seed):
 
 @pytree
 class OnlyTen(Scheme):
-    """A user's own wrapper: learns in the first ten trials only, far after any trial that is looked
-    at.
+    """The wrapper of a user learns in the first ten trials only.
+
+    This is far after all trials that are looked at.
     """
 
     scheme: Scheme = child()
@@ -168,8 +171,9 @@ class OnlyTen(Scheme):
 
 @pytree
 class Bent(Scheme):
-    """A user's own wrapper: a gain that falls off for errors of a thousand, which no trial that is
-    looked at has.
+    """The wrapper of a user has a gain that decreases for errors near a thousand.
+
+    No trial that is looked at has such errors.
     """
 
     scheme: Scheme = child()
@@ -214,8 +218,10 @@ def test_a_wrapper_that_nobody_knows_cannot_slip_through(wrapper):
     ],
 )
 def test_limits_that_are_declared_decide_whether_anything_changes(name):
-    """Within its bounds in every trial, a free run is the limited one; beyond them it is not, from
-    that trial on.
+    """Declared limits decide whether anything changes.
+
+    As long as every trial is within its bounds, the free run equals the limited one. From the first
+    trial beyond them it does not.
     """
     extra = {
         "filtered": (
@@ -236,8 +242,10 @@ def test_limits_that_are_declared_decide_whether_anything_changes(name):
 
     @jax.jit
     def turn(one, other):
-        """The largest share of a bound in the free trial, the outputs of both runs, and what is
-        known next.
+        """Return the results of one trial of the free run and of the limited one.
+
+        They are the largest share of a bound in the free trial, the outputs of both runs, and both
+        next memories.
         """
         trial, seen = (
             trial_of(machine.unlimited(), free, task, one),
@@ -297,7 +305,10 @@ def test_what_an_operation_leaves_of_linearity(name):
 
 
 def test_a_derivative_that_misses_rounding_is_known_to():
-    """A quantiser passes derivatives straight through: they are no derivatives of it."""
+    """A derivative that ignores rounding is recognised.
+
+    A quantiser passes derivatives unchanged, so they are not derivatives of the quantiser.
+    """
     sensor = Sensor(resolution=0.1)
     straight = lambda _, x: x + jax.lax.stop_gradient(jnp.round(x) - x)  # noqa: E731
     assert blind(straight, sensor, jnp.ones(4))

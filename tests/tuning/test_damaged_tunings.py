@@ -1,4 +1,4 @@
-"""Damaged folders of a tuning: it ends with the same numbers, or is refused in one line."""
+"""A tuning whose folder is damaged ends with the same numbers, or is refused in one line."""
 
 import dataclasses
 import json
@@ -18,9 +18,8 @@ from jaxilc.tuning.states import Folder
 
 @pytest.fixture(autouse=True)
 def quickly_and_quietly(monkeypatch, caplog):
-    monkeypatch.setattr(
-        files.os, "fsync", lambda _: None
-    )  # a kill loses nothing that was written, only a power failure does
+    # Only a power failure loses written data, so a test of kills need not wait for the disk.
+    monkeypatch.setattr(files.os, "fsync", lambda _: None)
     caplog.set_level(logging.ERROR, "jaxilc")
 
 
@@ -30,8 +29,9 @@ class Killed(Exception):
 
 @pytest.fixture(scope="module")
 def tuned(tmp_path_factory):
-    """A problem, the folder of a tuning that was stopped after the third of four steps, and what it
-    would have ended with.
+    """Return a problem, the folder of a stopped tuning, and the result without the stop.
+
+    The tuning was stopped after the third of four steps.
     """
     problem, folder = (
         dataclasses.replace(PROBLEM, steps=4, clip=np.inf),
@@ -65,7 +65,10 @@ def test_a_flipped_bit_in_a_tuning_changes_nothing(tuned, tmp_path):
 
 
 def test_a_state_of_something_else_is_refused(tuned, tmp_path):
-    """With checksums that are right: another tuning's, or one that somebody has made."""
+    """A state that does not belong to the tuning is refused.
+
+    Its checksums are right, but it is of another tuning, or was made by hand.
+    """
     problem, folder, _ = tuned
     names = ("state.npz", "previous.npz")
     state = {name: read_arrays(folder / name) for name in names}
@@ -116,7 +119,10 @@ def test_a_damaged_tuning_falls_back_or_is_refused_in_one_line(tuned, tmp_path, 
 
 
 def test_a_state_that_is_damaged_again_falls_back_again(tuned, tmp_path):
-    """What was damaged does not take the place of the state that was fallen back on."""
+    """A state that is damaged twice is replaced by the previous one twice.
+
+    The damaged state does not overwrite the previous one, which was used instead.
+    """
     problem, folder, whole = tuned
     shutil.copytree(folder, tmp_path / "state")
     for content in (b"", b"PK"):

@@ -1,5 +1,6 @@
-"""`--set PATH=VALUE` with paths and values that nobody wants, of every scenario. See fuzz.py for
-how to run more.
+"""`--set PATH=VALUE` is tested with invalid paths and values, for every scenario.
+
+fuzz.py says how to run more cases.
 """
 
 import jax
@@ -69,7 +70,7 @@ CHEAP = ("cao-2019", "cao-2019-rig", "dai-2014", "milc-2024", "xu-2024")
 
 
 def path_of(rng, known):
-    """A path that can be set, or one like it."""
+    """Return a path that can be set, or a similar one."""
     path = pick(rng, known)
     match rng.integers(8):
         case 0:
@@ -106,9 +107,8 @@ def test_paths_and_values(name):
     known = [*scenario.settable(), "machine.actuator.limit"]
 
     def attempt(rng):
-        values = (
-            TEXTS if rng.random() < 0.8 else HOSTILE
-        )  # the others come from a file of parameters
+        # The values that are not texts come from a file of parameters.
+        values = TEXTS if rng.random() < 0.8 else HOSTILE
         chosen = scenario.with_values(
             {path_of(rng, known): pick(rng, values) for _ in range(1 + rng.integers(2))}
         )

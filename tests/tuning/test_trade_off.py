@@ -1,5 +1,6 @@
-"""Design under a budget: fronts and budgets against closed forms, finished points kept through an
-interruption, and what is refused.
+"""Design under a budget is tested: fronts and budgets are compared with closed forms.
+
+Finished points are kept when a run is interrupted. The tests also check what is refused.
 """
 
 import dataclasses
@@ -21,7 +22,7 @@ SCALE = 0.7
 
 @dataclasses.dataclass(frozen=True)
 class SquaredError(Objective):
-    """Mean square error of the last trial."""
+    """Return the mean square error of the last trial."""
 
     def __call__(self, run):
         return run.history.rms[-1, 0] ** 2
@@ -37,7 +38,7 @@ pytestmark = pytest.mark.usefixtures("compiled_once")
 
 
 def both(p, d):
-    """Mean square error and effort of the second trial, from the signals."""
+    """Return mean square error and effort of the second trial, from the signals."""
     r = np.asarray(TASK.reference)[:, 0]
     u = p * r[1:] + d * np.diff(r)
     return np.array([np.mean((r[1:] - u) ** 2), np.mean((u / SCALE) ** 2)])
@@ -49,9 +50,9 @@ def front():
 
 
 def test_a_quadratic_front_meets_the_analytic_one(front):
-    # both are quadratic in u_2, so the best of it lies on the line from 0 to r: u_2 = gamma r,
-    # sqrt(first) + scale sqrt(second) = |r|; share / first_0 (1 - gamma)^2 + (1 - share) / second_0
-    # (gamma / scale)^2 is least at gamma = a / (a + b)
+    # Both objectives are quadratic in u_2, so the best points lie on the line from 0 to r,
+    # u_2 = gamma r, where sqrt(first) + scale sqrt(second) = |r|. There share / first_0
+    # (1 - gamma)^2 + (1 - share) / second_0 (gamma / scale)^2 is least at gamma = a / (a + b).
     first, second = both(p=GIVEN["gamma_p"], d=GIVEN["gamma_d"])
     assert [p.share for p in front] == [0.6, 0.2]
     for point in front:
@@ -68,8 +69,8 @@ def test_a_quadratic_front_meets_the_analytic_one(front):
 
 
 def test_what_one_point_beats_in_both_is_left_out():
-    # no growth at any gain, so that only the error differs; the effort's share makes the first
-    # point the worse one
+    # No gain gives growth, so the points differ in their error only. The share of the effort makes
+    # the first point the worse one.
     problem = dataclasses.replace(
         PROBLEM, weights={"gamma_p": (0.1, 0.9)}, steps=3, optimiser="adam", rate=0.5
     )
@@ -110,8 +111,8 @@ def test_an_interrupted_front_keeps_its_points(front, tmp_path):
 
 
 def test_budgets_of_trials_meet_the_closed_form(tmp_path):
-    # u_J = (1 - q) r and e_J = q r with q = (1 - gamma)^(J-1): q^2 + (1 - q)^2 / scale^2 is least
-    # at q = 1 / (1 + scale^2)
+    # u_J = (1 - q) r and e_J = q r with q = (1 - gamma)^(J-1), so q^2 + (1 - q)^2 / scale^2 is
+    # least at q = 1 / (1 + scale^2).
     problem = dataclasses.replace(
         PROBLEM,
         scheme=PIDType(gamma_p=0.3),

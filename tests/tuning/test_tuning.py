@@ -1,4 +1,7 @@
-"""Tuning: optima against closed forms, risks, coordinates, resuming, and what is refused."""
+"""These tests check tuning: optima, risks, coordinates, resuming, and what is refused.
+
+Optima are compared with closed forms.
+"""
 
 import dataclasses
 import json
@@ -84,7 +87,7 @@ def test_bijections_are_one_to_one_and_stay_inside(interval):
     assert np.all((far > interval[0]) & (far < interval[1]))
     for end in interval:
         assert interval[0] < bijection.inside(end) < interval[1] or np.isinf(end)
-    if np.isfinite(interval).all() and np.prod(interval) > 0:  # orders of magnitude count alike
+    if np.isfinite(interval).all() and np.prod(interval) > 0:  # the middle is the geometric mean
         np.testing.assert_allclose(abs(bijection(0.0)), np.sqrt(np.prod(interval)), rtol=1e-9)
 
 
@@ -93,7 +96,7 @@ TRACED = []
 
 @dataclasses.dataclass(frozen=True)
 class Traced(Objective):
-    """Notes when it is traced."""
+    """The objective counts how often it is traced."""
 
     def __call__(self, run):
         TRACED.append(1)
@@ -110,8 +113,8 @@ class Traced(Objective):
     ids=["adam", "lbfgs", "least-squares", "own"],
 )
 def test_the_best_gain_of_p_type_learning_is_found_by_one_program(optimiser):
-    # smooth and convex in gamma near it: log sqrt((1 - gamma g)^4 + floor^2) with its minimum at
-    # gamma = 1 / g
+    # The objective log sqrt((1 - gamma g)^4 + floor^2) is smooth and convex near its minimum at
+    # gamma = 1 / g.
     machine = dataclasses.replace(STATIC, plant=StateSpace([[0.0]], [[0.8]], [[1.0]], dt=1e-3))
     options = {
         "machines": 1,
@@ -133,8 +136,8 @@ def test_the_best_gain_of_p_type_learning_is_found_by_one_program(optimiser):
 
 
 def test_the_gain_for_the_worst_of_two_plants_is_the_minimax_one():
-    # max over g of |1 - gamma g| is least where both ends are equal, at gamma = 2 / (g_low +
-    # g_high)
+    # The maximum of |1 - gamma g| over g is least where both ends are equal, at
+    # gamma = 2 / (g_low + g_high).
     options = {
         "sampling": "corners",
         "risk": Worst(),
@@ -199,7 +202,7 @@ def test_many_starts_take_the_best_by_held_out_plants(tuned):
     np.testing.assert_array_equal(np.flatnonzero(looked), [0, 3, 6, 8])
     np.testing.assert_allclose(tuned.after, np.nanmin(tuned.held_out), rtol=1e-12)
     assert np.nanmin(tuned.held_out[tuned.step]) == np.nanmin(tuned.held_out)
-    # the held-out loss, from the closed form and plants rebuilt outside
+    # the loss on held-out machines, from the closed form and from plants built again here
     gains = np.asarray(
         PROBLEM._losses.machines.drawn(PROBLEM.seed + 1, 3, nominal=False)[1]["plant.B"]
     )
@@ -235,7 +238,10 @@ def kill_after(step):
 
 
 def test_a_folder_under_earlier_names_is_resumed(tmp_path, monkeypatch):
-    """Machines were called samples, and metrics figures."""
+    """A folder written under earlier names is resumed.
+
+    Machines were called samples then, and metrics were called figures.
+    """
     configuration = Tuning.configuration
 
     def earlier(self):
@@ -338,13 +344,13 @@ def test_a_configuration_tells_own_optimisers_apart(one, other):
 
 
 class Nominal(Final):
-    """The same, asked of the nominal plant."""
+    """The same objective, evaluated on the nominal plant only."""
 
     nominal = True
 
 
 def test_a_nominal_term_is_asked_once_and_counts():
-    # two trials with the start gain of 0.4: e_3 = 0.36 r on the nominal plant
+    # With two trials at the start gain of 0.4, e_3 = 0.36 r on the nominal plant.
     problem = dataclasses.replace(PROBLEM, objective=2.0 * Nominal("rms", floor=0.1), steps=1)
     tuned = problem.run()
     expected = 2.0 * (0.5 * np.log(0.5 * 0.36**2 + 0.01) - np.log(0.1))

@@ -1,5 +1,6 @@
-"""Worst cases: closed forms at the end and in the middle of a range, the set respected, and against
-chance.
+"""Worst cases are searched, and compared with closed forms and with random search.
+
+The worst case is at the end or in the middle of a range. The search never leaves the given set.
 """
 
 import jax.numpy as jnp
@@ -26,13 +27,14 @@ PASSIVE = PID(kp=0.0)
 
 @pytree
 class Numbers:
-    """Something that has named leaves."""
+    """The class has leaves with names."""
 
     x: object = leaf()
 
 
 def test_the_worst_gain_of_p_type_learning_is_an_end_of_its_range():
-    # e_5 = (1 - 0.9 g)^4 r: worst at the end of the range that is farther from 1 / 0.9, the low one
+    # e_5 = (1 - 0.9 g)^4 r is worst at that end of the range that is farther from 1 / 0.9, which is
+    # the low one.
     gains = {"plant.B": Uniform(0.5, 1.4, relative=True)}
     found = worst_case_search(
         lambda machine: learn(machine, PIDType(gamma_p=0.9), TASK, 5).rms[-1, 0],
@@ -43,7 +45,7 @@ def test_the_worst_gain_of_p_type_learning_is_an_end_of_its_range():
     )
     assert found.values == {"plant.B": 0.5}
     np.testing.assert_allclose(found.loss, 0.55**4 * np.sqrt(0.5), rtol=1e-12)
-    # from the centre, where e_5 falls with the gain, and from a start above 1 / 0.9
+    # Both starts find it: the centre, where e_5 falls with the gain, and a start above 1 / 0.9.
     assert found.found[0] == found.loss
     again = worst_case_search(
         lambda machine: judge(machine, PIDType(gamma_p=0.9), TASK, 5, Final("rms")),
@@ -56,8 +58,8 @@ def test_the_worst_gain_of_p_type_learning_is_an_end_of_its_range():
 
 
 def test_the_worst_phase_of_a_disturbance_is_inside_its_range():
-    # y = 0.3 sin(t + phase) against r = sin(t): the largest rms is that of opposite phase, (1 +
-    # 0.3) / sqrt(2)
+    # With y = 0.3 sin(t + phase) and r = sin(t), the largest rms is that of opposite phase,
+    # (1 + 0.3) / sqrt(2).
     def loss(subject):
         output = 0.3 * jnp.sin(jnp.asarray(TIME) + subject["phase"].x)
         machine = Machine(subject["plant"], disturbance=Disturbance(output=output[:, None]))
@@ -72,8 +74,8 @@ def test_the_worst_phase_of_a_disturbance_is_inside_its_range():
 
 
 def test_a_linear_quadratic_case_has_its_worst_initial_state_at_the_far_end():
-    # |y|^2 of the free response is x0^T P x0: convex, so its maxima are corners, and several of
-    # them are local
+    # |y|^2 of the free response is x0^T P x0. It is convex, so its maxima are at corners, and
+    # several of them are local.
     A, C = np.array([[0.9, 0.2], [-0.3, 0.7]]), np.array([[1.0, 0.0]])
     machine = Machine(StateSpace(A, [[0.0], [1.0]], C, x0=(0.1, 0.1), dt=1e-3))
     task = Task(np.zeros(N + 1), dt=1e-3)
@@ -113,8 +115,8 @@ def test_every_constraint_is_respected_in_every_step():
 
 
 def test_climbing_beats_chance_at_equal_cost():
-    # a smooth peak in eight dimensions, off the centre and off every axis: chance hardly comes near
-    # it
+    # The peak is smooth, in eight dimensions, and away from the centre and from every axis, so a
+    # random search hardly comes near it.
     at = np.array([0.3, 0.8, 0.2, 0.9, 0.6, 0.1, 0.7, 0.4])
 
     def loss(subject):
