@@ -172,7 +172,7 @@ def folder(tmp_path, monkeypatch):
             (worst_machine, "worst_case_search"),
         ),
         *(
-            (estimation, "_problem"),
+            (estimation, "problem_of"),
             (contests, "compare"),
             (contests, "alone"),
             (contests, "compare_long"),

@@ -18,7 +18,7 @@ from jaxilc.identification import read_record
 from jaxilc.scenarios import load
 from jaxilc.scenarios.from_file import read_scenario
 from jaxilc.scenarios.parameters import with_parameters
-from jaxilc.signals import Task, references
+from jaxilc.signals import Task, references, s_curves
 
 TASK = {"dt": 0.001, "unit": "mm", "input_unit": "V"}
 SINE = {"function": "sinusoid", "amplitude": 1.0, "frequency": 10.0, "duration": 0.05}
@@ -118,14 +118,15 @@ FILES = (
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     """Return a folder, and make trials short; their length is planned elsewhere."""
-    whole = references._time
+    whole = references.sample_times
 
     def of_moderate_length(function, duration, dt, *arrays):
         if np.all(np.asarray(duration, float) > 1e5 * np.asarray(dt, float)):
             raise ValueError(f"{function}: too long for this test")
         return whole(function, duration, dt, *arrays)
 
-    monkeypatch.setattr(references, "_time", of_moderate_length)
+    for module in (references, s_curves):
+        monkeypatch.setattr(module, "sample_times", of_moderate_length)
     time = np.arange(51) * DT
     np.savetxt(
         tmp_path / "r.csv",

@@ -23,6 +23,7 @@ import xarray as xr
 
 import jaxilc
 from jaxilc import cli
+from jaxilc.pytree import pytree
 from jaxilc.runtime import capacity
 from jaxilc.schemes import PID
 from jaxilc.sweeps import cluster, worker
@@ -277,6 +278,7 @@ def test_room_of_a_worker(found, room):
 
 
 def test_classes_that_workers_cannot_import_are_named():
+    @pytree
     class Mine(PID):
         pass
 
