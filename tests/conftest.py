@@ -1,12 +1,16 @@
 """This file starts JAX before any test module uses it."""
 
+import gc
 import os
 
 # Most of the time of these tests is compilation. Without LLVM's optimiser and the newer code
 # generator it takes half as long. `XLA_FLAGS= pytest` tests the programs as users get them.
 FLAGS = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
 os.environ.setdefault("XLA_FLAGS", FLAGS)
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # its threads would wait for one another
 os.environ.setdefault("JAXILC_CACHE", "off")  # it would write to the user's folder
+
+gc.set_threshold(200_000, 20, 100)  # tracing makes many objects, few of them in circles
 
 import jaxilc.runtime  # noqa: E402
 
