@@ -6,7 +6,7 @@ are damaged.
 Each fuzz test runs a few times with the other tests. For more, give the number of runs and the
 first seed:
 
-    JAXILC_FUZZ=10000 JAXILC_FUZZ_SEED=1 pytest tests/test_fuzz_*.py tests/test_damaged_*.py
+    JAXILC_FUZZ=10000 JAXILC_FUZZ_SEED=1 pytest tests/*/test_fuzz_*.py tests/*/test_damaged_*.py
 
 A failure is reported with the seed of its run. JAXILC_FUZZ=1 with this seed repeats that run alone.
 """
