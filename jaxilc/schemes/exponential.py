@@ -8,7 +8,8 @@ from ..pytree.fields import Leaf, leaf, pytree, static
 from ..pytree.needs import need_channels
 from ..signals.task import Limit, Task, Trial
 from .pid_type import need_lead
-from .scheme import Feedforward, Scheme, advance, limit_of, limited, need_square
+from .scheme import Feedforward, Scheme, limit_of, limited, need_square
+from .shifts import advance
 from .sliding_mode import need_input_gain
 
 

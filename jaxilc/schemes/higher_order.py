@@ -12,7 +12,8 @@ from ..pytree.fields import Leaf, leaf, pytree, static
 from ..pytree.needs import known, need_channels
 from ..signals.task import Limit, Task, Trial
 from .pid_type import need_lead
-from .scheme import Scheme, advance, limit_of, limited, need_square
+from .scheme import Scheme, limit_of, limited, need_square
+from .shifts import advance
 
 
 class Past(NamedTuple):

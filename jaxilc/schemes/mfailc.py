@@ -19,7 +19,8 @@ from ..pytree.needs import need_channels
 from ..signals.task import Sample, Task, Trial
 from .pid_type import need_lead
 from .pseudo_gradient import RESETS, need_window, pseudo_gradient, reset_estimate
-from .scheme import Scheme, advance, delay, limited, need_square
+from .scheme import Scheme, limited, need_square
+from .shifts import advance, delay
 
 
 class Memory(NamedTuple):

@@ -13,7 +13,8 @@ from ..pytree.fields import child, pytree, static
 from ..signals.task import Limit, Sample, Task, Trial
 from .compose import Pair, signals_of_part, silent_signals
 from .on_reference import ReferenceSchedule
-from .scheme import UNASKED, Part, Scheme, State, delay, limits_of_parts, under
+from .scheme import UNASKED, Part, Scheme, State, limits_of_parts, under
+from .shifts import delay
 
 
 class LearnedState(NamedTuple):

@@ -11,7 +11,8 @@ import jax.numpy as jnp
 from ..pytree.fields import child, pytree
 from ..signals.task import Sample, Task, Trial
 from .compose import Pair, need_feedforward, signals_of_part, silent_signals
-from .scheme import UNASKED, Part, Scheme, State, delay, under
+from .scheme import UNASKED, Part, Scheme, State, under
+from .shifts import delay
 
 
 class ReferenceSchedule(NamedTuple):

@@ -7,7 +7,8 @@ import jax.numpy as jnp
 from ..pytree.fields import Leaf, leaf, pytree, static
 from ..pytree.needs import need_channels
 from ..signals.task import Limit, Task, Trial
-from .scheme import Feedforward, Scheme, advance, limit_of, limited, need_square
+from .scheme import Feedforward, Scheme, limit_of, limited, need_square
+from .shifts import advance
 
 
 @pytree

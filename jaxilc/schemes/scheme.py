@@ -225,10 +225,16 @@ class Scheme:
         memory: the memory before a trial of the `unlimited` scheme
         trial: the record of this trial
         By default a field `limit` is the largest |u| within a trial; a scheme that limits what it
-        learns overrides this. The limits of a part are under its name.
+        learns overrides this. The limits of a part are under its name. A scheme in a field that
+        `parts` leaves out cannot be asked, so its limits count as met.
         """
         own = limit_of(trial.u, getattr(self, "limit", None)) if "limit" in self.clips else {}
         parts = self.parts(task, memory)
+        for name, scheme in self._fields_that_are_schemes().items():
+            if name not in parts and jax.tree.structure(scheme) != jax.tree.structure(
+                scheme.unlimited()
+            ):
+                own[f"{name}, which {type(self).__name__}.parts leaves out,"] = always_met(trial.u)
         return own | limits_of_parts(parts, self.shown(trial) if parts else {})
 
     def play(self, learned, memory: Memory, task: Task) -> Any:
@@ -276,19 +282,14 @@ def limit_of(signal, bound) -> dict[str, Limit]:
     return {} if bound is None else {"limit": Limit(signal, bound)}
 
 
+def always_met(signal) -> Limit:
+    """A limit that counts as met in every trial, since nobody can say when it is."""
+    return Limit(jnp.full_like(signal, 2.0), jnp.ones(()))
+
+
 def limits_of_parts(parts: dict[str, Part], shown: dict[str, Trial]) -> dict[str, Limit]:
     """The limits of each part under its name; `shown` is the trial as each part acted in it."""
     found = {}
     for name, (scheme, task, memory) in parts.items():
         found |= under(name, scheme.limits(task, memory, shown[name]))
     return found
-
-
-def advance(signal, samples: int) -> jax.Array:
-    """The rows signal[k + samples], k = 0..N-1, of a (N+1, n) signal; zero after the trial."""
-    return jnp.pad(signal[samples:], ((0, samples - 1), (0, 0))) if samples else signal[:-1]
-
-
-def delay(signal, samples: int) -> jax.Array:
-    """The rows signal[k - samples], k = 0..N-1, of a (N, n) signal; zero before the trial."""
-    return signal if samples == 0 else jnp.pad(signal, ((samples, 0), (0, 0)))[:-samples]

@@ -217,6 +217,34 @@ def test_their_weights_are_tuned_by_name(case):
     assert tuned.values[case.share] != tuned.start[case.share]
 
 
+@pytree
+class Silent(Scheme):
+    """It plays and learns as its field does, but no part is seen: its memory has no such field."""
+
+    field: Scheme = child()
+
+    def initial_memory(self, task):
+        return Kept(self.field.initial_memory(task), jnp.zeros(()))
+
+    def schedule(self, memory, task):
+        return self.field.schedule(memory.inner, task)
+
+    def learn(self, memory, trial):
+        return Kept(self.field.learn(memory.inner, trial), memory.trials + 1)
+
+
+@pytest.mark.parametrize("around", [lambda s: s, lambda s: WithFeedback(s, FEEDBACK)])
+def test_a_limit_of_a_scheme_that_is_no_part_is_not_claimed_away(around):
+    """The error of a P-type law with a limit stalls, so that `monotone` would be wrong."""
+    free, limited = (around(Silent(PIDType(gamma_p=0.5, limit=x))) for x in (None, 0.3))
+    assert set(certify(MACHINE, free, TASK, 5, {}, {}).claim) != {"not claimed"}
+    found = certify(MACHINE, limited, TASK, 5, {}, {})
+    assert set(found.claim) == {"not claimed"}
+    assert "Silent.parts leaves out, is met in trial 1" in found.reason[0]
+    errors = np.asarray(learn(MACHINE, limited, TASK, 200).rms)[:, 0]
+    assert errors[199] > 0.5 * errors[20] > 0.01
+
+
 def test_limits_and_schedules_of_parts_have_their_names():
     own = Cautious(WithFeedback(Blend(law((0.3, 0.1), limit=0.2), law((0.3, 0.1))), FEEDBACK))
     history = learn(MACHINE, own.unlimited(), TASK, 2)
