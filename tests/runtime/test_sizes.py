@@ -129,7 +129,8 @@ def test_a_program_that_does_not_fit_is_refused_before_it_runs(monkeypatch, tmp_
     problem = dataclasses.replace(PROBLEM, uncertainty={}, machines=1, held_out=0, steps=1)
     with pytest.raises(
         ValueError,
-        match=r"a step of all starts takes .* of memory, where 2 kB are available; take fewer",
+        match=r"a step of all starts takes .* of memory, where 2 kB are available; "
+        r"take fewer trials",
     ):
         problem.run(tmp_path / "state")
     assert not (tmp_path / "state").exists()
