@@ -121,7 +121,7 @@ def family(rng, count=60) -> dict:
         gamma, lead, cutoff = rng.uniform(0.2, 0.8), int(rng.integers(0, 8)), rng.uniform(30, 150)
         law = Filtered(PIDType(gamma_p=gamma, lead=lead), ZeroPhaseButterworth(cutoff))
         found = frequency.family_condition(
-            Machine(plant), box, law, task_of(200), samples=32
+            Machine(plant), box, law, task_of(200), machines=32
         ).condition
         brute = 0.0
         for share in np.linspace(0.8, 1.2, 21):

@@ -65,6 +65,31 @@ Growth = Annotated[
     float | None, typer.Option(help="Share by which the RMS error may grow without a warning.")
 ]
 
+AcceptSaturation = Annotated[
+    bool, typer.Option("--accept-saturation", help="Learn in spite of saturation.")
+]
+StopOnGrowth = Annotated[
+    bool, typer.Option("--stop-on-growth", help="Refuse a trial whose error grew.")
+]
+NoLearn = Annotated[
+    bool,
+    typer.Option("--no-learn", help="Look at the trial only; the same schedule is played again."),
+]
+ReplayedInput = Annotated[
+    bool, typer.Option("--replayed-input", help="Without u: the scheme's over the measured y.")
+]
+Undo = Annotated[
+    int | None,
+    typer.Option(metavar="J", help="Go back to what was known after trial J, 0 for the start."),
+]
+Number = Annotated[
+    str,
+    typer.Option(
+        help="Numbers of a C header: double or float.", autocompletion=of_list("double", "float")
+    ),
+]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="Check and report; write nothing.")]
+
 
 def register(app: typer.Typer) -> None:
     """Add the commands to the command line."""
@@ -85,35 +110,13 @@ def next_(
     saturation: Share = None,
     repeatability: Repeatability = None,
     growth: Growth = None,
-    accept_saturation: Annotated[
-        bool, typer.Option("--accept-saturation", help="Learn in spite of saturation.")
-    ] = False,
-    stop_on_growth: Annotated[
-        bool, typer.Option("--stop-on-growth", help="Refuse a trial whose error grew.")
-    ] = False,
-    no_learn: Annotated[
-        bool,
-        typer.Option(
-            "--no-learn", help="Look at the trial only; the same schedule is played again."
-        ),
-    ] = False,
-    replayed_input: Annotated[
-        bool, typer.Option("--replayed-input", help="Without u: the scheme's over the measured y.")
-    ] = False,
-    undo: Annotated[
-        int | None,
-        typer.Option(metavar="J", help="Go back to what was known after trial J, 0 for the start."),
-    ] = None,
-    number: Annotated[
-        str,
-        typer.Option(
-            help="Numbers of a C header: double or float.",
-            autocompletion=of_list("double", "float"),
-        ),
-    ] = "double",
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Check and report; write nothing.")
-    ] = False,
+    accept_saturation: AcceptSaturation = False,
+    stop_on_growth: StopOnGrowth = False,
+    no_learn: NoLearn = False,
+    replayed_input: ReplayedInput = False,
+    undo: Undo = None,
+    number: Number = "double",
+    dry_run: DryRun = False,
 ) -> None:
     """From a trial measured on a real machine to the input of the next one.
 
@@ -124,26 +127,12 @@ def next_(
 
     Example: jaxilc next --state x-axis --measured trial-3.csv --out trial-4.csv
     """
-    from ..hardware.campaign import refuse
-    from ..hardware.input_files import check_format
-    from ..hardware.journal import Journal
-    from ..hardware.trial_files import read_measured
     from ..runtime.start import setup
     from ..scenarios.campaigns import Given, campaign
     from .asked import settings_of
 
     setup(precision="float64")
-    if out_file is not None:
-        check_format(out_file, number)
-    elif not dry_run:
-        raise ValueError("--out is missing; without it, only --dry-run")
-    if measured is not None and undo is not None:
-        raise ValueError("--measured and --undo exclude each other: undo first, then measure again")
-    new = not Journal(state).exists
-    if new and (measured is not None or undo is not None):
-        raise FileNotFoundError(
-            f"{state} holds no campaign; start one without --measured and --undo"
-        )
+    new = _starts(state, measured, undo, out_file, number, dry_run)
     given = Given(
         scenario=scenario,
         plant_file=plant_file,
@@ -167,17 +156,55 @@ def next_(
     if undo is not None and not dry_run:
         now.undo(undo)
     if measured is not None:
-        record = read_measured(measured, now.task, now.recordable())
-        turn = now.turn(record, learn=not no_learn, replay_input=replayed_input)
-        _report(turn, record.ignored, now.task.unit)
-        try:
-            refuse(turn.findings)
-        except ValueError as error:
-            raise Refused(error) from None
+        turn = _learned(now, measured, learn=not no_learn, replay_input=replayed_input)
         if not dry_run:
             now.keep(turn)
         schedules, trial = turn.schedules, turn.trial + 1
     _played(None if dry_run else out_file, schedules, now.task, trial, number)
+
+
+def _starts(
+    state: Path,
+    measured: Path | None,
+    undo: int | None,
+    out_file: Path | None,
+    number: str,
+    dry_run: bool,
+) -> bool:
+    """Whether the call starts a campaign; raises what is wrong with the options together."""
+    from ..hardware.input_files import check_format
+    from ..hardware.journal import Journal
+
+    if out_file is not None:
+        check_format(out_file, number)
+    elif not dry_run:
+        raise ValueError("--out is missing; without it, only --dry-run")
+    if measured is not None and undo is not None:
+        raise ValueError("--measured and --undo exclude each other: undo first, then measure again")
+    new = not Journal(state).exists
+    if new and (measured is not None or undo is not None):
+        raise FileNotFoundError(
+            f"{state} holds no campaign; start one without --measured and --undo"
+        )
+    return new
+
+
+def _learned(now, measured: Path, **how):
+    """The turn that a measured trial makes; its findings are printed.
+
+    Raises Refused where the checks refuse the trial.
+    """
+    from ..hardware.campaign import refuse
+    from ..hardware.trial_files import read_measured
+
+    record = read_measured(measured, now.task, now.recordable())
+    turn = now.turn(record, **how)
+    _report(turn, record.ignored, now.task.unit)
+    try:
+        refuse(turn.findings)
+    except ValueError as error:
+        raise Refused(error) from None
+    return turn
 
 
 def trials(

@@ -80,7 +80,6 @@ def tune(
     from .asked import begin, chosen_scenario, objective_asked, tuning_problem
 
     begin(precision)
-    from .. import figures
     from ..figures.report import command_report
     from .progress import run_tuning
     from .tuning_numbers import tuning_numbers
@@ -121,8 +120,6 @@ def tune(
     out.print(result, highlight=False)
     for line in warnings:
         err.print(line, highlight=False)
-    scale, unit = chosen.shown(chosen.judged_by)
-    band = figures.error_band(dataset, metric=chosen.judged_by, scale=scale, unit=unit)
     paths = [
         parameter_file(
             folder / "params.json",
@@ -134,8 +131,7 @@ def tune(
             held_out_loss=numbers["held_out"],
             configuration=problem.configuration(),
         ),
-        figures.save(figures.loss_by_step(tuned), folder / "loss.png"),
-        figures.save(band, folder / "learning.png"),
+        *_figures(folder, chosen, tuned, dataset),
     ]
     page = command_report(
         report,
@@ -148,3 +144,15 @@ def tune(
         asked={"weights": weights, "objective": objective, "risk": risk},
     )
     written([*paths, *page], json_file, numbers)
+
+
+def _figures(folder: Path, chosen, tuned, dataset) -> list[Path]:
+    """Write the loss of each step, and the error of the given and the tuned weights by trial."""
+    from .. import figures
+
+    scale, unit = chosen.shown(chosen.judged_by)
+    band = figures.error_band(dataset, metric=chosen.judged_by, scale=scale, unit=unit)
+    return [
+        figures.save(figures.loss_by_step(tuned), folder / "loss.png"),
+        figures.save(band, folder / "learning.png"),
+    ]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import wraps
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 EARLIER = {"samples": "machines", "figure": "metric"}  # in configurations
 
@@ -25,27 +25,30 @@ def in_todays_names(configuration: Any) -> Any:
     return configuration
 
 
-def takes_also(**earlier: str) -> Callable[[type[T]], type[T]]:
-    """A class decorator that makes the constructor accept keywords under earlier names, too.
+def takes_also(**earlier: str) -> Callable[[T], T]:
+    """A decorator of a class or a function that then accepts keywords under earlier names, too.
 
     earlier: the present name for each earlier name
-    The constructor then raises TypeError where both names are given.
+    A call then raises TypeError where both names are given.
     """
 
-    def decorated(cls: type[T]) -> type[T]:
-        known: Any = cls
-        construct = known.__init__
+    def decorated(known: T) -> T:
+        """The same class with another constructor, or a function around the given one."""
+        of: Any = known
+        call = of.__init__ if isinstance(of, type) else of
 
-        @wraps(construct)
-        def __init__(self, *arguments, **options):
+        @wraps(call)
+        def under_todays_names(*arguments, **options):
             for name, today in earlier.items():
                 if name in options and today in options:
-                    raise TypeError(f"{cls.__name__}: {name} is now {today}; both were given")
+                    raise TypeError(f"{of.__name__}: {name} is now {today}; both were given")
                 if name in options:
                     options[today] = options.pop(name)
-            construct(self, *arguments, **options)
+            return call(*arguments, **options)
 
-        known.__init__ = __init__
-        return cls
+        if not isinstance(of, type):
+            return cast("T", under_todays_names)
+        cast("Any", of).__init__ = under_todays_names
+        return known
 
     return decorated

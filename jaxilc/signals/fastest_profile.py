@@ -11,97 +11,25 @@ _GAUSS = (np.polynomial.legendre.leggauss(4)[0] + 1) / 2, np.polynomial.legendre
 def fastest(path, h, G, feed, groups, gap):
     """(G+2,) coefficients of the quadratic B-spline beta that minimises the time.
 
-    It is found to a relative gap, by a barrier method. The limits are taken at both ends of each of
-    the G intervals. A jerk beta^(1/2) l, with l linear in beta, is within its limit where 1 / beta
-    >= |l|^2. For a step 1 / beta is replaced by the square of the tangent of beta^(-1/2), which
-    lies below it: this makes the problem a convex one of the same gradient.
+    It is found to a relative gap, by a barrier method: for each of a row of weights of the time,
+    Newton's method finds the least cost. The limits are taken at both ends of each of the G
+    intervals.
     """
-    x = np.add.outer([0, 1], np.arange(G)) * h
-    p1, p2, p3 = (np.moveaxis(path.derivative(i)(x), -1, 0).copy()[:, None] for i in (1, 2, 3))
-    # beta, beta' and beta'' from three coefficients, (3, 2, G) each
-    bend = [1 / h**2, -2 / h**2, 1 / h**2]
-    stencil = np.array(
-        [[[0.5, 0.5, 0], [-1 / h, 1 / h, 0], bend], [[0, 0.5, 0.5], [0, -1 / h, 1 / h], bend]]
-    )
-    stencil = np.repeat(stencil.transpose(1, 2, 0)[..., None], G, axis=-1)
-    # beta' = 0 at both ends, or the motion would start with a jump of acceleration: the outermost
-    # coefficient counts to its neighbour
-    for outermost, interval in ((0, 0), (2, -1)):
-        stencil[:, 1, :, interval] += stencil[:, outermost, :, interval]
-        stencil[:, outermost, :, interval] = 0.0
-    E, E1, E2 = stencil
-    speed = (p1[-1, 0] / feed) ** 2
-    # Gram matrices of the linear forms: |a|^2 and |l|^2 = C Q C, of limits 1 and 1 / beta, C the
-    # three coefficients
-    a, ell = p2 * E + p1 / 2 * E1, p3 * E + 1.5 * p2 * E1 + p1 / 2 * E2
-    forms = [a[axes] / acceleration for axes, acceleration, _ in groups] + [
-        ell[axes] / jerk for axes, _, jerk in groups
-    ]
-    Q = np.stack([np.einsum("aieg,ajeg->ijeg", form, form) for form in forms])
-    n = len(groups)
-    rows, cols = np.triu_indices(3)  # all a symmetric matrix holds
-    weights = Q[:, rows, cols] * np.where(rows == cols, 1, 2)[:, None, None]
-
-    def local(c):
-        """The three coefficients of each interval, beta, and what is left of the limits.
-
-        These are the limit of the speed and the others. All are > 0 within the limits.
-        """
-        C = np.stack([c[:-2], c[1:-1], c[2:]])
-        beta = np.einsum("ieg,ig->eg", E, C)
-        used = np.einsum("lkeg,kg->leg", weights, C[rows] * C[cols])
-        used[n:] *= beta
-        return C, beta, 1 - speed * beta, 1 - used
-
-    def cost(c, weight):
-        _, beta, left, others = local(c)
-        if not (c.min() > 0 and min(left.min(), others.min()) > 0):
-            return np.inf
-        return weight * np.sum(beta**-0.5) - sum(np.sum(np.log(part)) for part in (left, *others))
-
-    def newton_step(c, weight):
-        C, beta, left, others = local(c)
-        others[n:] /= beta
-        inverse = 1 / others
-        slope = 2 * np.einsum("lijeg,jg->lieg", Q, C)
-        slope[n:] += beta**-2 * E
-        slope *= inverse[:, None]
-        along = speed / left - 0.5 * weight * beta**-1.5 - n / beta
-        bend = (
-            (speed / left) ** 2
-            + 0.75 * weight * beta**-2.5
-            + n / beta**2
-            - 0.5 * beta**-3 * np.sum(inverse[n:], axis=0)
-        )
-        total, banded = np.zeros(G + 2), np.zeros((3, G + 2))
-        for i in range(3):
-            total[i : i + G] += np.sum(along * E[i], axis=0) + np.einsum("leg->g", slope[:, i])
-            for j in range(i, 3):
-                outer = np.einsum("leg,leg->g", slope[:, i], slope[:, j]) + 2 * np.einsum(
-                    "leg,leg->g", Q[:, i, j], inverse
-                )
-                banded[2 + i - j, j : j + G] += outer + np.sum(bend * E[i] * E[j], axis=0)
-        banded[2, [0, -1]] = 1.0  # the outermost coefficients follow their neighbours
-        step = solveh_banded(banded, -total)
-        step[[0, -1]] = step[[1, -2]]
-        return step, -np.sum(total * step)  # a dot product would wait for BLAS threads
-
-    # the given profile, slowed down into the limits
-    worst = np.max(np.sum(Q, axis=(1, 2)), axis=(1, 2)) ** np.repeat([1 / 4, 1 / 6], n)
-    c = np.full(G + 2, 0.9 * max(np.sqrt(speed.max()), *worst) ** -2)
-    limits = x.size * (1 + 2 * n)
+    barrier = _Barrier(path, h, G, feed, groups)
+    c = barrier.start()
     reached = 1.0
     while reached > gap:
-        weight = limits / reached / np.sum(local(c)[1] ** -0.5)
-        now = cost(c, weight)
+        weight = barrier.limits / reached / barrier.time(c)
+        now = barrier.cost(c, weight)
         for _ in range(30):
             try:
-                step, decrease = newton_step(c, weight)
+                step, decrease = barrier.newton_step(c, weight)
             except np.linalg.LinAlgError:  # rounding, close to a limit; c keeps them all
                 return c
             scale = 1.0
             while (
-                not (tried := cost(c + scale * step, weight)) <= now - 1e-4 * scale * decrease
+                not (tried := barrier.cost(c + scale * step, weight))
+                <= now - 1e-4 * scale * decrease
                 and scale > 1e-9
             ):
                 scale /= 2
@@ -112,6 +40,121 @@ def fastest(path, h, G, feed, groups, gap):
                 break
         reached /= 8
     return c
+
+
+def _stencil(h, G):
+    """(3, 3, 2, G) beta, beta' and beta'' at both ends of G intervals, from three coefficients."""
+    bend = [1 / h**2, -2 / h**2, 1 / h**2]
+    stencil = np.array(
+        [[[0.5, 0.5, 0], [-1 / h, 1 / h, 0], bend], [[0, 0.5, 0.5], [0, -1 / h, 1 / h], bend]]
+    )
+    stencil = np.repeat(stencil.transpose(1, 2, 0)[..., None], G, axis=-1)
+    # beta' = 0 at both ends, or the motion would start with a jump of acceleration: the outermost
+    # coefficient counts to its neighbour
+    for outermost, interval in ((0, 0), (2, -1)):
+        stencil[:, 1, :, interval] += stencil[:, outermost, :, interval]
+        stencil[:, outermost, :, interval] = 0.0
+    return stencil
+
+
+class _Barrier:
+    """The time of a motion, and the logarithms of what it leaves of its limits.
+
+    A jerk beta^(1/2) l, with l linear in beta, is within its limit where 1 / beta >= |l|^2. For a
+    step, 1 / beta is replaced by the square of the tangent of beta^(-1/2), which lies below it:
+    this makes the problem a convex one of the same gradient.
+
+    E: (3, 2, G) beta at both ends of each interval, from its three coefficients
+    Q: (2 n, 3, 3, 2, G) Gram matrices of the n accelerations a and the n jerks l, in parts of their
+    limits: |a|^2 and |l|^2 = C Q C, of limits 1 and 1 / beta, where C are the three coefficients
+    speed: (2, G) the part of the largest feed that is used, squared, for each unit of beta
+    limits: number of inequalities
+    """
+
+    def __init__(self, path, h, G, feed, groups):
+        x = np.add.outer([0, 1], np.arange(G)) * h
+        p1, p2, p3 = (np.moveaxis(path.derivative(i)(x), -1, 0).copy()[:, None] for i in (1, 2, 3))
+        self.E, E1, E2 = _stencil(h, G)
+        self.speed = (p1[-1, 0] / feed) ** 2
+        a = p2 * self.E + p1 / 2 * E1
+        ell = p3 * self.E + 1.5 * p2 * E1 + p1 / 2 * E2
+        forms = [a[axes] / acceleration for axes, acceleration, _ in groups] + [
+            ell[axes] / jerk for axes, _, jerk in groups
+        ]
+        self.Q = np.stack([np.einsum("aieg,ajeg->ijeg", form, form) for form in forms])
+        self.G, self.n = G, len(groups)
+        self._rows, self._cols = rows, cols = np.triu_indices(3)  # all a symmetric matrix holds
+        self._weights = self.Q[:, rows, cols] * np.where(rows == cols, 1, 2)[:, None, None]
+        self.limits = x.size * (1 + 2 * self.n)
+
+    def start(self):
+        """(G+2,) coefficients of a constant speed that is within all limits."""
+        n = self.n
+        largest = np.max(np.sum(self.Q, axis=(1, 2)), axis=(1, 2))
+        largest = largest ** np.repeat([1 / 4, 1 / 6], n)
+        return np.full(self.G + 2, 0.9 * max(np.sqrt(self.speed.max()), *largest) ** -2)
+
+    def local(self, c):
+        """The three coefficients of each interval, beta, and what is left of the limits.
+
+        These are the limit of the speed and the others. All are > 0 within the limits.
+        """
+        C = np.stack([c[:-2], c[1:-1], c[2:]])
+        beta = np.einsum("ieg,ig->eg", self.E, C)
+        used = np.einsum("lkeg,kg->leg", self._weights, C[self._rows] * C[self._cols])
+        used[self.n :] *= beta
+        return C, beta, 1 - self.speed * beta, 1 - used
+
+    def time(self, c):
+        """The sum of the times that both ends of the intervals stand for."""
+        return np.sum(self.local(c)[1] ** -0.5)
+
+    def cost(self, c, weight):
+        """The weighted time less the logarithms; infinite outside the limits."""
+        _, beta, left, others = self.local(c)
+        if not (c.min() > 0 and min(left.min(), others.min()) > 0):
+            return np.inf
+        return weight * np.sum(beta**-0.5) - sum(np.sum(np.log(part)) for part in (left, *others))
+
+    def newton_step(self, c, weight):
+        """(G+2,) step of Newton's method, and the decrease of the cost that it promises, twice."""
+        slope, along, inverse, bend = self._derivatives(c, weight)
+        G, E = self.G, self.E
+        total, banded = np.zeros(G + 2), np.zeros((3, G + 2))
+        for i in range(3):
+            total[i : i + G] += np.sum(along * E[i], axis=0) + np.einsum("leg->g", slope[:, i])
+            for j in range(i, 3):
+                outer = np.einsum("leg,leg->g", slope[:, i], slope[:, j]) + 2 * np.einsum(
+                    "leg,leg->g", self.Q[:, i, j], inverse
+                )
+                banded[2 + i - j, j : j + G] += outer + np.sum(bend * E[i] * E[j], axis=0)
+        banded[2, [0, -1]] = 1.0  # the outermost coefficients follow their neighbours
+        step = solveh_banded(banded, -total)
+        step[[0, -1]] = step[[1, -2]]
+        return step, -np.sum(total * step)  # a dot product would wait for BLAS threads
+
+    def _derivatives(self, c, weight):
+        """What the gradient and the Hessian of the cost are assembled from.
+
+        These are the slopes of the logarithms of accelerations and jerks, (2 n, 3, 2, G), the slope
+        along beta of all else, the factors of Q in the Hessian, and the second derivative along
+        beta.
+        """
+        n = self.n
+        C, beta, left, others = self.local(c)
+        others[n:] /= beta
+        inverse = 1 / others
+        slope = 2 * np.einsum("lijeg,jg->lieg", self.Q, C)
+        slope[n:] += beta**-2 * self.E
+        slope *= inverse[:, None]
+        along = self.speed / left - 0.5 * weight * beta**-1.5 - n / beta
+        bend = (
+            (self.speed / left) ** 2
+            + 0.75 * weight * beta**-2.5
+            + n / beta**2
+            - 0.5 * beta**-3 * np.sum(inverse[n:], axis=0)
+        )
+        return slope, along, inverse, bend
 
 
 class Profile:

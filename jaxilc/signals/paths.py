@@ -93,15 +93,7 @@ def plan(curve, interval, *, feed, acceleration, jerk, dt, points=20001) -> Plan
     bends too sharply for its table, and for more than a million samples.
     """
     u, q, arc = tabulated(curve, interval, points)
-    d = q.shape[1]
-    at_rest = [(1, np.zeros(d + 1))]
-    require("plan", "feed", feed, POSITIVE, " mm/s")
-    require("plan", "dt", dt, POSITIVE, " s")
-    for name, value, unit in (("acceleration", acceleration, " mm/s^2"), ("jerk", jerk, " mm/s^3")):
-        if np.shape(value) not in ((), (d,)):
-            raise ValueError(f"plan: {name} has shape {np.shape(value)}; allowed are () and ({d},)")
-        require("plan", name, value, POSITIVE, unit, many=True)
-    groups = _groups(d, acceleration, jerk)
+    groups = _groups(q.shape[1], feed, acceleration, jerk, dt)
     ramp, T, arc_at = _look_ahead(arc, q, feed, np.min(acceleration), np.min(jerk))
     if not T / dt <= LONGEST:
         limits = f"feed = {feed:g} mm/s, acceleration = {acceleration} mm/s^2, jerk = {jerk} mm/s^3"
@@ -120,27 +112,43 @@ def plan(curve, interval, *, feed, acceleration, jerk, dt, points=20001) -> Plan
     # The first solution becomes the time base of the second: then the grid is fine where the motion
     # turned out to be slow.
     for gap in (1e-1, 1e-2, 3e-4):
-        # Finer than the ramps need only costs digits: the Hessian's condition grows with the fourth
-        # power of G.
-        G = int(np.clip(np.ceil(T / np.clip(dt, ramp / 100, ramp / 8)), 2000, 20_000))
-        x = np.linspace(0.0, T, G + 1)
-        s = np.append(np.clip(arc_at(x[:-1]), 0.0, arc[-1]), arc[-1])
-        # Cubic: its third derivative and that of beta jump together, between intervals, so that the
-        # limits hold within each.
-        path = make_interp_spline(x, on_curve(s)[0], 3, bc_type=(at_rest, at_rest))
-        profile = Profile(fastest(path, x[1], G, feed, groups, gap), x[1])
+        x, path = _over_time(on_curve, arc_at, arc[-1], T, np.clip(dt, ramp / 100, ramp / 8))
+        profile = Profile(fastest(path, x[1], len(x) - 1, feed, groups, gap), x[1])
         T, arc_at = (
             profile.times[-1],
             lambda t, path=path, profile=profile: path(profile.at(t))[:, -1],
         )
+    return _sampled(on_curve, path, profile, arc[-1], dt, feed, groups)
 
-    stretch = 1.0
+
+def _over_time(on_curve, arc_at, length, T, step):
+    """(G+1,) times of a profile, and the spline of the path and its arc length over them.
+
+    on_curve: positions and arc length, and parameter, at an arc length
+    arc_at: arc length at a time of the profile, which lasts T
+    step: of the grid; 2000 to 20000 steps are taken
+    """
+    # Finer than the ramps need only costs digits: the Hessian's condition grows with the fourth
+    # power of the number of steps.
+    G = int(np.clip(np.ceil(T / step), 2000, 20_000))
+    x = np.linspace(0.0, T, G + 1)
+    s = np.append(np.clip(arc_at(x[:-1]), 0.0, length), length)
+    positions = on_curve(s)[0]
+    at_rest = [(1, np.zeros(positions.shape[1]))]
+    # Cubic: its third derivative and that of beta jump together, between intervals, so that the
+    # limits hold within each.
+    return x, make_interp_spline(x, positions, 3, bc_type=(at_rest, at_rest))
+
+
+def _sampled(on_curve, path, profile, length, dt, feed, groups):
+    """The plan of a profile in whole samples, slowed down until they keep the limits."""
+    T, stretch = profile.times[-1], 1.0
     while True:
         N = int(np.ceil(T * stretch / dt - 1e-9))
         stretch = N * dt / T
         x = profile.at(np.arange(N + 1) / N * T)
-        s = np.clip(path(x)[:, -1], 0.0, arc[-1])
-        s[0], s[-1] = 0.0, arc[-1]
+        s = np.clip(path(x)[:, -1], 0.0, length)
+        s[0], s[-1] = 0.0, length
         reference, parameter = on_curve(s)
         excess = _excess(reference, dt, feed, groups)
         if excess <= 1.0:
@@ -156,8 +164,17 @@ def plan(curve, interval, *, feed, acceleration, jerk, dt, points=20001) -> Plan
     return Plan(reference[:, :-1], parameter, s, *motion, float(dt))
 
 
-def _groups(d, acceleration, jerk):
-    """(axes, acceleration, jerk) for each vector that is limited; axis d is the arc length."""
+def _groups(d, feed, acceleration, jerk, dt):
+    """(axes, acceleration, jerk) for each vector that is limited; axis d is the arc length.
+
+    Raises ValueError for a limit or a sample time outside its range.
+    """
+    require("plan", "feed", feed, POSITIVE, " mm/s")
+    require("plan", "dt", dt, POSITIVE, " s")
+    for name, value, unit in (("acceleration", acceleration, " mm/s^2"), ("jerk", jerk, " mm/s^3")):
+        if np.shape(value) not in ((), (d,)):
+            raise ValueError(f"plan: {name} has shape {np.shape(value)}; allowed are () and ({d},)")
+        require("plan", name, value, POSITIVE, unit, many=True)
     if np.ndim(acceleration) == 0 and np.ndim(jerk) == 0:
         return [(np.arange(d), acceleration, jerk), (np.array([d]), acceleration, jerk)]
     accelerations, jerks = np.broadcast_to(acceleration, d), np.broadcast_to(jerk, d)

@@ -16,6 +16,7 @@ from jax import lax
 
 from ..learning.machine import Machine
 from ..learning.over_trials import check
+from ..runtime.earlier_names import takes_also
 from ..runtime.tiles import tiled
 from ..schemes import Scheme
 from ..signals.task import Task
@@ -55,13 +56,14 @@ class FamilyTest(NamedTuple):
     drawn: dict[str, np.ndarray]
 
 
+@takes_also(samples="machines")
 def family_condition(
     machine: Machine,
     uncertainty: Uncertainty,
     scheme: Scheme,
     task: Task,
     *,
-    samples: int = 128,
+    machines: int = 128,
     sampling: str = "latin-hypercube",
     seed: int = 0,
     climbers: int = 8,
@@ -80,8 +82,8 @@ def family_condition(
     plant that is tried is then enclosed over all frequencies, so that the worst of them is found
     reliably.
 
-    samples, sampling, seed: as for `uncertainty.draw`; a number that a normal distribution puts
-                  outside the box is moved into it
+    machines, sampling, seed: as for `uncertainty.draw`; a number that a normal distribution puts
+                  outside the box is moved into it; `samples` is an earlier name of `machines`
     climbers:    how many of the worst plants the ascent starts from; 0 for no ascent
     steps:       of each ascent
     frequencies: (F,) at which the ascent looks [Hz]; None for a `grid`
@@ -92,7 +94,7 @@ def family_condition(
     check(machine, scheme, task)
     names, law = tuple(uncertainty.items()), law_of(scheme, task)
     low, high = (np.array([end(d.corners()) for _, d in names]) for end in (min, max))
-    drawn = draw(machine, uncertainty, samples, seed=seed, sampling=sampling)
+    drawn = draw(machine, uncertainty, machines, seed=seed, sampling=sampling)
     points = np.clip(np.stack([drawn[name] for name, _ in names], axis=1), low, high)
     if len(names) <= CORNERS:
         points = np.concatenate(

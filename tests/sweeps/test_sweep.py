@@ -15,6 +15,7 @@ import jaxilc
 from jaxilc import Machine, Sweep, Task, Uniform, summarise
 from jaxilc.plants import StateSpace
 from jaxilc.runtime import tiled
+from jaxilc.runtime.earlier_names import takes_also
 from jaxilc.schemes import PID
 
 
@@ -121,6 +122,8 @@ def test_the_earlier_name_of_machines_is_understood():
     assert Sweep(*given, samples=3).machines == 3
     with pytest.raises(TypeError, match="Sweep: samples is now machines; both were given"):
         Sweep(*given, samples=3, machines=3)
+    call = takes_also(samples="machines")(lambda *, machines=1: machines)
+    assert (call(), call(machines=2), call(samples=3)) == (1, 2, 3)
 
 
 def largest_above(level, body="jnp.maximum(jnp.max(trial.e), level)", lines=0, file="one.py"):

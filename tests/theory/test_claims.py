@@ -143,7 +143,7 @@ def test_a_gain_that_grows_along_the_trial_has_no_frequency_response(test):
         "learning": lambda: frequency.learning_condition(STATIC, scheme, task),
         "robust": lambda: frequency.robust_condition(STATIC, scheme, task, 0.1),
         "family": lambda: frequency.family_condition(
-            STATIC, {"plant.b": Uniform(0.9, 1.1, relative=True)}, scheme, task, samples=2
+            STATIC, {"plant.b": Uniform(0.9, 1.1, relative=True)}, scheme, task, machines=2
         ),
     }[test]().condition
     assert found.verdict == "not claimed"

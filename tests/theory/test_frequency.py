@@ -429,7 +429,7 @@ def test_the_worst_of_a_box_is_at_its_corner_at_least():
     task, f = task_for(PLANTS["arx"], 200), np.geomspace(0.5, 499.0, 2000)
     scheme = Filtered(PIDType(gamma_p=0.5, lead=3), ZeroPhaseButterworth(150.0))
     found = frequency.family_condition(
-        ARX_MACHINE, box, scheme, task, samples=12, seed=1, climbers=0
+        ARX_MACHINE, box, scheme, task, machines=12, seed=1, climbers=0
     )
     z, Q = (
         np.exp(2j * np.pi * f * DT),
@@ -465,7 +465,7 @@ def test_ascent_finds_the_worst_within_a_box():
     box = {"plant.frequencies[1]": Uniform(600.0, 1000.0)}
     scheme = Filtered(PIDType(gamma_p=0.6, lead=6), ZeroPhaseButterworth(150.0))
     climbed = frequency.family_condition(
-        machine, box, scheme, task, samples=4, seed=2, climbers=3, steps=40
+        machine, box, scheme, task, machines=4, seed=2, climbers=3, steps=40
     )
     f = np.geomspace(1.0, 499.0, 4000)
     z, Q = (
@@ -501,7 +501,7 @@ def test_unstable_plants_of_a_family_are_counted():
         {"plant.A[0][0]": Uniform(0.8, 1.2)},
         PIDType(gamma_p=0.5),
         task,
-        samples=41,
+        machines=41,
         climbers=0,
     )
     stable = next(p for p in found.condition.premises if p.name == "loop stable")
