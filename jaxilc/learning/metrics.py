@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from ..signals.sample_layout import for_scan
 from ..signals.task import Task, Trial
 from .known_metrics import GATHERED, METRICS, Gathering, Metrics
 
@@ -78,11 +79,16 @@ class Tally(NamedTuple):
 
 
 def _rows(how: Gathering, e, u, settled: slice):
-    """The rows of e (N+1, n_y) or u (N, n_u) that a metric uses; u[k] leads to e[k+1]."""
+    """The rows of e (N+1, n_y) or u (N, n_u) that a metric uses."""
+    return {"e": e, "u": u}[how.signal][_window(how, len(u), settled)]
+
+
+def _window(how: Gathering, N: int, settled: slice) -> slice:
+    """Where these rows are; u[k] leads to e[k+1]."""
+    start, stop, _ = settled.indices(N + 1)
     if how.signal == "e":
-        return e[settled] if how.settled else e[1:]
-    start, stop, _ = settled.indices(len(e))
-    return u[max(start - 1, 0) : stop - 1] if how.settled else u
+        return slice(start, stop) if how.settled else slice(1, None)
+    return slice(max(start - 1, 0), stop - 1) if how.settled else slice(None)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(3,))
@@ -98,17 +104,54 @@ def _of_signals(gathered: tuple, e, u, settled: slice) -> tuple:
 @_of_signals.defjvp
 def _of_signals_jvp(settled, signals, tangents):
     (gathered, e, u), (_, de, du) = signals, tangents
+    slopes = {}
+    for signal, x, dx in (("e", e, de), ("u", u, du)):
+        of_signal = {name: how for name, how in GATHERED if how.signal == signal}
+        counted = [np.zeros(len(x), bool) for _ in of_signal]
+        for row, how in zip(counted, of_signal.values(), strict=True):
+            row[_window(how, len(u), settled)] = True
+        largest = [how.of == "largest" for how in of_signal.values()]
+        slopes |= zip(of_signal, _slopes(x, dx, counted, largest), strict=True)
+    return gathered, tuple(slopes[name] for name, _ in GATHERED)
 
-    def slope(how: Gathering):
-        x, dx = _rows(how, e, u, settled), _rows(how, de, du, settled)
-        if how.of == "root mean square":
-            return 2.0 * _dot(x, dx)
-        # found by its index: the value in the tally may be rounded differently from the same error
-        # here, and would then be equal to none of the errors
-        largest = jnp.argmax(jnp.abs(x), axis=0)
-        return _dot(jnp.where(jnp.arange(len(x))[:, None] == largest, jnp.sign(x), 0.0), dx)
 
-    return gathered, tuple(slope(how) for _, how in GATHERED)
+def _slopes(x, dx, counted: list[np.ndarray], largest: list[bool]) -> list[jax.Array]:
+    """The derivatives along dx of several values that are gathered from one signal x (K, n).
+
+    counted: (K,) each, whether a value uses a row
+    largest: whether a value is the largest |x|; otherwise it is the sum of x^2
+
+    The slopes, (n,) each, are gathered in a scan over the samples for the reason that
+    `signals.by_row` gives. The place of a largest value is found anew: the value in the tally may
+    be rounded differently from the same error here, and would then be equal to none of the errors.
+    """
+    rows = np.arange(len(x)), np.stack(counted, axis=1)
+    x, dx = for_scan((x, dx))
+    zero = jnp.zeros_like(x[0])
+
+    def place(best, now):
+        (k, counts), x = now
+        better = [(jnp.abs(x) > size) & c for (size, _), c in zip(best, counts, strict=True)]
+        return [
+            (jnp.where(b, jnp.abs(x), size), jnp.where(b, k, at))
+            for b, (size, at) in zip(better, best, strict=True)
+        ], None
+
+    @jax.checkpoint  # so that a gradient stores nothing for each row
+    def slopes_of_row(places, now, dx):
+        (k, counts), x = now
+        slopes = [
+            jnp.where(k == at, jnp.sign(x), 0.0) if is_largest else 2.0 * x
+            for at, is_largest in zip(places, largest, strict=True)
+        ]
+        return [jnp.where(c, slope, 0.0) * dx for slope, c in zip(slopes, counts, strict=True)]
+
+    def tick(sums, now):
+        return jax.tree.map(jnp.add, sums, slopes_of_row(places, *now)), None
+
+    first = [(zero, zero.astype(int))] * len(largest)
+    places = [at for _, at in lax.scan(place, first, (rows, x))[0]]
+    return lax.scan(tick, [zero] * len(largest), ((rows, x), dx))[0]
 
 
 def _dot(a, b):

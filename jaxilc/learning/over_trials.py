@@ -17,12 +17,12 @@ from ..plants import Plant
 from ..pytree.ranges import brief, require
 from ..runtime.capacity import check_size
 from ..schemes import Scheme
+from ..signals.sample_layout import for_carry
 from ..signals.task import Task, Trial
 from .divergence import course
 from .known_metrics import Metrics, bytes_of_metrics
 from .machine import Machine
 from .rehearsal import need_pytrees, rehearse
-from .sample_layout import for_carry
 from .within_trial import run_and_measure
 
 LITTLE = 2**24  # bytes, below which the size is not checked

@@ -7,10 +7,10 @@ import numpy as np
 from jax import lax
 
 from ..schemes import Scheme
+from ..signals.sample_layout import for_scan
 from ..signals.task import Sample, Task, Trial
 from .machine import Machine
 from .metrics import Metrics, Tally, measure
-from .sample_layout import for_scan
 
 
 def run_trial(machine: Machine, scheme: Scheme, task: Task, memory, key) -> Trial:

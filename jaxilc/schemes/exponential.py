@@ -6,6 +6,7 @@ import jax.numpy as jnp
 
 from ..pytree.fields import Leaf, leaf, pytree, static
 from ..pytree.needs import need_channels
+from ..signals.by_row import by_row
 from ..signals.task import Limit, Task, Trial
 from .pid_type import need_lead
 from .scheme import Feedforward, Scheme, limit_of, limited, need_square
@@ -63,12 +64,14 @@ class ExponentialPD(Scheme):
 
     def learn(self, memory: Feedforward, trial: Trial) -> Feedforward:
         t = jnp.arange(trial.u.shape[0])[:, None] * trial.dt
-        step = self.K_P * trial.e + self.K_D * jnp.asarray(jnp.gradient(trial.e, trial.dt, axis=0))
-        return Feedforward(
-            limited(
-                trial.u + jnp.exp(self.lam0 * t) * advance(step, 1 + self.lead) / self.b, self.limit
-            )
-        )
+        slope = jnp.asarray(jnp.gradient(trial.e, trial.dt, axis=0))
+        e, slope = advance(trial.e, 1 + self.lead), advance(slope, 1 + self.lead)
+        return Feedforward(self._law(trial.u, t, e, slope))
+
+    @by_row
+    def _law(self, u, t, e, slope):
+        step = self.K_P * e + self.K_D * slope
+        return limited(u + jnp.exp(self.lam0 * t) * step / self.b, self.limit)
 
     def limits(self, task: Task, memory: Feedforward, trial: Trial) -> dict[str, Limit]:
         return limit_of(self.unlimited().learn(memory, trial).u, self.limit)

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..pytree.fields import Leaf, leaf, pytree, static
 from ..pytree.needs import known, need_channels
+from ..signals.by_row import by_row
 from ..signals.task import Limit, Task, Trial
 from .pid_type import need_lead
 from .scheme import Scheme, limit_of, limited, need_square
@@ -94,8 +95,12 @@ class HigherOrder(Scheme):
             (trial.u, *memory.inputs),
             (advance(trial.e, 1 + self.lead), *memory.errors),
         )
+        return Past(self._law(inputs, errors), inputs[:-1], errors[:-1])
+
+    @by_row
+    def _law(self, inputs, errors):
         u = sum(self.alpha[i] * inputs[i] + self.gamma[i] * errors[i] for i in range(len(inputs)))
-        return Past(limited(u, self.limit), inputs[:-1], errors[:-1])
+        return limited(u, self.limit)
 
     def limits(self, task: Task, memory: Past, trial: Trial) -> dict[str, Limit]:
         return limit_of(self.unlimited().learn(memory, trial).u, self.limit)

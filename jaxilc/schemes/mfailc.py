@@ -16,6 +16,7 @@ import jax.numpy as jnp
 
 from ..pytree.fields import Leaf, leaf, pytree, static
 from ..pytree.needs import need_channels
+from ..signals.by_row import by_row
 from ..signals.task import Sample, Task, Trial
 from .pid_type import need_lead
 from .pseudo_gradient import RESETS, need_window, pseudo_gradient, reset_estimate
@@ -140,12 +141,7 @@ class FFDLMFAILC(Scheme):
         du, dy = memory.seen * (trial.u - memory.u), memory.seen * (trial.y - memory.y)
         outputs = [delay(dy[:-1], i) for i in range(self.L_y)]
         inputs = [delay(du, i) for i in range(self.L_u)]
-        phi = pseudo_gradient(
-            memory.phi, outputs + inputs, advance(dy, 1 + self.lead), eta=self.eta, mu=self.mu
-        )
-        phi = reset_estimate(
-            phi, du, self._start(), component=self.L_y, epsilon=self.epsilon, mode=self.reset
-        )
+        phi = self._estimated(memory.phi, outputs + inputs, advance(dy, 1 + self.lead), du)
         if self.lead:
             phi = [
                 jnp.concatenate([new[: -self.lead], old[-self.lead :]])
@@ -154,18 +150,9 @@ class FFDLMFAILC(Scheme):
         return Memory(trial.u, trial.y, tuple(phi), jnp.ones_like(memory.seen))
 
     def schedule(self, memory: Memory, task: Task) -> Schedule:
-        c, rho = self.L_y, jnp.broadcast_to(self.rho, (self.L_y + self.L_u,))
-        lead = memory.phi[c]
-        gain = lead / (self.lam + lead**2)
-        weights = tuple(
-            memory.seen * gain * rho[i] * memory.phi[i]
-            for i in range(self.L_y + self.L_u)
-            if i != c
-        )
         e = memory.seen * advance(task.reference - memory.y, 1 + self.lead)
-        u = memory.u + gain * rho[c] * e
-        if not weights:  # with weights, `act` first adds the increments of the running trial
-            u = limited(u, self.limit)
+        u, weights = self._law(memory.phi, memory.u, e)
+        weights = tuple(memory.seen * weight for weight in weights)
         return Schedule(u, memory.y[:-1], memory.u, weights)
 
     def initial_state(self, task: Task) -> Window:
@@ -185,6 +172,24 @@ class FFDLMFAILC(Scheme):
         u = limited(u, self.limit)
         du = (u - row.u_last, *du)[: self.L_u - 1]
         return Window(dy[: max(self.L_y - 1, 0)], du, row.u_last), u
+
+    @by_row
+    def _estimated(self, phi, increments, dy, du):
+        """The estimate for the next trial, see `pseudo_gradient` and `reset_estimate`."""
+        phi = pseudo_gradient(phi, increments, dy, eta=self.eta, mu=self.mu)
+        return reset_estimate(
+            phi, du, self._start(), component=self.L_y, epsilon=self.epsilon, mode=self.reset
+        )
+
+    @by_row
+    def _law(self, phi, u, e):
+        """The part of the law that is known before the trial, and the weights of increments."""
+        c, rho = self.L_y, jnp.broadcast_to(self.rho, (self.L_y + self.L_u,))
+        gain = phi[c] / (self.lam + phi[c] ** 2)
+        weights = tuple(gain * rho[i] * p for i, p in enumerate(phi) if i != c)
+        u = u + gain * rho[c] * e
+        # with weights, `act` first adds the increments of the running trial
+        return (u if weights else limited(u, self.limit)), weights
 
     def _start(self):
         return jnp.atleast_1d(jnp.asarray(self.phi0))

@@ -6,9 +6,10 @@ import jax.numpy as jnp
 
 from ..pytree.fields import Leaf, leaf, pytree, static
 from ..pytree.needs import need_channels
+from ..signals.by_row import by_row
 from ..signals.task import Limit, Task, Trial
 from .scheme import Feedforward, Scheme, limit_of, limited, need_square
-from .shifts import advance
+from .shifts import advance, running_sum
 
 
 @pytree
@@ -48,12 +49,14 @@ class PIDType(Scheme):
     def learn(self, memory: Feedforward, trial: Trial) -> Feedforward:
         e = trial.e
         difference = jnp.pad(jnp.diff(e, axis=0)[self.lead :], ((0, self.lead), (0, 0)))
-        step = (
-            self.gamma_p * advance(e, 1 + self.lead)
-            + self.gamma_i * jnp.cumsum(e[1:], axis=0)
-            + self.gamma_d * difference
+        return Feedforward(
+            self._law(trial.u, advance(e, 1 + self.lead), running_sum(e[1:]), difference)
         )
-        return Feedforward(limited((1.0 - self.leak) * trial.u + step, self.limit))
+
+    @by_row
+    def _law(self, u, e, integral, difference):
+        step = self.gamma_p * e + self.gamma_i * integral + self.gamma_d * difference
+        return limited((1.0 - self.leak) * u + step, self.limit)
 
     def limits(self, task: Task, memory: Feedforward, trial: Trial) -> dict[str, Limit]:
         return limit_of(self.unlimited().learn(memory, trial).u, self.limit)

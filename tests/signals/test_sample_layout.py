@@ -12,10 +12,10 @@ import pytest
 from jax import lax
 
 from jaxilc.learning import Machine, learn
-from jaxilc.learning.sample_layout import for_carry, for_scan
 from jaxilc.plants import DifferenceEquation
 from jaxilc.schemes import CFDLMFAILC, FFDLMFAILC
 from jaxilc.signals import Task
+from jaxilc.signals.sample_layout import for_carry, for_scan
 
 SINE = Task(np.sin(2 * np.pi * np.arange(51) / 50), dt=1e-3)
 X = jnp.asarray(np.random.default_rng(0).normal(size=(3, 5, 2)))
