@@ -84,12 +84,11 @@ def cost_table(name: str, by_size: ByTheSize) -> Table:
     return table
 
 
-def _table(first: str, *others: str, title: str) -> Table:
-    """A table without rows, of which the other columns are folded before the first one."""
+def _table(*headers: str, title: str) -> Table:
+    """A table without rows, whose first two columns are folded only after all others."""
     table = Table(title=title)
-    table.add_column(first, whole=True)
-    for header in others:
-        table.add_column(header)
+    for place, header in enumerate(headers):
+        table.add_column(header, whole=place < 2)
     return table
 
 
