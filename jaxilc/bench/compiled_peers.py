@@ -1,6 +1,6 @@
-"""Opponents of `jaxilc bench` that are compiled: loops for Numba, and a program in C (limit.c).
+"""Opponents of `jaxilc bench` that are compiled: loops for Numba, and programs in C.
 
-The module `peers` says what they compute.
+The module `peers` says what they compute, and adjoint.c what the gradient in C is.
 """
 
 from __future__ import annotations
@@ -9,6 +9,8 @@ import ctypes
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -135,11 +137,57 @@ def c_program(threads: int) -> Peer:
     Raises FileNotFoundError where there is no compiler, and OSError where it cannot build the
     program.
     """
+    loaded = _library("limit.c")
+
+    def run(problem: Problem) -> np.ndarray:
+        law = loaded.cfdl if len(problem.phi0) == 1 else loaded.ffdl
+        metrics = np.empty((len(problem.b), problem.trials, 4))
+        _filled(
+            "limit.c", partial(law, *_sizes(problem), problem.settled, threads), problem, metrics
+        )
+        return metrics
+
+    return run
+
+
+def c_adjoint(threads: int) -> Peer:
+    """The gradient by hand in C (adjoint.c), with the same lanes and threads.
+
+    Its result (S, 1+P) is the mean square error of the last trial of each plant, with the slopes
+    by lam, rho, eta, mu and the components of phi0. Raises as `c_program` does.
+    """
+    loaded = _library("adjoint.c")
+
+    def run(problem: Problem) -> np.ndarray:
+        law = loaded.cfdl if len(problem.phi0) == 1 else loaded.ffdl
+        slopes = np.empty((len(problem.b), 5 + len(problem.phi0)))
+        _filled("adjoint.c", partial(law, *_sizes(problem), threads), problem, slopes)
+        return slopes
+
+    return run
+
+
+def _sizes(problem: Problem) -> tuple[int, int, int]:
+    return len(problem.b), problem.trials, len(problem.r) - 1
+
+
+def _filled(name: str, law: Callable[..., int], problem: Problem, found: np.ndarray) -> None:
+    """Let a function of a program in C write its results into the array `found`."""
+    arrays = [
+        np.ascontiguousarray(x, float)
+        for x in (problem.a, problem.b, problem.r, problem.weights, problem.phi0)
+    ]
+    if law(*(ctypes.c_void_p(x.ctypes.data) for x in (*arrays, found))):
+        raise MemoryError(f"{name} could not allocate its tiles")
+
+
+def _library(name: str) -> ctypes.CDLL:
+    """The program in C of this name, built and loaded."""
     compiler = shutil.which("cc")
     if compiler is None:
         raise FileNotFoundError("no C compiler: `cc` was not found")
     with tempfile.TemporaryDirectory() as folder:
-        library = Path(folder) / "limit.so"
+        library = Path(folder) / "library.so"
         flags = (
             "-O3",
             "-march=native",
@@ -150,30 +198,13 @@ def c_program(threads: int) -> Peer:
             f"-DLANES={LANES}",
         )
         built = subprocess.run(
-            [compiler, *flags, "-o", library, Path(__file__).with_name("limit.c"), "-lm"],
+            [compiler, *flags, "-o", library, Path(__file__).with_name(name), "-lm"],
             capture_output=True,
             text=True,
             check=False,
         )
         if built.returncode:
             raise OSError(
-                f"{compiler} could not build limit.c: {built.stderr.strip().splitlines()[-1:]}"
+                f"{compiler} could not build {name}: {built.stderr.strip().splitlines()[-1:]}"
             )
-        loaded = ctypes.CDLL(str(library))
-
-    def run(problem: Problem) -> np.ndarray:
-        law = loaded.cfdl if len(problem.phi0) == 1 else loaded.ffdl
-        arrays = [
-            np.ascontiguousarray(x, float)
-            for x in (problem.a, problem.b, problem.r, problem.weights, problem.phi0)
-        ]
-        metrics = np.empty((len(problem.b), problem.trials, 4))
-        pointers = [ctypes.c_void_p(x.ctypes.data) for x in (*arrays, metrics)]
-        failed = law(
-            len(problem.b), problem.trials, len(problem.r) - 1, problem.settled, threads, *pointers
-        )
-        if failed:
-            raise MemoryError("limit.c could not allocate its tiles")
-        return metrics
-
-    return run
+        return ctypes.CDLL(str(library))

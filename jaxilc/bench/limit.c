@@ -2,19 +2,9 @@
    `jaxilc bench` compares with. Laws, reset and metrics are those of peers.py. Each trial is one
    pass over its samples, in place, so that a tile of plants stays in the cache. */
 
-#include <math.h>
-#include <stdlib.h>
+#include "lanes.h"
 
-typedef double vec __attribute__((vector_size(8 * LANES)));
-typedef long long mask __attribute__((vector_size(8 * LANES)));
-
-static inline vec all(double value) { return value - (vec){0}; }
-static inline vec choose(mask m, vec a, vec b) { return (vec)((m & (mask)a) | (~m & (mask)b)); }
-static inline vec magnitude(vec a) { return choose(a < 0.0, -a, a); }
 static inline vec larger(vec a, vec b) { return choose(a > b, a, b); }
-static inline mask useless(vec phi, double start, double epsilon) {
-    return (magnitude(phi) <= epsilon) | ((start > 0 ? phi : -phi) <= 0.0);
-}
 
 struct metrics { vec largest, squares, late, effort; };
 
@@ -35,20 +25,6 @@ static void keep(const struct metrics *f, int j, int first, int plants, int tria
         row[2] = f->late[l];
         row[3] = sqrt(f->effort[l] / N);
     }
-}
-
-static void gather(const double *b, int first, int plants, vec *lanes) {
-    for (int l = 0; l < LANES; l++) {
-        int s = first + l < plants ? first + l : plants - 1;
-        for (int i = 0; i < 3; i++) lanes[i][l] = b[3 * s + i];
-    }
-}
-
-static inline void step(vec *x, const double *a, const vec *b, vec u) {
-    vec y = x[0];
-    x[0] = x[1] + a[0] * y + b[0] * u;
-    x[1] = x[2] + a[1] * y + b[1] * u;
-    x[2] = a[2] * y + b[2] * u;
 }
 
 int cfdl(int plants, int trials, int N, int settled, int threads, const double *a,

@@ -1,20 +1,24 @@
 """The programme of `jaxilc bench`: every contest for every scheme and number of plants, in turn.
 
-SCHEME, plants    MFAILC against all opponents, or a scheme alone (`contests.ALONE`)
-plant, plants     the plants alone
-long, samples     one plant in one long trial
-cost, SCHEME      the time of our run by its size
+SCHEME, plants             MFAILC against all opponents, or a scheme alone (`ours_alone.ALONE`)
+SCHEME gradient, plants    the gradient of MFAILC against its opponents
+plant, plants              the plants alone
+long, samples              one plant in one long trial
+cost, SCHEME               the time of our run by its size
+SCENARIO, machines         each scheme of a scenario that learns, alone, in place of all others
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
 
-from . import contests
-from .timing import OURS, Cost, Row, as_json, machine
+from ..scenarios import Scenario
+from . import contests, gradients, ours_alone, settings
+from .ours_alone import Alone
+from .timing import Cost, Row, as_json, machine
 
 ByTheSize = dict[str, tuple[dict[int, float], Cost]]  # result of `contests.cost_by_size`
 
@@ -28,6 +32,8 @@ class Programme(NamedTuple):
     schemes: names from `SCHEMES` and `ALONE`
     long: number of samples of the long trial, 0 for no such trial
     repeats: number of turns of every contender
+    gradients: whether gradients are timed
+    scenarios: scenarios whose schemes are timed, in place of everything else
     """
 
     plants: Sequence[int]
@@ -36,75 +42,148 @@ class Programme(NamedTuple):
     schemes: Sequence[str]
     long: int
     repeats: int
+    gradients: bool = True
+    scenarios: Sequence[Scenario] = ()
 
     def check(self) -> None:
         """Raises ValueError, before anything runs, for an unknown scheme or a wrong size."""
-        allowed = (*contests.SCHEMES, *contests.ALONE)
+        allowed = (*settings.SCHEMES, *ours_alone.ALONE)
         for name in self.schemes:
             if name not in allowed:
                 raise ValueError(f"--schemes {name!r} is not one of {', '.join(allowed)}")
         if self.long and self.long < 4:
             raise ValueError(f"--long {self.long} is not 0 or a whole number from 4 on")
-        for size in self.plants:
-            contests.need_room(size, self.trials, self.samples)
-        contests.need_room(1, 1, self.long)
+        if self.repeats < 1:
+            raise ValueError(
+                f"bench: repeats = {self.repeats} is outside its allowed range [1, inf)"
+            )
+        for chosen in self.scenarios:
+            ours_alone.schemes_of(chosen)
+            for size in self.plants:
+                ours_alone.need_room(chosen, size)
+        if not self.scenarios:
+            for size in self.plants:
+                settings.need_room(size, self.trials, self.samples)
+            settings.need_room(1, 1, self.long)
 
 
-def measure(
-    programme: Programme,
-    *,
-    note: Callable[[str], object],
-    rows: Callable[[str, dict[str, Row]], object],
-    costs: Callable[[str, ByTheSize], object],
-) -> dict[str, Any]:
+class Show(NamedTuple):
+    """Functions that show the results as soon as they are measured.
+
+    note: shows a text, such as why an opponent does not run here
+    rows: shows the title and the rows of a contest, and what its ratios count
+    costs: shows a scheme and its times by size
+    alone: shows the title and the times of schemes by their names
+    """
+
+    note: Callable[[str], object]
+    rows: Callable[[str, Mapping[str, Row], str], object]
+    costs: Callable[[str, ByTheSize], object]
+    alone: Callable[[str, Mapping[str, Alone]], object]
+
+
+def measure(programme: Programme, show: Show) -> dict[str, Any]:
     """Run the programme, and return all measurements in a form for JSON.
 
-    note: function that is called with a text on each opponent that does not run here
-    rows: function that is called with the title and the rows of each contest when it ends
-    costs: function that is called with a scheme and its times by size
     Raises ValueError as `Programme.check` does, and ArithmeticError where numbers differ.
     """
     programme.check()
     jax.config.update("jax_enable_compilation_cache", False)  # compiling is measured too
-    plants, trials, samples, schemes, long, repeats = programme
-    opponents, notes = contests.opponents()
     numbers: dict[str, Any] = {
         "machine": machine(),
         "precision": "float64" if jax.config.jax_enable_x64 else "float32",
-        "trials": trials,
-        "samples": samples,
         "rows": {},
         "cost": {},
+        "gradients": {},
     }
-    for text in notes:
-        note(text)
+    if programme.scenarios:
+        _measure_scenarios(programme, show, numbers)
+    else:
+        numbers |= {"trials": programme.trials, "samples": programme.samples}
+        _measure_schemes(programme, show, numbers)
+        _measure_plants(programme, show, numbers)
+        _measure_costs(programme, show, numbers)
+    numbers["machine_after"] = machine()
+    return numbers
 
-    def keep(key: str, title: str, found: dict[str, Row]) -> None:
-        rows(title, found)
-        numbers["rows"][key] = as_json(found)
 
-    for name in schemes:
-        for size in plants:
-            if name in contests.ALONE:
-                found = {OURS: contests.alone(name, size, repeats=repeats)}
-            else:
-                setting = contests.setting(name, size, trials, samples)
-                found = contests.compare(setting, opponents, repeats=repeats)
-            keep(f"{name}/{size}", f"{name}, {size} plants", found)
-    for size in plants:
-        setting = contests.setting("cfdl", size, 1, samples)
-        found = contests.compare_plant(setting, repeats=repeats)
-        keep(f"plant/{size}", f"the plant alone, {size} plants", found)
-    if long:
-        found = contests.compare_long(long, repeats=repeats)
-        keep(f"long/{long}", f"one plant, one trial of {long} samples", found)
-    for name in schemes:
-        if name in contests.SCHEMES:
-            size = min(max(plants), 1024)
-            by_size = contests.cost_by_size(name, size, trials, samples, repeats=repeats)
-            costs(name, by_size)
+def _measure_scenarios(programme: Programme, show: Show, numbers: dict[str, Any]) -> None:
+    options = {"gradients": programme.gradients, "repeats": programme.repeats}
+    numbers["scenarios"] = {
+        chosen.name: {"trials": chosen.trials, "samples": chosen.task.N}
+        for chosen in programme.scenarios
+    }
+    for chosen in programme.scenarios:
+        for size in programme.plants:
+            found = dict(ours_alone.of_scenario(chosen, size, **options))
+            title = f"{chosen.name}: {size} machines, {chosen.trials} trials of {chosen.task.N}"
+            show.alone(f"{title} samples", found)
+            for name, times in found.items():
+                _keep_alone(f"{chosen.name}/{name}/{size}", times, numbers)
+
+
+def _measure_schemes(programme: Programme, show: Show, numbers: dict[str, Any]) -> None:
+    options = {"repeats": programme.repeats}
+    contested = [name for name in programme.schemes if name in settings.SCHEMES]
+    opponents, of_gradients = _opponents(programme, show) if contested else ({}, {})
+    for name in programme.schemes:
+        for size in programme.plants:
+            if name in ours_alone.ALONE:
+                times = ours_alone.alone(name, size, gradients=programme.gradients, **options)
+                show.alone(f"{size} plants, 10 trials of 2000 samples", {name: times})
+                _keep_alone(f"{name}/{size}", times, numbers)
+                continue
+            setting = settings.setting(name, size, programme.trials, programme.samples)
+            found = contests.compare(setting, opponents, **options)
+            show.rows(f"{name}, {size} plants", found, "times ours")
+            numbers["rows"][f"{name}/{size}"] = as_json(found)
+            if not programme.gradients:
+                continue
+            try:
+                found = gradients.compare_gradients(setting, of_gradients, **options)
+            except gradients.Diverges as error:
+                show.note(f"gradient of {name}, {size} plants, left out: {error}")
+                continue
+            title = f"gradient of {name}, {size} plants, in runs of jaxilc without it"
+            show.rows(title, found, "runs")
+            numbers["rows"][f"{name} gradient/{size}"] = as_json(found)
+
+
+def _opponents(programme: Programme, show: Show) -> tuple[dict, dict]:
+    """The opponents that run here, and those of gradients, with a note on each other one."""
+    found, notes = contests.opponents()
+    of_gradients, more = gradients.gradient_opponents(found) if programme.gradients else ({}, [])
+    for text in [*notes, *more]:
+        show.note(text)
+    return found, of_gradients
+
+
+def _keep_alone(key: str, times: Alone, numbers: dict[str, Any]) -> None:
+    numbers["rows"][key] = as_json(times.rows)
+    if times.weights:
+        numbers["gradients"][key] = {"weights": times.weights, "dropped": times.dropped}
+
+
+def _measure_plants(programme: Programme, show: Show, numbers: dict[str, Any]) -> None:
+    for size in programme.plants:
+        setting = settings.setting("cfdl", size, 1, programme.samples)
+        found = contests.compare_plant(setting, repeats=programme.repeats)
+        show.rows(f"the plant alone, {size} plants", found, "times ours")
+        numbers["rows"][f"plant/{size}"] = as_json(found)
+    if programme.long:
+        found = contests.compare_long(programme.long, repeats=programme.repeats)
+        show.rows(f"one plant, one trial of {programme.long} samples", found, "times ours")
+        numbers["rows"][f"long/{programme.long}"] = as_json(found)
+
+
+def _measure_costs(programme: Programme, show: Show, numbers: dict[str, Any]) -> None:
+    size = min(max(programme.plants), 1024)
+    for name in programme.schemes:
+        if name in settings.SCHEMES:
+            by_size = contests.cost_by_size(
+                name, size, programme.trials, programme.samples, repeats=programme.repeats
+            )
+            show.costs(name, by_size)
             numbers["cost"][name] = {
                 what: {"seconds": best, **line._asdict()} for what, (best, line) in by_size.items()
             }
-    numbers["machine_after"] = machine()
-    return numbers

@@ -16,14 +16,15 @@ import jax
 import numpy as np
 
 OURS = "jaxilc"
-TOLERANCE = {"float64": 1e-8, "float32": 2e-2}  # share of the largest metric of its kind
+TOLERANCE = {"float64": 1e-8, "float32": 2e-2}  # share of the largest number of its kind
 
 
 class Row(NamedTuple):
     """The times of one contender.
 
     plants, trials: plants and trials that it ran; a slow contender runs a part of them
-    difference: largest difference from ours, as a share of the largest metric of its kind
+    difference: largest difference from ours, as a share of the largest number of its kind;
+        None where nothing was compared
     compile_seconds: excess time of the first call over a later one, plus the time to build the
         program [s]
     seconds, cpu_seconds: (turns,) wall time and processor time of each turn [s]
@@ -34,7 +35,7 @@ class Row(NamedTuple):
     name: str
     plants: int
     trials: int
-    difference: float
+    difference: float | None
     compile_seconds: float
     seconds: tuple[float, ...]
     cpu_seconds: tuple[float, ...]
@@ -71,7 +72,7 @@ class Row(NamedTuple):
 class Entry(NamedTuple):
     """A contender: the function that it runs, its part of the problem, and its build time [s]."""
 
-    call: Callable[[], np.ndarray]
+    call: Callable[[], Any]
     plants: int
     trials: int
     samples: int
@@ -93,9 +94,16 @@ def machine() -> dict[str, Any]:
     }
 
 
-def in_turns(entries: Mapping[str, Entry], *, repeats: int) -> dict[str, Row]:
-    """Run each contender once, compare its numbers with ours, then time all in turns.
+def in_turns(
+    entries: Mapping[str, Entry],
+    *,
+    repeats: int,
+    agreement: Callable[[Mapping[str, Any]], Mapping[str, float | None]] | None = None,
+) -> dict[str, Row]:
+    """Run each contender once, compare their numbers, then time all in turns.
 
+    agreement: function that compares the results and returns how far each of them differs; None:
+        `agreement_with_ours`
     Raises ArithmeticError where numbers differ, and ValueError for repeats < 1.
     """
     if repeats < 1:
@@ -106,14 +114,7 @@ def in_turns(entries: Mapping[str, Entry], *, repeats: int) -> dict[str, Row]:
         results[name] = entry.call()
         firsts[name] = time.perf_counter() - start
         peaks[name] = peak.bytes()
-    limit = TOLERANCE["float64" if jax.config.jax_enable_x64 else "float32"]
-    off = {name: difference(result, results[OURS]) for name, result in results.items()}
-    for name, value in off.items():
-        if not value <= limit:
-            raise ArithmeticError(
-                f"bench: {name} differs from jaxilc by {value:.2g} of the largest metric; "
-                f"allowed is {limit:g}"
-            )
+    off = (agreement or agreement_with_ours)(results)
     turns: dict[str, list[tuple[float, float]]] = {name: [] for name in entries}
     for _ in range(repeats):
         for name, entry in entries.items():
@@ -136,13 +137,36 @@ def in_turns(entries: Mapping[str, Entry], *, repeats: int) -> dict[str, Row]:
     }
 
 
-def difference(part: np.ndarray, whole: np.ndarray) -> float:
-    """The largest difference of a part (S', J', n) from the first entries of the whole (S, J, n).
+def agreement_with_ours(results: Mapping[str, np.ndarray]) -> dict[str, float]:
+    """How far each result differs from ours; raises ArithmeticError where one differs too much."""
+    return {
+        name: need_agreement(name, difference(result, results[OURS]), limit())
+        for name, result in results.items()
+    }
 
-    Each of the n differences is divided by the largest value of its kind. The result is NaN if any
+
+def need_agreement(name: str, off: float, allowed: float) -> float:
+    """The difference `off` of a contender; raises ArithmeticError for more than is allowed."""
+    if not off <= allowed:
+        raise ArithmeticError(
+            f"bench: {name} differs from jaxilc by {off:.2g} of the largest value; "
+            f"allowed is {allowed:g}"
+        )
+    return off
+
+
+def limit() -> float:
+    """The difference that is allowed in the present precision."""
+    return TOLERANCE["float64" if jax.config.jax_enable_x64 else "float32"]
+
+
+def difference(part: np.ndarray, whole: np.ndarray) -> float:
+    """The largest difference of a part (S', J', n') from the first entries of a whole (S, J, n).
+
+    Each of the n' differences is divided by the largest value of its kind. The result is NaN if any
     difference is NaN.
     """
-    whole = whole[: part.shape[0], : part.shape[1]]
+    whole = whole[tuple(slice(size) for size in part.shape)]
     largest = np.max(np.abs(whole), axis=(0, 1))
     return float(np.max(np.abs(part - whole) / np.where(largest > 0, largest, 1.0)))
 

@@ -2,29 +2,17 @@
 
 from __future__ import annotations
 
-from statistics import median
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from .completion import scenarios_from
 from .console import out
 from .options import Json, Precision
 from .results import written
-from .titled_table import Table
 
-COLUMNS = (
-    "",
-    "ran",
-    "ns best",
-    "ns median",
-    "times ours",
-    "lowest - highest",
-    "cpu ns",
-    "times ours",
-    "compile s",
-    "peak MB",
-    "off by",
-)
+CONTESTS, OF_SCENARIO = "1,16,1024", "64"  # numbers of plants where none are given
 
 
 def register(app: typer.Typer) -> None:
@@ -34,13 +22,28 @@ def register(app: typer.Typer) -> None:
 
 def bench(
     plants: Annotated[
-        str, typer.Option(help="Numbers of plants, with commas between them.")
-    ] = "1,16,1024",
+        str | None,
+        typer.Option(
+            help="Numbers of plants, with commas between them; "
+            f"if not given, {CONTESTS}, or {OF_SCENARIO} of a scenario."
+        ),
+    ] = None,
     trials: Annotated[int, typer.Option(help="Trials J.")] = 80,
     samples: Annotated[int, typer.Option(help="Samples N of a trial.")] = 2000,
     schemes: Annotated[
         str, typer.Option(help="cfdl, ffdl, with opponents; noilc, ilc-asmc, alone; with commas.")
     ] = "cfdl,ffdl",
+    gradients: Annotated[
+        bool, typer.Option("--gradients/--no-gradients", help="Whether gradients are timed too.")
+    ] = True,
+    scenario: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Time only the schemes of this scenario or file that learn, alone and in its own "
+            "size; repeatable, or with commas.",
+            autocompletion=scenarios_from,
+        ),
+    ] = None,
     long: Annotated[
         int,
         typer.Option(
@@ -53,26 +56,48 @@ def bench(
 ) -> None:
     """Our speed beside NumPy, Numba, C, SciPy and python-control, for the same numbers.
 
-    Opponents compute in float64, whatever the precision.
+    A gradient is that of a tuning; its time is given in runs without one. Opponents compute in
+    float64, whatever the precision.
 
     Example: jaxilc bench --plants 1024 --json out/bench.json
     """
     from ..runtime.start import setup
 
     setup(precision=precision)
-    from ..bench.programme import Programme, measure
+    from ..bench.programme import Programme, Show, measure
+    from .asked import chosen_scenario
+    from .bench_tables import alone_table, contest_table, cost_table
 
-    names = [name.strip() for name in schemes.split(",")]
-    programme = Programme(_numbers(plants), trials, samples, names, long, repeats)
+    chosen = [chosen_scenario(name, None, None, None) for name in _names(scenario or [])]
     numbers = measure(
-        programme,
-        note=lambda text: out.print(text, highlight=False, markup=False),
-        rows=lambda title, rows: out.print(_table(rows, title)),
-        costs=_print_costs,
+        Programme(
+            _numbers(plants or (OF_SCENARIO if chosen else CONTESTS)),
+            trials,
+            samples,
+            [name.strip() for name in schemes.split(",")],
+            long,
+            repeats,
+            gradients,
+            chosen,
+        ),
+        Show(
+            note=lambda text: out.print(text, highlight=False),
+            rows=lambda *shown: out.print(contest_table(*shown)),
+            costs=lambda *shown: out.print(cost_table(*shown)),
+            alone=lambda *shown: out.print(alone_table(*shown)),
+        ),
     )
     before, after = (numbers[name]["load"] for name in ("machine", "machine_after"))
     out.print(f"load of the machine: {before} before, {after} after", highlight=False)
     written([], json_file, numbers)
+
+
+def _names(given: list[str]) -> list[str]:
+    """The names of scenarios in the values of an option; the name of a file may have commas."""
+    names = []
+    for text in given:
+        names += [text] if Path(text).is_file() else [name.strip() for name in text.split(",")]
+    return names
 
 
 def _numbers(text: str) -> list[int]:
@@ -86,37 +111,3 @@ def _numbers(text: str) -> list[int]:
             f"--plants {text!r} is not whole numbers from 1 on, with commas between them"
         )
     return numbers
-
-
-def _table(rows, title: str) -> Table:
-    """A table with a row for each contender, and ratios to ours by wall time and processor time."""
-    from ..bench.timing import OURS
-
-    table = Table(*COLUMNS, title=title)
-    for row in rows.values():
-        ratios = sorted(row.ratios(rows[OURS]))
-        table.add_row(
-            row.name,
-            f"{row.plants} x {row.trials}",
-            f"{row.best:.3g}",
-            f"{row.median:.3g}",
-            f"{median(ratios):.3g}",
-            f"{ratios[0]:.3g} - {ratios[-1]:.3g}",
-            f"{row.cpu:.3g}",
-            f"{median(row.ratios(rows[OURS], 'cpu_seconds')):.3g}",
-            f"{row.compile_seconds:.2f}",
-            "" if row.peak_bytes is None else f"{row.peak_bytes / 1e6:.0f}",
-            f"{row.difference:.1g}",
-        )
-    return table
-
-
-def _print_costs(name: str, by_size) -> None:
-    """Print for each size that was varied the times and the straight line fitted to them."""
-    for what, (best, line) in by_size.items():
-        times = ", ".join(f"{size}: {seconds:.3g} s" for size, seconds in best.items())
-        fit = (
-            f"{line.start:.3g} s + {1e6 * line.slope:.3g} us each, "
-            f"off by {100 * line.residual:.0f} % at most"
-        )
-        out.print(f"{name} by {what}: {times}; {fit}", highlight=False)

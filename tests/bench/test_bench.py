@@ -120,7 +120,9 @@ def test_the_command(tmp_path):
     result = CliRunner().invoke(app, [*small, "--json", str(file)])
     assert result.exit_code == 0, result.output
     found = json.loads(file.read_text())
-    assert set(found["rows"]) == {"cfdl/2", "plant/2", "long/200"}
+    assert set(found["rows"]) == {"cfdl/2", "cfdl gradient/2", "plant/2", "long/200"}
+    ways = {timing.OURS, "1 weight forward", "5 weights forward", "5 weights reverse"}
+    assert ways <= set(found["rows"]["cfdl gradient/2"])
     assert {"python-control", "SciPy lfilter", timing.OURS} == set(found["rows"]["plant/2"])
     assert {"SciPy lfilter", contests.BLOCKS, timing.OURS} == set(found["rows"]["long/200"])
     assert set(found["cost"]["cfdl"]) == {"plants", "trials", "samples"}

@@ -16,7 +16,7 @@ import typer
 from fuzz import fuzz, pick
 
 from jaxilc import cli, runtime
-from jaxilc.bench import contests
+from jaxilc.bench import contests, ours_alone
 from jaxilc.identification import estimation
 from jaxilc.learning import over_trials
 from jaxilc.sweeps import Sweep
@@ -59,7 +59,7 @@ identify record.csv --poles 1 --pairs 0 --zeros 0
 next --state campaign --scenario p.toml --scheme ilc --out n.csv
 trials --state campaign
 list p.toml
-bench --plants 1 --trials 2 --samples 8 --long 0 --repeats 1 --schemes cfdl
+bench --plants 1 --trials 2 --samples 8 --long 0 --repeats 1 --schemes cfdl --no-gradients
 """.strip().split("\n")
 ]
 NUMBERS = (
@@ -174,7 +174,7 @@ def folder(tmp_path, monkeypatch):
         *(
             (estimation, "problem_of"),
             (contests, "compare"),
-            (contests, "alone"),
+            (ours_alone, "alone"),
             (contests, "compare_long"),
         ),
     ):

@@ -1,0 +1,124 @@
+"""A learning process of jaxilc to time: its run, as in a sweep, and its derivatives.
+
+The derivatives are those of a step of `Tuning`, by the same program: errors are bounded, and value
+and slope of each machine are computed in tiles. What an optimiser does with them takes no time
+beside them and is left out.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from ..learning.divergence import CEILING
+from ..learning.machine import Machine
+from ..learning.metrics import Keep
+from ..learning.over_trials import learn
+from ..runtime.capacity import check_program
+from ..runtime.tiles import usual_lanes
+from ..schemes import Scheme
+from ..signals.task import Task, Trial
+from ..tuning.descent import Evaluation
+from ..tuning.losses import Losses
+from ..tuning.machines import Machines
+from ..tuning.objectives import Objective
+from ..tuning.risks import Mean
+from ..tuning.weights import Weights
+from ..uncertainty import Uncertainty
+
+SEED = 0
+
+
+class Program(NamedTuple):
+    """A compiled program without arguments.
+
+    run: function that runs it and returns its numbers
+    built: time to compile it [s]
+    """
+
+    run: Callable[[], Any]
+    built: float
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Learning:
+    """A learning process of S machines whose weights a tuning could move.
+
+    machine, scheme, task, trials, uncertainty, objective, quantities: as for `Tuning`
+    batch: the numbers of the machines and their drawn values, as `Machines.drawn` returns them;
+        None: `machines` of them are drawn as a tuning draws them
+    Raises ValueError where the machines do not fit into RAM.
+    """
+
+    machine: Machine
+    scheme: Scheme
+    task: Task
+    trials: int
+    uncertainty: Uncertainty
+    objective: Objective
+    quantities: Mapping[str, Callable[[Trial], jax.Array]]
+    batch: Any
+
+    @property
+    def machines(self) -> Machines:
+        return machines_of(self.machine, self.uncertainty)
+
+    def trials_alone(self) -> Program:
+        """The learning process without derivatives; it returns the metrics of each trial.
+
+        Raises ValueError where the program does not fit into RAM.
+        """
+        save = Keep.of(self.quantities)
+
+        def of_one(common, numbered):
+            scheme, task = common
+            machine, key = self.machines.one(numbered, SEED)
+            history = learn(machine, scheme, task, self.trials, key=key, save=save)
+            return history.metrics, history.saved
+
+        return _built(self.machines.tiled(of_one, self.batch), (self.scheme, self.task), self.batch)
+
+    def derivatives(self, weights: Weights, *, forward: bool) -> Program:
+        """The `Evaluation` of the loss at the start of a tuning of these weights.
+
+        forward: true for forward, false for reverse differentiation
+        Raises ValueError where the program does not fit into RAM.
+        """
+        losses = Losses(
+            machines=self.machines,
+            weights=weights,
+            scheme=self.scheme,
+            task=self.task,
+            trials=self.trials,
+            risk=Mean(),
+            truncate=None,
+            ceiling=CEILING,
+            quantities=self.quantities,
+        )
+        evaluate = losses.evaluation(self.objective, self.batch, SEED, clip=np.inf, forward=forward)
+        return _built(jax.vmap(evaluate), weights.starts(1, 0.0, SEED))
+
+
+def machines_of(machine: Machine, uncertainty: Uncertainty) -> Machines:
+    """The set from which a tuning draws its machines, with its usual settings."""
+    return Machines(machine, uncertainty, SEED, "sobol", usual_lanes(), starts=1)
+
+
+def of_each(found: Evaluation) -> np.ndarray:
+    """(S, 1, 1+P) the loss of each machine and its slopes, from the `Evaluation` of one start."""
+    both = np.concatenate([found.residuals[0][:, None], found.slopes[0]], axis=1)
+    return len(both) ** 0.5 * both[:, None]
+
+
+def _built(f: Callable, *arguments) -> Program:
+    program, start = jax.jit(f), time.perf_counter()
+    check_program(
+        "bench: one program", "take fewer plants or trials, or a shorter trial", program, *arguments
+    )
+    built = time.perf_counter() - start
+    return Program(lambda: jax.device_get(program(*arguments)), built)
