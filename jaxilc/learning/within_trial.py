@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from ..runtime.lanes import usual_unroll
 from ..schemes import Scheme
 from ..signals.sample_layout import for_scan
 from ..signals.task import Sample, Task, Trial
@@ -72,7 +73,7 @@ def run_and_measure(
         _at(noise, slice(1, None)),
         _is_settled(task)[1:],
     )
-    carry, record = lax.scan(tick, carry, for_scan(rows))
+    carry, record = lax.scan(tick, carry, for_scan(rows), unroll=usual_unroll())
     y_next, u, signals = for_scan(record)
     trial = Trial(r, jnp.concatenate([y[None], y_next]), u, dt, signals)
     return trial, carry[-1].metrics(trial, task)

@@ -84,10 +84,25 @@ def device_bytes() -> int | None:
 
     None on a CPU, and if unknown.
     """
+    known = _of_devices()
+    return None if known is None else sum(max(0, limit - used) for limit, used in known)
+
+
+def device_memory() -> int | None:
+    """The bytes that a program may use on one device, whatever is in use at the moment.
+
+    It is the device with the least memory. None on a CPU, and if unknown.
+    """
+    known = _of_devices()
+    return None if known is None else min(limit for limit, _ in known)
+
+
+def _of_devices() -> list[tuple[int, int]] | None:
+    """The bytes that each device may use, and those in use; None on a CPU, and if unknown."""
     stats = [device.memory_stats() for device in jax.devices() if device.platform != "cpu"]
-    if not stats or not all(stats):
+    if not stats or not all(of and of.get("bytes_limit") for of in stats):
         return None
-    return sum(s["bytes_limit"] - s["bytes_in_use"] for s in stats)
+    return [(of["bytes_limit"], of.get("bytes_in_use", 0)) for of in stats]
 
 
 def shown(size: float) -> str:

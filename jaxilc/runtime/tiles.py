@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache, partial
 from typing import Any
 
 import jax
@@ -12,15 +13,9 @@ from jax import lax
 from jax.sharding import Mesh, PartitionSpec
 
 from ..pytree.ranges import require
+from .lanes import fitting_lanes, usual_lanes
 
-LANES = {"cpu": 16}  # measured; a trial of 16 plants fits into the cache of a core
-WIDE = 4096  # for other backends, which were not measured
 OPEN: Any = None  # default of a field whose value is chosen at construction and is then not None
-
-
-def usual_lanes() -> int:
-    """The number of machines to vectorise at a time that is best for the backend; starts JAX."""
-    return LANES.get(jax.default_backend(), WIDE)
 
 
 def tiled(fn: Callable[[Any, Any], Any], *, lanes: int | None = None) -> Callable[[Any, Any], Any]:
@@ -34,17 +29,50 @@ def tiled(fn: Callable[[Any, Any], Any], *, lanes: int | None = None) -> Callabl
     Keep the returned function: it compiles once for each shape of its arguments.
 
     fn: function of what is common to all elements, and of one element
-    lanes: number of elements of a tile, which are vectorised; None: `usual_lanes`
-    Raises ValueError for lanes < 1.
+    lanes: number of elements of a tile, which are vectorised; None: what suits the backend, which
+        is 16 on a CPU, and on an accelerator what its memory holds (see `runtime.lanes`)
+    Raises ValueError for lanes < 1. The returned function raises ValueError where the lanes follow
+    from the memory of a device, and a single element does not fit.
     """
     lanes = usual_lanes() if lanes is None else lanes
-    require("tiled", "lanes", lanes, "[1, inf)", whole=True)
+    if lanes is not None:
+        require("tiled", "lanes", lanes, "[1, inf)", whole=True)
     mesh = Mesh(np.array(jax.devices()), ("tiles",))
+    spread = cache(partial(_spread, fn, mesh))
+    chosen: dict[Any, int] = {}
+
+    def lanes_of(common, batch) -> int:
+        leaves, structure = jax.tree.flatten((common, batch))
+        shapes = (structure, *map(jax.typeof, leaves))
+        if shapes not in chosen:
+            size = _size(batch)
+            chosen[shapes] = fitting_lanes(fn, common, batch, size, held=size)
+        return chosen[shapes]
+
+    def run(common, batch):
+        size = _size(batch)
+        of_tile = lanes_of(common, batch) if lanes is None else lanes
+        tile = min(of_tile, -(-size // mesh.size)) * mesh.size
+        fill = -size % tile
+        full = jax.tree.map(
+            lambda x: (
+                jnp.concatenate([x, jnp.repeat(jnp.asarray(x)[-1:], fill, axis=0)]) if fill else x
+            ),
+            batch,
+        )
+        results = spread(of_tile)(common, full)
+        return jax.tree.map(lambda x: x[:size], results) if fill else results
+
+    return run
+
+
+def _spread(fn, mesh: Mesh, lanes: int):
+    """The compiled function of a batch, each device with an equal share, in tiles of `lanes`."""
 
     def on_device(common, share):
         return lax.map(lambda one: fn(common, one), share, batch_size=min(lanes, _size(share)))
 
-    spread = jax.jit(
+    return jax.jit(
         jax.shard_map(
             on_device,
             mesh=mesh,
@@ -53,21 +81,6 @@ def tiled(fn: Callable[[Any, Any], Any], *, lanes: int | None = None) -> Callabl
             check_vma=False,
         )
     )
-
-    def run(common, batch):
-        size = _size(batch)
-        tile = min(lanes, -(-size // mesh.size)) * mesh.size
-        fill = -size % tile
-        full = jax.tree.map(
-            lambda x: (
-                jnp.concatenate([x, jnp.repeat(jnp.asarray(x)[-1:], fill, axis=0)]) if fill else x
-            ),
-            batch,
-        )
-        results = spread(common, full)
-        return jax.tree.map(lambda x: x[:size], results) if fill else results
-
-    return run
 
 
 def _size(batch) -> int:

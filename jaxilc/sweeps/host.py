@@ -14,6 +14,7 @@ from ..learning.known_metrics import METRICS
 from ..learning.metrics import Keep
 from ..learning.over_trials import learn
 from ..runtime import capacity, provenance
+from ..runtime.lanes import fitting_lanes
 from ..runtime.tiles import tiled
 from ..uncertainty import drawn_machine
 from .plan import Chunk, Plan
@@ -27,14 +28,26 @@ class Host:
 
     def __init__(self, plan: Plan):
         self.plan, self.environment = plan, provenance.environment()
-        one = partial(
+        self._one = partial(
             _one_machine,
             names=tuple(plan.uncertainty.items()),
             trials=plan.trials,
             keep=plan.keep,
             save=Keep.of(plan.quantities),
         )
-        self._run = jax.jit(tiled(one, lanes=plan.lanes))
+        self._run = jax.jit(tiled(self._one, lanes=plan.lanes))
+
+    def fitting_lanes(self) -> int:
+        """The lanes that suit the backend and fit for every scheme, see `runtime.lanes`.
+
+        Raises ValueError where a single machine does not fit on a device.
+        """
+        return min(
+            fitting_lanes(
+                self._one, *self._arguments(name, 0, 1), self.plan.machines, what=f"Sweep: {name}"
+            )
+            for name in self.plan.schemes
+        )
 
     def room(self, stored: int) -> tuple[int | None, str]:
         """Bytes that are available for a chunk beside a dataset of `stored` bytes, and where.

@@ -146,7 +146,7 @@ class Store:
         path = Path(path)
         with ExitStack() as closing:
             closing.enter_context(only_one(path))
-            found = _configuration(path)
+            found = stored_configuration(path)
             differing = differences(found, layout.recipe)
             if differing:
                 said = f"was made with another configuration; it differs in: {'; '.join(differing)}"
@@ -219,7 +219,7 @@ def open_dataset(path: str | Path) -> xr.Dataset:
     return _labelled(dataset, known["configuration"])
 
 
-def _configuration(path: Path) -> dict[str, Any]:
+def stored_configuration(path: Path) -> dict[str, Any]:
     """The configuration of a store, from the first undamaged one of its two copies.
 
     Raises ValueError where both are damaged.

@@ -20,14 +20,15 @@ from ..learning.over_trials import check
 from ..pytree.ranges import SEEDS, brief, require
 from ..runtime import capacity, provenance
 from ..runtime.earlier_names import takes_also
+from ..runtime.lanes import usual_lanes
 from ..runtime.provenance import describe
-from ..runtime.tiles import OPEN, usual_lanes
+from ..runtime.tiles import OPEN
 from ..schemes import Scheme
 from ..signals.task import Task, Trial
 from ..uncertainty import Uncertainty, draw, drawn_count, drawn_machine
 from .host import Host
 from .plan import Plan
-from .store import Layout, Store
+from .store import Layout, Store, stored_configuration
 from .variables import SIGNALS, coordinates, sizes, variables
 
 if TYPE_CHECKING:
@@ -51,12 +52,13 @@ class Sweep:
     keep: signals of the last trial to store, any of y, e, u (they are large)
     chunk: number of machines computed and stored at a time; None for 256, or for a tile on each
         device if that is more
-    lanes: number of machines vectorised together, None for what suits this backend, see
-        `runtime.tiled`
+    lanes: number of machines vectorised together, None for what suits this backend: 16 on a CPU; on
+        an accelerator what its memory holds, for which one program of each scheme is compiled
     quantities: further metrics of each trial, by name, each a function from a trial to a number
 
     The configuration also has chunk, lanes and the number of devices, since sums in another order
-    are rounded differently.
+    are rounded differently. Where chunk or lanes is None, a resumed store keeps those that it was
+    begun with.
 
     Raises ValueError, before anything is compiled or written, naming what does not fit.
     """
@@ -75,15 +77,9 @@ class Sweep:
     quantities: Mapping[str, Callable[[Trial], jax.Array]] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self):
-        object.__setattr__(self, "lanes", usual_lanes() if self.lanes is None else self.lanes)
-        require("Sweep", "lanes", self.lanes, "[1, inf)", whole=True)
-        object.__setattr__(
-            self,
-            "chunk",
-            max(CHUNK, self.lanes * jax.device_count()) if self.chunk is None else self.chunk,
-        )
-        for name in ("trials", "machines", "chunk"):
-            require("Sweep", name, getattr(self, name), "[1, inf)", whole=True)
+        for name in ("lanes", "trials", "machines", "chunk"):
+            if name not in self._left_open:
+                require("Sweep", name, getattr(self, name), "[1, inf)", whole=True)
         require("Sweep", "seed", self.seed, SEEDS, whole=True)
         object.__setattr__(
             self, "keep", tuple(self.keep) if isinstance(self.keep, list) else self.keep
@@ -104,6 +100,15 @@ class Sweep:
         self.need_room()
         if self.drawn:  # the number of corners, whatever was asked for
             object.__setattr__(self, "machines", len(next(iter(self.drawn.values()))))
+        if self.lanes is None:
+            object.__setattr__(self, "lanes", usual_lanes() or Host(self._plan()).fitting_lanes())
+        if self.chunk is None:
+            object.__setattr__(self, "chunk", max(CHUNK, self.lanes * jax.device_count()))
+
+    @cached_property
+    def _left_open(self) -> tuple[str, ...]:
+        """Which of lanes and chunk were None at construction, when this is computed."""
+        return tuple(name for name in ("lanes", "chunk") if getattr(self, name) is None)
 
     @cached_property
     def drawn(self) -> dict[str, np.ndarray]:
@@ -115,6 +120,9 @@ class Sweep:
     @cached_property
     def plan(self) -> Plan:
         """The plan of this sweep for the processes that compute it."""
+        return self._plan()
+
+    def _plan(self) -> Plan:
         fields = {f.name for f in dataclasses.fields(Plan)} - {"drawn"}
         return Plan(**{name: getattr(self, name) for name in fields}, drawn=self.drawn)
 
@@ -151,6 +159,10 @@ class Sweep:
         written, for a chunk or a dataset that the RAM cannot hold, with what would fit. On a
         cluster also `ChunkFailed`, for a chunk that no worker could compute.
         """
+        if resume and self._left_open and out is not None and Path(out).exists():
+            begun = self._as_begun(stored_configuration(Path(out)))
+            if begun is not None:
+                return begun.run(out, resume=True, progress=progress, cluster=cluster)
         if cluster is None:
             computing = nullcontext(self.host())
         else:
@@ -190,6 +202,17 @@ class Sweep:
                     done[chunk.name] += chunk.size
                     progress(chunk.name, done[chunk.name], chunk.size)
             return store.dataset()
+
+    def _as_begun(self, stored: Mapping[str, Any]) -> Sweep | None:
+        """This sweep with the lanes and the chunk of a store, where they were left open.
+
+        None where this sweep has them already, or the store has none that are allowed.
+        """
+        kept = {name: stored.get(name) for name in self._left_open}
+        if any(type(size) is not int or size < 1 for size in kept.values()):
+            return None
+        same = all(getattr(self, name) == size for name, size in kept.items())
+        return None if same else dataclasses.replace(self, **kept)
 
     def host(self) -> Host:
         """This process, ready to compute chunks."""

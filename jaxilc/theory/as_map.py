@@ -14,7 +14,8 @@ import numpy as np
 from jax import lax
 
 from ..learning.machine import Machine
-from ..runtime.tiles import tiled, usual_lanes
+from ..runtime.lanes import usual_lanes
+from ..runtime.tiles import tiled
 from ..schemes import Scheme
 from ..signals.task import Task
 from .affine import View, learning_of, limits_as_one
@@ -115,7 +116,7 @@ class Maps(NamedTuple):
         size = len(self.view.moving)
         room = max(1, TILE // (16 * min(options.get("steps", FEW), size) * size))
         return _compiled(
-            function, self.view, lanes or min(usual_lanes(), room), tuple(options.items())
+            function, self.view, lanes or min(usual_lanes() or room, room), tuple(options.items())
         )
 
 

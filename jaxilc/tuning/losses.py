@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import jax
@@ -30,6 +31,7 @@ from ..learning.machine import Machine
 from ..learning.metrics import Keep
 from ..learning.over_trials import truncated
 from ..pytree.named_paths import replaced
+from ..runtime.lanes import fitting_lanes
 from ..schemes import Scheme
 from ..signals.task import Task, Trial
 from .bounded import Bounded
@@ -38,6 +40,8 @@ from .machines import Machines
 from .objectives import Objective, Run, Sum, judge
 from .risks import Risk
 from .weights import Weights
+
+FORWARD_UP_TO = 3  # weights
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -55,6 +59,7 @@ class Losses:
     task: Task
     trials: int
     risk: Risk
+    mode: str
     truncate: int | None
     ceiling: float
     quantities: Mapping[str, Callable[[Trial], jax.Array]]
@@ -91,7 +96,7 @@ class Losses:
         return risk + self.of_machine(self.machines.machine, values, of_nominal)
 
     def evaluation(
-        self, objective: Objective, batch, seed: int, *, clip: float, forward: bool
+        self, objective: Objective, batch, seed: int, *, clip: float
     ) -> Callable[[Any], Evaluation]:
         """A function that evaluates the loss over a batch of machines at z (P,).
 
@@ -100,16 +105,9 @@ class Losses:
 
         batch, seed: as in `risk_of`
         clip: bound on the slope of a machine, see `descent.repaired`
-        forward: true for forward, false for reverse differentiation
         """
         of_machines, of_nominal = split(objective)
-
-        def of_one(z, one):
-            def loss(z):
-                return self._of_one(self.weights.at(z), one, of_machines, seed)
-
-            return value_and_slope(loss, z, forward=forward)
-
+        of_one = partial(self._slope_of_one, objective=of_machines, seed=seed)
         over_machines = self.machines.tiled(of_one, batch)
 
         def evaluate(z) -> Evaluation:
@@ -129,6 +127,25 @@ class Losses:
             return Evaluation(value, gradient, residuals, jacobian, dropped)
 
         return evaluate
+
+    def fitting_lanes(self, objective: Objective, machines: int) -> int:
+        """The lanes that suit the backend and fit with slopes, for so many machines at each start.
+
+        Raises ValueError where a single machine does not fit on a device.
+        """
+        of_one = partial(self._slope_of_one, objective=split(objective)[0], seed=self.machines.seed)
+        batch = self.machines.drawn(self.machines.seed, 1, nominal=True)
+        z = jnp.zeros(len(self.weights.start))
+        return fitting_lanes(of_one, z, batch, machines * self.machines.starts, what="Tuning")
+
+    def _slope_of_one(self, z, one, *, objective: Objective, seed: int):
+        """The loss of one machine of a batch at z (P,), and its slope."""
+        few = self.mode == "auto" and len(self.weights.bijections) <= FORWARD_UP_TO
+
+        def loss(z):
+            return self._of_one(self.weights.at(z), one, objective, seed)
+
+        return value_and_slope(loss, z, forward=self.mode == "forward" or few)
 
     def _of_one(self, values, one, objective: Objective, seed: int):
         """The objective of one machine of a batch."""

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from ..learning.machine import Machine
+from ..runtime.lanes import usual_lanes
 from ..runtime.tiles import tiled
 from ..uncertainty import Uncertainty, draw, drawn_machine
 
@@ -50,4 +51,6 @@ class Machines:
     def tiled(self, of_one, batch):
         """The result of `tiled(of_one)` over a batch and, under `vmap`, over all starts."""
         of_a_device = -(-len(batch[0]) // jax.device_count())
-        return tiled(of_one, lanes=max(1, min(self.lanes, of_a_device) // self.starts))
+        wide = usual_lanes() is None  # all machines of all starts in one tile, if they fit
+        lanes = self.lanes if wide else min(self.lanes, of_a_device)
+        return tiled(of_one, lanes=max(1, lanes // self.starts))

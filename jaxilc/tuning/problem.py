@@ -27,13 +27,14 @@ from ..learning.over_trials import check
 from ..pytree.named_paths import replaced
 from ..runtime.capacity import check_program
 from ..runtime.earlier_names import takes_also
+from ..runtime.lanes import usual_lanes
 from ..runtime.provenance import describe, environment
-from ..runtime.tiles import OPEN, usual_lanes
+from ..runtime.tiles import OPEN
 from ..schemes import Scheme
 from ..signals.task import Task, Trial
-from ..sweeps.sweep import Sweep
 from ..uncertainty import Uncertainty, draw
 from .bijection import Bijection
+from .comparison import comparison_of
 from .descent import Method, State, Step, arguments_like, descended, for_starts
 from .losses import Losses
 from .machines import Machines
@@ -42,13 +43,13 @@ from .optimisers import method_of
 from .risks import Mean, Risk
 from .settings import check_settings
 from .sizes import Counts, need_room
-from .states import Folder
+from .states import Folder, stored_lanes
 from .weights import Asked, Tuned, Weights
 
 if TYPE_CHECKING:
     import xarray as xr
 
-FORWARD_UP_TO = 3  # weights
+    from ..sweeps.sweep import Sweep
 
 
 @takes_also(samples="machines")
@@ -86,7 +87,9 @@ class Tuning:
     clip: largest length of a machine's slope, in units of the median length over the machines, or
         of 1 if the median is less; inf for no bound
     ceiling: largest error, relative to the peak of the reference, see `Bounded`
-    lanes: machines vectorised together, over all starts; None for what suits this backend
+    lanes: machines vectorised together, over all starts; None for what suits this backend: 16 on a
+        CPU; on an accelerator what its memory holds, for which one program is compiled. With None,
+        a tuning that is resumed keeps those that it was begun with.
 
     Raises ValueError, before anything is compiled, as `Weights.of` does for the weights.
     """
@@ -118,7 +121,8 @@ class Tuning:
     quantities: Mapping[str, Callable[[Trial], jax.Array]] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self):
-        object.__setattr__(self, "lanes", usual_lanes() if self.lanes is None else self.lanes)
+        given = (usual_lanes() or 1) if self._lanes_left_open else self.lanes
+        object.__setattr__(self, "lanes", given)
         check_settings(vars(self))
         check(self.machine, self.scheme, self.task)
         self._weights.need_room(self.machine, self.scheme, self.task)
@@ -126,6 +130,15 @@ class Tuning:
         need_room(self.machine, self.uncertainty, self.task, counts)
         draw(self.machine, self.uncertainty, self.machines, seed=self.seed, sampling=self.sampling)
         jax.eval_shape(lambda: self.loss_of(self.machine, {}))
+        if self._lanes_left_open and usual_lanes() is None:
+            lanes = self._losses.fitting_lanes(self.objective, max(self.machines, self.held_out))
+            object.__setattr__(self, "lanes", lanes)
+            del self.__dict__["_losses"]  # those of one lane
+
+    @cached_property
+    def _lanes_left_open(self) -> bool:
+        """Whether lanes was None at construction, when this is computed."""
+        return self.lanes is None
 
     @cached_property
     def _weights(self) -> Weights:
@@ -196,6 +209,11 @@ class Tuning:
         in use, has no undamaged state, or was made with another configuration, and for a step that
         the RAM cannot hold.
         """
+        if resume and out is not None and self._lanes_left_open:
+            begun = stored_lanes(Path(out)) or self.lanes
+            if begun != self.lanes:
+                again = dataclasses.replace(self, lanes=begun)
+                return again.run(out, resume=True, progress=progress)
         z = self._weights.starts(self.starts, self.scatter, self.seed)
         method, held_out = self._programs
         check_program(
@@ -262,24 +280,8 @@ class Tuning:
             can hold the comparison after it
         Raises as `compare` does, and ValueError for more machines or trials than the RAM can hold.
         """
-        if seed in (self.seed, self.seed + 1):
-            raise ValueError(
-                f"compare: seed = {seed} is one of {self.seed} and {self.seed + 1}, whose plants "
-                "tuning or choosing has seen"
-            )
         schemes = {"given": self.scheme, "tuned": self.scheme} if schemes is None else schemes
-        planned = Sweep(
-            self.machine,
-            schemes,
-            self.task,
-            trials or self.trials,
-            self.uncertainty,
-            machines=machines,
-            seed=self.seed + 2 if seed is None else seed,
-            quantities=self.quantities,
-        )
-        planned.need_room(copies=2)  # without a store, the dataset is in the RAM twice
-        return planned
+        return comparison_of(self._losses, schemes, trials, machines, seed)
 
     @cached_property
     def _programs(self) -> tuple[Method, Callable]:
@@ -288,12 +290,10 @@ class Tuning:
 
     def _method(self) -> Method:
         """The optimiser on the training loss."""
-        few = self.mode == "auto" and len(self.bijections) <= FORWARD_UP_TO
         evaluate = self._losses.evaluation(
             self.objective,
             self._losses.machines.drawn(self.seed, self.machines, nominal=True),
             self.seed,
             clip=self.clip,
-            forward=self.mode == "forward" or few,
         )
         return method_of(self.optimiser, evaluate, self.rate, self.steps)

@@ -117,6 +117,15 @@ class Folder:
         return found
 
 
+def stored_lanes(path: Path) -> int | None:
+    """The lanes in the configuration of a folder; None where it has no such undamaged file."""
+    try:
+        lanes = as_json(unsealed(read_json(path / CONFIGURATION))).get("lanes")
+    except (OSError, Damaged, AttributeError):
+        return None
+    return lanes if type(lanes) is int and lanes >= 1 else None
+
+
 def _kind(leaf: Any) -> tuple[Any, ...]:
     return np.shape(leaf), np.asarray(leaf).dtype
 

@@ -1,0 +1,130 @@
+"""How many machines a device computes together, and how many samples in each pass of a loop.
+
+On a CPU both are constants that were measured. An accelerator computes thousands of machines in
+the time of a few, since each pass of a loop costs it the launch of its kernels, so it is given as
+many machines as its memory holds.
+
+Both numbers change the rounding of results. So neither is timed when a program runs: the lanes
+follow from the memory that the device has, not from what is free at the moment, and the samples of
+a pass are a table, which `experiments/benchmark/accelerator.py` measures. A run that is resumed on
+the same computer then rounds as before. A sweep also stores its lanes, and keeps them when it is
+resumed on another one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import jax
+
+from ..pytree.ranges import require
+from . import capacity
+
+LANES = {"cpu": 16}  # by backend, measured; a trial of 16 plants fits into the cache of a core
+# Samples in each pass of the loop over samples, by backend. Measured on a CPU, where more are
+# slower. Other backends were not measured and also take 1.
+UNROLL = {"cpu": 1}
+WIDE = 4096  # lanes where a device does not say how much memory it has
+SHARE = 0.75  # of the memory of a device that may be planned for a tile
+PROBE = 1024  # largest number of machines in the program whose memory is measured
+
+
+def usual_lanes() -> int | None:
+    """The number of machines to vectorise at a time that is best for the backend; starts JAX.
+
+    None for a backend on which it follows from the memory of a device, see `fitting_lanes`.
+    """
+    return LANES.get(jax.default_backend())
+
+
+def usual_unroll() -> int:
+    """The number of samples in each pass of the loop over samples, for the backend; starts JAX."""
+    return UNROLL.get(jax.default_backend(), 1)
+
+
+def lanes_for(
+    memory: float | None,
+    of_a_machine: float,
+    machines: int,
+    *,
+    beside: float = 0.0,
+    what: str = "tiled",
+) -> int:
+    """The number of machines that a device vectorises at a time, which is a power of two.
+
+    It is the largest with lanes x of_a_machine + beside <= SHARE x memory, but no larger than the
+    smallest power of two that holds all machines.
+
+    memory: bytes of memory of the device; None if unknown, which allows up to WIDE machines
+    of_a_machine: bytes that a machine takes
+    machines: number of machines for this device
+    beside: bytes that are needed besides, however many machines are vectorised
+    what: name of the computation, for the message
+    Raises ValueError where a single machine does not fit, saying which share of it would.
+    """
+    require(what, "machines", machines, "[1, inf)", whole=True)
+    for name, size in (("memory", memory), ("of_a_machine", of_a_machine), ("beside", beside)):
+        if size is not None:
+            require(what, name, size, "[0, inf)")
+    enough = 1 << (machines - 1).bit_length()
+    if memory is None:
+        return min(WIDE, enough)
+    room = SHARE * memory - beside
+    if room < of_a_machine:
+        taken = f"one machine takes {capacity.shown(of_a_machine)}"
+        taken += f" beside {capacity.shown(beside)} of results" if beside else ""
+        free = f"{capacity.shown(SHARE * memory)} of the {capacity.shown(memory)} of a device"
+        instead = _instead(room / max(of_a_machine, 1))
+        raise ValueError(f"{what}: {taken}, where {free} may be planned; {instead}")
+    if not of_a_machine or enough <= room / of_a_machine:
+        return enough
+    return 1 << (int(room // of_a_machine).bit_length() - 1)
+
+
+def fitting_lanes(
+    fn: Callable[[Any, Any], Any],
+    common: Any,
+    batch: Any,
+    machines: int,
+    *,
+    held: int = 0,
+    what: str = "tiled",
+) -> int:
+    """The lanes for `tiled(fn)`: those usual on the backend, or those that a device can hold.
+
+    The memory of a machine is that of the compiled program of a few machines (at most PROBE), in
+    which every array has one row for each machine. The program is compiled and does not run.
+
+    fn, common, batch: as for `tiled` and the function that it returns; of the batch, and of common,
+        only shapes and types are read
+    machines: number of machines, on all devices
+    held: number of machines whose arguments and results are on the devices at once, besides a tile
+    Raises ValueError as `lanes_for` does.
+    """
+    usual = usual_lanes()
+    if usual is not None:
+        return usual
+    memory, devices = capacity.device_memory(), jax.device_count()
+    of_a_device = -(-machines // devices)
+    if memory is None:
+        return lanes_for(None, 0.0, of_a_device, what=what)
+    few = min(PROBE, of_a_device)
+    known = jax.eval_shape(lambda *x: x, common, batch)
+    rows = jax.tree.map(lambda x: jax.ShapeDtypeStruct((few, *x.shape[1:]), x.dtype), known[1])
+    found = jax.jit(jax.vmap(fn, in_axes=(None, 0))).lower(known[0], rows).compile()
+    analysis: Any = found.memory_analysis()
+    if analysis is None:
+        return lanes_for(None, 0.0, of_a_device, what=what)
+    signals = (analysis.argument_size_in_bytes + analysis.output_size_in_bytes) / few
+    inner = analysis.temp_size_in_bytes / few
+    beside = 2 * signals * -(-held // devices)  # the rows of all tiles, and their copy in order
+    return lanes_for(memory, signals + inner, of_a_device, beside=beside, what=what)
+
+
+def _instead(share: float) -> str:
+    """What would fit, where a part of a machine does; its signals take most of its memory."""
+    if share < 0.01:
+        return "take fewer samples, trials or machines"
+    return f"with {math.floor(100 * share)} % of its samples it would fit"

@@ -1,0 +1,216 @@
+"""Lanes follow from the memory of a device, which is faked here; the loop may be unrolled.
+
+The tests make JAX's CPU devices look like those of an accelerator that has so many bytes.
+"""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import xarray as xr
+from cases import case
+from gain_case import PROBLEM
+from sweep_case import PLAN
+
+from jaxilc import Sweep, tiled
+from jaxilc.learning import learn
+from jaxilc.learning.within_trial import run_trial
+from jaxilc.runtime import capacity, lanes
+from jaxilc.runtime.lanes import SHARE, WIDE, fitting_lanes, lanes_for
+from jaxilc.tuning.states import Folder, stored_lanes
+
+DEVICES = jax.device_count()
+
+
+@pytest.fixture
+def device(monkeypatch):
+    """Return a function that fakes an accelerator whose devices have so many bytes."""
+
+    def fake(size):
+        monkeypatch.setattr(lanes, "LANES", {})
+        monkeypatch.setattr(capacity, "device_memory", lambda: size)
+
+    return fake
+
+
+def test_the_lanes_are_the_largest_power_of_two_that_fits():
+    rng = np.random.default_rng(0)
+    for _ in range(300):
+        memory, each, beside = 10 ** rng.uniform((6, 0, 0), (12, 6, 5.5))
+        machines = int(10 ** rng.uniform(0, 7))
+        found = lanes_for(memory, each, machines, beside=beside)
+        fits = [2**i for i in range(60) if 2**i * each + beside <= SHARE * memory]
+        assert found == min(max(fits), next(2**i for i in range(60) if 2**i >= machines))
+        assert lanes_for(1.7 * memory, each, machines, beside=beside) >= found
+
+
+@pytest.mark.parametrize(
+    ("memory", "each", "machines", "expected"),
+    [
+        (None, 1e5, 10**6, WIDE),  # a device that reports no memory
+        (None, 1e5, 100, 128),
+        (1e11, 1e5, 1, 1),
+        (1e11, 0.0, 3, 4),
+        (0, 0.0, 5, 8),
+        (1e-300, 1e-320, 10**9, 2**30),
+        (1e11, 1e5, 10**18, 2**19),
+        (1e300, 1.0, 10**18, 2**60),
+    ],
+)
+def test_absurd_sizes_have_lanes(memory, each, machines, expected):
+    assert lanes_for(memory, each, machines) == expected
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (
+            (8e9, 1e10, 4),
+            r"tiled: one machine takes 10 GB, where 6 GB of the 8 GB of a device may be planned; "
+            "with 60 % of its samples it would fit",
+        ),
+        ((8e9, 1e13, 4), "; take fewer samples, trials or machines"),
+        ((0, 1.0, 4), "one machine takes 1 B, where 0 B of the 0 B of a device"),
+        ((8e9, 1.0, 0), r"tiled: machines = 0 is outside its allowed range \[1, inf\)"),
+        (
+            (8e9, 1.0, 2.5),
+            r"machines = 2.5 is outside its allowed range \[1, inf\) of whole numbers",
+        ),
+        ((float("nan"), 1.0, 4), "tiled: memory = nan"),
+        ((8e9, -1.0, 4), "tiled: of_a_machine = -1"),
+    ],
+)
+def test_what_cannot_fit_is_refused_with_what_would(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        lanes_for(*arguments)
+
+
+def test_results_that_leave_no_room_are_named():
+    with pytest.raises(ValueError, match="one machine takes 1 kB beside 7 GB of results, where 6 "):
+        lanes_for(8e9, 1e3, 4, beside=7e9)
+
+
+class Device:
+    """A device of an accelerator, with the statistics of its memory."""
+
+    def __init__(self, stats, platform="gpu"):
+        self.platform, self._stats = platform, stats
+
+    def memory_stats(self):
+        return self._stats
+
+
+@pytest.mark.parametrize(
+    ("stats", "memory", "free"),
+    [
+        ([{"bytes_limit": 100, "bytes_in_use": 30}], 100, 70),
+        ([{"bytes_limit": 100}, {"bytes_limit": 80, "bytes_in_use": 90}], 80, 100),
+        ([{"bytes_limit": 100}, None], None, None),
+        ([{"bytes_limit": 100}, {}], None, None),
+        ([{"bytes_in_use": 3}], None, None),
+    ],
+)
+def test_the_memory_is_that_of_the_smallest_device(monkeypatch, stats, memory, free):
+    devices = [Device(of) for of in stats] + [Device({"bytes_limit": 1}, "cpu")]
+    monkeypatch.setattr(jax, "devices", lambda: devices)
+    assert (capacity.device_memory(), capacity.device_bytes()) == (memory, free)
+
+
+def test_a_cpu_keeps_its_lanes():
+    assert capacity.device_memory() is None
+    assert fitting_lanes(lambda common, one: one, (), jnp.ones(3), 10**6) == 16
+    assert dataclasses.replace(PLAN, lanes=None, chunk=None).lanes == 16
+    assert dataclasses.replace(PROBLEM, lanes=None).lanes == 16
+
+
+@pytest.mark.parametrize("name", ["p_type", "cfdl_sign"])
+def test_the_program_of_these_lanes_fits_and_that_of_twice_as_many_does_not(device, name):
+    machine, scheme, task = case(name)
+
+    def of_one(scheme, gain):
+        return learn(jax.tree.map(lambda x: x * gain, machine), scheme, task, 3).metrics
+
+    def need(size):
+        run = jax.jit(jax.vmap(of_one, in_axes=(None, 0)))
+        shape = jax.ShapeDtypeStruct((size,), float)
+        return capacity.program_bytes(run, scheme, shape, devices=1)
+
+    device(memory := 700_000)
+    found = fitting_lanes(of_one, scheme, jnp.ones(1), 10**6)
+    assert found >= 16
+    assert need(found) <= SHARE * memory < need(2 * found)
+
+
+def test_a_batch_runs_in_tiles_that_fit(device):
+    rows = np.random.default_rng(1).normal(size=(37, 50))
+
+    def of_one(common, row):
+        return common * jnp.sum(jnp.sort(jnp.outer(row, row).ravel())[::100])
+
+    expected = np.asarray(tiled(of_one, lanes=16)(2.0, rows))
+    device(2 * 10**5)
+    run, share = tiled(of_one), -(-37 // DEVICES)
+    found = fitting_lanes(of_one, 2.0, rows, 37, held=37)
+    assert 1 < found < share
+    assert f"length={-(-share // found)}" in str(jax.make_jaxpr(run)(2.0, rows))
+    np.testing.assert_allclose(run(2.0, rows), expected, rtol=1e-12)
+    device(20_000)
+    with pytest.raises(ValueError, match=r"tiled: one machine takes .* beside .* of results, wher"):
+        tiled(of_one)(2.0, rows)
+
+
+def test_a_sweep_takes_what_fits_and_a_resumed_one_keeps_it(device, tmp_path):
+    fields = {f.name: getattr(PLAN, f.name) for f in dataclasses.fields(Sweep)}
+    fields |= {"schemes": {"a": PLAN.schemes["feedback"]}, "keep": (), "machines": 40}
+    fields |= {"trials": 2, "lanes": None, "chunk": None}
+    device(50_000)
+    small = Sweep(**fields)
+    assert 1 < small.lanes < 40 / DEVICES
+    assert small.chunk == 256
+    whole = small.run(tmp_path / "store.zarr")
+    assert whole.attrs["configuration"]["lanes"] == small.lanes
+    device(10**12)
+    large = Sweep(**fields)
+    assert large.lanes == 2 ** int(np.ceil(np.log2(40 / DEVICES)))
+    resumed = large.run(tmp_path / "store.zarr", resume=True)
+    xr.testing.assert_identical(resumed, whole)
+    with pytest.raises(ValueError, match=f"lanes: {small.lanes} there, 16 here"):
+        Sweep(**fields | {"lanes": 16}).run(tmp_path / "store.zarr", resume=True)
+
+
+def test_a_tuning_takes_what_fits_and_a_resumed_one_keeps_it(device, tmp_path):
+    fields = {f.name: getattr(PROBLEM, f.name) for f in dataclasses.fields(PROBLEM)}
+    fields |= {"lanes": None, "steps": 1, "starts": 2, "machines": 8}
+    device(10**12)
+    large = type(PROBLEM)(**fields)
+    assert large.lanes == 2 ** int(np.ceil(np.log2(2 * 8 / DEVICES)))
+    device(5_000)
+    small = type(PROBLEM)(**fields)
+    assert 1 <= small.lanes < large.lanes
+    with Folder(tmp_path / "state", large.configuration(), resume=False):
+        pass
+    assert small.run(tmp_path / "state", resume=True).values["gamma_p"] > 0.4
+    assert stored_lanes(tmp_path / "state") == large.lanes
+    assert stored_lanes(tmp_path) is None
+
+
+@pytest.mark.parametrize("unroll", [3, 64])
+def test_unrolling_keeps_the_numbers(monkeypatch, unroll):
+    machine, scheme, task = case("p_type_over_pid")  # of 32 samples
+    memory = scheme.initial_memory(task)
+
+    def found():  # a new function, so that it is traced again
+        def run(scale):
+            trial = run_trial(machine, scheme, task, memory, jax.random.key(0))
+            return scale * trial.y, trial.u
+
+        return jax.jit(run), jax.jit(run)(1.0)
+
+    expected = found()[1]
+    monkeypatch.setattr(lanes, "UNROLL", {"cpu": unroll})
+    run, unrolled = found()
+    for one, other in zip(expected, unrolled, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-14)
+    assert f"unroll={unroll}" in str(jax.make_jaxpr(run)(1.0))
