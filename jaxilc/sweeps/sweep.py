@@ -6,10 +6,10 @@ import dataclasses
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping
-from contextlib import ExitStack, closing, nullcontext
+from contextlib import ExitStack, nullcontext
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import jax
 import numpy as np
@@ -26,8 +26,9 @@ from ..schemes import Scheme
 from ..signals.task import Task, Trial
 from ..uncertainty import Uncertainty, draw, drawn_count, drawn_machine
 from .host import Host
+from .layout import Layout
 from .plan import Plan
-from .store import Layout, Store
+from .store import Store, chunk_of
 from .variables import SIGNALS, coordinates, sizes, variables
 
 if TYPE_CHECKING:
@@ -35,6 +36,10 @@ if TYPE_CHECKING:
     from distributed import Client
 
 CHUNK = 256
+# Where a scheme would have more than CHUNKS such chunks, they are up to LARGEST times as large: the
+# files of a chunk take as long to write as some hundred machines take to compute.
+CHUNKS, LARGEST = 32, 8
+HEAVY = 2**26  # bytes of the results of a chunk, up to which it is made larger
 WORK = 4  # arrays of the size of a metric over all machines and trials, needed for its quantiles
 
 
@@ -50,7 +55,8 @@ class Sweep:
         is an earlier name of `machines`
     keep: signals of the last trial to store, any of y, e, u (they are large)
     chunk: number of machines computed and stored at a time; None for 256, or for a tile on each
-        device if that is more
+        device if that is more, and for up to 8 times as many where there are many machines; a
+        store that is resumed then keeps its own
     lanes: number of machines vectorised together, None for what suits this backend, see
         `runtime.tiled`
     quantities: further metrics of each trial, by name, each a function from a trial to a number
@@ -73,16 +79,11 @@ class Sweep:
     chunk: int = OPEN
     lanes: int = OPEN
     quantities: Mapping[str, Callable[[Trial], jax.Array]] = dataclasses.field(default_factory=dict)
+    _chunk_is_open: ClassVar[bool] = False  # whether `chunk` was not given
 
     def __post_init__(self):
         object.__setattr__(self, "lanes", usual_lanes() if self.lanes is None else self.lanes)
-        require("Sweep", "lanes", self.lanes, "[1, inf)", whole=True)
-        object.__setattr__(
-            self,
-            "chunk",
-            max(CHUNK, self.lanes * jax.device_count()) if self.chunk is None else self.chunk,
-        )
-        for name in ("trials", "machines", "chunk"):
+        for name in ("lanes", "trials", "machines", *(["chunk"] if self.chunk is not None else [])):
             require("Sweep", name, getattr(self, name), "[1, inf)", whole=True)
         require("Sweep", "seed", self.seed, SEEDS, whole=True)
         object.__setattr__(
@@ -104,6 +105,14 @@ class Sweep:
         self.need_room()
         if self.drawn:  # the number of corners, whatever was asked for
             object.__setattr__(self, "machines", len(next(iter(self.drawn.values()))))
+        object.__setattr__(self, "_chunk_is_open", self.chunk is None)
+        if self.chunk is None:
+            object.__setattr__(self, "chunk", self._usual_chunk())
+
+    def _usual_chunk(self) -> int:
+        least = max(CHUNK, self.lanes * jax.device_count())
+        light = HEAVY * len(self.schemes) // self.bytes_stored(least)
+        return least * max(1, min(LARGEST, light, self.machines // (CHUNKS * least)))
 
     @cached_property
     def drawn(self) -> dict[str, np.ndarray]:
@@ -151,6 +160,11 @@ class Sweep:
         written, for a chunk or a dataset that the RAM cannot hold, with what would fit. On a
         cluster also `ChunkFailed`, for a chunk that no worker could compute.
         """
+        if resume and self._chunk_is_open and out is not None:
+            stored = chunk_of(out)
+            if stored not in (None, self.chunk):
+                same = dataclasses.replace(self, chunk=stored)
+                return same.run(out, resume=True, progress=progress, cluster=cluster)
         if cluster is None:
             computing = nullcontext(self.host())
         else:
@@ -176,19 +190,19 @@ class Sweep:
         with ExitStack() as opened:
             store = opened.enter_context(Store.resume(out, layout)) if found else None
             pending = [c for c in chunks if store is None or not store.is_done(c.scheme, c.number)]
-            self._need_memory(
-                hosts, tuple(dict.fromkeys(c.name for c in pending)), copies=2 if out is None else 1
-            )
+            copies = 2 if out is None else 1
+            self._need_memory(hosts, tuple(dict.fromkeys(c.name for c in pending)), copies=copies)
+            computed = opened.enter_context(hosts.computing(pending, copies * self.bytes_stored()))
             store = opened.enter_context(Store.create(out, layout)) if store is None else store
             done = Counter()
             for chunk in sorted(set(chunks) - set(pending)):
                 done[chunk.name] += chunk.size
                 progress(chunk.name, done[chunk.name], 0)
-            with closing(hosts.computed(pending)) as finished:
-                for chunk, values in finished:
-                    store.write(chunk.scheme, chunk.number, slice(chunk.start, chunk.stop), values)
-                    done[chunk.name] += chunk.size
-                    progress(chunk.name, done[chunk.name], chunk.size)
+            for chunk, values in computed:
+                store.write(chunk.scheme, chunk.number, slice(chunk.start, chunk.stop), values)
+                del values  # the chunk after the next one is started now
+                done[chunk.name] += chunk.size
+                progress(chunk.name, done[chunk.name], chunk.size)
             return store.dataset()
 
     def host(self) -> Host:
