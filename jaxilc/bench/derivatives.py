@@ -20,7 +20,7 @@ from ..learning.machine import Machine
 from ..learning.metrics import Keep
 from ..learning.over_trials import learn
 from ..runtime.capacity import check_program
-from ..runtime.tiles import usual_lanes
+from ..runtime.lanes import usual_lanes
 from ..schemes import Scheme
 from ..signals.task import Task, Trial
 from ..tuning.descent import Evaluation
@@ -96,17 +96,23 @@ class Learning:
             task=self.task,
             trials=self.trials,
             risk=Mean(),
+            mode="forward" if forward else "reverse",
             truncate=None,
             ceiling=CEILING,
             quantities=self.quantities,
         )
-        evaluate = losses.evaluation(self.objective, self.batch, SEED, clip=np.inf, forward=forward)
+        if usual_lanes() is None:
+            lanes = losses.fitting_lanes(self.objective, len(self.batch[0]))
+            losses = dataclasses.replace(
+                losses, machines=dataclasses.replace(self.machines, lanes=lanes)
+            )
+        evaluate = losses.evaluation(self.objective, self.batch, SEED, clip=np.inf)
         return _built(jax.vmap(evaluate), weights.starts(1, 0.0, SEED))
 
 
 def machines_of(machine: Machine, uncertainty: Uncertainty) -> Machines:
     """The set from which a tuning draws its machines, with its usual settings."""
-    return Machines(machine, uncertainty, SEED, "sobol", usual_lanes(), starts=1)
+    return Machines(machine, uncertainty, SEED, "sobol", usual_lanes() or 1, starts=1)
 
 
 def of_each(found: Evaluation) -> np.ndarray:

@@ -13,6 +13,7 @@ import time
 from collections import defaultdict
 from pathlib import Path
 
+from ..runtime.events import COMPILING, COMPUTING
 from .titled_table import Console
 
 PIPED_WIDTH = 160  # columns of output that does not go to a terminal
@@ -73,9 +74,19 @@ def log_jax(programs: Path | None) -> None:
     _follow()
 
 
+def stage_ends(stage: str) -> None:
+    """Note the end of a stage of a sweep, for the log: first of `start`, then of `run`."""
+    counted[stage] = time.perf_counter()
+
+
 def ended() -> None:
-    """Log the time that the command took, and how much of it was compiling."""
+    """Log the time that the command took, and how much of it was compiling.
+
+    For a sweep of this process, also log which share of it was spent in compiled code.
+    """
     if log.isEnabledFor(logging.INFO):
+        if counted[COMPUTING] and counted["run"]:
+            log.info("%s", _shares(time.perf_counter()))
         took = time.perf_counter() - counted["started"]
         log.info(
             "%.2f s, of them %.2f s for %d programs, %d found compiled",
@@ -86,12 +97,28 @@ def ended() -> None:
         )
 
 
+def _shares(now: float) -> str:
+    """The time of a sweep in compiled code, and the rest of its time by what it was."""
+    computing, compiling = counted[COMPUTING], counted[COMPILING]
+    rest = {
+        "start": counted["start"] - counted["started"],
+        "compiling": compiling,
+        "files": counted["run"] - counted["start"] - compiling - computing,
+        "figures": now - counted["run"],
+    }
+    whole = now - counted["started"]
+    others = ", ".join(f"{stage} {seconds:.2f} s" for stage, seconds in rest.items())
+    return f"{computing:.2f} s in compiled code, {computing / whole:.0%} of {whole:.2f} s; {others}"
+
+
 @functools.cache
 def _follow() -> None:
     """Count programs and log slow ones; cached, since listeners stay for the whole process."""
     from jax import monitoring
 
     def compiled(event: str, duration_secs: float, **about: object) -> None:
+        if event in (COMPILING, COMPUTING):
+            counted[event] += duration_secs
         if event == COMPILED:
             counted["programs"] += 1
             counted["s"] += duration_secs

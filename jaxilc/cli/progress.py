@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
 import sys
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -15,6 +17,10 @@ if TYPE_CHECKING:
 
     from ..sweeps import Sweep
     from ..tuning import Tuned, Tuning
+
+
+# Packages that a sweep needs when it is computed.
+AFTERWARDS = ("xarray", "matplotlib.figure", "matplotlib.backends.backend_agg")
 
 
 def progress_bar(field: str):
@@ -75,10 +81,14 @@ def run_sweep(plan: Sweep, store: Path, *, resume: bool, cluster: str | None) ->
 
     start, counted = time.perf_counter(), {}
     of_a_machine = plan.trials * plan.task.N
+    # Each takes part of a second to import, in which the devices compute.
+    imports = threading.Thread(target=lambda: [*map(importlib.import_module, AFTERWARDS)])
     with progress_bar("rate") as bar:
         bars = {name: bar.add_task(name, total=plan.machines, rate="") for name in plan.schemes}
 
         def progress(name: str, done: int, fresh: int) -> None:
+            if fresh and imports.ident is None:
+                imports.start()
             counted[name] = counted.get(name, 0) + fresh
             rate = sum(counted.values()) * of_a_machine / (time.perf_counter() - start)
             bar.update(bars[name], completed=done, rate=f"{rate:.2g} steps/s")

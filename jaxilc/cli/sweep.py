@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from .console import out
+from .console import out, stage_ends
 from .options import (
     Json,
     Machines,
@@ -97,7 +97,9 @@ def sweep(
         raise ValueError(f"--tolerance {tolerance * scale:g} is outside its allowed range (0, inf)")
     folder = out_dir or Path("out") / f"sweep-{chosen.name}"
     store = unless_there(folder / "dataset.zarr", resume)
+    stage_ends("start")
     dataset, seconds, steps = run_sweep(plan, store, resume=resume, cluster=dask)
+    stage_ends("run")
 
     summary = summarise(dataset, tolerance, metric=chosen.judged_by)
     numbers = sweep_numbers(chosen, summary, tolerance, plan.machines)
@@ -108,7 +110,12 @@ def sweep(
         took = f"{steps:.3g} sample-steps in {seconds:.1f} s, compilation included"
         out.print(f"{took}: {steps / seconds:.3g} a second", highlight=False)
     axes = figures.error_band(
-        dataset, metric=chosen.judged_by, tolerance=tolerance, scale=scale, unit=unit
+        dataset,
+        metric=chosen.judged_by,
+        tolerance=tolerance,
+        scale=scale,
+        unit=unit,
+        summary=summary,
     )
     path = figures.save(axes, folder / "error-band.png")
     page = command_report(

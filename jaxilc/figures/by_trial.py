@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.axes import Axes
 
+    from ..sweeps.summary import SchemeSummary
     from ..theory import Certificate
 
 
@@ -99,6 +100,7 @@ def error_band(
     tolerance: float | None = None,
     scale: float = 1.0,
     unit: str = "",
+    summary: list[SchemeSummary] | None = None,
     ax: Axes | None = None,
 ) -> Axes:
     """A sweep: median, 5-95 % band and worst machine against the trial, with the tolerance.
@@ -111,11 +113,12 @@ def error_band(
     metric: name of a variable over these
     tolerance: largest error that passes [unit of the dataset]
     scale, unit: the errors are shown as `scale` times those of the dataset, in `unit`
+    summary: what `summarise` gives for this dataset and metric, None to have it computed
     """
     from ..sweeps.summary import summarise
 
-    ax = new_axes(ax)
-    rows, trial = summarise(dataset, tolerance or 1.0, metric=metric), dataset["trial"]
+    ax, trial = new_axes(ax), dataset["trial"]
+    rows = summarise(dataset, tolerance or 1.0, metric=metric) if summary is None else summary
     medians = np.concatenate([row.median for row in rows])
     for i, row in enumerate(rows):
         style, marks = style_of(i), marks_of(i, len(trial))

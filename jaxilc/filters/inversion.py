@@ -11,8 +11,7 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 import numpy as np
-import scipy.linalg
-import scipy.signal
+import scipy
 
 from ..pytree.fields import Leaf, leaf, pytree, static
 from ..pytree.needs import known

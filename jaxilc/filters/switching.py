@@ -8,7 +8,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.signal
+import scipy
 
 from ..pytree.fields import Leaf, leaf, pytree, static
 from ..pytree.needs import known

@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import scipy.linalg
-import scipy.signal
+import scipy
 
 from ..plants import StateSpace
 from ..plants.from_python_control import system_matrices

@@ -9,7 +9,7 @@ from typing import cast
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.stats import qmc
+import scipy
 
 from ..learning.machine import Machine
 from ..plants import ProcessModel
@@ -62,7 +62,7 @@ def _draw(shape: ProcessModel, task: Task, starts: int, seed: int) -> ProcessMod
     rates, which `_inner_products` starts from.
     """
     m, n, q = shape.zeros.shape[0], shape.poles.shape[0], shape.frequencies.shape[0]
-    unit = qmc.LatinHypercube(n + 2 * q, rng=seed).random(starts)
+    unit = scipy.stats.qmc.LatinHypercube(n + 2 * q, rng=seed).random(starts)
     slowest, fastest = 1 / task.duration, 0.5 * np.pi / task.dt
     rates = slowest * (fastest / slowest) ** unit[:, : n + q]
     zeros = np.repeat(np.exp(np.mean(np.log(rates), axis=1, keepdims=True)), m, axis=1)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-import scipy.optimize
+import scipy
 
 from ..learning.machine import Machine
 from ..plants import Plant, ProcessModel

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-import scipy.special
+import scipy
 
 from ..plants import Plant, ProcessModel
 from ..pytree.named_paths import replaced

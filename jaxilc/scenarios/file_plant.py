@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.signal import BadCoefficients
+import scipy
 
 from .. import identification, plants
 from ..identification.records import read_record
@@ -50,9 +50,9 @@ def plant_of(values: Any, where: str, folder: Path, notes: list[str]) -> Plant:
         allow_unstable = table.take("allow_unstable", flag, False)
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("error", BadCoefficients)
+                warnings.simplefilter("error", scipy.signal.BadCoefficients)
                 return from_control(kinds[kind](table), allow_unstable=allow_unstable)
-        except (ValueError, BadCoefficients) as error:
+        except (ValueError, scipy.signal.BadCoefficients) as error:
             said = str(error).removeprefix("from_control: ")
             raise ValueError(said if where in said else f"{where}: {said}") from None
     return built(
@@ -97,7 +97,6 @@ def _zeros_poles_gain(table: Table):
     because the coefficients of a single polynomial lose digits of poles that are close together.
     """
     import control
-    from scipy.signal import zpk2sos
 
     zeros, poles = (table.take(key, list_of(_root), []) for key in ("zeros", "poles"))
     gain, dt = table.take("gain", number), table.take("dt", _sample_time, 0.0)
@@ -109,7 +108,7 @@ def _zeros_poles_gain(table: Table):
         )
     try:
         # `analog` also works for poles in z, since it does not use the meaning of the variable.
-        sections = zpk2sos(zeros, poles, gain, analog=True)
+        sections = scipy.signal.zpk2sos(zeros, poles, gain, analog=True)
     except ValueError as error:
         raise ValueError(f"{table.where}: {error}") from None
     chain = [

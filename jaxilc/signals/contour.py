@@ -12,7 +12,7 @@ from typing import TypeAlias
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.interpolate import BSpline, make_interp_spline
+import scipy
 
 from ..pytree.ranges import require
 from .sample_times import POSITIVE
@@ -89,7 +89,7 @@ def nurbs(points, knots, weights=None) -> Curve:
             f"nurbs: {shapes}; allowed are (n, d), (n + degree + 1,), (n,) with degree >= 1"
         )
     require("nurbs", "weights", weights, POSITIVE, many=True)
-    homogeneous = BSpline(
+    homogeneous = scipy.interpolate.BSpline(
         knots, np.column_stack([points * weights[:, None], weights]), len(knots) - len(points) - 1
     )
 
@@ -149,8 +149,8 @@ def tabulated(curve, interval, points) -> tuple[np.ndarray, np.ndarray, np.ndarr
             f"{u[shortest + 1]:.9g}, at {q[shortest]} mm"
         )
     _require_smooth(curve, u, q)
-    speed = np.linalg.norm(make_interp_spline(u, q, 5).derivative()(u), axis=1)
-    arc = make_interp_spline(u, speed, 5).antiderivative()(u)
+    speed = np.linalg.norm(scipy.interpolate.make_interp_spline(u, q, 5).derivative()(u), axis=1)
+    arc = scipy.interpolate.make_interp_spline(u, speed, 5).antiderivative()(u)
     return u, q, arc - arc[0]
 
 

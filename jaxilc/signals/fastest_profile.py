@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import solveh_banded
+import scipy
 
 _GAUSS = (np.polynomial.legendre.leggauss(4)[0] + 1) / 2, np.polynomial.legendre.leggauss(4)[1] / 2
 
@@ -129,7 +129,7 @@ class _Barrier:
                 )
                 banded[2 + i - j, j : j + G] += outer + np.sum(bend * E[i] * E[j], axis=0)
         banded[2, [0, -1]] = 1.0  # the outermost coefficients follow their neighbours
-        step = solveh_banded(banded, -total)
+        step = scipy.linalg.solveh_banded(banded, -total)
         step[[0, -1]] = step[[1, -2]]
         return step, -np.sum(total * step)  # a dot product would wait for BLAS threads
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
+import scipy
 
 from ..pytree.ranges import require
 from .contour import butterfly, circle, line, nurbs, tabulated
@@ -101,7 +101,7 @@ def plan(curve, interval, *, feed, acceleration, jerk, dt, points=20001) -> Plan
             f"plan: {limits} need {T:.3g} s, {T / dt:.3g} samples of dt = {dt:g} s; allowed are up "
             f"to {LONGEST}"
         )
-    parameter_at = make_interp_spline(arc, u, 5)
+    parameter_at = scipy.interpolate.make_interp_spline(arc, u, 5)
 
     def on_curve(s):
         """(M, d+1) positions, and the arc length as one more axis."""
@@ -137,7 +137,7 @@ def _over_time(on_curve, arc_at, length, T, step):
     at_rest = [(1, np.zeros(positions.shape[1]))]
     # Cubic: its third derivative and that of beta jump together, between intervals, so that the
     # limits hold within each.
-    return x, make_interp_spline(x, positions, 3, bc_type=(at_rest, at_rest))
+    return x, scipy.interpolate.make_interp_spline(x, positions, 3, bc_type=(at_rest, at_rest))
 
 
 def _sampled(on_curve, path, profile, length, dt, feed, groups):
@@ -191,7 +191,7 @@ def _look_ahead(arc, q, feed, acceleration, jerk):
     L = arc[-1]
     # a short move reaches no more
     acceleration = min(acceleration, np.sqrt(jerk * feed), np.cbrt(jerk**2 * L / 2))
-    curve = make_interp_spline(arc, q, 5)
+    curve = scipy.interpolate.make_interp_spline(arc, q, 5)
     second, third = (
         np.maximum(np.linalg.norm(curve.derivative(i)(arc), axis=1), 1e-300) for i in (2, 3)
     )
@@ -207,7 +207,7 @@ def _look_ahead(arc, q, feed, acceleration, jerk):
     if not np.isfinite(T):
         return ramp, T, np.zeros_like
     # the integral is exact at constant acceleration, as in the start from rest
-    integral = make_interp_spline(t, v, 1).antiderivative(2)
+    integral = scipy.interpolate.make_interp_spline(t, v, 1).antiderivative(2)
 
     def integral_at(x):
         inside = np.clip(x, 0.0, t[-1])

@@ -8,7 +8,7 @@ package.
 from __future__ import annotations
 
 import numpy as np
-import scipy.signal
+import scipy
 
 from ..pytree.ranges import require
 from ..runtime.capacity import check_size

@@ -120,10 +120,14 @@ class Workers:
             for name, future in futures.items()
         )
 
-    def computed(self, chunks: list[Chunk]) -> Iterator[tuple[Chunk, dict[str, Any]]]:
-        """Each chunk with the result of `Host.compute`, in the order in which they are finished.
+    @contextmanager
+    def computing(
+        self, chunks: list[Chunk], stored: int
+    ) -> Generator[Iterator[tuple[Chunk, dict[str, Any]]]]:
+        """A context with an iterator over the chunks and the results of `Host.compute`.
 
-        Few chunks are computed at a time, so that no process fills its RAM.
+        They come in the order in which they are finished. Few chunks are computed at a time,
+        whatever the bytes `stored` of the dataset, so that no process fills its RAM.
         """
         from distributed import as_completed
 
@@ -138,18 +142,22 @@ class Workers:
                 running[future] = chunk
                 finished.add(future)
 
-        try:
-            fill()
-            for future in finished:
-                chunk = running[future]
-                machines = f"machines {chunk.start} to {chunk.stop - 1}"
-                what = f"scheme {chunk.name!r}, chunk {chunk.number} ({machines})"
-                values = _result(future, what)
-                del running[future], future
+        def computed():
+            try:
                 fill()
-                yield chunk, values
-        except OSError as error:  # of Dask's connections
-            raise ChunkFailed(f"the Dask scheduler is gone: {error}") from error
+                for future in finished:
+                    chunk = running[future]
+                    machines = f"machines {chunk.start} to {chunk.stop - 1}"
+                    what = f"scheme {chunk.name!r}, chunk {chunk.number} ({machines})"
+                    values = _result(future, what)
+                    del running[future], future
+                    fill()
+                    yield chunk, values
+            except OSError as error:  # of Dask's connections
+                raise ChunkFailed(f"the Dask scheduler is gone: {error}") from error
+
+        try:
+            yield computed()
         finally:
             with suppress(OSError):
                 self.client.cancel(list(running))

@@ -1,9 +1,18 @@
-"""One process that computes the chunks of a sweep, on all its devices."""
+"""One process that computes the chunks of a sweep, on all its devices.
+
+The devices compute while the caller writes: the next chunk is started before the results of the
+one before are handed over.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import time
+from collections import deque
+from collections.abc import Generator, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from functools import partial
+from itertools import islice
 
 import jax
 import jax.numpy as jnp
@@ -14,10 +23,13 @@ from ..learning.known_metrics import METRICS
 from ..learning.metrics import Keep
 from ..learning.over_trials import learn
 from ..runtime import capacity, provenance
+from ..runtime.events import COMPILING, COMPUTING
 from ..runtime.lanes import fitting_lanes
 from ..runtime.tiles import tiled
 from ..uncertainty import drawn_machine
 from .plan import Chunk, Plan
+
+COMPILERS = 4  # number of programs that are compiled at once; a compiler mostly uses one core
 
 
 class Host:
@@ -28,6 +40,8 @@ class Host:
 
     def __init__(self, plan: Plan):
         self.plan, self.environment = plan, provenance.environment()
+        self._needed = 0  # bytes of the largest chunk that was compiled
+        self._finished_at = 0.0  # the time at which the last chunk was finished
         self._one = partial(
             _one_machine,
             names=tuple(plan.uncertainty.items()),
@@ -62,17 +76,65 @@ class Host:
         return capacity.program_bytes(self._run, *self._arguments(name, 0, size))
 
     def chunk_bytes(self, names: tuple[str, ...], size: int) -> Iterator[tuple[str, int]]:
-        """Name and `bytes_of` of each scheme, one after another."""
-        return ((name, self.bytes_of(name, size)) for name in names)
+        """Name and `bytes_of` of each scheme; several are compiled at once."""
+        start = time.perf_counter()
+        with ThreadPoolExecutor(COMPILERS) as compilers:
+            for name, needed in zip(
+                names, compilers.map(partial(self.bytes_of, size=size), names), strict=True
+            ):
+                self._needed = max(self._needed, needed)
+                yield name, needed
+        jax.monitoring.record_event_duration_secs(COMPILING, time.perf_counter() - start)
 
     def compute(self, chunk: Chunk) -> dict[str, np.ndarray]:
         """The metrics and signals of a chunk by name; the first axis is that of the machines."""
-        found = self._run(*self._arguments(chunk.name, chunk.start, self.plan.chunk))
-        return {name: np.asarray(value)[: chunk.size] for name, value in found.items()}
+        begun = time.perf_counter()
+        return self._finished(chunk, self._started(chunk), begun)
 
-    def computed(self, chunks: list[Chunk]) -> Iterator[tuple[Chunk, dict[str, np.ndarray]]]:
-        """Each chunk with the result of `compute`, one after another."""
-        return ((chunk, self.compute(chunk)) for chunk in chunks)
+    @contextmanager
+    def computing(
+        self, chunks: list[Chunk], stored: int
+    ) -> Generator[Iterator[tuple[Chunk, dict]]]:
+        """A context with an iterator over the chunks and the results of `compute`, in this order.
+
+        The first chunks are started at once. While the caller uses a chunk, the next one is
+        computed, unless the RAM cannot hold both beside a dataset of `stored` bytes.
+        """
+        room = self.room(stored)[0]
+        at_once = 2 if room is None or 2 * self._needed <= room else 1
+        waiting, started = iter(chunks), deque[tuple[Chunk, Future]]()
+
+        def fill():
+            for chunk in islice(waiting, at_once - len(started)):
+                begun = time.perf_counter()
+                found = self._started(chunk)
+                started.append((chunk, watcher.submit(self._finished, chunk, found, begun)))
+
+        def finished():
+            while started:  # no name refers to the results, so that the caller can free them
+                yield started[0][0], started.popleft()[1].result()
+                fill()
+
+        with ThreadPoolExecutor(1) as watcher:
+            fill()
+            yield finished()
+
+    def _started(self, chunk: Chunk) -> dict[str, jax.Array]:
+        """The results of `compute` as arrays of JAX, which need not be computed yet."""
+        return self._run(*self._arguments(chunk.name, chunk.start, self.plan.chunk))
+
+    def _finished(
+        self, chunk: Chunk, found: dict[str, jax.Array], begun: float
+    ) -> dict[str, np.ndarray]:
+        """The results as NumPy arrays, when they are computed; the time that it took is recorded.
+
+        begun: the time at which the chunk was started; it may have waited for the one before
+        """
+        jax.block_until_ready(found)
+        begun, self._finished_at = max(begun, self._finished_at), time.perf_counter()
+        jax.monitoring.record_event_duration_secs(COMPUTING, self._finished_at - begun)
+        # The machines that fill the chunk up to full size are left out.
+        return {name: np.asarray(value)[: chunk.size] for name, value in found.items()}
 
     def _arguments(self, name: str, start: int, size: int):
         # The last chunk is filled up to full size with the last machine, so that it runs the same

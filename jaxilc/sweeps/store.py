@@ -14,7 +14,6 @@ import hashlib
 import logging
 from collections.abc import Mapping
 from contextlib import ExitStack
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,78 +21,14 @@ import numpy as np
 
 from ..runtime.provenance import differences
 from ..storage.files import only_one, remove_leftovers, whole_folder
-from ..storage.sealed import Damaged, as_json, json_text, read_json, sealed, unsealed
+from ..storage.sealed import Damaged, as_json, json_text, read_json, unsealed
+from .layout import DONE, METADATA, VOUCHING, Layout, sum_of
+from .layout import Variable as Variable
 
 if TYPE_CHECKING:
     import xarray as xr
-    import zarr
-
-DONE = "chunk_done"
-METADATA = "zarr.json"
-VOUCHING = (METADATA, f"{DONE}/{METADATA}")  # files with the checksums of the others
-UNFILLED = {"f": np.nan, "i": -1, "u": 0, "b": False, "U": ""}  # values where nothing was computed
 
 log = logging.getLogger("jaxilc")
-
-
-@dataclasses.dataclass(frozen=True)
-class Variable:
-    """An array of the dataset: its dimensions, dtype, unit and description."""
-
-    dims: tuple[str, ...]
-    dtype: str
-    unit: str = ""
-    description: str = ""
-
-
-@dataclasses.dataclass(frozen=True)
-class Layout:
-    """The contents of a store that are known before anything is computed.
-
-    variables: arrays by name
-    coordinates: dimensions and values by name; every dimension has one
-    chunk: number of machines that are computed and stored together
-    configuration: all that determines the numbers, as JSON
-    """
-
-    variables: Mapping[str, Variable]
-    coordinates: Mapping[str, tuple]
-    chunk: int
-    configuration: Mapping[str, Any]
-
-    @cached_property
-    def sizes(self) -> dict[str, int]:
-        """The length of each dimension."""
-        return {dims[0]: len(v) for name, (dims, v) in self.coordinates.items() if dims == (name,)}
-
-    @cached_property
-    def recipe(self) -> dict[str, Any]:
-        """The configuration as it is read back from a file."""
-        return as_json(self.configuration)
-
-    def files(self) -> dict[str, Any]:
-        """The files of a store in which nothing is computed yet, by name."""
-        from zarr import create_group
-        from zarr.storage import MemoryStore
-
-        files: dict[str, Any] = {}
-        group, sizes = create_group(MemoryStore(files)), self.sizes
-        along = sizes | {"scheme": 1, "sample": min(self.chunk, sizes["sample"])}
-        for name, of in self.variables.items():
-            shape, chunks = (tuple(by[d] for d in of.dims) for by in (sizes, along))
-            array = _array(group, name, np.dtype(of.dtype), of.dims, shape, chunks)
-            array.attrs.update({"units": of.unit, "description": of.description})
-        for name, (dims, values) in self.coordinates.items():
-            values = np.asarray(values)
-            array = _array(group, name, values.dtype, dims, values.shape, values.shape)
-            array[...] = values.astype(object) if values.dtype.kind == "U" else values
-        marks = (sizes["scheme"], -(-sizes["sample"] // self.chunk))
-        marked = _array(group, DONE, np.dtype("u8"), ("scheme", "chunk"), marks, (1, 1))
-        sums = {name: _sum(f.to_bytes()) for name, f in files.items() if name not in VOUCHING}
-        known = {"configuration": self.recipe, "chunk": self.chunk, "checksums": sums}
-        for place in (group, marked):  # two copies, since one may be damaged
-            place.attrs.update(sealed(known))
-        return files
 
 
 class Store:
@@ -106,6 +41,7 @@ class Store:
         import zarr
 
         self.layout, self._store, self._closing = layout, store, closing
+        self._known: dict[str, np.ndarray] = {}  # all values that were written or read so far
         with zarr.config.set({"array.write_empty_chunks": True}):  # NaN may be a computed value
             group = zarr.open_group(store, mode="r+")
             self._arrays: dict[str, Any] = {name: group[name] for name in (*layout.variables, DONE)}
@@ -175,6 +111,7 @@ class Store:
             machines = _machines(chunk, self.layout.chunk, self.layout.sizes["sample"])
             values = {n: self._arrays[n][scheme, machines] for n in self.layout.variables}
             if mark == _mark(self.layout.recipe, values):
+                self._keep(scheme, machines, values)
                 return True
             wrong = "its values are not those that were marked"
         except Exception as error:  # any error of a codec on damaged bytes
@@ -191,10 +128,23 @@ class Store:
         for name, value in values.items():
             self._arrays[name][scheme, machines] = value
         self._arrays[DONE][scheme, chunk] = _mark(self.layout.recipe, values)
+        self._keep(scheme, machines, values)
 
     def dataset(self) -> xr.Dataset:
-        """The dataset with everything stored so far."""
-        return _labelled(_loaded(self._store), self.layout.recipe)
+        """The dataset with every chunk that this store wrote, or found undamaged."""
+        import xarray as xr
+
+        found = xr.open_zarr(self._store, chunks=None, consolidated=False)
+        known = {n: (found[n].dims, values, found[n].attrs) for n, values in self._known.items()}
+        return _labelled(found.assign(known).load(), self.layout.recipe)
+
+    def _keep(self, scheme: int, machines: slice, values: Mapping[str, np.ndarray]) -> None:
+        # The files need not be read again for the dataset.
+        for name, value in values.items():
+            if name not in self._known:
+                of = self._arrays[name]
+                self._known[name] = np.full(of.shape, of.fill_value, of.dtype)
+            self._known[name][scheme, machines] = value
 
 
 def open_dataset(path: str | Path) -> xr.Dataset:
@@ -210,7 +160,7 @@ def open_dataset(path: str | Path) -> xr.Dataset:
     try:
         known = unsealed(read_json(path / METADATA)["attributes"])
         for name, checksum in known["checksums"].items():
-            if _sum((path / name).read_bytes()) != checksum:
+            if sum_of((path / name).read_bytes()) != checksum:
                 raise Damaged(f"{name} is not as it was written")
         dataset = _loaded(str(path))
         _check_marks(dataset, known["configuration"], known["chunk"])
@@ -254,24 +204,6 @@ def _mark(recipe: Mapping[str, Any], values: Mapping[str, np.ndarray]) -> int:
     for name in sorted(values):
         found.update(name.encode() + values[name].tobytes())
     return int.from_bytes(found.digest(), "little") or 1
-
-
-def _sum(content: bytes) -> str:
-    return hashlib.blake2b(content, digest_size=16).hexdigest()
-
-
-def _array(group: zarr.Group, name: str, dtype: np.dtype, dims, shape, chunks) -> Any:
-    from zarr.codecs import Crc32cCodec, ZstdCodec
-
-    return group.create_array(
-        name,
-        shape=shape,
-        chunks=chunks,
-        dtype=str if dtype.kind == "U" else dtype,
-        fill_value=UNFILLED[dtype.kind],
-        compressors=[ZstdCodec(level=0), Crc32cCodec()],
-        dimension_names=dims,
-    )
 
 
 def _loaded(store: Any) -> xr.Dataset:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from statistics import NormalDist
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -12,6 +14,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 QUANTILES = (0.05, 0.5, 0.95)
+CONFIDENCE = 0.95  # of the interval of the yield
 
 
 class SchemeSummary(NamedTuple):
@@ -82,17 +85,18 @@ def summarise(
 
 
 def _one_scheme(name: str, errors: np.ndarray, tolerance: float, growth: float) -> SchemeSummary:
-    from scipy.stats import binomtest
-
     passed, machines = int(np.sum(errors[:, -1] <= tolerance)), len(errors)
-    interval = binomtest(passed, machines).proportion_ci(method="wilson")
-    low, median, high = np.quantile(errors, QUANTILES, axis=0, method="inverted_cdf")
+    yield_low, yield_high = wilson_interval(passed, machines)
+    of_a_trial = errors.T.copy()  # quantiles of adjacent numbers take less time
+    low, median, high = np.quantile(
+        of_a_trial, QUANTILES, axis=1, method="inverted_cdf", overwrite_input=True
+    )
     since, lost = grown_from(errors, growth), ~np.isfinite(errors)
     return SchemeSummary(
         scheme=name,
         yield_share=passed / machines,
-        yield_low=float(interval.low),
-        yield_high=float(interval.high),
+        yield_low=yield_low,
+        yield_high=yield_high,
         median=median,
         low=low,
         high=high,
@@ -103,3 +107,18 @@ def _one_scheme(name: str, errors: np.ndarray, tolerance: float, growth: float) 
         diverged=float(np.mean(lost.any(axis=1))),
         diverged_at=1 + int(lost.any(axis=0).argmax()) if lost.any() else 0,
     )
+
+
+def wilson_interval(passed: int, machines: int) -> tuple[float, float]:
+    """The ends of the Wilson interval of a share, with a confidence of 95 % (Wilson 1927).
+
+        (k + z^2 / 2 -+ z sqrt(k (n - k) / n + z^2 / 4)) / (n + z^2)
+
+    scipy.stats has it too, but takes longer to import than a sweep of many machines to run.
+
+    passed, machines: k and n
+    """
+    z = NormalDist().inv_cdf(0.5 + CONFIDENCE / 2)
+    half = z * math.sqrt(passed * (machines - passed) / machines + z**2 / 4)
+    low, high = ((passed + z**2 / 2 + sign * half) / (machines + z**2) for sign in (-1, 1))
+    return (low if passed else 0.0), (high if passed < machines else 1.0)

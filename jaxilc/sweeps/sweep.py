@@ -6,7 +6,7 @@ import dataclasses
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping
-from contextlib import ExitStack, closing, nullcontext
+from contextlib import ExitStack, nullcontext
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,8 +27,9 @@ from ..schemes import Scheme
 from ..signals.task import Task, Trial
 from ..uncertainty import Uncertainty, draw, drawn_count, drawn_machine
 from .host import Host
+from .layout import Layout
 from .plan import Plan
-from .store import Layout, Store, stored_configuration
+from .store import Store, stored_configuration
 from .variables import SIGNALS, coordinates, sizes, variables
 
 if TYPE_CHECKING:
@@ -36,6 +37,10 @@ if TYPE_CHECKING:
     from distributed import Client
 
 CHUNK = 256
+# Where a scheme would have more than CHUNKS such chunks, they are up to LARGEST times as large: the
+# files of a chunk take as long to write as some hundred machines take to compute.
+CHUNKS, LARGEST = 32, 8
+HEAVY = 2**26  # bytes of the results of a chunk, up to which it is made larger
 WORK = 4  # arrays of the size of a metric over all machines and trials, needed for its quantiles
 
 
@@ -51,7 +56,7 @@ class Sweep:
         is an earlier name of `machines`
     keep: signals of the last trial to store, any of y, e, u (they are large)
     chunk: number of machines computed and stored at a time; None for 256, or for a tile on each
-        device if that is more
+        device if that is more, and for up to 8 times as many where there are many machines
     lanes: number of machines vectorised together, None for what suits this backend: 16 on a CPU; on
         an accelerator what its memory holds, for which one program of each scheme is compiled
     quantities: further metrics of each trial, by name, each a function from a trial to a number
@@ -103,12 +108,17 @@ class Sweep:
         if self.lanes is None:
             object.__setattr__(self, "lanes", usual_lanes() or Host(self._plan()).fitting_lanes())
         if self.chunk is None:
-            object.__setattr__(self, "chunk", max(CHUNK, self.lanes * jax.device_count()))
+            object.__setattr__(self, "chunk", self._usual_chunk())
 
     @cached_property
     def _left_open(self) -> tuple[str, ...]:
         """Which of lanes and chunk were None at construction, when this is computed."""
         return tuple(name for name in ("lanes", "chunk") if getattr(self, name) is None)
+
+    def _usual_chunk(self) -> int:
+        least = max(CHUNK, self.lanes * jax.device_count())
+        light = HEAVY * len(self.schemes) // self.bytes_stored(least)
+        return least * max(1, min(LARGEST, light, self.machines // (CHUNKS * least)))
 
     @cached_property
     def drawn(self) -> dict[str, np.ndarray]:
@@ -188,19 +198,19 @@ class Sweep:
         with ExitStack() as opened:
             store = opened.enter_context(Store.resume(out, layout)) if found else None
             pending = [c for c in chunks if store is None or not store.is_done(c.scheme, c.number)]
-            self._need_memory(
-                hosts, tuple(dict.fromkeys(c.name for c in pending)), copies=2 if out is None else 1
-            )
+            copies = 2 if out is None else 1
+            self._need_memory(hosts, tuple(dict.fromkeys(c.name for c in pending)), copies=copies)
+            computed = opened.enter_context(hosts.computing(pending, copies * self.bytes_stored()))
             store = opened.enter_context(Store.create(out, layout)) if store is None else store
             done = Counter()
             for chunk in sorted(set(chunks) - set(pending)):
                 done[chunk.name] += chunk.size
                 progress(chunk.name, done[chunk.name], 0)
-            with closing(hosts.computed(pending)) as finished:
-                for chunk, values in finished:
-                    store.write(chunk.scheme, chunk.number, slice(chunk.start, chunk.stop), values)
-                    done[chunk.name] += chunk.size
-                    progress(chunk.name, done[chunk.name], chunk.size)
+            for chunk, values in computed:
+                store.write(chunk.scheme, chunk.number, slice(chunk.start, chunk.stop), values)
+                del values  # the chunk after the next one is started now
+                done[chunk.name] += chunk.size
+                progress(chunk.name, done[chunk.name], chunk.size)
             return store.dataset()
 
     def _as_begun(self, stored: Mapping[str, Any]) -> Sweep | None:

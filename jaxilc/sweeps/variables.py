@@ -13,8 +13,8 @@ import numpy as np
 
 from ..learning.known_metrics import METRICS
 from ..signals.task import Task
+from .layout import Variable
 from .plan import Plan
-from .store import Variable
 
 SIGNALS = {"y": ("time", "channel"), "e": ("time", "channel"), "u": ("input_time", "input")}
 

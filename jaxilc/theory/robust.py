@@ -19,7 +19,7 @@ found by iterating the right-hand side from the identity.
 from __future__ import annotations
 
 import numpy as np
-import scipy.linalg
+import scipy
 
 from ..learning.machine import Machine
 from ..schemes import Scheme

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-import scipy.linalg
-from scipy.sparse.csgraph import connected_components
+import scipy
 
 from .condition import Condition, Premise, condition, premise
 from .iteration import MARGIN
@@ -112,7 +111,7 @@ def radius_with_doubt(M) -> tuple[float, float]:
     """
     if not np.all(np.isfinite(M)):
         return np.nan, np.nan
-    blocks, block_of = connected_components(M != 0, connection="strong")
+    blocks, block_of = scipy.sparse.csgraph.connected_components(M != 0, connection="strong")
     singles = np.bincount(block_of, minlength=blocks)[block_of] == 1
     found = [(np.max(np.abs(np.diag(M)[singles]), initial=0.0), 0.0)]
     for i in np.unique(block_of[~singles]):

@@ -156,9 +156,14 @@ def test_sweep_prints_the_yield_and_resumes(jaxilc_command, tmp_path):
         "--json",
         "sweep.json",
     )
-    code, out, _ = jaxilc_command(*sweep, "--tolerance", 640)
+    code, out, err = jaxilc_command("--verbose", *sweep, "--tolerance", 640)
     assert code == 0
     assert "8 machines" in out
+    stages = ", ".join(rf"{name} ([\d.]+) s" for name in ("start", "compiling", "files", "figures"))
+    told = re.search(rf"([\d.]+) s in compiled code, (\d+)% of ([\d.]+) s; {stages}", err)
+    computing, share, whole, *rest = map(float, told.groups())
+    assert computing + sum(rest) == pytest.approx(whole, abs=0.05)
+    assert share == pytest.approx(100 * computing / whole, abs=1)
     numbers = json.loads((tmp_path / "sweep.json").read_text())
     dataset = jaxilc.open_dataset(tmp_path / "out/sweep-cao-2019/dataset.zarr")
     errors = 1e3 * dataset["settled_error"].sel(scheme="cfdl-mfailc", trial=3)

@@ -9,6 +9,7 @@ import jax
 import numpy as np
 import pytest
 import xarray as xr
+from scipy.stats import binomtest
 from sweep_case import PLAN, TASK
 
 import jaxilc
@@ -17,6 +18,8 @@ from jaxilc.plants import StateSpace
 from jaxilc.runtime import tiled
 from jaxilc.runtime.earlier_names import takes_also
 from jaxilc.schemes import PID
+from jaxilc.sweeps import sweep as sweep_module
+from jaxilc.sweeps.summary import wilson_interval
 
 
 @pytest.fixture(scope="module")
@@ -115,6 +118,32 @@ def test_a_store_under_earlier_names_is_resumed_and_opened(tmp_path, dataset, mo
     assert resumed.attrs["configuration"] == earlier_names(dataset.attrs["configuration"])
     xr.testing.assert_identical(resumed.drop_attrs(deep=False), dataset.drop_attrs(deep=False))
     xr.testing.assert_identical(jaxilc.open_dataset(store), resumed)
+
+
+def test_chunks_grow_with_the_machines_but_not_with_what_is_kept_of_them():
+    given = (PLAN.machine, PLAN.schemes, TASK, 4, PLAN.uncertainty)
+    chunks = {count: Sweep(*given, machines=count).chunk for count in (1, 8192, 2**15, 2**17)}
+    assert chunks == {1: 256, 8192: 256, 2**15: 1024, 2**17: 2048}
+    long = Task(reference=np.zeros(10_001), dt=1e-3)
+    large = Sweep(*given[:2], long, 4, PLAN.uncertainty, machines=2**17, keep=("y",))
+    assert large.chunk == 768  # 80 kB of each machine
+    assert Sweep(*given, machines=2**17, chunk=300).chunk == 300
+
+
+def test_a_store_keeps_its_chunks_where_none_are_asked_for(tmp_path, monkeypatch):
+    feedback = {"feedback": PLAN.schemes["feedback"]}
+    given = {"schemes": feedback, "trials": 2, "keep": (), "machines": 5, "chunk": None}
+    store, computed = tmp_path / "store.zarr", []
+    monkeypatch.setattr(sweep_module, "CHUNK", 4)
+    whole = dataclasses.replace(PLAN, **given).run(store)
+    monkeypatch.setattr(sweep_module, "CHUNK", 8)
+    resumed = dataclasses.replace(PLAN, **given).run(
+        store, resume=True, progress=lambda name, done, fresh: computed.append(fresh)
+    )
+    assert computed == [0, 0]
+    xr.testing.assert_identical(resumed, whole)
+    with pytest.raises(ValueError, match="it differs in: chunk: 4 there, 3 here"):
+        dataclasses.replace(PLAN, **given | {"chunk": 3}).run(store, resume=True)
 
 
 def test_the_earlier_name_of_machines_is_understood():
@@ -221,6 +250,17 @@ def test_summary_counts_yield_growth_and_divergence():
     z, n, p = 1.959964, 4, 0.5
     half = z * np.sqrt(p * (1 - p) / n + z**2 / 4 / n**2) / (1 + z**2 / n)
     np.testing.assert_allclose([row.yield_low, row.yield_high], [0.5 - half, 0.5 + half], rtol=1e-5)
+
+
+def test_the_interval_of_a_share_is_wilsons():
+    for k, n in ((0, 1), (1, 1), (0, 40), (1, 3), (40, 40), (65535, 65536)):
+        wanted = binomtest(k, n).proportion_ci(method="wilson")
+        np.testing.assert_allclose(wilson_interval(k, n), wanted, rtol=1e-12)
+
+
+def test_summary_of_one_trial():
+    (row,) = summarise(made_up([[2.0], [9.0], [4.0]]), tolerance=3.0)
+    assert (row.median[0], row.worst[0], row.worst_machine[0]) == (4.0, 9.0, 1)
 
 
 def test_summary_names_what_is_wrong():

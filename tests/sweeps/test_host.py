@@ -1,0 +1,73 @@
+"""A host computes the next chunk while one is used, no further ahead, and hides no error."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import pytest
+from sweep_case import PLAN
+
+from jaxilc.sweeps.host import Host
+
+CHUNKS = dataclasses.replace(PLAN, machines=16).plan.chunks()[:4]
+
+
+@pytest.fixture
+def host(monkeypatch):
+    """Return a host that notes which chunks it starts; the values of chunk k are all k."""
+    made = Host(PLAN.plan)
+    made.noted = []
+
+    def started(chunk):
+        made.noted.append(f"start {chunk.number}")
+        return {"rms": jnp.full(PLAN.chunk, float(chunk.number))}
+
+    monkeypatch.setattr(made, "_started", started)
+    return made
+
+
+class Full(list):
+    """A list that takes no note of a chunk that is used."""
+
+    def append(self, note):
+        if note.startswith("use"):
+            raise OSError("disk full")
+        super().append(note)
+
+
+def used(host, chunks=CHUNKS):
+    with host.computing(chunks, 0) as computed:
+        for chunk, values in computed:
+            assert (values["rms"] == chunk.number).all()
+            host.noted.append(f"use {chunk.number}")
+    return ", ".join(host.noted)
+
+
+def test_the_next_chunk_is_computed_while_one_is_used(host):
+    order = "start 0, start 1, use 0, start 2, use 1, start 3, use 2, use 3"
+    assert used(host) == order
+    assert len(CHUNKS) == 4
+
+
+def test_chunks_take_turns_where_the_memory_does_not_hold_two(host, monkeypatch):
+    monkeypatch.setattr(host, "_needed", 600)
+    monkeypatch.setattr(host, "room", lambda stored: (1000 - stored, ""))
+    assert used(host, CHUNKS[:2]) == "start 0, use 0, start 1, use 1"
+
+
+def test_an_error_comes_at_its_chunk_and_ends_the_computing(host, monkeypatch):
+    finished = host._finished
+
+    def fails(chunk, found, begun):
+        if chunk.number == 1:
+            raise MemoryError("chunk 1")
+        return finished(chunk, found, begun)
+
+    monkeypatch.setattr(host, "_finished", fails)
+    with pytest.raises(MemoryError, match="chunk 1"):
+        used(host)
+    assert host.noted == ["start 0", "start 1", "use 0", "start 2"]
+    monkeypatch.setattr(host, "_finished", finished)
+    host.noted = Full()
+    with pytest.raises(OSError, match="disk full"):
+        used(host)
+    assert host.noted == ["start 0", "start 1"]
