@@ -1,7 +1,8 @@
 """The benchmark at 1 to 65,536 plants: nanoseconds per sample-step, ratios, compile time, memory.
 
-Each row is written when it is measured. The whole takes half an hour on two cores. Numba is an
-opponent where it is installed, and the C program where there is a compiler.
+Each row is written when it is measured. The whole takes three quarters of an hour on two cores.
+Numba is an opponent where it is installed, and the C programs where there is a compiler. Gradients
+are timed for up to 1024 plants; their ratios are to a run without one.
 """
 
 import csv
@@ -21,6 +22,9 @@ def rows(plants):
     opponents, notes = bench.opponents()
     for note in notes:
         print(note)
+    of_gradients, notes = bench.gradient_opponents(opponents)
+    for note in notes:
+        print(note)
     for size in plants:
         repeats = 5 if size <= WHOLE else 2
         found = {
@@ -29,11 +33,14 @@ def rows(plants):
             )
             for name in bench.SCHEMES
         }
-        found |= {
-            name: {timing.OURS: bench.alone(name, size, repeats=repeats)}
-            for name in bench.ALONE
-            if size <= WHOLE
-        }
+        if size <= WHOLE:
+            found |= {
+                f"{name} gradient": bench.compare_gradients(
+                    bench.setting(name, size, TRIALS, SAMPLES), of_gradients, repeats=repeats
+                )
+                for name in bench.SCHEMES
+            }
+            found |= {name: bench.alone(name, size, repeats=repeats).rows for name in bench.ALONE}
         found["plant"] = bench.compare_plant(
             bench.setting("cfdl", size, 1, SAMPLES), repeats=repeats
         )

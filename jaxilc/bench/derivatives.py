@@ -50,9 +50,7 @@ class Learning:
     """A learning process of S machines whose weights a tuning could move.
 
     machine, scheme, task, trials, uncertainty, objective, quantities: as for `Tuning`
-    batch: the numbers of the machines and their drawn values, as `Machines.drawn` returns them;
-        None: `machines` of them are drawn as a tuning draws them
-    Raises ValueError where the machines do not fit into RAM.
+    batch: the numbers of the machines and their drawn values, as `Machines.drawn` returns them
     """
 
     machine: Machine
@@ -68,8 +66,8 @@ class Learning:
     def machines(self) -> Machines:
         return machines_of(self.machine, self.uncertainty)
 
-    def trials_alone(self) -> Program:
-        """The learning process without derivatives; it returns the metrics of each trial.
+    def metrics(self) -> Program:
+        """The metrics and quantities of all trials, without derivatives.
 
         Raises ValueError where the program does not fit into RAM.
         """

@@ -10,12 +10,11 @@ A row takes as many `times ours` as runs of `learn` without derivatives would ta
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -47,39 +46,36 @@ class Diverges(ArithmeticError):
     """Learning diverges, so that a tuning bounds the errors and opponents have other numbers."""
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Slope:
+class Slope(NamedTuple):
     """What an opponent of the contest computes: losses and slopes of the plants of a problem.
 
-    problem: the plants and their trials; its weights are those of the start
-    weights: the weights, in the order lam, rho, eta, mu, phi0
+    problem: the plants and their trials; its weights are those at which the slopes are
+    by_z: (P,) derivatives of lam, rho, eta, mu and phi0 by their coordinates
     """
 
     problem: Problem
-    weights: Weights
+    by_z: np.ndarray
 
-    @property
-    def start(self) -> np.ndarray:
-        """(P,) coordinates of the weights."""
-        return np.asarray(self.weights.starts(1, 0.0, 0)[0], float)
+    @classmethod
+    def of(cls, setting: Setting, weights: Weights) -> Slope:
+        """The slopes of a setting by these weights of its scheme."""
+        (z,), maps = weights.starts(1, 0.0, 0), weights.bijections.values()
+        by_z = [float(jax.grad(f)(x)) for f, x in zip(maps, z, strict=True)]
+        return cls(setting.problem, np.array(by_z))
 
-    def at(self, z) -> Problem:
-        """The problem with the weights at z."""
-        lam, rho, eta, mu, *phi0 = (float(value) for value in self.weights.at(z).values())
-        weights = np.array([lam, rho, eta, mu, self.problem.weights[4]])
-        return self.problem._replace(weights=weights, phi0=np.array(phi0))
-
-    def by_coordinates(self, z) -> np.ndarray:
-        """(P,) derivatives of the weights by their coordinates."""
-        maps = self.weights.bijections.values()
-        return np.array([float(jax.grad(f)(x)) for f, x in zip(maps, z, strict=True)])
+    def moved(self, dz) -> Problem:
+        """The problem with the weights moved by dz (P,) along their derivatives."""
+        *known, epsilon = self.problem.weights
+        moved = np.array([*known, *self.problem.phi0]) + self.by_z * dz
+        weights, phi0 = np.append(moved[:4], epsilon), moved[4:]
+        return self.problem._replace(weights=weights, phi0=phi0)
 
     def losses(self, squares) -> np.ndarray:
-        """(S,) losses for the mean square errors of the last trials."""
+        """The losses for mean square errors of the last trials."""
         return 0.5 * np.log(squares / self._peak**2 + FLOOR**2) - np.log(FLOOR)
 
     def by_squares(self, squares) -> np.ndarray:
-        """(S,) derivatives of the losses by the mean square errors."""
+        """The derivatives of the losses by the mean square errors."""
         return 0.5 / (squares + (FLOOR * self._peak) ** 2)
 
     @property
@@ -94,10 +90,10 @@ def by_differences(peer: Peer) -> GradientPeer:
     """Forward differences of the losses by P + 1 runs of an opponent without derivatives."""
 
     def run(of: Slope) -> np.ndarray:
-        z = of.start
+        steps = STEP * np.eye(len(of.by_z))
         here, *there = (
-            of.losses(peer(of.at(point))[:, -1, METRICS.index("rms")] ** 2)
-            for point in (z, *(z + STEP * np.eye(len(z))))
+            of.losses(peer(of.moved(step))[:, -1, METRICS.index("rms")] ** 2)
+            for step in (0.0, *steps)
         )
         return np.stack([here, *((loss - here) / STEP for loss in there)], axis=1)[:, None]
 
@@ -111,11 +107,10 @@ def by_adjoint(adjoint: Peer) -> GradientPeer:
     """
 
     def run(of: Slope) -> np.ndarray:
-        z = of.start
-        found = adjoint(of.at(z))
-        squares, slopes = found[:, 0], found[:, 1:] * of.by_coordinates(z)
-        slopes = slopes * of.by_squares(squares)[:, None]
-        return np.concatenate([of.losses(squares)[:, None], slopes], axis=1)[:, None]
+        found = adjoint(of.problem)
+        squares, slopes = found[:, :1], found[:, 1:]
+        slopes = of.by_squares(squares) * slopes * of.by_z
+        return np.concatenate([of.losses(squares), slopes], axis=1)[:, None]
 
     return run
 
@@ -152,7 +147,7 @@ def compare_gradients(
     weights, few = Weights.of(of.scheme, WEIGHTS), of.part(ENOUGH)
     P = len(weights.start)
     check_size("bench: a gradient", lambda samples: bytes_of_adjoint(J) * samples, samples=N)
-    of_all, of_few = Slope(of.problem, weights), Slope(few.problem, weights)
+    of_all, of_few = Slope.of(of, weights), Slope.of(few, weights)
     entries = {OURS: Entry(of.ours(), len(of.b), J, N)}
     for name, which, by, forward in (
         ("1 weight forward", few, Weights.of(of.scheme, WEIGHTS[:1]), True),

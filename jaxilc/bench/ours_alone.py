@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -76,29 +76,27 @@ def alone(name: str, plants: int, *, gradients: bool = True, repeats: int = 5) -
 
 
 def of_scenario(
-    chosen: Scenario, machines: int, *, gradients: bool = True, repeats: int = 5
-) -> Iterator[tuple[str, Alone]]:
-    """The times of each scheme of a scenario that learns, by its name, one after another.
+    chosen: Scenario, name: str, machines: int, *, gradients: bool = True, repeats: int = 5
+) -> Alone:
+    """The times of one scheme of a scenario, in the size of the scenario.
 
     The machines have the uncertainty of the scenario, and the gradient is that of the metric by
     which the scenario is judged.
 
-    Raises ValueError where no scheme learns, or where the machines do not fit into RAM.
+    Raises ValueError where the machines do not fit into RAM, and as `schemes_of` does.
     """
     need_room(chosen, machines)
-    batch = machines_of(chosen.machine, chosen.uncertainty).drawn(SEED, machines, nominal=True)
-    for name, scheme in schemes_of(chosen).items():
-        of = Learning(
-            chosen.machine,
-            scheme,
-            chosen.task,
-            chosen.trials,
-            chosen.uncertainty,
-            Final(chosen.judged_by),
-            chosen.functions,
-            batch,
-        )
-        yield name, _times(of, gradients, repeats)
+    learning = Learning(
+        chosen.machine,
+        schemes_of(chosen)[name],
+        chosen.task,
+        chosen.trials,
+        chosen.uncertainty,
+        Final(chosen.judged_by),
+        chosen.functions,
+        machines_of(chosen.machine, chosen.uncertainty).drawn(SEED, machines, nominal=True),
+    )
+    return _times(learning, gradients, repeats)
 
 
 def schemes_of(chosen: Scenario) -> dict[str, Scheme]:
@@ -121,9 +119,9 @@ def need_room(chosen: Scenario, machines: int) -> None:
 
 
 def tunable(scheme: Scheme) -> tuple[str, ...]:
-    """The weights by which the gradient of a scheme is timed.
+    """The leaves by which the gradient of a scheme is timed.
 
-    They are its leaves that are numbers or vectors and lie inside their ranges; a matrix belongs to
+    They are those that are numbers or vectors and lie inside their ranges; a matrix belongs to
     a model.
     """
     return tuple(
@@ -142,11 +140,12 @@ def _inside(scheme: Scheme, name: str) -> bool:
 
 def _times(of: Learning, gradients: bool, repeats: int) -> Alone:
     shape, results = (len(of.batch[0]), of.trials, of.task.N), {}
-    run = of.trials_alone()
+    run = of.metrics()
     entries = {OURS: Entry(run.run, *shape, run.built)}
-    weights = tunable(of.scheme) if gradients else ()
-    if weights:
-        gradient = of.derivatives(Weights.of(of.scheme, weights), forward=False)
+    names, weights = tunable(of.scheme) if gradients else (), ()
+    if names:
+        by = Weights.of(of.scheme, names)
+        gradient, weights = of.derivatives(by, forward=False), tuple(by.start)
         entries[GRADIENT] = Entry(gradient.run, *shape, gradient.built)
 
     def not_compared(found: Mapping[str, Any]) -> dict[str, None]:

@@ -74,12 +74,14 @@ class Show(NamedTuple):
     rows: shows the title and the rows of a contest, and what its ratios count
     costs: shows a scheme and its times by size
     alone: shows the title and the times of schemes by their names
+    begins: shows what is timed next, which may take minutes
     """
 
     note: Callable[[str], object]
     rows: Callable[[str, Mapping[str, Row], str], object]
     costs: Callable[[str, ByTheSize], object]
     alone: Callable[[str, Mapping[str, Alone]], object]
+    begins: Callable[[str], object]
 
 
 def measure(programme: Programme, show: Show) -> dict[str, Any]:
@@ -115,11 +117,17 @@ def _measure_scenarios(programme: Programme, show: Show, numbers: dict[str, Any]
     }
     for chosen in programme.scenarios:
         for size in programme.plants:
-            found = dict(ours_alone.of_scenario(chosen, size, **options))
-            title = f"{chosen.name}: {size} machines, {chosen.trials} trials of {chosen.task.N}"
-            show.alone(f"{title} samples", found)
+            found = {}
+            for name in ours_alone.schemes_of(chosen):
+                show.begins(f"{chosen.name}, {size} machines: {name}")
+                found[name] = ours_alone.of_scenario(chosen, name, size, **options)
+            trials, samples = chosen.trials, chosen.task.N
+            size_of = f"{size} machines, {trials} trials of {samples} samples"
+            show.alone(f"{chosen.name}: {size_of}", found)
             for name, times in found.items():
                 _keep_alone(f"{chosen.name}/{name}/{size}", times, numbers)
+                if times.dropped:
+                    show.note(f"{name}: {times.dropped} of {size} machines have no finite slope")
 
 
 def _measure_schemes(programme: Programme, show: Show, numbers: dict[str, Any]) -> None:
@@ -128,6 +136,7 @@ def _measure_schemes(programme: Programme, show: Show, numbers: dict[str, Any]) 
     opponents, of_gradients = _opponents(programme, show) if contested else ({}, {})
     for name in programme.schemes:
         for size in programme.plants:
+            show.begins(f"{name}, {size} plants")
             if name in ours_alone.ALONE:
                 times = ours_alone.alone(name, size, gradients=programme.gradients, **options)
                 show.alone(f"{size} plants, 10 trials of 2000 samples", {name: times})
@@ -139,6 +148,7 @@ def _measure_schemes(programme: Programme, show: Show, numbers: dict[str, Any]) 
             numbers["rows"][f"{name}/{size}"] = as_json(found)
             if not programme.gradients:
                 continue
+            show.begins(f"gradient of {name}, {size} plants")
             try:
                 found = gradients.compare_gradients(setting, of_gradients, **options)
             except gradients.Diverges as error:
@@ -180,6 +190,7 @@ def _measure_costs(programme: Programme, show: Show, numbers: dict[str, Any]) ->
     size = min(max(programme.plants), 1024)
     for name in programme.schemes:
         if name in settings.SCHEMES:
+            show.begins(f"{name} by size")
             by_size = contests.cost_by_size(
                 name, size, programme.trials, programme.samples, repeats=programme.repeats
             )

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from .completion import scenarios_from
-from .console import out
+from .console import err, out
 from .options import Json, Precision
 from .results import written
 
@@ -85,11 +85,18 @@ def bench(
             rows=lambda *shown: out.print(contest_table(*shown)),
             costs=lambda *shown: out.print(cost_table(*shown)),
             alone=lambda *shown: out.print(alone_table(*shown)),
+            begins=_begins,
         ),
     )
     before, after = (numbers[name]["load"] for name in ("machine", "machine_after"))
     out.print(f"load of the machine: {before} before, {after} after", highlight=False)
     written([], json_file, numbers)
+
+
+def _begins(text: str) -> None:
+    """Print on a terminal what is timed next."""
+    if err.is_terminal and not out.quiet:
+        err.print(f"{text} ...", style="dim", highlight=False)
 
 
 def _names(given: list[str]) -> list[str]:

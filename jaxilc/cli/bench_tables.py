@@ -102,7 +102,8 @@ def _ends(ratios: np.ndarray) -> str:
 
 
 def _seconds(row: Row) -> str:
-    return f"{row.compile_seconds:.2g}" if row.compile_seconds >= 0.005 else "0"
+    seconds = row.compile_seconds if row.compile_seconds >= 0.005 else 0.0
+    return f"{seconds:.0f}" if seconds >= 10 else f"{seconds:.2g}"
 
 
 def _megabytes(row: Row) -> str:

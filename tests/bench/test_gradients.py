@@ -73,7 +73,7 @@ def test_the_adjoint_in_c_goes_through_the_branch_that_the_reset_took(name):
 def slope_of(name, plants, trials, samples):
     of = bench.setting(name, plants, trials, samples)
     of = of._replace(scheme=replaced(of.scheme, Weights.of(of.scheme, WEIGHTS).inside))
-    return Slope(of.problem, Weights.of(of.scheme, WEIGHTS))
+    return Slope.of(of, Weights.of(of.scheme, WEIGHTS))
 
 
 @pytest.mark.parametrize(
@@ -104,7 +104,7 @@ def test_before_anything_is_learned_all_slopes_are_zero():
 def test_wrong_gradients_are_refused():
     of = slope_of("cfdl", 3, 4, 20)
     right = gradients.by_adjoint(ADJOINT[1])(of)
-    results = {timing.OURS: FORWARD(of.at(of.start)), "reverse": right}
+    results = {timing.OURS: FORWARD(of.problem), "reverse": right}
     agreement = partial(gradients._agreement, of, "reverse")
     off = agreement(results | {"1 weight": right[:2, :, :2], gradients.BY_DIFFERENCES: right})
     assert all(value < 1e-12 for value in off.values())

@@ -74,6 +74,6 @@ def test_what_cannot_be_timed_is_refused():
     with pytest.raises(ValueError, match="dai-2014 has no scheme that learns"):
         ours_alone.schemes_of(scenarios.load("dai-2014"))
     with pytest.raises(ValueError, match="machines = 1000000000000 take"):
-        next(ours_alone.of_scenario(scenarios.load("cao-2019"), 10**12))
+        ours_alone.of_scenario(scenarios.load("cao-2019"), "ffdl-mfailc", 10**12)
     with pytest.raises(ValueError, match="scheme = 'pid' is not one of noilc, ilc-asmc"):
         ours_alone.alone("pid", 1)
