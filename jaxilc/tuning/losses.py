@@ -41,7 +41,7 @@ from .objectives import Objective, Run, Sum, judge
 from .risks import Risk
 from .weights import Weights
 
-FORWARD_UP_TO = 3  # weights
+FORWARD_UP_TO = 2  # weights
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -142,10 +142,10 @@ class Losses:
         """The loss of one machine of a batch at z (P,), and its slope."""
         few = self.mode == "auto" and len(self.weights.bijections) <= FORWARD_UP_TO
 
-        def loss(z):
+        def loss(z, one):
             return self._of_one(self.weights.at(z), one, objective, seed)
 
-        return value_and_slope(loss, z, forward=self.mode == "forward" or few)
+        return value_and_slope(loss, z, one, forward=self.mode == "forward" or few)
 
     def _of_one(self, values, one, objective: Objective, seed: int):
         """The objective of one machine of a batch."""

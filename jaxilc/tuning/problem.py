@@ -79,9 +79,9 @@ class Tuning:
     validate_every: steps from one computation of the held-out loss to the next
     patience: number of these computations without improvement before the tuning stops
     mode: `forward` or `reverse` differentiation; `auto` is forward for up to FORWARD_UP_TO weights.
-        On a CPU, a forward gradient took as long as 5, 8 and 13 runs without one for 1, 2 and 3
-        weights (CFDL-MFAILC, 80 trials of 2000 samples; FFDL: 3, 6, 9). A reverse gradient took as
-        long as 9 to 12 runs for any number, and needs RAM for what is learned, see `learn`.
+        On a CPU, a forward gradient took as long as 5, 7 and 12 runs without one for 1, 2 and 3
+        weights (CFDL-MFAILC, 80 trials of 2000 samples; FFDL: 3, 5, 6). A reverse gradient took as
+        long as 10 runs (FFDL: 7) for any number, and needs RAM for what is learned, see `learn`.
     truncate: number of last trials through which slopes are computed, None for all. The effect of
         the weights on earlier trials is then missing in the slope, but not in the loss.
     clip: largest length of a machine's slope, in units of the median length over the machines, or

@@ -6,6 +6,7 @@ The tests also check what divergence does to slopes.
 import dataclasses
 from functools import partial
 
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -246,6 +247,26 @@ def test_forward_and_backward_slopes_agree():
     )
     np.testing.assert_allclose(one, other, **ALGEBRA)
     np.testing.assert_allclose(forward, backward, rtol=1e-9, atol=1e-12)
+
+
+def test_forward_slopes_of_a_batch_are_those_of_its_members():
+    def of_each(z, *given):
+        return value_and_slope(
+            lambda z, a, b: jnp.sin(z[0] * a["x"]) + z[1] * b, z, *given, forward=True
+        )
+
+    z, a, b = jnp.array([0.4, 0.1]), {"x": jnp.arange(1.0, 4.0)}, 2.0
+    starts = jnp.stack([z, -z])
+    expected = (
+        jnp.sin(z[0] * a["x"]) + z[1] * b,
+        jnp.stack([a["x"] * jnp.cos(z[0] * a["x"]), jnp.full(3, b)], 1),
+    )
+    for_z = jax.vmap(of_each, (None, {"x": 0}, None))
+    chex.assert_trees_all_close(for_z(z, a, b), expected, rtol=1e-14)
+    of_starts = jax.jit(jax.vmap(for_z, (0, None, None)))(starts, a, b)
+    chex.assert_trees_all_close(jax.tree.map(lambda x: x[0], of_starts), expected, rtol=1e-14)
+    with_z = jax.vmap(of_each, (0, {"x": None}, 0))(starts, {"x": 2.0}, jnp.array([1.0, 3.0]))
+    np.testing.assert_allclose(with_z[1][:, 1], [1.0, 3.0])
 
 
 def test_contraction_and_its_slope_equal_those_of_the_dense_matrix():
