@@ -35,10 +35,11 @@ from ..runtime.lanes import fitting_lanes
 from ..schemes import Scheme
 from ..signals.task import Task, Trial
 from .bounded import Bounded
-from .descent import Evaluation, counted, repaired, value_and_slope
+from .descent import Evaluation, counted, repaired
 from .machines import Machines
 from .objectives import Objective, Run, Sum, judge
 from .risks import Risk
+from .slopes import value_and_slope
 from .weights import Weights
 
 FORWARD_UP_TO = 2  # weights

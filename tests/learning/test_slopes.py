@@ -25,7 +25,7 @@ from jaxilc.schemes import CFDLMFAILC, FFDLMFAILC, PID, PIDType
 from jaxilc.schemes.pseudo_gradient import reset_estimate
 from jaxilc.signals import Task
 from jaxilc.tuning import objectives
-from jaxilc.tuning.descent import Evaluation, by_gradient, for_starts, repaired, value_and_slope
+from jaxilc.tuning.descent import Evaluation, by_gradient, for_starts, repaired
 from jaxilc.tuning.objectives import (
     Bounded,
     Contraction,
@@ -40,6 +40,7 @@ from jaxilc.tuning.objectives import (
     TrialsTo,
     judge,
 )
+from jaxilc.tuning.slopes import value_and_slope
 from jaxilc.uncertainty import Uniform
 
 EVERYTHING = (
