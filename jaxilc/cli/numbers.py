@@ -51,13 +51,23 @@ def run_numbers(scenario: Scenario, dataset: xr.Dataset) -> dict[str, Any]:
         }
         published = [_beside(p, scenario, shown) for p in scenario.due if p.scheme == name]
         course = {event: int(chosen[event]) for event in ("diverged_at", "grown_from")}
-        schemes[name] = by_metric | course | {"published": published}
+        schemes[name] = by_metric | course | _grown(chosen) | {"published": published}
     return {
         "scenario": scenario.name,
         "trials": scenario.trials,
         "unit": scenario.shown_unit,
         "schemes": schemes,
     }
+
+
+def _grown(chosen: xr.Dataset) -> dict[str, Any]:
+    """The rms error of the last trial in units of that of the best trial, and its number.
+
+    chosen: metrics of one scheme by trial
+    """
+    rms = chosen["rms"].values
+    best = int(np.nanargmin(np.where(np.isfinite(rms), rms, np.inf)))
+    return {"best": best + 1, "grown_to": float(rms[-1] / rms[best]) if rms[best] > 0 else 1.0}
 
 
 def _beside(p: Published, scenario: Scenario, shown: dict[str, xr.DataArray]) -> dict[str, Any]:
@@ -75,20 +85,22 @@ def _beside(p: Published, scenario: Scenario, shown: dict[str, xr.DataArray]) ->
 
 
 def sweep_numbers(
-    scenario: Scenario, summary: Sequence[SchemeSummary], tolerance: float, machines: int
+    scenario: Scenario, summary: Sequence[SchemeSummary], tolerance: float | None, machines: int
 ) -> dict[str, Any]:
     """The summary of a sweep [shown unit] by scheme, with quantiles and the worst machine by trial.
 
-    tolerance: largest metric that passes [unit of the dataset]
+    tolerance: largest metric that passes [unit of the dataset]; None, and null for the yields, if
+        none is known
     machines: number S of machines
     """
     k, unit = scenario.shown(scenario.judged_by)
     schemes = {
         row.scheme: {
-            "yield": row.yield_share,
-            "yield_interval": [row.yield_low, row.yield_high],
+            "yield": None if tolerance is None else row.yield_share,
+            "yield_interval": None if tolerance is None else [row.yield_low, row.yield_high],
             "semi_converged": row.semi_converged,
             "grown_from": row.grown_from,
+            "grown_to": row.grown_to,
             "diverged": row.diverged,
             "diverged_at": row.diverged_at,
             "by_trial": {
@@ -108,7 +120,7 @@ def sweep_numbers(
         "scenario": scenario.name,
         "trials": scenario.trials,
         "samples": machines,
-        "tolerance": k * tolerance,
+        "tolerance": None if tolerance is None else k * tolerance,
         "unit": unit,
         "figure": scenario.judged_by.replace("_", " "),
         "schemes": schemes,

@@ -94,9 +94,14 @@ def run(
         quantities=chosen.functions,
     )
     found = numbers.run_numbers(chosen, dataset)
-    table = tables.run_table(chosen, found)
+    shown = [tables.run_table(chosen, found), tables.last_trial_table(found)]
     lines = [*tables.course_lines(found), *tables.other_rows(chosen, found)]
-    out.print(table)
+    if chosen.published and (set_ or params):
+        lines.append(
+            "published values hold for the scenario as it stands; --set or --params changed it here"
+        )
+    for table in shown:
+        out.print(table)
     for line in lines:
         out.print(line, highlight=False)
     for note in chosen.chosen:
@@ -106,5 +111,5 @@ def run(
     paths = save_run(chosen, dataset, folder, numbers.shown_trials(chosen))
     with whole_folder(folder / "dataset.zarr", replace=True) as store:
         dataset.to_zarr(store, consolidated=False)
-    page = command_report(report, "run", [table], paths, scenario=chosen, lines=lines)
+    page = command_report(report, "run", shown, paths, scenario=chosen, lines=lines)
     written([*paths, *page, folder / "dataset.zarr"], json_file, found)

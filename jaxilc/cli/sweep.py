@@ -92,9 +92,10 @@ def sweep(
         quantities=chosen.functions,
     )
     scale, unit = chosen.shown(chosen.judged_by)
-    tolerance = (chosen.tolerance if tolerance is None else tolerance) / scale
-    if not tolerance > 0:
-        raise ValueError(f"--tolerance {tolerance * scale:g} is outside its allowed range (0, inf)")
+    tolerance = chosen.tolerance if tolerance is None else tolerance
+    if tolerance is not None and not tolerance > 0:
+        raise ValueError(f"--tolerance {tolerance:g} is outside its allowed range (0, inf)")
+    tolerance = None if tolerance is None else tolerance / scale
     folder = out_dir or Path("out") / f"sweep-{chosen.name}"
     store = unless_there(folder / "dataset.zarr", resume)
     stage_ends("start")
@@ -106,6 +107,9 @@ def sweep(
     shown = [tables.yield_table(numbers), tables.spread_table(numbers), tables.band_table(numbers)]
     for table in shown:
         out.print(table)
+    lines = tables.sweep_lines(numbers)
+    for line in lines:
+        out.print(line, highlight=False)
     if steps:
         took = f"{steps:.3g} sample-steps in {seconds:.1f} s, compilation included"
         out.print(f"{took}: {steps / seconds:.3g} a second", highlight=False)
@@ -125,5 +129,6 @@ def sweep(
         [path],
         scenario=chosen,
         configuration=dataset.attrs["configuration"],
+        lines=lines,
     )
     written([path, *page, store], json_file, numbers | {"sample_steps": steps, "seconds": seconds})

@@ -64,6 +64,18 @@ def other_rows(scenario: Scenario, numbers: dict[str, Any]) -> list[str]:
     return lines
 
 
+def last_trial_table(numbers: dict[str, Any]) -> Table:
+    """The table of the errors of the last trial of a run by every metric, and of the best trial."""
+    last = str(numbers["trials"])
+    table = Table(title=f"trial {last}, errors in {numbers['unit'] or 'the unit of y'}")
+    for column in ("scheme", "largest", "rms", "largest, settled", "best trial (by rms)"):
+        table.add_column(column, justify="left" if column == "scheme" else "right")
+    for name, rows in numbers["schemes"].items():
+        errors = (number(rows[m][last]) for m in ("max_error", "rms", "settled_error"))
+        table.add_row(name, *errors, str(rows["best"]))
+    return table
+
+
 def course_lines(numbers: dict[str, Any]) -> list[str]:
     """A line for each scheme of a run that diverged, or whose error has grown."""
     lines = []
@@ -75,28 +87,50 @@ def course_lines(numbers: dict[str, Any]) -> list[str]:
             )
         elif rows["grown_from"]:
             lines.append(
-                f"{name}: from trial {rows['grown_from']} on the rms error is "
-                f"more than {1 + GROWTH:g} times its least"
+                f"{name}: the rms error has grown {number(rows['grown_to'])} times since trial "
+                f"{rows['best']}; from trial {rows['grown_from']} on it is more than "
+                f"{1 + GROWTH:g} times its least"
             )
+    return lines
+
+
+def sweep_lines(numbers: dict[str, Any]) -> list[str]:
+    """A line for each scheme of a sweep under which machines diverged, or their errors grew."""
+    lines = []
+    for name, row in numbers["schemes"].items():
+        if row["diverged"]:
+            lines.append(
+                f"{name}: {row['diverged']:.1%} of the machines diverged, the first at trial "
+                f"{row['diverged_at']}"
+            )
+        if row["semi_converged"]:
+            lines.append(
+                f"{name}: on {row['semi_converged']:.1%} of the machines the error has grown since "
+                f"its best trial, up to {number(row['grown_to'])} times"
+            )
+    if numbers["tolerance"] is None:
+        lines.append("no yield: give --tolerance, or `tolerance` in the file")
     return lines
 
 
 def yield_table(numbers: dict[str, Any]) -> Table:
     """The table of yields with their intervals, and of shares that have grown or diverged.
 
-    The number in brackets, `(from)`, is the earliest trial from which on one of these machines has
-    grown or diverged.
+    There is no column of yields without a tolerance. The number in brackets, `(from)`, is the
+    earliest trial from which on one of these machines has grown or diverged.
     """
-    within = f"within {numbers['tolerance']:g} {numbers['unit']}"
-    what = f"{numbers['figure']} of trial {numbers['trials']} {within}"
+    known = numbers["tolerance"] is not None
+    within = f" within {numbers['tolerance']:g} {numbers['unit']}" if known else ""
+    what = f"{numbers['figure']} of trial {numbers['trials']}{within}"
     table = Table(title=f"{numbers['samples']} machines, {what}")
-    for column in ("scheme", "yield (95 % interval)", "grown (from)", "diverged (from)"):
+    yields = ("yield (95 % interval)",) if known else ()
+    for column in ("scheme", *yields, "grown (from)", "diverged (from)"):
         table.add_column(column, justify="left" if column == "scheme" else "right")
     for name, row in numbers["schemes"].items():
-        low, high = row["yield_interval"]
+        low, high = row["yield_interval"] or (0.0, 0.0)
         table.add_row(
             name,
-            f"{row['yield']:.1%} ({low:.1%} – {high:.1%})",
+            *([f"{row['yield']:.1%} ({low:.1%} – {high:.1%})"] if known else []),
             _share(row["semi_converged"], row["grown_from"]),
             _share(row["diverged"], row["diverged_at"]),
         )

@@ -118,7 +118,7 @@ def error_band(
     from ..sweeps.summary import summarise
 
     ax, trial = new_axes(ax), dataset["trial"]
-    rows = summarise(dataset, tolerance or 1.0, metric=metric) if summary is None else summary
+    rows = summarise(dataset, tolerance, metric=metric) if summary is None else summary
     medians = np.concatenate([row.median for row in rows])
     for i, row in enumerate(rows):
         style, marks = style_of(i), marks_of(i, len(trial))

@@ -111,7 +111,7 @@ def read_scenario(path: str | Path) -> Scenario:
         "name": file.take("name", text, stem),
         "title": file.take("title", text, f"{stem}: {type(plant).__name__}"),
         "trials": file.take("trials", whole, 20),
-        "tolerance": file.take("tolerance", number, 1.0),
+        "tolerance": file.take("tolerance", number, None),
         "shown_unit": file.take("shown_unit", text, task.unit),
         "shown_scale": file.take("shown_scale", number, 1.0),
         "show_trials": tuple(file.take("show_trials", list_of(whole), [])),
@@ -136,7 +136,8 @@ def _require_ranges(given: dict[str, Any]) -> None:
     for name in ("trials", "show_trials"):
         require("", name, given[name], "[1, inf)", many=name == "show_trials")
     for name in ("tolerance", "shown_scale"):
-        require("", name, given[name], "(0, inf)")
+        if given[name] is not None:
+            require("", name, given[name], "(0, inf)")
 
 
 def _check(path: Path, where: str, check: Callable[[], Any]) -> Any:

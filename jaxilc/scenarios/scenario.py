@@ -101,7 +101,7 @@ class Scenario:
     uncertainty: distributions of the machine's leaves, by path
     published: printed numbers [shown unit]
     chosen: texts on what the paper leaves open, and what was chosen here
-    tolerance: largest value of `judged_by` that passes [shown unit]
+    tolerance: largest value of `judged_by` that passes [shown unit]; None if none is known
     shown_unit, shown_scale: errors are shown as shown_scale times the simulated ones, in shown_unit
     show_trials: trials that have a row in a table or a curve in a figure
     options: options with which the scenario was loaded
@@ -121,7 +121,7 @@ class Scenario:
     uncertainty: Uncertainty
     published: tuple[Published, ...] = ()
     chosen: tuple[str, ...] = ()
-    tolerance: float = 1.0
+    tolerance: float | None = None
     shown_unit: str = ""
     shown_scale: float = 1.0
     show_trials: tuple[int, ...] = ()

@@ -23,7 +23,7 @@ class SchemeSummary(NamedTuple):
     The metric has the unit of the dataset, and is infinite in a trial that diverged (see
     `learning.divergence`).
 
-    yield_share: share of machines within the tolerance at the last trial
+    yield_share: share of machines within the tolerance at the last trial; NaN without a tolerance
     yield_low, yield_high: ends of the 95 % Wilson interval of this share
     median, low, high: (J,) quantiles of 50, 5 and 95 % for each trial
     worst, worst_machine: (J,) largest value for each trial, and the number of its machine
@@ -31,6 +31,8 @@ class SchemeSummary(NamedTuple):
         1 + `growth` times their best, though none of their trials diverged
     grown_from: earliest trial from which on one of these machines stays above that level, 0 if
         there are none
+    grown_to: the largest error of one of these machines at the last trial, in units of the least
+        error of the same machine; 1 if there are none
     diverged: share of machines with at least one trial that diverged
     diverged_at: earliest trial that diverged, 0 if there are none
     """
@@ -46,22 +48,27 @@ class SchemeSummary(NamedTuple):
     worst_machine: np.ndarray
     semi_converged: float
     grown_from: int
+    grown_to: float
     diverged: float
     diverged_at: int
 
 
 def summarise(
-    dataset: xr.Dataset, tolerance: float, *, metric: str = "settled_error", growth: float = GROWTH
+    dataset: xr.Dataset,
+    tolerance: float | None,
+    *,
+    metric: str = "settled_error",
+    growth: float = GROWTH,
 ) -> list[SchemeSummary]:
     """The summary of each scheme.
 
-    tolerance: the largest value of the metric that passes, in its unit
+    tolerance: the largest value of the metric that passes, in its unit; None if none is known
     metric: name of a variable over (scheme, sample, trial); with several channels the largest
         counts
     growth: relative rise above the best trial from which on the error counts as grown
     Raises ValueError for a tolerance that is not positive or a metric that is not there.
     """
-    if not tolerance > 0:
+    if tolerance is not None and not tolerance > 0:
         raise ValueError(
             f"summarise: tolerance = {tolerance:g} is outside its allowed range (0, inf)"
         )
@@ -84,19 +91,24 @@ def summarise(
     ]
 
 
-def _one_scheme(name: str, errors: np.ndarray, tolerance: float, growth: float) -> SchemeSummary:
-    passed, machines = int(np.sum(errors[:, -1] <= tolerance)), len(errors)
-    yield_low, yield_high = wilson_interval(passed, machines)
+def _one_scheme(
+    name: str, errors: np.ndarray, tolerance: float | None, growth: float
+) -> SchemeSummary:
+    share, interval = math.nan, (math.nan, math.nan)
+    if tolerance is not None:
+        passed = int(np.sum(errors[:, -1] <= tolerance))
+        share, interval = passed / len(errors), wilson_interval(passed, len(errors))
     of_a_trial = errors.T.copy()  # quantiles of adjacent numbers take less time
     low, median, high = np.quantile(
         of_a_trial, QUANTILES, axis=1, method="inverted_cdf", overwrite_input=True
     )
     since, lost = grown_from(errors, growth), ~np.isfinite(errors)
+    grown = errors[since > 0]
     return SchemeSummary(
         scheme=name,
-        yield_share=passed / machines,
-        yield_low=yield_low,
-        yield_high=yield_high,
+        yield_share=share,
+        yield_low=interval[0],
+        yield_high=interval[1],
         median=median,
         low=low,
         high=high,
@@ -104,6 +116,7 @@ def _one_scheme(name: str, errors: np.ndarray, tolerance: float, growth: float) 
         worst_machine=errors.argmax(axis=0),
         semi_converged=float(np.mean(since > 0)),
         grown_from=int(min(since[since > 0], default=0)),
+        grown_to=float(max(grown[:, -1] / grown.min(axis=1), default=1.0)),
         diverged=float(np.mean(lost.any(axis=1))),
         diverged_at=1 + int(lost.any(axis=0).argmax()) if lost.any() else 0,
     )

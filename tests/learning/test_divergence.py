@@ -162,6 +162,7 @@ def test_a_sweep_counts_what_diverged_though_it_stayed_finite(swept):
     assert (growing.diverged, growing.semi_converged) == (np.mean(lost), np.mean(grown))
     assert growing.diverged_at == int(np.min(2 + np.floor(np.log(1000) / np.log(factor[lost]))))
     assert growing.grown_from == 1 + int(np.min(1 + np.floor(np.log(1.5) / np.log(factor[grown]))))
+    assert growing.grown_to == pytest.approx(np.max(factor[grown]) ** (TRIALS - 1), rel=1e-9)
     assert growing.worst[-1] == np.inf
     assert np.max(np.where(lost, 0.0, dataset["rms"].sel(scheme="growing").values[:, -1])) > 1
 
@@ -214,7 +215,8 @@ def test_a_run_says_what_diverged_and_what_has_grown():
     assert numbers["schemes"]["lost"]["rms"]["12"] == np.inf
     assert np.isfinite(numbers["schemes"]["lost"]["rms"]["5"])
     assert tables.course_lines(numbers) == [
-        "growing: from trial 2 on the rms error is more than 1.5 times its least",
+        "growing: the rms error has grown 176 times since trial 1; from trial 2 on it is more than "
+        "1.5 times its least",
         "lost: diverged at trial 6: not finite, or an error of 1000 times the reference",
     ]
     ax = figures.error_by_trial(dataset, metric="rms")
