@@ -182,7 +182,7 @@ def test_a_sweep_takes_what_fits_and_a_resumed_one_keeps_it(device, tmp_path):
 
 def test_a_tuning_takes_what_fits_and_a_resumed_one_keeps_it(device, tmp_path):
     fields = {f.name: getattr(PROBLEM, f.name) for f in dataclasses.fields(PROBLEM)}
-    fields |= {"lanes": None, "steps": 1, "starts": 2, "machines": 8}
+    fields |= {"lanes": None, "steps": 1, "starts": 2, "machines": 8, "held_out": 0}
     device(10**12)
     large = type(PROBLEM)(**fields)
     assert large.lanes == 2 ** int(np.ceil(np.log2(2 * 8 / DEVICES)))
