@@ -121,8 +121,8 @@ class Tuning:
     quantities: Mapping[str, Callable[[Trial], jax.Array]] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self):
-        given = (usual_lanes() or 1) if self._lanes_left_open else self.lanes
-        object.__setattr__(self, "lanes", given)
+        if self.lanes_given is None:
+            object.__setattr__(self, "lanes", usual_lanes() or 1)
         check_settings(vars(self))
         check(self.machine, self.scheme, self.task)
         self._weights.need_room(self.machine, self.scheme, self.task)
@@ -130,15 +130,15 @@ class Tuning:
         need_room(self.machine, self.uncertainty, self.task, counts)
         draw(self.machine, self.uncertainty, self.machines, seed=self.seed, sampling=self.sampling)
         jax.eval_shape(lambda: self.loss_of(self.machine, {}))
-        if self._lanes_left_open and usual_lanes() is None:
+        if self.lanes_given is None and usual_lanes() is None:
             lanes = self._losses.fitting_lanes(self.objective, max(self.machines, self.held_out))
             object.__setattr__(self, "lanes", lanes)
             del self.__dict__["_losses"]  # those of one lane
 
     @cached_property
-    def _lanes_left_open(self) -> bool:
-        """Whether lanes was None at construction, when this is computed."""
-        return self.lanes is None
+    def lanes_given(self) -> int | None:
+        """The lanes as they were given at construction, when this is computed."""
+        return self.lanes
 
     @cached_property
     def _weights(self) -> Weights:
@@ -209,7 +209,7 @@ class Tuning:
         in use, has no undamaged state, or was made with another configuration, and for a step that
         the RAM cannot hold.
         """
-        if resume and out is not None and self._lanes_left_open:
+        if resume and out is not None and self.lanes_given is None:
             begun = stored_lanes(Path(out)) or self.lanes
             if begun != self.lanes:
                 again = dataclasses.replace(self, lanes=begun)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from cases import case
-from gain_case import PROBLEM
+from gain_case import GAINS, PROBLEM, STATIC
 from sweep_case import PLAN
 
 from jaxilc import Sweep, tiled
@@ -162,10 +162,9 @@ def test_a_batch_runs_in_tiles_that_fit(device):
 
 
 def test_a_sweep_takes_what_fits_and_a_resumed_one_keeps_it(device, tmp_path):
-    fields = {f.name: getattr(PLAN, f.name) for f in dataclasses.fields(Sweep)}
-    fields |= {"schemes": {"a": PLAN.schemes["feedback"]}, "keep": (), "machines": 40}
-    fields |= {"trials": 2, "lanes": None, "chunk": None}
-    device(50_000)
+    fields: dict = {"machine": STATIC, "schemes": {"a": PROBLEM.scheme}, "task": PROBLEM.task}
+    fields |= {"trials": 2, "uncertainty": GAINS, "machines": 40}
+    device(8_000)
     small = Sweep(**fields)
     assert 1 < small.lanes < 40 / DEVICES
     assert small.chunk == 256
@@ -182,7 +181,7 @@ def test_a_sweep_takes_what_fits_and_a_resumed_one_keeps_it(device, tmp_path):
 
 def test_a_tuning_takes_what_fits_and_a_resumed_one_keeps_it(device, tmp_path):
     fields = {f.name: getattr(PROBLEM, f.name) for f in dataclasses.fields(PROBLEM)}
-    fields |= {"lanes": None, "steps": 1, "starts": 2, "machines": 8}
+    fields |= {"lanes": None, "steps": 1, "starts": 2, "machines": 8, "held_out": 0}
     device(10**12)
     large = type(PROBLEM)(**fields)
     assert large.lanes == 2 ** int(np.ceil(np.log2(2 * 8 / DEVICES)))
