@@ -11,8 +11,9 @@ from collections import deque
 from collections.abc import Generator, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from functools import partial
+from functools import lru_cache, partial
 from itertools import islice
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -28,6 +29,7 @@ from ..runtime.tiles import tiled
 from ..uncertainty import drawn_machine
 from .plan import Chunk, Plan
 
+PROGRAMS = 8  # number of programs, of different sweeps, that are kept in a process
 COMPILERS = 4  # number of programs that are compiled at once; a compiler mostly uses one core
 
 
@@ -41,14 +43,8 @@ class Host:
         self.plan, self.environment = plan, provenance.environment()
         self._needed = 0  # bytes of the largest chunk that was compiled
         self._finished_at = 0.0  # the time at which the last chunk was finished
-        one = partial(
-            _one_machine,
-            names=tuple(plan.uncertainty.items()),
-            trials=plan.trials,
-            keep=plan.keep,
-            save=Keep.of(plan.quantities),
-        )
-        self._run = jax.jit(tiled(one, lanes=plan.lanes))
+        names = tuple((name, _Drawn(bool(of.relative))) for name, of in plan.uncertainty.items())
+        self._run = _program(names, plan.trials, plan.keep, Keep.of(plan.quantities), plan.lanes)
 
     def room(self, stored: int) -> tuple[int | None, str]:
         """Bytes that are available for a chunk beside a dataset of `stored` bytes, and where.
@@ -131,6 +127,25 @@ class Host:
         drawn = {name: jnp.asarray(values[index]) for name, values in plan.drawn.items()}
         common = (plan.machine, plan.schemes[name], plan.task, jax.random.key(plan.seed))
         return common, (jnp.asarray(index), drawn)
+
+
+class _Drawn(NamedTuple):
+    """All that a program needs to know of a distribution."""
+
+    relative: bool
+
+
+@lru_cache(maxsize=PROGRAMS)
+def _program(
+    names: tuple[tuple[str, _Drawn], ...],
+    trials: int,
+    keep: tuple[str, ...],
+    save: Keep,
+    lanes: int,
+) -> Any:
+    """The compiled function of what is common and of the numbers of the machines of a chunk."""
+    one = partial(_one_machine, names=names, trials=trials, keep=keep, save=save)
+    return jax.jit(tiled(one, lanes=lanes))
 
 
 def _one_machine(

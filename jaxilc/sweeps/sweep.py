@@ -205,6 +205,14 @@ class Sweep:
                 progress(chunk.name, done[chunk.name], chunk.size)
             return store.dataset()
 
+    def compile(self) -> None:
+        """Compile the programs, for `run` and for other sweeps of these shapes in this process.
+
+        It may be called in a thread while something else is computed.
+        """
+        for _ in self.host().chunk_bytes(tuple(self.schemes), self.chunk):
+            pass
+
     def host(self) -> Host:
         """This process, ready to compute chunks."""
         return Host(self.plan)
