@@ -127,11 +127,10 @@ def next_(
 
     Example: jaxilc next --state x-axis --measured trial-3.csv --out trial-4.csv
     """
-    from ..runtime.start import setup
     from ..scenarios.campaigns import Given, campaign
-    from .asked import settings_of
+    from .asked import begin, settings_of
 
-    setup(precision="float64")
+    begin("float64")
     new = _starts(state, measured, undo, out_file, number, dry_run)
     given = Given(
         scenario=scenario,

@@ -6,7 +6,8 @@ import importlib
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, NoReturn
 
@@ -19,8 +20,8 @@ if TYPE_CHECKING:
     from ..tuning import Tuned, Tuning
 
 
-# Packages that a sweep needs when it is computed.
-AFTERWARDS = ("xarray", "matplotlib.figure", "matplotlib.backends.backend_agg")
+# Packages that a command needs when its sweep or tuning is computed.
+AFTERWARDS = ("xarray", "zarr", "matplotlib.figure", "matplotlib.backends.backend_agg")
 
 
 def progress_bar(field: str):
@@ -47,6 +48,20 @@ def progress_bar(field: str):
         console=console.err,
         disable=console.out.quiet or not console.err.is_terminal,
     )
+
+
+def thread_for_later(*works: Callable[[], object]) -> threading.Thread:
+    """A thread that imports what a command needs afterwards, and does other works; not started.
+
+    An error is not reported: it comes again where the result is needed.
+    """
+
+    def run():
+        for work in (lambda: [*map(importlib.import_module, AFTERWARDS)], *works):
+            with suppress(Exception):
+                work()
+
+    return threading.Thread(target=run)
 
 
 def stopped(store: Path) -> NoReturn:
@@ -81,20 +96,21 @@ def run_sweep(plan: Sweep, store: Path, *, resume: bool, cluster: str | None) ->
 
     start, counted = time.perf_counter(), {}
     of_a_machine = plan.trials * plan.task.N
-    # Each takes part of a second to import, in which the devices compute.
-    imports = threading.Thread(target=lambda: [*map(importlib.import_module, AFTERWARDS)])
+    later = thread_for_later()
     with progress_bar("rate") as bar:
         bars = {name: bar.add_task(name, total=plan.machines, rate="") for name in plan.schemes}
 
         def progress(name: str, done: int, fresh: int) -> None:
-            if fresh and imports.ident is None:
-                imports.start()
+            if fresh and later.ident is None:  # from now on the devices compute
+                later.start()
             counted[name] = counted.get(name, 0) + fresh
             rate = sum(counted.values()) * of_a_machine / (time.perf_counter() - start)
             bar.update(bars[name], completed=done, rate=f"{rate:.2g} steps/s")
 
         try:
             dataset = plan.run(store, resume=resume, progress=progress, cluster=cluster)
+            if later.ident is not None:
+                later.join()
         except KeyboardInterrupt:
             stopped(store)
         except ImportError as error:
@@ -112,18 +128,44 @@ def run_sweep(plan: Sweep, store: Path, *, resume: bool, cluster: str | None) ->
     return Swept(dataset, time.perf_counter() - start, sum(counted.values()) * of_a_machine)
 
 
-def run_tuning(problem: Tuning, state: Path, *, resume: bool) -> Tuned:
-    """Run a tuning with a progress bar; Ctrl-C ends the command with exit code 130."""
+@contextmanager
+def tuning_bar(steps: int) -> Generator[Callable[..., None]]:
+    """A context with the progress bar of a tuning, from the first second of a command on.
+
+    It yields a function that shows a text, and as `completed` how many of the steps are done.
+    """
     with progress_bar("loss") as bar:
-        one = bar.add_task("tuning", total=problem.steps, loss="")
+        one = bar.add_task("tuning", total=steps, loss="starting")
+        yield lambda text, **steps: bar.update(one, loss=text, **steps)
 
-        def progress(step: int, losses, best: float) -> None:
-            bar.update(one, completed=step, loss=f"loss {losses.min():.4g}, held out {best:.4g}")
 
-        try:
-            return problem.run(state, resume=resume, progress=progress)
-        except KeyboardInterrupt:
-            stopped(state)
+def run_tuning(
+    problem: Tuning,
+    state: Path,
+    show: Callable[..., None],
+    *,
+    resume: bool,
+    later: threading.Thread,
+) -> Tuned:
+    """Run a tuning; Ctrl-C ends the command with exit code 130.
+
+    show: function of `tuning_bar`
+    later: thread that is started when the first step is shown
+    """
+
+    def progress(step: int, losses, best: float) -> None:
+        show(f"loss {losses.min():.4g}, held out {best:.4g}", completed=step)
+        if later.ident is None:
+            later.start()
+
+    show("compiling")
+    try:
+        tuned = problem.run(state, resume=resume, progress=progress)
+        if later.ident is not None:
+            later.join()
+    except KeyboardInterrupt:
+        stopped(state)
+    return tuned
 
 
 def run_tunings(tunings: Callable, state: Path, *, count: int, steps: int, resume: bool):

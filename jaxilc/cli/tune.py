@@ -77,40 +77,45 @@ def tune(
     Example: jaxilc tune cao-2019 --scheme cfdl-mfailc --weights lam,eta,mu,phi0
     --set cfdl-mfailc.lead=3 --objective holding:20
     """
-    from .asked import begin, chosen_scenario, objective_asked, tuning_problem
+    from .progress import run_tuning, thread_for_later, tuning_bar
 
-    begin(precision)
+    with tuning_bar(steps) as show:
+        from .asked import begin, chosen_scenario, objective_asked, tuning_problem
+
+        begin(precision)
+        chosen = chosen_scenario(scenario, [scheme], trials, set_, params)
+        problem = tuning_problem(
+            chosen,
+            scheme,
+            weights=weights,
+            bounds=bounds,
+            spread=spread,
+            objective=objective_asked(chosen, objective),
+            risk=risk,
+            options={
+                "steps": steps,
+                "starts": starts,
+                "rate": rate,
+                "optimiser": optimiser,
+                "machines": machines,
+                "held_out": held_out,
+                "sampling": sampling,
+                "seed": seed,
+            },
+        )
+        at_least(1, unseen=unseen, compare_trials=compare_trials)
+        folder = out_dir or Path("out") / f"tune-{chosen.name}"
+        # This raises before the tuning what would be raised after it.
+        comparison = problem.comparison(trials=compare_trials, machines=unseen)
+        state = unless_there(folder / "state", resume)
+        later = thread_for_later(comparison.compile)
+        tuned = run_tuning(problem, state, show, resume=resume, later=later)
+        show("comparing")
+        dataset = problem.compare(tuned, trials=compare_trials, machines=unseen)
+
     from ..figures.report import command_report
-    from .progress import run_tuning
     from .tuning_numbers import tuning_numbers
     from .tuning_tables import tuning_lines, tuning_tables
-
-    chosen = chosen_scenario(scenario, [scheme], trials, set_, params)
-    problem = tuning_problem(
-        chosen,
-        scheme,
-        weights=weights,
-        bounds=bounds,
-        spread=spread,
-        objective=objective_asked(chosen, objective),
-        risk=risk,
-        options={
-            "steps": steps,
-            "starts": starts,
-            "rate": rate,
-            "optimiser": optimiser,
-            "machines": machines,
-            "held_out": held_out,
-            "sampling": sampling,
-            "seed": seed,
-        },
-    )
-    at_least(1, unseen=unseen, compare_trials=compare_trials)
-    folder = out_dir or Path("out") / f"tune-{chosen.name}"
-    problem.comparison(trials=compare_trials, machines=unseen)  # raises before the tuning
-    state = unless_there(folder / "state", resume)
-    tuned = run_tuning(problem, state, resume=resume)
-    dataset = problem.compare(tuned, trials=compare_trials, machines=unseen)
 
     numbers = tuning_numbers(chosen, scheme, tuned, dataset)
     shown = tuning_tables(chosen, numbers)

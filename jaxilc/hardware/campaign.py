@@ -180,16 +180,17 @@ class Campaign:
         scheme, task, live = self.scheme, self.task, self.journal.live()
         memory, number = self.memory(), live[-1]["trial"] + 1
         played = schedules(scheme, memory, task)
-        commanded, signals = replay(scheme, task, memory, measured.y, self.actuator)
+        # NumPy's arrays are used from here on: every operation on JAX's would be compiled.
+        commanded, signals = jax.device_get(replay(scheme, task, memory, measured.y, self.actuator))
         if measured.u is None and not replay_input:
             raise ValueError(
                 f"{measured.source} has no input u; record it, or add --replayed-input "
                 "where the controller runs this scheme"
             )
-        u = np.asarray(commanded) if measured.u is None else measured.u
+        u = commanded if measured.u is None else measured.u
         if "feedback" in measured.others:
-            signals = {**signals, "feedback": jnp.asarray(measured.others["feedback"])}
-        record = measured_trial(task, measured.y, u)._replace(signals=dict(signals))
+            signals = {**signals, "feedback": measured.others["feedback"]}
+        record = jax.device_get(measured_trial(task, measured.y, u))._replace(signals=signals)
         hashes = {"measured": hash_of(measured.y, u), "played": hash_of(*played.values())}
         error = checks.rms_over_all(record)
         for entry in live[1:]:

@@ -1,13 +1,29 @@
-"""Systems of python-control and of scipy.signal as plants."""
+"""Systems of python-control and of scipy.signal as plants.
+
+python-control is imported where one of its systems is used only, since that takes longer than many
+a command: it imports Matplotlib.
+"""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from .linear import StateSpace
 from .nonlinear_system import nonlinear_system
+
+TINY = 1e-14  # first coefficient of a numerator, below which SciPy warns that it may be rounding
+
+
+class Linear(NamedTuple):
+    """The matrices of a linear system, and its sample time [s], 0 for continuous time."""
+
+    A: Any
+    B: Any
+    C: Any
+    D: Any
+    dt: float
 
 
 def from_control(
@@ -51,15 +67,39 @@ def from_control(
         return nonlinear_system(system, x0, substep)
     if substep is not None:
         raise ValueError("from_control: substep is for a nonlinear system; this one is linear")
-    A, B, C, D = system_matrices(system)
+    return from_linear(Linear(*system_matrices(system), system.dt), allow_unstable, x0)
+
+
+def from_linear(system: Linear, allow_unstable: bool = False, x0: Any = None) -> StateSpace:
+    """A plant from matrices, with the arguments and the errors of `from_control`."""
+    A, B, C, D, dt = system
     if np.any(D):
         raise ValueError(
             f"from_control: direct feedthrough D = {D.tolist()}; u[k] acts on y[k+1] at the "
             "earliest, so D must be 0: make the system strictly proper, or delay it by a sample"
         )
     if not allow_unstable:
-        _need_stable(A, system.dt == 0)
-    return StateSpace(A, B, C, x0, dt=float(system.dt))
+        _need_stable(A, dt == 0)
+    return StateSpace(A, B, C, x0, dt=float(dt))
+
+
+def canonical_form(num, den, dt: float) -> Linear | None:
+    """The controllable canonical form of a strictly proper transfer function of one channel.
+
+        x' = [[-a1, ..., -an], [I, 0]] x + [1, 0, ...] u,    y = [b1, ..., bn] x
+
+    It is that of `control.tf2ss`. The result is None for a transfer function of another kind, and
+    for one whose coefficients python-control warns of.
+
+    num, den: coefficients of descending powers; bi and ai are these divided by the first of den
+    """
+    num, den = (np.trim_zeros(np.asarray(of, float), "f") for of in (num, den))
+    if not 0 < len(num) < len(den) or not abs(num[0] / den[0]) > TINY:
+        return None
+    n = len(den) - 1
+    A, B, C = np.eye(n, k=-1), np.eye(n, 1), np.zeros((1, n))
+    A[0], C[0, n - len(num) :] = -den[1:] / den[0], num / den[0]
+    return Linear(A, B, C, np.zeros((1, 1)), dt)
 
 
 def _of_scipy(system: Any):

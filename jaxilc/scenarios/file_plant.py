@@ -13,6 +13,7 @@ import scipy
 from .. import identification, plants
 from ..identification.records import read_record
 from ..plants import Plant, from_control
+from ..plants.from_python_control import Linear, canonical_form, from_linear
 from ..pytree.ranges import brief, require
 from .specification import (
     Table,
@@ -50,9 +51,12 @@ def plant_of(values: Any, where: str, folder: Path, notes: list[str]) -> Plant:
         allow_unstable = table.take("allow_unstable", flag, False)
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("error", scipy.signal.BadCoefficients)
-                return from_control(kinds[kind](table), allow_unstable=allow_unstable)
-        except (ValueError, scipy.signal.BadCoefficients) as error:
+                # that of scipy.signal.BadCoefficients, whose module need not be imported
+                warnings.filterwarnings("error", message="Badly conditioned filter coefficients")
+                system = kinds[kind](table)
+                made = from_linear if isinstance(system, Linear) else from_control
+                return made(system, allow_unstable=allow_unstable)
+        except (ValueError, UserWarning) as error:
             said = str(error).removeprefix("from_control: ")
             raise ValueError(said if where in said else f"{where}: {said}") from None
     return built(
@@ -67,7 +71,6 @@ def _transfer_function(table: Table):
 
     With several channels, num and den are lists [output][input] of such lists.
     """
-    import control
 
     def polynomial(value, where):
         several = isinstance(value, list) and value and isinstance(value[0], list)
@@ -84,6 +87,12 @@ def _transfer_function(table: Table):
         table.take("dt", _sample_time, 0.0),
     )
     table.done()
+    if isinstance(num, np.ndarray) and isinstance(den, np.ndarray):
+        found = canonical_form(num, den, dt)
+        if found is not None:
+            return found
+    import control
+
     try:
         return control.tf(num, den, dt)
     except (TypeError, IndexError) as error:
@@ -131,9 +140,7 @@ def _root(value: Any, where: str) -> complex:
     return complex(*parts)
 
 
-def _state_space(table: Table):
-    import control
-
+def _state_space(table: Table) -> Linear:
     A, B, C = (np.atleast_2d(table.take(key, numbers)) for key in ("A", "B", "C"))
     n, dt = len(A), table.take("dt", _sample_time, 0.0)
     D = table.take("D", numbers, None)
@@ -146,7 +153,7 @@ def _state_space(table: Table):
     D = np.zeros((len(C), B.shape[1])) if D is None else np.atleast_2d(D)
     if D.shape != (len(C), B.shape[1]):
         raise ValueError(f"{table.where}: D has shape {D.shape}; allowed is {(len(C), B.shape[1])}")
-    return control.ss(A, B, C, D, dt)
+    return Linear(A, B, C, D, dt)
 
 
 def _identified(table: Table, folder: Path, notes: list[str]) -> Plant:

@@ -11,8 +11,9 @@ from collections import deque
 from collections.abc import Generator, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from functools import partial
+from functools import lru_cache, partial
 from itertools import islice
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -29,6 +30,7 @@ from ..runtime.tiles import tiled
 from ..uncertainty import drawn_machine
 from .plan import Chunk, Plan
 
+PROGRAMS = 8  # number of programs, of different sweeps, that are kept in a process
 COMPILERS = 4  # number of programs that are compiled at once; a compiler mostly uses one core
 
 
@@ -42,14 +44,10 @@ class Host:
         self.plan, self.environment = plan, provenance.environment()
         self._needed = 0  # bytes of the largest chunk that was compiled
         self._finished_at = 0.0  # the time at which the last chunk was finished
-        self._one = partial(
-            _one_machine,
-            names=tuple(plan.uncertainty.items()),
-            trials=plan.trials,
-            keep=plan.keep,
-            save=Keep.of(plan.quantities),
-        )
-        self._run = jax.jit(tiled(self._one, lanes=plan.lanes))
+        names = tuple((name, _Drawn(bool(of.relative))) for name, of in plan.uncertainty.items())
+        of_machine = names, plan.trials, plan.keep, Keep.of(plan.quantities)
+        self._one = _one_with(*of_machine)
+        self._run = _program(*of_machine, plan.lanes)
 
     def fitting_lanes(self) -> int:
         """The lanes that suit the backend and fit for every scheme, see `runtime.lanes`.
@@ -144,6 +142,25 @@ class Host:
         drawn = {name: jnp.asarray(values[index]) for name, values in plan.drawn.items()}
         common = (plan.machine, plan.schemes[name], plan.task, jax.random.key(plan.seed))
         return common, (jnp.asarray(index), drawn)
+
+
+class _Drawn(NamedTuple):
+    """All that a program needs to know of a distribution."""
+
+    relative: bool
+
+
+def _one_with(
+    names: tuple[tuple[str, _Drawn], ...], trials: int, keep: tuple[str, ...], save: Keep
+) -> Any:
+    """The function of what is common and of the numbers of one machine."""
+    return partial(_one_machine, names=names, trials=trials, keep=keep, save=save)
+
+
+@lru_cache(maxsize=PROGRAMS)
+def _program(names, trials, keep, save, lanes: int | None) -> Any:
+    """The compiled function of what is common and of the numbers of the machines of a chunk."""
+    return jax.jit(tiled(_one_with(names, trials, keep, save), lanes=lanes))
 
 
 def _one_machine(

@@ -10,6 +10,7 @@ import jax
 import numpy as np
 
 from ..learning.machine import Machine
+from ..runtime import capacity
 from ..schemes import Scheme
 from ..signals.task import Task, Trial
 from ..uncertainty import Uncertainty
@@ -64,3 +65,22 @@ class Plan:
             for i, name in enumerate(self.schemes)
             for number, start in enumerate(range(0, self.machines, self.chunk))
         ]
+
+
+def that_fits(plan: Plan, hosts, name: str, need: int, room: int) -> str:
+    """What would fit where a chunk of a scheme needs more bytes than there is room for.
+
+    hosts: what computes the chunks, see `Host`
+    """
+    # From two tiles on, the RAM of a chunk is linear in its size; a single tile needs less, since
+    # there is no loop over tiles.
+    tile, size = plan.lanes * hosts.environment["devices"], min(plan.chunk, plan.machines)
+    small = min(2 * tile, size)
+    least = next(hosts.chunk_bytes((name,), small))[1] if small < size else need
+    if least > room:
+        return (
+            f"{small} machines at a time need {capacity.shown(least)} already; keep fewer signals, "
+            "take fewer trials, or shorten them"
+        )
+    fits = int(small + (room - least) / (need - least) * (size - small)) // tile * tile
+    return f"chunk = {fits} would fit"

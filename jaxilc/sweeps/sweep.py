@@ -28,7 +28,7 @@ from ..signals.task import Task, Trial
 from ..uncertainty import Uncertainty, draw, drawn_count, drawn_machine
 from .host import Host
 from .layout import Layout
-from .plan import Plan
+from .plan import Plan, that_fits
 from .store import Store, stored_configuration
 from .variables import SIGNALS, coordinates, sizes, variables
 
@@ -224,6 +224,14 @@ class Sweep:
         same = all(getattr(self, name) == size for name, size in kept.items())
         return None if same else dataclasses.replace(self, **kept)
 
+    def compile(self) -> None:
+        """Compile the programs, for `run` and for other sweeps of these shapes in this process.
+
+        It may be called in a thread while something else is computed.
+        """
+        for _ in self.host().chunk_bytes(tuple(self.schemes), self.chunk):
+            pass
+
     def host(self) -> Host:
         """This process, ready to compute chunks."""
         return Host(self.plan)
@@ -285,19 +293,5 @@ class Sweep:
                 raise ValueError(
                     f"Sweep: chunk = {self.chunk} needs {capacity.shown(need)} where "
                     f"{capacity.shown(room)} are available{where}; "
-                    f"{self._that_fits(hosts, name, need, room)}"
+                    f"{that_fits(self.plan, hosts, name, need, room)}"
                 )
-
-    def _that_fits(self, hosts, name: str, need: int, room: int) -> str:
-        # From two tiles on, the RAM of a chunk is linear in its size; a single tile needs less,
-        # since there is no loop over tiles.
-        tile, size = self.lanes * hosts.environment["devices"], min(self.chunk, self.machines)
-        small = min(2 * tile, size)
-        least = next(hosts.chunk_bytes((name,), small))[1] if small < size else need
-        if least > room:
-            return (
-                f"{small} machines at a time need {capacity.shown(least)} already; keep fewer "
-                "signals, take fewer trials, or shorten them"
-            )
-        fits = int(small + (room - least) / (need - least) * (size - small)) // tile * tile
-        return f"chunk = {fits} would fit"

@@ -15,6 +15,8 @@ import numpy as np
 import optax
 from jax import lax
 
+from .starts import over_starts
+
 
 class Evaluation(NamedTuple):
     """The loss and its derivatives at one z of P numbers.
@@ -175,7 +177,7 @@ def for_starts(method: Method) -> Method:
 
     @jax.jit
     def step(z, state):
-        moved, following, record = jax.vmap(method.step)(z, state)
+        moved, following, record = over_starts(method.step)(z, state)
         return (
             moved,
             jax.tree.map(
@@ -186,20 +188,11 @@ def for_starts(method: Method) -> Method:
 
     # Results are copied to the host after each step: a compiled program depends on the device of
     # its arguments, and would be compiled again for others.
-    init = jax.jit(jax.vmap(method.init))
+    init = jax.jit(over_starts(method.init))
     programs = (init, step)
     return Method(
         lambda z: jax.device_get(init(z)), lambda z, state: jax.device_get(step(z, state)), programs
     )
-
-
-def arguments_like(method: Method, z) -> tuple[Any, Any]:
-    """The arguments of the compiled step of a method `for_starts`: z (K, P) and the state.
-
-    Only shapes are worked out; nothing is computed.
-    """
-    state = jax.eval_shape(method.programs[0], z)
-    return z, jax.tree.map(lambda s: jax.ShapeDtypeStruct(s.shape, s.dtype), state)
 
 
 class State(NamedTuple):

@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import optax
 
@@ -35,7 +34,7 @@ from ..signals.task import Task, Trial
 from ..uncertainty import Uncertainty, draw
 from .bijection import Bijection
 from .comparison import comparison_of
-from .descent import Method, State, Step, arguments_like, descended, for_starts
+from .descent import Method, State, Step, descended, for_starts
 from .losses import Losses
 from .machines import Machines
 from .objectives import Final, Objective
@@ -43,6 +42,7 @@ from .optimisers import method_of
 from .risks import Mean, Risk
 from .settings import check_settings
 from .sizes import Counts, need_room
+from .starts import arguments_like, compiled_beside, in_rounds, over_starts
 from .states import Folder, stored_lanes
 from .weights import Asked, Tuned, Weights
 
@@ -216,12 +216,13 @@ class Tuning:
                 return again.run(out, resume=True, progress=progress)
         z = self._weights.starts(self.starts, self.scatter, self.seed)
         method, held_out = self._programs
-        check_program(
-            "Tuning: a step of all starts",
-            "take fewer trials, starts or lanes, or a shorter trial",
-            method.programs[1],
-            *arguments_like(method, z),
-        )
+        with compiled_beside(held_out, jax.eval_shape(self._weights.at, z)):
+            check_program(
+                "Tuning: a step of all starts",
+                "take fewer trials, starts or lanes, or a shorter trial",
+                method.programs[1],
+                *arguments_like(method, z),
+            )
         place = None if out is None else Folder(Path(out), self.configuration(), resume)
         with place or nullcontext():
             now = State.start(z, method.init(z), self.steps)
@@ -240,10 +241,10 @@ class Tuning:
                 patience=self.patience,
                 after_step=after_step,
             )
-        values = {name: float(value) for name, value in self._weights.at(now.best_z).items()}
-        both = {name: jnp.asarray([self.start[name], value]) for name, value in values.items()}
-        before, after = held_out(both)
-        return Tuned.of(now, self._weights, self.scheme, float(before), float(after), reason)
+        best = self._weights.at(now.best_z)
+        both = {name: np.array([self.start[name], best[name]], z.dtype) for name in best}
+        before, after = in_rounds(held_out, both, self.starts).tolist()
+        return Tuned.of(now, self._weights, self.scheme, before, after, reason)
 
     def compare(
         self,
@@ -284,9 +285,9 @@ class Tuning:
         return comparison_of(self._losses, schemes, trials, machines, seed)
 
     @cached_property
-    def _programs(self) -> tuple[Method, Callable]:
+    def _programs(self) -> tuple[Method, Any]:
         """The optimiser for all starts and the held-out losses, compiled once for a problem."""
-        return for_starts(self._method()), jax.jit(jax.vmap(self.held_out_loss))
+        return for_starts(self._method()), jax.jit(over_starts(self.held_out_loss))
 
     def _method(self) -> Method:
         """The optimiser on the training loss."""

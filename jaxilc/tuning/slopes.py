@@ -20,6 +20,9 @@ def value_and_slope(f: Callable, z, *given, forward: bool):
 def _forward(f: Callable) -> Callable:
     def slopes(of, z):
         """The values of a function, any shape, and its derivatives, with P as the last axis."""
+        if z.size == 1:
+            value, slope = jax.jvp(of, (z,), (jnp.ones_like(z),))
+            return value, slope[..., None]
         return jax.vmap(lambda tangent: jax.jvp(of, (z,), (tangent,)), out_axes=(None, -1))(
             jnp.eye(z.size, dtype=z.dtype)
         )

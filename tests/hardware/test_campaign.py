@@ -19,7 +19,7 @@ import typer
 from cases import ALGEBRA, case
 from typer.testing import CliRunner
 
-from jaxilc.cli import hardware
+from jaxilc.cli import console, hardware
 from jaxilc.figures.campaign import campaign_figure
 from jaxilc.hardware import Campaign, Journal, Measured, Rules, journal, read_measured
 from jaxilc.hardware.checks import beyond_limits
@@ -195,6 +195,26 @@ def copied(session, tmp_path):
     rig, state, _ = session
     shutil.copytree(state, tmp_path / "state")
     return rig, tmp_path / "state", tmp_path
+
+
+def test_a_measured_trial_takes_four_programs(tmp_path):
+    # An operation on arrays of JAX would be a program of its own: there were 17 of the metrics.
+    (tmp_path / "axis.toml").write_text(AXIS.replace("duration = 0.25", "duration = 0.251"))
+    axis, compiled = load_scenario(tmp_path / "axis.toml"), []
+    campaign = Campaign.start(tmp_path / "state", axis.schemes["ilc"], axis.task)
+    y, u = np.linspace(0.0, 0.9, axis.task.N + 1)[:, None], np.ones((axis.task.N, 1))
+
+    def listen(event, _, **about):
+        if event == console.COMPILED:
+            compiled.append(about["fun_name"])
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    turn = campaign.turn(Measured(y, u, {}, (), "trial.csv"))
+    names = {"jit(_compiled)", "jit(replay)", "jit(learned)", "jit(measure)"}
+    assert names - {"jit(_compiled)"} <= set(compiled)  # the start has compiled the schedules
+    assert set(compiled) <= names | {"jit(broadcast_in_dim)", "jit(stage)"}
+    largest = np.max(np.abs(y - axis.task.reference)[1:])
+    np.testing.assert_allclose(turn.metrics["max_error"], [largest], rtol=1e-12)
 
 
 def test_twenty_trials_through_files_are_the_loop_in_memory(session):

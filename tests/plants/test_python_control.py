@@ -26,6 +26,7 @@ from jaxilc.plants import (
     to_control,
     voice_coil_motor,
 )
+from jaxilc.plants.from_python_control import canonical_form
 from jaxilc.plants.to_python_control import initial_state
 from jaxilc.pytree import leaf, pytree
 from jaxilc.schemes import Scheme
@@ -115,6 +116,33 @@ def test_a_random_system_comes_back_as_it_left(seed):
         for name in "ABCD":
             np.testing.assert_array_equal(getattr(back, name), getattr(system, name))
         assert back.dt == system.dt
+
+
+def test_the_canonical_form_is_that_of_python_control():
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        n = rng.integers(1, 6)
+        den = rng.standard_normal(n + 1) * 10.0 ** rng.integers(-3, 4)
+        num = rng.standard_normal(rng.integers(1, n + 1)) * 10.0 ** rng.integers(-3, 4)
+        num, den = (np.r_[np.zeros(rng.integers(0, 2)), of] for of in (num, den))
+        found, system = canonical_form(num, den, 0.02), control.tf2ss(num, den)
+        for name in "ABCD":
+            np.testing.assert_array_equal(getattr(found, name), getattr(system, name))
+
+
+@pytest.mark.parametrize(
+    ("num", "den"),
+    [
+        ([0.0], [1.0, 1.0]),
+        ([1.0, 1.0], [1.0, 1.0]),
+        ([1.0], [2.0]),
+        ([1.0], [0.0, 0.0]),
+        ([1e-20], [1.0, 1.0]),
+        ([np.nan], [1.0, 1.0]),
+    ],
+)
+def test_other_transfer_functions_are_left_to_python_control(num, den):
+    assert canonical_form(num, den, 0.0) is None
 
 
 def test_the_channels_keep_their_names():

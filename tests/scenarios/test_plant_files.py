@@ -4,6 +4,8 @@ What is refused is named by its key.
 """
 
 import json
+import subprocess
+import sys
 
 import control
 import numpy as np
@@ -81,6 +83,23 @@ def test_transfer_functions_respond_as_python_control_s(tmp_path):
     np.testing.assert_allclose(
         response(plant), expected(control.tf([0.06, 0.03], [1.0, -1.6, 0.65], DT)), **ALGEBRA
     )
+
+
+def test_a_command_starts_without_packages_that_it_does_not_need(tmp_path):
+    file = write(tmp_path)
+    slow = ("control", "matplotlib", "scipy.signal", "scipy.stats", "xarray", "zarr")
+    program = (
+        "import sys\n"
+        "from jaxilc.scenarios import load_scenario\n"
+        "from jaxilc.cli import asked, tables\n"
+        "from jaxilc.filters.switching import instantaneous_frequency\n"
+        "from jaxilc.hardware import campaign\n"
+        f"for name in ('cao-2019', {str(file)!r}): load_scenario(name)\n"
+        "instantaneous_frequency([0.0, 1.0, 0.5, 0.0, 0.5], 0.1)\n"
+        f"print([name for name in {slow} if name in sys.modules])"
+    )
+    found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert found.stdout == "[]\n", found.stderr
 
 
 def test_several_channels_are_lists_of_lists(tmp_path):
