@@ -22,16 +22,25 @@ import sweep_case
 import xarray as xr
 
 import jaxilc
-from jaxilc import cli
+from jaxilc import Machine, Uniform, cli
+from jaxilc.plants import voice_coil
 from jaxilc.pytree import pytree
 from jaxilc.runtime import capacity
 from jaxilc.schemes import PID
-from jaxilc.sweeps import cluster, worker
+from jaxilc.sweeps import cluster, host, worker
 from jaxilc.sweeps.store import Store
 
 distributed = pytest.importorskip("distributed")
 
-PLAN = dataclasses.replace(sweep_case.PLAN, machines=31)
+# Coefficients at the sample time are compiled faster than poles, which each process samples first.
+COIL = {
+    "machine": Machine(voice_coil("printed"), sensor=sweep_case.PLAN.machine.sensor),
+    "uncertainty": {"plant.b": Uniform(0.9, 1.1, relative=True)},
+}
+PLAN = dataclasses.replace(sweep_case.PLAN, **COIL, machines=31)
+SMALL = dataclasses.replace(
+    PLAN, machine=Machine(voice_coil("printed")), schemes={"feedback": PID(kp=-5.0)}, keep=()
+)
 CHUNKS = [(scheme, chunk) for scheme in range(2) for chunk in range(8)]
 
 
@@ -87,37 +96,6 @@ def written(monkeypatch):
     return found
 
 
-def test_a_killed_workers_chunks_are_computed_again(tmp_path, client, alone, written, monkeypatch):
-    """The chunks of a killed worker are computed again.
-
-    The worker is killed while it has chunks to compute. It is stopped first, so that what it has
-    sent before arrives.
-    """
-    pids, killed, submit = client.run(os.getpid), [], cluster.Workers._submit
-
-    def kill_a_busy_one():
-        address = max(pids, key=lambda address: len(client.processing().get(address, ())))
-        os.kill(pids[address], signal.SIGSTOP)
-        time.sleep(0.3)
-        if client.processing().get(address):
-            killed.append(address)
-        os.kill(pids[address], signal.SIGKILL if killed else signal.SIGCONT)
-
-    def submit_after_a_kill(self, key, *rest):
-        if key[0] == "jaxilc-chunk" and len(written) >= 2 and not killed:
-            kill_a_busy_one()
-        return submit(self, key, *rest)
-
-    monkeypatch.setattr(cluster.Workers, "_submit", submit_after_a_kill)
-    dataset = PLAN.run(tmp_path / "store.zarr", cluster=client)
-    assert killed
-    xr.testing.assert_identical(dataset, alone)
-    assert sorted(written) == CHUNKS
-    # The store is like any other.
-    xr.testing.assert_identical(PLAN.run(tmp_path / "store.zarr", resume=True), alone)
-    until(lambda: len(client.nthreads()) == 2 and not set(killed) & set(client.nthreads()))
-
-
 def test_an_interrupted_sweep_cancels_its_tasks_and_resumes(tmp_path, client, alone, written):
     def stop_after_three(name, done, fresh):
         if len(written) == 3:
@@ -146,8 +124,7 @@ def test_an_interrupted_sweep_cancels_its_tasks_and_resumes(tmp_path, client, al
 def test_precision_goes_along(client):
     jax.config.update("jax_enable_x64", False)
     try:
-        single = dataclasses.replace(PLAN, schemes={"feedback": PID(kp=-5.0)})
-        alone, dataset = single.run(), single.run(cluster=client)
+        alone, dataset = SMALL.run(), SMALL.run(cluster=client)
     finally:
         jax.config.update("jax_enable_x64", True)
     assert dataset["rms"].dtype == np.float32
@@ -170,12 +147,7 @@ def seized(there, trial):
 
 def test_a_chunk_that_fails_for_good_is_named_and_the_others_stay(tmp_path, client, written):
     there, store = tmp_path / "seized", tmp_path / "store.zarr"
-    plan = dataclasses.replace(
-        PLAN,
-        schemes={"feedback": PID(kp=-5.0)},
-        quantities={"seized": partial(seized, str(there))},
-        trials=1,
-    )
+    plan = dataclasses.replace(SMALL, quantities={"seized": partial(seized, str(there))}, trials=1)
     with pytest.raises(
         cluster.ChunkFailed,
         match=r"(?s)scheme 'feedback', chunk \d \(machines \d+ to \d+\) failed.*the bearing has "
@@ -303,8 +275,30 @@ def test_without_distributed_the_extra_is_named(monkeypatch):
         PLAN.run(cluster="tcp://127.0.0.1:9")
 
 
+AXIS = """
+[plant]
+kind = "state_space"
+A = [[0.5]]
+B = [[0.5]]
+C = [[1.0]]
+dt = 0.001
+[task]
+dt = 0.001
+reference = { function = "sinusoid", amplitude = 1.0, frequency = 50.0, duration = 0.02 }
+[schemes.pid]
+class = "PID"
+kp = 0.5
+[uncertainty."plant.B"]
+distribution = "uniform"
+low = 0.9
+high = 1.1
+relative = true
+"""
+
+
 def sweep_command(monkeypatch, *arguments):
-    monkeypatch.setattr(sys, "argv", ["jaxilc", "sweep", "cao-2019", *map(str, arguments)])
+    Path("axis.toml").write_text(AXIS)
+    monkeypatch.setattr(sys, "argv", ["jaxilc", "sweep", "axis.toml", *map(str, arguments)])
     try:
         cli.main()
     except SystemExit as stop:
@@ -322,6 +316,44 @@ def test_the_command_takes_a_scheduler_file(monkeypatch, tmp_path, client):
     xr.testing.assert_identical(
         *(jaxilc.open_dataset(tmp_path / out / "dataset.zarr") for out in ("many", "alone"))
     )
+
+
+def slowly():
+    """In a worker, let every chunk take so long that a worker is busy while it is killed."""
+    compute = host.Host.compute
+    host.Host.compute = lambda self, chunk: (time.sleep(0.2), compute(self, chunk))[1]
+
+
+def test_a_killed_workers_chunks_are_computed_again(tmp_path, client, alone, written, monkeypatch):
+    """The chunks of a killed worker are computed again.
+
+    The worker is killed while it has chunks to compute. It is stopped first, so that what it has
+    sent before arrives. This is the last test of the workers, so that none of them starts again.
+    """
+    pids, killed, submit = client.run(os.getpid), [], cluster.Workers._submit
+
+    def kill_a_busy_one():
+        address = max(pids, key=lambda address: len(client.processing().get(address, ())))
+        os.kill(pids[address], signal.SIGSTOP)
+        time.sleep(0.3)
+        if client.processing().get(address):
+            killed.append(address)
+        os.kill(pids[address], signal.SIGKILL if killed else signal.SIGCONT)
+
+    def submit_after_a_kill(self, key, *rest):
+        if key[0] == "jaxilc-chunk" and len(written) >= 2 and not killed:
+            kill_a_busy_one()
+        return submit(self, key, *rest)
+
+    client.run(slowly)
+    monkeypatch.setattr(cluster.Workers, "_submit", submit_after_a_kill)
+    dataset = PLAN.run(tmp_path / "store.zarr", cluster=client)
+    assert killed
+    xr.testing.assert_identical(dataset, alone)
+    assert sorted(written) == CHUNKS
+    # The store is like any other.
+    xr.testing.assert_identical(PLAN.run(tmp_path / "store.zarr", resume=True), alone)
+    until(lambda: len(client.nthreads()) == 2 and not set(killed) & set(client.nthreads()))
 
 
 def test_a_scheduler_out_of_reach_is_one_line(monkeypatch, tmp_path, capsys):
