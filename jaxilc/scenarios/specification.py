@@ -15,6 +15,7 @@ import numpy as np
 from .. import plants, schemes
 from ..filters import switching, zero_phase
 from ..plants import Plant
+from ..pytree.closest import known_names, not_one_of
 from ..pytree.ranges import as_numbers, brief, is_whole
 from ..schemes import Scheme
 
@@ -78,8 +79,8 @@ class Table:
         for key in self.values:
             if key not in self.read:
                 raise ValueError(
-                    f"{self.at(key)} is not a key here; allowed are "
-                    f"{', '.join(sorted(self.read)) or 'none'}"
+                    f"{self.at(key)} is not a key here; "
+                    f"{known_names(key, sorted(self.read), 'allowed are')}"
                 )
 
 
@@ -134,7 +135,7 @@ def one_of(choices: Iterable[str]) -> Callable[[Any, str], str]:
 
     def kind(value: Any, where: str) -> str:
         if not isinstance(value, str) or value not in choices:
-            raise ValueError(f"{where} = {brief(value)} is not one of {', '.join(choices)}")
+            raise ValueError(not_one_of(f"{where} = {brief(value)}", value, choices))
         return value
 
     return kind

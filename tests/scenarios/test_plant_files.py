@@ -311,7 +311,7 @@ def test_scenarios_by_name_take_options_and_paths_together():
     for name in scenarios.SCENARIOS:
         with pytest.raises(
             ValueError,
-            match=f"scenario = 'axis' is not one of .*{name}.*, nor a file .toml or .json",
+            match=f"scenario = 'axis' is not one of .*{name}.*; a file .toml or .json may stand in",
         ):
             load_scenario("axis")
     with pytest.raises(FileNotFoundError):
@@ -340,7 +340,7 @@ def pid(**fields):
     [
         (
             {"plants": PLANT},
-            "axis.json: plants is not a key here; allowed are machine, name, plant",
+            "axis.json: plants is not a key here; did you mean plant. Allowed are machine",
         ),
         ({"plant": None}, "axis.json: plant is missing; present are task, schemes"),
         ({"plant": 3}, "axis.json: plant = 3 is not a table"),
@@ -405,7 +405,7 @@ def pid(**fields):
         ),
         (
             {"task": TASK | {"reference": TASK["reference"] | {"freq": 1.0}}},
-            "task.reference.freq is not a key here; allowed are amplitude",
+            "task.reference.freq is not a key here; did you mean frequency. Allowed are amplitude",
         ),
         (
             {"task": TASK | {"reference": TASK["reference"] | {"frequency": 900.0}}},
@@ -418,7 +418,7 @@ def pid(**fields):
         ),
         (
             {"schemes": {"a": {"class": "PIT"}}},
-            "axis.json: schemes.a.class = 'PIT' is not one of .*PIDType",
+            "axis.json: schemes.a.class = 'PIT' is unknown; did you mean PID. ",
         ),
         (
             {"schemes": {"a": {"class": "StateSpace", "A": [[1.0]], "B": [[1.0]], "C": [[1.0]]}}},
