@@ -14,10 +14,9 @@ from .. import identification, plants
 from ..identification.records import read_record
 from ..plants import Plant, from_control
 from ..pytree.ranges import brief, require
-from .specification import (
+from .specification import built, classes
+from .values import (
     Table,
-    built,
-    classes,
     flag,
     list_of,
     list_of_numbers,

@@ -61,7 +61,8 @@ from ..uncertainty import check as check_uncertainty
 from . import Scenario
 from .file_plant import plant_of
 from .file_task import machine_of, task_of, uncertainty_of
-from .specification import Table, list_of, number, scheme, text, whole
+from .specification import scheme
+from .values import Table, list_of, number, text, whole
 
 
 def load_scenario(name: str | Path, settings: Mapping[str, object] | None = None) -> Scenario:
