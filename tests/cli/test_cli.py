@@ -24,6 +24,7 @@ from typer.testing import CliRunner
 
 import jaxilc
 from jaxilc.cli import app, console, main, progress
+from jaxilc.cli.options import DESIGN, MACHINE, PROVE, SIMULATE
 from jaxilc.scenarios import LISTED
 
 PLANT = """
@@ -500,6 +501,20 @@ def test_a_help_page_fits_80_columns(name):
     assert "…" not in shown.stdout
     assert ("--machines" in shown.stdout) == (name in ("sweep", "certify", "tune", "pareto"))
     assert ("[@METRIC]" in shown.stdout) == (name in ("tune", "pareto"))
+
+
+def test_help_groups_every_command_by_what_one_wants():
+    """Each command stands in one group, and `--help` shows the groups in the order of use."""
+    groups = {n: c.rich_help_panel for n, c in get_command(app).commands.items()}
+    assert groups["sweep"] == groups["run"] == groups["list"] == SIMULATE
+    assert groups["tune"] == groups["pareto"] == groups["worst-case"] == DESIGN
+    assert groups["certify"] == PROVE
+    assert groups["next"] == groups["trials"] == MACHINE
+    shown = CliRunner().invoke(app, ["--help"], env={"COLUMNS": "80"}).stdout
+    places = [shown.index(f"─ {group} ─") for group in dict.fromkeys(groups.values())]
+    assert places == sorted(places)
+    assert len(places) == 6
+    assert "─ Commands ─" not in shown
 
 
 def test_what_commands_share_is_declared_once():
