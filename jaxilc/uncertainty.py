@@ -19,6 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .pytree.closest import not_one_of
 from .pytree.named_paths import get_at, interval_at, replaced
 from .pytree.ranges import SEEDS, brief, is_number, require
 from .runtime.capacity import check_size
@@ -204,7 +205,7 @@ def draw(
     its leaf.
     """
     if sampling not in SAMPLINGS:
-        raise ValueError(f"sampling = {brief(sampling)} is not one of {', '.join(SAMPLINGS)}")
+        raise ValueError(not_one_of(f"sampling = {brief(sampling)}", sampling, SAMPLINGS))
     require("draw", "machines", machines, "[1, inf)", whole=True)
     require("draw", "seed", seed, SEEDS, whole=True)
     check(machine, uncertainty)

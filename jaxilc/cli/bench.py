@@ -9,7 +9,7 @@ import typer
 
 from .completion import scenarios_from
 from .console import err, out
-from .options import Json, Precision
+from .options import SPEED, Json, Precision
 from .results import written
 
 CONTESTS, OF_SCENARIO = "1,16,1024", "64"  # numbers of plants where none are given
@@ -17,7 +17,7 @@ CONTESTS, OF_SCENARIO = "1,16,1024", "64"  # numbers of plants where none are gi
 
 def register(app: typer.Typer) -> None:
     """Add the command to the command line."""
-    app.command()(bench)
+    app.command(rich_help_panel=SPEED)(bench)
 
 
 def bench(

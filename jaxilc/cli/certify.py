@@ -8,6 +8,7 @@ import typer
 
 from .console import err, out
 from .options import (
+    PROVE,
     Json,
     Machines,
     OutFolder,
@@ -27,7 +28,7 @@ from .results import folder_of, written
 
 def register(app: typer.Typer) -> None:
     """Add the command to the command line."""
-    app.command()(certify)
+    app.command(rich_help_panel=PROVE)(certify)
 
 
 def certify(

@@ -37,7 +37,7 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
-    help="Iterative learning control of machine-tool feed drives: simulate, sweep, tune.",
+    help="Iterative learning control of machine-tool feed drives.",
     epilog="\n\n".join(EXIT_CODES),
 )
 
@@ -81,7 +81,8 @@ def options(
     speak(quiet=quiet, verbose=verbose)
 
 
-for room in (run, sweep, certify, identify, reproduce, tune, worst_case, pareto, hardware, bench):
+# in the order of `--help`
+for room in (run, sweep, tune, pareto, worst_case, identify, certify, hardware, reproduce, bench):
     room.register(app)
 
 

@@ -9,7 +9,7 @@ import typer
 
 from .completion import of_list, scenarios_from, schemes_from
 from .console import err, out
-from .options import Set
+from .options import MACHINE, Set
 from .results import written
 from .titled_table import Table
 
@@ -93,8 +93,8 @@ DryRun = Annotated[bool, typer.Option("--dry-run", help="Check and report; write
 
 def register(app: typer.Typer) -> None:
     """Add the commands to the command line."""
-    app.command("next")(next_)
-    app.command()(trials)
+    app.command("next", rich_help_panel=MACHINE)(next_)
+    app.command(rich_help_panel=MACHINE)(trials)
 
 
 def next_(

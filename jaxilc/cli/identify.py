@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from .console import out
-from .options import Json, Report, folder_to_write
+from .options import DESIGN, Json, Report, folder_to_write
 from .results import folder_of, written
 
 NOT_WHITE = (
@@ -18,7 +18,7 @@ NOT_WHITE = (
 
 def register(app: typer.Typer) -> None:
     """Add the command to the command line."""
-    app.command()(identify)
+    app.command(rich_help_panel=DESIGN)(identify)
 
 
 def identify(

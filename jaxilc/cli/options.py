@@ -14,6 +14,14 @@ import typer
 from .completion import of_list, scenarios_from, schemes_from
 from .terms import OBJECTIVES, RISKS
 
+# What one wants, in the order of `jaxilc --help`; each command belongs to one of these groups.
+SIMULATE = "Simulate"
+DESIGN = "Design"
+PROVE = "Prove"
+MACHINE = "Learn on a real machine"
+PAPERS = "Published results"
+SPEED = "Speed"
+
 
 def file_to_write(path: Path | None) -> Path | None:
     """The path of a file for results.

@@ -10,6 +10,7 @@ import typer
 
 from .console import out
 from .options import (
+    DESIGN,
     TERMS,
     Bounds,
     HeldOut,
@@ -50,7 +51,7 @@ if TYPE_CHECKING:
 
 def register(app: typer.Typer) -> None:
     """Add the command to the command line."""
-    app.command()(pareto)
+    app.command(rich_help_panel=DESIGN)(pareto)
 
 
 def pareto(

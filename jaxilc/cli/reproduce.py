@@ -8,13 +8,13 @@ import typer
 
 from .completion import scenarios_from
 from .console import out
-from .options import Json, Precision, Report
+from .options import PAPERS, Json, Precision, Report
 from .results import written
 
 
 def register(app: typer.Typer) -> None:
     """Add the command to the command line."""
-    app.command()(reproduce)
+    app.command(rich_help_panel=PAPERS)(reproduce)
 
 
 def reproduce(

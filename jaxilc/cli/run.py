@@ -10,6 +10,7 @@ from ..scenarios.catalogue import LISTED
 from .completion import scenarios_from
 from .console import out
 from .options import (
+    SIMULATE,
     Json,
     OutFolder,
     Params,
@@ -27,8 +28,8 @@ from .titled_table import Table
 
 def register(app: typer.Typer) -> None:
     """Add the commands to the command line."""
-    app.command("list")(list_)
-    app.command()(run)
+    app.command("list", rich_help_panel=SIMULATE)(list_)
+    app.command(rich_help_panel=SIMULATE)(run)
 
 
 def list_(

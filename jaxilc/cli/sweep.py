@@ -9,6 +9,7 @@ import typer
 
 from .console import out, stage_ends
 from .options import (
+    SIMULATE,
     Json,
     Machines,
     OutFolder,
@@ -29,7 +30,7 @@ from .results import unless_there, written
 
 def register(app: typer.Typer) -> None:
     """Add the command to the command line."""
-    app.command()(sweep)
+    app.command(rich_help_panel=SIMULATE)(sweep)
 
 
 def sweep(

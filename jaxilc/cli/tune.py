@@ -9,6 +9,7 @@ import typer
 
 from .console import err, out
 from .options import (
+    DESIGN,
     TERMS,
     Bounds,
     HeldOut,
@@ -40,7 +41,7 @@ from .results import parameter_file, unless_there, written
 
 def register(app: typer.Typer) -> None:
     """Add the command to the command line."""
-    app.command()(tune)
+    app.command(rich_help_panel=DESIGN)(tune)
 
 
 def tune(

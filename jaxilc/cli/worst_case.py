@@ -9,6 +9,7 @@ import typer
 
 from .console import out
 from .options import (
+    DESIGN,
     Json,
     OneScheme,
     OutFolder,
@@ -26,7 +27,7 @@ from .results import folder_of, written
 
 def register(app: typer.Typer) -> None:
     """Add the command to the command line."""
-    app.command()(worst_case)
+    app.command(rich_help_panel=DESIGN)(worst_case)
 
 
 def worst_case(

@@ -12,6 +12,7 @@ import scipy
 
 from ..learning.machine import Machine
 from ..plants import Plant, ProcessModel
+from ..pytree.closest import known_names
 from ..pytree.named_paths import get_at, interval_at, named_leaves, replaced
 from ..pytree.ranges import Interval
 from ..signals.task import Task
@@ -243,7 +244,7 @@ def free_elements(plant: Plant, free: Sequence[str] | None) -> tuple[str, ...]:
         if path not in leaves and re.sub(r"(\[\d+\])+$", "", path) not in leaves:
             raise ValueError(
                 f"identify: free = {path!r} is not a leaf of {type(plant).__name__}; "
-                f"known: {', '.join(leaves) or 'none'}"
+                f"{known_names(path, leaves)}"
             )
         try:
             shape = np.shape(get_at(plant, path))

@@ -15,6 +15,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from .closest import known_names
 from .fields import is_decorated, kind_of
 from .ranges import Interval, annotations_of, as_numbers, brief
 
@@ -79,8 +80,7 @@ def get_at(tree, path: str) -> Any:
         if isinstance(key, str):
             if key not in below:
                 raise KeyError(
-                    f"{path!r} is not a parameter here; known: "
-                    f"{', '.join(settable(tree)) or 'none'}"
+                    f"{path!r} is not a parameter here; {known_names(path, settable(tree))}"
                 )
             value, name = below[key], key
         elif key in below:

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 from ..hardware.campaign import Campaign
 from ..hardware.checks import Rules
 from ..hardware.journal import Journal
+from ..pytree.closest import known_names
 from ..pytree.ranges import is_number
 from .from_file import load_scenario
 from .loading import SCENARIOS
@@ -105,6 +106,6 @@ def _learning_scheme(chosen: Scenario, name: str | None) -> str:
         raise ValueError(f"--scheme is missing; those that learn are {', '.join(learning)}")
     if name not in learning:
         raise ValueError(
-            f"scheme = {name!r} is not one of those that learn: {', '.join(learning) or 'none'}"
+            f"scheme = {name!r} is not one of those that learn; {known_names(name, learning)}"
         )
     return name

@@ -15,10 +15,9 @@ from ..identification.records import read_record
 from ..plants import Plant, from_control
 from ..plants.from_python_control import Linear, canonical_form, from_linear
 from ..pytree.ranges import brief, require
-from .specification import (
+from .specification import built, classes
+from .values import (
     Table,
-    built,
-    classes,
     flag,
     list_of,
     list_of_numbers,

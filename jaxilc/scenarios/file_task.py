@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,10 @@ from ..pytree.ranges import require
 from ..signals import references
 from ..signals.task import Task
 from ..uncertainty import LogUniform, Normal, Uniform
-from .specification import Table, built, called, flag, list_of, number, one_of, text, whole
+from .specification import built, called
+from .values import Table, flag, list_of, number, one_of, text, whole
 
+UNITS = "lengths in the `unit` of the task, times in s, frequencies in Hz, angles in rad"
 REFERENCES = ("sinusoid", "multisine", "chirp", "s_curve", "noncircular")
 DISTRIBUTIONS = {"uniform": Uniform, "normal": Normal, "log_uniform": LogUniform}
 
@@ -39,7 +42,8 @@ def task_of(values: Any, where: str, folder: Path, plant: Plant) -> Task:
     folder: folder of the file
     """
     table = Table(values, where)
-    dt = table.take("dt", number)
+    in_units = functools.partial(number, units=UNITS)
+    dt = table.take("dt", in_units)
     require("", table.at("dt"), dt, "(0, inf)")
 
     def reference(value, at):
@@ -55,7 +59,7 @@ def task_of(values: Any, where: str, folder: Path, plant: Plant) -> Task:
 
     fields = {
         "reference": table.take("reference", reference),
-        "settle": table.take("settle", lambda v, at: tuple(list_of(number)(v, at)), None),
+        "settle": table.take("settle", lambda v, at: tuple(list_of(in_units)(v, at)), None),
         "inputs": table.take("inputs", whole, plant.n_u),
         "unit": table.take("unit", text, ""),
         "input_unit": table.take("input_unit", text, ""),
@@ -73,10 +77,10 @@ def task_of(values: Any, where: str, folder: Path, plant: Plant) -> Task:
 
 def _reference(value: Any, where: str, folder: Path, dt: float) -> np.ndarray:
     """(N+1,) reference from a function of `references` or a column of a file with a header."""
-    table = Table(value, where)
+    table = Table(value, where, '{ function = "sinusoid", ... } or { csv = "FILE", column = "r" }')
     if "csv" not in table:
         function = table.take("function", one_of(REFERENCES))
-        return np.asarray(called(getattr(references, function), table, dt=dt))
+        return np.asarray(called(getattr(references, function), table, UNITS, dt=dt))
     path, column = folder / table.take("csv", text), table.take("column", text, "r")
     time = table.take("time", text, "t")
     table.done()

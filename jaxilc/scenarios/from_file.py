@@ -54,13 +54,15 @@ from typing import Any
 from .. import scenarios
 from ..learning.machine import Machine
 from ..learning.over_trials import check
+from ..pytree.closest import not_one_of
 from ..pytree.ranges import brief, require
 from ..storage.reading import PARSERS, read_tree
 from ..uncertainty import check as check_uncertainty
 from . import Scenario
 from .file_plant import plant_of
 from .file_task import machine_of, task_of, uncertainty_of
-from .specification import Table, list_of, number, scheme, text, whole
+from .specification import scheme
+from .values import Table, list_of, number, text, whole
 
 
 def load_scenario(name: str | Path, settings: Mapping[str, object] | None = None) -> Scenario:
@@ -79,8 +81,8 @@ def load_scenario(name: str | Path, settings: Mapping[str, object] | None = None
     elif Path(name).suffix in PARSERS:
         chosen = read_scenario(name)
     else:
-        allowed = f"{', '.join(scenarios.SCENARIOS)}, nor a file {' or '.join(PARSERS)}"
-        raise ValueError(f"scenario = {brief(str(name))} is not one of {allowed}")
+        said = not_one_of(f"scenario = {brief(str(name))}", str(name), scenarios.SCENARIOS)
+        raise ValueError(f"{said}; a file {' or '.join(PARSERS)} may stand in its place")
     return chosen.with_values(settings)
 
 

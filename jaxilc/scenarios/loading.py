@@ -6,6 +6,7 @@ import dataclasses
 import inspect
 from collections.abc import Callable
 
+from ..pytree.closest import not_one_of
 from ..pytree.ranges import brief
 from .cao_2019 import cao_2019
 from .cao_2019_rig import cao_2019_rig
@@ -31,11 +32,11 @@ def load(name: str, **chosen) -> Scenario:
     Raises ValueError naming the allowed scenarios or options.
     """
     if name not in SCENARIOS:
-        raise ValueError(f"scenario = {name!r} is not one of {', '.join(SCENARIOS)}")
+        raise ValueError(not_one_of(f"scenario = {brief(name)}", name, SCENARIOS))
     allowed = options(name)
     for option in chosen:
         if option not in allowed:
-            raise ValueError(f"{name}: option {brief(option)} is not one of {', '.join(allowed)}")
+            raise ValueError(not_one_of(f"{name}: option {brief(option)}", option, allowed))
     for option, value in chosen.items():
         if isinstance(allowed[option], str) and not isinstance(value, str):
             raise ValueError(f"{name}: option {option} = {brief(value)} is not text")

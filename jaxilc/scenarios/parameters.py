@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from ..pytree.closest import not_one_of
 from ..pytree.named_paths import settable
 from ..pytree.ranges import brief
 from ..runtime.provenance import environment
@@ -78,9 +79,8 @@ def with_parameters(scenario: Scenario, path: Path) -> Scenario:
         raise ValueError(f"{path} has parameters of {brief(name)}, not of {scenario.name!r}")
     for scheme in schemes:
         if scheme not in scenario.schemes:
-            raise ValueError(
-                f"{path}: scheme = {scheme!r} is not one of {', '.join(scenario.schemes)}"
-            )
+            what = f"{path}: scheme = {brief(scheme)}"
+            raise ValueError(not_one_of(what, scheme, scenario.schemes))
     try:
         return scenario.with_values(values)
     except ValueError as error:

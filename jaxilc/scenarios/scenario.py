@@ -13,6 +13,7 @@ import jax
 from ..learning.machine import Machine
 from ..learning.metrics import Metrics
 from ..learning.over_trials import check
+from ..pytree.closest import known_names, not_one_of
 from ..pytree.named_paths import allowed_at, get_at, kind_at, replaced, settable
 from ..pytree.ranges import brief, named
 from ..schemes import Scheme
@@ -173,10 +174,8 @@ class Scenario:
         if metric == "best_trial":
             return 1.0, ""
         if metric not in Metrics._fields:
-            raise ValueError(
-                f"metric = {metric!r} is not one of "
-                f"{', '.join((*Metrics._fields, *self.quantities))}"
-            )
+            known = (*Metrics._fields, *self.quantities)
+            raise ValueError(not_one_of(f"metric = {metric!r}", metric, known))
         return (
             (1.0, self.task.input_unit)
             if metric == "effort"
@@ -199,7 +198,7 @@ class Scenario:
         """
         for name in names:
             if name not in self.schemes:
-                raise ValueError(f"scheme = {name!r} is not one of {', '.join(self.schemes)}")
+                raise ValueError(not_one_of(f"scheme = {name!r}", name, self.schemes))
         return (
             dataclasses.replace(self, schemes={n: self.schemes[n] for n in names})
             if names
@@ -242,9 +241,8 @@ class Scenario:
                 get_at(objects[head], rest)
                 changes.setdefault(head, {})[rest] = _typed(objects[head], rest, value, path)
             except KeyError:
-                raise ValueError(
-                    f"{path!r} cannot be set; known: {', '.join(self.settable())}"
-                ) from None
+                known = [name for name in (*self.options, *self.settable()) if name != path]
+                raise ValueError(f"{path!r} cannot be set; {known_names(path, known)}") from None
         objects |= {name: replaced(objects[name], values) for name, values in changes.items()}
         machine = objects.pop("machine")
         return dataclasses.replace(self, machine=machine, schemes=objects)

@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import inspect
 import typing
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from types import UnionType
 from typing import Any
 
@@ -15,8 +15,10 @@ import numpy as np
 from .. import plants, schemes
 from ..filters import switching, zero_phase
 from ..plants import Plant
-from ..pytree.ranges import as_numbers, brief, is_whole
+from ..pytree.closest import closest
+from ..pytree.ranges import brief
 from ..schemes import Scheme
+from .values import Table, number, numbers, one_of, text
 
 _HIDDEN = {"solved"}  # computed by the scheme itself
 _MODELS = {"direct_model": plants.direct_model, "multivariable_model": plants.multivariable_model}
@@ -34,125 +36,6 @@ def classes() -> dict[str, type]:
         for n, c in found.items()
         if dataclasses.is_dataclass(c) and c.__module__.startswith(__name__.partition(".")[0] + ".")
     }
-
-
-class Table:
-    """A table of a file, whose values are read key by key.
-
-    where: name of the table in messages
-    read: keys that were read; `done` refuses all others
-    """
-
-    def __init__(self, values: Any, where: str):
-        if not isinstance(values, Mapping):
-            what = (
-                f"{where} {brief(values)}" if where.endswith(":") else f"{where} = {brief(values)}"
-            )
-            raise ValueError(f"{what} is not a table of keys and values")
-        self.values, self.where, self.read = dict(values), where, set()
-
-    def __contains__(self, key: str) -> bool:
-        return key in self.values
-
-    def at(self, key: str) -> str:
-        return f"{self.where}{' ' if self.where.endswith(':') else '.'}{key}"
-
-    def take(
-        self, key: str, kind: Callable[[Any, str], Any], default: Any = dataclasses.MISSING
-    ) -> Any:
-        """The value of a key, as `kind(value, where)` returns it.
-
-        Raises ValueError where a key without default is missing.
-        """
-        self.read.add(key)
-        if key in self.values:
-            return kind(self.values[key], self.at(key))
-        if default is dataclasses.MISSING:
-            raise ValueError(
-                f"{self.at(key)} is missing; present are {', '.join(self.values) or 'none'}"
-            )
-        return default
-
-    def done(self) -> None:
-        """Raises ValueError for a key that was not read, naming those that are allowed."""
-        for key in self.values:
-            if key not in self.read:
-                raise ValueError(
-                    f"{self.at(key)} is not a key here; allowed are "
-                    f"{', '.join(sorted(self.read)) or 'none'}"
-                )
-
-
-# Kinds of values
-# --------------------------------------------------------------------------------------------------
-
-
-def number(value: Any, where: str) -> float:
-    return float(_finite(value, where, "a number", ())[()])
-
-
-def whole(value: Any, where: str) -> int:
-    if not is_whole(value):
-        raise ValueError(f"{where} = {brief(value)} is not a whole number")
-    return value
-
-
-def text(value: Any, where: str) -> str:
-    if not isinstance(value, str):
-        raise ValueError(f"{where} = {brief(value)} is not text")
-    return value
-
-
-def flag(value: Any, where: str) -> bool:
-    if not isinstance(value, bool):
-        raise ValueError(f"{where} = {brief(value)} is not true or false")
-    return value
-
-
-def numbers(value: Any, where: str) -> np.ndarray:
-    """A number, or nested lists of numbers that form an array; all must be finite."""
-    return _finite(value, where, "a number or a list of numbers")
-
-
-def list_of_numbers(value: Any, where: str) -> np.ndarray:
-    """One list of finite numbers."""
-    return _finite(value, where, "a list of numbers", (-1,))
-
-
-def _finite(value: Any, where: str, said: str, shape: tuple | None = None) -> np.ndarray:
-    """The value as a finite array of the shape (), (-1,), or any shape for None."""
-    found = None if isinstance(value, bool | np.bool_ | str) else as_numbers(value)
-    if found is None or (shape is not None and found.ndim != len(shape)):
-        raise ValueError(f"{where} = {brief(value)} is not {said}")
-    if not np.all(np.isfinite(found)):
-        raise ValueError(f"{where} = {brief(value)} is not finite")
-    return found
-
-
-def one_of(choices: Iterable[str]) -> Callable[[Any, str], str]:
-    """The kind of a value that must be one of these words."""
-
-    def kind(value: Any, where: str) -> str:
-        if not isinstance(value, str) or value not in choices:
-            raise ValueError(f"{where} = {brief(value)} is not one of {', '.join(choices)}")
-        return value
-
-    return kind
-
-
-def list_of(kind: Callable[[Any, str], Any]) -> Callable[[Any, str], list]:
-    """The kind of a list whose elements are of one kind."""
-
-    def of_list(value: Any, where: str) -> list:
-        if not isinstance(value, list):
-            raise ValueError(f"{where} = {brief(value)} is not a list")
-        return [kind(element, f"{where}[{i}]") for i, element in enumerate(value)]
-
-    return of_list
-
-
-# Objects
-# --------------------------------------------------------------------------------------------------
 
 
 def built(
@@ -173,7 +56,8 @@ def built(
     Raises ValueError naming the key: for an unknown class or field, for a missing field, and for a
     value of another kind or outside its range.
     """
-    table = Table(values, where)
+    known = dataclasses.fields(typing.cast(Any, cls)) if cls else ()
+    table = Table(values, where, ", ".join(field.name for field in known))
     if cls is None:
         cls = classes()[table.take("class", one_of(sorted(classes())))]
     hints, fields = typing.get_type_hints(cls), {}
@@ -215,33 +99,51 @@ def _field(
     elif isinstance(value, Mapping):
         value = built(value, where, plant=plant, dt=dt)
     if isinstance(hint, type | UnionType) and not isinstance(value, hint):
-        raise ValueError(f"{where} is a {type(value).__name__}; allowed is {_kinds(hint)}")
+        plain = isinstance(value, str | int | float | list)
+        found = f" = {brief(value)}" if plain else f" is a {type(value).__name__}"
+        raise ValueError(f"{where}{found}{' is no table' * plain}; {_kinds(hint, value)}")
     return value
 
 
-def _kinds(hint: Any) -> str:
-    """The names of the classes that are allowed for a part, as text for a message."""
+def _kinds(hint: Any, value: Any) -> str:
+    """What is allowed for a part, as text for a message on a value that is not.
+
+    Text that is close to a class, or to "plant", is answered with it first.
+    """
     wanted = tuple(c for c in typing.get_args(hint) or (hint,) if c is not type(None))
-    subclasses = [name for name, c in classes().items() if issubclass(c, wanted)]
-    return (
-        f"a table with class = {' | '.join(sorted(subclasses))}"
-        if subclasses
-        else ", ".join(c.__name__ for c in wanted)
-    )
+    named = sorted(name for name, c in classes().items() if issubclass(c, wanted))
+    if not named:
+        return f"allowed is {', '.join(c.__name__ for c in wanted)}"
+    allowed = f"a table with class = {' | '.join(named)}"
+    written = {name: f'{{ class = "{name}", ... }}' for name in named}
+    if issubclass(plants.StateSpace, wanted):
+        written["plant"] = '"plant"'
+        allowed = (
+            f'"plant", which stands for the plant of this file, {allowed}, or a table with '
+            f"function = {' | '.join(_MODELS)}"
+        )
+    near = [written[name] for name in closest(value, written)]
+    return (f"did you mean {' or '.join(near)}? Allowed is " if near else "allowed is ") + allowed
 
 
 def _model(values: Mapping, where: str, plant: Plant | None, dt: float | None) -> plants.StateSpace:
     table = Table(values, where)
     function = _MODELS[table.take("function", one_of(sorted(_MODELS)))]
     gain = table.take("C_P", number)
-    model = table.take(
-        "P",
-        lambda v, at: (
-            _nominal(at, plant, dt) if v == "plant" else built(v, at, cls=plants.StateSpace)
-        ),
-    )
+    model = table.take("P", functools.partial(_state_space, plant, dt))
     table.done()
     return _named(where, lambda: function(gain, model))
+
+
+def _state_space(plant: Plant | None, dt: float | None, value: Any, where: str):
+    if value == "plant":
+        return _nominal(where, plant, dt)
+    if isinstance(value, str):
+        raise ValueError(
+            f'{where} = {brief(value)} is no table; allowed is "plant", which stands for the plant '
+            "of this file, or a table with A, B, C, dt of a discrete model"
+        )
+    return built(value, where, cls=plants.StateSpace)
 
 
 def _nominal(where: str, plant: Plant | None, dt: float | None) -> plants.StateSpace:
@@ -262,13 +164,16 @@ def scheme(values: Any, where: str, plant: Plant, dt: float) -> Scheme:
     """The scheme with its parts that a table describes; raises ValueError as `built` does."""
     made = built(values, where, plant=plant, dt=dt)
     if not isinstance(made, Scheme):
-        raise ValueError(f"{where} is a {type(made).__name__}; allowed is {_kinds(Scheme)}")
+        raise ValueError(f"{where} is a {type(made).__name__}; {_kinds(Scheme, made)}")
     return made
 
 
-def called(function: Callable, table: Table, **given: Any) -> Any:
+def called(function: Callable, table: Table, units: str, **given: Any) -> Any:
     """The result of a function whose arguments are the remaining keys of a table.
 
+    An argument is text where its default is text, and otherwise numbers.
+
+    units: units of the numbers, for messages
     given: further arguments of the function
     Raises ValueError naming the argument that does not fit.
     """
@@ -277,13 +182,16 @@ def called(function: Callable, table: Table, **given: Any) -> Any:
         if name in given:
             continue
         default = dataclasses.MISSING if parameter.default is parameter.empty else _DEFAULT
-        value = table.take(
-            name, lambda v, at: v if isinstance(v, str) else numbers(v, at)[()], default
-        )
+        read = text if isinstance(parameter.default, str) else _numbers_in(units)
+        value = table.take(name, read, default)
         if value is not _DEFAULT:
             arguments[name] = value
     table.done()
     return _named(table.where, lambda: function(**arguments, **given))
+
+
+def _numbers_in(units: str) -> Callable[[Any, str], Any]:
+    return lambda value, where: numbers(value, where, units)[()]
 
 
 def _named(where: str, make: Callable[[], Any]) -> Any:

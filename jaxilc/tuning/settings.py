@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from ..pytree.closest import not_one_of
 from ..pytree.ranges import SEEDS, require
 from .optimisers import OPTIMISERS
 
@@ -30,4 +31,4 @@ def check_settings(settings: Mapping[str, Any]) -> None:
     for name, choices in CHOICES.items():
         value = settings[name]
         if isinstance(value, str) and value not in choices:
-            raise ValueError(f"Tuning: {name} = {value!r} is not one of {', '.join(choices)}")
+            raise ValueError(not_one_of(f"Tuning: {name} = {value!r}", value, choices))

@@ -24,6 +24,7 @@ from typer.testing import CliRunner
 
 import jaxilc
 from jaxilc.cli import app, console, main, progress
+from jaxilc.cli.options import DESIGN, MACHINE, PROVE, SIMULATE
 from jaxilc.scenarios import LISTED
 
 PLANT = """
@@ -180,14 +181,19 @@ def test_sweep_prints_the_yield_and_resumes(jaxilc_command, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("run", "cao"), "scenario = 'cao' is not one of cao-2019"),
+        (("run", "cao"), "scenario = 'cao' is unknown; did you mean cao-2019 or cao-2019-rig?"),
         (
             ("run", "cao-2019", "--scheme", "ilc"),
-            "scheme = 'ilc' is not one of pid, cfdl-mfailc, pfdl-mfailc, ffdl-mfailc, ilc-mfapc",
+            "scheme = 'ilc' is unknown; did you mean cfdl-mfailc or pfdl-mfailc or ffdl-mfailc? "
+            "Known: pid, cfdl-mfailc, pfdl-mfailc, ffdl-mfailc, ilc-mfapc",
         ),
         (("run", "cao-2019", "--trials", "0"), "--trials 0 is outside its allowed range [1, inf)"),
-        (("run", "cao-2019", "--set", "lam=1"), "'lam' cannot be set; known: machine.plant.gain"),
-        (("run", "cao-2019", "--set", "pid.kq=1"), "'pid.kq' cannot be set; known: "),
+        (
+            ("run", "cao-2019", "--set", "lam=1"),
+            "'lam' cannot be set; did you mean cfdl-mfailc",
+        ),
+        (("run", "cao-2019", "--set", "plnat=exact"), "'plnat' cannot be set; did you mean plant"),
+        (("run", "cao-2019", "--set", "pid.kq=1"), "'pid.kq' cannot be set; did you mean pid.k"),
         (
             ("run", "cao-2019", "--set", "machine.plant.poles[3]=1"),
             "'machine.plant.poles[3]' cannot be set",
@@ -243,7 +249,7 @@ def test_sweep_prints_the_yield_and_resumes(jaxilc_command, tmp_path):
         (("sweep", "cao-2019", "--keep", "z"), "keep = 'z' is not one of y, e, u"),
         (
             ("run", "dai-2014", "--set", "machine.plant=3"),
-            "'machine.plant' cannot be set; known: machine.plant.gain",
+            "'machine.plant' cannot be set; did you mean machine.plant.",
         ),
         (("run", "dai-2014", "--params", "none.json"), "none.json: no such file or directory"),
         (
@@ -285,7 +291,7 @@ def test_sweep_prints_the_yield_and_resumes(jaxilc_command, tmp_path):
         ),
         (
             ("next", "--state", "s", "--out", "n.csv", "--scenario", "cao"),
-            "scenario = 'cao' is not one of cao-2019",
+            "scenario = 'cao' is unknown; did you mean cao-2019 or cao-2019-rig?",
         ),
         (
             ("next", "--state", "s", "--out", "n.csv", "--scenario", "milc-2024"),
@@ -367,7 +373,7 @@ def test_reproduce_prints_every_published_number_with_its_verdict(jaxilc_command
     assert all(r["reading"] and r["ratio"] == r["ours"] / r["value"] for r in rows)
     code, _, err = jaxilc_command("reproduce", "dai")
     assert code == 2
-    assert "scenario = 'dai' is not one of cao-2019" in err
+    assert "scenario = 'dai' is unknown; did you mean dai-2014?" in err
 
 
 def test_certify_compares_theory_with_simulation(jaxilc_command, tmp_path):
@@ -495,6 +501,20 @@ def test_a_help_page_fits_80_columns(name):
     assert "…" not in shown.stdout
     assert ("--machines" in shown.stdout) == (name in ("sweep", "certify", "tune", "pareto"))
     assert ("[@METRIC]" in shown.stdout) == (name in ("tune", "pareto"))
+
+
+def test_help_groups_every_command_by_what_one_wants():
+    """Each command stands in one group, and `--help` shows the groups in the order of use."""
+    groups = {n: c.rich_help_panel for n, c in get_command(app).commands.items()}
+    assert groups["sweep"] == groups["run"] == groups["list"] == SIMULATE
+    assert groups["tune"] == groups["pareto"] == groups["worst-case"] == DESIGN
+    assert groups["certify"] == PROVE
+    assert groups["next"] == groups["trials"] == MACHINE
+    shown = CliRunner().invoke(app, ["--help"], env={"COLUMNS": "80"}).stdout
+    places = [shown.index(f"─ {group} ─") for group in dict.fromkeys(groups.values())]
+    assert places == sorted(places)
+    assert len(places) == 6
+    assert "─ Commands ─" not in shown
 
 
 def test_what_commands_share_is_declared_once():

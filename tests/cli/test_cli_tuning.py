@@ -626,7 +626,7 @@ def test_a_parameter_file_holds_what_differs(scenario, tmp_path):
         ),
         (
             '{"scenario": "cao-2019", "schemes": {"pid": {"kq": 1}}}',
-            "'pid.kq' cannot be set; known: ",
+            "'pid.kq' cannot be set; did you mean pid.k",
         ),
         (
             '{"scenario": "cao-2019", "schemes": {"cfdl-mfailc": {"lam": 0}}}',

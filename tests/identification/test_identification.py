@@ -528,7 +528,7 @@ def spoiled(signal, k=17):
         ),
         (
             lambda: identify(GOOD, EQ_7, free=("gian",)),
-            r"free = 'gian' is not a leaf of ProcessModel; known: gain, zeros, poles",
+            r"free = 'gian' is not a leaf of ProcessModel; did you mean gain. Known: gain, zeros",
         ),
         (
             lambda: identify(GOOD, VoiceCoil(), free=("poles[3]",)),

@@ -42,6 +42,7 @@ TASK = {
     "reference": {"function": "sinusoid", "amplitude": 1.0, "frequency": 10.0, "duration": 0.1},
 }
 SCHEMES = {"ilc": {"class": "PIDType", "gamma_p": 0.5}}
+NORM_OPTIMAL = {"class": "NormOptimal", "w_e": 1.0}
 U = np.sin(0.7 * np.arange(60)) + 0.3
 
 
@@ -330,7 +331,7 @@ def test_scenarios_by_name_take_options_and_paths_together():
     for name in scenarios.SCENARIOS:
         with pytest.raises(
             ValueError,
-            match=f"scenario = 'axis' is not one of .*{name}.*, nor a file .toml or .json",
+            match=f"scenario = 'axis' is not one of .*{name}.*; a file .toml or .json may stand in",
         ):
             load_scenario("axis")
     with pytest.raises(FileNotFoundError):
@@ -359,7 +360,7 @@ def pid(**fields):
     [
         (
             {"plants": PLANT},
-            "axis.json: plants is not a key here; allowed are machine, name, plant",
+            "axis.json: plants is not a key here; did you mean plant. Allowed are machine",
         ),
         ({"plant": None}, "axis.json: plant is missing; present are task, schemes"),
         ({"plant": 3}, "axis.json: plant = 3 is not a table"),
@@ -424,7 +425,7 @@ def pid(**fields):
         ),
         (
             {"task": TASK | {"reference": TASK["reference"] | {"freq": 1.0}}},
-            "task.reference.freq is not a key here; allowed are amplitude",
+            "task.reference.freq is not a key here; did you mean frequency. Allowed are amplitude",
         ),
         (
             {"task": TASK | {"reference": TASK["reference"] | {"frequency": 900.0}}},
@@ -437,7 +438,7 @@ def pid(**fields):
         ),
         (
             {"schemes": {"a": {"class": "PIT"}}},
-            "axis.json: schemes.a.class = 'PIT' is not one of .*PIDType",
+            "axis.json: schemes.a.class = 'PIT' is unknown; did you mean PID. ",
         ),
         (
             {"schemes": {"a": {"class": "StateSpace", "A": [[1.0]], "B": [[1.0]], "C": [[1.0]]}}},
@@ -503,6 +504,41 @@ def pid(**fields):
         ({"plant": PLANT | {"dt": -1.0}}, r"plant.dt = -1 is outside its allowed range \[0, inf\)"),
         ({"task": TASK | {"dt": 1e300}}, "task"),
         ({"trials": 2.5}, "trials = 2.5 is not a whole number"),
+        (  # text where a number or a table is expected
+            {"task": TASK | {"reference": TASK["reference"] | {"amplitude": "1 mm"}}},
+            "task.reference.amplitude = '1 mm' is not a number .*without a unit: lengths in the "
+            "`unit` of the task",
+        ),
+        ({"task": TASK | {"dt": "1 ms"}}, "task.dt = '1 ms' is not a number.*: .*times in s"),
+        (
+            {"task": TASK | {"reference": "sinusoid"}},
+            "task.reference = 'sinusoid' is not a table .*, such as { function = ",
+        ),
+        (
+            {"machine": {"actuator": "limit"}},
+            "machine.actuator = 'limit' is not a table of keys and values, such as limit, rate",
+        ),
+        (
+            {"schemes": {"a": NORM_OPTIMAL | {"model": "nominal"}}},
+            "schemes.a.model = 'nominal' is no table; allowed is \"plant\", which stands for",
+        ),
+        (
+            {"schemes": {"a": NORM_OPTIMAL | {"model": "Plant"}}},
+            "schemes.a.model = 'Plant' is no table; did you mean \"plant\"",
+        ),
+        (
+            {
+                "schemes": {
+                    "a": NORM_OPTIMAL
+                    | {"model": {"function": "direct_model", "C_P": 1.0, "P": "nominal"}}
+                }
+            },
+            "schemes.a.model.P = 'nominal' is no table; allowed is \"plant\"",
+        ),
+        (
+            {"schemes": {"a": {"class": "Filtered", "scheme": "pidtype", "filter": 3}}},
+            "schemes.a.scheme = 'pidtype' is no table; did you mean { class = \"PIDType\", ... }",
+        ),
     ],
 )
 def test_a_mistake_is_named_by_its_key(tmp_path, tables, message):
