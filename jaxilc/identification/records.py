@@ -98,6 +98,15 @@ def read_record(
     return Record(values[:-1, 1:n], values[:, n:], float(f"{np.mean(steps):.12g}"))
 
 
+def column_units(path: str | Path, *names: str) -> tuple[str, ...]:
+    """The units that the headings of columns name, such as `mm` of `y [mm]`; "" where none is.
+
+    Raises ValueError for a column that is missing.
+    """
+    header, _ = read_columns(path)
+    return tuple(name_and_unit(header[_place(path, name, header)])[1] or "" for name in names)
+
+
 def write_record(
     path: str | Path, record: Record, *, time: str = "t", input: str = "u", output: str = "y"
 ) -> None:
