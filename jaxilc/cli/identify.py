@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from .completion import of_list
 from .console import out
 from .options import Json, Report, file_to_write, folder_to_write
 from .results import folder_of, written
@@ -43,7 +44,14 @@ def identify(
     poles: Annotated[int, typer.Option(help="Real poles.")] = 1,
     pairs: Annotated[int, typer.Option(help="Pairs of poles, real or complex.")] = 1,
     zeros: Annotated[int, typer.Option(help="Real zeros, of either sign.")] = 1,
-    time_name: Annotated[str, typer.Option("--time", help="Column of the time [s].")] = "t",
+    time_name: Annotated[str, typer.Option("--time", help="Column of the time.")] = "t",
+    time_unit: Annotated[
+        str | None,
+        typer.Option(
+            help="s, ms or us; from the heading if not given.",
+            autocompletion=of_list("s", "ms", "us"),
+        ),
+    ] = None,
     input_name: Annotated[str, typer.Option("--input", help="Column of the input.")] = "u",
     output_name: Annotated[str, typer.Option("--output", help="Column of the output.")] = "y",
     out_dir: Annotated[
@@ -75,7 +83,9 @@ def identify(
     from ..identification.records import column_units, read_record
     from .tables import identification_table
 
-    measured = read_record(record, time=time_name, input=input_name, output=output_name)
+    measured = read_record(
+        record, time=time_name, input=input_name, output=output_name, time_unit=time_unit
+    )
     found = identification.identify(measured, poles=poles, pairs=pairs, zeros=zeros)
     rows = found.summary()
     table = identification_table(str(record), rows)
