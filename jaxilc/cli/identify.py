@@ -7,13 +7,26 @@ from typing import Annotated
 
 import typer
 
+from .completion import of_list
 from .console import out
-from .options import DESIGN, Json, Report, folder_to_write
+from .options import DESIGN, Json, Report, file_to_write, folder_to_write
 from .results import folder_of, written
 
 NOT_WHITE = (
     "the residual is not white: another structure may fit better, and the intervals are too narrow"
 )
+NO_LAW = (
+    "no filtered P-type law was found that learns on the fitted plant; the plant file has no scheme"
+)
+
+
+def _place_to_write(path: Path | None) -> Path | None:
+    """The path of a plant file, or of a folder, that can be written."""
+    return file_to_write(path) if _is_plant_file(path) else folder_to_write(path)
+
+
+def _is_plant_file(path: Path | None) -> bool:
+    return path is not None and path.suffix == ".toml"
 
 
 def register(app: typer.Typer) -> None:
@@ -31,33 +44,48 @@ def identify(
     poles: Annotated[int, typer.Option(help="Real poles.")] = 1,
     pairs: Annotated[int, typer.Option(help="Pairs of poles, real or complex.")] = 1,
     zeros: Annotated[int, typer.Option(help="Real zeros, of either sign.")] = 1,
-    time_name: Annotated[str, typer.Option("--time", help="Column of the time [s].")] = "t",
+    time_name: Annotated[str, typer.Option("--time", help="Column of the time.")] = "t",
+    time_unit: Annotated[
+        str | None,
+        typer.Option(
+            help="s, ms or us; from the heading if not given.",
+            autocompletion=of_list("s", "ms", "us"),
+        ),
+    ] = None,
     input_name: Annotated[str, typer.Option("--input", help="Column of the input.")] = "u",
     output_name: Annotated[str, typer.Option("--output", help="Column of the output.")] = "y",
     out_dir: Annotated[
         Path | None,
         typer.Option(
             "--out",
-            help="Folder for all results; out/identify if not given.",
-            callback=folder_to_write,
+            help="Plant file FILE.toml to write; or folder for figures, out/identify otherwise.",
+            callback=_place_to_write,
         ),
     ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace a plant file.")] = False,
     json_file: Json = None,
     report: Report = None,
 ) -> None:
     """A plant from a recorded experiment: parameters with 95 % intervals, fit, validation figure.
 
-    Example: jaxilc identify record.csv --poles 1 --pairs 1 --zeros 1
+    With --out axis.toml it also writes a plant file that every other command takes.
+
+    Example: jaxilc identify record.csv --poles 1 --pairs 1 --zeros 1 --out axis.toml
     """
+    plant_file = out_dir if _is_plant_file(out_dir) else None
+    if plant_file is not None and plant_file.exists() and not force:
+        raise FileExistsError(f"{plant_file} exists already; add --force to replace it")
     from .asked import begin
 
     begin("float64")
     from .. import figures, identification
     from ..figures.report import command_report
-    from ..identification.records import read_record
+    from ..identification.records import column_units, read_record
     from .tables import identification_table
 
-    measured = read_record(record, time=time_name, input=input_name, output=output_name)
+    measured = read_record(
+        record, time=time_name, input=input_name, output=output_name, time_unit=time_unit
+    )
     found = identification.identify(measured, poles=poles, pairs=pairs, zeros=zeros)
     rows = found.summary()
     table = identification_table(str(record), rows)
@@ -65,14 +93,35 @@ def identify(
     out.print(table)
     for line in lines:
         out.print(line, highlight=False)
-    folder = folder_of(out_dir, "identify")
+    folder = folder_of(None if plant_file else out_dir, "identify")
     drawn = {
         "record.png": figures.record_figure(measured),
         "validation.png": figures.validation_figure(measured, found),
     }
     paths = [figures.save(axes, folder / name) for name, axes in drawn.items()]
+    if plant_file is not None:
+        units = column_units(record, input_name, output_name)
+        paths += [_plant_file(plant_file, found, measured, str(record), units)]
     asked = {"poles": poles, "pairs": pairs, "zeros": zeros}
     page = command_report(report, "identify", [table], paths, lines=lines, asked=asked)
     numbers = {name: {"value": value, "low": low, "high": high} for name, value, low, high in rows}
     sound = {"white": bool(found.white), "converged": bool(found.converged)}
     written([*paths, *page], json_file, numbers | sound)
+
+
+def _plant_file(path: Path, found, measured, source: str, units) -> Path:
+    """Write the plant file, and print what its law was chosen for."""
+    from ..scenarios.identified_file import write_plant_file
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    law = write_plant_file(path, found, measured, source=source, units=units, force=True)
+    if law is None:
+        line = NO_LAW
+    else:
+        line = (
+            f"{path}: P-type learning with gamma_p = {law.gamma_p:g}, lead = {law.lead} and a "
+            f"cutoff of {law.cutoff:g} Hz; sup |Q (1 - L P)| = {law.worst:.3f} at worst of "
+            f"{law.machines} machines"
+        )
+    out.print(line, highlight=False, soft_wrap=True)
+    return path

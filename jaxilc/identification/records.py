@@ -17,6 +17,7 @@ from ..schemes.scheme import Feedforward
 from ..signals.task import Task, Trial
 from ..storage.files import atomically
 from ..storage.reading import name_and_unit, numbers_in, read_columns
+from .time_column import name_and_unit_of_time, place_of_time, seconds_in
 
 # Share of the sample time by which a step of a record's time may differ from the others.
 STEP_TOLERANCE = 0.01
@@ -59,22 +60,26 @@ def read_record(
     time: str = "t",
     input: str | Sequence[str] = "u",
     output: str | Sequence[str] = "y",
+    time_unit: str | None = None,
 ) -> Record:
     """A record from a text file of columns with a header.
 
     Columns are separated by commas, semicolons or tabs. A heading is a name, or a name with a unit
-    such as `y [mm]`; nothing is converted. Row k holds t[k], u[k], y[k]: y is measured at t[k],
-    then u acts until t[k+1]. The last row's u is not used and may be empty.
+    such as `y [mm]`. The time is converted to seconds from the unit in its heading (`t [ms]`,
+    `time (ms)`, `t_ms`) or from `time_unit`; nothing else is converted. Row k holds t[k], u[k],
+    y[k]: y is measured at t[k], then u acts until t[k+1]. The last row's u is not used and may be
+    empty.
 
     time, input, output: names of the columns; several names for several inputs or outputs
+    time_unit: s, ms, us or ns; None for the unit in the heading, or seconds if it has none
     Raises ValueError naming file, line and column for a column that is missing, a value that is not
-    a finite number, a time that does not increase or whose steps are not equal (to 1 %), and for
-    fewer than 2 rows.
+    a finite number, a time that does not increase or whose steps are not equal (to 1 %), for a time
+    without a unit whose steps are 0.1 or more, such as milliseconds, and for fewer than 2 rows.
     """
     inputs, outputs = (
         [names] if isinstance(names, str) else list(names) for names in (input, output)
     )
-    values, lines = _columns(path, time, inputs, outputs)
+    values, lines = _columns(path, time, inputs, outputs, time_unit)
     steps = np.diff(values[:, 0])
     if len(steps) < 1:
         raise ValueError(
@@ -98,16 +103,25 @@ def read_record(
     return Record(values[:-1, 1:n], values[:, n:], float(f"{np.mean(steps):.12g}"))
 
 
+def column_units(path: str | Path, *names: str) -> tuple[str, ...]:
+    """The units that the headings of columns name, such as `mm` of `y [mm]`; "" where none is.
+
+    Raises ValueError for a column that is missing.
+    """
+    header, _ = read_columns(path)
+    return tuple(name_and_unit(header[_place(path, name, header)])[1] or "" for name in names)
+
+
 def write_record(
     path: str | Path, record: Record, *, time: str = "t", input: str = "u", output: str = "y"
 ) -> None:
-    """Write a record as `read_record` reads it.
+    """Write a record as `read_record` reads it, with the time in seconds.
 
     Several inputs become the columns u_0, u_1, ..., and likewise several outputs. The last row
     repeats the last u.
     """
     u, y = as_columns("write_record", "u", record.u), as_columns("write_record", "y", record.y)
-    header = [time]
+    header = [time if name_and_unit_of_time(time)[1] else f"{time} [s]"]
     for name, signal in ((input, u), (output, y)):
         header += (
             [name] if signal.shape[1] == 1 else [f"{name}_{i}" for i in range(signal.shape[1])]
@@ -121,11 +135,13 @@ def write_record(
     )
 
 
-def _columns(path, time, inputs, outputs) -> tuple[np.ndarray, list[int]]:
-    """(rows, columns) the values of time, inputs and outputs, and the line of each row."""
+def _columns(path, time, inputs, outputs, unit) -> tuple[np.ndarray, list[int]]:
+    """(rows, columns) the values of time [s], inputs, outputs, and the line of each row."""
     header, rows = read_columns(path)
     names = [time, *inputs, *outputs]
-    at = [_place(path, name, header) for name in names]
+    place = place_of_time(time, header)
+    first = _place(path, time, header) if place is None else place
+    at = [first, *(_place(path, name, header) for name in names[1:])]
     values, lines, wrong = [], [], ""
     for line, row in rows:
         if wrong:
@@ -140,7 +156,10 @@ def _columns(path, time, inputs, outputs) -> tuple[np.ndarray, list[int]]:
                 raise ValueError(wrong)
         values.append(found)
         lines.append(line)
-    return np.array(values, float).reshape(-1, len(names)), lines
+    found = np.array(values, float).reshape(-1, len(names))
+    if len(found) > 1:
+        found[:, 0] *= seconds_in(path, header[first], unit, found[:, 0])
+    return found, lines
 
 
 def _place(path, name: str, header: list[str]) -> int:

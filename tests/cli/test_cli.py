@@ -25,7 +25,9 @@ from typer.testing import CliRunner
 import jaxilc
 from jaxilc.cli import app, console, main, progress
 from jaxilc.cli.options import DESIGN, MACHINE, PROVE, SIMULATE
-from jaxilc.scenarios import LISTED
+from jaxilc.scenarios import LISTED, identified_file
+from jaxilc.scenarios.from_file import read_scenario
+from jaxilc.scenarios.starting_law import StartingLaw
 
 PLANT = """
 [plant]
@@ -407,19 +409,28 @@ def test_certify_compares_theory_with_simulation(jaxilc_command, tmp_path):
     assert "none of pid learns" in err
 
 
-def test_identify_reads_a_record_and_names_what_is_wrong_with_it(jaxilc_command, tmp_path):
+def test_identify_reads_a_record_and_names_what_is_wrong_with_it(
+    jaxilc_command, tmp_path, monkeypatch
+):
     u = jaxilc.references.m_sequence(8, hold=2)
     lag = jaxilc.plants.ProcessModel(gain=2.0, zeros=(), poles=(60.0,), frequencies=(), dampings=())
     machine = jaxilc.Machine(lag, sensor=jaxilc.Sensor(noise=1e-3))
     jaxilc.write_record("record.csv", jaxilc.excite(machine, u, 1e-3))
-    code, out, _ = jaxilc_command(
-        "identify", "record.csv", "--poles", 1, "--pairs", 0, "--zeros", 0, "--json", "found.json"
-    )
+    (tmp_path / "found.toml").write_text("")
+    law = StartingLaw(0.25, 3, 100.0, 3, 0.8, 0.85, 40.0)  # another test chooses one
+    monkeypatch.setattr(identified_file, "starting_law", lambda *_: law)
+    asked = ("--poles", 1, "--pairs", 0, "--zeros", 0, "--out", "found.toml", "--force")
+    code, out, _ = jaxilc_command("identify", "record.csv", *asked, "--json", "found.json")
     assert code == 0
+    assert "gamma_p = 0.25, lead = 3 and a cutoff of 100 Hz" in " ".join(out.split())
+    assert read_scenario("found.toml").schemes["ilc"].scheme.lead == 3
     assert "95 % intervals" in out
     found = json.loads((tmp_path / "found.json").read_text())
     assert found["poles[0]"]["low"] < 60.0 < found["poles[0]"]["high"]
     assert (tmp_path / "out/identify/validation.png").exists()
+    code, _, err = jaxilc_command("identify", "record.csv", "--out", "found.toml")
+    assert code != 0
+    assert "found.toml exists already; add --force to replace it" in err
     code, _, err = jaxilc_command("identify", "record.csv", "--input", "voltage")
     assert code == 2
     assert "no column 'voltage'; present are t, u, y" in err

@@ -443,6 +443,45 @@ def test_a_record_is_read_from_the_file_of_a_measured_trial(tmp_path):
         read_record(tmp_path / "gap.csv")
 
 
+@pytest.mark.parametrize(
+    ("heading", "step", "unit", "dt"),
+    [
+        ("t", 0.002, None, 0.002),
+        ("t [ms]", 2, None, 0.002),
+        ("time (ms)", 2, None, 0.002),
+        ("t_ms", 2, None, 0.002),
+        ("Time_us", 250, None, 0.00025),
+        ("t [µs]", 250, None, 0.00025),
+        ("t [s]", 2, None, 2.0),
+        ("t", 2, "ms", 0.002),
+        ("t", 2, "s", 2.0),
+        ("t (ms)", 2, "ms", 0.002),
+    ],
+)
+def test_the_time_is_converted_to_seconds(heading, step, unit, dt, tmp_path):
+    path = tmp_path / "record.csv"
+    rows = "".join(f"{5 + k * step},1,{k}\n" for k in range(4))
+    path.write_text(f"{heading},u,y\n{rows}")
+    assert read_record(path, time_unit=unit).dt == pytest.approx(dt, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("heading", "unit", "message"),
+    [
+        ("t", None, r"t steps by 2 and has no unit; in seconds .* 0.5 samples a second, in milli"),
+        ("t", None, r"Give --time-unit s, ms or us"),
+        ("t [ms]", "s", r"the heading 't \[ms\]' has another unit than --time-unit s"),
+        ("t [furlong]", None, r"the unit 'furlong' of 't \[furlong\]' is not one of s, ms, us"),
+        ("t", "h", r"time_unit = 'h' is not one of s, ms, us"),
+    ],
+)
+def test_a_time_of_doubtful_unit_is_refused(heading, unit, message, tmp_path):
+    path = tmp_path / "record.csv"
+    path.write_text(f"{heading},u,y\n0,1,0\n2,1,1\n4,1,2\n")
+    with pytest.raises(ValueError, match=message):
+        read_record(path, time_unit=unit)
+
+
 FILES = {
     "column": ("t,u,z\n0,1,2\n1,1,2\n", r"has no column 'y'; present are t, u, z"),
     "empty": ("", r"has no column 't'; present are none"),
@@ -450,12 +489,12 @@ FILES = {
     "nan": ("t,u,y\n0,1,2\n\n1,1,2\n2,1,nan\n", r"line 5: y = 'nan' is not a finite number"),
     "short_row": ("t,u,y\n0,1,2\n1,1\n", r"line 3: y = '' is not a finite number"),
     "backwards": (
-        "t,u,y\n0,1,2\n1,1,2\n0.5,1,2\n2,1,2\n",
+        "t [s],u,y\n0,1,2\n1,1,2\n0.5,1,2\n2,1,2\n",
         r"line 4: t = 0.5 s does not increase from 1 s",
     ),
-    "repeated": ("t,u,y\n0,1,2\n1,1,2\n1,1,2\n", r"line 4: t = 1 s does not increase from 1 s"),
+    "repeated": ("t [s],u,y\n0,1,2\n1,1,2\n1,1,2\n", r"line 4: t = 1 s does not increase from 1 s"),
     "gap": (
-        "t,u,y\n0,1,2\n1,1,2\n2,1,2\n4,1,2\n",
+        "t [s],u,y\n0,1,2\n1,1,2\n2,1,2\n4,1,2\n",
         r"line 5: t steps by 2 s where the sample time is dt = 1 s; allowed is a deviation of 1%",
     ),
     "one_row": ("t,u,y\n0,1,2\n", r"has 1 rows of data; allowed are at least 2"),

@@ -1,0 +1,197 @@
+"""The plant file that `jaxilc identify` writes: the fitted numbers, a task and a law to start with.
+
+The file holds numbers, so that no command that takes it fits the record again.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+
+from ..identification import Estimate, Identified, Record
+from ..plants import ProcessModel
+from ..pytree.named_paths import interval_at
+from ..storage.files import atomically
+from ..storage.printable import printable
+from ..uncertainty import Uniform
+from .starting_law import ORDER, StartingLaw, StartingTask, starting_law, starting_task
+
+TRIALS = 20
+LEAVES = ("gain", "zeros", "poles", "frequencies", "dampings")
+
+
+def write_plant_file(
+    path: str | Path,
+    found: Identified,
+    record: Record,
+    *,
+    source: str,
+    units: tuple[str, str] = ("", ""),
+    force: bool = False,
+) -> StartingLaw | None:
+    """Write a fitted plant as a file that stands in a scenario's place.
+
+    The table `[plant]` is a `ProcessModel` with the fitted numbers, `[uncertainty]` has their 95 %
+    intervals, and `[task]` and `[schemes.ilc]` are chosen so that learning is stable on the fitted
+    plant and at the ends of the intervals (`starting_law`). Comments say what was fitted.
+
+    source: name of the record, for the comments
+    units: units of input and output, as the record names them
+    force: whether a file of this name is replaced
+    The result is the law, or None where there is none; the file then has no scheme.
+    Raises FileExistsError for a file that exists, and ValueError for a plant of another class.
+    """
+    if Path(path).exists() and not force:
+        raise FileExistsError(f"{path} exists already; add --force to replace it")
+    if not isinstance(found.plant, ProcessModel):
+        raise ValueError(
+            f"write_plant_file: the plant is a {type(found.plant).__name__}; allowed is a "
+            "ProcessModel"
+        )
+    uncertainty, left_out = intervals(found)
+    law = starting_law(found.plant, uncertainty, record.dt, len(record.u))
+    over = "the ends of these intervals"
+    if law is None and uncertainty:
+        law, over = starting_law(found.plant, {}, record.dt, len(record.u)), "the fitted plant only"
+    lines = [
+        *_heading(found, record, source),
+        f"trials = {TRIALS}",
+        *_plant(found.plant),
+        *_uncertainty(uncertainty, left_out),
+        *_task(law, found.plant, record, units),
+        *_scheme(law, over),
+    ]
+    text = "\n".join(lines) + "\n"
+    atomically(path, lambda file: file.write(text.encode()))
+    return law
+
+
+def intervals(found: Identified) -> tuple[dict[str, Uniform], dict[str, Estimate]]:
+    """The 95 % intervals of the fitted leaves as distributions, by their names in a plant file.
+
+    The second result has the leaves that get none: an interval that is not finite, of no width, or
+    that reaches 0 or beyond the range of the leaf.
+    """
+    plant, certain, left_out = found.plant, {}, {}
+    for name, estimate in found.parameters.items():
+        if name.startswith("bias"):
+            continue
+        value, low, high = estimate
+        allowed = interval_at(plant, name)
+        sound = np.isfinite([low, high]).all() and low < value < high and low * high > 0
+        if sound and (allowed is None or allowed.contains(np.array([low, high]))):
+            certain[f"plant.{name}"] = Uniform(low, high)
+        else:
+            left_out[f"plant.{name}"] = estimate
+    return certain, left_out
+
+
+# The tables
+# --------------------------------------------------------------------------------------------------
+
+
+def _heading(found: Identified, record: Record, source: str) -> Iterator[str]:
+    plant = cast(ProcessModel, found.plant)
+    poles, pairs, zeros = (np.size(x) for x in (plant.poles, plant.frequencies, plant.zeros))
+    validation = float(found.validation_fit[0])
+    yield f"# Plant fitted by `jaxilc identify` to {_comment(source)}."
+    yield (
+        f"# Record: {len(record.y)} samples of {record.dt:g} s; {found.samples} were fitted, "
+        "the others validate the fit."
+    )
+    yield f"# Order {plant.order}: real poles {poles}, pairs of poles {pairs}, zeros {zeros}."
+    yield (
+        f"# Fit {found.fit[0]:.4g} %"
+        + (f", of the validation part {validation:.4g} %" if np.isfinite(validation) else "")
+        + f"; standard deviation of the residual {found.residual_std[0]:.4g}."
+    )
+    yield f"# The output at rest was {found.parameters['bias'].value:.6g}; the plant starts at 0."
+    if not found.white:
+        yield "# The residual is not white: another structure may fit better, and the intervals"
+        yield "# are too narrow."
+    if not found.converged:
+        yield "# The fit did not meet its tolerances: the structure may be too large."
+    yield "# Fitted: [plant] and [uncertainty]. Chosen, to be changed: the other tables."
+
+
+def _plant(plant: ProcessModel) -> Iterator[str]:
+    yield "\n[plant]                        # gain prod(1 - s / zeros) / (prod(1 + s / poles) ...)"
+    yield 'kind = "ProcessModel"'
+    notes = {
+        "gain": "DC gain [unit per input_unit]",
+        "zeros": "[rad/s], positive: non-minimum phase",
+        "poles": "[rad/s], positive: stable",
+        "frequencies": "of the pairs of poles [rad/s]",
+        "dampings": "of the pairs of poles",
+    }
+    for name in LEAVES:
+        value = np.asarray(getattr(plant, name), float)
+        yield f"{name} = {value.tolist()!r}  # {notes[name]}"
+
+
+def _uncertainty(uncertainty: dict[str, Uniform], left_out: dict[str, Estimate]) -> Iterator[str]:
+    yield "\n[uncertainty]                  # the 95 % intervals, as if independent of each other"
+    for name, (value, low, high) in left_out.items():
+        yield (
+            f"# {name} = {value:.6g} has none: the record leaves it between {low:.4g} and "
+            f"{high:.4g}"
+        )
+    for name, uniform in uncertainty.items():
+        yield (
+            f'"{name}" = {{ distribution = "uniform", low = {uniform.low!r}, '
+            f"high = {uniform.high!r} }}"
+        )
+
+
+def _task(
+    law: StartingLaw | None, plant: ProcessModel, record: Record, units: tuple[str, str]
+) -> Iterator[str]:
+    input_unit, unit = units
+    yield "\n[task]"
+    yield f"dt = {float(record.dt)!r}  # of the record [s]"
+    yield f"unit = {_text(unit)}"
+    yield f"input_unit = {_text(input_unit)}"
+    start = StartingTask(1.0, 2 / (1000 * record.dt), 1000 * record.dt)
+    if law is not None:
+        start = starting_task(law, plant, record.u, record.dt)
+    yield "\n[task.reference]               # put your own motion here"
+    yield 'function = "sinusoid"'
+    yield f"amplitude = {start.amplitude!r}  # with the offset: from 0 to twice this, and back"
+    yield f"offset = {start.amplitude!r}"
+    yield f"phase = {-np.pi / 2!r}"
+    yield f"frequency = {start.frequency!r}  # [Hz]"
+    yield f"duration = {start.duration!r}  # [s]"
+
+
+def _scheme(law: StartingLaw | None, over: str) -> Iterator[str]:
+    if law is None:
+        yield "\n# There is no [schemes.ilc]: no filtered P-type law was found that learns on the"
+        yield "# fitted plant."
+        return
+    yield f"\n# Chosen for {over} ({law.machines} machines):"
+    yield (
+        f"# sup |Q (1 - L P)| is {law.nominal:.3f} on the fitted plant and {law.worst:.3f} at worst"
+        f" ({law.at:.3g} Hz);"
+    )
+    yield "# learning is stable where it is below 1."
+    yield "[schemes.ilc]"
+    yield 'class = "Filtered"'
+    yield f'scheme = {{ class = "PIDType", gamma_p = {law.gamma_p!r}, lead = {law.lead} }}'
+    yield (
+        f'filter = {{ class = "ZeroPhaseButterworth", cutoff = {law.cutoff!r}, order = {ORDER} }}'
+    )
+
+
+def _comment(text: str) -> str:
+    """The text on one line, for a comment."""
+    return printable(text).replace("\n", " ")
+
+
+def _text(unit: str) -> str:
+    """A unit as a string of TOML, without what a scenario does not allow in one."""
+    plain = "".join(c for c in _comment(unit) if c not in '[],;$"\\').replace("*/", "/")
+    return json.dumps(plain, ensure_ascii=False)

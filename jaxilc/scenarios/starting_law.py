@@ -1,0 +1,210 @@
+"""A first learning law for a plant that is known within intervals: P-type with a lead, filtered."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from ..filters import ZeroPhaseButterworth
+from ..learning.machine import Machine
+from ..plants import ProcessModel
+from ..schemes import Filtered, PIDType
+from ..signals import references
+from ..signals.task import Task
+from ..theory.by_frequency import largest_of
+from ..theory.frequency import Loop, grid, linear_loop, response
+from ..theory.law import law_of
+from ..theory.loop import minimal
+from ..theory.over_frequency import Largest, lines
+from ..uncertainty import Uncertainty, draw, drawn_machines
+
+ORDER = 2  # of the filter, in one pass
+LARGEST = (0.9, 0.97)  # values of |Q (1 - L P)| that are allowed; the second if the first fails
+SHARES = (0.15, 0.25, 0.4, 0.6, 0.8, 1.0)  # of the inverse of the DC gain, tried as learning gain
+CORNERS = 8  # parameters up to which all corners of their intervals are taken
+DRAWN = 129  # machines that are taken for more parameters
+NEAREST = 4  # of the worst machines on the grid, whose largest value is enclosed
+
+
+class StartingLaw(NamedTuple):
+    """A learning law, and what the theory says about it.
+
+    gamma_p: learning gain [unit of u per unit of y]
+    lead: samples of look-ahead
+    cutoff: of the robustness filter [Hz]
+    machines: number of machines for which it was chosen, the fitted one included
+    nominal, worst: sup |Q (1 - L P)| of the fitted plant and of the worst of these machines
+    at: frequency of the worst value [Hz]
+    """
+
+    gamma_p: float
+    lead: int
+    cutoff: float
+    machines: int
+    nominal: float
+    worst: float
+    at: float
+
+    @property
+    def scheme(self) -> Filtered:
+        learning = PIDType(gamma_p=self.gamma_p, lead=self.lead)
+        return Filtered(learning, ZeroPhaseButterworth(cutoff=self.cutoff, order=ORDER))
+
+
+class StartingTask(NamedTuple):
+    """A sinusoid from rest to 2 amplitude and back, which the law learns.
+
+    amplitude: [unit of y];  frequency: [Hz];  duration: [s], two periods
+    """
+
+    amplitude: float
+    frequency: float
+    duration: float
+
+    def task(self, dt: float) -> Task:
+        r = references.sinusoid(
+            self.amplitude,
+            self.frequency,
+            duration=self.duration,
+            dt=dt,
+            phase=-np.pi / 2,
+            offset=self.amplitude,
+        )
+        return Task(r, dt=dt)
+
+
+def starting_law(
+    plant: ProcessModel, uncertainty: Uncertainty, dt: float, samples: int
+) -> StartingLaw | None:
+    """The filtered P-type law of the largest cutoff that learns on every plant of the intervals.
+
+        u_{j+1} = Q (u_j + gamma_p e_j[k+1+lead]),    sup_w |Q (1 - gamma_p z^(1+lead) P)| <= 0.9
+
+    The largest value of the condition is looked for over the corners of the intervals (over draws
+    where there are many parameters), on a grid of frequencies; those of the fitted plant and of the
+    worst corners are then enclosed between the lines of the grid, with the law of the scheme's own
+    program. Among laws whose
+    cutoff is at least 0.7 of the largest possible one, the one that learns low frequencies fastest
+    is taken. Where 0.9 cannot be reached, 0.97 is allowed.
+
+    uncertainty: distributions of leaves, named as in a plant file, such as `plant.gain`
+    dt: sample time [s]
+    samples: length of the record, which limits lead and cutoff
+    The result is None where there is no such law, for instance where the sign of the DC gain is
+    not known.
+    """
+    machine, long = Machine(plant), Task(np.zeros(max(samples, 16)), dt=dt)
+    corners = "corners" if len(uncertainty) <= CORNERS else "sobol"
+    drawn = draw(machine, uncertainty, DRAWN if uncertainty else 1, sampling=corners)
+    machines = drawn_machines(machine, uncertainty, drawn)
+    f = grid(long, points=300, near=np.exp(np.asarray(plant.all_poles) * dt))
+    loops, P = _responses(machines, Task(np.zeros(16), dt=dt), f)
+    for largest in LARGEST:
+        law = _largest_cutoff(P, f, dt, long, largest)
+        for _ in range(4):
+            if law is None:
+                break
+            sizes = np.max(_low_pass(f, law.cutoff, dt) * np.abs(_kept(P, f, dt, law)), axis=1)
+            nominal, *others = _enclosed(loops, [0, *np.argsort(-sizes)[:NEAREST]], law, dt)
+            worst = max(others, key=lambda one: one.value)
+            law = law._replace(
+                nominal=float(nominal.value), worst=float(worst.value), at=float(worst.worst)
+            )
+            if law.worst < (1 + largest) / 2:
+                return law
+            law = law._replace(cutoff=_rounded(0.7 * law.cutoff, 2))
+    return None
+
+
+def starting_task(law: StartingLaw, plant: ProcessModel, record_u, dt: float) -> StartingTask:
+    """Two periods of a sinusoid at a fifth of the law's cutoff, or slower.
+
+    Its amplitude needs at most half of the largest input of the record, by the fitted gain.
+    """
+    samples = int(np.clip(round(10 / (law.cutoff * dt)), max(100, 8 * law.lead), 20000))
+    frequency = 2 / (samples * dt)
+    gain = np.abs([float(plant.gain), _response_of(plant, 2j * np.pi * frequency)])
+    allowed = 0.5 * np.max(np.abs(np.asarray(record_u))) / np.sum(1 / gain)
+    return StartingTask(_rounded(float(allowed), 1), float(frequency), samples * dt)
+
+
+# How it is done
+# --------------------------------------------------------------------------------------------------
+
+
+def _responses(machines, task: Task, f) -> tuple[list[Loop], np.ndarray]:
+    """The loop of each machine, and (S, F) P(z) at frequencies f (F,) [Hz]."""
+    loops, P = _compiled_responses(machines, task, f)
+    return [Loop(*one) for one in zip(*map(np.asarray, loops), strict=True)], np.asarray(P)
+
+
+@jax.jit
+def _compiled_responses(machines, task, f):
+    loops = jax.vmap(lambda one: linear_loop(one, None, task))(machines)
+    return loops, jax.vmap(lambda loop: response(loop, f, task.dt)[:, 0, 0])(loops)
+
+
+def _largest_cutoff(P, f, dt, task, largest) -> StartingLaw | None:
+    """The law that is chosen on the grid, whose largest values are not known yet, or None.
+
+    P: (S, F) responses of the machines at frequencies f (F,) [Hz]
+    """
+    steady = P[:, 0].real
+    if np.any(steady * steady[0] <= 0) or not np.all(np.isfinite(P)):
+        return None
+    cutoffs = np.geomspace(min(2 / task.duration, 0.1 / dt), 0.4 / dt, 60)
+    Q = _low_pass(f, cutoffs[:, None], dt)
+    leads = np.unique(np.r_[0, np.geomspace(1, max(1, min(500, task.N // 8)), 40).astype(int)])
+    found = []
+    for lead in leads:
+        for share in SHARES:
+            gamma_p = _rounded(share / np.max(np.abs(steady)), 3) * np.sign(steady[0])
+            law = StartingLaw(float(gamma_p), int(lead), np.nan, len(P), np.inf, np.inf, np.nan)
+            kept = np.max(np.abs(_kept(P, f, dt, law)), axis=0)
+            allowed = np.flatnonzero(np.max(Q * kept, axis=1) <= largest)
+            if len(allowed):
+                cutoff = cutoffs[allowed[-1]]
+                slow = np.max(kept[f <= cutoff / 5], initial=0.0)
+                found.append((cutoff, slow, law))
+    if not found:
+        return None
+    widest = max(cutoff for cutoff, _, _ in found)
+    cutoff, _, law = min((one for one in found if one[0] >= 0.7 * widest), key=lambda one: one[1])
+    return law._replace(cutoff=_rounded(float(cutoff), 2))
+
+
+def _kept(P, f, dt, law):
+    """(S, F) 1 - L P"""
+    return 1 - law.gamma_p * np.exp(2j * np.pi * f * dt * (1 + law.lead)) * P
+
+
+def _low_pass(f, cutoff, dt):
+    """Q as `ZeroPhaseButterworth` has it."""
+    return 1 / (1 + (np.tan(np.pi * f * dt) / np.tan(np.pi * cutoff * dt)) ** (2 * ORDER))
+
+
+def _enclosed(loops: list[Loop], which, law: StartingLaw, dt: float) -> list[Largest]:
+    """sup |Q (1 - L P)| of some of the loops, enclosed over all frequencies."""
+    task = Task(np.zeros(max(64, 2 * law.lead)), dt=dt)
+    taps = law_of(law.scheme, task)
+    reduced = [minimal(loops[i], task.N) for i in which]
+    return [largest_of(taps, loop, task, lines(task, None, [loop])) for loop in reduced]
+
+
+def _response_of(plant: ProcessModel, s: complex) -> complex:
+    """G(s) as `ProcessModel` has it."""
+    zeros, poles, w, zeta = (
+        np.asarray(x) for x in (plant.zeros, plant.poles, plant.frequencies, plant.dampings)
+    )
+    slow = np.prod(1 + s / poles) * np.prod(1 + 2 * zeta * s / w + (s / w) ** 2)
+    return complex(float(plant.gain) * np.prod(1 - s / zeros) / slow)
+
+
+def _rounded(value: float, digits: int) -> float:
+    """The value rounded towards 0 to so many significant digits."""
+    if not value or not np.isfinite(value):
+        return value
+    unit = 10.0 ** (np.floor(np.log10(abs(value))) - digits + 1)
+    return float(f"{np.trunc(value / unit * (1 + 1e-12)) * unit:.{digits}g}")
