@@ -87,7 +87,7 @@ def test_spread_widens_the_relative_ones_only():
 @pytest.mark.parametrize(
     ("uncertainty", "kwargs", "message"),
     [
-        ({"plant.mass": Uniform(1, 2)}, {}, r"plant.mass.*known: plant.gain, plant.zero"),
+        ({"plant.mass": Uniform(1, 2)}, {}, r"plant.mass.*Known: plant.gain, plant.zero"),
         ({"sensor.noise": Uniform(1, 2)}, {}, r"sensor.noise.*known"),
         ({"actuator.rate": Uniform(1, 2)}, {}, r"actuator.rate = None is not a float leaf"),
         ({"plant.poles": Uniform(1, 2)}, {}, r"plant.poles has shape \(3,\).*plant.poles\[0\]"),

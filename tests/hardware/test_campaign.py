@@ -564,7 +564,7 @@ def test_mistakes_in_the_call_name_what_is_allowed(copied):
             ("next", "--state", state, "--out", out, "--growth", -1),
             "growth = -1 is outside its allowed range [0, inf)",
         ),
-        ((*start, "--scheme", "pid"), "scheme = 'pid' is not one of those that learn: ilc"),
+        ((*start, "--scheme", "pid"), "scheme = 'pid' is not one of those that learn; known: ilc"),
         ((*start, "--scenario", "cao-2019"), "--scenario and --plant-file exclude each other"),
         (
             ("next", "--state", folder / "new", "--out", out),

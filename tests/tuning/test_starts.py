@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxilc.tuning.descent import value_and_slope
+from jaxilc.tuning.slopes import value_and_slope
 from jaxilc.tuning.starts import in_rounds, over_starts
 
 
