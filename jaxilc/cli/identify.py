@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -41,9 +41,16 @@ def identify(
             metavar="RECORD", help="Text file of columns with a header: time, input, output."
         ),
     ],
-    poles: Annotated[int, typer.Option(help="Real poles.")] = 1,
-    pairs: Annotated[int, typer.Option(help="Pairs of poles, real or complex.")] = 1,
-    zeros: Annotated[int, typer.Option(help="Real zeros, of either sign.")] = 1,
+    poles: Annotated[int | None, typer.Option(help="Real poles; 1 if not given.")] = None,
+    pairs: Annotated[
+        int | None, typer.Option(help="Pairs of poles, real or complex; 1 if not given.")
+    ] = None,
+    zeros: Annotated[
+        int | None, typer.Option(help="Real zeros, of either sign; 1 if not given.")
+    ] = None,
+    auto: Annotated[
+        bool, typer.Option("--auto", help="Choose poles, pairs and zeros by a table of orders.")
+    ] = False,
     time_name: Annotated[str, typer.Option("--time", help="Column of the time.")] = "t",
     time_unit: Annotated[
         str | None,
@@ -72,6 +79,13 @@ def identify(
 
     Example: jaxilc identify record.csv --poles 1 --pairs 1 --zeros 1 --out axis.toml
     """
+    given = {"poles": poles, "pairs": pairs, "zeros": zeros}
+    for name, value in given.items():
+        if auto and value is not None:
+            raise ValueError(f"--{name} {value} is not allowed with --auto, which chooses it")
+    structure: dict[str, Any] = {
+        name: 1 if value is None else value for name, value in given.items()
+    }
     plant_file = out_dir if _is_plant_file(out_dir) else None
     if plant_file is not None and plant_file.exists() and not force:
         raise FileExistsError(f"{plant_file} exists already; add --force to replace it")
@@ -81,16 +95,23 @@ def identify(
     from .. import figures, identification
     from ..figures.report import command_report
     from ..identification.records import column_units, read_record
-    from .tables import identification_table
+    from .tables import identification_table, orders_table
 
     measured = read_record(
         record, time=time_name, input=input_name, output=output_name, time_unit=time_unit
     )
-    found = identification.identify(measured, poles=poles, pairs=pairs, zeros=zeros)
+    tables = []
+    if auto:
+        orders = identification.compare_orders(measured)
+        best = identification.best_order(orders)
+        structure = {"poles": best.poles, "pairs": best.pairs, "zeros": best.zeros}
+        tables.append(orders_table(orders, best))
+        out.print(tables[0])
+    found = identification.identify(measured, **structure)
     rows = found.summary()
-    table = identification_table(str(record), rows)
-    lines = [] if found.white else [NOT_WHITE]
-    out.print(table)
+    tables.append(identification_table(str(record), rows))
+    lines = ([] if found.white else [NOT_WHITE]) + identification.not_significant(found)
+    out.print(tables[-1])
     for line in lines:
         out.print(line, highlight=False)
     folder = folder_of(None if plant_file else out_dir, "identify")
@@ -102,10 +123,9 @@ def identify(
     if plant_file is not None:
         units = column_units(record, input_name, output_name)
         paths += [_plant_file(plant_file, found, measured, str(record), units)]
-    asked = {"poles": poles, "pairs": pairs, "zeros": zeros}
-    page = command_report(report, "identify", [table], paths, lines=lines, asked=asked)
+    page = command_report(report, "identify", tables, paths, lines=lines, asked=structure)
     numbers = {name: {"value": value, "low": low, "high": high} for name, value, low, high in rows}
-    sound = {"white": bool(found.white), "converged": bool(found.converged)}
+    sound = {"white": bool(found.white), "converged": bool(found.converged), **structure}
     written([*paths, *page], json_file, numbers | sound)
 
 

@@ -12,6 +12,7 @@ from .numbers import shown_trials
 from .titled_table import Table
 
 if TYPE_CHECKING:
+    from ..identification import Order
     from ..scenarios import Scenario
 
 
@@ -174,6 +175,22 @@ def identification_table(title: str, rows: Sequence[tuple[str, float, float, flo
         table.add_column(column, justify="left" if column == "quantity" else "right")
     for name, *values in rows:
         table.add_row(name, *(f"{v:.6g}" if np.isfinite(v) else "–" for v in values))
+    return table
+
+
+def orders_table(orders: Sequence[Order], best: Order) -> Table:
+    """The table of the structures that were fitted, of which the best one is marked.
+
+    The column rms is that of the residual, in the unit of the output.
+    """
+    table = Table(title=f"structures by BIC, above the smallest ({best.bic:.1f})")
+    for column in ("order", "poles", "pairs", "zeros", "rms", "BIC", "validation [%]", ""):
+        table.add_column(column, justify="right")
+    for one in orders:
+        counts = (one.poles + 2 * one.pairs, one.poles, one.pairs, one.zeros)
+        values = (f"{one.rms:.4g}", f"{one.bic - best.bic:+.1f}", f"{one.validation_fit:.4g}")
+        sound = "" if one.found.converged else "not converged"
+        table.add_row(*map(str, counts), *values, "chosen" if one is best else sound)
     return table
 
 

@@ -1,5 +1,6 @@
 from .estimation import identify
 from .fitting import Fit, fit
+from .orders import Order, best_order, compare_orders, not_significant
 from .records import Record, excite, read_record, write_record
 from .verdict import Estimate, Identified, PoleEstimate
 
@@ -7,11 +8,15 @@ __all__ = [
     "Estimate",
     "Fit",
     "Identified",
+    "Order",
     "PoleEstimate",
     "Record",
+    "best_order",
+    "compare_orders",
     "excite",
     "fit",
     "identify",
+    "not_significant",
     "read_record",
     "write_record",
 ]

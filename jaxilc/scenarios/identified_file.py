@@ -12,7 +12,7 @@ from typing import cast
 
 import numpy as np
 
-from ..identification import Estimate, Identified, Record
+from ..identification import Estimate, Identified, Record, not_significant
 from ..plants import ProcessModel
 from ..pytree.named_paths import interval_at
 from ..storage.files import atomically
@@ -113,6 +113,7 @@ def _heading(found: Identified, record: Record, source: str) -> Iterator[str]:
     if not found.white:
         yield "# The residual is not white: another structure may fit better, and the intervals"
         yield "# are too narrow."
+    yield from (f"# {sentence}." for sentence in not_significant(found))
     if not found.converged:
         yield "# The fit did not meet its tolerances: the structure may be too large."
     yield "# Fitted: [plant] and [uncertainty]. Chosen, to be changed: the other tables."
