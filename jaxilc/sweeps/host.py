@@ -1,6 +1,6 @@
 """One process that computes the chunks of a sweep, on all its devices.
 
-The devices compute while the caller writes: the next chunk is started before the results of the
+The devices compute while the caller writes: the next chunks are started before the results of the
 one before are handed over.
 """
 
@@ -31,6 +31,7 @@ from ..uncertainty import drawn_machine
 from .plan import Chunk, Plan
 
 PROGRAMS = 8  # number of programs, of different sweeps, that are kept in a process
+AT_ONCE = 4  # number of chunks that are in the RAM, computed or not; writing takes uneven times
 COMPILERS = 4  # number of programs that are compiled at once; a compiler mostly uses one core
 
 
@@ -95,11 +96,11 @@ class Host:
     ) -> Generator[Iterator[tuple[Chunk, dict]]]:
         """A context with an iterator over the chunks and the results of `compute`, in this order.
 
-        The first chunks are started at once. While the caller uses a chunk, the next one is
-        computed, unless the RAM cannot hold both beside a dataset of `stored` bytes.
+        The first chunks are started at once. While the caller uses a chunk, the next ones are
+        computed, as many as the RAM can hold beside a dataset of `stored` bytes, up to AT_ONCE.
         """
-        room = self.room(stored)[0]
-        at_once = 2 if room is None or 2 * self._needed <= room else 1
+        room, needed = self.room(stored)[0], max(self._needed, 1)
+        at_once = AT_ONCE if room is None else max(1, min(AT_ONCE, room // needed))
         waiting, started = iter(chunks), deque[tuple[Chunk, Future]]()
 
         def fill():

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 CHUNK = 256
 # Where a scheme would have more than CHUNKS such chunks, they are up to LARGEST times as large: the
 # files of a chunk take as long to write as some hundred machines take to compute.
-CHUNKS, LARGEST = 32, 8
+CHUNKS, LARGEST = 16, 8
 HEAVY = 2**26  # bytes of the results of a chunk, up to which it is made larger
 WORK = 4  # arrays of the size of a metric over all machines and trials, needed for its quantiles
 

@@ -1,4 +1,4 @@
-"""A host computes the next chunk while one is used, no further ahead, and hides no error."""
+"""A host computes the next chunks while one is used, no further ahead, and hides no error."""
 
 import dataclasses
 
@@ -8,7 +8,7 @@ from sweep_case import PLAN
 
 from jaxilc.sweeps.host import Host
 
-CHUNKS = dataclasses.replace(PLAN, machines=16).plan.chunks()[:4]
+CHUNKS = dataclasses.replace(PLAN, machines=24).plan.chunks()[:6]
 
 
 @pytest.fixture
@@ -42,16 +42,23 @@ def used(host, chunks=CHUNKS):
     return ", ".join(host.noted)
 
 
-def test_the_next_chunk_is_computed_while_one_is_used(host):
-    order = "start 0, start 1, use 0, start 2, use 1, start 3, use 2, use 3"
-    assert used(host) == order
-    assert len(CHUNKS) == 4
+def test_the_next_chunks_are_computed_while_one_is_used(host):
+    start = "start 0, start 1, start 2, start 3"
+    assert used(host) == f"{start}, use 0, start 4, use 1, start 5, use 2, use 3, use 4, use 5"
 
 
-def test_chunks_take_turns_where_the_memory_does_not_hold_two(host, monkeypatch):
+@pytest.mark.parametrize(
+    ("room", "order"),
+    [
+        (1000, "start 0, use 0, start 1, use 1, start 2, use 2"),
+        (1200, "start 0, start 1, use 0, start 2, use 1, use 2"),
+        (None, "start 0, start 1, start 2, use 0, use 1, use 2"),
+    ],
+)
+def test_no_more_chunks_are_started_than_the_memory_holds(host, monkeypatch, room, order):
     monkeypatch.setattr(host, "_needed", 600)
-    monkeypatch.setattr(host, "room", lambda stored: (1000 - stored, ""))
-    assert used(host, CHUNKS[:2]) == "start 0, use 0, start 1, use 1"
+    monkeypatch.setattr(host, "room", lambda stored: (room, ""))
+    assert used(host, CHUNKS[:3]) == order
 
 
 def test_an_error_comes_at_its_chunk_and_ends_the_computing(host, monkeypatch):
@@ -65,12 +72,12 @@ def test_an_error_comes_at_its_chunk_and_ends_the_computing(host, monkeypatch):
     monkeypatch.setattr(host, "_finished", fails)
     with pytest.raises(MemoryError, match="chunk 1"):
         used(host)
-    assert host.noted == ["start 0", "start 1", "use 0", "start 2"]
+    assert host.noted == ["start 0", "start 1", "start 2", "start 3", "use 0", "start 4"]
     monkeypatch.setattr(host, "_finished", finished)
     host.noted = Full()
     with pytest.raises(OSError, match="disk full"):
         used(host)
-    assert host.noted == ["start 0", "start 1"]
+    assert host.noted == ["start 0", "start 1", "start 2", "start 3"]
 
 
 def test_sweeps_of_one_shape_share_a_program():

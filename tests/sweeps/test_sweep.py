@@ -132,8 +132,8 @@ def test_a_store_under_earlier_names_is_resumed_and_opened(tmp_path, dataset, mo
 def test_chunks_grow_with_the_machines_but_not_with_what_is_kept_of_them(monkeypatch):
     monkeypatch.setattr(capacity, "host_bytes", lambda: 2**40)
     given = (PLAN.machine, PLAN.schemes, TASK, 4, PLAN.uncertainty)
-    chunks = {count: Sweep(*given, machines=count).chunk for count in (1, 8192, 2**15, 2**17)}
-    assert chunks == {1: 256, 8192: 256, 2**15: 1024, 2**17: 2048}
+    chunks = {count: Sweep(*given, machines=count).chunk for count in (1, 4096, 2**14, 2**17)}
+    assert chunks == {1: 256, 4096: 256, 2**14: 1024, 2**17: 2048}
     long = Task(reference=np.zeros(10_001), dt=1e-3)
     large = Sweep(*given[:2], long, 4, PLAN.uncertainty, machines=2**17, keep=("y",))
     assert large.chunk == 768  # 80 kB of each machine
