@@ -41,14 +41,19 @@ class Host:
     environment: what the numbers depend on besides the plan, see `provenance.environment`
     """
 
-    def __init__(self, plan: Plan):
+    def __init__(self, plan: Plan, *, shared: bool = False):
+        """A host of a plan.
+
+        shared: whether to use the compiled programs of earlier hosts of this process, and to leave
+            its own to later ones, where the shapes are the same
+        """
         self.plan, self.environment = plan, provenance.environment()
         self._needed = 0  # bytes of the largest chunk that was compiled
         self._finished_at = 0.0  # the time at which the last chunk was finished
         names = tuple((name, _Drawn(bool(of.relative))) for name, of in plan.uncertainty.items())
         of_machine = names, plan.trials, plan.keep, Keep.of(plan.quantities)
         self._one = _one_with(*of_machine)
-        self._run = _program(*of_machine, plan.lanes)
+        self._run = (_shared_program if shared else _program)(*of_machine, plan.lanes)
 
     def fitting_lanes(self) -> int:
         """The lanes that suit the backend and fit for every scheme, see `runtime.lanes`.
@@ -158,10 +163,12 @@ def _one_with(
     return partial(_one_machine, names=names, trials=trials, keep=keep, save=save)
 
 
-@lru_cache(maxsize=PROGRAMS)
 def _program(names, trials, keep, save, lanes: int | None) -> Any:
     """The compiled function of what is common and of the numbers of the machines of a chunk."""
     return jax.jit(tiled(_one_with(names, trials, keep, save), lanes=lanes))
+
+
+_shared_program = lru_cache(maxsize=PROGRAMS)(_program)
 
 
 def _one_machine(

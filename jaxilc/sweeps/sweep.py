@@ -234,7 +234,7 @@ class Sweep:
 
     def host(self) -> Host:
         """This process, ready to compute chunks."""
-        return Host(self.plan)
+        return Host(self.plan, shared=True)
 
     def machine_of(self, number: int) -> Machine:
         """One of the machines, rebuilt from its drawn numbers."""
