@@ -120,7 +120,7 @@ def error_contracting(
     """
     check(machine, scheme, task)
     found = _singular_of_error(machine, scheme, task, memory, trials=trials, **options)
-    memory = learned_memory(machine, scheme, task) if memory is None else memory
+    memory = _like_learned(machine, scheme, task) if memory is None else memory
     fixed, at = (machine, scheme, task, memory), jnp.zeros(task.N * task.outputs)
     affine = bool(linear_law(scheme, task, memory).held) and not obstacle(
         partial(_errors, trials=trials), fixed, at
@@ -173,11 +173,9 @@ def _distance(map_: Map):
 
 def _where(machine, scheme, task, memory, leaves, distance) -> tuple[tuple[Premise, Premise], str]:
     """The premises of a derivative at one memory, and where what it says is true."""
-    memory = learned_memory(machine, scheme, task) if memory is None else memory
-    fixed, at = (
-        (machine, scheme, task, memory),
-        learning_map(machine, scheme, task, memory, leaves=leaves).at,
-    )
+    memory = _like_learned(machine, scheme, task) if memory is None else memory
+    fixed = machine, scheme, task, memory
+    at = jax.eval_shape(lambda *fixed: learning_map(*fixed, leaves=leaves).at, *fixed)
     law = linear_law(scheme, task, memory)
     why = "" if law.held else law.detail
     why = obstacle(partial(_learned, leaves=leaves), fixed, at) or why
@@ -188,6 +186,11 @@ def _where(machine, scheme, task, memory, leaves, distance) -> tuple[tuple[Premi
     local = premise("map affine, or taken at its fixed point", not why or distance <= FIXED, found)
     smooth = not why or not blind(partial(_learned, leaves=leaves), fixed, at)
     return (local, _differentiable(smooth)), NEARBY if why else EVERYWHERE
+
+
+def _like_learned(machine, scheme, task) -> Any:
+    """The shapes of a memory that was learned, which are all that reading a program needs."""
+    return jax.eval_shape(learned_memory, machine, scheme, task)
 
 
 def _differentiable(smooth: bool) -> Premise:

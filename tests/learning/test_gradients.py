@@ -163,7 +163,8 @@ def test_largest_keeps_every_part_of_its_derivative():
 
 def test_largest_is_the_largest():
     x = np.random.default_rng(1).standard_normal((4, 5, 3))
+    of = jax.jit(largest, static_argnums=1)
     for axis in (None, 0, 1, -1):
-        np.testing.assert_array_equal(largest(x, axis), np.max(x, axis=axis))
-    assert np.isnan(largest(np.array([1.0, np.nan, 2.0])))
-    np.testing.assert_array_equal(jax.grad(largest)(jnp.ones(3)), [1.0, 0.0, 0.0])
+        np.testing.assert_array_equal(of(x, axis), np.max(x, axis=axis))
+    assert np.isnan(of(np.array([1.0, np.nan, 2.0]), None))
+    np.testing.assert_array_equal(jax.jit(jax.grad(largest))(jnp.ones(3)), [1.0, 0.0, 0.0])

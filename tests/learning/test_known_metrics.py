@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from gain_case import STATIC, TASK
+from jax import lax
 
 import jaxilc
 from jaxilc.learning import metrics
@@ -69,10 +70,12 @@ def test_every_way_to_gather_gives_the_metric_of_the_record(monkeypatch, settle)
         return measure(Trial(task.reference, y, u, task.dt), task)[:-1]
 
     def by_sample(y, u):
-        trial = Trial(task.reference, y, u, task.dt)
-        tally = Tally.start(trial.e[0], 3, start == 0)
-        for k in range(20):
-            tally = tally.add(trial.e[k + 1], u[k], start <= k + 1 < stop)
+        trial, k = Trial(task.reference, y, u, task.dt), np.arange(1, 21)
+        tally, _ = lax.scan(
+            lambda tally, now: (tally.add(*now), None),
+            Tally.start(trial.e[0], 3, start == 0),
+            (trial.e[1:], u, (start <= k) & (k < stop)),
+        )
         return tally.metrics(trial, task)[:-1]
 
     def formula(y, u):
@@ -89,9 +92,13 @@ def test_every_way_to_gather_gives_the_metric_of_the_record(monkeypatch, settle)
             for signal, of, late in KINDS
         )
 
+    def with_slopes(f):
+        return jax.jit(lambda y, u: (f(y, u), jax.jacobian(f, (0, 1))(y, u)))(y, u)
+
+    expected = with_slopes(formula)
     for found in (at_once, by_sample):
-        for one, other in zip(found(y, u), formula(y, u), strict=True):
+        values, slopes = zip(with_slopes(found), expected, strict=True)
+        for one, other in zip(*values, strict=True):
             np.testing.assert_allclose(one, other, rtol=1e-12)
-        slopes = jax.jacobian(found, (0, 1))(y, u), jax.jacobian(formula, (0, 1))(y, u)
         for one, other in zip(*map(jax.tree.leaves, slopes), strict=True):
             np.testing.assert_allclose(one, other, rtol=1e-10, atol=1e-14)

@@ -53,13 +53,16 @@ def voice_coil_tf(gain=7437.7769, zero=928.2, poles=(474.0, 474.0, 6.404)):
     return control.tf([float(gain), -float(gain * zero)], np.poly([-float(p) for p in poles]))
 
 
+sampled = jax.jit(lambda plant, dt: plant.sampled(dt), static_argnums=1)
+
+
 def dc_gain(plant, dt=DT):
-    d = plant.sampled(dt)
+    d = sampled(plant, dt)
     return float(np.sum(d.b) / (1 - np.sum(d.a)))
 
 
 def test_voice_coil_has_the_coefficients_of_the_paper():
-    d = voice_coil("exact").sampled(1e-3)
+    d = sampled(voice_coil("exact"), DT)
     np.testing.assert_allclose(d.a, (2.23863097, -1.62458219, 0.38504156), atol=5e-9)
     np.testing.assert_allclose(d.b, (0.00181091, -0.00363007, -0.00254555), atol=5e-9)
     assert d.b[0] > 0
@@ -90,7 +93,7 @@ COILS = {
 @pytest.mark.parametrize("weights", COILS.values(), ids=COILS)
 @pytest.mark.parametrize("dt", [1e-3, 2.5e-4])
 def test_voice_coil_is_the_zero_order_hold_of_its_transfer_function(weights, dt):
-    plant = VoiceCoil(**weights).sampled(dt)
+    plant = sampled(VoiceCoil(**weights), dt)
     system = voice_coil_tf(
         **{k: getattr(VoiceCoil(**weights), k) for k in ("gain", "zero", "poles")}
     )

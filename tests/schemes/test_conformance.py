@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cases import ALGEBRA, CASES, DIFFERENCES, case, task_for
+from cases import ALGEBRA, CASES, DIFFERENCES, FEW, case, task_for
 
 from jaxilc.learning import Machine, learn, over_trials
 from jaxilc.plants import StateSpace
@@ -14,9 +14,12 @@ from jaxilc.pytree import named_leaves, replaced
 from jaxilc.schemes import PID, PIDType
 
 THRESHOLDS = ("epsilon", "theta_limit", "delta", "max_error", "growth", "slow", "scheme.rms")
-# The estimators of MFAILC get their first data after two trials and use it in the fourth.
-TRIALS = 4
-SAMPLES = 3  # lanes of a batch
+# The estimators of MFAILC get their first data after two trials and use it in the fourth. Five
+# trials are one block of the scan and four are two, in which each trial is compiled twice.
+TRIALS = 5
+LANES = 3  # of a batch
+# A cutoff changes 8.3 and 18.7 ms after the start, and the error leaves the boundary layer late.
+LONG = {"p_type_switchable", "asmc_carried_limited"}
 
 
 class Run(NamedTuple):
@@ -24,7 +27,7 @@ class Run(NamedTuple):
 
     parts: {"machine", "scheme"}
     history: of the parts
-    lanes: the parts perturbed, leaves (SAMPLES, ...)
+    lanes: the parts perturbed, leaves (LANES, ...)
     batch, gradient: history and gradient of the loss of the lanes, by vmap
     """
 
@@ -47,13 +50,16 @@ def loss(parts, task):
 
 
 batched = jax.jit(jax.vmap(jax.value_and_grad(loss, has_aux=True), in_axes=(0, None)))
+sampled = jax.jit(lambda machine, dt: machine.sampled(dt), static_argnums=1)
 
 
 @pytest.fixture(scope="module", params=CASES)
 def run(request) -> Run:
     machine, scheme, task = case(request.param)
+    if request.param not in LONG:
+        task = task_for(machine.plant, FEW)
     parts = {"machine": machine, "scheme": scheme}
-    shrink = np.random.default_rng(1).uniform(0.97, 1.0, (SAMPLES, len(jax.tree.leaves(parts))))
+    shrink = np.random.default_rng(1).uniform(0.97, 1.0, (LANES, len(jax.tree.leaves(parts))))
     shrink[0] = 1.0
     leaves, shape = jax.tree.flatten(parts)
     lanes = shape.unflatten(
@@ -87,16 +93,13 @@ def test_leaves_are_strongly_typed_floats(run):
 
 def test_jit_equals_no_jit(run):
     # Sampling is a matrix exponential of hundreds of operations, which test_plants.py tests.
-    dt = run.task.dt
-    sampled = run.parts | {
-        "machine": jax.jit(lambda machine: machine.sampled(dt))(run.parts["machine"])
-    }
+    parts = run.parts | {"machine": sampled(run.parts["machine"], run.task.dt)}
     with jax.disable_jit():
-        assert_same(run.history, of(sampled, run.task))
+        assert_same(run.history, of(parts, run.task))
 
 
 def test_vmap_equals_loop(run):
-    for i in range(SAMPLES):
+    for i in range(LANES):
         assert_same(lane(run.batch, i), of(lane(run.lanes, i), run.task))
     final = np.asarray(run.batch.rms)[:, -1]
     assert np.all(final[1:] != final[0]), "the lanes should differ"
@@ -129,25 +132,24 @@ def test_gradient_of_every_parameter_equals_finite_differences(run):
 def test_other_weights_do_not_retrace(run):
     before = over_trials._program(over_trials._nothing)._cache_size()
     for turn in range(10):
-        parts = run.parts
-        for name, value in named_leaves(parts).items():
-            parts = replaced(parts, {name: np.asarray(value) * (1 - 0.001 * turn)})
-        of(parts, run.task)
+        moved = {
+            name: np.asarray(value) * (1 - 0.001 * turn)
+            for name, value in named_leaves(run.parts).items()
+        }
+        of(replaced(run.parts, moved), run.task)
     assert over_trials._program(over_trials._nothing)._cache_size() == before
 
 
-@pytest.mark.parametrize("precision", ["float32", "float64"])
-def test_dtype_is_preserved(run, precision):
-    with jax.enable_x64(precision == "float64"):
-        shapes = jax.eval_shape(
-            lambda parts, task: learn(parts["machine"], parts["scheme"], task, 2),
-            run.parts,
-            run.task,
-        )
-    floats = {
-        leaf.dtype for leaf in jax.tree.leaves(shapes) if jnp.issubdtype(leaf.dtype, jnp.floating)
-    }
-    assert floats == {jnp.dtype(precision)}
+def test_dtype_is_preserved(run):
+    with jax.enable_x64(False):
+        single = jax.eval_shape(of, run.parts, run.task)
+    for precision, tree in (("float32", single), ("float64", (run.history, run.batch))):
+        floats = {
+            leaf.dtype
+            for leaf in jax.tree.leaves(tree)
+            if jnp.issubdtype(leaf.dtype, jnp.floating)
+        }
+        assert floats == {jnp.dtype(precision)}
 
 
 STATIC = StateSpace([[0.0]], [[1.0]], [[1.0]], dt=1e-3)  # y[k+1] = u[k]
