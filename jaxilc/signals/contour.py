@@ -176,7 +176,8 @@ def _require_smooth(curve, u, q):
         angles = _turns(np.asarray(curve(trial.ravel()), float).reshape(*trial.shape, q.shape[1]))
         best = np.argmax(angles, axis=1)
         centre, closer = trial[np.arange(len(i)), best + 1], angles[np.arange(len(i)), best]
-    for where, angle, seen in zip(centre, closer, turn[i], strict=True):
+    wrong = (closer > turn[i] / 2) | (turn[i] > 0.5)
+    for where, angle, seen in zip(centre[wrong], closer[wrong], turn[i][wrong], strict=True):
         at = (
             f"at parameter {where:.9g}, position "
             f"{np.round(np.asarray(curve(np.array([where])))[0], 6)} mm"

@@ -1,5 +1,6 @@
 """These tests check how JAX is started."""
 
+import json
 import os
 import subprocess
 import sys
@@ -9,10 +10,10 @@ import pytest
 import jaxilc
 
 
-def python(program, **environment):
+def python(program, *arguments, **environment):
     kept = {name: value for name, value in os.environ.items() if name not in ("XLA_FLAGS", "NPROC")}
     return subprocess.run(
-        [sys.executable, "-c", program],
+        [sys.executable, "-c", program, *arguments],
         env=kept | environment,
         capture_output=True,
         text=True,
@@ -21,7 +22,7 @@ def python(program, **environment):
     )
 
 
-def test_setup_takes_cores_precision_and_whole_loops_and_leaves_flags_alone():
+def test_setup_takes_cores_precision_and_whole_loops():
     program = (
         "import jaxilc, jax, os; jaxilc.setup(devices=3); "
         "print(jax.device_count(), jax.config.jax_enable_x64, os.environ['XLA_FLAGS'])"
@@ -29,46 +30,74 @@ def test_setup_takes_cores_precision_and_whole_loops_and_leaves_flags_alone():
     count, double, flags = python(program).stdout.split(maxsplit=2)
     assert (count, double) == ("3", "True")
     assert "xla_cpu_small_while_loop_byte_threshold" in flags
-    kept = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=7"
-    assert python(program, XLA_FLAGS=kept).stdout.split(maxsplit=2)[2].strip() == kept
 
 
-def test_options_that_an_accelerator_would_read_are_left_out_where_there_is_one():
-    program = (
-        "import jaxilc.runtime.start as r, os; r.entry_points = lambda group: [group]; "
-        "r.setup(); print(os.environ['XLA_FLAGS'])"
-    )
-    assert "unroll" not in python(program).stdout
-    assert "unroll" in python(program, JAX_PLATFORMS="cpu").stdout
-    assert "unroll" in python(program.replace("[group]", "[]")).stdout
+FLAGS = """
+import json, os, sys
+import jaxilc.runtime.start as r
+def flags(given="", platforms=None, plugins=True, version=r.jaxlib.__version__):
+    os.environ["XLA_FLAGS"] = given
+    r.jax.config.update("jax_platforms", platforms)
+    r.entry_points = lambda group: [group] * plugins
+    r.jaxlib.__version__, known = version, r.jaxlib.__version__
+    r.setup(devices=3)
+    r.jaxlib.__version__ = known
+    return os.environ["XLA_FLAGS"]
+of_environment = r.jax.config.jax_platforms
+found = {name: flags(**case) for name, case in json.loads(sys.argv[1]).items()}
+os.environ["XLA_FLAGS"] = found["wide"]
+r.jax.config.update("jax_platforms", "cpu")
+print(json.dumps(found | {"computed": float(r.jax.numpy.ones(2).sum()), "as": of_environment}))
+"""
+KEPT_AS_IT_IS = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=7"
+CPU = {"platforms": "cpu"}
+CASES = {
+    "accelerated": {},
+    "without plugins": {"plugins": False},
+    "wide": CPU,
+    "unknown": CPU | {"version": "9.1.0"},
+    "asked": CPU | {"given": "--xla_cpu_prefer_vector_width=128"},
+    "kept": {"given": KEPT_AS_IT_IS},
+}
 
 
-def test_wide_registers_are_asked_for_where_the_option_is_known_and_nobody_else_did():
-    program = (
-        "import jaxilc.runtime.start as r, os; {} r.setup(); "
-        "print(os.environ['XLA_FLAGS'], r.jax.numpy.ones(2) + 1)"
-    )
-    cpu = {"JAX_PLATFORMS": "cpu"}
-    assert "prefer_vector_width=512" in python(program.format(""), **cpu).stdout
-    assert (
-        "prefer_vector_width"
-        not in python(program.format("r.jaxlib.__version__ = '9.1.0';"), **cpu).stdout
-    )
-    asked = python(program.format(""), **cpu, XLA_FLAGS="--xla_cpu_prefer_vector_width=128").stdout
+@pytest.fixture(scope="module")
+def flags():
+    """Return XLA_FLAGS after `setup` in each case, from one process that has not started JAX.
+
+    It computes with the options for wide registers: one that XLA does not know ends the process.
+    """
+    return json.loads(python(FLAGS, json.dumps(CASES), JAX_PLATFORMS="cpu").stdout)
+
+
+def test_options_that_an_accelerator_would_read_are_left_out_where_there_is_one(flags):
+    assert "unroll" not in flags["accelerated"]
+    assert "unroll" in flags["wide"]
+    assert "unroll" in flags["without plugins"]
+    assert flags["as"] == "cpu", "JAX_PLATFORMS is where the setting comes from"
+
+
+def test_wide_registers_are_asked_for_where_the_option_is_known_and_nobody_else_did(flags):
+    assert "prefer_vector_width=512" in flags["wide"]
+    assert flags["computed"] == 2.0
+    assert "prefer_vector_width" not in flags["unknown"]
+    asked = flags["asked"]
     assert (asked.count("prefer_vector_width"), "=128" in asked) == (1, True)
 
 
-def test_importing_flips_nothing():
+def test_options_that_are_given_are_not_changed(flags):
+    assert flags["kept"] == KEPT_AS_IT_IS
+
+
+def test_importing_flips_nothing_and_setup_too_late_says_so():
     program = (
         "import jaxilc, jax, os; jaxilc.scenarios.load('cao-2019'); "
-        "print(jax.config.jax_enable_x64, 'XLA_FLAGS' in os.environ)"
+        "print(jax.config.jax_enable_x64, 'XLA_FLAGS' in os.environ); "
+        "jax.numpy.ones(1) + 1; jaxilc.setup(devices=3)"
     )
-    assert python(program).stdout.split() == ["False", "False"]
-
-
-def test_setup_too_late_says_so():
-    program = "import jax; jax.numpy.ones(1) + 1; import jaxilc; jaxilc.setup(devices=3)"
-    assert "came after JAX had started" in python(program).stderr
+    found = python(program)
+    assert found.stdout.split() == ["False", "False"]
+    assert "came after JAX had started" in found.stderr
 
 
 def test_setup_too_late_for_loops_says_so_even_where_the_devices_are_given():
@@ -106,15 +135,28 @@ def test_programs_are_found_again_by_the_next_start(tmp_path):
     assert (first[1:], again[1:]) == (["0", "4.0", "False"], ["0", "4.0", "True"])
 
 
+ELSEWHERE = """
+import jaxilc, jax, os, sys; jaxilc.setup()
+from jaxilc.runtime.start import keep_programs
+home, other, unwritable = sys.argv[1:]
+for cache, folder in ((home, "off"), (unwritable, ""), (home, other)):
+    os.environ |= {"XDG_CACHE_HOME": cache, "JAXILC_CACHE": folder}
+    print(keep_programs())
+jax.jit(lambda x: x @ x + 1.0)(jax.numpy.ones(3))
+"""
+
+
 def test_keeping_programs_can_be_switched_off_and_sent_elsewhere(tmp_path):
-    home, other, unwritable = str(tmp_path / "home"), str(tmp_path / "other"), tmp_path / "file"
+    home, other, given = (tmp_path / name for name in ("home", "other", "given"))
+    unwritable = tmp_path / "file"
     unwritable.write_text("")
-    assert python(KEPT, XDG_CACHE_HOME=home, JAXILC_CACHE="off").stdout.split()[0] == "None"
-    assert python(KEPT, XDG_CACHE_HOME=str(unwritable), JAXILC_CACHE="").stdout.split()[0] == "None"
-    assert not (tmp_path / "home").exists()
-    assert python(KEPT, XDG_CACHE_HOME=home, JAXILC_CACHE=other).stdout.split()[0] == other
-    assert python(KEPT, JAX_COMPILATION_CACHE_DIR=other, JAXILC_CACHE="").stdout.split()[0] == other
-    assert list((tmp_path / "other").iterdir())
+    said = python(ELSEWHERE, *map(str, (home, other, unwritable))).stdout.split()
+    assert said == ["None", "None", str(other)]
+    assert not home.exists()
+    told = python(KEPT, JAX_COMPILATION_CACHE_DIR=str(given), JAXILC_CACHE="").stdout.split()
+    assert told[0] == str(given)
+    assert list(other.iterdir())
+    assert list(given.iterdir())
 
 
 def test_batched_linear_algebra_on_every_device_does_not_deadlock():

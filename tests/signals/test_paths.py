@@ -6,7 +6,7 @@ and a full search.
 
 from __future__ import annotations
 
-import itertools
+import math
 
 import jax
 import jax.numpy as jnp
@@ -184,10 +184,11 @@ def test_with_much_jerk_a_curve_takes_the_time_of_phase_plane_integration():
     ds = (rate[1:] + rate[:-1]) / 2 * (s[1] - s[0])
     square = np.minimum(200.0**2, 2000.0 / kappa)
     square[[0, -1]] = 0
+    square, kappa, steps = square.tolist(), kappa.tolist(), ds.tolist()
     for order in (range(1, len(s)), range(len(s) - 2, -1, -1)):
         for i in order:
-            before, step = (i - 1, ds[i - 1]) if order.step > 0 else (i + 1, ds[i])
-            pull = np.sqrt(max(2000.0**2 - (kappa[before] * square[before]) ** 2, 0))
+            before, step = (i - 1, steps[i - 1]) if order.step > 0 else (i + 1, steps[i])
+            pull = math.sqrt(max(2000.0**2 - (kappa[before] * square[before]) ** 2, 0))
             square[i] = min(square[i], square[before] + 2 * step * pull)
     v = np.sqrt(square)
     best = np.sum(2 * ds / (v[1:] + v[:-1]))
@@ -390,17 +391,17 @@ def test_on_a_line_it_is_the_signed_offset():
     assert_allclose(contour_error(y[1:2], path, window=40)[0], np.hypot(1.3, offset[1]), **ALGEBRA)
 
 
-def brute_force(point, path):
-    """Return the least distance from the chords, found in a plain loop.
+def brute_force(points, path):
+    """Return the least distance of each point from the chords.
 
     For each chord it is the best of three candidates.
     """
-    best = np.inf
-    for a, b in itertools.pairwise(path):
-        foot = np.dot(point - a, b - a) / np.dot(b - a, b - a)
-        ends = [a, b, a + np.clip(foot, 0, 1) * (b - a)]
-        best = min(best, *(np.linalg.norm(point - end) for end in ends))
-    return best
+    a, b = path[:-1], path[1:]
+    away = points[:, None] - a
+    foot = np.sum(away * (b - a), axis=-1) / np.sum((b - a) ** 2, axis=-1)
+    nearest = np.clip(foot, 0, 1)[..., None] * (b - a)
+    ends = (away, points[:, None] - b, away - nearest)
+    return np.min([np.linalg.norm(end, axis=-1) for end in ends], axis=(0, 2))
 
 
 @pytest.fixture(scope="module")
@@ -414,7 +415,7 @@ def measured():
 
 def test_with_a_wide_window_it_is_the_distance_from_the_whole_path(measured):
     y, path = measured
-    expected = [brute_force(point, np.asarray(path)) for point in np.asarray(y)]
+    expected = brute_force(np.asarray(y), np.asarray(path))
     assert_allclose(np.abs(contour_error(y, path, window=120)), expected, **ALGEBRA)
     with_line_in_space = [np.column_stack([a, np.full(121, b)]) for a, b in ((y, 0.3), (path, 0.0))]
     assert_allclose(
@@ -449,13 +450,13 @@ def test_a_closed_path_has_no_start():
         np.stack([4.0 * np.cos(lagging), 1.5 * np.sin(lagging)], axis=-1)
         + 0.01 * np.cos(7 * ANGLES)[:, None]
     )
-    expected = [brute_force(point, path) for point in y]
+    expected = brute_force(y, path)
     for of in (contour_error, jax.jit(contour_error, static_argnames="window")):
         assert_allclose(np.abs(of(y, path, window=12)), expected, **ALGEBRA)
     ahead = y[np.minimum(np.arange(401) + 20, 400)]
     assert_allclose(
         np.abs(contour_error(ahead, path, window=25)),
-        [brute_force(point, path) for point in ahead],
+        brute_force(ahead, path),
         **ALGEBRA,
     )
     as_if_open = np.abs(contour_error(y, path, window=12, closed=False))
@@ -487,11 +488,12 @@ def test_its_gradient_is_that_of_differences_and_finite_on_the_path(measured):
     def total(y):
         return jnp.sum(contour_error(y, path, window=12) ** 2)
 
-    gradient = jax.jit(jax.grad(total))(y)
-    for k, i in ((10, 0), (60, 1), (90, 0)):
-        step = jnp.zeros_like(y).at[k, i].set(1e-6)
-        assert_allclose(gradient[k, i], (total(y + step) - total(y - step)) / 2e-6, **DIFFERENCES)
-    on_path = jax.jacobian(lambda y: contour_error(y, path, window=3))(path)
+    at = ((10, 60, 90), (0, 1, 0))
+    steps = np.zeros((3, *y.shape))
+    steps[(range(3), *at)] = 1e-6
+    above, below = jax.jit(jax.vmap(total))(np.concatenate([y + steps, y - steps])).reshape(2, 3)
+    assert_allclose(jax.jit(jax.grad(total))(y)[at], (above - below) / 2e-6, **DIFFERENCES)
+    on_path = jax.jit(jax.jacobian(lambda y: contour_error(y, path, window=3)))(path)
     assert np.all(np.isfinite(on_path))
 
 
