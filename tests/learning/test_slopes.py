@@ -96,7 +96,8 @@ def test_slope_of_every_objective_equals_finite_differences(name):
     def along(x):
         def losses(x):
             there = moved(x)
-            of = Run(machine, there, task, learn(machine, Bounded.around(there, task), task, TRIALS))
+            history = learn(machine, Bounded.around(there, task), task, TRIALS)
+            of = Run(machine, there, task, history)
             return jnp.stack([weight * term(of) for weight, term in EVERYTHING.terms])
 
         return jax.jvp(losses, (x,), (1.0,))

@@ -61,9 +61,7 @@ def test_a_difference_equation_is_scipys(no_steps, a, b):
     inputs = [(RNG.normal(size=(N, 1)), length) for N, length in LENGTHS]
     found = responses(DifferenceEquation(a, b, dt=DT), inputs)
     for (u, _), y in zip(inputs, found, strict=True):
-        expected = scipy.signal.lfilter(
-            (0.0, *b), (1.0, *(-x for x in a)), np.append(u[:, 0], 0.0)
-        )
+        expected = scipy.signal.lfilter((0.0, *b), (1.0, *(-x for x in a)), np.append(u[:, 0], 0.0))
         np.testing.assert_allclose(y[:, 0], expected, **ALGEBRA, err_msg=f"N = {len(u)}")
 
 

@@ -145,9 +145,7 @@ def test_dtype_is_preserved(run):
         single = jax.eval_shape(of, run.parts, run.task)
     for precision, tree in (("float32", single), ("float64", (run.history, run.batch))):
         floats = {
-            leaf.dtype
-            for leaf in jax.tree.leaves(tree)
-            if jnp.issubdtype(leaf.dtype, jnp.floating)
+            leaf.dtype for leaf in jax.tree.leaves(tree) if jnp.issubdtype(leaf.dtype, jnp.floating)
         }
         assert floats == {jnp.dtype(precision)}
 
