@@ -1,3 +1,4 @@
+from .dead_time import orders_and_delays
 from .estimation import identify
 from .fitting import Fit, fit
 from .orders import Order, best_order, compare_orders, not_significant
@@ -17,6 +18,7 @@ __all__ = [
     "fit",
     "identify",
     "not_significant",
+    "orders_and_delays",
     "read_record",
     "write_record",
 ]
