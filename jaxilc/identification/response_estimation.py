@@ -179,6 +179,7 @@ def _judged(problem: ResponseProblem, found: Minimum) -> Identified:
         white=whiteness >= WHITE,
         converged=found.converged,
         of_response=True,
+        std_known=known,
     )
 
 
