@@ -36,11 +36,17 @@ def register(app: typer.Typer) -> None:
 
 def identify(
     record: Annotated[
-        Path,
+        Path | None,
         typer.Argument(
-            metavar="RECORD", help="Text file of columns with a header: time, input, output."
+            metavar="[RECORD]", help="Text file of columns with a header: time, input, output."
         ),
-    ],
+    ] = None,
+    state: Annotated[
+        Path | None,
+        typer.Option(
+            "--state", help="Folder of a campaign, whose trials are the record, in place of one."
+        ),
+    ] = None,
     poles: Annotated[int | None, typer.Option(help="Real poles; 1 if not given.")] = None,
     pairs: Annotated[
         int | None, typer.Option(help="Pairs of poles, real or complex; 1 if not given.")
@@ -76,6 +82,8 @@ def identify(
     """A plant from a recorded experiment: parameters with 95 % intervals, fit, validation figure.
 
     With --out axis.toml it also writes a plant file that every other command takes.
+    With --state the record is what a campaign of `jaxilc next` has measured; the plant
+    file is then that of the campaign, with the fitted plant in it.
 
     Example: jaxilc identify record.csv --poles 1 --pairs 1 --zeros 1 --out axis.toml
     """
@@ -89,6 +97,15 @@ def identify(
     plant_file = out_dir if _is_plant_file(out_dir) else None
     if plant_file is not None and plant_file.exists() and not force:
         raise FileExistsError(f"{plant_file} exists already; add --force to replace it")
+    if state is not None:
+        from .reidentify import reidentify
+
+        if record is not None:
+            raise ValueError("RECORD and --state exclude each other")
+        reidentify(state, given, auto, out_dir, json_file, report, not_white=NOT_WHITE)
+        return
+    if record is None:
+        raise ValueError("RECORD is missing; give a file, or --state and the folder of a campaign")
     from .asked import begin
 
     begin("float64")

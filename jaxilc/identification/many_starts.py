@@ -16,8 +16,8 @@ from ..plants import ProcessModel
 from ..runtime.capacity import check_size
 from ..runtime.tiles import tiled
 from ..signals.task import Task
+from .from_rest import output_from_rest
 from .problem import Minimum, Problem
-from .records import played
 
 REFINED = 16  # number of starts, those with the best fit, that are refined
 
@@ -33,7 +33,7 @@ def from_many_starts(problem: Problem, starts: int, seed: int) -> Minimum:
     each = 8 * (100 + 8 * len(problem.names) ** 2)
     check_size("identify", lambda starts: each * starts, starts=starts)
     drawn = _draw(cast(ProcessModel, problem.plant), problem.task, starts, seed)
-    fitted = np.arange(problem.task.N + 1) < problem.samples
+    fitted = np.arange(len(problem.record.y)) < problem.samples
     products = np.asarray(
         _products()((problem.task, problem.record.u, problem.record.y, fitted), drawn)
     )
@@ -86,9 +86,7 @@ def _inner_products(common, plant: ProcessModel):
     """
     task, u, y, fitted = common
     outputs = [
-        played(
-            Machine(dataclasses.replace(plant, zeros=plant.zeros[:k])), task, u, jax.random.key(0)
-        ).y[:, 0]
+        output_from_rest(Machine(dataclasses.replace(plant, zeros=plant.zeros[:k])), task, u)[:, 0]
         for k in range(plant.zeros.shape[0] + 1)
     ]
     columns = jnp.stack([jnp.ones_like(y[:, 0]), *outputs, y[:, 0]]) * fitted
