@@ -25,7 +25,7 @@ import scipy
 from ..pytree.ranges import brief, require
 from ..signals import paths
 from ..signals.gcode import read_gcode
-from ..signals.segments import Straight
+from ..signals.segments import FARTHEST, SHORTEST, Straight
 from ..signals.tool_path import Dwell, Followed, Move, follow
 from ..storage.reading import name_and_unit, numbers_in, read_columns, read_text
 from .values import Table, list_of_numbers, number, numbers, one_of, text, whole
@@ -117,7 +117,9 @@ def _nurbs(table: Table, setting: Setting, limits) -> tuple[np.ndarray, str]:
             f"{degree} need {len(points) + degree + 1}"
         )
     if np.any(np.diff(knots) < 0) or not knots[degree] < knots[-degree - 1]:
-        raise ValueError(f"{table.at('knots')} = {brief(list(knots))} must not fall, and must rise")
+        raise ValueError(
+            f"{table.at('knots')} = {brief(knots.tolist())} must not fall, and must rise"
+        )
     _need_axes(table, setting, points.shape[1])
     interval = (float(knots[degree]), float(knots[-degree - 1]))
     return _curve(table, setting, limits, lambda: (paths.nurbs(points, knots, weights), interval))
@@ -221,10 +223,12 @@ def _points_of(file: Path, axes: Sequence[str]) -> np.ndarray:
             )
     at, found = [names.index(axis) for axis in axes], []
     for line, row in rows:
-        point = numbers_in(row, at)
-        if not np.all(np.isfinite(point)):
-            raise ValueError(f"{file}, line {line}: {brief(row)} has no number for each axis")
-        if not found or point != found[-1]:
+        point = np.array(numbers_in(row, at))
+        if not np.all(np.abs(point) <= FARTHEST):
+            raise ValueError(
+                f"{file}, line {line}: {brief(row)} has no number up to {FARTHEST:g} for each axis"
+            )
+        if not found or np.max(np.abs(point - found[-1])) > SHORTEST:
             found.append(point)
         if len(found) > POINTS:
             raise ValueError(f"{file} has more than {POINTS} points; allowed are up to {POINTS}")

@@ -84,8 +84,14 @@ def _axes(table: Table, cls: type, folder: Path, notes: list[str]) -> Plant:
 
     names = [field.name for field in dataclasses.fields(typing.cast(Any, cls))]
     shared = table.take("axis", one, None)
-    axes = {name: table.take(name, one, *([] if shared is None else [shared])) for name in names}
+    axes = {name: table.take(name, one, shared) for name in names}
     table.done()
+    missing = [name for name, axis in axes.items() if axis is None]
+    if missing:
+        raise ValueError(
+            f"{table.at(missing[0])} is missing; needed is a table for each of the axes "
+            f"{', '.join(names)}, or the table `axis` for all of them"
+        )
     try:
         return cls(**axes)
     except ValueError as error:

@@ -52,6 +52,11 @@ def task_of(values: Any, where: str, folder: Path, plant: Plant, notes: list[str
 
     unit = table.take("unit", text, "")
     names = tuple(table.take("names", list_of(text), list(names_of(plant))))
+    if names and len(names) != plant.n_y:
+        raise ValueError(
+            f"{table.at('names')} = {list(names)} are {len(names)} names; the plant has "
+            f"{plant.n_y} outputs"
+        )
     axes = names or AXES[: plant.n_y]
 
     def reference(value, at):

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..pytree.ranges import brief
-from .segments import Arc, Straight
+from .segments import FARTHEST, SHORTEST, Arc, Straight
 from .tool_path import Dwell, Move
 
 INCH = 25.4  # mm
@@ -128,13 +128,15 @@ class _Reader:
             if letter in words:
                 value = words[letter] * self.unit
                 end[i] = start[i] + value if self.relative else value
+        if not np.all(np.abs(end) <= FARTHEST):
+            raise ValueError(f"{_said(words)} leads beyond {FARTHEST:g} mm")
         feed = self.rapid if name == "G0" else self.feed
         if feed is None:
             missing = "the key `rapid`, its feed" if name == "G0" else "a feed, F in a minute"
             raise ValueError(f"{name} needs {missing}")
         if arc:
             segment = self._arc(name, words, start, end)
-        elif np.array_equal(start, end):
+        elif np.max(np.abs(end - start)) <= SHORTEST:
             return
         else:
             segment = Straight(start, end)

@@ -7,6 +7,9 @@ import itertools
 
 import numpy as np
 
+FARTHEST = 1e9  # largest coordinate [mm]
+SHORTEST = 1e-9  # coordinates that differ by less are one place [mm]
+
 
 @dataclasses.dataclass(frozen=True)
 class Straight:

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..pytree.ranges import require
 from .paths import LONGEST, plan
-from .s_curves import s_curve
+from .s_curves import s_curve, s_curve_move
 from .sample_times import POSITIVE
 from .segments import Chain, Segment, Straight, turn
 
@@ -169,9 +169,15 @@ def _straight(segment: Straight, feed: float, *, acceleration, jerk, dt) -> np.n
         return float(np.min(limit[moving] / share[moving]) if np.ndim(limit) else limit)
 
     length = segment.length
-    s = s_curve(
-        [0.0, length], velocity=feed, acceleration=along(acceleration), jerk=along(jerk), dt=dt
-    )
+    of_length = {"acceleration": along(acceleration), "jerk": along(jerk)}
+    needed = s_curve_move(length, velocity=feed, **of_length).duration
+    if not needed / dt <= LONGEST:
+        raise ValueError(
+            f"feed = {feed:g} mm/s, acceleration = {of_length['acceleration']:g} mm/s^2, jerk = "
+            f"{of_length['jerk']:g} mm/s^3 need {needed:.3g} s for {length:g} mm; allowed are up "
+            f"to {LONGEST} samples of dt = {dt:g} s"
+        )
+    s = s_curve([0.0, length], velocity=feed, **of_length, dt=dt)
     reference = segment.at(s)
     reference[-1] = segment.end
     return reference
