@@ -1,11 +1,12 @@
 """A scenario with a user's own machine from a TOML or JSON file.
 
-    # All keys before the first table are optional: name, title, trials, tolerance, shown_unit,
-    # shown_scale, show_trials.
+    # All keys before the first table are optional: name, title, trials, tolerance, judged_by (the
+    # metric to which the tolerance belongs), shown_unit, shown_scale, show_trials.
     trials = 20
 
     # kind: transfer_function, zeros_poles_gain, state_space, identified, or a class of
-    # jaxilc.plants. A transfer function is one in s; with dt = 0.001 it is one in z.
+    # jaxilc.plants. A transfer function is one in s; with dt = 0.001 it is one in z. TwoAxes and
+    # ThreeAxes have such a table for each axis, [plant.x], [plant.y], or [plant.axis] for all.
     [plant]
     kind = "transfer_function"
     num = [4000.0]
@@ -18,13 +19,13 @@
     [machine.disturbance]                    # input_noise, output_noise
     input_noise = 1e-3
 
-    [task]                                   # dt, unit, input_unit, settle, inputs
+    [task]                                   # dt, unit, input_unit, settle, inputs, names
     dt = 0.001
     unit = "mm"
     input_unit = "V"
 
     # A function of jaxilc.references with its parameters, or csv = FILE and column = NAME;
-    # [[task.reference]] for each of several outputs.
+    # [[task.reference]] for each of several outputs, or one path of all axes (see `file_path`).
     [task.reference]
     function = "sinusoid"
     amplitude = 1.0
