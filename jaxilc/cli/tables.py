@@ -108,13 +108,13 @@ def swept_axes_table(numbers: dict[str, Any]) -> Table | None:
     tolerance, unit = numbers["tolerance"], numbers["unit"]
     within = () if tolerance is None else (f"within {tolerance:g}",)
     table = Table(title=f"largest error [{unit}] of trial {numbers['trials']} by axis")
-    for column in ("scheme", "axis", *within, "median", "95 %", "worst", "its machine"):
+    for column in ("scheme", "axis", *within, "median", "95 %", "worst (machine)"):
         table.add_column(column, justify="left" if column in ("scheme", "axis") else "right")
     for name, axes in numbers["axes"].items():
         for axis, at in axes.items():
             share = [] if tolerance is None else [f"{at['yield']:.1%}"]
-            errors = (number(at[of]) for of in ("median", "high", "worst"))
-            table.add_row(name, axis, *share, *errors, str(at["worst_sample"]))
+            worst = f"{number(at['worst'])} ({at['worst_sample']})"
+            table.add_row(name, axis, *share, number(at["median"]), number(at["high"]), worst)
     return table
 
 
