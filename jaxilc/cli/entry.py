@@ -11,6 +11,7 @@ import typer
 from . import (
     bench,
     certify,
+    design,
     hardware,
     identify,
     pareto,
@@ -82,7 +83,20 @@ def options(
 
 
 # in the order of `--help`
-for room in (run, sweep, tune, pareto, worst_case, identify, certify, hardware, reproduce, bench):
+COMMANDS = (
+    run,
+    sweep,
+    identify,
+    design,
+    tune,
+    pareto,
+    worst_case,
+    certify,
+    hardware,
+    reproduce,
+    bench,
+)
+for room in COMMANDS:
     room.register(app)
 
 

@@ -34,12 +34,18 @@ def register(app: typer.Typer) -> None:
 
 def identify(
     record: Annotated[
-        Path,
+        Path | None,
         typer.Argument(
-            metavar="RECORD",
+            metavar="[RECORD]",
             help="Columns of time, input, output; or of a frequency response; or a .mat file.",
         ),
-    ],
+    ] = None,
+    state: Annotated[
+        Path | None,
+        typer.Option(
+            "--state", help="Folder of a campaign, whose trials are the record, in place of one."
+        ),
+    ] = None,
     poles: Annotated[int | None, typer.Option(help="Real poles; 1 if not given.")] = None,
     pairs: Annotated[
         int | None, typer.Option(help="Pairs of poles, real or complex; 1 if not given.")
@@ -95,6 +101,8 @@ def identify(
     A frequency response is known by its header: f [Hz], then re and im, or magnitude [dB] and
     phase [deg], or complex text; std, variance or coherence if there is one.
     With --out axis.toml it also writes a plant file that every other command takes.
+    With --state the record is what a campaign of `jaxilc next` has measured; the plant
+    file is then that of the campaign, with the fitted plant in it.
 
     Example: jaxilc identify record.csv --auto --out axis.toml
     """
@@ -107,6 +115,17 @@ def identify(
     plant_file = out_dir if _is_plant_file(out_dir) else None
     if plant_file is not None and plant_file.exists() and not force:
         raise FileExistsError(f"{plant_file} exists already; add --force to replace it")
+    if state is not None:
+        from .reidentify import reidentify
+
+        for_files = {"dt": dt, "resample": resample, "columns": columns, "averages": averages}
+        wrong = [f"--{name}" for name, value in for_files.items() if value is not None]
+        if record is not None or wrong:
+            raise ValueError(f"{', '.join(wrong) or 'RECORD'} and --state exclude each other")
+        reidentify(state, given, delay, auto, out_dir, json_file, report)
+        return
+    if record is None:
+        raise ValueError("RECORD is missing; give a file, or --state and the folder of a campaign")
     from .asked import begin
 
     begin("float64")

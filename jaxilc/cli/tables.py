@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..learning.divergence import CEILING, GROWTH
-from .numbers import shown_trials
+from .numbers import ERRORS, shown_trials
 from .titled_table import Table
 
 MOST_ORDERS = 12  # rows of a table of orders
@@ -37,7 +37,8 @@ def run_table(scenario: Scenario, numbers: dict[str, Any]) -> Table:
     A published value is shown in brackets.
     """
     metric, (_, unit) = scenario.judged_by, scenario.shown(scenario.judged_by)
-    what = f"{metric.replace('_', ' ')} [{unit}] by trial, published value in brackets"
+    printed = ", published value in brackets" if scenario.published else ""
+    what = f"{metric.replace('_', ' ')} [{unit}] by trial{printed}"
     table = Table(title=f"{scenario.title}\n{what}")
     table.add_column("trial", justify="right")
     for name in scenario.schemes:
@@ -76,6 +77,46 @@ def last_trial_table(numbers: dict[str, Any]) -> Table:
     for name, rows in numbers["schemes"].items():
         errors = (number(rows[m][last]) for m in ("max_error", "rms", "settled_error"))
         table.add_row(name, *errors, str(rows["best"]))
+    return table
+
+
+def axes_table(numbers: dict[str, Any]) -> Table | None:
+    """The table of the errors of the last trial of a run, axis by axis, and of the contour.
+
+    None for a single output.
+    """
+    if not any("axes" in rows for rows in numbers["schemes"].values()):
+        return None
+    last = str(numbers["trials"])
+    table = Table(title=f"trial {last} by axis, errors in {numbers['unit'] or 'the unit of y'}")
+    for column in ("scheme", "axis", "largest", "rms", "largest, settled"):
+        table.add_column(column, justify="left" if column in ("scheme", "axis") else "right")
+    for name, rows in numbers["schemes"].items():
+        for axis, errors in rows["axes"].items():
+            table.add_row(name, axis, *(number(errors[m][last]) for m in ERRORS))
+        if "contour_max" in rows:
+            contour = (number(rows[m][last]) for m in ("contour_max", "contour_rms"))
+            table.add_row(name, "contour", *contour, "")
+    return table
+
+
+def swept_axes_table(numbers: dict[str, Any]) -> Table | None:
+    """The table of the largest errors of the last trial of a sweep, axis by axis, and contour.
+
+    None for a single output.
+    """
+    if "axes" not in numbers:
+        return None
+    tolerance, unit = numbers["tolerance"], numbers["unit"]
+    within = () if tolerance is None else (f"within {tolerance:g}",)
+    table = Table(title=f"largest error [{unit}] of trial {numbers['trials']} by axis")
+    for column in ("scheme", "axis", *within, "median", "95 %", "worst (machine)"):
+        table.add_column(column, justify="left" if column in ("scheme", "axis") else "right")
+    for name, axes in numbers["axes"].items():
+        for axis, at in axes.items():
+            share = [] if tolerance is None else [f"{at['yield']:.1%}"]
+            worst = f"{number(at['worst'])} ({at['worst_sample']})"
+            table.add_row(name, axis, *share, number(at["median"]), number(at["high"]), worst)
     return table
 
 

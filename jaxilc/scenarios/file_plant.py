@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
+import typing
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +15,7 @@ import scipy
 
 from .. import plants
 from ..plants import Plant, from_control
+from ..plants.cnc_axis import Axes
 from ..plants.from_python_control import Linear, canonical_form, from_linear
 from ..pytree.ranges import brief, require
 from .fitted_once import Options, identified_plant
@@ -46,6 +50,8 @@ def plant_of(values: Any, where: str, folder: Path, notes: list[str]) -> Plant:
     kind = table.take("kind", one_of((*kinds, "identified", *named)))
     if kind == "identified":
         return _identified(table, folder, notes)
+    if issubclass(classes().get(kind, type(None)), Axes):
+        return _axes(table, classes()[kind], folder, notes)
     if kind in kinds:
         allow_unstable = table.take("allow_unstable", flag, False)
         try:
@@ -63,6 +69,33 @@ def plant_of(values: Any, where: str, folder: Path, notes: list[str]) -> Plant:
         where,
         cls=getattr(plants, kind),
     )
+
+
+def _axes(table: Table, cls: type, folder: Path, notes: list[str]) -> Plant:
+    """Axes side by side, each with a plant table of its own, or all with the table `axis`.
+
+    A table with `class` in place of `kind` is an object of this class.
+    """
+
+    def one(value: Any, where: str) -> Plant:
+        if isinstance(value, Mapping) and "class" in value:
+            return built(value, where)
+        return plant_of(value, where, folder, notes)
+
+    names = [field.name for field in dataclasses.fields(typing.cast(Any, cls))]
+    shared = table.take("axis", one, None)
+    axes = {name: table.take(name, one, shared) for name in names}
+    table.done()
+    missing = [name for name, axis in axes.items() if axis is None]
+    if missing:
+        raise ValueError(
+            f"{table.at(missing[0])} is missing; needed is a table for each of the axes "
+            f"{', '.join(names)}, or the table `axis` for all of them"
+        )
+    try:
+        return cls(**axes)
+    except ValueError as error:
+        raise ValueError(f"{table.where}: {error}") from None
 
 
 def _transfer_function(table: Table):
