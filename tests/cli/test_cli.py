@@ -456,6 +456,9 @@ def test_identify_reads_a_frequency_response(jaxilc_command, tmp_path, monkeypat
     assert plant.delay == pytest.approx(2.5e-3, rel=1e-6)
     assert float(plant.poles[0]) == pytest.approx(30.0, rel=1e-6)
     assert (tmp_path / "out/identify/response.png").exists()
+    code, out, _ = jaxilc_command(*asked, "--dt", 1e-3, "--delay", 2)
+    assert code == 0
+    assert "Next: jaxilc identify frf.csv --dt 0.001 --auto compares structures" in out
     for wrong, said in (
         (("--out", "b.toml"), "--out FILE.toml of a frequency response needs --dt"),
         (("--delay", 2), "--delay 2 counts samples of a response: give --dt, too"),
