@@ -5,8 +5,8 @@ eight times above it, every third one with a zero in the right half-plane and ev
 an actuator limit. Gain, loop and resonance are known to 3 to 20 %, and the encoder has noise. The
 design sees neither the machines nor the trials by which it is judged: 256 new machines, 500 trials.
 
-The opponent is P-type learning with a lead and a Q-filter, the best of 640 laws (8 gains, 10
-cutoffs, 8 leads) by simulation of 24 machines over 60 trials. It is judged on the same new
+The opponent is P-type learning with a lead and a Q-filter, the best of 378 laws (6 gains, 9
+cutoffs, 7 leads) by simulation of 12 machines over 40 trials. It is judged on the same new
 machines.
 
     python experiments/designs_judged.py [axes] [seed of the first axis]
@@ -40,8 +40,8 @@ from jaxilc.uncertainty import draw, drawn_machines
 
 DT, SAMPLES, TRIALS = 1e-3, 1000, 20
 LONG, JUDGED_ON, JUDGES = 500, 256, 4711  # trials, machines and seed of the judgement
-GAINS, CUTOFFS, LEADS = np.geomspace(0.05, 1.2, 8), np.geomspace(3, 300, 10), 8
-GRID_ON, GRID_TRIALS = 24, 60
+GAINS, CUTOFFS, LEADS = np.geomspace(0.1, 1.2, 6), np.geomspace(3, 300, 9), 7
+GRID_ON, GRID_TRIALS = 12, 40
 METRIC = "rms"
 
 
@@ -92,7 +92,7 @@ def of_grid(machines, task, gains, lead):
 
 
 def best_of_grid(machine, task, uncertainty) -> Filtered:
-    """The law of the grid with the least 95 % error in trials 20 to 60."""
+    """The law of the grid with the least 95 % error in trials 20 to 40."""
     drawn = draw(machine, uncertainty, GRID_ON, seed=1, sampling="sobol")
     machines = drawn_machines(machine, uncertainty, drawn)
     gains = GAINS / float(machine.plant.gain)

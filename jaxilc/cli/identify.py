@@ -216,8 +216,8 @@ def _next(record: Path, asked, fitted, plant_file: Path | None, has_law: bool) -
     if plant_file is not None:
         file = shlex.quote(str(plant_file))
         if has_law:
-            return f"Next: jaxilc run {file}"
-        return f"Next: write a table [schemes] into {file}, then jaxilc certify {file}"
+            return f"Next: jaxilc design {file}, or jaxilc run {file} with the law in it"
+        return f"Next: jaxilc design {file}"
     again = f"jaxilc identify {shlex.quote(str(record))}{asked.options()}"
     if not fitted.found.white and asked.structure:
         return f"Next: {again} --auto compares structures"

@@ -78,8 +78,8 @@ def _export(path) -> _Export:
     separator = _separator(text)
     if separator == " ":
         raise ValueError(
-            f"read_record: {path} is an export of TwinCAT Scope separated by blanks; export it with "
-            "tabs or semicolons"
+            f"read_record: {path} is an export of TwinCAT Scope separated by blanks; export it "
+            "with tabs or semicolons"
         )
     read = csv.reader(text.splitlines(), delimiter=separator)
     rows = [[cell.strip() for cell in row] or [""] for row in read]

@@ -67,7 +67,7 @@ def _toml(text: str, tables: Mapping[str, Any], said: Iterable[str]) -> str:
     for name, table in tables.items():
         made.append(name, _item(table, whole=True))
     document.append("schemes", made)
-    head = "".join(f"# {printable(line)}\n" for line in said)
+    head = "".join(f"# {printable(' '.join(line.split()))}\n" for line in said)
     return head + tomlkit.dumps(document)
 
 

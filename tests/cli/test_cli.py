@@ -426,7 +426,7 @@ def test_identify_reads_a_record_and_names_what_is_wrong_with_it(
     assert read_scenario("found.toml").schemes["ilc"].scheme.lead == 3
     assert "95 % intervals" in out
     assert "Order 1 fits 9" in out
-    assert "Next: jaxilc run found.toml" in out
+    assert "Next: jaxilc design found.toml, or jaxilc run found.toml" in " ".join(out.split())
     found = json.loads((tmp_path / "found.json").read_text())
     assert found["poles[0]"]["low"] < 60.0 < found["poles[0]"]["high"]
     assert (tmp_path / "out/identify/validation.png").exists()
