@@ -15,8 +15,8 @@ from ..plants import Plant
 from ..schemes import Scheme
 from ..schemes.scheme import Feedforward
 from ..signals.task import Task, Trial
+from ..storage.columns import name_and_unit, numbers_in, read_columns
 from ..storage.files import atomically
-from ..storage.reading import name_and_unit, numbers_in, read_columns
 from .time_column import name_and_unit_of_time, place_of_time, seconds_in
 
 # Share of the sample time by which a step of a record's time may differ from the others.
