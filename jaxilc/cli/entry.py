@@ -14,6 +14,7 @@ from . import (
     hardware,
     identify,
     pareto,
+    q_filter,
     reproduce,
     run,
     sweep,
@@ -82,7 +83,8 @@ def options(
 
 
 # in the order of `--help`
-for room in (run, sweep, tune, pareto, worst_case, identify, certify, hardware, reproduce, bench):
+SIMULATE_AND_DESIGN = (run, sweep, tune, pareto, worst_case, identify)
+for room in (*SIMULATE_AND_DESIGN, certify, q_filter, hardware, reproduce, bench):
     room.register(app)
 
 

@@ -19,9 +19,9 @@ class LearningFilter(Scheme):
 
     where i runs over the 2 m + 1 taps of keep and over the 2 n + 1 taps of L; the middle tap is the
     one without a shift. With the default of keep, which is 1, the law is u_{j+1} = u_j + L e_j, and
-    `Filtered(LearningFilter(L), Q)` is u_{j+1} = Q (u_j + L e_j). With keep = Q and L = M the law is
-    u_{j+1} = Q u_j + M e_j, for any M; the synthesis of filters finds such laws. P-type learning of
-    lead m has the single tap L = gamma_p.
+    `Filtered(LearningFilter(L), Q)` is u_{j+1} = Q (u_j + L e_j). With keep = Q and L = M the law
+    is u_{j+1} = Q u_j + M e_j, for any M; the synthesis of filters finds such laws. P-type learning
+    of lead m has the single tap L = gamma_p.
 
     Beyond the ends of the trial the error counts as zero, and u is mirrored. So symmetric taps of
     keep with |Q| <= 1 make no input larger, also at the ends.

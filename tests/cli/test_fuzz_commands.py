@@ -52,6 +52,7 @@ COMMANDS = [
 run p.toml
 sweep p.toml --machines 4
 certify p.toml --machines 4
+filter p.toml --machines 4 --scheme ilc
 tune p.toml {TUNED}
 pareto p.toml {TUNED} --budgets 2,3
 worst-case p.toml --scheme ilc --starts 2 --steps 2
