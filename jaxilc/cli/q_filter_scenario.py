@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from ..theory.q_filter import Offer, Question
 
 LINES_A_TAP = 4  # of the grid on which filters are synthesised
-MOST_PLANTS = 8  # of them, the worst
 
 
 def scenario_answer(
@@ -60,7 +59,8 @@ def scenario_answer(
 
 def _scheme_answer(source, chosen, name, scheme, asked, folder):
     from .. import figures
-    from ..theory.q_filter import offers_of, question
+    from ..theory.offers import offers_of
+    from ..theory.q_filter import question
 
     how = {key: asked[key] for key in ("machines", "sampling", "seed")}
     machine, task, uncertainty = chosen.machine, chosen.task, chosen.uncertainty
@@ -77,7 +77,7 @@ def _scheme_answer(source, chosen, name, scheme, asked, folder):
     curves, files, made = {name: found.curves}, [], None
     if asked["synthesise"]:
         made, more, path = _synthesised(
-            source, chosen, name, scheme, found, inner, offers, asked, folder
+            source, chosen, name, scheme, found, inner, best_of(offers), asked, folder
         )
         curves[f"{name}, synthesised"] = more.curves
         files.append(path)
@@ -209,10 +209,9 @@ def _synthesised(source, chosen, name, scheme, found, inner, best, asked, folder
     poles = [one.frequency for one in found.resonances]
     f = np.unique(np.r_[f[0] / 10, f, poles])
     f = f[(f > 0) & (f <= 0.5 / dt)]
-    worst = [0, *[int(i) for i in np.argsort(-tried.values) if i][:MOST_PLANTS]]
-    P = responses([tried.loops[i] for i in worst], f, dt)
+    P = responses(tried.loops, f, dt)
     one = np.ones(len(f), complex)
-    band = asked["band"] or 2 * min(best.change.cutoff if best else 0.05 / dt, 0.2 / dt)
+    band = asked["band"] or min(2 * (best.change.cutoff if best else 0.025 / dt), 0.4 / dt)
     lead = int(np.max(inner.L.size and np.round(_lead_of(inner, best)), initial=0))
     made = synthesised(
         [Lines(f, P, np.zeros(P.shape), one, one, dt)],
@@ -229,6 +228,7 @@ def _synthesised(source, chosen, name, scheme, found, inner, best, asked, folder
     )
     scale, unit = chosen.shown_scale, chosen.shown_unit
     take = f"jaxilc certify {path} --scheme {name}-fir" if ready else f"add {path} to a plant file"
+    take = take if tested.peak < 1 else "not safe: more --taps or a smaller --band"
     line = (
         f"Synthesised with {asked['taps']} taps: |Q (1 - L P)| is at most {number(tested.peak)}, "
         f"learned to a tenth up to {number(tested.curves.learned_up_to)} Hz, "

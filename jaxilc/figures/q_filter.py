@@ -16,7 +16,8 @@ if TYPE_CHECKING:
 
 SEEN = 1e-3  # |Q| below which nothing is shown
 SLOWEST = 1e-3  # of the last frequency shown
-FLOOR = 1e-3  # least magnitude shown, against the largest
+FLOOR = 1e-3  # least magnitude of P shown, against the largest
+SHARES = (0.01, 10.0)  # of |Q| and |L P| that are shown
 
 
 def q_filter_figure(
@@ -34,15 +35,17 @@ def q_filter_figure(
     axes = new_axes(ax, 3, size=(7.2, 7.6))
     for i, (name, curves) in enumerate(families.items()):
         f, style = curves.f, style_of(i)
-        axes[0].loglog(f, np.abs(curves.P), **style, label=name)
+        if not any(_same_plant(curves, other) for other in list(families.values())[:i]):
+            axes[0].loglog(f, np.abs(curves.P), **style, label=name)
         axes[1].loglog(f, np.abs(curves.LP), **style, label=f"|L P|, {name}")
+        shade = {"color": str(0.5 * i / len(families)), "linestyle": style["linestyle"]}
+        axes[1].loglog(f, np.abs(curves.Q), **shade, label=f"|Q|, {name}")
         top = int(np.argmax(curves.high))
         peak = f"{curves.high[top]:.3g} at {f[top]:.3g} Hz"
         axes[2].semilogx(f, curves.nominal, **style, label=f"{name}\nat most {peak}")
         axes[2].fill_between(f, curves.low, curves.high, color=style["color"], alpha=0.2, lw=0)
         axes[2].plot(f[top], curves.high[top], "o", color=style["color"], markersize=5)
     first = next(iter(families.values()))
-    axes[1].loglog(first.f, np.abs(first.Q), color="k", label="|Q|")
     axes[2].semilogx(
         first.f, first.without, color="0.5", linestyle=":", label="|1 − L P| without Q,\nlargest"
     )
@@ -64,10 +67,14 @@ def _limits(axes, families) -> None:
     passed = max(np.max(c.f[np.abs(c.Q) > SEEN], initial=c.f[0]) for c in families)
     lowest = max(min(c.f[0] for c in families), SLOWEST * passed)
     axes[0].set_xlim(lowest, passed)
-    for axis, name in ((axes[0], "P"), (axes[1], "LP")):
-        inside = [np.abs(getattr(c, name)[(c.f >= lowest) & (c.f <= passed)]) for c in families]
-        largest = max(float(np.max(values)) for values in inside)
-        least = min(float(np.min(values)) for values in inside)
-        axis.set_ylim(max(least, FLOOR * largest) / 2, 2 * max(largest, 1.0 if name == "LP" else 0))
+    sizes = [np.abs(c.P[(c.f >= lowest) & (c.f <= passed)]) for c in families]
+    largest = max(float(np.max(values)) for values in sizes)
+    least = min(float(np.min(values)) for values in sizes)
+    axes[0].set_ylim(max(least, FLOOR * largest) / 2, 2 * largest)
+    axes[1].set_ylim(*SHARES)
     tall = max(float(np.max(c.high)) for c in families)
     axes[2].set_ylim(0, max(1.3, min(1.2 * tall, 5.0)))
+
+
+def _same_plant(one: Curves, other: Curves) -> bool:
+    return len(one.f) == len(other.f) and bool(np.allclose(one.P, other.P))

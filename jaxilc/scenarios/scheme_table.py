@@ -16,7 +16,7 @@ from .from_file import read_scenario
 
 
 def table_of(name: str, scheme: Scheme) -> str:
-    """The lines of `[schemes.NAME]` that describe a scheme; fields at their default are left out."""
+    """The lines of `[schemes.NAME]` that describe a scheme, without fields at their default."""
     lines = [f"[schemes.{json.dumps(name)}]", f'class = "{type(scheme).__name__}"']
     lines += [f"{field} = {_value(value)}" for field, value in _fields(scheme)]
     return "\n".join(lines) + "\n"

@@ -21,7 +21,8 @@ from ..pytree.ranges import require
 from ..schemes import Filtered, PIDType
 from .filtered_law import Change, Lines, low_pass
 from .measured import MeasuredResponse
-from .q_filter import Curves, Offer, changed, curves_of, kinds
+from .offers import changed, kinds
+from .q_filter import Curves, Offer, curves_of
 
 LINES_IN_WIDTH = 4  # lines within the half-power width of a resonance that show it well
 HEIGHT = 3.0  # dB by which a peak stands out
@@ -190,7 +191,7 @@ def spacings(record: MeasuredResponse) -> list[Spacing]:
 
 def _tested(inner: Lines, law: PLaw, record: MeasuredResponse) -> RecordTest:
     Q = low_pass(inner.f, law.cutoff, law.dt, law.order)
-    curves = curves_of(inner._replace(keep=Q * inner.keep, L=Q * inner.L), inner)
+    curves = curves_of(inner._replace(keep=Q * inner.keep, L=Q * inner.L))
     top = int(np.argmax(curves.high))
     ends = float(inner.f[0]), float(inner.f[-1])
     unseen = float(Q[-1]) if ends[1] < 0.499 / law.dt else 0.0

@@ -63,7 +63,7 @@ def without_low_pass(scheme: Scheme) -> Scheme:
     for name, part in scheme._fields_that_are_schemes().items():
         changed = without_low_pass(part)
         if changed is not part:
-            return dataclasses.replace(scheme, **{name: changed})  # ty: ignore[invalid-argument-type]
+            return dataclasses.replace(scheme, **{name: changed})
     return scheme
 
 
@@ -81,7 +81,7 @@ def with_law(scheme: Scheme, law: Scheme) -> Scheme:
         return law
     for name, part in scheme._fields_that_are_schemes().items():
         if part.learns:
-            return dataclasses.replace(scheme, **{name: with_law(part, law)})  # ty: ignore[invalid-argument-type]
+            return dataclasses.replace(scheme, **{name: with_law(part, law)})
     known = ", ".join(kind.__name__ for kind in GAINS)
     raise ValueError(
         f"{type(scheme).__name__} has no learning part that can be replaced; allowed is one of "

@@ -6,41 +6,30 @@ machine that was measured has lines with a scatter, and between them nothing is 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from ..filters import ZeroPhaseButterworth
 from ..learning.machine import Machine
 from ..pytree.named_paths import get_at
-from ..schemes import Filtered, Scheme
+from ..schemes import Scheme
 from ..signals.task import Task
 from ..uncertainty import Uncertainty, drawn_machines
-from .by_frequency import largest_of
 from .family import Tried, tried_plants
 from .filtered_law import (
     Change,
     Lines,
-    best_lead,
-    largest_cutoff,
-    largest_gain,
 )
 from .law import law_of, law_response
 from .linearity import invariant_loop, linear_law
 from .loop import Loop, responses
 from .outlook import maps_of
-from .over_frequency import grid, lines
-from .parts_of_law import Places, places_in, rounded, with_change, without_low_pass
+from .over_frequency import grid
+from .parts_of_law import Places, places_in, without_low_pass
 from .whole_set import WholeSet, bound_of_set
 
 POINTS = 600  # lines of the grid, beside those around the poles
-NEAREST = 4  # of the worst plants on the grid, whose largest value is enclosed for an offer
-LEADS = 30  # longest change of the lead that is tried, at least [samples]
 BLOCKED = 1e-6  # |Q| below which Q (1 - L P) says nothing of 1 - L P
-CUTOFF, GAIN, LEAD = "largest cutoff", "largest gain", "best lead, largest cutoff"
-ATTEMPTS = 5  # to keep the margin between the lines too
-FINENESS = 1e-4
 TENTH = 0.1
 RESONANT = 0.5  # damping ratio below which a pair of poles is a resonance
 
@@ -96,24 +85,23 @@ class Curves(NamedTuple):
         return float(self.f[worse[0] - 1]) if worse[0] else 0.0
 
 
-def curves_of(whole: Lines, inner: Lines) -> Curves:
-    """The curves of a law and of the same law without its filter."""
-    P = whole.P[0]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        Q = whole.keep / inner.keep
-        L = inner.L / inner.keep
+def curves_of(whole: Lines) -> Curves:
+    """The curves of a law, its filter included: Q is what it keeps, and L P the rest by Q."""
+    Q = whole.keep
+    seen = np.abs(Q) > BLOCKED
+    L = whole.L / np.where(seen, Q, 1.0)
     sizes = np.abs(whole.keep - whole.L * whole.P)
     spread = np.abs(whole.L) * whole.scatter
-    without = np.max(np.abs(1 - L * inner.P) + np.abs(L) * inner.scatter, axis=0, initial=0.0)
+    without = np.max(np.abs(1 - L * whole.P) + np.abs(L) * whole.scatter, axis=0)
     return Curves(
         whole.f,
-        P,
+        whole.P[0],
         Q,
-        L * P,
+        L * whole.P[0],
         sizes[0],
         np.min(np.maximum(sizes - spread, 0), axis=0),
         np.max(sizes + spread, axis=0),
-        without,
+        np.where(seen, without, np.nan),
     )
 
 
@@ -192,10 +180,10 @@ def question(
     f = np.unique(np.concatenate([f, tried.worst[np.isfinite(tried.worst)]]))
     P = responses(tried.loops, f, task.dt)
     whole, inner = (
-        Lines(f, P, np.zeros(P.shape), *_law_on(one, task, f), task.dt)
+        Lines(f, P, np.zeros(P.shape), *law_on(one, task, f), task.dt)
         for one in (scheme, without_low_pass(scheme))
     )
-    curves = curves_of(whole, inner)
+    curves = curves_of(whole)
     proof = bound_of_set(machine, scheme, task, law, uncertainty, tried)
     top = float(tried.values[tried.top])
     places = places_in(scheme)
@@ -207,59 +195,6 @@ def question(
     return Question(
         tried, curves, proof, resonances_of(tried.loops[0], task.dt), places, now
     ), inner
-
-
-def offers_of(
-    found: Question, inner: Lines, machine: Machine, scheme: Scheme, task: Task, margin: float
-) -> list[Offer]:
-    """The largest cutoff, the largest gain and the best lead that keep a margin.
-
-    Each is changed alone, except that the best lead comes with the largest cutoff that it allows.
-    Where the scheme has no filter, one is offered on top of it. What the lines of the grid allow is
-    enclosed between them on the worst plants, and reduced until the margin is kept there too.
-    """
-    offers, lead, allowed = [], _lead(scheme, found.places), 1 - margin
-    for what in kinds(found.places):
-        target = allowed
-        for _ in range(ATTEMPTS):
-            change = changed(what, [inner], found.now.change, target, 2 / task.duration, lead)
-            if change is None:
-                break
-            offer = _offer(what, change, found, inner, machine, scheme, task)
-            if offer.peak <= allowed:
-                top = offer.peak
-                scheme_then = _with(scheme, found.places, change)
-                offers.append(offer._replace(floor=floor_of(machine, scheme_then, task, top)))
-                break
-            target -= 2 * (offer.peak - allowed) + FINENESS
-    return offers
-
-
-def kinds(places: Places | None = None) -> list[str]:
-    """What can be changed in a law."""
-    if places is None:
-        return [CUTOFF, GAIN, LEAD]
-    return [CUTOFF, *([GAIN] * bool(places.gains)), *([LEAD] * bool(places.lead))]
-
-
-def changed(
-    what: str, several: Sequence[Lines], now: Change, allowed: float, lowest: float, lead: int
-) -> Change | None:
-    """The change that is offered, on lines of laws without their filter; None if there is none.
-
-    what:   CUTOFF, GAIN or LEAD
-    lowest: [Hz] least cutoff that is offered
-    lead:   of the law as it is, which the change must not make negative [samples]
-    """
-    if what == GAIN:
-        gain = largest_gain(several, now, allowed)
-        return None if gain is None else now._replace(gain=rounded(gain))
-    if what == CUTOFF:
-        cutoff = largest_cutoff(several, now, allowed, lowest)
-        return None if cutoff is None else now._replace(cutoff=rounded(cutoff))
-    tried = range(-lead, max(LEADS, 2 * lead) + 1)
-    best = best_lead(several, now, allowed, tried, lowest)
-    return None if best is None else now._replace(lead=best[0], cutoff=rounded(best[1]))
 
 
 def floor_of(machine: Machine, scheme: Scheme, task: Task, top: float) -> float:
@@ -302,42 +237,7 @@ def need_linear(machine: Machine, scheme: Scheme, task: Task) -> None:
         raise ValueError(f"{name}: needed is a {law.invariant.name}: {law.invariant.detail}")
 
 
-# How it is done
-# --------------------------------------------------------------------------------------------------
-
-
-def _with(scheme: Scheme, places: Places, change: Change) -> Scheme:
-    """The scheme with a change; with a filter on top where it has none."""
-    made = with_change(scheme, places.of(scheme, change))
-    if not places.cutoff and np.isfinite(change.cutoff):
-        return Filtered(made, ZeroPhaseButterworth(change.cutoff, order=change.order))
-    return made
-
-
-def _offer(what, change: Change, found: Question, inner: Lines, machine, scheme, task) -> Offer:
-    """The offer of a change, without its floor."""
-    made = _with(scheme, found.places, change)
-    law, (keep, L) = law_of(made, task), _law_on(made, task, inner.f)
-    sizes = np.max(np.abs(keep - L * inner.P), axis=1)
-    worst = {0, *np.argsort(-sizes)[:NEAREST].tolist()}
-    top = max(_enclosed(law, found.tried.loops[i], task) for i in worst)
-    shifted = inner._replace(L=change.gain * _shift(inner, change.lead) * inner.L)
-    reach = curves_of(inner._replace(keep=keep, L=L), shifted).learned_up_to
-    return Offer(what, found.places.of(scheme, change), change, top, reach, np.nan)
-
-
-def _law_on(scheme: Scheme, task: Task, f) -> tuple[np.ndarray, np.ndarray]:
+def law_on(scheme: Scheme, task: Task, f) -> tuple[np.ndarray, np.ndarray]:
+    """(F,) keep and L of a law with one channel, at frequencies f (F,) [Hz]."""
     keep, L = (np.asarray(part)[:, 0, 0] for part in law_response(scheme, task, f))
     return keep, L
-
-
-def _enclosed(law, loop: Loop, task: Task) -> float:
-    return float(largest_of(law, loop, task, lines(task, None, [loop])).value)
-
-
-def _shift(of: Lines, samples: int) -> np.ndarray:
-    return np.exp(2j * np.pi * of.f * of.dt * samples)
-
-
-def _lead(scheme: Scheme, places: Places) -> int:
-    return int(get_at(scheme, places.lead)) if places.lead else 0

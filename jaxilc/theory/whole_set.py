@@ -6,15 +6,8 @@ Two sets have one:
   `plant.C`. Then |Q (keep - L P)| is convex in each number, so that it is largest at a corner of
   the box. Whether P is so is read off the program.
 - P is a `ProcessModel` without a feedback, and up to three of its zeros, poles, frequencies and
-  dampings are uncertain beside the gain. With its poles l_i and one sample of dt under zero-order
-  hold
-
-      P(z) = gain (1 + sum_i r_i (z - 1) / (z - exp(l_i dt))),
-      r_i  = -prod_m (1 - l_i / zeros_m) / prod_{k /= i} (1 - l_i / l_k)
-
-  which is enclosed over boxes of frequency and of these numbers by arithmetic of discs (`discs`),
-  and the boxes are split until none exceeds the largest value found by more than 2 % (branch and
-  bound). The gain enters by its two ends, as above.
+  dampings are uncertain beside the gain: by branch and bound over boxes of these and of frequency
+  (`process_boxes`).
 
 For every other set nothing is proved between the plants that were tried, and `WholeSet` says why.
 """
@@ -29,23 +22,17 @@ import numpy as np
 
 from ..learning.machine import Machine
 from ..plants import ProcessModel
-from ..pytree.named_paths import get_at
 from ..schemes import Scheme
 from ..signals.task import Task
 from ..uncertainty import Uncertainty, drawn_machine
-from .discs import Disc, exactly
-from .enclosure import arc_of_taps, size
 from .family import CORNERS, Tried
 from .law import Law
-from .loop import Loop, linear_loop, responses
+from .loop import linear_loop
+from .process_boxes import SHAPES, Boxes
 from .structure import AFFINE, CONSTANT, dependence
 
 MOST_NUMBERS = 3  # beside the gain, over which boxes are split
-WIDE = 0.02  # relative distance of the bound from the largest value found
-LOOKED_AT = 400_000  # boxes before the bound is left as wide as it is
-CHUNK = 40_000  # boxes at a time
 SAME = 1e-8  # relative difference of the formula from the loop that rounding explains
-SHAPES = ("gain", "zeros", "poles", "frequencies", "dampings")
 
 
 class WholeSet(NamedTuple):
@@ -84,11 +71,11 @@ def bound_of_set(
     if not why and law.L.taps.shape[1:] != (1, 1):
         why = "the law has several channels"
     if not why:
-        box = _Boxes.of(machine, task, law, uncertainty)
+        box = Boxes.of(machine, task, law, uncertainty)
         if box.departure(tried) > SAME:
             why = "the loop is more than the plant alone"
         else:
-            return box.bound(float(tried.values[tried.top]))
+            return WholeSet(*box.bound(float(tried.values[tried.top])))
     return WholeSet(np.inf, f"{what}, and {why}: nothing is proved between the plants tried")
 
 
@@ -111,11 +98,9 @@ def _curved(machine, scheme, task, uncertainty: Uncertainty) -> list[str]:
     found: list[str] = []
     for name in names:
         values = {other: jnp.asarray(v) for other, v in middle.items()}
-        orders = Loop(
-            *_orders(partial(loop, name=name), (machine, scheme, task, values), values[name])
-        )
-        moves = [part for part in ("B", "C") if getattr(orders, part) != CONSTANT]
-        if orders.A != CONSTANT or max(orders.B, orders.C) > AFFINE or len(moves) > 1:
+        fixed = (machine, scheme, task, values)
+        A, B, C = _orders(partial(loop, name=name), fixed, values[name])
+        if A != CONSTANT or max(B, C) > AFFINE or CONSTANT not in (B, C):
             found.append(name)
     return found
 
@@ -138,172 +123,3 @@ def _not_a_process_model(machine, scheme, uncertainty: Uncertainty) -> str:
     if sum(shape != "gain" for shape in shapes) > MOST_NUMBERS:
         return f"more than {MOST_NUMBERS} numbers beside the gain are uncertain"
     return ""
-
-
-class _Boxes(NamedTuple):
-    """The response of a process model over boxes of angle and numbers.
-
-    plant:  at its nominal values
-    law:    taps
-    gains:  (2,) the ends of the gain
-    scale:  what the number drawn for the gain is multiplied by
-    names:  of the other uncertain numbers, with the leaf, the index and whether it is relative
-    low, high: (n,) their ends
-    """
-
-    plant: ProcessModel
-    law: Law
-    dt: float
-    gains: np.ndarray
-    scale: float
-    names: list[tuple[str, int | None, bool]]
-    low: np.ndarray
-    high: np.ndarray
-
-    @classmethod
-    def of(cls, machine, task, law, uncertainty: Uncertainty) -> _Boxes:
-        gains, names, ends = np.repeat(float(machine.plant.gain), 2), [], []
-        scale = 1.0
-        for name, d in uncertainty.items():
-            leaf, _, index = name.removeprefix("plant.").partition("[")
-            low, high = sorted(d.corners())
-            if leaf == "gain":
-                scale = float(get_at(machine, name)) if d.relative else 1.0
-                gains = scale * np.array([low, high])
-            else:
-                names.append((leaf, int(index[:-1]) if index else None, bool(d.relative)))
-                ends.append((low, high))
-        low, high = np.array(ends, float).reshape(-1, 2).T
-        return cls(machine.plant, law, float(task.dt), gains, scale, names, low, high)
-
-    def bound(self, best: float) -> WholeSet:
-        """The bound by branch and bound, from the largest value that is known so far."""
-        n = len(self.names)
-        edges = np.linspace(0.0, np.pi, 257)
-        lows = np.column_stack([edges[:-1], *np.repeat(self.low[:, None], 256, axis=1)])
-        highs = np.column_stack([edges[1:], *np.repeat(self.high[:, None], 256, axis=1)])
-        looked, top = 0, best * (1 + WIDE)
-        while len(lows):
-            looked += len(lows)
-            upper, split = (
-                np.concatenate(x)
-                for x in zip(
-                    *(
-                        self._upper(lows[i : i + CHUNK], highs[i : i + CHUNK])
-                        for i in range(0, len(lows), CHUNK)
-                    ),
-                    strict=True,
-                )
-            )
-            left = upper > top
-            if looked > LOOKED_AT and np.any(left):
-                reached = float(np.max(upper))
-                return WholeSet(
-                    reached if reached < 1 else np.inf,
-                    f"after {looked} boxes of frequency and {n} numbers the bound was {reached:.3g}",
-                )
-            lows, highs = _halves(lows[left], highs[left], split[left])
-        how = f"by {looked} boxes of frequency and {n} uncertain numbers, within {WIDE:.0%}"
-        return WholeSet(top, how)
-
-    def _upper(self, lows, highs):
-        """Upper bounds over boxes, and the side of each that makes it widest."""
-        middle = (lows + highs) / 2
-        upper = self._size(lows, highs).max(axis=0)
-        alone = []
-        for i in range(lows.shape[1]):
-            a, b = middle.copy(), middle.copy()
-            a[:, i], b[:, i] = lows[:, i], highs[:, i]
-            alone.append(self._size(a, b).max(axis=0))
-        return upper, np.argmax(np.nan_to_num(np.array(alone), posinf=1e300), axis=0)
-
-    def _size(self, lows, highs) -> np.ndarray:
-        """(2, B) the largest |keep - L P| on boxes, at both ends of the gain."""
-        centre, h = (lows[:, 0] + highs[:, 0]) / 2, (highs[:, 0] - lows[:, 0]) / 2
-        keep, L = (_disc_of_taps(part, centre, h) for part in (self.law.keep, self.law.L))
-        LP = L.times(self._unit(lows, highs, Disc(np.exp(1j * centre), h)))
-        return np.stack([keep.minus(LP.times(exactly(g))).largest for g in self.gains])
-
-    def _unit(self, lows, highs, z: Disc) -> Disc:
-        """P of gain 1 on boxes."""
-        leaves = {
-            name: [np.full(len(lows), v) for v in np.asarray(getattr(self.plant, name), float)]
-            for name in SHAPES[1:]
-        }
-        low, high = dict(leaves), {name: list(values) for name, values in leaves.items()}
-        for i, (leaf, index, relative) in enumerate(self.names):
-            for j in range(len(low[leaf])) if index is None else [index]:
-                scale = low[leaf][j] if relative else 1.0
-                ends = np.sort([lows[:, i + 1] * scale, highs[:, i + 1] * scale], axis=0)
-                low[leaf][j], high[leaf][j] = ends
-        poles = [_interval(-b, -a) for a, b in zip(low["poles"], high["poles"], strict=True)]
-        for j in range(len(low["frequencies"])):
-            poles += _pair(*(x[n][j] for n in ("frequencies", "dampings") for x in (low, high)))
-        zeros = [
-            _interval(a, b).inverse() for a, b in zip(low["zeros"], high["zeros"], strict=True)
-        ]
-        return _sampled(poles, zeros, z, self.dt)
-
-    def departure(self, tried: Tried) -> float:
-        """The largest relative difference of the formula from the loop, at plants that were tried.
-
-        They are the nominal one and the last ones, which are corners of the box.
-        """
-        f, worst = np.linspace(0.01, 0.49, 41) / self.dt, 0.0
-        kept = [i for i, name in enumerate(tried.names) if name != "plant.gain"]
-        gain = [i for i, name in enumerate(tried.names) if name == "plant.gain"]
-        z = exactly(np.exp(2j * np.pi * f * self.dt))
-        for i in {0, len(tried.points) - 2, len(tried.points) - 1}:
-            point = np.tile([0.0, *tried.points[i, kept]], (len(f), 1))
-            P = responses([tried.loops[i]], f, self.dt)[0]
-            scale = self.scale * tried.points[i, gain[0]] if gain else self.gains[0]
-            ours = scale * self._unit(point, point, z).centre
-            worst = max(worst, float(np.max(np.abs(P - ours)) / np.max(np.abs(P))))
-        return worst
-
-
-def _sampled(poles: list[Disc], inverse_zeros: list[Disc], z: Disc, dt: float) -> Disc:
-    """P of gain 1 under zero-order hold, by its partial fractions."""
-    one = exactly(np.ones(z.centre.shape))
-    P = one
-    for i, pole in enumerate(poles):
-        residue = exactly(-np.ones(z.centre.shape))
-        for inverse in inverse_zeros:
-            residue = residue.times(one.minus(pole.times(inverse)))
-        for k, other in enumerate(poles):
-            if k != i:
-                residue = residue.times(one.minus(pole.times(other.inverse())).inverse())
-        decay = Disc(pole.centre * dt, pole.radius * dt).exponential()
-        # (z - 1) / (z - a) = 1 - (1 - a) / (z - a)
-        lag = one.minus(one.minus(decay).times(z.minus(decay).inverse()))
-        P = P.plus(residue.times(lag))
-    return P
-
-
-def _pair(w_low, w_high, low, high) -> list[Disc]:
-    """The two poles w exp(+- i (pi - acos damping)) of a pair; infinite at a damping of 1."""
-    bad = high >= 1
-    turn_low, turn_high = (np.arccos(np.minimum(end, 1.0)) for end in (high, low))
-    w, turn = (w_low + w_high) / 2, (turn_low + turn_high) / 2
-    radius = (w_high - w_low) / 2 + w_high * (turn_high - turn_low) / 2
-    radius = np.where(bad, np.inf, radius)
-    centre = -w * np.exp(-1j * turn)
-    return [Disc(centre, radius), Disc(np.conj(centre), radius)]
-
-
-def _interval(low, high) -> Disc:
-    return Disc((low + high) / 2 + 0j, (high - low) / 2)
-
-
-def _disc_of_taps(taps, centre, h) -> Disc:
-    arc = arc_of_taps(taps, centre, h)
-    return Disc(arc.value[:, 0, 0], h * size(arc.slope) + h**2 * arc.curve)
-
-
-def _halves(lows, highs, split):
-    """Each box as two, halved across one side."""
-    rows = np.arange(len(lows))
-    middle = (lows[rows, split] + highs[rows, split]) / 2
-    first, second = highs.copy(), lows.copy()
-    first[rows, split], second[rows, split] = middle, middle
-    return np.concatenate([lows, second]), np.concatenate([first, highs])

@@ -10,7 +10,8 @@ minimised is the loss of bandwidth, with what learning leaves in a trial and wha
 
     sum_band w (|1 - Q| + speed t) + sum_above w |Q| + effort sum w |M| |P|_median
 
-where w shares the frequencies out evenly. Q = 1 leaves no repeated error; |Q - M P| is the share of
+where w shares the frequencies out evenly. Q is 1 at rest, and flat there, 1 - Q = O(f^4), as that of
+a Butterworth filter of order 2 is, since slow errors are the largest. Q = 1 leaves no repeated error; |Q - M P| is the share of
 an error that is left in each trial. CVXPY with Clarabel solves it: the extra `synthesis`.
 
 Lines above the last one of a record are not measured. There |Q| + |M| |P_last| <= 1 - margin is
@@ -31,6 +32,8 @@ from ..theory.filtered_law import Lines
 SPEED = 0.1  # weight of what a trial leaves against what is never learned
 EFFORT = 1e-2  # weight of the size of M, against noise
 SPARE = 1e-3  # of the margin, kept for what lies between the lines
+ROUNDS = 6  # in which plants that were left out and do not keep the margin are added
+ADDED = 4  # of them in each round
 FILLED = 60  # lines that are added above the last one of a record
 MISSING = 'cvxpy with clarabel is needed for the synthesis: pip install "jaxilc[synthesis]"'
 
@@ -64,7 +67,8 @@ def synthesised(
 ) -> Synthesis:
     """The filters Q and M of an odd number of taps each, for all plants on all lines.
 
-    several: responses and scatter of the plants; their law is not read
+    several: responses and scatter of the plants; their law is not read. Of many plants those are
+             taken that decide, a few more in each round, until all keep the margin
     band:    [Hz] up to which errors shall be learned
     lead:    samples of look-ahead of the middle tap of M, beyond the one from u[k] to y[k+1]
 
@@ -82,8 +86,15 @@ def synthesised(
             f"synthesis: band = {band:g} Hz is outside its allowed range ({several[0].f[0]:g}, "
             f"{nyquist:g}], from the first line to Nyquist"
         )
-    lines = [_filled(one) for one in several]
-    q, m = _solved(lines, band, (1 - margin) - SPARE, taps // 2, lead, speed, effort)
+    allowed = (1 - margin) - SPARE
+    chosen = [_first_and_extreme(one) for one in several]
+    for _ in range(ROUNDS):
+        lines = [_filled(_of(one, i)) for one, i in zip(several, chosen, strict=True)]
+        q, m = _solved(lines, band, allowed, taps // 2, lead, speed, effort)
+        missed = [_missed(_sizes(one, q, m, lead)[1], 1 - margin) for one in several]
+        if not any(missed):
+            break
+        chosen = [sorted({*i, *more}) for i, more in zip(chosen, missed, strict=True)]
     scheme = LearningFilter(m, keep=np.r_[q[:0:-1], q], lead=lead)
     of_lines = [_sizes(one, q, m, lead) for one in several]
     peak = max(float(np.max(size)) for _, size in of_lines)
@@ -93,15 +104,27 @@ def synthesised(
     return Synthesis(scheme, peak, loss, band, spacing)
 
 
+def need_solver() -> Any:
+    """CVXPY. Raises ValueError, naming the command that installs it, where it is missing."""
+    try:
+        import cvxpy
+    except ImportError:
+        raise ValueError(MISSING) from None
+    if "CLARABEL" not in cvxpy.installed_solvers():
+        raise ValueError(MISSING)
+    return cvxpy
+
+
 # How it is done
 # --------------------------------------------------------------------------------------------------
 
 
 def _solved(lines: Sequence[Lines], band, allowed, reach: int, lead: int, speed, effort):
     """The taps q (reach + 1,), middle first, and m (2 reach + 1,), as `LearningFilter` has them."""
-    cp = _cvxpy()
+    cp = need_solver()
     q, m = cp.Variable(reach + 1), cp.Variable(2 * reach + 1)
-    loss, constraints = 0, []
+    even = np.arange(reach + 1) ** 2
+    loss, constraints = 0, [q[0] + 2 * cp.sum(q[1:]) == 1, even @ q == 0]
     for one in lines:
         C, E = _cosines(one, reach), _powers(one, reach, lead)
         Q, M = C @ q, [E.real @ m, E.imag @ m]
@@ -129,14 +152,21 @@ def _solved(lines: Sequence[Lines], band, allowed, reach: int, lead: int, speed,
     return np.asarray(q.value), np.asarray(m.value)
 
 
-def _cvxpy() -> Any:
-    try:
-        import cvxpy
-    except ImportError:
-        raise ValueError(MISSING) from None
-    if "CLARABEL" not in cvxpy.installed_solvers():
-        raise ValueError(MISSING)
-    return cvxpy
+def _of(one: Lines, plants: Sequence[int]) -> Lines:
+    """The lines of some of the plants."""
+    return one._replace(P=one.P[plants], scatter=one.scatter[plants])
+
+
+def _first_and_extreme(one: Lines) -> list[int]:
+    """The nominal plant, and those with the largest and least response at some line."""
+    size = np.abs(one.P)
+    return sorted({0, int(np.argmax(np.max(size, axis=1))), int(np.argmin(np.min(size, axis=1)))})
+
+
+def _missed(sizes, allowed: float) -> list[int]:
+    """The plants that keep the margin least, of those that do not keep it."""
+    peaks = np.max(sizes, axis=1)
+    return [int(i) for i in np.argsort(-peaks)[:ADDED] if peaks[i] > allowed]
 
 
 def _filled(one: Lines) -> Lines:
