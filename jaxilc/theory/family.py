@@ -174,8 +174,8 @@ def tried_plants(
     common = (machine.unlimited(), scheme.unlimited(), task)
 
     def tried(points):
-        matrices = (np.asarray(M) for M in _loops(names)(common, jnp.asarray(points)))
-        loops = [minimal(Loop(*one), task.N) for one in zip(*matrices, strict=True)]
+        whole = loops_at(machine, scheme, task, uncertainty, points)
+        loops = [minimal(one, task.N) for one in whole]
         found = [largest_of(law, loop, task, lines(task, frequencies, [loop])) for loop in loops]
         return [np.array(x) for x in zip(*found, strict=True)], loops
 
@@ -191,6 +191,18 @@ def tried_plants(
         points, loops = np.concatenate([points, climbed]), loops + loops_there
         numbers = [np.concatenate(x) for x in zip(numbers, further, strict=True)]
     return Tried(tuple(uncertainty), points, *numbers, loops)
+
+
+def loops_at(
+    machine: Machine, scheme: Scheme, task: Task, uncertainty: Uncertainty, points
+) -> list[Loop]:
+    """The loop of each plant, with all its states, without limits.
+
+    points: (S, names) the numbers of each plant
+    """
+    common = (machine.unlimited(), scheme.unlimited(), task)
+    matrices = _loops(tuple(uncertainty.items()))(common, jnp.asarray(points))
+    return [Loop(*one) for one in zip(*map(np.asarray, matrices), strict=True)]
 
 
 # How it is done

@@ -14,6 +14,7 @@ For every other set nothing is proved between the plants that were tried, and `W
 
 from __future__ import annotations
 
+import itertools
 from functools import partial
 from typing import NamedTuple
 
@@ -25,11 +26,11 @@ from ..plants import ProcessModel
 from ..schemes import Scheme
 from ..signals.task import Task
 from ..uncertainty import Uncertainty, drawn_machine
-from .family import CORNERS, Tried
+from .family import CORNERS, Tried, loops_at
 from .law import Law
 from .loop import linear_loop
 from .process_boxes import SHAPES, Boxes
-from .structure import AFFINE, CONSTANT, dependence
+from .structure import AFFINE, dependence
 
 MOST_NUMBERS = 3  # beside the gain, over which boxes are split
 SAME = 1e-8  # relative difference of the formula from the loop that rounding explains
@@ -84,25 +85,37 @@ def bound_of_set(
 
 
 def _curved(machine, scheme, task, uncertainty: Uncertainty) -> list[str]:
-    """The numbers of which P is not affine while the others are held."""
-    names = list(uncertainty)
-    middle = {name: float(np.mean(uncertainty[name].corners())) for name in names}
-    machine, scheme = machine.unlimited(), scheme.unlimited()
+    """The numbers of which P is not affine while the others are held, wherever these are.
+
+    A, B and C are affine in each number by the program. A matrix that the program calls affine may
+    never move, since 0 times a number counts as affine in it. It does not move with a number if it
+    is the same at both ends of each edge of the box along that number, since it is affine in the
+    other numbers too.
+    """
+    names, n = list(uncertainty), len(uncertainty)
+    fixed = (machine.unlimited(), scheme.unlimited(), task)
+    middle = {name: jnp.asarray(np.mean(uncertainty[name].corners())) for name in names}
 
     def loop(fixed, value, name):
-        machine, scheme, task, values = fixed
-        return linear_loop(
-            drawn_machine(machine, uncertainty, values | {name: value}), scheme, task
-        )
+        *common, values = fixed
+        machine = drawn_machine(common[0], uncertainty, values | {name: value})
+        return linear_loop(machine, *common[1:])
 
-    found: list[str] = []
-    for name in names:
-        values = {other: jnp.asarray(v) for other, v in middle.items()}
-        fixed = (machine, scheme, task, values)
-        A, B, C = _orders(partial(loop, name=name), fixed, values[name])
-        if A != CONSTANT or max(B, C) > AFFINE or CONSTANT not in (B, C):
-            found.append(name)
-    return found
+    curved = [
+        name
+        for name in names
+        if max(_orders(partial(loop, name=name), (*fixed, middle), middle[name])) > AFFINE
+    ]
+    if curved or n > CORNERS:
+        return curved
+    corners = np.array(list(itertools.product(*(uncertainty[name].corners() for name in names))))
+    loops = loops_at(machine, scheme, task, uncertainty, corners)
+    at = [np.stack(one).reshape((2,) * n + (-1,)) for one in zip(*loops, strict=True)]
+    for i, name in enumerate(names):
+        A, B, C = (bool(np.any(np.diff(part, axis=i))) for part in at)
+        if A or (B and C):
+            curved.append(name)
+    return curved
 
 
 def _orders(f, fixed, varying) -> list[int]:

@@ -10,9 +10,10 @@ minimised is the loss of bandwidth, with what learning leaves in a trial and wha
 
     sum_band w (|1 - Q| + speed t) + sum_above w |Q| + effort sum w |M| |P|_median
 
-where w shares the frequencies out evenly. Q is 1 at rest, and flat there, 1 - Q = O(f^4), as that of
-a Butterworth filter of order 2 is, since slow errors are the largest. Q = 1 leaves no repeated error; |Q - M P| is the share of
-an error that is left in each trial. CVXPY with Clarabel solves it: the extra `synthesis`.
+where w shares the frequencies out evenly. Q is 1 at rest, and flat there, 1 - Q = O(f^4), as that
+of a Butterworth filter of order 2 is, since slow errors are the largest. Q = 1 leaves no repeated
+error; |Q - M P| is the share of an error that is left in each trial. CVXPY with Clarabel solves it:
+the extra `synthesis`.
 
 Lines above the last one of a record are not measured. There |Q| + |M| |P_last| <= 1 - margin is
 asked for, which is enough if the plant is nowhere larger than at its last line.
