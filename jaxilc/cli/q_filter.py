@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -107,7 +108,7 @@ def q_filter(
             source,
             law,
             asked | {"sigmas": sigmas, "averages": averages},
-            folder_of(out_dir, f"filter-{Path(source[0]).stem}"),
+            partial(folder_of, out_dir, f"filter-{Path(source[0]).stem}"),
         )
     elif any(records) or len(source) > 1:
         raise ValueError(
@@ -124,7 +125,7 @@ def q_filter(
             _with_uncertainty(chosen, vary, spread),
             asked | {"machines": machines, "seed": seed, "sampling": sampling},
             named=scheme is not None,
-            folder=folder_of(out_dir, f"filter-{chosen.name}"),
+            place=partial(folder_of, out_dir, f"filter-{chosen.name}"),
         )
     written(paths, json_file, {"source": source, "margin": margin, **numbers})
     for line in numbers["lines"]:

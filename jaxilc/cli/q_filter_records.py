@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,10 +25,11 @@ UNSEEN = 0.05  # |Q| beyond the last line that is worth a warning
 
 
 def records_answer(
-    source: list[str], given: dict[str, Any], asked: dict[str, Any], folder: Path
+    source: list[str], given: dict[str, Any], asked: dict[str, Any], place: Callable[[], Path]
 ) -> tuple[dict[str, Any], list[Path]]:
     """Print the answer for a P-type law on records; its numbers, and the files written.
 
+    place: makes the folder for results
     Raises ValueError for an option that is missing or out of its range, as `measured_question`.
     """
     from .. import figures
@@ -51,12 +53,12 @@ def records_answer(
     out.print(offers_table(found.now, found.offers, asked["margin"]))
     curves = {name: test.curves for name, test in zip(names, found.tests, strict=True)}
     figure = figures.q_filter_figure(curves, margin=asked["margin"])
-    paths = [figures.save(figure, folder / "filter.png")]
+    paths = [figures.save(figure, place() / "filter.png")]
     lines = [_verdict(names, found, asked["sigmas"]), _between(found)]
     numbers = _numbers(names, found)
     if asked["synthesise"]:
         made, line, path = _synthesised(
-            [lines_of(one, law, asked["sigmas"]) for one in records], law, found, asked, folder
+            [lines_of(one, law, asked["sigmas"]) for one in records], law, found, asked, place()
         )
         lines.append(line)
         paths.append(path)

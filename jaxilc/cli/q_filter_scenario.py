@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,18 +32,19 @@ LINES_A_TAP = 4  # of the grid on which filters are synthesised
 
 
 def scenario_answer(
-    source: str, chosen: Scenario, asked: dict[str, Any], *, named: bool, folder: Path
+    source: str, chosen: Scenario, asked: dict[str, Any], *, named: bool, place: Callable[[], Path]
 ) -> tuple[dict[str, Any], list[Path]]:
     """Print the answer for each scheme with a linear law; its numbers, and the files written.
 
     named: whether schemes were asked for by name, which then must be linear
+    place: makes the folder for results
     Raises ValueError where no scheme has a linear law.
     """
     numbers: dict[str, Any] = {"schemes": {}, "lines": []}
     paths, refused = [], []
     for name, scheme in chosen.schemes.items():
         try:
-            found, files = _scheme_answer(source, chosen, name, scheme, asked, folder)
+            found, files = _scheme_answer(source, chosen, name, scheme, asked, place)
         except ValueError as error:
             if named or ("needs:" not in str(error) and "not learn" not in str(error)):
                 raise
@@ -57,7 +59,7 @@ def scenario_answer(
     return numbers, paths
 
 
-def _scheme_answer(source, chosen, name, scheme, asked, folder):
+def _scheme_answer(source, chosen, name, scheme, asked, place):
     from .. import figures
     from ..theory.offers import offers_of
     from ..theory.q_filter import question
@@ -77,12 +79,12 @@ def _scheme_answer(source, chosen, name, scheme, asked, folder):
     curves, files, made = {name: found.curves}, [], None
     if asked["synthesise"]:
         made, more, path = _synthesised(
-            source, chosen, name, scheme, found, inner, best_of(offers), asked, folder
+            source, chosen, name, scheme, found, inner, best_of(offers), asked, place()
         )
         curves[f"{name}, synthesised"] = more.curves
         files.append(path)
     figure = figures.q_filter_figure(curves, margin=asked["margin"], unit=_unit_of_plant(task))
-    files.append(figures.save(figure, folder / f"{name}.png"))
+    files.append(figures.save(figure, place() / f"{name}.png"))
     lines = [
         _verdict(name, found, uncertainty),
         _how_far(found, offers, asked["margin"], scale, unit),

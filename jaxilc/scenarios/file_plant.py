@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 
 from .. import identification, plants
-from ..identification.records import read_record
+from ..identification.record_files import read_record
 from ..plants import Plant, from_control
 from ..plants.from_python_control import Linear, canonical_form, from_linear
 from ..pytree.ranges import brief, require

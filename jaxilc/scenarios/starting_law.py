@@ -103,7 +103,7 @@ def starting_law(
     f = grid(long, points=300, near=np.exp(np.asarray(plant.all_poles) * dt))
     loops, P = _responses(machines, Task(np.zeros(16), dt=dt), f)
     for largest in LARGEST:
-        law = _largest_cutoff(P, f, dt, long, largest)
+        law = _largest_cutoff(P, f, dt, long, largest, round(plant.delay / dt))
         for _ in range(4):
             if law is None:
                 break
@@ -120,7 +120,9 @@ def starting_law(
     return None
 
 
-def starting_task(law: StartingLaw, plant: ProcessModel, record_u, dt: float) -> StartingTask:
+def starting_task(
+    law: StartingLaw, plant: ProcessModel, largest_input: float, dt: float
+) -> StartingTask:
     """Two periods of a sinusoid at a fifth of the law's cutoff, or slower.
 
     Its amplitude needs at most half of the largest input of the record, by the fitted gain.
@@ -128,7 +130,7 @@ def starting_task(law: StartingLaw, plant: ProcessModel, record_u, dt: float) ->
     samples = int(np.clip(round(10 / (law.cutoff * dt)), max(100, 8 * law.lead), 20000))
     frequency = 2 / (samples * dt)
     gain = np.abs([float(plant.gain), _response_of(plant, 2j * np.pi * frequency)])
-    allowed = 0.5 * np.max(np.abs(np.asarray(record_u))) / np.sum(1 / gain)
+    allowed = 0.5 * largest_input / np.sum(1 / gain)
     return StartingTask(_rounded(float(allowed), 1), float(frequency), samples * dt)
 
 
@@ -148,18 +150,21 @@ def _compiled_responses(machines, task, f):
     return loops, jax.vmap(lambda loop: response(loop, f, task.dt)[:, 0, 0])(loops)
 
 
-def _largest_cutoff(P, f, dt, task, largest) -> StartingLaw | None:
+def _largest_cutoff(P, f, dt, task, largest, delay: int) -> StartingLaw | None:
     """The law that is chosen on the grid, whose largest values are not known yet, or None.
 
     P: (S, F) responses of the machines at frequencies f (F,) [Hz]
+    delay: of the plant, in samples
     """
     steady = P[:, 0].real
     if np.any(steady * steady[0] <= 0) or not np.all(np.isfinite(P)):
         return None
-    leads = np.unique(np.r_[0, np.geomspace(1, max(1, min(500, task.N // 8)), 40).astype(int)])
+    leads = np.r_[0, np.geomspace(1, max(1, min(500, task.N // 8)), 40).astype(int)]
+    leads = np.unique(np.r_[leads, delay + leads])
     unit = 1 / np.max(np.abs(steady))
     gains = [_rounded(share * unit, 3) * np.sign(steady[0]) for share in SHARES]
-    law = widest([_lines(P, f, dt)], ORDER, gains, leads, largest, min(2 / task.duration, 0.1 / dt))
+    lowest = min(2 / task.duration, 0.1 / dt)
+    law = widest([_lines(P, f, dt)], ORDER, gains, leads, largest, lowest)
     if law is None:
         return None
     cutoff = _rounded(min(law.cutoff, 0.4 / dt), 2)
@@ -181,7 +186,7 @@ def _enclosed(loops: list[Loop], which, law: StartingLaw, dt: float) -> list[Lar
 
 
 def _response_of(plant: ProcessModel, s: complex) -> complex:
-    """G(s) as `ProcessModel` has it."""
+    """G(s) as `ProcessModel` has it, but for the delay."""
     zeros, poles, w, zeta = (
         np.asarray(x) for x in (plant.zeros, plant.poles, plant.frequencies, plant.dampings)
     )

@@ -5,9 +5,9 @@ With its poles l_i and one sample of dt under zero-order hold
     P(z) = gain (1 + sum_i r_i (z - 1) / (z - exp(l_i dt))),
     r_i  = -prod_m (1 - l_i / zeros_m) / prod_{k /= i} (1 - l_i / l_k)
 
-It is enclosed by arithmetic of discs (`discs`), and the boxes are split until none exceeds the
-largest value found by more than 2 % (branch and bound). P is linear in the gain, so that
-|Q (keep - L P)| is largest at one of its two ends.
+A delay of whole samples multiplies it by a power of z. It is enclosed by arithmetic of discs
+(`discs`), and the boxes are split until none exceeds the largest value found by more than 2 %
+(branch and bound). P is linear in the gain, so that |Q (keep - L P)| is largest at one of its ends.
 """
 
 from __future__ import annotations
@@ -133,7 +133,9 @@ class Boxes(NamedTuple):
         zeros = [
             _interval(a, b).inverse() for a, b in zip(low["zeros"], high["zeros"], strict=True)
         ]
-        return _sampled(poles, zeros, z, self.dt)
+        late = round(self.plant.delay / self.dt)
+        turned = z.centre**-late
+        return _sampled(poles, zeros, z, self.dt).times(Disc(turned, late * z.radius))
 
     def departure(self, tried: Tried) -> float:
         """The largest relative difference of the formula from the loop, at plants that were tried.

@@ -74,7 +74,7 @@ def bound_of_set(
     if not why:
         box = Boxes.of(machine, task, law, uncertainty)
         if box.departure(tried) > SAME:
-            why = "the loop is more than the plant alone"
+            why = "the loop is more than the plant and a delay of whole samples"
         else:
             return WholeSet(*box.bound(float(tried.values[tried.top])))
     return WholeSet(np.inf, f"{what}, and {why}: nothing is proved between the plants tried")

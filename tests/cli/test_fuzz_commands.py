@@ -20,7 +20,7 @@ from jaxilc.bench import contests, ours_alone
 from jaxilc.identification import estimation
 from jaxilc.learning import over_trials
 from jaxilc.sweeps import Sweep
-from jaxilc.theory import of_schemes
+from jaxilc.theory import measured_law, of_schemes, q_filter
 from jaxilc.tuning import Tuning, worst_machine
 
 PLANT = """
@@ -171,6 +171,8 @@ def folder(tmp_path, monkeypatch):
             (Tuning, "run"),
             (of_schemes, "certify"),
             (worst_machine, "worst_case_search"),
+            (q_filter, "question"),
+            (measured_law, "measured_question"),
         ),
         *(
             (estimation, "problem_of"),
