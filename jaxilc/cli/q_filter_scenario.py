@@ -13,6 +13,7 @@ from .console import out
 from .q_filter_tables import (
     answer_table,
     best_of,
+    changes_said,
     curve_numbers,
     first_above,
     inside,
@@ -66,33 +67,42 @@ def _scheme_answer(source, chosen, name, scheme, asked, place):
 
     how = {key: asked[key] for key in ("machines", "sampling", "seed")}
     machine, task, uncertainty = chosen.machine, chosen.task, chosen.uncertainty
+    margin, scale, unit = asked["margin"], chosen.shown_scale, chosen.shown_unit
     found, inner = question(machine, scheme, task, uncertainty, **how)
-    offers = offers_of(found, inner, machine, scheme, task, asked["margin"])
-    scale, unit = chosen.shown_scale, chosen.shown_unit
-    out.print(
-        answer_table(
-            f"{name}: |Q (1 - L P)| of {len(found.tried.loops)} machines",
-            _rows(found, uncertainty, scale, unit),
-        )
-    )
-    out.print(offers_table(found.now, offers, asked["margin"], scale, unit))
+    offers = offers_of(found, inner, machine, scheme, task, margin)
+    best = best_of(offers)
+    title = f"{name}: |Q (1 - L P)| of {len(found.tried.loops)} machines"
+    out.print(answer_table(title, _rows(found, uncertainty, scale, unit)))
+    out.print(offers_table(found.now, offers, margin, scale, unit))
+    lines = [_verdict(name, found, uncertainty), _how_far(found, best, margin, scale, unit)]
     curves, files, made = {name: found.curves}, [], None
     if asked["synthesise"]:
         made, more, path = _synthesised(
-            source, chosen, name, scheme, found, inner, best_of(offers), asked, place()
+            source, chosen, name, scheme, found, inner, best, asked, place()
         )
         curves[f"{name}, synthesised"] = more.curves
         files.append(path)
-    figure = figures.q_filter_figure(curves, margin=asked["margin"], unit=_unit_of_plant(task))
-    files.append(figures.save(figure, place() / f"{name}.png"))
-    lines = [
-        _verdict(name, found, uncertainty),
-        _how_far(found, offers, asked["margin"], scale, unit),
-    ]
-    if made:
         lines.append(made.pop("line"))
-    lines.append(_next(source, name, found, offers))
-    return _numbers(found, offers, scale, lines) | {"synthesis": made}, files
+    figure = figures.q_filter_figure(curves, margin=margin, unit=_unit_of_plant(task))
+    files.append(figures.save(figure, place() / f"{name}.png"))
+    if best is not None and best.adds_filter:
+        line, path = _with_filter(source, name, scheme, found, best, place())
+        files.append(path)
+    else:
+        line = _next(source, name, found, best)
+    numbers = _numbers(found, offers, scale, [*lines, line]) | {"synthesis": made}
+    return numbers, files
+
+
+def _with_filter(source, name, scheme, found: Question, best: Offer, folder: Path):
+    """Write the law with the filter that is offered; the next command, and the file."""
+    from ..scenarios.scheme_table import write_with_scheme
+    from ..theory.offers import scheme_of
+
+    filtered, named = scheme_of(scheme, found.places, best.change), f"{name}-filtered"
+    path, ready = write_with_scheme(folder / f"{named}.toml", source, named, filtered)
+    certify = f"jaxilc certify {path} --scheme {named}"
+    return f"Next: {certify if ready else f'add {path} to a plant file and certify it'}", path
 
 
 def _rows(found: Question, uncertainty, scale, unit) -> list[tuple[str, str]]:
@@ -112,7 +122,8 @@ def _rows(found: Question, uncertainty, scale, unit) -> list[tuple[str, str]]:
         if passed
     ]
     rows.append(("resonances that Q passes", ", ".join(shown) or "none"))
-    rows.append(("error learned to 1/10", f"up to {number(curves.learned_up_to)} Hz"))
+    if found.peak < 1:
+        rows.append(("error learned to 1/10", f"up to {number(curves.learned_up_to)} Hz"))
     if np.isfinite(found.now.floor):
         left = f"{number(scale * found.now.floor)} {unit or 'units of y'} rms, nominal machine"
         rows.append(("error left at the limit", left))
@@ -145,8 +156,7 @@ def _verdict(name: str, found: Question, uncertainty) -> str:
     )
 
 
-def _how_far(found: Question, offers: list[Offer], margin: float, scale, unit) -> str:
-    best = best_of(offers)
+def _how_far(found: Question, best: Offer | None, margin: float, scale, unit) -> str:
     if best is None:
         return f"No cutoff, gain or lead keeps a margin of {margin:g}: another law is needed."
     bought = f"a repeated error is learned to a tenth up to {number(best.learned_up_to)} Hz"
@@ -155,12 +165,10 @@ def _how_far(found: Question, offers: list[Offer], margin: float, scale, unit) -
             f", and {number(scale * best.floor)} {unit} rms is left instead of "
             f"{number(scale * found.now.floor)} {unit}"
         )
-    change = " and ".join(settings_of(best.settings)) or f"a filter of {best.change.cutoff:g} Hz"
-    return f"With a margin of {margin:g} it may go to {change}: {bought}."
+    return f"With a margin of {margin:g} it may go to {changes_said(best)}: {bought}."
 
 
-def _next(source: str, name: str, found: Question, offers: list[Offer]) -> str:
-    best = best_of(offers)
+def _next(source: str, name: str, found: Question, best: Offer | None) -> str:
     command = ["jaxilc", "certify", source, "--scheme", name]
     if found.peak >= 1 and best is None:
         return f"Next: a lower gain or another law in {source}; `jaxilc tune --help` says how."

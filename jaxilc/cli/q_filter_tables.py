@@ -38,15 +38,24 @@ def offers_table(now: Offer, offers: Sequence[Offer], margin: float, scale=1.0, 
     if known:
         table.add_column(f"rms left [{unit or 'y'}]", justify="right")
     for one in (now, *offers):
+        reach = f"{number(one.learned_up_to)} Hz" if one.peak < 1 else "–"
         left = [number(scale * one.floor)] if known else []
         table.add_row(
             one.what,
-            ", ".join(settings_of(one.settings)) or "–",
+            changes_said(one),
             number(one.peak),
-            f"{number(one.learned_up_to)} Hz",
+            reach,
             *left,
         )
     return table
+
+
+def changes_said(one: Offer) -> str:
+    """What an offer sets, and the filter that it adds where the law has none."""
+    parts = settings_of(one.settings)
+    if one.adds_filter:
+        parts.append(f"a filter of {one.change.cutoff:g} Hz")
+    return ", ".join(parts) or "–"
 
 
 def settings_of(values: Mapping[str, Any], before: str = "") -> list[str]:

@@ -45,7 +45,7 @@ def offers_of(
             offer = _offer(what, change, found, inner, machine, scheme, task)
             if offer.peak <= allowed:
                 top = offer.peak
-                scheme_then = _with(scheme, found.places, change)
+                scheme_then = scheme_of(scheme, found.places, change)
                 offers.append(offer._replace(floor=floor_of(machine, scheme_then, task, top)))
                 break
             target -= 2 * (offer.peak - allowed) + FINENESS
@@ -79,11 +79,7 @@ def changed(
     return None if best is None else now._replace(lead=best[0], cutoff=rounded(best[1]))
 
 
-# How it is done
-# --------------------------------------------------------------------------------------------------
-
-
-def _with(scheme: Scheme, places: Places, change: Change) -> Scheme:
+def scheme_of(scheme: Scheme, places: Places, change: Change) -> Scheme:
     """The scheme with a change; with a filter on top where it has none."""
     made = with_change(scheme, places.of(scheme, change))
     if not places.cutoff and np.isfinite(change.cutoff):
@@ -91,15 +87,21 @@ def _with(scheme: Scheme, places: Places, change: Change) -> Scheme:
     return made
 
 
+# How it is done
+# --------------------------------------------------------------------------------------------------
+
+
 def _offer(what, change: Change, found: Question, inner: Lines, machine, scheme, task) -> Offer:
     """The offer of a change, without its floor."""
-    made = _with(scheme, found.places, change)
+    made = scheme_of(scheme, found.places, change)
     law, (keep, L) = law_of(made, task), law_on(made, task, inner.f)
     sizes = np.max(np.abs(keep - L * inner.P), axis=1)
     worst = {0, *np.argsort(-sizes)[:NEAREST].tolist()}
     top = max(_enclosed(law, found.tried.loops[i], task) for i in worst)
     reach = curves_of(inner._replace(keep=keep, L=L)).learned_up_to
-    return Offer(what, found.places.of(scheme, change), change, top, reach, np.nan)
+    settings = found.places.of(scheme, change)
+    adds = not found.places.cutoff and bool(np.isfinite(change.cutoff))
+    return Offer(what, settings, change, top, reach, np.nan, adds)
 
 
 def _enclosed(law, loop: Loop, task: Task) -> float:

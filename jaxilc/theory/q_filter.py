@@ -114,6 +114,7 @@ class Offer(NamedTuple):
     peak:    largest |Q (1 - L P)| of the family
     learned_up_to: as in `Curves` [Hz]
     floor:   root mean square error at the limit on the nominal machine [unit of y]; nan if unknown
+    adds_filter: whether a filter is put around a law that has none
     """
 
     what: str
@@ -122,6 +123,7 @@ class Offer(NamedTuple):
     peak: float
     learned_up_to: float
     floor: float
+    adds_filter: bool = False
 
 
 class Question(NamedTuple):

@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..learning.machine import Machine
-from ..plants import ProcessModel
+from ..plants import ProcessModel, StateSpace
 from ..schemes import Scheme
 from ..signals.task import Task
 from ..uncertainty import Uncertainty, drawn_machine
@@ -93,6 +93,11 @@ def _curved(machine, scheme, task, uncertainty: Uncertainty) -> list[str]:
     other numbers too.
     """
     names, n = list(uncertainty), len(uncertainty)
+    plant = machine.plant
+    if isinstance(plant, StateSpace) and all(
+        name in ("plant.B", "plant.C") and uncertainty[name].relative for name in names
+    ):  # the zero-order hold is linear in B, which the program of a matrix exponential hides
+        machine = machine.sampled(task.dt)
     fixed = (machine.unlimited(), scheme.unlimited(), task)
     middle = {name: jnp.asarray(np.mean(uncertainty[name].corners())) for name in names}
 
