@@ -152,7 +152,7 @@ def _verdict(name: str, found: Question, uncertainty) -> str:
         )
     return (
         f"{name}: not safe{over}: |Q (1 - L P)| reaches {number(value)} {where}; what is learned "
-        "grows there."
+        "there grows, or never comes nearer to its limit."
     )
 
 

@@ -9,14 +9,14 @@ import numpy as np
 from ..filters import ZeroPhaseButterworth
 from ..learning.machine import Machine
 from ..pytree.named_paths import get_at
-from ..schemes import Filtered, Scheme
+from ..schemes import Scheme
 from ..signals.task import Task
 from .by_frequency import largest_of
 from .filtered_law import Change, Lines, best_lead, largest_cutoff, largest_gain
 from .law import law_of
 from .loop import Loop
 from .over_frequency import lines
-from .parts_of_law import Places, rounded, with_change
+from .parts_of_law import Places, rounded, with_change, with_low_pass
 from .q_filter import Offer, Question, curves_of, floor_of, law_on
 
 CUTOFF, GAIN, LEAD = "largest cutoff", "largest gain", "best lead, largest cutoff"
@@ -56,7 +56,8 @@ def kinds(places: Places | None = None) -> list[str]:
     """What can be changed in a law."""
     if places is None:
         return [CUTOFF, GAIN, LEAD]
-    return [CUTOFF, *([GAIN] * bool(places.gains)), *([LEAD] * bool(places.lead))]
+    filtered = bool(places.cutoff or places.gains)
+    return [CUTOFF] * filtered + [GAIN] * bool(places.gains) + [LEAD] * bool(places.lead)
 
 
 def changed(
@@ -80,11 +81,11 @@ def changed(
 
 
 def scheme_of(scheme: Scheme, places: Places, change: Change) -> Scheme:
-    """The scheme with a change; with a filter on top where it has none."""
+    """The scheme with a change; with a filter around its learning part where it has none."""
     made = with_change(scheme, places.of(scheme, change))
-    if not places.cutoff and np.isfinite(change.cutoff):
-        return Filtered(made, ZeroPhaseButterworth(change.cutoff, order=change.order))
-    return made
+    if places.cutoff or not np.isfinite(change.cutoff):
+        return made
+    return with_low_pass(made, ZeroPhaseButterworth(change.cutoff, order=change.order)) or made
 
 
 # How it is done

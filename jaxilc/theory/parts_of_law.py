@@ -72,6 +72,17 @@ def with_change(scheme: Scheme, values: dict[str, Any]) -> Scheme:
     return replaced(scheme, values)
 
 
+def with_low_pass(scheme: Scheme, q: ZeroPhaseButterworth) -> Scheme | None:
+    """The scheme with a filter around its learning part; None where it has no part known here."""
+    if isinstance(scheme, tuple(GAINS)):
+        return Filtered(scheme, q)
+    for name, part in scheme._fields_that_are_schemes().items():
+        made = with_low_pass(part, q)
+        if made is not None:
+            return dataclasses.replace(scheme, **{name: made})
+    return None
+
+
 def with_law(scheme: Scheme, law: Scheme) -> Scheme:
     """The scheme with another learning law in place of its own and the filter around that.
 

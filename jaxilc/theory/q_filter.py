@@ -21,7 +21,7 @@ from .filtered_law import (
     Lines,
 )
 from .law import law_of, law_response
-from .linearity import invariant_loop, linear_law
+from .linearity import invariant_loop, linear_law, of_last_trial
 from .loop import Loop, responses
 from .outlook import maps_of
 from .over_frequency import grid
@@ -224,7 +224,8 @@ def need_linear(machine: Machine, scheme: Scheme, task: Task) -> None:
     name = type(scheme).__name__
     if not scheme.learns:
         raise ValueError(f"{name} does not learn; allowed is a scheme with a linear learning law")
-    for held in (linear_law(scheme, task), invariant_loop(machine, scheme, task)):
+    laws = (linear_law(scheme, task), of_last_trial(scheme, task))
+    for held in (*laws, invariant_loop(machine, scheme, task)):
         if not held.held:
             raise ValueError(
                 f"{name}: the condition |Q (1 - L P)| < 1 needs: {held.name}. Found: {held.detail}"

@@ -6,7 +6,8 @@ import pytest
 from jaxilc import Machine, Task
 from jaxilc.filters import ZeroPhaseButterworth
 from jaxilc.plants import ProcessModel, StateSpace
-from jaxilc.schemes import CFDLMFAILC, Filtered, PIDType
+from jaxilc.schemes import CFDLMFAILC, Filtered, HigherOrder, PIDType
+from jaxilc.theory.by_frequency import learning_condition
 from jaxilc.theory.discs import Disc
 from jaxilc.theory.family import tried_plants
 from jaxilc.theory.filtered_law import (
@@ -206,4 +207,8 @@ def test_a_law_that_is_not_linear_is_named():
         ValueError, match=r"CFDLMFAILC: the condition .* needs: learning law linear"
     ):
         question(Machine(PLANT), CFDLMFAILC(phi0=0.5), TASK, {})
-    assert law_of(LAW, TASK).invariant.held
+    higher = HigherOrder((0.7, 0.3), (0.4, 0.2))
+    with pytest.raises(ValueError, match="HigherOrder learns from earlier trials too"):
+        question(Machine(PLANT), higher, TASK, {})
+    test = learning_condition(Machine(PLANT), higher, TASK)
+    assert test.condition.verdict == "not claimed"
