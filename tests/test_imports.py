@@ -22,6 +22,7 @@ ORDER = [
     "theory",
     "identification",
     "tuning",
+    "design",
     "hardware",
     "scenarios",
     "figures",

@@ -77,6 +77,22 @@ def chosen_scenario(
     return chosen
 
 
+def scenario_to_design(
+    file: Path, scheme: str | None, trials: int | None, settings: list[str] | None
+) -> Scenario:
+    """The scenario of a plant file, which need not have schemes, for the design of a law.
+
+    scheme: name of the only scheme whose feedback counts, None for all
+    trials, settings: as for `chosen_scenario`
+    """
+    from ..scenarios.from_file import load_scenario
+
+    chosen = load_scenario(file, settings_of(settings))
+    if trials is not None:
+        chosen = dataclasses.replace(chosen, trials=trials)
+    return chosen.select(() if scheme is None else (scheme,))
+
+
 def spread_of(chosen: Scenario, spread: float | None) -> Uncertainty:
     """The uncertainty of the scenario, with the half-width of `--spread` if that is given."""
     from ..uncertainty import with_spread

@@ -11,6 +11,7 @@ import typer
 from . import (
     bench,
     certify,
+    design,
     hardware,
     identify,
     pareto,
@@ -83,8 +84,21 @@ def options(
 
 
 # in the order of `--help`
-SIMULATE_AND_DESIGN = (run, sweep, tune, pareto, worst_case, identify)
-for room in (*SIMULATE_AND_DESIGN, certify, q_filter, hardware, reproduce, bench):
+COMMANDS = (
+    run,
+    sweep,
+    identify,
+    design,
+    tune,
+    pareto,
+    worst_case,
+    certify,
+    q_filter,
+    hardware,
+    reproduce,
+    bench,
+)
+for room in COMMANDS:
     room.register(app)
 
 

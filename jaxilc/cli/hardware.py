@@ -1,100 +1,52 @@
-"""The commands for a real machine: `jaxilc next` and `jaxilc trials`."""
+"""`jaxilc next`: learning on a real machine, from a measured trial to the input of the next one."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Any
 
 import typer
 
-from .completion import of_list, scenarios_from, schemes_from
+from . import trials
+from .campaign_options import (
+    AcceptSaturation,
+    Correction,
+    DryRun,
+    Folder,
+    Growth,
+    Limit,
+    Measured,
+    Next,
+    NextParams,
+    NoLearn,
+    Number,
+    PlantFile,
+    Plot,
+    Predict,
+    Repeatability,
+    ReplayedInput,
+    ScenarioName,
+    SchemeName,
+    Share,
+    StopOnGrowth,
+    Undo,
+)
 from .console import err, out
-from .options import MACHINE, Set
-from .results import written
-from .titled_table import Table
+from .options import MACHINE, Json, Set
+
+if TYPE_CHECKING:
+    from ..hardware.prediction import Prediction
+    from ..scenarios.campaigns import Opened
 
 
 class Refused(ValueError):
     """The checks refuse a measured trial, or the next input that follows from it."""
 
 
-Folder = Annotated[Path, typer.Option("--state", help="Folder of the campaign.")]
-Measured = Annotated[
-    Path | None,
-    typer.Option(
-        "--measured", metavar="TRIAL", help="Measured trial, .csv or .mat; none starts a campaign."
-    ),
-]
-Next = Annotated[
-    Path | None,
-    typer.Option(
-        "--out", metavar="NEXT", help="What the machine plays next: .csv, .mat or .h (C)."
-    ),
-]
-ScenarioName = Annotated[
-    str | None,
-    typer.Option(
-        "--scenario",
-        metavar="NAME|FILE",
-        help="Scenario or plant file to start from.",
-        autocompletion=scenarios_from,
-    ),
-]
-PlantFile = Annotated[Path | None, typer.Option(help="Plant file (TOML or JSON) to start from.")]
-SchemeName = Annotated[
-    str | None,
-    typer.Option(
-        "--scheme", help="Scheme; not needed where only one learns.", autocompletion=schemes_from
-    ),
-]
-Limit = Annotated[
-    float | None, typer.Option(help="Largest |input| played; the machine's own if not given.")
-]
-Correction = Annotated[
-    float | None,
-    typer.Option("--largest-correction", help="Largest departure of a learned reference."),
-]
-Share = Annotated[
-    float | None,
-    typer.Option("--saturation", help="Share of samples at the limit that is accepted."),
-]
-Repeatability = Annotated[
-    float | None, typer.Option(help="Largest RMS difference of two trials of one schedule.")
-]
-Growth = Annotated[
-    float | None, typer.Option(help="Share by which the RMS error may grow without a warning.")
-]
-
-AcceptSaturation = Annotated[
-    bool, typer.Option("--accept-saturation", help="Learn in spite of saturation.")
-]
-StopOnGrowth = Annotated[
-    bool, typer.Option("--stop-on-growth", help="Refuse a trial whose error grew.")
-]
-NoLearn = Annotated[
-    bool,
-    typer.Option("--no-learn", help="Look at the trial only; the same schedule is played again."),
-]
-ReplayedInput = Annotated[
-    bool, typer.Option("--replayed-input", help="Without u: the scheme's over the measured y.")
-]
-Undo = Annotated[
-    int | None,
-    typer.Option(metavar="J", help="Go back to what was known after trial J, 0 for the start."),
-]
-Number = Annotated[
-    str,
-    typer.Option(
-        help="Numbers of a C header: double or float.", autocompletion=of_list("double", "float")
-    ),
-]
-DryRun = Annotated[bool, typer.Option("--dry-run", help="Check and report; write nothing.")]
-
-
 def register(app: typer.Typer) -> None:
     """Add the commands to the command line."""
     app.command("next", rich_help_panel=MACHINE)(next_)
-    app.command(rich_help_panel=MACHINE)(trials)
+    trials.register(app)
 
 
 def next_(
@@ -104,6 +56,7 @@ def next_(
     scenario: ScenarioName = None,
     plant_file: PlantFile = None,
     scheme: SchemeName = None,
+    params: NextParams = None,
     set_: Set = None,
     limit: Limit = None,
     largest_correction: Correction = None,
@@ -115,8 +68,11 @@ def next_(
     no_learn: NoLearn = False,
     replayed_input: ReplayedInput = False,
     undo: Undo = None,
+    predict: Predict = None,
     number: Number = "double",
     dry_run: DryRun = False,
+    plot: Plot = None,
+    json_file: Json = None,
 ) -> None:
     """From a trial measured on a real machine to the input of the next one.
 
@@ -127,7 +83,7 @@ def next_(
 
     Example: jaxilc next --state x-axis --measured trial-3.csv --out trial-4.csv
     """
-    from ..scenarios.campaigns import Given, campaign
+    from ..scenarios.campaigns import Given, open_campaign
     from .asked import begin, settings_of
 
     begin("float64")
@@ -136,7 +92,9 @@ def next_(
         scenario=scenario,
         plant_file=plant_file,
         scheme=scheme,
+        params=params,
         settings=settings_of(set_),
+        predict=predict,
         rules={
             "limit": limit,
             "correction": largest_correction,
@@ -147,19 +105,28 @@ def next_(
         accept_saturation=accept_saturation,
         stop_on_growth=stop_on_growth,
     )
-    now = campaign(state, given, new=new, dry_run=dry_run)
+    opened = open_campaign(state, given, new=new, dry_run=dry_run)
+    now = opened.campaign
+    source = _say_source(opened)
     if new:
         schedules, trial = now.first_schedules(), 1
     else:
         schedules, trial = now.schedules(undo), (now.trials if undo is None else undo) + 1
     if undo is not None and not dry_run:
         now.undo(undo)
+    turn, prediction = None, None
     if measured is not None:
-        turn = _learned(now, measured, learn=not no_learn, replay_input=replayed_input)
+        record = _read(now, measured)
+        prediction = _predicted(opened, compute=True, store=not dry_run)
+        turn = _turn(now, record, prediction, learn=not no_learn, replay_input=replayed_input)
         if not dry_run:
             now.keep(turn)
         schedules, trial = turn.schedules, turn.trial + 1
     _played(None if dry_run else out_file, schedules, now.task, trial, number)
+    if not dry_run and (measured is None or prediction is not None):
+        # Of the next trial; a stop while it is simulated loses nothing, all is written by now.
+        prediction = _predicted(opened, compute=new or measured is not None, store=True)
+    _close(opened, turn, prediction, source, trial, (measured, out_file, plot, json_file), dry_run)
 
 
 def _starts(
@@ -188,90 +155,82 @@ def _starts(
     return new
 
 
-def _learned(now, measured: Path, **how):
+def _say_source(opened: Opened) -> list[str]:
+    """Print and return the sentences on what the campaign belongs to, and what has changed."""
+    from ..scenarios.campaign_source import said_of_change, said_of_source
+
+    said = said_of_source(opened.recipe)
+    for line in said:
+        out.print(line, highlight=False, soft_wrap=True)
+    changed = said_of_change(opened.recipe, trials.UNCHANGED)
+    if changed:
+        err.print(f"warning: {changed}", highlight=False, soft_wrap=True)
+    return [*said, changed] if changed else said
+
+
+def _predicted(opened: Opened, *, compute: bool, store: bool) -> Prediction | None:
+    """The prediction of the campaign, None without one; where there can be none, says why.
+
+    compute: whether it is simulated where the folder does not have it
+    """
+    from ..hardware.kept_prediction import kept, key_of, of_campaign
+    from ..hardware.prediction import next_step
+
+    if not opened.recipe.get("predict", True):
+        return None
+    journal, configuration = opened.campaign.journal, opened.campaign.configuration_hash
+    if not compute:
+        return kept(journal.path, configuration, key_of(opened.subject))
+    try:
+        return of_campaign(
+            journal.path,
+            opened.subject,
+            next_step(journal.live()),
+            expected=opened.scenario.trials,
+            configuration=configuration,
+            store=store,
+        )
+    except ValueError as error:
+        out.print(f"note: nothing is predicted: {error}", highlight=False, soft_wrap=True)
+        return None
+
+
+def _read(now, measured: Path):
+    """The measured trial of a file."""
+    from ..hardware.trial_files import read_measured
+
+    return read_measured(measured, now.task, now.recordable())
+
+
+def _turn(now, record, prediction: Prediction | None, **how):
     """The turn that a measured trial makes; its findings are printed.
 
     Raises Refused where the checks refuse the trial.
     """
     from ..hardware.campaign import refuse
-    from ..hardware.trial_files import read_measured
+    from .campaign_lines import against_prediction
 
-    record = read_measured(measured, now.task, now.recordable())
     turn = now.turn(record, **how)
-    _report(turn, record.ignored, now.task.unit)
-    try:
-        refuse(turn.findings)
-    except ValueError as error:
-        raise Refused(error) from None
-    return turn
-
-
-def trials(
-    state: Folder,
-    table: Annotated[Path | None, typer.Option("--csv", help="Write the log to this file.")] = None,
-    plot: Annotated[
-        Path | None, typer.Option(help="Plot error and input by trial to this file.")
-    ] = None,
-) -> None:
-    """The log of a campaign: every trial with its metrics, undone ones included.
-
-    Example: jaxilc trials --state x-axis --csv log.csv --plot log.png
-    """
-    from ..hardware.journal import Journal
-    from ..hardware.log_file import units, write_log
-
-    journal = Journal(state)
-    rows = journal.log()
-    out.print(_log_table(str(state), rows))
-    files = []
-    if table is not None:
-        files.append(write_log(table, rows))
-    if plot is not None:
-        from .. import figures
-        from ..figures.campaign import campaign_figure
-
-        unit, input_unit = units(journal)
-        axes = campaign_figure(rows, unit=unit, input_unit=input_unit)
-        files.append(figures.save(axes, plot))
-    written(files, None, [])
-
-
-def _log_table(title: str, rows: list[dict]) -> Table:
-    """A table with a row for each entry of the journal, and all channels of each metric."""
-    columns = ("entry", "trial", "event", "rms error", "max error", "effort", "file", "warnings")
-    shown = Table(*columns, title=title)
-    for row in rows:
-        metrics = [
-            " ".join(f"{v:.4g}" for name, v in row.items() if name.startswith(start))
-            for start in ("max_error", "effort")
-        ]
-        learned = "" if row["learned"] in ("", True) else ", not learned"
-        undone = ", undone" if row["event"] == "trial" and not row["live"] else ""
-        error = f"{row['rms_error']:.4g}" if row["rms_error"] != "" else ""
-        shown.add_row(
-            str(row["serial"]),
-            str(row["trial"]),
-            f"{row['event']}{learned}{undone}",
-            error,
-            *metrics,
-            str(row["source"]),
-            row["warnings"],
-        )
-    return shown
-
-
-def _report(turn, ignored, unit: str) -> None:
-    """Print the findings of the checks: notes to standard output, warnings to standard error."""
+    predicted, finding = against_prediction(now, turn, prediction)
+    turn.findings.extend(finding)
     largest = ", ".join(f"{value:.6g}" for value in turn.metrics["max_error"])
+    unit = now.task.unit
     rms = f"RMS error {turn.metrics['error']:.6g} {unit}"
     out.print(f"trial {turn.trial}: {rms}, largest {largest} {unit}", highlight=False)
-    if ignored:
-        out.print(f"not used: {', '.join(ignored)}", highlight=False, markup=False)
+    if predicted:
+        out.print(predicted, highlight=False, soft_wrap=True)
+    if record.ignored:
+        out.print(f"not used: {', '.join(record.ignored)}", highlight=False, markup=False)
     for kind, text in turn.findings:
         if kind != "refusal":
             (err if kind == "warning" else out).print(
                 f"{kind}: {text}", highlight=False, markup=False, soft_wrap=True
             )
+    try:
+        refuse(turn.findings)
+    except ValueError as error:
+        raise Refused(error) from None
+    return turn
 
 
 def _played(path: Path | None, schedules, task, trial: int, number: str) -> None:
@@ -291,3 +250,44 @@ def _played(path: Path | None, schedules, task, trial: int, number: str) -> None
         return
     write_schedules(path, schedules, task, trial=trial, number=number)
     out.print(f"written: {path}", highlight=False, markup=False, soft_wrap=True)
+
+
+def _close(
+    opened: Opened,
+    turn,
+    prediction: Prediction | None,
+    source: list[str],
+    trial: int,
+    files: tuple[Path | None, Path | None, Path | None, Path | None],
+    dry_run: bool,
+) -> None:
+    """Print the verdict and the next command; write the figure and the numbers, if asked for.
+
+    trial: number of the next trial
+    files: those of --measured, --out, --plot and --json
+    """
+    from . import campaign_lines
+    from .results import written
+
+    measured, out_file, plot, json_file = files
+    now = opened.campaign
+    journal = now.journal
+    rows = journal.log() if journal.exists else []
+    live = journal.live() if journal.exists else []
+    if plot is not None and live and not dry_run:
+        trials.save_figure(plot, now, rows, live, prediction)
+    verdict = campaign_lines.verdict(live, turn, prediction, now.task.unit, now.rules.growth)
+    following = campaign_lines.next_command(journal.path, trial, measured, out_file)
+    step = "" if dry_run else campaign_lines.coming(live, prediction, trial, now.task.unit)
+    for line in (*([step] if step else []), *verdict, following):
+        out.print(line, highlight=False, soft_wrap=True)
+    numbers: dict[str, Any] = {
+        "source": trials.source_numbers(opened.recipe),
+        "said": source,
+        "next_trial": trial,
+        "verdict": verdict,
+        "next": following,
+        **campaign_lines.turn_numbers(live, turn, prediction),
+    }
+    paths = [plot] if plot is not None and live and not dry_run else []
+    written(paths, None if dry_run else json_file, numbers)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..sweeps.summary import summarise
 from ..theory.certificates import CLAIMS, CONVERGES, COURSES, MONOTONE
 
 if TYPE_CHECKING:
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from ..sweeps.summary import SchemeSummary
     from ..theory.of_schemes import OfScheme
 
+ERRORS = ("max_error", "rms", "settled_error")
 METRICS = ("settled_error", "max_error", "rms", "best_trial")
 NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w])")
 
@@ -50,14 +52,74 @@ def run_numbers(scenario: Scenario, dataset: xr.Dataset) -> dict[str, Any]:
             for m, values in shown.items()
         }
         published = [_beside(p, scenario, shown) for p in scenario.due if p.scheme == name]
+        axes = _by_axis(scenario, dataset.sel(scheme=name))
         course = {event: int(chosen[event]) for event in ("diverged_at", "grown_from")}
-        schemes[name] = by_metric | course | _grown(chosen) | {"published": published}
+        schemes[name] = by_metric | course | _grown(chosen) | axes | {"published": published}
     return {
         "scenario": scenario.name,
         "trials": scenario.trials,
         "unit": scenario.shown_unit,
         "schemes": schemes,
     }
+
+
+def _by_axis(scenario: Scenario, chosen: xr.Dataset) -> dict[str, Any]:
+    """The errors of each output by its name and trial [shown unit]; nothing for a single output.
+
+    chosen: metrics of one scheme
+    """
+    if scenario.task.outputs == 1:
+        return {}
+    sound = ~chosen["diverged"]
+    axes = {
+        called: {
+            metric: {
+                str(j): scenario.shown(metric)[0]
+                * float(chosen[metric].isel(channel=i).where(sound, np.inf).sel(trial=j))
+                for j in shown_trials(scenario)
+            }
+            for metric in ERRORS
+        }
+        for i, called in enumerate(output_names(scenario))
+    }
+    return {"axes": axes}
+
+
+def output_names(scenario: Scenario) -> list[str]:
+    """What the outputs are called: their names, or `output 0`, `output 1`, ..."""
+    labels = scenario.task.labels
+    return [one if isinstance(one, str) else f"output {one}" for one in labels]
+
+
+def axes_numbers(
+    scenario: Scenario, dataset: xr.Dataset, tolerance: float | None
+) -> dict[str, Any]:
+    """The largest error of the last trial over the machines of a sweep, by scheme and axis.
+
+    Besides the outputs there is the contour, where it is a metric. All are in the shown unit, with
+    the share of machines within the tolerance. A sweep of a single output has none.
+
+    tolerance: largest error that passes [unit of the dataset]; None if none is known
+    """
+    if scenario.task.outputs == 1:
+        return {}
+    errors = {
+        called: dataset["max_error"].isel(channel=i)
+        for i, called in enumerate(output_names(scenario))
+    }
+    errors |= {"contour": dataset["contour_max"]} if "contour_max" in scenario.quantities else {}
+    found: dict[str, Any] = {}
+    for called, values in errors.items():
+        named = dataset[["finite", "diverged"]].assign(error=values)
+        for row in summarise(named, tolerance, metric="error"):
+            last = {"median": row.median, "low": row.low, "high": row.high, "worst": row.worst}
+            at = {of: scenario.shown_scale * float(x[-1]) for of, x in last.items()}
+            share = None if tolerance is None else row.yield_share
+            found.setdefault(row.scheme, {})[called] = at | {
+                "worst_sample": int(row.worst_machine[-1]),
+                "yield": share,
+            }
+    return {"axes": found}
 
 
 def _grown(chosen: xr.Dataset) -> dict[str, Any]:

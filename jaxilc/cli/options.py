@@ -107,6 +107,14 @@ Params = Annotated[
         "--params", metavar="FILE", help="Parameters that `tune` wrote; --set goes on top of them."
     ),
 ]
+MetricName = Annotated[
+    str | None,
+    typer.Option(
+        "--metric",
+        help="Metric that tables show and --tolerance limits: max_error, rms, settled_error or one "
+        "of the scenario, such as contour_max; its own if not given.",
+    ),
+]
 Seed = Annotated[
     int, typer.Option(help="Seed of noise and of drawn machines.", callback=seed_in_range)
 ]

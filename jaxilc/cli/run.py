@@ -12,6 +12,7 @@ from .console import out
 from .options import (
     SIMULATE,
     Json,
+    MetricName,
     OutFolder,
     Params,
     Precision,
@@ -62,6 +63,7 @@ def run(
     scenario: ScenarioName,
     scheme: Schemes = None,
     trials: Trials = None,
+    metric: MetricName = None,
     seed: Seed = 0,
     set_: Set = None,
     params: Params = None,
@@ -81,11 +83,12 @@ def run(
 
     from ..figures.report import command_report
     from ..figures.whole_run import save_run
+    from ..scenarios.judging import judged
     from ..storage.files import whole_folder
     from ..sweeps import runs
     from . import numbers, tables
 
-    chosen = chosen_scenario(scenario, scheme, trials, set_, params)
+    chosen = judged(chosen_scenario(scenario, scheme, trials, set_, params), metric)
     dataset, _ = runs.run_schemes(
         chosen.machine,
         chosen.schemes,
@@ -95,7 +98,9 @@ def run(
         quantities=chosen.functions,
     )
     found = numbers.run_numbers(chosen, dataset)
+    by_axis = tables.axes_table(found)
     shown = [tables.run_table(chosen, found), tables.last_trial_table(found)]
+    shown += [] if by_axis is None else [by_axis]
     lines = [*tables.course_lines(found), *tables.other_rows(chosen, found)]
     if chosen.published and (set_ or params):
         lines.append(

@@ -12,6 +12,7 @@ from .options import (
     SIMULATE,
     Json,
     Machines,
+    MetricName,
     OutFolder,
     Params,
     Precision,
@@ -41,6 +42,7 @@ def sweep(
     seed: Seed = 0,
     spread: Spread = None,
     sampling: Sampling = "monte-carlo",
+    metric: MetricName = None,
     tolerance: Annotated[
         float | None,
         typer.Option(help="Largest metric that passes, the one tables show, in its unit."),
@@ -73,13 +75,14 @@ def sweep(
     begin(precision)
     from .. import figures
     from ..figures.report import command_report
+    from ..scenarios.judging import judged
     from ..sweeps.summary import summarise
     from ..sweeps.sweep import Sweep
     from . import tables
-    from .numbers import sweep_numbers
+    from .numbers import axes_numbers, sweep_numbers
     from .progress import run_sweep
 
-    chosen = chosen_scenario(scenario, scheme, trials, set_, params)
+    chosen = judged(chosen_scenario(scenario, scheme, trials, set_, params), metric)
     plan = Sweep(
         chosen.machine,
         chosen.schemes,
@@ -105,7 +108,10 @@ def sweep(
 
     summary = summarise(dataset, tolerance, metric=chosen.judged_by)
     numbers = sweep_numbers(chosen, summary, tolerance, plan.machines)
+    numbers |= axes_numbers(chosen, dataset, tolerance)
     shown = [tables.yield_table(numbers), tables.spread_table(numbers), tables.band_table(numbers)]
+    by_axis = tables.swept_axes_table(numbers)
+    shown += [] if by_axis is None else [by_axis]
     for table in shown:
         out.print(table)
     lines = tables.sweep_lines(numbers)

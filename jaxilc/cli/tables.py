@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..learning.divergence import CEILING, GROWTH
-from .numbers import shown_trials
+from .numbers import ERRORS, shown_trials
 from .titled_table import Table
+
+MOST_ORDERS = 12  # rows of a table of orders
 
 if TYPE_CHECKING:
     from ..identification import Order
@@ -35,7 +37,8 @@ def run_table(scenario: Scenario, numbers: dict[str, Any]) -> Table:
     A published value is shown in brackets.
     """
     metric, (_, unit) = scenario.judged_by, scenario.shown(scenario.judged_by)
-    what = f"{metric.replace('_', ' ')} [{unit}] by trial, published value in brackets"
+    printed = ", published value in brackets" if scenario.published else ""
+    what = f"{metric.replace('_', ' ')} [{unit}] by trial{printed}"
     table = Table(title=f"{scenario.title}\n{what}")
     table.add_column("trial", justify="right")
     for name in scenario.schemes:
@@ -74,6 +77,46 @@ def last_trial_table(numbers: dict[str, Any]) -> Table:
     for name, rows in numbers["schemes"].items():
         errors = (number(rows[m][last]) for m in ("max_error", "rms", "settled_error"))
         table.add_row(name, *errors, str(rows["best"]))
+    return table
+
+
+def axes_table(numbers: dict[str, Any]) -> Table | None:
+    """The table of the errors of the last trial of a run, axis by axis, and of the contour.
+
+    None for a single output.
+    """
+    if not any("axes" in rows for rows in numbers["schemes"].values()):
+        return None
+    last = str(numbers["trials"])
+    table = Table(title=f"trial {last} by axis, errors in {numbers['unit'] or 'the unit of y'}")
+    for column in ("scheme", "axis", "largest", "rms", "largest, settled"):
+        table.add_column(column, justify="left" if column in ("scheme", "axis") else "right")
+    for name, rows in numbers["schemes"].items():
+        for axis, errors in rows["axes"].items():
+            table.add_row(name, axis, *(number(errors[m][last]) for m in ERRORS))
+        if "contour_max" in rows:
+            contour = (number(rows[m][last]) for m in ("contour_max", "contour_rms"))
+            table.add_row(name, "contour", *contour, "")
+    return table
+
+
+def swept_axes_table(numbers: dict[str, Any]) -> Table | None:
+    """The table of the largest errors of the last trial of a sweep, axis by axis, and contour.
+
+    None for a single output.
+    """
+    if "axes" not in numbers:
+        return None
+    tolerance, unit = numbers["tolerance"], numbers["unit"]
+    within = () if tolerance is None else (f"within {tolerance:g}",)
+    table = Table(title=f"largest error [{unit}] of trial {numbers['trials']} by axis")
+    for column in ("scheme", "axis", *within, "median", "95 %", "worst (machine)"):
+        table.add_column(column, justify="left" if column in ("scheme", "axis") else "right")
+    for name, axes in numbers["axes"].items():
+        for axis, at in axes.items():
+            share = [] if tolerance is None else [f"{at['yield']:.1%}"]
+            worst = f"{number(at['worst'])} ({at['worst_sample']})"
+            table.add_row(name, axis, *share, number(at["median"]), number(at["high"]), worst)
     return table
 
 
@@ -178,20 +221,42 @@ def identification_table(title: str, rows: Sequence[tuple[str, float, float, flo
     return table
 
 
-def orders_table(orders: Sequence[Order], best: Order) -> Table:
+def orders_table(orders: Sequence[Order], best: Order, dt: float | None = None) -> Table:
     """The table of the structures that were fitted, of which the best one is marked.
 
-    The column rms is that of the residual, in the unit of the output.
+    The column rms is that of the residual, in the unit of the output; of a frequency response,
+    divided by the standard deviation of each line. The column valid. is the fit of the part that
+    was not fitted. Of many fits, those of the smallest criterion are shown.
+
+    dt: sample time, in which the delay is told [s]; None: in ms
     """
-    table = Table(title=f"structures by BIC, above the smallest ({best.bic:.1f})")
-    for column in ("order", "poles", "pairs", "zeros", "rms", "BIC", "validation [%]", ""):
+    of_response, delayed = best.found.of_response, any(_delay(one) > 0 for one in orders)
+    shown = list(orders)
+    if len(shown) > MOST_ORDERS:
+        shown = sorted(shown, key=lambda one: one.bic)[:MOST_ORDERS]
+    count = (
+        f"{len(shown)} of {len(orders)} structures" if len(shown) < len(orders) else "structures"
+    )
+    table = Table(title=f"{count} by BIC, above the smallest ({best.bic:.1f})")
+    delay = ("delay" if dt else "delay [ms]",) * delayed
+    last = () if of_response else ("valid. [%]",)
+    rms = "rms / std" if of_response else "rms"
+    for column in ("poles", "pairs", "zeros", *delay, rms, "BIC", *last, ""):
         table.add_column(column, justify="right")
-    for one in orders:
-        counts = (one.poles + 2 * one.pairs, one.poles, one.pairs, one.zeros)
-        values = (f"{one.rms:.4g}", f"{one.bic - best.bic:+.1f}", f"{one.validation_fit:.4g}")
-        sound = "" if one.found.converged else "not converged"
-        table.add_row(*map(str, counts), *values, "chosen" if one is best else sound)
+    for one in shown:
+        counts = (one.poles, one.pairs, one.zeros)
+        late = (f"{_delay(one) / (dt or 1e-3):.4g}",) * delayed
+        values = (f"{one.rms:.4g}", f"{one.bic - best.bic:+.1f}")
+        share = () if of_response else (f"{one.validation_fit:.4g}",)
+        sound = "" if one.found.converged else "no minimum"
+        row = (*map(str, counts), *late, *values, *share)
+        table.add_row(*row, "chosen" if one is best else sound)
     return table
+
+
+def _delay(one: Order) -> float:
+    """The delay of a fitted plant [s]."""
+    return float(getattr(one.found.plant, "delay", 0.0))
 
 
 def number(value: float) -> str:

@@ -17,7 +17,7 @@ from . import report
 from .by_frequency import frequency_tests, spectrum, time_frequency
 from .by_trial import certificate, error_band, error_by_trial
 from .campaign import campaign_figure
-from .experiments import record_figure, validation_figure
+from .experiments import record_figure, response_fit_figure, validation_figure
 from .q_filter import q_filter_figure
 from .searches import final_error_by_trials, loss_by_step, pareto_front, worst_against_chance
 from .style import COLOURS, DASHES, MARKS, save
@@ -39,6 +39,7 @@ __all__ = [
     "q_filter_figure",
     "record_figure",
     "report",
+    "response_fit_figure",
     "save",
     "spectrum",
     "time_frequency",

@@ -18,7 +18,7 @@ from .style import (
     shades_of,
     style_of,
 )
-from .within_trial import signal_of
+from .within_trial import outputs_of, signal_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -55,6 +55,7 @@ def spectrum(
     ax, time = new_axes(ax), dataset["time"].values
     for trial, shade in zip(trials, shades_of(trials), strict=True):
         e = scale * signal_of(dataset, "e", scheme, trial)[1:]
+        names = outputs_of(dataset, e.shape[1])
         f, power = periodogram(
             e,
             1.0 / (time[1] - time[0]),
@@ -65,7 +66,7 @@ def spectrum(
         )
         for i, amplitude in enumerate(np.sqrt(2.0 * np.where(power > 0, power, np.nan)[1:]).T):
             at = 1 + _peaks(f[1:], amplitude)
-            label = f"trial {trial}" + f", output {i}" * (len(power.T) > 1)
+            label = f"trial {trial}" + f", {names[i]}" * (len(names) > 1)
             ax.loglog(
                 f[at],
                 amplitude[at - 1],

@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..plants import TwoAxes
 from .by_frequency import spectrum, time_frequency
 from .by_trial import error_by_trial
 from .style import save
@@ -28,7 +27,7 @@ def save_run(
     error-by-trial.png      the metric by which the scenario is judged, with the published values
     tracking-SCHEME.png     reference and output of some trials
     spectrum-SCHEME.png, time-frequency-SCHEME.png    of the error, for a scheme that learns
-    contour-SCHEME.png      for two axes
+    contour-SCHEME.png      for two axes whose contour is a metric
 
     dataset: result of `run_schemes`
     folder: folder for the figures
@@ -46,7 +45,7 @@ def save_run(
         drawn: dict[str, Callable] = {"tracking": tracking}
         if scheme.learns:
             drawn |= {"spectrum": spectrum, "time-frequency": time_frequency}
-        if isinstance(scenario.machine.plant, TwoAxes):
+        if scenario.task.outputs == 2 and "contour_max" in scenario.quantities:
             drawn |= {"contour": contour}
         for kind, draw in drawn.items():
             axes = draw(dataset, name, trials, **in_unit)

@@ -44,6 +44,13 @@ def signal_of(dataset: xr.Dataset, name: str, scheme: str, trial: int) -> np.nda
     return values.reshape(len(values), -1)
 
 
+def outputs_of(dataset: xr.Dataset, channels: int) -> list[str]:
+    """What each output is called: by its name, or `output 1`, counted from 0."""
+    labels = dataset["channel"].values if "channel" in dataset.coords else range(channels)
+    found = np.atleast_1d(labels).tolist()
+    return [one if isinstance(one, str) else f"output {one}" for one in found]
+
+
 def tracking(
     dataset: xr.Dataset,
     scheme: str,
@@ -78,6 +85,8 @@ def tracking(
             f"{time[-1]:g} s"
         )
     channels = signals[0][1].shape[1]
+    names = outputs_of(dataset, channels)
+    called = names if len(names) > 1 and not names[0].startswith("output ") else None
     axes = new_axes(
         ax,
         channels + 2,
@@ -97,10 +106,7 @@ def tracking(
         for (y, e, u), j, shade in zip(signals, trials, shades, strict=True):
             for axis, values in zip(column, (y, *(scale * e.T[..., None]), u), strict=True):
                 for i, line in enumerate(values.T):
-                    at, label = (
-                        np.flatnonzero(part[: len(line)]),
-                        f"output {i}" if i else f"trial {j}",
-                    )
+                    at, label = np.flatnonzero(part[: len(line)]), _label(i, j, called)
                     axis.plot(
                         time[at],
                         line[at],
@@ -113,7 +119,7 @@ def tracking(
             _fit(axis, [scale * e[part, channel] for _, e, _ in signals[1:] or signals])
         column[-1].set(xlabel="time [s]", xlim=time[part][[0, -1]])
     for channel, axis in enumerate(axes[1:-1, 0]):
-        axis.set_ylabel(labelled("error" + f" of output {channel}" * (channels > 1), unit))
+        axis.set_ylabel(labelled("error" + f" of {names[channel]}" * (channels > 1), unit))
     axes[0, 0].set(title=scheme, ylabel=labelled("output", dataset["y"].attrs.get("units", "")))
     axes[-1, 0].set(ylabel=labelled("input", dataset["u"].attrs.get("units", "")))
     axes[0, 1].set_title("zoom")
@@ -179,9 +185,11 @@ def contour(
         )
         bottom.plot(arc, scale * error, color=shade, linewidth=0.8, label=f"trial {j}")
     length = dataset["y"].attrs.get("units", "")
+    of_x, of_y = outputs_of(dataset, 2)
+    numbered = of_x.startswith("output ")
     top.set(
-        xlabel=labelled("x", length),
-        ylabel=labelled("y", length),
+        xlabel=labelled("x" if numbered else of_x, length),
+        ylabel=labelled("y" if numbered else of_y, length),
         title=f"{scheme}: contour error drawn {m:g} times",
     )
     top.set_aspect("equal", adjustable="datalim")
@@ -194,6 +202,13 @@ def contour(
         grid(axis)
     legend_beside(top)
     return axes
+
+
+def _label(line: int, trial: int, names: list[str] | None) -> str:
+    """The label of a line: the trial for the first output, the name of the output for others."""
+    if names is None or line >= len(names):
+        return f"output {line}" if line else f"trial {trial}"
+    return names[line] if line else f"trial {trial}, {names[0]}"
 
 
 def _reference(dataset, y, e) -> np.ndarray:

@@ -191,9 +191,10 @@ def need_padding(q, samples: int) -> None:
 def half_angles(samples: int) -> np.ndarray:
     """(N+1,) pi f dt of the frequencies at which `mirrored` takes its response.
 
-    They go from 0 to half of the Nyquist angle pi.
+    They go from 0 to half of the Nyquist angle pi, and no rounding puts the last one beyond it,
+    where the tangent would be negative.
     """
-    return np.pi * np.arange(samples + 1) / (2 * samples)
+    return np.pi / 2 * (np.arange(samples + 1) / samples)
 
 
 def mirrored(signal, response) -> jax.Array:

@@ -122,6 +122,10 @@ class Campaign:
         )
 
     @property
+    def configuration_hash(self) -> str:
+        return hashlib.sha256(json.dumps(self.configuration, sort_keys=True).encode()).hexdigest()
+
+    @property
     def trials(self) -> int:
         """The number of trials measured, without those that were undone."""
         return self.journal.live()[-1]["trial"]
@@ -215,6 +219,7 @@ class Campaign:
             findings,
             learn,
             measured.source,
+            "replayed" if measured.u is None else "measured",
         )
 
     def _against_those_before(
@@ -243,8 +248,9 @@ class Campaign:
         if turn.trial != parent["trial"] + 1:
             said = f"trial {turn.trial} does not follow on trial {parent['trial']}"
             raise ValueError(f"{self.journal.path}: {said}")
-        manifest = {name: getattr(turn, name) for name in ("trial", "learned", "source", "hashes")}
-        manifest |= {METRICS: turn.metrics, "findings": turn.findings}
+        plain = ("trial", "learned", "source", "input", "hashes")
+        manifest = {name: getattr(turn, name) for name in plain} | {METRICS: turn.metrics}
+        manifest["findings"] = turn.findings
         record = {"y": turn.record.y, "u": turn.record.u} | {
             f"signals {name}": s for name, s in turn.record.signals.items()
         }
@@ -285,12 +291,10 @@ class Campaign:
         return is_same_trial(self.journal.arrays(entry, TRIAL), record, with_input=with_input)
 
     def _append(self, manifest: dict[str, Any], arrays: dict[str, dict[str, Any]]) -> None:
-        configuration = self.configuration
-        digest = hashlib.sha256(json.dumps(configuration, sort_keys=True).encode()).hexdigest()
         known = {
             "recipe": self.recipe,
-            "configuration": configuration,
-            "configuration_hash": digest,
+            "configuration": self.configuration,
+            "configuration_hash": self.configuration_hash,
             "environment": environment(),
         }
         self.journal.append(manifest | known, arrays)

@@ -29,6 +29,7 @@ class Turn(NamedTuple):
     findings: findings of the checks, refusals included
     learned: False for a trial that was only inspected
     source: file of the trial
+    input: `measured`, or `replayed` where the file had no u and the scheme's law gave it
     """
 
     trial: int
@@ -40,6 +41,7 @@ class Turn(NamedTuple):
     findings: list[Finding]
     learned: bool
     source: str
+    input: str = "measured"
 
     @property
     def refusals(self) -> list[str]:

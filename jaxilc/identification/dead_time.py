@@ -24,7 +24,8 @@ def first_lag(record: Record, longest: int = LONGEST_LOOKED_FOR) -> int:
         y[k] = c + sum_{i=1..n} (a_i y[k-i] + b_i u[k-i])
 
     The estimate is i - 1 of the first b_i that is more than 4 standard errors from 0. It is 0 where
-    none is, or where the record is too short for such a fit.
+    none is, or where the record is too short for such a fit. Of several experiments, the first is
+    taken.
     """
     y, u = (
         as_columns("first_lag", "y", record.y)[:, 0],
@@ -86,7 +87,7 @@ def orders_and_delays(
     def best() -> Order:
         return best_order(list(fitted.values()))
 
-    longest = min(longest, len(record.u) // 3)
+    longest = min(longest, len(record.u) // record.trials // 3)
     fit(structures, 0)
     fit(structures, first_lag(record, longest))
     for direction in (-1, 1):

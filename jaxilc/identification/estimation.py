@@ -111,9 +111,12 @@ def later(record: Record, delay: int) -> Record:
     every delay is fitted by the same compiled programs.
     """
     u = np.asarray(record.u)
-    if not 0 <= delay < len(u):
+    of_each = u.reshape(record.trials, -1, u.shape[1])
+    N = of_each.shape[1]
+    if not 0 <= delay < N:
         raise ValueError(
-            f"identify: delay = {delay} samples is outside its allowed range [0, {len(u)}), the "
+            f"identify: delay = {delay} samples is outside its allowed range [0, {N}), the "
             "length of the record"
         )
-    return record._replace(u=np.vstack([np.zeros((delay, u.shape[1])), u[: len(u) - delay]]))
+    moved = np.pad(of_each, ((0, 0), (delay, 0), (0, 0)))[:, :N]
+    return record._replace(u=moved.reshape(u.shape))

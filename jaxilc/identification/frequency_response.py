@@ -78,7 +78,8 @@ def read_frequency_response(path: str | Path, *, averages: int | None = None) ->
 
     where G is the response from cross and input spectra, and c is the squared one, between 0 and
     1. It is that of the complex number, sqrt(2) times that of its magnitude. A line at 0 Hz is left
-    out. A column `std` goes before `variance`, and this before `coherence`.
+    out. A column `std` goes before `variance`, and this before `coherence`; re and im go before
+    magnitude and phase, and these before complex text.
 
     averages: number n of independent averages, which a coherence needs
     Raises ValueError naming file, line and column: for a column that is missing or there twice, a

@@ -15,8 +15,8 @@ from ..learning.machine import Machine
 from ..plants import ProcessModel
 from ..runtime.capacity import check_size
 from ..runtime.tiles import tiled
+from .from_rest import output_from_rest
 from .problem import Minimum, Problem
-from .records import played
 
 REFINED = 16  # number of starts, those with the best fit, that are refined
 
@@ -33,7 +33,7 @@ def from_many_starts(problem: Problem, starts: int, seed: int) -> Minimum:
     check_size("identify", lambda starts: each * starts, starts=starts)
     shape, task = cast(ProcessModel, problem.plant), problem.task
     drawn = drawn_plants(shape, (1 / task.duration, 0.5 * np.pi / task.dt), starts, seed)
-    fitted = np.arange(problem.task.N + 1) < problem.samples
+    fitted = np.arange(len(problem.record.y)) < problem.samples
     products = np.asarray(
         _products()((problem.task, problem.record.u, problem.record.y, fitted), drawn)
     )
@@ -90,9 +90,7 @@ def _inner_products(common, plant: ProcessModel):
     """
     task, u, y, fitted = common
     outputs = [
-        played(
-            Machine(dataclasses.replace(plant, zeros=plant.zeros[:k])), task, u, jax.random.key(0)
-        ).y[:, 0]
+        output_from_rest(Machine(dataclasses.replace(plant, zeros=plant.zeros[:k])), task, u)[:, 0]
         for k in range(plant.zeros.shape[0] + 1)
     ]
     columns = jnp.stack([jnp.ones_like(y[:, 0]), *outputs, y[:, 0]]) * fitted

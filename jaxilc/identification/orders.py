@@ -27,7 +27,7 @@ class Order(NamedTuple):
     bic: Bayesian information criterion, see `information`
     validation_fit: fit over the validation part [%]
     found: the identification
-    delay: dead time in samples
+    delay: dead time in samples, of a fit to a record
     """
 
     poles: int
@@ -38,7 +38,7 @@ class Order(NamedTuple):
     bic: float
     validation_fit: float
     found: Identified
-    delay: float = 0
+    delay: int = 0
 
 
 def compare_orders(

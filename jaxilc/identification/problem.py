@@ -14,9 +14,10 @@ from ..learning.machine import Machine
 from ..plants import Plant, ProcessModel
 from ..pytree.closest import known_names
 from ..pytree.named_paths import get_at, interval_at, named_leaves, replaced
-from ..pytree.ranges import Interval
+from ..pytree.ranges import Interval, require
 from ..signals.task import Task
-from .records import Record, as_columns, played, task_of
+from .from_rest import first_of, output_from_rest
+from .records import Record, as_columns, task_of
 
 # With fewer samples for each parameter, the intervals would be wrong: they hold for long records.
 SAMPLES_PER_PARAMETER = 5
@@ -24,9 +25,8 @@ SAMPLES_PER_PARAMETER = 5
 
 def _output(values, names, plant, task, u):
     """(N+1, n_y) the plant's output without noise, its parameters `names` set to values (P,)."""
-    return played(
-        Machine(replaced(plant, dict(zip(names, values, strict=True)))), task, u, jax.random.key(0)
-    ).y
+    machine = Machine(replaced(plant, dict(zip(names, values, strict=True))))
+    return output_from_rest(machine, task, u)
 
 
 simulated_output = jax.jit(_output, static_argnames="names")
@@ -194,13 +194,17 @@ def least_squares_from(problem, theta, **options) -> Minimum:
 def checked_record(record: Record) -> Record:
     """The record with u (N, n_u) and y (N+1, n_y); raises ValueError for an invalid record."""
     u, y = as_columns("identify", "u", record.u), as_columns("identify", "y", record.y)
-    if len(y) != len(u) + 1:
+    require("identify", "trials", record.trials, "[1, inf)", whole=True)
+    trials = int(record.trials)
+    if len(y) != len(u) + trials or len(u) % trials:
+        of_each = f" in each of {trials} trials of equal length" if trials > 1 else ""
         raise ValueError(
             f"identify: u has {len(u)} rows and y {len(y)}; allowed is one more row in y than in u"
+            f"{of_each}"
         )
     if not 0 < record.dt < np.inf:
         raise ValueError(f"identify: dt = {record.dt} is outside its allowed range (0, inf)")
-    return Record(u, y, float(record.dt))
+    return Record(u, y, float(record.dt), trials)
 
 
 def need_samples(samples: int, parameters: int) -> None:
@@ -215,15 +219,15 @@ def need_samples(samples: int, parameters: int) -> None:
 
 def problem_of(record: Record, plant: Plant, names: tuple[str, ...], fit_share: float) -> Problem:
     """The problem of a record and a plant; raises ValueError where they do not fit together."""
-    (N, n_u), (_, n_y) = record.u.shape, record.y.shape
+    (_, n_u), (rows, n_y) = record.u.shape, record.y.shape
     if (n_u, n_y) != (plant.n_u, plant.n_y):
         raise ValueError(
             f"identify: the record has {n_u} inputs and {n_y} outputs but the plant "
             f"{type(plant).__name__} has {plant.n_u} and {plant.n_y}"
         )
-    samples = round(fit_share * (N + 1))
+    samples = round(fit_share * rows)
     need_samples(samples * n_y, len(names) + n_y)
-    y, u = record.y[:samples], record.u[: samples - 1]
+    y, u = record.y[:samples], record.u[: max(1, samples - record.trials)]
     for i in range(n_y):
         if np.ptp(y[:, i]) == 0:
             raise ValueError(
@@ -237,7 +241,7 @@ def problem_of(record: Record, plant: Plant, names: tuple[str, ...], fit_share: 
     return Problem(
         record,
         plant,
-        task_of(plant, record.u, record.dt),
+        task_of(plant, first_of(record), record.dt),
         names,
         Coordinates.of(plant, names),
         samples,

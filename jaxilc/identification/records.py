@@ -24,11 +24,14 @@ class Record(NamedTuple):
     u: (N, n_u) input, held over each sample
     y: (N+1, n_y) output; y[0] is measured before u[0] acts
     dt: sample time [s]
+    trials: number T of experiments of equal length, each from rest, that stand below each other; u
+        is then (T N, n_u) and y (T (N+1), n_y)
     """
 
     u: jax.Array | np.ndarray
     y: jax.Array | np.ndarray
     dt: float
+    trials: int = 1
 
 
 def excite(machine: Machine, u, dt: float, *, key: jax.Array | None = None) -> Record:

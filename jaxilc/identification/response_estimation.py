@@ -19,6 +19,7 @@ from .problem import SAMPLES_PER_PARAMETER, Minimum
 from .response_problem import ResponseProblem, best_of_many_starts, response_problem
 from .verdict import CONFIDENCE, LAGS, WHITE, Estimate, Identified, inverse_of_normal, poles_of
 
+LARGEST = 1e100  # of a response, whose square must be a number
 IN_DISC = 1.7308  # sqrt(-ln 0.05): |r| <= this / sqrt(F) in 95 % of cases, r complex and normal
 
 
@@ -133,6 +134,11 @@ def checked_lines(measured: MeasuredResponse, dt: float | None, delay: float | N
         )
     if not np.any(G):
         raise ValueError("identify_response: the response is 0 at all lines")
+    if not 1 / LARGEST <= np.max(np.abs(G)) <= LARGEST:
+        raise ValueError(
+            f"identify_response: the largest |response| is {np.max(np.abs(G)):.3g}; allowed is "
+            f"[{1 / LARGEST:g}, {LARGEST:g}]"
+        )
     if dt is not None:
         require("identify_response", "dt", dt, "(0, inf)")
         if f[-1] >= 0.5 / dt:
@@ -179,6 +185,7 @@ def _judged(problem: ResponseProblem, found: Minimum) -> Identified:
         white=whiteness >= WHITE,
         converged=found.converged,
         of_response=True,
+        std_known=known,
     )
 
 

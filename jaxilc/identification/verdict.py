@@ -64,7 +64,9 @@ class Identified(NamedTuple):
         may make ever smaller progress without meeting them
     of_response: whether lines of a frequency response were fitted. Then `samples` counts them,
         `simulated` is the complex response, `fit` is 100 (1 - |measured - fit| / |measured|) of
-        numbers divided by std, and `residual_std` is the residual divided by std: 1 is expected
+        numbers divided by std, and `residual_std` is the residual divided by std: 1 is expected.
+        Where no std is known, it is the relative residual
+    std_known: whether the standard deviations of these lines were known
     """
 
     plant: Plant
@@ -80,10 +82,12 @@ class Identified(NamedTuple):
     white: bool
     converged: bool
     of_response: bool = False
+    std_known: bool = False
 
     def summary(self) -> list[tuple[str, float, float, float]]:
         """Rows (quantity, value, low, high) to print; low and high are nan without an interval."""
-        rows = [(name, *estimate) for name, estimate in self.parameters.items()]
+        units = {"delay": "delay [s]"}
+        rows = [(units.get(name, name), *of) for name, of in self.parameters.items()]
         for i, pole in enumerate(self.poles, 1):
             rows += [
                 (f"pole {i}, real part", *pole.real),
@@ -95,7 +99,8 @@ class Identified(NamedTuple):
         metrics = {"fit [%]": self.fit}
         if not self.of_response:
             metrics["fit of the validation part [%]"] = self.validation_fit
-        metrics["residual / std" if self.of_response else "residual std"] = self.residual_std
+        kind = "residual / std" if self.std_known else "residual, relative"
+        metrics[kind if self.of_response else "residual std"] = self.residual_std
         metrics["residual white, share of lags"] = self.whiteness
         several = len(self.fit) > 1
         return rows + [

@@ -3,7 +3,7 @@
 from .ball_screw import BallScrewDrive
 from .ball_screw_parts import FrictionTable, LeadError
 from .blocks import InBlocks
-from .cnc_axis import TwoAxes, cnc_axis
+from .cnc_axis import ThreeAxes, TwoAxes, cnc_axis
 from .fast_tool_servo import FastToolServo, fast_tool_servo
 from .fast_tool_servo_parts import Creep, CuttingForce, FlexibleMode, PeriodicForce
 from .friction import StribeckFriction
@@ -38,6 +38,7 @@ __all__ = [
     "ProcessModel",
     "StateSpace",
     "StribeckFriction",
+    "ThreeAxes",
     "TimeVaryingStateSpace",
     "TwoAxes",
     "VoiceCoil",

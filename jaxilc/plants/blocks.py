@@ -16,7 +16,7 @@ from jax.flatten_util import ravel_pytree
 from ..pytree.fields import child, pytree, static
 from ..runtime.capacity import check_size
 from ..signals.task import Task, product
-from .cnc_axis import TwoAxes
+from .cnc_axis import Axes
 from .linear import DifferenceEquation, StateSpace
 from .plant import Plant
 
@@ -55,7 +55,7 @@ class InBlocks(Plant):
     what they learned, with an actuator without rate limit, since the input must be known before the
     trial; under feedback the plant steps as if it were not wrapped.
 
-    plant:  samples into a StateSpace, a DifferenceEquation, or two axes of them; its parameters are
+    plant:  samples into a StateSpace, a DifferenceEquation, or axes of them; its parameters are
             `plant.gain` and so on
     length: samples of a block
 
@@ -94,7 +94,7 @@ class InBlocks(Plant):
             raise ValueError(
                 f"InBlocks: plant = {type(self.plant).__name__} is not linear and time-invariant; "
                 "allowed are plants that sample into "
-                "StateSpace, DifferenceEquation, or TwoAxes of them"
+                "StateSpace, DifferenceEquation, or TwoAxes or ThreeAxes of them"
             )
         return InBlocks(plant, self.length)
 
@@ -140,8 +140,8 @@ class InBlocks(Plant):
 
 
 def _is_linear(plant: Plant) -> bool:
-    if isinstance(plant, TwoAxes):
-        return _is_linear(plant.x) and _is_linear(plant.y)
+    if isinstance(plant, Axes):
+        return all(_is_linear(axis) for axis in plant.axes.values())
     return isinstance(plant, StateSpace | DifferenceEquation)
 
 

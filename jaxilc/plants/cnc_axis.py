@@ -1,8 +1,10 @@
-"""A CNC axis as identified in Li 2020, and a machine of two axes."""
+"""A CNC axis as identified in Li 2020, and machines of several axes."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import dataclasses
+from collections.abc import Iterable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -46,8 +48,79 @@ class AxesState(NamedTuple):
     y: object
 
 
+class SpaceState(NamedTuple):
+    """The states of the three axes."""
+
+    x: object
+    y: object
+    z: object
+
+
+class Axes(Plant):
+    """Axes side by side, each with its inputs and outputs, in the order of the fields."""
+
+    @property
+    def axes(self) -> dict[str, Plant]:
+        """The axes by name."""
+        return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+
+    @property
+    def n_u(self) -> int:
+        return sum(axis.n_u for axis in self.axes.values())
+
+    @property
+    def n_y(self) -> int:
+        return sum(axis.n_y for axis in self.axes.values())
+
+    def sampled(self, dt: float) -> Axes:
+        return type(self)(*(axis.sampled(dt) for axis in self.axes.values()))
+
+    def continuous(self) -> StateSpace | None:
+        each = [axis.continuous() for axis in self.axes.values()]
+        if any(axis is None for axis in each):
+            return None
+        A, B, C = (
+            jax.scipy.linalg.block_diag(*(getattr(axis, name) for axis in each))
+            for name in ("A", "B", "C")
+        )
+        return StateSpace(A, B, C, jnp.concatenate([axis.initial_state() for axis in each]))
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        return self._names("input_names")
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        return self._names("output_names")
+
+    def _names(self, of: str) -> tuple[str, ...]:
+        """The names of the channels of all axes, none unless all axes name theirs."""
+        each = [(name, getattr(axis, of)) for name, axis in self.axes.items()]
+        if not all(names for _, names in each):
+            return ()
+        return tuple(f"{axis}_{name}" for axis, names in each for name in names)
+
+    def initial_state(self) -> Any:
+        return self._state(axis.initial_state() for axis in self.axes.values())
+
+    def step(self, x: Any, u, dt: float) -> Any:
+        after, first = [], 0
+        for axis, state in zip(self.axes.values(), x, strict=True):
+            after.append(axis.step(state, u[first : first + axis.n_u], dt))
+            first += axis.n_u
+        return self._state(after)
+
+    def output(self, x: Any) -> jax.Array:
+        return jnp.concatenate(
+            [axis.output(state) for axis, state in zip(self.axes.values(), x, strict=True)]
+        )
+
+    def _state(self, states: Iterable) -> Any:
+        return (AxesState if len(self.axes) == 2 else SpaceState)(*states)
+
+
 @pytree
-class TwoAxes(Plant):
+class TwoAxes(Axes):
     """Two axes side by side, each with its inputs and outputs: an XY table whose contour matters.
 
     x, y: any plants; the inputs and outputs of x come first
@@ -56,46 +129,14 @@ class TwoAxes(Plant):
     x: Plant = child()
     y: Plant = child()
 
-    @property
-    def n_u(self) -> int:
-        return self.x.n_u + self.y.n_u
 
-    @property
-    def n_y(self) -> int:
-        return self.x.n_y + self.y.n_y
+@pytree
+class ThreeAxes(Axes):
+    """Three axes side by side, each with its inputs and outputs.
 
-    def sampled(self, dt: float) -> TwoAxes:
-        return TwoAxes(self.x.sampled(dt), self.y.sampled(dt))
+    x, y, z: any plants; the inputs and outputs come in this order
+    """
 
-    def continuous(self) -> StateSpace | None:
-        x, y = self.x.continuous(), self.y.continuous()
-        if x is None or y is None:
-            return None
-        blocks = [(getattr(x, name), getattr(y, name)) for name in ("A", "B", "C")]
-        x0 = jnp.concatenate([x.initial_state(), y.initial_state()])
-        A, B, C = (jax.scipy.linalg.block_diag(*pair) for pair in blocks)
-        return StateSpace(A, B, C, x0)
-
-    @property
-    def input_names(self) -> tuple[str, ...]:
-        return _both(self.x.input_names, self.y.input_names)
-
-    @property
-    def output_names(self) -> tuple[str, ...]:
-        return _both(self.x.output_names, self.y.output_names)
-
-    def initial_state(self) -> AxesState:
-        return AxesState(self.x.initial_state(), self.y.initial_state())
-
-    def step(self, x: AxesState, u, dt: float) -> AxesState:
-        n = self.x.n_u
-        return AxesState(self.x.step(x.x, u[:n], dt), self.y.step(x.y, u[n:], dt))
-
-    def output(self, x: AxesState) -> jax.Array:
-        return jnp.concatenate([self.x.output(x.x), self.y.output(x.y)])
-
-
-def _both(of_x: tuple[str, ...], of_y: tuple[str, ...]) -> tuple[str, ...]:
-    """The names of the channels of both axes, none unless both axes name theirs."""
-    named = [f"x_{name}" for name in of_x], [f"y_{name}" for name in of_y]
-    return (*named[0], *named[1]) if of_x and of_y else ()
+    x: Plant = child()
+    y: Plant = child()
+    z: Plant = child()

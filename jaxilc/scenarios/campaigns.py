@@ -12,10 +12,15 @@ from typing import Any, NamedTuple
 from ..hardware.campaign import Campaign
 from ..hardware.checks import Rules
 from ..hardware.journal import Journal
+from ..hardware.prediction import Subject
 from ..pytree.closest import known_names
 from ..pytree.ranges import is_number
+from ..runtime.provenance import differences
+from ..storage.sealed import as_json
+from .campaign_source import digest_of, said_of_change
 from .from_file import load_scenario
-from .loading import SCENARIOS
+from .loading import SCENARIOS, options
+from .parameters import differing, with_parameters
 from .scenario import Scenario
 
 # Rules that are kept from the first call on, until a new value is given.
@@ -28,21 +33,47 @@ class Given(NamedTuple):
     scenario: name or file of a scenario
     plant_file: a TOML or JSON file in place of the scenario
     scheme: name of the scheme; it may be None where only one scheme learns
+    params: parameter file, as `jaxilc run --params` takes it
     settings: values by path, which replace those that are kept
     rules: numbers of `KEPT_RULES` by name
+    predict: whether the errors are predicted; kept from call to call, and true at first
     accept_saturation, stop_on_growth: fields of `Rules`, for this call only
     """
 
     scenario: str | None = None
     plant_file: Path | None = None
     scheme: str | None = None
+    params: Path | None = None
     settings: dict[str, str] | None = None
+    predict: bool | None = None
     rules: dict[str, float | None] | None = None
     accept_saturation: bool = False
     stop_on_growth: bool = False
 
 
-def campaign(state: Path, given: Given, *, new: bool, dry_run: bool = False) -> Campaign:
+class Opened(NamedTuple):
+    """A campaign with the scenario that its scheme and task are from.
+
+    campaign: the campaign
+    scenario: its scenario, with the settings and parameters of the campaign
+    """
+
+    campaign: Campaign
+    scenario: Scenario
+
+    @property
+    def recipe(self) -> dict[str, Any]:
+        """How scheme, task and rules were made, see `campaign_source`."""
+        return self.campaign.recipe
+
+    @property
+    def subject(self) -> Subject:
+        """What is predicted for this campaign."""
+        scenario, campaign = self.scenario, self.campaign
+        return Subject(scenario.machine, campaign.scheme, campaign.task, scenario.uncertainty)
+
+
+def open_campaign(state: Path, given: Given, *, new: bool, dry_run: bool = False) -> Opened:
     """The campaign in a folder, to continue it, or a new one.
 
     new: whether to start a new campaign
@@ -50,29 +81,70 @@ def campaign(state: Path, given: Given, *, new: bool, dry_run: bool = False) -> 
     Raises ValueError naming what is missing, wrong, or different from the start of the campaign,
     and FileNotFoundError where there is no campaign to continue.
     """
-    recipe = _recipe({} if new else _kept(Journal(state)), given)
+    before = {} if new else _kept(Journal(state))
+    recipe = _recipe(before, given)
     rules = Rules(
         **recipe["rules"],
         accept_saturation=given.accept_saturation,
         stop_on_growth=given.stop_on_growth,
     )
-    chosen = load_scenario(recipe["scenario"], recipe["settings"])
-    recipe["scheme"] = _learning_scheme(chosen, recipe["scheme"])
-    subject = (state, chosen.schemes[recipe["scheme"]], chosen.task)
+    known = options(recipe["scenario"]) if recipe["scenario"] in SCENARIOS else {}
+    settings = recipe["settings"]
+    bare = load_scenario(recipe["scenario"], {p: v for p, v in settings.items() if p in known})
+    name = recipe["scheme"] = _learning_scheme(bare, recipe["scheme"])
+    if given.params is not None:
+        found = _parameters(bare, name, given.params)
+        recipe["parameters"] = found if new else _as_begun(state, before, found)
+    values = recipe.get("parameters", {}).get("values", {})
+    chosen = bare.with_values({f"{name}.{path}": value for path, value in values.items()})
+    chosen = chosen.with_values({p: v for p, v in settings.items() if p not in known})
+    subject = (state, chosen.schemes[name], chosen.task)
     common = {"actuator": chosen.machine.actuator, "rules": rules, "recipe": recipe}
     if new:
-        return Campaign.start(*subject, **common, dry_run=dry_run)
-    return Campaign.open(*subject, **common)
+        return Opened(Campaign.start(*subject, **common, dry_run=dry_run), chosen)
+    try:
+        return Opened(Campaign.open(*subject, **common), chosen)
+    except ValueError as error:
+        changed = said_of_change(recipe, "so this campaign cannot go on with it")
+        raise ValueError("; ".join(text for text in (str(error), changed) if text)) from None
+
+
+def _parameters(bare: Scenario, scheme: str, path: Path) -> dict[str, Any]:
+    """The values of a parameter file for the scheme, as the recipe holds them.
+
+    bare: scenario without these values
+    """
+    tuned = with_parameters(bare, path)
+    values = as_json(differing(tuned.schemes[scheme], bare.schemes[scheme]))
+    return {"given": str(path), "sha256": digest_of(path), "values": values}
+
+
+def _as_begun(state: Path, before: dict[str, Any], found: dict[str, Any]) -> dict[str, Any]:
+    """The parameters with which a campaign was started, if those of a file are the same.
+
+    Raises ValueError naming those that differ.
+    """
+    kept = before.get("parameters", {"values": {}})
+    wrong = differences(kept.get("values"), found["values"])
+    if wrong:
+        raise ValueError(
+            f"{found['given']} has other parameters than {state} was started with: "
+            f"{'; '.join(wrong)}; leave out --params, or start a campaign in another folder"
+        )
+    return kept if "given" in kept else found
 
 
 def _kept(journal: Journal) -> dict[str, Any]:
     """The recipe of a campaign; raises ValueError for one that `jaxilc next` does not write."""
     recipe = journal.last_known()["recipe"]
-    kinds = {"scenario": str, "scheme": str, "settings": dict, "rules": dict}
+    kinds: dict[str, type] = {"scenario": str, "scheme": str, "predict": bool}
+    kinds |= dict.fromkeys(("settings", "rules", "file", "parameters"), dict)
     rules = recipe.get("rules", {})
-    if not all(
-        isinstance(recipe.get(name, kind()), kind) for name, kind in kinds.items()
-    ) or not all(name in KEPT_RULES and is_number(value) for name, value in rules.items()):
+    if (
+        not all(isinstance(recipe.get(name, kind()), kind) for name, kind in kinds.items())
+        or not all(name in KEPT_RULES and is_number(value) for name, value in rules.items())
+        or not isinstance(recipe.get("parameters", {}).get("values", {}), dict)
+    ):
         raise ValueError(
             f"{journal.path} was not started by `jaxilc next`, or its last recipe is damaged; "
             "--undo cannot mend it"
@@ -87,7 +159,11 @@ def _recipe(before: dict[str, Any], given: Given) -> dict[str, Any]:
     source = given.scenario if given.plant_file is None else str(given.plant_file)
     if source is None and "scenario" not in before:
         raise ValueError("the first call needs --scenario or --plant-file")
+    besides = {name: before[name] for name in ("file", "parameters") if name in before}
+    if source is not None:
+        besides.pop("file", None)
     if source is not None and source not in SCENARIOS and Path(source).suffix:
+        besides["file"] = {"given": source, "sha256": digest_of(Path(source))}
         source = str(Path(source).absolute())  # a later call may come from another folder
     rules = {name: value for name, value in (given.rules or {}).items() if value is not None}
     return {
@@ -95,7 +171,8 @@ def _recipe(before: dict[str, Any], given: Given) -> dict[str, Any]:
         "scheme": given.scheme or before.get("scheme"),
         "settings": before.get("settings", {}) | (given.settings or {}),
         "rules": before.get("rules", {}) | rules,
-    }
+        "predict": before.get("predict", True) if given.predict is None else given.predict,
+    } | besides
 
 
 def _learning_scheme(chosen: Scenario, name: str | None) -> str:

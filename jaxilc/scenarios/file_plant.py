@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
+import typing
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import scipy
 
-from .. import identification, plants
-from ..identification.record_files import read_record
+from .. import plants
 from ..plants import Plant, from_control
+from ..plants.cnc_axis import Axes
 from ..plants.from_python_control import Linear, canonical_form, from_linear
 from ..pytree.ranges import brief, require
+from .fitted_once import Options, identified_plant
 from .specification import built, classes
 from .values import (
     Table,
@@ -46,6 +50,8 @@ def plant_of(values: Any, where: str, folder: Path, notes: list[str]) -> Plant:
     kind = table.take("kind", one_of((*kinds, "identified", *named)))
     if kind == "identified":
         return _identified(table, folder, notes)
+    if issubclass(classes().get(kind, type(None)), Axes):
+        return _axes(table, classes()[kind], folder, notes)
     if kind in kinds:
         allow_unstable = table.take("allow_unstable", flag, False)
         try:
@@ -63,6 +69,33 @@ def plant_of(values: Any, where: str, folder: Path, notes: list[str]) -> Plant:
         where,
         cls=getattr(plants, kind),
     )
+
+
+def _axes(table: Table, cls: type, folder: Path, notes: list[str]) -> Plant:
+    """Axes side by side, each with a plant table of its own, or all with the table `axis`.
+
+    A table with `class` in place of `kind` is an object of this class.
+    """
+
+    def one(value: Any, where: str) -> Plant:
+        if isinstance(value, Mapping) and "class" in value:
+            return built(value, where)
+        return plant_of(value, where, folder, notes)
+
+    names = [field.name for field in dataclasses.fields(typing.cast(Any, cls))]
+    shared = table.take("axis", one, None)
+    axes = {name: table.take(name, one, shared) for name in names}
+    table.done()
+    missing = [name for name, axis in axes.items() if axis is None]
+    if missing:
+        raise ValueError(
+            f"{table.at(missing[0])} is missing; needed is a table for each of the axes "
+            f"{', '.join(names)}, or the table `axis` for all of them"
+        )
+    try:
+        return cls(**axes)
+    except ValueError as error:
+        raise ValueError(f"{table.where}: {error}") from None
 
 
 def _transfer_function(table: Table):
@@ -158,18 +191,15 @@ def _state_space(table: Table) -> Linear:
 def _identified(table: Table, folder: Path, notes: list[str]) -> Plant:
     """A ProcessModel fitted to a record; the keys are the options of `jaxilc identify`."""
     record = folder / table.take("record", text)
-    columns = {
+    reading = {
         key: table.take(key, text, default)
-        for key, default in (("time", "t"), ("input", "u"), ("output", "y"))
+        for key, default in (("time", "t"), ("input", "u"), ("output", "y"), ("time_unit", None))
     }
+    reading["columns"] = table.take("columns", list_of(text), [])
+    reading |= {key: table.take(key, number, None) for key in ("dt", "resample")}
     structure = {key: table.take(key, whole, 1) for key in ("poles", "pairs", "zeros")}
+    delay, averages = (table.take(key, whole, None) for key in ("delay", "averages"))
     table.done()
-    found = identification.identify(read_record(record, **columns), **structure)
-    values = ", ".join(
-        f"{name} = {estimate.value:.6g}" for name, estimate in found.parameters.items()
-    )
-    notes.append(
-        f"the plant was identified from {record.name}: {values}; "
-        f"fit {float(np.min(found.fit)):.4g} %"
-    )
-    return found.plant
+    plant, said = identified_plant(record, Options(reading, structure, delay, averages), folder)
+    notes.append(said)
+    return plant

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +13,12 @@ import numpy as np
 from ..identification.record_files import read_record
 from ..learning.machine import Actuator, Disturbance, Machine, Sensor
 from ..plants import Plant
+from ..plants.cnc_axis import Axes
 from ..pytree.ranges import require
 from ..signals import references
 from ..signals.task import Task
 from ..uncertainty import LogUniform, Normal, Uniform
+from .file_path import Setting, planned_path
 from .specification import built, called
 from .values import Table, flag, list_of, number, one_of, text, whole
 
@@ -36,17 +39,31 @@ def machine_of(values: Any, where: str, plant: Plant) -> Machine:
     return Machine(plant, **made)
 
 
-def task_of(values: Any, where: str, folder: Path, plant: Plant) -> Task:
+def task_of(values: Any, where: str, folder: Path, plant: Plant, notes: list[str]) -> Task:
     """The task that a table describes.
 
     folder: folder of the file
+    notes: list to which a text on how a path is followed is appended
     """
     table = Table(values, where)
     in_units = functools.partial(number, units=UNITS)
     dt = table.take("dt", in_units)
     require("", table.at("dt"), dt, "(0, inf)")
 
+    unit = table.take("unit", text, "")
+    names = tuple(table.take("names", list_of(text), list(names_of(plant))))
+    if names and len(names) != plant.n_y:
+        raise ValueError(
+            f"{table.at('names')} = {list(names)} are {len(names)} names; the plant has "
+            f"{plant.n_y} outputs"
+        )
+    axes = names or AXES[: plant.n_y]
+
     def reference(value, at):
+        if is_path(value):
+            planned = planned_path(value, at, Setting(folder, axes, unit, dt))
+            notes.append(planned.note)
+            return planned.reference
         each = value if isinstance(value, list) else [value]
         columns = [
             _reference(v, f"{at}[{i}]" if isinstance(value, list) else at, folder, dt)
@@ -55,16 +72,23 @@ def task_of(values: Any, where: str, folder: Path, plant: Plant) -> Task:
         if len({len(column) for column in columns}) > 1:
             lengths = ", ".join(str(len(column)) for column in columns)
             raise ValueError(f"{at}: the outputs have {lengths} samples; allowed is one length")
+        if len(columns) != plant.n_y:
+            raise ValueError(
+                f"{at}: the plant has {plant.n_y} outputs{_said(names)}, and "
+                f"{len(columns)} of them {'has' if len(columns) == 1 else 'have'} a reference; "
+                "needed is a list with one for each output, or a path"
+            )
         return np.stack(columns, axis=1)
 
     fields = {
         "reference": table.take("reference", reference),
         "settle": table.take("settle", lambda v, at: tuple(list_of(in_units)(v, at)), None),
         "inputs": table.take("inputs", whole, plant.n_u),
-        "unit": table.take("unit", text, ""),
+        "unit": unit,
         "input_unit": table.take("input_unit", text, ""),
     }
     table.done()
+    fields["names"] = axes if is_path(table.values.get("reference")) else names
     if fields["settle"] is not None and len(fields["settle"]) != 2:
         raise ValueError(
             f"{table.at('settle')} = {list(fields['settle'])} is not a pair [start, stop]"
@@ -73,6 +97,23 @@ def task_of(values: Any, where: str, folder: Path, plant: Plant) -> Task:
         return Task(**fields, dt=dt)
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from None
+
+
+AXES = ("x", "y", "z")
+
+
+def names_of(plant: Plant) -> tuple[str, ...]:
+    """The names of the outputs: those of axes side by side that have one output each, or none."""
+    single = isinstance(plant, Axes) and all(axis.n_y == 1 for axis in plant.axes.values())
+    return tuple(plant.axes) if single else ()
+
+
+def is_path(reference: Any) -> bool:
+    return isinstance(reference, Mapping) and "path" in reference
+
+
+def _said(names: tuple[str, ...]) -> str:
+    return f" ({', '.join(names)})" if names else ""
 
 
 def _reference(value: Any, where: str, folder: Path, dt: float) -> np.ndarray:

@@ -1,11 +1,12 @@
 """A scenario with a user's own machine from a TOML or JSON file.
 
-    # All keys before the first table are optional: name, title, trials, tolerance, shown_unit,
-    # shown_scale, show_trials.
+    # All keys before the first table are optional: name, title, trials, tolerance, judged_by (the
+    # metric to which the tolerance belongs), shown_unit, shown_scale, show_trials.
     trials = 20
 
     # kind: transfer_function, zeros_poles_gain, state_space, identified, or a class of
-    # jaxilc.plants. A transfer function is one in s; with dt = 0.001 it is one in z.
+    # jaxilc.plants. A transfer function is one in s; with dt = 0.001 it is one in z. TwoAxes and
+    # ThreeAxes have such a table for each axis, [plant.x], [plant.y], or [plant.axis] for all.
     [plant]
     kind = "transfer_function"
     num = [4000.0]
@@ -18,13 +19,13 @@
     [machine.disturbance]                    # input_noise, output_noise
     input_noise = 1e-3
 
-    [task]                                   # dt, unit, input_unit, settle, inputs
+    [task]                                   # dt, unit, input_unit, settle, inputs, names
     dt = 0.001
     unit = "mm"
     input_unit = "V"
 
     # A function of jaxilc.references with its parameters, or csv = FILE and column = NAME;
-    # [[task.reference]] for each of several outputs.
+    # [[task.reference]] for each of several outputs, or one path of all axes (see `file_path`).
     [task.reference]
     function = "sinusoid"
     amplitude = 1.0
@@ -52,15 +53,19 @@ from pathlib import Path
 from typing import Any
 
 from .. import scenarios
+from ..learning.contour_metrics import contour_metrics
 from ..learning.machine import Machine
 from ..learning.over_trials import check
+from ..plants.cnc_axis import Axes
 from ..pytree.closest import not_one_of
 from ..pytree.ranges import brief, require
 from ..storage.reading import PARSERS, read_tree
 from ..uncertainty import check as check_uncertainty
 from . import Scenario
 from .file_plant import plant_of
-from .file_task import machine_of, task_of, uncertainty_of
+from .file_task import is_path, machine_of, task_of, uncertainty_of
+from .judging import judged
+from .scenario import Quantity
 from .specification import scheme
 from .values import Table, list_of, number, text, whole
 
@@ -99,7 +104,7 @@ def read_scenario(path: str | Path) -> Scenario:
     stem = re.sub(r"[^\w .+()-]", "-", path.stem).lstrip(" _-.+()")[:50].strip() or "plant"
     notes: list[str] = []
     plant = file.take("plant", lambda v, at: plant_of(v, at, path.parent, notes))
-    task = file.take("task", lambda v, at: task_of(v, at, path.parent, plant))
+    task = file.take("task", lambda v, at: task_of(v, at, path.parent, plant, notes))
     machine = file.take("machine", lambda v, at: machine_of(v, at, plant), Machine(plant))
     found = file.take(
         "schemes",
@@ -109,6 +114,10 @@ def read_scenario(path: str | Path) -> Scenario:
         {},
     )
     uncertainty = file.take("uncertainty", lambda v, at: dict(uncertainty_of(v, at)), {})
+    path_given = is_path(file.values["task"].get("reference"))
+    of_contour = task.outputs in (2, 3) and (path_given or isinstance(plant, Axes))
+    contour = contour_metrics(task) if of_contour else {}
+    usual = "contour_max" if contour and path_given else "settled_error"
     given: dict[str, Any] = {
         "name": file.take("name", text, stem),
         "title": file.take("title", text, f"{stem}: {type(plant).__name__}"),
@@ -116,6 +125,7 @@ def read_scenario(path: str | Path) -> Scenario:
         "tolerance": file.take("tolerance", number, None),
         "shown_unit": file.take("shown_unit", text, task.unit),
         "shown_scale": file.take("shown_scale", number, 1.0),
+        "judged_by": file.take("judged_by", text, usual),
         "show_trials": tuple(file.take("show_trials", list_of(whole), [])),
     }
     file.done()
@@ -125,8 +135,10 @@ def read_scenario(path: str | Path) -> Scenario:
         "task": task,
         "schemes": found,
         "uncertainty": uncertainty,
+        "quantities": {metric: Quantity(of) for metric, of in contour.items()},
     }
     made = _check(path, "", lambda: Scenario(**given, **parts, chosen=tuple(notes)))
+    _check(path, "judged_by", lambda: judged(made, made.judged_by))
     _check(path, "machine", lambda: machine.check(task))
     _check(path, "uncertainty", lambda: check_uncertainty(machine, uncertainty))
     for name, one in found.items():

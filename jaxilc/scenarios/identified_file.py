@@ -140,7 +140,7 @@ def _heading(found: Identified, facts: Experiment, source: str) -> Iterator[str]
     plant = cast(ProcessModel, found.plant)
     poles, pairs, zeros = (np.size(x) for x in (plant.poles, plant.frequencies, plant.zeros))
     validation = float(found.validation_fit[0])
-    yield f"# Plant fitted by `jaxilc identify` to {_comment(source)}."
+    yield f"# Plant fitted by `jaxilc identify` to {comment(source)}."
     yield f"# {facts.said}."
     yield f"# Order {plant.order}: real poles {poles}, pairs of poles {pairs}, zeros {zeros}."
     residual = (
@@ -237,12 +237,12 @@ def _scheme(law: StartingLaw | None, over: str) -> Iterator[str]:
     )
 
 
-def _comment(text: str) -> str:
+def comment(text: str) -> str:
     """The text on one line, for a comment."""
     return printable(text).replace("\n", " ")
 
 
 def _text(unit: str) -> str:
     """A unit as a string of TOML, without what a scenario does not allow in one."""
-    plain = "".join(c for c in _comment(unit) if c not in '[],;$"\\').replace("*/", "/")
+    plain = "".join(c for c in comment(unit) if c not in '[],;$"\\').replace("*/", "/")
     return json.dumps(plain, ensure_ascii=False)

@@ -9,7 +9,7 @@ shown in µm. The first trial runs under feedback only.
 
 from __future__ import annotations
 
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import NamedTuple
 
 import jax
@@ -18,6 +18,7 @@ import numpy as np
 
 from ..filters.switching import segments
 from ..filters.zero_phase import ZeroPhaseButterworth
+from ..learning.contour_metrics import contour_metrics
 from ..learning.machine import Actuator, Disturbance, Machine, Sensor
 from ..learning.metrics import largest, root_mean_square
 from ..plants import TwoAxes, cnc_axis
@@ -34,7 +35,6 @@ from ..schemes import (
     WithFeedback,
 )
 from ..signals import paths
-from ..signals.contour import contour_error
 from ..signals.task import Task
 from ..uncertainty import Uniform
 from .li_2020_printed import CHOSEN, PUBLISHED
@@ -155,13 +155,15 @@ def li_2020(
         "learned_effort": Quantity(learned_effort, "", 1.0),
     }
     if two:
-        quantities["contour_max"] = Quantity(partial(contour_max, path=jnp.asarray(path)))
+        quantities |= {
+            metric: Quantity(of) for metric, of in contour_metrics(Task(r, dt=SAMPLE_TIME)).items()
+        }
     name = "plant.x.B" if two else "plant.B"
     return Scenario(
         name="li-2020",
         title=f"CNC axis along a butterfly, {setting} (Li 2020)",
         machine=machine,
-        task=Task(reference=r, dt=SAMPLE_TIME, unit="mm"),
+        task=Task(r, dt=SAMPLE_TIME, unit="mm", names=("x", "y") if two else ()),
         schemes=schemes_for(gain, r),
         trials=trials,
         uncertainty={name: Uniform(0.9, 1.1, relative=True)},
@@ -197,8 +199,3 @@ def learned_effort(trial) -> jax.Array:
         if "feedback" in trial.signals
         else jnp.zeros(())
     )
-
-
-def contour_max(trial, *, path) -> jax.Array:
-    """Largest distance of the measured position from the path."""
-    return largest(jnp.abs(contour_error(trial.y, path, window=64)))

@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 
 from .. import plants, schemes
-from ..filters import switching, zero_phase
+from ..filters import inversion, switching, zero_phase
 from ..plants import Plant
 from ..pytree.closest import closest
 from ..pytree.ranges import brief
 from ..schemes import Scheme
 from .values import Table, number, numbers, one_of, text
 
-_HIDDEN = {"solved"}  # computed by the scheme itself
+HIDDEN = {"solved"}  # computed by the scheme itself
 _MODELS = {"direct_model": plants.direct_model, "multivariable_model": plants.multivariable_model}
 
 
@@ -29,7 +29,9 @@ def classes() -> dict[str, type]:
     """Every class that a file may name: schemes, filters, plants and their parts."""
     found = {name: getattr(module, name) for module in (schemes, plants) for name in module.__all__}
     found |= {
-        name: value for module in (zero_phase, switching) for name, value in vars(module).items()
+        name: value
+        for module in (inversion, zero_phase, switching)
+        for name, value in vars(module).items()
     }
     return {
         n: c
@@ -62,7 +64,7 @@ def built(
         cls = classes()[table.take("class", one_of(sorted(classes())))]
     hints, fields = typing.get_type_hints(cls), {}
     for field in dataclasses.fields(typing.cast(Any, cls)):
-        if field.name in _HIDDEN:
+        if field.name in HIDDEN:
             continue
         kind = functools.partial(_field, field, hints[field.name], plant, dt)
         value = table.take(

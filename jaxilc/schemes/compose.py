@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any, NamedTuple
 
 import jax
@@ -236,7 +235,7 @@ class OnOutputs(Wrapper):
     outputs: tuple[int, ...] = static()
 
     def parts(self, task: Task, memory) -> dict[str, Part]:
-        seen = dataclasses.replace(task, reference=task.reference[..., list(self.outputs)])
+        seen = task.of_outputs(self.outputs)
         return {"scheme": Part(self.scheme, seen, memory)}
 
     def shown(self, trial: Trial) -> dict[str, Trial]:

@@ -68,11 +68,11 @@ class MultivariableILC(Scheme):
     def learning_task(self, task: Task) -> Task:
         """The task as the learning part sees it, with two inputs and two outputs."""
         return dataclasses.replace(
-            task, reference=task.reference[:, [self.table_output, self.table_output]], inputs=2
+            task.of_outputs((self.table_output, self.table_output)), inputs=2
         )
 
     def parts(self, task: Task, memory: Pair) -> dict[str, Part]:
-        motor = dataclasses.replace(task, reference=task.reference[:, [self.motor_output]])
+        motor = task.of_outputs((self.motor_output,))
         return {
             "learning": Part(self.learning, self.learning_task(task), memory.learning),
             "feedback": Part(self.feedback, motor, memory.feedback),

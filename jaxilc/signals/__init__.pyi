@@ -1,4 +1,4 @@
-from . import contour, paths, references
+from . import contour, gcode, paths, references, tool_path
 from .contour import contour_error
 from .task import Limit, Sample, Task, Trial
 
@@ -9,6 +9,8 @@ __all__ = [
     "Trial",
     "contour",
     "contour_error",
+    "gcode",
     "paths",
     "references",
+    "tool_path",
 ]

@@ -1,7 +1,7 @@
 """Velocity planning along a tool path in the plane or in space.
 
 A curve is any callable that takes (M,) parameter values and returns (M, d) positions [mm]; some are
-in `contour`, and named here. Planning runs once, on the host, in float64; what comes out is a
+in `curves`, and named here. Planning runs once, on the host, in float64; what comes out is a
 reference for `Task`.
 """
 
@@ -13,7 +13,7 @@ import numpy as np
 import scipy
 
 from ..pytree.ranges import require
-from .contour import butterfly, circle, line, nurbs, tabulated
+from .curves import butterfly, circle, line, nurbs, tabulated
 from .fastest_profile import Profile, fastest
 from .sample_times import POSITIVE
 

@@ -6,6 +6,8 @@ Conventions everywhere: `k` counts samples 0..N, `j` counts trials 1..J. `u[k]` 
 
 from __future__ import annotations
 
+import dataclasses
+import re
 from typing import Any, NamedTuple
 
 import jax
@@ -16,6 +18,7 @@ from jax import lax
 from ..pytree.fields import Leaf, leaf, pytree, static
 from ..pytree.needs import known
 
+_NAME = re.compile(r"[^\W\d_]\w{0,19}")  # of an output
 SMALLEST = 1e-15  # largest |r| of a reference that is not zero
 
 
@@ -29,6 +32,7 @@ class Task:
                half
     inputs:    number of inputs n_u; None means as many as outputs
     unit, input_unit: of y and of u, for labels only
+    names:     names of the outputs, such as ("x", "y"), for labels only; () where they have numbers
 
     Raises ValueError for a reference that is not finite, too short, of more than two dimensions, or
     so large or small that the squares of its errors would leave the range of single precision.
@@ -40,6 +44,7 @@ class Task:
     inputs: int = static(default=None, interval="[1, inf)", whole=True, optional=True)
     unit: str = static(default="")
     input_unit: str = static(default="")
+    names: tuple[str, ...] = static(default=())
 
     def __post_init__(self):
         r = self.reference
@@ -57,6 +62,7 @@ class Task:
             )
         object.__setattr__(self, "reference", r)
         object.__setattr__(self, "inputs", r.shape[1] if self.inputs is None else self.inputs)
+        _check_names(self.names, r.shape[1])
         if self.settle is not None:
             start, stop = self.settle
             if not 0 <= start < stop < float("inf") or start > self.duration:
@@ -76,6 +82,18 @@ class Task:
         return self.reference.shape[-1]
 
     @property
+    def labels(self) -> tuple[str, ...] | tuple[int, ...]:
+        """The names of the outputs, or their numbers where they have none."""
+        return self.names or tuple(range(self.outputs))
+
+    def of_outputs(self, outputs: tuple[int, ...]) -> Task:
+        """The task of these outputs only, with the same inputs."""
+        different = len(set(outputs)) == len(outputs)
+        names = tuple(self.names[i] for i in outputs) if self.names and different else ()
+        reference = self.reference[..., list(outputs)]
+        return dataclasses.replace(self, reference=reference, names=names)
+
+    @property
     def duration(self) -> float:
         return self.N * self.dt
 
@@ -91,6 +109,18 @@ class Task:
             return slice((self.N + 1) // 2, self.N + 1)
         start, stop = self.settle
         return slice(round(start / self.dt), min(round(stop / self.dt), self.N) + 1)
+
+
+def _check_names(names, outputs: int) -> None:
+    """Raises ValueError unless each output has a name of its own, or none has one."""
+    if not names:
+        return
+    good = all(isinstance(name, str) and _NAME.fullmatch(name) for name in names)
+    if not good or len(names) != outputs or len(set(names)) != outputs:
+        raise ValueError(
+            f"Task: names = {names} is not one name for each of the {outputs} outputs; allowed are "
+            "different names of up to 20 letters, digits and _, a letter first"
+        )
 
 
 class Sample(NamedTuple):

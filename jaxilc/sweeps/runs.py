@@ -16,6 +16,7 @@ from ..learning.over_trials import History, check, learn
 from ..runtime.capacity import check_size
 from ..schemes import Scheme
 from ..signals.task import Task, Trial
+from .variables import labels_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -96,11 +97,16 @@ def history_dataset(histories: Mapping[str, History], task: Task) -> xr.Dataset:
             },
         },
         coords={
-            "scheme": np.array(list(histories), dtype=np.dtypes.StringDType()),
+            "scheme": _as_text(np.array(list(histories))),
             "trial": np.arange(1, y.shape[1] + 1),
             "time": task.time,
             "input_time": task.time[:-1],
-            "channel": np.arange(task.outputs),
+            "channel": _as_text(labels_of(task)),
             "input": np.arange(task.inputs),
         },
     )
+
+
+def _as_text(labels: np.ndarray) -> np.ndarray:
+    """Labels as a Zarr store keeps them: text of any length, or numbers."""
+    return labels.astype(np.dtypes.StringDType()) if labels.dtype.kind == "U" else labels

@@ -58,6 +58,11 @@ def sizes(task: Task, schemes: int, machines: float, trials: float) -> dict[str,
     }
 
 
+def labels_of(task: Task) -> np.ndarray:
+    """(n_y,) the names of the outputs, or their numbers where they have none."""
+    return np.array(task.labels)
+
+
 def coordinates(plan: Plan) -> dict[str, tuple]:
     """Dimensions and values of each coordinate, including the drawn numbers."""
     task = plan.task
@@ -65,7 +70,7 @@ def coordinates(plan: Plan) -> dict[str, tuple]:
         "scheme": np.array(list(plan.schemes)),
         "sample": np.arange(plan.machines),
         "trial": np.arange(1, plan.trials + 1),
-        "channel": np.arange(task.outputs),
+        "channel": labels_of(task),
         "input": np.arange(task.inputs),
         "time": task.time,
         "input_time": task.time[:-1],

@@ -120,17 +120,20 @@ def largest(
         bound = jnp.where(
             exhausted, value * (1 + steps * jnp.finfo(value.dtype).eps), value * _excess(k, n)
         )
-        return value, above[k - 1] * jnp.abs(left[k - 1]), bound, right @ V[:-1]
+        residual = above[k - 1] * jnp.abs(left[k - 1])
+        # the residual may underflow to 0 long before the bound holds
+        near = (residual <= tolerance * value) & jnp.isfinite(bound) & (tolerance > 0)
+        return (value, residual, bound, right @ V[:-1]), exhausted | near
 
     def more(now):
-        _, k, (value, residual, *_) = now
-        return (k < steps) & ~(residual <= tolerance * value) & jnp.isfinite(value)
+        _, k, (value, *_), done = now
+        return (k < steps) & ~done & jnp.isfinite(value)
 
     def work(now):
-        state, k, _ = now
+        state, k, *_ = now
         upto = jnp.minimum(k + BLOCK + k // 4, steps)
         state = lax.fori_loop(k, upto, advance, state)
-        return state, upto, ritz(state, upto)
+        return state, upto, *ritz(state, upto)
 
     start = jax.random.normal(jax.random.key(0), (n,), like.dtype)
     V = jnp.zeros((steps + 1, n), like.dtype).at[0].set(start / jnp.linalg.norm(start))
@@ -145,8 +148,8 @@ def largest(
         *(jnp.full((), jnp.inf, like.dtype),) * 2,
         jnp.zeros(n, like.dtype),
     )
-    _, k, (value, residual, bound, direction) = lax.while_loop(
-        more, work, (state, jnp.asarray(0), unknown)
+    _, k, (value, residual, bound, direction), _ = lax.while_loop(
+        more, work, (state, jnp.asarray(0), unknown, jnp.asarray(False))
     )
     return SingularValue(value, residual, bound, k, direction)
 

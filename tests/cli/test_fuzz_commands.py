@@ -191,6 +191,8 @@ sweep p.toml --seed {10**23}
 run p.toml --set mf.lead={10**23}
 run p.toml --set ilc.gamma_p={"1" * 5000}
 identify record.csv --poles {10**12}
+identify record.csv --delay {10**12}
+identify record.csv --resample 1e-300
 identify record.csv --poles 1 --pairs 0 --zeros {10**12}
 run deep.json
 run p.toml --params deep.json

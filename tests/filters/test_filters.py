@@ -176,3 +176,11 @@ ERRORS = {
 def test_what_a_filter_cannot_do_is_named(build, message):
     with pytest.raises(ValueError, match=message):
         Filtered(PIDType(), build()).check(Task(np.zeros(N + 1), dt=DT))
+
+
+def test_no_rounding_of_the_nyquist_angle_makes_a_filter_nan():
+    """Some lengths round pi N / (2 N) to an angle beyond pi / 2, with a negative tangent."""
+    N = 13
+    assert np.tan(np.pi * N / (2 * N)) < 0
+    y = ZeroPhaseButterworth(cutoff=50.0, order=2)(np.ones((N, 1)), 1e-3)
+    np.testing.assert_allclose(y, 1.0, rtol=1e-12)

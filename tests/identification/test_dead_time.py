@@ -48,6 +48,8 @@ def test_the_delay_is_a_shift_of_the_input():
     u = np.arange(6.0)[:, None]
     moved = later(Record(u, np.zeros((7, 1)), DT), 2).u[:, 0]
     np.testing.assert_array_equal(moved, [0, 0, 0, 1, 2, 3])
+    of_each = later(Record(u, np.zeros((8, 1)), DT, 2), 2).u[:, 0]
+    np.testing.assert_array_equal(of_each, [0, 0, 0, 0, 0, 3])
     with pytest.raises(ValueError, match=r"delay = 6 samples is outside .* \[0, 6\)"):
         later(Record(u, np.zeros((7, 1)), DT), 6)
     with pytest.raises(ValueError, match="delay = -1 is outside"):

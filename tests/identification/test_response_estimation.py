@@ -144,6 +144,9 @@ def test_lines_that_are_no_response_are_refused():
     lines = measured(None)
     with pytest.raises(ValueError, match="is 0 at all lines"):
         identify_response(lines._replace(response=0 * lines.response))
+    for size in (1e-200, 1e200):
+        with pytest.raises(ValueError, match=r"the largest .response. is .*e[+-]200; allowed is"):
+            identify_response(lines._replace(response=size * np.ones(len(F))))
     with pytest.raises(ValueError, match="not finite"):
         identify_response(lines._replace(std=np.nan * lines.std))
     with pytest.raises(ValueError, match="frequencies above 0 that increase"):

@@ -53,7 +53,7 @@ EVERYTHING = (
     + 0.4 * Holding(2)
     + 0.2 * InputRate(50.0)
 )
-TRIALS = 5  # one block of the scan; four are two blocks, in which each trial is compiled twice
+TRIALS = 3  # one block of the scan; four are two, in which each trial is compiled twice
 LEARNING = {name: scheme for name, scheme in SCHEMES.items() if scheme.learns}
 # Each kind of scheme occurs once. A StopWhen that has stopped learns nothing more, so its map would
 # be the same at any weights.

@@ -14,7 +14,7 @@ from cases import ALGEBRA, DT, PLANTS, task_for
 from jaxilc import scenarios
 from jaxilc.filters import SwitchableFilter, ZeroPhaseButterworth
 from jaxilc.learning import Keep, Machine, Sensor, best_trial, learn, measure
-from jaxilc.plants import StateSpace, TwoAxes, cnc_axis
+from jaxilc.plants import StateSpace, ThreeAxes, TwoAxes, cnc_axis
 from jaxilc.schemes import PID, ErrorFiltered, Filtered, OnOutputs, PIDType, WithFeedback
 from jaxilc.signals import Task, Trial
 
@@ -47,14 +47,16 @@ def test_another_form_is_refused():
         cnc_axis("rounded")
 
 
-def test_two_axes_are_two_machines():
+@pytest.mark.parametrize("axes", [TwoAxes, ThreeAxes])
+def test_axes_are_machines_of_their_own(axes):
     one, other = PLANTS["arx"], StateSpace([[0.8]], [[0.3]], [[1.0]], dt=DT)
+    plants = (one, other) if axes is TwoAxes else (other, one, other)
     scheme, task = (
         WithFeedback(PIDType(gamma_p=0.5), PID(kp=0.4, ki=3.0)),
-        task_for(TwoAxes(one, other), 40),
+        task_for(axes(*plants), 40),
     )
-    both = learn(Machine(TwoAxes(one, other)), scheme, task, 5, save=Keep(("y", "u"))).saved
-    for i, plant in enumerate((one, other)):
+    both = learn(Machine(axes(*plants)), scheme, task, 5, save=Keep(("y", "u"))).saved
+    for i, plant in enumerate(plants):
         alone = Task(task.reference[:, i], dt=DT)
         single = learn(Machine(plant), scheme, alone, 5, save=Keep(("y", "u"))).saved
         for name in ("y", "u"):

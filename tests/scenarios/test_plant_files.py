@@ -360,7 +360,7 @@ def pid(**fields):
     [
         (
             {"plants": PLANT},
-            "axis.json: plants is not a key here; did you mean plant. Allowed are machine",
+            "axis.json: plants is not a key here; did you mean plant. 13 names are known",
         ),
         ({"plant": None}, "axis.json: plant is missing; present are task, schemes"),
         ({"plant": 3}, "axis.json: plant = 3 is not a table"),

@@ -1,0 +1,271 @@
+"""The learning laws that a design tries, each with weights that the frequency responses allow.
+
+Each law has a few weights. A grid of them is looked at in frequency, over all machines of a
+`Family` at once. Kept are the weights with the smallest predicted error among those for which
+
+    |Q (1 - L P)| <= 1 - margin    at each frequency, on each machine
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..filters import ZeroPhaseButterworth
+from ..filters.inversion import stable_inverse
+from ..plants import StateSpace
+from ..schemes import ErrorFiltered, Filtered, NormOptimal, PIDType, Scheme, WithFeedback
+from ..signals.task import Task
+from ..theory.loop import minimal
+from .responses import Family
+
+ORDER = 2  # of the robustness filter, in one pass
+GAINS = (0.1, 0.2, 0.35, 0.5, 0.7, 0.85, 1.0)  # of the inverse of the largest steady gain
+INVERSE_GAINS = (0.2, 0.35, 0.5, 0.7, 0.85, 1.0)
+RATES = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)  # derivative times, in samples times 1 + lead
+SHARES = (1.0, 0.75, 0.55, 0.4)  # of the largest cutoff that is allowed
+LEADS, LONGEST = 36, 500  # number of leads tried, and the longest [samples]
+CUTOFFS = 60
+WIDER = 4.0  # factor by which a tuning may change a weight, to either side
+FREER = 100.0  # the same for the weights of norm-optimal learning
+
+
+class Candidate(NamedTuple):
+    """A law with weights that are safe by its frequency response.
+
+    name:    such as p-type
+    words:   what the law is, in a few words
+    scheme:  with its feedback, if the machine has one
+    bounds:  {name of a weight: (low, high)} within which it may be tuned
+    largest: |Q (1 - L P)| at its largest, over the machines and frequencies of the family
+    predicted: root mean square error of the last trial, of the worst machine [unit of y]
+    """
+
+    name: str
+    words: str
+    scheme: Scheme
+    bounds: dict[str, tuple[float, float]]
+    largest: float
+    predicted: float
+
+
+class Absent(NamedTuple):
+    """A law for which no safe weights were found, and why."""
+
+    name: str
+    why: str
+
+
+class _Found(NamedTuple):
+    """Weights of the least predicted error, with that error and the largest contraction."""
+
+    weights: dict[str, float]
+    predicted: float
+    largest: float
+
+
+def candidates(
+    family: Family,
+    feedback: Scheme | None,
+    task: Task,
+    trials: int,
+    margin: float,
+    names: Sequence[str],
+) -> Iterator[Candidate | Absent]:
+    """Each of the laws with its safe weights, or the reason why it has none.
+
+    trials: number of the trial whose error is predicted
+    margin: least distance of |Q (1 - L P)| from 1
+    names: of `LAWS`
+    """
+    for name in names:
+        found = LAWS[name](family, feedback, task, trials, margin)
+        yield found if isinstance(found, Absent) else found._replace(name=name)
+
+
+# The laws
+# --------------------------------------------------------------------------------------------------
+
+
+def p_type(family, feedback, task, trials, margin) -> Candidate | Absent:
+    """Q (u + gamma_p z^(1 + lead) e)"""
+    return _pd_type(family, feedback, task, trials, margin, derivative=False)
+
+
+def pd_type(family, feedback, task, trials, margin) -> Candidate | Absent:
+    """Q (u + z^(1 + lead) (gamma_p + gamma_d (1 - z^-1)) e)"""
+    return _pd_type(family, feedback, task, trials, margin, derivative=True)
+
+
+def model_inverse(family, feedback, task, trials, margin) -> Candidate | Absent:
+    """Q (u + gamma P^-1 e), with the stable inverse of the nominal loop"""
+    try:
+        inverse = stable_inverse(_model(family, task))
+    except ValueError as error:
+        return Absent("model-inverse", str(error))
+    # PIDType takes e one sample ahead, which the inverse then need not do
+    inverse = dataclasses.replace(inverse, advance=inverse.advance - 1)
+    L = 1 / family.P[0]
+    found = _widest(
+        family,
+        ({"gamma_p": gain, "L": gain * L} for gain in INVERSE_GAINS),
+        task,
+        trials,
+        margin,
+    )
+    if found is None:
+        return Absent("model-inverse", _NO_WEIGHTS)
+    learning = ErrorFiltered(PIDType(gamma_p=found.weights["gamma_p"]), inverse)
+    return _candidate(
+        "model inverse with a filter",
+        learning,
+        found,
+        feedback,
+        {"scheme.scheme.gamma_p": (found.weights["gamma_p"] / WIDER, 1.5)},
+        task,
+    )
+
+
+def norm_optimal(family, feedback, task, trials, margin) -> Candidate | Absent:
+    """Q argmin |e|^2 + w_r |u' - u|^2 + w_s |u'|^2, by the nominal loop"""
+    G = family.P[0]
+    size = float(np.max(np.abs(G))) ** 2
+
+    def laws():
+        for w_r in size * np.geomspace(1e-4, 1e0, 5):
+            for w_s in size * np.geomspace(1e-8, 1e-2, 4):
+                keep = (np.abs(G) ** 2 + w_r) / (np.abs(G) ** 2 + w_r + w_s)
+                L = np.conj(G) / (np.abs(G) ** 2 + w_r)
+                yield {"w_r": float(w_r), "w_s": float(w_s), "L": L, "keep": keep}
+
+    found = _widest(family, laws(), task, trials, margin)
+    if found is None:
+        return Absent("norm-optimal", _NO_WEIGHTS)
+    weights = {w: found.weights[w] for w in ("w_r", "w_s")}
+    learning = NormOptimal(_model(family, task), w_r=weights["w_r"], w_s=weights["w_s"])
+    bounds = {f"scheme.{w}": (value / FREER, value * FREER) for w, value in weights.items()}
+    words = "norm-optimal by the nominal model, with a filter"
+    return _candidate(words, learning, found, feedback, bounds, task)
+
+
+LAWS: dict[str, Callable[..., Candidate | Absent]] = {
+    "p-type": p_type,
+    "pd-type": pd_type,
+    "model-inverse": model_inverse,
+    "norm-optimal": norm_optimal,
+}
+_NO_WEIGHTS = "no weights keep the margin on every machine"
+
+
+# How it is done
+# --------------------------------------------------------------------------------------------------
+
+
+def _pd_type(family, feedback, task, trials, margin, *, derivative: bool) -> Candidate | Absent:
+    name = "pd-type" if derivative else "p-type"
+    steady = family.P[:, 0].real
+    if np.any(steady * steady[0] <= 0):
+        return Absent(name, "the sign of the steady gain is not the same on all machines")
+    size = np.sign(steady[0]) / np.max(np.abs(steady))
+    longest = max(1, min(LONGEST, task.N // 8))
+    leads = np.unique(np.r_[0, np.geomspace(1, longest, LEADS).astype(int)])
+
+    def laws():
+        for lead in map(int, leads):
+            ahead = family.advance(1 + lead, task.dt)
+            change = 1 - family.advance(-1, task.dt)
+            for gain in GAINS:
+                for rate in RATES if derivative else (0.0,):
+                    gamma_p = float(size * gain)
+                    gamma_d = gamma_p * rate * (1 + lead)
+                    yield {
+                        "gamma_p": gamma_p,
+                        "gamma_d": gamma_d,
+                        "lead": lead,
+                        "L": ahead * (gamma_p + gamma_d * change),
+                    }
+
+    found = _widest(family, laws(), task, trials, margin)
+    if found is None:
+        return Absent(name, _NO_WEIGHTS)
+    weights = {w: found.weights[w] for w in ("gamma_p", "gamma_d")[: 1 + derivative]}
+    learning = PIDType(**weights, lead=int(found.weights["lead"]))
+    bounds = {f"scheme.{w}": _around(value) for w, value in weights.items()}
+    words = f"{name[:-5].upper()}-type with lead and filter"
+    return _candidate(words, learning, found, feedback, bounds, task)
+
+
+def _widest(family: Family, laws, task: Task, trials: int, margin: float) -> _Found | None:
+    """The weights of the least predicted error among laws, each with the cutoffs it allows.
+
+    laws: dictionaries of weights, with the response `L` (F,) of u' = keep (u + L e) before the
+        filter, and `keep` where it is not 1
+    """
+    cutoffs = np.geomspace(min(2 / task.duration, 0.05 / task.dt), 0.45 / task.dt, CUTOFFS)
+    Q = low_pass(family.frequencies, cutoffs[:, None], task.dt)
+    best: _Found | None = None
+    for law in laws:
+        L, keep = law.pop("L"), law.pop("keep", 1.0)
+        kept = np.max(np.abs(keep * (1 - L * family.P)), axis=0)
+        allowed = np.flatnonzero(np.max(Q * kept, axis=1) <= 1 - margin)
+        for share in SHARES if len(allowed) else ():
+            cutoff = share * cutoffs[allowed[-1]]
+            with_filter = keep * low_pass(family.frequencies, cutoff, task.dt)
+            weights = law | {"cutoff": float(cutoff)}
+            best = _better(family, best, weights, with_filter, L, trials, margin)
+    return best
+
+
+def _better(family, best, weights, Q, L, trials, margin) -> _Found | None:
+    """The better one of the best weights so far and of these, which must keep the margin."""
+    if best is not None and best.predicted <= family.rms(Q, L, trials, [0])[0]:
+        return best  # without a look at the other machines
+    largest = float(family.largest(Q, L))
+    if not largest <= 1 - margin:
+        return best
+    predicted = float(np.max(family.rms(Q, L, trials)))
+    if best is not None and best.predicted <= predicted:
+        return best
+    return _Found(weights, predicted, largest)
+
+
+def low_pass(f, cutoff, dt):
+    """Q as `ZeroPhaseButterworth` of `ORDER` has it."""
+    with np.errstate(over="ignore"):
+        return 1 / (1 + (np.tan(np.pi * f * dt) / np.tan(np.pi * cutoff * dt)) ** (2 * ORDER))
+
+
+def _candidate(words, learning, found: _Found, feedback, bounds, task) -> Candidate:
+    """A law under the robustness filter whose cutoff was found."""
+    cutoff = found.weights["cutoff"]
+    scheme = Filtered(learning, ZeroPhaseButterworth(cutoff=cutoff, order=ORDER))
+    bounds["filter.cutoff"] = (cutoff / WIDER, min(cutoff * WIDER, 0.49 / task.dt))
+    return Candidate(
+        "",
+        words,
+        _under(scheme, feedback),
+        _named(bounds, feedback),
+        found.largest,
+        found.predicted,
+    )
+
+
+def _around(value: float) -> tuple[float, float]:
+    low, high = sorted((value / WIDER, value * WIDER))
+    return low, high
+
+
+def _under(scheme: Scheme, feedback: Scheme | None) -> Scheme:
+    return scheme if feedback is None else WithFeedback(scheme, feedback)
+
+
+def _named(bounds: dict[str, Any], feedback: Scheme | None) -> dict[str, Any]:
+    """The bounds by the names that the weights have under the feedback."""
+    return bounds if feedback is None else {f"learning.{w}": b for w, b in bounds.items()}
+
+
+def _model(family: Family, task: Task) -> StateSpace:
+    return StateSpace(*minimal(family.loops[0], task.N), dt=task.dt)

@@ -1,0 +1,180 @@
+"""What the frequency responses of a family of machines predict of a learning law.
+
+    u_{j+1} = Q (u_j + L e_j),     e_j = e_1 - P u_j
+
+Frequency by frequency the error after j trials of machine P is
+
+    e_j = e_inf + (Q (1 - L P))^(j-1) (e_1 - e_inf),     e_inf = (1 - Q) / (1 - Q (1 - L P)) e_1
+
+What does not repeat, n, is learned too: of |n|^2 each trial has the part
+
+    (1 + |P Q L|^2 / (1 - |Q (1 - L P)|^2)) |n|^2
+
+This holds far from the ends of a long trial. It takes microseconds, where a simulation takes
+milliseconds, so that many laws can be looked at.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from ..learning.machine import Machine
+from ..learning.within_trial import run_trial
+from ..schemes import PIDType, Scheme, WithFeedback
+from ..signals.task import Task
+from ..theory.frequency import Loop, grid, linear_loop, response
+from ..theory.law import Taps
+from ..theory.loop import minimal, pole_radius
+from ..theory.over_frequency import radius_of
+from ..uncertainty import Uncertainty, draw, drawn_machines
+
+CORNERS = 5  # uncertain numbers up to which all corners of their intervals are taken
+MACHINES = 33  # machines that are drawn, the nominal one included, besides the corners
+LINES = 300  # frequencies
+NOT_REPEATED = 1e-4  # share of the first error that counts as noise, if the machine has less
+SHORT = 64  # samples of a trial that is long enough to read the loop of a sample off it
+
+
+class Family(NamedTuple):
+    """The responses of S machines at F frequencies, and the first error to be learned.
+
+    frequencies: (F,) ascending up to the Nyquist frequency [Hz]
+    P:     (S, F) from what is learned to the output; the first machine is the nominal one
+    error: (F,) size of the error of the first trial of the nominal machine near each frequency, so
+           that the root of the sum of the squares is its root mean square [unit of y]
+    noise: (F,) size of what does not repeat from trial to trial, in the same way
+    loops: (S) the machines from what is learned to the output, as linear systems
+    drawn: {name: (S,)} the numbers of each machine
+    """
+
+    frequencies: np.ndarray
+    P: np.ndarray
+    error: np.ndarray
+    noise: np.ndarray
+    loops: list[Loop]
+    drawn: dict[str, np.ndarray]
+
+    def advance(self, samples, dt: float) -> np.ndarray:
+        """(..., F) z^samples for numbers of samples (...)."""
+        return np.exp(2j * np.pi * dt * np.multiply.outer(np.asarray(samples), self.frequencies))
+
+    def of_taps(self, taps: Taps, dt: float) -> np.ndarray:
+        """(F,) the response of the taps of a law of one channel."""
+        return np.asarray(taps.taps)[:, 0, 0] @ self.advance(np.asarray(taps.powers), dt)
+
+    def contraction(self, Q, L) -> np.ndarray:
+        """(..., S, F) Q (1 - L P) of laws Q (..., F) and L (..., F)."""
+        Q, L = (np.asarray(x)[..., None, :] for x in (Q, L))
+        return Q * (1 - L * self.P)
+
+    def largest(self, Q, L) -> np.ndarray:
+        """(...) the largest |Q (1 - L P)| over machines and frequencies."""
+        return np.max(np.abs(self.contraction(Q, L)), axis=(-2, -1))
+
+    def rms(self, Q, L, trial: int, machines=slice(None)) -> np.ndarray:
+        """(..., S) root mean square error of a trial that is predicted for each machine.
+
+        machines: which of them
+        """
+        Q, L = (np.asarray(x)[..., None, :] for x in (Q, L))
+        QLP = Q * L * self.P[machines]
+        M = Q - QLP
+        with np.errstate(all="ignore"):
+            left = (1 - Q) / (1 - M)
+            share = left + M ** (trial - 1) * (1 - left)
+            noise = 1 + np.abs(QLP) ** 2 / (1 - np.abs(M) ** 2)
+            square = np.abs(share * self.error) ** 2 + noise * self.noise**2
+        return np.sqrt(np.sum(square, axis=-1))
+
+
+def family_of(
+    machine: Machine, feedback: Scheme | None, task: Task, uncertainty: Uncertainty, *, seed: int
+) -> Family:
+    """The responses of the machines at the corners of the uncertainty, and of some drawn within.
+
+    feedback: the feedback under which the machine learns, None for none
+    Raises ValueError for a machine of several inputs or outputs, or one that is not stable.
+    """
+    if task.inputs != 1 or task.outputs != 1:
+        raise ValueError(
+            f"design: the machine has {task.inputs} inputs and {task.outputs} outputs; allowed is "
+            "one of each: design each axis by itself"
+        )
+    drawn = draw(machine, uncertainty, MACHINES if uncertainty else 1, seed=seed, sampling="sobol")
+    if 0 < len(uncertainty) <= CORNERS:
+        corners = draw(machine, uncertainty, 1, sampling="corners")
+        drawn = {name: np.concatenate([drawn[name], corners[name][1:]]) for name in drawn}
+    machines = drawn_machines(machine.unlimited().noiseless(), uncertainty, drawn)
+    short = Task(np.zeros(SHORT), dt=task.dt)
+    free = None if feedback is None else feedback.unlimited()
+    loops = [
+        Loop(*one) for one in zip(*map(np.asarray, _loops(machines, free, short)), strict=True)
+    ]
+    _need_stable(loops, task)
+    poles = np.linalg.eigvals(minimal(loops[0], task.N).A)
+    f = grid(task, points=LINES, near=poles)
+    P = _responses(Loop(*map(np.stack, zip(*loops, strict=True))), f, task.dt)
+    error = _first_error(machine, feedback, task, f)
+    noise = _noise(machine, task, f, P[0], NOT_REPEATED * float(np.linalg.norm(error)))
+    return Family(f, np.asarray(P), error, noise, loops, drawn)
+
+
+# How it is done
+# --------------------------------------------------------------------------------------------------
+
+
+_loops = jax.jit(
+    lambda machines, feedback, task: jax.vmap(lambda one: linear_loop(one, feedback, task))(
+        machines
+    )
+)
+
+
+_responses = jax.jit(
+    lambda loops, f, dt: jax.vmap(lambda loop: response(loop, f, dt)[:, 0, 0])(loops)
+)
+
+
+def _need_stable(loops: list[Loop], task: Task) -> None:
+    radius = 0.0
+    for loop in loops:
+        own = radius_of(loop)
+        radius = max(radius, own if own < 1 - 1e-9 else pole_radius(loop, task.N))
+    if not radius < 1 - 1e-9:
+        raise ValueError(
+            f"design: the machine has a pole of size {radius:.6g}, so it does not come to rest "
+            "after a trial; give a scheme with class = WithFeedback whose feedback makes it "
+            "stable, or model the axis with its position loop closed"
+        )
+
+
+def _first_error(machine, feedback, task: Task, f) -> np.ndarray:
+    """(F,) the error of a trial in which nothing is learned, gathered at the frequencies."""
+    rest = PIDType()  # learns nothing
+    scheme = rest if feedback is None else WithFeedback(rest, feedback.unlimited())
+    machine, key = machine.unlimited().noiseless(), jax.random.key(0)
+    trial = jax.jit(run_trial)(machine, scheme, task, scheme.initial_memory(task), key)
+    e = np.asarray(trial.e)[1:, 0]
+    spectrum = np.abs(np.fft.rfft(e)) / len(e) * np.sqrt(2)
+    spectrum[0] /= np.sqrt(2)
+    lines = np.fft.rfftfreq(len(e), task.dt)
+    places = np.argmin(np.abs(np.subtract.outer(np.log(lines + f[0]), np.log(f + f[0]))), axis=1)
+    return np.sqrt(np.bincount(places, spectrum**2, minlength=len(f)))
+
+
+def _noise(machine: Machine, task: Task, f, P, least: float) -> np.ndarray:
+    """(F,) what sensor and disturbances add to each trial anew, white within a trial."""
+
+    def variance(part, name):
+        value = None if part is None else getattr(part, name)
+        return 0.0 if value is None else float(np.max(value)) ** 2
+
+    sensor, disturbance = machine.sensor, machine.disturbance
+    at_output = variance(sensor, "noise") + variance(disturbance, "output_noise")
+    at_output += variance(sensor, "resolution") / 12
+    density = at_output + variance(disturbance, "input_noise") * np.abs(P) ** 2
+    share = np.gradient(f) / (0.5 / task.dt)
+    return np.sqrt(np.maximum(density, least**2) * share)

@@ -1,0 +1,88 @@
+"""A candidate, tuned by gradient over uncertain machines and kept safe by its frequency test."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..learning.machine import Machine
+from ..pytree.named_paths import get_at, replaced
+from ..schemes import Scheme
+from ..signals.task import Task
+from ..theory.law import law_of
+from ..tuning import Tuning
+from ..tuning.objectives import EveryTrial, Final
+from ..tuning.risks import CVaR
+from ..uncertainty import Uncertainty
+from .candidates import Candidate
+from .responses import Family
+
+EARLY = 0.3  # weight of the errors of all trials, beside that of the last one
+WORST = 0.75  # level of the conditional value at risk: the mean of the worst quarter of machines
+STEPS_BACK = (1.0, 0.8, 0.6, 0.4, 0.2)  # ways from the safe weights to the tuned ones, in logarithm
+
+
+def tuned(
+    candidate: Candidate,
+    family: Family,
+    machine: Machine,
+    task: Task,
+    trials: int,
+    uncertainty: Uncertainty,
+    *,
+    metric: str,
+    margin: float,
+    out: Path,
+    resume: bool = False,
+    progress: Callable[[int, np.ndarray, float], None] | None = None,
+    **settings: Any,
+) -> Candidate:
+    """The candidate with tuned weights, or as near to them as |Q (1 - L P)| <= 1 - margin allows.
+
+    The tuning minimises the errors of the last trial and, with a smaller weight, of all trials, in
+    the mean of the worst quarter of the machines. As it sees a few trials only, it may end at
+    weights that diverge later. So the weights are then moved back towards the safe ones of the
+    candidate, until the frequency test holds with its margin over the family.
+
+    out: folder of the tuning's state;  resume: go on with what is there
+    settings: of `Tuning`
+    """
+    problem = Tuning(
+        machine,
+        candidate.scheme,
+        task,
+        trials,
+        weights=candidate.bounds,
+        uncertainty=uncertainty,
+        objective=Final(metric) + EARLY * EveryTrial(metric),
+        risk=CVaR(WORST),
+        **settings,
+    )
+    found = problem.run(out, resume=resume, progress=progress)
+    for way in STEPS_BACK:
+        weights = {
+            name: _between(float(get_at(candidate.scheme, name)), value, way)
+            for name, value in found.values.items()
+        }
+        scheme = replaced(candidate.scheme, weights)
+        largest = contraction(family, scheme, task)
+        if largest <= 1 - margin:
+            return candidate._replace(scheme=scheme, largest=largest)
+    return candidate
+
+
+def contraction(family: Family, scheme: Scheme, task: Task) -> float:
+    """The largest |Q (keep - L P)| of a scheme on the machines and lines of a family."""
+    law = law_of(scheme, task)
+    keep, L = (family.of_taps(taps, task.dt) for taps in (law.keep, law.L))
+    return float(np.max(np.abs(keep - L * family.P)))
+
+
+def _between(start: float, end: float, way: float) -> float:
+    """A weight on the way from one value to another of the same sign, even in its logarithm."""
+    if start * end <= 0:
+        return start + way * (end - start)
+    return float(start * (end / start) ** way)

@@ -1,0 +1,245 @@
+"""What a campaign should measure if the machine is as its file says: a band of errors by trial.
+
+Machines are drawn from the uncertainty of the file. Each learns by itself, with its noise, from the
+memory with which the campaign started. So the band of trial j holds what the law has learned from
+the trials before on a machine of this kind, and a machine that learns well is not outside it.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..learning.machine import Machine
+from ..runtime.lanes import usual_lanes
+from ..schemes import Scheme
+from ..signals.task import Task
+from ..sweeps.host import Host
+from ..sweeps.plan import Chunk, Plan
+from ..uncertainty import Uncertainty, draw
+
+MACHINES, SEED = 256, 20250  # drawn machines, and the seed of their draw and of their noise
+OUTSIDE = 0.025  # share of the machines that lies beyond each side of the band
+RARE = 0.01  # share of the machines whose whole course goes further out than the band of a course
+SAME = 0.01  # share by which an error may differ from the median without meaning anything
+SMALLEST = 1e-12  # share of the largest reference; errors below it are rounding
+WORK = 1e8  # samples that are simulated at most, of all machines and trials
+
+
+class Subject(NamedTuple):
+    """What is predicted: a machine with its uncertainty, the scheme that learns, and its task."""
+
+    machine: Machine
+    scheme: Scheme
+    task: Task
+    uncertainty: Uncertainty
+
+    @property
+    def noisy(self) -> bool:
+        """Whether the file gives the machine any noise."""
+        sensor, disturbance = self.machine.sensor, self.machine.disturbance
+        found = (
+            getattr(sensor, "noise", None),
+            getattr(disturbance, "input_noise", None),
+            getattr(disturbance, "output_noise", None),
+        )
+        return any(noise is not None and bool(np.any(np.asarray(noise) > 0)) for noise in found)
+
+    @property
+    def machines(self) -> int:
+        """The number of machines to draw; one where all of them would be the same."""
+        return MACHINES if self.noisy or self.uncertainty else 1
+
+
+class Band(NamedTuple):
+    """The ends of the 95 % band and the median of an error by trial, each (J,) [unit of y].
+
+    An end is infinite where more than 2.5 % of the drawn machines diverge.
+    """
+
+    low: np.ndarray
+    median: np.ndarray
+    high: np.ndarray
+
+
+class Prediction(NamedTuple):
+    """The predicted errors of the trials 1 .. J.
+
+    machines: number of drawn machines, 1 where the file gives neither uncertainty nor noise
+    noisy: whether the file gives the machine noise
+    rms: band of the RMS error over all outputs
+    largest: band of the largest error of all outputs
+    course: how far out, in the measure of `distance`, 99 % of the drawn machines stay in all J
+        trials and in both errors
+    smallest: errors below this are counted as this [unit of y]
+    """
+
+    machines: int
+    noisy: bool
+    rms: Band
+    largest: Band
+    course: float
+    smallest: float
+
+    @property
+    def trials(self) -> int:
+        """The number J of predicted trials."""
+        return len(self.rms.median)
+
+    @property
+    def certain(self) -> bool:
+        """Whether there is no band, because the file gives neither uncertainty nor noise."""
+        return self.machines == 1
+
+
+class Place(NamedTuple):
+    """Where a measured trial lies on its prediction.
+
+    step: number of the predicted trial: 1 + the trials that were learned from before
+    rms, largest: (low, high) of the two bands [unit of y]
+    distance: `distance` of the error that lies further out; its sign is that of the side
+    error: the error that lies further out, `RMS error` or `largest error`
+    level: `within` the band; `slight`, outside it, but no further than 99 % of the drawn machines
+        go in some trial; or `clear`, further out than that
+    """
+
+    step: int
+    rms: tuple[float, float]
+    largest: tuple[float, float]
+    distance: float
+    error: str
+    level: str
+
+
+def predict(subject: Subject, trials: int, *, seed: int = SEED) -> Prediction:
+    """The band of errors by trial, from the simulation of drawn machines.
+
+    trials: J >= 1; fewer are predicted where their simulation would take long, see `WORK`
+    seed: seed of the drawn machines and of their noise
+    Raises ValueError where the uncertainty does not fit the machine, or the task does not fit RAM.
+    """
+    errors, largest = simulated(subject, trials, seed=seed)
+    return prediction_of(errors, largest, subject)
+
+
+def longest(subject: Subject) -> int:
+    """The number of trials that are predicted at most."""
+    return max(1, int(WORK / (subject.machines * subject.task.N)))
+
+
+def simulated(subject: Subject, trials: int, *, seed: int = SEED) -> tuple[np.ndarray, np.ndarray]:
+    """(S, J) the RMS errors over all outputs, and the largest errors, of drawn machines."""
+    machine, scheme, task, uncertainty = subject
+    drawn, machines = draw(machine, uncertainty, MACHINES + 1, seed=seed), subject.machines
+    # The first one is the nominal machine, which is no draw.
+    drawn = {name: values[1:] for name, values in drawn.items()}
+    plan = Plan(
+        machine=machine,
+        schemes={"law": scheme},
+        task=task,
+        trials=min(trials, longest(subject)),
+        uncertainty=uncertainty,
+        machines=machines,
+        seed=seed,
+        drawn=drawn,
+        keep=(),
+        chunk=machines,
+        lanes=usual_lanes(),  # ty: ignore[invalid-argument-type]  None is what the backend holds
+        quantities={},
+    )
+    found = Host(plan, shared=True).compute(Chunk(0, "law", 0, 0, machines))
+    rms, largest = (
+        np.asarray(found[name], float).reshape(machines, plan.trials, -1)
+        for name in ("rms", "max_error")
+    )
+    return np.sqrt(np.mean(rms**2, axis=2)), np.max(largest, axis=2)
+
+
+def prediction_of(errors: np.ndarray, largest: np.ndarray, subject: Subject) -> Prediction:
+    """The prediction that simulated errors give.
+
+    errors, largest: (S, J) RMS error and largest error of S machines; not finite where one diverged
+    """
+    smallest = max(SMALLEST * float(np.max(np.abs(subject.task.reference))), 1e-300)
+    both = [np.maximum(np.where(np.isnan(x), np.inf, x), smallest) for x in (errors, largest)]
+    bands = [_band(values) for values in both]
+    out = np.max(
+        [
+            np.max(np.abs(distance(band, values, smallest)), axis=1)
+            for band, values in zip(bands, both, strict=True)
+        ],
+        axis=0,
+    )
+    # The machine is one more draw. It goes further out than the k-th largest of S draws with the
+    # chance k / (S + 1), in any of the J trials.
+    course = np.sort(out)[-max(1, int(RARE * (len(out) + 1)))]
+    return Prediction(
+        len(errors), subject.noisy, bands[0], bands[1], float(max(1.0, course)), smallest
+    )
+
+
+def _band(values: np.ndarray) -> Band:
+    """The band of each trial; at least `SAME` of the median to each side."""
+    ordered = np.sort(values, axis=0)
+    count = len(ordered)
+    beyond = max(1, int(OUTSIDE * (count + 1))) - 1
+    median = ordered[(count - 1) // 2]
+    low = np.minimum(ordered[beyond], median / (1 + SAME))
+    return Band(low, median, np.maximum(ordered[count - 1 - beyond], median * (1 + SAME)))
+
+
+def distance(band: Band, values: Any, smallest: float = 0.0) -> np.ndarray:
+    """How far out errors lie on a band: 0 at its median, 1 at its upper and -1 at its lower end.
+
+        log(error / median) / |log(end / median)|,  end: that of the side on which the error lies
+
+    values: (..., J) errors [unit of y];  smallest: errors below it are counted as this
+    An error below an upper end that is infinite has the distance 0.
+    """
+    values = np.maximum(np.where(np.isnan(values), np.inf, values), smallest)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        log, low, median, high = (np.log(x) for x in (values, *band))
+        up, down = (log - median) / (high - median), (log - median) / (median - low)
+    up = np.where(np.isinf(high), 0.0, up)
+    return np.where(np.isinf(median), 0.0, np.where(log >= median, up, down))
+
+
+def steps(live: list[dict[str, Any]]) -> list[int]:
+    """The predicted trial that each measured trial is compared with.
+
+    A trial that was not learned from leaves the memory as it is, so the next one repeats its step.
+
+    live: manifests of the start and of the measured trials, see `Journal.live`
+    """
+    found, step = [], 1
+    for manifest in live[1:]:
+        found.append(step)
+        step += bool(manifest["learned"])
+    return found
+
+
+def next_step(live: list[dict[str, Any]]) -> int:
+    """The predicted trial that the next measured one is compared with."""
+    return 1 + sum(bool(manifest["learned"]) for manifest in live[1:])
+
+
+def place_of(prediction: Prediction, step: int, error: float, largest: float) -> Place | None:
+    """Where a measured trial lies on its prediction; None beyond the predicted trials.
+
+    error: RMS error over all outputs;  largest: largest error of all outputs [unit of y]
+    """
+    if not 1 <= step <= prediction.trials:
+        return None
+    bands = [Band(*(x[step - 1 : step] for x in band)) for band in prediction[2:4]]
+    far = [
+        float(distance(band, np.array([value]), prediction.smallest)[0])
+        for band, value in zip(bands, (error, largest), strict=True)
+    ]
+    which = int(abs(far[1]) > abs(far[0]))
+    level = "within"
+    if abs(far[which]) > 1:
+        level = "slight" if abs(far[which]) <= prediction.course else "clear"
+    (rms, most) = ((float(band.low[0]), float(band.high[0])) for band in bands)
+    name = ("RMS error", "largest error")[which]
+    return Place(step, rms, most, far[which], name, level)

@@ -1,0 +1,81 @@
+"""The plant file that a design leaves: the file it began with, with the recommended law in it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+
+from ..schemes import Scheme
+from ..storage.files import atomically
+from ..storage.printable import printable
+from .as_table import table_of
+from .from_file import read_scenario
+
+
+def design_path(source: str | Path) -> Path:
+    """The name of the design of a plant file: axis.design.toml for axis.toml."""
+    source = Path(source)
+    return source.with_name(f"{source.stem}.design{source.suffix}")
+
+
+def need_same_folder(source: str | Path, path: str | Path) -> None:
+    """Raises ValueError where a design would lie in another folder than its plant file.
+
+    The names of files in a plant file are relative to its folder.
+    """
+    here, there = Path(source).resolve().parent, Path(path).resolve().parent
+    if here != there or Path(source).resolve() == Path(path).resolve():
+        raise ValueError(
+            f"--out {path} is not allowed; a design lies beside {source}, under another name"
+        )
+    if Path(path).suffix != Path(source).suffix:
+        raise ValueError(f"--out {path} must end with {Path(source).suffix}, as {source} does")
+
+
+def write_design(
+    path: str | Path, source: str | Path, schemes: Mapping[str, Scheme], said: Iterable[str]
+) -> Path:
+    """Write a plant file with other schemes, and read it back to be sure of it.
+
+    source: the plant file; its comments and all its other tables are kept
+    schemes: by name, in place of those of the file
+    said: sentences for the head of the file
+    Raises ValueError where a scheme is of a class that no file can name.
+    """
+    source, path = Path(source), Path(path)
+    tables = {name: table_of(scheme) for name, scheme in schemes.items()}
+    text = source.read_text(encoding="utf-8")
+    if source.suffix == ".json":
+        content = json.loads(text) | {"schemes": tables}
+        written = json.dumps(content, indent=1, ensure_ascii=False) + "\n"
+    else:
+        written = _toml(text, tables, said)
+    atomically(path, lambda file: file.write(written.encode()))
+    read_scenario(path)
+    return path
+
+
+def _toml(text: str, tables: Mapping[str, Any], said: Iterable[str]) -> str:
+    """The text of a TOML file with other schemes, and with sentences at its head."""
+    document = tomlkit.parse(text)
+    document.pop("schemes", None)
+    made = tomlkit.table(is_super_table=True)
+    for name, table in tables.items():
+        made.append(name, _item(table, whole=True))
+    document.append("schemes", made)
+    head = "".join(f"# {printable(line)}\n" for line in said)
+    return head + tomlkit.dumps(document)
+
+
+def _item(value: Any, *, whole: bool = False) -> Any:
+    """A value for tomlkit; a table within a table is written in one line."""
+    if not isinstance(value, Mapping):
+        return tomlkit.item(value)
+    table = tomlkit.table() if whole else tomlkit.inline_table()
+    for key, inner in value.items():
+        table.append(key, _item(inner))
+    return table

@@ -1,0 +1,284 @@
+"""The path of several axes in a TOML or JSON file, as the reference of a task.
+
+    reference = { path = "circle", radius = 10.0, turns = 1.0, feed = 50.0, ... }
+    reference = { path = "nurbs", points = [[0, 0], ...], degree = 3, knots = [], weights = [] }
+    reference = { path = "butterfly", width = 20.0 }
+    reference = { path = "points", file = "contour.csv", join = "lines", corner = 0.05 }
+    reference = { path = "gcode", file = "part.ngc", rapid = 100.0, corner = "stop" }
+
+Every path has `acceleration` and `jerk`, one number for the vector or one for each axis, and
+`rest`, the time at rest before and after it. Every path but a program has `feed`. Lengths are in
+the unit of the task, times in s. A path is measured from its start, since a plant starts at zero.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy
+
+from ..pytree.ranges import brief, require
+from ..signals import paths
+from ..signals.gcode import read_gcode
+from ..signals.segments import FARTHEST, SHORTEST, Straight
+from ..signals.tool_path import Dwell, Followed, Move, follow
+from ..storage.columns import name_and_unit, numbers_in, read_columns
+from ..storage.reading import read_text
+from .values import Table, list_of_numbers, number, numbers, one_of, text, whole
+
+UNITS = "lengths in the `unit` of the task, times in s, feeds in that unit per s"
+LARGEST_PROGRAM = 16_000_000  # bytes
+MILLIMETRE = {"mm": 1.0, "": 1.0, "µm": 1e3, "um": 1e3, "m": 1e-3}  # in units of the task
+POINTS = 100_000  # of a file, at most
+
+
+class Planned(NamedTuple):
+    """A path as a reference.
+
+    reference: (N+1, d)
+    note: text on how the path is followed
+    """
+
+    reference: np.ndarray
+    note: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Setting:
+    """What a path is planned for.
+
+    folder: folder of the file
+    axes: names of the axes
+    unit: unit of the task
+    dt: sample time [s]
+    """
+
+    folder: Path
+    axes: Sequence[str]
+    unit: str
+    dt: float
+
+
+def planned_path(values: Any, where: str, setting: Setting) -> Planned:
+    """The reference along the path that a table describes.
+
+    Raises ValueError naming the key, or file and line, that is wrong.
+    """
+    table = Table(values, where)
+    kind = table.take("path", one_of(PATHS))
+    limits = {
+        name: table.take(name, lambda v, at: _limit(v, at, len(setting.axes)))
+        for name in ("acceleration", "jerk")
+    }
+    rest = table.take("rest", _number, 0.0)
+    require("", table.at("rest"), rest, "[0, inf)", " s")
+    reference, said = PATHS[kind](table, setting, limits)
+    hold = np.ceil(rest / setting.dt - 1e-9)
+    if not len(reference) + 2 * hold <= paths.LONGEST:
+        raise ValueError(
+            f"{table.at('rest')} = {rest:g} s makes the path longer than the {paths.LONGEST} "
+            f"samples of dt = {setting.dt:g} s that are allowed"
+        )
+    reference = np.pad(reference - reference[0], ((int(hold), int(hold)), (0, 0)), mode="edge")
+    seconds = (len(reference) - 1) * setting.dt
+    return Planned(reference, f"the {kind} path takes {seconds:.6g} s; {said}")
+
+
+def _circle(table: Table, setting: Setting, limits) -> tuple[np.ndarray, str]:
+    radius, turns = table.take("radius", _number), table.take("turns", _number, 1.0)
+    require("", table.at("turns"), turns, "[0.01, 1000]")
+    _need_axes(table, setting, 2)
+    return _curve(table, setting, limits, lambda: (paths.circle(radius), (0.0, 2 * np.pi * turns)))
+
+
+def _butterfly(table: Table, setting: Setting, limits) -> tuple[np.ndarray, str]:
+    width = table.take("width", _number)
+    _need_axes(table, setting, 2)
+    return _curve(table, setting, limits, lambda: (paths.butterfly(width), (0.0, 1.0)))
+
+
+def _nurbs(table: Table, setting: Setting, limits) -> tuple[np.ndarray, str]:
+    points = table.take("points", numbers)
+    degree = table.take("degree", whole, 3)
+    if points.ndim != 2:
+        raise ValueError(f"{table.at('points')} has shape {points.shape}; allowed is (n, d)")
+    require("", table.at("degree"), degree, f"[1, {max(len(points) - 1, 1)}]", whole=True)
+    inner = np.linspace(0.0, 1.0, max(len(points) - degree + 1, 2))
+    clamped = np.concatenate([np.zeros(degree), inner, np.ones(degree)])
+    knots = table.take("knots", list_of_numbers, clamped)
+    weights = table.take("weights", list_of_numbers, None)
+    if len(knots) != len(points) + degree + 1:
+        raise ValueError(
+            f"{table.at('knots')} has {len(knots)} numbers; {len(points)} points of degree "
+            f"{degree} need {len(points) + degree + 1}"
+        )
+    if np.any(np.diff(knots) < 0) or not knots[degree] < knots[-degree - 1]:
+        raise ValueError(
+            f"{table.at('knots')} = {brief(knots.tolist())} must not fall, and must rise"
+        )
+    _need_axes(table, setting, points.shape[1])
+    interval = (float(knots[degree]), float(knots[-degree - 1]))
+    return _curve(table, setting, limits, lambda: (paths.nurbs(points, knots, weights), interval))
+
+
+def _curve(
+    table: Table, setting: Setting, limits, make: Callable[[], tuple]
+) -> tuple[np.ndarray, str]:
+    """The reference along a curve of `signals.paths`."""
+    feed = table.take("feed", _number)
+    table.done()
+    try:
+        curve, interval = make()
+        made = paths.plan(curve, interval, feed=feed, dt=setting.dt, **limits)
+    except ValueError as error:
+        raise ValueError(f"{table.where}: {_said(error)}") from None
+    return made.reference, (
+        f"{made.arc[-1]:.6g} {setting.unit} at up to {np.max(made.speed):.4g} {setting.unit}/s "
+        f"(feed {feed:g})"
+    )
+
+
+def _points(table: Table, setting: Setting, limits) -> tuple[np.ndarray, str]:
+    file = setting.folder / table.take("file", text)
+    join = table.take("join", one_of(("lines", "spline")), "lines")
+    points = _points_of(file, setting.axes)
+    if join == "spline":
+        return _curve(table, setting, limits, lambda: _spline(points, file))
+    feed = table.take("feed", _number)
+    corner = table.take("corner", _corner, None)
+    table.done()
+    moves = [Move(Straight(a, b), feed) for a, b in itertools.pairwise(points)]
+    return _followed(moves, corner, setting, limits, table.where)
+
+
+def _gcode(table: Table, setting: Setting, limits) -> tuple[np.ndarray, str]:
+    file = setting.folder / table.take("file", text)
+    rapid = table.take("rapid", _number, None)
+    corner = table.take("corner", _corner, None)
+    table.done()
+    if rapid is not None:
+        require("", table.at("rapid"), rapid, "(0, inf)")
+    if setting.unit not in MILLIMETRE:
+        raise ValueError(
+            f"{table.where}: a program has lengths in mm, and the task has the unit "
+            f"{setting.unit!r}; allowed are {', '.join(unit for unit in MILLIMETRE if unit)}"
+        )
+    scale = MILLIMETRE[setting.unit]
+    program = read_text(file, LARGEST_PROGRAM)
+    try:
+        steps = read_gcode(program, setting.axes, rapid=None if rapid is None else rapid / scale)
+    except ValueError as error:
+        raise ValueError(f"{table.where}: {file}, {error}") from None
+    in_mm = {name: np.asarray(limit) / scale for name, limit in limits.items()}
+    tolerance = None if corner is None else corner / scale
+    reference, said = _followed(steps, tolerance, setting, in_mm, f"{table.where}: {file}", scale)
+    return reference * scale, said
+
+
+def _followed(
+    steps: Sequence[Move | Dwell], corner, setting: Setting, limits, where: str, scale: float = 1.0
+) -> tuple[np.ndarray, str]:
+    try:
+        made = follow(steps, corner=corner, dt=setting.dt, **limits)
+    except ValueError as error:
+        raise ValueError(f"{where}: {_said(error)}") from None
+    return made.reference, _how(made, corner, setting.unit, scale)
+
+
+def _how(made: Followed, corner: float | None, unit: str, scale: float) -> str:
+    """How corners are passed, in words."""
+    stops = f"{made.stops} stop{'s' * (made.stops != 1)} on the way"
+    rounded = (
+        'none rounded (corner = "stop")'
+        if corner is None
+        else f"{made.rounded} corner{'s' * (made.rounded != 1)} rounded within "
+        f"{corner * scale:g} {unit}".rstrip()
+    )
+    return f"{made.length * scale:.6g} {unit}, {stops}, {rounded}".replace(" ,", ",")
+
+
+def _spline(points: np.ndarray, file: Path) -> tuple:
+    """A cubic spline through the points over the length of their chords; closed if they are."""
+    if len(points) < 4:
+        raise ValueError(f"{file} has {len(points)} points; a spline needs 4 at least")
+    chords = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
+    closed = bool(np.all(points[0] == points[-1]))
+    kind = "periodic" if closed else "not-a-knot"
+    spline = scipy.interpolate.CubicSpline(chords, points, bc_type=kind)
+    return spline, (0.0, float(chords[-1]))
+
+
+def _points_of(file: Path, axes: Sequence[str]) -> np.ndarray:
+    """(M, d) the points of a file of columns named as the axes; one given twice counts once."""
+    header, rows = read_columns(file)
+    names = [name_and_unit(heading)[0] for heading in header]
+    for axis in axes:
+        if axis not in names:
+            raise ValueError(
+                f"{file} has no column {axis!r}; present are {', '.join(header) or 'none'}"
+            )
+    at, found = [names.index(axis) for axis in axes], []
+    for line, row in rows:
+        point = np.array(numbers_in(row, at))
+        if not np.all(np.abs(point) <= FARTHEST):
+            raise ValueError(
+                f"{file}, line {line}: {brief(row)} has no number up to {FARTHEST:g} for each axis"
+            )
+        if not found or np.max(np.abs(point - found[-1])) > SHORTEST:
+            found.append(point)
+        if len(found) > POINTS:
+            raise ValueError(f"{file} has more than {POINTS} points; allowed are up to {POINTS}")
+    if len(found) < 2:
+        raise ValueError(f"{file} has {len(found)} different points; needed are 2 at least")
+    return np.array(found)
+
+
+def _limit(value: Any, where: str, d: int) -> np.ndarray:
+    limit = numbers(value, where, UNITS)
+    if limit.shape not in ((), (d,)):
+        raise ValueError(
+            f"{where} = {brief(value)} is not one number, or one for each of the {d} axes"
+        )
+    require("", where, limit, "(0, inf)", many=True)
+    return limit
+
+
+def _number(value: Any, where: str) -> float:
+    return number(value, where, UNITS)
+
+
+def _corner(value: Any, where: str) -> float | None:
+    """The tolerance of rounding; None for "stop"."""
+    if value == "stop":
+        return None
+    if isinstance(value, str):
+        raise ValueError(f'{where} = {brief(value)} is not "stop", or a tolerance as a number')
+    tolerance = _number(value, where)
+    require("", where, tolerance, "(0, inf)", note=', or "stop"')
+    return tolerance
+
+
+def _need_axes(table: Table, setting: Setting, d: int) -> None:
+    if len(setting.axes) != d:
+        raise ValueError(
+            f"{table.where}: a path of {d} axes for {len(setting.axes)} outputs "
+            f"({', '.join(setting.axes)}); needed is one axis for each output"
+        )
+
+
+def _said(error: ValueError) -> str:
+    return str(error).removeprefix("plan: ")
+
+
+PATHS: dict[str, Callable[[Table, Setting, Any], tuple[np.ndarray, str]]] = {
+    "circle": _circle,
+    "nurbs": _nurbs,
+    "butterfly": _butterfly,
+    "points": _points,
+    "gcode": _gcode,
+}

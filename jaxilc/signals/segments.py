@@ -1,0 +1,197 @@
+"""Straight and circular segments, and chains of them with rounded corners."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+
+import numpy as np
+
+FARTHEST = 1e9  # largest coordinate [mm]
+SHORTEST = 1e-9  # coordinates that differ by less are one place [mm]
+
+
+@dataclasses.dataclass(frozen=True)
+class Straight:
+    """The straight segment from `start` to `end`, (d,) each."""
+
+    start: np.ndarray
+    end: np.ndarray
+
+    @property
+    def length(self) -> float:
+        return float(np.linalg.norm(self.end - self.start))
+
+    def at(self, s) -> np.ndarray:
+        """(M, d) positions at the lengths s, (M,)."""
+        return self.start + np.multiply.outer(s, self.slopes[0])
+
+    @property
+    def slopes(self) -> tuple[np.ndarray, np.ndarray]:
+        """The derivative of the position by the length at both ends, (d,) each."""
+        slope = (self.end - self.start) / self.length
+        return slope, slope
+
+
+@dataclasses.dataclass(frozen=True)
+class Arc:
+    """A circular arc in the plane of two axes; all other axes move linearly, as in a helix.
+
+    The radius changes linearly from that of the start to that of the end, so that rounded numbers
+    of a program still meet the end.
+
+    start, end: (d,) ends
+    centre:     (2,) centre in the plane
+    plane:      the two axes, in the order in which a positive angle turns the first to the second
+    sweep:      the angle [rad], positive anticlockwise
+    """
+
+    start: np.ndarray
+    end: np.ndarray
+    centre: np.ndarray
+    plane: tuple[int, int]
+    sweep: float
+
+    @property
+    def radii(self) -> np.ndarray:
+        """(2,) distances of the start and the end from the centre."""
+        ends = np.stack([self.start, self.end])[:, list(self.plane)]
+        return np.linalg.norm(ends - self.centre, axis=1)
+
+    @property
+    def length(self) -> float:
+        along = (self.end - self.start)[self._others]
+        return float(np.hypot(np.mean(self.radii) * self.sweep, np.linalg.norm(along)))
+
+    @property
+    def _others(self) -> list[int]:
+        return [i for i in range(len(self.start)) if i not in self.plane]
+
+    @property
+    def _first_angle(self) -> float:
+        x, y = self.start[list(self.plane)] - self.centre
+        return float(np.arctan2(y, x))
+
+    def at(self, s) -> np.ndarray:
+        """(M, d) positions at the lengths s, (M,)."""
+        share = np.asarray(s, float) / self.length
+        position = self.start + np.multiply.outer(share, self.end - self.start)
+        angle = self._first_angle + share * self.sweep
+        radius = self.radii[0] + share * (self.radii[1] - self.radii[0])
+        round_it = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        position[..., list(self.plane)] = self.centre + radius[..., None] * round_it
+        return position
+
+    @property
+    def slopes(self) -> tuple[np.ndarray, np.ndarray]:
+        """The derivative of the position by the length at both ends, (d,) each."""
+        found = []
+        for radius, angle in zip(self.radii, (0.0, self.sweep), strict=True):
+            slope = self.end - self.start
+            cos, sin = np.cos(self._first_angle + angle), np.sin(self._first_angle + angle)
+            around = self.sweep * radius * np.array([-sin, cos])
+            slope[list(self.plane)] = around + (self.radii[1] - self.radii[0]) * np.array(
+                [cos, sin]
+            )
+            found.append(slope / self.length)
+        return found[0], found[1]
+
+
+Segment = Straight | Arc
+
+
+def turn(before: Segment, after: Segment) -> float:
+    """The angle by which the direction changes from one segment to the next [rad]."""
+    a, b = before.slopes[1], after.slopes[0]
+    a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
+    return float(2 * np.arctan2(np.linalg.norm(a - b), np.linalg.norm(a + b)))
+
+
+class Chain:
+    """Segments one after the other as one curve over the length, with rounded corners.
+
+        c(s) = p(s) + sum_i D_i b((s - s_i) / a),    D_i = p'(s_i+) - p'(s_i-)
+        b(x) = a (int (x - v)^+ k(v) dv - x^+),      k(v) = 15/16 (1 - v^2)^2 for |v| < 1
+
+    p is the chain of segments with its corners at s_i. A polygon is averaged over the length 2 a
+    this way; arcs stay as they are. c has a continuous direction everywhere, and a continuous
+    curvature where p has it on both sides of a corner. |c(s) - p(s)| is at most the tolerance, so
+    each curve lies within the tolerance of the other. Both ends are met: there, the chain goes on
+    as its image in the end point.
+
+    tolerance: the largest |c(s) - p(s)|; a is chosen as large as that allows, but not above half of
+        the chain's length
+    """
+
+    def __init__(self, segments: list[Segment], tolerance: float):
+        self.segments = segments
+        self.ends = np.cumsum([segment.length for segment in segments])
+        self.length = float(self.ends[-1])
+        jumps = [
+            after.slopes[0] - before.slopes[1] for before, after in itertools.pairwise(segments)
+        ]
+        s = self.ends[:-1]
+        self.corners = np.concatenate([-s[::-1], s, 2 * self.length - s[::-1]])
+        d = len(segments[0].start)
+        inner = np.array(jumps).reshape(-1, d)
+        self.jumps = np.concatenate([-inner[::-1], inner, -inner[::-1]])
+        self.reach = self._reach(tolerance) if len(inner) else self.length
+
+    @property
+    def finest(self) -> float:
+        """The smallest of a and the radii of the arcs."""
+        radii = (min(one.radii) for one in self.segments if isinstance(one, Arc))
+        return float(min(self.reach, *radii, self.length))
+
+    def _reach(self, tolerance: float) -> float:
+        """The half width a of the average, for which the curve stays within the tolerance."""
+        largest = np.max(np.linalg.norm(self.jumps, axis=1))
+        least = 0.5 * self.length
+        if not largest > 0:
+            return least
+        reach = min(least, tolerance / (_AT_CORNER * largest))
+        for _ in range(200):
+            near = np.add.outer(self.ends[:-1], reach * np.linspace(-1, 1, 9)).ravel()
+            near = np.clip(near, 0.0, self.length)
+            off = np.max(np.linalg.norm(self._rounding(near, reach), axis=1))
+            if off <= tolerance:
+                break
+            reach *= max(0.5, 0.999 * tolerance / off)
+        return reach
+
+    def _rounding(self, s, reach: float) -> np.ndarray:
+        """(M, d) what rounding adds to the chain at the lengths s, (M,)."""
+        first = np.searchsorted(self.corners, s - reach)
+        last = np.searchsorted(self.corners, s + reach)
+        total = np.zeros((len(s), self.jumps.shape[1]))
+        for i in range(int(np.max(last - first, initial=0))):
+            there = first + i < last
+            at = first[there] + i
+            bump = reach * _bump((s[there] - self.corners[at]) / reach)
+            total[there] += bump[:, None] * self.jumps[at]
+        return total
+
+    def exact(self, s) -> np.ndarray:
+        """(M, d) positions on the segments themselves at the lengths s, (M,)."""
+        s = np.asarray(s, float)
+        of = np.minimum(np.searchsorted(self.ends, s, side="right"), len(self.segments) - 1)
+        position = np.empty((len(s), len(self.segments[0].start)))
+        for i in np.unique(of):
+            at, start = of == i, self.ends[i - 1] if i else 0.0
+            position[at] = self.segments[i].at(s[at] - start)
+        return position
+
+    def __call__(self, s) -> np.ndarray:
+        """(M, d) positions at the lengths s, (M,)."""
+        s = np.asarray(s, float)
+        position = self.exact(s)
+        return position + self._rounding(s, self.reach) if len(self.segments) > 1 else position
+
+
+_AT_CORNER = 0.15625  # b(0) / a
+
+
+def _bump(x) -> np.ndarray:
+    """b(x) / a for |x| <= 1: the average of a corner less the corner itself."""
+    x = np.abs(x)
+    return np.maximum(_AT_CORNER - x / 2 + 15 / 16 * (x**2 / 2 - x**4 / 6 + x**6 / 30), 0.0)

@@ -1,0 +1,227 @@
+"""`jaxilc next`, `trials` and `identify --state` on the shop floor: one campaign through files."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+import scipy.signal
+import typer
+from typer.testing import CliRunner
+
+from jaxilc.cli import hardware, identify
+from jaxilc.hardware import Journal, kept_prediction
+from jaxilc.runtime.provenance import describe
+from jaxilc.scenarios import load_scenario
+
+N, DT, POLE = 40, 0.01, 20.0
+AXIS = f"""trials = 8
+[plant]
+kind = "ProcessModel"
+gain = 1.0
+zeros = []
+poles = [{POLE}]
+frequencies = []
+dampings = []
+[machine.sensor]
+noise = 1e-3
+[task]
+dt = {DT}
+unit = "mm"
+input_unit = "V"
+[task.reference]
+function = "sinusoid"
+amplitude = 1.0
+frequency = 2.5
+duration = {N * DT}
+[schemes.ilc]
+class = "PIDType"
+gamma_p = 1.0
+lead = 3
+[uncertainty]
+"plant.gain" = {{ distribution = "uniform", low = 0.95, high = 1.05 }}
+"""
+PARAMS = {"scenario": "axis", "schemes": {"ilc": {"gamma_p": 1.2}}}
+app = typer.Typer()
+hardware.register(app)
+identify.register(app)
+
+
+def call(*arguments):
+    """Return standard output and standard error of a command; a mistake raises."""
+    result = CliRunner().invoke(app, [str(a) for a in arguments])
+    if result.exception is not None:
+        raise result.exception
+    return result.stdout, result.stderr
+
+
+def measure(folder, j, gain):
+    """Play next.csv on a machine of this gain, by SciPy, and write trial-J.csv."""
+    t, r, u = np.genfromtxt(folder / "next.csv", delimiter=",", skip_header=1).T
+    kept = np.exp(-POLE * DT)
+    y = scipy.signal.lfilter([0.0, gain * (1 - kept)], [1.0, -kept], u)
+    y += 1e-3 * np.random.default_rng(j).normal(size=len(y))
+    path = folder / f"trial-{j}.csv"
+    header = "t [s],r [mm],y [mm],u [V]"
+    np.savetxt(path, np.column_stack([t, r, y, u]), delimiter=",", header=header, comments="")
+    return path, float(np.sqrt(np.mean((r - y)[1:] ** 2)))
+
+
+@pytest.fixture(scope="module")
+def begun(tmp_path_factory):
+    """Return the folder of a campaign with its first two trials, and what its calls printed."""
+    folder = tmp_path_factory.mktemp("floor")
+    (folder / "axis.toml").write_text(AXIS)
+    (folder / "tuned.json").write_text(json.dumps(PARAMS))
+    start = ("--plant-file", folder / "axis.toml", "--params", folder / "tuned.json")
+    said = [call("next", "--state", folder / "x", *start, "--out", folder / "next.csv")]
+    for j in (1, 2):
+        path, _ = measure(folder, j, 1.02)
+        said.append(
+            call("next", "--state", folder / "x", "--measured", path, "--out", folder / "next.csv")
+        )
+    return folder, said
+
+
+@pytest.fixture
+def copied(begun, tmp_path, monkeypatch):
+    """Return a copy of the folder, in which a call of `next` goes on."""
+    monkeypatch.chdir(tmp_path)  # figures without a folder of their own go there
+    shutil.copytree(begun[0], tmp_path / "floor")
+    folder = tmp_path / "floor"
+
+    def go_on(*arguments):
+        return call("next", "--state", folder / "x", "--out", folder / "next.csv", *arguments)
+
+    return folder, go_on
+
+
+def test_the_parameters_are_those_of_the_file_and_of_no_other(copied):
+    folder, go_on = copied
+    recipe = Journal(folder / "x").last_known()["recipe"]
+    assert recipe["parameters"]["values"] == {"gamma_p": 1.2}
+    assert Journal(folder / "x").last_known()["configuration"]["scheme"]["gamma_p"] == 1.2
+    (folder / "other.json").write_text(json.dumps(PARAMS | {"schemes": {"ilc": {"lead": 1}}}))
+    with pytest.raises(ValueError, match=r"other.json has other parameters than .* gamma_p: 1.2 t"):
+        go_on("--params", folder / "other.json")
+    go_on("--params", folder / "tuned.json")
+    (folder / "tuned.json").unlink()
+    assert "gamma_p = 1.2" in go_on()[0]  # the values are in the journal
+
+
+def test_a_trial_stands_beside_its_prediction(begun):
+    folder, said = begun
+    texts = [out for out, _ in said]
+    assert all("the campaign belongs to" in out and "sha256" in out for out in texts)
+    assert "the plant file predicts an RMS error of" in texts[0]
+    assert "95 % of 256 drawn machines" in texts[2]
+    assert "outside" not in "".join(texts)
+    measured = f"--measured {folder / 'trial-3.csv'} --out {folder / 'next.csv'}"
+    assert texts[2].rstrip().endswith(measured)
+
+
+def test_another_machine_is_told_and_its_plant_is_found(copied):
+    folder, go_on = copied
+    go_on("--undo", 0)
+    for j in (1, 2):
+        path, _ = measure(folder, 10 + j, 1.6)
+        _, warned = go_on("--measured", path, "--json", folder / "n.json")
+    assert "warning: trial 2 lies outside the 95 % band" in warned
+    assert f"jaxilc identify --state {folder / 'x'} --out" in warned
+    found = json.loads((folder / "n.json").read_text())
+    assert found["predicted"]["level"] == "clear"
+    assert found["source"]["weights"] == {"ilc.gamma_p": 1.2}
+    assert [f[0] for f in Journal(folder / "x").last_known()["findings"]] == ["note", "warning"]
+    # Its own trials give the plant, and the campaign goes on with the new file.
+    new = folder / "axis-2.toml"
+    out, _ = call("identify", "--state", folder / "x", "--out", new, "--json", folder / "i.json")
+    numbers = json.loads((folder / "i.json").read_text())
+    assert numbers["gain"]["low"] < 1.6 < numbers["gain"]["high"]
+    assert numbers["poles[0]"]["low"] < POLE < numbers["poles[0]"]["high"]
+    assert numbers["trials"] == [1, 2]
+    assert "next: go on with the new file" in out
+    fitted = load_scenario(new)
+    np.testing.assert_allclose(fitted.machine.plant.gain, numbers["gain"]["value"], rtol=1e-12)
+    own = load_scenario(folder / "axis.toml")
+    assert describe([fitted.schemes, fitted.task]) == describe([own.schemes, own.task])
+    path, _ = measure(folder, 13, 1.6)
+    out, warned = go_on("--plant-file", new, "--measured", path)
+    assert "axis-2.toml" in out.splitlines()[0]
+    assert warned == ""
+
+
+def test_a_changed_plant_file_is_told_with_what_it_means(copied):
+    folder, go_on = copied
+    file = folder / "axis.toml"
+    path, _ = measure(folder, 3, 1.02)
+    _, warned = go_on("--plant-file", file, "--measured", path)
+    assert warned == ""
+    file.write_text(AXIS.replace("gain = 1.0", "gain = 1.01"))
+    _, warned = go_on()
+    assert "has changed since the campaign took it" in warned
+    assert "learning goes on as before" in warned
+    file.write_text(AXIS.replace("frequency = 2.5", "frequency = 5.0"))
+    with pytest.raises(ValueError, match=r"it differs in: task.reference.*axis.toml has changed"):
+        go_on()
+    out, warned = call("trials", "--state", folder / "x", "--plot", folder / "t.png")
+    assert "has changed" in warned
+    assert "the figure has no reference" in warned
+    assert (folder / "t.png").stat().st_size > 10_000
+    assert "verdict: trial 3" in out
+
+
+def test_trials_are_numbers_and_a_figure(copied):
+    folder, go_on = copied
+    path, rms = measure(folder, 3, 1.02)
+    go_on("--measured", path, "--no-learn", "--plot", folder / "n.png")
+    call("trials", "--state", folder / "x", "--json", folder / "t.json")
+    found = json.loads((folder / "t.json").read_text())
+    assert [row["trial"] for row in found["trials"]] == [0, 1, 2, 3]
+    assert found["trials"][3]["rms_error"] == pytest.approx(rms, rel=1e-9)
+    assert [place["step"] for place in found["predicted"]["trials"]] == [1, 2, 3]
+    path, _ = measure(folder, 4, 1.02)
+    go_on("--measured", path, "--json", folder / "n.json")
+    assert json.loads((folder / "n.json").read_text())["predicted"]["step"] == 3
+    assert (folder / "n.png").stat().st_size > 10_000
+
+
+def test_nothing_is_predicted_where_it_is_not_wanted(copied):
+    folder, go_on = copied
+    file = folder / "x" / kept_prediction.FILE
+    file.write_text("damaged")
+    assert "is predicted" not in go_on()[0]  # it is not computed for a call that measures nothing
+    path, _ = measure(folder, 3, 1.02)
+    assert "is predicted" not in go_on("--measured", path, "--no-predict")[0]
+    path, _ = measure(folder, 4, 1.02)
+    assert "is predicted" not in go_on("--measured", path)[0]  # it is kept
+    assert file.read_text() == "damaged"
+    path, _ = measure(folder, 5, 1.02)
+    assert "95 % of 256 drawn machines" in go_on("--measured", path, "--predict")[0]
+
+
+def test_what_is_not_the_input_of_the_plant_is_not_fitted(copied, tmp_path):
+    folder, _ = copied
+    new = ("--plant-file", folder / "loop.toml", "--no-predict", "--out", folder / "next.csv")
+    law = 'class = "WithFeedback"\nlearning = { class = "PIDType" }\nfeedback = { class = "PID" }'
+    (folder / "loop.toml").write_text(
+        AXIS.replace('class = "PIDType"\ngamma_p = 1.0\nlead = 3', law)
+    )
+    call("next", "--state", tmp_path / "loop", *new)
+    with pytest.raises(ValueError, match="has no measured trial yet"):
+        call("identify", "--state", tmp_path / "loop", "--out", tmp_path)
+    t, y = np.arange(N + 1) * DT, np.linspace(0, 1, N + 1)
+    header = "t [s],y [mm]"
+    np.savetxt(
+        tmp_path / "t.csv", np.column_stack([t, y]), delimiter=",", header=header, comments=""
+    )
+    call(
+        "next",
+        *("--state", tmp_path / "loop", "--measured", tmp_path / "t.csv", "--replayed-input"),
+        *("--out", folder / "next.csv"),
+    )
+    with pytest.raises(ValueError, match=r"trial 1 was not measured .* In a closed loop"):
+        call("identify", "--state", tmp_path / "loop", "--out", tmp_path)
+    with pytest.raises(ValueError, match="RECORD and --state exclude each other"):
+        call("identify", tmp_path / "t.csv", "--state", tmp_path / "loop")
+    with pytest.raises(ValueError, match="RECORD is missing"):
+        call("identify")

@@ -1,0 +1,195 @@
+"""What a campaign should measure: the band by trial, its alarms, and the file that holds it."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cases import ALGEBRA
+from fuzz import flipped, fuzz
+from gain_case import GAINS, STATIC, TASK
+
+from jaxilc.cli.campaign_lines import new_plant_file, next_command, verdict
+from jaxilc.figures.campaign import bands_by_trial
+from jaxilc.hardware import kept_prediction
+from jaxilc.hardware.prediction import (
+    MACHINES,
+    SEED,
+    Subject,
+    distance,
+    next_step,
+    place_of,
+    predict,
+    prediction_of,
+    simulated,
+    steps,
+)
+from jaxilc.schemes import PIDType
+from jaxilc.storage.sealed import sealed
+from jaxilc.uncertainty import draw
+
+TRIALS, GAMMA = 6, 0.4
+SUBJECT = Subject(STATIC, PIDType(gamma_p=GAMMA), TASK, GAINS)
+
+
+@pytest.fixture(scope="module")
+def predicted():
+    return predict(SUBJECT, TRIALS)
+
+
+def test_the_band_is_that_of_machines_that_each_learn_by_themselves(predicted):
+    # On a gain g the error is (1 - gamma g)^(j-1) r.
+    gains = draw(STATIC, GAINS, MACHINES + 1, seed=SEED)["plant.B"][1:]
+    left = np.abs(1 - GAMMA * gains)[:, None] ** np.arange(TRIALS)
+    r = np.asarray(TASK.reference)[1:]
+    errors, largest = simulated(SUBJECT, TRIALS)
+    np.testing.assert_allclose(errors, left * np.sqrt(np.mean(r**2)), **ALGEBRA)
+    np.testing.assert_allclose(largest, left * np.max(np.abs(r)), **ALGEBRA)
+    # Six of 256 lie below the lower end, or on it, and as many above; the first errors are equal.
+    inside = (errors > predicted.rms.low) & (errors < predicted.rms.high)
+    assert list(np.sum(~inside, axis=0)) == [0] + [12] * (TRIALS - 1)
+    np.testing.assert_allclose(predicted.rms.high[0] / predicted.rms.median[0], 1.01)
+
+
+def noisy_machines(rng, count, trials=20):
+    """Return errors of machines that differ by a factor, by a rate and by noise."""
+    rate = rng.uniform(0.5, 0.8, (count, 1))
+    return rng.lognormal(0, 0.1, (count, 1)) * rate ** np.arange(trials) * rng.lognormal(
+        0, 0.05, (count, trials)
+    ) + rng.uniform(1e-3, 2e-3, (count, trials))
+
+
+def test_how_often_an_alarm_is_false_and_that_a_true_one_is_raised():
+    rng = np.random.default_rng(4)
+    outside, alarms, campaigns, drawn = 0, 0, 0, 256
+    for _ in range(100):  # plant files, each with 200 machines that are as it says
+        errors, largest = noisy_machines(rng, drawn), noisy_machines(rng, drawn)
+        prediction = prediction_of(errors, largest, SUBJECT)
+        e, m = noisy_machines(rng, 200), noisy_machines(rng, 200)
+        far = np.abs([distance(prediction.rms, e), distance(prediction.largest, m)])
+        outside += int(np.sum(far > 1))
+        alarms += int(np.sum(np.max(far, axis=(0, 2)) > prediction.course))
+        campaigns += len(e)
+        other = [place_of(prediction, j + 1, 3 * e[0, j], 3 * m[0, j]) for j in range(20)]
+        assert any(place.level == "clear" for place in other)
+    # Each end of a band is an order statistic of 256 machines, whose share beyond it varies with a
+    # standard deviation of 0.009, and that of an alarm with 0.0055; here are six of them for 100.
+    assert outside / (2 * 20 * campaigns) == pytest.approx(12 / 257, abs=0.01)
+    assert alarms / campaigns == pytest.approx(2 / 257, abs=0.005)
+
+
+def test_a_place_names_the_error_that_lies_further_out(predicted):
+    low, median, high = (float(end[3]) for end in predicted.rms)
+    largest = float(predicted.largest.median[3])
+    assert place_of(predicted, 4, median, largest).level == "within"
+    beyond = high * (high / median) ** (0.5 * (predicted.course - 1))
+    place = place_of(predicted, 4, beyond, largest)
+    assert (place.level, place.error, place.distance > 1) == ("slight", "RMS error", True)
+    place = place_of(predicted, 4, median, 3 * largest)
+    assert (place.level, place.error) == ("clear", "largest error")
+    place = place_of(predicted, 4, low / 3, largest)
+    assert (place.level, place.distance < -1) == ("clear", True)
+    assert place_of(predicted, TRIALS + 1, median, largest) is None
+    assert place_of(predicted, 4, np.nan, largest).level == "clear"
+
+
+def test_machines_that_diverge_are_beyond_every_end():
+    errors = np.tile(np.linspace(1.0, 2.0, 256)[:, None], (1, 3))
+    errors[:20, 2], errors[20:25, 1] = np.nan, np.inf
+    prediction = prediction_of(errors, errors, SUBJECT)
+    assert np.isfinite(prediction.rms.high[0])
+    assert np.isinf(prediction.rms.high[2])
+    assert place_of(prediction, 3, 1e6, 1.5).level == "within"
+    assert place_of(prediction, 3, 1e-6, 1.5).level != "within"
+    assert not np.any(np.isnan(distance(prediction.rms, errors)))
+
+
+def journal_of(*learned):
+    start = {"trial": 0, "serial": 0}
+    return [start, *({"trial": j, "serial": j, "learned": x} for j, x in enumerate(learned, 1))]
+
+
+def test_a_trial_that_was_only_looked_at_repeats_its_step(predicted):
+    live = journal_of(True, False, False, True)
+    assert (steps(live), next_step(live)) == ([1, 2, 2, 2], 3)
+    assert (steps(live[:1]), next_step(live[:1])) == ([], 1)
+    bands = bands_by_trial(live, predicted)
+    assert list(bands.trial) == [1, 2, 3, 4, 5, 6, 7, 8]  # steps 3 to 6 are ahead
+    np.testing.assert_array_equal(bands.high, predicted.rms.high[[0, 1, 1, 1, 2, 3, 4, 5]])
+
+
+def test_the_file_is_computed_once_and_again_where_it_is_damaged(tmp_path, predicted, monkeypatch):
+    asked = []
+
+    def computed(subject, trials):
+        asked.append(trials)
+        return predicted
+
+    monkeypatch.setattr(kept_prediction, "predict", computed)
+
+    def ask(folder, needed=3, subject=SUBJECT, configuration="c"):
+        asked.clear()
+        found = kept_prediction.of_campaign(
+            folder, subject, needed, expected=TRIALS, configuration=configuration
+        )
+        np.testing.assert_array_equal(found.rms.high, predicted.rms.high)
+        assert found.course == predicted.course
+        return list(asked)
+
+    whole = tmp_path / "whole"
+    whole.mkdir()
+    file = whole / kept_prediction.FILE
+    assert ask(whole) == [TRIALS]
+    assert ask(whole) == []
+    assert kept_prediction.kept(whole, "c") is not None
+    assert kept_prediction.kept(whole, "another configuration") is None
+    content = file.read_bytes()
+    for part in (b"", content[:100], b"{}", b"[]", b"\xff"):
+        file.write_bytes(part)
+        assert ask(whole) == [TRIALS]
+    made = json.loads(content)
+    for change in (
+        {"rms": 3},
+        {"largest": {"low": [1], "median": [1], "high": ["x"]}},
+        {"machines": 1e300},
+        {"course": None},
+        {"format": 0},
+    ):
+        broken = {name: of for name, of in (made | change).items() if name != "sha256"}
+        file.write_text(json.dumps(sealed(broken)))
+        assert ask(whole) == [TRIALS]
+    fuzz(20, lambda rng: ask(flipped(rng, whole, tmp_path / "flipped")), ())
+    assert ask(whole, needed=TRIALS + 1) == [2 * TRIALS]
+    assert ask(whole, subject=SUBJECT._replace(uncertainty={})) == [TRIALS]
+    assert ask(Path("/proc/none")) == [TRIALS]  # where it cannot be written, it is not kept
+
+
+def test_the_names_of_the_next_files_follow_those_of_this_call():
+    for measured, out, found in (
+        ("trial-3.csv", "next.csv", "--measured trial-4.csv --out next.csv"),
+        ("a b/t03.csv", "next-4.csv", "--measured 'a b/t4.csv' --out next-5.csv"),
+        ("log.mat", "n.h", "--measured log-4.mat --out n.h"),
+    ):
+        assert found in next_command(Path("x"), 4, Path(measured), Path(out))
+    assert "--measured trial-4.csv --out next.csv" in next_command(Path("x"), 4, None, None)
+    for given, name in (
+        ("axis.toml", "axis-2.toml"),
+        ("d/axis-2.toml", "d/axis-3.toml"),
+        ("x1.toml", "x1-2.toml"),
+    ):
+        assert new_plant_file({"file": {"given": given}}) == name
+    assert new_plant_file({}) == "axis-2.toml"
+
+
+def test_a_verdict_says_whether_learning_goes_on():
+    def said(*errors):
+        live = journal_of(*[True] * len(errors))
+        for manifest, error in zip(live[1:], errors, strict=True):
+            manifest["figures"] = {"error": error}
+        return verdict(live, None, None, "mm", 0.02)[0]
+
+    assert said() == "no trial is measured yet"
+    assert said(2.0, 1.0).endswith("trial 2 has an RMS error of 1 mm, 50.00% of that of trial 1")
+    assert "the best was trial 2 with 1 mm" in said(2.0, 1.0, 1.5)
+    assert "learning has ended" in said(2.0, 1.0, 1.0, 0.995, 0.99)
+    assert "has ended" not in said(2.0, 1.0, 0.99, 0.98, 0.97)

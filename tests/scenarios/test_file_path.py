@@ -1,0 +1,184 @@
+"""Paths of several axes in plant files, against geometry, and `run` and `sweep` along them."""
+
+from __future__ import annotations
+
+import io
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from jaxilc import figures
+from jaxilc.cli.numbers import axes_numbers, run_numbers, sweep_numbers
+from jaxilc.cli.tables import axes_table, swept_axes_table
+from jaxilc.cli.titled_table import Console
+from jaxilc.scenarios.from_file import read_scenario
+from jaxilc.scenarios.judging import judged
+from jaxilc.signals import contour_error
+from jaxilc.sweeps import Sweep
+from jaxilc.sweeps.runs import run_schemes
+from jaxilc.sweeps.summary import summarise
+
+AXIS = {"kind": "state_space", "A": [[0.6]], "B": [[0.4]], "C": [[1.0]], "dt": 0.004}
+OTHER = {"kind": "transfer_function", "num": [0.3], "den": [1.0, -0.7], "dt": 0.004}
+LIMITS = {"feed": 20.0, "acceleration": 800.0, "jerk": 5e4}
+POINTS = "x [mm];y [mm]\n1;1\n3;1\n3;2\n3;2\n1;1\n"
+PROGRAM = "G1 X2 Y0 F1200\nG3 X2 Y2 I0 J1\nG1 X0\nG1 Y0\n"
+ROOT = np.sqrt(0.5)
+KINDS = {
+    "circle": {"path": "circle", "radius": 1.0} | LIMITS,
+    # a quarter of a circle of 2 mm about (-2, 0), as a rational Bezier curve
+    "nurbs": {
+        "path": "nurbs",
+        "points": [[0, 0], [0, 2], [-2, 2]],
+        "weights": [1, ROOT, 1],
+        "knots": [0, 0, 0, 1, 1, 1],
+        "degree": 2,
+    }
+    | LIMITS,
+    "butterfly": {"path": "butterfly", "width": 4.0} | LIMITS,
+    "lines": {"path": "points", "file": "p.csv", "corner": 0.02} | LIMITS,
+    "spline": {"path": "points", "file": "p.csv", "join": "spline"} | LIMITS,
+    "gcode": {"path": "gcode", "file": "p.ngc", "acceleration": 800.0, "jerk": 5e4},
+}
+
+
+def write(folder, reference, **tables):
+    """Write a plant file of two axes with this reference."""
+    (folder / "p.csv").write_text(POINTS)
+    (folder / "p.ngc").write_text(PROGRAM)
+    task = {"dt": 0.004, "unit": "mm", "reference": reference} | tables.pop("task", {})
+    file = {
+        "trials": 2,
+        "plant": {"kind": "TwoAxes", "x": AXIS, "y": OTHER},
+        "task": task,
+        "schemes": {"ilc": {"class": "PIDType", "gamma_p": 0.5}},
+        "uncertainty": {
+            "plant.y.B": {"distribution": "uniform", "low": 0.9, "high": 1.1, "relative": True}
+        },
+    }
+    path = folder / "table.json"
+    path.write_text(json.dumps(file | tables))
+    return path
+
+
+def from_lines(points, corners):
+    """Return the distance of each point from a polygon."""
+    a, b = np.array(corners[:-1])[:, None], np.array(corners[1:])[:, None]
+    share = np.sum((points - a) * (b - a), axis=-1) / np.sum((b - a) ** 2, axis=-1)
+    apart = points - a - np.clip(share, 0, 1)[..., None] * (b - a)
+    return np.min(np.linalg.norm(apart, axis=-1), axis=0)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_path_is_a_reference_from_its_start(kind, tmp_path):
+    made = read_scenario(write(tmp_path, KINDS[kind]))
+    r = np.asarray(made.task.reference)
+    assert made.task.names == ("x", "y")
+    assert made.judged_by == "contour_max"
+    assert_allclose(r[0], 0.0, atol=1e-12)
+    speed = np.linalg.norm(np.diff(r, axis=0), axis=1) / 0.004
+    assert 15 < np.max(speed) <= 20 * (1 + 1e-6) or kind == "butterfly"
+    (note,) = made.chosen
+    triangle = [(0, 0), (2, 0), (2, 1), (0, 0)]
+    if kind == "circle":
+        assert_allclose(np.linalg.norm(np.add(r, [1, 0]), axis=1), 1.0, rtol=1e-9)
+    elif kind == "nurbs":
+        assert_allclose(np.linalg.norm(np.add(r, [2, 0]), axis=1), 2.0, rtol=1e-9)
+    elif kind == "lines":
+        assert np.max(from_lines(r, triangle)) <= 0.02
+        assert "2 corners rounded within 0.02 mm" in note or "1 corner rounded" in note
+    elif kind == "spline":
+        assert np.min(np.linalg.norm(r - [2, 1], axis=1)) < 0.05  # within a sample of the point
+    elif kind == "gcode":
+        straight = from_lines(r, [(2, 2), (0, 2), (0, 0), (2, 0)])
+        on_arc = np.abs(np.linalg.norm(r - [2, 1], axis=1) - 1.0)
+        assert np.max(np.where(r[:, 0] > 2, on_arc, straight)) < 1e-9
+        assert "1 stop on the way, none rounded" in note
+
+
+def test_a_path_is_run_and_swept_with_the_names_of_its_axes(tmp_path):
+    made = read_scenario(write(tmp_path, KINDS["gcode"] | {"rest": 0.02}, tolerance=0.5))
+    parts = (made.machine, made.schemes, made.task, made.trials)
+    dataset, _ = run_schemes(*parts, quantities=made.functions)
+    found = run_numbers(made, dataset)
+    of_run = found["schemes"]["ilc"]
+    assert list(of_run["axes"]) == ["x", "y"]
+    error = np.abs(dataset["e"].sel(scheme="ilc", trial=2, channel="y"))[1:]
+    assert of_run["axes"]["y"]["max_error"]["2"] == float(error.max())
+    distance = contour_error(dataset["y"].values[0, -1], made.task.reference, window=64)[1:]
+    assert of_run["contour_max"]["2"] == pytest.approx(float(np.max(np.abs(distance))))
+    assert of_run["contour_rms"]["2"] == pytest.approx(float(np.sqrt(np.mean(distance**2))))
+    swept = Sweep(*parts, uncertainty=made.uncertainty, machines=3, quantities=made.functions).run()
+    summary = summarise(swept, 0.5, metric=made.judged_by)
+    numbers = sweep_numbers(made, summary, 0.5, 3) | axes_numbers(made, swept, 0.5)
+    of_sweep = numbers["axes"]["ilc"]
+    assert list(of_sweep) == ["x", "y", "contour"]
+    assert of_sweep["contour"]["worst"] == numbers["schemes"]["ilc"]["by_trial"]["2"]["worst"]
+    assert of_sweep["contour"]["yield"] == numbers["schemes"]["ilc"]["yield"]
+    of_y = swept["max_error"].sel(scheme="ilc", channel="y", trial=2)
+    assert of_sweep["y"]["worst"] == float(of_y.max())
+    drawn = figures.contour(dataset, "ilc", (1, 2))
+    assert [drawn[0].get_xlabel(), drawn[0].get_ylabel()] == ["x [mm]", "y [mm]"]
+    for table in (axes_table(found), swept_axes_table(numbers)):
+        console = Console(file=io.StringIO(), width=80)
+        console.print(table)
+        lines = console.file.getvalue().splitlines()
+        assert max(map(len, lines)) <= 80
+        assert sum("│ contour" in line for line in lines) == 1
+
+
+def test_axes_share_a_table_and_take_names(tmp_path):
+    plant = {"kind": "ThreeAxes", "axis": AXIS}
+    reference = KINDS["nurbs"] | {"points": [[0, 0, 0], [0, 2, 1], [1, 2, 2]]}
+    made = read_scenario(write(tmp_path, reference, plant=plant, uncertainty={}))
+    assert made.task.names == ("x", "y", "z")
+    assert list(made.quantities) == ["contour_max", "contour_rms"]
+    named = read_scenario(write(tmp_path, KINDS["circle"], task={"names": ["x", "z"]}))
+    assert named.task.names == ("x", "z")
+    assert judged(named, "rms").tolerance is None
+
+
+def test_a_metric_that_is_not_there_is_refused(tmp_path):
+    made = read_scenario(write(tmp_path, KINDS["circle"]))
+    with pytest.raises(ValueError, match=r"metric = 'contour'.*contour_max"):
+        judged(made, "contour")
+    with pytest.raises(ValueError, match="judged_by: metric = 'effort'"):
+        read_scenario(write(tmp_path, KINDS["circle"], judged_by="effort"))
+
+
+SINE = {"function": "sinusoid", "amplitude": 1.0, "frequency": 5.0, "duration": 0.4}
+REFUSED = {
+    r"the plant has 2 outputs \(x, y\), and 1 of them has a reference": SINE,
+    "task.reference.feed is missing": {**KINDS["circle"], "feed": None},
+    r"feed = 0 mm/s is outside its allowed range \(0, inf\)": {**KINDS["circle"], "feed": 0},
+    "task.reference.acceleration = 0 is outside": {**KINDS["circle"], "acceleration": 0},
+    r"acceleration = \[1, 2, 3\] is not one number": {**KINDS["circle"], "acceleration": [1, 2, 3]},
+    "path = 'ellipse' is not one of": {**KINDS["circle"], "path": "ellipse"},
+    r"a path of 3 axes for 2 outputs \(x, y\)": {**KINDS["nurbs"], "points": [[0, 0, 0]] * 3},
+    "knots has 2 numbers; 3 points of degree 2 need 6": {**KINDS["nurbs"], "knots": [0, 1]},
+    r"corner = 'round' is not \"stop\"": {**KINDS["lines"], "corner": "round"},
+    "corner = -1 is outside its allowed range": {**KINDS["lines"], "corner": -1},
+    "corners is not a key here; did you mean corner": {**KINDS["lines"], "corners": 1},
+    "table.json is no .*|has no column 'x'": {**KINDS["lines"], "file": "table.json"},
+    "p.csv, line 1: .* is no word": {**KINDS["gcode"], "file": "p.csv"},
+    "is no file": {**KINDS["gcode"], "file": "."},
+}
+
+
+@pytest.mark.parametrize("said", REFUSED)
+def test_what_is_no_path_is_refused_by_its_key(said, tmp_path):
+    reference = {key: value for key, value in REFUSED[said].items() if value is not None}
+    with pytest.raises(ValueError, match=said):
+        read_scenario(write(tmp_path, reference))
+
+
+def test_the_example_of_the_guide_is_a_scenario(tmp_path):
+    page = (Path(__file__).parents[2] / ".ci/docs/guide/paths.md").read_text()
+    for name, language in (("axis.toml", "toml"), ("part.ngc", "gcode")):
+        (tmp_path / name).write_text(page.split(f"```{language}\n")[1].split("```")[0])
+    made = read_scenario(tmp_path / "axis.toml")
+    assert made.tolerance == 0.02
+    assert "0 stops on the way, 2 corners rounded within 0.02 mm" in made.chosen[0]

@@ -1,0 +1,172 @@
+"""These tests check tool paths of segments and G-code programs.
+
+The references are compared with dense points of each path, written from geometry alone, and with
+averages of polygons by quadrature.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from jaxilc.signals.gcode import read_gcode
+from jaxilc.signals.segments import Chain, Straight
+from jaxilc.signals.tool_path import Dwell, Move, follow
+
+LIMITS = {"acceleration": 500.0, "jerk": 2e4, "dt": 2e-3}
+SLACK = 1e-6
+# 10 mm to the right, a quarter circle up, a sharp corner to the left, an arc by R back to the start
+PROGRAM = """%
+O1 (a part)
+N10 G21 G17 G90 ; millimetres
+N20 G1 X10 Y0 F1200 M3 S8000
+N30 G3 X15 Y5 I0 J5
+G91 X-5 Y0 R2.5
+G90 G1 X0 Y5
+G3 X0 Y0 R-2.5
+M30
+G77 (never read)
+"""
+
+
+def arc(centre, radius, first, last):
+    """Return points on an arc from one angle to another, in degrees."""
+    angle = np.radians(np.linspace(first, last, 4001))
+    return np.asarray(centre) + radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+def straight(a, b):
+    return np.linspace(a, b, 4001)
+
+
+DENSE = [
+    straight((0, 0), (10, 0)),
+    arc((10, 5), 5, -90, 0),
+    arc((12.5, 5), 2.5, 0, 180),
+    straight((10, 5), (0, 5)),
+    arc((0, 2.5), 2.5, 90, 270),
+]
+
+
+def farthest(points, path):
+    """Return the largest distance of the points from dense points of a path, by a full search."""
+    return max(np.min(np.linalg.norm(path - p, axis=1)) for p in points)
+
+
+def used(reference, limits=LIMITS):
+    """Return the largest speed of a reference, and the shares of the limits that it uses."""
+    held, dt = np.pad(reference, ((3, 3), (0, 0)), mode="edge"), limits["dt"]
+    v, a, j = (np.linalg.norm(np.diff(held, i, axis=0), axis=1).max() / dt**i for i in (1, 2, 3))
+    return v, a / limits["acceleration"], j / limits["jerk"]
+
+
+def test_a_program_is_the_path_that_geometry_says_and_keeps_its_limits():
+    steps = read_gcode(PROGRAM, ("x", "y"))
+    lengths = [10, 2.5 * np.pi, 2.5 * np.pi, 10, 2.5 * np.pi]
+    assert_allclose([step.segment.length for step in steps], lengths, rtol=1e-12)
+    for step, dense in zip(steps, DENSE, strict=True):
+        s = np.linspace(0, step.segment.length, 4001)
+        assert_allclose(step.segment.at(s), dense, atol=1e-12)
+    path = np.concatenate(DENSE)
+    # the second arc goes on from the first one in its direction, so only one corner is left
+    for corner, stops, rounded in ((None, 1, 0), (0.05, 0, 1)):
+        made = follow(steps, corner=corner, **LIMITS)
+        assert (made.stops, made.rounded) == (stops, rounded)
+        assert farthest(made.reference[::5], path) < (0.05 if corner else 0) + 2e-3
+        assert farthest(path[::50], made.reference) < (0.05 if corner else 0) + 0.021  # 0.04 apart
+        assert max(*used(made.reference)[1:], used(made.reference)[0] / 20) < 1 + SLACK
+        assert_allclose(made.reference[[0, -1]], 0.0, atol=1e-9)
+
+
+def test_a_rounded_polygon_is_its_average_and_uses_its_tolerance():
+    corners = np.array([[0, 0], [4, 0], [4, 3], [3, 3], [3, 1.0], [0, 1]])
+    segments = [Straight(a, b) for a, b in itertools.pairwise(corners)]
+    chain = Chain(segments, 0.05)
+    s = np.linspace(0, chain.length, 4001)
+    off = np.linalg.norm(chain(s) - chain.exact(s), axis=1)
+    assert 0.049 < np.max(off) <= 0.05
+    a = chain.reach
+    nodes, weights = np.polynomial.legendre.leggauss(400)
+    inner = s[(s > a) & (s < chain.length - a)][::200]
+    kernel = weights * 15 / 16 * (1 - nodes**2) ** 2
+    averaged = [kernel @ chain.exact(at + a * nodes) for at in inner]
+    assert_allclose(chain(inner), averaged, atol=1e-5)
+    assert_allclose(chain(np.array([0.0, chain.length])), corners[[0, -1]], atol=1e-12)
+
+
+def test_stops_dwells_and_reversals():
+    go, turn_back = (
+        Straight(np.zeros(2), np.array([5.0, 0])),
+        Straight(np.array([5.0, 0]), np.zeros(2)),
+    )
+    made = follow([Move(go, 20.0), Dwell(0.1), Move(turn_back, 20.0)], corner=0.05, **LIMITS)
+    at_end = np.flatnonzero(np.all(made.reference == [5.0, 0.0], axis=1))
+    assert (made.stops, len(at_end)) == (1, 51)  # 0.1 s after the sample of arrival
+    made = follow([Move(go, 20.0), Move(turn_back, 20.0)], corner=0.05, **LIMITS)
+    assert (made.stops, made.rounded) == (1, 0)  # a reversal cannot be rounded
+    other = Straight(np.array([5.0, 0]), np.array([9.0, 0]))
+    assert follow([Move(go, 20.0), Move(other, 10.0)], corner=None, **LIMITS).stops == 1
+    assert follow([Move(go, 20.0), Move(other, 20.0)], corner=None, **LIMITS).stops == 0
+
+
+def test_limits_of_each_axis_hold_on_a_straight_line():
+    steep = Straight(np.zeros(2), np.array([8.0, 6.0]))
+    limits = LIMITS | {"acceleration": (500.0, 60.0), "jerk": (2e4, 2e3)}
+    made = follow([Move(steep, 20.0)], corner=None, **limits).reference
+    held = np.pad(made, ((3, 3), (0, 0)), mode="edge")
+    a, j = (np.abs(np.diff(held, i, axis=0)).max(axis=0) / 2e-3**i for i in (2, 3))
+    assert np.all(a <= np.array([500, 60]) * (1 + SLACK))
+    assert a[1] > 0.95 * 60
+    assert np.all(j <= np.array([2e4, 2e3]) * (1 + SLACK))
+
+
+def test_planes_units_and_a_helix():
+    program = "G20 G1 X1 F60\nG21\nG17 G3 X25.4 Y0 Z4 I-5.4 J0\nG18 G3 X25.4 Z8 I0 K2\nG19 G2 Y4 R2"
+    moves = read_gcode(program, ("x", "y", "z"))
+    assert_allclose([moves[0].feed, moves[0].segment.end[0]], 25.4)
+    s = np.linspace(0, 1, 3601)
+    helix = np.concatenate([arc((20, 0), 5.4, 0, 360)[::1], np.linspace(0, 4, 4001)[:, None]], 1)
+    assert_allclose(
+        moves[1].segment.at(np.linspace(0, moves[1].segment.length, 4001)), helix, atol=1e-9
+    )
+    # anticlockwise seen from +y: from z to x
+    x, y, z = moves[2].segment.at(s * moves[2].segment.length).T
+    assert_allclose(
+        [x, z], [25.4 + 2 * np.sin(np.pi * (s + 1)), 6 + 2 * np.cos(np.pi * (s + 1))], atol=1e-9
+    )
+    # clockwise seen from +x: from y = 0 over the larger z
+    x, y, z = moves[3].segment.at(s * moves[3].segment.length).T
+    assert_allclose([y, z], [2 - 2 * np.cos(np.pi * s), 8 + 2 * np.sin(np.pi * s)], atol=1e-9)
+
+
+REFUSED = {
+    "line 2: G1 needs a feed": "G21\nG1 X3",
+    "line 1: G0 needs the key `rapid`": "G0 X3",
+    r"line 1: F = 0 is outside its allowed range \(0, inf\)": "G1 X3 F0",
+    "line 2: G2: the radius is 4 mm at its start and 6 mm at its end": "G1 X10 F9\nG2 X20 I4 J0",
+    "line 1: G3: R = 1 mm is too small for ends that are 10 mm apart": "G3 X10 R1 F9",
+    "line 1: G2 with R ends where it starts": "G2 R4 F9",
+    "line 1: G3 has R and I": "G3 X4 R4 I2 F9",
+    "line 1: G2 in G17 needs I and J, or R": "G2 X4 F9",
+    "line 1: G2 in G18 needs the axes X and Z": "G18 G2 X4 I2 F9",
+    "line 3: G5 is not supported; allowed are G0, G1": "G1 X4 F9\n\nG5 X8",
+    "line 1: Z is no axis here; the machine has X, Y": "G1 X4 Z2 F9",
+    "line 1: A is not supported": "G1 X4 A2 F9",
+    "line 1: X is given twice": "G1 X4 X5 F9",
+    "line 1: I is no word of G1": "G1 X4 I5 F9",
+    "line 1: X4 without G0": "X4",
+    "line 1: G0 and G1 in one line": "G0 G1 X4 F9",
+    "line 1: 'HELLO' is no word": "G1 X4 F9 hello",
+    "line 2: G4 needs its duration": "G1 X4 F9\nG4",
+    "line 1: X1e.10 leads beyond": "G1 X10000000000 F9",
+    "the program has no move": "(nothing)",
+}
+
+
+@pytest.mark.parametrize("said", REFUSED)
+def test_what_is_no_program_is_refused_with_its_line(said):
+    with pytest.raises(ValueError, match=said):
+        read_gcode(REFUSED[said], ("x", "y"))
