@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from ..theory.q_filter import Curves
 
-SEEN = 1e-3  # |Q| below which nothing is shown
+SEEN = 1e-2  # |Q| below which nothing of L P is shown
 SLOWEST = 1e-3  # of the last frequency shown
 FLOOR = 1e-3  # least magnitude of P shown, against the largest
 SHARES = (0.01, 10.0)  # of |Q| and |L P| that are shown
@@ -26,7 +26,7 @@ def q_filter_figure(
     """|P|, then |Q| and |L P|, then |Q (1 - L P)| with its band, against frequency; three axes.
 
     The band is from the least to the largest value of the family; of a measured response it is its
-    scatter. The largest value is marked. The frequencies shown end where |Q| has fallen to 0.001.
+    scatter. The largest value is marked. The frequencies shown end where |Q| has fallen to 0.01.
 
     families: curves by name, from `theory.q_filter` or `theory.measured_law`
     margin:   that was asked for; 0 for no line
@@ -37,7 +37,8 @@ def q_filter_figure(
         f, style = curves.f, style_of(i)
         if not any(_same_plant(curves, other) for other in list(families.values())[:i]):
             axes[0].loglog(f, np.abs(curves.P), **style, label=name)
-        axes[1].loglog(f, np.abs(curves.LP), **style, label=f"|L P|, {name}")
+        LP = np.where(np.abs(curves.Q) > SEEN, np.abs(curves.LP), np.nan)
+        axes[1].loglog(f, LP, **style, label=f"|L P|, {name}")
         shade = {"color": str(0.5 * i / len(families)), "linestyle": style["linestyle"]}
         axes[1].loglog(f, np.abs(curves.Q), **shade, label=f"|Q|, {name}")
         top = int(np.argmax(curves.high))
@@ -77,4 +78,5 @@ def _limits(axes, families) -> None:
 
 
 def _same_plant(one: Curves, other: Curves) -> bool:
-    return len(one.f) == len(other.f) and bool(np.allclose(one.P, other.P))
+    seen = np.interp(one.f, other.f, np.abs(other.P))
+    return bool(np.allclose(np.abs(one.P), seen, rtol=0.02))
