@@ -14,6 +14,7 @@ from ..schemes import Filtered, PIDType
 from ..signals import references
 from ..signals.task import Task
 from ..theory.by_frequency import largest_of
+from ..theory.filtered_law import Lines, low_pass, widest
 from ..theory.frequency import Loop, grid, linear_loop, response
 from ..theory.law import law_of
 from ..theory.loop import minimal
@@ -106,7 +107,8 @@ def starting_law(
         for _ in range(4):
             if law is None:
                 break
-            sizes = np.max(_low_pass(f, law.cutoff, dt) * np.abs(_kept(P, f, dt, law)), axis=1)
+            kept = 1 - law.gamma_p * np.exp(2j * np.pi * f * dt * (1 + law.lead)) * P
+            sizes = np.max(low_pass(f, law.cutoff, dt, ORDER) * np.abs(kept), axis=1)
             nominal, *others = _enclosed(loops, [0, *np.argsort(-sizes)[:NEAREST]], law, dt)
             worst = max(others, key=lambda one: one.value)
             law = law._replace(
@@ -157,36 +159,22 @@ def _largest_cutoff(P, f, dt, task, largest, delay: int) -> StartingLaw | None:
     steady = P[:, 0].real
     if np.any(steady * steady[0] <= 0) or not np.all(np.isfinite(P)):
         return None
-    cutoffs = np.geomspace(min(2 / task.duration, 0.1 / dt), 0.4 / dt, 60)
-    Q = _low_pass(f, cutoffs[:, None], dt)
     leads = np.r_[0, np.geomspace(1, max(1, min(500, task.N // 8)), 40).astype(int)]
     leads = np.unique(np.r_[leads, delay + leads])
-    found = []
-    for lead in leads:
-        for share in SHARES:
-            gamma_p = _rounded(share / np.max(np.abs(steady)), 3) * np.sign(steady[0])
-            law = StartingLaw(float(gamma_p), int(lead), np.nan, len(P), np.inf, np.inf, np.nan)
-            kept = np.max(np.abs(_kept(P, f, dt, law)), axis=0)
-            allowed = np.flatnonzero(np.max(Q * kept, axis=1) <= largest)
-            if len(allowed):
-                cutoff = cutoffs[allowed[-1]]
-                slow = np.max(kept[f <= cutoff / 5], initial=0.0)
-                found.append((cutoff, slow, law))
-    if not found:
+    unit = 1 / np.max(np.abs(steady))
+    gains = [_rounded(share * unit, 3) * np.sign(steady[0]) for share in SHARES]
+    lowest = min(2 / task.duration, 0.1 / dt)
+    law = widest([_lines(P, f, dt)], ORDER, gains, leads, largest, lowest)
+    if law is None:
         return None
-    widest = max(cutoff for cutoff, _, _ in found)
-    cutoff, _, law = min((one for one in found if one[0] >= 0.7 * widest), key=lambda one: one[1])
-    return law._replace(cutoff=_rounded(float(cutoff), 2))
+    cutoff = _rounded(min(law.cutoff, 0.4 / dt), 2)
+    return StartingLaw(law.gain, law.lead, cutoff, len(P), np.inf, np.inf, np.nan)
 
 
-def _kept(P, f, dt, law):
-    """(S, F) 1 - L P"""
-    return 1 - law.gamma_p * np.exp(2j * np.pi * f * dt * (1 + law.lead)) * P
-
-
-def _low_pass(f, cutoff, dt):
-    """Q as `ZeroPhaseButterworth` has it."""
-    return 1 / (1 + (np.tan(np.pi * f * dt) / np.tan(np.pi * cutoff * dt)) ** (2 * ORDER))
+def _lines(P, f, dt) -> Lines:
+    """The responses with a law of gain 1 and lead 0."""
+    one = np.exp(2j * np.pi * f * dt)
+    return Lines(f, P, np.zeros(P.shape), np.ones(len(f)), one, dt)
 
 
 def _enclosed(loops: list[Loop], which, law: StartingLaw, dt: float) -> list[Largest]:
