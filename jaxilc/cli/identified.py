@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,6 +25,19 @@ class Asked(NamedTuple):
     dt: float | None
     averages: int | None
     reading: dict[str, Any]
+
+    def options(self) -> str:
+        """The options on reading as they are typed, each after a blank."""
+        reading = self.reading
+        usual = {"time": "t", "input": "u", "output": "y"}
+        given = {name: of for name, of in reading.items() if of and of != usual.get(name)}
+        given |= {"columns": ",".join(reading["columns"])} if reading["columns"] else {}
+        given |= {"dt": self.dt, "averages": self.averages}
+        return "".join(
+            f" --{name.replace('_', '-')} {shlex.quote(format(of))}"
+            for name, of in given.items()
+            if of is not None
+        )
 
 
 class Fitted(NamedTuple):

@@ -36,7 +36,7 @@ def identify(
     record: Annotated[
         Path | None,
         typer.Argument(
-            metavar="[RECORD]",
+            metavar="RECORD",
             help="Columns of time, input, output; or of a frequency response; or a .mat file.",
         ),
     ] = None,
@@ -98,8 +98,8 @@ def identify(
 ) -> None:
     """A plant from a recorded experiment or a measured frequency response, with its reliability.
 
-    A frequency response is known by its header: f [Hz], then re and im, or magnitude [dB] and
-    phase [deg], or complex text; std, variance or coherence if there is one.
+    A frequency response is known by its header: frequency, then re and im, or magnitude and phase,
+    each with its unit, or complex text; std, variance or coherence if there is one.
     With --out axis.toml it also writes a plant file that every other command takes.
     With --state the record is what a campaign of `jaxilc next` has measured; the plant
     file is then that of the campaign, with the fitted plant in it.
@@ -146,7 +146,7 @@ def identify(
             "--out FILE.toml of a frequency response needs --dt, the sample time of its hold"
         )
     fitted = (of_response if is_response else of_record)(record, asked)
-    _written(record, fitted, plant_file, out_dir, json_file, report)
+    _written(record, asked, fitted, plant_file, out_dir, json_file, report)
 
 
 def _is_response(path: Path, names: list[str]) -> bool:
@@ -159,7 +159,7 @@ def _is_response(path: Path, names: list[str]) -> bool:
     return is_frequency_response(path)
 
 
-def _written(record: Path, fitted, plant_file, out_dir, json_file, report) -> None:
+def _written(record: Path, asked, fitted, plant_file, out_dir, json_file, report) -> None:
     """Figures, plant file, numbers and report; the verdict and the next command are printed."""
     from .. import figures
     from ..figures.report import command_report
@@ -173,7 +173,7 @@ def _written(record: Path, fitted, plant_file, out_dir, json_file, report) -> No
         said, has_law = _plant_file(plant_file, fitted, str(record))
         lines.append(said)
         paths.append(plant_file)
-    lines.append(_next(record, fitted, plant_file, has_law))
+    lines.append(_next(record, asked, fitted, plant_file, has_law))
     for line in lines:
         out.print(line, highlight=False)
     page = command_report(
@@ -211,22 +211,19 @@ def _plant_file(path: Path, fitted, source: str) -> tuple[str, bool]:
     )
 
 
-def _next(record: Path, fitted, plant_file: Path | None, has_law: bool) -> str:
+def _next(record: Path, asked, fitted, plant_file: Path | None, has_law: bool) -> str:
     """The sentence with the next command to type."""
     if plant_file is not None:
         file = shlex.quote(str(plant_file))
         if has_law:
-            return f"Next: jaxilc run {file}"
-        return f"Next: write a table [schemes] into {file}, then jaxilc certify {file}"
-    if not fitted.found.white and len(fitted.tables) == 1:  # no table of orders was made
-        return (
-            f"Next: jaxilc identify {shlex.quote(str(record))} --auto looks for another structure"
-        )
+            return f"Next: jaxilc design {file}, or jaxilc run {file} with the law in it"
+        return f"Next: jaxilc design {file}"
+    again = f"jaxilc identify {shlex.quote(str(record))}{asked.options()}"
+    if not fitted.found.white and asked.structure:
+        return f"Next: {again} --auto compares structures"
     chosen = " ".join(f"--{name} {value}" for name, value in fitted.structure.items())
-    sampled = f" --dt {fitted.dt:g}" if fitted.found.of_response and fitted.dt else ""
-    if fitted.found.of_response and not fitted.dt:
-        sampled = " --dt DT"
+    sampled = " --dt DT" if fitted.found.of_response and asked.dt is None else ""
     return (
-        f"Next: jaxilc identify {shlex.quote(str(record))} {chosen}{sampled} --out axis.toml "
-        "writes a plant file for all other commands"
+        f"Next: {again} {chosen}{sampled} --out axis.toml writes a plant file for all other "
+        "commands"
     )

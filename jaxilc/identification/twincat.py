@@ -13,20 +13,22 @@
     EOF                                      where this was asked for
 
 The key `Name` stands above each column of times. With the option "Timelines: for each sample time",
-channels of one sample time share a column: Name, a, b, Name, c. A separator is a tab, semicolon or
-comma, a decimal mark a comma or a point. With "Full timestamp" the times are ticks of 100 ns since
-1601. Channels of longer sample times end in earlier rows, or repeat their last time and value
+channels of one sample time share a column: Name, a, b, Name, c. The separator is what stands behind
+the first `Name`: a tab, semicolon, comma or colon; not a blank, since keys and names have blanks
+within. A decimal mark is a comma or a point. With "Full timestamp" the times are ticks of 100 ns
+since 1601. Channels of longer sample times end in earlier rows, or repeat their last time and value
 ("Interpolation: fill with previous value").
 """
 
 from __future__ import annotations
 
+import csv
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from ..storage.columns import LARGEST_TABLE, SEPARATORS, is_number, numbers_in
+from ..storage.columns import LARGEST_TABLE, is_number, numbers_in
 from ..storage.reading import read_text
 from .resampling import Signal
 from .time_column import STEP_TOLERANCE
@@ -48,9 +50,17 @@ class _Export(NamedTuple):
 
 def is_twincat(path: str | Path) -> bool:
     """Whether a text file is an export of TwinCAT Scope: `Name`, then a key of the scope."""
-    lines = read_text(path, LARGEST_TABLE)[:4096].splitlines()[:MOST_HEADER]
-    heads = [line.replace(";", "\t").replace(",", "\t").split("\t")[0].strip() for line in lines]
-    return heads[:1] == ["Name"] and any(head in OF_THE_SCOPE for head in heads)
+    text = read_text(path, LARGEST_TABLE)[:4096]
+    if not text.startswith("Name") or not _separator(text):
+        return False
+    heads = [line.split(_separator(text))[0] for line in text.splitlines()[:MOST_HEADER]]
+    return any(head.strip('"') in OF_THE_SCOPE for head in heads)
+
+
+def _separator(text: str) -> str:
+    """What stands behind the first key, `Name`; "" where that separates nothing."""
+    behind = text[4:5]
+    return "" if behind.isalnum() or behind in "\r\n\"'" else behind
 
 
 def read_twincat(path: str | Path, names: list[str]) -> list[Signal]:
@@ -65,9 +75,14 @@ def read_twincat(path: str | Path, names: list[str]) -> list[Signal]:
 
 def _export(path) -> _Export:
     text = read_text(path, LARGEST_TABLE)
-    lines = text.splitlines()
-    separator = next((d for d in "\t" + SEPARATORS if d in text[:4096]), "\t")
-    rows = [[cell.strip() for cell in line.split(separator)] for line in lines]
+    separator = _separator(text)
+    if separator == " ":
+        raise ValueError(
+            f"read_record: {path} is an export of TwinCAT Scope separated by blanks; export it "
+            "with tabs or semicolons"
+        )
+    read = csv.reader(text.splitlines(), delimiter=separator)
+    rows = [[cell.strip() for cell in row] or [""] for row in read]
     first = next((i for i, row in enumerate(rows) if is_number(row[0])), len(rows))
     heads = [i for i in range(first) if rows[i][0] == "Name"]
     if not heads or first == len(rows):

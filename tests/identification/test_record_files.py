@@ -160,6 +160,9 @@ def test_channels_of_different_times_are_named(tmp_path):
         read_record(path, **names)
     with pytest.raises(ValueError, match=r"has no channel 'u'; present are torque, position"):
         read_record(path)
+    path.write_text(scope(*zip(T, U, T, Y, strict=True)).replace("\t", " "))
+    with pytest.raises(ValueError, match="separated by blanks; export it with tabs"):
+        read_record(path, **names)
     path.write_text(SCOPE + "Name\ta\tName\tb\n")
     with pytest.raises(ValueError, match="without channels or without data"):
         read_record(path)
