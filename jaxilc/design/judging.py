@@ -16,7 +16,7 @@ from ..sweeps.summary import SchemeSummary
 from .candidates import Candidate
 
 LONG = 3, 60, 200  # the sweep has so many times the trials asked for, within these bounds
-LIKE = 1.05  # errors within this factor count as equal; the simpler law is then taken
+LIKE = 1.02  # errors within this factor count as equal; the simpler law is then taken
 SETTLED = 1.05  # factor above its best value within which the error counts as settled
 GROWN = 2.0  # factor by which the error may not have grown at the end of the sweep
 

@@ -20,7 +20,7 @@ from ..uncertainty import Uncertainty
 from .candidates import Candidate
 from .responses import Family
 
-EARLY = 0.3  # weight of the errors of all trials, beside that of the last one
+EARLY = 0.1  # weight of the errors of all trials, beside that of the last one
 WORST = 0.75  # level of the conditional value at risk: the mean of the worst quarter of machines
 STEPS_BACK = (1.0, 0.8, 0.6, 0.4, 0.2)  # ways from the safe weights to the tuned ones, in logarithm
 

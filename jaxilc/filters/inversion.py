@@ -167,7 +167,7 @@ class ZPETC(Inverse):
 def _need_rows(inverse: Inverse) -> None:
     """Give an empty list of sections, as a file may have it, the shape of no rows."""
     for name in ("forward", "backward"):
-        if np.shape(getattr(inverse, name, None)) == (0,):
+        if np.shape(vars(inverse).get(name, 0.0)) == (0,):
             object.__setattr__(inverse, name, np.zeros((0, 5)))
 
 

@@ -3,23 +3,51 @@
 from __future__ import annotations
 
 import dataclasses
-import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tomlkit
 
-from ..pytree.fields import is_decorated, kind_of
+from ..pytree.fields import kind_of
 from ..schemes import Scheme
 from ..storage.files import atomically
 from .from_file import read_scenario
+from .specification import HIDDEN, classes
 
 
-def table_of(name: str, scheme: Scheme) -> str:
-    """The lines of `[schemes.NAME]` that describe a scheme, without fields at their default."""
-    lines = [f"[schemes.{json.dumps(name)}]", f'class = "{type(scheme).__name__}"']
-    lines += [f"{field} = {_value(value)}" for field, value in _fields(scheme)]
-    return "\n".join(lines) + "\n"
+def table_of(made: Any) -> dict[str, Any]:
+    """The table of a scheme, a filter or a model, with the name of its class.
+
+    Fields that have their default value are left out. Raises ValueError for a class that a file
+    cannot name.
+    """
+    cls = type(made)
+    if classes().get(cls.__name__) is not cls:
+        raise ValueError(f"{cls.__name__} is no class that a plant file can name")
+    table: dict[str, Any] = {"class": cls.__name__}
+    for field in dataclasses.fields(made):
+        value = getattr(made, field.name)
+        if field.name in HIDDEN or value is None or _is_default(value, field.default):
+            continue
+        table[field.name] = table_of(value) if kind_of(field) == "child" else _plain(value)
+    return table
+
+
+def toml_of(schemes: Mapping[str, Scheme]) -> str:
+    """The tables `[schemes.NAME]` as text; parts of a scheme are tables in one line.
+
+    Raises ValueError as `table_of` does.
+    """
+    document, made = tomlkit.document(), tomlkit.table(is_super_table=True)
+    for name, scheme in schemes.items():
+        table = tomlkit.table()
+        for key, value in table_of(scheme).items():
+            table.append(key, _item(value))
+        made.append(name, table)
+    document.append("schemes", made)
+    return tomlkit.dumps(document)
 
 
 def write_with_scheme(path: Path, source: str, name: str, scheme: Scheme) -> tuple[Path, bool]:
@@ -29,7 +57,7 @@ def write_with_scheme(path: Path, source: str, name: str, scheme: Scheme) -> tup
     names files that are not found from the folder of the new file, the table alone is written, to
     be added to a file by hand.
     """
-    table = f"\n# Found by `jaxilc filter`.\n{table_of(name, scheme)}"
+    table = f"\n# Found by `jaxilc filter`.\n{toml_of({name: scheme})}"
     before = Path(source).read_text() if Path(source).suffix == ".toml" else ""
     _write(path, before + table)
     if before:
@@ -45,29 +73,26 @@ def _write(path: Path, text: str) -> None:
     atomically(path, lambda file: file.write(text.encode()))
 
 
-def _fields(tree: Any) -> list[tuple[str, Any]]:
-    """The fields of an object that differ from their default."""
-    found = []
-    for field in dataclasses.fields(tree):
-        value = getattr(tree, field.name)
-        default = field.default
-        same = (
-            default is not dataclasses.MISSING
-            and kind_of(field) != "child"
-            and (value is None) == (default is None)
-            and np.array_equal(np.asarray(value), np.asarray(default))
-        )
-        if not same and value is not None:
-            found.append((field.name, value))
-    return found
+def _item(value: Any) -> Any:
+    if not isinstance(value, Mapping):
+        return tomlkit.item(value)
+    table = tomlkit.inline_table()
+    for key, inner in value.items():
+        table.append(key, _item(inner))
+    return table
 
 
-def _value(value: Any) -> str:
-    """A value as TOML."""
-    if is_decorated(type(value)):
-        inside = [f'class = "{type(value).__name__}"']
-        inside += [f"{name} = {_value(one)}" for name, one in _fields(value)]
-        return "{ " + ", ".join(inside) + " }"
-    if isinstance(value, str | bool):
-        return json.dumps(value)
-    return repr(np.asarray(value).tolist())
+def _is_default(value: Any, default: Any) -> bool:
+    if default is dataclasses.MISSING or default is None:
+        return False
+    try:
+        return bool(np.shape(value) == np.shape(default) and np.all(np.asarray(value) == default))
+    except (TypeError, ValueError):
+        return value == default
+
+
+def _plain(value: Any) -> Any:
+    """A number, text or list."""
+    if isinstance(value, str | bool | int):
+        return value
+    return list(value) if isinstance(value, tuple) else np.asarray(value).tolist()

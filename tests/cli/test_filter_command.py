@@ -9,7 +9,7 @@ import pytest
 
 from jaxilc.cli import main
 from jaxilc.filters import ZeroPhaseButterworth
-from jaxilc.scenarios.scheme_table import table_of, write_with_scheme
+from jaxilc.scenarios.scheme_table import toml_of, write_with_scheme
 from jaxilc.schemes import Filtered, LearningFilter, PIDType, WithFeedback
 from jaxilc.schemes.pid import PID
 from jaxilc.theory import offers, q_filter
@@ -177,6 +177,6 @@ def test_a_scheme_is_written_as_it_is_read(here):
         "lead": 4,
     }
     whole = Filtered(PIDType(gamma_p=0.4), ZeroPhaseButterworth(20.0))
-    nested = tomllib.loads(table_of("a b", whole))["schemes"]["a b"]
+    nested = tomllib.loads(toml_of({"a b": whole}))["schemes"]["a b"]
     assert nested["scheme"] == {"class": "PIDType", "gamma_p": 0.4}
     assert nested["filter"] == {"class": "ZeroPhaseButterworth", "cutoff": 20.0}
