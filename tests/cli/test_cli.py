@@ -544,7 +544,9 @@ def test_a_help_page_fits_80_columns(name):
     assert shown.exit_code == 0
     assert max(map(len, shown.stdout.splitlines())) <= 80
     assert "…" not in shown.stdout
-    assert ("--machines" in shown.stdout) == (name in ("sweep", "certify", "tune", "pareto"))
+    assert ("--machines" in shown.stdout) == (
+        name in ("sweep", "certify", "tune", "pareto", "design", "filter")
+    )
     assert ("[@METRIC]" in shown.stdout) == (name in ("tune", "pareto"))
 
 
