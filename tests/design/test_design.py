@@ -164,7 +164,7 @@ def test_a_law_is_judged_by_its_worst_trial_after_those_asked_for():
 
 
 def test_the_simplest_of_equal_laws_is_first_and_lost_ones_are_left_out():
-    errors = {"lost": [1, 0.1], "simple": [1, 0.51], "best": [1, 0.5], "worse": [1, 0.9]}
+    errors = {"lost": [1, 0.1], "simple": [1, 0.504], "best": [1, 0.5], "worse": [1, 0.9]}
     judged = [verdict(name, of_sweep(high), 2, None) for name, high in errors.items()]
     judged[0] = judged[0]._replace(lost="diverges")
     assert [one.candidate for one in ranked(judged)] == ["simple", "best", "worse"]
