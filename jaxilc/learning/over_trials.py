@@ -159,8 +159,9 @@ def _learn(machine, scheme, task, trials, key, memory, first, save) -> History:
         memory, trial, kept = trial_and_learning(for_carry(carry[0]), j)
         return (for_carry(memory), trial), kept
 
+    # with a number of the type of j, so that the scan finds the trial traced already
     blank = jax.tree.map(
-        lambda s: jnp.zeros(s.shape, s.dtype), jax.eval_shape(trial_and_learning, memory, 1)[1]
+        lambda s: jnp.zeros(s.shape, s.dtype), jax.eval_shape(trial_and_learning, memory, first)[1]
     )
     blocks = max(d for d in range(1, math.isqrt(trials) + 1) if trials % d == 0)
     # two trials in each pass of the loop: the second reads what the first wrote, without a copy

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -25,20 +27,31 @@ def run_trial(machine: Machine, scheme: Scheme, task: Task, memory, key) -> Tria
     The function is pure and can be called inside `jit`. Fields of the returned `Trial` have N or
     N+1 rows.
     """
-    return run_and_measure(machine, scheme, task, memory, key)[0]
+    return _run(machine, scheme, task, memory, key, measured=False)[0]
 
 
 def run_and_measure(
     machine: Machine, scheme: Scheme, task: Task, memory, key
 ) -> tuple[Trial, Metrics]:
     """The record of `run_trial` and its metrics, which are computed in the same pass."""
+    return _run(machine, scheme, task, memory, key, measured=True)
+
+
+def _run(
+    machine: Machine, scheme: Scheme, task: Task, memory, key, *, measured: bool
+) -> tuple[Trial, Any]:
+    """The record of a trial and its metrics, or None in their place.
+
+    XLA would drop metrics that nobody reads, but tracing and differentiating them takes time.
+    """
     machine = machine.sampled(task.dt)
     if (
         machine.answers_at_once
         and scheme.plays_back
         and not scheme.signals(scheme.initial_state(task))
     ):
-        return _at_once(machine, scheme.schedule(memory, task).u, task, key)
+        trial = _at_once(machine, scheme.schedule(memory, task).u, task, key)
+        return trial, measure(trial, task) if measured else None
     plant, dt, r, preview = machine.plant, task.dt, jnp.asarray(task.reference), scheme.preview
     draws = machine.draws(key, task)
     future = jnp.pad(r[1:], ((0, preview - 1), (0, 0)), mode="edge")
@@ -51,17 +64,16 @@ def run_and_measure(
         v, u = machine.actuate(command, v_last, dt)
         x = plant.step(x, _plus(u, d_u), dt)
         y = machine.measure(_plus(plant.output(x), d_y), noise)
-        seen = lax.stop_gradient((next_r - y, u))
-        return (x, state, v, None if unaltered else u, y, tally.add(*seen, settled)), (
-            y,
-            u,
-            scheme.signals(state),
-        )
+        if measured:
+            tally = tally.add(*lax.stop_gradient((next_r - y, u)), settled)
+        return (x, state, v, None if unaltered else u, y, tally), (y, u, scheme.signals(state))
 
     d_y, noise, unaltered = draws.output, draws.sensor, machine.actuator is None
     x, rest = plant.initial_state(), jnp.zeros(task.inputs)
     y = machine.measure(_plus(plant.output(x), _at(d_y, 0)), _at(noise, 0))
-    tally = Tally.start(lax.stop_gradient(r[0] - y), task.inputs, task.settled.start == 0)
+    tally: Any = None
+    if measured:
+        tally = Tally.start(lax.stop_gradient(r[0] - y), task.inputs, task.settled.start == 0)
     carry = (x, scheme.initial_state(task), rest, None if unaltered else rest, y, tally)
     rows = (
         jnp.arange(task.N),
@@ -71,16 +83,16 @@ def run_and_measure(
         draws.input,
         _at(d_y, slice(1, None)),
         _at(noise, slice(1, None)),
-        _is_settled(task)[1:],
+        _is_settled(task)[1:] if measured else None,
     )
     carry, record = lax.scan(tick, carry, for_scan(rows), unroll=usual_unroll())
     y_next, u, signals = for_scan(record)
     trial = Trial(r, jnp.concatenate([y[None], y_next]), u, dt, signals)
-    return trial, carry[-1].metrics(trial, task)
+    return trial, carry[-1].metrics(trial, task) if measured else None
 
 
-def _at_once(machine: Machine, command, task: Task, key) -> tuple[Trial, Metrics]:
-    """The trial and the metrics for a plant that computes all outputs at once from all inputs.
+def _at_once(machine: Machine, command, task: Task, key) -> Trial:
+    """The trial of a plant that computes all outputs at once from all inputs.
 
     command: (N, n_u) input that the scheme plays back [unit of u]
     """
@@ -89,8 +101,7 @@ def _at_once(machine: Machine, command, task: Task, key) -> tuple[Trial, Metrics
     y = machine.measure(
         _plus(machine.plant.response(_plus(u, draws.input), task.dt), draws.output), draws.sensor
     )
-    trial = Trial(jnp.asarray(task.reference), y, u, task.dt)
-    return trial, measure(trial, task)
+    return Trial(jnp.asarray(task.reference), y, u, task.dt)
 
 
 def _is_settled(task: Task) -> np.ndarray:
