@@ -226,19 +226,27 @@ assert slopes[-1] < 1e-3 * slopes[0]
 # %%
 trials, growth = 60, Figure(figsize=(7.2, 4.2), layout="constrained", dpi=150).subplots()
 growing = replaced(scheme, {gain: 0.8, cutoff: 60.0, lead: 4})
-for name, law, colour in (
-    ("lead 4", growing, figures.COLOURS[1]),
-    ("lead 12", replaced(growing, {lead: 12}), figures.COLOURS[0]),
-):
 
-    def errors(gamma, law=law):
+
+@jax.jit
+def slope_and_map(gamma, law):
+    """The errors of all trials, their slopes by the gain, and the matrix M of one trial."""
+
+    def errors(gamma):
         return jaxilc.learn(
             quiet, replaced(law, {gain: gamma}), task, trials, save=lambda trial: trial.e[1:, 0]
         ).saved
 
-    e, slope = jax.jit(lambda gamma, errors=errors: jax.jvp(errors, (gamma,), (1.0,)))(0.8)
     map_ = contraction.error_map(quiet, law, task)
-    M = np.asarray(jax.jit(jax.jacfwd(lambda e, map_=map_: map_.f(e)[-1]))(map_.at))
+    return *jax.jvp(errors, (gamma,), (1.0,)), jax.jacfwd(lambda e: map_.f(e)[-1])(map_.at)
+
+
+for name, law, colour in (
+    ("lead 4", growing, figures.COLOURS[1]),
+    ("lead 12", replaced(growing, {lead: 12}), figures.COLOURS[0]),
+):
+    e, slope, M = slope_and_map(0.8, law)
+    M = np.asarray(M)
     powers = [np.linalg.norm(np.linalg.matrix_power(M, j), 2) for j in range(trials - 1)]
     lengths = np.linalg.norm(slope, axis=1)
     growth.semilogy(
@@ -276,7 +284,7 @@ growth.figure
 law = replaced(growing, {gain: 0.3})
 options = {"weights": [gain], "objective": Final("rms"), "machines": 1, "held_out": 0}
 cut = {}
-for K in (2, 5, 10, 20):
+for K in (2, 20):
     problem = Tuning(quiet, law, task, 20, **options, truncate=K)
     cut[K] = float(
         jax.jit(jax.grad(lambda gamma, problem=problem: problem.loss_of(quiet, {gain: gamma})))(0.3)
