@@ -6,7 +6,7 @@ import os
 # Most of the time of these tests is compilation. Without LLVM's optimiser and the newer code
 # generator it takes half as long. `XLA_FLAGS= pytest` tests the programs as users get them.
 FLAGS = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
-os.environ.setdefault("XLA_FLAGS", FLAGS)
+QUICKLY_COMPILED = os.environ.setdefault("XLA_FLAGS", FLAGS) == FLAGS
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # its threads would wait for one another
 os.environ.setdefault("JAXILC_CACHE", "off")  # it would write to the user's folder
 
@@ -21,7 +21,10 @@ import pytest  # noqa: E402
 from cases import PLANTS, task_for  # noqa: E402
 from jax.experimental.compilation_cache import compilation_cache  # noqa: E402
 
-from jaxilc.learning import Machine  # noqa: E402
+from jaxilc.learning import Machine, over_trials  # noqa: E402
+
+if QUICKLY_COMPILED:  # a pass of two trials takes twice as long to compile
+    over_trials.TRIALS_A_PASS = 1
 
 
 def pytest_addoption(parser):

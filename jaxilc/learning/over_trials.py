@@ -28,6 +28,8 @@ from .within_trial import run_and_measure
 LITTLE = 2**24  # bytes, below which the size is not checked
 # number of signals that a trial holds in RAM while it runs, with its schedule and its copies
 OF_A_TRIAL = 32
+# trials in each pass of the loop over them: the second reads what the first wrote, without a copy
+TRIALS_A_PASS = 2
 PROGRAMS = 8  # number of compiled programs, of different `save`, that are kept
 
 
@@ -164,8 +166,8 @@ def _learn(machine, scheme, task, trials, key, memory, first, save) -> History:
         lambda s: jnp.zeros(s.shape, s.dtype), jax.eval_shape(trial_and_learning, memory, first)[1]
     )
     blocks = max(d for d in range(1, math.isqrt(trials) + 1) if trials % d == 0)
-    # two trials in each pass of the loop: the second reads what the first wrote, without a copy
-    block = partial(lax.scan, body, unroll=1 if trials // blocks % 2 else 2)
+    unroll = 1 if trials // blocks % TRIALS_A_PASS else TRIALS_A_PASS
+    block = partial(lax.scan, body, unroll=unroll)
     # a gradient is computed block by block, and each block is run again from the memory at its
     # start
     (memory, final), kept = lax.scan(
