@@ -51,7 +51,7 @@ def design(
     ] = None,
     margin: Annotated[
         float, typer.Option(help="Least distance of |Q (1 - L P)| from 1, on every machine.")
-    ] = 0.1,
+    ] = 0.05,
     trials: Trials = None,
     machines: Annotated[
         int, typer.Option("--machines", help="Machines on which the laws are judged.")

@@ -114,7 +114,7 @@ def design_table(chosen: Scenario, found: Design) -> Table:
     scale, unit = chosen.shown(chosen.judged_by)
     name = chosen.judged_by.replace("_", " ")
     table = Table(
-        "law", "largest |Q (1 - L P)|", f"95 % [{unit}]" if unit else "95 %", "settled", "verdict",
+        "law", "|Q (1 - L P)|", f"95 % [{unit}]" if unit else "95 %", "settled", "verdict",
         title=f"{chosen.name}: {name} on {found.machines} machines, trials {found.trials} to "
         f"{found.long}",
     )  # fmt: skip

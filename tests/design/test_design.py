@@ -179,7 +179,14 @@ def test_a_design_that_is_resumed_ends_as_it_was(tmp_path):
     machine = Machine(ProcessModel(2.0, poles=[150.0]), sensor=Sensor(noise=1e-4))
     task = Task(TASK.reference[:61], dt=DT)
     given = machine, task, 4, {"plant.gain": WIDE["plant.gain"]}, tmp_path / "state"
-    settings = {"laws": ["p-type"], "machines": 9, "steps": 2, "metric": "rms", "tolerance": 0.5}
+    settings = {
+        "margin": 0.1,
+        "laws": ["p-type"],
+        "machines": 9,
+        "steps": 2,
+        "metric": "rms",
+        "tolerance": 0.5,
+    }
     stages = []
     found = design_law(*given, **settings, told=lambda stage, what: stages.append(stage))
     assert list(dict.fromkeys(stages)) == [
