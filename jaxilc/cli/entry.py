@@ -14,6 +14,7 @@ from . import (
     design,
     hardware,
     identify,
+    init,
     pareto,
     reproduce,
     run,
@@ -84,6 +85,7 @@ def options(
 
 # in the order of `--help`
 COMMANDS = (
+    init,
     run,
     sweep,
     identify,

@@ -42,7 +42,7 @@ TASK = {
     "reference": {"function": "sinusoid", "amplitude": 1.0, "frequency": 10.0, "duration": 0.1},
 }
 SCHEMES = {"ilc": {"class": "PIDType", "gamma_p": 0.5}}
-NORM_OPTIMAL = {"class": "NormOptimal", "w_e": 1.0}
+NORM_OPTIMAL = {"class": "NormOptimal", "w_q": 1.0}
 U = np.sin(0.7 * np.arange(60)) + 0.3
 
 
