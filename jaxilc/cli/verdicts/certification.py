@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ...theory.certificates import CONVERGES, DIVERGES, MONOTONE, NOTHING
+from ...theory.certificates import CONVERGES, DIVERGES, GROWS, MONOTONE, NOTHING, TURNS
 from ..tables import number
 from .case import Case
 from .next_command import Verdict
@@ -58,9 +58,14 @@ def _after_certify(
             scheme = case.asked.name_of(best, [*case.learns])
             return "on the machine", case.asked.following("next", *words, scheme=scheme)
         return "the worst machine", case.on("worst-case", best)
-    diverging = [name for name, row in numbers.items() if row["claims"][DIVERGES]]
-    if diverging:
+    lost = [name for name, row in numbers.items() if _ends_badly(row)]
+    if lost:
         if case.designable:
-            return case.remedy(diverging[0])
-        return "the worst machine", case.on("worst-case", diverging[0])
+            return case.remedy(lost[0])
+        return "the worst machine", case.on("worst-case", lost[0])
     return "many machines by simulation", case.on("sweep", next(iter(numbers)))
+
+
+def _ends_badly(row: dict[str, Any]) -> bool:
+    """Whether a scheme diverges, or its simulated error has grown at the end, on some machine."""
+    return bool(row["claims"][DIVERGES] or row["observed"][TURNS] or row["observed"][GROWS])

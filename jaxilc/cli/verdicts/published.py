@@ -17,7 +17,10 @@ def reproduce_verdict(rows: Sequence[dict[str, Any]]) -> Verdict:
     """
     met = sum(row["verdict"] == "met" for row in rows)
     open_rows = [row for row in rows if row["verdict"] == "open"]
-    said = f"{met} of {len(rows)} published numbers are met within 30 %, {len(open_rows)} are open."
+    said = (
+        f"{met} of {len(rows)} published numbers are met within 30 %, "
+        f"{len(rows) - met - len(open_rows)} in shape, {len(open_rows)} open."
+    )
     if not rows:
         return Verdict((said,))
     farthest = max(open_rows or rows, key=_off)

@@ -46,7 +46,7 @@ def run_verdict(
     errors: errors of the trials by scheme [unit of the case], infinite where a trial diverged
     """
     trials = numbers["trials"]
-    best = min(errors, key=lambda name: _last(errors[name]))
+    best = min(errors, key=lambda name: (_diverged(errors[name]), errors[name][-1]))
     first, last = errors[best][0], errors[best][-1]
     course = trend_of(errors[best])
     if course.kind == trends.DIVERGES:
@@ -84,7 +84,7 @@ def _subject(course: Trend) -> str:
 def _after_run(case: Case, best: str, course: Trend, passed: bool, trials: int) -> tuple[str, str]:
     if not case.learns[best] or course.kind == trends.GROWS:
         return case.remedy(best)
-    if course.kind == trends.FALLS:
+    if course.kind == trends.FALLS and (case.tolerance is None or not passed):
         return "until it settles", case.on("run", best, trials=2 * trials)
     if not passed:
         return case.remedy(best)
@@ -108,7 +108,7 @@ def sweep_verdict(
     if lost:
         second = lost
     elif course.words and case.learns[best]:
-        second = f"The largest error of 95 % {course.words}."
+        second = f"The 95 % error {course.words}."
     else:
         second = ""
     enough = row["yield"] is None or row["yield"] >= ENOUGH
@@ -120,7 +120,10 @@ def _yield(case: Case, numbers: dict[str, Any], row: dict[str, Any]) -> str:
     if row["yield"] is None:
         return ""
     machines, (low, high) = numbers["samples"], row["yield_interval"]
-    which = f"{row['yield']:.1%} of {machines} machines (95 % interval {low:.1%} to {high:.1%})"
+    which = (
+        f"{_percent(row['yield'])} of {machines} machines (95 % interval {_percent(low)} to "
+        f"{_percent(high)})"
+    )
     if row["yield"] == 1:
         which = f"all {machines} machines"
     return f"{which} end within {case.size(numbers['tolerance'])}; "
@@ -129,12 +132,12 @@ def _yield(case: Case, numbers: dict[str, Any], row: dict[str, Any]) -> str:
 def _spread(case: Case, numbers: dict[str, Any], row: dict[str, Any]) -> str:
     """The 95 % quantile of the last trial, and the worst machine."""
     at = row["by_trial"][str(numbers["trials"])]
-    of = f" of {numbers['samples']} machines" if row["yield"] is None else ""
+    which = "of them" if row["yield"] is not None else f"of {numbers['samples']} machines"
     if not math.isfinite(at["high"]):
-        return f"fewer than 95 %{of} end with an error that has not diverged"
+        return f"fewer than 95 % {which} end with an error that has not diverged"
     worst = case.size(at["worst"]) if math.isfinite(at["worst"]) else "one that has diverged"
     return (
-        f"95 %{of} end with a {case.metric} of at most {case.size(at['high'])}, the worst "
+        f"95 % {which} end with a {case.metric} of at most {case.size(at['high'])}, the worst "
         f"(machine {at['worst_sample']}) with {worst}"
     )
 
@@ -144,13 +147,14 @@ def _lost(row: dict[str, Any]) -> str:
     parts = []
     if row["diverged"]:
         parts.append(
-            f"{row['diverged']:.1%} of the machines diverge, the first in trial "
+            f"{_percent(row['diverged'])} of the machines diverge, the first in trial "
             f"{row['diverged_at']}"
         )
     if row["semi_converged"]:
+        times = number(row["grown_to"])
         parts.append(
-            f"on {row['semi_converged']:.1%} the error has grown up to {number(row['grown_to'])} "
-            "times since its best trial"
+            f"on {_percent(row['semi_converged'])} the error has grown up to {times} times since "
+            "its best trial"
         )
     said = "; ".join(parts)
     return f"{said[:1].upper()}{said[1:]}." if said else ""
@@ -166,9 +170,17 @@ def _after_sweep(case: Case, best: str, sound: bool, enough: bool) -> tuple[str,
     return "what theory claims", case.on("certify", best)
 
 
+def _percent(share: float) -> str:
+    return f"{100 * share:.1f} %"
+
+
 def _both(first: str, second: str) -> tuple[str, ...]:
     """The sentences that are not empty."""
     return tuple(one for one in (first, second) if one)
+
+
+def _diverged(errors: Sequence[float]) -> bool:
+    return not all(math.isfinite(error) for error in errors)
 
 
 def _last(errors: Sequence[float]) -> float:

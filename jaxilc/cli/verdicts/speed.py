@@ -26,7 +26,8 @@ def bench_verdict(rows: Mapping[str, Mapping[str, Any]], asked: Sequence[str]) -
         return Verdict((), what, following)
     contest, times = max(whole.items(), key=lambda item: (len(item[1]), item[1][OURS]["plants"]))
     name, plants = contest.rpartition("/")[0], times[OURS]["plants"]
-    first = f"{name}, {plants} plants: {number(times[OURS]['ns_best'])} ns for each sample of each"
+    count = f"{plants} plant{'s' * (plants != 1)}"
+    first = f"{name}, {count}: {number(times[OURS]['ns_best'])} ns for each sample of each"
     said = [f"{first} trial of each plant."]
     if GRADIENT in times:
         ratio = number(times[GRADIENT]["ns_best"] / times[OURS]["ns_best"])

@@ -1,9 +1,10 @@
 """Whether an error is still falling, has settled, or grows: its course over the trials, in words.
 
-    diverges  the error of the last trial is not finite
-    grows     it is more than 1 + GROWTH times that of the best trial, as in `divergence`
-    falls     the median of the last trials is more than SETTLED below each trial before them
-    settled   none of these; from the first trial on whose error is within SETTLED of that median
+    diverges  the error of a trial is not finite
+    grows     that of the last trial is more than 1 + GROWTH times that of the best trial, as in
+              `learning.divergence`
+    falls     the median of the last trials is more than CHANGE below each trial before them
+    settled   none of these; from the first trial on whose error is within CHANGE of that median
 
 The last trials are a tenth of them, and three at least. Errors below EXACT of the first one count
 as zero, since rounding alone moves them.
@@ -41,15 +42,15 @@ class Trend(NamedTuple):
 def trend_of(errors: Sequence[float]) -> Trend:
     """The trend of the errors of J trials, infinite where a trial diverged."""
     first, J = errors[0], len(errors)
-    if not all(math.isfinite(error) for error in (first, errors[-1])):
+    if not all(math.isfinite(error) for error in errors):
         return Trend(DIVERGES, "diverges", _best(errors))
     if J == 1:
         return Trend(SINGLE, "", 1)
-    level = [max(error, EXACT * first) if math.isfinite(error) else math.inf for error in errors]
+    level = [max(error, EXACT * first) for error in errors]
     best = _best(level)
     if level[-1] > (1 + GROWTH) * level[best - 1]:
-        times = number(level[-1] / level[best - 1])
-        return Trend(GROWS, f"has grown {times} times since trial {best}", best)
+        times = f" {number(level[-1] / level[best - 1])} times" if level[best - 1] > 0 else ""
+        return Trend(GROWS, f"has grown{times} since trial {best}", best)
     window = min(max(WINDOW, J // 10), J - 1)
     last = median(level[-window:])
     if last < (1 - CHANGE) * min(level[:-window]):
