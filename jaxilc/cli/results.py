@@ -21,6 +21,13 @@ def show(tables: Iterable[Table] = (), lines: Iterable[str] = ()) -> None:
     for table in tables:
         out.print(table)
     for line in lines:
+        out.print(line, highlight=False)
+
+
+def tell(verdict: Verdict) -> None:
+    """Print a verdict; the next command stays one line, so that it can be copied."""
+    show(lines=verdict.said)
+    for line in verdict.lines[len(verdict.said) :]:
         out.print(line, highlight=False, soft_wrap=True)
 
 
@@ -88,6 +95,6 @@ def written(
         write_json(json_file, numbers)
         paths = [*paths, json_file]
     if paths:
-        show(lines=["written: " + ", ".join(map(str, paths))])
+        out.print("written: " + ", ".join(map(str, paths)), highlight=False, soft_wrap=True)
     if verdict is not None:
-        show(lines=verdict.lines)
+        tell(verdict)

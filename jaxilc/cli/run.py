@@ -23,7 +23,7 @@ from .options import (
     Set,
     Trials,
 )
-from .results import folder_of, show, written
+from .results import folder_of, show, tell, written
 from .titled_table import Table
 from .verdicts.next_command import Asked, Verdict
 
@@ -54,7 +54,8 @@ def list_(
         for name, (title, schemes, trials, samples) in LISTED.items():
             table.add_row(name, title, ", ".join(schemes), str(trials), str(samples))
         said = f"{len(LISTED)} scenarios of published papers; a plant file describes your machine."
-        show([table], Verdict((said,), "a plant file", "jaxilc init axis.toml").lines)
+        show([table])
+        tell(Verdict((said,), "a plant file", "jaxilc init axis.toml"))
         return
     from ..scenarios.from_file import load_scenario
     from . import tables
@@ -65,7 +66,8 @@ def list_(
     begin("float64")
     chosen = load_scenario(scenario)
     verdict = list_verdict(Case.of(chosen, Asked(scenario)), chosen.settable(), [*chosen.options])
-    show([tables.settable_table(chosen)], verdict.lines)
+    show([tables.settable_table(chosen)])
+    tell(verdict)
 
 
 def run(

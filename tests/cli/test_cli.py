@@ -555,7 +555,9 @@ def test_a_table_fits_80_columns_and_nothing_is_cut(jaxilc_command, monkeypatch,
     monkeypatch.setattr(console.out, "width", 80)
     code, out, _ = jaxilc_command(*words)
     assert code == 0
-    assert max(map(len, out.splitlines())) <= 80
+    *lines, following = out.splitlines()
+    assert re.match("Next, .*: jaxilc ", following), "one line, to be copied"
+    assert max(map(len, lines)) <= 80
     assert "…" not in out
 
 
