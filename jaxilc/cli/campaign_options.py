@@ -45,11 +45,10 @@ NextParams = Annotated[
         "--params", metavar="FILE", help="Parameters to start with; --set goes on top of them."
     ),
 ]
-Predict = Annotated[
-    bool | None,
+NoPredict = Annotated[
+    bool,
     typer.Option(
-        "--predict/--no-predict",
-        help="Predict the errors of the trials by simulation of the plant file; kept.",
+        "--no-predict", help="Predict no errors of trials by the plant file, from now on."
     ),
 ]
 Plot = Annotated[

@@ -23,6 +23,7 @@ from .tuned import tuned
 
 TUNED_ON, HELD_OUT = 24, 24  # machines
 AT_ONCE = 2  # tunings
+BY_FREQUENCY = "by-frequency"  # ends the name of a law whose weights were not tuned
 
 
 class Recommended(NamedTuple):
@@ -70,6 +71,12 @@ def feedback_among(schemes: Mapping[str, Scheme]) -> Scheme | None:
     return next(iter(found.values()), None)
 
 
+def _variants(better: Candidate, safe: Candidate) -> list[Candidate]:
+    """A law as tuned, and as chosen by frequency alone if that differs."""
+    plain = safe._replace(name=f"{safe.name}-{BY_FREQUENCY}")
+    return [better] if better is safe else [better, plain]
+
+
 def design_law(
     machine: Machine,
     task: Task,
@@ -93,7 +100,8 @@ def design_law(
     1. Weights for which |Q (1 - L P)| <= 1 - margin at each frequency, on each machine at the
        corners of the uncertainty (and some within), with the least predicted error.
     2. These tuned by gradient through learning, on other machines, as far as 1. still holds.
-    3. A sweep of all laws over machines that neither step has seen, for longer than asked.
+    3. A sweep of all laws, with both weights, over machines that neither step has seen, for longer
+       than asked.
     4. Of the law with the least 95 % error: the enclosed |Q (1 - L P)|, the certificates of the
        nominal and the worst machine, and which cause adds most to its error.
 
@@ -158,15 +166,16 @@ def design_law(
 
     with ThreadPoolExecutor(AT_ONCE) as threads:  # one compiles while the other computes
         better = list(threads.map(improved, safe))
+    judging = [one for pair in zip(better, safe, strict=True) for one in _variants(*pair)]
     told("judging", machines)
-    schemes, store = {one.name: one.scheme for one in better}, out / "sweep.zarr"
+    schemes, store = {one.name: one.scheme for one in judging}, out / "sweep.zarr"
     sweep = Sweep(machine, schemes, task, long, uncertainty, machines=machines, seed=seed + 2)
     summaries = summarise(
         sweep.run(store, resume=resume and store.exists()), tolerance, metric=metric
     )
     judged = [
         verdict(candidate, summary, trials, tolerance)
-        for candidate, summary in zip(better, summaries, strict=True)
+        for candidate, summary in zip(judging, summaries, strict=True)
     ]
     told("judged", judged)
     chosen: Recommended | None = None

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..identification.records import read_record
+from ..identification.record_files import read_record
 from ..learning.machine import Actuator, Disturbance, Machine, Sensor
 from ..plants import Plant
 from ..plants.cnc_axis import Axes

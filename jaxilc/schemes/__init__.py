@@ -4,6 +4,7 @@ from .compose import ErrorFiltered, Filtered, OnOutputs, WithFeedback
 from .exponential import ExponentialPD
 from .guards import Ladder, StopWhen
 from .higher_order import HigherOrder
+from .learning_filter import LearningFilter
 from .mfac import CFDLMFAC, CFDLMFAPC, FFDLMFAC, PFDLMFAC
 from .mfailc import CFDLMFAILC, FFDLMFAILC, PFDLMFAILC
 from .multivariable import MultivariableILC
@@ -31,6 +32,7 @@ __all__ = [
     "Filtered",
     "HigherOrder",
     "Ladder",
+    "LearningFilter",
     "MultivariableILC",
     "NormOptimal",
     "OnOutputs",
