@@ -109,6 +109,15 @@ def test_run_names_the_best_scheme_how_far_it_came_and_what_to_do():
     assert ran(CASE, grows, ilc=1e-17 * J + (J == 1)).said[0].endswith("settled since trial 2.")
 
 
+def test_a_design_keeps_the_settings_of_machine_and_feedback():
+    settings = ("machine.plant.B=2", "ilc.gamma_p=8", "ilc.feedback.kp=1")
+    case = CASE._replace(asked=Asked("my axis.toml", set=settings))
+    found = ran(case, ilc=[1.0, np.inf])
+    assert found.said == ("ilc diverges within 2 trials.",)
+    name, params = parsed(found)
+    assert (name, params["set_"]) == ("design", ["machine.plant.B=2", "ilc.feedback.kp=1"])
+
+
 def test_run_compares_schemes_and_the_tolerance():
     several = Case(
         Asked("cao-2019", metric="rms", set=("plant=printed",)),

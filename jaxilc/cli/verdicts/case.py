@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -72,10 +73,22 @@ class Case(NamedTuple):
     def remedy(self, best: str) -> tuple[str, str]:
         """What to do where no scheme will do: it in words, and the command."""
         if self.designable:
-            return "a law that suits the machine", self.asked.following("design")
+            return "a law that suits the machine", self._redesigned().following("design")
         if any(self.learns.values()):
             name = best if self.learns[best] else next(n for n, yes in self.learns.items() if yes)
             return "what theory claims", self.on("certify", name)
         if self.asked.schemes:
             return "all schemes", self.asked.following("run")
         return "what can be set", self.asked.following("list")
+
+    def _redesigned(self) -> Asked:
+        """What was asked without the weights of the schemes, which a design chooses itself.
+
+        It takes their feedback, so that settings of a feedback are kept.
+        """
+        kept = (
+            one
+            for one in self.asked.set
+            if ".feedback." in one or one.strip().partition(".")[0] not in self.learns
+        )
+        return dataclasses.replace(self.asked, set=tuple(kept))

@@ -50,7 +50,7 @@ def run_verdict(
     first, last = errors[best][0], errors[best][-1]
     course = trend_of(errors[best])
     if course.kind == trends.DIVERGES:
-        which = "It" if len(errors) == 1 else "Every scheme"
+        which = best if len(errors) == 1 else "Every scheme"
         said = (f"{which} diverges within {trials} trials.",)
         return Verdict(said, *case.remedy(best))
     if last > trends.EXACT * first:
