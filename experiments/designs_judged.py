@@ -1,4 +1,4 @@
-"""`design_law` on 50 random axes, judged by long simulation and against the best of a large grid.
+"""Designs of 50 random axes, judged by long simulation and against the best of a large grid.
 
 An axis is a closed position loop of 8 to 60 Hz with a resonance of damping 0.01 to 0.15 three to
 eight times above it, every third one with a zero in the right half-plane and every fourth one with
@@ -29,7 +29,7 @@ import output
 
 import jaxilc
 from jaxilc import Actuator, Machine, Sensor, Sweep, Task, Uniform
-from jaxilc.design import design_law
+from jaxilc.design import Design
 from jaxilc.design.responses import family_of
 from jaxilc.filters import ZeroPhaseButterworth
 from jaxilc.learning.over_trials import learn
@@ -126,16 +126,8 @@ def judged(seed: int, folder: Path) -> dict:
     machine, task, uncertainty = axis(seed)
     start = time.perf_counter()
     shutil.rmtree(folder / "state", ignore_errors=True)
-    found = design_law(
-        machine,
-        task,
-        TRIALS,
-        uncertainty,
-        folder / "state",
-        metric=METRIC,
-        margin=MARGIN,
-        machines=129,
-    )
+    asked = Design(machine, task, TRIALS, uncertainty, metric=METRIC, margin=MARGIN, machines=129)
+    found = asked.run(folder / "state")
     row = {"noise": float(machine.sensor.noise)}
     row |= {"axis": seed, "seconds": time.perf_counter() - start, "law": "", "margin": np.nan}
     row |= {"claims": "", "design 95 %": np.inf, "design diverges": False}
