@@ -164,9 +164,9 @@ def lines_of(chosen: Scenario, found: Designed, chosen_law: Recommended) -> list
     lines += [
         f"Stop after trial {one.settled_at}: what later trials gain is less than 5 %.",
         f"Most of the error comes from {CAUSES[limits.largest]}: without noise and limits the "
-        f"nominal machine reaches {size(limits.law)}, with the limits of the actuator {size(limits.limits)}, with "
-        f"noise too {size(limits.noise)}, and 95 % of the uncertain machines "
-        f"{size(limits.machines)}.",
+        f"nominal machine reaches {size(limits.law)}, with the limits of the actuator "
+        f"{size(limits.limits)}, with noise too {size(limits.noise)}, and 95 % of the uncertain "
+        f"machines {size(limits.machines)}.",
     ]
     return lines
 
