@@ -14,6 +14,7 @@ from . import (
     design,
     hardware,
     identify,
+    init,
     pareto,
     q_filter,
     reproduce,
@@ -85,6 +86,7 @@ def options(
 
 # in the order of `--help`
 COMMANDS = (
+    init,
     run,
     sweep,
     identify,

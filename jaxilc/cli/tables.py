@@ -34,24 +34,26 @@ def settable_table(scenario: Scenario) -> Table:
 def run_table(scenario: Scenario, numbers: dict[str, Any]) -> Table:
     """The table of the metric by which the scenario is judged, for each trial and scheme.
 
-    A published value is shown in brackets.
+    A published value is shown in brackets, and the title says so where there is one.
     """
     metric, (_, unit) = scenario.judged_by, scenario.shown(scenario.judged_by)
-    printed = ", published value in brackets" if scenario.published else ""
+    rows_by_trial, printed = [], ""
+    for j in shown_trials(scenario):
+        cells = []
+        for rows in numbers["schemes"].values():
+            values = [
+                p["value"] for p in rows["published"] if p["quantity"] == metric and p["trial"] == j
+            ]
+            printed = ", published value in brackets" if values else printed
+            cells.append(number(rows[metric][str(j)]) + "".join(f" ({v:g})" for v in values))
+        rows_by_trial.append((str(j), *cells))
     what = f"{metric.replace('_', ' ')} [{unit}] by trial{printed}"
     table = Table(title=f"{scenario.title}\n{what}")
     table.add_column("trial", justify="right")
     for name in scenario.schemes:
         table.add_column(name, justify="right")
-    for j in shown_trials(scenario):
-        cells = []
-        for rows in numbers["schemes"].values():
-            printed = [
-                p["value"] for p in rows["published"] if p["quantity"] == metric and p["trial"] == j
-            ]
-            in_brackets = "".join(f" ({value:g})" for value in printed)
-            cells.append(number(rows[metric][str(j)]) + in_brackets)
-        table.add_row(str(j), *cells)
+    for row in rows_by_trial:
+        table.add_row(*row)
     return table
 
 

@@ -139,7 +139,9 @@ def uncertainty_of(values: Any, where: str):
     table = Table(values, where)
     for name in table.values:
         inner = Table(table.values[name], table.at(name))
-        if "distribution" not in inner:
+        if "distribution" not in inner and all(
+            isinstance(v, Mapping) for v in inner.values.values()
+        ):
             yield from (
                 (f"{name}.{rest}", one) for rest, one in uncertainty_of(inner.values, inner.where)
             )

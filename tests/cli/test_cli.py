@@ -575,8 +575,9 @@ def test_what_commands_share_is_declared_once():
             said.setdefault(max(option.opts, key=len), set()).add(option.help)
             if "--machines" in option.opts:
                 of_machines[name] = option.opts
-    assert sorted(of_machines) == ["certify", "pareto", "sweep", "tune"]
-    assert all(names == ["--machines", "--samples"] for names in of_machines.values())
+    old = {name for name, names in of_machines.items() if names == ["--machines", "--samples"]}
+    assert old == {"certify", "pareto", "sweep", "tune"}
+    assert {*of_machines} - old == {"design", "filter"}, "newer than the old name"
     shared = ("--set", "--params", "--seed", "--spread", "--sampling", "--json", "--report")
     for name in (*shared, "--precision", "--resume"):
         assert len(said[name]) == 1, name
@@ -591,7 +592,9 @@ def test_a_table_fits_80_columns_and_nothing_is_cut(jaxilc_command, monkeypatch,
     monkeypatch.setattr(console.out, "width", 80)
     code, out, _ = jaxilc_command(*words)
     assert code == 0
-    assert max(map(len, out.splitlines())) <= 80
+    *lines, following = out.splitlines()
+    assert re.match("Next, .*: jaxilc ", following), "one line, to be copied"
+    assert max(map(len, lines)) <= 80
     assert "…" not in out
 
 
@@ -696,6 +699,9 @@ def test_quiet_and_verbose(jaxilc_command, tmp_path):
     code, out, err = jaxilc_command("--verbose", *run)
     assert code == 0
     assert "written: " in out
+    told = json.loads((tmp_path / "run.json").read_text())
+    assert out.splitlines()[-2:] == [*told["verdict"], f"Next, what theory claims: {told['next']}"]
+    assert told["next"] == "jaxilc certify mine.toml --trials 2"
     assert "devices: " in err
     assert re.search(r"\d s, of them .* for \d+ programs", err)
     assert "Traceback" in jaxilc_command("--verbose", "run", "cao")[2]

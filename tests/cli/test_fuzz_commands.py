@@ -60,6 +60,7 @@ identify record.csv --poles 1 --pairs 0 --zeros 0
 next --state campaign --scenario p.toml --scheme ilc --out n.csv
 trials --state campaign
 list p.toml
+init p.toml
 bench --plants 1 --trials 2 --samples 8 --long 0 --repeats 1 --schemes cfdl --no-gradients
 """.strip().split("\n")
 ]

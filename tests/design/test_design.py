@@ -7,7 +7,7 @@ import pytest
 import scipy.signal
 
 from jaxilc import Machine, Sensor, Task, Uniform
-from jaxilc.design import design_law, feedback_among
+from jaxilc.design import Design, feedback_among
 from jaxilc.design.candidates import LAWS, Absent, candidates
 from jaxilc.design.judging import long_run, ranked, verdict
 from jaxilc.design.responses import family_of
@@ -178,10 +178,10 @@ def test_the_simplest_of_equal_laws_is_first_and_lost_ones_are_left_out():
 def test_a_design_that_is_resumed_ends_as_it_was(tmp_path):
     machine = Machine(ProcessModel(2.0, poles=[150.0]), sensor=Sensor(noise=1e-4))
     task = Task(TASK.reference[:61], dt=DT)
-    given = machine, task, 4, {"plant.gain": WIDE["plant.gain"]}, tmp_path / "state"
+    given = machine, task, 4, {"plant.gain": WIDE["plant.gain"]}
     settings = {"laws": ["p-type"], "machines": 9, "steps": 2, "metric": "rms", "tolerance": 0.5}
-    stages = []
-    found = design_law(*given, **settings, told=lambda stage, what: stages.append(stage))
+    asked, stages = Design(*given, margin=MARGIN, **settings), []
+    found = asked.run(tmp_path / "state", told=lambda stage, what: stages.append(stage))
     assert list(dict.fromkeys(stages)) == [
         "safe",
         "tuning",
@@ -190,14 +190,14 @@ def test_a_design_that_is_resumed_ends_as_it_was(tmp_path):
         "judged",
         "proving",
     ]
-    assert found.chosen.proof.worst <= 1 - 0.1 + 1e-3
+    assert found.chosen.proof.worst <= 1 - MARGIN + 1e-3
     assert set(found.chosen.proof.claims) <= {"monotone", "converges"}
-    again = design_law(*given, **settings, resume=True)
+    again = asked.run(tmp_path / "state", resume=True)
     weights = [json.dumps(str(one.chosen.verdict.candidate.scheme)) for one in (found, again)]
     assert weights[0] == weights[1]
     assert again.chosen.limits == found.chosen.limits
     with pytest.raises(FileExistsError):
-        design_law(*given, **settings)
+        asked.run(tmp_path / "state")
     for wrong, said in (({"margin": 1.0}, "margin"), ({"laws": ["ptype"]}, "did you mean p-type")):
         with pytest.raises(ValueError, match=said):
-            design_law(*given, **settings | wrong)
+            Design(*given, **settings | wrong)
