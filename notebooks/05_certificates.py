@@ -114,12 +114,12 @@ print(
 # So the error falls, turns, and grows: it *semi-converges*. `certify` answers two questions for
 # each of many machines. The claim about the long run holds for any number of trials; nothing is
 # claimed where no theorem applies, as for a law that adapts. The error within $J$ trials is
-# predicted from theory alone, and compared with simulation. The example is small, with 8 machines
+# predicted from theory alone, and compared with simulation. The example is small, with 4 machines
 # and 120 trials: first the adaptive law, then the P-type law as which it starts.
 
 # %%
 names = {name: motor.uncertainty[name] for name in ("plant.gain", "plant.poles[2]")}
-drawn = draw(motor.machine, names, 8)
+drawn = draw(motor.machine, names, 4)
 certificates = {}
 for name, scheme in {"CFDL-MFAILC": cfdl, "P-type": p_type}.items():
     found = certificates[name] = theory.certify(
