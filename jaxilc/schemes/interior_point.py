@@ -63,12 +63,18 @@ class Solution(NamedTuple):
 
 
 class Point(NamedTuple):
-    """An iterate: d, v, the slack s of each bound and its multiplier l, both (2, N, m)."""
+    """An iterate: d, v, and of each bound the slack s and the multiplier l, all (2, N, m).
+
+    missing: what s lacks of sign v + offset. It is carried, and shrinks with each step. Computed
+        anew it would never fall below rounding, which the weight l / s of an active bound, up to
+        1e12, turns into noise of the multipliers
+    """
 
     d: jax.Array
     v: jax.Array
     s: jax.Array
     l: jax.Array  # noqa: E741
+    missing: jax.Array
 
 
 class _Bounds(NamedTuple):
@@ -109,7 +115,7 @@ def solve(problem: Problem, free: Factor) -> Solution:
     d, v = newton(still.system, of_free, still.b)
     slack = jnp.where(bounds.there, bounds.sign * v + bounds.offset, 1.0)
     fits = jnp.all(slack >= 0) & jnp.all(jnp.isfinite(d))
-    untouched = Point(d, v, slack, jnp.zeros_like(slack))
+    untouched = Point(d, v, slack, jnp.zeros_like(slack), jnp.zeros_like(slack))
     at_stake = jnp.maximum(-jnp.sum(still.b * v) / 2, 0.0)
     course = _iterate(still, bounds, fits, at_stake)
     small = jnp.maximum(jnp.asarray(RESIDUAL), 1e3 * jnp.finfo(d.dtype).eps)
@@ -118,7 +124,8 @@ def solve(problem: Problem, free: Factor) -> Solution:
         & (course.stationarity <= small)
         & (course.violation <= small)
     )
-    nothing = Point(*(jnp.zeros_like(x) for x in (d, v)), jnp.ones_like(slack), 0 * slack)
+    none = jnp.zeros_like(slack)
+    nothing = Point(jnp.zeros_like(d), jnp.zeros_like(v), jnp.ones_like(slack), none, none)
     point = jax.tree.map(
         lambda one, other, none: jnp.where(fits, one, jnp.where(solved, other, none)),
         untouched,
@@ -180,7 +187,8 @@ def _start(problem: Problem, bounds: _Bounds, at_stake) -> Point:
     product = jnp.maximum(at_stake / bounds.count, jnp.finfo(s.dtype).tiny * 1e30)
     zero = jnp.zeros_like(problem.b)
     d = jnp.zeros((len(zero), problem.system.B.shape[-1]), zero.dtype)
-    return Point(d, zero, s, jnp.where(bounds.there, product / s, 0.0))
+    missing = jnp.where(bounds.there, bounds.offset - s, 0.0)
+    return Point(d, zero, s, jnp.where(bounds.there, product / s, 0.0), missing)
 
 
 def _target(problem: Problem, bounds: _Bounds, v) -> jax.Array:
@@ -214,17 +222,16 @@ def _slope(problem: Problem, bounds: _Bounds, point: Point) -> jax.Array:
 
 def _step(problem: Problem, bounds: _Bounds, point: Point) -> Point:
     """One step of the predictor and the corrector."""
-    system, (d, v, s, l) = problem.system, point  # noqa: E741
+    system, (_, v, s, l, missing) = problem.system, point  # noqa: E741
     D = jnp.sum(l / s, axis=0)
     of, slope = factor(system, problem.W, D), _slope(problem, bounds, point)
-    missing = jnp.where(bounds.there, bounds.sign * v + bounds.offset - s, 0.0)
 
     def direction(wanted):
         """For products s l that change by `wanted`."""
         q = slope + jnp.sum(bounds.sign * (l * missing - wanted) / s, axis=0)
         d, v = newton(system, of, q)
         of_s = jnp.where(bounds.there, bounds.sign * v + missing, 0.0)
-        return Point(d, v, of_s, (wanted - l * of_s) / s)
+        return Point(d, v, of_s, (wanted - l * of_s) / s, -missing)
 
     # the predictor aims at the end, not at zero: there it then does nothing, nor does the corrector
     last = _target(problem, bounds, v)

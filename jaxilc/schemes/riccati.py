@@ -14,11 +14,11 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jax.scipy.linalg import cho_factor, cho_solve
+from jax.scipy.linalg import cho_solve
 
 from ..signals.task import product
 
-UNROLLED = 4  # inputs up to which an inverse is written out, since LAPACK would take longer
+UNROLLED = 4  # inputs up to which a solution is written out, since LAPACK would take longer
 
 
 class System(NamedTuple):
@@ -34,10 +34,10 @@ class System(NamedTuple):
 
 
 class Factor(NamedTuple):
-    """K (N, n_u, n) and the inverse of the cost of the input (N, n_u, n_u)."""
+    """K (N, n_u, n), and the Cholesky factor L of the cost M of the input (N, n_u, n_u)."""
 
     K: jax.Array
-    inverse: jax.Array
+    L: jax.Array
 
 
 def factor(system: System, W, D) -> Factor:
@@ -55,11 +55,11 @@ def factor(system: System, W, D) -> Factor:
         (A, B, G_z, G_d), D_k = now
         V = W + jnp.diag(D_k)
         PB, VG = P @ B, V @ G_d
-        inverse = inverse_of(B.T @ PB + G_d.T @ VG)
-        K = inverse @ (PB.T @ A + VG.T @ G_z)
+        L = cholesky(B.T @ PB + G_d.T @ VG)
+        K = cholesky_solve(L, PB.T @ A + VG.T @ G_z)
         T, U = A - B @ K, G_z - G_d @ K
         P = T.T @ P @ T + U.T @ V @ U
-        return (P + P.T) / 2, (K, inverse)
+        return (P + P.T) / 2, (K, L)
 
     n = system.A.shape[-1]
     return Factor(*_scan(back, jnp.zeros((n, n), W.dtype), system, D, reverse=True)[1])
@@ -72,9 +72,9 @@ def newton(system: System, of: Factor, q) -> tuple[jax.Array, jax.Array]:
     """
 
     def back(p, now):
-        (A, B, G_z, G_d), K, inverse, q_k = now
+        (A, B, G_z, G_d), K, L, q_k = now
         h = product(G_d.T, q_k) + product(B.T, p)
-        return product(G_z.T, q_k) + product(A.T, p) - product(K.T, h), product(inverse, h)
+        return product(G_z.T, q_k) + product(A.T, p) - product(K.T, h), cholesky_solve(L, h)
 
     def forth(z, now):
         (A, B, G_z, G_d), K, g = now
@@ -107,25 +107,35 @@ def adjoint(system: System, q) -> jax.Array:
     return _scan(back, rest, system, q, reverse=True)[1]
 
 
-def inverse_of(M) -> jax.Array:
-    """The inverse of a small symmetric positive definite matrix, by its Cholesky factor."""
+def cholesky(M) -> jax.Array:
+    """L with L L' = M, for a small symmetric positive definite M."""
     size = len(M)
-    if size == 1:
-        return 1 / M
     if size > UNROLLED:
-        return cho_solve(cho_factor(M), jnp.eye(size, dtype=M.dtype))
-    # L L' = M, and X = L^-1 row by row
-    L: list[list] = [[None] * size for _ in range(size)]
-    X: list[list] = [[jnp.zeros_like(M[0, 0])] * size for _ in range(size)]
+        return jnp.linalg.cholesky(M)
+    zero = jnp.zeros_like(M[0, 0])
+    L: list[list] = [[zero] * size for _ in range(size)]
     for i in range(size):
         for j in range(i + 1):
             rest = M[i, j] - sum(L[i][k] * L[j][k] for k in range(j))
             L[i][j] = jnp.sqrt(rest) if i == j else rest / L[j][j]
-        X[i][i] = 1 / L[i][i]
-        for j in range(i):
-            X[i][j] = -sum(L[i][k] * X[k][j] for k in range(j, i)) / L[i][i]
-    lower = jnp.stack([jnp.stack(row) for row in X])
-    return lower.T @ lower
+    return jnp.stack([jnp.stack(row) for row in L])
+
+
+def cholesky_solve(L, b) -> jax.Array:
+    """x with L L' x = b, for b (n_u,) or (n_u, n), by substitution.
+
+    The product with an explicit inverse would not do: where a weight is huge, x in the direction of
+    that weight must be exact to rounding, and only substitution is.
+    """
+    size = len(L)
+    if size > UNROLLED:
+        return cho_solve((L, True), b)
+    x: list = []
+    for i in range(size):
+        x.append((b[i] - sum(L[i, k] * x[k] for k in range(i))) / L[i, i])
+    for i in reversed(range(size)):
+        x[i] = (x[i] - sum(L[k, i] * x[k] for k in range(i + 1, size))) / L[i, i]
+    return jnp.stack(x)
 
 
 def _scan(f, start, system: System, *rows, reverse=False):
