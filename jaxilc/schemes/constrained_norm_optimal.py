@@ -48,12 +48,12 @@ class ConstrainedNormOptimal(Scheme):
     The next input u' = u + d minimises, with the gradient g of the cost J of `NormOptimal` at d = 0
     (Liao-McPherson, Balta, Rupenyan, Lygeros 2022, arXiv 2203.05291),
 
-        |H d|^2_Wq + |d|^2_Wr + |d|^2_Ws + |d'|^2_Wrate + step g(u)' d       d' = (d[k] - d[k-1])/dt
+        |H d|^2_Wq + |d|^2_Wr + |d|^2_Ws + |D d|^2_Wd + step g' d       (D d)[k] = d[k] - d[k-1]
 
         subject to  |u'| <= limit,  |u'[k] - u'[k-1]| <= rate dt,  |u' + f'| <= total,
                     y_low <= y' <= y_high,  |r - y'| <= tube,  |contour error| <= contour
 
-    With step = 1 this is the cost of the next trial, J plus |du'/dt|^2_Wrate. y' = y + H d is what
+    With step = 1 this is the cost of the next trial, J plus |D u'|^2_Wd. y' = y + H d is what
     the model predicts, from the output y that was measured. On a machine that is not the model,
     the output may therefore leave its bounds; the input never does, as far as the scheme commands.
 
@@ -65,7 +65,7 @@ class ConstrainedNormOptimal(Scheme):
 
     model: nominal model of n_u inputs and n_y outputs, as for `NormOptimal`
     w_q: () or (n_y,) or (n_y, n_y), positive semidefinite
-    w_r, w_s, w_rate: () or (n_u,) or (n_u, n_u), positive semidefinite; w_r + w_s positive definite
+    w_r, w_s, w_d: () or (n_u,) or (n_u, n_u), positive semidefinite; w_r + w_s positive definite
     step: () 1 goes to the optimum as predicted; less is more robust, and slower
     limit: () or (n_u,) largest |u| that is learned [unit of u]
     rate: () or (n_u,) largest |du/dt| that is learned, from u[-1] = 0 on [unit of u/s]
@@ -86,7 +86,7 @@ class ConstrainedNormOptimal(Scheme):
     w_q: Leaf = leaf(default=1.0)
     w_r: Leaf = leaf(default=0.0)
     w_s: Leaf = leaf(default=0.0)
-    w_rate: Leaf | None = leaf(default=None, optional=True)
+    w_d: Leaf | None = leaf(default=None, optional=True)
     step: Leaf = leaf(default=1.0, interval="(0, 2)")
     limit: Leaf | None = leaf(default=None, interval="(0, inf)", optional=True)
     rate: Leaf | None = leaf(default=None, interval="(0, inf)", optional=True)
@@ -108,8 +108,8 @@ class ConstrainedNormOptimal(Scheme):
             )
         need_convex(self)
         need_stable(self)
-        if self.w_rate is not None:
-            need_weight(owner, "w_rate", self.w_rate, model.n_u)
+        if self.w_d is not None:
+            need_weight(owner, "w_d", self.w_d, model.n_u)
         n = model.A.shape[-1]
         if self.feedback is not None and self.feedback.shape != (model.n_u, n):
             raise ValueError(
@@ -155,9 +155,9 @@ class ConstrainedNormOptimal(Scheme):
         return dataclasses.replace(ready, solved=factor(system_of(ready, r), W, nothing))
 
     def _weights(self):
-        """w_q, w_r, w_s and w_rate as matrices."""
+        """w_q, w_r, w_s and w_d as matrices."""
         rest = jnp.zeros((self.model.n_u,) * 2)
-        rate = rest if self.w_rate is None else weights_of(self, "w_rate")[0]
+        rate = rest if self.w_d is None else weights_of(self, "w_d")[0]
         return *weights_of(self, "w_q", "w_r", "w_s"), rate
 
     def learn(self, memory: ConstrainedMemory, trial: Trial) -> ConstrainedMemory:
@@ -185,7 +185,9 @@ class ConstrainedNormOptimal(Scheme):
 
     def _free(self, trial: Trial):
         """The change of the input and that of the rows, without bounds."""
-        return newton(system_of(self, trial.r), self.solved, self._slope(rows_of(self, trial), trial))
+        return newton(
+            system_of(self, trial.r), self.solved, self._slope(rows_of(self, trial), trial)
+        )
 
     def _slope(self, rows: dict[str, Rows], trial: Trial):
         """(N, m) the derivative of the cost by a change of the rows, at none."""

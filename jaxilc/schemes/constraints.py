@@ -6,7 +6,7 @@ five kinds, always in this order:
 
     input    u'[k]                              has the weights w_r and w_s
     output   y'[k+1]                            has the weight w_q
-    rate     (u'[k] - u'[k-1]) / dt             has the weight w_rate; u'[-1] = 0
+    rate     u'[k] - u'[k-1]                    has the weight w_d; u'[-1] = 0
     total    u'[k] + f'[k]                      f: contribution of the feedback
     contour  n[k+1]' (y'[k+1] - r[k+1])         n: unit normal of the reference
 """
@@ -38,7 +38,7 @@ class Rows(NamedTuple):
 def kinds(scheme: Any) -> tuple[str, ...]:
     """The kinds of rows that a `ConstrainedNormOptimal` has."""
     has = {
-        "rate": scheme.rate is not None or scheme.w_rate is not None,
+        "rate": scheme.rate is not None or scheme.w_d is not None,
         "total": scheme.total is not None,
         "contour": scheme.contour is not None,
     }
@@ -55,7 +55,7 @@ def system_of(scheme: Any, r) -> System:
     seen = {
         "input": (still, eye),
         "output": (C @ A, C @ B),
-        "rate": (still, eye / model.dt),
+        "rate": (still, eye),
         "total": (jnp.asarray(still if scheme.feedback is None else scheme.feedback), eye),
     }
     if scheme.contour is not None:
@@ -68,7 +68,7 @@ def system_of(scheme: Any, r) -> System:
     # the input of the sample before is a further state
     before = jnp.concatenate(
         [
-            (-eye / model.dt if name == "rate" else jnp.zeros((row[1].shape[-2], n_u), A.dtype))
+            (-eye if name == "rate" else jnp.zeros((row[1].shape[-2], n_u), A.dtype))
             for name, row in zip(kinds(scheme), rows, strict=True)
         ]
     )
@@ -85,7 +85,7 @@ def normals(r) -> jax.Array:
 
 
 def weight_of(scheme: Any, weights) -> jax.Array:
-    """(m, m) the weights of a change of the rows. weights: w_q, w_r, w_s, w_rate as matrices."""
+    """(m, m) the weights of a change of the rows. weights: w_q, w_r, w_s, w_d as matrices."""
     Q, R, S, rate = weights
     of = {"input": R + S, "output": Q, "rate": rate}
     sizes = {"total": scheme.model.n_u, "contour": 1}
@@ -104,7 +104,8 @@ def rows_of(scheme: Any, trial: Trial) -> dict[str, Rows]:
     }
     if "rate" in kinds(scheme):
         steps = jnp.concatenate([u[:1], u[1:] - u[:-1]])
-        found["rate"] = _symmetric(steps / scheme.model.dt, scheme.rate)
+        most = None if scheme.rate is None else scheme.rate * scheme.model.dt
+        found["rate"] = _symmetric(steps, most)
     if scheme.total is not None:
         found["total"] = _symmetric(u + trial.signals["beside"], scheme.total)
     if scheme.contour is not None:

@@ -82,9 +82,7 @@ def need_model_of(scheme: Any, task: Task) -> None:
 def weights_of(scheme: Any, *names: str) -> tuple:
     """The symmetric parts of the weights, so that a gradient step keeps a weight symmetric."""
     sizes = (scheme.model.n_y if name == "w_q" else scheme.model.n_u for name in names)
-    full = [
-        matrix_of(getattr(scheme, name), size) for name, size in zip(names, sizes, strict=True)
-    ]
+    full = [matrix_of(getattr(scheme, name), size) for name, size in zip(names, sizes, strict=True)]
     return tuple((W + W.T) / 2 for W in full)
 
 
