@@ -19,6 +19,7 @@ from .quadratic_cost import need_convex, need_model_of, need_stable, need_weight
 from .riccati import Factor, factor, newton
 from .scheme import Scheme
 
+FIELDS = {"input": ("limit",), "output": ("y_low", "y_high", "tube")}  # where others than its kind
 ONE_SIDED = 1e6  # how far away the other side of a bound from one side is taken to be, for theory
 
 
@@ -228,14 +229,10 @@ class ConstrainedNormOptimal(Scheme):
             now, low, high = rows[name]
             width = now.shape[1]
             following, at = now + change[:, at : at + width], at + width
-            if name == "input":
-                bounded = self.limit is not None
-            elif name == "output":
-                bounded = not all(b is None for b in (self.y_low, self.y_high, self.tube))
-            else:
-                bounded = getattr(self, name) is not None
-            if bounded:
-                found[name] = _as_limit(following, low, high)
+            fields = FIELDS.get(name, (name,))
+            if any(getattr(self, field) is not None for field in fields):
+                label = "limit" if name == "input" else name
+                found[label] = _as_limit(following, low, high)
         return found
 
 

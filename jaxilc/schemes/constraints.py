@@ -22,7 +22,6 @@ from jax.scipy.linalg import block_diag
 
 from ..plants import TimeVaryingStateSpace
 from ..pytree.needs import known
-from ..pytree.ranges import shown
 from ..signals.task import Task, Trial
 from .riccati import System
 

@@ -24,6 +24,7 @@ GAP = 1e-9  # share of the cost, in double precision
 RESIDUAL = 1e-8  # of the other two conditions of optimality, each in its own unit
 CENTRED = 1e-4  # relative difference of a product s l from the one that is aimed at
 STEPS = 60  # iterations at most; most problems that can be solved take 8 to 25
+STIFF = 3e7  # weight of an active bound in the derivative, in units of the cost of the input
 TO_BOUND = 0.995  # the largest share of the way to the nearest bound that a step goes
 
 
@@ -137,7 +138,7 @@ def solve(problem: Problem, free: Factor) -> Solution:
         jnp.where(fits, zero, x)
         for x in (course.steps, course.gap, course.stationarity, course.violation)
     )
-    d = point.d + jnp.where(good, _last_step(problem, point, good, course), 0.0)
+    d = point.d + jnp.where(good, _last_step(problem, of_free, point), 0.0)
     return Solution(d, *residuals, jnp.where(good, 1.0, zero))
 
 
@@ -254,18 +255,21 @@ def _share(point: Point, move: Point, most: float) -> jax.Array:
     return jnp.minimum(1.0, most * jnp.minimum(*map(jnp.min, ways)))
 
 
-def _last_step(problem: Problem, point: Point, good, course: _Course) -> jax.Array:
-    """A step to the central path of the problem as it is, which carries the derivative.
+def _last_step(problem: Problem, free: Factor, point: Point) -> jax.Array:
+    """A Newton step from a point that does not depend on the problem: it carries the derivative.
 
-    The multipliers follow v as s l = constant demands; only then is this Newton step, from a point
-    that does not depend on the problem, the derivative of the solution.
+    The multipliers follow v as constant products s l demand, l' = -(l / s) v'. An active bound is
+    held by a weight `STIFF` times that of the cost of the input at most: of more, rounding would
+    take more digits of the derivative than the weight gives.
     """
-    bounds = _bounds_of(problem)
-    problem = jax.tree.map(lambda x: x, problem)
-    weight = lax.stop_gradient(jnp.where(bounds.there, point.l / point.s, 0.0))
-    v = shown(problem.system, point.d)
+    bounds, system = _bounds_of(problem), problem.system
+    cost = jnp.max(jnp.sum(free.L**2, axis=2), axis=1)[:, None]
+    reach = jnp.sum(lax.stop_gradient(system.G_d) ** 2, axis=-1)
+    most = STIFF * cost / jnp.maximum(reach, jnp.finfo(cost.dtype).tiny * 1e30)
+    weight = lax.stop_gradient(jnp.where(bounds.there, jnp.minimum(point.l / point.s, most), 0.0))
+    v = shown(system, point.d)
     now = bounds.sign * v + bounds.offset
     l = point.l - weight * (now - lax.stop_gradient(now))  # noqa: E741
     slope = _slope(problem, bounds, point._replace(v=v, l=l))
-    of = lax.stop_gradient(factor(problem.system, problem.W, jnp.sum(weight, axis=0)))
-    return newton(problem.system, of, slope)[0]
+    of = lax.stop_gradient(factor(system, problem.W, jnp.sum(weight, axis=0)))
+    return newton(system, of, slope)[0]

@@ -54,11 +54,11 @@ def factor(system: System, W, D) -> Factor:
     def back(P, now):
         (A, B, G_z, G_d), D_k = now
         V = W + jnp.diag(D_k)
-        PB, VG = P @ B, V @ G_d
-        L = cholesky(B.T @ PB + G_d.T @ VG)
-        K = cholesky_solve(L, PB.T @ A + VG.T @ G_z)
-        T, U = A - B @ K, G_z - G_d @ K
-        P = T.T @ P @ T + U.T @ V @ U
+        PB, VG = times(P, B), times(V, G_d)
+        L = cholesky(times(B.T, PB) + times(G_d.T, VG))
+        K = cholesky_solve(L, times(PB.T, A) + times(VG.T, G_z))
+        T, U = A - times(B, K), G_z - times(G_d, K)
+        P = times(T.T, times(P, T)) + times(U.T, times(V, U))
         return (P + P.T) / 2, (K, L)
 
     n = system.A.shape[-1]
@@ -105,6 +105,12 @@ def adjoint(system: System, q) -> jax.Array:
 
     rest = jnp.zeros(system.A.shape[-1], q.dtype)
     return _scan(back, rest, system, q, reverse=True)[1]
+
+
+def times(X, Y) -> jax.Array:
+    """X @ Y for small matrices; up to 8 terms as their sum, which vectorises over a batch."""
+    terms = len(Y)
+    return sum(X[:, j, None] * Y[j] for j in range(terms)) if 0 < terms <= 8 else X @ Y
 
 
 def cholesky(M) -> jax.Array:
