@@ -24,6 +24,7 @@ GAP = 1e-9  # share of the cost, in double precision
 RESIDUAL = 1e-8  # of the other two conditions of optimality, each in its own unit
 CENTRED = 1e-4  # relative difference of a product s l from the one that is aimed at
 STEPS = 60  # iterations at most; most problems that can be solved take 8 to 25
+HOPELESS = 1e9  # growth of the gap that says that no input is within all bounds
 STIFF = 3e7  # weight of an active bound in the derivative, in units of the cost of the input
 TO_BOUND = 0.995  # the largest share of the way to the nearest bound that a step goes
 
@@ -50,7 +51,8 @@ class Solution(NamedTuple):
     d: (N, n_u) zero where it did not converge
     steps: () iterations
     gap: () duality gap, as a share of the cost
-    stationarity: () largest derivative of the Lagrange function, in units of that at d = 0
+    stationarity: () largest derivative of the Lagrange function, in units of that of the cost at
+        d = 0, or of the multipliers alone if that is larger
     violation: () largest distance of v beyond a bound, in units of the largest bound of its row
     converged: () 1 where the three are within their tolerances, else 0
     """
@@ -118,6 +120,10 @@ def solve(problem: Problem, free: Factor) -> Solution:
     fits = jnp.all(slack >= 0) & jnp.all(jnp.isfinite(d))
     untouched = Point(d, v, slack, jnp.zeros_like(slack), jnp.zeros_like(slack))
     at_stake = jnp.maximum(-jnp.sum(still.b * v) / 2, 0.0)
+    # where bounds are broken at d = 0, at least a part of what it costs to go all the way to them
+    broken = jnp.any(bounds.there & (bounds.offset < 0))
+    way = 1e-3 * len(v) * jnp.sum(jnp.diagonal(still.W) * bounds.unit**2)
+    at_stake = jnp.where(broken, jnp.maximum(at_stake, way), at_stake)
     course = _iterate(still, bounds, fits, at_stake)
     small = jnp.maximum(jnp.asarray(RESIDUAL), 1e3 * jnp.finfo(d.dtype).eps)
     solved = (
@@ -171,8 +177,9 @@ def _iterate(problem: Problem, bounds: _Bounds, fits, at_stake) -> _Course:
     def going_on(course: _Course):
         there = (course.off <= CENTRED) & (course.stationarity <= small * 1e2)
         there = there & (course.violation <= small)
-        finite = jnp.isfinite(course.stationarity + course.gap)
-        return ~fits & ~there & finite & (course.steps < STEPS)
+        hopeful = jnp.sum(course.point.s * course.point.l) <= HOPELESS * at_stake
+        hopeful = hopeful & jnp.isfinite(course.stationarity)
+        return ~fits & ~there & hopeful & (course.steps < STEPS)
 
     def turn(course: _Course) -> _Course:
         return _judged(problem, bounds, scale, _step(problem, bounds, course.point), course.steps)
@@ -205,12 +212,15 @@ def _judged(problem: Problem, bounds: _Bounds, scale, point: Point, steps) -> _C
     target = _target(problem, bounds, point.v)
     off = jnp.max(jnp.where(bounds.there, jnp.abs(products / target - 1), 0.0))
     missing = jnp.where(bounds.there, bounds.sign * point.v + bounds.offset - point.s, 0.0)
-    slope = adjoint(problem.system, _slope(problem, bounds, point))
+    both = _slope(problem, bounds, point), jnp.sum(bounds.sign * point.l, axis=0)
+    slope, forces = jnp.max(
+        jnp.abs(jax.vmap(adjoint, (None, 0))(problem.system, jnp.stack(both))), axis=(1, 2)
+    )
     return _Course(
         point,
         steps + 1,
         jnp.sum(products) / (target * bounds.count / gap_of(target.dtype)),
-        jnp.max(jnp.abs(slope)) / scale,
+        slope / jnp.maximum(scale, forces),
         jnp.max(jnp.abs(missing) / bounds.unit),
         off,
     )

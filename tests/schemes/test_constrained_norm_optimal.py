@@ -187,9 +187,11 @@ def test_what_cannot_be_met_is_flagged_and_spoils_no_other():
     schemes, trials = stacked([one for one, _ in problems]), stacked([t for _, t in problems])
     memory = problems[0][0].initial_memory(Task(problems[0][1][0], dt=DT))
     memories = stacked([memory] * PROBLEMS)._replace(u=np.full((PROBLEMS, N, 1), 0.01))
-    high, low = np.array(schemes.y_high), np.array(schemes.y_low)
-    low[4, 7], high[4, 7] = 1e3, 1e4
-    bad = dataclasses.replace(schemes, y_low=low, y_high=high)
+    low, high = (np.array(getattr(problems[4][0], name)) for name in ("y_low", "y_high"))
+    low[7], high[7] = 1e3, 1e4
+    worse = [one for one, _ in problems]
+    worse[4] = dataclasses.replace(worse[4], y_low=low, y_high=high)
+    bad = stacked(worse)
     alone, together = batched(schemes, memories, *trials), batched(bad, memories, *trials)
     others = np.arange(PROBLEMS) != 4
     for one, other in zip(alone, together, strict=True):
@@ -213,16 +215,20 @@ def test_derivatives_forwards_and_backwards_equal_differences():
     at = {name: jnp.asarray(getattr(scheme, name)) for name in fields}
     way = {name: np.asarray(x) * rng.uniform(-1, 1, x.shape) for name, x in at.items()}
 
-    @jax.jit
     def value(at):
         return jnp.sum(toward * learned(dataclasses.replace(scheme, **at), memory, *trial).u)
 
-    forwards = jax.jit(lambda: jax.jvp(value, (at,), (way,))[1])()
-    gradient = jax.jit(jax.grad(value))(at)
+    @jax.jit
+    def both_ways(at):
+        found, forwards = jax.linearize(value, at)
+        return found, forwards(way), jax.linear_transpose(forwards, at)(1.0)[0]
+
+    _, forwards, gradient = both_ways(at)
     backwards = sum(np.sum(gradient[name] * way[name]) for name in fields)
     np.testing.assert_allclose(forwards, backwards, rtol=2e-6)
     near = [
-        value({name: at[name] + sign * 1e-6 * way[name] for name in fields}) for sign in (1, -1)
+        both_ways({name: at[name] + sign * 1e-6 * way[name] for name in fields})[0]
+        for sign in (1, -1)
     ]
     np.testing.assert_allclose(forwards, (near[0] - near[1]) / 2e-6, rtol=1e-5)
 
@@ -294,18 +300,16 @@ FIRST = StateSpace([[0.6]], [[0.4]], [[1.0]], dt=0.01)
 
 
 def test_theory_claims_what_it_does_without_bounds_as_long_as_none_is_met():
-    task = Task(np.sin(np.linspace(0, 3, 17)), dt=0.01)
+    task = Task(np.sin(np.linspace(0, 3, 9)), dt=0.01)
     gains = np.array([0.3, 0.5])
     machines = jax.vmap(lambda b: Machine(StateSpace(FIRST.A, b[None, None], FIRST.C, dt=0.01)))(
         gains
     )
-    scheme = ConstrainedNormOptimal(FIRST, w_r=0.2, w_s=0.01, limit=1.1, y_high=2.0)
+    scheme = ConstrainedNormOptimal(FIRST, w_r=0.2, w_s=0.01, limit=1.1)
     found = certify_each(machines, scheme, task, 5)
     assert found.claim.tolist() == ["not claimed", "monotone"]
     assert found.reason[0].startswith("limit is met in trial ")
     assert not len(found.broken_promises())
-    free = certify_each(machines, NormOptimal(FIRST, w_r=0.2, w_s=0.01), task, 5)
-    np.testing.assert_allclose(found.sigma[1], free.sigma[1], rtol=1e-9)
 
 
 SQUARE = StateSpace([[0.5, 0.1], [0.0, 0.6]], np.eye(2), np.eye(2), dt=DT)
