@@ -45,6 +45,7 @@ from jaxilc.schemes import (
     Filtered,
     HigherOrder,
     Ladder,
+    LearningFilter,
     MultivariableILC,
     NormOptimal,
     OnOutputs,
@@ -207,6 +208,12 @@ SCHEMES = {
     "pid_feedforward": PID(kp=-8.0, ki=-40.0, kd=-2e-3, kv=-2e-3, ka=-2e-5),
     "pid_feedforward_increment": PID(
         kp=-8.0, ki=-400.0, kd=-2e-3, limit=5.0, form="increment", kv=-2e-3, ka=-2e-5
+    ),
+    "learning_filter": LearningFilter(
+        (-0.2, -0.7, 0.1), keep=(0.1, 0.25, 0.3, 0.2, 0.1), limit=1.2, lead=1
+    ),
+    "learning_filter_butterworth": Filtered(
+        LearningFilter((0.05, -0.2, -0.5, -0.1, 0.0)), ZeroPhaseButterworth(80.0)
     ),
     "higher_order": HigherOrder((0.7, 0.3), (-0.8, -0.4), lead=1),
     "higher_order_leaky_limited": HigherOrder(

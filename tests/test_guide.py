@@ -120,6 +120,14 @@ def test_every_page_of_the_folder_is_listed(pages):
     assert written <= set(pages.PAGES)
 
 
+def test_the_file_that_init_writes_is_the_start_page_s_example():
+    """The plant file of `jaxilc init` has the content of the start page's, less the comments."""
+    written = (ROOT / "jaxilc/scenarios/axis.toml").read_text(encoding="utf-8")
+    shown = re.findall(r"^```toml\n(.*?)^```$", (ROOT / "README.md").read_text(), re.M | re.S)
+    assert tomllib.loads(written) == tomllib.loads(shown[0])
+    assert max(map(len, written.splitlines())) <= 100
+
+
 def test_every_public_name_is_there():
     for name in jaxilc.__all__:
         assert getattr(jaxilc, name) is not None

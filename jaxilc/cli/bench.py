@@ -67,8 +67,10 @@ def bench(
     from ..bench.programme import Programme, Show, measure
     from .asked import chosen_scenario
     from .bench_tables import alone_table, contest_table, cost_table
+    from .verdicts.speed import bench_verdict
 
-    chosen = [chosen_scenario(name, None, None, None) for name in _names(scenario or [])]
+    names = _names(scenario or [])
+    chosen = [chosen_scenario(name, None, None, None) for name in names]
     numbers = measure(
         Programme(
             _numbers(plants or (OF_SCENARIO if chosen else CONTESTS)),
@@ -90,7 +92,8 @@ def bench(
     )
     before, after = (numbers[name]["load"] for name in ("machine", "machine_after"))
     out.print(f"load of the machine: {before} before, {after} after", highlight=False)
-    written([], json_file, numbers)
+    verdict = bench_verdict(numbers["rows"], names)
+    written([], json_file, numbers, verdict)
 
 
 def _begins(text: str) -> None:

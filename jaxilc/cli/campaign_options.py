@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from .completion import of_list, scenarios_from, schemes_from
-from .options import file_to_write
+from .options import Params, file_to_write
 
 Folder = Annotated[Path, typer.Option("--state", help="Folder of the campaign.")]
 Measured = Annotated[
@@ -39,17 +39,11 @@ SchemeName = Annotated[
         "--scheme", help="Scheme; not needed where only one learns.", autocompletion=schemes_from
     ),
 ]
-NextParams = Annotated[
-    Path | None,
+NextParams = Params
+NoPredict = Annotated[
+    bool,
     typer.Option(
-        "--params", metavar="FILE", help="Parameters to start with; --set goes on top of them."
-    ),
-]
-Predict = Annotated[
-    bool | None,
-    typer.Option(
-        "--predict/--no-predict",
-        help="Predict the errors of the trials by simulation of the plant file; kept.",
+        "--no-predict", help="Predict no errors of trials by the plant file, from now on."
     ),
 ]
 Plot = Annotated[

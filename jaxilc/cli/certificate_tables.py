@@ -67,22 +67,30 @@ def _expected(numbers: dict[str, Any]) -> str:
     return f"{courses}; {best}"
 
 
-def certificate_tables(name: str, trials: int, numbers: dict[str, Any]) -> list[Table]:
-    """The tables of claims with reasons, of the course by theory and simulation, and of premises.
+def reason_lines(name: str, numbers: dict[str, Any]) -> list[str]:
+    """A sentence on each reason of a claim, or of its absence, with its number of machines.
 
     The arguments are those of `certificate_sentence`.
     """
-    claims = Table(
-        "in the long run",
-        "machines",
-        "why",
-        title=f"{name}: what is claimed, however many trials are run",
-    )
-    for claim, reasons in numbers["reasons"].items():
-        for i, (reason, count) in enumerate(reasons.items()):
-            claims.add_row("" if i else claim, str(count), reason)
-    what = f"machines by what their error does within {trials} trials"
-    courses = Table("by theory", title=f"{name}: {what}, by theory and simulated")
+    return [
+        f"{name}, {claim} on {count}: {reason}."
+        for claim, reasons in numbers["reasons"].items()
+        for reason, count in reasons.items()
+    ]
+
+
+def certificate_tables(name: str, trials: int, numbers: dict[str, Any]) -> list[Table]:
+    """The tables of claims, of the course by theory and simulation, and of premises.
+
+    The arguments are those of `certificate_sentence`.
+    """
+    claims = Table(title=f"{name}: what is claimed, however many trials are run")
+    for column in ("in the long run", "machines"):
+        claims.add_column(column, justify="right" if column == "machines" else "left")
+    for claim, count in numbers["claims"].items():
+        claims.add_row(claim, str(count))
+    what = f"machines by their error within {trials} trials"
+    courses = Table("by theory", title=f"{name}: {what}, by theory and simulation")
     for course in COURSES:
         courses.add_column(course, justify="right")
     for course, row in numbers["confusion"].items():
@@ -101,8 +109,8 @@ def _premises(name: str, numbers: dict[str, Any]) -> Table:
     )
     nothing = f"it was claimed on none of {machines} machines, so nothing of it was tested"
     table = Table("premise", title=f"{name}: the bound of Cao 2019: {tested or nothing}")
-    table.add_column("held throughout on", justify="right")
-    table.add_column("broken at, of samples and trials", justify="right")
+    table.add_column("held on", justify="right")
+    table.add_column("broken at, of all samples", justify="right")
     for premise, row in numbers["premises"].items():
         held = f"{row['held']} of {machines}" if row["held"] else "no machine"
         table.add_row(premise, held, _of_all(row["share_broken"]))

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import typer
 
-from .console import err, out
+from .console import err
 from .options import (
     PROVE,
     Json,
@@ -23,7 +26,13 @@ from .options import (
     Spread,
     Trials,
 )
-from .results import folder_of, written
+from .results import folder_of, show, written
+from .verdicts.next_command import Asked
+
+if TYPE_CHECKING:
+    from ..scenarios import Scenario
+    from ..theory.of_schemes import OfScheme
+    from .titled_table import Table
 
 
 def register(app: typer.Typer) -> None:
@@ -55,17 +64,47 @@ def certify(
     from .asked import begin, chosen_scenario, spread_of
 
     begin(precision)
-    from .. import figures
     from ..figures.report import command_report
-    from ..theory.of_schemes import certify_schemes
     from ..uncertainty import draw
-    from .certificate_tables import certificate_sentence, certificate_tables
     from .numbers import certificate_numbers
-    from .progress import progress_bar
+    from .verdicts.case import Case
+    from .verdicts.certification import certify_verdict
 
     chosen = chosen_scenario(scenario, scheme, trials, set_, params)
     wide = dataclasses.replace(chosen, uncertainty=spread_of(chosen, spread))
     drawn = draw(chosen.machine, wide.uncertainty, machines, seed=seed, sampling=sampling)
+    found = _certified(wide, drawn)
+    numbers = {name: certificate_numbers(one) for name, one in found.items()}
+    shown, lines = _shown(chosen, numbers)
+    show(shown, lines)
+    asked = Asked(scenario, tuple(scheme or ()), tuple(set_ or ()), params, trials, spread)
+    verdict = certify_verdict(Case.of(wide, asked), numbers, chosen.shown_scale)
+    paths = _figures(chosen, found, folder_of(out_dir, f"certify-{chosen.name}"))
+    page = command_report(
+        report,
+        "certify",
+        shown,
+        [(f"{name}: error by trial, predicted and simulated", p) for name, p in paths.items()],
+        scenario=wide,
+        lines=[*lines, *verdict.lines],
+        asked={"machines": machines, "seed": seed, "sampling": sampling},
+    )
+    results = {"scenario": scenario, "trials": chosen.trials, "samples": machines}
+    written([*paths.values(), *page], json_file, results | {"schemes": numbers}, verdict)
+    broken = [name for name, row in numbers.items() if row["contradicted"]]
+    if broken:
+        err.print(
+            f"{', '.join(broken)}: simulation contradicts what was claimed: please report this",
+            highlight=False,
+        )
+        raise typer.Exit(1)
+
+
+def _certified(chosen: Scenario, drawn: dict[str, Any]) -> dict[str, OfScheme]:
+    """What theory says of each scheme, with a progress bar."""
+    from ..theory.of_schemes import certify_schemes
+    from .progress import progress_bar
+
     learning = sum(one.learns for one in chosen.schemes.values())
     with progress_bar("scheme") as bar:
         schemes = bar.add_task("certify", total=learning, scheme="")
@@ -74,45 +113,36 @@ def certify(
             chosen.schemes,
             chosen.task,
             chosen.trials,
-            wide.uncertainty,
+            chosen.uncertainty,
             drawn,
             progress=lambda done, name: bar.update(schemes, completed=done, scheme=name),
         )
         bar.update(schemes, completed=learning)
+    return found
 
-    numbers = {name: certificate_numbers(one) for name, one in found.items()}
+
+def _shown(
+    chosen: Scenario, numbers: Mapping[str, dict[str, Any]]
+) -> tuple[list[Table], list[str]]:
+    """The tables of all schemes, and the sentences below them."""
+    from .certificate_tables import certificate_sentence, certificate_tables, reason_lines
+
     scale, unit = chosen.shown_scale, chosen.shown_unit
     shown, lines = [], []
     for name, of_scheme in numbers.items():
         shown += certificate_tables(name, chosen.trials, of_scheme)
         lines.append(certificate_sentence(name, chosen.trials, of_scheme, scale, unit))
-    for table in shown:
-        out.print(table)
-    for line in lines:
-        out.print(line, highlight=False, markup=False, soft_wrap=True)
-    folder = folder_of(out_dir, f"certify-{chosen.name}")
-    paths = {
-        name: figures.save(
-            figures.certificate(one.certificate, scale=scale, unit=unit, title=name),
-            folder / f"{name}.png",
-        )
-        for name, one in found.items()
-    }
-    page = command_report(
-        report,
-        "certify",
-        shown,
-        [(f"{name}: error by trial, predicted and simulated", p) for name, p in paths.items()],
-        scenario=wide,
-        lines=lines,
-        asked={"machines": machines, "seed": seed, "sampling": sampling},
-    )
-    asked = {"scenario": scenario, "trials": chosen.trials, "samples": machines}
-    written([*paths.values(), *page], json_file, asked | {"schemes": numbers})
-    broken = [name for name, row in numbers.items() if row["contradicted"]]
-    if broken:
-        err.print(
-            f"{', '.join(broken)}: simulation contradicts what was claimed: please report this",
-            highlight=False,
-        )
-        raise typer.Exit(1)
+        lines += reason_lines(name, of_scheme)
+    return shown, lines
+
+
+def _figures(chosen: Scenario, found: Mapping[str, OfScheme], folder: Path) -> dict[str, Path]:
+    """Write the figure of each scheme, and return the files by scheme."""
+    from .. import figures
+
+    scale, unit = chosen.shown_scale, chosen.shown_unit
+    paths = {}
+    for name, one in found.items():
+        axes = figures.certificate(one.certificate, scale=scale, unit=unit, title=name)
+        paths[name] = figures.save(axes, folder / f"{name}.png")
+    return paths

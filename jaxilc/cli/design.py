@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import shlex
+import shutil
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -21,7 +23,11 @@ from .options import (
     file_to_write,
     folder_to_write,
 )
-from .results import unless_there, written
+from .results import written
+
+if TYPE_CHECKING:
+    from ..design import Designed
+    from ..scenarios import Scenario
 
 LAWS = ("p-type", "pd-type", "model-inverse", "norm-optimal")
 
@@ -51,7 +57,7 @@ def design(
     ] = None,
     margin: Annotated[
         float, typer.Option(help="Least distance of |Q (1 - L P)| from 1, on every machine.")
-    ] = 0.1,
+    ] = 0.05,
     trials: Trials = None,
     machines: Annotated[
         int, typer.Option("--machines", help="Machines on which the laws are judged.")
@@ -69,7 +75,9 @@ def design(
             callback=file_to_write,
         ),
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace that file.")] = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Replace that file, and its state.")
+    ] = False,
     state: Annotated[
         Path | None,
         typer.Option(
@@ -88,6 +96,41 @@ def design(
 
     Example: jaxilc design axis.toml
     """
+    target = _target(plant_file, out_file, replace=force or resume)
+    from .asked import begin, scenario_to_design, spread_of
+
+    begin("float64")
+    from ..design import Design, feedback_among
+    from .design_lines import Progress
+
+    chosen = scenario_to_design(plant_file, scheme, trials, set_)
+    folder = state or Path("out") / f"design-{chosen.name}"
+    scale, _ = chosen.shown(chosen.judged_by)
+    asked = Design(
+        chosen.machine,
+        chosen.task,
+        chosen.trials,
+        spread_of(chosen, spread),
+        feedback=feedback_among(chosen.schemes),
+        laws=tuple(law or ()),
+        metric=chosen.judged_by,
+        tolerance=None if chosen.tolerance is None else chosen.tolerance / scale,
+        margin=margin,
+        machines=machines,
+        steps=steps,
+        seed=seed,
+    )
+    place = _place(folder / "state", force=force, resume=resume)
+    with Progress(chosen, steps) as told:
+        found = asked.run(place, resume=resume, told=told)
+    _leave(chosen, found, plant_file, target, folder, json_file, report)
+    if found.chosen is None:
+        err.print("no law is recommended, and no plant file was written", highlight=False)
+        raise typer.Exit(1)
+
+
+def _target(plant_file: Path, out_file: Path | None, *, replace: bool) -> Path:
+    """The plant file to write; raises ValueError or FileExistsError where it may not be written."""
     from ..scenarios.design_file import design_path, need_same_folder
 
     if plant_file.suffix not in (".toml", ".json"):
@@ -97,59 +140,64 @@ def design(
         )
     target = out_file or design_path(plant_file)
     need_same_folder(plant_file, target)
-    if target.exists() and not force and not resume:
+    if target.exists() and not replace:
         raise FileExistsError(f"{target} exists already; add --force to replace it")
-    from .asked import begin, scenario_to_design, spread_of
+    return target
 
-    begin("float64")
+
+def _place(state: Path, *, force: bool, resume: bool) -> Path:
+    """The folder for the state, without that of an earlier design if it is to be replaced."""
+    if state.exists() and not resume:
+        if not force:
+            raise FileExistsError(
+                f"{state} exists already; add --resume to go on with it, --force to begin anew, "
+                "or choose another --state"
+            )
+        shutil.rmtree(state)
+    return state
+
+
+def _leave(
+    chosen: Scenario,
+    found: Designed,
+    plant_file: Path,
+    target: Path,
+    folder: Path,
+    json_file: Path | None,
+    report: Path | None,
+) -> None:
+    """Print table and verdict, and write the plant file, the figure and what was asked for."""
     from .. import figures
-    from ..design import design_law, feedback_among
     from ..figures.report import command_report
     from ..scenarios.design_file import write_design
     from ..sweeps.store import open_dataset
-    from .design_lines import Progress, design_numbers, design_table, lines_of, lost_lines
+    from .design_lines import design_numbers, design_table, lines_of, lost_lines, next_line
 
-    chosen = scenario_to_design(plant_file, scheme, trials, set_)
-    folder = state or Path("out") / f"design-{chosen.name}"
-    unless_there(folder / "state", resume)
-    scale, unit = chosen.shown(chosen.judged_by)
-    with Progress(chosen, steps) as told:
-        found = design_law(
-            chosen.machine,
-            chosen.task,
-            chosen.trials,
-            spread_of(chosen, spread),
-            folder / "state",
-            feedback=feedback_among(chosen.schemes),
-            laws=tuple(law or ()),
-            metric=chosen.judged_by,
-            tolerance=None if chosen.tolerance is None else chosen.tolerance / scale,
-            margin=margin,
-            machines=machines,
-            steps=steps,
-            seed=seed,
-            resume=resume,
-            told=told,
-        )
-    table = design_table(chosen, found)
-    best = found.chosen
-    lines = lost_lines() if best is None else lines_of(chosen, found, best, target)
+    table, best = design_table(chosen, found), found.chosen
+    lines = lost_lines(found) if best is None else lines_of(chosen, found, best)
     out.print(table)
     for line in lines:
-        out.print(line, highlight=False, soft_wrap=True)
+        out.print(line, highlight=False)
     paths = []
     if best is not None:
         candidate = best.verdict.candidate
         schemes = {candidate.name: candidate.scheme}
-        paths.append(write_design(target, plant_file, schemes, lines[:-1]))
-    if (folder / "state" / "sweep.zarr").exists():
-        dataset = open_dataset(folder / "state" / "sweep.zarr")
+        paths.append(write_design(target, plant_file, schemes, lines))
+    store = folder / "state" / "sweep.zarr"
+    if store.exists():
+        scale, unit = chosen.shown(chosen.judged_by)
         band = figures.error_band(
-            dataset, metric=chosen.judged_by, tolerance=chosen.tolerance, scale=scale, unit=unit
+            open_dataset(store),
+            metric=chosen.judged_by,
+            tolerance=chosen.tolerance,
+            scale=scale,
+            unit=unit,
         )
         paths.append(figures.save(band, folder / "design.png"))
     page = command_report(report, "design", [table], paths, scenario=chosen, lines=lines)
-    written([*paths, *page], json_file, design_numbers(chosen, found))
-    if best is None:
-        err.print("no law is recommended, and no plant file was written", highlight=False)
-        raise typer.Exit(1)
+    numbers = design_numbers(chosen, found)
+    if best is not None:
+        numbers |= {"verdict": lines, "next": f"jaxilc run {shlex.quote(str(target))}"}
+    written([*paths, *page], json_file, numbers)
+    if best is not None:
+        out.print(next_line(target), highlight=False, soft_wrap=True)

@@ -15,7 +15,7 @@ from .progress import progress_bar
 from .titled_table import Table
 
 if TYPE_CHECKING:
-    from ..design import Design, Recommended
+    from ..design import Designed, Recommended
     from ..design.judging import Verdict
     from ..design.proof import Proof
     from ..scenarios import Scenario
@@ -109,18 +109,18 @@ def _lead(scheme: Any) -> int:
     return 0
 
 
-def design_table(chosen: Scenario, found: Design) -> Table:
+def design_table(chosen: Scenario, found: Designed) -> Table:
     """A row for each law that was tried: the recommended one first."""
     scale, unit = chosen.shown(chosen.judged_by)
     name = chosen.judged_by.replace("_", " ")
     table = Table(
-        "law", "largest |Q (1 - L P)|", f"95 % [{unit}]" if unit else "95 %", "settled", "verdict",
+        "law", "|Q (1 - L P)|", f"95 % [{unit}]" if unit else "95 %", "settled", "verdict",
         title=f"{chosen.name}: {name} on {found.machines} machines, trials {found.trials} to "
         f"{found.long}",
     )  # fmt: skip
     best = None if found.chosen is None else found.chosen.verdict
     for one in (*((best,) if best else ()), *found.others):
-        verdict = "recommended" if one is best else one.lost or "larger error"
+        verdict = "recommended" if one is best else "lost" if one.lost else "larger error"
         table.add_row(
             one.candidate.name,
             f"{one.candidate.largest:.3f}",
@@ -129,12 +129,12 @@ def design_table(chosen: Scenario, found: Design) -> Table:
             verdict,
         )
     for one in found.absent:
-        table.add_row(one.name, "", "", "", one.why)
+        table.add_row(one.name, "", "", "", "no safe weights")
     return table
 
 
-def lines_of(chosen: Scenario, found: Design, chosen_law: Recommended, target: Path) -> list[str]:
-    """The verdict in sentences; the last one names the next command."""
+def lines_of(chosen: Scenario, found: Designed, chosen_law: Recommended) -> list[str]:
+    """The verdict in sentences, without the next command."""
     one, limits = chosen_law.verdict, chosen_law.limits
     scale, unit = chosen.shown(chosen.judged_by)
 
@@ -144,6 +144,7 @@ def lines_of(chosen: Scenario, found: Design, chosen_law: Recommended, target: P
     name = chosen.judged_by.replace("_", " ")
     law = one.candidate
     lines = [
+        *_reasons(found),
         f"Take {law.name}: {law.words}, {weights_said(law, chosen)}.",
         f"Of {found.machines} machines that the design has not seen, 95 % stay at or below a {name}"
         f" of {size(one.error)} from trial {found.trials} to {found.long}; half of them stay at or "
@@ -162,17 +163,21 @@ def lines_of(chosen: Scenario, found: Design, chosen_law: Recommended, target: P
         )
     lines += [
         f"Stop after trial {one.settled_at}: what later trials gain is less than 5 %.",
-        f"What limits it is {CAUSES[limits.largest]}: without noise and limits the nominal machine "
-        f"reaches {size(limits.law)}, with the limits of the actuator {size(limits.limits)}, with "
-        f"noise too {size(limits.noise)}, and 95 % of the uncertain machines "
-        f"{size(limits.machines)}.",
+        f"Most of the error comes from {CAUSES[limits.largest]}: without noise and limits the "
+        f"nominal machine reaches {size(limits.law)}, with the limits of the actuator "
+        f"{size(limits.limits)}, with noise too {size(limits.noise)}, and 95 % of the uncertain "
+        f"machines {size(limits.machines)}.",
     ]
-    file = shlex.quote(str(target))
-    lines.append(
-        f"Next: `jaxilc run {file}` to look at it, `jaxilc certify {file}`, or on the machine: "
-        f"`jaxilc next --state out/campaign --scenario {file} --out trial-1.csv`."
-    )
     return lines
+
+
+def next_line(target: Path) -> str:
+    """The next commands."""
+    file = shlex.quote(str(target))
+    return (
+        f"Next: jaxilc run {file}, and then on the machine: "
+        f"jaxilc next --state out/campaign --plant-file {file} --out trial-1.csv"
+    )
 
 
 def _safety(proof: Proof) -> str:
@@ -190,15 +195,24 @@ def _safety(proof: Proof) -> str:
     return said + "".join(f" Not claimed because {reason}." for reason in sorted(doubts))
 
 
-def lost_lines() -> list[str]:
-    """What to do where no law can be recommended."""
+def lost_lines(found: Designed) -> list[str]:
+    """Why no law can be recommended, and what to do."""
     return [
+        *_reasons(found),
         "No law holds on every machine. Narrow the uncertainty (a better fit, `jaxilc identify`), "
-        "lower --margin, or give the axis a feedback that damps its resonance."
+        "lower --margin, or give the axis a feedback that damps its resonance.",
     ]
 
 
-def design_numbers(chosen: Scenario, found: Design) -> dict[str, Any]:
+def _reasons(found: Designed) -> list[str]:
+    """Why laws are out of question."""
+    return [
+        *(f"{one.name}: {one.why}." for one in found.absent),
+        *(f"{one.candidate.name}: {one.lost}." for one in found.others if one.lost),
+    ]
+
+
+def design_numbers(chosen: Scenario, found: Designed) -> dict[str, Any]:
     """Every number of a design, as JSON."""
     scale, unit = chosen.shown(chosen.judged_by)
 

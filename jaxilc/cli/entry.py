@@ -14,7 +14,9 @@ from . import (
     design,
     hardware,
     identify,
+    init,
     pareto,
+    q_filter,
     reproduce,
     run,
     sweep,
@@ -84,6 +86,7 @@ def options(
 
 # in the order of `--help`
 COMMANDS = (
+    init,
     run,
     sweep,
     identify,
@@ -92,6 +95,7 @@ COMMANDS = (
     pareto,
     worst_case,
     certify,
+    q_filter,
     hardware,
     reproduce,
     bench,

@@ -1,20 +1,18 @@
-"""`jaxilc identify`: a plant from a recorded experiment."""
+"""`jaxilc identify`: a plant from a recorded experiment or a measured frequency response."""
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from .completion import of_list
 from .console import out
-from .options import DESIGN, Json, Report, file_to_write, folder_to_write
+from .options import DESIGN, Json, Report, at_least, file_to_write, folder_to_write
 from .results import folder_of, written
 
-NOT_WHITE = (
-    "the residual is not white: another structure may fit better, and the intervals are too narrow"
-)
 NO_LAW = (
     "no filtered P-type law was found that learns on the fitted plant; the plant file has no scheme"
 )
@@ -38,7 +36,8 @@ def identify(
     record: Annotated[
         Path | None,
         typer.Argument(
-            metavar="[RECORD]", help="Text file of columns with a header: time, input, output."
+            metavar="RECORD",
+            help="Columns of time, input, output; or of a frequency response; or a .mat file.",
         ),
     ] = None,
     state: Annotated[
@@ -54,8 +53,12 @@ def identify(
     zeros: Annotated[
         int | None, typer.Option(help="Real zeros, of either sign; 1 if not given.")
     ] = None,
+    delay: Annotated[
+        int | None,
+        typer.Option(help="Dead time in samples; chosen by --auto, fitted to a response, else 0."),
+    ] = None,
     auto: Annotated[
-        bool, typer.Option("--auto", help="Choose poles, pairs and zeros by a table of orders.")
+        bool, typer.Option("--auto", help="Choose poles, pairs, zeros and delay by a table.")
     ] = False,
     time_name: Annotated[str, typer.Option("--time", help="Column of the time.")] = "t",
     time_unit: Annotated[
@@ -67,6 +70,20 @@ def identify(
     ] = None,
     input_name: Annotated[str, typer.Option("--input", help="Column of the input.")] = "u",
     output_name: Annotated[str, typer.Option("--output", help="Column of the output.")] = "y",
+    columns: Annotated[
+        str | None,
+        typer.Option(metavar="A,B,C", help="Names of the columns of a file without a header."),
+    ] = None,
+    dt: Annotated[
+        float | None,
+        typer.Option(help="Sample time in s, of a file without times or of a response's hold."),
+    ] = None,
+    resample: Annotated[
+        float | None, typer.Option(metavar="DT", help="New sample time in s, for uneven times.")
+    ] = None,
+    averages: Annotated[
+        int | None, typer.Option(help="Averages of the coherence of a frequency response.")
+    ] = None,
     out_dir: Annotated[
         Path | None,
         typer.Option(
@@ -79,86 +96,134 @@ def identify(
     json_file: Json = None,
     report: Report = None,
 ) -> None:
-    """A plant from a recorded experiment: parameters with 95 % intervals, fit, validation figure.
+    """A plant from a recorded experiment or a measured frequency response, with its reliability.
 
+    A frequency response is known by its header: frequency, then re and im, or magnitude and phase,
+    each with its unit, or complex text; std, variance or coherence if there is one.
     With --out axis.toml it also writes a plant file that every other command takes.
     With --state the record is what a campaign of `jaxilc next` has measured; the plant
     file is then that of the campaign, with the fitted plant in it.
 
-    Example: jaxilc identify record.csv --poles 1 --pairs 1 --zeros 1 --out axis.toml
+    Example: jaxilc identify record.csv --auto --out axis.toml
     """
     given = {"poles": poles, "pairs": pairs, "zeros": zeros}
     for name, value in given.items():
         if auto and value is not None:
             raise ValueError(f"--{name} {value} is not allowed with --auto, which chooses it")
-    structure: dict[str, Any] = {
-        name: 1 if value is None else value for name, value in given.items()
-    }
+    at_least(0, delay=delay)
+    at_least(1, averages=averages)
     plant_file = out_dir if _is_plant_file(out_dir) else None
     if plant_file is not None and plant_file.exists() and not force:
         raise FileExistsError(f"{plant_file} exists already; add --force to replace it")
     if state is not None:
         from .reidentify import reidentify
 
-        if record is not None:
-            raise ValueError("RECORD and --state exclude each other")
-        reidentify(state, given, auto, out_dir, json_file, report, not_white=NOT_WHITE)
+        for_files = {"dt": dt, "resample": resample, "columns": columns, "averages": averages}
+        wrong = [f"--{name}" for name, value in for_files.items() if value is not None]
+        if record is not None or wrong:
+            raise ValueError(f"{', '.join(wrong) or 'RECORD'} and --state exclude each other")
+        reidentify(state, given, delay, auto, out_dir, json_file, report)
         return
     if record is None:
         raise ValueError("RECORD is missing; give a file, or --state and the folder of a campaign")
     from .asked import begin
 
     begin("float64")
-    from .. import figures, identification
-    from ..figures.report import command_report
-    from ..identification.records import column_units, read_record
-    from .tables import identification_table, orders_table
+    from .identified import Asked, of_record, of_response
 
-    measured = read_record(
-        record, time=time_name, input=input_name, output=output_name, time_unit=time_unit
+    names = [name.strip() for name in columns.split(",")] if columns else []
+    reading = {"time": time_name, "input": input_name, "output": output_name}
+    asked = Asked(
+        {} if auto else {name: 1 if value is None else value for name, value in given.items()},
+        delay,
+        dt,
+        averages,
+        reading | {"time_unit": time_unit, "columns": names, "resample": resample},
     )
-    tables = []
-    if auto:
-        orders = identification.compare_orders(measured)
-        best = identification.best_order(orders)
-        structure = {"poles": best.poles, "pairs": best.pairs, "zeros": best.zeros}
-        tables.append(orders_table(orders, best))
-        out.print(tables[0])
-    found = identification.identify(measured, **structure)
-    rows = found.summary()
-    tables.append(identification_table(str(record), rows))
-    lines = ([] if found.white else [NOT_WHITE]) + identification.not_significant(found)
-    out.print(tables[-1])
+    is_response = _is_response(record, names)
+    if is_response and plant_file is not None and dt is None:
+        raise ValueError(
+            "--out FILE.toml of a frequency response needs --dt, the sample time of its hold"
+        )
+    fitted = (of_response if is_response else of_record)(record, asked)
+    _written(record, asked, fitted, plant_file, out_dir, json_file, report)
+
+
+def _is_response(path: Path, names: list[str]) -> bool:
+    """Whether the file is a frequency response, which its header tells."""
+    from ..identification.frequency_response import is_frequency_response
+    from ..identification.twincat import is_twincat
+
+    if names or path.suffix.lower() == ".mat" or is_twincat(path):
+        return False
+    return is_frequency_response(path)
+
+
+def _written(record: Path, asked, fitted, plant_file, out_dir, json_file, report) -> None:
+    """Figures, plant file, numbers and report; the verdict and the next command are printed."""
+    from .. import figures
+    from ..figures.report import command_report
+    from ..identification.sentences import verdict
+
+    found = fitted.found
+    folder = folder_of(None if plant_file else out_dir, "identify")
+    paths = [figures.save(axes, folder / name) for name, axes in fitted.axes.items()]
+    lines, has_law = verdict(found, fitted.dt), True
+    if plant_file is not None:
+        said, has_law = _plant_file(plant_file, fitted, str(record))
+        lines.append(said)
+        paths.append(plant_file)
+    lines.append(_next(record, asked, fitted, plant_file, has_law))
     for line in lines:
         out.print(line, highlight=False)
-    folder = folder_of(None if plant_file else out_dir, "identify")
-    drawn = {
-        "record.png": figures.record_figure(measured),
-        "validation.png": figures.validation_figure(measured, found),
+    page = command_report(
+        report, "identify", fitted.tables, paths, lines=lines, asked=fitted.structure
+    )
+    numbers = {
+        name: {"value": value, "low": low, "high": high}
+        for name, value, low, high in found.summary()
     }
-    paths = [figures.save(axes, folder / name) for name, axes in drawn.items()]
-    if plant_file is not None:
-        units = column_units(record, input_name, output_name)
-        paths += [_plant_file(plant_file, found, measured, str(record), units)]
-    page = command_report(report, "identify", tables, paths, lines=lines, asked=structure)
-    numbers = {name: {"value": value, "low": low, "high": high} for name, value, low, high in rows}
-    sound = {"white": bool(found.white), "converged": bool(found.converged), **structure}
+    sound = {"white": bool(found.white), "converged": bool(found.converged), **fitted.structure}
     written([*paths, *page], json_file, numbers | sound)
 
 
-def _plant_file(path: Path, found, measured, source: str, units) -> Path:
-    """Write the plant file, and print what its law was chosen for."""
+def _plant_file(path: Path, fitted, source: str) -> tuple[str, bool]:
+    """Write the plant file; what its law was chosen for, and whether there is one."""
     from ..scenarios.identified_file import write_plant_file
 
     path.parent.mkdir(parents=True, exist_ok=True)
-    law = write_plant_file(path, found, measured, source=source, units=units, force=True)
+    law = write_plant_file(
+        path,
+        fitted.found,
+        fitted.measured,
+        dt=fitted.dt,
+        source=source,
+        units=fitted.units,
+        force=True,
+    )
     if law is None:
-        line = NO_LAW
-    else:
-        line = (
-            f"{path}: P-type learning with gamma_p = {law.gamma_p:g}, lead = {law.lead} and a "
-            f"cutoff of {law.cutoff:g} Hz; sup |Q (1 - L P)| = {law.worst:.3f} at worst of "
-            f"{law.machines} machines"
-        )
-    out.print(line, highlight=False, soft_wrap=True)
-    return path
+        return NO_LAW, False
+    return (
+        f"{path}: P-type learning with gamma_p = {law.gamma_p:g}, lead = {law.lead} and a cutoff "
+        f"of {law.cutoff:g} Hz; sup |Q (1 - L P)| = {law.worst:.3f} at worst of {law.machines} "
+        "machines",
+        True,
+    )
+
+
+def _next(record: Path, asked, fitted, plant_file: Path | None, has_law: bool) -> str:
+    """The sentence with the next command to type."""
+    if plant_file is not None:
+        file = shlex.quote(str(plant_file))
+        if has_law:
+            return f"Next: jaxilc design {file}, or jaxilc run {file} with the law in it"
+        return f"Next: jaxilc design {file}"
+    again = f"jaxilc identify {shlex.quote(str(record))}{asked.options()}"
+    if not fitted.found.white and asked.structure:
+        return f"Next: {again} --auto compares structures"
+    chosen = " ".join(f"--{name} {value}" for name, value in fitted.structure.items())
+    sampled = " --dt DT" if fitted.found.of_response and asked.dt is None else ""
+    return (
+        f"Next: {again} {chosen}{sampled} --out axis.toml writes a plant file for all other "
+        "commands"
+    )

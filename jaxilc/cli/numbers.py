@@ -63,6 +63,20 @@ def run_numbers(scenario: Scenario, dataset: xr.Dataset) -> dict[str, Any]:
     }
 
 
+def errors_by_trial(scenario: Scenario, dataset: xr.Dataset) -> dict[str, list[float]]:
+    """The metric by which a scenario is judged, of every trial by scheme [shown unit].
+
+    Errors are those of `run_numbers`.
+    """
+    scale = scenario.shown(scenario.judged_by)[0]
+    found = {}
+    for name in scenario.schemes:
+        chosen = dataset.sel(scheme=name).max("channel", skipna=False)
+        errors = (scale * chosen[scenario.judged_by]).where(~chosen["diverged"], np.inf)
+        found[name] = [float(error) for error in errors.fillna(np.inf)]
+    return found
+
+
 def _by_axis(scenario: Scenario, chosen: xr.Dataset) -> dict[str, Any]:
     """The errors of each output by its name and trial [shown unit]; nothing for a single output.
 

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from .console import out
 from .options import (
     DESIGN,
     TERMS,
@@ -37,8 +36,9 @@ from .options import (
     Weights,
     at_least,
 )
-from .results import parameter_file, unless_there, written
+from .results import parameter_file, show, unless_there, written
 from .terms import numbers_of
+from .verdicts.next_command import Asked
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from ..tuning import Tuning
     from ..tuning.objectives import Objective
     from .titled_table import Table
+    from .verdicts.next_command import Verdict
 
 
 def register(app: typer.Typer) -> None:
@@ -106,7 +107,6 @@ def pareto(
     from .asked import begin, chosen_scenario, objective_asked, tuning_problem
 
     begin(precision)
-    from ..figures.report import command_report
     from ..tuning.trade_off import SHARES
 
     _need_one_kind(second, budgets, shares=shares, trials=trials)
@@ -135,30 +135,46 @@ def pareto(
     )
     folder = out_dir or Path("out") / f"pareto-{chosen.name}"
     unless_there(folder / "state", resume)
-    of = _Of(chosen, scenario, scheme, problem, folder, resume)
+    asked = Asked(scenario, (scheme,), tuple(set_ or ()), params, trials, spread)
+    of = _Of(chosen, asked, scheme, problem, folder, resume)
     if allotted:
         found = _by_trials(of, allotted, unseen)
     else:
         swept = SHARES if shares is None else numbers_of("--shares", shares)
-        found = _front(of, objective_asked(chosen, str(second), "--second"), swept)
-    out.print(found.table)
+        other = objective_asked(chosen, str(second), "--second")
+        found = _front(of, other, swept, (first, str(second)))
+    _finish(of, found, {"first": first, "second": second}, json_file, report)
+
+
+def _finish(
+    of: _Of,
+    found: _Found,
+    options: dict[str, str | None],
+    json_file: Path | None,
+    report: Path | None,
+) -> None:
+    """Print the table and the verdict of a trade-off, and write its files.
+
+    options: texts of the objectives, by option
+    """
+    from ..figures.report import command_report
+
     lines = [
         f"share {share} is left out: another point is no worse in either objective"
         for share in found.numbers.get("left_out", [])
     ]
-    for line in lines:
-        out.print(line, highlight=False)
-    asked = {"scenario": chosen.name, "scheme": scheme, "first": first, "second": second}
+    show([found.table], lines)
     page = command_report(
         report,
         "pareto",
         [found.table],
         found.paths,
-        scenario=chosen,
-        configuration=problem.configuration(),
-        lines=lines,
+        scenario=of.chosen,
+        configuration=of.problem.configuration(),
+        lines=[*lines, *found.verdict.lines],
     )
-    written([*found.paths, *page], json_file, asked | found.numbers)
+    numbers = {"scenario": of.chosen.name, "scheme": of.scheme} | options | found.numbers
+    written([*found.paths, *page], json_file, numbers, found.verdict)
 
 
 def _need_one_kind(second: str | None, budgets: str | None, **of_a_front: object) -> None:
@@ -175,13 +191,13 @@ def _need_one_kind(second: str | None, budgets: str | None, **of_a_front: object
 class _Of(NamedTuple):
     """The arguments that both kinds of trade-off share.
 
-    source: name or file of the scenario
+    asked: options of the command
     folder: folder for results
     resume: whether to continue from the stored states
     """
 
     chosen: Scenario
-    source: str
+    asked: Asked
     scheme: str
     problem: Tuning
     folder: Path
@@ -193,7 +209,7 @@ class _Of(NamedTuple):
             self.folder / name,
             self.chosen,
             command="jaxilc pareto",
-            source=self.source,
+            source=self.asked.source,
             scheme=self.scheme,
             tuned=tuned,
             point=point,
@@ -201,20 +217,26 @@ class _Of(NamedTuple):
 
 
 class _Found(NamedTuple):
-    """The result of a trade-off: numbers for --json, a table, and the files that were written."""
+    """The result of a trade-off: numbers for --json, a table, files that were written, verdict."""
 
     numbers: dict[str, Any]
     table: Table
     paths: list[Path]
+    verdict: Verdict
 
 
-def _front(of: _Of, second: Objective, shares: Sequence[float]) -> _Found:
-    """The front of two objectives; the first one is that of the problem."""
+def _front(of: _Of, second: Objective, shares: Sequence[float], names: tuple[str, str]) -> _Found:
+    """The front of two objectives; the first one is that of the problem.
+
+    names: texts of the objectives
+    """
     from .. import figures
     from ..tuning.trade_off import held_out_losses, pareto
     from .progress import run_tunings
     from .tuning_numbers import front_numbers
     from .tuning_tables import front_table
+    from .verdicts.case import Case
+    from .verdicts.tuning import front_verdict
 
     problem, first = of.problem, of.problem.objective
     points = run_tunings(
@@ -236,7 +258,8 @@ def _front(of: _Of, second: Objective, shares: Sequence[float]) -> _Found:
     for p in points:
         row = numbers["points"][str(p.share)]
         paths.append(of.parameters(f"params-share-{p.share}.json", p.tuned, row))
-    return _Found(numbers, front_table(of.chosen, of.scheme, numbers), paths)
+    verdict = front_verdict(Case.of(of.chosen, of.asked), of.scheme, numbers, of.folder, names)
+    return _Found(numbers, front_table(of.chosen, of.scheme, numbers), paths, verdict)
 
 
 def _by_trials(of: _Of, budgets: list[int], unseen: int) -> _Found:
@@ -246,6 +269,8 @@ def _by_trials(of: _Of, budgets: list[int], unseen: int) -> _Found:
     from .progress import run_tunings
     from .tuning_numbers import WHICH, budget_numbers
     from .tuning_tables import budget_table
+    from .verdicts.case import Case
+    from .verdicts.tuning import budget_verdict
 
     problem, longest = of.problem, max(budgets)
     same = dict.fromkeys(("given", *map(str, budgets)), problem.scheme)
@@ -268,4 +293,5 @@ def _by_trials(of: _Of, budgets: list[int], unseen: int) -> _Found:
     paths = [figures.save(axes, of.folder / "trials.png")]
     for J, tuned in found.items():
         paths.append(of.parameters(f"params-{J}-trials.json", tuned, rows[str(J)]))
-    return _Found(numbers, budget_table(of.chosen, of.scheme, numbers), paths)
+    verdict = budget_verdict(Case.of(of.chosen, of.asked), of.scheme, numbers, of.folder)
+    return _Found(numbers, budget_table(of.chosen, of.scheme, numbers), paths, verdict)

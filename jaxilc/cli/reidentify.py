@@ -19,19 +19,18 @@ CLOSED = (
 def reidentify(
     state: Path,
     given: dict[str, int | None],
+    delay: int | None,
     auto: bool,
     out_dir: Path | None,
     json_file: Json,
     report: Report,
-    *,
-    not_white: str,
 ) -> None:
     """Fit a plant to the trials of a campaign, print it, and write it into a plant file.
 
     given: numbers of poles, pairs and zeros; without any, those of the campaign's own plant
-    auto: whether they are chosen by a table
+    delay: dead time in samples; None: that of the campaign's own plant
+    auto: whether the structure is chosen by a table
     out_dir: plant file to write, or folder for figures
-    not_white: sentence for a residual that is not white
     """
     from .asked import begin
 
@@ -39,6 +38,7 @@ def reidentify(
     from .. import figures, identification
     from ..figures.report import command_report
     from ..hardware.as_record import record_of
+    from ..identification.sentences import NOT_WHITE
     from ..scenarios.campaigns import Given, open_campaign
     from .tables import identification_table, orders_table
 
@@ -48,16 +48,17 @@ def reidentify(
     numbers = ", ".join(map(str, found_in.trials))
     source = f"{len(found_in.trials)} of {found_in.measured} trials of {state}: {numbers}"
     if auto:
-        orders = identification.compare_orders(record)
+        late = _delay_of(opened.scenario.machine.plant, record.dt) if delay is None else delay
+        orders = identification.compare_orders(record, delay=late)
         best = identification.best_order(orders)
         found = best.found
-        tables.append(orders_table(orders, best))
+        tables.append(orders_table(orders, best, record.dt))
         out.print(tables[0])
     else:
-        found = _fitted(record, opened.scenario.machine.plant, given)
+        found = _fitted(record, opened.scenario.machine.plant, given, delay)
     tables.append(identification_table(source, found.summary()))
     out.print(tables[-1])
-    lines = [] if found.white else [not_white]
+    lines = [] if found.white else [NOT_WHITE]
     lines += identification.not_significant(found) + [CLOSED] * found_in.closed
     unit = opened.campaign.task.unit
     lines.append(
@@ -79,7 +80,12 @@ def reidentify(
     written([*paths, *page], json_file, rows | sound | used)
 
 
-def _fitted(record, plant, given: dict[str, int | None]):
+def _delay_of(plant, dt: float) -> int:
+    """The dead time of a plant in whole samples; 0 of a plant that has none."""
+    return round(getattr(plant, "delay", 0.0) / dt)
+
+
+def _fitted(record, plant, given: dict[str, int | None], delay: int | None):
     """The fit of the structure that was asked for, or else of that of the campaign's plant.
 
     A ProcessModel is fitted from its own values. Where the result explains little, the campaign's
@@ -91,7 +97,8 @@ def _fitted(record, plant, given: dict[str, int | None]):
     structure: dict[str, Any] = {
         name: 1 if value is None else value for name, value in given.items()
     }
-    if isinstance(plant, ProcessModel) and all(value is None for value in given.values()):
+    own = delay is None and all(value is None for value in given.values())
+    if isinstance(plant, ProcessModel) and own:
         found = identification.identify(record, plant)
         if min(found.fit) >= ENOUGH:
             return found
@@ -100,7 +107,8 @@ def _fitted(record, plant, given: dict[str, int | None]):
             "pairs": len(plant.frequencies),
             "zeros": len(plant.zeros),
         }
-    return identification.identify(record, **structure)
+    late = _delay_of(plant, record.dt) if delay is None else delay
+    return identification.identify(record, **structure, delay=late)
 
 
 ENOUGH = 90.0  # [%] of the output that a fit explains, from which on no other start is tried

@@ -42,9 +42,12 @@ def reproduce(
     from ..figures.report import command_report
     from ..scenarios import reproduction
     from .reproduction_tables import READING_FITS, narrow_reproduction, reproduction_table
+    from .verdicts.published import reproduce_verdict
 
     numbers = [row.as_dict() for row in reproduction.reproduce(scenario or ())]
     table = reproduction_table(numbers)
     for part in [table] if out.width >= READING_FITS else narrow_reproduction(numbers):
         out.print(part, highlight=False)
-    written(command_report(report, "reproduce", [table]), json_file, numbers)
+    verdict = reproduce_verdict(numbers)
+    page = command_report(report, "reproduce", [table], lines=verdict.lines)
+    written(page, json_file, numbers, verdict)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -23,8 +23,12 @@ from .options import (
     Set,
     Trials,
 )
-from .results import folder_of, written
+from .results import folder_of, show, tell, written
 from .titled_table import Table
+from .verdicts.next_command import Asked, Verdict
+
+if TYPE_CHECKING:
+    from ..scenarios import Scenario
 
 
 def register(app: typer.Typer) -> None:
@@ -49,14 +53,21 @@ def list_(
         table = Table("scenario", "title", "schemes", "trials", "samples N")
         for name, (title, schemes, trials, samples) in LISTED.items():
             table.add_row(name, title, ", ".join(schemes), str(trials), str(samples))
-        out.print(table)
+        said = f"{len(LISTED)} scenarios of published papers; a plant file describes your machine."
+        show([table])
+        tell(Verdict((said,), "a plant file", "jaxilc init axis.toml"))
         return
     from ..scenarios.from_file import load_scenario
     from . import tables
     from .asked import begin
+    from .verdicts.case import Case
+    from .verdicts.simulation import list_verdict
 
     begin("float64")
-    out.print(tables.settable_table(load_scenario(scenario)))
+    chosen = load_scenario(scenario)
+    verdict = list_verdict(Case.of(chosen, Asked(scenario)), chosen.settable(), [*chosen.options])
+    show([tables.settable_table(chosen)])
+    tell(verdict)
 
 
 def run(
@@ -86,7 +97,9 @@ def run(
     from ..scenarios.judging import judged
     from ..storage.files import whole_folder
     from ..sweeps import runs
-    from . import numbers, tables
+    from . import numbers
+    from .verdicts.case import Case
+    from .verdicts.simulation import run_verdict
 
     chosen = judged(chosen_scenario(scenario, scheme, trials, set_, params), metric)
     dataset, _ = runs.run_schemes(
@@ -98,24 +111,37 @@ def run(
         quantities=chosen.functions,
     )
     found = numbers.run_numbers(chosen, dataset)
-    by_axis = tables.axes_table(found)
-    shown = [tables.run_table(chosen, found), tables.last_trial_table(found)]
-    shown += [] if by_axis is None else [by_axis]
-    lines = [*tables.course_lines(found), *tables.other_rows(chosen, found)]
-    if chosen.published and (set_ or params):
-        lines.append(
-            "published values hold for the scenario as it stands; --set or --params changed it here"
-        )
-    for table in shown:
-        out.print(table)
-    for line in lines:
-        out.print(line, highlight=False)
+    shown, lines = _shown(chosen, found, changed=bool(set_ or params))
+    show(shown, lines)
     for note in chosen.chosen:
         out.print(f"chosen: {note}", style="dim", highlight=False)
+    asked = Asked(scenario, tuple(scheme or ()), tuple(set_ or ()), params, trials, metric=metric)
+    verdict = run_verdict(Case.of(chosen, asked), found, numbers.errors_by_trial(chosen, dataset))
 
     folder = folder_of(out_dir, f"run-{chosen.name}")
     paths = save_run(chosen, dataset, folder, numbers.shown_trials(chosen))
     with whole_folder(folder / "dataset.zarr", replace=True) as store:
         dataset.to_zarr(store, consolidated=False)
-    page = command_report(report, "run", shown, paths, scenario=chosen, lines=lines)
-    written([*paths, *page, folder / "dataset.zarr"], json_file, found)
+    told = [*lines, *verdict.lines]
+    page = command_report(report, "run", shown, paths, scenario=chosen, lines=told)
+    written([*paths, *page, folder / "dataset.zarr"], json_file, found, verdict)
+
+
+def _shown(
+    chosen: Scenario, found: dict[str, Any], *, changed: bool
+) -> tuple[list[Table], list[str]]:
+    """The tables of a run, and the lines below them.
+
+    changed: whether --set or --params changed the scenario
+    """
+    from . import tables
+
+    by_axis = tables.axes_table(found)
+    shown = [tables.run_table(chosen, found), tables.last_trial_table(found)]
+    shown += [] if by_axis is None else [by_axis]
+    lines = [*tables.course_lines(found), *tables.other_rows(chosen, found)]
+    if chosen.published and changed:
+        lines.append(
+            "published values hold for the scenario as it stands; --set or --params changed it here"
+        )
+    return shown, lines

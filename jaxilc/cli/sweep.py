@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from .console import out, stage_ends
+from .console import stage_ends
 from .options import (
     SIMULATE,
     Json,
@@ -26,7 +26,13 @@ from .options import (
     Spread,
     Trials,
 )
-from .results import unless_there, written
+from .results import show, unless_there, written
+from .verdicts.next_command import Asked
+
+if TYPE_CHECKING:
+    from ..scenarios import Scenario
+    from .progress import Swept
+    from .titled_table import Table
 
 
 def register(app: typer.Typer) -> None:
@@ -73,13 +79,8 @@ def sweep(
     from .asked import begin, chosen_scenario, spread_of
 
     begin(precision)
-    from .. import figures
-    from ..figures.report import command_report
     from ..scenarios.judging import judged
-    from ..sweeps.summary import summarise
     from ..sweeps.sweep import Sweep
-    from . import tables
-    from .numbers import axes_numbers, sweep_numbers
     from .progress import run_sweep
 
     chosen = judged(chosen_scenario(scenario, scheme, trials, set_, params), metric)
@@ -95,31 +96,52 @@ def sweep(
         keep=tuple(keep or ()),
         quantities=chosen.functions,
     )
-    scale, unit = chosen.shown(chosen.judged_by)
-    tolerance = chosen.tolerance if tolerance is None else tolerance
-    if tolerance is not None and not tolerance > 0:
-        raise ValueError(f"--tolerance {tolerance:g} is outside its allowed range (0, inf)")
-    tolerance = None if tolerance is None else tolerance / scale
+    largest = _tolerance(chosen, tolerance)
     folder = out_dir or Path("out") / f"sweep-{chosen.name}"
     store = unless_there(folder / "dataset.zarr", resume)
+    asked = Asked(
+        scenario, tuple(scheme or ()), tuple(set_ or ()), params, trials, spread, metric, tolerance
+    )
     stage_ends("start")
-    dataset, seconds, steps = run_sweep(plan, store, resume=resume, cluster=dask)
+    swept = run_sweep(plan, store, resume=resume, cluster=dask)
     stage_ends("run")
+    _finish(_Found(chosen, asked, largest, store), swept, json_file, report)
 
+
+class _Found(NamedTuple):
+    """What was swept.
+
+    chosen: the scenario
+    asked: options of the command
+    tolerance: largest metric that passes [unit of the dataset], None if none is known
+    store: place of the dataset, in the folder for results
+    """
+
+    chosen: Scenario
+    asked: Asked
+    tolerance: float | None
+    store: Path
+
+
+def _finish(found: _Found, swept: Swept, json_file: Path | None, report: Path | None) -> None:
+    """Print the tables and the verdict of a sweep, and write its files."""
+    from .. import figures
+    from ..figures.report import command_report
+    from ..sweeps.summary import summarise
+    from .numbers import axes_numbers, sweep_numbers
+    from .verdicts.case import Case
+    from .verdicts.simulation import sweep_verdict
+
+    chosen, asked, tolerance, store = found
+    dataset, seconds, steps = swept
+    scale, unit = chosen.shown(chosen.judged_by)
     summary = summarise(dataset, tolerance, metric=chosen.judged_by)
-    numbers = sweep_numbers(chosen, summary, tolerance, plan.machines)
+    numbers = sweep_numbers(chosen, summary, tolerance, dataset.sizes["sample"])
     numbers |= axes_numbers(chosen, dataset, tolerance)
-    shown = [tables.yield_table(numbers), tables.spread_table(numbers), tables.band_table(numbers)]
-    by_axis = tables.swept_axes_table(numbers)
-    shown += [] if by_axis is None else [by_axis]
-    for table in shown:
-        out.print(table)
-    lines = tables.sweep_lines(numbers)
-    for line in lines:
-        out.print(line, highlight=False)
-    if steps:
-        took = f"{steps:.3g} sample-steps in {seconds:.1f} s, compilation included"
-        out.print(f"{took}: {steps / seconds:.3g} a second", highlight=False)
+    shown, lines = _shown(numbers, steps, seconds)
+    show(shown, lines)
+    highs = {row.scheme: [scale * float(high) for high in row.high] for row in summary}
+    verdict = sweep_verdict(Case.of(chosen, asked), numbers, highs)
     axes = figures.error_band(
         dataset,
         metric=chosen.judged_by,
@@ -128,7 +150,7 @@ def sweep(
         unit=unit,
         summary=summary,
     )
-    path = figures.save(axes, folder / "error-band.png")
+    path = figures.save(axes, store.parent / "error-band.png")
     page = command_report(
         report,
         "sweep",
@@ -136,6 +158,32 @@ def sweep(
         [path],
         scenario=chosen,
         configuration=dataset.attrs["configuration"],
-        lines=lines,
+        lines=[*lines, *verdict.lines],
     )
-    written([path, *page, store], json_file, numbers | {"sample_steps": steps, "seconds": seconds})
+    numbers |= {"sample_steps": steps, "seconds": seconds}
+    written([path, *page, store], json_file, numbers, verdict)
+
+
+def _tolerance(chosen: Scenario, tolerance: float | None) -> float | None:
+    """The tolerance of the option or of the scenario, in the unit of the simulation."""
+    tolerance = chosen.tolerance if tolerance is None else tolerance
+    if tolerance is not None and not tolerance > 0:
+        raise ValueError(f"--tolerance {tolerance:g} is outside its allowed range (0, inf)")
+    return None if tolerance is None else tolerance / chosen.shown(chosen.judged_by)[0]
+
+
+def _shown(numbers: dict[str, Any], steps: int, seconds: float) -> tuple[list[Table], list[str]]:
+    """The tables of a sweep, and the lines below them.
+
+    steps: number of sample-steps that were computed, in so many seconds
+    """
+    from . import tables
+
+    shown = [tables.yield_table(numbers), tables.spread_table(numbers), tables.band_table(numbers)]
+    by_axis = tables.swept_axes_table(numbers)
+    shown += [] if by_axis is None else [by_axis]
+    lines = tables.sweep_lines(numbers)
+    if steps:
+        took = f"{steps:.3g} sample-steps in {seconds:.1f} s, compilation included"
+        lines.append(f"{took}: {steps / seconds:.3g} a second")
+    return shown, lines

@@ -11,6 +11,8 @@ from ..learning.divergence import CEILING, GROWTH
 from .numbers import ERRORS, shown_trials
 from .titled_table import Table
 
+MOST_ORDERS = 12  # rows of a table of orders
+
 if TYPE_CHECKING:
     from ..identification import Order
     from ..scenarios import Scenario
@@ -32,24 +34,26 @@ def settable_table(scenario: Scenario) -> Table:
 def run_table(scenario: Scenario, numbers: dict[str, Any]) -> Table:
     """The table of the metric by which the scenario is judged, for each trial and scheme.
 
-    A published value is shown in brackets.
+    A published value is shown in brackets, and the title says so where there is one.
     """
     metric, (_, unit) = scenario.judged_by, scenario.shown(scenario.judged_by)
-    printed = ", published value in brackets" if scenario.published else ""
+    rows_by_trial, printed = [], ""
+    for j in shown_trials(scenario):
+        cells = []
+        for rows in numbers["schemes"].values():
+            values = [
+                p["value"] for p in rows["published"] if p["quantity"] == metric and p["trial"] == j
+            ]
+            printed = ", published value in brackets" if values else printed
+            cells.append(number(rows[metric][str(j)]) + "".join(f" ({v:g})" for v in values))
+        rows_by_trial.append((str(j), *cells))
     what = f"{metric.replace('_', ' ')} [{unit}] by trial{printed}"
     table = Table(title=f"{scenario.title}\n{what}")
     table.add_column("trial", justify="right")
     for name in scenario.schemes:
         table.add_column(name, justify="right")
-    for j in shown_trials(scenario):
-        cells = []
-        for rows in numbers["schemes"].values():
-            printed = [
-                p["value"] for p in rows["published"] if p["quantity"] == metric and p["trial"] == j
-            ]
-            in_brackets = "".join(f" ({value:g})" for value in printed)
-            cells.append(number(rows[metric][str(j)]) + in_brackets)
-        table.add_row(str(j), *cells)
+    for row in rows_by_trial:
+        table.add_row(*row)
     return table
 
 
@@ -219,20 +223,42 @@ def identification_table(title: str, rows: Sequence[tuple[str, float, float, flo
     return table
 
 
-def orders_table(orders: Sequence[Order], best: Order) -> Table:
+def orders_table(orders: Sequence[Order], best: Order, dt: float | None = None) -> Table:
     """The table of the structures that were fitted, of which the best one is marked.
 
-    The column rms is that of the residual, in the unit of the output.
+    The column rms is that of the residual, in the unit of the output; of a frequency response,
+    divided by the standard deviation of each line. The column valid. is the fit of the part that
+    was not fitted. Of many fits, those of the smallest criterion are shown.
+
+    dt: sample time, in which the delay is told [s]; None: in ms
     """
-    table = Table(title=f"structures by BIC, above the smallest ({best.bic:.1f})")
-    for column in ("order", "poles", "pairs", "zeros", "rms", "BIC", "validation [%]", ""):
+    of_response, delayed = best.found.of_response, any(_delay(one) > 0 for one in orders)
+    shown = list(orders)
+    if len(shown) > MOST_ORDERS:
+        shown = sorted(shown, key=lambda one: one.bic)[:MOST_ORDERS]
+    count = (
+        f"{len(shown)} of {len(orders)} structures" if len(shown) < len(orders) else "structures"
+    )
+    table = Table(title=f"{count} by BIC, above the smallest ({best.bic:.1f})")
+    delay = ("delay" if dt else "delay [ms]",) * delayed
+    last = () if of_response else ("valid. [%]",)
+    rms = "rms / std" if of_response else "rms"
+    for column in ("poles", "pairs", "zeros", *delay, rms, "BIC", *last, ""):
         table.add_column(column, justify="right")
-    for one in orders:
-        counts = (one.poles + 2 * one.pairs, one.poles, one.pairs, one.zeros)
-        values = (f"{one.rms:.4g}", f"{one.bic - best.bic:+.1f}", f"{one.validation_fit:.4g}")
-        sound = "" if one.found.converged else "not converged"
-        table.add_row(*map(str, counts), *values, "chosen" if one is best else sound)
+    for one in shown:
+        counts = (one.poles, one.pairs, one.zeros)
+        late = (f"{_delay(one) / (dt or 1e-3):.4g}",) * delayed
+        values = (f"{one.rms:.4g}", f"{one.bic - best.bic:+.1f}")
+        share = () if of_response else (f"{one.validation_fit:.4g}",)
+        sound = "" if one.found.converged else "no minimum"
+        row = (*map(str, counts), *late, *values, *share)
+        table.add_row(*row, "chosen" if one is best else sound)
     return table
+
+
+def _delay(one: Order) -> float:
+    """The delay of a fitted plant [s]."""
+    return float(getattr(one.found.plant, "delay", 0.0))
 
 
 def number(value: float) -> str:

@@ -6,7 +6,10 @@ For example, `final:20 + 0.3*final@max_error` is an objective, `cvar:0.9` is a r
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
+
+from ..pytree.closest import closest
 
 if TYPE_CHECKING:
     from ..tuning.objectives import Objective
@@ -53,7 +56,7 @@ def objective_of(text: str, metric: str, scale: float, option: str = "--objectiv
         rest, _, named = rest.partition("@")
         name, _, number = rest.strip().partition(":")
         if name not in kinds:
-            raise ValueError(f"{option}: {name!r} is not one of {OBJECTIVES}")
+            raise ValueError(_unknown(f"{option}: {name!r}", name, OBJECTIVES))
         one = kinds[name](named.strip() or metric, number or None)
         total = total + (_positive(f"weight of {name}", weight) if star else 1.0) * one
     return total
@@ -73,7 +76,7 @@ def risk_of(text: str) -> Risk:
             return risks.CVaR(_number("cvar", number)) if number else risks.CVaR()
         case "smooth-max", _:
             return risks.SmoothMax(_number("smooth-max", number)) if number else risks.SmoothMax()
-    raise ValueError(f"--risk {text!r} is not one of {RISKS}")
+    raise ValueError(_unknown(f"--risk {text!r}", name, RISKS))
 
 
 def weights_of(text: str, bounds: list[str] | None) -> dict[str, tuple[float, float] | None]:
@@ -116,6 +119,19 @@ def numbers_of(option: str, text: str, *, whole: bool = False) -> list[float]:
         if numbers.count(value) > 1:
             raise ValueError(f"{option}: {item} is given more than once")
     return numbers
+
+
+def _unknown(what: str, name: str, listed: str) -> str:
+    """The message that a name is not one of those listed, with the closest ones first.
+
+    what: the option and the name
+    listed: names with what may follow them, such as `cvar[:alpha]`, and commas between them
+    """
+    forms = {re.split(r"[\[:]", form)[0]: form for form in listed.split(", ")}
+    near = [forms[one] for one in closest(name, forms)]
+    if not near:
+        return f"{what} is not one of {listed}"
+    return f"{what} is unknown; did you mean {' or '.join(near)}? Known: {listed}"
 
 
 def _number(name: str, text: str | None) -> float:

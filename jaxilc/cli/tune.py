@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
-from .console import err, out
+from .console import err
 from .options import (
     DESIGN,
     TERMS,
@@ -36,7 +36,14 @@ from .options import (
     Weights,
     at_least,
 )
-from .results import parameter_file, unless_there, written
+from .results import parameter_file, show, unless_there, written
+from .verdicts.next_command import Asked
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from ..scenarios import Scenario
+    from ..tuning import Tuned, Tuning
 
 
 def register(app: typer.Typer) -> None:
@@ -80,7 +87,7 @@ def tune(
     """
     from .progress import run_tuning, thread_for_later, tuning_bar
 
-    with tuning_bar(steps) as show:
+    with tuning_bar(steps) as told:
         from .asked import begin, chosen_scenario, objective_asked, tuning_problem
 
         begin(precision)
@@ -110,35 +117,67 @@ def tune(
         comparison = problem.comparison(trials=compare_trials, machines=unseen)
         state = unless_there(folder / "state", resume)
         later = thread_for_later(comparison.compile)
-        tuned = run_tuning(problem, state, show, resume=resume, later=later)
-        show("comparing")
+        tuned = run_tuning(problem, state, told, resume=resume, later=later)
+        told("comparing")
         dataset = problem.compare(tuned, trials=compare_trials, machines=unseen)
+    asked = Asked(scenario, (scheme,), tuple(set_ or ()), params, trials, spread)
+    options = {"weights": weights, "objective": objective, "risk": risk}
+    found = _Found(chosen, scheme, problem, tuned, dataset)
+    _finish(found, asked, folder, json_file, report, options)
 
+
+class _Found(NamedTuple):
+    """A tuning that is done.
+
+    chosen: the scenario, with the scheme of this name
+    problem, tuned: what was solved, and its result
+    dataset: result of `Tuning.compare`
+    """
+
+    chosen: Scenario
+    scheme: str
+    problem: Tuning
+    tuned: Tuned
+    dataset: xr.Dataset
+
+
+def _finish(
+    found: _Found,
+    asked: Asked,
+    folder: Path,
+    json_file: Path | None,
+    report: Path | None,
+    options: dict[str, str],
+) -> None:
+    """Print the tables and the verdict of a tuning, and write its files.
+
+    options: further options, by name, for the report
+    """
     from ..figures.report import command_report
     from .tuning_numbers import tuning_numbers
     from .tuning_tables import tuning_lines, tuning_tables
+    from .verdicts.case import Case
+    from .verdicts.tuning import tune_verdict
 
+    chosen, scheme, problem, tuned, dataset = found
     numbers = tuning_numbers(chosen, scheme, tuned, dataset)
     shown = tuning_tables(chosen, numbers)
     result, warnings = tuning_lines(tuned, numbers)
-    for table in shown:
-        out.print(table)
-    out.print(result, highlight=False)
+    show(shown, [result])
     for line in warnings:
         err.print(line, highlight=False)
-    paths = [
-        parameter_file(
-            folder / "params.json",
-            chosen,
-            command="jaxilc tune",
-            source=scenario,
-            scheme=scheme,
-            tuned=tuned,
-            held_out_loss=numbers["held_out"],
-            configuration=problem.configuration(),
-        ),
-        *_figures(folder, chosen, tuned, dataset),
-    ]
+    params = parameter_file(
+        folder / "params.json",
+        chosen,
+        command="jaxilc tune",
+        source=asked.source,
+        scheme=scheme,
+        tuned=tuned,
+        held_out_loss=numbers["held_out"],
+        configuration=problem.configuration(),
+    )
+    paths = [params, *_figures(folder, chosen, tuned, dataset)]
+    verdict = tune_verdict(Case.of(chosen, asked), numbers, params)
     page = command_report(
         report,
         "tune",
@@ -146,10 +185,10 @@ def tune(
         paths,
         scenario=chosen,
         configuration=problem.configuration(),
-        lines=[result, *warnings],
-        asked={"weights": weights, "objective": objective, "risk": risk},
+        lines=[result, *warnings, *verdict.lines],
+        asked=options,
     )
-    written([*paths, *page], json_file, numbers)
+    written([*paths, *page], json_file, numbers, verdict)
 
 
 def _figures(folder: Path, chosen, tuned, dataset) -> list[Path]:

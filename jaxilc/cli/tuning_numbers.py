@@ -58,6 +58,7 @@ def tuning_numbers(
             "given": tuned.before,
             "tuned": tuned.after,
             "step": tuned.step,
+            "steps": len(tuned.loss),
             "reason": tuned.reason,
         },
         "figures": by_metric,

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from .console import out
 from .options import (
     DESIGN,
     Json,
@@ -22,7 +22,12 @@ from .options import (
     Spread,
     at_least,
 )
-from .results import folder_of, written
+from .results import folder_of, show, written
+from .verdicts.next_command import Asked
+
+if TYPE_CHECKING:
+    from ..scenarios import Scenario
+    from ..tuning.worst_machine import WorstMachine
 
 
 def register(app: typer.Typer) -> None:
@@ -62,12 +67,9 @@ def worst_case(
     from .asked import begin, chosen_scenario, spread_of
 
     begin(precision)
-    from .. import figures
-    from ..figures.report import command_report
     from ..tuning.worst_case import GRADIENT_COST
     from ..tuning.worst_machine import worst_machine
     from .tuning_numbers import worst_case_numbers
-    from .tuning_tables import worst_case_tables
 
     at_least(1, trial=trial, starts=starts, steps=steps, draws=draws)
     at_least(starts * (1 + GRADIENT_COST), evaluations=evaluations)
@@ -89,7 +91,7 @@ def worst_case(
         draws=draws,
         seed=seed,
     )
-    asked = {
+    options = {
         "scenario": scenario,
         "scheme": scheme,
         "trial": chosen.trials,
@@ -99,27 +101,61 @@ def worst_case(
         "params": None if params is None else str(params),
         "given": list(set_ or []),
     }
-    numbers = asked | worst_case_numbers(found, wide.uncertainty)
-    shown = worst_case_tables(chosen, numbers)
-    for table in shown:
-        out.print(table)
+    numbers = options | worst_case_numbers(found, wide.uncertainty)
+    asked = Asked(scenario, (scheme,), tuple(set_ or ()), params, trial, spread)
     folder = folder_of(out_dir, f"worst-case-{chosen.name}")
+    of_search = {"starts": starts, "steps": steps, "seed": seed}
+    _finish(_Found(wide, found, numbers, folder), asked, of_search, json_file, report)
+
+
+class _Found(NamedTuple):
+    """A search that is done: scenario, result, its numbers, and the folder for results."""
+
+    chosen: Scenario
+    worst: WorstMachine
+    numbers: dict[str, Any]
+    folder: Path
+
+
+def _finish(
+    found: _Found,
+    asked: Asked,
+    options: dict[str, int],
+    json_file: Path | None,
+    report: Path | None,
+) -> None:
+    """Print the tables and the verdict of a search, and write its files.
+
+    options: further options, by name, for the report
+    """
+    from .. import figures
+    from ..figures.report import command_report
+    from ..storage.sealed import write_json
+    from .tuning_tables import worst_case_tables
+    from .verdicts.case import Case
+    from .verdicts.tuning import worst_case_verdict
+
+    chosen, worst, numbers, folder = found
+    shown = worst_case_tables(chosen, numbers)
+    show(shown)
     axes = figures.worst_against_chance(
-        found.by_chance,
-        {name: search.value for name, search in found.searches.items()},
-        nominal=found.nominal,
+        worst.by_chance,
+        {name: search.value for name, search in worst.searches.items()},
+        nominal=worst.nominal,
         metric=chosen.judged_by,
-        unit=unit,
+        unit=numbers["unit"],
     )
     path = figures.save(axes, folder / "worst-case.png")
+    verdict = worst_case_verdict(Case.of(chosen, asked), numbers["scheme"], numbers)
     page = command_report(
         report,
         "worst-case",
         shown,
         [path],
-        scenario=wide,
-        asked={"starts": starts, "steps": steps, "seed": seed},
+        scenario=chosen,
+        lines=verdict.lines,
+        asked=options,
     )
-    written([path, *page], folder / "worst-case.json", numbers)
-    if json_file is not None:
-        written([], json_file, numbers)
+    numbers |= verdict.as_json()
+    write_json(folder / "worst-case.json", numbers)
+    written([path, *page, folder / "worst-case.json"], json_file, numbers, verdict)

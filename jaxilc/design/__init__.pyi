@@ -1,4 +1,4 @@
 from .candidates import LAWS
-from .search import Design, Recommended, design_law, feedback_among
+from .search import Design, Designed, Recommended, feedback_among
 
-__all__ = ["LAWS", "Design", "Recommended", "design_law", "feedback_among"]
+__all__ = ["LAWS", "Design", "Designed", "Recommended", "feedback_among"]

@@ -19,6 +19,7 @@ from ..filters.inversion import stable_inverse
 from ..plants import StateSpace
 from ..schemes import ErrorFiltered, Filtered, NormOptimal, PIDType, Scheme, WithFeedback
 from ..signals.task import Task
+from ..theory.filtered_law import Change, Lines, largest_cutoff, low_pass
 from ..theory.loop import minimal
 from .responses import Family
 
@@ -26,9 +27,8 @@ ORDER = 2  # of the robustness filter, in one pass
 GAINS = (0.1, 0.2, 0.35, 0.5, 0.7, 0.85, 1.0)  # of the inverse of the largest steady gain
 INVERSE_GAINS = (0.2, 0.35, 0.5, 0.7, 0.85, 1.0)
 RATES = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)  # derivative times, in samples times 1 + lead
-SHARES = (1.0, 0.75, 0.55, 0.4)  # of the largest cutoff that is allowed
+SHARES = (0.98, 0.75, 0.55, 0.4)  # of the largest cutoff that is allowed
 LEADS, LONGEST = 36, 500  # number of leads tried, and the longest [samples]
-CUTOFFS = 60
 WIDER = 4.0  # factor by which a tuning may change a weight, to either side
 FREER = 100.0  # the same for the weights of norm-optimal learning
 
@@ -204,16 +204,18 @@ def _widest(family: Family, laws, task: Task, trials: int, margin: float) -> _Fo
     laws: dictionaries of weights, with the response `L` (F,) of u' = keep (u + L e) before the
         filter, and `keep` where it is not 1
     """
-    cutoffs = np.geomspace(min(2 / task.duration, 0.05 / task.dt), 0.45 / task.dt, CUTOFFS)
-    Q = low_pass(family.frequencies, cutoffs[:, None], task.dt)
+    lowest, highest = min(2 / task.duration, 0.05 / task.dt), 0.45 / task.dt
+    still = Change(1.0, 0, np.inf, ORDER)
     best: _Found | None = None
     for law in laws:
-        L, keep = law.pop("L"), law.pop("keep", 1.0)
-        kept = np.max(np.abs(keep * (1 - L * family.P)), axis=0)
-        allowed = np.flatnonzero(np.max(Q * kept, axis=1) <= 1 - margin)
-        for share in SHARES if len(allowed) else ():
-            cutoff = share * cutoffs[allowed[-1]]
-            with_filter = keep * low_pass(family.frequencies, cutoff, task.dt)
+        L, keep = law.pop("L"), law.pop("keep", np.ones(len(family.frequencies)))
+        lines = Lines(family.frequencies, family.P, 0.0 * family.P.real, keep, keep * L, task.dt)
+        most = largest_cutoff([lines], still, 1 - margin, lowest)
+        for share in SHARES:
+            if most is None:
+                break
+            cutoff = min(share * most, highest)
+            with_filter = keep * low_pass(family.frequencies, cutoff, task.dt, ORDER)
             weights = law | {"cutoff": float(cutoff)}
             best = _better(family, best, weights, with_filter, L, trials, margin)
     return best
@@ -230,12 +232,6 @@ def _better(family, best, weights, Q, L, trials, margin) -> _Found | None:
     if best is not None and best.predicted <= predicted:
         return best
     return _Found(weights, predicted, largest)
-
-
-def low_pass(f, cutoff, dt):
-    """Q as `ZeroPhaseButterworth` of `ORDER` has it."""
-    with np.errstate(over="ignore"):
-        return 1 / (1 + (np.tan(np.pi * f * dt) / np.tan(np.pi * cutoff * dt)) ** (2 * ORDER))
 
 
 def _candidate(words, learning, found: _Found, feedback, bounds, task) -> Candidate:

@@ -16,8 +16,8 @@ from ..sweeps.summary import SchemeSummary
 from .candidates import Candidate
 
 LONG = 3, 60, 200  # the sweep has so many times the trials asked for, within these bounds
-LIKE = 1.05  # errors within this factor count as equal; the simpler law is then taken
-SETTLED = 1.05  # factor above its best value within which the error counts as settled
+LIKE = 1.01  # errors within this factor count as equal; the simpler law is then taken
+SETTLED = 1.05  # factor above the error that is kept, within which a trial counts as settled
 GROWN = 2.0  # factor by which the error may not have grown at the end of the sweep
 
 
@@ -35,7 +35,7 @@ class Verdict(NamedTuple):
         the sweep after that [unit of the metric]
     median: the same for 50 %
     worst: the same for all machines
-    settled_at: first trial whose 95 % error is within 5 % of that of the last trial asked for
+    settled_at: first trial whose 95 % error is at most 5 % above `error`
     tolerated_from: first trial from which on 95 % of the machines stay within the tolerance, 0 if
         there is none
     lost: why the law is out of question, empty if it is not
@@ -63,13 +63,13 @@ def verdict(
     elif summary.worst[-1] > GROWN * summary.worst[last]:
         factor = summary.worst[-1] / summary.worst[last]
         lost = f"the error grows {factor:.1f} times from trial {trials} to {len(summary.worst)}"
-    high = summary.high
+    high, error = summary.high, float(np.max(summary.high[last:]))
     return Verdict(
         candidate,
-        error=float(np.max(high[last:])),
+        error=error,
         median=float(np.max(summary.median[last:])),
         worst=float(np.max(summary.worst[last:])),
-        settled_at=1 + int(np.argmax(high <= SETTLED * high[last])),
+        settled_at=1 + int(np.argmax(high <= SETTLED * error)),
         tolerated_from=_stays_from(high, tolerance),
         lost=lost,
         summary=summary,

@@ -9,9 +9,8 @@ import numpy as np
 from ..learning.machine import Machine
 from ..schemes import Scheme
 from ..signals.task import Task
-from ..theory import certify_each
 from ..theory.by_frequency import largest_of
-from ..theory.certificates import DIVERGES
+from ..theory.certificates import DIVERGES, long_run
 from ..theory.law import law_of
 from ..theory.loop import minimal
 from ..theory.over_frequency import lines
@@ -59,7 +58,6 @@ def proof_of(
     machine: Machine,
     task: Task,
     uncertainty: Uncertainty,
-    trials: int,
 ) -> Proof:
     """The proof of a scheme over a family of machines."""
     law = law_of(scheme, task)
@@ -72,7 +70,7 @@ def proof_of(
         found.append(largest_of(law, loop, task, lines(task, None, [loop])))
     top = max(range(len(which)), key=lambda i: found[i].value)
     both = {name: values[[0, which[top]]] for name, values in family.drawn.items()}
-    told = certify_each(drawn_machines(machine, uncertainty, both), scheme, task, trials)
+    told = long_run(drawn_machines(machine, uncertainty, both), scheme, task)
     return Proof(
         nominal=float(found[0].value),
         worst=float(found[top].value),

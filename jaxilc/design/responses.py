@@ -96,7 +96,8 @@ def family_of(
     """The responses of the machines at the corners of the uncertainty, and of some drawn within.
 
     feedback: the feedback under which the machine learns, None for none
-    Raises ValueError for a machine of several inputs or outputs, or one that is not stable.
+    Raises ValueError for a machine of several inputs or outputs, one that is not stable, and one
+    whose first trial has no error.
     """
     if task.inputs != 1 or task.outputs != 1:
         raise ValueError(
@@ -118,6 +119,11 @@ def family_of(
     f = grid(task, points=LINES, near=poles)
     P = _responses(Loop(*map(np.stack, zip(*loops, strict=True))), f, task.dt)
     error = _first_error(machine, feedback, task, f)
+    if not np.any(error):
+        raise ValueError(
+            "design: the error of the first trial is 0, so there is nothing to learn; give the "
+            "task a reference that the machine does not follow by itself"
+        )
     noise = _noise(machine, task, f, P[0], NOT_REPEATED * float(np.linalg.norm(error)))
     return Family(f, np.asarray(P), error, noise, loops, drawn)
 

@@ -14,13 +14,14 @@ from ..schemes import Scheme
 from ..signals.task import Task
 from ..theory.law import law_of
 from ..tuning import Tuning
-from ..tuning.objectives import EveryTrial, Final
+from ..tuning.objectives import EveryTrial, Holding
 from ..tuning.risks import CVaR
 from ..uncertainty import Uncertainty
 from .candidates import Candidate
 from .responses import Family
 
-EARLY = 0.3  # weight of the errors of all trials, beside that of the last one
+LATE = 0.25  # share of the trials, the last ones, of which the largest error counts
+EARLY = 0.02  # weight of the errors of all trials, beside that
 WORST = 0.75  # level of the conditional value at risk: the mean of the worst quarter of machines
 STEPS_BACK = (1.0, 0.8, 0.6, 0.4, 0.2)  # ways from the safe weights to the tuned ones, in logarithm
 
@@ -42,14 +43,15 @@ def tuned(
 ) -> Candidate:
     """The candidate with tuned weights, or as near to them as |Q (1 - L P)| <= 1 - margin allows.
 
-    The tuning minimises the errors of the last trial and, with a smaller weight, of all trials, in
-    the mean of the worst quarter of the machines. As it sees a few trials only, it may end at
-    weights that diverge later. So the weights are then moved back towards the safe ones of the
-    candidate, until the frequency test holds with its margin over the family.
+    The tuning minimises the largest error of the last trials and, with a smaller weight, the errors
+    of all trials, in the mean of the worst quarter of the machines. As it sees a few trials only,
+    it may end at weights that diverge later. So the weights are then moved back towards the safe
+    ones of the candidate, until the frequency test holds with its margin over the family.
 
     out: folder of the tuning's state;  resume: go on with what is there
     settings: of `Tuning`
     """
+    first = max(1, round((1 - LATE) * trials))
     problem = Tuning(
         machine,
         candidate.scheme,
@@ -57,7 +59,7 @@ def tuned(
         trials,
         weights=candidate.bounds,
         uncertainty=uncertainty,
-        objective=Final(metric) + EARLY * EveryTrial(metric),
+        objective=Holding(first, metric) + EARLY * EveryTrial(metric),
         risk=CVaR(WORST),
         **settings,
     )

@@ -3,6 +3,7 @@
     by_trial      errors against the trial: one machine, many machines, theory against simulation
     within_trial  signals against time with a zoom, and the contour of two axes
     by_frequency  spectrum and time-frequency map of the error, |Q (keep - L P)|
+    q_filter      whether a Q-filter is safe, and by how much
     searches      tunings, trade-offs, worst machines
     experiments   identification: the record, and the model against it
     campaign      a campaign on a real machine
@@ -16,7 +17,8 @@ from . import report
 from .by_frequency import frequency_tests, spectrum, time_frequency
 from .by_trial import certificate, error_band, error_by_trial
 from .campaign import campaign_figure
-from .experiments import record_figure, validation_figure
+from .experiments import record_figure, response_fit_figure, validation_figure
+from .q_filter import q_filter_figure
 from .searches import final_error_by_trials, loss_by_step, pareto_front, worst_against_chance
 from .style import COLOURS, DASHES, MARKS, save
 from .within_trial import contour, tracking
@@ -34,8 +36,10 @@ __all__ = [
     "frequency_tests",
     "loss_by_step",
     "pareto_front",
+    "q_filter_figure",
     "record_figure",
     "report",
+    "response_fit_figure",
     "save",
     "spectrum",
     "time_frequency",

@@ -10,6 +10,7 @@ from .style import COLOURS, grid, labelled, legend_beside, new_axes
 
 if TYPE_CHECKING:
     from ..identification import Identified, Record
+    from ..theory.measured import MeasuredResponse
 
 
 def record_figure(
@@ -89,5 +90,39 @@ def validation_figure(
         grid(axis)
     top.set(ylabel=labelled("output", output_unit))
     bottom.set(ylabel=labelled("residual", unit), xlabel="time [s]")
+    top.legend(ncols=3, fontsize="small", loc="lower right", bbox_to_anchor=(1.0, 1.0))
+    return axes
+
+
+def response_fit_figure(measured: MeasuredResponse, identified: Identified, *, ax=None):
+    """A measured frequency response and the one fitted to it: magnitude, phase; two axes.
+
+    The band is the 95 % interval of the magnitude of each line, where its scatter is known. The
+    thin line is the magnitude of their difference.
+    """
+    top, bottom = axes = new_axes(ax, rows=2)
+    f, G, std = measured
+    fitted = identified.simulated[:, 0]
+    size = np.abs(G)
+    if np.any(std):
+        half = 1.96 * std / np.sqrt(2)  # std is that of the complex number
+        low = np.maximum(size - half, 1e-3 * size)
+        top.fill_between(f, low, size + half, color="#999999", alpha=0.4, linewidth=0)
+    top.plot(f, size, color="#999999", linewidth=3, label="measured")
+    said = f"fitted: {identified.fit[0]:.2f} %"
+    top.plot(f, np.abs(fitted), color=COLOURS[0], linewidth=1, label=said)
+    top.plot(f, np.abs(G - fitted), color=COLOURS[1], linewidth=0.6, label="difference")
+    top.set_yscale("log")
+    for response, style in (
+        (G, {"color": "#999999", "linewidth": 3}),
+        (fitted, {"color": COLOURS[0], "linewidth": 1}),
+    ):
+        bottom.plot(f, np.unwrap(np.angle(response)) * 180 / np.pi, **style)
+    for axis in axes:
+        axis.set_xscale("log")
+        axis.set_xlim(f[0], f[-1])
+        grid(axis)
+    top.set(ylabel="magnitude")
+    bottom.set(ylabel=labelled("phase", "deg"), xlabel="frequency [Hz]")
     top.legend(ncols=3, fontsize="small", loc="lower right", bbox_to_anchor=(1.0, 1.0))
     return axes

@@ -103,6 +103,9 @@ class StableInverse(Inverse):
     dt: float = static(interval="(0, inf)")
     extension: int = static(default=0, interval="[0, 1e7]", whole=True)
 
+    def __post_init__(self):
+        _need_rows(self)
+
     def __call__(self, signal, dt):
         self.check(signal.shape[0], dt)
         forced = self.gain * _run_ahead(self.forward, signal, self.advance, self.extension)
@@ -153,9 +156,19 @@ class ZPETC(Inverse):
     advance: int = static(whole=True)
     dt: float = static(interval="(0, inf)")
 
+    def __post_init__(self):
+        _need_rows(self)
+
     def __call__(self, signal, dt):
         self.check(signal.shape[0], dt)
         return self.gain * _run_ahead(self.forward, signal, self.advance, 0)
+
+
+def _need_rows(inverse: Inverse) -> None:
+    """Give an empty list of sections, as a file may have it, the shape of no rows."""
+    for name in ("forward", "backward"):
+        if np.shape(vars(inverse).get(name, 0.0)) == (0,):
+            object.__setattr__(inverse, name, np.zeros((0, 5)))
 
 
 def stable_inverse(

@@ -18,8 +18,8 @@ import numpy as np
 
 from ..learning.playback import unit_of
 from ..signals.task import Task
+from ..storage.columns import name_and_unit, numbers_in, read_columns
 from ..storage.mat_files import ROOM, Other, read_mat
-from ..storage.reading import name_and_unit, numbers_in, read_columns
 
 STEP_TOLERANCE = 0.01  # share of the sample time by which a single step may differ
 RATE_TOLERANCE = 1e-3  # share of the sample time by which the median step may differ

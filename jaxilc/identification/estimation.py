@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 
 import jax
 import numpy as np
 
 from ..plants import Plant, ProcessModel
+from ..plants.process_model import LONGEST_DELAY
 from ..pytree.ranges import SEEDS, require
 from .many_starts import from_many_starts
 from .problem import checked_record, free_elements, need_samples, problem_of
@@ -25,6 +27,7 @@ def identify(
     poles: int = 1,
     pairs: int = 1,
     zeros: int = 1,
+    delay: int = 0,
     free: Sequence[str] | None = None,
     fit_share: float = 0.7,
     starts: int = 256,
@@ -45,6 +48,8 @@ def identify(
     record: the experiment
     plant: the plant to start from; None for a ProcessModel with the given numbers of `poles`, of
         complex `pairs` of poles and of `zeros` (1, 1, 1 is Cao 2019, eq. 6), started automatically
+    delay: dead time of this ProcessModel in whole samples, beyond the one sample that every plant
+        here has; it is fixed, see `orders_and_delays` for its choice
     free: leaves of the plant, or elements of them, that are fitted; None for all
     fit_share: (0, 1], share of the record that is fitted; the rest validates the fit, and is
         simulated without a break
@@ -71,6 +76,7 @@ def identify(
         for name, value in (("poles", poles), ("pairs", pairs), ("zeros", zeros)):
             require("identify", name, value, f"[0, {MOST}]", whole=True)
         require("identify", "starts", starts, "[1, inf)", whole=True)
+        require("identify", "delay", delay, f"[0, {LONGEST_DELAY}]", whole=True)
         order = poles + 2 * pairs
         require("identify", "zeros", zeros, f"[0, {order})", note=", the order")
         if free is not None:
@@ -79,7 +85,12 @@ def identify(
             )
         need_samples(round(fit_share * len(record.y)) * record.y.shape[1], 2 + zeros + order)
         plant = ProcessModel(1.0, np.ones(zeros), np.ones(poles), np.ones(pairs), np.ones(pairs))
-    problem = problem_of(record, plant, free_elements(plant, free), fit_share)
+    elif delay:
+        raise ValueError(
+            f"identify: delay = {delay} is for a ProcessModel that is started automatically; the "
+            "plant given has its own"
+        )
+    problem = problem_of(later(record, delay), plant, free_elements(plant, free), fit_share)
     found = (
         problem.solve(problem.start(plant)) if given else from_many_starts(problem, starts, seed)
     )
@@ -87,4 +98,25 @@ def identify(
         spread = np.std(problem.residual(found.theta)[: problem.samples], axis=0)
         problem = problem._replace(scale=np.maximum(spread, 1e-12 * problem.scale))
         found = problem.solve(found.theta)
-    return judged(problem, found)
+    result = judged(problem, found)
+    if not delay:
+        return result
+    return result._replace(plant=dataclasses.replace(result.plant, delay=delay * record.dt))
+
+
+def later(record: Record, delay: int) -> Record:
+    """The record with its input delayed by whole samples, from rest.
+
+    A plant of this delay answers the input as the plant without it answers the delayed input. So
+    every delay is fitted by the same compiled programs.
+    """
+    u = np.asarray(record.u)
+    of_each = u.reshape(record.trials, -1, u.shape[1])
+    N = of_each.shape[1]
+    if not 0 <= delay < N:
+        raise ValueError(
+            f"identify: delay = {delay} samples is outside its allowed range [0, {N}), the "
+            "length of the record"
+        )
+    moved = np.pad(of_each, ((0, 0), (delay, 0), (0, 0)))[:, :N]
+    return record._replace(u=moved.reshape(u.shape))

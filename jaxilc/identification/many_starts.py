@@ -15,7 +15,6 @@ from ..learning.machine import Machine
 from ..plants import ProcessModel
 from ..runtime.capacity import check_size
 from ..runtime.tiles import tiled
-from ..signals.task import Task
 from .from_rest import output_from_rest
 from .problem import Minimum, Problem
 
@@ -32,7 +31,8 @@ def from_many_starts(problem: Problem, starts: int, seed: int) -> Minimum:
     # Bytes for the numbers drawn, and for the products of all pairs of the simulated signals.
     each = 8 * (100 + 8 * len(problem.names) ** 2)
     check_size("identify", lambda starts: each * starts, starts=starts)
-    drawn = _draw(cast(ProcessModel, problem.plant), problem.task, starts, seed)
+    shape, task = cast(ProcessModel, problem.plant), problem.task
+    drawn = drawn_plants(shape, (1 / task.duration, 0.5 * np.pi / task.dt), starts, seed)
     fitted = np.arange(len(problem.record.y)) < problem.samples
     products = np.asarray(
         _products()((problem.task, problem.record.u, problem.record.y, fitted), drawn)
@@ -44,7 +44,7 @@ def from_many_starts(problem: Problem, starts: int, seed: int) -> Minimum:
         if np.isfinite(scored[i][0])
     ]
     begin = [
-        problem.start(_with_numerator(jax.tree.map(lambda leaf, i=i: leaf[i], drawn), scored[i][1]))
+        problem.start(with_numerator(jax.tree.map(lambda leaf, i=i: leaf[i], drawn), scored[i][1]))
         for i in best
     ]
     winner = min(
@@ -54,20 +54,24 @@ def from_many_starts(problem: Problem, starts: int, seed: int) -> Minimum:
     return problem.solve(problem.start(problem.plant_at(winner.theta).regrouped()))
 
 
-def _draw(shape: ProcessModel, task: Task, starts: int, seed: int) -> ProcessModel:
+def drawn_plants(
+    shape: ProcessModel, rates: tuple[float, float], starts: int, seed: int
+) -> ProcessModel:
     """Plants with drawn denominators, stacked over `starts`.
 
-    The rates of the poles are log-uniform between 1 / duration and half the Nyquist frequency, the
-    dampings log-uniform in [0.05, 2]. All zeros of a plant are put at the geometric mean of its
-    rates, which `_inner_products` starts from.
+    The rates of the poles are log-uniform between the two given [rad/s], the dampings log-uniform
+    in [0.05, 2]. All zeros of a plant are put at the geometric mean of its rates, which
+    `_inner_products` starts from.
+
+    shape: a plant with as many poles, pairs and zeros
     """
     m, n, q = shape.zeros.shape[0], shape.poles.shape[0], shape.frequencies.shape[0]
     unit = scipy.stats.qmc.LatinHypercube(n + 2 * q, rng=seed).random(starts)
-    slowest, fastest = 1 / task.duration, 0.5 * np.pi / task.dt
-    rates = slowest * (fastest / slowest) ** unit[:, : n + q]
-    zeros = np.repeat(np.exp(np.mean(np.log(rates), axis=1, keepdims=True)), m, axis=1)
+    slowest, fastest = rates
+    drawn = slowest * (fastest / slowest) ** unit[:, : n + q]
+    zeros = np.repeat(np.exp(np.mean(np.log(drawn), axis=1, keepdims=True)), m, axis=1)
     return ProcessModel(
-        np.ones(starts), zeros, rates[:, :n], rates[:, n:], 0.05 * 40 ** unit[:, n + q :]
+        np.ones(starts), zeros, drawn[:, :n], drawn[:, n:], 0.05 * 40 ** unit[:, n + q :]
     )
 
 
@@ -105,7 +109,7 @@ def _numerator(products):
     return float(products[-1, -1] - weights @ products[:-1, -1]), weights[1:]
 
 
-def _with_numerator(plant: ProcessModel, weights) -> ProcessModel:
+def with_numerator(plant: ProcessModel, weights) -> ProcessModel:
     """The plant with the numerator sum_k weights_k (1 - s / a)^k.
 
     A ProcessModel has no complex zeros. In place of a complex pair it gets two real zeros that are

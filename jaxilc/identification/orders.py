@@ -22,11 +22,12 @@ class Order(NamedTuple):
     """The fit of one structure.
 
     poles, pairs, zeros: numbers of real poles, pairs of poles and zeros
-    parameters: number of fitted numbers, the bias included
+    parameters: number of fitted numbers, with the bias, and with the delay where it is not 0
     rms: root mean square of the residual over the fitted part [unit of y]
     bic: Bayesian information criterion, see `information`
     validation_fit: fit over the validation part [%]
     found: the identification
+    delay: dead time in samples, of a fit to a record
     """
 
     poles: int
@@ -37,12 +38,14 @@ class Order(NamedTuple):
     bic: float
     validation_fit: float
     found: Identified
+    delay: int = 0
 
 
 def compare_orders(
     record: Record,
     *,
     structures: Sequence[tuple[int, int, int]] = STRUCTURES,
+    delay: int = 0,
     starts: int = 64,
     seed: int = 0,
     each: Callable[[tuple[int, int, int]], object] = lambda structure: None,
@@ -50,6 +53,7 @@ def compare_orders(
     """Fits of several structures to a record of one input and one output, in the order given.
 
     structures: (poles, pairs, zeros) of each
+    delay: dead time of all of them in samples
     starts, seed: as for `identify`; the first 70 % of the record are fitted
     each: called with each structure before it is fitted
     A structure of too many parameters for the record is left out, except the first one.
@@ -57,15 +61,17 @@ def compare_orders(
     """
     found = []
     for i, (poles, pairs, zeros) in enumerate(structures):
-        if i and not _long_enough(record, 2 + poles + 2 * pairs + zeros):
+        if i and not long_enough(record, 2 + poles + 2 * pairs + zeros):
             continue
         each((poles, pairs, zeros))
-        fit = identify(record, poles=poles, pairs=pairs, zeros=zeros, starts=starts, seed=seed)
+        fit = identify(
+            record, poles=poles, pairs=pairs, zeros=zeros, delay=delay, starts=starts, seed=seed
+        )
         residual = (np.asarray(record.y).reshape(len(fit.simulated), -1) - fit.simulated)[
             : fit.samples, 0
         ]
         smallest = SMALLEST * float(np.std(np.asarray(record.y)[: fit.samples]))
-        number = len(fit.parameters)
+        number = len(fit.parameters) + (delay > 0)
         found.append(
             Order(
                 poles,
@@ -76,12 +82,14 @@ def compare_orders(
                 information(residual, number, smallest),
                 float(fit.validation_fit[0]),
                 fit,
+                delay,
             )
         )
     return found
 
 
-def _long_enough(record: Record, parameters: int) -> bool:
+def long_enough(record: Record, parameters: int) -> bool:
+    """Whether the fitted part of a record has enough samples for so many parameters."""
     return round(0.7 * len(record.y)) >= SAMPLES_PER_PARAMETER * parameters
 
 

@@ -159,28 +159,36 @@ class Problem(NamedTuple):
 
     def solve(self, theta, **options):
         """The minimum that least squares within a trust region reaches from theta."""
-        to_values, scale = self.coordinates.to_values, self.scale
+        return least_squares_from(self, theta, **options)
 
-        def residual(x):
-            return np.ravel(-self.residual(to_values(x))[: self.samples] / scale)
 
-        def jacobian(x):
-            theta = to_values(x)
-            return (self.sensitivity(theta) / scale[:, None]).reshape(
-                -1, len(theta)
-            ) * self.coordinates.slope(theta)
+def least_squares_from(problem, theta, **options) -> Minimum:
+    """The minimum that least squares within a trust region reaches from theta.
 
-        bounds = (self.coordinates.low, self.coordinates.high)
-        options = {"ftol": 1e-12, "xtol": 1e-10, "gtol": 1e-12, "max_nfev": 200} | options
-        found = scipy.optimize.least_squares(
-            residual,
-            self.coordinates.from_values(theta),
-            jacobian,
-            bounds,
-            x_scale="jac",
-            **options,
-        )
-        return Minimum(to_values(found.x), found.cost, found.status > 0)
+    problem: with `residual(theta)` and `sensitivity(theta)` as `Problem` has them, its `samples`,
+        `scale` and `coordinates`
+    """
+    coordinates, scale = problem.coordinates, problem.scale
+
+    def residual(x):
+        return np.ravel(-problem.residual(coordinates.to_values(x))[: problem.samples] / scale)
+
+    def jacobian(x):
+        theta = coordinates.to_values(x)
+        return (problem.sensitivity(theta) / scale[:, None]).reshape(
+            -1, len(theta)
+        ) * coordinates.slope(theta)
+
+    options = {"ftol": 1e-12, "xtol": 1e-10, "gtol": 1e-12, "max_nfev": 200} | options
+    found = scipy.optimize.least_squares(
+        residual,
+        np.clip(coordinates.from_values(theta), coordinates.low, coordinates.high),
+        jacobian,
+        (coordinates.low, coordinates.high),
+        x_scale="jac",
+        **options,
+    )
+    return Minimum(coordinates.to_values(found.x), found.cost, found.status > 0)
 
 
 def checked_record(record: Record) -> Record:

@@ -10,6 +10,8 @@ SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 OTHER_NAMES = {"sec": "s", "seconds": "s", "msec": "ms", "µs": "us", "μs": "us"}
 # From this mean step on, a time without a unit is doubted: a drive is sampled faster than 10 Hz.
 DOUBTFUL = 0.1
+# Share of the sample time by which a step of a record's time may differ from the others.
+STEP_TOLERANCE = 0.01
 _WITH_UNIT = re.compile(r"^(.+?)\s*(?:\[([^\[\]]*)\]|\(([^()]*)\))$")
 _WITH_SUFFIX = re.compile(r"^(.+)_([a-zµμ]+)$")
 

@@ -15,6 +15,7 @@ from .problem import Minimum, Problem
 
 CONFIDENCE = 0.95
 LAGS = 20  # lags of the residual's autocorrelation that are tested
+WHITE = 0.8  # share of autocorrelations within their bounds from which on a residual is white
 DRAWS = 4000  # draws of the parameters, for the intervals of the poles
 
 
@@ -61,6 +62,11 @@ class Identified(NamedTuple):
         plant may still be good, but the intervals are too narrow
     converged: whether the optimiser met its tolerances; with too many parameters for the record it
         may make ever smaller progress without meeting them
+    of_response: whether lines of a frequency response were fitted. Then `samples` counts them,
+        `simulated` is the complex response, `fit` is 100 (1 - |measured - fit| / |measured|) of
+        numbers divided by std, and `residual_std` is the residual divided by std: 1 is expected.
+        Where no std is known, it is the relative residual
+    std_known: whether the standard deviations of these lines were known
     """
 
     plant: Plant
@@ -75,21 +81,27 @@ class Identified(NamedTuple):
     whiteness: np.ndarray
     white: bool
     converged: bool
+    of_response: bool = False
+    std_known: bool = False
 
     def summary(self) -> list[tuple[str, float, float, float]]:
         """Rows (quantity, value, low, high) to print; low and high are nan without an interval."""
-        rows = [(name, *estimate) for name, estimate in self.parameters.items()]
+        units = {"delay": "delay [s]"}
+        rows = [(units.get(name, name), *of) for name, of in self.parameters.items()]
         for i, pole in enumerate(self.poles, 1):
             rows += [
                 (f"pole {i}, real part", *pole.real),
                 (f"pole {i}, imaginary part", *pole.imag),
             ]
-        metrics = {
-            "fit [%]": self.fit,
-            "fit of the validation part [%]": self.validation_fit,
-            "residual std": self.residual_std,
-        }
-        metrics["share of residual autocorrelations within bounds"] = self.whiteness
+        delay = getattr(self.plant, "delay", 0.0)
+        if delay and "delay" not in self.parameters:
+            rows.append(("delay [s]", delay, np.nan, np.nan))
+        metrics = {"fit [%]": self.fit}
+        if not self.of_response:
+            metrics["fit of the validation part [%]"] = self.validation_fit
+        kind = "residual / std" if self.std_known else "residual, relative"
+        metrics[kind if self.of_response else "residual std"] = self.residual_std
+        metrics["residual white, share of lags"] = self.whiteness
         several = len(self.fit) > 1
         return rows + [
             (n + f", output {i}" * several, float(v), np.nan, np.nan)
@@ -106,7 +118,7 @@ def judged(problem: Problem, found: Minimum) -> Identified:
     covariance = (
         np.sum((residual[:samples] / problem.scale) ** 2)
         / freedom
-        * _inverse_of_normal(J.reshape(-1, len(theta)))
+        * inverse_of_normal(J.reshape(-1, len(theta)))
     )
     half = scipy.special.stdtrit(freedom, 0.5 + CONFIDENCE / 2) * np.sqrt(np.diag(covariance))
     biases = (
@@ -114,23 +126,25 @@ def judged(problem: Problem, found: Minimum) -> Identified:
     )
     named = zip((*problem.names, *biases), theta, half, strict=True)
     whiteness = np.array([_whiteness(residual[:samples, i]) for i in range(problem.plant.n_y)])
+    modelled = isinstance(problem.plant, ProcessModel)
+    poles = poles_of(problem, theta, covariance) if modelled else ()
     return Identified(
         plant=problem.plant_at(theta),
         parameters={name: Estimate(float(v), float(v - h), float(v + h)) for name, v, h in named},
         covariance=covariance,
-        poles=_poles(problem, theta, covariance) if isinstance(problem.plant, ProcessModel) else (),
+        poles=poles,
         samples=samples,
         simulated=y - residual,
         fit=_fit(y[:samples], residual[:samples]),
         validation_fit=_fit(y[samples:], residual[samples:]),
         residual_std=np.sqrt(np.sum(residual[:samples] ** 2, axis=0) * problem.plant.n_y / freedom),
         whiteness=whiteness,
-        white=bool(np.all(whiteness >= 0.8)),
+        white=bool(np.all(whiteness >= WHITE)),
         converged=found.converged,
     )
 
 
-def _inverse_of_normal(J):
+def inverse_of_normal(J):
     """(J^T J)^-1 from the singular values of J, whose columns are scaled to length 1.
 
     A parameter that takes part in a direction without effect on the output gets inf on the diagonal
@@ -165,7 +179,7 @@ def _whiteness(residual) -> float:
     return float(np.mean(np.abs(r) <= 1.96 / np.sqrt(len(e))))
 
 
-def _poles(problem: Problem, theta, covariance) -> tuple[PoleEstimate, ...]:
+def poles_of(problem, theta, covariance) -> tuple[PoleEstimate, ...]:
     """The poles, with quantiles over draws from the normal distribution of their parameters."""
     which = [
         i

@@ -1,22 +1,28 @@
-"""The process model of system identification: gain, zeros, real poles and pairs of poles."""
+"""The process model of system identification: gain, zeros, real poles, pairs of poles, delay."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
 
-from ..pytree.fields import Leaf, leaf, pytree, scalar
+from ..pytree.fields import Leaf, leaf, pytree, scalar, static
 from .linear import StateSpace, zoh
 from .plant import Plant
+
+LONGEST_DELAY = 1000  # samples; each is a state
+ROUNDING = 1e-6  # of a sample, by which a whole number of samples may be missed
 
 
 @pytree
 class ProcessModel(Plant):
     """A stable transfer function by its physical parameters (Cao 2019, eq. 6, of any order).
 
-        G(s) = gain prod_i (1 - s / zeros_i)
+        G(s) = gain prod_i (1 - s / zeros_i) exp(-s delay)
                / (prod_i (1 + s / poles_i) prod_i (1 + 2 zeta_i s / w_i + (s / w_i)^2))
 
     gain:  () DC gain [unit of y per unit of u]
@@ -26,13 +32,15 @@ class ProcessModel(Plant):
            at the earliest
     frequencies, dampings: (q,) natural frequency w [rad/s] and damping ratio zeta of each pair of
                   poles, both positive
+    delay: dead time between input and output [s]; it need not be a whole number of samples
 
     A pair is complex for a damping below 1 and two real poles above. At 1 it is the double pole
     that Cao 2019, eq. 7 has at 474 rad/s. There (frequency, damping) stays regular: the denominator
     is a smooth function of both, with independent derivatives. Written as two entries of `poles`,
     the derivatives by both would be equal, and no fit could tell them apart.
 
-    Raises ValueError where the shapes do not fit, a zero is 0 or the model is not strictly proper.
+    Raises ValueError where the shapes do not fit, a zero is 0 or the model is not strictly proper;
+    and, when it is sampled, for a delay of more than 1000 samples.
     """
 
     gain: Leaf = scalar(default=1.0)
@@ -40,6 +48,7 @@ class ProcessModel(Plant):
     poles: Leaf = leaf(default=(), interval="(0, inf)")
     frequencies: Leaf = leaf(default=(), interval="(0, inf)")
     dampings: Leaf = leaf(default=(), interval="(0, inf)")
+    delay: float = static(default=0.0, interval="[0, inf)")
 
     def __post_init__(self):
         for name in ("zeros", "poles", "frequencies", "dampings"):
@@ -98,42 +107,102 @@ class ProcessModel(Plant):
             a, b = single.pop(i), single.pop(i)
             pairs.append((np.sqrt(a * b), (a + b) / (2 * np.sqrt(a * b))))
         frequencies, dampings = np.reshape(sorted(pairs), (-1, 2)).T
-        return ProcessModel(self.gain, np.sort(self.zeros), np.array(single), frequencies, dampings)
+        return ProcessModel(
+            self.gain, np.sort(self.zeros), np.array(single), frequencies, dampings, self.delay
+        )
 
     def sampled(self, dt: float) -> StateSpace:
-        """Exact zero-order hold of the cascade of lags that `continuous` is."""
+        """Exact zero-order hold of the cascade of lags, behind a register of delayed inputs.
+
+        With a delay of d samples and a rest f < dt, the input changes within the sample
+        (Astrom, Wittenmark 1997, section 2.3):
+
+            x[k+1] = A x[k] + B(dt - f) u[k-d] + exp(A_c (dt - f)) B(f) u[k-d-1]
+        """
         A, B, C = self._cascade()
         A_d, B_d = zoh(A, B, dt)
-        return StateSpace(A_d, B_d, C, dt=dt)
+        if not self.delay:
+            return StateSpace(A_d, B_d, C, dt=dt)
+        whole, rest = samples_of(self.delay, dt)
+        if not rest:
+            return _behind_register(A_d, [B_d], C, whole, dt)
+        after, B_now = zoh(A, B, dt - rest)
+        return _behind_register(A_d, [B_now, after @ zoh(A, B, rest)[1]], C, whole, dt)
 
-    def continuous(self) -> StateSpace:
-        """A cascade of lags of unit DC gain, whose states all have the size of the input."""
-        return StateSpace(*self._cascade())
+    def continuous(self) -> StateSpace | None:
+        """A cascade of lags of unit DC gain, whose states all have the size of the input.
+
+        None with a delay, which has no state space in continuous time.
+        """
+        return None if self.delay else StateSpace(*self._cascade())
 
     def _cascade(self) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """A, B, C of the cascade of lags.
+        """A, B, C of the cascade of lags."""
+        leaves = (self.gain, self.zeros, self.poles, self.frequencies, self.dampings)
+        return cascade(*leaves, dtype=jnp.result_type(self.gain, self.poles, self.frequencies))
 
-        Its last state w has the derivatives w^(k) = C0 A^k x for k < order, since C0 A^k B = 0 for
-        k < order - 1. So the numerator acts on it as C = gain C0 prod_i (I - A / zeros_i). This is
-        exact, whether or not poles coincide.
-        """
-        n, order, dtype = (
-            self.poles.shape[-1],
-            self.order,
-            jnp.result_type(self.gain, self.poles, self.frequencies),
+
+def cascade(
+    gain, zeros, poles, frequencies, dampings, array: Callable[..., Any] = jnp.array, dtype=None
+) -> tuple[Any, Any, Any]:
+    """A (n, n), B (n, 1), C (1, n) of a cascade of lags with the transfer function of the model.
+
+    Its last state w has the derivatives w^(k) = C0 A^k x for k < order, since C0 A^k B = 0 for
+    k < order - 1. So the numerator acts on it as C = gain C0 prod_i (I - A / zeros_i). This is
+    exact, whether or not poles coincide.
+
+    array: `jnp.array`, or `np.array` for numbers of NumPy, which may be complex
+    """
+    n, order = len(poles), len(poles) + 2 * len(frequencies)
+    rates = [*poles, *(w for w in frequencies for _ in range(2))]
+    A: list[list[Any]] = [[0.0] * order for _ in range(order)]
+    for i, rate in enumerate(rates):
+        pair, second = divmod(i - n, 2)
+        if i < n:
+            A[i][i] = -rate
+        elif second:  # of a pair with states v, x: v' = w (input - x - 2 damping v), x' = w v
+            A[i - 1][i] = -rate
+        else:
+            A[i][i] = -2.0 * dampings[pair] * rate
+        if i:
+            A[i][i - 1] = rate
+    B = [[rates[0] if i == 0 else 0.0] for i in range(order)]
+    A, B = array(A, dtype), array(B, dtype)
+    C = array([[*[0.0] * (order - 1), gain]], dtype)
+    for zero in zeros:
+        C = C - C @ A / zero
+    return A, B, C
+
+
+def samples_of(delay: float, dt: float) -> tuple[int, float]:
+    """The whole number of samples in a delay, and the rest [s], 0 where it is only rounding.
+
+    Raises ValueError for more than 1000 samples.
+    """
+    samples = delay / dt
+    if samples > LONGEST_DELAY:
+        raise ValueError(
+            f"ProcessModel: delay = {delay:g} s is {samples:g} samples of {dt:g} s; allowed are at "
+            f"most {LONGEST_DELAY}"
         )
-        A, B = jnp.zeros((order, order), dtype), jnp.zeros((order, 1), dtype)
-        rates = [*self.poles, *jnp.repeat(jnp.asarray(self.frequencies), 2)]
-        for i, rate in enumerate(rates):
-            pair, second = divmod(i - n, 2)
-            if i < n:
-                A = A.at[i, i].set(-rate)
-            elif second:  # of a pair with states v, x: v' = w (input - x - 2 damping v), x' = w v
-                A = A.at[i - 1, i].set(-rate)
-            else:
-                A = A.at[i, i].set(-2.0 * self.dampings[pair] * rate)
-            A, B = (A.at[i, i - 1].set(rate), B) if i else (A, B.at[0, 0].set(rate))
-        C = jnp.zeros((1, order), dtype).at[0, -1].set(self.gain)
-        for i in range(self.zeros.shape[-1]):
-            C = C - C @ A / self.zeros[i]
-        return A, B, C
+    whole = round(samples)
+    if abs(samples - whole) < ROUNDING:
+        return whole, 0.0
+    return int(np.floor(samples)), delay - np.floor(samples) * dt
+
+
+def _behind_register(A, Bs: list, C, delay: int, dt: float) -> StateSpace:
+    """x[k+1] = A x[k] + sum_i Bs[i] u[k-delay-i], y = C x, with the register of u as states."""
+    n, length = A.shape[0], delay + len(Bs) - 1
+    A_all = jnp.zeros((n + length, n + length), A.dtype).at[:n, :n].set(A)
+    B_all = jnp.zeros((n + length, 1), A.dtype)
+    for i, B in enumerate(Bs, delay):  # u[k-i] is state n + i - 1, and u[k] the input
+        if i:
+            A_all = A_all.at[:n, n + i - 1].set(B[:, 0])
+        else:
+            B_all = B_all.at[:n].set(B)
+    if length:
+        B_all = B_all.at[n, 0].set(1.0)
+        shift = np.arange(n + 1, n + length)
+        A_all = A_all.at[shift, shift - 1].set(1.0)
+    return StateSpace(A_all, B_all, jnp.pad(C, ((0, 0), (0, length))), dt=dt)

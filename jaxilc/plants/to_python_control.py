@@ -14,6 +14,7 @@ from jax.flatten_util import ravel_pytree
 from ..pytree.fields import kind_of
 from .linear import TimeVaryingStateSpace
 from .plant import Plant
+from .process_model import ProcessModel
 from .structure import obstacle
 
 SHORT = 1e-9  # [s] sample time at which the program of a plant in continuous time is looked at
@@ -41,7 +42,9 @@ def to_control(plant: Plant, dt: float | None = None) -> Any:
         raise ValueError(f"to_control: {type(plant).__name__} is not a plant of jaxilc")
     own_dt = _own_sample_time(plant)
     continuous = plant.continuous()
-    need_linear(plant, dt or own_dt or SHORT)
+    # a dead time is many samples of the shortest sample time, and known to be linear
+    if not (isinstance(plant, ProcessModel) and plant.delay):
+        need_linear(plant, dt or own_dt or SHORT)
     if dt is None and continuous is not None:
         return as_system(continuous.A, continuous.B, continuous.C, 0.0, **names_of(plant))
     if dt is None and not own_dt:

@@ -1,4 +1,4 @@
-"""Names that were changed, so that files with the earlier names can still be read.
+"""Names that were changed, and fields that were added, so that earlier files can still be read.
 
 A drawn member of an uncertain set was called a sample and is now called a machine. A number that
 judges a trial was called a figure and is now called a metric. Stores and folders that were made
@@ -12,14 +12,20 @@ from functools import wraps
 from typing import Any, TypeVar, cast
 
 EARLIER = {"samples": "machines", "figure": "metric"}  # in configurations
+# Fields of classes that earlier configurations do not have, with the value that changes nothing.
+ADDED: dict[str, dict[str, Any]] = {"Task": {"names": []}, "ProcessModel": {"delay": 0.0}}
 
 T = TypeVar("T")
 
 
 def in_todays_names(configuration: Any) -> Any:
-    """A configuration, as JSON, with the present names in place of those in `EARLIER`."""
+    """A configuration, as JSON, with the present names in place of those in `EARLIER`.
+
+    It also has the fields in `ADDED`.
+    """
     if isinstance(configuration, dict):
-        return {EARLIER.get(n, n): in_todays_names(of) for n, of in configuration.items()}
+        added = ADDED.get(str(configuration.get("class")), {})
+        return added | {EARLIER.get(n, n): in_todays_names(of) for n, of in configuration.items()}
     if isinstance(configuration, list):
         return [in_todays_names(of) for of in configuration]
     return configuration

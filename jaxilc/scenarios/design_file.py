@@ -5,15 +5,14 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
 
 import tomlkit
 
 from ..schemes import Scheme
 from ..storage.files import atomically
 from ..storage.printable import printable
-from .as_table import table_of
 from .from_file import read_scenario
+from .scheme_table import table_of, toml_of
 
 
 def design_path(source: str | Path) -> Path:
@@ -47,35 +46,21 @@ def write_design(
     Raises ValueError where a scheme is of a class that no file can name.
     """
     source, path = Path(source), Path(path)
-    tables = {name: table_of(scheme) for name, scheme in schemes.items()}
     text = source.read_text(encoding="utf-8")
     if source.suffix == ".json":
+        tables = {name: table_of(scheme) for name, scheme in schemes.items()}
         content = json.loads(text) | {"schemes": tables}
         written = json.dumps(content, indent=1, ensure_ascii=False) + "\n"
     else:
-        written = _toml(text, tables, said)
+        written = _toml(text, schemes, said)
     atomically(path, lambda file: file.write(written.encode()))
     read_scenario(path)
     return path
 
 
-def _toml(text: str, tables: Mapping[str, Any], said: Iterable[str]) -> str:
+def _toml(text: str, schemes: Mapping[str, Scheme], said: Iterable[str]) -> str:
     """The text of a TOML file with other schemes, and with sentences at its head."""
     document = tomlkit.parse(text)
     document.pop("schemes", None)
-    made = tomlkit.table(is_super_table=True)
-    for name, table in tables.items():
-        made.append(name, _item(table, whole=True))
-    document.append("schemes", made)
-    head = "".join(f"# {printable(line)}\n" for line in said)
-    return head + tomlkit.dumps(document)
-
-
-def _item(value: Any, *, whole: bool = False) -> Any:
-    """A value for tomlkit; a table within a table is written in one line."""
-    if not isinstance(value, Mapping):
-        return tomlkit.item(value)
-    table = tomlkit.table() if whole else tomlkit.inline_table()
-    for key, inner in value.items():
-        table.append(key, _item(inner))
-    return table
+    head = "".join(f"# {printable(' '.join(line.split()))}\n" for line in said)
+    return f"{head}{tomlkit.dumps(document).rstrip()}\n\n{toml_of(schemes)}"

@@ -27,7 +27,8 @@ from ..signals import paths
 from ..signals.gcode import read_gcode
 from ..signals.segments import FARTHEST, SHORTEST, Straight
 from ..signals.tool_path import Dwell, Followed, Move, follow
-from ..storage.reading import name_and_unit, numbers_in, read_columns, read_text
+from ..storage.columns import name_and_unit, numbers_in, read_columns
+from ..storage.reading import read_text
 from .values import Table, list_of_numbers, number, numbers, one_of, text, whole
 
 UNITS = "lengths in the `unit` of the task, times in s, feeds in that unit per s"

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 import scipy
 
-from .. import identification, plants
-from ..identification.records import read_record
+from .. import plants
 from ..plants import Plant, from_control
 from ..plants.cnc_axis import Axes
 from ..plants.from_python_control import Linear, canonical_form, from_linear
 from ..pytree.ranges import brief, require
+from .fitted_once import Options, identified_plant
 from .specification import built, classes
 from .values import (
     Table,
@@ -191,18 +191,15 @@ def _state_space(table: Table) -> Linear:
 def _identified(table: Table, folder: Path, notes: list[str]) -> Plant:
     """A ProcessModel fitted to a record; the keys are the options of `jaxilc identify`."""
     record = folder / table.take("record", text)
-    columns = {
+    reading = {
         key: table.take(key, text, default)
-        for key, default in (("time", "t"), ("input", "u"), ("output", "y"))
+        for key, default in (("time", "t"), ("input", "u"), ("output", "y"), ("time_unit", None))
     }
+    reading["columns"] = table.take("columns", list_of(text), [])
+    reading |= {key: table.take(key, number, None) for key in ("dt", "resample")}
     structure = {key: table.take(key, whole, 1) for key in ("poles", "pairs", "zeros")}
+    delay, averages = (table.take(key, whole, None) for key in ("delay", "averages"))
     table.done()
-    found = identification.identify(read_record(record, **columns), **structure)
-    values = ", ".join(
-        f"{name} = {estimate.value:.6g}" for name, estimate in found.parameters.items()
-    )
-    notes.append(
-        f"the plant was identified from {record.name}: {values}; "
-        f"fit {float(np.min(found.fit)):.4g} %"
-    )
-    return found.plant
+    plant, said = identified_plant(record, Options(reading, structure, delay, averages), folder)
+    notes.append(said)
+    return plant

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..identification.records import read_record
+from ..identification.record_files import read_record
 from ..learning.machine import Actuator, Disturbance, Machine, Sensor
 from ..plants import Plant
 from ..plants.cnc_axis import Axes
@@ -139,7 +139,9 @@ def uncertainty_of(values: Any, where: str):
     table = Table(values, where)
     for name in table.values:
         inner = Table(table.values[name], table.at(name))
-        if "distribution" not in inner:
+        if "distribution" not in inner and all(
+            isinstance(v, Mapping) for v in inner.values.values()
+        ):
             yield from (
                 (f"{name}.{rest}", one) for rest, one in uncertainty_of(inner.values, inner.where)
             )

@@ -159,6 +159,5 @@ def _check(path: Path, where: str, check: Callable[[], Any]) -> Any:
     try:
         return check()
     except ValueError as error:
-        raise ValueError(
-            ": ".join(part for part in (str(path), where, str(error)) if part)
-        ) from None
+        said = str(error).removeprefix(f"{where}: ")
+        raise ValueError(": ".join(part for part in (str(path), where, said) if part)) from None

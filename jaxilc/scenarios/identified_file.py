@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import cast
+from typing import NamedTuple, cast
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from ..plants import ProcessModel
 from ..pytree.named_paths import interval_at
 from ..storage.files import atomically
 from ..storage.printable import printable
+from ..theory.measured import MeasuredResponse
 from ..uncertainty import Uniform
 from .starting_law import ORDER, StartingLaw, StartingTask, starting_law, starting_task
 
@@ -24,11 +25,44 @@ TRIALS = 20
 LEAVES = ("gain", "zeros", "poles", "frequencies", "dampings")
 
 
+class Experiment(NamedTuple):
+    """What a plant file tells of the experiment to which its plant was fitted.
+
+    dt: sample time [s]
+    said: sentence on what was measured and fitted
+    samples: length of trials that the law is chosen for
+    largest_input: largest |u|; None where it is not known
+    """
+
+    dt: float
+    said: str
+    samples: int
+    largest_input: float | None
+
+    @classmethod
+    def of(cls, measured: Record | MeasuredResponse, found: Identified, dt: float) -> Experiment:
+        """The facts of a record, or of a response whose lines were fitted with sample time dt."""
+        if isinstance(measured, MeasuredResponse):
+            f = measured.frequencies
+            said = (
+                f"Response: {len(f)} lines from {f[0]:.4g} to {f[-1]:.4g} Hz, as sampled every "
+                f"{dt:g} s behind a hold"
+            )
+            return cls(dt, said, int(np.clip(round(1 / (f[0] * dt)), 16, 20000)), None)
+        said = (
+            f"Record: {len(measured.y)} samples of {measured.dt:g} s; {found.samples} were fitted, "
+            "the others validate the fit"
+        )
+        largest = float(np.max(np.abs(np.asarray(measured.u))))
+        return cls(measured.dt, said, len(measured.u), largest)
+
+
 def write_plant_file(
     path: str | Path,
     found: Identified,
-    record: Record,
+    measured: Record | MeasuredResponse,
     *,
+    dt: float | None = None,
     source: str,
     units: tuple[str, str] = ("", ""),
     force: bool = False,
@@ -39,6 +73,8 @@ def write_plant_file(
     intervals, and `[task]` and `[schemes.ilc]` are chosen so that learning is stable on the fitted
     plant and at the ends of the intervals (`starting_law`). Comments say what was fitted.
 
+    measured: the record or the response that was fitted
+    dt: sample time with which a response was fitted [s]
     source: name of the record, for the comments
     units: units of input and output, as the record names them
     force: whether a file of this name is replaced
@@ -52,17 +88,23 @@ def write_plant_file(
             f"write_plant_file: the plant is a {type(found.plant).__name__}; allowed is a "
             "ProcessModel"
         )
+    if dt is None and isinstance(measured, MeasuredResponse):
+        raise ValueError(
+            "write_plant_file: dt = None; allowed is the sample time with which the response was "
+            "fitted (--dt): a plant file has samples"
+        )
+    facts = Experiment.of(measured, found, dt or 0.0)
     uncertainty, left_out = intervals(found)
-    law = starting_law(found.plant, uncertainty, record.dt, len(record.u))
+    law = starting_law(found.plant, uncertainty, facts.dt, facts.samples)
     over = "the ends of these intervals"
     if law is None and uncertainty:
-        law, over = starting_law(found.plant, {}, record.dt, len(record.u)), "the fitted plant only"
+        law, over = starting_law(found.plant, {}, facts.dt, facts.samples), "the fitted plant only"
     lines = [
-        *_heading(found, record, source),
+        *_heading(found, facts, source),
         f"trials = {TRIALS}",
-        *_plant(found.plant),
+        *_plant(found.plant, facts.dt, found.parameters.get("delay")),
         *_uncertainty(uncertainty, left_out),
-        *_task(law, found.plant, record, units),
+        *_task(law, found.plant, facts, units),
         *_scheme(law, over),
     ]
     text = "\n".join(lines) + "\n"
@@ -78,7 +120,7 @@ def intervals(found: Identified) -> tuple[dict[str, Uniform], dict[str, Estimate
     """
     plant, certain, left_out = found.plant, {}, {}
     for name, estimate in found.parameters.items():
-        if name.startswith("bias"):
+        if name.startswith(("bias", "delay")):  # no leaves of the plant
             continue
         value, low, high = estimate
         allowed = interval_at(plant, name)
@@ -94,22 +136,24 @@ def intervals(found: Identified) -> tuple[dict[str, Uniform], dict[str, Estimate
 # --------------------------------------------------------------------------------------------------
 
 
-def _heading(found: Identified, record: Record, source: str) -> Iterator[str]:
+def _heading(found: Identified, facts: Experiment, source: str) -> Iterator[str]:
     plant = cast(ProcessModel, found.plant)
     poles, pairs, zeros = (np.size(x) for x in (plant.poles, plant.frequencies, plant.zeros))
     validation = float(found.validation_fit[0])
     yield f"# Plant fitted by `jaxilc identify` to {comment(source)}."
-    yield (
-        f"# Record: {len(record.y)} samples of {record.dt:g} s; {found.samples} were fitted, "
-        "the others validate the fit."
-    )
+    yield f"# {facts.said}."
     yield f"# Order {plant.order}: real poles {poles}, pairs of poles {pairs}, zeros {zeros}."
+    residual = (
+        "residual over scatter" if found.of_response else "standard deviation of the residual"
+    )
     yield (
         f"# Fit {found.fit[0]:.4g} %"
         + (f", of the validation part {validation:.4g} %" if np.isfinite(validation) else "")
-        + f"; standard deviation of the residual {found.residual_std[0]:.4g}."
+        + f"; {residual} {found.residual_std[0]:.4g}."
     )
-    yield f"# The output at rest was {found.parameters['bias'].value:.6g}; the plant starts at 0."
+    if "bias" in found.parameters:
+        at_rest = found.parameters["bias"].value
+        yield f"# The output at rest was {at_rest:.6g}; the plant starts at 0."
     if not found.white:
         yield "# The residual is not white: another structure may fit better, and the intervals"
         yield "# are too narrow."
@@ -119,7 +163,7 @@ def _heading(found: Identified, record: Record, source: str) -> Iterator[str]:
     yield "# Fitted: [plant] and [uncertainty]. Chosen, to be changed: the other tables."
 
 
-def _plant(plant: ProcessModel) -> Iterator[str]:
+def _plant(plant: ProcessModel, dt: float, delay: Estimate | None) -> Iterator[str]:
     yield "\n[plant]                        # gain prod(1 - s / zeros) / (prod(1 + s / poles) ...)"
     yield 'kind = "ProcessModel"'
     notes = {
@@ -132,6 +176,10 @@ def _plant(plant: ProcessModel) -> Iterator[str]:
     for name in LEAVES:
         value = np.asarray(getattr(plant, name), float)
         yield f"{name} = {value.tolist()!r}  # {notes[name]}"
+    if plant.delay:
+        yield f"delay = {float(plant.delay)!r}  # dead time [s], {plant.delay / dt:.4g} samples"
+    if delay is not None:
+        yield f"# delay: 95 % interval {delay.low:.6g} .. {delay.high:.6g} s; it is not drawn"
 
 
 def _uncertainty(uncertainty: dict[str, Uniform], left_out: dict[str, Estimate]) -> Iterator[str]:
@@ -149,16 +197,18 @@ def _uncertainty(uncertainty: dict[str, Uniform], left_out: dict[str, Estimate])
 
 
 def _task(
-    law: StartingLaw | None, plant: ProcessModel, record: Record, units: tuple[str, str]
+    law: StartingLaw | None, plant: ProcessModel, facts: Experiment, units: tuple[str, str]
 ) -> Iterator[str]:
     input_unit, unit = units
     yield "\n[task]"
-    yield f"dt = {float(record.dt)!r}  # of the record [s]"
+    yield f"dt = {float(facts.dt)!r}  # of the record [s]"
     yield f"unit = {_text(unit)}"
     yield f"input_unit = {_text(input_unit)}"
-    start = StartingTask(1.0, 2 / (1000 * record.dt), 1000 * record.dt)
+    start = StartingTask(1.0, 2 / (1000 * facts.dt), 1000 * facts.dt)
     if law is not None:
-        start = starting_task(law, plant, record.u, record.dt)
+        start = starting_task(law, plant, facts.largest_input or np.inf, facts.dt)
+        if facts.largest_input is None:
+            start = start._replace(amplitude=1.0)
     yield "\n[task.reference]               # put your own motion here"
     yield 'function = "sinusoid"'
     yield f"amplitude = {start.amplitude!r}  # with the offset: from 0 to twice this, and back"

@@ -78,7 +78,8 @@ def write_refitted(
 def _plant(found: Identified) -> dict[str, Any]:
     plant = found.plant
     values = {name: np.asarray(getattr(plant, name), float).tolist() for name in LEAVES}
-    return {"kind": "ProcessModel", **values}
+    delay = float(getattr(plant, "delay", 0.0))
+    return {"kind": "ProcessModel", **values} | ({"delay": delay} if delay else {})
 
 
 def _uncertainty(found: Identified, before: dict[str, Any]) -> dict[str, Any]:

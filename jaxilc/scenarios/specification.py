@@ -58,10 +58,11 @@ def built(
     Raises ValueError naming the key: for an unknown class or field, for a missing field, and for a
     value of another kind or outside its range.
     """
-    known = dataclasses.fields(typing.cast(Any, cls)) if cls else ()
-    table = Table(values, where, ", ".join(field.name for field in known))
+    known = [field.name for field in dataclasses.fields(typing.cast(Any, cls))] if cls else []
+    table = Table(values, where, ", ".join(known), known)
     if cls is None:
         cls = classes()[table.take("class", one_of(sorted(classes())))]
+        table.known = [field.name for field in dataclasses.fields(typing.cast(Any, cls))]
     hints, fields = typing.get_type_hints(cls), {}
     for field in dataclasses.fields(typing.cast(Any, cls)):
         if field.name in HIDDEN:
@@ -179,8 +180,9 @@ def called(function: Callable, table: Table, units: str, **given: Any) -> Any:
     given: further arguments of the function
     Raises ValueError naming the argument that does not fit.
     """
-    arguments = {}
-    for name, parameter in inspect.signature(function).parameters.items():
+    arguments, parameters = {}, inspect.signature(function).parameters
+    table.known = [*parameters]
+    for name, parameter in parameters.items():
         if name in given:
             continue
         default = dataclasses.MISSING if parameter.default is parameter.empty else _DEFAULT

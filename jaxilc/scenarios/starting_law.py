@@ -14,6 +14,7 @@ from ..schemes import Filtered, PIDType
 from ..signals import references
 from ..signals.task import Task
 from ..theory.by_frequency import largest_of
+from ..theory.filtered_law import Lines, low_pass, widest
 from ..theory.frequency import Loop, grid, linear_loop, response
 from ..theory.law import law_of
 from ..theory.loop import minimal
@@ -102,11 +103,12 @@ def starting_law(
     f = grid(long, points=300, near=np.exp(np.asarray(plant.all_poles) * dt))
     loops, P = _responses(machines, Task(np.zeros(16), dt=dt), f)
     for largest in LARGEST:
-        law = _largest_cutoff(P, f, dt, long, largest)
+        law = _largest_cutoff(P, f, dt, long, largest, round(plant.delay / dt))
         for _ in range(4):
             if law is None:
                 break
-            sizes = np.max(_low_pass(f, law.cutoff, dt) * np.abs(_kept(P, f, dt, law)), axis=1)
+            kept = 1 - law.gamma_p * np.exp(2j * np.pi * f * dt * (1 + law.lead)) * P
+            sizes = np.max(low_pass(f, law.cutoff, dt, ORDER) * np.abs(kept), axis=1)
             nominal, *others = _enclosed(loops, [0, *np.argsort(-sizes)[:NEAREST]], law, dt)
             worst = max(others, key=lambda one: one.value)
             law = law._replace(
@@ -118,7 +120,9 @@ def starting_law(
     return None
 
 
-def starting_task(law: StartingLaw, plant: ProcessModel, record_u, dt: float) -> StartingTask:
+def starting_task(
+    law: StartingLaw, plant: ProcessModel, largest_input: float, dt: float
+) -> StartingTask:
     """Two periods of a sinusoid at a fifth of the law's cutoff, or slower.
 
     Its amplitude needs at most half of the largest input of the record, by the fitted gain.
@@ -126,7 +130,7 @@ def starting_task(law: StartingLaw, plant: ProcessModel, record_u, dt: float) ->
     samples = int(np.clip(round(10 / (law.cutoff * dt)), max(100, 8 * law.lead), 20000))
     frequency = 2 / (samples * dt)
     gain = np.abs([float(plant.gain), _response_of(plant, 2j * np.pi * frequency)])
-    allowed = 0.5 * np.max(np.abs(np.asarray(record_u))) / np.sum(1 / gain)
+    allowed = 0.5 * largest_input / np.sum(1 / gain)
     return StartingTask(_rounded(float(allowed), 1), float(frequency), samples * dt)
 
 
@@ -146,43 +150,31 @@ def _compiled_responses(machines, task, f):
     return loops, jax.vmap(lambda loop: response(loop, f, task.dt)[:, 0, 0])(loops)
 
 
-def _largest_cutoff(P, f, dt, task, largest) -> StartingLaw | None:
+def _largest_cutoff(P, f, dt, task, largest, delay: int) -> StartingLaw | None:
     """The law that is chosen on the grid, whose largest values are not known yet, or None.
 
     P: (S, F) responses of the machines at frequencies f (F,) [Hz]
+    delay: of the plant, in samples
     """
     steady = P[:, 0].real
     if np.any(steady * steady[0] <= 0) or not np.all(np.isfinite(P)):
         return None
-    cutoffs = np.geomspace(min(2 / task.duration, 0.1 / dt), 0.4 / dt, 60)
-    Q = _low_pass(f, cutoffs[:, None], dt)
-    leads = np.unique(np.r_[0, np.geomspace(1, max(1, min(500, task.N // 8)), 40).astype(int)])
-    found = []
-    for lead in leads:
-        for share in SHARES:
-            gamma_p = _rounded(share / np.max(np.abs(steady)), 3) * np.sign(steady[0])
-            law = StartingLaw(float(gamma_p), int(lead), np.nan, len(P), np.inf, np.inf, np.nan)
-            kept = np.max(np.abs(_kept(P, f, dt, law)), axis=0)
-            allowed = np.flatnonzero(np.max(Q * kept, axis=1) <= largest)
-            if len(allowed):
-                cutoff = cutoffs[allowed[-1]]
-                slow = np.max(kept[f <= cutoff / 5], initial=0.0)
-                found.append((cutoff, slow, law))
-    if not found:
+    leads = np.r_[0, np.geomspace(1, max(1, min(500, task.N // 8)), 40).astype(int)]
+    leads = np.unique(np.r_[leads, delay + leads])
+    unit = 1 / np.max(np.abs(steady))
+    gains = [_rounded(share * unit, 3) * np.sign(steady[0]) for share in SHARES]
+    lowest = min(2 / task.duration, 0.1 / dt)
+    law = widest([_lines(P, f, dt)], ORDER, gains, leads, largest, lowest)
+    if law is None:
         return None
-    widest = max(cutoff for cutoff, _, _ in found)
-    cutoff, _, law = min((one for one in found if one[0] >= 0.7 * widest), key=lambda one: one[1])
-    return law._replace(cutoff=_rounded(float(cutoff), 2))
+    cutoff = _rounded(min(law.cutoff, 0.4 / dt), 2)
+    return StartingLaw(law.gain, law.lead, cutoff, len(P), np.inf, np.inf, np.nan)
 
 
-def _kept(P, f, dt, law):
-    """(S, F) 1 - L P"""
-    return 1 - law.gamma_p * np.exp(2j * np.pi * f * dt * (1 + law.lead)) * P
-
-
-def _low_pass(f, cutoff, dt):
-    """Q as `ZeroPhaseButterworth` has it."""
-    return 1 / (1 + (np.tan(np.pi * f * dt) / np.tan(np.pi * cutoff * dt)) ** (2 * ORDER))
+def _lines(P, f, dt) -> Lines:
+    """The responses with a law of gain 1 and lead 0."""
+    one = np.exp(2j * np.pi * f * dt)
+    return Lines(f, P, np.zeros(P.shape), np.ones(len(f)), one, dt)
 
 
 def _enclosed(loops: list[Loop], which, law: StartingLaw, dt: float) -> list[Largest]:
@@ -194,7 +186,7 @@ def _enclosed(loops: list[Loop], which, law: StartingLaw, dt: float) -> list[Lar
 
 
 def _response_of(plant: ProcessModel, s: complex) -> complex:
-    """G(s) as `ProcessModel` has it."""
+    """G(s) as `ProcessModel` has it, but for the delay."""
     zeros, poles, w, zeta = (
         np.asarray(x) for x in (plant.zeros, plant.poles, plant.frequencies, plant.dampings)
     )

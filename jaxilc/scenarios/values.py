@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Any
 
 import numpy as np
 
-from ..pytree.closest import known_names, not_one_of
+from ..pytree.closest import closest, known_names, not_one_of
 from ..pytree.ranges import as_numbers, brief, is_whole
 
 
@@ -17,17 +17,18 @@ class Table:
 
     where: name of the table in messages
     such_as: what a table has in this place, for the message on what is no table
+    known: keys that are allowed besides those that are read, for the message on a missing one
     read: keys that were read; `done` refuses all others
     """
 
-    def __init__(self, values: Any, where: str, such_as: str = ""):
+    def __init__(self, values: Any, where: str, such_as: str = "", known: Collection[str] = ()):
         if not isinstance(values, Mapping):
             what = (
                 f"{where} {brief(values)}" if where.endswith(":") else f"{where} = {brief(values)}"
             )
             example = such_as and f", such as {such_as}"
             raise ValueError(f"{what} is not a table of keys and values{example}")
-        self.values, self.where, self.read = dict(values), where, set()
+        self.values, self.where, self.known, self.read = dict(values), where, known, set()
 
     def __contains__(self, key: str) -> bool:
         return key in self.values
@@ -40,12 +41,18 @@ class Table:
     ) -> Any:
         """The value of a key, as `kind(value, where)` returns it.
 
-        Raises ValueError where a key without default is missing.
+        Raises ValueError where a key without default is missing; a key that is close to it, and
+        not known, is taken for a mistake in writing it.
         """
         self.read.add(key)
         if key in self.values:
             return kind(self.values[key], self.at(key))
         if default is dataclasses.MISSING:
+            others = [name for name in self.values if name not in {*self.known, *self.read}]
+            for written in closest(key, others)[:1]:
+                raise ValueError(
+                    f"{self.at(written)} is not a key here; did you mean {key}? It is missing"
+                )
             raise ValueError(
                 f"{self.at(key)} is missing; present are {', '.join(self.values) or 'none'}"
             )

@@ -5,6 +5,7 @@ from .constrained_norm_optimal import ConstrainedNormOptimal
 from .exponential import ExponentialPD
 from .guards import Ladder, StopWhen
 from .higher_order import HigherOrder
+from .learning_filter import LearningFilter
 from .mfac import CFDLMFAC, CFDLMFAPC, FFDLMFAC, PFDLMFAC
 from .mfailc import CFDLMFAILC, FFDLMFAILC, PFDLMFAILC
 from .multivariable import MultivariableILC
@@ -33,6 +34,7 @@ __all__ = [
     "Filtered",
     "HigherOrder",
     "Ladder",
+    "LearningFilter",
     "MultivariableILC",
     "NormOptimal",
     "OnOutputs",

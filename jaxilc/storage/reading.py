@@ -1,21 +1,17 @@
 """Safe reading of files from outside, which cannot block the process or fill its RAM.
 
-Only regular files of a limited size are read: as text, as a tree (TOML, JSON) or as columns. An
-error in the content raises ValueError, which names the file. A file that does not exist, or may not
-be read, raises OSError.
+Only regular files of a limited size are read: as bytes, as text, or as a tree (TOML, JSON);
+`columns` reads tables. An error in the content raises ValueError, which names the file. A file that
+does not exist, or may not be read, raises OSError.
 """
 
 from __future__ import annotations
 
-import csv
-import io
 import json
-import math
 import os
-import re
 import stat
 import tomllib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +20,6 @@ LARGEST_TREE = 16_000_000  # bytes of a TOML or JSON file
 LARGEST_TABLE = 256_000_000  # bytes of a file of columns
 DEEPEST = 32  # largest number of levels of nested tables and lists
 PARSERS = {".toml": tomllib.loads, ".json": json.loads}
-_HEADING = re.compile(r"^([^\[\]]+?)\s*(?:\[([^\[\]]*)\])?$")
 
 
 def read_bytes(path: str | Path, largest: int) -> bytes:
@@ -107,53 +102,3 @@ def _too_deep(source) -> Any:
     raise ValueError(
         f"{source}: tables or lists are nested too deeply; allowed are {DEEPEST} levels"
     )
-
-
-def read_columns(path: str | Path) -> tuple[list[str], Iterator[tuple[int, list[str]]]]:
-    """The header of a text file of columns, and its rows that are not empty, with line numbers.
-
-    The rows are an iterator. Columns are separated by semicolons if the header contains one, else
-    by tabs if it contains one, else by commas.
-    Raises as `read_text`, and ValueError, also during the iteration, for a line that is not a row.
-    """
-    text = read_text(path, LARGEST_TABLE)
-    head = text[: text.find("\n") + 1 or len(text)]
-    delimiter = next((d for d in ";\t," if d in head), ",")
-    file = io.StringIO(text, newline="")
-
-    def rows():
-        reader = csv.reader(file, delimiter=delimiter)
-        while True:
-            try:
-                row = next(reader, None)
-            except csv.Error as error:
-                raise ValueError(f"{path}, line {reader.line_num}: {error}") from None
-            if row is None:
-                return
-            yield reader.line_num, row
-
-    found = rows()
-    header = [cell.strip() for cell in next(found, (1, []))[1]]
-    return header, ((line, row) for line, row in found if any(cell.strip() for cell in row))
-
-
-def name_and_unit(heading: str) -> tuple[str, str | None]:
-    """The name and the unit in the heading of a column, such as `y [mm]`.
-
-    The unit is None where the heading has none, such as `y`. The name is empty where the heading
-    has neither of these forms.
-    """
-    found = _HEADING.match(heading)
-    return (found[1], found[2]) if found else ("", None)
-
-
-def numbers_in(row: list[str], at: Sequence[int]) -> list[float]:
-    """The numbers of a row in the columns `at`; NaN for a cell that is missing or not a number."""
-    return [_number(row[i]) if i < len(row) else math.nan for i in at]
-
-
-def _number(cell: str) -> float:
-    try:
-        return float(cell)
-    except ValueError:
-        return math.nan

@@ -13,6 +13,9 @@ ground up:
     over_frequency   a curve over frequency, its largest value and where it reaches 1
     frequency        |Q (keep - L P)| < 1 of one machine (`by_frequency`), of every plant within a
                      bound (`robust`) and of a set of plants (`family`)
+    q_filter         whether a Q-filter is safe for a family (`measured_law`: on measured lines),
+                     how far one may go (`offers`, `filtered_law`, `parts_of_law`), and what is
+                     proved of the whole set (`whole_set`, `process_boxes`, `discs`)
     lifted           G, L and Q of a whole trial as matrices of the simulator and the scheme
     spectrum         singular values, spectral radius and transient growth of given matrices
     affine           one trial and its learning as a map of what is played

@@ -116,6 +116,22 @@ class Certificate(NamedTuple):
         )
 
 
+class LongRun(NamedTuple):
+    """The claims on all trials to come of S machines; the fields are those of `Certificate`."""
+
+    claim: np.ndarray
+    reason: np.ndarray
+    of_error: np.ndarray
+    sigma: np.ndarray
+    outlook: Outlook | None
+
+
+def long_run(machines: Machine, scheme: Scheme, task: Task, *, steps: int = 300) -> LongRun:
+    """The claims alone, without the prediction and the simulation of trials; see `certify_each`."""
+    check(jax.tree.map(lambda leaf: leaf[0], machines), scheme, task)
+    return _long_run(machines, scheme, task, steps)
+
+
 def certify(
     machine: Machine,
     scheme: Scheme,
@@ -161,44 +177,26 @@ def certify_each(
 def _certified(
     machines: Machine, scheme: Scheme, task: Task, trials: int, steps: int
 ) -> Certificate:
-    machine = jax.tree.map(lambda leaf: leaf[0], machines)
     predicted = predict(machines, scheme, task, trials)
-    broken = [p for p in learning_premises(machine, scheme, task) if not p.held]
-    if broken:
-        simulated = simulate(machines, scheme, task, trials)
-        size = len(simulated)
-        claim, reason, of_error = (
-            np.full(size, NOTHING),
-            np.full(size, broken[0].detail, object),
-            np.zeros(size, bool),
-        )
-        sigma, floor, doubt, distance, ahead = (
-            np.full(size, np.inf),
-            np.full(size, np.nan),
-            np.full(size, np.nan),
-            None,
-            None,
-        )
+    run = _long_run(machines, scheme, task, steps)
+    if run.outlook is None:
+        simulated, distance = simulate(machines, scheme, task, trials), None
+        floor, doubt = np.full((2, len(simulated)), np.nan)
     else:
-        maps = maps_of(machines, scheme, task, steps)
-        ahead = outlooks(machines, scheme, task, maps=maps)
         simulated, distance = follow(
-            machines, scheme, task, trials, ahead.limit, view_of(scheme, task)
+            machines, scheme, task, trials, run.outlook.limit, view_of(scheme, task)
         )
-        claim, reason, of_error, sigma = _claims(machines, scheme, task, ahead, maps)
-        lasts = np.isin(claim, (MONOTONE, CONVERGES))
+        lasts = np.isin(run.claim, (MONOTONE, CONVERGES))
         floor, doubt = (
-            np.where(lasts, np.where(of_error, 0.0, x), np.nan) for x in (ahead.floor, ahead.doubt)
+            np.where(lasts, np.where(run.of_error, 0.0, x), np.nan)
+            for x in (run.outlook.floor, run.outlook.doubt)
         )
     with np.errstate(invalid="ignore", divide="ignore"):
         growth = np.max(
             np.nan_to_num(predicted / np.minimum.accumulate(predicted, axis=1), nan=np.inf), axis=1
         )
     return Certificate(
-        claim=claim,
-        reason=reason,
-        of_error=of_error,
-        sigma=sigma,
+        **run._asdict(),
         floor=floor,
         doubt=doubt,
         expected=np.array([course(e) for e in predicted]),
@@ -209,8 +207,21 @@ def _certified(
         observed_turning=_best(simulated),
         growth=growth,
         distance=distance,
-        outlook=ahead,
     )
+
+
+def _long_run(machines: Machine, scheme: Scheme, task: Task, steps: int) -> LongRun:
+    machine = jax.tree.map(lambda leaf: leaf[0], machines)
+    broken = [p for p in learning_premises(machine, scheme, task) if not p.held]
+    if broken:
+        size = len(jax.tree.leaves(machines)[0])
+        reason = np.full(size, broken[0].detail, object)
+        return LongRun(
+            np.full(size, NOTHING), reason, np.zeros(size, bool), np.full(size, np.inf), None
+        )
+    maps = maps_of(machines, scheme, task, steps)
+    ahead = outlooks(machines, scheme, task, maps=maps)
+    return LongRun(*_claims(machines, scheme, task, ahead, maps), ahead)
 
 
 def course(errors) -> str:

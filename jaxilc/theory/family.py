@@ -91,51 +91,141 @@ def family_condition(
     Premises that differ from plant to plant are looked at for every plant tried. Raises ValueError
     as `draw` does.
     """
+    found = tried_plants(
+        machine,
+        uncertainty,
+        scheme,
+        task,
+        machines=machines,
+        sampling=sampling,
+        seed=seed,
+        climbers=climbers,
+        steps=steps,
+        frequencies=frequencies,
+    )
+    top, parts = found.top, parts_of(machine, scheme, task)
+    radius = np.max(found.radii)
+    stable = premise(STABLE, found.radii < 1 - 1e-9, f"largest |pole| {radius:.6g}")
+    held = [stable if p.name == STABLE else p for p in parts.premises]
+    if found.values[top] < 1:
+        every = drawn_machines(machine, uncertainty, found.drawn)
+        held += of_trial(every, scheme, task, parts.causal)
+    claimed = condition(
+        found.values[top], TRIED + (CAUSAL if parts.causal else LEARNING), premises=held
+    )
+    return FamilyTest(
+        claimed, found.at, float(found.worst[top]), found.values, found.critical, found.drawn
+    )
+
+
+class Tried(NamedTuple):
+    """The plants of a box that were tried, without the premises of a claim.
+
+    names:    of the numbers that differ
+    points:   (S, names) the numbers of each plant
+    values, worst, critical: (S,) supremum, its frequency and the critical frequency [Hz]
+    radii:    (S,) largest |pole| of each loop
+    loops:    the minimal loop of each plant
+    """
+
+    names: tuple[str, ...]
+    points: np.ndarray
+    values: np.ndarray
+    worst: np.ndarray
+    critical: np.ndarray
+    radii: np.ndarray
+    loops: list[Loop]
+
+    @property
+    def top(self) -> int:
+        """The index of the worst plant."""
+        return int(np.argmax(self.values))
+
+    @property
+    def at(self) -> dict[str, float]:
+        """The numbers of the worst plant, by name."""
+        return dict(zip(self.names, map(float, self.points[self.top]), strict=True))
+
+    @property
+    def drawn(self) -> dict[str, np.ndarray]:
+        return {name: self.points[:, i] for i, name in enumerate(self.names)}
+
+
+def tried_plants(
+    machine: Machine,
+    uncertainty: Uncertainty,
+    scheme: Scheme,
+    task: Task,
+    *,
+    machines: int = 128,
+    sampling: str = "latin-hypercube",
+    seed: int = 0,
+    climbers: int = 8,
+    steps: int = 60,
+    frequencies=None,
+) -> Tried:
+    """sup |Q (keep - L P)| of each plant that `family_condition` tries; the arguments are its own.
+
+    Without uncertainty the one plant is the machine itself. Raises ValueError as `draw` does.
+    """
     check(machine, scheme, task)
     names, law = tuple(uncertainty.items()), law_of(scheme, task)
-    low, high = (np.array([end(d.corners()) for _, d in names]) for end in (min, max))
-    drawn = draw(machine, uncertainty, machines, seed=seed, sampling=sampling)
-    points = np.clip(np.stack([drawn[name] for name, _ in names], axis=1), low, high)
-    if len(names) <= CORNERS:
-        points = np.concatenate(
-            [points, np.array(list(itertools.product(*zip(low, high, strict=True))))]
-        )
+    points = _points(machine, uncertainty, machines, sampling, seed)
     common = (machine.unlimited(), scheme.unlimited(), task)
 
     def tried(points):
-        matrices = (np.asarray(M) for M in _loops(names)(common, jnp.asarray(points)))
-        loops = [minimal(Loop(*one), task.N) for one in zip(*matrices, strict=True)]
+        whole = loops_at(machine, scheme, task, uncertainty, points)
+        loops = [minimal(one, task.N) for one in whole]
         found = [largest_of(law, loop, task, lines(task, frequencies, [loop])) for loop in loops]
-        return [np.array(x) for x in zip(*found, strict=True)]
+        return [np.array(x) for x in zip(*found, strict=True)], loops
 
-    values, worst, critical, radii = tried(points)
-    if climbers:
-        first = np.argsort(-values)[:climbers]
-        f = np.unique(np.concatenate([lines(task, frequencies, []), worst[first]]))
+    numbers, loops = tried(points)
+    if climbers and names:
+        first = np.argsort(-numbers[0])[:climbers]
+        f = np.unique(np.concatenate([lines(task, frequencies, []), numbers[1][first]]))
         taps = tuple(Taps(*map(jnp.asarray, part)) for part in (law.keep, law.L))
-        fixed = (*common, jnp.asarray(f), taps, jnp.asarray(low), jnp.asarray(high))
+        ends = (jnp.asarray(end) for end in _box(uncertainty))
+        fixed = (*common, jnp.asarray(f), taps, *ends)
         climbed = np.asarray(_climbing(names, steps)(fixed, jnp.asarray(points[first])))
-        points = np.concatenate([points, climbed])
-        values, worst, critical, radii = (
-            np.concatenate(x)
-            for x in zip((values, worst, critical, radii), tried(climbed), strict=True)
-        )
-    top = int(np.argmax(values))
-    at = {name: float(v) for (name, _), v in zip(names, points[top], strict=True)}
-    drawn, parts = (
-        {name: points[:, i] for i, (name, _) in enumerate(names)},
-        parts_of(machine, scheme, task),
-    )
-    stable = premise(STABLE, radii < 1 - 1e-9, f"largest |pole| {np.max(radii):.6g}")
-    held = [stable if p.name == STABLE else p for p in parts.premises]
-    if values[top] < 1:
-        held += of_trial(drawn_machines(machine, uncertainty, drawn), scheme, task, parts.causal)
-    found = condition(values[top], TRIED + (CAUSAL if parts.causal else LEARNING), premises=held)
-    return FamilyTest(found, at, float(worst[top]), values, critical, drawn)
+        further, loops_there = tried(climbed)
+        points, loops = np.concatenate([points, climbed]), loops + loops_there
+        numbers = [np.concatenate(x) for x in zip(numbers, further, strict=True)]
+    return Tried(tuple(uncertainty), points, *numbers, loops)
+
+
+def loops_at(
+    machine: Machine, scheme: Scheme, task: Task, uncertainty: Uncertainty, points
+) -> list[Loop]:
+    """The loop of each plant, with all its states, without limits.
+
+    points: (S, names) the numbers of each plant
+    """
+    common = (machine.unlimited(), scheme.unlimited(), task)
+    matrices = _loops(tuple(uncertainty.items()))(common, jnp.asarray(points))
+    return [Loop(*one) for one in zip(*map(np.asarray, matrices), strict=True)]
 
 
 # How it is done
 # --------------------------------------------------------------------------------------------------
+
+
+def _box(uncertainty: Uncertainty) -> tuple[np.ndarray, np.ndarray]:
+    """The least and the largest number by each distribution."""
+    corners = [d.corners() for d in uncertainty.values()]
+    return np.array([min(ends) for ends in corners]), np.array([max(ends) for ends in corners])
+
+
+def _points(machine, uncertainty: Uncertainty, machines, sampling, seed) -> np.ndarray:
+    """(S, names) the plants drawn, moved into the box, and its corners."""
+    if not uncertainty:
+        return np.zeros((1, 0))
+    low, high = _box(uncertainty)
+    drawn = draw(machine, uncertainty, machines, seed=seed, sampling=sampling)
+    points = np.clip(np.stack([drawn[name] for name in uncertainty], axis=1), low, high)
+    if len(uncertainty) > CORNERS:
+        return points
+    corners = np.array(list(itertools.product(*zip(low, high, strict=True))))
+    return np.concatenate([points, corners])
 
 
 @lru_cache(maxsize=16)  # what `tiled` returns compiles anew each time it is made

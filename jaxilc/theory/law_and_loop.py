@@ -15,7 +15,7 @@ from .affine import limit_names
 from .condition import Premise, premise
 from .enclosure import Arc, arc_of_loop, arc_of_taps, balanced
 from .law import Law, law_of
-from .linearity import invariant_loop, linear_law
+from .linearity import invariant_loop, linear_law, of_last_trial
 from .loop import Loop, linear_loop, minimal
 from .outlook import NO_LIMIT, WHOLE, decays, outlooks
 from .over_frequency import radius_of
@@ -58,6 +58,7 @@ def parts_of(machine: Machine, scheme: Scheme, task: Task) -> Parts:
         invariant_loop(machine, scheme, task),
         of_poles([loop], task),
         linear_law(scheme, task),
+        of_last_trial(scheme, task),
         law.invariant,
     ]
     return Parts(loop, law, law.causal and law.cut_off(scheme, task), premises)

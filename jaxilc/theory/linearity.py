@@ -30,6 +30,7 @@ from .trials import learned_shape, next_learned, played, step
 
 ONE_LAW = "learning law linear and the same in each trial"
 LINEAR = "machine and feedback linear"
+ONE_TRIAL = "what is learned follows from the last trial alone"
 INVARIANT = "loop linear and time invariant"
 
 
@@ -150,6 +151,18 @@ def remembers(scheme: Scheme, task: Task) -> bool:
         dependence(learned, (free.prepared(task), task), scheme.initial_memory(task)).order
         != CONSTANT
     )
+
+
+def of_last_trial(scheme: Scheme, task: Task) -> Premise:
+    """The premise that what is learned follows from the last trial alone.
+
+    Without it, |Q (keep - L P)| of the last trial says nothing: learning from several trials
+    converges or not by the roots of a polynomial at each frequency (`HigherOrder`).
+    """
+    held = not remembers(scheme, task)
+    name = type(scheme).__name__
+    found = f"{name}, read off its program" if held else f"{name} learns from earlier trials too"
+    return premise(ONE_TRIAL, held, found)
 
 
 def keeps_all(scheme: Scheme, task: Task, *, off: bool = False) -> bool:

@@ -25,6 +25,7 @@ from ..learning.known_metrics import TUNED
 from ..learning.machine import Machine
 from ..learning.metrics import Keep, largest
 from ..learning.over_trials import History, learn
+from ..pytree.closest import not_one_of
 from ..pytree.ranges import require
 from ..schemes import Scheme
 from ..signals.task import Task
@@ -291,9 +292,8 @@ def levels(run: Run, metric: str, floor: float) -> jax.Array:
     elif metric in (history.saved or {}):
         x = history.saved[metric] / largest(peak(run.task))
     else:
-        raise ValueError(
-            f"metric = {metric!r} is not one of {', '.join((*TUNED, *(history.saved or {})))}"
-        )
+        known = (*TUNED, *(history.saved or {}))
+        raise ValueError(not_one_of(f"metric = {metric!r}", metric, known))
     x = largest(jnp.abs(x.reshape(len(x), -1)), axis=1)
     x = jnp.where(anywhere <= run.ceiling, x, jnp.maximum(x, anywhere))
     return 0.5 * jnp.log(x**2 + floor**2) - jnp.log(floor)

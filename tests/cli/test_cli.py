@@ -425,6 +425,8 @@ def test_identify_reads_a_record_and_names_what_is_wrong_with_it(
     assert "gamma_p = 0.25, lead = 3 and a cutoff of 100 Hz" in " ".join(out.split())
     assert read_scenario("found.toml").schemes["ilc"].scheme.lead == 3
     assert "95 % intervals" in out
+    assert "Order 1 fits 9" in out
+    assert "Next: jaxilc design found.toml, or jaxilc run found.toml" in " ".join(out.split())
     found = json.loads((tmp_path / "found.json").read_text())
     assert found["poles[0]"]["low"] < 60.0 < found["poles[0]"]["high"]
     assert (tmp_path / "out/identify/validation.png").exists()
@@ -434,6 +436,38 @@ def test_identify_reads_a_record_and_names_what_is_wrong_with_it(
     code, _, err = jaxilc_command("identify", "record.csv", "--input", "voltage")
     assert code == 2
     assert "no column 'voltage'; present are t [s], u, y" in err
+
+
+def test_identify_reads_a_frequency_response(jaxilc_command, tmp_path, monkeypatch):
+    """A lag of 30 rad/s with 2.5 samples of delay, held over samples of 1 ms."""
+    a, f = np.exp(-0.03), np.linspace(1.0, 200.0, 60)
+    z = np.exp(2e-3j * np.pi * f)
+    half = np.exp(-0.015)
+    response = 2.0 * ((1 - half) / (z - a) + half * (1 - half) / (z - a) / z) / z**2
+    table = np.column_stack([f, response.real, response.imag, 0.01 * np.abs(response)])
+    np.savetxt("frf.csv", table, delimiter=",", header="f [Hz],re,im,std", comments="")
+    law = StartingLaw(0.25, 3, 100.0, 3, 0.8, 0.85, 40.0)  # another test chooses one
+    monkeypatch.setattr(identified_file, "starting_law", lambda *_: law)
+    asked = ("identify", "frf.csv", "--poles", 1, "--pairs", 0, "--zeros", 0)
+    code, out, _ = jaxilc_command(*asked, "--dt", 1e-3, "--out", "axis.toml")
+    assert code == 0
+    assert "Order 1 with a delay of 2.5 samples fits 100 % of the measured response" in out
+    plant = read_scenario("axis.toml").machine.plant
+    assert plant.delay == pytest.approx(2.5e-3, rel=1e-6)
+    assert float(plant.poles[0]) == pytest.approx(30.0, rel=1e-6)
+    assert (tmp_path / "out/identify/response.png").exists()
+    code, out, _ = jaxilc_command(*asked, "--dt", 1e-3, "--delay", 2)
+    assert code == 0
+    assert "Next: jaxilc identify frf.csv --dt 0.001 --auto compares structures" in out
+    for wrong, said in (
+        (("--out", "b.toml"), "--out FILE.toml of a frequency response needs --dt"),
+        (("--delay", 2), "--delay 2 counts samples of a response: give --dt, too"),
+        (("--resample", 0.1), "--resample is for a record in time"),
+        (("--delay", -1), "--delay -1 is outside its allowed range"),
+    ):
+        code, _, err = jaxilc_command(*asked, *wrong)
+        assert code == 2
+        assert said in " ".join(err.split())
 
 
 def test_a_run_leaves_a_report(tmp_path):
@@ -510,7 +544,9 @@ def test_a_help_page_fits_80_columns(name):
     assert shown.exit_code == 0
     assert max(map(len, shown.stdout.splitlines())) <= 80
     assert "…" not in shown.stdout
-    assert ("--machines" in shown.stdout) == (name in ("sweep", "certify", "tune", "pareto"))
+    assert ("--machines" in shown.stdout) == (
+        name in ("sweep", "certify", "tune", "pareto", "design", "filter")
+    )
     assert ("[@METRIC]" in shown.stdout) == (name in ("tune", "pareto"))
 
 
@@ -539,8 +575,9 @@ def test_what_commands_share_is_declared_once():
             said.setdefault(max(option.opts, key=len), set()).add(option.help)
             if "--machines" in option.opts:
                 of_machines[name] = option.opts
-    assert sorted(of_machines) == ["certify", "pareto", "sweep", "tune"]
-    assert all(names == ["--machines", "--samples"] for names in of_machines.values())
+    old = {name for name, names in of_machines.items() if names == ["--machines", "--samples"]}
+    assert old == {"certify", "pareto", "sweep", "tune"}
+    assert {*of_machines} - old == {"design", "filter"}, "newer than the old name"
     shared = ("--set", "--params", "--seed", "--spread", "--sampling", "--json", "--report")
     for name in (*shared, "--precision", "--resume"):
         assert len(said[name]) == 1, name
@@ -555,7 +592,9 @@ def test_a_table_fits_80_columns_and_nothing_is_cut(jaxilc_command, monkeypatch,
     monkeypatch.setattr(console.out, "width", 80)
     code, out, _ = jaxilc_command(*words)
     assert code == 0
-    assert max(map(len, out.splitlines())) <= 80
+    *lines, following = out.splitlines()
+    assert re.match("Next, .*: jaxilc ", following), "one line, to be copied"
+    assert max(map(len, lines)) <= 80
     assert "…" not in out
 
 
@@ -660,6 +699,9 @@ def test_quiet_and_verbose(jaxilc_command, tmp_path):
     code, out, err = jaxilc_command("--verbose", *run)
     assert code == 0
     assert "written: " in out
+    told = json.loads((tmp_path / "run.json").read_text())
+    assert out.splitlines()[-2:] == [*told["verdict"], f"Next, what theory claims: {told['next']}"]
+    assert told["next"] == "jaxilc certify mine.toml --trials 2"
     assert "devices: " in err
     assert re.search(r"\d s, of them .* for \d+ programs", err)
     assert "Traceback" in jaxilc_command("--verbose", "run", "cao")[2]

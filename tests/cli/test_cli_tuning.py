@@ -6,6 +6,7 @@ Parameter files, worst machines that are built again, and mistakes of users are 
 import contextlib
 import io
 import json
+import shlex
 import sys
 from unittest import mock
 
@@ -150,6 +151,12 @@ def test_tune_gives_the_numbers_of_the_library(tuned, scenario):
                 [row["worst"], row["median"]], [errors.max(), np.sort(errors)[1]], rtol=1e-12
             )
     assert f"{numbers['weights']['phi0']['tuned']:.6g}" in out
+    assert out.splitlines()[-1] == f"Next, many machines: {numbers['next']}"
+    ending = out[out.index("written: ") :].split("\n", 1)[1]
+    assert " ".join(ending.split()).startswith(" ".join(numbers["verdict"]) + " Next, ")
+    words = ("sweep", "cao-2019", "--scheme", "cfdl-mfailc", "--trials", "4", "--spread", "0.2")
+    more = ("--set", "frequency=50", "--params", str(folder / "params.json"))
+    assert shlex.split(numbers["next"]) == ["jaxilc", *words, *more]
     for name in ("loss.png", "learning.png"):
         assert (folder / name).stat().st_size > 10_000
 
@@ -482,8 +489,13 @@ def test_risks_are_what_they_say():
         ),
         (
             "tune",
+            ("--weights", "lam", "--objective", "2*finl:5"),
+            "--objective: 'finl' is unknown; did you mean final[:trial]? Known: final[:trial], ",
+        ),
+        (
+            "tune",
             ("--weights", "lam", "--risk", "median"),
-            "--risk 'median' is not one of mean, worst, cvar[:alpha]",
+            "--risk 'median' is unknown; did you mean mean? Known: mean, worst, cvar[:alpha]",
         ),
         (
             "tune",

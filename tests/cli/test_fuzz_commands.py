@@ -20,7 +20,7 @@ from jaxilc.bench import contests, ours_alone
 from jaxilc.identification import estimation
 from jaxilc.learning import over_trials
 from jaxilc.sweeps import Sweep
-from jaxilc.theory import of_schemes
+from jaxilc.theory import measured_law, of_schemes, q_filter
 from jaxilc.tuning import Tuning, worst_machine
 
 PLANT = """
@@ -52,6 +52,7 @@ COMMANDS = [
 run p.toml
 sweep p.toml --machines 4
 certify p.toml --machines 4
+filter p.toml --machines 4 --scheme ilc
 tune p.toml {TUNED}
 pareto p.toml {TUNED} --budgets 2,3
 worst-case p.toml --scheme ilc --starts 2 --steps 2
@@ -59,6 +60,7 @@ identify record.csv --poles 1 --pairs 0 --zeros 0
 next --state campaign --scenario p.toml --scheme ilc --out n.csv
 trials --state campaign
 list p.toml
+init p.toml
 bench --plants 1 --trials 2 --samples 8 --long 0 --repeats 1 --schemes cfdl --no-gradients
 """.strip().split("\n")
 ]
@@ -170,6 +172,8 @@ def folder(tmp_path, monkeypatch):
             (Tuning, "run"),
             (of_schemes, "certify"),
             (worst_machine, "worst_case_search"),
+            (q_filter, "question"),
+            (measured_law, "measured_question"),
         ),
         *(
             (estimation, "problem_of"),
@@ -188,6 +192,8 @@ sweep p.toml --seed {10**23}
 run p.toml --set mf.lead={10**23}
 run p.toml --set ilc.gamma_p={"1" * 5000}
 identify record.csv --poles {10**12}
+identify record.csv --delay {10**12}
+identify record.csv --resample 1e-300
 identify record.csv --poles 1 --pairs 0 --zeros {10**12}
 run deep.json
 run p.toml --params deep.json

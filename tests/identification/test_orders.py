@@ -43,7 +43,7 @@ def test_a_parameter_that_only_fits_noise_is_not_chosen(monkeypatch):
     factor = {(1, 0, 0): 0.1, (0, 1, 0): 0.0999, (1, 1, 0): 0.05, (0, 2, 0): 0.0499}
     asked = []
 
-    def identified(record, *, poles, pairs, zeros, starts, seed):
+    def identified(record, *, poles, pairs, zeros, delay, starts, seed):
         asked.append((poles, pairs, zeros))
         names = ["gain", *map(str, range(poles + 2 * pairs + zeros)), "bias"]
         simulated = (1 - factor[poles, pairs, zeros]) * record.y
@@ -62,8 +62,8 @@ def test_a_parameter_that_only_fits_noise_is_not_chosen(monkeypatch):
     best = best_order(found)
     assert (best.poles, best.pairs, best.zeros) == (1, 1, 0)
     # of 24 samples 17 are fitted: enough for three parameters
-    assert not orders._long_enough(RECORD._replace(y=RECORD.y[:24]), 4)
-    assert orders._long_enough(RECORD._replace(y=RECORD.y[:24]), 3)
+    assert not orders.long_enough(RECORD._replace(y=RECORD.y[:24]), 4)
+    assert orders.long_enough(RECORD._replace(y=RECORD.y[:24]), 3)
 
 
 def test_a_fit_that_did_not_converge_is_a_last_resort():

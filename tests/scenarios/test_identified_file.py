@@ -11,6 +11,7 @@ from jaxilc.plants import ProcessModel
 from jaxilc.scenarios.from_file import read_scenario
 from jaxilc.scenarios.identified_file import intervals, write_plant_file
 from jaxilc.scenarios.starting_law import starting_law
+from jaxilc.theory.measured import MeasuredResponse
 from jaxilc.uncertainty import Uniform
 
 DT = 1e-3
@@ -109,3 +110,33 @@ def test_what_the_record_does_not_determine_gets_no_interval():
     certain, left_out = intervals(FOUND._replace(parameters=vague))
     assert certain == {}
     assert set(left_out) == {"plant.gain", "plant.poles[0]"}
+
+
+def test_a_fitted_response_is_written_with_its_delay(tmp_path):
+    """The delay is in the plant of the file, and the law looks that far ahead."""
+    found = FOUND._replace(
+        plant=ProcessModel(-2.0, (), (60.0,), delay=0.0205),
+        parameters={k: v for k, v in FOUND.parameters.items() if k != "bias"}
+        | {"delay": Estimate(0.0205, 0.0204, 0.0206)},
+        of_response=True,
+    )
+    f = np.linspace(2.0, 200.0, 50)
+    measured = MeasuredResponse(f, np.ones(50, complex), np.ones(50))
+    with pytest.raises(ValueError, match=r"dt = None; allowed is the sample time"):
+        write_plant_file(tmp_path / "a.toml", found, measured, source="frf.csv")
+    law = write_plant_file(tmp_path / "a.toml", found, measured, dt=DT, source="frf.csv")
+    text = (tmp_path / "a.toml").read_text()
+    assert "# Response: 50 lines from 2 to 200 Hz, as sampled every 0.001 s behind a hold." in text
+    assert "95 % interval 0.0204 .. 0.0206 s; it is not drawn" in text
+    made = read_scenario(tmp_path / "a.toml")
+    assert made.machine.plant.delay == 0.0205
+    assert "plant.delay" not in made.uncertainty
+    assert law.lead >= 20
+    # P of a lag behind 20.5 samples of delay, held over each sample
+    half, a = np.exp(-30.0 * DT), np.exp(-60.0 * DT)
+    f = np.linspace(0.01, 0.5 / DT * (1 - 1e-9), 20001)
+    z = np.exp(2j * np.pi * f * DT)
+    P = -2.0 * ((1 - half) + half * (1 - half) / z) / (z - a) / z**20
+    Q = 1 / (1 + (np.tan(np.pi * f * DT) / np.tan(np.pi * law.cutoff * DT)) ** 4)
+    nominal = np.max(np.abs(Q * (1 - law.gamma_p * z ** (1 + law.lead) * P)))
+    assert law.nominal == pytest.approx(nominal, rel=1e-3)

@@ -42,7 +42,7 @@ TASK = {
     "reference": {"function": "sinusoid", "amplitude": 1.0, "frequency": 10.0, "duration": 0.1},
 }
 SCHEMES = {"ilc": {"class": "PIDType", "gamma_p": 0.5}}
-NORM_OPTIMAL = {"class": "NormOptimal", "w_e": 1.0}
+NORM_OPTIMAL = {"class": "NormOptimal", "w_q": 1.0}
 U = np.sin(0.7 * np.arange(60)) + 0.3
 
 
@@ -363,6 +363,26 @@ def pid(**fields):
             "axis.json: plants is not a key here; did you mean plant. 13 names are known",
         ),
         ({"plant": None}, "axis.json: plant is missing; present are task, schemes"),
+        (
+            {"plant": None, "plnt": PLANT},
+            "axis.json: plnt is not a key here; did you mean plant. It is missing",
+        ),
+        (
+            {"task": {"dt": DT, "refrence": TASK["reference"]}},
+            "axis.json: task.refrence is not a key here; did you mean reference. It is missing",
+        ),
+        (
+            {"schemes": {"a": {"clas": "PID"}}},
+            "schemes.a.clas is not a key here; did you mean class. It is missing",
+        ),
+        (
+            {"schemes": {"a": {"class": "NormOptimal", "w_r": 1.0, "w_q": 2.0}}},
+            "schemes.a.model is missing; present are class, w_r, w_q",
+        ),
+        (
+            {"uncertainty": {"plant.B": {"distributoin": "uniform", "low": 0.9, "high": 1.1}}},
+            "uncertainty.plant.B.distributoin is not a key here; did you mean distribution. It is",
+        ),
         ({"plant": 3}, "axis.json: plant = 3 is not a table"),
         (
             {"plant": {"kind": "tf"}},
@@ -473,7 +493,7 @@ def pid(**fields):
         ),
         (
             {"uncertainty": {"plant.C_d": {"distribution": "uniform", "low": 1.0, "high": 2.0}}},
-            "axis.json: uncertainty: .*plant.C_d",
+            "axis.json: uncertainty: 'plant.C_d'",
         ),
         (
             {"uncertainty": {"plant.B": {"distribution": "beta"}}},

@@ -36,8 +36,8 @@ class = "PIDType"
 """
 
 
-def fitted():
-    plant = ProcessModel(2.0, [], [9.0], [], [])
+def fitted(delay=0.0):
+    plant = ProcessModel(2.0, [], [9.0], [], [], delay)
     parameters = {
         "gain": Estimate(2.0, 1.9, 2.1),
         "poles[0]": Estimate(9.0, -1.0, 19.0),
@@ -72,6 +72,8 @@ def test_only_the_plant_and_its_uncertainty_are_replaced(tmp_path):
     # With a sensor in the file its noise stays as it is; what was fitted can be fitted again.
     again = write_refitted(tmp_path / "axis-3.toml", file, fitted(), fitted_to="c", noise=0.5)
     assert tomllib.loads(again.read_text()) == tomllib.loads(text)
+    late = write_refitted(tmp_path / "axis-4.toml", file, fitted(0.004), fitted_to="d")
+    assert tomllib.loads(late.read_text())["plant"]["delay"] == 0.004
 
 
 @pytest.mark.parametrize(

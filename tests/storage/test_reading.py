@@ -84,7 +84,7 @@ def test_a_text_of_another_kind_or_size_is_refused(tmp_path, monkeypatch):
     path.write_text("t,u,y\n0,1,2\n1,1," + '"' + "2" * 200_000 + '"')
     with pytest.raises(ValueError, match=r"record\.csv, line 3: field larger than field limit"):
         read_record(path)
-    monkeypatch.setattr("jaxilc.storage.reading.LARGEST_TABLE", 100)
+    monkeypatch.setattr("jaxilc.storage.columns.LARGEST_TABLE", 100)
     with pytest.raises(
         ValueError, match=r"record\.csv has more than the 100 bytes that are allowed"
     ):

@@ -1,0 +1,1 @@
+"""Verdicts of the commands, in sentences, each with the next command to type."""

@@ -1,0 +1,94 @@
+"""What a verdict needs to know of a scenario and of what was asked."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, NamedTuple
+
+from ..tables import number
+from .next_command import Asked
+
+if TYPE_CHECKING:
+    from ...scenarios import Scenario
+
+
+class Case(NamedTuple):
+    """What was simulated, as far as a verdict needs it.
+
+    asked: options of the command
+    learns: whether each scheme learns, by name
+    uncertain: whether there are machines to draw
+    designable: whether `jaxilc design` takes it: a plant file with one input and one output
+    metric: name of the metric by which schemes are judged, in words
+    unit: in which it is shown
+    tolerance: largest value that passes, None if none is known
+    """
+
+    asked: Asked
+    learns: Mapping[str, bool]
+    uncertain: bool = True
+    designable: bool = False
+    metric: str = "settled error"
+    unit: str = ""
+    tolerance: float | None = None
+
+    @classmethod
+    def of(cls, chosen: Scenario, asked: Asked) -> Case:
+        """The case of a scenario."""
+        single = chosen.task.inputs == chosen.task.outputs == 1
+        return cls(
+            asked,
+            {name: scheme.learns for name, scheme in chosen.schemes.items()},
+            uncertain=bool(chosen.uncertainty),
+            designable=asked.of_file and single and ".design." not in asked.source,
+            metric=chosen.judged_by.replace("_", " "),
+            unit=chosen.shown(chosen.judged_by)[1],
+            tolerance=chosen.tolerance if asked.tolerance is None else asked.tolerance,
+        )
+
+    def size(self, value: float) -> str:
+        """A value of the metric with its unit."""
+        return f"{number(value)} {self.unit}".rstrip()
+
+    def beside_tolerance(self, value: float) -> str:
+        """A sentence that compares a value with the tolerance; empty if none is known."""
+        if self.tolerance is None:
+            return ""
+        side = "within" if value <= self.tolerance else "beyond"
+        return f"It is {side} the tolerance of {self.size(self.tolerance)}."
+
+    def head(self, best: str) -> str:
+        """The beginning of a sentence on the best scheme."""
+        others = len(self.learns)
+        is_best = f" is best of {others} schemes" if others > 1 else ""
+        still = "" if self.learns[best] else " (it does not learn)"
+        return f"{best}{is_best}{still}: "
+
+    def on(self, command: str, best: str, **changed: object) -> str:
+        """The next command, on one scheme."""
+        scheme = best if command == "worst-case" else self.asked.name_of(best, [*self.learns])
+        return self.asked.following(command, scheme=scheme, **changed)
+
+    def remedy(self, best: str) -> tuple[str, str]:
+        """What to do where no scheme will do: it in words, and the command."""
+        if self.designable:
+            return "a law that suits the machine", self._redesigned().following("design")
+        if any(self.learns.values()):
+            name = best if self.learns[best] else next(n for n, yes in self.learns.items() if yes)
+            return "what theory claims", self.on("certify", name)
+        if self.asked.schemes:
+            return "all schemes", self.asked.following("run")
+        return "what can be set", self.asked.following("list")
+
+    def _redesigned(self) -> Asked:
+        """What was asked without the weights of the schemes, which a design chooses itself.
+
+        It takes their feedback, so that settings of a feedback are kept.
+        """
+        kept = (
+            one
+            for one in self.asked.set
+            if ".feedback." in one or one.strip().partition(".")[0] not in self.learns
+        )
+        return dataclasses.replace(self.asked, set=tuple(kept))

@@ -1,0 +1,71 @@
+"""The verdict of `certify`: a sentence on each scheme, and the next command."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from ...theory.certificates import CONVERGES, DIVERGES, GROWS, MONOTONE, NOTHING, TURNS
+from ..tables import number
+from .case import Case
+from .next_command import Verdict
+
+
+def certify_verdict(case: Case, numbers: Mapping[str, dict[str, Any]], scale: float) -> Verdict:
+    """Which schemes are certified on every machine, which are not, and why.
+
+    numbers: results of `certificate_numbers` by scheme
+    scale: of the errors in them
+    """
+    certified, said = [], []
+    for name, row in numbers.items():
+        claims, machines = row["claims"], sum(row["claims"].values())
+        if claims[MONOTONE] + claims[CONVERGES] == machines:
+            certified.append(name)
+            floor = f"{number(scale * row['floor'])} {case.unit}".rstrip()
+            said.append(
+                f"{name} is certified on {_all(machines)}: learning "
+                f"{_how(claims)} and leaves an rms error of at most {floor}."
+            )
+        elif claims[DIVERGES]:
+            said.append(f"{name} diverges on {claims[DIVERGES]} of {machines} machines.")
+        else:
+            reasons = row["reasons"][NOTHING]
+            why = max(reasons, key=lambda reason: reasons[reason])
+            said.append(
+                f"{name} is not certified on {claims[NOTHING]} of {machines} machines: {why}."
+            )
+    return Verdict(tuple(said), *_after_certify(case, numbers, certified))
+
+
+def _all(machines: int) -> str:
+    return "the nominal machine" if machines == 1 else f"all {machines} machines"
+
+
+def _how(claims: dict[str, int]) -> str:
+    if not claims[CONVERGES]:
+        return "is monotone"
+    return "converges" if not claims[MONOTONE] else "converges, on most of them in every trial"
+
+
+def _after_certify(
+    case: Case, numbers: Mapping[str, dict[str, Any]], certified: Sequence[str]
+) -> tuple[str, str]:
+    if certified:
+        best = min(certified, key=lambda name: numbers[name]["floor"])
+        if case.asked.of_file:
+            words = ("--state", "out/campaign", "--out", "trial-1.csv")
+            scheme = case.asked.name_of(best, [*case.learns])
+            return "on the machine", case.asked.following("next", *words, scheme=scheme)
+        return "the worst machine", case.on("worst-case", best)
+    lost = [name for name, row in numbers.items() if _ends_badly(row)]
+    if lost:
+        if case.designable:
+            return case.remedy(lost[0])
+        return "the worst machine", case.on("worst-case", lost[0])
+    return "many machines by simulation", case.on("sweep", next(iter(numbers)))
+
+
+def _ends_badly(row: dict[str, Any]) -> bool:
+    """Whether a scheme diverges, or its simulated error has grown at the end, on some machine."""
+    return bool(row["claims"][DIVERGES] or row["observed"][TURNS] or row["observed"][GROWS])

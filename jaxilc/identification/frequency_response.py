@@ -1,0 +1,255 @@
+"""Measured frequency responses from text files of columns.
+
+The header says what the columns are; names are read without regard to capitals, and a unit stands
+in brackets (`phase [deg]`, `phase (deg)`), behind an underscore (`phase_deg`) or in a line below
+the header.
+
+    frequency    f, freq, frequency, w, omega; in Hz, kHz or rad/s
+    response     re and im; or magnitude (mag, gain, amplitude, abs) and phase (angle, arg);
+                 or one column of complex text (response, frf, G, H, P), such as 1.2+0.3j
+    scatter      std, variance or coherence (coh, mscohere); none is allowed
+
+A magnitude needs its unit, `abs` (or any unit of output per input) or `dB`, and so do a phase,
+`deg` or `rad`, and a frequency: each of them is used both ways, and a mistake would not be seen.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ..pytree.ranges import require
+from ..storage.columns import numbers_in, read_columns
+from ..theory.measured import MeasuredResponse
+
+# The names of each kind of column, in lower case.
+NAMES = {
+    "frequency": ("f", "freq", "frequency", "frequencies", "w", "omega", "ω"),
+    "re": ("re", "real"),
+    "im": ("im", "imag", "imaginary"),
+    "magnitude": ("magnitude", "mag", "gain", "amplitude", "abs"),
+    "phase": ("phase", "angle", "arg"),
+    "complex": ("response", "frf", "complex", "g", "h", "p"),
+    "std": ("std", "standard deviation", "sigma"),
+    "variance": ("variance", "var"),
+    "coherence": ("coherence", "coh", "mscohere"),
+}
+HERTZ = {"hz": 1.0, "khz": 1e3, "rad/s": 1 / (2 * np.pi)}
+RADIANS = {"deg": np.pi / 180, "°": np.pi / 180, "degree": np.pi / 180, "degrees": np.pi / 180}
+RADIANS["rad"] = 1.0
+NOT_LINEAR = ("db", "%", *RADIANS)
+FEWEST = 2  # lines
+_WITH_UNIT = re.compile(r"^(.+?)\s*(?:\[([^\[\]]*)\]|\(([^()]*)\))$")
+_WITH_SUFFIX = re.compile(r"^(.+)_(hz|khz|db|abs|deg|rad)$")
+
+
+class _Column(NamedTuple):
+    """A column: its place, its heading, and its unit in lower case, or None."""
+
+    at: int
+    heading: str
+    unit: str | None
+
+
+def is_frequency_response(path: str | Path) -> bool:
+    """Whether the header of a text file is one of a frequency response: it has a frequency.
+
+    Raises as `read_columns`, but not for a file without a header.
+    """
+    try:
+        header, _ = read_columns(path)
+    except ValueError as error:
+        if "has no header" in str(error):
+            return False
+        raise
+    kinds = [_kind_and_unit(heading)[0] for heading in header]
+    return "frequency" in kinds and any(kind in kinds for kind in ("re", "magnitude", "complex"))
+
+
+def read_frequency_response(path: str | Path, *, averages: int | None = None) -> MeasuredResponse:
+    """A frequency response from a text file of columns; the module says which.
+
+    The standard deviation of a line follows from its coherence c over n averages as
+
+        std = |G| sqrt((1 - c) / (c n))        (Bendat, Piersol 2010, section 9.2)
+
+    where G is the response from cross and input spectra, and c is the squared one, between 0 and
+    1. It is that of the complex number, sqrt(2) times that of its magnitude. A line at 0 Hz is left
+    out. A column `std` goes before `variance`, and this before `coherence`; re and im go before
+    magnitude and phase, and these before complex text.
+
+    averages: number n of independent averages, which a coherence needs
+    Raises ValueError naming file, line and column: for a column that is missing or there twice, a
+    unit that is missing or not known, a value that is not a finite number or outside its range,
+    frequencies that do not increase, and fewer than 2 lines.
+    """
+    header, rows = read_columns(path)
+    columns = _columns(path, header)
+    lines, cells = [], []
+    for line, row in rows:
+        lines.append(line)
+        cells.append(row)
+    read = _Reader(path, lines, cells)
+    f = read.numbers(columns["frequency"]) * _factor(path, columns["frequency"], HERTZ, "f [Hz]")
+    response = _response(read, columns)
+    std = _std(read, columns, response, averages)
+    if np.any(f < 0):
+        read.refuse(int(np.argmin(f)), columns["frequency"], "a negative frequency")
+    if np.any(np.diff(f) <= 0):
+        k = int(np.argmax(np.diff(f) <= 0)) + 1
+        read.refuse(k, columns["frequency"], "a frequency that does not increase")
+    above = f > 0
+    if np.sum(above) < FEWEST:
+        raise ValueError(
+            f"{path} has {np.sum(above)} lines above 0 Hz; allowed are at least {FEWEST}"
+        )
+    return MeasuredResponse(f[above], response[above], std[above])
+
+
+# How it is done
+# --------------------------------------------------------------------------------------------------
+
+
+class _Reader(NamedTuple):
+    """The rows of a file, and where they stand."""
+
+    path: str | Path
+    lines: list[int]
+    rows: list[list[str]]
+
+    def numbers(self, column: _Column) -> np.ndarray:
+        found = np.array([numbers_in(row, [column.at])[0] for row in self.rows])
+        for k in np.flatnonzero(~np.isfinite(found)):
+            self.refuse(k, column, "not a finite number")
+        return found
+
+    def complex_numbers(self, column: _Column) -> np.ndarray:
+        found = np.array([_complex(row[column.at : column.at + 1]) for row in self.rows], complex)
+        for k in np.flatnonzero(~np.isfinite(found)):
+            self.refuse(k, column, "not a finite complex number, such as 1.2+0.3j")
+        return found
+
+    def refuse(self, k: int, column: _Column, what: str) -> None:
+        """Raise ValueError for row k of a column."""
+        row = self.rows[k]
+        text = row[column.at].strip() if column.at < len(row) else ""
+        raise ValueError(
+            f"{self.path}, line {self.lines[k]}: {column.heading} = {text!r} is {what}"
+        )
+
+
+def _kind_and_unit(heading: str) -> tuple[str | None, str | None]:
+    """The kind of a column, None if it is of no use, and its unit in lower case."""
+    name, unit = heading.strip().lower(), None
+    if found := _WITH_UNIT.match(name):
+        name, unit = found[1], (found[2] if found[2] is not None else found[3]).strip()
+    elif found := _WITH_SUFFIX.match(name):
+        name, unit = found[1], found[2]
+    return next((kind for kind, names in NAMES.items() if name in names), None), unit
+
+
+def _columns(path, header: list[str]) -> dict[str, _Column]:
+    """The columns by their kind, checked to be a response."""
+    found: dict[str, _Column] = {}
+    for at, heading in enumerate(header):
+        kind, unit = _kind_and_unit(heading)
+        if kind in found:
+            raise ValueError(
+                f"{path}: {heading!r} and {found[kind].heading!r} are both a {kind}; allowed is one"
+            )
+        if kind:
+            found[kind] = _Column(at, heading, unit)
+    present = ", ".join(header) or "none"
+    if "frequency" not in found:
+        raise ValueError(
+            f"{path} has no frequency; write a heading `f [Hz]` or `w [rad/s]`. Present are "
+            f"{present}"
+        )
+    for pair in (("re", "im"), ("magnitude", "phase")):
+        one = [kind for kind in pair if kind in found]
+        if len(one) == 1 and "complex" not in found:
+            other = pair[1 - pair.index(one[0])]
+            raise ValueError(f"{path} has {one[0]} but no {other}; present are {present}")
+    if not found.keys() & {"re", "magnitude", "complex"}:
+        raise ValueError(
+            f"{path} has no response; write `re` and `im`, or `magnitude [abs]` (or [dB]) and "
+            f"`phase [deg]` (or [rad]). Present are {present}"
+        )
+    return found
+
+
+def _factor(path, column: _Column, units: dict[str, float], example: str) -> float:
+    """The factor of a unit; raises ValueError where there is none, or one that is not known."""
+    if column.unit not in units:
+        what = "has no unit" if not column.unit else f"has the unit {column.unit!r}"
+        raise ValueError(
+            f"{path}: the column {column.heading!r} {what}; write one of {', '.join(units)} into "
+            f"its heading, such as `{example}`"
+        )
+    return units[column.unit]
+
+
+def _response(read: _Reader, columns: dict[str, _Column]) -> np.ndarray:
+    """(rows,) the complex response."""
+    if "re" in columns:
+        return read.numbers(columns["re"]) + 1j * read.numbers(columns["im"])
+    if "magnitude" not in columns:
+        return read.complex_numbers(columns["complex"])
+    magnitude, phase = columns["magnitude"], columns["phase"]
+    radians = _factor(read.path, phase, RADIANS, "phase [deg]")
+    if not magnitude.unit or magnitude.unit in NOT_LINEAR[1:]:
+        raise ValueError(
+            f"{read.path}: the column {magnitude.heading!r} does not say what it is; write "
+            "`magnitude [dB]`, or `magnitude [abs]` for output per input"
+        )
+    size = read.numbers(magnitude)
+    if magnitude.unit == "db":
+        # beyond 10^15 the numbers would be no response of a machine
+        if np.any(np.abs(size) > 300):
+            read.refuse(int(np.argmax(np.abs(size))), magnitude, "beyond 300 dB")
+        size = 10 ** (size / 20)
+    elif np.any(size < 0):
+        read.refuse(int(np.argmin(size)), magnitude, "negative; is it in dB? Write `[dB]`")
+    return size * np.exp(1j * radians * read.numbers(phase))
+
+
+def _std(read: _Reader, columns: dict[str, _Column], response, averages) -> np.ndarray:
+    """(rows,) the standard deviation of each line; 0 where the file does not tell it."""
+    if averages is not None:
+        require("read_frequency_response", "averages", averages, "[1, inf)", whole=True)
+    for kind in ("std", "variance"):
+        if kind in columns:
+            column = columns[kind]
+            if column.unit in NOT_LINEAR:
+                raise ValueError(
+                    f"{read.path}: the column {column.heading!r} is in {column.unit}; allowed is "
+                    "the unit of the response, output per input"
+                )
+            values = read.numbers(column)
+            if np.any(values < 0):
+                read.refuse(int(np.argmin(values)), column, "negative")
+            return values if kind == "std" else np.sqrt(values)
+    if "coherence" not in columns:
+        return np.zeros(len(response))
+    column = columns["coherence"]
+    if averages is None:
+        raise ValueError(
+            f"{read.path}: the column {column.heading!r} gives a standard deviation together with "
+            "the number of averages only; give --averages N (averages)"
+        )
+    c = read.numbers(column)
+    for k in np.flatnonzero((c <= 0) | (c > 1)):
+        read.refuse(k, column, "outside (0, 1]")
+    return np.abs(response) * np.sqrt((1 - c) / (c * averages))
+
+
+def _complex(cell: list[str]) -> complex:
+    """The number of a cell such as 1.2+0.3j, 1.2 + 0.3i or (1.2+0.3j); NaN where there is none."""
+    plain = "".join(cell).replace(" ", "").lower().strip("()").replace("i", "j")
+    try:
+        return complex(plain)
+    except ValueError:
+        return complex(np.nan, np.nan)

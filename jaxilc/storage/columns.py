@@ -1,0 +1,218 @@
+"""Columns of numbers from text files, as machines, scopes and spreadsheets write them.
+
+What is understood, in this order:
+
+    comments    lines that begin with `#` or `%` anywhere, and with `;` above the header
+    header      the first line that is no comment; where that line holds numbers only, the last
+                comment above it, if it has as many cells (so `numpy.savetxt` writes its header)
+    units       a line below the header that holds units and no number, such as `s;V;mm`
+    separators  semicolon, tab or comma, whichever the header has first in this order, else blanks
+    decimals    a point; or a comma, where the separator is not a comma (German spreadsheets and
+                scopes). A file that has both is refused: a comma could also group thousands.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from .reading import LARGEST_TABLE, read_text
+
+Rows = Iterator[tuple[int, list[str]]]
+SEPARATORS = ";\t,"
+COMMENTS = "#%"
+_UNITS = (
+    "s ms us µs μs ns Hz kHz rad/s V mV kV A mA N kN Nm m mm um µm μm nm rad mrad deg ° rpm 1/min "
+    "m/s mm/s m/min m/s^2 mm/s^2 m/s² dB abs % inc counts - g bar"
+)
+# Units that make a line below the header one of units. A unit in brackets does so too.
+KNOWN_UNITS = frozenset(_UNITS.split())
+_HEADING = re.compile(r"^([^\[\]]+?)\s*(?:\[([^\[\]]*)\])?$")
+_DECIMAL_COMMA = re.compile(r"^[+-]?\d*,\d+(?:[eE][+-]?\d+)?$|^[+-]?\d+,(?:[eE][+-]?\d+)?$")
+_DECIMAL_POINT = re.compile(r"^[+-]?\d*\.\d*(?:[eE][+-]?\d+)?$")
+_BLANKS = re.compile(r"[^\s\[(]+(?:\s*\[[^\]]*\]|\s*\([^)]*\))?|\([^)]*\)|\[[^\]]*\]")
+
+
+def read_columns(path: str | Path, names: Sequence[str] = ()) -> tuple[list[str], Rows]:
+    """The header of a text file of columns, and its rows that are not empty, with line numbers.
+
+    The rows are an iterator; decimal commas in them are points. The units of a line below the
+    header are appended to the headings that have none: `y` and `mm` give `y [mm]`.
+
+    names: headings for a file without a header
+    Raises as `read_text`; ValueError for names where the file has a header of its own; and
+    ValueError, also during the iteration, for a line that is not a row of these columns.
+    """
+    lines = _Lines(path, read_text(path, LARGEST_TABLE))
+    header, first = _header(path, lines, names)
+    if header and names and [*names] != header:
+        raise ValueError(
+            f"{path} has a header, {', '.join(header)}; allowed are names of columns (--columns) "
+            "for a file without one only"
+        )
+    header = header or [*names]
+    return header, _checked_rows(path, lines, header, first)
+
+
+def is_number(cell: str) -> bool:
+    """Whether a cell holds a number, with a decimal point or a decimal comma."""
+    return _is_float(cell) or bool(_DECIMAL_COMMA.match(cell.strip()))
+
+
+def name_and_unit(heading: str) -> tuple[str, str | None]:
+    """The name and the unit in the heading of a column, such as `y [mm]`.
+
+    The unit is None where the heading has none, such as `y`. The name is empty where the heading
+    has neither of these forms.
+    """
+    found = _HEADING.match(heading)
+    return (found[1], found[2]) if found else ("", None)
+
+
+def numbers_in(row: list[str], at: Sequence[int]) -> list[float]:
+    """The numbers of a row in the columns `at`; NaN for a cell that is missing or not a number."""
+    return [_number(row[i]) if i < len(row) else math.nan for i in at]
+
+
+# How it is done
+# --------------------------------------------------------------------------------------------------
+
+
+class _Lines:
+    """The rows of a text, cell by cell, without its comments.
+
+    comment: the last comment above the first row, without its mark
+    number: number of the line that was read last
+    separator: what separates cells; None: blanks
+    """
+
+    def __init__(self, path, text: str):
+        self.path, self.number, self.comment, self.begun = path, 0, "", False
+        self.lines = io.StringIO(text, newline="")
+        self.separator: str | None = None
+        self.reader: Iterator[list[str]] | None = None
+
+    def _plain(self) -> Iterator[str]:
+        """The lines that are no comments; blank ones are passed on."""
+        for line in self.lines:
+            self.number += 1
+            bare = line.lstrip()
+            if bare[:1] in (*COMMENTS, *(() if self.begun else ";")) and bare[:1]:
+                self.comment = bare.lstrip(COMMENTS + "; ").strip()
+            else:
+                self.begun = self.begun or bool(bare)
+                yield line
+
+    def first(self) -> str:
+        """The first line that is neither blank nor a comment; it also sets the separator."""
+        line = next((line for line in self._plain() if line.strip()), "")
+        self.separator = next((d for d in SEPARATORS if d in line), None)
+        return line
+
+    def split(self, line: str) -> list[str]:
+        """The cells of one line."""
+        if self.separator is None:
+            return _BLANKS.findall(line)
+        return [cell.strip() for cell in next(csv.reader([line], delimiter=self.separator), [])]
+
+    def rows(self) -> Rows:
+        """The further rows that are not empty."""
+        if self.separator is None:
+            found = (line.split() for line in self._plain())
+        else:
+            found = csv.reader(self._plain(), delimiter=self.separator)
+        while True:
+            try:
+                row = next(found, None)
+            except csv.Error as error:
+                raise ValueError(f"{self.path}, line {self.number}: {error}") from None
+            if row is None:
+                return
+            if any(cell.strip() for cell in row):
+                yield self.number, row
+
+
+def _header(path, lines: _Lines, names) -> tuple[list[str], list[tuple[int, list[str]]]]:
+    """The headings, and the rows that were read in order to find them."""
+    line = lines.first()
+    cells = lines.split(line)
+    if not cells:
+        return [], []
+    if all(map(is_number, filter(None, cells))):
+        number, data = lines.number, [cell for cell in cells if lines.separator or cell]
+        above = lines.split(lines.comment)
+        header = above if len(above) == len(data) and not any(map(is_number, above)) else []
+        if not header and not names:
+            raise ValueError(
+                f"{path} has no header: its line {number} holds {len(data)} numbers. Name the "
+                "columns in their order with --columns (columns), such as --columns t,u,y"
+            )
+        return header, [(number, data)]
+    second = next(((n, row) for n, row in lines.rows()), None)
+    if second is None or not _are_units(second[1]):
+        return cells, [second] if second else []
+    units = [cell.strip().strip("[]()") for cell in second[1]]
+    units += [""] * (len(cells) - len(units))
+    return [
+        heading if name_and_unit(heading)[1] is not None or not unit else f"{heading} [{unit}]"
+        for heading, unit in zip(cells, units, strict=False)
+    ], []
+
+
+def _are_units(row: list[str]) -> bool:
+    """Whether a row below the header holds units: no number, and at least one that is known."""
+    cells = [cell.strip() for cell in row if cell.strip()]
+    if any(map(is_number, cells)):
+        return False
+    return any(cell in KNOWN_UNITS or cell[:1] + cell[-1:] in ("[]", "()") for cell in cells)
+
+
+def _checked_rows(path, lines: _Lines, header, first) -> Rows:
+    """The rows with decimal points, none of them longer than the header."""
+    comma, point = 0, 0  # lines on which a decimal comma and a decimal point were seen first
+    for row_of in (first, lines.rows()):
+        for number, row in row_of:
+            if lines.separator != ",":
+                cells = [cell.strip() for cell in row]
+                with_comma = [bool(_DECIMAL_COMMA.match(cell)) for cell in cells]
+                comma = comma or number * any(with_comma)
+                point = point or number * any(map(_DECIMAL_POINT.match, cells))
+                if comma and point:
+                    raise ValueError(
+                        f"{path} has decimal commas (line {comma}) and decimal points (line "
+                        f"{point}); allowed is one of them, since a comma could group thousands"
+                    )
+                row = [
+                    cell.replace(",", ".") if decimal else cell
+                    for cell, decimal in zip(row, with_comma, strict=True)
+                ]
+            if any(cell.strip() for cell in row[len(header) :]):
+                raise ValueError(_too_long(path, number, row, header, lines.separator))
+            yield number, row
+
+
+def _too_long(path, number: int, row: list[str], header: list[str], separator) -> str:
+    """The text for a row of more cells than the header."""
+    said = f"{path}, line {number}: {len(row)} cells where the header has {len(header)}"
+    if separator == ",":
+        said += "; are these decimal commas? Separate the columns by semicolons or tabs then"
+    return said
+
+
+def _is_float(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def _number(cell: str) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        return math.nan

@@ -1,0 +1,166 @@
+"""How far a filtered law may go: cutoff, gain and lead, on the lines of a frequency response.
+
+A law with a zero-phase low-pass Q in front of a learning law K u + L e learns on a plant P where
+
+    |Q (K - g z^d L P)| + |Q g L| s <= allowed < 1
+
+at each frequency. g scales the gain and d shifts the lead of the law as it is; s is how far P is
+from the response that is known, 0 for a model. The plants may be those of a model, which are drawn,
+or measured responses. Everything here is arithmetic on lines: between them nothing is looked at.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+LARGEST_SHARE = 0.98  # of the Nyquist frequency, beyond which no cutoff is looked for
+FINENESS = 1e-4  # relative, of the largest gain
+SCAN = 0.8  # factor from gain to gain, in the search for one that is allowed
+SCANNED = 60
+
+
+class Lines(NamedTuple):
+    """Responses of S plants and of a learning law without its filter, at F frequencies.
+
+    f:       (F,) [Hz]
+    P:       (S, F) complex, from what is learned to y
+    scatter: (S, F) largest |P - true P| that is allowed for [unit of P]
+    keep, L: (F,) complex K and L, the lead included
+    dt:      sample time [s]
+    """
+
+    f: np.ndarray
+    P: np.ndarray
+    scatter: np.ndarray
+    keep: np.ndarray
+    L: np.ndarray
+    dt: float
+
+
+class Change(NamedTuple):
+    """A change of the law: gain times `gain`, lead plus `lead`, and a low-pass of its own.
+
+    gain:   factor
+    lead:   samples
+    cutoff: [Hz] of the zero-phase Butterworth filter Q; inf for Q = 1
+    order:  of one pass
+    """
+
+    gain: float
+    lead: int
+    cutoff: float
+    order: int
+
+
+def low_pass(f, cutoff, dt: float, order: int) -> np.ndarray:
+    """Q as `ZeroPhaseButterworth` has it; 1 for an infinite cutoff."""
+    if np.ndim(cutoff) == 0 and np.isinf(cutoff):
+        return np.ones(np.shape(f))
+    with np.errstate(over="ignore", divide="ignore"):
+        ratio = np.tan(np.pi * np.minimum(np.asarray(f) * dt, 0.5)) / np.tan(np.pi * cutoff * dt)
+        return 1 / (1 + np.abs(ratio) ** (2 * order))
+
+
+def unfiltered(lines: Lines, gain: float = 1.0, lead: int = 0) -> np.ndarray:
+    """(F,) the largest |K - g z^d L P| + |g L| s of the plants, without the filter."""
+    L = gain * np.exp(2j * np.pi * lines.f * lines.dt * lead) * lines.L
+    return np.max(np.abs(lines.keep - L * lines.P) + np.abs(L) * lines.scatter, axis=0)
+
+
+def peak(several: Sequence[Lines], change: Change) -> float:
+    """The largest |Q (K - L P)| + |Q L| s of all lines and plants under a changed law."""
+    return max(
+        float(
+            np.max(
+                low_pass(lines.f, change.cutoff, lines.dt, change.order)
+                * unfiltered(lines, change.gain, change.lead)
+            )
+        )
+        for lines in several
+    )
+
+
+def largest_cutoff(
+    several: Sequence[Lines], change: Change, allowed: float, lowest: float
+) -> float | None:
+    """The largest cutoff with which the peak is at most `allowed`, in closed form.
+
+        Q kept <= allowed    <=>    tan(pi fc dt) <= tan(pi f dt) (kept / allowed - 1)^(-1 / 2n)
+
+    lowest: [Hz] cutoff below which no law is worth having; the result is then None
+    """
+    dt, found = several[0].dt, LARGEST_SHARE * 0.5 / several[0].dt
+    for lines in several:
+        over = unfiltered(lines, change.gain, change.lead) / allowed - 1
+        at = over > 0
+        ends = np.tan(np.pi * np.minimum(lines.f[at] * dt, 0.5)) * over[at] ** (-0.5 / change.order)
+        found = min(found, np.arctan(np.min(ends, initial=np.inf)) / (np.pi * dt))
+    return float(found) if found >= lowest else None
+
+
+def largest_gain(several: Sequence[Lines], change: Change, allowed: float) -> float | None:
+    """The largest factor of the gain with which the peak is at most `allowed`.
+
+    The peak is convex in the factor, so the factors that are allowed are one interval. Where the
+    factor of `change` is not in it, smaller ones are tried first. None where none is allowed.
+    """
+    factors = change.gain * SCAN ** np.arange(SCANNED)
+    low = next((g for g in factors if peak(several, change._replace(gain=g)) <= allowed), None)
+    if low is None:
+        return None
+    high = low / SCAN
+    while peak(several, change._replace(gain=high)) <= allowed:
+        low, high = high, 2 * high
+        if high > 1e9 * change.gain:
+            return None
+    while high - low > FINENESS * low:
+        middle = (low + high) / 2
+        inside = peak(several, change._replace(gain=middle)) <= allowed
+        low, high = (middle, high) if inside else (low, middle)
+    return float(low)
+
+
+def best_lead(
+    several: Sequence[Lines], change: Change, allowed: float, leads, lowest: float
+) -> tuple[int, float] | None:
+    """The lead with which the cutoff can be largest, and that cutoff; None where none is allowed.
+
+    leads: changes of the lead to try [samples]
+    """
+    found = [
+        (cutoff, -abs(int(lead)), int(lead))
+        for lead in leads
+        if (cutoff := largest_cutoff(several, change._replace(lead=int(lead)), allowed, lowest))
+    ]
+    return (max(found)[2], max(found)[0]) if found else None
+
+
+def widest(
+    several: Sequence[Lines], order: int, gains, leads, allowed: float, lowest: float
+) -> Change | None:
+    """Of all gains and leads the law that learns slow errors fastest and hardly filters more.
+
+    Its cutoff is at least 0.7 of the largest one that any of them allows. None where none is
+    allowed.
+    """
+    found = []
+    for lead in leads:
+        for gain in gains:
+            change = Change(float(gain), int(lead), np.inf, order)
+            cutoff = largest_cutoff(several, change, allowed, lowest)
+            if cutoff is not None:
+                slow = max(
+                    np.max(
+                        unfiltered(lines, change.gain, change.lead)[lines.f <= cutoff / 5],
+                        initial=0.0,
+                    )
+                    for lines in several
+                )
+                found.append((cutoff, float(slow), change._replace(cutoff=cutoff)))
+    if not found:
+        return None
+    most = max(cutoff for cutoff, _, _ in found)
+    return min((one for one in found if one[0] >= 0.7 * most), key=lambda one: one[1])[2]

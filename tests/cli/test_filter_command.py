@@ -1,0 +1,182 @@
+"""`jaxilc filter`: the answers that are printed, the files that are left, and what is refused."""
+
+import json
+import sys
+import tomllib
+
+import numpy as np
+import pytest
+
+from jaxilc.cli import main
+from jaxilc.filters import ZeroPhaseButterworth
+from jaxilc.scenarios.scheme_table import toml_of, write_with_scheme
+from jaxilc.schemes import Filtered, LearningFilter, PIDType, WithFeedback
+from jaxilc.schemes.pid import PID
+from jaxilc.theory import offers, q_filter
+from jaxilc.theory.family import Tried
+from jaxilc.theory.filtered_law import Change, Lines
+from jaxilc.theory.loop import Loop
+from jaxilc.theory.parts_of_law import Places, places_in, with_change, with_law, without_low_pass
+from jaxilc.theory.q_filter import Offer, Question, Resonance, curves_of
+from jaxilc.theory.whole_set import WholeSet
+
+AXIS = """
+[plant]
+kind = "ProcessModel"
+gain = 2.0
+poles = [60.0]
+[task]
+dt = 0.002
+unit = "mm"
+input_unit = "V"
+reference = { function = "sinusoid", amplitude = 1.0, frequency = 5.0, duration = 0.2 }
+[schemes.ilc]
+class = "Filtered"
+scheme = { class = "PIDType", gamma_p = 0.3, lead = 3 }
+filter = { class = "ZeroPhaseButterworth", cutoff = 20.0 }
+"""
+pytestmark = pytest.mark.usefixtures("compiled_once")
+LAW = ("--gain", 0.5, "--lead", 2, "--cutoff", 30, "--dt", 0.001)
+
+
+@pytest.fixture
+def command(monkeypatch, capsys):
+    """Return a function that runs the command here: exit code, output and messages."""
+
+    def call(*arguments):
+        monkeypatch.setattr(sys, "argv", ["jaxilc", *map(str, arguments)])
+        try:
+            main()
+        except SystemExit as stop:
+            return stop.code or 0, *capsys.readouterr()
+        return 0, *capsys.readouterr()
+
+    return call
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "axis.toml").write_text(AXIS)
+    f = np.arange(1.0, 200.0)
+    P = 1 / (1 + 2j * np.pi * f / 80)
+    rows = np.column_stack([f, P.real, P.imag, 0.02 * np.abs(P)])
+    np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header="f [Hz],re,im,std", comments="")
+    return tmp_path
+
+
+def answer(value: float, proof: WholeSet) -> tuple[Question, Lines]:
+    """An answer with a given largest value, on three machines."""
+    f, one = np.array([1.0, 10.0, 40.0, 90.0]), np.ones(4, complex)
+    P = np.array([[1.0, 1.0, 0.5, 0.1], [0.9, 0.9, 0.4, 0.1], [1.1, 1.1, 0.6, 0.1]], complex)
+    lines = Lines(f, P, 0 * P.real, one, 0.5 * one, 2e-3)
+    values, points = np.array([0.5, value, 0.55]), np.array([[1.0], [0.85], [1.15]])
+    loop = Loop(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)))
+    tried = Tried(("plant.gain",), points, values, f[:3], values, 0 * values, [loop] * 3)
+    now = Offer("as it is", {}, Change(1.0, 0, 20.0, 2), value, 14.0, 0.01)
+    curves = curves_of(lines)
+    places = Places("filter.cutoff", ("scheme.gamma_p",), "scheme.lead", 2)
+    return Question(tried, curves, proof, [Resonance(10.0, 0.1)], places, now), lines
+
+
+@pytest.mark.parametrize(
+    ("value", "proof", "said", "bound"),
+    [
+        (0.6, WholeSet(0.61, "corners"), "is at most 0.61 (proved for all of them)", 0.61),
+        (0.6, WholeSet(np.inf, "why"), "is at most 0.6 (on the machines tried)", 0.6),
+        (1.2, WholeSet(np.inf, "why"), "not safe for plant.gain ±15 %: |Q (1 - L P)| reaches", 1.2),
+    ],
+)
+def test_the_answer_for_a_machine(command, here, monkeypatch, value, proof, said, bound):
+    better = {"filter.cutoff": 50.0, "scheme.lead": 4}
+    offer = Offer("largest cutoff", better, Change(1.0, 1, 50.0, 2), 0.89, 30.0, 0.002)
+    monkeypatch.setattr(q_filter, "question", lambda *_, **__: answer(value, proof))
+    monkeypatch.setattr(offers, "offers_of", lambda *_: [offer])
+    asked = ("--vary", "plant.gain=15%", "--json", "o.json", "--out", "o")
+    code, out, _ = command("filter", "axis.toml", *asked)
+    assert code == 0
+    found = json.loads((here / "o.json").read_text())["schemes"]["ilc"]
+    assert (found["peak"], found["safe"]) == (bound, bound < 1)
+    assert found["machine"] == {"plant.gain": 0.85}
+    assert found["offers"][0]["set"] == better
+    text = " ".join(out.split())
+    assert said in text
+    assert "10 Hz on the machine plant.gain x 0.85" in text
+    assert "0.002 mm rms is left instead of 0.01 mm" in text
+    certify = "jaxilc certify axis.toml --scheme ilc --set ilc.filter.cutoff=50"
+    assert f"{certify} --set ilc.scheme.lead=4" in text
+    assert (here / "o/ilc.png").exists()
+
+
+def test_the_answer_for_a_record(command, here):
+    code, out, _ = command("filter", "a.csv", *LAW, "--json", "o.json")
+    assert code == 0
+    found = json.loads((here / "o.json").read_text())
+    said = " ".join(out.split())
+    assert "Safe on every line with 3 standard deviations" in said
+    assert "Between the lines, below the first and above the last nothing is proved" in said
+    f = np.arange(1.0, 200.0)
+    Q = 1 / (1 + (np.tan(np.pi * f * 1e-3) / np.tan(np.pi * 0.03)) ** 4)
+    LP = 0.5 * np.exp(2j * np.pi * f * 3e-3) / (1 + 2j * np.pi * f / 80)
+    robust = Q * (np.abs(1 - LP) + 3 * 0.02 * np.abs(LP))
+    assert found["peak"] == pytest.approx(np.max(robust), rel=1e-9)
+    assert "Next: jaxilc filter a.csv --gain 0.5" in said
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("axis.toml --margin 1", "--margin 1 is outside its allowed range (0, 1)"),
+        ("axis.toml --margin nan", "--margin nan is outside"),
+        ("axis.toml --vary plant.gain", "--vary 'plant.gain' is not PATH=SHARE"),
+        ("axis.toml --vary plant.gian=0.1", "plant.gian"),
+        ("axis.toml --vary plant.gain=120%", "share in (0, 1)"),
+        ("axis.toml --vary plant.gain=0.1 --spread 0.1", "exclude each other"),
+        ("axis.toml --set ilc.filter.cutoff=250", "cutoff = 250.0 Hz is outside"),
+        ("axis.toml --gain 1", "--gain is for a measured response only"),
+        ("axis.toml a.csv", "filter takes one scenario, or measured responses"),
+        ("a.csv", "--gain, --cutoff, --dt not given"),
+        ("a.csv --gain 1 --cutoff 600 --dt 0.001", "cutoff = 600 Hz is outside"),
+        ("a.csv --gain 1 --cutoff 20 --dt 0.01", "has a line at 199 Hz; allowed is up to 50 Hz"),
+        ("a.csv --gain 1 --cutoff 0.5 --dt 0.001", "starts at 1 Hz and has 0 lines"),
+        ("a.csv --gain 1 --cutoff 30 --dt 0.001 --scheme ilc", "--scheme is for a scenario only"),
+    ],
+)
+def test_what_is_refused(command, here, line, said):
+    code, _, err = command("filter", *line.split())
+    assert code == 2
+    assert said in err
+    assert not (here / "out").exists()
+
+
+def test_where_cutoff_gain_and_lead_stand():
+    law = Filtered(PIDType(gamma_p=0.4, gamma_d=0.2, lead=3), ZeroPhaseButterworth(20.0, order=3))
+    whole = WithFeedback(law, PID(kp=1.0))
+    places = places_in(whole)
+    assert places.cutoff == "learning.filter.cutoff"
+    assert places.gains == ("learning.scheme.gamma_p", "learning.scheme.gamma_d")
+    assert (places.lead, places.order) == ("learning.scheme.lead", 3)
+    changed = with_change(whole, places.of(whole, Change(2.0, -1, 35.0, 3)))
+    assert (changed.learning.scheme.gamma_d, changed.learning.scheme.lead) == (0.4, 2)
+    assert changed.learning.filter.cutoff == 35.0
+    assert without_low_pass(whole).learning is law.scheme
+    fir = LearningFilter((0.1, 0.2, 0.3))
+    assert with_law(whole, fir).learning is fir
+
+
+def test_a_scheme_is_written_as_it_is_read(here):
+    fir = LearningFilter((0.1, 0.2, 1 / 3), keep=(0.25, 0.5, 0.25), lead=4)
+    path, ready = write_with_scheme(here / "new.toml", "axis.toml", "ilc-fir", fir)
+    assert ready
+    read = tomllib.loads(path.read_text())["schemes"]
+    assert set(read) == {"ilc", "ilc-fir"}
+    assert read["ilc-fir"] == {
+        "class": "LearningFilter",
+        "L": [0.1, 0.2, 1 / 3],
+        "keep": [0.25, 0.5, 0.25],
+        "lead": 4,
+    }
+    whole = Filtered(PIDType(gamma_p=0.4), ZeroPhaseButterworth(20.0))
+    nested = tomllib.loads(toml_of({"a b": whole}))["schemes"]["a b"]
+    assert nested["scheme"] == {"class": "PIDType", "gamma_p": 0.4}
+    assert nested["filter"] == {"class": "ZeroPhaseButterworth", "cutoff": 20.0}

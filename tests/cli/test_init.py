@@ -1,0 +1,100 @@
+"""`jaxilc init` writes a plant file that loads as it is, and with every choice in its comments."""
+
+import re
+import sys
+
+import pytest
+from typer.main import get_command
+
+from jaxilc.cli import app, main
+from jaxilc.scenarios.from_file import read_scenario
+
+PLANTS = {  # other plants that the comments speak of, with what the file's plant has
+    "zeros_poles_gain": "zeros = []\npoles = [[-40.0, 49.0], [-40.0, -49.0]]\ngain = 4001.0",
+    "state_space": "A = [[-40.0]]\nB = [[40.0]]\nC = [[1.0]]",
+    "VoiceCoil": "",
+}
+
+
+@pytest.fixture
+def jaxilc_command(monkeypatch, capsys, tmp_path):
+    """Return a function that runs the command and returns its exit code and its output."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments):
+        monkeypatch.setattr(sys, "argv", ["jaxilc", *arguments])
+        code = 0
+        try:
+            main()
+        except SystemExit as ended:
+            code = ended.code or 0
+        return code, *capsys.readouterr()
+
+    return call
+
+
+def test_the_file_runs_as_it_is_and_with_every_choice(jaxilc_command, tmp_path):
+    code, out, err = jaxilc_command("init")
+    assert (code, err) == (0, "")
+    assert out.endswith("jaxilc run axis.toml\n")
+    made = read_scenario(tmp_path / "axis.toml")
+    assert [*made.schemes] == ["ilc"]
+    assert made.tolerance is None
+
+    text = (tmp_path / "axis.toml").read_text(encoding="utf-8")
+    assert len(re.findall(r"^#[a-z\[]", text, re.M)) > 12
+    chosen = tmp_path / "chosen.toml"
+    chosen.write_text(re.sub(r"^#(?=[a-z\[])", "", text, flags=re.M))
+    made = read_scenario(chosen)
+    assert [*made.schemes] == ["ilc", "norm-optimal"]
+    assert (made.tolerance, made.trials, made.title) == (0.02, 20, "my axis")
+    assert made.machine.actuator.limit == 10.0
+    assert made.machine.sensor.noise == 1e-5
+    assert made.machine.disturbance.input_noise == 1e-5
+
+
+def test_the_comments_name_commands_that_exist_and_a_path_that_can_be_planned(
+    jaxilc_command, tmp_path
+):
+    assert jaxilc_command("init")[0] == 0
+    text = (tmp_path / "axis.toml").read_text(encoding="utf-8")
+    named = set(re.findall(r"jaxilc ([a-z-]+)", text))
+    assert {"run", "design", "sweep", "certify", "list", "identify"} <= named
+    assert named <= set(get_command(app).commands)
+    head, plant, rest = re.split(r"^(\[plant\]\n(?:.+\n)+)", text, flags=re.M)
+    plant = '[plant]\nkind = "TwoAxes"\n' + plant.replace("[plant]", "[plant.axis]")
+    path = re.search(r"^#   (reference = \{ path .*)$", text, re.M)[1]
+    rest = re.sub(r"^reference = .*$", path, rest, flags=re.M)
+    (tmp_path / "two.toml").write_text(head + plant + rest[: rest.index("[schemes.ilc]")])
+    made = read_scenario(tmp_path / "two.toml")
+    assert (made.task.names, made.judged_by) == (("x", "y"), "contour_max")
+
+
+@pytest.mark.parametrize("kind", PLANTS)
+def test_the_plants_of_the_comments_fit_the_rest_of_the_file(kind, jaxilc_command, tmp_path):
+    assert jaxilc_command("init")[0] == 0
+    text = (tmp_path / "axis.toml").read_text(encoding="utf-8")
+    assert kind in text
+    text = re.sub(r"^(num|den) = .*\n", "", text, flags=re.M).replace(
+        'kind = "transfer_function"', f'kind = "{kind}"\n{PLANTS[kind]}'
+    )
+    own = tmp_path / "own.toml"
+    own.write_text(text[: text.index("[uncertainty")])
+    assert read_scenario(own).machine.plant.n_y == 1
+
+
+def test_a_file_that_exists_is_kept_without_force(jaxilc_command, tmp_path):
+    kept = tmp_path / "mine.toml"
+    kept.write_text("# mine")
+    code, _, err = jaxilc_command("init", "mine.toml")
+    assert (code, kept.read_text()) == (2, "# mine")
+    assert "mine.toml exists already; add --force to replace it" in err
+    code, _, err = jaxilc_command("init", "--force", "mine.toml")
+    assert (code, err) == (0, "")
+    assert "[plant]" in kept.read_text()
+    code, _, err = jaxilc_command("init", "mine.json")
+    assert code == 2
+    assert "mine.json is not a name that ends with .toml" in err
+    code, _, err = jaxilc_command("init", "new/[b] one.toml")
+    assert (code, err) == (0, "")
+    assert (tmp_path / "new/[b] one.toml").exists()

@@ -1,0 +1,375 @@
+"""The verdict of each command is what its numbers say, and its next command is one of jaxilc."""
+
+import math
+import shlex
+
+import numpy as np
+import pytest
+from typer.main import get_command
+
+from jaxilc.cli import app, certificate_tables
+from jaxilc.cli.titled_table import Console
+from jaxilc.cli.verdicts.case import Case
+from jaxilc.cli.verdicts.certification import certify_verdict
+from jaxilc.cli.verdicts.next_command import REPEATED, Asked, Verdict
+from jaxilc.cli.verdicts.published import reproduce_verdict
+from jaxilc.cli.verdicts.simulation import list_verdict, run_verdict, sweep_verdict
+from jaxilc.cli.verdicts.speed import bench_verdict
+from jaxilc.cli.verdicts.trends import DIVERGES, FALLS, GROWS, SETTLED, SINGLE, trend_of
+from jaxilc.cli.verdicts.tuning import (
+    budget_verdict,
+    front_verdict,
+    tune_verdict,
+    worst_case_verdict,
+)
+
+J = np.arange(1, 41)
+NOISE = np.random.default_rng(3)
+FILE = Asked("my axis.toml")
+CASE = Case(FILE, {"ilc": True}, designable=True, unit="mm")
+
+
+def parsed(verdict):
+    """Parse the next command by the program itself; return its name and its parameters."""
+    jaxilc, name, *words = shlex.split(verdict.following)
+    assert jaxilc == "jaxilc"
+    command = get_command(app).commands[name]
+    with command.make_context(name, words) as context:
+        assert not context.args
+        return name, context.params
+
+
+@pytest.mark.parametrize(
+    ("errors", "kind", "words"),
+    [
+        (0.01 + 0.7 ** (J - 1), SETTLED, "has settled since trial 23"),
+        (1 / J, FALLS, "is still falling"),
+        (0.9**J, FALLS, "is still falling"),
+        (0.9**J + 1e-3 * 1.2**J, GROWS, "has grown 9.66 times since trial 22"),
+        (np.append(0.5**J, np.inf), DIVERGES, "diverges"),
+        (np.insert(0.5**J, 3, np.nan), DIVERGES, "diverges"),
+        (1e-16 * NOISE.uniform(1, 9, 40) + (J == 1), SETTLED, "has settled since trial 2"),
+        (1 + 0.02 * NOISE.standard_normal(40), SETTLED, "has not fallen by 5% since trial 1"),
+        (np.zeros(5), SETTLED, "has not fallen by 5% since trial 1"),
+        (np.arange(3.0), GROWS, "has grown since trial 1"),
+        ([2.0, 1.0], FALLS, "is still falling"),
+        ([2.0], SINGLE, ""),
+    ],
+)
+def test_the_course_of_an_error(errors, kind, words):
+    found = trend_of([float(error) for error in errors])
+    assert (found.kind, found.words) == (kind, words)
+
+
+@pytest.mark.parametrize("command", REPEATED)
+def test_what_was_asked_is_repeated_in_options_that_the_command_has(command):
+    asked = Asked(
+        "it's my axis.toml", ("a b",), ("x.y=1", "z='q'"), "p q.json", 7, 0.25, "rms", 1e-7
+    )
+    words = ("--state", "s") if command == "next" else ()
+    scheme = "" if command in ("list", "design") else "a b"
+    _, params = parsed(Verdict((), "", asked.following(command, *words, scheme=scheme)))
+    assert "it's my axis.toml" in map(str, params.values())
+    given = {name: value for name, value in params.items() if value is not None}
+    expected = {"trials": 7, "trial": 7, "spread": 0.25, "metric": "rms", "tolerance": 1e-7}
+    for name in REPEATED[command]:
+        if name == "set":
+            assert list(given["set_"]) == ["x.y=1", "z='q'"]
+        else:
+            assert str(given[name]) == str(expected.get(name, "p q.json"))
+    line = Asked("-x.toml").following(command, *words, scheme=scheme)
+    assert parsed(Verdict((), "", line))[0] == command
+
+
+# run, sweep and list
+# --------------------------------------------------------------------------------------------------
+
+
+def ran(case, grown=None, **errors):
+    rows = {name: {"grown_from": 0, "grown_to": 1.0, "best": 1} for name in errors}
+    rows |= grown or {}
+    numbers = {"trials": len(next(iter(errors.values()))), "schemes": rows}
+    return run_verdict(case, numbers, {name: [*map(float, e)] for name, e in errors.items()})
+
+
+def test_run_names_the_best_scheme_how_far_it_came_and_what_to_do():
+    found = ran(CASE, ilc=0.01 + 0.7 ** (J - 1))
+    assert found.said == (
+        "ilc: trial 40 has a settled error of 0.01 mm, after 1.01 mm in trial 1; it has settled "
+        "since trial 23.",
+    )
+    assert found.lines[-1] == "Next, many machines: jaxilc sweep 'my axis.toml'"
+    assert parsed(ran(CASE._replace(uncertain=False), ilc=[1.0] * 9))[0] == "certify"
+    name, params = parsed(ran(CASE, ilc=1 / J))
+    assert (name, params["trials"]) == ("run", 80)
+    grows = {"ilc": {"grown_from": 12, "grown_to": 2.5, "best": 10}}
+    found = ran(CASE, grows, ilc=1 / J)
+    assert found.said[0].endswith("; its rms error has grown 2.5 times since trial 10.")
+    assert parsed(found)[0] == "design"
+    assert ran(CASE, grows, ilc=1e-17 * J + (J == 1)).said[0].endswith("settled since trial 2.")
+
+
+def test_a_design_keeps_the_settings_of_machine_and_feedback():
+    settings = ("machine.plant.B=2", "ilc.gamma_p=8", "ilc.feedback.kp=1")
+    case = CASE._replace(asked=Asked("my axis.toml", set=settings))
+    found = ran(case, ilc=[1.0, np.inf])
+    assert found.said == ("ilc diverges within 2 trials.",)
+    name, params = parsed(found)
+    assert (name, params["set_"]) == ("design", ["machine.plant.B=2", "ilc.feedback.kp=1"])
+
+
+def test_run_compares_schemes_and_the_tolerance():
+    several = Case(
+        Asked("cao-2019", metric="rms", set=("plant=printed",)),
+        {"pid": False, "a": True, "b": True},
+        metric="rms",
+        unit="µm",
+        tolerance=5.0,
+    )
+    found = ran(several, pid=[9.0] * 40, a=4 + 0.5**J, b=np.append(0.1 ** J[:-1], np.inf))
+    assert found.said[0].startswith("a is best of 3 schemes: trial 40 has a rms of 4 µm, after 4.5")
+    assert found.said[1] == "It is within the tolerance of 5 µm."
+    name, params = parsed(found)
+    assert (name, params["scheme"], params["metric"]) == ("sweep", ["a"], "rms")
+    assert params["set_"] == ["plant=printed"]
+    found = ran(several, pid=[9.0] * 40, a=np.append(np.inf, 0.1 ** J[1:]), b=[np.nan] * 40)
+    assert found.said[0] == (
+        "pid is best of 3 schemes (it does not learn): trial 40 has a rms of 9 µm, after 9 µm in "
+        "trial 1."
+    )
+    assert found.said[1] == "It is beyond the tolerance of 5 µm."
+    assert parsed(found)[1]["scheme"] == ["a"]
+    found = ran(several, a=[np.inf] * 3, b=[1.0, np.inf, 1.0], pid=[np.nan] * 3)
+    assert found.said == ("Every scheme diverges within 3 trials.",)
+    single = Case(Asked("cao-2019", ("pid",)), {"pid": False})
+    assert ran(single, pid=[1.0]).following == "jaxilc run cao-2019"
+    alone = Case(Asked("dai-2014"), {"pid": False})
+    assert ran(alone, pid=[1.0]).following == "jaxilc list dai-2014"
+
+
+def swept(case, share, high, worst, **lost):
+    row = {"yield": share, "yield_interval": [0.5, 1.0], "semi_converged": 0.0, "diverged": 0.0}
+    at = {"high": high[-1], "worst": worst, "worst_sample": 5}
+    row |= {"by_trial": {str(len(high)): at}} | lost
+    numbers = {"schemes": {"ilc": row}, "trials": len(high), "samples": 64, "tolerance": 0.02}
+    return sweep_verdict(case, numbers, {"ilc": high})
+
+
+def test_sweep_says_yield_worst_machine_and_what_is_lost():
+    high = [float(x) for x in 0.01 + 0.7**J]
+    found = swept(CASE, 1.0, high, 0.015)
+    assert found.said == (
+        "ilc: all 64 machines end within 0.02 mm; 95 % of them end with a settled error of at most "
+        "0.01 mm, the worst (machine 5) with 0.015 mm.",
+        "The 95 % error has settled since trial 22.",
+    )
+    assert parsed(found)[0] == "certify"
+    found = swept(CASE, 0.75, high, 0.03)
+    assert found.said[0].startswith(
+        "ilc: 75.0 % of 64 machines (95 % interval 50.0 % to 100.0 %) end"
+    )
+    assert parsed(found)[0] == "design"
+    name, params = parsed(swept(CASE._replace(designable=False), 0.75, high, 0.03))
+    assert (name, params["scheme"]) == ("worst-case", "ilc")
+    found = swept(CASE, None, high, np.inf, diverged=1 / 64, diverged_at=9)
+    assert found.said == (
+        "ilc: 95 % of 64 machines end with a settled error of at most 0.01 mm, the worst (machine "
+        "5) with one that has diverged.",
+        "1.6 % of the machines diverge, the first in trial 9.",
+    )
+    assert parsed(found)[0] == "design"
+    found = swept(CASE, None, [*high[:-1], math.inf], np.inf, semi_converged=0.5, grown_to=3.0)
+    assert "fewer than 95 % of 64 machines end with an error that has not diverged" in found.said[0]
+    assert found.said[1] == "On 50.0 % the error has grown up to 3 times since its best trial."
+
+
+def test_list_shows_a_value_that_can_be_set():
+    values = {"machine.plant.dt": np.float64(0.001), "ilc.lead": 3, "ilc.gamma_p": np.array(0.8)}
+    found = list_verdict(CASE, values, ["plant"])
+    assert found.said == ("4 values can be set in my axis.toml.",)
+    assert parsed(found)[1]["set_"] == ["ilc.gamma_p=0.8"]
+    assert parsed(list_verdict(CASE._replace(learns={}), values, []))[0] == "design"
+
+
+# certify, and its tables
+# --------------------------------------------------------------------------------------------------
+
+
+def certificate(reasons, floor=None, observed="falls"):
+    kinds = ("monotone", "converges", "diverges", "not claimed")
+    courses = ("falls", "falls, not always", "turns", "grows")
+    machines = sum(sum(of.values()) for of in reasons.values())
+    return {
+        "claims": {kind: sum(reasons.get(kind, {}).values()) for kind in kinds},
+        "reasons": reasons,
+        "floor": floor,
+        "observed": {course: machines * (course == observed) for course in courses},
+        "expected": {course: machines * (course == "falls") for course in courses},
+        "confusion": {c: dict.fromkeys(courses, 0) for c in courses},
+        "monotone_in_the_error": 0,
+        "turning": {"predicted": 1.0, "observed": 1.0},
+        "bound": {"holds": 0, "fails": 0, "not claimed": machines},
+        "premises": {"lam > b^2 / 4 and some more words": {"held": 0, "share_broken": 0.5}},
+    }
+
+
+def test_certify_says_what_is_certified_what_not_and_why():
+    sure = certificate({"monotone": {"x": 5}, "converges": {"y": 3}}, 0.004)
+    doubt = certificate({"monotone": {"x": 6}, "not claimed": {"it is nonlinear": 2}}, 0.001)
+    found = certify_verdict(CASE._replace(learns={"a": 1, "b": 1}), {"b": doubt, "a": sure}, 1e3)
+    assert found.said == (
+        "b is not certified on 2 of 8 machines: it is nonlinear.",
+        "a is certified on all 8 machines: learning converges, on most of them in every trial and "
+        "leaves an rms error of at most 4 mm.",
+    )
+    name, params = parsed(found)
+    assert (name, params["scheme"], str(params["scenario"])) == ("next", "a", "my axis.toml")
+    published = Case(Asked("cao-2019"), {"a": True})
+    assert parsed(certify_verdict(published, {"a": sure}, 1.0))[0] == "worst-case"
+    bad = certificate({"diverges": {"an eigenvalue": 1}, "monotone": {"x": 7}}, 0.1)
+    found = certify_verdict(CASE, {"ilc": bad}, 1.0)
+    assert found.said == ("ilc diverges on 1 of 8 machines.",)
+    assert parsed(found)[0] == "design"
+    assert parsed(certify_verdict(published, {"a": doubt}, 1.0))[0] == "sweep"
+    turns = certificate({"not claimed": {"it is nonlinear": 2}}, None, "turns")
+    assert parsed(certify_verdict(published, {"a": turns}, 1.0))[0] == "worst-case"
+
+
+def test_tables_of_certify_fit_80_columns_and_reasons_stand_below_them():
+    reason = "the distance from the limit falls to 0.982523 to 0.982817 of itself in every trial"
+    numbers = certificate({"monotone": {reason: 1234}}, 0.1)
+    console = Console(width=80)
+    with console.capture() as captured:
+        for table in certificate_tables.certificate_tables("cfdl-mfailc", 200, numbers):
+            console.print(table)
+    text = captured.get()
+    assert max(map(len, text.splitlines())) <= 80
+    assert text.count("┏") == 3, "no table is divided"
+    assert reason not in " ".join(text.split())
+    lines = certificate_tables.reason_lines("cfdl-mfailc", numbers)
+    assert lines == [f"cfdl-mfailc, monotone on 1234: {reason}."]
+
+
+# tune, pareto and worst-case
+# --------------------------------------------------------------------------------------------------
+
+ASKED = Asked("cao-2019", ("c",), ("c.lead=2", "plant=printed"), "old.json", 15, 0.2)
+OF_TUNING = Case(ASKED, {"c": True}, unit="µm")
+
+
+def tuned(tuned_worst=1.0, **held):
+    at = {"given": {"median": 1.2, "worst": 3.0}, "tuned": {"median": 0.4, "worst": tuned_worst}}
+    return {
+        "scheme": "c",
+        "trials": 15,
+        "samples": 257,
+        "weights": {"lam": {"given": 1.0, "tuned": 0.5}},
+        "held_out": {"step": 7, "steps": 20, "reason": "steps"} | held,
+        "figures": {"settled_error": {which: {"15": row} for which, row in at.items()}},
+    }
+
+
+def test_tune_says_what_was_gained_and_what_is_next(tmp_path):
+    params = tmp_path / "params.json"
+    found = tune_verdict(OF_TUNING, tuned(), params)
+    assert found.said == (
+        "lam = 0.5 (was 1): of 257 machines not seen, the median settled error of trial 15 is 0.4 "
+        "µm in place of 1.2 µm, the worst 1 µm in place of 3 µm.",
+    )
+    name, options = parsed(found)
+    assert (name, options["params"], options["scheme"]) == ("sweep", params, ["c"])
+    assert options["set_"] == ["plant=printed"], "the file of parameters holds those of the scheme"
+    assert "become worse" in tune_verdict(OF_TUNING, tuned(4.0), params).said[1]
+    assert "more --steps" in tune_verdict(OF_TUNING, tuned(step=20), params).said[1]
+    nothing = tune_verdict(OF_TUNING, tuned(step=0), params)
+    assert "No step was better" in nothing.said[0]
+    assert parsed(nothing)[1]["params"].name == "old.json"
+
+
+def test_a_trade_off_names_one_of_its_points(tmp_path):
+    rows = {"given": (4.0, 4.0), "0.9": (1.0, 9.0), "0.5": (2.0, 3.0), "0.1": (6.0, 2.5)}
+    points = {
+        share: dict(zip(("first", "second"), row, strict=True)) for share, row in rows.items()
+    }
+    numbers = {"trials": 15, "points": points}
+    found = front_verdict(OF_TUNING, "c", numbers, tmp_path, ("final", "effort"))
+    assert found.said == (
+        "The point of share 0.5 is nearest to the least of both: final is 2 and effort 3, in place "
+        "of 4 and 4 with the weights as given.",
+        "Over 3 points final goes from 1 to 6, effort from 9 to 2.5.",
+    )
+    assert parsed(found)[1]["params"] == tmp_path / "params-share-0.5.json"
+    budgets = {
+        J: {"tuned": {"median": m, "worst": 2 * m}, "given": {"median": 9.0, "worst": 10.0}}
+        for J, m in (("5", 3.0), ("10", 1.04), ("20", 1.0))
+    }
+    numbers = {"samples": 33, "budgets": budgets}
+    found = budget_verdict(OF_TUNING, "c", numbers, tmp_path)
+    assert found.said[0].startswith(
+        "10 trials are enough for a median settled error within 5 % of the least of 3 budgets: "
+        "1.04 µm, in place of 9 µm"
+    )
+    name, options = parsed(found)
+    assert (name, options["trials"]) == ("run", 10)
+    assert options["params"] == tmp_path / "params-10-trials.json"
+
+
+def test_worst_case_leads_to_its_machine():
+    search = {"value": 7.0, "loss": 1.0, "set": ["machine.plant.poles[0]=7.5"], "numbers": {}}
+    numbers = {"nominal": 2.0, "trial": 15, "searches": {"gradient": search}}
+    found = worst_case_verdict(OF_TUNING._replace(tolerance=5.0), "c", numbers)
+    assert found.said == (
+        "c: the worst machine has a settled error of 7 µm in trial 15, 3.5 times that of the "
+        "nominal machine; found by gradient.",
+        "It is beyond the tolerance of 5 µm.",
+    )
+    name, options = parsed(found)
+    assert name == "run"
+    assert options["set_"] == [*ASKED.set, "machine.plant.poles[0]=7.5"]
+    numbers["searches"]["gradient"] |= {"value": math.inf, "set": ["x=1"] * 99}
+    found = worst_case_verdict(OF_TUNING, "c", numbers)
+    assert found.said == ("c: the worst machine diverges within 15 trials; found by gradient.",)
+    assert parsed(found)[0] == "certify"
+
+
+# reproduce and bench
+# --------------------------------------------------------------------------------------------------
+
+
+def test_reproduce_leads_to_the_number_that_is_farthest():
+    row = {"scenario": "dai-2014", "scheme": "pid", "trial": None, "value": 2.0, "unit": "mm"}
+    rows = [
+        row | {"verdict": "met", "ratio": 1.1, "options": {}},
+        row | {"verdict": "open", "ratio": 2.5, "options": {"plant": "printed"}},
+        row | {"verdict": "open", "ratio": 0.2, "options": {"frequency": 2.5}, "trial": 3},
+        row | {"verdict": "shape", "ratio": 1.9, "options": {}},
+    ]
+    found = reproduce_verdict(rows)
+    assert found.said == (
+        "1 of 4 published numbers are met within 30 %, 1 in shape, 2 open.",
+        "The farthest open one is that of dai-2014, pid, trial 3: ours is 0.2 times the printed 2 "
+        "mm.",
+    )
+    assert parsed(found)[1]["set_"] == ["frequency=2.5"]
+    assert "The farthest one is" in reproduce_verdict(rows[:1]).said[1]
+
+
+def test_bench_compares_with_the_fastest_other():
+    ours = {"ns_best": 10.0, "plants": 16}
+    rows = {
+        "cfdl/1": {"jaxilc": ours | {"plants": 1}, "C": {"ns_best": 5.0}},
+        "cfdl/16": {"jaxilc": ours, "C": {"ns_best": 13.0}, "NumPy": {"ns_best": 50.0}},
+        "cfdl gradient/16": {"jaxilc": ours, "a": ours, "b": ours, "c": ours},
+    }
+    found = bench_verdict(rows, [])
+    assert found.said == (
+        "cfdl, 16 plants: 10 ns for each sample of each trial of each plant.",
+        "The fastest of 2 others, C, takes 1.3 times as long.",
+    )
+    assert parsed(found)[0] == "bench"
+    alone = {"my axis/ilc/1": {"jaxilc": ours | {"plants": 1}, "gradient": {"ns_best": 70.0}}}
+    found = bench_verdict(alone, ["my axis.toml"])
+    assert found.said[0].startswith("my axis/ilc, 1 plant: 10 ns")
+    assert found.said[1] == "A gradient takes as long as 7 runs."
+    assert parsed(found)[1]["scenario"] == "my axis.toml"
+    assert bench_verdict({}, []).said == ()

@@ -1,0 +1,203 @@
+"""A design keeps its promises: judged by SciPy's frequency responses, and by dense matrices."""
+
+import json
+
+import numpy as np
+import pytest
+import scipy.signal
+
+from jaxilc import Machine, Sensor, Task, Uniform
+from jaxilc.design import Design, feedback_among
+from jaxilc.design.candidates import LAWS, Absent, candidates
+from jaxilc.design.judging import long_run, ranked, verdict
+from jaxilc.design.responses import family_of
+from jaxilc.design.tuned import contraction
+from jaxilc.plants import ProcessModel, StateSpace
+from jaxilc.schemes import PID, PIDType, WithFeedback
+from jaxilc.sweeps.summary import SchemeSummary
+from jaxilc.theory.law import learning_law
+
+DT, N, TRIALS = 1e-3, 120, 6
+MACHINE = Machine(ProcessModel(2.0, poles=[150.0], frequencies=[900.0], dampings=[0.1]))
+TASK = Task(np.sin(np.linspace(0, 2 * np.pi, N + 1)) ** 2, dt=DT, unit="mm")
+WIDE = {
+    "plant.gain": Uniform(0.85, 1.15, relative=True),
+    "plant.frequencies": Uniform(0.9, 1.1, relative=True),
+}
+MARGIN = 0.1
+
+
+@pytest.fixture(scope="module")
+def family():
+    return family_of(MACHINE, None, TASK, WIDE, seed=0)
+
+
+@pytest.fixture(scope="module")
+def safe(family):
+    return {one.name: one for one in candidates(family, None, TASK, TRIALS, MARGIN, tuple(LAWS))}
+
+
+def scipys(gain, frequency, f):
+    """P(z) of the machine with these numbers, by SciPy."""
+    lag, pair = [1 / 150.0, 1.0], [frequency**-2, 0.2 / frequency, 1.0]
+    den = np.polymul(lag, pair)
+    b, a, _ = scipy.signal.cont2discrete(([gain], den), DT, method="zoh")
+    return scipy.signal.freqz(b.ravel(), a, 2 * np.pi * f * DT)[1]
+
+
+def test_the_responses_are_scipys(family):
+    factors = zip(*family.drawn.values(), strict=True)
+    for P, (gain, stretch) in zip(family.P, factors, strict=True):
+        np.testing.assert_allclose(
+            P, scipys(2 * gain, 900 * stretch, family.frequencies), rtol=1e-8
+        )
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_the_weights_keep_the_margin_on_machines_at_the_corners(safe, name):
+    """The law is the scheme's own, as a matrix; its middle row holds the taps."""
+    scheme = safe[name].scheme
+    long = Task(np.zeros(801), dt=DT)
+    law, f = learning_law(scheme, long), np.linspace(0.5, 499, 1500)
+    z = np.exp(2j * np.pi * np.multiply.outer(f, np.arange(800) - 400) * DT)
+    keep, L = z @ law.keep[400], np.exp(2j * np.pi * f * DT) * (z @ law.L[400])
+    for gain in (1.7, 2.3):
+        for frequency in (810.0, 990.0):
+            size = np.abs(keep - L * scipys(gain, frequency, f))
+            assert np.max(size) <= 1 - MARGIN + 2e-3
+
+
+def test_the_predicted_error_is_that_of_a_long_trial(family, safe):
+    """The trial is periodic, so that the ends of the trial do not count."""
+    f0, trial = 1 / (N * DT), 4
+    k = np.arange(N) * DT
+    scheme = safe["p-type"].scheme
+    gamma, lead, cutoff = (
+        float(scheme.scheme.gamma_p),
+        scheme.scheme.lead,
+        float(scheme.filter.cutoff),
+    )
+    f = np.fft.fftfreq(N, DT)
+    P = scipys(2.0, 900.0, f)
+    Q = 1 / (1 + (np.tan(np.pi * f * DT) / np.tan(np.pi * cutoff * DT)) ** 4)
+    L = gamma * np.exp(2j * np.pi * f * DT * (1 + lead))
+    u = e = 0
+    r = np.fft.fft(np.sin(2 * np.pi * f0 * k))
+    for _ in range(trial):
+        e = r - P * u
+        u = Q * (u + L * e)
+    expected = np.sqrt(np.mean(np.abs(np.fft.ifft(e)) ** 2))
+    at = int(np.argmin(np.abs(family.frequencies - f0)))
+    error = np.where(np.arange(len(family.frequencies)) == at, np.sqrt(0.5), 0.0)
+    one = family._replace(error=error, noise=0 * error)
+    q = 1 / (1 + (np.tan(np.pi * one.frequencies * DT) / np.tan(np.pi * cutoff * DT)) ** 4)
+    found = one.rms(q, gamma * one.advance(1 + lead, DT), trial, [0])[0]
+    np.testing.assert_allclose(found, expected, rtol=0.05)  # the line is not exactly at f0
+
+
+def test_noise_is_learned_as_theory_says(family):
+    """P-type learning with gain g on |P| = 1 leaves 2 / (2 - g) of the variance of white noise."""
+    flat = family._replace(P=np.ones_like(family.P), error=0 * family.error)
+    for gain in (0.2, 0.5, 1.0):
+        every = np.ones(len(flat.frequencies))
+        found = flat.rms(every, gain * every, 50, [0])[0]
+        expected = np.sqrt(2 / (2 - gain)) * np.linalg.norm(flat.noise)
+        np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
+def test_the_taps_give_the_largest_value_that_the_search_used(family, safe):
+    for one in safe.values():
+        np.testing.assert_allclose(contraction(family, one.scheme, TASK), one.largest, rtol=2e-3)
+
+
+def test_a_machine_whose_sign_is_not_known_has_reasons_instead_of_weights():
+    either = {"plant.gain": Uniform(-1.0, 1.0, relative=True)}
+    family = family_of(MACHINE, None, TASK, either, seed=0)
+    found = list(candidates(family, None, TASK, TRIALS, MARGIN, tuple(LAWS)))
+    assert all(isinstance(one, Absent) for one in found)
+    assert "sign" in found[0].why
+
+
+@pytest.mark.parametrize(
+    ("plant", "inputs", "said"),
+    [
+        (StateSpace([[1.0]], [[1.0]], [[1.0]], dt=DT), 1, "pole of size 1"),
+        (StateSpace(0.5 * np.eye(2), np.eye(2), np.eye(2), dt=DT), 2, "2 inputs and 2 outputs"),
+    ],
+)
+def test_machines_that_cannot_be_designed_for_are_refused(plant, inputs, said):
+    task = Task(np.zeros((9, inputs)), dt=DT)
+    with pytest.raises(ValueError, match=said):
+        family_of(Machine(plant), None, task, {}, seed=0)
+
+
+def test_a_feedback_makes_an_integrator_fit_and_two_feedbacks_are_refused():
+    plant, feedback = StateSpace([[1.0]], [[0.1]], [[1.0]], dt=DT), PID(kp=2.0)
+    family = family_of(Machine(plant), feedback, TASK, {}, seed=0)
+    f = family.frequencies
+    z = np.exp(2j * np.pi * f * DT)
+    np.testing.assert_allclose(family.P[0], 0.1 / (z - 1 + 0.2), rtol=1e-8)
+    schemes = {"a": WithFeedback(PIDType(), feedback), "b": PIDType()}
+    assert feedback_among(schemes) is feedback
+    with pytest.raises(ValueError, match="a, b have different feedbacks"):
+        feedback_among({**schemes, "b": WithFeedback(PIDType(), PID(kp=1.0))})
+
+
+# Judging
+# --------------------------------------------------------------------------------------------------
+
+
+def of_sweep(high, worst=None, diverged=0.0):
+    high = np.asarray(high, float)
+    rest = dict.fromkeys(SchemeSummary._fields, 0.0)
+    known = {"median": high / 2, "high": high, "diverged": diverged, "diverged_at": 3}
+    return SchemeSummary(**rest | known | {"worst": high if worst is None else np.asarray(worst)})
+
+
+def test_a_law_is_judged_by_its_worst_trial_after_those_asked_for():
+    one = verdict(None, of_sweep([9, 3, 1.02, 1, 1.5]), 4, 2.0)
+    assert (one.error, one.settled_at, one.tolerated_from, one.lost) == (1.5, 3, 3, "")
+    assert verdict(None, of_sweep([9, 3, 1, 1, 2.5]), 4, 2.0).tolerated_from == 0
+    assert verdict(None, of_sweep([1, 1, 1, 1, 1]), 4, 2.0).tolerated_from == 1
+    assert "2.5 times" in verdict(None, of_sweep([9, 3, 1, 1, 1], [9, 3, 1, 1, 2.5]), 4, None).lost
+    assert "diverge" in verdict(None, of_sweep([9, 3, 1, 1, 1], diverged=0.1), 4, None).lost
+
+
+def test_the_simplest_of_equal_laws_is_first_and_lost_ones_are_left_out():
+    errors = {"lost": [1, 0.1], "simple": [1, 0.504], "best": [1, 0.5], "worse": [1, 0.9]}
+    judged = [verdict(name, of_sweep(high), 2, None) for name, high in errors.items()]
+    judged[0] = judged[0]._replace(lost="diverges")
+    assert [one.candidate for one in ranked(judged)] == ["simple", "best", "worse"]
+    assert (long_run(5), long_run(30), long_run(100), long_run(500)) == (60, 90, 200, 500)
+
+
+# The whole way
+# --------------------------------------------------------------------------------------------------
+
+
+def test_a_design_that_is_resumed_ends_as_it_was(tmp_path):
+    machine = Machine(ProcessModel(2.0, poles=[150.0]), sensor=Sensor(noise=1e-4))
+    task = Task(TASK.reference[:61], dt=DT)
+    given = machine, task, 4, {"plant.gain": WIDE["plant.gain"]}
+    settings = {"laws": ["p-type"], "machines": 9, "steps": 2, "metric": "rms", "tolerance": 0.5}
+    asked, stages = Design(*given, margin=MARGIN, **settings), []
+    found = asked.run(tmp_path / "state", told=lambda stage, what: stages.append(stage))
+    assert list(dict.fromkeys(stages)) == [
+        "safe",
+        "tuning",
+        "tuned",
+        "judging",
+        "judged",
+        "proving",
+    ]
+    assert found.chosen.proof.worst <= 1 - MARGIN + 1e-3
+    assert set(found.chosen.proof.claims) <= {"monotone", "converges"}
+    again = asked.run(tmp_path / "state", resume=True)
+    weights = [json.dumps(str(one.chosen.verdict.candidate.scheme)) for one in (found, again)]
+    assert weights[0] == weights[1]
+    assert again.chosen.limits == found.chosen.limits
+    with pytest.raises(FileExistsError):
+        asked.run(tmp_path / "state")
+    for wrong, said in (({"margin": 1.0}, "margin"), ({"laws": ["ptype"]}, "did you mean p-type")):
+        with pytest.raises(ValueError, match=said):
+            Design(*given, **settings | wrong)
