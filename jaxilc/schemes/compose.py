@@ -53,8 +53,7 @@ class WithFeedback(Scheme):
 
     The learning part is shown the input minus the contribution of the feedback, so that it learns
     its own contribution only, and the contribution of the feedback as the signal `beside`. What an
-    actuator cuts off from u is counted as cut off from the
-    learned part.
+    actuator cuts off from u is counted as cut off from the learned part.
     The signal `feedback` of the trial records the contribution of the feedback. The signals of the
     parts are recorded as `learning.NAME` and `feedback.NAME`.
     `learn` raises ValueError for a trial without the signal `feedback`.
