@@ -39,6 +39,7 @@ from jaxilc.schemes import (
     PFDLMFAILC,
     PID,
     SMC,
+    ConstrainedNormOptimal,
     ErrorFiltered,
     ExponentialPD,
     Filtered,
@@ -253,6 +254,19 @@ SCHEMES = {
         limit=0.6,
         form="lifted",
     ),
+    # Every bound is met: each has a derivative.
+    "constrained": ConstrainedNormOptimal(
+        StateSpace([[0.88, 0.12], [-0.15, 0.8]], [[0.02], [0.09]], [[1.0, 0.4]], dt=DT),
+        w_r=0.05,
+        w_s=0.01,
+        w_d=0.02,
+        step=0.9,
+        limit=2.4,
+        rate=1200.0,
+        y_low=np.where(np.arange(FEW + 1) == 10, 0.325, -1.0)[:, None],
+        y_high=0.6,
+        tube=0.47,
+    ),
     "dilc": WithFeedback(
         OnOutputs(NormOptimal(direct_model(0.5, _NOMINAL), w_q=2.0, w_r=0.1, w_s=0.05), (1,)),
         OnOutputs(PID(kp=0.5, kd=1e-4), (0,)),
@@ -282,6 +296,7 @@ _PLANT_OF = {
     "p_type_on_table": "motor_and_table",
     "norm_optimal": "mimo",
     "norm_optimal_lifted": "discrete",
+    "constrained": "discrete",
     "dilc": "motor_and_table",
     "milc": "motor_and_table",
     **dict.fromkeys(("smc", "smc_hold_limited", "asmc", "asmc_carried_limited", "ilc_asmc"), "arx"),
@@ -294,6 +309,7 @@ _SCHEME_OF = {
 _FEW = {
     "norm_optimal",
     "norm_optimal_lifted",
+    "constrained",
     "dilc",
     "milc",
     "ball_screw",

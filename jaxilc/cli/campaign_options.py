@@ -46,6 +46,7 @@ NoPredict = Annotated[
         "--no-predict", help="Predict no errors of trials by the plant file, from now on."
     ),
 ]
+Predict = Annotated[bool, typer.Option("--predict", help="Predict them again, from now on.")]
 Plot = Annotated[
     Path | None,
     typer.Option(

@@ -1,6 +1,7 @@
 """Control schemes: feedback, learning, and compositions of them."""
 
 from .compose import ErrorFiltered, Filtered, OnOutputs, WithFeedback
+from .constrained_norm_optimal import ConstrainedNormOptimal
 from .exponential import ExponentialPD
 from .guards import Ladder, StopWhen
 from .higher_order import HigherOrder
@@ -26,6 +27,7 @@ __all__ = [
     "PFDLMFAILC",
     "PID",
     "SMC",
+    "ConstrainedNormOptimal",
     "ErrorFiltered",
     "ExponentialPD",
     "Feedforward",

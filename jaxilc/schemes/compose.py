@@ -52,8 +52,8 @@ class WithFeedback(Scheme):
     feedback: scheme that acts within the trial
 
     The learning part is shown the input minus the contribution of the feedback, so that it learns
-    its own contribution only. What an actuator cuts off from u is counted as cut off from the
-    learned part.
+    its own contribution only, and the contribution of the feedback as the signal `beside`. What an
+    actuator cuts off from u is counted as cut off from the learned part.
     The signal `feedback` of the trial records the contribution of the feedback. The signals of the
     parts are recorded as `learning.NAME` and `feedback.NAME`.
     `learn` raises ValueError for a trial without the signal `feedback`.
@@ -80,7 +80,8 @@ class WithFeedback(Scheme):
             trial._replace(signals=signals_of_part(name, trial.signals))
             for name in ("learning", "feedback")
         )
-        own = learning._replace(u=trial.u - trial.signals["feedback"])
+        beside = {"beside": trial.signals["feedback"]} | learning.signals
+        own = learning._replace(u=trial.u - trial.signals["feedback"], signals=beside)
         return {"learning": own, "feedback": feedback}
 
     def initial_memory(self, task: Task) -> Pair:

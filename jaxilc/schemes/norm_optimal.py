@@ -7,15 +7,15 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 from jax.scipy.linalg import cho_factor, cho_solve
 
 from ..plants import StateSpace, TimeVaryingStateSpace
 from ..pytree.fields import Leaf, child, leaf, pytree, static
-from ..pytree.needs import known, need_channels
+from ..pytree.needs import need_channels
 from ..pytree.ranges import brief
 from ..signals.task import Limit, Task, Trial, product
+from .quadratic_cost import need_convex, need_model_of, need_stable, weights_of
 from .scheme import Feedforward, Scheme, limit_of, limited
 
 # rows or columns of the dense form: in float64, H and the factor then take half a gigabyte each
@@ -71,7 +71,9 @@ class NormOptimal(Scheme):
     w_q: () or (n_y,) or (n_y, n_y), positive semidefinite
     w_r, w_s: () or (n_u,) or (n_u, n_u), positive semidefinite; w_r + w_s positive definite
         Weights must be symmetric except for rounding; their symmetric part is used.
-    limit: () or (n_u,) largest |u| that is learned [unit of u]; None: no limit
+    limit: () or (n_u,) largest |u| that is learned [unit of u]; None: no limit. What the equations
+        above give is clipped to it, which is not the best input within the limit:
+        `ConstrainedNormOptimal` solves for that one
     Raises ValueError for an unstable model, and weights that are not symmetric or not semidefinite.
     The result is differentiable in the weights and in the model, through the recursion.
     """
@@ -91,72 +93,12 @@ class NormOptimal(Scheme):
                 f"NormOptimal: solved = {brief(self.solved)} is a {type(self.solved).__name__}; "
                 "allowed is None"
             )
-        for name, size in (
-            ("w_q", self.model.n_y),
-            ("w_r", self.model.n_u),
-            ("w_s", self.model.n_u),
-        ):
-            self._check_weight(name, size)
-        if known((self.w_r, self.w_s)):
-            total = _eigenvalues(_matrix(self.w_r, self.model.n_u)) + _eigenvalues(
-                _matrix(self.w_s, self.model.n_u)
-            )
-            both = _eigenvalues(
-                _matrix(self.w_r, self.model.n_u) + _matrix(self.w_s, self.model.n_u)
-            )
-            if np.any(both <= 1e-14 * np.max(total)):
-                raise ValueError(
-                    f"NormOptimal: w_r + w_s has the eigenvalues {both}; allowed are positive "
-                    "ones only"
-                )
-        if isinstance(self.model, StateSpace) and known(self.model):
-            poles = np.linalg.eigvals(np.asarray(self.model.A))
-            growth = np.max(np.abs(poles) - 1 if self.model.dt else poles.real, initial=-1.0)
-            if growth > 1e-7:
-                where = (
-                    "outside the unit circle" if self.model.dt else "right of the imaginary axis"
-                )
-                raise ValueError(
-                    f"NormOptimal: the model is unstable (a pole {growth:.3g} {where}); give the "
-                    "closed loop that the learned input meets"
-                )
-
-    def _check_weight(self, name: str, size: int) -> None:
-        weight = getattr(self, name)
-        if weight.shape not in ((), (size,), (size, size)):
-            raise ValueError(
-                f"NormOptimal: {name} has shape {weight.shape}; allowed are (), ({size},) and "
-                f"({size}, {size})"
-            )
-        if not known(weight):
-            return
-        W = np.asarray(_matrix(weight, size))
-        # half of the digits must agree, but no more than 6, also in double precision
-        rounding = max(1e-6, np.sqrt(np.finfo(W.dtype).eps))
-        if np.max(np.abs(W - W.T)) > rounding * np.max(np.abs(W)):
-            raise ValueError(f"NormOptimal: {name} = {W.tolist()} is not symmetric")
-        values = _eigenvalues(W)
-        if not np.all(values >= -max(1e-12, size * np.finfo(W.dtype).eps) * np.max(np.abs(values))):
-            raise ValueError(
-                f"NormOptimal: {name} has the eigenvalues {values}; allowed are none below 0"
-            )
+        need_convex(self)
+        need_stable(self)
 
     def check(self, task: Task) -> None:
-        jax.eval_shape(lambda model: model.sampled(task.dt), self.model)
-        for what, of_model, of_task in (
-            ("inputs", self.model.n_u, task.inputs),
-            ("outputs", self.model.n_y, task.outputs),
-        ):
-            if of_model != of_task:
-                raise ValueError(
-                    f"NormOptimal: the model has {of_model} {what} but the task {of_task}"
-                )
+        need_model_of(self, task)
         need_channels(self, task.inputs, "limit")
-        if isinstance(self.model, TimeVaryingStateSpace) and self.model.N != task.N:
-            raise ValueError(
-                f"NormOptimal: the model is given for N = {self.model.N} samples but the task has "
-                f"N = {task.N}"
-            )
         size = task.N * max(task.inputs, task.outputs)
         if self.form == "lifted" and size > LARGEST_LIFTED:
             raise ValueError(
@@ -188,10 +130,7 @@ class NormOptimal(Scheme):
         return dataclasses.replace(self, model=model, solved=self._solve(model, N))
 
     def _weights(self):
-        """The symmetric parts of the weights, so that a gradient step keeps a weight symmetric."""
-        n_u, n_y = self.model.n_u, self.model.n_y
-        full = _matrix(self.w_q, n_y), _matrix(self.w_r, n_u), _matrix(self.w_s, n_u)
-        return tuple((W + W.T) / 2 for W in full)
+        return weights_of(self, "w_q", "w_r", "w_s")
 
     def _solve(self, model: StateSpace | TimeVaryingStateSpace, N: int) -> Recursion | Lifted:
         Q, R, S = self._weights()
@@ -270,17 +209,6 @@ def _scan(f, start, model, N, *rows, reverse=False):
         length=N,
         reverse=reverse,
     )
-
-
-def _matrix(weight, size: int):
-    """A weight, which was given as a number, a diagonal or a matrix, as a matrix."""
-    return weight if weight.ndim == 2 else weight * np.eye(size, dtype=weight.dtype)
-
-
-def _eigenvalues(W):
-    """The eigenvalues of the symmetric part of W."""
-    W = np.asarray(W)
-    return np.linalg.eigvalsh((W + W.T) / 2)
 
 
 def _inverse(M):

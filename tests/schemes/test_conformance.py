@@ -20,6 +20,9 @@ TRIALS = 5
 LANES = 3  # of a batch
 # A cutoff changes 8.3 and 18.7 ms after the start, and the error leaves the boundary layer late.
 LONG = {"p_type_switchable", "asmc_carried_limited"}
+# It iterates after each trial. Without jit each of its hundreds of operations is compiled by
+# itself, which takes half a minute; test_constrained_norm_optimal.py has another solver for it.
+ITERATES = ("constrained",)
 
 
 class Run(NamedTuple):
@@ -91,7 +94,9 @@ def test_leaves_are_strongly_typed_floats(run):
             assert not jax.typeof(leaf).weak_type or name == "dt", name
 
 
-def test_jit_equals_no_jit(run):
+def test_jit_equals_no_jit(run, request):
+    if request.node.callspec.params["run"] in ITERATES:
+        pytest.skip("without jit it would take half a minute")
     # Sampling is a matrix exponential of hundreds of operations, which test_plants.py tests.
     parts = run.parts | {"machine": sampled(run.parts["machine"], run.task.dt)}
     with jax.disable_jit():

@@ -1,0 +1,159 @@
+"""Recursions over the samples of a trial: a linear system forth, its adjoint back, and Riccati.
+
+A system of inputs d[k] (n_u,) carries a state and shows rows v (m,), each with a cost or a bound:
+
+    z[k+1] = A z[k] + B d[k],   z[0] = 0,   v[k] = G_z z[k] + G_d d[k]
+
+All functions take time and memory linear in the number N of samples.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jax.scipy.linalg import cho_solve
+
+from ..signals.task import product
+
+UNROLLED = 4  # inputs up to which a solution is written out, since LAPACK would take longer
+
+
+class System(NamedTuple):
+    """The system above. Each matrix is constant, or has a leading axis of N.
+
+    A (n, n), B (n, n_u), G_z (m, n), G_d (m, n_u)
+    """
+
+    A: jax.Array
+    B: jax.Array
+    G_z: jax.Array
+    G_d: jax.Array
+
+
+class Factor(NamedTuple):
+    """K (N, n_u, n), and the Cholesky factor L of the cost M of the input (N, n_u, n_u)."""
+
+    K: jax.Array
+    L: jax.Array
+
+
+def factor(system: System, W, D) -> Factor:
+    """The Riccati recursion of the cost sum_k v[k]' (W + diag D[k]) v[k] / 2.
+
+        M = [B; G_d]' S [B; G_d],   K = M^-1 [B; G_d]' S [A; G_z],   S = diag(P', W + diag D)
+        P = T' S T,   T = [A - B K; G_z - G_d K]
+
+    W: (m, m), D: (N, m)
+    P is computed as this sum of squares (the Joseph form). The shorter form A' P' (A - B K) + ...
+    subtracts large numbers where entries of D are large, and loses their digits.
+    """
+
+    def back(P, now):
+        (A, B, G_z, G_d), D_k = now
+        V = W + jnp.diag(D_k)
+        PB, VG = times(P, B), times(V, G_d)
+        L = cholesky(times(B.T, PB) + times(G_d.T, VG))
+        K = cholesky_solve(L, times(PB.T, A) + times(VG.T, G_z))
+        T, U = A - times(B, K), G_z - times(G_d, K)
+        P = times(T.T, times(P, T)) + times(U.T, times(V, U))
+        return (P + P.T) / 2, (K, L)
+
+    n = system.A.shape[-1]
+    return Factor(*_scan(back, jnp.zeros((n, n), W.dtype), system, D, reverse=True)[1])
+
+
+def newton(system: System, of: Factor, q) -> tuple[jax.Array, jax.Array]:
+    """(d, v) that minimise sum_k q[k]' v[k] + v[k]' (W + diag D[k]) v[k] / 2.
+
+    of: `factor` of these W and D;  q: (N, m)
+    """
+
+    def back(p, now):
+        (A, B, G_z, G_d), K, L, q_k = now
+        h = product(G_d.T, q_k) + product(B.T, p)
+        return product(G_z.T, q_k) + product(A.T, p) - product(K.T, h), cholesky_solve(L, h)
+
+    def forth(z, now):
+        (A, B, G_z, G_d), K, g = now
+        d = -g - product(K, z)
+        return product(A, z) + product(B, d), (d, product(G_z, z) + product(G_d, d))
+
+    rest = jnp.zeros(system.A.shape[-1], q.dtype)
+    g = _scan(back, rest, system, *of, q, reverse=True)[1]
+    return _scan(forth, rest, system, of.K, g)[1]
+
+
+def shown(system: System, d) -> jax.Array:
+    """(N, m) the rows v of inputs d (N, n_u)."""
+
+    def forth(z, now):
+        (A, B, G_z, G_d), d_k = now
+        return product(A, z) + product(B, d_k), product(G_z, z) + product(G_d, d_k)
+
+    return _scan(forth, jnp.zeros(system.A.shape[-1], d.dtype), system, d)[1]
+
+
+def adjoint(system: System, q) -> jax.Array:
+    """(N, n_u) the derivative of sum_k q[k]' v[k] with respect to d, for constant q (N, m)."""
+
+    def back(p, now):
+        (A, B, G_z, G_d), q_k = now
+        return product(G_z.T, q_k) + product(A.T, p), product(G_d.T, q_k) + product(B.T, p)
+
+    rest = jnp.zeros(system.A.shape[-1], q.dtype)
+    return _scan(back, rest, system, q, reverse=True)[1]
+
+
+def times(X, Y) -> jax.Array:
+    """X @ Y for small matrices; up to 8 terms as their sum, which vectorises over a batch."""
+    terms = len(Y)
+    return sum(X[:, j, None] * Y[j] for j in range(terms)) if 0 < terms <= 8 else X @ Y
+
+
+def cholesky(M) -> jax.Array:
+    """L with L L' = M, for a small symmetric positive definite M."""
+    size = len(M)
+    if size > UNROLLED:
+        return jnp.linalg.cholesky(M)
+    zero = jnp.zeros_like(M[0, 0])
+    L: list[list] = [[zero] * size for _ in range(size)]
+    for i in range(size):
+        for j in range(i + 1):
+            rest = M[i, j] - sum(L[i][k] * L[j][k] for k in range(j))
+            L[i][j] = jnp.sqrt(rest) if i == j else rest / L[j][j]
+    return jnp.stack([jnp.stack(row) for row in L])
+
+
+def cholesky_solve(L, b) -> jax.Array:
+    """x with L L' x = b, for b (n_u,) or (n_u, n), by substitution.
+
+    The product with an explicit inverse would not do: where a weight is huge, x in the direction of
+    that weight must be exact to rounding, and only substitution is.
+    """
+    size = len(L)
+    if size > UNROLLED:
+        return cho_solve((L, True), b)
+    x: list = []
+    for i in range(size):
+        x.append((b[i] - sum(L[i, k] * x[k] for k in range(i))) / L[i, i])
+    for i in reversed(range(size)):
+        x[i] = (x[i] - sum(L[k, i] * x[k] for k in range(i + 1, size))) / L[i, i]
+    return jnp.stack(x)
+
+
+def _scan(f, start, system: System, *rows, reverse=False):
+    """Scan f over the rows, with the matrices of each sample, which may be constant."""
+    varies = [M.ndim == 3 for M in system]
+
+    def turn(carry, now):
+        moving = iter(now[0])
+        matrices = tuple(
+            next(moving) if moves else M for M, moves in zip(system, varies, strict=True)
+        )
+        return f(carry, (matrices, *now[1]))
+
+    moving = tuple(M for M, moves in zip(system, varies, strict=True) if moves)
+    return lax.scan(turn, start, (moving, rows), reverse=reverse)
