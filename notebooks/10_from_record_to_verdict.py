@@ -22,6 +22,7 @@ import csv
 import json
 import os
 import shlex
+import shutil
 import sys
 import tempfile
 import tomllib
@@ -30,11 +31,13 @@ from unittest import mock
 
 import numpy as np
 import scipy.signal
+from IPython.display import Image, display
 
 from jaxilc.cli import main
 from jaxilc.signals.references import s_curve
 
-os.chdir(tempfile.mkdtemp())
+home, folder = Path.cwd(), Path(tempfile.mkdtemp())
+os.chdir(folder)
 
 
 def jaxilc(words: str) -> None:
@@ -128,6 +131,7 @@ reference = {{ csv = "move.csv" }}
 
 # %%
 jaxilc("filter axis.toml --json filter.json")
+display(Image("out/filter-axis/ilc.png"))
 
 # %% [markdown]
 # ## 5. Design a law
@@ -136,6 +140,7 @@ jaxilc("filter axis.toml --json filter.json")
 
 # %%
 jaxilc("design axis.toml --law p-type --steps 5 --machines 65 --json design.json")
+display(Image("out/design-axis/design.png"))
 print(Path("axis.design.toml").read_text()[:1500])
 
 # %% [markdown]
@@ -153,7 +158,8 @@ for _trial in range(6):
     jaxilc("next --state campaign --measured trial.csv --out next.csv")
 
 # %%
-jaxilc("trials --state campaign --json trials.json")
+jaxilc("trials --state campaign --json trials.json --plot trials.png")
+display(Image("trials.png"))
 
 # %% [markdown]
 # ## The verdict
@@ -180,3 +186,7 @@ Q = 1 / (1 + (np.tan(np.pi * f * DT) / np.tan(np.pi * law["filter"]["cutoff"] * 
 true = np.max(np.abs(Q * (1 - gain * z ** (1 + lead) * P)))
 print(f"|Q (1 - L P)| of the true axis: {true:.3f}; the design promised {1 - margin:.3f} at most")
 assert true <= 1 - margin
+
+# %%
+os.chdir(home)
+shutil.rmtree(folder)
