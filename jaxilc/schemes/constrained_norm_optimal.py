@@ -245,3 +245,13 @@ def _as_limit(signal, low, high) -> Limit:
     above = jnp.where(jnp.isfinite(high), high, jnp.where(none, far, low + far))
     middle, half = (below + above) / 2, (above - below) / 2
     return Limit(jnp.where(none, 0.0, (signal - middle) / half), jnp.ones(()))
+
+
+def need_second_derivatives(scheme: Scheme) -> None:
+    """Raises ValueError where a part of the scheme has first derivatives only."""
+    parts = jax.tree.leaves(scheme, is_leaf=lambda one: isinstance(one, ConstrainedNormOptimal))
+    if any(isinstance(one, ConstrainedNormOptimal) for one in parts):
+        raise ValueError(
+            "Contraction: the slope of a contraction needs second derivatives, and "
+            "ConstrainedNormOptimal has first ones only; allowed are other objectives"
+        )

@@ -28,6 +28,7 @@ from ..learning.over_trials import History, learn
 from ..pytree.closest import not_one_of
 from ..pytree.ranges import require
 from ..schemes import Scheme
+from ..schemes.constrained_norm_optimal import need_second_derivatives
 from ..signals.task import Task
 from .bounded import Bounded
 
@@ -248,9 +249,9 @@ class Contraction(Objective):
 
         max(0, log(sigma / below)),     sigma = sup |e_{j+n}| / |e_j|
 
-    The supremum is over all small changes of the error (`theory.contraction.error_map`). The slope
-    of sigma is that of |J v| at the singular vector v of the Lanczos iteration, d sigma = u^T dJ v,
-    so the iteration itself need not be differentiated.
+    The supremum is over all small changes of the error (`theory.contraction.error_map`). Its slope
+    is that of |J v| at the singular vector v of the Lanczos iteration, d sigma = u^T dJ v. Raises
+    ValueError for a scheme without second derivatives.
 
     below: upper limit for sigma
     trials: n
@@ -264,6 +265,8 @@ class Contraction(Objective):
 
     def __call__(self, run: Run):
         from ..theory.contraction import error_map, singular_value
+
+        need_second_derivatives(run.scheme)
 
         def last_of(scheme):
             map_ = error_map(run.machine, scheme, run.task, trials=self.trials)
@@ -280,10 +283,8 @@ def levels(run: Run, metric: str, floor: float) -> jax.Array:
     """(J,) values l of a metric, for its largest channel.
 
     For a trial that exceeded the ceiling at any sample, it is l of max |e| if that is larger.
-    Otherwise an error that diverges at the start of the trial, outside the settled window, would
-    not count, since the bound keeps it from spreading to later samples.
-
-    Raises ValueError naming the metrics that exist.
+    Otherwise an error that diverges at the start, outside the settled window, would not count, as
+    the bound keeps it from spreading. Raises ValueError naming the metrics that exist.
     """
     history = run.history
     anywhere = largest(history.max_error / peak(run.task), axis=1)

@@ -65,6 +65,7 @@ CONTRACTING = (
     "higher_order",
     "p_type_ladder",
 )
+CONTRACTING += ("learning_filter",)
 CONTRACTING += ("p_type_on_table", "norm_optimal", "milc", "ilc_asmc")
 
 
@@ -148,7 +149,14 @@ def test_every_objective_and_every_learning_scheme_is_among_them():
     of_feedback = {schemes.FFDLMFAC, schemes.PFDLMFAC, schemes.CFDLMFAC, schemes.SMC}
     assert learning - listed == {schemes.Scheme} | of_feedback
     contracting = tuple({type(part) for name in CONTRACTING for part in parts_of(LEARNING[name])})
-    assert {kind for kind in listed if not issubclass(kind, contracting)} == {schemes.StopWhen}
+    other = {kind for kind in listed if not issubclass(kind, contracting)}
+    assert other == {schemes.StopWhen, schemes.ConstrainedNormOptimal}
+
+
+def test_contraction_needs_second_derivatives():
+    machine, scheme, task = case("constrained")
+    with pytest.raises(ValueError, match="ConstrainedNormOptimal has first ones only"):
+        judge(machine, scheme, task, 2, Contraction())
 
 
 def parts_of(scheme):
