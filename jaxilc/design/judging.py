@@ -64,6 +64,8 @@ def verdict(
         factor = summary.worst[-1] / summary.worst[last]
         lost = f"the error grows {factor:.1f} times from trial {trials} to {len(summary.worst)}"
     high, error = summary.high, float(np.max(summary.high[last:]))
+    if not lost and error >= high[0]:
+        lost = f"it leaves {error / high[0]:.2g} times the error of the first trial"
     return Verdict(
         candidate,
         error=error,

@@ -158,8 +158,11 @@ def test_a_law_is_judged_by_its_worst_trial_after_those_asked_for():
     one = verdict(None, of_sweep([9, 3, 1.02, 1, 1.5]), 4, 2.0)
     assert (one.error, one.settled_at, one.tolerated_from, one.lost) == (1.5, 3, 3, "")
     assert verdict(None, of_sweep([9, 3, 1, 1, 2.5]), 4, 2.0).tolerated_from == 0
-    assert verdict(None, of_sweep([1, 1, 1, 1, 1]), 4, 2.0).tolerated_from == 1
+    assert verdict(None, of_sweep([1.5, 1, 1, 1, 1]), 4, 2.0).tolerated_from == 1
     assert "2.5 times" in verdict(None, of_sweep([9, 3, 1, 1, 1], [9, 3, 1, 1, 2.5]), 4, None).lost
+    assert (
+        "1.5 times the error of the first" in verdict(None, of_sweep([1, 1, 1, 1.5]), 4, None).lost
+    )
     assert "diverge" in verdict(None, of_sweep([9, 3, 1, 1, 1], diverged=0.1), 4, None).lost
 
 
