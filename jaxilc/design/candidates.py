@@ -22,12 +22,15 @@ from ..signals.task import Task
 from ..theory.filtered_law import Change, Lines, largest_cutoff, low_pass
 from ..theory.loop import minimal
 from .responses import Family
+from .simulated import rms_of
 
 ORDER = 2  # of the robustness filter, in one pass
 GAINS = (0.1, 0.2, 0.35, 0.5, 0.7, 0.85, 1.0)  # of the inverse of the largest steady gain
 INVERSE_GAINS = (0.2, 0.35, 0.5, 0.7, 0.85, 1.0)
 RATES = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)  # derivative times, in samples times 1 + lead
 SHARES = (0.98, 0.75, 0.55, 0.4)  # of the largest cutoff that is allowed
+ALIKE = 3  # laws of one lead that are kept
+SIMULATED = 96  # laws that are simulated, with the ends of the trial
 LEADS, LONGEST = 36, 500  # number of leads tried, and the longest [samples]
 WIDER = 4.0  # factor by which a tuning may change a weight, to either side
 FREER = 100.0  # the same for the weights of norm-optimal learning
@@ -116,8 +119,9 @@ def model_inverse(family, feedback, task, trials, margin) -> Candidate | Absent:
         trials,
         margin,
     )
-    if found is None:
+    if not found:
         return Absent("model-inverse", _NO_WEIGHTS)
+    found = found[0]
     learning = ErrorFiltered(PIDType(gamma_p=found.weights["gamma_p"]), inverse)
     return _candidate(
         "model inverse with a filter",
@@ -142,8 +146,9 @@ def norm_optimal(family, feedback, task, trials, margin) -> Candidate | Absent:
                 yield {"w_r": float(w_r), "w_s": float(w_s), "L": L, "keep": keep}
 
     found = _widest(family, laws(), task, trials, margin)
-    if found is None:
+    if not found:
         return Absent("norm-optimal", _NO_WEIGHTS)
+    found = found[0]
     weights = {w: found.weights[w] for w in ("w_r", "w_s")}
     learning = NormOptimal(_model(family, task), w_r=weights["w_r"], w_s=weights["w_s"])
     bounds = {f"scheme.{w}": (value / FREER, value * FREER) for w, value in weights.items()}
@@ -175,22 +180,16 @@ def _pd_type(family, feedback, task, trials, margin, *, derivative: bool) -> Can
 
     def laws():
         for lead in map(int, leads):
-            ahead = family.advance(1 + lead, task.dt)
-            change = 1 - family.advance(-1, task.dt)
             for gain in GAINS:
                 for rate in RATES if derivative else (0.0,):
                     gamma_p = float(size * gain)
-                    gamma_d = gamma_p * rate * (1 + lead)
-                    yield {
-                        "gamma_p": gamma_p,
-                        "gamma_d": gamma_d,
-                        "lead": lead,
-                        "L": ahead * (gamma_p + gamma_d * change),
-                    }
+                    law = {"gamma_p": gamma_p, "gamma_d": gamma_p * rate * (1 + lead), "lead": lead}
+                    yield law | {"L": _of_pd(family, law, task.dt)}
 
-    found = _widest(family, laws(), task, trials, margin)
-    if found is None:
+    all_found = _widest(family, laws(), task, trials, margin)
+    if not all_found:
         return Absent(name, _NO_WEIGHTS)
+    found = _best_simulated(family, all_found, task, trials)
     weights = {w: found.weights[w] for w in ("gamma_p", "gamma_d")[: 1 + derivative]}
     learning = PIDType(**weights, lead=int(found.weights["lead"]))
     bounds = {f"scheme.{w}": _around(value) for w, value in weights.items()}
@@ -198,15 +197,17 @@ def _pd_type(family, feedback, task, trials, margin, *, derivative: bool) -> Can
     return _candidate(words, learning, found, feedback, bounds, task)
 
 
-def _widest(family: Family, laws, task: Task, trials: int, margin: float) -> _Found | None:
-    """The weights of the least predicted error among laws, each with the cutoffs it allows.
+def _widest(family: Family, laws, task: Task, trials: int, margin: float) -> list[_Found]:
+    """Laws with cutoffs that keep the margin: of each lead the `ALIKE` of least predicted error.
+
+    They come in the order of their predicted errors.
 
     laws: dictionaries of weights, with the response `L` (F,) of u' = keep (u + L e) before the
         filter, and `keep` where it is not 1
     """
     lowest, highest = min(2 / task.duration, 0.05 / task.dt), 0.45 / task.dt
     still = Change(1.0, 0, np.inf, ORDER)
-    best: _Found | None = None
+    found: dict[Any, list[_Found]] = {}
     for law in laws:
         L, keep = law.pop("L"), law.pop("keep", np.ones(len(family.frequencies)))
         lines = Lines(family.frequencies, family.P, 0.0 * family.P.real, keep, keep * L, task.dt)
@@ -217,21 +218,52 @@ def _widest(family: Family, laws, task: Task, trials: int, margin: float) -> _Fo
             cutoff = min(share * most, highest)
             with_filter = keep * low_pass(family.frequencies, cutoff, task.dt, ORDER)
             weights = law | {"cutoff": float(cutoff)}
-            best = _better(family, best, weights, with_filter, L, trials, margin)
-    return best
+            alike = found.setdefault(law.get("lead"), [])
+            _add(family, alike, weights, with_filter, L, trials, margin)
+    return sorted((one for alike in found.values() for one in alike), key=lambda one: one.predicted)
 
 
-def _better(family, best, weights, Q, L, trials, margin) -> _Found | None:
-    """The better one of the best weights so far and of these, which must keep the margin."""
-    if best is not None and best.predicted <= family.rms(Q, L, trials, [0])[0]:
-        return best  # without a look at the other machines
+def _add(family, alike: list[_Found], weights, Q, L, trials, margin) -> None:
+    """Add weights that keep the margin to the best ones, if they are among these."""
+    full = len(alike) == ALIKE
+    if full and alike[-1].predicted <= family.rms(Q, L, trials, [0])[0]:
+        return  # without a look at the other machines
     largest = float(family.largest(Q, L))
     if not largest <= 1 - margin:
-        return best
+        return
     predicted = float(np.max(family.rms(Q, L, trials)))
-    if best is not None and best.predicted <= predicted:
-        return best
-    return _Found(weights, predicted, largest)
+    if not full or predicted < alike[-1].predicted:
+        alike.append(_Found(weights, predicted, largest))
+        alike.sort(key=lambda one: one.predicted)
+        del alike[ALIKE:]
+
+
+def _best_simulated(family: Family, found: list[_Found], task: Task, trials: int) -> _Found:
+    """The law of least error where the ends of the trial count too, of those found.
+
+    What noise adds to each is that of the frequency response.
+    """
+    found = found[:SIMULATED]
+    sizes = np.abs(family.P).sum(axis=1)
+    which = np.unique(np.r_[0, np.argsort(sizes)[:: max(1, len(sizes) // 4)], np.argmax(sizes)])
+    loops = [family.loops[i] for i in which]
+    laws = [one.weights for one in found]
+    errors = rms_of(loops, family.first_error, laws, task.dt, trials, ORDER)
+    quiet = family._replace(error=0 * family.error)
+    noise = [
+        np.max(quiet.rms(low_pass(family.frequencies, law["cutoff"], task.dt, ORDER),
+                         _of_pd(family, law, task.dt), trials))
+        for law in laws
+    ]  # fmt: skip
+    both = np.hypot(np.max(errors, axis=1), noise)
+    at = int(np.argmin(np.nan_to_num(both, nan=np.inf)))
+    return found[at]._replace(predicted=float(both[at]))
+
+
+def _of_pd(family: Family, law, dt: float) -> np.ndarray:
+    """(F,) L of a P-type or PD-type law."""
+    change = 1 - family.advance(-1, dt)
+    return family.advance(1 + law["lead"], dt) * (law["gamma_p"] + law["gamma_d"] * change)
 
 
 def _candidate(words, learning, found: _Found, feedback, bounds, task) -> Candidate:

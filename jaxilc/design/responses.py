@@ -34,7 +34,7 @@ from ..uncertainty import Uncertainty, draw, drawn_machines
 CORNERS = 5  # uncertain numbers up to which all corners of their intervals are taken
 MACHINES = 33  # machines that are drawn, the nominal one included, besides the corners
 LINES = 300  # frequencies
-NOT_REPEATED = 1e-4  # share of the first error that counts as noise, if the machine has less
+NOT_REPEATED = 1e-4  # share of the first error that counts as noise, if the machine has none
 SHORT = 64  # samples of a trial that is long enough to read the loop of a sample off it
 
 
@@ -45,6 +45,7 @@ class Family(NamedTuple):
     P:     (S, F) from what is learned to the output; the first machine is the nominal one
     error: (F,) size of the error of the first trial of the nominal machine near each frequency, so
            that the root of the sum of the squares is its root mean square [unit of y]
+    first_error: (N+1,) that error itself
     noise: (F,) size of what does not repeat from trial to trial, in the same way
     loops: (S) the machines from what is learned to the output, as linear systems
     drawn: {name: (S,)} the numbers of each machine
@@ -53,6 +54,7 @@ class Family(NamedTuple):
     frequencies: np.ndarray
     P: np.ndarray
     error: np.ndarray
+    first_error: np.ndarray
     noise: np.ndarray
     loops: list[Loop]
     drawn: dict[str, np.ndarray]
@@ -118,14 +120,15 @@ def family_of(
     poles = np.linalg.eigvals(minimal(loops[0], task.N).A)
     f = grid(task, points=LINES, near=poles)
     P = _responses(Loop(*map(np.stack, zip(*loops, strict=True))), f, task.dt)
-    error = _first_error(machine, feedback, task, f)
+    e = _first_error(machine, feedback, task)
+    error = _gathered(e, f, task.dt)
     if not np.any(error):
         raise ValueError(
             "design: the error of the first trial is 0, so there is nothing to learn; give the "
             "task a reference that the machine does not follow by itself"
         )
     noise = _noise(machine, task, f, P[0], NOT_REPEATED * float(np.linalg.norm(error)))
-    return Family(f, np.asarray(P), error, noise, loops, drawn)
+    return Family(f, np.asarray(P), error, e, noise, loops, drawn)
 
 
 # How it is done
@@ -157,16 +160,21 @@ def _need_stable(loops: list[Loop], task: Task) -> None:
         )
 
 
-def _first_error(machine, feedback, task: Task, f) -> np.ndarray:
-    """(F,) the error of a trial in which nothing is learned, gathered at the frequencies."""
+def _first_error(machine: Machine, feedback: Scheme | None, task: Task) -> np.ndarray:
+    """(N+1,) the error of a trial of the nominal machine in which nothing is learned."""
     rest = PIDType()  # learns nothing
     scheme = rest if feedback is None else WithFeedback(rest, feedback.unlimited())
     machine, key = machine.unlimited().noiseless(), jax.random.key(0)
     trial = jax.jit(run_trial)(machine, scheme, task, scheme.initial_memory(task), key)
-    e = np.asarray(trial.e)[1:, 0]
+    return np.asarray(trial.e)[:, 0]
+
+
+def _gathered(e, f, dt: float) -> np.ndarray:
+    """(F,) the spectrum of an error (N+1,), gathered at the nearest of the frequencies."""
+    e = e[1:]
     spectrum = np.abs(np.fft.rfft(e)) / len(e) * np.sqrt(2)
     spectrum[0] /= np.sqrt(2)
-    lines = np.fft.rfftfreq(len(e), task.dt)
+    lines = np.fft.rfftfreq(len(e), dt)
     places = np.argmin(np.abs(np.subtract.outer(np.log(lines + f[0]), np.log(f + f[0]))), axis=1)
     return np.sqrt(np.bincount(places, spectrum**2, minlength=len(f)))
 
@@ -183,4 +191,4 @@ def _noise(machine: Machine, task: Task, f, P, least: float) -> np.ndarray:
     at_output += variance(sensor, "resolution") / 12
     density = at_output + variance(disturbance, "input_noise") * np.abs(P) ** 2
     share = np.gradient(f) / (0.5 / task.dt)
-    return np.sqrt(np.maximum(density, least**2) * share)
+    return np.sqrt(np.where(np.max(density) > 0, density, least**2) * share)

@@ -11,11 +11,15 @@ from jaxilc.design import Design, feedback_among
 from jaxilc.design.candidates import LAWS, Absent, candidates
 from jaxilc.design.judging import long_run, ranked, verdict
 from jaxilc.design.responses import family_of
+from jaxilc.design.simulated import rms_of
 from jaxilc.design.tuned import contraction
+from jaxilc.filters import ZeroPhaseButterworth
+from jaxilc.learning import learn
 from jaxilc.plants import ProcessModel, StateSpace
-from jaxilc.schemes import PID, PIDType, WithFeedback
+from jaxilc.schemes import PID, Filtered, PIDType, WithFeedback
 from jaxilc.sweeps.summary import SchemeSummary
 from jaxilc.theory.law import learning_law
+from jaxilc.uncertainty import drawn_machine
 
 DT, N, TRIALS = 1e-3, 120, 6
 MACHINE = Machine(ProcessModel(2.0, poles=[150.0], frequencies=[900.0], dampings=[0.1]))
@@ -204,3 +208,21 @@ def test_a_design_that_is_resumed_ends_as_it_was(tmp_path):
     for wrong, said in (({"margin": 1.0}, "margin"), ({"laws": ["ptype"]}, "did you mean p-type")):
         with pytest.raises(ValueError, match=said):
             Design(*given, **settings | wrong)
+
+
+def test_laws_simulated_by_transforms_learn_as_schemes_do(family, safe):
+    machines = [0, len(family.P) - 1]
+    laws = [
+        {"gamma_p": 0.3, "gamma_d": 0.0, "lead": 7, "cutoff": 60.0},
+        {"gamma_p": 0.2, "gamma_d": 1.1, "lead": 0, "cutoff": 35.0},
+    ]
+    found = rms_of(
+        [family.loops[i] for i in machines], TASK.reference[:, 0], laws, DT, TRIALS, order=2
+    )
+    for row, law in zip(found, laws, strict=True):
+        gains = PIDType(gamma_p=law["gamma_p"], gamma_d=law["gamma_d"], lead=law["lead"])
+        scheme = Filtered(gains, ZeroPhaseButterworth(law["cutoff"]))
+        for value, i in zip(row, machines, strict=True):
+            numbers = {name: values[i] for name, values in family.drawn.items()}
+            history = learn(drawn_machine(MACHINE, WIDE, numbers), scheme, TASK, TRIALS)
+            np.testing.assert_allclose(value, history.rms[-1, 0], rtol=1e-9)
