@@ -4,6 +4,9 @@ Each law has a few weights. A grid of them is looked at in frequency, over all m
 `Family` at once. Kept are the weights with the smallest predicted error among those for which
 
     |Q (1 - L P)| <= 1 - margin    at each frequency, on each machine
+
+Of P-type and PD-type laws the best by this prediction are simulated (`simulated`), since their lead
+costs the end of the trial.
 """
 
 from __future__ import annotations
@@ -19,18 +22,13 @@ from ..filters.inversion import stable_inverse
 from ..plants import StateSpace
 from ..schemes import ErrorFiltered, Filtered, NormOptimal, PIDType, Scheme, WithFeedback
 from ..signals.task import Task
-from ..theory.filtered_law import Change, Lines, largest_cutoff, low_pass
 from ..theory.loop import minimal
 from .responses import Family
-from .simulated import rms_of
+from .safe_weights import ORDER, Found, best_simulated, response_of_pd, widest
 
-ORDER = 2  # of the robustness filter, in one pass
 GAINS = (0.1, 0.2, 0.35, 0.5, 0.7, 0.85, 1.0)  # of the inverse of the largest steady gain
 INVERSE_GAINS = (0.2, 0.35, 0.5, 0.7, 0.85, 1.0)
 RATES = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)  # derivative times, in samples times 1 + lead
-SHARES = (0.98, 0.75, 0.55, 0.4)  # of the largest cutoff that is allowed
-ALIKE = 3  # laws of one lead that are kept
-SIMULATED = 96  # laws that are simulated, with the ends of the trial
 LEADS, LONGEST = 36, 500  # number of leads tried, and the longest [samples]
 WIDER = 4.0  # factor by which a tuning may change a weight, to either side
 FREER = 100.0  # the same for the weights of norm-optimal learning
@@ -44,7 +42,8 @@ class Candidate(NamedTuple):
     scheme:  with its feedback, if the machine has one
     bounds:  {name of a weight: (low, high)} within which it may be tuned
     largest: |Q (1 - L P)| at its largest, over the machines and frequencies of the family
-    predicted: root mean square error of the last trial, of the worst machine [unit of y]
+    predicted: root mean square error of the last trial, of the worst machine, with the weights that
+        frequency allows [unit of y]
     """
 
     name: str
@@ -60,14 +59,6 @@ class Absent(NamedTuple):
 
     name: str
     why: str
-
-
-class _Found(NamedTuple):
-    """Weights of the least predicted error, with that error and the largest contraction."""
-
-    weights: dict[str, float]
-    predicted: float
-    largest: float
 
 
 def candidates(
@@ -112,7 +103,7 @@ def model_inverse(family, feedback, task, trials, margin) -> Candidate | Absent:
     # PIDType takes e one sample ahead, which the inverse then need not do
     inverse = dataclasses.replace(inverse, advance=inverse.advance - 1)
     L = 1 / family.P[0]
-    found = _widest(
+    found = widest(
         family,
         ({"gamma_p": gain, "L": gain * L} for gain in INVERSE_GAINS),
         task,
@@ -145,7 +136,7 @@ def norm_optimal(family, feedback, task, trials, margin) -> Candidate | Absent:
                 L = np.conj(G) / (np.abs(G) ** 2 + w_r)
                 yield {"w_r": float(w_r), "w_s": float(w_s), "L": L, "keep": keep}
 
-    found = _widest(family, laws(), task, trials, margin)
+    found = widest(family, laws(), task, trials, margin)
     if not found:
         return Absent("norm-optimal", _NO_WEIGHTS)
     found = found[0]
@@ -184,12 +175,12 @@ def _pd_type(family, feedback, task, trials, margin, *, derivative: bool) -> Can
                 for rate in RATES if derivative else (0.0,):
                     gamma_p = float(size * gain)
                     law = {"gamma_p": gamma_p, "gamma_d": gamma_p * rate * (1 + lead), "lead": lead}
-                    yield law | {"L": _of_pd(family, law, task.dt)}
+                    yield law | {"L": response_of_pd(family, law, task.dt)}
 
-    all_found = _widest(family, laws(), task, trials, margin)
+    all_found = widest(family, laws(), task, trials, margin)
     if not all_found:
         return Absent(name, _NO_WEIGHTS)
-    found = _best_simulated(family, all_found, task, trials)
+    found = best_simulated(family, all_found, task, trials)
     weights = {w: found.weights[w] for w in ("gamma_p", "gamma_d")[: 1 + derivative]}
     learning = PIDType(**weights, lead=int(found.weights["lead"]))
     bounds = {f"scheme.{w}": _around(value) for w, value in weights.items()}
@@ -197,76 +188,7 @@ def _pd_type(family, feedback, task, trials, margin, *, derivative: bool) -> Can
     return _candidate(words, learning, found, feedback, bounds, task)
 
 
-def _widest(family: Family, laws, task: Task, trials: int, margin: float) -> list[_Found]:
-    """Laws with cutoffs that keep the margin: of each lead the `ALIKE` of least predicted error.
-
-    They come in the order of their predicted errors.
-
-    laws: dictionaries of weights, with the response `L` (F,) of u' = keep (u + L e) before the
-        filter, and `keep` where it is not 1
-    """
-    lowest, highest = min(2 / task.duration, 0.05 / task.dt), 0.45 / task.dt
-    still = Change(1.0, 0, np.inf, ORDER)
-    found: dict[Any, list[_Found]] = {}
-    for law in laws:
-        L, keep = law.pop("L"), law.pop("keep", np.ones(len(family.frequencies)))
-        lines = Lines(family.frequencies, family.P, 0.0 * family.P.real, keep, keep * L, task.dt)
-        most = largest_cutoff([lines], still, 1 - margin, lowest)
-        for share in SHARES:
-            if most is None:
-                break
-            cutoff = min(share * most, highest)
-            with_filter = keep * low_pass(family.frequencies, cutoff, task.dt, ORDER)
-            weights = law | {"cutoff": float(cutoff)}
-            alike = found.setdefault(law.get("lead"), [])
-            _add(family, alike, weights, with_filter, L, trials, margin)
-    return sorted((one for alike in found.values() for one in alike), key=lambda one: one.predicted)
-
-
-def _add(family, alike: list[_Found], weights, Q, L, trials, margin) -> None:
-    """Add weights that keep the margin to the best ones, if they are among these."""
-    full = len(alike) == ALIKE
-    if full and alike[-1].predicted <= family.rms(Q, L, trials, [0])[0]:
-        return  # without a look at the other machines
-    largest = float(family.largest(Q, L))
-    if not largest <= 1 - margin:
-        return
-    predicted = float(np.max(family.rms(Q, L, trials)))
-    if not full or predicted < alike[-1].predicted:
-        alike.append(_Found(weights, predicted, largest))
-        alike.sort(key=lambda one: one.predicted)
-        del alike[ALIKE:]
-
-
-def _best_simulated(family: Family, found: list[_Found], task: Task, trials: int) -> _Found:
-    """The law of least error where the ends of the trial count too, of those found.
-
-    What noise adds to each is that of the frequency response.
-    """
-    found = found[:SIMULATED]
-    sizes = np.abs(family.P).sum(axis=1)
-    which = np.unique(np.r_[0, np.argsort(sizes)[:: max(1, len(sizes) // 4)], np.argmax(sizes)])
-    loops = [family.loops[i] for i in which]
-    laws = [one.weights for one in found]
-    errors = rms_of(loops, family.first_error, laws, task.dt, trials, ORDER)
-    quiet = family._replace(error=0 * family.error)
-    noise = [
-        np.max(quiet.rms(low_pass(family.frequencies, law["cutoff"], task.dt, ORDER),
-                         _of_pd(family, law, task.dt), trials))
-        for law in laws
-    ]  # fmt: skip
-    both = np.hypot(np.max(errors, axis=1), noise)
-    at = int(np.argmin(np.nan_to_num(both, nan=np.inf)))
-    return found[at]._replace(predicted=float(both[at]))
-
-
-def _of_pd(family: Family, law, dt: float) -> np.ndarray:
-    """(F,) L of a P-type or PD-type law."""
-    change = 1 - family.advance(-1, dt)
-    return family.advance(1 + law["lead"], dt) * (law["gamma_p"] + law["gamma_d"] * change)
-
-
-def _candidate(words, learning, found: _Found, feedback, bounds, task) -> Candidate:
+def _candidate(words, learning, found: Found, feedback, bounds, task) -> Candidate:
     """A law under the robustness filter whose cutoff was found."""
     cutoff = found.weights["cutoff"]
     scheme = Filtered(learning, ZeroPhaseButterworth(cutoff=cutoff, order=ORDER))

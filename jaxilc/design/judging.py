@@ -21,7 +21,7 @@ SETTLED = 1.05  # factor above the error that is kept, within which a trial coun
 GROWN = 2.0  # factor by which the error may not have grown at the end of the sweep
 
 
-def long_run(trials: int) -> int:
+def judged_trials(trials: int) -> int:
     """The number of trials over which candidates are judged."""
     times, least, most = LONG
     return max(trials, min(max(times * trials, least), most))

@@ -17,7 +17,7 @@ from ..sweeps import Sweep
 from ..sweeps.summary import summarise
 from ..uncertainty import Uncertainty
 from .candidates import LAWS, Absent, Candidate, candidates
-from .judging import Limits, Verdict, limits_of, long_run, ranked, verdict
+from .judging import Limits, Verdict, judged_trials, limits_of, ranked, verdict
 from .proof import Proof, proof_of
 from .responses import Family, family_of
 from .tuned import tuned
@@ -60,7 +60,8 @@ class Design:
     """The question which learning law suits an uncertain machine; `run` answers it.
 
     1. Weights for which |Q (1 - L P)| <= 1 - margin at each frequency, on each machine at the
-       corners of the uncertainty (and some within), with the least predicted error.
+       corners of the uncertainty (and some within), with the least predicted error; P-type and
+       PD-type laws are simulated with the ends of the trial.
     2. These tuned by gradient through learning, on other machines, as far as 1. still holds.
     3. A sweep of all laws, with both weights, over machines that neither step has seen, for longer
        than asked.
@@ -123,7 +124,7 @@ class Design:
             found.append(one)
         safe = [one for one in found if isinstance(one, Candidate)]
         absent = tuple(one for one in found if isinstance(one, Absent))
-        nothing = Designed(None, (), absent, self.trials, long_run(self.trials), self.machines)
+        nothing = Designed(None, (), absent, self.trials, judged_trials(self.trials), self.machines)
         if not safe:
             return nothing
         with ThreadPoolExecutor(AT_ONCE) as threads:  # one compiles while the other computes
@@ -170,7 +171,7 @@ class Design:
             self.machine,
             {law.name: law.scheme for law in laws},
             self.task,
-            long_run(self.trials),
+            judged_trials(self.trials),
             self.uncertainty,
             machines=self.machines,
             seed=self.seed + 2,

@@ -6,7 +6,8 @@ from unittest import mock
 
 import pytest
 
-from jaxilc.cli import main
+from jaxilc.cli import design, main
+from jaxilc.design import LAWS
 from jaxilc.scenarios.from_file import read_scenario
 
 FILE = """
@@ -41,6 +42,10 @@ def file(tmp_path, monkeypatch):
     path = tmp_path / "axis.toml"
     path.write_text(FILE)
     return path
+
+
+def test_the_laws_that_are_completed_are_those_that_are_tried():
+    assert tuple(LAWS) == design.LAWS  # the command names them without an import of JAX
 
 
 def test_a_design_ends_with_a_verdict_and_a_file_for_the_next_command(file, capsys):

@@ -9,7 +9,7 @@ import scipy.signal
 from jaxilc import Machine, Sensor, Task, Uniform
 from jaxilc.design import Design, feedback_among
 from jaxilc.design.candidates import LAWS, Absent, candidates
-from jaxilc.design.judging import long_run, ranked, verdict
+from jaxilc.design.judging import judged_trials, ranked, verdict
 from jaxilc.design.responses import family_of
 from jaxilc.design.simulated import rms_of
 from jaxilc.design.tuned import contraction
@@ -175,7 +175,12 @@ def test_the_simplest_of_equal_laws_is_first_and_lost_ones_are_left_out():
     judged = [verdict(name, of_sweep(high), 2, None) for name, high in errors.items()]
     judged[0] = judged[0]._replace(lost="diverges")
     assert [one.candidate for one in ranked(judged)] == ["simple", "best", "worse"]
-    assert (long_run(5), long_run(30), long_run(100), long_run(500)) == (60, 90, 200, 500)
+    assert (judged_trials(5), judged_trials(30), judged_trials(100), judged_trials(500)) == (
+        60,
+        90,
+        200,
+        500,
+    )
 
 
 # The whole way
