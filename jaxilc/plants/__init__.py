@@ -1,5 +1,6 @@
 """Plants: each is its parameters, with a pure `initial_state`, `step` and `output`."""
 
+from .along_motion import linearised, motion
 from .ball_screw import BallScrewDrive
 from .ball_screw_parts import FrictionTable, LeadError
 from .blocks import InBlocks
@@ -48,6 +49,8 @@ __all__ = [
     "direct_model",
     "fast_tool_servo",
     "from_control",
+    "linearised",
+    "motion",
     "multivariable_model",
     "to_control",
     "voice_coil",

@@ -1,0 +1,57 @@
+"""What a plant does in a whole trial, and its linear form along that motion."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jax.flatten_util import ravel_pytree
+
+from .linear import TimeVaryingStateSpace
+from .plant import Plant
+
+
+def motion(plant: Plant, u, dt: float) -> jax.Array:
+    """(N+1, n_y) the output of the plant from rest under the input u (N, n_u).
+
+    The plant is prepared for dt [s] here. Where it knows its outputs from all inputs at once
+    (`Plant.response`), they are asked for; otherwise it steps.
+    """
+    plant = plant.sampled(dt)
+    if plant.response is not None:
+        return plant.response(u, dt)
+
+    def step(x, u_k):
+        x = plant.step(x, u_k, dt)
+        return x, plant.output(x)
+
+    start = plant.initial_state()
+    return jnp.concatenate([plant.output(start)[None], lax.scan(step, start, u)[1]])
+
+
+def linearised(plant: Plant, u, dt: float) -> TimeVaryingStateSpace:
+    """The plant for small changes of the input u (N, n_u), along its motion from rest.
+
+        x[k+1] = A[k] x[k] + B[k] u[k],    y[k+1] = C[k] x[k+1]
+
+    where x, u and y are the changes. A and B are the derivatives of `step` at the state and the
+    input of the sample k, C is that of `output` one sample later. Time and memory are linear in N.
+    """
+    plant = plant.sampled(dt)
+    start, unravel = ravel_pytree(plant.initial_state())
+
+    def step(x, u_k):
+        return ravel_pytree(plant.step(unravel(x), u_k, dt))[0]
+
+    def output(x):
+        return plant.output(unravel(x))
+
+    def along(x, u_k) -> tuple[jax.Array, Any]:
+        A, B = jax.jacfwd(step, (0, 1))(x, u_k)
+        x = step(x, u_k)
+        return x, (A, B, jax.jacfwd(output)(x))
+
+    A, B, C = lax.scan(along, start, u)[1]
+    return TimeVaryingStateSpace(A, B, C, dt=dt)

@@ -1,0 +1,43 @@
+"""A plant over a whole trial: against its own steps and central differences."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxilc.plants import StateSpace, linearised, motion
+from tests.cases import ALGEBRA, DIFFERENCES, DT, PLANTS
+
+N = 12
+
+
+def stepped(plant, u):
+    plant = plant.sampled(DT)
+    x, y = plant.initial_state(), []
+    for k in range(len(u) + 1):
+        y.append(np.asarray(plant.output(x)))
+        x = plant.step(x, u[k], DT) if k < len(u) else x
+    return np.stack(y)
+
+
+@pytest.mark.parametrize("name", ["fast_tool_servo_nonlinear", "mimo", "arx"])
+def test_motion_is_what_the_steps_make(name):
+    plant = PLANTS[name]
+    u = jnp.asarray(np.random.default_rng(1).standard_normal((N, plant.n_u)))
+    np.testing.assert_allclose(motion(plant, u, DT), stepped(plant, u), **ALGEBRA)
+
+
+def test_linear_form_is_the_derivative_of_the_motion():
+    plant = PLANTS["fast_tool_servo_nonlinear"]
+    random = np.random.default_rng(2)
+    u, du = (jnp.asarray(random.standard_normal((N, 1))) for _ in range(2))
+    small = motion(linearised(plant, u, DT), du, DT)
+    h = 1e-6
+    differences = (motion(plant, u + h * du, DT) - motion(plant, u - h * du, DT)) / (2 * h)
+    np.testing.assert_allclose(small, differences, rtol=DIFFERENCES["rtol"], atol=1e-7)
+
+
+def test_of_a_linear_plant_it_is_the_plant_at_each_sample():
+    plant = StateSpace([[0.9, 0.1], [-0.2, 0.8]], [[0.01], [0.1]], [[1.0, 0.5]], (0.3, -1.0), dt=DT)
+    found = linearised(plant, jnp.ones((N, 1)), DT)
+    for here, there in ((found.A, plant.A), (found.B, plant.B), (found.C, plant.C)):
+        np.testing.assert_allclose(here, np.broadcast_to(there, (N, *there.shape)), **ALGEBRA)
