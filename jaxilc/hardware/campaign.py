@@ -235,7 +235,7 @@ class Campaign:
         if len(live) > 1 and live[-1]["hashes"].get("played") == played:
             last_y = self.journal.arrays(live[-1], TRIAL)["y"]
             findings += checks.repeated(record, last_y, self.rules, unit)
-        errors = [(m["trial"], m[METRICS]["error"]) for m in live[1:]]
+        errors = checks.comparable(self.scheme, self.task, live)
         return findings + checks.grown(error, errors, self.rules, unit)
 
     def keep(self, turn: Turn) -> None:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..learning.machine import Actuator
 from ..pytree.ranges import require
+from ..schemes import Scheme
+from ..schemes.scheme import with_all_parts
 from ..signals.task import Task, Trial
+from .journal import METRICS
 
 AT_LIMIT = 1e-3  # share of the limit; an input that is this close to it counts as saturated
 AS_PLAYED = 1e-4  # share of a schedule's peak by which the machine's record of it may differ
@@ -149,6 +152,24 @@ def repeated(trial: Trial, last_y, rules: Rules, unit: str) -> list[Finding]:
     if rules.repeatability is not None and difference > rules.repeatability:
         return [Finding("refusal", f"{text}; allowed is {rules.repeatability:.3g} {unit}")]
     return [Finding("warning" if difference > LITTLE * error else "note", text)]
+
+
+def comparable(scheme: Scheme, task: Task, live: list[dict[str, Any]]) -> list[tuple[int, float]]:
+    """The numbers and errors of the trials before with which the error of this one is compared.
+
+    Of a scheme that makes experiments these are the trials that played what it had learned; an
+    experiment itself is compared with none.
+
+    live: manifests of the start and of the trials before
+    """
+    experiments = any(part.scheme.experiments for part in with_all_parts(scheme, task))
+    trials = scheme.trials_a_step if experiments else 1
+    *before, now = np.cumsum([0, *(bool(m["learned"]) for m in live[1:])]) % trials
+    return [
+        (m["trial"], m[METRICS]["error"])
+        for m, experiment in zip(live[1:], before, strict=True)
+        if not experiment and not now
+    ]
 
 
 def grown(error: float, history: list[tuple[int, float]], rules: Rules, unit: str) -> list[Finding]:

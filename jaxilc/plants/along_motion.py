@@ -19,7 +19,8 @@ def motion(plant: Plant, u, dt: float) -> jax.Array:
     The plant is prepared for dt [s] here. Where it knows its outputs from all inputs at once
     (`Plant.response`), they are asked for; otherwise it steps.
     """
-    plant = plant.sampled(dt)
+    # arrays of NumPy, such as a table of the samples, cannot be looked up within a loop
+    plant = jax.tree.map(jnp.asarray, plant.sampled(dt))
     if plant.response is not None:
         return plant.response(u, dt)
 

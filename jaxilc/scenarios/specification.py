@@ -50,8 +50,9 @@ def built(
 ) -> Any:
     """The object that a table describes: `class` names its class, the other keys are its fields.
 
-    A nominal model may be the text "plant", which stands for the plant of the file at the task's
-    sample time, or a table with `function` = "direct_model" or "multivariable_model", `C_P`, `P`.
+    A nominal model may be the text "plant", which stands for the plant of the file, or a table with
+    `function` = "direct_model" or "multivariable_model", `C_P`, `P`. A scheme that needs a linear
+    model gets the linear plant at the task's sample time.
 
     cls: the class, where the table does not name it
     plant, dt: the plant of the file, and the task's sample time [s]
@@ -96,7 +97,7 @@ def _field(
     if kind == "static":
         return tuple(value) if isinstance(value, list) else value
     if value == "plant":
-        value = _nominal(where, plant, dt)
+        value = plant if hint is Plant and plant else _nominal(where, plant, dt)
     elif isinstance(value, Mapping) and "function" in value:
         value = _model(value, where, plant, dt)
     elif isinstance(value, Mapping):

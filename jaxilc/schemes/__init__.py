@@ -3,11 +3,13 @@
 from .compose import ErrorFiltered, Filtered, OnOutputs, WithFeedback
 from .constrained_norm_optimal import ConstrainedNormOptimal
 from .exponential import ExponentialPD
+from .gradient import GradientILC
 from .guards import Ladder, StopWhen
 from .higher_order import HigherOrder
 from .learning_filter import LearningFilter
 from .mfac import CFDLMFAC, CFDLMFAPC, FFDLMFAC, PFDLMFAC
 from .mfailc import CFDLMFAILC, FFDLMFAILC, PFDLMFAILC
+from .model_free_gradient import ModelFreeGradient
 from .multivariable import MultivariableILC
 from .norm_optimal import NormOptimal
 from .on_reference import OnReference
@@ -32,9 +34,11 @@ __all__ = [
     "ExponentialPD",
     "Feedforward",
     "Filtered",
+    "GradientILC",
     "HigherOrder",
     "Ladder",
     "LearningFilter",
+    "ModelFreeGradient",
     "MultivariableILC",
     "NormOptimal",
     "OnOutputs",

@@ -19,7 +19,7 @@ from .scheme import (
     limits_of_parts,
     under,
 )
-from .wrapper import Wrapper
+from .wrapper import Wrapper, need_no_experiments
 
 
 class Pair(NamedTuple):
@@ -179,6 +179,7 @@ class Filtered(Wrapper):
 
     def check(self, task: Task) -> None:
         super().check(task)
+        need_no_experiments(self, task, "which must be played as they are; give it the filter")
         self.filter.check(task.N, task.dt)
         need_feedforward(self, self.scheme, task)
 

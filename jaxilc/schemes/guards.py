@@ -12,7 +12,7 @@ from ..pytree.fields import Leaf, child, leaf, pytree, static
 from ..pytree.needs import need_channels
 from ..signals.task import Task, Trial
 from .scheme import Part, Scheme, with_all_parts
-from .wrapper import Wrapper
+from .wrapper import Wrapper, need_no_experiments
 
 
 class Guard(Wrapper):
@@ -83,6 +83,7 @@ class StopWhen(Guard):
     def check(self, task: Task) -> None:
         need_channels(self, task.outputs, "max_error", "rms")
         _need_numbers(self, "growth")
+        need_no_experiments(self, task, "whose errors say nothing of what it has learned")
         super().check(task)
 
     def initial_memory(self, task: Task) -> StopMemory:

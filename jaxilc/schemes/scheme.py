@@ -63,7 +63,7 @@ class Scheme:
     `theory.structure` finds from the program itself whether a scheme is linear and whether it
     learns in the same way in every trial. What cannot be found from the program, the scheme
     declares: `estimator_steps` (see `frozen`), `clips` (see `limits`), `compares`, `trials_a_step`,
-    `play` and `record`.
+    `experiments`, `of_one_length`, `play` and `record`.
 
     estimator_steps: fields that are the step of an estimator; with 0, nothing adapts
     clips: fields that are a limit; with None, there is no limit
@@ -71,6 +71,8 @@ class Scheme:
         with the one that `learn` was shown
     preview: number of samples of the reference after k that `act` needs
     trials_a_step: number of trials that are run before the scheme learns once
+    experiments: whether all but the first of these are experiments, with errors of their own
+    of_one_length: whether the law, also far from its ends, belongs to one length of the trial
     """
 
     # `@pytree` makes a dataclass of each subclass
@@ -80,6 +82,8 @@ class Scheme:
     compares: ClassVar[tuple[str, ...]] = ()
     preview: int = 1
     trials_a_step: int = 1
+    experiments: bool = False
+    of_one_length: bool = False
 
     def __init__(self, *values: Any, **named: Any):
         if type(self) is not Scheme or values or named:

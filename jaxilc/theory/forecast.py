@@ -15,7 +15,7 @@ from ..runtime.tiles import tiled
 from ..schemes import Scheme
 from ..signals.task import Task
 from .affine import View, known_as
-from .trials import step, trial_of
+from .trials import trial_of
 
 # trials simulated before the prediction takes over: from the third on a law of two-trial
 # increments is what it will be
@@ -25,13 +25,15 @@ FIRST = 2
 def predict(machines: Machine, scheme: Scheme, task: Task, trials: int) -> np.ndarray:
     """(S, J) root mean square errors by linear theory.
 
-    Two trials are simulated; then the learning map is linearised at what they left. Estimates are
-    frozen at their start; rules of when to learn, and limits, are left out. Where a scheme runs
-    several trials before it learns once, each error is repeated that many times.
+    Two learning steps are simulated; then the learning map is linearised at what they left.
+    Estimates are frozen at their start; rules of when to learn, and limits, are left out. Where a
+    rule runs several equal trials before its scheme learns once, each error is repeated that many
+    times. Where a scheme makes experiments, a step is all of them.
     """
-    run = _predicting(-(-trials // scheme.trials_a_step))
-    found = np.asarray(run((scheme.frozen().unlimited(), task), machines))
-    return np.repeat(found, scheme.trials_a_step, axis=1)[:, :trials]
+    law = scheme.frozen().unlimited()
+    repeats = scheme.trials_a_step // law.trials_a_step
+    found = np.asarray(_predicting(-(-trials // repeats))((law, task), machines))
+    return np.repeat(found, repeats, axis=1)[:, :trials]
 
 
 def simulate(machines: Machine, scheme: Scheme, task: Task, trials: int) -> np.ndarray:
@@ -76,33 +78,36 @@ def _predict(common, machine, *, trials):
     """
     scheme, task = common
     machine, scheme = machine.unlimited(), scheme.prepared(task)
-
-    def after(memory):
-        return trial_of(machine, scheme, task, memory).e[1:]
-
-    def pushed(floats):
-        """The floats of the memory after a trial, and the error of that trial."""
-        whole = back(floats)
-        return _floats(step(machine, scheme, task, whole))[0], after(whole)
+    steps = -(-trials // scheme.trials_a_step)
 
     def simulated(memory, _):
-        return step(machine, scheme, task, memory), _rms(after(memory))
+        """The memory after a learning step, and the errors (M, N, n_y) of its M trials."""
+        trial = trial_of(machine, scheme, task, memory)
+        return scheme.learn(memory, trial), trial.e[1:]
 
-    memory, first = lax.scan(simulated, scheme.initial_memory(task), length=FIRST)
+    def a_step(memory, _=None):
+        return lax.scan(simulated, memory, length=scheme.trials_a_step)
+
+    def pushed(floats):
+        following, errors = a_step(back(floats))
+        return _floats(following)[0], errors
+
+    memory, first = lax.scan(a_step, scheme.initial_memory(task), length=FIRST)
     floats, back = _floats(memory)
-    (following, error), push = jax.linearize(pushed, floats)
+    (following, errors), push = jax.linearize(pushed, floats)
     moved = jax.tree.map(jnp.subtract, following, floats)
 
     def turn(d, _):
-        step_of_memory, of_error = push(d)
-        return jax.tree.map(jnp.add, moved, step_of_memory), _rms(error + of_error)
+        step_of_memory, of_errors = push(d)
+        return jax.tree.map(jnp.add, moved, step_of_memory), _rms(errors + of_errors)
 
-    _, later = lax.scan(turn, jax.tree.map(jnp.zeros_like, floats), length=max(trials - FIRST, 1))
-    return jnp.concatenate([first, later])[:trials]
+    _, later = lax.scan(turn, jax.tree.map(jnp.zeros_like, floats), length=max(steps - FIRST, 1))
+    return jnp.concatenate([_rms(first), later]).ravel()[:trials]
 
 
-def _rms(error):
-    return jnp.sqrt(jnp.mean(error**2))
+def _rms(errors):
+    """(...) root mean squares of errors (..., N, n_y)."""
+    return jnp.sqrt(jnp.mean(errors**2, axis=(-2, -1)))
 
 
 def _floats(memory):

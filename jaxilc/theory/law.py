@@ -20,6 +20,7 @@ import numpy as np
 
 from ..filters.zero_phase import Filter
 from ..schemes import Scheme
+from ..schemes.scheme import with_all_parts
 from ..signals.task import Task
 from .condition import Premise, premise
 from .loop import on_circle
@@ -184,6 +185,8 @@ def _width(scheme: Scheme, task: Task) -> int:
 
 def _long(scheme: Scheme, task: Task) -> Task:
     """The task made long enough for the taps to die out, where the scheme admits another length."""
+    if any(part.scheme.of_one_length for part in with_all_parts(scheme, task)):
+        return task
     longer = shortened(task, max(LONG, task.N))
     try:
         scheme.check(longer)
