@@ -30,6 +30,7 @@ LONG = 4096  # samples of the trial in which the taps are looked at
 FORGOTTEN = 1e-12  # share of the largest tap that counts as nothing
 NEGLIGIBLE = 1e-13  # share of the largest tap that all taps left out at one end may add up to
 ALIKE = 1e-9  # relative difference between two places of the trial that rounding explains
+ENDS = 10.0  # the most that an end of the trial changes, in units of the taps that reach beyond it
 INVARIANT_LAW = "learning law the same throughout the trial"
 
 
@@ -89,31 +90,50 @@ class Law(NamedTuple):
 
 
 def law_of(scheme: Scheme, task: Task) -> Law:
-    """The law of a scheme with a feedforward. Raises ValueError for a scheme that learns none."""
-    task = _long(scheme, task)
+    """The law of a scheme with a feedforward. Raises ValueError for a scheme that learns none.
+
+    Its taps are read in the middle of a long trial, and compared with those at another place there,
+    and with all that the law does in the trial of the task, which shows a law that is scheduled.
+    """
+    given, task = task, _long(scheme, task)
     width, N = _width(scheme, task), task.N
     middle, beside = N // 2, N // 2 + max(N // 8, 1)
     at = [tuple(map(np.asarray, _impulses(scheme, task, place))) for place in (middle, beside)]
-    (keep, L), moved = at[0], at[1]
-    shift, size = (
-        beside - middle,
-        max(np.max(np.abs(keep), initial=0.0), np.max(np.abs(L), initial=0.0)) or 1.0,
-    )
-    departure = (
-        max(
-            np.max(np.abs(one[: N - shift] - other[shift:]), initial=0.0)
-            for one, other in zip(at[0], moved, strict=True)
-        )
-        / size
-    )
-    tail = max(np.max(np.abs(rows[[0, -1]])) for rows in (keep, L)) / size
+    (keep, L), moved, shift = at[0], at[1], beside - middle
+    size = max(_size(keep), _size(L)) or 1.0
     lag = middle - np.arange(N)
-    return Law(
-        _trimmed(lag, keep.reshape(N, width, -1)),
-        _trimmed(lag + 1, L.reshape(N, width, -1)),
-        float(departure),
-        float(tail),
-    )
+    of_keep = _trimmed(lag, keep.reshape(N, width, -1))
+    of_error = _trimmed(lag + 1, L.reshape(N, width, -1))
+    departures = [
+        _size(one[: N - shift] - other[shift:]) / size
+        for one, other in zip(at[0], moved, strict=True)
+    ]
+    departures += [
+        _scheduled(scheme, given, taps, late) / (_size(taps.taps) or 1.0)
+        for late, taps in enumerate((of_keep, of_error))
+        if _size(taps.taps) > (0.0 if late else FORGOTTEN)
+    ]
+    tail = max(_size(rows[[0, -1]]) for rows in (keep, L)) / size
+    return Law(of_keep, of_error, float(max(departures)), float(tail))
+
+
+def _scheduled(scheme: Scheme, task: Task, taps: Taps, late: int) -> float:
+    """By how much the law of this trial departs from its taps, beyond what the ends explain.
+
+    late: 0 for the taps on what was played, 1 for those on the error
+    """
+    random = np.random.default_rng(7)
+    seen = [np.zeros((task.N, _width(scheme, task))), np.zeros((task.N, task.outputs))]
+    seen[late] = random.uniform(-1, 1, seen[late].shape)
+    off = np.abs(np.asarray(_pushed(scheme, task, *seen)) - _convolved(taps, seen[late], late))
+    sizes, reach = np.sum(np.abs(taps.taps), axis=(1, 2)), np.abs(taps.powers - late)
+    within = np.cumsum(np.bincount(np.minimum(reach, task.N), sizes, task.N + 1))
+    beyond, k = np.maximum(within[-1] - within, 0.0), np.arange(task.N)
+    return _size(np.maximum(off - ENDS * beyond[np.minimum(k, k[::-1])][:, None], 0.0))
+
+
+def _size(values) -> float:
+    return float(np.max(np.abs(values), initial=0.0))
 
 
 class LawMatrices(NamedTuple):

@@ -1,12 +1,17 @@
 """The general linear law by its taps, against a loop in NumPy and against P-type learning."""
 
+import jax
+import jax.numpy as jnp
+import jax.test_util
 import numpy as np
 import pytest
 
 from jaxilc import Machine, Task, learn
+from jaxilc.filters import SwitchableFilter
 from jaxilc.learning.over_trials import measured_trial
 from jaxilc.plants import StateSpace
-from jaxilc.schemes import LearningFilter, PIDType
+from jaxilc.schemes import Filtered, LearningFilter, PIDType
+from jaxilc.signals.correlation import correlated
 from jaxilc.theory.law import law_of
 
 N = 24
@@ -52,7 +57,7 @@ def test_one_tap_is_p_type_learning():
     [
         ({"L": (1.0, 2.0)}, r"L has shape \(2,\); allowed is an odd number"),
         ({"L": ()}, r"L has shape \(0,\)"),
-        ({"L": (1.0,), "keep": ((1.0,),)}, r"keep has shape \(1, 1\)"),
+        ({"L": (1.0,), "keep": ((1.0,),) * 2}, r"keep has shape \(2, 1\)"),
     ],
 )
 def test_taps_of_a_wrong_shape_are_named(values, said):
@@ -64,3 +69,64 @@ def test_taps_longer_than_the_trial_are_named():
     for law in (LearningFilter((1.0,), lead=N), LearningFilter((1.0,), keep=np.ones(2 * N + 1))):
         with pytest.raises(ValueError, match=f"less than the trial of N = {N}"):
             law.check(TASK)
+
+
+def test_matrices_and_segments_are_the_sum_over_their_taps():
+    random = np.random.default_rng(4)
+    task = Task(random.standard_normal((N + 1, 2)), dt=1e-3, inputs=3)
+    L, keep = random.standard_normal((2, 5, 3, 2)), random.standard_normal((2, 3, 3, 3))
+    law = LearningFilter(L, keep=keep, lead=1, starts=(10,))
+    u, y = random.standard_normal((N, 3)), random.standard_normal((N + 1, 2))
+    e, mirrored = np.asarray(task.reference) - y, np.concatenate([u[:1], u, u[-1:]])
+    expected = np.zeros((N, 3))
+    for k in range(N):
+        s = int(k >= 10)
+        expected[k] = sum(keep[s, i] @ mirrored[k + i] for i in range(3))
+        for i in range(5):
+            at = k + 1 + 1 + i - 2
+            expected[k] += L[s, i] @ e[at] if 0 <= at <= N else 0.0
+    law.check(task)
+    found = law.learn(law.initial_memory(task), measured_trial(task, y, u)).u
+    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-13)
+
+
+def test_derivatives_are_those_of_the_sum():
+    random = np.random.default_rng(5)
+    for shape in ((7,), (7, 2, 3)):
+        taps = jnp.asarray(random.standard_normal(shape))
+        signal = jnp.asarray(random.standard_normal((30, 3)))
+        jax.test_util.check_grads(correlated, (taps, signal), order=2, atol=1e-5, rtol=1e-5)
+
+
+@pytest.mark.parametrize("late", [30, 190])
+def test_a_law_that_is_scheduled_is_no_law_of_every_sample(late):
+    task = Task(np.sin(np.arange(201) / 10), dt=1e-3)
+    taps = ((0.1, 0.2, 0.1), (0.1, 0.2, 0.1 + 1e-6))
+    scheduled, switched = (
+        LearningFilter(taps, starts=(late,)),
+        SwitchableFilter((60.0, 150.0), (late * 1e-3,), 0.006, order=1, padding=4),
+    )
+    for law in (scheduled, Filtered(PIDType(gamma_p=1e-9), switched)):
+        assert not law_of(law, task).invariant.held
+    assert law_of(LearningFilter(taps[0]), task).invariant.held
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"L": ((1.0,), (2.0,))}, r"taps of 2 segments, but starts = \(\) make 1"),
+        ({"L": ((1.0,), (2.0,)), "starts": (0,)}, "samples above 0 that rise"),
+        ({"L": ((1.0,), (2.0,), (1.0,)), "starts": (5, 5)}, "samples above 0 that rise"),
+    ],
+)
+def test_segments_that_do_not_fit_are_named(values, said):
+    with pytest.raises(ValueError, match=said):
+        LearningFilter(**values)
+
+
+def test_channels_and_samples_that_do_not_fit_the_task_are_named():
+    matrices = LearningFilter(np.ones((3, 2, 2)))
+    with pytest.raises(ValueError, match=r"allowed are matrices of \(1, 1\)"):
+        matrices.check(TASK)
+    with pytest.raises(ValueError, match=f"starts reaches over {N} samples"):
+        LearningFilter(((1.0,), (2.0,)), starts=(N,)).check(TASK)
