@@ -1,0 +1,16 @@
+"""The 2-norm of the error, by which other software judges a trial."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+
+from ..signals.task import Trial
+
+
+def error_norm(trial: Trial) -> jax.Array:
+    """||e||_2 of a trial: the root of the sum of the squared errors, over all samples and outputs.
+
+    It grows with the number of samples; the metric `rms` does not.
+    """
+    return jnp.linalg.norm(trial.e)
