@@ -71,6 +71,7 @@ class Scheme:
         with the one that `learn` was shown
     preview: number of samples of the reference after k that `act` needs
     trials_a_step: number of trials that are run before the scheme learns once
+    first_derivatives_only: whether what it learns must not be differentiated twice
     """
 
     # `@pytree` makes a dataclass of each subclass
@@ -80,6 +81,7 @@ class Scheme:
     compares: ClassVar[tuple[str, ...]] = ()
     preview: int = 1
     trials_a_step: int = 1
+    first_derivatives_only: ClassVar[bool] = False
 
     def __init__(self, *values: Any, **named: Any):
         if type(self) is not Scheme or values or named:

@@ -236,6 +236,7 @@ FREE = {  # how many numbers were fitted to print, by scenario and scheme; for l
     "dai-2014": {"pid": {0}, "cfdl-mfapc": {1}},
     "li-2020": {"feedback": {3}, "feedforward": {4}, "p-type": {4, 5}, "fixed-filter": {5}},
     "milc-2024": {"dilc": {3}, "milc": {3}},
+    "pendulum": {"two-step": {0}, "two-step-limited": {0}},
     "xu-2024": {"pid": {6}, "smc": {6}, "asmc": {6}, "ilc-asmc": {7}},
 }
 AMONG = {
@@ -244,6 +245,7 @@ AMONG = {
     "dai-2014": 2,
     "li-2020": 6,
     "milc-2024": 3,
+    "pendulum": 0,
     "xu-2024": 7,
 }
 
@@ -324,6 +326,7 @@ def test_dai_2014():
         rows[1].as_dict()["fitted"]
         == "1 free number (phi0) fitted to this row alone; this row is among them"
     )
+    assert flat["agreement"] is None
     assert [r.reason for r in rows[:3]] == ["", "", ""]
     assert rows[3].reason.endswith(
         "times the printed number, and not in the printed order with 1 of 2 comparable rows"
