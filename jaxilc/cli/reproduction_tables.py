@@ -13,6 +13,8 @@ from .titled_table import Table
 READING_FITS = 120  # least columns of a terminal for a column with the reading of a paper
 COLUMNS = ("scheme", "trial", "quantity", "published", "ours", "ratio", "verdict")
 IN_NUMBERS = ("trial", "published", "ours", "ratio")  # columns of numbers
+DIGITS = 9  # of a number of other software, and of ours beside it
+NEAR = 1e-2  # difference below which the ratio to such a number is shown with eight digits
 
 
 def reproduction_table(numbers: Sequence[dict[str, Any]]) -> Table:
@@ -54,19 +56,37 @@ def _cells(row: dict[str, Any]) -> tuple[str, ...]:
         row["scheme"],
         "" if row["trial"] is None else str(row["trial"]),
         row["quantity"].replace("_", " "),
-        f"{'< ' * row['at_most']}{row['value']:g} {row['unit']}",
-        number(row["ours"]),
-        f"{row['ratio']:.2f}",
+        *_compared(row),
         row["verdict"],
     )
 
 
+def _compared(row: dict[str, Any]) -> tuple[str, str, str]:
+    """The published number, ours and their ratio; those of other software with all digits."""
+    if row["agreement"] is None:
+        less = "< " * row["at_most"]
+        published = f"{less}{row['value']:g} {row['unit']}"
+        return published, number(row["ours"]), f"{row['ratio']:.2f}"
+    near = abs(row["ratio"] - 1.0) < NEAR
+    published = f"{row['value']:.{DIGITS}g} {row['unit']}".rstrip()
+    return published, f"{row['ours']:.{DIGITS}g}", f"{row['ratio']:.{8 if near else 2}f}"
+
+
 def _counted(numbers: Sequence[dict[str, Any]]) -> str:
-    """A text with the count of each verdict."""
-    count = {v: sum(row["verdict"] == v for row in numbers) for v in ("met", "shape", "open")}
-    in_shape = f"{count['shape']} in shape (the printed order, within a factor of {SHAPE:g})"
-    met = f"{count['met']} met within 30 %"
-    return f"{len(numbers)} published numbers: {met}, {in_shape}, {count['open']} open"
+    """A text with the count of each verdict, first on the numbers of papers."""
+    printed = [row for row in numbers if row["agreement"] is None]
+    others = [row for row in numbers if row["agreement"] is not None]
+    said = []
+    if printed or not others:
+        count = {v: sum(row["verdict"] == v for row in printed) for v in ("met", "shape", "open")}
+        in_shape = f"{count['shape']} in shape (the printed order, within a factor of {SHAPE:g})"
+        met = f"{count['met']} met within 30 %"
+        said.append(f"{len(printed)} published numbers: {met}, {in_shape}, {count['open']} open")
+    if others:
+        agree = sum(row["verdict"] == "agrees" for row in others)
+        rest = len(others) - agree
+        said.append(f"{len(others)} numbers of other software: {agree} agree, {rest} open")
+    return "; ".join(said)
 
 
 def _reading(row: dict[str, Any]) -> str:

@@ -14,6 +14,7 @@ from .linear import DifferenceEquation, StateSpace, TimeVaryingStateSpace
 from .motor import VoiceCoilMotor, voice_coil_motor
 from .motor_forces import Cogging, EndEffect
 from .nominal_models import cascade, direct_model, multivariable_model
+from .pendulum import Pendulum
 from .plant import Plant
 from .process_model import ProcessModel
 from .to_python_control import to_control
@@ -34,6 +35,7 @@ __all__ = [
     "InBlocks",
     "InputHysteresis",
     "LeadError",
+    "Pendulum",
     "PeriodicForce",
     "Plant",
     "ProcessModel",

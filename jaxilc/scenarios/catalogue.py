@@ -60,6 +60,12 @@ LISTED = {
         11,
         4000,
     ),
+    "pendulum": Listed(
+        "Pendulum swung upright, two-step nonlinear ILC (gILC)",
+        ("two-step", "two-step-limited"),
+        5,
+        1999,
+    ),
     "xu-2024": Listed(
         "Piezo fast tool servo, adaptive sliding mode and iterative learning (Xu 2024)",
         ("pid", "smc", "asmc", "ilc-asmc"),

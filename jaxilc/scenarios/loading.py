@@ -13,6 +13,7 @@ from .cao_2019_rig import cao_2019_rig
 from .dai_2014 import dai_2014
 from .li_2020 import li_2020
 from .milc_2024 import milc_2024
+from .pendulum import pendulum
 from .scenario import Scenario
 from .xu_2024 import xu_2024
 
@@ -22,6 +23,7 @@ SCENARIOS: dict[str, Callable[..., Scenario]] = {
     "dai-2014": dai_2014,
     "li-2020": li_2020,
     "milc-2024": milc_2024,
+    "pendulum": pendulum,
     "xu-2024": xu_2024,
 }
 

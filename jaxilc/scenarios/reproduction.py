@@ -5,6 +5,9 @@
              and at least half of the printed number
     open     neither of these; the reason is given
 
+A number that other software computed from the same equations is held to more. It agrees, `agrees`,
+where ours differs by no more than its own `Published.agreement`, or it is open.
+
 The factor of two is needed because the order alone would accept any size. Two is 6 dB, the usual
 least gain margin of a loop, so that a curve of the same shape does not mislead a design with this
 margin. It is also the step from one row to the next in the printed tables of errors by trial (Cao
@@ -36,7 +39,7 @@ class Row(NamedTuple):
     ours: our number [unit]
     ratio: our number divided by the printed one
     unit: unit in which the scenario shows both numbers
-    verdict: `met`, `shape` or `open`, as this module says
+    verdict: `met`, `shape`, `agrees` or `open`, as this module says
     reason: why a row is open, empty for the others
     """
 
@@ -120,6 +123,8 @@ def _verdict(i: int, published: tuple[Published, ...], ours: list[float]) -> tup
     """The verdict on row i, and the reason if it is open."""
     here, x = published[i], np.asarray(ours)
     ratio = x[i] / here.value
+    if here.agreement is not None:
+        return _agreement(ratio, here.agreement)
     if abs(ratio - 1.0) <= MET or (here.at_most and x[i] <= here.value):
         return "met", ""
     if not np.isfinite(ratio):
@@ -148,6 +153,15 @@ def _verdict(i: int, published: tuple[Published, ...], ours: list[float]) -> tup
     if not 1 / SHAPE <= ratio <= SHAPE:
         return "open", f"in the printed order, but {size}, beyond a factor of {SHAPE:g}"
     return "shape", ""
+
+
+def _agreement(ratio: float, within: float) -> tuple[str, str]:
+    """The verdict on a number of other software, and the reason if it is open."""
+    if not np.isfinite(ratio):
+        return "open", "ours is not finite"
+    if abs(ratio - 1.0) <= within:
+        return "agrees", ""
+    return "open", f"ours differs by {abs(ratio - 1.0):.2g} of it, beyond {within:.2g}"
 
 
 def _comparable(a: Published, b: Published) -> bool:

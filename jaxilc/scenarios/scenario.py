@@ -6,6 +6,7 @@ import dataclasses
 import re
 import typing
 from collections.abc import Callable, Mapping
+from decimal import Decimal
 from typing import Any, NamedTuple
 
 import jax
@@ -54,7 +55,7 @@ NOTHING = Fit()
 
 
 class Published(NamedTuple):
-    """A printed number to compare with; no simulation uses it.
+    """A number to compare with, of a paper or of other software; no simulation uses it.
 
     scheme: name of the scheme
     trial: number of the trial, None for a scheme that does not learn
@@ -66,6 +67,8 @@ class Published(NamedTuple):
     reading: what the paper leaves open at this place, and how it was read
     at_most: whether it is printed as "less than"
     fitted: what was fitted to printed numbers for it, `NOTHING` if nothing was, None if unknown
+    agreement: for a number that other software computed from the same equations, the relative
+        difference within which ours agrees with it; None for a number of a paper
     """
 
     scheme: str
@@ -77,6 +80,16 @@ class Published(NamedTuple):
     reading: str = ""
     at_most: bool = False
     fitted: Fit | None = None
+    agreement: float | None = None
+
+
+def agreement_of(printed: str, rtol: float = 1e-6) -> float:
+    """The `agreement` of a number that other software prints as this text, such as "0.0040917".
+
+    It is rtol, or half a unit of the last printed digit where the print is coarser.
+    """
+    half = Decimal(1).scaleb(int(Decimal(printed).as_tuple().exponent)) / 2
+    return max(rtol, float(half / abs(Decimal(printed))))
 
 
 class Quantity(NamedTuple):

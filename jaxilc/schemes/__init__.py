@@ -17,6 +17,7 @@ from .pid import PID
 from .pid_type import PIDType
 from .scheme import Feedforward, Scheme
 from .sliding_mode import ASMC, SMC
+from .two_step import TwoStep
 
 __all__ = [
     "ASMC",
@@ -46,5 +47,6 @@ __all__ = [
     "PIDType",
     "Scheme",
     "StopWhen",
+    "TwoStep",
     "WithFeedback",
 ]

@@ -98,6 +98,7 @@ class ConstrainedNormOptimal(Scheme):
     contour: Leaf | None = leaf(default=None, interval="(0, inf)", optional=True)
     feedback: Leaf | None = leaf(default=None, optional=True)
     solved: Any = child(default=None)
+    first_derivatives_only = True
     clips = ("limit", "rate", "total", "y_low", "y_high", "tube", "contour")
 
     def __post_init__(self):
@@ -224,16 +225,23 @@ class ConstrainedNormOptimal(Scheme):
     def limits(self, task: Task, memory, trial: Trial) -> dict[str, Limit]:
         ready = self._prepared(trial.r, trial.dt)
         rows, (_, change) = rows_of(ready, trial), ready._free(trial)
-        found, at = {}, 0
+        following, at = {}, 0
         for name in kinds(self):
             now, low, high = rows[name]
             width = now.shape[1]
-            following, at = now + change[:, at : at + width], at + width
-            fields = FIELDS.get(name, (name,))
-            if any(getattr(self, field) is not None for field in fields):
-                label = "limit" if name == "input" else name
-                found[label] = _as_limit(following, low, high)
-        return found
+            following[name] = Rows(now + change[:, at : at + width], low, high)
+            at += width
+        return limits_of_rows(self, following)
+
+
+def limits_of_rows(scheme: Scheme, rows: dict[str, Rows]) -> dict[str, Limit]:
+    """What `Scheme.limits` returns for the rows of the next trial, by kind."""
+    found = {}
+    for name, of in rows.items():
+        fields = FIELDS.get(name, (name,))
+        if any(getattr(scheme, field) is not None for field in fields):
+            found["limit" if name == "input" else name] = _as_limit(*of)
+    return found
 
 
 def _as_limit(signal, low, high) -> Limit:
@@ -249,9 +257,12 @@ def _as_limit(signal, low, high) -> Limit:
 
 def need_second_derivatives(scheme: Scheme) -> None:
     """Raises ValueError where a part of the scheme has first derivatives only."""
-    parts = jax.tree.leaves(scheme, is_leaf=lambda one: isinstance(one, ConstrainedNormOptimal))
-    if any(isinstance(one, ConstrainedNormOptimal) for one in parts):
+
+    def first_only(one) -> bool:
+        return isinstance(one, Scheme) and one.first_derivatives_only
+
+    for one in filter(first_only, jax.tree.leaves(scheme, is_leaf=first_only)):
         raise ValueError(
             "Contraction: the slope of a contraction needs second derivatives, and "
-            "ConstrainedNormOptimal has first ones only; allowed are other objectives"
+            f"{type(one).__name__} has first ones only; allowed are other objectives"
         )

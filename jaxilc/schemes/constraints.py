@@ -35,7 +35,7 @@ class Rows(NamedTuple):
 
 
 def kinds(scheme: Any) -> tuple[str, ...]:
-    """The kinds of rows that a `ConstrainedNormOptimal` has."""
+    """The kinds of rows that a scheme has: one with the bounds of `ConstrainedNormOptimal`."""
     has = {
         "rate": scheme.rate is not None or scheme.w_d is not None,
         "total": scheme.total is not None,
@@ -45,7 +45,10 @@ def kinds(scheme: Any) -> tuple[str, ...]:
 
 
 def system_of(scheme: Any, r) -> System:
-    """The system from a change of the input to that of the rows. r: (N+1, n_y) reference."""
+    """The system from a change of the input to that of the rows, by the linear `scheme.model`.
+
+    r: (N+1, n_y) reference
+    """
     model, with_rate = scheme.model, "rate" in kinds(scheme)
     A, B, C = (jnp.asarray(M) for M in (model.A, model.B, model.C))
     n, n_u, eye = A.shape[-1], model.n_u, jnp.eye(model.n_u, dtype=A.dtype)
@@ -103,7 +106,7 @@ def rows_of(scheme: Any, trial: Trial) -> dict[str, Rows]:
     }
     if "rate" in kinds(scheme):
         steps = jnp.concatenate([u[:1], u[1:] - u[:-1]])
-        most = None if scheme.rate is None else scheme.rate * scheme.model.dt
+        most = None if scheme.rate is None else scheme.rate * trial.dt
         found["rate"] = _symmetric(steps, most)
     if scheme.total is not None:
         found["total"] = _symmetric(u + trial.signals["beside"], scheme.total)
@@ -157,7 +160,8 @@ def need_feasible(scheme: Any, task: Task) -> None:
         return
     start = np.zeros(task.outputs)
     if not isinstance(scheme.model, TimeVaryingStateSpace):
-        start = np.asarray(scheme.model.output(scheme.model.initial_state()))
+        model = scheme.model.sampled(task.dt)
+        start = np.asarray(model.output(model.initial_state()))
     outside = np.flatnonzero((start < low[0]) | (start > high[0]))
     if len(outside):
         i = outside[0]

@@ -55,6 +55,8 @@ class Solution(NamedTuple):
         d = 0, or of the multipliers alone if that is larger
     violation: () largest distance of v beyond a bound, in units of the largest bound of its row
     converged: () 1 where the three are within their tolerances, else 0
+    s, l: (2, N, m) slacks and multipliers of the bounds from below, and of those from above; the
+        multipliers are 0 where there is no bound
     """
 
     d: jax.Array
@@ -63,6 +65,8 @@ class Solution(NamedTuple):
     stationarity: jax.Array
     violation: jax.Array
     converged: jax.Array
+    s: jax.Array
+    l: jax.Array  # noqa: E741
 
 
 class Point(NamedTuple):
@@ -145,7 +149,21 @@ def solve(problem: Problem, free: Factor) -> Solution:
         for x in (course.steps, course.gap, course.stationarity, course.violation)
     )
     d = point.d + jnp.where(good, _last_step(problem, of_free, point), 0.0)
-    return Solution(d, *residuals, jnp.where(good, 1.0, zero))
+    return Solution(d, *residuals, jnp.where(good, 1.0, zero), point.s, point.l)
+
+
+def stiffness(system: System, free: Factor, s, l) -> jax.Array:  # noqa: E741
+    """(2, N, m) the weights with which bounds hold their rows at an optimum, where they are active.
+
+    An active bound is held by a weight `STIFF` times that of the cost of the input at most: of
+    more, rounding would take more digits of the derivative than the weight gives.
+
+    free: `factor` of the problem without bounds;  s, l: as in `Solution`
+    """
+    cost = jnp.max(jnp.sum(free.L**2, axis=2), axis=1)[:, None]
+    reach = jnp.sum(system.G_d**2, axis=-1)
+    most = STIFF * cost / jnp.maximum(reach, jnp.finfo(cost.dtype).tiny * 1e30)
+    return jnp.where(l > 0, jnp.minimum(l / jnp.where(l > 0, s, 1.0), most), 0.0)
 
 
 def gap_of(dtype) -> float:
@@ -268,15 +286,10 @@ def _share(point: Point, move: Point, most: float) -> jax.Array:
 def _last_step(problem: Problem, free: Factor, point: Point) -> jax.Array:
     """A Newton step from a point that does not depend on the problem: it carries the derivative.
 
-    The multipliers follow v as constant products s l demand, l' = -(l / s) v'. An active bound is
-    held by a weight `STIFF` times that of the cost of the input at most: of more, rounding would
-    take more digits of the derivative than the weight gives.
+    The multipliers follow v as constant products s l demand, l' = -(l / s) v'; see `stiffness`.
     """
     bounds, system = _bounds_of(problem), problem.system
-    cost = jnp.max(jnp.sum(free.L**2, axis=2), axis=1)[:, None]
-    reach = jnp.sum(lax.stop_gradient(system.G_d) ** 2, axis=-1)
-    most = STIFF * cost / jnp.maximum(reach, jnp.finfo(cost.dtype).tiny * 1e30)
-    weight = lax.stop_gradient(jnp.where(bounds.there, jnp.minimum(point.l / point.s, most), 0.0))
+    weight = lax.stop_gradient(stiffness(system, free, point.s, point.l))
     v = shown(system, point.d)
     now = bounds.sign * v + bounds.offset
     l = point.l - weight * (now - lax.stop_gradient(now))  # noqa: E741

@@ -20,13 +20,20 @@ def need_convex(scheme: Any) -> None:
     owner, n_u = type(scheme).__name__, scheme.model.n_u
     for name, size in (("w_q", scheme.model.n_y), ("w_r", n_u), ("w_s", n_u)):
         need_weight(owner, name, getattr(scheme, name), size)
-    if known((scheme.w_r, scheme.w_s)):
-        R, S = matrix_of(scheme.w_r, n_u), matrix_of(scheme.w_s, n_u)
-        total, both = eigenvalues_of(R) + eigenvalues_of(S), eigenvalues_of(R + S)
-        if np.any(both <= 1e-14 * np.max(total)):
-            raise ValueError(
-                f"{owner}: w_r + w_s has the eigenvalues {both}; allowed are positive ones only"
-            )
+    need_definite(owner, {"w_r": scheme.w_r, "w_s": scheme.w_s}, n_u)
+
+
+def need_definite(owner: str, weights: dict[str, Any], size: int) -> None:
+    """Raises ValueError unless the sum of two semidefinite weights is positive definite."""
+    if not known(weights):
+        return
+    R, S = (matrix_of(weight, size) for weight in weights.values())
+    total, both = eigenvalues_of(R) + eigenvalues_of(S), eigenvalues_of(R + S)
+    if np.any(both <= 1e-14 * np.max(total)):
+        raise ValueError(
+            f"{owner}: {' + '.join(weights)} has the eigenvalues {both}; allowed are positive ones "
+            "only"
+        )
 
 
 def need_weight(owner: str, name: str, weight, size: int) -> None:

@@ -46,14 +46,14 @@ def factor(system: System, W, D) -> Factor:
         M = [B; G_d]' S [B; G_d],   K = M^-1 [B; G_d]' S [A; G_z],   S = diag(P', W + diag D)
         P = T' S T,   T = [A - B K; G_z - G_d K]
 
-    W: (m, m), D: (N, m)
+    W: (m, m) or (N, m, m), D: (N, m)
     P is computed as this sum of squares (the Joseph form). The shorter form A' P' (A - B K) + ...
     subtracts large numbers where entries of D are large, and loses their digits.
     """
 
     def back(P, now):
-        (A, B, G_z, G_d), D_k = now
-        V = W + jnp.diag(D_k)
+        (A, B, G_z, G_d), D_k, *W_k = now
+        V = (W_k[0] if W_k else W) + jnp.diag(D_k)
         PB, VG = times(P, B), times(V, G_d)
         L = cholesky(times(B.T, PB) + times(G_d.T, VG))
         K = cholesky_solve(L, times(PB.T, A) + times(VG.T, G_z))
@@ -61,8 +61,9 @@ def factor(system: System, W, D) -> Factor:
         P = times(T.T, times(P, T)) + times(U.T, times(V, U))
         return (P + P.T) / 2, (K, L)
 
-    n = system.A.shape[-1]
-    return Factor(*_scan(back, jnp.zeros((n, n), W.dtype), system, D, reverse=True)[1])
+    start = jnp.zeros((system.A.shape[-1],) * 2, W.dtype)
+    rows = (D, W) if W.ndim == 3 else (D,)
+    return Factor(*_scan(back, start, system, *rows, reverse=True)[1])
 
 
 def newton(system: System, of: Factor, q) -> tuple[jax.Array, jax.Array]:
@@ -92,6 +93,16 @@ def shown(system: System, d) -> jax.Array:
     def forth(z, now):
         (A, B, G_z, G_d), d_k = now
         return product(A, z) + product(B, d_k), product(G_z, z) + product(G_d, d_k)
+
+    return _scan(forth, jnp.zeros(system.A.shape[-1], d.dtype), system, d)[1]
+
+
+def carried(system: System, d) -> jax.Array:
+    """(N, n) the states z[0..N-1] under inputs d (N, n_u)."""
+
+    def forth(z, now):
+        (A, B, _, _), d_k = now
+        return product(A, z) + product(B, d_k), z
 
     return _scan(forth, jnp.zeros(system.A.shape[-1], d.dtype), system, d)[1]
 

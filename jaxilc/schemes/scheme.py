@@ -73,6 +73,7 @@ class Scheme:
     trials_a_step: number of trials that are run before the scheme learns once
     experiments: whether all but the first of these are experiments, with errors of their own
     of_one_length: whether the law, also far from its ends, belongs to one length of the trial
+    first_derivatives_only: whether what it learns must not be differentiated twice
     """
 
     # `@pytree` makes a dataclass of each subclass
@@ -84,6 +85,7 @@ class Scheme:
     trials_a_step: int = 1
     experiments: bool = False
     of_one_length: bool = False
+    first_derivatives_only: ClassVar[bool] = False
 
     def __init__(self, *values: Any, **named: Any):
         if type(self) is not Scheme or values or named:

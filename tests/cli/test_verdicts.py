@@ -338,6 +338,7 @@ def test_worst_case_leads_to_its_machine():
 
 def test_reproduce_leads_to_the_number_that_is_farthest():
     row = {"scenario": "dai-2014", "scheme": "pid", "trial": None, "value": 2.0, "unit": "mm"}
+    row |= {"agreement": None}
     rows = [
         row | {"verdict": "met", "ratio": 1.1, "options": {}},
         row | {"verdict": "open", "ratio": 2.5, "options": {"plant": "printed"}},
@@ -352,6 +353,15 @@ def test_reproduce_leads_to_the_number_that_is_farthest():
     )
     assert parsed(found)[1]["set_"] == ["frequency=2.5"]
     assert "The farthest one is" in reproduce_verdict(rows[:1]).said[1]
+    software = row | {"agreement": 1e-6, "options": {}}
+    close = [software | {"verdict": "agrees", "ratio": 1 + d} for d in (0.0, -3e-7)]
+    assert reproduce_verdict(close).said == (
+        "2 of 2 numbers of other software agree, 0 open.",
+        "The farthest one is that of dai-2014, pid: ours differs by 3e-07 of the 2 mm of other "
+        "software.",
+    )
+    both = reproduce_verdict([*rows, software | {"verdict": "open", "ratio": 1.02}]).said[0]
+    assert both.endswith("in shape, 2 open. 0 of 1 numbers of other software agree, 1 open.")
 
 
 def test_bench_compares_with_the_fastest_other():

@@ -14,6 +14,7 @@ from jaxilc import scenarios
 from jaxilc.learning import Machine, check, learn
 from jaxilc.plants import DifferenceEquation
 from jaxilc.scenarios import Fit, Published, Scenario, reproduce, reproduction
+from jaxilc.scenarios.scenario import agreement_of
 from jaxilc.schemes import PID, PIDType, Scheme
 from jaxilc.signals import Task
 
@@ -132,6 +133,24 @@ def test_an_open_row_says_why():
     ]
 
 
+def test_a_number_of_other_software_agrees_within_its_own_tolerance():
+    """A number of other software agrees within its own tolerance, or is open.
+
+    The tolerance follows from the digits that are printed, and is not below 1e-6.
+    """
+    assert agreement_of("159.727175") == 1e-6
+    assert agreement_of("0.0040917") == pytest.approx(0.5e-7 / 0.0040917)
+    assert agreement_of("14500") == pytest.approx(0.5 / 14500)
+    assert agreement_of("4.322", 1e-3) == 1e-3
+    rows = [row(2.0)._replace(agreement=1e-6), row(1.0, trial=2)._replace(agreement=1e-6)]
+    for ratio, verdict in ((1 + 0.9e-6, "agrees"), (1 - 0.9e-6, "agrees"), (1 + 1.2e-6, "open")):
+        assert verdicts(rows, [2.0 * ratio, 1.0]) == [verdict, "agrees"]
+    assert judged(rows, [2.6, NAN]) == [
+        ("open", "ours differs by 0.3 of it, beyond 1e-06"),
+        ("open", "ours is not finite"),
+    ]
+
+
 @pytest.mark.parametrize(
     "other",
     [
@@ -217,6 +236,7 @@ FREE = {  # how many numbers were fitted to print, by scenario and scheme; for l
     "dai-2014": {"pid": {0}, "cfdl-mfapc": {1}},
     "li-2020": {"feedback": {3}, "feedforward": {4}, "p-type": {4, 5}, "fixed-filter": {5}},
     "milc-2024": {"dilc": {3}, "milc": {3}},
+    "pendulum": {"two-step": {0}, "two-step-limited": {0}},
     "xu-2024": {"pid": {6}, "smc": {6}, "asmc": {6}, "ilc-asmc": {7}},
 }
 AMONG = {
@@ -225,6 +245,7 @@ AMONG = {
     "dai-2014": 2,
     "li-2020": 6,
     "milc-2024": 3,
+    "pendulum": 0,
     "xu-2024": 7,
 }
 
@@ -305,6 +326,7 @@ def test_dai_2014():
         rows[1].as_dict()["fitted"]
         == "1 free number (phi0) fitted to this row alone; this row is among them"
     )
+    assert flat["agreement"] is None
     assert [r.reason for r in rows[:3]] == ["", "", ""]
     assert rows[3].reason.endswith(
         "times the printed number, and not in the printed order with 1 of 2 comparable rows"

@@ -1,0 +1,235 @@
+"""The double mass of IterativeLearningControl2.jl: its test suite, row by row.
+
+Two masses on a spring are driven at the first one, in a loop with a PID controller; position in m.
+The continuous closed loops are sampled with a zero-order hold. Learning acts on the input of the
+drive or on the reference of the loop, and it knows a model with a third less load than there is.
+The numbers to compare with are those that the tests of that package expect.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from ..learning.machine import Disturbance, Machine
+from ..plants import StateSpace, motion
+from ..schemes import (
+    ConstrainedNormOptimal,
+    GradientILC,
+    ModelFreeGradient,
+    NormOptimal,
+    Scheme,
+)
+from ..signals.task import Task, Trial
+from ..uncertainty import Uniform
+from .double_mass_law import InverseLaw
+from .error_norm import error_norm
+from .scenario import NOTHING, Published, Quantity, Scenario
+
+SAMPLE_TIME = 0.02
+DURATION = 3 * np.pi
+SOURCE = "IterativeLearningControl2.jl, test/runtests.jl"
+MODELLED = 1.0  # inertia of the load that the model knows [kg]
+LIMIT, HIGHEST, OF_CONTROLLER = 25.0, 1.1, 1000.0
+SECOND = ("none", "velocity", "controller")
+
+SMOOTH = "y[0] counts; the last sample of their input has no effect"
+SQUARE = (("load", 1.0), ("reference", "square"))
+VELOCITY = (("load", 1.0), ("second", "velocity"))
+EXACT, OF_QP = 1e-6, 1e-3  # of a number that is printed in full, of one from OSQP
+
+
+def _row(scheme, trial, value, options=(), reading=SMOOTH, rtol=EXACT) -> Published:
+    return Published(
+        scheme,
+        trial,
+        "error_norm",
+        value,
+        SOURCE,
+        options,
+        reading,
+        fitted=NOTHING,
+        rtol=rtol,
+    )
+
+
+PUBLISHED = (
+    _row("inverse-filter", 5, 0.6358364794186305, (("at", "reference"),)),
+    _row("inverse-filter", 5, 1.416392979780404),
+    _row("norm-optimal", 5, 0.5615131021547797),
+    _row("gradient", 10, 0.8851911872861579),
+    _row("model-free", 28, 0.9347317369952786, reading="their trial 10; three experiments a step"),
+    _row("constrained", 5, 4.4544077312015835, SQUARE, "half a step, as their cost means", OF_QP),
+    _row(
+        "constrained",
+        5,
+        4.940690279813115,
+        (*SQUARE, ("second", "controller")),
+        "the bound is on C/(1+CP) r + CP/(1+CP) a, as their test has it; the error of the position",
+        OF_QP,
+    ),
+    _row("norm-optimal", 5, 4.906366002179874, VELOCITY),
+    _row("constrained", 5, 4.956076021566923, VELOCITY, "no bounds; half a step", OF_QP),
+    _row("gradient", 10, 6.181388606199837, (*VELOCITY, ("at", "reference"))),
+)
+
+CHOSEN = (
+    "the reference's part of the motion is an output disturbance that repeats: exact for a linear "
+    "loop",
+    "a drawn machine has another gain from the learned signal, and the same answer to the "
+    "reference",
+)
+
+
+class Loop(NamedTuple):
+    """The continuous closed loop.
+
+    A (n, n); of_reference and of_input (n, 1); states (2, n): position and velocity of the first
+    mass; controller (1, n) and direct (): the output of the controller is controller x + direct r
+    """
+
+    A: np.ndarray
+    of_reference: np.ndarray
+    of_input: np.ndarray
+    states: np.ndarray
+    controller: np.ndarray
+    direct: float
+
+
+def closed_loop(load: float) -> Loop:
+    """The double mass under C(s) = 10 (1 + 1/s) (s + 1) / (0.02 s + 1). load: inertia [kg]."""
+    k, c, m = 100.0, 1.0, 1.0  # stiffness [N/m], each of three dampings [N s/m], motor [kg]
+    A = np.array(
+        [
+            [0, 1, 0, 0],
+            [-k / m, -2 * c / m, k / m, c / m],
+            [0, 0, 0, 1],
+            [k / load, c / load, -k / load, -2 * c / load],
+        ]
+    )
+    B, C = np.array([[0], [1 / m], [0], [0]]), np.array([[1.0, 0, 0, 0]])
+    # C(s) = 10 (s + 1)^2 / (0.02 s^2 + s) in controller form, with d its value at high frequency
+    lag = 0.02
+    a, b = np.array([[-1 / lag, 0], [1, 0]]), np.array([[1.0], [0]])
+    d = 10 / lag
+    c_ = np.array([[20 / lag - d / lag, 10 / lag]])
+    closed = np.block([[A - d * B @ C, B @ c_], [-b @ C, a]])
+    still = np.zeros((2, 1))
+    return Loop(
+        closed,
+        np.vstack([d * B, b]),
+        np.vstack([B, still]),
+        np.eye(2, 6),
+        np.hstack([-d * C, c_]),
+        d,
+    )
+
+
+def references(kind: str, second: str) -> np.ndarray:
+    """(N+1, n_y) the reference: that of the position, and that of the second output.
+
+    The second is the derivative by central differences for `velocity`, and 0 for `controller`.
+    """
+    x = np.sin(np.arange(0, DURATION, SAMPLE_TIME))
+    r = np.sign(x) * ((np.abs(x) + 0.01) ** 0.2 - 0.01**0.2)
+    r = np.sign(r) if kind == "square" else r
+    steps = np.diff(r) / 2 / SAMPLE_TIME
+    speed = np.r_[steps[0], steps] + np.r_[steps, steps[-1]]
+    return np.stack({"none": [r], "velocity": [r, speed], "controller": [r, 0 * r]}[second], axis=1)
+
+
+def loop_from(loop: Loop, at: str, second: str) -> StateSpace:
+    """The loop from what is learned to the outputs, in continuous time.
+
+    As the tests of that package have it, the controller's output counts with the sign of CP/(1+CP).
+    """
+    rows = {"none": 0 * loop.controller[:0], "velocity": loop.states[1:]}
+    C = np.vstack([loop.states[:1], rows.get(second, -loop.controller)])
+    B = loop.of_input if at == "input" else loop.of_reference
+    if at == "reference" and second == "velocity":
+        B = np.hstack([B, 0 * B])  # the reference of the velocity has no effect
+    return StateSpace(loop.A, B, C)
+
+
+def without_learning(loop: Loop, r: np.ndarray, second: str) -> np.ndarray:
+    """(N+1, n_y) what the outputs do by the reference alone."""
+    C = np.vstack([loop.states, loop.controller])
+    y = np.array(motion(StateSpace(loop.A, loop.of_reference, C), jnp.asarray(r[:-1]), SAMPLE_TIME))
+    y[:, 2] += loop.direct * r[:, 0]
+    return y[:, {"none": [0], "velocity": [0, 1], "controller": [0, 2]}[second]]
+
+
+def schemes_for(model: StateSpace, at: str, second: str) -> dict[str, Scheme]:
+    """The laws of the tests by name, for a model that is sampled."""
+    weights, bounds = {"w_q": 1000.0}, {"limit": LIMIT, "y_low": -HIGHEST, "y_high": HIGHEST}
+    step, amplified = 500.0, 500.0
+    if second == "velocity":
+        bounds, step, amplified = {}, 1e-2, 1.0
+    if second == "controller":
+        weights["w_q"] = (1000.0, 0.0)
+        highest = (HIGHEST, OF_CONTROLLER)
+        bounds |= {"y_low": tuple(-h for h in highest), "y_high": highest}
+    found = {
+        "inverse-filter": InverseLaw(model, 0.5, 0.1 if at == "input" else 0.05),
+        "norm-optimal": NormOptimal(model, w_r=1e-4, w_s=1e-5),
+        "gradient": GradientILC(model, step=step),
+        "model-free": ModelFreeGradient(step=amplified, amplitude=1.0, about="mean"),
+        "constrained": ConstrainedNormOptimal(model, w_s=1e-3, step=0.5, **weights, **bounds),
+    }
+    if second != "none":
+        del found["inverse-filter"]
+    return found
+
+
+def double_mass(
+    load: float = 1.5, at: str = "input", reference: str = "smooth", second: str = "none"
+) -> Scenario:
+    """The tests of IterativeLearningControl2.jl.
+
+    load: inertia of the load that there is, where the model has 1 [kg]
+    at: what is learned is added to the `input` of the drive, or to the `reference` of the loop
+    reference: `smooth`, or `square` for the sign of it
+    second: a second output: `none`, the `velocity` of the first mass, which has a reference too, or
+        the output of the `controller`, which is bounded
+    Raises ValueError for a load that is not positive, and for other choices.
+    """
+    for name, value, allowed in (
+        ("at", at, ("input", "reference")),
+        ("reference", reference, ("smooth", "square")),
+        ("second", second, SECOND),
+    ):
+        if value not in allowed:
+            raise ValueError(
+                f"double-mass: {name} = {value!r} is not one of {', '.join(map(repr, allowed))}"
+            )
+    if not 0 < load < np.inf:
+        raise ValueError(f"double-mass: load = {load} is outside its allowed range (0, inf) kg")
+    r, loop = references(reference, second), closed_loop(load)
+    plant = loop_from(loop, at, second)
+    return Scenario(
+        name="double-mass",
+        title="Two masses on a spring, the tests of IterativeLearningControl2.jl",
+        machine=Machine(
+            plant, disturbance=Disturbance(output=without_learning(loop, r, second))
+        ),
+        task=Task(r, dt=SAMPLE_TIME, unit="m", input_unit="N", inputs=plant.n_u),
+        schemes=schemes_for(
+            loop_from(closed_loop(MODELLED), at, second).sampled(SAMPLE_TIME), at, second
+        ),
+        trials=10,
+        uncertainty={"plant.B": Uniform(0.9, 1.1, relative=True)},
+        published=PUBLISHED,
+        chosen=CHOSEN,
+        shown_unit="mm",
+        shown_scale=1e3,
+        show_trials=(1, 2, 3, 5, 10, 28),
+        quantities={"error_norm": Quantity(of_position if second == "controller" else error_norm, "m", 1.0)},
+        judged_by="rms",
+    )
+
+
+def of_position(trial: Trial):
+    """The norm of the error of the first output alone."""
+    return error_norm(trial._replace(r=trial.r[:, :1], y=trial.y[:, :1]))

@@ -1,0 +1,95 @@
+"""A pendulum swung up, held upright and let down again: the example of gILC (Volckaert 2013).
+
+gILC is the software of Volckaert, Diehl and Swevers for iterative learning control of nonlinear
+systems, with IPOPT as its solver. The plant and its model are the difference equation of its Python
+examples, the model with a mass that is 1 % too small and a damping that is 5 % too large. Upright
+the pendulum is unstable, so the input of the first trial, by the model alone, lets it fall.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..learning.machine import Machine
+from ..plants import Pendulum
+from ..schemes import TwoStep
+from ..signals.task import Task
+from ..uncertainty import Uniform
+from .error_norm import error_norm
+from .scenario import NOTHING, Published, Quantity, Scenario, agreement_of
+
+SAMPLE_TIME = 1 / 500
+WAIT, ACCELERATE, MOVE, HOLD = 190, 30, 500, 500  # samples of each part of the motion
+ANGLE = np.pi  # at which it is held [rad]
+LIMIT = 2.0  # of the torque in the second example [N m]
+
+PRINTED = {  # ||e|| by trial [rad], by scheme
+    "two-step": (
+        "b_tutorial1.py",
+        ("159.727175", "24.524242", "3.006894", "0.140267", "0.0040917"),
+    ),
+    "two-step-limited": (
+        "c_tutorial2.py",
+        ("159.727147", "24.524486", "3.007175", "0.145207", "0.0377695"),
+    ),
+}
+READING = "computed by running this example of gILC; its weights, and 1e-10 on u and alpha"
+
+PUBLISHED = tuple(
+    Published(
+        scheme,
+        trial,
+        "error_norm",
+        float(printed),
+        f"gILC, {example}",
+        reading=READING,
+        fitted=NOTHING,
+        agreement=agreement_of(printed),
+    )
+    for scheme, (example, by_trial) in PRINTED.items()
+    for trial, printed in enumerate(by_trial, 1)
+)
+
+CHOSEN = (
+    "gILC gives the last two inputs, which act on no output of the trial, no weight; w_s = w_alpha "
+    "= 1e-10 beside w_q = w_y = 1e8 makes them zero and changes the errors by less than 1e-9",
+    "gILC has 2000 samples of both input and output; here 1999 inputs act on 2000 outputs",
+)
+
+
+def swing() -> np.ndarray:
+    """(2000, 1) angle [rad]: up, held, and down, by a speed of straight ramps."""
+    ramp, cruise = np.linspace(0.0, 1.0, ACCELERATE), np.ones(MOVE)
+    up = np.concatenate([ramp, cruise, ramp[::-1]])
+    speed = np.concatenate([np.zeros(WAIT), up, np.zeros(HOLD), -up, np.zeros(WAIT)])
+    angle = np.cumsum(speed)
+    return ANGLE * (angle / np.max(angle))[:, None]
+
+
+def pendulum() -> Scenario:
+    """The first two Python examples of gILC, without and with a limit of the torque."""
+    model = Pendulum(mass=0.495, damping=0.105)
+    weights: dict[str, Any] = {"w_y": 1e8, "w_alpha": 1e-10, "w_q": 1e8, "w_s": 1e-10}
+    return Scenario(
+        name="pendulum",
+        title="Pendulum swung upright, two-step nonlinear ILC (gILC)",
+        machine=Machine(Pendulum()),
+        task=Task(swing(), dt=SAMPLE_TIME, unit="rad", input_unit="N m"),
+        schemes={
+            "two-step": TwoStep(model, **weights),
+            "two-step-limited": TwoStep(model, **weights, limit=LIMIT),
+        },
+        trials=5,
+        uncertainty={
+            "plant.mass": Uniform(0.98, 1.02, relative=True),
+            "plant.damping": Uniform(0.9, 1.1, relative=True),
+        },
+        published=PUBLISHED,
+        chosen=CHOSEN,
+        shown_unit="rad",
+        show_trials=(1, 2, 3, 4, 5),
+        quantities={"error_norm": Quantity(error_norm)},
+        judged_by="error_norm",
+    )
