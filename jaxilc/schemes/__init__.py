@@ -2,6 +2,7 @@
 
 from .compose import ErrorFiltered, Filtered, OnOutputs, WithFeedback
 from .constrained_norm_optimal import ConstrainedNormOptimal
+from .estimated_disturbance import EstimatedDisturbance
 from .exponential import ExponentialPD
 from .guards import Ladder, StopWhen
 from .higher_order import HigherOrder
@@ -29,6 +30,7 @@ __all__ = [
     "SMC",
     "ConstrainedNormOptimal",
     "ErrorFiltered",
+    "EstimatedDisturbance",
     "ExponentialPD",
     "Feedforward",
     "Filtered",
