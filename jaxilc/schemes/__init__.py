@@ -6,7 +6,7 @@ from .estimated_disturbance import EstimatedDisturbance
 from .exponential import ExponentialPD
 from .guards import Ladder, StopWhen
 from .higher_order import HigherOrder
-from .learning_filter import LearningFilter
+from .learning_filter import LearningFilter, learning_filter
 from .mfac import CFDLMFAC, CFDLMFAPC, FFDLMFAC, PFDLMFAC
 from .mfailc import CFDLMFAILC, FFDLMFAILC, PFDLMFAILC
 from .multivariable import MultivariableILC
@@ -45,4 +45,5 @@ __all__ = [
     "Scheme",
     "StopWhen",
     "WithFeedback",
+    "learning_filter",
 ]
