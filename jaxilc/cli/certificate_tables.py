@@ -22,7 +22,28 @@ def certificate_sentence(
     scale, unit: scale and unit in which errors are shown
     """
     in_the_long_run, within = _claimed(numbers, scale, unit), _expected(numbers)
-    return f"{name}: {in_the_long_run}. Within {trials} trials {within}."
+    return f"{name}: {in_the_long_run}. Within {trials} trials {within}.{transient_words(numbers)}"
+
+
+def transient_words(numbers: dict[str, Any]) -> str:
+    """A sentence on how far the error grows before it falls; empty where it does not.
+
+    numbers: result of `certificate_numbers`
+    """
+    transient, machines = numbers["transient"], sum(numbers["claims"].values())
+    if not transient["machines"]:
+        return ""
+    whose = "" if machines == 1 else f" of {transient['machines']} of {machines} machines"
+    grown = []
+    if transient["growth"]:
+        grown.append(
+            f"the error{whose} grows up to {number(transient['growth'])} times, until trial "
+            f"{transient['trial']}"
+        )
+    if transient["of_noise"]:
+        noise = "noise" if grown else f"noise in the error{whose}"
+        grown.append(f"{noise} can grow about {number(transient['of_noise'])} times")
+    return f" Before it falls, {', and '.join(grown)}."
 
 
 def _claimed(numbers: dict[str, Any], scale: float, unit: str) -> str:

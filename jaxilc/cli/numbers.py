@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..learning.divergence import GROWTH
 from ..sweeps.summary import summarise
 from ..theory.certificates import CLAIMS, CONVERGES, COURSES, MONOTONE
 
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 
     from ..scenarios import Published, Scenario
     from ..sweeps.summary import SchemeSummary
+    from ..theory.certificates import Certificate
     from ..theory.of_schemes import OfScheme
 
 ERRORS = ("max_error", "rms", "settled_error")
@@ -210,6 +212,9 @@ def certificate_numbers(of_scheme: OfScheme) -> dict[str, Any]:
 
     claims, reasons: claims for an unlimited number of trials, with their reasons
     expected, observed, confusion: course of the error in J trials, by theory and by simulation
+    transient: how far the error grows before it falls, where learning is claimed to converge, in
+        units of the first error, in which trial, and on how many machines; and about how far noise
+        grows where no power of the learning map is known to contract
     premises, bound: premises and bound, for a scheme that has bounds
     """
     found = of_scheme.certificate
@@ -227,6 +232,7 @@ def certificate_numbers(of_scheme: OfScheme) -> dict[str, Any]:
         "observed": {course: int(np.sum(found.observed == course)) for course in COURSES},
         "confusion": found.confusion(),
         "growth": {"median": float(np.median(found.growth)), "max": float(np.max(found.growth))},
+        "transient": _transient(found, claimed),
         "turning": {
             "predicted": float(np.median(found.turning)),
             "observed": float(np.median(found.observed_turning)),
@@ -240,6 +246,20 @@ def certificate_numbers(of_scheme: OfScheme) -> dict[str, Any]:
         }
         numbers["bound"] = of_scheme.bound
     return numbers
+
+
+def _transient(found: Certificate, claimed: np.ndarray) -> dict[str, Any]:
+    grows, of_any = claimed & (found.peak > 1 + GROWTH), np.zeros(len(claimed))
+    if found.outlook is not None:
+        decay = found.outlook.decay
+        of_any = np.where(claimed & (decay.trials == 0) & ~found.of_error, decay.growth, 0.0)
+    worst = int(np.argmax(np.where(grows, found.peak, 0.0)))
+    return {
+        "growth": float(found.peak[worst]) if np.any(grows) else None,
+        "trial": int(found.peak_trial[worst]) if np.any(grows) else None,
+        "of_noise": float(np.max(of_any)) if np.any(of_any) else None,
+        "machines": int(np.sum(grows | (of_any > 0))),
+    }
 
 
 def told(reasons) -> dict[str, int]:

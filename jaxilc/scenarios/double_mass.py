@@ -41,7 +41,7 @@ VELOCITY = (("load", 1.0), ("second", "velocity"))
 EXACT, OF_QP = 1e-6, 1e-3  # of a number that is printed in full, of one from OSQP
 
 
-def _row(scheme, trial, value, options=(), reading=SMOOTH, rtol=EXACT) -> Published:
+def _row(scheme, trial, value, options=(), reading=SMOOTH, agreement=EXACT) -> Published:
     return Published(
         scheme,
         trial,
@@ -51,7 +51,7 @@ def _row(scheme, trial, value, options=(), reading=SMOOTH, rtol=EXACT) -> Publis
         options,
         reading,
         fitted=NOTHING,
-        rtol=rtol,
+        agreement=agreement,
     )
 
 
@@ -175,7 +175,7 @@ def schemes_for(model: StateSpace, at: str, second: str) -> dict[str, Scheme]:
         "inverse-filter": InverseLaw(model, 0.5, 0.1 if at == "input" else 0.05),
         "norm-optimal": NormOptimal(model, w_r=1e-4, w_s=1e-5),
         "gradient": GradientILC(model, step=step),
-        "model-free": ModelFreeGradient(step=amplified, amplitude=1.0, about="mean"),
+        "model-free": ModelFreeGradient(step=amplified, about="mean", inputs=model.n_u, outputs=model.n_y),
         "constrained": ConstrainedNormOptimal(model, w_s=1e-3, step=0.5, **weights, **bounds),
     }
     if second != "none":
@@ -208,6 +208,7 @@ def double_mass(
         raise ValueError(f"double-mass: load = {load} is outside its allowed range (0, inf) kg")
     r, loop = references(reference, second), closed_loop(load)
     plant = loop_from(loop, at, second)
+    norm = of_position if second == "controller" else error_norm
     return Scenario(
         name="double-mass",
         title="Two masses on a spring, the tests of IterativeLearningControl2.jl",
@@ -225,7 +226,7 @@ def double_mass(
         shown_unit="mm",
         shown_scale=1e3,
         show_trials=(1, 2, 3, 5, 10, 28),
-        quantities={"error_norm": Quantity(of_position if second == "controller" else error_norm, "m", 1.0)},
+        quantities={"error_norm": Quantity(norm, "m", 1.0)},
         judged_by="rms",
     )
 

@@ -2,11 +2,12 @@
 
 from .compose import ErrorFiltered, Filtered, OnOutputs, WithFeedback
 from .constrained_norm_optimal import ConstrainedNormOptimal
+from .estimated_disturbance import EstimatedDisturbance
 from .exponential import ExponentialPD
 from .gradient import GradientILC
 from .guards import Ladder, StopWhen
 from .higher_order import HigherOrder
-from .learning_filter import LearningFilter
+from .learning_filter import LearningFilter, learning_filter
 from .mfac import CFDLMFAC, CFDLMFAPC, FFDLMFAC, PFDLMFAC
 from .mfailc import CFDLMFAILC, FFDLMFAILC, PFDLMFAILC
 from .model_free_gradient import ModelFreeGradient
@@ -32,6 +33,7 @@ __all__ = [
     "SMC",
     "ConstrainedNormOptimal",
     "ErrorFiltered",
+    "EstimatedDisturbance",
     "ExponentialPD",
     "Feedforward",
     "Filtered",
@@ -49,4 +51,5 @@ __all__ = [
     "StopWhen",
     "TwoStep",
     "WithFeedback",
+    "learning_filter",
 ]

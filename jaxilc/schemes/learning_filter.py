@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from ..pytree.fields import Leaf, leaf, pytree, static
-from ..pytree.needs import need_channels
+from ..pytree.needs import known, need_channels
+from ..pytree.ranges import require
 from ..signals.correlation import correlated, in_segments
 from ..signals.task import Limit, Task, Trial
+from .filter_taps import FilterTaps, is_operator, shortened, taps_of
 from .scheme import Feedforward, Scheme, limit_of, limited, need_square
 
 
@@ -38,10 +43,12 @@ class LearningFilter(Scheme):
     lead: samples of look-ahead of the middle tap beyond the one sample from u[k] to y[k+1]
     limit: () or (n_u,) largest |u| that is learned [unit of u]; None: no limit
     starts: first samples of the segments after the first, rising; () for one law in all samples
+    dt: sample time that the taps were found for [s]; None: any
 
+    `learning_filter` finds the taps of any L(q) and Q(q): of systems, inverses and filters.
     Raises ValueError for taps that are not an odd number, and for another number of segments;
-    `check` raises it for taps of other channels, and for taps, a lead or a segment that reach
-    beyond the whole trial.
+    `check` raises it for taps of other channels, for taps, a lead or a segment that reach beyond
+    the whole trial, and for another sample time.
     """
 
     L: Leaf = leaf()
@@ -49,6 +56,7 @@ class LearningFilter(Scheme):
     limit: Leaf | None = leaf(default=None, interval="(0, inf)", optional=True)
     lead: int = static(default=0, interval="[0, inf)", whole=True)
     starts: tuple[int, ...] = static(default=())
+    dt: float | None = static(default=None, interval="(0, inf)", optional=True)
     clips = ("limit",)
 
     def __post_init__(self):
@@ -73,6 +81,11 @@ class LearningFilter(Scheme):
 
     def check(self, task: Task) -> None:
         need_channels(self, task.inputs, "limit")
+        if self.dt and known(task.dt) and abs(self.dt - task.dt) > 1e-9 * task.dt:
+            raise ValueError(
+                f"LearningFilter: dt = {self.dt:g} s is not that of the task, {task.dt:g} s; "
+                "allowed are the same, and None for taps of any sample time"
+            )
         for name, seen in (("L", task.outputs), ("keep", task.inputs)):
             self._need_channels_of(name, seen, task)
         reach = self.lead + self._taps("L") // 2
@@ -125,3 +138,70 @@ class LearningFilter(Scheme):
             return correlated(taps, signal)
         each = jax.vmap(correlated, (0, None))(taps, signal)
         return jnp.einsum("sk,skn->kn", in_segments(self.starts, each.shape[1]), each)
+
+
+def learning_filter(
+    L: Any,
+    Q: Any = None,
+    *,
+    gain: Any = 1.0,
+    lead: int = 0,
+    limit: Any = None,
+    dt: float | None = None,
+    tolerance: float = 1e-12,
+    most: int = 4001,
+) -> LearningFilter:
+    """The law u_{j+1} = Q (u_j + gain q^lead L e_j) of any linear filters, causal or not, as taps.
+
+    L and Q may each be
+        a system of python-control, discrete or sampled at dt, also improper: `0.5 / P`
+        a `StateSpace` or `filters.Factors`
+        a filter of `jaxilc.filters`: `stable_inverse(P)`, `zpetc(P)`, `ZeroPhaseButterworth(40.0)`
+        an odd number of taps, or one number
+
+    Systems and filters act as the operators that they are: (L e)[k] is learned into u[k]. The
+    inverse of a plant holds the advance of one sample from u[k] to y[k+1] already, so with
+    `learning_filter(stable_inverse(P), gain=0.8)` a fifth of the error is left after each trial.
+    Taps are those of `LearningFilter`: the middle one of L belongs to e[k+1].
+    Poles of a system within the unit circle act on the past, and those outside on the future.
+
+    gain: factor of L
+    lead: whole number of samples by which L looks further ahead, or back where it is negative
+    limit: as in `LearningFilter`
+    dt: sample time [s], where L or Q has none of its own but depends on it
+    tolerance: in (0, 1); taps at the ends below this share of the largest are left out
+    most: largest number of taps of each filter
+
+    Beyond the ends of the trial the error counts as zero and u is mirrored; `Filtered` keeps the
+    ends of Q as Q has them. Raises ValueError as `taps_of` does, for values out of range, and where
+    L and Q are of different sample times.
+    """
+    owner = "learning_filter"
+    require(owner, "lead", lead, f"[-{most}, {most}]", whole=True)
+    require(owner, "tolerance", tolerance, "(0, 1)")
+    require(owner, "most", most, "[1, 1e6]", whole=True)
+    found = taps_of(L, f"{owner}: L", dt=dt, tolerance=tolerance, most=most)
+    ahead = 0 if is_operator(L) else 1
+    found = found._replace(first=found.first + lead + ahead)
+    keep = FilterTaps(0, np.ones(1), None)
+    if Q is not None:
+        keep = taps_of(Q, f"{owner}: Q", dt=found.dt or dt, tolerance=tolerance, most=most)
+        both = FilterTaps(
+            found.first + keep.first, np.convolve(found.taps, keep.taps), found.dt or keep.dt
+        )
+        found = shortened(both, tolerance)
+    start, end = found.first, found.first + len(found.taps) - 1
+    middle = max((start + end) // 2, 1)
+    of_L, of_keep = _around(found, middle), _around(keep, 0)
+    return LearningFilter(
+        gain * of_L, keep=of_keep, limit=limit, lead=middle - 1, dt=found.dt or keep.dt
+    )
+
+
+def _around(found: FilterTaps, middle: int) -> np.ndarray:
+    """(2 n + 1,) the taps with the one of shift `middle` in the middle."""
+    first, last = found.first - middle, found.first + len(found.taps) - 1 - middle
+    reach = max(-first, last, 0)
+    taps = np.zeros(2 * reach + 1)
+    taps[reach + first : reach + last + 1] = found.taps
+    return taps

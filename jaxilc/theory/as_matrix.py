@@ -18,7 +18,7 @@ from ..schemes import Scheme
 from ..signals.task import Task
 from .affine import View, learning_of
 from .law import learning_law
-from .spectrum import radius_with_doubt
+from .spectrum import growth_about, radius_with_doubt, triangular_radius
 
 MOST = 4000  # trials over which a limit is looked for
 WIDE = 1e-12  # relative width that covers the rounding of a norm
@@ -91,6 +91,21 @@ class Matrices(NamedTuple):
     def radius(self):
         """(S,) spectral radius of M, and by how much rounding may have moved it."""
         return np.array([radius_with_doubt(M) for M in self.M]).T
+
+    def triangular(self, which):
+        """Of a triangular M: spectral radius, about max_i ||M^i||, and ||(I - M)^-1||, each (S,).
+
+        They are infinite where M is not triangular or its radius is not below 1, and where `which`
+        (S,) does not ask for them.
+        """
+        radius, growth, inverse = np.full((3, len(self.M)), np.inf)
+        for i in np.flatnonzero(which):
+            radius[i] = triangular_radius(self.M[i])
+            if radius[i] < 1:
+                growth[i] = growth_about(self.M[i])
+                with np.errstate(divide="ignore"):
+                    inverse[i] = 1 / np.linalg.norm(np.eye(len(self.M[i])) - self.M[i], -2)
+        return radius, growth, inverse
 
     def first_met(self, reach):
         """The first trial that meets a limit, whether none ever is met, and which limit it is.

@@ -7,8 +7,9 @@ every trial (`linearity`), and where no limit is met in any trial to come (`outl
     monotone     the error falls in every trial to come, sigma_max(I - G L) < 1. With a filter or a
                  leak, which leave an error, it is the distance of what is learned from its limit
                  that falls: sigma_max of the learning map < 1
-    converges    learning comes to its limit in the end: a power of the learning map contracts. What
-                 it does before is bounded
+    converges    learning comes to its limit in the end: a power of the learning map contracts, or
+                 the map is triangular with a diagonal below 1. Before, the error may grow far;
+                 how far, and until which trial, is predicted (`peak`)
     diverges     learning grows without bound: an eigenvalue lies beyond 1 by more than its doubt,
                  and there is no limit to stop it
     not claimed  for a reason that is told
@@ -42,7 +43,7 @@ from ..uncertainty import Uncertainty, drawn_machines
 from .affine import limit_names, view_of
 from .as_map import Maps
 from .as_matrix import Matrices
-from .forecast import follow, predict, simulate
+from .forecast import follow, peaks, predict, simulate
 from .linearity import keeps_all, learning_premises
 from .outlook import Outlook, joined, maps_of, outlooks, that_fit
 from .trials import starts_off
@@ -50,6 +51,8 @@ from .trials import starts_off
 CLAIMS = MONOTONE, CONVERGES, DIVERGES, NOTHING = "monotone", "converges", "diverges", "not claimed"
 COURSES = FALLS, NOT_ALWAYS, TURNS, GROWS = "falls", "falls, not always", "turns", "grows"
 RISE = 1e-9  # a relative rise of the error that rounding explains
+ROUNDING = 1e3  # in units of the last place
+AS_TOLD = 1e-6  # share of the largest error by which simulation may differ from theory
 EXACT = 1e-9  # share of the first error that counts as none left
 COPIES = 64  # bytes for each trial of each machine: three curves, with what lies between
 
@@ -72,6 +75,9 @@ class Certificate(NamedTuple):
     turning:   (S,) the best trial, by theory
     observed_turning: (S,) the best trial, by simulation
     growth:    (S,) largest rise of the predicted error above a lower one before it, as a factor
+    peak:      (S,) largest error by theory, in units of the first; where learning converges, also
+               beyond J trials
+    peak_trial: (S,) the trial of this error
     distance:  (S, J) simulated distance of what is learned from its limit; None where nothing is
                linear
     outlook:   of all trials to come; None where nothing is linear
@@ -90,6 +96,8 @@ class Certificate(NamedTuple):
     turning: np.ndarray
     observed_turning: np.ndarray
     growth: np.ndarray
+    peak: np.ndarray
+    peak_trial: np.ndarray
     distance: np.ndarray | None
     outlook: Outlook | None
 
@@ -109,6 +117,9 @@ class Certificate(NamedTuple):
         if claim == MONOTONE and self.of_error[i]:
             return _rises(e, e[0])
         k, q, g = (float(x[i]) for x in self.outlook.decay[:3])
+        if not k:  # then the error is to be as predicted, but for rounding, which grows as well
+            share = AS_TOLD + ROUNDING * np.finfo(float).eps * g
+            return not np.max(np.abs(e - self.predicted[i])) / share <= np.max(self.predicted[i])
         far, sure = self.distance[i], float(self.outlook.radius[i])
         bound = g * q ** (np.arange(len(far)) // k) * (far[0] + sure) + sure
         return bool(
@@ -195,6 +206,8 @@ def _certified(
         growth = np.max(
             np.nan_to_num(predicted / np.minimum.accumulate(predicted, axis=1), nan=np.inf), axis=1
         )
+    powers = np.zeros(0, int) if run.outlook is None else run.outlook.decay.trials
+    peak, peak_trial = peaks(machines, scheme, task, predicted, run.claim == CONVERGES, powers)
     return Certificate(
         **run._asdict(),
         floor=floor,
@@ -206,6 +219,8 @@ def _certified(
         turning=_best(predicted),
         observed_turning=_best(simulated),
         growth=growth,
+        peak=peak,
+        peak_trial=peak_trial,
         distance=distance,
     )
 
@@ -250,7 +265,7 @@ def _claims(machines, scheme, task, ahead: Outlook, maps: Matrices | Maps):
         )
     of_error = (of_errors < 1) & ahead.clear
     monotone = of_error | (decay.monotone & ahead.clear)
-    converges = (decay.trials > 0) & ahead.clear & ~monotone
+    converges = decay.converges & ahead.clear & ~monotone
     diverges = np.zeros(size, bool)
     if not np.all(monotone | converges) and not limit_names(machines, scheme, task):
         radius, doubt = maps.radius()
@@ -265,7 +280,7 @@ def _reason(i: int, claim: str, of_error: bool, of_errors: float, ahead: Outlook
         return f"the error falls to {of_errors:.6g} of itself in every trial, or below"
     if claim == DIVERGES:
         return "an eigenvalue of the learning map lies beyond 1"
-    if claim != NOTHING or not ahead.decay.trials[i]:
+    if claim != NOTHING or not ahead.decay.converges[i]:
         return ahead.decay.told(i)
     return ahead.told(i)
 

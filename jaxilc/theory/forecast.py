@@ -20,6 +20,9 @@ from .trials import trial_of
 # trials simulated before the prediction takes over: from the third on a law of two-trial
 # increments is what it will be
 FIRST = 2
+AHEAD = 4  # times a power that contracts: trials in which the largest error is looked for
+FIRST_LOOK, LAST_LOOK = 256, 4096  # trials, where no power is known to contract, and at most
+SETTLED = 1e-3  # relative change of the error from trial to trial
 
 
 def predict(machines: Machine, scheme: Scheme, task: Task, trials: int) -> np.ndarray:
@@ -34,6 +37,42 @@ def predict(machines: Machine, scheme: Scheme, task: Task, trials: int) -> np.nd
     repeats = scheme.trials_a_step // law.trials_a_step
     found = np.asarray(_predicting(-(-trials // repeats))((law, task), machines))
     return np.repeat(found, repeats, axis=1)[:, :trials]
+
+
+def peaks(
+    machines: Machine, scheme: Scheme, task: Task, predicted, converging, powers
+) -> tuple[np.ndarray, np.ndarray]:
+    """(S,) the largest error by theory, in units of the first, and its trial, counted from 1.
+
+    Of machines that are known to converge, though not in every trial, it is looked for beyond the J
+    trials, until the error has fallen below the first one or has settled.
+
+    predicted: (S, J) of `predict`
+    converging: (S,) which machines are known to converge
+    powers: (S,) power of the learning map that is known to contract; 0 where none is
+    """
+    sizes = [_finite_or_infinite(predicted)]
+    if np.any(converging):
+        of = powers[converging]
+        trials = AHEAD * int(np.max(of)) if np.all(of) else FIRST_LOOK
+        while trials <= LAST_LOOK:
+            if trials > predicted.shape[1]:
+                predicted = predict(machines, scheme, task, trials)
+            first, last, before = _finite_or_infinite(predicted)[converging][:, [0, -1, -2]].T
+            settled = (last <= before * (1 + SETTLED)) & (last >= before * (1 - SETTLED))
+            if np.all((last <= first) | settled):
+                break
+            trials *= AHEAD
+        beyond = _finite_or_infinite(predicted[:, sizes[0].shape[1] :])
+        sizes.append(np.where(converging[:, None], beyond, -np.inf))
+    every = np.concatenate(sizes, axis=1)
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        peak = np.max(every, axis=1) / every[:, 0]
+    return np.where(np.isnan(peak), 1.0, peak), np.argmax(every, axis=1) + 1
+
+
+def _finite_or_infinite(errors) -> np.ndarray:
+    return np.where(np.isfinite(errors), errors, np.inf)
 
 
 def simulate(machines: Machine, scheme: Scheme, task: Task, trials: int) -> np.ndarray:

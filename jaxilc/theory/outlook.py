@@ -12,7 +12,9 @@ later trials stay:
     ||w_i - w_j|| <= reach ||w_(j+1) - w_j||,    reach = growth * trials / (1 - factor)
 
 A limit that no trial within that distance can meet is never met. Otherwise the first trial that
-meets one is told, or that one cannot be excluded. M is taken as a matrix up to 512 rows, and beyond
+meets one is told, or that one cannot be excluded. Where no power of M is seen to contract, M may be
+triangular, as that of a causal law is: then its diagonal tells whether learning converges in the
+end, however far it strays before. M is taken as a matrix up to 512 rows, and beyond
 as a map whose norms are bounded from above (`iteration.largest`). Noise is left out.
 """
 
@@ -35,6 +37,7 @@ POWERS = (1, 4, 16, 64)  # of M that are looked at, until one contracts
 STEPS = 300  # of the Lanczos process, at most
 DENSE = 512  # rows up to which M is taken as a matrix
 ROUNDING = 1e3  # in units of the last place
+SURELY = 1 - 1e-9  # eigenvalues on the diagonal of a triangular map that are below 1
 ROOM = 2**27  # bytes of the dense matrices of the machines that are looked at together
 NO_LIMIT = "no limit is met in any trial to come"
 WHOLE = "the whole trial converges, its ends included"
@@ -44,14 +47,24 @@ class Decay(NamedTuple):
     """||M^i|| <= growth factor^(i // trials) of S machines.
 
     trials: (S,) 0 where no such bound was found
-    factor, growth: (S,) infinite where no such bound was found
+    factor: (S,) infinite where no such bound was found
+    growth: (S,) likewise; but of a triangular M with radius < 1, about max_i ||M^i||
     norm:   (S,) an upper bound of ||M||
+    radius: (S,) spectral radius of a triangular M; infinite where M is not, or a bound was found
+    inverse: (S,) ||(I - M)^-1|| of a triangular M with radius < 1; infinite otherwise
     """
 
     trials: np.ndarray
     factor: np.ndarray
     growth: np.ndarray
     norm: np.ndarray
+    radius: np.ndarray
+    inverse: np.ndarray
+
+    @property
+    def converges(self) -> np.ndarray:
+        """(S,) whether learning comes to its limit in the end."""
+        return (self.trials > 0) | ((self.radius < SURELY) & np.isfinite(self.growth))
 
     @property
     def monotone(self) -> np.ndarray:
@@ -65,6 +78,12 @@ class Decay(NamedTuple):
             float(self.factor[machine]),
             float(self.growth[machine]),
         )
+        if not k and self.converges[machine]:
+            return (
+                "every eigenvalue of the learning map, which is triangular, is at most "
+                f"{self.radius[machine]:.6g} in size; but the distance from the limit can grow "
+                f"about {growth:.3g} times before it falls"
+            )
         if not k:
             return (
                 f"no power of the learning map up to {POWERS[-1]} contracts; "
@@ -172,7 +191,9 @@ def outlooks(
         )
     decay = decays(machines, scheme, task, maps=maps)
     limit, left, floor, gain = maps.limit()
-    radius = np.where(left > 0, np.where(np.isfinite(decay.reach), decay.reach, np.inf) * left, 0.0)
+    # w_inf - w = (I - M)^-1 (F(w) - w)
+    strays = np.minimum(decay.reach, decay.inverse)
+    radius = np.where(left > 0, strays * np.where(left > 0, left, 1.0), 0.0)
     names = limit_names(machines, scheme, task)
     met, clear, which = (
         maps.first_met(decay.reach)
@@ -219,4 +240,6 @@ def decays(
             between = between * np.maximum(of_power, 1.0) ** max(following // power - 1, 0)
         if not np.any((trials == 0) & (late < 1)):
             break
-    return Decay(trials, factor, growth, norm)
+    radius, of_triangular, inverse = maps.triangular(trials == 0)
+    growth = np.where(trials == 0, of_triangular, growth)
+    return Decay(trials, factor, growth, norm, radius, inverse)

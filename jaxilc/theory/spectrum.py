@@ -10,6 +10,9 @@ import scipy
 from .condition import Condition, Premise, condition, premise
 from .iteration import MARGIN
 
+EXACT_ROWS, PROBES = 64, 16  # rows up to which a growth is exact, random vectors beyond
+LONGEST = 1024  # powers that are looked at for a growth
+
 MONOTONE = (
     "sigma_max < 1: the 2-norm of the deviation from the limit falls by at least this factor in "
     "every trial (Bristow 2006; Norrlöf, "
@@ -127,6 +130,40 @@ def radius_with_doubt(M) -> tuple[float, float]:
         )
     radius, doubt = max(found)
     return radius, max(doubt, max(sum(one) for one in found) - radius)
+
+
+def triangular_radius(M) -> float:
+    """rho of (n, n) where M is triangular, or a permuted triangular matrix; else infinite.
+
+    Its eigenvalues are then its diagonal, without any doubt, however far from normal it is. The
+    learning map of a causal law has this form, since no sample can act on an earlier one.
+    """
+    if not np.all(np.isfinite(M)):
+        return np.inf
+    blocks, _ = scipy.sparse.csgraph.connected_components(M != 0, connection="strong")
+    return float(np.max(np.abs(np.diag(M)), initial=0.0)) if blocks == len(M) else np.inf
+
+
+def growth_about(M) -> float:
+    """About max_i ||M^i|| of (n, n); infinite where no power up to 1024 is seen to contract.
+
+    It is taken in the Frobenius norm, which is never smaller than ||M^i||: exactly up to 64 rows,
+    and beyond estimated as the mean length of random vectors. That tells the order of magnitude of
+    a transient that is far above 1.
+    """
+    n = len(M)
+    random = np.random.default_rng(8).standard_normal((n, PROBES)) / np.sqrt(PROBES)
+    vectors, largest = np.eye(n) if n <= EXACT_ROWS else random, 1.0
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(LONGEST):
+            vectors = M @ vectors
+            size = float(np.linalg.norm(vectors))
+            if size < 1:
+                return largest
+            if not np.isfinite(size):
+                break
+            largest = max(largest, size)
+    return np.inf
 
 
 def _power_contracts(M) -> bool:

@@ -195,7 +195,7 @@ def test_list_shows_a_value_that_can_be_set():
 # --------------------------------------------------------------------------------------------------
 
 
-def certificate(reasons, floor=None, observed="falls"):
+def certificate(reasons, floor=None, observed="falls", grows=(None, None, None, 0)):
     kinds = ("monotone", "converges", "diverges", "not claimed")
     courses = ("falls", "falls, not always", "turns", "grows")
     machines = sum(sum(of.values()) for of in reasons.values())
@@ -208,6 +208,7 @@ def certificate(reasons, floor=None, observed="falls"):
         "confusion": {c: dict.fromkeys(courses, 0) for c in courses},
         "monotone_in_the_error": 0,
         "turning": {"predicted": 1.0, "observed": 1.0},
+        "transient": dict(zip(("growth", "trial", "of_noise", "machines"), grows, strict=True)),
         "bound": {"holds": 0, "fails": 0, "not claimed": machines},
         "premises": {"lam > b^2 / 4 and some more words": {"held": 0, "share_broken": 0.5}},
     }
@@ -233,6 +234,23 @@ def test_certify_says_what_is_certified_what_not_and_why():
     assert parsed(certify_verdict(published, {"a": doubt}, 1.0))[0] == "sweep"
     turns = certificate({"not claimed": {"it is nonlinear": 2}}, None, "turns")
     assert parsed(certify_verdict(published, {"a": turns}, 1.0))[0] == "worst-case"
+
+
+def test_certify_tells_a_growth_before_the_fall_and_does_not_send_it_to_the_machine():
+    lies = certificate({"converges": {"x": 1}}, 1e-9, grows=(1.207e11, 14, 4.6e11, 1))
+    found = certify_verdict(CASE, {"ilc": lies}, 1.0)
+    assert found.said == (
+        "ilc is certified on the nominal machine: learning converges and leaves an rms error of at "
+        "most 1.00e-09 mm. Before it falls, the error grows up to 1.21e+11 times, until trial 14, "
+        "and noise can grow about 4.60e+11 times.",
+    )
+    assert parsed(found)[0] == "design"
+    some = certificate({"converges": {"x": 4}, "monotone": {"y": 4}}, 1e-9, grows=(3.0, 5, None, 2))
+    sure = certificate({"monotone": {"x": 8}}, 1e-3)
+    found = certify_verdict(CASE._replace(learns={"a": 1, "b": 1}), {"a": some, "b": sure}, 1.0)
+    assert "the error of 2 of 8 machines grows up to 3 times, until trial 5." in found.said[0]
+    name, params = parsed(found)
+    assert (name, params["scheme"]) == ("next", "b")
 
 
 def test_tables_of_certify_fit_80_columns_and_reasons_stand_below_them():

@@ -66,7 +66,7 @@ CONTRACTING = (
     "p_type_ladder",
 )
 CONTRACTING += ("learning_filter",)
-CONTRACTING += ("p_type_on_table", "norm_optimal", "milc", "ilc_asmc")
+CONTRACTING += ("p_type_on_table", "norm_optimal", "estimated_disturbance", "milc", "ilc_asmc")
 
 
 # Slopes

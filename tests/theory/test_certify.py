@@ -10,6 +10,7 @@ import cases
 import jax
 import numpy as np
 import pytest
+import scipy.linalg
 
 import jaxilc
 from jaxilc import Actuator, Disturbance, Machine, Task, Uniform
@@ -30,7 +31,7 @@ from jaxilc.schemes import (
 from jaxilc.theory import certify, outlook, premises
 from jaxilc.theory.certificates import certify_each, course
 from jaxilc.theory.of_schemes import OfScheme
-from jaxilc.uncertainty import draw
+from jaxilc.uncertainty import draw, drawn_machines
 
 DT, N = 1e-3, 100
 TASK = Task(reference=0.5 - 0.5 * np.cos(2 * np.pi * np.arange(N + 1) / N), dt=DT)
@@ -246,6 +247,44 @@ def test_one_who_only_watched_knows_no_divergence():
         replace(FIRST_ORDER, actuator=Actuator(limit=10.0)), PIDType(gamma_p=-0.8), 15, B
     )
     assert set(found.claim) == {"not claimed"}
+
+
+def test_the_transient_that_lies_is_told_beforehand():
+    """A law that converges in the end is not sent to a machine that it would destroy before.
+
+    Of q / (q - 0.9)^2 and u' = u + 0.5 e[k+1] every eigenvalue is 0.5, but the error for a unit
+    step grows by eleven orders of magnitude in the first thirteen updates. The oracle is the power
+    of the Toeplitz matrix of Markov parameters. It is told although fewer trials are asked for.
+    """
+    samples, trials = 50, 10
+    g = np.convolve(0.9 ** np.arange(samples), 0.9 ** np.arange(samples))[:samples]
+    M = np.eye(samples) - 0.5 * np.tril(scipy.linalg.toeplitz(g))
+    errors = [np.ones(samples)]
+    while len(errors) < 200:
+        errors.append(M @ errors[-1])
+    size = np.linalg.norm(errors, axis=1)
+    growth, trial = np.max(size) / size[0], np.argmax(size) + 1
+    assert (f"{growth:.2e}", trial) == ("1.21e+11", 14), "the first trial is trial 1"
+    assert size[-1] < 1e-9 * size[0], "it converges in the end"
+    plant = DifferenceEquation((1.8, -0.81), (1.0, 0.0), dt=DT)
+    task = Task(np.r_[0.0, np.ones(samples)], dt=DT)
+    machines = drawn_machines(Machine(plant), {}, {})
+    found = certify_each(machines, PIDType(gamma_p=0.5), task, trials)
+    assert list(found.claim) == ["converges"]
+    np.testing.assert_allclose(found.outlook.decay.radius, 0.5, rtol=1e-12)
+    np.testing.assert_allclose(found.sigma, np.linalg.norm(M, 2), rtol=1e-6)
+    np.testing.assert_allclose(found.peak, growth, rtol=1e-6)
+    assert list(found.peak_trial) == [trial]
+    np.testing.assert_allclose(found.simulated[0], size[:trials] / samples**0.5, rtol=1e-9)
+    assert found.floor + found.doubt < 1e-9
+    assert not len(found.broken_promises())
+    assert "the error grows up to 1.21e+11 times, until trial 14" in sentence(found, trials)
+    powers, worst = np.eye(samples), 0.0
+    for _ in range(30):
+        powers = M @ powers
+        worst = max(worst, np.linalg.norm(powers, 2))
+    np.testing.assert_allclose(found.outlook.decay.growth, worst, rtol=0.1)
+    assert "0.5 in size; but the distance from the limit can grow about 4.6" in found.reason[0]
 
 
 # The parts

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ...theory.certificates import CONVERGES, DIVERGES, GROWS, MONOTONE, NOTHING, TURNS
+from ..certificate_tables import transient_words
 from ..tables import number
 from .case import Case
 from .next_command import Verdict
@@ -26,6 +27,7 @@ def certify_verdict(case: Case, numbers: Mapping[str, dict[str, Any]], scale: fl
             said.append(
                 f"{name} is certified on {_all(machines)}: learning "
                 f"{_how(claims)} and leaves an rms error of at most {floor}."
+                f"{transient_words(row)}"
             )
         elif claims[DIVERGES]:
             said.append(f"{name} diverges on {claims[DIVERGES]} of {machines} machines.")
@@ -51,8 +53,9 @@ def _how(claims: dict[str, int]) -> str:
 def _after_certify(
     case: Case, numbers: Mapping[str, dict[str, Any]], certified: Sequence[str]
 ) -> tuple[str, str]:
-    if certified:
-        best = min(certified, key=lambda name: numbers[name]["floor"])
+    fit = [name for name in certified if not numbers[name]["transient"]["machines"]]
+    if fit:
+        best = min(fit, key=lambda name: numbers[name]["floor"])
         if case.asked.of_file:
             words = ("--state", "out/campaign", "--out", "trial-1.csv")
             scheme = case.asked.name_of(best, [*case.learns])
@@ -67,5 +70,6 @@ def _after_certify(
 
 
 def _ends_badly(row: dict[str, Any]) -> bool:
-    """Whether a scheme diverges, or its simulated error has grown at the end, on some machine."""
-    return bool(row["claims"][DIVERGES] or row["observed"][TURNS] or row["observed"][GROWS])
+    """Whether a scheme diverges, or its error grows before it falls or at the end, somewhere."""
+    grows = row["observed"][TURNS] or row["observed"][GROWS] or row["transient"]["machines"]
+    return bool(row["claims"][DIVERGES] or grows)
