@@ -95,7 +95,9 @@ def _field(
         return numbers(value, where)
     if kind == "static":
         return tuple(value) if isinstance(value, list) else value
-    if value == "plant":
+    if value == "plant" and hint is Plant and plant is not None:
+        value = plant
+    elif value == "plant":
         value = _nominal(where, plant, dt)
     elif isinstance(value, Mapping) and "function" in value:
         value = _model(value, where, plant, dt)

@@ -21,8 +21,8 @@ LANES = 3  # of a batch
 # A cutoff changes 8.3 and 18.7 ms after the start, and the error leaves the boundary layer late.
 LONG = {"p_type_switchable", "asmc_carried_limited"}
 # It iterates after each trial. Without jit each of its hundreds of operations is compiled by
-# itself, which takes half a minute; test_constrained_norm_optimal.py has another solver for it.
-ITERATES = ("constrained",)
+# itself, which takes half a minute; these schemes are held to another solver in tests of their own.
+ITERATES = ("constrained", "two_step")
 
 
 class Run(NamedTuple):
