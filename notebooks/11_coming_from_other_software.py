@@ -54,7 +54,6 @@ from jaxilc.schemes import (
 )
 
 # %matplotlib inline
-# ruff: noqa: B018
 jaxilc.setup()
 
 
@@ -141,7 +140,9 @@ constrained = ConstrainedNormOptimal(
 )
 history = learn(exact, constrained, square, 5, save=norm)
 print("within bounds:", norms(history)[-1], " theirs: 4.4544077312 (OSQP)")
-print("largest |u|:", float(jnp.max(jnp.abs(history.final.u))), " solved:", history.memory.converged)
+print(
+    "largest |u|:", float(jnp.max(jnp.abs(history.final.u))), " solved:", history.memory.converged
+)
 assert abs(norms(history)[-1] / 4.4544077312015835 - 1) < 1e-6
 
 # %% [markdown]

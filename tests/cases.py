@@ -19,6 +19,7 @@ from jaxilc.plants import (
     FlexibleMode,
     FrictionTable,
     LeadError,
+    Pendulum,
     PeriodicForce,
     ProcessModel,
     StateSpace,
@@ -57,6 +58,7 @@ from jaxilc.schemes import (
     OnReference,
     PIDType,
     StopWhen,
+    TwoStep,
     WithFeedback,
 )
 from jaxilc.signals import Task
@@ -147,6 +149,8 @@ PLANTS = {
         np.array([[1.0, 0.5]]) * _WAVE[::-1],
         dt=DT,
     ),
+    # so heavy that it swings within a few samples of 1 ms, far from where it is linear
+    "pendulum": Pendulum(mass=0.02, damping=0.1, inertia=1e-3, length=0.2, gravity=9e4),
     "motor_and_table": StateSpace(
         [[0.9, 0.1], [0.3, 0.6]], [[0.2], [0.0]], [[1.0, 0.0], [0.0, 1.0]], dt=DT
     ),
@@ -317,6 +321,15 @@ SCHEMES = {
         measurement_std=(0.1, 0.04),
         initial_std=0.3,
     ),
+    "two_step": TwoStep(
+        Pendulum(mass=0.018, damping=0.12, inertia=1.1e-3, length=0.21, gravity=8.5e4),
+        w_y=1200.0,
+        w_alpha=0.01,
+        w_change=0.02,
+        w_q=900.0,
+        w_r=0.01,
+        w_s=2e-3,
+    ),
     "dilc": WithFeedback(
         OnOutputs(NormOptimal(direct_model(0.5, _NOMINAL), w_q=2.0, w_r=0.1, w_s=0.05), (1,)),
         OnOutputs(PID(kp=0.5, kd=1e-4), (0,)),
@@ -352,6 +365,7 @@ _PLANT_OF = {
     "model_free": "discrete",
     "model_free_stochastic": "motor_and_table",
     "estimated_disturbance": "mimo",
+    "two_step": "pendulum",
     "dilc": "motor_and_table",
     "milc": "motor_and_table",
     **dict.fromkeys(("smc", "smc_hold_limited", "asmc", "asmc_carried_limited", "ilc_asmc"), "arx"),
@@ -370,6 +384,7 @@ _FEW = {
     "model_free",
     "model_free_stochastic",
     "estimated_disturbance",
+    "two_step",
     "dilc",
     "milc",
     "ball_screw",

@@ -1,4 +1,4 @@
-from . import cao_2019, cao_2019_rig, dai_2014, li_2020, milc_2024, pendulum, xu_2024
+from . import cao_2019, cao_2019_rig, dai_2014, double_mass, li_2020, milc_2024, pendulum, xu_2024
 from .catalogue import LISTED, Listed
 from .from_file import load_scenario
 from .loading import SCENARIOS, load, options
@@ -16,6 +16,7 @@ __all__ = [
     "cao_2019",
     "cao_2019_rig",
     "dai_2014",
+    "double_mass",
     "li_2020",
     "load",
     "load_scenario",

@@ -38,6 +38,12 @@ LISTED = {
         1,
         8000,
     ),
+    "double-mass": Listed(
+        "Two masses on a spring, the tests of IterativeLearningControl2.jl",
+        ("inverse-filter", "norm-optimal", "gradient", "model-free", "constrained"),
+        10,
+        471,
+    ),
     "li-2020": Listed(
         "CNC axis along a butterfly, simulation (Li 2020)",
         (

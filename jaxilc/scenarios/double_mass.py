@@ -175,7 +175,9 @@ def schemes_for(model: StateSpace, at: str, second: str) -> dict[str, Scheme]:
         "inverse-filter": InverseLaw(model, 0.5, 0.1 if at == "input" else 0.05),
         "norm-optimal": NormOptimal(model, w_r=1e-4, w_s=1e-5),
         "gradient": GradientILC(model, step=step),
-        "model-free": ModelFreeGradient(step=amplified, about="mean", inputs=model.n_u, outputs=model.n_y),
+        "model-free": ModelFreeGradient(
+            step=amplified, about="mean", inputs=model.n_u, outputs=model.n_y
+        ),
         "constrained": ConstrainedNormOptimal(model, w_s=1e-3, step=0.5, **weights, **bounds),
     }
     if second != "none":
@@ -212,9 +214,7 @@ def double_mass(
     return Scenario(
         name="double-mass",
         title="Two masses on a spring, the tests of IterativeLearningControl2.jl",
-        machine=Machine(
-            plant, disturbance=Disturbance(output=without_learning(loop, r, second))
-        ),
+        machine=Machine(plant, disturbance=Disturbance(output=without_learning(loop, r, second))),
         task=Task(r, dt=SAMPLE_TIME, unit="m", input_unit="N", inputs=plant.n_u),
         schemes=schemes_for(
             loop_from(closed_loop(MODELLED), at, second).sampled(SAMPLE_TIME), at, second

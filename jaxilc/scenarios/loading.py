@@ -11,6 +11,7 @@ from ..pytree.ranges import brief
 from .cao_2019 import cao_2019
 from .cao_2019_rig import cao_2019_rig
 from .dai_2014 import dai_2014
+from .double_mass import double_mass
 from .li_2020 import li_2020
 from .milc_2024 import milc_2024
 from .pendulum import pendulum
@@ -21,6 +22,7 @@ SCENARIOS: dict[str, Callable[..., Scenario]] = {
     "cao-2019": cao_2019,
     "cao-2019-rig": cao_2019_rig,
     "dai-2014": dai_2014,
+    "double-mass": double_mass,
     "li-2020": li_2020,
     "milc-2024": milc_2024,
     "pendulum": pendulum,

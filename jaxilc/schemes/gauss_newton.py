@@ -11,6 +11,7 @@ linear form predicts (as in differential dynamic programming, Jacobson and Mayne
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -73,6 +74,7 @@ class _Course(NamedTuple):
     l: jax.Array  # noqa: E741
 
 
+@partial(jax.jit, static_argnums=2)
 def solve(problem: Problem, start, dt: float) -> Found:
     """The optimum that Gauss and Newton's method finds from w = start (N, n)."""
     course = _first(problem, start, dt)
@@ -169,8 +171,7 @@ def _searched(problem: Problem, at: Motion, way: Way, now, descent, penalty, dt:
         share, _, good = course
         return ~good & (share > 2.0**-HALVINGS)
 
-    _, motion, good = lax.while_loop(
-        going_on, lambda course: tried(course[0] / 2), tried(jnp.ones_like(now))
-    )
+    before = (2 * jnp.ones_like(now), at, jnp.zeros((), bool))
+    _, motion, good = lax.while_loop(going_on, lambda course: tried(course[0] / 2), before)
     motion = jax.tree.map(lambda new, old: jnp.where(good, new, old), motion, at)
     return motion, jnp.where(good, jnp.ones_like(now), 0.0)

@@ -78,6 +78,7 @@ def _calm(problem: Problem, solved) -> Problem:
     return problem._replace(**{name: jnp.where(solved, x, 0.0) for name, x in signals.items()})
 
 
+@partial(jax.jit, static_argnums=3)
 def _slope(problem: Problem, found: Found, held, dt: float) -> jax.Array:
     """(N, n) the derivative of the Lagrange function by w, at w of the optimum.
 
@@ -103,6 +104,7 @@ def _slope(problem: Problem, found: Found, held, dt: float) -> jax.Array:
     return jax.grad(lagrange)(w)
 
 
+@partial(jax.jit, static_argnums=2)
 def _curvature(problem: Problem, found: Found, dt: float) -> _Curved:
     """The second derivative at the optimum.
 

@@ -62,8 +62,7 @@ class Scheme:
 
     `theory.structure` finds from the program itself whether a scheme is linear and whether it
     learns in the same way in every trial. What cannot be found from the program, the scheme
-    declares: `estimator_steps` (see `frozen`), `clips` (see `limits`), `compares`, `trials_a_step`,
-    `experiments`, `of_one_length`, `play` and `record`.
+    declares: the fields below (see `frozen` and `limits`), `play` and `record`.
 
     estimator_steps: fields that are the step of an estimator; with 0, nothing adapts
     clips: fields that are a limit; with None, there is no limit

@@ -11,7 +11,6 @@ import jax.numpy as jnp
 from ..plants import Plant, StateSpace, motion
 from ..pytree.fields import Leaf, child, leaf, pytree, static
 from ..pytree.needs import need_channels
-from ..pytree.ranges import brief
 from ..signals.task import Limit, Task, Trial
 from .constrained_norm_optimal import limits_of_rows
 from .constraints import kinds, need_feasible, rows_of
@@ -108,11 +107,6 @@ class TwoStep(Scheme):
     clips = ("limit", "rate", "y_low", "y_high", "tube")
 
     def __post_init__(self):
-        if not isinstance(self.model, Plant):
-            raise ValueError(
-                f"TwoStep: model = {brief(self.model)} is a {type(self.model).__name__}; allowed "
-                "is a plant"
-            )
         need_convex(self)
         need_weight("TwoStep", "w_y", self.w_y, self.model.n_y)
         of_alpha = {"w_alpha": self.w_alpha, "w_change": self.w_change}

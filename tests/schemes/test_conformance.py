@@ -21,8 +21,8 @@ LANES = 3  # of a batch
 # A cutoff changes 8.3 and 18.7 ms after the start, and the error leaves the boundary layer late.
 LONG = {"p_type_switchable", "asmc_carried_limited"}
 # They iterate. Without jit each of their hundreds of operations is compiled by itself, which takes
-# up to half a minute; test_constrained_norm_optimal.py has another solver, test_gradient.py NumPy.
-ITERATES = ("constrained", "gradient", "gradient_nonlinear")
+# up to half a minute; tests of their own hold them to other solvers or to NumPy.
+ITERATES = ("constrained", "gradient", "gradient_nonlinear", "two_step")
 
 
 class Run(NamedTuple):
