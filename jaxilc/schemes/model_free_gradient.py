@@ -53,7 +53,10 @@ class ModelFreeGradient(Scheme):
 
     `exact` runs an experiment for each input and each output, with M = 1 at this pair and 0 else;
     then the equation is exact. `stochastic` runs a single one with random signs M in each step;
-    then it is true in the mean (Aarnoudse and Oomen 2022, arXiv 2209.05139).
+    then it is true in the mean (Aarnoudse and Oomen 2022, arXiv 2209.05139). `joint` runs a single
+    one with M = I, each error into the input of its own number: true only where the answer of
+    output i to input j is that of output j to input i. It is what IterativeLearningControl2.jl
+    does.
 
     A step consists of `trials_a_step` experiments. The first one plays u_j: its error is e_j, and
     it alone says how well was learned. The next ones play the reversed error. Their errors are not
@@ -77,7 +80,7 @@ class ModelFreeGradient(Scheme):
     filter: zero-phase filter Q of what is learned; None: none. A `Filtered` around the scheme is
         refused, since it would filter the experiments
     about: "trial" or "mean", see above
-    method: "exact" or "stochastic", see above
+    method: "exact", "stochastic" or "joint", see above
     inputs, outputs: n_u and n_y of the task, which say how many experiments a step takes
     seed: of the random signs, which are the same for each machine of a batch
 
@@ -90,7 +93,7 @@ class ModelFreeGradient(Scheme):
     limit: Leaf | None = leaf(default=None, interval="(0, inf)", optional=True)
     filter: Filter | None = child(default=None)
     about: str = static(default="trial", choices=("trial", "mean"))
-    method: str = static(default="exact", choices=("exact", "stochastic"))
+    method: str = static(default="exact", choices=("exact", "stochastic", "joint"))
     inputs: int = static(default=1, interval="[1, 1e6]", whole=True)
     outputs: int = static(default=1, interval="[1, 1e6]", whole=True)
     seed: int = static(default=0, interval="[0, 1e9]", whole=True)
@@ -105,11 +108,16 @@ class ModelFreeGradient(Scheme):
                     f"ModelFreeGradient: {name} has shape {shape}; allowed is one number"
                 )
         need_weight("ModelFreeGradient", "w_q", self.w_q, self.outputs)
+        if self.method == "joint" and self.inputs != self.outputs:
+            raise ValueError(
+                f"ModelFreeGradient: method = 'joint' with inputs = {self.inputs} and outputs = "
+                f"{self.outputs}; allowed are as many of both, or another method"
+            )
 
     @property
     def patterns(self) -> int:
         """The number of experiments of a step that play the reversed error."""
-        return 1 if self.method == "stochastic" else self.inputs * self.outputs
+        return self.inputs * self.outputs if self.method == "exact" else 1
 
     @property
     def trials_a_step(self) -> int:
@@ -170,7 +178,9 @@ class ModelFreeGradient(Scheme):
         return self._pattern(experiment, memory) - against
 
     def _signs(self, memory: ExperimentMemory) -> jax.Array:
-        """(n_u, n_y) the random signs of this step."""
+        """(n_u, n_y) the random signs of this step, or I."""
+        if self.method == "joint":
+            return jnp.eye(self.inputs)
         key = jax.random.fold_in(jax.random.key(self.seed), memory.steps.astype(int))
         return jnp.where(jax.random.bernoulli(key, shape=(self.inputs, self.outputs)), 1.0, -1.0)
 
