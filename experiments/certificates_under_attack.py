@@ -53,6 +53,7 @@ REASONS = (
     "is met in trial",
     "is met later cannot be excluded",
     "no power of the learning map",
+    "beyond the digits of the numbers",
     "learns by",
     "acts within the trial by",
     "learns no feedforward",
@@ -316,6 +317,7 @@ def in_short(reason: str) -> str:
         "is met in trial",
         "is met later cannot be excluded",
         "no power of the learning map",
+        "beyond the digits of the numbers",
         "learns by",
         "acts within the trial by",
     ):

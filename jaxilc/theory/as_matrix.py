@@ -96,13 +96,16 @@ class Matrices(NamedTuple):
         """Of a triangular M: spectral radius, about max_i ||M^i||, and ||(I - M)^-1||, each (S,).
 
         They are infinite where M is not triangular or its radius is not below 1, and where `which`
-        (S,) does not ask for them.
+        (S,) does not ask for them. The last one is infinite, too, where the growth is beyond the
+        digits of the numbers, so that nobody could see learning converge.
         """
+        eps = np.finfo(self.M.dtype).eps
         radius, growth, inverse = np.full((3, len(self.M)), np.inf)
         for i in np.flatnonzero(which):
             radius[i] = triangular_radius(self.M[i])
             if radius[i] < 1:
                 growth[i] = growth_about(self.M[i])
+            if growth[i] * eps < 1:
                 with np.errstate(divide="ignore"):
                     inverse[i] = 1 / np.linalg.norm(np.eye(len(self.M[i])) - self.M[i], -2)
         return radius, growth, inverse

@@ -118,7 +118,7 @@ class Certificate(NamedTuple):
             return _rises(e, e[0])
         k, q, g = (float(x[i]) for x in self.outlook.decay[:3])
         if not k:  # then the error is to be as predicted, but for rounding, which grows as well
-            share = AS_TOLD + ROUNDING * np.finfo(float).eps * g
+            share = AS_TOLD + ROUNDING * np.finfo(e.dtype).eps * g
             return not np.max(np.abs(e - self.predicted[i])) / share <= np.max(self.predicted[i])
         far, sure = self.distance[i], float(self.outlook.radius[i])
         bound = g * q ** (np.arange(len(far)) // k) * (far[0] + sure) + sure

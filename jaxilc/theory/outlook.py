@@ -37,7 +37,7 @@ POWERS = (1, 4, 16, 64)  # of M that are looked at, until one contracts
 STEPS = 300  # of the Lanczos process, at most
 DENSE = 512  # rows up to which M is taken as a matrix
 ROUNDING = 1e3  # in units of the last place
-SURELY = 1 - 1e-9  # eigenvalues on the diagonal of a triangular map that are below 1
+SURELY = 1 - 1e-6  # of eigenvalues on the diagonal of a triangular map, also in single precision
 ROOM = 2**27  # bytes of the dense matrices of the machines that are looked at together
 NO_LIMIT = "no limit is met in any trial to come"
 WHOLE = "the whole trial converges, its ends included"
@@ -51,7 +51,8 @@ class Decay(NamedTuple):
     growth: (S,) likewise; but of a triangular M with radius < 1, about max_i ||M^i||
     norm:   (S,) an upper bound of ||M||
     radius: (S,) spectral radius of a triangular M; infinite where M is not, or a bound was found
-    inverse: (S,) ||(I - M)^-1|| of a triangular M with radius < 1; infinite otherwise
+    inverse: (S,) ||(I - M)^-1|| of a triangular M with radius < 1 and a growth that the digits of
+        the numbers can hold; infinite otherwise
     """
 
     trials: np.ndarray
@@ -64,7 +65,7 @@ class Decay(NamedTuple):
     @property
     def converges(self) -> np.ndarray:
         """(S,) whether learning comes to its limit in the end."""
-        return (self.trials > 0) | ((self.radius < SURELY) & np.isfinite(self.growth))
+        return (self.trials > 0) | ((self.radius < SURELY) & np.isfinite(self.inverse))
 
     @property
     def monotone(self) -> np.ndarray:
@@ -78,11 +79,13 @@ class Decay(NamedTuple):
             float(self.factor[machine]),
             float(self.growth[machine]),
         )
-        if not k and self.converges[machine]:
+        if not k and self.radius[machine] < SURELY:
+            far = f"about {growth:.3g} times" if np.isfinite(growth) else "far"
+            beyond = "" if self.converges[machine] else ", beyond the digits of the numbers"
             return (
                 "every eigenvalue of the learning map, which is triangular, is at most "
                 f"{self.radius[machine]:.6g} in size; but the distance from the limit can grow "
-                f"about {growth:.3g} times before it falls"
+                f"{far} before it falls{beyond}"
             )
         if not k:
             return (

@@ -285,6 +285,10 @@ def test_the_transient_that_lies_is_told_beforehand():
         worst = max(worst, np.linalg.norm(powers, 2))
     np.testing.assert_allclose(found.outlook.decay.growth, worst, rtol=0.1)
     assert "0.5 in size; but the distance from the limit can grow about 4.6" in found.reason[0]
+    worse = Machine(DifferenceEquation((1.98, -0.9801), (1.0, 0.0), dt=DT))
+    lost = certify_each(drawn_machines(worse, {}, {}), PIDType(gamma_p=0.9), task, trials)
+    assert list(lost.claim) == ["not claimed"]
+    assert "beyond the digits of the numbers" in lost.reason[0]
 
 
 # The parts
