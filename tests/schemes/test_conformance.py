@@ -22,7 +22,7 @@ LANES = 3  # of a batch
 LONG = {"p_type_switchable", "asmc_carried_limited"}
 # They iterate. Without jit each of their hundreds of operations is compiled by itself, which takes
 # up to half a minute; test_constrained_norm_optimal.py has another solver, test_gradient.py NumPy.
-ITERATES = ("constrained", "gradient", "gradient_nonlinear")
+ITERATES = ("constrained", "gradient")
 
 
 class Run(NamedTuple):
