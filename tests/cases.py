@@ -3,7 +3,6 @@
 What is listed here gets every test of test_conformance.py.
 """
 
-import jax.numpy as jnp
 import numpy as np
 
 from jaxilc.filters import SwitchableFilter, ZeroPhaseButterworth, ZeroPhaseFIR, ZeroPhaseIIR
@@ -30,7 +29,6 @@ from jaxilc.plants import (
     multivariable_model,
     voice_coil,
 )
-from jaxilc.plants.nonlinear_system import NonlinearSystem
 from jaxilc.schemes import (
     ASMC,
     CFDLMFAC,
@@ -156,18 +154,6 @@ PLANTS = {
     ),
 }
 
-
-def _swung(t, x, u, parameters):
-    force = 0.1 * u[0] - parameters["gravity"] * jnp.sin(x[0])
-    return 0.9 * x[0] + 0.1 * x[1], 0.8 * x[1] + force
-
-
-def _angle(t, x, parameters):
-    return (x[0] + 0.5 * x[1],)
-
-
-# This is a model of discrete, a pendulum in place of a spring.
-PENDULUM = NonlinearSystem({"gravity": 0.17}, (0.05, -0.1), _swung, _angle, n_in=1, n_out=1, dt=DT)
 # This is a model of motor_and_table.
 _NOMINAL = StateSpace([[0.87, 0.12], [0.33, 0.58]], [[0.22], [0.0]], np.eye(2), dt=DT)
 # These numbers are close to the model of arx.
@@ -279,18 +265,16 @@ SCHEMES = {
         StateSpace([[0.88, 0.12], [-0.15, 0.8]], [[0.02], [0.09]], [[1.0, 0.4]], dt=DT),
         w_q=2.0,
         w_s=0.01,
+        limit=1.5,
     ),
-    "gradient_nonlinear": GradientILC(PENDULUM, step=6.0, w_q=0.9, w_s=0.002, limit=2.0),
-    # The fifth trial is an experiment of the second step.
+    # A step takes four trials, and the limit cuts off some of its experiments.
     "model_free": ModelFreeGradient(
-        4.0, 2.0, 0.9, limit=1.5, filter=ZeroPhaseFIR((0.6, 0.2)), about="mean"
-    ),
-    "model_free_stochastic": ModelFreeGradient(
         2.0,
         3.0,
-        w_q=((1.0, 0.1), (0.1, 0.8)),
+        w_q=((1.0, 0.1), (0.1, 0.3)),
+        limit=1.2,
+        filter=ZeroPhaseFIR((0.6, 0.2)),
         about="mean",
-        method="stochastic",
         outputs=2,
     ),
     # Every bound is met: each has a derivative.
@@ -361,9 +345,7 @@ _PLANT_OF = {
     "norm_optimal_lifted": "discrete",
     "constrained": "discrete",
     "gradient": "discrete",
-    "gradient_nonlinear": "discrete",
-    "model_free": "discrete",
-    "model_free_stochastic": "motor_and_table",
+    "model_free": "motor_and_table",
     "estimated_disturbance": "mimo",
     "two_step": "pendulum",
     "dilc": "motor_and_table",
@@ -380,9 +362,7 @@ _FEW = {
     "norm_optimal_lifted",
     "constrained",
     "gradient",
-    "gradient_nonlinear",
     "model_free",
-    "model_free_stochastic",
     "estimated_disturbance",
     "two_step",
     "dilc",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -103,12 +104,14 @@ def verdict(
     prediction: Prediction | None,
     unit: str,
     growth: float,
+    experiments: Sequence[int] = (),
 ) -> list[str]:
     """One or two sentences on what the campaign has reached.
 
     live: manifests of the start and of the trials that count, see `Journal.live`
     turn: the trial of this call, None without one; it counts if it is not among the manifests
     growth: share by which an error may grow without a warning
+    experiments: see `checks.experiment_numbers`; empty where no trial is an experiment
     """
     errors = [(m["trial"], m[METRICS]["error"]) for m in live[1:]]
     if turn is not None and (not errors or errors[-1][0] < turn.trial):
@@ -120,7 +123,15 @@ def verdict(
         after = f"an RMS error of {low:.3g} to {high:.3g} {unit}".rstrip()
         last = prediction.trials
         return [f"no trial is measured yet; the plant file predicts {after} for trial {last}"]
+    numbers, last = list(experiments)[: len(errors)] or [0] * len(errors), errors[-1][0]
+    errors = [one for one, number in zip(errors, numbers, strict=True) if not number]
     (first, begun), (trial, error) = errors[0], errors[-1]
+    if numbers[-1]:
+        said = (
+            f"verdict: trial {last} is experiment {numbers[-1]} between two learning steps, whose "
+            f"error says nothing of them; trial {trial} had an RMS error of {error:.4g} {unit}"
+        )
+        return [said.rstrip()]
     best, least = min(errors, key=lambda one: one[1])
     said = f"verdict: trial {trial} has an RMS error of {error:.4g} {unit}".rstrip()
     if len(errors) > 1:

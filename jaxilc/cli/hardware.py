@@ -268,6 +268,7 @@ def _close(
     trial: number of the next trial
     files: those of --measured, --out, --plot and --json
     """
+    from ..hardware.checks import experiment_numbers
     from . import campaign_lines
     from .results import written
 
@@ -278,7 +279,10 @@ def _close(
     live = journal.live() if journal.exists else []
     if plot is not None and live and not dry_run:
         trials.save_figure(plot, now, rows, live, prediction)
-    verdict = campaign_lines.verdict(live, turn, prediction, now.task.unit, now.rules.growth)
+    numbers_of = experiment_numbers(now.scheme, now.task, live)
+    verdict = campaign_lines.verdict(
+        live, turn, prediction, now.task.unit, now.rules.growth, numbers_of
+    )
     following = campaign_lines.next_command(journal.path, trial, measured, out_file)
     step = "" if dry_run else campaign_lines.coming(live, prediction, trial, now.task.unit)
     for line in (*([step] if step else []), *verdict, following):

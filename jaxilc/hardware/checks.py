@@ -154,6 +154,18 @@ def repeated(trial: Trial, last_y, rules: Rules, unit: str) -> list[Finding]:
     return [Finding("warning" if difference > LITTLE * error else "note", text)]
 
 
+def experiment_numbers(scheme: Scheme, task: Task, live: list[dict[str, Any]]) -> list[int]:
+    """Which experiment of its learning step each trial is, and the one after them.
+
+    The number is 0 for a trial that plays what was learned, as all do of most schemes.
+
+    live: manifests of the start and of the trials
+    """
+    experiments = any(part.scheme.experiments for part in with_all_parts(scheme, task))
+    trials = scheme.trials_a_step if experiments else 1
+    return (np.cumsum([0, *(bool(m["learned"]) for m in live[1:])]) % trials).tolist()
+
+
 def comparable(scheme: Scheme, task: Task, live: list[dict[str, Any]]) -> list[tuple[int, float]]:
     """The numbers and errors of the trials before with which the error of this one is compared.
 
@@ -162,9 +174,7 @@ def comparable(scheme: Scheme, task: Task, live: list[dict[str, Any]]) -> list[t
 
     live: manifests of the start and of the trials before
     """
-    experiments = any(part.scheme.experiments for part in with_all_parts(scheme, task))
-    trials = scheme.trials_a_step if experiments else 1
-    *before, now = np.cumsum([0, *(bool(m["learned"]) for m in live[1:])]) % trials
+    *before, now = experiment_numbers(scheme, task, live)
     return [
         (m["trial"], m[METRICS]["error"])
         for m, experiment in zip(live[1:], before, strict=True)

@@ -2,8 +2,9 @@ from . import cao_2019, cao_2019_rig, dai_2014, double_mass, li_2020, milc_2024,
 from .catalogue import LISTED, Listed
 from .from_file import load_scenario
 from .loading import SCENARIOS, load, options
+from .published import Fit, Published
 from .reproduction import reproduce
-from .scenario import Fit, Published, Quantity, Scenario
+from .scenario import Quantity, Scenario
 
 __all__ = [
     "LISTED",

@@ -13,7 +13,8 @@ from ..schemes import CFDLMFAILC, CFDLMFAPC, FFDLMFAILC, PFDLMFAILC, PID, PIDTyp
 from ..signals import references
 from ..signals.task import Task
 from ..uncertainty import Uniform
-from .scenario import NOTHING, Fit, Published, Scenario
+from .published import NOTHING, Fit, Published
+from .scenario import Scenario
 
 TABLE_1 = {
     "cfdl-mfailc": {20: 18.0, 30: 11.0, 40: 5.5, 50: 2.5, 60: 1.5, 70: 0.5, 80: 0.3},

@@ -16,7 +16,8 @@ from ..schemes import CFDLMFAILC, PID, Filtered, WithFeedback
 from ..signals import references
 from ..signals.task import Task
 from ..uncertainty import Uniform
-from .scenario import NOTHING, Published, Scenario
+from .published import NOTHING, Published
+from .scenario import Scenario
 
 TABLE_2 = {
     0.1: (4.0, 10.0),

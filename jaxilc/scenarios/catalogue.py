@@ -41,7 +41,7 @@ LISTED = {
     "double-mass": Listed(
         "Two masses on a spring, the tests of IterativeLearningControl2.jl",
         ("inverse-filter", "norm-optimal", "gradient", "model-free", "constrained"),
-        10,
+        28,
         471,
     ),
     "li-2020": Listed(

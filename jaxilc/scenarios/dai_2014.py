@@ -15,7 +15,8 @@ from ..schemes import CFDLMFAPC, PID
 from ..signals import references
 from ..signals.task import Task
 from .cao_2019 import motor_uncertainty
-from .scenario import NOTHING, Fit, Published, Scenario
+from .published import NOTHING, Fit, Published
+from .scenario import Scenario
 
 # By frequency [Hz]: periods simulated; PID gains, prediction horizon P and weight lam as printed;
 # phi0 as chosen.

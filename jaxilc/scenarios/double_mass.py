@@ -26,7 +26,8 @@ from ..signals.task import Task, Trial
 from ..uncertainty import Uniform
 from .double_mass_law import InverseLaw
 from .error_norm import error_norm
-from .scenario import NOTHING, Published, Quantity, Scenario
+from .published import NOTHING, Published
+from .scenario import Quantity, Scenario
 
 SAMPLE_TIME = 0.02
 DURATION = 3 * np.pi
@@ -168,16 +169,21 @@ def without_learning(loop: Loop, r: np.ndarray, second: str) -> np.ndarray:
     return y[:, {"none": [0], "velocity": [0, 1], "controller": [0, 2]}[second]]
 
 
+def bounds_for(second: str) -> dict[str, Any]:
+    """The weight of the errors and the bounds of the constrained law."""
+    if second == "velocity":
+        return {"w_q": 1000.0}
+    highest, weight = HIGHEST, 1000.0
+    if second == "controller":
+        highest, weight = np.array([HIGHEST, OF_CONTROLLER]), (1000.0, 0.0)
+    return {"w_q": weight, "limit": LIMIT, "y_low": -highest, "y_high": highest}
+
+
 def schemes_for(model: StateSpace, at: str, second: str) -> dict[str, Scheme]:
     """The laws of the tests by name, for a model that is sampled."""
-    bounded: dict[str, Any] = {"w_q": 1000.0, "limit": LIMIT}
-    bounded |= {"y_low": -HIGHEST, "y_high": HIGHEST}
-    step, amplified = 500.0, 500.0
+    bounded, step, amplified = bounds_for(second), 500.0, 500.0
     if second == "velocity":
-        bounded, step, amplified = {"w_q": 1000.0}, 1e-2, 1.0
-    if second == "controller":
-        highest = np.array([HIGHEST, OF_CONTROLLER])
-        bounded |= {"w_q": (1000.0, 0.0), "y_low": -highest, "y_high": highest}
+        step, amplified = 1e-2, 1.0
     found = {
         "inverse-filter": InverseLaw(model, 0.5, 0.1 if at == "input" else 0.05),
         "norm-optimal": NormOptimal(model, w_r=1e-4, w_s=1e-5),
@@ -230,7 +236,7 @@ def double_mass(
         schemes=schemes_for(
             loop_from(closed_loop(MODELLED), at, second).sampled(SAMPLE_TIME), at, second
         ),
-        trials=10,
+        trials=28,
         uncertainty={"plant.B": Uniform(0.9, 1.1, relative=True)},
         published=PUBLISHED,
         chosen=CHOSEN,

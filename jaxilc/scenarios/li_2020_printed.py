@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from .scenario import Fit, Published
+from .published import Fit, Published
 
 # The free numbers and the printed ones to which they were fitted. The path is used in every row,
 # each other fit in the settings of the same name.

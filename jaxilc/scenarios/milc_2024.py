@@ -31,7 +31,8 @@ from ..schemes import PID, MultivariableILC, NormOptimal, OnOutputs, WithFeedbac
 from ..signals import references
 from ..signals.task import Task
 from ..uncertainty import Uniform
-from .scenario import Fit, Published, Quantity, Scenario
+from .published import Fit, Published
+from .scenario import Quantity, Scenario
 
 DT = 1 / 4000
 POSITION_GAIN = 180.0  # K_pp [1/s]

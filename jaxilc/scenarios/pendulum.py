@@ -18,7 +18,8 @@ from ..schemes import TwoStep
 from ..signals.task import Task
 from ..uncertainty import Uniform
 from .error_norm import error_norm
-from .scenario import NOTHING, Published, Quantity, Scenario, agreement_of
+from .published import NOTHING, Published, agreement_of
+from .scenario import Quantity, Scenario
 
 SAMPLE_TIME = 1 / 500
 WAIT, ACCELERATE, MOVE, HOLD = 190, 30, 500, 500  # samples of each part of the motion

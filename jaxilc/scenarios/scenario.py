@@ -6,7 +6,6 @@ import dataclasses
 import re
 import typing
 from collections.abc import Callable, Mapping
-from decimal import Decimal
 from typing import Any, NamedTuple
 
 import jax
@@ -21,75 +20,11 @@ from ..schemes import Scheme
 from ..signals.task import Task, Trial
 from ..storage.printable import printable
 from ..uncertainty import Uncertainty
+from .published import Published
 
 # Name of a scheme: it is part of the paths of its parameters and of the names of files.
 _NAME = re.compile(r"[^\W_][\w +-]{0,49}")
 _FREE_NAME = re.compile(r"[^\W_][\w .+()-]{0,49}")  # name of a scenario
-
-
-class Fit(NamedTuple):
-    """The numbers that were fitted to printed ones before a row could be simulated.
-
-    names: names of the free numbers, empty if nothing was fitted
-    to: printed numbers to which they were fitted
-    among: whether the row is one of these, so that its agreement proves nothing
-    """
-
-    names: tuple[str, ...] = ()
-    to: str = ""
-    among: bool = False
-
-    def __str__(self) -> str:
-        if not self.names:
-            return "nothing fitted"
-        free = (
-            f"{len(self.names)} free number{'s' * (len(self.names) > 1)} ({', '.join(self.names)})"
-        )
-        return (
-            f"{free} fitted to {self.to}; this row "
-            f"{'is among them' if self.among else 'is predicted'}"
-        )
-
-
-NOTHING = Fit()
-
-
-class Published(NamedTuple):
-    """A number to compare with, of a paper or of other software; no simulation uses it.
-
-    scheme: name of the scheme
-    trial: number of the trial, None for a scheme that does not learn
-    quantity: `settled_error`, `max_error`, `rms`, `best_trial` (the best of the first `trial` ones)
-        or a quantity of the scenario
-    value: the printed number [the unit in which the quantity is shown]
-    source: place in the paper
-    options: options of the scenario with which the number was obtained
-    reading: what the paper leaves open at this place, and how it was read
-    at_most: whether it is printed as "less than"
-    fitted: what was fitted to printed numbers for it, `NOTHING` if nothing was, None if unknown
-    agreement: for a number that other software computed from the same equations, the relative
-        difference within which ours agrees with it; None for a number of a paper
-    """
-
-    scheme: str
-    trial: int | None
-    quantity: str
-    value: float
-    source: str
-    options: tuple[tuple[str, object], ...] = ()
-    reading: str = ""
-    at_most: bool = False
-    fitted: Fit | None = None
-    agreement: float | None = None
-
-
-def agreement_of(printed: str, rtol: float = 1e-6) -> float:
-    """The `agreement` of a number that other software prints as this text, such as "0.0040917".
-
-    It is rtol, or half a unit of the last printed digit where the print is coarser.
-    """
-    half = Decimal(1).scaleb(int(Decimal(printed).as_tuple().exponent)) / 2
-    return max(rtol, float(half / abs(Decimal(printed))))
 
 
 class Quantity(NamedTuple):

@@ -21,7 +21,8 @@ from ..schemes import ASMC, PID, SMC, ExponentialPD, Scheme, WithFeedback
 from ..signals import references
 from ..signals.task import Task
 from ..uncertainty import Uniform
-from .scenario import Fit, Published, Quantity, Scenario
+from .published import Fit, Published
+from .scenario import Quantity, Scenario
 
 DT = 1e-4
 MODEL: dict[str, Any] = {"a1": 2.413e6, "a2": 70.16, "b": 2.229e7}  # printed; µm per V

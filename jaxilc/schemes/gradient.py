@@ -61,11 +61,12 @@ class GradientILC(Scheme):
     model they are the same in every trial, and then the law is linear: theory reads that off the
     model's own program.
 
-    With h, the largest eigenvalue of the curvature G* W_q G + W_s, learning on a machine that is
-    the model contracts for 0 < step < 2 / h, and the error falls in every trial. h is found by ten
-    steps of the Lanczos process from a fixed start. What they give is never above h, and mostly
-    within a few percent of it. For a linear model that is done once, and else after each trial;
-    the memory then says how the step stands to its bound 2 / h, which moves with the trajectory.
+    Let h be the largest eigenvalue of the curvature G* W_q G + W_s. On a linear machine that is the
+    model, the cost falls in every trial for 0 < step < 2 / h; on a nonlinear one that is true of
+    small steps. h is found by ten steps of the Lanczos process from a fixed start. What they give
+    is never above h, and mostly within a percent of it. For a linear model that is done once, and
+    else after each trial; the memory then says how the step stands to its bound 2 / h, which moves
+    with the trajectory. Other machines than the model are for `theory.certify`.
 
     model: nominal plant of n_u inputs and n_y outputs, linear or not, of the package or the user's,
         which starts from its own initial state. Under feedback it is the model of the closed loop,

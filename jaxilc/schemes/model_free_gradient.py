@@ -64,7 +64,8 @@ class ModelFreeGradient(Scheme):
     1 + 2 trials_a_step, and so on. With `about` = "trial", b = u_j, and y(b) is the output of the
     first experiment. With "mean", b is the mean of u_j over the samples, and the last experiment
     plays b itself (Huo, Freeman and Liu 2020): around u_j a nonlinear machine is linearised where
-    it works, around the mean it moves less.
+    it works, around the mean it moves less. Before anything is learned both b are zero, and with
+    "mean" the last experiment repeats the first.
 
     Under `WithFeedback` each experiment adds to the feedback, and G is the closed loop. Everything
     that repeats cancels in the difference. Noise of standard deviation s of each output does not:

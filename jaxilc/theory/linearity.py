@@ -22,6 +22,7 @@ import numpy as np
 from ..learning.machine import Machine
 from ..learning.playback import replay
 from ..schemes import Scheme
+from ..schemes.scheme import with_all_parts
 from ..signals.task import Task
 from .condition import Premise, premise
 from .loop import tick_of
@@ -45,6 +46,9 @@ def linear_law(scheme: Scheme, task: Task, memory: Any = None) -> Premise:
     shape = learned_shape(scheme, task)
     if shape is None:
         return premise(ONE_LAW, False, f"{what} learns no feedforward")
+    if any(part.scheme.experiments for part in with_all_parts(scheme, task)):
+        found = f"{what} makes experiments between its steps; a GradientILC can be certified"
+        return premise(ONE_LAW, False, found)
     trial = free.record(jnp.zeros(shape), jnp.zeros((task.N + 1, task.outputs)), task)
     signals = {
         "u": trial.u,

@@ -182,14 +182,18 @@ def test_the_names_of_the_next_files_follow_those_of_this_call():
 
 
 def test_a_verdict_says_whether_learning_goes_on():
-    def said(*errors):
+    def said(*errors, experiments=()):
         live = journal_of(*[True] * len(errors))
         for manifest, error in zip(live[1:], errors, strict=True):
             manifest["figures"] = {"error": error}
-        return verdict(live, None, None, "mm", 0.02)[0]
+        return verdict(live, None, None, "mm", 0.02, experiments)[0]
 
     assert said() == "no trial is measured yet"
     assert said(2.0, 1.0).endswith("trial 2 has an RMS error of 1 mm, 50.00% of that of trial 1")
     assert "the best was trial 2 with 1 mm" in said(2.0, 1.0, 1.5)
     assert "learning has ended" in said(2.0, 1.0, 1.0, 0.995, 0.99)
     assert "has ended" not in said(2.0, 1.0, 0.99, 0.98, 0.97)
+    found = said(2.0, 3.0, experiments=(0, 1, 0))
+    assert "trial 2 is experiment 1 between" in found
+    assert "trial 1 had an RMS error of 2 mm" in found
+    assert said(2.0, 3.0, 1.0, experiments=(0, 1, 0, 1)).endswith("50.00% of that of trial 1")

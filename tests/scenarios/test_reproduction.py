@@ -14,7 +14,7 @@ from jaxilc import scenarios
 from jaxilc.learning import Machine, check, learn
 from jaxilc.plants import DifferenceEquation
 from jaxilc.scenarios import Fit, Published, Scenario, reproduce, reproduction
-from jaxilc.scenarios.scenario import agreement_of
+from jaxilc.scenarios.published import agreement_of
 from jaxilc.schemes import PID, PIDType, Scheme
 from jaxilc.signals import Task
 

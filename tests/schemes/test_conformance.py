@@ -22,7 +22,7 @@ LANES = 3  # of a batch
 LONG = {"p_type_switchable", "asmc_carried_limited"}
 # They iterate. Without jit each of their hundreds of operations is compiled by itself, which takes
 # up to half a minute; tests of their own hold them to other solvers or to NumPy.
-ITERATES = ("constrained", "gradient", "gradient_nonlinear", "two_step")
+ITERATES = ("constrained", "gradient", "two_step")
 
 
 class Run(NamedTuple):

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cases import ALGEBRA, DIFFERENCES, DT, PENDULUM
+from cases import ALGEBRA, DIFFERENCES, DT
 
 from jaxilc import Machine, Task, learn
 from jaxilc.learning.over_trials import measured_trial
@@ -27,6 +27,18 @@ WIDE = StateSpace(
     RANDOM.standard_normal((2, 3)),
     dt=DT,
 )
+
+
+def _swung(t, x, u, parameters):
+    force = 0.1 * u[0] - parameters["gravity"] * jnp.sin(x[0])
+    return 0.9 * x[0] + 0.1 * x[1], 0.8 * x[1] + force
+
+
+def _angle(t, x, parameters):
+    return (x[0] + 0.5 * x[1],)
+
+
+PENDULUM = NonlinearSystem({"gravity": 0.17}, (0.05, -0.1), _swung, _angle, n_in=1, n_out=1, dt=DT)
 Q, S = np.array([[4.0, 0.5], [0.5, 3.0]]), np.array([0.1, 0.2, 0.3])
 
 
@@ -93,6 +105,17 @@ def test_a_nonlinear_model_is_linearised_at_the_input_of_the_trial():
     np.testing.assert_allclose(found.u, u + 1.5 * slope, **DIFFERENCES)
     at_rest = after(GradientILC(PENDULUM, step=1.5), 0 * u, e).u
     assert np.max(np.abs(at_rest - 1.5 * slope)) > 1e-3, "the motion should matter"
+
+
+def test_a_step_of_learning_has_derivatives_in_the_model_and_the_weights():
+    u, e = 20 * RANDOM.standard_normal((N, 1)), RANDOM.standard_normal((N, 1))
+    scheme = GradientILC(PENDULUM, w_q=0.9, w_s=0.01)
+    leaves, shape = jax.tree.flatten(scheme)
+    along = jax.jit(lambda x: after(shape.unflatten([leaf * (1 + x) for leaf in leaves]), u, e).u)
+    h = 1e-5
+    expected = (along(h) - along(-h)) / (2 * h)
+    np.testing.assert_allclose(jax.jacrev(along)(0.0), expected, **DIFFERENCES)
+    assert np.max(np.abs(expected)) > 0.1
 
 
 def _cubed(t, x, u, parameters):

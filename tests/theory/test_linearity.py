@@ -48,6 +48,7 @@ NOT_LINEAR = {  # the reason, for those plants and schemes of cases.py that lear
     "p_type_stop": "learns by",
     "p_type_ladder": "learns by",
     "estimated_disturbance": "learns by",
+    "model_free": "makes experiments",
     "ilc_mfapc": "acts within the trial by",
     "p_type_on_reference": "acts within the trial by",
     "ilc_asmc": "acts within the trial by",
