@@ -93,11 +93,20 @@ class Family(NamedTuple):
 
 
 def family_of(
-    machine: Machine, feedback: Scheme | None, task: Task, uncertainty: Uncertainty, *, seed: int
+    machine: Machine,
+    feedback: Scheme | None,
+    task: Task,
+    uncertainty: Uncertainty,
+    *,
+    seed: int,
+    machines: int = MACHINES,
+    points: int = LINES,
 ) -> Family:
     """The responses of the machines at the corners of the uncertainty, and of some drawn within.
 
     feedback: the feedback under which the machine learns, None for none
+    machines: number that is drawn, the nominal one included
+    points: number of frequencies, besides those near the poles
     Raises ValueError for a machine of several inputs or outputs, one that is not stable, and one
     whose first trial has no error.
     """
@@ -106,19 +115,17 @@ def family_of(
             f"design: the machine has {task.inputs} inputs and {task.outputs} outputs; allowed is "
             "one of each: design each axis by itself"
         )
-    drawn = draw(machine, uncertainty, MACHINES if uncertainty else 1, seed=seed, sampling="sobol")
+    drawn = draw(machine, uncertainty, machines if uncertainty else 1, seed=seed, sampling="sobol")
     if 0 < len(uncertainty) <= CORNERS:
         corners = draw(machine, uncertainty, 1, sampling="corners")
         drawn = {name: np.concatenate([drawn[name], corners[name][1:]]) for name in drawn}
-    machines = drawn_machines(machine.unlimited().noiseless(), uncertainty, drawn)
+    several = drawn_machines(machine.unlimited().noiseless(), uncertainty, drawn)
     short = Task(np.zeros(SHORT), dt=task.dt)
     free = None if feedback is None else feedback.unlimited()
-    loops = [
-        Loop(*one) for one in zip(*map(np.asarray, _loops(machines, free, short)), strict=True)
-    ]
+    loops = [Loop(*one) for one in zip(*map(np.asarray, _loops(several, free, short)), strict=True)]
     _need_stable(loops, task)
     poles = np.linalg.eigvals(minimal(loops[0], task.N).A)
-    f = grid(task, points=LINES, near=poles)
+    f = grid(task, points=points, near=poles)
     P = _responses(Loop(*map(np.stack, zip(*loops, strict=True))), f, task.dt)
     e = _first_error(machine, feedback, task)
     error = _gathered(e, f, task.dt)

@@ -97,6 +97,8 @@ def describe(value: Any, *, within: tuple[int, ...] = ()) -> Any:
 
 
 def _of_array(array: np.ndarray) -> Any:
+    if np.iscomplexobj(array):
+        return {"real": _of_array(array.real), "imaginary": _of_array(array.imag)}
     if array.size <= 16:
         return array.tolist()
     return {

@@ -175,6 +175,27 @@ def law_response(scheme: Scheme, task: Task, frequencies) -> LawResponse:
     return LawResponse(*(at_points(part, z) for part in (law.keep, law.L)))
 
 
+def traced_response(scheme: Scheme, task: Task, frequencies) -> LawResponse:
+    """keep and L at frequencies (F,) [Hz], as a pure function of the scheme that has derivatives.
+
+    They are taken from impulses in the middle of one trial of the task, so that a law whose taps
+    reach beyond half of the trial is cut off there; `law_of` tells whether that is so. Raises
+    ValueError for a scheme that learns no feedforward.
+    """
+    N, middle = task.N, task.N // 2
+    lags = middle - np.arange(N)
+    found = []
+    for rows, late, seen in zip(
+        _impulses(scheme, task, middle), (0, 1), (_width(scheme, task), task.outputs), strict=True
+    ):
+        taps = rows.reshape(N, -1, seen).astype(complex)
+        powers = jnp.exp(
+            2j * jnp.pi * task.dt * jnp.outer(jnp.asarray(frequencies), jnp.asarray(lags + late))
+        )
+        found.append(jnp.tensordot(powers, taps, axes=1))
+    return LawResponse(*found)
+
+
 def at_points(of: Taps, z) -> jax.Array:
     """(F, n, m) M(z) at the points z (F,)."""
     return jnp.tensordot(z[:, None] ** of.powers, jnp.asarray(of.taps, complex), axes=1)

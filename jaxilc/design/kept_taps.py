@@ -1,0 +1,41 @@
+"""The taps with which a tuning begins, kept in its folder so that a resumed one has the same."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..runtime.provenance import describe, differences, environment
+from ..storage.sealed import as_json, json_text, read_json, sealed, unsealed, write_json
+from .window import Filters
+
+FILE = "start.json"
+
+
+def kept_or(folder: Path, asked: Any, compute: Callable[[], Filters], *, resume: bool) -> Filters:
+    """The taps that are kept in a folder, or computed and kept there.
+
+    asked: the question that they answer, and all that their numbers depend on
+    Raises FileExistsError for a folder with taps without `resume`, and ValueError for taps of
+    another question.
+    """
+    file = folder / FILE
+    question = json.loads(json_text({"asked": describe(asked), "environment": environment()}))
+    if file.exists():
+        if not resume:
+            raise FileExistsError(f"{folder} exists already; resume it or choose another place")
+        found = as_json(unsealed(read_json(file)))
+        differing = differences(found["question"], question)
+        if differing:
+            said = f"was made for another question; it differs in: {'; '.join(differing)}"
+            raise ValueError(f"{folder} {said}")
+        return Filters(*(np.asarray(found[name], float) for name in Filters._fields))
+    taps = compute()
+    folder.mkdir(parents=True, exist_ok=True)
+    kept = {name: np.asarray(values).tolist() for name, values in taps._asdict().items()}
+    write_json(file, sealed({"question": question, **kept}))
+    return taps
