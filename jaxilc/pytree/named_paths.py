@@ -176,6 +176,8 @@ def _field_at(tree, path: str):
 def _rebuilt(tree, changes: dict[tuple[Key, ...], Any]) -> Any:
     """The tree with new values at the given keys."""
     if not _below(tree):
+        if _are_all_elements(tree, changes):
+            return _of_elements(tree, changes)
         for index, value in changes.items():
             tree = _with_element(tree, index, value)
         return tree
@@ -241,6 +243,21 @@ def _with_element(old, index, value):
     except TypeError:
         raise ValueError(f"{brief(value)} is not a number, which an element must be") from None
     return new
+
+
+def _are_all_elements(old, changes) -> bool:
+    """Whether the changes are numbers for all elements of an array, at least one within JAX."""
+    return (
+        len(changes) == np.size(old) > 1
+        and all(len(index) == np.ndim(old) and not np.ndim(v) for index, v in changes.items())
+        and any(isinstance(value, jax.Array) for value in changes.values())
+    )
+
+
+def _of_elements(old, changes):
+    """The array of these elements: one operation, where as many replacements compile for long."""
+    values = [jax.numpy.asarray(changes[index], old.dtype) for index in np.ndindex(np.shape(old))]
+    return jax.numpy.stack(values).reshape(np.shape(old))
 
 
 def _key(entry) -> Key:

@@ -304,6 +304,16 @@ def test_replaced_changes_one_thing_only():
     np.testing.assert_array_equal(together["machine"].plant.poles, [200.0, 300.0, 6.404])
 
 
+def test_all_elements_at_once_are_those_one_after_the_other():
+    taps = ZeroPhaseFIR([0.4, 0.2, 0.1])
+    values = {f"taps[{i}]": jnp.asarray(1.0 + i) for i in (2, 0, 1)}
+    np.testing.assert_array_equal(replaced(taps, values).taps, [1.0, 2.0, 3.0])
+    slopes = jax.grad(lambda x: jnp.sum(replaced(taps, {**values, "taps[1]": x}).taps ** 2))(5.0)
+    assert slopes == 10.0
+    del values["taps[0]"]
+    np.testing.assert_array_equal(replaced(taps, values).taps, [0.4, 2.0, 3.0])
+
+
 @pytest.mark.parametrize(
     ("path", "value", "message"),
     [

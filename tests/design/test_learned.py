@@ -1,0 +1,176 @@
+"""A learned law: its taps against NumPy, its gate, its resumption, and machines not seen."""
+
+import dataclasses
+import shutil
+
+import jax
+import numpy as np
+import pytest
+
+from jaxilc import Machine, Sensor, Task, Uniform
+from jaxilc.design import LearnedLaw
+from jaxilc.design.by_response import by_response, sizes_of
+from jaxilc.design.candidates import Candidate, candidates
+from jaxilc.design.gate import Passed, gate
+from jaxilc.design.responses import family_of
+from jaxilc.design.shaped import ShapedFilter
+from jaxilc.design.tuned import contraction
+from jaxilc.design.window import Filters, window_of
+from jaxilc.plants import ProcessModel
+from jaxilc.theory.law import law_of, learning_law
+
+DT, N, TRIALS, MARGIN = 1e-3, 120, 5, 0.1
+MACHINE = Machine(
+    ProcessModel(2.0, poles=[150.0], frequencies=[900.0], dampings=[0.1]), None, Sensor(noise=1e-5)
+)
+TASK = Task(np.sin(np.linspace(0, 6 * np.pi, N + 1)) ** 2, dt=DT, unit="mm")
+WIDE = {
+    "plant.gain": Uniform(0.85, 1.15, relative=True),
+    "plant.frequencies[0]": Uniform(0.9, 1.1, relative=True),
+}
+TAPS = (21, 11)
+
+
+@pytest.fixture(scope="module")
+def family():
+    return family_of(MACHINE, None, TASK, WIDE, seed=0, machines=5, points=60)
+
+
+@pytest.fixture(scope="module")
+def window(family):
+    return window_of(family, TASK, TAPS)
+
+
+@pytest.fixture(scope="module")
+def safe(family):
+    (found,) = candidates(family, None, TASK, TRIALS, MARGIN, ("p-type",))
+    assert isinstance(found, Candidate)
+    return found
+
+
+@pytest.fixture(scope="module")
+def found(family, window):
+    return by_response(family, window, window.nothing(), TASK, TRIALS, 1 - MARGIN)
+
+
+def test_the_sizes_of_taps_are_those_of_the_matrix_of_the_scheme(family, window, found):
+    """The middle row of the law as a matrix holds its taps."""
+    law, middle = learning_law(window.of(found), Task(np.zeros(402), dt=DT)), 200
+    z = np.exp(2j * np.pi * DT * np.outer(family.frequencies, np.arange(401) - middle))
+    keep, L = (
+        z @ law.keep[middle],
+        np.exp(2j * np.pi * family.frequencies * DT) * (z @ law.L[middle]),
+    )
+    expected = np.abs(keep - L * family.P)
+    np.testing.assert_allclose(sizes_of(family, window, found, DT), expected, atol=1e-10)
+    np.testing.assert_allclose(contraction(family, window.of(found), TASK), expected.max())
+
+
+def test_the_directions_are_peaks_of_one_frequency(family, window):
+    """A step along each but that at rest changes |L P| by about 1 at its frequency, keep as well."""
+    of_L, of_keep = window.responses(np.arange(1, 10) / (21 * DT), DT)
+    P = np.interp(np.arange(1, 10) / (21 * DT), family.frequencies, np.abs(family.P[0]))
+    height = np.abs(of_L @ window.of_L[:, 1:19:2]).diagonal() * P
+    strong = P > 0.1 * np.max(np.abs(family.P[0]))
+    assert strong.sum() >= 3
+    np.testing.assert_allclose(height[strong], 1.0, rtol=1e-6)
+
+
+def test_no_step_changes_keep_at_rest_nor_its_curvature(window):
+    k = np.arange(11) - 5
+    np.testing.assert_allclose(np.sum(window.of_keep, axis=0), 0, atol=1e-12)
+    np.testing.assert_allclose(k**2 @ window.of_keep, 0, atol=1e-11)
+    assert np.linalg.matrix_rank(window.of_keep, tol=1e-9) == 4
+
+
+def test_a_law_of_a_few_weights_is_held_by_a_window_that_is_wide_enough(family, safe):
+    wide = window_of(family, TASK, (101, 101))
+    held = wide.of(wide.holding(law_of(safe.scheme, TASK)))
+    np.testing.assert_allclose(contraction(family, held, TASK), safe.largest, atol=3e-3)
+
+
+def test_by_response_beats_the_safe_law_and_keeps_the_bound(family, window, safe, found):
+    assert sizes_of(family, window, found, DT).max() <= 1 - MARGIN + 5e-3
+    of_L, of_keep = window.responses(family.frequencies, DT)
+    keep = of_keep @ found.keep
+    learned = family.rms(keep, (of_L @ found.L) / keep, TRIALS)
+    law = law_of(safe.scheme, TASK)
+    Q = family.of_taps(law.keep, DT)
+    assert np.all(learned < 0.7 * family.rms(Q, family.of_taps(law.L, DT) / Q, TRIALS))
+
+
+def test_shaped_is_a_learning_filter(window, found):
+    shaped = ShapedFilter.around(window, found)
+    np.testing.assert_array_equal(shaped.taps().L, window.of(found).L)
+    z = np.random.default_rng(2).standard_normal(shaped.z.shape)
+    slope = jax.jacobian(
+        lambda z: (
+            ShapedFilter(z, shaped.L, shaped.keep, shaped.of_L, shaped.of_keep, shaped.lead)
+            .taps()
+            .L
+        )
+    )(z)
+    np.testing.assert_allclose(slope[:, :21], window.of_L, atol=1e-12)
+
+
+def test_the_gate_takes_an_unsafe_law_back_and_refuses_what_stays_unsafe(family, window, found):
+    most, wild = 1 - MARGIN / 2, found._replace(L=3.0 * found.L)
+    passed = gate(family, window, wild, (found,), DT, most)
+    assert isinstance(passed, Passed)
+    assert 0 < passed.way <= 1
+    assert sizes_of(family, window, passed.filters, DT).max() == passed.largest <= most
+    before = wild.towards(found, passed.way - 0.05)
+    assert sizes_of(family, window, before, DT).max() > most
+    refused = gate(family, window, wild, (wild,), DT, most)
+    assert isinstance(refused, str)
+    for part in ("|Q (1 - L P)| is", "Hz on the machine with plant.gain = ", "allowed is 0.95"):
+        assert part in refused
+    nan = Filters(np.full(21, np.nan), found.keep)
+    assert isinstance(gate(family, window, nan, (nan,), DT, most), str)
+
+
+class Enough(Exception):
+    """Raised where a test has seen what it wants."""
+
+
+def test_a_run_that_was_killed_and_is_resumed_learns_the_same_taps(tmp_path, monkeypatch):
+    monkeypatch.setattr("jaxilc.design.learned.DENSE", 3)
+    monkeypatch.setattr(LearnedLaw, "_safe", lambda *_: [])
+    asked = LearnedLaw(
+        MACHINE, TASK, 2, WIDE, taps=(5, 5), start="nothing", metric="rms", margin=MARGIN,
+        trained_on=2, held_out=0, steps=4,
+    )  # fmt: skip
+    whole, killed, passed = tmp_path / "whole", tmp_path / "killed", []
+
+    def told(stage, what):
+        if stage == "tuning" and what[0] == 2 and not killed.exists():
+            shutil.copytree(whole, killed)  # what a run that is killed now leaves
+        if stage == "gate":
+            passed.append(what)
+            raise Enough
+
+    for folder, resume in ((whole, False), (killed, True)):
+        with pytest.raises(Enough):
+            asked.run(folder, resume=resume, told=told)
+    for one, other in zip(passed[0].filters, passed[1].filters, strict=True):
+        np.testing.assert_array_equal(one, other)
+    with pytest.raises(FileExistsError, match="resume"):
+        asked.run(killed)
+    with pytest.raises(ValueError, match="another question; it differs in: asked.margin"):
+        dataclasses.replace(asked, margin=0.2).run(killed, resume=True)
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ({"taps": (60, 31)}, r"taps = \(60, 31\).*odd"),
+        ({"taps": (61, 4001)}, "from 1 to 117 for a trial of 120 samples"),
+        ({"start": "safety"}, "safe"),
+        ({"margin": 0.0}, "margin = 0"),
+        ({"steps": -1}, "steps = -1"),
+        ({"trials": 1}, "trials = 1"),
+    ],
+)
+def test_a_setting_that_is_not_allowed_is_named_before_anything_runs(setting, message):
+    with pytest.raises(ValueError, match=message):
+        LearnedLaw(**({"machine": MACHINE, "task": TASK, "trials": 5, "uncertainty": {}} | setting))
