@@ -96,7 +96,7 @@ def design(
 
     Example: jaxilc design axis.toml
     """
-    target = _target(plant_file, out_file, replace=force or resume)
+    target = target_of(plant_file, out_file, "design", replace=force or resume)
     from .asked import begin, scenario_to_design, spread_of
 
     begin("float64")
@@ -120,7 +120,7 @@ def design(
         steps=steps,
         seed=seed,
     )
-    place = _place(folder / "state", force=force, resume=resume)
+    place = place_of(folder / "state", force=force, resume=resume)
     with Progress(chosen, steps) as told:
         found = asked.run(place, resume=resume, told=told)
     _leave(chosen, found, plant_file, target, folder, json_file, report)
@@ -129,8 +129,11 @@ def design(
         raise typer.Exit(1)
 
 
-def _target(plant_file: Path, out_file: Path | None, *, replace: bool) -> Path:
-    """The plant file to write; raises ValueError or FileExistsError where it may not be written."""
+def target_of(plant_file: Path, out_file: Path | None, what: str, *, replace: bool) -> Path:
+    """The plant file to write; raises ValueError or FileExistsError where it may not be written.
+
+    what: the middle of its name where no file is asked for, axis.design.toml for `design`
+    """
     from ..scenarios.design_file import design_path, need_same_folder
 
     if plant_file.suffix not in (".toml", ".json"):
@@ -138,15 +141,15 @@ def _target(plant_file: Path, out_file: Path | None, *, replace: bool) -> Path:
             f"{plant_file} is no plant file; allowed is a TOML or JSON file, such as `jaxilc init` "
             "writes. A scenario of a paper has laws of its own: `jaxilc tune` changes their weights"
         )
-    target = out_file or design_path(plant_file)
+    target = out_file or design_path(plant_file, what)
     need_same_folder(plant_file, target)
     if target.exists() and not replace:
         raise FileExistsError(f"{target} exists already; add --force to replace it")
     return target
 
 
-def _place(state: Path, *, force: bool, resume: bool) -> Path:
-    """The folder for the state, without that of an earlier design if it is to be replaced."""
+def place_of(state: Path, *, force: bool, resume: bool) -> Path:
+    """The folder for the state, without that of an earlier run if it is to be replaced."""
     if state.exists() and not resume:
         if not force:
             raise FileExistsError(

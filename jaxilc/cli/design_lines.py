@@ -149,7 +149,7 @@ def lines_of(chosen: Scenario, found: Designed, chosen_law: Recommended) -> list
         f"Of {found.machines} machines that the design has not seen, 95 % stay at or below a {name}"
         f" of {size(one.error)} from trial {found.trials} to {found.long}; half of them stay at or "
         f"below {size(one.median)}, all of them at or below {size(one.worst)}.",
-        _safety(chosen_law.proof),
+        safety_said(chosen_law.proof),
     ]
     if chosen.tolerance is not None:
         lines.append(
@@ -180,7 +180,8 @@ def next_line(target: Path) -> str:
     )
 
 
-def _safety(proof: Proof) -> str:
+def safety_said(proof: Proof) -> str:
+    """How safe a law is, where the margin is least, and what theory claims."""
     nominal, worst = proof.claims
     said = (
         f"|Q (1 - L P)| is at most {proof.worst:.3f}, so the margin is {proof.margin:.3f}; it is "

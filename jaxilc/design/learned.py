@@ -120,7 +120,7 @@ class LearnedLaw:
     trained_on: int = 32
     held_out: int = 32
     machines: int = 257
-    steps: int = 40
+    steps: int = 60
     seed: int = 0
 
     def __post_init__(self):
@@ -246,7 +246,7 @@ class LearnedLaw:
         """The proof and the verdicts on taps that passed the gate."""
         p, q = self.taps
         scheme = _under(nothing.window.of(passed.filters), self.feedback)
-        words = f"learned filters, L of {p} taps and Q of {q}"
+        words = f"u' = Q u + L e by learned filters, L of {p} taps and Q of {q}"
         law = Candidate(LEARNED, words, scheme, {}, passed.largest, np.nan)
         told("proving", law)
         proof = proof_of(nothing.family, scheme, self.machine, self.task, self.uncertainty)

@@ -3,6 +3,7 @@
     by_trial      errors against the trial: one machine, many machines, theory against simulation
     within_trial  signals against time with a zoom, and the contour of two axes
     by_frequency  spectrum and time-frequency map of the error, |Q (keep - L P)|
+    learned       a learned law in time and frequency, beside the inverse of the plant
     q_filter      whether a Q-filter is safe, and by how much
     searches      tunings, trade-offs, worst machines
     experiments   identification: the record, and the model against it
@@ -18,6 +19,7 @@ from .by_frequency import frequency_tests, spectrum, time_frequency
 from .by_trial import certificate, error_band, error_by_trial
 from .campaign import campaign_figure
 from .experiments import record_figure, response_fit_figure, validation_figure
+from .learned import learned_law_figure
 from .q_filter import q_filter_figure
 from .searches import final_error_by_trials, loss_by_step, pareto_front, worst_against_chance
 from .style import COLOURS, DASHES, MARKS, save
@@ -34,6 +36,7 @@ __all__ = [
     "error_by_trial",
     "final_error_by_trials",
     "frequency_tests",
+    "learned_law_figure",
     "loss_by_step",
     "pareto_front",
     "q_filter_figure",

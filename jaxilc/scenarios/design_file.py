@@ -15,10 +15,13 @@ from .from_file import read_scenario
 from .scheme_table import table_of, toml_of
 
 
-def design_path(source: str | Path) -> Path:
-    """The name of the design of a plant file: axis.design.toml for axis.toml."""
+def design_path(source: str | Path, what: str = "design") -> Path:
+    """The name of the design of a plant file: axis.design.toml for axis.toml.
+
+    what: the middle of the name
+    """
     source = Path(source)
-    return source.with_name(f"{source.stem}.design{source.suffix}")
+    return source.with_name(f"{source.stem}.{what}{source.suffix}")
 
 
 def need_same_folder(source: str | Path, path: str | Path) -> None:

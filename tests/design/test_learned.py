@@ -67,11 +67,11 @@ def test_the_sizes_of_taps_are_those_of_the_matrix_of_the_scheme(family, window,
 
 
 def test_the_directions_are_peaks_of_one_frequency(family, window):
-    """A step along each but that at rest changes |L P| by about 1 at its frequency, keep as well."""
-    of_L, of_keep = window.responses(np.arange(1, 10) / (21 * DT), DT)
+    """A step along one of them changes |L P| by 1 at its frequency, where |P| is not small."""
+    of_L, _ = window.responses(np.arange(1, 10) / (21 * DT), DT)
     P = np.interp(np.arange(1, 10) / (21 * DT), family.frequencies, np.abs(family.P[0]))
     height = np.abs(of_L @ window.of_L[:, 1:19:2]).diagonal() * P
-    strong = P > 0.1 * np.max(np.abs(family.P[0]))
+    strong = np.max(np.abs(family.P[0])) < 10 * P
     assert strong.sum() >= 3
     np.testing.assert_allclose(height[strong], 1.0, rtol=1e-6)
 
@@ -156,7 +156,7 @@ def test_a_run_that_was_killed_and_is_resumed_learns_the_same_taps(tmp_path, mon
         np.testing.assert_array_equal(one, other)
     with pytest.raises(FileExistsError, match="resume"):
         asked.run(killed)
-    with pytest.raises(ValueError, match="another question; it differs in: asked.margin"):
+    with pytest.raises(ValueError, match=r"another question; it differs in: asked\.margin"):
         dataclasses.replace(asked, margin=0.2).run(killed, resume=True)
 
 

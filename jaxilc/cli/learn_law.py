@@ -1,0 +1,187 @@
+"""`jaxilc learn-law`: the update law itself, by its taps, learned and proved safe."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from .completion import of_list, schemes_from
+from .console import err, out
+from .design import place_of, target_of
+from .options import (
+    DESIGN,
+    Json,
+    Report,
+    Resume,
+    Seed,
+    Set,
+    Spread,
+    Trials,
+    file_to_write,
+    folder_to_write,
+)
+from .results import written
+
+if TYPE_CHECKING:
+    from ..design import Learned
+    from ..scenarios import Scenario
+
+STARTS = ("safe", "p-type", "inverse", "nothing")
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the command line."""
+    app.command("learn-law", rich_help_panel=DESIGN)(learn_law)
+
+
+def learn_law(
+    plant_file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="Plant file, TOML or JSON; see `jaxilc init`.")
+    ],
+    taps: Annotated[
+        str, typer.Option(metavar="L,Q", help="Odd numbers of taps of L and of Q.")
+    ] = "61,31",
+    start: Annotated[
+        str,
+        typer.Option(
+            help=f"Law to start from: {', '.join(STARTS)}.", autocompletion=of_list(*STARTS)
+        ),
+    ] = "safe",
+    scheme: Annotated[
+        str | None,
+        typer.Option(
+            "--scheme",
+            help="Scheme of the file whose feedback is taken.",
+            autocompletion=schemes_from,
+        ),
+    ] = None,
+    margin: Annotated[
+        float, typer.Option(help="Least distance of |Q (1 - L P)| from 1, on every machine.")
+    ] = 0.05,
+    trials: Trials = None,
+    trained_on: Annotated[int, typer.Option(help="Machines on which the law is learned.")] = 32,
+    machines: Annotated[
+        int, typer.Option("--machines", help="Machines on which the law is judged.")
+    ] = 257,
+    steps: Annotated[
+        int, typer.Option(help="Steps through learning; 0 for the frequency response alone.")
+    ] = 60,
+    spread: Spread = None,
+    seed: Seed = 0,
+    set_: Set = None,
+    out_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            metavar="FILE",
+            help="Plant file to write; axis.learned.toml for axis.toml if not given.",
+            callback=file_to_write,
+        ),
+    ] = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="Replace that file, and its state.")
+    ] = False,
+    state: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder for the state; out/learn-law-NAME if not given.", callback=folder_to_write
+        ),
+    ] = None,
+    resume: Resume = False,
+    json_file: Json = None,
+    report: Report = None,
+) -> None:
+    """Learn the update law itself, the taps of L and Q, and prove it safe before it is written.
+
+    The taps come from gradients through the learning of many machines. A law that
+    is not safe on every machine of a dense family is taken back, or not written.
+
+    Example: jaxilc learn-law axis.toml --taps 61,31
+    """
+    target = target_of(plant_file, out_file, "learned", replace=force or resume)
+    from .asked import begin, scenario_to_design, spread_of
+
+    counted = _taps(taps)
+    begin("float64")
+    from ..design import LearnedLaw, feedback_among
+    from .learn_law_lines import Progress
+
+    chosen = scenario_to_design(plant_file, scheme, trials, set_)
+    folder = state or Path("out") / f"learn-law-{chosen.name}"
+    asked = LearnedLaw(
+        chosen.machine,
+        chosen.task,
+        chosen.trials,
+        spread_of(chosen, spread),
+        feedback=feedback_among(chosen.schemes),
+        taps=counted,
+        start=start,
+        metric=chosen.judged_by,
+        margin=margin,
+        trained_on=trained_on,
+        held_out=trained_on,
+        machines=machines,
+        steps=steps,
+        seed=seed,
+    )
+    place = place_of(folder / "state", force=force, resume=resume)
+    with Progress(chosen, asked) as told:
+        found = asked.run(place, resume=resume, told=told)
+    _leave(chosen, found, plant_file, target, folder, json_file, report)
+    if found.law is None:
+        err.print("the law is refused, and no plant file was written", highlight=False)
+        raise typer.Exit(1)
+
+
+def _taps(text: str) -> tuple[int, int]:
+    """Two numbers, such as 61,31. Raises ValueError for other text."""
+    try:
+        of_L, of_Q = map(int, text.split(","))
+    except ValueError:
+        raise ValueError(
+            f"--taps {text!r} is not allowed; allowed are two odd numbers, as in 61,31"
+        ) from None
+    return of_L, of_Q
+
+
+def _leave(
+    chosen: Scenario,
+    found: Learned,
+    plant_file: Path,
+    target: Path,
+    folder: Path,
+    json_file: Path | None,
+    report: Path | None,
+) -> None:
+    """Print table and verdict, and write the plant file, the figures and what was asked for."""
+    from .. import figures
+    from ..figures.report import command_report
+    from ..scenarios.design_file import write_design
+    from ..sweeps.store import open_dataset
+    from .learn_law_lines import law_numbers, law_table, lines_of, next_line
+
+    table, lines, paths = law_table(chosen, found), lines_of(chosen, found), []
+    if found.verdicts:
+        out.print(table)
+    for line in lines:
+        out.print(line, highlight=False)
+    if found.law is not None:
+        paths.append(write_design(target, plant_file, {found.law.name: found.law.scheme}, lines))
+    if found.passed is not None:
+        task = chosen.task
+        unit = f"{task.input_unit}/{task.unit}" if task.input_unit and task.unit else ""
+        law = figures.learned_law_figure(found, float(task.dt), unit=unit)
+        paths.append(figures.save(law, folder / "law.png"))
+    store = folder / "state" / "sweep.zarr"
+    if store.exists() and found.verdicts:
+        scale, unit = chosen.shown(chosen.judged_by)
+        band = figures.error_band(
+            open_dataset(store), metric=chosen.judged_by, scale=scale, unit=unit
+        )
+        paths.append(figures.save(band, folder / "learning.png"))
+    page = command_report(report, "learn-law", [table], paths, scenario=chosen, lines=lines)
+    numbers = law_numbers(chosen, found) | {"verdict": lines}
+    written([*paths, *page], json_file, numbers)
+    out.print(next_line(found, plant_file, target), highlight=False, soft_wrap=True)

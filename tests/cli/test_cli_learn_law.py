@@ -1,0 +1,94 @@
+"""`jaxilc learn-law` as a user types it."""
+
+import json
+import sys
+from unittest import mock
+
+import numpy as np
+import pytest
+
+from jaxilc.cli import learn_law, main
+from jaxilc.design import STARTS
+from jaxilc.scenarios.from_file import read_scenario
+from jaxilc.schemes import LearningFilter
+
+FILE = """
+tolerance = 0.9
+trials = 3
+[plant]
+kind = "ProcessModel"
+gain = 2.0
+poles = [150.0]
+[task]
+dt = 0.001
+unit = "mm"
+input_unit = "V"
+reference = { function = "sinusoid", amplitude = 1.0, frequency = 20.0, duration = 0.05 }
+[uncertainty]
+"plant.gain" = { distribution = "uniform", low = 0.9, high = 1.1, relative = true }
+"""
+
+
+def jaxilc(*words) -> int:
+    with (
+        mock.patch.object(sys, "argv", ["jaxilc", *map(str, words)]),
+        pytest.raises(SystemExit) as ended,
+    ):
+        main()
+    return ended.value.code
+
+
+@pytest.fixture
+def file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("jaxilc.design.learned.DENSE", 5)
+    path = tmp_path / "axis.toml"
+    path.write_text(FILE)
+    return path
+
+
+def test_the_starts_that_are_completed_are_those_that_exist():
+    assert tuple(STARTS) == learn_law.STARTS  # the command names them without an import of JAX
+
+
+def test_a_law_that_is_learned_is_told_in_sentences_and_written_for_other_commands(file, capsys):
+    asked = ("--taps", "9,5", "--start", "p-type", "--steps", 0, "--machines", 3)
+    assert jaxilc("learn-law", file.name, *asked, "--json", "law.json") == 0
+    said = " ".join(capsys.readouterr().out.split())
+    for part in (
+        "The taps by frequency response are found.",
+        "Take learned: u' = Q u + L e by learned filters, L of 9 taps and Q of 5",
+        "Of 3 machines that it has not seen, half are at or below a settled error of",
+        "the best safe law of a few weights",
+        "so the margin is 0.",
+    ):
+        assert part in said
+    numbers = json.loads((file.parent / "law.json").read_text())
+    scheme = read_scenario(file.parent / "axis.learned.toml").schemes["learned"]
+    assert isinstance(scheme, LearningFilter)
+    assert np.array_equal(scheme.L, numbers["L"])
+    assert np.array_equal(scheme.keep, numbers["Q"])
+    assert numbers["proof"]["margin"] >= 0.05 - 2e-3
+    assert (file.parent / "out" / "learn-law-axis" / "law.png").stat().st_size > 10_000
+
+
+def test_a_law_that_the_gate_refuses_is_not_written(file, capsys, monkeypatch):
+    monkeypatch.setattr("jaxilc.design.learned.gate", lambda *_: "|Q (1 - L P)| is 1.2 at 7 Hz")
+    assert jaxilc("learn-law", file.name, "--taps", "5,3", "--steps", 0, "--start", "nothing") == 1
+    seen = capsys.readouterr()
+    assert "The learned law is refused: |Q (1 - L P)| is 1.2 at 7 Hz." in seen.out
+    assert "no plant file was written" in seen.err
+    assert not (file.parent / "axis.learned.toml").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--taps", "61"), "--taps '61' is not allowed; allowed are two odd numbers"),
+        (("--taps", "8,5"), "taps = (8, 5)"),
+        (("--start", "nil"), "start = 'nil'"),
+    ],
+)
+def test_a_mistake_is_told_in_one_line(file, capsys, words, message):
+    assert jaxilc("learn-law", file.name, *words) == 2
+    assert message in capsys.readouterr().err
