@@ -13,7 +13,8 @@ if TYPE_CHECKING:
 
     from ..design import Learned
 
-SHOWN = 1e-3  # share of the largest |L| or |Q| down to which magnitudes are shown
+SHOWN = 1e-3  # share of the largest |L| down to which it is shown
+SLOWEST = 2e-4  # of the last frequency
 
 
 def learned_law_figure(learned: Learned, dt: float, *, unit: str = "", ax=None) -> Axes:
@@ -49,13 +50,14 @@ def learned_law_figure(learned: Learned, dt: float, *, unit: str = "", ax=None) 
     below.loglog(f, np.abs(Q / P[0]), "--", color=COLOURS[1], label="|Q / P|")
     below.loglog(f, 1 / np.abs(P[0]), ":", color="0.4", label="|1 / P|, the inverse")
     top = np.max(np.abs(L))
-    below.set(ylim=(SHOWN * top, 10 * top), xlabel="frequency [Hz]")
-    below.set_ylabel(labelled("", unit).strip() or None)
+    below.set(ylim=(SHOWN * top, 10 * top), ylabel=labelled("magnitude", unit))
     right.semilogx(f, np.abs(Q), color="0.4", linestyle="--", label="|Q|")
     right.semilogx(f, sizes[0], color=COLOURS[0], label="|Q − L P|, nominal")
     right.semilogx(f, np.max(sizes, axis=0), color=COLOURS[1], label=f"largest of {len(P)}")
     right.axhline(1.0, color="k", linewidth=0.8)
-    right.set(ylim=(0, 1.25), xlabel="frequency [Hz]")
+    right.set(ylim=(0, 1.25), ylabel="magnitude")
+    for one in (below, right):
+        one.set(xlabel="frequency [Hz]", xlim=(max(f[0], SLOWEST * f[-1]), f[-1]))
     for one in axes.flat:
         grid(one)
     below.legend(fontsize="small", loc="lower left")
