@@ -53,7 +53,9 @@ def list_(
         table = Table("scenario", "title", "schemes", "trials", "samples N")
         for name, (title, schemes, trials, samples) in LISTED.items():
             table.add_row(name, title, ", ".join(schemes), str(trials), str(samples))
-        said = f"{len(LISTED)} scenarios of published papers; a plant file describes your machine."
+        said = (
+            f"{len(LISTED)} scenarios of papers and other software; a plant file has your machine."
+        )
         show([table])
         tell(Verdict((said,), "a plant file", "jaxilc init axis.toml"))
         return
