@@ -138,14 +138,14 @@ constrained = ConstrainedNormOptimal(
 )
 history = learn(exact, constrained, square, 5, save=norm)
 print(f"ours {history.saved[-1]:.10f}   theirs 4.4544077312 (OSQP)")
-print(
-    "largest |u|:", float(jnp.max(jnp.abs(history.final.u))), " solved:", history.memory.converged
-)
+print(f"largest |u|: {jnp.max(jnp.abs(history.final.u)):.6f}")
+print(f"trials without a solution: {int(history.memory.unsolved)}")
 assert abs(history.saved[-1] / 4.4544077312015835 - 1) < 1e-6
 
 # %% [markdown]
 # What comes on top: each of these laws may be batched and differentiated. The gain of the drive is
-# known to 40 % only: a sweep over 64 machines shows what that does.
+# known to 40 % only: a sweep over 64 machines shows what that does. A step of 500 is 0.72 of the
+# bound of the model; on a machine of 1.4 times the gain it is 1.4 of the bound, and the error grows.
 
 # %%
 uncertain = {"plant.B": Uniform(0.6, 1.4, relative=True)}
