@@ -145,7 +145,7 @@ assert abs(history.saved[-1] / 4.4544077312015835 - 1) < 1e-6
 # %% [markdown]
 # What comes on top: each of these laws may be batched and differentiated. The gain of the drive is
 # known to 40 % only: a sweep over 64 machines shows what that does. A step of 500 is 0.72 of the
-# bound of the model; on a machine of 1.4 times the gain it is beyond the bound, and the error grows.
+# bound of the model; with 1.4 times the gain it is beyond the bound, and the error grows.
 
 # %%
 uncertain = {"plant.B": Uniform(0.6, 1.4, relative=True)}
