@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..learning.divergence import CEILING, GROWTH
-from ..schemes.scheme import with_all_parts
+from ..schemes.experiments import trials_of_step
 from .numbers import ERRORS, shown_trials
 from .titled_table import Table
 
@@ -145,8 +145,8 @@ def experiment_lines(scenario: Scenario) -> list[str]:
     """A line for each scheme that makes experiments, with the trials that are none."""
     lines = []
     for name, scheme in scenario.schemes.items():
-        each = scheme.trials_a_step
-        if any(part.scheme.experiments for part in with_all_parts(scheme, scenario.task)):
+        each = trials_of_step(scheme, scenario.task)
+        if each > 1:
             lines.append(
                 f"{name}: what was learned is played in trials 1, {1 + each}, {1 + 2 * each} and "
                 "so on; the trials between are experiments, whose errors say nothing of it"
