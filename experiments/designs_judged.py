@@ -163,6 +163,7 @@ def main(axes: int = 50, first: int = 0) -> None:
         kept = folder / f"axis-{seed}.json"
         if not kept.exists():
             kept.write_text(json.dumps(judged(seed, folder)))
+            jax.clear_caches()  # the programs of some ten axes would use up the memory maps
         rows.append(json.loads(kept.read_text()))
         print(rows[-1], flush=True)
     recommended = [row for row in rows if row["law"]]

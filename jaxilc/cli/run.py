@@ -53,7 +53,9 @@ def list_(
         table = Table("scenario", "title", "schemes", "trials", "samples N")
         for name, (title, schemes, trials, samples) in LISTED.items():
             table.add_row(name, title, ", ".join(schemes), str(trials), str(samples))
-        said = f"{len(LISTED)} scenarios of published papers; a plant file describes your machine."
+        said = (
+            f"{len(LISTED)} scenarios of papers and other software; a plant file has your machine."
+        )
         show([table])
         tell(Verdict((said,), "a plant file", "jaxilc init axis.toml"))
         return
@@ -139,7 +141,8 @@ def _shown(
     by_axis = tables.axes_table(found)
     shown = [tables.run_table(chosen, found), tables.last_trial_table(found)]
     shown += [] if by_axis is None else [by_axis]
-    lines = [*tables.course_lines(found), *tables.other_rows(chosen, found)]
+    lines = [*tables.course_lines(found), *tables.experiment_lines(chosen)]
+    lines += tables.other_rows(chosen, found)
     if chosen.published and changed:
         lines.append(
             "published values hold for the scenario as it stands; --set or --params changed it here"

@@ -138,7 +138,7 @@ def _finish(found: _Found, swept: Swept, json_file: Path | None, report: Path | 
     summary = summarise(dataset, tolerance, metric=chosen.judged_by)
     numbers = sweep_numbers(chosen, summary, tolerance, dataset.sizes["sample"])
     numbers |= axes_numbers(chosen, dataset, tolerance)
-    shown, lines = _shown(numbers, steps, seconds)
+    shown, lines = _shown(chosen, numbers, steps, seconds)
     show(shown, lines)
     highs = {row.scheme: [scale * float(high) for high in row.high] for row in summary}
     verdict = sweep_verdict(Case.of(chosen, asked), numbers, highs)
@@ -172,7 +172,9 @@ def _tolerance(chosen: Scenario, tolerance: float | None) -> float | None:
     return None if tolerance is None else tolerance / chosen.shown(chosen.judged_by)[0]
 
 
-def _shown(numbers: dict[str, Any], steps: int, seconds: float) -> tuple[list[Table], list[str]]:
+def _shown(
+    chosen: Scenario, numbers: dict[str, Any], steps: int, seconds: float
+) -> tuple[list[Table], list[str]]:
     """The tables of a sweep, and the lines below them.
 
     steps: number of sample-steps that were computed, in so many seconds
@@ -182,7 +184,7 @@ def _shown(numbers: dict[str, Any], steps: int, seconds: float) -> tuple[list[Ta
     shown = [tables.yield_table(numbers), tables.spread_table(numbers), tables.band_table(numbers)]
     by_axis = tables.swept_axes_table(numbers)
     shown += [] if by_axis is None else [by_axis]
-    lines = tables.sweep_lines(numbers)
+    lines = [*tables.sweep_lines(numbers), *tables.experiment_lines(chosen)]
     if steps:
         took = f"{steps:.3g} sample-steps in {seconds:.1f} s, compilation included"
         lines.append(f"{took}: {steps / seconds:.3g} a second")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..learning.divergence import CEILING, GROWTH
+from ..schemes.experiments import trials_of_step
 from .numbers import ERRORS, shown_trials
 from .titled_table import Table
 
@@ -136,6 +137,19 @@ def course_lines(numbers: dict[str, Any]) -> list[str]:
                 f"{name}: the rms error has grown {number(rows['grown_to'])} times since trial "
                 f"{rows['best']}; from trial {rows['grown_from']} on it is more than "
                 f"{1 + GROWTH:g} times its least"
+            )
+    return lines
+
+
+def experiment_lines(scenario: Scenario) -> list[str]:
+    """A line for each scheme that makes experiments, with the trials that are none."""
+    lines = []
+    for name, scheme in scenario.schemes.items():
+        each = trials_of_step(scheme, scenario.task)
+        if each > 1:
+            lines.append(
+                f"{name}: what was learned is played in trials 1, {1 + each}, {1 + 2 * each} and "
+                "so on; the trials between are experiments, whose errors say nothing of it"
             )
     return lines
 

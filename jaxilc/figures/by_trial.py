@@ -47,9 +47,15 @@ def error_by_trial(
     scale, unit: the errors are shown as `scale` times those of the dataset, in `unit`
     published: rows with scheme, trial (None for a scheme that does not learn, shown at trial 1),
         quantity, value [unit], at_most
+    Raises ValueError for a dataset of many machines, which `error_band` shows.
     """
     from matplotlib.markers import CARETDOWNBASE
 
+    if dataset.sizes.get("sample", 1) > 1:
+        raise ValueError(
+            f"error_by_trial: the dataset has {dataset.sizes['sample']} machines; allowed is one, "
+            "and error_band shows many"
+        )
     ax = new_axes(ax)
     published = [
         p for p in published if p.quantity == metric and (p.trial or 1) <= dataset.sizes["trial"]

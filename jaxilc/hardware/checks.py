@@ -10,7 +10,7 @@ import numpy as np
 from ..learning.machine import Actuator
 from ..pytree.ranges import require
 from ..schemes import Scheme
-from ..schemes.scheme import with_all_parts
+from ..schemes.experiments import trials_of_step
 from ..signals.task import Task, Trial
 from .journal import METRICS
 
@@ -161,9 +161,8 @@ def experiment_numbers(scheme: Scheme, task: Task, live: list[dict[str, Any]]) -
 
     live: manifests of the start and of the trials
     """
-    experiments = any(part.scheme.experiments for part in with_all_parts(scheme, task))
-    trials = scheme.trials_a_step if experiments else 1
-    return (np.cumsum([0, *(bool(m["learned"]) for m in live[1:])]) % trials).tolist()
+    learned = np.cumsum([0, *(bool(m["learned"]) for m in live[1:])])
+    return (learned % trials_of_step(scheme, task)).tolist()
 
 
 def comparable(scheme: Scheme, task: Task, live: list[dict[str, Any]]) -> list[tuple[int, float]]:

@@ -40,22 +40,36 @@ class Course(NamedTuple):
     grown_from: jax.Array
 
 
-def course(metrics: Metrics, task: Task, first: Any = 1) -> Course:
+def course(metrics: Metrics, task: Task, first: Any = 1, every: int = 1) -> Course:
     """The `Course` of J trials of a task.
 
     Growth is that of the rms error of the output with the largest rms error.
 
     metrics: metrics of the J trials
     first: number of the first of these trials
+    every: number of trials of a learning step of which the first alone plays what was learned, see
+        `Scheme.experiments`; the error of the others counts as that of the first
     """
     diverged = ~metrics.finite | jnp.any(metrics.max_error > CEILING * peak(task), axis=-1)
     errors = jnp.where(diverged, jnp.inf, jnp.max(metrics.rms, axis=-1))
-    since = grown_from(errors)
+    since = grown_from(errors if every == 1 else _of_learned(errors, first, every))
     return Course(
         diverged,
         jnp.where(jnp.any(diverged), jnp.argmax(diverged) + first, 0),
         jnp.where(since > 0, since - 1 + first, 0),
     )
+
+
+def _of_learned(errors, first, every: int) -> jax.Array:
+    """(J,) the error of the trial of each step that played what was learned; inf is kept.
+
+    Before the first of these trials, the errors are those of that one.
+    """
+    j = jnp.arange(len(errors))
+    off = (first - 1 + j) % every
+    at = jnp.where(j >= off, j - off, j - off + every)
+    held = errors[jnp.minimum(at, len(errors) - 1)]
+    return jnp.where(jnp.isfinite(errors), held, errors)
 
 
 def peak(task: Task) -> jax.Array:

@@ -17,6 +17,7 @@ from ..plants import Plant
 from ..pytree.ranges import brief, require
 from ..runtime.capacity import check_size
 from ..schemes import Scheme
+from ..schemes.experiments import trials_of_step
 from ..signals.sample_layout import for_carry
 from ..signals.task import Task, Trial
 from .divergence import course
@@ -176,7 +177,8 @@ def _learn(machine, scheme, task, trials, key, memory, first, save) -> History:
         (first + jnp.arange(trials)).reshape(blocks, -1),
     )
     metrics, saved = jax.tree.map(lambda rows: rows.reshape(trials, *rows.shape[2:]), kept)
-    return History(metrics, saved, *course(metrics, task, first), final, memory)
+    every = trials_of_step(scheme, task)
+    return History(metrics, saved, *course(metrics, task, first, every), final, memory)
 
 
 def _nothing(trial: Trial) -> None:

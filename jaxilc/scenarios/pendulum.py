@@ -36,7 +36,9 @@ PRINTED = {  # ||e|| by trial [rad], by scheme
         ("159.727147", "24.524486", "3.007175", "0.145207", "0.0377695"),
     ),
 }
-READING = "computed by running this example of gILC; its weights, and 1e-10 on u and alpha"
+READING = (
+    "computed by running this example of gILC with its weights; ours has 1e-10 on u and alpha too"
+)
 
 PUBLISHED = tuple(
     Published(
@@ -55,7 +57,7 @@ PUBLISHED = tuple(
 
 CHOSEN = (
     "gILC gives the last two inputs, which act on no output of the trial, no weight; w_s = w_alpha "
-    "= 1e-10 beside w_q = w_y = 1e8 makes them zero and changes the errors by less than 1e-9",
+    "= 1e-10 beside w_q = w_y = 1e8 makes them zero and changes the errors by less than 1e-9 rad",
     "gILC has 2000 samples of both input and output; here 1999 inputs act on 2000 outputs",
 )
 

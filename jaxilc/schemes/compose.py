@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from ..filters.zero_phase import Filter
 from ..pytree.fields import child, pytree, static
 from ..signals.task import Limit, Sample, Task, Trial
+from .experiments import need_no_experiments
 from .scheme import (
     Part,
     Scheme,
@@ -19,7 +20,7 @@ from .scheme import (
     limits_of_parts,
     under,
 )
-from .wrapper import Wrapper, need_no_experiments
+from .wrapper import Wrapper
 
 
 class Pair(NamedTuple):

@@ -64,6 +64,10 @@ class ConstrainedNormOptimal(Scheme):
     trial, `unsolved` for all. Nothing is clipped. A filter around this scheme knows no bounds but
     `limit`, to which it clips. The result may be differentiated once, in weights, bounds and model.
 
+    As long as no bound matters, the law is that of `NormOptimal`, and certificates claim the same
+    of it. In a trial in which a bound matters, the law is another one, which depends on the bounds
+    that are active: of the long run nothing is then claimed, and the certificate names the bound.
+
     model: nominal model of n_u inputs and n_y outputs, as for `NormOptimal`
     w_q: () or (n_y,) or (n_y, n_y), positive semidefinite
     w_r, w_s, w_d: () or (n_u,) or (n_u, n_u), positive semidefinite; w_r + w_s positive definite

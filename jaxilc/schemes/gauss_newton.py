@@ -158,14 +158,16 @@ def _searched(problem: Problem, at: Motion, way: Way, now, descent, penalty, dt:
 
     Where none does, it is the present motion, and 0.
     """
-    rounding = 1e3 * jnp.finfo(now.dtype).eps * jnp.abs(now)
+    rounding = 1e3 * float(jnp.finfo(now.dtype).eps)
+    # the optimum of the linear problem is known to the gap of the interior point only
+    slack = (interior_point.gap_of(now.dtype) if problem.bounded else rounding) * jnp.abs(now)
 
     def tried(share):
         motion = moved(problem, at, way, share, dt)
         over = jnp.sum(beyond(problem, motion, dt)[0])
         cost = half_cost(problem, motion.w, motion.y) + penalty * over
         # a cost that is not finite is no descent
-        return share, motion, cost <= now + DESCENT * share * jnp.minimum(descent, 0.0) + rounding
+        return share, motion, cost <= now + DESCENT * share * jnp.minimum(descent, 0.0) + slack
 
     def going_on(course):
         share, _, good = course

@@ -11,8 +11,9 @@ from jax import lax
 from ..pytree.fields import Leaf, child, leaf, pytree, static
 from ..pytree.needs import need_channels
 from ..signals.task import Task, Trial
+from .experiments import need_no_experiments
 from .scheme import Part, Scheme, with_all_parts
-from .wrapper import Wrapper, need_no_experiments
+from .wrapper import Wrapper
 
 
 class Guard(Wrapper):

@@ -66,6 +66,8 @@ class TwoStep(Scheme):
     model (see `gauss_newton`), in time and memory linear in N. The model may be unstable, as a
     pendulum that stands upright, because the solver never trusts an input alone to follow a motion.
     As all local methods it finds the optimum next to where it starts, which need not be the best.
+    It needs a model with derivatives: where friction or hysteresis switches with the sign of a
+    speed, the iterations may end at the kink, without an optimum.
 
     Where the bounds cannot be met, or a step does not reach its tolerance, the input of the trial
     before stays, and the memory says so: `converged` of the last trial, `unsolved` for all. Bounds

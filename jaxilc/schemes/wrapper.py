@@ -7,7 +7,7 @@ from typing import Any
 import jax
 
 from ..signals.task import Sample, Task, Trial
-from .scheme import UNASKED, Part, Scheme, with_all_parts
+from .scheme import UNASKED, Part, Scheme
 
 
 class Wrapper(Scheme):
@@ -84,13 +84,3 @@ class Wrapper(Scheme):
     def record(self, learned, e, task: Task) -> Trial:
         scheme, task, _ = self._inner(task)
         return scheme.record(learned, e, task)
-
-
-def need_no_experiments(wrapper: Wrapper, task: Task, why: str) -> None:
-    """Raises ValueError where a part of the scheme makes experiments between its steps."""
-    for scheme, _, _ in with_all_parts(wrapper.scheme, task):
-        if scheme.experiments:
-            raise ValueError(
-                f"{type(wrapper).__name__}: {type(scheme).__name__} makes experiments between its "
-                f"steps, {why}"
-            )

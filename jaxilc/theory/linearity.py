@@ -22,7 +22,7 @@ import numpy as np
 from ..learning.machine import Machine
 from ..learning.playback import replay
 from ..schemes import Scheme
-from ..schemes.scheme import with_all_parts
+from ..schemes.experiments import trials_of_step
 from ..signals.task import Task
 from .condition import Premise, premise
 from .loop import tick_of
@@ -46,7 +46,7 @@ def linear_law(scheme: Scheme, task: Task, memory: Any = None) -> Premise:
     shape = learned_shape(scheme, task)
     if shape is None:
         return premise(ONE_LAW, False, f"{what} learns no feedforward")
-    if any(part.scheme.experiments for part in with_all_parts(scheme, task)):
+    if trials_of_step(scheme, task) > 1:
         found = f"{what} makes experiments between its steps; a GradientILC can be certified"
         return premise(ONE_LAW, False, found)
     trial = free.record(jnp.zeros(shape), jnp.zeros((task.N + 1, task.outputs)), task)

@@ -75,6 +75,12 @@ def test_no_two_of_49_schemes_look_alike():
     assert len(set(in_grey)) == 9  # no scenario has more schemes
 
 
+def test_many_machines_are_for_the_band():
+    many = dataset_of([sinusoid(a, 10.0) for a in (4.0, 2.0)]).expand_dims(sample=3)
+    with pytest.raises(ValueError, match="has 3 machines; allowed is one, and error_band"):
+        figures.error_by_trial(many, metric="rms")
+
+
 def test_a_printed_bound_is_no_printed_number():
     dataset = dataset_of([sinusoid(a, 10.0) for a in (4.0, 2.0)])
     rows = [

@@ -250,3 +250,18 @@ def test_the_names_are_taken():
             ValueError, match=f"quantity = '{name}' is a metric that every trial has"
         ):
             Keep.of({name: lambda trial: trial.y})
+
+
+def test_errors_of_experiments_are_no_growth():
+    """The errors 4, 2 and 1 of what was learned lie between those of experiments, which are 9."""
+
+    def grown(rms, first=1, every=1):
+        errors = np.array(rms)[:, None]
+        metrics = Metrics(errors, errors, errors, errors, np.isfinite(errors).all(axis=1))
+        return divergence.course(metrics, Task(np.ones(3), dt=DT), first, every).grown_from
+
+    rms = [4.0, 9.0, 9.0, 2.0, 9.0, 9.0, 1.0, 9.0]
+    assert grown(rms) == 8
+    assert grown(rms, every=3) == 0
+    assert grown(rms[2:], first=3, every=3) == 0  # begun in the midst of a step
+    assert grown([*rms[:6], 7.0, 9.0], every=3) == 7

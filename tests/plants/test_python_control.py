@@ -36,7 +36,7 @@ from jaxilc.uncertainty import Uniform, drawn_machines
 
 N = 40
 U = np.random.default_rng(8).normal(size=(N, 2))
-NONLINEAR = ("fast_tool_servo_nonlinear", "ball_screw_real", "time_varying")
+NONLINEAR = ("fast_tool_servo_nonlinear", "ball_screw_real", "pendulum", "time_varying")
 LINEAR = {
     name: plant
     for name, plant in PLANTS.items()

@@ -54,6 +54,8 @@ NOT_LINEAR = {  # the reason, for those plants and schemes of cases.py that lear
     "ilc_asmc": "acts within the trial by",
     "fast_tool_servo_nonlinear": "answers its input by",
     "ball_screw_real": "answers its input by",
+    "two_step": "answers its input by",
+    "pendulum": "answers its input by",
 } | {
     name: "learns by"
     for name in SCHEMES

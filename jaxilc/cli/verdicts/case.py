@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
+from ...schemes.experiments import trials_of_step
 from ..tables import number
 from .next_command import Asked
 
@@ -23,6 +24,7 @@ class Case(NamedTuple):
     metric: name of the metric by which schemes are judged, in words
     unit: in which it is shown
     tolerance: largest value that passes, None if none is known
+    steps: trials of a learning step by name, see `schemes.experiments.trials_of_step`
     """
 
     asked: Asked
@@ -32,6 +34,7 @@ class Case(NamedTuple):
     metric: str = "settled error"
     unit: str = ""
     tolerance: float | None = None
+    steps: Mapping[str, int] = {}
 
     @classmethod
     def of(cls, chosen: Scenario, asked: Asked) -> Case:
@@ -45,7 +48,19 @@ class Case(NamedTuple):
             metric=chosen.judged_by.replace("_", " "),
             unit=chosen.shown(chosen.judged_by)[1],
             tolerance=chosen.tolerance if asked.tolerance is None else asked.tolerance,
+            steps={n: trials_of_step(s, chosen.task) for n, s in chosen.schemes.items()},
         )
+
+    def of_learned(self, errors: Mapping[str, Sequence[float]]) -> dict[str, list[float]]:
+        """The errors of the trials by scheme; those of experiments are replaced.
+
+        An experiment gets the error of the trial before it that played what was learned.
+        """
+        every = {name: self.steps.get(name, 1) for name in errors}
+        return {
+            name: [of_scheme[j - j % every[name]] for j in range(len(of_scheme))]
+            for name, of_scheme in errors.items()
+        }
 
     def size(self, value: float) -> str:
         """A value of the metric with its unit."""

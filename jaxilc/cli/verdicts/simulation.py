@@ -45,7 +45,7 @@ def run_verdict(
     numbers: result of `run_numbers`
     errors: errors of the trials by scheme [unit of the case], infinite where a trial diverged
     """
-    trials = numbers["trials"]
+    trials, errors = numbers["trials"], case.of_learned(errors)
     best = min(errors, key=lambda name: (_diverged(errors[name]), errors[name][-1]))
     first, last = errors[best][0], errors[best][-1]
     course = trend_of(errors[best])
@@ -101,7 +101,7 @@ def sweep_verdict(
     numbers: result of `sweep_numbers`
     highs: 95 % quantile of each trial by scheme [unit of the case]
     """
-    rows = numbers["schemes"]
+    rows, highs = numbers["schemes"], case.of_learned(highs)
     best = min(rows, key=lambda name: (-(rows[name]["yield"] or 0.0), _last(highs[name])))
     row, course, lost = rows[best], trend_of(highs[best]), _lost(rows[best])
     said = f"{case.head(best)}{_yield(case, numbers, row)}{_spread(case, numbers, row)}."
