@@ -545,7 +545,7 @@ def test_a_help_page_fits_80_columns(name):
     assert max(map(len, shown.stdout.splitlines())) <= 80
     assert "…" not in shown.stdout
     assert ("--machines" in shown.stdout) == (
-        name in ("sweep", "certify", "tune", "pareto", "design", "filter")
+        name in ("sweep", "certify", "tune", "pareto", "design", "filter", "learn-law")
     )
     assert ("[@METRIC]" in shown.stdout) == (name in ("tune", "pareto"))
 
@@ -555,6 +555,7 @@ def test_help_groups_every_command_by_what_one_wants():
     groups = {n: c.rich_help_panel for n, c in get_command(app).commands.items()}
     assert groups["sweep"] == groups["run"] == groups["list"] == SIMULATE
     assert groups["tune"] == groups["pareto"] == groups["worst-case"] == DESIGN
+    assert groups["learn-law"] == groups["design"] == DESIGN
     assert groups["certify"] == PROVE
     assert groups["next"] == groups["trials"] == MACHINE
     shown = CliRunner().invoke(app, ["--help"], env={"COLUMNS": "80"}).stdout
@@ -577,7 +578,7 @@ def test_what_commands_share_is_declared_once():
                 of_machines[name] = option.opts
     old = {name for name, names in of_machines.items() if names == ["--machines", "--samples"]}
     assert old == {"certify", "pareto", "sweep", "tune"}
-    assert {*of_machines} - old == {"design", "filter"}, "newer than the old name"
+    assert {*of_machines} - old == {"design", "filter", "learn-law"}, "newer than the old name"
     shared = ("--set", "--params", "--seed", "--spread", "--sampling", "--json", "--report")
     for name in (*shared, "--precision", "--resume"):
         assert len(said[name]) == 1, name
