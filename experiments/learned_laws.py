@@ -126,7 +126,7 @@ def best_of_grid(case: Case, family) -> Scheme:
         for i in range(0, len(laws), few)
     ]
     errors = np.nan_to_num(np.concatenate(parts), nan=np.inf)
-    best = laws[int(np.argmin(np.quantile(errors, 0.95, axis=1)))]
+    best = laws[int(np.argmin(np.quantile(errors, 0.95, axis=1, method="higher")))]
     law = PIDType(gamma_p=best["gamma_p"], lead=best["lead"])
     return case.under(Filtered(law, ZeroPhaseButterworth(best["cutoff"])))
 
@@ -174,24 +174,30 @@ def judged(name: str, folder: Path) -> list[dict]:
     began = time.perf_counter()
     schemes |= opponents(case, family, folder / name)
     print(f"  opponents after {time.perf_counter() - began:.0f} s", flush=True)
+    return [
+        {"family": name, "law": law, "noise": noise_of(case), "sup": sup.get(law)}
+        | row_of(case, scheme, folder / name / law.replace(" ", "-"))
+        for law, scheme in schemes.items()
+    ]
+
+
+def row_of(case: Case, scheme: Scheme, place: Path) -> dict:
+    """The errors of a law on the machines that judge, kept beside its store."""
+    kept, store = place.with_suffix(".json"), place.with_suffix(".zarr")
+    if kept.exists():
+        return json.loads(kept.read_text())
     sweep = Sweep(
-        case.machine, schemes, case.task, case.last, case.uncertainty, machines=JUDGED_ON + 1,
-        seed=JUDGES,
+        case.machine, {"law": scheme}, case.task, case.last, case.uncertainty,
+        machines=JUDGED_ON + 1, seed=JUDGES,
     )  # fmt: skip
-    store = folder / f"{name}.zarr"
-    rows = []
-    for one in summarise(sweep.run(store, resume=store.exists()), None, metric=METRIC):
-        row = {
-            "family": name,
-            "law": one.scheme,
-            "noise": noise_of(case),
-            "sup": sup.get(one.scheme),
-        }
-        for trial in (t for t in SHOWN if t <= case.last):
-            for quantile, of in (("median", one.median), ("95 %", one.high), ("worst", one.worst)):
-                row[f"{quantile} {trial}"] = float(of[trial - 1])
-        rows.append(row | {"diverged": float(one.diverged), "grown": float(one.semi_converged)})
-    return rows
+    (one,) = summarise(sweep.run(store, resume=store.exists()), None, metric=METRIC)
+    row = {}
+    for trial in (t for t in SHOWN if t <= case.last):
+        for quantile, of in (("median", one.median), ("95 %", one.high), ("worst", one.worst)):
+            row[f"{quantile} {trial}"] = float(of[trial - 1])
+    row |= {"diverged": float(one.diverged), "grown": float(one.semi_converged)}
+    kept.write_text(json.dumps(row))
+    return row
 
 
 def noise_of(case: Case) -> float:

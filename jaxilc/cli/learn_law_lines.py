@@ -77,7 +77,7 @@ def lines_of(chosen: Scenario, found: Learned) -> list[str]:
     if found.law is None:
         return [
             f"The learned law is refused: {found.refused}.",
-            "More taps, a larger --margin, or less uncertainty (a better fit, `jaxilc identify`) "
+            "More taps, a smaller --margin, or less uncertainty (a better fit, `jaxilc identify`) "
             "may give one that is not.",
         ]
     assert found.passed is not None
