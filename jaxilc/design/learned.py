@@ -36,7 +36,7 @@ from .judging import Verdict, judged_trials, verdict
 from .kept_taps import kept_or
 from .proof import Proof, proof_of
 from .responses import Family, family_of
-from .shaped import ShapedFilter
+from .shaped import WEIGHT, ShapedFilter, better_of
 from .window import Filters, Window, window_of
 
 STARTS = {
@@ -88,8 +88,8 @@ class LearnedLaw:
 
     1. The start: the taps of the best safe law of a few weights (`candidates`).
     2. The taps of least predicted error over the family, by its frequency responses.
-    3. These tuned through learning: least mean log e_J + 1/2 log max_j e_j, with the monotone
-       condition over the family as a penalty.
+    3. The better of both, tuned through learning: least mean log e_J + 1/2 log max_j e_j, with the
+       monotone condition over the family as a penalty.
     4. The gate: |keep - L P| <= 1 - margin on a denser family of other machines. Taps that fail are
        taken back towards the start as far as needed; if nothing on the way passes, or the proof
        over all frequencies fails, the law is refused.
@@ -167,7 +167,7 @@ class LearnedLaw:
         )
         found = kept_or(out, self, lambda: self._by_response(family, window, first), resume=resume)
         told("found", found)
-        tuned = self._tuned(family, window, found, out / "tuning", resume, told)
+        tuned = self._tuned(family, window, (found, first), out / "tuning", resume, told)
         dense = family_of(
             self.machine, self.feedback, self.task, self.uncertainty,
             seed=self.seed + 3, machines=DENSE, points=CLOSE,
@@ -209,36 +209,46 @@ class LearnedLaw:
         return by_response(family, window, first, self.task, self.trials, below)
 
     def _tuned(
-        self, family: Family, window: Window, found: Filters, out: Path, resume: bool, told: Told
+        self,
+        family: Family,
+        window: Window,
+        starts: tuple[Filters, Filters],
+        out: Path,
+        resume: bool,
+        told: Told,
     ) -> Filters:
-        """The taps after the tuning through learning."""
+        """The taps after the tuning through learning, from the better one of two starts."""
         if not self.steps:
-            return found
-        shaped = ShapedFilter.around(window, found)
-        below = 1 - self.margin - SPARE
-        problem = Tuning(
-            self.machine,
-            _under(shaped, self.feedback),
-            self.task,
-            self.trials,
-            weights=["z" if self.feedback is None else "learning.z"],
-            uncertainty=self.uncertainty,
-            objective=Final(self.metric)
-            + RISE * Holding(1, self.metric)
-            + UNSAFE * OverFamily(family.frequencies, family.P, below),
-            machines=self.trained_on,
-            held_out=self.held_out,
-            steps=self.steps,
-            rate=RATE,
-            mode="reverse",
-            seed=self.seed,
-        )
+            return starts[0]
+
+        def problem(start: Filters) -> Tuning:
+            return Tuning(
+                self.machine,
+                _under(ShapedFilter.around(window, start), self.feedback),
+                self.task,
+                self.trials,
+                weights=[WEIGHT if self.feedback is None else f"learning.{WEIGHT}"],
+                uncertainty=self.uncertainty,
+                objective=Final(self.metric)
+                + RISE * Holding(1, self.metric)
+                + UNSAFE * OverFamily(family.frequencies, family.P, 1 - self.margin - SPARE),
+                machines=self.trained_on,
+                held_out=self.held_out,
+                steps=self.steps,
+                rate=RATE,
+                mode="reverse",
+                seed=self.seed,
+            )
+
+        asked = problem(starts[0])
+        if (start := better_of(asked, window, *starts)) is not starts[0]:
+            asked = problem(start)
 
         def tell(step: int, losses, _) -> None:
             told("tuning", (step, float(np.min(losses))))
 
-        tuned = problem.run(out, resume=resume and out.exists(), progress=tell)
-        return moved(window, found, np.array(list(tuned.values.values())))
+        tuned = asked.run(out, resume=resume and out.exists(), progress=tell)
+        return moved(window, start, np.array(list(tuned.values.values())))
 
     def _judged(
         self, nothing: Learned, passed: Passed, safe, out: Path, resume: bool, told: Told

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import jax
+import numpy as np
+
 from ..pytree.fields import Leaf, leaf, pytree, static
 from ..schemes import LearningFilter, Scheme
 from ..schemes.scheme import Feedforward
 from ..signals.task import Task, Trial
+from ..tuning import Tuning
 from .window import Filters, Window
+
+WEIGHT = "z"
 
 
 @pytree
@@ -46,3 +52,14 @@ class ShapedFilter(Scheme):
 
     def learn(self, memory: Feedforward, trial: Trial) -> Feedforward:
         return self.taps().learn(memory, trial)
+
+
+def better_of(problem: Tuning, window: Window, one: Filters, other: Filters) -> Filters:
+    """The filters of less loss on the held-out machines, the first of them where both are alike.
+
+    problem: a tuning of the steps z of a `ShapedFilter` around `one`
+    """
+    steps = [np.zeros(window.of_L.shape[1] + window.of_keep.shape[1]), window.steps(one, other)]
+    names, loss = list(problem.start), jax.jit(problem.held_out_loss)
+    of_one, of_other = (float(loss(dict(zip(names, z, strict=True)))) for z in steps)
+    return other if of_other < of_one or not np.isfinite(of_one) else one

@@ -60,6 +60,11 @@ class Window(NamedTuple):
         q = len(self.of_keep)
         return Filters(np.zeros(len(self.of_L)), np.linalg.pinv(_flat(q)) @ [1.0, 0.0])
 
+    def steps(self, start: Filters, end: Filters) -> np.ndarray:
+        """The steps along the directions from some taps to others, first those of L."""
+        changes = (self.of_L, end.L - start.L), (self.of_keep, end.keep - start.keep)
+        return np.concatenate([np.linalg.lstsq(of, d, rcond=1e-9)[0] for of, d in changes])
+
     def of(self, filters: Filters) -> LearningFilter:
         """The scheme with these taps."""
         return LearningFilter(filters.L, keep=filters.keep, lead=self.lead)

@@ -9,7 +9,7 @@ import pytest
 
 from jaxilc import Machine, Sensor, Task, Uniform
 from jaxilc.design import LearnedLaw
-from jaxilc.design.by_response import by_response, sizes_of
+from jaxilc.design.by_response import by_response, moved, sizes_of
 from jaxilc.design.candidates import Candidate, candidates
 from jaxilc.design.gate import Passed, gate
 from jaxilc.design.responses import family_of
@@ -87,6 +87,13 @@ def test_a_law_of_a_few_weights_is_held_by_a_window_that_is_wide_enough(family, 
     wide = window_of(family, TASK, (101, 101))
     held = wide.of(wide.holding(law_of(safe.scheme, TASK)))
     np.testing.assert_allclose(contraction(family, held, TASK), safe.largest, atol=3e-3)
+
+
+def test_the_steps_from_some_taps_to_others_lead_there(family, window, safe, found):
+    held = window.holding(law_of(safe.scheme, TASK))
+    there = moved(window, found, window.steps(found, held))
+    for one, other in zip(there, held, strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-9)
 
 
 def test_by_response_beats_the_safe_law_and_keeps_the_bound(family, window, safe, found):
