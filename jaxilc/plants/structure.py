@@ -122,6 +122,19 @@ def blind(f: Callable, fixed: Any, varying: Any) -> bool:
     return any(one.blind for one in found)
 
 
+def followers(f: Callable, fixed: Any, varying: Any) -> list[list[bool]]:
+    """For each leaf of `varying`, which leaves of f(fixed, varying) may depend on it."""
+    closed = jax.make_jaxpr(f)(fixed, varying)
+    of_fixed, leaves = len(jax.tree.leaves(fixed)), len(jax.tree.leaves(varying))
+    found = []
+    for varies in range(leaves):
+        given = [Dependence()] * (of_fixed + leaves)
+        given[of_fixed + varies] = Dependence(AFFINE)
+        results = _through(closed.jaxpr, [Dependence()] * len(closed.consts), given)
+        found.append([one.order > CONSTANT for one in results])
+    return found
+
+
 # How it is done
 # --------------------------------------------------------------------------------------------------
 

@@ -25,6 +25,7 @@ from ..schemes import Scheme
 from ..signals.task import Task
 from ..uncertainty import Uncertainty, drawn_machine
 from .iteration import SingularValue, singular_value
+from .structure import followers
 from .trials import Prescribed, learned_memory, step, trial_of, with_output
 
 # leaves of a memory that are no state: they only tell the first trial from the others
@@ -54,10 +55,11 @@ def learning_map(
 
     memory:  where to linearise; None for the memory after 3 trials
     leaves:  names of what varies, while all else is held: "u", or "learning.phi", which is all of
-             phi[0], phi[1], ...; None for all but flags. ("u", "y") of MFAILC leaves out its
-             estimates. That matters: at a fixed point without error nothing moves phi, so the full
-             map has the eigenvalue 1 there, once for each phi that no reset holds. u alone says
-             nothing, as y goes with it
+             phi[0], phi[1], ...; None for all on which a trial to come depends, but flags. What only
+             tells of the past is no state, and a counter alone would be an eigenvalue 1. ("u", "y")
+             of MFAILC leaves out its estimates. That matters: at a fixed point without error
+             nothing moves phi, so the full map has the eigenvalue 1 there, once for each phi that
+             no reset holds. u alone says nothing, as y goes with it
     weights: {name: number} by which leaves are multiplied before they are compared, as u, y and phi
              have different units. Spectral radii do not depend on them, singular values do. A leaf
              without a weight is brought to the size of the output by rms(y) / rms(leaf), or by 1 if
@@ -77,12 +79,13 @@ def learning_map(
                 f"learning_map: {name!r} is not in this memory; known: "
                 f"{', '.join(names) or 'nothing'}"
             )
-    varies = [
-        any(_names(name, of) for name in leaves)
-        if leaves is not None
-        else of.split(".")[-1] not in FLAGS
-        for of in names
-    ]
+    if leaves is not None:
+        varies = [any(_names(name, of) for name in leaves) for of in names]
+    else:
+        acting = _acting(machine, scheme, task, memory)
+        varies = [
+            acts and of.split(".")[-1] not in FLAGS for of, acts in zip(names, acting, strict=True)
+        ]
     varies = [
         v and jnp.issubdtype(value.dtype, jnp.floating)
         for v, value in zip(varies, values, strict=True)
@@ -175,6 +178,27 @@ def over_plants(
         lambda common, values: quantity(drawn_machine(common, uncertainty, values)), lanes=lanes
     )
     return run(machine, {name: jnp.asarray(values) for name, values in drawn.items()})
+
+
+def _acting(machine: Machine, scheme: Scheme, task: Task, memory) -> list[bool]:
+    """Of each leaf of a memory, whether a trial to come may depend on it, as the program tells."""
+
+    def turn(fixed, memory):
+        machine, scheme, task = fixed
+        trial = trial_of(machine, scheme, task, memory)
+        return scheme.learn(memory, trial), trial.y, trial.u
+
+    found = followers(turn, (machine, scheme, task), memory)
+    leaves = len(found)
+    acting = [any(of_leaf[leaves:]) for of_leaf in found]
+    while True:
+        grown = [
+            acts or any(follows and acting[i] for i, follows in enumerate(of_leaf[:leaves]))
+            for acts, of_leaf in zip(acting, found, strict=True)
+        ]
+        if grown == acting:
+            return acting
+        acting = grown
 
 
 def _names(name: str, leaf: str) -> bool:

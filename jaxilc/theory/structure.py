@@ -10,7 +10,17 @@ from ..plants.structure import (
     Dependence,
     blind,
     dependence,
+    followers,
     obstacle,
 )
 
-__all__ = ["AFFINE", "CONSTANT", "OTHERWISE", "Dependence", "blind", "dependence", "obstacle"]
+__all__ = [
+    "AFFINE",
+    "CONSTANT",
+    "OTHERWISE",
+    "Dependence",
+    "blind",
+    "dependence",
+    "followers",
+    "obstacle",
+]

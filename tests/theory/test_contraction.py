@@ -13,7 +13,18 @@ from jaxilc.filters import ZeroPhaseFIR
 from jaxilc.learning import Disturbance, Machine, Sensor, learn
 from jaxilc.plants import StateSpace
 from jaxilc.pytree import named_leaves
-from jaxilc.schemes import CFDLMFAILC, CFDLMFAPC, FFDLMFAILC, PID, Filtered, PIDType, WithFeedback
+from jaxilc.schemes import (
+    CFDLMFAILC,
+    CFDLMFAPC,
+    FFDLMFAILC,
+    PID,
+    ConstrainedNormOptimal,
+    Filtered,
+    GradientILC,
+    PIDType,
+    TwoStep,
+    WithFeedback,
+)
 from jaxilc.signals import Task
 from jaxilc.theory import contraction, frequency, lifted
 from jaxilc.uncertainty import Uniform, draw, drawn_machine
@@ -336,6 +347,60 @@ def test_estimates_that_nothing_resets_are_neutral():
         contraction.attracting(LAG, scheme, task, memory, leaves=("u", "y"), steps=100).verdict
         == "holds"
     )
+
+
+def test_what_only_tells_of_the_past_is_no_state():
+    """Counters and diagnostics of the model-based laws are left out of the learning map.
+
+    A counter alone would be an eigenvalue 1, and no such law would ever be seen to attract.
+    """
+    plant, tight = PLANTS["discrete"], {"w_r": 0.1, "limit": 3.0}
+    pendulum = PLANTS["pendulum"]
+    for machine, scheme, known in (
+        (plant, GradientILC(plant), 1),
+        (plant, ConstrainedNormOptimal(plant, **tight), 1),
+        (pendulum, TwoStep(pendulum, w_alpha=0.1, **tight), 2),
+    ):
+        task = task_for(machine, 6)
+
+        def at(machine=machine, scheme=scheme, task=task):
+            memory = scheme.initial_memory(task)
+            return contraction.learning_map(Machine(machine), scheme, task, memory).at
+
+        assert jax.eval_shape(at).size == known * task.N
+
+
+def test_the_map_of_gradient_learning_on_a_nonlinear_machine():
+    """Its derivative at the fixed point is that of NumPy's pendulum, by complex and real steps."""
+    model, N, step, w_s = PLANTS["pendulum"], 6, 40.0, 1e-3
+    machine = dataclasses.replace(model, mass=0.022)
+    task = Task(0.15 * np.sin(np.arange(N + 1) / 3)[:, None], dt=DT)
+
+    def motion(of, u):
+        x, v, y = 0.0, 0.0, []
+        inertia = of.inertia + of.mass * of.length**2
+        for torque in u:
+            pull = of.gravity * of.mass * of.length * np.sin(x)
+            x, v = x + DT * v, v + DT * (torque - of.damping * v - pull) / inertia
+            y.append(x)
+        return np.array(y)
+
+    def following(u):
+        steps = 1e-20j * np.eye(N)
+        G = np.stack([motion(model, u + row).imag / 1e-20 for row in steps], axis=1)
+        return u + step * (G.T @ (task.reference[1:, 0] - motion(machine, u)) - w_s * u)
+
+    u = np.zeros(N)
+    for _ in range(3000):
+        u = following(u)
+    by_hand = np.stack([following(u + h) - following(u - h) for h in 1e-4 * np.eye(N)]).T / 2e-4
+    scheme = GradientILC(model, step=step, w_s=w_s)
+    memory = scheme.initial_memory(task)._replace(u=jnp.asarray(u)[:, None])
+    found = contraction.learning_map(Machine(machine), scheme, task, memory)
+    J, moved = jax.jit(lambda at: (jax.jacfwd(found.f)(at), found.f(at) - at))(found.at)
+    assert np.max(np.abs(moved)) < 1e-9 * np.max(np.abs(found.at))
+    np.testing.assert_allclose(J, by_hand, atol=1e-8)
+    assert 0.5 < np.max(np.abs(np.linalg.eigvals(J))) < 0.99
 
 
 def test_over_plants_equals_one_by_one():
