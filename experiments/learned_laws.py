@@ -111,7 +111,8 @@ def of_zpetc(case: Case, family) -> Candidate | None:
 def best_of_grid(case: Case, family) -> Scheme:
     """The P-type law with lead and Q-filter of least error at 95 % of the machines of a family."""
     dt, longest = case.task.dt, max(4, min(60, case.task.N // 20))
-    gains = GAINS / float(np.max(np.abs(family.P))) * np.sign(family.P[0, 0].real)
+    steady = family.P[:, 0].real  # not the peak of a resonance
+    gains = GAINS / float(np.max(np.abs(steady))) * np.sign(steady[0])
     leads = sorted({round(x) for x in np.geomspace(1, longest, LEADS)} | {0})
     loops = family.loops[:: max(1, len(family.loops) // 12)]
     laws = [
