@@ -124,8 +124,9 @@ class GradientILC(Scheme):
             )
         if h <= 0 and not _varies(self.model, task.N, task.dt):
             raise ValueError(
-                f"GradientILC: the model ({name}) does not answer its input within N = {task.N} "
-                "samples; allowed is a model whose output depends on its input"
+                f"GradientILC: within N = {task.N} samples the model ({name}) does not answer its "
+                "input, or w_q gives its answer no weight; allowed is a model whose output depends "
+                "on its input, with a weight above 0"
             )
         if self.step is not None and float(self.step) * h >= 2:
             raise ValueError(

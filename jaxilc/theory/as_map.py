@@ -76,8 +76,9 @@ class Maps(NamedTuple):
         )
 
     def triangular(self, which):
-        """Infinite for each machine, three times: without the matrix its form is not known."""
-        return tuple(np.full((3, len(which)), np.inf))
+        """Infinite, and 0 for the power: without the matrix its form is not known."""
+        unknown = np.full(len(which), np.inf)
+        return unknown, unknown, np.zeros(len(which), int), unknown
 
     def first_met(self, reach):
         """The first trial that meets a limit, whether none ever is met, and which limit it is.

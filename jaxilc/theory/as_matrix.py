@@ -93,22 +93,25 @@ class Matrices(NamedTuple):
         return np.array([radius_with_doubt(M) for M in self.M]).T
 
     def triangular(self, which):
-        """Of a triangular M: spectral radius, about max_i ||M^i||, and ||(I - M)^-1||, each (S,).
+        """What is known of a triangular M, each (S,).
 
-        They are infinite where M is not triangular or its radius is not below 1, and where `which`
-        (S,) does not ask for them. The last one is infinite, too, where the growth is beyond the
-        digits of the numbers, so that nobody could see learning converge.
+        It is the spectral radius, about max_i ||M^i||, the first power that is seen to contract,
+        and ||(I - M)^-1||. The power is 0 where none is seen, and the others are infinite where M
+        is not triangular or its radius is not below 1, and where `which` (S,) does not ask for
+        them. The last one is infinite, too, where no power contracts, and where the growth is
+        beyond the digits of the numbers, so that nobody could see learning converge.
         """
         eps = np.finfo(self.M.dtype).eps
         radius, growth, inverse = np.full((3, len(self.M)), np.inf)
+        fallen = np.zeros(len(self.M), int)
         for i in np.flatnonzero(which):
             radius[i] = triangular_radius(self.M[i])
             if radius[i] < 1:
-                growth[i] = growth_about(self.M[i])
-            if growth[i] * eps < 1:
+                growth[i], fallen[i] = growth_about(self.M[i])
+            if fallen[i] and growth[i] * eps < 1:
                 with np.errstate(divide="ignore"):
                     inverse[i] = 1 / np.linalg.norm(np.eye(len(self.M[i])) - self.M[i], -2)
-        return radius, growth, inverse
+        return radius, growth, fallen, inverse
 
     def first_met(self, reach):
         """The first trial that meets a limit, whether none ever is met, and which limit it is.

@@ -38,12 +38,13 @@ from ..learning.machine import Machine
 from ..learning.over_trials import check
 from ..runtime.capacity import check_size
 from ..schemes import Scheme
+from ..schemes.experiments import trials_of_step
 from ..signals.task import Task
 from ..uncertainty import Uncertainty, drawn_machines
 from .affine import limit_names, view_of
 from .as_map import Maps
 from .as_matrix import Matrices
-from .forecast import follow, peaks, predict, simulate
+from .forecast import follow, growth_of, peaks, predict, simulate
 from .linearity import keeps_all, learning_premises
 from .outlook import Outlook, joined, maps_of, outlooks, that_fit
 from .trials import starts_off
@@ -68,16 +69,16 @@ class Certificate(NamedTuple):
                is linear
     floor:     (S,) root mean square error left at the limit; NaN where no limit is claimed
     doubt:     (S,) the distance within which `floor` is known
-    expected:  (S,) of `COURSES`, by theory, within J trials
-    observed:  (S,) of `COURSES`, by simulation, within J trials
+    expected:  (S,) of `COURSES`, by theory, within J trials, without those that are experiments
+    observed:  (S,) of `COURSES`, by simulation, likewise
     predicted: (S, J) root mean square error of each trial, by theory
     simulated: (S, J) the same by simulation
     turning:   (S,) the best trial, by theory
     observed_turning: (S,) the best trial, by simulation
     growth:    (S,) largest rise of the predicted error above a lower one before it, as a factor
-    peak:      (S,) largest error by theory, in units of the first; where learning converges, also
-               beyond J trials
-    peak_trial: (S,) the trial of this error
+    peak:      (S,) largest error by theory, in units of the first; where learning is claimed to
+               converge, also beyond J trials
+    peak_trial: (S,) the trial of this error; of that at the limit the last one that was looked at
     distance:  (S, J) simulated distance of what is learned from its limit; None where nothing is
                linear
     outlook:   of all trials to come; None where nothing is linear
@@ -202,23 +203,23 @@ def _certified(
             np.where(lasts, np.where(run.of_error, 0.0, x), np.nan)
             for x in (run.outlook.floor, run.outlook.doubt)
         )
-    with np.errstate(invalid="ignore", divide="ignore"):
-        growth = np.max(
-            np.nan_to_num(predicted / np.minimum.accumulate(predicted, axis=1), nan=np.inf), axis=1
-        )
-    powers = np.zeros(0, int) if run.outlook is None else run.outlook.decay.trials
-    peak, peak_trial = peaks(machines, scheme, task, predicted, run.claim == CONVERGES, powers)
+    powers = np.ones(len(predicted), int) if run.outlook is None else run.outlook.decay.power
+    ahead = np.where(run.of_error, np.nan, floor)
+    peak, peak_trial = peaks(machines, scheme, task, predicted, powers, ahead)
+    # the errors of experiments say nothing of what was learned
+    each = trials_of_step(scheme, task)
+    expected, observed = predicted[:, ::each], simulated[:, ::each]
     return Certificate(
         **run._asdict(),
         floor=floor,
         doubt=doubt,
-        expected=np.array([course(e) for e in predicted]),
-        observed=np.array([course(e) for e in simulated]),
+        expected=np.array([course(e) for e in expected]),
+        observed=np.array([course(e) for e in observed]),
         predicted=predicted,
         simulated=simulated,
-        turning=_best(predicted),
-        observed_turning=_best(simulated),
-        growth=growth,
+        turning=1 + each * _best(expected),
+        observed_turning=1 + each * _best(observed),
+        growth=growth_of(expected),
         peak=peak,
         peak_trial=peak_trial,
         distance=distance,
@@ -294,5 +295,5 @@ def _rises(errors, first) -> bool:
 
 
 def _best(errors) -> np.ndarray:
-    """(S,) the trial of the smallest error, counted from 1."""
-    return np.argmin(np.nan_to_num(errors, nan=np.inf), axis=1) + 1
+    """(S,) the index of the smallest error."""
+    return np.argmin(np.nan_to_num(errors, nan=np.inf), axis=1)

@@ -21,8 +21,8 @@ from .trials import trial_of
 # increments is what it will be
 FIRST = 2
 AHEAD = 4  # times a power that contracts: trials in which the largest error is looked for
-FIRST_LOOK, LAST_LOOK = 256, 4096  # trials, where no power is known to contract, and at most
-SETTLED = 1e-3  # relative change of the error from trial to trial
+LAST_LOOK = 4096  # trials, at most
+SETTLED = 1e-3  # relative distance of the error from that of the limit
 
 
 def predict(machines: Machine, scheme: Scheme, task: Task, trials: int) -> np.ndarray:
@@ -40,35 +40,44 @@ def predict(machines: Machine, scheme: Scheme, task: Task, trials: int) -> np.nd
 
 
 def peaks(
-    machines: Machine, scheme: Scheme, task: Task, predicted, converging, powers
+    machines: Machine, scheme: Scheme, task: Task, predicted, powers, floor
 ) -> tuple[np.ndarray, np.ndarray]:
     """(S,) the largest error by theory, in units of the first, and its trial, counted from 1.
 
-    Of machines that are known to converge, though not in every trial, it is looked for beyond the J
-    trials, until the error has fallen below the first one or has settled.
+    Of machines with an error that is known at the limit, it is looked for beyond the J trials: in
+    four times the trials after which the distance from the limit has surely fallen, and further
+    until the error has fallen below the first one or is that of the limit. The latter counts, too;
+    its trial is the last one that was looked at.
 
     predicted: (S, J) of `predict`
-    converging: (S,) which machines are known to converge
-    powers: (S,) power of the learning map that is known to contract; 0 where none is
+    powers: (S,) power of the learning map that is known to contract, on these machines
+    floor: (S,) error at the limit; NaN where none is known, or where the error falls in every trial
     """
-    sizes = [_finite_or_infinite(predicted)]
-    if np.any(converging):
-        of = powers[converging]
-        trials = AHEAD * int(np.max(of)) if np.all(of) else FIRST_LOOK
+    sizes, known = [_finite_or_infinite(predicted)], np.isfinite(floor)
+    if np.any(known):
+        trials = AHEAD * int(np.max(powers[known]))
         while trials <= LAST_LOOK:
             if trials > predicted.shape[1]:
                 predicted = predict(machines, scheme, task, trials)
-            first, last, before = _finite_or_infinite(predicted)[converging][:, [0, -1, -2]].T
-            settled = (last <= before * (1 + SETTLED)) & (last >= before * (1 - SETTLED))
-            if np.all((last <= first) | settled):
+            first, last = _finite_or_infinite(predicted)[known][:, [0, -1]].T
+            there = np.abs(last - floor[known]) <= SETTLED * floor[known]
+            if np.all((last <= first) | there):
                 break
             trials *= AHEAD
-        beyond = _finite_or_infinite(predicted[:, sizes[0].shape[1] :])
-        sizes.append(np.where(converging[:, None], beyond, -np.inf))
+        beyond = np.column_stack([predicted[:, sizes[0].shape[1] :], floor])
+        sizes.append(np.where(known[:, None], _finite_or_infinite(beyond), -np.inf))
     every = np.concatenate(sizes, axis=1)
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         peak = np.max(every, axis=1) / every[:, 0]
-    return np.where(np.isnan(peak), 1.0, peak), np.argmax(every, axis=1) + 1
+    trial = np.minimum(np.argmax(every, axis=1) + 1, predicted.shape[1])
+    return np.where(np.isnan(peak), 1.0, peak), trial
+
+
+def growth_of(errors) -> np.ndarray:
+    """(S,) the largest rise of errors (S, J) above a lower one before it, as a factor."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        rises = errors / np.minimum.accumulate(errors, axis=1)
+    return np.max(np.nan_to_num(rises, nan=np.inf), axis=1)
 
 
 def _finite_or_infinite(errors) -> np.ndarray:

@@ -93,7 +93,8 @@ def law_of(scheme: Scheme, task: Task) -> Law:
     """The law of a scheme with a feedforward. Raises ValueError for a scheme that learns none.
 
     Its taps are read in the middle of a long trial, and compared with those at another place there,
-    and with all that the law does in the trial of the task, which shows a law that is scheduled.
+    and with all that the law does in the trial of the task. That shows a law that is scheduled, but
+    not a change so near an end that the taps beyond the end could explain it.
     """
     given, task = task, _long(scheme, task)
     width, N = _width(scheme, task), task.N

@@ -55,9 +55,9 @@ def learning_map(
 
     memory:  where to linearise; None for the memory after 3 trials
     leaves:  names of what varies, while all else is held: "u", or "learning.phi", which is all of
-             phi[0], phi[1], ...; None for all on which a trial to come depends, but flags. What only
-             tells of the past is no state, and a counter alone would be an eigenvalue 1. ("u", "y")
-             of MFAILC leaves out its estimates. That matters: at a fixed point without error
+             phi[0], phi[1], ...; None for all on which a trial to come depends, but flags. What
+             only tells of the past is no state: a counter would be an eigenvalue 1. ("u", "y") of
+             MFAILC leaves out its estimates. That matters: at a fixed point without error
              nothing moves phi, so the full map has the eigenvalue 1 there, once for each phi that
              no reset holds. u alone says nothing, as y goes with it
     weights: {name: number} by which leaves are multiplied before they are compared, as u, y and phi

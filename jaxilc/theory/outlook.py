@@ -32,6 +32,7 @@ from .affine import limit_names, view_of
 from .as_map import Maps
 from .as_matrix import Matrices
 from .condition import Premise, premise
+from .spectrum import LONGEST
 
 POWERS = (1, 4, 16, 64)  # of M that are looked at, until one contracts
 STEPS = 300  # of the Lanczos process, at most
@@ -53,6 +54,7 @@ class Decay(NamedTuple):
     radius: (S,) spectral radius of a triangular M; infinite where M is not, or a bound was found
     inverse: (S,) ||(I - M)^-1|| of a triangular M with radius < 1 and a growth that the digits of
         the numbers can hold; infinite otherwise
+    fallen: (S,) power of a triangular M that is seen to contract; 0 where none is
     """
 
     trials: np.ndarray
@@ -61,6 +63,12 @@ class Decay(NamedTuple):
     norm: np.ndarray
     radius: np.ndarray
     inverse: np.ndarray
+    fallen: np.ndarray
+
+    @property
+    def power(self) -> np.ndarray:
+        """(S,) a power of M that contracts; 0 where none is known."""
+        return np.maximum(self.trials, self.fallen)
 
     @property
     def converges(self) -> np.ndarray:
@@ -82,6 +90,8 @@ class Decay(NamedTuple):
         if not k and self.radius[machine] < SURELY:
             far = f"about {growth:.3g} times" if np.isfinite(growth) else "far"
             beyond = "" if self.converges[machine] else ", beyond the digits of the numbers"
+            if np.isfinite(growth) and not self.fallen[machine]:
+                beyond = f", and was not seen to fall within {LONGEST} trials"
             return (
                 "every eigenvalue of the learning map, which is triangular, is at most "
                 f"{self.radius[machine]:.6g} in size; but the distance from the limit can grow "
@@ -243,6 +253,6 @@ def decays(
             between = between * np.maximum(of_power, 1.0) ** max(following // power - 1, 0)
         if not np.any((trials == 0) & (late < 1)):
             break
-    radius, of_triangular, inverse = maps.triangular(trials == 0)
+    radius, of_triangular, fallen, inverse = maps.triangular(trials == 0)
     growth = np.where(trials == 0, of_triangular, growth)
-    return Decay(trials, factor, growth, norm, radius, inverse)
+    return Decay(trials, factor, growth, norm, radius, inverse, fallen)

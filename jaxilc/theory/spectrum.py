@@ -144,26 +144,27 @@ def triangular_radius(M) -> float:
     return float(np.max(np.abs(np.diag(M)), initial=0.0)) if blocks == len(M) else np.inf
 
 
-def growth_about(M) -> float:
-    """About max_i ||M^i|| of (n, n); infinite where no power up to 1024 is seen to contract.
+def growth_about(M) -> tuple[float, int]:
+    """About max_i ||M^i|| of (n, n), and the first power that is seen to contract.
 
-    It is taken in the Frobenius norm, which is never smaller than ||M^i||: exactly up to 64 rows,
-    and beyond estimated as the mean length of random vectors. That tells the order of magnitude of
-    a transient that is far above 1.
+    The growth is infinite where the powers overflow before. Where none up to 1024 contracts, it is
+    that of the powers so far, and the power is 0. It is taken in the Frobenius norm, which is never
+    smaller than ||M^i||: exactly up to 64 rows, and beyond estimated as the mean length of random
+    vectors. That tells the order of magnitude of a transient that is far above 1.
     """
     n = len(M)
     random = np.random.default_rng(8).standard_normal((n, PROBES)) / np.sqrt(PROBES)
     vectors, largest = np.eye(n) if n <= EXACT_ROWS else random, 1.0
     with np.errstate(over="ignore", invalid="ignore"):
-        for _ in range(LONGEST):
+        for power in range(1, LONGEST + 1):
             vectors = M @ vectors
             size = float(np.linalg.norm(vectors))
             if size < 1:
-                return largest
+                return largest, power
             if not np.isfinite(size):
-                break
+                return np.inf, 0
             largest = max(largest, size)
-    return np.inf
+    return largest, 0
 
 
 def _power_contracts(M) -> bool:

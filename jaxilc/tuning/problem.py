@@ -91,7 +91,7 @@ class Tuning:
         CPU; on an accelerator what its memory holds, for which one program is compiled. With None,
         a tuning that is resumed keeps those that it was begun with.
 
-    Raises ValueError, before anything is compiled, as `Weights.of` does for the weights.
+    Raises ValueError, before anything is compiled, also where the last trial is an experiment.
     """
 
     machine: Machine
@@ -123,8 +123,8 @@ class Tuning:
     def __post_init__(self):
         if self.lanes_given is None:
             object.__setattr__(self, "lanes", usual_lanes() or 1)
-        check_settings(vars(self))
         check(self.machine, self.scheme, self.task)
+        check_settings(vars(self))
         self._weights.need_room(self.machine, self.scheme, self.task)
         counts = Counts(len(self.start), *(getattr(self, name) for name in Counts._fields[1:]))
         need_room(self.machine, self.uncertainty, self.task, counts)

@@ -23,6 +23,7 @@ from ..schemes import Scheme
 from ..signals.task import Task, Trial
 from ..uncertainty import Uncertainty
 from .objectives import Final, judge
+from .settings import need_learned_at_last
 from .worst_case import (
     GRADIENT_COST,
     WorstCase,
@@ -87,8 +88,9 @@ def worst_machine(
     evaluations: number of evaluations to spend on the ascent, in place of `steps`
     draws: number of draws of a further, larger random search
     Raises ValueError as `worst_case_search` does, and, before the ascent, for what the RAM cannot
-    hold.
+    hold, and where the last trial is an experiment.
     """
+    need_learned_at_last("worst_machine", scheme, task, trials)
     of_a_step = starts * (1 + GRADIENT_COST)
     steps = steps if evaluations is None else evaluations // of_a_step
     _need_room(

@@ -23,6 +23,8 @@ from jaxilc.schemes import (
     PID,
     Filtered,
     HigherOrder,
+    LearningFilter,
+    ModelFreeGradient,
     NormOptimal,
     PIDType,
     StopWhen,
@@ -289,6 +291,41 @@ def test_the_transient_that_lies_is_told_beforehand():
     lost = certify_each(drawn_machines(worse, {}, {}), PIDType(gamma_p=0.9), task, trials)
     assert list(lost.claim) == ["not claimed"]
     assert "beyond the digits of the numbers" in lost.reason[0]
+    # with a smaller gain the transient comes later, and at last too late to be seen
+    M = np.eye(samples) - 0.1 * np.tril(scipy.linalg.toeplitz(g))
+    errors = [np.ones(samples)]
+    while len(errors) < 4000:
+        errors.append(M @ errors[-1])
+    size = np.linalg.norm(errors, axis=1)
+    slow = certify_each(machines, PIDType(gamma_p=0.1), task, trials)
+    assert list(slow.claim) == ["converges"]
+    assert list(slow.peak_trial) == [np.argmax(size) + 1]
+    np.testing.assert_allclose(slow.peak, np.max(size) / size[0], rtol=1e-6)
+    slower = outlook.decays(machines, PIDType(gamma_p=0.01), task)
+    assert not np.any(slower.converges)
+    assert "was not seen to fall within 1024 trials" in slower.told(0)
+
+
+def test_an_error_that_rises_to_its_limit_after_the_trials_is_told():
+    """The limit of u' = 0.88 u - 0.1 e on y = u is u = -5 r: the error rises to 6 times r."""
+    machine = Machine(StateSpace([[0.0]], [[1.0]], [[1.0]], dt=DT))
+    task = Task(np.r_[0.0, np.ones(8)], dt=DT)
+    law = LearningFilter((-0.1,), keep=(0.88,))
+    found = certify_each(drawn_machines(machine, {}, {}), law, task, 5)
+    assert list(found.claim) == ["monotone"]
+    assert not found.of_error[0]
+    assert np.max(found.simulated) < 2
+    np.testing.assert_allclose([found.floor[0], found.peak[0]], 6.0, rtol=1e-9)
+
+
+def test_experiments_are_no_part_of_the_course():
+    """Experiments with a large error between the steps say nothing of what was learned."""
+    scheme = ModelFreeGradient(step=0.3, amplitude=20.0)
+    found = certified(FIRST_ORDER, scheme, 6, B)
+    assert np.all(found.simulated[:, -1] > found.simulated[:, 0]), "trial 6 is an experiment"
+    assert set(found.expected) == set(found.observed) == {"falls"}
+    assert set(found.turning) == set(found.observed_turning) == {5}
+    assert np.all(found.growth == 1.0)
 
 
 # The parts

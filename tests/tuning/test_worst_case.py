@@ -11,11 +11,12 @@ from cases import ALGEBRA
 from jaxilc.learning import Disturbance, Machine, learn
 from jaxilc.plants import StateSpace
 from jaxilc.pytree import leaf, pytree
-from jaxilc.schemes import PID, PIDType
+from jaxilc.schemes import PID, ModelFreeGradient, PIDType
 from jaxilc.signals import Task
-from jaxilc.tuning import monte_carlo_search, worst_case_search
+from jaxilc.tuning import Tuning, monte_carlo_search, worst_case_search
 from jaxilc.tuning.objectives import Final, judge
 from jaxilc.tuning.worst_case import GRADIENT_COST
+from jaxilc.tuning.worst_machine import worst_machine
 from jaxilc.uncertainty import LogUniform, Normal, Uniform
 
 N = 40
@@ -171,3 +172,14 @@ def test_a_box_that_leaves_the_range_of_a_leaf_is_refused():
         worst_case_search(lambda s: s.leak, PIDType(), {"leak": Uniform(0.1, 1.2)})
     with pytest.raises(ValueError, match=r"evaluations = 0"):
         monte_carlo_search(lambda s: s.leak, PIDType(), {"leak": Uniform(0.1, 0.2)}, 0)
+
+
+def test_the_last_trial_must_not_be_an_experiment():
+    """The error of an experiment says nothing of what was learned; no weight is chosen by it."""
+    plant = StateSpace([[0.5]], [[1.0]], [[1.0]], dt=1e-3)
+    given = Machine(plant), ModelFreeGradient(step=0.1), Task(np.ones(5), dt=1e-3), 4
+    allowed = "trials = 4 ends with an experiment.*allowed are 1, 3, 5 and so on"
+    with pytest.raises(ValueError, match=allowed):
+        worst_machine(*given, {"plant.B": Uniform(0.5, 1.5, relative=True)})
+    with pytest.raises(ValueError, match=allowed):
+        Tuning(*given, weights={"step": (0.01, 1.0)}, machines=1, held_out=0)
