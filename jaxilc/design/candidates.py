@@ -180,7 +180,7 @@ def _pd_type(family, feedback, task, trials, margin, *, derivative: bool) -> Can
     all_found = widest(family, laws(), task, trials, margin)
     if not all_found:
         return Absent(name, _NO_WEIGHTS)
-    found = best_simulated(family, all_found, task, trials)
+    found = best_simulated(family, all_found, task, trials, margin)
     weights = {w: found.weights[w] for w in ("gamma_p", "gamma_d")[: 1 + derivative]}
     learning = PIDType(**weights, lead=int(found.weights["lead"]))
     bounds = {f"scheme.{w}": _around(value) for w, value in weights.items()}

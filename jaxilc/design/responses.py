@@ -124,8 +124,7 @@ def family_of(
     free = None if feedback is None else feedback.unlimited()
     loops = [Loop(*one) for one in zip(*map(np.asarray, _loops(several, free, short)), strict=True)]
     _need_stable(loops, task)
-    poles = np.linalg.eigvals(minimal(loops[0], task.N).A)
-    f = grid(task, points=points, near=poles)
+    f = _lines(task, loops, points)
     P = _responses(Loop(*map(np.stack, zip(*loops, strict=True))), f, task.dt)
     e = _first_error(machine, feedback, task)
     error = _gathered(e, f, task.dt)
@@ -152,6 +151,20 @@ _loops = jax.jit(
 _responses = jax.jit(
     lambda loops, f, dt: jax.vmap(lambda loop: response(loop, f, dt)[:, 0, 0])(loops)
 )
+
+
+def _lines(task: Task, loops: list[Loop], points: int) -> np.ndarray:
+    """(F,) frequencies: dense near the poles of the nominal machine, and at those of the others.
+
+    A lightly damped resonance is narrower than the distance of two lines elsewhere, and each
+    machine has it at another frequency. It is met at its peak and at both of its flanks.
+    """
+    f = grid(task, points=points, near=np.linalg.eigvals(minimal(loops[0], task.N).A))
+    poles = np.linalg.eigvals(np.stack([loop.A for loop in loops])).ravel()
+    poles = poles[(poles.imag > 0) & (np.abs(poles) > 1e-3)]
+    width, angle = -np.log(np.abs(poles)), np.angle(poles)
+    peaks = (angle[:, None] + width[:, None] * [-1.0, 0.0, 1.0]).ravel() / (2 * np.pi * task.dt)
+    return np.unique(np.concatenate([f, peaks[(peaks > f[0]) & (peaks < f[-1])]]))
 
 
 def _need_stable(loops: list[Loop], task: Task) -> None:

@@ -15,6 +15,13 @@ ORDER = 2  # of the robustness filter, in one pass
 SHARES = (0.98, 0.75, 0.55, 0.4)  # of the largest cutoff that is allowed
 ALIKE = 3  # laws of one lead that are kept
 SIMULATED = 96  # laws that are simulated, with the ends of the trial
+ROUNDS, STRIDE, SHORTEST = 12, 1.5, 1.06  # of the search around the best one: number, factors
+LOWER = 0.998  # share of the error that counts as lower
+# of this search: powers of the factor for gain and cutoff, and steps of the lead
+STEPS = (
+    (1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1),
+    (1, -1, 0), (-1, 1, 0), (0, 1, -1), (0, -1, 1), (1, 0, -1), (-1, 0, 1),
+)  # fmt: skip
 
 
 class Found(NamedTuple):
@@ -66,26 +73,63 @@ def _add(family, alike: list[Found], weights, Q, L, trials, margin) -> None:
         del alike[ALIKE:]
 
 
-def best_simulated(family: Family, found: list[Found], task: Task, trials: int) -> Found:
-    """The law of least error where the ends of the trial count too, of those found.
+def best_simulated(
+    family: Family, found: list[Found], task: Task, trials: int, margin: float
+) -> Found:
+    """The law of least error where the ends of the trial count too: the best found, and around it.
 
-    What noise adds to each is that of the frequency response.
+    What noise adds to each is that of the frequency response. From the best law found the search
+    goes on by steps of gain, cutoff and lead, alone and in pairs, that keep the margin and lower
+    the error; where none does, the steps become shorter.
     """
     found = found[:SIMULATED]
     sizes = np.abs(family.P).sum(axis=1)
     which = np.unique(np.r_[0, np.argsort(sizes)[:: max(1, len(sizes) // 4)], np.argmax(sizes)])
     loops = [family.loops[i] for i in which]
-    laws = [one.weights for one in found]
-    errors = rms_of(loops, family.first_error, laws, task.dt, trials, ORDER)
     quiet = family._replace(error=0 * family.error)
-    noise = [
-        np.max(quiet.rms(low_pass(family.frequencies, law["cutoff"], task.dt, ORDER),
-                         response_of_pd(family, law, task.dt), trials))
-        for law in laws
-    ]  # fmt: skip
-    both = np.hypot(np.max(errors, axis=1), noise)
-    at = int(np.argmin(np.nan_to_num(both, nan=np.inf)))
-    return found[at]._replace(predicted=float(both[at]))
+
+    def errors_of(laws):
+        errors = rms_of(loops, family.first_error, laws, task.dt, trials, ORDER)
+        noise = [np.max(quiet.rms(*_responses(family, law, task.dt), trials)) for law in laws]
+        return np.nan_to_num(np.hypot(np.max(errors, axis=1), noise), nan=np.inf)
+
+    errors = errors_of([one.weights for one in found])
+    best, stride = found[int(np.argmin(errors))]._replace(predicted=float(np.min(errors))), STRIDE
+    for _ in range(ROUNDS):
+        near = [one for law in _around(best.weights, stride, task)
+                if (one := _kept(family, law, task.dt, margin))]  # fmt: skip
+        errors = errors_of([one.weights for one in near]) if near else np.array([np.inf])
+        if np.min(errors) < LOWER * best.predicted:
+            best = near[int(np.argmin(errors))]._replace(predicted=float(np.min(errors)))
+        elif stride < SHORTEST:
+            break
+        else:
+            stride = stride**0.5
+    return best
+
+
+def _around(weights: dict[str, Any], stride: float, task: Task) -> list[dict[str, Any]]:
+    """Laws beside one: its gain and its cutoff by a factor, its lead by some samples."""
+    lead, cutoff = int(weights["lead"]), weights["cutoff"]
+    some = max(1, round(lead * (stride - 1) / 2))
+    laws = []
+    for gain, width, longer in STEPS:
+        changed = {name: weights[name] * stride**gain for name in ("gamma_p", "gamma_d")}
+        changed |= {"lead": lead + longer * some, "cutoff": cutoff * stride**width}
+        if 0 <= changed["lead"] < task.N // 2 and changed["cutoff"] < 0.45 / task.dt:
+            laws.append(changed)
+    return laws
+
+
+def _kept(family: Family, law: dict[str, Any], dt: float, margin: float) -> Found | None:
+    """The law with its contraction, or None if it does not keep the margin."""
+    largest = float(family.largest(*_responses(family, law, dt)))
+    return Found(law, np.inf, largest) if largest <= 1 - margin else None
+
+
+def _responses(family: Family, law: dict[str, Any], dt: float) -> tuple[np.ndarray, np.ndarray]:
+    """(F,) Q and L of a P-type or PD-type law."""
+    return low_pass(family.frequencies, law["cutoff"], dt, ORDER), response_of_pd(family, law, dt)
 
 
 def response_of_pd(family: Family, law, dt: float) -> np.ndarray:
