@@ -5,7 +5,6 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.fft
 
 
 @jax.custom_jvp
@@ -36,6 +35,8 @@ def _correlated_jvp(given, changes):
 
 def _by_transform(taps, signal):
     """As `correlated`, by Fourier transforms."""
+    import scipy.fft
+
     p, samples = len(taps), len(signal)
     size = scipy.fft.next_fast_len(samples, real=True)
     X, T = jnp.fft.rfft(signal, size, axis=0), jnp.fft.rfft(taps[::-1], size, axis=0)

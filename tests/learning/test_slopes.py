@@ -154,7 +154,7 @@ def test_every_objective_and_every_learning_scheme_is_among_them():
     assert learning - listed == {schemes.Scheme, schemes.ModelFreeGradient} | of_feedback
     contracting = tuple({type(part) for name in CONTRACTING for part in parts_of(LEARNING[name])})
     other = {kind for kind in listed if not issubclass(kind, contracting)}
-    assert other == {schemes.StopWhen, schemes.ConstrainedNormOptimal}
+    assert other == {schemes.StopWhen, schemes.ConstrainedNormOptimal, schemes.TwoStep}
 
 
 def test_contraction_needs_second_derivatives():
