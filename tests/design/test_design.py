@@ -11,6 +11,7 @@ from jaxilc.design import Design, feedback_among
 from jaxilc.design.candidates import LAWS, Absent, candidates
 from jaxilc.design.judging import judged_trials, ranked, verdict
 from jaxilc.design.responses import family_of
+from jaxilc.design.safe_weights import ORDER, Found, best_simulated
 from jaxilc.design.simulated import rms_of
 from jaxilc.design.tuned import contraction
 from jaxilc.filters import ZeroPhaseButterworth
@@ -18,6 +19,7 @@ from jaxilc.learning import learn
 from jaxilc.plants import ProcessModel, StateSpace
 from jaxilc.schemes import PID, Filtered, PIDType, WithFeedback
 from jaxilc.sweeps.summary import SchemeSummary
+from jaxilc.theory.filtered_law import low_pass
 from jaxilc.theory.law import learning_law
 from jaxilc.uncertainty import drawn_machine
 
@@ -55,6 +57,34 @@ def test_the_responses_are_scipys(family):
         np.testing.assert_allclose(
             P, scipys(2 * gain, 900 * stretch, family.frequencies), rtol=1e-8
         )
+
+
+def test_the_lines_meet_the_resonance_of_each_machine():
+    """Lines near the poles of the nominal machine alone missed the peaks of the others."""
+    plant = ProcessModel(1.0, frequencies=[300.0, 1000.0], dampings=[0.9, 0.01])
+    spread = {"plant.frequencies": Uniform(0.8, 1.2, relative=True)}
+    family = family_of(Machine(plant), None, TASK, spread, seed=0)
+    f = np.linspace(100.0, 250.0, 20001)
+    for P, stretch in zip(family.P, *family.drawn.values(), strict=True):
+        pairs = [[w**-2, 2 * d / w, 1.0] for w, d in ((300 * stretch, 0.9), (1000 * stretch, 0.01))]
+        b, a, _ = scipy.signal.cont2discrete(([1.0], np.polymul(*pairs)), DT, method="zoh")
+        dense = np.abs(scipy.signal.freqz(b.ravel(), a, 2 * np.pi * f * DT)[1])
+        near = np.abs(P[(family.frequencies > 100.0) & (family.frequencies < 250.0)])
+        assert np.max(near) > 0.98 * np.max(dense)
+
+
+def test_the_search_around_the_best_law_keeps_the_margin_and_lowers_the_error(family):
+    f, size = family.frequencies, float(np.max(np.abs(family.P[:, 0])))
+    start = Found({"gamma_p": 0.2 / size, "gamma_d": 0.0, "lead": 1, "cutoff": 20.0}, np.inf, 0.0)
+    found = best_simulated(family, [start], TASK, TRIALS, MARGIN)
+    laws = [start.weights, found.weights]
+    before, after = np.max(
+        rms_of(family.loops, family.first_error, laws, DT, TRIALS, ORDER), axis=1
+    )
+    assert after < 0.5 * before
+    Q = low_pass(f, found.weights["cutoff"], DT, ORDER)
+    L = found.weights["gamma_p"] * np.exp(2j * np.pi * f * DT * (1 + found.weights["lead"]))
+    assert np.max(np.abs(Q * (1 - L * family.P))) <= 1 - MARGIN
 
 
 @pytest.mark.parametrize("name", LAWS)
