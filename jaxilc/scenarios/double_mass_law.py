@@ -30,7 +30,7 @@ class InverseLaw(Scheme):
     with a zero-order hold, first backward and then forward in time, from rest each time.
 
     These ends are why this law is not a `LearningFilter`: they are part of the numbers that the
-    scenario compares with, from the fourth digit on.
+    scenario compares with.
 
     model: sampled model G of one input and one output
     gain: () share of the inverse
