@@ -1,5 +1,7 @@
 """Control schemes: feedback, learning, and compositions of them."""
 
+from .bases import Basis, GivenBasis, PolynomialBasis, SelectedBasis
+from .basis_functions import BasisFunctions, fitted
 from .compose import ErrorFiltered, Filtered, OnOutputs, WithFeedback
 from .constrained_norm_optimal import ConstrainedNormOptimal
 from .estimated_disturbance import EstimatedDisturbance
@@ -13,12 +15,16 @@ from .mfailc import CFDLMFAILC, FFDLMFAILC, PFDLMFAILC
 from .model_free_gradient import ModelFreeGradient
 from .multivariable import MultivariableILC
 from .norm_optimal import NormOptimal
+from .on_basis import OnBasis
 from .on_reference import OnReference
 from .pid import PID
 from .pid_type import PIDType
+from .rational_basis import RationalBasis
 from .scheme import Feedforward, Scheme
 from .sliding_mode import ASMC, SMC
+from .sparse_basis import Selection, select_basis
 from .two_step import TwoStep
+from .warm_start import WarmStart, started
 
 __all__ = [
     "ASMC",
@@ -31,12 +37,15 @@ __all__ = [
     "PFDLMFAILC",
     "PID",
     "SMC",
+    "Basis",
+    "BasisFunctions",
     "ConstrainedNormOptimal",
     "ErrorFiltered",
     "EstimatedDisturbance",
     "ExponentialPD",
     "Feedforward",
     "Filtered",
+    "GivenBasis",
     "GradientILC",
     "HigherOrder",
     "Ladder",
@@ -44,12 +53,21 @@ __all__ = [
     "ModelFreeGradient",
     "MultivariableILC",
     "NormOptimal",
+    "OnBasis",
     "OnOutputs",
     "OnReference",
     "PIDType",
+    "PolynomialBasis",
+    "RationalBasis",
     "Scheme",
+    "SelectedBasis",
+    "Selection",
     "StopWhen",
     "TwoStep",
+    "WarmStart",
     "WithFeedback",
+    "fitted",
     "learning_filter",
+    "select_basis",
+    "started",
 ]

@@ -106,7 +106,7 @@ class GradientILC(Scheme):
         return self.step is None
 
     def check(self, task: Task) -> None:
-        _need_answers(self.model, task)
+        need_answers(self.model, task)
         need_channels(self, task.inputs, "limit")
         if known(self):
             with jax.ensure_compile_time_eval():
@@ -122,7 +122,7 @@ class GradientILC(Scheme):
                 f"N = {task.N} samples; allowed is a model that is stable, under feedback that of "
                 "the closed loop"
             )
-        if h <= 0 and not _varies(self.model, task.N, task.dt):
+        if h <= 0 and not varies(self.model, task.N, task.dt):
             raise ValueError(
                 f"GradientILC: within N = {task.N} samples the model ({name}) does not answer its "
                 "input, or w_q gives its answer no weight; allowed is a model whose output depends "
@@ -146,8 +146,7 @@ class GradientILC(Scheme):
     def _prepared(self, N: int, dt: float) -> GradientILC:
         if self.solved is not None:
             return self
-        varies = _varies(self.model, N, dt)
-        h = None if varies else _curvature_at_rest(self, N, dt)
+        h = None if varies(self.model, N, dt) else _curvature_at_rest(self, N, dt)
         return dataclasses.replace(self, model=self.model.sampled(dt), solved=Ready(h, dt))
 
     def learn(self, memory: GradientMemory, trial: Trial) -> GradientMemory:
@@ -157,7 +156,7 @@ class GradientILC(Scheme):
         Q, S = weights_of(ready, "w_q", "w_s")
         # A linear model answers alike at any input, so a diverged one has no part in it.
         at = u if found.curvature is None else jnp.zeros_like(u)
-        push, pull = _answers(ready.model, at, found.dt)
+        push, pull = answers(ready.model, at, found.dt)
         h = _curvature(push, pull, Q, S, u) if found.curvature is None else found.curvature
         step = jnp.where(h > 0, 1.0, 0.0) / jnp.where(h > 0, h, 1.0)
         step = step if self.step is None else self.step
@@ -177,7 +176,7 @@ class GradientILC(Scheme):
 # --------------------------------------------------------------------------------------------------
 
 
-def _answers(model: Plant, u, dt: float) -> tuple[Callable, Callable]:
+def answers(model: Plant, u, dt: float) -> tuple[Callable, Callable]:
     """G and G*, as functions: the derivative of y[1..N] (N, n_y) at the input u (N, n_u)."""
     _, push = jax.linearize(lambda u: motion(model, u, dt)[1:], u)
     transposed = jax.linear_transpose(push, u)
@@ -193,16 +192,16 @@ def _curvature(push: Callable, pull: Callable, Q, S, u):
 def _curvature_at_rest(scheme: GradientILC, N: int, dt: float):
     """() the largest curvature where the model is not driven."""
     u = jnp.zeros((N, scheme.model.n_u))
-    push, pull = _answers(scheme.model, u, dt)
+    push, pull = answers(scheme.model, u, dt)
     return _curvature(push, pull, *weights_of(scheme, "w_q", "w_s"), u)
 
 
-def _varies(model: Plant, N: int, dt: float) -> bool:
+def varies(model: Plant, N: int, dt: float) -> bool:
     """Whether the derivative of the model depends on its input, as far as its program tells."""
     return bool(obstacle(lambda model, u: motion(model, u, dt), model, jnp.zeros((N, model.n_u))))
 
 
-def _need_answers(model: Plant, task: Task) -> None:
+def need_answers(model: Plant, task: Task) -> None:
     """Raises ValueError where the model is of another number of channels or samples, or rate."""
     for what, of_model, of_task in (
         ("inputs", model.n_u, task.inputs),

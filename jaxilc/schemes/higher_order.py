@@ -97,6 +97,10 @@ class HigherOrder(Scheme):
         )
         return Past(self._law(inputs, errors), inputs[:-1], errors[:-1])
 
+    def started(self, memory: Past, u, task: Task) -> Past:
+        """The memory after trials that all played the input u (N, n) without an error."""
+        return Past(jnp.asarray(u), (jnp.asarray(u),) * len(memory.inputs), memory.errors)
+
     @by_row
     def _law(self, inputs, errors):
         u = sum(self.alpha[i] * inputs[i] + self.gamma[i] * errors[i] for i in range(len(inputs)))

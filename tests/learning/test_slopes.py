@@ -69,7 +69,7 @@ CONTRACTING = (
     "higher_order",
     "p_type_ladder",
 )
-CONTRACTING += ("learning_filter", "gradient")
+CONTRACTING += ("learning_filter", "gradient", "basis_functions", "on_basis", "warm_start")
 CONTRACTING += ("p_type_on_table", "norm_optimal", "estimated_disturbance", "milc", "ilc_asmc")
 
 

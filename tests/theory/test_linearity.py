@@ -55,6 +55,7 @@ NOT_LINEAR = {  # the reason, for those plants and schemes of cases.py that lear
     "fast_tool_servo_nonlinear": "answers its input by",
     "ball_screw_real": "answers its input by",
     "two_step": "answers its input by",
+    "basis_rational": "learns by",
     "pendulum": "answers its input by",
 } | {
     name: "learns by"

@@ -1,0 +1,228 @@
+"""Learning of the parameters of basis functions by a model, and their fit to an input."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from ..plants import Plant
+from ..pytree.fields import Leaf, child, leaf, pytree, static
+from ..pytree.needs import need_channels
+from ..signals.task import Limit, Task, Trial
+from .bases import Basis, pushed
+from .curvature import largest_eigenvalue
+from .gradient import Ready, answers, need_answers, varies
+from .quadratic_cost import need_weight, weights_of
+from .scheme import Feedforward, Scheme, limit_of, limited
+
+ROUNDING = 100.0  # in units of the last place, of a scaled Gram matrix
+
+
+class Parameters(NamedTuple):
+    """What `BasisFunctions` knows: theta (m,), the weights of the basis functions."""
+
+    theta: jax.Array
+
+
+@pytree
+class BasisFunctions(Scheme):
+    """Learning in the space of basis functions (van de Wijdeven and Bosgra 2010), u = Psi(r) theta.
+
+    `norm_optimal`: the parameters minimise the cost of the next trial, as the model H predicts it,
+
+        |e_j - H (Psi theta - u_j)|^2_Wq + |Psi theta - u_j|^2_Wr + |Psi theta|^2_Ws
+
+    and of that minimum a `step` is taken, theta_{j+1} = theta_j + step (minimum - theta_j). Here
+    theta_j is that of the input which was played.
+    `gradient`: they go down the slope of the same cost, in parameters that are scaled so that its
+    curvature has the diagonal 1,
+
+        theta_{j+1} = theta_j + step Psi' (H' W_q e_j - W_s u_j) / h
+
+    where h is the largest eigenvalue of this curvature, so 0 < step < 2.
+
+    Only theta is learned and kept, so that `learn(..., memory=...)` goes on with another reference,
+    also of another length. What the functions cannot make is left as an error. With a
+    `RationalBasis` theta follows from `iterations` weighted regressions in each trial.
+
+    basis: basis of m functions
+    model: nominal plant of n_u inputs and n_y outputs, linear or not, as for `GradientILC`
+    start: (m,) parameters of the first trial; None: zero
+    update: "norm_optimal" or "gradient"
+    step: () in (0, 2)
+    w_q: () or (n_y,) or (n_y, n_y); w_r, w_s: () or (n_u,) or (n_u, n_u); positive semidefinite
+    limit: () or (n_u,) largest |u| that is played [unit of u]; None: no limit
+    iterations: number of regressions of a trial with a `RationalBasis`
+    solved: leave None
+    Differentiable in the weights, the model, and the parameters of the basis.
+    `check` raises ValueError where basis, model, start and task do not fit.
+    """
+
+    basis: Basis = child()
+    model: Plant = child()
+    start: Leaf | None = leaf(default=None, optional=True)
+    step: Leaf = leaf(default=1.0, interval="(0, 2)")
+    w_q: Leaf = leaf(default=1.0)
+    w_r: Leaf = leaf(default=0.0)
+    w_s: Leaf = leaf(default=0.0)
+    limit: Leaf | None = leaf(default=None, interval="(0, inf)", optional=True)
+    update: str = static(default="norm_optimal", choices=("norm_optimal", "gradient"))
+    iterations: int = static(default=5, interval="[1, 100]", whole=True)
+    solved: Ready | None = child(default=None)
+    clips = ("limit",)
+    of_one_length = True
+
+    def __post_init__(self):
+        if self.step.shape:
+            raise ValueError(
+                f"BasisFunctions: step has shape {self.step.shape}; allowed is one number"
+            )
+        need_weight("BasisFunctions", "w_q", self.w_q, self.model.n_y)
+        for name in ("w_r", "w_s"):
+            need_weight("BasisFunctions", name, getattr(self, name), self.model.n_u)
+
+    def check(self, task: Task) -> None:
+        self.basis.check(task)
+        need_answers(self.model, task)
+        need_channels(self, task.inputs, "limit")
+        need_parameters(self, "start", self.start, self.basis, task)
+
+    def initial_memory(self, task: Task) -> Parameters:
+        if self.start is not None:
+            return Parameters(jnp.asarray(self.start))
+        return Parameters(jnp.zeros(len(self.basis.names(task.outputs, task.inputs))))
+
+    def prepared(self, task: Task) -> BasisFunctions:
+        if self.solved is not None:
+            return self
+        return dataclasses.replace(
+            self,
+            model=self.model.sampled(task.dt),
+            solved=Ready(None if varies(self.model, task.N, task.dt) else 0.0, dt=task.dt),
+        )
+
+    def schedule(self, memory: Parameters, task: Task) -> Feedforward:
+        r = jnp.asarray(task.reference)
+        return Feedforward(
+            limited(self.basis.signal(memory.theta, r, task.dt, task.inputs), self.limit)
+        )
+
+    def learn(self, memory: Parameters, trial: Trial) -> Parameters:
+        dt = trial.dt if self.solved is None else self.solved.dt
+        linear = self.solved is not None and self.solved.curvature is not None
+        # A linear model answers alike at any input, so a diverged one has no part in it.
+        push, pull = answers(self.model, jnp.zeros_like(trial.u) if linear else trial.u, dt)
+        theta = memory.theta
+        if self.basis.linear:  # what was played, also where it was limited
+            theta = fitted(self.basis, trial.u, trial.r, dt)
+        of = self._gradient if self.update == "gradient" else self._norm_optimal
+        return Parameters(of(theta, trial, push, pull, dt))
+
+    def started(self, memory: Parameters, u, task: Task) -> Parameters:
+        """The memory with the parameters that come nearest to an input u (N, n_u)."""
+        r = jnp.asarray(task.reference)
+        return Parameters(fitted(self.basis, u, r, task.dt, iterations=self.iterations))
+
+    def _norm_optimal(self, theta, trial: Trial, push, pull, dt):
+        u, inputs = trial.u, trial.u.shape[1]
+        Q, R, S = weights_of(self, "w_q", "w_r", "w_s")
+
+        def same(u):
+            return u
+
+        # what the input of the next trial is to come near, as a signal, and its weight
+        wanted = (
+            (trial.e[1:] + push(u), push, Q),
+            (u, same, R),
+            (jnp.zeros_like(u), same, S),
+        )
+        best = theta
+        for _ in range(1 if self.basis.linear else self.iterations):
+            G, g = 0.0, 0.0
+            for target, of, W in wanted:
+                t, X = self.basis.regression(best, target, of, trial.r, dt, inputs)
+                G, g = G + jnp.einsum("kim,ij,kjn->mn", X, W, X), g + _seen(X, t @ W)
+            best = solved_scaled(G, g)
+        return theta + self.step * (best - theta)
+
+    def _gradient(self, theta, trial: Trial, push, pull, dt):
+        Q, R, S = weights_of(self, "w_q", "w_r", "w_s")
+
+        def signal(theta):
+            return self.basis.signal(theta, trial.r, dt, trial.u.shape[1])
+
+        columns = jax.jacfwd(signal)(theta)
+        X = pushed(push, columns)
+        G = jnp.einsum("kim,ij,kjn->mn", X, Q, X)
+        G += jnp.einsum("kim,ij,kjn->mn", columns, R + S, columns)
+        down = _seen(columns, pull(trial.e[1:] @ Q) - trial.u @ S)
+        scale = _scale(G)
+        h = largest_eigenvalue(lambda v: (G * jnp.outer(scale, scale)) @ v, theta)
+        return theta + self.step * scale**2 * down / jnp.where(h > 0, h, 1.0)
+
+    def limits(self, task: Task, memory: Parameters, trial: Trial) -> dict[str, Limit]:
+        free = self.unlimited()
+        return limit_of(free.schedule(free.learn(memory, trial), task).u, self.limit)
+
+
+def fitted(basis: Basis, u, r, dt: float, *, theta=None, iterations: int = 5) -> jax.Array:
+    """(m,) the parameters with which the basis comes nearest to an input u (N, n_u), or (N,).
+
+        theta = argmin |Psi(r) theta - u|^2
+
+    u: learned or measured input, from which theta is to be taken over to other references
+    r: (N+1, n_y) or (N+1,) the reference of u; the output of that trial may stand in its place,
+        which makes theta a fit of the inverse of the machine
+    theta: (m,) parameters from which a `RationalBasis` starts; None: zero
+    iterations: number of regressions with a `RationalBasis`; of another basis there is one
+
+    The function is pure. Raises ValueError where the lengths of u and r do not fit.
+    """
+    u, r = (x[:, None] if x.ndim == 1 else x for x in (jnp.asarray(u), jnp.asarray(r)))
+    if len(r) != len(u) + 1:
+        raise ValueError(
+            f"fitted: u {u.shape} and r {r.shape} do not fit; allowed are (N, n_u) and (N+1, n_y)"
+        )
+    inputs = u.shape[1]
+    if theta is None:
+        theta = jnp.zeros(len(basis.names(r.shape[1], inputs)), u.dtype)
+    for _ in range(1 if basis.linear else iterations):
+        t, X = basis.regression(theta, u, lambda u: u, r, dt, inputs)
+        theta = solved_scaled(jnp.einsum("kim,kin->mn", X, X), _seen(X, t))
+    return theta
+
+
+def solved_scaled(G, g) -> jax.Array:
+    """G^-1 g of a positive semidefinite G (m, m), scaled, for columns of any units.
+
+    A column that is zero, or that others make, gets the least parameter.
+    """
+    scale = _scale(G)
+    least = ROUNDING * len(g) * jnp.finfo(G.dtype).eps
+    scaled = G * jnp.outer(scale, scale) + least * jnp.eye(len(g), dtype=G.dtype)
+    # The inverse of a known matrix is one that theory can see through; it is small, and scaled.
+    return scale * (jnp.linalg.inv(scaled) @ (scale * g))
+
+
+def need_parameters(owner: Any, name: str, theta, basis: Basis, task: Task) -> None:
+    """Raises ValueError unless theta, if given, has one number for each function of the basis."""
+    names = basis.names(task.outputs, task.inputs)
+    if theta is not None and theta.shape != (len(names),):
+        raise ValueError(
+            f"{type(owner).__name__}: {name} has shape {theta.shape}; allowed is ({len(names)},), "
+            f"for {', '.join(names)}"
+        )
+
+
+def _scale(G):
+    """(m,) the factors with which the diagonal of G is 1."""
+    diagonal = jnp.diag(G)
+    return jnp.where(diagonal > 0, 1 / jnp.sqrt(jnp.where(diagonal > 0, diagonal, 1.0)), 0.0)
+
+
+def _seen(X, signal):
+    """(m,) the sums of the products of the columns X (K, n, m) and a signal (K, n)."""
+    return jnp.einsum("kim,ki->m", X, signal)
