@@ -10,6 +10,7 @@ from .learning.known_metrics import Metrics
 from .learning.machine import Actuator, Disturbance, Machine, Sensor
 from .learning.metrics import Keep, measure, repeatability
 from .learning.over_trials import History, feedforward, learn, measured_trial, next_memory
+from .learning.variation import PlantChange, References, Variation
 from .learning.within_trial import run_trial
 from .runtime.start import setup
 from .runtime.tiles import tiled
@@ -38,7 +39,9 @@ __all__ = [
     "Machine",
     "Metrics",
     "Normal",
+    "PlantChange",
     "Record",
+    "References",
     "Sample",
     "Sensor",
     "Sweep",
@@ -48,6 +51,7 @@ __all__ = [
     "Tuned",
     "Tuning",
     "Uniform",
+    "Variation",
     "contour_error",
     "excite",
     "feedforward",

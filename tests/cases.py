@@ -40,6 +40,7 @@ from jaxilc.schemes import (
     PFDLMFAILC,
     PID,
     SMC,
+    AtSamples,
     BasisFunctions,
     ConstrainedNormOptimal,
     ErrorFiltered,
@@ -48,12 +49,14 @@ from jaxilc.schemes import (
     Filtered,
     GradientILC,
     HigherOrder,
+    KeepUnmeasured,
     Ladder,
     LearningFilter,
     ModelFreeGradient,
     MultivariableILC,
     NormOptimal,
     OnBasis,
+    OnContour,
     OnOutputs,
     OnReference,
     PIDType,
@@ -64,6 +67,7 @@ from jaxilc.schemes import (
     TwoStep,
     WarmStart,
     WithFeedback,
+    with_jerk,
 )
 from jaxilc.signals import Task
 
@@ -367,6 +371,36 @@ SCHEMES = {
     "warm_start": WarmStart(
         PIDType(gamma_p=-1.0, lead=2), PolynomialBasis((0, 1), lead=3e-4), (-0.5, -2e-3)
     ),
+    "at_samples": AtSamples(
+        NormOptimal(
+            with_jerk(
+                StateSpace([[0.88, 0.12], [-0.15, 0.8]], [[0.02], [0.09]], [[1.0, 0.4]], dt=DT)
+            ),
+            w_r=0.02,
+            w_s=1e-3,
+        ),
+        weight=np.where(np.arange(FEW + 1) % 4 == 0, 1.0, 0.1),
+        jerk_time=5e-4,
+    ),
+    "at_samples_p_type": AtSamples(PIDType(gamma_p=-1.0, lead=2), windows=((3e-3, 6e-3), 9e-3)),
+    "on_contour": OnContour(
+        NormOptimal(
+            StateSpace(
+                [[0.94, 0.03], [0.01, 0.9]],
+                [[0.06, 0.01], [-0.02, 0.07]],
+                [[1.0, 0.05], [0.25, 1.0]],
+                dt=DT,
+            ),
+            w_r=0.02,
+            w_s=0.001,
+        ),
+        own=0.4,
+        contour=1.1,
+    ),
+    "on_contour_nearest": OnContour(
+        PIDType(gamma_p=0.5, lead=1), own=0.7, estimate="nearest", window=4
+    ),
+    "keep_unmeasured": KeepUnmeasured(PIDType(gamma_p=-1.0)),
     "smc": SMC(**_SLIDING, eta=4e3, tau=5e-4),
     "smc_hold_limited": SMC(**_SLIDING, eta=4e3, tau=5e-4, limit=0.6, centre="hold"),
     "asmc": ASMC(**_ADAPTIVE),
@@ -389,6 +423,9 @@ _PLANT_OF = {
     "two_step": "pendulum",
     "basis_functions": "mimo",
     "basis_gradient": "discrete",
+    "at_samples": "discrete",
+    "on_contour": "mimo",
+    "on_contour_nearest": "mimo",
     "basis_rational": "discrete",
     "dilc": "motor_and_table",
     "milc": "motor_and_table",
@@ -400,6 +437,9 @@ _SCHEME_OF = {
     "ball_screw_real": OnOutputs(PID(kp=6.0, kd=1e-3), (0,)),
 }
 _FEW = {
+    "at_samples",
+    "on_contour",
+    "on_contour_nearest",
     "norm_optimal",
     "norm_optimal_lifted",
     "constrained",

@@ -87,6 +87,9 @@ NoLearn = Annotated[
 ReplayedInput = Annotated[
     bool, typer.Option("--replayed-input", help="Without u: the scheme's over the measured y.")
 ]
+ShortTrial = Annotated[
+    bool, typer.Option("--short-trial", help="The trial may have ended early: learn from its part.")
+]
 Undo = Annotated[
     int | None,
     typer.Option(metavar="J", help="Go back to what was known after trial J, 0 for the start."),

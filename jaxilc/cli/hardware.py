@@ -29,6 +29,7 @@ from .campaign_options import (
     ScenarioName,
     SchemeName,
     Share,
+    ShortTrial,
     StopOnGrowth,
     Undo,
 )
@@ -68,6 +69,7 @@ def next_(
     stop_on_growth: StopOnGrowth = False,
     no_learn: NoLearn = False,
     replayed_input: ReplayedInput = False,
+    short_trial: ShortTrial = False,
     undo: Undo = None,
     no_predict: NoPredict = False,
     predict: Predict = False,
@@ -110,15 +112,13 @@ def next_(
     opened = open_campaign(state, given, new=new, dry_run=dry_run)
     now = opened.campaign
     source = _say_source(opened)
-    if new:
-        schedules, trial = now.first_schedules(), 1
-    else:
-        schedules, trial = now.schedules(undo), (now.trials if undo is None else undo) + 1
+    schedules = now.first_schedules() if new else now.schedules(undo)
+    trial = 1 if new else (now.trials if undo is None else undo) + 1
     if undo is not None and not dry_run:
         now.undo(undo)
     turn, prediction = None, None
     if measured is not None:
-        record = _read(now, measured)
+        record = _read(now, measured, short_trial)
         prediction = _predicted(opened, compute=True, store=not dry_run)
         turn = _turn(now, record, prediction, learn=not no_learn, replay_input=replayed_input)
         if not dry_run:
@@ -197,11 +197,12 @@ def _predicted(opened: Opened, *, compute: bool, store: bool) -> Prediction | No
         return None
 
 
-def _read(now, measured: Path):
-    """The measured trial of a file."""
+def _read(now, measured: Path, short: bool):
+    """The measured trial of a file, which may have ended early if `short` says so."""
+    from ..hardware.short_trials import read_short
     from ..hardware.trial_files import read_measured
 
-    return read_measured(measured, now.task, now.recordable())
+    return (read_short if short else read_measured)(measured, now.task, now.recordable())
 
 
 def _turn(now, record, prediction: Prediction | None, **how):

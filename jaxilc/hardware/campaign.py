@@ -26,6 +26,7 @@ from . import checks
 from .checks import Finding, Rules
 from .journal import BACK, METRICS, Journal
 from .named_arrays import arrays_of, not_a_number, shapes_of
+from .short_trials import completed, ended
 from .trial_files import Measured
 from .turn import Turn, hash_of, is_same_trial, known_as, learned, metrics_of, of_the_next, refuse
 
@@ -191,17 +192,16 @@ class Campaign:
                 f"{measured.source} has no input u; record it, or add --replayed-input "
                 "where the controller runs this scheme"
             )
-        u = commanded if measured.u is None else measured.u
-        if "feedback" in measured.others:
-            signals = {**signals, "feedback": measured.others["feedback"]}
+        measured, u, signals = completed(measured, commanded, signals, played)
         record = jax.device_get(measured_trial(task, measured.y, u))._replace(signals=signals)
+        record, findings = ended(record, measured)
         hashes = {"measured": hash_of(measured.y, u), "played": hash_of(*played.values())}
         error = checks.rms_over_all(record)
         for entry in live[1:]:
             if self._is_measured(entry, record, error, with_input=measured.u is not None):
                 text = f"{measured.source} is trial {entry['trial']}, {known_as(entry)}"
                 raise ValueError(f"{text} measure trial {number}")
-        findings = checks.saturation(u, self.actuator, self.rules)
+        findings += checks.saturation(u, self.actuator, self.rules)
         findings += checks.as_played(measured.others, played, self.actuator)
         if "feedback" not in measured.others:
             findings += checks.as_commanded(u, commanded, self.actuator, task)

@@ -250,8 +250,9 @@ def same_up_to(signal) -> float:
 
 
 def rms_over_all(trial: Trial) -> float:
-    """Root mean square error over the samples k = 1..N and all outputs."""
-    return _rms(trial.e[1:])
+    """Root mean square error over the samples k = 1..N that were measured, and all outputs."""
+    there = slice(1, None) if trial.weight is None else np.any(trial.weight != 0, axis=(1, 2))
+    return _rms(np.asarray(trial.e)[there][trial.weight is not None :])
 
 
 def _rms(signal) -> float:

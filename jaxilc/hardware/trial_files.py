@@ -12,7 +12,7 @@ import itertools
 import unicodedata
 from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -34,6 +34,7 @@ class Measured(NamedTuple):
     others: further signals that were asked for, by name
     ignored: names of the columns that are not used
     source: path of the file
+    samples: number of samples of a trial that ended early, see `short_trials`; else None
     """
 
     y: np.ndarray
@@ -41,6 +42,7 @@ class Measured(NamedTuple):
     others: dict[str, np.ndarray]
     ignored: tuple[str, ...]
     source: str
+    samples: int | None = None
 
 
 class _File(NamedTuple):
@@ -69,15 +71,8 @@ def read_measured(
     declared or not the task's, for a value that is not finite, for a gap or an uneven step of the
     time, for another sample time or length (nothing is resampled), and for another reference.
     """
-    N = task.N
-    shapes = {
-        "t": (N + 1, 1),
-        "y": (N + 1, task.outputs),
-        "r": (N + 1, task.outputs),
-        "u": (N, task.inputs),
-        **(others or {}),
-    }
-    found = _read_mat(path, shapes) if Path(path).suffix == ".mat" else _read_text(path, shapes)
+    N, shapes = task.N, _shapes(task, others)
+    found = _read(path, shapes)
     for name, (values, unit) in found.columns.items():
         _check_unit(path, name, unit, unit_of(name, task))
         short = shapes[name][0] == N
@@ -99,6 +94,29 @@ def read_measured(
         _check_reference(path, signals["r"], found.places, task)
     besides = {name: values for name, values in signals.items() if name not in ("t", "r", "y", "u")}
     return Measured(signals["y"], signals.get("u"), besides, found.ignored, str(path))
+
+
+def rows_of_time(
+    path: str | Path, task: Task, others: Mapping[str, tuple[int, int]] | None = None
+) -> int:
+    """The number of rows of a file of a trial, which may have fewer than the task."""
+    return len(_read(path, _shapes(task, others)).columns["t"][0])
+
+
+def _shapes(task: Task, others: Mapping[str, tuple[int, int]] | None) -> dict[str, Any]:
+    """The shape (rows, channels) of each signal of a whole trial."""
+    N = task.N
+    return {
+        "t": (N + 1, 1),
+        "y": (N + 1, task.outputs),
+        "r": (N + 1, task.outputs),
+        "u": (N, task.inputs),
+        **(others or {}),
+    }
+
+
+def _read(path, shapes) -> _File:
+    return _read_mat(path, shapes) if Path(path).suffix == ".mat" else _read_text(path, shapes)
 
 
 def _read_text(path, shapes) -> _File:
@@ -224,7 +242,7 @@ def _check_time(path, t, places, task: Task) -> None:
     if len(t) != task.N + 1:
         raise ValueError(
             f"{path} has {len(t)} samples; this task needs N + 1 = {task.N + 1}, "
-            "neither more nor fewer"
+            "neither more nor fewer; --short-trial accepts fewer"
         )
     drift = t[-1] - t[0] - task.N * dt
     if abs(drift) > dt / 2:

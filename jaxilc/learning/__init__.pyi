@@ -12,6 +12,7 @@ from .metrics import (
 )
 from .over_trials import History, check, feedforward, learn, measured_trial, next_memory, truncated
 from .playback import replay
+from .variation import PlantChange, References, Variation
 from .within_trial import run_trial
 
 __all__ = [
@@ -21,8 +22,11 @@ __all__ = [
     "Keep",
     "Machine",
     "Metrics",
+    "PlantChange",
+    "References",
     "Repeatability",
     "Sensor",
+    "Variation",
     "best_trial",
     "chattering",
     "check",

@@ -6,7 +6,7 @@ Each of these parts is optional and takes no time when it is absent.
 from __future__ import annotations
 
 import dataclasses
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +15,7 @@ from ..plants import Plant
 from ..pytree.fields import Leaf, child, leaf, pytree
 from ..pytree.needs import need_channels, need_scalars
 from ..signals.task import Limit, Task, Trial, quantise
+from .variation import Variation
 
 
 @pytree
@@ -120,12 +121,13 @@ class Draws(NamedTuple):
 
 @pytree
 class Machine:
-    """A plant with its actuator, sensors and disturbances."""
+    """A plant with its actuator, sensors and disturbances, and how its trials differ."""
 
     plant: Plant = child()
     actuator: Actuator | None = child(default=None)
     sensor: Sensor | None = child(default=None)
     disturbance: Disturbance | None = child(default=None)
+    variation: Variation | None = child(default=None)
 
     @property
     def answers_at_once(self) -> bool:
@@ -133,8 +135,10 @@ class Machine:
 
         For that the plant must have a `response`, and no rate may be limited.
         """
-        return self.plant.response is not None and (
-            self.actuator is None or self.actuator.rate is None
+        return (
+            self.plant.response is not None
+            and (self.actuator is None or self.actuator.rate is None)
+            and self.variation is None
         )
 
     def unlimited(self) -> Machine:
@@ -147,12 +151,18 @@ class Machine:
         return dataclasses.replace(self, actuator=actuator)
 
     def noiseless(self) -> Machine:
-        """This machine without the noise of its sensors and of its disturbances."""
+        """This machine without the noise of its sensors and of its disturbances.
+
+        What differs by chance from trial to trial has its mean, see `Variation.averages`.
+        """
         sensor, disturbance = self.sensor, self.disturbance
+        variation = None if self.variation is None else self.variation.averages()
         sensor = None if sensor is None else dataclasses.replace(sensor, noise=None)
         if disturbance is not None:
             disturbance = dataclasses.replace(disturbance, input_noise=None, output_noise=None)
-        return dataclasses.replace(self, sensor=sensor, disturbance=disturbance)
+        return dataclasses.replace(
+            self, sensor=sensor, disturbance=disturbance, variation=variation
+        )
 
     def limits(self, trial: Trial) -> dict[str, Limit]:
         """The `limits` of its actuator, for the record of a trial of the `unlimited` machine."""
@@ -160,7 +170,29 @@ class Machine:
 
     def sampled(self, dt: float) -> Machine:
         """This machine with all of its plant that depends on dt computed before the scans."""
-        return Machine(self.plant.sampled(dt), self.actuator, self.sensor, self.disturbance)
+        plant, variation = self.plant.sampled(dt), self.variation
+        variation = None if variation is None else variation.sampled(dt)
+        return dataclasses.replace(self, plant=plant, variation=variation)
+
+    def at_trial(self, task: Task, j: Any) -> tuple[Machine, Task]:
+        """This machine, sampled, and the task, as they are in trial j; None for the long run."""
+        if self.variation is None:
+            return self, task
+        plant = self.variation.plant_at(self.plant, j)
+        return dataclasses.replace(self, plant=plant), self.variation.task_at(task, j)
+
+    def shown(self, trial: Trial, key) -> Trial:
+        """The record of a trial as it reaches the learning law. key: as for the trial"""
+        return trial if self.variation is None else self.variation.shown(trial, key)
+
+    def said_of_claims(self) -> str:
+        """Of which trials a claim is made, as the beginning of a sentence; empty for all alike."""
+        return "" if self.variation is None else self.variation.said_of_claims()
+
+    @property
+    def carries(self) -> bool:
+        """Whether a trial starts from the state in which the one before has ended."""
+        return self.variation is not None and self.variation.carried is not None
 
     def actuate(self, u, v_last, dt) -> tuple[jax.Array, jax.Array]:
         """The state of the actuator and the applied input, see `Actuator.apply`."""
@@ -193,6 +225,8 @@ class Machine:
                 )
         need_scalars(self.plant)
         self.plant.check(task)
+        if self.variation is not None:
+            self.variation.check(self.plant, task)
         for part, names, channels in (
             (self.actuator, ("limit", "rate", "resolution"), task.inputs),
             (self.sensor, ("resolution", "noise"), task.outputs),

@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -71,11 +71,19 @@ class Tally(NamedTuple):
         gathered = _of_signals(self.gathered, e, u, task.settled)
         for (name, how), value in zip(GATHERED, gathered, strict=True):
             if how.of == "root mean square":
-                value = _root(value / len(_rows(how, e, u, task.settled)))
+                value = _root(value / self._samples(how, trial, task))
                 # if the sum of the squares of all samples is finite, each sample is finite
                 finite = finite if how.settled else finite & jnp.all(jnp.isfinite(value))
             found[name] = value
         return Metrics(**found, finite=finite)
+
+    def _samples(self, how: Gathering, trial: Trial, task: Task) -> Any:
+        """The number of samples that count in a metric, one at least, for each channel."""
+        if how.signal == "u" or trial.weight is None:
+            return len(_rows(how, trial.e, trial.u, task.settled))
+        there = jnp.diagonal(trial.weight, axis1=1, axis2=2)
+        there = _rows(how, there, trial.u, task.settled)
+        return jnp.maximum(jnp.sum(there, axis=0), 1.0)
 
 
 def _rows(how: Gathering, e, u, settled: slice):

@@ -24,7 +24,7 @@ from .divergence import course
 from .known_metrics import Metrics, bytes_of_metrics
 from .machine import Machine
 from .rehearsal import need_pytrees, rehearse
-from .within_trial import run_and_measure
+from .within_trial import first_start, run_and_measure
 
 LITTLE = 2**24  # bytes, below which the size is not checked
 # number of signals that a trial holds in RAM while it runs, with its schedule and its copies
@@ -44,6 +44,7 @@ class History(NamedTuple):
     grown_from: () number of the trial from which on the error has grown, 0 if it has not
     final: the last `Trial`
     memory: the memory after the last trial, from which learning can be continued
+    start: where the next trial would start, of a machine that carries its state; else None
     """
 
     metrics: Metrics
@@ -53,6 +54,7 @@ class History(NamedTuple):
     grown_from: jax.Array
     final: Trial
     memory: Any
+    start: Any = None
 
     def __getattr__(self, name: str) -> jax.Array:
         """A metric of each trial by its name, such as `rms` (J, n_y), see `metrics.Metrics`."""
@@ -71,6 +73,7 @@ def learn(
     memory: Any = None,
     first: int = 1,
     save: Callable[[Trial], Any] | None = None,
+    start: Any = None,
 ) -> History:
     """Repeat the task J times, with a learning step after each trial.
 
@@ -82,6 +85,7 @@ def learn(
     memory: memory to continue from, such as `history.memory`; None: start without knowledge
     first: number j of the first trial, so that the noise is continued too
     save: function of a trial that returns what to keep of it besides its metrics; None: nothing
+    start: where the first trial starts, such as `history.start`; None: where the machine rests
 
     The function is compatible with `grad` and `vmap`. A gradient stores no samples, but the
     memories of B + J / B trials, where B is the largest divisor of J that is not larger than its
@@ -102,7 +106,7 @@ def learn(
         check_size("learn", lambda trials: 2 * size * trials, trials=trials)
     key = jax.random.key(0) if key is None else key
     return _program(save or _nothing)(
-        machine, scheme, task, int(trials), key, memory, jnp.asarray(first, int)
+        machine, scheme, task, int(trials), key, memory, jnp.asarray(first, int), start
     )
 
 
@@ -149,36 +153,40 @@ def check_length(task: Task, scheme: Scheme) -> None:
         check_size("one trial", lambda preview: seen * preview, preview=scheme.preview)
 
 
-def _learn(machine, scheme, task, trials, key, memory, first, save) -> History:
+def _learn(machine, scheme, task, trials, key, memory, first, start, save) -> History:
     machine, scheme = machine.sampled(task.dt), scheme.prepared(task)
     memory = scheme.initial_memory(task) if memory is None else memory
 
+    if machine.carries and start is None:
+        start = first_start(machine, scheme, task, jax.random.fold_in(key, first))
+
     @jax.checkpoint
-    def trial_and_learning(memory, j):
-        trial, metrics = run_and_measure(machine, scheme, task, memory, jax.random.fold_in(key, j))
-        return scheme.learn(memory, trial), trial, (metrics, save(trial))
+    def trial_and_learning(memory, start, j):
+        now = jax.random.fold_in(key, j)
+        trial, metrics, start = run_and_measure(machine, scheme, task, memory, now, j, start)
+        learned = scheme.learn(memory, machine.shown(trial, now))
+        return learned, trial, start, (metrics, save(trial))
 
     def body(carry, j):
-        memory, trial, kept = trial_and_learning(for_carry(carry[0]), j)
-        return (for_carry(memory), trial), kept
+        memory, trial, start, kept = trial_and_learning(for_carry(carry[0]), carry[2], j)
+        return (for_carry(memory), trial, start), kept
 
     # with a number of the type of j, so that the scan finds the trial traced already
-    blank = jax.tree.map(
-        lambda s: jnp.zeros(s.shape, s.dtype), jax.eval_shape(trial_and_learning, memory, first)[1]
-    )
+    shape = jax.eval_shape(trial_and_learning, memory, start, first)[1]
+    blank = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shape)
     blocks = max(d for d in range(1, math.isqrt(trials) + 1) if trials % d == 0)
     unroll = 1 if trials // blocks % TRIALS_A_PASS else TRIALS_A_PASS
     block = partial(lax.scan, body, unroll=unroll)
     # a gradient is computed block by block, and each block is run again from the memory at its
     # start
-    (memory, final), kept = lax.scan(
+    (memory, final, start), kept = lax.scan(
         jax.checkpoint(block) if blocks > 1 else block,
-        (memory, blank),
+        (memory, blank, start),
         (first + jnp.arange(trials)).reshape(blocks, -1),
     )
     metrics, saved = jax.tree.map(lambda rows: rows.reshape(trials, *rows.shape[2:]), kept)
     every = trials_of_step(scheme, task)
-    return History(metrics, saved, *course(metrics, task, first, every), final, memory)
+    return History(metrics, saved, *course(metrics, task, first, every), final, memory, start)
 
 
 def _nothing(trial: Trial) -> None:
@@ -198,7 +206,9 @@ def truncated(
     """
     first = trials - last + 1
     before = learn(*lax.stop_gradient((machine, scheme)), task, first - 1, **options)
-    after = learn(machine, scheme, task, last, memory=before.memory, first=first, **options)
+    goes_on: dict[str, Any] = options | {"memory": before.memory, "start": before.start}
+    goes_on["first"] = first
+    after = learn(machine, scheme, task, last, **goes_on)
     metrics, saved = jax.tree.map(
         lambda *both: jnp.concatenate(both),
         (before.metrics, before.saved),

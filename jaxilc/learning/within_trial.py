@@ -10,13 +10,17 @@ from jax import lax
 
 from ..runtime.lanes import usual_unroll
 from ..schemes import Scheme
+from ..schemes.weights import weighed
 from ..signals.sample_layout import for_scan
 from ..signals.task import Sample, Task, Trial
 from .machine import Machine
 from .metrics import Metrics, Tally, measure
+from .variation import Start
 
 
-def run_trial(machine: Machine, scheme: Scheme, task: Task, memory, key) -> Trial:
+def run_trial(
+    machine: Machine, scheme: Scheme, task: Task, memory, key, number: Any = None
+) -> Trial:
     """The record of one trial of the machine under the scheme, from rest.
 
     machine: the machine that runs the trial
@@ -24,57 +28,85 @@ def run_trial(machine: Machine, scheme: Scheme, task: Task, memory, key) -> Tria
     task: the task of the trial
     memory: memory of the scheme, which is `scheme.initial_memory(task)` before the first trial
     key: random key of the noise of this trial
+    number: j, of a machine whose trials differ; None is a trial of the long run
     The function is pure and can be called inside `jit`. Fields of the returned `Trial` have N or
     N+1 rows.
     """
-    return _run(machine, scheme, task, memory, key, measured=False)[0]
+    return _run(machine, scheme, task, memory, key, number, None, measured=False)[0]
 
 
 def run_and_measure(
-    machine: Machine, scheme: Scheme, task: Task, memory, key
-) -> tuple[Trial, Metrics]:
-    """The record of `run_trial` and its metrics, which are computed in the same pass."""
-    return _run(machine, scheme, task, memory, key, measured=True)
+    machine: Machine, scheme: Scheme, task: Task, memory, key, number: Any = None, start: Any = None
+) -> tuple[Trial, Metrics, Start | None]:
+    """The record of `run_trial`, its metrics, which are computed in the same pass, and its end.
+
+    start: `Start` of the trial; None: that of the machine
+    The last result is the start of the next trial; None for a machine that does not carry its
+    state.
+    """
+    return _run(machine, scheme, task, memory, key, number, start, measured=True)
+
+
+def first_start(machine: Machine, scheme: Scheme, task: Task, key) -> Start:
+    """The `Start` of a trial of a machine, sampled, that is at rest."""
+    plant = machine.plant
+    x = (
+        plant.initial_state()
+        if machine.variation is None
+        else machine.variation.initial_state(plant, key)
+    )
+    rest = jnp.zeros(task.inputs)
+    return Start(x, scheme.initial_state(task), rest, None if machine.actuator is None else rest)
 
 
 def _run(
-    machine: Machine, scheme: Scheme, task: Task, memory, key, *, measured: bool
-) -> tuple[Trial, Any]:
-    """The record of a trial and its metrics, or None in their place.
+    machine: Machine,
+    scheme: Scheme,
+    task: Task,
+    memory,
+    key,
+    number: Any,
+    start: Start | None,
+    *,
+    measured: bool,
+) -> tuple[Trial, Any, Start | None]:
+    """The record of a trial, its metrics, or None in their place, and the start of the next trial.
 
     XLA would drop metrics that nobody reads, but tracing and differentiating them takes time.
     """
-    machine = machine.sampled(task.dt)
+    machine, task = machine.sampled(task.dt).at_trial(task, number)
     if (
         machine.answers_at_once
         and scheme.plays_back
         and not scheme.signals(scheme.initial_state(task))
     ):
         trial = _at_once(machine, scheme.schedule(memory, task).u, task, key)
-        return trial, measure(trial, task) if measured else None
+        return trial, measure(trial, task) if measured else None, None
     plant, dt, r, preview = machine.plant, task.dt, jnp.asarray(task.reference), scheme.preview
     draws = machine.draws(key, task)
     future = jnp.pad(r[1:], ((0, preview - 1), (0, 0)), mode="edge")
+    there = None if machine.variation is None else machine.variation.measured(task, key)
 
     def tick(carry, now):
         x, state, v_last, u_last, y, tally = carry
-        k, r_k, next_r, row, d_u, d_y, noise, settled = now
+        k, r_k, next_r, row, d_u, d_y, noise, settled, counted = now
         ahead = next_r[None] if preview == 1 else lax.dynamic_slice_in_dim(future, k, preview)
         state, command = scheme.act(state, Sample(r_k, ahead, y, row, dt, u_last))
         v, u = machine.actuate(command, v_last, dt)
         x = plant.step(x, _plus(u, d_u), dt)
         y = machine.measure(_plus(plant.output(x), d_y), noise)
         if measured:
-            tally = tally.add(*lax.stop_gradient((next_r - y, u)), settled)
+            e = next_r - y if counted is None else counted * (next_r - y)
+            tally = tally.add(*lax.stop_gradient((e, u)), settled)
         return (x, state, v, None if unaltered else u, y, tally), (y, u, scheme.signals(state))
 
     d_y, noise, unaltered = draws.output, draws.sensor, machine.actuator is None
-    x, rest = plant.initial_state(), jnp.zeros(task.inputs)
-    y = machine.measure(_plus(plant.output(x), _at(d_y, 0)), _at(noise, 0))
+    begun = first_start(machine, scheme, task, key) if start is None else start
+    y = machine.measure(_plus(plant.output(begun.plant), _at(d_y, 0)), _at(noise, 0))
     tally: Any = None
     if measured:
         tally = Tally.start(lax.stop_gradient(r[0] - y), task.inputs, task.settled.start == 0)
-    carry = (x, scheme.initial_state(task), rest, None if unaltered else rest, y, tally)
+    carry = (begun.plant, begun.scheme, begun.v, begun.u, y, tally)
     rows = (
         jnp.arange(task.N),
         r[:-1],
@@ -84,11 +116,19 @@ def _run(
         _at(d_y, slice(1, None)),
         _at(noise, slice(1, None)),
         _is_settled(task)[1:] if measured else None,
+        _at(there, slice(1, None)),
     )
     carry, record = lax.scan(tick, carry, for_scan(rows), unroll=usual_unroll())
     y_next, u, signals = for_scan(record)
     trial = Trial(r, jnp.concatenate([y[None], y_next]), u, dt, signals)
-    return trial, carry[-1].metrics(trial, task) if measured else None
+    if there is not None:
+        trial = weighed(trial, jnp.broadcast_to(there[:, None], r.shape))
+    metrics = carry[-1].metrics(trial, task) if measured else None
+    if not machine.carries:
+        return trial, metrics, None
+    rest = first_start(machine, scheme, task, key)
+    assert machine.variation is not None
+    return trial, metrics, machine.variation.following(rest, Start(*carry[:4]))
 
 
 def _at_once(machine: Machine, command, task: Task, key) -> Trial:

@@ -15,10 +15,12 @@ from ..learning.machine import Actuator, Disturbance, Machine, Sensor
 from ..plants import Plant
 from ..plants.cnc_axis import Axes
 from ..pytree.ranges import require
+from ..schemes.at_samples import windows_of
 from ..signals import references
 from ..signals.task import Task
 from ..uncertainty import LogUniform, Normal, Uniform
 from .file_path import Setting, planned_path
+from .file_variation import variation_of
 from .specification import built, called
 from .values import Table, flag, list_of, number, one_of, text, whole
 
@@ -27,16 +29,26 @@ REFERENCES = ("sinusoid", "multisine", "chirp", "s_curve", "noncircular")
 DISTRIBUTIONS = {"uniform": Uniform, "normal": Normal, "log_uniform": LogUniform}
 
 
-def machine_of(values: Any, where: str, plant: Plant) -> Machine:
-    """The plant with the actuator, sensor and disturbance that a table describes."""
+def machine_of(
+    values: Any, where: str, plant: Plant, task: Task, folder: Path, notes: list[str]
+) -> Machine:
+    """The plant with the actuator, sensor, disturbance and variation that a table describes."""
     table = Table(values, where)
     parts = {"actuator": Actuator, "sensor": Sensor, "disturbance": Disturbance}
     made = {
         key: table.take(key, lambda v, at, cls=cls: built(v, at, cls=cls), None)
         for key, cls in parts.items()
     }
+    setting = Setting(folder, task.names or AXES[: plant.n_y], task.unit, task.dt)
+
+    def reference(value, at):
+        return reference_of(value, at, setting, plant, task.names, notes)
+
+    variation = table.take(
+        "variation", lambda v, at: variation_of(v, at, plant, task, reference), None
+    )
     table.done()
-    return Machine(plant, **made)
+    return Machine(plant, **made, variation=variation)
 
 
 def task_of(values: Any, where: str, folder: Path, plant: Plant, notes: list[str]) -> Task:
@@ -59,36 +71,20 @@ def task_of(values: Any, where: str, folder: Path, plant: Plant, notes: list[str
         )
     axes = names or AXES[: plant.n_y]
 
-    def reference(value, at):
-        if is_path(value):
-            planned = planned_path(value, at, Setting(folder, axes, unit, dt))
-            notes.append(planned.note)
-            return planned.reference
-        each = value if isinstance(value, list) else [value]
-        columns = [
-            _reference(v, f"{at}[{i}]" if isinstance(value, list) else at, folder, dt)
-            for i, v in enumerate(each)
-        ]
-        if len({len(column) for column in columns}) > 1:
-            lengths = ", ".join(str(len(column)) for column in columns)
-            raise ValueError(f"{at}: the outputs have {lengths} samples; allowed is one length")
-        if len(columns) != plant.n_y:
-            raise ValueError(
-                f"{at}: the plant has {plant.n_y} outputs{_said(names)}, and "
-                f"{len(columns)} of them {'has' if len(columns) == 1 else 'have'} a reference; "
-                "needed is a list with one for each output, or a path"
-            )
-        return np.stack(columns, axis=1)
+    setting, given = Setting(folder, axes, unit, dt), table.values.get("reference")
 
     fields = {
-        "reference": table.take("reference", reference),
+        "reference": table.take(
+            "reference", lambda v, at: reference_of(v, at, setting, plant, names, notes)
+        ),
         "settle": table.take("settle", lambda v, at: tuple(list_of(in_units)(v, at)), None),
         "inputs": table.take("inputs", whole, plant.n_u),
         "unit": unit,
         "input_unit": table.take("input_unit", text, ""),
     }
+    table.take("windows", lambda v, at: windows_of(at, list_of(_window)(v, at)), ())
     table.done()
-    fields["names"] = axes if is_path(table.values.get("reference")) else names
+    fields["names"] = axes if is_path(given) else names
     if fields["settle"] is not None and len(fields["settle"]) != 2:
         raise ValueError(
             f"{table.at('settle')} = {list(fields['settle'])} is not a pair [start, stop]"
@@ -97,6 +93,38 @@ def task_of(values: Any, where: str, folder: Path, plant: Plant, notes: list[str
         return Task(**fields, dt=dt)
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from None
+
+
+def reference_of(
+    value: Any, at: str, setting: Setting, plant: Plant, names: tuple[str, ...], notes: list[str]
+) -> np.ndarray:
+    """(N+1, n_y) the reference of all outputs: a path, or one for each of them."""
+    if is_path(value):
+        planned = planned_path(value, at, setting)
+        notes.append(planned.note)
+        return planned.reference
+    each = value if isinstance(value, list) else [value]
+    columns = [
+        _reference(v, f"{at}[{i}]" if isinstance(value, list) else at, setting.folder, setting.dt)
+        for i, v in enumerate(each)
+    ]
+    if len({len(column) for column in columns}) > 1:
+        lengths = ", ".join(str(len(column)) for column in columns)
+        raise ValueError(f"{at}: the outputs have {lengths} samples; allowed is one length")
+    if len(columns) != plant.n_y:
+        raise ValueError(
+            f"{at}: the plant has {plant.n_y} outputs{_said(names)}, and "
+            f"{len(columns)} of them {'has' if len(columns) == 1 else 'have'} a reference; "
+            "needed is a list with one for each output, or a path"
+        )
+    return np.stack(columns, axis=1)
+
+
+def _window(value: Any, where: str) -> Any:
+    """A time, or a pair of times [s]."""
+    if isinstance(value, list):
+        return list_of(number)(value, where)
+    return number(value, where)
 
 
 AXES = ("x", "y", "z")

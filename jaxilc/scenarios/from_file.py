@@ -18,8 +18,12 @@
     resolution = 1e-4
     [machine.disturbance]                    # input_noise, output_noise
     input_noise = 1e-3
+    [machine.variation]                      # how the trials differ, see `file_variation`
+    shortest = 0.9
 
-    [task]                                   # dt, unit, input_unit, settle, inputs, names
+    # dt, unit, input_unit, settle, inputs, names, windows: times [s] or pairs of them at which the
+    # error counts (`counted_max`, `counted_rms`), for a law within `AtSamples`
+    [task]
     dt = 0.001
     unit = "mm"
     input_unit = "V"
@@ -54,11 +58,13 @@ from typing import Any
 
 from .. import scenarios
 from ..learning.contour_metrics import contour_metrics
+from ..learning.counted_metrics import counted_metrics
 from ..learning.machine import Machine
 from ..learning.over_trials import check
 from ..plants.cnc_axis import Axes
 from ..pytree.closest import not_one_of
 from ..pytree.ranges import brief, require
+from ..schemes.at_samples import windows_of
 from ..storage.reading import PARSERS, read_tree
 from ..uncertainty import check as check_uncertainty
 from . import Scenario
@@ -105,7 +111,9 @@ def read_scenario(path: str | Path) -> Scenario:
     notes: list[str] = []
     plant = file.take("plant", lambda v, at: plant_of(v, at, path.parent, notes))
     task = file.take("task", lambda v, at: task_of(v, at, path.parent, plant, notes))
-    machine = file.take("machine", lambda v, at: machine_of(v, at, plant), Machine(plant))
+    machine = file.take(
+        "machine", lambda v, at: machine_of(v, at, plant, task, path.parent, notes), Machine(plant)
+    )
     found = file.take(
         "schemes",
         lambda v, at: {
@@ -116,8 +124,14 @@ def read_scenario(path: str | Path) -> Scenario:
     uncertainty = file.take("uncertainty", lambda v, at: dict(uncertainty_of(v, at)), {})
     path_given = is_path(file.values["task"].get("reference"))
     of_contour = task.outputs in (2, 3) and (path_given or isinstance(plant, Axes))
-    contour = contour_metrics(task) if of_contour else {}
-    usual = "contour_max" if contour and path_given else "settled_error"
+    further = contour_metrics(task) if of_contour else {}
+    usual = "contour_max" if further and path_given else "settled_error"
+    windows = file.values["task"].get("windows")
+    if windows:
+        counted = _check(
+            path, "task", lambda: counted_metrics(task, windows_of("task.windows", windows))
+        )
+        further, usual = further | counted, "counted_max"
     given: dict[str, Any] = {
         "name": file.take("name", text, stem),
         "title": file.take("title", text, f"{stem}: {type(plant).__name__}"),
@@ -135,7 +149,7 @@ def read_scenario(path: str | Path) -> Scenario:
         "task": task,
         "schemes": found,
         "uncertainty": uncertainty,
-        "quantities": {metric: Quantity(of) for metric, of in contour.items()},
+        "quantities": {metric: Quantity(of) for metric, of in further.items()},
     }
     made = _check(path, "", lambda: Scenario(**given, **parts, chosen=tuple(notes)))
     _check(path, "judged_by", lambda: judged(made, made.judged_by))

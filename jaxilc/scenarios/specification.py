@@ -21,7 +21,11 @@ from ..schemes import Scheme
 from .values import Table, number, numbers, one_of, text
 
 HIDDEN = {"solved"}  # computed by the scheme itself
-_MODELS = {"direct_model": plants.direct_model, "multivariable_model": plants.multivariable_model}
+_MODELS = {
+    "direct_model": plants.direct_model,
+    "multivariable_model": plants.multivariable_model,
+    "with_jerk": schemes.with_jerk,
+}
 
 
 @functools.cache
@@ -51,8 +55,8 @@ def built(
     """The object that a table describes: `class` names its class, the other keys are its fields.
 
     A nominal model may be the text "plant", which stands for the plant of the file, or a table with
-    `function` = "direct_model" or "multivariable_model", `C_P`, `P`. A scheme that needs a linear
-    model gets the linear plant at the task's sample time.
+    `function` = "direct_model" or "multivariable_model", `C_P`, `P`, or "with_jerk", `P`. A scheme
+    that needs a linear model gets the linear plant at the task's sample time.
 
     cls: the class, where the table does not name it
     plant, dt: the plant of the file, and the task's sample time [s]
@@ -133,10 +137,10 @@ def _kinds(hint: Any, value: Any) -> str:
 def _model(values: Mapping, where: str, plant: Plant | None, dt: float | None) -> plants.StateSpace:
     table = Table(values, where)
     function = _MODELS[table.take("function", one_of(sorted(_MODELS)))]
-    gain = table.take("C_P", number)
+    gains = () if function is schemes.with_jerk else (table.take("C_P", number),)
     model = table.take("P", functools.partial(_state_space, plant, dt))
     table.done()
-    return _named(where, lambda: function(gain, model))
+    return _named(where, lambda: function(*gains, model))
 
 
 def _state_space(plant: Plant | None, dt: float | None, value: Any, where: str):

@@ -1,5 +1,6 @@
 """Control schemes: feedback, learning, and compositions of them."""
 
+from .at_samples import AtSamples, with_jerk
 from .bases import Basis, GivenBasis, PolynomialBasis, SelectedBasis
 from .basis_functions import BasisFunctions, fitted
 from .compose import ErrorFiltered, Filtered, OnOutputs, WithFeedback
@@ -9,6 +10,7 @@ from .exponential import ExponentialPD
 from .gradient import GradientILC
 from .guards import Ladder, StopWhen
 from .higher_order import HigherOrder
+from .keep_unmeasured import KeepUnmeasured
 from .learning_filter import LearningFilter, learning_filter
 from .mfac import CFDLMFAC, CFDLMFAPC, FFDLMFAC, PFDLMFAC
 from .mfailc import CFDLMFAILC, FFDLMFAILC, PFDLMFAILC
@@ -16,6 +18,7 @@ from .model_free_gradient import ModelFreeGradient
 from .multivariable import MultivariableILC
 from .norm_optimal import NormOptimal
 from .on_basis import OnBasis
+from .on_contour import OnContour
 from .on_reference import OnReference
 from .pid import PID
 from .pid_type import PIDType
@@ -37,6 +40,7 @@ __all__ = [
     "PFDLMFAILC",
     "PID",
     "SMC",
+    "AtSamples",
     "Basis",
     "BasisFunctions",
     "ConstrainedNormOptimal",
@@ -48,12 +52,14 @@ __all__ = [
     "GivenBasis",
     "GradientILC",
     "HigherOrder",
+    "KeepUnmeasured",
     "Ladder",
     "LearningFilter",
     "ModelFreeGradient",
     "MultivariableILC",
     "NormOptimal",
     "OnBasis",
+    "OnContour",
     "OnOutputs",
     "OnReference",
     "PIDType",
@@ -70,4 +76,5 @@ __all__ = [
     "learning_filter",
     "select_basis",
     "started",
+    "with_jerk",
 ]

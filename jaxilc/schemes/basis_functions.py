@@ -17,6 +17,7 @@ from .curvature import largest_eigenvalue
 from .gradient import Ready, answers, need_answers, varies
 from .quadratic_cost import need_weight, weights_of
 from .scheme import Feedforward, Scheme, limit_of, limited
+from .weights import answers_weighed
 
 ROUNDING = 100.0  # in units of the last place, of a scaled Gram matrix
 
@@ -72,6 +73,7 @@ class BasisFunctions(Scheme):
     update: str = static(default="norm_optimal", choices=("norm_optimal", "gradient"))
     iterations: int = static(default=5, interval="[1, 100]", whole=True)
     solved: Ready | None = child(default=None)
+    weighs = True
     clips = ("limit",)
     of_one_length = True
 
@@ -115,6 +117,7 @@ class BasisFunctions(Scheme):
         linear = self.solved is not None and self.solved.curvature is not None
         # A linear model answers alike at any input, so a diverged one has no part in it.
         push, pull = answers(self.model, jnp.zeros_like(trial.u) if linear else trial.u, dt)
+        push, pull = answers_weighed(push, pull, trial)
         theta = memory.theta
         if self.basis.linear:  # what was played, also where it was limited
             theta = fitted(self.basis, trial.u, trial.r, dt)

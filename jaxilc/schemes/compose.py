@@ -242,8 +242,9 @@ class OnOutputs(Wrapper):
         return {"scheme": Part(self.scheme, seen, memory)}
 
     def shown(self, trial: Trial) -> dict[str, Trial]:
-        seen = list(self.outputs)
-        return {"scheme": trial._replace(r=trial.r[..., seen], y=trial.y[..., seen])}
+        seen, W = list(self.outputs), trial.weight
+        W = W if W is None else W[..., seen, :][..., seen]
+        return {"scheme": trial._replace(r=trial.r[..., seen], y=trial.y[..., seen], weight=W)}
 
     def check(self, task: Task) -> None:
         if not self.outputs or not all(0 <= i < task.outputs for i in self.outputs):

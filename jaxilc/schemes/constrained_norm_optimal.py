@@ -18,6 +18,7 @@ from .interior_point import Problem, solve
 from .quadratic_cost import need_convex, need_model_of, need_stable, need_weight, weights_of
 from .riccati import Factor, factor, newton
 from .scheme import Scheme
+from .weights import model_weighed
 
 FIELDS = {"input": ("limit",), "output": ("y_low", "y_high", "tube")}  # where others than its kind
 ONE_SIDED = 1e6  # how far away the other side of a bound from one side is taken to be, for theory
@@ -103,6 +104,7 @@ class ConstrainedNormOptimal(Scheme):
     feedback: Leaf | None = leaf(default=None, optional=True)
     solved: Any = child(default=None)
     first_derivatives_only = True
+    weighs = True
     clips = ("limit", "rate", "total", "y_low", "y_high", "tube", "contour")
 
     def __post_init__(self):
@@ -160,6 +162,14 @@ class ConstrainedNormOptimal(Scheme):
         nothing = jnp.zeros((len(r) - 1, len(W)), W.dtype)
         return dataclasses.replace(ready, solved=factor(system_of(ready, r), W, nothing))
 
+    def _for(self, trial: Trial) -> ConstrainedNormOptimal:
+        """This scheme prepared for a trial, with the outputs of its model as they count there."""
+        ready = self._prepared(trial.r, trial.dt)
+        if trial.weight is None:
+            return ready
+        seen = dataclasses.replace(ready, model=model_weighed(ready.model, trial), solved=None)
+        return seen._prepared(trial.r, trial.dt)
+
     def _weights(self):
         """w_q, w_r, w_s and w_d as matrices."""
         rest = jnp.zeros((self.model.n_u,) * 2)
@@ -172,7 +182,7 @@ class ConstrainedNormOptimal(Scheme):
                 "ConstrainedNormOptimal: total bounds the input with that of a feedback; allowed "
                 "is a scheme within WithFeedback"
             )
-        ready = self._prepared(trial.r, trial.dt)
+        ready = self._for(trial)
         if all(getattr(self, name) is None for name in self.clips):
             d, _ = ready._free(trial)
             good, none = jnp.ones(()), jnp.zeros(())
@@ -227,7 +237,7 @@ class ConstrainedNormOptimal(Scheme):
         )
 
     def limits(self, task: Task, memory, trial: Trial) -> dict[str, Limit]:
-        ready = self._prepared(trial.r, trial.dt)
+        ready = self._for(trial)
         rows, (_, change) = rows_of(ready, trial), ready._free(trial)
         following, at = {}, 0
         for name in kinds(self):

@@ -15,6 +15,7 @@ from .constrained_norm_optimal import ConstrainedNormOptimal
 from .norm_optimal import NormOptimal
 from .riccati import System, shown
 from .scheme import Part, Scheme, under
+from .weights import counts_at_all, output_weighed
 from .wrapper import Wrapper
 
 
@@ -69,6 +70,7 @@ class EstimatedDisturbance(Wrapper):
     process_std: Leaf = leaf(interval="(0, inf)")
     measurement_std: Leaf = leaf(interval="[0, inf)")
     initial_std: Leaf | None = leaf(default=None, interval="[0, inf)", optional=True)
+    weighs = True
 
     def check(self, task: Task) -> None:
         super().check(task)
@@ -103,7 +105,10 @@ class EstimatedDisturbance(Wrapper):
         A, B, C = (jnp.asarray(M) for M in (model.A, model.B, model.C))
         without = shown(System(A, B, C @ A, C @ B), trial.u)
         kappa, std = self._gain(memory.std)
-        news = trial.y[1:] - without - memory.d
+        if trial.weight is not None:
+            start = trial.y[:1]  # which no input can reach
+            without = output_weighed(trial, jnp.concatenate([start, without]))[1:]
+        news = (trial.y[1:] - without - memory.d) * counts_at_all(trial)
         # y less the share of the news that is not believed: exactly y where the gain is 1
         seen = trial._replace(y=trial.y.at[1:].add(-(1 - kappa) * news))
         return seen, memory.d + kappa * news, std

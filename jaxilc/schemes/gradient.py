@@ -18,6 +18,7 @@ from ..signals.task import Limit, Task, Trial
 from .curvature import largest_eigenvalue
 from .quadratic_cost import need_weight, weights_of
 from .scheme import Scheme, limit_of, limited
+from .weights import answers_weighed
 
 
 class GradientMemory(NamedTuple):
@@ -90,6 +91,7 @@ class GradientILC(Scheme):
     w_s: Leaf = leaf(default=0.0)
     limit: Leaf | None = leaf(default=None, interval="(0, inf)", optional=True)
     solved: Ready | None = child(default=None)
+    weighs = True
     clips = ("limit",)
 
     def __post_init__(self):
@@ -156,8 +158,9 @@ class GradientILC(Scheme):
         Q, S = weights_of(ready, "w_q", "w_s")
         # A linear model answers alike at any input, so a diverged one has no part in it.
         at = u if found.curvature is None else jnp.zeros_like(u)
-        push, pull = answers(ready.model, at, found.dt)
-        h = _curvature(push, pull, Q, S, u) if found.curvature is None else found.curvature
+        push, pull = answers_weighed(*answers(ready.model, at, found.dt), trial)
+        known = found.curvature is not None and trial.weight is None
+        h = found.curvature if known else _curvature(push, pull, Q, S, u)
         step = jnp.where(h > 0, 1.0, 0.0) / jnp.where(h > 0, h, 1.0)
         step = step if self.step is None else self.step
         share = step * h / 2

@@ -87,15 +87,18 @@ class MultivariableILC(Scheme):
                 )
         start, r = trial.r[:1, self.table_output, None], trial.signals["reference"]
         y = trial.y[:, [self.motor_output, self.table_output]]
+        seen, W = [self.motor_output, self.table_output], trial.weight
+        W = W if W is None else W[..., seen, :][..., seen]
         followed, wanted = jnp.concatenate([start, r]), trial.r[:, self.table_output, None]
         own = Trial(
             jnp.concatenate([followed, wanted], axis=1),
             y,
             jnp.concatenate([trial.u - trial.signals["feedback"], r], axis=1),
             trial.dt,
+            weight=W,
         )
         signals = signals_of_part("feedback", trial.signals)
-        of_motor = trial._replace(r=followed, y=y[:, :1], signals=signals)
+        of_motor = trial._replace(r=followed, y=y[:, :1], signals=signals, weight=None)
         return {"learning": own, "feedback": of_motor}
 
     def check(self, task: Task) -> None:

@@ -17,6 +17,7 @@ from ..pytree.ranges import brief
 from ..signals.task import Limit, Task, Trial, product
 from .quadratic_cost import need_convex, need_model_of, need_stable, weights_of
 from .scheme import Feedforward, Scheme, limit_of, limited
+from .weights import model_weighed
 
 # rows or columns of the dense form: in float64, H and the factor then take half a gigabyte each
 LARGEST_LIFTED = 8192
@@ -85,6 +86,7 @@ class NormOptimal(Scheme):
     limit: Leaf | None = leaf(default=None, interval="(0, inf)", optional=True)
     form: str = static(default="riccati", choices=("riccati", "lifted"))
     solved: Any = child(default=None)
+    weighs = True
     clips = ("limit",)
 
     def __post_init__(self):
@@ -117,6 +119,9 @@ class NormOptimal(Scheme):
     def learn(self, memory: Feedforward, trial: Trial) -> Feedforward:
         e, u = trial.e[1:], trial.u
         ready = self._prepared(len(u), trial.dt)
+        if trial.weight is not None:  # another problem, with the outputs as they count
+            model = model_weighed(ready.model, trial)
+            ready = dataclasses.replace(ready, model=model, solved=ready._solve(model, len(u)))
         step = ready._step_lifted(e, u) if self.form == "lifted" else ready._step_riccati(e, u)
         return Feedforward(limited(u + step, self.limit))
 

@@ -19,6 +19,7 @@ from .optimum import optimum
 from .quadratic_cost import matrix_of, need_convex, need_definite, need_model_of, need_weight
 from .scheme import Scheme
 from .tracking import Problem
+from .weights import WeighedOutput, output_weighed
 
 
 class TwoStepMemory(NamedTuple):
@@ -106,6 +107,7 @@ class TwoStep(Scheme):
     tube: Leaf | None = leaf(default=None, interval="(0, inf]", optional=True)
     correction: str = static(default="input", choices=("input", "output"))
     first_derivatives_only = True
+    weighs = True
     clips = ("limit", "rate", "y_low", "y_high", "tube")
 
     def __post_init__(self):
@@ -137,7 +139,7 @@ class TwoStep(Scheme):
         alpha = jnp.where(estimated.converged > 0, estimated.w, memory.alpha)
         # from here the corrected model follows what it was to follow before
         start = u + memory.alpha - alpha if self.correction == "input" else u
-        found = optimum(self._control(model, trial.r, u, alpha), start, dt)
+        found = optimum(_seen(self._control(model, trial.r, u, alpha), trial), start, dt)
         good = estimated.converged * found.converged
         return _memory(
             memory._replace(
@@ -161,7 +163,8 @@ class TwoStep(Scheme):
             # what alpha does to the output: it is the output, one sample later
             added, beside = none, motion(model, u, trial.dt)
             model = _delay(size, y.dtype, trial.dt)
-        return Problem(model, y, none, added, beside, Q, jnp.zeros_like(S), S, change)
+        problem = Problem(model, y, none, added, beside, Q, jnp.zeros_like(S), S, change)
+        return _seen(problem, trial)
 
     def _control(self, model: Plant, r, u, alpha) -> Problem:
         """The problem of the second step, with the next input as its unknown."""
@@ -205,6 +208,14 @@ def _memory(memory: TwoStepMemory, good, estimated: Found, found: Found) -> TwoS
         moved=jnp.maximum(estimated.moved, found.moved),
         violation=found.violation,
     )
+
+
+def _seen(problem: Problem, trial: Trial) -> Problem:
+    """The problem with the outputs as the weight of the trial shows them."""
+    if trial.weight is None:
+        return problem
+    beside = output_weighed(trial, problem.beside)
+    return problem._replace(model=WeighedOutput(problem.model, trial.weight), beside=beside)
 
 
 def _symmetric(W) -> jax.Array:

@@ -6,6 +6,7 @@ import numpy as np
 
 from ..pytree.ranges import require
 from ..runtime.capacity import check_size
+from .task import Task
 
 FINITE, POSITIVE, NONNEGATIVE = "(-inf, inf)", "(0, inf)", "[0, inf)"
 ARRAYS = 32  # of the length of a reference, that making it and one trial of it take
@@ -31,3 +32,18 @@ def sample_times(function, duration, dt, arrays=ARRAYS):
             f"{dt:g} s"
         )
     return np.arange(N + 1) * dt
+
+
+def samples_within(name: str, window: tuple[float, float], task: Task) -> slice:
+    """The samples of a window (start, stop) [s] of a task, both ends included.
+
+    Raises ValueError, with the name, for a window that is not within the task, or has no sample
+    that an input can reach.
+    """
+    start, stop = window
+    if not 0 <= start <= stop <= task.duration * (1 + 1e-9) or round(stop / task.dt) < 1:
+        raise ValueError(
+            f"{name} = ({start:g}, {stop:g}) s is not a window within [0, {task.duration:g}] s "
+            "with a sample that an input can reach"
+        )
+    return slice(round(start / task.dt), round(stop / task.dt) + 1)

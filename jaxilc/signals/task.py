@@ -152,6 +152,8 @@ class Trial(NamedTuple):
     u:       (N, n_u) input as the actuator applied it
     dt:      sample time [s]
     signals: the scheme's own signals by name, each (N, ...); empty for a measured trial
+    weight:  (N+1, n_y, n_y) by which the error of each sample was multiplied before it is shown,
+             zero where nothing was measured; None: each error counts as it is
     """
 
     r: jax.Array
@@ -159,6 +161,7 @@ class Trial(NamedTuple):
     u: jax.Array
     dt: float
     signals: dict[str, jax.Array] = {}  # noqa: RUF012  never written to
+    weight: jax.Array | None = None
 
     @property
     def e(self) -> jax.Array:

@@ -27,6 +27,7 @@ ground up:
     iteration        singular values and eigenvalues by the methods of Lanczos and Arnoldi
     forecast         the error of each trial, as predicted and as simulated
     certificates     many machines at once, against simulation
+    carried          learning where each trial starts from the end of the one before
     bounds           d1 and d2 of Cao 2019 along a run (`bounds_of_machines`: over many machines)
     sliding          the conditions of Xu 2024 (`sliding_run`: along a run)
 """
@@ -34,6 +35,7 @@ ground up:
 from . import condition, contraction, frequency, lifted, outlook, structure
 from .bounds import CFDLBounds, FFDLBounds, cfdl_bounds, ffdl_bounds
 from .bounds_of_machines import PremiseShare, premises
+from .carried import CarriedRadius, carried_radius
 from .certificates import CLAIMS, COURSES, Certificate, certify, certify_each
 from .condition import Condition, Premise
 from .to_python_control import to_control
@@ -42,11 +44,13 @@ __all__ = [
     "CLAIMS",
     "COURSES",
     "CFDLBounds",
+    "CarriedRadius",
     "Certificate",
     "Condition",
     "FFDLBounds",
     "Premise",
     "PremiseShare",
+    "carried_radius",
     "certify",
     "certify_each",
     "cfdl_bounds",

@@ -21,7 +21,7 @@ from ..learning.machine import Machine
 from ..schemes import Scheme
 from ..signals.task import Task
 from .linearity import remembers
-from .trials import learned_shape, next_learned, played, trial_of
+from .trials import learned_from, learned_shape, next_learned, played, trial_of
 
 
 class View(NamedTuple):
@@ -65,7 +65,7 @@ def learning_of(machine: Machine, scheme: Scheme, task: Task, view: View) -> Lea
         return first, played(machine, scheme, task, first, known)
 
     def following(w):
-        known = scheme.learn(*trial(w))
+        known = learned_from(machine, scheme, *trial(w))
         return known_as(known, scheme, task, view)
 
     def limits(w):

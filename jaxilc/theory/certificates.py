@@ -237,7 +237,8 @@ def _long_run(machines: Machine, scheme: Scheme, task: Task, steps: int) -> Long
         )
     maps = maps_of(machines, scheme, task, steps)
     ahead = outlooks(machines, scheme, task, maps=maps)
-    return LongRun(*_claims(machines, scheme, task, ahead, maps), ahead)
+    claim, reason, *rest = _claims(machines, scheme, task, ahead, maps)
+    return LongRun(claim, machine.said_of_claims() + reason, *rest, ahead)
 
 
 def course(errors) -> str:

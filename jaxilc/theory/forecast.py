@@ -15,7 +15,7 @@ from ..runtime.tiles import tiled
 from ..schemes import Scheme
 from ..signals.task import Task
 from .affine import View, known_as
-from .trials import trial_of
+from .trials import learned_from, trial_of
 
 # trials simulated before the prediction takes over: from the third on a law of two-trial
 # increments is what it will be
@@ -131,7 +131,7 @@ def _predict(common, machine, *, trials):
     def simulated(memory, _):
         """The memory after a learning step, and the errors (M, N, n_y) of its M trials."""
         trial = trial_of(machine, scheme, task, memory)
-        return scheme.learn(memory, trial), trial.e[1:]
+        return learned_from(machine, scheme, memory, trial), trial.e[1:]
 
     def a_step(memory, _=None):
         return lax.scan(simulated, memory, length=scheme.trials_a_step)
@@ -185,7 +185,8 @@ def _follow(common, one, *, trials, view):
     def turn(memory, _):
         w = known_as(memory, scheme, task, view)
         trial = trial_of(machine, scheme, task, memory)
-        return scheme.learn(memory, trial), (_rms(trial.e[1:]), jnp.linalg.norm(w - limit))
+        after = learned_from(machine, scheme, memory, trial)
+        return after, (_rms(trial.e[1:]), jnp.linalg.norm(w - limit))
 
     return lax.scan(turn, scheme.initial_memory(task), length=trials)[1]
 

@@ -21,8 +21,10 @@ import numpy as np
 
 from ..learning.machine import Machine
 from ..learning.playback import replay
+from ..learning.variation import Variation
 from ..schemes import Scheme
 from ..schemes.experiments import trials_of_step
+from ..schemes.scheme import with_all_parts
 from ..signals.task import Task
 from .condition import Premise, premise
 from .loop import tick_of
@@ -125,17 +127,39 @@ def learning_premises(machine: Machine, scheme: Scheme, task: Task) -> tuple[Pre
     The map is of all that the scheme knows. The first premise is of the trial, the second of
     learning, so that the part that breaks one is named.
     """
+    found = linear_trial(machine, scheme, task), linear_law(scheme, task)
+    differs = "" if machine.variation is None else _differing(machine.variation, scheme, task)
+    if differs:
+        return found[0], premise(ONE_LAW, False, differs)
     whole = obstacle(
         _step,
         (machine.unlimited(), scheme.unlimited().prepared(task), task),
         scheme.initial_memory(task),
     )
-    found = linear_trial(machine, scheme, task), linear_law(scheme, task)
     if whole and all(p.held for p in found):
         return found[0], premise(
             ONE_LAW, False, f"a trial and learning from it is no linear map, by {whole}"
         )
     return found
+
+
+def _differing(variation: Variation, scheme: Scheme, task: Task) -> str:
+    """Why no map of a trial is the same in each, although its means are taken; empty if one is."""
+    if variation.carried is not None:
+        return (
+            "each trial starts where the one before has ended, so learning is no map of what is "
+            "learned alone; see theory.carried_radius"
+        )
+    if variation.references is not None and not variation.references.first:
+        return "the reference changes after every trial, and what is learned has no limit"
+    lost = variation.dropped is not None or variation.shortest is not None
+    for part, _, _ in with_all_parts(scheme, task):
+        if lost and getattr(part, "weighs", False):
+            return (
+                f"{type(part).__name__} is another law for each set of samples that are measured, "
+                "so its mean is not that of mean samples"
+            )
+    return ""
 
 
 def remembers(scheme: Scheme, task: Task) -> bool:

@@ -26,7 +26,7 @@ from ..signals.task import Task
 from ..uncertainty import Uncertainty, drawn_machine
 from .iteration import SingularValue, singular_value
 from .structure import followers
-from .trials import Prescribed, learned_memory, step, trial_of, with_output
+from .trials import Prescribed, learned_from, learned_memory, step, trial_of, with_output
 
 # leaves of a memory that are no state: they only tell the first trial from the others
 FLAGS = ("seen",)
@@ -143,9 +143,10 @@ def error_map(
 
         def following(memory, _):
             trial = trial_of(disturbed, scheme, task, memory)
-            return scheme.learn(memory, trial), trial.e[1:].ravel()
+            return learned_from(disturbed, scheme, memory, trial), trial.e[1:].ravel()
 
-        return lax.scan(following, scheme.learn(memory, trial._replace(y=y)), length=trials)[1]
+        known = learned_from(machine, scheme, memory, trial._replace(y=y))
+        return lax.scan(following, known, length=trials)[1]
 
     return Map(f, first.e[1:].ravel())
 

@@ -30,7 +30,12 @@ def trial_of(machine: Machine, scheme: Scheme, task: Task, memory) -> Trial:
 
 def step(machine: Machine, scheme: Scheme, task: Task, memory):
     """The memory after one more trial, without noise."""
-    return scheme.learn(memory, trial_of(machine, scheme, task, memory))
+    return learned_from(machine, scheme, memory, trial_of(machine, scheme, task, memory))
+
+
+def learned_from(machine: Machine, scheme: Scheme, memory, trial: Trial):
+    """The memory after a trial of the machine, of which the law sees what the machine shows."""
+    return scheme.learn(memory, machine.noiseless().shown(trial, jax.random.key(0)))
 
 
 @partial(jax.jit, static_argnames="trials")

@@ -69,7 +69,15 @@ CONTRACTING = (
     "higher_order",
     "p_type_ladder",
 )
-CONTRACTING += ("learning_filter", "gradient", "basis_functions", "on_basis", "warm_start")
+CONTRACTING += (
+    "learning_filter",
+    "gradient",
+    "basis_functions",
+    "on_basis",
+    "warm_start",
+    "at_samples",
+)
+CONTRACTING += ("warm_start", "at_samples", "on_contour", "keep_unmeasured")
 CONTRACTING += ("p_type_on_table", "norm_optimal", "estimated_disturbance", "milc", "ilc_asmc")
 
 

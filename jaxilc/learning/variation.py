@@ -1,0 +1,273 @@
+"""How the trials of a machine differ from one another.
+
+Learning assumes that each trial starts alike, on the same plant, for the same reference, and is
+measured as a whole. A `Variation` of a `Machine` takes these assumptions away, one by one. All of
+it depends on the number of the trial and on the random key of the machine alone, so sweeps, tuning
+and gradients go through it as through any machine.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+
+from ..plants import Plant
+from ..pytree.fields import Leaf, child, leaf, pytree, static
+from ..schemes.weights import weighed
+from ..signals.task import Task, Trial
+
+SALT = 7919  # folded into the key of a trial, so that noise is that of a machine that does not vary
+
+
+@pytree
+class PlantChange:
+    """A plant that changes from a trial on, at once or by drifting.
+
+        plant_j = plant + s_j (after - before),    s_j = clip((j - first + 1) / over, 0, 1)
+
+    With `before`, a machine that differs from it keeps its difference after the change.
+
+    after: the plant after the change, of the same class and shapes, swept by its own names
+    first: number of the first trial that differs
+    over: number of trials until the change is complete; 1 is a jump
+    before: plant from which `after` differs; None: that of the machine itself
+    """
+
+    after: Plant = child()
+    first: int = static(interval="[1, inf)", whole=True)
+    over: int = static(default=1, interval="[1, inf)", whole=True)
+    before: Plant | None = child(default=None)
+
+    def plant_at(self, plant: Plant, j) -> Plant:
+        """The plant of trial j, None for the long run."""
+        share = 1.0 if j is None else jnp.clip((j - self.first + 1) / self.over, 0.0, 1.0)
+        before = plant if self.before is None else self.before
+        return jax.tree.map(lambda p, a, b: p + share * (b - a), plant, before, self.after)
+
+
+@pytree
+class References:
+    """References that change from trial to trial, all of the length of the task.
+
+    values: (M, N+1, n_y) references [unit of y]
+    first: number of the first trial of each but the first reference, rising; () changes the
+        reference after each trial, and begins again after the last one
+    """
+
+    values: Leaf = leaf(interval="[-1e12, 1e12]")
+    first: tuple[int, ...] = static(default=())
+
+    def __post_init__(self):
+        if self.values.ndim != 3:
+            raise ValueError(
+                f"References: values has shape {self.values.shape}; allowed is (M, N+1, n_y)"
+            )
+        if self.first and (
+            len(self.first) != len(self.values) - 1
+            or any(type(j) is not int or j < 2 for j in self.first)
+            or any(a >= b for a, b in zip(self.first, self.first[1:], strict=False))
+        ):
+            raise ValueError(
+                f"References: first = {self.first}; allowed are {len(self.values) - 1} rising "
+                "numbers of trials from 2, one for each reference but the first, or none"
+            )
+
+    def at(self, j):
+        """(N+1, n_y) the reference of trial j, None for the long run."""
+        values = jnp.asarray(self.values)
+        if j is None:
+            return values[-1]
+        if not self.first:
+            return values[(j - 1) % len(self.values)]
+        return values[jnp.sum(j >= np.array(self.first))]
+
+
+class Start(NamedTuple):
+    """Where a trial starts: the states of plant and scheme, and of the actuator."""
+
+    plant: Any
+    scheme: Any
+    v: Any
+    u: Any
+
+
+@pytree
+class Variation:
+    """What differs from trial to trial; with None or the default, nothing does.
+
+    offset: () or (n_x,) what is added to the initial state in every trial [units of the state]
+    scatter: () or (n_x,) standard deviation of the initial state, drawn anew for each trial
+    carried: () in [0, 1], share of the state at the end of a trial with which the next one starts:
+        x[0] = rest + carried (x[N] - rest), of the plant, the feedback and the actuator. 0 is a
+        machine that comes to rest, 1 is repetitive control, which never stops
+    shortest: () in (0, 1]; a trial ends early, after a share of its samples that is drawn uniformly
+        from [shortest, 1]. After that, nothing is measured
+    dropped: () in [0, 1), chance of each measured sample after k = 0 to be lost before it is
+        learned from; the trial itself goes on
+    late: largest delay of the record, in samples: it is drawn for each trial from 0 .. late, and
+        the record then holds y[k - delay], at its start y[0]
+    change: a plant that changes
+    references: references that change
+    averaged: leave False; True takes the mean of what is drawn, see `averages`
+
+    Samples that are not measured have the error zero in the record, and the weight zero, so that
+    nothing is learned from them. The state has the order of the plant's leaves, flattened. Chances
+    have no gradient; offset, scatter, carried, the plant and the references have one.
+    """
+
+    offset: Leaf | None = leaf(default=None, optional=True)
+    scatter: Leaf | None = leaf(default=None, interval="[0, inf)", optional=True)
+    carried: Leaf | None = leaf(default=None, interval="[0, 1]", optional=True)
+    shortest: Leaf | None = leaf(default=None, interval="(0, 1]", optional=True)
+    dropped: Leaf | None = leaf(default=None, interval="[0, 1)", optional=True)
+    late: int = static(default=0, interval="[0, inf)", whole=True)
+    change: PlantChange | None = child(default=None)
+    references: References | None = child(default=None)
+    averaged: bool = static(default=False)
+
+    def check(self, plant: Plant, task: Task) -> None:
+        """Raises ValueError where the variation does not fit the plant or the task."""
+        state = jax.eval_shape(lambda p: ravel_pytree(p.sampled(task.dt).initial_state())[0], plant)
+        for name in ("offset", "scatter"):
+            value = getattr(self, name)
+            if value is not None and value.shape not in ((), state.shape):
+                raise ValueError(
+                    f"Variation: {name} has shape {value.shape}; the state of "
+                    f"{type(plant).__name__} needs () or {state.shape}"
+                )
+        for name in ("carried", "shortest", "dropped"):
+            value = getattr(self, name)
+            if value is not None and value.shape:
+                raise ValueError(
+                    f"Variation: {name} has shape {value.shape}; allowed is one number"
+                )
+        if self.late >= task.N:
+            raise ValueError(
+                f"Variation: late = {self.late} is outside its allowed range [0, {task.N - 1}] for "
+                f"N = {task.N}"
+            )
+        self._check_change(plant, task)
+        shape = (task.N + 1, task.outputs)
+        if self.references is not None and self.references.values.shape[1:] != shape:
+            raise ValueError(
+                f"References: values has shape {self.references.values.shape}; this task needs "
+                f"(M, {shape[0]}, {shape[1]})"
+            )
+
+    def _check_change(self, plant: Plant, task: Task) -> None:
+        if self.change is None:
+            return
+        plants = plant, self.change.after, self.change.before or plant
+        shapes = []
+        for one in plants:
+            leaves, structure = jax.tree.flatten(jax.eval_shape(lambda p: p.sampled(task.dt), one))
+            shapes.append((structure, [np.shape(leaf) for leaf in leaves]))
+        if any(of != shapes[0] for of in shapes):
+            raise ValueError(
+                f"PlantChange: after is a {type(self.change.after).__name__} that does not fit the "
+                f"plant, a {type(plant).__name__}; allowed is one of the same class and shapes"
+            )
+
+    def sampled(self, dt: float) -> Variation:
+        """This variation with all of its plant that depends on dt computed before the scans."""
+        if self.change is None:
+            return self
+        after, before = self.change.after.sampled(dt), self.change.before
+        before = None if before is None else before.sampled(dt)
+        change = dataclasses.replace(self.change, after=after, before=before)
+        return dataclasses.replace(self, change=change)
+
+    def averages(self) -> Variation:
+        """This variation with its draws replaced by their means, for theory.
+
+        The initial state has no scatter; each sample has for weight its chance to be measured, and
+        the record is the mean over the delays. The mean of what a law learns is then what it learns
+        from this record, for a law that is linear in the error and is no other law for each set
+        of samples.
+        """
+        return dataclasses.replace(self, scatter=None, averaged=True)
+
+    def said_of_claims(self) -> str:
+        """What a claim of theory is about, as the beginning of a sentence; empty for all trials."""
+        last = 0 if self.change is None else self.change.first + self.change.over - 1
+        if self.references is not None:
+            last = max((last, *self.references.first))
+        said = [f"from trial {last} on"] if last > 1 else []
+        drawn = (self.scatter, self.shortest, self.dropped)
+        if self.late or any(value is not None for value in drawn):
+            said.append("in the mean over what is drawn for each trial")
+        return ", ".join(said) + ": " if said else ""
+
+    # Of a trial
+    # ----------------------------------------------------------------------------------------------
+
+    def plant_at(self, plant: Plant, j) -> Plant:
+        return plant if self.change is None else self.change.plant_at(plant, j)
+
+    def task_at(self, task: Task, j) -> Task:
+        if self.references is None:
+            return task
+        return dataclasses.replace(task, reference=self.references.at(j))
+
+    def initial_state(self, plant: Plant, key) -> Any:
+        """The state at the start of a trial, of a machine that does not carry it."""
+        rest = plant.initial_state()
+        if self.offset is None and self.scatter is None:
+            return rest
+        flat, unravel = ravel_pytree(rest)
+        if self.offset is not None:
+            flat = flat + self.offset
+        if self.scatter is not None:
+            drawn = jax.random.normal(jax.random.fold_in(key, SALT), flat.shape, flat.dtype)
+            flat = flat + self.scatter * drawn
+        return unravel(flat)
+
+    def following(self, start: Start, end: Start) -> Start:
+        """The start of the next trial: the share `carried` of the way from a start to an end."""
+
+        def between(a, b):
+            floating = jnp.issubdtype(jnp.result_type(a), jnp.floating)
+            return a + self.carried * (b - a) if floating else a
+
+        return jax.tree.map(between, start, end)
+
+    def measured(self, task: Task, key) -> Any:
+        """(N+1,) 1 up to the end of the trial, 0 after it; None where trials have one length."""
+        if self.shortest is None:
+            return None
+        k = np.arange(task.N + 1) / task.N
+        if self.averaged:
+            room = jnp.where(self.shortest < 1, 1 - self.shortest, 1.0)
+            return 1 - jnp.clip((k - self.shortest) / room, 0.0, 1.0)
+        share = jax.random.uniform(jax.random.fold_in(key, SALT + 1))
+        last = jnp.floor(task.N * (self.shortest + (1 - self.shortest) * share) + 1e-9)
+        return jnp.where(k * task.N <= last + 0.5, 1.0, 0.0)
+
+    def shown(self, trial: Trial, key) -> Trial:
+        """The record of a trial as it reaches the learning law."""
+        if self.late:
+            W, e = trial.weight, trial.r - self._delayed(trial.y, key)
+            e = e if W is None else jnp.einsum("kij,kj->ki", W, e)
+            trial = trial._replace(y=trial.r - e)
+        if self.dropped is None:
+            return trial
+        rows, outputs = trial.r.shape
+        if self.averaged:
+            kept = jnp.full(rows, 1 - self.dropped)
+        else:
+            drawn = jax.random.uniform(jax.random.fold_in(key, SALT + 2), (rows,))
+            kept = jnp.where(drawn >= self.dropped, 1.0, 0.0)
+        kept = kept.at[0].set(1.0)
+        return weighed(trial, jnp.broadcast_to(kept[:, None], (rows, outputs)))
+
+    def _delayed(self, y, key):
+        held = jnp.pad(y, ((self.late, 0), (0, 0)), mode="edge")
+        if self.averaged:
+            return sum(held[d : d + len(y)] for d in range(self.late + 1)) / (self.late + 1)
+        late = jax.random.randint(jax.random.fold_in(key, SALT + 3), (), 0, self.late + 1)
+        return jax.lax.dynamic_slice_in_dim(held, self.late - late, len(y))

@@ -1,0 +1,359 @@
+"""Trials that differ, against loops in NumPy that are written from the definitions."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cases import ALGEBRA, DT, case
+
+from jaxilc import Machine, PlantChange, References, Sweep, Task, Uniform, Variation, learn
+from jaxilc.filters import ZeroPhaseButterworth
+from jaxilc.learning import run_trial
+from jaxilc.learning.over_trials import truncated
+from jaxilc.plants import DifferenceEquation, StateSpace
+from jaxilc.pytree import replaced
+from jaxilc.scenarios.from_file import read_scenario
+from jaxilc.schemes import (
+    CFDLMFAILC,
+    PID,
+    Filtered,
+    KeepUnmeasured,
+    NormOptimal,
+    PIDType,
+    WithFeedback,
+)
+from jaxilc.theory import carried_radius
+from jaxilc.theory.certificates import CONVERGES, DIVERGES, MONOTONE, NOTHING, certify
+
+N, A, B, GAIN = 20, 0.7, 0.3, 0.8
+PLANT = StateSpace([[A]], [[B]], [[1.0]], dt=DT)
+TASK = Task(np.sin(np.arange(N + 1) / 3), DT)
+R = np.asarray(TASK.reference)[:, 0]
+LAW = PIDType(gamma_p=GAIN)
+
+
+def vary(**how):
+    return Machine(PLANT, variation=Variation(**how))
+
+
+def response(u, x0=0.0, a=A, b=B):
+    y = np.empty(len(u) + 1)
+    y[0] = x0
+    for k in range(len(u)):
+        y[k + 1] = a * y[k] + b * u[k]
+    return y
+
+
+def test_nothing_differs_without_a_variation_in_it():
+    plain, same = (learn(machine, LAW, TASK, 5) for machine in (Machine(PLANT), vary()))
+    np.testing.assert_array_equal(plain.rms, same.rms)
+    assert same.start is None
+
+
+def test_an_offset_is_the_same_and_scatter_another_in_each_trial():
+    history = learn(vary(offset=0.2), LAW, TASK, 4, save=lambda trial: trial.y)
+    np.testing.assert_allclose(history.saved[:, 0, 0], 0.2)
+    key = jax.random.key(3)
+    scattered = vary(scatter=0.1)
+    firsts = np.asarray(
+        learn(scattered, Filtered(LAW, ZeroPhaseButterworth(100.0)), TASK, 400, key=key,
+              save=lambda trial: trial.y[0, 0]).saved
+    )  # fmt: skip
+    assert len(np.unique(firsts)) == 400
+    assert abs(np.std(firsts) / 0.1 - 1) < 6 / np.sqrt(2 * 400)
+    again = learn(scattered, LAW, TASK, 3, key=key, first=5, save=lambda trial: trial.y[0, 0]).saved
+    np.testing.assert_allclose(again, firsts[4:7], **ALGEBRA)
+
+
+@pytest.mark.parametrize("over", [1, 4])
+def test_a_plant_jumps_or_drifts_from_a_trial_on(over):
+    after = dataclasses.replace(PLANT, B=[[0.5]])
+    machine = vary(change=PlantChange(after, first=3, over=over))
+    history = learn(machine, LAW, TASK, 8, save=lambda trial: (trial.u, trial.y))
+    for j in range(1, 9):
+        share = np.clip((j - 3 + 1) / over, 0, 1)
+        u, y = (np.asarray(x[j - 1])[:, 0] for x in history.saved)
+        np.testing.assert_allclose(y, response(u, b=B + share * 0.2), **ALGEBRA)
+    known = dataclasses.replace(machine.variation.change, before=PLANT)
+    drawn = replaced(vary(change=known), {"plant.A": [[0.6]]})
+    y = run_trial(
+        drawn, LAW, TASK, LAW.initial_memory(TASK)._replace(u=jnp.ones((N, 1))), jax.random.key(0)
+    )
+    np.testing.assert_allclose(y.y[:, 0], response(np.ones(N), a=0.6, b=0.5), **ALGEBRA)
+
+
+def test_what_was_not_measured_is_not_learned_from():
+    machine = vary(shortest=0.5)
+    history = learn(machine, LAW, TASK, 6, save=lambda trial: (trial.u, trial.y, trial.weight))
+    u, lengths = np.zeros(N), []
+    for j in range(6):
+        played, y, weight = (np.asarray(x[j]) for x in history.saved)
+        np.testing.assert_allclose(played[:, 0], u, rtol=1e-9, atol=1e-12)
+        there = weight[:, 0, 0]
+        last = int(there.sum()) - 1
+        lengths.append(last)
+        np.testing.assert_array_equal(there, np.arange(N + 1) <= last)
+        e = np.where(there > 0, R - response(u), 0.0)
+        np.testing.assert_allclose(R - y[:, 0], e, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(
+            history.rms[j, 0], np.sqrt(np.mean(e[1 : last + 1] ** 2)), rtol=1e-9
+        )
+        np.testing.assert_allclose(history.max_error[j, 0], np.max(np.abs(e[1:])), rtol=1e-9)
+        u = u + GAIN * e[1:]
+    assert min(lengths) >= N / 2
+    assert len(set(lengths)) > 2
+
+
+def test_dropped_samples_count_in_the_error_but_not_in_learning():
+    history = learn(vary(dropped=0.4), LAW, TASK, 5, save=lambda trial: (trial.u, trial.y))
+    played, y = (np.asarray(x)[..., 0] for x in history.saved)
+    e = R - y
+    np.testing.assert_allclose(history.rms[:, 0], np.sqrt(np.mean(e[:, 1:] ** 2, axis=1)))
+    learned = np.diff(played, axis=0)
+    lost = np.isclose(learned, 0, atol=1e-14)
+    np.testing.assert_allclose(learned[~lost], GAIN * e[:-1, 1:][~lost], rtol=1e-8)
+    assert 0.2 < lost.mean() < 0.6
+
+
+def test_a_late_record_is_learned_from_as_it_is():
+    history = learn(vary(late=3), LAW, TASK, 8, save=lambda trial: (trial.u, trial.y))
+    played, y = (np.asarray(x)[..., 0] for x in history.saved)
+    found = set()
+    for j in range(7):
+        e = [R - np.concatenate([np.full(d, y[j, 0]), y[j, : N + 1 - d]]) for d in range(4)]
+        off = [np.max(np.abs(played[j + 1] - played[j] - GAIN * e_d[1:])) for e_d in e]
+        found.add(int(np.argmin(off)))
+        assert min(off) < 1e-12
+    assert len(found) > 1
+
+
+def test_references_change_and_what_is_played_follows_them():
+    other = np.stack([2 * R, -R])[..., None]
+    values = np.concatenate([np.asarray(TASK.reference)[None], other])
+    history = learn(vary(references=References(values, (3, 4))), LAW, TASK, 5, save=lambda t: t.r)
+    expected = [1, 1, 2, -1, -1]
+    np.testing.assert_allclose(history.saved[..., 0], np.outer(expected, R), **ALGEBRA)
+    cycle = learn(vary(references=References(values)), LAW, TASK, 5, save=lambda trial: trial.r)
+    np.testing.assert_allclose(cycle.saved[..., 0], np.outer([1, 2, -1, 1, 2], R), **ALGEBRA)
+
+
+def test_a_carried_state_is_that_of_plant_feedback_and_actuator():
+    loop = WithFeedback(LAW, PID(kp=0.5, ki=20.0))
+    history = learn(vary(carried=1.0), loop, TASK, 3, save=lambda trial: (trial.u, trial.y))
+    # the same as one long trial: NumPy's loop goes on where the trial before has ended
+    x, integral, u_learned = 0.0, 0.0, np.zeros(N)
+    for j in range(3):
+        y, u, fed = np.empty(N + 1), np.empty(N), np.empty(N)
+        y[0] = x
+        for k in range(N):
+            e = R[k] - y[k]
+            integral += 20.0 * DT * e
+            fed[k] = 0.5 * e + integral
+            u[k] = u_learned[k] + fed[k]
+            y[k + 1] = A * y[k] + B * u[k]
+        np.testing.assert_allclose(history.saved[1][j, :, 0], y, rtol=1e-8, atol=1e-10)
+        x, u_learned = y[-1], u_learned + GAIN * (R - y)[1:]
+    half = learn(vary(carried=0.5), LAW, TASK, 3, save=lambda trial: trial.y[:, 0]).saved
+    np.testing.assert_allclose(half[1:, 0], 0.5 * half[:-1, -1], **ALGEBRA)
+    both = learn(vary(carried=1.0), loop, TASK, 2)
+    rest = learn(vary(carried=1.0), loop, TASK, 1, memory=both.memory, first=3, start=both.start)
+    np.testing.assert_allclose(rest.rms[-1], history.rms[-1], rtol=1e-9)
+    cut = truncated(vary(carried=1.0), loop, TASK, 3, 1)
+    np.testing.assert_allclose(cut.rms, history.rms, rtol=1e-9)
+
+
+@pytest.mark.parametrize("gain", [0.8, 3.0, 9.0])
+def test_repetitive_control_is_certified_by_its_whole_map(gain):
+    machine, law = vary(carried=1.0), PIDType(gamma_p=gain, leak=0.01)
+    found = carried_radius(machine, law, TASK)
+    M = np.zeros((N + 1, N + 1))  # of (u, x[0])
+    for i in range(N + 1):
+        u, x0 = np.eye(N + 1)[i, :N], np.eye(N + 1)[i, N]
+        y = response(u, x0)
+        M[:, i] = np.concatenate([0.99 * u - gain * y[1:], y[-1:]])
+    np.testing.assert_allclose(found.radius, np.max(np.abs(np.linalg.eigvals(M))), rtol=1e-6)
+    errors = np.asarray(learn(machine, law, TASK, 300).rms)[:, 0]
+    if found.claim == CONVERGES:
+        assert abs(errors[-1] - errors[-2]) < 1e-6
+    else:
+        assert found.claim == DIVERGES
+        assert errors[-1] > errors[0]
+    certificate = certify(machine, law, TASK, 3, {}, {})
+    assert certificate.claim[0] == NOTHING
+    assert "carried_radius" in certificate.reason[0]
+
+
+@pytest.mark.parametrize(
+    "how",
+    [
+        {"scatter": 0.05},
+        {"dropped": 0.3},
+        {"shortest": 0.6},
+        {"late": 1, "dropped": 0.2},
+        {"change": PlantChange(dataclasses.replace(PLANT, B=[[0.5]]), first=4, over=3)},
+    ],
+)
+def test_claims_hold_in_the_mean_over_machines_and_say_so(how):
+    machine, law = vary(**how), PIDType(gamma_p=0.6, leak=0.02)
+    certificate = certify(machine, law, TASK, 4, {}, {})
+    assert certificate.claim[0] in (MONOTONE, CONVERGES)
+    said = "from trial 6 on" if "change" in how else "in the mean over what is drawn"
+    assert said in certificate.reason[0]
+    limit = np.asarray(certificate.outlook.limit)[0]
+
+    def learned(key):
+        return learn(machine, law, TASK, 150, key=key).memory.u[:, 0]
+
+    found = np.asarray(jax.jit(jax.vmap(learned))(jax.random.split(jax.random.key(1), 200)))
+    error = 6 * found.std(0) / np.sqrt(200) + 1e-4 * np.max(np.abs(limit))
+    moving = found.mean(0)[-len(limit) :]
+    assert np.all(np.abs(moving - limit) <= error[-len(limit) :])
+
+
+def test_what_theory_cannot_say_it_does_not():
+    law = NormOptimal(PLANT, w_r=0.1)
+    for how, said in (
+        ({"dropped": 0.2}, "another law for each set of samples"),
+        ({"references": References(np.stack([R, 2 * R])[..., None])}, "changes after every trial"),
+    ):
+        found = certify(vary(**how), law, TASK, 3, {}, {})
+        assert found.claim[0] == NOTHING
+        assert said in found.reason[0]
+
+
+def test_laws_that_compare_trials_keep_what_was_not_measured():
+    law = CFDLMFAILC(phi0=0.3, lam=0.02, mu=0.05, rho=0.6, reset="sign")
+    machine = vary(dropped=0.3)
+    kept = learn(machine, KeepUnmeasured(law), TASK, 60)
+    assert float(kept.rms[-1, 0]) < 1e-3
+    whole, plain = (learn(Machine(PLANT), one, TASK, 8) for one in (KeepUnmeasured(law), law))
+    np.testing.assert_array_equal(whole.rms, plain.rms)
+
+
+def test_slopes_go_through_what_differs():
+    after = dataclasses.replace(PLANT, B=[[0.4]])
+    machine = vary(
+        offset=0.1,
+        scatter=0.05,
+        carried=0.6,
+        shortest=0.7,
+        dropped=0.1,
+        late=1,
+        change=PlantChange(after, 3, 2),
+        references=References(np.stack([R, 1.5 * R])[..., None], (3,)),
+    )
+
+    @jax.jit
+    def loss(x):
+        moved = replaced(
+            machine,
+            {
+                "variation.offset": 0.1 * x,
+                "variation.scatter": 0.05 * x,
+                "variation.carried": 0.6 * x,
+                "variation.change.after.B": jnp.array([[0.4]]) * x,
+            },
+        )
+        return jnp.sum(learn(moved, PIDType(gamma_p=0.5 * x), TASK, 5).rms)
+
+    slope = jax.grad(loss)(1.0)
+    np.testing.assert_allclose(slope, (loss(1 + 1e-6) - loss(1 - 1e-6)) / 2e-6, rtol=1e-6)
+
+
+def test_a_sweep_draws_what_differs():
+    machine = vary(scatter=0.01, change=PlantChange(PLANT, 2))
+    spread = {
+        "variation.scatter": Uniform(0.5, 2.0, relative=True),
+        "variation.change.after.B": Uniform(0.8, 1.2, relative=True),
+    }
+    dataset = Sweep(machine, {"law": LAW}, TASK, 3, spread, machines=4).run()
+    assert np.all(np.isfinite(dataset["rms"]))
+    assert len(np.unique(np.asarray(dataset["rms"])[0, :, -1])) == 4
+
+
+LAWS = ["pid_type_leaky_limited", "cfdl_book", "p_type_on_reference", "p_type_over_pid",
+        "p_type_butterworth", "error_filtered", "higher_order", "p_type_stop", "p_type_ladder",
+        "p_type_on_table", "norm_optimal", "norm_optimal_lifted", "gradient", "model_free",
+        "constrained", "estimated_disturbance", "two_step", "dilc", "milc", "basis_functions",
+        "on_basis", "warm_start", "at_samples", "asmc_carried_limited", "ilc_asmc"]  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", LAWS)
+def test_every_law_runs_where_trials_differ(name):
+    """Every law of the list runs on trials that differ, and a lost sample never reaches it."""
+    machine, scheme, task = case(name)
+    several = jnp.stack([task.reference, 0.9 * task.reference])
+    varied = Variation(
+        scatter=1e-3, carried=0.5, shortest=0.6, dropped=0.1, late=1, references=References(several)
+    )
+    machine = dataclasses.replace(machine, variation=varied)
+    history = learn(machine, scheme, task, 4)
+    assert np.all(np.isfinite(history.rms))
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: vary(carried=1.5), r"carried = 1.5 is outside"),
+        (lambda: vary(late=30).check(TASK), "late = 30 is outside"),
+        (lambda: vary(scatter=(1.0, 2.0)).check(TASK), r"needs \(\) or \(1,\)"),
+        (lambda: vary(references=References(np.ones((2, 5, 1)))).check(TASK), "this task needs"),
+        (lambda: References(np.ones((2, 5, 1)), (1,)), "rising numbers of trials from 2"),
+        (
+            lambda: vary(change=PlantChange(DifferenceEquation((A,), (B,), dt=DT), 2)).check(TASK),
+            "of the same class and shapes",
+        ),
+        (lambda: carried_radius(Machine(PLANT), LAW, TASK), "starts each trial alike"),
+    ],
+)
+def test_what_does_not_fit_is_named(make, said):
+    with pytest.raises(ValueError, match=said):
+        make()
+
+
+FILE = """
+[plant]
+kind = "state_space"
+A = [[0.7]]
+B = [[0.3]]
+C = [[1.0]]
+dt = 0.001
+
+[machine.variation]
+scatter = 0.01
+shortest = 0.8
+late = 1
+change = { first = 4, over = 2, scale = { B = 1.2 } }
+
+[[machine.variation.references]]
+first = 6
+reference = { function = "sinusoid", amplitude = 2.0, frequency = 10.0, duration = 0.1 }
+
+[task]
+dt = 0.001
+reference = { function = "sinusoid", amplitude = 1.0, frequency = 10.0, duration = 0.1 }
+
+[schemes.ilc]
+class = "KeepUnmeasured"
+scheme = { class = "PIDType", gamma_p = 0.5 }
+"""
+
+
+def test_a_plant_file_says_how_trials_differ(tmp_path):
+    file = tmp_path / "axis.toml"
+    file.write_text(FILE)
+    machine = read_scenario(file).machine
+    np.testing.assert_allclose(machine.variation.change.after.B, [[0.36]])
+    assert machine.variation.references.first == (6,)
+    for old, new, said in (
+        ("scale = { B", "scale = { D", "'D' is not a parameter"),
+        ("scatter = 0.01", "scater = 0.01", "scater"),
+        ("first = 4", "first = 0", r"first = 0 is outside"),
+        ("0, frequency = 10.0, duration = 0.1", "0, frequency = 10.0, duration = 0.2", "one l"),
+    ):  # fmt: skip
+        file.write_text(FILE.replace(old, new))
+        with pytest.raises(ValueError, match=said):
+            read_scenario(file)

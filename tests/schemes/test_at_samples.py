@@ -1,0 +1,207 @@
+"""Point-to-point learning, against lifted matrices in NumPy."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cases import ALGEBRA, DT
+
+from jaxilc import Machine, Task, learn
+from jaxilc.learning.counted_metrics import counted_metrics
+from jaxilc.plants import StateSpace
+from jaxilc.scenarios.from_file import read_scenario
+from jaxilc.schemes import (
+    AtSamples,
+    BasisFunctions,
+    ConstrainedNormOptimal,
+    EstimatedDisturbance,
+    GradientILC,
+    NormOptimal,
+    PIDType,
+    PolynomialBasis,
+    TwoStep,
+    with_jerk,
+)
+from jaxilc.signals.task import Trial
+from jaxilc.theory.certificates import NOTHING, certify
+
+N = 24
+MODEL = StateSpace([[0.88, 0.12], [-0.15, 0.8]], [[0.02], [0.09]], [[1.0, 0.4]], dt=DT)
+REAL = dataclasses.replace(MODEL, A=[[0.86, 0.1], [-0.15, 0.82]])
+POINTS = (8, 15, 24)
+WEIGHT = np.isin(np.arange(N + 1), POINTS).astype(float)
+TASK = Task(np.where(WEIGHT > 0, np.arange(N + 1) / N, 0.0), DT)  # zero where nothing is asked
+
+
+def lifted(model, row=0):
+    A, B, C = (np.asarray(M) for M in (model.A, model.B, model.C))
+    h = [(C @ np.linalg.matrix_power(A, k) @ B)[row, 0] for k in range(N)]
+    return np.array([[h[i - k] if i >= k else 0.0 for k in range(N)] for i in range(N)])
+
+
+def test_norm_optimal_learning_comes_to_the_points_with_the_least_effort():
+    scheme = AtSamples(NormOptimal(MODEL, w_r=1e-4), weight=WEIGHT)
+    history = learn(Machine(REAL), scheme, TASK, 60)
+    G = lifted(REAL)[np.array(POINTS) - 1]
+    H = lifted(MODEL)[np.array(POINTS) - 1]
+    r = np.asarray(TASK.reference)[list(POINTS), 0]
+    # u = H' a with G u = r: the input of the space in which the law learns
+    expected = H.T @ np.linalg.solve(G @ H.T, r)
+    np.testing.assert_allclose(history.memory.u[:, 0], expected, rtol=1e-6, atol=1e-9)
+    exact = learn(Machine(MODEL), scheme, TASK, 60).memory.u[:, 0]
+    np.testing.assert_allclose(exact, np.linalg.pinv(H) @ r, rtol=1e-6, atol=1e-9)
+
+
+def test_the_jerk_of_the_motion_is_part_of_the_cost():
+    times, w_s = 2e-3, 1e-5
+    scheme = AtSamples(NormOptimal(with_jerk(MODEL), w_s=w_s), weight=WEIGHT, jerk_time=times)
+    history = learn(Machine(MODEL), scheme, TASK, 2)
+    H, P = lifted(MODEL), np.diag(WEIGHT[1:])
+    third = np.eye(N) - 3 * np.eye(N, k=-1) + 3 * np.eye(N, k=-2) - np.eye(N, k=-3)
+    J = (times / DT) ** 3 * third @ H
+    r = np.asarray(TASK.reference)[1:, 0]
+    cost = H.T @ P @ H + J.T @ J + w_s * np.eye(N)
+    np.testing.assert_allclose(
+        history.memory.u[:, 0], np.linalg.solve(cost, H.T @ P @ r), rtol=1e-6, atol=1e-8
+    )
+    np.testing.assert_allclose(lifted(with_jerk(MODEL), 1), third @ H / DT**3, rtol=1e-6, atol=1)
+
+
+LAWS = {
+    "norm_optimal": NormOptimal(MODEL, w_r=0.01),
+    "gradient": GradientILC(MODEL),
+    "constrained": ConstrainedNormOptimal(MODEL, w_r=0.01, limit=50.0),
+    "two_step": TwoStep(MODEL, w_y=1e4, w_alpha=1e-3, w_change=1e-3, w_q=1e4, w_r=1e-3),
+    "estimated": EstimatedDisturbance(
+        NormOptimal(MODEL, w_r=0.01), process_std=1.0, measurement_std=0.1
+    ),
+    "basis": BasisFunctions(PolynomialBasis((0, 1)), MODEL),
+    "p_type": PIDType(gamma_p=2.0, lead=1),
+}
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_what_is_free_is_not_learned_from(name):
+    """The references differ where nothing counts, by far more than at the points."""
+    scheme = AtSamples(LAWS[name], weight=WEIGHT)
+    free = TASK.reference + np.where(WEIGHT > 0, 0.0, 7.0)[:, None]
+    if name == "basis":  # its functions follow the reference
+        free = TASK.reference
+    y, u = np.linspace(0, 0.7, N + 1)[:, None], np.linspace(1, 0, N)[:, None]
+
+    @jax.jit
+    def learned(r):
+        memory = scheme.initial_memory(TASK)
+        return scheme.feedforward(scheme.learn(memory, Trial(r, y, u, DT)), TASK)
+
+    one, other = (np.asarray(learned(jnp.asarray(r))) for r in (TASK.reference, free))
+    np.testing.assert_allclose(one, other, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["gradient", "constrained", "two_step", "estimated"])
+def test_every_law_with_a_model_comes_to_the_points(name):
+    history = learn(
+        Machine(REAL),
+        AtSamples(LAWS[name], weight=WEIGHT),
+        TASK,
+        12,
+        save=counted_metrics(TASK, tuple((k * DT, k * DT) for k in POINTS))["counted_max"],
+    )
+    assert history.saved[-1] < 0.05 * history.saved[0]
+
+
+def test_waypoints_are_a_batch():
+    heights = np.array([0.5, 1.0, -2.0])
+    at = np.array([WEIGHT, np.roll(WEIGHT, -2), np.roll(WEIGHT, -5)])
+
+    def errors(height, weight):
+        task = dataclasses.replace(TASK, reference=height * weight)
+        scheme = AtSamples(NormOptimal(MODEL, w_r=1e-3), weight=weight)
+        e = learn(Machine(MODEL), scheme, task, 10).final.e[:, 0]
+        return jnp.max(jnp.abs(e * weight))
+
+    found = jax.jit(jax.vmap(errors))(heights, at)
+    assert np.all(np.asarray(found) < 1e-3 * np.abs(heights))
+
+
+def test_windows_are_the_weights_of_their_samples():
+    by_window = AtSamples(
+        PIDType(gamma_p=1.0), windows=(8 * DT, (15 * DT, 15 * DT), (0.024, 0.024))
+    )
+    one, other = (
+        learn(Machine(REAL), scheme, TASK, 3).rms
+        for scheme in (by_window, AtSamples(PIDType(gamma_p=1.0), weight=WEIGHT))
+    )
+    np.testing.assert_allclose(one, other, **ALGEBRA)
+    metrics = counted_metrics(TASK, ((8 * DT, 9 * DT), (0.024, 0.024)))
+    e = np.random.default_rng(1).standard_normal((N + 1, 1))
+    trial = Trial(jnp.asarray(e), jnp.zeros((N + 1, 1)), jnp.zeros((N, 1)), DT)
+    np.testing.assert_allclose(metrics["counted_max"](trial), np.abs(e[[8, 9, 24]]).max())
+    np.testing.assert_allclose(
+        metrics["counted_rms"](trial), np.sqrt(np.mean(e[[8, 9, 24]] ** 2)), rtol=1e-12
+    )
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: AtSamples(PIDType()), "allowed is one of them"),
+        (lambda: AtSamples(PIDType(), windows=((2, 1),)), "start <= stop"),
+        (lambda: AtSamples(PIDType(), windows=(9.0,)).check(TASK), "not a window within"),
+        (lambda: AtSamples(PIDType(), weight=np.ones(5)).check(TASK), "this task needs"),
+        (lambda: AtSamples(PIDType(), weight=np.zeros(N + 1)).check(TASK), "zero at all samples"),
+        (
+            lambda: AtSamples(
+                ConstrainedNormOptimal(MODEL, w_r=1.0, y_high=2.0), weight=WEIGHT
+            ).check(TASK),
+            "bounds the output by y_high",
+        ),
+        (lambda: with_jerk(StateSpace([[-1.0]], [[1.0]], [[1.0]])), "in discrete time"),
+        (
+            lambda: AtSamples(PIDType(), weight=WEIGHT, jerk_time=1e-3).check(TASK),
+            "as many inputs as outputs",
+        ),
+    ],
+)
+def test_what_does_not_fit_is_named(make, said):
+    with pytest.raises(ValueError, match=said):
+        make()
+
+
+def test_theory_certifies_what_is_linear():
+    scheme = AtSamples(NormOptimal(MODEL, w_r=0.01, w_s=1e-3), weight=WEIGHT)
+    found = certify(Machine(REAL), scheme, TASK, 5, {}, {})
+    assert found.claim[0] != NOTHING
+    assert found.broken_promises().size == 0
+    np.testing.assert_allclose(found.predicted, found.simulated, rtol=1e-6)
+
+
+def test_a_plant_file_has_points(tmp_path):
+    file = tmp_path / "points.toml"
+    file.write_text("""
+[plant]
+kind = "transfer_function"
+num = [4000.0]
+den = [1.0, 80.0, 4000.0]
+
+[task]
+dt = 0.001
+windows = [0.05, [0.09, 0.1]]
+reference = { function = "sinusoid", amplitude = 1.0, frequency = 10.0, duration = 0.1 }
+
+[schemes.points]
+class = "AtSamples"
+windows = [0.05, [0.09, 0.1]]
+jerk_time = 0.002
+scheme = { class = "NormOptimal", model = { function = "with_jerk", P = "plant" }, w_r = 1e-3 }
+""")
+    scenario = read_scenario(file)
+    assert scenario.judged_by == "counted_max"
+    assert set(scenario.quantities) == {"counted_max", "counted_rms"}
+    file.write_text(
+        file.read_text().replace("windows = [0.05, [0.09, 0.1]]\nref", "windows = [[2, 3]]\nref")
+    )
+    with pytest.raises(ValueError, match="not a window within"):
+        read_scenario(file)
