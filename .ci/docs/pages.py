@@ -19,6 +19,7 @@ PAGES = {  # file of the repository: page
     ".ci/docs/guide/command_line.md": "guide/command_line.html",
     ".ci/docs/guide/library.md": "guide/library.html",
     ".ci/docs/guide/paths.md": "guide/paths.html",
+    ".ci/docs/guide/differing.md": "guide/differing.html",
     ".ci/docs/guide/contents.md": "guide/contents.html",
     ".ci/docs/guide/many_hosts.md": "guide/many_hosts.html",
     ".ci/docs/guide/papers.md": "guide/papers.html",

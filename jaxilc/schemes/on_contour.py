@@ -5,7 +5,6 @@ from __future__ import annotations
 import jax.numpy as jnp
 
 from ..pytree.fields import Leaf, child, leaf, pytree, static
-from ..pytree.ranges import require
 from ..signals.contour import to_the_path
 from ..signals.task import Task, Trial
 from .scheme import Scheme
@@ -55,7 +54,6 @@ class OnContour(Wrapper):
                 f"OnContour: the task has {task.outputs} outputs; allowed are the two or three "
                 "axes of a path"
             )
-        require("OnContour", "window", self.window, f"[1, {task.N}]", whole=True)
         super().check(task)
 
     def shown(self, trial: Trial) -> dict[str, Trial]:

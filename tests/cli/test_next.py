@@ -225,3 +225,20 @@ def test_what_is_not_the_input_of_the_plant_is_not_fitted(copied, tmp_path):
         call("identify", tmp_path / "t.csv", "--state", tmp_path / "loop")
     with pytest.raises(ValueError, match="RECORD is missing"):
         call("identify")
+
+
+def test_a_trial_that_ended_early_is_learned_from_as_far_as_it_goes(copied):
+    folder, go_on = copied
+    before = np.genfromtxt(folder / "next.csv", delimiter=",", skip_header=1)[:, 2]
+    path, _ = measure(folder, 3, 1.02)
+    lines = path.read_text().splitlines()
+    rows = len(lines) - 1
+    kept = rows // 2  # of the samples of the output
+    path.write_text("\n".join(lines[: kept + 1]) + "\n")
+    with pytest.raises(ValueError, match="--short-trial accepts fewer"):
+        go_on("--measured", path)
+    said = " ".join(go_on("--measured", path, "--short-trial"))
+    assert f"the trial ended after {kept - 1} of {rows - 1} samples" in " ".join(said.split())
+    after = np.genfromtxt(folder / "next.csv", delimiter=",", skip_header=1)[:, 2]
+    np.testing.assert_allclose(after[kept:], before[kept:], rtol=1e-9)
+    assert np.max(np.abs(after[: kept - 2] - before[: kept - 2])) > 0

@@ -120,7 +120,7 @@ def test_theory_reads_the_law_and_a_plant_file_names_it():
     ("make", "said"),
     [
         (lambda: OnContour(PIDType()).check(Task(np.ones(9), DT)), "has 1 outputs"),
-        (lambda: OnContour(PIDType(), window=99).check(TASK), "window = 99 is outside"),
+        (lambda: OnContour(PIDType(), window=0), "window = 0 is outside"),
         (lambda: OnContour(PIDType(), own=(1.0, 2.0)), "allowed is one number"),
         (lambda: OnContour(PIDType(), estimate="far"), "is not one of 'normal', 'nearest'"),
     ],
