@@ -104,7 +104,8 @@ ax.legend()
 # %%
 without_model = OnBasis(PIDType(gamma_p=0.3, lead=2), basis)
 learned = learn(machine, without_model, first, 40)
-moved = learn(machine, without_model, second, 1, memory=learned.memory)
+taken = WarmStart(without_model, basis, learned.memory.theta)  # to a trial of another length
+moved = learn(machine, taken, second, 1)
 theta = fitted(basis, anew.memory.u, second.reference, DT)
 warm = learn(machine, WarmStart(sample_wise, basis, theta), first, 1)
 print(f"P-type on the basis, first trial of the new motion: {um * moved.rms[0, 0]:.2f} um")

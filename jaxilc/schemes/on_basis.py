@@ -38,7 +38,8 @@ class OnBasis(Guard):
         u_{j+1} = Psi(r_{j+1}) theta_{j+1}
 
     The law learns sample by sample, and the fit keeps of it what the functions can make, so it
-    needs no model of its own. A reference that changes takes the parameters with it.
+    needs no model of its own. A reference that changes takes the parameters with it; to a trial of
+    another length `WarmStart` takes them.
 
     scheme: a scheme whose schedule has a field `u`, which it learns from the input of the last
         trial; if it has a `limit`, the input is also limited
