@@ -26,11 +26,12 @@ def against_prediction(
 ) -> tuple[str, list[Finding]]:
     """The sentence on what was predicted for a trial, and a finding where it lies outside.
 
-    prediction: prediction of the campaign, None without one; both are then empty
+    prediction: prediction of the campaign, None without one; both are then empty, as they are for a
+        trial that ended early, whose error is that of a part
     """
     from ..hardware.prediction import next_step
 
-    if prediction is None:
+    if prediction is None or turn.record.weight is not None:
         return "", []
     live, unit = now.journal.live(), now.task.unit
     place = _place(prediction, next_step(live), turn.metrics)

@@ -32,7 +32,8 @@ class CampaignRecord(NamedTuple):
 def record_of(campaign: Campaign, machine: Machine) -> CampaignRecord:
     """The input and the output of all trials of a campaign that were not undone.
 
-    Of many trials some are taken, spread evenly from the first one to the last one.
+    Of many trials some are taken, spread evenly from the first one to the last one. Trials that
+    ended early are left out.
 
     machine: machine of the campaign's plant file
     Raises ValueError where there are no trials, and where the recorded u is not what acted on the
@@ -61,7 +62,11 @@ def record_of(campaign: Campaign, machine: Machine) -> CampaignRecord:
         taken = np.unique(np.linspace(0, len(live) - 1, most).round().astype(int))
     else:
         taken = np.arange(len(live))
-    found = [journal.arrays(live[i], TRIAL) for i in taken]
+    read = {i: journal.arrays(live[i], TRIAL) for i in taken}
+    taken = [i for i in taken if "weight" not in read[i]]  # whole trials only
+    if not taken:
+        raise ValueError(f"each trial of {journal.path} ended early; there is nothing to fit")
+    found = [read[i] for i in taken]
     record = Record(
         np.concatenate([trial["u"] for trial in found]),
         np.concatenate([trial["y"] for trial in found]),

@@ -26,7 +26,7 @@ from . import checks
 from .checks import Finding, Rules
 from .journal import BACK, METRICS, Journal
 from .named_arrays import arrays_of, not_a_number, shapes_of
-from .short_trials import completed, ended
+from .short_trials import completed, ended, stored
 from .trial_files import Measured
 from .turn import Turn, hash_of, is_same_trial, known_as, learned, metrics_of, of_the_next, refuse
 
@@ -232,7 +232,8 @@ class Campaign:
         live: the manifests of the trials before
         """
         findings, unit = [], self.task.unit
-        if len(live) > 1 and live[-1]["hashes"].get("played") == played:
+        whole = record.weight is None
+        if whole and len(live) > 1 and live[-1]["hashes"].get("played") == played:
             last_y = self.journal.arrays(live[-1], TRIAL)["y"]
             findings += checks.repeated(record, last_y, self.rules, unit)
         errors = checks.comparable(self.scheme, self.task, live)
@@ -251,12 +252,9 @@ class Campaign:
         plain = ("trial", "learned", "source", "input", "hashes")
         manifest = {name: getattr(turn, name) for name in plain} | {METRICS: turn.metrics}
         manifest["findings"] = turn.findings
-        record = {"y": turn.record.y, "u": turn.record.u} | {
-            f"signals {name}": s for name, s in turn.record.signals.items()
-        }
         self._append(
             {"event": "trial", "parent": parent["serial"], **manifest},
-            {MEMORY: arrays_of(turn.memory), TRIAL: record},
+            {MEMORY: arrays_of(turn.memory), TRIAL: stored(turn.record)},
         )
 
     def undo(self, trial: int) -> None:

@@ -77,3 +77,14 @@ def ended(record: Trial, measured: Measured) -> tuple[Trial, list[Finding]]:
         "and is played as it was"
     )
     return shown, [Finding("note", text)]
+
+
+def stored(record: Trial) -> dict[str, Any]:
+    """The arrays of a record as the journal keeps them; `weight` is there for one that ended early.
+
+    Such a trial is no record of the machine to its end, so no plant is fitted to it.
+    """
+    arrays = {"y": record.y, "u": record.u} | {
+        f"signals {name}": signal for name, signal in record.signals.items()
+    }
+    return arrays if record.weight is None else arrays | {"weight": record.weight}

@@ -242,3 +242,5 @@ def test_a_trial_that_ended_early_is_learned_from_as_far_as_it_goes(copied):
     after = np.genfromtxt(folder / "next.csv", delimiter=",", skip_header=1)[:, 2]
     np.testing.assert_allclose(after[kept:], before[kept:], rtol=1e-9)
     assert np.max(np.abs(after[: kept - 2] - before[: kept - 2])) > 0
+    journal = Journal(folder / "x")  # it is marked, so that no plant is fitted to it
+    assert "weight" in journal.arrays(journal.live()[-1], "trial.npz")
