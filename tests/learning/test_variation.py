@@ -188,10 +188,8 @@ def test_repetitive_control_is_certified_by_its_whole_map(gain):
 @pytest.mark.parametrize(
     "how",
     [
-        {"scatter": 0.05},
-        {"dropped": 0.3},
         {"shortest": 0.6},
-        {"late": 1, "dropped": 0.2},
+        {"scatter": 0.05, "late": 1, "dropped": 0.2},
         {"change": PlantChange(dataclasses.replace(PLANT, B=[[0.5]]), first=4, over=3)},
     ],
 )
@@ -273,11 +271,22 @@ def test_a_sweep_draws_what_differs():
     assert len(np.unique(np.asarray(dataset["rms"])[0, :, -1])) == 4
 
 
-LAWS = ["pid_type_leaky_limited", "cfdl_book", "p_type_on_reference", "p_type_over_pid",
-        "p_type_butterworth", "error_filtered", "higher_order", "p_type_stop", "p_type_ladder",
-        "p_type_on_table", "norm_optimal", "norm_optimal_lifted", "gradient", "model_free",
-        "constrained", "estimated_disturbance", "two_step", "dilc", "milc", "basis_functions",
-        "on_basis", "warm_start", "at_samples", "asmc_carried_limited", "ilc_asmc"]  # fmt: skip
+LAWS = [
+    "cfdl_book",
+    "p_type_butterworth",
+    "p_type_ladder",
+    "norm_optimal",
+    "gradient",
+    "model_free",
+    "constrained",
+    "estimated_disturbance",
+    "two_step",
+    "milc",
+    "on_basis",
+    "at_samples",
+    "on_contour",
+    "ilc_asmc",
+]
 
 
 @pytest.mark.slow
@@ -354,6 +363,6 @@ def test_a_plant_file_says_how_trials_differ(tmp_path):
         ("first = 4", "first = 0", r"first = 0 is outside"),
         ("0, frequency = 10.0, duration = 0.1", "0, frequency = 10.0, duration = 0.2", "one l"),
     ):  # fmt: skip
-        file.write_text(FILE.replace(old, new))
+        file.write_text(FILE.replace(old, new, 1))
         with pytest.raises(ValueError, match=said):
             read_scenario(file)
