@@ -38,7 +38,7 @@ FIGURES = {
 }
 
 
-def test_the_eleven_are_there():
+def test_all_are_there():
     assert [path.name[:2] for path in NOTEBOOKS] == sorted(FIGURES)
 
 
