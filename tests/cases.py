@@ -43,6 +43,7 @@ from jaxilc.schemes import (
     AtSamples,
     BasisFunctions,
     ConstrainedNormOptimal,
+    CrossCoupled,
     ErrorFiltered,
     EstimatedDisturbance,
     ExponentialPD,
@@ -56,7 +57,6 @@ from jaxilc.schemes import (
     MultivariableILC,
     NormOptimal,
     OnBasis,
-    OnContour,
     OnOutputs,
     OnReference,
     PIDType,
@@ -253,6 +253,7 @@ SCHEMES = {
         PIDType(gamma_p=-0.3, lead=1), repeats=1, growth_of_gain=1.2, largest=1.3, slow=0.5
     ),
     "p_type_on_table": OnOutputs(PIDType(gamma_p=0.5, lead=1), (1,)),
+    "cross_coupled": CrossCoupled(PIDType(gamma_p=0.8), contour=1.5, own=0.4),
     "norm_optimal": NormOptimal(
         StateSpace(
             [[0.94, 0.03], [0.01, 0.9]],
@@ -383,23 +384,6 @@ SCHEMES = {
         jerk_time=5e-4,
     ),
     "at_samples_p_type": AtSamples(PIDType(gamma_p=-1.0, lead=2), windows=((3e-3, 6e-3), 9e-3)),
-    "on_contour": OnContour(
-        NormOptimal(
-            StateSpace(
-                [[0.94, 0.03], [0.01, 0.9]],
-                [[0.06, 0.01], [-0.02, 0.07]],
-                [[1.0, 0.05], [0.25, 1.0]],
-                dt=DT,
-            ),
-            w_r=0.02,
-            w_s=0.001,
-        ),
-        own=0.4,
-        contour=1.1,
-    ),
-    "on_contour_nearest": OnContour(
-        PIDType(gamma_p=0.5, lead=1), own=0.7, estimate="nearest", window=4
-    ),
     "keep_unmeasured": KeepUnmeasured(PIDType(gamma_p=-1.0)),
     "smc": SMC(**_SLIDING, eta=4e3, tau=5e-4),
     "smc_hold_limited": SMC(**_SLIDING, eta=4e3, tau=5e-4, limit=0.6, centre="hold"),
@@ -415,6 +399,7 @@ SCHEMES = {
 _PLANT_OF = {
     "p_type_on_table": "motor_and_table",
     "norm_optimal": "mimo",
+    "cross_coupled": "mimo",
     "norm_optimal_lifted": "discrete",
     "constrained": "discrete",
     "gradient": "discrete",
@@ -424,8 +409,6 @@ _PLANT_OF = {
     "basis_functions": "mimo",
     "basis_gradient": "discrete",
     "at_samples": "discrete",
-    "on_contour": "mimo",
-    "on_contour_nearest": "mimo",
     "basis_rational": "discrete",
     "dilc": "motor_and_table",
     "milc": "motor_and_table",
@@ -438,8 +421,7 @@ _SCHEME_OF = {
 }
 _FEW = {
     "at_samples",
-    "on_contour",
-    "on_contour_nearest",
+    "cross_coupled",
     "norm_optimal",
     "norm_optimal_lifted",
     "constrained",

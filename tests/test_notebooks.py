@@ -35,11 +35,12 @@ FIGURES = {
     "10": 3,
     "11": 1,
     "13": 1,
+    "14": 1,
     "15": 1,
 }
 
 
-def test_the_eleven_are_there():
+def test_all_are_there():
     assert [path.name[:2] for path in NOTEBOOKS] == sorted(FIGURES)
 
 

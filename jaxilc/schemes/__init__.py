@@ -5,6 +5,7 @@ from .bases import Basis, GivenBasis, PolynomialBasis, SelectedBasis
 from .basis_functions import BasisFunctions, fitted
 from .compose import ErrorFiltered, Filtered, OnOutputs, WithFeedback
 from .constrained_norm_optimal import ConstrainedNormOptimal
+from .cross_coupled import CrossCoupled
 from .estimated_disturbance import EstimatedDisturbance
 from .exponential import ExponentialPD
 from .gradient import GradientILC
@@ -18,7 +19,6 @@ from .model_free_gradient import ModelFreeGradient
 from .multivariable import MultivariableILC
 from .norm_optimal import NormOptimal
 from .on_basis import OnBasis
-from .on_contour import OnContour
 from .on_reference import OnReference
 from .pid import PID
 from .pid_type import PIDType
@@ -44,6 +44,7 @@ __all__ = [
     "Basis",
     "BasisFunctions",
     "ConstrainedNormOptimal",
+    "CrossCoupled",
     "ErrorFiltered",
     "EstimatedDisturbance",
     "ExponentialPD",
@@ -59,7 +60,6 @@ __all__ = [
     "MultivariableILC",
     "NormOptimal",
     "OnBasis",
-    "OnContour",
     "OnOutputs",
     "OnReference",
     "PIDType",

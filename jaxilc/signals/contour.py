@@ -61,27 +61,14 @@ def contour_error(y, path, *, window: int, closed: bool | None = None) -> jax.Ar
     return _contour_error(jnp.asarray(y), jnp.asarray(path), int(window), closed)
 
 
-def to_the_path(y, path, *, window: int) -> jax.Array:
-    """(M, d) the vectors from measured points to the nearest places of a path.
-
-    Their lengths are the sizes of `contour_error`, which says what the arguments are.
-    """
-    return -_to_nearest(jnp.asarray(y), jnp.asarray(path), int(window), None)[0]
-
-
-def _to_nearest(y, path, window, closed):
-    """The vectors from the nearest places, whether these lie inside a chord, and the chords."""
+@partial(jax.jit, static_argnums=(2, 3))
+def _contour_error(y, path, window, closed):
     round_it = _meet(path) if closed is None else jnp.asarray(closed)
     # Which chord is the nearest one is a choice, and has no derivative.
     search = _nearest_of_as_many if len(y) == len(path) > 2 * window else _nearest
     i = search(*lax.stop_gradient((y, path)), window, round_it)
     start, step = path[:-1][i], (path[1:] - path[:-1])[i]
-    return *_away(y, start, step), step
-
-
-@partial(jax.jit, static_argnums=(2, 3))
-def _contour_error(y, path, window, closed):
-    apart, inside, squared, step = _to_nearest(y, path, window, closed)
+    apart, inside, squared = _away(y, start, step)
     distance = _length(apart)
     if y.shape[1] > 2:
         return distance

@@ -77,7 +77,7 @@ CONTRACTING += (
     "warm_start",
     "at_samples",
 )
-CONTRACTING += ("warm_start", "at_samples", "on_contour", "keep_unmeasured")
+CONTRACTING += ("warm_start", "at_samples", "keep_unmeasured")
 CONTRACTING += ("p_type_on_table", "norm_optimal", "estimated_disturbance", "milc", "ilc_asmc")
 
 

@@ -284,7 +284,7 @@ LAWS = [
     "milc",
     "on_basis",
     "at_samples",
-    "on_contour",
+    "cross_coupled",
     "ilc_asmc",
 ]
 

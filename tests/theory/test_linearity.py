@@ -56,7 +56,6 @@ NOT_LINEAR = {  # the reason, for those plants and schemes of cases.py that lear
     "ball_screw_real": "answers its input by",
     "two_step": "answers its input by",
     "basis_rational": "learns by",
-    "on_contour_nearest": "learns by",
     "pendulum": "answers its input by",
 } | {
     name: "learns by"
