@@ -31,7 +31,7 @@ SCENARIOS: dict[str, Callable[..., Scenario]] = {
 
 # For a paper with several readings, the value of the option `reading` by which `reproduce` judges
 # it; the experiment that compares the readings is named in the module of the scenario.
-TAKEN = {"cao-2019": "stroke"}
+TAKEN = {"cao-2019": "stroke", "cao-2019-rig": "within-samples"}
 
 
 def with_reading(name: str, reading: str | None) -> dict[str, str]:
