@@ -281,20 +281,26 @@ FREE = {  # how many numbers were fitted to print, by scenario and scheme; for l
         "model-free": {0},
         "constrained": {0},
     },
-    "li-2020": {"feedback": {3}, "feedforward": {4}, "p-type": {4, 5}, "fixed-filter": {5}},
+    "li-2020": {
+        "feedback": {3, 5},
+        "feedforward": {4},
+        "p-type": {4, 5},
+        "fixed-filter": {5},
+        "switchable": {5},
+    },
     "milc-2024": {"dilc": {3}, "milc": {3}},
     "pendulum": {"two-step": {0}, "two-step-limited": {0}},
     "xu-2024": {"pid": {6}, "smc": {6}, "asmc": {6}, "ilc-asmc": {7}},
 }
 AMONG = {
-    "cao-2019": 11,
+    "cao-2019": 9,
     "cao-2019-rig": 4,
     "dai-2014": 2,
     "double-mass": 0,
     "li-2020": 6,
     "milc-2024": 3,
     "pendulum": 0,
-    "xu-2024": 7,
+    "xu-2024": 11,
 }
 
 
