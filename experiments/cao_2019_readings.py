@@ -229,9 +229,13 @@ def main(names: list[str]) -> None:
         found, rows, printed = search_of()
         fitted = [j in FITTED.get(name, ()) and of is None for j, of in rows]
         tables[name] = search(name, found, printed, fitted)
-        output.write_rows(folder / f"{name}.csv", tables[name][:20])
-    print("all schemes together:")
-    output.write_rows(folder / "together.csv", as_a_whole(tables)[:12])
+        output.write_rows(folder / f"{name}.csv", tables[name][:12])
+    print("all schemes together, the best of each motion:")
+    together = as_a_whole(tables)
+    output.write_rows(
+        folder / "together.csv",
+        [next(row for row in together if row["motion"] == motion) for motion in MOTIONS],
+    )
 
 
 if __name__ == "__main__":

@@ -1,15 +1,15 @@
 """Xu 2024: a search over the readings of ILC-ASMC, for its rows without and with the load of 1 N.
 
-    dead zone  epsilon of ASMC, not printed: 0.01 to 0.2 µm
-    stiffness  of the tool, not printed: 0.5 to 4 N/µm; only a1 = k_f / m is. The load moves a stiff
+    dead zone  epsilon of ASMC, not printed: 0.02 to 0.25 µm
+    stiffness  of the tool, not printed: 1 or 2 N/µm; only a1 = k_f / m is. The load moves a stiff
                tool less, and adds less to its mass
     load       a constant force, a weight of 1 N (force and mass), or the mass alone
     memory     learning begins anew under the load, or goes on from the ten trials without it
     gain       whether eta_hat begins each trial anew, as the proof needs, or is carried on
     trial      10, or 11 where the first is counted as 0
-    lam0       growth of the learning gain, not printed: 0 or 1 1/s
+    lam0       growth of the learning gain, not printed but as positive: 0.01, 0.2 or 1 1/s
     window     errors from 0.05, 0.1 or 0.25 s on
-    share      of the inverse that is learned in a trial, free: 10 values
+    share      of the inverse that is learned in a trial, free: 15 values
 
 The six numbers of `FITTED` stay as they are; they were fitted to PID, SMC and ASMC without load.
 Share, dead zone and stiffness are fitted to the largest errors of ILC-ASMC without load and of ASMC
@@ -26,17 +26,18 @@ from reading_search import Reading, search
 
 import jaxilc
 from jaxilc import Machine
-from jaxilc.scenarios.xu_2024 import DT, FITTED, MODEL, TABLE_1, TABLE_2, servo
+from jaxilc.scenarios.xu_2024 import DT, MODEL, servo
+from jaxilc.scenarios.xu_2024_printed import FITTED, TABLE_1, TABLE_2
 from jaxilc.schemes import ASMC, ExponentialPD, WithFeedback
 
 jaxilc.setup()
 S = jaxilc.scenarios.load("xu-2024")
 WINDOWS = {"0.1 s": 0.1, "0.05 s": 0.05, "0.25 s": 0.25}
 TRIALS = {"10": 9, "11": 10}
-SHARES = np.round(np.geomspace(0.25, 2.0, 10), 4)
-ZONES = (0.01, 0.02, 0.05, 0.1, 0.2)  # [µm]
-STIFF = (0.5, 1.0, 2.0, 4.0)  # [N/µm]
-GROWTH = (0.0, 1.0)  # [1/s]
+SHARES = np.round(np.linspace(0.4, 1.8, 15), 2)
+ZONES = (0.02, 0.06, 0.12, 0.2, 0.25)  # [µm]
+STIFF = (1.0, 2.0)  # [N/µm]
+GROWTH = (0.01, 0.2, 1.0)  # [1/s]
 WEIGHT = 1.0 / 9.81  # [kg]
 LOADS = {"force": (1.0, 0.0), "weight": (1.0, 1.0), "mass": (0.0, 1.0)}
 ROWS = {  # scheme, load: max, RMS [nm]
@@ -47,6 +48,7 @@ ROWS = {  # scheme, load: max, RMS [nm]
 }
 PRINTED = np.ravel(list(ROWS.values()))
 FITTED_ROWS = [True, False, True, False, True, False, False, False]
+# "10 iterations" may be those after the first trial; only the mass, and what is carried on, depart.
 DEPARTS = {("load", "mass"), ("gain", "carried"), ("trial", "11"), ("memory", "goes on")}
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import output
 
 import jaxilc
-from jaxilc.scenarios.xu_2024 import FITTED, TABLE_1, TABLE_2
+from jaxilc.scenarios.xu_2024_printed import FITTED, TABLE_1, TABLE_2
 from jaxilc.theory import contraction, sliding
 
 jaxilc.setup()

@@ -31,7 +31,11 @@ SCENARIOS: dict[str, Callable[..., Scenario]] = {
 
 # For a paper with several readings, the value of the option `reading` by which `reproduce` judges
 # it; the experiment that compares the readings is named in the module of the scenario.
-TAKEN = {"cao-2019": "stroke", "cao-2019-rig": "within-samples"}
+TAKEN = {
+    "cao-2019": "stroke",
+    "cao-2019-rig": "within-samples",
+    "xu-2024": "ten-iterations",
+}
 
 
 def with_reading(name: str, reading: str | None) -> dict[str, str]:

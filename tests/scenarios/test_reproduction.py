@@ -290,7 +290,7 @@ FREE = {  # how many numbers were fitted to print, by scenario and scheme; for l
     },
     "milc-2024": {"dilc": {3}, "milc": {3}},
     "pendulum": {"two-step": {0}, "two-step-limited": {0}},
-    "xu-2024": {"pid": {6}, "smc": {6}, "asmc": {6}, "ilc-asmc": {7}},
+    "xu-2024": {"pid": {6}, "smc": {6}, "asmc": {6, 9}, "ilc-asmc": {9}},
 }
 AMONG = {
     "cao-2019": 9,
@@ -300,7 +300,7 @@ AMONG = {
     "li-2020": 6,
     "milc-2024": 3,
     "pendulum": 0,
-    "xu-2024": 11,
+    "xu-2024": 12,
 }
 
 
@@ -463,6 +463,7 @@ def test_rows_of_a_made_up_scenario(made_up):
     [
         ("cao-2019", ("amplitude", "stroke")),
         ("cao-2019-rig", ("over-trials", "within-samples")),
+        ("xu-2024", ("ten-trials", "ten-iterations")),
     ],
 )
 def test_each_reading_has_the_same_printed_numbers(name, readings):
