@@ -17,7 +17,7 @@ from jaxilc.scenarios.xu_2024_printed import READINGS, TABLE_1, TABLE_2
 jaxilc.setup()
 folder = output.folder(__file__)
 s = jaxilc.scenarios.load("xu-2024")
-ROWS, OF = ("pid", "smc", "asmc"), READINGS["ten-trials"]
+ROWS, OF = ("pid", "smc", "asmc"), READINGS["small-gain"]
 # A k_n below 1000 fits a little better, but the loop then has no margin for 20 % more gain, which
 # hysteresis alone may cause.
 RANGES = {

@@ -20,7 +20,7 @@ VERDICTS = {
     "shape": (COLOURS[5], "^"),
     "open": (COLOURS[1], "X"),
 }
-BEYOND = 1e4  # ratio beyond which a row is drawn at the border
+BEYOND = 10.0  # ratio beyond which a row is drawn at the border, likewise below 1 / BEYOND
 
 
 def reproduction_figures(numbers: Sequence[Mapping[str, Any]]) -> list[tuple[str, Axes]]:
@@ -40,9 +40,10 @@ def printed_and_ours(
 ) -> np.ndarray:
     """The numbers of a paper and ours, row by row; two axes with a common list of rows.
 
-    Left are the two numbers, printed as an open circle and ours as a filled mark, each in the unit
-    that its row names. Right is ours divided by printed, with the bands in which a row is `met`
-    and in which it may be in `shape`. Rows to which a number was fitted are written in italics.
+    Left are the two numbers, printed as an open circle (a bound as an open triangle) and ours as a
+    filled mark, each in the unit that its row names. Right is ours divided by printed, with the
+    bands in which a row is `met` and in which it may be in `shape`. Rows to which a number was
+    fitted are written in italics.
 
     rows: rows of `reproduction.reproduce` of one scenario, as dictionaries
     """
@@ -55,11 +56,14 @@ def printed_and_ours(
     printed = np.array([row["value"] for row in rows], float)
     ours = np.array([row["ours"] for row in rows], float)
     ratio = np.array([row["ratio"] for row in rows], float)
-    drawn = np.where(np.isfinite(ratio) & (ratio > 0), ratio, BEYOND).clip(1 / BEYOND, BEYOND)
+    bound = np.array([row["at_most"] for row in rows])
+    drawn = np.nan_to_num(ratio, nan=BEYOND, posinf=BEYOND).clip(1 / BEYOND, BEYOND)
     right.axvspan(1 / SHAPE, SHAPE, color="#000000", alpha=0.06, linewidth=0)
     right.axvspan(1 - MET, 1 + MET, color="#000000", alpha=0.12, linewidth=0)
     right.axvline(1.0, color="k", linewidth=0.8)
-    left.plot(printed, at, "o", mfc="none", color="k", label="printed")
+    for which, mark, name in ((~bound, "o", "printed"), (bound, "<", "printed as a bound")):
+        if which.any():
+            left.plot(printed[which], at[which], mark, mfc="none", color="k", label=name)
     for verdict, (colour, mark) in VERDICTS.items():
         which = np.array([row["verdict"] == verdict for row in rows])
         if not which.any():
@@ -70,7 +74,12 @@ def printed_and_ours(
         left.plot(ours[positive], at[positive], label=f"ours, {verdict}", **shown)
         right.plot(drawn[which], at[which], **shown)
     left.set(xscale="log", ylim=(len(rows) - 0.4, -0.6), xlabel="number, in the unit of its row")
-    right.set(xscale="log", xlabel="ours / printed", title="bands: met, shape")
+    right.set(
+        xscale="log",
+        xlabel="ours / printed",
+        xlim=(0.8 / BEYOND, 1.25 * BEYOND),
+        title="bands: met, shape",
+    )
     left.set_yticks(at, [_label(row) for row in rows], fontsize="x-small")
     for text, row in zip(left.get_yticklabels(), rows, strict=True):
         text.set_style("italic" if row["among_fitted"] else "normal")

@@ -34,7 +34,7 @@ SCENARIOS: dict[str, Callable[..., Scenario]] = {
 TAKEN = {
     "cao-2019": "stroke",
     "cao-2019-rig": "within-samples",
-    "xu-2024": "ten-iterations",
+    "xu-2024": "large-gain",
 }
 
 

@@ -463,7 +463,7 @@ def test_rows_of_a_made_up_scenario(made_up):
     [
         ("cao-2019", ("amplitude", "stroke")),
         ("cao-2019-rig", ("over-trials", "within-samples")),
-        ("xu-2024", ("ten-trials", "ten-iterations")),
+        ("xu-2024", ("small-gain", "large-gain")),
     ],
 )
 def test_each_reading_has_the_same_printed_numbers(name, readings):
