@@ -83,8 +83,8 @@ except ValueError as error:
 
 # %% [markdown]
 # A small `lam` learns fast. On this motor and motion, however, the error of every such law grows
-# again after enough trials, and a smaller `lam` makes this happen earlier. Notebook 05 explains why, and how to
-# know it beforehand.
+# again after enough trials, and a smaller `lam` makes this happen earlier. Notebook 05 explains
+# why, and how to know it beforehand.
 #
 # ## Many machines, and gradients
 #

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import groupby
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from .style import COLOURS, grid, new_axes
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 # A verdict has its colour and its mark, so that both can be distinguished in print.
 VERDICTS = {
@@ -23,7 +20,7 @@ VERDICTS = {
 BEYOND = 10.0  # ratio beyond which a row is drawn at the border, likewise below 1 / BEYOND
 
 
-def reproduction_figures(numbers: Sequence[Mapping[str, Any]]) -> list[tuple[str, Axes]]:
+def reproduction_figures(numbers: Sequence[Mapping[str, Any]]) -> list[tuple[str, np.ndarray]]:
     """One picture for each paper, as pairs of caption and axes.
 
     numbers: rows of `reproduction.reproduce`, as dictionaries

@@ -122,7 +122,8 @@ class Scenario:
         if metric == "best_trial":
             return 1.0, ""
         for ending in COMPARED:
-            if metric.endswith(ending) and self.shown(metric.removesuffix(ending)):
+            if metric.endswith(ending):
+                self.shown(metric.removesuffix(ending))  # raises where there is no such metric
                 return 1.0, "%"
         if metric in OVER_TRIALS:
             return self.shown_scale, self.shown_unit
