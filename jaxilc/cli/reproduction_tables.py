@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from itertools import groupby
 from typing import Any
 
+from ..scenarios.published import COMPARED
 from ..scenarios.reproduction import SHAPE
 from .tables import number
 from .titled_table import Table
@@ -75,7 +76,13 @@ def _lines(rows: Sequence[dict[str, Any]]) -> list[str]:
 
 
 def _cells(row: dict[str, Any]) -> tuple[str, ...]:
-    """The cells of a row, in the order of `COLUMNS`."""
+    """The cells of a row, in the order of `COLUMNS`.
+
+    A comparison with another scheme has the quantity that is compared, and `% less` or `% of it`.
+    """
+    for ending, unit in zip(COMPARED, ("% less", "% of it"), strict=True):
+        if row["against"] and row["quantity"].endswith(ending):
+            row = row | {"quantity": row["quantity"].removesuffix(ending), "unit": unit}
     return (
         row["scheme"],
         "" if row["trial"] is None else str(row["trial"]),

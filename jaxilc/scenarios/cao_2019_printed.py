@@ -61,9 +61,9 @@ READINGS = {
         "0.5 (1 - cos) mm, a stroke of 1 mm",
         settled_from=5,
         windows={
-            "pid": ("error_after_2_eighths", 2),
-            "ffdl-mfailc": ("error_after_2_eighths", 2),
-            "ilc-mfapc": ("error_after_1_eighth", 1),
+            "pid": ("three_quarters", 2),
+            "ffdl-mfailc": ("three_quarters", 2),
+            "ilc-mfapc": ("seven_eighths", 1),
         },
         reset="none",
         lam=2.0,
