@@ -13,7 +13,11 @@ from typing import Any, TypeVar, cast
 
 EARLIER = {"samples": "machines", "figure": "metric"}  # in configurations
 # Fields of classes that earlier configurations do not have, with the value that changes nothing.
-ADDED: dict[str, dict[str, Any]] = {"Task": {"names": []}, "ProcessModel": {"delay": 0.0}}
+ADDED: dict[str, dict[str, Any]] = {
+    "Task": {"names": []},
+    "ProcessModel": {"delay": 0.0},
+    "Machine": {"variation": None},
+}
 
 T = TypeVar("T")
 
