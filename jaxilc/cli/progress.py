@@ -24,8 +24,11 @@ if TYPE_CHECKING:
 AFTERWARDS = ("xarray", "zarr", "matplotlib.figure", "matplotlib.backends.backend_agg")
 
 
-def progress_bar(field: str):
-    """A progress bar that also shows a field of its tasks; nothing is shown without a terminal."""
+def progress_bar(field: str, *, transient: bool = False):
+    """A progress bar that also shows a field of its tasks; nothing is shown without a terminal.
+
+    transient: whether the bar is removed at the end
+    """
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,
@@ -45,9 +48,27 @@ def progress_bar(field: str):
         *columns,
         TimeElapsedColumn(),
         TimeRemainingColumn(),
+        transient=transient,
         console=console.err,
         disable=console.out.quiet or not console.err.is_terminal,
     )
+
+
+@contextmanager
+def working(command: str) -> Generator[Callable[..., None]]:
+    """A context with the progress bar of a command, which is gone when the command prints.
+
+    It begins before JAX is loaded, so that something is seen within the first second. It yields a
+    function of what is done now, as a text, and of `done` and `total`, the parts of the work. The
+    time left follows from the parts that are done.
+    """
+    with progress_bar("now", transient=True) as bar:
+        one = bar.add_task(command, total=None, now="starting")
+
+        def told(now: str, done: float | None = None, total: float | None = None) -> None:
+            bar.update(one, now=now, completed=done, total=total)
+
+        yield told
 
 
 def thread_for_later(*works: Callable[[], object]) -> threading.Thread:

@@ -36,18 +36,25 @@ def reproduce(
 
     Example: jaxilc reproduce cao-2019 dai-2014 --json out/reproduce.json
     """
-    from .asked import begin
+    from .progress import working
 
-    begin(precision)
+    with working("reproduce") as told:
+        from .asked import begin
+
+        begin(precision)
+        from ..scenarios import reproduction
+
+        rows = reproduction.reproduce(
+            scenario or (), progress=lambda done, whole, name: told(name, done, whole)
+        )
     from ..figures.report import command_report
-    from ..scenarios import reproduction
     from .reproduction_tables import READING_FITS, narrow_reproduction, reproduction_table
     from .verdicts.published import reproduce_verdict
 
-    numbers = [row.as_dict() for row in reproduction.reproduce(scenario or ())]
+    numbers = [row.as_dict() for row in rows]
     table = reproduction_table(numbers)
     for part in [table] if out.width >= READING_FITS else narrow_reproduction(numbers):
         out.print(part, highlight=False)
     verdict = reproduce_verdict(numbers)
-    page = command_report(report, "reproduce", [table], lines=verdict.lines)
+    page = command_report(report, "reproduce", [table], verdict=verdict)
     written(page, json_file, numbers, verdict)

@@ -17,7 +17,7 @@ row.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -65,13 +65,21 @@ class Row(NamedTuple):
         )
 
 
-def reproduce(names: Iterable[str] = ()) -> list[Row]:
+def reproduce(
+    names: Iterable[str] = (), *, progress: Callable[[int, int, str], object] | None = None
+) -> list[Row]:
     """Simulate every published number of the named scenarios; without names, of all scenarios.
 
+    progress: called before each scenario with the number of rows done, that of all rows, and a name
     Raises ValueError naming the allowed scenarios.
     """
     chosen = {name: scenarios.load(name).published for name in names or scenarios.SCENARIOS}
-    return [row for name, published in chosen.items() for row in _of_scenario(name, published)]
+    rows: list[Row] = []
+    for name, published in chosen.items():
+        if progress is not None:
+            progress(len(rows), sum(map(len, chosen.values())), name)
+        rows += _of_scenario(name, published)
+    return rows
 
 
 def _of_scenario(name: str, published: tuple[Published, ...]) -> list[Row]:
