@@ -62,7 +62,7 @@ def error_band(
         ax.set_xlabel("" if below else ax.get_xlabel())
     last = scale * errors_of(dataset, metric).isel(trial=-1).values
     _shares(share, names_of(dataset), last, (metric, unit, limit), limits)
-    _explain(figure, panels[0], limit, unit)
+    _explain(figure, limit, unit)
     figure.suptitle(f"{dataset.sizes['sample']} machines, {len(trial)} trials", fontsize="medium")
     return np.array([*panels, share])
 
@@ -169,16 +169,18 @@ def _shares(ax, names, last: np.ndarray, shown: tuple, held: tuple[float, float]
     ax.tick_params(axis="x", labelrotation=30)
 
 
-def _explain(figure, ax, limit: float | None, unit: str) -> None:
+def _explain(figure, limit: float | None, unit: str) -> None:
     """One line below all panels that says what the lines are."""
-    grey = {"color": "0.3"}
-    lines = [
-        *ax.plot([], [], linewidth=1.6, label="median", **grey),
-        ax.fill_between([], [], [], alpha=0.22, linewidth=0, label="5 to 95 %", **grey),
-        *ax.plot([], [], ":", label="worst machine", **grey),
-        *ax.plot([], [], "o", mfc="none", label="best trial", **grey),
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    handles: list[Any] = [
+        Line2D([], [], color="0.3", linewidth=1.6, label="median"),
+        Patch(color="0.3", alpha=0.22, linewidth=0, label="5 to 95 %"),
+        Line2D([], [], color="0.3", linestyle=":", label="worst machine"),
+        Line2D([], [], color="0.3", marker="o", mfc="none", linestyle="", label="best trial"),
     ]
     if limit is not None:
         said = f"tolerance {written(limit, unit)}"
-        lines += ax.plot([], [], "k--", linewidth=0.8, label=said)
-    figure.legend(handles=lines, loc="outside lower center", ncols=5, fontsize="small")
+        handles.append(Line2D([], [], color="k", linestyle="--", linewidth=0.8, label=said))
+    figure.legend(handles=handles, loc="outside lower center", ncols=5, fontsize="small")

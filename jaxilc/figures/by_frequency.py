@@ -103,8 +103,9 @@ def time_frequency(
 
     It is the short-time Fourier transform under a Hann window, scaled as in `spectrum`. With
     several outputs the largest amplitude is shown. All maps have the same colours. A window of
-    length T cannot tell what is slower than 2 / T from a constant, so the maps begin there, and
-    the title says so.
+    length T cannot tell what is slower than 2 / T from a constant, so this is taken away first,
+    the maps begin there, and the title says so. A change within the trial is felt one window
+    before and after it.
 
     dataset: dataset with e, as for `signal_of`
     window: length T of the window [s], None for a sixteenth of the trial; the resolution is T / 2
@@ -136,7 +137,7 @@ def time_frequency(
     slices = {"p0": 0, "p1": N // transform.hop + 1}
     maps = []
     for trial in trials:
-        e = scale * signal_of(dataset, "e", scheme, trial)[1:]
+        e = _without_slow(scale * signal_of(dataset, "e", scheme, trial)[1:], samples)
         whole = np.abs(transform.stft(e, **slices, padding="even", axis=0))
         maps.append(np.max(whole, axis=1)[SLOWEST:])
     axes = np.atleast_1d(new_axes(ax, len(trials), size=(7.2, 0.8 + 2.4 * len(trials))))
@@ -215,6 +216,19 @@ def frequency_tests(tests: Mapping[str, FrequencyTest], *, ax=None) -> Axes:
         grid(axis)
     legend_above(axes[0])
     return axes
+
+
+def _without_slow(e, samples: int):
+    """A signal less its mean under a moving Hann window of so many samples.
+
+    This mean is zero for the lines 2, 3, 4 ... of the window, so that these do not change, and it
+    follows what is slower, which would otherwise leak into them.
+    """
+    from scipy.ndimage import convolve1d
+    from scipy.signal import get_window
+
+    weights = get_window("hann", samples)
+    return e - convolve1d(e, weights / weights.sum(), axis=0, mode="mirror")
 
 
 def _peaks(f, amplitude):

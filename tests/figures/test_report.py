@@ -7,7 +7,6 @@ import base64
 import dataclasses
 import http.server
 import io
-import json
 import shutil
 import struct
 import subprocess
@@ -108,8 +107,8 @@ def test_page_is_well_formed_and_escaped():
     assert table_of(tree, shown) is not None
     assert [i.get("alt") for i in tree.iter("img")] == [shown]
     assert tree.findtext(".//figcaption") == tree.findtext(".//li") == shown
-    # JSON escapes the control sequence of the terminal, so nothing is lost.
-    assert json.loads(tree.findtext(".//pre")) == configuration
+    settings = {row[0].text: row[1].text for row in tree.find(".//details").iter("tr")}
+    assert settings == {shown: f"{shown}, 1.5"}
 
 
 def test_rows_hold_the_numbers():
@@ -154,10 +153,11 @@ def test_every_figure_is_embedded(tmp_path):
     ]
     assert pictures[0][1] == (tmp_path / "error-band.png").read_bytes()
     assert pictures[1][1] == (tmp_path / "second.svg").read_bytes()
-    # The header of a PNG file holds its size: 2 in by 1 in at 200 dots per inch.
-    assert struct.unpack(">II", pictures[2][1][16:24]) == (400, 200)
+    # The header of a PNG file holds its size: 2 in by 1 in at 120 dots per inch.
+    assert struct.unpack(">II", pictures[2][1][16:24]) == (240, 120)
     assert [f.text for f in tree.iter("figcaption")] == [
-        "error band",
+        "Each panel is a scheme: median, 5 to 95 % and worst machine by trial. Beside them stands "
+        "which share of the machines ends within a tolerance.",
         "a caption",
         "error by trial",
         None,
@@ -200,10 +200,13 @@ def test_a_run_reported_as_the_command_line_does(tmp_path, monkeypatch):
         path, "run", [tables.run_table(chosen, numbers)], figures, scenario=chosen, lines=["a line"]
     ) == [path]
     tree = parsed(path.read_text(encoding="utf-8"))
-    asked = {row[0].text: row[1].text for row in tree.find("body/section").iter("tr")}
+    sections = {one.findtext("h2"): one for one in tree.findall("body/section")}
+    assert [*sections][:2] == ["Conclusion", "What was asked"]
+    assert sections["Conclusion"].findtext("p") == "a line"
+    asked = {row[0].text: row[1].text for row in sections["What was asked"].iter("tr")}
     assert asked["command"] == "jaxilc run dai-2014 --set 'name=a b'"
     assert (asked["plant"], asked["schemes"], asked["trials"]) == ("printed", "pid", "1")
-    head, (row,) = cells(tree.findall("body/section")[1].find(".//table"))
+    head, (row,) = cells(sections["Tables"].find(".//table"))
     assert head == ["trial", "pid"]
     # The same number is computed in another way, by learning without the dataset; three digits are
     # shown.
@@ -216,8 +219,9 @@ def test_a_run_reported_as_the_command_line_does(tmp_path, monkeypatch):
     assert abs(float(row[1]) / error - 1) < 5e-3
     assert len(list(tree.iter("img"))) == 1
     lines = [li.text for li in tree.iter("li")]
-    assert lines == ["a line", *chosen.chosen]
-    assert json.loads(tree.findtext(".//pre"))["machine"]["plant"]["a"] == [2.2386, -1.6246, 0.385]
+    assert lines == [*chosen.chosen]
+    settings = {row[0].text: row[1].text for row in tree.find(".//details").iter("tr")}
+    assert settings["machine.plant.a"] == "2.2386, -1.6246, 0.385"
 
 
 def test_no_path_no_report():
