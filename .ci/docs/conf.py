@@ -10,7 +10,7 @@ project, author = "jaxilc", "the authors of jaxilc"
 version = release = jaxilc.__version__
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx_copybutton"]
 html_theme, html_title = "furo", f"jaxilc {release}"
-html_static_path, html_css_files = [], []
+html_static_path, html_css_files = ["_static"], ["pages.css"]
 html_show_sphinx = html_copy_source = html_show_sourcelink = False
 html_math_renderer = "mathml"
 myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence"]

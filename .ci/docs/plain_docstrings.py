@@ -53,8 +53,8 @@ def fields_of(block: list[str]) -> list[tuple[str, str]] | None:
 def as_rst(docstring: str) -> list[str]:
     """A docstring of the package as reStructuredText."""
     written: list[str] = []
-    for block in blocks_of(inspect.cleandoc(docstring).splitlines()):
-        fields = fields_of(block)
+    for i, block in enumerate(blocks_of(inspect.cleandoc(docstring).splitlines())):
+        fields = fields_of(block) if i else None  # the first lines are a sentence
         if all(line.startswith(" ") for line in block):
             written += ["::", "", *(f"    {line}" for line in block)]
         elif fields:

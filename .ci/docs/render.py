@@ -1,7 +1,8 @@
 """The documentation: guide, tutorials, gallery of figures, and the API, by Sphinx.
 
 `render.py FOLDER` writes it, with executed notebooks. Without a folder it only checks that it can
-be made: nothing is executed and no page is drawn. A warning of Sphinx, a broken link, and a page
+be made: nothing is executed and no page is drawn. With JAXILC_FAST=1 in the environment the
+notebooks are not executed. A warning of Sphinx, a broken link, and a page
 that loads something from elsewhere are errors.
 """
 
@@ -48,6 +49,8 @@ def main(out: Path | None) -> int:
         source.mkdir()
         sys.path.insert(0, str(HERE))
         shutil.copy(HERE / "conf.py", source / "conf.py")
+        (source / "_static").mkdir()
+        shutil.copy(HERE / "pages.css", source / "_static")
         drawn = gallery.write(source) if out is not None else False
         tutorials = notebooks_in(
             source, execute=out is not None and "JAXILC_FAST" not in os.environ
@@ -60,7 +63,9 @@ def main(out: Path | None) -> int:
         if code == 0 and out is not None:
             pages.check_built(built)
             shutil.rmtree(out, ignore_errors=True)
-            shutil.copytree(built, out, ignore=shutil.ignore_patterns(".doctrees", ".buildinfo"))
+            shutil.copytree(
+                built, out, ignore=shutil.ignore_patterns(".doctrees", ".buildinfo", "_sources")
+            )
     return code
 
 

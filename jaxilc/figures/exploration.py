@@ -20,6 +20,7 @@ import numpy as np
 from ..learning.metrics import Keep
 from ..learning.over_trials import check, learn
 from ..pytree.named_paths import interval_at, kind_at, replaced, settable
+from ..pytree.ranges import require
 from ..theory.law import traced_response
 from ..theory.loop import linear_loop, response
 from ..uncertainty import draw, drawn_machines, with_spread
@@ -29,9 +30,10 @@ if TYPE_CHECKING:
     from ..schemes import Scheme
 
 MACHINES = 32  # the nominal one included
+AT_MOST = 4096  # machines that follow a slider
 MOST = 10  # sliders
 DECADES = 2.0  # of a weight, to both sides of its value
-LEADS = 60  # samples that a slider of a lead goes up to, at least
+LEADS, MORE = 60, 8  # least end of the slider of a lead [samples], and of another whole number
 LINES = 240  # frequencies
 
 
@@ -78,7 +80,7 @@ class Exploration:
     scheme: its name; None for the first one that learns
     machines: number of machines, the nominal one included
     source: name or file of the scenario, for the command line
-    Raises ValueError for a scheme that is not there, and as `learn` does.
+    Raises ValueError for a scheme that is not there, for more than 4096 machines, and as `learn`.
     """
 
     def __init__(
@@ -89,6 +91,7 @@ class Exploration:
         machines: int = MACHINES,
         source: str | None = None,
     ):
+        require("explore", "machines", machines, f"[1, {AT_MOST}]", whole=True)
         learning = [name for name, one in scenario.schemes.items() if one.learns]
         name = scheme or next(iter(learning or scenario.schemes))
         self.scenario, self.source = scenario.select((name,)), source or scenario.name
@@ -96,7 +99,7 @@ class Exploration:
         check(scenario.machine, self.given, scenario.task)
         self.machines = machines
         self.spread = _spread_of(scenario)
-        self.controls = controls_of(self.given)
+        self.controls = controls_of(self.given, float(scenario.task.dt))
         needed = {n: of for n, of in scenario.functions.items() if n == scenario.judged_by}
         self.keep = Keep.of(needed)
         dt, N = float(scenario.task.dt), scenario.task.N
@@ -179,25 +182,31 @@ class Exploration:
         return write_parameters(Path(path), self.scenario.name, changed, how)
 
 
-def controls_of(scheme: Scheme) -> list[Control]:
-    """The single numbers of a scheme that can be moved, with the ends of their sliders."""
+def controls_of(scheme: Scheme, dt: float) -> list[Control]:
+    """The single numbers of a scheme that can be moved, with the ends of their sliders.
+
+    dt: sample time [s]; a cutoff stays below half of the sample rate
+    """
     found = []
     for path, value in settable(scheme).items():
         kind = kind_at(scheme, path)[0]
         whole = kind == "static" and isinstance(value, int) and not isinstance(value, bool)
-        if not (whole or kind == "leaf") or isinstance(value, str) or np.size(value) != 1:
+        if not (whole or kind == "leaf") or value is None or np.size(value) != 1:
             continue
         number, allowed = float(np.ravel(np.asarray(value))[0]), interval_at(scheme, path)
         if not np.isfinite(number):
             continue
         low, high = (-np.inf, np.inf) if allowed is None else (allowed.low, allowed.high)
         if whole:
-            ends = (max(low, 0.0), min(high, max(LEADS, 2 * number)))
+            most = LEADS if path.endswith("lead") else MORE
+            ends = (max(low, 0.0), min(high, max(most, 2 * number)))
         elif number > 0:
             ends = (max(low, number * 10**-DECADES), min(high, number * 10**DECADES))
         else:
             reach = max(4 * abs(number), 1.0)
             ends = (max(low, number - reach), min(high, number + reach))
+        if path.rpartition(".")[2].startswith("cutoff"):
+            ends = (ends[0], min(ends[1], 0.49 / dt))
         if ends[1] > ends[0]:
             log = not whole and ends[0] > 0 and ends[1] / ends[0] > 30
             found.append(Control(path, number, *ends, log, whole))

@@ -162,6 +162,7 @@ def explore(
     Returns a function of a document of Bokeh, which `bokeh.io.show` and servers take.
     """
     shared = Exploration(scenario, scheme, **options)
+    shared.outcome({})  # compiled once, before anyone waits for it
 
     def application(document: Any) -> None:
         document.title = f"jaxilc: {scenario.name}"
@@ -172,7 +173,7 @@ def explore(
 
 def _slider(control: Control) -> Any:
     """A slider; one that is logarithmic has the power of ten as its value."""
-    from bokeh.models import Slider
+    from bokeh.models import CustomJSTickFormatter, Slider
 
     if control.whole:
         return Slider(
@@ -181,9 +182,10 @@ def _slider(control: Control) -> Any:
     low, high, value = (
         (math.log10(x) if control.log else x) for x in (control.low, control.high, control.value)
     )
+    power = CustomJSTickFormatter(code="return (10 ** tick).toPrecision(3)")
     return Slider(
-        title=control.path + (" (power of ten)" if control.log else ""),
-        start=low, end=high, value=value, step=(high - low) / 400, format="0[.]000",
+        title=control.path, start=low, end=high, value=value, step=(high - low) / 400,
+        format=power if control.log else "0[.]000",
     )  # fmt: skip
 
 

@@ -210,7 +210,7 @@ def test_an_unstable_scheme_does_not_hide_the_others():
     assert low > 0.1 * 1e3 * np.quantile(good[:, -1], 0.05)
     said = [text.get_text() for text in panels[1].texts]
     assert said == [
-        "0.0% within tolerance\n10.0% diverged\nband cut off at the top\nfrom trial 3 on"
+        "0.0% within tolerance\n10.0% diverged\nband cut off at the top\nfrom trial 2 on"
     ]
     best = [line.get_xdata()[0] for line in panels[0].lines if line.get_marker() == "o"]
     assert best[0] == 12

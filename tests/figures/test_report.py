@@ -5,8 +5,11 @@ Its numbers and pictures are compared with what was put in.
 
 import base64
 import dataclasses
+import html
 import http.server
 import io
+import json
+import re
 import shutil
 import struct
 import subprocess
@@ -17,6 +20,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+import xarray as xr
 from matplotlib import image
 from matplotlib.figure import Figure
 from rich.table import Table
@@ -24,8 +28,10 @@ from rich.table import Table
 from jaxilc import learn, scenarios
 from jaxilc.cli import tables
 from jaxilc.cli.numbers import run_numbers
-from jaxilc.figures.report import POLICY, command_report, html_report, write_report
+from jaxilc.figures import browsers, interactive
+from jaxilc.figures.report import LIVE_POLICY, POLICY, command_report, html_report, write_report
 from jaxilc.sweeps import runs
+from jaxilc.sweeps.summary import summarise
 
 NASTY = "<script>alert('1')</script> & \"quotes\" \x1b[31mred\x1b[0m ]]> <!-- µm"
 VOID = {"meta", "img"}
@@ -293,6 +299,122 @@ def server():
         yield f"http://127.0.0.1:{running.server_port}", asked
         running.shutdown()
         thread.join()
+
+
+def opened(page, folder, script):
+    """Return what a script of a page says in a browser; it is run 3 s after the page is there.
+
+    script: statements that return a value
+    """
+    text = page.read_text(encoding="utf-8")
+    asking = (
+        "<script>setTimeout(() => { let said; try { said = (() => {"
+        f"{script}"
+        "})() } catch (error) { said = String(error) }"
+        "document.title = 'said:' + JSON.stringify(said); }, 3000)</script></body>"
+    )
+    (folder / "asked.html").write_text(text.replace("</body>", asking), encoding="utf-8")
+    found = subprocess.run(
+        [
+            *(CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--dump-dom"),
+            *(f"--user-data-dir={folder / 'profile'}", "--virtual-time-budget=8000"),
+            (folder / "asked.html").as_uri(),
+        ],
+        check=True,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    ).stdout
+    said = html.unescape(re.search(r"<title>said:(.*?)</title>", found, re.DOTALL).group(1))
+    return json.loads(said)
+
+
+def lively(tmp_path):
+    """Return a page with a trial slider and with machines, and the data it was made from."""
+    rng = np.random.default_rng(0)
+    e = rng.normal(size=(2, 3, 41, 1)) * np.array([1.0, 0.1, 0.01])[None, :, None, None]
+    dims = ("scheme", "trial", "time", "channel")
+    r = np.sin(np.linspace(0, 6, 41))[:, None]
+    run = xr.Dataset(
+        {
+            "r": (dims[2:], r),
+            "y": (dims, r - e, {"units": "mm"}),
+            "e": (dims, e, {"units": "mm"}),
+            "u": (("scheme", "trial", "input_time", "input"), e[:, :, :-1]),
+            "rms": (("scheme", "trial"), np.sqrt(np.mean(e**2, axis=(2, 3)))),
+        },
+        coords={"scheme": ["one", "two"], "trial": [1, 2, 3], "time": np.arange(41) * 1e-2},
+    )
+    gain, other = rng.uniform(size=(2, 50))
+    last = np.stack([1 + gain, 1 + other])
+    many = xr.Dataset(
+        {
+            "rms": (("scheme", "sample", "trial"), np.repeat(last[..., None], 3, axis=2)),
+            "finite": (("scheme", "sample", "trial"), np.ones((2, 50, 3), bool)),
+        },
+        coords={"scheme": ["one", "two"], "trial": [1, 2, 3]},
+    )
+    of = {"metric": "rms", "unit": "mm"}
+    live = [
+        interactive.learning(run, **of),
+        browsers.trials(run, unit="mm"),
+        browsers.machines(many, {"plant.gain": gain, "plant.other": other}, tolerance=1.5, **of),
+        interactive.band(summarise(many, 1.5, metric="rms"), **of),
+    ]
+    page = write_report(tmp_path / "live.html", NASTY, {"a": NASTY}, live=live)
+    return page, run, last, other
+
+
+def test_a_live_page_is_whole_and_small(tmp_path):
+    """Every script is within the page; it is well formed, small, and shows no JSON as text."""
+    pytest.importorskip("bokeh")
+    text = lively(tmp_path)[0].read_text(encoding="utf-8")
+    assert len(text) < 5_000_000
+    page = Page(text)
+    assert page.balanced
+    assert not page.open
+    assert page.references == []
+    tree = ET.fromstring(text.removeprefix("<!DOCTYPE html>"))
+    assert [f.text.endswith(".") for f in tree.iter("figcaption")] == [True] * 4
+    meta = [m.get("content") for m in tree.iter("meta") if m.get("http-equiv")]
+    assert meta == [LIVE_POLICY]
+    assert meta[0].startswith("default-src 'none'")
+    assert "{" not in "".join(t for s in tree.findall("body/section") for t in s.itertext())
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no chromium here")
+def test_a_reader_moves_the_slider_and_chooses_a_parameter(tmp_path):
+    """The widgets are moved in a browser; the figures then show the numbers that were put in."""
+    pytest.importorskip("bokeh")
+    page, run, last, other = lively(tmp_path)
+    said = opened(
+        page,
+        tmp_path,
+        """
+        const all = Bokeh.documents.flatMap((d) => [...d._all_models.values()]);
+        const of = (type) => all.filter((m) => m.type === type);
+        const by = (title) => of("Select").filter((m) => m.title === title);
+        const column = (name) => of("ColumnDataSource").filter((s) => name in s.data);
+        of("Slider")[0].value = 1;
+        by("scheme")[0].value = "two";
+        by("parameter")[0].value = "plant.other";
+        by("scheme")[1].value = "two";
+        const trial = column("t").find((s) => "r" in s.data && !("r_0" in s.data));
+        const dots = column("machine")[0];
+        return {errors: [...trial.data.e], x: [...dots.data.x], y: [...dots.data.y],
+                canvases: of("Plot").length + of("Figure").length,
+                bars: [...column("share")[0].data.share], told: of("Div").map((d) => d.text)};
+        """,
+    )
+    assert "two, trial 2" in said["told"]
+    shown = run["e"].sel(scheme="two", trial=2).values[:, 0]
+    ratio = np.asarray(said["errors"]) / shown  # in another unit, that of the last trial
+    np.testing.assert_allclose(ratio, ratio[0], rtol=1e-5)
+    assert ratio[0] in (pytest.approx(1.0), pytest.approx(1e3))
+    np.testing.assert_allclose(said["x"], other)
+    np.testing.assert_allclose(said["y"], last[1])
+    assert max(said["bars"]) > 90  # what the other parameter explains of the other scheme
+    assert said["canvases"] >= 7
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no chromium here")
