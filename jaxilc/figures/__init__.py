@@ -24,7 +24,7 @@ from .band import error_band
 from .by_frequency import frequency_tests, spectrum, time_frequency
 from .by_trial import certificate, error_by_trial
 from .campaign import campaign_figure
-from .experiments import record_figure, response_fit_figure, validation_figure
+from .experiments import record_figure, response_figure, response_fit_figure, validation_figure
 from .learned import learned_law_figure
 from .q_filter import q_filter_figure
 from .saving import save
@@ -50,6 +50,7 @@ __all__ = [
     "q_filter_figure",
     "record_figure",
     "report",
+    "response_figure",
     "response_fit_figure",
     "save",
     "spectrum",

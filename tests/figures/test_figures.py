@@ -228,6 +228,9 @@ def test_what_a_parameter_explains_is_its_share_of_the_variance():
     # ranks are not quite proportional to values; the tolerance holds the difference
     assert [shares[n] for n in "abc"] == pytest.approx([0.8, 0.2, 0.0], abs=0.03)
     assert explained_shares({"a": a}, np.exp(50 * (a - 0.5) ** 2))["a"] > 0.95  # not monotone
+    corner = np.array([[i, j] for i in (0, 1) for j in (0, 1)] * 100)
+    found = explained_shares({"i": corner[:, 0], "j": corner[:, 1]}, corner @ [2.0, 1.0])
+    assert list(found.values()) == pytest.approx([0.8, 0.2], abs=0.1)
     assert explained_shares({"a": a}, np.ones(20_000)) == {"a": 0.0}
     with pytest.raises(ValueError, match="a has 2 values; allowed are 3"):
         explained_shares({"a": a[:2]}, np.ones(3))
