@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from ..design import Designed
     from ..scenarios import Scenario
 
-LAWS = ("p-type", "pd-type", "model-inverse", "norm-optimal")
+LAWS = ("p-type", "pd-type", "p-type-notch", "model-inverse", "norm-optimal")
 
 
 def register(app: typer.Typer) -> None:
