@@ -48,10 +48,12 @@ def trials(dataset: xr.Dataset, *, scale: float = 1.0, unit: str = "") -> Live:
 
     schemes, count = names_of(dataset), dataset.sizes["trial"]
     outputs = outputs_of(dataset, dataset.sizes["channel"])
-    chosen = np.unique(np.round(np.geomspace(1, count, min(TRIALS, count))).astype(int)) - 1
+    chosen = np.arange(count)
+    if count > TRIALS:
+        chosen = np.unique(np.round(np.geomspace(1, count, TRIALS)).astype(int)) - 1
     each = ROOM // (len(schemes) * len(chosen) * (2 * len(outputs) + 1))
     points = int(np.clip(each, FEWEST, MOST))
-    factor, unit = shown_in(scale * np.abs(dataset["e"].isel(trial=-1).values), unit)
+    factor, unit = shown_in(scale * np.nanmax(np.abs(dataset["e"].isel(trial=-1).values)), unit)
     columns: dict[str, Any] = {"t": _thinned(dataset["time"].values, points, times=True)}
     signals = {n: dataset[n].values for n in ("y", "e", "u")}
     for c in range(len(outputs)):

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from ..theory import Certificate
 
 WIDTH, HEIGHT = 860, 360  # of a figure [pixel]
-TICKS = "0.[000000000]"
 
 
 class Live(NamedTuple):
@@ -38,7 +37,7 @@ class Live(NamedTuple):
 
 def shown_in(values, unit: str) -> tuple[float, str]:
     """The factor and the unit in which the median of positive values is read best."""
-    found = np.asarray(values, float)
+    found = np.atleast_1d(np.asarray(values, float))
     found = found[np.isfinite(found) & (found > 0)]
     if not found.size or power_of(unit) is None:
         return 1.0, unit
@@ -63,8 +62,10 @@ def plot(title: str, x: str, y: str, *, log: bool = True, **options: Any) -> Any
         **size,
     )
     made.toolbar.logo = None
-    if made.toolbar.tools:
-        made.toolbar.active_scroll = None
+    if log:
+        from bokeh.models import LogTicker
+
+        made.yaxis.ticker = LogTicker(mantissas=[1, 2, 5])
     return made
 
 
