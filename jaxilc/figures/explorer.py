@@ -45,7 +45,7 @@ class Explorer:
         first = exploration.outcome({})
         s = exploration.scenario
         self.unit = s.shown(s.judged_by)[1]
-        self.factor, self.unit_of_e = shown_in(np.abs(first.e), s.shown_unit)
+        self.factor, self.unit_of_e = shown_in(np.nanmax(np.abs(first.e)), s.shown_unit)
         self.figures = self._figures(first)
         self._show(first)
         for widget in [*self.sliders.values(), *([self.spread] if self.spread else [])]:
