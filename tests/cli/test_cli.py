@@ -561,7 +561,7 @@ def test_a_help_page_fits_80_columns(name):
     assert max(map(len, shown.stdout.splitlines())) <= 80
     assert "…" not in shown.stdout
     assert ("--machines" in shown.stdout) == (
-        name in ("sweep", "certify", "tune", "pareto", "design", "filter", "learn-law")
+        name in ("sweep", "explore", "certify", "tune", "pareto", "design", "filter", "learn-law")
     )
     assert ("[@METRIC]" in shown.stdout) == (name in ("tune", "pareto"))
 
