@@ -13,6 +13,7 @@ from .completion import of_list, schemes_from
 from .console import err, out
 from .options import (
     DESIGN,
+    FigureFormat,
     Json,
     Report,
     Resume,
@@ -87,6 +88,7 @@ def design(
     resume: Resume = False,
     json_file: Json = None,
     report: Report = None,
+    figures: FigureFormat = None,
 ) -> None:
     """Which learning law for this machine, with which weights, is it safe, and what will it reach.
 

@@ -12,6 +12,7 @@ from .console import err, out
 from .design import place_of, target_of
 from .options import (
     DESIGN,
+    FigureFormat,
     Json,
     Report,
     Resume,
@@ -92,6 +93,7 @@ def learn_law(
     resume: Resume = False,
     json_file: Json = None,
     report: Report = None,
+    figures: FigureFormat = None,
 ) -> None:
     """Learn the update law itself, the taps of L and Q, and prove it safe before it is written.
 

@@ -60,6 +60,17 @@ def seed_in_range(seed: int) -> int:
     return seed
 
 
+def figures_as(text: str | None) -> str | None:
+    """Choose how figures are written; raises ValueError, before anything is computed."""
+    from ..storage.figure_format import choose
+
+    try:
+        choose(text)
+    except ValueError as error:
+        raise ValueError(str(error).replace("figures =", "--figures")) from None
+    return text
+
+
 def at_least(low: int, **given: int | None) -> None:
     """Check that the numbers of options are at least `low`.
 
@@ -177,6 +188,18 @@ OutFolder = Annotated[
         "--out",
         help="Folder for all results; out/COMMAND-SCENARIO if not given.",
         callback=folder_to_write,
+    ),
+]
+Replace = Annotated[
+    bool, typer.Option("--replace", help="Replace the run of other settings in the folder.")
+]
+FigureFormat = Annotated[
+    str | None,
+    typer.Option(
+        "--figures",
+        metavar="FORMAT",
+        help="Format and style of figures: png, svg or pdf; print or dark; both as svg,dark.",
+        callback=figures_as,
     ),
 ]
 Resume = Annotated[bool, typer.Option("--resume", help="Go on with what is in the folder.")]
