@@ -34,10 +34,11 @@ FIGURES = {
     "09": 0,
     "10": 3,
     "11": 1,
+    "12": 1,
 }
 
 
-def test_the_eleven_are_there():
+def test_the_twelve_are_there():
     assert [path.name[:2] for path in NOTEBOOKS] == sorted(FIGURES)
 
 
