@@ -20,6 +20,7 @@ PAGES = {  # file of the repository: page
     ".ci/docs/guide/library.md": "guide/library.html",
     ".ci/docs/guide/paths.md": "guide/paths.html",
     ".ci/docs/guide/contents.md": "guide/contents.html",
+    ".ci/docs/guide/learned_laws.md": "guide/learned_laws.html",
     ".ci/docs/guide/many_hosts.md": "guide/many_hosts.html",
     ".ci/docs/guide/papers.md": "guide/papers.html",
     ".ci/docs/guide/notebooks.md": "guide/notebooks.html",

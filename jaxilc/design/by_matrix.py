@@ -11,13 +11,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import jax
 import jax.numpy as jnp
 
 from .responses import Family
 
+SHARPNESS = 64.0
+
 
 def of_matrices(family: Family, keep, L, trials: Sequence[int], near: float):
-    """(S, F) largest singular values of M, and for some trials (S,) the mean square error.
+    """(S, F) sizes of M, and for some trials (S,) the predicted mean square error.
+
+    The size is a norm of the singular values that has a slope where two of them are equal, as they
+    are where nothing is learned yet; it exceeds the largest one by n_u^(1 / SHARPNESS) at most.
 
     Each channel counts in units of its own largest error in the first trial.
 
@@ -27,7 +33,9 @@ def of_matrices(family: Family, keep, L, trials: Sequence[int], near: float):
     P = jnp.asarray(family.P)
     units = 1 / jnp.maximum(jnp.max(jnp.abs(family.first_error), axis=0), 1e-300)
     M = keep - jnp.einsum("fij,sfjk->sfik", L, P)
-    size = jnp.linalg.svd(M, compute_uv=False)[..., 0]
+    values = jnp.linalg.svd(M, compute_uv=False)
+    powers = SHARPNESS * jnp.log(jnp.maximum(values, jnp.finfo(values.dtype).tiny))
+    size = jnp.exp(jax.nn.logsumexp(powers, axis=-1) / SHARPNESS)
     M = M * jnp.minimum(1.0, near / (size + 1e-12))[..., None, None]
     one = jnp.eye(M.shape[-1])
     PL = jnp.einsum("sfij,fjk->sfik", P, L)

@@ -81,7 +81,8 @@ def _next_plays(law):
     assert jaxilc("next", *state, "--plant-file", "axis.learned.toml", "--no-predict") == 0
     t, r, u = np.loadtxt("next.csv", delimiter=",", skiprows=1, unpack=True)[:3]
     assert np.all(u == 0)
-    np.savetxt("trial.csv", np.stack([t, u, 0 * t], 1), delimiter=",", header="t,u,y", comments="")
+    columns = {"delimiter": ",", "header": "t [s],u [V],y [mm]", "comments": ""}
+    np.savetxt("trial.csv", np.stack([t, u, 0 * t], 1), **columns)
     assert jaxilc("next", *state, "--measured", "trial.csv") == 0
     played = np.loadtxt("next.csv", delimiter=",", skiprows=1, unpack=True)[2][:-1]
     n = len(law.L) // 2
@@ -106,8 +107,8 @@ def test_a_law_that_the_gate_refuses_is_not_written(file, capsys, monkeypatch):
         (("--taps", "8,5"), "taps = (8, 5)"),
         (("--start", "nil"), "start = 'nil'"),
         (("--segments", "soon"), "--segments 'soon' is not allowed; allowed are times"),
-        (("--segments", "0.04,0.02"), "starts = (40, 20) are not allowed"),
-        (("--limit", "-1"), "limit = -1"),
+        (("--taps", "5,3", "--segments", "0.04,0.02"), "starts = (40, 20) are not allowed"),
+        (("--taps", "5,3", "--limit", "-1"), "limit = -1"),
         (("--objective", "last"), "--objective: 'last'"),
     ],
 )

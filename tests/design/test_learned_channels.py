@@ -108,7 +108,9 @@ def test_steps_along_the_directions_lead_from_taps_to_taps_of_channels_and_segme
         there = moved(window, start, z)
         shaped = dataclasses.replace(ShapedFilter.around(window, start), z=z).taps()
         np.testing.assert_allclose(shaped.L, there.L, atol=1e-12)
-        np.testing.assert_allclose(window.steps(start, there), z, atol=1e-8)
+        back = moved(window, start, window.steps(start, there))
+        for one, other in zip(back, there, strict=True):
+            np.testing.assert_allclose(one, other, atol=1e-9)
         assert there.L.shape == ((3,) if starts else ()) + (7, 2, 2)
 
 
@@ -122,7 +124,7 @@ def test_each_segment_of_a_scheduled_law_is_a_law_that_the_penalty_sees():
         inner = [getattr(part, "learning", part) for part in parts]
         np.testing.assert_array_equal([part.L for part in inner], L)
         assert all(part.starts == () for part in inner)
-    assert segments_of(inner[0]) == [inner[0]] or len(segments_of(inner[0])) == 1
+    assert len(segments_of(inner[0])) == 1
     f, P = np.linspace(5.0, 400.0, 9), RNG.standard_normal((2, 9)) + 0j
     task, sizes = Task(np.zeros(N + 1), dt=DT), []
     for taps in L:
@@ -130,7 +132,8 @@ def test_each_segment_of_a_scheduled_law_is_a_law_that_the_penalty_sees():
         sizes.append(np.abs(0.8 + 0.2 * np.cos(2 * np.pi * f * DT) - of_L * P).max())
     term, run = OverFamily(f, P, below=0.1), type("Run", (), {"scheme": law, "task": task})
     least = np.log(max(sizes) / 0.1)
-    assert least <= float(term(run)) <= least + np.log(2 * P.size) / term.sharpness
+    above = float(term(run)) - least
+    assert -1e-9 <= above <= np.log(2 * P.size) / term.sharpness
 
 
 def test_a_scheduled_law_without_a_claim_is_refused():
