@@ -6,7 +6,11 @@ position loop closed on the motor, and the voice coil of cao-2019. Opponents: `l
 each tuned on the same machines with as many steps. `by response` is the learned law before its
 tuning through learning.
 
-    python experiments/learned_laws.py [family ...]
+    python experiments/learned_laws.py [--by-grid] [family ...]
+
+With `--by-grid` nothing is tuned through learning: the learned law is that by frequency response,
+beside the laws of a few weights with their best safe weights of a grid, and the best P-type law of
+a grid by simulation. That takes a minute or two for each family.
 
 The median has an interval of 95 % by order statistics, which needs no assumption on the
 distribution. `noise` is what the sensor adds to each trial, below which no measured error can be.
@@ -27,13 +31,25 @@ import numpy as np
 import output
 import scipy.stats
 from learned_families import FAMILIES, Case
-from learned_opponents import MACHINES, MARGIN, METRIC, SEED, STEPS, opponents
+from learned_opponents import (
+    KEPT,
+    MACHINES,
+    MARGIN,
+    METRIC,
+    SEED,
+    STEPS,
+    best_of_grid,
+    opponents,
+)
 
 import jaxilc
 from jaxilc import Sweep
+from jaxilc.design.candidates import Absent, candidates
 from jaxilc.design.learned import LearnedLaw
+from jaxilc.design.learned_settings import STARTS
 from jaxilc.design.responses import Family, family_of
 from jaxilc.design.tuned import contraction
+from jaxilc.design.window import Filters, Window
 from jaxilc.plants import StateSpace
 from jaxilc.runtime.start import keep_programs
 from jaxilc.schemes import NormOptimal, Scheme
@@ -46,8 +62,11 @@ DENSE, CLOSE = 257, 600  # machines and frequencies of the test by frequency
 ADAPTIVE = ("ffdl-mfailc",)  # the test is of a linear law
 
 
-def judged(name: str, folder: Path) -> dict:
-    """The rows of one family, and the taps of its learned law."""
+def judged(name: str, folder: Path, laws_of) -> dict:
+    """The rows of one family, and the taps of its learned law.
+
+    laws_of: `tuned_laws` or `laws_by_grid`
+    """
     case = FAMILIES[name]()
     dense = family_of(
         case.machine, case.feedback, case.task, case.uncertainty,
@@ -65,7 +84,41 @@ def judged(name: str, folder: Path) -> dict:
     return of_case | floors | {"laws": rows, "taps": taps}
 
 
-def laws_of(case: Case, family: Family, folder: Path, taps: dict):
+def laws_by_grid(case: Case, family: Family, folder: Path, taps: dict):
+    """As `tuned_laws`, without any tuning through learning."""
+    began, safe = time.perf_counter(), []
+    for one in candidates(family, case.feedback, case.task, case.trials, MARGIN, KEPT):
+        if isinstance(one, Absent):
+            print(f"    {one.name}: {one.why}", flush=True)
+        else:
+            safe.append(one)
+    asked = LearnedLaw(
+        case.machine, case.task, case.trials, case.uncertainty, case.feedback, metric=METRIC,
+        margin=MARGIN, seed=SEED, steps=0,
+    )  # fmt: skip
+    starts = sorted((one for one in safe if one.name in STARTS["safe"]), key=lambda x: x.predicted)
+    state = folder / "learned"
+    found = asked.learned_taps(
+        family, starts, state, resume=state.exists(), told=lambda stage, what: None
+    )
+    if isinstance(found.passed, str):
+        print(f"  learned: refused, {found.passed}", flush=True)
+    else:
+        keep_taps(taps, found.passed.filters, found.window, family)
+        law = asked.candidate(found.window, found.passed)
+        yield "learned by response", law.scheme, time.perf_counter() - began
+    for one in safe:
+        yield one.name if one.bounds else f"{one.name}, as one", one.scheme, 0.0
+    yield "p-type, grid", best_of_grid(case, family), 0.0
+
+
+def keep_taps(taps: dict, filters: Filters, window: Window, family: Family) -> None:
+    """Put the taps of a law and the steady gain of its nominal machine into `taps`."""
+    taps |= {"L": filters.L.tolist(), "Q": filters.keep.tolist(), "lead": window.lead}
+    taps["gain"] = float(family.P[0, 0].real)
+
+
+def tuned_laws(case: Case, family: Family, folder: Path, taps: dict):
     """Name, scheme and seconds of each law; the taps of the learned one are put into `taps`."""
     began, seen, state = time.perf_counter(), {}, folder / "learned"
     asked = LearnedLaw(
@@ -79,9 +132,7 @@ def laws_of(case: Case, family: Family, folder: Path, taps: dict):
     if found.law is None:
         print(f"  learned: refused, {found.refused}", flush=True)
     else:
-        filters = found.passed.filters
-        taps |= {"L": filters.L.tolist(), "Q": filters.keep.tolist(), "lead": found.window.lead}
-        taps["gain"] = float(family.P[0, 0].real)
+        keep_taps(taps, found.passed.filters, found.window, family)
         print(f"  proof: {found.proof._asdict()}", flush=True)
         yield "learned", found.law.scheme, seconds
     yield "by response", case.under(found.window.of(seen["found"])), 0.0
@@ -178,18 +229,21 @@ def main(*names: str) -> None:
     jaxilc.setup()
     keep_programs()
     folder = output.folder(__file__)
-    tables = []
-    for name in names or FAMILIES:
-        place, began = folder / name, time.perf_counter()
+    tables, by_grid = [], "--by-grid" in names
+    for name in [name for name in names if name != "--by-grid"] or FAMILIES:
+        place = folder / (f"{name}-by-grid" if by_grid else name)
+        began = time.perf_counter()
         place.mkdir(exist_ok=True)
         kept = place / "family.json"
         print(name, flush=True)
         if not kept.exists():
-            kept.write_text(json.dumps(judged(name, place)))
+            kept.write_text(
+                json.dumps(judged(name, place, laws_by_grid if by_grid else tuned_laws))
+            )
             print(f"  {time.perf_counter() - began:.0f} s", flush=True)
         tables.append(markdown(json.loads(kept.read_text())))
     text = "\n".join(tables)
-    (folder / "tables.md").write_text(text)
+    (folder / ("tables-by-grid.md" if by_grid else "tables.md")).write_text(text)
     print(text)
 
 

@@ -47,7 +47,7 @@ jaxilc.setup()
 # 10 to 20 %, the damping of the resonance by a half. The encoder has a noise of 0.1 µm.
 
 # %%
-DT, N = 1e-3, 500
+DT, N = 1e-3, 400
 plant = ProcessModel(1.0, frequencies=2 * np.pi * np.r_[60.0, 180.0], dampings=[0.7, 0.02])
 machine = Machine(plant, sensor=Sensor(noise=1e-4))
 spread = {
@@ -70,7 +70,7 @@ task = Task(r, dt=DT, unit="mm", input_unit="mm")
 
 # %%
 asked = LearnedLaw(
-    machine, task, 10, spread, metric="rms", trained_on=8, held_out=8, steps=8, machines=65
+    machine, task, 10, spread, metric="rms", trained_on=4, held_out=4, steps=4, machines=33
 )
 with tempfile.TemporaryDirectory() as folder:
     found = asked.run(f"{folder}/law", told=lambda stage, _: None)
@@ -78,7 +78,7 @@ for name, one in found.verdicts.items():
     law = one.candidate
     median, worst = one.summary.median[9], one.summary.worst[9]
     print(f"{name:8} {law.words}")
-    print(f"         trial 10: median {1e3 * median:.3f} µm, worst of 65 {1e3 * worst:.3f} µm")
+    print(f"         trial 10: median {1e3 * median:.3f} µm, worst of 33 {1e3 * worst:.3f} µm")
 learned, safe = (found.verdicts[name].summary for name in ("learned", "safe"))
 assert learned.median[9] < safe.median[9] / 10
 assert np.max(learned.worst[9:]) < 2e-4, "near the noise of 1e-4 mm, and it stays there"
@@ -86,9 +86,10 @@ assert np.max(learned.worst[9:]) < 2e-4, "near the noise of 1e-4 mm, and it stay
 # %% [markdown]
 # ## What it has learned
 #
-# At low frequency L is the inverse of the plant, as a model-based law would be. Around the
-# resonance it is not: there the inverse of one machine is wrong for the next. The law turns itself
-# down exactly where the machines differ, which three weights cannot do.
+# Where there is something to learn, at 5 and at 45 Hz, L is near Q / P, as in a model-based law.
+# Between these frequencies it is smaller: there it would let in noise only. Around the resonance it
+# is smaller too, since the inverse of one machine is wrong for the next. Three weights cannot do
+# this. The bound on |Q - L P| holds for any motion; on another one the law learns more slowly.
 
 # %%
 figures.learned_law_figure(found, DT, unit="mm/mm")[0, 0].figure
@@ -111,14 +112,14 @@ taps, lead = found.passed.filters, found.window.lead
 L = sum(tap * z ** (1 + lead + i - 30) for i, tap in enumerate(taps.L))
 Q = sum(tap * z ** (i - 15) for i, tap in enumerate(taps.keep))
 largest = 0.0
-for _ in range(200):
+for _ in range(100):
     gain, first, second, damping = (rng.uniform(d.low, d.high) for d in spread.values())
     w1, w2 = 2 * np.pi * 60 * first, 2 * np.pi * 180 * second
     den = np.polymul([w1**-2, 1.4 / w1, 1], [w2**-2, 0.04 * damping / w2, 1])
     b, a, _ = scipy.signal.cont2discrete(([gain], den), DT, method="zoh")
     P = scipy.signal.freqz(b.ravel(), a, 2 * np.pi * f * DT)[1]
     largest = max(largest, np.max(np.abs(Q - L * P)))
-print(f"largest of 200 random machines by SciPy: {largest:.3f}")
+print(f"largest of 100 random machines by SciPy: {largest:.3f}")
 assert largest <= proof.worst + 1e-6 < 1
 
 # %% [markdown]
@@ -135,7 +136,6 @@ inverse, smooth = stable_inverse(model), ZeroPhaseButterworth(80.0)
 later = dataclasses.replace(inverse, advance=inverse.advance - 1)  # PIDType looks ahead by it
 laws = {
     "learned": found.law.scheme,
-    "safe, few weights": found.verdicts["safe"].candidate.scheme,
     "inverse, then Q": Filtered(ErrorFiltered(PIDType(0.7), later), smooth),
     "Q inverse, as one": learning_filter(inverse, smooth, gain=0.7, tolerance=1e-6),
 }
