@@ -1,11 +1,12 @@
 """Learning laws of a few weights, tuned on the machines on which `learned_laws.py` learns a law.
 
 Each has the same machines, trials and steps as the learned law. P- and PD-type learning with a lead
-and a Q-filter, the model inverse and ZPETC with a gain and a Q-filter, and norm-optimal learning
-with its two weights and a Q-filter begin at the best weights of a grid that are safe by frequency;
-these are then tuned by gradient for the mean of the worst quarter of the machines (CVaR), and kept
-safe. Three are free of that test: the best P-type law of a grid of gains, cutoffs and leads, by
-simulation; the model inverse with its gain and cutoff as the gradient leaves them; and FFDL-MFAILC.
+and a Q-filter, P-type learning with a notch around the resonance too, the model inverse and ZPETC
+with a gain and a Q-filter, and norm-optimal learning with its two weights and a Q-filter begin at
+the best weights of a grid that are safe by frequency; these are then tuned by gradient for the mean
+of the worst quarter of the machines (CVaR), and kept safe. Three are free of that test: the best
+P-type law of a grid of gains, cutoffs and leads, by simulation; the model inverse with its gain and
+cutoff as the gradient leaves them; and FFDL-MFAILC.
 `model-inverse, as one` is Q P^-1 as one filter, with the best safe weights of the grid
 (`candidates.model_inverse`); in the other two P^-1 is cut off at the end of the trial before Q.
 """
@@ -36,7 +37,7 @@ METRIC, MARGIN, SEED = "rms", 0.05, 0
 MACHINES, STEPS = 32, 60  # the same for every law, the learned one included
 BUDGET = {"machines": MACHINES, "held_out": MACHINES, "steps": STEPS, "seed": SEED}
 GAINS, SHARES, LEADS = np.geomspace(0.1, 1.2, 8), np.geomspace(0.004, 0.3, 16), 16
-KEPT = ("p-type", "pd-type", "model-inverse", "norm-optimal")
+KEPT = ("p-type", "pd-type", "p-type-notch", "model-inverse", "norm-optimal")
 
 
 def opponents(case: Case, family: Family, folder: Path) -> Iterator[tuple[str, Scheme, float]]:

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from ..design import Designed
     from ..scenarios import Scenario
 
-LAWS = ("p-type", "pd-type", "model-inverse", "norm-optimal", "learned")
+LAWS = ("p-type", "pd-type", "p-type-notch", "model-inverse", "norm-optimal", "learned")
 
 
 def register(app: typer.Typer) -> None:

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from ..design.proof import Proof
     from ..scenarios import Scenario
 
+EDGES = {"low": "notch from", "high": "notch to"}
 CAUSES = {
     "law": "the filter and the number of trials",
     "limits": "the limits of the actuator",
@@ -94,14 +95,14 @@ def _with_weights(what: Candidate, chosen: Scenario) -> str:
 def weights_said(what: Candidate, chosen: Scenario) -> str:
     """The weights of a law in words, with the units that are known."""
     task = chosen.task
-    units = {"cutoff": " Hz"}
+    units = dict.fromkeys(("cutoff", "low", "high"), " Hz")
     per = f" {task.input_unit}/{task.unit}" if task.input_unit and task.unit else ""
     units |= dict.fromkeys(("gamma_p", "gamma_d"), "" if task.input_unit == task.unit else per)
-    said = [
-        f"{path.rpartition('.')[2]} = {float(get_at(what.scheme, path)):.4g}"
-        f"{units.get(path.rpartition('.')[2], '')}"
-        for path in what.bounds
-    ]
+    said = []
+    for path in what.bounds:
+        name = path.rpartition(".")[2]
+        value = f"{float(get_at(what.scheme, path)):.4g}{units.get(name, '')}"
+        said.append(f"{EDGES.get(name, name)} = {value}")
     lead = _lead(what.scheme)
     return ", ".join(said + ([f"lead = {lead} samples"] if lead else []))
 

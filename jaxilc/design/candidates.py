@@ -16,10 +16,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..filters import ZeroPhaseButterworth
+from ..filters import ZeroPhaseBandStop, ZeroPhaseButterworth
 from ..filters.inversion import stable_inverse
 from ..plants import StateSpace
 from ..schemes import (
+    ErrorFiltered,
     Filtered,
     NormOptimal,
     PIDType,
@@ -29,15 +30,17 @@ from ..schemes import (
 )
 from ..signals.task import Task
 from ..theory.loop import minimal
-from .responses import Family
+from .responses import Family, resonance_band
 from .safe_weights import ORDER, Found, best_simulated, response_of_pd, widest
 
 GAINS = (0.1, 0.2, 0.35, 0.5, 0.7, 0.85, 1.0)  # of the inverse of the largest steady gain
 INVERSE_GAINS = (0.2, 0.35, 0.5, 0.7, 0.85, 1.0)
 RATES = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)  # derivative times, in samples times 1 + lead
 LEADS, LONGEST = 36, 500  # number of leads tried, and the longest [samples]
+NOTCHES = (1.05, 1.25)  # factors from the resonances of the machines to the edges tried at first
 WIDER = 4.0  # factor by which a tuning may change a weight, to either side
 TOLERANCES = (1e-9, 1e-7, 1e-5, 1e-4)  # shares of the largest tap that are left out
+EDGES_WIDER, APART = 1.5, 1.001  # the same for the edges of a notch, which stay apart
 FREER = 100.0  # the same for the weights of norm-optimal learning
 
 
@@ -99,6 +102,37 @@ def p_type(family, feedback, task, trials, margin) -> Candidate | Absent:
 def pd_type(family, feedback, task, trials, margin) -> Candidate | Absent:
     """Q (u + z^(1 + lead) (gamma_p + gamma_d (1 - z^-1)) e)"""
     return _pd_type(family, feedback, task, trials, margin, derivative=True)
+
+
+def p_type_notch(family, feedback, task, trials, margin) -> Candidate | Absent:
+    """Q (u + gamma_p z^(1 + lead) F e), where F stops the band of the highest resonance"""
+    band = resonance_band(family, task.dt)
+    if band is None:
+        return Absent("p-type-notch", "no machine has a lightly damped resonance")
+    if _sign(family) == 0:
+        return Absent("p-type-notch", _NO_SIGN)
+    found = [
+        one
+        for wider in NOTCHES
+        if band[1] * wider < 0.45 / task.dt
+        and (one := _best_pd(family, task, trials, margin, (0.0,), band / [wider, 1 / wider]))
+    ]
+    if not found:
+        return Absent("p-type-notch", _NO_WEIGHTS)
+    best = min(found, key=lambda one: one.predicted)
+    low, high = best.weights["low"], best.weights["high"]
+    learning = ErrorFiltered(_pid_type(best, ("gamma_p",)), ZeroPhaseBandStop(low, high))
+    middle = (low * high) ** 0.5
+    bounds = {
+        "scheme.scheme.gamma_p": _around(best.weights["gamma_p"]),
+        "scheme.filter.low": (low / EDGES_WIDER, min(low * EDGES_WIDER, middle / APART)),
+        "scheme.filter.high": (
+            max(high / EDGES_WIDER, middle * APART),
+            min(high * EDGES_WIDER, 0.49 / task.dt),
+        ),
+    }
+    words = "P-type with lead, a notch around the resonance, and filter"
+    return _candidate(words, learning, best, feedback, bounds, task)
 
 
 def model_inverse(family, feedback, task, trials, margin) -> Candidate | Absent:
@@ -164,10 +198,12 @@ def norm_optimal(family, feedback, task, trials, margin) -> Candidate | Absent:
 LAWS: dict[str, Callable[..., Candidate | Absent]] = {
     "p-type": p_type,
     "pd-type": pd_type,
+    "p-type-notch": p_type_notch,
     "model-inverse": model_inverse,
     "norm-optimal": norm_optimal,
 }
 _NO_WEIGHTS = "no weights keep the margin on every machine"
+_NO_SIGN = "the sign of the steady gain is not the same on all machines"
 
 
 # How it is done
@@ -176,30 +212,44 @@ _NO_WEIGHTS = "no weights keep the margin on every machine"
 
 def _pd_type(family, feedback, task, trials, margin, *, derivative: bool) -> Candidate | Absent:
     name = "pd-type" if derivative else "p-type"
-    steady = family.P[:, 0].real
-    if np.any(steady * steady[0] <= 0):
-        return Absent(name, "the sign of the steady gain is not the same on all machines")
-    size = np.sign(steady[0]) / np.max(np.abs(steady))
+    if _sign(family) == 0:
+        return Absent(name, _NO_SIGN)
+    found = _best_pd(family, task, trials, margin, RATES if derivative else (0.0,))
+    if found is None:
+        return Absent(name, _NO_WEIGHTS)
+    names = ("gamma_p", "gamma_d")[: 1 + derivative]
+    bounds = {f"scheme.{w}": _around(found.weights[w]) for w in names}
+    words = f"{name[:-5].upper()}-type with lead and filter"
+    return _candidate(words, _pid_type(found, names), found, feedback, bounds, task)
+
+
+def _best_pd(family, task, trials, margin, rates, band=None) -> Found | None:
+    """The best P-type or PD-type law by simulation, with a notch if a band (low, high) is given."""
+    size = _sign(family) / np.max(np.abs(family.P[:, 0].real))
     longest = max(1, min(LONGEST, task.N // 8))
     leads = np.unique(np.r_[0, np.geomspace(1, longest, LEADS).astype(int)])
+    notch = {} if band is None else dict(zip(("low", "high"), map(float, band), strict=True))
 
     def laws():
         for lead in map(int, leads):
             for gain in GAINS:
-                for rate in RATES if derivative else (0.0,):
+                for rate in rates:
                     gamma_p = float(size * gain)
                     law = {"gamma_p": gamma_p, "gamma_d": gamma_p * rate * (1 + lead), "lead": lead}
-                    yield law | {"L": response_of_pd(family, law, task.dt)}
+                    yield law | notch | {"L": response_of_pd(family, law | notch, task.dt)}
 
-    all_found = widest(family, laws(), task, trials, margin)
-    if not all_found:
-        return Absent(name, _NO_WEIGHTS)
-    found = best_simulated(family, all_found, task, trials, margin)
-    weights = {w: found.weights[w] for w in ("gamma_p", "gamma_d")[: 1 + derivative]}
-    learning = PIDType(**weights, lead=int(found.weights["lead"]))
-    bounds = {f"scheme.{w}": _around(value) for w, value in weights.items()}
-    words = f"{name[:-5].upper()}-type with lead and filter"
-    return _candidate(words, learning, found, feedback, bounds, task)
+    found = widest(family, laws(), task, trials, margin)
+    return best_simulated(family, found, task, trials, margin) if found else None
+
+
+def _sign(family) -> float:
+    """The sign of the steady gain, 0 if it is not the same on all machines."""
+    steady = family.P[:, 0].real
+    return 0.0 if np.any(steady * steady[0] <= 0) else float(np.sign(steady[0]))
+
+
+def _pid_type(found: Found, names: Sequence[str]) -> PIDType:
+    return PIDType(**{w: found.weights[w] for w in names}, lead=int(found.weights["lead"]))
 
 
 def _candidate(words, learning, found: Found, feedback, bounds, task) -> Candidate:

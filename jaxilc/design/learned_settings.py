@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from .learned import LearnedLaw
 
 STARTS = {
-    "safe": ("p-type", "pd-type", "model-inverse"),
+    "safe": ("p-type", "pd-type", "p-type-notch", "model-inverse"),
     "p-type": ("p-type",),
     "inverse": ("model-inverse",),
     "nothing": (),

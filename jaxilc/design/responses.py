@@ -35,7 +35,9 @@ CORNERS = 5  # uncertain numbers up to which all corners of their intervals are 
 MACHINES = 33  # machines that are drawn, the nominal one included, besides the corners
 LINES = 300  # frequencies
 NOT_REPEATED = 1e-4  # share of the first error that counts as noise, if the machine has none
-APART = 1e-9  # relative distance of two lines that are not the same
+SAME_LINE = 1e-9  # relative distance of two lines that count as one
+LIGHT = 0.3  # damping below which a pair of poles is a resonance
+APART = 1.15  # ratio of two neighbouring frequencies that belong to different resonances
 SHORT = 64  # samples of a trial that is long enough to read the loop of a sample off it
 
 
@@ -165,6 +167,25 @@ def family_of(
     return Family(f, P, error, e, _noise(machine, task, f, P[0], least), loops, drawn)
 
 
+def resonance_band(family: Family, dt: float) -> np.ndarray | None:
+    """(2,) lowest and highest frequency [Hz] of the resonance that is highest, over all machines.
+
+    None if no machine has a pair of poles of less damping than `LIGHT`.
+    """
+    found = []
+    for loop, P in zip(family.loops, np.abs(family.P), strict=True):
+        s = np.log(_pairs(loop.A)) / dt
+        light = s[-s.real < LIGHT * np.abs(s)]
+        f = light.imag / (2 * np.pi)
+        found += zip(f, np.interp(f, family.frequencies, P), strict=True)
+    if not found:
+        return None
+    f, height = np.array(sorted(found)).T
+    gaps = np.flatnonzero(f[1:] > APART * f[:-1]) + 1
+    one = max(np.split(np.arange(len(f)), gaps), key=lambda some: np.max(height[some]))
+    return f[one[[0, -1]]]
+
+
 # How it is done
 # --------------------------------------------------------------------------------------------------
 
@@ -186,12 +207,17 @@ def _lines(task: Task, loops: list[Loop], points: int) -> np.ndarray:
     machine has it at another frequency. It is met at its peak and at both of its flanks.
     """
     f = grid(task, points=points, near=np.linalg.eigvals(minimal(loops[0], task.N).A))
-    poles = np.linalg.eigvals(np.stack([loop.A for loop in loops])).ravel()
-    poles = poles[(poles.imag > 0) & (np.abs(poles) > 1e-3)]
+    poles = _pairs(np.stack([loop.A for loop in loops]))
     width, angle = -np.log(np.abs(poles)), np.angle(poles)
     peaks = (angle[:, None] + width[:, None] * [-1.0, 0.0, 1.0]).ravel() / (2 * np.pi * task.dt)
     f = np.unique(np.concatenate([f, peaks[(peaks > f[0]) & (peaks < f[-1])]]))
-    return f[np.diff(f, prepend=0.0) > APART * f]
+    return f[np.diff(f, prepend=0.0) > SAME_LINE * f]
+
+
+def _pairs(A) -> np.ndarray:
+    """Poles of matrices (..., n, n), of each pair the one above the real axis."""
+    poles = np.linalg.eigvals(A).ravel()
+    return poles[(poles.imag > 0) & (np.abs(poles) > 1e-3)]
 
 
 def _need_stable(loops: list[Loop], task: Task) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from ..signals.task import Task
 from ..theory.filtered_law import Change, Lines, largest_cutoff, low_pass
 from .responses import Family
-from .simulated import rms_of
+from .simulated import notch_of, rms_of
 
 ORDER = 2  # of the robustness filter, in one pass
 SHARES = (0.98, 0.75, 0.55, 0.4)  # of the largest cutoff that is allowed
@@ -22,6 +22,8 @@ STEPS = (
     (1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1),
     (1, -1, 0), (-1, 1, 0), (0, 1, -1), (0, -1, 1), (1, 0, -1), (-1, 0, 1),
 )  # fmt: skip
+EDGES = ((1, 0), (-1, 0), (0, 1), (0, -1), (-1, 1), (1, -1))  # and for both edges of a notch
+NARROWER = 0.25  # power of the factor for an edge
 
 
 class Found(NamedTuple):
@@ -109,15 +111,22 @@ def best_simulated(
 
 
 def _around(weights: dict[str, Any], stride: float, task: Task) -> list[dict[str, Any]]:
-    """Laws beside one: its gain and its cutoff by a factor, its lead by some samples."""
+    """Laws beside one: its gain, cutoff and edges by a factor, its lead by some samples."""
     lead, cutoff = int(weights["lead"]), weights["cutoff"]
     some = max(1, round(lead * (stride - 1) / 2))
     laws = []
     for gain, width, longer in STEPS:
-        changed = {name: weights[name] * stride**gain for name in ("gamma_p", "gamma_d")}
+        changed = weights | {name: weights[name] * stride**gain for name in ("gamma_p", "gamma_d")}
         changed |= {"lead": lead + longer * some, "cutoff": cutoff * stride**width}
         if 0 <= changed["lead"] < task.N // 2 and changed["cutoff"] < 0.45 / task.dt:
             laws.append(changed)
+    for steps in EDGES if "low" in weights else ():
+        low, high = (
+            weights[edge] * stride ** (NARROWER * step)
+            for edge, step in zip(("low", "high"), steps, strict=True)
+        )
+        if low < high < 0.45 / task.dt:
+            laws.append(weights | {"low": low, "high": high})
     return laws
 
 
@@ -128,11 +137,14 @@ def _kept(family: Family, law: dict[str, Any], dt: float, margin: float) -> Foun
 
 
 def _responses(family: Family, law: dict[str, Any], dt: float) -> tuple[np.ndarray, np.ndarray]:
-    """(F,) Q and L of a P-type or PD-type law."""
+    """(F,) Q and L of a P-type or PD-type law, with its notch if it has one."""
     return low_pass(family.frequencies, law["cutoff"], dt, ORDER), response_of_pd(family, law, dt)
 
 
 def response_of_pd(family: Family, law, dt: float) -> np.ndarray:
-    """(F,) L of a P-type or PD-type law."""
+    """(F,) L of a P-type or PD-type law, with its notch if it has one."""
     change = 1 - family.advance(-1, dt)
-    return family.advance(1 + law["lead"], dt) * (law["gamma_p"] + law["gamma_d"] * change)
+    L = family.advance(1 + law["lead"], dt) * (law["gamma_p"] + law["gamma_d"] * change)
+    if "low" not in law:
+        return L
+    return L * notch_of(law, np.pi * dt * family.frequencies, dt)

@@ -1,4 +1,5 @@
 from . import inversion
+from .band_stop import ZeroPhaseBandStop
 from .inversion import (
     ZPETC,
     Inverse,
@@ -18,6 +19,7 @@ __all__ = [
     "Inverse",
     "StableInverse",
     "SwitchableFilter",
+    "ZeroPhaseBandStop",
     "ZeroPhaseButterworth",
     "ZeroPhaseFIR",
     "ZeroPhaseIIR",

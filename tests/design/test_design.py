@@ -11,14 +11,14 @@ from jaxilc import Machine, Sensor, Task, Uniform
 from jaxilc.design import Design, feedback_among
 from jaxilc.design.candidates import LAWS, Absent, candidates
 from jaxilc.design.judging import judged_trials, ranked, verdict
-from jaxilc.design.responses import family_of
+from jaxilc.design.responses import family_of, resonance_band
 from jaxilc.design.safe_weights import ORDER, Found, best_simulated
 from jaxilc.design.simulated import impulse_response, rms_of
 from jaxilc.design.tuned import contraction
-from jaxilc.filters import ZeroPhaseButterworth
+from jaxilc.filters import ZeroPhaseBandStop, ZeroPhaseButterworth
 from jaxilc.learning import learn
 from jaxilc.plants import ProcessModel, StateSpace
-from jaxilc.schemes import PID, Filtered, PIDType, WithFeedback
+from jaxilc.schemes import PID, ErrorFiltered, Filtered, PIDType, WithFeedback
 from jaxilc.sweeps.summary import SchemeSummary
 from jaxilc.theory.filtered_law import low_pass
 from jaxilc.theory.law import learning_law
@@ -72,6 +72,17 @@ def test_the_lines_meet_the_resonance_of_each_machine():
         dense = np.abs(scipy.signal.freqz(b.ravel(), a, 2 * np.pi * f * DT)[1])
         near = np.abs(P[(family.frequencies > 100.0) & (family.frequencies < 250.0)])
         assert np.max(near) > 0.98 * np.max(dense)
+
+
+def test_the_band_of_a_notch_is_that_of_the_highest_resonance_on_all_machines(family):
+    low, high = resonance_band(family, DT)
+    damped = np.sqrt(1 - 0.1**2) / (2 * np.pi)
+    np.testing.assert_allclose([low, high], [810 * damped, 990 * damped], rtol=1e-6)
+    two = ProcessModel(1.0, frequencies=[300.0, 900.0], dampings=[0.02, 0.2])
+    one = resonance_band(family_of(Machine(two), None, TASK, {}, seed=0), DT)
+    np.testing.assert_allclose(one, 300 * np.sqrt(1 - 0.02**2) / (2 * np.pi), rtol=1e-6)
+    still = family_of(Machine(ProcessModel(1.0, poles=[90.0])), None, TASK, {}, seed=0)
+    assert resonance_band(still, DT) is None
 
 
 def test_the_search_around_the_best_law_keeps_the_margin_and_lowers_the_error(family):
@@ -259,12 +270,15 @@ def test_laws_simulated_by_transforms_learn_as_schemes_do(family, safe):
     laws = [
         {"gamma_p": 0.3, "gamma_d": 0.0, "lead": 7, "cutoff": 60.0},
         {"gamma_p": 0.2, "gamma_d": 1.1, "lead": 0, "cutoff": 35.0},
+        {"gamma_p": 0.3, "gamma_d": 0.0, "lead": 7, "cutoff": 90.0, "low": 70.0, "high": 200.0},
     ]
     found = rms_of(
         [family.loops[i] for i in machines], TASK.reference[:, 0], laws, DT, TRIALS, order=2
     )
     for row, law in zip(found, laws, strict=True):
         gains = PIDType(gamma_p=law["gamma_p"], gamma_d=law["gamma_d"], lead=law["lead"])
+        if "low" in law:
+            gains = ErrorFiltered(gains, ZeroPhaseBandStop(law["low"], law["high"]))
         scheme = Filtered(gains, ZeroPhaseButterworth(law["cutoff"]))
         for value, i in zip(row, machines, strict=True):
             numbers = {name: values[i] for name, values in family.drawn.items()}
