@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
 from ..pytree.closest import not_one_of
 from ..pytree.ranges import require
-
-if TYPE_CHECKING:
-    from .learned import LearnedLaw
 
 STARTS = {
     "safe": ("p-type", "pd-type", "p-type-notch", "model-inverse"),
@@ -20,8 +17,8 @@ STARTS = {
 }
 
 
-def check_settings(asked: LearnedLaw) -> None:
-    """Raises ValueError, naming the setting, its value and what is allowed."""
+def check_settings(asked: Any) -> None:
+    """Raises ValueError for a `LearnedLaw`, naming the setting, its value and what is allowed."""
     require("LearnedLaw", "margin", asked.margin, "(0, 0.9)")
     for name, least in (("trained_on", 1), ("held_out", 0), ("steps", 0)):
         require("LearnedLaw", name, getattr(asked, name), f"[{least}, inf)", whole=True)
