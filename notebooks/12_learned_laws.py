@@ -64,9 +64,9 @@ task = Task(r, dt=DT, unit="mm", input_unit="mm")
 # ## Learn the law
 #
 # It begins at the best safe law of a few weights and finds taps by the frequency responses of all
-# machines. With `steps` it would go on by gradients through simulated learning, which pays where
-# the ends of the trial or limits count. A gate on 257 other machines and the corners of the
-# uncertainty takes the law back, or refuses it, if it is not safe there.
+# machines. With `steps` it would go on by gradients through simulated learning, which also sees the
+# ends of the trial and limits. A gate on 257 other machines and the corners of the uncertainty
+# takes the law back, or refuses it, if it is not safe there.
 
 # %%
 asked = LearnedLaw(machine, task, 10, spread, metric="rms", steps=0, machines=33)
