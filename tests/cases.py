@@ -41,6 +41,7 @@ from jaxilc.schemes import (
     PID,
     SMC,
     ConstrainedNormOptimal,
+    CrossCoupled,
     ErrorFiltered,
     EstimatedDisturbance,
     ExponentialPD,
@@ -243,6 +244,7 @@ SCHEMES = {
         PIDType(gamma_p=-0.3, lead=1), repeats=1, growth_of_gain=1.2, largest=1.3, slow=0.5
     ),
     "p_type_on_table": OnOutputs(PIDType(gamma_p=0.5, lead=1), (1,)),
+    "cross_coupled": CrossCoupled(PIDType(gamma_p=0.8), contour=1.5, own=0.4),
     "norm_optimal": NormOptimal(
         StateSpace(
             [[0.94, 0.03], [0.01, 0.9]],
@@ -342,6 +344,7 @@ SCHEMES = {
 _PLANT_OF = {
     "p_type_on_table": "motor_and_table",
     "norm_optimal": "mimo",
+    "cross_coupled": "mimo",
     "norm_optimal_lifted": "discrete",
     "constrained": "discrete",
     "gradient": "discrete",
@@ -358,6 +361,7 @@ _SCHEME_OF = {
     "ball_screw_real": OnOutputs(PID(kp=6.0, kd=1e-3), (0,)),
 }
 _FEW = {
+    "cross_coupled",
     "norm_optimal",
     "norm_optimal_lifted",
     "constrained",

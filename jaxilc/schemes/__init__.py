@@ -2,6 +2,7 @@
 
 from .compose import ErrorFiltered, Filtered, OnOutputs, WithFeedback
 from .constrained_norm_optimal import ConstrainedNormOptimal
+from .cross_coupled import CrossCoupled
 from .estimated_disturbance import EstimatedDisturbance
 from .exponential import ExponentialPD
 from .gradient import GradientILC
@@ -32,6 +33,7 @@ __all__ = [
     "PID",
     "SMC",
     "ConstrainedNormOptimal",
+    "CrossCoupled",
     "ErrorFiltered",
     "EstimatedDisturbance",
     "ExponentialPD",

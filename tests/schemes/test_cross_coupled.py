@@ -1,0 +1,156 @@
+"""Cross-coupled learning is compared with its printed equations, written out in NumPy."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.signal
+from cases import ALGEBRA, DT
+
+from jaxilc.learning import Machine, learn
+from jaxilc.learning.contour_metrics import contour_metrics
+from jaxilc.plants import DifferenceEquation, TwoAxes
+from jaxilc.schemes import FFDLMFAILC, CrossCoupled, ModelFreeGradient, PIDType
+from jaxilc.schemes.cross_coupled import across, tangents
+from jaxilc.signals import Task
+from jaxilc.theory import certify
+
+N, TRIALS = 60, 5
+S = np.clip((np.arange(N + 1) - 6) / 44, 0, 1)  # at rest, once around, at rest
+PATH = np.stack([np.cos(2 * np.pi * S) - 1, 0.6 * np.sin(2 * np.pi * S)], axis=1)
+POLES, GAINS = (0.6, 0.85), (0.4, 0.15)
+MACHINE = Machine(
+    TwoAxes(*(DifferenceEquation((a,), (b,), dt=DT) for a, b in zip(POLES, GAINS, strict=True)))
+)
+TASK = Task(PATH, dt=DT)
+
+
+def plays(u):
+    """The outputs (N+1, 2) of both axes, by SciPy."""
+    y = [
+        scipy.signal.lfilter([0.0, b], [1.0, -a], np.append(u[:, i], 0.0))
+        for i, (a, b) in enumerate(zip(POLES, GAINS, strict=True))
+    ]
+    return np.stack(y, axis=1)
+
+
+def angles():
+    """theta (N+1,) of the path; before it moves that of its start, after it that of its end."""
+    theta = np.empty(N + 1)
+    for k in range(N + 1):
+        i = min(max(k, 6), 50)  # the first and the last sample whose neighbours are not both there
+        step = PATH[min(i + 1, N)] - PATH[max(i - 1, 0)]
+        theta[k] = np.arctan2(step[1], step[0])
+    return theta
+
+
+@pytest.mark.parametrize(("own", "contour"), [(1.0, 0.0), (0.4, 1.2), (0.0, 1.0)])
+def test_the_printed_equations_give_the_same_inputs(own, contour):
+    theta, gamma, lead = angles(), 0.7, 2
+    u, worst = np.zeros((N, 2)), []
+    for _ in range(TRIALS):
+        e = PATH - plays(u)
+        worst.append(np.max(np.abs(e[1:]), axis=0))
+        eps = -np.sin(theta) * e[:, 0] + np.cos(theta) * e[:, 1]
+        seen = own * e + contour * np.stack([-np.sin(theta) * eps, np.cos(theta) * eps], axis=1)
+        step = np.zeros((N, 2))
+        step[: N - lead] = gamma * seen[1 + lead :]
+        u += step
+    scheme = CrossCoupled(PIDType(gamma_p=gamma, lead=lead), contour=contour, own=own)
+    history = learn(MACHINE, scheme, TASK, TRIALS)
+    np.testing.assert_allclose(history.memory.u, u, **ALGEBRA)
+    np.testing.assert_allclose(history.max_error, worst, **ALGEBRA)
+
+
+def test_in_space_what_is_left_is_the_cross_product_with_the_direction():
+    s = np.linspace(0, 4, 41)
+    path = np.stack([np.sin(s), np.cos(2 * s), 0.3 * s**2], axis=1)
+    e = np.random.default_rng(3).standard_normal(path.shape)
+    direction = path[2:] - path[:-2]
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    expected = np.cross(np.cross(direction, e[1:-1]), direction)
+    np.testing.assert_allclose(across(e, path)[1:-1], expected, **ALGEBRA)
+
+
+def test_a_path_at_rest_keeps_its_direction_and_one_that_never_moves_has_none():
+    still = np.repeat([[0.0, 0.0], [3.0, 4.0], [3.0, 5.0]], [5, 6, 4], axis=0)
+    still += 1e-12 * np.random.default_rng(0).standard_normal(still.shape)  # no direction
+    t = np.asarray(tangents(still))
+    np.testing.assert_allclose(t[[0, 3, 4, 5, 9]], np.tile([0.6, 0.8], (5, 1)), atol=1e-9)
+    np.testing.assert_allclose(t[[10, 11, 14]], np.tile([0.0, 1.0], (3, 1)), atol=1e-9)
+    assert not np.any(tangents(np.ones((7, 2))))
+    e = np.random.default_rng(1).standard_normal((7, 2))
+    np.testing.assert_array_equal(across(e, np.ones((7, 2))), e)
+
+
+def test_without_its_own_part_what_lies_along_the_path_stays():
+    """A lag of s along the path leaves a contour error of s^2 / (2 R) that the law does not see."""
+    plants = [DifferenceEquation((a,), (1 - a,), dt=DT) for a in (0.2, 0.4)]
+    machine, law = Machine(TwoAxes(*plants)), PIDType(gamma_p=0.8)
+    late = law.initial_memory(TASK)._replace(u=jnp.asarray(np.roll(PATH[1:], 1, axis=0)))
+    save = contour_metrics(TASK)["contour_max"]
+    own, contour = (
+        learn(machine, one, TASK, 30, memory=late, save=save)
+        for one in (law, CrossCoupled(law, contour=1.0, own=0.0))
+    )
+    lag = np.max(np.linalg.norm(contour.final.e, axis=1))
+    assert lag > 0.14  # the longest step of the path
+    assert np.max(np.abs(across(contour.final.e, PATH))) < 1e-6
+    assert 0.01 < contour.saved[-1] < lag**2 / (2 * 0.36)  # 0.36 is the smallest radius
+    assert own.saved[-1] < 1e-5
+
+
+def test_a_certificate_counts_what_lies_along_the_path():
+    """The dense map of the error shows that a law without its own part does not contract."""
+    task = Task(PATH[:31], dt=DT)
+    n = 2 * task.N
+    G = np.zeros((n, n))
+    for i, (a, b) in enumerate(zip(POLES, GAINS, strict=True)):
+        for k in range(task.N):
+            G[2 * k + i, i : 2 * k + 2 : 2] = b * a ** np.arange(k, -1, -1.0)
+    t = np.asarray(tangents(task.reference))[1:]
+    for own, contour, claim in ((0.5, 1.0, "converges"), (0.0, 1.0, "not claimed")):
+        L = np.zeros((n, n))
+        for k in range(task.N):
+            across_it = np.eye(2) - np.outer(t[k], t[k])
+            L[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = 0.9 * (own * np.eye(2) + contour * across_it)
+        radius = np.max(np.abs(np.linalg.eigvals(np.eye(n) - L @ G)))
+        assert (radius < 1 - 1e-9) == (claim == "converges")
+        scheme = CrossCoupled(PIDType(gamma_p=0.9), contour=contour, own=own)
+        found = certify(MACHINE, scheme, task, 5, {}, {})
+        assert (found.claim[0] in ("converges", "monotone")) == (claim == "converges")
+
+
+def test_machines_are_learned_at_once_and_both_weights_have_a_slope():
+    def last(contour, own, gain):
+        plant = TwoAxes(DifferenceEquation((0.6,), jnp.stack([gain]), dt=DT), MACHINE.plant.y)
+        scheme = CrossCoupled(PIDType(gamma_p=0.7), contour=contour, own=own)
+        return jnp.sum(learn(Machine(plant), scheme, TASK, 3).rms[-1])
+
+    slopes = jax.jit(jax.vmap(jax.grad(last, (0, 1)), (None, None, 0)))
+    gains, h = np.array([0.3, 0.5]), 1e-6
+    found = slopes(1.0, 0.5, gains)
+    for i, gain in enumerate(gains):
+        of_contour = (last(1 + h, 0.5, gain) - last(1 - h, 0.5, gain)) / (2 * h)
+        of_own = (last(1.0, 0.5 + h, gain) - last(1.0, 0.5 - h, gain)) / (2 * h)
+        np.testing.assert_allclose([x[i] for x in found], [of_contour, of_own], rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("scheme", "task", "said"),
+    [
+        (PIDType(), Task(PATH[:, 0], dt=DT), "1 outputs; allowed are the 2 or 3 axes"),
+        (FFDLMFAILC(), TASK, "L_y = 2 of FFDLMFAILC, which compares outputs"),
+        (ModelFreeGradient(1.0, inputs=2, outputs=2), TASK, "makes experiments"),
+    ],
+)
+def test_what_it_cannot_serve_is_refused(scheme, task, said):
+    with pytest.raises(ValueError, match=said):
+        CrossCoupled(scheme).check(task)
+
+
+def test_weights_are_single_numbers_that_are_not_negative():
+    with pytest.raises(ValueError, match=r"contour = -1"):
+        CrossCoupled(PIDType(), contour=-1.0)
+    with pytest.raises(ValueError, match=r"own has shape \(2,\); allowed is \(\)"):
+        CrossCoupled(PIDType(), own=(1.0, 2.0)).check(TASK)
