@@ -1,6 +1,6 @@
 """Cao 2019, Table 1 and Fig. 5 to 12: errors by trial of four schemes on the plant of eq. 29.
 
-The schemes are CFDL- and FFDL-MFAILC, ILC-MFAPC and PID.
+The schemes are CFDL- and FFDL-MFAILC, ILC-MFAPC and PID, under the reading `stroke`.
 """
 
 import output
@@ -10,7 +10,7 @@ from jaxilc import figures
 
 jaxilc.setup()
 folder = output.folder(__file__)
-s = jaxilc.scenarios.load("cao-2019", plant="printed")
+s = jaxilc.scenarios.load("cao-2019", plant="printed", reading="stroke")
 dataset, _ = jaxilc.run_schemes(s.machine, s.schemes, s.task, s.trials)
 shown = {"scale": s.shown_scale, "unit": s.shown_unit}
 figures.save(figures.error_by_trial(dataset, published=s.due, **shown), folder / "table-1.png")

@@ -4,14 +4,14 @@ import numpy as np
 import output
 
 import jaxilc
-from jaxilc.scenarios.xu_2024 import FITTED, TABLE_1, TABLE_2
+from jaxilc.scenarios.xu_2024_printed import FITTED, TABLE_1, TABLE_2
 from jaxilc.theory import contraction, sliding
 
 jaxilc.setup()
 folder = output.folder(__file__)
 rows, histories = [], {}
 for name, table, load in (("Table 1", TABLE_1, 0.0), ("Table 2", TABLE_2, 1.0)):
-    s = jaxilc.scenarios.load("xu-2024", load=load)
+    s = jaxilc.scenarios.load("xu-2024", load=load, reading="large-gain")
     keep = jaxilc.Keep.of(s.functions, "e", "u")
     for scheme, printed in table.items():
         history = jaxilc.learn(s.machine, s.schemes[scheme], s.task, s.trials, save=keep)
@@ -38,7 +38,7 @@ for name, table in (("Table 1", TABLE_1), ("Table 2", TABLE_2)):
         f"(published {printed:.3f})"
     )
 
-s = jaxilc.scenarios.load("xu-2024")
+s = jaxilc.scenarios.load("xu-2024", reading="large-gain")
 top, bottom = output.axes(2, 1, size=(7.2, 6.0))
 learned = histories["Table 1", "ilc-asmc"]
 for j in (2, 4, 6, 8, 10):
@@ -52,7 +52,8 @@ for load, disturbance, label in (
     (1.0, "none", "1 N load"),
     (0.0, "multi", "multi-frequency"),
 ):
-    here = jaxilc.scenarios.load("xu-2024", load=load, disturbance=disturbance)
+    options = {"load": load, "disturbance": disturbance, "reading": "large-gain"}
+    here = jaxilc.scenarios.load("xu-2024", **options)
     found = jaxilc.learn(here.machine, here.schemes["ilc-asmc"], here.task, 20)
     bottom.semilogy(
         np.arange(1, 21), 1e3 * np.asarray(found.settled_error)[:, 0], "o-", label=label

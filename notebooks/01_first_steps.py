@@ -82,9 +82,9 @@ except ValueError as error:
     print(error)
 
 # %% [markdown]
-# A small `lam` learns fast. On this motor, however, the error of every such law grows again after
-# enough trials, and a smaller `lam` makes this happen earlier. Notebook 05 explains why, and how to
-# know it beforehand.
+# A small `lam` learns fast. On this motor and motion, however, the error of every such law grows
+# again after enough trials, and a smaller `lam` makes this happen earlier. Notebook 05 explains
+# why, and how to know it beforehand.
 #
 # ## Many machines, and gradients
 #

@@ -26,28 +26,39 @@ def reproduce(
             autocompletion=scenarios_from,
         ),
     ] = None,
+    reading: Annotated[
+        str | None,
+        typer.Option(
+            "--reading",
+            metavar="NAME",
+            help="Reading of a paper that has several; the one that is taken if none is given.",
+        ),
+    ] = None,
     json_file: Json = None,
     report: Report = None,
     precision: Precision = "float64",
 ) -> None:
     """Every published number beside ours, with a verdict and how the paper was read.
 
-    Each row says what was fitted, and an open row why it is open.
+    Each row says what was fitted, and an open row why it is open. A report has a picture for each
+    paper, with the printed numbers and ours.
 
-    Example: jaxilc reproduce cao-2019 dai-2014 --json out/reproduce.json
+    Example: jaxilc reproduce cao-2019 --reading amplitude --report out/cao-2019.html
     """
     from .asked import begin
 
     begin(precision)
+    from ..figures.published import reproduction_figures
     from ..figures.report import command_report
     from ..scenarios import reproduction
     from .reproduction_tables import READING_FITS, narrow_reproduction, reproduction_table
     from .verdicts.published import reproduce_verdict
 
-    numbers = [row.as_dict() for row in reproduction.reproduce(scenario or ())]
+    numbers = [row.as_dict() for row in reproduction.reproduce(scenario or (), reading)]
     table = reproduction_table(numbers)
     for part in [table] if out.width >= READING_FITS else narrow_reproduction(numbers):
         out.print(part, highlight=False)
     verdict = reproduce_verdict(numbers)
-    page = command_report(report, "reproduce", [table], lines=verdict.lines)
+    pictures = [] if report is None else reproduction_figures(numbers)
+    page = command_report(report, "reproduce", [table], pictures, lines=verdict.lines)
     written(page, json_file, numbers, verdict)

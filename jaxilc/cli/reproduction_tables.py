@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from itertools import groupby
 from typing import Any
 
+from ..scenarios.published import COMPARED
 from ..scenarios.reproduction import SHAPE
 from .tables import number
 from .titled_table import Table
@@ -24,7 +25,7 @@ def reproduction_table(numbers: Sequence[dict[str, Any]]) -> Table:
 
     numbers: rows of `reproduction.reproduce`, as dictionaries
     """
-    table = Table(title=_counted(numbers))
+    table = Table(title=counted(numbers))
     for column in ("scenario", *COLUMNS, "source", "reading"):
         table.add_column(column, justify="right" if column in IN_NUMBERS else "left")
     for row in numbers:
@@ -35,23 +36,53 @@ def reproduction_table(numbers: Sequence[dict[str, Any]]) -> Table:
 def narrow_reproduction(numbers: Sequence[dict[str, Any]]) -> list[Table | str]:
     """The same for a terminal of 80 columns: a table for each scenario, with lines below it.
 
-    Each line has the source of a row, and how the paper was read.
+    The lines have the source of the rows, and how the paper was read; rows of a scheme with the
+    same text share a line. Where numbers of other software are all of one quantity, it stands in
+    the title with its unit, so that many digits fit beside each other.
     """
-    shown: list[Table | str] = [_counted(numbers)]
-    for scenario, rows in groupby(numbers, key=lambda row: row["scenario"]):
-        table, lines = Table(title=scenario), []
-        for column in COLUMNS:
+    shown: list[Table | str] = [counted(numbers)]
+    for scenario, group in groupby(numbers, key=lambda row: row["scenario"]):
+        rows = list(group)
+        software = all(row["agreement"] is not None for row in rows)
+        alike = {(row["quantity"], row["unit"]) for row in rows} if software else set()
+        title, columns = scenario, list(COLUMNS)
+        if len(alike) == 1:
+            (quantity, unit) = alike.pop()
+            title += f", {quantity.replace('_', ' ')}" + f" [{unit}]" * bool(unit)
+            columns.remove("quantity")
+            rows = [row | {"unit": ""} for row in rows]
+        table = Table(title=title)
+        for column in columns:
             table.add_column(column, justify="right" if column in IN_NUMBERS else "left")
         for row in rows:
-            table.add_row(*_cells(row))
-            at = f", trial {row['trial']}" if row["trial"] else ""
-            lines.append(f"{row['source']}, {row['scheme']}{at}: {_reading(row)}")
-        shown += [table, *lines]
+            texts = dict(zip(COLUMNS, _cells(row), strict=True))
+            table.add_row(*(texts[name] for name in columns))
+        shown += [table, *_lines(rows)]
     return shown
 
 
+def _lines(rows: Sequence[dict[str, Any]]) -> list[str]:
+    """How the rows of a scenario were read, as lines; the first row of a line has its place."""
+    trials: dict[tuple[str, str, str], list[str]] = {}
+    for row in rows:
+        of_row = trials.setdefault((row["source"], row["scheme"], _reading(row)), [])
+        of_row += [str(row["trial"])] if row["trial"] else []
+    lines = []
+    for (source, scheme, text), of in trials.items():
+        of = list(dict.fromkeys(of))
+        at = f", trial{'s' * (len(of) > 1)} {', '.join(of)}" if of else ""
+        lines.append(f"{source}, {scheme}{at}: {text}")
+    return lines
+
+
 def _cells(row: dict[str, Any]) -> tuple[str, ...]:
-    """The cells of a row, in the order of `COLUMNS`."""
+    """The cells of a row, in the order of `COLUMNS`.
+
+    A comparison with another scheme has the quantity that is compared, and `% less` or `% of it`.
+    """
+    for ending, unit in zip(COMPARED, ("% less", "% of it"), strict=True):
+        if row["against"] and row["quantity"].endswith(ending):
+            row = row | {"quantity": row["quantity"].removesuffix(ending), "unit": unit}
     return (
         row["scheme"],
         "" if row["trial"] is None else str(row["trial"]),
@@ -72,8 +103,12 @@ def _compared(row: dict[str, Any]) -> tuple[str, str, str]:
     return published, f"{row['ours']:.{DIGITS}g}", f"{row['ratio']:.{8 if near else 2}f}"
 
 
-def _counted(numbers: Sequence[dict[str, Any]]) -> str:
-    """A text with the count of each verdict, first on the numbers of papers."""
+def counted(numbers: Sequence[dict[str, Any]]) -> str:
+    """A text with the count of each verdict, first on the numbers of papers.
+
+    Those to which a number was fitted are counted apart from the others, which test what was read
+    and fitted.
+    """
     printed = [row for row in numbers if row["agreement"] is None]
     others = [row for row in numbers if row["agreement"] is not None]
     said = []
@@ -82,6 +117,7 @@ def _counted(numbers: Sequence[dict[str, Any]]) -> str:
         in_shape = f"{count['shape']} in shape (the printed order, within a factor of {SHAPE:g})"
         met = f"{count['met']} met within 30 %"
         said.append(f"{len(printed)} published numbers: {met}, {in_shape}, {count['open']} open")
+        said += [parted(printed)] if printed else []
     if others:
         agree = sum(row["verdict"] == "agrees" for row in others)
         rest = len(others) - agree
@@ -89,8 +125,20 @@ def _counted(numbers: Sequence[dict[str, Any]]) -> str:
     return "; ".join(said)
 
 
+def parted(printed: Sequence[dict[str, Any]]) -> str:
+    """How many numbers of papers are met, of those fitted to and of those predicted, as text."""
+    fitted = [row["verdict"] == "met" for row in printed if row["among_fitted"]]
+    predicted = [row["verdict"] == "met" for row in printed if not row["among_fitted"]]
+    return (
+        f"fitted to: {sum(fitted)} of {len(fitted)} met, "
+        f"predicted: {sum(predicted)} of {len(predicted)} met"
+    )
+
+
 def _reading(row: dict[str, Any]) -> str:
     """The options, how the paper was read, what was fitted, and why the row is open, as text."""
     options = [f"{name} {value}" for name, value in row["options"].items() if name != "plant"]
+    against = [f"compared with {row['against']}"] if row["against"] else []
     reason = [f"open: {row['reason']}"] if row["reason"] else []
-    return "; ".join([*options, row["reading"], row["fitted"], *reason])
+    searched = [f"a space of readings was searched in {row['searched']}"] if row["searched"] else []
+    return "; ".join([*options, row["reading"], *against, row["fitted"], *reason, *searched])

@@ -5,6 +5,7 @@
     by_frequency  spectrum and time-frequency map of the error, |Q (keep - L P)|
     learned       a learned law in time and frequency, beside the inverse of the plant
     q_filter      whether a Q-filter is safe, and by how much
+    published     the numbers of a paper and ours
     searches      tunings, trade-offs, worst machines
     experiments   identification: the record, and the model against it
     campaign      a campaign on a real machine
@@ -20,6 +21,7 @@ from .by_trial import certificate, error_band, error_by_trial
 from .campaign import campaign_figure
 from .experiments import record_figure, response_fit_figure, validation_figure
 from .learned import learned_law_figure
+from .published import printed_and_ours, reproduction_figures
 from .q_filter import q_filter_figure
 from .searches import final_error_by_trials, loss_by_step, pareto_front, worst_against_chance
 from .style import COLOURS, DASHES, MARKS, save
@@ -39,9 +41,11 @@ __all__ = [
     "learned_law_figure",
     "loss_by_step",
     "pareto_front",
+    "printed_and_ours",
     "q_filter_figure",
     "record_figure",
     "report",
+    "reproduction_figures",
     "response_fit_figure",
     "save",
     "spectrum",

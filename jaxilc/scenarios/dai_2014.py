@@ -40,7 +40,12 @@ MFAPC_READING = "eq. 29's plant; the reference is previewed and goes on beyond t
 def _row(scheme: str, frequency: float, value: float, source: str, reading: str) -> Published:
     fitted = Fit(("phi0",), "this row alone", among=True) if scheme == "cfdl-mfapc" else NOTHING
     options = (("plant", "printed"), ("frequency", frequency))
-    return Published(scheme, None, "settled_error", value, source, options, reading, fitted=fitted)
+    searched = "experiments/dai_2014_readings.py" if scheme == "cfdl-mfapc" else ""
+    return Published(
+        *(scheme, None, "settled_error", value, source, options, reading),
+        fitted=fitted,
+        searched=searched,
+    )
 
 
 PUBLISHED = (

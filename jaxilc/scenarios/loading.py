@@ -29,6 +29,30 @@ SCENARIOS: dict[str, Callable[..., Scenario]] = {
     "xu-2024": xu_2024,
 }
 
+# For a paper with several readings, the value of the option `reading` by which `reproduce` judges
+# it; the experiment that compares the readings is named in the module of the scenario.
+TAKEN = {
+    "cao-2019": "stroke",
+    "cao-2019-rig": "within-samples",
+    "xu-2024": "large-gain",
+}
+
+
+def with_reading(name: str, reading: str | None) -> dict[str, str]:
+    """The options that choose a reading of a scenario.
+
+    reading: name of the reading; None: the one that is taken, where the scenario has several
+    Raises ValueError where a reading is named for a scenario that has only one.
+    """
+    if reading is None:
+        return {"reading": TAKEN[name]} if name in TAKEN else {}
+    if name in SCENARIOS and name not in TAKEN:
+        raise ValueError(
+            f"reading = {brief(reading)}: {name} has one reading only; several have "
+            f"{', '.join(TAKEN)}"
+        )
+    return {"reading": reading}
+
 
 def load(name: str, **chosen) -> Scenario:
     """A scenario by name, with its options (`load("cao-2019", plant="printed")`).

@@ -67,7 +67,12 @@ TABLE_1 = {
 FITTED_ROWS = {("dilc", 1, "table_rms"), ("dilc", 11, "table_rms"), ("dilc", 11, "motor_rms")}
 
 
-def _row(scheme: str, trial: int, quantity: str, value: float) -> Published:
+IMPROVEMENT = 42.0  # of the largest error of the table by MILC over DILC, section 5.2 [%]
+
+
+def _row(
+    scheme: str, trial: int, quantity: str, value: float, source="Table 1", against=""
+) -> Published:
     fit = Fit(
         tuple(FITTED), "three numbers of the DILC row", (scheme, trial, quantity) in FITTED_ROWS
     )
@@ -76,17 +81,21 @@ def _row(scheme: str, trial: int, quantity: str, value: float) -> Published:
         trial,
         quantity,
         value,
-        "Table 1",
+        source,
         (("axis", "x"),),
         f"the paper's trial {trial - 1}",
         fitted=fit,
+        against=against,
     )
 
 
-PUBLISHED = tuple(
-    _row(scheme, trial, quantity, value)
-    for scheme, rows in TABLE_1.items()
-    for (trial, quantity), value in rows.items()
+PUBLISHED = (
+    *(
+        _row(scheme, trial, quantity, value)
+        for scheme, rows in TABLE_1.items()
+        for (trial, quantity), value in rows.items()
+    ),
+    _row("milc", 11, "table_max_improvement", IMPROVEMENT, "section 5.2", "dilc"),
 )
 
 CHOSEN = (

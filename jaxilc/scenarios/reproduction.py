@@ -1,9 +1,13 @@
 """Published numbers compared with ours, with a verdict on each.
 
-    met      within 30 % of the printed number, or below it where it is printed as "less than"
+    met      within 30 % of the printed number; not above it where it is printed as a bound
     shape    in the printed order, larger or smaller, with every comparable row, and at most twice
              and at least half of the printed number
     open     neither of these; the reason is given
+
+An improvement in percent is held to both of its sides: 100 - 89 and 100 - 97 are both "about 90 %",
+but what is left of the error differs by a factor of four. It is judged by that one of the two
+ratios, of the improvement and of what is left, which is farther from 1.
 
 A number that other software computed from the same equations is held to more. It agrees, `agrees`,
 where ours differs by no more than its own `Published.agreement`, or it is open.
@@ -17,8 +21,8 @@ row.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import NamedTuple
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,6 +30,8 @@ from .. import scenarios
 from ..learning.metrics import Keep, best_trial
 from ..learning.over_trials import learn
 from . import Published, Scenario
+from .loading import with_reading
+from .published import OVER_TRIALS
 
 MET = 0.3
 SHAPE = 2.0
@@ -53,10 +59,12 @@ class Row(NamedTuple):
 
     def as_dict(self) -> dict[str, object]:
         """The row without nested fields, for JSON and CSV."""
-        fitted = "" if self.published.fitted is None else str(self.published.fitted)
+        fit = self.published.fitted
         of_print = self.published._asdict() | {
             "options": dict(self.published.options),
-            "fitted": fitted,
+            "fitted": "" if fit is None else str(fit),
+            "free_numbers": len(fit.names) if fit else 0,
+            "among_fitted": bool(fit and fit.among),
         }
         return (
             {"scenario": self.scenario}
@@ -65,12 +73,16 @@ class Row(NamedTuple):
         )
 
 
-def reproduce(names: Iterable[str] = ()) -> list[Row]:
+def reproduce(names: Iterable[str] = (), reading: str | None = None) -> list[Row]:
     """Simulate every published number of the named scenarios; without names, of all scenarios.
 
-    Raises ValueError naming the allowed scenarios.
+    reading: name of a reading, for scenarios that have several; None: of each the one that is taken
+    Raises ValueError naming the allowed scenarios or readings.
     """
-    chosen = {name: scenarios.load(name).published for name in names or scenarios.SCENARIOS}
+    chosen = {
+        name: scenarios.load(name, **with_reading(name, reading)).published
+        for name in names or scenarios.SCENARIOS
+    }
     return [row for name, published in chosen.items() for row in _of_scenario(name, published)]
 
 
@@ -98,34 +110,69 @@ def _simulated(scenario: Scenario, rows: list[Published]) -> dict[Published, flo
 
     Each scheme learns once, up to the last trial that its rows need.
     """
+    due: dict[str, list[Published]] = {}
+    for p in rows:
+        for scheme in dict.fromkeys((p.scheme, p.against or p.scheme)):
+            due.setdefault(scheme, []).append(p)
+    found = {scheme: _metrics_by_trial(scenario, scheme, of) for scheme, of in due.items()}
     ours = {}
-    for scheme in {p.scheme: None for p in rows}:
-        due = [p for p in rows if p.scheme == scheme]
-        trials, keep = max(p.trial or 1 for p in due), Keep.of(scenario.functions)
-        history = learn(
-            scenario.machine, scenario.schemes[scheme], scenario.task, trials, save=keep
-        )
-        metrics = (
-            history.metrics._asdict() | history.saved | {"best_trial": best_trial(history.rms)}
-        )
-        for p in due:
-            trial = (p.trial or 1) - 1
-            largest = (
-                np.inf
-                if history.diverged[trial]
-                else np.max(np.asarray(metrics[p.quantity])[trial])
-            )
-            ours[p] = scenario.shown(p.quantity)[0] * float(largest)
+    for p in rows:
+        value = _at(found[p.scheme], p)
+        if p.against:
+            share = 100 * value / _at(found[p.against], p)
+            ours[p] = share if p.quantity.endswith("_share") else 100 - share
+        else:
+            ours[p] = scenario.shown(p.quantity)[0] * value
     return ours
+
+
+def _metrics_by_trial(scenario: Scenario, scheme: str, rows: list[Published]) -> dict[str, Any]:
+    """The metrics of each trial of a scheme, as far as the rows need them.
+
+    A scheme that does not learn runs once, unless a row asks for its spread over trials.
+    """
+    law = scenario.schemes[scheme]
+    repeats = law.learns or any(p.quantity in OVER_TRIALS for p in rows)
+    trials = max(p.trial or 1 for p in rows) if repeats else 1
+    keep = Keep.of(scenario.functions)
+    history = learn(scenario.machine, law, scenario.task, trials, save=keep)
+    return (
+        history.metrics._asdict()
+        | history.saved
+        | {"best_trial": best_trial(history.rms), "diverged": history.diverged}
+        | rises(history.rms)
+    )
+
+
+def _at(metrics: Mapping[str, Any], row: Published) -> float:
+    """The number of a row, largest over channels, without scale; infinite after a divergence."""
+    trial = min(row.trial or 1, len(metrics["diverged"])) - 1
+    if metrics["diverged"][trial]:
+        return np.inf
+    return float(np.max(np.asarray(metrics[row.base])[trial]))
+
+
+def rises(rms) -> dict[str, np.ndarray]:
+    """How the rms error changes over the first j trials, for j = 1..J, each (J,) [unit of y].
+
+    rms_rise: largest rise from one trial to the next, 0 where it only falls
+    rms_spread: difference of the largest and the smallest
+
+    rms: (J, n_y) rms errors; of several outputs the largest counts [unit of y]
+    """
+    largest = np.max(np.asarray(rms, float), axis=1)
+    rise = np.maximum(np.diff(largest, prepend=largest[:1]), 0.0)
+    spread = np.maximum.accumulate(largest) - np.minimum.accumulate(largest)
+    return dict(zip(OVER_TRIALS, (np.maximum.accumulate(rise), spread), strict=True))
 
 
 def _verdict(i: int, published: tuple[Published, ...], ours: list[float]) -> tuple[str, str]:
     """The verdict on row i, and the reason if it is open."""
     here, x = published[i], np.asarray(ours)
-    ratio = x[i] / here.value
+    ratio, of = _judged_ratio(here, x[i])
     if here.agreement is not None:
         return _agreement(ratio, here.agreement)
-    if abs(ratio - 1.0) <= MET or (here.at_most and x[i] <= here.value):
+    if x[i] <= here.value if here.at_most else abs(ratio - 1.0) <= MET:
         return "met", ""
     if not np.isfinite(ratio):
         return "open", "ours is not finite"
@@ -141,7 +188,7 @@ def _verdict(i: int, published: tuple[Published, ...], ours: list[float]) -> tup
             np.isfinite(x[k]) and np.sign(x[i] - x[k]) == np.sign(here.value - published[k].value)
         )
     ]
-    size = f"{ratio:.2f} times the printed number"
+    size = f"{ratio:.2f} times {of}"
     if not others:
         return "open", f"{size}, and no other row to compare with"
     if against:
@@ -153,6 +200,15 @@ def _verdict(i: int, published: tuple[Published, ...], ours: list[float]) -> tup
     if not 1 / SHAPE <= ratio <= SHAPE:
         return "open", f"in the printed order, but {size}, beyond a factor of {SHAPE:g}"
     return "shape", ""
+
+
+def _judged_ratio(here: Published, ours: float) -> tuple[float, str]:
+    """The ratio by which a row is judged, and of which number it is."""
+    ratio, of = ours / here.value, "the printed number"
+    if not here.quantity.endswith("_improvement") or ratio <= 0:
+        return ratio, of
+    left = (100 - ours) / (100 - here.value)
+    return (ratio, of) if max(ratio, 1 / ratio) > max(left, 1 / left) else (left, "what is left")
 
 
 def _agreement(ratio: float, within: float) -> tuple[str, str]:
@@ -172,4 +228,5 @@ def _comparable(a: Published, b: Published) -> bool:
     """
     one_trial = a.trial == b.trial or None in (a.trial, b.trial)
     one_setting = one_trial and a.options == b.options
-    return a.quantity == b.quantity and (a.scheme == b.scheme) != one_setting
+    alike = (a.quantity, a.against) == (b.quantity, b.against)
+    return alike and (a.scheme == b.scheme) != one_setting

@@ -20,7 +20,7 @@ from ..schemes import Scheme
 from ..signals.task import Task, Trial
 from ..storage.printable import printable
 from ..uncertainty import Uncertainty
-from .published import Published
+from .published import COMPARED, OVER_TRIALS, Published
 
 # Name of a scheme: it is part of the paths of its parameters and of the names of files.
 _NAME = re.compile(r"[^\W_][\w +-]{0,49}")
@@ -121,6 +121,12 @@ class Scenario:
             )
         if metric == "best_trial":
             return 1.0, ""
+        for ending in COMPARED:
+            if metric.endswith(ending):
+                self.shown(metric.removesuffix(ending))  # raises where there is no such metric
+                return 1.0, "%"
+        if metric in OVER_TRIALS:
+            return self.shown_scale, self.shown_unit
         if metric not in Metrics._fields:
             known = (*Metrics._fields, *self.quantities)
             raise ValueError(not_one_of(f"metric = {metric!r}", metric, known))
@@ -132,11 +138,11 @@ class Scenario:
 
     @property
     def due(self) -> tuple[Published, ...]:
-        """The published rows for these options, with any form of the plant."""
+        """The published rows of a single run for these options, with any form of the plant."""
         return tuple(
             p
             for p in self.published
-            if all(k == "plant" or self.options.get(k) == v for k, v in p.options)
+            if p.of_one_run and all(k == "plant" or self.options.get(k) == v for k, v in p.options)
         )
 
     def select(self, names: tuple[str, ...]) -> Scenario:

@@ -16,82 +16,17 @@ import jax.numpy as jnp
 from ..learning.machine import Actuator, Machine, Sensor
 from ..learning.metrics import chattering
 from ..plants import BoucWen, FastToolServo, PeriodicForce, fast_tool_servo
+from ..pytree.closest import not_one_of
 from ..pytree.ranges import require
 from ..schemes import ASMC, PID, SMC, ExponentialPD, Scheme, WithFeedback
 from ..signals import references
 from ..signals.task import Task
 from ..uncertainty import Uniform
-from .published import Fit, Published
 from .scenario import Quantity, Scenario
+from .xu_2024_printed import FITTED, LEARNED_TRIAL, READINGS, Reading, chosen, published
 
 DT = 1e-4
 MODEL: dict[str, Any] = {"a1": 2.413e6, "a2": 70.16, "b": 2.229e7}  # printed; µm per V
-
-# Six numbers fitted to the six of the PID, SMC and ASMC rows of Table 1
-# (experiments/xu_2024_calibration.py): initial slope of the hysteresis, integral gain of PID, eta
-# of SMC, k_n of both, phi and Delta of ASMC. The learning gain is fitted to one more.
-FITTED = {"A": 0.05924, "ki": 664.3, "eta": 1.359e6, "k_n": 1003.0, "phi": 1.509e5, "Delta": 1265.0}
-LEARNING = 0.6744  # share of the inverse of the reaching dynamics that is learned in a trial
-
-TABLE_1 = {
-    "pid": (806.24, 549.84),
-    "smc": (874.85, 366.09),
-    "asmc": (511.84, 228.91),
-    "ilc-asmc": (84.95, 56.21),
-}  # nm: max, RMS
-TABLE_2 = {"asmc": (987.91, 338.77), "ilc-asmc": (268.87, 120.76)}
-LEARNED_TRIAL = 10
-READING = "after the start, from 0.1 s on"
-
-
-def _fit(scheme: str, quantity: str, load: float) -> Fit:
-    """The fit of a row: the six numbers, and the learning gain for the scheme that learns."""
-    names, to, learns = (
-        tuple(FITTED),
-        "the six numbers of PID, SMC and ASMC in Table 1",
-        scheme == "ilc-asmc",
-    )
-    if learns:
-        names, to = (*names, "learning gain"), f"{to} and the largest error of ILC-ASMC there"
-    return Fit(names, to, load == 0.0 and (not learns or quantity == "settled_error"))
-
-
-def _rows(table, source, load):
-    for scheme, values in table.items():
-        for quantity, value in zip(("settled_error", "settled_rms"), values, strict=True):
-            trial, options = (
-                LEARNED_TRIAL if scheme == "ilc-asmc" else None,
-                (("load", load), ("disturbance", "none")),
-            )
-            yield Published(
-                scheme,
-                trial,
-                quantity,
-                value,
-                source,
-                options,
-                READING,
-                fitted=_fit(scheme, quantity, load),
-            )
-
-
-PUBLISHED = (*_rows(TABLE_1, "Table 1", 0.0), *_rows(TABLE_2, "Table 2", 1.0))
-
-CHOSEN = (
-    "errors are read after the start, from 0.1 s on; the sine starts at zero with its full "
-    "velocity",
-    "hysteresis is Bouc-Wen's with beta and gamma in fixed proportion to its initial slope, one "
-    "number fitted; creep and the unmodelled "
-    "mode at 900 Hz are chosen, the stiffness of 1 N/µm too",
-    "PID: kp = 0.3 and kd = 1.6e-4 chosen, ki fitted; SMC: eta and k_n fitted; ASMC: the same "
-    "k_n, phi and Delta fitted, a dead zone of "
-    "0.1 µm chosen",
-    "learning: K_P = 0.67 lam1 k_n and K_D = 0.67 (lam1 + k_n), a share of the inverse of (s + "
-    "lam1)(s + k_n); the share is fitted to one "
-    "number of its row; lam0 = 1 1/s chosen",
-    "the multi-frequency disturbance of Fig. 10 is a picture: forces of 1, 0.6 and 0.4 N at 20, "
-    "65 and 110 Hz",
-)
 
 
 def servo(A: float, load: float | None = None, disturbance: str = "none") -> FastToolServo:
@@ -112,12 +47,14 @@ def servo(A: float, load: float | None = None, disturbance: str = "none") -> Fas
     )
 
 
-def schemes_for(fitted: dict[str, float], learning: float = LEARNING) -> dict[str, Scheme]:
-    """The paper's four controllers from the fitted numbers."""
+def schemes_for(
+    fitted: dict[str, float], of: Reading = READINGS["small-gain"]
+) -> dict[str, Scheme]:
+    """The paper's four controllers from the fitted numbers, and those of a reading."""
     lam1, k_n = 500.0, fitted["k_n"]
-    asmc = ASMC(**MODEL, phi=fitted["phi"], Delta=fitted["Delta"], k_n=k_n, epsilon=0.1)
+    asmc = ASMC(**MODEL, phi=fitted["phi"], Delta=fitted["Delta"], k_n=k_n, epsilon=of.epsilon)
     exponential = ExponentialPD(
-        K_P=learning * lam1 * k_n, K_D=learning * (lam1 + k_n), lam0=1.0, b=MODEL["b"]
+        K_P=of.share * lam1 * k_n, K_D=of.share * (lam1 + k_n), lam0=of.lam0, b=MODEL["b"]
     )
     return {
         "pid": PID(kp=0.3, ki=fitted["ki"], kd=1.6e-4),
@@ -127,14 +64,18 @@ def schemes_for(fitted: dict[str, float], learning: float = LEARNING) -> dict[st
     }
 
 
-def xu_2024(load: float = 0.0, disturbance: str = "none") -> Scenario:
+def xu_2024(load: float = 0.0, disturbance: str = "none", reading: str = "small-gain") -> Scenario:
     """The experiments of Xu 2024, section 5.3: 20 µm at 40 Hz for 0.5 s, 10 kHz, ten trials.
 
     load: constant force on the tool [N]; 1 N in Table 2
     disturbance: `none`, or `multi`, a periodic force of three frequencies (Fig. 10)
-    Raises ValueError for another disturbance, and for a load beyond 5 N, which is a quarter of the
-    stroke.
+    reading: `small-gain`, learning of 0.67 of the inverse of the reaching dynamics in a trial, or
+        `large-gain`, of 1.5, which meets the rows under load too
+    Raises ValueError for another disturbance or reading, and for a load beyond 5 N, which is a
+    quarter of the stroke.
     """
+    if reading not in READINGS:
+        raise ValueError(not_one_of(f"xu-2024: reading = {reading!r}", reading, READINGS))
     if disturbance not in ("none", "multi"):
         raise ValueError(f"xu-2024: disturbance = {disturbance!r} is not one of 'none', 'multi'")
     require("xu-2024", "load", load, "[-5, 5]", " N")
@@ -160,11 +101,11 @@ def xu_2024(load: float = 0.0, disturbance: str = "none") -> Scenario:
             unit="µm",
             input_unit="V",
         ),
-        schemes=schemes_for(FITTED),
-        trials=10,
+        schemes=schemes_for(FITTED, READINGS[reading]),
+        trials=LEARNED_TRIAL,
         uncertainty={f"plant.{name}": Uniform(0.8, 1.2, relative=True) for name in names},
-        published=PUBLISHED,
-        chosen=CHOSEN,
+        published=published(reading),
+        chosen=chosen(reading),
         tolerance=1000.0,
         shown_unit="nm",
         shown_scale=1e3,

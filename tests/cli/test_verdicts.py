@@ -356,16 +356,19 @@ def test_worst_case_leads_to_its_machine():
 
 def test_reproduce_leads_to_the_number_that_is_farthest():
     row = {"scenario": "dai-2014", "scheme": "pid", "trial": None, "value": 2.0, "unit": "mm"}
-    row |= {"agreement": None}
+    row |= {"agreement": None, "among_fitted": False}
     rows = [
         row | {"verdict": "met", "ratio": 1.1, "options": {}},
-        row | {"verdict": "open", "ratio": 2.5, "options": {"plant": "printed"}},
+        row
+        | {"verdict": "open", "ratio": 2.5, "options": {"plant": "printed"}}
+        | {"among_fitted": True},
         row | {"verdict": "open", "ratio": 0.2, "options": {"frequency": 2.5}, "trial": 3},
         row | {"verdict": "shape", "ratio": 1.9, "options": {}},
     ]
     found = reproduce_verdict(rows)
     assert found.said == (
-        "1 of 4 published numbers are met within 30 %, 1 in shape, 2 open.",
+        "1 of 4 published numbers are met within 30 %, 1 in shape, 2 open (fitted to: 0 of 1 met, "
+        "predicted: 1 of 3 met).",
         "The farthest open one is that of dai-2014, pid, trial 3: ours is 0.2 times the printed 2 "
         "mm.",
     )
@@ -379,7 +382,7 @@ def test_reproduce_leads_to_the_number_that_is_farthest():
         "software.",
     )
     both = reproduce_verdict([*rows, software | {"verdict": "open", "ratio": 1.02}]).said[0]
-    assert both.endswith("in shape, 2 open. 0 of 1 numbers of other software agree, 1 open.")
+    assert both.endswith("1 of 3 met). 0 of 1 numbers of other software agree, 1 open.")
 
 
 def test_bench_compares_with_the_fastest_other():

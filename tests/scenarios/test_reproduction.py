@@ -5,6 +5,7 @@ scenario is simulated in full.
 """
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +15,8 @@ from jaxilc import scenarios
 from jaxilc.learning import Machine, check, learn
 from jaxilc.plants import DifferenceEquation
 from jaxilc.scenarios import Fit, Published, Scenario, reproduce, reproduction
-from jaxilc.scenarios.published import agreement_of
+from jaxilc.scenarios.loading import TAKEN
+from jaxilc.scenarios.published import OVER_TRIALS, agreement_of
 from jaxilc.schemes import PID, PIDType, Scheme
 from jaxilc.signals import Task
 
@@ -53,6 +55,43 @@ def test_what_is_not_finite_is_open():
         assert verdicts(rows, [worst, 1.0]) == ["open", "met"]
         assert verdicts(rows, [2.0, worst]) == ["met", "open"]
         assert verdicts([row(1.0)], [worst]) == ["open"]
+
+
+def test_a_bound_is_met_only_where_it_is_kept():
+    """A number that is printed as "less than" is met up to it, and not 30 % beyond it."""
+    for ratio, verdict in ((0.01, "met"), (1.0, "met"), (1.0 + 1e-9, "open"), (1.2, "open")):
+        assert verdicts([row(5.0)._replace(at_most=True)], [5.0 * ratio]) == [verdict], ratio
+
+
+def test_an_improvement_is_held_to_what_is_left_as_well():
+    """An improvement in percent is judged by the worse of two ratios: it, and what is left.
+
+    Of 90 % printed, 97 % leaves 3 in place of 10, and 80 % leaves 20; both are within 30 % of 90.
+    Of 42 % printed, what is left says little: 25 % leaves 75 in place of 58.
+    """
+    for printed, ours, verdict in (
+        (90.0, 90.0, "met"),
+        (90.0, 87.1, "met"),
+        (90.0, 97.0, "open"),
+        (90.0, 80.0, "open"),
+        (42.0, 50.0, "met"),
+        (42.0, 25.0, "open"),
+        (42.0, 0.0, "open"),
+        (42.0, -10.0, "open"),
+    ):
+        improvement = row(printed, quantity="rms_improvement")._replace(against="other")
+        assert verdicts([improvement], [ours]) == [verdict], (printed, ours)
+    assert judged([row(90.0, quantity="rms_improvement")._replace(against="other")], [80.0]) == [
+        ("open", "2.00 times what is left, and no other row to compare with")
+    ]
+
+
+def test_rises_and_spread_over_trials():
+    """The rise is the largest from one trial to the next, the spread that of all trials so far."""
+    found = reproduction.rises(np.array([[3.0, 1.0], [2.0, 2.5], [2.2, 0.1], [4.0, 0.0]]))
+    np.testing.assert_allclose(found["rms_rise"], [0.0, 0.0, 0.0, 1.8])
+    np.testing.assert_allclose(found["rms_spread"], [0.0, 0.5, 0.8, 1.8])
+    assert tuple(found) == OVER_TRIALS
 
 
 TRIALS = [row(8.0, trial=10), row(4.0, trial=20), row(1.0, trial=30)]
@@ -183,11 +222,13 @@ def test_an_error_that_does_not_move_has_not_the_printed_shape():
 
 
 SCENARIOS = list(scenarios.SCENARIOS)
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="module", params=SCENARIOS)
 def scenario(request) -> Scenario:
-    return scenarios.load(request.param)
+    taken = {"reading": TAKEN[request.param]} if request.param in TAKEN else {}
+    return scenarios.load(request.param, **taken)
 
 
 def loaded(scenario, published) -> Scenario:
@@ -210,15 +251,13 @@ def test_every_published_row_can_be_simulated(scenario):
         assert set(dict(p.options)) <= set(scenarios.options(scenario.name)), p
         assert p.scheme in here.schemes, p
         assert here.shown(p.quantity)[0] > 0, p
-        assert p.quantity in {
-            "settled_error",
-            "max_error",
-            "rms",
-            "best_trial",
-            *here.quantities,
-        }, p
-        assert (p.trial is not None) == learns(here.schemes[p.scheme]), p
-        assert p.trial is None or 1 <= p.trial <= here.trials, p
+        known = {"settled_error", "max_error", "rms", "best_trial", *here.quantities}
+        assert p.base in {*known, *OVER_TRIALS}, p
+        assert (p.base != p.quantity) == bool(p.against), p
+        assert not p.against or p.against in here.schemes, p
+        of_trials = learns(here.schemes[p.scheme]) or p.quantity in OVER_TRIALS
+        assert (p.trial is not None) == of_trials, p
+        assert p.trial is None or 1 <= p.trial <= 100, p
         assert np.isfinite(p.value), p
         assert p.value > 0, p
         assert p.source, p
@@ -227,12 +266,13 @@ def test_every_published_row_can_be_simulated(scenario):
         assert bool(p.fitted.names) == bool(p.fitted.to), p
         assert p.fitted.names or not p.fitted.among, p
         assert "fitted" not in p.reading, "that is said by `fitted`, in the same words for all"
-        assert p in here.due, "a row is due under its own options"
+        assert (p in here.due) == p.of_one_run, "a row is due under its own options"
+        assert not p.searched or (ROOT / p.searched).is_file(), p
 
 
 FREE = {  # how many numbers were fitted to print, by scenario and scheme; for li-2020 by row
     "cao-2019": {"cfdl-mfailc": {1}, "ffdl-mfailc": {4}, "ilc-mfapc": {1}, "pid": {0}},
-    "cao-2019-rig": {"cfdl-mfailc": {0}, "pid": {0}},
+    "cao-2019-rig": {"cfdl-mfailc": {1}, "pid": {1}},
     "dai-2014": {"pid": {0}, "cfdl-mfapc": {1}},
     "double-mass": {
         "inverse-filter": {0},
@@ -241,20 +281,26 @@ FREE = {  # how many numbers were fitted to print, by scenario and scheme; for l
         "model-free": {0},
         "constrained": {0},
     },
-    "li-2020": {"feedback": {3}, "feedforward": {4}, "p-type": {4, 5}, "fixed-filter": {5}},
+    "li-2020": {
+        "feedback": {3, 5},
+        "feedforward": {4},
+        "p-type": {4, 5},
+        "fixed-filter": {5},
+        "switchable": {5},
+    },
     "milc-2024": {"dilc": {3}, "milc": {3}},
     "pendulum": {"two-step": {0}, "two-step-limited": {0}},
-    "xu-2024": {"pid": {6}, "smc": {6}, "asmc": {6}, "ilc-asmc": {7}},
+    "xu-2024": {"pid": {6}, "smc": {6}, "asmc": {6, 9}, "ilc-asmc": {9}},
 }
 AMONG = {
-    "cao-2019": 11,
-    "cao-2019-rig": 0,
+    "cao-2019": 9,
+    "cao-2019-rig": 4,
     "dai-2014": 2,
     "double-mass": 0,
     "li-2020": 6,
     "milc-2024": 3,
     "pendulum": 0,
-    "xu-2024": 7,
+    "xu-2024": 12,
 }
 
 
@@ -410,6 +456,32 @@ def test_rows_of_a_made_up_scenario(made_up):
     assert [r.verdict for r in rows] == ["met", "shape", "shape", "met", "met"]
     assert {r.unit for r in rows} == {"µm"}
     assert sorted(runs) == [("PID", 1), ("PIDType", 3), ("PIDType", 4)]
+
+
+@pytest.mark.parametrize(
+    ("name", "readings"),
+    [
+        ("cao-2019", ("amplitude", "stroke")),
+        ("cao-2019-rig", ("over-trials", "within-samples")),
+        ("xu-2024", ("small-gain", "large-gain")),
+    ],
+)
+def test_each_reading_has_the_same_printed_numbers(name, readings):
+    """The readings of a paper have the same printed rows, each under its own options."""
+    of = {reading: scenarios.load(name, reading=reading).published for reading in readings}
+    first, second = ([(p.scheme, p.value, p.source) for p in rows] for rows in of.values())
+    assert first == second
+    assert all(dict(p.options)["reading"] == r for r, rows in of.items() for p in rows)
+    assert TAKEN[name] == readings[1]
+    with pytest.raises(ValueError, match=f"{name}: reading = 'neither'"):
+        scenarios.load(name, reading="neither")
+
+
+def test_a_reading_that_is_not_there_is_refused():
+    with pytest.raises(ValueError, match="dai-2014 has one reading only; several have cao"):
+        reproduce(["dai-2014"], "stroke")
+    with pytest.raises(ValueError, match="reading = 'strike'"):
+        reproduce(["cao-2019"], "strike")
 
 
 def test_an_unknown_scenario_is_named():

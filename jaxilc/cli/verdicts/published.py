@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from ..reproduction_tables import NEAR
+from ..reproduction_tables import NEAR, parted
 from ..tables import number
 from .next_command import Asked, Verdict
 
@@ -40,13 +40,15 @@ def reproduce_verdict(rows: Sequence[dict[str, Any]]) -> Verdict:
 
 def _counted(rows: Sequence[dict[str, Any]]) -> str:
     """How many numbers of papers are met, and how many of other software agree."""
-    printed = [row["verdict"] for row in rows if row["agreement"] is None]
+    of_papers = [row for row in rows if row["agreement"] is None]
+    printed = [row["verdict"] for row in of_papers]
     others = [row["verdict"] for row in rows if row["agreement"] is not None]
     said = []
     if printed or not others:
         said.append(
             f"{printed.count('met')} of {len(printed)} published numbers are met within 30 %, "
-            f"{printed.count('shape')} in shape, {printed.count('open')} open."
+            f"{printed.count('shape')} in shape, {printed.count('open')} open"
+            + (f" ({parted(of_papers)})." if of_papers else ".")
         )
     if others:
         agree = f"{others.count('agrees')} of {len(others)} numbers of other software agree"
