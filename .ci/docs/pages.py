@@ -15,7 +15,8 @@ GUIDE = ".ci/docs/guide/"
 CHAPTERS = {  # title of a part: files of the repository
     "Begin here": ("five_minutes", "which_scheme", "coming_from", "glossary"),
     "How to": ("how_to", "command_line", "library", "paths", "differing", "many_hosts"),
-    "Reference": ("plant_file", "theory", "contents", "papers", "notebooks", "citation"),
+    "Reference": ("plant_file", "theory", "contents", "notebooks", "citation"),
+    "Findings": ("papers", "learned_laws"),
 }
 PAGES = (
     {"README.md": "index"}

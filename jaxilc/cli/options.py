@@ -179,6 +179,42 @@ Optimiser = Annotated[
     ),
 ]
 
+# A law for the machine of a plant file
+# --------------------------------------------------------------------------------------------------
+
+PlantFile = Annotated[
+    Path, typer.Argument(metavar="FILE", help="Plant file, TOML or JSON; see `jaxilc init`.")
+]
+FeedbackOf = Annotated[
+    str | None,
+    typer.Option(
+        "--scheme",
+        help="Scheme of the file whose feedback is taken.",
+        autocompletion=schemes_from,
+    ),
+]
+Margin = Annotated[
+    float, typer.Option(help="Least distance of |Q (1 - L P)| from 1, on every machine.")
+]
+JudgedOn = Annotated[int, typer.Option("--machines", help="Machines that judge.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace that file, and its state.")]
+OutPlant = Annotated[
+    Path | None,
+    typer.Option(
+        "--out",
+        metavar="FILE",
+        help="Plant file to write; beside the one given, as axis.design.toml or axis.learned.toml, "
+        "if not given.",
+        callback=file_to_write,
+    ),
+]
+StateFolder = Annotated[
+    Path | None,
+    typer.Option(
+        help="Folder for the state; out/COMMAND-NAME if not given.", callback=folder_to_write
+    ),
+]
+
 # Files that are written
 # --------------------------------------------------------------------------------------------------
 

@@ -73,8 +73,8 @@ def trials(dataset: xr.Dataset, *, scale: float = 1.0, unit: str = "") -> Live:
     shown = ColumnDataSource({name: columns[of] for name, of in begin.items()})
     slider = Slider(start=0, end=max(last, 1), value=last, step=1, title="trial", show_value=False)
     slider.disabled = last == 0
-    scheme = Select(title="scheme", value=schemes[0], options=schemes, width=220)
-    output = Select(title="output", value=outputs[0], options=outputs, width=160)
+    scheme = Select(title="scheme", value=schemes[0], options=[*schemes], width=220)
+    output = Select(title="output", value=outputs[0], options=[*outputs], width=160)
     told = Div(text=f"{schemes[0]}, trial {chosen[-1] + 1}", styles={"font-weight": "600"})
     drawn = _three(dataset, shown, unit)
     numbers = [int(j) + 1 for j in chosen]
@@ -192,8 +192,8 @@ def machines(
         y_range=FactorRange(factors=ordered), x_range=(0, 100),
     )  # fmt: skip
     beside.hbar(y="name", right="share", height=0.7, source=bars, color="#0072b2")
-    scheme = Select(title="scheme", value=schemes[best], options=schemes, width=220)
-    parameter = Select(title="parameter", value=names[first], options=names, width=260)
+    scheme = Select(title="scheme", value=schemes[best], options=[*schemes], width=220)
+    parameter = Select(title="parameter", value=names[first], options=[*names], width=260)
     told = Div(text=schemes[best], styles={"font-weight": "600"})
     react = CustomJS(
         args={

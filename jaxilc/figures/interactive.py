@@ -50,15 +50,18 @@ def plot(title: str, x: str, y: str, *, log: bool = True, **options: Any) -> Any
     """An empty figure of the common size, with labelled axes."""
     from bokeh.plotting import figure
 
-    size = {"width": WIDTH, "height": HEIGHT, "sizing_mode": "scale_width"} | options
-    scale = {"y_axis_type": "log"} if log else {}
+    size: dict[str, Any] = {
+        "width": WIDTH,
+        "height": HEIGHT,
+        "sizing_mode": "scale_width",
+    } | options
+    size |= {"y_axis_type": "log"} if log else {}
     made = figure(
         title=title,
         x_axis_label=x,
         y_axis_label=y,
         tools="pan,wheel_zoom,box_zoom,reset",
         toolbar_location="above",
-        **scale,
         **size,
     )
     made.toolbar.logo = None
