@@ -27,7 +27,7 @@ lint: $(VENV)/.ready  ## lint, format and types alone
 	$(BIN)/ruff format --check .
 	$(BIN)/ty check
 
-docs: $(VENV)/.ready  ## the guide and a page for each public module, to out/docs
+docs: $(VENV)/.ready  ## guide, tutorials, gallery and API as a site, to out/docs (15 minutes)
 	JAX_PLATFORMS=cpu $(BIN)/python .ci/docs/render.py out/docs
 
 wheel: $(VENV)/.ready  ## a wheel, to dist

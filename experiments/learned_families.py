@@ -18,13 +18,18 @@ from jaxilc.uncertainty import Uncertainty
 
 
 class Case(NamedTuple):
-    """A family of machines, its task, the trial whose error counts, and the last one judged."""
+    """A family of machines, its task, and how learning on it is judged.
+
+    trials: the trial whose error counts in tuning;  last: the last trial that is judged
+    judged_on: machines that judge, the nominal one included; fewer where a trial is long
+    """
 
     machine: Machine
     task: Task
     uncertainty: Uncertainty
     trials: int = 10
     last: int = 500
+    judged_on: int = 257
     feedback: Scheme | None = None
 
     def under(self, scheme: Scheme) -> Scheme:
@@ -76,7 +81,9 @@ def non_minimum_phase() -> Case:
 
 def li_axis() -> Case:
     s = load("li-2020")
-    return Case(s.machine, s.task, s.uncertainty, 10, 100, s.schemes["p-type"].feedback)
+    return Case(
+        s.machine, s.task, s.uncertainty, judged_on=65, feedback=s.schemes["p-type"].feedback
+    )
 
 
 @pytree
@@ -104,9 +111,9 @@ def ball_screw() -> Case:
     plant = ClosedDrive(s.machine.plant, s.schemes["dilc"].feedback.scheme.kp)
     noise = Sensor(noise=float(np.asarray(s.machine.sensor.noise)[1]))
     spread = {name.replace("plant.", "plant.drive."): of for name, of in s.uncertainty.items()}
-    r = jnp.asarray(s.task.r)[:, 1]
+    r = jnp.asarray(s.task.reference)[:, 1]
     task = Task(r, dt=float(s.task.dt), unit="mm")
-    return Case(Machine(plant, None, noise), task, spread, 10, 100)
+    return Case(Machine(plant, None, noise), task, spread, judged_on=65)
 
 
 def voice_coil() -> Case:

@@ -65,8 +65,8 @@ print(dataset)
 
 # %%
 tolerance = 0.02  # mm
-ax = figures.error_band(dataset, tolerance=tolerance, scale=1e3, unit="µm")
-ax.figure
+axes = figures.error_band(dataset, tolerance=tolerance, scale=1e3, unit="µm")
+axes[0].figure
 
 # %% [markdown]
 # ## Yield

@@ -124,8 +124,8 @@ bottom.figure
 
 # %%
 dataset = problem.compare(tuned, trials=24, machines=65)
-ax = figures.error_band(dataset, metric="rms", scale=1e3, unit="µm")
-ax.figure
+axes = figures.error_band(dataset, metric="rms", scale=1e3, unit="µm")
+axes[0].figure
 
 # %%
 for row in jaxilc.summarise(dataset, tolerance=0.02, metric="rms"):

@@ -131,13 +131,13 @@ for name, scheme in {"CFDL-MFAILC": cfdl, "P-type": p_type}.items():
 np.testing.assert_array_equal(
     certificates["P-type"].turning, certificates["P-type"].observed_turning
 )
-ax = figures.certificate(
+axes = figures.certificate(
     certificates["CFDL-MFAILC"],
     scale=1e3,
     unit="µm",
     title="CFDL-MFAILC on the voice-coil motor at 2 Hz",
 )
-ax.figure
+axes[0].figure
 
 # %% [markdown]
 # For the linear law the prediction is exact. The adaptive law moves its estimates, so nothing is

@@ -151,7 +151,7 @@ assert abs(history.saved[-1] / 4.4544077312015835 - 1) < 1e-6
 uncertain = {"plant.B": Uniform(0.6, 1.4, relative=True)}
 schemes = {"norm-optimal": norm_optimal, "gradient": gradient}
 sweep = Sweep(actual, schemes, task, 20, uncertain, machines=64)
-figures.error_band(sweep.run(), metric="rms", scale=1e3, unit="mm").figure
+figures.error_band(sweep.run(), metric="rms", scale=1e3, unit="mm")[0].figure
 
 # %% [markdown]
 # And the weights follow from a gradient through all trials, where there they are chosen by hand.

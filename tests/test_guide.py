@@ -89,7 +89,6 @@ def test_the_shortest_script_of_a_user_runs():
 @pytest.fixture
 def pages(monkeypatch):
     """Return the module that writes the guide, which is outside the package."""
-    pytest.importorskip("pdoc")
     monkeypatch.syspath_prepend(str(DOCS))
     return importlib.import_module("pages")
 
@@ -113,6 +112,46 @@ def test_a_broken_link_is_refused(pages, monkeypatch, tmp_path):
     (tmp_path / "a.md").write_text("# A\n\n[b](b.md#the-c)\n")
     with pytest.raises(ValueError, match=r"b\.md#the-c leads to a heading that is not there"):
         pages.links("a.md")
+
+
+def test_a_page_loads_nothing_from_elsewhere(pages, tmp_path):
+    """A link that is clicked may lead to another site; what a page loads by itself may not."""
+    page = tmp_path / "a.html"
+    page.write_text('<a href="https://example.org">x</a><a href="#b">y</a><p id="b"></p>')
+    pages.check_built(tmp_path)
+    page.write_text('<script src="https://cdn.example.org/x.js"></script>')
+    with pytest.raises(ValueError, match=r"a\.html loads https://cdn\.example\.org/x\.js"):
+        pages.check_built(tmp_path)
+    page.write_text('<a href="#c">y</a>')
+    with pytest.raises(ValueError, match="the link #c leads to an anchor not there"):
+        pages.check_built(tmp_path)
+
+
+def test_docstrings_become_pages_as_they_are_written(monkeypatch):
+    """A formula stays a block, fields become a list, and signs of markup stay text."""
+    monkeypatch.syspath_prepend(str(DOCS))
+    plain = importlib.import_module("plain_docstrings")
+    text = """The error: |e| * 2 of `dt`.
+
+        y = a * x   (eq. 1)
+
+    dt: sample time [s]; a line
+        that goes on
+    u_, y: signals
+    Raises ValueError."""
+    assert plain.as_rst(text) == [
+        "The error: \\|e\\| \\* 2 of ``dt``.",
+        "",
+        "::",
+        "",
+        "        y = a * x   (eq. 1)",
+        "",
+        "``dt``",
+        "    sample time [s]; a line that goes on",
+        "``u_, y``",
+        "    signals Raises ValueError.",
+        "",
+    ]
 
 
 def test_every_page_of_the_folder_is_listed(pages):

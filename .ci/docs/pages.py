@@ -7,29 +7,29 @@ nowhere raises ValueError.
 
 import posixpath
 import re
-from collections.abc import Sequence
+import shutil
 from pathlib import Path
 
-import pdoc.render
-import pdoc.render_helpers
-
 ROOT = Path(__file__).parents[2]
-PAGES = {  # file of the repository: page
-    "README.md": "index.html",
-    ".ci/docs/guide/command_line.md": "guide/command_line.html",
-    ".ci/docs/guide/library.md": "guide/library.html",
-    ".ci/docs/guide/paths.md": "guide/paths.html",
-    ".ci/docs/guide/differing.md": "guide/differing.html",
-    ".ci/docs/guide/contents.md": "guide/contents.html",
-    ".ci/docs/guide/many_hosts.md": "guide/many_hosts.html",
-    ".ci/docs/guide/papers.md": "guide/papers.html",
-    ".ci/docs/guide/notebooks.md": "guide/notebooks.html",
-    ".ci/docs/guide/design.md": "guide/design.html",
-    "jaxilc/README.md": "guide/map.html",
-    ".github/CONTRIBUTING.md": "guide/contributing.html",
-    "CHANGELOG.md": "guide/changelog.html",
+GUIDE = ".ci/docs/guide/"
+CHAPTERS = {  # title of a part: files of the repository
+    "Begin here": ("five_minutes", "which_scheme", "coming_from", "glossary"),
+    "How to": ("how_to", "command_line", "library", "paths", "differing", "many_hosts"),
+    "Reference": ("plant_file", "theory", "contents", "notebooks", "citation"),
+    "Findings": ("papers", "learned_laws"),
 }
-LINK = re.compile(r"(?<!!)\[([^\]]+)\]\(([^)\s]+)\)")
+PAGES = (
+    {"README.md": "index"}
+    | {f"{GUIDE}{name}.md": f"guide/{name}" for names in CHAPTERS.values() for name in names}
+    | {
+        f"{GUIDE}design.md": "guide/design",
+        "jaxilc/README.md": "guide/map",
+        ".github/CONTRIBUTING.md": "guide/contributing",
+        "CHANGELOG.md": "guide/changelog",
+    }
+)  # file of the repository: page without its ending
+PICTURES = ".github/pictures"
+LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)\s]+)\)")
 OUTSIDE = re.compile(r"[a-z]+:")
 FENCED = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
 HEADING = re.compile(r"^#+ +(.*)$", re.MULTILINE)
@@ -47,7 +47,7 @@ def links(file: str) -> list[tuple[str, str, str]]:
     Raises ValueError for a link to a file or a heading that is not there.
     """
     found = []
-    for _, target in LINK.findall(FENCED.sub("", (ROOT / file).read_text(encoding="utf-8"))):
+    for _, _, target in LINK.findall(FENCED.sub("", (ROOT / file).read_text(encoding="utf-8"))):
         if OUTSIDE.match(target):
             continue
         path, _, anchor = target.partition("#")
@@ -61,58 +61,68 @@ def links(file: str) -> list[tuple[str, str, str]]:
 
 
 def linked(file: str) -> str:
-    """The text of a file, its links leading to pages."""
+    """The text of a file, its links leading to pages, its pictures to the copied ones."""
     here = posixpath.dirname(PAGES[file])
     leads = {target: (to, anchor) for target, to, anchor in links(file)}
 
     def to_page(link: re.Match) -> str:
-        name, target = link.groups()
+        picture, name, target = link.groups()
         if target not in leads:
             return link.group()
         to, anchor = leads[target]
+        if picture:
+            place = posixpath.relpath(f"pictures/{posixpath.basename(to)}", here or ".")
+            return f"![{name}]({place})"
         if to not in PAGES:
             return name
-        address = posixpath.relpath(PAGES[to], here or ".")
+        address = posixpath.relpath(PAGES[to] + ".md", here or ".")
         return f"[{name}]({address}{'#' * bool(anchor)}{anchor})"
 
     return LINK.sub(to_page, (ROOT / file).read_text(encoding="utf-8"))
 
 
-def title_of(file: str) -> str:
-    """The first heading of a file."""
-    found = HEADING.search((ROOT / file).read_text(encoding="utf-8"))
-    if found is None:
-        raise ValueError(f"{file} has no heading")
-    return found.group(1)
+def write(folder: Path, notebooks: list[str], api: list[str], gallery: bool) -> None:
+    """Write all pages of the guide as sources into a folder, the start page with the contents.
 
-
-def write(folder: Path, modules: Sequence[str]) -> None:
-    """Write all pages of the guide into the folder that has the pages of the modules.
-
+    notebooks, api: names of the pages of the notebooks and of the modules
+    gallery: whether there is a page `gallery`
     Raises ValueError for a broken link.
     """
     for file, page in PAGES.items():
-        here = posixpath.dirname(page) or "."
-        html = pdoc.render.env.get_template("guide.html.jinja2").render(
-            title=title_of(file),
-            text=pdoc.render_helpers.to_html(linked(file)),
-            pages=[(title_of(f), posixpath.relpath(p, here)) for f, p in PAGES.items()],
-            modules=[(m, posixpath.relpath(m.replace(".", "/") + ".html", here)) for m in modules],
-        )
-        (folder / page).parent.mkdir(exist_ok=True)
-        (folder / page).write_text(html, encoding="utf-8")
-    check_pages(folder)
+        path = folder / f"{page}.md"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(linked(file), encoding="utf-8")
+    shutil.copytree(ROOT / PICTURES, folder / "pictures", dirs_exist_ok=True)
+    trees = {title: [f"guide/{name}" for name in names] for title, names in CHAPTERS.items()}
+    trees["Tutorials"] = notebooks
+    trees["Figures"] = ["gallery"] if gallery else []
+    trees["API"] = api
+    trees["Inside"] = [f"guide/{name}" for name in ("design", "map", "contributing", "changelog")]
+    with (folder / "index.md").open("a", encoding="utf-8") as index:
+        for title, names in trees.items():
+            if names:
+                listed = "\n".join(names)
+                index.write(f"\n```{{toctree}}\n:hidden:\n:caption: {title}\n\n{listed}\n```\n")
 
 
-def check_pages(folder: Path) -> None:
-    """Raises ValueError for a link from a page of the guide to a page or an anchor not there."""
-    for page in PAGES.values():
-        for target in re.findall(r'href="([^"]+)"', (folder / page).read_text(encoding="utf-8")):
+def check_built(folder: Path) -> None:
+    """Raises ValueError for a page that refers to another site, or to a page or anchor not there.
+
+    A link that a reader may click (`<a href>`) may lead to another site; what a page loads by
+    itself may not.
+    """
+    texts = {path: path.read_text(encoding="utf-8") for path in folder.rglob("*.html")}
+    loads = re.compile(r"<(?:script|img|link|iframe|source)\b[^>]*?(?:src|href)=\"([^\"]+)\"")
+    for path, text in texts.items():
+        for target in loads.findall(text):
+            if re.match(r"(https?:)?//", target):
+                raise ValueError(f"{path.name} loads {target} from elsewhere")
+        for target in re.findall(r"<a\b[^>]*?href=\"([^\"]+)\"", text):
             if OUTSIDE.match(target):
                 continue
-            path, _, anchor = target.partition("#")
-            leads = (folder / page).parent / path if path else folder / page
+            name, _, anchor = target.partition("#")
+            leads = (path.parent / name).resolve() if name else path.resolve()
             if not leads.exists():
-                raise ValueError(f"{page}: the link {target} leads nowhere")
-            if anchor and f'id="{anchor}"' not in leads.read_text(encoding="utf-8"):
-                raise ValueError(f"{page}: the link {target} leads to an anchor that is not there")
+                raise ValueError(f"{path.name}: the link {target} leads nowhere")
+            if anchor and leads.suffix == ".html" and f'id="{anchor}"' not in leads.read_text():
+                raise ValueError(f"{path.name}: the link {target} leads to an anchor not there")

@@ -1,56 +1,73 @@
-"""The documentation: the guide, and a page for each public module by pdoc.
+"""The documentation: guide, tutorials, gallery of figures, and the API, by Sphinx.
 
-`render.py FOLDER` writes it. Without a folder it only checks that it can be made. A warning of pdoc
-and a broken link of the guide are errors.
+`render.py FOLDER` writes it, with executed notebooks. Without a folder it only checks that it can
+be made: nothing is executed and no page is drawn. With JAXILC_FAST=1 in the environment the
+notebooks are not executed. A warning of Sphinx, a broken link, and a page
+that loads something from elsewhere are errors.
 """
 
+import os
+import shutil
 import sys
 import tempfile
-import typing
-import warnings
-from importlib import import_module
 from pathlib import Path
 
+import api
+import gallery
+import jupytext
+import nbclient
 import pages
-import pdoc
+import plant_file
+from sphinx.cmd.build import build_main
 
-import jaxilc
-
-ROOT = Path(jaxilc.__file__).parent
-INTERNAL = ("bench", "cli", "storage")  # families that users do not import from
-FAMILIES = sorted(
-    f"jaxilc.{path.stem}"
-    for path in ROOT.iterdir()
-    if (path.suffix == ".py" or (path / "__init__.py").exists())
-    and path.stem not in ("__init__", *INTERNAL)
-)
+HERE, ROOT = Path(__file__).parent, Path(__file__).parents[2]
 
 
-def settle(found) -> None:
-    """Put a NamedTuple's annotations on its constructor, where pdoc looks for them, and drop `Alias
-    for field number 0`.
-    """
-    if isinstance(found, type) and issubclass(found, tuple) and hasattr(found, "_fields"):
-        found.__new__.__annotations__ = typing.get_type_hints(found)
-        for field in found._fields:
-            getattr(found, field).__doc__ = ""
+def notebooks_in(folder: Path, *, execute: bool) -> list[str]:
+    """Write the notebooks as .ipynb, executed if asked for; return the names of their pages."""
+    (folder / "tutorials").mkdir(parents=True)
+    names = []
+    for path in sorted((ROOT / "notebooks").glob("*.py")):
+        notebook = jupytext.read(path)
+        notebook.metadata.setdefault(
+            "kernelspec", {"name": "python3", "display_name": "Python 3", "language": "python"}
+        )
+        if execute:
+            print(f"executing {path.name}", flush=True)
+            with tempfile.TemporaryDirectory() as here:
+                about = {"metadata": {"path": here}}
+                nbclient.NotebookClient(notebook, timeout=600, resources=about).execute()
+        jupytext.write(notebook, folder / "tutorials" / f"{path.stem}.ipynb")
+        names.append(f"tutorials/{path.stem}")
+    return names
 
 
-for family in (
-    "jaxilc",
-    *FAMILIES,
-):  # names are imported on first use, which pdoc does not wait for
-    module = import_module(family)
-    for name in getattr(module, "__all__", ()):
-        vars(module)[name] = getattr(module, name)
-for module in [module for name, module in sys.modules.items() if name.startswith("jaxilc.")]:
-    for found in list(vars(module).values()):
-        settle(found)
-warnings.simplefilter("error")
-pdoc.render.configure(template_directory=Path(__file__).parent, show_source=False)
-with tempfile.TemporaryDirectory() as nowhere:
-    folder = Path(sys.argv[1] if len(sys.argv) > 1 else nowhere)
-    # the package names some families itself, and pdoc finds those
-    others = [name for name in FAMILIES if name.partition(".")[2] not in jaxilc.__all__]
-    pdoc.pdoc("jaxilc", *others, output_directory=folder)
-    pages.write(folder, ["jaxilc", *FAMILIES])
+def main(out: Path | None) -> int:
+    """Gather the sources in a folder of their own, and build them."""
+    with tempfile.TemporaryDirectory() as staged:
+        source = Path(staged) / "source"
+        source.mkdir()
+        sys.path.insert(0, str(HERE))
+        shutil.copy(HERE / "conf.py", source / "conf.py")
+        (source / "_static").mkdir()
+        shutil.copy(HERE / "pages.css", source / "_static")
+        drawn = gallery.write(source) if out is not None else False
+        tutorials = notebooks_in(
+            source, execute=out is not None and "JAXILC_FAST" not in os.environ
+        )
+        pages.write(source, tutorials, api.write(source), drawn)
+        plant_file.extend(source / "guide" / "plant_file.md")
+        built = Path(staged) / "built"
+        kind = "html" if out is not None else "dummy"
+        code = build_main(["-b", kind, "-q", "-W", "--keep-going", str(source), str(built)])
+        if code == 0 and out is not None:
+            pages.check_built(built)
+            shutil.rmtree(out, ignore_errors=True)
+            shutil.copytree(
+                built, out, ignore=shutil.ignore_patterns(".doctrees", ".buildinfo", "_sources")
+            )
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main(Path(sys.argv[1]) if len(sys.argv) > 1 else None))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +12,7 @@ import typer
 from .console import err
 from .options import (
     PROVE,
+    FigureFormat,
     Json,
     Machines,
     OutFolder,
@@ -53,6 +54,7 @@ def certify(
     out_dir: OutFolder = None,
     json_file: Json = None,
     report: Report = None,
+    figures: FigureFormat = None,
     precision: Precision = "float64",
 ) -> None:
     """Theory beside simulation: claims for the long run, and predictions of J trials.
@@ -61,19 +63,24 @@ def certify(
 
     Example: jaxilc certify cao-2019 --scheme cfdl-mfailc --trials 200 --machines 256
     """
-    from .asked import begin, chosen_scenario, spread_of
+    from .progress import working
 
-    begin(precision)
+    with working("certify") as told:
+        from .asked import begin, chosen_scenario, spread_of
+
+        begin(precision)
+        from ..uncertainty import draw
+
+        chosen = chosen_scenario(scenario, scheme, trials, set_, params)
+        wide = dataclasses.replace(chosen, uncertainty=spread_of(chosen, spread))
+        drawn = draw(chosen.machine, wide.uncertainty, machines, seed=seed, sampling=sampling)
+        found = _certified(wide, drawn, told)
     from ..figures.report import command_report
-    from ..uncertainty import draw
+    from .live import of_certificates
     from .numbers import certificate_numbers
     from .verdicts.case import Case
     from .verdicts.certification import certify_verdict
 
-    chosen = chosen_scenario(scenario, scheme, trials, set_, params)
-    wide = dataclasses.replace(chosen, uncertainty=spread_of(chosen, spread))
-    drawn = draw(chosen.machine, wide.uncertainty, machines, seed=seed, sampling=sampling)
-    found = _certified(wide, drawn)
     numbers = {name: certificate_numbers(one) for name, one in found.items()}
     shown, lines = _shown(chosen, numbers)
     show(shown, lines)
@@ -84,9 +91,14 @@ def certify(
         report,
         "certify",
         shown,
-        [(f"{name}: error by trial, predicted and simulated", p) for name, p in paths.items()],
+        [
+            (f"{name}: the error by trial, simulated and predicted, and what is claimed.", path)
+            for name, path in paths.items()
+        ],
         scenario=wide,
-        lines=[*lines, *verdict.lines],
+        lines=lines,
+        verdict=verdict,
+        live=of_certificates(report, chosen, found, drawn),
         asked={"machines": machines, "seed": seed, "sampling": sampling},
     )
     results = {"scenario": scenario, "trials": chosen.trials, "samples": machines}
@@ -100,25 +112,22 @@ def certify(
         raise typer.Exit(1)
 
 
-def _certified(chosen: Scenario, drawn: dict[str, Any]) -> dict[str, OfScheme]:
-    """What theory says of each scheme, with a progress bar."""
+def _certified(
+    chosen: Scenario, drawn: dict[str, Any], told: Callable[..., None]
+) -> dict[str, OfScheme]:
+    """What theory says of each scheme; `told` shows how far it is."""
     from ..theory.of_schemes import certify_schemes
-    from .progress import progress_bar
 
     learning = sum(one.learns for one in chosen.schemes.values())
-    with progress_bar("scheme") as bar:
-        schemes = bar.add_task("certify", total=learning, scheme="")
-        found = certify_schemes(
-            chosen.machine,
-            chosen.schemes,
-            chosen.task,
-            chosen.trials,
-            chosen.uncertainty,
-            drawn,
-            progress=lambda done, name: bar.update(schemes, completed=done, scheme=name),
-        )
-        bar.update(schemes, completed=learning)
-    return found
+    return certify_schemes(
+        chosen.machine,
+        chosen.schemes,
+        chosen.task,
+        chosen.trials,
+        chosen.uncertainty,
+        drawn,
+        progress=lambda done, name: told(name, done, learning),
+    )
 
 
 def _shown(

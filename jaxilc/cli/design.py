@@ -3,33 +3,39 @@
 from __future__ import annotations
 
 import shlex
-import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .completion import of_list, schemes_from
+from .completion import of_list
 from .console import err, out
 from .options import (
     DESIGN,
+    FeedbackOf,
+    FigureFormat,
+    Force,
     Json,
+    JudgedOn,
+    Margin,
+    OutPlant,
+    PlantFile,
     Report,
     Resume,
     Seed,
     Set,
     Spread,
+    StateFolder,
     Trials,
-    file_to_write,
-    folder_to_write,
 )
+from .places import place_of, target_of
 from .results import written
 
 if TYPE_CHECKING:
     from ..design import Designed
     from ..scenarios import Scenario
 
-LAWS = ("p-type", "pd-type", "p-type-notch", "model-inverse", "norm-optimal")
+LAWS = ("p-type", "pd-type", "p-type-notch", "model-inverse", "norm-optimal", "learned")
 
 
 def register(app: typer.Typer) -> None:
@@ -38,61 +44,35 @@ def register(app: typer.Typer) -> None:
 
 
 def design(
-    plant_file: Annotated[
-        Path, typer.Argument(metavar="FILE", help="Plant file, TOML or JSON; see `jaxilc init`.")
-    ],
+    plant_file: PlantFile,
     law: Annotated[
         list[str] | None,
         typer.Option(
             help="Law to try; repeatable. All if not given.", autocompletion=of_list(*LAWS)
         ),
     ] = None,
-    scheme: Annotated[
-        str | None,
-        typer.Option(
-            "--scheme",
-            help="Scheme of the file whose feedback is taken.",
-            autocompletion=schemes_from,
-        ),
-    ] = None,
-    margin: Annotated[
-        float, typer.Option(help="Least distance of |Q (1 - L P)| from 1, on every machine.")
-    ] = 0.05,
+    scheme: FeedbackOf = None,
+    margin: Margin = 0.05,
     trials: Trials = None,
-    machines: Annotated[
-        int, typer.Option("--machines", help="Machines on which the laws are judged.")
-    ] = 257,
+    machines: JudgedOn = 257,
     steps: Annotated[int, typer.Option(help="Steps of each tuning at most.")] = 30,
     spread: Spread = None,
     seed: Seed = 0,
     set_: Set = None,
-    out_file: Annotated[
-        Path | None,
-        typer.Option(
-            "--out",
-            metavar="FILE",
-            help="Plant file to write; axis.design.toml for axis.toml if not given.",
-            callback=file_to_write,
-        ),
-    ] = None,
-    force: Annotated[
-        bool, typer.Option("--force", help="Replace that file, and its state.")
-    ] = False,
-    state: Annotated[
-        Path | None,
-        typer.Option(
-            help="Folder for the state; out/design-NAME if not given.", callback=folder_to_write
-        ),
-    ] = None,
+    out_file: OutPlant = None,
+    force: Force = False,
+    state: StateFolder = None,
     resume: Resume = False,
     json_file: Json = None,
     report: Report = None,
+    figures: FigureFormat = None,
 ) -> None:
     """Which learning law for this machine, with which weights, is it safe, and what will it reach.
 
     It tries several laws: safe weights by the frequency response of all machines,
-    tuned by gradient, and judged on machines that were not used. The best one is
-    written to a plant file that every other command takes.
+    tuned by gradient, one of them by its taps (see `learn-law`), and judged on machines
+    that were not used. The best one is written to a plant file that every other command
+    takes.
 
     Example: jaxilc design axis.toml
     """
@@ -127,37 +107,6 @@ def design(
     if found.chosen is None:
         err.print("no law is recommended, and no plant file was written", highlight=False)
         raise typer.Exit(1)
-
-
-def target_of(plant_file: Path, out_file: Path | None, what: str, *, replace: bool) -> Path:
-    """The plant file to write; raises ValueError or FileExistsError where it may not be written.
-
-    what: the middle of its name where no file is asked for, axis.design.toml for `design`
-    """
-    from ..scenarios.design_file import design_path, need_same_folder
-
-    if plant_file.suffix not in (".toml", ".json"):
-        raise ValueError(
-            f"{plant_file} is no plant file; allowed is a TOML or JSON file, such as `jaxilc init` "
-            "writes. A scenario of a paper has laws of its own: `jaxilc tune` changes their weights"
-        )
-    target = out_file or design_path(plant_file, what)
-    need_same_folder(plant_file, target)
-    if target.exists() and not replace:
-        raise FileExistsError(f"{target} exists already; add --force to replace it")
-    return target
-
-
-def place_of(state: Path, *, force: bool, resume: bool) -> Path:
-    """The folder for the state, without that of an earlier run if it is to be replaced."""
-    if state.exists() and not resume:
-        if not force:
-            raise FileExistsError(
-                f"{state} exists already; add --resume to go on with it, --force to begin anew, "
-                "or choose another --state"
-            )
-        shutil.rmtree(state)
-    return state
 
 
 def _leave(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 import threading
 import time
@@ -80,11 +81,15 @@ class Progress:
 def _first_answer(chosen: Scenario, what: Candidate) -> str:
     scale, unit = chosen.shown_scale, chosen.shown_unit
     return (
-        f"A first safe answer, by frequency alone: {what.words}, {weights_said(what, chosen)}. "
+        f"A first safe answer, by frequency alone: {_with_weights(what, chosen)}. "
         f"|Q (1 - L P)| is at most {what.largest:.2f}; predicted rms error of trial "
         f"{chosen.trials}: {what.predicted * scale:.3g} {unit}".rstrip()
         + ". Tuning and judging follow."
     )
+
+
+def _with_weights(what: Candidate, chosen: Scenario) -> str:
+    return ", ".join(filter(None, (what.words, weights_said(what, chosen))))
 
 
 def weights_said(what: Candidate, chosen: Scenario) -> str:
@@ -146,7 +151,7 @@ def lines_of(chosen: Scenario, found: Designed, chosen_law: Recommended) -> list
     law = one.candidate
     lines = [
         *_reasons(found),
-        f"Take {law.name}: {law.words}, {weights_said(law, chosen)}.",
+        f"Take {law.name}: {_with_weights(law, chosen)}.",
         f"Of {found.machines} machines that the design has not seen, 95 % stay at or below a {name}"
         f" of {size(one.error)} from trial {found.trials} to {found.long}; half of them stay at or "
         f"below {size(one.median)}, all of them at or below {size(one.worst)}.",
@@ -191,10 +196,38 @@ def safety_said(proof: Proof) -> str:
     if proof.machine:
         at = ", ".join(f"{name} = {value:.4g}" for name, value in proof.machine.items())
         said += f" on the worst of {proof.machines} machines ({at})"
-    said += f". Theory claims for the long run, of the nominal machine: {nominal}"
+    said += f"{_beyond(proof)}. Theory claims for the long run, of the nominal machine: {nominal}"
     said += f"; of the worst: {worst}." if proof.machine else "."
     doubts = {r for c, r in zip(proof.claims, proof.reasons, strict=True) if c == "not claimed"}
     return said + "".join(f" Not claimed because {reason}." for reason in sorted(doubts))
+
+
+def proof_numbers(proof: Proof) -> dict[str, Any]:
+    """The numbers of a proof, as JSON."""
+    of_set = None
+    if proof.whole is not None:
+        of_set = {
+            "bound": proof.whole.bound if proof.whole.proved else None,
+            "how": proof.whole.how,
+        }
+    further = None if math.isnan(proof.further) else proof.further
+    return proof._asdict() | {"margin": proof.margin, "whole": of_set, "further": further}
+
+
+def _beyond(proof: Proof) -> str:
+    """What is proved of machines that are none of the family."""
+    said = ""
+    if proof.whole is not None:
+        at_most = f"proved to be at most {proof.whole.bound:.3f}, " if proof.whole.proved else ""
+        said += (
+            f"; of the machines between these it is {at_most or 'not proved: '}{proof.whole.how}"
+        )
+    if proof.further > 0:
+        said += (
+            f"; each of them may differ from its model by {100 * proof.further:.2g} % at any "
+            "frequency"
+        )
+    return said
 
 
 def lost_lines(found: Designed) -> list[str]:
@@ -244,5 +277,5 @@ def design_numbers(chosen: Scenario, found: Designed) -> dict[str, Any]:
         "others": [of(one) for one in found.others],
         "absent": {one.name: one.why for one in found.absent},
         "limits": best and {k: v * scale for k, v in best.limits._asdict().items()},
-        "proof": best and best.proof._asdict() | {"margin": best.proof.margin},
+        "proof": best and proof_numbers(best.proof),
     }

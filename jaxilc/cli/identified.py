@@ -66,6 +66,7 @@ def of_record(path: Path, asked: Asked) -> Fitted:
     from .. import figures, identification
     from ..identification.record_files import read_record_file
     from ..identification.resampling import RESAMPLED
+    from ..plants import ProcessModel
 
     if asked.averages is not None:
         raise ValueError(f"--averages {asked.averages} is for a frequency response; {path} is none")
@@ -89,6 +90,10 @@ def of_record(path: Path, asked: Asked) -> Fitted:
         "validation.png": figures.validation_figure(record, found),
     }
     units = (read.input_units[0], read.output_units[0])
+    if isinstance(found.plant, ProcessModel) and found.plant.n_u == found.plant.n_y == 1:
+        axes["response.png"] = figures.response_figure(
+            found, record.dt, input_unit=units[0], output_unit=units[1]
+        )
     structure = structure | {"delay": delay} if delay else structure
     return Fitted(record, found, record.dt, tables, axes, units, structure)
 

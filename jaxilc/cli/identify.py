@@ -10,7 +10,7 @@ import typer
 
 from .completion import of_list
 from .console import out
-from .options import DESIGN, Json, Report, at_least, file_to_write, folder_to_write
+from .options import DESIGN, FigureFormat, Json, Report, at_least, file_to_write, folder_to_write
 from .results import folder_of, written
 
 NO_LAW = (
@@ -95,6 +95,7 @@ def identify(
     force: Annotated[bool, typer.Option("--force", help="Replace a plant file.")] = False,
     json_file: Json = None,
     report: Report = None,
+    figures: FigureFormat = None,
 ) -> None:
     """A plant from a recorded experiment or a measured frequency response, with its reliability.
 

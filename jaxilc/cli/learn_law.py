@@ -7,21 +7,29 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .completion import of_list, schemes_from
+from .completion import of_list
 from .console import err, out
-from .design import place_of, target_of
 from .options import (
     DESIGN,
+    TERMS,
+    FeedbackOf,
+    FigureFormat,
+    Force,
     Json,
+    JudgedOn,
+    Margin,
+    OutPlant,
+    OverMachines,
+    PlantFile,
     Report,
     Resume,
     Seed,
     Set,
     Spread,
+    StateFolder,
     Trials,
-    file_to_write,
-    folder_to_write,
 )
+from .places import place_of, target_of
 from .results import written
 
 if TYPE_CHECKING:
@@ -37,9 +45,7 @@ def register(app: typer.Typer) -> None:
 
 
 def learn_law(
-    plant_file: Annotated[
-        Path, typer.Argument(metavar="FILE", help="Plant file, TOML or JSON; see `jaxilc init`.")
-    ],
+    plant_file: PlantFile,
     taps: Annotated[
         str, typer.Option(metavar="L,Q", help="Odd numbers of taps of L and of Q.")
     ] = "61,31",
@@ -49,61 +55,58 @@ def learn_law(
             help=f"Law to start from: {', '.join(STARTS)}.", autocompletion=of_list(*STARTS)
         ),
     ] = "safe",
-    scheme: Annotated[
-        str | None,
+    segments: Annotated[
+        str,
         typer.Option(
-            "--scheme",
-            help="Scheme of the file whose feedback is taken.",
-            autocompletion=schemes_from,
+            metavar="T,...", help="Times [s] at which a segment with taps of its own begins."
         ),
+    ] = "",
+    decentralised: Annotated[
+        bool,
+        typer.Option(
+            "--decentralised", help="Of several channels, each input learns from its own error."
+        ),
+    ] = False,
+    limit: Annotated[
+        float | None, typer.Option(help="Largest |u| that is learned; none if not given.")
     ] = None,
-    margin: Annotated[
-        float, typer.Option(help="Least distance of |Q (1 - L P)| from 1, on every machine.")
-    ] = 0.05,
+    objective: Annotated[
+        str | None,
+        typer.Option(help=f"{TERMS} final + 0.5*holding:1 if not given.", show_default=False),
+    ] = None,
+    risk: OverMachines = "mean",
+    scheme: FeedbackOf = None,
+    margin: Margin = 0.05,
     trials: Trials = None,
     trained_on: Annotated[int, typer.Option(help="Machines on which the law is learned.")] = 32,
-    machines: Annotated[
-        int, typer.Option("--machines", help="Machines on which the law is judged.")
-    ] = 257,
+    machines: JudgedOn = 257,
     steps: Annotated[
         int, typer.Option(help="Steps through learning; 0 for the frequency response alone.")
     ] = 60,
     spread: Spread = None,
     seed: Seed = 0,
     set_: Set = None,
-    out_file: Annotated[
-        Path | None,
-        typer.Option(
-            "--out",
-            metavar="FILE",
-            help="Plant file to write; axis.learned.toml for axis.toml if not given.",
-            callback=file_to_write,
-        ),
-    ] = None,
-    force: Annotated[
-        bool, typer.Option("--force", help="Replace that file, and its state.")
-    ] = False,
-    state: Annotated[
-        Path | None,
-        typer.Option(
-            help="Folder for the state; out/learn-law-NAME if not given.", callback=folder_to_write
-        ),
-    ] = None,
+    out_file: OutPlant = None,
+    force: Force = False,
+    state: StateFolder = None,
     resume: Resume = False,
     json_file: Json = None,
     report: Report = None,
+    figures: FigureFormat = None,
 ) -> None:
     """Learn the update law itself, the taps of L and Q, and prove it safe before it is written.
 
     The taps come from gradients through the learning of many machines. A law that
-    is not safe on every machine of a dense family is taken back, or not written.
+    is not safe on every machine of a dense family is taken back, or not written. Of
+    several channels the taps are matrices; with --segments the law is scheduled.
 
     Example: jaxilc learn-law axis.toml --taps 61,31
     """
     target = target_of(plant_file, out_file, "learned", replace=force or resume)
-    from .asked import begin, scenario_to_design, spread_of
+    from .asked import begin, objective_asked, scenario_to_design, spread_of
+    from .terms import risk_of
 
-    counted = _taps(taps)
+    counted, combined = _taps(taps), risk_of(risk)
     begin("float64")
     from ..design import LearnedLaw, feedback_among
     from .learn_law_lines import Progress
@@ -118,6 +121,11 @@ def learn_law(
         feedback=feedback_among(chosen.schemes),
         taps=counted,
         start=start,
+        starts=_samples(segments, float(chosen.task.dt)),
+        coupled=not decentralised,
+        limit=limit,
+        objective=None if objective is None else objective_asked(chosen, objective),
+        risk=combined,
         metric=chosen.judged_by,
         margin=margin,
         trained_on=trained_on,
@@ -125,6 +133,7 @@ def learn_law(
         machines=machines,
         steps=steps,
         seed=seed,
+        quantities=chosen.functions,
     )
     place = place_of(folder / "state", force=force, resume=resume)
     with Progress(chosen, asked) as told:
@@ -144,6 +153,16 @@ def _taps(text: str) -> tuple[int, int]:
             f"--taps {text!r} is not allowed; allowed are two odd numbers, as in 61,31"
         ) from None
     return of_L, of_Q
+
+
+def _samples(text: str, dt: float) -> tuple[int, ...]:
+    """The first samples of segments that begin at times [s], such as 0.2,0.5."""
+    try:
+        return tuple(round(float(time) / dt) for time in text.split(",") if time.strip())
+    except (ValueError, OverflowError):
+        raise ValueError(
+            f"--segments {text!r} is not allowed; allowed are times in seconds, as in 0.2,0.5"
+        ) from None
 
 
 def _leave(

@@ -88,6 +88,8 @@ def lines_of(chosen: Scenario, found: Learned) -> list[str]:
     lines = [f"Take {LEARNED}: {found.law.words}{back}. {_errors_said(chosen, found)}"]
     if SAFE in found.verdicts:
         lines.append(_compared(found))
+    elif found.window.unit is not None:
+        lines.append("There is no law of a few weights for several channels, to compare it with.")
     else:
         lines.append("No law of a few weights is safe on every machine, to compare it with.")
     lines.append(design_lines.safety_said(found.proof))
@@ -124,7 +126,7 @@ def law_numbers(chosen: Scenario, found: Learned) -> dict[str, Any]:
         "L": None if filters is None else np.asarray(filters.L).tolist(),
         "Q": None if filters is None else np.asarray(filters.keep).tolist(),
         "lead": found.window.lead,
-        "proof": found.proof and found.proof._asdict() | {"margin": found.proof.margin},
+        "proof": found.proof and design_lines.proof_numbers(found.proof),
     }
 
 

@@ -60,6 +60,17 @@ def seed_in_range(seed: int) -> int:
     return seed
 
 
+def figures_as(text: str | None) -> str | None:
+    """Choose how figures are written; raises ValueError, before anything is computed."""
+    from ..storage.figure_format import choose
+
+    try:
+        choose(text)
+    except ValueError as error:
+        raise ValueError(str(error).replace("figures =", "--figures")) from None
+    return text
+
+
 def at_least(low: int, **given: int | None) -> None:
     """Check that the numbers of options are at least `low`.
 
@@ -168,6 +179,42 @@ Optimiser = Annotated[
     ),
 ]
 
+# A law for the machine of a plant file
+# --------------------------------------------------------------------------------------------------
+
+PlantFile = Annotated[
+    Path, typer.Argument(metavar="FILE", help="Plant file, TOML or JSON; see `jaxilc init`.")
+]
+FeedbackOf = Annotated[
+    str | None,
+    typer.Option(
+        "--scheme",
+        help="Scheme of the file whose feedback is taken.",
+        autocompletion=schemes_from,
+    ),
+]
+Margin = Annotated[
+    float, typer.Option(help="Least distance of |Q (1 - L P)| from 1, on every machine.")
+]
+JudgedOn = Annotated[int, typer.Option("--machines", help="Machines that judge.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace that file, and its state.")]
+OutPlant = Annotated[
+    Path | None,
+    typer.Option(
+        "--out",
+        metavar="FILE",
+        help="Plant file to write; beside the one given, as axis.design.toml or axis.learned.toml, "
+        "if not given.",
+        callback=file_to_write,
+    ),
+]
+StateFolder = Annotated[
+    Path | None,
+    typer.Option(
+        help="Folder for the state; out/COMMAND-NAME if not given.", callback=folder_to_write
+    ),
+]
+
 # Files that are written
 # --------------------------------------------------------------------------------------------------
 
@@ -177,6 +224,18 @@ OutFolder = Annotated[
         "--out",
         help="Folder for all results; out/COMMAND-SCENARIO if not given.",
         callback=folder_to_write,
+    ),
+]
+Replace = Annotated[
+    bool, typer.Option("--replace", help="Replace the run of other settings in the folder.")
+]
+FigureFormat = Annotated[
+    str | None,
+    typer.Option(
+        "--figures",
+        metavar="FORMAT",
+        help="Format and style of figures: png, svg or pdf; print or dark; both as svg,dark.",
+        callback=figures_as,
     ),
 ]
 Resume = Annotated[bool, typer.Option("--resume", help="Go on with what is in the folder.")]

@@ -12,6 +12,7 @@ from .options import (
     DESIGN,
     TERMS,
     Bounds,
+    FigureFormat,
     HeldOut,
     Json,
     OneScheme,
@@ -92,6 +93,7 @@ def pareto(
     resume: Resume = False,
     json_file: Json = None,
     report: Report = None,
+    figures: FigureFormat = None,
     precision: Precision = "float64",
 ) -> None:
     """Two objectives against each other, or the first against the number of trials.
@@ -171,7 +173,8 @@ def _finish(
         found.paths,
         scenario=of.chosen,
         configuration=of.problem.configuration(),
-        lines=[*lines, *found.verdict.lines],
+        lines=lines,
+        verdict=found.verdict,
     )
     numbers = {"scenario": of.chosen.name, "scheme": of.scheme} | options | found.numbers
     written([*found.paths, *page], json_file, numbers, found.verdict)

@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, NoReturn
 
-from . import console
+from . import console, durations
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -21,11 +21,16 @@ if TYPE_CHECKING:
 
 
 # Packages that a command needs when its sweep or tuning is computed.
+WORTH_KEEPING = 1.0  # seconds from which on the duration of a command is kept
 AFTERWARDS = ("xarray", "zarr", "matplotlib.figure", "matplotlib.backends.backend_agg")
 
 
-def progress_bar(field: str):
-    """A progress bar that also shows a field of its tasks; nothing is shown without a terminal."""
+def progress_bar(field: str, *, transient: bool = False, expected: float | None = None):
+    """A progress bar that also shows a field of its tasks; nothing is shown without a terminal.
+
+    transient: whether the bar is removed at the end
+    expected: seconds that all of it took the last time; the time left before a part is done
+    """
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,
@@ -34,6 +39,16 @@ def progress_bar(field: str):
         TimeElapsedColumn,
         TimeRemainingColumn,
     )
+    from rich.text import Text
+
+    class Left(TimeRemainingColumn):
+        max_refresh = None  # it falls each second
+
+        def render(self, task):
+            if task.finished or task.time_remaining is not None or expected is None:
+                return super().render(task)
+            left = max(expected - (task.elapsed or 0.0), 1.0)
+            return Text(f"about {left:.0f} s left", style="progress.remaining")
 
     columns = (
         TextColumn("{task.description}", markup=False),
@@ -44,10 +59,33 @@ def progress_bar(field: str):
     return Progress(
         *columns,
         TimeElapsedColumn(),
-        TimeRemainingColumn(),
+        Left(),
+        transient=transient,
         console=console.err,
         disable=console.out.quiet or not console.err.is_terminal,
     )
+
+
+@contextmanager
+def working(command: str) -> Generator[Callable[..., None]]:
+    """A context with the progress bar of a command, which is gone when the command prints.
+
+    It begins before JAX is loaded, so that something is seen within the first second. It yields a
+    function of what is done now, as a text, and of `done` and `total`, the parts of the work. The
+    time left follows from the parts that are done, and before that from how long the same command
+    took the last time.
+    """
+    key, start = durations.key_of([command, *sys.argv[1:]]), time.perf_counter()
+    with progress_bar("now", transient=True, expected=durations.expected(key)) as bar:
+        one = bar.add_task(command, total=None, now="starting")
+
+        def told(now: str, done: float | None = None, total: float | None = None) -> None:
+            bar.update(one, now=now, completed=done, total=total)
+
+        yield told
+    seconds = time.perf_counter() - start
+    if seconds > WORTH_KEEPING:
+        durations.remember(key, seconds)
 
 
 def thread_for_later(*works: Callable[[], object]) -> threading.Thread:

@@ -45,20 +45,27 @@ def reproduce(
 
     Example: jaxilc reproduce cao-2019 --reading amplitude --report out/cao-2019.html
     """
-    from .asked import begin
+    from .progress import working
 
-    begin(precision)
+    with working("reproduce") as told:
+        from .asked import begin
+
+        begin(precision)
+        from ..scenarios import reproduction
+
+        rows = reproduction.reproduce(
+            scenario or (), reading, progress=lambda done, whole, name: told(name, done, whole)
+        )
     from ..figures.published import reproduction_figures
     from ..figures.report import command_report
-    from ..scenarios import reproduction
     from .reproduction_tables import READING_FITS, narrow_reproduction, reproduction_table
     from .verdicts.published import reproduce_verdict
 
-    numbers = [row.as_dict() for row in reproduction.reproduce(scenario or (), reading)]
+    numbers = [row.as_dict() for row in rows]
     table = reproduction_table(numbers)
     for part in [table] if out.width >= READING_FITS else narrow_reproduction(numbers):
         out.print(part, highlight=False)
     verdict = reproduce_verdict(numbers)
     pictures = [] if report is None else reproduction_figures(numbers)
-    page = command_report(report, "reproduce", [table], pictures, lines=verdict.lines)
+    page = command_report(report, "reproduce", [table], pictures, verdict=verdict)
     written(page, json_file, numbers, verdict)

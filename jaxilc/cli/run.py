@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
+import json
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -11,11 +14,13 @@ from .completion import scenarios_from
 from .console import out
 from .options import (
     SIMULATE,
+    FigureFormat,
     Json,
     MetricName,
     OutFolder,
     Params,
     Precision,
+    Replace,
     Report,
     ScenarioName,
     Schemes,
@@ -83,35 +88,44 @@ def run(
     out_dir: OutFolder = None,
     json_file: Json = None,
     report: Report = None,
+    replace: Replace = False,
+    figures: FigureFormat = None,
     precision: Precision = "float64",
 ) -> None:
     """Learn on the nominal machine: errors beside the published ones, figures, dataset.
 
     Example: jaxilc run cao-2019 --scheme ffdl-mfailc --set ffdl-mfailc.lam=0.5
     """
-    from .asked import begin, chosen_scenario
+    from .progress import working
 
-    begin(precision)
-    import jax
+    with working("run") as told:
+        from .asked import begin, chosen_scenario
 
+        begin(precision)
+        import jax
+
+        from ..scenarios.judging import judged
+        from ..sweeps import runs
+
+        chosen = judged(chosen_scenario(scenario, scheme, trials, set_, params), metric)
+        made_with = runs.configuration(chosen, seed)
+        folder = _folder(out_dir, chosen.name, made_with, replace=replace)
+        dataset, _ = runs.run_schemes(
+            chosen.machine,
+            chosen.schemes,
+            chosen.task,
+            chosen.trials,
+            key=jax.random.key(seed),
+            quantities=chosen.functions,
+            progress=lambda done, name: told(name, done, len(chosen.schemes)),
+        )
     from ..figures.report import command_report
     from ..figures.whole_run import save_run
-    from ..scenarios.judging import judged
     from ..storage.files import whole_folder
-    from ..sweeps import runs
-    from . import numbers
+    from . import live, numbers
     from .verdicts.case import Case
     from .verdicts.simulation import run_verdict
 
-    chosen = judged(chosen_scenario(scenario, scheme, trials, set_, params), metric)
-    dataset, _ = runs.run_schemes(
-        chosen.machine,
-        chosen.schemes,
-        chosen.task,
-        chosen.trials,
-        key=jax.random.key(seed),
-        quantities=chosen.functions,
-    )
     found = numbers.run_numbers(chosen, dataset)
     shown, lines = _shown(chosen, found, changed=bool(set_ or params))
     show(shown, lines)
@@ -120,13 +134,55 @@ def run(
     asked = Asked(scenario, tuple(scheme or ()), tuple(set_ or ()), params, trials, metric=metric)
     verdict = run_verdict(Case.of(chosen, asked), found, numbers.errors_by_trial(chosen, dataset))
 
-    folder = folder_of(out_dir, f"run-{chosen.name}")
-    paths = save_run(chosen, dataset, folder, numbers.shown_trials(chosen))
+    folder_of(folder, "")
+    with working("figures") as told:
+        shown_trials = numbers.shown_trials(chosen)
+        paths = save_run(chosen, dataset, folder, shown_trials, progress=told)
+    dataset.attrs["configuration"] = json.dumps(made_with)
     with whole_folder(folder / "dataset.zarr", replace=True) as store:
         dataset.to_zarr(store, consolidated=False)
-    told = [*lines, *verdict.lines]
-    page = command_report(report, "run", shown, paths, scenario=chosen, lines=told)
+    page = command_report(
+        report,
+        "run",
+        shown,
+        live.left_of_run(paths),
+        scenario=chosen,
+        lines=lines,
+        verdict=verdict,
+        live=live.of_run(report, chosen, dataset),
+    )
     written([*paths, *page, folder / "dataset.zarr"], json_file, found, verdict)
+
+
+def _folder(asked: Path | None, name: str, made_with: dict[str, Any], *, replace: bool) -> Path:
+    """The folder for the results of a run, in which no other run's are mixed with them.
+
+    Without --out it is the first of out/run-NAME, out/run-NAME-2 and so on that is free, or that
+    holds a run of the same settings.
+
+    made_with: all that determines the numbers and the figures
+    replace: whether the run of other settings in the folder is replaced
+    Raises FileExistsError where the folder that was asked for holds a run of other settings.
+    """
+    from ..runtime.provenance import differences
+    from ..sweeps.runs import made_with as of
+
+    def differing(folder: Path) -> list[str]:
+        store = folder / "dataset.zarr"
+        return differences(of(store), made_with) if store.exists() and not replace else []
+
+    if asked is None:
+        first = Path("out") / f"run-{name}"
+        counted = (first.with_name(f"{first.name}-{i}") for i in itertools.count(2))
+        return next(folder for folder in itertools.chain([first], counted) if not differing(folder))
+    found = differing(asked)
+    if found:
+        more = f" and {len(found) - 1} more" if found[1:] else ""
+        raise FileExistsError(
+            f"{asked} holds a run of other settings ({found[0]}{more}); choose another --out, or "
+            "add --replace"
+        )
+    return asked
 
 
 def _shown(

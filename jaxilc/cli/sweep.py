@@ -10,6 +10,7 @@ import typer
 from .console import stage_ends
 from .options import (
     SIMULATE,
+    FigureFormat,
     Json,
     Machines,
     MetricName,
@@ -70,6 +71,7 @@ def sweep(
     ] = None,
     json_file: Json = None,
     report: Report = None,
+    figures: FigureFormat = None,
     precision: Precision = "float64",
 ) -> None:
     """Schemes against many uncertain machines: yield, quantiles, worst case, figure, dataset.
@@ -128,6 +130,7 @@ def _finish(found: _Found, swept: Swept, json_file: Path | None, report: Path | 
     from .. import figures
     from ..figures.report import command_report
     from ..sweeps.summary import summarise
+    from .live import of_sweep
     from .numbers import axes_numbers, sweep_numbers
     from .verdicts.case import Case
     from .verdicts.simulation import sweep_verdict
@@ -142,14 +145,13 @@ def _finish(found: _Found, swept: Swept, json_file: Path | None, report: Path | 
     show(shown, lines)
     highs = {row.scheme: [scale * float(high) for high in row.high] for row in summary}
     verdict = sweep_verdict(Case.of(chosen, asked), numbers, highs)
-    axes = figures.error_band(
-        dataset,
-        metric=chosen.judged_by,
-        tolerance=tolerance,
-        scale=scale,
-        unit=unit,
-        summary=summary,
-    )
+    in_figures = {
+        "metric": chosen.judged_by,
+        "tolerance": tolerance,
+        "scale": scale,
+        "unit": unit,
+    }
+    axes = figures.error_band(dataset, summary=summary, **in_figures)
     path = figures.save(axes, store.parent / "error-band.png")
     page = command_report(
         report,
@@ -158,7 +160,9 @@ def _finish(found: _Found, swept: Swept, json_file: Path | None, report: Path | 
         [path],
         scenario=chosen,
         configuration=dataset.attrs["configuration"],
-        lines=[*lines, *verdict.lines],
+        lines=lines,
+        verdict=verdict,
+        live=of_sweep(report, dataset, summary, in_figures),
     )
     numbers |= {"sample_steps": steps, "seconds": seconds}
     written([path, *page, store], json_file, numbers, verdict)

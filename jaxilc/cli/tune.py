@@ -12,6 +12,7 @@ from .options import (
     DESIGN,
     TERMS,
     Bounds,
+    FigureFormat,
     HeldOut,
     Json,
     OneScheme,
@@ -78,6 +79,7 @@ def tune(
     resume: Resume = False,
     json_file: Json = None,
     report: Report = None,
+    figures: FigureFormat = None,
     precision: Precision = "float64",
 ) -> None:
     """Tune weights by gradient through the learning, and compare them on machines not seen.
@@ -185,10 +187,23 @@ def _finish(
         paths,
         scenario=chosen,
         configuration=problem.configuration(),
-        lines=[result, *warnings, *verdict.lines],
+        lines=[result, *warnings],
+        verdict=verdict,
+        live=_live(report, chosen, dataset),
         asked=options,
     )
     written([*paths, *page], json_file, numbers, verdict)
+
+
+def _live(report: Path | None, chosen: Scenario, dataset: xr.Dataset) -> list:
+    """The interactive figure of the comparison; none where no page is asked for."""
+    from ..sweeps.summary import summarise
+    from .live import of_sweep
+
+    scale, unit = chosen.shown(chosen.judged_by)
+    shown = {"metric": chosen.judged_by, "tolerance": None, "scale": scale, "unit": unit}
+    summary = summarise(dataset, None, metric=chosen.judged_by)
+    return of_sweep(report, dataset, summary, shown)
 
 
 def _figures(folder: Path, chosen, tuned, dataset) -> list[Path]:

@@ -10,6 +10,7 @@ import typer
 
 from .options import (
     DESIGN,
+    FigureFormat,
     Json,
     OneScheme,
     OutFolder,
@@ -56,6 +57,7 @@ def worst_case(
     out_dir: OutFolder = None,
     json_file: Json = None,
     report: Report = None,
+    figures: FigureFormat = None,
     precision: Precision = "float64",
 ) -> None:
     """The worst machine by climbing the gradient of its error, against machines drawn by chance.
@@ -64,33 +66,37 @@ def worst_case(
 
     Example: jaxilc worst-case cao-2019 --scheme cfdl-mfailc --trial 40 --draws 10000
     """
-    from .asked import begin, chosen_scenario, spread_of
-
-    begin(precision)
-    from ..tuning.worst_case import GRADIENT_COST
-    from ..tuning.worst_machine import worst_machine
+    from .progress import working
     from .tuning_numbers import worst_case_numbers
 
     at_least(1, trial=trial, starts=starts, steps=steps, draws=draws)
-    at_least(starts * (1 + GRADIENT_COST), evaluations=evaluations)
-    chosen = chosen_scenario(scenario, [scheme], trial, set_, params)
-    wide = dataclasses.replace(chosen, uncertainty=spread_of(chosen, spread))
-    scale, unit = chosen.shown(chosen.judged_by)
-    found = worst_machine(
-        chosen.machine,
-        chosen.schemes[scheme],
-        chosen.task,
-        chosen.trials,
-        wide.uncertainty,
-        metric=chosen.judged_by,
-        scale=scale,
-        quantities=chosen.functions,
-        starts=starts,
-        steps=steps,
-        evaluations=evaluations,
-        draws=draws,
-        seed=seed,
-    )
+    with working("worst-case") as told:
+        from .asked import begin, chosen_scenario, spread_of
+
+        begin(precision)
+        from ..tuning.worst_case import GRADIENT_COST
+        from ..tuning.worst_machine import worst_machine
+
+        at_least(starts * (1 + GRADIENT_COST), evaluations=evaluations)
+        chosen = chosen_scenario(scenario, [scheme], trial, set_, params)
+        wide = dataclasses.replace(chosen, uncertainty=spread_of(chosen, spread))
+        scale, unit = chosen.shown(chosen.judged_by)
+        found = worst_machine(
+            chosen.machine,
+            chosen.schemes[scheme],
+            chosen.task,
+            chosen.trials,
+            wide.uncertainty,
+            metric=chosen.judged_by,
+            scale=scale,
+            quantities=chosen.functions,
+            starts=starts,
+            steps=steps,
+            evaluations=evaluations,
+            draws=draws,
+            seed=seed,
+            progress=lambda done, whole, name: told(name, done, whole),
+        )
     options = {
         "scenario": scenario,
         "scheme": scheme,
@@ -153,7 +159,7 @@ def _finish(
         shown,
         [path],
         scenario=chosen,
-        lines=verdict.lines,
+        verdict=verdict,
         asked=options,
     )
     numbers |= verdict.as_json()

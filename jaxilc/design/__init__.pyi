@@ -1,6 +1,6 @@
-from .candidates import LAWS
-from .learned import STARTS, Learned, LearnedLaw
-from .search import Design, Designed, Recommended, feedback_among
+from .learned import Learned, LearnedLaw
+from .learned_settings import STARTS
+from .search import LAWS, Design, Designed, Recommended, feedback_among
 
 __all__ = [
     "LAWS",

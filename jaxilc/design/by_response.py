@@ -6,10 +6,15 @@ at a smaller weight, under
 
     |keep - L P| <= below    at each frequency, on each machine
 
-as a penalty. Ends of the trial, limits and saturation are not in it: from here a `Tuning` goes on.
+as a penalty; of several channels |.| is the largest singular value, and the error is predicted by
+matrices (`by_matrix`). Ends of the trial, limits and saturation are not in it: from here a `Tuning`
+goes on. Each segment of a scheduled law is found for the error of its part of the trial.
 """
 
 from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -17,8 +22,9 @@ import numpy as np
 import scipy.optimize
 
 from ..signals.task import Task
-from .responses import Family
-from .window import Filters, Window
+from .by_matrix import of_matrices
+from .responses import Family, gathered
+from .window import Filters, Window, along, moved_by
 
 EARLY = 0.1  # weight of the error of half as many trials
 STRICT = 50.0, 5.0  # weights of the mean square excess, and of the largest one
@@ -43,13 +49,23 @@ def by_response(
     below: bound on |keep - L P|
     steps: of L-BFGS at most
     """
+    if window.starts:
+        ends = (0, *window.starts, task.N + 1)
+        found = [
+            by_response(
+                _of_part(family, slice(first, last), task), window.unscheduled(),
+                Filters(start.L[i], start.keep[i]), task, trials, below, steps=steps,
+            )
+            for i, (first, last) in enumerate(itertools.pairwise(ends))
+        ]  # fmt: skip
+        return Filters(*map(np.stack, zip(*found, strict=True)))
     value_and_slope = _loss_of(family, window, start, task, trials, below)
 
     def numbers(z):
         value, slope = value_and_slope(z)
         return float(value), np.asarray(slope, float)
 
-    z = np.zeros(window.of_L.shape[1] + window.of_keep.shape[1])
+    z = np.zeros(window.number_of_steps())
     options = {"maxiter": steps, "maxfun": 2 * steps, "maxcor": 30}
     found = scipy.optimize.minimize(numbers, z, jac=True, method="L-BFGS-B", options=options)
     return moved(window, start, found.x if np.all(np.isfinite(found.x)) else z)
@@ -57,41 +73,65 @@ def by_response(
 
 def moved(window: Window, start: Filters, z) -> Filters:
     """The taps after steps z along the directions of the window, first those of L."""
-    count = window.of_L.shape[1]
-    return Filters(start.L + window.of_L @ z[:count], start.keep + window.of_keep @ z[count:])
+    return moved_by(start, window.of_L, window.of_keep, z, window.unit)
 
 
 def sizes_of(family: Family, window: Window, filters: Filters, dt: float) -> np.ndarray:
-    """(S, F) |keep - L P| of taps on the machines and lines of a family."""
+    """(S, F) |keep - L P| of taps on the machines and lines of a family.
+
+    Of several channels it is the largest singular value, and of segments the largest of all.
+    """
     of_L, of_keep = window.responses(family.frequencies, dt)
-    return np.abs(of_keep @ filters.keep - (of_L @ filters.L) * family.P)
+    L, keep = along(of_L, filters.L), along(of_keep, filters.keep)
+    if window.starts:
+        return np.max([family.sizes(*one) for one in zip(keep, L, strict=True)], axis=0)
+    return family.sizes(keep, L)
 
 
-def _loss_of(family, window, start, task, trials, below):
+def _of_part(family: Family, part: slice, task: Task) -> Family:
+    """The family with the error of a part of the trial only."""
+    error = np.zeros_like(family.first_error)
+    error[part] = family.first_error[part]
+    spectrum = gathered(error, family.frequencies, task.dt)
+    return family._replace(error=spectrum if np.any(spectrum) else family.error)
+
+
+def _loss_of(family, window, start, task, trials, below) -> Callable:
     """The loss of steps z, with its slope, compiled."""
     of_L, of_keep = window.responses(family.frequencies, task.dt)
-    P, error, noise = jnp.asarray(family.P), family.error, family.noise
     counted = {trials: 1.0, max(2, (trials + 1) // 2): EARLY} if trials > 2 else {trials: 1.0}
+    predicted = _of_numbers if family.P.ndim == 2 else of_matrices
 
     def loss(z):
         filters = moved(window, start, z)
-        keep, LP = of_keep @ filters.keep, (of_L @ filters.L) * P
-        left = keep - LP
-        square = left.real**2 + left.imag**2
-        size = jnp.sqrt(square + 1e-12)
-        within = left * jnp.minimum(1.0, NEAR / size)
-        rest = (1 - keep) / (1 - within)
-        learned = _square(LP) / (1 - jnp.minimum(square, NEAR**2)) * noise**2
-        total = 0.0
-        for trial, weight in counted.items():
-            share = rest + within ** (trial - 1) * (1 - rest)
-            rms = jnp.sum(_square(share) * error**2 + learned, axis=1)
-            total += weight * 0.5 * jnp.mean(jnp.log(rms))
+        keep, L = along(of_keep, filters.keep), along(of_L, filters.L)
+        size, squares = predicted(family, keep, L, tuple(counted), NEAR)
+        total = sum(
+            weight * 0.5 * jnp.mean(jnp.log(square))
+            for weight, square in zip(counted.values(), squares, strict=True)
+        )
         over = jax.nn.relu(size - below)
         worst = jnp.sqrt(jnp.sum(jnp.max(over, axis=1) ** 2) + 1e-12)
         return total + STRICT[0] * jnp.mean(jnp.sum(over**2, axis=1)) + STRICT[1] * worst
 
     return jax.jit(jax.value_and_grad(loss))
+
+
+def _of_numbers(family: Family, keep, L, trials, near: float):
+    """(S, F) |keep - L P|, and for each of some trials (S,) the predicted mean square error."""
+    P, noise = jnp.asarray(family.P), family.noise
+    LP = L * P
+    left = keep - LP
+    square = _square(left)
+    size = jnp.sqrt(square + 1e-12)
+    within = left * jnp.minimum(1.0, near / size)
+    rest = (1 - keep) / (1 - within)
+    learned = _square(LP) / (1 - jnp.minimum(square, near**2)) * noise**2
+    found = []
+    for trial in trials:
+        share = rest + within ** (trial - 1) * (1 - rest)
+        found.append(jnp.sum(_square(share) * family.error**2 + learned, axis=1))
+    return size, found
 
 
 def _square(z):

@@ -11,7 +11,6 @@ costs the end of the trial.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
@@ -20,7 +19,15 @@ import numpy as np
 from ..filters import ZeroPhaseBandStop, ZeroPhaseButterworth
 from ..filters.inversion import stable_inverse
 from ..plants import StateSpace
-from ..schemes import ErrorFiltered, Filtered, NormOptimal, PIDType, Scheme, WithFeedback
+from ..schemes import (
+    ErrorFiltered,
+    Filtered,
+    NormOptimal,
+    PIDType,
+    Scheme,
+    WithFeedback,
+    learning_filter,
+)
 from ..signals.task import Task
 from ..theory.loop import minimal
 from .responses import Family, resonance_band
@@ -32,6 +39,7 @@ RATES = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)  # derivative times, in samples times 1 
 LEADS, LONGEST = 36, 500  # number of leads tried, and the longest [samples]
 NOTCHES = (1.05, 1.25)  # factors from the resonances of the machines to the edges tried at first
 WIDER = 4.0  # factor by which a tuning may change a weight, to either side
+TOLERANCES = (1e-9, 1e-7, 1e-5, 1e-4)  # shares of the largest tap that are left out
 EDGES_WIDER, APART = 1.5, 1.001  # the same for the edges of a notch, which stay apart
 FREER = 100.0  # the same for the weights of norm-optimal learning
 
@@ -128,13 +136,16 @@ def p_type_notch(family, feedback, task, trials, margin) -> Candidate | Absent:
 
 
 def model_inverse(family, feedback, task, trials, margin) -> Candidate | Absent:
-    """Q (u + gamma P^-1 e), with the stable inverse of the nominal loop"""
+    """u' = Q u + gamma (Q P^-1) e, with the stable inverse of the nominal loop.
+
+    Q P^-1 is one filter. If P^-1 came first and was cut off at the end of the trial, as in
+    Q (u + gamma P^-1 e), what the inverse makes of the jump there would not be smoothed by Q, and
+    learning diverges from the end of the trial after some hundred trials.
+    """
     try:
         inverse = stable_inverse(_model(family, task))
     except ValueError as error:
         return Absent("model-inverse", str(error))
-    # PIDType takes e one sample ahead, which the inverse then need not do
-    inverse = dataclasses.replace(inverse, advance=inverse.advance - 1)
     L = 1 / family.P[0]
     found = widest(
         family,
@@ -145,16 +156,20 @@ def model_inverse(family, feedback, task, trials, margin) -> Candidate | Absent:
     )
     if not found:
         return Absent("model-inverse", _NO_WEIGHTS)
-    found = found[0]
-    learning = ErrorFiltered(PIDType(gamma_p=found.weights["gamma_p"]), inverse)
-    return _candidate(
-        "model inverse with a filter",
-        learning,
-        found,
-        feedback,
-        {"scheme.scheme.gamma_p": (found.weights["gamma_p"] / WIDER, 1.5)},
-        task,
-    )
+    gain, cutoff = (found[0].weights[name] for name in ("gamma_p", "cutoff"))
+    for tolerance in TOLERANCES:
+        try:
+            law = learning_filter(
+                inverse, ZeroPhaseButterworth(cutoff, ORDER), gain=gain, tolerance=tolerance
+            )
+            law.check(task)
+        except ValueError as error:
+            why = str(error)
+            continue
+        words = f"model inverse with a filter as one, gain = {gain:.3g}, cutoff = {cutoff:.4g} Hz"
+        scheme = _under(law, feedback)
+        return Candidate("model-inverse", words, scheme, {}, found[0].largest, found[0].predicted)
+    return Absent("model-inverse", why)
 
 
 def norm_optimal(family, feedback, task, trials, margin) -> Candidate | Absent:

@@ -11,40 +11,28 @@ trial, limits, saturation, noise and disturbances count.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..learning.machine import Machine
-from ..pytree.closest import not_one_of
-from ..pytree.ranges import require
-from ..schemes import Scheme, WithFeedback
-from ..signals.task import Task
-from ..sweeps import Sweep
-from ..sweeps.summary import summarise
 from ..theory.law import law_of
 from ..tuning import Tuning
-from ..tuning.objectives import Final, Holding
+from ..tuning.objectives import Final, Holding, Objective
 from ..tuning.over_family import OverFamily
-from ..uncertainty import Uncertainty
+from ..tuning.risks import Mean, Risk
 from .by_response import by_response, moved
-from .candidates import Candidate, candidates
+from .candidates import Candidate
 from .gate import Passed, gate
-from .judging import Verdict, judged_trials, verdict
+from .judging import Verdict, judged_trials
 from .kept_taps import kept_or
+from .learned_settings import STARTS, check_settings
 from .proof import Proof, proof_of
-from .responses import Family, family_of
+from .question import Question, Told
+from .responses import Family
 from .shaped import WEIGHT, ShapedFilter, better_of
 from .window import Filters, Window, window_of
 
-STARTS = {
-    "safe": ("p-type", "pd-type", "model-inverse"),
-    "p-type": ("p-type",),
-    "inverse": ("model-inverse",),
-    "nothing": (),
-}
 SPARE = 0.02  # beyond the margin, kept in the search for machines that it has not seen
 DENSE, CLOSE = 257, 600  # machines and frequencies of the gate
 RISE = 0.5  # weight of the largest error of all trials
@@ -52,7 +40,20 @@ UNSAFE = 20.0  # weight of the logarithm of |keep - L P| beyond what is allowed
 RATE = 0.002  # share of 1 / |P| by which a step changes the taps at one frequency
 LEARNED, SAFE = "learned", "safe"
 
-Told = Callable[[str, Any], object]
+
+class Taps(NamedTuple):
+    """The taps that were learned.
+
+    start:  the safe law that they were taken from, None for none
+    window: where they lie
+    family: the dense family of the gate
+    passed: what the gate let pass, or why nothing did
+    """
+
+    start: Candidate | None
+    window: Window
+    family: Family
+    passed: Passed | str
 
 
 class Learned(NamedTuple):
@@ -83,7 +84,7 @@ class Learned(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True)
-class LearnedLaw:
+class LearnedLaw(Question):
     """The question which taps of L and Q suit an uncertain machine best; `run` answers it.
 
     1. The start: the taps of the best safe law of a few weights (`candidates`).
@@ -95,50 +96,37 @@ class LearnedLaw:
        over all frequencies fails, the law is refused.
     5. A sweep over machines that no step has seen, beside the best safe law of a few weights.
 
-    machine, task, trials, uncertainty: as for `Sweep`; one input and one output
-    feedback: under which the machine learns, None for none
+    machine, task, trials, uncertainty, feedback, metric, margin, machines, seed, quantities:
+        see `Question`.
+        With several inputs and outputs the taps are full matrices.
     taps: odd numbers of taps of L and of Q
-    start: of `STARTS`: the best `safe` law, the `p-type` one, the model `inverse`, or `nothing`
-    metric: by which a law is judged
-    margin: in (0, 1)
-    trained_on, held_out, machines: numbers of machines of the tuning, of the choice of its best
-        step, and of the sweep
+    start: of `STARTS`: the best `safe` law, the `p-type` one, the model `inverse`, or `nothing`.
+        For several channels it is nothing, also with `safe`.
+    starts: first samples of the segments after the first, rising; each segment has taps of its own
+    coupled: whether each input learns from all errors, or from that of its own channel only
+    limit: () or (n_u,) largest |u| that is learned [unit of u]; None: no limit
+    objective: number of one machine that the tuning makes small, None for that of step 3; the
+        penalty comes on top
+    risk: how the numbers of all machines are combined, as for `Tuning`
+    trained_on, held_out: numbers of machines of the tuning and of the choice of its best step
     steps: of the tuning; 0 for the taps by frequency response alone
-    seed: of everything drawn
     Raises ValueError for a setting that is not allowed.
     """
 
-    machine: Machine
-    task: Task
-    trials: int
-    uncertainty: Uncertainty
-    feedback: Scheme | None = None
     taps: tuple[int, int] = (61, 31)
     start: str = "safe"
-    metric: str = "settled_error"
-    margin: float = 0.05
+    starts: tuple[int, ...] = ()
+    coupled: bool = True
+    limit: Any = None
+    objective: Objective | None = None
+    risk: Risk = dataclasses.field(default_factory=Mean)
     trained_on: int = 32
     held_out: int = 32
-    machines: int = 257
     steps: int = 60
-    seed: int = 0
 
     def __post_init__(self):
-        require("LearnedLaw", "margin", self.margin, "(0, 0.9)")
-        for name, least in (
-            ("trials", 2), ("machines", 2), ("trained_on", 1), ("held_out", 0), ("steps", 0),
-        ):  # fmt: skip
-            require("LearnedLaw", name, getattr(self, name), f"[{least}, inf)", whole=True)
-        if self.start not in STARTS:
-            raise ValueError(not_one_of(f"start = {self.start!r}", self.start, STARTS))
-        most = min(1001, 2 * ((self.task.N - 1) // 2) - 1)
-        if len(self.taps) != 2 or any(
-            n != int(n) or n % 2 == 0 or not 1 <= n <= most for n in self.taps
-        ):
-            raise ValueError(
-                f"LearnedLaw: taps = {self.taps} are not allowed; allowed are two odd numbers, of "
-                f"L and of Q, from 1 to {most} for a trial of {self.task.N} samples"
-            )
+        super().__post_init__()
+        check_settings(self)
 
     def run(
         self,
@@ -151,46 +139,83 @@ class LearnedLaw:
 
         out: folder for the taps of the start, the state of the tuning and the store of the sweep
         resume: go on with what is there; a run that was killed ends with the same taps
-        told: called with `safe` and a Candidate or Absent; `found` and the predicted share of the
-            error of the start; `tuning` and (step, loss); `gate` and the Passed or the refusal;
-            `judging` and the machines; `proving` and the Candidate
+        told: called with `safe` and a Candidate or Absent; `found` and the taps by response;
+            `tuning` and (step, loss); `gate` and the Passed or the refusal; `judging` and the
+            machines; `proving` and the Candidate
         Raises FileExistsError for a folder that exists without `resume`, and ValueError for one of
         another question, and for a machine that is not allowed, before anything is simulated.
         """
         out = Path(out)
-        family = family_of(self.machine, self.feedback, self.task, self.uncertainty, seed=self.seed)
-        window = window_of(family, self.task, self.taps)
+        family = self.family(several=True)
         safe = self._safe(family, told)
+        taps = self.learned_taps(family, safe, out, resume=resume, told=told)
+        nothing = Learned(
+            None, "", taps.start, {}, None, None, taps.window, taps.family,
+            self.trials, judged_trials(self.trials), self.machines,
+        )  # fmt: skip
+        if isinstance(taps.passed, str):
+            return nothing._replace(refused=taps.passed)
+        law = self.candidate(taps.window, taps.passed)
+        told("proving", law)
+        proof = proof_of(
+            taps.family, law.scheme, self.machine, self.task, self.uncertainty, between=True
+        )
+        laws = {LEARNED: law} | ({SAFE: safe[0]} if safe else {})
+        told("judging", self.machines)
+        judged = self.swept(list(laws.values()), out / "sweep.zarr", resume=resume)
+        verdicts = dict(zip(laws, judged, strict=True))
+        refused = proof.refuted or verdicts[LEARNED].lost
+        return nothing._replace(
+            law=None if refused else law,
+            refused=refused,
+            verdicts=verdicts,
+            proof=proof,
+            passed=taps.passed,
+        )
+
+    def learned_taps(
+        self, family: Family, safe: list[Candidate], out: Path, *, resume: bool, told: Told
+    ) -> Taps:
+        """The taps that passed the gate, or why none did: steps 2 to 4.
+
+        safe: laws of a few weights, the best one first
+        out, resume, told: as for `run`
+        """
+        options = {"starts": self.starts, "limit": self.limit, "coupled": self.coupled}
+        window = window_of(family, self.task, self.taps, **options)
         start = self._start_of(safe)
         first = (
             window.nothing() if start is None else window.holding(law_of(start.scheme, self.task))
         )
-        found = kept_or(out, self, lambda: self._by_response(family, window, first), resume=resume)
+        below = 1 - self.margin - SPARE
+
+        def by_frequency() -> Filters:
+            return by_response(family, window, first, self.task, self.trials, below)
+
+        found = kept_or(out, self, by_frequency, resume=resume)
         told("found", found)
         tuned = self._tuned(family, window, (found, first), out / "tuning", resume, told)
-        dense = family_of(
-            self.machine, self.feedback, self.task, self.uncertainty,
-            seed=self.seed + 3, machines=DENSE, points=CLOSE,
-        )  # fmt: skip
+        dense = self.family(after=3, machines=DENSE, points=CLOSE, several=True)
         passed = gate(dense, window, tuned, (found, first), self.task.dt, 1 - self.margin)
         told("gate", passed)
-        nothing = Learned(
-            None, "", start, {}, None, None, window, dense,
-            self.trials, judged_trials(self.trials), self.machines,
-        )  # fmt: skip
-        if isinstance(passed, str):
-            return nothing._replace(refused=passed)
-        return self._judged(nothing, passed, safe, out, resume, told)
+        return Taps(start, window, dense, passed)
+
+    def candidate(self, window: Window, passed: Passed) -> Candidate:
+        """The law with taps that passed the gate."""
+        p, q = self.taps
+        words = f"u' = Q u + L e by learned filters, L of {p} taps and Q of {q}"
+        if window.unit is not None:
+            words += f", {self.task.inputs} x {self.task.outputs} matrices"
+        if self.starts:
+            words += f", in {len(self.starts) + 1} segments"
+        scheme = self.under(window.of(passed.filters))
+        return Candidate(LEARNED, words, scheme, {}, passed.largest, np.nan)
 
     def _safe(self, family: Family, told: Told) -> list[Candidate]:
-        """The safe laws of a few weights, the best one first."""
-        found = []
-        for one in candidates(
-            family, self.feedback, self.task, self.trials, self.margin, STARTS["safe"]
-        ):
-            told("safe", one)
-            if isinstance(one, Candidate):
-                found.append(one)
+        """The safe laws of a few weights, the best one first; none for several channels."""
+        if family.P.ndim > 2:
+            return []
+        found, _ = self.safe(family, STARTS["safe"], told)
         return sorted(found, key=lambda one: one.predicted)
 
     def _start_of(self, safe: list[Candidate]) -> Candidate | None:
@@ -204,10 +229,6 @@ class LearnedLaw:
             )
         return found
 
-    def _by_response(self, family: Family, window: Window, first: Filters) -> Filters:
-        below = 1 - self.margin - SPARE
-        return by_response(family, window, first, self.task, self.trials, below)
-
     def _tuned(
         self,
         family: Family,
@@ -220,24 +241,26 @@ class LearnedLaw:
         """The taps after the tuning through learning, from the better one of two starts."""
         if not self.steps:
             return starts[0]
+        made_small = self.objective or Final(self.metric) + RISE * Holding(1, self.metric)
+        below = 1 - self.margin - SPARE
 
         def problem(start: Filters) -> Tuning:
             return Tuning(
                 self.machine,
-                _under(ShapedFilter.around(window, start), self.feedback),
+                self.under(ShapedFilter.around(window, start)),
                 self.task,
                 self.trials,
                 weights=[WEIGHT if self.feedback is None else f"learning.{WEIGHT}"],
                 uncertainty=self.uncertainty,
-                objective=Final(self.metric)
-                + RISE * Holding(1, self.metric)
-                + UNSAFE * OverFamily(family.frequencies, family.P, 1 - self.margin - SPARE),
+                objective=made_small + UNSAFE * OverFamily(family.frequencies, family.P, below),
+                risk=self.risk,
                 machines=self.trained_on,
                 held_out=self.held_out,
                 steps=self.steps,
                 rate=RATE,
                 mode="reverse",
                 seed=self.seed,
+                quantities=self.quantities,
             )
 
         asked = problem(starts[0])
@@ -249,43 +272,3 @@ class LearnedLaw:
 
         tuned = asked.run(out, resume=resume and out.exists(), progress=tell)
         return moved(window, start, np.array(list(tuned.values.values())))
-
-    def _judged(
-        self, nothing: Learned, passed: Passed, safe, out: Path, resume: bool, told: Told
-    ) -> Learned:
-        """The proof and the verdicts on taps that passed the gate."""
-        p, q = self.taps
-        scheme = _under(nothing.window.of(passed.filters), self.feedback)
-        words = f"u' = Q u + L e by learned filters, L of {p} taps and Q of {q}"
-        law = Candidate(LEARNED, words, scheme, {}, passed.largest, np.nan)
-        told("proving", law)
-        proof = proof_of(nothing.family, scheme, self.machine, self.task, self.uncertainty)
-        laws = {LEARNED: law} | ({SAFE: safe[0]} if safe else {})
-        told("judging", self.machines)
-        store = out / "sweep.zarr"
-        dataset = Sweep(
-            self.machine,
-            {name: one.scheme for name, one in laws.items()},
-            self.task,
-            nothing.long,
-            self.uncertainty,
-            machines=self.machines,
-            seed=self.seed + 2,
-        ).run(store, resume=resume and store.exists())
-        summaries = summarise(dataset, None, metric=self.metric)
-        verdicts = {
-            name: verdict(one, summary, self.trials, None)
-            for (name, one), summary in zip(laws.items(), summaries, strict=True)
-        }
-        refused = proof.refuted or verdicts[LEARNED].lost
-        return nothing._replace(
-            law=None if refused else law,
-            refused=refused,
-            verdicts=verdicts,
-            proof=proof,
-            passed=passed,
-        )
-
-
-def _under(scheme: Scheme, feedback: Scheme | None) -> Scheme:
-    return scheme if feedback is None else WithFeedback(scheme, feedback)

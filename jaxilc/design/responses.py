@@ -11,7 +11,7 @@ What does not repeat, n, is learned too: of |n|^2 each trial has the part
     (1 + |P Q L|^2 / (1 - |Q (1 - L P)|^2)) |n|^2
 
 This holds far from the ends of a long trial. It takes microseconds, where a simulation takes
-milliseconds, so that many laws can be looked at.
+milliseconds, so that many laws can be looked at. `by_matrix` has the same of several channels.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from ..learning.within_trial import run_trial
 from ..schemes import PIDType, Scheme, WithFeedback
 from ..signals.task import Task
 from ..theory.frequency import Loop, grid, linear_loop, response
-from ..theory.law import Taps
+from ..theory.law import Law, Taps
 from ..theory.loop import minimal, pole_radius
 from ..theory.over_frequency import radius_of
 from ..uncertainty import Uncertainty, draw, drawn_machines
@@ -35,6 +35,7 @@ CORNERS = 5  # uncertain numbers up to which all corners of their intervals are 
 MACHINES = 33  # machines that are drawn, the nominal one included, besides the corners
 LINES = 300  # frequencies
 NOT_REPEATED = 1e-4  # share of the first error that counts as noise, if the machine has none
+SAME_LINE = 1e-9  # relative distance of two lines that count as one
 LIGHT = 0.3  # damping below which a pair of poles is a resonance
 APART = 1.15  # ratio of two neighbouring frequencies that belong to different resonances
 SHORT = 64  # samples of a trial that is long enough to read the loop of a sample off it
@@ -49,6 +50,10 @@ class Family(NamedTuple):
            that the root of the sum of the squares is its root mean square [unit of y]
     first_error: (N+1,) that error itself
     noise: (F,) size of what does not repeat from trial to trial, in the same way
+
+    Of several channels P is (S, F, n_y, n_u), first_error (N+1, n_y), noise (F, n_y), and error
+    (F, n_y, n_y) holds roots R of the cross spectra, so that the sum of the squares of T R is the
+    mean square of what a response T makes of the error.
     loops: (S) the machines from what is learned to the output, as linear systems
     drawn: {name: (S,)} the numbers of each machine
     """
@@ -68,6 +73,24 @@ class Family(NamedTuple):
     def of_taps(self, taps: Taps, dt: float) -> np.ndarray:
         """(F,) the response of the taps of a law of one channel."""
         return np.asarray(taps.taps)[:, 0, 0] @ self.advance(np.asarray(taps.powers), dt)
+
+    def sizes(self, keep, L) -> np.ndarray:
+        """(S, F) |keep - L P| of responses (F,), of matrices their largest singular value."""
+        if self.P.ndim == 2:
+            return np.abs(keep - L * self.P)
+        return np.linalg.norm(keep - L @ self.P, ord=2, axis=(-2, -1))
+
+    def sizes_of_law(self, law: Law, dt: float) -> np.ndarray:
+        """(S, F) the same of a law by its taps."""
+        parts = law.keep, law.L
+        if self.P.ndim == 2:
+            return self.sizes(*(self.of_taps(part, dt) for part in parts))
+        return self.sizes(
+            *(
+                np.tensordot(self.advance(part.powers, dt).T, np.asarray(part.taps), axes=1)
+                for part in parts
+            )
+        )
 
     def contraction(self, Q, L) -> np.ndarray:
         """(..., S, F) Q (1 - L P) of laws Q (..., F) and L (..., F)."""
@@ -103,40 +126,45 @@ def family_of(
     seed: int,
     machines: int = MACHINES,
     points: int = LINES,
+    several: bool = False,
 ) -> Family:
     """The responses of the machines at the corners of the uncertainty, and of some drawn within.
 
     feedback: the feedback under which the machine learns, None for none
     machines: number that is drawn, the nominal one included
     points: number of frequencies, besides those near the poles
-    Raises ValueError for a machine of several inputs or outputs, one that is not stable, and one
-    whose first trial has no error.
+    several: whether the machine may have several inputs and outputs
+    Raises ValueError for a machine of more inputs or outputs than are allowed, one that is not
+    stable, and one whose first trial has no error.
     """
-    if task.inputs != 1 or task.outputs != 1:
+    one = task.inputs == task.outputs == 1
+    if not (one or several):
         raise ValueError(
             f"design: the machine has {task.inputs} inputs and {task.outputs} outputs; allowed is "
-            "one of each: design each axis by itself"
+            "one of each: design each axis by itself, or learn a law of matrices (jaxilc learn-law)"
         )
     drawn = draw(machine, uncertainty, machines if uncertainty else 1, seed=seed, sampling="sobol")
     if 0 < len(uncertainty) <= CORNERS:
         corners = draw(machine, uncertainty, 1, sampling="corners")
         drawn = {name: np.concatenate([drawn[name], corners[name][1:]]) for name in drawn}
     several = drawn_machines(machine.unlimited().noiseless(), uncertainty, drawn)
-    short = Task(np.zeros(SHORT), dt=task.dt)
+    short = Task(np.zeros((SHORT, task.outputs)), dt=task.dt, inputs=task.inputs)
     free = None if feedback is None else feedback.unlimited()
     loops = [Loop(*one) for one in zip(*map(np.asarray, _loops(several, free, short)), strict=True)]
     _need_stable(loops, task)
     f = _lines(task, loops, points)
-    P = _responses(Loop(*map(np.stack, zip(*loops, strict=True))), f, task.dt)
+    P = np.asarray(_responses(Loop(*map(np.stack, zip(*loops, strict=True))), f, task.dt))
+    P = P[..., 0, 0] if one else P
     e = _first_error(machine, feedback, task)
-    error = _gathered(e, f, task.dt)
+    e = e[:, 0] if one else e
+    error = gathered(e, f, task.dt)
     if not np.any(error):
         raise ValueError(
             "design: the error of the first trial is 0, so there is nothing to learn; give the "
             "task a reference that the machine does not follow by itself"
         )
-    noise = _noise(machine, task, f, P[0], NOT_REPEATED * float(np.linalg.norm(error)))
-    return Family(f, np.asarray(P), error, e, noise, loops, drawn)
+    least = NOT_REPEATED * np.sqrt(np.sum(np.abs(error) ** 2, axis=0 if one else (0, 2)))
+    return Family(f, P, error, e, _noise(machine, task, f, P[0], least), loops, drawn)
 
 
 def resonance_band(family: Family, dt: float) -> np.ndarray | None:
@@ -169,9 +197,7 @@ _loops = jax.jit(
 )
 
 
-_responses = jax.jit(
-    lambda loops, f, dt: jax.vmap(lambda loop: response(loop, f, dt)[:, 0, 0])(loops)
-)
+_responses = jax.jit(lambda loops, f, dt: jax.vmap(lambda loop: response(loop, f, dt))(loops))
 
 
 def _lines(task: Task, loops: list[Loop], points: int) -> np.ndarray:
@@ -184,7 +210,8 @@ def _lines(task: Task, loops: list[Loop], points: int) -> np.ndarray:
     poles = _pairs(np.stack([loop.A for loop in loops]))
     width, angle = -np.log(np.abs(poles)), np.angle(poles)
     peaks = (angle[:, None] + width[:, None] * [-1.0, 0.0, 1.0]).ravel() / (2 * np.pi * task.dt)
-    return np.unique(np.concatenate([f, peaks[(peaks > f[0]) & (peaks < f[-1])]]))
+    f = np.unique(np.concatenate([f, peaks[(peaks > f[0]) & (peaks < f[-1])]]))
+    return f[np.diff(f, prepend=0.0) > SAME_LINE * f]
 
 
 def _pairs(A) -> np.ndarray:
@@ -212,29 +239,46 @@ def _first_error(machine: Machine, feedback: Scheme | None, task: Task) -> np.nd
     scheme = rest if feedback is None else WithFeedback(rest, feedback.unlimited())
     machine, key = machine.unlimited().noiseless(), jax.random.key(0)
     trial = jax.jit(run_trial)(machine, scheme, task, scheme.initial_memory(task), key)
-    return np.asarray(trial.e)[:, 0]
+    return np.asarray(trial.e)
 
 
-def _gathered(e, f, dt: float) -> np.ndarray:
-    """(F,) the spectrum of an error (N+1,), gathered at the nearest of the frequencies."""
+def gathered(e, f, dt: float) -> np.ndarray:
+    """(F,) the spectrum of an error (N+1,), gathered at the nearest of the frequencies.
+
+    Of several channels (N+1, n_y): (F, n_y, n_y) roots of the cross spectra.
+    """
     e = e[1:]
-    spectrum = np.abs(np.fft.rfft(e)) / len(e) * np.sqrt(2)
+    spectrum = np.fft.rfft(e, axis=0) / len(e) * np.sqrt(2)
     spectrum[0] /= np.sqrt(2)
     lines = np.fft.rfftfreq(len(e), dt)
     places = np.argmin(np.abs(np.subtract.outer(np.log(lines + f[0]), np.log(f + f[0]))), axis=1)
-    return np.sqrt(np.bincount(places, spectrum**2, minlength=len(f)))
+    if e.ndim == 1:
+        return np.sqrt(np.bincount(places, np.abs(spectrum) ** 2, minlength=len(f)))
+    cross = np.zeros((len(f), e.shape[1], e.shape[1]), complex)
+    np.add.at(cross, places, spectrum[:, :, None] * spectrum[:, None, :].conj())
+    sizes, vectors = np.linalg.eigh(cross)
+    return vectors * np.sqrt(np.maximum(sizes, 0.0))[:, None, :]
 
 
-def _noise(machine: Machine, task: Task, f, P, least: float) -> np.ndarray:
-    """(F,) what sensor and disturbances add to each trial anew, white within a trial."""
+def _noise(machine: Machine, task: Task, f, P, least) -> np.ndarray:
+    """(F,) what sensor and disturbances add to each trial anew, white within a trial.
+
+    Of several channels (F, n_y), with P (F, n_y, n_u).
+    """
 
     def variance(part, name):
         value = None if part is None else getattr(part, name)
-        return 0.0 if value is None else float(np.max(value)) ** 2
+        if P.ndim == 1:
+            return 0.0 if value is None else float(np.max(value)) ** 2
+        return 0.0 if value is None else np.asarray(value) ** 2
 
     sensor, disturbance = machine.sensor, machine.disturbance
     at_output = variance(sensor, "noise") + variance(disturbance, "output_noise")
     at_output += variance(sensor, "resolution") / 12
-    density = at_output + variance(disturbance, "input_noise") * np.abs(P) ** 2
+    of_input = variance(disturbance, "input_noise") * np.abs(P) ** 2
     share = np.gradient(f) / (0.5 / task.dt)
-    return np.sqrt(np.where(np.max(density) > 0, density, least**2) * share)
+    if P.ndim == 1:
+        density = at_output + of_input
+        return np.sqrt(np.where(np.max(density) > 0, density, least**2) * share)
+    density = at_output + np.sum(of_input, axis=2)
+    return np.sqrt(np.where(np.max(density, axis=0) > 0, density, least**2) * share[:, None])

@@ -3,30 +3,28 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ..learning.machine import Machine
 from ..pytree.closest import not_one_of
 from ..pytree.ranges import require
 from ..schemes import Scheme, WithFeedback
-from ..signals.task import Task
-from ..sweeps import Sweep
-from ..sweeps.summary import summarise
-from ..uncertainty import Uncertainty
-from .candidates import LAWS, Absent, Candidate, candidates
-from .judging import Limits, Verdict, judged_trials, limits_of, ranked, verdict
+from . import candidates
+from .candidates import Absent, Candidate
+from .judging import Limits, Verdict, judged_trials, limits_of, ranked
+from .learned import LEARNED, LearnedLaw
 from .proof import Proof, proof_of
-from .responses import Family, family_of
+from .question import Question, Told
+from .responses import Family
 from .tuned import tuned
 
+LAWS = (*candidates.LAWS, LEARNED)  # that a design tries, from the simplest to the most complex
 TUNED_ON, HELD_OUT = 24, 24  # machines
 AT_ONCE = 2  # tunings
 FIRST = "first"  # ends the name of a law whose weights were not tuned
-
-Told = Callable[[str, Any], object]
+TAPS = 61, 31  # of the learned law, fewer in a short trial
 
 
 class Recommended(NamedTuple):
@@ -56,44 +54,34 @@ class Designed(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True)
-class Design:
+class Design(Question):
     """The question which learning law suits an uncertain machine; `run` answers it.
 
     1. Weights for which |Q (1 - L P)| <= 1 - margin at each frequency, on each machine at the
        corners of the uncertainty (and some within), with the least predicted error; P-type and
        PD-type laws are simulated with the ends of the trial.
-    2. These tuned by gradient through learning, on other machines, as far as 1. still holds.
+    2. These tuned by gradient through learning, on other machines, as far as 1. still holds. From
+       the best of them a law is learned by its taps (`LearnedLaw`), where its gate lets it pass.
     3. A sweep of all laws, with both weights, over machines that neither step has seen, for longer
        than asked.
     4. Of the law with the least 95 % error: the enclosed |Q (1 - L P)|, the certificates of the
        nominal and the worst machine, and which cause adds most to its error.
 
-    machine, task, trials, uncertainty: as for `Sweep`; one input and one output
-    feedback: under which the machine learns, None for none
-    laws: names of `candidates.LAWS`, all if empty
-    metric, tolerance: by which a law is judged, and its largest value that passes
-    margin: in (0, 1)
-    machines: of the sweep;  steps: of a tuning;  seed: of everything drawn
+    machine, task, trials, uncertainty, feedback, metric, margin, machines, seed: see `Question`;
+        one input and one output
+    laws: names of `LAWS`, all if empty
+    tolerance: largest value of the metric that passes
+    steps: of a tuning
     Raises ValueError for a setting that is not allowed.
     """
 
-    machine: Machine
-    task: Task
-    trials: int
-    uncertainty: Uncertainty
-    feedback: Scheme | None = None
     laws: Sequence[str] = ()
-    metric: str = "settled_error"
     tolerance: float | None = None
-    margin: float = 0.05
-    machines: int = 257
     steps: int = 30
-    seed: int = 0
 
     def __post_init__(self):
-        require("Design", "margin", self.margin, "(0, 1)")
-        for name in ("trials", "machines", "steps"):
-            require("Design", name, getattr(self, name), "[2, inf)", whole=True)
+        super().__post_init__()
+        require("Design", "steps", self.steps, "[2, inf)", whole=True)
         for name in self.laws:
             if name not in LAWS:
                 raise ValueError(not_one_of(f"law = {name!r}", name, LAWS))
@@ -114,27 +102,54 @@ class Design:
             `proving` and the chosen Candidate
         Raises ValueError for a machine that is not allowed, before anything is simulated.
         """
-        out = Path(out)
-        family = family_of(self.machine, self.feedback, self.task, self.uncertainty, seed=self.seed)
-        found = []
-        for one in candidates(
-            family, self.feedback, self.task, self.trials, self.margin, self.laws or tuple(LAWS)
-        ):
-            told("safe", one)
-            found.append(one)
-        safe = [one for one in found if isinstance(one, Candidate)]
-        absent = tuple(one for one in found if isinstance(one, Absent))
-        nothing = Designed(None, (), absent, self.trials, judged_trials(self.trials), self.machines)
-        if not safe:
-            return nothing
+        out, family, asked = Path(out), self.family(), self.laws or LAWS
+        names = [name for name in asked if name != LEARNED]
+        safe, absent = self.safe(family, names, told)
         with ThreadPoolExecutor(AT_ONCE) as threads:  # one compiles while the other computes
             better = threads.map(lambda one: self._tuned(one, family, out, resume, told), safe)
-            both = [law for pair in zip(better, safe, strict=True) for law in _variants(*pair)]
+            laws = [law for pair in zip(better, safe, strict=True) for law in _variants(*pair)]
+        if LEARNED in asked:
+            one = self._learned(family, safe, out / LEARNED, resume, told)
+            if isinstance(one, Candidate):
+                laws.append(one)
+            else:
+                absent.append(one)
+        nothing = Designed(
+            None, (), tuple(absent), self.trials, judged_trials(self.trials), self.machines
+        )
+        if not laws:
+            return nothing
         told("judging", self.machines)
-        judged = self._judged(both, out / "sweep.zarr", resume)
+        judged = self.swept(laws, out / "sweep.zarr", resume=resume, tolerance=self.tolerance)
         told("judged", judged)
         chosen, others = self._recommended(judged, family, told)
         return nothing._replace(chosen=chosen, others=others)
+
+    def _learned(
+        self, family: Family, safe: list[Candidate], out: Path, resume: bool, told: Told
+    ) -> Candidate | Absent:
+        """The law by its taps that is learned from the best safe one, or why there is none."""
+        longest = 2 * ((self.task.N - 1) // 2) - 1
+        shared = {f.name: getattr(self, f.name) for f in dataclasses.fields(Question)}
+        asked = LearnedLaw(
+            **shared,
+            taps=(min(TAPS[0], longest), min(TAPS[1], longest)),
+            trained_on=TUNED_ON,
+            held_out=HELD_OUT,
+            steps=self.steps,
+        )
+
+        def tell(stage: str, what: Any) -> None:
+            if stage == "tuning":
+                told(stage, (LEARNED, what[0], self.steps))
+
+        ordered = sorted(safe, key=lambda one: one.predicted)
+        taps = asked.learned_taps(family, ordered, out, resume=resume, told=tell)
+        if isinstance(taps.passed, str):
+            return Absent(LEARNED, taps.passed)
+        law = asked.candidate(taps.window, taps.passed)
+        told("tuned", law)
+        return law
 
     def _tuned(
         self, candidate: Candidate, family: Family, out: Path, resume: bool, told: Told
@@ -164,24 +179,6 @@ class Design:
         )
         told("tuned", found)
         return found
-
-    def _judged(self, laws: list[Candidate], store: Path, resume: bool) -> list[Verdict]:
-        """The verdicts on laws by a sweep over new machines."""
-        sweep = Sweep(
-            self.machine,
-            {law.name: law.scheme for law in laws},
-            self.task,
-            judged_trials(self.trials),
-            self.uncertainty,
-            machines=self.machines,
-            seed=self.seed + 2,
-        )
-        dataset = sweep.run(store, resume=resume and store.exists())
-        summaries = summarise(dataset, self.tolerance, metric=self.metric)
-        return [
-            verdict(law, summary, self.trials, self.tolerance)
-            for law, summary in zip(laws, summaries, strict=True)
-        ]
 
     def _recommended(
         self, judged: list[Verdict], family: Family, told: Told

@@ -50,7 +50,11 @@ def tuned(
 
     out: folder of the tuning's state;  resume: go on with what is there
     settings: of `Tuning`
+
+    A candidate without weights is returned as it is.
     """
+    if not candidate.bounds:
+        return candidate
     first = max(1, round((1 - LATE) * trials))
     problem = Tuning(
         machine,

@@ -7,12 +7,13 @@ frequency, as narrow as the taps allow, with the height 1 / |P| there. A directi
 of the height 1. A step of 0.01 along any of them is then a small one, and no rate need be chosen.
 
 keep is 1 at rest and flat there, 1 - keep = O(f^4), as that of a Butterworth filter of order 2 is.
-Slow errors are the largest, and no step of a search may give them away.
+Slow errors are the largest, and no step of a search may give them away. Of several channels that
+holds for keep as a matrix, which is the identity at rest.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -25,7 +26,11 @@ WEAKEST = 0.1  # share of the largest |P| below which a direction of L becomes n
 
 
 class Filters(NamedTuple):
-    """Taps of L (p,) and of keep (p',), the latter symmetric."""
+    """Taps of L and of keep, the latter symmetric.
+
+    L:    (p,), or (p, n_u, n_y) of several channels; with S segments (S, p) or (S, p, n_u, n_y)
+    keep: (p',), (p', n_u, n_u), (S, p') or (S, p', n_u, n_u)
+    """
 
     L: np.ndarray
     keep: np.ndarray
@@ -41,33 +46,71 @@ class Window(NamedTuple):
     lead:    as in `LearningFilter`
     of_L:    (p, p) directions of L as columns
     of_keep: (p', m) directions of keep
+    unit:    (n_u, n_y) factor of a step of each pair of channels, 0 where a pair is not learned;
+             None of one channel
+    starts, limit: as in `LearningFilter`
     """
 
     lead: int
     of_L: np.ndarray
     of_keep: np.ndarray
+    unit: np.ndarray | None = None
+    starts: tuple[int, ...] = ()
+    limit: Any = None
 
     def holding(self, law: Law) -> Filters:
-        """The taps of a law, those that lie in the window; keep is made flat at rest."""
+        """The taps of a law of one channel, in each segment; keep is made flat at rest."""
         p, q = len(self.of_L), len(self.of_keep)
         L, keep = _within(law.L, 1 + self.lead, p), _within(law.keep, 0, q)
         flat = _flat(q)
         missing = np.array([1.0, 0.0]) - flat @ keep
-        return Filters(L, keep + np.linalg.pinv(flat) @ missing)
+        return self.throughout(Filters(L, keep + np.linalg.pinv(flat) @ missing))
 
     def nothing(self) -> Filters:
         """A law that learns nothing: L = 0, and keep = 1 as far as it must be."""
-        q = len(self.of_keep)
-        return Filters(np.zeros(len(self.of_L)), np.linalg.pinv(_flat(q)) @ [1.0, 0.0])
+        L = np.zeros(len(self.of_L))
+        keep = np.linalg.pinv(_flat(len(self.of_keep))) @ [1.0, 0.0]
+        if self.unit is not None:
+            L, keep = (
+                np.multiply.outer(L, self.unit),
+                np.multiply.outer(keep, np.eye(len(self.unit))),
+            )
+        return self.throughout(Filters(L, keep))
+
+    def throughout(self, filters: Filters) -> Filters:
+        """The taps of a law that is not scheduled, in each segment."""
+        if not self.starts:
+            return filters
+        return Filters(*(np.stack([taps] * (1 + len(self.starts))) for taps in filters))
+
+    def unscheduled(self) -> Window:
+        """This window for a law that is the same in all samples."""
+        return self._replace(starts=())
+
+    def number_of_steps(self) -> int:
+        """The number of steps z."""
+        filters = self.nothing()
+        rest_L, rest_keep = filters.L.size // len(self.of_L), filters.keep.size // len(self.of_keep)
+        return rest_L * self.of_L.shape[1] + rest_keep * self.of_keep.shape[1]
 
     def steps(self, start: Filters, end: Filters) -> np.ndarray:
         """The steps along the directions from some taps to others, first those of L."""
-        changes = (self.of_L, end.L - start.L), (self.of_keep, end.keep - start.keep)
-        return np.concatenate([np.linalg.lstsq(of, d, rcond=1e-9)[0] for of, d in changes])
+        found = []
+        for of, change, unit in (
+            (self.of_L, end.L - start.L, self.unit),
+            (self.of_keep, end.keep - start.keep, None),
+        ):
+            z = along(np.linalg.pinv(of, rcond=1e-9), change)
+            if unit is not None:
+                z = z / np.where(unit > 0, unit, np.inf)
+            found.append(z.ravel())
+        return np.concatenate(found)
 
     def of(self, filters: Filters) -> LearningFilter:
         """The scheme with these taps."""
-        return LearningFilter(filters.L, keep=filters.keep, lead=self.lead)
+        return LearningFilter(
+            filters.L, keep=filters.keep, lead=self.lead, starts=self.starts, limit=self.limit
+        )
 
     def responses(self, frequencies, dt: float) -> tuple[np.ndarray, np.ndarray]:
         """(F, p) and (F, p'), from the taps to the responses of L and of keep, the latter real."""
@@ -77,21 +120,62 @@ class Window(NamedTuple):
         return of_L, np.cos(np.outer(angle, _places(q)))
 
 
-def window_of(family: Family, task: Task, taps: tuple[int, int]) -> Window:
-    """The window of so many taps of L and of keep, around the mean delay of the machine."""
-    P, angle = family.P[0], 2 * np.pi * family.frequencies * task.dt
-    weight = np.abs(P) ** 2 * np.gradient(angle)
-    delay = -np.gradient(np.unwrap(np.angle(P)), angle)
+def along(matrix, taps):
+    """A matrix times taps, along the axis of the taps: the first one, or the second of segments."""
+    front = taps if taps.ndim % 2 else taps.swapaxes(0, 1)
+    found = (matrix @ front.reshape(front.shape[0], -1)).reshape(-1, *front.shape[1:])
+    return found if taps.ndim % 2 else found.swapaxes(0, 1)
+
+
+def moved_by(start: Filters, of_L, of_keep, z, unit=None) -> Filters:
+    """The taps after steps z along directions as columns, first those of L; also of tracers."""
+    found, after = [], 0
+    for taps, of, factor in ((start.L, of_L, unit), (start.keep, of_keep, None)):
+        axis = 0 if taps.ndim % 2 else 1
+        shape = (*taps.shape[:axis], of.shape[1], *taps.shape[axis + 1 :])
+        size = int(np.prod(shape))
+        steps = z[after : after + size].reshape(shape)
+        found.append(taps + along(of, steps if factor is None else steps * factor))
+        after += size
+    return Filters(*found)
+
+
+def window_of(
+    family: Family,
+    task: Task,
+    taps: tuple[int, int],
+    *,
+    starts: tuple[int, ...] = (),
+    limit: Any = None,
+    coupled: bool = True,
+) -> Window:
+    """The window of so many taps of L and of keep, around the mean delay of the machine.
+
+    starts, limit: as in `LearningFilter`
+    coupled: whether each input learns from all errors, or from that of its own channel only
+    """
+    angle = 2 * np.pi * family.frequencies * task.dt
+    P = family.P[0].reshape(len(angle), -1)  # each pair of channels by itself
+    weight = np.abs(P) ** 2 * np.gradient(angle)[:, None]
+    delay = -np.gradient(np.unwrap(np.angle(P), axis=0), angle, axis=0)
     lead = round(float(np.sum(delay * weight) / np.sum(weight))) - 1
     farthest = max(0, task.N - 1 - taps[0] // 2)
     of_L, at = _peaks(taps[0])
-    size = np.interp(at / task.dt, family.frequencies, np.abs(P))
-    of_L = of_L / np.maximum(size, WEAKEST * np.max(np.abs(P)))
+    sizes, unit = np.abs(P[:, 0]), None
+    if family.P.ndim == 4:
+        rows = np.linalg.norm(family.P[0], axis=2)  # what reaches each output
+        top = np.max(rows, axis=0)
+        sizes = np.max(rows / top, axis=1)
+        inputs, outputs = family.P.shape[3], family.P.shape[2]
+        unit = np.ones((inputs, 1)) / top
+        unit = unit if coupled else unit * np.eye(inputs, outputs)
+    size = np.interp(at / task.dt, family.frequencies, sizes)
+    of_L = of_L / np.maximum(size, WEAKEST * np.max(sizes))
     of_keep = _peaks(taps[1])[0]
     even = of_keep[:, [0, *range(1, taps[1], 2)]]  # without the sines
     flat = _flat(taps[1])
     even = even - np.linalg.pinv(flat) @ (flat @ even)
-    return Window(min(max(lead, 0), farthest), of_L, even)
+    return Window(min(max(lead, 0), farthest), of_L, even, unit, starts, limit)
 
 
 def _places(taps: int) -> np.ndarray:

@@ -1,6 +1,7 @@
 """Figures: each function draws a dataset or another result, and returns the axes.
 
-    by_trial      errors against the trial: one machine, many machines, theory against simulation
+    band          a sweep at a glance: one panel a scheme, and the yield against the tolerance
+    by_trial      errors against the trial: one machine, and theory against simulation
     within_trial  signals against time with a zoom, and the contour of two axes
     by_frequency  spectrum and time-frequency map of the error, |Q (keep - L P)|
     learned       a learned law in time and frequency, beside the inverse of the plant
@@ -10,21 +11,27 @@
     experiments   identification: the record, and the model against it
     campaign      a campaign on a real machine
     report        one HTML page with figures and tables
+    saving        files: PNG, SVG or PDF, for print or on a dark ground
+    units         numbers with SI prefixes
 
-A scheme has the same colour, line style and mark in all figures of a dataset, and trials are shades
-of grey, so that both can be distinguished in print. Figures do not use the global state of pyplot.
+A scheme has the same colour, line style and mark in all figures of a dataset. The colours of trials
+run from light to dark, so that both can be distinguished in print and by readers who are blind to
+some colours. Figures do not use the global state of pyplot.
 """
 
+from ..storage.figure_format import choose
 from . import report
+from .band import error_band
 from .by_frequency import frequency_tests, spectrum, time_frequency
-from .by_trial import certificate, error_band, error_by_trial
+from .by_trial import certificate, error_by_trial
 from .campaign import campaign_figure
-from .experiments import record_figure, response_fit_figure, validation_figure
+from .experiments import record_figure, response_figure, response_fit_figure, validation_figure
 from .learned import learned_law_figure
 from .published import printed_and_ours, reproduction_figures
 from .q_filter import q_filter_figure
+from .saving import save
 from .searches import final_error_by_trials, loss_by_step, pareto_front, worst_against_chance
-from .style import COLOURS, DASHES, MARKS, save
+from .style import COLOURS, DASHES, MARKS
 from .within_trial import contour, tracking
 
 __all__ = [
@@ -33,6 +40,7 @@ __all__ = [
     "MARKS",
     "campaign_figure",
     "certificate",
+    "choose",
     "contour",
     "error_band",
     "error_by_trial",
@@ -46,6 +54,7 @@ __all__ = [
     "record_figure",
     "report",
     "reproduction_figures",
+    "response_figure",
     "response_fit_figure",
     "save",
     "spectrum",

@@ -10,14 +10,15 @@ import numpy as np
 from .style import (
     DASHES,
     grid,
-    labelled,
     legend_above,
     legend_beside,
+    limits_of,
     marks_of,
     new_axes,
     shades_of,
     style_of,
 )
+from .units import name_axis
 from .within_trial import outputs_of, signal_of
 
 if TYPE_CHECKING:
@@ -26,7 +27,9 @@ if TYPE_CHECKING:
 
     from ..theory.frequency import FrequencyTest
 
-DECADES = 4  # decades of amplitude that a map shows
+DECADES, SHADES = 8, 3  # decades of amplitude that all maps show at most, and the faintest one
+SEEN = 6  # decades of amplitude that a spectrum shows at most
+SLOWEST = 2  # line of a map from which on it is shown: a Hann window spreads a line over two others
 
 
 def spectrum(
@@ -75,14 +78,13 @@ def spectrum(
                 linewidth=1,
                 label=label,
             )
-    ax.set_ylim(bottom=max(ax.get_ylim()[0], ax.get_ylim()[1] * 1e-7))
-    ax.set(
-        xlabel="frequency [Hz]",
-        ylabel=labelled("amplitude of the error", unit),
-        title=scheme,
-        xlim=(f[1], f[-1]),
-    )
+    held = limits_of([v for line in ax.lines for v in line.get_ydata()])
+    if held:
+        ax.set_ylim(max(held[0], held[1] * 10.0**-SEEN), held[1])
+    ax.set(xlabel="frequency [Hz]", xlim=(f[1], f[-1]))
+    ax.set_title(f"{scheme}: spectrum of the error", fontsize="medium")
     grid(ax)
+    name_axis(ax.yaxis, "amplitude of the error", unit)
     legend_beside(ax)
     return ax
 
@@ -100,7 +102,10 @@ def time_frequency(
     """Amplitude of the error over time and frequency, a map for each trial; axes (trials,).
 
     It is the short-time Fourier transform under a Hann window, scaled as in `spectrum`. With
-    several outputs the largest amplitude is shown. All maps have the same colours.
+    several outputs the largest amplitude is shown. All maps have the same colours. A window of
+    length T cannot tell what is slower than 2 / T from a constant, so this is taken away first,
+    the maps begin there, and the title says so. A change within the trial is felt one window
+    before and after it.
 
     dataset: dataset with e, as for `signal_of`
     window: length T of the window [s], None for a sixteenth of the trial; the resolution is T / 2
@@ -132,35 +137,35 @@ def time_frequency(
     slices = {"p0": 0, "p1": N // transform.hop + 1}
     maps = []
     for trial in trials:
-        e = scale * signal_of(dataset, "e", scheme, trial)[1:]
-        maps.append(np.max(np.abs(transform.stft(e, **slices, padding="even", axis=0)), axis=1)[1:])
+        e = _without_slow(scale * signal_of(dataset, "e", scheme, trial)[1:], samples)
+        whole = np.abs(transform.stft(e, **slices, padding="even", axis=0))
+        maps.append(np.max(whole, axis=1)[SLOWEST:])
     axes = np.atleast_1d(new_axes(ax, len(trials), size=(7.2, 0.8 + 2.4 * len(trials))))
     top = np.max(maps, where=np.isfinite(maps), initial=0.0) or 1.0
-    colours = LogNorm(top * 10.0**-DECADES, top)
+    tops = [np.max(one, where=np.isfinite(one), initial=0.0) for one in maps]
+    least = min((one for one in tops if one > 0), default=top)
+    colours = LogNorm(max(least * 10.0**-SHADES, top * 10.0**-DECADES), top)
+    t, lines = transform.t(N, **slices), transform.f[SLOWEST:]
+    edges = np.append(lines - transform.delta_f / 2, lines[-1] + transform.delta_f / 2)
     for axis, trial, amplitude in zip(axes, trials, maps, strict=True):
         shown = axis.pcolormesh(
-            transform.t(N, **slices),
-            transform.f[1:],
+            np.append(t - transform.delta_t / 2, t[-1] + transform.delta_t / 2),
+            edges,
             amplitude,
             norm=colours,
             cmap="viridis",
             rasterized=True,
         )
-        axis.set(
-            yscale="log",
-            ylabel="frequency [Hz]",
-            title=f"{scheme}, trial {trial}",
-            xlim=(0.0, N * dt),
-        )
+        axis.set(yscale="log", ylabel="frequency [Hz]", xlim=(0.0, N * dt))
+        axis.set_title(f"{scheme}, trial {trial}", fontsize="medium")
         grid(axis)
-    axes[-1].set_xlabel("time [s]")
-    axes[0].figure.colorbar(
-        shown,
-        ax=list(axes),
-        label=labelled("amplitude of the error", unit),
-        extend="min",
-        format="{x:g}",
+    axes[0].set_title(
+        f"{scheme}, trial {trials[0]}; slower than {edges[0]:.3g} Hz is not shown",
+        fontsize="medium",
     )
+    axes[-1].set_xlabel("time [s]")
+    bar = axes[0].figure.colorbar(shown, ax=list(axes), extend="min")
+    name_axis(bar.ax.yaxis, "amplitude of the error", unit)
     return axes
 
 
@@ -202,13 +207,28 @@ def frequency_tests(tests: Mapping[str, FrequencyTest], *, ax=None) -> Axes:
         xlim=(1e-4 * test.frequencies[-1], test.frequencies[-1]),
     )
     axes[1].set(
-        ylabel="near 1", ylim=(1.0 - 3.0 * above, 1.0 + 1.5 * above), xlabel="frequency [Hz]"
+        ylabel="the same near 1",
+        ylim=(1.0 - 3.0 * above, 1.0 + 1.5 * above),
+        xlabel="frequency [Hz]",
     )
     for axis in axes:
         axis.axhline(1.0, color="k", linewidth=0.8)
         grid(axis)
     legend_above(axes[0])
     return axes
+
+
+def _without_slow(e, samples: int):
+    """A signal less its mean under a moving Hann window of so many samples.
+
+    This mean is zero for the lines 2, 3, 4 ... of the window, so that these do not change, and it
+    follows what is slower, which would otherwise leak into them.
+    """
+    from scipy.ndimage import convolve1d
+    from scipy.signal import get_window
+
+    weights = get_window("hann", samples)
+    return e - convolve1d(e, weights / weights.sum(), axis=0, mode="mirror")
 
 
 def _peaks(f, amplitude):

@@ -3,28 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from .style import (
     COLOURS,
     grid,
-    labelled,
     legend_beside,
+    limits_of,
     marks_of,
     names_of,
     new_axes,
     style_of,
     trial_axis,
 )
+from .units import name_axis
 
 if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.axes import Axes
 
-    from ..sweeps.summary import SchemeSummary
     from ..theory import Certificate
+
+# Colours of what is claimed: monotone, converges, diverges, not claimed.
+HUES = (COLOURS[0], COLOURS[2], COLOURS[1], "0.6")
+SAID = {"monotone": "claimed monotone", "converges": "claimed to converge",
+        "diverges": "claimed to diverge", "not claimed": "nothing claimed"}  # fmt: skip
 
 
 def error_by_trial(
@@ -92,69 +97,13 @@ def error_by_trial(
             color="k",
             label="published: less",
         )
-    ax.set(ylabel=labelled(metric, unit))
+    held = limits_of([v for line in ax.lines for v in line.get_ydata()])
+    if held:
+        ax.set_ylim(*held)
+    ax.set_title(f"{metric.replace('_', ' ')} by trial, one machine", fontsize="medium")
     trial_axis(ax)
     grid(ax)
-    legend_beside(ax)
-    return ax
-
-
-def error_band(
-    dataset: xr.Dataset,
-    *,
-    metric: str = "settled_error",
-    tolerance: float | None = None,
-    scale: float = 1.0,
-    unit: str = "",
-    summary: list[SchemeSummary] | None = None,
-    ax: Axes | None = None,
-) -> Axes:
-    """A sweep: median, 5-95 % band and worst machine against the trial, with the tolerance.
-
-    The legend says which share of the machines diverged; these count as infinite in every quantile.
-    The axis ends at ten times the largest median, so that an unstable machine does not hide the
-    others.
-
-    dataset: over (scheme, sample, trial), one machine a sample
-    metric: name of a variable over these
-    tolerance: largest error that passes [unit of the dataset]
-    scale, unit: the errors are shown as `scale` times those of the dataset, in `unit`
-    summary: what `summarise` gives for this dataset and metric, None to have it computed
-    """
-    from ..sweeps.summary import summarise
-
-    ax, trial = new_axes(ax), dataset["trial"]
-    rows = summarise(dataset, tolerance, metric=metric) if summary is None else summary
-    medians = np.concatenate([row.median for row in rows])
-    for i, row in enumerate(rows):
-        style, marks = style_of(i), marks_of(i, len(trial))
-        lost = f" ({row.diverged:.1%} diverged)" if row.diverged else ""
-        ax.semilogy(trial, scale * row.median, label=row.scheme + lost, **style, **marks)
-        ax.fill_between(
-            trial, scale * row.low, scale * row.high, color=style["color"], alpha=0.2, linewidth=0
-        )
-        ax.semilogy(
-            trial,
-            scale * row.worst,
-            **{**style, "linestyle": "none"},
-            **{**marks, "markevery": 1, "markersize": 2},
-        )
-    ax.plot([], [], color="k", label="median")
-    ax.fill_between([], [], [], color="k", alpha=0.2, linewidth=0, label="5–95 %")
-    ax.plot([], [], "k.", markersize=3, label="worst machine")
-    if tolerance is not None:
-        ax.axhline(
-            scale * tolerance,
-            color="k",
-            linewidth=0.8,
-            linestyle="--",
-            label=f"tolerance {scale * tolerance:g} {unit}",
-        )
-    if np.any(np.isfinite(medians)):
-        ax.set_ylim(top=10.0 * scale * np.max(medians[np.isfinite(medians)]))
-    ax.set(ylabel=labelled(metric, unit), title=f"{dataset.sizes['sample']} machines")
-    trial_axis(ax)
-    grid(ax)
+    name_axis(ax.yaxis, metric, unit)
     legend_beside(ax)
     return ax
 
@@ -178,31 +127,52 @@ def certificate(
     scale: float = 1.0,
     unit: str = "",
     title: str = "",
-    ax: Axes | None = None,
-) -> Axes:
-    """The RMS error of every machine by trial, predicted by theory and simulated.
+    ax: Any = None,
+) -> np.ndarray:
+    """What theory claims of each machine, and the errors that it predicts and simulation has.
+
+    Above, the RMS error of each machine by trial, in the colour of its claim; the median prediction
+    is dashed. Below, how many machines have each claim. Two axes.
 
     found: certificate from `theory.certify`
     scale, unit: the errors are shown as `scale` times those found, in `unit`
     """
-    ax = new_axes(ax)
-    trial = np.arange(1, found.predicted.shape[1] + 1)
-    for errors, colour, dash, label in (
-        (found.simulated, COLOURS[0], "-", "simulated"),
-        (found.predicted, COLOURS[1], "--", "predicted"),
-    ):
-        shown = np.where(np.isfinite(errors) & (errors > 0), scale * errors, np.nan)
-        ax.semilogy(trial, shown.T, color=colour, linewidth=0.5, alpha=0.35, linestyle=dash)
-        ax.semilogy(
-            trial,
-            shown[0],
-            color=colour,
-            linewidth=2,
-            linestyle=dash,
-            label=f"{label} (thick: nominal)",
-        )
-    ax.set(ylabel=labelled("RMS error", unit), title=f"{title}: {len(found.claim)} machines")
-    trial_axis(ax)
-    grid(ax)
-    legend_beside(ax)
-    return ax
+    from ..theory.certificates import CLAIMS
+
+    top, bottom = axes = new_axes(
+        ax, 2, size=(7.2, 5.2), sharex=False, height_ratios=(3.2, 1), squeeze=True
+    )
+    trial, looks = np.arange(1, found.predicted.shape[1] + 1), dict(zip(CLAIMS, HUES, strict=False))
+    counts = {name: int(np.sum(found.claim == name)) for name in CLAIMS}
+    for name in CLAIMS:
+        of_claim = found.claim == name
+        errors = np.where(np.isfinite(found.simulated), scale * found.simulated, np.nan)[of_claim]
+        if len(errors):
+            width = {"linewidth": 0.6, "alpha": 0.6} if len(errors) > 3 else {"linewidth": 1.2}
+            top.semilogy(trial, errors.T, color=looks[name], **width)
+            top.plot([], [], color=looks[name], label=f"simulated, {SAID.get(name, name)}")
+    sure = np.where(np.isfinite(found.predicted) & (found.predicted > 0), found.predicted, np.nan)
+    if np.any(np.isfinite(sure)):
+        known = np.any(np.isfinite(sure), axis=0)
+        middle = np.full(len(trial), np.nan)
+        middle[known] = scale * np.nanmedian(sure[:, known], axis=0)
+        top.semilogy(trial, middle, "k--", linewidth=1.4, label="predicted, median machine")
+    held = limits_of([v for line in top.lines for v in line.get_ydata()])
+    if held:
+        first = scale * np.nanmax(np.where(np.isfinite(sure[:, 0]), sure[:, 0], 0), initial=0)
+        top.set_ylim(held[0], min(held[1], 1e3 * first) if first > 0 else held[1])
+    top.set_title(f"{title}: {len(found.claim)} machines".removeprefix(": "), fontsize="medium")
+    trial_axis(top)
+    grid(top)
+    name_axis(top.yaxis, "RMS error", unit)
+    top.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1.0, 1.02))
+    shown = [name for name in CLAIMS if counts[name]] or list(CLAIMS[:1])
+    names = [SAID.get(name, name) for name in shown]
+    bars = bottom.barh(
+        names, [counts[n] for n in shown], color=[looks[n] for n in shown], height=0.6
+    )
+    bottom.bar_label(bars, padding=4, fontsize="small")
+    bottom.set(xlabel="machines", xlim=(0, 1.12 * len(found.claim)))
+    bottom.invert_yaxis()
+    bottom.grid(True, axis="x", alpha=0.25)
+    return axes

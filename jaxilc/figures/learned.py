@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,7 +22,8 @@ def learned_law_figure(learned: Learned, dt: float, *, unit: str = "", ax=None) 
 
     The law is u_{j+1} = Q u_j + L e_j, so that L is Q / P where it inverts the plant. Below stand
     |L| with |1 / P| and |Q / P| of the nominal machine, and |Q| with |Q - L P| of the nominal
-    machine and the largest of the family.
+    machine and the largest of the family. Of several channels each pair has a line of its own, and
+    so has each segment of a scheduled law; |Q| and |Q - L P| are then the largest singular values.
 
     dt: sample time [s]
     unit: of L, input per output
@@ -32,34 +33,91 @@ def learned_law_figure(learned: Learned, dt: float, *, unit: str = "", ax=None) 
         raise ValueError(f"learned_law_figure: the law was refused: {learned.refused}")
     filters, window, family = learned.passed.filters, learned.window, learned.family
     axes = new_axes(ax, 2, 2, size=(9.0, 6.4), sharex=False)
+    L, keep = (_whole(taps, bool(window.starts)) for taps in filters)
     for one, taps, middle, name in (
-        (axes[0, 0], filters.L, 1 + window.lead, "L"),
-        (axes[0, 1], filters.keep, 0, "Q"),
+        (axes[0, 0], L, 1 + window.lead, "L"),
+        (axes[0, 1], keep, 0, "Q"),
     ):
-        shift = 1e3 * dt * (middle + np.arange(len(taps)) - len(taps) // 2)
-        one.plot(shift, taps, ".-", color=COLOURS[0], markersize=3, linewidth=0.8)
-        one.axvline(0.0, color="k", linewidth=0.8)
-        one.set(xlabel="looks ahead by [ms]", title=f"{len(taps)} taps of {name}")
+        _show_taps(one, taps, middle, dt, name)
     axes[0, 0].set_ylabel(labelled("L", unit))
-    f, P = family.frequencies, family.P
+    f = family.frequencies
     of_L, of_keep = window.responses(f, dt)
-    L, Q = of_L @ filters.L, of_keep @ filters.keep
-    sizes = np.abs(Q - L * P)
-    below, right = axes[1]
-    below.loglog(f, np.abs(L), color=COLOURS[0], label="|L|, learned")
-    below.loglog(f, np.abs(Q / P[0]), "--", color=COLOURS[1], label="|Q / P|")
-    below.loglog(f, 1 / np.abs(P[0]), ":", color="0.4", label="|1 / P|, the inverse")
-    top = np.max(np.abs(L))
-    below.set(ylim=(SHOWN * top, 10 * top), ylabel=labelled("magnitude", unit))
-    right.semilogx(f, np.abs(Q), color="0.4", linestyle="--", label="|Q|")
-    right.semilogx(f, sizes[0], color=COLOURS[0], label="|Q − L P|, nominal")
-    right.semilogx(f, np.max(sizes, axis=0), color=COLOURS[1], label=f"largest of {len(P)}")
-    right.axhline(1.0, color="k", linewidth=0.8)
-    right.set(ylim=(0, 1.25), ylabel="magnitude")
-    for one in (below, right):
+    L, keep = (
+        np.einsum("fp,spij->sfij", of, taps) for of, taps in ((of_L, L), (of_keep + 0j, keep))
+    )
+    P = family.P[:, :, None, None] if family.P.ndim == 2 else family.P
+    _show_L(axes[1, 0], f, L, keep, P[0], unit)
+    _show_sizes(axes[1, 1], f, L, keep, P)
+    for one in axes[1]:
         one.set(xlabel="frequency [Hz]", xlim=(max(f[0], SLOWEST * f[-1]), f[-1]))
+        one.legend(fontsize="small", loc="best")
     for one in axes.flat:
         grid(one)
-    below.legend(fontsize="small", loc="lower left")
-    right.legend(fontsize="small", loc="best")
     return axes
+
+
+def _show_taps(ax, taps, middle: int, dt: float, name: str) -> None:
+    """The taps (S, p, n, m) over the time by which they look ahead."""
+    p = taps.shape[1]
+    shift = 1e3 * dt * (middle + np.arange(p) - p // 2)
+    for colour, label, line in _each(taps, name):
+        ax.plot(shift, line, ".-", color=colour, markersize=3, linewidth=0.8, label=label)
+    ax.axvline(0.0, color="k", linewidth=0.8)
+    ax.set(xlabel="looks ahead by [ms]", title=f"{p} taps of {name}")
+    if taps[:, 0].size > 1:
+        ax.legend(fontsize="small")
+
+
+def _show_L(ax, f, L, keep, P, unit: str) -> None:
+    """|L| of each segment and pair beside |Q / P|, and beside |1 / P| of one channel."""
+    alone = L[:, 0].size == 1
+    inverse = keep @ np.linalg.pinv(P)
+    for (colour, label, line), (_, _, other) in zip(
+        _each(L, "L"), _each(inverse, "Q / P"), strict=True
+    ):
+        ax.loglog(f, np.abs(line), color=colour, label="|L|, learned" if alone else f"|{label}|")
+        colour = COLOURS[1] if alone else colour
+        ax.loglog(f, np.abs(other), "--", color=colour, label="|Q / P|" if alone else None)
+    if L[0, 0].size == 1:
+        ax.loglog(f, 1 / np.abs(P[:, 0, 0]), ":", color="0.4", label="|1 / P|, the inverse")
+    if not alone:
+        ax.plot([], [], "--", color="0.4", label="the same of Q / P")
+    top = np.max(np.abs(L))
+    ax.set(ylim=(SHOWN * top, 10 * top), ylabel=labelled("magnitude", unit))
+
+
+def _show_sizes(ax, f, L, keep, P) -> None:
+    """|Q|, |Q - L P| of the nominal machine, and the largest of the family and of all segments."""
+
+    def size(matrices):
+        return np.linalg.norm(matrices, ord=2, axis=(-2, -1))
+
+    sizes = np.max([size(Q - one @ P) for Q, one in zip(keep, L, strict=True)], axis=0)
+    for i, Q in enumerate(size(keep)):
+        label = "|Q|" if len(keep) == 1 else f"|Q|, segment {i + 1}"
+        colour = "0.4" if len(keep) == 1 else COLOURS[(i + 2) % len(COLOURS)]
+        ax.semilogx(f, Q, color=colour, linestyle="--", label=label)
+    ax.semilogx(f, sizes[0], color=COLOURS[0], label="|Q − L P|, nominal")
+    ax.semilogx(f, np.max(sizes, axis=0), color=COLOURS[1], label=f"largest of {len(P)}")
+    ax.axhline(1.0, color="k", linewidth=0.8)
+    ax.set(ylim=(0, 1.25), ylabel="magnitude")
+
+
+def _each(values, name: str) -> list[tuple[Any, str, np.ndarray]]:
+    """Colour, label and line of each segment and pair of channels of values (S, K, n, m)."""
+    S, _, n, m = values.shape
+    found = []
+    for s in range(S):
+        for i in range(n):
+            for j in range(m):
+                label = f"{name}{i + 1}{j + 1}" if n * m > 1 else name
+                label += f", segment {s + 1}" if S > 1 else ""
+                found.append((COLOURS[len(found) % len(COLOURS)], label, values[s, :, i, j]))
+    return found
+
+
+def _whole(taps, scheduled: bool) -> np.ndarray:
+    """Taps as (S, p, n, m), also of one segment and of one channel."""
+    taps = np.asarray(taps, float)
+    taps = taps if scheduled else taps[None]
+    return taps if taps.ndim == 4 else taps[:, :, None, None]

@@ -11,6 +11,11 @@ th, td { border-bottom: 1px solid #ccc; padding: 0.2em 0.7em; text-align: left; 
 vertical-align: top; }
 thead th { border-bottom: 2px solid #444; vertical-align: bottom; }
 .n { text-align: right; font-variant-numeric: tabular-nums; } td.n { white-space: nowrap; }
+.date { color: #444; margin-top: -0.6em; } \
+.conclusion { background: #f2f6fa; border-left: 4px solid #0072b2; padding: 0.2em 1.2em 0.6em; } \
+.conclusion h2 { border: none; margin-top: 0.6em; } .conclusion p { margin: 0.4em 0; } \
+.pairs th { font-weight: 500; color: #333; } .pairs td { overflow-wrap: anywhere; } \
+details { margin: 1em 0; } summary { cursor: pointer; }
 figure { margin: 1.5em 0; } img { max-width: min(100%, 52em); height: auto; } \
 figcaption { font-size: 0.87em; color: #333; }
 pre, code { font: 0.85em/1.35 ui-monospace, monospace; } \

@@ -1,99 +1,167 @@
-"""One self-contained HTML page of a run, a sweep, a certificate or a tuning.
+"""One self-contained HTML page of a command: what it found, what was asked, figures and tables.
 
-The page can be read offline and printed. It is well-formed XML, and nothing in it refers to
-anything outside of it: figures are embedded, the style is inline, and a content security policy
-makes the browser refuse everything else.
+The page begins with its conclusion in sentences. It can be read offline and printed. It is
+well-formed XML, and nothing in it refers to anything outside of it: figures and scripts are within
+the page, and a content security policy makes the browser refuse everything else. The layout is in
+`report.html.jinja2`, the style in `page_style`.
 """
 
 from __future__ import annotations
 
 import base64
-import html
+import datetime
 import io
-import json
 import platform
-import re
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 from rich.table import Table
 
 from ..runtime.provenance import describe, environment
 from ..storage.files import atomically
+from .captions import caption_of
 from .page_style import STYLE
+from .page_texts import flat, of_rich, of_rows, text_of, text_rows
 
 if TYPE_CHECKING:
     from ..scenarios import Scenario
+    from .interactive import Live
 
 MEDIA = {".png": "image/png", ".svg": "image/svg+xml"}
-DPI = 200  # resolution of axes that are drawn for the page
-NOT_IN_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+DPI = 120  # resolution of axes that are drawn for the page
+ROOM = 4_800_000  # bytes of a page; pictures beyond are named and left out
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+# The scripts of the figures stand in the page; they may not load or send anything.
+LIVE_POLICY = f"{POLICY}; script-src 'unsafe-inline' 'unsafe-eval'"
 
 Rows = tuple[str, Sequence[Mapping[str, object]]]
 Drawing = Any  # a file, or axes, or an array of axes of one figure
 
 
-def html_report(
-    title: str,
-    asked: Mapping[str, object],
-    tables: Sequence[Table | Rows] = (),
-    figures: Sequence[Drawing | tuple[str, Drawing]] = (),
-    configuration: Mapping[str, object] | None = None,
-    notes: Mapping[str, Sequence[str]] | None = None,
-) -> str:
-    """The page as text.
+class Said(Protocol):
+    """The verdict of a command: sentences, and the command to type next, with what it does."""
+
+    @property
+    def said(self) -> Sequence[str]: ...
+    @property
+    def what(self) -> str: ...
+    @property
+    def following(self) -> str: ...
+
+
+class _Lines(NamedTuple):
+    """The conclusion of a command whose lines are its verdict."""
+
+    said: Sequence[str]
+    what: str = ""
+    following: str = ""
+
+
+class Page(NamedTuple):
+    """The parts of a page.
 
     title: title of the page
     asked: arguments of the command or call, by name
     tables: tables of `rich`, whose texts are taken as they are, or pairs (caption, rows by column)
     figures: PNG or SVG files or axes, or pairs (caption, one of these)
-    configuration: all that determines the numbers, as JSON
+    configuration: all that determines the numbers
     notes: paragraphs by heading
+    verdict: what was found; it stands first
+    live: interactive figures
+    """
+
+    title: str
+    asked: Mapping[str, object]
+    tables: Sequence[Table | Rows] = ()
+    figures: Sequence[Drawing | tuple[str, Drawing]] = ()
+    configuration: Mapping[str, object] | None = None
+    notes: Mapping[str, Sequence[str]] | None = None
+    verdict: Said | None = None
+    live: Sequence[Live] = ()
+
+
+def html_report(title: str, asked: Mapping[str, object], *parts: Any, **named: Any) -> str:
+    """The page as text; its arguments are those of `Page`.
+
     Raises ValueError naming a figure that is neither PNG nor SVG, and FileNotFoundError for a file
     that does not exist.
     """
-    sections = [
-        ("What was asked", [_named(asked)]),
-        (
-            "Tables",
-            [_table(*(_of_rich(t) if isinstance(t, Table) else _of_rows(*t))) for t in tables],
-        ),
-        ("Figures", [_figure(*(f if isinstance(f, tuple) else (_caption(f), f))) for f in figures]),
-        *(
-            (
-                heading,
-                [_element("ul", *(_element("li", _text(line)) for line in lines))] if lines else [],
-            )
-            for heading, lines in (notes or {}).items()
-        ),
-        ("Versions", [_named(_versions())]),
-        (
-            "Configuration",
-            [_element("pre", _text(json.dumps(configuration, indent=1, ensure_ascii=False)))]
-            if configuration
-            else [],
-        ),
+    page = Page(title, asked, *parts, **named)
+    library, script, places = _scripts(page.live)
+    room = ROOM - len(library) - len(script)
+    pictures, left_out = _pictures(page.figures, room)
+    verdict = page.verdict
+    text = _template().render(
+        title=text_of(title),
+        policy=LIVE_POLICY if page.live else POLICY,
+        style=STYLE,
+        library=library,
+        script=script,
+        date=f"{datetime.datetime.now().astimezone():%d %B %Y, %H:%M %Z}",
+        conclusion=[text_of(line) for line in verdict.said] if verdict else [],
+        what=text_of((verdict.what[:1].upper() + verdict.what[1:]) or "Next") if verdict else "",
+        following=text_of(verdict.following) if verdict else "",
+        asked=text_rows(asked),
+        live=places,
+        figures=pictures,
+        left_out=text_of(", ".join(left_out)),
+        tables=[of_rich(t) if isinstance(t, Table) else of_rows(*t) for t in page.tables],
+        notes={
+            text_of(name): [text_of(one) for one in of] for name, of in (page.notes or {}).items()
+        },
+        versions=text_rows(_versions()),
+        settings=text_rows(dict(flat(page.configuration or {}))),
+    )
+    return text.strip() + "\n"
+
+
+def _template() -> Any:
+    """The layout, in which every text is escaped."""
+    from jinja2 import Environment, StrictUndefined
+
+    made = Environment(
+        autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined
+    )
+    return made.from_string((Path(__file__).parent / "report.html.jinja2").read_text("utf-8"))
+
+
+def _scripts(live: Sequence[Live]) -> tuple[str, str, list[dict[str, str]]]:
+    """The library, the figures as a script, and for each figure its place and its caption.
+
+    `]]>` would end a section of XML; a blank within makes no difference to a script.
+    """
+    if not live:
+        return "", "", []
+    from bokeh.embed import components
+    from bokeh.resources import Resources
+
+    script, places = components(tuple(one.model for one in live), wrap_script=False)
+    resources = Resources(mode="inline", components=["bokeh", "bokeh-widgets"])
+    library = "\n".join(resources.js_raw)
+    found = [
+        {"place": place, "caption": text_of(one.caption)}
+        for place, one in zip(places, live, strict=True)
     ]
-    body = [_element("h1", _text(title))]
-    for heading, parts in sections:
-        if parts:
-            body.append(_element("section", _element("h2", _text(heading)), *parts))
-    head = (
-        '<meta charset="utf-8"/>',
-        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}"/>',
-        '<meta name="viewport" content="width=device-width, initial-scale=1"/>',
-        _element("title", _text(title)),
-        _element("style", STYLE),
-    )
-    page = _element("html", _element("head", *head), _element("body", *body)).replace(
-        "<html>", '<html lang="en">', 1
-    )
-    return f"<!DOCTYPE html>\n{page}\n"
+    return library.replace("]]>", "]] >"), script.replace("]]>", "]] >"), found
+
+
+def _pictures(figures: Sequence[Any], room: float) -> tuple[list[dict[str, str]], list[str]]:
+    """The pictures with their captions, as long as they fit, and the captions of the others."""
+    found, left_out = [], []
+    for one in figures:
+        caption, drawing = one if isinstance(one, tuple) else (caption_of(one), one)
+        kind, data = _picture(drawing)
+        source = f"data:{kind};base64,{base64.b64encode(data).decode()}"
+        room -= len(source)
+        if room < 0:
+            left_out.append(str(drawing) if isinstance(drawing, str | Path) else caption)
+        else:
+            found.append({"source": source, "caption": text_of(caption)})
+    return found, left_out
 
 
 def write_report(
@@ -119,6 +187,8 @@ def command_report(
     configuration: Mapping[str, object] | None = None,
     lines: Sequence[str] = (),
     asked: Mapping[str, object] | None = None,
+    verdict: Said | None = None,
+    live: Sequence[Live | None] = (),
 ) -> list[Path]:
     """Write the page of a command of the command line, and return a list with its file.
 
@@ -130,6 +200,8 @@ def command_report(
     configuration: all that determines the numbers, None for that of the scenario
     lines: lines that were printed besides the tables
     asked: further rows below the name of the command
+    verdict: what the command found
+    live: interactive figures; None for one that there is nothing to show in
     """
     if path is None:
         return []
@@ -152,11 +224,13 @@ def command_report(
             [f for f in figures if not isinstance(f, str | Path) or Path(f).suffix in MEDIA],
             configuration,
             {
-                "Also": lines,
+                "In words": lines if verdict else (),
                 "Chosen where the paper leaves it open": scenario.chosen
                 if scenario is not None
                 else (),
             },
+            verdict=verdict or (_Lines(lines) if lines else None),
+            live=[one for one in live if one is not None],
         )
     ]
 
@@ -168,62 +242,6 @@ def _versions() -> dict[str, object]:
         found["versions"]
         | {"Python": platform.python_version(), "system": platform.platform()}
         | known
-    )
-
-
-def _of_rich(table: Table) -> tuple[str, list[str], list[bool], list[list[str]]]:
-    """The caption, the headers, which columns hold numbers, and the rows of a table."""
-    rows = zip(*([_plain(cell) for cell in column.cells] for column in table.columns), strict=True)
-    return (
-        _plain(table.title),
-        [_plain(c.header) for c in table.columns],
-        [c.justify == "right" for c in table.columns],
-        list(map(list, rows)),
-    )
-
-
-def _of_rows(
-    caption: str, rows: Sequence[Mapping[str, object]]
-) -> tuple[str, list[str], list[bool], list[list[str]]]:
-    names = list(dict.fromkeys(name for row in rows for name in row))
-    numeric = [any(_is_number(row.get(name)) for row in rows) for name in names]
-    return caption, names, numeric, [[_value(row.get(name)) for name in names] for row in rows]
-
-
-def _table(
-    caption: str, headers: Sequence[str], numeric: Sequence[bool], rows: Sequence[Sequence[str]]
-) -> str:
-    def row(tag, cells):
-        opened = (f'<{tag} class="n">' if right else f"<{tag}>" for right in numeric)
-        return _element(
-            "tr",
-            *(f"{start}{_text(cell)}</{tag}>" for start, cell in zip(opened, cells, strict=True)),
-        )
-
-    parts = [_element("caption", _text(caption))] if caption else []
-    parts += [
-        _element("thead", row("th", headers)),
-        _element("tbody", *(row("td", cells) for cells in rows)),
-    ]
-    return f'<div class="wide">{_element("table", *parts)}</div>'
-
-
-def _named(values: Mapping[str, object]) -> str:
-    """A table with the columns name and value, as text."""
-    rows = (
-        _element("tr", _element("th", _text(name)), _element("td", _text(_value(value))))
-        for name, value in values.items()
-    )
-    return f'<div class="wide">{_element("table", _element("tbody", *rows))}</div>'
-
-
-def _figure(caption: str, drawing: Drawing) -> str:
-    kind, data = _picture(drawing)
-    source = f"data:{kind};base64,{base64.b64encode(data).decode()}"
-    return _element(
-        "figure",
-        f'<img src="{source}" alt="{_text(caption)}"/>',
-        _element("figcaption", _text(caption)),
     )
 
 
@@ -239,49 +257,5 @@ def _picture(drawing: Drawing) -> tuple[str, bytes]:
     return MEDIA[".png"], file.getvalue()
 
 
-def _caption(drawing: Drawing) -> str:
-    """The caption of a drawing: the name of a file, or the title of axes."""
-    return (
-        Path(drawing).stem.replace("-", " ")
-        if isinstance(drawing, str | Path)
-        else _first(drawing).get_title()
-    )
-
-
 def _first(axes) -> Any:
     return np.ravel(axes)[0]
-
-
-def _plain(cell: object) -> str:
-    """The text of a cell of a table of `rich`.
-
-    Brackets are units, not markup. Where they are escaped, the backslash is removed.
-    """
-    return (
-        cell.replace("\\[", "[")
-        if isinstance(cell, str)
-        else getattr(cell, "plain", "" if cell is None else str(cell))
-    )
-
-
-def _value(value: object) -> str:
-    if value is None:
-        return ""
-    return (
-        f"{value:.6g}"
-        if _is_number(value) and not isinstance(value, int | np.integer)
-        else str(value)
-    )
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float | np.number) and not isinstance(value, bool)
-
-
-def _text(text: str) -> str:
-    """The escaped text; a character that XML does not allow becomes a replacement character."""
-    return html.escape(NOT_IN_XML.sub("\ufffd", text))
-
-
-def _element(tag: str, *inside: str) -> str:
-    return f"<{tag}>{''.join(inside)}</{tag}>"

@@ -7,7 +7,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .style import COLOURS, DASHES, MARKS, grid, labelled, legend_above, legend_beside, new_axes
+from .style import (
+    COLOURS,
+    DASHES,
+    MARKS,
+    grid,
+    legend_above,
+    legend_beside,
+    limits_of,
+    new_axes,
+)
+from .units import name_axis, written
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,7 +38,7 @@ def loss_by_step(tuned: Tuned, *, ax: Axes | None = None) -> Axes:
             color=COLOURS[0],
             linewidth=0.8,
             alpha=0.8,
-            label="plants tuned on" if k == 0 else None,
+            label="machines tuned on" if k == 0 else None,
         )
     for k, losses in enumerate(tuned.held_out.T):
         looked = np.flatnonzero(np.isfinite(losses))
@@ -39,10 +49,11 @@ def loss_by_step(tuned: Tuned, *, ax: Axes | None = None) -> Axes:
             color=COLOURS[1],
             markersize=3,
             linewidth=0.5,
-            label="held-out plants" if k == 0 else None,
+            label="held-out machines" if k == 0 else None,
         )
     ax.plot(tuned.step, tuned.after, "k*", markersize=10, label="chosen")
     ax.set(xlabel="step", ylabel="loss")
+    ax.set_title("loss by step of the tuning", fontsize="medium")
     grid(ax)
     legend_beside(ax)
     return ax
@@ -53,33 +64,35 @@ def worst_against_chance(
 ) -> Axes:
     """A search for the worst machine: the metric of drawn machines and the result of each search.
 
-    drawn: (S,) the metric of the machines drawn at random, shown as a distribution with a log axis
+    The curve shows which share of the drawn machines errs no more than so much. The nominal machine
+    is where the curve begins, or it is marked; each search is a line at the error that it found.
+
+    drawn: (S,) the metric of the machines drawn at random
     found: the largest value by the name of the search
     nominal: the value of the nominal machine
     metric, unit: name and unit of the metric
     """
     ax = new_axes(ax)
-    drawn = np.asarray(drawn)
-    drawn = drawn[np.isfinite(drawn) & (drawn > 0)]
-    low, high = drawn.min(), drawn.max() * (1 + 1e-9)
-    ax.hist(
-        drawn,
-        bins=np.geomspace(low, high, 60) if high > 1.01 * low else 10,
-        color="#999999",
-        label=f"{len(drawn)} machines drawn",
-    )
-    ax.axvline(nominal, color="k", linewidth=0.8, label=f"nominal {nominal:.4g}")
+    drawn = np.sort(np.asarray(drawn)[np.isfinite(drawn)])
+    share = 100 * np.arange(1, len(drawn) + 1) / max(len(np.ravel(drawn)), 1)
+    label = f"{len(drawn)} machines drawn: share that errs less"
+    ax.plot(drawn, share, color="0.45", drawstyle="steps-post", linewidth=1.4, label=label)
+    ax.fill_between(drawn, share, step="post", color="0.45", alpha=0.12, linewidth=0)
+    marked = {"nominal machine": (nominal, "k", ":")}
     for i, (name, value) in enumerate(found.items()):
+        marked[name] = (value, COLOURS[i % len(COLOURS)], DASHES[i % len(DASHES)])
+    for name, (value, colour, dash) in marked.items():
         if np.isfinite(value):
-            ax.axvline(
-                value,
-                color=COLOURS[i % len(COLOURS)],
-                linestyle=DASHES[i % len(DASHES)],
-                label=f"{name} {value:.4g}",
-            )
-    ax.set(xscale="log", yscale="log", xlabel=labelled(metric, unit), ylabel="machines")
+            said = f"{name}: {written(value, unit, 4)}"
+            ax.axvline(value, color=colour, linestyle=dash, linewidth=1.4, label=said)
+    held = limits_of([*drawn, *(value for value, _, _ in marked.values())], pad=1.05)
+    if held and held[1] > 3 * held[0]:
+        ax.set_xscale("log")
+        ax.set_xlim(*held)
+    ax.set(ylim=(0, 103), ylabel="machines drawn [%]")
     grid(ax)
-    legend_above(ax)
+    name_axis(ax.xaxis, metric, unit)
+    legend_above(ax, 1)
     return ax
 
 
@@ -145,11 +158,8 @@ def final_error_by_trials(
                 "label": f"{name}, {quantile}",
             }
             ax.semilogy(trials, np.asarray(values)[:, column], **shown)
-    ax.set(
-        xticks=list(trials),
-        xlabel="number of trials",
-        ylabel=f"{labelled(metric, unit)} of the last trial",
-    )
+    ax.set(xticks=list(trials), xlabel="number of trials")
     grid(ax)
+    name_axis(ax.yaxis, f"{metric.replace('_', ' ')} of the last trial", unit)
     legend_above(ax)
     return ax

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..storage.files import atomically
+from .units import name_axis
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -47,13 +46,17 @@ def marks_of(i: int, points: int, marks: int = 8) -> dict[str, Any]:
     }
 
 
-def shades_of(trials: Sequence[int]) -> list[str]:
-    """A shade of grey for each trial; the last one is black."""
-    return (
-        [str(shade) for shade in np.linspace(0.75, 0.0, len(trials))]
-        if len(trials) > 1
-        else ["0.0"] * len(trials)
-    )
+def shades_of(trials: Sequence[int]) -> list[Any]:
+    """A colour for each trial, from yellow over green to dark blue for the last one.
+
+    The colours differ in lightness too, so that they can be told apart in print and by readers who
+    are blind to some colours.
+    """
+    from matplotlib import colormaps
+
+    if len(trials) == 1:
+        return [COLOURS[0]]
+    return [colormaps["viridis"](1.0 - at) for at in np.linspace(0.25, 0.95, len(trials))]
 
 
 def new_axes(
@@ -78,30 +81,22 @@ def labelled(name: str, unit: str) -> str:
 
 
 def grid(ax: Axes) -> None:
-    """Add a pale grid, and plain numbers on logarithmic axes, after all curves are drawn.
-
-    A logarithmic axis of fewer than three decades has ticks at 1, 2 and 5.
-    """
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
+    """Add a pale grid after all curves are drawn, and plain numbers on logarithmic axes."""
     ax.grid(True, alpha=0.25)
     for axis in (ax.xaxis, ax.yaxis):
         if axis.get_scale() == "log":
+            name_axis(axis, axis.get_label_text(), "")
             low, high = sorted(axis.get_view_interval())
-            few = high < 1e3 * low
-            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,)))
-            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-            axis.set_minor_formatter(NullFormatter())
-            if few:
+            if high < 1e2 * low:
                 axis.grid(True, which="minor", alpha=0.15)
 
 
-def trial_axis(ax: Axes) -> None:
-    """Set ticks at whole numbers of trials along x."""
+def trial_axis(ax: Axes, ticks: int = 10) -> None:
+    """Set ticks at whole numbers of trials along x, so many at most."""
     from matplotlib.ticker import MaxNLocator
 
     ax.set_xlabel("trial")
-    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+    ax.xaxis.set_major_locator(MaxNLocator(ticks, integer=True))
 
 
 def legend_beside(ax: Axes) -> None:
@@ -114,8 +109,11 @@ def legend_above(ax: Axes, columns: int = 2) -> None:
     ax.legend(fontsize="small", loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns)
 
 
-def save(axes, path: str | Path) -> Path:
-    """Write the figure of the axes, completely or not at all, in the format of the file's name."""
-    figure, kind = np.ravel(axes)[0].figure, Path(path).suffix.removeprefix(".") or None
-    atomically(path, lambda file: figure.savefig(file, format=kind))
-    return Path(path)
+def limits_of(values, *, pad: float = 1.5) -> tuple[float, float] | None:
+    """Limits of a logarithmic axis that hold all positive finite values, and no empty decade.
+
+    pad: factor between the outermost values and the ends
+    """
+    found = np.asarray(values, float)
+    found = found[np.isfinite(found) & (found > 0)]
+    return (found.min() / pad, found.max() * pad) if found.size else None

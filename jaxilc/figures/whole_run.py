@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from .by_frequency import spectrum, time_frequency
 from .by_trial import error_by_trial
-from .style import save
+from .saving import save
 from .within_trial import contour, tracking
 
 if TYPE_CHECKING:
@@ -20,7 +20,12 @@ CURVES = (2, 20)  # trials that are drawn besides the last one
 
 
 def save_run(
-    scenario: Scenario, dataset: xr.Dataset, folder: Path, shown: Sequence[int]
+    scenario: Scenario,
+    dataset: xr.Dataset,
+    folder: Path,
+    shown: Sequence[int],
+    *,
+    progress: Callable[[str, int, int], object] | None = None,
 ) -> list[Path]:
     """Draw a run, save its figures, and return the files that were written.
 
@@ -32,6 +37,7 @@ def save_run(
     dataset: result of `run_schemes`
     folder: folder for the figures
     shown: trials that have a row in the table of the run
+    progress: called before each scheme with its name, the number of schemes done, and of all
     """
     in_unit = {"scale": scenario.shown_scale, "unit": scenario.shown_unit}
     scale, unit = scenario.shown(scenario.judged_by)
@@ -41,7 +47,9 @@ def save_run(
     paths = [save(axes, folder / "error-by-trial.png")]
     last = scenario.trials
     trials = [j for j in shown if j in (*CURVES, last)] or [last]
-    for name, scheme in scenario.schemes.items():
+    for done, (name, scheme) in enumerate(scenario.schemes.items()):
+        if progress is not None:
+            progress(name, done, len(scenario.schemes))
         drawn: dict[str, Callable] = {"tracking": tracking}
         if scheme.learns:
             drawn |= {"spectrum": spectrum, "time-frequency": time_frequency}

@@ -7,13 +7,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .style import COLOURS, DASHES, grid, labelled, legend_beside, new_axes, shades_of
+from .style import DASHES, grid, legend_beside, new_axes, shades_of
+from .units import name_axis
 
 if TYPE_CHECKING:
     import xarray as xr
 
 ZOOM = 0.05  # share of the trial that the zoom shows
 SPAN = "#e69f00"  # colour that marks the zoomed part
+DENSE, COLUMNS = 1500, 300  # samples from which on, and columns in which, noise is a band
+NOISY = 0.2  # share of the whole range that noise has within a column
 SHOWN = 0.1  # share of the width of a path, with which its largest contour error is drawn
 
 
@@ -107,27 +110,26 @@ def tracking(
             for axis, values in zip(column, (y, *(scale * e.T[..., None]), u), strict=True):
                 for i, line in enumerate(values.T):
                     at, label = np.flatnonzero(part[: len(line)]), _label(i, j, called)
-                    axis.plot(
-                        time[at],
-                        line[at],
-                        color=shade,
-                        linestyle=DASHES[i % 4],
-                        linewidth=1,
-                        label=label,
-                    )
+                    look = {"color": shade, "linestyle": DASHES[i % 4], "label": label}
+                    look["drawstyle"] = "steps-post" if values is u else "default"
+                    _signal(axis, time[at], line[at], look)
         for channel, axis in enumerate(column[1:-1]):
             _fit(axis, [scale * e[part, channel] for _, e, _ in signals[1:] or signals])
         column[-1].set(xlabel="time [s]", xlim=time[part][[0, -1]])
-    for channel, axis in enumerate(axes[1:-1, 0]):
-        axis.set_ylabel(labelled("error" + f" of {names[channel]}" * (channels > 1), unit))
-    axes[0, 0].set(title=scheme, ylabel=labelled("output", dataset["y"].attrs.get("units", "")))
-    axes[-1, 0].set(ylabel=labelled("input", dataset["u"].attrs.get("units", "")))
-    axes[0, 1].set_title("zoom")
+    axes[0, 0].set_title(f"{scheme}: output, error and input", fontsize="medium")
+    axes[0, 1].set_title("zoom on the shaded part", fontsize="medium")
     for axis in axes[:, 0]:
         axis.axvspan(low, high, color=SPAN, alpha=0.25, linewidth=0)
     axes[-1, 1].xaxis.set_major_locator(MaxNLocator(3))
     for axis in np.ravel(axes):
         grid(axis)
+    of_error = ["error" + f" of {name}" * (channels > 1) for name in names]
+    units = [dataset[name].attrs.get("units", "") for name in ("y", "u")]
+    labels = (("output", units[0]), *((name, unit) for name in of_error), ("input", units[1]))
+    for row, (name, of) in zip(axes, labels, strict=True):
+        name_axis(row[0].yaxis, name, of)
+        name_axis(row[1].yaxis, name, of)
+        row[1].set_ylabel("" if row[1].get_ylabel() == row[0].get_ylabel() else row[1].get_ylabel())
     _legend_below(axes[0, 0])
     return axes
 
@@ -178,30 +180,46 @@ def contour(
     m = magnification or (_one_two_five(SHOWN * width / largest) if largest > 0 else 1.0)
     top, bottom = axes = new_axes(ax, 2, size=(7.2, 7.6), sharex=False, height_ratios=(2.4, 1))
     arc = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
-    top.plot(*path.T, color=COLOURS[1], linewidth=0.8, label="path", zorder=3)
+    top.plot(*path.T, color="k", linewidth=0.8, label="path", zorder=3)
     for (y, _), error, j, shade in zip(signals, errors, trials, shades_of(trials), strict=True):
         top.plot(
-            *(y + (m - 1.0) * np.asarray(away(y))).T, color=shade, linewidth=0.5, label=f"trial {j}"
+            *(y + (m - 1.0) * np.asarray(away(y))).T, color=shade, linewidth=0.8, label=f"trial {j}"
         )
         bottom.plot(arc, scale * error, color=shade, linewidth=0.8, label=f"trial {j}")
     length = dataset["y"].attrs.get("units", "")
     of_x, of_y = outputs_of(dataset, 2)
     numbered = of_x.startswith("output ")
-    top.set(
-        xlabel=labelled("x" if numbered else of_x, length),
-        ylabel=labelled("y" if numbered else of_y, length),
-        title=f"{scheme}: contour error drawn {m:g} times",
-    )
+    top.set_title(f"{scheme}: contour error drawn {m:g} times", fontsize="medium")
     top.set_aspect("equal", adjustable="datalim")
-    bottom.set(
-        xlabel=labelled("length along the path", length),
-        ylabel=labelled("contour error", unit),
-        xlim=(0.0, arc[-1]),
-    )
+    bottom.set_xlim(0.0, arc[-1])
     for axis in axes:
         grid(axis)
+    top.apply_aspect()
+    for axis, name, of in (
+        (top.xaxis, "x" if numbered else of_x, length),
+        (top.yaxis, "y" if numbered else of_y, length),
+        (bottom.xaxis, "length along the path", length),
+        (bottom.yaxis, "contour error", unit),
+    ):
+        name_axis(axis, name, of)
     legend_beside(top)
     return axes
+
+
+def _signal(axis, time, values, look) -> None:
+    """A signal; one of many samples that is mostly noise as its band and its mean in columns.
+
+    Drawn sample by sample, a signal that changes its sign all the time would be a filled bar.
+    """
+    if len(values) > DENSE and np.all(np.isfinite(values)):
+        starts = np.linspace(0, len(values), COLUMNS + 1).astype(int)[:-1]
+        low, high = np.minimum.reduceat(values, starts), np.maximum.reduceat(values, starts)
+        if np.median(high - low) > NOISY * np.ptp(values):
+            mean = np.add.reduceat(values, starts) / np.diff(np.append(starts, len(values)))
+            axis.fill_between(time[starts], low, high, color=look["color"], alpha=0.3, linewidth=0)
+            axis.plot(time[starts], mean, linewidth=1, **look)
+            return
+    axis.plot(time, values, linewidth=1, **look)
 
 
 def _label(line: int, trial: int, names: list[str] | None) -> str:

@@ -21,7 +21,7 @@ row.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -73,17 +73,28 @@ class Row(NamedTuple):
         )
 
 
-def reproduce(names: Iterable[str] = (), reading: str | None = None) -> list[Row]:
+def reproduce(
+    names: Iterable[str] = (),
+    reading: str | None = None,
+    *,
+    progress: Callable[[int, int, str], object] | None = None,
+) -> list[Row]:
     """Simulate every published number of the named scenarios; without names, of all scenarios.
 
     reading: name of a reading, for scenarios that have several; None: of each the one that is taken
+    progress: called before each scenario with the number of rows done, that of all rows, and a name
     Raises ValueError naming the allowed scenarios or readings.
     """
     chosen = {
         name: scenarios.load(name, **with_reading(name, reading)).published
         for name in names or scenarios.SCENARIOS
     }
-    return [row for name, published in chosen.items() for row in _of_scenario(name, published)]
+    rows: list[Row] = []
+    for name, published in chosen.items():
+        if progress is not None:
+            progress(len(rows), sum(map(len, chosen.values())), name)
+        rows += _of_scenario(name, published)
+    return rows
 
 
 def _of_scenario(name: str, published: tuple[Published, ...]) -> list[Row]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import jax
@@ -124,6 +125,19 @@ class LearningFilter(Scheme):
     def limits(self, task: Task, memory: Feedforward, trial: Trial) -> dict[str, Limit]:
         return limit_of(self.unlimited().learn(memory, trial).u, self.limit)
 
+    def segments(self) -> list[LearningFilter]:
+        """The law of each segment, as if it were that of all samples."""
+        of = {
+            name: [getattr(self, name)] * (len(self.starts) + 1)
+            if not self._scheduled(name)
+            else list(getattr(self, name))
+            for name in ("L", "keep")
+        }
+        return [
+            dataclasses.replace(self, L=L, keep=keep, starts=())
+            for L, keep in zip(of["L"], of["keep"], strict=True)
+        ]
+
     def _scheduled(self, name: str) -> bool:
         return getattr(self, name).ndim % 2 == 0
 
@@ -138,6 +152,22 @@ class LearningFilter(Scheme):
             return correlated(taps, signal)
         each = jax.vmap(correlated, (0, None))(taps, signal)
         return jnp.einsum("sk,skn->kn", in_segments(self.starts, each.shape[1]), each)
+
+
+def segments_of(scheme: Scheme) -> list[Scheme]:
+    """The scheme with the law of each segment of its trial in all samples.
+
+    Of a scheme whose law is not scheduled it is the scheme itself.
+    """
+    segments: Any = getattr(scheme, "segments", None)
+    if segments is not None:
+        return segments()
+    for name in ("learning", "scheme"):
+        part = getattr(scheme, name, None)
+        if isinstance(part, Scheme):
+            found = segments_of(part)
+            return [dataclasses.replace(scheme, **{name: one}) for one in found]
+    return [scheme]
 
 
 def learning_filter(

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -14,8 +16,10 @@ from ..learning.machine import Machine
 from ..learning.metrics import Keep, best_trial
 from ..learning.over_trials import History, check, learn
 from ..runtime.capacity import check_size
+from ..runtime.provenance import describe, environment
 from ..schemes import Scheme
 from ..signals.task import Task, Trial
+from ..storage.sealed import as_json
 from .variables import labels_of
 
 if TYPE_CHECKING:
@@ -34,10 +38,12 @@ def run_schemes(
     *,
     key: jax.Array | None = None,
     quantities: Mapping[str, Callable[[Trial], jax.Array]] | None = None,
+    progress: Callable[[int, str], object] | None = None,
 ) -> tuple[xr.Dataset, dict[str, History]]:
     """Learn with each scheme and keep the signals of every trial.
 
     quantities: further metrics by name, each a function from a trial to a number
+    progress: called before each scheme with the number of schemes done and its name
     Returns the dataset and the histories by the name of the scheme. With the `memory` of a history
     learning can be continued. The dataset has the dimensions scheme, trial, time, channel,
     input_time and input; its variables are r, y, e, u, the metrics and the quantities.
@@ -49,11 +55,30 @@ def run_schemes(
     keep, signals = Keep.of(quantities or {}, "y", "u"), (task.N + 1) * (task.outputs + task.inputs)
     each = 8 * COPIES * signals * len(schemes)
     check_size("run", lambda trials: each * trials, trials=trials)
-    histories = {
-        name: learn(machine, scheme, task, trials, key=key, save=keep)
-        for name, scheme in schemes.items()
-    }
+    histories = {}
+    for done, (name, scheme) in enumerate(schemes.items()):
+        if progress is not None:
+            progress(done, name)
+        histories[name] = jax.block_until_ready(
+            learn(machine, scheme, task, trials, key=key, save=keep)
+        )
     return history_dataset(histories, task), histories
+
+
+def configuration(scenario: Any, seed: int) -> dict[str, Any]:
+    """All that determines the numbers and the figures of a run of a scenario, as JSON."""
+    parts = ("machine", "schemes", "task", "trials", "judged_by")
+    found = {name: describe(getattr(scenario, name)) for name in parts}
+    return as_json(found | {"seed": seed, "precision": environment()["precision"]})
+
+
+def made_with(store: Path) -> dict[str, Any]:
+    """The configuration that a dataset of a run was stored with; empty where it has none."""
+    try:
+        attributes = json.loads((store / "zarr.json").read_bytes())["attributes"]
+        return dict(json.loads(attributes["configuration"]))
+    except (OSError, ValueError, TypeError, KeyError):
+        return {}
 
 
 def history_dataset(histories: Mapping[str, History], task: Task) -> xr.Dataset:

@@ -79,16 +79,21 @@ def summarise(
         raise ValueError(
             f"summarise: metric = {metric!r} is not one of {', '.join(sorted(map(str, names)))}"
         )
+    errors = errors_of(dataset, metric)
+    return [
+        _one_scheme(str(name), errors.sel(scheme=name).values, tolerance, growth)
+        for name in dataset["scheme"].values
+    ]
+
+
+def errors_of(dataset: xr.Dataset, metric: str) -> xr.DataArray:
+    """The metric over (scheme, sample, trial): the largest channel, infinite where one diverged."""
     errors = dataset[metric]
     errors = errors.max(
         [d for d in errors.dims if d not in ("scheme", "sample", "trial")], skipna=False
     )
     sound = dataset["finite"] & ~dataset["diverged"] if "diverged" in dataset else dataset["finite"]
-    errors = errors.where(sound).transpose("scheme", "sample", "trial").fillna(np.inf)
-    return [
-        _one_scheme(str(name), errors.sel(scheme=name).values, tolerance, growth)
-        for name in dataset["scheme"].values
-    ]
+    return errors.where(sound).transpose("scheme", "sample", "trial").fillna(np.inf)
 
 
 def _one_scheme(

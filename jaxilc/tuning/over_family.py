@@ -11,6 +11,7 @@ import numpy as np
 
 from ..pytree.ranges import require
 from ..schemes import Scheme
+from ..schemes.learning_filter import segments_of
 from ..signals.task import Task
 from ..theory.law import traced_response
 from .objectives import Objective, Run
@@ -29,7 +30,8 @@ class OverFamily(Objective):
     as many equal ones reach. With s < 1 the error, without its ends and what does not repeat, falls
     in each trial on each machine (Bristow 2006, theorem 4). keep and L are those of the scheme that
     is tuned (`theory.law`), so it may be a `LearningFilter`, alone or filtered, or any other linear
-    law. For a law with several inputs |.| is the largest singular value.
+    law. For a law with several inputs |.| is the largest singular value. Of a scheduled law each
+    segment counts, as if it were the law of all samples.
 
     frequencies: (F,) [Hz]
     P:     (S, F) responses of S machines, or (S, F, n_y, n_u), from what is learned to the output
@@ -60,7 +62,12 @@ class OverFamily(Objective):
             raise ValueError("OverFamily: frequencies and P must be finite")
 
     def __call__(self, run: Run) -> jax.Array:
-        sizes = contraction_sizes(run.scheme, run.task, self.frequencies, self.P)
+        sizes = jnp.stack(
+            [
+                contraction_sizes(one, run.task, self.frequencies, self.P)
+                for one in segments_of(run.scheme)
+            ]
+        )
         tiny = jnp.finfo(sizes.dtype).tiny
         powers = self.sharpness * jnp.log(jnp.maximum(sizes, tiny) / self.below)
         return jax.nn.relu(jax.nn.logsumexp(powers) / self.sharpness)

@@ -78,6 +78,7 @@ def worst_machine(
     evaluations: int | None = None,
     draws: int | None = None,
     seed: int = 0,
+    progress: Callable[[int, int, str], object] | None = None,
 ) -> WorstMachine:
     """Search for the machine whose metric of the last trial is largest.
 
@@ -87,6 +88,7 @@ def worst_machine(
     starts, steps: numbers of starts and of steps of the ascent
     evaluations: number of evaluations to spend on the ascent, in place of `steps`
     draws: number of draws of a further, larger random search
+    progress: called before each search with the evaluations done, those of all, and its name
     Raises ValueError as `worst_case_search` does, and, before the ascent, for what the RAM cannot
     hold, and where the last trial is an experiment.
     """
@@ -117,14 +119,19 @@ def worst_machine(
         unit = scale * float(jnp.max(peak(task))) * objective.floor
         return unit * np.sqrt(np.maximum(np.exp(2.0 * losses) - 1.0, 0.0))
 
+    ascent = of_a_step * steps
+    told = progress or (lambda done, whole, name: None)
+    whole = 2 * ascent + (draws or 0)
+    told(0, whole, "climbing")
     climbed = worst_case_search(loss, machine, uncertainty, starts=starts, steps=steps, seed=seed)
     counts = {"chance": climbed.evaluations}
     if draws is not None:
         counts["more chance"] = draws
-    found = {"gradient": climbed} | {
-        name: monte_carlo_search(loss, machine, uncertainty, count, seed=seed)
-        for name, count in counts.items()
-    }
+    found = {"gradient": climbed}
+    for name, count in counts.items():
+        told(ascent * len(found), whole, name)
+        found[name] = monte_carlo_search(loss, machine, uncertainty, count, seed=seed)
+    told(whole, whole, "judging the worst")
     nominal = of_machine(machine)
     searches = {
         name: _search(

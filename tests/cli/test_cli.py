@@ -23,7 +23,7 @@ from typer.main import get_command
 from typer.testing import CliRunner
 
 import jaxilc
-from jaxilc.cli import app, console, main, progress
+from jaxilc.cli import app, console, durations, main, progress
 from jaxilc.cli.options import DESIGN, MACHINE, PROVE, SIMULATE
 from jaxilc.scenarios import LISTED, identified_file
 from jaxilc.scenarios.from_file import read_scenario
@@ -471,7 +471,7 @@ def test_identify_reads_a_frequency_response(jaxilc_command, tmp_path, monkeypat
 
 
 def test_a_run_leaves_a_report(tmp_path):
-    """A run writes one page with the table, every figure, and the command that made it."""
+    """A run writes one page with the table, its figures, and the command that made it."""
     page = tmp_path / "page.html"
     result = CliRunner().invoke(
         app,
@@ -488,8 +488,24 @@ def test_a_run_leaves_a_report(tmp_path):
     )
     assert result.exit_code == 0, result.output
     text = page.read_text(encoding="utf-8")
-    assert text.count("data:image/") == len(list((tmp_path / "run").glob("*.png")))
+    assert text.count('<figure class="live">') == 2  # errors by trial, and within a trial
     assert "settled error [mm]" in text
+    assert text.index("<h2>Conclusion</h2>") < text.index("<h2>What was asked</h2>")
+
+
+def test_runs_of_different_settings_are_not_mixed(jaxilc_command, tmp_path):
+    """The same run is repeated, another one is refused or goes beside it, and may replace it."""
+    (tmp_path / "mine.toml").write_text(PLANT + LEARNER)
+    run = ("--quiet", "run", "mine.toml", "--trials")
+    for trials, more, code in ((2, (), 0), (2, (), 0), (3, (), 2), (3, ("--replace",), 0)):
+        found = jaxilc_command(*run, trials, "--out", "o", *more)
+        assert found[0] == code, found
+        if code:
+            assert "o holds a run of other settings (trials: 2 there, 3 here)" in found[2]
+            assert "--replace" in found[2]
+    for trials in (2, 3, 2):
+        assert jaxilc_command(*run, trials)[0] == 0
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["run-mine", "run-mine-2"]
 
 
 def examples():
@@ -545,7 +561,7 @@ def test_a_help_page_fits_80_columns(name):
     assert max(map(len, shown.stdout.splitlines())) <= 80
     assert "…" not in shown.stdout
     assert ("--machines" in shown.stdout) == (
-        name in ("sweep", "certify", "tune", "pareto", "design", "filter", "learn-law")
+        name in ("sweep", "explore", "certify", "tune", "pareto", "design", "filter", "learn-law")
     )
     assert ("[@METRIC]" in shown.stdout) == (name in ("tune", "pareto"))
 
@@ -690,6 +706,29 @@ def test_progress_is_shown_on_a_terminal_alone(monkeypatch):
         shown[terminal, quiet] = text.getvalue()
     assert "half" in shown[True, False]
     assert (shown[True, True], shown[False, False]) == ("", "")
+
+
+def test_the_time_left_is_known_from_the_last_time(monkeypatch, tmp_path):
+    """A command that took 40 s has about 40 s left when it begins again, whatever its files."""
+    monkeypatch.setenv("JAXILC_CACHE", str(tmp_path / "cache"))
+    key = durations.key_of(["run", "a.toml", "--out", "x", "--trials", "5", "--json=y"])
+    assert key == durations.key_of(["run", "a.toml", "--trials", "5"])
+    assert key != durations.key_of(["run", "a.toml", "--trials", "6"])
+    assert durations.expected(key) is None
+    durations.remember(key, 40.0)
+    text = io.StringIO()
+    monkeypatch.setattr(console, "err", Console(file=text, force_terminal=True, width=120))
+    monkeypatch.setattr(console.out, "quiet", False)
+    with progress.progress_bar("now", expected=durations.expected(key)) as bar:
+        bar.add_task("run", total=None, now="starting")
+    assert "about 40 s left" in text.getvalue()
+    durations.file().write_text("[")
+    assert durations.expected(key) is None
+    durations.remember(key, 2.0)
+    assert durations.expected(key) == 2.0
+    monkeypatch.setenv("JAXILC_CACHE", "off")
+    durations.remember(key, 3.0)
+    assert durations.expected(key) is None
 
 
 def test_quiet_and_verbose(jaxilc_command, tmp_path):

@@ -69,7 +69,26 @@ def test_a_law_that_is_learned_is_told_in_sentences_and_written_for_other_comman
     assert np.array_equal(scheme.L, numbers["L"])
     assert np.array_equal(scheme.keep, numbers["Q"])
     assert numbers["proof"]["margin"] >= 0.05 - 2e-3
+    assert numbers["proof"]["whole"]["bound"] < 1  # P is affine in its gain
+    assert numbers["proof"]["further"] > 0
     assert (file.parent / "out" / "learn-law-axis" / "law.png").stat().st_size > 10_000
+    _next_plays(scheme)
+
+
+def _next_plays(law):
+    """`next` makes of the first trial of a machine, which stood still, what the taps say."""
+    state = ("--state", "campaign", "--out", "next.csv")
+    assert jaxilc("next", *state, "--plant-file", "axis.learned.toml", "--no-predict") == 0
+    t, r, u = np.loadtxt("next.csv", delimiter=",", skiprows=1, unpack=True)[:3]
+    assert np.all(u == 0)
+    columns = {"delimiter": ",", "header": "t [s],u [V],y [mm]", "comments": ""}
+    np.savetxt("trial.csv", np.stack([t, u, 0 * t], 1), **columns)
+    assert jaxilc("next", *state, "--measured", "trial.csv") == 0
+    played = np.loadtxt("next.csv", delimiter=",", skiprows=1, unpack=True)[2][:-1]
+    n = len(law.L) // 2
+    e = np.pad(r, (n, n + law.lead))[1 + law.lead :]
+    expected = np.correlate(e, np.asarray(law.L), mode="valid")[: len(played)]
+    np.testing.assert_allclose(played, expected, atol=1e-9 * np.max(np.abs(expected)))
 
 
 def test_a_law_that_the_gate_refuses_is_not_written(file, capsys, monkeypatch):
@@ -87,6 +106,10 @@ def test_a_law_that_the_gate_refuses_is_not_written(file, capsys, monkeypatch):
         (("--taps", "61"), "--taps '61' is not allowed; allowed are two odd numbers"),
         (("--taps", "8,5"), "taps = (8, 5)"),
         (("--start", "nil"), "start = 'nil'"),
+        (("--segments", "soon"), "--segments 'soon' is not allowed; allowed are times"),
+        (("--taps", "5,3", "--segments", "0.04,0.02"), "starts = (40, 20) are not allowed"),
+        (("--taps", "5,3", "--limit", "-1"), "limit = -1"),
+        (("--objective", "last"), "--objective: 'last'"),
     ],
 )
 def test_a_mistake_is_told_in_one_line(file, capsys, words, message):

@@ -17,6 +17,7 @@ from fuzz import fuzz, pick
 
 from jaxilc import cli, runtime
 from jaxilc.bench import contests, ours_alone
+from jaxilc.figures import explorer
 from jaxilc.identification import estimation
 from jaxilc.learning import over_trials
 from jaxilc.sweeps import Sweep
@@ -61,6 +62,7 @@ next --state campaign --scenario p.toml --scheme ilc --out n.csv
 trials --state campaign
 list p.toml
 init p.toml
+explore p.toml --machines 2 --port 0 --no-browser
 bench --plants 1 --trials 2 --samples 8 --long 0 --repeats 1 --schemes cfdl --no-gradients
 """.strip().split("\n")
 ]
@@ -180,6 +182,7 @@ def folder(tmp_path, monkeypatch):
             (contests, "compare"),
             (ours_alone, "alone"),
             (contests, "compare_long"),
+            (explorer, "explore"),
         ),
     ):
         monkeypatch.setattr(owner, name, computes)

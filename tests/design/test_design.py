@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+import scipy.linalg
 import scipy.signal
 
 from jaxilc import Machine, Sensor, Task, Uniform
@@ -12,7 +13,7 @@ from jaxilc.design.candidates import LAWS, Absent, candidates
 from jaxilc.design.judging import judged_trials, ranked, verdict
 from jaxilc.design.responses import family_of, resonance_band
 from jaxilc.design.safe_weights import ORDER, Found, best_simulated
-from jaxilc.design.simulated import rms_of
+from jaxilc.design.simulated import impulse_response, rms_of
 from jaxilc.design.tuned import contraction
 from jaxilc.filters import ZeroPhaseBandStop, ZeroPhaseButterworth
 from jaxilc.learning import learn
@@ -148,6 +149,14 @@ def test_noise_is_learned_as_theory_says(family):
         found = flat.rms(every, gain * every, 50, [0])[0]
         expected = np.sqrt(2 / (2 - gain)) * np.linalg.norm(flat.noise)
         np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
+def test_the_model_inverse_also_learns_at_the_end_of_the_trial(family, safe):
+    """With the inverse cut off at the end before Q smooths it, eigenvalues above 1.3 arise."""
+    law = learning_law(safe["model-inverse"].scheme, TASK)
+    for loop in (family.loops[0], family.loops[-1]):
+        G = scipy.linalg.toeplitz(impulse_response(loop, N), np.zeros(N))
+        assert np.max(np.abs(np.linalg.eigvals(law.keep - law.L @ G))) < 0.99
 
 
 def test_the_taps_give_the_largest_value_that_the_search_used(family, safe):

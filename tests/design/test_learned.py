@@ -12,6 +12,7 @@ from jaxilc.design import LearnedLaw
 from jaxilc.design.by_response import by_response, moved, sizes_of
 from jaxilc.design.candidates import Candidate, candidates
 from jaxilc.design.gate import Passed, gate
+from jaxilc.design.proof import _further
 from jaxilc.design.responses import family_of
 from jaxilc.design.shaped import ShapedFilter
 from jaxilc.design.tuned import contraction
@@ -104,6 +105,15 @@ def test_by_response_beats_the_safe_law_and_keeps_the_bound(family, window, safe
     law = law_of(safe.scheme, TASK)
     Q = family.of_taps(law.keep, DT)
     assert np.all(learned < 0.7 * family.rms(Q, family.of_taps(law.L, DT) / Q, TRIALS))
+
+
+def test_each_machine_may_differ_from_its_model_by_what_the_proof_says(family, window, found):
+    """P (1 + W D) with |D| = 1 in all directions: the largest |keep - L P| is then just 1."""
+    law = law_of(window.of(found), TASK)
+    W = _further(family, [law], np.array([family.sizes_of_law(law, DT)]), DT)
+    turns = 1 + W * np.exp(2j * np.pi * np.arange(72) / 72)
+    sizes = [family._replace(P=family.P * D).sizes_of_law(law, DT).max() for D in turns]
+    assert 0.99 < max(sizes) <= 1 + 1e-9
 
 
 def test_shaped_is_a_learning_filter(window, found):

@@ -10,9 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from matplotlib import image
+from matplotlib.colors import to_hex
 
 from jaxilc import figures
+from jaxilc.figures.saving import LIGHTER
 from jaxilc.figures.style import marks_of, style_of
+from jaxilc.figures.units import written
 from jaxilc.figures.within_trial import _around_the_largest
 from jaxilc.learning import Machine
 from jaxilc.plants import DifferenceEquation, TwoAxes
@@ -20,6 +24,7 @@ from jaxilc.scenarios import Published
 from jaxilc.schemes import PIDType
 from jaxilc.signals import Task
 from jaxilc.sweeps import run_schemes
+from jaxilc.sweeps.spread import explained_shares
 from jaxilc.theory import frequency
 from jaxilc.theory.condition import condition
 
@@ -103,12 +108,132 @@ def test_a_printed_bound_is_no_printed_number():
     np.testing.assert_allclose(
         line_of(ax, "a").get_ydata(), np.array([4e3, 2e3]) / np.sqrt(2), rtol=1e-3
     )
-    assert ax.get_ylabel() == "rms [µm]"
+    # 4000 µm are 4 mm, so that each tick has its own unit
+    assert ax.get_ylabel() == "rms"
+    assert ax.yaxis.get_major_formatter()(2e3) == "2 mm"
     assert [t.get_text() for t in ax.get_legend().get_texts()] == [
         "a",
         "published",
         "published: less",
     ]
+
+
+# Numbers with prefixes, colours, formats
+# --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "said"),
+    [
+        (6.3e-5, "mm", "63 nm"),
+        (1.0, "µm", "1 µm"),
+        (999.99999999999, "nm", "1 µm"),
+        (2000.0, "m", "2e+03 m"),  # nobody reads kilometres on a machine tool
+        (-0.02, "rad", "-20 mrad"),
+        (0.004, "deg", "0.004 deg"),
+        (0.0, "mm", "0 mm"),
+        (np.inf, "mm", "inf mm"),
+        (5e-16, "m", "0.0005 pm"),
+        (3.0, "", "3"),
+    ],
+)
+def test_numbers_have_the_prefix_that_is_read(value, unit, said):
+    assert written(value, unit) == said
+
+
+def test_a_linear_axis_changes_its_unit_and_keeps_its_data():
+    ax = figures.tracking(dataset_of([sinusoid(2e-4, 5.0)]), "a", (1,), unit="mm")[1, 0]
+    assert ax.get_ylabel() == "error [nm]"
+    assert ax.yaxis.get_major_formatter()(2e-4) == "200"
+    assert np.max(ax.lines[0].get_ydata()) == pytest.approx(2e-4)
+
+
+def test_a_dark_figure_has_light_ink_and_the_same_hues(tmp_path):
+    ax = figures.error_by_trial(dataset_of([sinusoid(a, 10.0) for a in (4.0, 2.0)]), metric="rms")
+    figures.save(ax, tmp_path / "print.png")
+    figures.save(ax, tmp_path / "dark.png", dark=True)
+    light, dark = (image.imread(tmp_path / n)[..., :3] for n in ("print.png", "dark.png"))
+    assert light[0, 0] == pytest.approx(1.0)
+    assert max(dark[0, 0]) < 0.15
+    ink = dark.max(axis=(0, 1))
+    assert min(ink) > 0.8  # text is light
+    assert to_hex(ax.lines[0].get_color()) in LIGHTER.values()
+
+
+def test_a_format_is_chosen_for_all_files(tmp_path):
+    ax = figures.error_by_trial(dataset_of([sinusoid(1.0, 10.0)] * 2), metric="rms")
+    try:
+        figures.choose("svg, dark")
+        path = figures.save(ax, tmp_path / "error.png")
+    finally:
+        figures.choose(None)
+    assert path == tmp_path / "error.svg"
+    assert b"<svg" in path.read_bytes()
+    with pytest.raises(ValueError, match=r"figures = 'gif' is not a format \(png, svg, pdf\)"):
+        figures.choose("gif")
+
+
+# Many machines
+# --------------------------------------------------------------------------------------------------
+
+
+def swept(errors):
+    """Return a dataset of many machines; errors: (scheme, sample, trial)."""
+    errors = np.asarray(errors, float)
+    return xr.Dataset(
+        {
+            "rms": (("scheme", "sample", "trial"), errors),
+            "finite": (("scheme", "sample", "trial"), np.isfinite(errors)),
+        },
+        coords={
+            "scheme": [f"s{i}" for i in range(len(errors))],
+            "trial": np.arange(1, errors.shape[2] + 1),
+        },
+    )
+
+
+def test_an_unstable_scheme_does_not_hide_the_others():
+    """One scheme grows without bound; the limits are those of the one that learns.
+
+    The share within a tolerance is the distribution of the last errors, counted by hand.
+    """
+    rng = np.random.default_rng(3)
+    good = np.exp(rng.normal(size=(40, 1))) * 0.5 ** np.arange(12)
+    bad = np.full((40, 1), 1.0) * 1e3 ** np.arange(12)
+    bad[:4, 6:] = np.inf
+    *panels, share = figures.error_band(
+        swept([good, bad]), metric="rms", tolerance=0.001, scale=1e3, unit="µm"
+    )
+    low, high = panels[0].get_ylim()
+    assert panels[1].get_ylim() == (low, high)
+    assert high < 20 * 1e3 * np.max(np.quantile(good[:, 0], 0.95))
+    assert low > 0.1 * 1e3 * np.quantile(good[:, -1], 0.05)
+    said = [text.get_text() for text in panels[1].texts]
+    assert said == [
+        "0.0% within tolerance\n10.0% diverged\nband cut off at the top\nfrom trial 2 on"
+    ]
+    best = [line.get_xdata()[0] for line in panels[0].lines if line.get_marker() == "o"]
+    assert best[0] == 12
+    at, counted = share.lines[0].get_data()
+    for x in (0.2, 1.0):
+        of_curve = counted[np.searchsorted(at, x, side="right") - 1]
+        assert of_curve == pytest.approx(100 * np.mean(1e3 * good[:, -1] <= x))
+
+
+def test_what_a_parameter_explains_is_its_share_of_the_variance():
+    """y = 2 a + b with uniform a and b: a explains 4 / 5 of the variance, b 1 / 5, c nothing."""
+    rng = np.random.default_rng(0)
+    a, b, c = rng.uniform(size=(3, 20_000))
+    shares = explained_shares({"a": a, "b": b, "c": c}, 2 * a + b)
+    # ranks are not quite proportional to values; the tolerance holds the difference
+    assert [shares[n] for n in "abc"] == pytest.approx([0.8, 0.2, 0.0], abs=0.03)
+    assert explained_shares({"a": a}, np.exp(50 * (a - 0.5) ** 2))["a"] > 0.95  # not monotone
+    corner = np.array([[i, j] for i in (0, 1) for j in (0, 1)] * 100)
+    found = explained_shares({"i": corner[:, 0], "j": corner[:, 1]}, corner @ [2.0, 1.0])
+    assert list(found.values()) == pytest.approx([0.8, 0.2], abs=0.1)
+    assert explained_shares({"a": a}, np.ones(20_000)) == {"a": 0.0}
+    with pytest.raises(ValueError, match="a has 2 values; allowed are 3"):
+        explained_shares({"a": a[:2]}, np.ones(3))
 
 
 # Within a trial
@@ -211,6 +336,16 @@ def test_the_contour_error_is_drawn_magnified():
 # --------------------------------------------------------------------------------------------------
 
 
+def test_what_is_slower_than_the_window_is_not_painted_as_faster():
+    """0.5 Hz under a window of 0.25 s: the map begins at 6 Hz, and shows less than a hundredth."""
+    slow = 1e3 * np.sin(np.pi * np.linspace(0, 4, 4001))[:, None]
+    (ax,) = figures.time_frequency(dataset_of([slow]), "a", (1,), window=0.25)
+    _, f, amplitude = shown_in(ax)
+    assert f[0] == pytest.approx(8.0)  # two lines of 4 Hz
+    assert "slower than 6 Hz" in ax.get_title()
+    assert np.max(amplitude[:, 4:-4]) < 10.0
+
+
 @pytest.mark.parametrize(("amplitude", "hertz"), [(3e-3, 7.0), (0.2, 125.0)])
 def test_a_sinusoid_shows_its_amplitude_at_its_frequency(amplitude, hertz):
     other = sinusoid(0.1 * amplitude, 40.0)
@@ -221,7 +356,8 @@ def test_a_sinusoid_shows_its_amplitude_at_its_frequency(amplitude, hertz):
     assert f[np.argmax(shown)] == pytest.approx(hertz)
     assert np.max(shown) == pytest.approx(1e3 * amplitude, rel=1e-9)
     assert shown[np.argmin(np.abs(f - 40.0))] == pytest.approx(1e2 * amplitude, rel=1e-9)
-    assert ax.get_ylabel() == "amplitude of the error [µm]"
+    assert ax.get_ylabel() == "amplitude of the error"
+    assert [ax.yaxis.get_major_formatter()(v) for v in (0.1, 100.0)] == ["100 nm", "100 µm"]
 
 
 def test_lines_of_noise_are_those_that_the_docstring_says():
@@ -254,7 +390,8 @@ def test_the_map_finds_when_the_frequency_switches():
         dataset_of([switching]), "a", (1,), window=0.1, scale=1e3, unit="µm"
     )
     t, f, amplitude = shown_in(ax)
-    for when, hertz, height in (((0.06, 0.44), 50.0, 2e3), ((0.56, 0.94), 200.0, 500.0)):
+    # What is slow is taken away over a window, so a change is felt one window before and after it.
+    for when, hertz, height in (((0.11, 0.39), 50.0, 2e3), ((0.61, 0.89), 200.0, 500.0)):
         among = amplitude[:, (t > when[0]) & (t < when[1])]
         np.testing.assert_allclose(f[np.argmax(among, axis=0)], hertz)
         np.testing.assert_allclose(np.max(among, axis=0), height, rtol=1e-6)

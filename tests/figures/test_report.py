@@ -5,9 +5,11 @@ Its numbers and pictures are compared with what was put in.
 
 import base64
 import dataclasses
+import html
 import http.server
 import io
 import json
+import re
 import shutil
 import struct
 import subprocess
@@ -18,6 +20,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+import xarray as xr
 from matplotlib import image
 from matplotlib.figure import Figure
 from rich.table import Table
@@ -25,8 +28,10 @@ from rich.table import Table
 from jaxilc import learn, scenarios
 from jaxilc.cli import tables
 from jaxilc.cli.numbers import run_numbers
-from jaxilc.figures.report import POLICY, command_report, html_report, write_report
+from jaxilc.figures import browsers, interactive
+from jaxilc.figures.report import LIVE_POLICY, POLICY, command_report, html_report, write_report
 from jaxilc.sweeps import runs
+from jaxilc.sweeps.summary import summarise
 
 NASTY = "<script>alert('1')</script> & \"quotes\" \x1b[31mred\x1b[0m ]]> <!-- µm"
 VOID = {"meta", "img"}
@@ -108,8 +113,8 @@ def test_page_is_well_formed_and_escaped():
     assert table_of(tree, shown) is not None
     assert [i.get("alt") for i in tree.iter("img")] == [shown]
     assert tree.findtext(".//figcaption") == tree.findtext(".//li") == shown
-    # JSON escapes the control sequence of the terminal, so nothing is lost.
-    assert json.loads(tree.findtext(".//pre")) == configuration
+    settings = {row[0].text: row[1].text for row in tree.find(".//details").iter("tr")}
+    assert settings == {shown: f"{shown}, 1.5"}
 
 
 def test_rows_hold_the_numbers():
@@ -154,10 +159,11 @@ def test_every_figure_is_embedded(tmp_path):
     ]
     assert pictures[0][1] == (tmp_path / "error-band.png").read_bytes()
     assert pictures[1][1] == (tmp_path / "second.svg").read_bytes()
-    # The header of a PNG file holds its size: 2 in by 1 in at 200 dots per inch.
-    assert struct.unpack(">II", pictures[2][1][16:24]) == (400, 200)
+    # The header of a PNG file holds its size: 2 in by 1 in at 120 dots per inch.
+    assert struct.unpack(">II", pictures[2][1][16:24]) == (240, 120)
     assert [f.text for f in tree.iter("figcaption")] == [
-        "error band",
+        "Each panel is a scheme: median, 5 to 95 % and worst machine by trial. Beside them stands "
+        "which share of the machines ends within a tolerance.",
         "a caption",
         "error by trial",
         None,
@@ -200,10 +206,13 @@ def test_a_run_reported_as_the_command_line_does(tmp_path, monkeypatch):
         path, "run", [tables.run_table(chosen, numbers)], figures, scenario=chosen, lines=["a line"]
     ) == [path]
     tree = parsed(path.read_text(encoding="utf-8"))
-    asked = {row[0].text: row[1].text for row in tree.find("body/section").iter("tr")}
+    sections = {one.findtext("h2"): one for one in tree.findall("body/section")}
+    assert [*sections][:2] == ["Conclusion", "What was asked"]
+    assert sections["Conclusion"].findtext("p") == "a line"
+    asked = {row[0].text: row[1].text for row in sections["What was asked"].iter("tr")}
     assert asked["command"] == "jaxilc run dai-2014 --set 'name=a b'"
     assert (asked["plant"], asked["schemes"], asked["trials"]) == ("printed", "pid", "1")
-    head, (row,) = cells(tree.findall("body/section")[1].find(".//table"))
+    head, (row,) = cells(sections["Tables"].find(".//table"))
     assert head == ["trial", "pid"]
     # The same number is computed in another way, by learning without the dataset; three digits are
     # shown.
@@ -216,8 +225,9 @@ def test_a_run_reported_as_the_command_line_does(tmp_path, monkeypatch):
     assert abs(float(row[1]) / error - 1) < 5e-3
     assert len(list(tree.iter("img"))) == 1
     lines = [li.text for li in tree.iter("li")]
-    assert lines == ["a line", *chosen.chosen]
-    assert json.loads(tree.findtext(".//pre"))["machine"]["plant"]["a"] == [2.2386, -1.6246, 0.385]
+    assert lines == [*chosen.chosen]
+    settings = {row[0].text: row[1].text for row in tree.find(".//details").iter("tr")}
+    assert settings["machine.plant.a"] == "2.2386, -1.6246, 0.385"
 
 
 def test_no_path_no_report():
@@ -289,6 +299,124 @@ def server():
         yield f"http://127.0.0.1:{running.server_port}", asked
         running.shutdown()
         thread.join()
+
+
+def opened(page, folder, script):
+    """Return what a script of a page says in a browser; it is run 3 s after the page is there.
+
+    script: statements that return a value
+    """
+    text = page.read_text(encoding="utf-8")
+    asking = (
+        "<script>setTimeout(async () => { let said; try { said = await (async () => {"
+        f"{script}"
+        "})() } catch (error) { said = String(error) }"
+        "document.title = 'said:' + JSON.stringify(said); }, 3000)</script></body>"
+    )
+    body, _, end = text.rpartition("</body>")  # the library has this text, too
+    (folder / "asked.html").write_text(body + asking + end, encoding="utf-8")
+    found = subprocess.run(
+        [
+            *(CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--dump-dom"),
+            *(f"--user-data-dir={folder / 'profile'}", "--virtual-time-budget=8000"),
+            (folder / "asked.html").as_uri(),
+        ],
+        check=True,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    ).stdout
+    said = html.unescape(re.search(r"<title>said:(.*?)</title>", found, re.DOTALL).group(1))
+    return json.loads(said)
+
+
+def lively(tmp_path):
+    """Return a page with a trial slider and with machines, and the data it was made from."""
+    rng = np.random.default_rng(0)
+    e = rng.normal(size=(2, 3, 41, 1)) * np.array([1.0, 0.1, 0.01])[None, :, None, None]
+    dims = ("scheme", "trial", "time", "channel")
+    r = np.sin(np.linspace(0, 6, 41))[:, None]
+    run = xr.Dataset(
+        {
+            "r": (dims[2:], r),
+            "y": (dims, r - e, {"units": "mm"}),
+            "e": (dims, e, {"units": "mm"}),
+            "u": (("scheme", "trial", "input_time", "input"), e[:, :, :-1]),
+            "rms": (("scheme", "trial"), np.sqrt(np.mean(e**2, axis=(2, 3)))),
+        },
+        coords={"scheme": ["one", "two"], "trial": [1, 2, 3], "time": np.arange(41) * 1e-2},
+    )
+    gain, other = rng.uniform(size=(2, 50))
+    last = np.stack([1 + gain, 1 + other])
+    many = xr.Dataset(
+        {
+            "rms": (("scheme", "sample", "trial"), np.repeat(last[..., None], 3, axis=2)),
+            "finite": (("scheme", "sample", "trial"), np.ones((2, 50, 3), bool)),
+        },
+        coords={"scheme": ["one", "two"], "trial": [1, 2, 3]},
+    )
+    of = {"metric": "rms", "unit": "mm"}
+    live = [
+        interactive.learning(run, **of),
+        browsers.trials(run, unit="mm"),
+        browsers.machines(many, {"plant.gain": gain, "plant.other": other}, tolerance=1.5, **of),
+        interactive.band(summarise(many, 1.5, metric="rms"), **of),
+    ]
+    page = write_report(tmp_path / "live.html", NASTY, {"a": NASTY}, live=live)
+    return page, run, last, other
+
+
+def test_a_live_page_is_whole_and_small(tmp_path):
+    """Every script is within the page; it is well formed, small, and shows no JSON as text."""
+    pytest.importorskip("bokeh")
+    text = lively(tmp_path)[0].read_text(encoding="utf-8")
+    assert len(text) < 5_000_000
+    page = Page(text)
+    assert page.balanced
+    assert not page.open
+    assert page.references == []
+    tree = ET.fromstring(text.removeprefix("<!DOCTYPE html>"))
+    assert [f.text.endswith(".") for f in tree.iter("figcaption")] == [True] * 4
+    meta = [m.get("content") for m in tree.iter("meta") if m.get("http-equiv")]
+    assert meta == [LIVE_POLICY]
+    assert meta[0].startswith("default-src 'none'")
+    assert "{" not in "".join(t for s in tree.findall("body/section") for t in s.itertext())
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no chromium here")
+def test_a_reader_moves_the_slider_and_chooses_a_parameter(tmp_path):
+    """The widgets are moved in a browser; the figures then show the numbers that were put in."""
+    pytest.importorskip("bokeh")
+    page, run, last, other = lively(tmp_path)
+    said = opened(
+        page,
+        tmp_path,
+        """
+        const all = Bokeh.documents.flatMap((d) => [...d._all_models.values()]);
+        const of = (type) => all.filter((m) => m.type === type);
+        const by = (title) => of("Select").filter((m) => m.title === title);
+        const column = (name) => of("ColumnDataSource").filter((s) => name in s.data);
+        of("Slider")[0].value = 1;
+        for (const select of by("scheme")) select.value = "two";
+        by("parameter")[0].value = "plant.other";
+        await new Promise((resolve) => setTimeout(resolve, 1000));  // what is called runs later
+        const trial = column("t").find((s) => "r" in s.data && !("r_0" in s.data));
+        const dots = column("machine")[0];
+        return {errors: [...trial.data.e], x: [...dots.data.x], y: [...dots.data.y],
+                canvases: of("Plot").length + of("Figure").length,
+                bars: [...column("share")[0].data.share], told: of("Div").map((d) => d.text)};
+        """,
+    )
+    assert isinstance(said, dict), said
+    assert "two, trial 2" in said["told"]
+    shown = run["e"].sel(scheme="two", trial=2).values[:, 0]
+    ratio = np.asarray(said["errors"]) / shown  # in another unit, that of the last trial
+    np.testing.assert_allclose(ratio, ratio[0], rtol=1e-5)
+    assert ratio[0] in (pytest.approx(1.0), pytest.approx(1e3))
+    np.testing.assert_allclose(said["x"], other)
+    np.testing.assert_allclose(said["y"], last[1])
+    assert max(said["bars"]) > 90  # what the other parameter explains of the other scheme
+    assert said["canvases"] >= 7
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no chromium here")

@@ -625,3 +625,25 @@ def test_figures_show_the_record_and_the_residual(record, identified, tmp_path):
     assert bottom.patches[0].get_x() == pytest.approx(identified.samples * DT)
     assert "validation 99." in top.get_legend().get_texts()[1].get_text()
     assert figures.save(top, tmp_path / "validation.png").stat().st_size > 10_000
+
+
+def test_the_band_of_the_response_is_that_of_the_parameters():
+    """With the gain alone fitted, log |P| has the relative standard deviation of the gain.
+
+    The phase then has none. The curve itself is that of the sampled plant by python-control.
+    """
+    found = identify(GOOD, EQ_7, free="gain")
+    top, bottom = figures.response_figure(found, DT)
+    f, size = top.lines[0].get_xydata().T
+    gain = found.parameters["gain"].value
+    std = np.sqrt(found.covariance[0, 0])
+    vertices = top.collections[0].get_paths()[0].vertices
+    above = vertices[np.isclose(vertices[:, 0], f[200])][:, 1].max()
+    assert np.log(above / size[200]) == pytest.approx(1.96 * std / abs(gain), rel=1e-6)
+    phases = bottom.collections[0].get_paths()[0].vertices
+    at = phases[np.isclose(phases[:, 0], f[200])][:, 1]
+    assert np.ptp(at) == pytest.approx(0.0, abs=1e-9)
+    sampled = found.plant.sampled(DT)
+    A, B, C = (np.asarray(getattr(sampled, n)) for n in "ABC")
+    z = np.exp(2j * np.pi * f[200] * DT)
+    assert size[200] == pytest.approx(abs((C @ np.linalg.solve(z * np.eye(len(A)) - A, B)).item()))

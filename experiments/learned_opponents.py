@@ -1,0 +1,149 @@
+"""Learning laws of a few weights, tuned on the machines on which `learned_laws.py` learns a law.
+
+Each has the same machines, trials and steps as the learned law. P- and PD-type learning with a lead
+and a Q-filter, P-type learning with a notch around the resonance too, the model inverse and ZPETC
+with a gain and a Q-filter, and norm-optimal learning with its two weights and a Q-filter begin at
+the best weights of a grid that are safe by frequency; these are then tuned by gradient for the mean
+of the worst quarter of the machines (CVaR), and kept safe. Three are free of that test: the best
+P-type law of a grid of gains, cutoffs and leads, by simulation; the model inverse with its gain and
+cutoff as the gradient leaves them; and FFDL-MFAILC.
+`model-inverse, as one` is Q P^-1 as one filter, with the best safe weights of the grid
+(`candidates.model_inverse`); in the other two P^-1 is cut off at the end of the trial before Q.
+"""
+
+import dataclasses
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from learned_families import Case
+
+from jaxilc.design.candidates import INVERSE_GAINS, Absent, Candidate, candidates
+from jaxilc.design.responses import Family
+from jaxilc.design.safe_weights import ORDER, widest
+from jaxilc.design.simulated import rms_of
+from jaxilc.design.tuned import tuned
+from jaxilc.filters import ZeroPhaseButterworth, stable_inverse, zpetc
+from jaxilc.plants import StateSpace
+from jaxilc.schemes import FFDLMFAILC, ErrorFiltered, Filtered, PIDType, Scheme
+from jaxilc.theory.law import law_of
+from jaxilc.theory.loop import minimal
+from jaxilc.tuning import Tuning
+from jaxilc.tuning.objectives import EveryTrial, Holding
+from jaxilc.tuning.risks import CVaR
+
+METRIC, MARGIN, SEED = "rms", 0.05, 0
+MACHINES, STEPS = 32, 60  # the same for every law, the learned one included
+BUDGET = {"machines": MACHINES, "held_out": MACHINES, "steps": STEPS, "seed": SEED}
+GAINS, SHARES, LEADS = np.geomspace(0.1, 1.2, 8), np.geomspace(0.004, 0.3, 16), 16
+KEPT = ("p-type", "pd-type", "p-type-notch", "model-inverse", "norm-optimal")
+
+
+def opponents(case: Case, family: Family, folder: Path) -> Iterator[tuple[str, Scheme, float]]:
+    """Name, scheme and seconds of tuning of each law; why one has no weights is printed."""
+    began = time.perf_counter()
+    found = [
+        *candidates(family, case.feedback, case.task, case.trials, MARGIN, KEPT),
+        of_inverse(case, family, "model-inverse", stable_inverse),
+        of_inverse(case, family, "zpetc", zpetc),
+    ]
+    for one in found:
+        if isinstance(one, Absent):
+            print(f"    {one.name}: {one.why}", flush=True)
+            continue
+        if not one.bounds:
+            yield f"{one.name}, as one", one.scheme, time.perf_counter() - began
+            began = time.perf_counter()
+            continue
+        state = folder / f"tuning-{one.name}"
+        better = tuned(
+            one, family, case.machine, case.task, case.trials, case.uncertainty, metric=METRIC,
+            margin=MARGIN, out=state, resume=state.exists(), **BUDGET,
+        )  # fmt: skip
+        yield one.name, better.scheme, time.perf_counter() - began
+        began = time.perf_counter()
+        if one.name == "model-inverse":
+            yield "model-inverse, free", free(case, one, state), time.perf_counter() - began
+            began = time.perf_counter()
+    grid = best_of_grid(case, family)
+    yield "p-type, grid", grid, time.perf_counter() - began
+    began = time.perf_counter()
+    ffdl = of_ffdl(case, family, grid, folder / "tuning-ffdl")
+    yield "ffdl-mfailc", ffdl, time.perf_counter() - began
+
+
+def tuning_of(case: Case, scheme: Scheme, bounds: dict) -> Tuning:
+    """The tuning that `tuned` runs, for a scheme without the test by frequency after it."""
+    first = max(1, round(0.75 * case.trials))
+    return Tuning(
+        case.machine, scheme, case.task, case.trials, bounds, case.uncertainty,
+        Holding(first, METRIC) + 0.02 * EveryTrial(METRIC), CVaR(0.75), **BUDGET,
+    )  # fmt: skip
+
+
+def free(case: Case, safe: Candidate, state: Path) -> Scheme:
+    """The law with the weights that its tuning found, safe or not; the tuning is run already."""
+    return tuning_of(case, safe.scheme, safe.bounds).run(state, resume=True).scheme
+
+
+def of_inverse(case: Case, family: Family, name: str, inverse) -> Candidate | Absent:
+    """Q (u + gamma F e) with an inverse F of the nominal loop, and weights that are safe."""
+    try:
+        F = inverse(StateSpace(*minimal(family.loops[0], case.task.N), dt=case.task.dt))
+    except ValueError as error:
+        return Absent(name, str(error))
+    F = dataclasses.replace(F, advance=F.advance - 1)  # PIDType looks one sample ahead
+    law = law_of(ErrorFiltered(PIDType(gamma_p=1.0), F), case.task)
+    L = family.of_taps(law.L, case.task.dt) if name == "zpetc" else 1 / family.P[0]
+    laws = ({"gamma_p": g, "L": g * L} for g in INVERSE_GAINS)
+    best = next(iter(widest(family, laws, case.task, case.trials, MARGIN)), None)
+    if best is None:
+        return Absent(name, "no weights keep the margin on every machine")
+    gain, cutoff = best.weights["gamma_p"], best.weights["cutoff"]
+    scheme = Filtered(ErrorFiltered(PIDType(gamma_p=gain), F), ZeroPhaseButterworth(cutoff))
+    bounds = {
+        "scheme.scheme.gamma_p": (gain / 4, 1.5),
+        "filter.cutoff": (cutoff / 4, min(4 * cutoff, 0.45 / case.task.dt)),
+    }
+    return Candidate(name, "", case.under(scheme), case.named(bounds), best.largest, best.predicted)
+
+
+def best_of_grid(case: Case, family: Family) -> Scheme:
+    """The P-type law with lead and Q-filter of least error at 95 % of the machines of a family."""
+    dt, longest = case.task.dt, max(4, min(60, case.task.N // 20))
+    steady = family.P[:, 0].real  # not the peak of a resonance
+    gains = GAINS / float(np.max(np.abs(steady))) * np.sign(steady[0])
+    leads = sorted({round(x) for x in np.geomspace(1, longest, LEADS)} | {0})
+    loops = family.loops[:: max(1, len(family.loops) // 12)]
+    laws = [
+        {"gamma_p": float(g), "gamma_d": 0.0, "lead": m, "cutoff": float(share / dt)}
+        for g in gains
+        for m in leads
+        for share in SHARES
+    ]
+    few = max(1, int(4e7 / (len(loops) * case.task.N * 8)))  # at a time, to spare memory
+    parts = [
+        rms_of(loops, family.first_error, laws[i : i + few], dt, case.trials, ORDER)
+        for i in range(0, len(laws), few)
+    ]
+    errors = np.nan_to_num(np.concatenate(parts), nan=np.inf)
+    best = laws[int(np.argmin(np.quantile(errors, 0.95, axis=1, method="higher")))]
+    law = PIDType(gamma_p=best["gamma_p"], lead=best["lead"])
+    return case.under(Filtered(law, ZeroPhaseButterworth(best["cutoff"])))
+
+
+def of_ffdl(case: Case, family: Family, p_type: Scheme, state: Path) -> Scheme:
+    """FFDL-MFAILC from the gain, lead and filter of a P-type law, with weights by gradient."""
+    filtered = p_type if case.feedback is None else p_type.learning
+    law, phi = filtered.scheme, float(family.P[0, 0].real)
+    lam = max(phi / float(law.gamma_p) - phi**2, 0.1 * phi**2)
+    cutoff = float(filtered.filter.cutoff)
+    adaptive = FFDLMFAILC(lam=lam, rho=1.0, eta=0.5, phi0=[0.0, 0.0, phi, 0.0], lead=law.lead)
+    scheme = case.under(Filtered(adaptive, ZeroPhaseButterworth(cutoff)))
+    bounds = {
+        "scheme.lam": (lam / 100, lam * 100),
+        "scheme.eta": (1e-3, 1.5),
+        "filter.cutoff": (cutoff / 4, min(4 * cutoff, 0.45 / case.task.dt)),
+    }
+    return tuning_of(case, scheme, case.named(bounds)).run(state, resume=state.exists()).scheme

@@ -1,0 +1,101 @@
+"""What every design is asked, and the steps that a design and the learning of a law share."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from ..learning.machine import Machine
+from ..pytree.ranges import require
+from ..schemes import Scheme, WithFeedback
+from ..signals.task import Task, Trial
+from ..sweeps import Sweep
+from ..sweeps.summary import summarise
+from ..uncertainty import Uncertainty
+from .candidates import Absent, Candidate, candidates
+from .judging import Verdict, judged_trials, verdict
+from .responses import Family, family_of
+
+Told = Callable[[str, Any], object]
+
+
+@dataclasses.dataclass(frozen=True)
+class Question:
+    """An uncertain machine, its task, and how a law for it is judged.
+
+    machine, task, trials, uncertainty: as for `Sweep`
+    feedback: under which the machine learns, None for none
+    metric: by which a law is judged
+    margin: least distance of |Q (1 - L P)| from 1 on every machine, in (0, 1)
+    machines: of the sweep that judges
+    quantities: further metrics of a trial by name, as for `Tuning`
+    seed: of everything drawn: families have `seed` and `seed` + 3, tunings `seed` and `seed` + 1,
+        and the machines that judge `seed` + 2
+    """
+
+    machine: Machine
+    task: Task
+    trials: int
+    uncertainty: Uncertainty
+    feedback: Scheme | None = None
+    metric: str = "settled_error"
+    margin: float = 0.05
+    machines: int = 257
+    seed: int = 0
+    quantities: Mapping[str, Callable[[Trial], Any]] = dataclasses.field(default_factory=dict)
+
+    def __post_init__(self):
+        owner = type(self).__name__
+        require(owner, "margin", self.margin, "(0, 1)")
+        for name in ("trials", "machines"):
+            require(owner, name, getattr(self, name), "[2, inf)", whole=True)
+
+    def family(self, *, after: int = 0, **options: Any) -> Family:
+        """The responses of machines drawn with the seed, or with one after it; see `family_of`."""
+        return family_of(
+            self.machine, self.feedback, self.task, self.uncertainty,
+            seed=self.seed + after, **options,
+        )  # fmt: skip
+
+    def safe(
+        self, family: Family, names: Sequence[str], told: Told
+    ) -> tuple[list[Candidate], list[Absent]]:
+        """The laws of a few weights with safe ones, and those that have none; each is told."""
+        found, absent = [], []
+        for one in candidates(
+            family, self.feedback, self.task, self.trials, self.margin, tuple(names)
+        ):
+            told("safe", one)
+            (found if isinstance(one, Candidate) else absent).append(one)
+        return found, absent
+
+    def under(self, scheme: Scheme) -> Scheme:
+        """A scheme with the feedback, if there is one."""
+        return scheme if self.feedback is None else WithFeedback(scheme, self.feedback)
+
+    def swept(
+        self,
+        laws: Sequence[Candidate],
+        store: Path,
+        *,
+        resume: bool,
+        tolerance: float | None = None,
+    ) -> list[Verdict]:
+        """The verdicts on laws by a sweep over machines that nothing else has seen."""
+        dataset = Sweep(
+            self.machine,
+            {law.name: law.scheme for law in laws},
+            self.task,
+            judged_trials(self.trials),
+            self.uncertainty,
+            machines=self.machines,
+            seed=self.seed + 2,
+            quantities=self.quantities,
+        ).run(store, resume=resume and store.exists())
+        summaries = summarise(dataset, tolerance, metric=self.metric)
+        return [
+            verdict(law, summary, self.trials, tolerance)
+            for law, summary in zip(laws, summaries, strict=True)
+        ]

@@ -1,0 +1,227 @@
+"""Interactive figures with a choice: a trial by a slider, a machine by its parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .interactive import Live, _hover, _limit, _tips, columns_of, plot, shown_in
+from .style import names_of
+from .within_trial import outputs_of
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+ROOM = 200_000  # numbers that the signals of all trials may have on a page
+TRIALS = 25  # trials that can be chosen at most
+FEWEST, MOST = 100, 600  # points of a signal
+
+CHOOSE = """
+const k = schemes.indexOf(scheme.value), c = outputs.indexOf(output.value), j = slider.value;
+const key = [k, j, c].join("_");
+shown.data = {t: all.data["t"], r: all.data["r_" + c], y: all.data["y_" + key],
+              e: all.data["e_" + key], u: all.data["u_" + [k, j].join("_")]};
+told.text = scheme.value + ", trial " + trials[j];
+"""
+PARAMETER = """
+const k = schemes.indexOf(scheme.value), p = names.indexOf(parameter.value);
+const data = Object.assign({}, shown.data);
+data["x"] = all.data["p" + p];
+data["y"] = all.data["e" + k];
+data["colour"] = all.data["c" + k];
+shown.data = data;
+axis.axis_label = parameter.value;
+told.text = scheme.value;
+bars.data = {name: bars.data["name"], share: shares.data["s" + k]};
+"""
+
+
+def trials(dataset: xr.Dataset, *, scale: float = 1.0, unit: str = "") -> Live:
+    """Output, error and input of a trial that a slider chooses, of a scheme and an output.
+
+    dataset: result of `run_schemes`
+    """
+    from bokeh.layouts import column, row
+    from bokeh.models import ColumnDataSource, CustomJS, Div, Select, Slider
+
+    schemes, count = names_of(dataset), dataset.sizes["trial"]
+    outputs = outputs_of(dataset, dataset.sizes["channel"])
+    chosen = np.arange(count)
+    if count > TRIALS:
+        chosen = np.unique(np.round(np.geomspace(1, count, TRIALS)).astype(int)) - 1
+    each = ROOM // (len(schemes) * len(chosen) * (2 * len(outputs) + 1))
+    points = int(np.clip(each, FEWEST, MOST))
+    factor, unit = shown_in(scale * np.nanmax(np.abs(dataset["e"].isel(trial=-1).values)), unit)
+    columns: dict[str, Any] = {"t": _thinned(dataset["time"].values, points, times=True)}
+    signals = {n: dataset[n].values for n in ("y", "e", "u")}
+    for c in range(len(outputs)):
+        columns[f"r_{c}"] = _thinned(dataset["r"].values[:, c], points)
+    for k in range(len(schemes)):
+        for i, j in enumerate(chosen):
+            for c in range(len(outputs)):
+                columns[f"y_{k}_{i}_{c}"] = _thinned(signals["y"][k, j, :, c], points)
+                columns[f"e_{k}_{i}_{c}"] = _thinned(
+                    factor * scale * signals["e"][k, j, :, c], points
+                )
+            u = signals["u"][k, j, :, 0]
+            columns[f"u_{k}_{i}"] = _thinned(np.append(u, u[-1]), points)
+    last = len(chosen) - 1
+    every = ColumnDataSource(columns)
+    begin = {"t": "t", "r": "r_0", "y": f"y_0_{last}_0", "e": f"e_0_{last}_0", "u": f"u_0_{last}"}
+    shown = ColumnDataSource({name: columns[of] for name, of in begin.items()})
+    slider = Slider(start=0, end=max(last, 1), value=last, step=1, title="trial", show_value=False)
+    slider.disabled = last == 0
+    scheme = Select(title="scheme", value=schemes[0], options=[*schemes], width=220)
+    output = Select(title="output", value=outputs[0], options=[*outputs], width=160)
+    told = Div(text=f"{schemes[0]}, trial {chosen[-1] + 1}", styles={"font-weight": "600"})
+    drawn = _three(dataset, shown, unit)
+    numbers = [int(j) + 1 for j in chosen]
+    react = CustomJS(
+        args={
+            "all": every, "shown": shown, "slider": slider, "scheme": scheme, "output": output,
+            "schemes": schemes, "outputs": outputs, "trials": numbers, "told": told,
+        },
+        code=CHOOSE,
+    )  # fmt: skip
+    for widget in (slider, scheme, output):
+        widget.js_on_change("value", react)
+    some = [w for w, needed in ((scheme, len(schemes) > 1), (output, len(outputs) > 1)) if needed]
+    layout = column(row(slider, *some), told, *drawn, sizing_mode="scale_width")
+    which = "each trial" if len(chosen) == count else f"{len(chosen)} of the {count} trials"
+    return Live(
+        f"Output, error and input within a trial. The slider goes through {which}; the axes of the "
+        "three figures move together.",
+        layout,
+    )
+
+
+def _three(dataset: xr.Dataset, shown: Any, unit: str) -> list[Any]:
+    """Figures of output, error and input against time, over the same source."""
+    of_y, of_u = (dataset[n].attrs.get("units", "") for n in ("y", "u"))
+    made = []
+    for name, label, lines in (
+        ("output", of_y, (("r", "#999999", 4, "reference"), ("y", "#0072b2", 1.5, "output"))),
+        ("error", unit, (("e", "#d55e00", 1.5, "error"),)),
+        ("input", of_u, (("u", "#009e73", 1.5, "input"),)),
+    ):
+        text = f"{name} [{label}]" if label else name
+        time = "time [s]" if name == "input" else ""
+        share = {"x_range": made[0].x_range} if made else {}
+        one = plot("", time, text, log=False, height=200, **share)
+        for of, colour, width, legend in lines:
+            look = {"line_width": width, "color": colour}
+            look |= {"legend_label": legend} if name == "output" else {}
+            one.line("t", of, source=shown, **look)
+        made.append(one)
+    return made
+
+
+def _thinned(values, points: int, *, times: bool = False) -> np.ndarray:
+    """(about `points`,) values of a signal: the least and the largest of each column of samples.
+
+    times: the values are times, which need no such pairs
+    """
+    values = np.asarray(values, np.float32)
+    values = np.where(np.isfinite(values), values, np.nan)
+    if len(values) <= points:
+        return values
+    starts = np.linspace(0, len(values), points // 2 + 1).astype(int)[:-1]
+    if times:
+        ends = np.append(starts[1:], len(values)) - 1
+        return np.column_stack([values[starts], values[(starts + ends) // 2]]).ravel()
+    low, high = np.fmin.reduceat(values, starts), np.fmax.reduceat(values, starts)
+    falling = values[starts] > values[np.append(starts[1:], len(values)) - 1]
+    pairs = np.where(falling[:, None], np.stack([high, low], 1), np.stack([low, high], 1))
+    return pairs.ravel().astype(np.float32)
+
+
+def machines(
+    dataset: xr.Dataset,
+    drawn: Mapping[str, Any],
+    *,
+    metric: str,
+    tolerance: float | None = None,
+    scale: float = 1.0,
+    unit: str = "",
+) -> Live | None:
+    """The last error of each machine against a parameter, and what each parameter explains.
+
+    drawn: (S,) values of the uncertain parameters, by path
+    tolerance: largest error that passes [unit of the dataset]
+    Returns None where no parameter varies.
+    """
+    from bokeh.layouts import column, row
+    from bokeh.models import ColumnDataSource, CustomJS, Div, FactorRange, Select
+
+    from ..sweeps.spread import explained_shares
+    from ..sweeps.summary import errors_of
+
+    columns = columns_of(drawn)
+    if not columns:
+        return None
+    last = scale * errors_of(dataset, metric).isel(trial=-1).values
+    factor, unit = shown_in(last, unit)
+    last, limit = factor * last, None if tolerance is None else scale * factor * tolerance
+    schemes, names = names_of(dataset), list(columns)
+    shares = [explained_shares(columns, of) for of in last]
+    best = int(np.argmin(np.median(last, axis=1)))
+    first = max(range(len(names)), key=lambda i: shares[best][names[i]])
+    known: dict[str, Any] = {f"p{i}": values for i, values in enumerate(columns.values())}
+    for k, errors in enumerate(last):
+        known[f"e{k}"], known[f"c{k}"] = _drawn_errors(errors, limit)
+    every = ColumnDataSource(known)
+    shown = ColumnDataSource(
+        known | {"x": known[f"p{first}"], "y": known[f"e{best}"], "colour": known[f"c{best}"],
+                 "machine": np.arange(last.shape[1])}
+    )  # fmt: skip
+    word = f"{metric.replace('_', ' ')} of the last trial"
+    made = plot("", names[first], f"{word} [{unit}]" if unit else word, width=560)
+    dots = made.scatter("x", "y", source=shown, color="colour", size=6, alpha=0.7)
+    tips = [("machine", "@machine"), (word, f"@y{{0.000a}} {unit}"), *_tips(columns)]
+    _hover(made, [dots], tips)
+    _limit(made, limit)
+    ordered = sorted(names, key=lambda name: shares[best][name])
+    bars = ColumnDataSource({"name": ordered, "share": [100 * shares[best][n] for n in ordered]})
+    by_scheme = ColumnDataSource(
+        {f"s{k}": [100 * of[n] for n in ordered] for k, of in enumerate(shares)}
+    )
+    beside = plot(
+        "share of the spread that it explains", "[%]", "", log=False, width=300,
+        y_range=FactorRange(factors=ordered), x_range=(0, 100),
+    )  # fmt: skip
+    beside.hbar(y="name", right="share", height=0.7, source=bars, color="#0072b2")
+    scheme = Select(title="scheme", value=schemes[best], options=[*schemes], width=220)
+    parameter = Select(title="parameter", value=names[first], options=[*names], width=260)
+    told = Div(text=schemes[best], styles={"font-weight": "600"})
+    react = CustomJS(
+        args={
+            "all": every, "shown": shown, "scheme": scheme, "parameter": parameter,
+            "schemes": schemes, "names": names, "axis": made.xaxis[0], "told": told,
+            "bars": bars, "shares": by_scheme,
+        },
+        code=PARAMETER,
+    )  # fmt: skip
+    for widget in (scheme, parameter):
+        widget.js_on_change("value", react)
+    layout = column(
+        row(scheme, parameter), told, row(made, beside, sizing_mode="scale_width"),
+        sizing_mode="scale_width",
+    )  # fmt: skip
+    return Live(
+        "Each dot is a machine: its last error against the chosen parameter. Orange dots are "
+        "beyond the tolerance; black ones, at the top, diverged. Under the pointer stand all of "
+        "its parameters. The bars say how much of the spread of the errors (of their ranks) each "
+        "parameter explains alone; what is missing to 100 % comes from several together, or noise.",
+        layout,
+    )
+
+
+def _drawn_errors(errors: np.ndarray, limit: float | None) -> tuple[np.ndarray, list[str]]:
+    """Heights and colours of machines; those that diverged stand above all others."""
+    finite = np.isfinite(errors)
+    top = 3 * np.max(errors, where=finite, initial=0.0) or 1.0
+    heights = np.where(finite, np.maximum(errors, 1e-12 * top), top)
+    colours = np.where(heights <= (np.inf if limit is None else limit), "#0072b2", "#d55e00")
+    return heights, np.where(finite, colours, "#000000").tolist()

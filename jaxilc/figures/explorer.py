@@ -1,0 +1,195 @@
+"""The page of an exploration: sliders, and figures that follow them; for a server or a notebook."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .exploration import Control, Exploration, Outcome
+from .interactive import plot, shown_in
+from .style import COLOURS
+
+if TYPE_CHECKING:
+    from ..scenarios import Scenario
+
+POINTS = 1200  # of a signal
+
+
+class Explorer:
+    """The widgets and figures of one reader, beside the computation that all readers share.
+
+    exploration: what is computed
+    folder: where `save` writes `params.json`
+    """
+
+    def __init__(self, exploration: Exploration, folder: Path):
+        from bokeh.models import Button, ColumnDataSource, Div, Slider
+
+        self.of, self.folder = exploration, folder
+        self.sliders = {control.path: _slider(control) for control in exploration.controls}
+        self.spread = None
+        if exploration.spread is not None:
+            self.spread = Slider(
+                title="spread of the machines [%]", start=1.0, end=60.0, step=0.5,
+                value=min(max(100 * exploration.spread, 1.0), 60.0),
+            )  # fmt: skip
+        self.errors = ColumnDataSource({n: [] for n in ("j", "nominal", "low", "high", "worst")})
+        self.signals = ColumnDataSource({n: [] for n in ("t", "r", "y", "e")})
+        self.size = ColumnDataSource({"f": [], "size": []})
+        self.told, self.line = Div(text=""), Div(text="")
+        self.button = Button(label="save as parameter file", width=200)
+        self.button.on_click(self._save)
+        first = exploration.outcome({})
+        s = exploration.scenario
+        self.unit = s.shown(s.judged_by)[1]
+        self.factor, self.unit_of_e = shown_in(np.nanmax(np.abs(first.e)), s.shown_unit)
+        self.figures = self._figures(first)
+        self._show(first)
+        for widget in [*self.sliders.values(), *([self.spread] if self.spread else [])]:
+            widget.on_change("value", lambda attr, old, new: self._move())
+
+    def values(self) -> dict[str, float]:
+        """The values by path that the sliders have."""
+        logs = {control.path: control.log for control in self.of.controls}
+        return {
+            path: 10.0**slider.value if logs[path] else slider.value
+            for path, slider in self.sliders.items()
+        }
+
+    def spread_asked(self) -> float | None:
+        """The spread of the slider; None where it was not moved, or there is none."""
+        if self.spread is None or self.of.spread is None:
+            return None
+        asked = self.spread.value / 100
+        return None if math.isclose(asked, self.of.spread, abs_tol=2e-3) else asked
+
+    def layout(self) -> Any:
+        """All of the page."""
+        from bokeh.layouts import column, row
+        from bokeh.models import Div
+
+        title = Div(text=f"<h2>{_escaped(self.of.scenario.title)}: {_escaped(self.of.name)}</h2>")
+        sliders = [*self.sliders.values(), *([self.spread] if self.spread else [])]
+        beside = column(*sliders, self.button, self.line, self.told, width=320)
+        shown = column(*self.figures, sizing_mode="stretch_width")
+        return column(title, row(beside, shown, sizing_mode="stretch_width"),
+                      sizing_mode="stretch_width")  # fmt: skip
+
+    def _move(self) -> None:
+        try:
+            self._show(self.of.outcome(self.values(), self.spread_asked()))
+        except ValueError as error:
+            self.told.text = _escaped(str(error))
+
+    def _save(self) -> None:
+        path = self.of.save(self.values(), self.folder / "params.json")
+        self.told.text = f"written: {_escaped(str(path))}, for --params"
+
+    def _show(self, found: Outcome) -> None:
+        """Give the figures their data, and the text its numbers."""
+        errors = np.where(found.errors > 0, found.errors, np.nan)
+        low, high = np.quantile(errors, (0.05, 0.95), axis=0, method="inverted_cdf")
+        finite = {
+            "nominal": errors[0], "low": low, "high": high, "worst": np.max(errors, axis=0),
+        }  # fmt: skip
+        top = 1e3 * np.nanmax(np.where(np.isfinite(errors[:, 0]), errors[:, 0], np.nan), initial=0)
+        shown = {n: np.where(np.isfinite(v) & (v < top), v, np.nan) for n, v in finite.items()}
+        shown["high"] = np.fmin(np.where(np.isnan(high), top, high), top)
+        self.errors.data = {"j": np.arange(1, errors.shape[1] + 1)} | shown
+        every = max(len(found.y) // POINTS, 1)
+        time = np.asarray(self.of.scenario.task.time)[::every]
+        self.signals.data = {
+            "t": time, "r": found.r[::every], "y": found.y[::every],
+            "e": self.factor * found.e[::every],
+        }  # fmt: skip
+        self.size.data = {"f": found.f, "size": found.size}
+        last, worst = found.errors[0, -1], np.max(found.errors[:, -1])
+        largest = float(np.max(found.size)) if len(found.size) else None
+        said = [f"last trial: {last:.4g} {self.unit}; worst of {len(errors)}: {worst:.4g}"]
+        if largest is not None:
+            safe = "monotone at all frequencies" if largest < 1 else "not safe"
+            said.append(f"largest |Q (1 − L P)|: {largest:.4g}, {safe}")
+        self.told.text = "<br/>".join(map(_escaped, said))
+        self.line.text = (
+            f"<code>{_escaped(self.of.command(self.values(), self.spread_asked()))}</code>"
+        )
+
+    def _figures(self, first: Outcome) -> list[Any]:
+        """The figures of errors by trial, of the last trial, and over frequency."""
+        s = self.of.scenario
+        word = s.judged_by.replace("_", " ")
+        errors = plot("", "trial", f"{word} [{self.unit}]" if self.unit else word, height=260)
+        errors.varea("j", "low", "high", source=self.errors, fill_alpha=0.2, color=COLOURS[0],
+                     legend_label="5 to 95 % of the machines")  # fmt: skip
+        errors.line("j", "nominal", source=self.errors, line_width=2, color=COLOURS[0],
+                    legend_label="nominal machine")  # fmt: skip
+        errors.line("j", "worst", source=self.errors, line_dash="dotted", color=COLOURS[1],
+                    legend_label="worst machine")  # fmt: skip
+        errors.legend.location, errors.legend.label_text_font_size = "top_right", "8pt"
+        unit = s.task.unit
+        output = f"output [{unit}]" if unit else "output"
+        track = plot("last trial of the nominal machine", "", output, log=False, height=180)
+        track.line("t", "r", source=self.signals, line_width=4, color="#999999")
+        track.line("t", "y", source=self.signals, line_width=1.5, color=COLOURS[0])
+        error = plot("", "time [s]", f"error [{self.unit_of_e}]" if self.unit_of_e else "error",
+                     log=False, height=180, x_range=track.x_range)  # fmt: skip
+        error.line("t", "e", source=self.signals, color=COLOURS[1])
+        if not len(first.size):
+            return [errors, track, error]
+        from bokeh.models import Span
+
+        size = plot("", "frequency [Hz]", "|Q (1 − L P)|", log=False, height=220,
+                    x_axis_type="log", y_range=(0, 2))  # fmt: skip
+        size.line("f", "size", source=self.size, line_width=2, color=COLOURS[2])
+        size.add_layout(Span(location=1.0, dimension="width", line_color="black"))
+        return [errors, track, error, size]
+
+
+def explore(
+    scenario: Scenario, scheme: str | None = None, *, folder: str | Path = "out/explore", **options
+) -> Any:
+    """An application of Bokeh with sliders for the weights of a scheme.
+
+    In a notebook, `bokeh.io.output_notebook()` and `bokeh.io.show(explore(scenario))` show it.
+
+    scenario: what is simulated
+    scheme: name of the scheme; None for the first one that learns
+    folder: where a parameter file is saved
+    options: further arguments of `Exploration`
+    Returns a function of a document of Bokeh, which `bokeh.io.show` and servers take.
+    """
+    shared = Exploration(scenario, scheme, **options)
+    shared.outcome({})  # compiled once, before anyone waits for it
+
+    def application(document: Any) -> None:
+        document.title = f"jaxilc: {scenario.name}"
+        document.add_root(Explorer(shared, Path(folder)).layout())
+
+    return application
+
+
+def _slider(control: Control) -> Any:
+    """A slider; one that is logarithmic has the power of ten as its value."""
+    from bokeh.models import CustomJSTickFormatter, Slider
+
+    if control.whole:
+        return Slider(
+            title=control.path, start=control.low, end=control.high, step=1, value=control.value
+        )
+    low, high, value = (
+        (math.log10(x) if control.log else x) for x in (control.low, control.high, control.value)
+    )
+    power = CustomJSTickFormatter(code="return (10 ** tick).toPrecision(3)")
+    return Slider(
+        title=control.path, start=low, end=high, value=value, step=(high - low) / 400,
+        format=power if control.log else "0[.]000",
+    )  # fmt: skip
+
+
+def _escaped(text: str) -> str:
+    from html import escape
+
+    return escape(text)

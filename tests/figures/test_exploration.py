@@ -1,0 +1,121 @@
+"""What a page of sliders computes is what the commands compute; its server keeps to itself."""
+
+import socket
+import threading
+import urllib.request
+
+import jax
+import numpy as np
+import pytest
+
+from jaxilc import Machine, Task, learn
+from jaxilc.figures.exploration import Exploration, _computed
+from jaxilc.filters.zero_phase import ZeroPhaseButterworth
+from jaxilc.plants import StateSpace
+from jaxilc.scenarios import Scenario
+from jaxilc.scenarios.parameters import with_parameters
+from jaxilc.schemes import Filtered, PIDType
+from jaxilc.uncertainty import Uniform, draw, drawn_machine
+
+DT, N, TRIALS = 1e-3, 60, 5
+
+
+@pytest.fixture(scope="module")
+def explored() -> Exploration:
+    plant = StateSpace([[0.9]], [[0.1]], [[1.0]], dt=DT)
+    task = Task(np.sin(np.linspace(0, 2 * np.pi, N + 1)), dt=DT, unit="mm")
+    ilc = Filtered(PIDType(gamma_p=0.8, lead=2), ZeroPhaseButterworth(cutoff=100.0, order=2))
+    return Exploration(
+        Scenario(
+            "axis", "an axis", Machine(plant), task, {"ilc": ilc}, TRIALS,
+            {"plant.B": Uniform(0.9, 1.1, relative=True)}, shown_scale=1e3, shown_unit="µm",
+            judged_by="rms",
+        ),
+        machines=4, source="axis.toml",
+    )  # fmt: skip
+
+
+def test_a_slider_gives_what_learning_gives(explored):
+    """The errors of each machine are those of `learn` on this machine alone."""
+    found = explored.outcome({"scheme.gamma_p": 0.5}, 0.2)
+    s, law = explored.scenario, explored.scheme_with({"scheme.gamma_p": 0.5})
+    wide = {"plant.B": Uniform(0.8, 1.2, relative=True)}
+    drawn = draw(s.machine, wide, 4, sampling="sobol")
+    for i in (0, 3):
+        machine = drawn_machine(s.machine, wide, {"plant.B": drawn["plant.B"][i]})
+        alone = learn(machine, law, s.task, TRIALS)
+        np.testing.assert_allclose(found.errors[i], 1e3 * np.asarray(alone.rms)[:, 0], rtol=1e-9)
+    np.testing.assert_allclose(found.e, 1e3 * (found.r - found.y))
+    # Q and L in closed form: a lead of 2 and the one sample of the plant's own delay
+    z = np.exp(2j * np.pi * found.f * DT)
+    P = 0.1 / (z - 0.9)
+    low = found.f < 20.0  # where Q is 1
+    np.testing.assert_allclose(found.size[low], np.abs(1 - 0.5 * z**3 * P)[low], atol=2e-3)
+
+
+def test_moving_a_weight_compiles_nothing(explored):
+    explored.outcome({"scheme.gamma_p": 0.4}, 0.15)
+    before = _computed._cache_size()
+    for gain, cutoff, spread in ((0.3, 50.0, 0.1), (0.7, 80.0, 0.3)):
+        explored.outcome({"scheme.gamma_p": gain, "filter.cutoff": cutoff}, spread)
+    assert _computed._cache_size() == before
+    with pytest.raises(ValueError, match="gamma_p"):
+        explored.outcome({"scheme.gamma_p": float("nan")})
+
+
+def test_what_was_found_can_be_shared(explored, tmp_path):
+    values = {control.path: control.value for control in explored.controls}
+    assert {"scheme.gamma_p", "scheme.lead", "filter.cutoff"} <= set(values)
+    assert explored.changed(values) == {}
+    values["scheme.gamma_p"], values["scheme.lead"] = 0.25, 3
+    assert explored.command(values, 0.2) == (
+        "jaxilc sweep axis.toml --scheme ilc --set ilc.scheme.gamma_p=0.25 "
+        "--set ilc.scheme.lead=3 --spread 0.2"
+    )
+    path = explored.save(values, tmp_path / "new" / "params.json")
+    law = with_parameters(explored.scenario, path).schemes["ilc"]
+    assert jax.tree.all(jax.tree.map(np.array_equal, law, explored.scheme_with(values)))
+
+
+def test_the_page_is_served_on_this_computer_and_loads_nothing_else(explored, tmp_path):
+    """The page, asked for over HTTP, names no other site; another address is not listened on."""
+    pytest.importorskip("bokeh")
+    from bokeh.application import Application
+    from bokeh.application.handlers.function import FunctionHandler
+    from bokeh.server.server import Server
+    from tornado.ioloop import IOLoop
+
+    from jaxilc.cli.explore import LOOPBACK
+    from jaxilc.figures.explorer import Explorer
+
+    def application(document):
+        document.add_root(Explorer(explored, tmp_path).layout())
+
+    found = {}
+
+    def serve():
+        loop = IOLoop(make_current=True)
+        server = Server(
+            {"/": Application(FunctionHandler(application))},
+            address=LOOPBACK, port=0, io_loop=loop,
+        )  # fmt: skip
+        server.start()
+        found.update(loop=loop, port=server.port)
+        ready.set()
+        loop.start()
+        server.unlisten()
+        server.stop()
+
+    ready = threading.Event()
+    thread = threading.Thread(target=serve)
+    thread.start()
+    assert ready.wait(30)
+    try:
+        with urllib.request.urlopen(f"http://{LOOPBACK}:{found['port']}/", timeout=60) as page:
+            text = page.read().decode()
+    finally:
+        found["loop"].add_callback(found["loop"].stop)
+        thread.join()
+    assert "https://" not in text.replace("https://github.com", "")
+    assert text.count("<script") >= 2
+    assert socket.inet_aton(LOOPBACK)[0] == 127
