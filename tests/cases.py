@@ -341,7 +341,7 @@ SCHEMES = {
     ),
     # Units that make each parameter near 1: a reference moves 300 per second, 1e5 per second^2.
     "basis_functions": BasisFunctions(
-        PolynomialBasis((0, 1, 2), coulomb=90.0, lead=4e-4),
+        PolynomialBasis((0, 2), coulomb=90.0, lead=4e-4),
         StateSpace(
             [[0.94, 0.03], [0.01, 0.9]],
             [[0.06, 0.01], [-0.02, 0.07]],

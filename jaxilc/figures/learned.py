@@ -65,7 +65,7 @@ def _show_taps(ax, taps, middle: int, dt: float, name: str) -> None:
     ax.axvline(0.0, color="k", linewidth=0.8)
     ax.set(xlabel="looks ahead by [ms]", title=f"{p} taps of {name}")
     if taps[:, 0].size > 1:
-        ax.legend(fontsize="small")
+        ax.legend(fontsize="small", loc="upper right")
 
 
 def _show_L(ax, f, L, keep, P, unit: str) -> None:

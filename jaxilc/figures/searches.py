@@ -64,7 +64,8 @@ def worst_against_chance(
 ) -> Axes:
     """A search for the worst machine: the metric of drawn machines and the result of each search.
 
-    The curve shows which share of the drawn machines errs no more than so much. The nominal machine
+    The curve shows which share of the drawn machines errs no more than so much; it ends below 100 %
+    where some are not finite. The nominal machine
     is where the curve begins, or it is marked; each search is a line at the error that it found.
 
     drawn: (S,) the metric of the machines drawn at random
@@ -73,9 +74,9 @@ def worst_against_chance(
     metric, unit: name and unit of the metric
     """
     ax = new_axes(ax)
-    drawn = np.sort(np.asarray(drawn)[np.isfinite(drawn)])
-    share = 100 * np.arange(1, len(drawn) + 1) / max(len(np.ravel(drawn)), 1)
-    label = f"{len(drawn)} machines drawn: share that errs less"
+    count, drawn = np.size(drawn), np.sort(np.asarray(drawn)[np.isfinite(drawn)])
+    share = 100 * np.arange(1, len(drawn) + 1) / max(count, 1)
+    label = f"{count} machines drawn: share that errs less"
     ax.plot(drawn, share, color="0.45", drawstyle="steps-post", linewidth=1.4, label=label)
     ax.fill_between(drawn, share, step="post", color="0.45", alpha=0.12, linewidth=0)
     marked = {"nominal machine": (nominal, "k", ":")}

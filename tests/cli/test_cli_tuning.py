@@ -670,5 +670,6 @@ def test_figures_show_the_numbers_they_are_given():
     axes = figures.worst_against_chance(
         [1.0, 2.0, 2.5, np.inf, 30.0], {"gradient": 40.0}, nominal=1.5, unit="µm"
     )
-    assert sum(bar.get_height() for bar in axes.patches) == 4
-    assert [line.get_xdata()[0] for line in axes.lines] == [1.5, 40.0]
+    drawn, *marked = axes.lines
+    np.testing.assert_allclose(drawn.get_xydata(), [[1, 20], [2, 40], [2.5, 60], [30, 80]])
+    assert [line.get_xdata()[0] for line in marked] == [1.5, 40.0]

@@ -66,6 +66,7 @@ CONTRACTING = (
     "p_type_on_reference",
     "p_type_butterworth",
     "error_filtered",
+    "cross_coupled",
     "higher_order",
     "p_type_ladder",
 )
