@@ -9,7 +9,7 @@ import typer
 
 from .campaign_options import Folder, Plot
 from .console import err, out
-from .options import MACHINE, Json
+from .options import MACHINE, FigureFormat, Json
 from .results import written
 from .titled_table import Table
 
@@ -33,6 +33,7 @@ def trials(
     state: Folder,
     table: Annotated[Path | None, typer.Option("--csv", help="Write the log to this file.")] = None,
     plot: Plot = None,
+    figures: FigureFormat = None,
     json_file: Json = None,
 ) -> None:
     """The log of a campaign: every trial with its metrics, undone ones included.
@@ -56,8 +57,8 @@ def trials(
     if table is not None:
         files.append(write_log(table, rows))
     if plot is not None:
-        save_figure(plot, _opened(state) if live else None, rows, live, prediction, units(journal))
-        files.append(plot)
+        now = _opened(state) if live else None
+        files.append(save_figure(plot, now, rows, live, prediction, units(journal)))
     for line in said:
         out.print(line, highlight=False, soft_wrap=True)
     if changed:
@@ -117,8 +118,8 @@ def save_figure(
     live: list[dict[str, Any]],
     prediction: Prediction | None,
     units: tuple[str, str] = ("", ""),
-) -> None:
-    """Write the figure of a campaign.
+) -> Path:
+    """Write the figure of a campaign, and return its file.
 
     now: the campaign; None: the figure then shows no trial in time
     live: manifests that count
@@ -138,7 +139,7 @@ def save_figure(
             )
     bands = None if prediction is None or not live else bands_by_trial(live, prediction)
     axes = campaign_figure(rows, unit=unit, input_unit=input_unit, bands=bands, last=last)
-    figures.save(axes, path)
+    return figures.save(axes, path)
 
 
 def source_numbers(recipe: dict[str, Any]) -> dict[str, Any]:

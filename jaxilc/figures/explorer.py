@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .exploration import Control, Exploration, Outcome
-from .interactive import plot, shown_in
+from .live_axes import plot, shown_in
 from .style import COLOURS
 
 if TYPE_CHECKING:
