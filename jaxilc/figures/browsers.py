@@ -76,9 +76,9 @@ def trials(dataset: xr.Dataset, *, scale: float = 1.0, unit: str = "") -> Live:
     slider.disabled = last == 0
     scheme = Select(title="scheme", value=schemes[0], options=[*schemes], width=220)
     output = Select(title="output", value=outputs[0], options=[*outputs], width=160)
-    told = Div(text=f"{schemes[0]}, trial {chosen[-1] + 1}", styles={"font-weight": "600"})
+    numbers = dataset["trial"].values[chosen].tolist()
+    told = Div(text=f"{schemes[0]}, trial {numbers[-1]}", styles={"font-weight": "600"})
     drawn = _three(dataset, shown, unit)
-    numbers = [int(j) + 1 for j in chosen]
     react = CustomJS(
         args={
             "all": every, "shown": shown, "slider": slider, "scheme": scheme, "output": output,
@@ -192,7 +192,8 @@ def machines(
         "share of the spread that it explains", "[%]", "", log=False, width=300,
         y_range=FactorRange(factors=ordered), x_range=(0, 100),
     )  # fmt: skip
-    beside.hbar(y="name", right="share", height=0.7, source=bars, color="#0072b2")
+    thick = min(0.7, 0.12 * len(names))
+    beside.hbar(y="name", right="share", height=thick, source=bars, color="#0072b2")
     scheme = Select(title="scheme", value=schemes[best], options=[*schemes], width=220)
     parameter = Select(title="parameter", value=names[first], options=[*names], width=260)
     told = Div(text=schemes[best], styles={"font-weight": "600"})

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from ..theory import Certificate
 
 # Colours of what is claimed: monotone, converges, diverges, not claimed.
-HUES = (COLOURS[0], COLOURS[2], COLOURS[1], "0.6")
+HUES = (COLOURS[0], COLOURS[2], COLOURS[1], "0.45")
 SAID = {"monotone": "claimed monotone", "converges": "claimed to converge",
         "diverges": "claimed to diverge", "not claimed": "nothing claimed"}  # fmt: skip
 

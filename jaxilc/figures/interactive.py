@@ -144,7 +144,7 @@ def certified(
                 **{f"p{i}": values[chosen] for i, values in enumerate(columns.values())},
             }
         )
-        colour = "#999999" if hue.startswith("0.") else hue
+        colour = "#737373" if hue.startswith("0.") else hue
         look = {"color": colour, "line_width": 1.5, "line_alpha": 0.6, "hover_line_width": 4}
         lines.append(
             made.multi_line("xs", "ys", source=source, legend_label=SAID.get(claim, claim), **look)

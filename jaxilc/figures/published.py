@@ -93,7 +93,7 @@ def printed_and_ours(
 
 def label_of(row: Mapping[str, Any]) -> str:
     """The name of a row: scheme, trial, quantity with unit, and the options that differ."""
-    at = f" {row['trial']}" if row["trial"] else ""
+    at = f", trial {row['trial']}" if row["trial"] else ""
     unit = f" [{row['unit']}]" if row["unit"] else ""
     options = "".join(
         f", {value:g} Hz" if name == "frequency" else f", {name} {value}"

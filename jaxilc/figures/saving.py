@@ -7,13 +7,16 @@ from typing import Any
 
 import numpy as np
 from matplotlib.colors import to_hex, to_rgba, to_rgba_array
+from matplotlib.text import Text
 
 from ..storage.figure_format import chosen
 from ..storage.files import atomically
+from .style import readable
 
 GROUND, INK = "#14171c", "#e8e6e3"  # of a dark figure
 GREY = 0.12  # spread of red, green and blue up to which a colour counts as a grey
-LIGHTER = {"#0072b2": "#4aa8e8"}  # colours too dark for a dark ground
+# Colours too dark for a dark ground, and the one that they would then be mistaken for.
+LIGHTER = {"#0072b2": "#3d9be0", "#56b4e9": "#b8e2f8"}
 
 
 def save(axes, path: str | Path, *, dark: bool | None = None) -> Path:
@@ -43,6 +46,8 @@ def darken(figure) -> None:
             get, set_ = (getattr(artist, f"{way}_{name}", None) for way in ("get", "set"))
             if get is not None and set_ is not None and not hasattr(artist, "get_cmap"):
                 _change(get, set_)
+        if isinstance(artist, Text):
+            artist.set_color(readable(artist.get_color(), GROUND))
         box = getattr(artist, "get_bbox_patch", lambda: None)()
         if box is not None:
             box.set_facecolor(GROUND)
