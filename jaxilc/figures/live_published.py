@@ -15,7 +15,9 @@ from .style import COLOURS
 TALLEST, ROW = 900, 19  # of the figure and of a row [pixel]
 
 CHOOSE = """
-const found = sources.data[select.value];
+const kept = [...all.data["paper"].keys()].filter((i) => all.data["paper"][i] === select.value);
+const found = {};
+for (const name of Object.keys(shown.data)) found[name] = kept.map((i) => all.data[name][i]);
 shown.data = found;
 rows.factors = found["row"].slice().reverse();
 figure.height = Math.min(tallest, 120 + each * found["row"].length);
@@ -60,7 +62,7 @@ def printed_and_ours(numbers: Sequence[Mapping[str, Any]]) -> Live:
         return Live(_SAID, made)
     select = Select(title="paper", value=first, options=[*papers], width=220)
     code = CustomJS(
-        args={"sources": _held(papers), "select": select, "shown": shown, "rows": rows,
+        args={"all": _all(papers), "select": select, "shown": shown, "rows": rows,
               "figure": made, "tallest": TALLEST, "each": ROW},
         code=CHOOSE,
     )  # fmt: skip
@@ -76,11 +78,15 @@ _SAID = (
 )
 
 
-def _held(papers: Mapping[str, Mapping[str, Any]]) -> Any:
-    """The columns of all papers, as a model that the browser has."""
+def _all(papers: Mapping[str, Mapping[str, Any]]) -> Any:
+    """The rows of all papers, with the paper of each."""
     from bokeh.models import ColumnDataSource
 
-    return ColumnDataSource({name: [columns] for name, columns in papers.items()})
+    columns: dict[str, Any] = {
+        name: [value for of in papers.values() for value in of[name]]
+        for name in next(iter(papers.values()))
+    }
+    return ColumnDataSource(columns | {"paper": [p for p, of in papers.items() for _ in of["row"]]})
 
 
 def _height(columns: Mapping[str, Any]) -> int:
