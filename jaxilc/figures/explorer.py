@@ -63,7 +63,7 @@ class Explorer:
         """The values by path that the sliders have."""
         logs = {control.path: control.log for control in self.of.controls}
         return {
-            path: 10.0**slider.value if logs[path] else slider.value
+            path: 10.0 ** _held(slider) if logs[path] else _held(slider)
             for path, slider in self.sliders.items()
         }
 
@@ -71,7 +71,7 @@ class Explorer:
         """The spread of the slider; None where it was not moved, or there is none."""
         if self.spread is None or self.of.spread is None:
             return None
-        asked = self.spread.value / 100
+        asked = _held(self.spread) / 100
         return None if math.isclose(asked, self.of.spread, abs_tol=2e-3) else asked
 
     def layout(self) -> Any:
@@ -172,9 +172,12 @@ class Explorer:
         """The numbers, and the command line that leads to them."""
         last, worst = found.errors[0, -1], np.max(found.errors[:, -1])
         largest = float(np.max(found.size)) if len(found.size) else None
-        said = [f"last trial: {last:.4g} {self.unit}".rstrip()]
+        size = [
+            f"{x:.4g} {self.unit}".rstrip() if x < np.inf else "diverged" for x in (last, worst)
+        ]
+        said = [f"last trial: {size[0]}"]
         if len(found.errors) > 1:
-            said[0] += f"; worst of {len(found.errors)}: {worst:.4g}"
+            said[0] += f"; worst of {len(found.errors)}: {size[1]}"
         if largest is not None:
             safe = "monotone at all frequencies" if largest < 1 else "not safe"
             said.append(f"largest |Q (1 − L P)|: {largest:.4g}, {safe}")
@@ -254,6 +257,11 @@ def _slider(control: Control) -> Any:
         title=control.path, start=low, end=high, value=value, step=(high - low) / 400,
         format=power if control.log else "0[.]000",
     )  # fmt: skip
+
+
+def _held(slider: Any) -> float:
+    """The value of a slider within its ends, whatever a browser sends."""
+    return float(min(max(slider.value, slider.start), slider.end))
 
 
 def _escaped(text: str) -> str:
