@@ -16,6 +16,7 @@ from .style import limits_of
 from .units import power_of, prefixed
 
 WIDTH, HEIGHT = 860, 360  # of a figure [pixel]
+COUNTED = ("trial", "number of trials")  # labels of axes that have whole numbers
 DASHED = ("solid", "dashed", "dashdot", "dotted")  # lines, so that colours are not needed
 
 NUMBER = """
@@ -80,7 +81,7 @@ def shown_in(values, unit: str) -> tuple[float, str]:
 
 def plot(title: str, x: str, y: str, *, log: bool = True, **options: Any) -> Any:
     """An empty figure of the common size, with labelled axes."""
-    from bokeh.models import CustomJSTicker, CustomJSTickFormatter, LinearAxis, LogAxis
+    from bokeh.models import BasicTicker, CustomJSTicker, CustomJSTickFormatter, LinearAxis, LogAxis
     from bokeh.plotting import figure
 
     size: dict[str, Any] = {
@@ -104,6 +105,8 @@ def plot(title: str, x: str, y: str, *, log: bool = True, **options: Any) -> Any
             axis.ticker = CustomJSTicker(major_code=MAJOR, minor_code=MINOR)
         if isinstance(axis, LogAxis | LinearAxis):
             axis.formatter = CustomJSTickFormatter(code=NUMBER)
+    if x in COUNTED:
+        axes[0].ticker = BasicTicker(min_interval=1, num_minor_ticks=0)
     return made
 
 
