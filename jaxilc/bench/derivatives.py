@@ -116,11 +116,11 @@ class Learning:
             ceiling=CEILING,
             quantities=self.quantities,
         )
-        if usual_lanes() is None:
-            lanes = losses.fitting_lanes(self.objective, len(self.batch[0]))
-            losses = dataclasses.replace(
-                losses, machines=dataclasses.replace(self.machines, lanes=lanes)
-            )
+        lanes = usual_lanes(bytes_of_trial(self.scheme, self.task), gradient=True)
+        lanes = lanes or losses.fitting_lanes(self.objective, len(self.batch[0]))
+        losses = dataclasses.replace(
+            losses, machines=dataclasses.replace(self.machines, lanes=lanes)
+        )
         evaluate = losses.evaluation(self.objective, self.batch, SEED, clip=np.inf)
         return _built(jax.vmap(evaluate), weights.starts(1, 0.0, SEED))
 

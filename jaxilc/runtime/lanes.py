@@ -26,7 +26,8 @@ from . import capacity
 LANES = {"cpu": 16}  # by backend, measured
 # Bytes of the cache of a core that a tile should fit into, by backend. Where 16 machines do not fit
 # and 8 do, 8 are faster: FFDL-MFAILC of 2000 samples took 1.3 to 1.5 times as long with 16. Where
-# neither fits, 16 are not slower in most schemes, and 4 machines are slower than 8 everywhere.
+# neither fits, some schemes are slower with 8; gradients are not, they take 0.8 to 0.9 of the time.
+# 4 machines are slower than 8 everywhere.
 CACHE = {"cpu": 2 * 2**20}
 # Samples in each pass of the loop over samples, by backend. Measured on a CPU, where more are
 # slower. Other backends were not measured and also take 1.
@@ -36,17 +37,18 @@ SHARE = 0.75  # of the memory of a device that may be planned for a tile
 PROBE = 1024  # largest number of machines in the program whose memory is measured
 
 
-def usual_lanes(of_a_machine: float = 0.0) -> int | None:
+def usual_lanes(of_a_machine: float = 0.0, *, gradient: bool = False) -> int | None:
     """The number of machines to vectorise at a time that is best for the backend; starts JAX.
 
     of_a_machine: bytes that each pass of the loop over trials reads and writes of a machine
+    gradient: whether derivatives are computed
     None for a backend on which it follows from the memory of a device, see `fitting_lanes`.
     """
     backend = jax.default_backend()
     lanes, cache = LANES.get(backend), CACHE.get(backend, math.inf)
-    if lanes is not None and lanes // 2 * of_a_machine <= cache < lanes * of_a_machine:
-        return lanes // 2
-    return lanes
+    if lanes is None or lanes * of_a_machine <= cache:
+        return lanes
+    return lanes // 2 if gradient or lanes // 2 * of_a_machine <= cache else lanes
 
 
 def usual_unroll() -> int:

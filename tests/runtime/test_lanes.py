@@ -133,6 +133,7 @@ def test_half_a_tile_is_taken_where_only_that_fits_into_the_cache(samples, expec
     size = bytes_of_trial(PIDType(0.1), task)
     assert size == 4 * 8 * samples  # memory, schedule, y and u
     assert usual_lanes(size) == expected
+    assert usual_lanes(size, gradient=True) == (16 if samples == 4096 else 8)
     plan = dataclasses.replace(PLAN, schemes={"p-type": PIDType(0.1)}, task=task, lanes=None)
     assert plan.lanes == expected
 
