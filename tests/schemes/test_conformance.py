@@ -135,14 +135,14 @@ def test_gradient_of_every_parameter_equals_finite_differences(run):
 
 
 def test_other_weights_do_not_retrace(run):
-    before = over_trials._program(over_trials._nothing)._cache_size()
+    before = over_trials._program(over_trials._nothing, 1)._cache_size()
     for turn in range(10):
         moved = {
             name: np.asarray(value) * (1 - 0.001 * turn)
             for name, value in named_leaves(run.parts).items()
         }
         of(replaced(run.parts, moved), run.task)
-    assert over_trials._program(over_trials._nothing)._cache_size() == before
+    assert over_trials._program(over_trials._nothing, 1)._cache_size() == before
 
 
 def test_dtype_is_preserved(run):
