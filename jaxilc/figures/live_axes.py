@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
+from html import escape
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -126,9 +127,18 @@ def hover(made: Any, renderers: list[Any], rows: list[tuple[str, str]]) -> None:
     from bokeh.models import HoverTool
 
     columns = {name for _, value in rows for name in re.findall(r"(@\w+)\{g\}", value)}
-    shown: Any = [(name, value.replace("{g}", "{%.4g}")) for name, value in rows]
+    shown = "".join(
+        f'<div><span style="color: #555">{_literal(name)}:</span> '
+        f"{value.replace('{g}', '{%.4g}')}</div>"
+        for name, value in rows
+    )
     told: Any = dict.fromkeys(columns, "printf")
     made.add_tools(HoverTool(renderers=renderers, tooltips=shown, formatters=told))
+
+
+def _literal(text: str) -> str:
+    """A text for a tooltip, in which nothing stands for a column or for a tag."""
+    return escape(text).replace("@", "&#64;").replace("$", "&#36;")
 
 
 def within(made: Any, values: Iterable[float]) -> None:

@@ -30,7 +30,7 @@ def test_each_row_has_its_printed_number_ours_and_their_ratio():
     ratios = [line.get_xydata() for line in right.lines if line.get_marker() != "None"]
     np.testing.assert_array_equal(np.vstack(ratios), [[1.25, 0], [3, 1], [10, 2], [0.1, 3]])
     labels = left.get_yticklabels()
-    assert [label.get_text() for label in labels] == ["law 5, rms [µm], 0.5 Hz"] * 4
+    assert [label.get_text() for label in labels] == ["law, trial 5, rms [µm], 0.5 Hz"] * 4
     assert [label.get_style() for label in labels] == ["italic", *["normal"] * 3]
     assert left.get_ylim()[0] > left.get_ylim()[1], "the first row is on top"
 
