@@ -127,11 +127,12 @@ def hover(made: Any, renderers: list[Any], rows: list[tuple[str, str]]) -> None:
     from bokeh.models import HoverTool
 
     columns = {name for _, value in rows for name in re.findall(r"(@\w+)\{g\}", value)}
-    shown = "".join(
+    lines = "".join(
         f'<div><span style="color: #555">{_literal(name)}:</span> '
         f"{value.replace('{g}', '{%.4g}')}</div>"
         for name, value in rows
     )
+    shown = f'<div style="max-width: 28em; white-space: normal">{lines}</div>'
     told: Any = dict.fromkeys(columns, "printf")
     made.add_tools(HoverTool(renderers=renderers, tooltips=shown, formatters=told))
 

@@ -108,8 +108,8 @@ def _columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "row": names,
         "ratio": drawn.tolist(),
         "exact": np.nan_to_num(ratio, nan=0.0, posinf=np.finfo(float).max).tolist(),
-        "printed": [f"{'< ' * row['at_most']}{row['value']:g} {row['unit']}" for row in rows],
-        "ours": [f"{row['ours']:.4g} {row['unit']}" for row in rows],
+        "printed": [f"{'< ' * row['at_most']}{_number(row, 'value')}" for row in rows],
+        "ours": [_number(row, "ours") for row in rows],
         "verdict": [row["verdict"] for row in rows],
         "colour": [colour for colour, _ in looks],
         "mark": [marks[mark] for _, mark in looks],
@@ -117,3 +117,9 @@ def _columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "reading": [row["reading"] for row in rows],
         "reason": [row["reason"] or "–" for row in rows],
     }
+
+
+def _number(row: Mapping[str, Any], which: str) -> str:
+    """A number with its unit; with all digits beside one of other software."""
+    digits = 9 if row.get("agreement") is not None else 4
+    return f"{row[which]:.{digits}g} {row['unit']}".rstrip()
