@@ -84,7 +84,7 @@ class Explorer:
         beside = column(*sliders, self.button, self.line, self.told, width=320)
         shown = column(*self.figures, sizing_mode="stretch_width")
         return column(title, row(beside, shown, sizing_mode="stretch_width"),
-                      sizing_mode="stretch_width")  # fmt: skip
+                      sizing_mode="stretch_width", margin=(0, 16, 0, 16))  # fmt: skip
 
     def _move(self) -> None:
         """Answer a slider: the nominal machine at first, then the band over all machines.
@@ -182,9 +182,9 @@ class Explorer:
             safe = "monotone at all frequencies" if largest < 1 else "not safe"
             said.append(f"largest |Q (1 − L P)|: {largest:.4g}, {safe}")
         self.told.text = "<br/>".join(map(_escaped, said))
-        self.line.text = (
-            f"<code>{_escaped(self.of.command(self.values(), self.spread_asked()))}</code>"
-        )
+        words = _escaped(self.of.command(self.values(), self.spread_asked())).split(" ")
+        whole = (f'<span style="white-space: nowrap">{word}</span>' for word in words)
+        self.line.text = f"<code>{' '.join(whole)}</code>"
 
     def _figures(self, first: Outcome) -> list[Any]:
         """The figures of errors by trial, of the last trial, and over frequency."""
