@@ -316,7 +316,9 @@ def test_a_mistake_is_one_line_that_names_what_is_allowed(
 
 
 def command(store, *more):
-    program = "from jaxilc.cli import main; main()"
+    # a shell lets what it starts in the background, such as these tests, ignore interrupts
+    heeds = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
+    program = f"{heeds}; from jaxilc.cli import main; main()"
     schemes = [
         part for name in ("pid", "cfdl-mfailc", "pfdl-mfailc") for part in ("--scheme", name)
     ]
