@@ -140,14 +140,17 @@ axes = output.axes(3, 1, size=(7.2, 7.5))
 for j, e in enumerate(runs):
     axes[0].plot(samples, e, lw=0.4, label=None if j else "10 runs, one upon the other")
 axes[0].set(title="Fig. 29: errors under feedback", xlabel="sample", ylabel="error [µm]")
-for ax, e, title in (
-    (axes[1], runs, "Fig. 30"),
-    (axes[2], errors(experiment, stiff, 10), "Fig. 31: gain of the position loop 1.5 times"),
+for ax, e, printed, title in (
+    (axes[1], runs, 0.3, "Fig. 30"),
+    (axes[2], errors(experiment, stiff, 10), 1.0, "Fig. 31: gain of the position loop 1.5 times"),
 ):
     of_run = rms(e)
+    middle = np.mean(of_run)
+    ax.axhspan(middle - printed / 2, middle + printed / 2, color="#dddddd", label="printed spread")
+    ax.set(ylim=(middle - 0.8 * printed, middle + 0.8 * printed))
     ax.plot(np.arange(1, 11), of_run, "o-", label=f"spread {np.ptp(of_run):.3f} µm")
     ax.set(title=title, ylabel="RMS error [µm]")
-    print(f"{title}: RMS {np.mean(of_run):.2f} µm, spread over 10 runs {np.ptp(of_run):.3f} µm")
+    print(f"{title}: RMS {middle:.2f} µm, spread over 10 runs {np.ptp(of_run):.3f} µm")
 saved(axes, "figures-29-31.png", "run")
 
 # Fig. 33 and 34: the mean of 100 runs has a tenth of the noise

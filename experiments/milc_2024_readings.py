@@ -2,15 +2,15 @@
 
 Free numbers, on a grid:
 
-    unit          of the input, which decides how w_s acts: 8 to 50 mm/s per volt
-    antiresonance of the drive: 77 to 140 Hz; the force gain follows from the 50 Hz printed
-    noise         of the table's encoder: 0.1 to 0.52 µm
+    unit          of the input, which decides how w_s acts: 10 to 50 mm/s per volt
+    antiresonance of the drive: 77 to 135 Hz; the force gain follows from the 50 Hz printed
+    noise         of the table's encoder: 0.15 to 0.52 µm
     velocity      of the path, from the RMS error of the first trial by the linear model
 
 Readings:
 
     path        stroke, acceleration and jerk, which are printed as a picture only
-    one of these, with three of the paths, beside the scenario's own choice:
+    one of these, with two of the paths, beside the scenario's own choice:
       mass        of the table against its model: 0.9, 1, 1.2 or 1.3 times, not 1.1
       stiffness   0.8, 0.9 or 1.15 times that of the model
       damping     of the screw 0.5 or 2 times that of the model
@@ -18,9 +18,11 @@ Readings:
       motor noise as on the table, or none, not a third of it
     trial       the paper's 10 as the eleventh, or as the tenth
 
-The four numbers are fitted to the first and last RMS and the largest error of the table and to the
-last RMS of the motor, all under DILC. The first RMS of the motor, all of MILC, and its improvement
-by 42 % are held out: seven rows. A place that is not the scenario's counts as a departure.
+The four numbers are fitted to four RMS errors: under DILC those of the table in the first and last
+trial and of the motor in the last, under MILC that of the table in the last. All largest errors,
+the improvement by 42 %, and the other RMS errors are held out: seven rows. A place that is not the
+scenario's counts as a departure. Fitted to the largest error of DILC in place of that RMS error of
+MILC, the numbers meet ten rows of the eleven: then the motor's error under MILC is 0.54 for 0.40.
 """
 
 import dataclasses
@@ -37,14 +39,15 @@ from reading_search import Reading, met, search
 
 import jaxilc
 from jaxilc.scenarios import milc_2024 as paper
+from jaxilc.scenarios.milc_2024_printed import IMPROVEMENT, READINGS, TABLE_1
 from jaxilc.signals import references
 
 jaxilc.setup()
 TRIALS = {"11": 10, "10": 9}
 PLAIN_UNIT = 50.0  # [mm/s per V]
-UNITS = (8.0, 10.0, 12.5, 16.0, 25.0, 50.0)  # [mm/s per V]
-NOISES = (0.1e-3, 0.25e-3, 0.35e-3, 0.5236e-3)  # [mm]
-ANTIRESONANCES = (77.28, 90.0, 105.0, 120.0, 140.0)  # [Hz]
+UNITS = (10.0, 12.5, 14.0, 16.0, 25.0, 50.0)  # [mm/s per V]
+NOISES = (0.15e-3, 0.3e-3, 0.42e-3, 0.5236e-3)  # [mm]
+ANTIRESONANCES = (77.28, 90.0, 105.0, 118.0, 135.0)  # [Hz]
 SEEDS = 32
 PLAIN = {"mass": 1.1, "stiffness": 1.0, "damping": 1.0, "friction": 0.9, "motor noise": 1 / 3}
 OTHERS = {
@@ -64,12 +67,18 @@ PATHS = (  # stroke [mm], acceleration [mm/s^2], jerk [mm/s^3]; the first is the
     (5.0, 12e3, 1.2e6),
     (5.0, 20e3, 4e6),
 )
-OF_OTHERS = (0, 5, 7)  # paths with which the other places are tried
-ROWS = [(s, *row) for s, rows in paper.TABLE_1.items() for row in rows]
-PRINTED = [*(v for rows in paper.TABLE_1.values() for v in rows.values()), paper.IMPROVEMENT]
-FITTED = (1, "table_rms"), (11, "table_rms"), (11, "motor_rms"), (11, "table_max")
-FITTED_ROWS = [*(row[0] == "dilc" and row[1:] in FITTED for row in ROWS), False]
-S = jaxilc.scenarios.load("milc-2024")
+OF_OTHERS = (0, 6)  # paths with which the other places are tried
+ROWS = [(s, *row) for s, rows in TABLE_1.items() for row in rows]
+PRINTED = [*(v for rows in TABLE_1.values() for v in rows.values()), IMPROVEMENT]
+# RMS errors; the largest are single samples, which differ by a fifth between seeds of the noise.
+FITTED = (
+    ("dilc", 1, "table_rms"),
+    ("dilc", 11, "table_rms"),
+    ("dilc", 11, "motor_rms"),
+    ("milc", 11, "table_rms"),
+)
+FITTED_ROWS = [*(row in FITTED for row in ROWS), False]
+S = jaxilc.scenarios.load("milc-2024", reading="long-stroke")
 
 
 def path(limits, velocity: float) -> np.ndarray:
@@ -97,10 +106,10 @@ def paths_for(drive) -> np.ndarray:
     def excess(velocity, limits):
         r = path(limits, velocity)
         e = r - scipy.signal.dlsim(closed, r)[1][:, 0]
-        return 1e3 * np.sqrt(np.mean(np.square(e[1:]))) - paper.TABLE_1["dilc"][1, "table_rms"]
+        return 1e3 * np.sqrt(np.mean(np.square(e[1:]))) - TABLE_1["dilc"][1, "table_rms"]
 
     def velocity(limits):
-        near = paper.FITTED["velocity"] * PATHS[0][0] / limits[0]
+        near = READINGS["long-stroke"].velocity * PATHS[0][0] / limits[0]
         return scipy.optimize.brentq(excess, 0.9 * near, 1.4 * near, (limits,), xtol=0.02)
 
     return np.array([path(limits, velocity(limits)) for limits in PATHS])
@@ -221,6 +230,7 @@ def main() -> None:
             departs = sum(places[name] != plain[name] for name in plain) + (trial == "10")
             told = places | {"path": PATHS[places["path"]], "trial": trial}
             found.append(Reading(told, departs, np.array(values), np.concatenate(of)[:, i]))
+    np.save(folder / "ours.npy", np.array(ours))
     table = search("drive and path", found, PRINTED, FITTED_ROWS)
     output.write_rows(folder / "rows.csv", table[:30])
     for row in table[:3]:

@@ -6,17 +6,19 @@ import pytest
 
 from jaxilc import scenarios
 from jaxilc.scenarios import reproduce
-from jaxilc.scenarios.milc_2024 import DT, FITTED, FORCE_GAIN, nominal_drive, path, position_gain
+from jaxilc.scenarios.milc_2024 import DT, nominal_drive, path, position_gain
+from jaxilc.scenarios.milc_2024_printed import READINGS
 from jaxilc.scenarios.xu_2024 import MODEL, servo
 
 
-def test_the_position_loop_is_50_hz_wide():
+@pytest.mark.parametrize("of", READINGS.values(), ids=READINGS)
+def test_the_position_loop_is_50_hz_wide(of):
     """The bandwidth of the position loop is 50 Hz.
 
     It is the -3 dB frequency of the motor's loop by python-control, with sampled mechanics,
     backward PI and difference, and a P position loop.
     """
-    drive = nominal_drive(FITTED["antiresonance"], FORCE_GAIN)
+    drive = nominal_drive(of.antiresonance, of.force_gain, of.unit)
     A, B, C = (
         np.asarray(M) for M in (drive.mechanics().A, drive.mechanics().B, drive.mechanics().C)
     )
@@ -38,14 +40,15 @@ def test_the_position_loop_is_50_hz_wide():
     assert 49.5 < f[np.argmax(closed < np.sqrt(0.5))] < 50.5
 
 
-def test_the_path_rests_moves_forward_and_back():
-    r = path(FITTED["velocity"])
+@pytest.mark.parametrize("of", READINGS.values(), ids=READINGS)
+def test_the_path_rests_moves_forward_and_back(of):
+    r = path(of)
     assert len(r) == 4001
     assert np.all(r[:101] == 0)
-    assert r.max() == 10.0
+    assert r.max() == of.stroke
     assert r[-1] == 0.0
-    assert np.max(np.abs(np.diff(r))) / DT == pytest.approx(FITTED["velocity"], rel=1e-6)
-    assert np.max(np.abs(np.diff(r, 2))) / DT**2 < 6e3 * 1.01
+    assert np.max(np.abs(np.diff(r))) / DT == pytest.approx(of.velocity, rel=1e-3)
+    assert np.max(np.abs(np.diff(r, 2))) / DT**2 < of.acceleration * 1.01
 
 
 def test_table_1_of_milc_2024():
