@@ -142,7 +142,7 @@ def milc_2024(axis: str = "x", reading: str = "long-stroke") -> Scenario:
     """The experiments of MILC 2024, section 5: a trial with feedback only, then ten more, 4 kHz.
 
     axis: `x` with a screw of 10 mm pitch, or `z` with one of 12 mm
-    reading: `long-stroke`, 10 mm at 69 mm/s, or `short-stroke`, 5 mm at 186 mm/s and another unit
+    reading: `long-stroke`, 10 mm at 69 mm/s, or `short-stroke`, 5 mm at 192 mm/s and another unit
         of the input, which meets the largest errors too
     Raises ValueError for another axis or reading.
     """
