@@ -298,7 +298,7 @@ AMONG = {
     "dai-2014": 2,
     "double-mass": 0,
     "li-2020": 6,
-    "milc-2024": 4,
+    "milc-2024": 5,
     "pendulum": 0,
     "xu-2024": 12,
 }
