@@ -32,11 +32,14 @@ RANGES = {
 
 
 def errors(s, name, values):
-    """(J,) settled errors [µm] with these start values."""
+    """(J,) steady-state errors [µm] with these start values, over the window of the reading."""
     start = jnp.stack([jnp.asarray(values[n]) for n in RANGES[name]])
     scheme = dataclasses.replace(s.schemes[name], phi0=start)
-    history = jaxilc.learn(s.machine, scheme, s.task, max(TABLE_1[name]))
-    return s.shown_scale * history.settled_error[:, 0]
+    windows = READINGS[s.options["reading"]].windows
+    of_reading = s.functions[windows[name][0]] if name in windows else None
+    history = jaxilc.learn(s.machine, scheme, s.task, max(TABLE_1[name]), save=of_reading)
+    found = history.settled_error if of_reading is None else history.saved
+    return s.shown_scale * found.reshape(len(found), -1)[:, 0]
 
 
 rows, axes = [], output.axes(1, 2, size=(11.0, 4.4))

@@ -34,6 +34,7 @@ SCENARIOS: dict[str, Callable[..., Scenario]] = {
 TAKEN = {
     "cao-2019": "stroke",
     "cao-2019-rig": "within-samples",
+    "milc-2024": "short-stroke",
     "xu-2024": "large-gain",
 }
 

@@ -27,11 +27,12 @@ from ..plants import (
     direct_model,
     multivariable_model,
 )
+from ..pytree.closest import not_one_of
 from ..schemes import PID, MultivariableILC, NormOptimal, OnOutputs, WithFeedback
 from ..signals import references
 from ..signals.task import Task
 from ..uncertainty import Uniform
-from .published import Fit, Published
+from .milc_2024_printed import READINGS, Reading, chosen, published
 from .scenario import Quantity, Scenario
 
 DT = 1 / 4000
@@ -41,85 +42,16 @@ PITCH = {"x": 10.0, "z": 12.0}  # [mm]
 PULSE = 52e-6 / (2 * np.pi)  # step of the motor's encoder [revolutions]
 TABLE_STEP = 0.25e-3  # step of the linear encoder [mm]
 
-# Fitted to three numbers of the DILC row (experiments/milc_2024_calibration.py): 201.00, 5.39 and
-# 0.55 µm.
-FITTED = {"velocity": 68.71, "antiresonance": 77.28, "noise": 0.5236e-3}  # [mm/s], [Hz], [mm]
-# Force gain [N/V]; gives the motor's position loop a bandwidth of 50 Hz (-3 dB) with this
-# antiresonance.
-FORCE_GAIN = 113.8
-
-TABLE_1 = {
-    "dilc": {
-        (1, "table_rms"): 201.00,
-        (1, "motor_rms"): 204.21,
-        (11, "table_rms"): 0.55,
-        (11, "motor_rms"): 5.39,
-        (11, "table_max"): 3.57,
-    },
-    "milc": {
-        (1, "table_rms"): 196.46,
-        (1, "motor_rms"): 199.81,
-        (11, "table_rms"): 0.46,
-        (11, "motor_rms"): 0.40,
-        (11, "table_max"): 2.06,
-    },
-}
-FITTED_ROWS = {("dilc", 1, "table_rms"), ("dilc", 11, "table_rms"), ("dilc", 11, "motor_rms")}
+REST, DURATION = 0.025, 1.0  # of the path [s]
+LARGEST_COMMAND = 500.0  # velocity that the input can command [mm/s], chosen
 
 
-IMPROVEMENT = 42.0  # of the largest error of the table by MILC over DILC, section 5.2 [%]
-
-
-def _row(
-    scheme: str, trial: int, quantity: str, value: float, source="Table 1", against=""
-) -> Published:
-    fit = Fit(
-        tuple(FITTED), "three numbers of the DILC row", (scheme, trial, quantity) in FITTED_ROWS
-    )
-    return Published(
-        scheme,
-        trial,
-        quantity,
-        value,
-        source,
-        (("axis", "x"),),
-        f"the paper's trial {trial - 1}",
-        fitted=fit,
-        against=against,
-    )
-
-
-PUBLISHED = (
-    *(
-        _row(scheme, trial, quantity, value)
-        for scheme, rows in TABLE_1.items()
-        for (trial, quantity), value in rows.items()
-    ),
-    _row("milc", 11, "table_max_improvement", IMPROVEMENT, "section 5.2", "dilc"),
-)
-
-CHOSEN = (
-    "masses, stiffness, damping and force gain are not printed: 30 kg on each side, 3 % damping, "
-    "a torque filter of 350 Hz and a force "
-    "gain that makes the position loop 50 Hz wide, as printed; the antiresonance is fitted",
-    "the path is printed as a picture: an S-curve of 10 mm and back at 6 m/s^2 and 600 m/s^3 with "
-    "0.3 s of rest; its velocity is fitted",
-    "the input's unit is not printed and decides how the weights act: 50 mm/s per volt",
-    "noise is not printed: white, its standard deviation on the table fitted, on the motor's "
-    "encoder a third of it, as their steps are",
-    "the model knows the drive but for what a model leaves out: the table weighs 10 % more, "
-    "friction of 20 N that the look-up table "
-    "compensates to 90 %, a lead error of 2 µm a revolution, encoders and converter",
-    "the motor's error under MILC is that of the learned reference (eq. 25), under DILC that of "
-    "the desired path",
-)
-
-
-def nominal_drive(antiresonance: float, force_gain: float) -> BallScrewDrive:
+def nominal_drive(antiresonance: float, force_gain: float, unit: float = 50.0) -> BallScrewDrive:
     """The drive as the model describes it.
 
     antiresonance: frequency of the antiresonance [Hz]
     force_gain: gain from the command to the force [N/V]
+    unit: velocity for a volt of the input [mm/s]
     """
     table_mass = 30.0
     stiffness = table_mass * (2 * jnp.pi * antiresonance) ** 2
@@ -133,7 +65,7 @@ def nominal_drive(antiresonance: float, force_gain: float) -> BallScrewDrive:
         force_gain=force_gain,
         force_limit=1500.0,
         current_bandwidth=350.0,
-        command_scale=50.0,
+        command_scale=unit,
     )
 
 
@@ -155,7 +87,8 @@ def real_machine(drive: BallScrewDrive, noise: float, pitch: float = 10.0) -> Ma
         compensation=FrictionTable.of(compensated, np.linspace(-0.2, 0.2, 81)),
     )
     sensor = Sensor(resolution=(motor_step, TABLE_STEP), noise=noise * jnp.array([1 / 3, 1.0]))
-    return Machine(plant, Actuator(limit=10.0, resolution=20.0 / 2**16), sensor)
+    limit = LARGEST_COMMAND / drive.command_scale
+    return Machine(plant, Actuator(limit=limit, resolution=2 * limit / 2**16), sensor)
 
 
 def position_gain(drive: BallScrewDrive) -> float:
@@ -188,39 +121,41 @@ def multivariable_ilc(drive: BallScrewDrive) -> MultivariableILC:
     )
 
 
-def path(velocity: float) -> np.ndarray:
-    """The reference path: 25 ms of rest, then a stroke forward and back.
+def path(of: Reading) -> np.ndarray:
+    """(N+1,) the reference of a reading [mm]: a rest, then a stroke forward and back.
 
     The prefilter needs the rest to start early.
-
-    velocity: velocity of the stroke [mm/s]
     """
     move = references.s_curve(
-        [0.0, 10.0, 0.0],
-        velocity=velocity,
-        acceleration=6e3,
-        jerk=6e5,
-        dwell=0.3,
+        [0.0, of.stroke, 0.0],
+        velocity=of.velocity,
+        acceleration=of.acceleration,
+        jerk=of.jerk,
+        dwell=of.dwell,
         dt=DT,
-        duration=0.975,
+        duration=2.0,
     )
-    return np.concatenate([np.zeros(100), move])
+    return np.concatenate([np.zeros(round(REST / DT)), move])[: round(DURATION / DT) + 1]
 
 
-def milc_2024(axis: str = "x") -> Scenario:
+def milc_2024(axis: str = "x", reading: str = "long-stroke") -> Scenario:
     """The experiments of MILC 2024, section 5: a trial with feedback only, then ten more, 4 kHz.
 
     axis: `x` with a screw of 10 mm pitch, or `z` with one of 12 mm
-    Raises ValueError for another axis.
+    reading: `long-stroke`, 10 mm at 69 mm/s, or `short-stroke`, 5 mm at 192 mm/s and another unit
+        of the input, which meets the largest errors too
+    Raises ValueError for another axis or reading.
     """
     if axis not in PITCH:
         raise ValueError(f"milc-2024: axis = {axis!r} is not one of 'x', 'z'")
-    drive = nominal_drive(FITTED["antiresonance"], FORCE_GAIN)
-    r = path(FITTED["velocity"])
+    if reading not in READINGS:
+        raise ValueError(not_one_of(f"milc-2024: reading = {reading!r}", reading, READINGS))
+    of = READINGS[reading]
+    drive, r = nominal_drive(of.antiresonance, of.force_gain, of.unit), path(of)
     return Scenario(
         name="milc-2024",
         title="Flexible ball-screw drive, direct and multivariable norm-optimal ILC (MILC 2024)",
-        machine=real_machine(drive, FITTED["noise"], PITCH[axis]),
+        machine=real_machine(drive, of.noise, PITCH[axis]),
         task=Task(reference=np.stack([r, r], axis=1), dt=DT, inputs=1, unit="mm", input_unit="V"),
         schemes={"dilc": direct_ilc(drive), "milc": multivariable_ilc(drive)},
         trials=11,
@@ -228,8 +163,8 @@ def milc_2024(axis: str = "x") -> Scenario:
             f"plant.{name}": Uniform(0.9, 1.1, relative=True)
             for name in ("stiffness", "table_mass", "motor_mass", "force_gain")
         },
-        published=PUBLISHED,
-        chosen=CHOSEN,
+        published=published(reading),
+        chosen=chosen(reading),
         tolerance=1.0,
         shown_unit="µm",
         shown_scale=1e3,

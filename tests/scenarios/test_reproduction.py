@@ -288,7 +288,7 @@ FREE = {  # how many numbers were fitted to print, by scenario and scheme; for l
         "fixed-filter": {5},
         "switchable": {5},
     },
-    "milc-2024": {"dilc": {3}, "milc": {3}},
+    "milc-2024": {"dilc": {4}, "milc": {4}},
     "pendulum": {"two-step": {0}, "two-step-limited": {0}},
     "xu-2024": {"pid": {6}, "smc": {6}, "asmc": {6, 9}, "ilc-asmc": {9}},
 }
@@ -298,7 +298,7 @@ AMONG = {
     "dai-2014": 2,
     "double-mass": 0,
     "li-2020": 6,
-    "milc-2024": 3,
+    "milc-2024": 5,
     "pendulum": 0,
     "xu-2024": 12,
 }
@@ -463,6 +463,7 @@ def test_rows_of_a_made_up_scenario(made_up):
     [
         ("cao-2019", ("amplitude", "stroke")),
         ("cao-2019-rig", ("over-trials", "within-samples")),
+        ("milc-2024", ("long-stroke", "short-stroke")),
         ("xu-2024", ("small-gain", "large-gain")),
     ],
 )
