@@ -37,7 +37,7 @@ def shifted(y, late: int, key) -> jax.Array:
     """(N+1, n_y) the record y, late as a whole by 0 .. late samples; at its start it is y[0]."""
     held = jnp.pad(y, ((late, 0), (0, 0)), mode="edge")
     if key is None:
-        return sum(held[d : d + len(y)] for d in range(late + 1)) / (late + 1)
+        return jnp.stack([held[d : d + len(y)] for d in range(late + 1)]).mean(0)
     return jax.lax.dynamic_slice_in_dim(
         held, late - jax.random.randint(key, (), 0, late + 1), len(y)
     )

@@ -285,10 +285,16 @@ def test_claims_hold_in_the_mean_over_machines_and_say_so(how):
 
 
 def test_what_theory_cannot_say_it_does_not():
-    law = NormOptimal(PLANT, w_r=0.1)
-    for how, said in (
-        ({"dropped": 0.2}, "another law for each set of samples"),
-        ({"references": References(np.stack([R, 2 * R])[..., None])}, "changes after every trial"),
+    optimal, leaky = NormOptimal(PLANT, w_r=0.1), PIDType(gamma_p=0.6, leak=0.1)
+    for law, how, said in (
+        (optimal, {"dropped": 0.2}, "NormOptimal is another law for each set of samples"),
+        # it forgets nothing of what was lost, so its mean is not that of mean samples
+        (KeepUnmeasured(leaky), {"dropped": 0.2}, "KeepUnmeasured is another law for each set"),
+        (
+            law,
+            {"references": References(np.stack([R, 2 * R])[..., None])},
+            "changes after every trial",
+        ),
     ):
         found = certify(vary(**how), law, TASK, 3, {}, {})
         assert found.claim[0] == NOTHING
