@@ -291,7 +291,7 @@ def test_what_theory_cannot_say_it_does_not():
         # it forgets nothing of what was lost, so its mean is not that of mean samples
         (KeepUnmeasured(leaky), {"dropped": 0.2}, "KeepUnmeasured is another law for each set"),
         (
-            law,
+            optimal,
             {"references": References(np.stack([R, 2 * R])[..., None])},
             "changes after every trial",
         ),
@@ -378,7 +378,14 @@ def test_every_law_runs_where_trials_differ(name):
     machine, scheme, task = case(name)
     several = jnp.stack([task.reference, 0.9 * task.reference])
     varied = Variation(
-        scatter=1e-3, carried=0.5, shortest=0.6, dropped=0.1, late=1, references=References(several)
+        scatter=1e-3,
+        carried=0.5,
+        shortest=0.6,
+        dropped=0.1,
+        late=1,
+        delayed=0.1,
+        delay=2,
+        references=References(several),
     )
     machine = dataclasses.replace(machine, variation=varied)
     history = learn(machine, scheme, task, 4)
