@@ -10,8 +10,10 @@ robustness filter. By gradient on 16 machines, each with as many steps, are tune
 
 They are judged on 128 machines that no tuning has seen.
 
-    python experiments/contour_learning.py
+    python experiments/contour_learning.py [circle] [square] [butterfly]
 """
+
+import sys
 
 import numpy as np
 import output
@@ -34,14 +36,19 @@ STEPS, TUNED_ON, JUDGED_ON = 20, 16, 128
 SQUARE = "G1 X10 Y0 F3000\nY10\nX0\nY0\n"
 
 
-def paths() -> dict[str, np.ndarray]:
+def paths(names: list[str]) -> dict[str, np.ndarray]:
+    """The references of these names, all of them for no names."""
     found = {
         "circle": plan(circle(5.0), (0.0, 2 * np.pi), feed=50.0, dt=DT, **LIMITS).reference,
         "square": follow(read_gcode(SQUARE, "xy"), corner=0.2, dt=DT, **LIMITS).reference,
         "butterfly": plan(butterfly(20.0), (0.0, 1.0), feed=50.0, dt=DT, **LIMITS).reference,
     }
     rest = ((0, 50), (0, 0))
-    return {name: np.pad(r - r[0], rest, mode="edge") for name, r in found.items()}
+    for name in names:
+        if name not in found:
+            raise ValueError(f"the path {name!r} is not known; allowed are {', '.join(found)}")
+    wanted = names or list(found)
+    return {name: np.pad(found[name] - found[name][0], rest, mode="edge") for name in wanted}
 
 
 def machine() -> Machine:
@@ -87,7 +94,7 @@ def tuned(task: Task, *, coupled: bool, of: str):
 def main() -> None:
     jaxilc.setup()
     folder, rows = output.folder(__file__), []
-    for name, reference in paths().items():
+    for name, reference in paths(sys.argv[1:]).items():
         task = Task(reference, dt=DT, unit="mm", names=("x", "y"))
         schemes = {
             "tracking": tuned(task, coupled=False, of="rms"),
@@ -116,7 +123,7 @@ def main() -> None:
                     row[f"{metric} {trial} [um]"] = um
             rows.append(row)
             print(row, flush=True)
-    output.write_rows(folder / "laws.csv", rows)
+    output.write_rows(folder / f"{'_'.join(['laws', *sys.argv[1:]])}.csv", rows)
 
 
 if __name__ == "__main__":

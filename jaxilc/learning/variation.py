@@ -20,6 +20,7 @@ from ..plants import Plant
 from ..pytree.fields import Leaf, child, leaf, pytree, static
 from ..schemes.weights import weighed
 from ..signals.task import Task, Trial
+from .arrival import newest, not_lost, shifted, there_until
 
 SALT = 7919  # folded into the key of a trial, so that noise is that of a machine that does not vary
 
@@ -111,13 +112,18 @@ class Variation:
         learned from; the trial itself goes on
     late: largest delay of the record, in samples: it is drawn for each trial from 0 .. late, and
         the record then holds y[k - delay], at its start y[0]
+    delayed: () in [0, 1), chance of each measured sample after k = 0 to arrive late, by 1 .. delay
+        samples, all alike; until it is there, the record holds the newest sample that has arrived
+    delay: largest delay of such a sample, in samples
     change: a plant that changes
     references: references that change
     averaged: leave False; True takes the mean of what is drawn, see `averages`
 
     Samples that are not measured have the error zero in the record, and the weight zero, so that
-    nothing is learned from them. The state has the order of the plant's leaves, flattened. Chances
-    have no gradient; offset, scatter, carried, the plant and the references have one.
+    nothing is learned from them. A delayed sample has the weight of any other, since a law without
+    time stamps does not know better. The state has the order of the plant's leaves, flattened.
+    Offset, scatter, carried, the plant and the references have a gradient. The chances shortest,
+    dropped and delayed have none, and differentiating by them raises ValueError.
     """
 
     offset: Leaf | None = leaf(default=None, optional=True)
@@ -126,6 +132,8 @@ class Variation:
     shortest: Leaf | None = leaf(default=None, interval="(0, 1]", optional=True)
     dropped: Leaf | None = leaf(default=None, interval="[0, 1)", optional=True)
     late: int = static(default=0, interval="[0, inf)", whole=True)
+    delayed: Leaf | None = leaf(default=None, interval="[0, 1)", optional=True)
+    delay: int = static(default=1, interval="[1, inf)", whole=True)
     change: PlantChange | None = child(default=None)
     references: References | None = child(default=None)
     averaged: bool = static(default=False)
@@ -140,17 +148,19 @@ class Variation:
                     f"Variation: {name} has shape {value.shape}; the state of "
                     f"{type(plant).__name__} needs () or {state.shape}"
                 )
-        for name in ("carried", "shortest", "dropped"):
+        for name in ("carried", "shortest", "dropped", "delayed"):
             value = getattr(self, name)
             if value is not None and value.shape:
                 raise ValueError(
                     f"Variation: {name} has shape {value.shape}; allowed is one number"
                 )
-        if self.late >= task.N:
-            raise ValueError(
-                f"Variation: late = {self.late} is outside its allowed range [0, {task.N - 1}] for "
-                f"N = {task.N}"
-            )
+        for name in ("late", "delay"):
+            value, most = getattr(self, name), max(task.N - 1, 1)
+            if value > most:
+                raise ValueError(
+                    f"Variation: {name} = {value} is outside its allowed range, up to {most} for "
+                    f"N = {task.N}"
+                )
         self._check_change(plant, task)
         shape = (task.N + 1, task.outputs)
         if self.references is not None and self.references.values.shape[1:] != shape:
@@ -198,7 +208,7 @@ class Variation:
         if self.references is not None:
             last = max((last, *self.references.first))
         said = [f"from trial {last} on"] if last > 1 else []
-        drawn = (self.scatter, self.shortest, self.dropped)
+        drawn = (self.scatter, self.shortest, self.dropped, self.delayed)
         if self.late or any(value is not None for value in drawn):
             said.append("in the mean over what is drawn for each trial")
         return ", ".join(said) + ": " if said else ""
@@ -240,34 +250,31 @@ class Variation:
         """(N+1,) 1 up to the end of the trial, 0 after it; None where trials have one length."""
         if self.shortest is None:
             return None
-        k = np.arange(task.N + 1) / task.N
-        if self.averaged:
-            room = jnp.where(self.shortest < 1, 1 - self.shortest, 1.0)
-            return 1 - jnp.clip((k - self.shortest) / room, 0.0, 1.0)
-        share = jax.random.uniform(jax.random.fold_in(key, SALT + 1))
-        last = jnp.floor(task.N * (self.shortest + (1 - self.shortest) * share) + 1e-9)
-        return jnp.where(k * task.N <= last + 0.5, 1.0, 0.0)
+        return there_until(self.shortest, task.N, self._of(key, 1))
 
     def shown(self, trial: Trial, key) -> Trial:
         """The record of a trial as it reaches the learning law."""
-        if self.late:
-            W, e = trial.weight, trial.r - self._delayed(trial.y, key)
-            e = e if W is None else jnp.einsum("kij,kj->ki", W, e)
-            trial = trial._replace(y=trial.r - e)
+        if self.late or self.delayed is not None:
+            trial = self._at_last(trial, key)
         if self.dropped is None:
             return trial
-        rows, outputs = trial.r.shape
-        if self.averaged:
-            kept = jnp.full(rows, 1 - self.dropped)
-        else:
-            drawn = jax.random.uniform(jax.random.fold_in(key, SALT + 2), (rows,))
-            kept = jnp.where(drawn >= self.dropped, 1.0, 0.0)
-        kept = kept.at[0].set(1.0)
-        return weighed(trial, jnp.broadcast_to(kept[:, None], (rows, outputs)))
+        kept = not_lost(self.dropped, len(trial.u), self._of(key, 2))
+        return weighed(trial, jnp.broadcast_to(kept[:, None], trial.r.shape))
 
-    def _delayed(self, y, key):
-        held = jnp.pad(y, ((self.late, 0), (0, 0)), mode="edge")
-        if self.averaged:
-            return sum(held[d : d + len(y)] for d in range(self.late + 1)) / (self.late + 1)
-        late = jax.random.randint(jax.random.fold_in(key, SALT + 3), (), 0, self.late + 1)
-        return jax.lax.dynamic_slice_in_dim(held, self.late - late, len(y))
+    def _at_last(self, trial: Trial, key) -> Trial:
+        """The record with the samples that are there at each instant."""
+        W, e = trial.weight, trial.e
+        if W is not None:  # of trials that end early, a number for each sample
+            share = W[:, :1, 0]
+            e = jnp.where(share > 0, e / jnp.where(share > 0, share, 1.0), e)
+        y = trial.r - e
+        if self.late:
+            y = shifted(y, self.late, self._of(key, 3))
+        if self.delayed is not None:
+            y = newest(y, self.delayed, self.delay, self._of(key, 4))
+        e = trial.r - y
+        return trial._replace(y=trial.r - (e if W is None else jnp.einsum("kij,kj->ki", W, e)))
+
+    def _of(self, key, number: int):
+        """The random key of one kind of draw of a trial; None for the mean."""
+        return None if self.averaged else jax.random.fold_in(key, SALT + number)

@@ -17,6 +17,7 @@ ADDED: dict[str, dict[str, Any]] = {
     "Task": {"names": []},
     "ProcessModel": {"delay": 0.0},
     "Machine": {"variation": None},
+    "Variation": {"delayed": None, "delay": 1},
 }
 
 T = TypeVar("T")

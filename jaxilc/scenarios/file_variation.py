@@ -1,6 +1,6 @@
 """How the trials differ, from a TOML or JSON file.
 
-[machine.variation]                      # offset, scatter, carried, shortest, dropped, late
+[machine.variation]          # offset, scatter, carried, shortest, dropped, late, delayed, delay
 scatter = 1e-3
 shortest = 0.8
 

@@ -13,6 +13,7 @@ from ..pytree.fields import Leaf, child, leaf, pytree, static
 from ..pytree.needs import known
 from ..signals.sample_times import samples_within
 from ..signals.task import Task, Trial
+from .experiments import need_no_comparing
 from .gradient import Ready
 from .scheme import Part, Scheme, with_all_parts
 from .weights import weighed
@@ -44,7 +45,8 @@ class AtSamples(Wrapper):
         which the motion should change its direction. None: the jerk does not count
     solved: leave None
     `check` raises ValueError unless either windows or weight are given and lie within the task, and
-    for bounds of the output, which need all of the motion.
+    for bounds of the output, which need all of the motion. It raises, too, for a scheme that
+    compares outputs within the trial (FFDL-MFAILC).
     """
 
     scheme: Scheme = child()
@@ -89,7 +91,11 @@ class AtSamples(Wrapper):
     def check(self, task: Task) -> None:
         self._check_samples(task)
         for scheme, _, _ in with_all_parts(self.scheme, task):
-            bound = [name for name in BOUNDS if getattr(scheme, name, None) is not None]
+            bound = [
+                name
+                for name in BOUNDS
+                if name in scheme.clips and getattr(scheme, name) is not None
+            ]
             if bound:
                 raise ValueError(
                     f"AtSamples: {type(scheme).__name__} bounds the output by {bound[0]}, which "
@@ -101,6 +107,7 @@ class AtSamples(Wrapper):
                 f"{type(self.scheme).__name__}, which acts within the trial"
             )
         super().check(task)
+        need_no_comparing(self, task)
 
     def _check_samples(self, task: Task) -> None:
         for window in self.windows:

@@ -9,8 +9,8 @@ from jax import lax
 
 from ..pytree.fields import Leaf, child, leaf, pytree
 from ..signals.task import Task, Trial
-from .experiments import need_no_experiments
-from .scheme import Scheme, with_all_parts
+from .experiments import need_no_comparing, need_no_experiments
+from .scheme import Scheme
 from .weights import weighed
 from .wrapper import Wrapper
 
@@ -32,8 +32,8 @@ class CrossCoupled(Wrapper):
 
     The scheme inside sees an output whose error is e~, and learns as it does from any error. A law
     with a model, such as `NormOptimal`, predicts e~ too, and so minimises |e~|^2_Wq. With
-    own = 0 it does not learn what lies along the path, so a lag there stays, and theory does not
-    claim that learning converges.
+    own = 0 it does not learn what lies along the path, so a lag there stays: learning may be
+    certified to converge, and the error that is left at the limit includes the lag.
 
     scheme:  any scheme that learns from the error of two or three axes
     contour: () weight of the error across the path
@@ -66,14 +66,7 @@ class CrossCoupled(Wrapper):
             )
         super().check(task)
         need_no_experiments(self, task, "whose errors are not those of the path")
-        for scheme, _, _ in with_all_parts(self.scheme, task):
-            comparing = [name for name in scheme.compares if getattr(scheme, name)]
-            if comparing:
-                raise ValueError(
-                    f"CrossCoupled: {comparing[0]} = {getattr(scheme, comparing[0])} of "
-                    f"{type(scheme).__name__}, which compares outputs within the trial; allowed "
-                    f"is {comparing[0]} = 0"
-                )
+        need_no_comparing(self, task)
 
     def shown(self, trial: Trial) -> dict[str, Trial]:
         t, eye = tangents(trial.r), jnp.eye(trial.r.shape[1])

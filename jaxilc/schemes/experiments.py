@@ -1,4 +1,8 @@
-"""Schemes that make experiments on the machine between the trials that play what they learned."""
+"""What a wrapper cannot have inside: experiments between trials, and comparing within a trial.
+
+Some schemes make experiments on the machine between the trials that play what they learned. Others
+compare the output of the running trial with that of the last one, which a wrapper may have changed.
+"""
 
 from __future__ import annotations
 
@@ -25,3 +29,19 @@ def need_no_experiments(wrapper: Any, task: Task, why: str) -> None:
                 f"{type(wrapper).__name__}: {type(scheme).__name__} makes experiments between its "
                 f"steps, {why}"
             )
+
+
+def need_no_comparing(wrapper: Any, task: Task, found: str = "", instead: str = "is") -> None:
+    """Raises ValueError where a part of the scheme compares outputs within the trial.
+
+    found: what of the wrapper does not allow it, at the start of the message
+    instead: what is allowed instead, before the field of the part that has to be zero
+    """
+    for scheme, _, _ in with_all_parts(wrapper.scheme, task):
+        for name in scheme.compares:
+            if getattr(scheme, name):
+                raise ValueError(
+                    f"{type(wrapper).__name__}: {found}{name} = {getattr(scheme, name)} of "
+                    f"{type(scheme).__name__}, which compares outputs within the trial; allowed "
+                    f"{instead} {name} = 0"
+                )

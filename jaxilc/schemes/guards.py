@@ -11,8 +11,8 @@ from jax import lax
 from ..pytree.fields import Leaf, child, leaf, pytree, static
 from ..pytree.needs import need_channels
 from ..signals.task import Task, Trial
-from .experiments import need_no_experiments
-from .scheme import Part, Scheme, with_all_parts
+from .experiments import need_no_comparing, need_no_experiments
+from .scheme import Part, Scheme
 from .wrapper import Wrapper
 
 
@@ -193,15 +193,8 @@ class Ladder(Guard):
 
     def check(self, task: Task) -> None:
         _need_numbers(self, "growth_of_gain", "largest", "slow")
-        for scheme, _, _ in with_all_parts(self.scheme, task):
-            comparing = [name for name in scheme.compares if getattr(scheme, name)]
-            if self.slow is not None and comparing:
-                name = comparing[0]
-                raise ValueError(
-                    f"Ladder: slow = {self.slow} with {name} = {getattr(scheme, name)} of "
-                    f"{type(scheme).__name__}, which compares outputs within the trial; allowed "
-                    f"are None, or {name} = 0"
-                )
+        if self.slow is not None:
+            need_no_comparing(self, task, f"slow = {self.slow} with ", "are None, or")
         super().check(task)
 
     def initial_memory(self, task: Task) -> LadderMemory:

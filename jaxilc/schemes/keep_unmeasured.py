@@ -26,6 +26,8 @@ class KeepUnmeasured(Wrapper):
     scheme: any scheme that learns from the error
     """
 
+    weighs = True  # another law for each set of samples that are measured
+
     scheme: Scheme = child()
 
     def learn(self, memory, trial: Trial) -> Any:

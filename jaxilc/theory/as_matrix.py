@@ -18,6 +18,7 @@ from ..schemes import Scheme
 from ..signals.task import Task
 from .affine import View, learning_of
 from .law import learning_law
+from .reached import reached
 from .spectrum import growth_about, radius_with_doubt, triangular_radius
 
 MOST = 4000  # trials over which a limit is looked for
@@ -34,6 +35,9 @@ class Matrices(NamedTuple):
     e0:    (S, N n_y)
     T:     {name: (S, K, n)} of each limit, in units of its bound
     t:     {name: (S, K)} likewise
+    basis: (S, n', n) where learning does not reach every input, see `reached`: the w above is then
+           z of w_1 + basis z, for the w (n',) that is played; columns of zeros fill up; else None
+    origin: (S, n') this w_1; else None
     """
 
     start: np.ndarray
@@ -43,6 +47,8 @@ class Matrices(NamedTuple):
     e0: np.ndarray
     T: dict[str, np.ndarray]
     t: dict[str, np.ndarray]
+    basis: np.ndarray | None = None
+    origin: np.ndarray | None = None
 
     @classmethod
     def of(cls, machines: Machine, scheme: Scheme, task: Task, view: View) -> Matrices:
@@ -57,8 +63,29 @@ class Matrices(NamedTuple):
         # nothing can be claimed of a machine whose numbers overflow
         huge = np.sqrt(np.finfo(found.M.dtype).max)
         M = np.where(usable[:, None, None], found.M, huge)
-        return found._replace(
-            M=M, E=np.where(usable[:, None, None], found.E, 0.0), c=np.nan_to_num(found.c)
+        E, c = np.where(usable[:, None, None], found.E, 0.0), np.nan_to_num(found.c)
+        return found._replace(M=M, E=E, c=c)._reached()
+
+    def _reached(self) -> Matrices:
+        """These maps of the inputs that learning reaches, if some machine does not reach all."""
+        moved = _apply(self.M, self.start) + self.c - self.start
+        found = [reached(M, d) for M, d in zip(self.M, moved, strict=True)]
+        if all(V is None for V in found):
+            return self
+        bases = [np.eye(self.M.shape[1]) if V is None else V for V in found]
+        most = max(V.shape[1] for V in bases)
+        basis = np.stack([np.pad(V, ((0, 0), (0, most - V.shape[1]))) for V in bases])
+        back = basis.swapaxes(1, 2)
+        return Matrices(
+            start=np.zeros((len(basis), most), self.start.dtype),
+            M=back @ self.M @ basis,
+            c=_apply(back, moved),
+            E=self.E @ basis,
+            e0=self.e0 + _apply(self.E, self.start),
+            T={name: T @ basis for name, T in self.T.items()},
+            t={name: t + _apply(self.T[name], self.start) for name, t in self.t.items()},
+            basis=basis,
+            origin=self.start,
         )
 
     def norm(self, power: int) -> np.ndarray:
@@ -74,6 +101,7 @@ class Matrices(NamedTuple):
     def error_norm(self, scheme: Scheme, task: Task, view: View) -> np.ndarray:
         """(S,) an upper bound of ||I - G L||, G = -E, of a scheme that keeps all it has learned."""
         L = learning_law(scheme.unlimited(), task).L[list(view.moving)]
+        L = L if self.basis is None else self.basis.swapaxes(1, 2) @ L
         return _norms(np.eye(self.E.shape[1]) + self.E @ L) * (1 + WIDE)
 
     def limit(self):
@@ -84,9 +112,11 @@ class Matrices(NamedTuple):
         unit, limit = np.eye(self.M.shape[1]), np.zeros_like(self.c)
         for i, (M, c) in enumerate(zip(self.M, self.c, strict=True)):
             limit[i] = np.linalg.lstsq(unit - M, c)[0]
-        left = np.linalg.norm(np.einsum("sij,sj->si", self.M, limit) + self.c - limit, axis=1)
-        error = np.einsum("sij,sj->si", self.E, limit) + self.e0
-        return limit, left, np.sqrt(np.mean(error**2, axis=1)), _norms(self.E)
+        left = np.linalg.norm(_apply(self.M, limit) + self.c - limit, axis=1)
+        error = np.sqrt(np.mean((_apply(self.E, limit) + self.e0) ** 2, axis=1))
+        if self.basis is not None:
+            limit = self.origin + _apply(self.basis, limit)
+        return limit, left, error, _norms(self.E)
 
     def radius(self):
         """(S,) spectral radius of M, and by how much rounding may have moved it."""
@@ -128,8 +158,8 @@ class Matrices(NamedTuple):
         w, open_ = self.start, np.arange(size)
         for j in range(1, MOST + 1):
             with np.errstate(over="ignore", invalid="ignore"):
-                following = np.einsum("sij,sj->si", self.M[open_], w) + self.c[open_]
-                now = np.abs(np.einsum("sij,sj->si", T[open_], w) + t[open_])
+                following = _apply(self.M[open_], w) + self.c[open_]
+                now = np.abs(_apply(T[open_], w) + t[open_])
                 moved = np.linalg.norm(following - w, axis=1)
                 later = now + np.where(moved > 0, reach[open_] * moved, 0.0)[:, None] * rows[open_]
             top, beyond = np.max(now, axis=1), ~(np.max(now, axis=1) <= 1)
@@ -159,6 +189,11 @@ def _of_one(common, machine, *, view):
     offset = jax.tree.map(lambda value, slope: value - slope @ found.start, outputs, slopes)
     (M, E, T), (c, e0, t) = slopes, offset
     return found.start, M, c, E, e0, T, t
+
+
+def _apply(matrices, vectors) -> np.ndarray:
+    """(S, m) the products of S matrices (S, m, n) and vectors (S, n)."""
+    return np.einsum("sij,sj->si", matrices, vectors)
 
 
 def _norms(matrices) -> np.ndarray:

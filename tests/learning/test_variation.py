@@ -1,6 +1,7 @@
 """Trials that differ, against loops in NumPy that are written from the definitions."""
 
 import dataclasses
+import itertools
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +12,7 @@ from cases import ALGEBRA, DT, case
 from jaxilc import Machine, PlantChange, References, Sweep, Task, Uniform, Variation, learn
 from jaxilc.filters import ZeroPhaseButterworth
 from jaxilc.learning import run_trial
+from jaxilc.learning.arrival import newest
 from jaxilc.learning.over_trials import truncated
 from jaxilc.plants import DifferenceEquation, StateSpace
 from jaxilc.pytree import replaced
@@ -24,8 +26,11 @@ from jaxilc.schemes import (
     PIDType,
     WithFeedback,
 )
+from jaxilc.schemes.weights import weighed
+from jaxilc.signals.task import Trial
 from jaxilc.theory import carried_radius
 from jaxilc.theory.certificates import CONVERGES, DIVERGES, MONOTONE, NOTHING, certify
+from jaxilc.tuning.worst_machine import worst_machine
 
 N, A, B, GAIN = 20, 0.7, 0.3, 0.8
 PLANT = StateSpace([[A]], [[B]], [[1.0]], dt=DT)
@@ -129,6 +134,74 @@ def test_a_late_record_is_learned_from_as_it_is():
     assert len(found) > 1
 
 
+@pytest.mark.parametrize("most", [1, 2])
+def test_a_delayed_sample_is_held_until_the_next_one_arrives(most):
+    """All draws of the delays of a short record, in NumPy, against the mean and the draws."""
+    chance, rows = 0.4, 5
+    y = np.array([3.0, -1.0, 4.0, 1.0, -5.0])
+    mean, records = np.zeros(rows), set()
+    for delays in itertools.product(range(most + 1), repeat=rows - 1):
+        share = np.prod([1 - chance if d == 0 else chance / most for d in delays])
+        arrived = [[m for m, d in enumerate((0, *delays)) if m + d <= k] for k in range(rows)]
+        held = y[[max(there) for there in arrived]]
+        mean += share * held
+        records.add(tuple(held))
+    keys = jax.random.split(jax.random.key(2), 4000)
+    drawn = np.asarray(jax.vmap(lambda key: newest(y[:, None], chance, most, key))(keys))[..., 0]
+    assert {tuple(row) for row in drawn} == records
+    error = 6 * drawn.std(0) / np.sqrt(len(keys))
+    assert np.all(np.abs(drawn.mean(0) - mean) <= error + 1e-12)
+    np.testing.assert_allclose(newest(y[:, None], chance, most, None)[:, 0], mean, **ALGEBRA)
+
+
+def test_delayed_samples_are_learned_from_as_they_are():
+    machine = vary(delayed=0.4, shortest=0.6)
+    history = learn(machine, LAW, TASK, 6, save=lambda t: (t.u, t.y, t.weight))
+    played, y, there = (np.asarray(x)[:, :, 0] for x in history.saved)
+    late = 0
+    for j in range(5):
+        there_now = there[j, 1:, 0] > 0
+        learned = (played[j + 1] - played[j])[there_now]
+        e = [GAIN * (R[1:] - held)[there_now] for held in (y[j, 1:], y[j, :-1])]
+        off = np.abs(learned - np.stack(e))
+        assert np.max(off.min(0)) < 1e-12
+        late += np.sum(off.argmin(0))
+        np.testing.assert_allclose((played[j + 1] - played[j])[~there_now], 0, atol=1e-14)
+    assert 0.2 < late / there[:5, 1:].sum() < 0.6
+
+
+@pytest.mark.parametrize("name", ["shortest", "dropped", "delayed"])
+def test_a_chance_has_no_slope_and_says_so(name):
+    machine = vary(shortest=0.8, dropped=0.1, delayed=0.2)
+
+    def loss(chance, gain):
+        moved = replaced(machine, {f"variation.{name}": chance})
+        return jnp.sum(learn(moved, PIDType(gamma_p=gain), TASK, 4).rms)
+
+    with pytest.raises(ValueError, match="shortest, dropped and delayed are chances"):
+        jax.grad(loss)(0.3, 0.5)
+
+    def mean(chance):  # of a record, which theory takes, and which has a slope
+        known = machine.noiseless().variation
+        known = replaced(known, {name: chance})
+        trial = Trial(jnp.asarray(TASK.reference), jnp.cos(TASK.reference), jnp.zeros((N, 1)), DT)
+        there = known.measured(TASK, None)
+        return jnp.sum(
+            known.shown(weighed(trial, there[:, None]), None).e
+            * jnp.sin(jnp.arange(N + 1))[:, None]
+        )
+
+    found = (mean(0.3 + 1e-6) - mean(0.3 - 1e-6)) / 2e-6
+    assert abs(found) > 1e-3
+    np.testing.assert_allclose(jax.grad(mean)(0.3), found, rtol=1e-5)
+
+
+def test_a_worst_machine_is_not_looked_for_along_a_chance():
+    spread = {"variation.dropped": Uniform(0.0, 0.3)}
+    with pytest.raises(ValueError, match="are chances"):
+        worst_machine(vary(dropped=0.1), LAW, TASK, 4, spread, starts=2, steps=2)
+
+
 def test_references_change_and_what_is_played_follows_them():
     other = np.stack([2 * R, -R])[..., None]
     values = np.concatenate([np.asarray(TASK.reference)[None], other])
@@ -190,6 +263,7 @@ def test_repetitive_control_is_certified_by_its_whole_map(gain):
     [
         {"shortest": 0.6},
         {"scatter": 0.05, "late": 1, "dropped": 0.2},
+        {"shortest": 0.6, "late": 1, "delayed": 0.3, "delay": 2},
         {"change": PlantChange(dataclasses.replace(PLANT, B=[[0.5]]), first=4, over=3)},
     ],
 )
@@ -211,10 +285,16 @@ def test_claims_hold_in_the_mean_over_machines_and_say_so(how):
 
 
 def test_what_theory_cannot_say_it_does_not():
-    law = NormOptimal(PLANT, w_r=0.1)
-    for how, said in (
-        ({"dropped": 0.2}, "another law for each set of samples"),
-        ({"references": References(np.stack([R, 2 * R])[..., None])}, "changes after every trial"),
+    optimal, leaky = NormOptimal(PLANT, w_r=0.1), PIDType(gamma_p=0.6, leak=0.1)
+    for law, how, said in (
+        (optimal, {"dropped": 0.2}, "NormOptimal is another law for each set of samples"),
+        # it forgets nothing of what was lost, so its mean is not that of mean samples
+        (KeepUnmeasured(leaky), {"dropped": 0.2}, "KeepUnmeasured is another law for each set"),
+        (
+            optimal,
+            {"references": References(np.stack([R, 2 * R])[..., None])},
+            "changes after every trial",
+        ),
     ):
         found = certify(vary(**how), law, TASK, 3, {}, {})
         assert found.claim[0] == NOTHING
@@ -239,6 +319,8 @@ def test_slopes_go_through_what_differs():
         shortest=0.7,
         dropped=0.1,
         late=1,
+        delayed=0.2,
+        delay=2,
         change=PlantChange(after, 3, 2),
         references=References(np.stack([R, 1.5 * R])[..., None], (3,)),
     )
@@ -296,7 +378,14 @@ def test_every_law_runs_where_trials_differ(name):
     machine, scheme, task = case(name)
     several = jnp.stack([task.reference, 0.9 * task.reference])
     varied = Variation(
-        scatter=1e-3, carried=0.5, shortest=0.6, dropped=0.1, late=1, references=References(several)
+        scatter=1e-3,
+        carried=0.5,
+        shortest=0.6,
+        dropped=0.1,
+        late=1,
+        delayed=0.1,
+        delay=2,
+        references=References(several),
     )
     machine = dataclasses.replace(machine, variation=varied)
     history = learn(machine, scheme, task, 4)
@@ -308,6 +397,8 @@ def test_every_law_runs_where_trials_differ(name):
     [
         (lambda: vary(carried=1.5), r"carried = 1.5 is outside"),
         (lambda: vary(late=30).check(TASK), "late = 30 is outside"),
+        (lambda: vary(delayed=0.1, delay=30).check(TASK), "delay = 30 is outside"),
+        (lambda: vary(delayed=1.0), "delayed = 1 is outside"),
         (lambda: vary(scatter=(1.0, 2.0)).check(TASK), r"needs \(\) or \(1,\)"),
         (lambda: vary(references=References(np.ones((2, 5, 1)))).check(TASK), "this task needs"),
         (lambda: References(np.ones((2, 5, 1)), (1,)), "rising numbers of trials from 2"),
@@ -335,6 +426,8 @@ dt = 0.001
 scatter = 0.01
 shortest = 0.8
 late = 1
+delayed = 0.1
+delay = 2
 change = { first = 4, over = 2, scale = { B = 1.2 } }
 
 [[machine.variation.references]]

@@ -25,7 +25,7 @@ from jaxilc.schemes import (
     with_jerk,
 )
 from jaxilc.signals.task import Trial
-from jaxilc.theory.certificates import NOTHING, certify
+from jaxilc.theory.certificates import CONVERGES, DIVERGES, MONOTONE, NOTHING, certify
 
 N = 24
 MODEL = StateSpace([[0.88, 0.12], [-0.15, 0.8]], [[0.02], [0.09]], [[1.0, 0.4]], dt=DT)
@@ -176,6 +176,26 @@ def test_theory_certifies_what_is_linear():
     assert found.claim[0] != NOTHING
     assert found.broken_promises().size == 0
     np.testing.assert_allclose(found.predicted, found.simulated, rtol=1e-6)
+
+
+def test_without_an_effort_the_limit_is_certified_in_the_inputs_that_learning_reaches():
+    w_r = 1e-3
+    scheme = AtSamples(NormOptimal(MODEL, w_r=w_r), weight=WEIGHT)
+    rows = np.array(POINTS) - 1
+    G, H = lifted(REAL)[rows], lifted(MODEL)[rows]
+    # u moves along H' alone, and the errors at the points decide: e+ = (I - G L) e
+    L = H.T @ np.linalg.inv(H @ H.T + w_r * np.eye(len(rows)))
+    Q, _ = np.linalg.qr(H.T)
+    found = certify(Machine(REAL), scheme, TASK, 5, {}, {})
+    assert found.claim[0] in (MONOTONE, CONVERGES)
+    norm = np.linalg.norm(np.eye(3) - Q.T @ L @ G @ Q, 2)
+    np.testing.assert_allclose(found.outlook.decay.norm[0], norm, rtol=1e-8)
+    expected = H.T @ np.linalg.solve(G @ H.T, np.asarray(TASK.reference)[list(POINTS), 0])
+    np.testing.assert_allclose(found.outlook.limit[0], expected, rtol=1e-7, atol=1e-9)
+    assert found.broken_promises().size == 0
+    # where the plant has another sign than its model, the points are left further and further
+    other = dataclasses.replace(REAL, C=-np.asarray(REAL.C))
+    assert certify(Machine(other), scheme, TASK, 5, {}, {}).claim[0] == DIVERGES
 
 
 def test_a_plant_file_has_points(tmp_path):

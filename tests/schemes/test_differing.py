@@ -1,0 +1,100 @@
+"""Each law on each kind of task or trial that differs: it runs, or refuses and says why.
+
+A pair runs if its shapes do: the law is prepared, and learns twice from records whose errors are
+weighed, with shapes and types that stay. What is learned is tested where each kind is.
+"""
+
+import jax
+import jax.numpy as jnp
+import pytest
+from cases import DT, FEW, PLANTS, SCHEMES, case, task_for
+
+from jaxilc.schemes import (
+    AtSamples,
+    CrossCoupled,
+    KeepUnmeasured,
+    OnBasis,
+    PolynomialBasis,
+)
+from jaxilc.schemes.scheme import with_all_parts
+from jaxilc.schemes.weights import weighed
+from jaxilc.signals.task import Trial
+
+KINDS = {
+    "samples that are lost": lambda law: law,
+    "what is unmeasured is kept": KeepUnmeasured,
+    "points": lambda law: AtSamples(law, windows=(4 * DT, (8 * DT, 10 * DT))),
+    "a contour": CrossCoupled,
+    "a basis": lambda law: OnBasis(law, PolynomialBasis((0, 1), coupled=True)),
+}
+NOTHING_LEARNED = "learns no feedforward signal u"
+COMPARES = "FFDLMFAILC, which compares outputs within the trial"
+ONE_AXIS = "the model has 1 inputs but the task 2"
+# which schemes of cases.py refuse, and what they say; all other pairs run
+REFUSED = {
+    "points": {
+        "ffdl_book": COMPARES,
+        "ffdl_fir": COMPARES,
+        "constrained": "ConstrainedNormOptimal bounds the output by y_low",
+    },
+    "a contour": {
+        "ffdl_book": COMPARES,
+        "ffdl_fir": COMPARES,
+        "model_free": "ModelFreeGradient makes experiments between its steps",
+        "gradient": ONE_AXIS,
+        "constrained": ONE_AXIS,
+        "two_step": ONE_AXIS,
+        "at_samples": ONE_AXIS,
+        "warm_start": r"theta has shape \(2,\); allowed is \(4,\)",
+    },
+    "a basis": {
+        **dict.fromkeys(
+            ("pid_position", "cfdl_mfac", "pfdl_mfac", "ffdl_mfac", "cfdl_mfapc", "smc", "asmc"),
+            NOTHING_LEARNED,
+        ),
+        **dict.fromkeys(("ilc_mfapc", "p_type_over_pid", "dilc", "ilc_asmc"), NOTHING_LEARNED),
+        "model_free": "ModelFreeGradient makes experiments between its steps",
+    },
+}
+
+
+def schemes() -> list[str]:
+    """The first scheme of each composition of classes."""
+    found = {}
+    for name in SCHEMES:
+        _, scheme, task = case(name)
+        parts = tuple(type(part.scheme).__name__ for part in with_all_parts(scheme, task))
+        found.setdefault(parts, name)
+    return list(found.values())
+
+
+def turn(scheme, task):
+    """What is known after two records, of which some errors count less, and some do not at all."""
+    scheme, r = scheme.prepared(task), jnp.asarray(task.reference)
+    memory = scheme.initial_memory(task)
+    W = jnp.broadcast_to((jnp.arange(FEW + 1) % 3 / 2.0)[:, None], r.shape)
+    signals = jax.eval_shape(lambda: scheme.signals(scheme.initial_state(task)))
+    rows = {name: jnp.zeros((task.N, *s.shape), s.dtype) for name, s in signals.items()}
+    u = jnp.zeros((task.N, task.inputs))
+    trial = weighed(Trial(r, jnp.zeros_like(r), u, task.dt, rows), W)
+    return memory, scheme.learn(scheme.learn(memory, trial), trial)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_law_runs_on_each_kind_or_says_why_not(kind):
+    refused = REFUSED.get(kind, {})
+    assert set(refused) <= set(schemes())
+    for name in schemes():
+        plant = case(name)[0].plant
+        if kind == "a contour" and plant.n_y == 1:
+            plant = PLANTS["mimo"]
+        scheme, task = KINDS[kind](SCHEMES[name]), task_for(plant, FEW)
+        if name in refused:
+            with pytest.raises(ValueError, match=refused[name]):
+                scheme.check(task)
+            continue
+        scheme.check(task)
+        before, after = jax.eval_shape(turn, scheme, task)
+        assert jax.tree.structure(before) == jax.tree.structure(after), name
+        for was, now in zip(jax.tree.leaves(before), jax.tree.leaves(after), strict=True):
+            assert (was.shape, was.dtype) == (now.shape, now.dtype), name
