@@ -22,6 +22,7 @@ class Case(NamedTuple):
 
     trials: the trial whose error counts in tuning;  last: the last trial that is judged
     judged_on: machines that judge, the nominal one included; fewer where a trial is long
+    tuned_on, steps: machines and steps of each tuning, the same for every law
     """
 
     machine: Machine
@@ -31,6 +32,14 @@ class Case(NamedTuple):
     last: int = 500
     judged_on: int = 257
     feedback: Scheme | None = None
+    tuned_on: int = 32
+    steps: int = 60
+
+    def budget(self, seed: int) -> dict:
+        """The settings that every tuning has."""
+        return {
+            "machines": self.tuned_on, "held_out": self.tuned_on, "steps": self.steps, "seed": seed
+        }  # fmt: skip
 
     def under(self, scheme: Scheme) -> Scheme:
         return scheme if self.feedback is None else WithFeedback(scheme, self.feedback)

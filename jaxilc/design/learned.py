@@ -36,6 +36,7 @@ from .window import Filters, Window, window_of
 SPARE = 0.02  # beyond the margin, kept in the search for machines that it has not seen
 DENSE, CLOSE = 257, 600  # machines and frequencies of the gate
 RISE = 0.5  # weight of the largest error of all trials
+SHARPNESS = 4000.0  # of the penalty; with 400, it asks for 2.5 % less than the start just keeps
 UNSAFE = 20.0  # weight of the logarithm of |keep - L P| beyond what is allowed
 RATE = 0.002  # share of 1 / |P| by which a step changes the taps at one frequency
 LEARNED, SAFE = "learned", "safe"
@@ -243,6 +244,7 @@ class LearnedLaw(Question):
             return starts[0]
         made_small = self.objective or Final(self.metric) + RISE * Holding(1, self.metric)
         below = 1 - self.margin - SPARE
+        safe = OverFamily(family.frequencies, family.P, below, SHARPNESS)
 
         def problem(start: Filters) -> Tuning:
             return Tuning(
@@ -252,7 +254,7 @@ class LearnedLaw(Question):
                 self.trials,
                 weights=[WEIGHT if self.feedback is None else f"learning.{WEIGHT}"],
                 uncertainty=self.uncertainty,
-                objective=made_small + UNSAFE * OverFamily(family.frequencies, family.P, below),
+                objective=made_small + UNSAFE * safe,
                 risk=self.risk,
                 machines=self.trained_on,
                 held_out=self.held_out,
