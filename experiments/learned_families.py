@@ -30,10 +30,10 @@ class Case(NamedTuple):
     uncertainty: Uncertainty
     trials: int = 10
     last: int = 500
-    judged_on: int = 257
+    judged_on: int = 129
     feedback: Scheme | None = None
-    tuned_on: int = 32
-    steps: int = 60
+    tuned_on: int = 16
+    steps: int = 40
 
     def budget(self, seed: int) -> dict:
         """The settings that every tuning has."""
@@ -91,7 +91,13 @@ def non_minimum_phase() -> Case:
 def li_axis() -> Case:
     s = load("li-2020")
     return Case(
-        s.machine, s.task, s.uncertainty, judged_on=65, feedback=s.schemes["p-type"].feedback
+        s.machine,
+        s.task,
+        s.uncertainty,
+        judged_on=17,
+        feedback=s.schemes["p-type"].feedback,
+        tuned_on=4,
+        steps=12,
     )
 
 
@@ -122,7 +128,7 @@ def ball_screw() -> Case:
     spread = {name.replace("plant.", "plant.drive."): of for name, of in s.uncertainty.items()}
     r = jnp.asarray(s.task.reference)[:, 1]
     task = Task(r, dt=float(s.task.dt), unit="mm")
-    return Case(Machine(plant, None, noise), task, spread, judged_on=65)
+    return Case(Machine(plant, None, noise), task, spread, judged_on=33, tuned_on=8, steps=20)
 
 
 def voice_coil() -> Case:

@@ -29,7 +29,7 @@ from pathlib import Path
 import numpy as np
 import output
 from learned_families import Case, motion, servo
-from learned_laws import JUDGES, MARGIN, METRIC, SEED, noise_of
+from learned_laws import JUDGES, MARGIN, METRIC, RISK, SEED, noise_of
 
 import jaxilc
 from jaxilc import Actuator, Machine, Sweep, Task
@@ -90,7 +90,8 @@ def laws_of(case: Case, folder: Path):
             yield f"{one.name}, tuned", better.scheme, time.perf_counter() - began
     asked = LearnedLaw(
         case.machine, case.task, case.trials, case.uncertainty, case.feedback, metric=METRIC,
-        margin=MARGIN, seed=SEED, trained_on=case.tuned_on, held_out=case.tuned_on, steps=0,
+        margin=MARGIN, seed=SEED, risk=RISK, steps=0,
+        trained_on=case.tuned_on, held_out=case.tuned_on,
     )  # fmt: skip
     starts = sorted((one for one in safe if one.name != "norm-optimal"), key=lambda x: x.predicted)
     objectives = {"last": None, "every": EveryTrial(METRIC)}
@@ -103,7 +104,7 @@ def laws_of(case: Case, folder: Path):
         for name, one in variants.items():
             began, state = time.perf_counter(), folder / f"{name}{segments}".replace(" ", "-")
             found = one.learned_taps(
-                family, starts, state, resume=state.exists(), told=lambda stage, what: None
+                one.resolved(), starts, state, resume=state.exists(), told=lambda stage, what: None
             )
             if isinstance(found.passed, str):
                 print(f"  {name}{segments}: refused, {found.passed}", flush=True)

@@ -35,6 +35,7 @@ from learned_opponents import (
     KEPT,
     MARGIN,
     METRIC,
+    RISK,
     SEED,
     best_of_grid,
     opponents,
@@ -57,7 +58,7 @@ from jaxilc.theory.loop import minimal
 JUDGES, SHOWN = 4711, (1, 2, 5, 10, 20, 50, 100, 200, 500)
 TABLE = (10, 100, 500)
 CONFIDENCE = 0.95
-DENSE, CLOSE = 257, 600  # machines and frequencies of the test by frequency
+DENSE, CLOSE, LINES_FOR = 257, 600, 61  # machines, frequencies and taps of the test by frequency
 ADAPTIVE = ("ffdl-mfailc",)  # the test is of a linear law
 
 
@@ -68,8 +69,8 @@ def judged(name: str, folder: Path, laws_of) -> dict:
     """
     case = FAMILIES[name]()
     dense = family_of(
-        case.machine, case.feedback, case.task, case.uncertainty,
-        seed=SEED + 3, machines=DENSE, points=CLOSE,
+        case.machine, case.feedback, case.task, case.uncertainty, seed=SEED + 3, machines=DENSE,
+        points=CLOSE, taps=LINES_FOR,
     )  # fmt: skip
     family = family_of(case.machine, case.feedback, case.task, case.uncertainty, seed=SEED)
     safe = list(candidates(family, case.feedback, case.task, case.trials, MARGIN, KEPT))
@@ -89,7 +90,7 @@ def laws_by_grid(case: Case, family: Family, safe: list, folder: Path, taps: dic
     """As `tuned_laws`, without any tuning through learning."""
     asked = LearnedLaw(
         case.machine, case.task, case.trials, case.uncertainty, case.feedback, metric=METRIC,
-        margin=MARGIN, seed=SEED, steps=0,
+        margin=MARGIN, seed=SEED, risk=RISK, steps=0,
     )  # fmt: skip
     found, seconds = taps_of(case, asked, family, safe, folder / "learned", {})
     if isinstance(found.passed, str):
@@ -117,7 +118,7 @@ def tuned_laws(case: Case, family: Family, safe: list, folder: Path, taps: dict)
     seen = {}
     asked = LearnedLaw(
         case.machine, case.task, case.trials, case.uncertainty, case.feedback, metric=METRIC,
-        margin=MARGIN, seed=SEED, steps=case.steps, trained_on=case.tuned_on,
+        margin=MARGIN, seed=SEED, risk=RISK, steps=case.steps, trained_on=case.tuned_on,
         held_out=case.tuned_on,
     )  # fmt: skip
     found, seconds = taps_of(case, asked, family, safe, folder / "learned", seen)
@@ -143,8 +144,8 @@ def taps_of(case: Case, asked: LearnedLaw, family: Family, safe: list, state: Pa
     began, names = time.perf_counter(), STARTS["safe"]
     starts = [one for one in safe if not isinstance(one, Absent) and one.name in names]
     found = asked.learned_taps(
-        family, sorted(starts, key=lambda one: one.predicted), state, resume=state.exists(),
-        told=lambda stage, what: seen.setdefault(stage, what),
+        asked.resolved(), sorted(starts, key=lambda one: one.predicted), state,
+        resume=state.exists(), told=lambda stage, what: seen.setdefault(stage, what),
     )  # fmt: skip
     return found, time.perf_counter() - began
 

@@ -35,6 +35,7 @@ from jaxilc.tuning.objectives import EveryTrial, Holding
 from jaxilc.tuning.risks import CVaR
 
 METRIC, MARGIN, SEED = "rms", 0.05, 0
+RISK = CVaR(0.75)
 GAINS, SHARES, LEADS = np.geomspace(0.1, 1.2, 8), np.geomspace(0.004, 0.3, 16), 16
 SIMULATED = 160  # laws of this grid that are simulated: those of least error by the responses
 KEPT = ("p-type", "pd-type", "p-type-notch", "model-inverse", "norm-optimal")
@@ -71,7 +72,11 @@ def opponents(
         yield one.name, better.scheme, time.perf_counter() - began
         began = time.perf_counter()
         if one.name == "model-inverse":
-            yield "model-inverse, free", free(case, one, state), time.perf_counter() - began
+            yield (
+                "model-inverse, free",
+                free(case, one, folder / "tuning-free"),
+                time.perf_counter() - began,
+            )
             began = time.perf_counter()
     grid = best_of_grid(case, family)
     yield "p-type, grid", grid, time.perf_counter() - began
@@ -85,13 +90,13 @@ def tuning_of(case: Case, scheme: Scheme, bounds: dict) -> Tuning:
     first = max(1, round(0.75 * case.trials))
     return Tuning(
         case.machine, scheme, case.task, case.trials, bounds, case.uncertainty,
-        Holding(first, METRIC) + 0.02 * EveryTrial(METRIC), CVaR(0.75), **case.budget(SEED),
+        Holding(first, METRIC) + 0.02 * EveryTrial(METRIC), RISK, **case.budget(SEED),
     )  # fmt: skip
 
 
 def free(case: Case, safe: Candidate, state: Path) -> Scheme:
-    """The law with the weights that its tuning found, safe or not; the tuning is run already."""
-    return tuning_of(case, safe.scheme, safe.bounds).run(state, resume=True).scheme
+    """The law with the weights that a tuning without the test by frequency finds."""
+    return tuning_of(case, safe.scheme, safe.bounds).run(state, resume=state.exists()).scheme
 
 
 def of_inverse(case: Case, family: Family, name: str, inverse) -> Candidate | Absent:

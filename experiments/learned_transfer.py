@@ -14,7 +14,7 @@ import dataclasses
 import numpy as np
 import output
 from learned_families import FAMILIES, Case
-from learned_laws import JUDGES, MARGIN, METRIC, SEED
+from learned_laws import JUDGES, MARGIN, METRIC, RISK, SEED
 
 import jaxilc
 from jaxilc import Sweep
@@ -47,13 +47,13 @@ def law_of(case: Case, family: Family, folder) -> LearningFilter | str:
     """The law of a family by frequency response, or why there is none."""
     asked = LearnedLaw(
         case.machine, case.task, case.trials, case.uncertainty, case.feedback, metric=METRIC,
-        margin=MARGIN, seed=SEED, steps=0,
+        margin=MARGIN, seed=SEED, risk=RISK, steps=0,
     )  # fmt: skip
     names = STARTS["safe"]
     found = candidates(family, case.feedback, case.task, case.trials, MARGIN, names)
     safe = sorted((x for x in found if isinstance(x, Candidate)), key=lambda x: x.predicted)
     taps = asked.learned_taps(
-        family, safe, folder, resume=folder.exists(), told=lambda stage, what: None
+        asked.resolved(), safe, folder, resume=folder.exists(), told=lambda stage, what: None
     )
     return taps.passed if isinstance(taps.passed, str) else taps.window.of(taps.passed.filters)
 
