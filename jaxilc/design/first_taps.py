@@ -9,21 +9,24 @@ the gate, which judges what is found.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+import scipy.linalg
 
 from ..schemes import Scheme
 from ..signals.task import Task
-from ..theory.law import law_of
+from ..theory.law import law_of, learning_law
 from ..tuning.risks import Risk
 from .by_response import by_response, searched, sizes_of
 from .responses import Family
+from .simulated import impulse_response
 from .window import Filters, Window, leads_of
 
 BRIEF = 150  # steps at each lead
 APART = 12  # leads closer than the number of taps divided by this count as one
+SHORT, ENDS = 200, 4  # of the trial of both ends: least samples, and samples by the reach of taps
 ROUNDS, JOIN = 5, 16  # of the exchange, and machines that join in each
 
 
@@ -40,34 +43,58 @@ class FirstTaps(NamedTuple):
     besides: dict[str, np.ndarray]
 
 
-def best_lead(
+def best_of_leads(
     family: Family,
     window: Callable[[int], Window],
-    start: Scheme | None,
+    starts: Sequence[Scheme | None],
     task: Task,
     trials: int,
     below: float,
     risk: Risk,
-) -> int:
-    """The lead at which the taps that are found by a brief search have the least loss.
+) -> tuple[int, Filters]:
+    """The lead with the least loss of the taps that a brief search finds, and these taps.
+
+    Taps with which the ends of the trial are safe too come first, see `radius_in_a_trial`.
 
     window: of a lead
-    start: law of a few weights that the taps are taken from, None for one that learns nothing
+    starts: laws that the taps are taken from; None is one that learns nothing
     """
     leads = leads_of(family, task)
-    if start is not None:
-        L = law_of(start, task).L
-        weight = np.sum(np.asarray(L.taps) ** 2, axis=(1, 2))
-        leads.append(max(0, round(float(np.sum(L.powers * weight) / np.sum(weight))) - 1))
-    tried: dict[int, float] = {}
+    for start in starts:
+        if start is not None:
+            L = law_of(start, task).L
+            weight = np.sum(np.asarray(L.taps) ** 2, axis=(1, 2))
+            leads.append(max(0, round(float(np.sum(L.powers * weight) / np.sum(weight))) - 1))
+    tried: dict[int, tuple[tuple[bool, float], Filters]] = {}
     for lead in leads:
         one = window(lead).unscheduled()
         if any(abs(lead - other) <= len(one.of_L) / APART for other in tried):
             continue
-        tried[one.lead] = searched(
-            family, one, held(one, start, task), task, trials, below, steps=BRIEF, risk=risk
-        )[1]
-    return min(tried, key=lambda lead: tried[lead])
+        each = []
+        for start in starts:
+            found, loss = searched(
+                family, one, held(one, start, task), task, trials, below, steps=BRIEF, risk=risk
+            )
+            each.append(((radius_in_a_trial(family, one, found, task) >= 1, loss), found))
+        tried[one.lead] = min(each, key=lambda pair: pair[0])
+    lead = min(tried, key=lambda lead: tried[lead][0])
+    return lead, window(lead).throughout(tried[lead][1])
+
+
+def radius_in_a_trial(family: Family, window: Window, filters: Filters, task: Task) -> float:
+    """Largest |eigenvalue| of the learning map of the nominal machine, in a trial of its ends.
+
+    The test by frequency holds far from the ends of a trial. At its end L looks for errors that do
+    not exist, and a law may diverge there that is safe elsewhere. Of several channels it is 0, as
+    it is not computed.
+    """
+    reach = window.lead + len(window.of_L) + len(window.of_keep)
+    N = min(task.N, max(SHORT, ENDS * reach))
+    if family.P.ndim > 2 or not family.loops:
+        return 0.0
+    law = learning_law(window.of(filters), Task(np.zeros(N + 1), dt=task.dt))
+    P = scipy.linalg.toeplitz(impulse_response(family.loops[0], N), np.zeros(N))
+    return float(np.max(np.abs(np.linalg.eigvals(law.keep - law.L @ P))))
 
 
 def held(window: Window, start: Scheme | None, task: Task) -> Filters:

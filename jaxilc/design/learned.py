@@ -21,7 +21,7 @@ from ..tuning.objectives import Final, Holding, Objective
 from ..tuning.risks import Mean, Risk
 from .by_response import moved
 from .candidates import Candidate
-from .first_taps import FirstTaps, best_lead, exchanged, held
+from .first_taps import FirstTaps, best_of_leads, exchanged, held
 from .gate import Passed, gate
 from .judging import Verdict, judged_trials
 from .kept_taps import kept_or
@@ -102,7 +102,8 @@ class LearnedLaw(Question):
         With several inputs and outputs the taps are full matrices.
     taps: odd numbers of taps of L and of Q
     start: of `STARTS`: the best `safe` law, the `p-type` one, the model `inverse`, or `nothing`.
-        For several channels it is nothing, also with `safe`.
+        With `safe` the taps that are found from nothing are taken if they are better, and for
+        several channels it is nothing.
     starts: first samples of the segments after the first, rising; each segment has taps of its own
     coupled: whether each input learns from all errors, or from that of its own channel only
     limit: () or (n_u,) largest |u| that is learned [unit of u]; None: no limit
@@ -189,6 +190,7 @@ class LearnedLaw(Question):
         """
         start, below = self._start_of(safe), 1 - self.margin - SPARE
         law = None if start is None else start.scheme
+        laws = (law, None) if law is not None and self.start == "safe" else (law,)
 
         def at(lead: int) -> Window:
             return window_of(
@@ -200,10 +202,10 @@ class LearnedLaw(Question):
             return self.resolved(besides=besides)
 
         def by_frequency() -> FirstTaps:
-            window = at(best_lead(family, at, law, self.task, self.trials, below, self.risk))
+            lead, begin = best_of_leads(family, at, laws, self.task, self.trials, below, self.risk)
             return exchanged(
-                family, joined, lambda: self.resolved(after=4, machines=WATCH),
-                window, held(window, law, self.task), self.task, self.trials, below,
+                family, joined, lambda: self.resolved(after=4, machines=WATCH), at(lead), begin,
+                self.task, self.trials, below,
                 1 - self.margin - SPARE / 2, self.risk,
             )  # fmt: skip
 
