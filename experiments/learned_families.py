@@ -22,6 +22,7 @@ class Case(NamedTuple):
 
     trials: the trial whose error counts in tuning;  last: the last trial that is judged
     judged_on: machines that judge, the nominal one included; fewer where a trial is long
+    real: the machine that judges, None for the one that is tuned on
     tuned_on, steps: machines and steps of each tuning, the same for every law
     """
 
@@ -32,6 +33,7 @@ class Case(NamedTuple):
     last: int = 500
     judged_on: int = 129
     feedback: Scheme | None = None
+    real: Machine | None = None
     tuned_on: int = 16
     steps: int = 40
 
@@ -122,13 +124,22 @@ class ClosedDrive(Plant):
 
 
 def ball_screw() -> Case:
+    """Laws are found on the linear drive, and judged on that with friction, encoder and limits."""
     s = load("milc-2024")
-    plant = ClosedDrive(s.machine.plant, s.schemes["dilc"].feedback.scheme.kp)
+    real = ClosedDrive(s.machine.plant, s.schemes["dilc"].feedback.scheme.kp)
+    left_out = dict.fromkeys(
+        ("motor_friction", "table_friction", "compensation", "lead_error", "encoder_step",
+         "force_limit")
+    )  # fmt: skip
+    plant = dataclasses.replace(real, drive=dataclasses.replace(real.drive, **left_out))
     noise = Sensor(noise=float(np.asarray(s.machine.sensor.noise)[1]))
     spread = {name.replace("plant.", "plant.drive."): of for name, of in s.uncertainty.items()}
     r = jnp.asarray(s.task.reference)[:, 1]
     task = Task(r, dt=float(s.task.dt), unit="mm")
-    return Case(Machine(plant, None, noise), task, spread, judged_on=33, tuned_on=8, steps=20)
+    return Case(
+        Machine(plant, None, noise), task, spread, judged_on=17, tuned_on=8, steps=20,
+        real=Machine(real, None, noise),
+    )  # fmt: skip
 
 
 def voice_coil() -> Case:

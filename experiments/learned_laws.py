@@ -163,7 +163,7 @@ def row_of(case: Case, law: str, scheme: Scheme, seconds: float, folder: Path) -
     if kept.exists():
         return json.loads(kept.read_text())
     dataset = Sweep(
-        case.machine, {"law": scheme}, case.task, case.last, case.uncertainty,
+        case.real or case.machine, {"law": scheme}, case.task, case.last, case.uncertainty,
         machines=case.judged_on, seed=JUDGES,
     ).run()  # fmt: skip
     lost = ~dataset["finite"].values[0] | dataset["diverged"].values[0]

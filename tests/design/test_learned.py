@@ -152,6 +152,8 @@ class Enough(Exception):
 
 def test_a_run_that_was_killed_and_is_resumed_learns_the_same_taps(tmp_path, monkeypatch):
     monkeypatch.setattr("jaxilc.design.learned.DENSE", 3)
+    monkeypatch.setattr("jaxilc.design.learned.WATCH", 3)
+    monkeypatch.setattr("jaxilc.design.first_taps.leads_of", lambda *_: [4])
     monkeypatch.setattr(LearnedLaw, "_safe", lambda *_: [])
     asked = LearnedLaw(
         MACHINE, TASK, 2, WIDE, taps=(5, 5), start="nothing", metric="rms", margin=MARGIN,
