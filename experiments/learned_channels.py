@@ -43,8 +43,14 @@ from jaxilc.tuning.risks import CVaR
 
 METRIC, MARGIN, SEED, JUDGES, NOISE = "rms", 0.05, 0, 4711, 1e-4
 SAMPLES, TRIALS, LAST, SHOWN = 400, 10, 100, (2, 3, 5, 10, 100)
-TUNED_ON, STEPS, JUDGED_ON = 12, 40, 65
+TUNED_ON, STEPS, JUDGED_ON = 8, 30, 65
 TAPS = (41, 21)
+RESPONSE, TUNED = ("by response", 0), ("tuned", STEPS)
+HOW = {
+    "alone": (RESPONSE,),
+    "matrices": (RESPONSE, TUNED),
+    "matrices, scheduled": (RESPONSE, TUNED),
+}
 
 
 @pytree
@@ -103,10 +109,10 @@ def learned(case: Case, folder):
         "matrices": {},
         "matrices, scheduled": {"starts": (SAMPLES // 2,)},
     }.items():
-        for how, steps in (("by response", 0), ("tuned", case.steps)):
+        for how, steps in HOW[name]:
             asked = LearnedLaw(
                 case.machine, case.task, case.trials, case.uncertainty, metric=METRIC,
-                margin=MARGIN, taps=TAPS, machines=33, seed=SEED, steps=steps, start="nothing",
+                margin=MARGIN, taps=TAPS, machines=9, seed=SEED, steps=steps, start="nothing",
                 objective=EveryTrial(METRIC), trained_on=case.tuned_on, held_out=case.tuned_on,
                 **settings,
             )  # fmt: skip

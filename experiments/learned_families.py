@@ -73,7 +73,10 @@ def servo() -> Case:
     plant = ProcessModel(1.0, frequencies=2 * np.pi * np.r_[60.0, 180.0], dampings=[0.7, 0.02])
     spread = relative(frequencies_0=0.2, frequencies_1=0.15, dampings_1=0.5, gain=0.1)
     return Case(
-        Machine(plant, None, Sensor(noise=1e-4)), motion([5, 20, 45], [0.6, 0.3, 0.15]), spread
+        Machine(plant, None, Sensor(noise=1e-4)),
+        motion([5, 20, 45], [0.6, 0.3, 0.15]),
+        spread,
+        judged_on=65,
     )
 
 
@@ -86,7 +89,10 @@ def non_minimum_phase() -> Case:
     )
     spread = relative(frequencies_0=0.15, frequencies_1=0.1, zeros_0=0.1, gain=0.1)
     return Case(
-        Machine(plant, None, Sensor(noise=1e-4)), motion([3, 8, 15], [0.6, 0.3, 0.1]), spread
+        Machine(plant, None, Sensor(noise=1e-4)),
+        motion([3, 8, 15], [0.6, 0.3, 0.1]),
+        spread,
+        judged_on=65,
     )
 
 
@@ -96,10 +102,10 @@ def li_axis() -> Case:
         s.machine,
         s.task,
         s.uncertainty,
-        judged_on=17,
+        judged_on=9,
         feedback=s.schemes["p-type"].feedback,
         tuned_on=4,
-        steps=12,
+        steps=8,
     )
 
 
@@ -137,7 +143,7 @@ def ball_screw() -> Case:
     r = jnp.asarray(s.task.reference)[:, 1]
     task = Task(r, dt=float(s.task.dt), unit="mm")
     return Case(
-        Machine(plant, None, noise), task, spread, judged_on=17, tuned_on=8, steps=20,
+        Machine(plant, None, noise), task, spread, judged_on=9, tuned_on=4, steps=12,
         real=Machine(real, None, noise),
     )  # fmt: skip
 

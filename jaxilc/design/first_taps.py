@@ -2,9 +2,9 @@
 
 The taps of L are tried at several leads (`window.leads_of`), and where those of the safe law lie
 that they are taken from. Then an exchange: a law that keeps the bound on the machines of a family
-may break it on one between them, whose resonance lies elsewhere. It is watched on many others, and
-the worst of them join the family, until none breaks it. The machines that watch are not those of
-the gate, which judges what is found.
+may break it on one between them, whose resonance lies elsewhere. It is watched on others, and the
+worst of them join the family, until none of fresh ones breaks it. The machines that watch are not
+those of the gate, which judges what is found.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ def held(window: Window, start: Scheme | None, task: Task) -> Filters:
 def exchanged(
     family: Family,
     joined: Callable[[dict[str, np.ndarray]], Family],
-    watch: Callable[[], Family],
+    watch: Callable[[int], Family],
     window: Window,
     first: Filters,
     task: Task,
@@ -117,18 +117,18 @@ def exchanged(
     """Taps by frequency response that keep a bound on the machines that watch, as far as possible.
 
     joined: the family with machines of these numbers besides
-    watch: the machines that watch
+    watch: the machines that watch in a round, others in each
     first: taps from which the search begins
     below: bound on |keep - L P| in the search;  most: on the machines that watch
     """
     found = by_response(family, window, first, task, trials, below, risk=risk)
     besides: dict[str, np.ndarray] = {}
-    others = watch() if family.drawn else family
-    for _ in range(ROUNDS):
+    for turn in range(ROUNDS if family.drawn else 0):
+        others = watch(turn)
         sizes = np.max(sizes_of(others, window, found, task.dt), axis=1)
         worst = np.argsort(-sizes)[:JOIN]
         worst = worst[sizes[worst] > most]
-        if not len(worst) or not family.drawn:
+        if not len(worst):
             break
         besides = {
             name: np.concatenate([besides.get(name, np.zeros(0)), np.asarray(values)[worst]])

@@ -35,7 +35,7 @@ from .window import Filters, Window, window_of
 
 SPARE = 0.02  # beyond the margin, kept in the search for machines that it has not seen
 DENSE, CLOSE = 257, 600  # machines and frequencies of the gate
-WATCH = 513  # machines that watch the search by frequency
+WATCH = 129  # machines that watch the search by frequency
 RISE = 0.5  # weight of the largest error of all trials
 RATE = 0.002  # share of 1 / |P| by which a step changes the taps at one frequency
 LEARNED, SAFE = "learned", "safe"
@@ -204,9 +204,9 @@ class LearnedLaw(Question):
         def by_frequency() -> FirstTaps:
             lead, begin = best_of_leads(family, at, laws, self.task, self.trials, below, self.risk)
             return exchanged(
-                family, joined, lambda: self.resolved(after=4, machines=WATCH), at(lead), begin,
-                self.task, self.trials, below,
-                1 - self.margin - SPARE / 2, self.risk,
+                family, joined, lambda turn: self.resolved(after=4 + turn, machines=WATCH),
+                at(lead), begin, self.task, self.trials, below, 1 - self.margin - SPARE / 2,
+                self.risk,
             )  # fmt: skip
 
         begun = kept_or(out, self, by_frequency, resume=resume)

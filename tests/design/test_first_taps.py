@@ -95,7 +95,7 @@ def test_machines_between_those_of_a_family_join_it_until_none_breaks_the_bound(
         )
 
     found = exchanged(
-        resonant, joined, lambda: watch, window, window.nothing(), *args, BELOW + 0.005, Mean()
+        resonant, joined, lambda turn: watch, window, window.nothing(), *args, BELOW + 0.005, Mean()
     )
     assert sizes_of(watch, window, found.filters, DT).max() <= BELOW + 0.005
     (numbers,) = found.besides.values()
