@@ -23,6 +23,7 @@ class Case(NamedTuple):
     trials: the trial whose error counts in tuning;  last: the last trial that is judged
     judged_on: machines that judge, the nominal one included; fewer where a trial is long
     real: the machine that judges, None for the one that is tuned on
+    starts: of the segments of a scheduled law, () where none is judged
     tuned_on, steps: machines and steps of each tuning, the same for every law
     """
 
@@ -34,6 +35,7 @@ class Case(NamedTuple):
     judged_on: int = 129
     feedback: Scheme | None = None
     real: Machine | None = None
+    starts: tuple[int, ...] = ()
     tuned_on: int = 16
     steps: int = 40
 
@@ -150,7 +152,7 @@ def ball_screw() -> Case:
 
 def voice_coil() -> Case:
     s = load("cao-2019")
-    return Case(s.machine, s.task, s.uncertainty)
+    return Case(s.machine, s.task, s.uncertainty, starts=(s.task.N - 100,))
 
 
 FAMILIES: dict[str, Callable[[], Case]] = {

@@ -59,7 +59,8 @@ JUDGES, SHOWN = 4711, (1, 2, 5, 10, 20, 50, 100, 200, 500)
 TABLE = (10, 100, 500)
 CONFIDENCE = 0.95
 DENSE, CLOSE, LINES_FOR = 257, 600, 61  # machines, frequencies and taps of the test by frequency
-ADAPTIVE = ("ffdl-mfailc",)  # the test is of a linear law
+SCHEDULED = "learned, two segments"
+UNTESTED = ("ffdl-mfailc", SCHEDULED)  # the test is of a linear law that is not scheduled
 
 
 def judged(name: str, folder: Path, laws_of) -> dict:
@@ -77,7 +78,7 @@ def judged(name: str, folder: Path, laws_of) -> dict:
     rows, taps = [], {}
     for law, scheme, seconds in laws_of(case, family, safe, folder, taps):
         row = {"law": law} | row_of(case, law, scheme, seconds, folder)
-        sup = None if law in ADAPTIVE else contraction(dense, scheme, case.task)
+        sup = None if law in UNTESTED else contraction(dense, scheme, case.task)
         rows.append(row | {"sup": sup})
         print(f"  {law}: " + "  ".join(cells(rows[-1], case.last)), flush=True)
     floors = {"noise": noise_of(case), "lowest": lowest_of(case, family)}
@@ -115,23 +116,28 @@ def keep_taps(taps: dict, filters: Filters, window: Window, family: Family) -> N
 
 def tuned_laws(case: Case, family: Family, safe: list, folder: Path, taps: dict):
     """Name, scheme and seconds of each law; the taps of the learned one are put into `taps`."""
-    seen = {}
-    asked = LearnedLaw(
-        case.machine, case.task, case.trials, case.uncertainty, case.feedback, metric=METRIC,
-        margin=MARGIN, seed=SEED, risk=RISK, steps=case.steps, trained_on=case.tuned_on,
-        held_out=case.tuned_on,
-    )  # fmt: skip
-    found, seconds = taps_of(case, asked, family, safe, folder / "learned", seen)
-    if isinstance(found.passed, str):
-        print(f"  learned: refused, {found.passed}", flush=True)
-    else:
-        keep_taps(taps, found.passed.filters, found.window, family)
+    for name, starts in {"learned": (), SCHEDULED: case.starts}.items():
+        if name == SCHEDULED and not starts:
+            continue
+        seen = {}
+        asked = LearnedLaw(
+            case.machine, case.task, case.trials, case.uncertainty, case.feedback, metric=METRIC,
+            margin=MARGIN, seed=SEED, risk=RISK, steps=case.steps, trained_on=case.tuned_on,
+            held_out=case.tuned_on, starts=starts,
+        )  # fmt: skip
+        state = folder / name.replace(", ", "-").replace(" ", "-")
+        found, seconds = taps_of(case, asked, family, safe, state, seen)
+        if isinstance(found.passed, str):
+            print(f"  {name}: refused, {found.passed}", flush=True)
+            continue
         law = asked.candidate(found.window, found.passed).scheme
         proof = proof_of(found.family, law, case.machine, case.task, case.uncertainty)
         print(f"  {found.passed.way=}, proof: {proof._asdict()}", flush=True)
         if not proof.refuted:
-            yield "learned", law, seconds
-    yield "by response", case.under(found.window.of(seen["found"])), 0.0
+            yield name, law, seconds
+        if not starts:
+            keep_taps(taps, found.passed.filters, found.window, family)
+            yield "by response", case.under(found.window.of(seen["found"])), 0.0
     yield from opponents(case, family, safe, folder)
 
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import shutil
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -12,6 +13,7 @@ from jaxilc.design import LearnedLaw
 from jaxilc.design.by_response import by_response, moved, sizes_of
 from jaxilc.design.candidates import Candidate, candidates
 from jaxilc.design.gate import Passed, gate
+from jaxilc.design.penalty import UNSAFE, penalty
 from jaxilc.design.proof import _further
 from jaxilc.design.responses import family_of
 from jaxilc.design.shaped import ShapedFilter
@@ -105,6 +107,15 @@ def test_by_response_beats_the_safe_law_and_keeps_the_bound(family, window, safe
     law = law_of(safe.scheme, TASK)
     Q = family.of_taps(law.keep, DT)
     assert np.all(learned < 0.7 * family.rms(Q, family.of_taps(law.L, DT) / Q, TRIALS))
+
+
+def test_the_penalty_begins_at_the_bound_and_not_before(family, window, found):
+    """A law that just keeps the bound is not pushed away from it."""
+    largest = sizes_of(family, window, found, DT).max()
+    run = SimpleNamespace(scheme=window.of(found), task=TASK)
+    assert float(penalty(family, 1.003 * largest)(run)) == 0.0
+    beyond = float(penalty(family, largest / 1.05)(run))
+    assert UNSAFE * np.log(1.05) <= beyond <= UNSAFE * np.log(1.05 * 1.003)
 
 
 def test_each_machine_may_differ_from_its_model_by_what_the_proof_says(family, window, found):
