@@ -27,7 +27,7 @@ from jaxilc.runtime.start import keep_programs
 from jaxilc.schemes import LearningFilter
 
 OF = ("servo", "non-minimum-phase", "cao-2019")
-WIDER, MACHINES, TRIALS = (1.0, 1.5, 2.0), 17, 100
+WIDER, MACHINES, TRIALS = (1.0, 1.4, 1.8), 17, 100
 
 
 def wider(case: Case, times: float) -> Case:

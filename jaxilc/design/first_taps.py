@@ -81,19 +81,23 @@ def best_of_leads(
     return lead, window(lead).throughout(tried[lead][1])
 
 
-def radius_in_a_trial(family: Family, window: Window, filters: Filters, task: Task) -> float:
-    """Largest |eigenvalue| of the learning map of the nominal machine, in a trial of its ends.
+def radius_in_a_trial(
+    family: Family, window: Window, filters: Filters, task: Task, machine: int = 0
+) -> float:
+    """Largest |eigenvalue| of the learning map of a machine, in a trial of its ends.
 
     The test by frequency holds far from the ends of a trial. At its end L looks for errors that do
-    not exist, and a law may diverge there that is safe elsewhere. Of several channels it is 0, as
-    it is not computed.
+    not exist, and a law may diverge there that is safe elsewhere. Of a scheduled law it is that of
+    the last segment. Of several channels it is 0, as it is not computed.
     """
     reach = window.lead + len(window.of_L) + len(window.of_keep)
     N = min(task.N, max(SHORT, ENDS * reach))
     if family.P.ndim > 2 or not family.loops:
         return 0.0
+    if window.starts:
+        window, filters = window.unscheduled(), Filters(filters.L[-1], filters.keep[-1])
     law = learning_law(window.of(filters), Task(np.zeros(N + 1), dt=task.dt))
-    P = scipy.linalg.toeplitz(impulse_response(family.loops[0], N), np.zeros(N))
+    P = scipy.linalg.toeplitz(impulse_response(family.loops[machine], N), np.zeros(N))
     return float(np.max(np.abs(np.linalg.eigvals(law.keep - law.L @ P))))
 
 

@@ -21,7 +21,7 @@ from ..tuning.objectives import Final, Holding, Objective
 from ..tuning.risks import Mean, Risk
 from .by_response import moved
 from .candidates import Candidate
-from .first_taps import FirstTaps, best_of_leads, exchanged, held
+from .first_taps import FirstTaps, best_of_leads, exchanged, held, radius_in_a_trial
 from .gate import Passed, gate
 from .judging import Verdict, judged_trials
 from .kept_taps import kept_or
@@ -92,9 +92,10 @@ class LearnedLaw(Question):
        which they break the bound join the family (`first_taps`).
     3. The better of both, tuned through learning: least mean log e_J + 1/2 log max_j e_j, with the
        monotone condition over the family as a penalty.
-    4. The gate: |keep - L P| <= 1 - margin on a denser family of other machines. Taps that fail are
-       taken back towards the start as far as needed; if nothing on the way passes, or the proof
-       over all frequencies fails, the law is refused.
+    4. The gate: |keep - L P| <= 1 - margin on a denser family of other machines, and no growth from
+       the ends of a trial on the nominal and the worst one. Taps that fail are taken back towards
+       the start as far as needed; if nothing on the way passes, or the proof over all frequencies
+       fails, the law is refused.
     5. A sweep over machines that no step has seen, beside the best safe law of a few weights.
 
     machine, task, trials, uncertainty, feedback, metric, margin, machines, seed, quantities:
@@ -216,7 +217,11 @@ class LearnedLaw(Question):
         wider = joined(begun.besides) if begun.besides else family
         tuned = self._tuned(wider, window, (found, first), out / "tuning", resume, told)
         dense = self.resolved(after=3, machines=DENSE, points=CLOSE)
-        passed = gate(dense, window, tuned, (found, first), self.task.dt, 1 - self.margin)
+
+        def ends(filters: Filters, machine: int) -> bool:
+            return radius_in_a_trial(dense, window, filters, self.task, machine) < 1
+
+        passed = gate(dense, window, tuned, (found, first), self.task.dt, 1 - self.margin, ends)
         told("gate", passed)
         return Taps(start, window, dense, passed)
 

@@ -153,6 +153,17 @@ def test_the_gate_takes_an_unsafe_law_back_and_refuses_what_stays_unsafe(family,
     assert isinstance(refused, str)
     for part in ("|Q (1 - L P)| is", "Hz on the machine with plant.gain = ", "allowed is 0.95"):
         assert part in refused
+    asked = []
+
+    def ends(filters, machine):
+        asked.append(machine)
+        return np.abs(filters.L).sum() < np.abs(passed.filters.L).sum() - 1e-6
+
+    later = gate(family, window, wild, (found,), DT, most, ends)
+    assert later.way > passed.way
+    assert 0 in asked
+    refused = gate(family, window, found, (found,), DT, 1.0, lambda *_: False)
+    assert "diverge from an end of the trial" in refused
     nan = Filters(np.full(21, np.nan), found.keep)
     assert isinstance(gate(family, window, nan, (nan,), DT, most), str)
 
