@@ -21,10 +21,11 @@ import pytest  # noqa: E402
 from cases import PLANTS, task_for  # noqa: E402
 from jax.experimental.compilation_cache import compilation_cache  # noqa: E402
 
-from jaxilc.learning import Machine, over_trials  # noqa: E402
+from jaxilc.learning import Machine  # noqa: E402
+from jaxilc.sweeps import host  # noqa: E402
 
 if QUICKLY_COMPILED:  # a pass of two trials takes twice as long to compile
-    over_trials.TRIALS_A_PASS = 1
+    host.TRIALS_A_PASS = 1
 
 
 def pytest_addoption(parser):

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
@@ -19,10 +20,12 @@ from ..learning.divergence import CEILING
 from ..learning.machine import Machine
 from ..learning.metrics import Keep
 from ..learning.over_trials import learn
+from ..learning.within_trial import bytes_of_trial
 from ..runtime.capacity import check_program
 from ..runtime.lanes import usual_lanes
 from ..schemes import Scheme
 from ..signals.task import Task, Trial
+from ..sweeps.host import TRIALS_A_PASS
 from ..tuning.descent import Evaluation
 from ..tuning.losses import Losses
 from ..tuning.machines import Machines
@@ -30,6 +33,7 @@ from ..tuning.objectives import Objective
 from ..tuning.risks import Mean
 from ..tuning.weights import Weights
 from ..uncertainty import Uncertainty
+from .operations import of_a_trial
 
 SEED = 0
 
@@ -76,10 +80,23 @@ class Learning:
         def of_one(common, numbered):
             scheme, task = common
             machine, key = self.machines.one(numbered, SEED)
-            history = learn(machine, scheme, task, self.trials, key=key, save=save)
+            as_swept: dict[str, Any] = {"save": save, "trials_a_pass": TRIALS_A_PASS}
+            history = learn(machine, scheme, task, self.trials, key=key, **as_swept)
             return history.metrics, history.saved
 
-        return _built(self.machines.tiled(of_one, self.batch), (self.scheme, self.task), self.batch)
+        lanes = usual_lanes(bytes_of_trial(self.scheme, self.task)) or self.machines.lanes
+        machines = dataclasses.replace(self.machines, lanes=lanes)
+        return _built(machines.tiled(of_one, self.batch), (self.scheme, self.task), self.batch)
+
+    def operations(self) -> Counter[str]:
+        """The operations of one trial of the nominal machine, by kind, see `operations`."""
+        save = Keep.of(self.quantities)
+
+        def run(trials: int):
+            history = learn(self.machine, self.scheme, self.task, trials, save=save)
+            return history.metrics, history.saved
+
+        return of_a_trial(run)
 
     def derivatives(self, weights: Weights, *, forward: bool) -> Program:
         """The `Evaluation` of the loss at the start of a tuning of these weights.
@@ -99,11 +116,11 @@ class Learning:
             ceiling=CEILING,
             quantities=self.quantities,
         )
-        if usual_lanes() is None:
-            lanes = losses.fitting_lanes(self.objective, len(self.batch[0]))
-            losses = dataclasses.replace(
-                losses, machines=dataclasses.replace(self.machines, lanes=lanes)
-            )
+        lanes = usual_lanes(bytes_of_trial(self.scheme, self.task), gradient=True)
+        lanes = lanes or losses.fitting_lanes(self.objective, len(self.batch[0]))
+        losses = dataclasses.replace(
+            losses, machines=dataclasses.replace(self.machines, lanes=lanes)
+        )
         evaluate = losses.evaluation(self.objective, self.batch, SEED, clip=np.inf)
         return _built(jax.vmap(evaluate), weights.starts(1, 0.0, SEED))
 

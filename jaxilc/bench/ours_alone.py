@@ -21,6 +21,7 @@ from ..tuning.objectives import Final
 from ..tuning.weights import Weights
 from ..uncertainty import Uniform, bytes_drawn
 from .derivatives import SEED, Learning, machines_of
+from .operations import cost
 from .settings import SPREAD, sinusoid
 from .timing import OURS, Entry, Row, in_turns
 
@@ -33,11 +34,13 @@ class Alone(NamedTuple):
     """The times of one scheme.
 
     rows: the row of its run, `OURS`, and that of its reverse gradient, `GRADIENT`, where asked for
+    limit: what its operations alone would cost, see `operations` [ns per sample-step]
     weights: names of the weights by which the gradient is; without weights there is no gradient
     dropped: number of machines whose slopes are not finite
     """
 
     rows: dict[str, Row]
+    limit: float
     weights: tuple[str, ...] = ()
     dropped: int = 0
 
@@ -153,4 +156,5 @@ def _times(of: Learning, gradients: bool, repeats: int) -> Alone:
         return dict.fromkeys(found)
 
     rows = in_turns(entries, repeats=repeats, agreement=not_compared)
-    return Alone(rows, weights, int(results[GRADIENT].dropped[0]) if weights else 0)
+    limit = 1e9 * cost(of.operations()) / of.task.N
+    return Alone(rows, limit, weights, int(results[GRADIENT].dropped[0]) if weights else 0)

@@ -95,6 +95,7 @@ def measure(programme: Programme, show: Show) -> dict[str, Any]:
         "machine": machine(),
         "precision": "float64" if jax.config.jax_enable_x64 else "float32",
         "rows": {},
+        "operations_ns": {},
         "cost": {},
         "gradients": {},
     }
@@ -170,6 +171,7 @@ def _opponents(programme: Programme, show: Show) -> tuple[dict, dict]:
 
 def _keep_alone(key: str, times: Alone, numbers: dict[str, Any]) -> None:
     numbers["rows"][key] = as_json(times.rows)
+    numbers["operations_ns"][key] = times.limit
     if times.weights:
         numbers["gradients"][key] = {"weights": times.weights, "dropped": times.dropped}
 

@@ -11,11 +11,14 @@ import numpy as np
 
 from .. import scenarios
 from ..learning.over_trials import learn
+from ..learning.within_trial import bytes_of_trial
 from ..pytree.named_paths import replaced
 from ..runtime.capacity import check_size
+from ..runtime.lanes import usual_lanes
 from ..runtime.tiles import tiled
 from ..signals import references
 from ..signals.task import Task
+from ..sweeps.host import TRIALS_A_PASS
 from .peers import METRICS, Problem
 
 SCHEMES = {"cfdl": "cfdl-mfailc", "ffdl": "ffdl-mfailc"}
@@ -59,6 +62,7 @@ class Setting(NamedTuple):
 
     def ours(self, lanes: int | None = None) -> Callable[[], np.ndarray]:
         """(S, J, 4) metrics by `learn`, with the plants in tiles as in a sweep."""
+        lanes = lanes or usual_lanes(bytes_of_trial(self.scheme, self.task))
         run = tiled(partial(_metrics, trials=self.trials), lanes=lanes)
         common, b = (self.machine, self.scheme, self.task), self.b
         return lambda: np.asarray(run(common, b))
@@ -117,5 +121,6 @@ def sinusoid(samples: int, dt: float) -> np.ndarray:
 
 def _metrics(common, b, *, trials: int):
     machine, scheme, task = common
-    history = learn(replaced(machine, {"plant.b": b}), scheme, task, trials)
+    drawn = replaced(machine, {"plant.b": b})
+    history = learn(drawn, scheme, task, trials, trials_a_pass=TRIALS_A_PASS)
     return jax.numpy.concatenate([getattr(history, name) for name in METRICS], axis=-1)

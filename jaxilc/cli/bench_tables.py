@@ -3,6 +3,7 @@
 ns           wall time of the best turn for each sample of each trial of each plant
 times ours   wall time divided by that of our run; the median and the range of all turns
 runs         the same for a gradient, in runs without one
+limit ns     what the operations of a scheme alone would cost, see `bench.operations`
 build s      time to compile
 MB           peak of the RAM that the first call added
 """
@@ -46,25 +47,25 @@ def contest_table(title: str, rows: Mapping[str, Row], counted: str) -> Table:
 
 
 def alone_table(title: str, schemes: Mapping[str, Alone]) -> Table:
-    """A table with a row for each scheme: its run, its gradient, and their ratio."""
+    """A table with a row for each scheme: its run, the limit of it, its gradient in runs."""
     from ..bench.ours_alone import GRADIENT
     from ..bench.timing import OURS
 
-    columns = ("scheme", "run ns", "gradient ns", "runs", "weights", "build s", "MB")
+    columns = ("scheme", "run ns", "limit ns", "times", "gradient", "weights", "build s", "MB")
     table = _table(*columns, title=title)
     for name, times in schemes.items():
         run, gradient = times.rows[OURS], times.rows.get(GRADIENT)
         if gradient is None:
-            cells = ("", "", "", _seconds(run), _megabytes(run))
+            cells = ("", "", _seconds(run), _megabytes(run))
         else:
             cells = (
-                _short(gradient.best),
-                _short(median(gradient.ratios(run))),
+                f"{_short(median(gradient.ratios(run)))} runs",
                 str(len(times.weights)),
                 f"{_seconds(run)} + {_seconds(gradient)}",
                 _megabytes(gradient),
             )
-        table.add_row(name, _short(run.best), *cells)
+        limit = (_short(times.limit), _short(run.best / times.limit))
+        table.add_row(name, _short(run.best), *limit, *cells)
     return table
 
 

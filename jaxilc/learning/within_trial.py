@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -57,6 +59,24 @@ def first_start(machine: Machine, scheme: Scheme, task: Task, key) -> Start:
     )
     rest = jnp.zeros(task.inputs)
     return Start(x, scheme.initial_state(task), rest, None if machine.actuator is None else rest)
+
+
+def bytes_of_trial(scheme: Scheme, task: Task) -> int:
+    """The bytes of one machine that learning over trials reads and writes between two trials.
+
+    They are those of the memory, the schedule, and the record of a trial. Nothing is computed.
+    """
+
+    def signals():
+        ready = scheme.prepared(task)
+        memory = ready.initial_memory(task)
+        beside = ready.signals(ready.initial_state(task))
+        record = jnp.zeros((task.N, task.outputs + task.inputs))
+        rows = jax.tree.map(lambda x: jnp.zeros((task.N, *jnp.shape(x))), beside)
+        return memory, ready.schedule(memory, task), record, rows
+
+    shapes = jax.tree.leaves(jax.eval_shape(signals))
+    return sum(math.prod(s.shape) * s.dtype.itemsize for s in shapes)
 
 
 def _run(

@@ -32,6 +32,7 @@ from .plan import Chunk, Plan
 
 PROGRAMS = 8  # number of programs, of different sweeps, that are kept in a process
 AT_ONCE = 4  # number of chunks that are in the RAM, computed or not; writing takes uneven times
+TRIALS_A_PASS = 2  # of the compiled loop over trials, see `learn`
 COMPILERS = 4  # number of programs that are compiled at once; a compiler mostly uses one core
 
 
@@ -178,7 +179,8 @@ def _one_machine(
     machine, scheme, task, key = common
     index, values = one
     machine = drawn_machine(machine, dict(names), values)
-    history = learn(machine, scheme, task, trials, key=jax.random.fold_in(key, index), save=save)
+    key = jax.random.fold_in(key, index)
+    history = learn(machine, scheme, task, trials, key=key, save=save, trials_a_pass=TRIALS_A_PASS)
     by_channel = {m.name for m in METRICS if m.axes[-1:] in (("channel",), ("input",))} | {*keep}
     found = history.metrics._asdict() | {name: getattr(history.final, name) for name in keep}
     squeezed = {

@@ -17,6 +17,7 @@ import numpy as np
 from ..learning.machine import Machine
 from ..learning.metrics import Keep
 from ..learning.over_trials import check
+from ..learning.within_trial import bytes_of_trial
 from ..pytree.ranges import SEEDS, brief, require
 from ..runtime import capacity, provenance
 from ..runtime.earlier_names import takes_also
@@ -57,8 +58,8 @@ class Sweep:
     keep: signals of the last trial to store, any of y, e, u (they are large)
     chunk: number of machines computed and stored at a time; None for 256, or for a tile on each
         device if that is more, and for up to 8 times as many where there are many machines
-    lanes: number of machines vectorised together, None for what suits this backend: 16 on a CPU; on
-        an accelerator what its memory holds, for which one program of each scheme is compiled
+    lanes: number of machines vectorised together, None for what suits this backend: 16 or 8 on a
+        CPU, by its cache; on an accelerator what its memory holds, see `runtime.lanes`
     quantities: further metrics of each trial, by name, each a function from a trial to a number
 
     The configuration also has chunk, lanes and the number of devices, since sums in another order
@@ -106,7 +107,9 @@ class Sweep:
         if self.drawn:  # the number of corners, whatever was asked for
             object.__setattr__(self, "machines", len(next(iter(self.drawn.values()))))
         if self.lanes is None:
-            object.__setattr__(self, "lanes", usual_lanes() or Host(self._plan()).fitting_lanes())
+            most = max(bytes_of_trial(scheme, self.task) for scheme in self.schemes.values())
+            usual = usual_lanes(most) or Host(self._plan()).fitting_lanes()
+            object.__setattr__(self, "lanes", usual)
         if self.chunk is None:
             object.__setattr__(self, "chunk", self._usual_chunk())
 

@@ -23,6 +23,7 @@ import optax
 from ..learning.divergence import CEILING
 from ..learning.machine import Machine
 from ..learning.over_trials import check
+from ..learning.within_trial import bytes_of_trial
 from ..pytree.named_paths import replaced
 from ..runtime.capacity import check_program
 from ..runtime.earlier_names import takes_also
@@ -122,7 +123,7 @@ class Tuning:
 
     def __post_init__(self):
         if self.lanes_given is None:
-            object.__setattr__(self, "lanes", usual_lanes() or 1)
+            object.__setattr__(self, "lanes", 1)
         check(self.machine, self.scheme, self.task)
         check_settings(vars(self))
         self._weights.need_room(self.machine, self.scheme, self.task)
@@ -130,8 +131,10 @@ class Tuning:
         need_room(self.machine, self.uncertainty, self.task, counts)
         draw(self.machine, self.uncertainty, self.machines, seed=self.seed, sampling=self.sampling)
         jax.eval_shape(lambda: self.loss_of(self.machine, {}))
-        if self.lanes_given is None and usual_lanes() is None:
-            lanes = self._losses.fitting_lanes(self.objective, max(self.machines, self.held_out))
+        if self.lanes_given is None:
+            lanes = usual_lanes(bytes_of_trial(self.scheme, self.task), gradient=True)
+            machines = max(self.machines, self.held_out)
+            lanes = lanes or self._losses.fitting_lanes(self.objective, machines)
             object.__setattr__(self, "lanes", lanes)
             del self.__dict__["_losses"]  # those of one lane
 

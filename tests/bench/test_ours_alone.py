@@ -67,6 +67,7 @@ def test_the_command_times_the_schemes_of_a_file_that_learn(tmp_path):
         assert len(row["seconds"]) == 2
         assert row["difference"] is None
     weights = ["gamma_p", "gamma_i", "gamma_d"]
+    assert 0 < numbers["operations_ns"]["axis/ilc/5"] < min(r["ns_best"] for r in rows.values())
     assert numbers["gradients"]["axis/ilc/5"] == {"weights": weights, "dropped": 0}
 
 

@@ -17,7 +17,6 @@ from jaxilc.learning import (
     measure,
     measured_trial,
     next_memory,
-    over_trials,
     run_trial,
 )
 from jaxilc.plants import DifferenceEquation
@@ -44,19 +43,18 @@ def assert_trees_close(one, other, **tolerance):
 
 
 @pytest.mark.parametrize("name", ["pd_type", "ffdl_book", "p_type_over_pid"])
-def test_learn_is_the_loop_by_hand(name, machine, task, monkeypatch):
+def test_learn_is_the_loop_by_hand(name, machine, task):
     """`learn` gives the same numbers as the loop by hand.
 
     Trial j uses the key folded with j, and the scheme learns after each trial. A pass of the loop
-    holds two trials here, as users have it, and the other tests one (conftest.py).
+    holds two trials here, as in a user's sweep, and in the other tests one (conftest.py).
     """
-    monkeypatch.setattr(over_trials, "TRIALS_A_PASS", 2)
     trials = 8  # two blocks of two passes
     scheme, key = SCHEMES[name], jax.random.key(4)
     noisy = Machine(
         machine.plant, sensor=Sensor(noise=1e-3), disturbance=Disturbance(input_noise=0.01)
     )
-    history = learn(noisy, scheme, task, trials, key=key, save=y_and_u)
+    history = learn(noisy, scheme, task, trials, key=key, save=y_and_u, trials_a_pass=2)
 
     one_trial, learn_from, judge = jax.jit(run_trial), jax.jit(type(scheme).learn), jax.jit(measure)
     memory = scheme.initial_memory(task)

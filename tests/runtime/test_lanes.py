@@ -16,9 +16,11 @@ from sweep_case import PLAN
 
 from jaxilc import Sweep, tiled
 from jaxilc.learning import learn
-from jaxilc.learning.within_trial import run_trial
+from jaxilc.learning.within_trial import bytes_of_trial, run_trial
 from jaxilc.runtime import capacity, lanes
-from jaxilc.runtime.lanes import SHARE, WIDE, fitting_lanes, lanes_for
+from jaxilc.runtime.lanes import SHARE, WIDE, fitting_lanes, lanes_for, usual_lanes
+from jaxilc.schemes import PIDType
+from jaxilc.signals.task import Task
 from jaxilc.tuning.states import Folder, stored_lanes
 
 DEVICES = jax.device_count()
@@ -123,6 +125,17 @@ def test_a_cpu_keeps_its_lanes():
     assert fitting_lanes(lambda common, one: one, (), jnp.ones(3), 10**6) == 16
     assert dataclasses.replace(PLAN, lanes=None, chunk=None).lanes == 16
     assert dataclasses.replace(PROBLEM, lanes=None).lanes == 16
+
+
+@pytest.mark.parametrize(("samples", "expected"), [(4096, 16), (4097, 8), (8192, 8), (8193, 16)])
+def test_half_a_tile_is_taken_where_only_that_fits_into_the_cache(samples, expected):
+    task = Task(np.zeros(samples + 1), dt=1e-3)
+    size = bytes_of_trial(PIDType(0.1), task)
+    assert size == 4 * 8 * samples  # memory, schedule, y and u
+    assert usual_lanes(size) == expected
+    assert usual_lanes(size, gradient=True) == (16 if samples == 4096 else 8)
+    plan = dataclasses.replace(PLAN, schemes={"p-type": PIDType(0.1)}, task=task, lanes=None)
+    assert plan.lanes == expected
 
 
 @pytest.mark.parametrize("name", ["p_type", "cfdl_sign"])
