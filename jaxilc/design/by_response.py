@@ -32,6 +32,7 @@ MEAN = Mean()
 EARLY = 0.1  # weight of the error of half as many trials
 STRICT = 50.0, 5.0  # weights of the mean square excess, and of the largest one
 STEPS = 600
+ENOUGH = 1e-3  # fall of the loss below which the search ends
 NEAR = 0.97  # largest |keep - L P| with which an error is predicted; the excess counts beyond it
 
 
@@ -87,16 +88,33 @@ def searched(
         *window.responses(family.frequencies, task.dt),
     )  # fmt: skip
 
-    def numbers(z):
-        value, slope = _value_and_slope(z, problem, below, counted, risk)
-        return float(value), np.asarray(slope, float)
+    z, least = np.zeros(window.number_of_steps()), np.inf
+    for of in dict.fromkeys((MEAN, risk)):  # the mean, which is smooth, leads near another risk
 
-    z = np.zeros(window.number_of_steps())
-    options = {"maxiter": steps, "maxfun": 2 * steps, "maxcor": 30}
-    found = scipy.optimize.minimize(numbers, z, jac=True, method="L-BFGS-B", options=options)
-    if not (np.isfinite(found.fun) and np.all(np.isfinite(found.x))):
-        return start, np.inf
-    return moved(window, start, found.x), float(found.fun)
+        def numbers(z, of=of):
+            value, slope = _value_and_slope(z, problem, below, counted, of)
+            return float(value), np.asarray(slope, float)
+
+        z, least = _lowest(numbers, z, steps)
+    return moved(window, start, z), least
+
+
+def _lowest(numbers, z, steps: int) -> tuple[np.ndarray, float]:
+    """The lowest point that L-BFGS finds from z, and its value.
+
+    Where its line search fails at a kink of the loss, it begins anew from there.
+    """
+    least, left = np.inf, steps
+    while left > 0:
+        options = {"maxiter": left, "maxfun": 2 * left, "maxcor": 30}
+        found = scipy.optimize.minimize(numbers, z, jac=True, method="L-BFGS-B", options=options)
+        if not (np.isfinite(found.fun) and np.all(np.isfinite(found.x))):
+            break
+        enough = found.fun > least - ENOUGH
+        z, least, left = found.x, float(found.fun), left - max(int(found.nit), 1)
+        if enough:
+            break
+    return z, least
 
 
 def moved(window: Window, start: Filters, z) -> Filters:

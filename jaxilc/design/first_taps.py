@@ -24,7 +24,7 @@ from .responses import Family
 from .simulated import impulse_response
 from .window import Filters, Window, leads_of
 
-BRIEF = 150  # steps at each lead
+BRIEF = 150  # steps at each lead, and after machines have joined
 APART = 12  # leads closer than the number of taps divided by this count as one
 SHORT, ENDS = 200, 4  # of the trial of both ends: least samples, and samples by the reach of taps
 ROUNDS, JOIN = 5, 16  # of the exchange, and machines that join in each
@@ -139,5 +139,5 @@ def exchanged(
             for name, values in others.drawn.items()
         }
         family = joined(besides)
-        found = by_response(family, window, found, task, trials, below, risk=risk)
+        found = by_response(family, window, found, task, trials, below, steps=BRIEF, risk=risk)
     return FirstTaps(found, window.lead, besides)

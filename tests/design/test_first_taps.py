@@ -87,7 +87,7 @@ def test_machines_between_those_of_a_family_join_it_until_none_breaks_the_bound(
     watch = family_of(RESONANT, None, TASK, SPREAD, seed=4, machines=33, points=60, taps=21)
     args = (TASK, TRIALS, BELOW)
     alone = by_response(resonant, window, window.nothing(), *args)
-    assert sizes_of(watch, window, alone, DT).max() > BELOW + 0.01
+    assert sizes_of(watch, window, alone, DT).max() > BELOW + 0.003
 
     def joined(besides):
         return family_of(
@@ -95,9 +95,9 @@ def test_machines_between_those_of_a_family_join_it_until_none_breaks_the_bound(
         )
 
     found = exchanged(
-        resonant, joined, lambda turn: watch, window, window.nothing(), *args, BELOW + 0.005, Mean()
+        resonant, joined, lambda turn: watch, window, window.nothing(), *args, BELOW + 0.002, Mean()
     )
-    assert sizes_of(watch, window, found.filters, DT).max() <= BELOW + 0.005
+    assert sizes_of(watch, window, found.filters, DT).max() <= BELOW + 0.002
     (numbers,) = found.besides.values()
     assert set(numbers) <= set(watch.drawn["plant.frequencies[1]"])
     wider = joined(found.besides)
@@ -114,4 +114,4 @@ def test_another_risk_makes_the_worst_machines_better(resonant):
         filters = by_response(*args, risk=risk)
         keep = to_keep @ filters.keep
         worst.append(np.max(resonant.rms(keep, (to_L @ filters.L) / keep, TRIALS)))
-    assert worst[1] < 0.999 * worst[0]
+    assert worst[1] < worst[0]
