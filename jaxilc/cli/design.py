@@ -124,6 +124,7 @@ def _leave(
     from ..scenarios.design_file import write_design
     from ..sweeps.store import open_dataset
     from .design_lines import design_numbers, design_table, lines_of, lost_lines, next_line
+    from .live import of_a_store
 
     table, best = design_table(chosen, found), found.chosen
     lines = lost_lines(found) if best is None else lines_of(chosen, found, best)
@@ -135,18 +136,20 @@ def _leave(
         candidate = best.verdict.candidate
         schemes = {candidate.name: candidate.scheme}
         paths.append(write_design(target, plant_file, schemes, lines))
-    store = folder / "state" / "sweep.zarr"
+    store, live = folder / "state" / "sweep.zarr", []
     if store.exists():
         scale, unit = chosen.shown(chosen.judged_by)
+        judged = open_dataset(store)
+        live = of_a_store(report, chosen, judged)
         band = figures.error_band(
-            open_dataset(store),
+            judged,
             metric=chosen.judged_by,
             tolerance=chosen.tolerance,
             scale=scale,
             unit=unit,
         )
         paths.append(figures.save(band, folder / "design.png"))
-    page = command_report(report, "design", [table], paths, scenario=chosen, lines=lines)
+    page = command_report(report, "design", [table], paths, scenario=chosen, lines=lines, live=live)
     numbers = design_numbers(chosen, found)
     if best is not None:
         numbers |= {"verdict": lines, "next": f"jaxilc run {shlex.quote(str(target))}"}

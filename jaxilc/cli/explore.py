@@ -59,10 +59,10 @@ def explore(
 
     Example: jaxilc explore cao-2019 --scheme ffdl-mfailc
     """
-    at_least(0, port=port)
     at_least(1, machines=machines)
-    if port > 65535:
+    if not 0 <= port <= 65535:
         raise ValueError(f"--port {port} is outside its allowed range [0, 65535]")
+    _try_place(address, port)
     from .progress import working
 
     with working("explore") as told:
@@ -79,6 +79,24 @@ def explore(
     _serve(shown, address, port, browser=browser)
 
 
+def _try_place(address: str, port: int) -> None:
+    """Raise ValueError, before anything is compiled, where the page could not be served."""
+    from tornado.netutil import bind_sockets
+
+    try:
+        for one in bind_sockets(port, address):
+            one.close()
+    except OSError as error:
+        raise _refused(address, port, error) from None
+
+
+def _refused(address: str, port: int, error: OSError) -> ValueError:
+    return ValueError(
+        f"--address {address} --port {port} cannot be used ({error.strerror}); --port 0 takes any "
+        "port that is free"
+    )
+
+
 def _serve(shown, address: str, port: int, *, browser: bool) -> None:
     """Serve the page until Ctrl-C.
 
@@ -91,10 +109,7 @@ def _serve(shown, address: str, port: int, *, browser: bool) -> None:
     try:
         server = Server({"/": Application(FunctionHandler(shown))}, address=address, port=port)
     except OSError as error:
-        raise ValueError(
-            f"--address {address} --port {port} cannot be used ({error.strerror}); --port 0 takes "
-            "any port that is free"
-        ) from None
+        raise _refused(address, port, error) from None
     page = f"http://{address}:{server.port}/"
     out.print(f"{page} is the page; Ctrl-C ends it", highlight=False)
     server.start()

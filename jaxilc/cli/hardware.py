@@ -34,7 +34,7 @@ from .campaign_options import (
     Undo,
 )
 from .console import err, out
-from .options import MACHINE, Json, Set
+from .options import MACHINE, FigureFormat, Json, Set
 
 if TYPE_CHECKING:
     from ..hardware.prediction import Prediction
@@ -76,6 +76,7 @@ def next_(
     number: Number = "double",
     dry_run: DryRun = False,
     plot: Plot = None,
+    figures: FigureFormat = None,
     json_file: Json = None,
 ) -> None:
     """From a trial measured on a real machine to the input of the next one.
@@ -274,12 +275,11 @@ def _close(
     from .results import written
 
     measured, out_file, plot, json_file = files
-    now = opened.campaign
-    journal = now.journal
+    now, journal = opened.campaign, opened.campaign.journal
     rows = journal.log() if journal.exists else []
     live = journal.live() if journal.exists else []
     if plot is not None and live and not dry_run:
-        trials.save_figure(plot, now, rows, live, prediction)
+        plot = trials.save_figure(plot, now, rows, live, prediction)
     numbers_of = experiment_numbers(now.scheme, now.task, live)
     verdict = campaign_lines.verdict(
         live, turn, prediction, now.task.unit, now.rules.growth, numbers_of

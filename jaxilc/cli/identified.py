@@ -85,11 +85,13 @@ def of_record(path: Path, asked: Asked) -> Fitted:
         out.print(tables[0])
     found = identification.identify(record, **structure, delay=delay)
     tables.append(_printed(path, found))
-    axes = {
-        "record.png": figures.record_figure(record),
-        "validation.png": figures.validation_figure(record, found),
-    }
     units = (read.input_units[0], read.output_units[0])
+    axes = {
+        "record.png": figures.record_figure(record, input_unit=units[0], output_unit=units[1]),
+        "validation.png": figures.validation_figure(
+            record, found, output_unit=units[1], unit=units[1]
+        ),
+    }
     if isinstance(found.plant, ProcessModel) and found.plant.n_u == found.plant.n_y == 1:
         axes["response.png"] = figures.response_figure(
             found, record.dt, input_unit=units[0], output_unit=units[1]

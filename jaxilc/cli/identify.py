@@ -9,13 +9,11 @@ from typing import Annotated
 import typer
 
 from .completion import of_list
-from .console import out
 from .options import DESIGN, FigureFormat, Json, Report, at_least, file_to_write, folder_to_write
 from .results import folder_of, written
+from .verdicts.next_command import Verdict
 
-NO_LAW = (
-    "no filtered P-type law was found that learns on the fitted plant; the plant file has no scheme"
-)
+NO_LAW = "No filtered P-type law was found that learns on the fitted plant: the file has no scheme."
 
 
 def _place_to_write(path: Path | None) -> Path | None:
@@ -165,27 +163,32 @@ def _written(record: Path, asked, fitted, plant_file, out_dir, json_file, report
     from .. import figures
     from ..figures.report import command_report
     from ..identification.sentences import verdict
+    from .live import of_fit, unexplored
 
     found = fitted.found
     folder = folder_of(None if plant_file else out_dir, "identify")
     paths = [figures.save(axes, folder / name) for name, axes in fitted.axes.items()]
     lines, has_law = verdict(found, fitted.dt), True
     if plant_file is not None:
-        said, has_law = _plant_file(plant_file, fitted, str(record))
-        lines.append(said)
+        of_law, has_law = _plant_file(plant_file, fitted, str(record))
+        lines.append(of_law)
         paths.append(plant_file)
-    lines.append(_next(record, asked, fitted, plant_file, has_law))
-    for line in lines:
-        out.print(line, highlight=False)
+    said = Verdict(tuple(lines), *_next(record, asked, fitted, plant_file, has_law))
     page = command_report(
-        report, "identify", fitted.tables, paths, lines=lines, asked=fitted.structure
+        report,
+        "identify",
+        fitted.tables,
+        unexplored(paths),
+        verdict=said,
+        asked=fitted.structure,
+        live=of_fit(report, fitted),
     )
     numbers = {
         name: {"value": value, "low": low, "high": high}
         for name, value, low, high in found.summary()
     }
     sound = {"white": bool(found.white), "converged": bool(found.converged), **fitted.structure}
-    written([*paths, *page], json_file, numbers | sound)
+    written([*paths, *page], json_file, numbers | sound, said)
 
 
 def _plant_file(path: Path, fitted, source: str) -> tuple[str, bool]:
@@ -207,24 +210,24 @@ def _plant_file(path: Path, fitted, source: str) -> tuple[str, bool]:
     return (
         f"{path}: P-type learning with gamma_p = {law.gamma_p:g}, lead = {law.lead} and a cutoff "
         f"of {law.cutoff:g} Hz; sup |Q (1 - L P)| = {law.worst:.3f} at worst of {law.machines} "
-        "machines",
+        f"machines. `jaxilc run {path}` simulates it.",
         True,
     )
 
 
-def _next(record: Path, asked, fitted, plant_file: Path | None, has_law: bool) -> str:
-    """The sentence with the next command to type."""
+def _next(record: Path, asked, fitted, plant_file: Path | None, has_law: bool) -> tuple[str, str]:
+    """What to do next, in words, and the command."""
     if plant_file is not None:
-        file = shlex.quote(str(plant_file))
-        if has_law:
-            return f"Next: jaxilc design {file}, or jaxilc run {file} with the law in it"
-        return f"Next: jaxilc design {file}"
+        what = "a law that is tuned and judged" if has_law else "a law for it"
+        return what, f"jaxilc design {shlex.quote(str(plant_file))}"
+    from ..identification.orders import not_significant
+
+    found = fitted.found
     again = f"jaxilc identify {shlex.quote(str(record))}{asked.options()}"
-    if not fitted.found.white and asked.structure:
-        return f"Next: {again} --auto compares structures"
+    doubted = not (found.white and found.converged) or not_significant(found)
+    if doubted and asked.structure:
+        return "structures compared", f"{again} --auto"
     chosen = " ".join(f"--{name} {value}" for name, value in fitted.structure.items())
-    sampled = " --dt DT" if fitted.found.of_response and asked.dt is None else ""
-    return (
-        f"Next: {again} {chosen}{sampled} --out axis.toml writes a plant file for all other "
-        "commands"
-    )
+    sampled = " --dt DT" if found.of_response and asked.dt is None else ""
+    what = "a plant file for all other commands"
+    return what, f"{again} {chosen}{sampled} --out axis.toml"

@@ -180,6 +180,7 @@ def _leave(
     from ..scenarios.design_file import write_design
     from ..sweeps.store import open_dataset
     from .learn_law_lines import law_numbers, law_table, lines_of, next_line
+    from .live import of_a_store
 
     table, lines, paths = law_table(chosen, found), lines_of(chosen, found), []
     if found.verdicts:
@@ -193,14 +194,16 @@ def _leave(
         unit = f"{task.input_unit}/{task.unit}" if task.input_unit and task.unit else ""
         law = figures.learned_law_figure(found, float(task.dt), unit=unit)
         paths.append(figures.save(law, folder / "law.png"))
-    store = folder / "state" / "sweep.zarr"
+    store, live = folder / "state" / "sweep.zarr", []
     if store.exists() and found.verdicts:
         scale, unit = chosen.shown(chosen.judged_by)
-        band = figures.error_band(
-            open_dataset(store), metric=chosen.judged_by, scale=scale, unit=unit
-        )
+        judged = open_dataset(store)
+        live = of_a_store(report, chosen, judged)
+        band = figures.error_band(judged, metric=chosen.judged_by, scale=scale, unit=unit)
         paths.append(figures.save(band, folder / "learning.png"))
-    page = command_report(report, "learn-law", [table], paths, scenario=chosen, lines=lines)
+    page = command_report(
+        report, "learn-law", [table], paths, scenario=chosen, lines=lines, live=live
+    )
     numbers = law_numbers(chosen, found) | {"verdict": lines}
     written([*paths, *page], json_file, numbers)
     out.print(next_line(found, plant_file, target), highlight=False, soft_wrap=True)

@@ -9,12 +9,18 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     import xarray as xr
 
-    from ..figures.interactive import Live
+    from ..figures.live_axes import Live
     from ..scenarios import Scenario
     from ..sweeps.summary import SchemeSummary
     from ..theory.of_schemes import OfScheme
+    from ..tuning.worst_machine import WorstMachine
+    from .identified import Fitted
 
-EXPLORED = ("error-by-trial", "tracking-")  # figures of a run that interactive ones replace
+# Figures by the beginning of their names, which interactive ones replace on a page.
+EXPLORED = (
+    *("error-by-trial", "tracking-"),
+    *("worst-case", "front", "trials", "record", "validation", "response"),
+)
 
 
 def of_run(page: Path | None, chosen: Scenario, dataset: xr.Dataset) -> list[Live]:
@@ -36,8 +42,8 @@ def of_run(page: Path | None, chosen: Scenario, dataset: xr.Dataset) -> list[Liv
     return [errors, within]
 
 
-def left_of_run(paths: Sequence[Path]) -> list[Path]:
-    """The figures of a run that no interactive figure replaces."""
+def unexplored(paths: Sequence[Path]) -> list[Path]:
+    """The figures that no interactive figure replaces."""
     return [path for path in paths if not path.stem.startswith(EXPLORED)]
 
 
@@ -63,6 +69,59 @@ def of_sweep(
     return [
         interactive.band(summary, **shown),
         browsers.machines(dataset, drawn, **shown),
+    ]
+
+
+def of_a_store(page: Path | None, chosen: Scenario, dataset: xr.Dataset) -> list[Live | None]:
+    """The same of machines on which laws were judged, in the units of the scenario."""
+    if page is None:
+        return []
+    from ..sweeps.summary import summarise
+
+    scale, unit = chosen.shown(chosen.judged_by)
+    limit = None if chosen.tolerance is None else chosen.tolerance / scale
+    summary = summarise(dataset, limit, metric=chosen.judged_by)
+    shown = {"metric": chosen.judged_by, "tolerance": limit, "scale": scale, "unit": unit}
+    return of_sweep(page, dataset, summary, shown)
+
+
+def of_worst_case(page: Path | None, chosen: Scenario, worst: WorstMachine) -> list[Live]:
+    """The machines drawn and those searched for, and what each search found with what effort."""
+    if page is None:
+        return []
+    from ..figures.live_searches import chance, climbing
+
+    shown = {"metric": chosen.judged_by, "unit": chosen.shown(chosen.judged_by)[1]}
+    return [chance(worst, **shown), climbing(worst, **shown)]
+
+
+def of_trade_off(page: Path | None, numbers: Mapping[str, Any], names: Sequence[str]) -> list[Live]:
+    """The front of two objectives, or the error for each number of trials.
+
+    names: the objectives as they were asked for; none for numbers of trials
+    """
+    if page is None:
+        return []
+    from ..figures.live_searches import budgets, front
+
+    if names:
+        return [front(numbers["points"], first=names[0], second=names[1])]
+    return [budgets(numbers["budgets"], metric=numbers["figure"], unit=numbers["unit"])]
+
+
+def of_fit(page: Path | None, fitted: Fitted) -> list[Live | None]:
+    """A record beside its model and the Bode diagram, or a response and the one fitted to it."""
+    if page is None:
+        return []
+    from ..figures import live_records
+
+    found, dt, (input_unit, output_unit) = fitted.found, fitted.dt, fitted.units
+    if found.of_response:
+        return [live_records.response_fit(fitted.measured, found)]
+    units = {"input_unit": input_unit, "output_unit": output_unit}
+    return [
+        live_records.validation(fitted.measured, found, **units),
+        None if dt is None else live_records.response(found, dt, **units),
     ]
 
 

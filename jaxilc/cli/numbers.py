@@ -30,8 +30,13 @@ NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w])")
 
 
 def shown_trials(scenario: Scenario) -> list[int]:
-    """The trials that have a row in a table: those that the scenario names, and the last one."""
-    return sorted({j for j in scenario.show_trials if j <= scenario.trials} | {scenario.trials})
+    """The trials that have a row in a table: those that the scenario names, and the last one.
+
+    Where it names none, they are 1, 2, 5, 10, 20 and so on.
+    """
+    decades = range(len(str(scenario.trials)))
+    named = scenario.show_trials or [n * 10**k for k in decades for n in (1, 2, 5)]
+    return sorted({j for j in named if j <= scenario.trials} | {scenario.trials})
 
 
 def run_numbers(scenario: Scenario, dataset: xr.Dataset) -> dict[str, Any]:

@@ -39,7 +39,7 @@ from .options import (
 )
 from .results import parameter_file, show, unless_there, written
 from .terms import numbers_of
-from .verdicts.next_command import Asked
+from .verdicts.next_command import Asked, Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -48,7 +48,6 @@ if TYPE_CHECKING:
     from ..tuning import Tuning
     from ..tuning.objectives import Objective
     from .titled_table import Table
-    from .verdicts.next_command import Verdict
 
 
 def register(app: typer.Typer) -> None:
@@ -160,6 +159,7 @@ def _finish(
     options: texts of the objectives, by option
     """
     from ..figures.report import command_report
+    from .live import of_trade_off, unexplored
 
     lines = [
         f"share {share} is left out: another point is no worse in either objective"
@@ -170,11 +170,12 @@ def _finish(
         report,
         "pareto",
         [found.table],
-        found.paths,
+        unexplored(found.paths),
         scenario=of.chosen,
         configuration=of.problem.configuration(),
         lines=lines,
         verdict=found.verdict,
+        live=of_trade_off(report, found.numbers, found.names),
     )
     numbers = {"scenario": of.chosen.name, "scheme": of.scheme} | options | found.numbers
     written([*found.paths, *page], json_file, numbers, found.verdict)
@@ -220,12 +221,13 @@ class _Of(NamedTuple):
 
 
 class _Found(NamedTuple):
-    """The result of a trade-off: numbers for --json, a table, files that were written, verdict."""
+    """The result of a trade-off; `names` are the two objectives, none for numbers of trials."""
 
     numbers: dict[str, Any]
     table: Table
     paths: list[Path]
     verdict: Verdict
+    names: tuple[str, ...] = ()
 
 
 def _front(of: _Of, second: Objective, shares: Sequence[float], names: tuple[str, str]) -> _Found:
@@ -251,18 +253,14 @@ def _front(of: _Of, second: Objective, shares: Sequence[float], names: tuple[str
     )
     given = held_out_losses(problem, first, second)(problem.start).tolist()
     numbers = front_numbers(problem, points, given, shares)
-    axes = figures.pareto_front(
-        points,
-        first="first objective, held out",
-        second="second objective, held out",
-        given=tuple(given),
-    )
+    one, other = (f"{name}, on held-out machines" for name in names)
+    axes = figures.pareto_front(points, first=one, second=other, given=tuple(given))
     paths = [figures.save(axes, of.folder / "front.png")]
     for p in points:
         row = numbers["points"][str(p.share)]
         paths.append(of.parameters(f"params-share-{p.share}.json", p.tuned, row))
     verdict = front_verdict(Case.of(of.chosen, of.asked), of.scheme, numbers, of.folder, names)
-    return _Found(numbers, front_table(of.chosen, of.scheme, numbers), paths, verdict)
+    return _Found(numbers, front_table(of.chosen, of.scheme, numbers), paths, verdict, names)
 
 
 def _by_trials(of: _Of, budgets: list[int], unseen: int) -> _Found:

@@ -73,10 +73,12 @@ def working(command: str) -> Generator[Callable[..., None]]:
     It begins before JAX is loaded, so that something is seen within the first second. It yields a
     function of what is done now, as a text, and of `done` and `total`, the parts of the work. The
     time left follows from the parts that are done, and before that from how long the same command
-    took the last time.
+    took the last time, or that command on the same scenario with other options.
     """
-    key, start = durations.key_of([command, *sys.argv[1:]]), time.perf_counter()
-    with progress_bar("now", transient=True, expected=durations.expected(key)) as bar:
+    start = time.perf_counter()
+    keys = [durations.key_of([command, *sys.argv[1:end]]) for end in (None, 3)]
+    known = [seconds for seconds in map(durations.expected, keys) if seconds is not None]
+    with progress_bar("now", transient=True, expected=next(iter(known), None)) as bar:
         one = bar.add_task(command, total=None, now="starting")
 
         def told(now: str, done: float | None = None, total: float | None = None) -> None:
@@ -85,7 +87,8 @@ def working(command: str) -> Generator[Callable[..., None]]:
         yield told
     seconds = time.perf_counter() - start
     if seconds > WORTH_KEEPING:
-        durations.remember(key, seconds)
+        for key in keys:
+            durations.remember(key, seconds)
 
 
 def thread_for_later(*works: Callable[[], object]) -> threading.Thread:

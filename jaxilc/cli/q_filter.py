@@ -11,6 +11,7 @@ import typer
 from .console import out
 from .options import (
     PROVE,
+    FigureFormat,
     Json,
     OutFolder,
     Params,
@@ -82,6 +83,7 @@ def q_filter(
     ] = None,
     out_dir: OutFolder = None,
     json_file: Json = None,
+    figures: FigureFormat = None,
     precision: Precision = "float64",
 ) -> None:
     """Is my Q-filter safe, by how much, and how far may I go?
@@ -129,7 +131,8 @@ def q_filter(
         )
     written(paths, json_file, {"source": source, "margin": margin, **numbers})
     for line in numbers["lines"]:
-        out.print(line, highlight=False, markup=False, soft_wrap=True)
+        is_command = line.startswith("Next")  # which stays one line, so that it can be copied
+        out.print(line, highlight=False, markup=False, soft_wrap=is_command)
 
 
 def _only_for(what: str, **given: object) -> None:

@@ -63,7 +63,7 @@ def records_answer(
         lines.append(line)
         paths.append(path)
         numbers["synthesis"] = made
-    lines.append(_next(source, law, found, asked["margin"]))
+    lines += _next(source, law, found, asked["margin"])
     return numbers | {"lines": lines}, paths
 
 
@@ -113,18 +113,20 @@ def _between(found: MeasuredQuestion) -> str:
     return f"{said}; the lines are fine enough for the resonances that they show."
 
 
-def _next(source: list[str], law, found: MeasuredQuestion, margin: float) -> str:
+def _next(source: list[str], law, found: MeasuredQuestion, margin: float) -> list[str]:
+    """How far the law may go, and the next command, each a line."""
     best = best_of(found.offers)
     if best is None:
-        return f"Next: a lower --gain or another --lead; no cutoff keeps a margin of {margin:g}."
+        return [f"No cutoff keeps a margin of {margin:g}: take a lower --gain or another --lead."]
     values = law._asdict() | best.settings
     command = ["jaxilc", "filter", *source]
     for name in ("gain", "lead", "cutoff", "order", "dt"):
         command += [f"--{name}", f"{values[name]:g}"]
-    return (
+    return [
         f"With a margin of {margin:g} a repeated error may be learned to a tenth up to "
-        f"{number(best.learned_up_to)} Hz. Next: {shlex.join(command)}"
-    )
+        f"{number(best.learned_up_to)} Hz.",
+        f"Next: {shlex.join(command)}",
+    ]
 
 
 def _numbers(names: list[str], found: MeasuredQuestion) -> dict[str, Any]:

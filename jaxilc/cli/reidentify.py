@@ -38,7 +38,7 @@ def reidentify(
     from .. import figures, identification
     from ..figures.report import command_report
     from ..hardware.as_record import record_of
-    from ..identification.sentences import NOT_WHITE
+    from ..identification.sentences import NOT_WHITE, sentence
     from ..scenarios.campaigns import Given, open_campaign
     from .tables import identification_table, orders_table
 
@@ -59,7 +59,8 @@ def reidentify(
     tables.append(identification_table(source, found.summary()))
     out.print(tables[-1])
     lines = [] if found.white else [NOT_WHITE]
-    lines += identification.not_significant(found) + [CLOSED] * found_in.closed
+    lines += map(sentence, identification.not_significant(found))
+    lines += [CLOSED] * found_in.closed
     unit = opened.campaign.task.unit
     lines.append(
         f"verdict: the plant of these trials explains {float(min(found.fit)):.4g} % of their "
@@ -73,11 +74,23 @@ def reidentify(
         lines.append(_after(plant_file, state, opened))
     for line in lines:
         out.print(line, highlight=False, soft_wrap=True)
-    page = command_report(report, "identify", tables, paths, lines=lines, asked=given)
+    live = _live(report, record, found, unit, opened.campaign.task.input_unit)
+    page = command_report(report, "identify", tables, (), lines=lines, asked=given, live=live)
     rows = {n: {"value": v, "low": low, "high": high} for n, v, low, high in found.summary()}
     sound: dict[str, Any] = {"white": bool(found.white), "converged": bool(found.converged)}
     used = {"trials": list(found_in.trials), "closed_loop": found_in.closed, "verdict": lines}
     written([*paths, *page], json_file, rows | sound | used)
+
+
+def _live(report: Path | None, record, found, unit: str, input_unit: str) -> list[Any]:
+    """The interactive figures of a fit; none where no page is asked for."""
+    if report is None:
+        return []
+    from ..figures import live_records
+
+    units = {"input_unit": input_unit, "output_unit": unit}
+    shown = live_records.validation(record, found, **units)
+    return [shown, live_records.response(found, record.dt, **units)]
 
 
 def _delay_of(plant, dt: float) -> int:

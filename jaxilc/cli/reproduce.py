@@ -63,9 +63,23 @@ def reproduce(
 
     numbers = [row.as_dict() for row in rows]
     table = reproduction_table(numbers)
-    for part in [table] if out.width >= READING_FITS else narrow_reproduction(numbers):
+    narrow = narrow_reproduction(numbers)
+    for part in [table] if out.width >= READING_FITS else narrow:
         out.print(part, highlight=False)
     verdict = reproduce_verdict(numbers)
     pictures = [] if report is None else reproduction_figures(numbers)
-    page = command_report(report, "reproduce", [table], pictures, verdict=verdict)
+    live = []
+    if report is not None:
+        from ..figures.live_published import printed_and_ours
+
+        live = [printed_and_ours(numbers)]
+    page = command_report(
+        report,
+        "reproduce",
+        [part for part in narrow if not isinstance(part, str)],
+        pictures,
+        lines=[part for part in narrow if isinstance(part, str)],
+        verdict=verdict,
+        live=live,
+    )
     written(page, json_file, numbers, verdict)

@@ -145,7 +145,7 @@ def run(
         report,
         "run",
         shown,
-        live.left_of_run(paths),
+        live.unexplored(paths),
         scenario=chosen,
         lines=lines,
         verdict=verdict,

@@ -12,6 +12,7 @@ from ..schemes.experiments import trials_of_step
 from .numbers import ERRORS, shown_trials
 from .titled_table import Table
 
+NOTHING = 1e-12  # of the interval of a quantity, below which it is shown as 0
 MOST_ORDERS = 12  # rows of a table of orders
 
 if TYPE_CHECKING:
@@ -233,7 +234,9 @@ def identification_table(title: str, rows: Sequence[tuple[str, float, float, flo
     for column in ("quantity", "value", "low", "high"):
         table.add_column(column, justify="left" if column == "quantity" else "right")
     for name, *values in rows:
-        table.add_row(name, *(f"{v:.6g}" if np.isfinite(v) else "–" for v in values))
+        largest = NOTHING * np.max(np.abs(values), where=np.isfinite(values), initial=0.0)
+        shown = [0.0 if abs(v) < largest else v for v in values]
+        table.add_row(name, *(f"{v:.6g}" if np.isfinite(v) else "–" for v in shown))
     return table
 
 

@@ -9,11 +9,13 @@ import typer
 
 from .campaign_options import Folder, Plot
 from .console import err, out
-from .options import MACHINE, Json
+from .options import MACHINE, FigureFormat, Json, Report
 from .results import written
 from .titled_table import Table
+from .verdicts.next_command import Verdict
 
 if TYPE_CHECKING:
+    from ..figures.live_axes import Live
     from ..hardware.campaign import Campaign
     from ..hardware.journal import Journal
     from ..hardware.prediction import Prediction
@@ -33,12 +35,15 @@ def trials(
     state: Folder,
     table: Annotated[Path | None, typer.Option("--csv", help="Write the log to this file.")] = None,
     plot: Plot = None,
+    figures: FigureFormat = None,
     json_file: Json = None,
+    report: Report = None,
 ) -> None:
     """The log of a campaign: every trial with its metrics, undone ones included.
 
     Example: jaxilc trials --state x-axis --csv log.csv --plot log.png
     """
+    from ..figures.report import command_report
     from ..hardware.journal import Journal
     from ..hardware.log_file import units, write_log
     from ..scenarios.campaign_source import said_of_change, said_of_source
@@ -49,15 +54,16 @@ def trials(
     known = journal.last_known()
     recipe = known["recipe"] if "scenario" in known["recipe"] else {}
     live, prediction = _live(journal), _prediction(journal, known)
-    out.print(_log_table(str(state), rows, _predicted(live, prediction)))
+    log = _log_table(str(state), rows, _predicted(live, prediction))
+    out.print(log)
     said = said_of_source(recipe) if recipe else []
     changed = said_of_change(recipe, UNCHANGED) if recipe else ""
     files = []
     if table is not None:
         files.append(write_log(table, rows))
+    now = _opened(state) if live and (plot or report) else None
     if plot is not None:
-        save_figure(plot, _opened(state) if live else None, rows, live, prediction, units(journal))
-        files.append(plot)
+        files.append(save_figure(plot, now, rows, live, prediction, units(journal)))
     for line in said:
         out.print(line, highlight=False, soft_wrap=True)
     if changed:
@@ -67,6 +73,11 @@ def trials(
     following = campaign_lines.next_command(state, len(live) or 1, _last_file(live), None)
     for line in (*verdict, following) if live else ():
         out.print(line, highlight=False, soft_wrap=True)
+    if report is not None:
+        found = _verdict(verdict, following) if live else Verdict(())
+        asked = {"campaign": "; ".join(said)} if said else {}
+        shown = _explored(now, (rows, live, prediction), units(journal))
+        files += command_report(report, "trials", [log], verdict=found, live=shown, asked=asked)
     numbers = {
         "source": source_numbers(recipe),
         "changed": changed,
@@ -76,6 +87,38 @@ def trials(
         "next": following if live else "",
     }
     written(files, json_file, numbers)
+
+
+def _verdict(lines: list[str], following: str) -> Verdict:
+    """The verdict on a campaign for its page, from the lines that are printed."""
+    said = [line.removeprefix("verdict: ") for line in lines]
+    what, _, command = following.partition(", then: ")
+    return Verdict(tuple(line[:1].upper() + line[1:] for line in said), what, command)
+
+
+def _explored(
+    now: Campaign | None,
+    found: tuple[list[dict[str, Any]], list[dict[str, Any]], Prediction | None],
+    units: tuple[str, str],
+) -> list[Live]:
+    """The interactive figures of a campaign.
+
+    now: the campaign; None: no trial is then shown in time
+    found: rows of the journal, manifests that count, and what was predicted
+    """
+    from ..figures import live_campaign
+    from ..figures.campaign import bands_by_trial
+    from ..hardware.campaign import TRIAL
+
+    rows, live, prediction = found
+    bands = None if prediction is None or not live else bands_by_trial(live, prediction)
+    shown = []
+    if any(row["event"] == "trial" for row in rows):
+        shown.append(live_campaign.errors(rows, unit=units[0], bands=bands))
+    if now is not None and len(live) > 1:
+        measured = {m["trial"]: now.journal.arrays(m, TRIAL) for m in live[1:]}
+        shown.append(live_campaign.signals(now.task, measured))
+    return shown
 
 
 def _live(journal: Journal) -> list[dict[str, Any]]:
@@ -117,8 +160,8 @@ def save_figure(
     live: list[dict[str, Any]],
     prediction: Prediction | None,
     units: tuple[str, str] = ("", ""),
-) -> None:
-    """Write the figure of a campaign.
+) -> Path:
+    """Write the figure of a campaign, and return its file.
 
     now: the campaign; None: the figure then shows no trial in time
     live: manifests that count
@@ -138,7 +181,7 @@ def save_figure(
             )
     bands = None if prediction is None or not live else bands_by_trial(live, prediction)
     axes = campaign_figure(rows, unit=unit, input_unit=input_unit, bands=bands, last=last)
-    figures.save(axes, path)
+    return figures.save(axes, path)
 
 
 def source_numbers(recipe: dict[str, Any]) -> dict[str, Any]:

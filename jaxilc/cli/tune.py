@@ -156,6 +156,7 @@ def _finish(
     options: further options, by name, for the report
     """
     from ..figures.report import command_report
+    from .live import of_a_store
     from .tuning_numbers import tuning_numbers
     from .tuning_tables import tuning_lines, tuning_tables
     from .verdicts.case import Case
@@ -189,21 +190,10 @@ def _finish(
         configuration=problem.configuration(),
         lines=[result, *warnings],
         verdict=verdict,
-        live=_live(report, chosen, dataset),
+        live=of_a_store(report, chosen, dataset),
         asked=options,
     )
     written([*paths, *page], json_file, numbers, verdict)
-
-
-def _live(report: Path | None, chosen: Scenario, dataset: xr.Dataset) -> list:
-    """The interactive figure of the comparison; none where no page is asked for."""
-    from ..sweeps.summary import summarise
-    from .live import of_sweep
-
-    scale, unit = chosen.shown(chosen.judged_by)
-    shown = {"metric": chosen.judged_by, "tolerance": None, "scale": scale, "unit": unit}
-    summary = summarise(dataset, None, metric=chosen.judged_by)
-    return of_sweep(report, dataset, summary, shown)
 
 
 def _figures(folder: Path, chosen, tuned, dataset) -> list[Path]:

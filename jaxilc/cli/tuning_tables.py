@@ -27,9 +27,10 @@ def tuning_tables(scenario: Scenario, numbers: dict[str, Any]) -> list[Table]:
     for metric, rows in numbers["figures"].items():
         what = f"{metric.replace('_', ' ')} [{rows['unit']}]"
         table = Table(
-            title=f"{what} of {numbers['samples']} machines never seen: median (95 %, worst)"
+            title=f"{what} of {numbers['samples']} machines never seen: median (95 %, worst); "
+            "ratios are given / tuned"
         )
-        for column in ("trial", *WHICH, "median given / tuned", "worst given / tuned"):
+        for column in ("trial", *WHICH, "ratio of medians", "ratio of worsts"):
             table.add_column(column, justify="right")
         for j in rows["given"]:
             given, tuned = (rows[which][j] for which in WHICH)

@@ -137,6 +137,7 @@ def _finish(
     from .. import figures
     from ..figures.report import command_report
     from ..storage.sealed import write_json
+    from .live import of_worst_case, unexplored
     from .tuning_tables import worst_case_tables
     from .verdicts.case import Case
     from .verdicts.tuning import worst_case_verdict
@@ -157,9 +158,10 @@ def _finish(
         report,
         "worst-case",
         shown,
-        [path],
+        unexplored([path]),
         scenario=chosen,
         verdict=verdict,
+        live=of_worst_case(report, chosen, worst),
         asked=options,
     )
     numbers |= verdict.as_json()

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .style import COLOURS, limits_of, names_of, trial_axis
+from .style import COLOURS, limits_of, names_of, readable, trial_axis
 from .units import name_axis, written
 
 if TYPE_CHECKING:
@@ -120,7 +120,8 @@ def _panel(ax, row, trial, i: int, scale: float, limit: float | None, limits) ->
         ax.plot(trial[best], median[best], "o", mfc="none", color=colour, markersize=6)
     ax.set_ylim(*limits)
     ax.set_xlim(trial[0] - 0.5, trial[-1] + 0.5)
-    ax.set_title(row.scheme, fontsize="small", color=colour, loc="left", fontweight="bold")
+    look = {"color": readable(colour), "loc": "left", "fontweight": "bold"}
+    ax.set_title(row.scheme, fontsize="small", **look)
     said = _said(row, high > top * 1.001, trial)
     if said:
         ax.text(

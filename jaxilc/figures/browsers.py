@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .interactive import Live, _hover, _limit, _tips, columns_of, plot, shown_in
+from .interactive import columns_of, tips_of
+from .live_axes import Live, hover, plot, shown_in, tolerance_line
 from .style import names_of
 from .within_trial import outputs_of
 
@@ -54,19 +55,19 @@ def trials(dataset: xr.Dataset, *, scale: float = 1.0, unit: str = "") -> Live:
     each = ROOM // (len(schemes) * len(chosen) * (2 * len(outputs) + 1))
     points = int(np.clip(each, FEWEST, MOST))
     factor, unit = shown_in(scale * np.nanmax(np.abs(dataset["e"].isel(trial=-1).values)), unit)
-    columns: dict[str, Any] = {"t": _thinned(dataset["time"].values, points, times=True)}
+    columns: dict[str, Any] = {"t": thinned(dataset["time"].values, points, times=True)}
     signals = {n: dataset[n].values for n in ("y", "e", "u")}
     for c in range(len(outputs)):
-        columns[f"r_{c}"] = _thinned(dataset["r"].values[:, c], points)
+        columns[f"r_{c}"] = thinned(dataset["r"].values[:, c], points)
     for k in range(len(schemes)):
         for i, j in enumerate(chosen):
             for c in range(len(outputs)):
-                columns[f"y_{k}_{i}_{c}"] = _thinned(signals["y"][k, j, :, c], points)
-                columns[f"e_{k}_{i}_{c}"] = _thinned(
+                columns[f"y_{k}_{i}_{c}"] = thinned(signals["y"][k, j, :, c], points)
+                columns[f"e_{k}_{i}_{c}"] = thinned(
                     factor * scale * signals["e"][k, j, :, c], points
                 )
             u = signals["u"][k, j, :, 0]
-            columns[f"u_{k}_{i}"] = _thinned(np.append(u, u[-1]), points)
+            columns[f"u_{k}_{i}"] = thinned(np.append(u, u[-1]), points)
     last = len(chosen) - 1
     every = ColumnDataSource(columns)
     begin = {"t": "t", "r": "r_0", "y": f"y_0_{last}_0", "e": f"e_0_{last}_0", "u": f"u_0_{last}"}
@@ -75,9 +76,9 @@ def trials(dataset: xr.Dataset, *, scale: float = 1.0, unit: str = "") -> Live:
     slider.disabled = last == 0
     scheme = Select(title="scheme", value=schemes[0], options=[*schemes], width=220)
     output = Select(title="output", value=outputs[0], options=[*outputs], width=160)
-    told = Div(text=f"{schemes[0]}, trial {chosen[-1] + 1}", styles={"font-weight": "600"})
+    numbers = dataset["trial"].values[chosen].tolist()
+    told = Div(text=f"{schemes[0]}, trial {numbers[-1]}", styles={"font-weight": "600"})
     drawn = _three(dataset, shown, unit)
-    numbers = [int(j) + 1 for j in chosen]
     react = CustomJS(
         args={
             "all": every, "shown": shown, "slider": slider, "scheme": scheme, "output": output,
@@ -118,7 +119,7 @@ def _three(dataset: xr.Dataset, shown: Any, unit: str) -> list[Any]:
     return made
 
 
-def _thinned(values, points: int, *, times: bool = False) -> np.ndarray:
+def thinned(values, points: int, *, times: bool = False) -> np.ndarray:
     """(about `points`,) values of a signal: the least and the largest of each column of samples.
 
     times: the values are times, which need no such pairs
@@ -179,9 +180,9 @@ def machines(
     word = f"{metric.replace('_', ' ')} of the last trial"
     made = plot("", names[first], f"{word} [{unit}]" if unit else word, width=560)
     dots = made.scatter("x", "y", source=shown, color="colour", size=6, alpha=0.7)
-    tips = [("machine", "@machine"), (word, f"@y{{0.000a}} {unit}"), *_tips(columns)]
-    _hover(made, [dots], tips)
-    _limit(made, limit)
+    tips = [("machine", "@machine"), (word, f"@y{{g}} {unit}"), *tips_of(columns)]
+    hover(made, [dots], tips)
+    tolerance_line(made, limit)
     ordered = sorted(names, key=lambda name: shares[best][name])
     bars = ColumnDataSource({"name": ordered, "share": [100 * shares[best][n] for n in ordered]})
     by_scheme = ColumnDataSource(
@@ -191,7 +192,8 @@ def machines(
         "share of the spread that it explains", "[%]", "", log=False, width=300,
         y_range=FactorRange(factors=ordered), x_range=(0, 100),
     )  # fmt: skip
-    beside.hbar(y="name", right="share", height=0.7, source=bars, color="#0072b2")
+    thick = min(0.7, 0.12 * len(names))
+    beside.hbar(y="name", right="share", height=thick, source=bars, color="#0072b2")
     scheme = Select(title="scheme", value=schemes[best], options=[*schemes], width=220)
     parameter = Select(title="parameter", value=names[first], options=[*names], width=260)
     told = Div(text=schemes[best], styles={"font-weight": "600"})

@@ -18,7 +18,7 @@ from .style import (
     shades_of,
     style_of,
 )
-from .units import name_axis
+from .units import name_axis, written
 from .within_trial import outputs_of, signal_of
 
 if TYPE_CHECKING:
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 DECADES, SHADES = 8, 3  # decades of amplitude that all maps show at most, and the faintest one
 SEEN = 6  # decades of amplitude that a spectrum shows at most
+BEYOND = 2.0  # a spectrum ends so many times above the last frequency at which it is seen
 SLOWEST = 2  # line of a map from which on it is shown: a Hann window spreads a line over two others
 
 
@@ -47,7 +48,7 @@ def spectrum(
     sinusoid of whole periods shows its amplitude at its frequency, and noise of standard deviation
     s has lines of about s (6 / N)^(1/2). Of the lines within a sixtieth of a decade the largest is
     drawn. The first sample, which no input reaches, and the mean are left out. Outputs other than
-    the first are dashed.
+    the first are dashed. The axis ends where no line is within six decades of the largest any more.
 
     dataset: dataset with e, as for `signal_of`
     scale, unit: the error is shown as `scale` times that of the dataset, in `unit`
@@ -81,7 +82,8 @@ def spectrum(
     held = limits_of([v for line in ax.lines for v in line.get_ydata()])
     if held:
         ax.set_ylim(max(held[0], held[1] * 10.0**-SEEN), held[1])
-    ax.set(xlabel="frequency [Hz]", xlim=(f[1], f[-1]))
+    last = max((_last_seen(line, ax.get_ylim()[0]) for line in ax.lines), default=f[-1])
+    ax.set(xlabel="frequency [Hz]", xlim=(f[1], min(max(BEYOND * last, 10 * f[1]), f[-1])))
     ax.set_title(f"{scheme}: spectrum of the error", fontsize="medium")
     grid(ax)
     name_axis(ax.yaxis, "amplitude of the error", unit)
@@ -157,12 +159,14 @@ def time_frequency(
             rasterized=True,
         )
         axis.set(yscale="log", ylabel="frequency [Hz]", xlim=(0.0, N * dt))
-        axis.set_title(f"{scheme}, trial {trial}", fontsize="medium")
+        said = [f"{scheme}, trial {trial}"]
+        if axis is axes[0]:
+            said.append(f"slower than {edges[0]:.3g} Hz is not shown")
+        largest = np.max(amplitude, where=np.isfinite(amplitude), initial=0.0)
+        if largest < colours.vmin:
+            said.append(f"at most {written(largest, unit)}")
+        axis.set_title("; ".join(said), fontsize="medium")
         grid(axis)
-    axes[0].set_title(
-        f"{scheme}, trial {trials[0]}; slower than {edges[0]:.3g} Hz is not shown",
-        fontsize="medium",
-    )
     axes[-1].set_xlabel("time [s]")
     bar = axes[0].figure.colorbar(shown, ax=list(axes), extend="min")
     name_axis(bar.ax.yaxis, "amplitude of the error", unit)
@@ -229,6 +233,12 @@ def _without_slow(e, samples: int):
 
     weights = get_window("hann", samples)
     return e - convolve1d(e, weights / weights.sum(), axis=0, mode="mirror")
+
+
+def _last_seen(line, floor: float) -> float:
+    """The last frequency at which a line is above the floor of its axes."""
+    f, amplitude = line.get_data()
+    return max(np.asarray(f)[np.asarray(amplitude) >= floor], default=0.0)
 
 
 def _peaks(f, amplitude):

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from ..theory import Certificate
 
 # Colours of what is claimed: monotone, converges, diverges, not claimed.
-HUES = (COLOURS[0], COLOURS[2], COLOURS[1], "0.6")
+HUES = (COLOURS[0], COLOURS[2], COLOURS[1], "0.45")
 SAID = {"monotone": "claimed monotone", "converges": "claimed to converge",
         "diverges": "claimed to diverge", "not claimed": "nothing claimed"}  # fmt: skip
 
@@ -137,6 +137,8 @@ def certificate(
     found: certificate from `theory.certify`
     scale, unit: the errors are shown as `scale` times those found, in `unit`
     """
+    from matplotlib.ticker import MaxNLocator
+
     from ..theory.certificates import CLAIMS
 
     top, bottom = axes = new_axes(
@@ -173,6 +175,8 @@ def certificate(
     )
     bottom.bar_label(bars, padding=4, fontsize="small")
     bottom.set(xlabel="machines", xlim=(0, 1.12 * len(found.claim)))
+    bottom.xaxis.set_major_locator(MaxNLocator(8, integer=True))
+    bottom.set_axisbelow(True)
     bottom.invert_yaxis()
     bottom.grid(True, axis="x", alpha=0.25)
     return axes

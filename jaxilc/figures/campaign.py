@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from .style import COLOURS, grid, labelled, legend_beside, new_axes, trial_axis
+from .style import COLOURS, grid, legend_beside, new_axes, trial_axis
+from .units import name_axis
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -117,17 +118,21 @@ def campaign_figure(
                     markersize=5,
                     label=f"{label}, undone",
                 )
-    top.set(yscale="log", ylabel=labelled("error", unit))
-    bottom.set(ylabel=labelled("RMS input", input_unit))
+    top.set(yscale="log")
     for axis in (top, bottom):
         trial_axis(axis)
     bottom.sharex(top)
     if last is not None:
-        _last_trial(axes[2:], last, unit, input_unit)
+        _last_trial(axes[2:], last)
     for axis in axes:
         grid(axis)
         if axis.get_legend_handles_labels()[0]:
             legend_beside(axis)
+    names = (("error", unit), ("RMS input", input_unit), ("output", unit), ("error", unit),
+             ("input", input_unit))  # fmt: skip
+    for axis, (name, of) in zip(axes, names, strict=False):
+        name_axis(axis.yaxis, name, of)
+    top.figure.align_ylabels(axes)
     return axes
 
 
@@ -144,7 +149,7 @@ def _band(axis: Axes, bands: Bands) -> None:
     axis.plot(bands.trial, median, color=COLOURS[4], linewidth=1, label="predicted, median")
 
 
-def _last_trial(axes: Sequence[Axes], last: LastTrial, unit: str, input_unit: str) -> None:
+def _last_trial(axes: Sequence[Axes], last: LastTrial) -> None:
     """Reference and output, error, and input of a trial against time."""
     r, y, u = (np.asarray(x).reshape(len(x), -1) for x in last[2:])
     several = y.shape[1] > 1
@@ -161,8 +166,7 @@ def _last_trial(axes: Sequence[Axes], last: LastTrial, unit: str, input_unit: st
             linewidth=0.8,
             drawstyle="steps-post",
         )
-    axes[0].set(title=f"trial {last.number}", ylabel=labelled("output", unit))
-    axes[1].set(ylabel=labelled("error", unit))
-    axes[2].set(ylabel=labelled("input", input_unit), xlabel="time [s]")
+    axes[0].set_title(f"trial {last.number}", fontsize="medium")
+    axes[2].set_xlabel("time [s]")
     for axis in axes:
         axis.set_xlim(last.time[0], last.time[-1])

@@ -99,40 +99,22 @@ def response_figure(
 ) -> np.ndarray:
     """The frequency response of a plant that was identified from a record, with its 95 % band.
 
-    With the covariance S of the parameters and the derivatives g of log P by them, the standard
-    deviations of log |P| and of the phase are those of Re(g)^T S Re(g) and Im(g)^T S Im(g). Where a
-    parameter is not determined by the record, there is no band. Magnitude and phase; two axes.
+    Where a parameter is not determined by the record, there is no band. Magnitude and phase; two
+    axes.
 
     dt: sample time of the record [s]
-    Raises ValueError for a plant that is not a `ProcessModel` of one input and one output.
+    Raises ValueError as `response_band` does.
     """
-    from ..identification.model_response import response_and_slopes
-    from ..plants import ProcessModel
+    from ..identification.response_band import response_band
 
-    plant = identified.plant
-    if not isinstance(plant, ProcessModel) or plant.n_u != 1 or plant.n_y != 1:
-        raise ValueError(
-            f"response_figure: the plant is a {type(plant).__name__}; allowed is a ProcessModel of "
-            "one input and one output"
-        )
-    fields = [
-        np.atleast_1d(np.asarray(getattr(plant, n), float))
-        for n in ("gain", "zeros", "poles", "frequencies", "dampings", "delay")
-    ]
-    f = np.geomspace(1e-4 / dt, 0.5 / dt, 400)
-    P, slopes = response_and_slopes(
-        np.concatenate(fields), (len(fields[1]), len(fields[2]), len(fields[3])), f, dt
-    )
+    f, P, phase, factor, half = response_band(identified, dt)
     top, bottom = axes = new_axes(ax, rows=2)
-    phase = np.unwrap(np.angle(P)) * 180 / np.pi
-    std = _std_of_log(identified, fields, slopes / P[:, None])
-    if std is not None:
-        wide = np.exp(1.96 * np.minimum(std.real, 5.0))
-        half = 1.96 * np.minimum(std.imag, np.pi) * 180 / np.pi
+    size = np.abs(P)
+    if factor is not None and half is not None:
         look = {"color": COLOURS[0], "alpha": 0.25, "linewidth": 0}
-        top.fill_between(f, np.abs(P) / wide, np.abs(P) * wide, label="95 % band", **look)
+        top.fill_between(f, size / factor, size * factor, label="95 % band", **look)
         bottom.fill_between(f, phase - half, phase + half, **look)
-    top.loglog(f, np.abs(P), color=COLOURS[0], label="identified plant")
+    top.loglog(f, size, color=COLOURS[0], label="identified plant")
     bottom.semilogx(f, phase, color=COLOURS[0])
     for axis in axes:
         axis.set_xlim(f[0], f[-1])
@@ -143,26 +125,6 @@ def response_figure(
     bottom.set(ylabel=labelled("phase", "deg"), xlabel="frequency [Hz]")
     top.legend(fontsize="small", loc="lower left")
     return axes
-
-
-def _std_of_log(identified: Identified, fields, g: np.ndarray) -> np.ndarray | None:
-    """(F,) standard deviations of log |P|, the real part, and of the phase, the imaginary part.
-
-    fields: the parameters of the plant, each an array
-    g: (F, P) derivatives of log P by them
-    """
-    names = ("gain", "zeros", "poles", "frequencies", "dampings", "delay")
-    place = {f"{n}[{i}]": None for n, of in zip(names, fields, strict=True) for i in range(len(of))}
-    place = {name: i for i, name in enumerate(place)}
-    place |= {name: place[f"{name}[0]"] for name in names if f"{name}[0]" in place}
-    known = [(k, place[n]) for k, n in enumerate(identified.parameters) if n in place]
-    rows, columns = (np.array(x, int) for x in zip(*known, strict=True))
-    S = np.asarray(identified.covariance)[np.ix_(rows, rows)]
-    if not np.all(np.isfinite(S)):
-        return None
-    parts = (g[:, columns].real, g[:, columns].imag)
-    variances = [np.einsum("fi,ij,fj->f", part, S, part) for part in parts]
-    return np.sqrt(np.maximum(variances[0], 0)) + 1j * np.sqrt(np.maximum(variances[1], 0))
 
 
 def response_fit_figure(measured: MeasuredResponse, identified: Identified, *, ax=None):

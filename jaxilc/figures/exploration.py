@@ -21,6 +21,7 @@ from ..learning.metrics import Keep
 from ..learning.over_trials import check, learn
 from ..pytree.named_paths import interval_at, kind_at, replaced, settable
 from ..pytree.ranges import require
+from ..runtime.tiles import tiled
 from ..theory.law import traced_response
 from ..theory.loop import linear_loop, response
 from ..uncertainty import draw, drawn_machines, with_spread
@@ -35,6 +36,7 @@ MOST = 10  # sliders
 DECADES = 2.0  # of a weight, to both sides of its value
 LEADS, MORE = 60, 8  # least end of the slider of a lead [samples], and of another whole number
 LINES = 240  # frequencies
+KEPT = 8  # spreads whose machines are kept
 
 
 class Control(NamedTuple):
@@ -104,6 +106,7 @@ class Exploration:
         self.keep = Keep.of(needed)
         dt, N = float(scenario.task.dt), scenario.task.N
         self.f = np.geomspace(1 / (N * dt), 0.5 / dt, LINES)
+        self._machines: dict[float | None, Any] = {}
 
     def scheme_with(self, values: Mapping[str, float]) -> Scheme:
         """The scheme with values by path; raises ValueError naming what is allowed."""
@@ -113,15 +116,21 @@ class Exploration:
             {p: int(v) if known[p].whole else float(v) for p, v in values.items()},
         )
 
-    def outcome(self, values: Mapping[str, float], spread: float | None = None) -> Outcome:
+    def outcome(
+        self, values: Mapping[str, float], spread: float | None = None, *, alone: bool = False
+    ) -> Outcome:
         """What values by path lead to; a spread in place of that of the scenario.
 
+        alone: the nominal machine alone, which takes a small part of the time
         Raises ValueError naming what is allowed.
         """
         s = self.scenario
+        scheme = self.scheme_with(values)
         machines = self._drawn(self.spread if spread is None else float(spread))
+        if alone:
+            machines = jax.tree.map(lambda x: x[:1], machines)
         errors, signals, size = _computed(
-            self.scheme_with(values), machines, s.machine, s.task, jnp.asarray(self.f),
+            scheme, machines, s.machine, s.task, self.f,
             trials=s.trials, metric=s.judged_by, keep=self.keep, frequency=self._has_response(),
         )  # fmt: skip
         scale = s.shown(s.judged_by)[0]
@@ -132,13 +141,16 @@ class Exploration:
         return Outcome(errors, r, y, s.shown_scale * (r - y), u, self.f[: len(found)], found)
 
     def _drawn(self, spread: float | None) -> Any:
+        """The machines of a spread; those of the last few spreads are kept."""
         s = self.scenario
-        if not s.uncertainty:
-            return drawn_machines(s.machine, {}, {})
-        same = spread == self.spread
-        wide = s.uncertainty if spread is None or same else with_spread(s.uncertainty, spread)
-        drawn = draw(s.machine, wide, self.machines, sampling="sobol")
-        return drawn_machines(s.machine, wide, drawn)
+        if spread not in self._machines:
+            same = spread is None or spread == self.spread
+            wide = s.uncertainty if same else with_spread(s.uncertainty, spread)
+            drawn = draw(s.machine, wide, self.machines, sampling="sobol") if wide else {}
+            if len(self._machines) >= KEPT:
+                self._machines.clear()
+            self._machines[spread] = drawn_machines(s.machine, wide, drawn)
+        return self._machines[spread]
 
     @functools.cache  # noqa: B019  (an exploration lives as long as its page)
     def _has_response(self) -> bool:
@@ -232,12 +244,13 @@ def _size(scheme, machine, task, f) -> jax.Array:
 def _computed(scheme, machines, nominal, task, f, *, trials, metric, keep, frequency):
     """The errors of all machines, y and u of the last trial of the nominal one, and |Q - L P|."""
 
-    def of(machine):
+    def of(common, machine):
+        scheme, task = common
         history = learn(machine, scheme, task, trials, save=keep)
         values = history.saved[metric] if keep.quantities else getattr(history, metric)
         values = jnp.max(values.reshape(trials, -1), axis=1)
         return jnp.where(history.diverged, jnp.inf, values), (history.final.y, history.final.u)
 
-    errors, signals = jax.vmap(of)(machines)
+    errors, signals = tiled(of)((scheme, task), machines)
     first = jax.tree.map(lambda x: x[0], signals)
     return errors, first, _size(scheme, nominal, task, f) if frequency else jnp.zeros(0)

@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+import asyncio
+import functools
 import math
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from .exploration import Control, Exploration, Outcome
-from .interactive import plot, shown_in
+from .live_axes import plot, shown_in
 from .style import COLOURS
 
 if TYPE_CHECKING:
     from ..scenarios import Scenario
 
 POINTS = 1200  # of a signal
+TALLEST = 1e3  # times the first error, up to which errors are shown
+LATEST = 0.4  # [s] after which the band does not wait for newer values any more
+BESIDE = ThreadPoolExecutor(1, "explore")  # one computation at a time, of all readers
 
 
 class Explorer:
@@ -29,6 +36,7 @@ class Explorer:
         from bokeh.models import Button, ColumnDataSource, Div, Slider
 
         self.of, self.folder = exploration, folder
+        self.asked, self.busy = 0, False
         self.sliders = {control.path: _slider(control) for control in exploration.controls}
         self.spread = None
         if exploration.spread is not None:
@@ -55,7 +63,7 @@ class Explorer:
         """The values by path that the sliders have."""
         logs = {control.path: control.log for control in self.of.controls}
         return {
-            path: 10.0**slider.value if logs[path] else slider.value
+            path: 10.0 ** _held(slider) if logs[path] else _held(slider)
             for path, slider in self.sliders.items()
         }
 
@@ -63,7 +71,7 @@ class Explorer:
         """The spread of the slider; None where it was not moved, or there is none."""
         if self.spread is None or self.of.spread is None:
             return None
-        asked = self.spread.value / 100
+        asked = _held(self.spread) / 100
         return None if math.isclose(asked, self.of.spread, abs_tol=2e-3) else asked
 
     def layout(self) -> Any:
@@ -76,13 +84,54 @@ class Explorer:
         beside = column(*sliders, self.button, self.line, self.told, width=320)
         shown = column(*self.figures, sizing_mode="stretch_width")
         return column(title, row(beside, shown, sizing_mode="stretch_width"),
-                      sizing_mode="stretch_width")  # fmt: skip
+                      sizing_mode="stretch_width", margin=(0, 16, 0, 16))  # fmt: skip
 
     def _move(self) -> None:
-        try:
+        """Answer a slider: the nominal machine at first, then the band over all machines.
+
+        It is computed beside the server, which goes on taking what sliders say. Of the values that
+        a slider passes meanwhile only the last ones are answered, so that the figures do not fall
+        behind the hand.
+        """
+        from bokeh.document import without_document_lock
+
+        self.asked += 1
+        document = self.told.document
+        if document is None:
             self._show(self.of.outcome(self.values(), self.spread_asked()))
+        elif not self.busy:
+            self.busy, answer = True, without_document_lock(self._answer)
+            document.add_next_tick_callback(answer)  # ty: ignore[invalid-argument-type]
+
+    async def _answer(self) -> None:
+        """Answer until nothing new is asked."""
+        band_at, answered, alone = time.monotonic(), -1, self.of.machines > 1
+        try:
+            while answered != self.asked:
+                answered = self.asked
+                shown = await self._computed(alone=alone)
+                late = answered == self.asked or time.monotonic() - band_at > LATEST
+                if shown and alone and late:
+                    await self._computed(alone=False)
+                    band_at = time.monotonic()
+        finally:
+            self.busy = False
+
+    async def _computed(self, *, alone: bool) -> bool:
+        """Compute beside the server, and show; a value that is not allowed is told instead."""
+        values, spread = self.values(), self.spread_asked()
+        work = functools.partial(self.of.outcome, values, spread, alone=alone)
+        loop = asyncio.get_running_loop()
+        try:
+            found = await loop.run_in_executor(BESIDE, work)
         except ValueError as error:
-            self.told.text = _escaped(str(error))
+            show = functools.partial(self.told.update, text=_escaped(str(error)))
+        else:
+            show = functools.partial(self._show, found)
+        document = self.told.document
+        if document is not None:  # the page may have been closed
+            document.add_next_tick_callback(show)
+        return show.func == self._show
 
     def _save(self) -> None:
         path = self.of.save(self.values(), self.folder / "params.json")
@@ -91,14 +140,26 @@ class Explorer:
     def _show(self, found: Outcome) -> None:
         """Give the figures their data, and the text its numbers."""
         errors = np.where(found.errors > 0, found.errors, np.nan)
+        self._show_signals(found)
+        if len(errors) == 1 < self.of.machines:
+            nominal = np.where(errors[0] < TALLEST * errors[0, 0], errors[0], np.nan)
+            self.errors.data = dict(self.errors.data) | {"nominal": nominal}
+            self._tell(found)
+            return
         low, high = np.quantile(errors, (0.05, 0.95), axis=0, method="inverted_cdf")
         finite = {
             "nominal": errors[0], "low": low, "high": high, "worst": np.max(errors, axis=0),
         }  # fmt: skip
-        top = 1e3 * np.nanmax(np.where(np.isfinite(errors[:, 0]), errors[:, 0], np.nan), initial=0)
+        top = TALLEST * np.nanmax(
+            np.where(np.isfinite(errors[:, 0]), errors[:, 0], np.nan), initial=0
+        )
         shown = {n: np.where(np.isfinite(v) & (v < top), v, np.nan) for n, v in finite.items()}
         shown["high"] = np.fmin(np.where(np.isnan(high), top, high), top)
         self.errors.data = {"j": np.arange(1, errors.shape[1] + 1)} | shown
+        self._tell(found)
+
+    def _show_signals(self, found: Outcome) -> None:
+        """The last trial of the nominal machine, and |Q (1 - L P)|."""
         every = max(len(found.y) // POINTS, 1)
         time = np.asarray(self.of.scenario.task.time)[::every]
         self.signals.data = {
@@ -106,16 +167,24 @@ class Explorer:
             "e": self.factor * found.e[::every],
         }  # fmt: skip
         self.size.data = {"f": found.f, "size": found.size}
+
+    def _tell(self, found: Outcome) -> None:
+        """The numbers, and the command line that leads to them."""
         last, worst = found.errors[0, -1], np.max(found.errors[:, -1])
         largest = float(np.max(found.size)) if len(found.size) else None
-        said = [f"last trial: {last:.4g} {self.unit}; worst of {len(errors)}: {worst:.4g}"]
+        size = [
+            f"{x:.4g} {self.unit}".rstrip() if x < np.inf else "diverged" for x in (last, worst)
+        ]
+        said = [f"last trial: {size[0]}"]
+        if len(found.errors) > 1:
+            said[0] += f"; worst of {len(found.errors)}: {size[1]}"
         if largest is not None:
             safe = "monotone at all frequencies" if largest < 1 else "not safe"
             said.append(f"largest |Q (1 − L P)|: {largest:.4g}, {safe}")
         self.told.text = "<br/>".join(map(_escaped, said))
-        self.line.text = (
-            f"<code>{_escaped(self.of.command(self.values(), self.spread_asked()))}</code>"
-        )
+        words = _escaped(self.of.command(self.values(), self.spread_asked())).split(" ")
+        whole = (f'<span style="white-space: nowrap">{word}</span>' for word in words)
+        self.line.text = f"<code>{' '.join(whole)}</code>"
 
     def _figures(self, first: Outcome) -> list[Any]:
         """The figures of errors by trial, of the last trial, and over frequency."""
@@ -162,7 +231,8 @@ def explore(
     Returns a function of a document of Bokeh, which `bokeh.io.show` and servers take.
     """
     shared = Exploration(scenario, scheme, **options)
-    shared.outcome({})  # compiled once, before anyone waits for it
+    for alone in (True, False):
+        shared.outcome({}, alone=alone)  # compiled once, before anyone waits for it
 
     def application(document: Any) -> None:
         document.title = f"jaxilc: {scenario.name}"
@@ -187,6 +257,11 @@ def _slider(control: Control) -> Any:
         title=control.path, start=low, end=high, value=value, step=(high - low) / 400,
         format=power if control.log else "0[.]000",
     )  # fmt: skip
+
+
+def _held(slider: Any) -> float:
+    """The value of a slider within its ends, whatever a browser sends."""
+    return float(min(max(slider.value, slider.start), slider.end))
 
 
 def _escaped(text: str) -> str:

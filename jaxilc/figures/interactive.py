@@ -7,83 +7,19 @@ run in the browser; nothing is asked from a server.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from .band import GROWS
-from .style import COLOURS, limits_of, names_of
-from .units import power_of, prefixed
+from .live_axes import Live, hover, legend, plot, shown_in, tolerance_line, within
+from .style import COLOURS, labelled, names_of
 
 if TYPE_CHECKING:
     import xarray as xr
 
     from ..sweeps.summary import SchemeSummary
     from ..theory import Certificate
-
-WIDTH, HEIGHT = 860, 360  # of a figure [pixel]
-
-
-class Live(NamedTuple):
-    """An interactive figure.
-
-    caption: sentences that say what is seen, and what can be done
-    model: a model of Bokeh
-    """
-
-    caption: str
-    model: Any
-
-
-def shown_in(values, unit: str) -> tuple[float, str]:
-    """The factor and the unit in which the median of positive values is read best."""
-    found = np.atleast_1d(np.asarray(values, float))
-    found = found[np.isfinite(found) & (found > 0)]
-    if not found.size or power_of(unit) is None:
-        return 1.0, unit
-    middle = float(np.median(found))
-    number, name = prefixed(middle, unit)
-    return number / middle, name
-
-
-def plot(title: str, x: str, y: str, *, log: bool = True, **options: Any) -> Any:
-    """An empty figure of the common size, with labelled axes."""
-    from bokeh.plotting import figure
-
-    size: dict[str, Any] = {
-        "width": WIDTH,
-        "height": HEIGHT,
-        "sizing_mode": "scale_width",
-    } | options
-    size |= {"y_axis_type": "log"} if log else {}
-    made = figure(
-        title=title,
-        x_axis_label=x,
-        y_axis_label=y,
-        tools="pan,wheel_zoom,box_zoom,reset",
-        toolbar_location="above",
-        **size,
-    )
-    made.toolbar.logo = None
-    if log:
-        from bokeh.models import LogTicker
-
-        made.yaxis.ticker = LogTicker(mantissas=[1, 2, 5])
-    return made
-
-
-def _legend(made: Any) -> None:
-    """The legend beside the figure; a click on a name hides its curves and shows them again."""
-    if made.legend:
-        made.add_layout(made.legend[0], "right")
-        made.legend.click_policy = "hide"
-        made.legend.label_text_font_size = "9pt"
-
-
-def _hover(made: Any, renderers: list[Any], rows: list[tuple[str, str]]) -> None:
-    from bokeh.models import HoverTool
-
-    made.add_tools(HoverTool(renderers=renderers, tooltips=rows))
 
 
 def learning(
@@ -108,12 +44,12 @@ def learning(
         curves[name] = np.where(errors > 0, errors, np.nan)
     factor, unit = shown_in(np.concatenate([*curves.values()]), unit)
     word, trials = metric.replace("_", " "), np.asarray(dataset["trial"].values)
-    made, drawn = plot("", "trial", f"{word} [{unit}]" if unit else word), []
+    made, drawn = plot("", "trial", labelled(word, unit)), []
     for i, (name, errors) in enumerate(curves.items()):
         look = {"color": COLOURS[i % len(COLOURS)], "legend_label": name, "name": name}
         drawn.append(made.line(trials, factor * errors, line_width=2, **look))
         drawn.append(made.scatter(trials, factor * errors, size=4, **look))
-    _hover(made, drawn, [("scheme", "$name"), ("trial", "@x"), (word, f"@y{{0.000a}} {unit}")])
+    hover(made, drawn, [("scheme", "$name"), ("trial", "@x"), (word, f"@y{{g}} {unit}")])
     due = [p for p in published if p.quantity == metric and (p.trial or 1) <= len(trials)]
     for i, name in enumerate(curves):
         rows = [p for p in due if p.scheme == name]
@@ -121,8 +57,8 @@ def learning(
         if rows:
             look = {"color": COLOURS[i % len(COLOURS)], "fill_color": None, "size": 11}
             made.scatter(at, values, legend_label="published", **look)
-    _limit(made, None if tolerance is None else factor * tolerance)
-    _legend(made)
+    tolerance_line(made, None if tolerance is None else factor * tolerance)
+    legend(made)
     said = f"The {word} of each trial. A click on a name hides its curve and shows it again; under"
     return Live(f"{said} the pointer stand the numbers.", made)
 
@@ -141,7 +77,7 @@ def band(
     """
     factor, unit = shown_in(scale * np.concatenate([row.median for row in rows]), unit)
     scale, word = scale * factor, metric.replace("_", " ")
-    made, drawn, seen = plot("", "trial", f"{word} [{unit}]" if unit else word), [], []
+    made, drawn, seen = plot("", "trial", labelled(word, unit)), [], []
     for i, row in enumerate(rows):
         trials, colour = np.arange(1, len(row.median) + 1), COLOURS[i % len(COLOURS)]
         low, median, high, worst = (
@@ -161,12 +97,10 @@ def band(
         drawn.append(made.line(trials, finite, line_width=2, **named))
         drawn.append(made.scatter(trials, finite, size=4, **named))
         made.line(trials, np.where(np.isfinite(worst), worst, np.nan), line_dash="dotted", **named)
-    _hover(made, drawn, [("scheme", "$name"), ("trial", "@x"), ("median", f"@y{{0.000a}} {unit}")])
-    limits = limits_of(np.array(seen))
-    if limits:
-        made.y_range.start, made.y_range.end = limits
-    _limit(made, None if tolerance is None else scale * tolerance)
-    _legend(made)
+    hover(made, drawn, [("scheme", "$name"), ("trial", "@x"), ("median", f"@y{{g}} {unit}")])
+    within(made, seen)
+    tolerance_line(made, None if tolerance is None else scale * tolerance)
+    legend(made)
     return Live(
         f"The {word} by trial over all machines: the line is the median, the band holds 90 % of "
         "them, the dots are the worst machine of each trial. A click on a name hides a scheme and "
@@ -210,13 +144,13 @@ def certified(
                 **{f"p{i}": values[chosen] for i, values in enumerate(columns.values())},
             }
         )
-        colour = "#999999" if hue.startswith("0.") else hue
+        colour = "#737373" if hue.startswith("0.") else hue
         look = {"color": colour, "line_width": 1.5, "line_alpha": 0.6, "hover_line_width": 4}
         lines.append(
             made.multi_line("xs", "ys", source=source, legend_label=SAID.get(claim, claim), **look)
         )
-    _hover(made, lines, [("machine", "@machine"), ("claim", "@claim"), *_tips(columns)])
-    _legend(made)
+    hover(made, lines, [("machine", "@machine"), ("claim", "@claim"), *tips_of(columns)])
+    legend(made)
     return Live(
         f"{name}: the RMS error of each machine by trial, in the colour of what theory claims of "
         "it. Under the pointer stands which machine it is, and its parameters.",
@@ -238,13 +172,6 @@ def columns_of(drawn: Mapping[str, Any], most: int = 12) -> dict[str, np.ndarray
     return dict(list(varying.items())[:most])
 
 
-def _tips(columns: Mapping[str, np.ndarray]) -> list[tuple[str, str]]:
-    return [(name, f"@p{i}{{0.0000e+0}}") for i, name in enumerate(columns)]
-
-
-def _limit(made: Any, tolerance: float | None) -> None:
-    if tolerance is not None:
-        from bokeh.models import Span
-
-        line = Span(location=tolerance, dimension="width", line_dash="dashed", line_color="black")
-        made.add_layout(line)
+def tips_of(columns: Mapping[str, np.ndarray]) -> list[tuple[str, str]]:
+    """The parameters of a machine, for `hover`."""
+    return [(name, f"@p{i}{{g}}") for i, name in enumerate(columns)]

@@ -27,7 +27,10 @@ def reproduction_figures(numbers: Sequence[Mapping[str, Any]]) -> list[tuple[str
     """
     found = []
     for scenario, rows in groupby(numbers, key=lambda row: row["scenario"]):
-        caption = f"{scenario}: the printed numbers and ours"
+        caption = (
+            f"{scenario}: the printed numbers and ours, and their ratios; the bands are those of a "
+            "row that is met, and of one in the printed order."
+        )
         found.append((caption, printed_and_ours(list(rows), title=str(scenario))))
     return found
 
@@ -77,7 +80,7 @@ def printed_and_ours(
         xlim=(0.8 / BEYOND, 1.25 * BEYOND),
         title="bands: met, shape",
     )
-    left.set_yticks(at, [_label(row) for row in rows], fontsize="x-small")
+    left.set_yticks(at, [label_of(row) for row in rows], fontsize="x-small")
     for text, row in zip(left.get_yticklabels(), rows, strict=True):
         text.set_style("italic" if row["among_fitted"] else "normal")
     right.tick_params(axis="y", labelleft=False)
@@ -88,9 +91,9 @@ def printed_and_ours(
     return axes
 
 
-def _label(row: Mapping[str, Any]) -> str:
+def label_of(row: Mapping[str, Any]) -> str:
     """The name of a row: scheme, trial, quantity with unit, and the options that differ."""
-    at = f" {row['trial']}" if row["trial"] else ""
+    at = f", trial {row['trial']}" if row["trial"] else ""
     unit = f" [{row['unit']}]" if row["unit"] else ""
     options = "".join(
         f", {value:g} Hz" if name == "frequency" else f", {name} {value}"

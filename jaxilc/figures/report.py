@@ -29,7 +29,7 @@ from .page_texts import flat, of_rich, of_rows, text_of, text_rows
 
 if TYPE_CHECKING:
     from ..scenarios import Scenario
-    from .interactive import Live
+    from .live_axes import Live
 
 MEDIA = {".png": "image/png", ".svg": "image/svg+xml"}
 DPI = 120  # resolution of axes that are drawn for the page
@@ -103,7 +103,7 @@ def html_report(title: str, asked: Mapping[str, object], *parts: Any, **named: A
         script=script,
         date=f"{datetime.datetime.now().astimezone():%d %B %Y, %H:%M %Z}",
         conclusion=[text_of(line) for line in verdict.said] if verdict else [],
-        what=text_of((verdict.what[:1].upper() + verdict.what[1:]) or "Next") if verdict else "",
+        what=text_of(verdict.what) if verdict else "",
         following=text_of(verdict.following) if verdict else "",
         asked=text_rows(asked),
         live=places,
@@ -195,7 +195,7 @@ def command_report(
     path: path of the page; None writes nothing, and the list is empty
     command: name of the command
     tables: tables that were printed
-    figures: axes or files; files that are not pictures are left out
+    figures: axes or files; a PDF is named on the page, other files are left out
     scenario: the scenario that was run, None for a command without one
     configuration: all that determines the numbers, None for that of the scenario
     lines: lines that were printed besides the tables
@@ -224,6 +224,7 @@ def command_report(
             [f for f in figures if not isinstance(f, str | Path) or Path(f).suffix in MEDIA],
             configuration,
             {
+                "Figures in files of their own": [str(f) for f in figures if _is_pdf(f)],
                 "In words": lines if verdict else (),
                 "Chosen where the paper leaves it open": scenario.chosen
                 if scenario is not None
@@ -233,6 +234,10 @@ def command_report(
             live=[one for one in live if one is not None],
         )
     ]
+
+
+def _is_pdf(drawing: Drawing) -> bool:
+    return isinstance(drawing, str | Path) and Path(drawing).suffix == ".pdf"
 
 
 def _versions() -> dict[str, object]:

@@ -7,13 +7,17 @@ from typing import Any
 
 import numpy as np
 from matplotlib.colors import to_hex, to_rgba, to_rgba_array
+from matplotlib.text import Text
 
 from ..storage.figure_format import chosen
 from ..storage.files import atomically
+from .style import readable
 
 GROUND, INK = "#14171c", "#e8e6e3"  # of a dark figure
+SEEN = 3.0  # contrast that a line needs (WCAG 2.2, for what is not text)
 GREY = 0.12  # spread of red, green and blue up to which a colour counts as a grey
-LIGHTER = {"#0072b2": "#4aa8e8"}  # colours too dark for a dark ground
+# Colours too dark for a dark ground, and the one that they would then be mistaken for.
+LIGHTER = {"#0072b2": "#3d9be0", "#56b4e9": "#b8e2f8"}
 
 
 def save(axes, path: str | Path, *, dark: bool | None = None) -> Path:
@@ -43,6 +47,8 @@ def darken(figure) -> None:
             get, set_ = (getattr(artist, f"{way}_{name}", None) for way in ("get", "set"))
             if get is not None and set_ is not None and not hasattr(artist, "get_cmap"):
                 _change(get, set_)
+        if isinstance(artist, Text):
+            artist.set_color(readable(artist.get_color(), GROUND))
         box = getattr(artist, "get_bbox_patch", lambda: None)()
         if box is not None:
             box.set_facecolor(GROUND)
@@ -53,7 +59,7 @@ def darken(figure) -> None:
 
 
 def _change(get, set_) -> None:
-    """Make the colour of an artist light if it is a grey, and lighter if it is too dark."""
+    """Make the colour of an artist light if it is a grey, and lighter where it is not seen."""
     colours: Any = get()
     if colours is None or (isinstance(colours, str) and colours in ("none", "auto")):
         return
@@ -65,7 +71,8 @@ def _change(get, set_) -> None:
         if np.ptp(rgba[:3]) <= GREY:
             shade = 0.08 + 0.84 * (1.0 - np.mean(rgba[:3]))
             changed[i, :3] = shade
-        elif to_hex(rgba[:3]) in LIGHTER:
-            changed[i, :3] = to_rgba_array(LIGHTER[to_hex(rgba[:3])])[0, :3]
+        else:
+            named = LIGHTER.get(to_hex(rgba[:3]), tuple(rgba[:3]))
+            changed[i, :3] = to_rgba(readable(named, GROUND, SEEN))[:3]
     if not np.array_equal(found, changed):
         set_(changed if len(changed) > 1 else tuple(changed[0]))

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from ..tuning.problem import Tuned
     from ..tuning.trade_off import Point
 
+NEAR = (0.12, 0.06)  # shares of the axes within which two points have one label
+
 
 def loss_by_step(tuned: Tuned, *, ax: Axes | None = None) -> Axes:
     """A tuning: the loss against the step for each start, on the machines of the tuning.
@@ -121,20 +123,42 @@ def pareto_front(
         drawstyle="steps-post",
         label="tuned; beside: share of the first",
     )
-    for p in points:
-        ax.annotate(
-            f"{p.share:g}",
-            (p.first, p.second),
-            textcoords="offset points",
-            xytext=(6, 4),
-            fontsize="small",
-        )
     if given is not None:
         ax.plot(*given, "o", mfc="none", color=COLOURS[1], label="given")
+    ax.margins(0.12)
+    for at, shares in _together(points, ax):
+        ax.annotate(
+            ", ".join(f"{share:g}" for share in sorted(shares)),
+            at,
+            textcoords="offset points",
+            xytext=(-6, 5) if _is_right(at, ax) else (6, 5),
+            ha="right" if _is_right(at, ax) else "left",
+            fontsize="small",
+        )
     legend_above(ax)
     ax.set(xlabel=first, ylabel=second)
     grid(ax)
     return ax
+
+
+def _together(points: Sequence[Point], ax: Axes) -> list[tuple[tuple[float, float], list[float]]]:
+    """The shares of points that would be written over each other, at the first of them."""
+    found: list[tuple[tuple[float, float], list[float]]] = []
+    for p in points:
+        for at, shares in found:
+            apart = ax.transData.transform([at, (p.first, p.second)])
+            apart = np.abs(np.diff(ax.transAxes.inverted().transform(apart), axis=0)).ravel()
+            if np.all(apart < NEAR):
+                shares.append(p.share)
+                break
+        else:
+            found.append(((p.first, p.second), [p.share]))
+    return found
+
+
+def _is_right(at: tuple[float, float], ax: Axes) -> bool:
+    """Whether a point is in the right half of the axes."""
+    return ax.transAxes.inverted().transform(ax.transData.transform(at))[0] > 0.5
 
 
 def final_error_by_trials(

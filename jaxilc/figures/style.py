@@ -109,6 +109,33 @@ def legend_above(ax: Axes, columns: int = 2) -> None:
     ax.legend(fontsize="small", loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns)
 
 
+def readable(colour: Any, ground: Any = "white", least: float = 4.5) -> str:
+    """A colour for text: the one given, or as much darker or lighter as the ground asks for.
+
+    least: contrast of the text and its ground, (L1 + 0.05) / (L2 + 0.05) of their luminances, the
+        lighter one first; 4.5 is what the Web Content Accessibility Guidelines 2.2 ask for (AA)
+    """
+    from matplotlib.colors import to_hex, to_rgb
+
+    rgb, behind = np.array(to_rgb(colour)), luminance(ground)
+    end = np.zeros(3) if behind > 0.18 else np.ones(3)
+    for share in np.linspace(0.0, 1.0, 41):
+        mixed = (1 - share) * rgb + share * end
+        high, low = max(luminance(mixed), behind), min(luminance(mixed), behind)
+        if (high + 0.05) / (low + 0.05) >= least:
+            break
+    return to_hex(mixed)
+
+
+def luminance(colour: Any) -> float:
+    """The relative luminance of a colour of sRGB, from 0 to 1 (WCAG 2.2)."""
+    from matplotlib.colors import to_rgb
+
+    rgb = np.array(to_rgb(colour))
+    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    return float(linear @ [0.2126, 0.7152, 0.0722])
+
+
 def limits_of(values, *, pad: float = 1.5) -> tuple[float, float] | None:
     """Limits of a logarithmic axis that hold all positive finite values, and no empty decade.
 

@@ -14,6 +14,7 @@ PREFIXES = {"p": -12, "n": -9, "µ": -6, "m": -3, "": 0, "k": 3, "M": 6}
 SPELLED = {"u": "µ", "μ": "µ"}  # a letter and another code point for the same prefix
 # Units that take prefixes, with the largest prefix that a reader expects of each.
 PREFIXED = {"m": 0, "rad": 0, "V": 3, "A": 3, "N": 6, "s": 0, "W": 6, "Nm": 3, "Pa": 6, "Hz": 6}
+SMALL, LARGE = 1e-3, 1e5  # numbers within are written without a power of ten
 READABLE = (0.1, 1000.0)  # numbers within are read without another prefix
 
 
@@ -76,5 +77,14 @@ def _log_ticks(axis: Axis, low: float, high: float) -> None:
     """Plain numbers; ticks at 1, 2 and 5 on fewer than two decades, at each decade on a few."""
     few = high < 1e2 * low
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,), numticks=10))
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: _plain(value)))
     axis.set_minor_formatter(NullFormatter())
+
+
+def _plain(value: float) -> str:
+    """A number as text; one that is very small or very large as a power of ten."""
+    if value == 0 or SMALL <= abs(value) < LARGE:
+        return f"{value:g}"
+    power, sign = math.floor(math.log10(abs(value)) + 1e-9), "-" if value < 0 else ""
+    times = "" if math.isclose(abs(value), 10.0**power) else rf"{abs(value) / 10.0**power:g}\cdot"
+    return f"${sign}{times}10^{{{power}}}$"

@@ -131,6 +131,7 @@ def tracking(
         name_axis(row[1].yaxis, name, of)
         row[1].set_ylabel("" if row[1].get_ylabel() == row[0].get_ylabel() else row[1].get_ylabel())
     _legend_below(axes[0, 0])
+    axes[0, 0].figure.align_ylabels(axes[:, 0])
     return axes
 
 

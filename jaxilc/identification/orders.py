@@ -144,7 +144,7 @@ def not_significant(found: Identified) -> list[str]:
             of_both = zero.startswith("zeros") and pole.startswith("poles")
             if of_both and low <= right and left <= high:
                 said.append(
-                    f"{zero} and {pole} are not significant: their 95 % intervals overlap, so that "
-                    "they may cancel; leave both out"
+                    f"the zero {zero} and the pole {pole} are not significant: their 95 % "
+                    "intervals overlap, so that they may cancel; leave both out"
                 )
     return said

@@ -9,9 +9,10 @@ from .orders import not_significant
 from .verdict import Identified
 
 NOT_WHITE = (
-    "the residual is not white: another structure may fit better, and the intervals are too narrow"
+    "The residual is not white: another structure may fit better, and the intervals are too narrow."
 )
-NOT_CONVERGED = "the fit did not meet its tolerances: the structure may be too large"
+NOT_CONVERGED = "The fit did not meet its tolerances: the structure may be too large."
+LEAST_DELAY = 1e-6  # samples, or ms where there are none, below which a delay is none
 MUCH = 1.5  # residual over std from which on the structure, or the std, is doubted
 
 
@@ -32,14 +33,19 @@ def verdict(found: Identified, dt: float | None) -> list[str]:
     lines = [said + "."]
     if doubted:
         lines.append(
-            f"the residual is {ratio:.3g} times the standard deviation of the lines: another "
-            "structure may fit better, or that deviation is too small"
+            f"The residual is {ratio:.3g} times the standard deviation of the lines: another "
+            "structure may fit better, or that deviation is too small."
         )
     if not found.white:
         lines.append(NOT_WHITE)
     if not found.converged:
         lines.append(NOT_CONVERGED)
-    return lines + not_significant(found)
+    return lines + [sentence(text) for text in not_significant(found)]
+
+
+def sentence(text: str) -> str:
+    """The text with a capital letter and a full stop."""
+    return text[:1].upper() + text[1:].removesuffix(".") + "."
 
 
 def described(found: Identified, dt: float | None) -> str:
@@ -47,7 +53,8 @@ def described(found: Identified, dt: float | None) -> str:
     plant = found.plant
     if not isinstance(plant, ProcessModel):
         return type(plant).__name__
-    return f"Order {plant.order}" + (f" with a delay of {delay_in(plant, dt)}" * (plant.delay > 0))
+    late = float(plant.delay) / (dt or 1e-3) > LEAST_DELAY
+    return f"Order {plant.order}" + (f" with a delay of {delay_in(plant, dt)}" * late)
 
 
 def delay_in(plant: ProcessModel, dt: float | None) -> str:

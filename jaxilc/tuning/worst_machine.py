@@ -41,12 +41,14 @@ class Search(NamedTuple):
     needed: number of evaluations until this machine was found
     level_with_chance: number of evaluations until the loss reached that of the random search, None
         if it never did
+    course: (n,) the largest metric so far, at even steps up to all evaluations of the search
     """
 
     case: WorstCase
     value: float
     needed: int
     level_with_chance: int | None
+    course: np.ndarray
 
 
 class WorstMachine(NamedTuple):
@@ -139,20 +141,22 @@ def worst_machine(
             value=of_machine(case.subject),
             each=of_a_step if case is climbed else 1,
             chance=found["chance"].loss,
+            course=of_losses(case.best),
         )
         for name, case in found.items()
     }
     return WorstMachine(nominal, searches, of_losses(list(found.values())[-1].found))
 
 
-def _search(case: WorstCase, *, value: float, each: int, chance: float) -> Search:
+def _search(case: WorstCase, *, value: float, each: int, chance: float, course) -> Search:
     """The record of one search.
 
     each: evaluations between two entries of `case.best`
     chance: loss that the random search found
+    course: metrics of `case.best`
     """
     level = each * (1 + int((case.best >= chance).argmax())) if case.loss >= chance else None
-    return Search(case, value, each * (1 + int(case.best.argmax())), level)
+    return Search(case, value, each * (1 + int(case.best.argmax())), level, course)
 
 
 def _need_room(

@@ -426,7 +426,7 @@ def test_identify_reads_a_record_and_names_what_is_wrong_with_it(
     assert read_scenario("found.toml").schemes["ilc"].scheme.lead == 3
     assert "95 % intervals" in out
     assert "Order 1 fits 9" in out
-    assert "Next: jaxilc design found.toml, or jaxilc run found.toml" in " ".join(out.split())
+    assert "Next, a law that is tuned and judged: jaxilc design found.toml" in " ".join(out.split())
     found = json.loads((tmp_path / "found.json").read_text())
     assert found["poles[0]"]["low"] < 60.0 < found["poles[0]"]["high"]
     assert (tmp_path / "out/identify/validation.png").exists()
@@ -458,7 +458,7 @@ def test_identify_reads_a_frequency_response(jaxilc_command, tmp_path, monkeypat
     assert (tmp_path / "out/identify/response.png").exists()
     code, out, _ = jaxilc_command(*asked, "--dt", 1e-3, "--delay", 2)
     assert code == 0
-    assert "Next: jaxilc identify frf.csv --dt 0.001 --auto compares structures" in out
+    assert "Next, structures compared: jaxilc identify frf.csv --dt 0.001 --auto" in out
     for wrong, said in (
         (("--out", "b.toml"), "--out FILE.toml of a frequency response needs --dt"),
         (("--delay", 2), "--delay 2 counts samples of a response: give --dt, too"),

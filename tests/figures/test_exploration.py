@@ -1,5 +1,6 @@
 """What a page of sliders computes is what the commands compute; its server keeps to itself."""
 
+import asyncio
 import socket
 import threading
 import urllib.request
@@ -61,6 +62,35 @@ def test_moving_a_weight_compiles_nothing(explored):
     assert _computed._cache_size() == before
     with pytest.raises(ValueError, match="gamma_p"):
         explored.outcome({"scheme.gamma_p": float("nan")})
+
+
+def test_of_a_slider_that_moves_on_the_last_value_is_answered(explored, tmp_path, monkeypatch):
+    """While the first value is computed the slider passes three others: only the last counts."""
+    pytest.importorskip("bokeh")
+    from bokeh.document import Document
+
+    from jaxilc.figures.explorer import Explorer
+
+    page, document, computed = Explorer(explored, tmp_path), Document(), []
+    document.add_root(page.layout())
+    slider, outcome = page.sliders["scheme.gamma_p"], Exploration.outcome
+
+    def slowly(self, values, spread=None, *, alone=False):
+        computed.append((round(values["scheme.gamma_p"], 6), alone))
+        for gain in (0.5, 0.4, 0.3) if len(computed) == 1 else ():
+            slider.value = np.log10(gain) if slider.start < 0 else gain
+        return outcome(self, values, spread, alone=alone)
+
+    monkeypatch.setattr(Exploration, "outcome", slowly)
+    monkeypatch.setattr("jaxilc.figures.explorer.LATEST", 1e9)
+    monkeypatch.setattr(Document, "add_next_tick_callback", lambda self, work: work())
+    page.asked, page.busy = 1, True
+    asyncio.run(page._answer())
+    assert computed == [(0.8, True), (0.3, True), (0.3, False)]
+    assert not page.busy
+    found = outcome(explored, {"scheme.gamma_p": 0.3})
+    np.testing.assert_allclose(page.errors.data["nominal"], found.errors[0], rtol=1e-6)
+    np.testing.assert_allclose(page.errors.data["worst"], found.errors.max(axis=0), rtol=1e-6)
 
 
 def test_what_was_found_can_be_shared(explored, tmp_path):

@@ -88,7 +88,7 @@ PLANT = ProcessModel(1.0, (-60.0,), (60.0,), (300.0,), (0.5,))
         ({"frequencies[0]": (300.0, 400.0)}, ["the pair of poles frequencies[0] = 300"]),
         (
             {"zeros[0]": (-61.0, 2.0), "poles[0]": (58.0, 2.0)},
-            ["zeros[0] and poles[0] are not significant"],
+            ["the zero zeros[0] and the pole poles[0] are not significant"],
         ),
         ({"zeros[0]": (61.0, 2.0), "poles[0]": (60.0, 2.0)}, []),  # in the right half-plane
         ({"gain": (1.0, 5.0), "bias": (0.0, 1.0), "dampings[0]": (0.5, 1.0)}, []),

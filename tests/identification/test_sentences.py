@@ -62,8 +62,8 @@ def test_what_is_wrong_is_said():
     first, *others = verdict(bad, 1e-3)
     assert first.endswith("not fitted).")
     assert others[:2] == [NOT_WHITE, NOT_CONVERGED]
-    assert others[2].startswith("the zero zeros[0] = 9 rad/s is not significant")
+    assert others[2].startswith("The zero zeros[0] = 9 rad/s is not significant")
     doubted = LINES._replace(residual_std=np.array([3.2]))
-    assert "the residual is 3.2 times the standard deviation of the lines" in verdict(doubted, 1)[1]
+    assert "The residual is 3.2 times the standard deviation of the lines" in verdict(doubted, 1)[1]
     relative = doubted._replace(std_known=False)
     assert len(verdict(relative, 1)) == 1

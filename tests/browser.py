@@ -1,0 +1,70 @@
+"""A browser that tests drive: its place, what it shows of a page, and what a page says in it."""
+
+import html
+import json
+import re
+import shutil
+import subprocess
+
+import numpy as np
+from matplotlib import image
+
+CHROMIUM = (
+    shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+)
+
+
+def photographed(page, folder):
+    """Return what a browser shows of a page, (rows, columns, 3) in 0..255."""
+    silent = (
+        "--no-first-run",
+        "--disable-background-networking",
+        "--disable-component-update",
+        "--disable-sync",
+        "--disable-quic",
+    )
+    shot = folder / "shot.png"
+    command = [
+        CHROMIUM,
+        "--headless",
+        "--no-sandbox",
+        "--disable-gpu",
+        *silent,
+        f"--user-data-dir={folder / 'profile'}",
+    ]
+    subprocess.run(
+        [*command, "--window-size=900,1400", f"--screenshot={shot}", page.as_uri()],
+        check=True,
+        capture_output=True,
+        timeout=60,
+    )
+    return np.round(255 * image.imread(shot)[:, :, :3]).astype(int)
+
+
+def opened(page, folder, script):
+    """Return what a script of a page says in a browser; it is run 3 s after the page is there.
+
+    script: statements that return a value
+    """
+    text = page.read_text(encoding="utf-8")
+    asking = (
+        "<script>setTimeout(async () => { let said; try { said = await (async () => {"
+        f"{script}"
+        "})() } catch (error) { said = String(error) }"
+        "document.title = 'said:' + JSON.stringify(said); }, 3000)</script></body>"
+    )
+    body, _, end = text.rpartition("</body>")  # the library has this text, too
+    (folder / "asked.html").write_text(body + asking + end, encoding="utf-8")
+    found = subprocess.run(
+        [
+            *(CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--dump-dom"),
+            *(f"--user-data-dir={folder / 'profile'}", "--virtual-time-budget=8000"),
+            (folder / "asked.html").as_uri(),
+        ],
+        check=True,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    ).stdout
+    said = html.unescape(re.search(r"<title>said:(.*?)</title>", found, re.DOTALL).group(1))
+    return json.loads(said)
