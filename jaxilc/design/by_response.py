@@ -1,8 +1,8 @@
 """Taps of a learning law found by the frequency responses of a family, within a second.
 
 The error of a trial that the responses predict (`responses.Family.rms`) is differentiable by the
-taps. L-BFGS minimises the mean over the machines of its logarithm, with that of half as many trials
-at a smaller weight, under
+taps. L-BFGS minimises the mean over the machines of its logarithm, or another risk, with that of
+half as many trials at a smaller weight, under
 
     |keep - L P| <= below    at each frequency, on each machine
 
@@ -14,7 +14,8 @@ goes on. Each segment of a scheduled law is found for the error of its part of t
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -22,13 +23,16 @@ import numpy as np
 import scipy.optimize
 
 from ..signals.task import Task
+from ..tuning.risks import Mean, Risk
 from .by_matrix import of_matrices
 from .responses import Family, gathered
 from .window import Filters, Window, along, moved_by
 
+MEAN = Mean()
 EARLY = 0.1  # weight of the error of half as many trials
 STRICT = 50.0, 5.0  # weights of the mean square excess, and of the largest one
 STEPS = 600
+ENOUGH = 1e-3  # fall of the loss below which the search ends
 NEAR = 0.97  # largest |keep - L P| with which an error is predicted; the excess counts beyond it
 
 
@@ -41,6 +45,7 @@ def by_response(
     below: float,
     *,
     steps: int = STEPS,
+    risk: Risk = MEAN,
 ) -> Filters:
     """The taps of least predicted error.
 
@@ -48,27 +53,68 @@ def by_response(
     trials: number of the trial whose error counts
     below: bound on |keep - L P|
     steps: of L-BFGS at most
+    risk: how the logarithms of the errors of all machines are combined
     """
     if window.starts:
         ends = (0, *window.starts, task.N + 1)
         found = [
             by_response(
                 _of_part(family, slice(first, last), task), window.unscheduled(),
-                Filters(start.L[i], start.keep[i]), task, trials, below, steps=steps,
+                Filters(start.L[i], start.keep[i]), task, trials, below, steps=steps, risk=risk,
             )
             for i, (first, last) in enumerate(itertools.pairwise(ends))
         ]  # fmt: skip
         return Filters(*map(np.stack, zip(*found, strict=True)))
-    value_and_slope = _loss_of(family, window, start, task, trials, below)
+    return searched(family, window, start, task, trials, below, steps=steps, risk=risk)[0]
 
-    def numbers(z):
-        value, slope = value_and_slope(z)
-        return float(value), np.asarray(slope, float)
 
-    z = np.zeros(window.number_of_steps())
-    options = {"maxiter": steps, "maxfun": 2 * steps, "maxcor": 30}
-    found = scipy.optimize.minimize(numbers, z, jac=True, method="L-BFGS-B", options=options)
-    return moved(window, start, found.x if np.all(np.isfinite(found.x)) else z)
+def searched(
+    family: Family,
+    window: Window,
+    start: Filters,
+    task: Task,
+    trials: int,
+    below: float,
+    *,
+    steps: int = STEPS,
+    risk: Risk = MEAN,
+) -> tuple[Filters, float]:
+    """The taps of a law that is not scheduled, as of `by_response`, and their loss."""
+    counted = ((trials, 1.0),)
+    if trials > 2:
+        counted += ((max(2, (trials + 1) // 2), EARLY),)
+    problem = Problem(
+        family._replace(loops=[], drawn={}), start, window.of_L, window.of_keep, window.unit,
+        *window.responses(family.frequencies, task.dt),
+    )  # fmt: skip
+
+    z, least = np.zeros(window.number_of_steps()), np.inf
+    for of in dict.fromkeys((MEAN, risk)):  # the mean, which is smooth, leads near another risk
+
+        def numbers(z, of=of):
+            value, slope = _value_and_slope(z, problem, below, counted, of)
+            return float(value), np.asarray(slope, float)
+
+        z, least = _lowest(numbers, z, steps)
+    return moved(window, start, z), least
+
+
+def _lowest(numbers, z, steps: int) -> tuple[np.ndarray, float]:
+    """The lowest point that L-BFGS finds from z, and its value.
+
+    Where its line search fails at a kink of the loss, it begins anew from there.
+    """
+    least, left = np.inf, steps
+    while left > 0:
+        options = {"maxiter": left, "maxfun": 2 * left, "maxcor": 30}
+        found = scipy.optimize.minimize(numbers, z, jac=True, method="L-BFGS-B", options=options)
+        if not (np.isfinite(found.fun) and np.all(np.isfinite(found.x))):
+            break
+        enough = found.fun > least - ENOUGH
+        z, least, left = found.x, float(found.fun), left - max(int(found.nit), 1)
+        if enough:
+            break
+    return z, least
 
 
 def moved(window: Window, start: Filters, z) -> Filters:
@@ -96,25 +142,38 @@ def _of_part(family: Family, part: slice, task: Task) -> Family:
     return family._replace(error=spectrum if np.any(spectrum) else family.error)
 
 
-def _loss_of(family, window, start, task, trials, below) -> Callable:
-    """The loss of steps z, with its slope, compiled."""
-    of_L, of_keep = window.responses(family.frequencies, task.dt)
-    counted = {trials: 1.0, max(2, (trials + 1) // 2): EARLY} if trials > 2 else {trials: 1.0}
-    predicted = _of_numbers if family.P.ndim == 2 else of_matrices
+class Problem(NamedTuple):
+    """What the loss of steps z depends on; one program serves all windows of a size.
 
-    def loss(z):
-        filters = moved(window, start, z)
-        keep, L = along(of_keep, filters.keep), along(of_L, filters.L)
-        size, squares = predicted(family, keep, L, tuple(counted), NEAR)
-        total = sum(
-            weight * 0.5 * jnp.mean(jnp.log(square))
-            for weight, square in zip(counted.values(), squares, strict=True)
-        )
-        over = jax.nn.relu(size - below)
-        worst = jnp.sqrt(jnp.sum(jnp.max(over, axis=1) ** 2) + 1e-12)
-        return total + STRICT[0] * jnp.mean(jnp.sum(over**2, axis=1)) + STRICT[1] * worst
+    family: without its loops;  start: taps at z = 0;  of_L, of_keep, unit: as in `Window`
+    to_L, to_keep: from the taps to responses, as `Window.responses` has them
+    """
 
-    return jax.jit(jax.value_and_grad(loss))
+    family: Family
+    start: Filters
+    of_L: Any
+    of_keep: Any
+    unit: Any
+    to_L: Any
+    to_keep: Any
+
+
+def _loss(z, of: Problem, below: float, counted, risk: Risk):
+    """The loss of steps z. counted: (trial, weight) of the errors that count."""
+    filters = moved_by(of.start, of.of_L, of.of_keep, z, of.unit)
+    keep, L = along(of.to_keep, filters.keep), along(of.to_L, filters.L)
+    predicted = _of_numbers if of.family.P.ndim == 2 else of_matrices
+    size, squares = predicted(of.family, keep, L, tuple(j for j, _ in counted), NEAR)
+    total = sum(
+        weight * 0.5 * risk(jnp.log(square))
+        for (_, weight), square in zip(counted, squares, strict=True)
+    )
+    over = jax.nn.relu(size - below)
+    worst = jnp.sqrt(jnp.sum(jnp.max(over, axis=1) ** 2) + 1e-12)
+    return total + STRICT[0] * jnp.mean(jnp.sum(over**2, axis=1)) + STRICT[1] * worst
+
+
+_value_and_slope = partial(jax.jit, static_argnames=("counted", "risk"))(jax.value_and_grad(_loss))
 
 
 def _of_numbers(family: Family, keep, L, trials, near: float):

@@ -11,12 +11,15 @@ import numpy as np
 
 from ..runtime.provenance import describe, differences, environment
 from ..storage.sealed import as_json, json_text, read_json, sealed, unsealed, write_json
+from .first_taps import FirstTaps
 from .window import Filters
 
 FILE = "start.json"
 
 
-def kept_or(folder: Path, asked: Any, compute: Callable[[], Filters], *, resume: bool) -> Filters:
+def kept_or(
+    folder: Path, asked: Any, compute: Callable[[], FirstTaps], *, resume: bool
+) -> FirstTaps:
     """The taps that are kept in a folder, or computed and kept there.
 
     asked: the question that they answer, and all that their numbers depend on
@@ -33,9 +36,12 @@ def kept_or(folder: Path, asked: Any, compute: Callable[[], Filters], *, resume:
         if differing:
             said = f"was made for another question; it differs in: {'; '.join(differing)}"
             raise ValueError(f"{folder} {said}")
-        return Filters(*(np.asarray(found[name], float) for name in Filters._fields))
+        filters = Filters(*(np.asarray(found[name], float) for name in Filters._fields))
+        besides = {name: np.asarray(of, float) for name, of in found["besides"].items()}
+        return FirstTaps(filters, int(found["lead"]), besides)
     taps = compute()
     folder.mkdir(parents=True, exist_ok=True)
-    kept = {name: np.asarray(values).tolist() for name, values in taps._asdict().items()}
-    write_json(file, sealed({"question": question, **kept}))
+    kept = {name: np.asarray(values).tolist() for name, values in taps.filters._asdict().items()}
+    besides = {name: np.asarray(values).tolist() for name, values in taps.besides.items()}
+    write_json(file, sealed({"question": question, "lead": taps.lead, "besides": besides, **kept}))
     return taps

@@ -16,17 +16,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..theory.law import law_of
 from ..tuning import Tuning
 from ..tuning.objectives import Final, Holding, Objective
-from ..tuning.over_family import OverFamily
 from ..tuning.risks import Mean, Risk
-from .by_response import by_response, moved
+from .by_response import moved
 from .candidates import Candidate
+from .first_taps import FirstTaps, best_of_leads, exchanged, held, radius_in_a_trial
 from .gate import Passed, gate
 from .judging import Verdict, judged_trials
 from .kept_taps import kept_or
 from .learned_settings import STARTS, check_settings
+from .penalty import penalty
 from .proof import Proof, proof_of
 from .question import Question, Told
 from .responses import Family
@@ -35,8 +35,8 @@ from .window import Filters, Window, window_of
 
 SPARE = 0.02  # beyond the margin, kept in the search for machines that it has not seen
 DENSE, CLOSE = 257, 600  # machines and frequencies of the gate
+WATCH = 129  # machines that watch the search by frequency
 RISE = 0.5  # weight of the largest error of all trials
-UNSAFE = 20.0  # weight of the logarithm of |keep - L P| beyond what is allowed
 RATE = 0.002  # share of 1 / |P| by which a step changes the taps at one frequency
 LEARNED, SAFE = "learned", "safe"
 
@@ -88,12 +88,14 @@ class LearnedLaw(Question):
     """The question which taps of L and Q suit an uncertain machine best; `run` answers it.
 
     1. The start: the taps of the best safe law of a few weights (`candidates`).
-    2. The taps of least predicted error over the family, by its frequency responses.
+    2. The taps of least predicted error over the family, by its frequency responses; machines on
+       which they break the bound join the family (`first_taps`).
     3. The better of both, tuned through learning: least mean log e_J + 1/2 log max_j e_j, with the
        monotone condition over the family as a penalty.
-    4. The gate: |keep - L P| <= 1 - margin on a denser family of other machines. Taps that fail are
-       taken back towards the start as far as needed; if nothing on the way passes, or the proof
-       over all frequencies fails, the law is refused.
+    4. The gate: |keep - L P| <= 1 - margin on a denser family of other machines, and no growth from
+       the ends of a trial on the nominal and the worst one. Taps that fail are taken back towards
+       the start as far as needed; if nothing on the way passes, or the proof over all frequencies
+       fails, the law is refused.
     5. A sweep over machines that no step has seen, beside the best safe law of a few weights.
 
     machine, task, trials, uncertainty, feedback, metric, margin, machines, seed, quantities:
@@ -101,13 +103,14 @@ class LearnedLaw(Question):
         With several inputs and outputs the taps are full matrices.
     taps: odd numbers of taps of L and of Q
     start: of `STARTS`: the best `safe` law, the `p-type` one, the model `inverse`, or `nothing`.
-        For several channels it is nothing, also with `safe`.
+        With `safe` the taps that are found from nothing are taken if they are better, and for
+        several channels it is nothing.
     starts: first samples of the segments after the first, rising; each segment has taps of its own
     coupled: whether each input learns from all errors, or from that of its own channel only
     limit: () or (n_u,) largest |u| that is learned [unit of u]; None: no limit
     objective: number of one machine that the tuning makes small, None for that of step 3; the
         penalty comes on top
-    risk: how the numbers of all machines are combined, as for `Tuning`
+    risk: how the numbers of all machines are combined, as for `Tuning`; in step 2 too
     trained_on, held_out: numbers of machines of the tuning and of the choice of its best step
     steps: of the tuning; 0 for the taps by frequency response alone
     Raises ValueError for a setting that is not allowed.
@@ -146,7 +149,7 @@ class LearnedLaw(Question):
         another question, and for a machine that is not allowed, before anything is simulated.
         """
         out = Path(out)
-        family = self.family(several=True)
+        family = self.resolved()
         safe = self._safe(family, told)
         taps = self.learned_taps(family, safe, out, resume=resume, told=told)
         nothing = Learned(
@@ -173,30 +176,52 @@ class LearnedLaw(Question):
             passed=taps.passed,
         )
 
+    def resolved(self, **options: Any) -> Family:
+        """The family with lines that resolve the responses of its taps; see `Question.family`."""
+        return self.family(several=True, taps=max(self.taps), **options)
+
     def learned_taps(
         self, family: Family, safe: list[Candidate], out: Path, *, resume: bool, told: Told
     ) -> Taps:
         """The taps that passed the gate, or why none did: steps 2 to 4.
 
+        family: that of `resolved`
         safe: laws of a few weights, the best one first
         out, resume, told: as for `run`
         """
-        options = {"starts": self.starts, "limit": self.limit, "coupled": self.coupled}
-        window = window_of(family, self.task, self.taps, **options)
-        start = self._start_of(safe)
-        first = (
-            window.nothing() if start is None else window.holding(law_of(start.scheme, self.task))
-        )
-        below = 1 - self.margin - SPARE
+        start, below = self._start_of(safe), 1 - self.margin - SPARE
+        law = None if start is None else start.scheme
+        laws = (law, None) if law is not None and self.start == "safe" else (law,)
 
-        def by_frequency() -> Filters:
-            return by_response(family, window, first, self.task, self.trials, below)
+        def at(lead: int) -> Window:
+            return window_of(
+                family, self.task, self.taps, starts=self.starts, limit=self.limit,
+                coupled=self.coupled, lead=lead,
+            )  # fmt: skip
 
-        found = kept_or(out, self, by_frequency, resume=resume)
+        def joined(besides) -> Family:
+            return self.resolved(besides=besides)
+
+        def by_frequency() -> FirstTaps:
+            lead, begin = best_of_leads(family, at, laws, self.task, self.trials, below, self.risk)
+            return exchanged(
+                family, joined, lambda turn: self.resolved(after=4 + turn, machines=WATCH),
+                at(lead), begin, self.task, self.trials, below, 1 - self.margin - SPARE / 2,
+                self.risk,
+            )  # fmt: skip
+
+        begun = kept_or(out, self, by_frequency, resume=resume)
+        window, found = at(begun.lead), begun.filters
+        first = held(window, law, self.task)
         told("found", found)
-        tuned = self._tuned(family, window, (found, first), out / "tuning", resume, told)
-        dense = self.family(after=3, machines=DENSE, points=CLOSE, several=True)
-        passed = gate(dense, window, tuned, (found, first), self.task.dt, 1 - self.margin)
+        wider = joined(begun.besides) if begun.besides else family
+        tuned = self._tuned(wider, window, (found, first), out / "tuning", resume, told)
+        dense = self.resolved(after=3, machines=DENSE, points=CLOSE)
+
+        def ends(filters: Filters, machine: int) -> bool:
+            return radius_in_a_trial(dense, window, filters, self.task, machine) < 1
+
+        passed = gate(dense, window, tuned, (found, first), self.task.dt, 1 - self.margin, ends)
         told("gate", passed)
         return Taps(start, window, dense, passed)
 
@@ -242,7 +267,7 @@ class LearnedLaw(Question):
         if not self.steps:
             return starts[0]
         made_small = self.objective or Final(self.metric) + RISE * Holding(1, self.metric)
-        below = 1 - self.margin - SPARE
+        unsafe = penalty(family, 1 - self.margin - SPARE)
 
         def problem(start: Filters) -> Tuning:
             return Tuning(
@@ -252,7 +277,7 @@ class LearnedLaw(Question):
                 self.trials,
                 weights=[WEIGHT if self.feedback is None else f"learning.{WEIGHT}"],
                 uncertainty=self.uncertainty,
-                objective=made_small + UNSAFE * OverFamily(family.frequencies, family.P, below),
+                objective=made_small + unsafe,
                 risk=self.risk,
                 machines=self.trained_on,
                 held_out=self.held_out,

@@ -31,8 +31,8 @@ class Question:
     margin: least distance of |Q (1 - L P)| from 1 on every machine, in (0, 1)
     machines: of the sweep that judges
     quantities: further metrics of a trial by name, as for `Tuning`
-    seed: of everything drawn: families have `seed` and `seed` + 3, tunings `seed` and `seed` + 1,
-        and the machines that judge `seed` + 2
+    seed: of everything drawn: families have `seed`, `seed` + 3 and those from `seed` + 4 on,
+        tunings `seed` and `seed` + 1, and the machines that judge `seed` + 2
     """
 
     machine: Machine

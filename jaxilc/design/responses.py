@@ -16,6 +16,7 @@ milliseconds, so that many laws can be looked at. `by_matrix` has the same of se
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import jax
@@ -35,6 +36,8 @@ CORNERS = 5  # uncertain numbers up to which all corners of their intervals are 
 MACHINES = 33  # machines that are drawn, the nominal one included, besides the corners
 LINES = 300  # frequencies
 NOT_REPEATED = 1e-4  # share of the first error that counts as noise, if the machine has none
+FLANKS = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])  # of a resonance, in half its width
+RESOLVED = 5  # lines to a period of the fastest response of taps
 SAME_LINE = 1e-9  # relative distance of two lines that count as one
 LIGHT = 0.3  # damping below which a pair of poles is a resonance
 APART = 1.15  # ratio of two neighbouring frequencies that belong to different resonances
@@ -127,6 +130,8 @@ def family_of(
     machines: int = MACHINES,
     points: int = LINES,
     several: bool = False,
+    besides: Mapping[str, np.ndarray] | None = None,
+    taps: int = 0,
 ) -> Family:
     """The responses of the machines at the corners of the uncertainty, and of some drawn within.
 
@@ -134,6 +139,8 @@ def family_of(
     machines: number that is drawn, the nominal one included
     points: number of frequencies, besides those near the poles
     several: whether the machine may have several inputs and outputs
+    besides: {name: (S,)} numbers of further machines
+    taps: of filters whose responses the frequencies must resolve
     Raises ValueError for a machine of more inputs or outputs than are allowed, one that is not
     stable, and one whose first trial has no error.
     """
@@ -147,12 +154,14 @@ def family_of(
     if 0 < len(uncertainty) <= CORNERS:
         corners = draw(machine, uncertainty, 1, sampling="corners")
         drawn = {name: np.concatenate([drawn[name], corners[name][1:]]) for name in drawn}
+    if besides:
+        drawn = {name: np.concatenate([drawn[name], besides[name]]) for name in drawn}
     several = drawn_machines(machine.unlimited().noiseless(), uncertainty, drawn)
     short = Task(np.zeros((SHORT, task.outputs)), dt=task.dt, inputs=task.inputs)
     free = None if feedback is None else feedback.unlimited()
     loops = [Loop(*one) for one in zip(*map(np.asarray, _loops(several, free, short)), strict=True)]
     _need_stable(loops, task)
-    f = _lines(task, loops, points)
+    f = _lines(task, loops, points, taps)
     P = np.asarray(_responses(Loop(*map(np.stack, zip(*loops, strict=True))), f, task.dt))
     P = P[..., 0, 0] if one else P
     e = _first_error(machine, feedback, task)
@@ -200,17 +209,25 @@ _loops = jax.jit(
 _responses = jax.jit(lambda loops, f, dt: jax.vmap(lambda loop: response(loop, f, dt))(loops))
 
 
-def _lines(task: Task, loops: list[Loop], points: int) -> np.ndarray:
+def _lines(task: Task, loops: list[Loop], points: int, taps: int) -> np.ndarray:
     """(F,) frequencies: dense near the poles of the nominal machine, and at those of the others.
 
     A lightly damped resonance is narrower than the distance of two lines elsewhere, and each
-    machine has it at another frequency. It is met at its peak and at both of its flanks.
+    machine has it at another frequency. It is met at its peak and at both of its flanks. For taps
+    there are more lines on the flanks, and `RESOLVED` to a period of their response everywhere.
     """
     f = grid(task, points=points, near=np.linalg.eigvals(minimal(loops[0], task.N).A))
     poles = _pairs(np.stack([loop.A for loop in loops]))
     width, angle = -np.log(np.abs(poles)), np.angle(poles)
-    peaks = (angle[:, None] + width[:, None] * [-1.0, 0.0, 1.0]).ravel() / (2 * np.pi * task.dt)
-    f = np.unique(np.concatenate([f, peaks[(peaks > f[0]) & (peaks < f[-1])]]))
+    flanks = FLANKS if taps else FLANKS[::2]
+    peaks = (angle[:, None] + width[:, None] * flanks).ravel() / (2 * np.pi * task.dt)
+    even = (
+        np.arange(1, (RESOLVED * taps + 1) // 2) / (RESOLVED * taps * task.dt)
+        if taps
+        else peaks[:0]
+    )
+    more = np.concatenate([peaks, even])
+    f = np.unique(np.concatenate([f, more[(more > f[0]) & (more < f[-1])]]))
     return f[np.diff(f, prepend=0.0) > SAME_LINE * f]
 
 

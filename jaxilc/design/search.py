@@ -109,7 +109,7 @@ class Design(Question):
             better = threads.map(lambda one: self._tuned(one, family, out, resume, told), safe)
             laws = [law for pair in zip(better, safe, strict=True) for law in _variants(*pair)]
         if LEARNED in asked:
-            one = self._learned(family, safe, out / LEARNED, resume, told)
+            one = self._learned(safe, out / LEARNED, resume, told)
             if isinstance(one, Candidate):
                 laws.append(one)
             else:
@@ -126,7 +126,7 @@ class Design(Question):
         return nothing._replace(chosen=chosen, others=others)
 
     def _learned(
-        self, family: Family, safe: list[Candidate], out: Path, resume: bool, told: Told
+        self, safe: list[Candidate], out: Path, resume: bool, told: Told
     ) -> Candidate | Absent:
         """The law by its taps that is learned from the best safe one, or why there is none."""
         longest = 2 * ((self.task.N - 1) // 2) - 1
@@ -144,7 +144,7 @@ class Design(Question):
                 told(stage, (LEARNED, what[0], self.steps))
 
         ordered = sorted(safe, key=lambda one: one.predicted)
-        taps = asked.learned_taps(family, ordered, out, resume=resume, told=tell)
+        taps = asked.learned_taps(asked.resolved(), ordered, out, resume=resume, told=tell)
         if isinstance(taps.passed, str):
             return Absent(LEARNED, taps.passed)
         law = asked.candidate(taps.window, taps.passed)

@@ -18,6 +18,7 @@ from ..tuning.objectives import EveryTrial, Holding
 from ..tuning.risks import CVaR
 from ..uncertainty import Uncertainty
 from .candidates import Candidate
+from .penalty import penalty
 from .responses import Family
 
 LATE = 0.25  # share of the trials, the last ones, of which the largest error counts
@@ -63,7 +64,7 @@ def tuned(
         trials,
         weights=candidate.bounds,
         uncertainty=uncertainty,
-        objective=Holding(first, metric) + EARLY * EveryTrial(metric),
+        objective=Holding(first, metric) + EARLY * EveryTrial(metric) + penalty(family, 1 - margin),
         risk=CVaR(WORST),
         **settings,
     )

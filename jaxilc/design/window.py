@@ -22,6 +22,7 @@ from ..signals.task import Task
 from ..theory.law import Law, Taps
 from .responses import Family
 
+BANDS = 0.1, 0.03  # shares of the largest |P| down to which a delay counts
 WEAKEST = 0.1  # share of the largest |P| below which a direction of L becomes no higher
 
 
@@ -148,17 +149,16 @@ def window_of(
     starts: tuple[int, ...] = (),
     limit: Any = None,
     coupled: bool = True,
+    lead: int | None = None,
 ) -> Window:
-    """The window of so many taps of L and of keep, around the mean delay of the machine.
+    """The window of so many taps of L and of keep.
 
     starts, limit: as in `LearningFilter`
     coupled: whether each input learns from all errors, or from that of its own channel only
+    lead: of its middle tap of L, None for the mean delay of the machine, see `leads_of`
     """
-    angle = 2 * np.pi * family.frequencies * task.dt
-    P = family.P[0].reshape(len(angle), -1)  # each pair of channels by itself
-    weight = np.abs(P) ** 2 * np.gradient(angle)[:, None]
-    delay = -np.gradient(np.unwrap(np.angle(P), axis=0), angle, axis=0)
-    lead = round(float(np.sum(delay * weight) / np.sum(weight))) - 1
+    P = family.P[0].reshape(len(family.frequencies), -1)  # each pair of channels by itself
+    lead = leads_of(family, task)[0] if lead is None else lead
     farthest = max(0, task.N - 1 - taps[0] // 2)
     of_L, at = _peaks(taps[0])
     sizes, unit = np.abs(P[:, 0]), None
@@ -176,6 +176,25 @@ def window_of(
     flat = _flat(taps[1])
     even = even - np.linalg.pinv(flat) @ (flat @ even)
     return Window(min(max(lead, 0), farthest), of_L, even, unit, starts, limit)
+
+
+def leads_of(family: Family, task: Task) -> list[int]:
+    """Leads at which the taps of L may lie, by mean delays of the nominal machine.
+
+    The delay of a frequency counts by |P|^2; then alike where |P| is within `BANDS[0]` of its
+    largest value; then by 1 / |P|^2, as it does for the inverse of P, where |P| is within
+    `BANDS[1]`. They differ where a slow pole delays what is slow, which its inverse undoes by
+    taps that lie together.
+    """
+    angle = 2 * np.pi * family.frequencies * task.dt
+    P = family.P[0].reshape(len(angle), -1)
+    delay = -np.gradient(np.unwrap(np.angle(P), axis=0), angle, axis=0)
+    size = np.abs(P) / np.max(np.abs(P), axis=0)
+    far, farther = (size >= share for share in BANDS)
+    weights = size**2, far, farther / np.maximum(size, BANDS[1]) ** 2
+    widths = np.gradient(angle)[:, None]
+    means = [np.sum(delay * weight * widths) / np.sum(weight * widths) for weight in weights]
+    return [max(0, round(float(mean)) - 1) for mean in means]
 
 
 def _places(taps: int) -> np.ndarray:

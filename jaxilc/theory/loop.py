@@ -19,6 +19,7 @@ from ..schemes import Scheme
 from ..signals.task import Sample, Task
 from .trials import learned_shape, shortened
 
+BLOCK = 64  # samples of an impulse response at a time
 LOST = 1e-9  # of the largest |y| in a trial, by leaving out states that hardly show
 NEGLIGIBLE = (1e-10, 1e-14)  # shares of a direction that are tried for too little to count
 
@@ -229,14 +230,26 @@ def _apart(one, other, samples: int):
 
     The second result is the largest value of the first response.
     """
-    (A, X, C), (a, x, c) = one, other
     difference = size = 0.0
     with np.errstate(over="ignore", invalid="ignore"):
-        for _ in range(samples):
-            y = C @ X
-            difference, size = (
-                max(difference, np.max(np.abs(y - c @ x), initial=0.0)),
-                max(size, np.max(np.abs(y), initial=0.0)),
-            )
-            X, x = A @ X, a @ x
-    return (difference, size) if np.isfinite(difference) and np.isfinite(size) else (np.inf, 0.0)
+        responses = [_impulse_blocks(system, samples) for system in (one, other)]
+        for y, other_y in zip(*responses, strict=True):
+            apart = np.abs(y - other_y)
+            if not np.all(np.isfinite(apart)):
+                return np.inf, 0.0
+            difference = max(difference, np.max(apart, initial=0.0))
+            size = max(size, np.max(np.abs(y), initial=0.0))
+    return difference, size
+
+
+def _impulse_blocks(system, samples: int):
+    """C A^k B for k = 0 ... samples - 1, `BLOCK` samples at a time (k, n_y, n_w)."""
+    A, B, C = system
+    rows, block = [C], min(BLOCK, samples)
+    for _ in range(block - 1):
+        rows.append(rows[-1] @ A)
+    rows, power = np.concatenate(rows), np.linalg.matrix_power(A, block)
+    for first in range(0, samples, block):
+        count = min(block, samples - first)
+        yield (rows @ B).reshape(block, len(C), B.shape[1])[:count]
+        B = power @ B

@@ -42,6 +42,8 @@ def jaxilc(*words) -> int:
 def file(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("jaxilc.design.learned.DENSE", 5)
+    monkeypatch.setattr("jaxilc.design.learned.WATCH", 5)
+    monkeypatch.setattr("jaxilc.design.first_taps.leads_of", lambda *_: [4])
     path = tmp_path / "axis.toml"
     path.write_text(FILE)
     return path

@@ -2,6 +2,7 @@
 
 import dataclasses
 import shutil
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -12,6 +13,7 @@ from jaxilc.design import LearnedLaw
 from jaxilc.design.by_response import by_response, moved, sizes_of
 from jaxilc.design.candidates import Candidate, candidates
 from jaxilc.design.gate import Passed, gate
+from jaxilc.design.penalty import UNSAFE, penalty
 from jaxilc.design.proof import _further
 from jaxilc.design.responses import family_of
 from jaxilc.design.shaped import ShapedFilter
@@ -107,6 +109,15 @@ def test_by_response_beats_the_safe_law_and_keeps_the_bound(family, window, safe
     assert np.all(learned < 0.7 * family.rms(Q, family.of_taps(law.L, DT) / Q, TRIALS))
 
 
+def test_the_penalty_begins_at_the_bound_and_not_before(family, window, found):
+    """A law that just keeps the bound is not pushed away from it."""
+    largest = sizes_of(family, window, found, DT).max()
+    run = SimpleNamespace(scheme=window.of(found), task=TASK)
+    assert float(penalty(family, 1.003 * largest)(run)) == 0.0
+    beyond = float(penalty(family, largest / 1.05)(run))
+    assert UNSAFE * np.log(1.05) <= beyond <= UNSAFE * np.log(1.05 * 1.003)
+
+
 def test_each_machine_may_differ_from_its_model_by_what_the_proof_says(family, window, found):
     """P (1 + W D) with |D| = 1 in all directions: the largest |keep - L P| is then just 1."""
     law = law_of(window.of(found), TASK)
@@ -142,6 +153,17 @@ def test_the_gate_takes_an_unsafe_law_back_and_refuses_what_stays_unsafe(family,
     assert isinstance(refused, str)
     for part in ("|Q (1 - L P)| is", "Hz on the machine with plant.gain = ", "allowed is 0.95"):
         assert part in refused
+    asked = []
+
+    def ends(filters, machine):
+        asked.append(machine)
+        return np.abs(filters.L).sum() < np.abs(passed.filters.L).sum() - 1e-6
+
+    later = gate(family, window, wild, (found,), DT, most, ends)
+    assert later.way > passed.way
+    assert 0 in asked
+    refused = gate(family, window, found, (found,), DT, 1.0, lambda *_: False)
+    assert "diverge from an end of the trial" in refused
     nan = Filters(np.full(21, np.nan), found.keep)
     assert isinstance(gate(family, window, nan, (nan,), DT, most), str)
 
@@ -152,6 +174,8 @@ class Enough(Exception):
 
 def test_a_run_that_was_killed_and_is_resumed_learns_the_same_taps(tmp_path, monkeypatch):
     monkeypatch.setattr("jaxilc.design.learned.DENSE", 3)
+    monkeypatch.setattr("jaxilc.design.learned.WATCH", 3)
+    monkeypatch.setattr("jaxilc.design.first_taps.leads_of", lambda *_: [4])
     monkeypatch.setattr(LearnedLaw, "_safe", lambda *_: [])
     asked = LearnedLaw(
         MACHINE, TASK, 2, WIDE, taps=(5, 5), start="nothing", metric="rms", margin=MARGIN,
