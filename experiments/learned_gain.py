@@ -8,7 +8,6 @@ tuning is asked where this holds, and where it does not:
     long     the servo of `learned_laws.py`: it holds
     short    the same servo in a trial of a fifth of a second that ends while it moves: the ends
              are a large part of it, and L looks for errors after the end, where there are none
-    limited  the same trial under an actuator that cannot do all that is asked in the first trials
 
 and for two objectives: the error of the last trial (the default of `LearnedLaw`), and the mean over
 all trials. `two segments` is a scheduled law whose second segment is the end of the trial. Beside
@@ -32,7 +31,7 @@ from learned_families import Case, motion, servo
 from learned_laws import JUDGES, MARGIN, METRIC, RISK, SEED, noise_of
 
 import jaxilc
-from jaxilc import Actuator, Machine, Sweep, Task
+from jaxilc import Machine, Sweep, Task
 from jaxilc.design.candidates import Candidate, candidates
 from jaxilc.design.learned import LearnedLaw
 from jaxilc.design.responses import family_of
@@ -60,13 +59,7 @@ def short() -> Case:
     return case._replace(task=Task(r, dt=dt, unit=whole.unit))
 
 
-def limited() -> Case:
-    case = short()
-    machine = case.machine
-    return case._replace(machine=Machine(machine.plant, Actuator(limit=0.8), machine.sensor))
-
-
-CASES = {"long": long, "short": short, "limited": limited}
+CASES = {"long": long, "short": short}
 
 
 def laws_of(case: Case, folder: Path):
