@@ -116,8 +116,7 @@ class Learning:
             ceiling=CEILING,
             quantities=self.quantities,
         )
-        lanes = usual_lanes(bytes_of_trial(self.scheme, self.task), gradient=True)
-        lanes = lanes or losses.fitting_lanes(self.objective, len(self.batch[0]))
+        lanes = losses.fitting_lanes(self.objective, len(self.batch[0]))
         losses = dataclasses.replace(
             losses, machines=dataclasses.replace(self.machines, lanes=lanes)
         )

@@ -221,11 +221,7 @@ def _lines(task: Task, loops: list[Loop], points: int, taps: int) -> np.ndarray:
     width, angle = -np.log(np.abs(poles)), np.angle(poles)
     flanks = FLANKS if taps else FLANKS[::2]
     peaks = (angle[:, None] + width[:, None] * flanks).ravel() / (2 * np.pi * task.dt)
-    even = (
-        np.arange(1, (RESOLVED * taps + 1) // 2) / (RESOLVED * taps * task.dt)
-        if taps
-        else peaks[:0]
-    )
+    even = np.arange(1, (RESOLVED * taps + 1) // 2) / (max(RESOLVED * taps, 1) * task.dt)
     more = np.concatenate([peaks, even])
     f = np.unique(np.concatenate([f, more[(more > f[0]) & (more < f[-1])]]))
     return f[np.diff(f, prepend=0.0) > SAME_LINE * f]

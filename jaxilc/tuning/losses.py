@@ -30,8 +30,9 @@ import jax.numpy as jnp
 from ..learning.machine import Machine
 from ..learning.metrics import Keep
 from ..learning.over_trials import truncated
+from ..learning.within_trial import bytes_of_trial
 from ..pytree.named_paths import replaced
-from ..runtime.lanes import fitting_lanes
+from ..runtime.lanes import fitting_lanes, usual_lanes
 from ..schemes import Scheme
 from ..signals.task import Task, Trial
 from .bounded import Bounded
@@ -134,6 +135,9 @@ class Losses:
 
         Raises ValueError where a single machine does not fit on a device.
         """
+        usual = usual_lanes(bytes_of_trial(self.scheme, self.task), gradient=True)
+        if usual is not None:
+            return usual
         of_one = partial(self._slope_of_one, objective=split(objective)[0], seed=self.machines.seed)
         batch = self.machines.drawn(self.machines.seed, 1, nominal=True)
         z = jnp.zeros(len(self.weights.start))

@@ -23,11 +23,9 @@ import optax
 from ..learning.divergence import CEILING
 from ..learning.machine import Machine
 from ..learning.over_trials import check
-from ..learning.within_trial import bytes_of_trial
 from ..pytree.named_paths import replaced
 from ..runtime.capacity import check_program
 from ..runtime.earlier_names import takes_also
-from ..runtime.lanes import usual_lanes
 from ..runtime.provenance import describe, environment
 from ..runtime.tiles import OPEN
 from ..schemes import Scheme
@@ -88,9 +86,9 @@ class Tuning:
     clip: largest length of a machine's slope, in units of the median length over the machines, or
         of 1 if the median is less; inf for no bound
     ceiling: largest error, relative to the peak of the reference, see `Bounded`
-    lanes: machines vectorised together, over all starts; None for what suits this backend: 16 on a
-        CPU; on an accelerator what its memory holds, for which one program is compiled. With None,
-        a tuning that is resumed keeps those that it was begun with.
+    lanes: machines vectorised together, over all starts; None for what suits this backend: 16 or 8
+        on a CPU, by its cache; on an accelerator what its memory holds, see `runtime.lanes`. With
+        None, a tuning that is resumed keeps those that it was begun with.
 
     Raises ValueError, before anything is compiled, also where the last trial is an experiment.
     """
@@ -132,9 +130,7 @@ class Tuning:
         draw(self.machine, self.uncertainty, self.machines, seed=self.seed, sampling=self.sampling)
         jax.eval_shape(lambda: self.loss_of(self.machine, {}))
         if self.lanes_given is None:
-            lanes = usual_lanes(bytes_of_trial(self.scheme, self.task), gradient=True)
-            machines = max(self.machines, self.held_out)
-            lanes = lanes or self._losses.fitting_lanes(self.objective, machines)
+            lanes = self._losses.fitting_lanes(self.objective, max(self.machines, self.held_out))
             object.__setattr__(self, "lanes", lanes)
             del self.__dict__["_losses"]  # those of one lane
 
