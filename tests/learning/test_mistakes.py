@@ -140,7 +140,7 @@ def nothing_is_compiled(monkeypatch):
     def compiling(*args, **options):
         raise AssertionError("it came to compiling")
 
-    monkeypatch.setattr(over_trials, "_program", lambda save: compiling)
+    monkeypatch.setattr(over_trials, "_program", lambda *_: compiling)
 
 
 @pytest.mark.parametrize(("scheme", "message"), MISTAKES.values(), ids=MISTAKES)

@@ -78,8 +78,14 @@ CONTRACTING += (
     "warm_start",
     "at_samples",
 )
-CONTRACTING += ("warm_start", "at_samples", "keep_unmeasured")
-CONTRACTING += ("p_type_on_table", "norm_optimal", "estimated_disturbance", "milc", "ilc_asmc")
+CONTRACTING += (
+    "keep_unmeasured",
+    "p_type_on_table",
+    "norm_optimal",
+    "estimated_disturbance",
+    "milc",
+    "ilc_asmc",
+)
 
 
 # Slopes

@@ -46,6 +46,6 @@ def test_a_new_lambda_a_call_does_not_fill_the_memory(machine, monkeypatch):
 def test_equal_ones_and_none_share_a_program(machine, task):
     from jaxilc.learning import Keep
 
-    assert over_trials._program(Keep(("y",))) is over_trials._program(Keep(("y",)))
+    assert over_trials._program(Keep(("y",)), 1) is over_trials._program(Keep(("y",)), 1)
     with pytest.raises(ValueError, match=r"learn: save = \[1\] is not a function of a trial"):
         learn(machine, PIDType(), task, 2, save=[1])
