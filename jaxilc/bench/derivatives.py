@@ -92,11 +92,11 @@ class Learning:
         """The operations of one trial of the nominal machine, by kind, see `operations`."""
         save = Keep.of(self.quantities)
 
-        def run(trials: int):
-            history = learn(self.machine, self.scheme, self.task, trials, save=save)
+        def run(trials: int, machine: Machine, scheme: Scheme, task: Task):
+            history = learn(machine, scheme, task, trials, save=save)
             return history.metrics, history.saved
 
-        return of_a_trial(run)
+        return of_a_trial(run, self.machine, self.scheme, self.task)
 
     def derivatives(self, weights: Weights, *, forward: bool) -> Program:
         """The `Evaluation` of the loss at the start of a tuning of these weights.

@@ -16,7 +16,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import jax
@@ -59,12 +59,14 @@ PASSES = 500  # of the loop that times a kind of operation
 WIDTH = 64  # vectors of a tile of numbers; all of them fit into the nearest cache
 
 
-def of_a_trial(run: Callable[[int], Any]) -> Counter[str]:
-    """The number of operations of each kind in one more trial of `run(trials)`.
+def of_a_trial(run: Callable[..., Any], *arguments: Any) -> Counter[str]:
+    """The number of operations of each kind in one more trial of `run(trials, *arguments)`.
 
     What is computed once, before all trials, does not count.
     """
-    few, more = (counted(jax.make_jaxpr(lambda J=J: run(J))().jaxpr) for J in (2, 4))
+    few, more = (
+        counted(jax.make_jaxpr(partial(run, trials))(*arguments).jaxpr) for trials in (2, 4)
+    )
     return Counter({kind: (more[kind] - few[kind]) / 2 for kind in more})
 
 

@@ -10,8 +10,10 @@ from jax import lax
 
 from jaxilc import Machine, Task, learn
 from jaxilc.bench import operations
+from jaxilc.bench.derivatives import Learning, machines_of
 from jaxilc.plants import StateSpace
-from jaxilc.schemes import PIDType
+from jaxilc.schemes import GradientILC, PIDType
+from jaxilc.tuning.objectives import Final
 
 N, J = 7, 3
 
@@ -61,6 +63,15 @@ def test_a_trial_costs_what_its_plant_and_its_law_cost():
         return n * (2 * n - 1) + 2 * n + 2 * n - 1
 
     assert of(6) - of(3) == pytest.approx(step(6) - step(3), rel=0.1)
+
+
+def test_a_scheme_that_checks_its_numbers_is_counted():
+    """`GradientILC` looks at the size of its step, which a trace has no number for."""
+    task = Task(np.sin(np.arange(21) / 5), dt=1e-3)
+    plant = StateSpace([[0.5]], [[1.0]], [[1.0]], dt=1e-3)
+    batch = machines_of(Machine(plant), {}).drawn(0, 1, nominal=True)
+    learning = Learning(Machine(plant), GradientILC(plant), task, 3, {}, Final("rms"), {}, batch)
+    assert learning.operations()["simple"] > 20
 
 
 @pytest.mark.parametrize("kind", [*operations.KINDS, "exp", "tanh"])
