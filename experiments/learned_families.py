@@ -32,12 +32,12 @@ class Case(NamedTuple):
     uncertainty: Uncertainty
     trials: int = 10
     last: int = 500
-    judged_on: int = 129
+    judged_on: int = 257
     feedback: Scheme | None = None
     real: Machine | None = None
     starts: tuple[int, ...] = ()
-    tuned_on: int = 16
-    steps: int = 40
+    tuned_on: int = 32
+    steps: int = 60
 
     def budget(self, seed: int) -> dict:
         """The settings that every tuning has."""
@@ -78,7 +78,6 @@ def servo() -> Case:
         Machine(plant, None, Sensor(noise=1e-4)),
         motion([5, 20, 45], [0.6, 0.3, 0.15]),
         spread,
-        judged_on=65,
     )
 
 
@@ -94,7 +93,6 @@ def non_minimum_phase() -> Case:
         Machine(plant, None, Sensor(noise=1e-4)),
         motion([3, 8, 15], [0.6, 0.3, 0.1]),
         spread,
-        judged_on=65,
     )
 
 
@@ -104,10 +102,10 @@ def li_axis() -> Case:
         s.machine,
         s.task,
         s.uncertainty,
-        judged_on=9,
+        judged_on=33,
         feedback=s.schemes["p-type"].feedback,
-        tuned_on=4,
-        steps=8,
+        tuned_on=8,
+        steps=20,
     )
 
 
@@ -145,7 +143,7 @@ def ball_screw() -> Case:
     r = jnp.asarray(s.task.reference)[:, 1]
     task = Task(r, dt=float(s.task.dt), unit="mm")
     return Case(
-        Machine(plant, None, noise), task, spread, judged_on=9, tuned_on=4, steps=12,
+        Machine(plant, None, noise), task, spread, judged_on=33, tuned_on=8, steps=20,
         real=Machine(real, None, noise),
     )  # fmt: skip
 
