@@ -137,8 +137,7 @@ def of_each(found: Evaluation) -> np.ndarray:
 
 def _built(f: Callable, *arguments) -> Program:
     program, start = jax.jit(f), time.perf_counter()
-    check_program(
-        "bench: one program", "take fewer plants or trials, or a shorter trial", program, *arguments
-    )
+    instead = "take fewer plants or trials, or a shorter trial"
+    check_program("bench: one program", instead, program.lower(*arguments))
     built = time.perf_counter() - start
     return Program(lambda: jax.device_get(program(*arguments)), built)

@@ -40,30 +40,32 @@ def check_size(what: str, need: Callable[..., float], **counts: float) -> None:
     raise ValueError(f"{what}: {taken}; {instead}")
 
 
-def check_program(what: str, instead: str, run, *arguments, devices: int | None = None) -> None:
+def check_program(what: str, instead: str, lowered, *, devices: int | None = None) -> None:
     """Raises ValueError where a jitted function does not fit in RAM; it is compiled but not run.
 
     what: name of the computation, for the message
     instead: what would fit, for the message
+    lowered: the function lowered for its arguments, `run.lower(...)`
     devices: number of devices on which it runs; None: all
     """
     host, on_devices = host_bytes(), device_bytes()
     room = host if on_devices is None else on_devices
-    need = 0 if room is None else program_bytes(run, *arguments, devices=devices)
+    need = 0 if room is None else program_bytes(lowered, devices=devices)
     if room is not None and need > room:
         available = f"where {shown(room)} are available"
         raise ValueError(f"{what} takes {shown(need)} of memory, {available}; {instead}")
 
 
-def program_bytes(run, *arguments, devices: int | None = None) -> int:
+def program_bytes(lowered, *, devices: int | None = None) -> int:
     """The bytes that a jitted function takes on its devices; it is compiled but not run.
 
     They hold its arguments, its results and its intermediate values. A later call with arguments of
     these shapes does not compile it again.
 
+    lowered: the function lowered for its arguments, `run.lower(...)`
     devices: number of devices on which it runs; None: all
     """
-    found = run.lower(*arguments).compile().memory_analysis()  # of one device
+    found = lowered.compile().memory_analysis()  # of one device
     devices = jax.device_count() if devices is None else devices
     signals = found.argument_size_in_bytes + found.output_size_in_bytes
     return devices * (signals + found.temp_size_in_bytes)

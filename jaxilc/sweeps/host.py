@@ -78,7 +78,7 @@ class Host:
 
     def bytes_of(self, name: str, size: int) -> int:
         """Bytes that `size` machines need under a scheme; the program is compiled, but not run."""
-        return capacity.program_bytes(self._run, *self._arguments(name, 0, size))
+        return capacity.program_bytes(self._run.lower(*self._arguments(name, 0, size)))
 
     def chunk_bytes(self, names: tuple[str, ...], size: int) -> Iterator[tuple[str, int]]:
         """Name and `bytes_of` of each scheme; several are compiled at once."""

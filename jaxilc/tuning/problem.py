@@ -215,12 +215,13 @@ class Tuning:
                 return again.run(out, resume=True, progress=progress)
         z = self._weights.starts(self.starts, self.scatter, self.seed)
         method, held_out = self._programs
+        # Python traces one program at a time, and this one takes longer to compile than the other
+        step = method.programs[1].lower(*arguments_like(method, z))
         with compiled_beside(held_out, jax.eval_shape(self._weights.at, z)):
             check_program(
                 "Tuning: a step of all starts",
                 "take fewer trials, starts or lanes, or a shorter trial",
-                method.programs[1],
-                *arguments_like(method, z),
+                step,
             )
         place = None if out is None else Folder(Path(out), self.configuration(), resume)
         with place or nullcontext():

@@ -96,9 +96,7 @@ def worst_case_search(
     check_program(
         "worst_case_search: a step of all starts",
         "take fewer starts or trials, or a shorter one",
-        climb,
-        subject,
-        start,
+        climb.lower(subject, start),
     )
     t = np.concatenate(
         [np.full((1, box.n), 0.5), qmc.LatinHypercube(box.n, rng=seed).random(starts - 1)]

@@ -148,7 +148,7 @@ def test_the_program_of_these_lanes_fits_and_that_of_twice_as_many_does_not(devi
     def need(size):
         run = jax.jit(jax.vmap(of_one, in_axes=(None, 0)))
         shape = jax.ShapeDtypeStruct((size,), float)
-        return capacity.program_bytes(run, scheme, shape, devices=1)
+        return capacity.program_bytes(run.lower(scheme, shape), devices=1)
 
     device(memory := 700_000)
     found = fitting_lanes(of_one, scheme, jnp.ones(1), 10**6)
