@@ -38,7 +38,7 @@ def tiled(fn: Callable[[Any, Any], Any], *, lanes: int | None = None) -> Callabl
     if lanes is not None:
         require("tiled", "lanes", lanes, "[1, inf)", whole=True)
     mesh = Mesh(np.array(jax.devices()), ("tiles",))
-    spread = cache(partial(_spread, fn, mesh))
+    filled = cache(partial(_filled, fn, mesh))
     chosen: dict[Any, int] = {}
 
     def lanes_of(common, batch) -> int:
@@ -50,37 +50,40 @@ def tiled(fn: Callable[[Any, Any], Any], *, lanes: int | None = None) -> Callabl
         return chosen[shapes]
 
     def run(common, batch):
-        size = _size(batch)
-        of_tile = lanes_of(common, batch) if lanes is None else lanes
-        tile = min(of_tile, -(-size // mesh.size)) * mesh.size
-        fill = -size % tile
-        full = jax.tree.map(
-            lambda x: (
-                jnp.concatenate([x, jnp.repeat(jnp.asarray(x)[-1:], fill, axis=0)]) if fill else x
-            ),
-            batch,
-        )
-        results = spread(of_tile)(common, full)
-        return jax.tree.map(lambda x: x[:size], results) if fill else results
+        return filled(lanes_of(common, batch) if lanes is None else lanes)(common, batch)
 
     return run
 
 
-def _spread(fn, mesh: Mesh, lanes: int):
-    """The compiled function of a batch, each device with an equal share, in tiles of `lanes`."""
+def _filled(fn, mesh: Mesh, lanes: int):
+    """The compiled function of a batch of any size.
+
+    All of it is one program: the tiles are filled and cut there, since a small batch takes less
+    time to compute than to fill from Python.
+    """
 
     def on_device(common, share):
         return lax.map(lambda one: fn(common, one), share, batch_size=min(lanes, _size(share)))
 
-    return jax.jit(
-        jax.shard_map(
-            on_device,
-            mesh=mesh,
-            in_specs=(PartitionSpec(), PartitionSpec("tiles")),
-            out_specs=PartitionSpec("tiles"),
-            check_vma=False,
-        )
+    spread = jax.shard_map(
+        on_device,
+        mesh=mesh,
+        in_specs=(PartitionSpec(), PartitionSpec("tiles")),
+        out_specs=PartitionSpec("tiles"),
+        check_vma=False,
     )
+
+    @jax.jit
+    def run(common, batch):
+        size = _size(batch)
+        fill = -size % (min(lanes, -(-size // mesh.size)) * mesh.size)
+        if not fill:
+            return spread(common, batch)
+        copies = jax.tree.map(lambda x: jnp.repeat(x[-1:], fill, axis=0), batch)
+        full = jax.tree.map(lambda x, last: jnp.concatenate([x, last]), batch, copies)
+        return jax.tree.map(lambda x: x[:size], spread(common, full))
+
+    return run
 
 
 def _size(batch) -> int:

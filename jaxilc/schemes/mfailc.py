@@ -17,6 +17,7 @@ import jax.numpy as jnp
 from ..pytree.fields import Leaf, leaf, pytree, static
 from ..pytree.needs import need_channels
 from ..signals.by_row import by_row
+from ..signals.sample_layout import for_scan
 from ..signals.task import Sample, Task, Trial
 from .pid_type import need_lead
 from .pseudo_gradient import RESETS, need_window, pseudo_gradient, reset_estimate
@@ -186,6 +187,8 @@ class FFDLMFAILC(Scheme):
         """The part of the law that is known before the trial, and the weights of increments."""
         c, rho = self.L_y, jnp.broadcast_to(self.rho, (self.L_y + self.L_u,))
         gain = phi[c] / (self.lam + phi[c] ** 2)
+        if len(phi) > 1:  # each weight uses it: laid out once, not once for each
+            gain = for_scan(gain)
         weights = tuple(gain * rho[i] * p for i, p in enumerate(phi) if i != c)
         u = u + gain * rho[c] * e
         # with weights, `act` first adds the increments of the running trial

@@ -16,7 +16,9 @@ def advance(signal, samples: int) -> jax.Array:
 
 def delay(signal, samples: int) -> jax.Array:
     """The rows signal[k - samples], k = 0..N-1, of a (N, n) signal; zero before the trial."""
-    return signal if samples == 0 else jnp.pad(signal, ((samples, 0), (0, 0)))[:-samples]
+    if samples == 0:
+        return signal
+    return lax.pad(signal, jnp.zeros((), signal.dtype), ((samples, -samples, 0), (0, 0, 0)))
 
 
 def running_sum(signal) -> jax.Array:
