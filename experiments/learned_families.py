@@ -150,7 +150,7 @@ def ball_screw() -> Case:
 
 def voice_coil() -> Case:
     s = load("cao-2019")
-    return Case(s.machine, s.task, s.uncertainty, starts=(s.task.N - 100,))
+    return Case(s.machine, s.task, s.uncertainty, starts=(100,))
 
 
 FAMILIES: dict[str, Callable[[], Case]] = {

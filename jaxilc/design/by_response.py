@@ -8,12 +8,11 @@ half as many trials at a smaller weight, under
 
 as a penalty; of several channels |.| is the largest singular value, and the error is predicted by
 matrices (`by_matrix`). Ends of the trial, limits and saturation are not in it: from here a `Tuning`
-goes on. Each segment of a scheduled law is found for the error of its part of the trial.
+goes on, which also tells the segments of a scheduled law apart.
 """
 
 from __future__ import annotations
 
-import itertools
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -25,7 +24,7 @@ import scipy.optimize
 from ..signals.task import Task
 from ..tuning.risks import Mean, Risk
 from .by_matrix import of_matrices
-from .responses import Family, gathered
+from .responses import Family
 from .window import Filters, Window, along, moved_by
 
 MEAN = Mean()
@@ -46,8 +45,8 @@ def by_response(
     *,
     steps: int = STEPS,
     risk: Risk = MEAN,
-) -> Filters:
-    """The taps of least predicted error.
+) -> tuple[Filters, float]:
+    """The taps of least predicted error of a law that is not scheduled, and their loss.
 
     start: from which the search begins
     trials: number of the trial whose error counts
@@ -55,31 +54,6 @@ def by_response(
     steps: of L-BFGS at most
     risk: how the logarithms of the errors of all machines are combined
     """
-    if window.starts:
-        ends = (0, *window.starts, task.N + 1)
-        found = [
-            by_response(
-                _of_part(family, slice(first, last), task), window.unscheduled(),
-                Filters(start.L[i], start.keep[i]), task, trials, below, steps=steps, risk=risk,
-            )
-            for i, (first, last) in enumerate(itertools.pairwise(ends))
-        ]  # fmt: skip
-        return Filters(*map(np.stack, zip(*found, strict=True)))
-    return searched(family, window, start, task, trials, below, steps=steps, risk=risk)[0]
-
-
-def searched(
-    family: Family,
-    window: Window,
-    start: Filters,
-    task: Task,
-    trials: int,
-    below: float,
-    *,
-    steps: int = STEPS,
-    risk: Risk = MEAN,
-) -> tuple[Filters, float]:
-    """The taps of a law that is not scheduled, as of `by_response`, and their loss."""
     counted = ((trials, 1.0),)
     if trials > 2:
         counted += ((max(2, (trials + 1) // 2), EARLY),)
@@ -132,14 +106,6 @@ def sizes_of(family: Family, window: Window, filters: Filters, dt: float) -> np.
     if window.starts:
         return np.max([family.sizes(*one) for one in zip(keep, L, strict=True)], axis=0)
     return family.sizes(keep, L)
-
-
-def _of_part(family: Family, part: slice, task: Task) -> Family:
-    """The family with the error of a part of the trial only."""
-    error = np.zeros_like(family.first_error)
-    error[part] = family.first_error[part]
-    spectrum = gathered(error, family.frequencies, task.dt)
-    return family._replace(error=spectrum if np.any(spectrum) else family.error)
 
 
 class Problem(NamedTuple):

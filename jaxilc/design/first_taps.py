@@ -19,7 +19,7 @@ from ..schemes import Scheme
 from ..signals.task import Task
 from ..theory.law import law_of, learning_law
 from ..tuning.risks import Risk
-from .by_response import by_response, searched, sizes_of
+from .by_response import by_response, sizes_of
 from .responses import Family
 from .simulated import impulse_response
 from .window import Filters, Window, leads_of
@@ -33,7 +33,7 @@ ROUNDS, JOIN = 5, 16  # of the exchange, and machines that join in each
 class FirstTaps(NamedTuple):
     """The taps with which a tuning begins.
 
-    filters: the taps
+    filters: the taps of a law that is the same in all samples
     lead:    of the middle tap of L, see `Window`
     besides: {name: (S,)} numbers of the machines that joined the family
     """
@@ -54,6 +54,8 @@ def best_of_leads(
 ) -> tuple[int, Filters]:
     """The lead with the least loss of the taps that a brief search finds, and these taps.
 
+    They are those of a law that is the same in all samples.
+
     Taps with which the ends of the trial are safe too come first, see `radius_in_a_trial`.
 
     window: of a lead
@@ -72,13 +74,13 @@ def best_of_leads(
             continue
         each = []
         for start in starts:
-            found, loss = searched(
+            found, loss = by_response(
                 family, one, held(one, start, task), task, trials, below, steps=BRIEF, risk=risk
             )
             each.append(((radius_in_a_trial(family, one, found, task) >= 1, loss), found))
         tried[one.lead] = min(each, key=lambda pair: pair[0])
     lead = min(tried, key=lambda lead: tried[lead][0])
-    return lead, window(lead).throughout(tried[lead][1])
+    return lead, tried[lead][1]
 
 
 def radius_in_a_trial(
@@ -125,7 +127,7 @@ def exchanged(
     first: taps from which the search begins
     below: bound on |keep - L P| in the search;  most: on the machines that watch
     """
-    found = by_response(family, window, first, task, trials, below, risk=risk)
+    found, _ = by_response(family, window, first, task, trials, below, risk=risk)
     besides: dict[str, np.ndarray] = {}
     for turn in range(ROUNDS if family.drawn else 0):
         others = watch(turn)
@@ -139,5 +141,5 @@ def exchanged(
             for name, values in others.drawn.items()
         }
         family = joined(besides)
-        found = by_response(family, window, found, task, trials, below, steps=BRIEF, risk=risk)
+        found, _ = by_response(family, window, found, task, trials, below, steps=BRIEF, risk=risk)
     return FirstTaps(found, window.lead, besides)

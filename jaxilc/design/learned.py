@@ -91,7 +91,7 @@ class LearnedLaw(Question):
     2. The taps of least predicted error over the family, by its frequency responses; machines on
        which they break the bound join the family (`first_taps`).
     3. The better of both, tuned through learning: least mean log e_J + 1/2 log max_j e_j, with the
-       monotone condition over the family as a penalty.
+       monotone condition over the family as a penalty. The segments of a law part only here.
     4. The gate: |keep - L P| <= 1 - margin on a denser family of other machines, and no growth from
        the ends of a trial on the nominal and the worst one. Taps that fail are taken back towards
        the start as far as needed; if nothing on the way passes, or the proof over all frequencies
@@ -105,7 +105,7 @@ class LearnedLaw(Question):
     start: of `STARTS`: the best `safe` law, the `p-type` one, the model `inverse`, or `nothing`.
         With `safe` the taps that are found from nothing are taken if they are better, and for
         several channels it is nothing.
-    starts: first samples of the segments after the first, rising; each segment has taps of its own
+    starts: first samples of the segments after the first, rising, which have taps of their own
     coupled: whether each input learns from all errors, or from that of its own channel only
     limit: () or (n_u,) largest |u| that is learned [unit of u]; None: no limit
     objective: number of one machine that the tuning makes small, None for that of step 3; the
@@ -206,12 +206,13 @@ class LearnedLaw(Question):
             lead, begin = best_of_leads(family, at, laws, self.task, self.trials, below, self.risk)
             return exchanged(
                 family, joined, lambda turn: self.resolved(after=4 + turn, machines=WATCH),
-                at(lead), begin, self.task, self.trials, below, 1 - self.margin - SPARE / 2,
-                self.risk,
+                at(lead).unscheduled(), begin, self.task, self.trials, below,
+                1 - self.margin - SPARE / 2, self.risk,
             )  # fmt: skip
 
         begun = kept_or(out, self, by_frequency, resume=resume)
-        window, found = at(begun.lead), begun.filters
+        window = at(begun.lead)
+        found = window.throughout(begun.filters)
         first = held(window, law, self.task)
         told("found", found)
         wider = joined(begun.besides) if begun.besides else family

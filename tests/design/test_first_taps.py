@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxilc import Machine, Sensor, Task, Uniform
-from jaxilc.design.by_response import by_response, searched, sizes_of
+from jaxilc.design.by_response import by_response, sizes_of
 from jaxilc.design.first_taps import best_of_leads, exchanged, radius_in_a_trial
 from jaxilc.design.responses import family_of
 from jaxilc.design.window import Filters, leads_of, window_of
@@ -14,9 +14,14 @@ from jaxilc.tuning.risks import CVaR, Mean
 DT, N, TRIALS, BELOW = 1e-3, 240, 5, 0.9
 TASK = Task(np.sin(np.linspace(0, 6 * np.pi, N + 1)) ** 2, dt=DT)
 LAG = Machine(StateSpace([[0.99]], [[0.01]], [[1.0]], dt=DT), None, Sensor(noise=1e-5))
-RESONANT = Machine(
-    ProcessModel(1.0, frequencies=[400.0, 1100.0], dampings=[0.7, 0.02]), None, Sensor(noise=1e-5)
-)
+
+
+def resonant_machine(damping):
+    plant = ProcessModel(1.0, frequencies=[400.0, 1100.0], dampings=[0.7, damping])
+    return Machine(plant, None, Sensor(noise=1e-5))
+
+
+RESONANT, SHARP = resonant_machine(0.02), resonant_machine(0.015)
 SPREAD = {"plant.frequencies[1]": Uniform(0.85, 1.15, relative=True)}
 
 
@@ -72,7 +77,7 @@ def test_of_the_leads_one_with_safe_ends_is_taken_and_of_these_the_best(lag, mon
 
     losses, args = {}, (TASK, TRIALS, BELOW)
     for lead in leads_of(lag, TASK):
-        losses[at(lead).lead] = searched(lag, at(lead), at(lead).nothing(), *args, steps=150)[1]
+        losses[at(lead).lead] = by_response(lag, at(lead), at(lead).nothing(), *args, steps=150)[1]
     lead, filters = best_of_leads(lag, at, [None], *args, Mean())
     assert lead == min(losses, key=losses.get)
     assert sizes_of(lag, at(lead), filters, DT).max() < 1
@@ -82,22 +87,23 @@ def test_of_the_leads_one_with_safe_ends_is_taken_and_of_these_the_best(lag, mon
     assert best_of_leads(lag, at, [None], *args, Mean())[0] != lead
 
 
-def test_machines_between_those_of_a_family_join_it_until_none_breaks_the_bound(resonant):
-    window = window_of(resonant, TASK, (21, 11))
-    watch = family_of(RESONANT, None, TASK, SPREAD, seed=4, machines=33, points=60, taps=21)
-    args = (TASK, TRIALS, BELOW)
-    alone = by_response(resonant, window, window.nothing(), *args)
-    assert sizes_of(watch, window, alone, DT).max() > BELOW + 0.003
-
+def test_machines_between_those_of_a_family_join_it_until_none_breaks_the_bound():
     def joined(besides):
         return family_of(
-            RESONANT, None, TASK, SPREAD, seed=0, machines=2, points=60, taps=21, besides=besides
+            SHARP, None, TASK, SPREAD, seed=0, machines=2, points=60, taps=21, besides=besides
         )
 
+    resonant = joined({})
+    window = window_of(resonant, TASK, (21, 11))
+    watch = family_of(SHARP, None, TASK, SPREAD, seed=4, machines=33, points=60, taps=21)
+    args = (TASK, TRIALS, BELOW)
+    alone, _ = by_response(resonant, window, window.nothing(), *args)
+    assert sizes_of(watch, window, alone, DT).max() > BELOW + 0.1
+
     found = exchanged(
-        resonant, joined, lambda turn: watch, window, window.nothing(), *args, BELOW + 0.002, Mean()
+        resonant, joined, lambda turn: watch, window, window.nothing(), *args, BELOW + 0.03, Mean()
     )
-    assert sizes_of(watch, window, found.filters, DT).max() <= BELOW + 0.002
+    assert sizes_of(watch, window, found.filters, DT).max() <= BELOW + 0.03
     (numbers,) = found.besides.values()
     assert set(numbers) <= set(watch.drawn["plant.frequencies[1]"])
     wider = joined(found.besides)
@@ -111,7 +117,7 @@ def test_another_risk_makes_the_worst_machines_better(resonant):
     to_L, to_keep = window.responses(resonant.frequencies, DT)
     worst = []
     for risk in (Mean(), CVaR(0.9)):
-        filters = by_response(*args, risk=risk)
+        filters, _ = by_response(*args, risk=risk)
         keep = to_keep @ filters.keep
         worst.append(np.max(resonant.rms(keep, (to_L @ filters.L) / keep, TRIALS)))
     assert worst[1] < worst[0]

@@ -53,7 +53,7 @@ def safe(family):
 
 @pytest.fixture(scope="module")
 def found(family, window):
-    return by_response(family, window, window.nothing(), TASK, TRIALS, 1 - MARGIN)
+    return by_response(family, window, window.nothing(), TASK, TRIALS, 1 - MARGIN)[0]
 
 
 def test_the_sizes_of_taps_are_those_of_the_matrix_of_the_scheme(family, window, found):
