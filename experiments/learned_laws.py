@@ -13,7 +13,8 @@ beside the laws of a few weights with their best safe weights of a grid, and the
 a grid by simulation. That takes a minute or two for each family.
 
 The median has an interval of 95 % by order statistics, which needs no assumption on the
-distribution. `noise` is what the sensor adds to each trial, below which no measured error can be.
+distribution. `noise` is what the sensor leaves of error in a trial at rest, under the feedback of
+the family if it has one; no measured error can be below.
 `lowest` is the error that repeats with the best input for the nominal machine, which the law knows
 exactly, without noise and under its limits: what is left is due to the machine and the trial.
 
@@ -23,6 +24,7 @@ instead of 257, and 8 machines and 20 steps tune instead of 32 and 60. A learned
 over all frequencies refuses is judged too, and called refused.
 """
 
+import dataclasses
 import json
 import sys
 import time
@@ -53,12 +55,13 @@ from jaxilc.design.tuned import contraction
 from jaxilc.design.window import Filters, Window
 from jaxilc.plants import StateSpace
 from jaxilc.runtime.start import keep_programs
-from jaxilc.schemes import NormOptimal, Scheme
+from jaxilc.schemes import NormOptimal, PIDType, Scheme
 from jaxilc.theory.loop import minimal
 
 JUDGES, SHOWN = 4711, (1, 2, 5, 10, 20, 50, 100, 200, 500)
 TABLE = (10, 100, 500)
 CONFIDENCE = 0.95
+AT_REST = 20  # trials that measure the noise under feedback
 DENSE, CLOSE, LINES_FOR = 257, 600, 61  # machines, frequencies and taps of the test by frequency
 SCHEDULED, REFUSED = "learned, two segments", ", refused"
 # the test by frequency is of a linear law that is not scheduled
@@ -202,9 +205,17 @@ def quantiles(errors) -> tuple[float, float, float, float, float]:
 
 
 def noise_of(case: Case) -> float:
-    """Root mean square of what the sensor adds, below which no measured error can be."""
+    """Root mean square of the error that the noise of the sensor leaves in a trial at rest.
+
+    No learning can measure less. Under feedback it is more than what the sensor adds, as the
+    feedback answers the noise.
+    """
     noise = None if case.machine.sensor is None else case.machine.sensor.noise
-    return 0.0 if noise is None else float(np.max(noise))
+    if case.feedback is None or noise is None:
+        return 0.0 if noise is None else float(np.max(noise))
+    rest = dataclasses.replace(case.task, reference=0.0 * np.asarray(case.task.reference))
+    history = jaxilc.learn(case.machine, case.under(PIDType(gamma_p=0.0)), rest, AT_REST)
+    return float(np.mean(np.asarray(getattr(history, METRIC))))
 
 
 def lowest_of(case: Case, family: Family) -> float:

@@ -26,8 +26,8 @@ from . import capacity
 LANES = {"cpu": 16}  # by backend, measured
 # Bytes of the cache of a core that a tile should fit into, by backend. Where 16 machines do not fit
 # and 8 do, 8 are faster: FFDL-MFAILC of 2000 samples took 1.3 to 1.5 times as long with 16. Where
-# neither fits, some schemes are slower with 8; gradients are not, they take 0.8 to 0.9 of the time.
-# 4 machines are slower than 8 everywhere.
+# neither fits, some schemes are slower with 8; gradients backward are not, they take 0.8 to 0.9 of
+# the time. 4 machines are slower than 8 everywhere.
 CACHE = {"cpu": 2 * 2**20}
 # Samples in each pass of the loop over samples, by backend. Measured on a CPU, where more are
 # slower. Other backends were not measured and also take 1.
@@ -37,18 +37,19 @@ SHARE = 0.75  # of the memory of a device that may be planned for a tile
 PROBE = 1024  # largest number of machines in the program whose memory is measured
 
 
-def usual_lanes(of_a_machine: float = 0.0, *, gradient: bool = False) -> int | None:
+def usual_lanes(of_a_machine: float = 0.0, *, backward: bool = False) -> int | None:
     """The number of machines to vectorise at a time that is best for the backend; starts JAX.
 
     of_a_machine: bytes that each pass of the loop over trials reads and writes of a machine
-    gradient: whether derivatives are computed
+    backward: whether derivatives are computed backward, with a slope for each of these numbers
     None for a backend on which it follows from the memory of a device, see `fitting_lanes`.
     """
     backend = jax.default_backend()
     lanes, cache = LANES.get(backend), CACHE.get(backend, math.inf)
+    of_a_machine *= 2 if backward else 1
     if lanes is None or lanes * of_a_machine <= cache:
         return lanes
-    return lanes // 2 if gradient or lanes // 2 * of_a_machine <= cache else lanes
+    return lanes // 2 if backward or lanes // 2 * of_a_machine <= cache else lanes
 
 
 def usual_unroll() -> int:

@@ -135,7 +135,7 @@ class Losses:
 
         Raises ValueError where a single machine does not fit on a device.
         """
-        usual = usual_lanes(bytes_of_trial(self.scheme, self.task), gradient=True)
+        usual = usual_lanes(bytes_of_trial(self.scheme, self.task), backward=not self._forward)
         if usual is not None:
             return usual
         of_one = partial(self._slope_of_one, objective=split(objective)[0], seed=self.machines.seed)
@@ -145,12 +145,17 @@ class Losses:
 
     def _slope_of_one(self, z, one, *, objective: Objective, seed: int):
         """The loss of one machine of a batch at z (P,), and its slope."""
-        few = self.mode == "auto" and len(self.weights.bijections) <= FORWARD_UP_TO
 
         def loss(z, one):
             return self._of_one(self.weights.at(z), one, objective, seed)
 
-        return value_and_slope(loss, z, one, forward=self.mode == "forward" or few)
+        return value_and_slope(loss, z, one, forward=self._forward)
+
+    @property
+    def _forward(self) -> bool:
+        """Whether slopes are computed forward, which costs less for few weights."""
+        few = self.mode == "auto" and len(self.weights.bijections) <= FORWARD_UP_TO
+        return self.mode == "forward" or few
 
     def _of_one(self, values, one, objective: Objective, seed: int):
         """The objective of one machine of a batch."""

@@ -127,13 +127,16 @@ def test_a_cpu_keeps_its_lanes():
     assert dataclasses.replace(PROBLEM, lanes=None).lanes == 16
 
 
-@pytest.mark.parametrize(("samples", "expected"), [(4096, 16), (4097, 8), (8192, 8), (8193, 16)])
+@pytest.mark.parametrize(
+    ("samples", "expected"),
+    [(2048, 16), (2049, 16), (4096, 16), (4097, 8), (8192, 8), (8193, 16)],
+)
 def test_half_a_tile_is_taken_where_only_that_fits_into_the_cache(samples, expected):
     task = Task(np.zeros(samples + 1), dt=1e-3)
     size = bytes_of_trial(PIDType(0.1), task)
     assert size == 4 * 8 * samples  # memory, schedule, y and u
     assert usual_lanes(size) == expected
-    assert usual_lanes(size, gradient=True) == (16 if samples == 4096 else 8)
+    assert usual_lanes(size, backward=True) == (16 if samples == 2048 else 8)
     plan = dataclasses.replace(PLAN, schemes={"p-type": PIDType(0.1)}, task=task, lanes=None)
     assert plan.lanes == expected
 
