@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 SHOWN = 1e-3  # share of the largest |L| down to which it is shown
 SLOWEST = 2e-4  # of the last frequency
+PALEST = 0.4  # opacity of the last segment
 
 
 def learned_law_figure(learned: Learned, dt: float, *, unit: str = "", ax=None) -> Axes:
@@ -22,8 +23,9 @@ def learned_law_figure(learned: Learned, dt: float, *, unit: str = "", ax=None) 
 
     The law is u_{j+1} = Q u_j + L e_j, so that L is Q / P where it inverts the plant. Below stand
     |L| with |1 / P| and |Q / P| of the nominal machine, and |Q| with |Q - L P| of the nominal
-    machine and the largest of the family. Of several channels each pair has a line of its own, and
-    so has each segment of a scheduled law; |Q| and |Q - L P| are then the largest singular values.
+    machine and the largest of the family. Of several channels each pair has a colour of its own,
+    and the segments of a scheduled law are the paler the later they are; |Q| and |Q - L P| are then
+    the largest singular values.
 
     dt: sample time [s]
     unit: of L, input per output
@@ -60,28 +62,26 @@ def _show_taps(ax, taps, middle: int, dt: float, name: str) -> None:
     """The taps (S, p, n, m) over the time by which they look ahead."""
     p = taps.shape[1]
     shift = 1e3 * dt * (middle + np.arange(p) - p // 2)
-    for colour, label, line in _each(taps, name):
-        ax.plot(shift, line, ".-", color=colour, markersize=3, linewidth=0.8, label=label)
+    for look, label, line in _each(taps, name):
+        ax.plot(shift, line, ".-", markersize=3, linewidth=0.8, label=label, **look)
+    _key_of_segments(ax, len(taps))
     ax.axvline(0.0, color="k", linewidth=0.8)
     ax.set(xlabel="looks ahead by [ms]", title=f"{p} taps of {name}")
     if taps[:, 0].size > 1:
-        ax.legend(fontsize="small", loc="upper right")
+        ax.legend(fontsize="x-small", loc="best", ncols=2 if taps[0, 0].size > 1 else 1)
 
 
 def _show_L(ax, f, L, keep, P, unit: str) -> None:
     """|L| of each segment and pair beside |Q / P|, and beside |1 / P| of one channel."""
     alone = L[:, 0].size == 1
     inverse = keep @ np.linalg.pinv(P)
-    for (colour, label, line), (_, _, other) in zip(
-        _each(L, "L"), _each(inverse, "Q / P"), strict=True
-    ):
-        ax.loglog(f, np.abs(line), color=colour, label="|L|, learned" if alone else f"|{label}|")
-        colour = COLOURS[1] if alone else colour
-        ax.loglog(f, np.abs(other), "--", color=colour, label="|Q / P|" if alone else None)
+    for (look, _, line), (_, _, other) in zip(_each(L, "L"), _each(inverse, ""), strict=True):
+        ax.loglog(f, np.abs(line), **look)
+        ax.loglog(f, np.abs(other), "--", **(look | {"color": COLOURS[1]} if alone else look))
+    for label, line, colour in (("|L|, learned", "-", 0), ("|Q / P|", "--", 1)):
+        ax.plot([], [], line, color=COLOURS[colour] if alone else "0.4", label=label)
     if L[0, 0].size == 1:
         ax.loglog(f, 1 / np.abs(P[:, 0, 0]), ":", color="0.4", label="|1 / P|, the inverse")
-    if not alone:
-        ax.plot([], [], "--", color="0.4", label="the same of Q / P")
     top = np.max(np.abs(L))
     ax.set(ylim=(SHOWN * top, 10 * top), ylabel=labelled("magnitude", unit))
 
@@ -95,25 +95,35 @@ def _show_sizes(ax, f, L, keep, P) -> None:
     sizes = np.max([size(Q - one @ P) for Q, one in zip(keep, L, strict=True)], axis=0)
     for i, Q in enumerate(size(keep)):
         label = "|Q|" if len(keep) == 1 else f"|Q|, segment {i + 1}"
-        colour = "0.4" if len(keep) == 1 else COLOURS[(i + 2) % len(COLOURS)]
-        ax.semilogx(f, Q, color=colour, linestyle="--", label=label)
+        ax.semilogx(f, Q, "--", color="0.2", alpha=_opacity(i, len(keep)), label=label)
     ax.semilogx(f, sizes[0], color=COLOURS[0], label="|Q − L P|, nominal")
     ax.semilogx(f, np.max(sizes, axis=0), color=COLOURS[1], label=f"largest of {len(P)}")
     ax.axhline(1.0, color="k", linewidth=0.8)
     ax.set(ylim=(0, 1.25), ylabel="magnitude")
 
 
-def _each(values, name: str) -> list[tuple[Any, str, np.ndarray]]:
-    """Colour, label and line of each segment and pair of channels of values (S, K, n, m)."""
+def _each(values, name: str) -> list[tuple[dict[str, Any], str | None, np.ndarray]]:
+    """Look, label and line of each segment and pair of channels of values (S, K, n, m).
+
+    The label names the pair, once for all segments.
+    """
     S, _, n, m = values.shape
     found = []
     for s in range(S):
-        for i in range(n):
-            for j in range(m):
-                label = f"{name}{i + 1}{j + 1}" if n * m > 1 else name
-                label += f", segment {s + 1}" if S > 1 else ""
-                found.append((COLOURS[len(found) % len(COLOURS)], label, values[s, :, i, j]))
+        for pair, (i, j) in enumerate(np.ndindex(n, m)):
+            look = {"color": COLOURS[pair % len(COLOURS)], "alpha": _opacity(s, S)}
+            label = f"{name}{i + 1}{j + 1}" if n * m > 1 else name
+            found.append((look, None if s else label, values[s, :, i, j]))
     return found
+
+
+def _key_of_segments(ax, segments: int) -> None:
+    for s in range(segments if segments > 1 else 0):
+        ax.plot([], [], color="0.2", alpha=_opacity(s, segments), label=f"segment {s + 1}")
+
+
+def _opacity(segment: int, segments: int) -> float:
+    return float(np.linspace(1.0, PALEST, segments)[segment])
 
 
 def _whole(taps, scheduled: bool) -> np.ndarray:
