@@ -86,6 +86,7 @@ CONTRACTING += (
     "milc",
     "ilc_asmc",
 )
+FLAT = ("gradient",)  # its norm is 1 whatever the weights, as there are inputs that do not answer
 
 
 # Slopes
@@ -144,7 +145,7 @@ def test_slope_of_contraction_equals_finite_differences(name):
 
     at, h = -0.003, 1e-5
     expected = (along(at + h)[0] - along(at - h)[0]) / (2 * h)
-    assert expected != 0
+    assert (abs(expected) > 1e-8) == (name not in FLAT)
     np.testing.assert_allclose(along(at)[1], expected, rtol=2e-5, atol=DIFFERENCES["atol"])
 
 
