@@ -75,11 +75,16 @@ def _show_L(ax, f, L, keep, P, unit: str) -> None:
     """|L| of each segment and pair beside |Q / P|, and beside |1 / P| of one channel."""
     alone = L[:, 0].size == 1
     inverse = keep @ np.linalg.pinv(P)
-    for (look, _, line), (_, _, other) in zip(_each(L, "L"), _each(inverse, ""), strict=True):
-        ax.loglog(f, np.abs(line), **look)
-        ax.loglog(f, np.abs(other), "--", **(look | {"color": COLOURS[1]} if alone else look))
-    for label, line, colour in (("|L|, learned", "-", 0), ("|Q / P|", "--", 1)):
-        ax.plot([], [], line, color=COLOURS[colour] if alone else "0.4", label=label)
+    for values, style, label, colour in (
+        (L, "-", "|L|, learned", 0),
+        (inverse, "--", "|Q / P|", 1),
+    ):
+        for look, _, line in _each(values, ""):
+            if alone:
+                look = {"color": COLOURS[colour], "label": label}
+            ax.loglog(f, np.abs(line), style, **look)
+        if not alone:
+            ax.plot([], [], style, color="0.4", label=label)
     if L[0, 0].size == 1:
         ax.loglog(f, 1 / np.abs(P[:, 0, 0]), ":", color="0.4", label="|1 / P|, the inverse")
     top = np.max(np.abs(L))
