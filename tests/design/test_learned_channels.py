@@ -136,6 +136,24 @@ def test_each_segment_of_a_scheduled_law_is_a_law_that_the_penalty_sees():
     assert -1e-9 <= above <= np.log(2 * P.size) / term.sharpness
 
 
+def test_the_segments_of_a_law_part_in_the_tuning_only(tmp_path):
+    """The error of a part of the trial has cut ends, which would mislead the search."""
+    asked = LearnedLaw(MACHINE, TASK, 4, {}, taps=(5, 3), steps=0, starts=(50,))
+    told = {}
+
+    def stop_when_found(stage, what):
+        told[stage] = what
+        raise InterruptedError
+
+    family, folder = asked.resolved(), tmp_path / "law"
+    with pytest.raises(InterruptedError):
+        asked.learned_taps(family, [], folder, resume=False, told=stop_when_found)
+    L, keep = told["found"]
+    assert L.shape == (2, 5, 2, 2)
+    for one, other in (L, keep):
+        np.testing.assert_array_equal(one, other)
+
+
 def test_a_scheduled_law_without_a_claim_is_refused():
     """The test by frequency does not tell what happens where one segment meets the next."""
     told = Proof(0.8, 0.9, 10.0, {}, 1, ("converges", "not claimed"), ("it does", "who knows"))
