@@ -85,7 +85,8 @@ def lines_of(chosen: Scenario, found: Learned) -> list[str]:
     back = ""
     if found.passed.way:
         back = f", taken back by {found.passed.way:.0%} of the way to the start so as to be safe"
-    lines = [f"Take {LEARNED}: {found.law.words}{back}. {_errors_said(chosen, found)}"]
+    begun = "Safe, but not the best" if _behind(found) else f"Take {LEARNED}"
+    lines = [f"{begun}: {found.law.words}{back}. {_errors_said(chosen, found)}"]
     if SAFE in found.verdicts:
         lines.append(_compared(found))
     elif found.window.unit is not None:
@@ -100,7 +101,7 @@ def next_line(found: Learned, plant_file: Path, target: Path) -> str:
     """The next commands."""
     if found.law is None:
         return f"Next: jaxilc design {shlex.quote(str(plant_file))}"
-    if SAFE in found.verdicts and not _gain(found) > 1 / SAME:
+    if _behind(found):
         return f"Next, for the safe law: jaxilc design {shlex.quote(str(plant_file))}"
     return design_lines.next_line(target)
 
@@ -157,6 +158,11 @@ def _gain(found: Learned) -> float:
     """The median error of the best safe law, in units of that of the learned law."""
     learned, safe = (_errors(found.verdicts[role], found.trials) for role in (LEARNED, SAFE))
     return safe["median"] / learned["median"] if learned["median"] > 0 else np.inf
+
+
+def _behind(found: Learned) -> bool:
+    """Whether the best safe law of a few weights leaves clearly less error."""
+    return SAFE in found.verdicts and not _gain(found) > 1 / SAME
 
 
 def _compared(found: Learned) -> str:

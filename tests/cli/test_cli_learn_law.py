@@ -59,12 +59,13 @@ def test_a_law_that_is_learned_is_told_in_sentences_and_written_for_other_comman
     said = " ".join(capsys.readouterr().out.split())
     for part in (
         "The taps by frequency response are found.",
-        "Take learned: u' = Q u + L e by learned filters, L of 9 taps and Q of 5",
+        ": u' = Q u + L e by learned filters, L of 9 taps and Q of 5",
         "Of 3 machines that it has not seen, half are at or below a settled error of",
         "the best safe law of a few weights",
         "so the margin is 0.",
     ):
         assert part in said
+    assert ("Take learned" in said) == ("take that one" not in said)
     numbers = json.loads((file.parent / "law.json").read_text())
     scheme = read_scenario(file.parent / "axis.learned.toml").schemes["learned"]
     assert isinstance(scheme, LearningFilter)
