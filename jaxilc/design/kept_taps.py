@@ -24,7 +24,7 @@ def kept_or(
 
     asked: the question that they answer, and all that their numbers depend on
     Raises FileExistsError for a folder with taps without `resume`, and ValueError for taps of
-    another question.
+    another question, and for those of an earlier version that differ from segment to segment.
     """
     file = folder / FILE
     question = json.loads(json_text({"asked": describe(asked), "environment": environment()}))
@@ -37,6 +37,11 @@ def kept_or(
             said = f"was made for another question; it differs in: {'; '.join(differing)}"
             raise ValueError(f"{folder} {said}")
         filters = Filters(*(np.asarray(found[name], float) for name in Filters._fields))
+        if filters.keep.ndim % 2 == 0:
+            raise ValueError(
+                f"{folder} was begun by an earlier version with other taps in each segment; "
+                "choose another place"
+            )
         besides = {name: np.asarray(of, float) for name, of in found["besides"].items()}
         return FirstTaps(filters, int(found["lead"]), besides)
     taps = compute()

@@ -12,7 +12,9 @@ from jaxilc import Machine, Sensor, Task, Uniform
 from jaxilc.design import LearnedLaw
 from jaxilc.design.by_response import by_response, moved, sizes_of
 from jaxilc.design.candidates import Candidate, candidates
+from jaxilc.design.first_taps import FirstTaps
 from jaxilc.design.gate import Passed, gate
+from jaxilc.design.kept_taps import kept_or
 from jaxilc.design.penalty import UNSAFE, penalty
 from jaxilc.design.proof import _further
 from jaxilc.design.responses import family_of
@@ -199,6 +201,20 @@ def test_a_run_that_was_killed_and_is_resumed_learns_the_same_taps(tmp_path, mon
         asked.run(killed)
     with pytest.raises(ValueError, match=r"another question; it differs in: asked\.margin"):
         dataclasses.replace(asked, margin=0.2).run(killed, resume=True)
+
+
+@pytest.mark.parametrize("inner", [(), (2, 2)])  # of one channel, and of two
+def test_taps_that_an_earlier_version_found_for_each_segment_are_refused(inner, tmp_path):
+    def kept(segments, *, resume):
+        L, keep = np.ones((2, *segments, 5, *inner))
+        of = FirstTaps(Filters(L, keep), 3, {})
+        return kept_or(tmp_path / str(segments), "which taps?", lambda: of, resume=resume)
+
+    for segments in ((), (2,)):
+        kept(segments, resume=False)
+    assert kept((), resume=True).filters.L.shape == (5, *inner)
+    with pytest.raises(ValueError, match="earlier version with other taps in each segment"):
+        kept((2,), resume=True)
 
 
 @pytest.mark.parametrize(
