@@ -31,6 +31,7 @@ from ..tuning.losses import Losses
 from ..tuning.machines import Machines
 from ..tuning.objectives import Objective
 from ..tuning.risks import Mean
+from ..tuning.starts import over_starts
 from ..tuning.weights import Weights
 from ..uncertainty import Uncertainty
 from .operations import of_a_trial
@@ -121,7 +122,7 @@ class Learning:
             losses, machines=dataclasses.replace(self.machines, lanes=lanes)
         )
         evaluate = losses.evaluation(self.objective, self.batch, SEED, clip=np.inf)
-        return _built(jax.vmap(evaluate), weights.starts(1, 0.0, SEED))
+        return _built(over_starts(evaluate), weights.starts(1, 0.0, SEED))
 
 
 def machines_of(machine: Machine, uncertainty: Uncertainty) -> Machines:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import sys
 import traceback
 from typing import Annotated
@@ -114,6 +115,7 @@ def main() -> None:
     A mistake of the user gives one line on standard error without a traceback, and exit code 2. A
     measured trial that is refused gives exit code 3.
     """
+    gc.set_threshold(200_000, 20, 100)  # tracing makes many objects, few of them in circles
     try:
         app()
     except (ValueError, OSError) as error:

@@ -16,6 +16,7 @@ from jax import lax
 from ..plants import Plant
 from ..pytree.ranges import brief, require
 from ..runtime.capacity import check_size
+from ..runtime.lanes import usual_stored
 from ..schemes import Scheme
 from ..schemes.experiments import trials_of_step
 from ..signals.sample_layout import for_carry
@@ -90,8 +91,9 @@ def learn(
         long, and a gradient gains nothing. It counts as 1 where it does not divide J / B, see below
 
     The function is compatible with `grad` and `vmap`. A gradient stores no samples, but the
-    memories of B + J / B trials, where B is the largest divisor of J that is not larger than its
-    square root (20 memories for J = 100; for a prime J about J).
+    memories of all trials where they take up to 8 MiB (on a CPU). Beyond that, it stores those of
+    B + J / B trials, where B is the largest divisor of J that is not larger than its square root
+    (20 memories for J = 100; for a prime J about J), and runs all trials once more.
     Raises ValueError, before anything is compiled, where machine, scheme and task do not fit.
     """
     require("learn", "trials", trials, "[1, inf)", whole=True)
@@ -180,7 +182,7 @@ def _learn(
     # with a number of the type of j, so that the scan finds the trial traced already
     shape = jax.eval_shape(trial_and_learning, memory, start, first)[1]
     blank = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shape)
-    blocks = max(d for d in range(1, math.isqrt(trials) + 1) if trials % d == 0)
+    blocks = _blocks(trials, (memory, start))
     unroll = 1 if trials // blocks % trials_a_pass else trials_a_pass
     block = partial(lax.scan, body, unroll=unroll)
     # a gradient is computed block by block, and each block is run again from the memory at its
@@ -193,6 +195,16 @@ def _learn(
     metrics, saved = jax.tree.map(lambda rows: rows.reshape(trials, *rows.shape[2:]), kept)
     every = trials_of_step(scheme, task)
     return History(metrics, saved, *course(metrics, task, first, every), final, memory, start)
+
+
+def _blocks(trials: int, memory: Any) -> int:
+    """The number B of blocks of trials for which a gradient stores the memory at the start.
+
+    It is 1 where the memories of all trials may be stored.
+    """
+    if trials * sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(memory)) <= usual_stored():
+        return 1
+    return max(d for d in range(1, math.isqrt(trials) + 1) if trials % d == 0)
 
 
 def _nothing(trial: Trial) -> None:

@@ -32,6 +32,10 @@ CACHE = {"cpu": 2 * 2**20}
 # Samples in each pass of the loop over samples, by backend. Measured on a CPU, where more are
 # slower. Other backends were not measured and also take 1.
 UNROLL = {"cpu": 1}
+# Bytes of memories of the trials of a machine that a gradient may store, by backend. On a CPU up to
+# so many are read again in less time than their trials take to run again: 0.75 to 0.9 of the time
+# of a gradient, and it compiles in 0.6 to 0.9 of the time. An accelerator takes more machines.
+STORED = {"cpu": 8 * 2**20}
 WIDE = 4096  # lanes where a device does not say how much memory it has
 SHARE = 0.75  # of the memory of a device that may be planned for a tile
 PROBE = 1024  # largest number of machines in the program whose memory is measured
@@ -55,6 +59,11 @@ def usual_lanes(of_a_machine: float = 0.0, *, backward: bool = False) -> int | N
 def usual_unroll() -> int:
     """The number of samples in each pass of the loop over samples, for the backend; starts JAX."""
     return UNROLL.get(jax.default_backend(), 1)
+
+
+def usual_stored() -> int:
+    """The bytes of memories of a machine that a gradient may store, for the backend; starts JAX."""
+    return STORED.get(jax.default_backend(), 0)
 
 
 def lanes_for(

@@ -18,6 +18,9 @@ _WHOLE_LOOPS = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_thresh
 # LLVM unrolls a loop over the 8 or 16 machines of a tile before it could vectorise it, so the code
 # remains scalar. This option keeps the loop.
 _LANES_VECTORISED = ",-unroll-full-max-count=4"
+# The newer code generator of XLA takes a third longer to compile than the older one, whose programs
+# are as fast.
+_OLDER_GENERATOR = ",xla_cpu_disable_new_fusion_emitters=true"
 # XLA uses registers of 256 bits even if a processor has wider ones. An option that it does not know
 # ends the process, so this option is given only to versions of jaxlib that are known to accept it.
 _WIDE_REGISTERS = " --xla_cpu_prefer_vector_width=512"
@@ -54,7 +57,7 @@ def setup(*, precision: str = "float64", devices: int | None = None) -> None:
         options = (
             _WHOLE_LOOPS
             if _accelerated()
-            else _WHOLE_LOOPS + _LANES_VECTORISED + _wide_registers(flags)
+            else _WHOLE_LOOPS + _LANES_VECTORISED + _OLDER_GENERATOR + _wide_registers(flags)
         )
         os.environ["XLA_FLAGS"] = f"{flags} {options}".strip()
     if (
