@@ -32,10 +32,11 @@ CACHE = {"cpu": 2 * 2**20}
 # Samples in each pass of the loop over samples, by backend. Measured on a CPU, where more are
 # slower. Other backends were not measured and also take 1.
 UNROLL = {"cpu": 1}
-# Bytes of memories of the trials of a machine that a gradient may store, by backend. On a CPU up to
-# so many are read again in less time than their trials take to run again: 0.75 to 0.9 of the time
-# of a gradient, and it compiles in 0.6 to 0.9 of the time. An accelerator takes more machines.
-STORED = {"cpu": 8 * 2**20}
+# Bytes of memories of the trials of a machine that a gradient may store, by backend. On a CPU so many
+# were read again in less time than their trials took to run again: a gradient took 0.77 to 0.95 of
+# the time and compiled in 0.6 to 0.9 of it. With twice as many, FFDL-MFAILC of a few machines took
+# 1.3 times as long. An accelerator takes more machines instead.
+STORED = {"cpu": 4 * 2**20}
 WIDE = 4096  # lanes where a device does not say how much memory it has
 SHARE = 0.75  # of the memory of a device that may be planned for a tile
 PROBE = 1024  # largest number of machines in the program whose memory is measured
