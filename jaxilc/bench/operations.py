@@ -89,6 +89,8 @@ def counted(jaxpr: Any) -> Counter[str]:
             ((left, _), _) = step.params["dimension_numbers"]
             shape = step.invars[0].aval.shape
             found[SIMPLE] += (2 * int(np.prod([shape[i] for i in left])) - 1) * size
+        elif name == "by_columns":
+            found[SIMPLE] += (2 * step.invars[0].aval.shape[-1] - 1) * size
         elif name == "cond":
             found += max(map(counted, _programs(step)), key=lambda each: sum(each.values()))
         elif name == "scan":

@@ -47,7 +47,7 @@ LINEAR = frozenset((
     "by_sample", "device_put",
 ))
 # linear in each of two operands by itself
-BILINEAR = frozenset(["mul", "dot_general", "conv_general_dilated"])
+BILINEAR = frozenset(["mul", "dot_general", "by_columns", "conv_general_dilated"])
 # linear in the operands counted here, as long as the others are constant
 LINEAR_IN = {
     "div": (0,),

@@ -32,8 +32,8 @@ CACHE = {"cpu": 2 * 2**20}
 # Samples in each pass of the loop over samples, by backend. Measured on a CPU, where more are
 # slower. Other backends were not measured and also take 1.
 UNROLL = {"cpu": 1}
-# Bytes of memories of the trials of a machine that a gradient may store, by backend. On a CPU so many
-# were read again in less time than their trials took to run again: a gradient took 0.77 to 0.95 of
+# Bytes of memories of the trials of a machine that a gradient may store, by backend. On a CPU, to
+# read so many again took less time than to run their trials again: a gradient took 0.77 to 0.95 of
 # the time and compiled in 0.6 to 0.9 of it. With twice as many, FFDL-MFAILC of a few machines took
 # 1.3 times as long. An accelerator takes more machines instead.
 STORED = {"cpu": 4 * 2**20}

@@ -17,6 +17,7 @@ from jax import lax
 
 from ..pytree.fields import Leaf, leaf, pytree, static
 from ..pytree.needs import known
+from ..runtime.jax_internals import product_by_columns
 
 _NAME = re.compile(r"[^\W\d_]\w{0,19}")  # of an output
 SMALLEST = 1e-15  # largest |r| of a reference that is not zero
@@ -190,7 +191,5 @@ def product(matrix, vector) -> jax.Array:
 
     Up to 8 columns are taken as their sum, which vectorises over a batch, up to twice as fast.
     """
-    columns = matrix.shape[-1]
-    if not 0 < columns <= 8:
-        return matrix @ vector
-    return sum(matrix[:, j] * vector[j] for j in range(columns))
+    few = 0 < matrix.shape[-1] <= 8
+    return product_by_columns(matrix, vector) if few else matrix @ vector

@@ -5,6 +5,7 @@ import warnings
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from sweep_case import PLAN, TASK
@@ -78,7 +79,7 @@ def test_without_them_the_numbers_are_the_same(fresh, monkeypatch):
         np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-14)
 
 
-@pytest.mark.parametrize("part", ["_primitive", "_try_out"])
+@pytest.mark.parametrize("part", ["_rows_primitive", "_product_primitive", "_try_out"])
 def test_another_jax_is_warned_of_once(fresh, monkeypatch, part):
     def unknown(*_):
         raise AttributeError("module 'jax.interpreters' has no attribute 'mlir'")
@@ -93,3 +94,31 @@ def test_another_jax_is_warned_of_once(fresh, monkeypatch, part):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         jaxilc.learn(PLAN.machine, PLAN.schemes["feedback"], TASK, 2)
+
+
+@pytest.mark.parametrize("batched", [(0, None), (None, 0), (0, 0), (1, 0)])
+def test_derivatives_of_a_product_by_columns(batched):
+    """Value, derivatives in both modes and second ones are those of `matrix @ vector`.
+
+    Batches are nested: the inner one over operands as named, the outer one over the matrix alone.
+    """
+    rng = np.random.default_rng(7)
+    matrix, vector = (
+        rng.normal(size=size if axis is None else (*size[:axis], 5, *size[axis:]))
+        for size, axis in zip([(3, 4), (4,)], batched, strict=True)
+    )
+    matrices = rng.normal(size=(2, *matrix.shape))
+    moved = rng.normal(size=matrices.shape), rng.normal(size=vector.shape)
+
+    def found(product):
+        def whole(matrices, vector):
+            inner = jax.vmap(product, batched)
+            return jnp.sum(jax.vmap(inner, (0, None))(matrices, vector) ** 3)
+
+        at = matrices, vector
+        slope = jax.grad(whole, (0, 1))
+        return whole(*at), slope(*at), jax.jvp(whole, at, moved)[1], jax.jvp(slope, at, moved)[1]
+
+    ours, theirs = map(found, (jax_internals.product_by_columns, jnp.matmul))
+    for one, other in zip(jax.tree.leaves(ours), jax.tree.leaves(theirs), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-12)
