@@ -27,6 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 
 SWITCH = "JAXILC_JAX_INTERNALS"
+COLUMNS = 8  # of a matrix, up to which their sum is faster than a matrix product
 
 
 def rows_together(x, *, turned: bool):
@@ -45,10 +46,13 @@ def product_by_columns(matrix, vector):
 
     The derivatives by matrix and vector are products of this kind, too. JAX would put together the
     derivative by the vector from a padded array for each column, in every sample of a loop: a
-    gradient through P-type learning of a plant with 8 states took twice as long.
+    gradient through P-type learning of a plant with 8 states took twice as long. JAX keeps them
+    where it follows what differs from device to device (`shard_map` with `check_vma`).
     """
     known = _found()[0]
-    return (_sum_of_columns if known is None else known.product)(matrix, vector)
+    if known is None or _followed(matrix) or _followed(vector):
+        return _sum_of_columns(matrix, vector)
+    return known.product(matrix, vector)
 
 
 def why_not() -> str | None:
@@ -120,6 +124,12 @@ def _rows_primitive() -> Callable[..., Any]:
     return by_sample.bind
 
 
+def _followed(x) -> bool:
+    """Whether JAX follows on which devices x differs; its type has names for it that changed."""
+    kind = jax.typeof(x)
+    return bool(getattr(getattr(kind, "mat", None), "varying", None) or getattr(kind, "vma", None))
+
+
 def _sum_of_columns(matrix, vector):
     """The products of matrices (..., m, n) and vectors (..., n)."""
     return sum(matrix[..., j] * vector[..., j, None] for j in range(matrix.shape[-1]))
@@ -148,7 +158,9 @@ def _product_primitive() -> Callable[..., Any]:
         return summed(slope[..., :, None] * vector[..., None, :], matrix)
 
     def by_vector(slope, matrix, vector):
-        return summed(by_columns.bind(jnp.swapaxes(matrix, -1, -2), slope), vector)
+        if 0 < matrix.shape[-2] <= COLUMNS:
+            return summed(by_columns.bind(jnp.swapaxes(matrix, -1, -2), slope), vector)
+        return summed(jnp.sum(matrix * slope[..., :, None], axis=-2), vector)
 
     def batched(operands, dims):
         pairs = zip(operands, dims, strict=True)

@@ -17,7 +17,7 @@ from jax import lax
 
 from ..pytree.fields import Leaf, leaf, pytree, static
 from ..pytree.needs import known
-from ..runtime.jax_internals import product_by_columns
+from ..runtime.jax_internals import COLUMNS, product_by_columns
 
 _NAME = re.compile(r"[^\W\d_]\w{0,19}")  # of an output
 SMALLEST = 1e-15  # largest |r| of a reference that is not zero
@@ -191,5 +191,5 @@ def product(matrix, vector) -> jax.Array:
 
     Up to 8 columns are taken as their sum, which vectorises over a batch, up to twice as fast.
     """
-    few = 0 < matrix.shape[-1] <= 8
+    few = 0 < matrix.shape[-1] <= COLUMNS
     return product_by_columns(matrix, vector) if few else matrix @ vector

@@ -96,8 +96,9 @@ def test_another_jax_is_warned_of_once(fresh, monkeypatch, part):
         jaxilc.learn(PLAN.machine, PLAN.schemes["feedback"], TASK, 2)
 
 
+@pytest.mark.parametrize("rows", [3, 9])
 @pytest.mark.parametrize("batched", [(0, None), (None, 0), (0, 0), (1, 0)])
-def test_derivatives_of_a_product_by_columns(batched):
+def test_derivatives_of_a_product_by_columns(batched, rows):
     """Value, derivatives in both modes and second ones are those of `matrix @ vector`.
 
     Batches are nested: the inner one over operands as named, the outer one over the matrix alone.
@@ -105,7 +106,7 @@ def test_derivatives_of_a_product_by_columns(batched):
     rng = np.random.default_rng(7)
     matrix, vector = (
         rng.normal(size=size if axis is None else (*size[:axis], 5, *size[axis:]))
-        for size, axis in zip([(3, 4), (4,)], batched, strict=True)
+        for size, axis in zip([(rows, 4), (4,)], batched, strict=True)
     )
     matrices = rng.normal(size=(2, *matrix.shape))
     moved = rng.normal(size=matrices.shape), rng.normal(size=vector.shape)
@@ -122,3 +123,24 @@ def test_derivatives_of_a_product_by_columns(batched):
     ours, theirs = map(found, (jax_internals.product_by_columns, jnp.matmul))
     for one, other in zip(jax.tree.leaves(ours), jax.tree.leaves(theirs), strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-12)
+
+
+def test_a_product_by_columns_where_jax_follows_what_differs_between_devices():
+    """The slope of a matrix that all devices share is the sum over all of them."""
+    matrix, vectors = jnp.arange(6.0).reshape(3, 2), jnp.arange(1.0, 9.0).reshape(4, 2)
+    mesh = jax.sharding.Mesh(np.array(jax.devices()[:2]), ("machines",))
+    shares = jax.sharding.PartitionSpec("machines")
+
+    def whole(matrix, product):
+        def on_device(matrix, share):
+            return jax.vmap(lambda vector: product(matrix, vector))(share)
+
+        specs = (jax.sharding.PartitionSpec(), shares)
+        spread = jax.shard_map(on_device, mesh=mesh, in_specs=specs, out_specs=shares)
+        return jnp.sum(spread(matrix, vectors) ** 2)
+
+    ours, theirs = (
+        jax.grad(whole)(matrix, product)
+        for product in (jax_internals.product_by_columns, jnp.matmul)
+    )
+    np.testing.assert_allclose(ours, theirs, rtol=1e-12)
