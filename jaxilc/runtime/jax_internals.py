@@ -52,7 +52,8 @@ def product_by_columns(matrix, vector):
     known = _found()[0]
     if known is None or _followed(matrix) or _followed(vector):
         return _sum_of_columns(matrix, vector)
-    return known.product(matrix, vector)
+    dtype = jnp.result_type(matrix, vector)  # of both, so that each slope has its operand's type
+    return known.product(jnp.asarray(matrix, dtype), jnp.asarray(vector, dtype))
 
 
 def why_not() -> str | None:
@@ -146,8 +147,7 @@ def _product_primitive() -> Callable[..., Any]:
 
     def shaped(matrix, vector):
         before = np.broadcast_shapes(matrix.shape[:-2], vector.shape[:-1])
-        dtype = jnp.promote_types(matrix.dtype, vector.dtype)
-        return jax.core.ShapedArray((*before, matrix.shape[-2]), dtype)
+        return jax.core.ShapedArray((*before, matrix.shape[-2]), matrix.dtype)
 
     def summed(slope, operand):
         """The slope by an operand, added up over the members that share it."""

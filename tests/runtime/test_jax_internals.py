@@ -144,3 +144,16 @@ def test_a_product_by_columns_where_jax_follows_what_differs_between_devices():
         for product in (jax_internals.product_by_columns, jnp.matmul)
     )
     np.testing.assert_allclose(ours, theirs, rtol=1e-12)
+
+
+@pytest.mark.parametrize("types", [("float32", "float64"), ("float64", "float32"), ("c16", "f8")])
+def test_slopes_of_a_product_by_columns_have_the_types_of_its_operands(types):
+    operands = [jnp.ones(shape, kind) for shape, kind in zip([(3, 2), 2], types, strict=True)]
+
+    def slopes(product):
+        return jax.grad(lambda *of: jnp.sum(jnp.abs(product(*of)) ** 2), (0, 1))(*operands)
+
+    ours, theirs = map(slopes, (jax_internals.product_by_columns, jnp.matmul))
+    for slope, other, operand in zip(ours, theirs, operands, strict=True):
+        assert slope.dtype == operand.dtype
+        np.testing.assert_allclose(slope, other, rtol=1e-6)
