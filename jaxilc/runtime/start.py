@@ -18,6 +18,10 @@ _WHOLE_LOOPS = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_thresh
 # LLVM unrolls a loop over the 8 or 16 machines of a tile before it could vectorise it, so the code
 # remains scalar. This option keeps the loop.
 _LANES_VECTORISED = ",-unroll-full-max-count=4"
+# XLA writes the results of a sample one after another, and loads and computes anew what they share.
+# LLVM finds this if it looks back further than its usual 6 instructions. FFDL-MFAILC then took 0.92
+# of the time, its gradient 0.86, other gradients 0.92 to 1, and compiling a gradient 1.04.
+_LOADS_SHARED = ",-available-load-scan-limit=1000"
 # The newer code generator of XLA takes a third longer to compile than the older one, whose programs
 # are as fast.
 _OLDER_GENERATOR = ",xla_cpu_disable_new_fusion_emitters=true"
@@ -57,7 +61,11 @@ def setup(*, precision: str = "float64", devices: int | None = None) -> None:
         options = (
             _WHOLE_LOOPS
             if _accelerated()
-            else _WHOLE_LOOPS + _LANES_VECTORISED + _OLDER_GENERATOR + _wide_registers(flags)
+            else _WHOLE_LOOPS
+            + _LANES_VECTORISED
+            + _LOADS_SHARED
+            + _OLDER_GENERATOR
+            + _wide_registers(flags)
         )
         os.environ["XLA_FLAGS"] = f"{flags} {options}".strip()
     if (
