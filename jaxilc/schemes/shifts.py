@@ -11,14 +11,17 @@ from ..signals.sample_layout import for_scan
 
 def advance(signal, samples: int) -> jax.Array:
     """The rows signal[k + samples], k = 0..N-1, of a (N+1, n) signal; zero after the trial."""
-    return jnp.pad(signal[samples:], ((0, samples - 1), (0, 0))) if samples else signal[:-1]
+    if samples == 0:
+        return signal[:-1]
+    rows = signal[samples:]
+    return jnp.pad(rows, ((0, len(signal) - 1 - len(rows)), (0, 0)))
 
 
 def delay(signal, samples: int) -> jax.Array:
     """The rows signal[k - samples], k = 0..N-1, of a (N, n) signal; zero before the trial."""
     if samples == 0:
         return signal
-    return lax.pad(signal, jnp.zeros((), signal.dtype), ((samples, -samples, 0), (0, 0, 0)))
+    return jnp.concatenate([jnp.zeros_like(signal[:samples]), signal[:-samples]])
 
 
 def running_sum(signal) -> jax.Array:
