@@ -21,6 +21,7 @@ def delay(signal, samples: int) -> jax.Array:
     """The rows signal[k - samples], k = 0..N-1, of a (N, n) signal; zero before the trial."""
     if samples == 0:
         return signal
+    # XLA writes a padded signal, `jnp.pad`, in a loop over the machines that is not vectorised
     return jnp.concatenate([jnp.zeros_like(signal[:samples]), signal[:-samples]])
 
 
