@@ -18,7 +18,9 @@ WHOLE = 1024  # largest number of plants with more than two turns
 def rows(plants):
     from jaxilc import bench
     from jaxilc.bench import timing
+    from jaxilc.bench.computer import computer, in_words
 
+    print(in_words(computer()))
     opponents, notes = bench.opponents()
     for note in notes:
         print(note)
@@ -59,7 +61,7 @@ def rows(plants):
                     "times ours by cpu, median": ratios[len(ratios) // 2],
                     "compile s": row["compile_seconds"],
                     "peak bytes": row["peak_bytes"],
-                    "load": timing.machine()["load"][0],
+                    "load": computer()["load"][0],
                 }
 
 

@@ -226,8 +226,8 @@ static int gradients(const struct law *law, int plants, int trials, int N, int t
     int failed = 0;
 #pragma omp parallel num_threads(threads) reduction(| : failed)
     {
-        vec *kept = aligned_alloc(64, blocks * bytes), *slope = aligned_alloc(64, bytes);
-        vec *rows = aligned_alloc(64, (block + 1) * bytes);
+        vec *kept = room(blocks * bytes), *slope = room(bytes);
+        vec *rows = room((block + 1) * bytes);
         int none = !kept || !slope || !rows;
         failed |= none;
 #pragma omp for schedule(dynamic)

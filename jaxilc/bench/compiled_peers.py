@@ -10,14 +10,26 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from .peers import Peer, Problem
 
-LANES = 8  # lanes of the C program: doubles in the widest register that exists
+
+class Target(NamedTuple):
+    """What the programs in C are built by and for.
+
+    compiler: its name and version
+    instructions: the widest instruction set of the target that has lanes
+    lanes: plants to a register, one for each float64 that it holds
+    """
+
+    compiler: str
+    instructions: str
+    lanes: int
 
 
 def _cfdl_plant(a, b, r, trials, settled, weights, phi0, metrics):
@@ -129,15 +141,16 @@ def numba_parallel() -> Peer:
     return lambda problem: compiled[len(problem.phi0)](*problem)
 
 
-def c_program(threads: int) -> Peer:
+def c_program(threads: int, target: str = "native") -> Peer:
     """The same in C with explicit SIMD lanes and OpenMP threads, near the limit of a processor.
 
-    It is built with the compiler `cc`.
+    It is built with the compiler `cc`, whose option `-march` names the target: this processor, or
+    another one, such as `haswell`, that has no instructions which this one lacks.
 
     Raises FileNotFoundError where there is no compiler, and OSError where it cannot build the
     program.
     """
-    loaded = _library("limit.c")
+    loaded = _library("limit.c", target)
 
     def run(problem: Problem) -> np.ndarray:
         law = loaded.cfdl if len(problem.phi0) == 1 else loaded.ffdl
@@ -150,13 +163,13 @@ def c_program(threads: int) -> Peer:
     return run
 
 
-def c_adjoint(threads: int) -> Peer:
+def c_adjoint(threads: int, target: str = "native") -> Peer:
     """The gradient by hand in C (adjoint.c), with the same lanes and threads.
 
     Its result (S, 1+P) is the mean square error of the last trial of each plant, with the slopes
     by lam, rho, eta, mu and the components of phi0. Raises as `c_program` does.
     """
-    loaded = _library("adjoint.c")
+    loaded = _library("adjoint.c", target)
 
     def run(problem: Problem) -> np.ndarray:
         law = loaded.cfdl if len(problem.phi0) == 1 else loaded.ffdl
@@ -165,6 +178,14 @@ def c_adjoint(threads: int) -> Peer:
         return slopes
 
     return run
+
+
+def target_of_c(target: str = "native") -> Target:
+    """The target of the programs in C, as the compiler sees it. Raises as `c_program` does."""
+    loaded = _library("limit.c", target)
+    texts = (ctypes.c_char_p.in_dll(loaded, name).value for name in Target._fields[:2])
+    lanes = ctypes.c_int.in_dll(loaded, "lanes").value
+    return Target(*(text.decode() for text in texts if text), lanes)
 
 
 def _sizes(problem: Problem) -> tuple[int, int, int]:
@@ -181,22 +202,15 @@ def _filled(name: str, law: Callable[..., int], problem: Problem, found: np.ndar
         raise MemoryError(f"{name} could not allocate its tiles")
 
 
-def _library(name: str) -> ctypes.CDLL:
-    """The program in C of this name, built and loaded."""
+@cache
+def _library(name: str, target: str) -> ctypes.CDLL:
+    """The program in C of this name, built for a target and loaded."""
     compiler = shutil.which("cc")
     if compiler is None:
         raise FileNotFoundError("no C compiler: `cc` was not found")
     with tempfile.TemporaryDirectory() as folder:
         library = Path(folder) / "library.so"
-        flags = (
-            "-O3",
-            "-march=native",
-            "-ffast-math",
-            "-fopenmp",
-            "-shared",
-            "-fPIC",
-            f"-DLANES={LANES}",
-        )
+        flags = ("-O3", f"-march={target}", "-ffast-math", "-fopenmp", "-shared", "-fPIC")
         built = subprocess.run(
             [compiler, *flags, "-o", library, Path(__file__).with_name(name), "-lm"],
             capture_output=True,

@@ -17,9 +17,10 @@ from ..runtime.tiles import tiled
 from ..schemes import Scheme
 from ..schemes.scheme import Feedforward
 from . import compiled_peers, peers
+from .computer import cores
 from .peers import Peer
 from .settings import SLOW, Setting, setting
-from .timing import OURS, Cost, Entry, Row, cores, cost, difference, in_turns
+from .timing import OURS, Cost, Entry, Row, cost, difference, in_turns
 
 BLOCKS = "jaxilc in blocks"
 
@@ -27,7 +28,7 @@ BLOCKS = "jaxilc in blocks"
 def opponents() -> tuple[dict[str, tuple[Peer, float]], list[str]]:
     """The opponents that run here with the seconds to build them, and a note on each other one.
 
-    Numba and a C compiler are optional.
+    Numba and a C compiler are optional. Another note says how many lanes C has.
     """
     found: dict[str, tuple[Peer, float]] = {
         "NumPy loop": (peers.numpy_loop, 0.0),
@@ -43,6 +44,9 @@ def opponents() -> tuple[dict[str, tuple[Peer, float]], list[str]]:
             found[name] = (make(), time.perf_counter() - start)
         except (ImportError, OSError) as error:
             notes.append(f"{name} left out: {error}")
+    if "C limit" in found:
+        compiler, instructions, lanes = compiled_peers.target_of_c()
+        notes.append(f"C: {compiler} for {instructions}, {lanes} lanes (plants in a register)")
     return found, notes
 
 

@@ -27,10 +27,11 @@ from ..tuning.objectives import FLOOR, Final
 from ..tuning.weights import Weights
 from ..uncertainty import Uniform
 from . import compiled_peers
+from .computer import cores
 from .derivatives import Learning, of_each
 from .peers import METRICS, Peer, Problem
 from .settings import SPREAD, Setting
-from .timing import OURS, Entry, Row, cores, difference, in_turns, limit, need_agreement
+from .timing import OURS, Entry, Row, difference, in_turns, limit, need_agreement
 
 BY_DIFFERENCES, BY_ADJOINT = "Numba, P+1 runs", "C adjoint"
 WEIGHTS = ("lam", "rho", "eta", "mu", "phi0")
@@ -146,7 +147,8 @@ def compare_gradients(
     of = of._replace(scheme=replaced(of.scheme, start))
     weights, few = Weights.of(of.scheme, WEIGHTS), of.part(ENOUGH)
     P = len(weights.start)
-    check_size("bench: a gradient", lambda samples: bytes_of_adjoint(J) * samples, samples=N)
+    if BY_ADJOINT in opponents:
+        check_size("bench: a gradient", lambda samples: bytes_of_adjoint(J) * samples, samples=N)
     of_all, of_few = Slope.of(of, weights), Slope.of(few, weights)
     entries = {OURS: Entry(of.ours(), len(of.b), J, N)}
     for name, which, by, forward in (
@@ -165,7 +167,7 @@ def compare_gradients(
 def bytes_of_adjoint(trials: int) -> float:
     """The bytes that the program in C stores for each sample, in all threads."""
     memories = 2 * math.ceil(math.sqrt(trials)) + 2
-    return cores() * memories * 6 * 8 * compiled_peers.LANES
+    return cores() * memories * 6 * 8 * compiled_peers.target_of_c().lanes
 
 
 def _learning(of: Setting) -> Learning:

@@ -33,7 +33,7 @@ int cfdl(int plants, int trials, int N, int settled, int threads, const double *
     int failed = 0;
 #pragma omp parallel num_threads(threads) reduction(| : failed)
     {
-        struct row { vec u, u_last, y, phi; } *rows = aligned_alloc(64, (size_t)N * sizeof *rows);
+        struct row { vec u, u_last, y, phi; } *rows = room((size_t)N * sizeof *rows);
         failed |= rows == NULL;
 #pragma omp for schedule(dynamic)
         for (int first = 0; first < plants; first += LANES) {
@@ -71,7 +71,7 @@ int ffdl(int plants, int trials, int N, int settled, int threads, const double *
     int failed = 0;
 #pragma omp parallel num_threads(threads) reduction(| : failed)
     {
-        struct row { vec u, y, phi[4]; } *rows = aligned_alloc(64, (size_t)N * sizeof *rows);
+        struct row { vec u, y, phi[4]; } *rows = room((size_t)N * sizeof *rows);
         failed |= rows == NULL;
 #pragma omp for schedule(dynamic)
         for (int first = 0; first < plants; first += LANES) {

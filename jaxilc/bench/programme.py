@@ -17,8 +17,9 @@ import jax
 
 from ..scenarios import Scenario
 from . import contests, gradients, ours_alone, settings
+from .computer import computer, in_words
 from .ours_alone import Alone
-from .timing import Cost, Row, as_json, machine
+from .timing import Cost, Row, as_json
 
 ByTheSize = dict[str, tuple[dict[int, float], Cost]]  # result of `contests.cost_by_size`
 
@@ -92,13 +93,15 @@ def measure(programme: Programme, show: Show) -> dict[str, Any]:
     programme.check()
     jax.config.update("jax_enable_compilation_cache", False)  # compiling is measured too
     numbers: dict[str, Any] = {
-        "machine": machine(),
-        "precision": "float64" if jax.config.jax_enable_x64 else "float32",
+        "machine": computer(),
         "rows": {},
         "operations_ns": {},
         "cost": {},
         "gradients": {},
     }
+    show.note(in_words(numbers["machine"]))
+    turns = f"the best of {programme.repeats} turns" if programme.repeats > 1 else "one turn"
+    show.note(f"ns: for each sample of each trial of each plant, in {turns}")
     if programme.scenarios:
         _measure_scenarios(programme, show, numbers)
     else:
@@ -106,7 +109,7 @@ def measure(programme: Programme, show: Show) -> dict[str, Any]:
         _measure_schemes(programme, show, numbers)
         _measure_plants(programme, show, numbers)
         _measure_costs(programme, show, numbers)
-    numbers["machine_after"] = machine()
+    numbers["machine_after"] = computer()
     return numbers
 
 
@@ -134,7 +137,7 @@ def _measure_scenarios(programme: Programme, show: Show, numbers: dict[str, Any]
 def _measure_schemes(programme: Programme, show: Show, numbers: dict[str, Any]) -> None:
     options = {"repeats": programme.repeats}
     contested = [name for name in programme.schemes if name in settings.SCHEMES]
-    opponents, of_gradients = _opponents(programme, show) if contested else ({}, {})
+    opponents, of_gradients = _opponents(programme, show, numbers) if contested else ({}, {})
     for name in programme.schemes:
         for size in programme.plants:
             show.begins(f"{name}, {size} plants")
@@ -145,7 +148,8 @@ def _measure_schemes(programme: Programme, show: Show, numbers: dict[str, Any]) 
                 continue
             setting = settings.setting(name, size, programme.trials, programme.samples)
             found = contests.compare(setting, opponents, **options)
-            show.rows(f"{name}, {size} plants", found, "times ours")
+            of_trials = f"{programme.trials} trials of {programme.samples} samples"
+            show.rows(f"{name}, {size} plants, {of_trials}", found, "times ours")
             numbers["rows"][f"{name}/{size}"] = as_json(found)
             if not programme.gradients:
                 continue
@@ -160,11 +164,12 @@ def _measure_schemes(programme: Programme, show: Show, numbers: dict[str, Any]) 
             numbers["rows"][f"{name} gradient/{size}"] = as_json(found)
 
 
-def _opponents(programme: Programme, show: Show) -> tuple[dict, dict]:
-    """The opponents that run here, and those of gradients, with a note on each other one."""
+def _opponents(programme: Programme, show: Show, numbers: dict[str, Any]) -> tuple[dict, dict]:
+    """The opponents that run here, and those of gradients; `numbers` gets the notes on them."""
     found, notes = contests.opponents()
     of_gradients, more = gradients.gradient_opponents(found) if programme.gradients else ({}, [])
-    for text in [*notes, *more]:
+    numbers["notes"] = [*notes, *more]
+    for text in numbers["notes"]:
         show.note(text)
     return found, of_gradients
 

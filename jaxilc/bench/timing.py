@@ -7,7 +7,6 @@ processor time of all threads is measured, which does not include waiting for a 
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple
@@ -77,21 +76,6 @@ class Entry(NamedTuple):
     trials: int
     samples: int
     built: float = 0.0
-
-
-def cores() -> int:
-    """The number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def machine() -> dict[str, Any]:
-    """The computer on which the times are measured, and its load."""
-    return {
-        "cores": cores(),
-        "devices": jax.device_count(),
-        "backend": jax.default_backend(),
-        "load": [round(x, 1) for x in os.getloadavg()],
-    }
 
 
 def in_turns(

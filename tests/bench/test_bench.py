@@ -1,6 +1,7 @@
 """The benchmark's opponents compute what the package computes, and wrong numbers are refused."""
 
 import json
+import platform
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from cases import ALGEBRA
 from typer.testing import CliRunner
 
 from jaxilc import bench
-from jaxilc.bench import contests, timing
+from jaxilc.bench import compiled_peers, computer, contests, timing
 from jaxilc.cli import bench as command
 
 OPPONENTS, NOTES = bench.opponents()
@@ -48,6 +49,46 @@ def test_the_reset_is_the_same_for_all():
         lanes=1
     )()
     assert np.max(np.abs(never - ours)) > 1e-6 * np.max(np.abs(ours))  # a reset took place
+
+
+TARGETS = {"x86-64": ("SSE2", 2), "haswell": ("AVX2", 4), "skylake-avx512": ("AVX-512", 8)}
+
+
+@pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="targets of x86-64")
+@pytest.mark.parametrize("target", TARGETS)
+def test_the_lanes_of_c_follow_from_the_processor(target):
+    """Vectors wider than a register were taken apart: the limit took ten times as long."""
+    if "C limit" not in OPPONENTS:
+        pytest.skip("; ".join(NOTES))
+    found, here = (compiled_peers.target_of_c(of) for of in (target, "native"))
+    assert (found.instructions, found.lanes) == TARGETS[target]
+    widest_first = [*computer.INSTRUCTIONS.values()]
+    if widest_first.index(found.instructions) < widest_first.index(here.instructions):
+        pytest.skip(f"this processor has {here.instructions}, not {found.instructions}")
+    for name in bench.SCHEMES:
+        problem = bench.setting(name, 11, 6, 29).problem  # the last register is not full
+        for program in (compiled_peers.c_program, compiled_peers.c_adjoint):
+            np.testing.assert_allclose(program(1, target)(problem), program(1)(problem), **ALGEBRA)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("model name\t: EPYC\nflags\t: sse2 avx avx2\n\nmodel name\t: last", ("EPYC", "AVX2")),
+        ("BogoMIPS\t: 50.00\nFeatures\t: asimd", ("Neoverse", "aarch64")),
+        (None, ("Neoverse", "aarch64")),
+    ],
+)
+def test_the_processor_is_told(text, expected, tmp_path, monkeypatch):
+    file = tmp_path / "cpuinfo"
+    if text is not None:
+        file.write_text(text)
+    monkeypatch.setattr(computer, "CPUINFO", file)
+    monkeypatch.setattr(computer.platform, "processor", lambda: "Neoverse")
+    monkeypatch.setattr(computer.platform, "machine", lambda: "aarch64")
+    found = computer.computer()
+    assert (found["processor"], found["instructions"]) == expected
+    assert computer.in_words(found | {"cores": 1}).startswith(", ".join([*expected, "1 core\n"]))
 
 
 def entry(value, **changes):
@@ -125,6 +166,11 @@ def test_the_command(tmp_path):
     assert ways <= set(found["rows"]["cfdl gradient/2"])
     assert {"python-control", "SciPy lfilter", timing.OURS} == set(found["rows"]["plant/2"])
     assert {"SciPy lfilter", contests.BLOCKS, timing.OURS} == set(found["rows"]["long/200"])
+    for told in (computer.in_words(found["machine"]), *found["notes"]):
+        assert told in result.output
+    assert any(
+        note.startswith("C: " if "C limit" in OPPONENTS else "C l") for note in found["notes"]
+    )
     assert set(found["cost"]["cfdl"]) == {"plants", "trials", "samples"}
 
 
