@@ -1,6 +1,6 @@
 /* LANES plants to a register: what limit.c and adjoint.c have in common. The registers are the
-   widest that the target of the compiler has. GCC takes wider vectors apart number by number, which
-   is 5 to 10 times as slow, and two registers of plants at a time are no faster than one. */
+   widest that the target of the compiler has. GCC 12 takes wider vectors apart number by number,
+   which is 3 to 11 times as slow, and two registers of plants at a time are no faster than one. */
 
 #include <math.h>
 #include <stdlib.h>
