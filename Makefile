@@ -7,7 +7,7 @@ PINNED := .ci/requirements.txt
 UV     := $(shell command -v uv 2>/dev/null)
 
 .DEFAULT_GOAL := help
-.PHONY: help run check lint test docs wheel clean
+.PHONY: help run check lint test matrix docs wheel clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-7s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -27,6 +27,9 @@ lint: $(VENV)/.ready  ## lint, format and types alone
 	$(BIN)/ruff format --check .
 	$(BIN)/ty check
 
+matrix:  ## all tests with Python 3.11 and 3.13, where these are, and the speed of both
+	.ci/matrix
+
 docs: $(VENV)/.ready  ## guide, tutorials, gallery and API as a site, to out/docs (15 minutes)
 	JAX_PLATFORMS=cpu $(BIN)/python .ci/docs/render.py out/docs
 
@@ -34,7 +37,7 @@ wheel: $(VENV)/.ready  ## a wheel, to dist
 	$(BIN)/python -m build --no-isolation --wheel
 
 clean:  ## remove the environment, out and dist
-	rm -rf $(VENV) out dist
+	rm -rf $(VENV) .matrix out dist
 
 $(VENV)/.ready: $(PINNED) pyproject.toml
 ifdef UV

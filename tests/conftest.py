@@ -3,12 +3,15 @@
 import gc
 import os
 
-# Most of the time of these tests is compilation. Without LLVM's optimiser and the newer code
-# generator it takes half as long. `XLA_FLAGS= pytest` tests the programs as users get them.
-FLAGS = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
-QUICKLY_COMPILED = os.environ.setdefault("XLA_FLAGS", FLAGS) == FLAGS
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # its threads would wait for one another
 os.environ.setdefault("JAXILC_CACHE", "off")  # it would write to the user's folder
+
+from jaxilc.runtime.xla_options import known
+
+# Most of the time of these tests is compilation. Without LLVM's optimiser it takes half as long.
+# `XLA_FLAGS= pytest` tests the programs as users get them.
+FLAGS = known("--xla_backend_optimization_level=0")
+QUICKLY_COMPILED = os.environ.setdefault("XLA_FLAGS", FLAGS) == FLAGS
 
 gc.set_threshold(200_000, 20, 100)  # tracing makes many objects, few of them in circles
 

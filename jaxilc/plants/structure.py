@@ -221,10 +221,19 @@ def _called(step):
 
 
 def _scan(step, operands):
-    fixed, carried = step.params["num_consts"], step.params["num_consts"] + step.params["num_carry"]
-    return _repeated(
-        step.params["jaxpr"], operands[:fixed], operands[fixed:carried], operands[carried:]
-    )
+    """Shapes tell constants, carry and rows apart: the body sees a row without its first axis.
+
+    The parameters that count them have other names since JAX 0.12.
+    """
+    body = step.params["jaxpr"]
+
+    def whole(outside, inside) -> int:
+        pairs = zip(outside, inside, strict=True)
+        return sum(one.aval.ndim == other.aval.ndim for one, other in pairs)
+
+    until_rows = whole(step.invars, body.jaxpr.invars)
+    fixed = until_rows - whole(step.outvars, body.jaxpr.outvars)
+    return _repeated(body, operands[:fixed], operands[fixed:until_rows], operands[until_rows:])
 
 
 def _while(step, operands):

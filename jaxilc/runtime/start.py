@@ -10,25 +10,9 @@ from importlib.metadata import entry_points
 from pathlib import Path
 
 import jax
-import jaxlib
 
 from ..pytree.ranges import require
-
-_WHOLE_LOOPS = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1000000000"
-# LLVM unrolls a loop over the 8 or 16 machines of a tile before it could vectorise it, so the code
-# remains scalar. This option keeps the loop.
-_LANES_VECTORISED = ",-unroll-full-max-count=4"
-# XLA writes the results of a sample one after another, and loads and computes anew what they share.
-# LLVM finds this if it looks back further than its usual 6 instructions. FFDL-MFAILC then took 0.92
-# of the time, its gradient 0.86, other gradients 0.92 to 1, and compiling a gradient 1.04.
-_LOADS_SHARED = ",-available-load-scan-limit=1000"
-# The newer code generator of XLA takes a third longer to compile than the older one, whose programs
-# are as fast.
-_OLDER_GENERATOR = ",xla_cpu_disable_new_fusion_emitters=true"
-# XLA uses registers of 256 bits even if a processor has wider ones. An option that it does not know
-# ends the process, so this option is given only to versions of jaxlib that are known to accept it.
-_WIDE_REGISTERS = " --xla_cpu_prefer_vector_width=512"
-_KNOWN = ((0, 10), (0, 12))
+from .xla_options import chosen
 
 
 def setup(*, precision: str = "float64", devices: int | None = None) -> None:
@@ -41,6 +25,7 @@ def setup(*, precision: str = "float64", devices: int | None = None) -> None:
     times slower. Options that XLA_FLAGS contains already are not changed. If JAX has an
     accelerator, only options are set that the accelerator ignores. `setup` must run before JAX
     computes anything. Otherwise only the precision takes effect, and a RuntimeWarning reports this.
+    JAX 0.11.1, whose loops take time quadratic in the number of samples, is reported likewise.
     Raises ValueError for another precision or devices < 1.
     """
     if precision not in ("float64", "float32"):
@@ -50,6 +35,13 @@ def setup(*, precision: str = "float64", devices: int | None = None) -> None:
     )
     devices = cores if devices is None else devices
     require("setup", "devices", devices, "[1, 4096]", whole=True)
+    if jax.__version__ == "0.11.1":
+        warnings.warn(
+            "JAX 0.11.1 takes time quadratic in the samples of a trial (jax issue 40101); "
+            "0.11.0 and 0.11.2 do not",
+            RuntimeWarning,
+            stacklevel=2,
+        )
     jax.config.update("jax_enable_x64", precision == "float64")
     # XLA's pool has a thread per core. If every device makes a batched LAPACK call at once, all
     # threads wait for each other; additional threads prevent this. XLA reads this variable.
@@ -58,15 +50,7 @@ def setup(*, precision: str = "float64", devices: int | None = None) -> None:
     too_late = False
     if "xla_backend_extra_options" not in flags:
         too_late = _started()
-        options = (
-            _WHOLE_LOOPS
-            if _accelerated()
-            else _WHOLE_LOOPS
-            + _LANES_VECTORISED
-            + _LOADS_SHARED
-            + _OLDER_GENERATOR
-            + _wide_registers(flags)
-        )
+        options = chosen(flags, accelerated=_accelerated())
         os.environ["XLA_FLAGS"] = f"{flags} {options}".strip()
     if (
         "xla_force_host_platform_device_count" not in flags
@@ -114,15 +98,6 @@ def keep_programs() -> Path | None:
 def _users_cache() -> Path:
     """The cache folder of the user; raises RuntimeError for a user without a home folder."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-
-
-def _wide_registers(flags: str) -> str:
-    version = tuple(int(part) for part in jaxlib.__version__.split(".")[:2])
-    return (
-        _WIDE_REGISTERS
-        if _KNOWN[0] <= version <= _KNOWN[1] and "xla_cpu_prefer_vector_width" not in flags
-        else ""
-    )
 
 
 def _accelerated() -> bool:

@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 
+import jax
 import pytest
 
 import jaxilc
@@ -33,29 +34,37 @@ def test_setup_takes_cores_precision_and_whole_loops():
 
 
 FLAGS = """
-import json, os, sys
-import jaxilc.runtime.start as r
-def flags(given="", platforms=None, plugins=True, version=r.jaxlib.__version__):
+import json, os, sys, warnings
+import jaxilc.runtime.start as start, jaxilc.runtime.xla_options as options
+jaxlib = options.jaxlib
+def flags(given="", platforms=None, plugins=True, version=jaxlib.__version__, **texts):
     os.environ["XLA_FLAGS"] = given
-    r.jax.config.update("jax_platforms", platforms)
-    r.entry_points = lambda group: [group] * plugins
-    r.jaxlib.__version__, known = version, r.jaxlib.__version__
-    r.setup(devices=3)
-    r.jaxlib.__version__ = known
-    return os.environ["XLA_FLAGS"]
-of_environment = r.jax.config.jax_platforms
+    start.jax.config.update("jax_platforms", platforms)
+    start.entry_points = lambda group: [group] * plugins
+    known = {name: getattr(options, name) for name in texts} | {"version": jaxlib.__version__}
+    vars(options).update(texts)
+    jaxlib.__version__ = version
+    with warnings.catch_warnings(record=True) as said:
+        start.setup(devices=3)
+    jaxlib.__version__ = known.pop("version")
+    vars(options).update(known)
+    return os.environ["XLA_FLAGS"], [str(one.message) for one in said]
+of_environment = start.jax.config.jax_platforms
 found = {name: flags(**case) for name, case in json.loads(sys.argv[1]).items()}
-os.environ["XLA_FLAGS"] = found["wide"]
-r.jax.config.update("jax_platforms", "cpu")
-print(json.dumps(found | {"computed": float(r.jax.numpy.ones(2).sum()), "as": of_environment}))
+os.environ["XLA_FLAGS"] = found["wide"][0]
+start.jax.config.update("jax_platforms", "cpu")
+print(json.dumps([found, float(start.jax.numpy.ones(2).sum()), of_environment]))
 """
 KEPT_AS_IT_IS = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=7"
 CPU = {"platforms": "cpu"}
+LATER = CPU | {"version": "91.1.0"}
 CASES = {
     "accelerated": {},
     "without plugins": {"plugins": False},
     "wide": CPU,
-    "unknown": CPU | {"version": "9.1.0"},
+    "later": LATER,
+    "later, fewer": LATER | {"LOADS_SHARED": ",-no-such-option=1"},
+    "later, none": LATER | {"WHOLE_LOOPS": "--xla_no_such_option=1"},
     "asked": CPU | {"given": "--xla_cpu_prefer_vector_width=128"},
     "kept": {"given": KEPT_AS_IT_IS},
 }
@@ -63,30 +72,50 @@ CASES = {
 
 @pytest.fixture(scope="module")
 def flags():
-    """Return XLA_FLAGS after `setup` in each case, from one process that has not started JAX.
+    """Return XLA_FLAGS after `setup` in each case and the case's warnings.
 
-    It computes with the options for wide registers: one that XLA does not know ends the process.
+    One process that has not started JAX finds them all. It then computes with the options of
+    "wide": one that XLA does not know ends the process.
     """
-    return json.loads(python(FLAGS, json.dumps(CASES), JAX_PLATFORMS="cpu").stdout)
+    found, computed, of_environment = json.loads(
+        python(FLAGS, json.dumps(CASES), JAX_PLATFORMS="cpu").stdout
+    )
+    assert computed == 2.0
+    assert of_environment == "cpu", "JAX_PLATFORMS is where the setting comes from"
+    return found
 
 
 def test_options_that_an_accelerator_would_read_are_left_out_where_there_is_one(flags):
-    assert "unroll" not in flags["accelerated"]
-    assert "unroll" in flags["wide"]
-    assert "unroll" in flags["without plugins"]
-    assert flags["as"] == "cpu", "JAX_PLATFORMS is where the setting comes from"
+    assert "unroll" not in flags["accelerated"][0]
+    assert "unroll" in flags["wide"][0]
+    assert "unroll" in flags["without plugins"][0]
 
 
-def test_wide_registers_are_asked_for_where_the_option_is_known_and_nobody_else_did(flags):
-    assert "prefer_vector_width=512" in flags["wide"]
-    assert flags["computed"] == 2.0
-    assert "prefer_vector_width" not in flags["unknown"]
-    asked = flags["asked"]
+def test_wide_registers_are_asked_for_where_nobody_else_did(flags):
+    assert "prefer_vector_width=512" in flags["wide"][0]
+    asked = flags["asked"][0]
     assert (asked.count("prefer_vector_width"), "=128" in asked) == (1, True)
 
 
+def test_a_later_version_is_given_the_options_that_it_knows(flags):
+    """An option that XLA or LLVM does not know ends a process, which is another one here."""
+    assert flags["later"] == flags["wide"]
+    fewer, said = flags["later, fewer"]
+    assert fewer == "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1000000000"
+    assert [text.partition(";")[0] for text in said] == [
+        "jaxlib 91.1.0 does not know all options that jaxilc gives to XLA"
+    ]
+    assert flags["later, none"] == ["", said]
+
+
 def test_options_that_are_given_are_not_changed(flags):
-    assert flags["kept"] == KEPT_AS_IT_IS
+    assert flags["kept"] == [KEPT_AS_IT_IS, []]
+
+
+def test_the_version_of_jax_whose_loops_are_slow_is_reported(monkeypatch):
+    monkeypatch.setattr("jax.__version__", "0.11.1")
+    with pytest.warns(RuntimeWarning, match=r"^JAX 0\.11\.1 takes time quadratic"):
+        jaxilc.setup(devices=jax.device_count())
 
 
 def test_importing_flips_nothing_and_setup_too_late_says_so():
