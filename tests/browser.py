@@ -7,10 +7,15 @@ import shutil
 import subprocess
 
 import numpy as np
+import pytest
 from matplotlib import image
 
 CHROMIUM = (
     shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+)
+# Wheels cannot hold a browser, so the pinned versions do not give it.
+needs_chromium = pytest.mark.skipif(
+    CHROMIUM is None, reason="needs a browser: install the system's package chromium"
 )
 
 

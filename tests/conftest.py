@@ -3,6 +3,9 @@
 import gc
 import os
 
+from instructions import limited
+
+ISA = limited()  # before NumPy is loaded
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # its threads would wait for one another
 os.environ.setdefault("JAXILC_CACHE", "off")  # it would write to the user's folder
 
@@ -11,7 +14,8 @@ from jaxilc.runtime.xla_options import known
 # Most of the time of these tests is compilation. Without LLVM's optimiser it takes half as long.
 # `XLA_FLAGS= pytest` tests the programs as users get them.
 FLAGS = known("--xla_backend_optimization_level=0")
-QUICKLY_COMPILED = os.environ.setdefault("XLA_FLAGS", FLAGS) == FLAGS
+QUICKLY_COMPILED = bool(FLAGS) and FLAGS in os.environ.setdefault("XLA_FLAGS", FLAGS)
+os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + ISA
 
 gc.set_threshold(200_000, 20, 100)  # tracing makes many objects, few of them in circles
 
@@ -31,19 +35,33 @@ if QUICKLY_COMPILED:  # a pass of two trials takes twice as long to compile
     host.TRIALS_A_PASS = 1
 
 
+LISTS = ("quick", "shipped")  # of pyproject.toml, and the markers of what they list
+
+
 def pytest_addoption(parser):
-    parser.addini("quick", "files and tests that `make check` runs", type="linelist")
+    for name in LISTS:
+        parser.addini(name, f"files and tests that `-m {name}` runs", type="linelist")
+
+
+def pytest_ignore_collect(collection_path, config):
+    """Leave out files that have nothing of a list that `-m` names: loading all takes 10 s."""
+    name = config.option.markexpr.partition(" and ")[0]
+    if name in LISTS and collection_path.suffix == ".py":
+        file = collection_path.relative_to(config.rootpath).as_posix()
+        return True if not any(e.startswith(file) for e in config.getini(name)) else None
 
 
 def pytest_collection_modifyitems(config, items):
-    """Mark the tests that `quick` in pyproject.toml lists, so that `-m quick` runs them."""
-    entries = config.getini("quick")
-    listed = {entry for entry in entries if not entry.startswith("not ")}
-    left_out = {entry.removeprefix("not ") for entry in entries} - listed
-    for item in items:
-        test = item.nodeid.partition("[")[0]
-        if {test, test.partition("::")[0]} & listed and test not in left_out:
-            item.add_marker(pytest.mark.quick)
+    """Mark the tests that a list names: by file, test, or file and case, `tests/a.py[case]`."""
+    for name in LISTS:
+        entries = config.getini(name)
+        listed = {entry for entry in entries if not entry.startswith("not ")}
+        left_out = {entry.removeprefix("not ") for entry in entries} - listed
+        for item in items:
+            test, bracket, case = item.nodeid.partition("[")
+            file = test.partition("::")[0]
+            if {test, file, file + bracket + case} & listed and test not in left_out:
+                item.add_marker(name)
 
 
 @pytest.fixture(scope="module", autouse=True)

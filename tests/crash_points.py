@@ -8,10 +8,10 @@ what was written by the time of the next event. Equal states are kept once.
 
 import hashlib
 import os
-import shutil
 import sys
 import threading
 from contextlib import contextmanager
+from pathlib import Path
 
 CHANGES = {
     "os.mkdir": 0,
@@ -31,7 +31,7 @@ class Recorder:
     """
 
     def __init__(self, root, kept):
-        self.root, self.kept, self.snapshots = str(root), kept, []
+        self.root, self.kept, self.snapshots = root, kept, []
         self.seen, self.written, self.lock, self.busy = (
             set(),
             None,
@@ -43,36 +43,49 @@ class Recorder:
         if getattr(self.busy, "now", False):
             return
         opened = event == "open" and isinstance(arguments[2], int) and arguments[2] & WRITING
-        if not (opened or event in CHANGES) or not str(arguments[0]).startswith(self.root):
+        if not (opened or event in CHANGES) or not str(arguments[0]).startswith(str(self.root)):
             return
         with self.lock:
             self.busy.now = True
             try:
-                self.copy()
-                if self.written and os.path.isfile(self.written):
-                    size = os.path.getsize(self.written)
-                    for part in (0, size // 2):
-                        self.copy(cut=(os.path.relpath(self.written, self.root), part))
-                self.written = str(arguments[0]) if opened else None
+                self.keep(state := self.state())
+                if (content := state.get(self.written)) is not None:
+                    for part in (0, len(content) // 2):
+                        self.keep(state | {self.written: content[:part]})
+                self.written = Path(os.fsdecode(arguments[0])) if opened else None
             finally:
                 self.busy.now = False
 
-    def copy(self, cut=None):
+    def state(self):
+        """Return {path: content, None of a folder} of all in `root`, at one moment.
+
+        Other threads go on until their next event. What two readings find alike was so from the
+        end of the first to the start of the second.
+        """
+        before = None
+        while True:
+            try:
+                now = {
+                    path: None if path.is_dir() else path.read_bytes()
+                    for path in sorted(self.root.rglob("*"))
+                }
+            except FileNotFoundError:  # another thread has renamed or removed it
+                now = None
+            if now is not None and now == before:
+                return now
+            before = now
+
+    def keep(self, state):
+        digest = hashlib.sha256(repr(state).encode()).digest()
+        if digest in self.seen:
+            return
+        self.seen.add(digest)
         folder = self.kept / f"{len(self.snapshots):04d}"
-        shutil.copytree(self.root, folder, dirs_exist_ok=True)
-        if cut is not None:
-            os.truncate(folder / cut[0], cut[1])
-        state = hashlib.sha256()
-        for path in sorted(folder.rglob("*")):
-            state.update(
-                str(path.relative_to(folder)).encode()
-                + (path.read_bytes() if path.is_file() else b"/")
-            )
-        if state.digest() in self.seen:
-            shutil.rmtree(folder)
-        else:
-            self.seen.add(state.digest())
-            self.snapshots.append(folder)
+        folder.mkdir()
+        for path, content in state.items():
+            copy = folder / path.relative_to(self.root)
+            copy.mkdir() if content is None else copy.write_bytes(content)
+        self.snapshots.append(folder)
 
 
 _recording = []
@@ -97,5 +110,5 @@ def recorded(root, kept):
     finally:
         _recording.pop()
         recorder.busy.now = True
-        recorder.copy()
+        recorder.keep(recorder.state())
         recorder.busy.now = False

@@ -69,8 +69,10 @@ def test_cells_are_those_of_the_percent_format(path):
     ids=lambda path: path.stem,
 )
 def test_runs_as_a_notebook(path, tmp_path):
-    jupytext, nbclient = pytest.importorskip("jupytext"), pytest.importorskip("nbclient")
-    nbformat, _ = pytest.importorskip("nbformat"), pytest.importorskip("ipykernel")
+    jupytext, nbclient, nbformat, _ = (
+        pytest.importorskip(name, reason=f"needs {name}: pip install 'jaxilc[notebooks]'")
+        for name in ("jupytext", "nbclient", "nbformat", "ipykernel")
+    )
     folders = {
         name: tmp_path / name for name in ("TMPDIR", "IPYTHONDIR", "JUPYTER_RUNTIME_DIR", "here")
     }

@@ -18,7 +18,7 @@ try:
     ADJOINT = {threads: compiled_peers.c_adjoint(threads) for threads in (1, 2)}
     FORWARD = compiled_peers.c_program(1)
 except OSError as error:
-    pytest.skip(f"no program in C: {error}", allow_module_level=True)
+    pytest.skip(f"needs a C compiler named cc: {error}", allow_module_level=True)
 
 TRIALS = {"cfdl": 7, "ffdl": 3}  # in blocks of three trials and of two, with a rest
 # phi0 of a wrong size with small lam and mu, with which the estimate changes its sign

@@ -669,7 +669,7 @@ def test_a_shell_completes_scenarios_schemes_and_choices(tmp_path):
 
 @pytest.mark.parametrize(("environment", "coloured"), [({}, True), ({"NO_COLOR": "1"}, False)])
 def test_colours_are_for_a_terminal_that_wants_them(environment, coloured):
-    pty = pytest.importorskip("pty")
+    pty = pytest.importorskip("pty", reason="Windows has no pseudo-terminals")
     ours, theirs = pty.openpty()
     program = "import sys; from jaxilc.cli import main; sys.argv = ['jaxilc', '--help']; main()"
     subprocess.run(

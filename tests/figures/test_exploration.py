@@ -66,7 +66,6 @@ def test_moving_a_weight_compiles_nothing(explored):
 
 def test_of_a_slider_that_moves_on_the_last_value_is_answered(explored, tmp_path, monkeypatch):
     """While the first value is computed the slider passes three others: only the last counts."""
-    pytest.importorskip("bokeh")
     from bokeh.document import Document
 
     from jaxilc.figures.explorer import Explorer
@@ -109,7 +108,6 @@ def test_what_was_found_can_be_shared(explored, tmp_path):
 
 def test_the_page_is_served_on_this_computer_and_loads_nothing_else(explored, tmp_path):
     """The page, asked for over HTTP, names no other site; another address is not listened on."""
-    pytest.importorskip("bokeh")
     from bokeh.application import Application
     from bokeh.application.handlers.function import FunctionHandler
     from bokeh.server.server import Server

@@ -4,7 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
-from browser import CHROMIUM, opened
+from browser import needs_chromium, opened
 
 from jaxilc.figures import live_published, live_searches
 from jaxilc.figures.report import html_report, write_report
@@ -83,7 +83,7 @@ def test_text_can_be_read_on_its_ground():
         assert (luminance(readable(colour, "#14171c")) + 0.05) / dark >= 4.5
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="no chromium here")
+@needs_chromium
 def test_a_reader_chooses_a_paper(tmp_path):
     """The menu is moved in a browser; the rows of the other paper are then shown."""
     rows = [published("a", 1.1), published("b", 0.5), published("b", 40.0, verdict="open")]

@@ -16,7 +16,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 import xarray as xr
-from browser import CHROMIUM, opened, photographed
+from browser import needs_chromium, opened, photographed
 from matplotlib.figure import Figure
 from rich.table import Table
 
@@ -304,7 +304,6 @@ def lively(tmp_path):
 
 def test_a_live_page_is_whole_and_small(tmp_path):
     """Every script is within the page; it is well formed, small, and shows no JSON as text."""
-    pytest.importorskip("bokeh")
     text = lively(tmp_path)[0].read_text(encoding="utf-8")
     assert len(text) < 5_000_000
     page = Page(text)
@@ -319,10 +318,9 @@ def test_a_live_page_is_whole_and_small(tmp_path):
     assert "{" not in "".join(t for s in tree.findall("body/section") for t in s.itertext())
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="no chromium here")
+@needs_chromium
 def test_a_reader_moves_the_slider_and_chooses_a_parameter(tmp_path):
     """The widgets are moved in a browser; the figures then show the numbers that were put in."""
-    pytest.importorskip("bokeh")
     page, run, last, other = lively(tmp_path)
     said = opened(
         page,
@@ -355,7 +353,7 @@ def test_a_reader_moves_the_slider_and_chooses_a_parameter(tmp_path):
     assert said["canvases"] >= 7
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="no chromium here")
+@needs_chromium
 def test_a_browser_shows_every_figure_and_asks_nobody(tmp_path, server):
     """A browser shows every figure, and requests nothing from the network.
 

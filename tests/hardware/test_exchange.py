@@ -139,7 +139,9 @@ def test_written_files_keep_every_digit(tmp_path):
     )
 
 
-@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+@pytest.mark.skipif(
+    shutil.which("cc") is None, reason="needs a C compiler named cc: install gcc or clang"
+)
 @pytest.mark.parametrize("number", ["double", "float"])
 def test_a_compiler_reads_the_c_header_as_it_was_meant(tmp_path, number):
     given = two_schedules()

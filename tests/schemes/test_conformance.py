@@ -95,9 +95,8 @@ def test_leaves_are_strongly_typed_floats(run):
             assert not jax.typeof(leaf).weak_type or name == "dt", name
 
 
-def test_jit_equals_no_jit(run, request):
-    if request.node.callspec.params["run"] not in WITHOUT_JIT:
-        pytest.skip("every third case is enough, see WITHOUT_JIT")
+@pytest.mark.parametrize("run", WITHOUT_JIT, indirect=True, scope="module")
+def test_jit_equals_no_jit(run):
     # Sampling is a matrix exponential of hundreds of operations, which test_plants.py tests.
     parts = run.parts | {"machine": sampled(run.parts["machine"], run.task.dt)}
     with jax.disable_jit():

@@ -98,7 +98,10 @@ def test_positions_lie_on_the_curve_and_the_profile_belongs_to_them():
         np.gradient(planned.speed, dt)[1:-1], planned.acceleration[1:-1], atol=LIMITS["jerk"] * dt
     )
     assert np.max(np.abs(planned.jerk)) <= 1.001 * LIMITS["jerk"]
-    assert_allclose(planned.speed[[0, -1]], 0, atol=1e-12)
+    # The speed is the slope of a cubic spline over 2000 steps. At its ends this is three times the
+    # difference of two coefficients over a step, each rounded to a few parts of the position.
+    rounding = 3 * 4 * np.finfo(float).eps * planned.arc[-1] / (planned.duration / 2000)
+    assert_allclose(planned.speed[[0, -1]], 0, atol=rounding)
     assert planned.duration == planned.time[-1] == (len(planned.reference) - 1) * dt
 
 

@@ -4,6 +4,7 @@ The process is killed between any two operations on the folder.
 """
 
 import dataclasses
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -33,6 +34,27 @@ def without_waiting(monkeypatch):
     Only a power failure loses written data; killing the process does not.
     """
     monkeypatch.setattr(files.os, "fsync", lambda _: None)
+
+
+def test_a_state_is_of_one_moment(tmp_path, monkeypatch):
+    """Another thread renames a file before it is recorded, and another one after that."""
+    out, read = tmp_path / "out", Path.read_bytes
+    partial = ["1.partial", "3.partial"]
+
+    def renamed_meanwhile(path):
+        if path.name == "2" and partial:
+            old = out / partial.pop()
+            old.rename(old.with_suffix(""))
+        return read(path)
+
+    with recorded(out, tmp_path) as states:
+        for name in (*partial, "2"):
+            (out / name).write_text(name)
+        monkeypatch.setattr(Path, "read_bytes", renamed_meanwhile)
+        (out / "next").mkdir()
+    found = [{path.name: path.read_text() for path in state.glob("[123]*")} for state in states]
+    assert {"1": "1.partial", "2": "2", "3": "3.partial"} in found
+    assert all({"1", "2", "3"} == state.keys() for state in found if {"1", "3"} & state.keys())
 
 
 def test_a_store_is_filled_from_every_state_of_its_folder(tmp_path, without_waiting):

@@ -30,7 +30,7 @@ from jaxilc.schemes import PID
 from jaxilc.sweeps import cluster, host, worker
 from jaxilc.sweeps.store import Store
 
-distributed = pytest.importorskip("distributed")
+distributed = pytest.importorskip("distributed", reason="needs Dask: pip install 'jaxilc[cluster]'")
 
 # Coefficients at the sample time are compiled faster than poles, which each process samples first.
 COIL = {

@@ -32,7 +32,7 @@ def response(scheme, f):
 
 
 def test_the_margin_is_kept_on_every_line_by_every_plant():
-    pytest.importorskip("cvxpy")
+    pytest.importorskip("cvxpy", reason="needs CVXPY: pip install 'jaxilc[synthesis]'")
     family = lines(0.05)
     found = synthesised([family], band=40.0, margin=0.2, taps=21, lead=3)
     Q, M = response(found.scheme, F)
@@ -45,13 +45,13 @@ def test_the_margin_is_kept_on_every_line_by_every_plant():
 
 
 def test_a_narrower_margin_loses_less_of_the_band():
-    pytest.importorskip("cvxpy")
+    pytest.importorskip("cvxpy", reason="needs CVXPY: pip install 'jaxilc[synthesis]'")
     losses = [synthesised([lines()], band=80.0, margin=m, taps=15).loss for m in (0.7, 0.4)]
     assert losses[1] < losses[0]
 
 
 def test_beyond_the_last_line_the_plant_may_be_any_that_is_no_larger():
-    pytest.importorskip("cvxpy")
+    pytest.importorskip("cvxpy", reason="needs CVXPY: pip install 'jaxilc[synthesis]'")
     short = lines(f=F[F < 200])
     found = synthesised([short], band=40.0, taps=15, lead=3)
     f = np.linspace(F[F < 200][-1], 500.0, 301)
