@@ -11,6 +11,7 @@ from jaxilc.plants import Plant
 from jaxilc.scenarios.specification import HIDDEN, classes
 from jaxilc.schemes import Scheme
 
+NEEDED = 'In the tables below, "needed" is a field without a default.'
 KINDS = {"Plants": Plant, "Schemes": Scheme, "Filters": Filter}
 
 
@@ -21,7 +22,7 @@ def extend(page: Path) -> None:
         chosen = [name for name, cls in left.items() if issubclass(cls, base)]
         parts += [f"## {title}\n", *(_of_class(name, left.pop(name)) for name in chosen)]
     with page.open("a", encoding="utf-8") as file:
-        file.write("\n" + "\n".join(parts))
+        file.write(f"\n{NEEDED}\n\n" + "\n".join(parts))
 
 
 def _of_class(name: str, cls: type) -> str:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..learning.divergence import GROWTH
+from ..scenarios.reproduction import met
 from ..sweeps.summary import summarise
 from ..theory.certificates import CLAIMS, CONVERGES, COURSES, MONOTONE
 
@@ -154,9 +155,13 @@ def _grown(chosen: xr.Dataset) -> dict[str, Any]:
 
 
 def _beside(p: Published, scenario: Scenario, shown: dict[str, xr.DataArray]) -> dict[str, Any]:
-    """A published number and ours, which is None for a trial that was not run."""
+    """A published number and ours, which is None for a trial that was not run.
+
+    `met` is whether they are near, as `reproduce` judges it.
+    """
     trial = p.trial or 1
     ours = float(shown[p.quantity].sel(trial=trial)) if trial <= scenario.trials else None
+    near = None if ours is None else met(p, ours)
     return {
         "trial": p.trial,
         "quantity": p.quantity,
@@ -164,6 +169,7 @@ def _beside(p: Published, scenario: Scenario, shown: dict[str, xr.DataArray]) ->
         "unit": scenario.shown(p.quantity)[1],
         "source": p.source,
         "ours": ours,
+        "met": near,
     }
 
 

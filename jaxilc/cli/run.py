@@ -99,7 +99,7 @@ def run(
     from .progress import working
 
     with working("run") as told:
-        from .asked import begin, chosen_scenario
+        from .asked import begin, chosen_scenario, settings_of
 
         begin(precision)
         import jax
@@ -127,7 +127,8 @@ def run(
     from .verdicts.simulation import run_verdict
 
     found = numbers.run_numbers(chosen, dataset)
-    shown, lines = _shown(chosen, found, changed=bool(set_ or params))
+    changed = bool(params) or not settings_of(set_).keys() <= chosen.options.keys()
+    shown, lines = _shown(chosen, found, changed=changed)
     show(shown, lines)
     for note in chosen.chosen:
         out.print(f"chosen: {note}", style="dim", highlight=False)
@@ -190,7 +191,7 @@ def _shown(
 ) -> tuple[list[Table], list[str]]:
     """The tables of a run, and the lines below them.
 
-    changed: whether --set or --params changed the scenario
+    changed: whether --set or --params changed a value of the machine or of a scheme
     """
     from . import tables
 
@@ -199,8 +200,10 @@ def _shown(
     shown += [] if by_axis is None else [by_axis]
     lines = [*tables.course_lines(found), *tables.experiment_lines(chosen)]
     lines += tables.other_rows(chosen, found)
-    if chosen.published and changed:
+    if chosen.due and changed:
         lines.append(
             "published values hold for the scenario as it stands; --set or --params changed it here"
         )
+    else:
+        lines += tables.reading_lines(chosen, found)
     return shown, lines

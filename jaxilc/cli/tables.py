@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..learning.divergence import CEILING, GROWTH
+from ..scenarios.loading import with_reading
 from ..schemes.experiments import trials_of_step
 from .numbers import ERRORS, shown_trials
 from .titled_table import Table
@@ -70,6 +71,27 @@ def other_rows(scenario: Scenario, numbers: dict[str, Any]) -> list[str]:
                 ours = f"{p['quantity'].replace('_', ' ')}{at} {number(p['ours'])} {p['unit']}"
                 lines.append(f"{name}: {ours} (published {p['value']:g})")
     return lines
+
+
+def reading_lines(scenario: Scenario, numbers: dict[str, Any]) -> list[str]:
+    """A sentence where ours and published numbers part: what is simulated, what `reproduce` judges.
+
+    A paper can be read in several ways, and `run` takes another one than `reproduce` by default.
+    """
+    beside = [p for rows in numbers["schemes"].values() for p in rows["published"]]
+    near = [p["met"] for p in beside if p["met"] is not None]
+    if all(near):
+        return []
+    judged = {name: value for p in scenario.due for name, value in p.options}
+    judged |= with_reading(scenario.name, None)
+    other = [name for name, value in judged.items() if scenario.options.get(name) != value]
+    here = ", ".join(f"{name}={scenario.options[name]}" for name in other)
+    there = " ".join(f"--set {name}={judged[name]}" for name in other)
+    said = [f"{near.count(True)} of {len(near)} published numbers are met within 30 %"]
+    if other:
+        said[0] += f": simulated is {here}"
+        said.append(f"The paper is judged with {there}")
+    return [". ".join([*said, f"jaxilc reproduce {scenario.name} says how each number was read."])]
 
 
 def last_trial_table(numbers: dict[str, Any]) -> Table:

@@ -183,7 +183,7 @@ def _verdict(i: int, published: tuple[Published, ...], ours: list[float]) -> tup
     ratio, of = _judged_ratio(here, x[i])
     if here.agreement is not None:
         return _agreement(ratio, here.agreement)
-    if x[i] <= here.value if here.at_most else abs(ratio - 1.0) <= MET:
+    if met(here, x[i]):
         return "met", ""
     if not np.isfinite(ratio):
         return "open", "ours is not finite"
@@ -211,6 +211,12 @@ def _verdict(i: int, published: tuple[Published, ...], ours: list[float]) -> tup
     if not 1 / SHAPE <= ratio <= SHAPE:
         return "open", f"in the printed order, but {size}, beyond a factor of {SHAPE:g}"
     return "shape", ""
+
+
+def met(here: Published, ours: float) -> bool:
+    """Whether our number is near the printed one: within 30 %, or within its `agreement`."""
+    within = MET if here.agreement is None else here.agreement
+    return ours <= here.value if here.at_most else abs(_judged_ratio(here, ours)[0] - 1) <= within
 
 
 def _judged_ratio(here: Published, ours: float) -> tuple[float, str]:

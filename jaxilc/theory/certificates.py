@@ -40,7 +40,7 @@ from ..runtime.capacity import check_size
 from ..schemes import Scheme
 from ..schemes.experiments import trials_of_step
 from ..signals.task import Task
-from ..uncertainty import Uncertainty, drawn_machines
+from ..uncertainty import Uncertainty, draw, drawn_machines
 from .affine import limit_names, view_of
 from .as_map import Maps
 from .as_matrix import Matrices
@@ -55,6 +55,7 @@ RISE = 1e-9  # a relative rise of the error that rounding explains
 ROUNDING = 1e3  # in units of the last place
 AS_TOLD = 1e-6  # share of the largest error by which simulation may differ from theory
 EXACT = 1e-9  # share of the first error that counts as none left
+DRAWN = 64  # machines, where none were drawn before
 COPIES = 64  # bytes for each trial of each machine: three curves, with what lies between
 
 
@@ -149,13 +150,20 @@ def certify(
     scheme: Scheme,
     task: Task,
     trials: int,
-    uncertainty: Uncertainty,
-    drawn: Mapping[str, Any],
+    uncertainty: Uncertainty | None = None,
+    drawn: Mapping[str, Any] | None = None,
     *,
     steps: int = 300,
 ) -> Certificate:
-    """The certificate of each machine drawn (`uncertainty.draw`); see `certify_each`."""
+    """The certificate of each machine drawn, of which the first is nominal; see `certify_each`.
+
+    uncertainty: distributions by path; without them there is the nominal machine only
+    drawn: numbers of `uncertainty.draw`; without them 64 machines are drawn
+    """
     check(machine, scheme, task)
+    uncertainty = uncertainty or {}
+    if drawn is None:
+        drawn = draw(machine, uncertainty, DRAWN)
     return certify_each(
         drawn_machines(machine, uncertainty, drawn), scheme, task, trials, steps=steps
     )

@@ -93,7 +93,7 @@ def test_run_prints_ours_beside_the_published_and_writes_everything(jaxilc_comma
         "run",
         "cao-2019",
         "--trials",
-        20,
+        40,
         "--scheme",
         "cfdl-mfailc",
         "--out",
@@ -103,6 +103,11 @@ def test_run_prints_ours_beside_the_published_and_writes_everything(jaxilc_comma
     )
     assert code == 0
     assert "16.2 (18)" in out
+    assert (
+        "2 of 4 published numbers are met within 30 %: simulated is plant=exact, "
+        "reading=amplitude. The paper is judged with --set plant=printed --set reading=stroke. "
+        "jaxilc reproduce cao-2019 says how each number was read."
+    ) in " ".join(out.split())
     numbers = json.loads((tmp_path / "here/run.json").read_text())
     of_scheme = numbers["schemes"]["cfdl-mfailc"]
     dataset = xr.open_zarr(tmp_path / "here/dataset.zarr", consolidated=False, chunks=None)
@@ -112,7 +117,7 @@ def test_run_prints_ours_beside_the_published_and_writes_everything(jaxilc_comma
     )
     by_hand = np.abs(dataset["e"].sel(scheme="cfdl-mfailc", trial=20).values[1000:]).max()
     np.testing.assert_allclose(of_scheme["settled_error"]["20"], 1e3 * by_hand)
-    assert [p["ours"] is None for p in of_scheme["published"] if p["trial"] == 30] == [True]
+    assert [p["ours"] is None for p in of_scheme["published"] if p["trial"] == 50] == [True]
     for name in ("error-by-trial.png", "tracking-cfdl-mfailc.png"):
         assert (tmp_path / "here" / name).stat().st_size > 10_000
 
@@ -539,7 +544,7 @@ def test_the_example_of_a_command_is_one_of_it(command, words):
 
 
 @pytest.mark.slow
-def test_examples_that_are_quick_run(jaxilc_command, tmp_path):
+def test_the_examples_of_identify_run(jaxilc_command):
     lag = jaxilc.plants.ProcessModel(
         gain=2.0, zeros=(-300.0,), poles=(60.0,), frequencies=(30.0,), dampings=(0.4,)
     )
@@ -547,12 +552,8 @@ def test_examples_that_are_quick_run(jaxilc_command, tmp_path):
     jaxilc.write_record(
         "record.csv", jaxilc.excite(machine, jaxilc.references.m_sequence(8, hold=8), 1e-3)
     )
-    ran = []
-    for command, words in (p.values for p in examples()):
-        if command.name in ("list", "identify", "run"):
-            assert jaxilc_command(*words)[0] == 0
-            ran.append(command.name)
-    assert ran == ["list", "run", "identify"]
+    ran = [jaxilc_command(*p.values[1])[0] for p in examples() if p.id == "identify"]
+    assert ran == [0]
 
 
 @pytest.mark.parametrize("name", ["", *get_command(app).commands])

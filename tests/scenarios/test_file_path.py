@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -173,12 +172,3 @@ def test_what_is_no_path_is_refused_by_its_key(said, tmp_path):
     reference = {key: value for key, value in REFUSED[said].items() if value is not None}
     with pytest.raises(ValueError, match=said):
         read_scenario(write(tmp_path, reference))
-
-
-def test_the_example_of_the_guide_is_a_scenario(tmp_path):
-    page = (Path(__file__).parents[2] / ".ci/docs/guide/paths.md").read_text()
-    for name, language in (("axis.toml", "toml"), ("part.ngc", "gcode")):
-        (tmp_path / name).write_text(page.split(f"```{language}\n")[1].split("```")[0])
-    made = read_scenario(tmp_path / "axis.toml")
-    assert made.tolerance == 0.02
-    assert "0 stops on the way, 2 corners rounded within 0.02 mm" in made.chosen[0]
