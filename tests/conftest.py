@@ -9,7 +9,7 @@ ISA = limited()  # before NumPy is loaded
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # its threads would wait for one another
 os.environ.setdefault("JAXILC_CACHE", "off")  # it would write to the user's folder
 
-from jaxilc.runtime.xla_options import known
+from jaxilc.runtime.xla_options import known  # noqa: E402
 
 # Most of the time of these tests is compilation. Without LLVM's optimiser it takes half as long.
 # `XLA_FLAGS= pytest` tests the programs as users get them.
