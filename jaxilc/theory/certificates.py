@@ -41,7 +41,7 @@ from ..schemes import Scheme
 from ..schemes.experiments import trials_of_step
 from ..signals.task import Task
 from ..uncertainty import Uncertainty, drawn_machines
-from .affine import limit_names, view_of
+from .affine import changes_nothing, limit_names, view_of
 from .as_map import Maps
 from .as_matrix import Matrices
 from .forecast import follow, growth_of, peaks, predict, simulate
@@ -228,10 +228,12 @@ def _certified(
 
 def _long_run(machines: Machine, scheme: Scheme, task: Task, steps: int) -> LongRun:
     machine = jax.tree.map(lambda leaf: leaf[0], machines)
-    broken = [p for p in learning_premises(machine, scheme, task) if not p.held]
+    broken = [p.detail for p in learning_premises(machine, scheme, task) if not p.held]
+    if not broken and changes_nothing(scheme, task):
+        broken = ["the law changes nothing of what is played, so every trial is like the first"]
     if broken:
         size = len(jax.tree.leaves(machines)[0])
-        reason = np.full(size, broken[0].detail, object)
+        reason = np.full(size, broken[0], object)
         return LongRun(
             np.full(size, NOTHING), reason, np.zeros(size, bool), np.full(size, np.inf), None
         )
