@@ -5,9 +5,12 @@ from __future__ import annotations
 import gc
 import sys
 import traceback
-from typing import Annotated
+from contextlib import suppress
+from typing import Annotated, Any
 
 import typer
+import typer.core
+from rich.markup import escape
 
 from . import (
     bench,
@@ -87,6 +90,16 @@ def options(
     speak(quiet=quiet, verbose=verbose)
 
 
+class Command(typer.core.TyperCommand):
+    """A command whose help is shown as it is written: Rich would take `[s]` for one of its tags."""
+
+    def __init__(self, *args: Any, **kwargs: Any):
+        super().__init__(*args, **kwargs)
+        shown: list[Any] = [self, *self.params]
+        for one in shown:
+            one.help = escape(one.help or "")
+
+
 # in the order of `--help`
 COMMANDS = (
     init,
@@ -107,6 +120,8 @@ COMMANDS = (
 )
 for room in COMMANDS:
     room.register(app)
+for registered in app.registered_commands:
+    registered.cls = Command
 
 
 def main() -> None:
@@ -119,9 +134,10 @@ def main() -> None:
     try:
         app()
     except (ValueError, OSError) as error:
-        if tracebacks():
-            err.print(traceback.format_exc(), highlight=False, markup=False, soft_wrap=True)
-        err.print(f"error: {_said(error)}", highlight=False, markup=False, soft_wrap=True)
+        said = f"error: {_said(error)}"
+        with suppress(OSError):  # a full disk takes no message either
+            for text in (traceback.format_exc(), said) if tracebacks() else (said,):
+                err.print(text, highlight=False, markup=False, soft_wrap=True)
         sys.exit(3 if isinstance(error, Refused) else 2)
     finally:
         ended()

@@ -160,7 +160,7 @@ Bounds = Annotated[
     list[str] | None,
     typer.Option(metavar="A=LOW:HIGH", help="Narrower than a leaf allows; repeatable."),
 ]
-TERMS = rf"Sum of WEIGHT*NAME[:NUMBER]\[@METRIC], NAME of {OBJECTIVES}."
+TERMS = f"Sum of WEIGHT*NAME[:NUMBER][@METRIC], NAME of {OBJECTIVES}."
 OverMachines = Annotated[str, typer.Option("--risk", help=f"Over the machines: {RISKS}.")]
 TunedOn = Annotated[
     int,
