@@ -18,6 +18,7 @@ import numpy as np
 from ..learning.machine import Actuator
 from ..learning.over_trials import check_length, measured_trial
 from ..learning.playback import replay, schedules
+from ..pytree.in_short import in_short
 from ..runtime.provenance import describe, differences, environment
 from ..schemes import Scheme
 from ..signals.task import Task, Trial
@@ -49,6 +50,7 @@ class Campaign:
     actuator: Actuator | None = None
     rules: Rules = dataclasses.field(default_factory=Rules)
     recipe: dict[str, Any] = dataclasses.field(default_factory=dict)
+    __repr__ = in_short
 
     @classmethod
     def start(

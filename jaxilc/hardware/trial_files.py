@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..learning.playback import unit_of
+from ..pytree.in_short import in_short
 from ..signals.task import Task
 from ..storage.columns import name_and_unit, numbers_in, read_columns
 from ..storage.mat_files import ROOM, Other, read_mat
@@ -43,6 +44,7 @@ class Measured(NamedTuple):
     ignored: tuple[str, ...]
     source: str
     samples: int | None = None
+    __repr__ = in_short
 
 
 class _File(NamedTuple):

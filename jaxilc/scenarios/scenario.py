@@ -14,6 +14,7 @@ from ..learning.machine import Machine
 from ..learning.metrics import Metrics
 from ..learning.over_trials import check
 from ..pytree.closest import known_names, not_one_of
+from ..pytree.in_short import in_short
 from ..pytree.named_paths import allowed_at, get_at, kind_at, replaced, settable
 from ..pytree.ranges import brief, named
 from ..schemes import Scheme
@@ -77,6 +78,7 @@ class Scenario:
     options: Mapping[str, object] = dataclasses.field(default_factory=dict)
     quantities: Mapping[str, Quantity] = dataclasses.field(default_factory=dict)
     judged_by: str = "settled_error"
+    __repr__ = in_short
 
     def __post_init__(self):
         _need_name("name", self.name, _FREE_NAME, "letters, digits, spaces and _ . + - ( )")

@@ -18,6 +18,7 @@ from ..learning.machine import Machine
 from ..learning.metrics import Keep
 from ..learning.over_trials import check
 from ..learning.within_trial import bytes_of_trial
+from ..pytree.in_short import in_short
 from ..pytree.ranges import SEEDS, brief, require
 from ..runtime import capacity, provenance
 from ..runtime.earlier_names import takes_also
@@ -81,6 +82,7 @@ class Sweep:
     chunk: int = OPEN
     lanes: int = OPEN
     quantities: Mapping[str, Callable[[Trial], jax.Array]] = dataclasses.field(default_factory=dict)
+    __repr__ = in_short
 
     def __post_init__(self):
         for name in ("lanes", "trials", "machines", "chunk"):

@@ -36,6 +36,7 @@ import numpy as np
 from ..learning.divergence import GROWTH
 from ..learning.machine import Machine
 from ..learning.over_trials import check
+from ..pytree.in_short import in_short
 from ..runtime.capacity import check_size
 from ..schemes import Scheme
 from ..schemes.experiments import trials_of_step
@@ -101,6 +102,7 @@ class Certificate(NamedTuple):
     peak_trial: np.ndarray
     distance: np.ndarray | None
     outlook: Outlook | None
+    __repr__ = in_short
 
     def confusion(self) -> dict[str, dict[str, int]]:
         """{expected: {observed: machines}}"""
