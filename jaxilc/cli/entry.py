@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import re
 import sys
 import traceback
 from contextlib import suppress
@@ -32,6 +33,8 @@ from . import (
 from .console import ended, err, speak, tracebacks
 from .hardware import Refused
 
+LONGEST = 2000  # characters of the message of an error
+LONG_WORD = re.compile(r"(\S{60})\S{200,}(\S{40})")  # such as a value that was given by mistake
 EXIT_CODES = (
     "Exit codes:",
     "0    done",
@@ -144,10 +147,13 @@ def main() -> None:
 
 
 def _said(error: ValueError | OSError) -> str:
-    """The message of an error in one line; for an OSError the file, then what is wrong."""
+    """The message of an error in a short line; for an OSError the file, then what is wrong."""
+    said = " ".join(str(error).split("\n"))
     if isinstance(error, OSError) and error.strerror:
-        return f"{error.filename2 or error.filename or 'input or output'}: {error.strerror.lower()}"
-    return " ".join(str(error).split("\n"))
+        place = error.filename2 or error.filename or "input or output"
+        said = f"{place}: {error.strerror.lower()}"
+    said = LONG_WORD.sub(r"\1...\2", said)
+    return said if len(said) <= LONGEST else f"{said[: LONGEST - 4]} ..."
 
 
 if __name__ == "__main__":

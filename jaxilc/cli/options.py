@@ -215,6 +215,13 @@ StateFolder = Annotated[
     ),
 ]
 
+# Columns of a file that was measured
+# --------------------------------------------------------------------------------------------------
+
+TimeColumn = Annotated[str, typer.Option("--time", help="Column of the time.")]
+InputColumn = Annotated[str, typer.Option("--input", help="Column of the input.")]
+OutputColumn = Annotated[str, typer.Option("--output", help="Column of the output.")]
+
 # Files that are written
 # --------------------------------------------------------------------------------------------------
 

@@ -28,6 +28,7 @@ from ..runtime.tiles import OPEN
 from ..schemes import Scheme
 from ..signals.task import Task, Trial
 from ..uncertainty import Uncertainty, draw, drawn_count, drawn_machine
+from ..uncertainty import check as check_uncertainty
 from .host import Host
 from .layout import Layout
 from .plan import Plan, that_fits
@@ -105,6 +106,7 @@ class Sweep:
         Keep.of(self.quantities)
         for scheme in self.schemes.values():
             check(self.machine, scheme, self.task)
+        check_uncertainty(self.machine, self.uncertainty)
         self.need_room()
         if self.drawn:  # the number of corners, whatever was asked for
             object.__setattr__(self, "machines", len(next(iter(self.drawn.values()))))

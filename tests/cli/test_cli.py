@@ -442,7 +442,8 @@ def test_identify_reads_a_record_and_names_what_is_wrong_with_it(
     assert "found.toml exists already; add --force to replace it" in err
     code, _, err = jaxilc_command("identify", "record.csv", "--input", "voltage")
     assert code == 2
-    assert "no column 'voltage'; present are t [s], u, y" in err
+    said = "no column 'voltage'; present are t [s], u, y; --input (input) names another"
+    assert said in " ".join(err.split())
 
 
 def test_identify_reads_a_frequency_response(jaxilc_command, tmp_path, monkeypatch):
