@@ -21,6 +21,7 @@ import numpy as np
 
 from jaxilc.schemes import PID
 
+LONGEST = 2000  # characters of an error
 DEEP = []
 for _ in range(2000):
     DEEP = [DEEP]
@@ -98,8 +99,8 @@ def fuzz(few, attempt, allowed=ValueError):
             attempt(np.random.default_rng(seed))
             accepted += 1
         except allowed as error:
-            if not str(error).strip():
-                found.append(f"seed {seed}: an error without a word")
+            if not 0 < len(str(error).strip()) <= LONGEST:
+                found.append(f"seed {seed}: {len(str(error))} characters, {str(error)[:99]}")
         except Exception:
             found.append(f"seed {seed}: {traceback.format_exc(limit=-3)}")
         if len(found) >= 20:

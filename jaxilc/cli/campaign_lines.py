@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -152,19 +152,25 @@ def _share(error: float, begun: float) -> str:
     return f"{error / begun:.3g} times" if error > begun else f"{error / begun:.2%}"
 
 
-def next_command(state: Path, trial: int, measured: Path | None, out_file: Path | None) -> str:
+def next_command(
+    state: Path,
+    trial: int,
+    measured: Path | None,
+    out_file: Path | None,
+    columns: Mapping[str, str] | None = None,
+) -> str:
     """What to do next: play, record, and the command that takes the record.
 
     trial: number of the next trial
     measured, out_file: files of this call; the names of the next ones follow them
+    columns: options that name columns of the record, with their values
     """
     played = out_file or Path("next.csv")
     record = Path(f"trial-{trial}.csv") if measured is None else _with_number(measured, trial)
     after = _numbered_on(played, trial)
-    command = (
-        f"jaxilc next --state {shlex.quote(str(state))} --measured {shlex.quote(str(record))} "
-        f"--out {shlex.quote(str(after))}"
-    )
+    words = ["jaxilc", "next", "--state", state, "--measured", record]
+    words += [word for option in (columns or {}).items() for word in option]
+    command = shlex.join(map(str, [*words, "--out", after]))
     return f"play {played}, record it, then: {command}"
 
 

@@ -17,6 +17,9 @@ Measured = Annotated[
         "--measured", metavar="TRIAL", help="Measured trial, .csv or .mat; none starts a campaign."
     ),
 ]
+ReferenceColumn = Annotated[
+    str, typer.Option("--reference", help="Column of the reference, which need not be there.")
+]
 Next = Annotated[
     Path | None,
     typer.Option(

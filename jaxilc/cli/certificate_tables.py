@@ -76,7 +76,7 @@ def _expected(numbers: dict[str, Any]) -> str:
     expected, observed, turning = numbers["expected"], numbers["observed"], numbers["turning"]
     bad = {c: (expected[c], observed[c]) for c in (TURNS, GROWS) if expected[c] or observed[c]}
     if not bad:
-        return "the error of every machine ends lower than it began, by theory and by simulation"
+        return "the error of every machine ends no higher than it began, by theory and simulation"
     courses = ", ".join(
         f"{e} machines {COURSE_WORDS[c]} by theory and {o} by simulation"
         for c, (e, o) in bad.items()

@@ -22,6 +22,13 @@ WORTH_A_LINE = 0.05  # seconds of compiling or loading a program from which on i
 COMPILED = "/jax/core/compile/backend_compile_duration"
 FOUND = "/jax/compilation_cache/cache_hits"
 
+# A stream that the shell closed (`>&-`) takes what is printed, as /dev/null does; no file that is
+# opened later stands in its place.
+for name in ("stdin", "stdout", "stderr"):
+    if getattr(sys, name) is None:
+        mode = "r" if name == "stdin" else "w"
+        setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), mode))
+
 out = Console(width=None if sys.stdout.isatty() else PIPED_WIDTH)
 err = Console(stderr=True)
 log = logging.getLogger("jaxilc")

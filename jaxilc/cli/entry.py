@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import gc
+import re
 import sys
 import traceback
-from typing import Annotated
+from contextlib import suppress
+from typing import Annotated, Any
 
 import typer
+import typer.core
+from rich.markup import escape
 
 from . import (
     bench,
@@ -29,6 +33,8 @@ from . import (
 from .console import ended, err, speak, tracebacks
 from .hardware import Refused
 
+LONGEST = 2000  # characters of the message of an error
+LONG_WORD = re.compile(r"(\S{60})\S{200,}(\S{40})")  # such as a value that was given by mistake
 EXIT_CODES = (
     "Exit codes:",
     "0    done",
@@ -87,6 +93,16 @@ def options(
     speak(quiet=quiet, verbose=verbose)
 
 
+class Command(typer.core.TyperCommand):
+    """A command whose help is shown as it is written: Rich would take `[s]` for one of its tags."""
+
+    def __init__(self, *args: Any, **kwargs: Any):
+        super().__init__(*args, **kwargs)
+        shown: list[Any] = [self, *self.params]
+        for one in shown:
+            one.help = escape(one.help or "")
+
+
 # in the order of `--help`
 COMMANDS = (
     init,
@@ -107,6 +123,8 @@ COMMANDS = (
 )
 for room in COMMANDS:
     room.register(app)
+for registered in app.registered_commands:
+    registered.cls = Command
 
 
 def main() -> None:
@@ -119,19 +137,23 @@ def main() -> None:
     try:
         app()
     except (ValueError, OSError) as error:
-        if tracebacks():
-            err.print(traceback.format_exc(), highlight=False, markup=False, soft_wrap=True)
-        err.print(f"error: {_said(error)}", highlight=False, markup=False, soft_wrap=True)
+        said = f"error: {_said(error)}"
+        with suppress(OSError):  # a full disk takes no message either
+            for text in (traceback.format_exc(), said) if tracebacks() else (said,):
+                err.print(text, highlight=False, markup=False, soft_wrap=True)
         sys.exit(3 if isinstance(error, Refused) else 2)
     finally:
         ended()
 
 
 def _said(error: ValueError | OSError) -> str:
-    """The message of an error in one line; for an OSError the file, then what is wrong."""
+    """The message of an error in a short line; for an OSError the file, then what is wrong."""
+    said = " ".join(str(error).split("\n"))
     if isinstance(error, OSError) and error.strerror:
-        return f"{error.filename2 or error.filename or 'input or output'}: {error.strerror.lower()}"
-    return " ".join(str(error).split("\n"))
+        place = error.filename2 or error.filename or "input or output"
+        said = f"{place}: {error.strerror.lower()}"
+    said = LONG_WORD.sub(r"\1...\2", said)
+    return said if len(said) <= LONGEST else f"{said[: LONGEST - 4]} ..."
 
 
 if __name__ == "__main__":

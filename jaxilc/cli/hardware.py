@@ -24,6 +24,7 @@ from .campaign_options import (
     PlantFile,
     Plot,
     Predict,
+    ReferenceColumn,
     Repeatability,
     ReplayedInput,
     ScenarioName,
@@ -34,7 +35,7 @@ from .campaign_options import (
     Undo,
 )
 from .console import err, out
-from .options import MACHINE, FigureFormat, Json, Set
+from .options import MACHINE, FigureFormat, InputColumn, Json, OutputColumn, Set, TimeColumn
 
 if TYPE_CHECKING:
     from ..hardware.prediction import Prediction
@@ -54,6 +55,10 @@ def register(app: typer.Typer) -> None:
 def next_(
     state: Folder,
     measured: Measured = None,
+    time_name: TimeColumn = "t",
+    input_name: InputColumn = "u",
+    output_name: OutputColumn = "y",
+    reference_name: ReferenceColumn = "r",
     out_file: Next = None,
     scenario: ScenarioName = None,
     plant_file: PlantFile = None,
@@ -88,10 +93,14 @@ def next_(
 
     Example: jaxilc next --state x-axis --measured trial-3.csv --out trial-4.csv
     """
+    from ..hardware.short_trials import read_short
+    from ..hardware.trial_files import OPTIONS, read_measured
     from ..scenarios.campaigns import Given, open_campaign
     from .asked import begin, settings_of
 
     begin("float64")
+    names = {"t": time_name, "u": input_name, "y": output_name, "r": reference_name}
+    columns = {OPTIONS[signal]: name for signal, name in names.items() if name != signal}
     new = _starts(state, measured, undo, out_file, number, dry_run)
     given = Given(
         scenario=scenario,
@@ -119,7 +128,9 @@ def next_(
         now.undo(undo)
     turn, prediction = None, None
     if measured is not None:
-        record = _read(now, measured, short_trial)
+        record = (read_short if short_trial else read_measured)(
+            measured, now.task, now.recordable(), names
+        )
         prediction = _predicted(opened, compute=True, store=not dry_run)
         turn = _turn(now, record, prediction, learn=not no_learn, replay_input=replayed_input)
         if not dry_run:
@@ -129,7 +140,8 @@ def next_(
     if not dry_run and (measured is None or prediction is not None):
         # Of the next trial; a stop while it is simulated loses nothing, all is written by now.
         prediction = _predicted(opened, compute=new or measured is not None, store=True)
-    _close(opened, turn, prediction, source, trial, (measured, out_file, plot, json_file), dry_run)
+    files = measured, out_file, plot, json_file
+    _close(opened, turn, prediction, source, trial, files, columns, dry_run)
 
 
 def _starts(
@@ -198,14 +210,6 @@ def _predicted(opened: Opened, *, compute: bool, store: bool) -> Prediction | No
         return None
 
 
-def _read(now, measured: Path, short: bool):
-    """The measured trial of a file, which may have ended early if `short` says so."""
-    from ..hardware.short_trials import read_short
-    from ..hardware.trial_files import read_measured
-
-    return (read_short if short else read_measured)(measured, now.task, now.recordable())
-
-
 def _turn(now, record, prediction: Prediction | None, **how):
     """The turn that a measured trial makes; its findings are printed.
 
@@ -263,12 +267,14 @@ def _close(
     source: list[str],
     trial: int,
     files: tuple[Path | None, Path | None, Path | None, Path | None],
+    columns: dict[str, str],
     dry_run: bool,
 ) -> None:
     """Print the verdict and the next command; write the figure and the numbers, if asked for.
 
     trial: number of the next trial
     files: those of --measured, --out, --plot and --json
+    columns: options that name columns of the measured trial, with their values
     """
     from ..hardware.checks import experiment_numbers
     from . import campaign_lines
@@ -284,7 +290,7 @@ def _close(
     verdict = campaign_lines.verdict(
         live, turn, prediction, now.task.unit, now.rules.growth, numbers_of
     )
-    following = campaign_lines.next_command(journal.path, trial, measured, out_file)
+    following = campaign_lines.next_command(journal.path, trial, measured, out_file, columns)
     step = "" if dry_run else campaign_lines.coming(live, prediction, trial, now.task.unit)
     for line in (*([step] if step else []), *verdict, following):
         out.print(line, highlight=False, soft_wrap=True)

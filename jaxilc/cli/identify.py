@@ -9,7 +9,18 @@ from typing import Annotated
 import typer
 
 from .completion import of_list
-from .options import DESIGN, FigureFormat, Json, Report, at_least, file_to_write, folder_to_write
+from .options import (
+    DESIGN,
+    FigureFormat,
+    InputColumn,
+    Json,
+    OutputColumn,
+    Report,
+    TimeColumn,
+    at_least,
+    file_to_write,
+    folder_to_write,
+)
 from .results import folder_of, written
 from .verdicts.next_command import Verdict
 
@@ -58,7 +69,7 @@ def identify(
     auto: Annotated[
         bool, typer.Option("--auto", help="Choose poles, pairs, zeros and delay by a table.")
     ] = False,
-    time_name: Annotated[str, typer.Option("--time", help="Column of the time.")] = "t",
+    time_name: TimeColumn = "t",
     time_unit: Annotated[
         str | None,
         typer.Option(
@@ -66,8 +77,8 @@ def identify(
             autocompletion=of_list("s", "ms", "us"),
         ),
     ] = None,
-    input_name: Annotated[str, typer.Option("--input", help="Column of the input.")] = "u",
-    output_name: Annotated[str, typer.Option("--output", help="Column of the output.")] = "y",
+    input_name: InputColumn = "u",
+    output_name: OutputColumn = "y",
     columns: Annotated[
         str | None,
         typer.Option(metavar="A,B,C", help="Names of the columns of a file without a header."),

@@ -160,7 +160,7 @@ Bounds = Annotated[
     list[str] | None,
     typer.Option(metavar="A=LOW:HIGH", help="Narrower than a leaf allows; repeatable."),
 ]
-TERMS = rf"Sum of WEIGHT*NAME[:NUMBER]\[@METRIC], NAME of {OBJECTIVES}."
+TERMS = f"Sum of WEIGHT*NAME[:NUMBER][@METRIC], NAME of {OBJECTIVES}."
 OverMachines = Annotated[str, typer.Option("--risk", help=f"Over the machines: {RISKS}.")]
 TunedOn = Annotated[
     int,
@@ -214,6 +214,13 @@ StateFolder = Annotated[
         help="Folder for the state; out/COMMAND-NAME if not given.", callback=folder_to_write
     ),
 ]
+
+# Columns of a file that was measured
+# --------------------------------------------------------------------------------------------------
+
+TimeColumn = Annotated[str, typer.Option("--time", help="Column of the time.")]
+InputColumn = Annotated[str, typer.Option("--input", help="Column of the input.")]
+OutputColumn = Annotated[str, typer.Option("--output", help="Column of the output.")]
 
 # Files that are written
 # --------------------------------------------------------------------------------------------------

@@ -170,4 +170,4 @@ def _share(text: str) -> tuple[str, float]:
         raise ValueError(
             f"--vary {text!r} is not PATH=SHARE with a share in (0, 1), as 0.15 or 15%"
         )
-    return path.strip(), share
+    return path.strip().removeprefix("machine."), share

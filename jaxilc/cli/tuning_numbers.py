@@ -135,5 +135,5 @@ def _settings(machine, uncertainty: Uncertainty) -> list[str]:
         value = np.asarray(get_at(machine, name))
         for index in np.ndindex(value.shape):
             element = "".join(f"[{i}]" for i in index)
-            found.append(f"machine.{name}{element}={float(value[index])!r}")
+            found.append(f"{name}{element}={float(value[index])!r}")
     return found

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..pytree.in_short import in_short
 from ..tuning import Tuning
 from ..tuning.objectives import Final, Holding, Objective
 from ..tuning.risks import Mean, Risk
@@ -81,6 +82,7 @@ class Learned(NamedTuple):
     trials: int
     long: int
     machines: int
+    __repr__ = in_short
 
 
 @dataclasses.dataclass(frozen=True)
@@ -126,6 +128,7 @@ class LearnedLaw(Question):
     trained_on: int = 32
     held_out: int = 32
     steps: int = 60
+    __repr__ = in_short
 
     def __post_init__(self):
         super().__post_init__()

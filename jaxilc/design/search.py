@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ..pytree.closest import not_one_of
+from ..pytree.in_short import in_short
 from ..pytree.ranges import require
 from ..schemes import Scheme, WithFeedback
 from . import candidates
@@ -51,6 +52,7 @@ class Designed(NamedTuple):
     trials: int
     long: int
     machines: int
+    __repr__ = in_short
 
 
 @dataclasses.dataclass(frozen=True)
@@ -78,6 +80,7 @@ class Design(Question):
     laws: Sequence[str] = ()
     tolerance: float | None = None
     steps: int = 30
+    __repr__ = in_short
 
     def __post_init__(self):
         super().__post_init__()

@@ -18,6 +18,7 @@ import numpy as np
 from ..learning.machine import Actuator
 from ..learning.over_trials import check_length, measured_trial
 from ..learning.playback import replay, schedules
+from ..pytree.in_short import in_short
 from ..runtime.provenance import describe, differences, environment
 from ..schemes import Scheme
 from ..signals.task import Task, Trial
@@ -49,6 +50,7 @@ class Campaign:
     actuator: Actuator | None = None
     rules: Rules = dataclasses.field(default_factory=Rules)
     recipe: dict[str, Any] = dataclasses.field(default_factory=dict)
+    __repr__ = in_short
 
     @classmethod
     def start(
@@ -189,8 +191,8 @@ class Campaign:
         commanded, signals = jax.device_get(replay(scheme, task, memory, measured.y, self.actuator))
         if measured.u is None and not replay_input:
             raise ValueError(
-                f"{measured.source} has no input u; record it, or add --replayed-input "
-                "where the controller runs this scheme"
+                f"{measured.source} has no input u; record it, name it by --input, or add "
+                "--replayed-input where the controller runs this scheme"
             )
         measured, u, signals = completed(measured, commanded, signals, played)
         record = jax.device_get(measured_trial(task, measured.y, u))._replace(signals=signals)

@@ -17,7 +17,10 @@ from .trial_files import Measured, read_measured, rows_of_time
 
 
 def read_short(
-    path: Any, task: Task, others: Mapping[str, tuple[int, int]] | None = None
+    path: Any,
+    task: Task,
+    others: Mapping[str, tuple[int, int]] | None = None,
+    names: Mapping[str, str] | None = None,
 ) -> Measured:
     """A measured trial that may have ended early, with `samples` of the input measured.
 
@@ -25,15 +28,15 @@ def read_short(
     the other signals are NaN, until `completed` knows them.
     Raises ValueError as `read_measured`, and for a file of fewer than two samples.
     """
-    last = rows_of_time(path, task, others) - 1
+    last = rows_of_time(path, task, others, names) - 1
     if last >= task.N:
-        return read_measured(path, task, others)
+        return read_measured(path, task, others, names)
     if last < 1:
         raise ValueError(f"{path} has {last + 1} samples; a trial that ended early needs two")
     short = dataclasses.replace(task, reference=task.reference[: last + 1], settle=None)
     left = task.N - last
     shapes = {name: (rows - left, n) for name, (rows, n) in (others or {}).items()}
-    found = read_measured(path, short, shapes)
+    found = read_measured(path, short, shapes, names)
 
     def filled(values):
         return (

@@ -17,12 +17,17 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..learning.playback import unit_of
+from ..pytree.closest import listed
+from ..pytree.in_short import in_short
+from ..pytree.ranges import brief
 from ..signals.task import Task
-from ..storage.columns import name_and_unit, numbers_in, read_columns
+from ..storage.columns import missing, name_and_unit, numbers_in, read_columns
 from ..storage.mat_files import ROOM, Other, read_mat
 
 STEP_TOLERANCE = 0.01  # share of the sample time by which a single step may differ
 RATE_TOLERANCE = 1e-3  # share of the sample time by which the median step may differ
+# Options of the command line that name columns, as `names` does.
+OPTIONS = {"t": "--time", "u": "--input", "y": "--output", "r": "--reference"}
 REFERENCE_TOLERANCE = 1e-4  # share of the reference's range by which r may differ
 
 
@@ -43,6 +48,7 @@ class Measured(NamedTuple):
     ignored: tuple[str, ...]
     source: str
     samples: int | None = None
+    __repr__ = in_short
 
 
 class _File(NamedTuple):
@@ -59,7 +65,10 @@ class _File(NamedTuple):
 
 
 def read_measured(
-    path: str | Path, task: Task, others: Mapping[str, tuple[int, int]] | None = None
+    path: str | Path,
+    task: Task,
+    others: Mapping[str, tuple[int, int]] | None = None,
+    names: Mapping[str, str] | None = None,
 ) -> Measured:
     """A measured trial of the task, from a .mat file or a text file of columns.
 
@@ -67,12 +76,14 @@ def read_measured(
     which must be the task's, u, and the signals `others`.
 
     others: shape (rows, channels) of further signals, by name
+    names: what the file calls a signal, such as {"y": "position"}; with commas between the names
+        of several channels; None: as they are called here
     Raises ValueError naming file, place and signal: for a missing column, for a unit that is not
     declared or not the task's, for a value that is not finite, for a gap or an uneven step of the
     time, for another sample time or length (nothing is resampled), and for another reference.
     """
     N, shapes = task.N, _shapes(task, others)
-    found = _read(path, shapes)
+    found = _read(path, shapes, names or {})
     for name, (values, unit) in found.columns.items():
         _check_unit(path, name, unit, unit_of(name, task))
         short = shapes[name][0] == N
@@ -97,10 +108,13 @@ def read_measured(
 
 
 def rows_of_time(
-    path: str | Path, task: Task, others: Mapping[str, tuple[int, int]] | None = None
+    path: str | Path,
+    task: Task,
+    others: Mapping[str, tuple[int, int]] | None = None,
+    names: Mapping[str, str] | None = None,
 ) -> int:
     """The number of rows of a file of a trial, which may have fewer than the task."""
-    return len(_read(path, _shapes(task, others)).columns["t"][0])
+    return len(_read(path, _shapes(task, others), names or {}).columns["t"][0])
 
 
 def _shapes(task: Task, others: Mapping[str, tuple[int, int]] | None) -> dict[str, Any]:
@@ -115,11 +129,12 @@ def _shapes(task: Task, others: Mapping[str, tuple[int, int]] | None) -> dict[st
     }
 
 
-def _read(path, shapes) -> _File:
-    return _read_mat(path, shapes) if Path(path).suffix == ".mat" else _read_text(path, shapes)
+def _read(path, shapes, names: Mapping[str, str]) -> _File:
+    called = {name: names.get(name, name) for name in shapes}
+    return (_read_mat if Path(path).suffix == ".mat" else _read_text)(path, shapes, called)
 
 
-def _read_text(path, shapes) -> _File:
+def _read_text(path, shapes, called: Mapping[str, str]) -> _File:
     header, lines = read_columns(path)
     most = 2 * shapes["t"][0] + 1000
     rows = list(itertools.islice(lines, most + 1))
@@ -131,7 +146,7 @@ def _read_text(path, shapes) -> _File:
     names, units = [name for name, _ in headings], [unit for _, unit in headings]
     columns, used = {}, set()
     for name, (_, channels) in shapes.items():
-        at = _channels(path, name, channels, names)
+        at = _channels(path, name, channels, names, called[name])
         if at is None:
             continue
         used.update(at)
@@ -149,22 +164,32 @@ def _read_text(path, shapes) -> _File:
     )
 
 
-def _channels(path, name: str, channels: int, names: list[str]) -> list[int] | None:
-    """The columns of the channels of a signal; None where it is missing and not required."""
-    spelled = [[f"{name}{i}", f"{name}_{i}"] + [name] * (channels == 1) for i in range(channels)]
+def _channels(path, name: str, channels: int, names: list[str], called: str) -> list[int] | None:
+    """The columns of the channels of a signal; None where it is missing and not required.
+
+    called: what the file calls it; a signal with another name than here is required
+    """
+    spelled = [
+        [f"{called}{i}", f"{called}_{i}"] + [called] * (channels == 1) for i in range(channels)
+    ]
+    if "," in called:
+        spelled = [[one.strip()] for one in called.split(",")]
+        if len(spelled) != channels:
+            raise ValueError(
+                f"{path}: {OPTIONS[name]} {brief(called)} names {len(spelled)} columns; allowed "
+                f"are the {channels} channels of {name} in this task"
+            )
     at = [next((names.index(s) for s in ways if s in names), None) for ways in spelled]
     found = [i for i in at if i is not None]
     if len(found) == channels:
         return found
-    if name in ("t", "y") or found:
-        missing = spelled[at.index(None)][-1 if channels == 1 else 0]
-        raise ValueError(
-            f"{path} has no column {missing!r}; present are {', '.join(names) or 'none'}"
-        )
+    if name in ("t", "y") or found or called != name:
+        wanted = spelled[at.index(None)][-1 if channels == 1 else 0]
+        raise ValueError(missing(path, wanted, names, OPTIONS.get(name, "")))
     return None
 
 
-def _read_mat(path, shapes) -> _File:
+def _read_mat(path, shapes, called: Mapping[str, str]) -> _File:
     needed = 8 * sum(rows * channels for rows, channels in shapes.values())
     contents = read_mat(path, ROOM + 32 * needed)  # the file may hold many other variables
     units = contents.get("units")
@@ -172,15 +197,17 @@ def _read_mat(path, shapes) -> _File:
         raise ValueError(f"{path} has no struct 'units'; declare them there: units.y = 'mm'")
     columns = {}
     for name, (rows, channels) in shapes.items():
-        if name not in contents:
-            if name in ("t", "y"):
+        variable = called[name]
+        if variable not in contents:
+            if name in ("t", "y") or variable != name:
                 raise ValueError(
-                    f"{path} has no variable {name!r}; present are {', '.join(contents)}"
+                    f"{path} has no variable {brief(variable)}; present are {listed(contents)}; "
+                    f"{OPTIONS[name]} names another"
                 )
             continue
         values, unit, allowed = (
-            contents[name],
-            units.get(name),
+            contents[variable],
+            units.get(variable),
             f"allowed are real numbers in {channels} columns",
         )
         if not isinstance(values, np.ndarray):
@@ -195,7 +222,7 @@ def _read_mat(path, shapes) -> _File:
                 f"{path}: units.{name} is {unit.said if isinstance(unit, Other) else 'no text'}"
             )
         columns[name] = values.astype(float), unit
-    ignored = tuple(n for n in contents if n not in (*shapes, "units"))
+    ignored = tuple(n for n in contents if n not in (*called.values(), "units"))
     return _File(columns, [f"sample {k}" for k in range(len(columns["t"][0]))], ignored)
 
 

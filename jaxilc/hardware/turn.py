@@ -10,6 +10,7 @@ import numpy as np
 
 from ..learning.machine import Actuator
 from ..learning.metrics import measure
+from ..pytree.in_short import in_short
 from ..schemes import Scheme
 from ..signals.task import Task, Trial
 from . import checks
@@ -42,6 +43,7 @@ class Turn(NamedTuple):
     learned: bool
     source: str
     input: str = "measured"
+    __repr__ = in_short
 
     @property
     def refusals(self) -> list[str]:

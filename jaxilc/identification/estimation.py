@@ -60,7 +60,7 @@ def identify(
     The confidence intervals are Student's t times the standard deviation on each side, to first
     order in the parameters. Needs float64.
     Raises ValueError for a record that is not finite, does not fit the plant, is too short for the
-    parameters or holds no information (constant output, zero input), and for a value outside its
+    parameters or holds no information (constant output or input), and for a value outside its
     range.
     """
     # In float32 the rounding errors of the simulation are larger than an encoder's noise.

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..pytree.in_short import in_short
 from ..pytree.ranges import require
 from ..runtime.tiles import tiled
 
@@ -28,6 +29,7 @@ class Fit(NamedTuple):
     jacobian: np.ndarray
     costs: np.ndarray
     refined: np.ndarray
+    __repr__ = in_short
 
 
 def fit(

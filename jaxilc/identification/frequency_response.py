@@ -21,6 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..pytree.closest import listed
 from ..pytree.ranges import require
 from ..storage.columns import numbers_in, read_columns
 from ..theory.measured import MeasuredResponse
@@ -162,7 +163,7 @@ def _columns(path, header: list[str]) -> dict[str, _Column]:
             )
         if kind:
             found[kind] = _Column(at, heading, unit)
-    present = ", ".join(header) or "none"
+    present = listed(header)
     if "frequency" not in found:
         raise ValueError(
             f"{path} has no frequency; write a heading `f [Hz]` or `w [rad/s]`. Present are "

@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from ..pytree.closest import listed
 from ..storage.mat_files import Other, read_mat
 from .resampling import Signal
 from .time_column import seconds_in
@@ -68,7 +69,7 @@ def _signal(path, content, time: str, name: str, unit, dt) -> Signal:
         if key is None and dt is None:
             raise ValueError(
                 f"read_record: {path} has no times {time!r} beside {name}; present are "
-                f"{', '.join(level) or 'none'}. Name them with --time, or give --dt (dt)"
+                f"{listed(level)}. Name them with --time, or give --dt (dt)"
             )
         times = np.arange(len(values)) * (dt or 0.0)
         if key is not None:
@@ -95,7 +96,7 @@ def _found(path, content: dict[str, Any], name: str) -> tuple[dict[str, Any], An
         if part not in level:
             raise ValueError(
                 f"read_record: {path} has no variable {name!r}; present are "
-                f"{', '.join(level) or 'none'}"
+                f"{listed(level)}; --input (input) and --output (output) name others"
             )
         rest.append((level, level[part]))
         level = level[part] if isinstance(level[part], dict) else {}

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..plants import ProcessModel
+from ..pytree.in_short import in_short
 from .estimation import identify
 from .problem import SAMPLES_PER_PARAMETER
 from .records import Record
@@ -39,6 +40,7 @@ class Order(NamedTuple):
     validation_fit: float
     found: Identified
     delay: int = 0
+    __repr__ = in_short
 
 
 def compare_orders(

@@ -14,7 +14,7 @@ from ..learning.machine import Machine
 from ..plants import Plant, ProcessModel
 from ..pytree.closest import known_names
 from ..pytree.named_paths import get_at, interval_at, named_leaves, replaced
-from ..pytree.ranges import Interval, require
+from ..pytree.ranges import Interval, require, shown
 from ..signals.task import Task
 from .from_rest import first_of, output_from_rest
 from .records import Record, as_columns, task_of
@@ -234,9 +234,10 @@ def problem_of(record: Record, plant: Plant, names: tuple[str, ...], fit_share: 
                 f"identify: output {i} is constant over the {samples} samples to fit; "
                 "it says nothing about the plant"
             )
-    if not np.any(u):
+    if not np.any(np.ptp(u, axis=0)):
         raise ValueError(
-            f"identify: the input is 0 over the {samples} samples to fit; it excites nothing"
+            f"identify: the input is {shown(u[0] if n_u > 1 else u[0, 0])} over all of the "
+            f"{samples} samples to fit; it excites nothing. A record of a step begins before it"
         )
     return Problem(
         record,

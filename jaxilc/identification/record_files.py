@@ -17,8 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..pytree.ranges import require
-from ..storage.columns import name_and_unit, numbers_in, read_columns
+from ..pytree.ranges import brief, require
+from ..storage.columns import missing, name_and_unit, numbers_in, read_columns
 from .mat_record import read_mat_signals
 from .records import Record
 from .resampling import Signal, resampled
@@ -171,8 +171,10 @@ def _text_signals(path, time, inputs, outputs, unit, columns, dt) -> list[Signal
     if counted:
         place = header.index(SAMPLE) if SAMPLE in header else None
     elif place is None:
-        place = _place(path, time, header)
-    at = [-1 if place is None else place, *(_place(path, name, header) for name in names[1:])]
+        place = _place(path, time, header, "time")
+    at = [-1 if place is None else place]
+    for option, of in (("input", inputs), ("output", outputs)):
+        at += [_place(path, name, header, option) for name in of]
     values, lines = _numbers(path, names, at, rows, len(inputs))
     if counted:
         values[:, 0] = (values[:, 0] - values[:1, 0]) * (dt or 0.0)
@@ -205,7 +207,8 @@ def _numbers(path, names, at: list[int], rows, inputs: int) -> tuple[np.ndarray,
         for i in np.flatnonzero(~np.isfinite(found)):
             text = row[at[i]].strip() if at[i] < len(row) else ""
             wrong = wrong or (
-                f"read_record: {path}, line {line}: {names[i]} = {text!r} is not a finite number"
+                f"read_record: {path}, line {line}: {names[i]} = {brief(text)} is not a finite "
+                "number"
             )
             if text or not 0 < i <= inputs:  # the last row may have no input
                 raise ValueError(wrong)
@@ -214,10 +217,12 @@ def _numbers(path, names, at: list[int], rows, inputs: int) -> tuple[np.ndarray,
     return np.array(values, float).reshape(-1, len(names)), lines
 
 
-def _place(path, name: str, header: list[str]) -> int:
-    """The index of a column, found by its whole heading or its heading without the unit."""
+def _place(path, name: str, header: list[str], option: str) -> int:
+    """The index of a column, found by its whole heading or its heading without the unit.
+
+    option: the argument that names this column, for the message
+    """
     for headings in (header, [name_and_unit(heading)[0] for heading in header]):
         if name in headings:
             return headings.index(name)
-    present = ", ".join(header) or "none"
-    raise ValueError(f"read_record: {path} has no column {name!r}; present are {present}")
+    raise ValueError("read_record: " + missing(path, name, header, f"--{option} ({option})"))

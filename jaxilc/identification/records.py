@@ -11,6 +11,7 @@ import numpy as np
 from ..learning.machine import Machine
 from ..learning.within_trial import run_trial
 from ..plants import Plant
+from ..pytree.in_short import in_short
 from ..schemes import Scheme
 from ..schemes.scheme import Feedforward
 from ..signals.task import Task, Trial
@@ -32,6 +33,7 @@ class Record(NamedTuple):
     y: jax.Array | np.ndarray
     dt: float
     trials: int = 1
+    __repr__ = in_short
 
 
 def excite(machine: Machine, u, dt: float, *, key: jax.Array | None = None) -> Record:

@@ -28,6 +28,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..pytree.closest import listed
+from ..pytree.ranges import brief
 from ..storage.columns import LARGEST_TABLE, is_number, numbers_in
 from ..storage.reading import read_text
 from .resampling import Signal
@@ -103,9 +105,9 @@ def _signal(path, export: _Export, name: str) -> Signal:
     places = [i for i in range(len(names)) if i not in export.times and names[i]]
     at = [i for i in places if name in (names[i], *symbols[i : i + 1])]
     if len(at) != 1:
-        present = ", ".join(names[i] for i in places) or "none"
+        present = listed(names[i] for i in places)
         what = "no channel" if not at else f"{len(at)} channels"
-        raise ValueError(f"read_record: {path} has {what} {name!r}; present are {present}")
+        raise ValueError(f"read_record: {path} has {what} {brief(name)}; present are {present}")
     column = max(i for i in export.times if i < at[0])
     lines, times, values = [], [], []
     for line, row in enumerate(export.rows, export.first):

@@ -10,6 +10,7 @@ import numpy as np
 import scipy
 
 from ..plants import Plant, ProcessModel
+from ..pytree.in_short import in_short
 from ..pytree.named_paths import replaced
 from .problem import Minimum, Problem
 
@@ -83,6 +84,7 @@ class Identified(NamedTuple):
     converged: bool
     of_response: bool = False
     std_known: bool = False
+    __repr__ = in_short
 
     def summary(self) -> list[tuple[str, float, float, float]]:
         """Rows (quantity, value, low, high) to print; low and high are nan without an interval."""

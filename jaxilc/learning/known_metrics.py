@@ -18,6 +18,7 @@ from typing import Literal, NamedTuple
 
 import jax
 
+from ..pytree.in_short import in_short
 from ..signals.task import Task
 
 
@@ -100,6 +101,7 @@ class Metrics(NamedTuple):
     settled_error: jax.Array
     effort: jax.Array
     finite: jax.Array
+    __repr__ = in_short
 
 
 def bytes_of_metrics(task: Task) -> int:

@@ -14,6 +14,7 @@ import numpy as np
 from jax import lax
 
 from ..plants import Plant
+from ..pytree.in_short import in_short
 from ..pytree.ranges import brief, require
 from ..runtime.capacity import check_size
 from ..runtime.lanes import usual_stored
@@ -54,6 +55,7 @@ class History(NamedTuple):
     final: Trial
     memory: Any
     start: Any = None
+    __repr__ = in_short
 
     def __getattr__(self, name: str) -> jax.Array:
         """A metric of each trial by its name, such as `rms` (J, n_y), see `metrics.Metrics`."""

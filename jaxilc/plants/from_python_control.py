@@ -13,6 +13,7 @@ import numpy as np
 from .linear import StateSpace
 from .nonlinear_system import nonlinear_system
 
+LARGEST_ORDER = 1000  # of a polynomial; its matrices have as many rows
 TINY = 1e-14  # first coefficient of a numerator, below which SciPy warns that it may be rounding
 
 
@@ -44,9 +45,9 @@ def from_control(
     The functions of a nonlinear system must be ones that JAX can trace, so they compute with
     jax.numpy; its numeric parameters become the leaves `parameters.NAME`.
 
-    Raises ValueError for another kind of system, an improper one, direct feedthrough, an
-    unspecified sample time, an unstable linear system (unless `allow_unstable`), and a nonlinear
-    system whose functions JAX cannot trace.
+    Raises ValueError for another kind of system, a polynomial of an order above 1000, an improper
+    one, direct feedthrough, an unspecified sample time, an unstable linear system (unless
+    `allow_unstable`), and a nonlinear system whose functions JAX cannot trace.
     """
     import control
 
@@ -94,6 +95,7 @@ def canonical_form(num, den, dt: float) -> Linear | None:
     num, den: coefficients of descending powers; bi and ai are these divided by the first of den
     """
     num, den = (np.trim_zeros(np.asarray(of, float), "f") for of in (num, den))
+    _need_order(den)
     if not 0 < len(num) < len(den) or not abs(num[0] / den[0]) > TINY:
         return None
     n = len(den) - 1
@@ -109,12 +111,23 @@ def _of_scipy(system: Any):
 
     if not isinstance(system, lti | dlti):
         return system
+    _need_order(getattr(system, "den", ()))
     try:
         found = system.to_ss()
     except ValueError as error:
         raise ValueError(f"from_control: the system is improper or not valid: {error}") from None
     dt = 0 if isinstance(system, lti) else system.dt
     return control.ss(found.A, found.B, found.C, found.D, dt, remove_useless_states=False)
+
+
+def _need_order(den) -> None:
+    """Raises ValueError for a denominator whose matrices would fill the memory."""
+    order = np.shape(den)[-1] - 1
+    if order > LARGEST_ORDER:
+        raise ValueError(
+            f"from_control: den has {order + 1} coefficients, of order {order}; allowed is an "
+            f"order of at most {LARGEST_ORDER}"
+        )
 
 
 def _need_stable(A, continuous: bool) -> None:
@@ -142,6 +155,7 @@ def system_matrices(system):
     for i in range(system.noutputs):
         for j in range(system.ninputs):
             num, den = np.atleast_1d(system.num[i][j]), np.atleast_1d(system.den[i][j])
+            _need_order(den)
             if len(np.trim_zeros(num, "f")) > len(np.trim_zeros(den, "f")):
                 raise ValueError(
                     f"from_control: entry ({i}, {j}) is improper (numerator of higher order than "

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from itertools import accumulate
 
 CUTOFF = 0.65  # least share of equal characters, by difflib, of a name that is suggested
 MOST = 3  # names that a message suggests
 LISTED = 12  # names that a message still lists after its suggestion
+ROOM = 600  # characters of a list of names, at most; further names are counted
 SHORTEST, LONGEST = 3, 100  # characters of a text to find within names, and to compare with them
 
 
@@ -40,13 +42,13 @@ def known_names(given: object, known: Iterable[str], said: str = "known:") -> st
     said: words before the list of all names
     """
     names = list(known)
-    listed = f"{said} {', '.join(names) or 'none'}"
+    all_names = f"{said} {listed(names)}"
     near = closest(given, names)
     if not near:
-        return listed
+        return all_names
     if len(names) > LISTED:
-        listed = f"{len(names)} names are known"
-    return f"did you mean {' or '.join(near)}? {listed[0].upper()}{listed[1:]}"
+        all_names = f"{len(names)} names are known"
+    return f"did you mean {' or '.join(near)}? {all_names[0].upper()}{all_names[1:]}"
 
 
 def not_one_of(what: str, given: object, known: Iterable[str]) -> str:
@@ -56,8 +58,20 @@ def not_one_of(what: str, given: object, known: Iterable[str]) -> str:
     """
     names = list(known)
     if not closest(given, names):
-        return f"{what} is not one of {', '.join(names) or 'none'}"
+        return f"{what} is not one of {listed(names)}"
     return f"{what} is unknown; {known_names(given, names)}"
+
+
+def listed(names: Iterable[object], none: str = "none") -> str:
+    """Names with commas between them; where they would fill pages, the first and how many follow.
+
+    none: the text for no names
+    """
+    texts = [text if len(text) <= LONGEST else f"{text[:LONGEST]} ..." for text in map(str, names)]
+    ends = list(accumulate(len(text) + 2 for text in texts))
+    shown = texts[: max(1, sum(end <= ROOM for end in ends))]
+    left = len(texts) - len(shown)
+    return (", ".join(shown) + f" and {left} more" * bool(left)) or none
 
 
 def _plain(name: str) -> str:

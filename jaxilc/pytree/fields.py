@@ -15,6 +15,7 @@ from typing import Any, TypeAlias, TypeVar, dataclass_transform
 import jax.core
 import numpy as np
 
+from .in_short import in_short
 from .ranges import (
     Interval,
     allowed,
@@ -116,6 +117,8 @@ def pytree(cls: type[T]) -> type[T]:
             self._own_check()
 
     made.__post_init__ = __post_init__
+    if "__repr__" not in vars(cls):
+        made.__repr__ = in_short
     made = dataclasses.dataclass(frozen=True, eq=False)(cls)
     made._made_by_pytree = True
     fields = dataclasses.fields(made)

@@ -27,7 +27,7 @@ from ..signals import paths
 from ..signals.gcode import read_gcode
 from ..signals.segments import FARTHEST, SHORTEST, Straight
 from ..signals.tool_path import Dwell, Followed, Move, follow
-from ..storage.columns import name_and_unit, numbers_in, read_columns
+from ..storage.columns import missing, name_and_unit, numbers_in, read_columns
 from ..storage.reading import read_text
 from .values import Table, list_of_numbers, number, numbers, one_of, text, whole
 
@@ -219,9 +219,7 @@ def _points_of(file: Path, axes: Sequence[str]) -> np.ndarray:
     names = [name_and_unit(heading)[0] for heading in header]
     for axis in axes:
         if axis not in names:
-            raise ValueError(
-                f"{file} has no column {axis!r}; present are {', '.join(header) or 'none'}"
-            )
+            raise ValueError(missing(file, axis, header))
     at, found = [names.index(axis) for axis in axes], []
     for line, row in rows:
         point = np.array(numbers_in(row, at))

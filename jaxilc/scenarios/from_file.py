@@ -121,7 +121,7 @@ def read_scenario(path: str | Path) -> Scenario:
         },
         {},
     )
-    uncertainty = file.take("uncertainty", lambda v, at: dict(uncertainty_of(v, at)), {})
+    uncertainty = file.take("uncertainty", _uncertainty, {})
     path_given = is_path(file.values["task"].get("reference"))
     of_contour = task.outputs in (2, 3) and (path_given or isinstance(plant, Axes))
     further = contour_metrics(task) if of_contour else {}
@@ -166,6 +166,11 @@ def _require_ranges(given: dict[str, Any]) -> None:
     for name in ("tolerance", "shown_scale"):
         if given[name] is not None:
             require("", name, given[name], "(0, inf)")
+
+
+def _uncertainty(values: Any, where: str) -> dict[str, Any]:
+    """Distributions by path within the machine; `machine.` before it may be left out, as here."""
+    return {name.removeprefix("machine."): found for name, found in uncertainty_of(values, where)}
 
 
 def _check(path: Path, where: str, check: Callable[[], Any]) -> Any:

@@ -14,6 +14,7 @@ from ..learning.machine import Machine
 from ..learning.metrics import Metrics
 from ..learning.over_trials import check
 from ..pytree.closest import known_names, not_one_of
+from ..pytree.in_short import in_short
 from ..pytree.named_paths import allowed_at, get_at, kind_at, replaced, settable
 from ..pytree.ranges import brief, named
 from ..schemes import Scheme
@@ -77,6 +78,7 @@ class Scenario:
     options: Mapping[str, object] = dataclasses.field(default_factory=dict)
     quantities: Mapping[str, Quantity] = dataclasses.field(default_factory=dict)
     judged_by: str = "settled_error"
+    __repr__ = in_short
 
     def __post_init__(self):
         _need_name("name", self.name, _FREE_NAME, "letters, digits, spaces and _ . + - ( )")
@@ -168,9 +170,8 @@ class Scenario:
                 raise ValueError(f"{name}: {error}") from None
 
     def settable(self) -> dict[str, object]:
-        """Everything that `with_values` can set: `machine.plant.gain`, `ffdl-mfailc.lam`, ..."""
-        found = {f"machine.{path}": value for path, value in settable(self.machine).items()}
-        return found | {
+        """Everything that `with_values` can set: `plant.gain`, `ffdl-mfailc.lam`, ..."""
+        return settable(self.machine) | {
             f"{name}.{path}": value
             for name, scheme in self.schemes.items()
             for path, value in settable(scheme).items()
@@ -178,25 +179,32 @@ class Scenario:
 
     def allowed(self, path: str) -> str:
         """What `with_values` accepts at a path, as text."""
-        head, _, rest = path.partition(".")
+        head, rest = self._place(path)
         return allowed_at(self.machine if head == "machine" else self.schemes[head], rest)
+
+    def _place(self, path: str) -> tuple[str, str]:
+        """The owner of a path, a scheme or `machine`, and the path within it."""
+        head, _, rest = path.partition(".")
+        return (head, rest) if head in ("machine", *self.schemes) else ("machine", path)
 
     def with_values(self, settings: Mapping[str, object]) -> Scenario:
         """This scenario with leaves or static fields replaced, all at once.
 
-        settings: values by path, such as {"ffdl-mfailc.lam": 0.5}; they may be text
+        settings: values by path, such as {"ffdl-mfailc.lam": 0.5, "plant.gain": 2.0}; they may be
+            text, and paths within the machine may begin with `machine.`
         Raises ValueError naming what can be set, or the allowed range.
         """
         objects = {"machine": self.machine, **self.schemes}
         changes: dict[str, dict[str, object]] = {}
         for path, value in settings.items():
-            head, _, rest = path.partition(".")
+            head, rest = self._place(path)
             try:
                 get_at(objects[head], rest)
                 changes.setdefault(head, {})[rest] = _typed(objects[head], rest, value, path)
             except KeyError:
-                known = [name for name in (*self.options, *self.settable()) if name != path]
-                raise ValueError(f"{path!r} cannot be set; {known_names(path, known)}") from None
+                wanted = rest if head == "machine" else path
+                known = [name for name in (*self.options, *self.settable()) if name != wanted]
+                raise ValueError(f"{path!r} cannot be set; {known_names(wanted, known)}") from None
         objects |= {name: replaced(objects[name], values) for name, values in changes.items()}
         machine = objects.pop("machine")
         return dataclasses.replace(self, machine=machine, schemes=objects)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ..pytree.closest import closest, known_names, not_one_of
+from ..pytree.closest import closest, known_names, listed, not_one_of
 from ..pytree.ranges import as_numbers, brief, is_whole
 
 
@@ -34,7 +34,7 @@ class Table:
         return key in self.values
 
     def at(self, key: str) -> str:
-        return f"{self.where}{' ' if self.where.endswith(':') else '.'}{key}"
+        return f"{self.where}{' ' if self.where.endswith(':') else '.'}{listed([key])}"
 
     def take(
         self, key: str, kind: Callable[[Any, str], Any], default: Any = dataclasses.MISSING
@@ -53,9 +53,7 @@ class Table:
                 raise ValueError(
                     f"{self.at(written)} is not a key here; did you mean {key}? It is missing"
                 )
-            raise ValueError(
-                f"{self.at(key)} is missing; present are {', '.join(self.values) or 'none'}"
-            )
+            raise ValueError(f"{self.at(key)} is missing; present are {listed(self.values)}")
         return default
 
     def done(self) -> None:

@@ -145,7 +145,8 @@ def need_feasible(scheme: Any, task: Task) -> None:
     bounds = [scheme.y_low, scheme.y_high, scheme.tube]
     if all(bound is None for bound in bounds) or not known((bounds, task.reference)):
         return
-    low, high = (np.asarray(x) for x in output_bounds(scheme, jnp.asarray(task.reference)))
+    with jax.ensure_compile_time_eval():  # known bounds are known inside `jit`
+        low, high = (np.asarray(x) for x in output_bounds(scheme, jnp.asarray(task.reference)))
     names = " and ".join(
         name for name in ("y_low", "y_high", "tube") if getattr(scheme, name) is not None
     )
@@ -160,8 +161,9 @@ def need_feasible(scheme: Any, task: Task) -> None:
         return
     start = np.zeros(task.outputs)
     if not isinstance(scheme.model, TimeVaryingStateSpace):
-        model = scheme.model.sampled(task.dt)
-        start = np.asarray(model.output(model.initial_state()))
+        with jax.ensure_compile_time_eval():
+            model = scheme.model.sampled(task.dt)
+            start = np.asarray(model.output(model.initial_state()))
     outside = np.flatnonzero((start < low[0]) | (start > high[0]))
     if len(outside):
         i = outside[0]

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from ..plants import Plant, motion
 from ..plants.structure import obstacle
@@ -112,13 +113,12 @@ class GradientILC(Scheme):
         need_channels(self, task.inputs, "limit")
         if known(self):
             with jax.ensure_compile_time_eval():
-                h = float(_curvature_at_rest(self, task.N, task.dt))
-            self._need_step(h, task)
+                self._need_step(float(_curvature_at_rest(self, task.N, task.dt)), task)
 
     def _need_step(self, h: float, task: Task) -> None:
         """Raises ValueError where the largest curvature h at rest admits no step, or not this."""
         name = type(self.model).__name__
-        if not jnp.isfinite(h):
+        if not np.isfinite(h):
             raise ValueError(
                 f"GradientILC: the model ({name}) answers with numbers that are not finite within "
                 f"N = {task.N} samples; allowed is a model that is stable, under feedback that of "

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..pytree.in_short import in_short
 from ..pytree.ranges import require
 from .bases import Basis, SelectedBasis
 
@@ -35,6 +36,7 @@ class Selection(NamedTuple):
     doubt: np.ndarray
     counts: np.ndarray
     chosen: int
+    __repr__ = in_short
 
 
 def select_basis(

@@ -16,6 +16,7 @@ import numpy as np
 from jax import lax
 
 from ..pytree.fields import Leaf, leaf, pytree, static
+from ..pytree.in_short import in_short
 from ..pytree.needs import known
 from ..runtime.jax_internals import COLUMNS, product_by_columns
 
@@ -143,6 +144,7 @@ class Sample(NamedTuple):
     row: Any
     dt: float
     applied: jax.Array | None = None
+    __repr__ = in_short
 
 
 class Trial(NamedTuple):
@@ -163,6 +165,7 @@ class Trial(NamedTuple):
     dt: float
     signals: dict[str, jax.Array] = {}  # noqa: RUF012  never written to
     weight: jax.Array | None = None
+    __repr__ = in_short
 
     @property
     def e(self) -> jax.Array:

@@ -17,9 +17,11 @@ import csv
 import io
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
+from ..pytree.closest import listed
+from ..pytree.ranges import brief
 from .reading import LARGEST_TABLE, read_text
 
 Rows = Iterator[tuple[int, list[str]]]
@@ -44,8 +46,8 @@ def read_columns(path: str | Path, names: Sequence[str] = ()) -> tuple[list[str]
     header are appended to the headings that have none: `y` and `mm` give `y [mm]`.
 
     names: headings for a file without a header
-    Raises as `read_text`; ValueError for names where the file has a header of its own; and
-    ValueError, also during the iteration, for a line that is not a row of these columns.
+    Raises as `read_text`; ValueError for an empty file, for names where the file has a header of
+    its own, and, also during the iteration, for a line that is not a row of these columns.
     """
     lines = _Lines(path, read_text(path, LARGEST_TABLE))
     header, first = _header(path, lines, names)
@@ -55,6 +57,8 @@ def read_columns(path: str | Path, names: Sequence[str] = ()) -> tuple[list[str]
             "for a file without one only"
         )
     header = header or [*names]
+    if not header:
+        raise ValueError(f"{path} is empty; allowed is a line of headings with numbers below it")
     return header, _checked_rows(path, lines, header, first)
 
 
@@ -71,6 +75,15 @@ def name_and_unit(heading: str) -> tuple[str, str | None]:
     """
     found = _HEADING.match(heading)
     return (found[1], found[2]) if found else ("", None)
+
+
+def missing(path: str | Path, name: str, present: Iterable[str], option: str = "") -> str:
+    """The message that a file has no such column.
+
+    option: what gives the name of another one, if anything does
+    """
+    other = f"; {option} names another" if option else ""
+    return f"{path} has no column {brief(name)}; present are {listed(present)}{other}"
 
 
 def numbers_in(row: list[str], at: Sequence[int]) -> list[float]:

@@ -9,16 +9,21 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import stat
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from ..pytree.ranges import brief
+
 BLOCK = 2**24  # bytes
 LARGEST_TREE = 16_000_000  # bytes of a TOML or JSON file
 LARGEST_TABLE = 256_000_000  # bytes of a file of columns
 DEEPEST = 32  # largest number of levels of nested tables and lists
+_PLACE = re.compile(r"\(?(?:at )?line (\d+),? column (\d+)")  # in messages of the parsers
+_COMMA = re.compile(r"(?<=[=:\s])[+-]?\d+,\d+(?:[eE][+-]?\d+)?(?=\s*(?:[,}#]|$))")
 PARSERS = {".toml": tomllib.loads, ".json": json.loads}
 
 
@@ -84,7 +89,7 @@ def tree_of(text: str, parser: Callable[[str], Any], source: Any) -> Any:
     except RecursionError:
         tree = _too_deep(source)
     except ValueError as error:
-        raise ValueError(f"{source}: {error}") from None
+        raise ValueError(f"{source}{_place(text, error)}") from None
     level = [tree]
     for _ in range(DEEPEST):
         level = [
@@ -96,6 +101,19 @@ def tree_of(text: str, parser: Callable[[str], Any], source: Any) -> Any:
         if not level:
             return tree
     return _too_deep(source)
+
+
+def _place(text: str, error: ValueError) -> str:
+    """Where a text is not as its parser needs it, what stands there, and what is allowed."""
+    found = _PLACE.search(str(error))
+    if not found:
+        return f": {error}"
+    line, column = int(found[1]), int(found[2])
+    there = text.split("\n")[line - 1].strip()
+    wanted = str(error)[: found.start()].rstrip(" :")
+    if comma := _COMMA.search(there):
+        wanted = f"a number has a decimal point, {comma[0].replace(',', '.')}"
+    return f", line {line}, column {column}: found {brief(there)}; {wanted[:1].lower()}{wanted[1:]}"
 
 
 def _too_deep(source) -> Any:

@@ -37,9 +37,10 @@ class Store:
     It is made by `create` or `resume`. While it is open, no other process can resume it.
     """
 
-    def __init__(self, store: Any, layout: Layout, closing: ExitStack):
+    def __init__(self, store: Any, layout: Layout, closing: ExitStack, path: Path | None = None):
         import zarr
 
+        self.path = path  # None where it is in the RAM
         self.layout, self._store, self._closing = layout, store, closing
         self._known: dict[str, np.ndarray] = {}  # all values that were written or read so far
         with zarr.config.set({"array.write_empty_chunks": True}):  # NaN may be a computed value
@@ -66,7 +67,7 @@ class Store:
                 (unfinished / name).write_bytes(content.to_bytes())
         with ExitStack() as closing:
             closing.enter_context(only_one(path))
-            return cls(DurableStore(Path(path)), layout, closing.pop_all())
+            return cls(DurableStore(Path(path)), layout, closing.pop_all(), Path(path))
 
     @classmethod
     def resume(cls, path: str | Path, layout: Layout) -> Store:
@@ -94,7 +95,7 @@ class Store:
                 if not file.is_file() or file.read_bytes() != wanted:
                     log.warning("%s was missing or damaged, and is written again", file)
                     write_file(path, name, wanted)
-            return cls(DurableStore(path), layout, closing.pop_all())
+            return cls(DurableStore(path), layout, closing.pop_all(), path)
 
     def __enter__(self) -> Store:
         return self
@@ -123,7 +124,9 @@ class Store:
         """Store and mark one finished chunk of one scheme.
 
         values: arrays by name; the first axis is that of the machines
+        Raises FileNotFoundError where the folder was removed since it was opened.
         """
+        self._need_folder()
         values = {n: np.asarray(value, self._arrays[n].dtype) for n, value in values.items()}
         for name, value in values.items():
             self._arrays[name][scheme, machines] = value
@@ -131,12 +134,25 @@ class Store:
         self._keep(scheme, machines, values)
 
     def dataset(self) -> xr.Dataset:
-        """The dataset with every chunk that this store wrote, or found undamaged."""
+        """The dataset with every chunk that this store wrote, or found undamaged.
+
+        Raises FileNotFoundError where the folder was removed, and ValueError where it was damaged.
+        """
         import xarray as xr
 
-        found = xr.open_zarr(self._store, chunks=None, consolidated=False)
-        known = {n: (found[n].dims, values, found[n].attrs) for n, values in self._known.items()}
-        return _labelled(found.assign(known).load(), self.layout.recipe)
+        self._need_folder()
+        try:
+            found = xr.open_zarr(self._store, chunks=None, consolidated=False)
+            known = {n: (found[n].dims, of, found[n].attrs) for n, of in self._known.items()}
+            return _labelled(found.assign(known).load(), self.layout.recipe)
+        except (KeyError, OSError, ValueError) as error:
+            raise Damaged(_damaged(self.path, error)) from None
+
+    def _need_folder(self) -> None:
+        if self.path is not None and not (self.path / METADATA).is_file():
+            raise FileNotFoundError(
+                f"{self.path} was removed while the sweep was running; run it again"
+            )
 
     def _keep(self, scheme: int, machines: slice, values: Mapping[str, np.ndarray]) -> None:
         # The files need not be read again for the dataset.
@@ -165,7 +181,7 @@ def open_dataset(path: str | Path) -> xr.Dataset:
         dataset = _loaded(str(path))
         _check_marks(dataset, known["configuration"], known["chunk"])
     except Exception as error:  # any error of a codec on damaged bytes
-        raise Damaged(f"{path} is damaged: {error}; resuming the sweep mends it") from None
+        raise Damaged(_damaged(path, error)) from None
     return _labelled(dataset, known["configuration"])
 
 
@@ -191,6 +207,10 @@ def _check_marks(dataset: xr.Dataset, recipe: Mapping[str, Any], chunk: int) -> 
         if mark and mark != _mark(recipe, found):
             name = dataset["scheme"].values[scheme]
             raise Damaged(f"chunk {number} of scheme {name!r} is not as it was marked")
+
+
+def _damaged(path: Path | None, error: Exception) -> str:
+    return f"{path} is damaged: {error}; resuming the sweep mends it"
 
 
 def _machines(chunk: int, size: int, machines: int) -> slice:

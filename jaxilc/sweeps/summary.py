@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from ..learning.divergence import GROWTH, grown_from
+from ..pytree.in_short import in_short
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -51,6 +52,7 @@ class SchemeSummary(NamedTuple):
     grown_to: float
     diverged: float
     diverged_at: int
+    __repr__ = in_short
 
 
 def summarise(

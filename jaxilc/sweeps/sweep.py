@@ -18,6 +18,7 @@ from ..learning.machine import Machine
 from ..learning.metrics import Keep
 from ..learning.over_trials import check
 from ..learning.within_trial import bytes_of_trial
+from ..pytree.in_short import in_short
 from ..pytree.ranges import SEEDS, brief, require
 from ..runtime import capacity, provenance
 from ..runtime.earlier_names import takes_also
@@ -27,6 +28,7 @@ from ..runtime.tiles import OPEN
 from ..schemes import Scheme
 from ..signals.task import Task, Trial
 from ..uncertainty import Uncertainty, draw, drawn_count, drawn_machine
+from ..uncertainty import check as check_uncertainty
 from .host import Host
 from .layout import Layout
 from .plan import Plan, that_fits
@@ -81,6 +83,7 @@ class Sweep:
     chunk: int = OPEN
     lanes: int = OPEN
     quantities: Mapping[str, Callable[[Trial], jax.Array]] = dataclasses.field(default_factory=dict)
+    __repr__ = in_short
 
     def __post_init__(self):
         for name in ("lanes", "trials", "machines", "chunk"):
@@ -103,6 +106,7 @@ class Sweep:
         Keep.of(self.quantities)
         for scheme in self.schemes.values():
             check(self.machine, scheme, self.task)
+        check_uncertainty(self.machine, self.uncertainty)
         self.need_room()
         if self.drawn:  # the number of corners, whatever was asked for
             object.__setattr__(self, "machines", len(next(iter(self.drawn.values()))))

@@ -28,7 +28,7 @@ class View(NamedTuple):
     """What the vector w of a scheme consists of.
 
     whole:  whether w is all that the scheme knows, in place of its feedforward
-    moving: (n,) which entries of it learning ever changes
+    moving: (n,) which entries of it learning ever changes; all, where it changes none
     """
 
     whole: bool
@@ -84,24 +84,34 @@ def known_as(memory, scheme: Scheme, task: Task, view: View) -> jax.Array:
 
 
 def view_of(scheme: Scheme, task: Task) -> View:
-    """What w is for a linear law.
-
-    Whether learning leaves a sample alone is seen at a random input and error. For a linear law one
-    such look is enough.
-    """
+    """What w is for a linear law."""
     if remembers(scheme, task):
         size = sum(
             leaf.size
             for leaf in jax.tree.leaves(jax.eval_shape(lambda: scheme.initial_memory(task)))
         )
         return View(True, tuple(range(size)))
+    moves = _moves(scheme, task)
+    return View(False, tuple(np.flatnonzero(moves if np.any(moves) else ~moves).tolist()))
+
+
+def changes_nothing(scheme: Scheme, task: Task) -> bool:
+    """Whether a linear law leaves what is played as it is, as one with a gain of 0 does."""
+    return not remembers(scheme, task) and not np.any(_moves(scheme, task))
+
+
+def _moves(scheme: Scheme, task: Task) -> np.ndarray:
+    """(N n_w,) which samples learning changes, at a random input and error.
+
+    For a linear law one such look is enough.
+    """
     random = np.random.default_rng(7)
     w, e = (
         random.standard_normal(learned_shape(scheme, task)),
         random.standard_normal((task.N, task.outputs)),
     )
     moved = np.asarray(_moved(scheme.unlimited(), task, w, e)).ravel()
-    return View(False, tuple(np.flatnonzero(np.abs(moved) > 1e-14 * np.abs(w).max()).tolist()))
+    return np.abs(moved) > 1e-14 * np.abs(w).max()
 
 
 @jax.jit

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from ..pytree.in_short import in_short
 from ..runtime.capacity import check_size
 from ..schemes import CFDLMFAILC, FFDLMFAILC
 from ..signals.task import Task, Trial
@@ -59,6 +60,7 @@ class CFDLBounds(NamedTuple):
     ppd_error: np.ndarray
     observed: np.ndarray
     condition: Condition
+    __repr__ = in_short
 
 
 def cfdl_bounds(scheme: CFDLMFAILC, task: Task, y, u) -> CFDLBounds:
@@ -164,6 +166,7 @@ class FFDLBounds(NamedTuple):
     mismatch: np.ndarray
     observed: np.ndarray
     condition: Condition
+    __repr__ = in_short
 
 
 def ffdl_bounds(scheme: FFDLMFAILC, task: Task, y, u) -> FFDLBounds:

@@ -36,12 +36,13 @@ import numpy as np
 from ..learning.divergence import GROWTH
 from ..learning.machine import Machine
 from ..learning.over_trials import check
+from ..pytree.in_short import in_short
 from ..runtime.capacity import check_size
 from ..schemes import Scheme
 from ..schemes.experiments import trials_of_step
 from ..signals.task import Task
 from ..uncertainty import Uncertainty, draw, drawn_machines
-from .affine import limit_names, view_of
+from .affine import changes_nothing, limit_names, view_of
 from .as_map import Maps
 from .as_matrix import Matrices
 from .forecast import follow, growth_of, peaks, predict, simulate
@@ -102,6 +103,7 @@ class Certificate(NamedTuple):
     peak_trial: np.ndarray
     distance: np.ndarray | None
     outlook: Outlook | None
+    __repr__ = in_short
 
     def confusion(self) -> dict[str, dict[str, int]]:
         """{expected: {observed: machines}}"""
@@ -236,10 +238,12 @@ def _certified(
 
 def _long_run(machines: Machine, scheme: Scheme, task: Task, steps: int) -> LongRun:
     machine = jax.tree.map(lambda leaf: leaf[0], machines)
-    broken = [p for p in learning_premises(machine, scheme, task) if not p.held]
+    broken = [p.detail for p in learning_premises(machine, scheme, task) if not p.held]
+    if not broken and changes_nothing(scheme, task):
+        broken = ["the law changes nothing of what is played, so every trial is like the first"]
     if broken:
         size = len(jax.tree.leaves(machines)[0])
-        reason = np.full(size, broken[0].detail, object)
+        reason = np.full(size, broken[0], object)
         return LongRun(
             np.full(size, NOTHING), reason, np.zeros(size, bool), np.full(size, np.inf), None
         )

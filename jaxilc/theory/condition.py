@@ -12,6 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..pytree.in_short import in_short
+
 HOLDS, FAILS, NOT_CLAIMED = "holds", "fails", "not claimed"
 ROUNDING = 1000.0  # in units of the last place
 
@@ -46,6 +48,7 @@ class Condition(NamedTuple):
     premises: tuple[Premise, ...]
     theorem: str
     verdict: str | np.ndarray
+    __repr__ = in_short
 
     @property
     def holds(self) -> bool:

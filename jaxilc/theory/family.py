@@ -16,6 +16,7 @@ from jax import lax
 
 from ..learning.machine import Machine
 from ..learning.over_trials import check
+from ..pytree.in_short import in_short
 from ..runtime.earlier_names import takes_also
 from ..runtime.tiles import tiled
 from ..schemes import Scheme
@@ -54,6 +55,7 @@ class FamilyTest(NamedTuple):
     values: np.ndarray
     critical: np.ndarray
     drawn: dict[str, np.ndarray]
+    __repr__ = in_short
 
 
 @takes_also(samples="machines")

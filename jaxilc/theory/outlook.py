@@ -26,6 +26,7 @@ import jax
 import numpy as np
 
 from ..learning.machine import Machine
+from ..pytree.in_short import in_short
 from ..schemes import Scheme
 from ..signals.task import Task
 from .affine import limit_names, view_of
@@ -64,6 +65,7 @@ class Decay(NamedTuple):
     radius: np.ndarray
     inverse: np.ndarray
     fallen: np.ndarray
+    __repr__ = in_short
 
     @property
     def power(self) -> np.ndarray:
@@ -141,6 +143,7 @@ class Outlook(NamedTuple):
     met: np.ndarray
     clear: np.ndarray
     which: np.ndarray
+    __repr__ = in_short
 
     def of_limits(self, machine: int) -> Premise:
         """The premise that the limits change nothing, so that all stays linear."""

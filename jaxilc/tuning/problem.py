@@ -23,6 +23,7 @@ import optax
 from ..learning.divergence import CEILING
 from ..learning.machine import Machine
 from ..learning.over_trials import check
+from ..pytree.in_short import in_short
 from ..pytree.named_paths import replaced
 from ..runtime.capacity import check_program
 from ..runtime.earlier_names import takes_also
@@ -118,6 +119,7 @@ class Tuning:
     ceiling: float = CEILING
     lanes: int = OPEN
     quantities: Mapping[str, Callable[[Trial], jax.Array]] = dataclasses.field(default_factory=dict)
+    __repr__ = in_short
 
     def __post_init__(self):
         if self.lanes_given is None:

@@ -16,6 +16,7 @@ import numpy as np
 
 from ..learning.machine import Machine
 from ..learning.over_trials import check
+from ..pytree.in_short import in_short
 from ..pytree.named_paths import get_at, interval_at, named_leaves, replaced
 from ..schemes import Scheme
 from ..signals.task import Task
@@ -127,6 +128,7 @@ class Tuned:
     step: int
     nudged: dict[str, float]
     reason: str
+    __repr__ = in_short
 
     @classmethod
     def of(

@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..pytree.in_short import in_short
 from ..pytree.ranges import SEEDS, require
 from ..runtime.capacity import check_program, check_size
 from ..runtime.tiles import tiled
@@ -43,6 +44,7 @@ class WorstCase(NamedTuple):
     evaluations: int
     found: np.ndarray
     best: np.ndarray
+    __repr__ = in_short
 
 
 def worst_case_search(

@@ -18,6 +18,7 @@ from ..learning.known_metrics import bytes_of_metrics
 from ..learning.machine import Machine
 from ..learning.metrics import Keep
 from ..learning.over_trials import learn
+from ..pytree.in_short import in_short
 from ..runtime.capacity import check_size
 from ..schemes import Scheme
 from ..signals.task import Task, Trial
@@ -49,6 +50,7 @@ class Search(NamedTuple):
     needed: int
     level_with_chance: int | None
     course: np.ndarray
+    __repr__ = in_short
 
 
 class WorstMachine(NamedTuple):
@@ -63,6 +65,7 @@ class WorstMachine(NamedTuple):
     nominal: float
     searches: dict[str, Search]
     by_chance: np.ndarray
+    __repr__ = in_short
 
 
 def worst_machine(

@@ -55,6 +55,11 @@ PLAIN = {
     for name, value in os.environ.items()
     if name not in ("FORCE_COLOR", "PY_COLORS", "GITHUB_ACTIONS", "NO_COLOR")
 }
+PROGRAM = (
+    sys.executable,
+    "-c",
+    "import sys; from jaxilc.cli import main; sys.argv[0] = 'jaxilc'; main()",
+)
 COLOUR = re.compile("\x1b\\[[0-9;]*3[0-7]")
 
 
@@ -84,7 +89,7 @@ def test_list_names_scenarios_and_all_that_can_be_set(jaxilc_command):
     assert "cao-2019" in out
     code, out, _ = jaxilc_command("list", "cao-2019")
     assert code == 0
-    for path in ("machine.plant.poles", "ffdl-mfailc.phi0", "pid.form", "reference"):
+    for path in ("plant.poles", "ffdl-mfailc.phi0", "pid.form", "reference"):
         assert path in out
 
 
@@ -128,7 +133,7 @@ def test_settings_reach_leaves_statics_and_options_together(jaxilc_command, tmp_
         "ffdl-mfailc.L_y=1",
         "ffdl-mfailc.phi0=0.5,-0.06,0",
         "ffdl-mfailc.reset=sign",
-        "machine.plant.b[0]=0.002",
+        "plant.b[0]=0.002",
     )
     flags = [part for s in settings for part in ("--set", s)]
     code, _, _ = jaxilc_command(
@@ -256,7 +261,7 @@ def test_sweep_prints_the_yield_and_resumes(jaxilc_command, tmp_path):
         (("sweep", "cao-2019", "--keep", "z"), "keep = 'z' is not one of y, e, u"),
         (
             ("run", "dai-2014", "--set", "machine.plant=3"),
-            "'machine.plant' cannot be set; did you mean machine.plant.",
+            "'machine.plant' cannot be set; did you mean plant.",
         ),
         (("run", "dai-2014", "--params", "none.json"), "none.json: no such file or directory"),
         (
@@ -442,7 +447,8 @@ def test_identify_reads_a_record_and_names_what_is_wrong_with_it(
     assert "found.toml exists already; add --force to replace it" in err
     code, _, err = jaxilc_command("identify", "record.csv", "--input", "voltage")
     assert code == 2
-    assert "no column 'voltage'; present are t [s], u, y" in err
+    said = "no column 'voltage'; present are t [s], u, y; --input (input) names another"
+    assert said in " ".join(err.split())
 
 
 def test_identify_reads_a_frequency_response(jaxilc_command, tmp_path, monkeypatch):
@@ -566,7 +572,11 @@ def test_a_help_page_fits_80_columns(name):
     assert ("--machines" in shown.stdout) == (
         name in ("sweep", "explore", "certify", "tune", "pareto", "design", "filter", "learn-law")
     )
-    assert ("[@METRIC]" in shown.stdout) == (name in ("tune", "pareto", "learn-law"))
+    command = get_command(app).commands.get(name)
+    helps = "".join([command.help, *(p.help for p in command.params)] if command else ())
+    brackets = re.findall(r"\[[^\]]+\]", re.sub(r"[\\\s]", "", helps))
+    together = re.sub(r"[│\s]", "", shown.stdout)
+    assert [unit for unit in brackets if unit not in together] == [], "Rich has tags like [s]"
 
 
 def test_help_groups_every_command_by_what_one_wants():
@@ -621,13 +631,30 @@ def test_a_table_fits_80_columns_and_nothing_is_cut(jaxilc_command, monkeypatch,
 
 def started(*words, **environment):
     """Run the console script as another process, without a terminal, and return its result."""
-    program = "import sys; from jaxilc.cli import main; sys.argv[0] = 'jaxilc'; main()"
     return subprocess.run(
-        [sys.executable, "-c", program, *words],
+        [*PROGRAM, *words],
         capture_output=True,
         text=True,
         env=PLAIN | environment,
     )
+
+
+@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
+def test_a_closed_stream_is_one_that_nobody_reads(closed):
+    line = shlex.join([*PROGRAM, "--version"])
+    done = subprocess.run([f"{line} {closed}"], shell=True, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert bool(done.stdout) == (">&-" not in closed.replace("2>", ""))
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no device of a full disk here")
+@pytest.mark.parametrize("line", ["--version >/dev/full", "run none.toml 2>/dev/full"])
+def test_a_full_disk_is_no_error_of_jaxilc(line):
+    done = subprocess.run(
+        [f"{shlex.join(PROGRAM)} {line}"], shell=True, capture_output=True, text=True
+    )
+    assert done.returncode == 2
+    assert done.stderr in ("", "error: input or output: no space left on device\n")
 
 
 @pytest.mark.parametrize("words", [("--help",), ("sweep", "--help"), ("--version",), ("list",)])
@@ -796,7 +823,7 @@ def test_certify_tune_and_worst_case_leave_reports(jaxilc_command, tmp_path):
         (
             "worst-case",
             ("--trial", 2, "--starts", 2, "--steps", 2),
-            ("until level with chance", "machine.plant.B"),
+            ("until level with chance", "plant.B"),
         ),
     ):
         code, out, err = jaxilc_command(command, *common, *options)

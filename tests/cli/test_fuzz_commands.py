@@ -13,7 +13,7 @@ import jax
 import numpy as np
 import pytest
 import typer
-from fuzz import fuzz, pick
+from fuzz import LONGEST, fuzz, pick
 
 from jaxilc import cli, runtime
 from jaxilc.bench import contests, ours_alone
@@ -128,7 +128,7 @@ FILES = (
     "-",
     "--",
 )
-LETTERS = ("\x1b[31m", "[bold]", ":x:", "\u202e", "\n", "\udcff", "é", "a" * 300)
+LETTERS = ("\x1b[31m", "[bold]", ":x:", "\u202e", "\n", "\udcff", "é", "a" * 300, "b" * 5000)
 
 
 class Computes(BaseException):
@@ -217,7 +217,7 @@ def test_what_was_found(line, folder, monkeypatch):
     assert ended() == 2
 
 
-def test_commands(folder, monkeypatch):
+def test_commands(folder, monkeypatch, capsys):
     known = typer.main.get_command(cli.app).commands
     options = {
         name: [max(p.opts, key=len) for p in c.params if p.param_type_name == "option"]
@@ -242,5 +242,6 @@ def test_commands(folder, monkeypatch):
         monkeypatch.setattr(sys, "argv", ["jaxilc", *arguments])
         with contextlib.suppress(Computes):
             assert ended() in (None, 0, 2, 3), arguments
+        assert len(capsys.readouterr().err) <= LONGEST, arguments
 
     fuzz(100, attempt, ())

@@ -491,7 +491,7 @@ def test_an_input_beyond_the_limit_is_refused_by_sample_and_value(copied):
         ),
         (
             lambda rows: [rows[0].replace("u [V]", "i [A]"), *rows[1:]],
-            r"has no input u; record it, or add --replayed-input",
+            r"has no input u; record it, name it by --input, or add --replayed-input",
         ),
         (
             lambda rows: [*rows[:50], cut(rows[50], 3), *rows[51:]],

@@ -99,6 +99,28 @@ def test_channels_are_numbered_and_share_a_unit(tmp_path):
             read_measured(text(tmp_path / "trial.csv", header, TWO.time, y1, y0, u, u), TWO)
 
 
+def test_a_signal_may_have_another_name_in_the_file(tmp_path):
+    y0, y1, u = np.asarray(K / 3), np.asarray(K / 9), np.asarray(K * 2.0)
+    names = {"t": "clock", "y": "north, east", "u": "volts"}
+    header = "clock [s];north [µm];volts;east [µm];y"
+    path = text(tmp_path / "trial.csv", header, TWO.time, y0, u, y1, u)
+    found = read_measured(path, TWO, names=names)
+    np.testing.assert_array_equal(found.y, np.stack([y0, y1], axis=1))
+    np.testing.assert_array_equal(found.u[:, 0], u[:-1])
+    assert found.ignored == ("y",)
+    for wrong, message in (
+        ({"u": "amperes"}, "has no column 'amperes'; present are .*; --input names another"),
+        ({"y": "north"}, "has no column 'north0'"),
+        ({"y": "north,east,up"}, "--output 'north,east,up' names 3 columns; allowed are the 2"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            read_measured(path, TWO, names=names | wrong)
+    matlab = mat(tmp_path / "trial.mat", x=K, units={"t": "s", "x": "mm"})
+    np.testing.assert_array_equal(read_measured(matlab, ONE, names={"y": "x"}).y[:, 0], K)
+    with pytest.raises(ValueError, match=r"has no variable 'z'; .*; --output names another"):
+        read_measured(matlab, ONE, names={"y": "z"})
+
+
 def test_a_clock_that_drifts_is_refused_and_one_that_starts_late_is_not(tmp_path):
     task = Task(np.zeros(1001), dt=DT)
     y = np.zeros(1001)

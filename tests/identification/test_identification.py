@@ -483,8 +483,11 @@ def test_a_time_of_doubtful_unit_is_refused(heading, unit, message, tmp_path):
 
 
 FILES = {
-    "column": ("t,u,z\n0,1,2\n1,1,2\n", r"has no column 'y'; present are t, u, z"),
-    "empty": ("", r"has no column 't'; present are none"),
+    "column": (
+        "t,u,z\n0,1,2\n1,1,2\n",
+        r"no column 'y'; present are t, u, z; --output \(output\) names another",
+    ),
+    "empty": ("# nothing\n\n", r"is empty; allowed is a line of headings with numbers below it"),
     "text": ("t,u,y\n0,1,2\n1,x,2\n", r"line 3: u = 'x' is not a finite number"),
     "nan": ("t,u,y\n0,1,2\n\n1,1,2\n2,1,nan\n", r"line 5: y = 'nan' is not a finite number"),
     "short_row": ("t,u,y\n0,1,2\n1,1\n", r"line 3: y = '' is not a finite number"),
@@ -505,7 +508,7 @@ FILES = {
 def test_a_bad_file_is_named_with_its_line(text, message, tmp_path):
     path = tmp_path / "bad.csv"
     path.write_text(text)
-    with pytest.raises(ValueError, match=f"read_record: .*bad.csv.*{message}"):
+    with pytest.raises(ValueError, match=f"bad.csv.*{message}"):
         read_record(path)
 
 
@@ -548,7 +551,11 @@ def spoiled(signal, k=17):
         ),
         (
             lambda: identify(GOOD._replace(u=np.zeros(100))),
-            r"the input is 0 over the 71 samples to fit",
+            r"the input is 0 over all of the 71 samples to fit",
+        ),
+        (
+            lambda: identify(GOOD._replace(u=np.full(100, 2.5))),
+            r"the input is 2.5 over all .* it excites nothing. A record of a step begins before it",
         ),
         (lambda: identify(GOOD, poles=-1), r"poles = -1 is outside its allowed range \[0, 50\]"),
         (lambda: identify(GOOD, pairs=0.5), r"pairs = 0.5 is outside its allowed range \[0, 50\]"),

@@ -325,6 +325,9 @@ def test_systems_of_scipy_respond_as_in_scipy(name):
     assert np.max(np.abs(y)) > 1e-3
 
 
+TOO_LONG = "den has 1002 coefficients, of order 1001; allowed is an order of at most 1000"
+
+
 @pytest.mark.parametrize(
     ("build", "message"),
     [
@@ -373,6 +376,11 @@ def test_systems_of_scipy_respond_as_in_scipy(name):
             "dt = True leaves the sample time open",
         ),
         (lambda: from_control(scipy.signal.lti([1.0], [1.0, -1.0])), "the system is unstable"),
+        *(
+            (lambda make=make: from_control(make([1.0], [1.0, *[0.0] * 1001], dt=1e-3)), TOO_LONG)
+            for make in (control.tf, scipy.signal.dlti)
+        ),
+        (lambda: canonical_form([1.0], [1.0, *[0.0] * 1001], 1e-3), TOO_LONG),
         (
             lambda: from_control(scipy.signal.firwin(5, 0.3)),
             "ndarray is not a control.StateSpace or control.TransferFunction, a control.nlsys",

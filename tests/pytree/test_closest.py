@@ -2,7 +2,7 @@
 
 import pytest
 
-from jaxilc.pytree.closest import LISTED, MOST, closest, known_names, not_one_of
+from jaxilc.pytree.closest import LISTED, MOST, closest, known_names, listed, not_one_of
 
 PATHS = ["machine.plant.gain", "machine.plant.poles", "p-type.gamma_p", "p-type.lead"]
 
@@ -41,3 +41,15 @@ def test_a_long_list_is_counted_only_where_there_is_a_suggestion():
     assert known_names("zzzz", many) == f"known: {', '.join(many)}"
     assert known_names("plant.aa", many[:2]).endswith("? Known: plant.a, plant.b")
     assert known_names("a", []) == "known: none"
+
+
+def test_a_long_list_of_names_is_cut():
+    names = [f"name-{i}" for i in range(1000)]
+    assert listed(names[:3]) == "name-0, name-1, name-2"
+    assert listed([]) == "none"
+    text = listed(names)
+    shown = text.partition(" and ")[0].split(", ")
+    assert shown == names[: len(shown)]
+    assert text.endswith(f" and {1000 - len(shown)} more")
+    assert len(text) < 650
+    assert len(listed(["x" * 9999, "y"])) < 120

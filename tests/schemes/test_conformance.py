@@ -103,6 +103,17 @@ def test_jit_equals_no_jit(run):
         assert_same(run.history, of(parts, run.task))
 
 
+def test_parts_are_made_and_checked_inside_jit_though_nothing_of_them_is_traced(run):
+    @jax.jit
+    def checked(x):
+        parts = {name: replaced(part, named_leaves(part)) for name, part in run.parts.items()}
+        over_trials.check(**parts, task=run.task)
+        over_trials.check(**run.parts, task=run.task)
+        return x
+
+    checked.eval_shape(1.0)
+
+
 def test_vmap_equals_loop(run):
     for i in range(LANES):
         assert_same(lane(run.batch, i), of(lane(run.lanes, i), run.task))

@@ -247,3 +247,24 @@ def test_without_a_home_it_works_and_keeps_nothing():
         check=True,
     )
     assert done.stdout.split() == ["None"]
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("a.toml", "x = 1\ngain = 0,99", "line 2, column 9: found 'gain = 0,99'; .* point, 0.99$"),
+        ("a.toml", "g = { low = -1,5e3 } # here", "found 'g = .* here'; .* point, -1.5e3$"),
+        (
+            "a.json",
+            '{"gain": 0,99}',
+            "line 1, column 12: found '{\"gain\": 0,99}'; .* point, 0.99$",
+        ),
+        ("a.toml", "dt = 0.001 s", "column 12: found 'dt = 0.001 s'; expected newline or end of"),
+        ("a.toml", "x = [1,2 y", "line 1, column 10: found .*; unclosed array"),
+        ("a.toml", "x = [", r"a.toml: Invalid value \(at end of document\)"),
+    ],
+)
+def test_a_text_that_is_no_tree_is_shown_with_what_is_wanted(tmp_path, name, text, message):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(ValueError, match=message):
+        read_tree(tmp_path / name)

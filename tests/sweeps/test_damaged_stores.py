@@ -91,6 +91,31 @@ def test_what_is_gone_or_cut_short_is_refused_and_computed_again(swept, tmp_path
     assert resumed["settled_error"].values.tobytes() == dataset["settled_error"].values.tobytes()
 
 
+@pytest.mark.parametrize("chunks", [1, 2])
+def test_a_store_that_is_removed_while_a_sweep_runs_is_named(swept, tmp_path, chunks):
+    plan, place = swept[0], tmp_path / "store.zarr"
+
+    def progress(name, done, fresh):
+        if done >= 3 * chunks - 1:
+            shutil.rmtree(place, ignore_errors=True)
+
+    with pytest.raises(FileNotFoundError, match=r"store.zarr was removed while the sweep was run"):
+        plan.run(place, progress=progress)
+    assert not place.exists()
+
+
+def test_an_array_that_is_removed_while_a_sweep_runs_is_named(swept, tmp_path):
+    plan, place = swept[0], tmp_path / "store.zarr"
+
+    def progress(name, done, fresh):
+        if done == plan.machines:
+            shutil.rmtree(place / "diverged")
+
+    with pytest.raises(ValueError, match=r"store.zarr is damaged: .*diverged.*; resuming"):
+        plan.run(place, progress=progress)
+    xr.testing.assert_identical(plan.run(place, resume=True), swept[2])
+
+
 def test_a_store_without_its_configuration_is_refused(swept, tmp_path):
     plan, store, _ = swept
     shutil.copytree(store, tmp_path / "store.zarr")

@@ -158,6 +158,21 @@ def test_what_adapts_or_stops_is_never_claimed(scheme):
     assert type(scheme).__name__ in found.reason[0]
 
 
+@pytest.mark.parametrize(
+    "scheme", [PIDType(), LearningFilter((0.0,) * 3), NormOptimal(SERVO.plant, w_q=0.0, w_r=1.0)]
+)
+def test_of_a_law_that_changes_nothing_nothing_is_claimed(scheme):
+    found = certified(SERVO, scheme, 3, GAIN, samples=2)
+    assert set(found.claim) == {"not claimed"}
+    assert set(found.reason) == {
+        "the law changes nothing of what is played, so every trial is like the first"
+    }
+    assert "ends no higher than it began" in sentence(found, 3)
+    # its learning map is the identity on all that it could learn
+    decay = outlook.decays(drawn_machines(SERVO, {}, {}), scheme, TASK)
+    np.testing.assert_allclose(decay.norm, 1.0, rtol=1e-9)
+
+
 def test_what_is_claimed_does_not_depend_on_how_long_one_watches():
     """A claim does not depend on the number of simulated trials.
 
