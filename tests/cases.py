@@ -5,25 +5,39 @@ What is listed here gets every test of test_conformance.py.
 
 import numpy as np
 
-from jaxilc.filters import SwitchableFilter, ZeroPhaseButterworth, ZeroPhaseFIR, ZeroPhaseIIR
+from jaxilc.filters import (
+    SwitchableFilter,
+    ZeroPhaseBandStop,
+    ZeroPhaseButterworth,
+    ZeroPhaseFIR,
+    ZeroPhaseIIR,
+    stable_inverse,
+    zpetc,
+)
 from jaxilc.learning import Machine
 from jaxilc.plants import (
     BallScrewDrive,
     BoucWen,
+    Cogging,
     Creep,
     CuttingForce,
     Dahl,
     DifferenceEquation,
+    EndEffect,
     FastToolServo,
     FlexibleMode,
     FrictionTable,
+    InBlocks,
+    InputHysteresis,
     LeadError,
     Pendulum,
     PeriodicForce,
     ProcessModel,
     StateSpace,
     StribeckFriction,
+    ThreeAxes,
     TimeVaryingStateSpace,
+    TwoAxes,
     VoiceCoilMotor,
     direct_model,
     multivariable_model,
@@ -48,6 +62,7 @@ from jaxilc.schemes import (
     EstimatedDisturbance,
     ExponentialPD,
     Filtered,
+    GivenBasis,
     GradientILC,
     HigherOrder,
     KeepUnmeasured,
@@ -107,15 +122,18 @@ _WAVE = 1 + 0.05 * np.sin(np.arange(FEW))[:, None, None]
 # a fast tool servo slow enough for 1 ms, with a gain of 1 um/V
 _SERVO = {"mass": 10.0, "damping": 1.3e-3, "conversion": 0.05, "longest_dt": DT}
 
+_ARX = DifferenceEquation(*ARX, dt=DT)
+_LAG = StateSpace([[0.9, 0.1], [-0.2, 0.8]], [[0.01], [0.1]], [[1.0, 0.5]], dt=DT)
+
 PLANTS = {
     "voice_coil_exact": voice_coil(),
     "voice_coil_printed": voice_coil("printed"),
     "voice_coil_dai": voice_coil("dai_2014_printed"),
-    "arx": DifferenceEquation(*ARX, dt=DT),
+    "arx": _ARX,
     "continuous": StateSpace(
         [[0.0, 1.0], [-4e3, -80.0]], [[0.0], [4e3]], [[1.0, 0.0]], x0=(0.02, -1.0)
     ),
-    "discrete": StateSpace([[0.9, 0.1], [-0.2, 0.8]], [[0.01], [0.1]], [[1.0, 0.5]], dt=DT),
+    "discrete": _LAG,
     "mimo": StateSpace(
         [[-50.0, 20.0], [5.0, -90.0]], [[50.0, 5.0], [-10.0, 80.0]], [[1.0, 0.1], [0.2, 1.0]]
     ),
@@ -157,6 +175,21 @@ PLANTS = {
         np.array([[1.0, 0.5]]) * _WAVE[::-1],
         dt=DT,
     ),
+    # The end of the stroke lies within the motion, and the buffer beyond it is reached.
+    "motor_real": VoiceCoilMotor(
+        current_gain=30.0,
+        substep=1e-3,
+        current_limit=None,
+        voltage_limit=None,
+        speed_limit=None,
+        command_delay=None,
+        stiffness=50.0,
+        friction=_GREASE,
+        cogging=Cogging(amplitude=2.0, pitch=1e-3, phase=0.4),
+        end_effect=EndEffect(stroke=2e-4, drop=0.3, buffer_stiffness=5e3),
+    ),
+    "in_blocks": InBlocks(TwoAxes(_LAG, _ARX), length=5),
+    "three_axes": ThreeAxes(_LAG, _ARX, InputHysteresis(_LAG, Dahl(0.4, 0.3))),
     # so heavy that it swings within a few samples of 1 ms, far from where it is linear
     "pendulum": Pendulum(mass=0.02, damping=0.1, inertia=1e-3, length=0.2, gravity=9e4),
     "motor_and_table": StateSpace(
@@ -220,7 +253,17 @@ SCHEMES = {
     "p_type_fir": Filtered(PIDType(gamma_p=-1.0), ZeroPhaseFIR((0.4, 0.2, 0.1))),
     "p_type_butterworth": Filtered(PIDType(gamma_p=-1.0), ZeroPhaseButterworth(80.0)),
     "cfdl_butterworth": Filtered(CFDLMFAILC(**_CFDL), ZeroPhaseButterworth(80.0, order=3)),
-    "error_filtered": ErrorFiltered(PIDType(gamma_p=-1.0, lead=1), ZeroPhaseFIR((0.6, 0.2))),
+    "error_filtered": ErrorFiltered(PIDType(gamma_p=-1.0, lead=1), ZeroPhaseBandStop(90.0, 160.0)),
+    # one of a model whose zero, at -1.3, is outside the unit circle
+    "inverses": ErrorFiltered(
+        ErrorFiltered(
+            PIDType(gamma_p=0.01),
+            stable_inverse(
+                StateSpace([[0.9, 0.1], [-0.2, 0.8]], [[0.01], [0.1]], [[1.0, -0.05]], dt=DT)
+            ),
+        ),
+        zpetc(_LAG, radius=0.7),
+    ),
     "ffdl_fir": Filtered(FFDLMFAILC(**_FFDL), ZeroPhaseFIR((0.6, 0.2))),
     "pid_feedforward": PID(kp=-8.0, ki=-40.0, kd=-2e-3, kv=-2e-3, ka=-2e-5),
     "pid_feedforward_increment": PID(
@@ -368,7 +411,9 @@ SCHEMES = {
         w_r=0.05,
         iterations=2,
     ),
-    "on_basis": OnBasis(PIDType(gamma_p=-1.0, lead=2), PolynomialBasis((0, 1, 2), lead=3e-4)),
+    "on_basis": OnBasis(
+        PIDType(gamma_p=-1.0, lead=2), GivenBasis(np.sin(np.outer(np.arange(FEW), (0.2, 0.4, 0.7))))
+    ),
     "warm_start": WarmStart(
         PIDType(gamma_p=-1.0, lead=2), PolynomialBasis((0, 1), lead=3e-4), (-0.5, -2e-3)
     ),
@@ -410,6 +455,7 @@ _PLANT_OF = {
     "basis_gradient": "discrete",
     "at_samples": "discrete",
     "basis_rational": "discrete",
+    "inverses": "discrete",
     "dilc": "motor_and_table",
     "milc": "motor_and_table",
     **dict.fromkeys(("smc", "smc_hold_limited", "asmc", "asmc_carried_limited", "ilc_asmc"), "arx"),
@@ -421,6 +467,7 @@ _SCHEME_OF = {
 }
 _FEW = {
     "at_samples",
+    "on_basis",
     "cross_coupled",
     "norm_optimal",
     "norm_optimal_lifted",

@@ -41,10 +41,6 @@ FIGURES = {
 }
 
 
-def test_all_are_there():
-    assert [path.name[:2] for path in NOTEBOOKS] == sorted(FIGURES)
-
-
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_cells_are_those_of_the_percent_format(path):
     text = path.read_text(encoding="utf-8")

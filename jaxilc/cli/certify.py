@@ -85,7 +85,8 @@ def certify(
     shown, lines = _shown(chosen, numbers)
     show(shown, lines)
     asked = Asked(scenario, tuple(scheme or ()), tuple(set_ or ()), params, trials, spread)
-    verdict = certify_verdict(Case.of(wide, asked), numbers, chosen.shown_scale)
+    case = Case.of(wide, asked)._replace(unit=chosen.shown_unit)  # that of an error, of any metric
+    verdict = certify_verdict(case, numbers, chosen.shown_scale)
     paths = _figures(chosen, found, folder_of(out_dir, f"certify-{chosen.name}"))
     page = command_report(
         report,

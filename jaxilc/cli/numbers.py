@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..learning.divergence import GROWTH
+from ..learning.known_metrics import ERRORS, OF_TRIALS
 from ..scenarios.reproduction import met
 from ..sweeps.summary import summarise
 from ..theory.certificates import CLAIMS, CONVERGES, COURSES, MONOTONE
@@ -25,8 +26,6 @@ if TYPE_CHECKING:
     from ..theory.certificates import Certificate
     from ..theory.of_schemes import OfScheme
 
-ERRORS = ("max_error", "rms", "settled_error")
-METRICS = ("settled_error", "max_error", "rms", "best_trial")
 NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w])")
 
 
@@ -50,8 +49,9 @@ def run_numbers(scenario: Scenario, dataset: xr.Dataset) -> dict[str, Any]:
     """
     schemes: dict[str, Any] = {}
     for name in scenario.schemes:
-        chosen = dataset.sel(scheme=name).max("channel", skipna=False)
-        shown = {m: scenario.shown(m)[0] * chosen[m] for m in (*METRICS, *scenario.quantities)}
+        chosen = _largest(dataset, name)
+        known = (*(m.name for m in OF_TRIALS), *scenario.quantities)
+        shown = {m: scenario.shown(m)[0] * chosen[m] for m in known}
         shown |= {
             m: shown[m].where(~chosen["diverged"], np.inf) for m in shown if m != "best_trial"
         }
@@ -79,10 +79,15 @@ def errors_by_trial(scenario: Scenario, dataset: xr.Dataset) -> dict[str, list[f
     scale = scenario.shown(scenario.judged_by)[0]
     found = {}
     for name in scenario.schemes:
-        chosen = dataset.sel(scheme=name).max("channel", skipna=False)
+        chosen = _largest(dataset, name)
         errors = (scale * chosen[scenario.judged_by]).where(~chosen["diverged"], np.inf)
         found[name] = [float(error) for error in errors.fillna(np.inf)]
     return found
+
+
+def _largest(dataset: xr.Dataset, scheme: str) -> xr.Dataset:
+    """The results of one scheme, of several outputs or inputs the largest."""
+    return dataset.sel(scheme=scheme).max(["channel", "input"], skipna=False)
 
 
 def _by_axis(scenario: Scenario, chosen: xr.Dataset) -> dict[str, Any]:
@@ -95,9 +100,9 @@ def _by_axis(scenario: Scenario, chosen: xr.Dataset) -> dict[str, Any]:
     sound = ~chosen["diverged"]
     axes = {
         called: {
-            metric: {
-                str(j): scenario.shown(metric)[0]
-                * float(chosen[metric].isel(channel=i).where(sound, np.inf).sel(trial=j))
+            metric.name: {
+                str(j): scenario.shown(metric.name)[0]
+                * float(chosen[metric.name].isel(channel=i).where(sound, np.inf).sel(trial=j))
                 for j in shown_trials(scenario)
             }
             for metric in ERRORS

@@ -11,6 +11,7 @@ from typing import Annotated
 
 import typer
 
+from ..learning.known_metrics import TUNED
 from .completion import of_list, scenarios_from, schemes_from
 from .terms import OBJECTIVES, RISKS
 
@@ -122,8 +123,9 @@ MetricName = Annotated[
     str | None,
     typer.Option(
         "--metric",
-        help="Metric that tables show and --tolerance limits: max_error, rms, settled_error or one "
-        "of the scenario, such as contour_max; its own if not given.",
+        help=f"Metric that tables show and --tolerance limits: {', '.join(TUNED)} or one of the "
+        "scenario, such as contour_max; its own if not given.",
+        autocompletion=of_list(*TUNED),
     ),
 ]
 Seed = Annotated[

@@ -8,13 +8,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..learning.divergence import CEILING, GROWTH
+from ..learning.known_metrics import ERRORS
 from ..scenarios.loading import with_reading
 from ..schemes.experiments import trials_of_step
-from .numbers import ERRORS, shown_trials
+from .numbers import shown_trials
 from .titled_table import Table
 
 NOTHING = 1e-12  # of the interval of a quantity, below which it is shown as 0
 MOST_ORDERS = 12  # rows of a table of orders
+HEADS = tuple(m.head or m.name.replace("_", " ") for m in ERRORS)
+OF_CONTOUR = {"max_error": "contour_max", "rms": "contour_rms"}  # metrics of an axis, of a contour
 
 if TYPE_CHECKING:
     from ..identification import Order
@@ -98,10 +101,10 @@ def last_trial_table(numbers: dict[str, Any]) -> Table:
     """The table of the errors of the last trial of a run by every metric, and of the best trial."""
     last = str(numbers["trials"])
     table = Table(title=f"trial {last}, errors in {numbers['unit'] or 'the unit of y'}")
-    for column in ("scheme", "largest", "rms", "largest, settled", "best trial (by rms)"):
+    for column in ("scheme", *HEADS, "best trial (by rms)"):
         table.add_column(column, justify="left" if column == "scheme" else "right")
     for name, rows in numbers["schemes"].items():
-        errors = (number(rows[m][last]) for m in ("max_error", "rms", "settled_error"))
+        errors = (number(rows[m.name][last]) for m in ERRORS)
         table.add_row(name, *errors, str(rows["best"]))
     return table
 
@@ -115,14 +118,14 @@ def axes_table(numbers: dict[str, Any]) -> Table | None:
         return None
     last = str(numbers["trials"])
     table = Table(title=f"trial {last} by axis, errors in {numbers['unit'] or 'the unit of y'}")
-    for column in ("scheme", "axis", "largest", "rms", "largest, settled"):
+    for column in ("scheme", "axis", *HEADS):
         table.add_column(column, justify="left" if column in ("scheme", "axis") else "right")
     for name, rows in numbers["schemes"].items():
         for axis, errors in rows["axes"].items():
-            table.add_row(name, axis, *(number(errors[m][last]) for m in ERRORS))
+            table.add_row(name, axis, *(number(errors[m.name][last]) for m in ERRORS))
         if "contour_max" in rows:
-            contour = (number(rows[m][last]) for m in ("contour_max", "contour_rms"))
-            table.add_row(name, "contour", *contour, "")
+            contour = {of: number(rows[m][last]) for of, m in OF_CONTOUR.items()}
+            table.add_row(name, "contour", *(contour.get(m.name, "") for m in ERRORS))
     return table
 
 
@@ -188,8 +191,8 @@ def sweep_lines(numbers: dict[str, Any]) -> list[str]:
             )
         if row["semi_converged"]:
             lines.append(
-                f"{name}: on {row['semi_converged']:.1%} of the machines the error has grown since "
-                f"its best trial, up to {number(row['grown_to'])} times"
+                f"{name}: on {row['semi_converged']:.1%} of the machines the {numbers['figure']} "
+                f"has grown since its best trial, up to {number(row['grown_to'])} times"
             )
     if numbers["tolerance"] is None:
         lines.append("no yield: give --tolerance, or `tolerance` in the file")

@@ -95,11 +95,16 @@ def _limits(rows, scale: float, limit: float | None) -> tuple[float, float]:
     shown = [] if limit is None else [limit]
     for row in rows:
         low, median, high = (scale * np.asarray(x) for x in (row.low, row.median, row.high))
-        top = GROWS * median[0] if np.isfinite(median[0]) else np.inf
+        top = top_of(median)
         for values in (low, median, high):
             kept = values[np.isfinite(values) & (values > 0)]
             shown += np.minimum(kept, top).tolist()
     return limits_of(shown) or (0.1, 10.0)
+
+
+def top_of(median) -> float:
+    """Up to where the errors are shown whose first median is positive; infinite for others."""
+    return GROWS * median[0] if 0 < median[0] < np.inf else np.inf
 
 
 def _panel(ax, row, trial, i: int, scale: float, limit: float | None, limits) -> None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .band import GROWS
+from .band import top_of
 from .live_axes import Live, hover, legend, plot, shown_in, tolerance_line, within
 from .style import COLOURS, labelled, names_of
 
@@ -83,7 +83,7 @@ def band(
         low, median, high, worst = (
             scale * np.asarray(x, float) for x in (row.low, row.median, row.high, row.worst)
         )
-        top = GROWS * median[0] if np.isfinite(median[0]) else np.inf
+        top = top_of(median)
         seen += [*np.minimum(high, top), *low]
         clip = np.minimum(high, 1e3 * top if np.isfinite(top) else np.finfo(float).max / 1e9)
         known = np.isfinite(low) & (low > 0) & np.isfinite(clip)

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from ..learning.known_metrics import GATHERED
 from ..pytree.ranges import is_number
 from ..storage.files import UNFINISHED, whole_folder
 from ..storage.sealed import Damaged, archive, json_text, read_arrays, read_json, sealed, unsealed
@@ -28,7 +29,6 @@ DAMAGED = "damaged"  # the event of an entry that cannot be read
 BACK = "--undo goes back to an earlier trial"
 _ENTRY = re.compile(r"^\d{6}$")
 METRICS = "figures"  # key of a trial's metrics, as in the first campaigns
-_METRICS = ("rms", "max_error", "settled_error", "effort")  # for each channel
 _NEEDED = {"trial": int, "recipe": dict, "configuration": dict}
 _NEEDED_OF = {
     "start": {},
@@ -169,7 +169,7 @@ class Journal:
                 for name in ("serial", "time", "event", "trial", "learned", "source")
             }
             row |= {"live": m["serial"] in live, "rms_error": metrics.get("error", "")}
-            for name in _METRICS:
+            for name, _ in GATHERED:
                 row |= {f"{name}_{i}": value for i, value in enumerate(metrics.get(name, ()))}
             warnings = [text for kind, text in findings if kind == "warning"]
             warnings += [m["wrong"]] if "wrong" in m else []
@@ -213,7 +213,7 @@ def _checked(content: Any, serial: int) -> dict[str, Any]:
     if METRICS in kinds and not isinstance(manifest[METRICS].get("error"), float):
         raise Damaged(f"its {METRICS!r} hold no error")
     if METRICS in kinds and not all(
-        _are_numbers(manifest[METRICS].get(name, [])) for name in _METRICS
+        _are_numbers(manifest[METRICS].get(name, [])) for name, _ in GATHERED
     ):
         raise Damaged(f"its {METRICS!r} are not numbers of each channel")
     if "findings" in kinds and not all(map(_is_finding, manifest["findings"])):

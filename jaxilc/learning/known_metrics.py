@@ -7,19 +7,23 @@ the signals of a trial. To add one that is computed from the signals, add
     2. a field of the same name to `Metrics`, which a type checker reads.
 
 All other places use these two: `Tally` with its derivative, `measure`, the attributes of `History`,
-the variables of the datasets of a sweep and of `run_schemes`, the names that an objective may have,
-and the names that an additional quantity of the user must not have.
+the variables of the datasets of a sweep and of `run_schemes`, the numbers and tables of commands,
+the names that `--metric` and an objective may have, the journal of a campaign, and the names that
+an additional quantity of the user must not have. This module does not import JAX, so that `--help`
+is fast.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from typing import Literal, NamedTuple
-
-import jax
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from ..pytree.in_short import in_short
-from ..signals.task import Task
+
+if TYPE_CHECKING:
+    import jax
+
+    from ..signals.task import Task
 
 
 class Gathering(NamedTuple):
@@ -47,6 +51,7 @@ class Metric:
     tuned: whether an objective may minimise it
     swept: whether the dataset of a sweep contains it; that of `run_schemes` contains all metrics
     gathered: how it is computed from the signals; None if it follows from other metrics
+    head: its head in a table of several metrics; its name if empty
     """
 
     name: str
@@ -57,6 +62,7 @@ class Metric:
     tuned: bool = False
     swept: bool = True
     gathered: Gathering | None = None
+    head: str = ""
 
     def unit_of(self, task: Task) -> str:
         """The unit of the values of this metric for a task."""
@@ -66,11 +72,12 @@ class Metric:
 _PER_OUTPUT, _PER_INPUT = ("trial", "channel"), ("trial", "input")
 METRICS = (
     Metric("max_error", _PER_OUTPUT, "output", "largest error of a trial",
-           tuned=True, gathered=Gathering("e", "largest")),
+           tuned=True, gathered=Gathering("e", "largest"), head="largest"),
     Metric("rms", _PER_OUTPUT, "output", "root mean square error of a trial",
            tuned=True, gathered=Gathering("e", "root mean square")),
     Metric("settled_error", _PER_OUTPUT, "output", "largest error in the settled window of a trial",
-           tuned=True, gathered=Gathering("e", "largest", settled=True)),
+           tuned=True, gathered=Gathering("e", "largest", settled=True),
+           head="largest, settled"),
     Metric("effort", _PER_INPUT, "input", "root mean square input of a trial",
            gathered=Gathering("u", "root mean square")),
     Metric("best_trial", ("trial",), "", "trial with the smallest error so far", "i8",
@@ -82,6 +89,8 @@ METRICS = (
     Metric("grown_from", (), "",
            "trial from which on the rms error stays far above its least, or 0", "i4"),
 )  # fmt: skip
+OF_TRIALS = tuple(m for m in METRICS if m.axes[:1] == ("trial",) and m.dtype != "bool")
+ERRORS = tuple(m for m in METRICS if m.axes == _PER_OUTPUT and m.unit == "output")
 GATHERED = tuple((m.name, m.gathered) for m in METRICS if m.gathered is not None)
 TUNED = tuple(m.name for m in METRICS if m.tuned)  # the names that an objective may have
 

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 
 import jax
 
+from ..learning.known_metrics import METRICS
 from ..learning.machine import Machine
-from ..learning.metrics import Metrics
 from ..learning.over_trials import check
 from ..pytree.closest import known_names, not_one_of
 from ..pytree.in_short import in_short
@@ -121,22 +121,18 @@ class Scenario:
                 self.shown_scale if scale is None else scale,
                 self.shown_unit if unit is None else unit,
             )
-        if metric == "best_trial":
-            return 1.0, ""
+        for known in METRICS:
+            if known.name == metric:
+                of_output = (self.shown_scale, self.shown_unit)
+                return of_output if known.unit == "output" else (1.0, known.unit_of(self.task))
         for ending in COMPARED:
             if metric.endswith(ending):
                 self.shown(metric.removesuffix(ending))  # raises where there is no such metric
                 return 1.0, "%"
         if metric in OVER_TRIALS:
             return self.shown_scale, self.shown_unit
-        if metric not in Metrics._fields:
-            known = (*Metrics._fields, *self.quantities)
-            raise ValueError(not_one_of(f"metric = {metric!r}", metric, known))
-        return (
-            (1.0, self.task.input_unit)
-            if metric == "effort"
-            else (self.shown_scale, self.shown_unit)
-        )
+        names = (*(known.name for known in METRICS), *self.quantities)
+        raise ValueError(not_one_of(f"metric = {metric!r}", metric, names))
 
     @property
     def due(self) -> tuple[Published, ...]:

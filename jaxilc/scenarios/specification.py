@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from .. import plants, schemes
-from ..filters import inversion, switching, zero_phase
+from .. import filters, plants, schemes
 from ..plants import Plant
 from ..pytree.closest import closest
 from ..pytree.ranges import brief
@@ -31,17 +30,9 @@ _MODELS = {
 @functools.cache
 def classes() -> dict[str, type]:
     """Every class that a file may name: schemes, filters, plants and their parts."""
-    found = {name: getattr(module, name) for module in (schemes, plants) for name in module.__all__}
-    found |= {
-        name: value
-        for module in (inversion, zero_phase, switching)
-        for name, value in vars(module).items()
-    }
-    return {
-        n: c
-        for n, c in found.items()
-        if dataclasses.is_dataclass(c) and c.__module__.startswith(__name__.partition(".")[0] + ".")
-    }
+    rooms = (schemes, filters, plants)
+    found = {name: getattr(module, name) for module in rooms for name in module.__all__}
+    return {name: one for name, one in found.items() if dataclasses.is_dataclass(one)}
 
 
 def built(

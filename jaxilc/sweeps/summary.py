@@ -111,6 +111,8 @@ def _one_scheme(
     )
     since, lost = grown_from(errors, growth), ~np.isfinite(errors)
     grown = errors[since > 0]
+    least = grown.min(axis=1)
+    times = np.divide(grown[:, -1], least, out=np.full(len(grown), np.inf), where=least > 0)
     return SchemeSummary(
         scheme=name,
         yield_share=share,
@@ -123,7 +125,7 @@ def _one_scheme(
         worst_machine=errors.argmax(axis=0),
         semi_converged=float(np.mean(since > 0)),
         grown_from=int(min(since[since > 0], default=0)),
-        grown_to=float(max(grown[:, -1] / grown.min(axis=1), default=1.0)),
+        grown_to=float(max(times, default=1.0)),
         diverged=float(np.mean(lost.any(axis=1))),
         diverged_at=1 + int(lost.any(axis=0).argmax()) if lost.any() else 0,
     )

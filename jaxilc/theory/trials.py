@@ -12,6 +12,7 @@ from jax import lax
 
 from ..learning.machine import Disturbance, Machine
 from ..learning.within_trial import run_trial
+from ..plants import InBlocks
 from ..pytree.fields import child, pytree
 from ..schemes import Scheme, WithFeedback
 from ..schemes.compose import Pair
@@ -24,8 +25,14 @@ LEARNED = 3
 
 
 def trial_of(machine: Machine, scheme: Scheme, task: Task, memory) -> Trial:
-    """One trial without noise."""
-    return run_trial(machine.noiseless(), scheme, task, memory, jax.random.key(0))
+    """One trial without noise, sample by sample, in which a linear plant is seen to be linear.
+
+    `InBlocks` would choose by its signals between its blocks and these same steps.
+    """
+    machine = machine.noiseless()
+    if isinstance(machine.plant, InBlocks):
+        machine = dataclasses.replace(machine, plant=machine.plant.plant)
+    return run_trial(machine, scheme, task, memory, jax.random.key(0))
 
 
 def step(machine: Machine, scheme: Scheme, task: Task, memory):

@@ -7,8 +7,9 @@ Errors enter by their logarithm, so that each order of magnitude has the same we
     l(x) = 1/2 log((x / peak)^2 + floor^2) - log floor,     peak = max |r|
 
 It is >= 0, and about log(x / (floor peak)) where x is above floor peak. Objectives accept the
-metrics of `learning.known_metrics` that may be tuned, and the further quantities by name.
-Where learning diverges, the numbers grow until no gradient is finite. `Bounded` keeps them finite.
+metrics of `learning.known_metrics` that may be tuned, and further quantities by name; what is no
+error of one output has the largest of all peaks. Where learning diverges, the numbers grow until no
+gradient is finite. `Bounded` keeps them finite.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from ..learning.divergence import CEILING, peak
-from ..learning.known_metrics import TUNED
+from ..learning.known_metrics import ERRORS, TUNED
 from ..learning.machine import Machine
 from ..learning.metrics import Keep, largest
 from ..learning.over_trials import History, learn
@@ -65,12 +66,12 @@ def judge(
     ceiling: largest error, relative to the peak of the reference, see `Bounded`
     save: further quantities, for objectives that use them
     """
-    history = learn(
-        machine, Bounded.around(scheme, task, ceiling), task, trials, key=key, save=save
-    )
+    bounded = Bounded.around(scheme, task, ceiling)
+    history = learn(machine, bounded, task, trials, key=key, save=save)
     return objective(Run(machine, scheme, task, history, ceiling))
 
 
+_OF_OUTPUTS = tuple(m.name for m in ERRORS)  # relative to the reference of the same output
 _POSITIVE, _COUNT = ("(0, inf)", False), ("[1, inf)", True)
 _RANGES = dict.fromkeys(("floor", "tolerance", "width", "scale", "below"), _POSITIVE)
 _RANGES |= dict.fromkeys(("trial", "first", "after", "trials", "steps"), _COUNT)
@@ -88,10 +89,8 @@ class Objective:
     def __post_init__(self):
         """Raises ValueError, naming the field, for a number that no objective could have."""
         for field in dataclasses.fields(self):
-            value, (allowed, whole) = (
-                getattr(self, field.name),
-                _RANGES.get(field.name, ("", False)),
-            )
+            value = getattr(self, field.name)
+            allowed, whole = _RANGES.get(field.name, ("", False))
             if allowed and not (value is None and field.default is None):
                 require(type(self).__name__, field.name, value, allowed, whole=whole)
 
@@ -289,12 +288,13 @@ def levels(run: Run, metric: str, floor: float) -> jax.Array:
     history = run.history
     anywhere = largest(history.max_error / peak(run.task), axis=1)
     if metric in TUNED:
-        x = getattr(history.metrics, metric) / peak(run.task)
+        x = getattr(history.metrics, metric)
     elif metric in (history.saved or {}):
-        x = history.saved[metric] / largest(peak(run.task))
+        x = history.saved[metric]
     else:
         known = (*TUNED, *(history.saved or {}))
         raise ValueError(not_one_of(f"metric = {metric!r}", metric, known))
+    x = x / (peak(run.task) if metric in _OF_OUTPUTS else largest(peak(run.task)))
     x = largest(jnp.abs(x.reshape(len(x), -1)), axis=1)
     x = jnp.where(anywhere <= run.ceiling, x, jnp.maximum(x, anywhere))
     return 0.5 * jnp.log(x**2 + floor**2) - jnp.log(floor)

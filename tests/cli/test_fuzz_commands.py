@@ -17,9 +17,11 @@ from fuzz import LONGEST, fuzz, pick
 
 from jaxilc import cli, runtime
 from jaxilc.bench import contests, ours_alone
+from jaxilc.design import Design, LearnedLaw
 from jaxilc.figures import explorer
 from jaxilc.identification import estimation
 from jaxilc.learning import over_trials
+from jaxilc.scenarios import reproduction
 from jaxilc.sweeps import Sweep
 from jaxilc.theory import measured_law, of_schemes, q_filter
 from jaxilc.tuning import Tuning, worst_machine
@@ -58,6 +60,9 @@ tune p.toml {TUNED}
 pareto p.toml {TUNED} --budgets 2,3
 worst-case p.toml --scheme ilc --starts 2 --steps 2
 identify record.csv --poles 1 --pairs 0 --zeros 0
+design p.toml --machines 4 --steps 2
+learn-law p.toml --taps 5,3 --machines 4 --steps 2
+reproduce dai-2014
 next --state campaign --scenario p.toml --scheme ilc --out n.csv
 trials --state campaign
 list p.toml
@@ -172,6 +177,9 @@ def folder(tmp_path, monkeypatch):
             (over_trials, "_program"),
             (Sweep, "run"),
             (Tuning, "run"),
+            (Design, "safe"),
+            (LearnedLaw, "learned_taps"),
+            (reproduction, "_of_scenario"),
             (of_schemes, "certify"),
             (worst_machine, "worst_case_search"),
             (q_filter, "question"),

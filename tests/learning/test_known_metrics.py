@@ -15,9 +15,8 @@ from gain_case import STATIC, TASK
 from jax import lax
 
 import jaxilc
-from jaxilc.learning import metrics
-from jaxilc.learning.divergence import Course
-from jaxilc.learning.known_metrics import GATHERED, METRICS, TUNED, Gathering, Metrics
+from jaxilc.learning import Keep, best_trial, metrics
+from jaxilc.learning.known_metrics import METRICS, TUNED, Gathering, Metrics
 from jaxilc.learning.metrics import Tally, measure
 from jaxilc.schemes import PIDType
 from jaxilc.signals import Task, Trial
@@ -26,10 +25,11 @@ from jaxilc.tuning.objectives import Final, judge
 NAMES = [metric.name for metric in METRICS]
 
 
-def test_each_metric_is_declared_with_a_field_and_a_place():
-    assert Metrics._fields == (*(name for name, _ in GATHERED), "finite")
-    assert set(NAMES) == {*Metrics._fields, *Course._fields, "best_trial"}
-    assert len(set(NAMES)) == len(NAMES)
+def test_best_trial_and_quantities():
+    rms = np.array([[3.0, 1.0], [2.0, 2.5], [2.0, 1.0], [np.nan, 0.1], [2.5, 0.0]])
+    np.testing.assert_array_equal(best_trial(rms), [1, 2, 3, 3, 3])
+    with pytest.raises(ValueError, match="quantity = 'rms' is a metric that every trial has"):
+        Keep.of({"rms": measure})
 
 
 def test_histories_datasets_and_objectives_know_each_metric():

@@ -13,7 +13,7 @@ from cases import ALGEBRA, DT, PLANTS, task_for
 
 from jaxilc import scenarios
 from jaxilc.filters import SwitchableFilter, ZeroPhaseButterworth
-from jaxilc.learning import Keep, Machine, Sensor, best_trial, learn, measure
+from jaxilc.learning import Keep, Machine, Sensor, best_trial, learn
 from jaxilc.plants import StateSpace, ThreeAxes, TwoAxes, cnc_axis
 from jaxilc.schemes import PID, ErrorFiltered, Filtered, OnOutputs, PIDType, WithFeedback
 from jaxilc.signals import Task, Trial
@@ -109,13 +109,6 @@ def test_the_filter_of_the_error_is_checked():
             task_for(PLANTS["arx"], 80),
             1,
         )
-
-
-def test_best_trial_and_quantities():
-    rms = np.array([[3.0, 1.0], [2.0, 2.5], [2.0, 1.0], [np.nan, 0.1], [2.5, 0.0]])
-    np.testing.assert_array_equal(best_trial(rms), [1, 2, 3, 3, 3])
-    with pytest.raises(ValueError, match="quantity = 'rms' is a metric that every trial has"):
-        Keep.of({"rms": measure})
 
 
 @pytest.fixture(scope="module")

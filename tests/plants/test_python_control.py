@@ -15,7 +15,6 @@ from jaxilc.learning import Machine, learn
 from jaxilc.plants import (
     BallScrewDrive,
     DifferenceEquation,
-    InBlocks,
     Plant,
     StateSpace,
     TwoAxes,
@@ -36,13 +35,15 @@ from jaxilc.uncertainty import Uniform, drawn_machines
 
 N = 40
 U = np.random.default_rng(8).normal(size=(N, 2))
-NONLINEAR = ("fast_tool_servo_nonlinear", "ball_screw_real", "pendulum", "time_varying")
+NONLINEAR = (
+    *("fast_tool_servo_nonlinear", "ball_screw_real", "motor_real", "three_axes"),
+    *("pendulum", "time_varying"),
+)
 LINEAR = {
     name: plant
     for name, plant in PLANTS.items()
     if name not in (*NONLINEAR, "voice_coil_printed", "voice_coil_dai")
 } | {
-    "in_blocks": InBlocks(PLANTS["discrete"]),
     "two_axes": TwoAxes(VoiceCoil(), PLANTS["continuous"]),
     "two_axes_discrete": TwoAxes(PLANTS["arx"], VoiceCoil()),
 }  # fmt: skip

@@ -22,7 +22,7 @@ LANES = 3  # of a batch
 LONG = {"p_type_switchable", "asmc_carried_limited"}
 # Without jit each operation is compiled by itself, which takes a second or two, and up to half a
 # minute where a scheme iterates. So every third case that does not iterate is run without jit.
-ITERATES = ("constrained", "gradient", "two_step")
+ITERATES = ("constrained", "gradient", "two_step", "inverses")
 WITHOUT_JIT = [name for name in CASES if name not in ITERATES][::3]
 
 

@@ -54,6 +54,8 @@ NOT_LINEAR = {  # the reason, for those plants and schemes of cases.py that lear
     "ilc_asmc": "acts within the trial by",
     "fast_tool_servo_nonlinear": "answers its input by",
     "ball_screw_real": "answers its input by",
+    "motor_real": "answers its input by",
+    "three_axes": "answers its input by",
     "two_step": "answers its input by",
     "basis_rational": "learns by",
     "pendulum": "answers its input by",

@@ -103,12 +103,12 @@ def sweep_verdict(
     """
     rows, highs = numbers["schemes"], case.of_learned(highs)
     best = min(rows, key=lambda name: (-(rows[name]["yield"] or 0.0), _last(highs[name])))
-    row, course, lost = rows[best], trend_of(highs[best]), _lost(rows[best])
+    row, course, lost = rows[best], trend_of(highs[best]), _lost(rows[best], case.metric)
     said = f"{case.head(best)}{_yield(case, numbers, row)}{_spread(case, numbers, row)}."
     if lost:
         second = lost
     elif course.words and case.learns[best]:
-        second = f"The 95 % error {course.words}."
+        second = f"The 95 % {case.metric} {course.words}."
     else:
         second = ""
     enough = row["yield"] is None or row["yield"] >= ENOUGH
@@ -142,8 +142,8 @@ def _spread(case: Case, numbers: dict[str, Any], row: dict[str, Any]) -> str:
     )
 
 
-def _lost(row: dict[str, Any]) -> str:
-    """A sentence on the machines that diverge or whose error grows, empty if there are none."""
+def _lost(row: dict[str, Any], metric: str) -> str:
+    """A sentence on the machines that diverge or whose metric grows, empty if there are none."""
     parts = []
     if row["diverged"]:
         parts.append(
@@ -153,8 +153,8 @@ def _lost(row: dict[str, Any]) -> str:
     if row["semi_converged"]:
         times = number(row["grown_to"])
         parts.append(
-            f"on {_percent(row['semi_converged'])} the error has grown up to {times} times since "
-            "its best trial"
+            f"on {_percent(row['semi_converged'])} the {metric} has grown up to {times} times "
+            "since its best trial"
         )
     said = "; ".join(parts)
     return f"{said[:1].upper()}{said[1:]}." if said else ""
