@@ -18,8 +18,6 @@ from __future__ import annotations
 import dataclasses
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
-from ..pytree.in_short import in_short
-
 if TYPE_CHECKING:
     import jax
 
@@ -110,7 +108,11 @@ class Metrics(NamedTuple):
     settled_error: jax.Array
     effort: jax.Array
     finite: jax.Array
-    __repr__ = in_short
+
+    def __repr__(self) -> str:
+        from ..pytree.in_short import in_short  # imports JAX
+
+        return in_short(self)
 
 
 def bytes_of_metrics(task: Task) -> int:
