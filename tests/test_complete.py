@@ -132,6 +132,13 @@ def command_modules():
     return found - said("jaxilc/cli/*.py", form=r"{}\.register\(app\)")
 
 
+def with_verdict():
+    """Return the commands whose modules speak of one; `explore` goes on until it is stopped."""
+    stems = {name: one.callback.__module__.rpartition(".")[2] for name, one in commands().items()}
+    words = {name: " ".join(said(f"jaxilc/cli/{stem}*.py")) for name, stem in stems.items()}
+    return {name for name, text in words.items() if "verdict" in text.lower()}
+
+
 def kinds_of(base):
     """Return the objectives or the risks; a sum is none of its own."""
     found = [one for one in base.__subclasses__() if one.__module__ == base.__module__]
@@ -223,6 +230,7 @@ PLACES = {
         commands(),
         {name for name, one in commands().items() if f"Example: jaxilc {name}" in one.help},
     ),
+    "a verdict": lambda: ({*commands()} - {"explore"}, with_verdict()),
     "COMMANDS of test_fuzz_commands.py": lambda: (
         commands(),
         {words[0] for words in of_file("tests/cli/test_fuzz_commands.py", "COMMANDS")},
@@ -460,8 +468,8 @@ ADDED = {
     "command": (
         command,
         {
-            *("an example in its help", "COMMANDS of test_fuzz_commands.py"),
-            *("tests/cli", "command_line.md"),
+            *("an example in its help", "a verdict", "tests/cli", "command_line.md"),
+            "COMMANDS of test_fuzz_commands.py",
         },
     ),
     "objective": (
