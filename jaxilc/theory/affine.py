@@ -109,8 +109,9 @@ def known_as(memory, scheme: Scheme, task: Task, view: View) -> jax.Array:
 def view_of(scheme: Scheme, task: Task) -> View:
     """What w is for a linear law.
 
-    Whether learning leaves a sample alone is seen at a random input and error. For a linear law one
-    such look is enough.
+    Whether learning leaves a sample alone is seen at a random input, where rounding counts as
+    nothing, and at a random error, where nothing does: how much an error moves depends on units.
+    For a linear law one such look at each is enough.
     """
     if remembers(scheme, task):
         size = sum(
@@ -123,8 +124,11 @@ def view_of(scheme: Scheme, task: Task) -> View:
         random.standard_normal(learned_shape(scheme, task)),
         random.standard_normal((task.N, task.outputs)),
     )
-    moved = np.asarray(_moved(scheme.unlimited(), task, w, e)).ravel()
-    return View(False, tuple(np.flatnonzero(np.abs(moved) > 1e-14 * np.abs(w).max()).tolist()))
+    forgotten, learned = (
+        np.asarray(_moved(scheme.unlimited(), task, *of)).ravel() for of in ((w, 0 * e), (0 * w, e))
+    )
+    moves = (np.abs(forgotten) > 1e-14 * np.abs(w).max()) | (learned != 0)
+    return View(False, tuple(np.flatnonzero(moves).tolist()))
 
 
 @jax.jit

@@ -8,7 +8,7 @@ every trial (`linearity`), and where no limit is met in any trial to come (`outl
                  leak, which leave an error, it is the distance of what is learned from its limit
                  that falls: sigma_max of the learning map < 1
     converges    learning comes to its limit in the end: a power of the learning map contracts, or
-                 the map is triangular with a diagonal below 1. Before, the error may grow far;
+                 its spectral radius is below 1. Before, the error may grow far;
                  how far, and until which trial, is predicted (`peak`)
     diverges     learning grows without bound: an eigenvalue lies beyond 1 by more than its doubt,
                  and there is no limit to stop it

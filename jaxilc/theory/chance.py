@@ -11,10 +11,10 @@ products grow in every run. What does hold for single runs is claimed, in one of
 
     for every draw   ||M|| < 1 for the worst of all that can be drawn
     in mean square   E|w_j - w'_j|^2 of two runs with the same draws falls to zero: the operator
-                     T(X) = E[M X M^T] contracts. A power of it is bounded by what its adjoint
-                     makes of I, ||T^k|| = ||T*^k(I)||, since T keeps positive matrices positive;
-                     E[M (x) M] is never formed. The squares of what a run leaves have then a finite
-                     mean: X = T(X) + C
+                     T(X) = E[M X M^T] contracts. It keeps positive matrices positive, so it does if
+                     some Z > 0 shrinks under its adjoint, T*(Z) < Z; then E|d_j|^2_Z falls in every
+                     trial, for Z = I the distance itself. E[M (x) M] is never formed. The squares
+                     of what a run leaves have then a finite mean: X = T(X) + C
     almost surely    each run forgets its start, since its Lyapunov exponent is negative; single
                      trials may stray so far that their squares have no mean. Where every M is
                      triangular in one order of the samples the exponent is exact,
@@ -57,8 +57,6 @@ SENSES = SURELY, EVERY, SQUARE, ALMOST, MEAN = (
     "almost surely",
     "in the mean",
 )
-POWERS = (1, 4, 16, 64, 256)  # of T that are looked at, until one contracts
-LONG = 128  # rows up to which the last power is looked at
 ROUNDING = 1e3  # in units of the last place
 ALONE = 1 - 1e-9  # below which an exact square or exponent counts as contracting
 NOTHING = 1e-14  # share of the reference that counts as nothing
@@ -175,8 +173,8 @@ def _judged(parts: Parts, variation: Variation, task: Task, trials: int, drawn) 
     run = run._replace(parts=parts.within(_range_of(moves)))
     with np.errstate(over="ignore", invalid="ignore"):
         rms, clear = run.course(trials)
-        worst, (power, factor, growth) = run.worst_norm(kept, held), run.decay()
-        left, calm = run.left() if power else (np.inf, True)
+        worst, (at_once, factor, growth) = run.worst_norm(kept, held), run.decay()
+        left, calm = run.left() if factor < 1 else (np.inf, True)
 
     def found(sense, claim, said):
         claims = [claim >= least for least in (2, 1)] + [claim < 0]
@@ -186,11 +184,12 @@ def _judged(parts: Parts, variation: Variation, task: Task, trials: int, drawn) 
     two = "the distance of two runs with the same draws falls"
     if worst < 1 or moments.certain:
         return found(EVERY, 2, f"{two} to {worst:.6g} of itself in every trial, or below")
-    if power:
-        before = f", and grows at most {growth**0.5:.3g} times before" if growth > 1 else ""
-        within = "every trial" if power == 1 else f"{power} trials"
-        said = f"{two} to {factor**0.5:.6g} of itself in {within}, or below{before}"
-        return found(SQUARE, 2 if power == 1 else 1, said)
+    if at_once:
+        return found(SQUARE, 2, f"{two} to {factor**0.5:.6g} of itself in every trial, or below")
+    if factor < 1:
+        return found(
+            SQUARE, 1, f"{two} in the end; it grows at most {growth**0.5:.3g} times before"
+        )
     if whole.exponent > -np.log(ALONE):
         said = f"a run grows by {np.exp(whole.exponent):.4g} in a trial, in the long run"
         return found(ALMOST, -1, said)
@@ -198,9 +197,9 @@ def _judged(parts: Parts, variation: Variation, task: Task, trials: int, drawn) 
     if exponent < np.log(ALONE):
         by = f"to {np.exp(exponent):.4g} of itself in a trial, or below, in the long run"
         return found(ALMOST, 1, f"{two} {by}; single trials may stray far")
-    grows = "can grow far" if whole.square < ALONE else "is not seen to contract"
+    grows = "can grow far before it falls" if whole.square < ALONE else "is not seen to fall"
     said = "what holds for the mean of all runs does not hold for single ones: their mean square "
-    return found(MEAN, 0, f"{said}{grows} within {run.powers()[-1]} trials")
+    return found(MEAN, 0, said + grows)
 
 
 class _Run(NamedTuple):
@@ -238,25 +237,42 @@ class _Run(NamedTuple):
         A = self.parts.M + (L * kept) @ (held @ Y)
         return _norm(A - L @ middle @ Y) + _norm(L) * _norm(Y) * reach
 
-    def decay(self) -> tuple[int, float, float]:
-        """The power of T that is seen to contract, or 0; ||T^power||, and the growth before."""
-        n, eps = len(self.parts.M), np.finfo(float).eps
-        Z, growth, powers = np.eye(n), 1.0, self.powers()
-        for trial in range(1, powers[-1] + 1):
-            Z = self.squares_back(Z)
-            if not np.all(np.isfinite(Z)):
-                break
-            Z = (Z + Z.T) / 2
-            most = float(np.max(np.abs(Z).sum(axis=1)))  # no eigenvalue is larger
-            if most * n**-0.5 < 1 or trial in powers:
-                most = float(scipy.linalg.eigvalsh(Z, subset_by_index=[n - 1, n - 1])[0])
-                if most < 1 - ROUNDING * n * eps * growth:
-                    return trial, most, growth
-            growth = max(growth, most)
-        return 0, np.inf, np.inf
+    def decay(self) -> tuple[bool, float, float]:
+        """Whether T contracts at once, its factor in a trial, and the growth before.
 
-    def powers(self) -> tuple[int, ...]:
-        return POWERS if len(self.parts.M) <= LONG else POWERS[:-1]
+            E|w_k - w'_k|^2 <= growth factor^k |w_0 - w'_0|^2
+
+        Where T* does not contract I, Z - T*(Z) = I is solved; then T* lets Z shrink, and the factor
+        is infinite where no positive Z was found.
+        """
+        n, eps = len(self.parts.M), np.finfo(float).eps
+        unit = np.eye(n)
+        at_once = self.squares_back(unit)
+        if not np.all(np.isfinite(at_once)):
+            return False, np.inf, np.inf
+        norm = float(scipy.linalg.eigvalsh(at_once)[-1])
+        if norm < 1 - ROUNDING * eps * n:
+            return True, norm, 1.0
+        Z, _ = self._solved(self.squares_back, unit)
+        if not np.all(np.isfinite(Z)):
+            return False, np.inf, np.inf
+        sizes = scipy.linalg.eigvalsh(Z)
+        falls = scipy.linalg.eigvalsh(Z - self.squares_back(Z))[0]
+        falls -= ROUNDING * eps * n * norm * sizes[-1]
+        if sizes[0] <= 0 or falls <= 0:
+            return False, np.inf, np.inf
+        return False, float(1 - falls / sizes[-1]), float(sizes[-1] / sizes[0])
+
+    def _solved(self, squares, C) -> tuple[np.ndarray, float]:
+        """X of X - squares(X) = C, and the share of C that is missing."""
+        n = len(C)
+        held = scipy.sparse.linalg.LinearOperator(
+            (n * n, n * n), lambda x: x - squares(x.reshape(n, n)).ravel()
+        )
+        how = {"rtol": SOLVED / 10, "restart": int(np.clip(ROOM / n**2, 20, 400)), "maxiter": 5}
+        X = scipy.sparse.linalg.gmres(held, C.ravel(), **how)[0]
+        missing = np.linalg.norm(held @ X - C.ravel()) / np.linalg.norm(C)
+        return (X.reshape(n, n) + X.reshape(n, n).T) / 2, float(missing)
 
     def course(self, trials: int) -> tuple[np.ndarray, bool]:
         """(J,) root mean square error of each trial, and whether no limit is met in them."""
@@ -279,15 +295,8 @@ class _Run(NamedTuple):
         of_record = np.linalg.norm(self.parts.L) * np.linalg.norm(self.parts.r)
         if np.linalg.norm(C) <= (NOTHING * of_record) ** 2:
             return self._error(w, 0 * M), self._clear(w, 0 * M)
-        held = scipy.sparse.linalg.LinearOperator(
-            (n * n, n * n), lambda x: x - self.squares(x.reshape(n, n)).ravel()
-        )
-        steps = int(np.clip(ROOM / n**2, 20, 400))
-        how = {"rtol": SOLVED / 10, "restart": steps, "maxiter": 5}
-        X = scipy.sparse.linalg.gmres(held, C.ravel(), **how)[0]
-        missing = np.linalg.norm(held @ X - C.ravel()) / np.linalg.norm(C)
-        X = (X.reshape(n, n) + X.reshape(n, n).T) / 2
-        if missing > SOLVED or np.min(np.diag(X)) < -SOLVED * np.max(np.diag(X)):
+        X, missing = self._solved(self.squares, C)
+        if missing > SOLVED or np.diag(X).min() < -SOLVED * np.diag(X).max():
             return np.nan, len(self.parts.t) == 1  # no limit but the one that is always there
         return self._error(w, X), self._clear(w, X)
 
