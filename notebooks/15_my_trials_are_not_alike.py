@@ -88,9 +88,10 @@ assert errors["plant jumps at 30"][-1] < 2 * floor
 #
 # Where something is drawn, theory speaks of single runs, here in mean square, and tells what error
 # they leave. That the mean of all runs converges would not be enough: with a gain of 2.2 on a plant
-# of gain 1 it does where a fifth of the samples is lost, and yet every run diverges. Of a plant that
-# jumps theory speaks of the trials after the jump. Where each trial begins at the end of the one before, the map is another
-# one: `carried_radius` is for that, up to repetitive control, where `carried` is 1.
+# of gain 1 it does where a fifth of the samples is lost, and yet every run diverges. Of a plant
+# that jumps theory speaks of the trials after the jump. Where each trial begins at the end of the
+# one before, the map is another one: `carried_radius` is for that, up to repetitive control, where
+# `carried` is 1.
 
 # %%
 for name in ("40 % lost", "plant jumps at 30"):
