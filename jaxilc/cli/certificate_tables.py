@@ -52,16 +52,16 @@ def _claimed(numbers: dict[str, Any], scale: float, unit: str) -> str:
     certified = claims[MONOTONE] + claims[CONVERGES]
     parts = []
     if certified:
-        in_error, floor = numbers["monotone_in_the_error"], scale * numbers["floor"]
+        in_error = numbers["monotone_in_the_error"]
         which = []
         if claims[MONOTONE]:
             which.append(f"{claims[MONOTONE]} in every trial ({in_error} in the error itself)")
         if claims[CONVERGES]:
             which.append(f"{claims[CONVERGES]} in the end")
         parts.append(
-            f"in the long run {certified} of {machines} machines come nearer to their limit, "
-            f"{' and '.join(which)}; "
-            f"{f'it leaves an error of {number(floor)} {unit}'.rstrip()} at most"
+            f"in the long run {certified} of {machines} machines come nearer to their limit"
+            f"{senses_words(numbers)}, {' and '.join(which)}; "
+            f"it leaves {left_words(numbers, scale, unit)}"
         )
     if claims[DIVERGES]:
         parts.append(f"{claims[DIVERGES]} diverge")
@@ -69,6 +69,31 @@ def _claimed(numbers: dict[str, Any], scale: float, unit: str) -> str:
         some = f"of {claims[NOTHING]}" if parts else "of the long run"
         parts.append(f"{some} nothing is claimed")
     return ", ".join(parts)
+
+
+def senses_words(numbers: dict[str, Any]) -> str:
+    """In which senses claims hold for single runs, after a comma; empty where nothing is drawn."""
+    senses = numbers["senses"]
+    if len(senses) < 2:
+        return "".join(f", {sense}" for sense in senses)
+    return ", " + " and ".join(f"{sense} on {count}" for sense, count in senses.items())
+
+
+def left_words(numbers: dict[str, Any], scale: float, unit: str) -> str:
+    """What learning leaves in the long run, in words."""
+    floor = scale * numbers["floor"]
+    if floor == float("inf"):
+        return "an error whose square has no mean"
+    if floor != floor:
+        return "an error whose size is not known"
+    size = f"{number(floor)} {unit}".rstrip()
+    if not numbers["senses"]:
+        return f"an rms error of at most {size}"
+    last = f"{number(scale * numbers['quantile'])} {unit}".rstrip()
+    return (
+        f"an rms error of at most {size} over all that is drawn "
+        f"(95 % of the simulated runs end below {last})"
+    )
 
 
 def _expected(numbers: dict[str, Any]) -> str:

@@ -150,13 +150,15 @@ class Machine:
         )
         return dataclasses.replace(self, actuator=actuator)
 
-    def noiseless(self) -> Machine:
+    def noiseless(self, *, averaged: bool = True) -> Machine:
         """This machine without the noise of its sensors and of its disturbances.
 
-        What differs by chance from trial to trial has its mean, see `Variation.averages`.
+        averaged: whether what is drawn of the record of a trial has its mean, see
+            `Variation.averaged`; if not, it is drawn, and only the initial state is not
         """
-        sensor, disturbance = self.sensor, self.disturbance
-        variation = None if self.variation is None else self.variation.averages()
+        sensor, disturbance, variation = self.sensor, self.disturbance, self.variation
+        if variation is not None:
+            variation = dataclasses.replace(variation, scatter=None, averaged=averaged)
         sensor = None if sensor is None else dataclasses.replace(sensor, noise=None)
         if disturbance is not None:
             disturbance = dataclasses.replace(disturbance, input_noise=None, output_noise=None)

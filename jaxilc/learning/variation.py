@@ -117,7 +117,10 @@ class Variation:
     delay: largest delay of such a sample, in samples
     change: a plant that changes
     references: references that change
-    averaged: leave False; True takes the mean of what is drawn, see `averages`
+    averaged: leave False; True takes for theory the mean of what is drawn of a record. Each sample
+        has for weight its chance to be measured, and the record is the mean over the delays. What a
+        law learns from it is the mean of what it learns, if it is linear in the error and is no
+        other law for each set of samples
 
     Samples that are not measured have the error zero in the record, and the weight zero, so that
     nothing is learned from them. A delayed sample has the weight of any other, since a law without
@@ -192,15 +195,16 @@ class Variation:
         change = dataclasses.replace(self.change, after=after, before=before)
         return dataclasses.replace(self, change=change)
 
-    def averages(self) -> Variation:
-        """This variation with its draws replaced by their means, for theory.
+    @property
+    def alike(self) -> bool:
+        """Whether each trial has the same samples in its record, at the same instants."""
+        drawn = (self.shortest, self.dropped, self.delayed)
+        return self.late == 0 and all(value is None for value in drawn)
 
-        The initial state has no scatter; each sample has for weight its chance to be measured, and
-        the record is the mean over the delays. The mean of what a law learns is then what it learns
-        from this record, for a law that is linear in the error and is no other law for each set
-        of samples.
-        """
-        return dataclasses.replace(self, scatter=None, averaged=True)
+    @property
+    def draws(self) -> bool:
+        """Whether something is drawn for each trial."""
+        return self.scatter is not None or not self.alike
 
     def said_of_claims(self) -> str:
         """What a claim of theory is about, as the beginning of a sentence; empty for all trials."""
@@ -208,9 +212,6 @@ class Variation:
         if self.references is not None:
             last = max((last, *self.references.first))
         said = [f"from trial {last} on"] if last > 1 else []
-        drawn = (self.scatter, self.shortest, self.dropped, self.delayed)
-        if self.late or any(value is not None for value in drawn):
-            said.append("in the mean over what is drawn for each trial")
         return ", ".join(said) + ": " if said else ""
 
     # Of a trial

@@ -10,7 +10,7 @@ it knows for w. For a linear law on a linear machine F is affine; see `linearity
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +21,7 @@ from ..learning.machine import Machine
 from ..schemes import Scheme
 from ..signals.task import Task
 from .linearity import remembers
-from .trials import learned_from, learned_shape, next_learned, played, trial_of
+from .trials import learned_from, learned_shape, next_learned, played, shown_of, trial_of
 
 
 class View(NamedTuple):
@@ -41,6 +41,9 @@ class Learning(NamedTuple):
     start:     (n,) the w of the first trial
     following: F, from w to the w of the next trial
     error:     from w to (N n_y,), the errors e[1..N] of its trial
+    output:    from w to ((N+1) n_y,), the output of its trial
+    from_record: from w and ((N+1) n_y,), the errors that the record shows, to the w of the next
+               trial
     limits:    from w to {name: what a limit acts on, in the trial of w and in learning from it}, in
                units of its bound
     """
@@ -48,11 +51,18 @@ class Learning(NamedTuple):
     start: jax.Array
     following: Callable[[jax.Array], jax.Array]
     error: Callable[[jax.Array], jax.Array]
+    output: Callable[[jax.Array], jax.Array]
+    from_record: Callable[[jax.Array, jax.Array], jax.Array]
     limits: Callable[[jax.Array], dict[str, jax.Array]]
 
 
-def learning_of(machine: Machine, scheme: Scheme, task: Task, view: View) -> Learning:
-    """The learning map F of a machine and a scheme. The function is pure."""
+def learning_of(
+    machine: Machine, scheme: Scheme, task: Task, view: View, key: Any = None
+) -> Learning:
+    """The learning map F of a machine and a scheme. The function is pure.
+
+    key: of what is drawn of the record of a trial; None for its mean
+    """
     bounded = machine, scheme
     machine, scheme = machine.unlimited(), scheme.unlimited().prepared(task)
     first, moving = scheme.initial_memory(task), np.array(view.moving)
@@ -61,19 +71,32 @@ def learning_of(machine: Machine, scheme: Scheme, task: Task, view: View) -> Lea
     def trial(w):
         known = unravel(start.at[moving].set(w))
         if view.whole:
-            return known, trial_of(machine, scheme, task, known)
-        return first, played(machine, scheme, task, first, known)
+            return known, trial_of(machine, scheme, task, known, key)
+        return first, played(machine, scheme, task, first, known, key)
 
     def following(w):
-        known = learned_from(machine, scheme, *trial(w))
+        known = learned_from(machine, scheme, *trial(w), key)
         return known_as(known, scheme, task, view)
+
+    def from_record(w, e):
+        known, record = trial(w)
+        record = shown_of(machine, record, key)
+        shown = record._replace(y=record.r - e.reshape(record.r.shape))
+        return known_as(scheme.learn(known, shown), scheme, task, view)
 
     def limits(w):
         known, record = trial(w)
         found = bounded[0].limits(record) | bounded[1].limits(task, known, record)
         return {name: (signal / bound).ravel() for name, (signal, bound) in found.items()}
 
-    return Learning(start[moving], following, lambda w: trial(w)[1].e[1:].ravel(), limits)
+    return Learning(
+        start[moving],
+        following,
+        lambda w: trial(w)[1].e[1:].ravel(),
+        lambda w: trial(w)[1].y.ravel(),
+        from_record,
+        limits,
+    )
 
 
 def known_as(memory, scheme: Scheme, task: Task, view: View) -> jax.Array:
@@ -101,17 +124,21 @@ def changes_nothing(scheme: Scheme, task: Task) -> bool:
 
 
 def _moves(scheme: Scheme, task: Task) -> np.ndarray:
-    """(N n_w,) which samples learning changes, at a random input and error.
+    """(N n_w,) which samples learning changes.
 
-    For a linear law one such look is enough.
+    That is seen at a random input, where rounding counts as nothing, and at a random error, where
+    nothing does: how much an error moves depends on units. For a linear law one such look at each
+    is enough.
     """
     random = np.random.default_rng(7)
     w, e = (
         random.standard_normal(learned_shape(scheme, task)),
         random.standard_normal((task.N, task.outputs)),
     )
-    moved = np.asarray(_moved(scheme.unlimited(), task, w, e)).ravel()
-    return np.abs(moved) > 1e-14 * np.abs(w).max()
+    forgotten, learned = (
+        np.asarray(_moved(scheme.unlimited(), task, *of)).ravel() for of in ((w, 0 * e), (0 * w, e))
+    )
+    return (np.abs(forgotten) > 1e-14 * np.abs(w).max()) | (learned != 0)
 
 
 @jax.jit

@@ -75,8 +75,8 @@ class Maps(NamedTuple):
             )
         )
 
-    def triangular(self, which):
-        """Infinite, and 0 for the power: without the matrix its form is not known."""
+    def by_radius(self, which):
+        """Infinite, and 0 for the power: without the matrix the radius is no proof."""
         unknown = np.full(len(which), np.inf)
         return unknown, unknown, np.zeros(len(which), int), unknown
 
@@ -195,7 +195,8 @@ def _limit(common, machine, *, view, rounds: int = 4):
 def _radius(common, machine, *, view):
     scheme, task, _ = common
     found = learning_of(machine, scheme, task, view)
-    radius = spectral_radius_of(found.following, found.start, steps=FEW)
+    moved = found.following(found.start) - found.start  # what lies apart from it never moves
+    radius = spectral_radius_of(found.following, found.start, steps=FEW, begin=moved)
     return radius.value, radius.doubt
 
 

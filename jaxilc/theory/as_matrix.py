@@ -18,7 +18,7 @@ from ..schemes import Scheme
 from ..signals.task import Task
 from .affine import View, learning_of
 from .law import learning_law
-from .reached import reached
+from .reached import reachable, reached
 from .spectrum import growth_about, radius_with_doubt, triangular_radius
 
 MOST = 4000  # trials over which a limit is looked for
@@ -119,23 +119,34 @@ class Matrices(NamedTuple):
         return limit, left, error, _norms(self.E)
 
     def radius(self):
-        """(S,) spectral radius of M, and by how much rounding may have moved it."""
-        return np.array([radius_with_doubt(M) for M in self.M]).T
+        """(S,) spectral radius of M where learning moves w, and how far rounding may have moved it.
 
-    def triangular(self, which):
-        """What is known of a triangular M, each (S,).
+        An axis at rest, whose map stands apart from that of the others, does not count.
+        """
+        moved = _apply(self.M, self.start) + self.c != self.start
+        at = [reachable(M, moves) for M, moves in zip(self.M, moved, strict=True)]
+        return np.array(
+            [radius_with_doubt(M[np.ix_(k, k)]) for M, k in zip(self.M, at, strict=True)]
+        ).T
 
-        It is the spectral radius, about max_i ||M^i||, the first power that is seen to contract,
-        and ||(I - M)^-1||. The power is 0 where none is seen, and the others are infinite where M
-        is not triangular or its radius is not below 1, and where `which` (S,) does not ask for
-        them. The last one is infinite, too, where no power contracts, and where the growth is
-        beyond the digits of the numbers, so that nobody could see learning converge.
+    def by_radius(self, which):
+        """What is known of M by its spectral radius, each (S,).
+
+        It is this radius, about max_i ||M^i||, the first power that is seen to contract, and
+        ||(I - M)^-1||. The radius is exact where M is triangular; otherwise it has its doubt added.
+        The power is 0 where none is seen, and the others are infinite where the radius is not below
+        1, and where `which` (S,) does not ask for them. The last one is infinite, too, where no
+        power contracts, and where the growth is beyond the digits of the numbers, so that nobody
+        could see learning converge.
         """
         eps = np.finfo(self.M.dtype).eps
         radius, growth, inverse = np.full((3, len(self.M)), np.inf)
         fallen = np.zeros(len(self.M), int)
         for i in np.flatnonzero(which):
             radius[i] = triangular_radius(self.M[i])
+            if not np.isfinite(radius[i]):
+                above = sum(radius_with_doubt(self.M[i]))
+                radius[i] = above if above < 1 else np.inf
             if radius[i] < 1:
                 growth[i], fallen[i] = growth_about(self.M[i])
             if fallen[i] and growth[i] * eps < 1:

@@ -15,6 +15,7 @@ from ..schemes import Scheme
 from ..schemes.experiments import trials_of_step
 from ..signals.task import Task
 from .certificates import CONVERGES, DIVERGES, NOTHING
+from .record_moments import RecordMoments
 from .spectrum import radius_with_doubt
 from .structure import obstacle
 
@@ -44,8 +45,9 @@ def carried_radius(machine: Machine, scheme: Scheme, task: Task) -> CarriedRadiu
     w is all that the scheme knows and x the state of plant, feedback and actuator. Without noise
     and limits F is affine, if machine and law are, and then it converges if and only if its
     spectral radius is below 1. For `carried` = 1 that is the stability of repetitive control in
-    blocks of one trial. The means are taken of what is drawn for each trial, see `certify`. Nothing
-    is said of what happens before: the error may grow at first.
+    blocks of one trial. Nothing is said of what happens before: the error may grow at first. Where
+    samples are lost, late or cut off by chance, the radius is that of the mean of all runs, and
+    nothing is claimed, since single runs may grow all the same.
 
     Raises ValueError for a machine that does not carry its state, and for one whose map would be a
     matrix of more than 4000 rows.
@@ -90,4 +92,8 @@ def carried_radius(machine: Machine, scheme: Scheme, task: Task) -> CarriedRadiu
         "as no limit is met"
     )
     claim = CONVERGES if radius + doubt < 1 else DIVERGES if radius - doubt > 1 else NOTHING
+    variation = machine.variation
+    assert variation is not None
+    if variation.draws and not RecordMoments.of(variation, task.N + 1).certain:
+        claim, said = NOTHING, f"of single runs nothing is known; in the mean of all runs {said}"
     return CarriedRadius(claim, said, float(radius), float(doubt))

@@ -8,11 +8,16 @@ every trial (`linearity`), and where no limit is met in any trial to come (`outl
                  leak, which leave an error, it is the distance of what is learned from its limit
                  that falls: sigma_max of the learning map < 1
     converges    learning comes to its limit in the end: a power of the learning map contracts, or
-                 the map is triangular with a diagonal below 1. Before, the error may grow far;
+                 its spectral radius is below 1. Before, the error may grow far;
                  how far, and until which trial, is predicted (`peak`)
     diverges     learning grows without bound: an eigenvalue lies beyond 1 by more than its doubt,
                  and there is no limit to stop it
     not claimed  for a reason that is told
+
+Where something is drawn for each trial (`Variation`), a claim is one of single runs, in the sense
+that `chance` gives it: for every draw, in mean square, or almost surely. The distance is then that
+of two runs with the same draws, and what learning leaves is told as a root mean square over all
+that is drawn. What holds for the mean of all runs alone is not claimed.
 
 **Within J trials** theory predicts the error of each trial. An adaptive scheme is taken with its
 estimates frozen, rules and limits are left out, and what is not linear is linearised at the third
@@ -45,9 +50,10 @@ from ..uncertainty import Uncertainty, draw, drawn_machines
 from .affine import changes_nothing, limit_names, view_of
 from .as_map import Maps
 from .as_matrix import Matrices
-from .forecast import follow, growth_of, peaks, predict, simulate
+from .chance import EVERY, SQUARE, SURELY, UnderChance, under_chance
+from .forecast import follow, growth_of, peaks, predict, simulate, simulate_runs
 from .linearity import keeps_all, learning_premises
-from .outlook import Outlook, joined, maps_of, outlooks, that_fit
+from .outlook import DENSE, Outlook, joined, maps_of, outlooks, that_fit
 from .trials import starts_off
 
 CLAIMS = MONOTONE, CONVERGES, DIVERGES, NOTHING = "monotone", "converges", "diverges", "not claimed"
@@ -57,6 +63,8 @@ ROUNDING = 1e3  # in units of the last place
 AS_TOLD = 1e-6  # share of the largest error by which simulation may differ from theory
 EXACT = 1e-9  # share of the first error that counts as none left
 DRAWN = 64  # machines, where none were drawn before
+SEEDS = 16  # runs that are simulated of each machine of which something is drawn
+BEYOND = 1e3  # times its root mean square; a positive number is 10^6 times its mean once in 10^6
 COPIES = 64  # bytes for each trial of each machine: three curves, with what lies between
 
 
@@ -65,16 +73,22 @@ class Certificate(NamedTuple):
 
     claim:     (S,) of `CLAIMS`
     reason:    (S,) on what a claim rests, or why nothing is claimed
+    sense:     (S,) of `chance.SENSES`, in which a claim holds for single runs; empty where nothing
+               is drawn
+    left:      (S,) root mean square error in the long run, over all that is drawn, noise included;
+               infinite where its square has no mean, NaN where it is not known or nothing is drawn
     of_error:  (S,) whether `monotone` is of the error itself; if not, of the distance from the
                limit
     sigma:     (S,) bound of the largest singular value of the map that decides; inf where nothing
                is linear
-    floor:     (S,) root mean square error left at the limit; NaN where no limit is claimed
+    floor:     (S,) root mean square error left at the limit; NaN where no limit is claimed. Where
+               something is drawn it is that of the mean of all runs
     doubt:     (S,) the distance within which `floor` is known
     expected:  (S,) of `COURSES`, by theory, within J trials, without those that are experiments
     observed:  (S,) of `COURSES`, by simulation, likewise
     predicted: (S, J) root mean square error of each trial, by theory
-    simulated: (S, J) the same by simulation
+    simulated: (S, J) the same by simulation. Where something is drawn, both are root mean squares
+               over all that is drawn, by simulation over `SEEDS` runs
     turning:   (S,) the best trial, by theory
     observed_turning: (S,) the best trial, by simulation
     growth:    (S,) largest rise of the predicted error above a lower one before it, as a factor
@@ -82,12 +96,15 @@ class Certificate(NamedTuple):
                converge, also beyond J trials
     peak_trial: (S,) the trial of this error; of that at the limit the last one that was looked at
     distance:  (S, J) simulated distance of what is learned from its limit; None where nothing is
-               linear
+               linear, and where something is drawn
+    runs:      (S, R, J) the simulated errors of each run; None where nothing is drawn
     outlook:   of all trials to come; None where nothing is linear
     """
 
     claim: np.ndarray
     reason: np.ndarray
+    sense: np.ndarray
+    left: np.ndarray
     of_error: np.ndarray
     sigma: np.ndarray
     floor: np.ndarray
@@ -102,6 +119,7 @@ class Certificate(NamedTuple):
     peak: np.ndarray
     peak_trial: np.ndarray
     distance: np.ndarray | None
+    runs: np.ndarray | None
     outlook: Outlook | None
     __repr__ = in_short
 
@@ -116,6 +134,10 @@ class Certificate(NamedTuple):
 
     def _broken(self, i: int) -> bool:
         e, claim = self.simulated[i], self.claim[i]
+        if self.runs is not None and claim in (MONOTONE, CONVERGES):
+            known = self.sense[i] in (SURELY, EVERY, SQUARE)
+            bound = BEYOND * self.predicted[i] + EXACT * e[0] if known else np.inf
+            return not bool(np.all(np.isfinite(e) & (e <= bound)))
         if claim in (NOTHING, DIVERGES) or self.distance is None or self.outlook is None:
             return bool(claim == DIVERGES and e[-1] < EXACT * e[0])
         if claim == MONOTONE and self.of_error[i]:
@@ -136,6 +158,8 @@ class LongRun(NamedTuple):
 
     claim: np.ndarray
     reason: np.ndarray
+    sense: np.ndarray
+    left: np.ndarray
     of_error: np.ndarray
     sigma: np.ndarray
     outlook: Outlook | None
@@ -144,7 +168,7 @@ class LongRun(NamedTuple):
 def long_run(machines: Machine, scheme: Scheme, task: Task, *, steps: int = 300) -> LongRun:
     """The claims alone, without the prediction and the simulation of trials; see `certify_each`."""
     check(jax.tree.map(lambda leaf: leaf[0], machines), scheme, task)
-    return _long_run(machines, scheme, task, steps)
+    return _long_run(machines, scheme, task, steps)[0]
 
 
 def certify(
@@ -174,7 +198,7 @@ def certify(
 def certify_each(
     machines: Machine, scheme: Scheme, task: Task, trials: int, *, steps: int = 300
 ) -> Certificate:
-    """The certificate of each of S machines, without noise.
+    """The certificate of each of S machines, without noise where nothing is drawn for a trial.
 
     machines: one machine whose leaves have a leading axis of S
     trials:   J, of the prediction and of the simulation; claims do not depend on it
@@ -200,8 +224,18 @@ def _certified(
     machines: Machine, scheme: Scheme, task: Task, trials: int, steps: int
 ) -> Certificate:
     predicted = predict(machines, scheme, task, trials)
-    run = _long_run(machines, scheme, task, steps)
-    if run.outlook is None:
+    run, course_of_draws = _long_run(machines, scheme, task, steps, trials)
+    runs, variation = None, machines.variation
+    if variation is not None and variation.draws:
+        runs = simulate_runs(machines, scheme, task, trials, SEEDS)
+        simulated, distance = np.sqrt(np.mean(runs**2, axis=1)), None
+        predicted = predicted if course_of_draws is None else course_of_draws
+        floor, doubt = np.full((2, len(simulated)), np.nan)
+        if run.outlook is not None:
+            lasts = np.isin(run.claim, (MONOTONE, CONVERGES))
+            floor = np.where(lasts, run.outlook.floor, np.nan)
+            doubt = np.where(lasts, run.outlook.doubt, np.nan)
+    elif run.outlook is None:
         simulated, distance = simulate(machines, scheme, task, trials), None
         floor, doubt = np.full((2, len(simulated)), np.nan)
     else:
@@ -233,10 +267,14 @@ def _certified(
         peak=peak,
         peak_trial=peak_trial,
         distance=distance,
+        runs=runs,
     )
 
 
-def _long_run(machines: Machine, scheme: Scheme, task: Task, steps: int) -> LongRun:
+def _long_run(
+    machines: Machine, scheme: Scheme, task: Task, steps: int, trials: int = 0
+) -> tuple[LongRun, np.ndarray | None]:
+    """The claims, and (S, J) root mean square errors of trials over all that is drawn for them."""
     machine = jax.tree.map(lambda leaf: leaf[0], machines)
     broken = [p.detail for p in learning_premises(machine, scheme, task) if not p.held]
     if not broken and changes_nothing(scheme, task):
@@ -244,13 +282,51 @@ def _long_run(machines: Machine, scheme: Scheme, task: Task, steps: int) -> Long
     if broken:
         size = len(jax.tree.leaves(machines)[0])
         reason = np.full(size, broken[0], object)
-        return LongRun(
-            np.full(size, NOTHING), reason, np.zeros(size, bool), np.full(size, np.inf), None
-        )
+        nothing, unknown = np.full(size, NOTHING), np.full(size, np.nan)
+        no = np.zeros(size, bool), np.full(size, np.inf)
+        return LongRun(nothing, reason, np.full(size, SURELY), unknown, *no, None), None
     maps = maps_of(machines, scheme, task, steps)
     ahead = outlooks(machines, scheme, task, maps=maps)
-    claim, reason, *rest = _claims(machines, scheme, task, ahead, maps)
-    return LongRun(claim, machine.said_of_claims() + reason, *rest, ahead)
+    claim, reason, of_error, sigma = _claims(machines, scheme, task, ahead, maps)
+    sense, left = np.full(len(claim), SURELY, object), np.full(len(claim), np.nan)
+    found, rms = LongRun(claim, reason, sense, left, of_error, sigma, ahead), None
+    if machine.variation is not None and machine.variation.draws:
+        found, rms = _of_runs(machines, scheme, task, found, trials)
+    return found._replace(reason=machine.said_of_claims() + found.reason), rms
+
+
+def _of_runs(machines, scheme, task, means: LongRun, trials: int) -> tuple[LongRun, Any]:
+    """The claims on single runs, where something is drawn, from those on the mean of all runs."""
+    view = view_of(scheme, task)
+    if len(view.moving) > DENSE and machines.variation.alike:
+        return means._replace(sense=np.full(len(means.claim), EVERY, object)), None
+    if len(view.moving) > DENSE:
+        size = len(means.claim)
+        said = f"what is drawn for each trial is followed for up to {DENSE} inputs, not for "
+        reason = np.full(size, f"{said}{len(view.moving)}", object)
+        no = np.zeros(size, bool)
+        return means._replace(claim=np.full(size, NOTHING), reason=reason, of_error=no), None
+    found = under_chance(machines, scheme, task, view, trials)
+    claim, reason = means.claim.copy(), means.reason.copy()
+    for i, one in enumerate(found):
+        if not one.certain:
+            claim[i], reason[i] = _claim_on_runs(one)
+        if claim[i] != NOTHING and not one.clear:
+            claim[i], reason[i] = NOTHING, "a limit may be met in a trial that is drawn"
+    rms = np.stack([one.rms for one in found])
+    return means._replace(
+        claim=claim,
+        reason=reason,
+        sense=np.array([one.sense for one in found], object),
+        left=np.array([one.left for one in found]),
+        of_error=means.of_error & np.array([one.certain for one in found]),
+    ), rms
+
+
+def _claim_on_runs(one: UnderChance) -> tuple[str, str]:
+    claims = ((one.monotone, MONOTONE), (one.converges, CONVERGES), (one.diverges, DIVERGES))
+    claim = next((claim for holds, claim in claims if holds), NOTHING)
+    return claim, one.reason if claim == NOTHING else f"{one.sense}, {one.reason}"
 
 
 def course(errors) -> str:

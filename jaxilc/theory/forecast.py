@@ -89,6 +89,14 @@ def simulate(machines: Machine, scheme: Scheme, task: Task, trials: int) -> np.n
     return np.asarray(_simulating(trials)((scheme, task), machines))
 
 
+def simulate_runs(
+    machines: Machine, scheme: Scheme, task: Task, trials: int, runs: int
+) -> np.ndarray:
+    """(S, R, J) root mean square errors of R runs of each machine, with all that is drawn."""
+    keys = jax.random.split(jax.random.key(11), runs)
+    return np.asarray(_simulating_runs(trials)((scheme, task, keys), machines))
+
+
 def follow(
     machines: Machine, scheme: Scheme, task: Task, trials: int, limit, view: View
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -112,6 +120,11 @@ def _predicting(trials):
 @lru_cache(maxsize=16)
 def _simulating(trials):
     return tiled(partial(_simulate, trials=trials))
+
+
+@lru_cache(maxsize=16)
+def _simulating_runs(trials):
+    return tiled(partial(_simulate_runs, trials=trials))
 
 
 @lru_cache(maxsize=16)
@@ -171,6 +184,11 @@ def _floats(memory):
         return shape.unflatten([next(given) if f else x for x, f in zip(leaves, free, strict=True)])
 
     return [x for x, f in zip(leaves, free, strict=True) if f], back
+
+
+def _simulate_runs(common, machine, *, trials):
+    scheme, task, keys = common
+    return jax.vmap(lambda key: _error(learn(machine, scheme, task, trials, key=key)))(keys)
 
 
 def _simulate(common, machine, *, trials):

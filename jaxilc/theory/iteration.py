@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -170,7 +170,7 @@ class SpectralRadius(NamedTuple):
     steps: int
 
 
-def spectral_radius_of(f: Callable, at, *, steps: int = 100) -> SpectralRadius:
+def spectral_radius_of(f: Callable, at, *, steps: int = 100, begin: Any = None) -> SpectralRadius:
     """The spectral radius of the derivative J of f at a point, by Arnoldi's process.
 
         J V = V H + h v e^T,  V orthonormal
@@ -179,6 +179,7 @@ def spectral_radius_of(f: Callable, at, *, steps: int = 100) -> SpectralRadius:
 
     f:     from (n,) onto itself
     steps: at most n; with n steps the result is exact up to rounding
+    begin: (n,) only eigenvectors count that this vector has a share of; None: all
 
     It needs a backend that has `eig`, as the CPU has. A second process on J^T gives the left
     eigenvector. Learning maps without a filter are far from normal: for I - gamma G, a few steps
@@ -188,8 +189,9 @@ def spectral_radius_of(f: Callable, at, *, steps: int = 100) -> SpectralRadius:
     _, push = jax.linearize(f, at)
     pull = jax.linear_transpose(push, at)
     steps = min(steps, at.size)
-    theta, x, residual, size = _arnoldi(push, at, steps, None)
-    _, w, residual_left, _ = _arnoldi(lambda y: pull(y)[0], at, steps, theta)
+    random = jax.random.normal(jax.random.key(1), at.shape, at.dtype)
+    theta, x, residual, size = _arnoldi(push, random if begin is None else begin, steps, None)
+    _, w, residual_left, _ = _arnoldi(lambda y: pull(y)[0], random, steps, theta)
     cosine = jnp.abs(jnp.sum(w * x))  # of J^T w = theta w, so without a conjugate
     rounding = MARGIN * jnp.finfo(at.dtype).eps * size
     doubt = jnp.maximum(jnp.maximum(residual, residual_left), rounding) / jnp.maximum(
@@ -207,12 +209,12 @@ def _excess(k, n: int):
     return jnp.where(c < 1, 1 / jnp.sqrt(jnp.maximum(1 - c, 1e-12)), jnp.inf)
 
 
-def _arnoldi(apply, like, steps, near):
+def _arnoldi(apply, start, steps, near):
     """The dominant Ritz value, its unit vector, its residual, and the Frobenius norm of H.
 
     With `near`, it is the Ritz value nearest to that number instead of the dominant one.
     """
-    V, H = krylov(apply, jax.random.normal(jax.random.key(1), like.shape, like.dtype), steps)
+    V, H = krylov(apply, start, steps)
     values, vectors = jnp.linalg.eig(H[:-1])
     i = jnp.argmax(jnp.abs(values)) if near is None else jnp.argmin(jnp.abs(values - near))
     return (

@@ -12,10 +12,11 @@ later trials stay:
     ||w_i - w_j|| <= reach ||w_(j+1) - w_j||,    reach = growth * trials / (1 - factor)
 
 A limit that no trial within that distance can meet is never met. Otherwise the first trial that
-meets one is told, or that one cannot be excluded. Where no power of M is seen to contract, M may be
-triangular, as that of a causal law is: then its diagonal tells whether learning converges in the
-end, however far it strays before. M is taken as a matrix up to 512 rows, and beyond
-as a map whose norms are bounded from above (`iteration.largest`). Noise is left out.
+meets one is told, or that one cannot be excluded. Where no power of M is seen to contract, its
+spectral radius tells whether learning converges in the end, however far it strays before: exactly
+if M is triangular, as that of a causal law is, and else with its doubt. M is taken as a matrix up
+to 512 rows, and beyond as a map whose norms are bounded from above (`iteration.largest`). Noise is
+left out, and what is drawn for each trial has its mean; `chance` is on single runs.
 """
 
 from __future__ import annotations
@@ -50,12 +51,13 @@ class Decay(NamedTuple):
 
     trials: (S,) 0 where no such bound was found
     factor: (S,) infinite where no such bound was found
-    growth: (S,) likewise; but of a triangular M with radius < 1, about max_i ||M^i||
+    growth: (S,) likewise; but of an M with radius < 1, about max_i ||M^i||
     norm:   (S,) an upper bound of ||M||
-    radius: (S,) spectral radius of a triangular M; infinite where M is not, or a bound was found
-    inverse: (S,) ||(I - M)^-1|| of a triangular M with radius < 1 and a growth that the digits of
-        the numbers can hold; infinite otherwise
-    fallen: (S,) power of a triangular M that is seen to contract; 0 where none is
+    radius: (S,) spectral radius of M, its doubt added; infinite where that is not below 1 and M is
+        not triangular, or a bound was found
+    inverse: (S,) ||(I - M)^-1|| of an M with radius < 1 and a growth that the digits of the numbers
+        can hold; infinite otherwise
+    fallen: (S,) power of such an M that is seen to contract; 0 where none is
     """
 
     trials: np.ndarray
@@ -95,8 +97,8 @@ class Decay(NamedTuple):
             if np.isfinite(growth) and not self.fallen[machine]:
                 beyond = f", and was not seen to fall within {LONGEST} trials"
             return (
-                "every eigenvalue of the learning map, which is triangular, is at most "
-                f"{self.radius[machine]:.6g} in size; but the distance from the limit can grow "
+                f"every eigenvalue of the learning map is at most {self.radius[machine]:.6g} in "
+                "size; but the distance from the limit can grow "
                 f"{far} before it falls{beyond}"
             )
         if not k:
@@ -207,7 +209,8 @@ def outlooks(
         )
     decay = decays(machines, scheme, task, maps=maps)
     limit, left, floor, gain = maps.limit()
-    # w_inf - w = (I - M)^-1 (F(w) - w)
+    # w_inf - w = (I - M)^-1 (F(w) - w), of which the last digit of w is rounded
+    left = left + np.finfo(limit.dtype).eps * np.linalg.norm(limit, axis=1)
     strays = np.minimum(decay.reach, decay.inverse)
     radius = np.where(left > 0, strays * np.where(left > 0, left, 1.0), 0.0)
     names = limit_names(machines, scheme, task)
@@ -256,6 +259,6 @@ def decays(
             between = between * np.maximum(of_power, 1.0) ** max(following // power - 1, 0)
         if not np.any((trials == 0) & (late < 1)):
             break
-    radius, of_triangular, fallen, inverse = maps.triangular(trials == 0)
-    growth = np.where(trials == 0, of_triangular, growth)
+    radius, of_radius, fallen, inverse = maps.by_radius(trials == 0)
+    growth = np.where(trials == 0, of_radius, growth)
     return Decay(trials, factor, growth, norm, radius, inverse, fallen)

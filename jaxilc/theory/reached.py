@@ -12,10 +12,26 @@ so the learning map in K decides whether learning converges. Its limit depends o
 from __future__ import annotations
 
 import numpy as np
+import scipy.sparse
 
 from .spectrum import triangular_radius
 
 ROUNDING = 1e3  # in units of the last place, of singular values that count as zero
+
+
+def reachable(M, moves) -> np.ndarray:
+    """(p,) the places of w that the first trial moves, or that follow from these in later ones.
+
+    M: (n, n) whose entry i, k is other than 0 where w_i follows from w_k
+    moves: (n,) whether the first trial moves a place
+    """
+    acts = scipy.sparse.csr_array(np.asarray(M) != 0)
+    there = np.asarray(moves, bool)
+    while True:
+        grown = there | (acts @ there.astype(float) > 0)
+        if np.all(grown == there):
+            return np.flatnonzero(there)
+        there = grown
 
 
 def reached(M, moved) -> np.ndarray | None:

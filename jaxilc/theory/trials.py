@@ -24,15 +24,16 @@ from ..signals.task import Task, Trial
 LEARNED = 3
 
 
-def trial_of(machine: Machine, scheme: Scheme, task: Task, memory) -> Trial:
+def trial_of(machine: Machine, scheme: Scheme, task: Task, memory, key: Any = None) -> Trial:
     """One trial without noise, sample by sample, in which a linear plant is seen to be linear.
 
     `InBlocks` would choose by its signals between its blocks and these same steps.
+    key: of what is drawn of the record; None for its mean
     """
-    machine = machine.noiseless()
+    machine = machine.noiseless(averaged=key is None)
     if isinstance(machine.plant, InBlocks):
         machine = dataclasses.replace(machine, plant=machine.plant.plant)
-    return run_trial(machine, scheme, task, memory, jax.random.key(0))
+    return run_trial(machine, scheme, task, memory, jax.random.key(0) if key is None else key)
 
 
 def step(machine: Machine, scheme: Scheme, task: Task, memory):
@@ -40,9 +41,15 @@ def step(machine: Machine, scheme: Scheme, task: Task, memory):
     return learned_from(machine, scheme, memory, trial_of(machine, scheme, task, memory))
 
 
-def learned_from(machine: Machine, scheme: Scheme, memory, trial: Trial):
+def shown_of(machine: Machine, trial: Trial, key: Any = None) -> Trial:
+    """The record of a trial as it reaches the law. key: as for `trial_of`"""
+    quiet = machine.noiseless(averaged=key is None)
+    return quiet.shown(trial, jax.random.key(0) if key is None else key)
+
+
+def learned_from(machine: Machine, scheme: Scheme, memory, trial: Trial, key: Any = None):
     """The memory after a trial of the machine, of which the law sees what the machine shows."""
-    return scheme.learn(memory, machine.noiseless().shown(trial, jax.random.key(0)))
+    return scheme.learn(memory, shown_of(machine, trial, key))
 
 
 @partial(jax.jit, static_argnames="trials")
@@ -67,19 +74,20 @@ def learned_shape(scheme: Scheme | None, task: Task) -> tuple[int, ...] | None:
         return None
 
 
-def played(machine: Machine, scheme: Scheme | None, task: Task, memory, learned) -> Trial:
+def played(
+    machine: Machine, scheme: Scheme | None, task: Task, memory, learned, key: Any = None
+) -> Trial:
     """A trial that plays `learned` (N, m) in place of what the scheme learned.
 
     The scheme acts within the trial as usual. Where it learns no feedforward, `learned` (N, n_u) is
-    added to its input. None is a machine without a scheme.
+    added to its input. None is a machine without a scheme. key: as for `trial_of`
     """
     if scheme is None:
-        return trial_of(machine, Scheme(), task, Feedforward(learned))
+        return trial_of(machine, Scheme(), task, Feedforward(learned), key)
     if learned_shape(scheme, task) is None:
-        return trial_of(
-            machine, WithFeedback(Scheme(), scheme), task, Pair(Feedforward(learned), memory)
-        )
-    return trial_of(machine, _Playing(scheme), task, (memory, learned))
+        both = WithFeedback(Scheme(), scheme)
+        return trial_of(machine, both, task, Pair(Feedforward(learned), memory), key)
+    return trial_of(machine, _Playing(scheme), task, (memory, learned), key)
 
 
 def next_learned(scheme: Scheme, task: Task, memory, learned, e, e0: Any = 0.0):

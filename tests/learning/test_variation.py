@@ -271,8 +271,9 @@ def test_claims_hold_in_the_mean_over_machines_and_say_so(how):
     machine, law = vary(**how), PIDType(gamma_p=0.6, leak=0.02)
     certificate = certify(machine, law, TASK, 4, {}, {})
     assert certificate.claim[0] in (MONOTONE, CONVERGES)
-    said = "from trial 6 on" if "change" in how else "in the mean over what is drawn"
+    said = "from trial 6 on" if "change" in how else "in mean square"
     assert said in certificate.reason[0]
+    assert certificate.sense[0] == ("" if "change" in how else "in mean square")
     limit = np.asarray(certificate.outlook.limit)[0]
 
     def learned(key):

@@ -107,7 +107,7 @@ def test_with_a_filter_or_a_leak_the_distance_from_the_limit_falls_and_its_floor
     assert np.all(
         found.distance[:, 1:40] <= found.sigma[:, None] * found.distance[:, :39] * (1 + 1e-9)
     )
-    assert "it leaves an error of" in sentence(found, 300)
+    assert "it leaves an rms error of" in sentence(found, 300)
 
 
 def test_an_error_that_no_input_reaches_is_left_over_by_a_derivative():

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ...theory.certificates import CONVERGES, DIVERGES, GROWS, MONOTONE, NOTHING, TURNS
-from ..certificate_tables import transient_words
+from ..certificate_tables import left_words, senses_words, transient_words
 from ..tables import number
 from .case import Case
 from .next_command import Verdict
@@ -22,13 +22,21 @@ def certify_verdict(case: Case, numbers: Mapping[str, dict[str, Any]], scale: fl
     for name, row in numbers.items():
         claims, machines = row["claims"], sum(row["claims"].values())
         if claims[MONOTONE] + claims[CONVERGES] == machines:
-            certified.append(name)
-            floor = f"{number(scale * row['floor'])} {case.unit}".rstrip()
-            said.append(
-                f"{name} is certified on {_all(machines)}: learning "
-                f"{_how(claims)} and leaves an rms error of at most {floor}."
-                f"{transient_words(row)}"
+            what = (
+                f"learning {_how(claims)}{senses_words(row)}, and leaves "
+                f"{left_words(row, scale, case.unit)}"
             )
+            if row["first"] is None or row["floor"] < row["first"]:
+                certified.append(name)
+                said.append(
+                    f"{name} is certified on {_all(machines)}: {what}.{transient_words(row)}"
+                )
+            else:
+                first = f"{number(scale * row['first'])} {case.unit}".rstrip()
+                said.append(
+                    f"{name} is no gain on {_all(machines)}: {what}, where the first trial has "
+                    f"{first}.{transient_words(row)}"
+                )
         elif claims[DIVERGES]:
             said.append(f"{name} diverges on {claims[DIVERGES]} of {machines} machines.")
         else:

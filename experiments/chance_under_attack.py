@@ -1,0 +1,163 @@
+"""Claims on single runs, where trials differ by chance, against runs that NumPy draws by itself.
+
+Random machines of `certificates_under_attack` learn under eight laws, and of their records samples
+are lost, late, delayed, cut off, or several of these. Each machine runs from two starts with the
+same draws, in 50 seeds of 500 trials, by matrices that NumPy and SciPy make from the equations.
+
+A claim is contradicted
+
+    that learning is monotone or converges: where a run overflows, or, in mean square or for every
+        draw, the root mean square error of all seeds exceeds a hundred times what theory expects
+        of that trial (a positive number exceeds t times its mean with a chance below 1 / t)
+    monotone for every draw: where the distance of the two runs grew in any trial of any seed
+    that learning diverges: where the error of any seed is in the end below that of the first trial
+"""
+
+import sys
+from collections import Counter
+
+import jax
+import numpy as np
+import output
+from certificates_under_attack import DT, SAMPLES, laws, lifted, matrices, plants
+
+import jaxilc
+from jaxilc import Disturbance, Machine, Task
+from jaxilc.learning.variation import Variation
+from jaxilc.plants import StateSpace
+from jaxilc.theory import certify_each
+
+LAWS = ("P", "P, small", "P, lead", "P, leak", "exponential", "Q", "Q, odd extension", "Q, FIR")
+KINDS = {
+    "lost": lambda rng: {"dropped": rng.uniform(0.02, 0.5)},
+    "late": lambda rng: {"late": 2},
+    "delayed": lambda rng: {"delayed": rng.uniform(0.05, 0.6), "delay": 3},
+    "cut off": lambda rng: {"shortest": rng.uniform(0.4, 0.95)},
+    "lost, late": lambda rng: {"dropped": rng.uniform(0.02, 0.5), "late": 1},
+    "delayed, cut off": lambda rng: {
+        "delayed": rng.uniform(0.05, 0.6),
+        "delay": 2,
+        "shortest": rng.uniform(0.4, 0.95),
+    },
+}
+SEEDS, TRIALS, ROWS = 50, 500, SAMPLES + 1
+FAR = 100.0  # times a root mean square; a positive number is 10^4 times its mean once in 10^4
+
+
+def record_of(rng, how: dict, y):
+    """(SEEDS, 2, ROWS) what the record of each seed holds, and whether a sample is in it."""
+    k = np.arange(ROWS)
+    at = np.broadcast_to(k, (SEEDS, ROWS))
+    if "late" in how:
+        at = np.maximum(k - rng.integers(0, how["late"] + 1, SEEDS)[:, None], 0)
+    if "delayed" in how:
+        slow = rng.random((SEEDS, ROWS)) < how["delayed"]
+        delta = np.where(slow, rng.integers(1, how["delay"] + 1, (SEEDS, ROWS)), 0)
+        delta[:, 0] = 0
+        newest = np.zeros((SEEDS, ROWS), int)
+        for sample in range(ROWS):
+            there = sample + delta[:, sample]
+            late = k[None] >= there[:, None]
+            newest = np.where(late, np.maximum(newest, sample), newest)
+        at = np.take_along_axis(at, newest, axis=1)
+    there = np.ones((SEEDS, ROWS), bool)
+    if "dropped" in how:
+        there &= (rng.random((SEEDS, ROWS)) >= how["dropped"]) | (k == 0)
+    last = np.full(SEEDS, SAMPLES)
+    if "shortest" in how:
+        last = np.floor(SAMPLES * (how["shortest"] + (1 - how["shortest"]) * rng.random(SEEDS)))
+        there &= k <= last[:, None]
+    held = np.take_along_axis(y, np.broadcast_to(at[:, None], y.shape), axis=2)
+    return held, there[:, None], last
+
+
+def runs_of(rng, G, d, r, keep, L, how: dict):
+    """(SEEDS, TRIALS) errors of the first run, and distances of two runs with the same draws."""
+    u = np.zeros((SEEDS, 2, SAMPLES))
+    moved = np.any(np.concatenate([keep - np.eye(SAMPLES), L], axis=1) != 0, axis=1)
+    u[:, 1] = np.where(moved, rng.standard_normal((SEEDS, SAMPLES)), 0.0)
+    errors, distances = np.zeros((2, SEEDS, TRIALS))
+    for trial in range(TRIALS):
+        y = np.broadcast_to(d, (SEEDS, 2, ROWS)).copy()
+        y[:, :, 1:] += u @ G.T
+        held, there, last = record_of(rng, how, y)
+        counts = np.arange(1, ROWS) <= last[:, None]
+        squares = np.where(counts, (r[1:] - y[:, 0, 1:]) ** 2, 0.0)
+        errors[:, trial] = np.sqrt(np.sum(squares, axis=1) / last)
+        distances[:, trial] = np.linalg.norm(u[:, 1] - u[:, 0], axis=1)
+        e = np.where(there, r - held, 0.0)
+        u = u @ keep.T + e[:, :, 1:] @ L.T
+    return errors, distances
+
+
+def contradicted(claim: str, sense: str, expected, errors, distances) -> str:
+    """What contradicts a claim; empty where nothing does."""
+    if claim == "diverges":
+        return "ends below its start" if np.any(errors[:, -1] < errors[:, 0]) else ""
+    if claim == "not claimed":
+        return ""
+    if not np.all(np.isfinite(errors)):
+        return "overflows"
+    if sense == "for every draw" and np.any(np.diff(distances) > 1e-9 * distances[:, :-1] + 1e-13):
+        return "the distance grew"
+    if sense == "almost surely":
+        return ""
+    seen = np.sqrt(np.mean(errors**2, axis=0))
+    far = np.argmax(seen - FAR * expected)
+    if seen[far] > FAR * expected[far] + 1e-9:
+        return f"has {seen[far]:.3g} in trial {far + 1}, where {expected[far]:.3g} was expected"
+    return ""
+
+
+def main(machines: int) -> None:
+    jaxilc.setup()
+    rng, oracles = np.random.default_rng(38), matrices()
+    each = -(-machines // (len(LAWS) * len(KINDS)))
+    rows, wrong = [], []
+    r = np.sin(np.pi * np.arange(ROWS) / SAMPLES) ** 2
+    task = Task(r[:, None], dt=DT)
+    for law in LAWS:
+        keep, L, _ = oracles[law]
+        for kind, draw in KINDS.items():
+            A, B, C = plants(rng, each, 1)
+            d, hows = 0.1 * rng.standard_normal((each, ROWS, 1)), [draw(rng) for _ in range(each)]
+            several = [
+                Machine(
+                    StateSpace(A[i], B[i], C[i], dt=DT),
+                    disturbance=Disturbance(output=d[i]),
+                    variation=Variation(**hows[i]),
+                )
+                for i in range(each)
+            ]
+            stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *several)
+            found = certify_each(stacked, laws(1)[law], task, TRIALS)
+            count = Counter()
+            for i in range(each):
+                G = lifted(A[i], B[i], C[i])
+                with np.errstate(all="ignore"):
+                    runs = runs_of(rng, G, d[i, :, 0], r, keep, L, hows[i])
+                claim, sense = str(found.claim[i]), str(found.sense[i])
+                fell = bool(np.all(runs[0][:, -1] < runs[0][:, 0]))
+                claimed = claim in ("monotone", "converges")
+                said = claim if claim == "not claimed" else f"{claim}, {sense}"
+                count.update(
+                    {said: 1, "every seed falls": fell, "of these claimed": fell & claimed}
+                )
+                why = contradicted(claim, sense, found.predicted[i], *runs)
+                if why:
+                    wrong.append({"law": law, "kind": kind, "claim": said, "why": why})
+                    print(wrong[-1], hows[i], found.reason[i], flush=True)
+            count["contradicted by its own runs"] = len(found.broken_promises())
+            rows.append({"law": law, "kind": kind, "machines": each} | dict(count))
+            print(rows[-1], flush=True)
+    keys = list(dict.fromkeys(key for row in rows for key in row))
+    total = {key: sum(row.get(key, 0) for row in rows) for key in keys[2:]}
+    folder = output.folder(__file__)
+    output.write_rows(
+        folder / "chance.csv", [{key: row.get(key, 0) for key in keys} for row in rows]
+    )
+    print(f"{total}; contradicted: {len(wrong)}")
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 528)  # how many machines

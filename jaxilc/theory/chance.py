@@ -1,0 +1,484 @@
+"""What holds for single runs where trials differ by chance.
+
+The record that reaches the law is drawn for each trial (`Variation`), so learning is a product of
+random maps,
+
+    w_{j+1} = M_j w_j + c_j,    M_j = A - L P_j H_j Y
+
+with A, L and Y of the law and the machine, and P_j, H_j of `record_moments`. That E[M] contracts
+says nothing of a run: M = 1 - 2.2 b with b = 0 or 1, and E[b] = 0.8, has the mean -0.76, and its
+products grow in every run. What does hold for single runs is claimed, in one of these senses:
+
+    for every draw   ||M|| < 1 for the worst of all that can be drawn
+    in mean square   E|w_j - w'_j|^2 of two runs with the same draws falls to zero: the operator
+                     T(X) = E[M X M^T] contracts. It keeps positive matrices positive, so it does if
+                     some Z > 0 shrinks under its adjoint, T*(Z) < Z; then E|d_j|^2_Z falls in every
+                     trial, for Z = I the distance itself. E[M (x) M] is never formed. The squares
+                     of what a run leaves have then a finite mean: X = T(X) + C
+    almost surely    each run forgets its start, since its Lyapunov exponent is negative; single
+                     trials may stray so far that their squares have no mean. Where every M is
+                     triangular in one order of the samples the exponent is exact,
+                     max_i E log|M_ii|. Otherwise it is at most E log||M_k ... M_1|| / k, for which
+                     drawn products give an interval
+    in the mean      only the mean of all runs converges, and nothing is claimed of a run
+
+Noise of sensors and of disturbances, and the scatter of the initial state, add to C.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from functools import lru_cache, partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.linalg
+import scipy.sparse.linalg
+import scipy.stats
+from jax.flatten_util import ravel_pytree
+
+from ..learning.machine import Disturbance, Machine
+from ..learning.variation import Variation
+from ..runtime.tiles import tiled
+from ..schemes import Scheme
+from ..signals.task import Task
+from .affine import View, learning_of
+from .reached import reachable
+from .record_moments import RecordMoments
+from .spectrum import triangular_radius
+
+SENSES = SURELY, EVERY, SQUARE, ALMOST, MEAN = (
+    "",
+    "for every draw",
+    "in mean square",
+    "almost surely",
+    "in the mean",
+)
+ROUNDING = 1e3  # in units of the last place
+ALONE = 1 - 1e-9  # below which an exact square or exponent counts as contracting
+NOTHING = 1e-14  # share of the reference that counts as nothing
+ROOM = 2**24  # numbers that a solution may hold
+SOLVED = 1e-8  # relative residual up to which a stationary variance counts as found
+BLOCKS, LENGTHS = 32, (1, 4, 16, 64)  # drawn products, and their numbers of trials
+SURE = 1e-6  # chance with which the interval of an exponent may be wrong
+MARGIN = 5.0  # standard deviations, of a limit that counts as never met
+PRODUCTS = 256  # rows up to which products are drawn
+
+
+class Parts(NamedTuple):
+    """The matrices of one machine, of the w that learning moves.
+
+    start: (n,) w of the first trial
+    M, c: (n, n), (n,) the mean map of learning
+    L: (n, K n_y) from the errors that the record shows to the next w
+    Y, y: (K n_y, n), (K n_y,) the output Y w + y
+    T, t: (m, n), (m,) what limits act on, T w + t, in units of their bounds
+    B, F, G: (n, D), (K n_y, D), (m, D) what noise of variance 1 adds to the next w, to the output
+        and to what limits act on
+    r: (K n_y,) the reference
+    """
+
+    start: np.ndarray
+    M: np.ndarray
+    c: np.ndarray
+    L: np.ndarray
+    Y: np.ndarray
+    y: np.ndarray
+    T: np.ndarray
+    t: np.ndarray
+    B: np.ndarray
+    F: np.ndarray
+    G: np.ndarray
+    r: np.ndarray
+
+    def within(self, V) -> Parts:
+        """These for z of w = start + V z, where learning leaves the other directions alone."""
+        moved = self.M @ self.start + self.c - self.start
+        return self._replace(
+            start=np.zeros(V.shape[1]),
+            M=V.T @ self.M @ V,
+            c=V.T @ moved,
+            L=V.T @ self.L,
+            Y=self.Y @ V,
+            y=self.y + self.Y @ self.start,
+            T=self.T @ V,
+            t=self.t + self.T @ self.start,
+            B=V.T @ self.B,
+        )
+
+
+class UnderChance(NamedTuple):
+    """What holds for single runs of one machine.
+
+    certain: whether every trial is learned from alike, so that only noise and the initial state
+        differ; then claims on the mean are claims on the distance of two runs for every draw
+    clear: whether no limit is met within `MARGIN` standard deviations
+    sense: one of `SENSES`
+    monotone, converges, diverges: what is claimed in this sense
+    reason: on what it rests
+    left: root mean square error, over all that is drawn, that learning leaves in the long run;
+        infinite where its square has no mean, NaN where it is not known
+    rms: (J,) the same in each trial, by theory
+    """
+
+    certain: bool
+    clear: bool
+    sense: str
+    monotone: bool
+    converges: bool
+    diverges: bool
+    reason: str
+    left: float
+    rms: np.ndarray
+
+
+def under_chance(
+    machines: Machine, scheme: Scheme, task: Task, view: View, trials: int
+) -> list[UnderChance]:
+    """What holds for single runs of each machine, of which the premises of `linearity` hold."""
+    noise = _noise_of(machines)
+    parts = tiled(partial(_parts, view=view, noise=noise), lanes=1)((scheme, task), machines)
+    of_parts = _each(jax.tree.map(np.asarray, parts))
+    found = []
+    for machine, one in zip(_each(machines), of_parts, strict=True):
+        drawn = partial(_products, machine, scheme, task, view)
+        found.append(_judged(Parts(*one), machine.variation, task, trials, drawn))
+    return found
+
+
+def _each(tree: Any) -> Iterator[Any]:
+    count = len(jax.tree.leaves(tree)[0])
+    return (jax.tree.map(lambda leaf, i=i: np.asarray(leaf)[i], tree) for i in range(count))
+
+
+# Of one machine
+# --------------------------------------------------------------------------------------------------
+
+
+def _judged(parts: Parts, variation: Variation, task: Task, trials: int, drawn) -> UnderChance:
+    moments = RecordMoments.of(variation, task.N + 1)
+    n_y = task.outputs
+    kept, held = np.repeat(moments.kept, n_y), np.kron(moments.held, np.eye(n_y))
+    A = parts.M + (parts.L * kept) @ (held @ parts.Y)  # learning from a record without error
+    possible = (A != 0) + (parts.L * kept != 0) @ np.kron(held != 0, np.eye(n_y)) @ (parts.Y != 0)
+    run = _Run(parts, moments, n_y)
+    moving = parts.M @ parts.start + parts.c != parts.start
+    at = reachable(possible, moving | (np.diag(run.added(parts.start)) > 0))
+    parts, A = parts.within(np.eye(len(A))[:, at]), A[np.ix_(at, at)]
+    whole = _Pattern.of(A, parts, moments, n_y)
+    moves = np.concatenate([A - np.eye(len(A)), parts.L * kept, parts.B], axis=1)
+    run = run._replace(parts=parts.within(_range_of(moves)))
+    with np.errstate(over="ignore", invalid="ignore"):
+        rms, clear = run.course(trials)
+        worst, (at_once, factor, growth) = run.worst_norm(kept, held), run.decay()
+        left, calm = run.left() if factor < 1 else (np.inf, True)
+
+    def found(sense, claim, said):
+        claims = [claim >= least for least in (2, 1)] + [claim < 0]
+        known = left if claim > 0 and sense != ALMOST else np.inf
+        return UnderChance(moments.certain, clear and calm, sense, *claims, said, known, rms)
+
+    two = "the distance of two runs with the same draws falls"
+    if worst < 1 or moments.certain:
+        return found(EVERY, 2, f"{two} to {worst:.6g} of itself in every trial, or below")
+    if at_once:
+        return found(SQUARE, 2, f"{two} to {factor**0.5:.6g} of itself in every trial, or below")
+    if factor < 1:
+        return found(
+            SQUARE, 1, f"{two} in the end; it grows at most {growth**0.5:.3g} times before"
+        )
+    if whole.exponent > -np.log(ALONE):
+        said = f"a run grows by {np.exp(whole.exponent):.4g} in a trial, in the long run"
+        return found(ALMOST, -1, said)
+    exponent = drawn()
+    if exponent < np.log(ALONE):
+        by = f"to {np.exp(exponent):.4g} of itself in a trial, or below, in the long run"
+        return found(ALMOST, 1, f"{two} {by}; single trials may stray far")
+    grows = "can grow far before it falls" if whole.square < ALONE else "is not seen to fall"
+    said = "what holds for the mean of all runs does not hold for single ones: their mean square "
+    return found(MEAN, 0, said + grows)
+
+
+class _Run(NamedTuple):
+    """The moments of learning on one machine, trial by trial.
+
+    outputs: number n_y of them
+    """
+
+    parts: Parts
+    moments: RecordMoments
+    outputs: int
+
+    def squares(self, X) -> np.ndarray:
+        """T(X) = E[M X M^T]."""
+        M, L, Y = self.parts.M, self.parts.L, self.parts.Y
+        if self.moments.certain:
+            return M @ X @ M.T
+        return M @ X @ M.T + L @ self.moments.covariance(Y @ X @ Y.T) @ L.T
+
+    def squares_back(self, Z) -> np.ndarray:
+        """T*(Z) = E[M^T Z M]."""
+        M, L, Y = self.parts.M, self.parts.L, self.parts.Y
+        if self.moments.certain:
+            return M.T @ Z @ M
+        return M.T @ Z @ M + Y.T @ self.moments.covariance_back(L.T @ Z @ L) @ Y
+
+    def worst_norm(self, kept, held) -> float:
+        """An upper bound of ||M|| over all that can be drawn."""
+        if self.moments.certain:
+            return _norm(self.parts.M)
+        lost = kept < 1
+        middle = np.where(lost, 0.5, 1.0)[:, None] * held
+        reach = _norm(self.moments.reach(self.outputs)) + 0.5 * np.max(lost) * _norm(held)
+        L, Y = self.parts.L, self.parts.Y
+        A = self.parts.M + (L * kept) @ (held @ Y)
+        return _norm(A - L @ middle @ Y) + _norm(L) * _norm(Y) * reach
+
+    def decay(self) -> tuple[bool, float, float]:
+        """Whether T contracts at once, its factor in a trial, and the growth before.
+
+            E|w_k - w'_k|^2 <= growth factor^k |w_0 - w'_0|^2
+
+        Where T* does not contract I, Z - T*(Z) = I is solved; then T* lets Z shrink, and the factor
+        is infinite where no positive Z was found.
+        """
+        n, eps = len(self.parts.M), np.finfo(float).eps
+        unit = np.eye(n)
+        at_once = self.squares_back(unit)
+        if not np.all(np.isfinite(at_once)):
+            return False, np.inf, np.inf
+        norm = float(scipy.linalg.eigvalsh(at_once)[-1])
+        if norm < 1 - ROUNDING * eps * n:
+            return True, norm, 1.0
+        Z, _ = self._solved(self.squares_back, unit)
+        if not np.all(np.isfinite(Z)):
+            return False, np.inf, np.inf
+        sizes = scipy.linalg.eigvalsh(Z)
+        falls = scipy.linalg.eigvalsh(Z - self.squares_back(Z))[0]
+        falls -= ROUNDING * eps * n * norm * sizes[-1]
+        if sizes[0] <= 0 or falls <= 0:
+            return False, np.inf, np.inf
+        return False, float(1 - falls / sizes[-1]), float(sizes[-1] / sizes[0])
+
+    def _solved(self, squares, C) -> tuple[np.ndarray, float]:
+        """X of X - squares(X) = C, and the share of C that is missing."""
+        n = len(C)
+        held = scipy.sparse.linalg.LinearOperator(
+            (n * n, n * n), lambda x: x - squares(x.reshape(n, n)).ravel()
+        )
+        how = {"rtol": SOLVED / 10, "restart": int(np.clip(ROOM / n**2, 20, 400)), "maxiter": 5}
+        X = scipy.sparse.linalg.gmres(held, C.ravel(), **how)[0]
+        missing = np.linalg.norm(held @ X - C.ravel()) / np.linalg.norm(C)
+        return (X.reshape(n, n) + X.reshape(n, n).T) / 2, float(missing)
+
+    def course(self, trials: int) -> tuple[np.ndarray, bool]:
+        """(J,) root mean square error of each trial, and whether no limit is met in them."""
+        parts = self.parts
+        w, X, found, clear = parts.start, np.zeros_like(parts.M), [], True
+        for _ in range(trials):
+            found.append(self._error(w, X))
+            clear = clear and self._clear(w, X)
+            w, X = parts.M @ w + parts.c, self.squares(X) + self.added(w)
+        return np.array(found), clear
+
+    def left(self) -> tuple[float, bool]:
+        """The root mean square error in the long run, and whether no limit is met there.
+
+        The error is NaN where it cannot be computed.
+        """
+        M, n = self.parts.M, len(self.parts.M)
+        w = np.linalg.lstsq(np.eye(n) - M, self.parts.c)[0]
+        C = self.added(w)
+        of_record = np.linalg.norm(self.parts.L) * np.linalg.norm(self.parts.r)
+        if np.linalg.norm(C) <= (NOTHING * of_record) ** 2:
+            return self._error(w, 0 * M), self._clear(w, 0 * M)
+        X, missing = self._solved(self.squares, C)
+        if missing > SOLVED or np.diag(X).min() < -SOLVED * np.diag(X).max():
+            return np.nan, len(self.parts.t) == 1  # no limit but the one that is always there
+        return self._error(w, X), self._clear(w, X)
+
+    def added(self, w) -> np.ndarray:
+        """C: what is added to the covariance of w in a trial that plays w in the mean."""
+        parts = self.parts
+        C = parts.B @ parts.B.T
+        if self.moments.certain:
+            return C
+        y, noise = parts.Y @ w + parts.y, parts.F @ parts.F.T
+        if self.moments.in_time:  # then the errors decide, and an error of 0 adds exactly 0
+            found = self.moments.covariance(np.outer(parts.r - y, parts.r - y) + noise)
+        else:
+            found = self.moments.covariance(np.outer(y, y) + noise, parts.r, y)
+        return C + parts.L @ found @ parts.L.T
+
+    def _clear(self, w, X) -> bool:
+        """Whether no limit is met within `MARGIN` standard deviations."""
+        T, parts = self.parts.T, self.parts
+        squares = np.sum((T @ X) * T, axis=1) + np.sum(parts.G**2, axis=1)
+        far = np.abs(T @ w + parts.t) + MARGIN * np.sqrt(np.maximum(squares, 0.0))
+        return bool(np.all(far <= 1))
+
+    def _error(self, w, X) -> float:
+        parts = self.parts
+        e = parts.r - parts.Y @ w - parts.y
+        squares = e**2 + np.sum((parts.Y @ X) * parts.Y, axis=1) + np.sum(parts.F**2, axis=1)
+        of_sample = np.mean(squares.reshape(-1, self.outputs), axis=1)
+        return float(np.sqrt(max(self.moments.counted @ of_sample, 0.0)))
+
+
+class _Pattern(NamedTuple):
+    """What the diagonals tell if every map that can be drawn is triangular in one order.
+
+    square: max_i E[M_ii^2], the spectral radius of T; infinite where the maps are not triangular
+    exponent: max_i E log|M_ii|, the Lyapunov exponent; minus infinity likewise
+    """
+
+    square: float
+    exponent: float
+
+    @classmethod
+    def of(cls, A, parts: Parts, moments: RecordMoments, n_y: int) -> _Pattern:
+        acts = (parts.L != 0).astype(float), (parts.Y != 0).astype(float)
+        possible = np.kron(moments.held != 0, np.eye(n_y))
+        drawn = acts[0] @ possible @ acts[1]
+        pairs = np.einsum("ki,ik->k", acts[0], acts[1])
+        unknown = cls(np.inf, -np.inf)
+        if not np.isfinite(triangular_radius((A != 0) + drawn)):
+            return unknown
+        if np.any(np.diag(drawn) != pairs) or np.any(pairs > 1):
+            return unknown  # what is drawn acts on the diagonal in more than one way
+        at = np.argmax(acts[0] * acts[1].T, axis=1)
+        k = np.arange(len(A))
+        shown = np.repeat(moments.kept * np.diag(moments.held), n_y)[at]
+        still = np.abs(np.diag(A))
+        moved = np.abs(np.diag(A) - parts.L[k, at] * parts.Y[at, k])
+        square = float(np.max((1 - shown) * still**2 + shown * moved**2, initial=0.0))
+        exponent = float(np.max(_log(still, 1 - shown) + _log(moved, shown), initial=-np.inf))
+        return cls(square, exponent)
+
+
+def _log(size, chance):
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(chance > 0, chance * np.log(size), 0.0)
+
+
+def _range_of(moves) -> np.ndarray:
+    """(n, p) an orthonormal basis of the columns; the unit matrix where they span everything."""
+    V, sizes, _ = np.linalg.svd(moves, full_matrices=False)
+    there = sizes > ROUNDING * np.finfo(moves.dtype).eps * sizes[0]
+    return np.eye(len(moves)) if np.sum(there) == len(moves) else V[:, there]
+
+
+def _norm(matrix) -> float:
+    return float(np.linalg.norm(matrix, 2)) if np.all(np.isfinite(matrix)) else np.inf
+
+
+# By the programs of machine and law
+# --------------------------------------------------------------------------------------------------
+
+
+def _noise_of(machines: Machine) -> tuple[str, ...]:
+    """What adds noise to a trial of these machines."""
+    sensor, disturbance, variation = machines.sensor, machines.disturbance, machines.variation
+    there = {
+        "sensor": sensor is not None and sensor.noise is not None,
+        "output": disturbance is not None and disturbance.output_noise is not None,
+        "input": disturbance is not None and disturbance.input_noise is not None,
+        "start": variation is not None and variation.scatter is not None,
+    }
+    return tuple(name for name, is_there in there.items() if is_there)
+
+
+def _noisy(machine: Machine, task: Task, noise: dict[str, jax.Array]) -> Machine:
+    """The machine with this noise, of variance 1, in place of what it draws."""
+    variation: Any = machine.variation
+    sensor: Any = machine.sensor
+    disturbance: Any = Disturbance() if machine.disturbance is None else machine.disturbance
+    added = {"output": disturbance.output, "input": disturbance.input, "start": variation.offset}
+    sizes = {
+        "sensor": lambda: sensor.noise,  # the law sees it as it sees noise of the output
+        "output": lambda: disturbance.output_noise,
+        "input": lambda: disturbance.input_noise,
+        "start": lambda: variation.scatter,
+    }
+    for name, x in noise.items():
+        of = "output" if name == "sensor" else name
+        added[of] = (0.0 if added[of] is None else added[of]) + sizes[name]() * x
+    return dataclasses.replace(
+        machine,
+        disturbance=dataclasses.replace(disturbance, input=added["input"], output=added["output"]),
+        variation=dataclasses.replace(variation, offset=added["start"]),
+    )
+
+
+def _parts(common, machine, *, view: View, noise: tuple[str, ...]) -> tuple:
+    scheme, task = common
+    rest = ravel_pytree(machine.plant.sampled(task.dt).initial_state())[0]
+    shapes = {
+        "sensor": (task.N + 1, task.outputs),
+        "output": (task.N + 1, task.outputs),
+        "input": (task.N, task.inputs),
+        "start": rest.shape,
+    }
+    still, unravel = ravel_pytree({name: jnp.zeros(shapes[name]) for name in noise})
+    start = learning_of(machine, scheme, task, view).start
+
+    def at(w, d):
+        one = _noisy(machine, task, unravel(d))
+        variation: Any = one.variation
+        drawn = dataclasses.replace(variation, shortest=None)
+        seen = learning_of(dataclasses.replace(one, variation=drawn), scheme, task, view)
+        of_one = learning_of(one, scheme, task, view)
+        limited = [jnp.zeros(1), *of_one.limits(w).values()]
+        return of_one.following(w), seen.output(w), jnp.concatenate(limited)
+
+    def slopes(f, x):
+        value, push = jax.linearize(f, x)
+        return value, jax.tree.map(lambda rows: rows.T, jax.vmap(push)(jnp.eye(x.size)))
+
+    (c, y, t), (M, Y, T) = slopes(lambda w: at(w, still), start)
+    of_noise = [jnp.zeros((len(x), 1)) for x in (c, y, t)]
+    B, F, G = slopes(lambda d: at(start, d), still)[1] if noise else of_noise
+    found = learning_of(machine, scheme, task, view)
+    r = jnp.asarray(machine.sampled(task.dt).at_trial(task, None)[1].reference).ravel()
+    L = slopes(lambda e: found.from_record(start, e), jnp.zeros(y.size))[1]
+    return start, M, c - M @ start, L, Y, y - Y @ start, T, t - T @ start, B, F, G, r
+
+
+def _products(machine, scheme, task, view: View) -> float:
+    """The upper end of an interval of the Lyapunov exponent; infinite where the maps are large."""
+    if len(view.moving) > PRODUCTS:
+        return np.inf
+    keys = jax.random.split(jax.random.key(5), BLOCKS)
+    logs = np.asarray(_drawn_products(view)((machine, scheme, task), keys))
+    with np.errstate(divide="ignore"):
+        sizes = logs / np.array(LENGTHS)
+    t = scipy.stats.t.ppf(1 - SURE / len(LENGTHS), BLOCKS - 1)
+    above = np.mean(sizes, axis=0) + t * np.std(sizes, axis=0, ddof=1) / np.sqrt(BLOCKS)
+    return float(np.min(np.nan_to_num(above, nan=np.inf)))
+
+
+@lru_cache(maxsize=4)
+def _drawn_products(view: View):
+    """log ||M_k ... M_1|| of drawn maps for k of `LENGTHS`, by key."""
+
+    def one(common, key):
+        machine, scheme, task = common
+
+        def turn(now, key):
+            product, size = now
+            found = learning_of(machine, scheme, task, view, key)
+            _, push = jax.linearize(found.following, found.start)
+            product = jax.vmap(push, in_axes=1, out_axes=1)(product)
+            length = jnp.linalg.norm(product)
+            grown = size + jnp.log(length)
+            return (product / jnp.where(length > 0, length, 1.0), grown), grown
+
+        unit = jnp.eye(len(view.moving))
+        keys = jax.random.split(key, LENGTHS[-1])
+        _, logs = jax.lax.scan(turn, (unit, jnp.zeros(())), keys)
+        return logs[np.array(LENGTHS) - 1]  # Frobenius norms, never below ||M_k ... M_1||
+
+    return tiled(one, lanes=1)

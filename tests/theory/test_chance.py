@@ -1,0 +1,192 @@
+"""Claims on single runs where trials differ by chance.
+
+The oracles are enumerations of all that can be drawn, for trials of a few samples, and runs that
+NumPy draws. The attack on many machines is `experiments/chance_under_attack.py`.
+"""
+
+import itertools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxilc.learning import Machine
+from jaxilc.learning.arrival import there_until
+from jaxilc.learning.machine import Actuator, Disturbance, Sensor
+from jaxilc.learning.variation import Variation
+from jaxilc.plants import StateSpace
+from jaxilc.schemes import NormOptimal, PIDType
+from jaxilc.schemes.weights import weighed
+from jaxilc.signals.task import Task, Trial
+from jaxilc.theory import carried_radius, certify
+from jaxilc.theory.certificates import CONVERGES, DIVERGES, MONOTONE, NOTHING
+from jaxilc.theory.record_moments import RecordMoments
+
+DT, N = 1e-3, 40
+TASK = Task(np.sin(np.linspace(0, 2 * np.pi, N + 1)), DT)
+AT_ONCE = StateSpace([[0.0]], [[1.0]], [[1.0]], dt=DT)  # y[k+1] = u[k]
+LAGS = StateSpace([[0.5]], [[0.5]], [[1.0]], dt=DT)
+EVERYTHING = {"shortest": 0.4, "dropped": 0.2, "late": 2, "delayed": 0.4, "delay": 2}
+
+
+@pytest.mark.parametrize(
+    "how",
+    [{"dropped": 0.3}, {"late": 2}, {"delayed": 0.5, "delay": 3}, {"shortest": 0.4}, EVERYTHING],
+    ids=lambda how: ", ".join(how),
+)
+def test_moments_of_the_record_are_those_of_drawn_records(how):
+    rng, draws, rows, n = np.random.default_rng(1), 40_000, 8, 2
+    variation, r, A = Variation(**how), rng.normal(size=(rows, n)), rng.normal(size=(rows * n, 3))
+
+    def shown(key):
+        of_y, key = jax.random.split(key)
+        y = (A @ jax.random.normal(of_y, (3,)) + 0.5).reshape(rows, n)
+        trial = Trial(jnp.asarray(r), y, jnp.zeros((rows - 1, 1)), DT)
+        if variation.shortest is not None:
+            there = there_until(variation.shortest, rows - 1, variation._of(key, 1))
+            trial = weighed(trial, jnp.broadcast_to(there[:, None], r.shape))
+        return variation.shown(trial, key).e.ravel()
+
+    e = np.asarray(jax.jit(jax.vmap(shown))(jax.random.split(jax.random.key(2), draws)))
+    found, y = RecordMoments.of(variation, rows), np.full(rows * n, 0.5)
+    kept, held = np.repeat(found.kept, n), np.kron(found.held, np.eye(n))
+    of_y = A @ A.T
+    mean = kept * (r.ravel() - held @ y)
+    total = found.covariance(of_y + np.outer(y, y), r.ravel(), y)
+    total += np.outer(kept, kept) * (held @ of_y @ held.T)
+    centred = e - mean
+    assert np.all(abs(centred.mean(0)) <= 6 * e.std(0) / np.sqrt(draws) + 1e-12)
+    products = centred[:, :, None] * centred[:, None, :]
+    assert np.all(abs(products.mean(0) - total) <= 6 * products.std(0) / np.sqrt(draws) + 1e-12)
+    X, Z = rng.normal(size=(2, rows * n, rows * n))
+    np.testing.assert_allclose(
+        np.sum(found.covariance(X) * Z), np.sum(X * found.covariance_back(Z)), rtol=1e-10
+    )
+
+
+def every_record(how: dict, rows: int):
+    """Yield (chance, H, P) of all that can be drawn, by the definition of each kind."""
+    k = np.arange(rows)
+    chances = 1 - how.get("dropped", 0.0), how.get("dropped", 0.0)
+    masks = [(1, 1.0)] if "dropped" not in how else list(zip((1, 0), chances, strict=True))
+    delays = [(0, 1.0)]
+    if "delayed" in how:
+        slow, most = how["delayed"], how["delay"]
+        delays = [(0, 1 - slow), *((d, slow / most) for d in range(1, most + 1))]
+    shifts = range(how.get("late", 0) + 1)
+    for shift in shifts:
+        for kept in itertools.product(masks, repeat=rows - 1):
+            for late in itertools.product(delays, repeat=rows - 1):
+                delta = [0, *(d for d, _ in late)]
+                newest = [max(m for m in range(i + 1) if m + delta[m] <= i) for i in k]
+                at = np.maximum(np.array(newest) - shift, 0)
+                chance = np.prod([p for _, p in (*kept, *late)]) / len(shifts)
+                yield chance, np.eye(rows)[at], np.diag([1.0, *(float(m) for m, _ in kept)])
+
+
+@pytest.mark.parametrize(
+    "how",
+    [{"dropped": 0.3}, {"late": 2}, {"delayed": 0.4, "delay": 2}, {"dropped": 0.2, "late": 1}],
+    ids=lambda how: ", ".join(how),
+)
+def test_the_mean_square_error_of_each_trial_is_that_over_all_that_can_be_drawn(how):
+    rows, gain, leak, trials = 5, 0.8, 0.1, 6
+    task = Task(np.array([0.0, 1.0, 0.4, -0.7, 0.2]), DT)
+    noise = {"sensor": Sensor(noise=0.05), "disturbance": Disturbance(input_noise=0.1)}
+    machine = Machine(LAGS, **noise, variation=Variation(**how))
+    found = certify(machine, PIDType(gamma_p=gain, leak=leak), task, trials, {}, {})
+    n, r = rows - 1, np.asarray(task.reference)[:, 0]
+    G = np.array([[0.5 ** (i - k) if i > k else 0.0 for k in range(n)] for i in range(rows)])
+    F = np.hstack([0.1 * G, 0.05 * np.eye(rows)])  # noise of the input and of the sensor
+    shift, records = np.eye(rows)[1:], list(every_record(how, rows))
+    np.testing.assert_allclose(sum(p for p, _, _ in records), 1.0, rtol=1e-12)
+    X = np.zeros((n + 1, n + 1))  # E of (u, 1) (u, 1)^T
+    X[-1, -1] = 1.0
+    Y = np.hstack([G, np.zeros((rows, 1))])
+    R = np.hstack([np.zeros((rows, n)), r[:, None]])
+    expected = []
+    for _ in range(trials):
+        square = np.diag((R - Y) @ X @ (R - Y).T + F @ F.T)
+        expected.append(np.sqrt(np.mean(square[1:])))
+        following = np.zeros_like(X)
+        for chance, H, P in records:
+            M = np.zeros_like(X)
+            M[:n] = np.hstack([(1 - leak) * np.eye(n), np.zeros((n, 1))])
+            M[:n] += gain * shift @ P @ (R - H @ Y)
+            M[-1, -1] = 1.0
+            of_noise = np.vstack([gain * shift @ P @ H @ F, np.zeros((1, F.shape[1]))])
+            following += chance * (M @ X @ M.T + of_noise @ of_noise.T)
+        X = following
+    np.testing.assert_allclose(found.predicted[0], expected, rtol=1e-9)
+    seen = np.mean(found.runs[0] ** 2, axis=0) / found.predicted[0] ** 2
+    assert np.all((seen > 0.1) & (seen < 10))
+
+
+@pytest.mark.parametrize(
+    ("plant", "gain", "how", "claim", "sense"),
+    [
+        (AT_ONCE, 2.2, {"dropped": 0.2}, DIVERGES, "almost surely"),
+        (AT_ONCE, 0.7, {"dropped": 0.2}, MONOTONE, "in mean square"),
+        (AT_ONCE, 0.7, {"shortest": 0.5}, MONOTONE, "in mean square"),
+        (AT_ONCE, 0.7, {"scatter": 0.1}, MONOTONE, "for every draw"),
+        (LAGS, 1.0, {"late": 3}, NOTHING, "in the mean"),
+        (LAGS, 2.0, {"late": 3}, NOTHING, "in the mean"),
+        (LAGS, 2.5, {"late": 3}, NOTHING, "in the mean"),
+        (LAGS, 3.5, {"late": 3}, NOTHING, "in the mean"),
+        (LAGS, 1.0, {"delayed": 0.4, "delay": 3}, MONOTONE, "in mean square"),
+        (LAGS, 2.0, {"delayed": 0.4, "delay": 3}, CONVERGES, "in mean square"),
+        (LAGS, 3.0, {"delayed": 0.4, "delay": 3}, NOTHING, "in the mean"),
+    ],
+)
+def test_claims_are_those_of_single_runs(plant, gain, how, claim, sense):
+    """Each of these once was claimed to be monotone or to converge, by its mean alone."""
+    machine = Machine(plant, variation=Variation(**how))
+    found = certify(machine, PIDType(gamma_p=gain), TASK, 100, {}, {})
+    assert (found.claim[0], found.sense[0]) == (claim, sense)
+    assert not len(found.broken_promises())
+    runs = found.runs[0]
+    if claim in (MONOTONE, CONVERGES):
+        assert np.all(np.isfinite(runs))
+        last = np.mean(runs[:, -10:] ** 2), np.mean(found.predicted[0, -10:] ** 2)
+        assert last[0] < 10 * last[1] + 1e-20
+    if claim == DIVERGES:
+        assert np.all(runs[:, -1] > 10 * runs[:, 0])
+    # if the mean of all runs were claimed, its own runs would contradict it where they grow
+    if claim in (DIVERGES, NOTHING):
+        said = found._replace(
+            claim=np.array([MONOTONE]), sense=np.array(["in mean square"]), predicted=runs[0] * 0
+        )
+        assert len(said.broken_promises()) == 1
+
+
+def test_what_is_left_by_noise_is_the_variance_of_its_recursion():
+    machine = Machine(
+        AT_ONCE, sensor=Sensor(noise=0.2), variation=Variation(scatter=0.0, dropped=0.25)
+    )
+    found = certify(machine, PIDType(gamma_p=0.5), TASK, 40, {}, {})
+    # d' = (1 - b / 2) d - b n / 2, b = 1 in 3 of 4 trials
+    left = 0.75 * 0.25 * 0.2**2 / (1 - 0.25 - 0.75 * 0.25) + 0.2**2
+    np.testing.assert_allclose(found.left[0], np.sqrt(left), rtol=1e-6)
+
+
+def test_of_a_law_that_is_another_for_each_record_and_of_carried_states_nothing_is_claimed():
+    lost = Machine(LAGS, variation=Variation(dropped=0.2))
+    assert certify(lost, NormOptimal(LAGS, w_r=0.1), TASK, 3, {}, {}).claim[0] == NOTHING
+    carried = Machine(LAGS, variation=Variation(carried=1.0, dropped=0.2))
+    found = carried_radius(carried, PIDType(gamma_p=3.0, leak=0.01), TASK)
+    assert found.claim == NOTHING
+    assert "single runs" in found.reason
+
+
+def test_a_limit_that_a_draw_may_meet_is_in_the_way():
+    claims = []
+    for limit in (1.2, 50.0):
+        machine = Machine(
+            AT_ONCE,
+            actuator=Actuator(limit=limit),
+            sensor=Sensor(noise=0.1),
+            variation=Variation(dropped=0.2),
+        )
+        claims.append(certify(machine, PIDType(gamma_p=0.7), TASK, 5, {}, {}).claim[0])
+    assert claims == [NOTHING, MONOTONE]
