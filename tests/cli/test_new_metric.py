@@ -68,7 +68,7 @@ relative = true
 FEW = "--weights gamma_p --machines 3 --held-out 2 --unseen 2 --steps 1"
 LINES = f"""run peak_input.toml --metric late_rms --json late.json
 run late_rms.toml --metric peak_input --json peak.json
-sweep late_rms.toml --metric peak_input --tolerance 5 --machines 3 --report sweep.html
+sweep late_rms.toml --metric peak_input --tolerance 1 --machines 3 --report sweep.html
 tune peak_input.toml --scheme ilc {FEW} --objective final+every-trial@late_rms
 worst-case peak_input.toml --scheme ilc --starts 1 --steps 1
 certify peak_input.toml --machines 2
