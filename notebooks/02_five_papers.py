@@ -85,6 +85,7 @@ def show(rows):
 # %%
 cao = jaxilc.reproduce(["cao-2019"])
 show(cao)
+assert sum(row.verdict == "met" for row in cao) == 22
 
 # %%
 scenario = jaxilc.scenarios.load("cao-2019", plant="printed", reading="stroke").select(
@@ -103,14 +104,18 @@ ax.figure
 # irregularly with the start value, which is not printed.
 
 # %%
-show(jaxilc.reproduce(["dai-2014"]))
+dai = jaxilc.reproduce(["dai-2014"])
+show(dai)
+assert [row.published.options for row in dai if row.verdict == "open"] == [
+    row.published.options for row in dai if row.published.value == 0.047
+]
 
 # %% [markdown]
 # ## MILC 2024, Table 1: motor and table of a flexible drive
 #
 # With one input, the error of the machine table falls to the noise while that of the motor stops
-# falling (DILC). Where input *and* reference are learned, both fall (MILC). Three numbers of the
-# DILC rows are fitted, all MILC rows are predicted.
+# falling (DILC). Where input *and* reference are learned, both fall (MILC). Four numbers are
+# fitted to five rows, one of which is of MILC; its other rows are predicted.
 
 # %%
 milc = jaxilc.reproduce(["milc-2024"])
@@ -121,6 +126,8 @@ last = {
     if row.published.trial == 11
 }
 assert last["milc", "motor_rms"] < last["dilc", "motor_rms"] / 3
+fitted = [row.published.scheme for row in milc if row.published.fitted.among]
+assert sorted(fitted) == ["dilc"] * 4 + ["milc"]
 
 # %% [markdown]
 # ## Li 2020: learning with and without a filter
@@ -142,6 +149,8 @@ for name, errors in rms.items():
         f"trial 30 {errors[-1]:.2f} µm"
     )
 assert rms["p-type"][-1] > 1.5 * np.min(rms["p-type"])
+assert 4 <= np.argmin(rms["p-type"]) + 1 <= 8
+assert rms["fixed-filter"][-1] < 1.1 * np.min(rms["fixed-filter"])
 ax_li = figures.error_by_trial(of_li, metric="rms", scale=1e3, unit="µm")
 ax_li.figure
 
@@ -187,6 +196,8 @@ of_rms = [
     for name in ("ilc-asmc", "asmc", "smc", "pid")
 ]
 assert of_rms == sorted(of_rms)  # the printed order
+pid, smc = (of_xu["settled_error"].sel(scheme=name, trial=10).item() for name in ("pid", "smc"))
+assert pid > smc  # not the printed order
 
 # %% [markdown]
 # By RMS the order is the printed one. By largest error, PID and SMC are in the opposite order;

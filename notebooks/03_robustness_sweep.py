@@ -75,13 +75,16 @@ axes[0].figure
 # machines do not prove 100 %.
 
 # %%
-for row in summarise(dataset, tolerance):
+summaries = {row.scheme: row for row in summarise(dataset, tolerance)}
+for row in summaries.values():
     print(
         f"{row.scheme:12s} yield {row.yield_share:6.1%} ({row.yield_low:.1%} to "
         f"{row.yield_high:.1%}), "
         f"median {1e3 * row.median[-1]:.3g} µm, worst {1e3 * row.worst[-1]:.3g} µm (machine "
         f"{row.worst_machine[-1]})"
     )
+assert summaries["cfdl-mfailc"].yield_share == summaries["ffdl-mfailc"].yield_share == 1
+assert summaries["pid"].worst[-1] > 1  # mm: unstable
 
 # %% [markdown]
 # PID with the printed gains is near its limit of stability: some of these motors are unstable under

@@ -185,6 +185,7 @@ for row in jaxilc.summarise(swept, tolerance=0.02, metric="rms"):
         f"{row.scheme:22s} median {1e3 * row.median[-1]:.2f} µm, worst {1e3 * row.worst[-1]:.2f} "
         f"µm of {swept.sizes['sample']} machines"
     )
+    assert row.worst[-1] < row.worst[0] / 4
 
 # %% [markdown]
 # A parameter outside its declared range is refused by name:

@@ -126,6 +126,7 @@ for m in (0, 12):
         f"lead of {m:2d} samples: sup |1 - gamma z^(1+m) P| = {np.max(gain):.4f}, first above 1 "
         f"at {first:.1f} Hz"
     )
+assert 0.25 * without[0] < np.min(without) < 0.4 * without[0]
 assert without[-1] > 10 * np.min(without)
 assert with_lead[-1] < 1e-2 * feedback_only[0]
 

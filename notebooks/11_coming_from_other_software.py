@@ -150,8 +150,12 @@ assert abs(history.saved[-1] / 4.4544077312015835 - 1) < 1e-6
 # %%
 uncertain = {"plant.B": Uniform(0.6, 1.4, relative=True)}
 schemes = {"norm-optimal": norm_optimal, "gradient": gradient}
-sweep = Sweep(actual, schemes, task, 20, uncertain, machines=64)
-figures.error_band(sweep.run(), metric="rms", scale=1e3, unit="mm")[0].figure
+swept = Sweep(actual, schemes, task, 20, uncertain, machines=64).run()
+largest = swept["rms"][:, int(swept["plant.B"].argmax())]  # of the machine of the largest gain
+gradient, optimal = (np.asarray(largest.sel(scheme=name)) for name in ("gradient", "norm-optimal"))
+assert gradient[19] > 1.5 * gradient[9] > 1.5 * optimal[9]
+assert optimal[19] < optimal[0]
+figures.error_band(swept, metric="rms", scale=1e3, unit="mm")[0].figure
 
 # %% [markdown]
 # And the weights follow from a gradient through all trials, where there they are chosen by hand.
@@ -188,6 +192,7 @@ laws = {
 for name, law in laws.items():
     rms = learn(Machine(P), law, move, 6).rms[:, 0]
     print(f"{name:13}", " ".join(f"{value:.2e}" for value in rms))
+    assert np.all(np.diff(rms) < 0)
 
 # %% [markdown]
 # ## gILC: a pendulum, swung upright

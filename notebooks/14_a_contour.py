@@ -70,6 +70,7 @@ for name, history in found.items():
     contour = 1e3 * np.asarray(history.saved)[TOLD - 1]
     axes = 1e3 * np.linalg.norm(history.rms, axis=1)[TOLD - 1]
     print(f"{name:14s} {np.round(contour, 1)}  {np.round(axes, 1)}")
+    assert contour[-1] < contour[0]
 
 # %%
 fig, axis = plt.subplots(figsize=(7, 3.6), layout="constrained")
@@ -111,7 +112,8 @@ print(f"contour error of this law in trial {TRIALS}: {1e3 * last:.1f} um")
 
 # %%
 coupled, axes = (np.asarray(found[name].saved) for name in ("coupled", "axes alone"))
-assert coupled[3] < 0.85 * axes[3]
+assert np.all(coupled[2:4] < 0.85 * axes[2:4])
+assert np.all(coupled[4:7] > axes[4:7])
 assert max(coupled[-1], axes[-1]) < 1e-3  # mm
 assert last > 0.1
 assert np.max(np.abs(along)) > 1.0

@@ -11,6 +11,7 @@ import pytest
 
 NOTEBOOKS = sorted((Path(__file__).parent.parent / "notebooks").glob("*.py"))
 QUICK = ("01", "06", "07")  # each takes about 10 s on an idle core
+LEARNS = re.compile(r"^\w.*\b(learn|run_schemes|certify|reproduce|compare)\(", re.MULTILINE)
 LIMIT = 600  # [s] for a cell; far more than a cell takes, for machines that are busy
 CELL = re.compile(r"^# %%(?: \[markdown\])?$")
 FIRST = """
@@ -57,6 +58,15 @@ def test_cells_are_those_of_the_percent_format(path):
         assert body
         if lines[start].endswith("[markdown]"):
             assert all(line.startswith("#") for line in body)
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_section_that_learns_asserts_what_came_out(path):
+    sections = re.split(r"^# #+ ", path.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    assert any(re.search(r"^ *(assert|np\.testing)", section, re.MULTILINE) for section in sections)
+    for section in filter(LEARNS.search, sections):
+        title = section.partition("\n")[0]
+        assert re.search(r"^ *(assert|np\.testing)", section, re.MULTILINE), title
 
 
 @pytest.mark.parametrize(
