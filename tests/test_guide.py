@@ -13,6 +13,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from cases import CASES
 
 import jaxilc
 
@@ -189,12 +190,14 @@ def test_files_that_the_pages_name_are_there():
                 assert (ROOT / path).exists(), f"{file.name} names {path}"
 
 
-def test_the_quick_tests_are_there():
-    """Each entry of `quick` in pyproject.toml is a file, or a test that its file has."""
+@pytest.mark.parametrize("name", ["quick", "shipped"])
+def test_listed_tests_are_there(name):
+    """Each entry of a list in pyproject.toml is a file, a case of one, or a test that it has."""
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-    quick = settings["tool"]["pytest"]["ini_options"]["quick"]
-    assert len(quick) == len(set(quick))
-    for entry in quick:
-        file, _, test = entry.removeprefix("not ").partition("::")
+    listed = settings["tool"]["pytest"]["ini_options"][name]
+    assert len(listed) == len(set(listed))
+    for entry in listed:
+        file, _, test = entry.removeprefix("not ").partition("[")[0].partition("::")
         assert (ROOT / file).exists(), entry
         assert not test or f"def {test}(" in (ROOT / file).read_text(encoding="utf-8"), entry
+        assert "[" not in entry or entry.split("[")[1].rstrip("]") in CASES, entry
