@@ -10,10 +10,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .linear import StateSpace
+from .linear import LARGEST_ORDER, StateSpace
 from .nonlinear_system import nonlinear_system
 
-LARGEST_ORDER = 1000  # of a polynomial; its matrices have as many rows
 TINY = 1e-14  # first coefficient of a numerator, below which SciPy warns that it may be rounding
 
 

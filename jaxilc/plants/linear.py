@@ -13,6 +13,9 @@ from ..pytree.fields import Leaf, child, leaf, pytree, static
 from ..signals.task import Task, product
 from .plant import Plant
 
+LARGEST_ORDER = 1000  # of a transfer function; its matrices have as many rows
+MOST_TERMS = 500  # of a difference equation; compiling takes time in their square
+
 AnyPlant = TypeVar("AnyPlant", bound=Plant)
 
 
@@ -182,7 +185,7 @@ class DifferenceEquation(Plant):
     dt:   sample time they belong to [s]
 
     The state is the transposed direct form II, which needs no shifting registers of y and u. Raises
-    ValueError for shapes that differ, or a task of another sample time.
+    ValueError for shapes that differ, n > 500, or a task of another sample time.
     """
 
     a: Leaf = leaf()
@@ -194,6 +197,11 @@ class DifferenceEquation(Plant):
             raise ValueError(
                 f"DifferenceEquation: a {self.a.shape} and b {self.b.shape} must both have shape "
                 "(n,); pad with zeros"
+            )
+        if self.a.shape[-1] > MOST_TERMS:
+            raise ValueError(
+                f"DifferenceEquation: a and b have n = {self.a.shape[-1]} coefficients; allowed "
+                f"are at most {MOST_TERMS}; a longer model can be a StateSpace"
             )
 
     def sampled(self, dt: float) -> DifferenceEquation:

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..pytree.fields import Leaf, leaf, pytree, scalar, static
-from .linear import StateSpace, zoh
+from .linear import LARGEST_ORDER, StateSpace, zoh
 from .plant import Plant
 
 LONGEST_DELAY = 1000  # samples; each is a state
@@ -39,8 +39,8 @@ class ProcessModel(Plant):
     is a smooth function of both, with independent derivatives. Written as two entries of `poles`,
     the derivatives by both would be equal, and no fit could tell them apart.
 
-    Raises ValueError where the shapes do not fit, a zero is 0 or the model is not strictly proper;
-    and, when it is sampled, for a delay of more than 1000 samples.
+    Raises ValueError where the shapes do not fit, a zero is 0, the model is not strictly proper or
+    has more than 1000 poles; and, when it is sampled, for a delay of more than 1000 samples.
     """
 
     gain: Leaf = scalar(default=1.0)
@@ -60,6 +60,11 @@ class ProcessModel(Plant):
             raise ValueError(
                 f"ProcessModel: frequencies {self.frequencies.shape} and dampings "
                 f"{self.dampings.shape} must have one shape (q,)"
+            )
+        if self.order > LARGEST_ORDER:
+            raise ValueError(
+                f"ProcessModel: poles and frequencies give {self.order} poles; allowed are at most "
+                f"{LARGEST_ORDER}"
             )
         if self.zeros.shape[-1] >= self.order:
             raise ValueError(

@@ -17,6 +17,7 @@ from .. import plants
 from ..plants import Plant, from_control
 from ..plants.cnc_axis import Axes
 from ..plants.from_python_control import Linear, canonical_form, from_linear
+from ..plants.linear import LARGEST_ORDER
 from ..pytree.ranges import brief, require
 from .fitted_once import Options, identified_plant
 from .specification import built, classes
@@ -142,6 +143,10 @@ def _zeros_poles_gain(table: Table):
     zeros, poles = (table.take(key, list_of(_root), []) for key in ("zeros", "poles"))
     gain, dt = table.take("gain", number), table.take("dt", _sample_time, 0.0)
     table.done()
+    if len(poles) > LARGEST_ORDER:
+        raise ValueError(
+            f"{table.at('poles')} has {len(poles)} numbers; allowed are at most {LARGEST_ORDER}"
+        )
     if len(zeros) >= len(poles):
         raise ValueError(
             f"{table.where}: {len(zeros)} zeros over {len(poles)} poles; "

@@ -113,7 +113,7 @@ def _place(text: str, error: ValueError) -> str:
     wanted = str(error)[: found.start()].rstrip(" :")
     if comma := _COMMA.search(there):
         wanted = f"a number has a decimal point, {comma[0].replace(',', '.')}"
-    return f", line {line}, column {column}: found {brief(there)}; {wanted[:1].lower()}{wanted[1:]}"
+    return f": line {line}, column {column}: found {brief(there)}; {wanted[:1].lower()}{wanted[1:]}"
 
 
 def _too_deep(source) -> Any:

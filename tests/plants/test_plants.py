@@ -7,7 +7,14 @@ import pytest
 from cases import ALGEBRA, ARX, DT, PLANTS, task_for
 
 from jaxilc.learning import Machine, learn
-from jaxilc.plants import DifferenceEquation, StateSpace, VoiceCoil, from_control, voice_coil
+from jaxilc.plants import (
+    DifferenceEquation,
+    ProcessModel,
+    StateSpace,
+    VoiceCoil,
+    from_control,
+    voice_coil,
+)
 from jaxilc.pytree import leaf, pytree
 from jaxilc.schemes import PID, PIDType, Scheme
 from jaxilc.schemes.scheme import Feedforward
@@ -258,6 +265,14 @@ def test_another_sample_time_is_refused(plant):
         (
             lambda: StateSpace(np.eye(2), np.ones((2, 1)), np.ones((1, 2)), x0=np.ones(3)),
             r"StateSpace: .*x0",
+        ),
+        (
+            lambda: DifferenceEquation(np.zeros(501), np.zeros(501), dt=DT),
+            "a and b have n = 501 coefficients; allowed are at most 500",
+        ),
+        (
+            lambda: ProcessModel(1.0, (), np.ones(1001), (), ()),
+            "poles and frequencies give 1001 poles; allowed are at most 1000",
         ),
         (
             lambda: DifferenceEquation((1.0, 0.5), (1.0,), dt=DT),

@@ -406,6 +406,14 @@ def pid(**fields):
             "axis.json: plant: ",
         ),
         (
+            {"plant": {"kind": "zeros_poles_gain", "poles": [-1.0] * 1001, "gain": 1.0}},
+            "plant.poles has 1001 numbers; allowed are at most 1000",
+        ),
+        (
+            {"plant": PLANT | {"den": [1.0] * 1002}},
+            "plant: den has 1002 coefficients, of order 1001; allowed is an order of at most 1000",
+        ),
+        (
             {"plant": {"kind": "zeros_poles_gain", "zeros": [-1.0], "poles": [-2.0], "gain": 1.0}},
             "1 zeros over 1 poles; allowed are",
         ),
