@@ -79,6 +79,13 @@ def test_a_monotone_claim_has_the_dense_singular_value_and_is_kept():
     np.testing.assert_array_equal(found.floor, 0.0)
 
 
+def test_machines_are_drawn_where_none_are_given():
+    short, law = Task(np.arange(6.0), dt=DT), PIDType(gamma_p=0.8)
+    assert len(certify(FIRST_ORDER, law, short, 2).claim) == 1
+    found, drawn = certify(FIRST_ORDER, law, short, 2, B), draw(FIRST_ORDER, B, 64)
+    np.testing.assert_array_equal(found.sigma, certify(FIRST_ORDER, law, short, 2, B, drawn).sigma)
+
+
 def test_nothing_claimed_is_broken_whatever_is_drawn():
     wide = {
         "plant.a": Uniform(0.2, 1.3, relative=True),
