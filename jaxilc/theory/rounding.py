@@ -1,0 +1,238 @@
+"""How far from its limit learning is held by what a machine rounds.
+
+An encoder of step a shows y + d with |d| <= a / 2 in each sample, and a converter plays u + d
+likewise. A machine that rounds is thus the one of `Machine.unrounded`, with a disturbance d in each
+trial that may be any within its bounds. In units of half a step, |d| <= 1 in each of m entries,
+
+    w_{j+1} = M w_j + c + D d_j,    e_j = E w_j + e_0 + F d_j,    what limits act on: T w + t + G d
+
+So what is claimed of M holds up to a ball: with x_j = sum_i M^i D d_{j-i}, the distance from the
+limit is at most that of the machine that does not round, and |x_j|. It falls in every trial down to
+sqrt(m) ||D|| / (1 - ||M||), where ||M|| < 1. The sum is taken in blocks of 1, 1, 2, 4, ... powers,
+
+    sum over n trials of |R M^n M^i D d_i| <= sqrt(n m ||R M^n W M^n^T R^T||),    R = 1, E or T
+    W = sum_{i < n} M^i D D^T M^i^T,    of twice as many: W + M^n W M^n^T
+
+by the inequality of Cauchy and Schwarz, until p = ||M^n|| < 1 is small: what follows adds at most
+p / (1 - p) times the sum so far. What the rounding of these numbers themselves may do is added.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache, partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.linalg
+
+from ..learning.machine import Machine
+from ..pytree.fields import Leaf, child, leaf, pytree
+from ..runtime.tiles import tiled
+from ..schemes import Scheme
+from ..schemes.wrapper import Wrapper
+from ..signals.task import Task
+from .affine import View, learning_of
+from .reached import reached
+from .trials import with_output
+
+LARGEST = 1024  # inputs up to which rounding is followed
+DOUBLINGS = 40  # of the number of trials, at most
+SMALL = 0.01  # share of the ball that what follows may add, before the sum is ended
+WITHIN = 1e-9  # share of D that may lie outside of what learning reaches
+
+
+class Ball(NamedTuple):
+    """How far rounding may hold S machines from where learning would go; infinite if not known.
+
+    error:   (S,) root mean square error by which it may differ from that at the limit
+    learned: (S,) distance of what is learned from its limit
+    limits:  (S, K) by how much it may move what limits act on, in units of their bounds
+    of_learning: (S,) distance by which one trial may move what is learned
+    of_error: (S,) root mean square by which this moves the error of the next trial
+    shown:   (S,) root mean square error that is not there, or not learned, in one trial
+    """
+
+    error: np.ndarray
+    learned: np.ndarray
+    limits: np.ndarray
+    of_learning: np.ndarray
+    of_error: np.ndarray
+    shown: np.ndarray
+
+    def until(self, of_error, sigma) -> np.ndarray:
+        """(S,) the size down to which the error, or the distance from the limit, surely falls.
+
+        of_error: (S,) whether it is the root mean square error; if not, the distance
+        sigma:    (S,) factor by which it would fall in every trial, or below
+        """
+        falls = np.where(sigma < 1, sigma, np.nan)
+        in_error = self.of_error + (1 + falls) * self.shown
+        return np.where(of_error, in_error, self.of_learning) / (1 - falls)
+
+
+def rounded(machine: Machine) -> tuple[str, ...]:
+    """The names of what a machine rounds."""
+    parts = {"sensor": machine.sensor, "converter": machine.actuator}
+    return tuple(name for name, of in parts.items() if getattr(of, "resolution", None) is not None)
+
+
+def ball_of(machines: Machine, scheme: Scheme, task: Task, view: View) -> Ball | None:
+    """The ball of each machine; None where nothing is rounded. machines: with a leading axis.
+
+    The premises of `linearity` are to hold of the machines that do not round.
+    """
+    names, count = rounded(machines), len(jax.tree.leaves(machines)[0])
+    if not names:
+        return None
+    if len(view.moving) > LARGEST:
+        unknown = np.full(count, np.inf)
+        return Ball(unknown, unknown, np.full((count, 1), np.inf), unknown, unknown, unknown)
+    found = []
+    for i in range(count):  # the matrices of one alone are large
+        one = jax.tree.map(lambda leaf, i=i: np.asarray(leaf)[i : i + 1], machines)
+        parts = _compiled(view, names)((scheme, task), one)
+        found.append(_ball(*(np.asarray(part[0]) for part in parts)))
+    return Ball(*map(np.array, zip(*found, strict=True)))
+
+
+# Of one machine
+# --------------------------------------------------------------------------------------------------
+
+
+def _ball(moved, M, D, E, F, T, G) -> tuple:
+    m, rows = D.shape[1], len(E)
+    eps, far = np.finfo(M.dtype).eps, len(T) - 1
+    M, D, E, F, T, G = (np.asarray(part, float) for part in (M, D, E, F, T[1:], G[1:]))
+    of_error = np.sqrt(m / rows)
+    at_once = [np.sqrt(m) * _norm(D), of_error * _norm(E @ D), _shown(F, m) / np.sqrt(rows)]
+    V = reached(M, moved)
+    if V is not None:
+        inside = V.T @ D
+        if np.linalg.norm(D - V @ inside) > WITHIN * np.linalg.norm(D):
+            return np.inf, np.inf, np.full(far, np.inf), *at_once
+        M, D, E, T = V.T @ M @ V, inside, E @ V, T @ V
+    learned, error, acted = _sums(M, D, E, T, eps)
+    acted = np.sqrt(m) * acted + np.abs(G).sum(axis=1)
+    return of_error * error + at_once[2], np.sqrt(m) * learned, acted, *at_once
+
+
+def _sums(M, D, E, T, eps: float) -> tuple[float, float, np.ndarray]:
+    """Bounds of |x|, |E x| and each |T x|, in units of |d|."""
+    W, P, trials = D @ D.T, M, 1
+    learned, error, acted = _norm(D), _norm(E @ D), np.linalg.norm(T @ D, axis=1)
+    of_E, of_T, size = _norm(E), np.linalg.norm(T, axis=1), _norm(M)
+    off, of_W = eps * len(M) * size, eps * len(M) * learned**2  # how wrong P and W may be
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(DOUBLINGS):
+            later = P @ W @ P.T
+            if not np.all(np.isfinite(later)):
+                break
+            wrong = 2 * size * off + off**2 + eps * len(M) * size**2
+            wrong = wrong * _top(W) + size**2 * of_W
+            learned += np.sqrt(trials * (_top(later) + wrong))
+            error += np.sqrt(trials * (_top(E @ later @ E.T) + of_E**2 * wrong))
+            sizes = np.maximum(np.sum((T @ later) * T, axis=1), 0.0)
+            acted = acted + np.sqrt(trials * (sizes + of_T**2 * wrong))
+            W, of_W, trials = W + later, of_W + wrong, 2 * trials
+            off = 2 * size * off + off**2 + eps * len(M) * size**2
+            P = P @ P
+            size = _norm(P)
+            p = size + off
+            if p < 1 and of_E * learned * p / (1 - p) <= SMALL * error:
+                after = learned * p / (1 - p)
+                return learned + after, error + of_E * after, acted + of_T * after
+    return np.inf, np.inf, np.full(len(T), np.inf)
+
+
+def _shown(F, m: int) -> float:
+    """A bound of |F d|."""
+    return min(np.sqrt(m) * _norm(F), float(np.linalg.norm(np.abs(F).sum(axis=1))))
+
+
+def _norm(matrix) -> float:
+    if not np.all(np.isfinite(matrix)):
+        return np.inf
+    wide = matrix.shape[0] < matrix.shape[1]
+    return float(np.sqrt(_top(matrix @ matrix.T if wide else matrix.T @ matrix)))
+
+
+def _top(square) -> float:
+    """The largest eigenvalue of a symmetric matrix that has none below zero."""
+    n = len(square)
+    if not n or not np.all(np.isfinite(square)):
+        return np.inf if n else 0.0
+    return max(float(scipy.linalg.eigvalsh(square, subset_by_index=[n - 1, n - 1])[0]), 0.0)
+
+
+# By the programs of machine and law
+# --------------------------------------------------------------------------------------------------
+
+
+@pytree
+class _Adding(Wrapper):
+    """A scheme to whose commands something is added on the way to the machine.
+
+    added: (N, n_u)
+    """
+
+    scheme: Scheme = child()
+    added: Leaf = leaf()
+
+    @property
+    def plays_back(self) -> bool:
+        return False
+
+    def schedule(self, memory, task: Task) -> Any:
+        return self.scheme.schedule(memory, task), self.added
+
+    def play(self, learned, memory, task: Task) -> Any:
+        return self.scheme.play(learned, memory, task), self.added
+
+    def act(self, state, sample) -> Any:
+        row, added = sample.row
+        state, u = self.scheme.act(state, sample._replace(row=row))
+        return state, u + added
+
+    def limits(self, task: Task, memory, trial) -> Any:
+        return self.scheme.limits(task, memory, trial)
+
+
+@lru_cache(maxsize=4)  # what `tiled` returns compiles anew each time it is made
+def _compiled(view: View, names: tuple[str, ...]):
+    return tiled(partial(_parts, view=view, names=names), lanes=1)
+
+
+def _parts(common, machine, *, view: View, names: tuple[str, ...]) -> tuple:
+    """F(w_1) - w_1 and the matrices M, D, E, F, T, G of a machine, in units of half a step."""
+    scheme, task = common
+    still = machine.unrounded()
+    shapes = {"sensor": (task.N + 1, task.outputs), "converter": (task.N, task.inputs)}
+    sizes = {name: np.prod(shapes[name]) for name in names}
+    start = learning_of(still, scheme, task, view).start
+
+    def at(w, d):
+        one, acting, first = still, scheme, 0
+        for name in names:
+            part = d[first : first + sizes[name]].reshape(shapes[name])
+            first += sizes[name]
+            if name == "sensor":
+                one = with_output(still, 0.5 * machine.sensor.resolution * part)
+            else:
+                acting = _Adding(scheme, 0.5 * machine.actuator.resolution * part)
+        found = learning_of(one, acting, task, view)
+        limits = [jnp.zeros(1), *found.limits(w).values()]  # never empty, as `tiled` needs
+        return found.following(w), found.error(w), jnp.concatenate(limits)
+
+    none = jnp.zeros(sum(sizes.values()))
+    (following, *_), push = jax.linearize(at, start, none)
+    slopes = [
+        jax.vmap(lambda v, of=of: push(*of(v)), out_axes=-1)(jnp.eye(size))
+        for size, of in (
+            (start.size, lambda v: (v, jnp.zeros_like(none))),
+            (none.size, lambda v: (jnp.zeros_like(start), v)),
+        )
+    ]
+    (M, E, T), (D, F, G) = slopes
+    return following - start, M, D, E, F, T, G
