@@ -66,10 +66,8 @@ ROUNDING = 1e3  # in units of the last place
 AS_TOLD = 1e-6  # share of the largest error by which simulation may differ from theory
 EXACT = 1e-9  # share of the first error that counts as none left
 DRAWN = "what is rounded is bounded only where every trial is learned from alike"
-UNBOUNDED = (
-    "what rounding adds in each trial is not seen to stay within bounds, or there are more than "
-    f"{LARGEST} inputs"
-)
+UNBOUNDED = "what rounding adds in each trial is not seen to stay within bounds"
+MANY = f"what rounding adds is followed for up to {LARGEST} inputs"
 SEEDS = 16  # runs that are simulated of each machine of which something is drawn
 BEYOND = 1e3  # times its root mean square; a positive number is 10^6 times its mean once in 10^6
 COPIES = 64  # bytes for each trial of each machine: three curves, with what lies between
@@ -340,11 +338,12 @@ def _within(found: LongRun, ball: Ball) -> LongRun:
     until = ball.until(found.of_error, found.sigma)
     ball = ball._replace(error=np.fmin(ball.error, np.where(found.of_error, until, np.inf)))
     claim, reason = found.claim.copy(), found.reason.copy()
+    many = found.outlook is not None and found.outlook.limit.shape[1] > LARGEST
     for i in np.flatnonzero(claim != NOTHING):
         if claim[i] == DIVERGES:
             claim[i], reason[i] = NOTHING, f"{reason[i]}, but rounding may hide what would grow"
         elif not np.isfinite(ball.error[i]):
-            claim[i], reason[i] = NOTHING, UNBOUNDED
+            claim[i], reason[i] = NOTHING, MANY if many else UNBOUNDED
         elif claim[i] == MONOTONE:
             reason[i] += f", until it is at {until[i]:.4g}, within which rounding holds it"
         else:

@@ -25,7 +25,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.linalg
 
 from ..learning.machine import Machine
 from ..pytree.fields import Leaf, child, leaf, pytree
@@ -38,8 +37,13 @@ from .reached import reached
 from .trials import with_output
 
 LARGEST = 1024  # inputs up to which rounding is followed
+FEW = 32  # powers that are looked at one by one
+FULL = 256  # rows up to which eigenvalues are computed, and limits looked at one by one
+STEPS = 60  # of Lanczos's method
+CHANCE = 1e-9  # with which a bound found by it may be wrong
+LEAST = 1e-12  # share of a vector that counts as nothing
 DOUBLINGS = 40  # of the number of trials, at most
-SMALL = 0.01  # share of the ball that what follows may add, before the sum is ended
+SMALL = 0.03  # share of the ball that what follows may add, before the sum is ended
 WITHIN = 1e-9  # share of D that may lie outside of what learning reaches
 
 
@@ -93,7 +97,7 @@ def ball_of(machines: Machine, scheme: Scheme, task: Task, view: View) -> Ball |
     for i in range(count):  # the matrices of one alone are large
         one = jax.tree.map(lambda leaf, i=i: np.asarray(leaf)[i : i + 1], machines)
         parts = _compiled(view, names)((scheme, task), one)
-        found.append(_ball(*(np.asarray(part[0]) for part in parts)))
+        found.append(_ball(_sizes(names, task), *(np.asarray(part[0]) for part in parts)))
     return Ball(*map(np.array, zip(*found, strict=True)))
 
 
@@ -101,43 +105,71 @@ def ball_of(machines: Machine, scheme: Scheme, task: Task, view: View) -> Ball |
 # --------------------------------------------------------------------------------------------------
 
 
-def _ball(moved, M, D, E, F, T, G) -> tuple:
-    m, rows = D.shape[1], len(E)
-    eps, far = np.finfo(M.dtype).eps, len(T) - 1
+def _ball(sizes: dict[str, int], moved, M, D, E, F, T, G) -> tuple:
+    eps, far, share = np.finfo(M.dtype).eps, len(T) - 1, 1 / np.sqrt(len(E))
+    ends = np.cumsum([*sizes.values()])[:-1]
     M, D, E, F, T, G = (np.asarray(part, float) for part in (M, D, E, F, T[1:], G[1:]))
-    of_error = np.sqrt(m / rows)
-    at_once = [np.sqrt(m) * _norm(D), of_error * _norm(E @ D), _shown(F, m) / np.sqrt(rows)]
+    of_each = [np.split(part, ends, axis=1) for part in (D, E @ D, F)]
+    moves, of_error, shown = (sum(map(_furthest, each)) for each in of_each)
+    at_once = moves, share * of_error, share * shown
     V = reached(M, moved)
     if V is not None:
         inside = V.T @ D
         if np.linalg.norm(D - V @ inside) > WITHIN * np.linalg.norm(D):
             return np.inf, np.inf, np.full(far, np.inf), *at_once
         M, D, E, T = V.T @ M @ V, inside, E @ V, T @ V
-    learned, error, acted = _sums(M, D, E, T, eps)
-    acted = np.sqrt(m) * acted + np.abs(G).sum(axis=1)
-    return of_error * error + at_once[2], np.sqrt(m) * learned, acted, *at_once
+    learned, error, acted = _sums(M, D, E, T, _weights(of_each[0]), eps)
+    acted = acted + np.abs(G).sum(axis=1)
+    return share * (error + shown), learned, acted, *at_once
 
 
-def _sums(M, D, E, T, eps: float) -> tuple[float, float, np.ndarray]:
-    """Bounds of |x|, |E x| and each |T x|, in units of |d|."""
+def _furthest(matrix) -> float:
+    """A bound of the length of matrix @ d."""
+    each = np.linalg.norm(np.abs(matrix).sum(axis=1))
+    return min(np.sqrt(matrix.shape[1]) * _norm(matrix), float(each))
+
+
+def _weights(parts) -> np.ndarray:
+    """(m,) t with which |[D_1 / t_1, D_2 / t_2, ...]| |t| is at most the sum of |D_i| sqrt(m_i)."""
+    norms = np.array([_norm(part) for part in parts])
+    norms = np.maximum(norms, LEAST * np.max(norms)) if np.any(norms) else norms + 1.0
+    counts = [part.shape[1] for part in parts]
+    return np.repeat(np.sqrt(norms / np.sqrt(counts)), counts)
+
+
+def _sums(M, D, E, T, weights, eps: float) -> tuple[float, float, np.ndarray]:
+    """Bounds of |x| and |E x|, and of each |T x|.
+
+    weights: (m,) of the entries of d, whose inverse D is multiplied by
+    What limits act on is summed row by row, power by power, as long as there are few.
+    """
+    X, D = D, D * (np.linalg.norm(weights) / weights)  # so that |d| <= 1
     W, P, trials = D @ D.T, M, 1
-    learned, error, acted = _norm(D), _norm(E @ D), np.linalg.norm(T @ D, axis=1)
-    of_E, of_T, size = _norm(E), np.linalg.norm(T, axis=1), _norm(M)
-    off, of_W = eps * len(M) * size, eps * len(M) * learned**2  # how wrong P and W may be
+    learned, error, acted = _norm(D), _norm(E, D), np.abs(T @ X).sum(axis=1)
+    of_E, of_T, size, top = _norm(E), np.linalg.norm(T, axis=1), _norm(M), _norm(D) ** 2
+    off, of_W = eps * len(M) * size, eps * len(M) * top  # how wrong P and W may be
     with np.errstate(over="ignore", invalid="ignore"):
         for _ in range(DOUBLINGS):
             later = P @ W @ P.T
             if not np.all(np.isfinite(later)):
                 break
-            wrong = 2 * size * off + off**2 + eps * len(M) * size**2
-            wrong = wrong * _top(W) + size**2 * of_W
-            learned += np.sqrt(trials * (_top(later) + wrong))
-            error += np.sqrt(trials * (_top(E @ later @ E.T) + of_E**2 * wrong))
-            sizes = np.maximum(np.sum((T @ later) * T, axis=1), 0.0)
-            acted = acted + np.sqrt(trials * (sizes + of_T**2 * wrong))
-            W, of_W, trials = W + later, of_W + wrong, 2 * trials
-            off = 2 * size * off + off**2 + eps * len(M) * size**2
-            P = P @ P
+            off_twice = 2 * size * off + off**2 + eps * len(M) * size**2
+            wrong = off_twice * top + size**2 * of_W
+            largest = _top(later) + wrong
+            learned += np.sqrt(trials * largest)
+            error += np.sqrt(trials * (_top(E, later, E.T) + of_E**2 * wrong))
+            if len(T):
+                sizes = np.maximum(np.sum((T @ later) * T, axis=1), 0.0)
+                rows = np.sqrt(trials * (sizes + of_T**2 * wrong))
+                if trials < FEW and len(M) <= FULL:
+                    one_by_one = 0.0
+                    for _ in range(trials):
+                        X = M @ X
+                        one_by_one = one_by_one + np.abs(T @ X).sum(axis=1)
+                    rows = np.minimum(rows, one_by_one)
+                acted = acted + rows
+            W, top, of_W, trials = W + later, top + largest, of_W + wrong, 2 * trials
+            P, off = P @ P, off_twice
             size = _norm(P)
             p = size + off
             if p < 1 and of_E * learned * p / (1 - p) <= SMALL * error:
@@ -146,24 +178,40 @@ def _sums(M, D, E, T, eps: float) -> tuple[float, float, np.ndarray]:
     return np.inf, np.inf, np.full(len(T), np.inf)
 
 
-def _shown(F, m: int) -> float:
-    """A bound of |F d|."""
-    return min(np.sqrt(m) * _norm(F), float(np.linalg.norm(np.abs(F).sum(axis=1))))
+def _norm(*factors) -> float:
+    """A bound of the norm of a product of matrices."""
+    back = [factor.T for factor in reversed(factors)]
+    rows, columns = len(factors[0]), factors[-1].shape[1]
+    return float(np.sqrt(_top(*factors, *back) if rows < columns else _top(*back, *factors)))
 
 
-def _norm(matrix) -> float:
-    if not np.all(np.isfinite(matrix)):
-        return np.inf
-    wide = matrix.shape[0] < matrix.shape[1]
-    return float(np.sqrt(_top(matrix @ matrix.T if wide else matrix.T @ matrix)))
+def _top(*factors) -> float:
+    """A bound of the largest eigenvalue of a product that is symmetric, with none below zero.
 
-
-def _top(square) -> float:
-    """The largest eigenvalue of a symmetric matrix that has none below zero."""
-    n = len(square)
-    if not n or not np.all(np.isfinite(square)):
+    Large ones are bounded by Lanczos's method from a random start, as in `iteration.largest`.
+    """
+    n = len(factors[0])
+    if not n or not all(np.all(np.isfinite(factor)) for factor in factors):
         return np.inf if n else 0.0
-    return max(float(scipy.linalg.eigvalsh(square, subset_by_index=[n - 1, n - 1])[0]), 0.0)
+    if n <= FULL:
+        return max(float(np.linalg.eigvalsh(np.linalg.multi_dot([*factors, np.eye(n)]))[-1]), 0.0)
+    V, H = np.zeros((STEPS, n)), np.zeros((STEPS, STEPS))
+    v = np.random.default_rng(4).standard_normal(n)
+    excess = (np.log(1.648 * np.sqrt(n) / CHANCE) / (2 * STEPS - 1)) ** 2
+    for k in range(STEPS):
+        V[k] = v = v / np.linalg.norm(v)
+        for factor in reversed(factors):
+            v = factor @ v
+        size = np.linalg.norm(v)
+        for _ in range(2):
+            along = V[: k + 1] @ v
+            H[: k + 1, k] += along
+            v = v - along @ V[: k + 1]
+        if np.linalg.norm(v) <= LEAST * size:
+            excess = 0.0
+            break
+    value = np.linalg.eigvalsh(H[: k + 1, : k + 1], UPLO="U")[-1]
+    return max(float(value), 0.0) / (1 - excess) * (1 + LEAST)
 
 
 # By the programs of machine and law
@@ -204,12 +252,17 @@ def _compiled(view: View, names: tuple[str, ...]):
     return tiled(partial(_parts, view=view, names=names), lanes=1)
 
 
+def _sizes(names: tuple[str, ...], task: Task) -> dict[str, int]:
+    sizes = {"sensor": (task.N + 1) * task.outputs, "converter": task.N * task.inputs}
+    return {name: sizes[name] for name in names}
+
+
 def _parts(common, machine, *, view: View, names: tuple[str, ...]) -> tuple:
     """F(w_1) - w_1 and the matrices M, D, E, F, T, G of a machine, in units of half a step."""
     scheme, task = common
     still = machine.unrounded()
     shapes = {"sensor": (task.N + 1, task.outputs), "converter": (task.N, task.inputs)}
-    sizes = {name: np.prod(shapes[name]) for name in names}
+    sizes = _sizes(names, task)
     start = learning_of(still, scheme, task, view).start
 
     def at(w, d):
