@@ -55,7 +55,9 @@ def _claimed(numbers: dict[str, Any], scale: float, unit: str) -> str:
         in_error = numbers["monotone_in_the_error"]
         which = []
         if claims[MONOTONE]:
-            which.append(f"{claims[MONOTONE]} in every trial ({in_error} in the error itself)")
+            rounded = "" if numbers["rounding"] is None else " until rounding holds it"
+            every = f"{claims[MONOTONE]} in every trial{rounded}"
+            which.append(f"{every} ({in_error} in the error itself)")
         if claims[CONVERGES]:
             which.append(f"{claims[CONVERGES]} in the end")
         parts.append(
@@ -86,7 +88,7 @@ def left_words(numbers: dict[str, Any], scale: float, unit: str) -> str:
         return "an error whose square has no mean"
     if floor != floor:
         return "an error whose size is not known"
-    size = f"{number(floor)} {unit}".rstrip()
+    size = f"{number(floor)} {unit}".rstrip() + rounding_words(numbers, scale, unit)
     if not numbers["senses"]:
         return f"an rms error of at most {size}"
     last = f"{number(scale * numbers['quantile'])} {unit}".rstrip()
@@ -94,6 +96,13 @@ def left_words(numbers: dict[str, Any], scale: float, unit: str) -> str:
         f"an rms error of at most {size} over all that is drawn "
         f"(95 % of the simulated runs end below {last})"
     )
+
+
+def rounding_words(numbers: dict[str, Any], scale: float, unit: str) -> str:
+    """How much of an error is due to rounding, after a comma; empty where nothing is rounded."""
+    if numbers["rounding"] is None:
+        return ""
+    return f", of which rounding makes up to {number(scale * numbers['rounding'])} {unit}".rstrip()
 
 
 def _expected(numbers: dict[str, Any]) -> str:

@@ -230,10 +230,12 @@ def certificate_numbers(of_scheme: OfScheme) -> dict[str, Any]:
     claims, reasons: claims for an unlimited number of trials, with their reasons
     floor: largest error left in the long run on the machines with a claim; where something is drawn
         for each trial, its root mean square over all that is drawn; NaN where it is not known
+    rounding: largest part of it that is due to rounding; None where nothing is rounded
     senses: number of machines with a claim, by the sense in which it holds for single runs; empty
         where nothing is drawn
-    first, quantile: largest root mean square error of the first trial, and that of the last one
-        below which 95 % of the simulated runs end, where something is drawn; else None
+    first, quantile: largest root mean square error of the first trial, where something is drawn or
+        rounded, and that of the last one below which 95 % of the simulated runs end, where
+        something is drawn; else None
     expected, observed, confusion: course of the error in J trials, by theory and by simulation
     transient: how far the error grows before it falls, where learning is claimed to converge, in
         units of the first error, in which trial, and on how many machines; and about how far noise
@@ -243,7 +245,9 @@ def certificate_numbers(of_scheme: OfScheme) -> dict[str, Any]:
     found = of_scheme.certificate
     claimed = np.isin(found.claim, (MONOTONE, CONVERGES))
     drawn = found.sense != SURELY
-    floor = np.where(drawn, found.left, found.floor + found.doubt)
+    ball = np.zeros(len(claimed)) if found.ball is None else found.ball.error
+    floor = np.where(drawn, found.left, found.floor + found.doubt + ball)
+    rounds = found.ball is not None and bool(np.any(claimed))
     last = None if found.runs is None else np.quantile(found.runs[:, :, -1], 0.95, axis=1)
     numbers = {
         "claims": {claim: int(np.sum(found.claim == claim)) for claim in CLAIMS},
@@ -254,8 +258,9 @@ def certificate_numbers(of_scheme: OfScheme) -> dict[str, Any]:
             if np.any(found.claim == claim)
         },
         "floor": float(np.max(floor[claimed])) if np.any(claimed) else None,
+        "rounding": float(np.max(ball[claimed])) if rounds else None,
         "senses": told(found.sense[drawn & (found.claim != NOTHING)]),
-        "first": None if last is None else float(np.max(found.simulated[:, 0])),
+        "first": None if last is None and not rounds else float(np.max(found.simulated[:, 0])),
         "quantile": None if last is None else float(np.max(last)),
         "expected": {course: int(np.sum(found.expected == course)) for course in COURSES},
         "observed": {course: int(np.sum(found.observed == course)) for course in COURSES},

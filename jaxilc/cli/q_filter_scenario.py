@@ -127,6 +127,10 @@ def _rows(found: Question, uncertainty, scale, unit) -> list[tuple[str, str]]:
     if np.isfinite(found.now.floor):
         left = f"{number(scale * found.now.floor)} {unit or 'units of y'} rms, nominal machine"
         rows.append(("error left at the limit", left))
+    if found.rounding > 0:
+        left = f"{number(scale * found.rounding)} {unit or 'units of y'} rms, nominal machine"
+        bounded = np.isfinite(found.rounding)
+        rows.append(("rounding adds", f"at most {left}" if bounded else "no bound is known"))
     return rows
 
 
@@ -195,6 +199,7 @@ def _numbers(found: Question, offers, scale, lines) -> dict[str, Any]:
         "without_filter_above_1_from": found.curves.first_above,
         "resonances": [one._asdict() for one in found.resonances],
         "now": offer_numbers(found.now, scale),
+        "rounding": scale * found.rounding,
         "offers": [offer_numbers(one, scale) for one in offers],
         "curves": curve_numbers(found.curves),
         "lines": lines,

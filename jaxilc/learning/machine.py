@@ -150,6 +150,15 @@ class Machine:
         )
         return dataclasses.replace(self, actuator=actuator)
 
+    def unrounded(self) -> Machine:
+        """This machine without the steps of its converter and of its sensors."""
+        parts = {"actuator": self.actuator, "sensor": self.sensor}
+        fine = {
+            name: None if part is None else dataclasses.replace(part, resolution=None)
+            for name, part in parts.items()
+        }
+        return dataclasses.replace(self, **fine)
+
     def noiseless(self, *, averaged: bool = True) -> Machine:
         """This machine without the noise of its sensors and of its disturbances.
 

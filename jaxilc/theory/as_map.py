@@ -80,13 +80,16 @@ class Maps(NamedTuple):
         unknown = np.full(len(which), np.inf)
         return unknown, unknown, np.zeros(len(which), int), unknown
 
-    def first_met(self, reach):
+    def first_met(self, reach, room=None):
         """The first trial that meets a limit, whether none ever is met, and which limit it is.
 
-        Each is (S,). The trial is 0 where none was seen to meet a limit.
+        Each is (S,). The trial is 0 where none was seen to meet a limit. reach, room: as for
+        `Matrices`
         """
+        room = np.ones((self._count, 1)) if room is None else room
         found = self._run(_first_met)(
-            (self.scheme, self.task, None), (self.machines, jnp.asarray(reach))
+            (self.scheme, self.task, None),
+            (self.machines, jnp.asarray(reach), jnp.asarray(room)),
         )
         return tuple(map(np.asarray, found))
 
@@ -201,14 +204,17 @@ def _radius(common, machine, *, view):
 
 
 def _first_met(common, one, *, view):
-    (scheme, task, _), (machine, reach) = common, one
+    (scheme, task, _), (machine, reach, room) = common, one
     found = learning_of(machine, scheme, task, view)
-    gain = _gain(lambda w: limits_as_one(found.limits(w)), found.start)
+    sizes = [signal.size for signal in jax.eval_shape(found.limits, found.start).values()]
+    acted = lambda w: limits_as_one(found.limits(w)) / room  # noqa: E731
+    gain = _gain(acted, found.start)
 
     def look(now):
         j, w, met, _, _ = now
         following = found.following(w)
-        top = jnp.stack([jnp.max(jnp.abs(signal)) for signal in found.limits(w).values()])
+        of_each = jnp.split(jnp.abs(acted(w)), np.cumsum(sizes)[:-1])
+        top = jnp.stack([jnp.max(one) for one in of_each])
         moved = jnp.linalg.norm(following - w)
         later = jnp.max(top) + gain * jnp.where(moved > 0, reach * moved, 0.0)
         return (

@@ -154,15 +154,18 @@ class Matrices(NamedTuple):
                     inverse[i] = 1 / np.linalg.norm(np.eye(len(self.M[i])) - self.M[i], -2)
         return radius, growth, fallen, inverse
 
-    def first_met(self, reach):
+    def first_met(self, reach, room=None):
         """The first trial that meets a limit, whether none ever is met, and which limit it is.
 
-        Each is (S,). The trial is 0 where none was seen to meet a limit. reach: (S,) of `Decay`
+        Each is (S,). The trial is 0 where none was seen to meet a limit. reach: (S,) of `Decay`;
+        room: (S, K) of the bounds that counts as all of them; None for all of it
         """
         T, t = (
             np.concatenate(list(self.T.values()), axis=1),
             np.concatenate(list(self.t.values()), axis=1),
         )
+        if room is not None:
+            T, t = T / room[:, :, None], t / room
         owner = np.repeat(np.arange(len(self.t)), [one.shape[1] for one in self.t.values()])
         rows, size = np.linalg.norm(T, axis=2), len(self.start)
         met, clear, which = np.zeros(size, int), np.zeros(size, bool), np.zeros(size, int)

@@ -19,6 +19,9 @@ that `chance` gives it: for every draw, in mean square, or almost surely. The di
 of two runs with the same draws, and what learning leaves is told as a root mean square over all
 that is drawn. What holds for the mean of all runs alone is not claimed.
 
+Where a sensor or a converter rounds, a claim is that of the machine that does not, up to a ball
+(`rounding`): what falls does so until it is within the ball, and then stays there.
+
 **Within J trials** theory predicts the error of each trial. An adaptive scheme is taken with its
 estimates frozen, rules and limits are left out, and what is not linear is linearised at the third
 trial. That is a prediction, and the confusion table says how good it is:
@@ -54,6 +57,7 @@ from .chance import EVERY, SQUARE, SURELY, UnderChance, under_chance
 from .forecast import follow, growth_of, peaks, predict, simulate, simulate_runs
 from .linearity import keeps_all, learning_premises
 from .outlook import DENSE, Outlook, joined, maps_of, outlooks, that_fit
+from .rounding import LARGEST, Ball, ball_of
 from .trials import starts_off
 
 CLAIMS = MONOTONE, CONVERGES, DIVERGES, NOTHING = "monotone", "converges", "diverges", "not claimed"
@@ -62,7 +66,10 @@ RISE = 1e-9  # a relative rise of the error that rounding explains
 ROUNDING = 1e3  # in units of the last place
 AS_TOLD = 1e-6  # share of the largest error by which simulation may differ from theory
 EXACT = 1e-9  # share of the first error that counts as none left
-DRAWN = 64  # machines, where none were drawn before
+MACHINES = 64  # that are drawn where none were before
+DRAWN = "what is rounded is bounded only where every trial is learned from alike"
+UNBOUNDED = "what rounding adds in each trial is not seen to stay within bounds"
+MANY = f"what rounding adds is followed for up to {LARGEST} inputs"
 SEEDS = 16  # runs that are simulated of each machine of which something is drawn
 BEYOND = 1e3  # times its root mean square; a positive number is 10^6 times its mean once in 10^6
 COPIES = 64  # bytes for each trial of each machine: three curves, with what lies between
@@ -81,8 +88,10 @@ class Certificate(NamedTuple):
                limit
     sigma:     (S,) bound of the largest singular value of the map that decides; inf where nothing
                is linear
-    floor:     (S,) root mean square error left at the limit; NaN where no limit is claimed. Where
-               something is drawn it is that of the mean of all runs
+    ball:      within which of this rounding holds the machines; None where nothing is rounded or
+               nothing is linear
+    floor:     (S,) root mean square error left at the limit, but for rounding; NaN where no limit
+               is claimed. Where something is drawn it is that of the mean of all runs
     doubt:     (S,) the distance within which `floor` is known
     expected:  (S,) of `COURSES`, by theory, within J trials, without those that are experiments
     observed:  (S,) of `COURSES`, by simulation, likewise
@@ -107,6 +116,7 @@ class Certificate(NamedTuple):
     left: np.ndarray
     of_error: np.ndarray
     sigma: np.ndarray
+    ball: Ball | None
     floor: np.ndarray
     doubt: np.ndarray
     expected: np.ndarray
@@ -134,20 +144,26 @@ class Certificate(NamedTuple):
 
     def _broken(self, i: int) -> bool:
         e, claim = self.simulated[i], self.claim[i]
+        ball, falls_to = 0.0, 0.0
+        if self.ball is not None:
+            ball = float(self.ball.error[i])
+            falls_to = float(self.ball.until(self.of_error, self.sigma)[i])
         if self.runs is not None and claim in (MONOTONE, CONVERGES):
             known = self.sense[i] in (SURELY, EVERY, SQUARE)
-            bound = BEYOND * self.predicted[i] + EXACT * e[0] if known else np.inf
+            bound = BEYOND * (self.predicted[i] + ball) + EXACT * e[0] if known else np.inf
             return not bool(np.all(np.isfinite(e) & (e <= bound)))
         if claim in (NOTHING, DIVERGES) or self.distance is None or self.outlook is None:
             return bool(claim == DIVERGES and e[-1] < EXACT * e[0])
         if claim == MONOTONE and self.of_error[i]:
-            return _rises(e, e[0])
+            return _rises(e, e[0], falls_to)
         k, q, g = (float(x[i]) for x in self.outlook.decay[:3])
         if not k:  # then the error is to be as predicted, but for rounding, which grows as well
             share = AS_TOLD + ROUNDING * np.finfo(e.dtype).eps * g
-            return not np.max(np.abs(e - self.predicted[i])) / share <= np.max(self.predicted[i])
+            apart = np.max(np.abs(e - self.predicted[i])) - ball
+            return not apart / share <= np.max(self.predicted[i])
         far, sure = self.distance[i], float(self.outlook.radius[i])
         bound = g * q ** (np.arange(len(far)) // k) * (far[0] + sure) + sure
+        bound = bound if self.ball is None else bound + self.ball.learned[i]
         return bool(
             np.any(far > bound * (1 + RISE) + EXACT * far[0]) or not np.all(np.isfinite(far))
         )
@@ -162,6 +178,7 @@ class LongRun(NamedTuple):
     left: np.ndarray
     of_error: np.ndarray
     sigma: np.ndarray
+    ball: Ball | None
     outlook: Outlook | None
 
 
@@ -189,7 +206,7 @@ def certify(
     check(machine, scheme, task)
     uncertainty = uncertainty or {}
     if drawn is None:
-        drawn = draw(machine, uncertainty, DRAWN)
+        drawn = draw(machine, uncertainty, MACHINES)
     return certify_each(
         drawn_machines(machine, uncertainty, drawn), scheme, task, trials, steps=steps
     )
@@ -223,7 +240,8 @@ def certify_each(
 def _certified(
     machines: Machine, scheme: Scheme, task: Task, trials: int, steps: int
 ) -> Certificate:
-    predicted = predict(machines, scheme, task, trials)
+    exact = machines.unrounded()
+    predicted = predict(exact, scheme, task, trials)
     run, course_of_draws = _long_run(machines, scheme, task, steps, trials)
     runs, variation = None, machines.variation
     if variation is not None and variation.draws:
@@ -249,7 +267,7 @@ def _certified(
         )
     powers = np.ones(len(predicted), int) if run.outlook is None else run.outlook.decay.power
     ahead = np.where(run.of_error, np.nan, floor)
-    peak, peak_trial = peaks(machines, scheme, task, predicted, powers, ahead)
+    peak, peak_trial = peaks(exact, scheme, task, predicted, powers, ahead)
     # the errors of experiments say nothing of what was learned
     each = trials_of_step(scheme, task)
     expected, observed = predicted[:, ::each], simulated[:, ::each]
@@ -275,6 +293,7 @@ def _long_run(
     machines: Machine, scheme: Scheme, task: Task, steps: int, trials: int = 0
 ) -> tuple[LongRun, np.ndarray | None]:
     """The claims, and (S, J) root mean square errors of trials over all that is drawn for them."""
+    rounding, machines = machines, machines.unrounded()
     machine = jax.tree.map(lambda leaf: leaf[0], machines)
     broken = [p.detail for p in learning_premises(machine, scheme, task) if not p.held]
     if not broken and changes_nothing(scheme, task):
@@ -284,14 +303,18 @@ def _long_run(
         reason = np.full(size, broken[0], object)
         nothing, unknown = np.full(size, NOTHING), np.full(size, np.nan)
         no = np.zeros(size, bool), np.full(size, np.inf)
-        return LongRun(nothing, reason, np.full(size, SURELY), unknown, *no, None), None
+        return LongRun(nothing, reason, np.full(size, SURELY), unknown, *no, None, None), None
     maps = maps_of(machines, scheme, task, steps)
-    ahead = outlooks(machines, scheme, task, maps=maps)
+    ball = ball_of(rounding, scheme, task, view_of(scheme, task))
+    astray = None if ball is None else ball.limits
+    ahead = outlooks(machines, scheme, task, maps=maps, astray=astray)
     claim, reason, of_error, sigma = _claims(machines, scheme, task, ahead, maps)
     sense, left = np.full(len(claim), SURELY, object), np.full(len(claim), np.nan)
-    found, rms = LongRun(claim, reason, sense, left, of_error, sigma, ahead), None
+    found, rms = LongRun(claim, reason, sense, left, of_error, sigma, ball, ahead), None
     if machine.variation is not None and machine.variation.draws:
         found, rms = _of_runs(machines, scheme, task, found, trials)
+    if ball is not None:
+        found = _within(found, ball)
     return found._replace(reason=machine.said_of_claims() + found.reason), rms
 
 
@@ -306,11 +329,12 @@ def _of_runs(machines, scheme, task, means: LongRun, trials: int) -> tuple[LongR
         reason = np.full(size, f"{said}{len(view.moving)}", object)
         no = np.zeros(size, bool)
         return means._replace(claim=np.full(size, NOTHING), reason=reason, of_error=no), None
-    found = under_chance(machines, scheme, task, view, trials)
+    astray = None if means.ball is None else means.ball.limits
+    found = under_chance(machines, scheme, task, view, trials, astray=astray)
     claim, reason = means.claim.copy(), means.reason.copy()
     for i, one in enumerate(found):
         if not one.certain:
-            claim[i], reason[i] = _claim_on_runs(one)
+            claim[i], reason[i] = _claim_on_runs(one) if means.ball is None else (NOTHING, DRAWN)
         if claim[i] != NOTHING and not one.clear:
             claim[i], reason[i] = NOTHING, "a limit may be met in a trial that is drawn"
     rms = np.stack([one.rms for one in found])
@@ -321,6 +345,30 @@ def _of_runs(machines, scheme, task, means: LongRun, trials: int) -> tuple[LongR
         left=np.array([one.left for one in found]),
         of_error=means.of_error & np.array([one.certain for one in found]),
     ), rms
+
+
+def _within(found: LongRun, ball: Ball) -> LongRun:
+    """The claims on machines that round, from those on machines that do not."""
+    until = ball.until(found.of_error, found.sigma)
+    ball = ball._replace(error=np.fmin(ball.error, np.where(found.of_error, until, np.inf)))
+    claim, reason = found.claim.copy(), found.reason.copy()
+    many = found.outlook is not None and found.outlook.limit.shape[1] > LARGEST
+    for i in np.flatnonzero(claim != NOTHING):
+        if claim[i] == DIVERGES:
+            claim[i], reason[i] = NOTHING, f"{reason[i]}, but rounding may hide what would grow"
+        elif not np.isfinite(ball.error[i]):
+            claim[i], reason[i] = NOTHING, MANY if many else UNBOUNDED
+        elif claim[i] == MONOTONE:
+            reason[i] += f", until it is at {until[i]:.4g}, within which rounding holds it"
+        else:
+            reason[i] += ", but for what rounding adds"
+    return found._replace(
+        claim=claim,
+        reason=reason,
+        left=found.left + ball.error,
+        of_error=found.of_error & (claim == MONOTONE),
+        ball=ball,
+    )
 
 
 def _claim_on_runs(one: UnderChance) -> tuple[str, str]:
@@ -375,11 +423,11 @@ def _reason(i: int, claim: str, of_error: bool, of_errors: float, ahead: Outlook
     return ahead.told(i)
 
 
-def _rises(errors, first) -> bool:
-    """Whether an error curve rises between two trials, by more than rounding."""
+def _rises(errors, first, least=0.0) -> bool:
+    """Whether an error curve rises between two trials, by more than rounding, and above `least`."""
+    before = np.maximum(errors[:-1], least)
     return bool(
-        np.any(errors[1:] > errors[:-1] * (1 + RISE) + 1e-13 * first)
-        or not np.all(np.isfinite(errors))
+        np.any(errors[1:] > before * (1 + RISE) + 1e-13 * first) or not np.all(np.isfinite(errors))
     )
 
 

@@ -94,6 +94,11 @@ class Parts(NamedTuple):
     G: np.ndarray
     r: np.ndarray
 
+    def closer(self, astray) -> Parts:
+        """These with limits that are closer by so much (K,), in units of the bounds."""
+        room = np.concatenate([[1.0], np.where(astray < 1, 1 - astray, np.nan)])[:, None]
+        return self._replace(T=self.T / room, t=self.t / room[:, 0], G=self.G / room)
+
     def within(self, V) -> Parts:
         """These for z of w = start + V z, where learning leaves the other directions alone."""
         moved = self.M @ self.start + self.c - self.start
@@ -136,16 +141,20 @@ class UnderChance(NamedTuple):
 
 
 def under_chance(
-    machines: Machine, scheme: Scheme, task: Task, view: View, trials: int
+    machines: Machine, scheme: Scheme, task: Task, view: View, trials: int, *, astray=None
 ) -> list[UnderChance]:
-    """What holds for single runs of each machine, of which the premises of `linearity` hold."""
+    """What holds for single runs of each machine, of which the premises of `linearity` hold.
+
+    astray: (S, K) as for `outlooks`
+    """
     noise = _noise_of(machines)
     parts = tiled(partial(_parts, view=view, noise=noise), lanes=1)((scheme, task), machines)
     of_parts = _each(jax.tree.map(np.asarray, parts))
     found = []
-    for machine, one in zip(_each(machines), of_parts, strict=True):
+    for i, (machine, one) in enumerate(zip(_each(machines), of_parts, strict=True)):
         drawn = partial(_products, machine, scheme, task, view)
-        found.append(_judged(Parts(*one), machine.variation, task, trials, drawn))
+        one = Parts(*one) if astray is None else Parts(*one).closer(astray[i])
+        found.append(_judged(one, machine.variation, task, trials, drawn))
     return found
 
 

@@ -194,11 +194,18 @@ def joined(parts: list[Any]) -> Any:
 
 
 def outlooks(
-    machines: Machine, scheme: Scheme, task: Task, *, maps: Matrices | Maps | None = None
+    machines: Machine,
+    scheme: Scheme,
+    task: Task,
+    *,
+    maps: Matrices | Maps | None = None,
+    astray: np.ndarray | None = None,
 ) -> Outlook:
     """The outlook of each machine.
 
     Its premises are left to `linearity`: here everything is taken to be linear.
+
+    astray: (S, K) by how much what limits act on may differ from this, in units of the bounds
     """
     if maps is None:
         return joined(
@@ -215,10 +222,12 @@ def outlooks(
     radius = np.where(left > 0, strays * np.where(left > 0, left, 1.0), 0.0)
     names = limit_names(machines, scheme, task)
     met, clear, which = (
-        maps.first_met(decay.reach)
+        maps.first_met(decay.reach, None if astray is None else _room(astray))
         if names
         else (np.zeros(len(left), int), np.ones(len(left), bool), [])
     )
+    if astray is not None:
+        met = np.zeros_like(met)  # the trial is that of the machine that does not go astray
     labels = np.array([names[i] for i in which] if names else [""] * len(left))
     return Outlook(
         decay,
@@ -230,6 +239,11 @@ def outlooks(
         clear,
         labels,
     )
+
+
+def _room(astray) -> np.ndarray:
+    """What is left of each bound; NaN, below which nothing lies, where nothing is."""
+    return np.where(astray < 1, 1 - astray, np.nan)
 
 
 def decays(

@@ -15,6 +15,7 @@ from ..pytree.named_paths import get_at
 from ..schemes import Scheme
 from ..signals.task import Task
 from ..uncertainty import Uncertainty, drawn_machines
+from .affine import view_of
 from .family import Tried, tried_plants
 from .filtered_law import (
     Change,
@@ -26,6 +27,7 @@ from .loop import Loop, responses
 from .outlook import maps_of
 from .over_frequency import grid
 from .parts_of_law import Places, places_in, without_low_pass
+from .rounding import ball_of
 from .whole_set import WholeSet, bound_of_set
 
 POINTS = 600  # lines of the grid, beside those around the poles
@@ -135,6 +137,8 @@ class Question(NamedTuple):
     resonances: of the nominal loop, slowest first
     places: of cutoff, gain and lead in the scheme
     now:    the law as it is, with its floor
+    rounding: root mean square error that rounding may add to the floor on the nominal machine
+        [unit of y]; 0 where nothing is rounded, nan where learning is not safe
     """
 
     tried: Tried
@@ -143,6 +147,7 @@ class Question(NamedTuple):
     resonances: list[Resonance]
     places: Places
     now: Offer
+    rounding: float
 
     @property
     def peak(self) -> float:
@@ -162,6 +167,8 @@ def question(
     seed: int = 0,
 ) -> tuple[Question, Lines]:
     """|Q (1 - L P)| of a scheme over a family, and the lines of its law without the filter.
+
+    Of a machine that rounds it is that of the one that does not.
 
     Raises ValueError for a scheme whose law is not linear, or that has several channels, and where
     machine, scheme and task do not fit.
@@ -194,8 +201,9 @@ def question(
     now = Offer(
         "as it is", {}, change, top, curves.learned_up_to, floor_of(machine, scheme, task, top)
     )
+    left = rounding_of(machine, scheme, task, top)
     return Question(
-        tried, curves, proof, resonances_of(tried.loops[0], task.dt), places, now
+        tried, curves, proof, resonances_of(tried.loops[0], task.dt), places, now, left
     ), inner
 
 
@@ -206,9 +214,18 @@ def floor_of(machine: Machine, scheme: Scheme, task: Task, top: float) -> float:
     """
     if not top < 1:
         return np.nan
-    nominal = drawn_machines(machine.noiseless().unlimited(), {}, {})
+    nominal = drawn_machines(machine.noiseless().unlimited().unrounded(), {}, {})
     floor = float(maps_of(nominal, scheme.unlimited(), task).limit()[2][0])
     return floor if np.isfinite(floor) else np.nan
+
+
+def rounding_of(machine: Machine, scheme: Scheme, task: Task, top: float) -> float:
+    """The root mean square error that rounding may add; nan where learning is not safe."""
+    if not top < 1:
+        return np.nan
+    nominal, law = drawn_machines(machine.noiseless().unlimited(), {}, {}), scheme.unlimited()
+    ball = ball_of(nominal, law, task, view_of(law, task))
+    return 0.0 if ball is None else float(ball.error[0])
 
 
 def resonances_of(loop: Loop, dt: float) -> list[Resonance]:
@@ -225,7 +242,7 @@ def need_linear(machine: Machine, scheme: Scheme, task: Task) -> None:
     if not scheme.learns:
         raise ValueError(f"{name} does not learn; allowed is a scheme with a linear learning law")
     laws = (linear_law(scheme, task), of_last_trial(scheme, task))
-    for held in (*laws, invariant_loop(machine, scheme, task)):
+    for held in (*laws, invariant_loop(machine.unrounded(), scheme, task)):
         if not held.held:
             raise ValueError(
                 f"{name}: the condition |Q (1 - L P)| < 1 needs: {held.name}. Found: {held.detail}"

@@ -76,7 +76,7 @@ def answer(value: float, proof: WholeSet) -> tuple[Question, Lines]:
     now = Offer("as it is", {}, Change(1.0, 0, 20.0, 2), value, 14.0, 0.01)
     curves = curves_of(lines)
     places = Places("filter.cutoff", ("scheme.gamma_p",), "scheme.lead", 2)
-    return Question(tried, curves, proof, [Resonance(10.0, 0.1)], places, now), lines
+    return Question(tried, curves, proof, [Resonance(10.0, 0.1)], places, now, 0.0), lines
 
 
 @pytest.mark.parametrize(

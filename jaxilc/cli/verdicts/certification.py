@@ -23,7 +23,7 @@ def certify_verdict(case: Case, numbers: Mapping[str, dict[str, Any]], scale: fl
         claims, machines = row["claims"], sum(row["claims"].values())
         if claims[MONOTONE] + claims[CONVERGES] == machines:
             what = (
-                f"learning {_how(claims)}{senses_words(row)}, and leaves "
+                f"learning {_how(row)}{senses_words(row)}, and leaves "
                 f"{left_words(row, scale, case.unit)}"
             )
             if row["first"] is None or row["floor"] < row["first"]:
@@ -52,9 +52,10 @@ def _all(machines: int) -> str:
     return "the nominal machine" if machines == 1 else f"all {machines} machines"
 
 
-def _how(claims: dict[str, int]) -> str:
+def _how(row: dict[str, Any]) -> str:
+    claims = row["claims"]
     if not claims[CONVERGES]:
-        return "is monotone"
+        return "is monotone" + (" until rounding holds it" if row["rounding"] is not None else "")
     return "converges" if not claims[MONOTONE] else "converges, on most of them in every trial"
 
 

@@ -1,0 +1,146 @@
+"""Claims on machines that round, against trials that a loop in NumPy runs."""
+
+import dataclasses
+from importlib import resources
+
+import jax
+import numpy as np
+import pytest
+
+from jaxilc.learning import Actuator, Machine, Sensor
+from jaxilc.learning.variation import Variation
+from jaxilc.plants import StateSpace
+from jaxilc.scenarios.from_file import read_scenario
+from jaxilc.schemes import PIDType
+from jaxilc.signals import Task
+from jaxilc.theory.certificates import certify_each, long_run
+from jaxilc.theory.q_filter import need_linear, rounding_of
+from jaxilc.uncertainty import drawn_machines
+
+N, DT, TRIALS, FINE, FAR = 24, 1e-3, 300, 1e-13, 1e6
+
+
+def machines(*several):
+    """With a leading axis, of (a, step of the sensor, step of the converter, limit)."""
+    made = [
+        Machine(
+            StateSpace([[a]], [[1 - a]], [[1.0]], dt=DT),
+            Actuator(limit=limit, resolution=of_u),
+            Sensor(resolution=of_y),
+        )
+        for a, of_y, of_u, limit in several
+    ]
+    return jax.tree.map(lambda *leaves: np.stack(leaves), *made)
+
+
+def learned(r, a, of_y, of_u, gain, leak, limit=np.inf):
+    """(TRIALS, N) errors and inputs learned, of a machine that rounds if it has steps."""
+
+    def rounded(x, step):
+        return np.round(x / step) * step if step else x
+
+    G = np.array([[(1 - a) * a ** max(i - k, 0) * (i >= k) for k in range(N)] for i in range(N)])
+    w, errors, inputs = np.zeros(N), [], []
+    for _ in range(TRIALS):
+        u = np.clip(rounded(np.clip(w, -limit, limit), of_u), -limit, limit)
+        e = r[1:] - rounded(G @ u, of_y)
+        errors.append(e)
+        inputs.append(w)
+        w = (1 - leak) * u + gain * e
+    return np.array(errors), np.array(inputs)
+
+
+def task(r):
+    return Task(r, dt=DT)
+
+
+def rms(e):
+    return np.sqrt(np.mean(e**2, axis=-1))
+
+
+def test_the_ball_holds_what_a_loop_in_numpy_does():
+    """The error and what is learned stay within the ball, and fall until they are in it."""
+    r = np.sin(np.pi * np.arange(N + 1) / N) ** 2
+    rng, some = np.random.default_rng(3), []
+    for _ in range(12):
+        steps = 10 ** rng.uniform(-5, -1, 2)
+        some.append((rng.uniform(0.1, 0.6), *steps, FAR))
+    law = PIDType(gamma_p=0.6, leak=0.1)
+    found = certify_each(machines(*some), law, task(r), TRIALS)
+    assert set(found.claim) == {"monotone"}
+    assert not len(found.broken_promises())
+    until, slack = found.ball.until(found.of_error, found.sigma), []
+    for i, (a, of_y, of_u, _) in enumerate(some):
+        (e, w), (e_still, w_still) = (
+            learned(r, a, *steps, 0.6, 0.1) for steps in ((of_y, of_u), (0.0, 0.0))
+        )
+        assert np.max(rms(e - e_still)) <= found.ball.error[i]
+        assert np.max(np.linalg.norm(w - w_still, axis=1)) <= found.ball.learned[i]
+        assert rms(e[-1]) <= found.floor[i] + found.doubt[i] + found.ball.error[i]
+        far = np.linalg.norm(w - w_still[-1], axis=1)
+        assert np.all(far[1:] <= np.maximum(far[:-1] * (1 + 1e-9), until[i]))
+        slack.append(found.ball.error[i] / np.max(rms(e - e_still)))
+    assert np.median(slack) < 10
+
+
+def test_a_ball_that_is_reached_and_the_limits_in_it():
+    """Half a step is reached in every trial, and what is learned comes to the edge of its ball.
+
+    The output stays just below half a step of the encoder, which shows 0 throughout. A limit
+    between what a machine learns that does not round, and what this one learns, is met.
+    """
+    half, gain, leak = 0.5, 0.5, 0.3
+    r = np.full(N + 1, leak * half * (1 - 1e-6) / gain)
+    still = gain * r[0] / (gain + leak)
+    far, ball = half - still, 1.1 * gain * half / (gain + leak)
+    limits = (FAR, still + 0.9 * far, still + 2 * ball)
+    some = [(0.0, 2 * half, FINE, limit) for limit in limits]
+    found = long_run(machines(*some), PIDType(gamma_p=gain, leak=leak), task(r))
+    assert found.claim.tolist() == ["monotone", "not claimed", "monotone"]
+    assert "cannot be excluded" in found.reason[1]
+    _, w = learned(r, 0.0, 2 * half, FINE, gain, leak)
+    assert limits[1] < np.max(w) < limits[2]
+    reached = np.linalg.norm(w[-1] - still)
+    assert 0.9 * found.ball.learned[0] < reached <= found.ball.learned[0]
+    # as a limit sees it, in each sample; the converter adds next to nothing
+    assert np.max(found.ball.limits[0]) * FAR >= far
+
+
+def test_what_is_not_claimed_of_a_machine_that_rounds():
+    """Growth that may hide below a step, samples lost by chance, and what is never unlearned."""
+    r = np.sin(np.pi * np.arange(N + 1) / N) ** 2
+    machine = Machine(StateSpace([[0.0]], [[1.0]], [[1.0]], dt=DT), sensor=Sensor(resolution=0.1))
+
+    def of(machine, law=PIDType(gamma_p=0.5)):  # noqa: B008
+        found = long_run(drawn_machines(machine, {}, {}), law, task(r))
+        return found.claim[0], found.reason[0]
+
+    assert of(machine.unrounded(), PIDType(gamma_p=2.5))[0] == "diverges"
+    claim, why = of(machine, PIDType(gamma_p=2.5))
+    assert claim == "not claimed"
+    assert "rounding may hide" in why
+    lost = dataclasses.replace(machine, variation=Variation(dropped=0.2))
+    claim, why = of(lost)
+    assert claim == "not claimed"
+    assert "learned from alike" in why
+
+
+def test_the_file_of_init_with_an_encoder(tmp_path):
+    """The line that `jaxilc init` offers, a step of the encoder, silences neither command."""
+    text = (resources.files("jaxilc.scenarios") / "axis.toml").read_text()
+    text = text.replace("#[machine.sensor]", "[machine.sensor]")
+    text = text.replace("#resolution = 1e-6", "resolution = 0.0005")
+    text = text.replace("duration = 1.0", "duration = 0.06").replace(
+        "frequency = 2.0", "frequency = 15.0"
+    )
+    path = tmp_path / "axis.toml"
+    path.write_text(text)
+    chosen = read_scenario(path)
+    assert float(chosen.machine.sensor.resolution) == 0.0005
+    scheme = chosen.schemes["ilc"]
+    found = long_run(drawn_machines(chosen.machine, {}, {}), scheme, chosen.task)
+    assert found.claim[0] == "monotone"
+    assert 0.00025 < found.ball.error[0] < 0.05
+    need_linear(chosen.machine, scheme, chosen.task)
+    left = rounding_of(chosen.machine, scheme, chosen.task, 0.5)
+    assert left == pytest.approx(found.ball.error[0], rel=1e-6)
