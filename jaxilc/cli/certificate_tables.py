@@ -62,7 +62,7 @@ def _claimed(numbers: dict[str, Any], scale: float, unit: str) -> str:
             which.append(f"{claims[CONVERGES]} in the end")
         parts.append(
             f"in the long run {certified} of {machines} machines come nearer to their limit"
-            f"{senses_words(numbers)}, {' and '.join(which)}; "
+            f"{senses_words(numbers) or ','} {' and '.join(which)}; "
             f"it leaves {left_words(numbers, scale, unit)}"
         )
     if claims[DIVERGES]:
@@ -74,11 +74,11 @@ def _claimed(numbers: dict[str, Any], scale: float, unit: str) -> str:
 
 
 def senses_words(numbers: dict[str, Any]) -> str:
-    """In which senses claims hold for single runs, after a comma; empty where nothing is drawn."""
+    """In which senses claims hold for single runs, between commas; empty where nothing is drawn."""
     senses = numbers["senses"]
     if len(senses) < 2:
-        return "".join(f", {sense}" for sense in senses)
-    return ", " + " and ".join(f"{sense} on {count}" for sense, count in senses.items())
+        return "".join(f", {sense}," for sense in senses)
+    return ", " + " and ".join(f"{sense} on {count}" for sense, count in senses.items()) + ","
 
 
 def left_words(numbers: dict[str, Any], scale: float, unit: str) -> str:

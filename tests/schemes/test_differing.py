@@ -46,6 +46,7 @@ REFUSED = {
         "two_step": ONE_AXIS,
         "at_samples": ONE_AXIS,
         "warm_start": r"theta has shape \(2,\); allowed is \(4,\)",
+        "on_basis": r"functions has shape \(12, 1, 3\); this task needs \(12, 2, m\)",
     },
     "a basis": {
         **dict.fromkeys(

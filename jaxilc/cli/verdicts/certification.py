@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from ...theory.certificates import CONVERGES, DIVERGES, GROWS, MONOTONE, NOTHING, TURNS
 from ..certificate_tables import left_words, senses_words, transient_words
 from ..tables import number
@@ -23,10 +25,11 @@ def certify_verdict(case: Case, numbers: Mapping[str, dict[str, Any]], scale: fl
         claims, machines = row["claims"], sum(row["claims"].values())
         if claims[MONOTONE] + claims[CONVERGES] == machines:
             what = (
-                f"learning {_how(row)}{senses_words(row)}, and leaves "
+                f"learning {_how(row)}{senses_words(row)} and leaves "
                 f"{left_words(row, scale, case.unit)}"
             )
-            if row["first"] is None or row["floor"] < row["first"]:
+            first = np.inf if row["first"] is None else row["first"]
+            if not (row["floor"] >= first or (row["quantile"] or 0.0) >= first):
                 certified.append(name)
                 said.append(
                     f"{name} is certified on {_all(machines)}: {what}.{transient_words(row)}"
