@@ -16,8 +16,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from ..pytree.ranges import brief
-
 BLOCK = 2**24  # bytes
 LARGEST_TREE = 16_000_000  # bytes of a TOML or JSON file
 LARGEST_TABLE = 256_000_000  # bytes of a file of columns
@@ -105,6 +103,8 @@ def tree_of(text: str, parser: Callable[[str], Any], source: Any) -> Any:
 
 def _place(text: str, error: ValueError) -> str:
     """Where a text is not as its parser needs it, what stands there, and what is allowed."""
+    from ..pytree.ranges import brief  # NumPy, which the completion of a shell does not wait for
+
     found = _PLACE.search(str(error))
     if not found:
         return f": {error}"
