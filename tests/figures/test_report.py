@@ -222,7 +222,7 @@ def test_a_run_reported_as_the_command_line_does(tmp_path, monkeypatch):
     lines = [li.text for li in tree.iter("li")]
     assert lines == [*chosen.chosen]
     settings = {row[0].text: row[1].text for row in tree.find(".//details").iter("tr")}
-    assert settings["plant.a"] == "2.2386, -1.6246, 0.385"
+    assert settings["machine.plant.a"] == "2.2386, -1.6246, 0.385"
 
 
 def test_no_path_no_report():

@@ -224,7 +224,7 @@ scheme = { class = "PIDType" }
 outputs = [0]
 [uncertainty]
 "plant.B" = { distribution = "uniform", low = 0.9, high = 1.1, relative = true }
-"plant.A[0]" = { distribution = "normal", mean = 1.0, std = 0.01, relative = true }
+"machine.plant.A[0]" = { distribution = "normal", mean = 1.0, std = 0.01, relative = true }
 actuator.limit = { distribution = "log_uniform", low = 8.0, high = 12.0 }
 """
 
