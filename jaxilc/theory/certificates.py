@@ -352,12 +352,15 @@ def _within(found: LongRun, ball: Ball) -> LongRun:
     until = ball.until(found.of_error, found.sigma)
     ball = ball._replace(error=np.fmin(ball.error, np.where(found.of_error, until, np.inf)))
     claim, reason = found.claim.copy(), found.reason.copy()
-    many = found.outlook is not None and found.outlook.limit.shape[1] > LARGEST
-    for i in np.flatnonzero(claim != NOTHING):
+    ahead: Any = found.outlook
+    for i in np.flatnonzero((claim != NOTHING) | ahead.decay.converges):
         if claim[i] == DIVERGES:
             claim[i], reason[i] = NOTHING, f"{reason[i]}, but rounding may hide what would grow"
         elif not np.isfinite(ball.error[i]):
+            many = ahead.limit.shape[1] > LARGEST
             claim[i], reason[i] = NOTHING, MANY if many else UNBOUNDED
+        elif claim[i] == NOTHING:
+            continue
         elif claim[i] == MONOTONE:
             reason[i] += f", until it is at {until[i]:.4g}, within which rounding holds it"
         else:
@@ -365,7 +368,7 @@ def _within(found: LongRun, ball: Ball) -> LongRun:
     return found._replace(
         claim=claim,
         reason=reason,
-        left=found.left + ball.error,
+        left=np.where(claim == NOTHING, np.nan, found.left + ball.error),
         of_error=found.of_error & (claim == MONOTONE),
         ball=ball,
     )

@@ -97,7 +97,8 @@ def ball_of(machines: Machine, scheme: Scheme, task: Task, view: View) -> Ball |
     for i in range(count):  # the matrices of one alone are large
         one = jax.tree.map(lambda leaf, i=i: np.asarray(leaf)[i : i + 1], machines)
         parts = _compiled(view, names)((scheme, task), one)
-        found.append(_ball(_sizes(names, task), *(np.asarray(part[0]) for part in parts)))
+        with np.errstate(over="ignore", invalid="ignore"):
+            found.append(_ball(_sizes(names, task), *(np.asarray(part[0]) for part in parts)))
     return Ball(*map(np.array, zip(*found, strict=True)))
 
 
@@ -148,33 +149,32 @@ def _sums(M, D, E, T, weights, eps: float) -> tuple[float, float, np.ndarray]:
     learned, error, acted = _norm(D), _norm(E, D), np.abs(T @ X).sum(axis=1)
     of_E, of_T, size, top = _norm(E), np.linalg.norm(T, axis=1), _norm(M), _norm(D) ** 2
     off, of_W = eps * len(M) * size, eps * len(M) * top  # how wrong P and W may be
-    with np.errstate(over="ignore", invalid="ignore"):
-        for _ in range(DOUBLINGS):
-            later = P @ W @ P.T
-            if not np.all(np.isfinite(later)):
-                break
-            off_twice = 2 * size * off + off**2 + eps * len(M) * size**2
-            wrong = off_twice * top + size**2 * of_W
-            largest = _top(later) + wrong
-            learned += np.sqrt(trials * largest)
-            error += np.sqrt(trials * (_top(E, later, E.T) + of_E**2 * wrong))
-            if len(T):
-                sizes = np.maximum(np.sum((T @ later) * T, axis=1), 0.0)
-                rows = np.sqrt(trials * (sizes + of_T**2 * wrong))
-                if trials < FEW and len(M) <= FULL:
-                    one_by_one = 0.0
-                    for _ in range(trials):
-                        X = M @ X
-                        one_by_one = one_by_one + np.abs(T @ X).sum(axis=1)
-                    rows = np.minimum(rows, one_by_one)
-                acted = acted + rows
-            W, top, of_W, trials = W + later, top + largest, of_W + wrong, 2 * trials
-            P, off = P @ P, off_twice
-            size = _norm(P)
-            p = size + off
-            if p < 1 and of_E * learned * p / (1 - p) <= SMALL * error:
-                after = learned * p / (1 - p)
-                return learned + after, error + of_E * after, acted + of_T * after
+    for _ in range(DOUBLINGS):
+        later = P @ W @ P.T
+        if not np.all(np.isfinite(later)):
+            break
+        off_twice = 2 * size * off + off**2 + eps * len(M) * size**2
+        wrong = off_twice * top + size**2 * of_W
+        largest = _top(later) + wrong
+        learned += np.sqrt(trials * largest)
+        error += np.sqrt(trials * (_top(E, later, E.T) + of_E**2 * wrong))
+        if len(T):
+            sizes = np.maximum(np.sum((T @ later) * T, axis=1), 0.0)
+            rows = np.sqrt(trials * (sizes + of_T**2 * wrong))
+            if trials < FEW and len(M) <= FULL:
+                one_by_one = 0.0
+                for _ in range(trials):
+                    X = M @ X
+                    one_by_one = one_by_one + np.abs(T @ X).sum(axis=1)
+                rows = np.minimum(rows, one_by_one)
+            acted = acted + rows
+        W, top, of_W, trials = W + later, top + largest, of_W + wrong, 2 * trials
+        P, off = P @ P, off_twice
+        size = _norm(P)
+        p = size + off
+        if p < 1 and of_E * learned * p / (1 - p) <= SMALL * error:
+            after = learned * p / (1 - p)
+            return learned + after, error + of_E * after, acted + of_T * after
     return np.inf, np.inf, np.full(len(T), np.inf)
 
 
@@ -194,7 +194,10 @@ def _top(*factors) -> float:
     if not n or not all(np.all(np.isfinite(factor)) for factor in factors):
         return np.inf if n else 0.0
     if n <= FULL:
-        return max(float(np.linalg.eigvalsh(np.linalg.multi_dot([*factors, np.eye(n)]))[-1]), 0.0)
+        whole = np.linalg.multi_dot([*factors, np.eye(n)])
+        return (
+            max(float(np.linalg.eigvalsh(whole)[-1]), 0.0) if np.isfinite(whole).all() else np.inf
+        )
     V, H = np.zeros((STEPS, n)), np.zeros((STEPS, STEPS))
     v = np.random.default_rng(4).standard_normal(n)
     excess = (np.log(1.648 * np.sqrt(n) / CHANCE) / (2 * STEPS - 1)) ** 2
@@ -203,6 +206,8 @@ def _top(*factors) -> float:
         for factor in reversed(factors):
             v = factor @ v
         size = np.linalg.norm(v)
+        if not np.isfinite(size):
+            return np.inf
         for _ in range(2):
             along = V[: k + 1] @ v
             H[: k + 1, k] += along
