@@ -55,7 +55,7 @@ def _claimed(numbers: dict[str, Any], scale: float, unit: str) -> str:
         in_error = numbers["monotone_in_the_error"]
         which = []
         if claims[MONOTONE]:
-            rounded = "" if numbers.get("rounding") is None else " until rounding holds it"
+            rounded = "" if numbers["rounding"] is None else " until rounding holds it"
             every = f"{claims[MONOTONE]} in every trial{rounded}"
             which.append(f"{every} ({in_error} in the error itself)")
         if claims[CONVERGES]:
@@ -100,7 +100,7 @@ def left_words(numbers: dict[str, Any], scale: float, unit: str) -> str:
 
 def rounding_words(numbers: dict[str, Any], scale: float, unit: str) -> str:
     """How much of an error is due to rounding, after a comma; empty where nothing is rounded."""
-    if numbers.get("rounding") is None:
+    if numbers["rounding"] is None:
         return ""
     return f", of which rounding makes up to {number(scale * numbers['rounding'])} {unit}".rstrip()
 

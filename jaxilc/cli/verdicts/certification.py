@@ -58,9 +58,7 @@ def _all(machines: int) -> str:
 def _how(row: dict[str, Any]) -> str:
     claims = row["claims"]
     if not claims[CONVERGES]:
-        return "is monotone" + (
-            " until rounding holds it" if row.get("rounding") is not None else ""
-        )
+        return "is monotone" + (" until rounding holds it" if row["rounding"] is not None else "")
     return "converges" if not claims[MONOTONE] else "converges, on most of them in every trial"
 
 
