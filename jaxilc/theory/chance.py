@@ -64,6 +64,7 @@ ROOM = 2**24  # numbers that a solution may hold
 SOLVED = 1e-8  # relative residual up to which a stationary variance counts as found
 BLOCKS, LENGTHS = 32, (1, 4, 16, 64)  # drawn products, and their numbers of trials
 SURE = 1e-6  # chance with which the interval of an exponent may be wrong
+LOOKED_AT = 64  # trials at least, in which limits are looked at; then what is left
 MARGIN = 5.0  # standard deviations, of a limit that counts as never met
 PRODUCTS = 256  # rows up to which products are drawn
 
@@ -181,7 +182,8 @@ def _judged(parts: Parts, variation: Variation, task: Task, trials: int, drawn) 
     moves = np.concatenate([A - np.eye(len(A)), parts.L * kept, parts.B], axis=1)
     run = run._replace(parts=parts.within(_range_of(moves)))
     with np.errstate(over="ignore", invalid="ignore"):
-        rms, clear = run.course(trials)
+        rms, clear = run.course(max(trials, LOOKED_AT))
+        rms = rms[:trials]
         worst, (at_once, factor, growth) = run.worst_norm(kept, held), run.decay()
         left, calm = run.left() if factor < 1 else (np.inf, True)
 
@@ -199,7 +201,7 @@ def _judged(parts: Parts, variation: Variation, task: Task, trials: int, drawn) 
         return found(
             SQUARE, 1, f"{two} in the end; it grows at most {growth**0.5:.3g} times before"
         )
-    if whole.exponent > -np.log(ALONE):
+    if whole.exponent > -np.log(ALONE) and len(parts.t) == 1:  # no limit would hold it
         said = f"a run grows by {np.exp(whole.exponent):.4g} in a trial, in the long run"
         return found(ALMOST, -1, said)
     exponent = drawn()

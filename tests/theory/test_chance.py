@@ -190,3 +190,5 @@ def test_a_limit_that_a_draw_may_meet_is_in_the_way():
         )
         claims.append(certify(machine, PIDType(gamma_p=0.7), TASK, 5, {}, {}).claim[0])
     assert claims == [NOTHING, MONOTONE]
+    held = Machine(AT_ONCE, actuator=Actuator(limit=1e6), variation=Variation(dropped=0.2))
+    assert certify(held, PIDType(gamma_p=2.2), TASK, 5, {}, {}).claim[0] == NOTHING
