@@ -151,7 +151,9 @@ assert abs(history.saved[-1] / 4.4544077312015835 - 1) < 1e-6
 uncertain = {"plant.B": Uniform(0.6, 1.4, relative=True)}
 schemes = {"norm-optimal": norm_optimal, "gradient": gradient}
 swept = Sweep(actual, schemes, task, 20, uncertain, machines=64).run()
-largest = swept["rms"][:, int(swept["plant.B"].argmax())]  # of the machine of the largest gain
+largest = swept["rms"][
+    :, int(np.argmax(swept["plant.B"].values))
+]  # of the machine of the largest gain
 gradient, optimal = (np.asarray(largest.sel(scheme=name)) for name in ("gradient", "norm-optimal"))
 assert gradient[19] > 1.5 * gradient[9] > 1.5 * optimal[9]
 assert optimal[19] < optimal[0]

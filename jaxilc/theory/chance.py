@@ -37,7 +37,7 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.linalg
 import scipy.sparse.linalg
-import scipy.stats
+import scipy.special
 from jax.flatten_util import ravel_pytree
 
 from ..learning.machine import Disturbance, Machine
@@ -466,7 +466,7 @@ def _products(machine, scheme, task, view: View) -> float:
     logs = np.asarray(_drawn_products(view)((machine, scheme, task), keys))
     with np.errstate(divide="ignore"):
         sizes = logs / np.array(LENGTHS)
-    t = scipy.stats.t.ppf(1 - SURE / len(LENGTHS), BLOCKS - 1)
+    t = scipy.special.stdtrit(BLOCKS - 1, 1 - SURE / len(LENGTHS))
     above = np.mean(sizes, axis=0) + t * np.std(sizes, axis=0, ddof=1) / np.sqrt(BLOCKS)
     return float(np.min(np.nan_to_num(above, nan=np.inf)))
 

@@ -106,7 +106,7 @@ def test_std_variance_and_coherence(tmp_path):
         ("f [Hz],mag [abs],phase [rad]\n1,-3,0\n2,-3,0\n", "is negative; is it in dB"),
         ("f [Hz],mag [dB],phase [rad]\n1,-3000,0\n2,-3,0\n", "beyond 300 dB"),
         ("1 2 3\n", "has no header: its line 1 holds 3 numbers"),
-        ("", "has no frequency.*Present are none"),
+        ("", "is empty; allowed is a line of headings"),
     ],
 )
 def test_what_is_ambiguous_or_wrong_is_refused(tmp_path, text, said):

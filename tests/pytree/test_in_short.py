@@ -40,7 +40,7 @@ def small(annotation):
 
 def filled(cls):
     """An object of a class, with a long array in each field that could hold one."""
-    hints = typing.get_type_hints(cls)
+    hints = typing.get_type_hints(cls, None, {"jax": jax})  # some import it for types only
     names = getattr(cls, "_fields", None) or [f.name for f in dataclasses.fields(cls)]
     values = [1.5 if small(hints[name]) else np.ones((999, 3)) for name in names]
     if hasattr(cls, "_make"):
