@@ -22,6 +22,9 @@ ground up:
     as_matrix, as_map  these maps of many machines, as matrices and without a matrix
     outlook          all trials to come of a linear law: its limit, how fast it comes there, and
                      which limits of the machine it meets
+    chance           what holds for single runs where something is drawn for each trial, by the
+                     moments of what reaches the law (`record_moments`)
+    rounding         how far from its limit a machine that rounds is held
     maps             one trial and its learning as a map of all that any scheme knows
     contraction      the gain of these maps, without a matrix
     iteration        singular values and eigenvalues by the methods of Lanczos and Arnoldi
