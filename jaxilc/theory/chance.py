@@ -265,10 +265,10 @@ class _Run(NamedTuple):
         if norm < 1 - ROUNDING * eps * n:
             return True, norm, 1.0
         Z, _ = self._solved(self.squares_back, unit)
-        if not np.all(np.isfinite(Z)):
+        shrinks = Z - self.squares_back(Z)
+        if not np.all(np.isfinite(shrinks)):
             return False, np.inf, np.inf
-        sizes = scipy.linalg.eigvalsh(Z)
-        falls = scipy.linalg.eigvalsh(Z - self.squares_back(Z))[0]
+        sizes, falls = scipy.linalg.eigvalsh(Z), scipy.linalg.eigvalsh(shrinks)[0]
         falls -= ROUNDING * eps * n * norm * sizes[-1]
         if sizes[0] <= 0 or falls <= 0:
             return False, np.inf, np.inf
