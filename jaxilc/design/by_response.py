@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.optimize
 
+from ..learning.metrics import largest
 from ..signals.task import Task
 from ..tuning.risks import Mean, Risk
 from .by_matrix import of_matrices
@@ -135,7 +136,8 @@ def _loss(z, of: Problem, below: float, counted, risk: Risk):
         for (_, weight), square in zip(counted, squares, strict=True)
     )
     over = jax.nn.relu(size - below)
-    worst = jnp.sqrt(jnp.sum(jnp.max(over, axis=1) ** 2) + 1e-12)
+    # `jnp.max` has NaN for its slope where the compiled program rounds `over` in two ways
+    worst = jnp.sqrt(jnp.sum(largest(over, axis=1) ** 2) + 1e-12)
     return total + STRICT[0] * jnp.mean(jnp.sum(over**2, axis=1)) + STRICT[1] * worst
 
 

@@ -9,7 +9,8 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.custom_derivatives import SymbolicZero
+
+from ..runtime.jax_internals import once
 
 
 def there_until(shortest, N: int, key) -> jax.Array:
@@ -67,20 +68,11 @@ def newest(y, delayed, most: int, key) -> jax.Array:
     return jnp.asarray(y)[jax.lax.cummax(at)]
 
 
-@jax.custom_jvp
 def without_slope(chance) -> jax.Array:
     """The chance itself; raises ValueError where it is differentiated."""
-    return jnp.asarray(chance)
-
-
-def _refuse(primals, tangents):
-    if not isinstance(tangents[0], SymbolicZero):
-        raise ValueError(
-            "Variation: shortest, dropped and delayed are chances, of which a drawn trial has no "
-            "gradient; allowed are gradients by all other parameters. Sweep a chance, or take "
-            "differences of the mean over many machines with the same keys"
-        )
-    return primals[0], jnp.zeros_like(primals[0])
-
-
-without_slope.defjvp(_refuse, symbolic_zeros=True)
+    return once(
+        jnp.asarray(chance),
+        "Variation: shortest, dropped and delayed are chances, of which a drawn trial has no "
+        "gradient; allowed are gradients by all other parameters. Sweep a chance, or take "
+        "differences of the mean over many machines with the same keys",
+    )

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -15,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from ..runtime.jax_internals import with_slope
 from ..signals.sample_layout import for_scan
 from ..signals.task import Task, Trial
 from .known_metrics import GATHERED, METRICS, Gathering, Metrics
@@ -99,28 +99,26 @@ def _window(how: Gathering, N: int, settled: slice) -> slice:
     return slice(max(start - 1, 0), stop - 1) if how.settled else slice(None)
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(3,))
 def _of_signals(gathered: tuple, e, u, settled: slice) -> tuple:
     """The values gathered from e (N+1, n_y) and u (N, n_u), with a derivative rule of their own.
 
     The rule uses the whole signals. A derivative sample by sample would store every intermediate
     value.
     """
-    return gathered
 
+    def slope(at: tuple, by: tuple) -> tuple:
+        (_, e, u), (_, de, du) = at, by
+        slopes = {}
+        for signal, x, dx in (("e", e, de), ("u", u, du)):
+            of_signal = {name: how for name, how in GATHERED if how.signal == signal}
+            counted = [np.zeros(len(x), bool) for _ in of_signal]
+            for row, how in zip(counted, of_signal.values(), strict=True):
+                row[_window(how, len(u), settled)] = True
+            largest = [how.of == "largest" for how in of_signal.values()]
+            slopes |= zip(of_signal, _slopes(x, dx, counted, largest), strict=True)
+        return tuple(slopes[name] for name, _ in GATHERED)
 
-@_of_signals.defjvp
-def _of_signals_jvp(settled, signals, tangents):
-    (gathered, e, u), (_, de, du) = signals, tangents
-    slopes = {}
-    for signal, x, dx in (("e", e, de), ("u", u, du)):
-        of_signal = {name: how for name, how in GATHERED if how.signal == signal}
-        counted = [np.zeros(len(x), bool) for _ in of_signal]
-        for row, how in zip(counted, of_signal.values(), strict=True):
-            row[_window(how, len(u), settled)] = True
-        largest = [how.of == "largest" for how in of_signal.values()]
-        slopes |= zip(of_signal, _slopes(x, dx, counted, largest), strict=True)
-    return gathered, tuple(slopes[name] for name, _ in GATHERED)
+    return with_slope(lambda gathered, e, u: gathered, slope)(gathered, e, u)
 
 
 def _slopes(x, dx, counted: list[np.ndarray], largest: list[bool]) -> list[jax.Array]:

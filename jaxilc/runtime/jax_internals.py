@@ -1,10 +1,12 @@
 """All uses of parts of JAX that may change without notice, with a fallback for each.
 
 These parts are `jax.extend.core.Primitive`, `jax.interpreters` (`ad`, `batching`, `mlir`) and
-`jax.experimental.layout`. `rows_together` uses them to set the layout of arrays in RAM, and
-`product_by_columns` to give a product its derivatives. The fallback of the first does nothing, that
-of the second leaves the derivatives to JAX; then programs are slower, and results are the same up
-to their rounding. The fallbacks are used
+`jax.experimental.layout`. `rows_together` uses them to set the layout of arrays in RAM,
+`product_by_columns` to give a product its derivatives, and `with_slope` to give them to any
+function. The fallback of the first does nothing, that of the second leaves the derivatives to JAX,
+and that of the third is `jax.custom_jvp`; then programs are slower, and results are the same up to
+their rounding, but for second derivatives in reverse mode, which lose a part. The fallbacks are
+used
 
     if this version of JAX lacks one of these parts, or they behave differently. A RuntimeWarning,
     once in a process, reports this and names the version.
@@ -56,6 +58,50 @@ def product_by_columns(matrix, vector):
     return known.product(jnp.asarray(matrix, dtype), jnp.asarray(vector, dtype))
 
 
+def with_slope(function: Callable[..., Any], slope: Callable[..., Any]) -> Callable[..., Any]:
+    """The function, with a derivative of its own, which may be differentiated again.
+
+        d function(x) = slope(x, dx),    x: tuple of the arguments, dx: tuple of their tangents
+
+    `jax.custom_jvp` says the same. But where JAX divides a loop for reverse mode into what is known
+    before and what depends on the differentiated variable, it drops the rule from the first part,
+    so that a second derivative takes the derivative of the function as it is written. Here the rule
+    stays. Arguments and results are trees of arrays of floating point numbers; neither function may
+    use tracers that are not among its arguments.
+    """
+
+    def ruled(*arguments):
+        known = _found()[0]
+        if known is None:
+            plain = jax.custom_jvp(function)
+            plain.defjvp(lambda at, by: (plain(*at), slope(at, by)))
+            return plain(*arguments)
+        values, tree = jax.tree.flatten(arguments)
+        result = jax.tree.structure(jax.eval_shape(function, *arguments))
+
+        def value_of(values):
+            return jax.tree.leaves(function(*tree.unflatten(values)))
+
+        def slope_of(values, moved):
+            return jax.tree.leaves(slope(tree.unflatten(values), tree.unflatten(moved)))
+
+        return result.unflatten(known.ruled(*values, value=value_of, slope=slope_of))
+
+    return ruled
+
+
+def once(arguments: Any, refusal: str) -> Any:
+    """The tree of arrays itself; raises ValueError with this message where it is differentiated.
+
+    What a rule of `with_slope` computes from `once(x)` has no further derivative by x.
+    """
+
+    def refuse(at, by):
+        raise ValueError(refusal)
+
+    return jax.tree.map(with_slope(lambda x: x, refuse), arguments)
+
+
 def why_not() -> str | None:
     """The reason why the fallbacks are used; None where they are not used."""
     return _found()[1]
@@ -66,10 +112,12 @@ class Known(NamedTuple):
 
     rows: that of `rows_together`
     product: that of `product_by_columns`
+    ruled: that of `with_slope`
     """
 
     rows: Callable[..., Any]
     product: Callable[..., Any]
+    ruled: Callable[..., Any]
 
 
 @cache
@@ -78,7 +126,7 @@ def _found() -> tuple[Known | None, str | None]:
     if os.environ.get(SWITCH, "") == "off":
         return None, f"{SWITCH} is off"
     try:
-        known = Known(_rows_primitive(), _product_primitive())
+        known = Known(_rows_primitive(), _product_primitive(), _ruled_primitive())
         _try_out(known)
     except Exception as error:  # another version of JAX may raise any error
         reason = f"{type(error).__name__}: {error}"
@@ -177,6 +225,40 @@ def _product_primitive() -> Callable[..., Any]:
     return by_columns.bind
 
 
+def _ruled_primitive() -> Callable[..., Any]:
+    """The function `bind(*x, value, slope)` of a primitive with a value and a rule for its slope.
+
+    value: from a list of arrays to a list of arrays
+    slope: from two such lists, the arguments and their tangents, to a list of the tangents of value
+    """
+    from jax.extend.core import Primitive
+    from jax.interpreters import ad, batching, mlir
+
+    def shaped(*x, value, slope):
+        return jax.make_jaxpr(value)(list(x)).out_avals
+
+    def moved(x, dx, *, value, slope):
+        dx = [ad.instantiate_zeros(d) for d in dx]
+        return ruled.bind(*x, value=value, slope=slope), slope(list(x), dx)
+
+    def batched(x, dims, *, value, slope):
+        dims = list(dims)
+        found = ruled.bind(*x, value=jax.vmap(value, (dims,)), slope=jax.vmap(slope, (dims, dims)))
+        return found, [0] * len(found)
+
+    def evaluated(*x, value, slope):
+        return value(list(x))
+
+    ruled = Primitive("ruled")
+    ruled.multiple_results = True
+    ruled.def_impl(evaluated)
+    ruled.def_abstract_eval(shaped)
+    mlir.register_lowering(ruled, mlir.lower_fun(evaluated, multiple_results=True))
+    ad.primitive_jvps[ruled] = moved
+    batching.primitive_batchers[ruled] = batched
+    return ruled.bind
+
+
 def _try_out(known: Known) -> None:
     """Try the primitives with `vmap`, `grad`, `jvp` and the lowering to XLA, without compiling.
 
@@ -185,7 +267,8 @@ def _try_out(known: Known) -> None:
 
     def all_ways(x):
         turned = [known.rows(x, axis=0, turned=turned) for turned in (False, True)]
-        return jnp.sum(known.product(turned[0] * turned[1], x[0]))
+        product = known.product(turned[0] * turned[1], x[0])
+        return jnp.sum(known.ruled(product, value=lambda x: x, slope=lambda x, dx: dx)[0])
 
     one = jax.ShapeDtypeStruct((2, 3, 1), jnp.result_type(float))
     whole = jax.vmap(lambda x: (jax.grad(all_ways)(x), jax.jvp(all_ways, (x,), (x,))))

@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
+from ..runtime.jax_internals import once, with_slope
 from .riccati import Factor, System, adjoint, factor, newton, shown
 
 GAP = 1e-9  # share of the cost, in double precision
@@ -27,6 +28,10 @@ STEPS = 60  # iterations at most; most problems that can be solved take 8 to 25
 HOPELESS = 1e9  # growth of the gap that says that no input is within all bounds
 STIFF = 3e7  # weight of an active bound in the derivative, in units of the cost of the input
 TO_BOUND = 0.995  # the largest share of the way to the nearest bound that a step goes
+ONE_DERIVATIVE = (
+    "the optimum within bounds (ConstrainedNormOptimal, TwoStep) has first derivatives only, and a "
+    "second one is asked for; allowed are gradients, and differences of them"
+)
 
 
 class Problem(NamedTuple):
@@ -115,7 +120,8 @@ def solve(problem: Problem, free: Factor) -> Solution:
 
     free: `factor` of the problem without bounds
     The result may be differentiated once, forwards or backwards: the derivative is that of the
-    conditions of optimality (implicit function theorem), not that of the iterations.
+    conditions of optimality (implicit function theorem), not that of the iterations. A second
+    derivative raises ValueError.
     """
     still, of_free = lax.stop_gradient((problem, free))
     bounds = _bounds_of(still)
@@ -288,11 +294,18 @@ def _last_step(problem: Problem, free: Factor, point: Point) -> jax.Array:
 
     The multipliers follow v as constant products s l demand, l' = -(l / s) v'; see `stiffness`.
     """
-    bounds, system = _bounds_of(problem), problem.system
-    weight = lax.stop_gradient(stiffness(system, free, point.s, point.l))
-    v = shown(system, point.d)
-    now = bounds.sign * v + bounds.offset
-    l = point.l - weight * (now - lax.stop_gradient(now))  # noqa: E741
-    slope = _slope(problem, bounds, point._replace(v=v, l=l))
-    of = lax.stop_gradient(factor(system, problem.W, jnp.sum(weight, axis=0)))
-    return newton(system, of, slope)[0]
+    still = lax.stop_gradient(problem)
+    weight = stiffness(still.system, free, point.s, point.l)
+    of = factor(still.system, still.W, jnp.sum(weight, axis=0))
+
+    def step(problem: Problem, point: Point, weight, of: Factor) -> jax.Array:
+        bounds, v = _bounds_of(problem), shown(problem.system, point.d)
+        now = bounds.sign * v + bounds.offset
+        l = point.l - weight * (now - lax.stop_gradient(now))  # noqa: E741
+        return newton(problem.system, of, _slope(problem, bounds, point._replace(v=v, l=l)))[0]
+
+    def tangent(at: tuple, by: tuple) -> jax.Array:
+        problem, *rest = once(at, ONE_DERIVATIVE)
+        return jax.jvp(lambda problem: step(problem, *rest), (problem,), by[:1])[1]
+
+    return with_slope(step, tangent)(problem, point, weight, of)

@@ -17,22 +17,23 @@ from jax.flatten_util import ravel_pytree
 from jax.scipy.linalg import block_diag
 
 from ..plants import motion
+from ..runtime.jax_internals import once, with_slope
 from . import gauss_newton
 from .constraints import weight_of
 from .gauss_newton import Found
-from .interior_point import stiffness
+from .interior_point import ONE_DERIVATIVE, stiffness
 from .riccati import System, factor, newton
 from .tracking import Motion, Problem, Way, half_cost, linear_form, moved, rows_at, slope_at
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(2,))
 def optimum(problem: Problem, start, dt: float) -> Found:
     """The optimum that Gauss and Newton's method finds from w = start (N, n).
 
     w may be differentiated once, forwards or backwards, in all numbers of the problem; where the
-    solver did not converge, its derivative is zero. The other fields have none.
+    solver did not converge, its derivative is zero. The other fields have none. A second derivative
+    raises ValueError.
     """
-    return gauss_newton.solve(problem, start, dt)
+    return with_slope(partial(gauss_newton.solve, dt=dt), partial(_tangent, dt))(problem, start)
 
 
 class _Curved(NamedTuple):
@@ -50,10 +51,9 @@ class _Curved(NamedTuple):
     held: jax.Array
 
 
-@optimum.defjvp
-def _tangent(dt: float, at: tuple, by: tuple) -> tuple[Found, Found]:
-    problem, start = at
-    found = optimum(problem, start, dt)
+def _tangent(dt: float, at: tuple, by: tuple) -> Found:
+    """The slope of `optimum` for `with_slope`."""
+    problem, found = once((at[0], optimum(*at, dt)), ONE_DERIVATIVE)
     solved, n = found.converged > 0, found.w.shape[1]
 
     def of(problem: Problem) -> jax.Array:
@@ -69,7 +69,7 @@ def _tangent(dt: float, at: tuple, by: tuple) -> tuple[Found, Found]:
     q = jnp.pad(change, ((0, 0), (W.shape[-1] - n, 0)))
     d, _ = newton(system, factor(system, W, D), q)
     rest = jax.tree.map(jnp.zeros_like, found)
-    return found, rest._replace(w=jnp.where(solved, d, 0.0))
+    return rest._replace(w=jnp.where(solved, d, 0.0))
 
 
 def _calm(problem: Problem, solved) -> Problem:

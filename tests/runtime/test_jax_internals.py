@@ -1,13 +1,16 @@
 """JAX's private parts are used in one module; without them the numbers are the same."""
 
 import ast
+import itertools
 import warnings
+from functools import partial
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax import lax
 from sweep_case import PLAN, TASK
 
 import jaxilc
@@ -79,7 +82,9 @@ def test_without_them_the_numbers_are_the_same(fresh, monkeypatch):
         np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-14)
 
 
-@pytest.mark.parametrize("part", ["_rows_primitive", "_product_primitive", "_try_out"])
+@pytest.mark.parametrize(
+    "part", ["_rows_primitive", "_product_primitive", "_ruled_primitive", "_try_out"]
+)
 def test_another_jax_is_warned_of_once(fresh, monkeypatch, part):
     def unknown(*_):
         raise AttributeError("module 'jax.interpreters' has no attribute 'mlir'")
@@ -144,6 +149,39 @@ def test_a_product_by_columns_where_jax_follows_what_differs_between_devices():
         for product in (jax_internals.product_by_columns, jnp.matmul)
     )
     np.testing.assert_allclose(ours, theirs, rtol=1e-12)
+
+
+def test_a_rule_for_a_slope_stays_in_second_derivatives_of_loops():
+    """The derivatives of a loop are those that its rule stands for, also on several devices.
+
+    The function is the identity in g; the rule says that it is g e. JAX's own rules are lost in
+    the part of a loop that is known before going back, so that this fails with them.
+    """
+    ruled = jax_internals.with_slope(lambda g, e: g, lambda at, by: by[0] * at[1] + at[0] * by[1])
+    mesh = jax.sharding.Mesh(np.array(jax.devices()[:2]), ("machines",))
+    shares = jax.sharding.PartitionSpec("machines")
+
+    def whole(w, product):
+        def on_device(w, x):
+            def tick(sums, now):
+                value = product(sums, w * now)
+                return value * (1 + 0 * w), value
+
+            return lax.scan(tick, x[0] * w, x)[1]
+
+        specs = (jax.sharding.PartitionSpec(), shares)
+        spread = jax.shard_map(on_device, mesh=mesh, in_specs=specs, out_specs=shares)
+        return jnp.sum(spread(w, jnp.array([[1.0, 1.2], [0.9, 0.8]]).reshape(-1)) ** 2)
+
+    def by_hand(g, e):  # the value g, with the derivative of g e
+        return g * e + lax.stop_gradient(g - g * e)
+
+    for outer, inner in itertools.product((jax.grad, jax.jacfwd), repeat=2):
+        ours, theirs = (outer(inner(partial(whole, product=p)))(1.1) for p in (ruled, by_hand))
+        np.testing.assert_allclose(ours, theirs, rtol=1e-12)
+        refused = partial(whole, product=lambda g, e: jax_internals.once(g, "only once") * e)
+        with pytest.raises(ValueError, match="only once"):
+            inner(refused)(1.1)
 
 
 @pytest.mark.parametrize("types", [("float32", "float64"), ("float64", "float32"), ("c16", "f8")])

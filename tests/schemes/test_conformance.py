@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from cases import ALGEBRA, CASES, DIFFERENCES, FEW, case, task_for
 
+from jaxilc import tiled
 from jaxilc.learning import Machine, learn, over_trials
 from jaxilc.plants import StateSpace
 from jaxilc.pytree import named_leaves, replaced
@@ -164,6 +165,66 @@ def test_dtype_is_preserved(run):
             leaf.dtype for leaf in jax.tree.leaves(tree) if jnp.issubdtype(leaf.dtype, jnp.floating)
         }
         assert floats == {jnp.dtype(precision)}
+
+
+PARTED = (  # one of each kind
+    "p_type_ladder",
+    "ffdl_book",
+    "norm_optimal",
+    "constrained",
+    "basis_functions",
+    "higher_order",
+    "keep_unmeasured",
+    "ilc_asmc",
+)
+of_each_kind = pytest.mark.parametrize("run", PARTED, indirect=True, scope="module")
+
+
+@of_each_kind
+def test_in_parts_and_step_by_step_it_learns_what_it_learns_at_once(run):
+    """The same is learned in two parts, two trials a pass, and from the record of a trial.
+
+    `truncated` runs four trials and one; the memory after four and the record of the fifth give the
+    memory after five, by the step that a real machine takes.
+    """
+    machine, scheme, task = run.parts["machine"], run.parts["scheme"], run.task
+    parts = over_trials.truncated(machine, scheme, task, TRIALS, 1, trials_a_pass=2)
+    for name in ("metrics", "final", "memory"):
+        assert_same(getattr(run.history, name), getattr(parts, name))
+    before = learn(machine, scheme, task, TRIALS - 1, trials_a_pass=2).memory
+    last = jax.tree.map(np.asarray, run.history.final)
+    step = Compiled(scheme)
+    after = over_trials.next_memory(step, task, before, last.y, last.u, **last.signals)
+    assert_same(run.history.memory, after)
+    if scheme.plays_back:
+        np.testing.assert_allclose(scheme.feedforward(before, task), last.u, **ALGEBRA)
+
+
+class Compiled:
+    """A scheme of which only the learning step is known, as one program."""
+
+    def __init__(self, scheme):
+        self.scheme = scheme
+
+    def learn(self, memory, trial):
+        def program(memory, signals):
+            return self.scheme.learn(memory, signals._replace(dt=trial.dt))
+
+        return jax.jit(program)(memory, trial._replace(dt=None))
+
+
+@of_each_kind
+def test_one_device_gives_what_several_give(run):
+    spread = tiled(lambda task, parts: of(parts, task).rms, lanes=2)
+    np.testing.assert_allclose(spread(run.task, run.lanes), run.batch.rms, **ALGEBRA)
+
+
+@of_each_kind
+def test_single_precision_is_double_precision_but_for_its_digits(run):
+    with jax.enable_x64(False):
+        single = of(run.parts, run.task)
+    scale = np.max(run.history.rms)
+    np.testing.assert_allclose(single.rms, run.history.rms, rtol=1e-3, atol=1e-4 * scale)
 
 
 STATIC = StateSpace([[0.0]], [[1.0]], [[1.0]], dt=1e-3)  # y[k+1] = u[k]

@@ -134,8 +134,9 @@ def test_arrays_and_text_are_those_that_scipy_reads(tmp_path, packed):
         c=np.array([1j]),
         sparse=scipy.sparse.eye(3),
     )
-    ours, theirs = read_mat(path), scipy.io.loadmat(path, simplify_cells=False)
-    for name in given.keys() - {"units", "said"}:
+    plain = list(given.keys() - {"units", "said"})
+    ours, theirs = read_mat(path), scipy.io.loadmat(path, variable_names=plain)
+    for name in plain:
         np.testing.assert_array_equal(ours[name], theirs[name])
     assert (ours["units"], ours["said"]) == (given["units"], "text")
     assert all(isinstance(ours[name], Other) for name in ("cell", "c", "sparse"))
