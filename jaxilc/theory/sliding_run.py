@@ -23,6 +23,7 @@ SLIDING = (
     "k_n Delta by which the reaching law helps at the edge of the layer; Delta = 0 for sgn, "
     "sampled: a band in proportion to dt)"
 )
+RISE = 1e-9  # a relative rise of V that rounding explains
 
 
 class Sliding(NamedTuple):
@@ -107,6 +108,7 @@ def sliding(scheme: Scheme, trial: Trial) -> Sliding:
     )
     error_band, inside = band * _error_of_sigma(law), np.abs(sigma) <= band
     left = inside[:-1] & ~inside[1:]
+    risen = ~inside[:-1] & (V[1:] > V[:-1] * (1 + RISE))
     of_error = (
         f"within it |e| may be up to {np.max(error_band):.4g}, and was up to "
         f"{np.max(np.abs(e)):.4g}"
@@ -122,6 +124,11 @@ def sliding(scheme: Scheme, trial: Trial) -> Sliding:
             "sigma, once in its band, is seen to stay",
             ~left | (value >= 1),
             f"it leaves it {int(np.sum(left))} times; {of_error}",
+        ),
+        premise(
+            "sigma, beyond its band, is seen to fall",
+            ~risen | (value >= 1),
+            f"it rises {int(np.sum(risen))} times, as it can where the trial starts off its path",
         ),
     )
     return Sliding(

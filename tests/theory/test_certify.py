@@ -30,7 +30,7 @@ from jaxilc.schemes import (
     StopWhen,
     WithFeedback,
 )
-from jaxilc.theory import certify, outlook, premises
+from jaxilc.theory import certify, outlook
 from jaxilc.theory.certificates import certify_each, course
 from jaxilc.theory.of_schemes import OfScheme
 from jaxilc.uncertainty import draw, drawn_machines
@@ -49,7 +49,7 @@ def certified(machine, scheme, trials, uncertainty, samples=6):
 
 
 def sentence(found, trials=10):
-    numbers = certificate_numbers(OfScheme(found, None, None, 1.0))
+    numbers = certificate_numbers(OfScheme(found, None, 1.0))
     return certificate_sentence("scheme", trials, numbers, 1.0, "mm")
 
 
@@ -429,17 +429,6 @@ def test_machines_in_parts_are_certified_as_all_at_once(monkeypatch):
 )
 def test_what_an_error_curve_does(errors, expected):
     assert course(np.array(errors, float)) == expected
-
-
-def test_premises_are_counted_over_machines():
-    drawn = draw(FIRST_ORDER, B, 5)
-    scheme = CFDLMFAILC(lam=1.0, phi0=0.3, reset="sign")
-    shares, bound = premises(FIRST_ORDER, scheme, TASK, 8, B, drawn, chunk=2)
-    assert sum(bound.values()) == 5
-    alone = jaxilc.learn(FIRST_ORDER, scheme, TASK, 8, save=lambda trial: (trial.y, trial.u)).saved
-    of_nominal = jaxilc.theory.cfdl_bounds(scheme, TASK, *alone).condition.premises
-    assert [p.name for p in shares] == [p.name for p in of_nominal]
-    assert all(0 <= p.held <= 5 and 0 <= p.share_broken <= 1 for p in shares)
 
 
 @pytest.mark.parametrize("scheme", [PIDType(gamma_p=(1.0, 2.0)), PIDType(lead=N)])

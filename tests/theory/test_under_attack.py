@@ -1,0 +1,40 @@
+"""A small part of `experiments/claims_under_attack.py`, and that it sees a wrong claim."""
+
+import claims_under_attack as attack
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cases import SCHEMES
+
+from jaxilc.theory.certificates import DIVERGES, MONOTONE, long_run
+
+
+@pytest.mark.parametrize("name", ["p_type_fir", "on_basis"])
+def test_what_is_claimed_is_what_numpy_and_the_simulation_do(name):
+    row, _, wrong = attack.of_scheme(name, rounds=1, count=12, seed=1)
+    assert row["claimed"] >= 4
+    assert not wrong
+
+
+def test_the_attack_sees_a_wrong_claim():
+    """A claim that is made stronger than it is, is contradicted."""
+    rng = np.random.default_rng(3)
+    machines, task = attack.machines_of(rng, "p_type_fir", 24, False, None)
+    machines, scheme = jax.tree.map(jnp.asarray, machines), SCHEMES["p_type_fir"]
+    found = long_run(machines, scheme, task)
+    e, d = attack.run_plain("p_type_fir", machines, scheme, task)
+
+    def seen(found, i):
+        return attack.contradicted(found, i, e[i], d[i], [1.0, e[i][0]])
+
+    at = {claim: np.flatnonzero(found.claim == claim) for claim in (MONOTONE, DIVERGES)}
+    assert all(map(len, at.values()))
+    assert not any(seen(found, i) for some in at.values() for i in some)
+    stronger = found._replace(sigma=0.5 * found.sigma)
+    assert any(seen(stronger, i) for i in at[MONOTONE])
+    swapped = found._replace(claim=np.where(found.claim == DIVERGES, MONOTONE, DIVERGES))
+    assert all(seen(swapped._replace(sigma=np.full(24, 0.99)), i) for i in at[DIVERGES])
+    assert all(seen(swapped, i) == attack.LATE for i in at[MONOTONE])
+    lower = found._replace(outlook=found.outlook._replace(floor=0.5 * found.outlook.floor))
+    assert any("floor" in seen(lower, i) for i in at[MONOTONE])
