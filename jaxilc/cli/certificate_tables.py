@@ -151,11 +151,14 @@ def certificate_tables(name: str, trials: int, numbers: dict[str, Any]) -> list[
     for course, row in numbers["confusion"].items():
         head = f"{course} ({numbers['expected'][course]})"
         courses.add_row(head, *(str(row[c]) for c in COURSES))
-    return [claims, courses, *([_premises(name, numbers)] if "premises" in numbers else [])]
+    return [claims, courses, *([premises_table(name, numbers)] if "premises" in numbers else [])]
 
 
-def _premises(name: str, numbers: dict[str, Any]) -> Table:
-    """The number of machines on which each premise of the bounds held, and where it failed."""
+def premises_table(name: str, numbers: dict[str, Any]) -> Table:
+    """The number of machines on which each premise of the bounds held, and where it failed.
+
+    numbers: those of `bounds_numbers`
+    """
     machines = sum(numbers["bound"].values())
     tested = "; ".join(
         f"it {verdict} on {count}"
@@ -175,3 +178,29 @@ def _premises(name: str, numbers: dict[str, Any]) -> Table:
 def _of_all(share: float) -> str:
     """A share in percent as text; a share above zero is never shown as zero."""
     return "nowhere" if share == 0 else "< 0.01 %" if share < 1e-4 else f"{100 * share:.2f} %"
+
+
+def contraction_table(numbers: dict[str, dict[str, Any]]) -> Table:
+    """How much smaller each trial made the error, beside d2 of the plant, by scheme.
+
+    numbers: those of `watched_numbers`
+    """
+    title = "contraction of a trial: d2 of the plant, and |e_j| / |e_j-1| as observed"
+    table = Table("scheme", title=title)
+    for column in (
+        "d2",
+        "left out by its theory",
+        "norm, median",
+        "norm, worst",
+        "samples, median",
+        "samples, worst",
+        "trials that grew",
+    ):
+        table.add_column(column, justify="right")
+    for name, row in numbers.items():
+        d2 = "not proved" if row["d2"] is None else f"{row['d2'][0]:.5g} to {row['d2'][2]:.5g}"
+        left = "" if row["left_out"] is None else f"{100 * row['left_out'][1]:.5g} %"
+        pairs = [row[of] or ("", "") for of in ("norm", "pointwise")]
+        ratios = [value and f"{value:.4g}" for pair in pairs for value in pair]
+        table.add_row(name, d2, left, *ratios, _of_all(row["growing"]))
+    return table

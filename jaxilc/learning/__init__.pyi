@@ -13,6 +13,7 @@ from .metrics import (
 from .over_trials import History, check, feedforward, learn, measured_trial, next_memory, truncated
 from .playback import replay
 from .variation import PlantChange, References, Variation
+from .watch import Watch, Watched
 from .within_trial import run_trial
 
 __all__ = [
@@ -27,6 +28,8 @@ __all__ = [
     "Repeatability",
     "Sensor",
     "Variation",
+    "Watch",
+    "Watched",
     "best_trial",
     "chattering",
     "check",

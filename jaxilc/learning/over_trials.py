@@ -26,6 +26,7 @@ from .divergence import course
 from .known_metrics import Metrics, bytes_of_metrics
 from .machine import Machine
 from .rehearsal import need_pytrees, rehearse
+from .watch import Watch
 from .within_trial import first_start, run_and_measure
 
 LITTLE = 2**24  # bytes, below which the size is not checked
@@ -45,6 +46,7 @@ class History(NamedTuple):
     final: the last `Trial`
     memory: the memory after the last trial, from which learning can be continued
     start: where the next trial would start, of a machine that carries its state; else None
+    watched: what the `watch` of `learn` found, by name: () numbers, and (J,) of the trials
     """
 
     metrics: Metrics
@@ -55,6 +57,7 @@ class History(NamedTuple):
     final: Trial
     memory: Any
     start: Any = None
+    watched: Any = None
     __repr__ = in_short
 
     def __getattr__(self, name: str) -> jax.Array:
@@ -76,6 +79,7 @@ def learn(
     save: Callable[[Trial], Any] | None = None,
     start: Any = None,
     trials_a_pass: int = 1,
+    watch: Watch | None = None,
 ) -> History:
     """Repeat the task J times, with a learning step after each trial.
 
@@ -91,6 +95,7 @@ def learn(
     trials_a_pass: trials in each pass of the compiled loop. With 2, the second reads what the first
         wrote without a copy: a long run takes up to an eighth less time, compiling takes twice as
         long, and a gradient gains nothing. It counts as 1 where it does not divide J / B, see below
+    watch: what looks at each trial beside the one before it; None: nothing
 
     The function is compatible with `grad` and `vmap`. A gradient stores no samples, but the
     memories of all trials where they take up to 4 MiB (on a CPU). Beyond that, it stores those of
@@ -112,7 +117,7 @@ def learn(
     if trials * size > LITTLE:
         check_size("learn", lambda trials: 2 * size * trials, trials=trials)
     key = jax.random.key(0) if key is None else key
-    return _program(save or _nothing, int(trials_a_pass))(
+    return _program(save or _nothing, int(trials_a_pass), watch)(
         machine, scheme, task, int(trials), key, memory, jnp.asarray(first, int), start
     )
 
@@ -141,12 +146,12 @@ def check(machine: Machine, scheme: Scheme, task: Task) -> None:
 
 
 @lru_cache(maxsize=PROGRAMS)
-def _program(save: Callable[[Trial], Any], trials_a_pass: int) -> Any:
-    """The compiled `_learn` for this `save`.
+def _program(save: Callable[[Trial], Any], trials_a_pass: int, watch: Watch | None = None) -> Any:
+    """The compiled `_learn` for this `save` and this `watch`.
 
     Each new lambda is another `save`, so the programs that were not used for longest are dropped.
     """
-    program = partial(_learn, save=save, trials_a_pass=trials_a_pass)
+    program = partial(_learn, save=save, watch=watch, trials_a_pass=trials_a_pass)
     return jax.jit(program, static_argnames="trials")
 
 
@@ -162,9 +167,10 @@ def check_length(task: Task, scheme: Scheme) -> None:
 
 
 def _learn(
-    machine, scheme, task, trials, key, memory, first, start, *, save, trials_a_pass
+    machine, scheme, task, trials, key, memory, first, start, *, save, watch, trials_a_pass
 ) -> History:
     machine, scheme = machine.sampled(task.dt), scheme.prepared(task)
+    known = {} if watch is None else watch.known(machine, scheme, task)
     memory = scheme.initial_memory(task) if memory is None else memory
 
     if machine.carries and start is None:
@@ -179,7 +185,13 @@ def _learn(
 
     def body(carry, j):
         memory, trial, start, kept = trial_and_learning(for_carry(carry[0]), carry[2], j)
-        return (for_carry(memory), trial, start), kept
+        return (for_carry(memory), trial, start), (*kept, compared(carry[1], trial, j))
+
+    def compared(before, trial, j):
+        if watch is None:
+            return {}
+        seen = watch.seen(known, scheme, *lax.stop_gradient((before, trial)))
+        return {name: jnp.where(j == first, jnp.nan, x) for name, x in seen.items()}
 
     # with a number of the type of j, so that the scan finds the trial traced already
     shape = jax.eval_shape(trial_and_learning, memory, start, first)[1]
@@ -194,9 +206,10 @@ def _learn(
         (memory, blank, start),
         (first + jnp.arange(trials)).reshape(blocks, -1),
     )
-    metrics, saved = jax.tree.map(lambda rows: rows.reshape(trials, *rows.shape[2:]), kept)
+    metrics, saved, seen = jax.tree.map(lambda rows: rows.reshape(trials, *rows.shape[2:]), kept)
     every = trials_of_step(scheme, task)
-    return History(metrics, saved, *course(metrics, task, first, every), final, memory, start)
+    judged = course(metrics, task, first, every)
+    return History(metrics, saved, *judged, final, memory, start, dict(known) | seen)
 
 
 def _blocks(trials: int, memory: Any) -> int:

@@ -31,13 +31,22 @@ ground up:
     forecast         the error of each trial, as predicted and as simulated
     certificates     many machines at once, against simulation
     carried          learning where each trial starts from the end of the one before
-    bounds           d1 and d2 of Cao 2019 along a run (`bounds_of_machines`: over many machines)
+    bounds           d1 and d2 of Cao 2019 from the plant, and contraction as observed
+                     (`bounds_of_machines`: over many machines)
     sliding          the conditions of Xu 2024 (`sliding_run`: along a run)
 """
 
 from . import condition, contraction, frequency, lifted, outlook, structure
-from .bounds import CFDLBounds, FFDLBounds, cfdl_bounds, ffdl_bounds
-from .bounds_of_machines import PremiseShare, premises
+from .bounds import (
+    Bounds,
+    BoundsWatch,
+    PseudoGradient,
+    bounds_of,
+    frozen_growth,
+    ppd_bound,
+    pseudo_gradient_of,
+)
+from .bounds_of_machines import Checked, PremiseShare, checked, checked_machines
 from .carried import CarriedRadius, carried_radius
 from .certificates import CLAIMS, COURSES, Certificate, certify, certify_each
 from .condition import Condition, Premise
@@ -46,24 +55,29 @@ from .to_python_control import to_control
 __all__ = [
     "CLAIMS",
     "COURSES",
-    "CFDLBounds",
+    "Bounds",
+    "BoundsWatch",
     "CarriedRadius",
     "Certificate",
+    "Checked",
     "Condition",
-    "FFDLBounds",
     "Premise",
     "PremiseShare",
+    "PseudoGradient",
+    "bounds_of",
     "carried_radius",
     "certify",
     "certify_each",
-    "cfdl_bounds",
+    "checked",
+    "checked_machines",
     "condition",
     "contraction",
-    "ffdl_bounds",
     "frequency",
+    "frozen_growth",
     "lifted",
     "outlook",
-    "premises",
+    "ppd_bound",
+    "pseudo_gradient_of",
     "structure",
     "to_control",
 ]

@@ -91,7 +91,7 @@ class Matrices(NamedTuple):
     def norm(self, power: int) -> np.ndarray:
         """(S,) an upper bound of ||M^power||."""
         with np.errstate(over="ignore", invalid="ignore"):
-            powers = np.nan_to_num(np.linalg.matrix_power(self.M, power), nan=np.inf)
+            powers = np.linalg.matrix_power(self.M, power)
         return _norms(powers) * (1 + WIDE)
 
     def late(self, power: int) -> np.ndarray:

@@ -1,283 +1,464 @@
-"""The contraction bounds d1 and d2 of Cao 2019, as realised on a run, with every premise checked.
+"""The bounds d1 and d2 of Cao 2019 from the plant, and beside them what a run shows.
 
-The theory takes D y(k+1, j) = phi(k, j) D u(k, j), for a pseudo partial derivative (PPD) phi that
-is bounded, of constant sign and away from zero. On a static plant that holds. On a dynamic plant
-D y(k+1, j) depends on the whole past of D u(., j), so phi can change its sign and grow without
-bound, and the bounds do not apply. Here phi is computed from the run, and a bound is claimed only
-where every premise held at every sample and trial.
+The theory takes D y(k+1, j) = phi(k, j) D u(k, j) for a pseudo partial derivative (PPD) phi that is
+bounded, of constant sign and away from zero. Dividing D y by D u of a run always gives such a phi,
+so that a d2 made of it is the observed ratio of the errors and checks nothing. Here phi is the
+derivative of the plant, dy(k+1)/du(k): the diagonal of the trial map. What the map has off its
+diagonal, the reaction to earlier inputs, is what the theory leaves out.
+
+The diagonal of the frozen law's map of errors, I - G diag(gamma), is 1 - gamma phi, and the map is
+lower triangular, without a lead. So d2 bounds its eigenvalues, on every plant; it bounds the error
+where there is nothing off the diagonal. How far the error grows before it falls is told by the
+largest singular value.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from ..learning.machine import Machine
+from ..learning.metrics import largest
+from ..learning.watch import Watch, Watched
 from ..pytree.in_short import in_short
-from ..runtime.capacity import check_size
-from ..schemes import CFDLMFAILC, FFDLMFAILC
+from ..schemes import CFDLMFAILC, CFDLMFAPC, FFDLMFAC, FFDLMFAILC, PFDLMFAILC, Scheme
 from ..signals.task import Task, Trial
-from .condition import Condition, condition, premise
+from .iteration import SingularValue, singular_value
+from .loop import tick_of
+from .maps import error_map
+from .structure import obstacle
+from .trials import played
 
-CHUNK = 16  # machines whose signals are looked at together
-COPIES = 12  # of the signals of a run, while its bounds are looked at
-INCREMENT = 1e-9  # increments below this share of the largest one are no excitation
+RIDGE = 500.0  # last places of the variance of a window, whose increments may follow from others
+ROUNDING = 1e3  # in units of the last place of the largest output
+CLEAR = 1e3  # as many times larger is an error whose ratio to the next one is looked at
+TURNS = 20  # bits of a quantile: 8 of its exponent, 12 of its fraction
+HIGH = 0.95  # share of the samples below the high quantile
+NOTHING_OFF = 1e-12  # share off the diagonal that is rounding
+UNPROVED = np.nan  # what no paper proves of a scheme, and the share of no premise of it
 
 
-class CFDLBounds(NamedTuple):
-    """The bounds on each sample k and trial j = 2..J of CFDL-MFAILC.
+class PseudoGradient(NamedTuple):
+    """How the output of a machine follows from a window of increments, along a trial.
 
-    Arrays are (J-1, N), with NaN where the increment of the input is too small to tell anything.
+        D y(k+1) = Phi(k) . D H(k) + rest,  D H(k) = D y(k), ..., D y(k-L_y+1), D u(k), ...,
+                                                     D u(k-L_u+1)
 
-    phi:       realised PPD D y(k+1,j) / D u(k,j)
-    estimate:  phi_hat(k,j) as the law used it
-    b:         () largest |phi|
-    lam_min:   () b^2 / 4
-    M1:        () smallest phi phi_hat / (lam + phi_hat^2)
-    d1:        realised 1 - eta du^2 / (mu + du^2)
-    d2:        realised |1 - rho phi phi_hat / (lam + phi_hat^2)|
-    d1_worst:  () 1 - eta epsilon^2 / (mu + epsilon^2), which is all that eq. 14 promises
-    d2_worst:  () 1 - rho M1 (eq. 15)
-    ppd_bound: d1 |error of trial j-1| + 2 b, a bound of `ppd_error`
-    ppd_error: |phi_hat - phi|
-    observed:  |e(k+1,j)| / |e(k+1,j-1)|
-    condition: eq. 15 with its premises
+    Phi is that with the smallest rest for increments D u that are white, of variance 1. Its
+    component c = L_y is the derivative dy(k+1)/du(k), whatever the window.
+
+    Phi:  (N, L_y+L_u), the components in the order of D H [1 and unit of y per unit of u]
+    rest: (N,) variance of the rest; for the window of one, the sum of the squares of the row of the
+          trial map off its diagonal
+    total: (N,) variance of D y(k+1), the sum of the squares of the whole row
     """
 
-    phi: np.ndarray
-    estimate: np.ndarray
-    b: float
-    lam_min: float
-    M1: float
-    d1: np.ndarray
-    d2: np.ndarray
-    d1_worst: float
-    d2_worst: float
-    ppd_bound: np.ndarray
-    ppd_error: np.ndarray
-    observed: np.ndarray
-    condition: Condition
+    Phi: jax.Array
+    rest: jax.Array
+    total: jax.Array
     __repr__ = in_short
 
 
-def cfdl_bounds(scheme: CFDLMFAILC, task: Task, y, u) -> CFDLBounds:
-    """d1 and d2 of a run of CFDL-MFAILC on one machine (Cao 2019, eq. 13 to 15).
+def pseudo_gradient_of(
+    machine: Machine, task: Task, *, L_y: int = 0, L_u: int = 1, u: Any = None
+) -> PseudoGradient:
+    """The pseudo gradient of a machine along a trial, from the derivatives of its own step.
 
-    The machine has one input and one output.
+    One scan over the samples, whatever N: the state x of the machine is linearised at each sample,
+    x' = A x + B D u, and its covariance, with that of the window, is carried along, P' = F P F^T +
+    g g^T. That gives the sum of the squares of each row of the trial map without the row. For the
+    window of one, and a machine whose program is linear and the same at each sample, the impulse
+    response is enough.
 
-    y: (J, N+1, 1) outputs of the trials, J >= 3, from the first one on
-    u: (J, N, 1) inputs of the trials
+    u: (N, 1) input of the trial at which a machine that is not linear is linearised; None: zero
 
-    Raises ValueError for shapes that are not those of the task, or a run that is not finite.
+    The function is pure: it may be vmapped and differentiated. A state of n numbers costs n^3 a
+    sample. Raises ValueError for a task with more than one input or output.
     """
-    y, u = _run("cfdl_bounds", task, y, u)
-    lam, rho, eta, mu = (float(v) for v in (scheme.lam, scheme.rho, scheme.eta, scheme.mu))
-    e = np.asarray(task.reference)[None, 1:, 0] - y[:, 1:]
-    du, dy = np.diff(u, axis=0), np.diff(y[:, 1:], axis=0)
-    excited, lipschitz = _excited(du, dy)
-    phi = np.where(excited, dy, np.nan) / np.where(excited, du, 1.0)
-    (used,) = _estimates(scheme, task, y, u)
-    estimate = np.where(excited, used, np.nan)
-    gain = phi * estimate / (lam + estimate**2)
-    b, M1 = float(np.nanmax(np.abs(phi))), float(np.nanmin(gain))
-    epsilon = float(scheme.epsilon)
-    d1, d2 = 1.0 - eta * du**2 / (mu + du**2), np.abs(1.0 - rho * gain)
-    ppd_error = np.abs(estimate - phi)
-    bound = np.full_like(ppd_error, np.nan)
-    bound[1:] = d1[:-1] * ppd_error[:-1] + 2.0 * b
-    sign = np.sign(phi)
-    reference_sign = np.sign(np.nansum(sign)) or 1.0
-    premises = (
-        premise("Lipschitz: |Dy(k+1)| <= b |Du(k)|", lipschitz, f"b = {b:.4g} where Du excites"),
-        premise(
-            "constant sign of phi",
-            ~excited | (sign == reference_sign),
-            f"phi within [{np.nanmin(phi):.4g}, {np.nanmax(phi):.4g}]",
-        ),
-        premise(
-            "phi bounded away from 0",
-            ~excited | (np.abs(phi) > epsilon),
-            f"smallest |phi| = {np.nanmin(np.abs(phi)):.4g}",
-        ),
-        premise(
-            "sign of the estimate",
-            ~excited | (np.sign(estimate) == sign),
-            "sign phi_hat = sign phi",
-        ),
-        premise(
-            "lam > b^2 / 4",
-            ~excited | (phi**2 / 4.0 < lam),
-            f"lam = {lam:.4g}, b^2 / 4 = {b**2 / 4.0:.4g}",
-        ),
-        premise(
-            "the law acts in every trial, unlimited",
-            _lawful(du, used, lam=lam, rho=rho, e=e, lead=scheme.lead),
-            "Du = gain e(k+1, j-1)",
-        ),
-        premise(
-            "no lead: u(k) is learned from e(k+1)",
-            scheme.lead == 0,
-            f"lead = {scheme.lead}; eq. 15 compares e(k+1) alone",
-        ),
-    )
-    d2_worst = 1.0 - rho * M1
-    return CFDLBounds(
-        phi=phi,
-        estimate=estimate,
-        b=b,
-        lam_min=b**2 / 4.0,
-        M1=M1,
-        d1=d1,
-        d2=d2,
-        d1_worst=1.0 - eta * epsilon**2 / (mu + epsilon**2),
-        d2_worst=d2_worst,
-        ppd_bound=bound,
-        ppd_error=ppd_error,
-        observed=_ratio(e),
-        condition=condition(
-            d2_worst, "Cao 2019, eq. 15: |e(k+1,j)| <= d2 |e(k+1,j-1)|", premises=premises
-        ),
-    )
+    _need_one_channel(task)
+    machine = jax.tree.map(jnp.asarray, machine)  # an array of NumPy has no row of a traced number
+    tick, fixed, rest = tick_of(machine, None, task)
+
+    def following(x, w, d):
+        return tick(fixed, rest._replace(x=x, w=w, d_u=d))[0]
+
+    def output(x):
+        return tick(fixed, rest._replace(x=x))[1][0]
+
+    def slopes(x, w, d):
+        A, B = jax.jacfwd(following, argnums=(0, 1))(x, w, d)
+        return A, B[:, 0]
+
+    if L_y + L_u == 1 and not obstacle(*tick_of(machine.unrounded(), None, task)):
+        A, B = slopes(rest.x, rest.w, rest.d_u)
+        c = jax.grad(output)(rest.x)
+        g = lax.scan(lambda x, _: (A @ x, c @ x), B, length=task.N)[1]
+        total = jnp.cumsum(g**2)
+        return PseudoGradient(jnp.broadcast_to(g[0], (task.N, 1)), total - g[0] ** 2, total)
+    d_u = machine.noiseless().draws(jax.random.key(0), task).input
+    d_u = jnp.zeros((task.N, 1)) if d_u is None else d_u
+    u = jnp.zeros((task.N, 1)) if u is None else jnp.asarray(u)
+    n, inputs = len(rest.x), L_u - 1
+    outputs = max(L_y - 1, 0)  # of the past; y(k) follows from the state
+    past = outputs + inputs
+    shift = np.eye(past, k=-1)
+    shift[outputs : outputs + 1] = 0.0  # the newest input of the past does not come from an output
+
+    def sample(carry, now):
+        x, P = carry
+        (A, B), after = slopes(x, *now), following(x, *now)
+        c, row = jax.grad(output)(x), jax.grad(output)(after)
+        of_past = jnp.pad(row @ A, (0, past))
+        W = jnp.eye(past, n + past, n)
+        W = jnp.concatenate([jnp.pad(c, (0, past))[None], W]) if L_y else W
+        found = row @ B, of_past @ P @ of_past, W @ P @ W.T, W @ (P @ of_past)
+        F = jnp.block([[A, jnp.zeros((n, past))], [jnp.zeros((past, n)), shift]])
+        F = F.at[n, :n].set(c) if outputs else F
+        g = jnp.pad(B, (0, past))
+        g = g.at[n + outputs].set(1.0) if inputs else g
+        return (after, F @ P @ F.T + jnp.outer(g, g)), found
+
+    P = jnp.zeros((n + past,) * 2)
+    direct, before, known, common = lax.scan(sample, (rest.x, P), (u, d_u))[1]
+    weights = jax.vmap(_best)(known, common)
+    guessed = jnp.einsum("ki,kij,kj->k", weights, known, weights)
+    left = before - 2 * jnp.sum(weights * common, axis=1) + guessed
+    Phi = jnp.concatenate([weights[:, :L_y], direct[:, None], weights[:, L_y:]], axis=1)
+    return PseudoGradient(Phi, jnp.maximum(left, 0.0), before + direct**2)
 
 
-class FFDLBounds(NamedTuple):
-    """What Theorem 2 of Cao 2019 promises of the pseudo gradient.
+class Bounds(NamedTuple):
+    """What Cao 2019 says of a scheme on a machine, from the plant and before any trial; all ().
 
-    Arrays are (J-1, N), for each sample k and trial j = 2..J.
+    ppd_low, ppd_high: interval of dy(k+1)/du(k) along the trial [unit of y per unit of u]
+    left_out: share of the variance of D y that the window of the scheme leaves out, for increments
+              D u that are white; for a window of one, the share of the squares off the diagonal
+    b:        of the Lipschitz premise |D y(k+1)| <= b |D H(k)|: the largest |Phi|
+    lam_min:  b^2 / 4
+    M1:       smallest phi phi_hat / (lam + phi_hat^2); the estimate lies between its start and phi,
+              since each step with eta <= 1 is a mean of both, and each reset goes to the start
+    d1:       |1 - eta h^2 / (mu + h^2)| at most, for |D H| = h >= epsilon: how the error of the
+              estimate contracts along D H; across it, nothing contracts
+    d2:       |1 - rho phi phi_hat / (lam + phi_hat^2)| at most, which is 1 - rho M1 where
+              lam > lam_min (eq. 15)
+    ppd_start: |phi_hat(1) - phi| at most
+    ppd_rest:  2 b / (1 - d1), see `ppd_bound`
+    radius:   spectral radius of the map of errors of the law frozen at its start
+    linear:   1 where the output is affine in the input, without limit, rounding, noise or change
+    alone:    1 where y(k+1) depends on u(k) alone
+    signs:    1 where phi keeps its sign, away from zero, and the start of the estimate has it too
+    damped:   1 where lam > lam_min
+    printed:  1 where the law is the printed one: window of one, no lead, no limit, eta <= 1
+    claimed:  1 where these five hold, so that |e(k+1,j)| <= d2 |e(k+1,j-1)| at every sample
 
-    b:         () largest |Dy(k+1,j)| / |DH(k,j)|, which bounds the shortest pseudo gradient,
-               Dy DH / |DH|^2
-    gradient:  |Dy| / |DH|, the length of that gradient
-    estimate:  length of Phi_hat(k,j)
-    d1:        1 - eta |DH|^2 / (mu + |DH|^2), the estimator's contraction along DH (across DH it
-               contracts nothing)
-    mismatch:  |Dy - Phi_hat . DH| / |DH|, what the estimate misses along DH
-    observed:  |e(k+1,j)| / |e(k+1,j-1)|
-    condition: the boundedness of the pseudo gradient with its premise
+    What no paper proves of a scheme is NaN.
     """
 
-    b: float
-    gradient: np.ndarray
-    estimate: np.ndarray
-    d1: np.ndarray
-    mismatch: np.ndarray
-    observed: np.ndarray
-    condition: Condition
+    ppd_low: jax.Array
+    ppd_high: jax.Array
+    left_out: jax.Array
+    b: jax.Array
+    lam_min: jax.Array
+    M1: jax.Array
+    d1: jax.Array
+    d2: jax.Array
+    ppd_start: jax.Array
+    ppd_rest: jax.Array
+    radius: jax.Array
+    linear: jax.Array
+    alone: jax.Array
+    signs: jax.Array
+    damped: jax.Array
+    printed: jax.Array
+    claimed: jax.Array
     __repr__ = in_short
 
 
-def ffdl_bounds(scheme: FFDLMFAILC, task: Task, y, u) -> FFDLBounds:
-    """The pseudo gradient of a run of FFDL- or PFDL-MFAILC on one machine.
+def bounds_of(machine: Machine, scheme: Scheme, task: Task, u: Any = None) -> Bounds:
+    """The bounds of Cao 2019, eq. 9 and 13 to 15, of a scheme on a machine.
 
-    It is Cao 2019, eq. 17, 18 and 27. Arguments and errors are those of `cfdl_bounds`.
+    They need no trial. For FFDL- and PFDL-MFAILC the paper bounds the pseudo gradient (Theorem 2)
+    and says nothing of the error, so M1 and d2 are NaN. Dai 2014 has no theorem: of MFAC and MFAPC
+    only the d1 of their estimator is told, and of any other scheme, ILC-MFAPC included, only the
+    plant.
+
+    u: as for `pseudo_gradient_of`; a machine that is not linear has another interval along another
+       trial, so nothing is claimed of it
+
+    The function is pure. Raises ValueError for a task with more than one input or output.
     """
-    y, u = _run("ffdl_bounds", task, y, u)
-    eta, mu = float(scheme.eta), float(scheme.mu)
-    du, dy = np.diff(u, axis=0), np.diff(y, axis=0)
-    windows = [_past(dy[:, :-1], i) for i in range(scheme.L_y)] + [
-        _past(du, i) for i in range(scheme.L_u)
-    ]
-    DH, Dy = np.stack(windows), dy[:, 1:]
-    length = np.sqrt(np.sum(DH**2, axis=0))
-    excited, lipschitz = _excited(length, Dy)
-    estimate = np.stack(_estimates(scheme, task, y, u))
-    safe = np.where(excited, length, 1.0)
-    gradient = np.where(excited, np.abs(Dy), np.nan) / safe
-    b = float(np.nanmax(gradient))
-    premises = (
-        premise("Lipschitz: |Dy(k+1)| <= b |DH(k)|", lipschitz, f"b = {b:.4g} where DH excites"),
-        premise(
-            "a statement on convergence",
-            False,
-            "any finite b fulfils it: Theorem 2 bounds the pseudo gradient and says nothing of the "
-            "error",
-        ),
+    learns = isinstance(scheme, FFDLMFAILC)
+    L_y, L_u = _window(scheme)
+    Phi, rest, every = pseudo_gradient_of(machine, task, L_y=L_y, L_u=L_u, u=u)
+    phi = Phi[:, L_y]
+    low, high = -largest(-phi), largest(phi)
+    b = largest(jnp.linalg.norm(Phi, axis=1)) if L_y + L_u > 1 else largest(jnp.abs(phi))
+    total = jnp.sum(every)
+    left_out = jnp.sum(rest) / jnp.where(total > 0, total, 1.0)
+    nothing = dict.fromkeys(Bounds._fields, jnp.full((), UNPROVED))
+    found: dict[str, Any] = nothing | {
+        "ppd_low": low,
+        "ppd_high": high,
+        "left_out": left_out,
+        "b": b,
+        "lam_min": b**2 / 4,
+        "linear": _as_number(_linear(machine, task)),
+        "alone": _as_number(left_out <= NOTHING_OFF),
+    }
+    if isinstance(scheme, FFDLMFAILC | FFDLMFAC | CFDLMFAPC):
+        eta, mu, square = _first(scheme.eta), _first(scheme.mu), _first(scheme.epsilon) ** 2
+        gap = jnp.minimum(eta * square / (mu + square), 2.0 - eta)
+        found |= {"d1": 1.0 - gap}
+    if learns:
+        start = jnp.atleast_1d(scheme.phi0)[L_y]
+        lam, rho = _first(scheme.lam), jnp.broadcast_to(scheme.rho, (L_y + L_u,))[L_y]
+        one = 1.0 - rho * phi * start / (lam + start**2)
+        far = jnp.minimum(jnp.abs(low), jnp.abs(high)) > _first(scheme.epsilon)
+        signs = (low * high > 0) & far & (low * start > 0)
+        own = type(scheme) in (CFDLMFAILC, FFDLMFAILC, PFDLMFAILC)  # no law of a user's own
+        printed = own and compact(scheme) and scheme.lead == 0 and scheme.limit is None
+        found |= {
+            "radius": largest(jnp.abs(one)) if scheme.lead == 0 else nothing["radius"],
+            "signs": _as_number(signs),
+            "damped": _as_number(lam > b**2 / 4),
+            "printed": _as_number((eta <= 1.0) & printed),
+        }
+        if compact(scheme):
+            ends = jnp.stack([jnp.minimum(start, low), jnp.maximum(start, high)])
+            products = jnp.stack([low, high])[:, None] * _gains(ends, lam)
+            M1, most = -largest(-products), largest(products)
+            found |= {
+                "M1": M1,
+                "d2": jnp.maximum(jnp.abs(1.0 - rho * M1), jnp.abs(1.0 - rho * most)),
+                "ppd_start": largest(jnp.abs(start - phi)),
+                "ppd_rest": 2 * b / gap,
+            }
+    bounds = Bounds(**found)
+    held = jnp.stack([bounds.linear, bounds.alone, bounds.signs, bounds.damped, bounds.printed])
+    return bounds._replace(claimed=_as_number(jnp.all(held == 1.0)))
+
+
+def ppd_bound(bounds: Bounds, trials: int) -> jax.Array:
+    """(J,) d1^(j-1) |phi_hat(1) - phi| + 2 b / (1 - d1) for j = 1..J (Cao 2019, after eq. 14).
+
+    It bounds the error of the estimate that trial j uses, as long as |D u| >= epsilon.
+    """
+    return bounds.d1 ** jnp.arange(trials) * bounds.ppd_start + bounds.ppd_rest
+
+
+def frozen_growth(
+    machine: Machine, scheme: Scheme, task: Task, *, steps: int = 300, tolerance: float = 1e-6
+) -> SingularValue:
+    """The largest |e_(j+1)| / |e_j| of the law frozen at its start: what d2 should have been.
+
+    It is sigma_max of I - G diag(gamma), found without the matrix; `lifted.mfailc_map` has it.
+
+    steps, tolerance: as for `iteration.singular_value`
+    """
+    at = error_map(machine, scheme.frozen(), task)
+    return singular_value(*at, steps=steps, tolerance=tolerance, row=0)
+
+
+# What a run shows
+# ------------------------------------------------------------------------------
+
+OF_TRIALS = {
+    "contraction_median": "median over the samples of |e_j| / |e_(j-1)|",
+    "contraction_high": "95 % quantile over the samples of |e_j| / |e_(j-1)|",
+    "contraction_worst": "largest |e_j| / |e_(j-1)| of a sample",
+    "contraction_norm": "2-norm of e_j over that of e_(j-1)",
+    "share_lipschitz": "share of samples with |D y(k+1)| <= b |D H(k)|, b from the plant",
+    "share_sign": "share of samples at which D y(k+1) has the sign of phi D u(k)",
+    "share_excited": "share of samples with |D H(k)| >= epsilon",
+    "share_kept": "share of samples with |e_j| <= d2 |e_(j-1)|, d2 from the plant",
+}
+OF_MACHINES = {
+    "ppd_low": "smallest dy(k+1)/du(k) along the trial",
+    "ppd_high": "largest dy(k+1)/du(k) along the trial",
+    "left_out": "share of the variance of D y that the window of the scheme leaves out",
+    "b": "largest pseudo gradient along the trial",
+    "lam_min": "b^2 / 4 of Cao 2019",
+    "M1": "M1 of Cao 2019 from the plant",
+    "d1": "d1 of Cao 2019",
+    "d2": "d2 of Cao 2019 from the plant",
+    "ppd_start": "error of the estimate at the start",
+    "ppd_rest": "2 b / (1 - d1) of Cao 2019",
+    "radius": "spectral radius of the law frozen at its start",
+    "linear": "whether the machine is linear, without limit, rounding, noise or change",
+    "alone": "whether y(k+1) depends on u(k) alone",
+    "signs": "whether phi keeps its sign, away from zero, and the estimate starts with it",
+    "damped": "whether lam > b^2 / 4",
+    "printed": "whether the law is CFDL-MFAILC as printed, without lead and limit",
+    "claimed": "whether |e_j| <= d2 |e_(j-1)| is claimed",
+    "sigma_max": "largest singular value of the map of errors of the law frozen at its start",
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class BoundsWatch(Watch):
+    """Contraction and premises, trial by trial, beside the bounds from the plant.
+
+    The ratio of two errors is looked at where the first is above rounding; NaN where none is. The
+    names are those of `OF_MACHINES` and `OF_TRIALS`.
+
+    sigma_steps: Lanczos steps for `sigma_max`, each as long as two trials and more; 0: without it
+    """
+
+    sigma_steps: int = 0
+
+    def variables(self, task: Task) -> dict[str, Watched]:
+        _need_one_channel(task)
+        slope = f"{task.unit}/{task.input_unit}"
+        units = dict.fromkeys(("ppd_low", "ppd_high", "ppd_start", "ppd_rest", "b"), slope)
+        units["lam_min"] = f"({slope})^2"
+        found = {
+            name: Watched(False, units.get(name, ""), text)
+            for name, text in OF_MACHINES.items()
+            if name != "sigma_max" or self.sigma_steps
+        }
+        return found | {name: Watched(True, "", text) for name, text in OF_TRIALS.items()}
+
+    def known(self, machine: Machine, scheme: Scheme, task: Task) -> dict[str, jax.Array]:
+        found = bounds_of(machine, scheme, task)._asdict()
+        if self.sigma_steps:
+            found["sigma_max"] = frozen_growth(machine, scheme, task, steps=self.sigma_steps).value
+        return found
+
+    def seen(
+        self, known: Mapping[str, jax.Array], scheme: Scheme, before: Trial, trial: Trial
+    ) -> dict[str, jax.Array]:
+        L_y, L_u = _window(scheme)
+        dy, du = (trial.y - before.y)[:, 0], (trial.u - before.u)[:, 0]
+        moved = jnp.linalg.norm(
+            jnp.stack(
+                [_earlier(dy[:-1], i) for i in range(L_y)] + [_earlier(du, i) for i in range(L_u)]
+            ),
+            axis=0,
+        )
+        dy, now, last = dy[1:], jnp.abs(trial.e[1:, 0]), jnp.abs(before.e[1:, 0])
+        slack = ROUNDING * jnp.finfo(dy.dtype).eps * (jnp.max(jnp.abs(trial.y)) + jnp.max(last))
+        clear = last > CLEAR * slack
+        ratio = jnp.where(clear, now / jnp.where(clear, last, 1.0), jnp.inf)
+        count = jnp.sum(clear)
+        ranks = jnp.stack([(count - 1) // 2, jnp.ceil(HIGH * count).astype(int) - 1])
+        worst = jnp.max(jnp.where(clear, ratio, 0.0))
+        norm = jnp.linalg.norm(now) / jnp.linalg.norm(last)
+        found = jnp.concatenate([_ranked(ratio, ranks), jnp.stack([worst, norm])])
+        median, high, worst, norm = jnp.where(count > 0, found, jnp.nan)
+        same = (dy * du * (known["ppd_low"] + known["ppd_high"]) > 0) | (jnp.abs(dy) <= slack)
+        kept = _share(now <= known["d2"] * last + slack)
+        learns = isinstance(scheme, FFDLMFAILC)
+        excited = _share(moved >= _first(scheme.epsilon)) if learns else jnp.full((), UNPROVED)
+        return {
+            "contraction_median": median,
+            "contraction_high": high,
+            "contraction_worst": worst,
+            "contraction_norm": norm,
+            "share_lipschitz": _share(jnp.abs(dy) <= known["b"] * moved + slack),
+            "share_sign": _share(same) if L_y + L_u == 1 else jnp.full((), UNPROVED),
+            "share_excited": excited,
+            "share_kept": jnp.where(jnp.isnan(known["d2"]), jnp.nan, kept),
+        }
+
+
+def compact(scheme: Scheme) -> bool:
+    """Whether a scheme is MFAILC with a window of one, of which d2 is proved."""
+    return isinstance(scheme, FFDLMFAILC) and scheme.L_y + scheme.L_u == 1
+
+
+# How it is done
+# ------------------------------------------------------------------------------
+
+
+def _window(scheme: Scheme) -> tuple[int, int]:
+    """L_y and L_u of the data model along the trials; 0 and 1 for a scheme that has none."""
+    return (scheme.L_y, scheme.L_u) if isinstance(scheme, FFDLMFAILC) else (0, 1)
+
+
+def _best(known, common):
+    """The weights w that make w . h the best guess of a number.
+
+    known: (L, L) covariance of h
+    common: (L,) its covariance with the number
+    """
+    if not len(common):
+        return common
+    size = jnp.sqrt(jnp.diagonal(known) + jnp.finfo(known.dtype).tiny)
+    ridge = RIDGE * jnp.finfo(known.dtype).eps * jnp.eye(len(common))
+    return jnp.linalg.solve(known / jnp.outer(size, size) + ridge, common / size) / size
+
+
+def _gains(ends, lam):
+    """(2,) smallest and largest phi_hat / (lam + phi_hat^2) between two ends (2,)."""
+    at_ends, turn = ends / (lam + ends**2), jnp.sqrt(lam)
+    inside = lambda x: (ends[0] < x) & (x < ends[1])  # noqa: E731
+    low = jnp.where(inside(-turn), -0.5 / turn, jnp.minimum(*at_ends))
+    return jnp.stack([low, jnp.where(inside(turn), 0.5 / turn, jnp.maximum(*at_ends))])
+
+
+def _linear(machine: Machine, task: Task) -> bool:
+    """Whether the output of every trial is the same affine function of its input."""
+    if machine.variation is not None:
+        return False
+    noises = (
+        getattr(machine.sensor, "noise", None),
+        getattr(machine.disturbance, "input_noise", None),
+        getattr(machine.disturbance, "output_noise", None),
     )
-    return FFDLBounds(
-        b=b,
-        gradient=gradient,
-        estimate=np.sqrt(np.sum(estimate**2, axis=0)),
-        d1=1.0 - eta * length**2 / (mu + length**2),
-        mismatch=np.where(excited, np.abs(Dy - np.sum(estimate * DH, axis=0)), np.nan) / safe,
-        observed=_ratio(np.asarray(task.reference)[None, 1:, 0] - y[:, 1:]),
-        condition=condition(
-            b,
-            "Cao 2019, Theorem 2: a pseudo gradient with |Phi(k,j)| <= b exists. Nothing follows "
-            "of the error",
-            limit=np.finfo(float).max,
-            premises=premises,
-        ),
-    )
+    quiet = all(noise is None for noise in noises)
+    return quiet and not obstacle(_output, (machine, task), jnp.zeros((task.N, 1)))
 
 
-def need_room(task: Task, trials: int, chunk: int = CHUNK) -> None:
-    """Raises ValueError for trials whose signals, for a chunk of machines, exceed the RAM."""
-    signals = COPIES * 8 * chunk * (task.N + 1) * (task.outputs + task.inputs)
-    check_size("certify: the bounds of Cao 2019", lambda trials: signals * trials, trials=trials)
+def _output(fixed, u):
+    machine, task = fixed
+    return played(machine, None, task, None, u).y
 
 
-def _run(name: str, task: Task, y, u):
-    """(J, N+1) and (J, N) of a run, checked."""
-    y, u = np.asarray(y, float), np.asarray(u, float)
+def _ranked(x, ranks):
+    """(R,) the values of x >= 0 that so many values (R,) lie below, rounded down by 2^-11 at most.
+
+    They are found bit by bit of the number, and counted by a product, which XLA vectorises: sorting
+    a trial of 2000 samples takes ten times as long.
+    """
+    bits = lax.bitcast_convert_type(x.astype(jnp.float32), jnp.int32)
+    ones = jnp.ones(len(x), jnp.float32)
+
+    def turn(i, found):
+        more = found + lax.shift_left(jnp.int32(1), jnp.int32(30) - i.astype(jnp.int32))
+        below = (bits < more[:, None]).astype(jnp.float32) @ ones
+        return jnp.where(below <= ranks, more, found)
+
+    found = lax.fori_loop(0, TURNS, turn, jnp.zeros(len(ranks), jnp.int32))
+    return lax.bitcast_convert_type(found, jnp.float32).astype(x.dtype)
+
+
+def _share(held) -> jax.Array:
+    """The share of samples that hold, exactly 1 where all do."""
+    return 1.0 - jnp.sum(~held) / len(held)
+
+
+def _earlier(signal, samples: int):
+    """signal[k - samples], zero before the trial."""
+    return signal if samples == 0 else jnp.pad(signal, (samples, 0))[:-samples]
+
+
+def _first(leaf):
+    return jnp.ravel(jnp.asarray(leaf))[0]
+
+
+def _as_number(held) -> jax.Array:
+    return jnp.where(jnp.asarray(held), 1.0, 0.0)
+
+
+def _need_one_channel(task: Task) -> None:
     if task.inputs != 1 or task.outputs != 1:
         raise ValueError(
-            f"{name}: the task has {task.inputs} inputs and {task.outputs} outputs; allowed is one "
+            f"bounds: the task has {task.inputs} inputs and {task.outputs} outputs; allowed is one "
             "of each"
         )
-    J = len(y)
-    if y.shape != (J, task.N + 1, 1) or u.shape != (J, task.N, 1) or J < 3:
-        raise ValueError(
-            f"{name}: y {y.shape} and u {u.shape} do not fit; allowed are (J, {task.N + 1}, 1) and "
-            f"(J, {task.N}, 1) with J >= 3"
-        )
-    if not (np.all(np.isfinite(y)) and np.all(np.isfinite(u))):
-        raise ValueError(f"{name}: the run is not finite; cut it before the trial that diverged")
-    return y[..., 0], u[..., 0]
-
-
-def _excited(cause, effect):
-    """Where the cause is large enough to divide by, and where the effect is bounded by the cause.
-
-    The effect is not bounded where it comes without a cause.
-    """
-    excited = np.abs(cause) > INCREMENT * max(np.max(np.abs(cause)), 1e-300)
-    still = np.abs(effect) <= INCREMENT * max(np.max(np.abs(effect)), 1e-300)
-    return excited, excited | still
-
-
-def _estimates(scheme, task: Task, y, u):
-    """L arrays (J-1, N): the estimates that trial j = 2..J used, computed again from the record."""
-    return [
-        np.asarray(phi)[..., 0] for phi in _replayed(scheme, task, y[:-1, :, None], u[:-1, :, None])
-    ]
-
-
-@jax.jit
-def _replayed(scheme, task: Task, y, u):
-    def replay(memory, trial):
-        memory = scheme.learn(memory, Trial(jnp.asarray(task.reference), *trial, dt=task.dt))
-        return memory, memory.phi
-
-    return lax.scan(replay, scheme.initial_memory(task), (y, u))[1]
-
-
-def _lawful(du, estimate, *, lam, rho, e, lead):
-    """Where the increment that was applied is that of the law.
-
-    It is not where a limit, a quantiser, a filter or a rule of when to learn came between.
-    """
-    wanted = rho * estimate / (lam + estimate**2) * np.pad(e[:-1, lead:], ((0, 0), (0, lead)))
-    return np.abs(du - wanted) <= 1e-6 * np.abs(wanted) + INCREMENT * np.max(np.abs(wanted))
-
-
-def _ratio(e):
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.abs(e[1:]) / np.abs(e[:-1])
-
-
-def _past(signal, samples: int):
-    """signal[:, k - samples], zero before the trial."""
-    return signal if samples == 0 else np.pad(signal, ((0, 0), (samples, 0)))[:, :-samples]

@@ -1,4 +1,4 @@
-"""The premises of the bounds of Cao 2019, counted over many machines."""
+"""The bounds of Cao 2019 over many machines: how often each premise held, and each bound."""
 
 from __future__ import annotations
 
@@ -6,16 +6,26 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 
 from ..learning.machine import Machine
 from ..learning.over_trials import learn
 from ..runtime.tiles import tiled
-from ..schemes import CFDLMFAILC, FFDLMFAILC
-from ..signals.task import Task, Trial
+from ..schemes import Scheme
+from ..signals.task import Task
 from ..uncertainty import Uncertainty, drawn_machines
-from .bounds import CHUNK, cfdl_bounds, ffdl_bounds, need_room
+from .bounds import BoundsWatch
+
+PREMISES = {
+    "linear": "machine linear, without limit, rounding, noise or change",
+    "alone": "y(k+1) depends on u(k) alone",
+    "signs": "constant sign of phi, and of the estimate",
+    "damped": "lam > b^2 / 4",
+    "printed": "the law as printed: no lead, no limit",
+    "share_lipschitz": "Lipschitz in the run: |Dy(k+1)| <= b |DH(k)|",
+    "share_sign": "sign of phi in the run: that of the plant",
+    "share_excited": "|DH| >= epsilon in the run, for d1",
+}
 
 
 class PremiseShare(NamedTuple):
@@ -23,7 +33,8 @@ class PremiseShare(NamedTuple):
 
     name:         of the premise
     held:         number of machines on which it held throughout
-    share_broken: mean share of samples and trials that broke it
+    share_broken: mean share of samples and trials that broke it; of a premise on the plant or on
+                  the law, the share of machines
     """
 
     name: str
@@ -31,50 +42,59 @@ class PremiseShare(NamedTuple):
     share_broken: float
 
 
-def premises(
+class Checked(NamedTuple):
+    """The premises of the bounds over S machines, and the bounds beside what was observed.
+
+    premises: those that the scheme has
+    verdicts: on how many machines |e_j| <= d2 |e_(j-1)| is claimed and holds at every sample of
+              every trial, is claimed and fails, and is not claimed
+    care:     median over the machines with a claim of d2 / the largest ratio observed, which is 1
+              where the bound is met exactly; None without a claim
+    """
+
+    premises: list[PremiseShare]
+    verdicts: dict[str, int]
+    care: float | None
+
+
+def checked(found: Mapping[Any, Any]) -> Checked:
+    """The premises and the bounds of machines, from what a `BoundsWatch` found of them.
+
+    found: (S,) and (S, J) by the names of the watch
+    """
+    shares = []
+    for key, name in PREMISES.items():
+        values = np.asarray(found[key], float)
+        values = values[:, 1:] if values.ndim == 2 else values[:, None]
+        if not np.all(np.isnan(values)):
+            held, broken = int(np.sum(np.all(values == 1.0, axis=1))), 1.0 - np.nanmean(values)
+            shares.append(PremiseShare(name, held, float(broken)))
+    claimed = np.asarray(found["claimed"]) == 1.0
+    holds = claimed & np.all(np.asarray(found["share_kept"])[:, 1:] == 1.0, axis=1)
+    verdicts = {"holds": holds, "fails": claimed & ~holds, "not claimed": ~claimed}
+    counts = {verdict: int(np.sum(of)) for verdict, of in verdicts.items()}
+    if not np.any(claimed):
+        return Checked(shares, counts, None)
+    worst = np.nanmax(np.asarray(found["contraction_worst"])[claimed, 1:], axis=1)
+    return Checked(shares, counts, float(np.median(np.asarray(found["d2"])[claimed] / worst)))
+
+
+def checked_machines(
     machine: Machine,
-    scheme: FFDLMFAILC,
+    scheme: Scheme,
     task: Task,
     trials: int,
     uncertainty: Uncertainty,
     drawn: Mapping[str, Any],
-    *,
-    chunk: int = CHUNK,
-) -> tuple[list[PremiseShare], dict[str, int]]:
-    """The premises of Cao 2019's bounds on each machine's run, and the verdicts on the bound.
+) -> Checked:
+    """The premises and the bounds on each machine's run without noise.
 
-    The verdicts are counted: how often the bound holds, fails or is not claimed. Machines whose run
-    is not finite are left out of both. Raises ValueError for trials whose signals exceed the RAM.
+    trials: J >= 2, as two trials are compared
+    drawn: machines of `uncertainty.draw`
     """
-    need_room(task, trials, chunk)
-    bounds: Any = cfdl_bounds if isinstance(scheme, CFDLMFAILC) else ffdl_bounds
-    run, machines = (
-        tiled(partial(_signals, trials=trials)),
-        drawn_machines(machine, uncertainty, drawn),
-    )
-    total, conditions = len(jax.tree.leaves(machines)[0]), []
-    for start in range(0, total, chunk):
-        batch = jax.tree.map(lambda leaf, start=start: leaf[start : start + chunk], machines)
-        for y, u in zip(*(np.asarray(s) for s in run((scheme, task), batch)), strict=True):
-            if np.all(np.isfinite(y)) and np.all(np.isfinite(u)):
-                conditions.append(bounds(scheme, task, y, u).condition)
-    names = [p.name for p in conditions[0].premises] if conditions else []
-    shares = [
-        PremiseShare(
-            name,
-            sum(bool(c.premises[i].held) for c in conditions),
-            float(np.mean([c.premises[i].share_broken for c in conditions])),
-        )
-        for i, name in enumerate(names)
-    ]
-    return shares, {
-        v: sum(c.verdict == v for c in conditions) for v in ("holds", "fails", "not claimed")
-    }
+    run = tiled(partial(_watched, trials=trials))
+    return checked(run((scheme, task), drawn_machines(machine, uncertainty, drawn)))
 
 
-def _signals(common, machine, *, trials):
-    return learn(machine.noiseless(), *common, trials, save=_y_and_u).saved
-
-
-def _y_and_u(trial: Trial):
-    return trial.y, trial.u
+def _watched(common, machine, *, trials):
+    return learn(machine.noiseless(), *common, trials, watch=BoundsWatch()).watched

@@ -10,25 +10,22 @@ from ..learning.machine import Machine
 from ..schemes import FFDLMFAILC, Scheme
 from ..signals.task import Task
 from ..uncertainty import Uncertainty
-from .bounds import need_room
-from .bounds_of_machines import PremiseShare, premises
+from .bounds_of_machines import Checked, checked_machines
 from .certificates import Certificate, certify
 
-NEEDED = 3  # trials: the premises of a bound are about increments between increments
+NEEDED = 2  # trials: the bounds compare one with the one before it
 
 
 class OfScheme(NamedTuple):
     """What theory says of one scheme.
 
     certificate: of each machine
-    premises: of the bounds of Cao 2019; None for a scheme that has no such bounds
-    bound: on how many machines the bound holds, fails and is not claimed; None likewise
+    checked: the bounds of Cao 2019 and their premises; None for a scheme that has no such bounds
     seconds: that the certificate took
     """
 
     certificate: Certificate
-    premises: list[PremiseShare] | None
-    bound: dict[str, int] | None
+    checked: Checked | None
     seconds: float
 
 
@@ -47,7 +44,7 @@ def certify_schemes(
     drawn: machines of `uncertainty.draw`
     progress: called with the number of schemes done and the name of the next one
     Raises ValueError, before anything runs, where no scheme learns, or where the trials are too few
-    or too many for bounds to be checked, and whatever `certify` raises.
+    for bounds to be checked, and whatever `certify` raises.
     """
     learning = {name: scheme for name, scheme in schemes.items() if scheme.learns}
     if not learning:
@@ -55,10 +52,7 @@ def certify_schemes(
             f"certify: none of {', '.join(schemes)} learns; there is nothing to certify"
         )
     for name, scheme in learning.items():
-        if not isinstance(scheme, FFDLMFAILC):
-            continue
-        need_room(task, trials)
-        if trials < NEEDED:
+        if isinstance(scheme, FFDLMFAILC) and trials < NEEDED:
             allowed = f"[{NEEDED}, inf) of {name}, whose bounds are checked"
             raise ValueError(f"--trials {trials} is outside its allowed range {allowed}")
     found = {}
@@ -67,8 +61,8 @@ def certify_schemes(
             progress(len(found), name)
         start = time.perf_counter()
         certificate = certify(machine, scheme, task, trials, uncertainty, drawn)
-        seconds, shares, bound = time.perf_counter() - start, None, None
+        seconds, bounds = time.perf_counter() - start, None
         if isinstance(scheme, FFDLMFAILC):
-            shares, bound = premises(machine, scheme, task, trials, uncertainty, drawn)
-        found[name] = OfScheme(certificate, shares, bound, seconds)
+            bounds = checked_machines(machine, scheme, task, trials, uncertainty, drawn)
+        found[name] = OfScheme(certificate, bounds, seconds)
     return found

@@ -278,6 +278,33 @@ class Contraction(Objective):
         return jax.nn.relu(jnp.log(sigma / self.below))
 
 
+@dataclasses.dataclass(frozen=True)
+class D2(Objective):
+    """How far d2 of Cao 2019 is above a limit, on each machine, from its plant; 0 below it.
+
+        max(0, log(d2 / below))
+
+    It needs no trial (`theory.bounds_of`). On a plant where y(k+1) depends on earlier inputs too,
+    it limits the spectral radius of the frozen law and not the error; `Contraction` limits that.
+    Raises ValueError for a scheme other than CFDL-MFAILC, of which no d2 is proved.
+
+    below: upper limit for d2
+    """
+
+    below: float = 1.0
+
+    def __call__(self, run: Run):
+        from ..theory.bounds import bounds_of, compact
+
+        if not compact(run.scheme):
+            raise ValueError(
+                f"D2: {type(run.scheme).__name__} has no d2; allowed is CFDLMFAILC, as Cao 2019 "
+                "proves nothing of the error of other schemes"
+            )
+        found = bounds_of(run.machine, run.scheme, run.task)
+        return jax.nn.relu(jnp.log(found.d2 / self.below))
+
+
 def levels(run: Run, metric: str, floor: float) -> jax.Array:
     """(J,) values l of a metric, for its largest channel.
 

@@ -171,6 +171,7 @@ OBJECTIVES = (
         objectives.Effort(),
         objectives.InputRate(),
         objectives.Contraction(),
+        objectives.D2(),
         risks.CVaR(),
         risks.SmoothMax(),
     ),

@@ -19,6 +19,7 @@ from jaxilc.learning import (
     next_memory,
     run_trial,
 )
+from jaxilc.learning.over_trials import _blocks
 from jaxilc.plants import DifferenceEquation
 from jaxilc.pytree import leaf, pytree
 from jaxilc.schemes import CFDLMFAILC, PID, PIDType, Scheme, WithFeedback
@@ -275,6 +276,14 @@ def test_gradient_of_the_metrics_is_that_of_their_definition(settle):
             for f in (ours, by_definition)
         )
         assert_trees_close(found, expected)
+
+
+def test_trials_are_divided_near_their_root():
+    """A gradient stores B + J / B memories of J trials; a prime J cannot be divided."""
+    memory = jnp.zeros(2**20)
+    for trials, blocks in ((100, 10), (80, 8), (82, 2), (97, 1)):
+        assert _blocks(trials, memory) == blocks
+    assert _blocks(100, jnp.zeros(8)) == 1  # all of them are stored
 
 
 def test_memory_of_a_gradient_grows_like_the_root_of_the_trials():

@@ -212,6 +212,17 @@ def test_references_change_and_what_is_played_follows_them():
     np.testing.assert_allclose(cycle.saved[..., 0], np.outer([1, 2, -1, 1, 2], R), **ALGEBRA)
 
 
+def test_a_feedback_sees_what_the_record_has_lost():
+    """Before anything is learned, a loop moves as if no sample of its record were lost or late."""
+    loop, key = WithFeedback(LAW, PID(kp=0.5, ki=20.0)), jax.random.key(4)
+    plain, other = (
+        learn(machine, loop, TASK, 2, key=key, save=lambda trial: trial.y).saved
+        for machine in (Machine(PLANT), vary(dropped=0.2, late=2, delayed=0.5, delay=3))
+    )
+    np.testing.assert_array_equal(plain[0], other[0])
+    assert np.max(np.abs(plain[1] - other[1])) > 1e-3
+
+
 def test_a_carried_state_is_that_of_plant_feedback_and_actuator():
     loop = WithFeedback(LAW, PID(kp=0.5, ki=20.0))
     history = learn(vary(carried=1.0), loop, TASK, 3, save=lambda trial: (trial.u, trial.y))

@@ -24,7 +24,7 @@ from jaxilc.runtime import capacity
 from jaxilc.schemes import CFDLMFAPC
 from jaxilc.signals import Task, references
 from jaxilc.sweeps import run_schemes
-from jaxilc.theory import certify, premises
+from jaxilc.theory import certify
 from jaxilc.tuning import monte_carlo_search, worst_case_search
 from jaxilc.tuning.trade_off import by_trials
 from jaxilc.uncertainty import draw
@@ -62,7 +62,6 @@ REFUSED = {
     "sobol": (lambda: draw(STATIC, GAINS, 10**9, sampling="sobol"), "machines"),
     "latin-hypercube": (lambda: draw(STATIC, GAINS, 10**9, sampling="latin-hypercube"), "machines"),
     "certify": (lambda: certify(MACHINE, SCHEME, TASK, HUGE, {}, {}), "trials"),
-    "premises": (lambda: premises(MACHINE, SCHEME, TASK, 10**7, {}, {}), "trials"),
     "climbs from starts": (lambda: worst_case_search(None, STATIC, GAINS, starts=10**9), "starts"),
     "climbs of steps": (lambda: worst_case_search(None, STATIC, GAINS, steps=HUGE), "steps"),
     "search by chance": (lambda: monte_carlo_search(None, STATIC, GAINS, HUGE), "evaluations"),
@@ -187,7 +186,7 @@ sweep cao-2019 --samples 300000 --sampling latin-hypercube
 sweep cao-2019 --trials 20000
 run cao-2019 --trials 20000
 run long.toml
-certify cao-2019 --scheme cfdl-mfailc --trials 10000
+certify cao-2019 --scheme cfdl-mfailc --trials 1000000
 tune cao-2019 --scheme cfdl-mfailc --weights lam --samples 100000000
 tune cao-2019 --scheme cfdl-mfailc --weights lam --steps 100000000
 tune cao-2019 --scheme cfdl-mfailc --weights lam --starts 1000000
