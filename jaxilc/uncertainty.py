@@ -221,7 +221,7 @@ def draw(
         drawn = {name: d.quantile(unit[:, i]) for i, (name, d) in enumerate(uncertainty.items())}
     first = nominal(machine, uncertainty)
     drawn = {name: np.concatenate([[first[name]], values]) for name, values in drawn.items()}
-    _within_ranges(machine, uncertainty, drawn)
+    within_ranges(machine, uncertainty, drawn)
     return drawn
 
 
@@ -283,7 +283,8 @@ def _corners(uncertainty: Uncertainty) -> dict[str, np.ndarray]:
     return {name: points[:, i] for i, name in enumerate(uncertainty)}
 
 
-def _within_ranges(machine, uncertainty, drawn) -> None:
+def within_ranges(machine, uncertainty: Uncertainty, drawn: Mapping[str, np.ndarray]) -> None:
+    """Raises ValueError for drawn numbers that a leaf of this machine cannot have."""
     for name, distribution in uncertainty.items():
         allowed = interval_at(machine, name)
         values = (

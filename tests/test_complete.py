@@ -295,6 +295,10 @@ PLACES = {
         test_imports.ORDER,
         said(".github/CONTRIBUTING.md", form=r"(?m){}(?=(?:, \w+)*(?: →.*)?$)"),
     ),
+    "the order of imports in design.md": lambda: (
+        test_imports.ORDER,
+        said(f"{GUIDE}/design.md", form=r"(?m){}(?=(?:, \w+)*(?: →.*)?$)"),
+    ),
     "CHAPTERS of pages.py": lambda: (
         {path.relative_to(ROOT).as_posix() for path in files(f"{GUIDE}/*.md")},
         of_file(".ci/docs/pages.py", "PAGES"),
@@ -515,7 +519,10 @@ ADDED = {
     "sampling": (longer(uncertainty, "SAMPLINGS", "unheard-of"), {"--sampling"}),
     "family": (
         longer(test_imports, "ORDER", "unheard_of"),
-        {"jaxilc/README.md", "the order of imports in CONTRIBUTING.md"},
+        {
+            *("jaxilc/README.md", "the order of imports in CONTRIBUTING.md"),
+            "the order of imports in design.md",
+        },
     ),
     "page": (file(GUIDE, "unheard_of.md"), {"CHAPTERS of pages.py"}),
     "notebook": (

@@ -6,7 +6,7 @@ Each function reads the values of options, and raises ValueError naming what is 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -91,6 +91,29 @@ def scenario_to_design(
     if trials is not None:
         chosen = dataclasses.replace(chosen, trials=trials)
     return chosen.select(() if scheme is None else (scheme,))
+
+
+def grid_asked(
+    chosen: Scenario, given: list[str] | None, load: Callable[[str], Scenario]
+) -> dict[str, Any]:
+    """The grid of the scenario with the axes of `--grid`, for `Sweep`.
+
+    load: the scenario with a further setting, for an axis that is an option of the scenario
+    """
+    grid, read = dict(chosen.grid), set()
+    for axis in given or []:
+        name, equals, values = (part.strip() for part in axis.partition("="))
+        if not equals:
+            raise ValueError(f"--grid {axis!r} is not PATH=VALUES")
+        if name in read:
+            raise ValueError(f"--grid {name} is given twice; allowed is once")
+        read.add(name)
+        labels = [label.strip() for label in values.split(",")]
+        if name in chosen.options and len({*labels}) < len(labels):
+            raise ValueError(f"--grid {axis!r} has equal values; allowed are different ones")
+        of_option = name in chosen.options
+        grid[name] = {x: load(f"{name}={x}") for x in labels} if of_option else values
+    return grid
 
 
 def spread_of(chosen: Scenario, spread: float | None) -> Uncertainty:

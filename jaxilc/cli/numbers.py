@@ -7,7 +7,7 @@ The option `--json` writes these dictionaries. Keys keep their names in all vers
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,10 +23,13 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from ..scenarios import Published, Scenario
+    from ..sweeps.points import BestPoint
     from ..sweeps.summary import SchemeSummary
+    from ..theory.bounds_of_machines import Checked
     from ..theory.certificates import Certificate
     from ..theory.of_schemes import OfScheme
 
+GREW = 1e-9  # of an error, below which it is rounding that has grown
 NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w])")
 
 
@@ -222,6 +225,22 @@ def sweep_numbers(
     }
 
 
+def grid_numbers(
+    scenario: Scenario, best: Sequence[BestPoint], axes: Mapping[str, int]
+) -> dict[str, Any]:
+    """The best point of each scheme of a grid, with its error [shown unit].
+
+    axes: the number of values of each axis
+    """
+    k, _ = scenario.shown(scenario.judged_by)
+    found = {}
+    for of in best:
+        row = of._asdict() | {"error": k * of.error}
+        row["yield"] = None if np.isnan(of.yield_share) else of.yield_share
+        found[row.pop("scheme")] = {n: x for n, x in row.items() if n != "yield_share"}
+    return {"grid": {"axes": dict(axes), "best": found}}
+
+
 def certificate_numbers(of_scheme: OfScheme) -> dict[str, Any]:
     """The content of a certificate, as counts of machines.
 
@@ -240,7 +259,7 @@ def certificate_numbers(of_scheme: OfScheme) -> dict[str, Any]:
     transient: how far the error grows before it falls, where learning is claimed to converge, in
         units of the first error, in which trial, and on how many machines; and about how far noise
         grows where no power of the learning map is known to contract
-    premises, bound: premises and bound, for a scheme that has bounds
+    premises, bound, care: see `bounds_numbers`, for a scheme that has bounds
     """
     found = of_scheme.certificate
     claimed = np.isin(found.claim, (MONOTONE, CONVERGES))
@@ -274,12 +293,62 @@ def certificate_numbers(of_scheme: OfScheme) -> dict[str, Any]:
         "contradicted": found.broken_promises().tolist(),
         "seconds_a_machine": of_scheme.seconds / len(found.claim),
     }
-    if of_scheme.premises is not None:
-        numbers["premises"] = {
-            p.name: {"held": p.held, "share_broken": p.share_broken} for p in of_scheme.premises
-        }
-        numbers["bound"] = of_scheme.bound
+    if of_scheme.checked is not None:
+        numbers |= bounds_numbers(of_scheme.checked)
     return numbers
+
+
+def bounds_numbers(found: Checked) -> dict[str, Any]:
+    """The numbers of the bounds of Cao 2019 over machines.
+
+    premises: on how many machines each held, and where it was broken
+    bound: on how many it is claimed and holds, is claimed and fails, and is not claimed
+    care: how many times the bound is above what was observed; None without a claim
+    """
+    of_premises = {p.name: {"held": p.held, "share_broken": p.share_broken} for p in found.premises}
+    return {"premises": of_premises, "bound": found.verdicts, "care": found.care}
+
+
+def watched_numbers(scenario: Scenario, dataset: xr.Dataset) -> dict[str, dict[str, Any]]:
+    """What a `BoundsWatch` found of each scheme that learns, over machines and trials, by scheme.
+
+    d2, left_out: smallest, median and largest over the machines; null where nothing is proved
+    norm, pointwise: median over the machines of the median and of the largest ratio over the trials
+    growing: share of the trials, of all machines, after which the 2-norm of the error was larger,
+        of those before which it was above rounding
+    The other numbers are those of `bounds_numbers`.
+    """
+    from ..theory.bounds_of_machines import checked
+
+    found = {}
+    for name in (name for name, scheme in scenario.schemes.items() if scheme.learns):
+        one = dataset.sel(scheme=name)
+        norm, worst, median = (
+            np.asarray(one[f"contraction_{of}"])[:, 1:] for of in ("norm", "worst", "median")
+        )
+        found[name] = bounds_numbers(checked(one.data_vars)) | {
+            "d2": _spread(one["d2"]),
+            "left_out": _spread(one["left_out"]),
+            "norm": _typical(norm, norm),
+            "pointwise": _typical(median, worst),
+            "growing": float(np.mean(norm[~np.isnan(norm)] > 1.0 + GREW)),
+        }
+    return found
+
+
+def _typical(of_most, of_worst) -> list[float] | None:
+    """The median over machines of the median, and of the largest, over the trials (S, J)."""
+    if np.any(np.all(np.isnan(of_most), axis=1)):
+        return None
+    typical, worst = np.nanmedian(of_most, axis=1), np.nanmax(of_worst, axis=1)
+    return [float(np.median(typical)), float(np.median(worst))]
+
+
+def _spread(values) -> list[float] | None:
+    values = np.asarray(values, float)
+    if not np.all(np.isfinite(values)):
+        return None
+    return [float(of(values)) for of in (np.min, np.median, np.max)]
 
 
 def _transient(found: Certificate, claimed: np.ndarray) -> dict[str, Any]:

@@ -119,6 +119,15 @@ Params = Annotated[
         "--params", metavar="FILE", help="Parameters that `tune` wrote; --set goes on top of them."
     ),
 ]
+GridAxes = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--grid",
+        metavar="PATH=VALUES",
+        help="An axis of a grid: LOW:HIGH:COUNT, LOW:HIGH:COUNTlog or values with commas, for what "
+        "--set can set, or trials; PATH/PATH is one axis of two; repeatable.",
+    ),
+]
 MetricName = Annotated[
     str | None,
     typer.Option(

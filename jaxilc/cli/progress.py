@@ -139,7 +139,10 @@ def run_sweep(plan: Sweep, store: Path, *, resume: bool, cluster: str | None) ->
     of_a_machine = plan.trials * plan.task.N
     later = thread_for_later()
     with progress_bar("rate") as bar:
-        bars = {name: bar.add_task(name, total=plan.machines, rate="") for name in plan.schemes}
+        bars = {
+            name: bar.add_task(name, total=plan.machines * plan.axes.size, rate="")
+            for name in plan.schemes
+        }
 
         def progress(name: str, done: int, fresh: int) -> None:
             if fresh and later.ident is None:  # from now on the devices compute

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -11,6 +13,7 @@ from .console import stage_ends
 from .options import (
     SIMULATE,
     FigureFormat,
+    GridAxes,
     Json,
     Machines,
     MetricName,
@@ -31,7 +34,11 @@ from .results import show, unless_there, written
 from .verdicts.next_command import Asked
 
 if TYPE_CHECKING:
+    import xarray as xr
+
+    from ..learning.watch import Watch
     from ..scenarios import Scenario
+    from ..sweeps.points import BestPoint
     from .progress import Swept
     from .titled_table import Table
 
@@ -55,6 +62,7 @@ def sweep(
         typer.Option(help="Largest metric that passes, the one tables show, in its unit."),
     ] = None,
     set_: Set = None,
+    grid: GridAxes = None,
     params: Params = None,
     out_dir: OutFolder = None,
     resume: Resume = False,
@@ -69,6 +77,13 @@ def sweep(
         list[str] | None,
         typer.Option(help="Store a signal of the last trial: y, e or u; repeatable."),
     ] = None,
+    bounds: Annotated[
+        bool,
+        typer.Option(
+            "--bounds",
+            help="Contraction of each trial; d1, d2 and premises of Cao 2019, on each machine.",
+        ),
+    ] = False,
     json_file: Json = None,
     report: Report = None,
     figures: FigureFormat = None,
@@ -76,9 +91,11 @@ def sweep(
 ) -> None:
     """Schemes against many uncertain machines: yield, quantiles, worst case, figure, dataset.
 
+    With --grid they run at every point of a grid; tables and figure are those of the best point.
+
     Example: jaxilc sweep cao-2019 --machines 4096 --spread 0.2 --out out/wide
     """
-    from .asked import begin, chosen_scenario, spread_of
+    from .asked import begin, chosen_scenario, grid_asked, spread_of
 
     begin(precision)
     from ..scenarios.judging import judged
@@ -97,6 +114,12 @@ def sweep(
         sampling=sampling,
         keep=tuple(keep or ()),
         quantities=chosen.functions,
+        grid=grid_asked(
+            chosen,
+            grid,
+            lambda more: chosen_scenario(scenario, scheme, trials, [*(set_ or ()), more], params),
+        ),
+        watch=_watch(bounds),
     )
     largest = _tolerance(chosen, tolerance)
     folder = out_dir or Path("out") / f"sweep-{chosen.name}"
@@ -129,22 +152,35 @@ def _finish(found: _Found, swept: Swept, json_file: Path | None, report: Path | 
     """Print the tables and the verdict of a sweep, and write its files."""
     from .. import figures
     from ..figures.report import command_report
-    from ..sweeps.summary import summarise
+    from ..sweeps.points import at_best, best_points
+    from ..sweeps.summary import axes_of, summarise
     from .live import of_sweep
-    from .numbers import axes_numbers, sweep_numbers
+    from .numbers import axes_numbers, grid_numbers, sweep_numbers, watched_numbers
     from .verdicts.case import Case
     from .verdicts.simulation import sweep_verdict
 
     chosen, asked, tolerance, store = found
     dataset, seconds, steps = swept
     scale, unit = chosen.shown(chosen.judged_by)
+    whole, sizes = dataset, {axis: dataset.sizes[axis] for axis in axes_of(dataset)}
+    best = []
+    if sizes:
+        best = best_points(dataset, tolerance, metric=chosen.judged_by)
+        asked = _at(asked, dataset, _first(best))
+        dataset = at_best(dataset, best)
+        chosen = dataclasses.replace(chosen, trials=dataset.sizes["trial"])
     summary = summarise(dataset, tolerance, metric=chosen.judged_by)
     numbers = sweep_numbers(chosen, summary, tolerance, dataset.sizes["sample"])
     numbers |= axes_numbers(chosen, dataset, tolerance)
+    numbers |= grid_numbers(chosen, best, sizes) if sizes else {}
+    if "contraction_norm" in dataset:
+        numbers["bounds"] = watched_numbers(chosen, dataset)
     shown, lines = _shown(chosen, numbers, steps, seconds)
     show(shown, lines)
     highs = {row.scheme: [scale * float(high) for high in row.high] for row in summary}
     verdict = sweep_verdict(Case.of(chosen, asked), numbers, highs)
+    if sizes:
+        verdict = verdict._replace(said=(*_first(best).sentences, *verdict.said))
     in_figures = {
         "metric": chosen.judged_by,
         "tolerance": tolerance,
@@ -152,12 +188,15 @@ def _finish(found: _Found, swept: Swept, json_file: Path | None, report: Path | 
         "unit": unit,
     }
     axes = figures.error_band(dataset, summary=summary, **in_figures)
-    path = figures.save(axes, store.parent / "error-band.png")
+    paths = [figures.save(axes, store.parent / "error-band.png")]
+    if any(size > 1 for size in sizes.values()):
+        drawn = figures.grid_map(whole, best=best, **in_figures)
+        paths.insert(0, figures.save(drawn, store.parent / "grid.png"))
     page = command_report(
         report,
         "sweep",
         shown,
-        [path],
+        paths,
         scenario=chosen,
         configuration=dataset.attrs["configuration"],
         lines=lines,
@@ -165,7 +204,32 @@ def _finish(found: _Found, swept: Swept, json_file: Path | None, report: Path | 
         live=of_sweep(report, dataset, summary, in_figures),
     )
     numbers |= {"sample_steps": steps, "seconds": seconds}
-    written([path, *page, store], json_file, numbers, verdict)
+    written([*paths, *page, store], json_file, numbers, verdict)
+
+
+def _first(best: Sequence[BestPoint]) -> BestPoint:
+    """The best of the best points of all schemes."""
+    return min(best, key=lambda of: of.rank)
+
+
+def _at(asked: Asked, dataset: xr.Dataset, best: BestPoint) -> Asked:
+    """The options of the command at one point, as far as `--set` and `--trials` can say it."""
+    here = {str(n): x.item() for n, x in dataset.sel(best.point).coords.items() if x.ndim == 0}
+    trials = here.pop("trials", asked.trials)
+    known = {name: x for name, x in here.items() if not name.startswith("task.")}
+    shown = {n: f"{x:.6g}" if isinstance(x, float) else f"{x}" for n, x in known.items()}
+    point = (f"{n}={x.replace(' ', ',') if '.' in n else x}" for n, x in shown.items())
+    kept = (one for one in asked.set if one.partition("=")[0].strip() not in here)
+    return dataclasses.replace(asked, set=(*kept, *point), trials=trials)
+
+
+def _watch(bounds: bool) -> Watch | None:
+    """What looks at each trial beside the one before it."""
+    if not bounds:
+        return None
+    from ..theory.bounds import BoundsWatch
+
+    return BoundsWatch()
 
 
 def _tolerance(chosen: Scenario, tolerance: float | None) -> float | None:
@@ -185,11 +249,23 @@ def _shown(
     """
     from . import tables
 
-    shown = [tables.yield_table(numbers), tables.spread_table(numbers), tables.band_table(numbers)]
+    best = tables.grid_table(numbers)
+    shown = [] if best is None else [best]
+    shown += [tables.yield_table(numbers), tables.spread_table(numbers), tables.band_table(numbers)]
     by_axis = tables.swept_axes_table(numbers)
     shown += [] if by_axis is None else [by_axis]
+    shown += _of_bounds(numbers.get("bounds", {}))
     lines = [*tables.sweep_lines(numbers), *tables.experiment_lines(chosen)]
     if steps:
         took = f"{steps:.3g} sample-steps in {seconds:.1f} s, compilation included"
         lines.append(f"{took}: {steps / seconds:.3g} a second")
     return shown, lines
+
+
+def _of_bounds(numbers: dict[str, Any]) -> list[Table]:
+    """The tables of `watched_numbers`, none without any."""
+    from .certificate_tables import contraction_table, premises_table
+
+    proved = [name for name, row in numbers.items() if row["d2"] is not None]
+    tables = [premises_table(name, numbers[name]) for name in proved]
+    return [contraction_table(numbers), *tables] if numbers else []

@@ -228,6 +228,25 @@ def _share(share: float, trial: int) -> str:
     return f"{share:.1%}" + (f" ({trial})" if trial else "")
 
 
+def grid_table(numbers: dict[str, Any]) -> Table | None:
+    """The table of the best point of each scheme, to which all other tables belong.
+
+    None for a sweep without a grid.
+    """
+    if "grid" not in numbers:
+        return None
+    axes, best = numbers["grid"]["axes"], numbers["grid"]["best"]
+    count = f"{np.prod([*axes.values()], dtype=int)} points"
+    table = Table(title=f"best of {count}: 95 % {numbers['figure']} [{numbers['unit']}]")
+    for column in ("scheme", *axes, "95 %", "points within twice", "points that diverge"):
+        table.add_column(column, justify="left" if column == "scheme" else "right")
+    for name, row in best.items():
+        at = [f"{x:.4g}" if isinstance(x, float) else str(x) for x in row["point"].values()]
+        shares = (f"{row['near']:.1%}", f"{row['diverged']:.1%}")
+        table.add_row(name, *at, number(row["error"]), *shares)
+    return table
+
+
 def spread_table(numbers: dict[str, Any]) -> Table:
     """The table of quantiles over the machines in the last trial, and of the worst machine."""
     last = str(numbers["trials"])

@@ -24,7 +24,8 @@ TERMS = (
     "effort[:scale]",
     "input-rate[:scale]",
 )
-OBJECTIVES = ", ".join((*TERMS, "contraction[:sigma]"))
+OBJECTIVES = ", ".join((*TERMS, "contraction[:sigma]", "d2[:limit]"))
+LIMITED, STRICT = ("d2", "contraction"), 100  # what can be limited, and the weight of the penalty
 RISKS = "mean, worst, cvar[:alpha], smooth-max[:temperature]"
 
 
@@ -49,6 +50,7 @@ def objective_of(text: str, metric: str, scale: float, option: str = "--objectiv
         "contraction": lambda m, x: o.Contraction(
             1.0 if x is None else _positive("contraction", x)
         ),
+        "d2": lambda m, x: o.D2(1.0 if x is None else _positive("d2", x)),
     }
     total = o.Sum(())
     for term in text.split("+"):
@@ -60,6 +62,21 @@ def objective_of(text: str, metric: str, scale: float, option: str = "--objectiv
         one = kinds[name](named.strip() or metric, number or None)
         total = total + (_positive(f"weight of {name}", weight) if star else 1.0) * one
     return total
+
+
+def with_limits(objective: str, limits: list[str] | None) -> str:
+    """The text of an objective with a penalty for each limit, a text such as `d2=0.95`.
+
+    Raises ValueError for a text that is not NAME=NUMBER, or a name that cannot be limited.
+    """
+    for limit in limits or []:
+        name, equals, number = (part.strip() for part in limit.partition("="))
+        if not equals:
+            raise ValueError(f"--limit {limit!r} is not NAME=NUMBER")
+        if name not in LIMITED:
+            raise ValueError(_unknown(f"--limit: {name!r}", name, ", ".join(LIMITED)))
+        objective += f" + {STRICT}*{name}:{_positive(name, number):.17g}"
+    return objective
 
 
 def risk_of(text: str) -> Risk:

@@ -58,6 +58,13 @@ def tune(
     weights: Weights,
     bounds: Bounds = None,
     objective: Annotated[str, typer.Option(help=TERMS)] = "final",
+    limit: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=NUMBER",
+            help="Largest d2 (Cao 2019, every machine) or contraction (nominal); repeatable.",
+        ),
+    ] = None,
     risk: OverMachines = "mean",
     trials: Trials = None,
     machines: TunedOn = 32,
@@ -88,11 +95,13 @@ def tune(
     --set cfdl-mfailc.lead=3 --objective holding:20
     """
     from .progress import run_tuning, thread_for_later, tuning_bar
+    from .terms import with_limits
 
     with tuning_bar(steps) as told:
         from .asked import begin, chosen_scenario, objective_asked, tuning_problem
 
         begin(precision)
+        objective = with_limits(objective, limit)
         chosen = chosen_scenario(scenario, [scheme], trials, set_, params)
         problem = tuning_problem(
             chosen,

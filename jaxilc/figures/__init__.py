@@ -1,6 +1,7 @@
 """Figures: each function draws a dataset or another result, and returns the axes.
 
     band          a sweep at a glance: one panel a scheme, and the yield against the tolerance
+    grid_map      a grid at a glance: a map over two axes, or a line over one
     by_trial      errors against the trial: one machine, and theory against simulation
     within_trial  signals against time with a zoom, and the contour of two axes
     by_frequency  spectrum and time-frequency map of the error, |Q (keep - L P)|
@@ -26,6 +27,7 @@ from .by_frequency import frequency_tests, spectrum, time_frequency
 from .by_trial import certificate, error_by_trial
 from .campaign import campaign_figure
 from .experiments import record_figure, response_figure, response_fit_figure, validation_figure
+from .grid_map import grid_map
 from .learned import learned_law_figure
 from .published import printed_and_ours, reproduction_figures
 from .q_filter import q_filter_figure
@@ -46,6 +48,7 @@ __all__ = [
     "error_by_trial",
     "final_error_by_trials",
     "frequency_tests",
+    "grid_map",
     "learned_law_figure",
     "loss_by_step",
     "pareto_front",

@@ -49,11 +49,11 @@ def trials(dataset: xr.Dataset, *, scale: float = 1.0, unit: str = "") -> Live:
 
     schemes, count = names_of(dataset), dataset.sizes["trial"]
     outputs = outputs_of(dataset, dataset.sizes["channel"])
-    chosen = np.arange(count)
-    if count > TRIALS:
-        chosen = np.unique(np.round(np.geomspace(1, count, TRIALS)).astype(int)) - 1
-    each = ROOM // (len(schemes) * len(chosen) * (2 * len(outputs) + 1))
-    points = int(np.clip(each, FEWEST, MOST))
+    chosen, of_a_trial = np.arange(count), len(schemes) * (2 * len(outputs) + 1)
+    most = int(np.clip(ROOM // (FEWEST * of_a_trial), 1, TRIALS))
+    if count > most:
+        chosen = np.unique(np.round(np.geomspace(count, 1, most)).astype(int)) - 1
+    points = int(np.clip(ROOM // (len(chosen) * of_a_trial), FEWEST, MOST))
     factor, unit = shown_in(scale * np.nanmax(np.abs(dataset["e"].isel(trial=-1).values)), unit)
     columns: dict[str, Any] = {"t": thinned(dataset["time"].values, points, times=True)}
     signals = {n: dataset[n].values for n in ("y", "e", "u")}

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 MEDIA = {".png": "image/png", ".svg": "image/svg+xml"}
 DPI = 120  # resolution of axes that are drawn for the page
-ROOM = 4_800_000  # bytes of a page; pictures beyond are named and left out
+ROOM = 4_800_000  # bytes of a page; figures beyond are named and left out
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 # The scripts of the figures stand in the page; they may not load or send anything.
 LIVE_POLICY = f"{POLICY}; script-src 'unsafe-inline' 'unsafe-eval'"
@@ -91,13 +91,12 @@ def html_report(title: str, asked: Mapping[str, object], *parts: Any, **named: A
     that does not exist.
     """
     page = Page(title, asked, *parts, **named)
-    library, script, places = _scripts(page.live)
-    room = ROOM - len(library) - len(script)
-    pictures, left_out = _pictures(page.figures, room)
+    library, script, places, left_out = _scripts(page.live)
+    pictures, others = _pictures(page.figures, ROOM - len(library) - len(script))
     verdict = page.verdict
     text = _template().render(
         title=text_of(title),
-        policy=LIVE_POLICY if page.live else POLICY,
+        policy=LIVE_POLICY if places else POLICY,
         style=STYLE,
         library=library,
         script=script,
@@ -108,7 +107,7 @@ def html_report(title: str, asked: Mapping[str, object], *parts: Any, **named: A
         asked=text_rows(asked),
         live=places,
         figures=pictures,
-        left_out=text_of(", ".join(left_out)),
+        left_out=text_of(", ".join([*left_out, *others])),
         tables=[of_rich(t) if isinstance(t, Table) else of_rows(*t) for t in page.tables],
         notes={
             text_of(name): [text_of(one) for one in of] for name, of in (page.notes or {}).items()
@@ -129,24 +128,41 @@ def _template() -> Any:
     return made.from_string((Path(__file__).parent / "report.html.jinja2").read_text("utf-8"))
 
 
-def _scripts(live: Sequence[Live]) -> tuple[str, str, list[dict[str, str]]]:
-    """The library, the figures as a script, and for each figure its place and its caption.
+def _scripts(live: Sequence[Live]) -> tuple[str, str, list[dict[str, str]], list[str]]:
+    """The library, the figures that fit as a script, their places and captions, and what is left.
 
     `]]>` would end a section of XML; a blank within makes no difference to a script.
     """
     if not live:
-        return "", "", []
-    from bokeh.embed import components
+        return "", "", [], []
     from bokeh.resources import Resources
 
-    script, places = components(tuple(one.model for one in live), wrap_script=False)
     resources = Resources(mode="inline", components=["bokeh", "bokeh-widgets"])
-    library = "\n".join(resources.js_raw)
+    library = "\n".join(resources.js_raw).replace("]]>", "]] >")
+    room, kept = ROOM - len(library), [*live]
+    script, places = _embedded(kept)
+    if len(script) > room:
+        kept = []
+        for one in live:
+            if len(_embedded([*kept, one])[0]) <= room:
+                kept.append(one)
+        script, places = _embedded(kept)
     found = [
         {"place": place, "caption": text_of(one.caption)}
-        for place, one in zip(places, live, strict=True)
+        for place, one in zip(places, kept, strict=True)
     ]
-    return library.replace("]]>", "]] >"), script.replace("]]>", "]] >"), found
+    left_out = [one.caption.partition(".")[0] for one in live if one not in kept]
+    return library if kept else "", script, found, left_out
+
+
+def _embedded(live: Sequence[Live]) -> tuple[str, Sequence[str]]:
+    """Figures as a script, and the place of each."""
+    if not live:
+        return "", ()
+    from bokeh.embed import components
+
+    script, places = components(tuple(one.model for one in live), wrap_script=False)
+    return script.replace("]]>", "]] >"), places
 
 
 def _pictures(figures: Sequence[Any], room: float) -> tuple[list[dict[str, str]], list[str]]:

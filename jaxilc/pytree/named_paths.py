@@ -8,8 +8,10 @@ latter have the keys that JAX gives them: `plant.law.layers[0].weight[1][2]`.
 from __future__ import annotations
 
 import dataclasses
+import inspect
 import re
-from collections.abc import Mapping
+import typing
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import jax
@@ -17,10 +19,14 @@ import numpy as np
 
 from .closest import known_names
 from .fields import is_decorated, kind_of
-from .ranges import Interval, annotations_of, as_numbers, brief
+from .ranges import Interval, annotations_of, as_numbers, brief, named
 
 _INDEX = re.compile(r"^(\w[\w-]*)((?:\[\d+\])*)$")
 _ANY = Interval.parse("(-inf, inf)")
+_READ: dict[Any, Callable[[str], Any]] = {
+    int: int,
+    bool: lambda text: {"true": True, "1": True, "false": False, "0": False}[text.lower()],
+}
 
 Key = str | int  # a name, or the number of an element
 
@@ -104,6 +110,61 @@ def replaced(tree, changes: Mapping[str, Any]) -> Any:
     for path in changes:
         get_at(tree, path)
     return _rebuilt(tree, {_keys(path): value for path, value in changes.items()})
+
+
+def owner_of(path: str, owners: Iterable[str]) -> tuple[str, str]:
+    """The owner of a path, one of several or else `machine`, and the path within it.
+
+    `machine.` before a path within the machine may be left out.
+    """
+    head, _, rest = path.partition(".")
+    return (head, rest) if head in ("machine", *owners) else ("machine", path)
+
+
+def unit_at(tree, path: str) -> str:
+    """The unit of the field at `path`, as the docstring of its class has it; empty if it has none.
+
+    It is the first text in square brackets behind the name that is no interval: `[N/m]`.
+    """
+    owner, field = _field_at(tree, path)
+    line = rf"^ *(?:\w+, )*{field.name if field else ' '}(?:, \w+)*:(.*(?:\n {{5,}}\S.*)*)"
+    found = re.search(line, inspect.getdoc(type(owner)) or "", re.M)
+    unit = re.search(r" \[([^\[\],\d][^\[\],]*)\]", found[1]) if found else None
+    return unit[1] if unit else ""
+
+
+def read_at(tree, path: str, value, shown: str) -> Any:
+    """The value, which may be text, converted to the type of the field at the path.
+
+    A static field has the type of its annotation; all others are numbers.
+
+    shown: name of the value in messages
+    Raises KeyError for the path of a part, and ValueError for text that is no such value.
+    """
+    kind, annotation = kind_at(tree, path)
+    if kind == "child":
+        raise KeyError(path)
+    if not isinstance(value, str):
+        return value
+    choices = [
+        one for one in (typing.get_args(annotation) or (annotation,)) if one is not type(None)
+    ]
+    if kind == "static" and str in choices:
+        return value
+    if value.lower() == "none":
+        return None
+    parts = [part.strip() for part in value.strip("()[] ").split(",")]
+    try:
+        if kind == "leaf" or typing.get_origin(annotation) is not tuple:
+            read = float if kind == "leaf" else _READ.get(choices[0], float)
+            numbers = [read(part) for part in parts]
+            return numbers if len(numbers) > 1 else numbers[0]
+        return tuple(_READ.get(choices[0], float)(part) for part in parts if part)
+    except (ValueError, KeyError):
+        said = (
+            "a number, or numbers with commas between them" if kind == "leaf" else named(annotation)
+        )
+        raise ValueError(f"{shown} = {brief(value)} is not {said}") from None
 
 
 def field_names(tree) -> list[str]:

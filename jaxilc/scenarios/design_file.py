@@ -43,7 +43,8 @@ def write_design(
 ) -> Path:
     """Write a plant file with other schemes, and read it back to be sure of it.
 
-    source: the plant file; its comments and all its other tables are kept
+    source: the plant file; its comments and all its other tables are kept, but for a grid, whose
+        axes may be those of its schemes
     schemes: by name, in place of those of the file
     said: sentences for the head of the file
     Raises ValueError where a scheme is of a class that no file can name.
@@ -53,6 +54,7 @@ def write_design(
     if source.suffix == ".json":
         tables = {name: table_of(scheme) for name, scheme in schemes.items()}
         content = json.loads(text) | {"schemes": tables}
+        content.pop("grid", None)
         written = json.dumps(content, indent=1, ensure_ascii=False) + "\n"
     else:
         written = _toml(text, schemes, said)
@@ -64,6 +66,7 @@ def write_design(
 def _toml(text: str, schemes: Mapping[str, Scheme], said: Iterable[str]) -> str:
     """The text of a TOML file with other schemes, and with sentences at its head."""
     document = tomlkit.parse(text)
-    document.pop("schemes", None)
+    for name in ("schemes", "grid"):
+        document.pop(name, None)
     head = "".join(f"# {printable(' '.join(line.split()))}\n" for line in said)
     return f"{head}{tomlkit.dumps(document).rstrip()}\n\n{toml_of(schemes)}"

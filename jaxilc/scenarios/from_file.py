@@ -45,6 +45,11 @@
     [uncertainty]
     "plant.B" = { distribution = "uniform", low = 0.9, high = 1.1, relative = true }
 
+    # Axes over which a sweep runs: values, LOW:HIGH:COUNT, or LOW:HIGH:COUNTlog, see `sweeps.grid`.
+    [grid]
+    "ilc.learning.gamma_p" = "0.1:2:20log"
+    "ilc.learning.lead" = [0, 2, 4]
+
 Names of files are relative to the folder of this file. An unknown key is refused, and the message
 names the allowed ones.
 """
@@ -52,7 +57,7 @@ names the allowed ones.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -66,6 +71,7 @@ from ..pytree.closest import not_one_of
 from ..pytree.ranges import brief, require
 from ..schemes.at_samples import windows_of
 from ..storage.reading import PARSERS, read_tree
+from ..sweeps.grid import grid_of
 from ..uncertainty import check as check_uncertainty
 from . import Scenario
 from .file_plant import plant_of
@@ -142,13 +148,16 @@ def read_scenario(path: str | Path) -> Scenario:
         "judged_by": file.take("judged_by", text, usual),
         "show_trials": tuple(file.take("show_trials", list_of(whole), [])),
     }
+    grid = file.take("grid", lambda v, at: dict(_axes(v, at)), {})
     file.done()
     _check(path, "", lambda: _require_ranges(given))
+    _check(path, "grid", lambda: grid_of(grid, machine, found, task))
     parts: dict[str, Any] = {
         "machine": machine,
         "task": task,
         "schemes": found,
         "uncertainty": uncertainty,
+        "grid": grid,
         "quantities": {metric: Quantity(of) for metric, of in further.items()},
     }
     made = _check(path, "", lambda: Scenario(**given, **parts, chosen=tuple(notes)))
@@ -171,6 +180,16 @@ def _require_ranges(given: dict[str, Any]) -> None:
 def _uncertainty(values: Any, where: str) -> dict[str, Any]:
     """Distributions by path within the machine; `machine.` before it may be left out, as here."""
     return {name.removeprefix("machine."): found for name, found in uncertainty_of(values, where)}
+
+
+def _axes(values: Any, where: str) -> Iterator[tuple[str, Any]]:
+    """Axes by name; names are keys such as "plant.B" or nested tables."""
+    table = Table(values, where)
+    for name, of in table.values.items():
+        if isinstance(of, Mapping):
+            yield from ((f"{name}.{rest}", one) for rest, one in _axes(of, table.at(name)))
+        else:
+            yield name, of
 
 
 def _check(path: Path, where: str, check: Callable[[], Any]) -> Any:

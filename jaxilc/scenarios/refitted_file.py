@@ -1,8 +1,8 @@
 """The plant file of a campaign with another plant in it, fitted to the campaign's own trials.
 
-The tables `[plant]` and `[uncertainty]` are replaced; task, machine, schemes and comments stay as
-they are, so that the campaign can go on with the new file, and its predictions are those of the
-fitted plant.
+The tables `[plant]` and `[uncertainty]` are replaced, and a table `[grid]`, whose axes may be those
+of the plant, is left out; task, machine, schemes and comments stay as they are, so that the
+campaign can go on with the new file, and its predictions are those of the fitted plant.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from ..storage.files import atomically
 from ..storage.reading import LARGEST_TREE, read_text, tree_of
 from .identified_file import LEAVES, comment, intervals
 
-REPLACED = ("plant", "uncertainty")
+REPLACED = ("plant", "uncertainty", "grid")
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 _HEADER = re.compile(r"""^\s*\[{1,2}\s*(["']?)([\w-]+)\1\s*(?:\.[^\]]*)?\]{1,2}\s*(?:\#.*)?$""")
 

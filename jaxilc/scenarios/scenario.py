@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import re
-import typing
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
@@ -15,8 +14,8 @@ from ..learning.machine import Machine
 from ..learning.over_trials import check
 from ..pytree.closest import known_names, not_one_of
 from ..pytree.in_short import in_short
-from ..pytree.named_paths import allowed_at, get_at, kind_at, replaced, settable
-from ..pytree.ranges import brief, named
+from ..pytree.named_paths import allowed_at, get_at, owner_of, read_at, replaced, settable
+from ..pytree.ranges import brief
 from ..schemes import Scheme
 from ..signals.task import Task, Trial
 from ..storage.printable import printable
@@ -57,6 +56,7 @@ class Scenario:
     options: options with which the scenario was loaded
     quantities: further metrics of a trial, by name
     judged_by: the metric that tables show, and to which the tolerance belongs
+    grid: values by name, over which a sweep runs; see `sweeps.grid`
 
     Names are used in names of files and in paths of parameters; titles and units are printed.
     Raises ValueError for characters that are not allowed in them.
@@ -78,6 +78,7 @@ class Scenario:
     options: Mapping[str, object] = dataclasses.field(default_factory=dict)
     quantities: Mapping[str, Quantity] = dataclasses.field(default_factory=dict)
     judged_by: str = "settled_error"
+    grid: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     __repr__ = in_short
 
     def __post_init__(self):
@@ -146,16 +147,22 @@ class Scenario:
     def select(self, names: tuple[str, ...]) -> Scenario:
         """The scenario with the named schemes only, or with all if `names` is empty.
 
+        Axes of the grid that belong to the other schemes are left out.
+
         Raises ValueError naming the allowed schemes.
         """
         for name in names:
             if name not in self.schemes:
                 raise ValueError(not_one_of(f"scheme = {name!r}", name, self.schemes))
-        return (
-            dataclasses.replace(self, schemes={n: self.schemes[n] for n in names})
-            if names
-            else self
-        )
+        if not names:
+            return self
+        left = {*self.schemes} - {*names}
+        grid = {
+            key: values
+            for key, values in self.grid.items()
+            if not all(one.strip().partition(".")[0] in left for one in key.split("/"))
+        }
+        return dataclasses.replace(self, schemes={n: self.schemes[n] for n in names}, grid=grid)
 
     def check(self) -> None:
         """Raises ValueError, naming the scheme, where one does not fit the machine and the task."""
@@ -175,13 +182,8 @@ class Scenario:
 
     def allowed(self, path: str) -> str:
         """What `with_values` accepts at a path, as text."""
-        head, rest = self._place(path)
+        head, rest = owner_of(path, self.schemes)
         return allowed_at(self.machine if head == "machine" else self.schemes[head], rest)
-
-    def _place(self, path: str) -> tuple[str, str]:
-        """The owner of a path, a scheme or `machine`, and the path within it."""
-        head, _, rest = path.partition(".")
-        return (head, rest) if head in ("machine", *self.schemes) else ("machine", path)
 
     def with_values(self, settings: Mapping[str, object]) -> Scenario:
         """This scenario with leaves or static fields replaced, all at once.
@@ -193,10 +195,10 @@ class Scenario:
         objects = {"machine": self.machine, **self.schemes}
         changes: dict[str, dict[str, object]] = {}
         for path, value in settings.items():
-            head, rest = self._place(path)
+            head, rest = owner_of(path, self.schemes)
             try:
                 get_at(objects[head], rest)
-                changes.setdefault(head, {})[rest] = _typed(objects[head], rest, value, path)
+                changes.setdefault(head, {})[rest] = read_at(objects[head], rest, value, path)
             except KeyError:
                 wanted = rest if head == "machine" else path
                 known = [name for name in (*self.options, *self.settable()) if name != wanted]
@@ -204,43 +206,6 @@ class Scenario:
         objects |= {name: replaced(objects[name], values) for name, values in changes.items()}
         machine = objects.pop("machine")
         return dataclasses.replace(self, machine=machine, schemes=objects)
-
-
-def _typed(tree, path: str, value, shown: str):
-    """The value, which may be text, converted to the type of the field at the path.
-
-    A static field has the type of its annotation; all others are numbers.
-    """
-    kind, annotation = kind_at(tree, path)
-    if kind == "child":
-        raise KeyError(path)
-    if not isinstance(value, str):
-        return value
-    choices = [
-        one for one in (typing.get_args(annotation) or (annotation,)) if one is not type(None)
-    ]
-    if kind == "static" and str in choices:
-        return value
-    if value.lower() == "none":
-        return None
-    parts = [part.strip() for part in value.strip("()[] ").split(",")]
-    try:
-        if kind == "leaf" or typing.get_origin(annotation) is not tuple:
-            read = float if kind == "leaf" else _READ.get(choices[0], float)
-            numbers = [read(part) for part in parts]
-            return numbers if len(numbers) > 1 else numbers[0]
-        return tuple(_READ.get(choices[0], float)(part) for part in parts if part)
-    except (ValueError, KeyError):
-        said = (
-            "a number, or numbers with commas between them" if kind == "leaf" else named(annotation)
-        )
-        raise ValueError(f"{shown} = {brief(value)} is not {said}") from None
-
-
-_READ: dict[Any, Callable[[str], Any]] = {
-    int: int,
-    bool: lambda text: {"true": True, "1": True, "false": False, "0": False}[text.lower()],
-}
 
 
 def _need_name(what: str, name: str, allowed: re.Pattern, said: str) -> None:

@@ -3,7 +3,8 @@
 Read are G0, G1, G2, G3, G4 (P in seconds), G17, G18, G19, G20, G21, G90, G91, and the words X, Y,
 Z, I, J, K, R, P and F (a minute). I, J and K are measured from the start of the arc. Comments,
 block numbers, and words that move no axis (M, S, T, and G codes that are off at the start of a
-program, such as G40) have no effect here. All else is refused with the number of its line.
+program, such as G40) have no effect here, but M2 and M30 end the program. All else is refused with
+the number of its line, a call of another program (M97, M98, M99) too.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ _MOTIONS = {0.0: "G0", 1.0: "G1", 2.0: "G2", 3.0: "G3"}
 # words of the centre.
 _PLANES = {17.0: ("XY", "IJ"), 18.0: ("ZX", "KI"), 19.0: ("YZ", "JK")}
 _NO_EFFECT = {21.0, 40.0, 49.0, 54.0, 64.0, 80.0, 91.1, 94.0}
+_CALLS = {97.0, 98.0, 99.0}  # M codes: of other programs, and the return from them
 _SUPPORTED = "G0, G1, G2, G3, G4, G17, G18, G19, G20, G21, G90, G91"
 
 
@@ -83,7 +85,9 @@ class _Reader:
         codes, words = _words(block)
         dwell, ended = False, False
         for letter, value in codes:
-            if letter == "M":
+            if letter == "M" and value in _CALLS:
+                raise ValueError(f"M{value:g} belongs to a call of another program; allowed is one")
+            elif letter == "M":
                 ended |= value in (2.0, 30.0)
             elif value in _MOTIONS:
                 self.motion = value

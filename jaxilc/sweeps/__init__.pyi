@@ -1,4 +1,5 @@
 from .cluster import ChunkFailed
+from .points import BestPoint, at_best, best_points
 from .runs import history_dataset, run_schemes
 from .store import open_dataset
 from .summary import SchemeSummary, summarise
@@ -6,10 +7,13 @@ from .sweep import Sweep
 from .worker import UnlikeWorkers
 
 __all__ = [
+    "BestPoint",
     "ChunkFailed",
     "SchemeSummary",
     "Sweep",
     "UnlikeWorkers",
+    "at_best",
+    "best_points",
     "history_dataset",
     "open_dataset",
     "run_schemes",

@@ -23,12 +23,16 @@ from ..learning.divergence import Course
 from ..learning.known_metrics import METRICS
 from ..learning.metrics import Keep
 from ..learning.over_trials import learn
+from ..learning.watch import Watch
+from ..pytree.named_paths import replaced
 from ..runtime import capacity, provenance
 from ..runtime.events import COMPILING, COMPUTING
 from ..runtime.lanes import fitting_lanes
 from ..runtime.tiles import tiled
 from ..uncertainty import drawn_machine
+from .layout import UNFILLED
 from .plan import Chunk, Plan
+from .variables import variables
 
 PROGRAMS = 8  # number of programs, of different sweeps, that are kept in a process
 AT_ONCE = 4  # number of chunks that are in the RAM, computed or not; writing takes uneven times
@@ -52,9 +56,15 @@ class Host:
         self._needed = 0  # bytes of the largest chunk that was compiled
         self._finished_at = 0.0  # the time at which the last chunk was finished
         names = tuple((name, _Drawn(bool(of.relative))) for name, of in plan.uncertainty.items())
-        of_machine = names, plan.trials, plan.keep, Keep.of(plan.quantities)
-        self._one = _one_with(*of_machine)
-        self._run = (_shared_program if shared else _program)(*of_machine, plan.lanes)
+        of_machine = names, plan.keep, Keep.of(plan.quantities), plan.watch
+        self._of_machine = of_machine
+        make = _shared_program if shared else _program
+        counts = {variant.trials for variant in plan.variants.values()}
+        self._programs = {n: make(*of_machine, n, plan.lanes) for n in counts}
+        known = variables(plan.task, plan.keep, plan.quantities, plan.watch)
+        self._by_trial = {
+            n: v.dims.index("trial") - 1 for n, v in known.items() if "trial" in v.dims
+        }
 
     def fitting_lanes(self) -> int:
         """The lanes that suit the backend and fit for every scheme, see `runtime.lanes`.
@@ -63,9 +73,12 @@ class Host:
         """
         return min(
             fitting_lanes(
-                self._one, *self._arguments(name, 0, 1), self.plan.machines, what=f"Sweep: {name}"
+                _one_with(*self._of_machine, variant.trials),
+                *self._arguments(name, 0, 1),
+                self.plan.members,
+                what=f"Sweep: {name}",
             )
-            for name in self.plan.schemes
+            for name, variant in self.plan.variants.items()
         )
 
     def room(self, stored: int) -> tuple[int | None, str]:
@@ -77,11 +90,11 @@ class Host:
         return (device if device is not None else None if host is None else host - stored), ""
 
     def bytes_of(self, name: str, size: int) -> int:
-        """Bytes that `size` machines need under a scheme; the program is compiled, but not run."""
-        return capacity.program_bytes(self._run.lower(*self._arguments(name, 0, size)))
+        """Bytes that `size` members of a variant need; the program is compiled, but not run."""
+        return capacity.program_bytes(self._run(name).lower(*self._arguments(name, 0, size)))
 
     def chunk_bytes(self, names: tuple[str, ...], size: int) -> Iterator[tuple[str, int]]:
-        """Name and `bytes_of` of each scheme; several are compiled at once."""
+        """Name and `bytes_of` of each variant; several are compiled at once."""
         start = time.perf_counter()
         with ThreadPoolExecutor(COMPILERS) as compilers:
             for name, needed in zip(
@@ -92,7 +105,7 @@ class Host:
         jax.monitoring.record_event_duration_secs(COMPILING, time.perf_counter() - start)
 
     def compute(self, chunk: Chunk) -> dict[str, np.ndarray]:
-        """The metrics and signals of a chunk by name; the first axis is that of the machines."""
+        """The metrics and signals of a chunk by name; the first axis is that of the members."""
         begun = time.perf_counter()
         return self._finished(chunk, self._started(chunk), begun)
 
@@ -126,7 +139,11 @@ class Host:
 
     def _started(self, chunk: Chunk) -> dict[str, jax.Array]:
         """The results of `compute` as arrays of JAX, which need not be computed yet."""
-        return self._run(*self._arguments(chunk.name, chunk.start, self.plan.chunk))
+        return self._run(chunk.name)(*self._arguments(chunk.name, chunk.start, self.plan.chunk))
+
+    def _run(self, name: str) -> Any:
+        """The compiled function of a variant."""
+        return self._programs[self.plan.variants[name].trials]
 
     def _finished(
         self, chunk: Chunk, found: dict[str, jax.Array], begun: float
@@ -138,17 +155,32 @@ class Host:
         jax.block_until_ready(found)
         begun, self._finished_at = max(begun, self._finished_at), time.perf_counter()
         jax.monitoring.record_event_duration_secs(COMPUTING, self._finished_at - begun)
-        # The machines that fill the chunk up to full size are left out.
-        return {name: np.asarray(value)[: chunk.size] for name, value in found.items()}
+        # The members that fill the chunk up to full size are left out.
+        values = {name: np.asarray(value)[: chunk.size] for name, value in found.items()}
+        missing = self.plan.longest - self.plan.variants[chunk.name].trials
+        return (
+            values
+            if not missing
+            else values
+            | {name: _longer(values[name], axis, missing) for name, axis in self._by_trial.items()}
+        )
 
     def _arguments(self, name: str, start: int, size: int):
-        # The last chunk is filled up to full size with the last machine, so that it runs the same
+        # The last chunk is filled up to full size with the last member, so that it runs the same
         # program as the others.
-        plan = self.plan
-        index = np.minimum(np.arange(start, start + min(size, plan.machines)), plan.machines - 1)
+        plan, of = self.plan, self.plan.variants[name]
+        member = np.minimum(np.arange(start, start + min(size, plan.members)), plan.members - 1)
+        point, index = np.divmod(member, plan.machines)
         drawn = {name: jnp.asarray(values[index]) for name, values in plan.drawn.items()}
-        common = (plan.machine, plan.schemes[name], plan.task, jax.random.key(plan.seed))
-        return common, (jnp.asarray(index), drawn)
+        at_point = jax.tree.map(jnp.asarray, plan.axes.leaves_at(point, of.name))
+        common = (of.machine, of.scheme, of.task, jax.random.key(plan.seed))
+        return common, (jnp.asarray(index), drawn, at_point)
+
+
+def _longer(values: np.ndarray, axis: int, missing: int) -> np.ndarray:
+    """The values of a variant that has fewer trials than another, with those that it has not."""
+    widths = [(0, missing if i == axis else 0) for i in range(values.ndim)]
+    return np.pad(values, widths, constant_values=UNFILLED[values.dtype.kind])
 
 
 class _Drawn(NamedTuple):
@@ -158,33 +190,42 @@ class _Drawn(NamedTuple):
 
 
 def _one_with(
-    names: tuple[tuple[str, _Drawn], ...], trials: int, keep: tuple[str, ...], save: Keep
+    names: tuple[tuple[str, _Drawn], ...],
+    keep: tuple[str, ...],
+    save: Keep,
+    watch: Watch | None,
+    trials: int,
 ) -> Any:
-    """The function of what is common and of the numbers of one machine."""
-    return partial(_one_machine, names=names, trials=trials, keep=keep, save=save)
+    """The function of what is common and of the numbers of one member."""
+    return partial(_one_machine, names=names, trials=trials, keep=keep, save=save, watch=watch)
 
 
-def _program(names, trials, keep, save, lanes: int | None) -> Any:
-    """The compiled function of what is common and of the numbers of the machines of a chunk."""
-    return jax.jit(tiled(_one_with(names, trials, keep, save), lanes=lanes))
+def _program(names, keep, save, watch, trials: int, lanes: int | None) -> Any:
+    """The compiled function of what is common and of the numbers of the members of a chunk."""
+    return jax.jit(tiled(_one_with(names, keep, save, watch, trials), lanes=lanes))
 
 
 _shared_program = lru_cache(maxsize=PROGRAMS)(_program)
 
 
 def _one_machine(
-    common, one, *, names, trials: int, keep: tuple[str, ...], save: Keep
+    common, one, *, names, trials: int, keep: tuple[str, ...], save: Keep, watch: Watch | None
 ) -> dict[str, jax.Array]:
-    """The metrics and signals of one drawn machine, for `tiled`."""
-    machine, scheme, task, key = common
-    index, values = one
+    """The metrics and signals of one drawn machine at one point, for `tiled`."""
+    (*parts, key), (index, values, at_point) = common, one
+    machine, scheme, task = (
+        replaced(part, at_point[name]) if name in at_point else part
+        for name, part in zip(("machine", "scheme", "task"), parts, strict=True)
+    )
     machine = drawn_machine(machine, dict(names), values)
     key = jax.random.fold_in(key, index)
-    history = learn(machine, scheme, task, trials, key=key, save=save, trials_a_pass=TRIALS_A_PASS)
+    how: dict[str, Any] = {"save": save, "watch": watch, "trials_a_pass": TRIALS_A_PASS}
+    history = learn(machine, scheme, task, trials, key=key, **how)
     by_channel = {m.name for m in METRICS if m.axes[-1:] in (("channel",), ("input",))} | {*keep}
     found = history.metrics._asdict() | {name: getattr(history.final, name) for name in keep}
     squeezed = {
         name: x[..., 0] if name in by_channel and x.shape[-1] == 1 else x
         for name, x in found.items()
     }
-    return squeezed | history.saved | {name: getattr(history, name) for name in Course._fields}
+    squeezed |= history.saved | history.watched
+    return squeezed | {name: getattr(history, name) for name in Course._fields}

@@ -22,6 +22,7 @@ import numpy as np
 from ..runtime.provenance import differences
 from ..storage.files import only_one, remove_leftovers, whole_folder
 from ..storage.sealed import Damaged, as_json, json_text, read_json, unsealed
+from .grid import unfolded
 from .layout import DONE, METADATA, VOUCHING, Layout, sum_of
 from .layout import Variable as Variable
 
@@ -233,8 +234,9 @@ def _loaded(store: Any) -> xr.Dataset:
 
 
 def _labelled(dataset: xr.Dataset, recipe: Mapping[str, Any]) -> xr.Dataset:
-    """The dataset without the marks of the store, and with its coordinates declared as such."""
+    """The dataset without the marks of the store, with its coordinates, and the axes of a grid."""
     dataset = dataset.drop_vars(DONE)
     dataset.attrs = {"configuration": dict(recipe)}
     known = [name for name, array in dataset.data_vars.items() if "units" not in array.attrs]
-    return dataset.set_coords(known)
+    dataset = dataset.set_coords(known)
+    return unfolded(dataset, recipe["grid"]) if "grid" in recipe else dataset

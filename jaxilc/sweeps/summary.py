@@ -68,8 +68,14 @@ def summarise(
     metric: name of a variable over (scheme, sample, trial); with several channels the largest
         counts
     growth: relative rise above the best trial from which on the error counts as grown
-    Raises ValueError for a tolerance that is not positive or a metric that is not there.
+    Raises ValueError for a tolerance that is not positive, a metric that is not there, and for a
+    grid.
     """
+    if axes_of(dataset):
+        raise ValueError(
+            f"summarise: the dataset has a grid over {', '.join(axes_of(dataset))}; allowed is one "
+            "point, dataset.sel({...}), or at_best(dataset, best_points(dataset))"
+        )
     if tolerance is not None and not tolerance > 0:
         raise ValueError(
             f"summarise: tolerance = {tolerance:g} is outside its allowed range (0, inf)"
@@ -89,13 +95,20 @@ def summarise(
 
 
 def errors_of(dataset: xr.Dataset, metric: str) -> xr.DataArray:
-    """The metric over (scheme, sample, trial): the largest channel, infinite where one diverged."""
-    errors = dataset[metric]
-    errors = errors.max(
-        [d for d in errors.dims if d not in ("scheme", "sample", "trial")], skipna=False
-    )
+    """The metric over (scheme, sample, trial): the largest channel, infinite where one diverged.
+
+    The axes of a grid, if there is one, are between scheme and sample.
+    """
+    errors, order = dataset[metric], ("scheme", *axes_of(dataset), "sample", "trial")
+    errors = errors.max([d for d in errors.dims if d not in order], skipna=False)
     sound = dataset["finite"] & ~dataset["diverged"] if "diverged" in dataset else dataset["finite"]
-    return errors.where(sound).transpose("scheme", "sample", "trial").fillna(np.inf)
+    return errors.where(sound).transpose(*order).fillna(np.inf)
+
+
+def axes_of(dataset: xr.Dataset) -> tuple[str, ...]:
+    """The axes of the grid of a dataset; none for a sweep of one point."""
+    dims = map(str, dataset["finite"].dims)
+    return tuple(dim for dim in dims if dim not in ("scheme", "sample", "trial"))
 
 
 def _one_scheme(

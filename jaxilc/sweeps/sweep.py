@@ -17,6 +17,7 @@ import numpy as np
 from ..learning.machine import Machine
 from ..learning.metrics import Keep
 from ..learning.over_trials import check
+from ..learning.watch import Watch
 from ..learning.within_trial import bytes_of_trial
 from ..pytree.in_short import in_short
 from ..pytree.ranges import SEEDS, brief, require
@@ -29,8 +30,9 @@ from ..schemes import Scheme
 from ..signals.task import Task, Trial
 from ..uncertainty import Uncertainty, draw, drawn_count, drawn_machine
 from ..uncertainty import check as check_uncertainty
+from .grid import Grid, grid_of
 from .host import Host
-from .layout import Layout
+from .layout import Layout, Variable
 from .plan import Plan, that_fits
 from .store import Store, stored_configuration
 from .variables import SIGNALS, coordinates, sizes, variables
@@ -63,6 +65,10 @@ class Sweep:
     lanes: number of machines vectorised together, None for what suits this backend: 16 or 8 on a
         CPU, by its cache; on an accelerator what its memory holds, see `runtime.lanes`
     quantities: further metrics of each trial, by name, each a function from a trial to a number
+    watch: what looks at each trial beside the one before it, such as `theory.BoundsWatch`, whose
+        variables become those of the dataset; None: nothing
+    grid: values by the name of what has them; at each of their points the same machines are run,
+        see `grid`
 
     The configuration also has chunk, lanes and the number of devices, since sums in another order
     are rounded differently. Where chunk or lanes is None, a resumed store keeps those that it was
@@ -83,6 +89,8 @@ class Sweep:
     chunk: int = OPEN
     lanes: int = OPEN
     quantities: Mapping[str, Callable[[Trial], jax.Array]] = dataclasses.field(default_factory=dict)
+    watch: Watch | None = None
+    grid: Mapping[Any, Any] = dataclasses.field(default_factory=dict)
     __repr__ = in_short
 
     def __post_init__(self):
@@ -106,12 +114,15 @@ class Sweep:
         Keep.of(self.quantities)
         for scheme in self.schemes.values():
             check(self.machine, scheme, self.task)
+        self._variables()
         check_uncertainty(self.machine, self.uncertainty)
         self.need_room()
+        self.axes.check(*self._parts, self.uncertainty, lambda: self.drawn)
         if self.drawn:  # the number of corners, whatever was asked for
             object.__setattr__(self, "machines", len(next(iter(self.drawn.values()))))
         if self.lanes is None:
-            most = max(bytes_of_trial(scheme, self.task) for scheme in self.schemes.values())
+            variants = self.axes.variants(*self._parts).values()
+            most = max(bytes_of_trial(of.scheme, of.task) for of in variants)
             usual = usual_lanes(most) or Host(self._plan()).fitting_lanes()
             object.__setattr__(self, "lanes", usual)
         if self.chunk is None:
@@ -124,8 +135,28 @@ class Sweep:
 
     def _usual_chunk(self) -> int:
         least = max(CHUNK, self.lanes * jax.device_count())
-        light = HEAVY * len(self.schemes) // self.bytes_stored(least)
-        return least * max(1, min(LARGEST, light, self.machines // (CHUNKS * least)))
+        light = HEAVY * len(self.schemes) // self.bytes_stored(least, points=1)
+        members = self.machines * self.axes.points
+        return least * max(1, min(LARGEST, light, members // (CHUNKS * least)))
+
+    @property
+    def _parts(self) -> tuple[Machine, Mapping[str, Scheme], Task, int]:
+        return self.machine, self.schemes, self.task, self.trials
+
+    @cached_property
+    def axes(self) -> Grid:
+        """The axes of the grid."""
+        return grid_of(self.grid, self.machine, self.schemes, self.task)
+
+    def at(self, point: Mapping[str, Any]) -> Sweep:
+        """The sweep of one point, without a grid, whose numbers are those of the grid there.
+
+        point: a value of each axis, by the name of its dimension
+        Raises ValueError for a value that is not in the grid.
+        """
+        parts = self.axes.at(self.axes.place_of(point), *self._parts)
+        names = ("machine", "schemes", "task", "trials")
+        return dataclasses.replace(self, grid={}, **dict(zip(names, parts, strict=True)))
 
     @cached_property
     def drawn(self) -> dict[str, np.ndarray]:
@@ -148,7 +179,10 @@ class Sweep:
 
         environment: environment of the processes that compute, None for this process
         """
-        fields = {f.name: describe(getattr(self, f.name)) for f in dataclasses.fields(self)}
+        names = [f.name for f in dataclasses.fields(self) if f.name != "grid"]
+        fields = {name: describe(getattr(self, name)) for name in names}
+        if self.axes.axes:
+            fields["grid"] = self.axes.described(self.schemes)
         return fields | {"environment": environment or provenance.environment()}
 
     def run(
@@ -162,13 +196,14 @@ class Sweep:
         """Compute what is not done yet and return the dataset.
 
         Its dimensions are scheme, sample (the machines) and trial; its coordinates hold every drawn
-        number. A run that was killed at any moment and resumed ends with the dataset of an
-        uninterrupted one, bit for bit. Damaged chunks of the store are computed again.
+        number. Each axis of a grid is a dimension too, after that of the schemes. A run that was
+        killed at any moment and resumed ends with the dataset of an uninterrupted one, bit for bit.
+        Damaged chunks of the store are computed again.
 
         out: path of a Zarr store for the dataset, None to keep it in the RAM only
         resume: continue the store at `out`
         progress: function that is called after each chunk with the scheme's name, how many of its
-            machines are done so far, and how many of them this call computed
+            machines at all points are done so far, and how many of them this call computed
         cluster: a Dask scheduler whose workers compute the chunks, as its address, the file that it
             wrote, or a Client; see `cluster.workers`
         Raises FileExistsError for an `out` that exists without `resume`; ValueError for one that is
@@ -193,7 +228,7 @@ class Sweep:
         self, hosts, out: str | Path | None, resume: bool, progress: Callable[[str, int, int], None]
     ) -> xr.Dataset:
         layout = Layout(
-            variables(self.task, self.keep, self.quantities),
+            self._variables(),
             coordinates(self.plan),
             self.chunk,
             self.configuration(hosts.environment),
@@ -210,14 +245,17 @@ class Sweep:
             computed = opened.enter_context(hosts.computing(pending, copies * self.bytes_stored()))
             store = opened.enter_context(Store.create(out, layout)) if store is None else store
             done = Counter()
+            scheme_of = {name: variant.name for name, variant in self.plan.variants.items()}
             for chunk in sorted(set(chunks) - set(pending)):
-                done[chunk.name] += chunk.size
-                progress(chunk.name, done[chunk.name], 0)
+                name = scheme_of[chunk.name]
+                done[name] += chunk.size
+                progress(name, done[name], 0)
             for chunk, values in computed:
                 store.write(chunk.scheme, chunk.number, slice(chunk.start, chunk.stop), values)
                 del values  # the chunk after the next one is started now
-                done[chunk.name] += chunk.size
-                progress(chunk.name, done[chunk.name], chunk.size)
+                name = scheme_of[chunk.name]
+                done[name] += chunk.size
+                progress(name, done[name], chunk.size)
             return store.dataset()
 
     def _as_begun(self, stored: Mapping[str, Any]) -> Sweep | None:
@@ -236,7 +274,7 @@ class Sweep:
 
         It may be called in a thread while something else is computed.
         """
-        for _ in self.host().chunk_bytes(tuple(self.schemes), self.chunk):
+        for _ in self.host().chunk_bytes(tuple(self.plan.variants), self.chunk):
             pass
 
     def host(self) -> Host:
@@ -252,31 +290,41 @@ class Sweep:
         """The key of one machine's noise, which does not depend on the chunks or their number."""
         return jax.random.fold_in(jax.random.key(self.seed), number)
 
-    def bytes_stored(self, machines: float | None = None, trials: float | None = None) -> int:
+    def bytes_stored(
+        self,
+        machines: float | None = None,
+        trials: float | None = None,
+        points: float | None = None,
+    ) -> int:
         """Bytes of the whole dataset, before compression.
 
-        machines, trials: their numbers, None for those of this sweep
+        machines, trials, points: their numbers, None for those of this sweep
         """
         machines = self.machines if machines is None else machines
-        trials = self.trials if trials is None else trials
-        lengths = sizes(self.task, len(self.schemes), machines, trials)
+        trials = self.axes.longest(self.trials) if trials is None else trials
+        points = self.axes.size if points is None else points
+        lengths = sizes(self.task, len(self.schemes), machines * points, trials)
         return sum(
             np.dtype(v.dtype).itemsize * math.prod(lengths[d] for d in v.dims)
-            for v in variables(self.task, self.keep, self.quantities).values()
+            for v in self._variables().values()
         )
+
+    def _variables(self) -> dict[str, Variable]:
+        return variables(self.task, self.keep, self.quantities, self.watch)
 
     def need_room(self, copies: int = 1) -> None:
         """Raises ValueError where `copies` of the dataset and its summary do not fit in RAM.
 
         The message says how many machines or trials would fit.
         """
-        drawn, summary = 8 * len(self.uncertainty), 8 * WORK * len(self.schemes) * self.task.outputs
+        labels = len(self.uncertainty) + sum(len(axis.values) for axis in self.axes.axes)
+        summary = 8 * WORK * len(self.schemes) * self.task.outputs
 
-        def need(machines: float, trials: float) -> float:
+        def need(machines: float, trials: float, points: float = 1) -> float:
             return (
-                copies * self.bytes_stored(machines, trials)
-                + drawn * machines
-                + summary * machines * trials
+                copies * self.bytes_stored(machines, trials, points)
+                + 8 * labels * machines * points
+                + summary * machines * points * trials
                 + 8 * trials
             )
 
@@ -284,11 +332,12 @@ class Sweep:
             "Sweep",
             need,
             machines=drawn_count(self.uncertainty, self.machines, self.sampling),
-            trials=self.trials,
+            trials=self.axes.longest(self.trials),
+            **({"points": self.axes.size} if self.axes.axes else {}),
         )
 
     def _need_memory(self, hosts, names: tuple[str, ...], *, copies: int) -> None:
-        """Compile a chunk of each scheme, and check that it fits in RAM.
+        """Compile a chunk of each variant, and check that it fits in RAM.
 
         Raises ValueError where one does not fit beside `copies` of the dataset. Where the size of
         the RAM is unknown, nothing is refused.

@@ -25,6 +25,7 @@ from typer.testing import CliRunner
 import jaxilc
 from jaxilc.cli import app, console, durations, main, progress
 from jaxilc.cli.options import DESIGN, MACHINE, PROVE, SIMULATE
+from jaxilc.pytree import settable
 from jaxilc.scenarios import LISTED, identified_file
 from jaxilc.scenarios.from_file import read_scenario
 from jaxilc.scenarios.starting_law import StartingLaw
@@ -91,6 +92,8 @@ def test_list_names_scenarios_and_all_that_can_be_set(jaxilc_command):
     assert code == 0
     for path in ("plant.poles", "ffdl-mfailc.phi0", "pid.form", "reference"):
         assert path in out
+    flat = re.sub(r"\s", "", out)
+    assert all(path in flat for path in settable(jaxilc.scenarios.load("cao-2019").machine))
 
 
 def test_run_prints_ours_beside_the_published_and_writes_everything(jaxilc_command, tmp_path):
@@ -190,6 +193,56 @@ def test_sweep_prints_the_yield_and_resumes(jaxilc_command, tmp_path):
     assert jaxilc_command(*by_its_old_name, "--resume")[0] == 0
 
 
+def test_a_grid_is_told_at_its_best_point(jaxilc_command, tmp_path):
+    gain = jaxilc.scenarios.load("cao-2019").machine.plant.gain
+    grid = ["--grid", f"plant.gain={0.5 * gain}:{gain}:3", "--grid", "reading=stroke,amplitude"]
+    sweep = ("sweep", "cao-2019", "--scheme", "cfdl-mfailc", "--trials", 3, "--machines", 4)
+    files = ("--json", "grid.json", "--report", "grid.html")
+    code, out, _ = jaxilc_command(*sweep, *grid, *files)
+    assert code == 0
+    dataset = jaxilc.open_dataset(tmp_path / "out/sweep-cao-2019/dataset.zarr")
+    assert dataset["rms"].dims[1:3] == ("machine.plant.gain", "reading")
+    best = json.loads((tmp_path / "grid.json").read_text())["grid"]["best"]["cfdl-mfailc"]
+    errors = dataset["settled_error"].sel(scheme="cfdl-mfailc", trial=3)
+    of_points = np.sort(errors.values, axis=-1)[..., -1]  # of 4 machines, 95 % are all
+    np.testing.assert_allclose(best["error"], 1e3 * of_points.min(), rtol=1e-12)
+    at = errors.sel(best["point"]).max()
+    np.testing.assert_allclose(best["error"], 1e3 * float(at), rtol=1e-12)
+    assert f"cfdl-mfailc has its least error at machine.plant.gain = {gain:.4g}" in out.replace(
+        "\n", " "
+    )
+    assert "No machine diverges at any point." in out
+    assert (tmp_path / "out/sweep-cao-2019/grid.png").exists()
+    assert "grid.png" in out
+    assert f"--set reading={best['point']['reading']}" in out
+    assert jaxilc_command(*sweep, *grid, "--resume")[0] == 0
+
+
+def test_sweep_tells_the_bounds_beside_the_contraction(jaxilc_command, tmp_path):
+    arguments = ["--scheme", "cfdl-mfailc", "--scheme", "ffdl-mfailc", "--set", "frequency=10"]
+    sweep = ("sweep", "cao-2019", *arguments, "--trials", 3, "--machines", 4, "--json", "s.json")
+    code, out, _ = jaxilc_command(*sweep, "--bounds")
+    assert code == 0
+    assert "it was claimed on none of 4 machines" in " ".join(out.split())
+    dataset = jaxilc.open_dataset(tmp_path / "out/sweep-cao-2019/dataset.zarr")
+    bounds = json.loads((tmp_path / "s.json").read_text())["bounds"]
+    compact, full = bounds["cfdl-mfailc"], bounds["ffdl-mfailc"]
+    assert compact["bound"] == {"holds": 0, "fails": 0, "not claimed": 4}
+    assert compact["premises"]["lam > b^2 / 4"] == {"held": 4, "share_broken": 0.0}
+    assert compact["premises"]["y(k+1) depends on u(k) alone"]["held"] == 0
+    d2 = dataset["d2"].sel(scheme="cfdl-mfailc")
+    assert compact["d2"] == [float(d2.min()), float(d2.median()), float(d2.max())]
+    assert compact["left_out"][0] > 0.99
+    norm = dataset["contraction_norm"].sel(scheme="cfdl-mfailc").isel(trial=slice(1, None))
+    assert compact["norm"][0] == pytest.approx(float(norm.median("trial").median()))
+    assert compact["growing"] == float((norm > 1).mean())
+    assert full["d2"] is None, "the paper proves nothing of its error"
+    assert full["left_out"][2] < 0.01
+    code, _, err = jaxilc_command(*sweep, "--resume")
+    assert code == 2
+    assert "watch" in err, "a store without bounds is another sweep"
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -259,6 +312,19 @@ def test_sweep_prints_the_yield_and_resumes(jaxilc_command, tmp_path):
             "--tolerance -1 is outside its allowed range (0, inf)",
         ),
         (("sweep", "cao-2019", "--keep", "z"), "keep = 'z' is not one of y, e, u"),
+        (("sweep", "cao-2019", "--grid", "lam"), "--grid 'lam' is not PATH=VALUES"),
+        (
+            ("sweep", "cao-2019", "--scheme", "pid", "--grid", "cfdl-mfailc.lam=1,2"),
+            "grid: 'cfdl-mfailc.lam' cannot be an axis",
+        ),
+        (
+            ("sweep", "cao-2019", "--grid", "reading=stroke,stroke"),
+            "--grid 'reading=stroke,stroke' has equal values",
+        ),
+        (
+            ("sweep", "cao-2019", "--grid", "frequency=0.5,1"),
+            "a dataset needs one for all",
+        ),
         (
             ("run", "dai-2014", "--set", "machine.plant=3"),
             "'machine.plant' cannot be set; did you mean plant.",
@@ -298,8 +364,8 @@ def test_sweep_prints_the_yield_and_resumes(jaxilc_command, tmp_path):
         (("list", "file.toml"), "file.toml is no text in UTF-8: invalid start byte 0xff at byte 0"),
         (("identify", "file"), "file is no text in UTF-8: invalid start byte 0xff at byte 0"),
         (
-            ("certify", "cao-2019", "--scheme", "cfdl-mfailc", "--trials", "2"),
-            "--trials 2 is outside its allowed range [3, inf) of cfdl-mfailc",
+            ("certify", "cao-2019", "--scheme", "cfdl-mfailc", "--trials", "1"),
+            "--trials 1 is outside its allowed range [2, inf) of cfdl-mfailc",
         ),
         (
             ("next", "--state", "s", "--out", "n.csv", "--scenario", "cao"),
@@ -533,6 +599,20 @@ def examples():
         yield from (
             pytest.param(command, shlex.split(example), id=command.name) for example in found
         )
+
+
+def test_every_option_is_explained():
+    for command in get_command(app).commands.values():
+        for one in command.params:
+            if one.name != "help":
+                assert getattr(one, "help", None), f"{command.name}: {one.name} has no help"
+
+
+def test_every_command_that_draws_has_a_choice_of_formats():
+    """The others write no figure: what `explore` and `reproduce` draw is on their pages."""
+    commands = get_command(app).commands.items()
+    without = {name for name, c in commands if "figures" not in {one.name for one in c.params}}
+    assert without == {"init", "list", "explore", "reproduce", "bench"}
 
 
 @pytest.mark.parametrize(("command", "words"), [*examples()])

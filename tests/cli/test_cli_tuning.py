@@ -17,11 +17,12 @@ import jaxilc
 from jaxilc import figures
 from jaxilc.cli import main
 from jaxilc.cli.tables import number
-from jaxilc.cli.terms import objective_of, risk_of
+from jaxilc.cli.terms import objective_of, risk_of, with_limits
 from jaxilc.scenarios.parameters import differing, with_parameters, write_parameters
 from jaxilc.tuning import Tuning, monte_carlo_search, pareto
 from jaxilc.tuning import states as of_tuning
 from jaxilc.tuning.objectives import (
+    D2,
     Contraction,
     Effort,
     EveryTrial,
@@ -435,6 +436,10 @@ def test_worst_case_prints_machines_that_can_be_rebuilt(scenario, tmp_path):
             ((1.0, Growth("rms", 3)), (1.0, Effort(2.0)), (1.0, InputRate(1.0))),
         ),
         ("0.1*contraction:0.9", ((0.1, Contraction(0.9)),)),
+        (
+            with_limits("final", ["d2=0.95", "contraction = 1"]),
+            ((1.0, Final("rms")), (100.0, D2(0.95)), (100.0, Contraction(1.0))),
+        ),
     ],
 )
 def test_objectives_are_what_they_say(text, terms):
@@ -456,6 +461,17 @@ def test_risks_are_what_they_say():
             "--bounds: 'eta' is not one of the weights lam",
         ),
         ("tune", ("--weights", "lam", "--bounds", "lam"), "--bounds 'lam' is not NAME=LOW:HIGH"),
+        ("tune", ("--weights", "lam", "--limit", "d2"), "--limit 'd2' is not NAME=NUMBER"),
+        (
+            "tune",
+            ("--weights", "lam", "--limit", "d3=1"),
+            "--limit: 'd3' is not one of d2, contraction",
+        ),
+        (
+            "tune",
+            ("--weights", "lam", "--limit", "d2=-1"),
+            "d2: -1 is outside its allowed range (0, inf)",
+        ),
         ("tune", ("--weights", "lam", "--bounds", "lam=a:1"), "lam: 'a' is not a number"),
         (
             "tune",

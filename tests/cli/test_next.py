@@ -10,7 +10,7 @@ import typer
 from typer.testing import CliRunner
 
 from jaxilc.cli import hardware, identify
-from jaxilc.hardware import Journal, kept_prediction
+from jaxilc.hardware import Journal, as_record, kept_prediction
 from jaxilc.runtime.provenance import describe
 from jaxilc.scenarios import load_scenario
 
@@ -225,6 +225,16 @@ def test_what_is_not_the_input_of_the_plant_is_not_fitted(copied, tmp_path):
         call("identify", tmp_path / "t.csv", "--state", tmp_path / "loop")
     with pytest.raises(ValueError, match="RECORD is missing"):
         call("identify")
+
+
+def test_of_many_trials_some_are_fitted(copied, monkeypatch):
+    """Where they have more samples than are read, those that are fitted lie evenly spread."""
+    folder, go_on = copied
+    for j in (3, 4, 5):
+        go_on("--measured", measure(folder, j, 1.02)[0])
+    monkeypatch.setattr(as_record, "MOST_SAMPLES", 3 * (N + 1))
+    call("identify", "--state", folder / "x", "--out", folder / "new", "--json", folder / "i.json")
+    assert json.loads((folder / "i.json").read_text())["trials"] == [1, 3, 5]
 
 
 def test_a_trial_that_ended_early_is_learned_from_as_far_as_it_goes(copied):

@@ -302,6 +302,37 @@ def lively(tmp_path):
     return page, run, last, other
 
 
+def test_a_page_is_small_whatever_it_shows():
+    """Of many schemes fewer trials can be chosen; what would still not fit is named instead."""
+    rng, S, J, N, axes = np.random.default_rng(1), 49, 12, 100, ["x", "y", "z"]
+    dims, e = ("scheme", "trial", "time", "channel"), rng.normal(size=(S, J, N + 1, 3))
+    names = [f"scheme-{i}" for i in range(S)]
+    run = xr.Dataset(
+        {
+            "r": (dims[2:], e[0, 0]),
+            "y": (dims, e),
+            "e": (dims, e),
+            "u": (("scheme", "trial", "input_time", "input"), e[:, :, :-1]),
+        },
+        coords={
+            "scheme": names,
+            "trial": np.arange(1, J + 1),
+            "channel": axes,
+            "time": np.arange(N + 1) * 1e-3,
+        },
+    )
+    long = xr.Dataset(
+        {"rms": (("scheme", "trial"), rng.uniform(size=(6, 50_000)))},
+        coords={"scheme": names[:6], "trial": np.arange(1, 50_001)},
+    )
+    within, errors = browsers.trials(run, unit="mm"), interactive.learning(long, metric="rms")
+    assert "5 of the 12 trials" in within.caption
+    text = html_report("a", {}, live=[errors, within])
+    assert len(text) < 5_000_000
+    assert "left out to keep this page small: The rms of each trial." in text
+    assert text.count('<figure class="live">') == 1
+
+
 def test_a_live_page_is_whole_and_small(tmp_path):
     """Every script is within the page; it is well formed, small, and shows no JSON as text."""
     text = lively(tmp_path)[0].read_text(encoding="utf-8")

@@ -32,6 +32,8 @@ class = "PIDType"
 gamma_p = 1.0
 [uncertainty]
 "plant.B" = { distribution = "uniform", low = 0.9, high = 1.1, relative = true }
+[grid]
+"old.gamma_p" = "0.5:1:3"
 """
 
 
@@ -63,6 +65,7 @@ def test_a_design_keeps_the_file_and_changes_its_schemes(tmp_path, suffix):
     assert_same(after.schemes["new"], law)
     assert_same(after.machine, before.machine)
     assert after.uncertainty == before.uncertainty
+    assert (list(before.grid), after.grid) == (["old.gamma_p"], {})
     if suffix == ".toml":
         written = path.read_text()
         assert "# of a test" in written

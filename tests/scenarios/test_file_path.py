@@ -129,6 +129,13 @@ def test_a_path_is_run_and_swept_with_the_names_of_its_axes(tmp_path):
         assert sum("│ contour" in line for line in lines) == 1
 
 
+def test_axes_of_their_own_references_have_a_contour_error(tmp_path):
+    wave = {"function": "sinusoid", "amplitude": 1.0, "frequency": 10.0, "duration": 0.2}
+    made = read_scenario(write(tmp_path, [wave, wave | {"amplitude": 2.0}]))
+    assert {"contour_max", "contour_rms"} <= set(made.quantities)
+    assert made.judged_by != "contour_max"  # only a file with a path is judged by it
+
+
 def test_axes_share_a_table_and_take_names(tmp_path):
     plant = {"kind": "ThreeAxes", "axis": AXIS}
     reference = KINDS["nurbs"] | {"points": [[0, 0, 0], [0, 2, 1], [1, 2, 2]]}

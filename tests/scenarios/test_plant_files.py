@@ -361,7 +361,7 @@ def pid(**fields):
     [
         (
             {"plants": PLANT},
-            "axis.json: plants is not a key here; did you mean plant. 13 names are known",
+            "axis.json: plants is not a key here; did you mean plant. 14 names are known",
         ),
         ({"plant": None}, "axis.json: plant is missing; present are task, schemes"),
         (
@@ -568,6 +568,8 @@ def pid(**fields):
             {"schemes": {"a": {"class": "Filtered", "scheme": "pidtype", "filter": 3}}},
             "schemes.a.scheme = 'pidtype' is no table; did you mean { class = \"PIDType\", ... }",
         ),
+        ({"grid": {"ilc.gama_p": "1:2:3"}}, "axis.json: grid: 'ilc.gama_p' cannot be an axis; did"),
+        ({"grid": {"ilc": {"gamma_p": "1:2"}}}, "grid: ilc.gamma_p = '1:2' is not LOW:HIGH:COUNT"),
     ],
 )
 def test_a_mistake_is_named_by_its_key(tmp_path, tables, message):
@@ -616,3 +618,11 @@ def test_every_command_accepts_a_file_in_a_scenario_s_place(tmp_path, monkeypatc
     shown = json.loads((tmp_path / "run.json").read_text())["schemes"]["ilc"]["rms"]["3"]
     np.testing.assert_allclose(shown, loaded.shown_scale * float(history.rms[-1, 0]), rtol=1e-9)
     assert (tmp_path / "out" / f"sweep-{loaded.name}" / "error-band.png").exists()
+
+
+def test_a_grid_of_a_file_is_that_of_its_schemes(tmp_path):
+    grid = {"ilc": {"gamma_p": "0.1:10:3log"}, "ilc.lead": [0, 1], "plant.B[0][0]": [1.0, 2.0]}
+    two = SCHEMES | {"other": SCHEMES["ilc"]}
+    read = read_scenario(write(tmp_path, grid=grid, schemes=two))
+    assert read.grid == {"ilc.gamma_p": "0.1:10:3log"} | {n: grid[n] for n in [*grid][1:]}
+    assert [*read.select(("other",)).grid] == ["plant.B[0][0]"]

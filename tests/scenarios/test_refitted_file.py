@@ -27,6 +27,8 @@ relative = true
 distribution = "normal"
 mean = 9.0
 std = 0.1
+[grid]
+"plant.A[0][0]" = [0.1, 0.2]
 [machine.actuator]  # its amplifier
 limit = 9.0
 [["task".reference]]
@@ -67,7 +69,7 @@ def test_only_the_plant_and_its_uncertainty_are_replaced(tmp_path):
         "plant.gain": {"distribution": "uniform", "low": 1.9, "high": 2.1},  # that of poles holds 0
     }
     assert after["machine"].pop("sensor") == {"noise": 0.01}
-    assert after == {n: of for n, of in before.items() if n not in ("plant", "uncertainty")}
+    assert after == {n: of for n, of in before.items() if n not in ("plant", "uncertainty", "grid")}
     assert all(note in text for note in ("# my axis", "# its amplifier", "# [plant]"))
     # With a sensor in the file its noise stays as it is; what was fitted can be fitted again.
     again = write_refitted(tmp_path / "axis-3.toml", file, fitted(), fitted_to="c", noise=0.5)

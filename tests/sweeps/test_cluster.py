@@ -121,6 +121,12 @@ def test_an_interrupted_sweep_cancels_its_tasks_and_resumes(tmp_path, client, al
     }
 
 
+def test_a_grid_is_computed_by_workers(client):
+    grid = {"feedback.kp": [-5.0, -2.0], "trials": [4, 2]}
+    plan = dataclasses.replace(SMALL, machines=5, grid=grid)
+    xr.testing.assert_identical(plan.run(cluster=client), plan.run())
+
+
 def test_precision_goes_along(client):
     jax.config.update("jax_enable_x64", False)
     try:

@@ -81,10 +81,10 @@ def test_an_error_comes_at_its_chunk_and_ends_the_computing(host, monkeypatch):
 
 
 def test_sweeps_of_one_shape_share_a_program():
-    program = PLAN.host()._run
+    program = PLAN.host()._run("learning")
     other = {"schemes": {"another": PLAN.schemes["learning"]}, "machines": 5, "seed": 8}
     spread = {"uncertainty": {name: of.spread(0.1) for name, of in PLAN.uncertainty.items()}}
     own = {"quantities": {"none": lambda trial: 0.0}}
-    assert dataclasses.replace(PLAN, **other).host()._run is program
+    assert dataclasses.replace(PLAN, **other).host()._run("another") is program
     for change in (spread, own, {"trials": 3}, {"keep": ()}):
-        assert dataclasses.replace(PLAN, **change).host()._run is not program
+        assert dataclasses.replace(PLAN, **change).host()._run("learning") is not program

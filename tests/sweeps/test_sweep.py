@@ -14,12 +14,13 @@ from sweep_case import PLAN, TASK
 
 import jaxilc
 from jaxilc import Machine, Sweep, Task, Uniform, summarise
-from jaxilc.plants import StateSpace
+from jaxilc.plants import DifferenceEquation, StateSpace
 from jaxilc.runtime import capacity, tiled
 from jaxilc.runtime.earlier_names import takes_also
-from jaxilc.schemes import PID
+from jaxilc.schemes import CFDLMFAILC, PID, PIDType
 from jaxilc.sweeps import sweep as sweep_module
 from jaxilc.sweeps.summary import wilson_interval
+from jaxilc.theory import BoundsWatch
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -282,3 +283,54 @@ def test_summary_names_what_is_wrong():
         summarise(made_up([[1.0]]), 0.0)
     with pytest.raises(ValueError, match=r"metric = 'rms' is not one of finite, settled_error"):
         summarise(made_up([[1.0]]), 1.0, metric="rms")
+
+
+# What looks at two trials
+# --------------------------------------------------------------------------------------------------
+
+SMALL = Task(reference=np.sin(np.arange(21) / 3.0), dt=1e-3, unit="mm", input_unit="V")
+WATCHED = Sweep(
+    Machine(DifferenceEquation((0.0,), (1.0,), dt=1e-3)),
+    {"a": CFDLMFAILC(phi0=0.7, reset="sign"), "b": PIDType(gamma_p=0.5)},
+    SMALL,
+    trials=4,
+    uncertainty={"plant.b[0]": Uniform(0.5, 2.5)},
+    machines=6,
+    watch=BoundsWatch(),
+)
+
+
+def test_a_watch_adds_its_variables_of_machines_and_of_trials(tmp_path):
+    dataset = WATCHED.run(tmp_path / "store.zarr")
+    assert dataset["d2"].dims == ("scheme", "sample")
+    assert dataset["contraction_norm"].dims == ("scheme", "sample", "trial")
+    assert (dataset["b"].attrs["units"], dataset["lam_min"].attrs["units"]) == (
+        "mm/V",
+        "(mm/V)^2",
+    )
+    for name, scheme in WATCHED.schemes.items():
+        alone = jaxilc.learn(WATCHED.machine_of(4), scheme, SMALL, 4, watch=BoundsWatch())
+        for key in BoundsWatch().variables(SMALL):
+            found = dataset[key].sel(scheme=name, sample=4)
+            np.testing.assert_allclose(found, alone.watched[key], rtol=1e-9, err_msg=key)
+    one = dataset.sel(scheme="a")
+    gains = one["plant.b[0]"]
+    np.testing.assert_allclose(one["b"], gains, rtol=1e-12)
+    np.testing.assert_array_equal(one["claimed"] == 1, gains**2 / 4 < 1)
+    held = one["share_kept"].isel(trial=slice(1, None))
+    assert bool((held.where(one["claimed"] == 1, 1.0) == 1).all())
+    # P-type learning on a static plant: exactly |1 - gamma b| at every sample
+    np.testing.assert_allclose(
+        dataset["contraction_worst"].sel(scheme="b", trial=3), abs(1 - 0.5 * gains), rtol=1e-6
+    )
+    assert bool(np.isnan(dataset["d2"].sel(scheme="b")).all())
+
+
+def test_a_watch_of_one_channel_and_a_name_that_it_has_are_refused():
+    with pytest.raises(ValueError, match="quantity = 'd2' is a variable of the watch"):
+        dataclasses.replace(WATCHED, quantities={"d2": lambda trial: trial.e[0, 0]})
+    task = Task(reference=np.zeros((21, 2)), dt=1e-3)
+    plant = StateSpace(-np.eye(2), np.eye(2), np.eye(2))
+    schemes = {"a": PIDType(gamma_p=0.1)}
+    with pytest.raises(ValueError, match="2 inputs and 2 outputs; allowed is one of each"):
+        Sweep(Machine(plant), schemes, task, 3, uncertainty={}, machines=2, watch=BoundsWatch())

@@ -1,0 +1,514 @@
+"""Grids of a sweep: axes of values, and at each of their points the same machines.
+
+    {"ffdl-mfailc.lam": "0.1:10:25log", "machine.plant.gain": np.linspace(0.5, 2, 31),
+     "ffdl-mfailc.lead": [0, 2, 4], "cfdl-mfailc.rho / ffdl-mfailc.rho": "0.2, 0.5, 1"}
+
+A key is the path of a leaf or a static field of the machine, the task or a scheme, as `--set` has
+it, or `trials`. Several names with `/` between them are one axis, either with values of their own
+(as text also with `/` between them) or with the same ones. An axis of leaves is one more factor of
+the machines, in the same compiled program. Each value of a static axis has a program of its own.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from functools import cached_property
+from itertools import combinations, product
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from ..learning.known_metrics import METRICS
+from ..learning.machine import Machine
+from ..learning.over_trials import check
+from ..pytree.closest import known_names
+from ..pytree.named_paths import (
+    get_at,
+    interval_at,
+    kind_at,
+    owner_of,
+    read_at,
+    replaced,
+    settable,
+    unit_at,
+)
+from ..pytree.ranges import Interval, as_numbers, brief, fits, require, shown
+from ..runtime.capacity import check_size
+from ..runtime.provenance import describe
+from ..schemes import Scheme
+from ..signals.task import Task
+from ..uncertainty import Uncertainty, within_ranges
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+_RANGE = re.compile(r"([^:]+):([^:]+):\s*(\d+)\s*(log)?")
+_COMMA = re.compile(r",(?![^(\[]*[)\]])")  # none within brackets
+WAYS = "LOW:HIGH:COUNT, LOW:HIGH:COUNTlog, or values with commas between them"
+OF_A_VALUE = 64  # bytes
+TRIALS = "trials"
+_OTHERS = {"machine", "task"}  # first parts of a path that are no schemes
+_TAKEN = {TRIALS, "scheme", "sample", "trial", "channel", "input", "time", "input_time"}
+_TAKEN |= {"y", "e", "u", *(metric.name for metric in METRICS)}
+
+
+class Variant(NamedTuple):
+    """What one program computes: a scheme at one value of each static axis.
+
+    name: name of the scheme
+    fixed: the positions of these values in their axes
+    """
+
+    name: str
+    fixed: tuple[int, ...]
+    machine: Machine
+    scheme: Scheme
+    task: Task
+    trials: int
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Axis:
+    """One axis of a grid.
+
+    values: values by name; the first name is that of the dimension. A name is a path that begins
+        with `machine`, `task` or a scheme, or it is `trials`, or that of values which have a
+        machine, schemes and a task each
+    units: units by name, empty where there is none
+    static: whether each value needs a program of its own
+    """
+
+    values: Mapping[str, Any]
+    units: Mapping[str, str]
+    static: bool
+
+    @property
+    def name(self) -> str:
+        return next(iter(self.values))
+
+    @property
+    def size(self) -> int:
+        return len(self.values[self.name])
+
+    @cached_property
+    def labels(self) -> dict[str, np.ndarray]:
+        """The values by name as a coordinate has them: numbers, or text for all others."""
+        return {name: _labels(of) for name, of in self.values.items()}
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Grid:
+    """The axes of a sweep; none for a sweep of a single point.
+
+    In a store the static axes multiply the schemes, and the others the machines: member m of a
+    variant is machine m % machines at the point m // machines.
+    """
+
+    axes: tuple[Axis, ...] = ()
+
+    @cached_property
+    def static(self) -> tuple[Axis, ...]:
+        return tuple(axis for axis in self.axes if axis.static)
+
+    @cached_property
+    def leaves(self) -> tuple[Axis, ...]:
+        return tuple(axis for axis in self.axes if not axis.static)
+
+    @property
+    def points(self) -> int:
+        """The number of points of a variant."""
+        return math.prod(axis.size for axis in self.leaves)
+
+    @property
+    def size(self) -> int:
+        """The number of all points."""
+        return math.prod(axis.size for axis in self.axes)
+
+    def longest(self, trials: int) -> int:
+        """The largest number of trials of a variant, where the sweep has so many."""
+        given = (max(axis.values[TRIALS]) for axis in self.axes if TRIALS in axis.values)
+        return max(given, default=trials)
+
+    def places(self, points: np.ndarray) -> Iterator[tuple[Axis, np.ndarray]]:
+        """Each axis of leaves with the positions in it of points of a variant, by their numbers."""
+        if self.leaves:
+            at = np.unravel_index(points, [axis.size for axis in self.leaves])
+            yield from zip(self.leaves, at, strict=True)
+
+    def leaves_at(self, points: np.ndarray, scheme: str) -> dict[str, dict[str, np.ndarray]]:
+        """The values of leaves at points of a variant: by `machine`, `scheme` or `task`, and path.
+
+        Those of other schemes are left out; a part without values is.
+        """
+        found: dict[str, dict[str, np.ndarray]] = {}
+        for axis, at in self.places(points):
+            for name, values in axis.values.items():
+                owner, path = name.split(".", 1)
+                if owner in (scheme, *_OTHERS):
+                    part = "scheme" if owner == scheme else owner
+                    found.setdefault(part, {})[path] = values[at]
+        return found
+
+    def variants(self, machine, schemes, task, trials: int) -> dict[str, Variant]:
+        """The variants by their names, scheme by scheme; raises ValueError as `replaced` does."""
+        found = {}
+        for name, fixed in product(schemes, product(*(range(axis.size) for axis in self.static))):
+            place = {axis.name: i for axis, i in zip(self.static, fixed, strict=True)}
+            made = self.at(place, machine, schemes, task, trials)
+            which = [
+                f"{n} = {axis.labels[n][place[n]]}" for axis in self.static for n in [axis.name]
+            ]
+            parts = made[0], made[1][name], *made[2:]
+            found[", ".join([name, *which])] = Variant(name, fixed, *parts)
+        return found
+
+    def at(self, place: Mapping[str, int], machine, schemes, task, trials: int):
+        """Machine, schemes, task and trials with the values of some axes.
+
+        place: positions in the axes by the first name of each
+        """
+        changes: dict[str, dict[str, Any]] = {}
+        for axis in (axis for axis in self.axes if axis.name in place):
+            for name, values in axis.values.items():
+                value, (owner, _, path) = values[place[axis.name]], name.partition(".")
+                if name == TRIALS:
+                    trials = value
+                elif isinstance(value, _Whole):
+                    machine, task = value.of.machine, value.of.task
+                    schemes = {n: value.of.schemes[n] for n in schemes}
+                else:
+                    changes.setdefault(owner, {})[path] = value
+        objects = {"machine": machine, "task": task, **schemes}
+        for owner, values in changes.items():
+            objects[owner] = _named(replaced, objects[owner], values)
+        machine, task = objects.pop("machine"), objects.pop("task")
+        return machine, objects, task, trials
+
+    def place_of(self, point: Mapping[str, Any]) -> dict[str, int]:
+        """The positions of a point that is given by a value of each axis.
+
+        Raises ValueError for a value that is missing, or not one of its axis.
+        """
+        found = {}
+        for name, labels in ((axis.name, axis.labels[axis.name].tolist()) for axis in self.axes):
+            if point.get(name) not in labels:
+                raise ValueError(
+                    f"grid: {name} = {brief(point.get(name))} is not one of {brief(labels)}"
+                )
+            found[name] = labels.index(point.get(name))
+        return found
+
+    def check(self, machine, schemes, task, trials: int, uncertainty: Uncertainty, drawn) -> None:
+        """Raises ValueError, naming the axis, for values with which a sweep cannot run.
+
+        Of each axis of leaves its ends are checked, of the static ones all values.
+
+        drawn: the drawn numbers by name, a function that has not been called
+        """
+        parts = (machine, schemes, task, trials)
+        taken = [name for axis in self.axes for name in axis.values]
+        for one, other in combinations(taken, 2):
+            if _overlap(one, other):
+                raise ValueError(
+                    f"grid: {one} is set a second time, by {other}; allowed is one axis"
+                )
+        for name, (of, d) in product(taken, uncertainty.items()):
+            if _overlap(name, f"machine.{of}") and not d.relative:
+                raise ValueError(
+                    f"grid: {name} is drawn from {d}, which replaces the value of the axis; "
+                    "allowed is a relative distribution, which scales it"
+                )
+        if sum(isinstance(axis.values[axis.name][0], _Whole) for axis in self.axes) > 1:
+            raise ValueError("grid: only one axis may be an option of the scenario")
+        if self.static:
+            for name, one in self.variants(*parts).items():
+                _same_shape(name, task, one.task)
+                _named(check, one.machine, one.scheme, one.task)
+                _named(within_ranges, one.machine, uncertainty, drawn())
+        for axis in self.leaves:
+            by_size = np.argsort(np.reshape(axis.values[axis.name], (axis.size, -1))[:, 0])
+            for i in by_size[[0, -1]]:
+                machine_at, schemes_at, task_at, _ = self.at({axis.name: int(i)}, *parts)
+                for name, scheme in schemes_at.items():
+                    if {n.partition(".")[0] for n in axis.values} & {name, *_OTHERS}:
+                        _named(check, machine_at, scheme, task_at)
+                _named(within_ranges, machine_at, uncertainty, drawn())
+
+    def described(self, schemes: Mapping[str, Scheme]) -> dict[str, Any]:
+        """All that determines the numbers of a grid, and how its store is laid out, as JSON."""
+        axes = [
+            {
+                "name": axis.name,
+                "units": dict(axis.units),
+                "static": axis.static,
+                "size": axis.size,
+                "values": describe(axis.values),
+            }
+            for axis in self.axes
+        ]
+        return {"schemes": list(schemes), "axes": axes}
+
+
+def grid_of(given: Any, machine, schemes: Mapping[str, Scheme], task: Task) -> Grid:
+    """The grid that a mapping of names to values describes, see the docstring of this module.
+
+    Where the values of a name are a mapping, its values have a `machine`, `schemes` and a `task`
+    each, such as a scenario, and its keys are labels.
+    Raises ValueError, naming the axis, for a name that is not a leaf or a static field, and for
+    values that are missing, not finite, equal, outside the range of their leaf, or too many.
+    """
+    if not isinstance(given, Mapping):
+        raise ValueError(
+            f"grid = {brief(given)} is a {type(given).__name__}; allowed are values by name, such "
+            "as {'machine.plant.gain': [0.9, 1.0, 1.1]}"
+        )
+    for name in {*_OTHERS, TRIALS} & {*schemes} if given else ():
+        raise ValueError(f"grid: a scheme is called {name}, as what is no scheme is; rename it")
+    objects = {"machine": machine, "task": task, **schemes}
+    return Grid(tuple(_axis(key, values, objects) for key, values in given.items()))
+
+
+def unfolded(flat: xr.Dataset, of: Mapping[str, Any]) -> xr.Dataset:
+    """The dataset with a dimension for each axis, of one over schemes and members as it is stored.
+
+    of: what `Grid.described` returns
+    """
+    import xarray as xr
+
+    sizes = {axis["name"]: axis["size"] for axis in of["axes"]}
+    static = {axis["name"]: axis["size"] for axis in of["axes"] if axis["static"]}
+    leaves = {name: size for name, size in sizes.items() if name not in static}
+    machines = flat.sizes["sample"] // math.prod(leaves.values())
+    inner = {"scheme": {"scheme": len(of["schemes"])} | static,
+             "sample": leaves | {"sample": machines}}  # fmt: skip
+    order = ("scheme", *sizes, "sample")
+
+    def whole(array) -> xr.Variable:
+        parts = [inner.get(dim, {dim: flat.sizes[dim]}) for dim in array.dims]
+        shape = {dim: size for part in parts for dim, size in part.items()}
+        made = xr.Variable(tuple(shape), array.values.reshape(tuple(shape.values())), array.attrs)
+        return made.transpose(*(d for d in order if d in shape), ...)
+
+    of_axes = {name: (axis["name"], unit) for axis in of["axes"]
+               for name, unit in axis["units"].items()}  # fmt: skip
+    coords: dict[str, Any] = {
+        "scheme": np.array(of["schemes"], flat["scheme"].dtype),
+        "sample": np.arange(machines),
+    }
+    for name, array in flat.coords.items():
+        if name in coords:
+            continue
+        dim, unit = of_axes.get(str(name), ("sample", ""))
+        made = whole(array.variable)
+        if name in of_axes or "sample" in made.dims:  # the same everywhere but along one dimension
+            made = made.isel({d: 0 for d in made.dims if d != dim})
+        coords[str(name)] = (made.dims, made.values, {"units": unit} if unit else {})
+    data = {name: whole(array.variable) for name, array in flat.data_vars.items()}
+    return xr.Dataset(data, coords, flat.attrs)
+
+
+# Reading of axes
+# --------------------------------------------------------------------------------------------------
+
+
+@dataclasses.dataclass(frozen=True)
+class _Whole:
+    """A value of an axis that is a whole: a machine, schemes and a task."""
+
+    label: str
+    of: Any
+
+
+def _axis(key: Any, given: Any, objects: Mapping[str, Any]) -> Axis:
+    keys = key.split("/") if isinstance(key, str) else key
+    if not (isinstance(keys, list | tuple) and keys and all(isinstance(k, str) for k in keys)):
+        raise ValueError(f"grid: {brief(key)} is not a name, or names with / between them")
+    if isinstance(given, Mapping):
+        return _axis_of_wholes("/".join(keys), given, objects)
+    names = [_canonical(one.strip(), objects) for one in keys]
+    values = {n: _values(n, of, objects) for n, of in zip(names, _parts(given, names), strict=True)}
+    counts = {name: len(of) for name, of in values.items()}
+    if len(values) < len(names) or len({*counts.values()}) > 1:
+        said = " and ".join(f"{name} has {count}" for name, count in counts.items())
+        raise ValueError(f"grid: {said} values; allowed are different names with as many each")
+    # A single value is set as by hand, and then gives the same numbers to the last bit.
+    static = counts[names[0]] == 1 or any(
+        name == TRIALS or kind_at(*_in(name, objects))[0] == "static" or any(v is None for v in of)
+        for name, of in values.items()
+    )
+    if not static:
+        values = {name: _leaf(name, of, objects) for name, of in values.items()}
+    labels, times = np.unique(_labels(values[names[0]]), return_counts=True)
+    if times.max() > 1:
+        said = f"{labels[times.argmax()]} {times.max()} times"
+        raise ValueError(f"grid: {names[0]} has {said}; allowed are different values")
+    units = {name: "" if name == TRIALS else unit_at(*_in(name, objects)) for name in names}
+    return Axis(values, units, static)
+
+
+def _axis_of_wholes(name: str, given: Mapping[Any, Any], objects: Mapping[str, Any]) -> Axis:
+    _need_some(name, given)
+    if name in _TAKEN or not re.fullmatch(r"[\w -]+", name):
+        raise ValueError(f"grid: {brief(name)} cannot be the name of a dimension; choose another")
+    for label, of in given.items():
+        has = getattr(of, "schemes", None)
+        if not isinstance(has, Mapping) or not {*objects} - _OTHERS <= {*has}:
+            raise ValueError(
+                f"grid: {name} = {brief(label)}: {brief(of)}; allowed is what has a machine, a "
+                "task and the schemes of the sweep, such as a scenario"
+            )
+    return Axis({name: [_Whole(str(x), of) for x, of in given.items()]}, {name: ""}, True)
+
+
+def _canonical(name: str, objects: Mapping[str, Any]) -> str:
+    """The name with its owner before it; raises ValueError for one that is not there."""
+    if name == TRIALS:
+        return name
+    owner, path = owner_of(name, objects)
+    try:
+        get_at(objects[owner], path)
+        if kind_at(objects[owner], path)[0] != "child":
+            return f"{owner}.{path}"
+    except KeyError:
+        pass
+    known = [TRIALS, *(f"{of}.{at}" for of, tree in objects.items() for at in settable(tree))]
+    raise ValueError(f"grid: {name!r} cannot be an axis; {known_names(name, known)}")
+
+
+def _in(name: str, objects: Mapping[str, Any]) -> tuple[Any, str]:
+    """The object and the path within it."""
+    owner, _, path = name.partition(".")
+    return objects[owner], path
+
+
+def _parts(given: Any, names: list[str]) -> list[Any]:
+    """The values of each of several names, which may be the same for all."""
+    if isinstance(given, str):
+        parts = given.split("/")
+    else:
+        nested = isinstance(given, list | tuple) and len(given) == len(names) > 1
+        own = nested and all(isinstance(of, str | list | tuple | np.ndarray) for of in given)
+        parts = list(given) if own else [given]
+    if len(parts) not in (1, len(names)):
+        raise ValueError(
+            f"grid: {' / '.join(names)} has values for {len(parts)} names; allowed is one part for "
+            f"all of them, or {len(names)} with / between them"
+        )
+    return parts if len(parts) == len(names) else parts * len(names)
+
+
+def _values(name: str, given: Any, objects: Mapping[str, Any]) -> Any:
+    """The values of a name, converted to its type; raises ValueError naming them."""
+    if isinstance(given, str):
+        text = _RANGE.fullmatch(given.strip())
+        if text is None and ":" in given:
+            raise ValueError(f"grid: {name} = {brief(given)} is not {WAYS}")
+        given = _spread(name, *text.groups()) if text else _COMMA.split(given)
+        given = [one for one in given if not isinstance(one, str) or one.strip()]
+    elif not isinstance(given, list | tuple) and np.ndim(given) == 0:
+        given = [given]
+    _need_some(name, given)
+    many = isinstance(given, np.ndarray) and name != TRIALS
+    if many and kind_at(*_in(name, objects))[0] == "leaf":
+        return given
+    return [_one(name, value, objects) for value in given]
+
+
+def _spread(name: str, low: str, high: str, count: str, log: str | None) -> np.ndarray:
+    """The values of a range that is written as text."""
+    try:
+        ends = float(low), float(high)
+    except ValueError:
+        raise ValueError(f"grid: {name} = {low}:{high}:{count} is not {WAYS}") from None
+    allowed = "(0, inf)" if log else "(-inf, inf)"
+    for what, end in zip(("the low end", "the high end"), ends, strict=True):
+        require("grid", f"{name}, {what}", end, allowed)
+    check_size(f"grid: {name}", lambda values: OF_A_VALUE * values, values=int(count))
+    return (np.geomspace if log else np.linspace)(*ends, int(count))
+
+
+def _one(name: str, value: Any, objects: Mapping[str, Any]) -> Any:
+    """One value of a name, of the type of its field where it is text or a number of NumPy."""
+    if isinstance(value, np.generic):
+        value = value.item()
+    if name == TRIALS:
+        with suppress(ValueError, TypeError, OverflowError):
+            whole = not isinstance(value, bool) and float(value).is_integer()
+            value = int(float(value)) if whole else value
+        require("grid", name, value, "[1, inf)", whole=True)
+        return value
+    tree, path = _in(name, objects)
+    value = read_at(tree, path, value.strip() if isinstance(value, str) else value, f"grid: {name}")
+    kind, annotation = kind_at(tree, path)
+    if kind == "static" and isinstance(value, float) and not fits(value, annotation):
+        value = int(value) if value.is_integer() else value
+    return tuple(value) if kind == "static" and isinstance(value, list) else value
+
+
+def _leaf(name: str, values: list[Any], objects: Mapping[str, Any]) -> np.ndarray:
+    """The values of a leaf as an array; raises ValueError for one that the leaf cannot have."""
+    tree, path = _in(name, objects)
+    now = get_at(tree, path)
+    found, shape = as_numbers(values), () if now is None else np.shape(now)
+    if found is None:
+        raise ValueError(f"grid: {name} = {brief(values)} are not numbers")
+    if found.shape[1:] != shape:
+        raise ValueError(
+            f"grid: {name} has shape {shape}, and its values {found.shape[1:]}; allowed are values "
+            f"of that shape, or one element, say {name}{'[0]' * len(shape)}"
+        )
+    allowed = interval_at(tree, path) or Interval.parse("(-inf, inf)")
+    if not allowed.contains(found):
+        wrong = next(value for value in found if not allowed.contains(value))
+        raise ValueError(f"grid: {name} = {shown(wrong)} is outside its allowed range {allowed}")
+    return found
+
+
+def _labels(values: Any) -> np.ndarray:
+    """The values of an axis as a coordinate: numbers, whole numbers, truths, or text for others."""
+    plain = isinstance(values, np.ndarray) and values.ndim == 1
+    if plain or any(all(type(v) is kind for v in values) for kind in (int, float, bool)):
+        return np.array(values)
+    return np.array([_text(value) for value in values])
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, _Whole):
+        return value.label
+    if value is None or isinstance(value, str):
+        return value or "none"
+    return " ".join(f"{x:g}" if isinstance(x, float) else str(x) for x in np.ravel(value).tolist())
+
+
+def _need_some(name: str, values: Any) -> None:
+    if not len(values):
+        raise ValueError(f"grid: {name} has no values; needed is one at least")
+
+
+def _overlap(one: str, other: str) -> bool:
+    """Whether two paths name one leaf, or one of them a part of the other."""
+    first, second = (path.replace("[", ".") for path in (one, other))
+    return f"{first}.".startswith(f"{second}.") or f"{second}.".startswith(f"{first}.")
+
+
+def _same_shape(name: str, task: Task, other: Task) -> None:
+    """Raises ValueError for a task whose results have other dimensions or another unit."""
+    for what in ("N", "outputs", "inputs", "dt", "unit", "input_unit", "labels"):
+        here, there = getattr(task, what), getattr(other, what)
+        if here != there:
+            raise ValueError(
+                f"grid: {name} has a task with {what} = {there}, and the sweep one with {here}; a "
+                "dataset needs one for all"
+            )
+
+
+def _named(function, *arguments) -> Any:
+    """The result of a function; its ValueError is raised as one of the grid."""
+    try:
+        return function(*arguments)
+    except ValueError as error:
+        raise ValueError(f"grid: {error}") from None

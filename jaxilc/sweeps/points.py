@@ -1,0 +1,163 @@
+"""The best point of a grid for each scheme, how flat it is there, and where machines diverge."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from ..pytree.in_short import in_short
+from .grid import TRIALS
+from .summary import QUANTILES, axes_of, errors_of
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+NEAR = 2.0  # a point is near the best one if its error is at most so many times as large
+
+
+class BestPoint(NamedTuple):
+    """The best point of a scheme: of the largest yield, and of these of the least error.
+
+    The error of a point is the 95 % quantile over its machines, at the last trial, in the unit of
+    the dataset; infinite where more machines diverge.
+
+    point: its value in each axis
+    yield_share: share of its machines within the tolerance; NaN without a tolerance
+    error: its error
+    near: share of the points whose error is at most `NEAR` times as large
+    along: for each axis the first and the last value next to it, without a gap, that are near, the
+        other axes as at the best point
+    diverged: share of the points at which a machine diverges
+    edges: for each axis the nearest value below, and above, at which a machine diverges, the other
+        axes as at the best point; None where there is none
+    """
+
+    scheme: str
+    point: dict[str, Any]
+    yield_share: float
+    error: float
+    near: float
+    along: dict[str, tuple[Any, Any]]
+    diverged: float
+    edges: dict[str, tuple[Any, Any]]
+    __repr__ = in_short
+
+    @property
+    def rank(self) -> tuple[float, float]:
+        """Less for a better point."""
+        return -float(np.nan_to_num(self.yield_share)), self.error
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """Which point is best, how flat it is there, and where the edge to divergence runs."""
+        if not np.isfinite(self.error):
+            return (f"{self.scheme}: more than 5 % of the machines diverge at every point.",)
+        best = " and ".join(f"{axis} = {_shown(at)}" for axis, at in self.point.items())
+        near = " and ".join(
+            f"{axis} = {_shown(low)} to {_shown(high)}"
+            for axis, (low, high) in self.along.items()
+            if low != high
+        )
+        flat = f"The error is at most twice as large at {self.near:.1%} of the points"
+        ends = [
+            f"{axis} = {_shown(end)} {words}"
+            for axis, of in self.edges.items()
+            for end, words in zip(of, ("down", "up"), strict=True)
+            if end is not None
+        ]
+        lost = f"A machine diverges at {self.diverged:.1%} of the points"
+        lost += f", seen from the best one from {' and from '.join(ends)}" if ends else ""
+        return (
+            f"{self.scheme} has its least error at {best}.",
+            flat + (f", along the axes for {near}." if near else "."),
+            f"{lost}." if self.diverged else "No machine diverges at any point.",
+        )
+
+
+def best_points(
+    dataset: xr.Dataset, tolerance: float | None = None, *, metric: str = "settled_error"
+) -> list[BestPoint]:
+    """The best point of each scheme of a sweep over a grid.
+
+    tolerance, metric: as for `summarise`
+    """
+    axes = axes_of(dataset)
+    last = last_errors(dataset, metric).values
+    error = np.quantile(last, QUANTILES[-1], axis=-1, method="inverted_cdf")
+    passed = np.zeros_like(error) if tolerance is None else np.mean(last <= tolerance, axis=-1)
+    lost = (dataset["diverged_at"] > 0).any("sample").transpose("scheme", *axes).values
+    judged = tolerance is not None
+    return [
+        _best(str(name), dataset, axes, passed[i], error[i], lost[i], judged)
+        for i, name in enumerate(dataset["scheme"].values)
+    ]
+
+
+def at_best(dataset: xr.Dataset, best: list[BestPoint]) -> xr.Dataset:
+    """The dataset of a sweep without a grid: each scheme at its best point.
+
+    Where their numbers of trials differ, it has the least of them.
+    """
+    import xarray as xr
+
+    trials = min(of.point.get(TRIALS, dataset.sizes["trial"]) for of in best)
+    found = [
+        dataset.sel(scheme=[of.scheme]).sel(of.point).drop_vars(_labels_of(dataset)) for of in best
+    ]
+    whole = xr.concat(found, "scheme", data_vars="minimal", coords="minimal", compat="override")
+    return whole.isel(trial=slice(trials))
+
+
+def last_errors(dataset: xr.Dataset, metric: str) -> xr.DataArray:
+    """(scheme, axes, sample) the metric of the last trial, as `errors_of` has it.
+
+    With an axis `trials` it is the last trial of each point.
+    """
+    if TRIALS in dataset.dims:
+        dataset = dataset.sel(trial=dataset[TRIALS]).drop_vars("trial").expand_dims("trial")
+    return errors_of(dataset.isel(trial=[-1]), metric).isel(trial=0)
+
+
+def _shown(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _labels_of(dataset: xr.Dataset) -> list[str]:
+    """The coordinates along the axes of the grid."""
+    axes = axes_of(dataset)
+    return [str(name) for name, of in dataset.coords.items() if {*of.dims} & {*axes}]
+
+
+def _best(name: str, dataset, axes, passed, error, lost, judged: bool) -> BestPoint:
+    order = np.lexsort((error.ravel(), -passed.ravel()))
+    best = np.unravel_index(order[0], error.shape)
+    near = error <= NEAR * error[best]
+    values = [dataset[axis].values.tolist() for axis in axes]
+    along, edges = {}, {}
+    for i, (axis, known) in enumerate(zip(axes, values, strict=True)):
+        line = (*best[:i], slice(None), *best[i + 1 :])
+        below, above = _ends(~near[line], best[i])
+        along[axis] = known[below + 1], known[above - 1]
+        edges[axis] = tuple(
+            known[j] if 0 <= j < len(known) else None for j in _ends(lost[line], best[i])
+        )
+    return BestPoint(
+        name,
+        {axis: of[j] for axis, of, j in zip(axes, values, best, strict=True)},
+        float(passed[best]) if judged else float("nan"),
+        float(error[best]),
+        float(near.mean()),
+        along,
+        float(lost.mean()),
+        edges,
+    )
+
+
+def _ends(marked: np.ndarray, at: int) -> tuple[int, int]:
+    """The nearest marked positions below and above a position; -1 and the length if none is."""
+    below, above = np.flatnonzero(marked[:at]), np.flatnonzero(marked[at + 1 :])
+    return (
+        int(below[-1]) if len(below) else -1,
+        int(above[0]) + at + 1 if len(above) else len(marked),
+    )

@@ -1,0 +1,238 @@
+"""A grid equals sweeps and runs with its values set by hand, and refuses what it cannot run."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import xarray as xr
+from fuzz import HOSTILE, fuzz, pick
+from sweep_case import PLAN, TASK
+
+import jaxilc
+from jaxilc import Sweep
+from jaxilc.runtime import capacity
+from jaxilc.schemes import FFDLMFAILC, PID
+from jaxilc.sweeps import at_best, best_points, summarise
+from jaxilc.sweeps.store import open_dataset
+
+LEARNING = {"learning": PLAN.schemes["learning"]}
+GAIN = float(PLAN.machine.plant.gain)
+ONE = dataclasses.replace(PLAN, schemes=LEARNING, machines=3, keep=("e",))
+GRID = dataclasses.replace(
+    ONE,
+    grid={
+        "learning.lam": "0.1:10:3log",
+        "learning.lead": [2, 0],
+        "plant.gain": [0.5 * GAIN, GAIN],  # also drawn, by a factor
+    },
+)
+
+
+@pytest.fixture(scope="module")
+def dataset():
+    return GRID.run()
+
+
+def test_a_grid_of_one_point_is_the_sweep():
+    grid = dataclasses.replace(ONE, grid={"learning.lam": [float(LEARNING["learning"].lam)]})
+    found, plain = grid.run(), ONE.run()
+    assert found.sizes["learning.lam"] == 1
+    for name in plain.data_vars:
+        np.testing.assert_array_equal(found[name].isel({"learning.lam": 0}), plain[name])
+
+
+def test_every_point_equals_learning_with_its_values(dataset):
+    plant, law = PLAN.machine.plant, LEARNING["learning"]
+    assert dataset["rms"].dims == (
+        "scheme", "learning.lam", "learning.lead", "machine.plant.gain", "sample", "trial",
+    )  # fmt: skip
+    for lam, lead, gain in ((0.1, 2, GAIN), (10.0, 0, 0.5 * GAIN), (1.0, 2, 0.5 * GAIN)):
+        at = dataset.sel({"learning.lam": lam, "learning.lead": lead, "machine.plant.gain": gain})
+        for i in (0, 2):
+            drawn = dataset.isel(sample=i)
+            poles = np.array(plant.poles)
+            poles[2] = drawn["plant.poles[2]"]
+            of = dataclasses.replace(plant, gain=gain * float(drawn["plant.gain"]), poles=poles)
+            alone = jaxilc.learn(
+                dataclasses.replace(PLAN.machine, plant=of),
+                dataclasses.replace(law, lam=lam, lead=lead),
+                TASK,
+                4,
+                key=PLAN.key_of(i),
+            )
+            found = at.isel(sample=i, scheme=0)
+            np.testing.assert_allclose(found["rms"], alone.rms[:, 0], rtol=1e-10)
+            np.testing.assert_allclose(found["e"], alone.final.e[:, 0], rtol=1e-10, atol=1e-14)
+
+
+def test_the_sweep_of_a_point_has_its_numbers(dataset):
+    point = {"learning.lam": 1.0, "learning.lead": 0, "machine.plant.gain": 0.5 * GAIN}
+    np.testing.assert_allclose(GRID.at(point).run()["rms"], dataset["rms"].sel(point), rtol=1e-12)
+    with pytest.raises(ValueError, match=r"learning.lead = 1 is not one of \[2, 0\]"):
+        GRID.at(point | {"learning.lead": 1})
+
+
+def test_the_dataset_is_labelled_and_xarray_works_on_it(dataset):
+    assert dataset["machine.plant.gain"].attrs["units"] == "mm/(V s^2)"
+    np.testing.assert_allclose(dataset["learning.lam"], [0.1, 1.0, 10.0])
+    assert dataset["plant.gain"].dims == ("sample",)
+    between = dataset["rms"].interp({"learning.lam": 0.55})
+    both = dataset["rms"].sel({"learning.lam": [0.1, 1.0]}).mean("learning.lam")
+    np.testing.assert_allclose(between, both)
+    dataset["rms"].isel(scheme=0, sample=0, trial=-1, **{"learning.lead": 0}).plot()
+
+
+def test_a_killed_grid_resumes_to_the_same_dataset(tmp_path, dataset):
+    class Killed(Exception):
+        pass
+
+    def kill(name, done, fresh):
+        if done > 20:
+            raise Killed
+
+    store, computed = tmp_path / "store.zarr", []
+    with pytest.raises(Killed):
+        GRID.run(store, progress=kill)
+    begun = open_dataset(store)["finite"]
+    assert begun.isel({"learning.lead": 0}).all()
+    assert not begun.all()
+    resumed = GRID.run(store, resume=True, progress=lambda *done: computed.append(done))
+    assert ("learning", 36, 2) in computed
+    assert sum(fresh for _, _, fresh in computed) < 36
+    xr.testing.assert_identical(resumed, dataset)
+    xr.testing.assert_identical(open_dataset(store), dataset)
+    other = dataclasses.replace(GRID, grid=GRID.grid | {"learning.lam": "0.1:11:3log"})
+    with pytest.raises(ValueError, match=r"another configuration; it differs in: grid.axes"):
+        other.run(store, resume=True)
+
+
+def test_static_axes_may_change_every_shape_and_the_trials():
+    laws = {"ffdl": FFDLMFAILC(), "pid": PID(kp=-5.0)}
+    windows = ([0, 2], [(0.5,), (0.5, 0.1, -0.06, 0.0)], [1, 2])
+    sweep = dataclasses.replace(
+        ONE, schemes=laws, keep=(), machines=2,
+        grid={"trials": "2, 4", ("ffdl.L_y", "ffdl.phi0", "ffdl.L_u"): windows},
+    )  # fmt: skip
+    dataset = sweep.run()
+    assert dataset["ffdl.phi0"].values.tolist() == ["0.5", "0.5 0.1 -0.06 0"]
+    short = dataset.sel(trials=2)
+    assert np.isnan(short["rms"].sel(trial=[3, 4])).all()
+    assert not short["finite"].sel(trial=3).any()
+    law = FFDLMFAILC(L_y=2, L_u=2, phi0=(0.5, 0.1, -0.06, 0.0))
+    alone = jaxilc.learn(sweep.machine_of(1), law, TASK, 2, key=sweep.key_of(1))
+    found = short.sel({"ffdl.L_y": 2}).sel(scheme="ffdl", sample=1)["rms"][:2]
+    np.testing.assert_allclose(found, alone.rms[:, 0], rtol=1e-10)
+    best = best_points(dataset)
+    errors = dataset["settled_error"].sel(scheme="pid", trial=dataset["trials"])
+    assert best[1].error == float(errors.max("sample").min())
+    assert at_best(dataset, best).sizes["trial"] == min(of.point["trials"] for of in best)
+
+
+def test_values_that_are_wholes_replace_machine_schemes_and_task():
+    other = dataclasses.replace(PLAN, machine=GRID.at(
+        {"learning.lam": 1.0, "learning.lead": 0, "machine.plant.gain": 0.5 * GAIN}
+    ).machine)  # fmt: skip
+    grid = {"learning.lam": [0.5, 2.0], "reading": {"as printed": PLAN, "half": other}}
+    dataset = dataclasses.replace(ONE, grid=grid).run()
+    assert dataset["rms"].dims[1:3] == ("learning.lam", "reading")
+    by_gain = dataclasses.replace(ONE, grid={"learning.lam": [0.5], "plant.gain": [GAIN / 2]}).run()
+    np.testing.assert_allclose(
+        dataset["rms"].sel({"learning.lam": 0.5, "reading": "half"}),
+        by_gain["rms"].isel({"learning.lam": 0, "machine.plant.gain": 0}),
+        rtol=1e-12,
+    )
+
+
+@pytest.mark.parametrize(
+    ("grid", "message"),
+    [
+        (5, "grid = 5 is a int; allowed are values by name"),
+        ({3: [1]}, "3 is not a name, or names with / between them"),
+        ({"learning.lm": [1]}, "'learning.lm' cannot be an axis; did you mean learning.lam"),
+        ({"pid.kp": [1]}, "'pid.kp' cannot be an axis; known: trials, machine.plant.gain"),
+        ({"machine.plant": [1]}, "'machine.plant' cannot be an axis"),
+        ({"plant.gain": [1], "machine.plant.gain": [2]}, "gain is set a second time, by machine"),
+        ({"plant.poles": [[1.0, 2, 3]], "plant.poles[0]": [2]}, "poles is set a second time"),
+        ({"plant.poles[2]": [5, 6]}, r"poles\[2\] is drawn from Uniform.*allowed is a relative"),
+        ({"plant.poles": [1, 2]}, r"has shape \(3,\), and its values \(\); .* say .*poles\[0\]"),
+        ({"learning.lam": [1, np.nan]}, "learning.lam = nan is outside its allowed range"),
+        ({"learning.lam": "1, 2, 1"}, "learning.lam has 1.0 2 times"),
+        ({"learning.lam": []}, "learning.lam has no values"),
+        ({"learning.lam": ","}, "learning.lam has no values"),
+        ({"learning.lam": "0:1"}, "learning.lam = '0:1' is not LOW:HIGH:COUNT"),
+        ({"learning.lam": "0:1:3log"}, r"the low end = 0 is outside its allowed range \(0, inf\)"),
+        ({"learning.lam": "-1:1:3"}, r"learning.lam = -1 is outside its allowed range \(0, inf\)"),
+        ({"learning.lam": "a, b"}, "learning.lam = 'a' is not a number"),
+        ({"learning.lam": f"1:2:{10**15}"}, r"values = 1e\+15 take 6.4e\+07 GB of memory, where"),
+        ({"learning.lam": "1:2:9999", "plant.gain": "1:2:9999"}, r"points = 99980001 take .* GB"),
+        ({"learning.lam/learning.rho": "1, 2/0.5"}, "lam has 2 and learning.rho has 1 values"),
+        ({"learning.lam/learning.rho": "1/2/3"}, "has values for 3 names; allowed is one part"),
+        ({"learning.lead": "0:1:3"}, "lead = 0.5 is outside its allowed range .* whole numbers"),
+        ({"learning.lead": [0, 100]}, r"lead = 100 is outside its allowed range \[0, 59\]"),
+        ({"learning.reset": "book, boko"}, "reset = 'boko' is not one of 'book'"),
+        ({"trials": [1.5]}, r"trials = 1.5 is outside its allowed range \[1, inf\)"),
+        ({"task.dt": [1e-3, 2e-3]}, "has a task with dt = 0.002, and the sweep one with 0.001"),
+        ({"a": {"x": PLAN}, "b": {"x": PLAN}}, "only one axis may be an option"),
+        ({"a": {"x": 3}}, "a = 'x': 3; allowed is what has a machine, a task and the schemes"),
+        ({"rms": {"x": PLAN}}, "'rms' cannot be the name of a dimension"),
+    ],
+)  # fmt: skip
+def test_bad_grids_are_named_before_anything_runs(grid, message, monkeypatch):
+    monkeypatch.setattr(capacity, "host_bytes", lambda: 2**34)
+    monkeypatch.setattr(Sweep, "host", None)
+    with pytest.raises(ValueError, match=message):
+        dataclasses.replace(ONE, grid=grid)
+
+
+def made_up(errors, lost):
+    """Return a dataset of one scheme over two axes, one machine a point, two trials."""
+    errors, lost = np.asarray(errors, float), np.asarray(lost, bool)
+    dims = ("scheme", "a", "b", "sample", "trial")
+    whole = np.stack([np.ones_like(errors), errors], axis=-1)[None, :, :, None]
+    gone = np.stack([lost & False, lost], axis=-1)[None, :, :, None]
+    at = (2 * lost)[None, :, :, None]
+    return xr.Dataset(
+        {
+            "settled_error": (dims, whole),
+            "finite": (dims, ~gone),
+            "diverged_at": (dims[:-1], at),
+        },
+        {"scheme": ["law"], "a": [0.1, 1.0, 10.0], "b": [1, 2, 3, 4]},
+    )
+
+
+def test_the_best_point_its_flatness_and_the_edge_to_divergence():
+    errors = [[9, 4, 3, 9], [9, 1.5, 1, 8], [9, 9, 1.9, 2]]
+    lost = [[0, 0, 0, 1], [1, 0, 0, 1], [0, 0, 0, 0]]
+    dataset = made_up(errors, lost)
+    (best,) = best_points(dataset)
+    assert best.point == {"a": 1.0, "b": 3}
+    assert best.error == 1.0
+    assert best.near == 4 / 12
+    assert best.along == {"a": (1.0, 10.0), "b": (2, 3)}
+    assert best.diverged == 3 / 12
+    assert best.edges == {"a": (None, None), "b": (1, 4)}
+    (row,) = summarise(at_best(dataset, [best]), 1.5)
+    assert row.median.tolist() == [1.0, 1.0]
+    with pytest.raises(ValueError, match=r"has a grid over a, b; allowed is one point"):
+        summarise(dataset, None)
+
+
+def test_the_best_point_has_the_largest_yield_first():
+    dataset = xr.concat([made_up([[1.0, 3, 9, 9]] * 3, [[0] * 4] * 3),
+                         made_up([[5.0, 4, 9, 9]] * 3, [[0] * 4] * 3)], "sample")  # fmt: skip
+    (best,) = best_points(dataset, 4.5)
+    assert (best.point["b"], best.yield_share) == (2, 1.0)
+
+
+def test_anything_as_a_grid_is_run_or_refused():
+    small = [x for x in HOSTILE if not (isinstance(x, int) and x > 1000)]
+    known = ("learning.lam", "plant.gain", "learning.lead", "trials", "learning.lam/trials")
+    keys = (*known, *known, "a", "", 3, None, (), ("learning.lam", "learning.rho"), (1,))
+
+    def attempt(rng):
+        one, two = pick(rng, small), pick(rng, small)
+        grid = {pick(rng, keys): pick(rng, (one, [one, two], {"x": one}, {1: PLAN}))}
+        dataclasses.replace(ONE, grid=one if rng.random() < 0.05 else grid)
+
+    fuzz(200, attempt)
