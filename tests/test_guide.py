@@ -3,6 +3,7 @@
 Their Python code passes type checkers as a user's script.
 """
 
+import dataclasses
 import importlib
 import os
 import re
@@ -16,6 +17,7 @@ import pytest
 from cases import CASES
 
 import jaxilc
+from jaxilc.scenarios.specification import HIDDEN, classes
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / ".ci" / "docs"
@@ -164,6 +166,18 @@ def test_the_file_that_init_writes_is_the_start_page_s_example():
     shown = re.findall(r"^```toml\n(.*?)^```$", (ROOT / "README.md").read_text(), re.M | re.S)
     assert tomllib.loads(written) == tomllib.loads(shown[0])
     assert max(map(len, written.splitlines())) <= 100
+
+
+def test_the_page_of_plant_files_has_every_class_and_field(monkeypatch, tmp_path):
+    monkeypatch.syspath_prepend(str(DOCS))
+    page = tmp_path / "plant_file.md"
+    importlib.import_module("plant_file").extend(page)
+    parts = page.read_text(encoding="utf-8").split("\n### ")[1:]
+    rows = {part.partition("\n")[0]: set(re.findall(r"^\| `(\w+)`", part, re.M)) for part in parts}
+    assert set(rows) == set(classes())
+    for name, cls in classes().items():
+        fields = {field.name for field in dataclasses.fields(cls) if field.init}
+        assert rows[name] == fields - set(HIDDEN), name
 
 
 def test_every_public_name_is_there():

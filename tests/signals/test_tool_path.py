@@ -159,6 +159,7 @@ REFUSED = {
     "line 1: I is no word of G1": "G1 X4 I5 F9",
     "line 1: X4 without G0": "X4",
     "line 1: G0 and G1 in one line": "G0 G1 X4 F9",
+    "line 2: M98 belongs to a call of another program": "G1 X4 F9\nM98 P100",
     "line 1: 'HELLO' is no word": "G1 X4 F9 hello",
     "line 2: G4 needs its duration": "G1 X4 F9\nG4",
     "line 1: X1e.10 leads beyond": "G1 X10000000000 F9",
