@@ -23,6 +23,7 @@ import output
 import scipy.fft
 import scipy.linalg
 import scipy.signal
+from conditions_under_attack import lifted
 
 import jaxilc
 from jaxilc import Actuator, Disturbance, Machine, Task
@@ -242,9 +243,8 @@ def truly_monotone(machines, task, law) -> np.ndarray:
     moved = np.any(np.concatenate([keep - np.eye(len(keep)), L], axis=1) != 0, axis=1)
     found = []
     for i in range(len(machines.plant.A)):
-        G = lifted(
-            *(np.asarray(M[i]) for M in (machines.plant.A, machines.plant.B, machines.plant.C))
-        )
+        plant = machines.plant
+        G = lifted(*(np.asarray(M[i]) for M in (plant.A, plant.B, plant.C)), SAMPLES)
         M = (keep - L @ G)[np.ix_(moved, moved)]
         error = (np.asarray(task.reference) - np.asarray(machines.disturbance.output[i]))[
             1:
@@ -253,19 +253,6 @@ def truly_monotone(machines, task, law) -> np.ndarray:
         true = np.linalg.norm(M, 2) < 1 or (kept and np.linalg.norm(np.eye(len(G)) - G @ L, 2) < 1)
         found.append(true and within_limits(machines.actuator, i, keep, L, G, error, channels))
     return np.array(found)
-
-
-def lifted(A, B, C):
-    """The lifted plant: the block Toeplitz matrix of C A^k B."""
-    x, markov = B, []
-    for _ in range(SAMPLES):
-        markov.append(C @ x)
-        x = A @ x
-    rows = [
-        [markov[i - j] if i >= j else np.zeros_like(markov[0]) for j in range(SAMPLES)]
-        for i in range(SAMPLES)
-    ]
-    return np.block(rows)
 
 
 def within_limits(actuator, i, keep, L, G, error, channels) -> bool:

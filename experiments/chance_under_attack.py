@@ -19,7 +19,8 @@ from collections import Counter
 import jax
 import numpy as np
 import output
-from certificates_under_attack import DT, SAMPLES, laws, lifted, matrices, plants
+from certificates_under_attack import DT, SAMPLES, laws, matrices, plants
+from conditions_under_attack import lifted
 
 import jaxilc
 from jaxilc import Disturbance, Machine, Task
@@ -133,7 +134,7 @@ def main(machines: int) -> None:
             found = certify_each(stacked, laws(1)[law], task, TRIALS)
             count = Counter()
             for i in range(each):
-                G = lifted(A[i], B[i], C[i])
+                G = lifted(A[i], B[i], C[i], SAMPLES)
                 with np.errstate(all="ignore"):
                     runs = runs_of(rng, G, d[i, :, 0], r, keep, L, hows[i])
                 claim, sense = str(found.claim[i]), str(found.sense[i])

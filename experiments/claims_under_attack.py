@@ -30,6 +30,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import output
+from conditions_under_attack import lifted
 from jax.flatten_util import ravel_pytree
 
 import jaxilc
@@ -150,16 +151,6 @@ def moved(rng, scheme):
 
 # What the oracles run
 # --------------------------------------------------------------------------------------------------
-
-
-def lifted(A, B, C, N: int) -> np.ndarray:
-    """The lifted plant (N n_y, N n_u): C A^(k-i) B."""
-    x, markov = B, []
-    for _ in range(N):
-        markov.append(C @ x)
-        x = A @ x
-    zero = np.zeros_like(markov[0])
-    return np.block([[markov[i - j] if i >= j else zero for j in range(N)] for i in range(N)])
 
 
 def p_type(scheme, task):

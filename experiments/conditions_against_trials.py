@@ -28,7 +28,7 @@ import numpy as np
 import output
 import scipy.linalg
 import scipy.signal
-from conditions_under_attack import DT, q_response, response, task_of
+from conditions_under_attack import DT, lifted, q_response, response, task_of
 
 import jaxilc
 from jaxilc import Machine, Task
@@ -116,20 +116,10 @@ def small_law(rng):
     )
 
 
-def toeplitz(plant, N):
-    A, B, C = plant
-    x, markov = B, []
-    for _ in range(N):
-        markov.append(C @ x)
-        x = A @ x
-    zero = np.zeros_like(markov[0])
-    return np.block([[markov[i - j] if i >= j else zero for j in range(N)] for i in range(N)])
-
-
 def map_of(scheme, gamma, lead, matrix, plant, N, D=None):
     """The dense learning matrix; D: the lifted factor 1 + W D of the plant."""
     channels = plant[1].shape[1]
-    G = toeplitz(plant, N) if D is None else toeplitz(plant, N) @ D
+    G = lifted(*plant, N) if D is None else lifted(*plant, N) @ D
     keep, L = matrix(N), gamma * np.eye(N, k=lead)
     if isinstance(scheme, PIDType):  # a leak forgets what was played, not what is learned
         return np.kron(keep, np.eye(channels)) - np.kron(L, np.eye(channels)) @ G
@@ -157,12 +147,10 @@ class Counted:
         self.counts["claimed"] += condition.holds
         self.counts["wrong"] += bool(condition.holds and wrong)
         self.counts["value too low"] += bool(low)
-        below = condition.value < condition.limit if hasattr(condition, "limit") else None
         if not condition.holds:
             self.counts["fails" if condition.verdict == "fails" else "abstained"] += 1
             if condition.verdict != "fails":
                 self.why.update([condition.broken[0].name])
-        return below
 
     def row(self):
         names = ("tried", "claimed", "wrong", "value too low", "fails", "abstained")

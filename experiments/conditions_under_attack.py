@@ -66,19 +66,21 @@ def q_response(cutoff, f):
 
 def radius(plant, law: Filtered, samples: int) -> float:
     """Spectral radius of Q (I - L G), for P-type with a lead and a filter with mirrored ends."""
-    A, B, C = plant
-    markov = np.array([(C @ x)[0, 0] for x in _powers(A, B, samples)])
-    G = scipy.linalg.toeplitz(markov, np.zeros(samples))
+    G = lifted(*plant, samples)
     response = q_response(float(law.filter.cutoff), np.arange(samples) / (2 * samples * DT))
     Q = scipy.fft.idct(response[:, None] * scipy.fft.dct(np.eye(samples), axis=0), axis=0)
     L = float(law.scheme.gamma_p) * np.eye(samples, k=law.scheme.lead)
     return float(np.max(np.abs(np.linalg.eigvals(Q @ (np.eye(samples) - L @ G)))))
 
 
-def _powers(A, x, count):
-    for _ in range(count):
-        yield x
+def lifted(A, B, C, samples: int) -> np.ndarray:
+    """The lifted plant (samples n_y, samples n_u): the block Toeplitz matrix of C A^k B."""
+    x, markov = B, []
+    for _ in range(samples):
+        markov.append(C @ x)
         x = A @ x
+    zero, each = np.zeros_like(markov[0]), range(samples)
+    return np.block([[markov[i - j] if i >= j else zero for j in each] for i in each])
 
 
 def norm_optimal(rng, count=120) -> dict:

@@ -131,8 +131,9 @@ def _found() -> tuple[Known | None, str | None]:
     except Exception as error:  # another version of JAX may raise any error
         reason = f"{type(error).__name__}: {error}"
         warnings.warn(
-            f"jaxilc does not know how JAX {jax.__version__} lays out arrays ({reason}); results "
-            "stay the same, and loops over many machines run slower",
+            f"jaxilc does not know how JAX {jax.__version__} lays out arrays ({reason}); loops "
+            "over many machines run slower, and second derivatives in reverse mode lose a part. "
+            "All other results stay the same",
             RuntimeWarning,
             stacklevel=2,
         )

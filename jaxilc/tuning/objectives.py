@@ -249,8 +249,9 @@ class Contraction(Objective):
         max(0, log(sigma / below)),     sigma = sup |e_{j+n}| / |e_j|
 
     The supremum is over all small changes of the error (`theory.contraction.error_map`). Its slope
-    is that of |J v| at the singular vector v of the Lanczos iteration, d sigma = u^T dJ v. Raises
-    ValueError for a scheme without second derivatives.
+    is that of |J v| at the singular vector v of the Lanczos iteration, d sigma = u^T dJ v. There is
+    no second derivative by the weights, since v counts as constant. Raises ValueError for a scheme
+    without second derivatives.
 
     below: upper limit for sigma
     trials: n
