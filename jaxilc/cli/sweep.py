@@ -190,8 +190,7 @@ def _finish(found: _Found, swept: Swept, json_file: Path | None, report: Path | 
     axes = figures.error_band(dataset, summary=summary, **in_figures)
     paths = [figures.save(axes, store.parent / "error-band.png")]
     if any(size > 1 for size in sizes.values()):
-        drawn = figures.grid_map(whole, best=best, **in_figures)
-        paths.insert(0, figures.save(drawn, store.parent / "grid.png"))
+        paths = [*_maps(found, whole, best, in_figures), *paths]
     page = command_report(
         report,
         "sweep",
@@ -205,6 +204,27 @@ def _finish(found: _Found, swept: Swept, json_file: Path | None, report: Path | 
     )
     numbers |= {"sample_steps": steps, "seconds": seconds}
     written([*paths, *page, store], json_file, numbers, verdict)
+
+
+def _maps(found: _Found, whole: xr.Dataset, best: list[BestPoint], in_figures) -> list[Path]:
+    """The figures of a grid, with the scenario's own point, before and after what was asked."""
+    from .. import figures
+    from ..sweeps.grid import values_at
+    from ..sweeps.summary import axes_of
+    from .asked import chosen_scenario
+
+    asked, axes = found.asked, axes_of(whole)
+    own = chosen_scenario(asked.source, list(asked.schemes), asked.trials, None, None)
+    marks = {own.name: values_at(axes, own)}
+    if (changed := values_at(axes, found.chosen)) != marks[own.name]:
+        marks["as asked"] = changed
+    shows = {"grid": "high", "grid-best-trial": "best_trial"}
+    shows |= {"grid-yield": "yield"} if found.tolerance else {}
+    paths = []
+    for name, number in shows.items():
+        drawn = figures.grid_map(whole, shows=number, best=best, marks=marks, **in_figures)
+        paths.append(figures.save(drawn, found.store.parent / f"{name}.png"))
+    return paths
 
 
 def _first(best: Sequence[BestPoint]) -> BestPoint:

@@ -1,7 +1,8 @@
-"""A grid at a glance: the error over two axes as a map, or against the only axis as a band."""
+"""A grid at a glance: a number of its points over two axes as a map, or over one as a line."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,67 +16,146 @@ if TYPE_CHECKING:
 
 WIDE = 20.0  # ratio of the ends of an axis from which on it is logarithmic
 COLOUR_MAP = "viridis_r"  # dark is a large error
+MOST_PANELS = 5  # of a third axis
+MARKS = "oXsDP"
+QUANTILES = {"high": 0.95, "median": 0.5, "worst": 1.0}
+SHOWN = {
+    "high": "95 % {} of the last trial",
+    "median": "median {} of the last trial",
+    "worst": "worst {} of the last trial",
+    "yield": "share of machines within the tolerance",
+    "best_trial": "trial of the least {}, median",
+    "diverged": "share of machines that diverge",
+}
 
 
 def grid_map(
     dataset: xr.Dataset,
     *,
+    shows: str = "high",
     metric: str = "settled_error",
     tolerance: float | None = None,
     scale: float = 1.0,
     unit: str = "",
     best: list[BestPoint] | None = None,
+    marks: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> np.ndarray:
-    """A sweep over a grid: a panel for each scheme, with the error of the last trial at each point.
+    """A sweep over a grid: a number of each point, in a panel for each scheme.
 
-    The two axes with most values make a map of the 95 % quantile over the machines, a single one a
-    line of the median with the band of 5 to 95 %; all others are as at the best point, which has a
-    star. On a map a line encloses the points at which a machine diverges, and it is blank where
-    more than 5 % do; beside a line these points are grey.
+    The two axes with most values make a map, a single one a line; beside the line of an error is
+    the band of 5 to 95 %. Each value of a third axis has a panel, up to five of them, among which
+    are its ends and that of the best point. All further axes are as at the best point, which has a
+    star. On a map a line encloses the points at which a machine diverges, and an infinite error is
+    blank; beside a line these points are grey.
 
     dataset: over (scheme, axes of the grid, sample, trial)
+    shows: `high`, `median` or `worst`, a quantile over the machines of the error of the last trial;
+        `yield`, the share of machines within the tolerance; `best_trial`, the trial of the least
+        error, in the median; `diverged`, the share of machines that diverge
     metric, tolerance, scale, unit: as for `error_band`
     best: what `best_points` gives for this dataset, metric and tolerance, None to have it computed
-    Raises ValueError for a dataset without an axis of several values.
+    marks: named points beside the star, each as values of axes by name, in the panel that is
+        nearest in the third axis; a point without a value of a drawn axis is left out
+    Returns the panels, scheme by scheme.
+    Raises ValueError for a dataset without an axis of several values, for a number that is not
+    known, and for a yield without a tolerance.
     """
     from ..sweeps.points import best_points, last_errors
     from ..sweeps.summary import axes_of
 
-    several = sorted(axes_of(dataset), key=lambda axis: -dataset.sizes[axis])[:2]
-    several = [axis for axis in axes_of(dataset) if axis in several and dataset.sizes[axis] > 1]
-    if not several:
+    if shows not in SHOWN:
+        raise ValueError(f"grid_map: shows = {shows!r} is not one of {', '.join(SHOWN)}")
+    if shows == "yield" and tolerance is None:
+        raise ValueError("grid_map: shows = 'yield' needs a tolerance, and it is None")
+    by_size = sorted(axes_of(dataset), key=lambda axis: -dataset.sizes[axis])
+    by_size = [axis for axis in by_size if dataset.sizes[axis] > 1]
+    if not by_size:
         raise ValueError("grid_map: the dataset has no axis of a grid with several values")
-    dataset = dataset.sortby([axis for axis in several if dataset[axis].dtype.kind in "fi"])
+    drawn = [axis for axis in axes_of(dataset) if axis in by_size[:2]]
+    dataset = dataset.sortby([axis for axis in by_size if dataset[axis].dtype.kind in "fi"])
     best = best_points(dataset, tolerance, metric=metric) if best is None else best
-    errors, lost = last_errors(dataset, metric), (dataset["diverged_at"] > 0).any("sample")
-    size = (1.4 + 3.4 * len(best), 3.4)
-    panels = np.ravel(new_axes(None, 1, len(best), size=size, sharey=True))
-    limits = limits_of(scale * errors.values, pad=1.2)
-    for i, (of, ax) in enumerate(zip(best, panels, strict=True)):
-        others = {axis: at for axis, at in of.point.items() if axis not in several}
-        here, gone = (x.sel(scheme=of.scheme, **others) for x in (errors, lost))
-        places = [_placed(ax, way, dataset[axis]) for way, axis in zip("xy", several, strict=False)]
-        at = [_place(dataset[axis], of.point[axis]) for axis in several]
-        drawn = _map if len(several) == 2 else _line
-        drawn(ax, places, at, scale * here.values, gone.values, limits, style_of(i))
-        ax.set_title(of.scheme, fontsize="medium")
-        ax.set_xlabel(_called(dataset[several[0]]))
-    called = labelled(f"{metric} of the last trial", unit)
-    if len(several) == 2:
-        panels[0].figure.colorbar(panels[-1].collections[0], ax=[*panels], label=f"95 % {called}")
-    panels[0].set_ylabel(_called(dataset[several[1]]) if len(several) == 2 else called)
-    return panels
+    errors, of_error = scale * last_errors(dataset, metric), shows in QUANTILES
+    numbers = _numbers(dataset, errors, shows, metric, tolerance, scale)
+    lost = (dataset["diverged_at"] > 0).any("sample")
+    limits = limits_of(errors.values, pad=1.2) if of_error else None
+    norm = _norm(limits, (1, dataset.sizes["trial"]) if shows == "best_trial" else (0, 1))
+    panels = [(of, at) for of in best for at in _beside(dataset, by_size[2:], of)]
+    columns = len(panels) // len(best)
+    shape = (len(best), columns) if columns > 1 else (1, len(best))
+    size = (1.4 + 3.4 * shape[1], 0.4 + 3.0 * shape[0])
+    axes = np.ravel(new_axes(None, *shape, size=size, sharex=True, sharey=True, squeeze=False))
+    for i, ((of, at), ax) in enumerate(zip(panels, axes, strict=True)):
+        point = {axis: x for axis, x in (of.point | at).items() if axis not in drawn}
+        here, members, gone = (
+            x.sel(scheme=of.scheme, **point).values for x in (numbers, errors, lost)
+        )
+        places = [_placed(ax, way, dataset[axis]) for way, axis in zip("xy", drawn, strict=False)]
+        if len(drawn) == 2:
+            _map(ax, places, here, gone, norm)
+        else:
+            _line(ax, *places, here, members if of_error else None, gone, limits, i // columns)
+        labels = [dataset[axis] for axis in drawn]
+        if at.items() <= of.point.items():
+            _mark(ax, "best", "*", labels, of.point, here)
+        for (name, mark), sign in zip((marks or {}).items(), MARKS, strict=False):
+            if _nearest(mark, [other for one, other in panels if one is of], at):
+                _mark(ax, name, sign, labels, mark, here)
+        beside = (f"{k} = {v:.4g}" if isinstance(v, float) else f"{k} = {v}" for k, v in at.items())
+        ax.set_title(", ".join([of.scheme, *beside]), fontsize="medium")
+        ax.set_xlabel(_called(dataset[drawn[0]]))
+    called = labelled(SHOWN[shows].format(metric), unit if of_error else "")
+    if len(drawn) == 2:
+        axes[0].figure.colorbar(axes[-1].collections[0], ax=[*axes], label=called)
+    for ax in axes[:: shape[1]]:
+        ax.set_ylabel(_called(dataset[drawn[1]]) if len(drawn) == 2 else called)
+    if marks:
+        signs = {x.get_label(): x for ax in axes for x in ax.lines if x.get_marker() != "None"}
+        axes[0].legend(signs.values(), signs.keys(), fontsize="small")
+    return axes
+
+
+def _numbers(dataset, errors, shows, metric, tolerance, scale) -> xr.DataArray:
+    """(scheme, axes) what is shown of each point; a quantile of errors may be infinite."""
+    from ..sweeps.summary import errors_of
+
+    if shows == "yield":
+        return (errors <= scale * tolerance).mean("sample")
+    if shows == "diverged":
+        return (dataset["diverged_at"] > 0).mean("sample")
+    if shows == "best_trial":
+        return (1 + errors_of(dataset, metric).argmin("trial")).median("sample")
+    found = np.quantile(errors.values, QUANTILES[shows], axis=-1, method="inverted_cdf")
+    return errors.isel(sample=0, drop=True).copy(data=found)
+
+
+def _beside(dataset: xr.Dataset, axes: list[str], of: BestPoint) -> list[dict[str, Any]]:
+    """The values of a third axis that have a panel of their own; an empty one if there is none."""
+    if not axes:
+        return [{}]
+    values = dataset[axes[0]].values.tolist()
+    best = values.index(of.point[axes[0]])
+    spread = np.linspace(0, len(values) - 1, min(MOST_PANELS, len(values))).round().astype(int)
+    if best not in spread:
+        inner = np.argmin(np.abs(spread[1:-1] - best)) + 1
+        spread[inner] = best
+    return [{axes[0]: values[i]} for i in spread]
+
+
+def _nearest(mark: Mapping[str, Any], panels: list[dict[str, Any]], at: dict[str, Any]) -> bool:
+    """Whether of these panels that at a value of the third axis is nearest to a point."""
+    for axis, here in at.items():
+        if axis in mark and mark[axis] != here:
+            others = [panel[axis] for panel in panels]
+            if isinstance(here, str) or isinstance(mark[axis], str) or mark[axis] in others:
+                return False
+            return here == min(others, key=lambda x: abs(x - mark[axis]))
+    return True
 
 
 def _called(labels: xr.DataArray) -> str:
     """The path of an axis, as it was given, with its unit."""
     unit = labels.attrs.get("units", "")
     return f"{labels.name} [{unit}]" if unit else str(labels.name)
-
-
-def _place(labels: xr.DataArray, value: Any) -> float:
-    """Where a value stands along an axis: at itself, or at its number if it is text."""
-    return value if labels.dtype.kind in "fi" else labels.values.tolist().index(value)
 
 
 def _placed(ax: Any, way: str, labels: xr.DataArray) -> np.ndarray:
@@ -89,27 +169,50 @@ def _placed(ax: Any, way: str, labels: xr.DataArray) -> np.ndarray:
     return numbers
 
 
-def _map(ax: Any, places, at, errors, lost, limits, style) -> None:
-    from matplotlib.colors import LogNorm
+def _place(labels: xr.DataArray, value: Any) -> float:
+    """Where a value stands along an axis: at itself, at its number if it is text; NaN off it."""
+    if labels.dtype.kind in "fi" and not isinstance(value, str):
+        return value if labels.values.min() <= value <= labels.values.max() else np.nan
+    known = labels.values.tolist()
+    return known.index(value) if value in known else np.nan
 
-    high = np.quantile(errors, 0.95, axis=-1, method="inverted_cdf")
-    shown = np.ma.masked_invalid(high).T
-    norm = LogNorm(*limits) if limits else None
-    ax.pcolormesh(*places, shown, shading="nearest", cmap=COLOUR_MAP, norm=norm)
+
+def _mark(ax: Any, name: str, sign: str, labels: list[xr.DataArray], point, here) -> None:
+    """A point with its name, if it is known and lies within the axes; on a line at its height."""
+    at = [_place(of, point[of.name]) for of in labels if of.name in point]
+    if len(at) < len(labels) or not np.all(np.isfinite(at)):
+        return
+    if len(at) == 1:
+        x = labels[0].values if labels[0].dtype.kind in "fi" else np.arange(labels[0].size)
+        at.append(np.interp(at[0], x, here))
+    size = 11 if sign == "*" else 7
+    ax.plot(*at, sign, color="white", mec="black", ms=size, label=name, zorder=5)
+
+
+def _norm(limits: tuple[float, float] | None, otherwise: tuple[int, int]) -> Any:
+    """The scale of the colours, one for all panels: logarithmic where there are such limits."""
+    from matplotlib.colors import LogNorm, Normalize
+
+    return LogNorm(*limits) if limits else Normalize(*otherwise)
+
+
+def _map(ax: Any, places, here, lost, norm) -> None:
+    finite = np.ma.masked_invalid(here).T
+    ax.pcolormesh(*places, finite, shading="nearest", cmap=COLOUR_MAP, norm=norm)
     if lost.any() and not lost.all():
         ax.contour(*places, lost.T, levels=[0.5], colors="black", linewidths=1.0)
-    ax.plot(*at, "*", color="white", mec="black", ms=11)
 
 
-def _line(ax: Any, places, at, errors, lost, limits, style) -> None:
-    (x,) = places
-    low, median, high = np.quantile(errors, (0.05, 0.5, 0.95), axis=-1, method="inverted_cdf")
-    ax.set_yscale("log")
-    ax.fill_between(x, low, high, color=style["color"], alpha=0.25, lw=0)
-    ax.plot(x, median, **style)
+def _line(ax: Any, x, here, errors, lost, limits, number: int) -> None:
+    """errors: (x, sample) those whose band is drawn, None for a number without one."""
+    style = style_of(number)
+    if errors is not None:
+        low, high = np.quantile(errors, (0.05, 0.95), axis=-1, method="inverted_cdf")
+        ax.set_yscale("log")
+        ax.fill_between(x, low, high, color=style["color"], alpha=0.25, lw=0)
+    ax.plot(x, here, **style)
     edges = np.concatenate([x[:1], (x[1:] + x[:-1]) / 2, x[-1:]])
     for j in np.flatnonzero(lost):
         ax.axvspan(edges[j], edges[j + 1], color="0.88", lw=0, zorder=0)
-    ax.plot(at, high[x == at], "*", color=style["color"], mec="black", ms=11)
     ax.set_ylim(limits)
     grid(ax)

@@ -14,7 +14,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
 from functools import cached_property
 from itertools import combinations, product
@@ -270,6 +270,20 @@ def grid_of(given: Any, machine, schemes: Mapping[str, Scheme], task: Task) -> G
         raise ValueError(f"grid: a scheme is called {name}, as what is no scheme is; rename it")
     objects = {"machine": machine, "task": task, **schemes}
     return Grid(tuple(_axis(key, values, objects) for key, values in given.items()))
+
+
+def values_at(names: Collection[str], of: Any) -> dict[str, Any]:
+    """The values that axes of these names have in a machine, its schemes, task and trials.
+
+    of: what has these, such as a scenario; a name that is no number or field of it is left out
+    """
+    objects, found = {"machine": of.machine, "task": of.task, **of.schemes}, {}
+    for name in names:
+        with suppress(KeyError, ValueError):
+            at = _canonical(name, objects)
+            value = of.trials if at == TRIALS else get_at(*_in(at, objects))
+            found[name] = _labels([np.asarray(value).tolist()]).tolist()[0]
+    return found
 
 
 def unfolded(flat: xr.Dataset, of: Mapping[str, Any]) -> xr.Dataset:

@@ -36,14 +36,67 @@ def test_a_map_has_the_error_of_each_point_and_a_star_at_the_best():
 
 def test_a_single_axis_is_a_line_with_a_band():
     (ax,) = figures.grid_map(dataset_of([[4.0], [1.0], [np.inf]], ["p"]), metric="rms")
-    median, star = ax.lines
-    np.testing.assert_allclose(median.get_ydata(), [0.8, np.inf, 3.2])
+    high, star = ax.lines
+    np.testing.assert_allclose(high.get_ydata(), [1.0, np.inf, 4.0])
     assert (list(star.get_xdata()), list(star.get_ydata())) == ([0.1], [1.0])
     assert len(ax.patches) == 1  # the value at which machines diverge
+
+
+@pytest.mark.parametrize(
+    ("shows", "expected"),
+    [
+        ("median", [[0.8, 3.2], [1.6, np.inf]]),
+        ("worst", [[1, 4], [2, np.inf]]),
+        ("yield", [[1, 0], [2 / 3, 0]]),
+        ("best_trial", [[2, 1], [1, 1]]),
+        ("diverged", [[0, 0], [0, 1]]),
+    ],
+)
+def test_a_map_shows_other_numbers_of_each_point(shows, expected):
+    dataset = dataset_of([[2.0, np.inf], [1.0, 4.0]], ["p", "q"])
+    (ax,) = figures.grid_map(dataset, shows=shows, metric="rms", tolerance=1.9)
+    shown = ax.collections[0].get_array().filled(np.inf)
+    np.testing.assert_allclose(shown[:, ::-1].T, np.array(expected)[::-1])
+
+
+def test_a_third_axis_has_panels_and_marks_stand_where_they_are():
+    """The least error is at (2, 5, 4); of the eight values of c five have a panel, 4 among them."""
+    of = {name: np.arange(float(count)) for name, count in (("a", 9), ("b", 10), ("c", 8))}
+    at = np.meshgrid(*of.values(), indexing="ij")
+    error = sum((x - best) ** 2 for x, best in zip(at, (2, 5, 4), strict=True)) + 1.0
+    dims = ("scheme", *of, "sample", "trial")
+    rms = error[None, ..., None, None] * np.ones((1, 9, 10, 8, 3, 2))
+    dataset = xr.Dataset(
+        {
+            "rms": (dims, rms),
+            "finite": (dims, np.isfinite(rms)),
+            "diverged_at": (dims[:-1], np.zeros(rms.shape[:-1], int)),
+        },
+        {"scheme": ["law"], **of},
+    )
+    marks = {
+        "printed": {"a": 7.0, "b": 2.5, "c": 1.9},
+        "off": {"a": 100.0, "b": 1.0},
+        "half": {"a": 1.0},
+    }
+    panels = figures.grid_map(dataset, metric="rms", marks=marks)
+    names = [text.get_text() for text in panels[0].get_legend().get_texts()]
+    assert sorted(names) == ["best", "printed"]
+    assert [ax.get_title() for ax in panels] == [f"law, c = {c}" for c in (0, 2, 4, 5, 7)]
+    for c, ax in zip((0, 2, 4, 5, 7), panels, strict=True):
+        found = {x.get_label(): (x.get_xdata()[0], x.get_ydata()[0]) for x in ax.lines}
+        assert found == {2: {"printed": (7.0, 2.5)}, 4: {"best": (2.0, 5.0)}}.get(c, {})
+        shown = ax.collections[0].get_array()
+        np.testing.assert_allclose(shown, error[:, :, c].T)
 
 
 def test_what_has_no_axis_is_refused():
     with pytest.raises(ValueError, match="no axis of a grid with several values"):
         figures.grid_map(dataset_of([[1.0]], ["p"]), metric="rms")
+    grid = dataset_of([[1.0, 2.0]], ["p", "q"])
+    with pytest.raises(ValueError, match="shows = 'least' is not one of high, median"):
+        figures.grid_map(grid, shows="least", metric="rms")
+    with pytest.raises(ValueError, match="shows = 'yield' needs a tolerance, and it is None"):
+        figures.grid_map(grid, shows="yield", metric="rms")
     with pytest.raises(ValueError, match=r"has a grid over a, b; allowed is one point"):
         figures.error_band(dataset_of([[1.0, 2.0]], ["p", "q"]), metric="rms")
