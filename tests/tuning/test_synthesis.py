@@ -46,8 +46,13 @@ def test_the_margin_is_kept_on_every_line_by_every_plant():
 
 def test_a_narrower_margin_loses_less_of_the_band():
     pytest.importorskip("cvxpy", reason="needs CVXPY: pip install 'jaxilc[synthesis]'")
-    losses = [synthesised([lines()], band=80.0, margin=m, taps=15).loss for m in (0.7, 0.4)]
-    assert losses[1] < losses[0]
+    s, resonances = 2j * np.pi * F, 2 * np.pi * np.array([[48.0], [72.0]])
+    P = np.exp(-s * DT) / (1 + 0.4 * s / resonances + (s / resonances) ** 2)
+    two = Lines(F, P, 0 * np.abs(P), ONE, ONE, DT)
+    wide, narrow = (synthesised([two], band=80.0, margin=m, taps=31) for m in (0.7, 0.5))
+    assert 0.299 - 1e-6 < wide.peak < 0.3  # the margin decides
+    assert 0.499 - 1e-6 < narrow.peak < 0.5
+    assert narrow.loss < 0.6 * wide.loss
 
 
 def test_beyond_the_last_line_the_plant_may_be_any_that_is_no_larger():
