@@ -89,13 +89,13 @@ def tell(found: Mapping[str, xr.DataArray]) -> None:
     print(f"the error falls at {float(falls.mean()):.1%} of the points")
     for name in LINES:
         below = found[name] < 1
-        among = float(falls.where(below).mean())
-        print(
-            f"{name} < 1 at {float(below.mean()):.1%} of the points; the error falls at {among:.1%}"
-            f" of these, and at {float(falls.where(~below).mean()):.1%} of the others"
-        )
+        for words, where in ((f"{name} < 1", below), (f"{name} >= 1", ~below)):
+            print(f"{words} at {float(where.mean()):.1%} of the points")
+            if where.any():
+                print(f"    the error falls at {float(falls.where(where).mean()):.1%} of these")
     ratio = (found["contraction"] / found["d2"]).where(found["claimed"] == 1)
-    print(f"where d2 is claimed, the observed factor is {float(ratio.median()):.3g} of it (median)")
+    if ratio.notnull().any():
+        print(f"where d2 is claimed, the observed factor is {float(ratio.median()):.3g} of it")
     for name in (*PREMISES, "claimed_and_broken"):
         print(f"{name}: on {float(found[name].mean()):.1%} of the machines")
     print(f"left out by the window: {float(found['left_out'].median()):.3%} in the median")
@@ -115,10 +115,12 @@ def draw(path, found: Mapping[str, xr.DataArray]) -> None:
         ax.plot([], [], dashes, color=colour, label=label)
         if least < 1 < most:
             ax.contour(lam, gain, maps[name], [1.0], colors=colour, linestyles=dashes)
+    at = (np.sqrt(lam[0] * lam[-1]), np.sqrt(gain[0] * gain[-1]))  # the axes are around it
+    ax.plot(*at, "o", color="white", mec="black", label="as printed")
     ax.set(xscale="log", yscale="log", xlabel="weight lam", ylabel="gain of the plant")
     ax.set_title("change of the error in a trial, median of the machines", fontsize="medium")
     ax.figure.colorbar(mesh, ax=ax, label="|e| of a trial over that of the trial before")
-    ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=3, fontsize="small")
+    ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=4, fontsize="small")
     save(ax, path)
 
 

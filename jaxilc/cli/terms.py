@@ -6,14 +6,18 @@ For example, `final:20 + 0.3*final@max_error` is an objective, `cvar:0.9` is a r
 
 from __future__ import annotations
 
+import math
 import re
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from ..pytree.closest import closest
 
 if TYPE_CHECKING:
     from ..tuning.objectives import Objective
+    from ..tuning.problem import Tuning
     from ..tuning.risks import Risk
+    from ..tuning.weights import Tuned
 
 TERMS = (
     "final[:trial]",
@@ -26,6 +30,7 @@ TERMS = (
 )
 OBJECTIVES = ", ".join((*TERMS, "contraction[:sigma]", "d2[:limit]"))
 LIMITED, STRICT = ("d2", "contraction"), 100  # what can be limited, and the weight of the penalty
+ROUNDING = 1e-9  # by which a limit may be exceeded, relatively
 RISKS = "mean, worst, cvar[:alpha], smooth-max[:temperature]"
 
 
@@ -69,14 +74,34 @@ def with_limits(objective: str, limits: list[str] | None) -> str:
 
     Raises ValueError for a text that is not NAME=NUMBER, or a name that cannot be limited.
     """
-    for limit in limits or []:
+    for name, largest in _limits(limits):
+        objective += f" + {STRICT}*{name}:{largest:.17g}"
+    return objective
+
+
+def limits_not_met(problem: Tuning, tuned: Tuned, limits: list[str] | None) -> list[str]:
+    """A sentence for each limit that the nominal machine exceeds with the tuned weights."""
+    said = []
+    for name, largest in _limits(limits):
+        term = objective_of(f"{name}:{largest:.17g}", "rms", 1.0)
+        above = float(problem.loss_of(problem.machine, tuned.values, term))
+        if above > ROUNDING:
+            found = largest * math.exp(above)
+            said.append(
+                f"the limit is not met: the nominal machine has {name} = {found:.6g}, and allowed "
+                f"was {largest:g}"
+            )
+    return said
+
+
+def _limits(given: list[str] | None) -> Iterator[tuple[str, float]]:
+    for limit in given or []:
         name, equals, number = (part.strip() for part in limit.partition("="))
         if not equals:
             raise ValueError(f"--limit {limit!r} is not NAME=NUMBER")
         if name not in LIMITED:
             raise ValueError(_unknown(f"--limit: {name!r}", name, ", ".join(LIMITED)))
-        objective += f" + {STRICT}*{name}:{_positive(name, number):.17g}"
-    return objective
+        yield name, _positive(name, number)
 
 
 def risk_of(text: str) -> Risk:

@@ -95,7 +95,7 @@ def tune(
     --set cfdl-mfailc.lead=3 --objective holding:20
     """
     from .progress import run_tuning, thread_for_later, tuning_bar
-    from .terms import with_limits
+    from .terms import limits_not_met, with_limits
 
     with tuning_bar(steps) as told:
         from .asked import begin, chosen_scenario, objective_asked, tuning_problem
@@ -133,7 +133,7 @@ def tune(
         dataset = problem.compare(tuned, trials=compare_trials, machines=unseen)
     asked = Asked(scenario, (scheme,), tuple(set_ or ()), params, trials, spread)
     options = {"weights": weights, "objective": objective, "risk": risk}
-    found = _Found(chosen, scheme, problem, tuned, dataset)
+    found = _Found(chosen, scheme, problem, tuned, dataset, limits_not_met(problem, tuned, limit))
     _finish(found, asked, folder, json_file, report, options)
 
 
@@ -143,6 +143,7 @@ class _Found(NamedTuple):
     chosen: the scenario, with the scheme of this name
     problem, tuned: what was solved, and its result
     dataset: result of `Tuning.compare`
+    not_met: sentences on limits that the weights exceed
     """
 
     chosen: Scenario
@@ -150,6 +151,7 @@ class _Found(NamedTuple):
     problem: Tuning
     tuned: Tuned
     dataset: xr.Dataset
+    not_met: list[str]
 
 
 def _finish(
@@ -171,10 +173,11 @@ def _finish(
     from .verdicts.case import Case
     from .verdicts.tuning import tune_verdict
 
-    chosen, scheme, problem, tuned, dataset = found
+    chosen, scheme, problem, tuned, dataset, not_met = found
     numbers = tuning_numbers(chosen, scheme, tuned, dataset)
     shown = tuning_tables(chosen, numbers)
     result, warnings = tuning_lines(tuned, numbers)
+    warnings += not_met
     show(shown, [result])
     for line in warnings:
         err.print(line, highlight=False)

@@ -17,8 +17,10 @@ import jaxilc
 from jaxilc import figures
 from jaxilc.cli import main
 from jaxilc.cli.tables import number
-from jaxilc.cli.terms import objective_of, risk_of, with_limits
+from jaxilc.cli.terms import limits_not_met, objective_of, risk_of, with_limits
+from jaxilc.plants import StateSpace
 from jaxilc.scenarios.parameters import differing, with_parameters, write_parameters
+from jaxilc.schemes import CFDLMFAILC
 from jaxilc.tuning import Tuning, monte_carlo_search, pareto
 from jaxilc.tuning import states as of_tuning
 from jaxilc.tuning.objectives import (
@@ -444,6 +446,17 @@ def test_worst_case_prints_machines_that_can_be_rebuilt(scenario, tmp_path):
 )
 def test_objectives_are_what_they_say(text, terms):
     assert objective_of(text, "rms", 1e3).terms == terms
+
+
+def test_a_limit_that_the_tuned_weights_exceed_is_told():
+    """On a static plant of 2 with phi = 2, d2 = 1 - 2^2 / (lam + 2^2) = 0.8 at lam = 16."""
+    plant, law = StateSpace([[0.0]], [[1.0]], [[2.0]], dt=1e-3), CFDLMFAILC(phi0=2.0, rho=1.0)
+    task = jaxilc.Task(np.sin(np.linspace(0, 6, 21)), dt=1e-3)
+    problem = Tuning(jaxilc.Machine(plant), law, task, 2, weights=["lam"], objective=Final("rms"))
+    tuned = mock.Mock(values={"lam": 16.0})
+    (said,) = limits_not_met(problem, tuned, ["d2=0.5", "d2=0.80001", "contraction = 2"])
+    assert "the nominal machine has d2 = 0.8, and allowed was 0.5" in said
+    assert limits_not_met(problem, tuned, None) == []
 
 
 def test_risks_are_what_they_say():

@@ -1,0 +1,143 @@
+"""The papers' advice on their parameters, on a grid around the printed numbers.
+
+Each row is one sentence of a paper about one number, and what the simulation does where this number
+alone is multiplied by the factors of `FACTORS`, with the nominal machine of the scenario. `error`
+is the metric of the scenario in the last trial, in its unit, and `last / best` how far the error
+has grown again above its best trial. What is said counts as seen
+
+    lively          the error at the largest factor is more than 10 times the printed one
+    alike           half and twice the number, if allowed, change the error by less than 10 %
+    falls           the error does so at each step from a quarter to 4 times
+    diverges more   `last / best` grows from each factor to the next, where it is above 1
+    stays           `last / best` is 1 at each factor
+    slower          the error of trial 2 grows at each step from a quarter to 4 times
+
+    python experiments/advice_on_grids.py
+
+Writes rows.csv and a line for each number as a figure to out/experiments/advice_on_grids.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import output
+
+import jaxilc
+from jaxilc.pytree.named_paths import get_at, interval_at
+from jaxilc.sweeps.summary import errors_of
+
+FACTORS = np.array([0.25, 0.5, 0.9, 1.0, 1.1, 2.0, 4.0])
+
+
+class Advice(NamedTuple):
+    """What a paper says of a number.
+
+    path: the number, with its scheme before it
+    said: the sentence, as printed or in short
+    rule: how it is judged, see the docstring of this module
+    given: options of the scenario
+    """
+
+    scenario: str
+    path: str
+    said: str
+    rule: str
+    given: dict[str, str] = {}  # noqa: RUF012
+
+
+ADVICE = (
+    Advice("cao-2019", "cfdl-mfailc.lam",
+           "should not be too large, which will cause violent vibration", "lively"),
+    Advice("cao-2019", "cfdl-mfailc.phi0",
+           "too large, it will also cause violent oscillation", "lively"),
+    *(Advice("cao-2019", f"cfdl-mfailc.{name}", "has little effect on the error",
+             "alike") for name in ("mu", "eta", "rho")),
+    Advice("dai-2014", "cfdl-mfapc.lam",
+           "performance is very insensitive to the variation of lambda", "alike",
+           {"plant": "printed"}),
+    Advice("li-2020", "p-type.feedback.kp",
+           "the larger the position loop, the more divergent the error",
+           "diverges more"),
+    Advice("li-2020", "fixed-filter.learning.filter.cutoff",
+           "a filter removes what makes the error diverge", "stays"),
+    Advice("xu-2024", "asmc.phi", "the larger phi, the faster the adaptation",
+           "falls"),
+    Advice("milc-2024", "milc.learning.w_r",
+           "a smaller W_r: more sensitive to the error of the trial before", "slower"),
+    Advice("milc-2024", "milc.learning.w_s", "a larger W_s slows down convergence",
+           "slower"),
+)  # fmt: skip
+
+
+def errors_at(advice: Advice) -> tuple[np.ndarray, str]:
+    """(factors, trials) the metric of the scenario in its unit, and this unit.
+
+    NaN at factors with which the number would leave its range.
+    """
+    chosen = jaxilc.scenarios.load(advice.scenario, **advice.given)
+    scheme, _, path = advice.path.partition(".")
+    printed = float(get_at(chosen.schemes[scheme], path))
+    allowed = interval_at(chosen.schemes[scheme], path)
+    inside = [i for i, x in enumerate(printed * FACTORS) if allowed is None or allowed.contains(x)]
+    sweep = jaxilc.Sweep(
+        chosen.machine,
+        {scheme: chosen.schemes[scheme]},
+        chosen.task,
+        chosen.trials,
+        uncertainty={},
+        machines=1,
+        quantities=chosen.functions,
+        grid={advice.path: printed * FACTORS[inside]},
+    )
+    scale, unit = chosen.shown(chosen.judged_by)
+    found = errors_of(sweep.run(), chosen.judged_by).isel(scheme=0, sample=0)
+    errors = np.full((len(FACTORS), found.sizes["trial"]), np.nan)
+    errors[inside] = scale * found.transpose(advice.path, "trial").values
+    return errors, unit
+
+
+def seen(rule: str, errors: np.ndarray, grown: np.ndarray) -> bool:
+    last = errors[:, -1]
+    known = ~np.isnan(last)
+    at = dict(zip(FACTORS[known], last[known], strict=True))
+    if rule == "lively":
+        return bool(last[known][-1] > 10 * at[1.0])
+    if rule == "alike":
+        near = [at[factor] / at[1.0] for factor in (0.5, 2.0) if factor in at]
+        return bool(np.all(np.abs(np.subtract(near, 1)) < 0.1))
+    if rule == "diverges more":
+        above = grown[grown > 1.0]
+        return bool(len(above) > 1 and np.all(np.diff(above) > 0))
+    if rule == "stays":
+        return bool(np.all(grown == 1))
+    if rule == "slower":
+        return bool(np.all(np.diff(errors[:, 1]) > 0))
+    return bool(np.all(np.diff(last[known]) < 0))
+
+
+def main() -> None:
+    jaxilc.setup()
+    folder, rows = output.folder(__file__), []
+    axes = output.axes(4, 3, size=(10, 11)).ravel()
+    for advice, ax in zip(ADVICE, axes, strict=False):
+        errors, unit = errors_at(advice)
+        last, best, last_trial = errors[:, -1], errors.min(axis=1), errors.shape[1] - 1
+        grown = np.where(np.isinf(last), np.inf, last / np.where(np.isinf(best), 1.0, best))
+        rows.append(
+            {"scenario": advice.scenario, "number": advice.path, "said": advice.said}
+            | {f"x {factor:g}": float(value) for factor, value in zip(FACTORS, last, strict=True)}
+            | {"unit": unit, "rule": advice.rule, "seen": seen(advice.rule, errors, grown)}
+            | {"last / best": " ".join(f"{ratio:.3g}" for ratio in grown)}
+            | {"trial 2": " ".join(f"{error:.4g}" for error in errors[:, min(1, last_trial)])}
+        )
+        ax.loglog(FACTORS, last, "o-", label="last trial")
+        ax.loglog(FACTORS, best, "--", label="best trial")
+        ax.set_title(f"{advice.scenario}\n{advice.path}", fontsize="small")
+        ax.set_ylabel(f"error [{unit}]")
+    axes[0].legend(fontsize="small")
+    axes[0].figure.savefig(folder / "lines.png")
+    output.write_rows(folder / "rows.csv", rows)
+
+
+if __name__ == "__main__":
+    main()
