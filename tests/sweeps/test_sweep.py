@@ -103,8 +103,9 @@ def test_a_store_of_another_configuration_is_refused(tmp_path):
 
 
 def earlier_names(configuration):
-    """Return a configuration as it was written when machines were called samples."""
-    return {"samples" if name == "machines" else name: of for name, of in configuration.items()}
+    """Return a configuration as it was before a watch, when machines were called samples."""
+    renamed = {"samples" if name == "machines" else name: of for name, of in configuration.items()}
+    return {name: of for name, of in renamed.items() if name != "watch"}
 
 
 def test_a_store_under_earlier_names_is_resumed_and_opened(tmp_path, dataset, monkeypatch):
