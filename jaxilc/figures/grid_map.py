@@ -45,8 +45,8 @@ def grid_map(
     The two axes with most values make a map, a single one a line; beside the line of an error is
     the band of 5 to 95 %. Each value of a third axis has a panel, up to five of them, among which
     are its ends and that of the best point. All further axes are as at the best point, which has a
-    star. On a map a line encloses the points at which a machine diverges, and an infinite error is
-    blank; beside a line these points are grey.
+    star unless machines diverge everywhere. On a map a line encloses the points at which a machine
+    diverges, and an infinite error is blank; beside a line these points are grey.
 
     dataset: over (scheme, axes of the grid, sample, trial)
     shows: `high`, `median` or `worst`, a quantile over the machines of the error of the last trial;
@@ -95,7 +95,7 @@ def grid_map(
         else:
             _line(ax, *places, here, members if of_error else None, gone, limits, i // columns)
         labels = [dataset[axis] for axis in drawn]
-        if at.items() <= of.point.items():
+        if np.isfinite(of.error) and at.items() <= of.point.items():
             _mark(ax, "best", "*", labels, of.point, here)
         for (name, mark), sign in zip((marks or {}).items(), MARKS, strict=False):
             if _nearest(mark, [other for one, other in panels if one is of], at):
@@ -110,7 +110,8 @@ def grid_map(
         ax.set_ylabel(_called(dataset[drawn[1]]) if len(drawn) == 2 else called)
     if marks:
         signs = {x.get_label(): x for ax in axes for x in ax.lines if x.get_marker() != "None"}
-        axes[0].legend(signs.values(), signs.keys(), fontsize="small")
+        if signs:
+            axes[0].legend(signs.values(), signs.keys(), fontsize="small")
     return axes
 
 

@@ -59,6 +59,12 @@ def test_a_map_shows_other_numbers_of_each_point(shows, expected):
     np.testing.assert_allclose(shown[:, ::-1].T, np.array(expected)[::-1])
 
 
+def test_where_all_diverges_no_point_is_best():
+    dataset = dataset_of([[np.inf, np.inf], [np.inf, np.inf]], ["p", "q"])
+    (ax,) = figures.grid_map(dataset, metric="rms", marks={"off": {"a": 99.0, "b": "p"}})
+    assert (list(ax.lines), ax.get_legend()) == ([], None)
+
+
 def test_a_third_axis_has_panels_and_marks_stand_where_they_are():
     """The least error is at (2, 5, 4); of the eight values of c five have a panel, 4 among them."""
     of = {name: np.arange(float(count)) for name, count in (("a", 9), ("b", 10), ("c", 8))}
