@@ -21,10 +21,8 @@ TRIALS = 5
 LANES = 3  # of a batch
 # A cutoff changes 8.3 and 18.7 ms after the start, and the error leaves the boundary layer late.
 LONG = {"p_type_switchable", "asmc_carried_limited"}
-# Without jit each operation is compiled by itself, which takes seconds. JAX's own interpreter is
-# the same for every scheme, so one case of each kind of loop is run without jit: a feedback, an
-# estimator and its reset, a forecast, a signal within a loop, filters, a rule that stops, several
-# orders, a Riccati recursion, a state carried over, and plants of continuous and of varying form.
+# Without jit each operation is compiled by itself, which takes seconds. So one case of each kind of
+# loop is run without jit, and those whose plant, filter or law asks whether values are known.
 WITHOUT_JIT = (
     "pid_increment_limited",
     "ffdl_lead_limited",
@@ -34,6 +32,9 @@ WITHOUT_JIT = (
     "higher_order_leaky_limited",
     "norm_optimal",
     "basis_functions",
+    "basis_rational",
+    "model_free",
+    "smc",
     "asmc_carried_limited",
     "motor",
     "fast_tool_servo_nonlinear",
