@@ -111,7 +111,7 @@ def grid_map(
     if marks:
         signs = {x.get_label(): x for ax in axes for x in ax.lines if x.get_marker() != "None"}
         if signs:
-            axes[0].legend(signs.values(), signs.keys(), fontsize="small")
+            axes[0].legend(signs.values(), signs.keys(), loc="upper right", fontsize="small")
     return axes
 
 
