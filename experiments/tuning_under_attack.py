@@ -51,7 +51,7 @@ SCHEMES = {
     "pid_type_leaky_limited": dict.fromkeys(("gamma_p", "gamma_i", "gamma_d", "leak")),
     "p_type_butterworth": {"scheme.gamma_p": None, "filter.cutoff": (10.0, 300.0)},
     "p_type_over_pid": dict.fromkeys(("learning.gamma_p", "feedback.kp", "feedback.ki")),
-    "norm_optimal_lifted": dict.fromkeys(("w_q", "w_r", "w_s")),
+    "norm_optimal_lifted": {"w_q": (0.3, 3.0), "w_r": (0.01, 0.2), "w_s": (0.002, 0.05)},
 }
 POINTS, TRIALS, H, DIGITS = 6, 3, 1e-6, 2e-5
 
