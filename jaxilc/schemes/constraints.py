@@ -121,13 +121,18 @@ def rows_of(scheme: Any, trial: Trial) -> dict[str, Rows]:
 
 def output_bounds(scheme: Any, r) -> tuple[jax.Array, jax.Array]:
     """(N+1, n_y) the bounds of the output, from its own bounds and from those of the error."""
-    low, high = jnp.full_like(r, -jnp.inf), jnp.full_like(r, jnp.inf)
-    if scheme.y_low is not None:
-        low = jnp.maximum(low, scheme.y_low)
-    if scheme.y_high is not None:
-        high = jnp.minimum(high, scheme.y_high)
-    if scheme.tube is not None:
-        low, high = jnp.maximum(low, r - scheme.tube), jnp.minimum(high, r + scheme.tube)
+    return _bounds(jnp, scheme.y_low, scheme.y_high, scheme.tube, r)
+
+
+def _bounds(numpy: Any, y_low, y_high, tube, r) -> tuple[Any, Any]:
+    """`output_bounds` by NumPy, or by its namesake of JAX."""
+    low, high = numpy.full_like(r, -numpy.inf), numpy.full_like(r, numpy.inf)
+    if y_low is not None:
+        low = numpy.maximum(low, y_low)
+    if y_high is not None:
+        high = numpy.minimum(high, y_high)
+    if tube is not None:
+        low, high = numpy.maximum(low, r - tube), numpy.minimum(high, r + tube)
     return low, high
 
 
@@ -145,8 +150,9 @@ def need_feasible(scheme: Any, task: Task) -> None:
     bounds = [scheme.y_low, scheme.y_high, scheme.tube]
     if all(bound is None for bound in bounds) or not known((bounds, task.reference)):
         return
-    with jax.ensure_compile_time_eval():  # known bounds are known inside `jit`
-        low, high = (np.asarray(x) for x in output_bounds(scheme, jnp.asarray(task.reference)))
+    low, high = _bounds(
+        np, *(x if x is None else np.asarray(x) for x in bounds), np.asarray(task.reference)
+    )
     names = " and ".join(
         name for name in ("y_low", "y_high", "tube") if getattr(scheme, name) is not None
     )
