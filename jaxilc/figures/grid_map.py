@@ -74,8 +74,9 @@ def grid_map(
     drawn = [axis for axis in axes_of(dataset) if axis in by_size[:2]]
     dataset = dataset.sortby([axis for axis in by_size if dataset[axis].dtype.kind in "fi"])
     best = best_points(dataset, tolerance, metric=metric) if best is None else best
-    errors, of_error = scale * last_errors(dataset, metric), shows in QUANTILES
-    numbers = _numbers(dataset, errors, shows, metric, tolerance, scale)
+    last, of_error = last_errors(dataset, metric), shows in QUANTILES
+    numbers = _numbers(dataset, last, shows, metric, tolerance) * (scale if of_error else 1.0)
+    errors = scale * last
     lost = (dataset["diverged_at"] > 0).any("sample")
     limits = limits_of(errors.values, pad=1.2) if of_error else None
     norm = _norm(limits, (1, dataset.sizes["trial"]) if shows == "best_trial" else (0, 1))
@@ -115,12 +116,12 @@ def grid_map(
     return axes
 
 
-def _numbers(dataset, errors, shows, metric, tolerance, scale) -> xr.DataArray:
+def _numbers(dataset, errors, shows, metric, tolerance) -> xr.DataArray:
     """(scheme, axes) what is shown of each point; a quantile of errors may be infinite."""
     from ..sweeps.summary import errors_of
 
     if shows == "yield":
-        return (errors <= scale * tolerance).mean("sample")
+        return (errors <= tolerance).mean("sample")
     if shows == "diverged":
         return (dataset["diverged_at"] > 0).mean("sample")
     if shows == "best_trial":
