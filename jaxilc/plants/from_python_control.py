@@ -9,10 +9,12 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy.linalg
 
 from .linear import LARGEST_ORDER, StateSpace
 from .nonlinear_system import nonlinear_system
 
+BALANCED = 8  # order above which the states of a polynomial are scaled
 TINY = 1e-14  # first coefficient of a numerator, below which SciPy warns that it may be rounding
 
 
@@ -88,7 +90,9 @@ def canonical_form(num, den, dt: float) -> Linear | None:
 
         x' = [[-a1, ..., -an], [I, 0]] x + [1, 0, ...] u,    y = [b1, ..., bn] x
 
-    It is that of `control.tf2ss`. The result is None for a transfer function of another kind, and
+    It is that of `control.tf2ss`, but for the scale of the states where the order is above 8: the
+    coefficients of 20 poles reach 1e49 /s^20, and the exponential of such a matrix overflows. The
+    result is None for a transfer function of another kind, and
     for one whose coefficients python-control warns of.
 
     num, den: coefficients of descending powers; bi and ai are these divided by the first of den
@@ -100,7 +104,16 @@ def canonical_form(num, den, dt: float) -> Linear | None:
     n = len(den) - 1
     A, B, C = np.eye(n, k=-1), np.eye(n, 1), np.zeros((1, n))
     A[0], C[0, n - len(num) :] = -den[1:] / den[0], num / den[0]
-    return Linear(A, B, C, np.zeros((1, 1)), dt)
+    return Linear(*_balanced(A, B, C), np.zeros((1, 1)), dt)
+
+
+def _balanced(A, B, C):
+    """The matrices of a polynomial with each state divided by a power of two: no digit is lost."""
+    if len(A) <= BALANCED:
+        return A, B, C
+    with np.errstate(invalid="ignore"):  # SciPy makes integers of the scales, and uses none of them
+        balanced, scale = scipy.linalg.matrix_balance(A, permute=False)
+    return balanced, B / np.diag(scale)[:, None], C * np.diag(scale)
 
 
 def _of_scipy(system: Any):
@@ -130,17 +143,23 @@ def _need_order(den) -> None:
 
 
 def _need_stable(A, continuous: bool) -> None:
-    poles = np.linalg.eigvals(A) if A.size else np.zeros(0)
-    growth = (
-        np.max(poles.real, initial=-np.inf)
-        if continuous
-        else np.max(np.abs(poles), initial=0.0) - 1.0
-    )
+    if not A.size:
+        return
+    poles, left, right = scipy.linalg.eig(A, left=True)
+    beyond = poles.real if continuous else np.abs(poles) - 1.0
+    worst = np.argmax(beyond)
+    growth = beyond[worst]
     if growth > 1e-7:
         where = "right of the imaginary axis" if continuous else "outside the unit circle"
+        alone = np.abs(np.vdot(left[:, worst], right[:, worst]))  # 1 for orthogonal eigenvectors
+        doubt = np.finfo(float).eps * np.linalg.norm(A) / max(alone, np.finfo(float).tiny)
+        lost = (
+            f". Rounding its {len(A)} coefficients alone moves this pole as far: give zeros, poles "
+            "and gain instead"
+        )
         raise ValueError(
             f"from_control: the system is unstable (a pole {growth:.3g} {where}); close a loop "
-            "first or pass allow_unstable=True"
+            f"first or pass allow_unstable=True{lost if doubt > growth else ''}"
         )
 
 
@@ -160,12 +179,13 @@ def system_matrices(system):
                     f"from_control: entry ({i}, {j}) is improper (numerator of higher order than "
                     "the denominator)"
                 )
-            blocks[i, j] = control.tf2ss(num, den)
+            block = control.tf2ss(num, den)
+            blocks[i, j] = Linear(*_balanced(block.A, block.B, block.C), block.D, 0.0)
     return _side_by_side(blocks, system.noutputs, system.ninputs)
 
 
 def _side_by_side(blocks, n_y, n_u):
-    order = sum(b.nstates for b in blocks.values())
+    order = sum(len(b.A) for b in blocks.values())
     A, B, C, D = (
         np.zeros((order, order)),
         np.zeros((order, n_u)),
@@ -174,7 +194,7 @@ def _side_by_side(blocks, n_y, n_u):
     )
     at = 0
     for (i, j), block in blocks.items():
-        here = slice(at, at + block.nstates)
+        here = slice(at, at + len(block.A))
         A[here, here], B[here, j], C[i, here], D[i, j] = (
             block.A,
             block.B[:, 0],

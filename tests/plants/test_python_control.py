@@ -25,7 +25,7 @@ from jaxilc.plants import (
     to_control,
     voice_coil_motor,
 )
-from jaxilc.plants.from_python_control import canonical_form
+from jaxilc.plants.from_python_control import canonical_form, from_linear
 from jaxilc.plants.to_python_control import initial_state
 from jaxilc.pytree import leaf, pytree
 from jaxilc.schemes import Scheme
@@ -129,6 +129,24 @@ def test_the_canonical_form_is_that_of_python_control():
         found, system = canonical_form(num, den, 0.02), control.tf2ss(num, den)
         for name in "ABCD":
             np.testing.assert_array_equal(getattr(found, name), getattr(system, name))
+
+
+def test_many_poles_in_continuous_time_respond_as_their_factors_and_can_be_sampled():
+    poles = -np.random.default_rng(0).uniform(10.0, 300.0, 40)
+    den = np.poly(poles)
+    plant = from_linear(canonical_form(den[-1:], den, 0.0))
+    for s in 1j * np.array([0.0, 20.0, 100.0]):
+        found = plant.C @ np.linalg.solve(s * np.eye(40) - plant.A, plant.B)
+        np.testing.assert_allclose(found[0, 0], np.prod(poles / (poles - s)), rtol=1e-9)
+    assert np.isfinite(plant.sampled(DT).A).all()
+
+
+def test_poles_that_rounding_makes_unstable_are_refused_with_the_cause():
+    poles = np.random.default_rng(0).uniform(0.1, 0.9, 60)
+    with pytest.raises(ValueError, match=r"Rounding its 60 coefficients .* give zeros, poles and"):
+        from_linear(canonical_form([1.0], np.poly(poles), DT))
+    with pytest.raises(ValueError, match=r"allow_unstable=True$"):
+        from_linear(canonical_form([1.0], [1.0, -1.2], DT))
 
 
 @pytest.mark.parametrize(
