@@ -22,13 +22,13 @@ import sys
 import jax.numpy as jnp
 import numpy as np
 import output
+from printed_tables import CAO_1, CAO_FITTED
 from reading_search import Reading, search
 from scipy.stats import qmc
 
 import jaxilc
 from jaxilc import Machine, Task
 from jaxilc.plants import voice_coil
-from jaxilc.scenarios.cao_2019_printed import FITTED, TABLE_1
 from jaxilc.schemes import (
     CFDLMFAILC,
     CFDLMFAPC,
@@ -103,7 +103,7 @@ def readings(errors, values, places, rows):
 
 def cfdl():
     """CFDL-MFAILC: 80 start values."""
-    rows = [*((j, None) for j in TABLE_1["cfdl-mfailc"]), (35, "from 0/8")]
+    rows = [*((j, None) for j in CAO_1["cfdl-mfailc"]), (35, "from 0/8")]
     starts, found = -np.geomspace(0.003, 0.6, 80), []
     for reset in RESETS:
 
@@ -119,12 +119,12 @@ def cfdl():
                 part = slice(i * len(starts), (i + 1) * len(starts))
                 places = {"motion": motion, "reset": reset, "plant": plant, "unit": unit}
                 found += readings(errors[part], starts[:, None], places, rows)
-    return found, rows, (*TABLE_1["cfdl-mfailc"].values(), 10.0)
+    return found, rows, (*CAO_1["cfdl-mfailc"].values(), 10.0)
 
 
 def ffdl():
     """FFDL-MFAILC: 1024 start values in four dimensions, spread evenly."""
-    rows = [(j, None) for j in TABLE_1["ffdl-mfailc"]]
+    rows = [(j, None) for j in CAO_1["ffdl-mfailc"]]
     unit = qmc.Sobol(4, seed=0).random(1024)
     values = qmc.scale(unit, (-1.5, -1.5, -4.5, -0.5), (1.5, 1.5, -1.2, 0.5))
     values[:, 2] = -np.exp(values[:, 2])
@@ -138,12 +138,12 @@ def ffdl():
         for motion in MOTIONS:
             places = {"motion": motion, "reset": reset, "plant": "printed"}
             found += readings(run("printed", motion, values), values, places, rows)
-    return found, rows, tuple(TABLE_1["ffdl-mfailc"].values())
+    return found, rows, tuple(CAO_1["ffdl-mfailc"].values())
 
 
 def mfapc():
     """ILC-MFAPC: 40 start values; of its eight rows of 0.3 µm the later ones say "no change"."""
-    rows = [(j, None) for j in TABLE_1["ilc-mfapc"] if j <= 60]
+    rows = [(j, None) for j in CAO_1["ilc-mfapc"] if j <= 60]
     starts, found = -np.geomspace(1e-6, 0.3, 40), []
     leaves = list(itertools.product((-1.0, 1.0), (1.0, 1e3), (20.0, 2.0)))
     values = [(start, *leaf) for leaf in leaves for start in starts]
@@ -173,7 +173,7 @@ def mfapc():
                     "lam": "lam / P" if lam > 2 else "lam",
                 }
                 found += readings(errors[part], starts[:, None], places, rows)
-    return found, rows, tuple(TABLE_1["ilc-mfapc"][j] for j, _ in rows)
+    return found, rows, tuple(CAO_1["ilc-mfapc"][j] for j, _ in rows)
 
 
 def pid():
@@ -227,7 +227,7 @@ def main(names: list[str]) -> None:
         if names and not any(part in name for part in names):
             continue
         found, rows, printed = search_of()
-        fitted = [j in FITTED.get(name, ()) and of is None for j, of in rows]
+        fitted = [j in CAO_FITTED.get(name, ()) and of is None for j, of in rows]
         tables[name] = search(name, found, printed, fitted)
         output.write_rows(folder / f"{name}.csv", tables[name][:12])
     print("all schemes together, the best of each motion:")

@@ -23,6 +23,7 @@ import itertools
 import jax.numpy as jnp
 import numpy as np
 import output
+from printed_tables import CAO_2
 from reading_search import Reading, search
 
 import jaxilc
@@ -30,7 +31,6 @@ from jaxilc import Task
 from jaxilc.filters.zero_phase import ZeroPhaseButterworth
 from jaxilc.learning import Disturbance, Machine
 from jaxilc.pytree import replaced
-from jaxilc.scenarios.cao_2019_rig import TABLE_2
 from jaxilc.schemes import CFDLMFAC, CFDLMFAILC, PID, Filtered, WithFeedback
 from jaxilc.signals import references
 
@@ -46,10 +46,11 @@ COARSE = {
 }
 KI = {"per second": 0.006, "per sample": 6.0}
 WORDS = {"1 pass"}  # the structure that the words of section V-B describe
-FITTED = [f in (0.1, 0.5) for _ in range(2) for f in TABLE_2]
+FREQUENCIES = tuple(CAO_2["pid"])
+FITTED = [f in (0.1, 0.5) for _ in range(2) for f in FREQUENCIES]
 MACHINE = jaxilc.scenarios.load("cao-2019-rig").machine
 REFERENCES = jnp.stack(
-    [jnp.asarray(references.sinusoid(1.0, f, duration=10.0, dt=1e-3)) for f in TABLE_2]
+    [jnp.asarray(references.sinusoid(1.0, f, duration=10.0, dt=1e-3)) for f in FREQUENCIES]
 )
 TRIALS = 10
 
@@ -103,10 +104,10 @@ def settled_error(common, one):
 def errors(scheme, trials: int, values) -> np.ndarray:
     """(S, 5) settled errors [µm] at the five frequencies for (S, 2) values of scale and offset."""
     run = jaxilc.tiled(lambda scheme, one: settled_error((scheme, trials), one))
-    scale, offset = np.repeat(values, len(TABLE_2), axis=0).T
+    scale, offset = np.repeat(values, len(FREQUENCIES), axis=0).T
     reference = jnp.tile(REFERENCES, (len(values), 1))
     found = run(scheme, (jnp.asarray(scale), jnp.asarray(offset), reference))
-    return np.asarray(found).reshape(len(values), len(TABLE_2))
+    return np.asarray(found).reshape(len(values), len(FREQUENCIES))
 
 
 def main() -> None:
@@ -128,7 +129,7 @@ def main() -> None:
             for (command, offset), (part, free) in parts.items():
                 places = {"structure": structure, "ki": ki, "command": command, "offset": offset}
                 found.append(Reading(places, departs, values[part][:, free], rows[part]))
-    printed = np.array(list(TABLE_2.values())).T.ravel()
+    printed = [CAO_2[name][f] for name in ("cfdl-mfailc", "pid") for f in FREQUENCIES]
     table = search("Table 2, CFDL-MFAILC and PID", found, printed, FITTED)
     output.write_rows(folder / "rows.csv", table)
 

@@ -10,10 +10,11 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 import output
+from printed_tables import CAO_1, CAO_FITTED
 
 import jaxilc
 from jaxilc.identification import fit
-from jaxilc.scenarios.cao_2019_printed import FITTED, READINGS, TABLE_1
+from jaxilc.scenarios.cao_2019 import READINGS
 
 jaxilc.setup()
 folder = output.folder(__file__)
@@ -37,7 +38,7 @@ def errors(s, name, values):
     scheme = dataclasses.replace(s.schemes[name], phi0=start)
     windows = READINGS[s.options["reading"]].windows
     of_reading = s.functions[windows[name][0]] if name in windows else None
-    history = jaxilc.learn(s.machine, scheme, s.task, max(TABLE_1[name]), save=of_reading)
+    history = jaxilc.learn(s.machine, scheme, s.task, max(CAO_1[name]), save=of_reading)
     found = history.settled_error if of_reading is None else history.saved
     return s.shown_scale * found.reshape(len(found), -1)[:, 0]
 
@@ -45,8 +46,8 @@ def errors(s, name, values):
 rows, axes = [], output.axes(1, 2, size=(11.0, 4.4))
 for ax, (reading, s) in zip(axes, LOADED.items(), strict=True):
     for name, ranges in RANGES.items():
-        table, fitted = TABLE_1[name], np.array(FITTED[name])
-        printed = jnp.array([table[j] for j in FITTED[name]])
+        table, fitted = CAO_1[name], np.array(CAO_FITTED[name])
+        printed = jnp.array([table[j] for j in CAO_FITTED[name]])
 
         def residuals(values, s=s, name=name, fitted=fitted, printed=printed):
             return jnp.log(errors(s, name, values)[fitted - 1] / printed)

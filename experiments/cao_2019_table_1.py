@@ -5,10 +5,11 @@ The schemes are CFDL- and FFDL-MFAILC, ILC-MFAPC and PID, under the reading `str
 
 import numpy as np
 import output
+from printed_tables import CAO_1
 
 import jaxilc
 from jaxilc import figures
-from jaxilc.scenarios.cao_2019_printed import READINGS, TABLE_1
+from jaxilc.scenarios.cao_2019 import READINGS
 
 jaxilc.setup()
 folder = output.folder(__file__)
@@ -16,7 +17,7 @@ s = jaxilc.scenarios.load("cao-2019", plant="printed", reading="stroke")
 dataset, _ = jaxilc.run_schemes(s.machine, s.schemes, s.task, 100, quantities=s.functions)
 shown = {"scale": s.shown_scale, "unit": s.shown_unit}
 ax = output.axes()
-for i, (name, printed) in enumerate(TABLE_1.items()):
+for i, (name, printed) in enumerate(CAO_1.items()):
     # each scheme by the quantity that its rows are read from
     quantity, _ = READINGS["stroke"].windows.get(name, ("settled_error", 0))
     ours = s.shown_scale * np.ravel(dataset[quantity].sel(scheme=name))

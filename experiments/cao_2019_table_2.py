@@ -1,10 +1,10 @@
 """Cao 2019, Table 2 and Fig. 15 to 18: CFDL-MFAILC against PID on the rig at five frequencies."""
 
 import output
+from printed_tables import CAO_2
 
 import jaxilc
 from jaxilc import figures
-from jaxilc.scenarios.cao_2019_rig import TABLE_2
 
 jaxilc.setup()
 folder = output.folder(__file__)
@@ -12,14 +12,9 @@ rows = jaxilc.reproduce(["cao-2019-rig"])
 ax = output.axes()
 for scheme, colour in (("pid", "C0"), ("cfdl-mfailc", "C1")):
     ours = [r.ours for r in rows if r.published.scheme == scheme]
-    ax.semilogy(list(TABLE_2), ours, "-", color=colour, label=scheme)
-    ax.plot(
-        list(TABLE_2),
-        [r.published.value for r in rows if r.published.scheme == scheme],
-        "o",
-        mfc="none",
-        color=colour,
-    )
+    printed = CAO_2[scheme]
+    ax.semilogy(list(printed), ours, "-", color=colour, label=scheme)
+    ax.plot(list(printed), list(printed.values()), "o", mfc="none", color=colour)
 ax.set(
     xlabel="frequency [Hz]", ylabel="settled error [µm]", title="lines: simulated; circles: Table 2"
 )

@@ -15,11 +15,13 @@ import numpy as np
 import output
 import scipy.optimize
 from milc_2024_gain import force_gain
+from printed_tables import IMPROVEMENT, MILC_1
 from reading_search import met
 
 import jaxilc
 from jaxilc.scenarios.milc_2024 import (
     DT,
+    READINGS,
     direct_ilc,
     motor_rms,
     multivariable_ilc,
@@ -30,13 +32,12 @@ from jaxilc.scenarios.milc_2024 import (
     table_max,
     table_rms,
 )
-from jaxilc.scenarios.milc_2024_printed import IMPROVEMENT, READINGS, TABLE_1
+from jaxilc.scenarios.published import published
 from jaxilc.signals import Task
 
 jaxilc.setup()
 folder = output.folder(__file__)
-ROWS = [(scheme, *row) for scheme, rows in TABLE_1.items() for row in rows]
-PRINTED = np.array([*(v for rows in TABLE_1.values() for v in rows.values()), IMPROVEMENT])
+ROWS, PRINTED = list(MILC_1), np.array([*MILC_1.values(), IMPROVEMENT])
 FREE = {"velocity": "velocity", "antiresonance": "antiresonance", "noise": "noise"}
 FREE |= {"input unit": "unit"}  # by name in the rows: field of a reading
 SEEDS = {"long-stroke": 1, "short-stroke": 16}
@@ -76,8 +77,9 @@ def simulated(of, seeds: int) -> np.ndarray:
 
 
 for reading, start in READINGS.items():
-    among = np.array([*(row in start.among for row in ROWS), False])
-    fields = [FREE[name] for name in start.fitted]
+    fits = [p.fitted for p in published("milc-2024", reading)]
+    among = np.array([fit.among for fit in fits])
+    fields = [FREE[name] for name in fits[0].names]
 
     def changed(logarithms, start=start, fields=fields):
         of = start._replace(**dict(zip(fields, np.exp(logarithms).tolist(), strict=True)))
@@ -106,13 +108,14 @@ for reading, start in READINGS.items():
         ours = simulated(told, 32)
         share = met(ours, PRINTED)
         print(f"{reading}, {by}, median of 32 seeds (share of them that meet the row):")
-        for row, printed, value, of_row in zip(
+        for row, printed, value, of_row, fit in zip(
             (*ROWS, ("milc", 11, "improvement")),
             PRINTED,
             np.median(ours, axis=0),
             share.T,
+            fits,
             strict=True,
         ):
-            fitted = ", fitted" * (row in start.among)
+            fitted = ", fitted" * fit.among
             print(f"    {row}: {value:.3g} for {printed:g} ({np.mean(of_row):.0%}){fitted}")
         print(f"    all eleven rows: {np.mean(share.all(axis=1)):.0%} of the seeds", flush=True)

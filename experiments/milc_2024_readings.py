@@ -35,11 +35,11 @@ import output
 import scipy.optimize
 import scipy.signal
 from milc_2024_gain import force_gain
+from printed_tables import IMPROVEMENT, MILC_1
 from reading_search import Reading, met, search
 
 import jaxilc
 from jaxilc.scenarios import milc_2024 as paper
-from jaxilc.scenarios.milc_2024_printed import IMPROVEMENT, READINGS, TABLE_1
 from jaxilc.signals import references
 
 jaxilc.setup()
@@ -68,8 +68,7 @@ PATHS = (  # stroke [mm], acceleration [mm/s^2], jerk [mm/s^3]; the first is the
     (5.0, 20e3, 4e6),
 )
 OF_OTHERS = (0, 6)  # paths with which the other places are tried
-ROWS = [(s, *row) for s, rows in TABLE_1.items() for row in rows]
-PRINTED = [*(v for rows in TABLE_1.values() for v in rows.values()), IMPROVEMENT]
+ROWS, PRINTED = list(MILC_1), [*MILC_1.values(), IMPROVEMENT]
 FITTED = (
     ("dilc", 1, "table_rms"),
     ("dilc", 11, "table_rms"),
@@ -106,10 +105,10 @@ def paths_for(drive) -> np.ndarray:
     def excess(velocity, limits):
         r = path(limits, velocity)
         e = r - scipy.signal.dlsim(closed, r)[1][:, 0]
-        return 1e3 * np.sqrt(np.mean(np.square(e[1:]))) - TABLE_1["dilc"][1, "table_rms"]
+        return 1e3 * np.sqrt(np.mean(np.square(e[1:]))) - MILC_1["dilc", 1, "table_rms"]
 
     def velocity(limits):
-        near = READINGS["long-stroke"].velocity * PATHS[0][0] / limits[0]
+        near = paper.READINGS["long-stroke"].velocity * PATHS[0][0] / limits[0]
         return scipy.optimize.brentq(excess, 0.9 * near, 1.4 * near, (limits,), xtol=0.02)
 
     return np.array([path(limits, velocity(limits)) for limits in PATHS])

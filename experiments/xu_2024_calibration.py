@@ -8,11 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 import output
 import scipy.optimize
+from printed_tables import XU_1, XU_2
 
 import jaxilc
 from jaxilc.identification import fit
-from jaxilc.scenarios.xu_2024 import schemes_for, servo, settled_rms
-from jaxilc.scenarios.xu_2024_printed import READINGS, TABLE_1, TABLE_2
+from jaxilc.scenarios.xu_2024 import READINGS, schemes_for, servo, settled_rms
 
 jaxilc.setup()
 folder = output.folder(__file__)
@@ -40,7 +40,7 @@ def errors(A, scheme, trials=1, load=None):
 def residuals(values):
     schemes = schemes_for(values)
     return jnp.concatenate(
-        [jnp.log(errors(values["A"], schemes[name]) / jnp.array(TABLE_1[name])) for name in ROWS]
+        [jnp.log(errors(values["A"], schemes[name]) / jnp.array(XU_1[name])) for name in ROWS]
     )
 
 
@@ -54,7 +54,7 @@ def too_much(share):
     found = float(
         errors(fitted["A"], schemes_for(fitted, OF._replace(share=share))["ilc-asmc"], 10)[0]
     )
-    return np.log(found / TABLE_1["ilc-asmc"][0])
+    return np.log(found / XU_1["ilc-asmc"][0])
 
 
 shares = np.arange(0.1, 3.0, 0.05)
@@ -64,7 +64,7 @@ share = float(f"{scipy.optimize.brentq(too_much, shares[first - 1], shares[first
 print("share of the inverse learned in a trial:", share)
 
 rows = []
-for table, load, name in ((TABLE_1, None, "Table 1"), (TABLE_2, 1.0, "Table 2")):
+for table, load, name in ((XU_1, None, "Table 1"), (XU_2, 1.0, "Table 2")):
     for scheme, printed in table.items():
         ours = np.asarray(
             errors(

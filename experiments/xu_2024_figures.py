@@ -15,11 +15,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import output
+from printed_tables import XU_1, XU_2
 
 import jaxilc
 from jaxilc.plants import fast_tool_servo
 from jaxilc.scenarios.xu_2024 import servo
-from jaxilc.scenarios.xu_2024_printed import TABLE_1, TABLE_2
 
 jaxilc.setup()
 folder = output.folder(__file__)
@@ -122,6 +122,6 @@ def disturbed() -> None:
 
 
 responses()
-compared(scenario(), tuple(TABLE_1), TABLE_1, "Fig. 6 and 7: 20 µm at 40 Hz", "figures-6-7.png")
-compared(scenario(load=1.0), tuple(TABLE_2), TABLE_2, "Fig. 9: under a load of 1 N", "figure-9.png")
+compared(scenario(), tuple(XU_1), XU_1, "Fig. 6 and 7: 20 µm at 40 Hz", "figures-6-7.png")
+compared(scenario(load=1.0), tuple(XU_2), XU_2, "Fig. 9: under a load of 1 N", "figure-9.png")
 disturbed()

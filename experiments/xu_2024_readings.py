@@ -22,12 +22,12 @@ import itertools
 import jax.numpy as jnp
 import numpy as np
 import output
+from printed_tables import XU_1, XU_2
 from reading_search import Reading, search
 
 import jaxilc
 from jaxilc import Machine
-from jaxilc.scenarios.xu_2024 import DT, MODEL, servo
-from jaxilc.scenarios.xu_2024_printed import FITTED, TABLE_1, TABLE_2
+from jaxilc.scenarios.xu_2024 import DT, FITTED, MODEL, servo
 from jaxilc.schemes import ASMC, ExponentialPD, WithFeedback
 
 jaxilc.setup()
@@ -41,10 +41,10 @@ GROWTH = (0.01, 0.2, 1.0)  # [1/s]
 WEIGHT = 1.0 / 9.81  # [kg]
 LOADS = {"force": (1.0, 0.0), "weight": (1.0, 1.0), "mass": (0.0, 1.0)}
 ROWS = {  # scheme, load: max, RMS [nm]
-    ("asmc", "none"): TABLE_1["asmc"],
-    ("asmc", "loaded"): TABLE_2["asmc"],
-    ("ilc-asmc", "none"): TABLE_1["ilc-asmc"],
-    ("ilc-asmc", "loaded"): TABLE_2["ilc-asmc"],
+    ("asmc", "none"): XU_1["asmc"],
+    ("asmc", "loaded"): XU_2["asmc"],
+    ("ilc-asmc", "none"): XU_1["ilc-asmc"],
+    ("ilc-asmc", "loaded"): XU_2["ilc-asmc"],
 }
 PRINTED = np.ravel(list(ROWS.values()))
 FITTED_ROWS = [True, False, True, False, True, False, False, False]

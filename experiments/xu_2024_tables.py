@@ -2,15 +2,16 @@
 
 import numpy as np
 import output
+from printed_tables import XU_1, XU_2
 
 import jaxilc
-from jaxilc.scenarios.xu_2024_printed import FITTED, TABLE_1, TABLE_2
+from jaxilc.scenarios.xu_2024 import FITTED
 from jaxilc.theory import contraction, sliding
 
 jaxilc.setup()
 folder = output.folder(__file__)
 rows, histories = [], {}
-for name, table, load in (("Table 1", TABLE_1, 0.0), ("Table 2", TABLE_2, 1.0)):
+for name, table, load in (("Table 1", XU_1, 0.0), ("Table 2", XU_2, 1.0)):
     s = jaxilc.scenarios.load("xu-2024", load=load, reading="large-gain")
     keep = jaxilc.Keep.of(s.functions, "e", "u")
     for scheme, printed in table.items():
@@ -30,7 +31,7 @@ for name, table, load in (("Table 1", TABLE_1, 0.0), ("Table 2", TABLE_2, 1.0)):
         }
         rows.append(row | {"chattering V/s": float(np.ravel(history.saved["chattering"][-1])[0])})
 output.write_rows(folder / "rows.csv", rows)
-for name, table in (("Table 1", TABLE_1), ("Table 2", TABLE_2)):
+for name, table in (("Table 1", XU_1), ("Table 2", XU_2)):
     ours = {r["scheme"]: r["max"] for r in rows if r["table"] == name}
     printed = table["ilc-asmc"][0] / table["asmc"][0]
     print(

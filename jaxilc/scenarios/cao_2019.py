@@ -7,6 +7,7 @@ Noncircular Turning, IEEE Access 7 (2019). Lengths in mm, input in V, errors sho
 from __future__ import annotations
 
 from functools import partial
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -30,8 +31,29 @@ from ..schemes import (
 from ..signals import references
 from ..signals.task import Task
 from ..uncertainty import Uniform
-from .cao_2019_printed import READINGS, Reading, chosen, published
+from .published import chosen, published, readings
 from .scenario import Quantity, Scenario
+
+
+class Reading(NamedTuple):
+    """A reading of section IV, and the start values of the estimates fitted under it.
+
+    settled_from: eighths of the trial after which its errors count as settled
+    windows: quantity by scheme whose steady-state error is read off from another sample on, and
+        the eighths of the trial after which it is
+    reset: reset of the estimates of MFAILC, see `reset_estimate`
+    lam: lam of ILC-MFAPC
+    phi0: start value by scheme [mm/V]
+    """
+
+    settled_from: int
+    windows: dict[str, tuple[str, int]]
+    reset: str
+    lam: float
+    phi0: dict[str, Any]
+
+
+READINGS = readings("cao-2019", Reading)
 
 
 def cao_2019(
@@ -56,6 +78,7 @@ def cao_2019(
     if reading not in READINGS:
         raise ValueError(not_one_of(f"cao-2019: reading = {reading!r}", reading, READINGS))
     of = READINGS[reading]
+    printed = (reference, frequency) == ("sinusoid", 0.5)
     return Scenario(
         name="cao-2019",
         title="Voice-coil motor for noncircular turning, MFAILC (Cao 2019)",
@@ -64,8 +87,8 @@ def cao_2019(
         schemes=schemes_of(of),
         trials=80,
         uncertainty=motor_uncertainty(plant),
-        published=published(reading) if (reference, frequency) == ("sinusoid", 0.5) else (),
-        chosen=chosen(reading),
+        published=published("cao-2019", reading) if printed else (),
+        chosen=chosen("cao-2019", reading),
         tolerance=5.0,
         shown_unit="µm",
         shown_scale=1e3,

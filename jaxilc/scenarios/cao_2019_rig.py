@@ -20,97 +20,24 @@ from ..schemes import CFDLMFAILC, PID, Filtered, Scheme, WithFeedback
 from ..signals import references
 from ..signals.task import Task
 from ..uncertainty import Uniform
-from .published import NOTHING, Fit, Published
+from .published import chosen, published, readings
 from .scenario import Scenario
 
-TABLE_2 = {
-    0.1: (4.0, 10.0),
-    0.2: (7.0, 15.0),
-    0.3: (9.0, 19.0),
-    0.4: (12.0, 23.0),
-    0.5: (16.0, 28.0),
-}  # Hz: CFDL, PID [µm]
-OFFSET = 1.2e-3  # [V], four steps of the 16-bit converter; fitted, see `READINGS`
 PASSES = 2  # steps of eq. 12 within a sample, chosen among 1, 2 and 3
 LAM, ETA, MU, RHO, PHI0 = 1.5, 1.0, 1.0, 1.0, 1.0  # printed
-SEARCH = "experiments/cao_2019_rig_readings.py"
-COMMAND = "10 V command the printed top speed of 3.44 m/s"
 
 
 class Reading(NamedTuple):
     """A reading of section V.
 
-    trial: trial of the rows of CFDL-MFAILC, None where nothing is learned between trials
-    offset: constant voltage at the input of the drive [V]
-    cfdl: how CFDL-MFAILC is read
-    fitted: what was fitted, without whether a row is among the numbers that it was fitted to
-    among: frequencies of these numbers [Hz]
+    offset: constant voltage at the input of the drive [V]; fitted, if any, and then four steps of
+        the 16-bit converter
     """
 
-    trial: int | None
     offset: float
-    cfdl: str
-    fitted: Fit
-    among: tuple[float, ...]
 
 
-READINGS = {
-    "over-trials": Reading(
-        80,
-        0.0,
-        "over the printed PID, with a 6 Hz zero-phase filter; without them it diverges",
-        NOTHING,
-        (),
-    ),
-    "within-samples": Reading(
-        None,
-        OFFSET,
-        "the For-iterator block runs within a sample: two steps of eq. 12 from u = 0, "
-        "chosen among one to three",
-        Fit(("offset at the drive's input",), "the four rows at 0.1 and 0.5 Hz"),
-        (0.1, 0.5),
-    ),
-}
-
-
-def published(reading: str) -> tuple[Published, ...]:
-    """The rows of Table 2 under a reading."""
-    of = READINGS[reading]
-
-    def row(frequency, scheme, trial, value, how) -> Published:
-        return Published(
-            *(scheme, trial, "settled_error", value, "Table 2"),
-            (("frequency", frequency), ("reading", reading)),
-            how,
-            fitted=of.fitted._replace(among=frequency in of.among),
-            searched=SEARCH,
-        )
-
-    return tuple(
-        one
-        for frequency, (learned, plain) in TABLE_2.items()
-        for one in (
-            row(frequency, "cfdl-mfailc", of.trial, learned, of.cfdl),
-            row(frequency, "pid", None, plain, COMMAND),
-        )
-    )
-
-
-CHOSEN = (
-    "the drive's scale is not printed: 10 V is read as the printed top speed of 3.44 m/s",
-    "friction is not printed: 20 N Coulomb, 30 N static",
-)
-CHOSEN_FOR = {
-    "over-trials": (
-        "CFDL-MFAILC by itself diverges on a velocity-controlled drive, whose position "
-        "integrates: it learns here over the printed PID, with a zero-phase filter of 6 Hz",
-    ),
-    "within-samples": (
-        "the printed For-iterator block is read as iterations within a sample, of which two "
-        "steps of eq. 12 are taken from u = 0; y cannot change within a sample",
-        "an offset of 1.2 mV at the drive's input, fitted to four rows",
-    ),
-}
+READINGS = readings("cao-2019-rig", Reading)
 
 
 def cao_2019_rig(frequency: float = 0.5, reading: str = "over-trials") -> Scenario:
@@ -154,8 +81,8 @@ def cao_2019_rig(frequency: float = 0.5, reading: str = "over-trials") -> Scenar
                 "plant.speed_gain",
             )
         },
-        published=published(reading),
-        chosen=(*CHOSEN, *CHOSEN_FOR[reading]),
+        published=published("cao-2019-rig", reading),
+        chosen=chosen("cao-2019-rig", reading),
         tolerance=5.0,
         shown_unit="µm",
         shown_scale=1e3,

@@ -15,7 +15,7 @@ from ..schemes import CFDLMFAPC, PID
 from ..signals import references
 from ..signals.task import Task
 from .cao_2019 import motor_uncertainty
-from .published import NOTHING, Fit, Published
+from .published import chosen, published
 from .scenario import Scenario
 
 # By frequency [Hz]: periods simulated; PID gains, prediction horizon P and weight lam as printed;
@@ -32,48 +32,6 @@ SETTINGS: dict[float, dict[str, Any]] = {
         "mfapc": {"P": 250, "lam": 8700.0, "phi0": -0.238},
     },
 }
-
-PID_READING = "eq. 29's plant; ki multiplied by the sample time"
-MFAPC_READING = "eq. 29's plant; the reference is previewed and goes on beyond the settled window"
-
-
-def _row(scheme: str, frequency: float, value: float, source: str, reading: str) -> Published:
-    fitted = Fit(("phi0",), "this row alone", among=True) if scheme == "cfdl-mfapc" else NOTHING
-    options = (("plant", "printed"), ("frequency", frequency))
-    searched = "experiments/dai_2014_readings.py" if scheme == "cfdl-mfapc" else ""
-    return Published(
-        *(scheme, None, "settled_error", value, source, options, reading),
-        fitted=fitted,
-        searched=searched,
-    )
-
-
-PUBLISHED = (
-    _row("pid", 0.5, 0.023, "Fig. 3", PID_READING),
-    _row("cfdl-mfapc", 0.5, 0.0165, "Fig. 5", MFAPC_READING),
-    _row(
-        "pid",
-        2.5,
-        0.061,
-        "Fig. 7",
-        PID_READING + ", and negative, since the printed 0.2 has the wrong sign; kd per sample",
-    ),
-    _row(
-        "cfdl-mfapc",
-        2.5,
-        0.047,
-        "Fig. 9",
-        MFAPC_READING + "; the loop is at its stability limit, its error erratic in phi0",
-    ),
-)
-
-CHOSEN = (
-    "phi0 of CFDL-MFAPC is not printed: -0.12 at 0.5 Hz and -0.238 at 2.5 Hz, one number for one "
-    "printed number each",
-    "the forecast of the PPD starts from theta = (1, 0, 0); with P_u = 1, which the paper allows "
-    "and does not state, it is not used",
-    "the error is that of the settled part, as the paper reads it off at the ends of the stroke",
-)
 
 
 def dai_2014(plant: str = "exact", frequency: float = 0.5) -> Scenario:
@@ -103,8 +61,8 @@ def dai_2014(plant: str = "exact", frequency: float = 0.5) -> Scenario:
         schemes={"pid": PID(**setting["pid"]), "cfdl-mfapc": CFDLMFAPC(**setting["mfapc"])},
         trials=1,
         uncertainty=motor_uncertainty(plant),
-        published=PUBLISHED,
-        chosen=CHOSEN,
+        published=published("dai-2014"),
+        chosen=chosen("dai-2014"),
         tolerance=0.03,
         shown_unit="mm",
         show_trials=(1,),

@@ -26,69 +26,14 @@ from ..signals.task import Task, Trial
 from ..uncertainty import Uniform
 from .double_mass_law import InverseLaw
 from .error_norm import error_norm
-from .published import NOTHING, Published
+from .published import chosen, published
 from .scenario import Quantity, Scenario
 
 SAMPLE_TIME = 0.02
 DURATION = 3 * np.pi
-SOURCE = "IterativeLearningControl2.jl, test/runtests.jl"
 MODELLED = 1.0  # inertia of the load that the model knows [kg]
 LIMIT, HIGHEST, OF_CONTROLLER = 25.0, 1.1, 1000.0
 SECOND = ("none", "velocity", "controller")
-
-SMOOTH = "y[0] counts; the last sample of their input has no effect"
-SQUARE = (("load", 1.0), ("reference", "square"))
-VELOCITY = (("load", 1.0), ("second", "velocity"))
-EXACT, OF_QP = 1e-6, 1e-3  # of a number that is printed in full, of one from OSQP
-
-
-def _row(scheme, trial, value, options=(), reading=SMOOTH, agreement=EXACT) -> Published:
-    return Published(
-        scheme,
-        trial,
-        "error_norm",
-        value,
-        SOURCE,
-        options,
-        reading,
-        fitted=NOTHING,
-        agreement=agreement,
-    )
-
-
-PUBLISHED = (
-    _row("inverse-filter", 5, 0.6358364794186305, (("at", "reference"),)),
-    _row("inverse-filter", 5, 1.416392979780404),
-    _row("norm-optimal", 5, 0.5615131021547797),
-    _row("gradient", 10, 0.8851911872861579),
-    _row("model-free", 28, 0.9347317369952786, reading="their trial 10; three experiments a step"),
-    _row("constrained", 5, 4.4544077312015835, SQUARE, "half a step, as their cost means", OF_QP),
-    _row(
-        "constrained",
-        5,
-        4.940690279813115,
-        (*SQUARE, ("second", "controller")),
-        "the bound is on C/(1+CP) r + CP/(1+CP) a, as their test has it; the error of the position",
-        OF_QP,
-    ),
-    _row("norm-optimal", 5, 4.906366002179874, VELOCITY),
-    _row("constrained", 5, 4.956076021566923, VELOCITY, "no bounds; half a step", OF_QP),
-    _row("gradient", 10, 6.181388606199837, (*VELOCITY, ("at", "reference"))),
-    _row(
-        "model-free",
-        28,
-        7.7459826918966925,
-        (*VELOCITY, ("at", "reference")),
-        "their trial 10; one experiment for both errors, as it is there",
-    ),
-)
-
-CHOSEN = (
-    "the reference's part of the motion is an output disturbance that repeats: exact for a linear "
-    "loop",
-    "a drawn machine has another gain from the learned signal, and the same answer to the "
-    "reference",
-)
 
 
 class Loop(NamedTuple):
@@ -238,8 +183,8 @@ def double_mass(
         ),
         trials=28,
         uncertainty={"plant.B": Uniform(0.9, 1.1, relative=True)},
-        published=PUBLISHED,
-        chosen=CHOSEN,
+        published=published("double-mass"),
+        chosen=chosen("double-mass"),
         shown_unit="mm",
         shown_scale=1e3,
         show_trials=(1, 2, 3, 5, 10, 28),

@@ -37,7 +37,7 @@ from ..schemes import (
 from ..signals import paths
 from ..signals.task import Task
 from ..uncertainty import Uniform
-from .li_2020_printed import CHOSEN, PUBLISHED
+from .published import chosen, published
 from .scenario import Quantity, Scenario
 
 # With these gains the loop's spectral radius is 0.913.
@@ -52,7 +52,7 @@ REST = 497
 
 
 class Setting(NamedTuple):
-    """The differences between the paper's runs; gain and noise are fitted (`li_2020_printed`).
+    """The differences between the paper's runs; gain and noise are fitted (`printed/li-2020.toml`).
 
     gain: gain phi of the learning law
     noise: standard deviation of the encoder noise [mm]
@@ -167,8 +167,8 @@ def li_2020(
         schemes=schemes_for(gain, r),
         trials=trials,
         uncertainty={name: Uniform(0.9, 1.1, relative=True)},
-        published=PUBLISHED,
-        chosen=CHOSEN,
+        published=published("li-2020"),
+        chosen=chosen("li-2020"),
         tolerance=5.0,
         shown_unit="µm",
         shown_scale=1e3,

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -32,7 +32,7 @@ from ..schemes import PID, MultivariableILC, NormOptimal, OnOutputs, WithFeedbac
 from ..signals import references
 from ..signals.task import Task
 from ..uncertainty import Uniform
-from .milc_2024_printed import READINGS, Reading, chosen, published
+from .published import chosen, published, readings
 from .scenario import Quantity, Scenario
 
 DT = 1 / 4000
@@ -44,6 +44,32 @@ TABLE_STEP = 0.25e-3  # step of the linear encoder [mm]
 
 REST, DURATION = 0.025, 1.0  # of the path [s]
 LARGEST_COMMAND = 500.0  # velocity that the input can command [mm/s], chosen
+
+
+class Reading(NamedTuple):
+    """A reading of section 5.
+
+    stroke: of the path [mm]
+    velocity, acceleration, jerk: limits of the path [mm/s], [mm/s^2], [mm/s^3]
+    dwell: rest between the strokes [s]
+    unit: of the input, its velocity for a volt [mm/s]; it decides how the printed weights act
+    antiresonance: of the drive [Hz]
+    force_gain: the one that makes the motor's position loop 50 Hz wide, -3 dB [N/V]
+    noise: standard deviation of the noise on the machine table [mm]
+    """
+
+    stroke: float
+    velocity: float
+    acceleration: float
+    jerk: float
+    dwell: float
+    unit: float
+    antiresonance: float
+    force_gain: float
+    noise: float
+
+
+READINGS = readings("milc-2024", Reading)
 
 
 def nominal_drive(antiresonance: float, force_gain: float, unit: float = 50.0) -> BallScrewDrive:
@@ -163,8 +189,8 @@ def milc_2024(axis: str = "x", reading: str = "long-stroke") -> Scenario:
             f"plant.{name}": Uniform(0.9, 1.1, relative=True)
             for name in ("stiffness", "table_mass", "motor_mass", "force_gain")
         },
-        published=published(reading),
-        chosen=chosen(reading),
+        published=published("milc-2024", reading),
+        chosen=chosen("milc-2024", reading),
         tolerance=1.0,
         shown_unit="µm",
         shown_scale=1e3,

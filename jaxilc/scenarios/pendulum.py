@@ -18,48 +18,13 @@ from ..schemes import TwoStep
 from ..signals.task import Task
 from ..uncertainty import Uniform
 from .error_norm import error_norm
-from .published import NOTHING, Published, agreement_of
+from .published import chosen, published
 from .scenario import Quantity, Scenario
 
 SAMPLE_TIME = 1 / 500
 WAIT, ACCELERATE, MOVE, HOLD = 190, 30, 500, 500  # samples of each part of the motion
 ANGLE = np.pi  # at which it is held [rad]
 LIMIT = 2.0  # of the torque in the second example [N m]
-
-PRINTED = {  # ||e|| by trial [rad], by scheme
-    "two-step": (
-        "b_tutorial1.py",
-        ("159.727175", "24.524242", "3.006894", "0.140267", "0.0040917"),
-    ),
-    "two-step-limited": (
-        "c_tutorial2.py",
-        ("159.727147", "24.524486", "3.007175", "0.145207", "0.0377695"),
-    ),
-}
-READING = (
-    "computed by running this example of gILC with its weights; ours has 1e-10 on u and alpha too"
-)
-
-PUBLISHED = tuple(
-    Published(
-        scheme,
-        trial,
-        "error_norm",
-        float(printed),
-        f"gILC, {example}",
-        reading=READING,
-        fitted=NOTHING,
-        agreement=agreement_of(printed),
-    )
-    for scheme, (example, by_trial) in PRINTED.items()
-    for trial, printed in enumerate(by_trial, 1)
-)
-
-CHOSEN = (
-    "gILC gives the last two inputs, which act on no output of the trial, no weight; w_s = w_alpha "
-    "= 1e-10 beside w_q = w_y = 1e8 makes them zero and changes the errors by less than 1e-9 rad",
-    "gILC has 2000 samples of both input and output; here 1999 inputs act on 2000 outputs",
-)
 
 
 def swing() -> np.ndarray:
@@ -89,8 +54,8 @@ def pendulum() -> Scenario:
             "plant.mass": Uniform(0.98, 1.02, relative=True),
             "plant.damping": Uniform(0.9, 1.1, relative=True),
         },
-        published=PUBLISHED,
-        chosen=CHOSEN,
+        published=published("pendulum"),
+        chosen=chosen("pendulum"),
         shown_unit="rad",
         show_trials=(1, 2, 3, 4, 5),
         quantities={"error_norm": Quantity(error_norm)},

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import tomllib
+from collections.abc import Callable, Iterable
 from decimal import Decimal
-from typing import NamedTuple
+from functools import cache
+from importlib import resources
+from typing import Any, NamedTuple
 
 
 class Fit(NamedTuple):
@@ -31,6 +35,8 @@ class Fit(NamedTuple):
 
 
 NOTHING = Fit()
+
+FILES = resources.files("jaxilc.scenarios") / "printed"
 
 # Quantities of the first j trials of a scheme, see `reproduction`, besides `best_trial`.
 OVER_TRIALS = ("rms_rise", "rms_spread")
@@ -94,3 +100,91 @@ def agreement_of(printed: str, rtol: float = 1e-6) -> float:
     """
     half = Decimal(1).scaleb(int(Decimal(printed).as_tuple().exponent)) / 2
     return max(rtol, float(half / abs(Decimal(printed))))
+
+
+@cache
+def file_of(name: str) -> dict[str, Any]:
+    """The file `printed/NAME.toml` of a scenario, lists as tuples. Its tables are
+
+    chosen: texts on what the paper leaves open, and what was chosen
+    [readings.READING]: more such texts, and the numbers of a reading of the paper
+    [fits.FIT]: `names` of free numbers, and printed numbers `to` which they were fitted
+    [every_row], [[rows]]: fields of `Published`, where `how` is its reading, `fit` one or several
+        fits, and `among` whether they were fitted to this row. The rows of `each` share the others.
+        A value that is text is given as printed, with the agreement of its digits. A field that
+        depends on the reading is a table of values by reading.
+    """
+    text = (FILES / f"{name}.toml").read_text("utf-8")
+    return _with_tuples(tomllib.loads(text))
+
+
+def _with_tuples(of: Any) -> Any:
+    if isinstance(of, dict):
+        return {key: _with_tuples(value) for key, value in of.items()}
+    return tuple(_with_tuples(value) for value in of) if isinstance(of, list) else of
+
+
+def readings(name: str, kind: Callable[..., Any]) -> dict[str, Any]:
+    """The readings of a paper by name, as objects of a kind made of their numbers."""
+    return {
+        reading: kind(**{key: value for key, value in of.items() if key != "chosen"})
+        for reading, of in file_of(name)["readings"].items()
+    }
+
+
+def chosen(name: str, reading: str = "") -> tuple[str, ...]:
+    """What a paper leaves open, and what was chosen, under a reading if it has several."""
+    found = file_of(name)
+    return (*found["chosen"], *(found["readings"][reading]["chosen"] if reading else ()))
+
+
+def published(name: str, reading: str = "") -> tuple[Published, ...]:
+    """The printed rows of a scenario, under a reading if the paper has several."""
+    found = file_of(name)
+
+    def row(fields: dict[str, Any]) -> Published:
+        for key, value in list(fields.items()):
+            if isinstance(value, dict) and value.keys() <= found.get("readings", {}).keys():
+                fields.pop(key)
+                fields |= {key: value[reading]} if reading in value else {}
+        fits, printed = fields.pop("fit", ()), fields.pop("value")
+        used = [found["fits"][fit] for fit in ((fits,) if isinstance(fits, str) else fits)]
+        fit = Fit(
+            sum((one["names"] for one in used), ()),
+            " and ".join(one["to"] for one in used),
+            fields.pop("among", False),
+        )
+        options = fields.pop("options", {}) | ({"reading": reading} if reading else {})
+        if isinstance(printed, str):
+            fields["agreement"], printed = agreement_of(printed), float(printed)
+        return Published(
+            trial=fields.pop("trial", None),
+            value=printed,
+            options=tuple(options.items()),
+            reading=fields.pop("how", ""),
+            fitted=fit,
+            **fields,
+        )
+
+    return tuple(
+        row(found.get("every_row", {}) | {k: v for k, v in rows.items() if k != "each"} | one)
+        for rows in found["rows"]
+        for one in rows.get("each", ({},))
+    )
+
+
+def by(rows: Iterable[Published], *keys: str, **where: object) -> dict[Any, Any]:
+    """The values of rows by one or several keys, nested: {scheme: {trial: value}}.
+
+    keys: names of fields or of options
+    where: values of fields that rows must have
+    """
+    found: dict[Any, Any] = {}
+    for row in rows:
+        if all(getattr(row, name) == value for name, value in where.items()):
+            known = row._asdict() | dict(row.options)
+            inner = found
+            for key in keys[:-1]:
+                inner = inner.setdefault(known[key], {})
+            inner[known[keys[-1]]] = row.value
+    return found

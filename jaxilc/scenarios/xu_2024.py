@@ -2,13 +2,13 @@
 
 Xu et al.: adaptive sliding mode control with closed-loop iterative learning for a fast tool servo
 (2024), section 5. Lengths in µm, input in V, errors shown in nm. The experiments are those of the
-paper; numbers that are not printed are fitted, see `FITTED`.
+paper; numbers that are not printed are fitted, see `printed/xu-2024.toml`.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -22,11 +22,29 @@ from ..schemes import ASMC, PID, SMC, ExponentialPD, Scheme, WithFeedback
 from ..signals import references
 from ..signals.task import Task
 from ..uncertainty import Uniform
+from .published import chosen, file_of, published, readings
 from .scenario import Quantity, Scenario
-from .xu_2024_printed import FITTED, LEARNED_TRIAL, READINGS, Reading, chosen, published
 
 DT = 1e-4
 MODEL: dict[str, Any] = {"a1": 2.413e6, "a2": 70.16, "b": 2.229e7}  # printed; µm per V
+FITTED = file_of("xu-2024")["fitted"]
+LEARNED_TRIAL = 10
+
+
+class Reading(NamedTuple):
+    """A reading of section 5.3.
+
+    share: share of the inverse of the reaching dynamics that is learned in a trial
+    epsilon: dead zone of ASMC [µm]
+    lam0: growth of the learning gain [1/s]
+    """
+
+    share: float
+    epsilon: float
+    lam0: float
+
+
+READINGS = readings("xu-2024", Reading)
 
 
 def servo(A: float, load: float | None = None, disturbance: str = "none") -> FastToolServo:
@@ -104,8 +122,8 @@ def xu_2024(load: float = 0.0, disturbance: str = "none", reading: str = "small-
         schemes=schemes_for(FITTED, READINGS[reading]),
         trials=LEARNED_TRIAL,
         uncertainty={f"plant.{name}": Uniform(0.8, 1.2, relative=True) for name in names},
-        published=published(reading),
-        chosen=chosen(reading),
+        published=published("xu-2024", reading),
+        chosen=chosen("xu-2024", reading),
         tolerance=1000.0,
         shown_unit="nm",
         shown_scale=1e3,

@@ -6,8 +6,7 @@ import pytest
 
 from jaxilc import scenarios
 from jaxilc.scenarios import reproduce
-from jaxilc.scenarios.milc_2024 import DT, nominal_drive, path, position_gain
-from jaxilc.scenarios.milc_2024_printed import READINGS
+from jaxilc.scenarios.milc_2024 import DT, READINGS, nominal_drive, path, position_gain
 from jaxilc.scenarios.xu_2024 import MODEL, servo
 
 
