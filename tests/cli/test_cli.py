@@ -612,7 +612,7 @@ def test_every_command_that_draws_has_a_choice_of_formats():
     """The others write no figure: what `explore` and `reproduce` draw is on their pages."""
     commands = get_command(app).commands.items()
     without = {name for name, c in commands if "figures" not in {one.name for one in c.params}}
-    assert without == {"init", "list", "explore", "reproduce", "bench"}
+    assert without == {"init", "list", "explore", "reproduce"}
 
 
 @pytest.mark.parametrize(("command", "words"), [*examples()])

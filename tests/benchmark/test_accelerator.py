@@ -3,7 +3,9 @@
 import types
 
 import accelerator
+import accelerator_programs as programs
 import accelerator_rows as rows
+import contests
 import numpy as np
 import pytest
 from accelerator_rows import ACCELERATOR, CPU, FAILED, MEASURED, UNMEASURED, Row
@@ -162,3 +164,13 @@ def test_the_table_fits_80_columns_and_says_what_was_not_measured():
     empty = {"checks": [], "rows": []}
     assert rows.table(empty) == "The numbers were not checked."
     assert rows.failed(empty)
+
+
+@pytest.mark.parametrize("what", ["forward", "gradient"])
+def test_a_row_runs_the_machines_of_make_bench(what):
+    """A signature that changed in the package once broke every row, and no other test saw it."""
+    found, values = programs.timed(Row(what, 5, 3), 40, 2, 1, 1e9)
+    assert found["status"] == MEASURED
+    np.testing.assert_allclose(values, programs.results(what, 3, 40, 5), rtol=1e-12)
+    if what == "forward":
+        np.testing.assert_allclose(values, contests.setting("cfdl", 5, 3, 40).ours()(), rtol=1e-12)

@@ -1,5 +1,5 @@
 /* MFAILC on a difference equation of third order, LANES plants to a register: the limit that
-   `jaxilc bench` compares with. Laws, reset and metrics are those of peers.py. Each trial is one
+   `make bench` compares with. Laws, reset and metrics are those of peers.py. Each trial is one
    pass over its samples, in place, so that a tile of plants stays in the cache. */
 
 #include "lanes.h"

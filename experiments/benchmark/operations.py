@@ -24,7 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..runtime.lanes import usual_lanes
+from jaxilc.runtime.lanes import usual_lanes
 
 SIMPLE, DIVISION, RANDOM = "simple", "division", "random number"
 CHAIN = 16  # operations on a tile in one pass of the loop that times them

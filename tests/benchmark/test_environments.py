@@ -9,8 +9,7 @@ from types import SimpleNamespace
 
 import by_environment
 import pytest
-
-from jaxilc.bench.timing import OURS
+from timing import OURS
 
 ROOT = Path(__file__).parents[2]
 
@@ -28,7 +27,7 @@ def test_speed_stands_side_by_side_with_the_median_ratio_of_the_turns():
 def test_an_environment_measures_runs_and_gradients(monkeypatch):
     rows = {OURS: 2.0, "1 weight forward": 6.0, "2 weights reverse": 5.0}
     took = {name: SimpleNamespace(cpu=cpu) for name, cpu in rows.items()}
-    monkeypatch.setattr("jaxilc.bench.compare_gradients", lambda setting, opponents: took)
+    monkeypatch.setattr("gradients.compare_gradients", lambda setting, opponents: took)
     name, found = by_environment.measured(2, 2, 20)
     assert name.startswith(f"Python {sys.version.split()[0]}, JAX 0.")
     assert found == {"cfdl": 2.0, "cfdl gradient": 5.0, "ffdl": 2.0, "ffdl gradient": 5.0}

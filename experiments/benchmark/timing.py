@@ -1,18 +1,25 @@
-"""Timing of programs against each other: numbers are compared first, then the programs take turns.
+"""Timing of programs against each other, and the computer on which they run.
 
-On a computer with other users, two runs of one program may differ more in time than two programs.
-So contenders take turns, and a ratio is the median over the turns. Besides the wall time, the
-processor time of all threads is measured, which does not include waiting for a core.
+Numbers are compared first. On a computer with other users, two runs of one program may differ more
+in time than two programs, so contenders take turns, and a ratio is the median over the turns.
+Besides the wall time, the processor time of all threads is measured, which does not include waiting
+for a core.
 """
 
 from __future__ import annotations
 
+import os
+import platform
 import time
 from collections.abc import Callable, Iterable, Mapping
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+
+from jaxilc.runtime.provenance import environment
 
 OURS = "jaxilc"
 TOLERANCE = {"float64": 1e-8, "float32": 2e-2}  # share of the largest number of its kind
@@ -212,3 +219,48 @@ class _Peak:
     def _status(name: str) -> int:
         with open("/proc/self/status") as file:
             return next(1024 * int(line.split()[1]) for line in file if line.startswith(name))
+
+
+# The computer
+# --------------------------------------------------------------------------------------------------
+
+INSTRUCTIONS = {"avx512f": "AVX-512", "avx2": "AVX2", "avx": "AVX", "sse2": "SSE2"}  # widest first
+RIVALS = ("scipy", "control", "numba")
+CPUINFO = Path("/proc/cpuinfo")
+
+
+def cores() -> int:
+    """The number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def computer() -> dict[str, Any]:
+    """The processor and its widest instruction set, its load, and the versions of the programs.
+
+    Linux tells the instruction set of x86-64; elsewhere the kind of the processor stands there.
+    """
+    try:
+        lines = CPUINFO.read_text().split("\n\n")[0].splitlines()
+    except OSError:
+        lines = []
+    fields = {name.strip(): text.strip() for name, _, text in (x.partition(":") for x in lines)}
+    flags, kind = fields.get("flags", "").split(), platform.machine()
+    return {
+        "processor": fields.get("model name") or platform.processor() or kind,
+        "instructions": next((name for f, name in INSTRUCTIONS.items() if f in flags), kind),
+        "cores": cores(),
+        **environment(*(name for name in RIVALS if find_spec(name))),
+        "load": [round(x, 1) for x in getattr(os, "getloadavg", tuple)()],
+    }
+
+
+def in_words(machine: Mapping[str, Any]) -> str:
+    """Three lines on the result of `computer`: the processor, ours, and the other programs."""
+    cores, devices, versions = machine["cores"], machine["devices"], machine["versions"]
+    others = (f"{name} {versions[name]}" for name in ("numpy", *RIVALS) if name in versions)
+    return (
+        f"{machine['processor']}, {machine['instructions']}, {cores} core{'s' * (cores != 1)}\n"
+        f"jaxilc: jax {versions['jax']} on {devices} {machine['backend'].upper()} "
+        f"device{'s' * (devices != 1)}, {machine['precision']}\n"
+        f"others: {', '.join(others)}"
+    )

@@ -1,4 +1,4 @@
-/* The gradient of MFAILC by hand, with which `jaxilc bench` compares: for each plant, the mean
+/* The gradient of MFAILC by hand, with which `make bench` compares: for each plant, the mean
    square error of the last trial and its slopes by lam, rho, eta, mu and phi0. Laws and reset are
    those of limit.c. The trials run twice, so that not all of them must be stored: once forward,
    where the rows before each block of trials are kept, and once again block by block from the last

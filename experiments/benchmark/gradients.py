@@ -19,19 +19,18 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+import peers
+from contests import SPREAD, Setting
+from ours import Learning, of_each
+from peers import METRICS, Peer, Problem
+from timing import OURS, Entry, Row, cores, difference, in_turns, limit, need_agreement
 
-from ..learning.divergence import CEILING
-from ..pytree.named_paths import replaced
-from ..runtime.capacity import check_size
-from ..tuning.objectives import FLOOR, Final
-from ..tuning.weights import Weights
-from ..uncertainty import Uniform
-from . import compiled_peers
-from .computer import cores
-from .derivatives import Learning, of_each
-from .peers import METRICS, Peer, Problem
-from .settings import SPREAD, Setting
-from .timing import OURS, Entry, Row, difference, in_turns, limit, need_agreement
+from jaxilc.learning.divergence import CEILING
+from jaxilc.pytree.named_paths import replaced
+from jaxilc.runtime.capacity import check_size
+from jaxilc.tuning.objectives import FLOOR, Final
+from jaxilc.tuning.weights import Weights
+from jaxilc.uncertainty import Uniform
 
 BY_DIFFERENCES, BY_ADJOINT = "Numba, P+1 runs", "C adjoint"
 WEIGHTS = ("lam", "rho", "eta", "mu", "phi0")
@@ -104,7 +103,7 @@ def by_differences(peer: Peer) -> GradientPeer:
 def by_adjoint(adjoint: Peer) -> GradientPeer:
     """The chain rule around a program for mean squares of the last trial and their slopes.
 
-    adjoint: function of a problem that returns (S, 1+P), see `compiled_peers.c_adjoint`
+    adjoint: function of a problem that returns (S, 1+P), see `peers.c_adjoint`
     """
 
     def run(of: Slope) -> np.ndarray:
@@ -128,7 +127,7 @@ def gradient_opponents(
         found[BY_DIFFERENCES] = (by_differences(opponents["Numba parallel"][0]), 0.0)
     start = time.perf_counter()
     try:
-        adjoint = by_adjoint(compiled_peers.c_adjoint(cores()))
+        adjoint = by_adjoint(peers.c_adjoint(cores()))
         found[BY_ADJOINT] = (adjoint, time.perf_counter() - start)
     except OSError as error:
         notes.append(f"{BY_ADJOINT} left out: {error}")
@@ -167,7 +166,7 @@ def compare_gradients(
 def bytes_of_adjoint(trials: int) -> float:
     """The bytes that the program in C stores for each sample, in all threads."""
     memories = 2 * math.ceil(math.sqrt(trials)) + 2
-    return cores() * memories * 6 * 8 * compiled_peers.target_of_c().lanes
+    return cores() * memories * 6 * 8 * peers.target_of_c().lanes
 
 
 def _learning(of: Setting) -> Learning:
