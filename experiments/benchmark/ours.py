@@ -36,12 +36,10 @@ from jaxilc.scenarios.xu_2024 import MODEL
 from jaxilc.schemes import NormOptimal, Scheme
 from jaxilc.signals.task import Task, Trial
 from jaxilc.sweeps.host import TRIALS_A_PASS
-from jaxilc.tuning.descent import Evaluation
-from jaxilc.tuning.losses import Losses
-from jaxilc.tuning.machines import Machines
+from jaxilc.tuning.descent import Evaluation, over_starts
+from jaxilc.tuning.losses import Losses, Machines
 from jaxilc.tuning.objectives import Final, Objective
 from jaxilc.tuning.risks import Mean
-from jaxilc.tuning.starts import over_starts
 from jaxilc.tuning.weights import Weights
 from jaxilc.uncertainty import Uncertainty, Uniform, bytes_drawn
 
