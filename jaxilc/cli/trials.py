@@ -65,8 +65,7 @@ def trials(
     Example: jaxilc trials --state x-axis --csv log.csv --plot log.png
     """
     from ..figures.report import command_report
-    from ..hardware.journal import Journal
-    from ..hardware.log_file import units, write_log
+    from ..hardware.journal import Journal, units, write_log
     from ..scenarios.campaign_source import said_of_change, said_of_source
 
     journal = Journal(state)

@@ -63,8 +63,8 @@ from typing import Any
 
 from .. import scenarios
 from ..learning.contour_metrics import contour_metrics
-from ..learning.counted_metrics import counted_metrics
 from ..learning.machine import Machine
+from ..learning.metrics import counted_metrics
 from ..learning.over_trials import check
 from ..plants.cnc_axis import Axes
 from ..pytree.closest import not_one_of
