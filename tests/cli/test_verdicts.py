@@ -8,11 +8,11 @@ import pytest
 from typer.main import get_command
 
 from jaxilc.cli import app, certificate_tables
+from jaxilc.cli.reproduce import reproduce_verdict
 from jaxilc.cli.titled_table import Console
 from jaxilc.cli.verdicts.case import Case
 from jaxilc.cli.verdicts.certification import certify_verdict
 from jaxilc.cli.verdicts.next_command import REPEATED, Asked, Verdict
-from jaxilc.cli.verdicts.published import reproduce_verdict
 from jaxilc.cli.verdicts.simulation import list_verdict, run_verdict, sweep_verdict
 from jaxilc.cli.verdicts.trends import DIVERGES, FALLS, GROWS, SETTLED, SINGLE, trend_of
 from jaxilc.cli.verdicts.tuning import (
