@@ -257,8 +257,7 @@ def _predicted(opened: Opened, *, compute: bool, store: bool) -> Prediction | No
 
     compute: whether it is simulated where the folder does not have it
     """
-    from ..hardware.kept_prediction import kept, key_of, of_campaign
-    from ..hardware.prediction import next_step
+    from ..hardware.prediction import kept, key_of, next_step, of_campaign
 
     if not opened.recipe.get("predict", True):
         return None

@@ -22,11 +22,10 @@ from .verdicts.next_command import Verdict
 
 if TYPE_CHECKING:
     from ..figures.live_axes import Live
-    from ..hardware.campaign import Campaign
+    from ..hardware.campaign import Campaign, Turn
     from ..hardware.checks import Finding
     from ..hardware.journal import Journal
     from ..hardware.prediction import Place, Prediction
-    from ..hardware.turn import Turn
 
 Folder = Annotated[Path, typer.Option("--state", help="Folder of the campaign.")]
 Plot = Annotated[
@@ -154,7 +153,7 @@ def _last_file(live: list[dict[str, Any]]) -> Path | None:
 
 def _prediction(journal: Journal, known: dict[str, Any]) -> Prediction | None:
     """The stored prediction of a campaign; nothing is computed here."""
-    from ..hardware.kept_prediction import kept
+    from ..hardware.prediction import kept
 
     return kept(journal.path, str(known.get("configuration_hash")))
 
@@ -222,16 +221,12 @@ def _places(live: list[dict[str, Any]], prediction: Prediction):
 
 
 def _as_numbers(live: list[dict[str, Any]], prediction: Prediction) -> dict[str, Any]:
-    bands = {
-        name: {end: values.tolist() for end, values in getattr(prediction, name)._asdict().items()}
-        for name in ("rms", "largest")
-    }
     places = [
         {"serial": serial, **place._asdict()}
         for serial, place in _places(live, prediction)
         if place
     ]
-    return {"machines": prediction.machines, **bands, "trials": places}
+    return {"machines": prediction.machines, **prediction.bands(), "trials": places}
 
 
 def _predicted(live: list[dict[str, Any]], prediction: Prediction | None) -> dict[int, str]:
