@@ -503,7 +503,7 @@ def _fitted(record, plant, counts: dict[str, int | None], delay: int | None):
 
 def _write(path: Path, opened, found, source: str) -> Path:
     """Write the plant file of the campaign with the fitted plant, or a new one for a scenario."""
-    from ..scenarios.refitted_file import write_refitted
+    from ..scenarios.identified_file import write_refitted
 
     recipe = opened.recipe
     own = Path(recipe["scenario"])
