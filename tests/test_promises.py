@@ -350,8 +350,8 @@ NUMBERS = {  # by page: a pattern with numbers in brackets, and what they are
             of("jaxilc.signals.tool_path.REVERSAL")
         ),
         r"path of up to ([\d.]+) s \((\d+) samples at least\)": lambda: (
-            of("jaxilc.learning.contour_metrics.LAG"),
-            of("jaxilc.learning.contour_metrics.LEAST"),
+            of("jaxilc.learning.quantities.LAG"),
+            of("jaxilc.learning.quantities.LEAST"),
         ),
         r"In trial (\d+), 95 % of (\d+) machines": lambda: (
             of("contour_learning.LONG"),

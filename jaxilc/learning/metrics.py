@@ -7,17 +7,15 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..pytree.closest import not_one_of
 from ..runtime.jax_internals import with_slope
 from ..signals.sample_layout import for_scan
-from ..signals.sample_times import samples_within
 from ..signals.task import Task, Trial
 from .known_metrics import GATHERED, METRICS, Gathering, Metrics
 
@@ -296,47 +294,3 @@ def root_mean_square(signal) -> jax.Array:
 
 def _root(mean):
     return jnp.where(mean > 0, jnp.sqrt(jnp.where(mean > 0, mean, 1.0)), 0.0 * mean)
-
-
-# The error where it counts, as a quantity
-# --------------------------------------------------------------------------------------------------
-
-
-@dataclasses.dataclass(frozen=True)
-class CountedMetric:
-    """The error of all outputs at some samples of a trial, in one number.
-
-        max |e_k|    or    sqrt(mean e_k^2),    k within the windows
-
-    It is the metric of a point-to-point motion, see `schemes.AtSamples`. Two equal objects share a
-    compiled program.
-
-    of: "largest" or "root mean square"
-    samples: pairs of the first sample of a window and that after its last one
-    """
-
-    of: Literal["largest", "root mean square"]
-    samples: tuple[tuple[int, int], ...]
-
-    def __post_init__(self):
-        allowed = ("largest", "root mean square")
-        if self.of not in allowed:
-            raise ValueError(not_one_of(f"CountedMetric: of = {self.of!r}", str(self.of), allowed))
-
-    def __call__(self, trial: Trial) -> jax.Array:
-        rows = np.unique(np.concatenate([np.arange(*pair) for pair in self.samples]))
-        e = trial.e[rows].reshape(-1, 1)
-        return largest(jnp.abs(e)) if self.of == "largest" else root_mean_square(e)[0]
-
-
-def counted_metrics(task: Task, windows: tuple[tuple[float, float], ...]) -> dict:
-    """`counted_max` and `counted_rms`, the error of a task within windows (start, stop) [s].
-
-    Raises ValueError for a window that is not within the task.
-    """
-    within = [samples_within("windows", window, task) for window in windows]
-    samples = tuple((max(s.start, 1), s.stop) for s in within)
-    return {
-        "counted_max": CountedMetric("largest", samples),
-        "counted_rms": CountedMetric("root mean square", samples),
-    }

@@ -39,7 +39,6 @@ from ..signals.task import Task, Trial
 from ..sweeps.sweep import Sweep
 from ..uncertainty import Uncertainty, bytes_drawn, draw
 from ..uncertainty import check as check_uncertainty
-from .bijection import Bijection
 from .descent import (
     OPTIMISERS,
     Method,
@@ -55,7 +54,7 @@ from .losses import Losses, Machines
 from .objectives import Final, Objective
 from .risks import Mean, Risk
 from .states import Folder, stored_lanes
-from .weights import Asked, Tuned, Weights
+from .weights import Bijection, NamesOrBounds, Tuned, Weights
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -115,7 +114,7 @@ class Tuning:
     scheme: Scheme
     task: Task
     trials: int
-    weights: Asked
+    weights: NamesOrBounds
     uncertainty: Uncertainty = dataclasses.field(default_factory=dict)
     objective: Objective = dataclasses.field(default_factory=Final)
     risk: Risk = dataclasses.field(default_factory=Mean)
