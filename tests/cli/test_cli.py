@@ -670,7 +670,7 @@ def test_help_groups_every_command_by_what_one_wants():
     shown = CliRunner().invoke(app, ["--help"], env={"COLUMNS": "80"}).stdout
     places = [shown.index(f"─ {group} ─") for group in dict.fromkeys(groups.values())]
     assert places == sorted(places)
-    assert len(places) == 6
+    assert len(places) == 5
     assert "─ Commands ─" not in shown
 
 
