@@ -9,7 +9,7 @@ ROUNDED := $(addprefix tests/,signals filters learning theory)
 UV     := $(shell command -v uv 2>/dev/null)
 
 .DEFAULT_GOAL := help
-.PHONY: help run check lint test matrix docs wheel clean
+.PHONY: help run check lint test matrix bench docs wheel clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-7s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -33,6 +33,9 @@ lint: $(VENV)/.ready  ## lint, format and types alone
 
 matrix:  ## all tests with Python 3.11 and 3.13, where these are, and the speed of both
 	.ci/matrix
+
+bench: $(VENV)/.ready  ## our speed beside NumPy, Numba, C and others; OPTIONS=--help lists options
+	$(BIN)/python experiments/benchmark/compare.py $(OPTIONS)
 
 docs: $(VENV)/.ready  ## guide, tutorials, gallery and API as a site, to out/docs (15 minutes)
 	JAX_PLATFORMS=cpu $(BIN)/python .ci/docs/render.py out/docs

@@ -21,7 +21,7 @@ import output
 import jaxilc
 from jaxilc import Machine, Sensor, Sweep, Task, Tuning, Uniform
 from jaxilc.filters import ZeroPhaseButterworth
-from jaxilc.learning.contour_metrics import contour_metrics
+from jaxilc.learning.quantities import contour_metrics
 from jaxilc.plants import ProcessModel, TwoAxes
 from jaxilc.schemes import CrossCoupled, Filtered, PIDType
 from jaxilc.signals.curves import butterfly, circle

@@ -47,8 +47,7 @@ from learned_opponents import (
 import jaxilc
 from jaxilc import Sweep
 from jaxilc.design.candidates import Absent, candidates
-from jaxilc.design.learned import LearnedLaw
-from jaxilc.design.learned_settings import STARTS
+from jaxilc.design.learned import STARTS, LearnedLaw
 from jaxilc.design.proof import proof_of
 from jaxilc.design.responses import Family, family_of
 from jaxilc.design.tuned import contraction

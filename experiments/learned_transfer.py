@@ -19,8 +19,7 @@ from learned_laws import JUDGES, MARGIN, METRIC, RISK, SEED
 import jaxilc
 from jaxilc import Sweep
 from jaxilc.design.candidates import Candidate, candidates
-from jaxilc.design.learned import LearnedLaw
-from jaxilc.design.learned_settings import STARTS
+from jaxilc.design.learned import STARTS, LearnedLaw
 from jaxilc.design.responses import Family, family_of
 from jaxilc.design.tuned import contraction
 from jaxilc.runtime.start import keep_programs

@@ -30,7 +30,7 @@ import numpy as np
 import jaxilc
 from jaxilc import Machine, Sensor, Task, learn
 from jaxilc.filters import ZeroPhaseButterworth
-from jaxilc.learning.contour_metrics import contour_metrics
+from jaxilc.learning.quantities import contour_metrics
 from jaxilc.plants import ProcessModel, TwoAxes
 from jaxilc.schemes import CrossCoupled, Filtered, PIDType
 

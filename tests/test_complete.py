@@ -327,7 +327,6 @@ def test_nothing_is_left_out(place):
 
 
 SECOND_LISTS = {  # modules that list names again, with what compares them, or why they may
-    "jaxilc/bench/peers.py": "what the opponents compute; a metric more is none of theirs",
     "jaxilc/cli/terms.py": "how objectives are written; places above",
     "jaxilc/cli/verdicts/next_command.py": "what a next command repeats; few commands are one",
     "jaxilc/scenarios/catalogue.py": "known without JAX; a place above",

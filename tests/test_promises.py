@@ -293,18 +293,18 @@ NUMBERS = {  # by page: a pattern with numbers in brackets, and what they are
         r"as many machines as (three quarters) of": lambda: of("jaxilc.runtime.lanes.SHARE"),
         r"At most (\d+) machines make a tile": lambda: of("jaxilc.runtime.lanes.WIDE"),
         r"plants, (\d+) trials of (\d+) samples": lambda: (
-            default("bench", "trials"),
-            default("bench", "samples"),
+            of("compare.Programme")((1,)).trials,
+            of("compare.Programme")((1,)).samples,
         ),
         r"`Tuning` goes forward for up to (\w+)\)": lambda: of(
             "jaxilc.tuning.losses.FORWARD_UP_TO"
         ),
         r"for the weights `(\w+)`, `(\w+)`, `(\w+)`, `(\w+)` and `(\w+)`:": lambda: of(
-            "jaxilc.bench.gradients.WEIGHTS"
+            "gradients.WEIGHTS"
         ),
         r"agree to (\S+) of the largest slope, .* agrees to (\S+) ": lambda: (
-            of("jaxilc.bench.gradients.DIFFERENCES"),
-            of("jaxilc.bench.timing.TOLERANCE")["float64"],
+            of("gradients.DIFFERENCES"),
+            of("timing.TOLERANCE")["float64"],
         ),
         r"on Linux with Python 3.11, JAX ([\d.]+) and NumPy ([\d.]+),": lambda: pinned(
             "requirements.txt", "jax", "numpy"
@@ -350,8 +350,8 @@ NUMBERS = {  # by page: a pattern with numbers in brackets, and what they are
             of("jaxilc.signals.tool_path.REVERSAL")
         ),
         r"path of up to ([\d.]+) s \((\d+) samples at least\)": lambda: (
-            of("jaxilc.learning.contour_metrics.LAG"),
-            of("jaxilc.learning.contour_metrics.LEAST"),
+            of("jaxilc.learning.quantities.LAG"),
+            of("jaxilc.learning.quantities.LEAST"),
         ),
         r"In trial (\d+), 95 % of (\d+) machines": lambda: (
             of("contour_learning.LONG"),

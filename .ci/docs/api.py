@@ -7,7 +7,7 @@ from typing import Any
 import jaxilc
 
 ROOT = Path(jaxilc.__file__).parent
-INTERNAL = ("bench", "cli", "storage")  # families that users do not import from
+INTERNAL = ("cli", "storage")  # families that users do not import from
 FAMILIES = sorted(
     f"jaxilc.{path.stem}"
     for path in ROOT.iterdir()

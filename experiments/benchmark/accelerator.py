@@ -32,6 +32,8 @@ from typing import Any
 
 import jax
 import numpy as np
+import peers
+import timing
 from accelerator_programs import (
     copy_rate,
     fitting,
@@ -56,7 +58,6 @@ from accelerator_rows import (
 )
 
 import jaxilc
-from jaxilc.bench import peers, timing
 from jaxilc.runtime import capacity, lanes, provenance
 
 OUT = Path("out") / "experiments" / "benchmark"

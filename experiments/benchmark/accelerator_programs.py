@@ -6,15 +6,15 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+import contests
 import jax
 import jax.numpy as jnp
 import numpy as np
+import peers
 from accelerator_rows import MEASURED, Row
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 import jaxilc
-from jaxilc import bench
-from jaxilc.bench import peers
 from jaxilc.pytree.named_paths import replaced
 from jaxilc.runtime import capacity, lanes
 
@@ -32,11 +32,10 @@ def use(precision: str, unroll: int = 1) -> None:
 
 
 def setting(trials: int, samples: int, machines: int):
-    """The setting of `jaxilc bench` for so many machines, and what is common to them."""
-    of = bench.setting("cfdl", 1, trials, samples)
-    b = np.asarray(of.machine.plant.b)
-    gains = np.random.default_rng(0).uniform(0.9, 1.1, (machines, 1)).astype(b.dtype)
-    return of._replace(b=gains * b), (of.machine, of.scheme, of.task)
+    """The setting of `make bench` for so many machines, and what is common to them."""
+    of = contests.setting("cfdl", machines, trials, samples)
+    gains = of.gains.astype(np.asarray(of.machine.plant.b).dtype)
+    return of._replace(gains=gains), (of.machine, of.scheme, of.task)
 
 
 def of_one(what: str, trials: int) -> Callable[[Any, Any], jax.Array]:
@@ -124,7 +123,7 @@ def timed(
     of, common = setting(row.trials, samples, row.machines)
     run = jax.jit(jaxilc.tiled(of_one(row.what, row.trials), lanes=lanes_taken))
     start = time.perf_counter()
-    size = capacity.program_bytes(run, common, of.b, devices=1)
+    size = capacity.program_bytes(run.lower(common, of.b), devices=1)
     found = {"bytes": size, "compile_seconds": time.perf_counter() - start}
     room = capacity.device_memory() or (capacity.host_bytes() or 2**62) // jax.device_count()
     if size > room:

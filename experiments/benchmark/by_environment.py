@@ -19,19 +19,20 @@ PLANTS, TRIALS, SAMPLES, TURNS = 16, 80, 2000, 3
 
 def measured(plants=PLANTS, trials=TRIALS, samples=SAMPLES):
     """The name of this environment, and the processor time of each program [ns a sample-step]."""
+    import contests
+    import gradients
     import jax
+    from timing import OURS
 
     import jaxilc
-    from jaxilc import bench
-    from jaxilc.bench.timing import OURS
 
     jaxilc.setup()
-    found = {}
-    for name in bench.SCHEMES:
-        rows = bench.compare_gradients(bench.setting(name, plants, trials, samples), {})
-        found[name] = rows[OURS].cpu
-        found[f"{name} gradient"] = next(r.cpu for n, r in rows.items() if n.endswith("reverse"))
-    return f"Python {platform.python_version()}, JAX {jax.__version__}", found
+    times = {}
+    for name in contests.SCHEMES:
+        rows = gradients.compare_gradients(contests.setting(name, plants, trials, samples), {})
+        times[name] = rows[OURS].cpu
+        times[f"{name} gradient"] = next(r.cpu for n, r in rows.items() if n.endswith("reverse"))
+    return f"Python {platform.python_version()}, JAX {jax.__version__}", times
 
 
 def table(turns):

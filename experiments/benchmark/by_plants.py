@@ -1,67 +1,54 @@
 """The benchmark at 1 to 65,536 plants: nanoseconds per sample-step, ratios, compile time, memory.
 
-Each row is written when it is measured. The whole takes three quarters of an hour on two cores.
-Numba is an opponent where it is installed, and the C programs where there is a compiler. Gradients
-are timed for up to 1024 plants; their ratios are to a run without one.
+The rows of a number of plants are written when all of them are measured. The whole takes three
+quarters of an hour on two cores. Numba is an opponent where it is installed, and the C programs
+where there is a compiler. Gradients and schemes alone are timed for up to 1024 plants; the ratios
+of a gradient are to a run without one.
 """
 
 import csv
 import sys
 from pathlib import Path
+from statistics import median
 
 import jaxilc
 
-PLANTS, TRIALS, SAMPLES = (1, 16, 1024, 65_536), 80, 2000
+PLANTS = (1, 16, 1024, 65_536)
 WHOLE = 1024  # largest number of plants with more than two turns
 
 
 def rows(plants):
-    from jaxilc import bench
-    from jaxilc.bench import timing
-    from jaxilc.bench.computer import computer, in_words
+    import contests
+    import ours
+    from compare import Programme, measure
 
-    print(in_words(computer()))
-    opponents, notes = bench.opponents()
-    for note in notes:
-        print(note)
-    of_gradients, notes = bench.gradient_opponents(opponents)
-    for note in notes:
-        print(note)
     for size in plants:
-        repeats = 5 if size <= WHOLE else 2
-        found = {
-            name: bench.compare(
-                bench.setting(name, size, TRIALS, SAMPLES), opponents, repeats=repeats
+        whole = size <= WHOLE
+        numbers = measure(
+            Programme(
+                (size,),
+                schemes=(*contests.SCHEMES, *(ours.ALONE if whole else ())),
+                long=0,
+                repeats=5 if whole else 2,
+                gradients=whole,
+                costs=False,
             )
-            for name in bench.SCHEMES
-        }
-        if size <= WHOLE:
-            found |= {
-                f"{name} gradient": bench.compare_gradients(
-                    bench.setting(name, size, TRIALS, SAMPLES), of_gradients, repeats=repeats
-                )
-                for name in bench.SCHEMES
-            }
-            found |= {name: bench.alone(name, size, repeats=repeats).rows for name in bench.ALONE}
-        found["plant"] = bench.compare_plant(
-            bench.setting("cfdl", size, 1, SAMPLES), repeats=repeats
         )
-        for what, contenders in found.items():
-            for name, row in timing.as_json(contenders).items():
-                ratios = sorted(row["cpu_ratio"])
+        for what, contenders in numbers["rows"].items():
+            for name, row in contenders.items():
                 yield {
-                    "what": what,
+                    "what": what.rpartition("/")[0],
                     "contender": name,
                     "plants": size,
                     "ran": f"{row['plants']} x {row['trials']}",
                     "ns best": row["ns_best"],
                     "ns median": row["ns_median"],
                     "cpu ns": row["ns_cpu"],
-                    "times ours, median": sorted(row["ratio"])[len(ratios) // 2],
-                    "times ours by cpu, median": ratios[len(ratios) // 2],
+                    "times ours, median": median(row["ratio"]),
+                    "times ours by cpu, median": median(row["cpu_ratio"]),
                     "compile s": row["compile_seconds"],
                     "peak bytes": row["peak_bytes"],
-                    "load": computer()["load"][0],
+                    "load": numbers["machine_after"]["load"][0],
                 }
 
 

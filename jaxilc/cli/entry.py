@@ -14,7 +14,6 @@ import typer.core
 from rich.markup import escape
 
 from . import (
-    bench,
     certify,
     design,
     explore,
@@ -119,7 +118,6 @@ COMMANDS = (
     q_filter,
     hardware,
     reproduce,
-    bench,
 )
 for room in COMMANDS:
     room.register(app)

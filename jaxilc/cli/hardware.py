@@ -3,43 +3,112 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from . import trials
-from .campaign_options import (
-    AcceptSaturation,
-    Correction,
-    DryRun,
-    Folder,
-    Growth,
-    Limit,
-    Measured,
-    Next,
-    NextParams,
-    NoLearn,
-    NoPredict,
-    Number,
-    PlantFile,
-    Plot,
-    Predict,
-    ReferenceColumn,
-    Repeatability,
-    ReplayedInput,
-    ScenarioName,
-    SchemeName,
-    Share,
-    ShortTrial,
-    StopOnGrowth,
-    Undo,
-)
+from .completion import of_list, scenarios_from, schemes_from
 from .console import err, out
-from .options import MACHINE, FigureFormat, InputColumn, Json, OutputColumn, Set, TimeColumn
+from .options import (
+    MACHINE,
+    FigureFormat,
+    InputColumn,
+    Json,
+    OutputColumn,
+    Params,
+    Set,
+    TimeColumn,
+)
+from .trials import Folder, Plot
 
 if TYPE_CHECKING:
     from ..hardware.prediction import Prediction
     from ..scenarios.campaigns import Opened
+
+
+Measured = Annotated[
+    Path | None,
+    typer.Option(
+        "--measured", metavar="TRIAL", help="Measured trial, .csv or .mat; none starts a campaign."
+    ),
+]
+ReferenceColumn = Annotated[
+    str, typer.Option("--reference", help="Column of the reference, which need not be there.")
+]
+Next = Annotated[
+    Path | None,
+    typer.Option(
+        "--out", metavar="NEXT", help="What the machine plays next: .csv, .mat or .h (C)."
+    ),
+]
+ScenarioName = Annotated[
+    str | None,
+    typer.Option(
+        "--scenario",
+        metavar="NAME|FILE",
+        help="Scenario or plant file to start from.",
+        autocompletion=scenarios_from,
+    ),
+]
+PlantFile = Annotated[Path | None, typer.Option(help="Plant file (TOML or JSON) to start from.")]
+SchemeName = Annotated[
+    str | None,
+    typer.Option(
+        "--scheme", help="Scheme; not needed where only one learns.", autocompletion=schemes_from
+    ),
+]
+NoPredict = Annotated[
+    bool,
+    typer.Option(
+        "--no-predict", help="Predict no errors of trials by the plant file, from now on."
+    ),
+]
+Predict = Annotated[bool, typer.Option("--predict", help="Predict them again, from now on.")]
+Limit = Annotated[
+    float | None, typer.Option(help="Largest |input| played; the machine's own if not given.")
+]
+Correction = Annotated[
+    float | None,
+    typer.Option("--largest-correction", help="Largest departure of a learned reference."),
+]
+Share = Annotated[
+    float | None,
+    typer.Option("--saturation", help="Share of samples at the limit that is accepted."),
+]
+Repeatability = Annotated[
+    float | None, typer.Option(help="Largest RMS difference of two trials of one schedule.")
+]
+Growth = Annotated[
+    float | None, typer.Option(help="Share by which the RMS error may grow without a warning.")
+]
+AcceptSaturation = Annotated[
+    bool, typer.Option("--accept-saturation", help="Learn in spite of saturation.")
+]
+StopOnGrowth = Annotated[
+    bool, typer.Option("--stop-on-growth", help="Refuse a trial whose error grew.")
+]
+NoLearn = Annotated[
+    bool,
+    typer.Option("--no-learn", help="Look at the trial only; the same schedule is played again."),
+]
+ReplayedInput = Annotated[
+    bool, typer.Option("--replayed-input", help="Without u: the scheme's over the measured y.")
+]
+ShortTrial = Annotated[
+    bool, typer.Option("--short-trial", help="The trial may have ended early: learn from its part.")
+]
+Undo = Annotated[
+    int | None,
+    typer.Option(metavar="J", help="Go back to what was known after trial J, 0 for the start."),
+]
+Number = Annotated[
+    str,
+    typer.Option(
+        help="Numbers of a C header: double or float.", autocompletion=of_list("double", "float")
+    ),
+]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="Check and report; write nothing.")]
 
 
 class Refused(ValueError):
@@ -63,7 +132,7 @@ def next_(
     scenario: ScenarioName = None,
     plant_file: PlantFile = None,
     scheme: SchemeName = None,
-    params: NextParams = None,
+    params: Params = None,
     set_: Set = None,
     limit: Limit = None,
     largest_correction: Correction = None,
@@ -188,8 +257,7 @@ def _predicted(opened: Opened, *, compute: bool, store: bool) -> Prediction | No
 
     compute: whether it is simulated where the folder does not have it
     """
-    from ..hardware.kept_prediction import kept, key_of, of_campaign
-    from ..hardware.prediction import next_step
+    from ..hardware.prediction import kept, key_of, next_step, of_campaign
 
     if not opened.recipe.get("predict", True):
         return None
@@ -216,10 +284,9 @@ def _turn(now, record, prediction: Prediction | None, **how):
     Raises Refused where the checks refuse the trial.
     """
     from ..hardware.campaign import refuse
-    from .campaign_lines import against_prediction
 
     turn = now.turn(record, **how)
-    predicted, finding = against_prediction(now, turn, prediction)
+    predicted, finding = trials.against_prediction(now, turn, prediction)
     turn.findings.extend(finding)
     largest = ", ".join(f"{value:.6g}" for value in turn.metrics["max_error"])
     unit = now.task.unit
@@ -277,7 +344,6 @@ def _close(
     columns: options that name columns of the measured trial, with their values
     """
     from ..hardware.checks import experiment_numbers
-    from . import campaign_lines
     from .results import written
 
     measured, out_file, plot, json_file = files
@@ -287,11 +353,9 @@ def _close(
     if plot is not None and live and not dry_run:
         plot = trials.save_figure(plot, now, rows, live, prediction)
     numbers_of = experiment_numbers(now.scheme, now.task, live)
-    verdict = campaign_lines.verdict(
-        live, turn, prediction, now.task.unit, now.rules.growth, numbers_of
-    )
-    following = campaign_lines.next_command(journal.path, trial, measured, out_file, columns)
-    step = "" if dry_run else campaign_lines.coming(live, prediction, trial, now.task.unit)
+    verdict = trials.verdict(live, turn, prediction, now.task.unit, now.rules.growth, numbers_of)
+    following = trials.next_command(journal.path, trial, measured, out_file, columns)
+    step = "" if dry_run else trials.coming(live, prediction, trial, now.task.unit)
     for line in (*([step] if step else []), *verdict, following):
         out.print(line, highlight=False, soft_wrap=True)
     numbers: dict[str, Any] = {
@@ -300,7 +364,7 @@ def _close(
         "next_trial": trial,
         "verdict": verdict,
         "next": following,
-        **campaign_lines.turn_numbers(live, turn, prediction),
+        **trials.turn_numbers(live, turn, prediction),
     }
     paths = [plot] if plot is not None and live and not dry_run else []
     written(paths, None if dry_run else json_file, numbers)

@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from ..sweeps.summary import SchemeSummary
     from ..theory.of_schemes import OfScheme
     from ..tuning.worst_machine import WorstMachine
-    from .identified import Fitted
 
 # Figures by the beginning of their names, which interactive ones replace on a page.
 EXPLORED = (
@@ -107,22 +106,6 @@ def of_trade_off(page: Path | None, numbers: Mapping[str, Any], names: Sequence[
     if names:
         return [front(numbers["points"], first=names[0], second=names[1])]
     return [budgets(numbers["budgets"], metric=numbers["figure"], unit=numbers["unit"])]
-
-
-def of_fit(page: Path | None, fitted: Fitted) -> list[Live | None]:
-    """A record beside its model and the Bode diagram, or a response and the one fitted to it."""
-    if page is None:
-        return []
-    from ..figures import live_records
-
-    found, dt, (input_unit, output_unit) = fitted.found, fitted.dt, fitted.units
-    if found.of_response:
-        return [live_records.response_fit(fitted.measured, found)]
-    units = {"input_unit": input_unit, "output_unit": output_unit}
-    return [
-        live_records.validation(fitted.measured, found, **units),
-        None if dt is None else live_records.response(found, dt, **units),
-    ]
 
 
 def of_certificates(

@@ -21,7 +21,6 @@ DESIGN = "Design"
 PROVE = "Prove"
 MACHINE = "Learn on a real machine"
 PAPERS = "Published results"
-SPEED = "Speed"
 
 
 def file_to_write(path: Path | None) -> Path | None:

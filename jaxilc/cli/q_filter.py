@@ -103,7 +103,7 @@ def q_filter(
     asked = {"margin": margin, "taps": taps, "band": band, "synthesise": synthesise}
     if all(records):
         _only_for("a scenario", scheme=scheme, vary=vary, spread=spread, set=set_, params=params)
-        from .q_filter_records import records_answer
+        from .q_filter_answers import records_answer
 
         law = {"gain": gain, "lead": lead, "cutoff": cutoff, "order": order, "dt": dt}
         numbers, paths = records_answer(
@@ -119,7 +119,7 @@ def q_filter(
         )
     else:
         _only_for("a measured response", gain=gain, cutoff=cutoff, dt=dt, averages=averages)
-        from .q_filter_scenario import scenario_answer
+        from .q_filter_answers import scenario_answer
 
         chosen = chosen_scenario(source[0], scheme, None, set_, params)
         numbers, paths = scenario_answer(

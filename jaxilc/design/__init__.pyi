@@ -1,5 +1,4 @@
-from .learned import Learned, LearnedLaw
-from .learned_settings import STARTS
+from .learned import STARTS, Learned, LearnedLaw
 from .search import LAWS, Design, Designed, Recommended, feedback_among
 
 __all__ = [

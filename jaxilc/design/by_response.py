@@ -7,12 +7,13 @@ half as many trials at a smaller weight, under
     |keep - L P| <= below    at each frequency, on each machine
 
 as a penalty; of several channels |.| is the largest singular value, and the error is predicted by
-matrices (`by_matrix`). Ends of the trial, limits and saturation are not in it: from here a `Tuning`
-goes on, which also tells the segments of a scheduled law apart.
+matrices (`of_matrices`). Ends of the trial, limits and saturation are not in it: from here a
+`Tuning` goes on, which also tells the segments of a scheduled law apart.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -24,7 +25,6 @@ import scipy.optimize
 from ..learning.metrics import largest
 from ..signals.task import Task
 from ..tuning.risks import Mean, Risk
-from .by_matrix import of_matrices
 from .responses import Family
 from .window import Filters, Window, along, moved_by
 
@@ -33,6 +33,8 @@ EARLY = 0.1  # weight of the error of half as many trials
 STRICT = 50.0, 5.0  # weights of the mean square excess, and of the largest one
 STEPS = 600
 ENOUGH = 1e-3  # fall of the loss below which the search ends
+DOUBLINGS = 5
+SHARPNESS = 2.0 ** (DOUBLINGS + 1)  # of the norm of several channels
 NEAR = 0.97  # largest |keep - L P| with which an error is predicted; the excess counts beyond it
 
 
@@ -154,11 +156,78 @@ def _of_numbers(family: Family, keep, L, trials, near: float):
     within = left * jnp.minimum(1.0, near / size)
     rest = (1 - keep) / (1 - within)
     learned = _square(LP) / (1 - jnp.minimum(square, near**2)) * noise**2
-    found = []
+    squares = []
     for trial in trials:
         share = rest + within ** (trial - 1) * (1 - rest)
-        found.append(jnp.sum(_square(share) * family.error**2 + learned, axis=1))
-    return size, found
+        squares.append(jnp.sum(_square(share) * family.error**2 + learned, axis=1))
+    return size, squares
+
+
+def of_matrices(family: Family, keep, L, trials: Sequence[int], near: float):
+    """(S, F) sizes of M = keep - L P, and for some trials (S,) the predicted mean square error.
+
+        e_j = (1 - P (1 + M + ... + M^(j-2)) L) e_1
+
+    frequency by frequency. What does not repeat adds |P L n|^2 / (1 - |M|^2) at most.
+
+    The size is a norm of the singular values that has a slope where two of them are equal, as they
+    are where nothing is learned yet; it exceeds the largest one by n_u^(1 / SHARPNESS) at most.
+
+    Each channel counts in units of its own largest error in the first trial.
+
+    keep: (F, n_u, n_u), L: (F, n_u, n_y) responses of the law
+    near: largest size of M with which an error is predicted; M is made smaller to it
+    """
+    P = jnp.asarray(family.P)
+    units = 1 / jnp.maximum(jnp.max(jnp.abs(family.first_error), axis=0), 1e-300)
+    M = keep - _times(L, P)
+    size = _size(M)
+    M = M * jnp.minimum(1.0, near / (size + 1e-12))[..., None, None]
+    PL = _times(P, L)
+    learned = _square(units[:, None] * PL * family.noise[:, None, :]).sum((-2, -1))
+    learned = jnp.sum(learned / (1 - jnp.minimum(size, near) ** 2), axis=1)
+    squares = []
+    for trial in trials:
+        whole = _sum_of_powers(M, trial - 1)
+        share = jnp.eye(P.shape[-2]) - _times(_times(P, whole), L)
+        left = units[:, None] * _times(share, family.error)
+        squares.append(jnp.sum(_square(left), axis=(1, 2, 3)) + learned)
+    return size, squares
+
+
+def _size(M):
+    """The norm (sum of the singular values to the power SHARPNESS)^(1 / SHARPNESS), by products."""
+    A = _times(jnp.swapaxes(M.conj(), -1, -2), M)
+    total = jnp.trace(A, axis1=-2, axis2=-1).real + 1e-24
+    A = A / total[..., None, None]
+    for _ in range(DOUBLINGS):
+        A = _times(A, A)
+    share = jnp.trace(A, axis1=-2, axis2=-1).real
+    return jnp.sqrt(total) * share ** (1 / SHARPNESS)
+
+
+def _sum_of_powers(M, count: int):
+    """1 + M + ... + M^(count - 1)"""
+    if count <= 1:
+        return jnp.broadcast_to(count * jnp.eye(M.shape[-1]), M.shape).astype(M.dtype)
+    if count % 2:
+        return jnp.eye(M.shape[-1]) + _times(M, _sum_of_powers(M, count - 1))
+    half = _sum_of_powers(M, count // 2)
+    return half + _times(_power(M, count // 2), half)
+
+
+def _power(M, count: int):
+    """M^count, count >= 1"""
+    if count == 1:
+        return M
+    half = _power(M, count // 2)
+    whole = _times(half, half)
+    return _times(M, whole) if count % 2 else whole
+
+
+def _times(A, B):
+    """A B of many small matrices, six times as fast on a CPU as a batch of matrix products."""
+    return jnp.sum(A[..., :, :, None] * B[..., None, :, :], axis=-2)
 
 
 def _square(z):

@@ -11,28 +11,31 @@ trial, limits, saturation, noise and disturbances count.
 from __future__ import annotations
 
 import dataclasses
+import json
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
+from ..pytree.closest import not_one_of
 from ..pytree.in_short import in_short
+from ..pytree.ranges import require
+from ..runtime.provenance import describe, differences, environment
+from ..storage.sealed import as_json, json_text, read_json, sealed, unsealed, write_json
 from ..tuning import Tuning
 from ..tuning.objectives import Final, Holding, Objective
 from ..tuning.risks import Mean, Risk
-from .by_response import moved
+from .by_response import moved, sizes_of
 from .candidates import Candidate
 from .first_taps import FirstTaps, best_of_leads, exchanged, held, radius_in_a_trial
-from .gate import Passed, gate
 from .judging import Verdict, judged_trials
-from .kept_taps import kept_or
-from .learned_settings import STARTS, check_settings
-from .penalty import penalty
 from .proof import Proof, proof_of
 from .question import Question, Told
 from .responses import Family
-from .shaped import WEIGHT, ShapedFilter, better_of
-from .window import Filters, Window, window_of
+from .tuned import penalty
+from .window import Filters, ShapedFilter, Window, window_of
 
 SPARE = 0.02  # beyond the margin, kept in the search for machines that it has not seen
 DENSE, CLOSE = 257, 600  # machines and frequencies of the gate
@@ -40,6 +43,28 @@ WATCH = 129  # machines that watch the search by frequency
 RISE = 0.5  # weight of the largest error of all trials
 RATE = 0.002  # share of 1 / |P| by which a step changes the taps at one frequency
 LEARNED, SAFE = "learned", "safe"
+WAYS = np.linspace(0.0, 1.0, 21)  # from what was learned to a law that is known to be safer
+BEGUN = "start.json"  # the taps with which a tuning begins, in its folder
+WEIGHT = "z"
+STARTS = {
+    "safe": ("p-type", "pd-type", "p-type-notch", "model-inverse"),
+    "p-type": ("p-type",),
+    "inverse": ("model-inverse",),
+    "nothing": (),
+}
+
+
+class Passed(NamedTuple):
+    """Taps that pass.
+
+    filters: the taps
+    way:     share of the way back on which they lie: 0 for those that were learned
+    largest: |keep - L P| at its largest, on the machines and lines of the family
+    """
+
+    filters: Filters
+    way: float
+    largest: float
 
 
 class Taps(NamedTuple):
@@ -132,7 +157,32 @@ class LearnedLaw(Question):
 
     def __post_init__(self):
         super().__post_init__()
-        check_settings(self)
+        require("LearnedLaw", "margin", self.margin, "(0, 0.9)")
+        for name, least in (("trained_on", 1), ("held_out", 0), ("steps", 0)):
+            require("LearnedLaw", name, getattr(self, name), f"[{least}, inf)", whole=True)
+        if self.start not in STARTS:
+            raise ValueError(not_one_of(f"start = {self.start!r}", self.start, STARTS))
+        if self.task.inputs * self.task.outputs > 1 and self.start in ("p-type", "inverse"):
+            raise ValueError(
+                f"LearnedLaw: start = {self.start!r} is not possible with {self.task.inputs} "
+                f"inputs and {self.task.outputs} outputs; allowed is 'nothing'"
+            )
+        if self.limit is not None:
+            require("LearnedLaw", "limit", float(np.min(self.limit)), "(0, inf)")
+        most = min(1001, 2 * ((self.task.N - 1) // 2) - 1)
+        if len(self.taps) != 2 or any(
+            n != int(n) or n % 2 == 0 or not 1 <= n <= most for n in self.taps
+        ):
+            raise ValueError(
+                f"LearnedLaw: taps = {self.taps} are not allowed; allowed are two odd numbers, of "
+                f"L and of Q, from 1 to {most} for a trial of {self.task.N} samples"
+            )
+        places = (0, *self.starts, self.task.N)
+        if any(k != int(k) for k in places) or np.any(np.diff(places) <= 0):
+            raise ValueError(
+                f"LearnedLaw: starts = {self.starts} are not allowed; allowed are whole samples "
+                f"that rise within a trial of {self.task.N}"
+            )
 
     def run(
         self,
@@ -215,17 +265,17 @@ class LearnedLaw(Question):
 
         begun = kept_or(out, self, by_frequency, resume=resume)
         window = at(begun.lead)
-        found = window.throughout(begun.filters)
+        by_lines = window.throughout(begun.filters)
         first = held(window, law, self.task)
-        told("found", found)
+        told("found", by_lines)
         wider = joined(begun.besides) if begun.besides else family
-        tuned = self._tuned(wider, window, (found, first), out / "tuning", resume, told)
+        tuned = self._tuned(wider, window, (by_lines, first), out / "tuning", resume, told)
         dense = self.resolved(after=3, machines=DENSE, points=CLOSE)
 
         def ends(filters: Filters, machine: int) -> bool:
             return radius_in_a_trial(dense, window, filters, self.task, machine) < 1
 
-        passed = gate(dense, window, tuned, (found, first), self.task.dt, 1 - self.margin, ends)
+        passed = gate(dense, window, tuned, (by_lines, first), self.task.dt, 1 - self.margin, ends)
         told("gate", passed)
         return Taps(start, window, dense, passed)
 
@@ -244,19 +294,19 @@ class LearnedLaw(Question):
         """The safe laws of a few weights, the best one first; none for several channels."""
         if family.P.ndim > 2:
             return []
-        found, _ = self.safe(family, STARTS["safe"], told)
-        return sorted(found, key=lambda one: one.predicted)
+        laws, _ = self.safe(family, STARTS["safe"], told)
+        return sorted(laws, key=lambda one: one.predicted)
 
     def _start_of(self, safe: list[Candidate]) -> Candidate | None:
         """The safe law to begin with, None for none; raises ValueError for one that is not safe."""
-        found = next((one for one in safe if one.name in STARTS[self.start]), None)
-        if found is None and self.start in ("p-type", "inverse"):
+        first = next((one for one in safe if one.name in STARTS[self.start]), None)
+        if first is None and self.start in ("p-type", "inverse"):
             raise ValueError(
                 f"LearnedLaw: start = {self.start!r} is not possible, as no weights of this law "
                 f"keep the margin {self.margin:g} on every machine; allowed are 'safe', 'nothing' "
                 "and a smaller margin"
             )
-        return found
+        return first
 
     def _tuned(
         self,
@@ -292,12 +342,108 @@ class LearnedLaw(Question):
                 quantities=self.quantities,
             )
 
-        asked = problem(starts[0])
-        if (start := better_of(asked, window, *starts)) is not starts[0]:
-            asked = problem(start)
+        tuning = problem(starts[0])
+        if (start := better_of(tuning, window, *starts)) is not starts[0]:
+            tuning = problem(start)
 
         def tell(step: int, losses, _) -> None:
             told("tuning", (step, float(np.min(losses))))
 
-        tuned = asked.run(out, resume=resume and out.exists(), progress=tell)
+        tuned = tuning.run(out, resume=resume and out.exists(), progress=tell)
         return moved(window, start, np.array(list(tuned.values.values())))
+
+
+def kept_or(
+    folder: Path, asked: Any, compute: Callable[[], FirstTaps], *, resume: bool
+) -> FirstTaps:
+    """The taps with which a tuning begins: those kept in its folder, or computed and kept there.
+
+    asked: the question that they answer, and all that their numbers depend on
+    Raises FileExistsError for a folder with taps without `resume`, and ValueError for taps of
+    another question, and for those of an earlier version that differ from segment to segment.
+    """
+    file = folder / BEGUN
+    question = json.loads(json_text({"asked": describe(asked), "environment": environment()}))
+    if file.exists():
+        if not resume:
+            raise FileExistsError(f"{folder} exists already; resume it or choose another place")
+        stored = as_json(unsealed(read_json(file)))
+        differing = differences(stored["question"], question)
+        if differing:
+            said = f"was made for another question; it differs in: {'; '.join(differing)}"
+            raise ValueError(f"{folder} {said}")
+        filters = Filters(*(np.asarray(stored[name], float) for name in Filters._fields))
+        if filters.keep.ndim % 2 == 0:
+            raise ValueError(
+                f"{folder} was begun by an earlier version with other taps in each segment; "
+                "choose another place"
+            )
+        besides = {name: np.asarray(of, float) for name, of in stored["besides"].items()}
+        return FirstTaps(filters, int(stored["lead"]), besides)
+    taps = compute()
+    folder.mkdir(parents=True, exist_ok=True)
+    kept = {name: np.asarray(values).tolist() for name, values in taps.filters._asdict().items()}
+    besides = {name: np.asarray(values).tolist() for name, values in taps.besides.items()}
+    write_json(file, sealed({"question": question, "lead": taps.lead, "besides": besides, **kept}))
+    return taps
+
+
+def better_of(problem: Tuning, window: Window, one: Filters, other: Filters) -> Filters:
+    """The filters of less loss on the held-out machines, the first of them where both are alike.
+
+    problem: a tuning of the steps z of a `ShapedFilter` around `one`
+    """
+    steps = [np.zeros(window.number_of_steps()), window.steps(one, other)]
+    names, loss = list(problem.start), jax.jit(problem.held_out_loss)
+    of_one, of_other = (float(loss(dict(zip(names, z, strict=True)))) for z in steps)
+    return other if of_other < of_one or not np.isfinite(of_one) else one
+
+
+# The gate
+# --------------------------------------------------------------------------------------------------
+
+
+def gate(
+    family: Family,
+    window: Window,
+    learned: Filters,
+    safer: Sequence[Filters],
+    dt: float,
+    most: float,
+    ends: Callable[[Filters, int], bool] = lambda filters, machine: True,
+) -> Passed | str:
+    """The taps that were learned, taken back no further than |keep - L P| <= most asks, or why not.
+
+    A tuning of a few trials may also end at taps with which learning diverges late, from an end of
+    the trial, which the frequency does not tell; these are taken back too.
+
+    Since |keep - L P| is convex in the taps, what lies between two laws is at no frequency worse
+    than the worse of them, so a way back to a safe law ends at a safe law.
+
+    safer: laws towards which the taps are taken back, one after the other
+    ends: whether taps are safe at the ends of a trial of a machine of this number; it is asked of
+        the nominal machine and of the worst one
+    """
+    for filters in safer:
+        for way in WAYS:
+            between = learned.towards(filters, float(way))
+            sizes = np.max(sizes_of(family, window, between, dt), axis=1)
+            worst, largest = int(np.argmax(sizes)), float(np.max(sizes))
+            if largest <= most and all(ends(between, machine) for machine in {0, worst}):
+                return Passed(between, float(way), largest)
+    return _refusal(family, sizes_of(family, window, learned, dt), most)
+
+
+def _refusal(family: Family, sizes: np.ndarray, most: float) -> str:
+    which, line = np.unravel_index(int(np.argmax(sizes)), sizes.shape)
+    if sizes[which, line] <= most:
+        return (
+            "learning would diverge from an end of the trial, where L looks for errors that do not "
+            "exist, and no law on the way back to the start is safe there"
+        )
+    on = ", ".join(f"{name} = {values[which]:.4g}" for name, values in family.drawn.items())
+    return (
+        f"|Q (1 - L P)| is {sizes[which, line]:.3g} at {family.frequencies[line]:.3g} Hz"
+        f"{f' on the machine with {on}' if on else ''}; allowed is {most:.3g}, and no law on the "
+        "way back to the start keeps it"
+    )

@@ -11,7 +11,8 @@ What does not repeat, n, is learned too: of |n|^2 each trial has the part
     (1 + |P Q L|^2 / (1 - |Q (1 - L P)|^2)) |n|^2
 
 This holds far from the ends of a long trial. It takes microseconds, where a simulation takes
-milliseconds, so that many laws can be looked at. `by_matrix` has the same of several channels.
+milliseconds, so that many laws can be looked at. For several channels `by_response.of_matrices`
+predicts the same.
 """
 
 from __future__ import annotations
@@ -95,14 +96,10 @@ class Family(NamedTuple):
             )
         )
 
-    def contraction(self, Q, L) -> np.ndarray:
-        """(..., S, F) Q (1 - L P) of laws Q (..., F) and L (..., F)."""
-        Q, L = (np.asarray(x)[..., None, :] for x in (Q, L))
-        return Q * (1 - L * self.P)
-
     def largest(self, Q, L) -> np.ndarray:
-        """(...) the largest |Q (1 - L P)| over machines and frequencies."""
-        return np.max(np.abs(self.contraction(Q, L)), axis=(-2, -1))
+        """(...) the largest |Q (1 - L P)| of laws Q (..., F) and L (..., F) on the machines."""
+        Q, L = (np.asarray(x)[..., None, :] for x in (Q, L))
+        return np.max(np.abs(Q * (1 - L * self.P)), axis=(-2, -1))
 
     def rms(self, Q, L, trial: int, machines=slice(None)) -> np.ndarray:
         """(..., S) root mean square error of a trial that is predicted for each machine.

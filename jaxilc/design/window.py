@@ -8,7 +8,8 @@ of the height 1. A step of 0.01 along any of them is then a small one, and no ra
 
 keep is 1 at rest and flat there, 1 - keep = O(f^4), as that of a Butterworth filter of order 2 is.
 Slow errors are the largest, and no step of a search may give them away. Of several channels that
-holds for keep as a matrix, which is the identity at rest.
+holds for keep as a matrix, which is the identity at rest. A `Tuning` moves a `ShapedFilter` along
+the directions.
 """
 
 from __future__ import annotations
@@ -17,8 +18,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..schemes import LearningFilter
-from ..signals.task import Task
+from ..pytree.fields import Leaf, leaf, pytree, static
+from ..schemes import LearningFilter, Scheme
+from ..schemes.scheme import Feedforward
+from ..signals.task import Limit, Task, Trial
 from ..theory.law import Law, Taps
 from .responses import Family
 
@@ -195,6 +198,59 @@ def leads_of(family: Family, task: Task) -> list[int]:
     widths = np.gradient(angle)[:, None]
     means = [np.sum(delay * weight * widths) / np.sum(weight * widths) for weight in weights]
     return [max(0, round(float(mean)) - 1) for mean in means]
+
+
+@pytree
+class ShapedFilter(Scheme):
+    """A `LearningFilter` whose taps are start + directions z.
+
+    z:    (P,) steps, first those of L
+    L, keep: taps at z = 0, see `Filters`
+    of_L, of_keep: directions as columns, unit: factors of the steps; see `Window`
+    lead, limit, starts: as in `LearningFilter`
+    """
+
+    z: Leaf = leaf()
+    L: Leaf = leaf()
+    keep: Leaf = leaf()
+    of_L: Leaf = leaf()
+    of_keep: Leaf = leaf()
+    lead: int = static(default=0, interval="[0, inf)", whole=True)
+    unit: Leaf | None = leaf(default=None, optional=True)
+    limit: Leaf | None = leaf(default=None, interval="(0, inf)", optional=True)
+    starts: tuple[int, ...] = static(default=())
+    clips = ("limit",)
+
+    @classmethod
+    def around(cls, window: Window, start: Filters) -> ShapedFilter:
+        """The filter with these taps at z = 0."""
+        z = [0.0] * window.number_of_steps()
+        return cls(
+            z, start.L, start.keep, window.of_L, window.of_keep, window.lead, window.unit,
+            window.limit, starts=window.starts,
+        )  # fmt: skip
+
+    def taps(self) -> LearningFilter:
+        """The filter by its taps."""
+        start = Filters(self.L, self.keep)
+        L, keep = moved_by(start, self.of_L, self.of_keep, self.z, self.unit)
+        return LearningFilter(L, keep, self.limit, lead=self.lead, starts=self.starts)
+
+    def segments(self) -> list[LearningFilter]:
+        """As of a `LearningFilter`."""
+        return self.taps().segments()
+
+    def check(self, task: Task) -> None:
+        self.taps().check(task)
+
+    def initial_memory(self, task: Task) -> Feedforward:
+        return self.taps().initial_memory(task)
+
+    def learn(self, memory: Feedforward, trial: Trial) -> Feedforward:
+        return self.taps().learn(memory, trial)
+
+    def limits(self, task: Task, memory: Feedforward, trial: Trial) -> dict[str, Limit]:
+        return self.taps().limits(task, memory, trial)
 
 
 def _places(taps: int) -> np.ndarray:

@@ -156,8 +156,7 @@ def machines(
     from bokeh.layouts import column, row
     from bokeh.models import ColumnDataSource, CustomJS, Div, FactorRange, Select
 
-    from ..sweeps.spread import explained_shares
-    from ..sweeps.summary import errors_of
+    from ..sweeps.summary import errors_of, explained_shares
 
     columns = columns_of(drawn)
     if not columns:

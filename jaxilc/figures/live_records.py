@@ -80,7 +80,7 @@ def response(
     dt: sample time [s]
     Returns None for a plant that is not a `ProcessModel` of one input and one output.
     """
-    from ..identification.response_band import response_band
+    from ..identification.model_response import response_band
 
     try:
         f, P, phase, factor, half = response_band(identified, dt)

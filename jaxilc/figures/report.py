@@ -3,7 +3,7 @@
 The page begins with its conclusion in sentences. It can be read offline and printed. It is
 well-formed XML, and nothing in it refers to anything outside of it: figures and scripts are within
 the page, and a content security policy makes the browser refuse everything else. The layout is in
-`report.html.jinja2`, the style in `page_style`.
+`report.html.jinja2`, the style in `report.css`.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import base64
 import datetime
 import io
 import platform
+import re
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
@@ -24,13 +25,12 @@ from rich.table import Table
 from ..runtime.provenance import describe, environment
 from ..storage.files import atomically
 from .captions import caption_of
-from .page_style import STYLE
-from .page_texts import flat, of_rich, of_rows, text_of, text_rows
 
 if TYPE_CHECKING:
     from ..scenarios import Scenario
     from .live_axes import Live
 
+NOT_IN_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 MEDIA = {".png": "image/png", ".svg": "image/svg+xml"}
 DPI = 120  # resolution of axes that are drawn for the page
 ROOM = 4_800_000  # bytes of a page; figures beyond are named and left out
@@ -95,25 +95,25 @@ def html_report(title: str, asked: Mapping[str, object], *parts: Any, **named: A
     pictures, others = _pictures(page.figures, ROOM - len(library) - len(script))
     verdict = page.verdict
     text = _template().render(
-        title=text_of(title),
+        title=_text_of(title),
         policy=LIVE_POLICY if places else POLICY,
-        style=STYLE,
+        style=_file("report.css"),
         library=library,
         script=script,
         date=f"{datetime.datetime.now().astimezone():%d %B %Y, %H:%M %Z}",
-        conclusion=[text_of(line) for line in verdict.said] if verdict else [],
-        what=text_of(verdict.what) if verdict else "",
-        following=text_of(verdict.following) if verdict else "",
-        asked=text_rows(asked),
+        conclusion=[_text_of(line) for line in verdict.said] if verdict else [],
+        what=_text_of(verdict.what) if verdict else "",
+        following=_text_of(verdict.following) if verdict else "",
+        asked=_text_rows(asked),
         live=places,
         figures=pictures,
-        left_out=text_of(", ".join([*left_out, *others])),
-        tables=[of_rich(t) if isinstance(t, Table) else of_rows(*t) for t in page.tables],
+        left_out=_text_of(", ".join([*left_out, *others])),
+        tables=[_of_rich(t) if isinstance(t, Table) else _of_rows(*t) for t in page.tables],
         notes={
-            text_of(name): [text_of(one) for one in of] for name, of in (page.notes or {}).items()
+            _text_of(name): [_text_of(one) for one in of] for name, of in (page.notes or {}).items()
         },
-        versions=text_rows(_versions()),
-        settings=text_rows(dict(flat(page.configuration or {}))),
+        versions=_text_rows(_versions()),
+        settings=_text_rows(dict(_flat(page.configuration or {}))),
     )
     return text.strip() + "\n"
 
@@ -125,7 +125,7 @@ def _template() -> Any:
     made = Environment(
         autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined
     )
-    return made.from_string((Path(__file__).parent / "report.html.jinja2").read_text("utf-8"))
+    return made.from_string(_file("report.html.jinja2"))
 
 
 def _scripts(live: Sequence[Live]) -> tuple[str, str, list[dict[str, str]], list[str]]:
@@ -148,7 +148,7 @@ def _scripts(live: Sequence[Live]) -> tuple[str, str, list[dict[str, str]], list
                 kept.append(one)
         script, places = _embedded(kept)
     found = [
-        {"place": place, "caption": text_of(one.caption)}
+        {"place": place, "caption": _text_of(one.caption)}
         for place, one in zip(places, kept, strict=True)
     ]
     left_out = [one.caption.partition(".")[0] for one in live if one not in kept]
@@ -176,7 +176,7 @@ def _pictures(figures: Sequence[Any], room: float) -> tuple[list[dict[str, str]]
         if room < 0:
             left_out.append(str(drawing) if isinstance(drawing, str | Path) else caption)
         else:
-            found.append({"source": source, "caption": text_of(caption)})
+            found.append({"source": source, "caption": _text_of(caption)})
     return found, left_out
 
 
@@ -280,3 +280,82 @@ def _picture(drawing: Drawing) -> tuple[str, bytes]:
 
 def _first(axes) -> Any:
     return np.ravel(axes)[0]
+
+
+def _file(name: str) -> str:
+    return (Path(__file__).parent / name).read_text("utf-8")
+
+
+# Values and tables as texts
+# --------------------------------------------------------------------------------------------------
+
+
+def _text_rows(values: Mapping[str, object]) -> dict[str, str]:
+    return {_text_of(str(name)): _text_of(_value(value)) for name, value in values.items()}
+
+
+def _flat(value: Any, path: str = "") -> list[tuple[str, object]]:
+    """Nested settings as pairs of a path and a value."""
+    if isinstance(value, Mapping):
+        return [
+            pair
+            for name, of in value.items()
+            for pair in _flat(of, f"{path}.{name}" if path else str(name))
+        ]
+    if isinstance(value, list | tuple):
+        if all(not isinstance(of, Mapping | list | tuple) for of in value):
+            return [(path, ", ".join(_value(of) for of in value))]
+        return [pair for i, of in enumerate(value) for pair in _flat(of, f"{path}[{i}]")]
+    return [(path, value)]
+
+
+def _of_rich(table: Table) -> dict[str, Any]:
+    """The caption, the headers, which columns hold numbers, and the rows of a table."""
+    rows = zip(*([_plain(cell) for cell in column.cells] for column in table.columns), strict=True)
+    return {
+        "caption": _text_of(_plain(table.title)),
+        "headers": [_text_of(_plain(c.header)) for c in table.columns],
+        "numeric": [c.justify == "right" for c in table.columns],
+        "rows": [[_text_of(cell) for cell in row] for row in rows],
+    }
+
+
+def _of_rows(caption: str, rows: Sequence[Mapping[str, object]]) -> dict[str, Any]:
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    return {
+        "caption": _text_of(caption),
+        "headers": [_text_of(name) for name in names],
+        "numeric": [any(_is_number(row.get(name)) for row in rows) for name in names],
+        "rows": [[_text_of(_value(row.get(name))) for name in names] for row in rows],
+    }
+
+
+def _plain(cell: object) -> str:
+    """The text of a cell of a table of `rich`.
+
+    Brackets are units, not markup. Where they are escaped, the backslash is removed.
+    """
+    return (
+        cell.replace("\\[", "[")
+        if isinstance(cell, str)
+        else getattr(cell, "plain", "" if cell is None else str(cell))
+    )
+
+
+def _value(value: object) -> str:
+    if value is None:
+        return ""
+    return (
+        f"{value:.6g}"
+        if _is_number(value) and not isinstance(value, int | np.integer)
+        else str(value)
+    )
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float | np.number) and not isinstance(value, bool)
+
+
+def _text_of(text: str) -> str:
+    """The text; a character that XML does not allow becomes a replacement character."""
+    return NOT_IN_XML.sub("\ufffd", text)

@@ -1,9 +1,8 @@
-from .campaign import Campaign
+from .campaign import Campaign, Turn
 from .checks import Finding, Rules
 from .input_files import write_schedules
 from .journal import Journal
 from .trial_files import Measured, read_measured
-from .turn import Turn
 
 __all__ = [
     "Campaign",

@@ -9,16 +9,18 @@ import dataclasses
 import hashlib
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..learning.machine import Actuator
+from ..learning.metrics import measure
 from ..learning.over_trials import check_length, measured_trial
 from ..learning.playback import replay, schedules
 from ..pytree.in_short import in_short
+from ..pytree.named_paths import named_leaves
 from ..runtime.provenance import describe, differences, environment
 from ..schemes import Scheme
 from ..signals.task import Task, Trial
@@ -26,12 +28,43 @@ from ..storage.sealed import as_json
 from . import checks
 from .checks import Finding, Rules
 from .journal import BACK, METRICS, Journal
-from .named_arrays import arrays_of, not_a_number, shapes_of
 from .short_trials import completed, ended, stored
 from .trial_files import Measured
-from .turn import Turn, hash_of, is_same_trial, known_as, learned, metrics_of, of_the_next, refuse
 
 MEMORY, TRIAL = "memory.npz", "trial.npz"
+
+
+class Turn(NamedTuple):
+    """A measured trial and the results that follow from it, before they are stored.
+
+    trial: number of the trial
+    record: the trial with the signals of the scheme
+    memory, schedules: memory and schedules for the next trial
+    metrics: metrics of this trial by name: those of `Metrics`, and `error`, the RMS error over all
+        outputs
+    hashes: hashes of the measured signals and of the schedules that were played
+    findings: findings of the checks, refusals included
+    learned: False for a trial that was only inspected
+    source: file of the trial
+    input: `measured`, or `replayed` where the file had no u and the scheme's law gave it
+    """
+
+    trial: int
+    record: Trial
+    memory: Any
+    schedules: dict[str, np.ndarray]
+    metrics: dict[str, Any]
+    hashes: dict[str, str]
+    findings: list[Finding]
+    learned: bool
+    source: str
+    input: str = "measured"
+    __repr__ = in_short
+
+    @property
+    def refusals(self) -> list[str]:
+        """The texts of the findings for which the trial is refused."""
+        return [f.text for f in self.findings if f.kind == "refusal"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,7 +113,7 @@ class Campaign:
             campaign.journal.create()
             campaign._append(
                 {"event": "start", "trial": 0, "parent": None},
-                {MEMORY: arrays_of(scheme.initial_memory(task))},
+                {MEMORY: _arrays_of(scheme.initial_memory(task))},
             )
         return campaign
 
@@ -139,13 +172,13 @@ class Campaign:
         Raises ValueError for a trial that is not one of the past, and for a damaged memory.
         """
         template, entry = self.scheme.initial_memory(self.task), self._after(trial)
-        found, needed = self.journal.arrays(entry, MEMORY), arrays_of(template)
-        if shapes_of(found) != shapes_of(needed):
+        found, needed = self.journal.arrays(entry, MEMORY), _arrays_of(template)
+        if _shapes_of(found) != _shapes_of(needed):
             raise ValueError(
-                f"{self.journal.path}: the memory holds {shapes_of(found)}; "
-                f"this scheme needs {shapes_of(needed)}; {BACK}"
+                f"{self.journal.path}: the memory holds {_shapes_of(found)}; "
+                f"this scheme needs {_shapes_of(needed)}; {BACK}"
             )
-        wrong = not_a_number(found)
+        wrong = _not_a_number(found)
         if wrong:
             raise ValueError(
                 f"{self.journal.path}: the memory after trial {entry['trial']} "
@@ -197,11 +230,11 @@ class Campaign:
         measured, u, signals = completed(measured, commanded, signals, played)
         record = jax.device_get(measured_trial(task, measured.y, u))._replace(signals=signals)
         record, findings = ended(record, measured)
-        hashes = {"measured": hash_of(measured.y, u), "played": hash_of(*played.values())}
+        hashes = {"measured": _hash_of(measured.y, u), "played": _hash_of(*played.values())}
         error = checks.rms_over_all(record)
         for entry in live[1:]:
             if self._is_measured(entry, record, error, with_input=measured.u is not None):
-                text = f"{measured.source} is trial {entry['trial']}, {known_as(entry)}"
+                text = f"{measured.source} is trial {entry['trial']}, {_known_as(entry)}"
                 raise ValueError(f"{text} measure trial {number}")
         findings += checks.saturation(u, self.actuator, self.rules)
         findings += checks.as_played(measured.others, played, self.actuator)
@@ -210,13 +243,13 @@ class Campaign:
         findings += self._against_those_before(record, error, hashes["played"], live)
         following = learned(scheme, task, memory, record) if learn else memory
         following_schedules = schedules(scheme, following, task)
-        findings += of_the_next(following, following_schedules, task, self.actuator, self.rules)
+        findings += _of_the_next(following, following_schedules, task, self.actuator, self.rules)
         return Turn(
             number,
             record,
             following,
             following_schedules,
-            metrics_of(record, task, error),
+            _metrics_of(record, task, error),
             hashes,
             findings,
             learn,
@@ -256,7 +289,7 @@ class Campaign:
         manifest["findings"] = turn.findings
         self._append(
             {"event": "trial", "parent": parent["serial"], **manifest},
-            {MEMORY: arrays_of(turn.memory), TRIAL: stored(turn.record)},
+            {MEMORY: _arrays_of(turn.memory), TRIAL: stored(turn.record)},
         )
 
     def undo(self, trial: int) -> None:
@@ -282,13 +315,17 @@ class Campaign:
     def _is_measured(
         self, entry: dict[str, Any], record: Trial, error: float, *, with_input: bool
     ) -> bool:
-        """Whether a measured trial is that of an entry, see `is_same_trial`.
+        """Whether a measured trial is that of an entry, up to the rounding of a file.
 
         error: RMS error of the trial, which distinguishes most trials without reading their files
+        with_input: whether the input was measured too and is compared
         """
         if abs(entry[METRICS]["error"] - error) > checks.same_up_to(record.y):
             return False
-        return is_same_trial(self.journal.arrays(entry, TRIAL), record, with_input=with_input)
+        known = self.journal.arrays(entry, TRIAL)
+        return checks.same(known["y"], record.y) and (
+            not with_input or checks.same(known["u"], record.u)
+        )
 
     def _append(self, manifest: dict[str, Any], arrays: dict[str, dict[str, Any]]) -> None:
         known = {
@@ -298,3 +335,78 @@ class Campaign:
             "environment": environment(),
         }
         self.journal.append(manifest | known, arrays)
+
+
+def refuse(findings: list[Finding]) -> None:
+    """Raises ValueError with the refusals among the findings, if there are any."""
+    texts = [f.text for f in findings if f.kind == "refusal"]
+    if texts:
+        raise ValueError("; ".join(texts))
+
+
+def _known_as(entry: dict[str, Any]) -> str:
+    """A text that says as which trial an entry is stored already."""
+    if entry["learned"]:
+        return "which was learned from already;"
+    undo = f"--undo {entry['trial'] - 1}"
+    return f"which was looked at already; {undo} forgets it, so that it can be learned from; or"
+
+
+def _hash_of(*arrays) -> str:
+    """SHA-256 of the values of arrays, in double precision."""
+    return hashlib.sha256(
+        b"".join(np.ascontiguousarray(a, dtype=float).tobytes() for a in arrays)
+    ).hexdigest()
+
+
+def _of_the_next(
+    memory: Any,
+    schedules: dict[str, np.ndarray],
+    task: Task,
+    actuator: Actuator | None,
+    rules: Rules,
+) -> list[Finding]:
+    """The findings on the memory after a trial, and on the schedules of the next one."""
+    wrong = _not_a_number(_arrays_of(memory))
+    text = f"what would be learned is not a number in {wrong}"
+    findings = [Finding("refusal", text)] if wrong else []
+    return findings + checks.beyond_limits(schedules, task, actuator, rules)
+
+
+def _metrics_of(record: Trial, task: Task, error: float) -> dict[str, Any]:
+    """The metrics of a trial as the journal stores them.
+
+    error: RMS error over all outputs [unit of y]
+    """
+    metrics = _measured(record, task)._asdict()
+    return {"error": error} | {name: np.asarray(v).tolist() for name, v in metrics.items()}
+
+
+_measured = jax.jit(measure)  # one program instead of one for each operation
+
+
+@jax.jit
+def learned(scheme: Scheme, task: Task, memory: Any, trial: Trial):
+    """The memory after a trial."""
+    return scheme.prepared(task).learn(memory, trial)
+
+
+def _arrays_of(tree: Any) -> dict[str, Any]:
+    """The leaves in order; each name is a running number and the path of the leaf."""
+    return {f"{i:03d} {name}": leaf for i, (name, leaf) in enumerate(named_leaves(tree).items())}
+
+
+def _shapes_of(arrays: dict[str, Any]) -> str:
+    """The names and shapes of arrays, as text for a message."""
+    return ", ".join(f"{name} {np.shape(values)}" for name, values in arrays.items())
+
+
+def _not_a_number(arrays: dict[str, Any]) -> str:
+    """The name of the first array that holds NaN, an empty text if there is none.
+
+    Infinite values are allowed: they stand for values that are not known yet, such as the best
+    error before the first trial.
+    """
+    return next(
+        (name for name, values in arrays.items() if np.any(np.isnan(np.asarray(values)))), ""
+    )

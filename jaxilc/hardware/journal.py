@@ -9,8 +9,10 @@ by going back to a trial before it.
 
 from __future__ import annotations
 
+import csv
 import dataclasses
 import datetime
+import io
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -20,7 +22,7 @@ import numpy as np
 
 from ..learning.known_metrics import GATHERED
 from ..pytree.ranges import is_number
-from ..storage.files import UNFINISHED, whole_folder
+from ..storage.files import UNFINISHED, atomically, whole_folder
 from ..storage.sealed import Damaged, archive, json_text, read_arrays, read_json, sealed, unsealed
 
 FORMAT, UNCHECKED = 2, 1  # the first format had neither checksums nor a copy of the manifest
@@ -252,3 +254,21 @@ def _is_whole(manifests: Sequence[dict[str, Any]], last: dict[str, Any]) -> bool
 
 def _said(error: Exception) -> str:
     return getattr(error, "strerror", None) or str(error)
+
+
+def write_log(path: str | Path, rows: Sequence[dict[str, Any]]) -> Path:
+    """Write the rows of `Journal.log` with a column for each name; missing values are empty."""
+    text = io.StringIO()
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    writer = csv.DictWriter(text, names, restval="", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    atomically(path, lambda file: file.write(text.getvalue().encode()))
+    return Path(path)
+
+
+def units(journal: Journal) -> tuple[str, str]:
+    """The units of the output and of the input; empty texts where the campaign has none."""
+    task = journal.last_known()["configuration"].get("task")
+    task = task if isinstance(task, dict) else {}
+    return str(task.get("unit", "")), str(task.get("input_unit", ""))

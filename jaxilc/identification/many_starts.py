@@ -15,8 +15,8 @@ from ..learning.machine import Machine
 from ..plants import ProcessModel
 from ..runtime.capacity import check_size
 from ..runtime.tiles import tiled
-from .from_rest import output_from_rest
 from .problem import Minimum, Problem
+from .records import output_from_rest
 
 REFINED = 16  # number of starts, those with the best fit, that are refined
 

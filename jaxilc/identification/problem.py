@@ -16,8 +16,7 @@ from ..pytree.closest import known_names
 from ..pytree.named_paths import get_at, interval_at, named_leaves, replaced
 from ..pytree.ranges import Interval, require, shown
 from ..signals.task import Task
-from .from_rest import first_of, output_from_rest
-from .records import Record, as_columns, task_of
+from .records import Record, as_columns, first_of, output_from_rest, task_of
 
 # With fewer samples for each parameter, the intervals would be wrong: they hold for long records.
 SAMPLES_PER_PARAMETER = 5

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from ..learning.machine import Machine
@@ -100,3 +101,22 @@ def task_of(plant: Plant, u, dt: float) -> Task:
 def played(machine: Machine, task: Task, u, key) -> Trial:
     """The trial that plays u back; the plain Scheme has only its feedforward."""
     return run_trial(machine, Scheme(), task, Feedforward(u), key)
+
+
+def output_from_rest(machine: Machine, task: Task, u) -> jax.Array:
+    """(T (N+1), n_y) the outputs of T experiments below each other, each from rest, without noise.
+
+    task: task of one experiment
+    u: (T N, n_u) inputs of the experiments below each other
+    """
+    key = jax.random.key(0)
+    if len(u) == task.N:
+        return played(machine, task, u, key).y
+    of_each = jnp.reshape(jnp.asarray(u), (-1, task.N, u.shape[1]))
+    y = jax.vmap(lambda one: played(machine, task, one, key).y)(of_each)
+    return y.reshape(-1, y.shape[2])
+
+
+def first_of(record: Record):
+    """(N, n_u) the input of the first experiment of a record."""
+    return record.u[: len(record.u) // record.trials]

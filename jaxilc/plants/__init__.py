@@ -1,18 +1,22 @@
 """Plants: each is its parameters, with a pure `initial_state`, `step` and `output`."""
 
 from .along_motion import linearised, motion
-from .ball_screw import BallScrewDrive
-from .ball_screw_parts import FrictionTable, LeadError
+from .ball_screw import BallScrewDrive, FrictionTable, LeadError
 from .blocks import InBlocks
 from .cnc_axis import ThreeAxes, TwoAxes, cnc_axis
-from .fast_tool_servo import FastToolServo, fast_tool_servo
-from .fast_tool_servo_parts import Creep, CuttingForce, FlexibleMode, PeriodicForce
+from .fast_tool_servo import (
+    Creep,
+    CuttingForce,
+    FastToolServo,
+    FlexibleMode,
+    PeriodicForce,
+    fast_tool_servo,
+)
 from .friction import StribeckFriction
 from .from_python_control import from_control
 from .hysteresis import BoucWen, Dahl, InputHysteresis
 from .linear import DifferenceEquation, StateSpace, TimeVaryingStateSpace
-from .motor import VoiceCoilMotor, voice_coil_motor
-from .motor_forces import Cogging, EndEffect
+from .motor import Cogging, EndEffect, VoiceCoilMotor, voice_coil_motor
 from .nominal_models import cascade, direct_model, multivariable_model
 from .pendulum import Pendulum
 from .plant import Plant

@@ -1,6 +1,6 @@
 """The voice-coil linear motor from its physics (Cao 2019, eq. 1 to 6).
 
-It has a coil, a carriage, and the current loop and speed loop of its drive.
+It has a coil, a carriage with the forces on it, and the current loop and speed loop of its drive.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 
 from ..pytree.fields import Leaf, child, pytree, scalar, static
@@ -18,8 +19,6 @@ from ..signals.task import Task
 from .friction import StribeckFriction
 from .integration import RK4_RADIUS, runge_kutta
 from .linear import StateSpace
-from .motor_forces import Cogging, EndEffect
-from .motor_linear import fastest_pole, matrices, third_order
 from .plant import Plant
 from .voice_coil import VoiceCoil
 
@@ -68,6 +67,54 @@ class DriveSignals(NamedTuple):
     wanted_current: jax.Array
     current: jax.Array
     voltage: jax.Array
+
+
+@pytree
+class Cogging:
+    """Force of the magnets on the iron, periodic in the position.
+
+        F(x) = -A sin(2 pi x / pitch + phase)
+
+    amplitude: () A [N]
+    pitch:     () period [m]
+    phase:     () [rad]; 0 makes x = 0 a stable rest
+    """
+
+    amplitude: Leaf = scalar(interval="[0, inf)")
+    pitch: Leaf = scalar(interval="(0, inf)")
+    phase: Leaf = scalar(default=0.0)
+
+    def force(self, position) -> jax.Array:
+        """The force () [N] at a position () [m]."""
+        return -self.amplitude * jnp.sin(2 * jnp.pi * position / self.pitch + self.phase)
+
+
+@pytree
+class EndEffect:
+    """What happens toward the ends of the stroke, and beyond them.
+
+    The coil leaves the field, and beyond the ends the carriage meets a buffer:
+
+        k_f(x) = k_f (1 - drop (x/x_max)^2) within |x| <= x_max, constant beyond
+        F(x) = -k_b (x - clip(x, -x_max, x_max))
+
+    stroke: () x_max, half the stroke [m]
+    drop:   () share of the force constant that is lost at the end
+    buffer_stiffness: () k_b [N/m]; None is no buffer
+    """
+
+    stroke: Leaf = scalar(interval="(0, inf)")
+    drop: Leaf = scalar(interval="[0, 1)")
+    buffer_stiffness: Leaf | None = scalar(default=None, interval="(0, inf)", optional=True)
+
+    def factor(self, position) -> jax.Array:
+        """The share () of the force constant that is left at a position () [m]."""
+        return 1.0 - self.drop * (jnp.clip(position, -self.stroke, self.stroke) / self.stroke) ** 2
+
+    def force(self, position) -> jax.Array | float:
+        """The force () of the buffer [N] at a position () [m]."""
+        beyond = position - jnp.clip(position, -self.stroke, self.stroke)
+        return 0.0 if self.buffer_stiffness is None else -self.buffer_stiffness * beyond
 
 
 @pytree
@@ -155,7 +202,7 @@ class VoiceCoilMotor(Plant):
 
     def __post_init__(self):
         if known(self):
-            fastest = fastest_pole(self)
+            fastest = _fastest_pole(self)
             if fastest * self.substep > RK4_RADIUS:
                 raise ValueError(
                     f"VoiceCoilMotor: substep = {self.substep:g} s is unstable for the fastest "
@@ -236,7 +283,7 @@ class VoiceCoilMotor(Plant):
         It is exact, of full order, in continuous time, and differentiable in every parameter. The
         state is that of `MotorState`.
         """
-        A, B, C = matrices(
+        A, B, C = _matrices(
             jnp, self, self.viscous_damping, 0.0 if self.stiffness is None else self.stiffness
         )
         return StateSpace(A, B[:, None], C[None, :])
@@ -263,7 +310,26 @@ class VoiceCoilMotor(Plant):
         `StateSpace`. It is meant for design and is not differentiable. Raises ValueError where the
         third and fourth pole are a conjugate pair, so that no third-order form exists.
         """
-        return third_order(self)
+        N, D = _polynomials(self)
+        poles = np.roots(D)
+        poles = poles[np.argsort(np.abs(poles), kind="stable")]
+        slow, next_one = poles[:3], poles[3]
+        if not np.isclose(slow.sum().imag, 0.0, atol=1e-9 * abs(next_one)):
+            raise ValueError(
+                "VoiceCoilMotor: no third-order form, since its third and fourth pole are a pair "
+                f"{next_one:.4g}; current_gain or speed_gain must set them apart"
+            )
+        D_slow, D_fast = np.poly(slow).real, D[0] * np.poly(poles[3:]).real
+        c_0 = N[-1] / D_fast[-1]
+        c_1 = (N[-2] - c_0 * D_fast[-2]) / D_fast[-1]
+        # rounding alone splits a double pole by 1e-8 of its size into a pair
+        if np.all(np.abs(slow.imag) <= 1e-6 * np.abs(slow)) and np.all(slow.real < 0) and c_1 != 0:
+            return VoiceCoil(gain=c_1, zero=-c_0 / c_1, poles=-slow.real[::-1])
+        return StateSpace(
+            np.vstack([np.eye(2, 3, 1), -D_slow[:0:-1]]),
+            np.eye(3)[:, 2:],
+            np.array([[c_0, c_1, 0.0]]),
+        )
 
 
 def voice_coil_motor(form: str = "identified") -> VoiceCoilMotor:
@@ -295,3 +361,106 @@ def voice_coil_motor(form: str = "identified") -> VoiceCoilMotor:
 
 def _clip(x, limit):
     return x if limit is None else jnp.clip(x, -limit, limit)
+
+
+# The linear form
+# --------------------------------------------------------------------------------------------------
+
+
+def _matrices(xp, motor, d, k):
+    """A (..., n, n), B (..., n), C (n,) of the linear motor with damping d and stiffness k.
+
+    xp: NumPy or jax.numpy, which computes them
+    """
+    m, R, L, k_f, K_c = (
+        motor.mass,
+        motor.resistance,
+        motor.inductance,
+        motor.force_constant,
+        motor.current_gain,
+    )
+    K_p, K_i, b, S, k_h = (
+        motor.speed_gain,
+        motor.speed_integral_gain,
+        motor.setpoint_weight,
+        motor.command_scale,
+        motor.holding_gain,
+    )
+    delayed = motor.command_delay is not None
+    # the Padé form has a feedthrough: w = 2 z - u
+    of_z, of_u, lag = (2.0, -1.0, 2 / motor.command_delay) if delayed else (0.0, 1.0, 0.0)
+    A = [
+        [0.0, 1.0, 0.0, 0.0, 0.0],
+        [-k / m, -d / m, k_f / m, 0.0, 0.0],
+        [
+            -K_c * b * K_p * k_h / L,
+            -(K_c * K_p + k_f) / L,
+            -(R + K_c) / L,
+            K_c / L,
+            K_c * b * K_p * S * of_z / L,
+        ],
+        [-K_i * k_h, -K_i, 0.0, 0.0, K_i * S * of_z],
+        [0.0, 0.0, 0.0, 0.0, -lag],
+    ]
+    B = [0.0, 0.0, K_c * b * K_p * S * of_u / L, K_i * S * of_u, lag]
+    n = 5 if delayed else 4
+    entries = xp.broadcast_arrays(
+        *(xp.asarray(a) for row in A[:n] for a in row[:n]), *(xp.asarray(a) for a in B[:n])
+    )
+    entries = xp.stack(entries, -1)
+    shape = entries.shape[:-1]
+    return (
+        entries[..., : n * n].reshape(*shape, n, n),
+        entries[..., n * n :],
+        xp.asarray([1e3] + [0.0] * (n - 1)),
+    )
+
+
+def _fastest_pole(motor) -> float:
+    """Largest |pole| [rad/s], over all elements of batched leaves.
+
+    It is looked for in free motion, and where friction, cogging and buffer are stiffest.
+    """
+    d, k = motor.viscous_damping, 0.0 if motor.stiffness is None else motor.stiffness
+    stiff_d, stiff_k = d, k
+    if motor.friction is not None:
+        stiff_d = d + motor.friction.damping_at_rest
+    if motor.cogging is not None:
+        stiff_k = stiff_k + 2 * np.pi * motor.cogging.amplitude / motor.cogging.pitch
+    if motor.end_effect is not None and motor.end_effect.buffer_stiffness is not None:
+        stiff_k = stiff_k + motor.end_effect.buffer_stiffness
+    cases = (_matrices(np, motor, d, k)[0], _matrices(np, motor, stiff_d, stiff_k)[0])
+    return max(float(np.max(np.abs(np.linalg.eigvals(A)))) for A in cases)
+
+
+def _polynomials(motor):
+    """N (high order first) and D of the full-order transfer function [mm/V], in closed form.
+
+        N = 1000 S k_f K_c (b K_p s + K_i) (2/T - s)
+        D = [s (L s + R + K_c)(m s^2 + d s + k) + k_f^2 s^2
+             + k_f K_c (K_p s^2 + (K_i + b K_p k_h) s + K_i k_h)] (2/T + s)
+
+    The last factors are absent where there is no delay.
+    """
+    names = (
+        "mass",
+        "resistance",
+        "inductance",
+        "force_constant",
+        "viscous_damping",
+        "current_gain",
+        "speed_gain",
+    )
+    m, R, L, k_f, d, K_c, K_p = (float(getattr(motor, name)) for name in names)
+    names = ("speed_integral_gain", "setpoint_weight", "command_scale", "holding_gain")
+    K_i, b, S, k_h = (float(getattr(motor, name)) for name in names)
+    k = 0.0 if motor.stiffness is None else float(motor.stiffness)
+    N = 1e3 * S * k_f * K_c * np.array([b * K_p, K_i])
+    D = np.polymul([L, R + K_c, 0.0], [m, d, k])
+    D[2:] += np.array(
+        [k_f**2 + k_f * K_c * K_p, k_f * K_c * (K_i + b * K_p * k_h), k_f * K_c * K_i * k_h]
+    )
+    if motor.command_delay is not None:
+        lag = 2 / float(motor.command_delay)
+        N, D = np.polymul(N, [-1.0, lag]), np.polymul(D, [1.0, lag])
+    return N, D

@@ -62,10 +62,9 @@ from pathlib import Path
 from typing import Any
 
 from .. import scenarios
-from ..learning.contour_metrics import contour_metrics
-from ..learning.counted_metrics import counted_metrics
 from ..learning.machine import Machine
 from ..learning.over_trials import check
+from ..learning.quantities import contour_metrics, counted_metrics
 from ..plants.cnc_axis import Axes
 from ..pytree.closest import not_one_of
 from ..pytree.ranges import brief, require

@@ -18,9 +18,9 @@ import numpy as np
 
 from ..filters.switching import segments
 from ..filters.zero_phase import ZeroPhaseButterworth
-from ..learning.contour_metrics import contour_metrics
 from ..learning.machine import Actuator, Disturbance, Machine, Sensor
 from ..learning.metrics import largest, root_mean_square
+from ..learning.quantities import contour_metrics
 from ..plants import TwoAxes, cnc_axis
 from ..plants.cnc_axis import SAMPLE_TIME
 from ..schemes import (

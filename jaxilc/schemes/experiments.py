@@ -21,6 +21,16 @@ def trials_of_step(scheme: Scheme, task: Task) -> int:
     return scheme.trials_a_step if experiments else 1
 
 
+def need_learned_at_last(owner: str, scheme: Scheme, task: Task, trials: int) -> None:
+    """Raises ValueError where the last trial is an experiment, which says nothing of learning."""
+    each = trials_of_step(scheme, task)
+    if (trials - 1) % each:
+        raise ValueError(
+            f"{owner}: trials = {trials} ends with an experiment, whose error says nothing of what "
+            f"was learned; allowed are 1, {1 + each}, {1 + 2 * each} and so on"
+        )
+
+
 def need_no_experiments(wrapper: Any, task: Task, why: str) -> None:
     """Raises ValueError where a part of the scheme makes experiments between its steps."""
     for scheme, _, _ in with_all_parts(wrapper.scheme, task):

@@ -15,7 +15,7 @@ import numpy as np
 import optax
 from jax import lax
 
-from .starts import over_starts
+OPTIMISERS = ("adam", "lbfgs", "least-squares")
 
 
 class Evaluation(NamedTuple):
@@ -169,6 +169,46 @@ def by_least_squares(evaluate: Callable[[Any], Evaluation], damping: float = 1e-
     return Method(init, step)
 
 
+def method_of(
+    optimiser: str | optax.GradientTransformation,
+    evaluate: Callable[[Any], Evaluation],
+    rate: float,
+    steps: int,
+) -> Method:
+    """The method of an optimiser on a loss.
+
+    rate, steps: rate of adam, and the number of steps over which it falls to zero
+    """
+    if optimiser == "least-squares":
+        return by_least_squares(evaluate)
+    if isinstance(optimiser, str):
+        optimiser = (
+            optax.lbfgs()
+            if optimiser == "lbfgs"
+            else optax.adam(optax.cosine_decay_schedule(rate, steps))
+        )
+    return by_gradient(evaluate, optimiser)
+
+
+# Many starts
+# --------------------------------------------------------------------------------------------------
+
+
+def over_starts(f: Callable) -> Callable:
+    """The function f of one start, for arguments with a leading axis of K starts.
+
+    It is `jax.vmap`. But for a single start f is called alone, which is traced and compiled faster.
+    """
+
+    def of_all(*arguments):
+        if len(jax.tree.leaves(arguments)[0]) > 1:
+            return jax.vmap(f)(*arguments)
+        results = f(*jax.tree.map(lambda x: x[0], arguments))
+        return jax.tree.map(lambda x: jnp.asarray(x)[None], results)
+
+    return of_all
+
+
 def for_starts(method: Method) -> Method:
     """The method for many starts at once, compiled into one program for all steps.
 
@@ -193,6 +233,19 @@ def for_starts(method: Method) -> Method:
     return Method(
         lambda z: jax.device_get(init(z)), lambda z, state: jax.device_get(step(z, state)), programs
     )
+
+
+def arguments_like(method, z) -> tuple[Any, Any]:
+    """The arguments of the compiled step of a method for all starts: z (K, P) and the state.
+
+    Only shapes are worked out; nothing is computed.
+    """
+    state = jax.eval_shape(method.programs[0], z)
+    return z, jax.tree.map(lambda s: jax.ShapeDtypeStruct(s.shape, s.dtype), state)
+
+
+# The state
+# --------------------------------------------------------------------------------------------------
 
 
 class State(NamedTuple):

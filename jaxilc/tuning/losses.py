@@ -33,17 +33,59 @@ from ..learning.over_trials import truncated
 from ..learning.within_trial import bytes_of_trial
 from ..pytree.named_paths import replaced
 from ..runtime.lanes import fitting_lanes, usual_lanes
+from ..runtime.tiles import tiled
 from ..schemes import Scheme
 from ..signals.task import Task, Trial
+from ..uncertainty import Uncertainty, draw, drawn_machine
 from .bounded import Bounded
 from .descent import Evaluation, counted, repaired
-from .machines import Machines
 from .objectives import Objective, Run, Sum, judge
 from .risks import Risk
-from .slopes import value_and_slope
 from .weights import Weights
 
 FORWARD_UP_TO = 2  # weights
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Machines:
+    """The set that a tuning draws its machines from; the fields are those of `Tuning`."""
+
+    machine: Machine
+    uncertainty: Uncertainty
+    seed: int
+    sampling: str
+    lanes: int
+    starts: int
+
+    def drawn(self, seed: int, size: int, *, nominal: bool) -> tuple[Any, dict[str, Any]]:
+        """The numbers and drawn values of `size` machines, as a batch for `tiled`.
+
+        nominal: whether the nominal machine, number 0, is one of them
+        """
+        skipped = 0 if nominal else 1
+        # The corners do not depend on the seed, so for another seed another sampling is used.
+        other = self.sampling == "corners" and seed != self.seed
+        sampling = "sobol" if other else self.sampling
+        drawn = draw(self.machine, self.uncertainty, size + skipped, seed=seed, sampling=sampling)
+        count = len(next(iter(drawn.values()))) if drawn else size + skipped
+        values = {name: jnp.asarray(values[skipped:]) for name, values in drawn.items()}
+        return jnp.arange(skipped, count), values
+
+    def one(self, numbered, seed: int) -> tuple[Machine, jax.Array]:
+        """One machine of a batch, and the key of its noise.
+
+        numbered: an element of the batch
+        """
+        number, drawn = numbered
+        machine = drawn_machine(self.machine, self.uncertainty, drawn)
+        return machine, jax.random.fold_in(jax.random.key(seed), number)
+
+    def tiled(self, of_one, batch):
+        """The result of `tiled(of_one)` over a batch and, under `vmap`, over all starts."""
+        of_a_device = -(-len(batch[0]) // jax.device_count())
+        wide = usual_lanes() is None  # all machines of all starts in one tile, if they fit
+        lanes = self.lanes if wide else min(self.lanes, of_a_device)
+        return tiled(of_one, lanes=max(1, lanes // self.starts))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -170,3 +212,39 @@ def split(objective: Objective) -> tuple[Sum, Sum]:
         for nominal in (False, True)
     )
     return of_machines, of_nominal
+
+
+def value_and_slope(f: Callable, z, *arguments, forward: bool):
+    """f(z, *arguments) and its (P,) gradient, by P forward derivatives at once or one reverse pass.
+
+    Under `vmap` over the arguments, the P forward derivatives stay outside of the batch, so that
+    those of all members for one weight are adjacent in RAM, as the members themselves are.
+    """
+    return _forward(f)(z, arguments) if forward else jax.value_and_grad(f)(z, *arguments)
+
+
+def _forward(f: Callable) -> Callable:
+    def slopes(of, z):
+        """The values of a function, any shape, and its derivatives, with P as the last axis."""
+        if z.size == 1:
+            value, slope = jax.jvp(of, (z,), (jnp.ones_like(z),))
+            return value, slope[..., None]
+        return jax.vmap(lambda tangent: jax.jvp(of, (z,), (tangent,)), out_axes=(None, -1))(
+            jnp.eye(z.size, dtype=z.dtype)
+        )
+
+    def alone(z, arguments):
+        return slopes(lambda z: f(z, *arguments), z)
+
+    of_one = jax.custom_batching.custom_vmap(alone)
+
+    @of_one.def_vmap
+    def of_batch(axis_size, batched, z, arguments):
+        axes = jax.tree.map(lambda is_batched: 0 if is_batched else None, batched)
+        if axes[0] == 0:
+            both = jax.vmap(alone, in_axes=axes)(z, arguments)
+        else:
+            both = slopes(lambda z: jax.vmap(lambda one: f(z, *one), axes[1:])(arguments), z)
+        return both, (True, True)
+
+    return of_one

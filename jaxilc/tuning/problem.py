@@ -10,8 +10,9 @@ the weights inside their ranges. `losses` says how learning affects the gradient
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
-from contextlib import nullcontext
+from collections.abc import Callable, Generator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, nullcontext
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,35 +22,50 @@ import numpy as np
 import optax
 
 from ..learning.divergence import CEILING
+from ..learning.known_metrics import bytes_of_metrics
 from ..learning.machine import Machine
 from ..learning.over_trials import check
+from ..pytree.closest import not_one_of
 from ..pytree.in_short import in_short
 from ..pytree.named_paths import replaced
-from ..runtime.capacity import check_program
+from ..pytree.ranges import SEEDS, require
+from ..runtime.capacity import check_program, check_size
 from ..runtime.earlier_names import takes_also
 from ..runtime.provenance import describe, environment
 from ..runtime.tiles import OPEN
 from ..schemes import Scheme
+from ..schemes.experiments import need_learned_at_last
 from ..signals.task import Task, Trial
-from ..uncertainty import Uncertainty, draw
-from .bijection import Bijection
-from .comparison import comparison_of
-from .descent import Method, State, Step, descended, for_starts
-from .losses import Losses
-from .machines import Machines
+from ..sweeps.sweep import Sweep
+from ..uncertainty import Uncertainty, bytes_drawn, draw
+from ..uncertainty import check as check_uncertainty
+from .descent import (
+    OPTIMISERS,
+    Method,
+    State,
+    Step,
+    arguments_like,
+    descended,
+    for_starts,
+    method_of,
+    over_starts,
+)
+from .losses import Losses, Machines
 from .objectives import Final, Objective
-from .optimisers import method_of
 from .risks import Mean, Risk
-from .settings import check_settings
-from .sizes import Counts, need_room
-from .starts import arguments_like, compiled_beside, in_rounds, over_starts
 from .states import Folder, stored_lanes
-from .weights import Asked, Tuned, Weights
+from .weights import Bijection, NamesOrBounds, Tuned, Weights
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from ..sweeps.sweep import Sweep
+# What the settings of a tuning may be.
+WHOLE = dict.fromkeys(("trials", "machines"), "[1, inf)") | {"held_out": "[0, inf)"}
+WHOLE |= dict.fromkeys(("steps", "starts", "validate_every", "lanes"), "[1, inf)")
+WHOLE |= {"patience": "[0, inf)", "seed": SEEDS}
+REAL = {"rate": "(0, inf)", "clip": "(0, inf]", "ceiling": "(0, inf)", "scatter": "[0, inf)"}
+CHOICES = {"mode": ("auto", "forward", "reverse"), "optimiser": OPTIMISERS}
+COPIES = 6  # in RAM, of the record of each step: in the state, in its file, and while it is written
 
 
 @takes_also(samples="machines")
@@ -98,7 +114,7 @@ class Tuning:
     scheme: Scheme
     task: Task
     trials: int
-    weights: Asked
+    weights: NamesOrBounds
     uncertainty: Uncertainty = dataclasses.field(default_factory=dict)
     objective: Objective = dataclasses.field(default_factory=Final)
     risk: Risk = dataclasses.field(default_factory=Mean)
@@ -125,16 +141,55 @@ class Tuning:
         if self.lanes_given is None:
             object.__setattr__(self, "lanes", 1)
         check(self.machine, self.scheme, self.task)
-        check_settings(vars(self))
+        self._check_settings()
         self._weights.need_room(self.machine, self.scheme, self.task)
-        counts = Counts(len(self.start), *(getattr(self, name) for name in Counts._fields[1:]))
-        need_room(self.machine, self.uncertainty, self.task, counts)
+        self._need_room()
         draw(self.machine, self.uncertainty, self.machines, seed=self.seed, sampling=self.sampling)
         jax.eval_shape(lambda: self.loss_of(self.machine, {}))
         if self.lanes_given is None:
             lanes = self._losses.fitting_lanes(self.objective, max(self.machines, self.held_out))
             object.__setattr__(self, "lanes", lanes)
             del self.__dict__["_losses"]  # those of one lane
+
+    def _check_settings(self) -> None:
+        """Raises ValueError naming a setting, its value and what is allowed."""
+        for name, allowed in WHOLE.items():
+            require("Tuning", name, getattr(self, name), allowed, whole=True)
+        for name, allowed in REAL.items():
+            require("Tuning", name, getattr(self, name), allowed)
+        if self.truncate is not None:
+            require("Tuning", "truncate", self.truncate, "[1, inf)", whole=True)
+        for name, choices in CHOICES.items():
+            value = getattr(self, name)
+            if isinstance(value, str) and value not in choices:
+                raise ValueError(not_one_of(f"Tuning: {name} = {value!r}", value, choices))
+        need_learned_at_last("Tuning", self.scheme, self.task, self.trials)
+
+    def _need_room(self) -> None:
+        """Raises ValueError, saying how many fit, where trials, machines, starts or steps do not.
+
+        Nothing is drawn or compiled for it. An uncertainty that does not fit the machine is
+        refused, too.
+        """
+        check_uncertainty(self.machine, self.uncertainty)
+        weights, starts = len(self.start), self.starts
+        together = min(self.lanes * jax.device_count(), self.machines)
+        of_a_trial = COPIES * bytes_of_metrics(self.task) * together
+
+        def of_machines(machines: float, starts: float) -> float:
+            drawn = bytes_drawn(self.machine, self.uncertainty, machines)
+            return drawn + COPIES * 8 * (weights + 1) * machines * starts
+
+        def of_steps(starts: float, steps: float) -> float:
+            return COPIES * 8 * (weights + 4) * starts * (steps + 1)
+
+        check_size("Tuning", lambda trials: of_a_trial * trials, trials=self.trials)
+        for name in ("machines", "held_out"):
+            counts = {name: getattr(self, name), "starts": starts}
+            check_size(
+                "Tuning", lambda starts, **of: of_machines(sum(of.values()), starts), **counts
+            )
+        check_size("Tuning", of_steps, starts=starts, steps=self.steps)
 
     @cached_property
     def lanes_given(self) -> int | None:
@@ -284,7 +339,23 @@ class Tuning:
         Raises as `compare` does, and ValueError for more machines or trials than the RAM can hold.
         """
         schemes = {"given": self.scheme, "tuned": self.scheme} if schemes is None else schemes
-        return comparison_of(self._losses, schemes, trials, machines, seed)
+        if seed in (self.seed, self.seed + 1):
+            raise ValueError(
+                f"compare: seed = {seed} is one of {self.seed} and {self.seed + 1}, whose plants "
+                "tuning or choosing has seen"
+            )
+        planned = Sweep(
+            self.machine,
+            schemes,
+            self.task,
+            trials or self.trials,
+            self.uncertainty,
+            machines=machines,
+            seed=self.seed + 2 if seed is None else seed,
+            quantities=self.quantities,
+        )
+        planned.need_room(copies=2)  # without a store, the dataset is in the RAM twice
+        return planned
 
     @cached_property
     def _programs(self) -> tuple[Method, Any]:
@@ -300,3 +371,29 @@ class Tuning:
             clip=self.clip,
         )
         return method_of(self.optimiser, evaluate, self.rate, self.steps)
+
+
+def in_rounds(f: Callable, rows: Mapping[str, np.ndarray], size: int) -> np.ndarray:
+    """The (n,) results of f for n rows, of which it takes `size` at a time.
+
+    So a function that is compiled for `size` rows need not be compiled again. The last row is
+    repeated to fill up the last round.
+
+    rows: (n,) values by name
+    """
+    n = len(next(iter(rows.values())))
+    rounds = np.minimum(np.arange(-(-n // size) * size), n - 1).reshape(-1, size)
+    results: list[Any] = [f({name: of[k] for name, of in rows.items()}) for k in rounds]
+    return np.concatenate(results)[:n]
+
+
+@contextmanager
+def compiled_beside(run, *arguments) -> Generator[None]:
+    """A context at whose end a jitted function is compiled, in a thread, for these arguments.
+
+    The block compiles another one meanwhile.
+    """
+    with ThreadPoolExecutor(1) as compiler:
+        compiled = compiler.submit(lambda: run.lower(*arguments).compile())
+        yield
+    compiled.result()

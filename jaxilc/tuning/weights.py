@@ -20,14 +20,71 @@ from ..pytree.in_short import in_short
 from ..pytree.named_paths import get_at, interval_at, named_leaves, replaced
 from ..schemes import Scheme
 from ..signals.task import Task
-from .bijection import Bijection
 from .descent import State
 
-FAR = 12.0  # largest |z| for which room is checked: a factor e^12, or 6e-6 from an end of the range
+FARTHEST = 12.0  # largest |z| for which room is checked: a factor e^12, or 6e-6 from an end
+MARGIN = 1e-6  # smallest distance of a value from an end of its range, on the unit interval
+FAR = 60.0  # largest |z| on the real line; beyond it exponentials are held constant
+NUDGE = 1e-3  # share of the range by which a start on its end is moved inside
 
-Asked = (
-    Mapping[str, tuple[float, float] | None] | Sequence[str]
-)  # names with their bounds, None for the range that the leaf allows
+# Names of weights with their bounds, None for the range that the leaf allows.
+NamesOrBounds = Mapping[str, tuple[float, float] | None] | Sequence[str]
+
+
+@dataclasses.dataclass(frozen=True)
+class Bijection:
+    """A smooth map of the real line onto an open interval, with s(z) = 1 / (1 + e^-z).
+
+        (-inf, inf)    scale z
+        (a, inf)       a + e^z
+        (-inf, b)      b - e^z
+        (a, b)         a + (b - a) s(z)
+        (a, b), a and b of one sign    a (b / a)^s(z): each order of magnitude has the same weight
+
+    low, high: () ends of the interval
+    scale: () factor of the map onto the whole real line
+    """
+
+    low: float
+    high: float
+    scale: float = 1.0
+
+    def __call__(self, z):
+        low, high = self.low, self.high
+        if np.isinf(low) and np.isinf(high):
+            return self.scale * z
+        if np.isinf(high) or np.isinf(low):
+            end, sign = (low, 1.0) if np.isinf(high) else (high, -1.0)
+            nearest = np.log(MARGIN * abs(end)) if end else -FAR
+            return end + sign * jnp.exp(jnp.clip(z, nearest, FAR))
+        share = MARGIN + (1.0 - 2.0 * MARGIN) * jax.nn.sigmoid(z)
+        return low * (high / low) ** share if low * high > 0 else low + (high - low) * share
+
+    def inverse(self, value: float) -> float:
+        """The number z that is mapped to this value inside the interval."""
+        low, high = self.low, self.high
+        if np.isinf(low) and np.isinf(high):
+            return value / self.scale
+        if np.isinf(high):
+            return float(np.log(value - low))
+        if np.isinf(low):
+            return float(np.log(high - value))
+        share = (
+            np.log(value / low) / np.log(high / low)
+            if low * high > 0
+            else (value - low) / (high - low)
+        )
+        share = (share - MARGIN) / (1.0 - 2.0 * MARGIN)
+        return float(np.log(share / (1.0 - share)))
+
+    def inside(self, value: float) -> float:
+        """The value, moved inside the interval if it lies on an end of it."""
+        width = self.high - self.low if np.isfinite(self.high - self.low) else 1.0
+        if value <= self.low + 10 * MARGIN * width:
+            # If the range has only the end 0, the value approaches it exponentially and needs no
+            # distance from it.
+            return value if value > self.low and np.isinf(self.high) else self.low + NUDGE * width
+        return self.high - NUDGE * width if value >= self.high - 10 * MARGIN * width else value
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,7 +99,7 @@ class Weights:
     start: dict[str, float]
 
     @classmethod
-    def of(cls, scheme: Scheme, asked: Asked) -> Weights:
+    def of(cls, scheme: Scheme, asked: NamesOrBounds) -> Weights:
         """The weights of a scheme that were asked for.
 
         Raises ValueError naming a weight that does not exist, is absent or static, bounds that are
@@ -86,7 +143,7 @@ class Weights:
         Raises ValueError if it does not, as for a cutoff of a filter beyond the Nyquist frequency.
         """
         for name, bijection in self.bijections.items():
-            for z in (-FAR, FAR):
+            for z in (-FARTHEST, FARTHEST):
                 value = float(bijection(z))
                 try:
                     check(machine, replaced(scheme, {name: value}), task)

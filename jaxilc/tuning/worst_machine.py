@@ -21,10 +21,10 @@ from ..learning.over_trials import learn
 from ..pytree.in_short import in_short
 from ..runtime.capacity import check_size
 from ..schemes import Scheme
+from ..schemes.experiments import need_learned_at_last
 from ..signals.task import Task, Trial
 from ..uncertainty import Uncertainty
 from .objectives import Final, judge
-from .settings import need_learned_at_last
 from .worst_case import (
     GRADIENT_COST,
     WorstCase,

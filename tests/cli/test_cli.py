@@ -612,7 +612,7 @@ def test_every_command_that_draws_has_a_choice_of_formats():
     """The others write no figure: what `explore` and `reproduce` draw is on their pages."""
     commands = get_command(app).commands.items()
     without = {name for name, c in commands if "figures" not in {one.name for one in c.params}}
-    assert without == {"init", "list", "explore", "reproduce", "bench"}
+    assert without == {"init", "list", "explore", "reproduce"}
 
 
 @pytest.mark.parametrize(("command", "words"), [*examples()])
@@ -670,7 +670,7 @@ def test_help_groups_every_command_by_what_one_wants():
     shown = CliRunner().invoke(app, ["--help"], env={"COLUMNS": "80"}).stdout
     places = [shown.index(f"─ {group} ─") for group in dict.fromkeys(groups.values())]
     assert places == sorted(places)
-    assert len(places) == 6
+    assert len(places) == 5
     assert "─ Commands ─" not in shown
 
 

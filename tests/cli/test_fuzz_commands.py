@@ -16,7 +16,6 @@ import typer
 from fuzz import LONGEST, fuzz, pick
 
 from jaxilc import cli, runtime
-from jaxilc.bench import contests, ours_alone
 from jaxilc.design import Design, LearnedLaw
 from jaxilc.figures import explorer
 from jaxilc.identification import estimation
@@ -68,7 +67,6 @@ trials --state campaign
 list p.toml
 init p.toml
 explore p.toml --machines 2 --port 0 --no-browser
-bench --plants 1 --trials 2 --samples 8 --long 0 --repeats 1 --schemes cfdl --no-gradients
 """.strip().split("\n")
 ]
 NUMBERS = (
@@ -187,9 +185,6 @@ def folder(tmp_path, monkeypatch):
         ),
         *(
             (estimation, "problem_of"),
-            (contests, "compare"),
-            (ours_alone, "alone"),
-            (contests, "compare_long"),
             (explorer, "explore"),
         ),
     ):
@@ -213,7 +208,6 @@ tune p.toml {TUNED} --starts {10**12}
 tune p.toml {TUNED} --steps {10**12}
 certify p.toml --samples {10**12}
 worst-case p.toml --scheme ilc --starts {10**12}
-bench --plants {10**12} --long 0
 """
 
 

@@ -10,7 +10,7 @@ import typer
 from typer.testing import CliRunner
 
 from jaxilc.cli import hardware, identify
-from jaxilc.hardware import Journal, as_record, kept_prediction
+from jaxilc.hardware import Journal, as_record, prediction
 from jaxilc.runtime.provenance import describe
 from jaxilc.scenarios import load_scenario
 
@@ -187,7 +187,7 @@ def test_trials_are_numbers_and_a_figure(copied):
 
 def test_nothing_is_predicted_where_it_is_not_wanted(copied):
     folder, go_on = copied
-    file = folder / "x" / kept_prediction.FILE
+    file = folder / "x" / prediction.FILE
     file.write_text("damaged")
     assert "is predicted" not in go_on()[0]  # it is not computed for a call that measures nothing
     path, _ = measure(folder, 3, 1.02)

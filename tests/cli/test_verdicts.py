@@ -8,13 +8,12 @@ import pytest
 from typer.main import get_command
 
 from jaxilc.cli import app, certificate_tables
+from jaxilc.cli.reproduce import reproduce_verdict
 from jaxilc.cli.titled_table import Console
 from jaxilc.cli.verdicts.case import Case
 from jaxilc.cli.verdicts.certification import certify_verdict
 from jaxilc.cli.verdicts.next_command import REPEATED, Asked, Verdict
-from jaxilc.cli.verdicts.published import reproduce_verdict
 from jaxilc.cli.verdicts.simulation import list_verdict, run_verdict, sweep_verdict
-from jaxilc.cli.verdicts.speed import bench_verdict
 from jaxilc.cli.verdicts.trends import DIVERGES, FALLS, GROWS, SETTLED, SINGLE, trend_of
 from jaxilc.cli.verdicts.tuning import (
     budget_verdict,
@@ -355,7 +354,7 @@ def test_worst_case_leads_to_its_machine():
     assert parsed(found)[0] == "certify"
 
 
-# reproduce and bench
+# reproduce
 # --------------------------------------------------------------------------------------------------
 
 
@@ -388,24 +387,3 @@ def test_reproduce_leads_to_the_number_that_is_farthest():
     )
     both = reproduce_verdict([*rows, software | {"verdict": "open", "ratio": 1.02}]).said[0]
     assert both.endswith("1 of 3 met). 0 of 1 numbers of other software agree, 1 open.")
-
-
-def test_bench_compares_with_the_fastest_other():
-    ours = {"ns_best": 10.0, "plants": 16}
-    rows = {
-        "cfdl/1": {"jaxilc": ours | {"plants": 1}, "C": {"ns_best": 5.0}},
-        "cfdl/16": {"jaxilc": ours, "C": {"ns_best": 13.0}, "NumPy": {"ns_best": 50.0}},
-        "cfdl gradient/16": {"jaxilc": ours, "a": ours, "b": ours, "c": ours},
-    }
-    found = bench_verdict(rows, [])
-    assert found.said == (
-        "cfdl, 16 plants: 10 ns for each sample of each trial of each plant.",
-        "The fastest of 2 others, C, takes 1.3 times as long.",
-    )
-    assert parsed(found)[0] == "bench"
-    alone = {"my axis/ilc/1": {"jaxilc": ours | {"plants": 1}, "gradient": {"ns_best": 70.0}}}
-    found = bench_verdict(alone, ["my axis.toml"])
-    assert found.said[0].startswith("my axis/ilc, 1 plant: 10 ns")
-    assert found.said[1] == "A gradient takes as long as 7 runs."
-    assert parsed(found)[1]["scenario"] == "my axis.toml"
-    assert bench_verdict({}, []).said == ()

@@ -13,14 +13,11 @@ from jaxilc.design import LearnedLaw
 from jaxilc.design.by_response import by_response, moved, sizes_of
 from jaxilc.design.candidates import Candidate, candidates
 from jaxilc.design.first_taps import FirstTaps
-from jaxilc.design.gate import Passed, gate
-from jaxilc.design.kept_taps import kept_or
-from jaxilc.design.penalty import UNSAFE, penalty
+from jaxilc.design.learned import Passed, gate, kept_or
 from jaxilc.design.proof import _further
 from jaxilc.design.responses import family_of
-from jaxilc.design.shaped import ShapedFilter
-from jaxilc.design.tuned import contraction
-from jaxilc.design.window import Filters, window_of
+from jaxilc.design.tuned import UNSAFE, contraction, penalty
+from jaxilc.design.window import Filters, ShapedFilter, window_of
 from jaxilc.plants import ProcessModel
 from jaxilc.theory.law import law_of, learning_law
 

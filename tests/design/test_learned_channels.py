@@ -7,12 +7,10 @@ import pytest
 
 from jaxilc import Machine, Sensor, Task, Uniform
 from jaxilc.design import LearnedLaw
-from jaxilc.design.by_matrix import of_matrices
-from jaxilc.design.by_response import by_response, moved, sizes_of
+from jaxilc.design.by_response import by_response, moved, of_matrices, sizes_of
 from jaxilc.design.proof import Proof
 from jaxilc.design.responses import family_of
-from jaxilc.design.shaped import ShapedFilter
-from jaxilc.design.window import along, window_of
+from jaxilc.design.window import ShapedFilter, along, window_of
 from jaxilc.plants import StateSpace
 from jaxilc.schemes import PID, LearningFilter, WithFeedback
 from jaxilc.schemes.learning_filter import segments_of

@@ -24,7 +24,7 @@ from jaxilc.scenarios import Published
 from jaxilc.schemes import PIDType
 from jaxilc.signals import Task
 from jaxilc.sweeps import run_schemes
-from jaxilc.sweeps.spread import explained_shares
+from jaxilc.sweeps.summary import explained_shares
 from jaxilc.theory import frequency
 from jaxilc.theory.condition import condition
 

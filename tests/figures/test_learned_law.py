@@ -5,7 +5,7 @@ import pytest
 
 from jaxilc import Task, figures
 from jaxilc.design import Learned
-from jaxilc.design.gate import Passed
+from jaxilc.design.learned import Passed
 from jaxilc.design.responses import Family
 from jaxilc.design.window import Filters, window_of
 

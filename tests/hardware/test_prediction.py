@@ -9,9 +9,9 @@ from cases import ALGEBRA
 from fuzz import flipped, fuzz
 from gain_case import GAINS, STATIC, TASK
 
-from jaxilc.cli.campaign_lines import new_plant_file, next_command, verdict
+from jaxilc.cli.trials import new_plant_file, next_command, verdict
 from jaxilc.figures.campaign import bands_by_trial
-from jaxilc.hardware import kept_prediction
+from jaxilc.hardware import prediction as predictions
 from jaxilc.hardware.prediction import (
     MACHINES,
     SEED,
@@ -125,11 +125,11 @@ def test_the_file_is_computed_once_and_again_where_it_is_damaged(tmp_path, predi
         asked.append(trials)
         return predicted
 
-    monkeypatch.setattr(kept_prediction, "predict", computed)
+    monkeypatch.setattr(predictions, "predict", computed)
 
     def ask(folder, needed=3, subject=SUBJECT, configuration="c"):
         asked.clear()
-        found = kept_prediction.of_campaign(
+        found = predictions.of_campaign(
             folder, subject, needed, expected=TRIALS, configuration=configuration
         )
         np.testing.assert_array_equal(found.rms.high, predicted.rms.high)
@@ -138,11 +138,11 @@ def test_the_file_is_computed_once_and_again_where_it_is_damaged(tmp_path, predi
 
     whole = tmp_path / "whole"
     whole.mkdir()
-    file = whole / kept_prediction.FILE
+    file = whole / predictions.FILE
     assert ask(whole) == [TRIALS]
     assert ask(whole) == []
-    assert kept_prediction.kept(whole, "c") is not None
-    assert kept_prediction.kept(whole, "another configuration") is None
+    assert predictions.kept(whole, "c") is not None
+    assert predictions.kept(whole, "another configuration") is None
     content = file.read_bytes()
     for part in (b"", content[:100], b"{}", b"[]", b"\xff"):
         file.write_bytes(part)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from cases import ALGEBRA, DIFFERENCES
 
-from jaxilc.learning.contour_metrics import ContourMetric, contour_metrics
+from jaxilc.learning.quantities import ContourMetric, contour_metrics
 from jaxilc.signals import Task, Trial
 
 DT = 1e-3

@@ -27,6 +27,7 @@ from jaxilc.schemes.pseudo_gradient import reset_estimate
 from jaxilc.signals import Task
 from jaxilc.tuning import objectives
 from jaxilc.tuning.descent import Evaluation, by_gradient, for_starts, repaired
+from jaxilc.tuning.losses import value_and_slope
 from jaxilc.tuning.objectives import (
     D2,
     Bounded,
@@ -42,7 +43,6 @@ from jaxilc.tuning.objectives import (
     TrialsTo,
     judge,
 )
-from jaxilc.tuning.slopes import value_and_slope
 from jaxilc.uncertainty import Uniform
 
 EVERYTHING = (

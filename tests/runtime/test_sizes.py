@@ -16,7 +16,7 @@ from cases import case
 from gain_case import GAINS, PROBLEM, STATIC
 from sweep_case import PLAN
 
-from jaxilc import bench, plants
+from jaxilc import plants
 from jaxilc.identification import Record, identify
 from jaxilc.learning import learn
 from jaxilc.plants import InBlocks
@@ -65,10 +65,6 @@ REFUSED = {
     "climbs from starts": (lambda: worst_case_search(None, STATIC, GAINS, starts=10**9), "starts"),
     "climbs of steps": (lambda: worst_case_search(None, STATIC, GAINS, steps=HUGE), "steps"),
     "search by chance": (lambda: monte_carlo_search(None, STATIC, GAINS, HUGE), "evaluations"),
-    "bench of plants": (lambda: bench.setting("cfdl", 10**9, 2, 100), "plants"),
-    "bench of trials": (lambda: bench.setting("cfdl", 2, HUGE, 100), "trials"),
-    "bench of samples": (lambda: bench.setting("cfdl", 2, 2, HUGE), "samples"),
-    "bench of a long trial": (lambda: bench.compare_long(HUGE), "samples"),
     "sinusoid": (lambda: references.sinusoid(1.0, 1.0, **LONG), "samples"),
     "sinusoid without end": (
         lambda: references.sinusoid(1.0, 1.0, duration=1e300, dt=1e-300),
@@ -197,7 +193,6 @@ pareto cao-2019 --scheme cfdl-mfailc --weights lam --second effort --samples 100
 worst-case cao-2019 --scheme cfdl-mfailc --starts 100000000
 worst-case cao-2019 --scheme cfdl-mfailc --draws 1000000000
 worst-case cao-2019 --scheme cfdl-mfailc --evaluations 1000000000
-bench --plants 1000000 --long 0
 next --state campaign --plant-file long.toml --out next.csv
 """
 PLANT = """

@@ -8,7 +8,7 @@ import pytest
 
 from jaxilc.identification import Estimate
 from jaxilc.plants import ProcessModel
-from jaxilc.scenarios.refitted_file import write_refitted
+from jaxilc.scenarios.identified_file import write_refitted
 
 FILE = """# my axis
 trials = 7

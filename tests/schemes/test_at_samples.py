@@ -9,7 +9,7 @@ import pytest
 from cases import ALGEBRA, DT
 
 from jaxilc import Machine, Task, learn
-from jaxilc.learning.counted_metrics import counted_metrics
+from jaxilc.learning.quantities import counted_metrics
 from jaxilc.plants import StateSpace
 from jaxilc.scenarios.from_file import read_scenario
 from jaxilc.schemes import (

@@ -8,7 +8,7 @@ import scipy.signal
 from cases import ALGEBRA, DT
 
 from jaxilc.learning import Machine, learn
-from jaxilc.learning.contour_metrics import contour_metrics
+from jaxilc.learning.quantities import contour_metrics
 from jaxilc.plants import DifferenceEquation, StateSpace, TwoAxes
 from jaxilc.schemes import FFDLMFAILC, CrossCoupled, ModelFreeGradient, NormOptimal, PIDType
 from jaxilc.schemes.cross_coupled import across, tangents

@@ -11,7 +11,7 @@ from jaxilc.filters import SwitchableFilter
 from jaxilc.learning.over_trials import measured_trial
 from jaxilc.plants import StateSpace
 from jaxilc.schemes import Filtered, LearningFilter, PIDType
-from jaxilc.signals.correlation import correlated
+from jaxilc.schemes.learning_filter import correlated
 from jaxilc.theory.law import law_of
 
 N = 24

@@ -4,8 +4,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxilc.tuning.slopes import value_and_slope
-from jaxilc.tuning.starts import in_rounds, over_starts
+from jaxilc.tuning.descent import over_starts
+from jaxilc.tuning.losses import value_and_slope
+from jaxilc.tuning.problem import in_rounds
 
 
 @pytest.mark.parametrize("starts", [1, 3])

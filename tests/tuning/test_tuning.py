@@ -24,10 +24,10 @@ from jaxilc.pytree import get_at
 from jaxilc.runtime.provenance import describe
 from jaxilc.schemes import Filtered, PIDType
 from jaxilc.tuning import Tuning
-from jaxilc.tuning.bijection import Bijection
 from jaxilc.tuning.descent import Evaluation, by_gradient, by_least_squares, for_starts
 from jaxilc.tuning.objectives import Final, Holding, Objective
 from jaxilc.tuning.risks import CVaR, Mean, SmoothMax, Worst
+from jaxilc.tuning.weights import Bijection
 from jaxilc.uncertainty import Uniform
 
 # Risks

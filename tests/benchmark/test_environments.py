@@ -1,0 +1,68 @@
+"""`make matrix`: a Python that is missing is named, and speed stands side by side."""
+
+import os
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+from types import SimpleNamespace
+
+import by_environment
+import pytest
+from timing import OURS
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_speed_stands_side_by_side_with_the_median_ratio_of_the_turns():
+    turns = [
+        [("one", {"run": one}), ("other", {"run": other})]
+        for one, other in ((2.0, 3.0), (4.0, 4.0), (8.0, 20.0))
+    ]
+    head, row = by_environment.table(turns)
+    assert head.split()[-2:] == ["one", "other"]
+    assert row.split() == ["run", "2.00", "(1.00)", "3.00", "(1.50)"]
+
+
+def test_an_environment_measures_runs_and_gradients(monkeypatch):
+    rows = {OURS: 2.0, "1 weight forward": 6.0, "2 weights reverse": 5.0}
+    took = {name: SimpleNamespace(cpu=cpu) for name, cpu in rows.items()}
+    monkeypatch.setattr("gradients.compare_gradients", lambda setting, opponents: took)
+    name, found = by_environment.measured(2, 2, 20)
+    assert name.startswith(f"Python {sys.version.split()[0]}, JAX 0.")
+    assert found == {"cfdl": 2.0, "cfdl gradient": 5.0, "ffdl": 2.0, "ffdl gradient": 5.0}
+
+
+@pytest.mark.skipif(os.name == "nt", reason="the matrix is a script for a POSIX shell")
+def test_a_python_that_is_missing_is_named_and_a_matrix_without_lines_fails(tmp_path):
+    """A shim that does not run, as pyenv has for versions that are not active, is none."""
+    for version in ("3.11", "3.13"):
+        shim = tmp_path / f"python{version}"
+        shim.write_text("#!/bin/sh\nexit 127\n")
+        shim.chmod(0o755)
+    found = subprocess.run(
+        [ROOT / ".ci" / "matrix"],
+        env={"PATH": f"{tmp_path}:/usr/bin:/bin", "PYENV_ROOT": str(tmp_path), "PYTHON3_11": shim},
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert found.stdout.splitlines() == [
+        f"Python 3.{minor} is left out: no interpreter (PYTHON3_{minor} names one)"
+        for minor in (11, 13)
+    ]
+    assert found.returncode != 0
+
+
+def test_the_newest_list_replaces_packages_of_the_pinned_one():
+    """The versions of JAX in both lists are those that pyproject.toml says are tested."""
+    lists = [
+        dict(line.split("==") for line in (ROOT / ".ci" / name).read_text().split())
+        for name in ("requirements.txt", "requirements-newest.txt")
+    ]
+    pinned, newest = lists
+    assert newest.keys() < pinned.keys()
+    text = (ROOT / "pyproject.toml").read_text()
+    assert f'"jax>=0.10,!=0.11.1",  # tested: {pinned["jax"]} and {newest["jax"]};' in text
+    classifiers = tomllib.loads(text)["project"]["classifiers"]
+    assert {"3.11", "3.13"} <= {one.rpartition(" ")[2] for one in classifiers}
