@@ -210,10 +210,10 @@ def _maps(found: _Found, whole: xr.Dataset, best: list[BestPoint], in_figures) -
     """The figures of a grid, with the scenario's own point, before and after what was asked."""
     from .. import figures
     from ..sweeps.grid import values_at
-    from ..sweeps.summary import axes_of
+    from ..sweeps.points import labels_of
     from .asked import chosen_scenario
 
-    asked, axes = found.asked, axes_of(whole)
+    asked, axes = found.asked, labels_of(whole)
     own = chosen_scenario(asked.source, list(asked.schemes), asked.trials, None, None)
     marks = {own.name: values_at(axes, own)}
     if (changed := values_at(axes, found.chosen)) != marks[own.name]:

@@ -96,6 +96,16 @@ def test_a_third_axis_has_panels_and_marks_stand_where_they_are():
         np.testing.assert_allclose(shown, error[:, :, c].T)
 
 
+def test_an_axis_of_several_schemes_has_the_name_and_the_values_of_each():
+    errors = [[9, 4], [9, 1], [5, 9]]
+    dataset = xr.concat([dataset_of(errors, ["p", "q"])] * 2, "scheme")
+    dataset = dataset.assign_coords(scheme=["law", "other"], a=[1.0, 2.0, 3.0])
+    dataset = dataset.rename(a="law.a").assign_coords({"other.a": ("law.a", [10.0, 20.0, 30.0])})
+    panels = figures.grid_map(dataset, metric="rms")
+    assert [ax.get_xlabel() for ax in panels] == ["law.a", "other.a"]
+    assert [ax.lines[0].get_xdata()[0] for ax in panels] == [2.0, 20.0]
+
+
 def test_what_has_no_axis_is_refused():
     with pytest.raises(ValueError, match="no axis of a grid with several values"):
         figures.grid_map(dataset_of([[1.0]], ["p"]), metric="rms")
