@@ -189,7 +189,8 @@ def _finish(found: _Found, swept: Swept, json_file: Path | None, report: Path | 
     }
     axes = figures.error_band(dataset, summary=summary, **in_figures)
     paths = [figures.save(axes, store.parent / "error-band.png")]
-    if any(size > 1 for size in sizes.values()):
+    several = any(size > 1 for size in sizes.values())
+    if several:
         paths = [*_maps(found, whole, best, in_figures), *paths]
     page = command_report(
         report,
@@ -200,7 +201,7 @@ def _finish(found: _Found, swept: Swept, json_file: Path | None, report: Path | 
         configuration=dataset.attrs["configuration"],
         lines=lines,
         verdict=verdict,
-        live=of_sweep(report, dataset, summary, in_figures),
+        live=of_sweep(report, dataset, summary, in_figures, whole if several else None, best),
     )
     numbers |= {"sample_steps": steps, "seconds": seconds}
     written([*paths, *page, store], json_file, numbers, verdict)
@@ -234,11 +235,12 @@ def _first(best: Sequence[BestPoint]) -> BestPoint:
 
 def _at(asked: Asked, dataset: xr.Dataset, best: BestPoint) -> Asked:
     """The options of the command at one point, as far as `--set` and `--trials` can say it."""
-    here = {str(n): x.item() for n, x in dataset.sel(best.point).coords.items() if x.ndim == 0}
+    from .stored_grid import point_of
+
+    here = point_of(dataset, best.point)
     trials = here.pop("trials", asked.trials)
-    known = {name: x for name, x in here.items() if not name.startswith("task.")}
-    shown = {n: f"{x:.6g}" if isinstance(x, float) else f"{x}" for n, x in known.items()}
-    point = (f"{n}={x.replace(' ', ',') if '.' in n else x}" for n, x in shown.items())
+    shown = {n: f"{x:.6g}" if isinstance(x, float) else f"{x}" for n, x in here.items()}
+    point = (f"{n}={x}" for n, x in shown.items() if not n.startswith("task."))
     kept = (one for one in asked.set if one.partition("=")[0].strip() not in here)
     return dataclasses.replace(asked, set=(*kept, *point), trials=trials)
 
