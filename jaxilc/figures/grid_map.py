@@ -85,7 +85,7 @@ def grid_map(
             x.sel(scheme=of.scheme, **point).values for x in (numbers, errors, lost)
         )
         labels = [labels_for(dataset, axis, of.scheme) for axis in drawn]
-        places = [_placed(ax, way, one) for way, one in zip("xy", labels, strict=False)]
+        places = [placed(ax, way, one) for way, one in zip("xy", labels, strict=False)]
         if len(drawn) == 2:
             _map(ax, places, here, gone, norm)
         else:
@@ -93,10 +93,10 @@ def grid_map(
         if np.isfinite(of.error) and at.items() <= of.point.items():
             found = dataset.coords.to_dataset().sel(of.point)
             point = {str(name): x.item() for name, x in found.coords.items() if x.ndim == 0}
-            _mark(ax, "best", "*", labels, point, here)
+            marked(ax, "best", "*", labels, point, here)
         for (name, mark), sign in zip((marks or {}).items(), MARKS, strict=False):
             if _nearest(mark, [other for one, other in panels if one is of], at):
-                _mark(ax, name, sign, labels, mark, here)
+                marked(ax, name, sign, labels, mark, here)
         beside = (labels_for(dataset, k, of.scheme).sel({k: v}) for k, v in at.items())
         ax.set_title(", ".join([of.scheme, *map(_said, beside)]), fontsize="medium")
         ax.set_xlabel(called_of(labels[0]))
@@ -188,7 +188,7 @@ def _said(label: xr.DataArray) -> str:
     return f"{label.name} = {value:.4g}" if isinstance(value, float) else f"{label.name} = {value}"
 
 
-def _placed(ax: Any, way: str, labels: xr.DataArray) -> np.ndarray:
+def placed(ax: Any, way: str, labels: xr.DataArray) -> np.ndarray:
     """Where the values of an axis stand; the scale and the ticks of x or y are set."""
     numbers, log = standing(labels)
     if labels.dtype.kind not in "fi":
@@ -214,16 +214,19 @@ def _place(labels: xr.DataArray, value: Any) -> float:
     return known.index(value) if value in known else np.nan
 
 
-def _mark(ax: Any, name: str, sign: str, labels: list[xr.DataArray], point, here) -> None:
-    """A point with its name, if it is known and lies within the axes; on a line at its height."""
+def marked(ax: Any, name: str, sign: str, labels: list[xr.DataArray], point, here) -> list[Any]:
+    """A point with its name, if it is known and lies within the axes; on a line at its height.
+
+    Returns what was drawn.
+    """
     at = [_place(of, point[of.name]) for of in labels if of.name in point]
     if len(at) < len(labels) or not np.all(np.isfinite(at)):
-        return
+        return []
     if len(at) == 1:
         x = labels[0].values if labels[0].dtype.kind in "fi" else np.arange(labels[0].size)
         at.append(np.interp(at[0], x, here))
     size = 11 if sign == "*" else 7
-    ax.plot(*at, sign, color="white", mec="black", ms=size, label=name, zorder=5)
+    return ax.plot(*at, sign, color="white", mec="black", ms=size, label=name, zorder=5)
 
 
 def _norm(limits: tuple[float, float] | None, otherwise: tuple[int, int]) -> Any:
