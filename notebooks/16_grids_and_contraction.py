@@ -77,8 +77,8 @@ print(dict(seen["contraction_norm"].sizes))
 # The colour is how much the error changes in a trial: the mean over trials 2 to 10 (geometric), in
 # the median of the machines; blue falls, red grows. The lines are where a bound is 1, all known
 # before the first trial: $d_2$ of the paper, and of the law frozen at its start the spectral radius
-# and the largest singular value $\sigma$, all of the nominal machine, since $\sigma$ takes long. In a
-# hatched region a premise of $d_2$ fails on a machine.
+# and the largest singular value $\sigma$, which takes long; so they are of the nominal machine. In
+# a hatched region a premise of $d_2$ fails on a machine.
 
 # %%
 nominal = over_the_grid(1, BoundsWatch(sigma_steps=40))
@@ -144,6 +144,6 @@ panels[0].figure
 
 # %% [markdown]
 # On the command line: `jaxilc sweep cao-2019 --scheme cfdl-mfailc --bounds
-# --grid cfdl-mfailc.lam=0.1:10:13log --grid plant.gain=2000:12000:9` writes both maps. On that motor
-# $d_2$ is above 1 everywhere, since 99.995 % of what its output does follows from earlier inputs;
-# notebook 05 looks at it. `experiments/cao_2019_contraction.py` draws that map of 32 x 32 points.
+# --grid cfdl-mfailc.lam=0.1:10:13log --grid plant.gain=2000:12000:9` writes both maps. On that
+# motor $d_2$ is above 1 everywhere, since 99.995 % of what its output does follows from earlier
+# inputs; notebook 05 looks at it. `experiments/cao_2019_contraction.py` draws that map of 32 x 32 points.
