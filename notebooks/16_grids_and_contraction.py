@@ -146,4 +146,5 @@ panels[0].figure
 # On the command line: `jaxilc sweep cao-2019 --scheme cfdl-mfailc --bounds
 # --grid cfdl-mfailc.lam=0.1:10:13log --grid plant.gain=2000:12000:9` writes both maps. On that
 # motor $d_2$ is above 1 everywhere, since 99.995 % of what its output does follows from earlier
-# inputs; notebook 05 looks at it. `experiments/cao_2019_contraction.py` draws that map of 32 x 32 points.
+# inputs; notebook 05 looks at it. `experiments/cao_2019_contraction.py` draws that map of 32 x 32
+# points.
