@@ -190,11 +190,13 @@ def _said(label: xr.DataArray) -> str:
 
 def placed(ax: Any, way: str, labels: xr.DataArray) -> np.ndarray:
     """Where the values of an axis stand; the scale and the ticks of x or y are set."""
-    numbers, log = standing(labels)
+    axis, (numbers, log) = (ax.xaxis, ax.yaxis)[way == "y"], standing(labels)
     if labels.dtype.kind not in "fi":
-        (ax.xaxis, ax.yaxis)[way == "y"].set_ticks(numbers, [str(x) for x in labels.values])
+        axis.set_ticks(numbers, [str(x) for x in labels.values])
     elif log:
         (ax.set_xscale, ax.set_yscale)[way == "y"]("log")
+    elif labels.dtype.kind == "i":
+        axis.get_major_locator().set_params(integer=True)
     return numbers
 
 
