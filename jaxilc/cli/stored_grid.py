@@ -22,16 +22,19 @@ def open_grid(folder: Path) -> xr.Dataset:
     Raises ValueError for a folder without a sweep, a sweep that is damaged or not complete, and one
     without a grid.
     """
-    from ..sweeps.layout import METADATA
-    from ..sweeps.store import open_dataset
+    from ..sweeps.store import open_dataset, stored_configuration
 
     store = folder / "dataset.zarr"
     store = store if store.is_dir() else folder
-    if not (store / METADATA).is_file():
-        raise ValueError(f"--params {folder} is neither a parameter file nor the folder of a sweep")
-    dataset = open_dataset(store)
-    if "grid" not in dataset.attrs["configuration"]:
+    try:
+        known = stored_configuration(store)
+    except ValueError:
+        raise ValueError(
+            f"--params {folder} is neither a parameter file nor the folder of a sweep"
+        ) from None
+    if "grid" not in known:
         raise ValueError(f"--params {folder} has no grid; a sweep with --grid has one")
+    dataset = open_dataset(store)
     left = int((dataset["diverged_at"] < 0).sum())
     if left:
         raise ValueError(

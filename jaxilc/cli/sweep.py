@@ -127,16 +127,17 @@ def sweep(
     )
     largest = _tolerance(chosen, tolerance)
     folder = out_dir or Path("out") / f"sweep-{chosen.name}"
-    store = unless_there(folder / "dataset.zarr", resume)
+    store, mapped = unless_there(folder / "dataset.zarr", resume), None
+    if bounds and any(axis.size > 1 for axis in plan.axes.axes):
+        mapped = unless_there(folder / NOMINAL, resume)
     asked = Asked(
         scenario, tuple(scheme or ()), tuple(set_ or ()), params, trials, spread, metric, tolerance
     )
     stage_ends("start")
     swept = run_sweep(plan, store, resume=resume, cluster=dask)
     nominal = None
-    if bounds and any(axis.size > 1 for axis in plan.axes.axes):
-        only = _nominal(plan)
-        nominal = run_sweep(only, folder / NOMINAL, resume=resume, cluster=dask).dataset
+    if mapped is not None:
+        nominal = run_sweep(_nominal(plan), mapped, resume=resume, cluster=dask).dataset
     stage_ends("run")
     _finish(_Found(chosen, asked, largest, store, nominal), swept, json_file, report)
 
