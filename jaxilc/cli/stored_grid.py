@@ -80,8 +80,10 @@ def best_of(
 
 def point_of(dataset: xr.Dataset, point: Mapping[str, Any]) -> dict[str, Any]:
     """The values of a point by all names of its axes; those of an array are text for `--set`."""
-    here = dataset.coords.to_dataset().sel(point).coords
-    found = {str(name): x.item() for name, x in here.items() if x.ndim == 0}
+    from ..sweeps.points import labels_of
+
+    here = dataset.coords.to_dataset().sel(point)
+    found = {name: here[name].item() for name in labels_of(dataset)}
     return {
         name: x.replace(" ", ",") if isinstance(x, str) and "." in name else x
         for name, x in found.items()

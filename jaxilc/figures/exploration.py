@@ -155,7 +155,7 @@ class Exploration:
 
     def _move_along(self, axes: Mapping[str, np.ndarray]) -> None:
         """Give each name a control that reaches all of its values; ValueError if none can."""
-        for name, values in axes.items():
+        for name, values in reversed([*axes.items()]):
             owner, _, path = name.partition(".")
             tree = {self.name: self.given, "machine": self.scenario.machine}.get(owner)
             control = tree and _control(tree, path, float(self.scenario.task.dt))

@@ -91,8 +91,8 @@ def grid_map(
         else:
             _line(ax, *places, here, members if of_error else None, gone, limits, i // columns)
         if np.isfinite(of.error) and at.items() <= of.point.items():
-            found = dataset.coords.to_dataset().sel(of.point)
-            point = {str(name): x.item() for name, x in found.coords.items() if x.ndim == 0}
+            best_at = dataset.coords.to_dataset().sel(of.point)
+            point = {one.name: best_at[one.name].item() for one in labels}
             marked(ax, "best", "*", labels, point, here)
         for (name, mark), sign in zip((marks or {}).items(), MARKS, strict=False):
             if _nearest(mark, [other for one, other in panels if one is of], at):

@@ -224,7 +224,9 @@ def _with_learning(drawn: GridMap, metric: str) -> Any:
     first = dict(zip(CURVES, (of[part] for of in shown), strict=True))
     every = ColumnDataSource(dict(zip(CURVES, shown, strict=True)))
     now = ColumnDataSource({"j": drawn.dataset["trial"].values[some], **first})
-    told = Div(text=drawn.points.data["point"][chosen], styles={"font-weight": "600"})
+    told = Div(
+        text=drawn.points.data["point"][chosen], render_as_text=True, styles={"font-weight": "600"}
+    )
     made = plot("", "trial", labelled(metric, drawn.unit), width=400)
     made.varea("j", "low", "high", source=now, fill_alpha=0.2, color=COLOURS[0],
                legend_label="5 to 95 %")  # fmt: skip

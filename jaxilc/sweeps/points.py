@@ -124,9 +124,11 @@ def _shown(value: Any) -> str:
 
 
 def labels_of(dataset: xr.Dataset) -> list[str]:
-    """The coordinates along the axes of the grid."""
+    """The coordinates along the axes of the grid, axis by axis, the name of the axis first."""
+    of = {str(name): x.dims[0] for name, x in dataset.coords.items() if x.ndim}
     axes = axes_of(dataset)
-    return [str(name) for name, of in dataset.coords.items() if {*of.dims} & {*axes}]
+    found = (name for name, axis in of.items() if axis in axes)
+    return sorted(found, key=lambda name: (axes.index(of[name]), name != of[name], name))
 
 
 def _best(name: str, dataset, axes, passed, error, lost, judged: bool) -> BestPoint:

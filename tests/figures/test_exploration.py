@@ -121,8 +121,8 @@ def test_a_click_on_the_map_moves_the_sliders_there_and_the_error_is_that_of_the
     points.selected.indices = []  # a click beside the map moves nothing
     assert page.here.data["x"] == [pytest.approx(0.01)]
     assert explored.command(page.values() | {of_machine: 0.95}) == (
-        "jaxilc run axis.toml --scheme ilc --trials 5 --set "
-        "'machine.plant.A[0][0]=0.95' --set ilc.scheme.gamma_p=0.01"
+        "jaxilc run axis.toml --scheme ilc --trials 5 --set ilc.scheme.gamma_p=0.01 --set "
+        "'machine.plant.A[0][0]=0.95'"
     )
 
 
