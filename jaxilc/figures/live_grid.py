@@ -78,10 +78,11 @@ def grid(
     parts = [_with_learning(map_of(dataset, of, **look), metric) for of in best]
     tabs = [TabPanel(child=part, title=of.scheme) for part, of in zip(parts, best, strict=True)]
     return Live(
-        "Each cell is a point of the grid, and its colour the error that 95 % of its machines do "
-        "not exceed in the last trial; where a machine diverges there is a cross, and a cell "
-        "without colour has no finite error. Axes that are not drawn are as at the best point. "
-        "Under the pointer stand the numbers of a point; a click shows how it learns.",
+        "Each cell, or dot along a single axis, is a point of the grid, and its colour or height "
+        "the error that 95 % of its machines do not exceed in the last trial. There is a cross "
+        "where a machine diverges, and no colour where the error is not finite. Axes that are not "
+        "drawn are as at the best point. Under the pointer stand the numbers of a point; a click "
+        "shows how it learns.",
         parts[0] if len(parts) == 1 else Tabs(tabs=tabs, sizing_mode="scale_width"),
     )
 
@@ -192,9 +193,10 @@ def _line(source, labels, called: str, lost, **size: Any) -> tuple[Any, Any]:
     made = plot("", called_of(label), called, **look)
     _named(made.xaxis[0], label)
     source.data = dict(source.data) | {"x": x}
-    made.line("x", "median", source=source, line_dash="dashed", color=COLOURS[0])
-    made.line("x", "worst", source=source, line_dash="dotted", color=COLOURS[1])
-    made.line("x", "high", source=source, line_width=2, color=COLOURS[0])
+    for name, dash in (("high", "solid"), ("median", "dashed"), ("worst", "dotted")):
+        words = SHOWN[name].partition(" {}")[0]
+        made.line("x", name, source=source, line_dash=dash, color=COLOURS[0], legend_label=words)
+    made.legend.location, made.legend.label_text_font_size = "top_right", "8pt"
     dots = made.scatter("x", "high", source=source, size=8, color=COLOURS[0],
                         nonselection_fill_alpha=1.0, selection_line_color="black")  # fmt: skip
     low = limits_of(source.data["median"])
