@@ -101,10 +101,10 @@ class Explorer:
             dataset, best, metric=s.judged_by, scale=scale, unit=unit, height=300,
             tolerance=None if s.tolerance is None else s.tolerance / scale,
         )  # fmt: skip
+        self.map.points.selected.indices = []
         self.map.points.selected.on_change("indices", lambda attr, old, new: self._go(new))
         self.map.figure.scatter(
-            "x", "y", source=self.here, size=14, line_color="black", line_width=2,
-            fill_color="white",
+            "x", "y", source=self.here, size=20, line_color="black", line_width=2, fill_color=None,
         )  # fmt: skip
         return self.map.figure
 
@@ -117,6 +117,7 @@ class Explorer:
             path = name.removeprefix(f"{self.of.name}.")
             if path in self.sliders:
                 self.sliders[path].value = math.log10(value) if logs[path] else value
+        self.map.points.selected.indices = []  # so that the same point can be chosen again
 
     def _move(self) -> None:
         """Answer a slider: the nominal machine at first, then the band over all machines.

@@ -80,9 +80,9 @@ def grid(
     return Live(
         "Each cell, or dot along a single axis, is a point of the grid, and its colour or height "
         "the error that 95 % of its machines do not exceed in the last trial. There is a cross "
-        "where a machine diverges, and no colour where the error is not finite. Axes that are not "
-        "drawn are as at the best point. Under the pointer stand the numbers of a point; a click "
-        "shows how it learns.",
+        "where a machine diverges, and no colour where the error is not finite. The star is the "
+        "best point, at which all axes are that are not drawn. Under the pointer stand the numbers "
+        "of a point; a click shows how it learns.",
         parts[0] if len(parts) == 1 else Tabs(tabs=tabs, sizing_mode="scale_width"),
     )
 
@@ -140,9 +140,14 @@ def map_of(
     ]
     source = ColumnDataSource(columns)
     nearest = [some[i].tolist().index(j) for i, j in enumerate(at)]
-    source.selected.indices = [int(np.ravel_multi_index(nearest, [one.size for one in labels]))]
+    best = int(np.ravel_multi_index(nearest, [one.size for one in labels]))
+    source.selected.indices = [best]
     called = labelled(SHOWN["high"].format(metric), unit)
     made, cells = (_cells if len(labels) == 2 else _line)(source, labels, called, lost, **size)
+    shown: Any = source.data
+    if np.isfinite(of.error):
+        star = {"marker": "star", "size": 14, "fill_color": "white", "line_color": "black"}
+        made.scatter([shown["x"][best]], [shown.get("y", shown["high"])[best]], **star)
     hover(made, [cells], tips)
     made.add_tools(TapTool(renderers=[cells], mode="replace"))
     return GridMap(made, source, values, dataset, scale * factor, unit)

@@ -118,6 +118,9 @@ def test_a_click_on_the_map_moves_the_sliders_there_and_the_error_is_that_of_the
         shown = points.data["high"][i] / page.map.factor * 1e3
         assert np.isinf(found.max()) == np.isnan(shown) == (i == 5)
         np.testing.assert_allclose(found.max(), np.nan_to_num(shown, nan=np.inf), rtol=1e-6)
+        assert points.selected.indices == []  # the same cell can be clicked again
+    page.sliders["scheme.gamma_p"].value = 0.0
+    points.selected.indices = [0]
     points.selected.indices = []  # a click beside the map moves nothing
     assert page.here.data["x"] == [pytest.approx(0.01)]
     assert explored.command(page.values() | {of_machine: 0.95}) == (
