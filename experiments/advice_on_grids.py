@@ -11,21 +11,35 @@ has grown again above its best trial. What is said counts as seen
     diverges more   `last / best` grows from each factor to the next, where it is above 1
     stays           `last / best` is 1 at each factor
     slower          the error of trial 2 grows at each step from a quarter to 4 times
+    quicker         the error of trial 2 falls at each of these steps
+
+The windows of FFDL-MFAILC are no number by itself, since the pseudo gradient is as long as both:
+all of `WINDOWS` are a grid of their own. A component that the scenario does not have starts at 0.
+`left_out` is the share of the variance of D y that a window cannot explain, whatever its gradient.
 
     python experiments/advice_on_grids.py
 
-Writes rows.csv and a line for each number as a figure to out/experiments/advice_on_grids.
+Writes rows.csv and a line for each number as a figure, windows.csv and a map of the windows to
+out/experiments/advice_on_grids.
 """
 
+import dataclasses
+from itertools import product
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 import output
+import pandas as pd
+import xarray as xr
 
 import jaxilc
+from jaxilc import figures
 from jaxilc.pytree.named_paths import get_at, interval_at
 from jaxilc.sweeps.summary import errors_of
+from jaxilc.theory import bounds_of
 
+WINDOWS = [*product(range(4), range(1, 4))]  # L_y and L_u
 FACTORS = np.array([0.25, 0.5, 0.9, 1.0, 1.1, 2.0, 4.0])
 
 
@@ -36,6 +50,7 @@ class Advice(NamedTuple):
     said: the sentence, as printed or in short
     rule: how it is judged, see the docstring of this module
     given: options of the scenario
+    settings: values by path that the advice is about
     """
 
     scenario: str
@@ -43,6 +58,7 @@ class Advice(NamedTuple):
     said: str
     rule: str
     given: dict[str, str] = {}  # noqa: RUF012
+    settings: dict[str, float] = {}  # noqa: RUF012
 
 
 ADVICE = (
@@ -60,6 +76,10 @@ ADVICE = (
            "diverges more"),
     Advice("li-2020", "fixed-filter.learning.filter.cutoff",
            "a filter removes what makes the error diverge", "stays"),
+    Advice("li-2020", "p-type.learning.gamma_p",
+           "if the error attenuates too slowly, increase the learning gain", "quicker"),
+    Advice("li-2020", "ladder.growth_of_gain",
+           "the same, between the mean trials of the ladder", "falls", {}, {"ladder.slow": 0.5}),
     Advice("xu-2024", "asmc.phi", "the larger phi, the faster the adaptation",
            "falls"),
     Advice("milc-2024", "milc.learning.w_r",
@@ -74,7 +94,7 @@ def errors_at(advice: Advice) -> tuple[np.ndarray, str]:
 
     NaN at factors with which the number would leave its range.
     """
-    chosen = jaxilc.scenarios.load(advice.scenario, **advice.given)
+    chosen = jaxilc.scenarios.load(advice.scenario, **advice.given).with_values(advice.settings)
     scheme, _, path = advice.path.partition(".")
     printed = float(get_at(chosen.schemes[scheme], path))
     allowed = interval_at(chosen.schemes[scheme], path)
@@ -110,15 +130,49 @@ def seen(rule: str, errors: np.ndarray, grown: np.ndarray) -> bool:
         return bool(len(above) > 1 and np.all(np.diff(above) > 0))
     if rule == "stays":
         return bool(np.all(grown == 1))
-    if rule == "slower":
-        return bool(np.all(np.diff(errors[:, 1]) > 0))
+    if rule in ("slower", "quicker"):
+        return bool(np.all(np.diff(errors[:, 1]) * (1 if rule == "slower" else -1) > 0))
     return bool(np.all(np.diff(last[known]) < 0))
+
+
+def windows() -> tuple[xr.Dataset, list[dict[str, float]]]:
+    """A sweep of FFDL-MFAILC over its windows, and a row for each with its errors [µm]."""
+    chosen = jaxilc.scenarios.load("cao-2019")
+    name, law = "ffdl-mfailc", chosen.schemes["ffdl-mfailc"]
+    of_y, of_u = np.split(np.asarray(law.phi0), [law.L_y])
+    starts = [(*of_y, 0.0, 0.0)[:L_y] + (*of_u, 0.0, 0.0)[:L_u] for L_y, L_u in WINDOWS]
+    parts = {"phi0": starts, "L_y": [L for L, _ in WINDOWS], "L_u": [L for _, L in WINDOWS]}
+    names = tuple(f"{name}.{part}" for part in parts)
+    sweep = jaxilc.Sweep(
+        chosen.machine,
+        {name: law},
+        chosen.task,
+        chosen.trials,
+        uncertainty={},
+        machines=1,
+        quantities=chosen.functions,
+        grid={names: list(parts.values())},
+    )
+    dataset = sweep.run()
+    errors = chosen.shown(chosen.judged_by)[0] * errors_of(dataset, chosen.judged_by).isel(
+        scheme=0, sample=0
+    )
+    rows = []
+    for (L_y, L_u), phi0, error in zip(WINDOWS, starts, errors.values, strict=True):
+        scheme = dataclasses.replace(law, L_y=L_y, L_u=L_u, phi0=jnp.asarray(phi0))
+        left_out = float(bounds_of(chosen.machine, scheme, chosen.task).left_out)
+        rows.append({"L_y": L_y, "L_u": L_u, "left_out": left_out, "trial 20": float(error[19])}
+                    | {"best": float(error.min()), "last": float(error[-1])})  # fmt: skip
+    pairs = pd.MultiIndex.from_tuples(WINDOWS, names=names[1:])
+    flat = dataset.drop_vars(names).rename_dims({names[0]: "window"})
+    flat = flat.assign_coords(xr.Coordinates.from_pandas_multiindex(pairs, "window"))
+    return flat.unstack("window"), rows
 
 
 def main() -> None:
     jaxilc.setup()
     folder, rows = output.folder(__file__), []
-    axes = output.axes(4, 3, size=(10, 11)).ravel()
+    axes = output.axes(5, 3, size=(10, 13)).ravel()
     for advice, ax in zip(ADVICE, axes, strict=False):
         errors, unit = errors_at(advice)
         last, best, last_trial = errors[:, -1], errors.min(axis=1), errors.shape[1] - 1
@@ -137,6 +191,11 @@ def main() -> None:
     axes[0].legend(fontsize="small")
     axes[0].figure.savefig(folder / "lines.png")
     output.write_rows(folder / "rows.csv", rows)
+    dataset, rows = windows()
+    printed = {"as printed": {"ffdl-mfailc.L_y": 2, "ffdl-mfailc.L_u": 2}}
+    drawn = figures.grid_map(dataset, scale=1e3, unit="µm", marks=printed)
+    figures.save(drawn, folder / "windows.png")
+    output.write_rows(folder / "windows.csv", rows)
 
 
 if __name__ == "__main__":

@@ -4,11 +4,8 @@ The paper's machine under CFDL-MFAILC, over the weight lam and the gain of the p
 machines at each point. Its output reacts to the newest input by 1 part in 20,000 of what it does to
 earlier ones, which d2 leaves out.
 
-The colour is the observed contraction: the factor by which the 2-norm of the error changes in a
-trial, as the geometric mean of trials 2 to 10, in the median of the machines. The lines are those
-on which a bound is 1, from the plant and before any trial: d2 of the paper, sigma_max and spectral
-radius of the law frozen at its start. The rows tell beside it the share of machines on which each
-premise of the paper held, and on which a claimed bound did not hold.
+The picture is `figures.contraction_map`. The rows tell beside it the share of machines on which
+each premise of the paper held, and on which a claimed bound did not hold.
 
     python experiments/cao_2019_contraction.py [points of an axis] [machines]
 
@@ -21,11 +18,10 @@ from collections.abc import Mapping
 
 import numpy as np
 import xarray as xr
-from matplotlib.colors import LogNorm
-from output import axes, folder, write_rows
+from output import folder, write_rows
 
 import jaxilc
-from jaxilc.figures import save
+from jaxilc import figures
 from jaxilc.theory.bounds import BoundsWatch
 
 NAME = "cfdl-mfailc"
@@ -33,13 +29,12 @@ LAM, GAIN = f"{NAME}.lam", "machine.plant.gain"
 WITHIN_LAM, WITHIN_GAIN = 100.0, 10.0  # the axes, up and down from the paper's numbers
 TRIALS = 10
 SIGMA_STEPS = 40  # of the Lanczos iteration for the nominal machine of a point
-LINES = {"d2": ("--", "black"), "sigma_max": ("-", "#1b7837"), "radius": (":", "#762a83")}
+LINES = ("d2", "sigma_max", "radius")
 PREMISES = ("linear", "alone", "signs", "damped", "printed", "claimed")
-WIDEST = 10.0  # factor of a trial at which the colours end
 
 
 def swept(points: int, machines: int, watch: BoundsWatch) -> xr.Dataset:
-    """The dataset over lam and gain, its dimension of schemes left out."""
+    """The dataset over lam and gain."""
     paper = jaxilc.scenarios.load("cao-2019")
     scheme, gain = paper.schemes[NAME], float(paper.machine.plant.gain)
     sweep = jaxilc.Sweep(
@@ -55,20 +50,20 @@ def swept(points: int, machines: int, watch: BoundsWatch) -> xr.Dataset:
             GAIN: gain * np.geomspace(1 / WITHIN_GAIN, WITHIN_GAIN, points),
         },
     )
-    return sweep.run().isel(scheme=0).load()
+    return sweep.run()
 
 
 def main(points: int = 32, machines: int = 64) -> None:
     jaxilc.setup()  # in double precision, since the error falls below the rounding of the other
     path, begun = folder(__file__), time.perf_counter()
-    seen = swept(points, machines, BoundsWatch())
+    whole = swept(points, machines, BoundsWatch())
     took = time.perf_counter() - begun
-    nominal = swept(points, 1, BoundsWatch(sigma_steps=SIGMA_STEPS)).isel(sample=0)
+    bounds = swept(points, 1, BoundsWatch(sigma_steps=SIGMA_STEPS))
+    seen, nominal = whole.isel(scheme=0), bounds.isel(scheme=0, sample=0)
     later = seen.isel(trial=slice(1, None))
-    change = np.exp(np.log(later["contraction_norm"]).mean("trial", skipna=False))
     broken = (seen["claimed"] == 1) & (later["share_kept"] < 1).any("trial")
     found = {
-        "contraction": change.fillna(np.inf).median("sample"),
+        "contraction": figures.contraction_of(seen).median("sample"),
         "diverged": (seen["diverged_at"] > 0).mean("sample"),
         "left_out": seen["left_out"].median("sample"),
         "excited": later["share_excited"].mean(("trial", "sample")),
@@ -78,7 +73,9 @@ def main(points: int = 32, machines: int = 64) -> None:
     }
     table = xr.Dataset(found).to_dataframe()[list(found)].reset_index()
     write_rows(path / "map.csv", table.to_dict("records"))
-    draw(path / "map.svg", found)
+    paper = {LAM: np.sqrt(seen[LAM][[0, -1]].prod()), GAIN: np.sqrt(seen[GAIN][[0, -1]].prod())}
+    marks = {"as printed": {name: float(value) for name, value in paper.items()}}
+    figures.save(figures.contraction_map(whole, bounds=bounds, marks=marks), path / "map.svg")
     print(f"{points} x {points} points x {machines} machines x {TRIALS} trials: {took:.0f} s")
     tell(found)
 
@@ -99,29 +96,6 @@ def tell(found: Mapping[str, xr.DataArray]) -> None:
     for name in (*PREMISES, "claimed_and_broken"):
         print(f"{name}: on {float(found[name].mean()):.1%} of the machines")
     print(f"left out by the window: {float(found['left_out'].median()):.3%} in the median")
-
-
-def draw(path, found: Mapping[str, xr.DataArray]) -> None:
-    """The map, with the lines on which a bound is 1."""
-    ax = axes()
-    maps = {name: found[name].transpose(GAIN, LAM) for name in ("contraction", *LINES)}
-    lam, gain = (maps["contraction"][name].values for name in (LAM, GAIN))
-    shown = np.clip(maps["contraction"], 1 / WIDEST, WIDEST)
-    colours = {"norm": LogNorm(1 / WIDEST, WIDEST), "cmap": "RdBu_r"}
-    mesh = ax.pcolormesh(lam, gain, shown, shading="nearest", **colours)
-    for name, (dashes, colour) in LINES.items():
-        least, most = float(maps[name].min()), float(maps[name].max())
-        label = f"{name} = 1" if least < 1 < most else f"{name} from {least:.4g} to {most:.4g}"
-        ax.plot([], [], dashes, color=colour, label=label)
-        if least < 1 < most:
-            ax.contour(lam, gain, maps[name], [1.0], colors=colour, linestyles=dashes)
-    at = (np.sqrt(lam[0] * lam[-1]), np.sqrt(gain[0] * gain[-1]))  # the axes are around it
-    ax.plot(*at, "o", color="white", mec="black", label="as printed")
-    ax.set(xscale="log", yscale="log", xlabel="weight lam", ylabel="gain of the plant")
-    ax.set_title("change of the error in a trial, median of the machines", fontsize="medium")
-    ax.figure.colorbar(mesh, ax=ax, label="|e| of a trial over that of the trial before")
-    ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=4, fontsize="small")
-    save(ax, path)
 
 
 if __name__ == "__main__":

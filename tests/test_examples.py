@@ -37,6 +37,8 @@ NOT_RUN = {
     "README.md: jaxilc sweep cao-2019": LONG,
     "five_minutes.md: jaxilc design": LONG,
     "how_to.md: jaxilc sweep": "the sweep of five_minutes.md, with a page",
+    "grids.md: jaxilc explore": "it serves a page until it is stopped",
+    "grids.md: jaxilc tune": "it takes minutes: tests/cli/test_stored_grid.py runs it smaller",
     "how_to.md: pip": "it changes the environment",
     "how_to.md: jaxilc explore": "it serves a page until it is stopped",
     "how_to.md: jaxilc next": RECORD,

@@ -52,12 +52,13 @@ def chosen_scenario(
     schemes: names of schemes, None for all
     trials: number of trials, None for that of the scenario
     settings: texts of the options `--set`
-    params: parameter file that `jaxilc tune` wrote
+    params: parameter file that `jaxilc tune` wrote, or the folder of a grid for its best point
     """
     from .. import scenarios
     from ..scenarios.from_file import load_scenario
     from ..scenarios.parameters import with_parameters
 
+    trials, settings, params = expanded(name, schemes, trials, settings, params)
     values = settings_of(settings)
     known = scenarios.options(name) if name in scenarios.SCENARIOS else {}
     chosen = load_scenario(name, {path: value for path, value in values.items() if path in known})
@@ -75,6 +76,36 @@ def chosen_scenario(
     chosen = chosen.select(tuple(schemes or ()))
     chosen.check()
     return chosen
+
+
+def expanded(
+    name: str,
+    schemes: list[str] | None,
+    trials: int | None,
+    settings: list[str] | None,
+    params: Path | None,
+) -> tuple[int | None, list[str] | None, Path | None]:
+    """The options `--trials`, `--set` and `--params`, with a point in place of a stored grid.
+
+    name, ...: as for `chosen_scenario`; what is set stands after the point, and so counts
+    Raises ValueError as `stored_grid.best_of` does, and for an axis that no option can set.
+    """
+    if params is None or not params.is_dir():
+        return trials, settings, params
+    from .. import scenarios
+    from .stored_grid import best_of
+
+    def load(of: Mapping[str, str]) -> Scenario:
+        return chosen_scenario(name, schemes, trials, [f"{k}={text}" for k, text in of.items()])
+
+    point = best_of(params, settings_of(settings), load)
+    known = scenarios.options(name) if name in scenarios.SCENARIOS else {}
+    for axis in point:
+        if axis.startswith("task.") or ("." not in axis and axis not in {*known, "trials"}):
+            raise ValueError(f"--params {params}: the axis {axis} is not one that --set can set")
+    of_point = point.pop("trials", None)
+    trials = of_point if trials is None else trials
+    return trials, [*(f"{axis}={x}" for axis, x in point.items()), *(settings or ())], None
 
 
 def scenario_to_design(

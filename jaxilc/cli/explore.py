@@ -11,6 +11,7 @@ from .completion import schemes_from
 from .console import out
 from .options import (
     SIMULATE,
+    GridAxes,
     Machines,
     OutFolder,
     Params,
@@ -41,6 +42,7 @@ def explore(
     ] = None,
     trials: Trials = None,
     machines: Machines = 32,
+    grid: GridAxes = None,
     set_: Set = None,
     params: Params = None,
     port: Annotated[int, typer.Option(help="Port of the page; 0 for any that is free.")] = 5006,
@@ -56,6 +58,7 @@ def explore(
     """A page with sliders for weights, lead, cutoff and spread; the errors follow at once.
 
     It runs on this computer only, until Ctrl-C. What was found is saved as a file for --params.
+    With --grid, or the folder of a grid for --params, it has a map; a click moves the sliders.
 
     Example: jaxilc explore cao-2019 --scheme ffdl-mfailc
     """
@@ -66,17 +69,46 @@ def explore(
     from .progress import working
 
     with working("explore") as told:
-        from .asked import begin, chosen_scenario
+        from .asked import begin, chosen_scenario, grid_asked
 
         begin(precision)
         told("reading the scenario")
         chosen = chosen_scenario(scenario, [scheme] if scheme else None, trials, set_, params)
         from ..figures.explorer import explore as application
+        from .stored_grid import open_grid
 
         told("compiling")
         folder = out_dir or Path("out") / f"explore-{chosen.name}"
-        shown = application(chosen, scheme, folder=folder, machines=machines, source=scenario)
+        axes = None
+        if grid:
+            axes = grid_asked(
+                chosen, grid, lambda more: chosen_scenario(scenario, None, None, [more])
+            )
+        elif params and params.is_dir():
+            axes = open_grid(params)
+        shown = application(
+            chosen,
+            scheme,
+            folder=folder,
+            machines=machines,
+            source=scenario,
+            repeated=_repeated(trials, set_, params),
+            grid=axes,
+            progress=lambda name, done, fresh: told(f"map: {done} machines"),
+        )
     _serve(shown, address, port, browser=browser)
+
+
+def _repeated(trials: int | None, settings: list[str] | None, params: Path | None) -> list[str]:
+    """The options of this command that the command line of a page repeats."""
+    given = {"trials": [trials], "set": settings or [], "params": [params]}
+    return [
+        word
+        for name, values in given.items()
+        for value in values
+        if value is not None
+        for word in (f"--{name}", str(value))
+    ]
 
 
 def _try_place(address: str, port: int) -> None:

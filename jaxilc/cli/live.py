@@ -11,6 +11,7 @@ if TYPE_CHECKING:
 
     from ..figures.live_axes import Live
     from ..scenarios import Scenario
+    from ..sweeps.points import BestPoint
     from ..sweeps.summary import SchemeSummary
     from ..theory.of_schemes import OfScheme
     from ..tuning.worst_machine import WorstMachine
@@ -51,14 +52,17 @@ def of_sweep(
     dataset: xr.Dataset,
     summary: Sequence[SchemeSummary],
     shown: Mapping[str, Any],
+    grid: xr.Dataset | None = None,
+    best: list[BestPoint] | None = None,
 ) -> list[Live | None]:
     """The errors by trial of all machines, and each machine against its parameters.
 
     shown: metric, tolerance, scale and unit
+    grid, best: a grid of which the dataset has the best points, for its map; None for no map
     """
     if page is None:
         return []
-    from ..figures import browsers, interactive
+    from ..figures import browsers, interactive, live_grid
 
     drawn = {
         str(name): values.values
@@ -66,6 +70,7 @@ def of_sweep(
         if values.dims[:1] == ("sample",) and name != "sample"
     }
     return [
+        live_grid.grid(grid, best=best, **shown) if grid is not None and best else None,
         interactive.band(summary, **shown),
         browsers.machines(dataset, drawn, **shown),
     ]

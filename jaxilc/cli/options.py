@@ -115,7 +115,10 @@ Set = Annotated[
 Params = Annotated[
     Path | None,
     typer.Option(
-        "--params", metavar="FILE", help="Parameters that `tune` wrote; --set goes on top of them."
+        "--params",
+        metavar="FILE",
+        help="Parameters that `tune` wrote, or the folder of a `sweep --grid` for its best point; "
+        "--set goes on top of them.",
     ),
 ]
 GridAxes = Annotated[

@@ -105,7 +105,7 @@ def pareto(
     --weights learning.filter.cutoff --bounds learning.filter.cutoff=2:200
     --second effort --trials 15 --steps 20
     """
-    from .asked import begin, chosen_scenario, objective_asked, tuning_problem
+    from .asked import begin, chosen_scenario, expanded, objective_asked, tuning_problem
 
     begin(precision)
     from ..tuning.trade_off import SHARES
@@ -114,6 +114,7 @@ def pareto(
     at_least(1, unseen=unseen)
     asked_for = [] if budgets is None else numbers_of("--budgets", budgets, whole=True)
     allotted = [int(J) for J in asked_for]
+    trials, set_, params = expanded(scenario, [scheme], trials, set_, params)
     chosen = chosen_scenario(scenario, [scheme], max(allotted, default=trials), set_, params)
     problem = tuning_problem(
         chosen,

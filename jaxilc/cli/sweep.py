@@ -33,12 +33,16 @@ from .options import (
 from .results import show, unless_there, written
 from .verdicts.next_command import Asked
 
+NOMINAL = "nominal.zarr"  # the bounds of the nominal machine over a grid
+SIGMA_STEPS = 40  # of the Lanczos iteration on the nominal machine of a point
+
 if TYPE_CHECKING:
     import xarray as xr
 
     from ..learning.watch import Watch
     from ..scenarios import Scenario
     from ..sweeps.points import BestPoint
+    from ..sweeps.sweep import Sweep
     from .progress import Swept
     from .titled_table import Table
 
@@ -123,14 +127,19 @@ def sweep(
     )
     largest = _tolerance(chosen, tolerance)
     folder = out_dir or Path("out") / f"sweep-{chosen.name}"
-    store = unless_there(folder / "dataset.zarr", resume)
+    store, mapped = unless_there(folder / "dataset.zarr", resume), None
+    if bounds and any(axis.size > 1 for axis in plan.axes.axes):
+        mapped = unless_there(folder / NOMINAL, resume)
     asked = Asked(
         scenario, tuple(scheme or ()), tuple(set_ or ()), params, trials, spread, metric, tolerance
     )
     stage_ends("start")
     swept = run_sweep(plan, store, resume=resume, cluster=dask)
+    nominal = None
+    if mapped is not None:
+        nominal = run_sweep(_nominal(plan), mapped, resume=resume, cluster=dask).dataset
     stage_ends("run")
-    _finish(_Found(chosen, asked, largest, store), swept, json_file, report)
+    _finish(_Found(chosen, asked, largest, store, nominal), swept, json_file, report)
 
 
 class _Found(NamedTuple):
@@ -140,12 +149,14 @@ class _Found(NamedTuple):
     asked: options of the command
     tolerance: largest metric that passes [unit of the dataset], None if none is known
     store: place of the dataset, in the folder for results
+    nominal: the same grid of the nominal machine with its bounds; None without a map of them
     """
 
     chosen: Scenario
     asked: Asked
     tolerance: float | None
     store: Path
+    nominal: xr.Dataset | None
 
 
 def _finish(found: _Found, swept: Swept, json_file: Path | None, report: Path | None) -> None:
@@ -159,7 +170,7 @@ def _finish(found: _Found, swept: Swept, json_file: Path | None, report: Path | 
     from .verdicts.case import Case
     from .verdicts.simulation import sweep_verdict
 
-    chosen, asked, tolerance, store = found
+    chosen, asked, tolerance, store, _ = found
     dataset, seconds, steps = swept
     scale, unit = chosen.shown(chosen.judged_by)
     whole, sizes = dataset, {axis: dataset.sizes[axis] for axis in axes_of(dataset)}
@@ -189,7 +200,8 @@ def _finish(found: _Found, swept: Swept, json_file: Path | None, report: Path | 
     }
     axes = figures.error_band(dataset, summary=summary, **in_figures)
     paths = [figures.save(axes, store.parent / "error-band.png")]
-    if any(size > 1 for size in sizes.values()):
+    several = any(size > 1 for size in sizes.values())
+    if several:
         paths = [*_maps(found, whole, best, in_figures), *paths]
     page = command_report(
         report,
@@ -200,20 +212,21 @@ def _finish(found: _Found, swept: Swept, json_file: Path | None, report: Path | 
         configuration=dataset.attrs["configuration"],
         lines=lines,
         verdict=verdict,
-        live=of_sweep(report, dataset, summary, in_figures),
+        live=of_sweep(report, dataset, summary, in_figures, whole if several else None, best),
     )
     numbers |= {"sample_steps": steps, "seconds": seconds}
-    written([*paths, *page, store], json_file, numbers, verdict)
+    stores = [store] if found.nominal is None else [store, store.with_name(NOMINAL)]
+    written([*paths, *page, *stores], json_file, numbers, verdict)
 
 
 def _maps(found: _Found, whole: xr.Dataset, best: list[BestPoint], in_figures) -> list[Path]:
     """The figures of a grid, with the scenario's own point, before and after what was asked."""
     from .. import figures
     from ..sweeps.grid import values_at
-    from ..sweeps.summary import axes_of
+    from ..sweeps.points import labels_of
     from .asked import chosen_scenario
 
-    asked, axes = found.asked, axes_of(whole)
+    asked, axes = found.asked, labels_of(whole)
     own = chosen_scenario(asked.source, list(asked.schemes), asked.trials, None, None)
     marks = {own.name: values_at(axes, own)}
     if (changed := values_at(axes, found.chosen)) != marks[own.name]:
@@ -224,6 +237,13 @@ def _maps(found: _Found, whole: xr.Dataset, best: list[BestPoint], in_figures) -
     for name, number in shows.items():
         drawn = figures.grid_map(whole, shows=number, best=best, marks=marks, **in_figures)
         paths.append(figures.save(drawn, found.store.parent / f"{name}.png"))
+    if found.nominal is not None:
+        at = _first(best).point
+        longest = sorted(at, key=lambda axis: -whole.sizes[axis])
+        others = {axis: [at[axis]] for axis in longest[2:]}
+        bounds = found.nominal.sel(others)
+        drawn = figures.contraction_map(whole.sel(others), bounds=bounds, marks=marks)
+        paths.append(figures.save(drawn, found.store.parent / "contraction.png"))
     return paths
 
 
@@ -234,13 +254,24 @@ def _first(best: Sequence[BestPoint]) -> BestPoint:
 
 def _at(asked: Asked, dataset: xr.Dataset, best: BestPoint) -> Asked:
     """The options of the command at one point, as far as `--set` and `--trials` can say it."""
-    here = {str(n): x.item() for n, x in dataset.sel(best.point).coords.items() if x.ndim == 0}
+    from .stored_grid import point_of
+
+    here = point_of(dataset, best.point)
     trials = here.pop("trials", asked.trials)
-    known = {name: x for name, x in here.items() if not name.startswith("task.")}
-    shown = {n: f"{x:.6g}" if isinstance(x, float) else f"{x}" for n, x in known.items()}
-    point = (f"{n}={x.replace(' ', ',') if '.' in n else x}" for n, x in shown.items())
+    shown = {n: f"{x:.6g}" if isinstance(x, float) else f"{x}" for n, x in here.items()}
+    point = (f"{n}={x}" for n, x in shown.items() if not n.startswith("task."))
     kept = (one for one in asked.set if one.partition("=")[0].strip() not in here)
     return dataclasses.replace(asked, set=(*kept, *point), trials=trials)
+
+
+def _nominal(plan: Sweep) -> Sweep:
+    """The grid on the nominal machine alone, for the bound that takes long on all machines."""
+    from ..theory.bounds import BoundsWatch
+
+    return dataclasses.replace(
+        plan, uncertainty={}, machines=1, trials=1, keep=(), quantities={}, chunk=None, lanes=None,
+        watch=BoundsWatch(sigma_steps=SIGMA_STEPS),
+    )  # fmt: skip
 
 
 def _watch(bounds: bool) -> Watch | None:

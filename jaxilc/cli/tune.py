@@ -98,10 +98,11 @@ def tune(
     from .terms import limits_not_met, with_limits
 
     with tuning_bar(steps) as told:
-        from .asked import begin, chosen_scenario, objective_asked, tuning_problem
+        from .asked import begin, chosen_scenario, expanded, objective_asked, tuning_problem
 
         begin(precision)
         objective = with_limits(objective, limit)
+        trials, set_, params = expanded(scenario, [scheme], trials, set_, params)
         chosen = chosen_scenario(scenario, [scheme], trials, set_, params)
         problem = tuning_problem(
             chosen,

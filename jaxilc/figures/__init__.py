@@ -2,6 +2,7 @@
 
     band          a sweep at a glance: one panel a scheme, and the yield against the tolerance
     grid_map      a grid at a glance: a map over two axes, or a line over one
+    contraction_map  how the error contracts over a grid, and where the bounds say so
     by_trial      errors against the trial: one machine, and theory against simulation
     within_trial  signals against time with a zoom, and the contour of two axes
     by_frequency  spectrum and time-frequency map of the error, |Q (keep - L P)|
@@ -26,6 +27,7 @@ from .band import error_band
 from .by_frequency import frequency_tests, spectrum, time_frequency
 from .by_trial import certificate, error_by_trial
 from .campaign import campaign_figure
+from .contraction_map import contraction_map, contraction_of
 from .experiments import record_figure, response_figure, response_fit_figure, validation_figure
 from .grid_map import grid_map
 from .learned import learned_law_figure
@@ -44,6 +46,8 @@ __all__ = [
     "certificate",
     "choose",
     "contour",
+    "contraction_map",
+    "contraction_of",
     "error_band",
     "error_by_trial",
     "final_error_by_trials",

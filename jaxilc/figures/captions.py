@@ -12,6 +12,12 @@ CAPTIONS = (
     (r"error-by-trial", "The errors by trial, a curve for each scheme; circles are published."),
     (r"error-band", "Each panel is a scheme: median, 5 to 95 % and worst machine by trial. Beside "
      "them stands which share of the machines ends within a tolerance."),
+    (r"grid", "The error of the last trial that 95 % of the machines do not exceed, at each point "
+     "of the grid; the star is the best one, and a line encloses where a machine diverges."),
+    (r"grid-best-trial", "The trial of the least error at each point, in the median."),
+    (r"grid-yield", "The share of machines within the tolerance at each point."),
+    (r"contraction", "The change of the error in a trial at each point of the grid, in the median; "
+     "on the lines a bound is 1, and in the hatched regions a premise of d2 fails."),
     (r"tracking-(.+)", "{0}: output, error and input within chosen trials; the right column shows "
      "the shaded part."),
     (r"spectrum-(.+)", "{0}: the amplitude of the error at each frequency, for chosen trials."),

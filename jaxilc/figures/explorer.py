@@ -14,10 +14,14 @@ import numpy as np
 
 from .exploration import Control, Exploration, Outcome
 from .live_axes import plot, shown_in
+from .live_grid import map_of
 from .style import COLOURS
 
 if TYPE_CHECKING:
+    import xarray as xr
+
     from ..scenarios import Scenario
+    from ..sweeps.points import BestPoint
 
 POINTS = 1200  # of a signal
 TALLEST = 1e3  # times the first error, up to which errors are shown
@@ -55,6 +59,9 @@ class Explorer:
         self.unit = s.shown(s.judged_by)[1]
         self.factor, self.unit_of_e = shown_in(np.nanmax(np.abs(first.e)), s.shown_unit)
         self.figures = self._figures(first)
+        self.map, self.here = None, ColumnDataSource({"x": [], "y": []})
+        if exploration.map is not None:
+            self.figures = [self._map(*exploration.map), *self.figures]
         self._show(first)
         for widget in [*self.sliders.values(), *([self.spread] if self.spread else [])]:
             widget.on_change("value", lambda attr, old, new: self._move())
@@ -85,6 +92,32 @@ class Explorer:
         shown = column(*self.figures, sizing_mode="stretch_width")
         return column(title, row(beside, shown, sizing_mode="stretch_width"),
                       sizing_mode="stretch_width", margin=(0, 16, 0, 16))  # fmt: skip
+
+    def _map(self, dataset: xr.Dataset, best: BestPoint) -> Any:
+        """The map of a grid, on which a click moves the sliders, and a ring says where they are."""
+        s = self.of.scenario
+        scale, unit = s.shown(s.judged_by)
+        self.map = map_of(
+            dataset, best, metric=s.judged_by, scale=scale, unit=unit, height=300,
+            tolerance=None if s.tolerance is None else s.tolerance / scale,
+        )  # fmt: skip
+        self.map.points.selected.indices = []
+        self.map.points.selected.on_change("indices", lambda attr, old, new: self._go(new))
+        self.map.figure.scatter(
+            "x", "y", source=self.here, size=20, line_color="black", line_width=2, fill_color=None,
+        )  # fmt: skip
+        return self.map.figure
+
+    def _go(self, chosen: list[int]) -> None:
+        """Move the sliders to a point of the map; what no slider moves is there already."""
+        if self.map is None or not chosen:
+            return
+        logs = {control.path: control.log for control in self.of.controls}
+        for name, value in self.map.at(chosen[0]).items():
+            path = name.removeprefix(f"{self.of.name}.")
+            if path in self.sliders:
+                self.sliders[path].value = math.log10(value) if logs[path] else value
+        self.map.points.selected.indices = []  # so that the same point can be chosen again
 
     def _move(self) -> None:
         """Answer a slider: the nominal machine at first, then the band over all machines.
@@ -171,6 +204,7 @@ class Explorer:
     def _tell(self, found: Outcome) -> None:
         """The numbers, and the command line that leads to them."""
         last, worst = found.errors[0, -1], np.max(found.errors[:, -1])
+        self._stand(found)
         largest = float(np.max(found.size)) if len(found.size) else None
         size = [
             f"{x:.4g} {self.unit}".rstrip() if x < np.inf else "diverged" for x in (last, worst)
@@ -185,6 +219,16 @@ class Explorer:
         words = _escaped(self.of.command(self.values(), self.spread_asked())).split(" ")
         whole = (f'<span style="white-space: nowrap">{word}</span>' for word in words)
         self.line.text = f"<code>{' '.join(whole)}</code>"
+
+    def _stand(self, found: Outcome) -> None:
+        """Move the ring on the map to where the sliders are."""
+        if self.map is None:
+            return
+        s, values = self.of.scenario, self.values()
+        at = [values[name.removeprefix(f"{self.of.name}.")] for name in self.map.values[0]]
+        high = np.quantile(found.errors[:, -1], 0.95, method="inverted_cdf")
+        at.append(high * self.map.factor / s.shown(s.judged_by)[0])  # the height on a line
+        self.here.data = {"x": at[:1], "y": at[1:2]}
 
     def _figures(self, first: Outcome) -> list[Any]:
         """The figures of errors by trial, of the last trial, and over frequency."""

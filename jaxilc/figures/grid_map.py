@@ -61,21 +61,15 @@ def grid_map(
     known, and for a yield without a tolerance.
     """
     from ..sweeps.points import best_points, last_errors
-    from ..sweeps.summary import axes_of
 
     if shows not in SHOWN:
         raise ValueError(f"grid_map: shows = {shows!r} is not one of {', '.join(SHOWN)}")
     if shows == "yield" and tolerance is None:
         raise ValueError("grid_map: shows = 'yield' needs a tolerance, and it is None")
-    by_size = sorted(axes_of(dataset), key=lambda axis: -dataset.sizes[axis])
-    by_size = [axis for axis in by_size if dataset.sizes[axis] > 1]
-    if not by_size:
-        raise ValueError("grid_map: the dataset has no axis of a grid with several values")
-    drawn = [axis for axis in axes_of(dataset) if axis in by_size[:2]]
-    dataset = dataset.sortby([axis for axis in by_size if dataset[axis].dtype.kind in "fi"])
+    dataset, by_size, drawn = in_order(dataset)
     best = best_points(dataset, tolerance, metric=metric) if best is None else best
     last, of_error = last_errors(dataset, metric), shows in QUANTILES
-    numbers = _numbers(dataset, last, shows, metric, tolerance) * (scale if of_error else 1.0)
+    numbers = numbers_of(dataset, last, shows, metric, tolerance) * (scale if of_error else 1.0)
     errors = scale * last
     lost = (dataset["diverged_at"] > 0).any("sample")
     limits = limits_of(errors.values, pad=1.2) if of_error else None
@@ -90,25 +84,29 @@ def grid_map(
         here, members, gone = (
             x.sel(scheme=of.scheme, **point).values for x in (numbers, errors, lost)
         )
-        places = [_placed(ax, way, dataset[axis]) for way, axis in zip("xy", drawn, strict=False)]
+        labels = [labels_for(dataset, axis, of.scheme) for axis in drawn]
+        places = [placed(ax, way, one) for way, one in zip("xy", labels, strict=False)]
         if len(drawn) == 2:
             _map(ax, places, here, gone, norm)
         else:
             _line(ax, *places, here, members if of_error else None, gone, limits, i // columns)
-        labels = [dataset[axis] for axis in drawn]
         if np.isfinite(of.error) and at.items() <= of.point.items():
-            _mark(ax, "best", "*", labels, of.point, here)
+            best_at = dataset.coords.to_dataset().sel(of.point)
+            point = {one.name: best_at[one.name].item() for one in labels}
+            marked(ax, "best", "*", labels, point, here)
         for (name, mark), sign in zip((marks or {}).items(), MARKS, strict=False):
             if _nearest(mark, [other for one, other in panels if one is of], at):
-                _mark(ax, name, sign, labels, mark, here)
-        beside = (f"{k} = {v:.4g}" if isinstance(v, float) else f"{k} = {v}" for k, v in at.items())
-        ax.set_title(", ".join([of.scheme, *beside]), fontsize="medium")
-        ax.set_xlabel(_called(dataset[drawn[0]]))
+                marked(ax, name, sign, labels, mark, here)
+        beside = (labels_for(dataset, k, of.scheme).sel({k: v}) for k, v in at.items())
+        ax.set_title(", ".join([of.scheme, *map(_said, beside)]), fontsize="medium")
+        ax.set_xlabel(called_of(labels[0]))
+        if len(drawn) == 2 and (i % shape[1] == 0 or columns == 1):
+            ax.set_ylabel(called_of(labels[1]))
     called = labelled(SHOWN[shows].format(metric), unit if of_error else "")
     if len(drawn) == 2:
         axes[0].figure.colorbar(axes[-1].collections[0], ax=[*axes], label=called)
-    for ax in axes[:: shape[1]]:
-        ax.set_ylabel(_called(dataset[drawn[1]]) if len(drawn) == 2 else called)
+    else:
+        axes[0].set_ylabel(called)
     if marks:
         signs = {x.get_label(): x for ax in axes for x in ax.lines if x.get_marker() != "None"}
         if signs:
@@ -116,7 +114,31 @@ def grid_map(
     return axes
 
 
-def _numbers(dataset, errors, shows, metric, tolerance) -> xr.DataArray:
+def in_order(dataset: xr.Dataset) -> tuple[xr.Dataset, list[str], list[str]]:
+    """The dataset with its numbers rising, its axes of several values by size, and those drawn.
+
+    The axes that are drawn are the two with most values, or a single one.
+    Raises ValueError for a dataset without an axis of several values.
+    """
+    from ..sweeps.summary import axes_of
+
+    by_size = sorted(axes_of(dataset), key=lambda axis: -dataset.sizes[axis])
+    by_size = [axis for axis in by_size if dataset.sizes[axis] > 1]
+    if not by_size:
+        raise ValueError("grid_map: the dataset has no axis of a grid with several values")
+    drawn = [axis for axis in axes_of(dataset) if axis in by_size[:2]]
+    rising = [axis for axis in by_size if dataset[axis].dtype.kind in "fi"]
+    return dataset.sortby(rising), by_size, drawn
+
+
+def labels_for(dataset: xr.Dataset, axis: str, scheme: str) -> xr.DataArray:
+    """The values along an axis by the name that belongs to a scheme, or else by its own name."""
+    own = (of for name, of in dataset.coords.items()
+           if of.dims == (axis,) and str(name).startswith(f"{scheme}."))  # fmt: skip
+    return dataset[axis] if axis.startswith(f"{scheme}.") else next(own, dataset[axis])
+
+
+def numbers_of(dataset, errors, shows, metric, tolerance) -> xr.DataArray:
     """(scheme, axes) what is shown of each point; a quantile of errors may be infinite."""
     from ..sweeps.summary import errors_of
 
@@ -154,21 +176,36 @@ def _nearest(mark: Mapping[str, Any], panels: list[dict[str, Any]], at: dict[str
     return True
 
 
-def _called(labels: xr.DataArray) -> str:
+def called_of(labels: xr.DataArray) -> str:
     """The path of an axis, as it was given, with its unit."""
     unit = labels.attrs.get("units", "")
     return f"{labels.name} [{unit}]" if unit else str(labels.name)
 
 
-def _placed(ax: Any, way: str, labels: xr.DataArray) -> np.ndarray:
+def _said(label: xr.DataArray) -> str:
+    """A single value with the name of its axis."""
+    value = label.item()
+    return f"{label.name} = {value:.4g}" if isinstance(value, float) else f"{label.name} = {value}"
+
+
+def placed(ax: Any, way: str, labels: xr.DataArray) -> np.ndarray:
     """Where the values of an axis stand; the scale and the ticks of x or y are set."""
-    axis, values = (ax.xaxis, ax.yaxis)[way == "y"], labels.values
-    numbers = values if values.dtype.kind in "fi" else np.arange(len(values))
-    if numbers is not values:
-        axis.set_ticks(numbers, [str(x) for x in values])
-    elif values.min() > 0 and values.max() / values.min() > WIDE:
+    axis, (numbers, log) = (ax.xaxis, ax.yaxis)[way == "y"], standing(labels)
+    if labels.dtype.kind not in "fi":
+        axis.set_ticks(numbers, [str(x) for x in labels.values])
+    elif log:
         (ax.set_xscale, ax.set_yscale)[way == "y"]("log")
+    elif labels.dtype.kind == "i":
+        axis.get_major_locator().set_params(integer=True)
     return numbers
+
+
+def standing(labels: xr.DataArray) -> tuple[np.ndarray, bool]:
+    """Where the values of an axis stand, text at its numbers, and whether it is logarithmic."""
+    values = labels.values
+    if values.dtype.kind not in "fi":
+        return np.arange(len(values)), False
+    return values, bool(values.min() > 0 and values.max() / values.min() > WIDE)
 
 
 def _place(labels: xr.DataArray, value: Any) -> float:
@@ -179,16 +216,19 @@ def _place(labels: xr.DataArray, value: Any) -> float:
     return known.index(value) if value in known else np.nan
 
 
-def _mark(ax: Any, name: str, sign: str, labels: list[xr.DataArray], point, here) -> None:
-    """A point with its name, if it is known and lies within the axes; on a line at its height."""
+def marked(ax: Any, name: str, sign: str, labels: list[xr.DataArray], point, here) -> list[Any]:
+    """A point with its name, if it is known and lies within the axes; on a line at its height.
+
+    Returns what was drawn.
+    """
     at = [_place(of, point[of.name]) for of in labels if of.name in point]
     if len(at) < len(labels) or not np.all(np.isfinite(at)):
-        return
+        return []
     if len(at) == 1:
         x = labels[0].values if labels[0].dtype.kind in "fi" else np.arange(labels[0].size)
         at.append(np.interp(at[0], x, here))
     size = 11 if sign == "*" else 7
-    ax.plot(*at, sign, color="white", mec="black", ms=size, label=name, zorder=5)
+    return ax.plot(*at, sign, color="white", mec="black", ms=size, label=name, zorder=5)
 
 
 def _norm(limits: tuple[float, float] | None, otherwise: tuple[int, int]) -> Any:

@@ -222,8 +222,13 @@ class Grid:
                     f"grid: {name} is drawn from {d}, which replaces the value of the axis; "
                     "allowed is a relative distribution, which scales it"
                 )
-        if sum(isinstance(axis.values[axis.name][0], _Whole) for axis in self.axes) > 1:
-            raise ValueError("grid: only one axis may be an option of the scenario")
+        options = [axis.name for axis in self.axes if isinstance(axis.values[axis.name][0], _Whole)]
+        if len(options) > 1:
+            raise ValueError(
+                f"grid: {' and '.join(options)} are options of the scenario, each value of which "
+                "replaces machine, task and schemes as a whole; allowed is one such axis, and the "
+                "other option set to one value"
+            )
         if self.static:
             for name, one in self.variants(*parts).items():
                 _same_shape(name, task, one.task)

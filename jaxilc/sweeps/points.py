@@ -103,7 +103,7 @@ def at_best(dataset: xr.Dataset, best: list[BestPoint]) -> xr.Dataset:
 
     trials = min(of.point.get(TRIALS, dataset.sizes["trial"]) for of in best)
     found = [
-        dataset.sel(scheme=[of.scheme]).sel(of.point).drop_vars(_labels_of(dataset)) for of in best
+        dataset.sel(scheme=[of.scheme]).sel(of.point).drop_vars(labels_of(dataset)) for of in best
     ]
     whole = xr.concat(found, "scheme", data_vars="minimal", coords="minimal", compat="override")
     return whole.isel(trial=slice(trials))
@@ -123,10 +123,12 @@ def _shown(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def _labels_of(dataset: xr.Dataset) -> list[str]:
-    """The coordinates along the axes of the grid."""
+def labels_of(dataset: xr.Dataset) -> list[str]:
+    """The coordinates along the axes of the grid, axis by axis, the name of the axis first."""
+    of = {str(name): x.dims[0] for name, x in dataset.coords.items() if x.ndim}
     axes = axes_of(dataset)
-    return [str(name) for name, of in dataset.coords.items() if {*of.dims} & {*axes}]
+    found = (name for name, axis in of.items() if axis in axes)
+    return sorted(found, key=lambda name: (axes.index(of[name]), name != of[name], name))
 
 
 def _best(name: str, dataset, axes, passed, error, lost, judged: bool) -> BestPoint:

@@ -4,6 +4,7 @@ They also kill a sweep with SIGKILL and resume it.
 """
 
 import contextlib
+import dataclasses
 import inspect
 import io
 import json
@@ -29,6 +30,7 @@ from jaxilc.pytree import settable
 from jaxilc.scenarios import LISTED, identified_file
 from jaxilc.scenarios.from_file import read_scenario
 from jaxilc.scenarios.starting_law import StartingLaw
+from jaxilc.theory.bounds import frozen_growth
 
 PLANT = """
 [plant]
@@ -216,6 +218,22 @@ def test_a_grid_is_told_at_its_best_point(jaxilc_command, tmp_path):
     assert "grid.png" in out
     assert f"--set reading={best['point']['reading']}" in out
     assert jaxilc_command(*sweep, *grid, "--resume")[0] == 0
+
+
+def test_bounds_over_a_grid_have_a_map(jaxilc_command, tmp_path):
+    lam = ("--grid", "cfdl-mfailc.lam=0.5,2", "--grid", "cfdl-mfailc.mu=1,3")
+    sweep = ("sweep", "cao-2019", "--scheme", "cfdl-mfailc", "--set", "frequency=50", *lam)
+    sweep = (*sweep, "--grid", "trials=2,3", "--machines", 2, "--bounds")
+    assert jaxilc_command(*sweep)[0] == 0
+    folder = tmp_path / "out/sweep-cao-2019"
+    assert (folder / "contraction.png").exists()
+    nominal = jaxilc.open_dataset(folder / "nominal.zarr")
+    assert nominal.sizes["sample"] == 1
+    of = jaxilc.scenarios.load("cao-2019", frequency=50)
+    law = dataclasses.replace(of.schemes["cfdl-mfailc"], lam=0.5)
+    growth = frozen_growth(of.machine, law, of.task, steps=40).value
+    np.testing.assert_allclose(nominal["sigma_max"].isel(scheme=0)[0], growth, rtol=1e-9)
+    assert jaxilc_command(*sweep, "--resume")[0] == 0
 
 
 def test_sweep_tells_the_bounds_beside_the_contraction(jaxilc_command, tmp_path):

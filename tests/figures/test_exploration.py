@@ -1,6 +1,7 @@
 """What a page of sliders computes is what the commands compute; its server keeps to itself."""
 
 import asyncio
+import dataclasses
 import socket
 import threading
 import urllib.request
@@ -9,7 +10,7 @@ import jax
 import numpy as np
 import pytest
 
-from jaxilc import Machine, Task, learn
+from jaxilc import Machine, Sweep, Task, learn
 from jaxilc.figures.exploration import Exploration, _computed
 from jaxilc.filters.zero_phase import ZeroPhaseButterworth
 from jaxilc.plants import StateSpace
@@ -21,19 +22,20 @@ from jaxilc.uncertainty import Uniform, draw, drawn_machine
 DT, N, TRIALS = 1e-3, 60, 5
 
 
-@pytest.fixture(scope="module")
-def explored() -> Exploration:
+def axis() -> Scenario:
     plant = StateSpace([[0.9]], [[0.1]], [[1.0]], dt=DT)
     task = Task(np.sin(np.linspace(0, 2 * np.pi, N + 1)), dt=DT, unit="mm")
     ilc = Filtered(PIDType(gamma_p=0.8, lead=2), ZeroPhaseButterworth(cutoff=100.0, order=2))
-    return Exploration(
-        Scenario(
-            "axis", "an axis", Machine(plant), task, {"ilc": ilc}, TRIALS,
-            {"plant.B": Uniform(0.9, 1.1, relative=True)}, shown_scale=1e3, shown_unit="µm",
-            judged_by="rms",
-        ),
-        machines=4, source="axis.toml",
+    return Scenario(
+        "axis", "an axis", Machine(plant), task, {"ilc": ilc}, TRIALS,
+        {"plant.B": Uniform(0.9, 1.1, relative=True)}, shown_scale=1e3, shown_unit="µm",
+        judged_by="rms",
     )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def explored() -> Exploration:
+    return Exploration(axis(), machines=4, source="axis.toml")
 
 
 def test_a_slider_gives_what_learning_gives(explored):
@@ -90,6 +92,65 @@ def test_of_a_slider_that_moves_on_the_last_value_is_answered(explored, tmp_path
     found = outcome(explored, {"scheme.gamma_p": 0.3})
     np.testing.assert_allclose(page.errors.data["nominal"], found.errors[0], rtol=1e-6)
     np.testing.assert_allclose(page.errors.data["worst"], found.errors.max(axis=0), rtol=1e-6)
+
+
+def test_a_click_on_the_map_moves_the_sliders_there_and_the_error_is_that_of_the_map(tmp_path):
+    """The map comes from `Sweep`, the errors from the page: at each point they are the same."""
+    from jaxilc.figures.explorer import Explorer
+
+    grid = {"ilc.scheme.gamma_p": [0.01, 0.2, 900.0], "plant.A[0][0]": [0.9, 0.95]}
+    explored = Exploration(
+        axis(), machines=4, source="axis.toml", grid=grid, repeated=("--trials", "5")
+    )
+    page = Explorer(explored, tmp_path)
+    points, of_machine = page.map.points, "machine.plant.A[0][0]"
+    assert page.layout() is not None
+    assert points.data["high_said"][4:] == ["diverged"] * 2
+    for i in (1, 2, 5, 0):
+        points.selected.indices = [i]
+        at = page.map.at(i)
+        assert page.values() == pytest.approx(
+            page.values() | {"scheme.gamma_p": at["ilc.scheme.gamma_p"], of_machine: at[of_machine]}
+        )
+        assert page.here.data == {"x": [pytest.approx(at["ilc.scheme.gamma_p"])],
+                                  "y": [pytest.approx(at[of_machine])]}  # fmt: skip
+        found = explored.outcome(page.values()).errors[:, -1]
+        shown = points.data["high"][i] / page.map.factor * 1e3
+        assert np.isinf(found.max()) == np.isnan(shown) == (i == 5)
+        np.testing.assert_allclose(found.max(), np.nan_to_num(shown, nan=np.inf), rtol=1e-6)
+        assert points.selected.indices == []  # the same cell can be clicked again
+    page.sliders["scheme.gamma_p"].value = 0.0
+    points.selected.indices = [0]
+    points.selected.indices = []  # a click beside the map moves nothing
+    assert page.here.data["x"] == [pytest.approx(0.01)]
+    assert explored.command(page.values() | {of_machine: 0.95}) == (
+        "jaxilc run axis.toml --scheme ilc --trials 5 --set ilc.scheme.gamma_p=0.01 --set "
+        "'machine.plant.A[0][0]=0.95'"
+    )
+
+
+def test_an_axis_that_no_slider_moves_is_refused_before_the_sweep():
+    for name, values in {"task.settle": [None, (0.01, 0.02)], "trials": [2, 3]}.items():
+        with pytest.raises(ValueError, match=f"no slider can move the axis {name}"):
+            Exploration(axis(), machines=2, grid={name: values})
+
+
+def test_a_stored_map_needs_the_scenario_to_be_at_its_other_axes():
+    s = axis()
+    sweep = Sweep(
+        s.machine, s.schemes, s.task, 2, machines=1, uncertainty={},
+        grid={"trials": [1, 2], "ilc.scheme.gamma_p": "0.1:0.9:3", "plant.A[0][0]": "0.8:0.9:3"},
+    )  # fmt: skip
+    grid = sweep.run()
+    at_best = dataclasses.replace(s, trials=2)
+    assert Exploration(at_best, machines=1, grid=grid).map is not None
+    with pytest.raises(ValueError, match="no slider can move the axis trials"):
+        Exploration(s, machines=1, grid=grid)
+    with pytest.raises(ValueError, match="the grid has no scheme 'ilc'"):
+        Exploration(at_best, machines=1, grid=grid.assign_coords(scheme=["other"]))
+    point = {"trials": [1], "ilc.scheme.gamma_p": [0], "machine.plant.A[0][0]": [0]}
+    with pytest.raises(ValueError, match="no axis of a grid with several values"):
+        Exploration(at_best, machines=1, grid=grid.isel(point))
 
 
 def test_what_was_found_can_be_shared(explored, tmp_path):

@@ -5,6 +5,7 @@ import pytest
 import xarray as xr
 
 from jaxilc import figures
+from jaxilc.figures.contraction_map import PREMISES
 
 
 def dataset_of(errors, b):
@@ -96,6 +97,16 @@ def test_a_third_axis_has_panels_and_marks_stand_where_they_are():
         np.testing.assert_allclose(shown, error[:, :, c].T)
 
 
+def test_an_axis_of_several_schemes_has_the_name_and_the_values_of_each():
+    errors = [[9, 4], [9, 1], [5, 9]]
+    dataset = xr.concat([dataset_of(errors, ["p", "q"])] * 2, "scheme")
+    dataset = dataset.assign_coords(scheme=["law", "other"], a=[1.0, 2.0, 3.0])
+    dataset = dataset.rename(a="law.a").assign_coords({"other.a": ("law.a", [10.0, 20.0, 30.0])})
+    panels = figures.grid_map(dataset, metric="rms")
+    assert [ax.get_xlabel() for ax in panels] == ["law.a", "other.a"]
+    assert [ax.lines[0].get_xdata()[0] for ax in panels] == [2.0, 20.0]
+
+
 def test_what_has_no_axis_is_refused():
     with pytest.raises(ValueError, match="no axis of a grid with several values"):
         figures.grid_map(dataset_of([[1.0]], ["p"]), metric="rms")
@@ -106,3 +117,80 @@ def test_what_has_no_axis_is_refused():
         figures.grid_map(grid, shows="yield", metric="rms")
     with pytest.raises(ValueError, match=r"has a grid over a, b; allowed is one point"):
         figures.error_band(dataset_of([[1.0, 2.0]], ["p", "q"]), metric="rms")
+
+
+# The map of contraction
+# --------------------------------------------------------------------------------------------------
+
+
+def watched(factor, b, **bounds):
+    """Return what a watch sees where the error of each trial is `factor` of the one before it."""
+    last = np.asarray(factor, float)[None, ..., None] * [0.5, 1.0, 2.0]
+    norm = np.stack([np.full_like(last, np.nan), last, last], axis=-1)
+    dims = ("scheme", "a", "b", "sample", "trial")
+    held = dict.fromkeys(PREMISES, 1.0) | bounds
+    return xr.Dataset(
+        {
+            "contraction_norm": (dims, norm),
+            "finite": (dims, np.isfinite(norm)),
+            "diverged_at": (dims[:-1], np.where(last > 100, 2, 0)),
+        }
+        | {
+            name: (dims[:-1], np.broadcast_to(np.asarray(x)[..., None], last.shape))
+            for name, x in held.items()
+        },
+        {"scheme": ["law"], "a": [1.0, 2.0][: len(factor)], "b": b},
+    )
+
+
+def named(ax):
+    return [text.get_text() for text in ax.get_legend().get_texts()]
+
+
+def test_contraction_is_the_mean_of_the_trials_and_infinite_where_a_machine_diverges():
+    """Over two trials a factor of 4 and one of 1/9 are 2/3; a trial at rounding does not count."""
+    dataset = watched([[1.0, 1.0], [60.0, np.nan]], [1.0, 2.0])
+    dataset["contraction_norm"][0, 0, 0, 1, 1:] = [4.0, 1 / 9]
+    dataset["contraction_norm"][0, 0, 1, 1, 1:] = [0.25, np.nan]
+    found = figures.contraction_of(dataset).isel(scheme=0)
+    np.testing.assert_allclose(found[0, :, 1], [2 / 3, 0.25])
+    np.testing.assert_allclose(found[1, 0], [30, 60, np.inf])
+    assert np.isnan(found[1, 1]).all()
+
+
+def test_the_map_of_contraction_has_the_lines_and_the_regions_that_were_put_in():
+    d2, signs = [[0.5, 2.0], [0.5, 2.0]], [[1.0, 0.0], [1.0, 0.0]]
+    dataset = watched([[0.5, 2.0], [60.0, np.nan]], ["p", "q"], d2=d2, signs=signs, alone=0.0)
+    bounds = dataset.isel(sample=[0]).assign(sigma_max=3 * dataset["d2"].isel(sample=[0]))
+    marks = {"own": {"a": 1.0, "b": "q"}, "off": {"a": 9.0, "b": "q"}}
+    (ax,) = figures.contraction_map(dataset, bounds=bounds, marks=marks)
+    shown = ax.collections[0].get_array().filled(np.nan)
+    np.testing.assert_allclose(shown.T, [[0.5, 2.0], [10.0, np.nan]])  # the colours end at 10
+    assert named(ax) == [
+        "d2 = 1", "sigma_max from 1.5 to 6", "signs fails", "own", "fails everywhere: alone",
+    ]  # fmt: skip
+    assert [text.get_text() for text in ax.get_yticklabels()] == ["p", "q"]
+    (ax,) = figures.contraction_map(dataset.isel(b=[0]))
+    np.testing.assert_allclose(ax.lines[0].get_ydata(), [0.5, 60.0])
+    assert named(ax) == ["observed", "d2", "fails everywhere: alone"]
+
+
+@pytest.mark.parametrize("factor", [[[1e3, 1e3]] * 2, [[np.nan, np.nan]] * 2, [[0.0, 0.0]] * 2])
+def test_a_map_on_which_nothing_contracts_or_nothing_is_known_is_drawn(factor, tmp_path):
+    unknown = dict.fromkeys(("d2", *PREMISES), np.nan)
+    dataset = watched(factor, [1.0, 2.0], **unknown)
+    panels = figures.contraction_map(dataset)
+    assert figures.save(panels, tmp_path / "map.png").exists()
+    assert named(panels[0]) == []
+    figures.save(figures.contraction_map(dataset.isel(b=[0])), tmp_path / "line.png")
+
+
+def test_a_map_of_contraction_needs_a_watch_and_two_axes():
+    dataset = watched([[1.0, 1.0], [1.0, 1.0]], [1.0, 2.0])
+    with pytest.raises(ValueError, match="the sweep had no BoundsWatch"):
+        figures.contraction_map(dataset.drop_vars("contraction_norm"))
+    with pytest.raises(ValueError, match="no axis of a grid with several values"):
+        figures.contraction_map(dataset.isel(a=[0], b=[0]))
+    three = xr.concat([dataset, dataset], "c").assign_coords(c=[1.0, 2.0])
+    with pytest.raises(ValueError, match=r"has the axes .*; allowed are two"):
+        figures.contraction_map(three)

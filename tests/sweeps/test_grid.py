@@ -172,7 +172,7 @@ def test_values_that_are_wholes_replace_machine_schemes_and_task():
         ({"learning.reset": "book, boko"}, "reset = 'boko' is not one of 'book'"),
         ({"trials": [1.5]}, r"trials = 1.5 is outside its allowed range \[1, inf\)"),
         ({"task.dt": [1e-3, 2e-3]}, "has a task with dt = 0.002, and the sweep one with 0.001"),
-        ({"a": {"x": PLAN}, "b": {"x": PLAN}}, "only one axis may be an option"),
+        ({"a": {"x": PLAN}, "b": {"x": PLAN}}, "a and b are options of the scenario, each"),
         ({"a": {"x": 3}}, "a = 'x': 3; allowed is what has a machine, a task and the schemes"),
         ({"rms": {"x": PLAN}}, "'rms' cannot be the name of a dimension"),
     ],

@@ -1,0 +1,280 @@
+"""The map of a grid that answers to the hand: each point has its numbers, and its learning."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from .grid_map import QUANTILES, SHOWN, called_of, in_order, labels_for, numbers_of, standing
+from .live_axes import Live, hover, plot, shown_in
+from .style import COLOURS, labelled, limits_of
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from ..sweeps.points import BestPoint
+
+MOST = 64  # values of an axis that are drawn; of more, so many and the best one
+ROOM = 150_000  # numbers that the curves of all points of a scheme may have
+ROUNDED = "return String(Number(tick.toPrecision(2)))"
+CURVES = ("low", "median", "high")
+CHOOSE = """
+const i = points.selected.indices[0], n = shown.data["j"].length;
+if (i === undefined) return;
+const data = {j: shown.data["j"]};
+for (const name of ["low", "median", "high"]) {
+    data[name] = all.data[name].slice(i * n, (i + 1) * n);
+}
+shown.data = data;
+told.text = points.data["point"][i];
+"""
+
+
+class GridMap(NamedTuple):
+    """The map of one scheme, or its line over a single axis.
+
+    figure: of Bokeh
+    points: its source, a row for each point, of which the chosen one is selected
+    values: the values of the drawn axes at each point, by the names that belong to the scheme
+    dataset: the points of the scheme, over the drawn axes, sample and trial
+    factor, unit: of errors that are shown
+    """
+
+    figure: Any
+    points: Any
+    values: list[dict[str, Any]]
+    dataset: xr.Dataset
+    factor: float
+    unit: str
+
+    def at(self, number: int) -> dict[str, Any]:
+        """The values of all axes of the grid at a point, by all of their names."""
+        from ..sweeps.summary import axes_of
+
+        drawn = axes_of(self.dataset)
+        place = np.unravel_index(number, [self.dataset.sizes[axis] for axis in drawn])
+        here = self.dataset.coords.to_dataset().isel(dict(zip(drawn, place, strict=True)))
+        return {str(name): x.item() for name, x in here.coords.items() if x.ndim == 0}
+
+
+def grid(
+    dataset: xr.Dataset,
+    *,
+    metric: str,
+    tolerance: float | None = None,
+    scale: float = 1.0,
+    unit: str = "",
+    best: list[BestPoint],
+) -> Live:
+    """A map for each scheme with the numbers of a point on hover, and its learning on a click.
+
+    dataset, metric, tolerance, scale, unit, best: as for `grid_map`
+    Raises ValueError as `grid_map` does.
+    """
+    from bokeh.models import TabPanel, Tabs
+
+    look: dict[str, Any] = {"metric": metric, "tolerance": tolerance, "scale": scale, "unit": unit}
+    parts = [_with_learning(map_of(dataset, of, **look), metric) for of in best]
+    tabs = [TabPanel(child=part, title=of.scheme) for part, of in zip(parts, best, strict=True)]
+    return Live(
+        "Each cell, or dot along a single axis, is a point of the grid, and its colour or height "
+        "the error that 95 % of its machines do not exceed in the last trial. There is a cross "
+        "where a machine diverges, and no colour where the error is not finite. The star is the "
+        "best point, at which all axes are that are not drawn. Under the pointer stand the numbers "
+        "of a point; a click shows how it learns.",
+        parts[0] if len(parts) == 1 else Tabs(tabs=tabs, sizing_mode="scale_width"),
+    )
+
+
+def map_of(
+    dataset: xr.Dataset,
+    of: BestPoint,
+    *,
+    metric: str,
+    tolerance: float | None = None,
+    scale: float = 1.0,
+    unit: str = "",
+    **size: Any,
+) -> GridMap:
+    """The map of one scheme, with all numbers of `grid_map` on hover; the best point is chosen.
+
+    size: further arguments of the figure
+    """
+    from bokeh.models import ColumnDataSource, TapTool
+
+    from ..sweeps.points import last_errors
+
+    dataset, _, drawn = in_order(dataset)
+    there = {axis: of.point[axis] for axis in of.point if axis not in drawn}
+    dataset = dataset.sel(scheme=[of.scheme], **there)
+    at = [dataset[axis].values.tolist().index(of.point[axis]) for axis in drawn]
+    some = [_some(dataset.sizes[axis], i) for axis, i in zip(drawn, at, strict=True)]
+    dataset = dataset.isel(dict(zip(drawn, some, strict=True)))
+    last = last_errors(dataset, metric)
+    factor, unit = shown_in(scale * last.values, unit)
+    labels = [labels_for(dataset, axis, of.scheme) for axis in drawn]
+    places = np.meshgrid(*(np.arange(one.size) for one in labels), indexing="ij")
+    known = {str(one.name): one.values.tolist() for one in labels}
+    values = [
+        {name: of[i] for (name, of), i in zip(known.items(), row, strict=True)}
+        for row in zip(*(place.ravel() for place in places), strict=True)
+    ]
+    lost = (dataset["diverged_at"] > 0).any("sample").values.ravel()
+    columns: dict[str, Any] = {f"a{i}": [[*row.values()][i] for row in values]
+                               for i in range(len(labels))}  # fmt: skip
+    tips = [(called_of(one), f"@a{i}{'{g}' * (one.dtype.kind == 'f')}")
+            for i, one in enumerate(labels)]  # fmt: skip
+    for name, words in SHOWN.items():
+        if name != "yield" or tolerance is not None:
+            found = numbers_of(dataset, last, name, metric, tolerance).values.ravel()
+            found = scale * factor * found if name in QUANTILES else found
+            columns[name] = np.where(np.isfinite(found), found, np.nan)
+            columns[f"{name}_said"] = [_said(x, name, unit) for x in found]
+            tips.append((words.format(metric.replace("_", " ")), f"@{name}_said"))
+    columns["point"] = [
+        ", ".join(
+            f"{k} = {v:.4g}" if isinstance(v, float) else f"{k} = {v}" for k, v in row.items()
+        )
+        for row in values
+    ]
+    source = ColumnDataSource(columns)
+    nearest = [some[i].tolist().index(j) for i, j in enumerate(at)]
+    best = int(np.ravel_multi_index(nearest, [one.size for one in labels]))
+    source.selected.indices = [best]
+    called = labelled(SHOWN["high"].format(metric), unit)
+    made, cells = (_cells if len(labels) == 2 else _line)(source, labels, called, lost, **size)
+    shown: Any = source.data
+    if np.isfinite(of.error):
+        star = {"marker": "star", "size": 14, "fill_color": "white", "line_color": "black"}
+        made.scatter([shown["x"][best]], [shown.get("y", shown["high"])[best]], **star)
+    hover(made, [cells], tips)
+    made.add_tools(TapTool(renderers=[cells], mode="replace"))
+    return GridMap(made, source, values, dataset, scale * factor, unit)
+
+
+def _cells(source, labels, called: str, lost, **size: Any) -> tuple[Any, Any]:
+    """A figure with a cell for each point, crosses where a machine diverges, and the colours."""
+    from bokeh.models import ColorBar, CustomJSTickFormatter, FixedTicker, LogColorMapper
+    from bokeh.palettes import Viridis256
+
+    (x, log_x), (y, log_y) = map(standing, labels)
+    kinds: dict[str, Any] = {
+        f"{way}_axis_type": "log" if log else "linear" for way, log in (("x", log_x), ("y", log_y))
+    }
+    made = plot("", *map(called_of, labels), log=False, **({"width": 560} | kinds | size))
+    for axis, one in zip((made.xaxis[0], made.yaxis[0]), labels, strict=True):
+        _named(axis, one)
+    at = np.meshgrid(x, y, indexing="ij")
+    sides = np.meshgrid(_edges(x, log_x), _edges(y, log_y), indexing="ij")
+    corners = {"left": sides[0][:-1, :-1], "right": sides[0][1:, :-1],
+               "bottom": sides[1][:-1, :-1], "top": sides[1][:-1, 1:],
+               "x": at[0], "y": at[1]}  # fmt: skip
+    source.data = dict(source.data) | {name: of.ravel() for name, of in corners.items()}
+    low, high = limits_of(source.data["high"], pad=1.0) or (1.0, 10.0)
+    colours = LogColorMapper(
+        palette=Viridis256[::-1], low=low, high=max(high, 1.001 * low), nan_color="#e8e8e8"
+    )
+    cells = made.quad(
+        "left", "right", "bottom", "top", source=source, line_color=None,
+        fill_color={"field": "high", "transform": colours}, nonselection_fill_alpha=1.0,
+        selection_line_color="black", selection_line_width=3, selection_fill_alpha=1.0,
+    )  # fmt: skip
+    gone = np.flatnonzero(lost)
+    made.scatter(at[0].ravel()[gone], at[1].ravel()[gone], marker="x", size=6, color="#777777")
+    bar = ColorBar(
+        color_mapper=colours, title=called, title_text_font_size="8pt",
+        ticker=FixedTicker(ticks=np.geomspace(low, high, 5).tolist()),
+        formatter=CustomJSTickFormatter(code=ROUNDED),
+    )  # fmt: skip
+    made.add_layout(bar, "right")
+    return made, cells
+
+
+def _line(source, labels, called: str, lost, **size: Any) -> tuple[Any, Any]:
+    """A figure with the error along a single axis, and its quantiles."""
+    (x, log), (label,) = standing(labels[0]), labels
+    look: dict[str, Any] = {"width": 560, "x_axis_type": "log" if log else "linear"} | size
+    made = plot("", called_of(label), called, **look)
+    _named(made.xaxis[0], label)
+    source.data = dict(source.data) | {"x": x}
+    for name, dash in (("high", "solid"), ("median", "dashed"), ("worst", "dotted")):
+        words = SHOWN[name].partition(" {}")[0]
+        made.line("x", name, source=source, line_dash=dash, color=COLOURS[0], legend_label=words)
+    made.legend.location, made.legend.label_text_font_size = "top_right", "8pt"
+    dots = made.scatter("x", "high", source=source, size=8, color=COLOURS[0],
+                        nonselection_fill_alpha=1.0, selection_line_color="black")  # fmt: skip
+    low = limits_of(source.data["median"])
+    gone = np.flatnonzero(lost)
+    made.scatter(x[gone], np.full(len(gone), low[0] if low else 1.0), marker="x", size=6,
+                 color="#777777")  # fmt: skip
+    return made, dots
+
+
+def _with_learning(drawn: GridMap, metric: str) -> Any:
+    """A map, and beside it how the chosen point learns."""
+    from bokeh.layouts import column, row
+    from bokeh.models import ColumnDataSource, CustomJS, Div
+
+    from ..sweeps.summary import QUANTILES as LEVELS
+    from ..sweeps.summary import errors_of
+
+    count = drawn.dataset.sizes["trial"]
+    most = int(np.clip(ROOM // (len(CURVES) * len(drawn.values)), 2, count))
+    some = np.unique(np.round(np.linspace(0, count - 1, most)).astype(int))
+    errors = drawn.factor * errors_of(drawn.dataset, metric).isel(trial=some)
+    found = np.quantile(errors.values, LEVELS, axis=-2, method="inverted_cdf")
+    shown = np.where(np.isfinite(found) & (found > 0), found, np.nan).astype(np.float32)
+    shown = shown.reshape(len(LEVELS), -1)
+    chosen = drawn.points.selected.indices[0]
+    part = slice(chosen * len(some), (chosen + 1) * len(some))
+    first = dict(zip(CURVES, (of[part] for of in shown), strict=True))
+    every = ColumnDataSource(dict(zip(CURVES, shown, strict=True)))
+    now = ColumnDataSource({"j": drawn.dataset["trial"].values[some], **first})
+    told = Div(
+        text=drawn.points.data["point"][chosen], render_as_text=True, styles={"font-weight": "600"}
+    )
+    made = plot("", "trial", labelled(metric, drawn.unit), width=400)
+    made.varea("j", "low", "high", source=now, fill_alpha=0.2, color=COLOURS[0],
+               legend_label="5 to 95 %")  # fmt: skip
+    made.line("j", "median", source=now, color=COLOURS[0], line_width=2, legend_label="median")
+    made.legend.location, made.legend.label_text_font_size = "top_right", "8pt"
+    react = CustomJS(
+        args={"points": drawn.points, "all": every, "shown": now, "told": told}, code=CHOOSE
+    )
+    drawn.points.selected.js_on_change("indices", react)
+    return column(told, row(drawn.figure, made, sizing_mode="scale_width"),
+                  sizing_mode="scale_width")  # fmt: skip
+
+
+def _some(count: int, best: int) -> np.ndarray:
+    """Positions along an axis: all, or of many the ends, the best and some between them."""
+    if count <= MOST:
+        return np.arange(count)
+    return np.unique([best, *np.round(np.linspace(0, count - 1, MOST)).astype(int)])
+
+
+def _edges(x: np.ndarray, log: bool) -> np.ndarray:
+    """(K+1,) the ends of the cells of K values."""
+    at = np.log(x) if log else np.asarray(x, float)
+    middle = (at[1:] + at[:-1]) / 2
+    ends = np.concatenate([[2 * at[0] - middle[0]], middle, [2 * at[-1] - middle[-1]]])
+    return np.exp(ends) if log else ends
+
+
+def _named(axis: Any, labels: xr.DataArray) -> None:
+    """The ticks of an axis of texts, which stand at their numbers."""
+    from bokeh.models import BasicTickFormatter, FixedTicker
+
+    if labels.dtype.kind not in "fi":
+        axis.ticker, axis.formatter = FixedTicker(ticks=[*range(labels.size)]), BasicTickFormatter()
+        axis.major_label_overrides = {i: str(x) for i, x in enumerate(labels.values)}
+
+
+def _said(value: float, name: str, unit: str) -> str:
+    """A number of a point, as its hover text has it."""
+    if not np.isfinite(value):
+        return "diverged"
+    if name in ("yield", "diverged"):
+        return f"{value:.1%}"
+    return f"{value:.4g} {unit}".rstrip() if name in QUANTILES else f"{value:g}"

@@ -1,0 +1,133 @@
+"""The folder of a grid, given for `--params`, is its best point, or is refused in words."""
+
+import dataclasses
+import json
+import shutil
+import sys
+
+import numpy as np
+import pytest
+
+from jaxilc import Sweep
+from jaxilc.cli import main
+from jaxilc.cli.asked import chosen_scenario
+from jaxilc.sweeps import best_points, open_dataset
+
+NAME = "ffdl-mfailc"
+SHORT = ["frequency=50"]  # 20 samples a trial
+PHI0 = [(0.5, 0.0, -0.06, 0.0), (0.25, 0.125, -0.03, 0.01)]
+
+
+def asked(folder, *, scheme=NAME, trials=None, settings=(), scenario="cao-2019"):
+    return chosen_scenario(scenario, [scheme], trials, [*SHORT, *settings], folder)
+
+
+def stored(folder, grid, *, trials=3, machines=2):
+    """Store a sweep as the command does, and return its folder."""
+    of = asked(None, trials=trials)
+    Sweep(
+        of.machine, of.schemes, of.task, of.trials, uncertainty=of.uncertainty, machines=machines,
+        quantities=of.functions, grid=grid,
+    ).run(folder / "dataset.zarr")  # fmt: skip
+    return folder
+
+
+@pytest.fixture(scope="module")
+def grid(tmp_path_factory):
+    gain = float(asked(None).machine.plant.gain)
+    other = asked(None, settings=["reading=amplitude"])
+    readings = {"stroke": asked(None, settings=["reading=stroke"]), "amplitude": other}
+    return stored(
+        tmp_path_factory.mktemp("grid"),
+        {f"{NAME}.lam": [0.3, 1 / 3], f"{NAME}.phi0": PHI0, f"{NAME}.reset": ["book", "none"],
+         "plant.gain": [gain / 3, gain], "trials": [2, 3], "reading": readings},
+    )  # fmt: skip
+
+
+def test_the_scenario_is_that_of_the_best_point(grid):
+    dataset = open_dataset(grid / "dataset.zarr")
+    found, of = asked(grid), asked(None)
+    limit = of.tolerance / of.shown(of.judged_by)[0]
+    best = best_points(dataset, limit, metric=of.judged_by)[0].point
+    law = found.schemes[NAME]
+    assert (float(law.lam), law.reset) == (best[f"{NAME}.lam"], best[f"{NAME}.reset"])
+    assert " ".join(f"{x:g}" for x in np.asarray(law.phi0)) == best[f"{NAME}.phi0"]
+    assert float(found.machine.plant.gain) == best["machine.plant.gain"]
+    assert (found.trials, found.options["reading"]) == (best["trials"], best["reading"])
+
+
+def test_what_is_set_goes_on_top(grid):
+    settings = [f"{NAME}.lam=7", "plant.gain=-3", "reading=stroke", f"{NAME}.mu=2"]
+    found = asked(grid, settings=settings, trials=9)
+    law = found.schemes[NAME]
+    assert (float(law.lam), float(law.mu), found.trials) == (7.0, 2.0, 9)
+    assert (float(found.machine.plant.gain), found.options["reading"]) == (-3.0, "stroke")
+
+
+def test_tuning_starts_at_the_best_point(tmp_path, monkeypatch, capsys):
+    folder = stored(tmp_path / "grid", {f"{NAME}.lam": [0.5, 2.0], "plant.gain": [-4e3, 7e3]})
+    best = asked(folder)
+    command = ["tune", "cao-2019", "--scheme", NAME, "--set", *SHORT, "--params", str(folder)]
+    command += ["--weights", "lam", "--trials", "3", "--steps", "1", "--unseen", "2"]
+    command += ["--machines", "2", "--held-out", "2", "--json", "t.json", "--out", "t"]
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["jaxilc", *command])
+    with pytest.raises(SystemExit, match="0"):
+        main()
+    numbers = json.loads((tmp_path / "t.json").read_text())
+    assert numbers["weights"]["lam"]["given"] == float(best.schemes[NAME].lam)
+    gain = f"machine.plant.gain={float(best.machine.plant.gain)}"
+    assert gain in numbers["next"]  # it is not in the parameter file
+    assert "--params" in capsys.readouterr().out
+
+
+def test_what_is_no_grid_of_this_scenario_is_refused(tmp_path):
+    plain = stored(tmp_path / "plain", {})
+    with pytest.raises(ValueError, match="plain has no grid; a sweep with --grid has one"):
+        asked(plain)
+    with pytest.raises(ValueError, match="neither a parameter file nor the folder of a sweep"):
+        asked(tmp_path)
+    lam = stored(tmp_path / "lam", {f"{NAME}.lam": [0.5, 2.0]})
+    with pytest.raises(ValueError, match=r"lam has the schemes ffdl-mfailc, and none of pid"):
+        asked(lam, scheme="pid")
+    with pytest.raises(ValueError, match=r"of another scenario, or of other settings; it differs"):
+        chosen_scenario("cao-2019", [NAME], None, [], lam)
+    with pytest.raises(ValueError, match="and none of p-type"):
+        chosen_scenario("li-2020", ["p-type"], None, [], lam)
+    wide = dataclasses.replace(asked(None), machine=asked(None, settings=["plant.gain=5"]).machine)
+    Sweep(
+        wide.machine, wide.schemes, wide.task, 2, uncertainty={}, machines=1,
+        quantities=wide.functions, grid={f"{NAME}.lam": [1, 2]},
+    ).run(tmp_path / "w/dataset.zarr")  # fmt: skip
+    with pytest.raises(ValueError, match=r"it differs in machine.plant.gain: 5.0 there"):
+        asked(tmp_path / "w")
+    assert asked(tmp_path / "w", settings=["plant.gain=5"]).machine.plant.gain == 5.0
+    lost = stored(tmp_path / "lost", {"plant.gain": [-1e7, -2e7]})
+    with pytest.raises(ValueError, match="more than 5 % of the machines diverge at every point"):
+        asked(lost)
+    settle = stored(tmp_path / "settle", {"task.settle": [None, (0.001, 0.01)]})
+    with pytest.raises(ValueError, match=r"the axis task.settle is not one that --set can set"):
+        asked(settle)
+
+
+def test_what_is_killed_or_damaged_is_refused_until_it_is_resumed(tmp_path):
+    class Killed(Exception):
+        pass
+
+    def kill(name, done, fresh):
+        raise Killed
+
+    of, folder = asked(None, trials=2), tmp_path / "killed"
+    sweep = Sweep(
+        of.machine, of.schemes, of.task, 2, uncertainty={}, machines=1, chunk=1,
+        quantities=of.functions, grid={f"{NAME}.lam": [0.5, 1.0, 2.0]},
+    )  # fmt: skip
+    with pytest.raises(Killed):
+        sweep.run(folder / "dataset.zarr", progress=kill)
+    with pytest.raises(ValueError, match=r"is not complete: 2 of 3 runs are missing; the same"):
+        asked(folder)
+    sweep.run(folder / "dataset.zarr", resume=True)
+    assert float(asked(folder).schemes[NAME].lam) in (0.5, 1.0, 2.0)
+    shutil.rmtree(folder / "dataset.zarr" / "finite")
+    with pytest.raises(ValueError, match="is damaged"):
+        asked(folder)
