@@ -1,9 +1,11 @@
-"""These tests check the order of imports.
+"""These tests check the order of imports, and the names that users import.
 
 Each family imports from those before it, and from none after it.
 """
 
 import ast
+import importlib
+import tomllib
 from pathlib import Path
 
 import jaxilc
@@ -57,6 +59,16 @@ def test_the_families_are_all_there_is():
     assert rooms - {"__init__", "__pycache__"} == set(ORDER)
     folders = {p.name for p in Path(__file__).parent.iterdir() if p.is_dir()} - {"__pycache__"}
     assert folders - {"benchmark"} <= set(ORDER)  # of experiments/benchmark
+
+
+def test_the_public_names_are_those_of_the_list():
+    """A name that is added is listed; one that is renamed stays for one version, with a warning."""
+    text = Path(__file__).with_name("public_names.toml").read_text(encoding="utf-8")
+    listed = tomllib.loads(text)
+    for package, names in listed.items():
+        assert sorted(importlib.import_module(package).__all__) == names, package
+    folders = {f"jaxilc.{path.parent.name}" for path in ROOT.glob("*/__init__.pyi")}
+    assert folders <= listed.keys()
 
 
 def test_no_circle_within_a_family():
