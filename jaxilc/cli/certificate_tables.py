@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from ..theory.certificates import CONVERGES, COURSES, DIVERGES, GROWS, MONOTONE, NOTHING, TURNS
+from ..theory.chance import STILL
 from .tables import number
 from .titled_table import Table
 
@@ -89,11 +90,14 @@ def left_words(numbers: dict[str, Any], scale: float, unit: str) -> str:
     if floor != floor:
         return "an error whose size is not known"
     size = f"{number(floor)} {unit}".rstrip() + rounding_words(numbers, scale, unit)
-    if not numbers["senses"]:
+    if not numbers["senses"] or STILL in numbers["senses"]:
         return f"an rms error of at most {size}"
     last = f"{number(scale * numbers['quantile'])} {unit}".rstrip()
+    most = ""
+    if numbers["most"] is not None:
+        most = f", and in 95 of 100 trials of at most {number(scale * numbers['most'])} {unit}"
     return (
-        f"an rms error of at most {size} over all that is drawn "
+        f"an rms error of at most {size} over all that is drawn{most.rstrip()} "
         f"(95 % of the simulated runs end below {last})"
     )
 

@@ -14,10 +14,11 @@ every trial (`linearity`), and where no limit is met in any trial to come (`outl
                  and there is no limit to stop it
     not claimed  for a reason that is told
 
-Where something is drawn for each trial (`Variation`), a claim is one of single runs, in the sense
-that `chance` gives it: for every draw, in mean square, or almost surely. The distance is then that
-of two runs with the same draws, and what learning leaves is told as a root mean square over all
-that is drawn. What holds for the mean of all runs alone is not claimed.
+Where something is drawn for each trial (noise, or by a `Variation`), a claim is one of single runs,
+in the sense that `chance` gives it: for every draw, in mean square, or almost surely. The distance
+is then that of two runs with the same draws, and what learning leaves is told as a root mean square
+over all that is drawn, and as what 95 of 100 late trials stay below, which is proved and not
+sampled. What holds for the mean of all runs alone is not claimed.
 
 Where a sensor or a converter rounds, a claim is that of the machine that does not, up to a ball
 (`rounding`): what falls does so until it is within the ball, and then stays there.
@@ -53,7 +54,7 @@ from ..uncertainty import Uncertainty, draw, drawn_machines
 from .affine import changes_nothing, limit_names, view_of
 from .as_map import Maps
 from .as_matrix import Matrices
-from .chance import EVERY, SQUARE, SURELY, UnderChance, under_chance
+from .chance import EVERY, SQUARE, STILL, SURELY, UnderChance, draws, learned_alike, under_chance
 from .forecast import follow, growth_of, peaks, predict, simulate, simulate_runs
 from .linearity import keeps_all, learning_premises
 from .outlook import DENSE, Outlook, joined, maps_of, outlooks, that_fit
@@ -67,11 +68,18 @@ ROUNDING = 1e3  # in units of the last place
 AS_TOLD = 1e-6  # share of the largest error by which simulation may differ from theory
 EXACT = 1e-9  # share of the first error that counts as none left
 MACHINES = 64  # that are drawn where none were before
+GAUSSIAN = (
+    "what 95 of 100 trials stay below follows from noise that is Gaussian, by Chernoff's bound"
+)
+MARKOV = (
+    "what 95 of 100 trials stay below follows from the mean square alone, by Markov's inequality"
+)
 DRAWN = "what is rounded is bounded only where every trial is learned from alike"
 UNBOUNDED = "what rounding adds in each trial is not seen to stay within bounds"
 MANY = f"what rounding adds is followed for up to {LARGEST} inputs"
 SEEDS = 16  # runs that are simulated of each machine of which something is drawn
 BEYOND = 1e3  # times its root mean square; a positive number is 10^6 times its mean once in 10^6
+DOUBTED = 0.6  # share of the runs above what 95 % stay below; 10 of 16 are it once in 10^9
 COPIES = 64  # bytes for each trial of each machine: three curves, with what lies between
 
 
@@ -84,6 +92,8 @@ class Certificate(NamedTuple):
                is drawn
     left:      (S,) root mean square error in the long run, over all that is drawn, noise included;
                infinite where its square has no mean, NaN where it is not known or nothing is drawn
+    most:      (S,) root mean square error that a late trial exceeds with a chance of 5 % or less;
+               likewise
     of_error:  (S,) whether `monotone` is of the error itself; if not, of the distance from the
                limit
     sigma:     (S,) bound of the largest singular value of the map that decides; inf where nothing
@@ -114,6 +124,7 @@ class Certificate(NamedTuple):
     reason: np.ndarray
     sense: np.ndarray
     left: np.ndarray
+    most: np.ndarray
     of_error: np.ndarray
     sigma: np.ndarray
     ball: Ball | None
@@ -151,7 +162,9 @@ class Certificate(NamedTuple):
         if self.runs is not None and claim in (MONOTONE, CONVERGES):
             known = self.sense[i] in (SURELY, EVERY, SQUARE)
             bound = BEYOND * (self.predicted[i] + ball) + EXACT * e[0] if known else np.inf
-            return not bool(np.all(np.isfinite(e) & (e <= bound)))
+            last, most = self.runs[i, :, -1] * self.left[i], self.most[i]
+            above = last > most * max(self.left[i], self.predicted[i, -1])
+            return not bool(np.all(np.isfinite(e) & (e <= bound)) and np.mean(above) < DOUBTED)
         if claim in (NOTHING, DIVERGES) or self.distance is None or self.outlook is None:
             return bool(claim == DIVERGES and e[-1] < EXACT * e[0])
         if claim == MONOTONE and self.of_error[i]:
@@ -176,6 +189,7 @@ class LongRun(NamedTuple):
     reason: np.ndarray
     sense: np.ndarray
     left: np.ndarray
+    most: np.ndarray
     of_error: np.ndarray
     sigma: np.ndarray
     ball: Ball | None
@@ -244,7 +258,7 @@ def _certified(
     predicted = predict(exact, scheme, task, trials)
     run, course_of_draws = _long_run(machines, scheme, task, steps, trials)
     runs, variation = None, machines.variation
-    if variation is not None and variation.draws:
+    if course_of_draws is not None or (variation is not None and variation.draws):
         runs = simulate_runs(machines, scheme, task, trials, SEEDS)
         simulated, distance = np.sqrt(np.mean(runs**2, axis=1)), None
         predicted = predicted if course_of_draws is None else course_of_draws
@@ -303,15 +317,16 @@ def _long_run(
         reason = np.full(size, broken[0], object)
         nothing, unknown = np.full(size, NOTHING), np.full(size, np.nan)
         no = np.zeros(size, bool), np.full(size, np.inf)
-        return LongRun(nothing, reason, np.full(size, SURELY), unknown, *no, None, None), None
+        sense = np.full(size, SURELY)
+        return LongRun(nothing, reason, sense, unknown, unknown, *no, None, None), None
     maps = maps_of(machines, scheme, task, steps)
     ball = ball_of(rounding, scheme, task, view_of(scheme, task))
     astray = None if ball is None else ball.limits
     ahead = outlooks(machines, scheme, task, maps=maps, astray=astray)
     claim, reason, of_error, sigma = _claims(machines, scheme, task, ahead, maps)
     sense, left = np.full(len(claim), SURELY, object), np.full(len(claim), np.nan)
-    found, rms = LongRun(claim, reason, sense, left, of_error, sigma, ball, ahead), None
-    if machine.variation is not None and machine.variation.draws:
+    found, rms = LongRun(claim, reason, sense, left, left, of_error, sigma, ball, ahead), None
+    if draws(machine):
         found, rms = _of_runs(machines, scheme, task, found, trials)
     if ball is not None:
         found = _within(found, ball)
@@ -320,13 +335,16 @@ def _long_run(
 
 def _of_runs(machines, scheme, task, means: LongRun, trials: int) -> tuple[LongRun, Any]:
     """The claims on single runs, where something is drawn, from those on the mean of all runs."""
-    view = view_of(scheme, task)
-    if len(view.moving) > DENSE and machines.variation.alike:
-        return means._replace(sense=np.full(len(means.claim), EVERY, object)), None
-    if len(view.moving) > DENSE:
-        size = len(means.claim)
+    view, size = view_of(scheme, task), len(means.claim)
+    alike, inputs = learned_alike(machines), len(view.moving)
+    if inputs > (LARGEST if alike else DENSE):
+        if alike:
+            said = f"; noise is followed for up to {LARGEST} inputs, not for {inputs}"
+            return means._replace(
+                sense=np.full(size, STILL, object), reason=means.reason + said
+            ), None
         said = f"what is drawn for each trial is followed for up to {DENSE} inputs, not for "
-        reason = np.full(size, f"{said}{len(view.moving)}", object)
+        reason = np.full(size, f"{said}{inputs}", object)
         no = np.zeros(size, bool)
         return means._replace(claim=np.full(size, NOTHING), reason=reason, of_error=no), None
     astray = None if means.ball is None else means.ball.limits
@@ -335,14 +353,19 @@ def _of_runs(machines, scheme, task, means: LongRun, trials: int) -> tuple[LongR
     for i, one in enumerate(found):
         if not one.certain:
             claim[i], reason[i] = _claim_on_runs(one) if means.ball is None else (NOTHING, DRAWN)
+        elif claim[i] != NOTHING:
+            reason[i] = f"but for what is drawn, {reason[i]}"
         if claim[i] != NOTHING and not one.clear:
             claim[i], reason[i] = NOTHING, "a limit may be met in a trial that is drawn"
+        if claim[i] in (MONOTONE, CONVERGES) and np.isfinite(one.most):
+            reason[i] += f"; {GAUSSIAN if one.certain else MARKOV}"
     rms = np.stack([one.rms for one in found])
     return means._replace(
         claim=claim,
         reason=reason,
         sense=np.array([one.sense for one in found], object),
         left=np.array([one.left for one in found]),
+        most=np.array([one.most for one in found]),
         of_error=means.of_error & np.array([one.certain for one in found]),
     ), rms
 
@@ -369,6 +392,7 @@ def _within(found: LongRun, ball: Ball) -> LongRun:
         claim=claim,
         reason=reason,
         left=np.where(claim == NOTHING, np.nan, found.left + ball.error),
+        most=np.where(claim == NOTHING, np.nan, found.most + ball.error),
         of_error=found.of_error & (claim == MONOTONE),
         ball=ball,
     )
