@@ -95,7 +95,7 @@ def left_words(numbers: dict[str, Any], scale: float, unit: str) -> str:
     last = f"{number(scale * numbers['quantile'])} {unit}".rstrip()
     most = ""
     if numbers["most"] is not None:
-        most = f", and in 95 of 100 trials of at most {number(scale * numbers['most'])} {unit}"
+        most = f", and in 95 of 100 late trials of at most {number(scale * numbers['most'])} {unit}"
     return (
         f"an rms error of at most {size} over all that is drawn{most.rstrip()} "
         f"(95 % of the simulated runs end below {last})"

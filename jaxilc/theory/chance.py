@@ -38,7 +38,6 @@ from it. Else only the mean of Q is known, and by Markov's inequality q = E[Q] /
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
 from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
@@ -175,19 +174,15 @@ def under_chance(
 
     astray: (S, K) as for `outlooks`
     """
-    parts = _compiled(view, noise_of(machines))((scheme, task), machines)
-    of_parts = _each(jax.tree.map(np.asarray, parts))
-    found = []
-    for i, (machine, one) in enumerate(zip(_each(machines), of_parts, strict=True)):
+    parts_of, found = _compiled(view, noise_of(machines)), []
+    for i in range(len(jax.tree.leaves(machines)[0])):  # the matrices of one alone are large
+        alone = jax.tree.map(lambda leaf, i=i: np.asarray(leaf)[i : i + 1], machines)
+        machine = jax.tree.map(lambda leaf: leaf[0], alone)
         drawn = partial(_products, machine, scheme, task, view)
-        one = Parts(*one) if astray is None else Parts(*one).closer(astray[i])
-        found.append(_judged(one, machine.variation or Variation(), task, trials, drawn))
+        parts = Parts(*(np.asarray(part[0]) for part in parts_of((scheme, task), alone)))
+        parts = parts if astray is None else parts.closer(astray[i])
+        found.append(_judged(parts, machine.variation or Variation(), task, trials, drawn))
     return found
-
-
-def _each(tree: Any) -> Iterator[Any]:
-    count = len(jax.tree.leaves(tree)[0])
-    return (jax.tree.map(lambda leaf, i=i: np.asarray(leaf)[i], tree) for i in range(count))
 
 
 # Of one machine
@@ -378,7 +373,7 @@ class _Run(NamedTuple):
         parts = self.parts
         share = np.sqrt(np.repeat(self.moments.counted, self.outputs) / self.outputs)
         Y, F = share[:, None] * parts.Y, share[:, None] * parts.F
-        sizes, V = scipy.linalg.eigh(Y @ X @ Y.T + F @ F.T)
+        sizes, V = np.linalg.eigh(Y @ X @ Y.T + F @ F.T)
         squares, sizes = (V.T @ (share * (parts.r - parts.Y @ w - parts.y))) ** 2, sizes.clip(0.0)
         if sizes[-1] <= 0:
             return float(np.sqrt(np.sum(squares)))
@@ -445,7 +440,7 @@ def _log(size, chance):
 def _range_of(moves) -> np.ndarray | None:
     """(n, p) an orthonormal basis of the columns; None where they span everything."""
     squares = moves @ moves.T
-    if scipy.linalg.eigvalsh(squares, subset_by_index=(0, 0)) > WHOLE * np.trace(squares):
+    if np.linalg.eigvalsh(squares)[0] > WHOLE * np.trace(squares):
         return None  # as nearly always, and seen in a tenth of the time
     V, sizes, _ = np.linalg.svd(moves, full_matrices=False)
     there = sizes > ROUNDING * np.finfo(moves.dtype).eps * sizes[0]
