@@ -19,7 +19,7 @@ from jaxilc.cli.tables import number
 from jaxilc.learning import Machine
 from jaxilc.learning.arrival import there_until
 from jaxilc.learning.machine import Actuator, Disturbance, Sensor
-from jaxilc.learning.variation import Variation
+from jaxilc.learning.variation import PlantChange, Variation
 from jaxilc.plants import StateSpace
 from jaxilc.schemes import NormOptimal, PIDType
 from jaxilc.schemes.weights import weighed
@@ -272,3 +272,17 @@ def test_noise_that_may_meet_a_limit_and_noise_of_more_inputs_than_are_followed(
     words = certificate_numbers(OfScheme(found, None, 1.0))
     assert senses_words(words) == ", but for noise,"
     assert left_words(words, 1.0, "mm") == f"an rms error of at most {number(words['floor'])} mm"
+
+
+def test_beside_a_claim_on_trials_after_a_drift_stand_runs_after_it():
+    """The runs would contradict it if the drift, of 10 times the gain, were in them."""
+    after = StateSpace([[0.0]], [[1.0]], [[1.0]], dt=DT)
+    before = StateSpace([[0.0]], [[0.1]], [[1.0]], dt=DT)
+    drifts = Variation(change=PlantChange(after, first=3, over=400))
+    noise, law = Sensor(noise=0.01), PIDType(gamma_p=0.9)
+    found = certify(Machine(before, sensor=noise, variation=drifts), law, TASK, 12, {}, {})
+    still = certify(Machine(after, sensor=noise), law, TASK, 12, {}, {})
+    assert found.reason[0].startswith("from trial 402 on: ")
+    np.testing.assert_allclose(found.most, still.most, rtol=1e-9)
+    np.testing.assert_allclose(found.runs, still.runs, rtol=1e-9)
+    assert not len(found.broken_promises())
