@@ -56,7 +56,7 @@ def _claimed(numbers: dict[str, Any], scale: float, unit: str) -> str:
         in_error = numbers["monotone_in_the_error"]
         which = []
         if claims[MONOTONE]:
-            rounded = "" if numbers["rounding"] is None else " until rounding holds it"
+            rounded = "" if not numbers["held_by"] else f" until {numbers['held_by']} holds it"
             every = f"{claims[MONOTONE]} in every trial{rounded}"
             which.append(f"{every} ({in_error} in the error itself)")
         if claims[CONVERGES]:
@@ -106,7 +106,8 @@ def rounding_words(numbers: dict[str, Any], scale: float, unit: str) -> str:
     """How much of an error is due to rounding, after a comma; empty where nothing is rounded."""
     if numbers["rounding"] is None:
         return ""
-    return f", of which rounding makes up to {number(scale * numbers['rounding'])} {unit}".rstrip()
+    size = f"{number(scale * numbers['rounding'])} {unit}".rstrip()
+    return f", of which {numbers['held_by']} makes up to {size}"
 
 
 def _expected(numbers: dict[str, Any]) -> str:

@@ -249,7 +249,8 @@ def certificate_numbers(of_scheme: OfScheme) -> dict[str, Any]:
     claims, reasons: claims for an unlimited number of trials, with their reasons
     floor: largest error left in the long run on the machines with a claim; where something is drawn
         for each trial, its root mean square over all that is drawn; NaN where it is not known
-    rounding: largest part of it that is due to rounding; None where nothing is rounded
+    rounding: largest part of it that is due to rounding or hysteresis; None without it
+    held_by: which of them; likewise
     senses: number of machines with a claim, by the sense in which it holds for single runs; empty
         where nothing is drawn
     most: largest error that a late trial of one of these machines exceeds with a chance of 5 % or
@@ -281,6 +282,7 @@ def certificate_numbers(of_scheme: OfScheme) -> dict[str, Any]:
         },
         "floor": float(np.max(floor[claimed])) if np.any(claimed) else None,
         "rounding": float(np.max(ball[claimed])) if rounds else None,
+        "held_by": found.ball.of[0] if rounds else None,
         "senses": told(found.sense[(found.sense != SURELY) & (found.claim != NOTHING)]),
         "most": float(np.max(found.most[claimed])) if np.all(known) and np.any(claimed) else None,
         "first": None if last is None and not rounds else float(np.max(found.simulated[:, 0])),

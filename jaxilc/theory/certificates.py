@@ -20,8 +20,9 @@ is then that of two runs with the same draws, and what learning leaves is told a
 over all that is drawn, and as what 95 of 100 late trials stay below, which is proved and not
 sampled. What holds for the mean of all runs alone is not claimed.
 
-Where a sensor or a converter rounds, a claim is that of the machine that does not, up to a ball
-(`rounding`): what falls does so until it is within the ball, and then stays there.
+Where a sensor or a converter rounds, or a linear plant has hysteresis at its input, a claim is that
+of the machine without it, up to a ball (`rounding`): what falls does so until it is within the
+ball, and then stays there.
 
 **Within J trials** theory predicts the error of each trial. An adaptive scheme is taken with its
 estimates frozen, rules and limits are left out, and what is not linear is linearised at the third
@@ -58,7 +59,7 @@ from .chance import EVERY, SQUARE, STILL, SURELY, UnderChance, draws, learned_al
 from .forecast import follow, growth_of, peaks, predict, simulate, simulate_runs
 from .linearity import keeps_all, learning_premises
 from .outlook import DENSE, Outlook, joined, maps_of, outlooks, that_fit
-from .rounding import LARGEST, Ball, ball_of
+from .rounding import LARGEST, Ball, ball_of, linear_part
 from .trials import starts_off
 
 CLAIMS = MONOTONE, CONVERGES, DIVERGES, NOTHING = "monotone", "converges", "diverges", "not claimed"
@@ -74,9 +75,9 @@ GAUSSIAN = (
 MARKOV = (
     "what 95 of 100 trials stay below follows from the mean square alone, by Markov's inequality"
 )
-DRAWN = "what is rounded is bounded only where every trial is learned from alike"
-UNBOUNDED = "what rounding adds in each trial is not seen to stay within bounds"
-MANY = f"what rounding adds is followed for up to {LARGEST} inputs"
+DRAWN = "what {} adds is bounded only where every trial is learned from alike"
+UNBOUNDED = "what {} adds in each trial is not seen to stay within bounds"
+MANY = f"what {{}} adds is followed for up to {LARGEST} inputs"
 SEEDS = 16  # runs that are simulated of each machine of which something is drawn
 BEYOND = 1e3  # times its root mean square; a positive number is 10^6 times its mean once in 10^6
 DOUBTED = 0.6  # share of the runs above what 95 % stay below; 10 of 16 are it once in 10^9
@@ -98,7 +99,7 @@ class Certificate(NamedTuple):
                limit
     sigma:     (S,) bound of the largest singular value of the map that decides; inf where nothing
                is linear
-    ball:      within which of this rounding holds the machines; None where nothing is rounded or
+    ball:      within which of this rounding or hysteresis holds the machines; None without it or if
                nothing is linear
     floor:     (S,) root mean square error left at the limit, but for rounding; NaN where no limit
                is claimed. Where something is drawn it is that of the mean of all runs
@@ -254,9 +255,10 @@ def certify_each(
 def _certified(
     machines: Machine, scheme: Scheme, task: Task, trials: int, steps: int
 ) -> Certificate:
-    exact = machines.unrounded()
-    predicted = predict(exact, scheme, task, trials)
     run, course_of_draws = _long_run(machines, scheme, task, steps, trials)
+    bounded = run.ball is not None and bool(np.any(np.isfinite(run.ball.error)))
+    exact = linear_part(machines) if bounded else machines.unrounded()
+    predicted = predict(exact, scheme, task, trials)
     runs, variation = None, machines.variation
     if course_of_draws is not None or (variation is not None and variation.draws):
         runs = simulate_runs(machines, scheme, task, trials, SEEDS)
@@ -307,7 +309,7 @@ def _long_run(
     machines: Machine, scheme: Scheme, task: Task, steps: int, trials: int = 0
 ) -> tuple[LongRun, np.ndarray | None]:
     """The claims, and (S, J) root mean square errors of trials over all that is drawn for them."""
-    rounding, machines = machines, machines.unrounded()
+    rounding, machines = machines, linear_part(machines)
     machine = jax.tree.map(lambda leaf: leaf[0], machines)
     broken = [p.detail for p in learning_premises(machine, scheme, task) if not p.held]
     if not broken and changes_nothing(scheme, task):
@@ -352,7 +354,9 @@ def _of_runs(machines, scheme, task, means: LongRun, trials: int) -> tuple[LongR
     claim, reason = means.claim.copy(), means.reason.copy()
     for i, one in enumerate(found):
         if not one.certain:
-            claim[i], reason[i] = _claim_on_runs(one) if means.ball is None else (NOTHING, DRAWN)
+            claim[i], reason[i] = _claim_on_runs(one)
+            if means.ball is not None:
+                claim[i], reason[i] = NOTHING, DRAWN.format(means.ball.of[i])
         elif claim[i] != NOTHING:
             reason[i] = f"but for what is drawn, {reason[i]}"
         if claim[i] != NOTHING and not one.clear:
@@ -371,23 +375,24 @@ def _of_runs(machines, scheme, task, means: LongRun, trials: int) -> tuple[LongR
 
 
 def _within(found: LongRun, ball: Ball) -> LongRun:
-    """The claims on machines that round, from those on machines that do not."""
+    """The claims on machines that round or have hysteresis, from those on their linear part."""
     until = ball.until(found.of_error, found.sigma)
     ball = ball._replace(error=np.fmin(ball.error, np.where(found.of_error, until, np.inf)))
     claim, reason = found.claim.copy(), found.reason.copy()
     ahead: Any = found.outlook
     for i in np.flatnonzero((claim != NOTHING) | ahead.decay.converges):
+        what = ball.of[i]
         if claim[i] == DIVERGES:
-            claim[i], reason[i] = NOTHING, f"{reason[i]}, but rounding may hide what would grow"
+            claim[i], reason[i] = NOTHING, f"{reason[i]}, but {what} may hide what would grow"
         elif not np.isfinite(ball.error[i]):
             many = ahead.limit.shape[1] > LARGEST
-            claim[i], reason[i] = NOTHING, MANY if many else UNBOUNDED
+            claim[i], reason[i] = NOTHING, (MANY if many else UNBOUNDED).format(what)
         elif claim[i] == NOTHING:
             continue
         elif claim[i] == MONOTONE:
-            reason[i] += f", until it is at {until[i]:.4g}, within which rounding holds it"
+            reason[i] += f", until it is at {until[i]:.4g}, within which {what} holds it"
         else:
-            reason[i] += ", but for what rounding adds"
+            reason[i] += f", but for what {what} adds"
     return found._replace(
         claim=claim,
         reason=reason,
