@@ -95,15 +95,15 @@ def runs_of(rng, plant, d, r, keep, L, of: dict):
     return np.mean(e**2, axis=1), np.linalg.norm(still - before) / np.sqrt(SAMPLES)
 
 
-def main(machines: int) -> None:
+def main(machines: int, kinds: list[str]) -> None:
     jaxilc.setup()
     rng, oracles = np.random.default_rng(3838), matrices()
-    each = -(-machines // (len(LAWS) * len(KINDS)))
+    each = -(-machines // (len(LAWS) * len(kinds)))
     r = np.sin(np.pi * np.arange(SAMPLES + 1) / SAMPLES) ** 2
     task, rows, wrong, care = Task(r[:, None], dt=DT), [], [], {}
     for law in LAWS:
         keep, L, _ = oracles[law]
-        for kind in KINDS:
+        for kind in kinds:
             some = list(zip(*plants(rng, each, 1), strict=True))
             d, of = (
                 0.1 * rng.standard_normal((each, SAMPLES + 1, 1)),
@@ -147,4 +147,4 @@ def main(machines: int) -> None:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 504)  # how many machines
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 504, sys.argv[2:] or [*KINDS])  # machines

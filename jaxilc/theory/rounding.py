@@ -56,7 +56,7 @@ WITHIN = 1e-9  # share of D that may lie outside of what learning reaches
 class Ball(NamedTuple):
     """How far this may hold S machines from where learning would go; infinite if not known.
 
-    of:      (S,) what does: "rounding", "hysteresis" or both
+    of:      (S,) what does: "rounding", "hysteresis" or "rounding with hysteresis"
     error:   (S,) root mean square error by which it may differ from that at the limit
     learned: (S,) distance of what is learned from its limit
     limits:  (S, K) by how much it may move what limits act on, in units of their bounds
@@ -112,7 +112,7 @@ def ball_of(machines: Machine, scheme: Scheme, task: Task, view: View) -> Ball |
     names, count = off_linear(machines), len(jax.tree.leaves(machines)[0])
     if not names:
         return None
-    of = np.full(count, " and ".join(dict.fromkeys(OF[name] for name in names)), object)
+    of = np.full(count, " with ".join(dict.fromkeys(OF[name] for name in names)), object)
     if len(view.moving) > LARGEST:
         unknown = np.full(count, np.inf)
         return Ball(of, unknown, unknown, np.full((count, 1), np.inf), unknown, unknown, unknown)
