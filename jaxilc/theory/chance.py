@@ -194,7 +194,7 @@ def _judged(parts: Parts, variation: Variation, task: Task, trials: int, drawn) 
     n_y = task.outputs
     kept, held = np.repeat(moments.kept, n_y), np.kron(moments.held, np.eye(n_y))
     A = parts.M + (parts.L * kept) @ (held @ parts.Y)  # learning from a record without error
-    possible = (A != 0) + (parts.L * kept != 0) @ np.kron(held != 0, np.eye(n_y)) @ (parts.Y != 0)
+    possible = (A != 0) + (parts.L * kept != 0) @ (held != 0.0) @ (parts.Y != 0)
     run = _Run(parts, moments, n_y)
     moving = parts.M @ parts.start + parts.c != parts.start
     at = reachable(possible, moving | (np.diag(run.added(parts.start)) > 0))

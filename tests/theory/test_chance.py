@@ -286,3 +286,22 @@ def test_beside_a_claim_on_trials_after_a_drift_stand_runs_after_it():
     np.testing.assert_allclose(found.most, still.most, rtol=1e-9)
     np.testing.assert_allclose(found.runs, still.runs, rtol=1e-9)
     assert not len(found.broken_promises())
+
+
+@pytest.mark.parametrize("how", [{"dropped": 0.3}, {"late": 1}, {}], ids=["lost", "late", "noise"])
+def test_two_axes_that_are_alike_leave_what_one_does(how):
+    """The mean square over both outputs is that of one; each of two errors is averaged with it."""
+    found = []
+    for axes in (1, 2):
+        plant = StateSpace(0.5 * np.eye(axes), 0.5 * np.eye(axes), np.eye(axes), dt=DT)
+        task = Task(np.repeat(np.asarray(TASK.reference), axes, axis=1), DT, inputs=axes)
+        variation = Variation(**how) if how else None
+        machine = Machine(plant, sensor=Sensor(noise=0.1), variation=variation)
+        found.append(certify(machine, PIDType(gamma_p=0.7, leak=0.1), task, 3, {}, {}))
+    one, two = found
+    assert one.claim[0] == two.claim[0] == MONOTONE
+    np.testing.assert_allclose(two.left, one.left, rtol=1e-6)
+    np.testing.assert_allclose(two.predicted, one.predicted, rtol=1e-9)
+    assert (two.most[0] < 0.999 * one.most[0]) == (
+        not how
+    )  # Gaussian, and of twice as many samples
