@@ -361,7 +361,7 @@ def _of_runs(machines, scheme, task, means: LongRun, trials: int) -> tuple[LongR
             reason[i] = f"but for what is drawn, {reason[i]}"
         if claim[i] != NOTHING and not one.clear:
             claim[i], reason[i] = NOTHING, "a limit may be met in a trial that is drawn"
-        if claim[i] in (MONOTONE, CONVERGES) and np.isfinite(one.most):
+        if means.ball is None and claim[i] in (MONOTONE, CONVERGES) and np.isfinite(one.most):
             reason[i] += f"; {GAUSSIAN if one.certain else MARKOV}"
     rms = np.stack([one.rms for one in found])
     return means._replace(
@@ -393,6 +393,8 @@ def _within(found: LongRun, ball: Ball) -> LongRun:
             reason[i] += f", until it is at {until[i]:.4g}, within which {what} holds it"
         else:
             reason[i] += f", but for what {what} adds"
+        if claim[i] != NOTHING and np.isfinite(found.most[i]):
+            reason[i] += f"; {GAUSSIAN}"  # nothing is claimed of what is lost and rounded
     return found._replace(
         claim=claim,
         reason=reason,

@@ -168,6 +168,18 @@ def test_hysteresis_that_is_integrated_in_steps_is_named():
     assert "InputHysteresis" in found.reason[0]
 
 
+def test_noise_that_is_rounded_adds_up_with_the_ball():
+    fine = Machine(StateSpace([[0.3]], [[0.7]], [[1.0]], dt=DT), sensor=Sensor(noise=0.05))
+    rounds = dataclasses.replace(fine, sensor=Sensor(noise=0.05, resolution=0.02))
+    law, r = PIDType(gamma_p=0.6, leak=0.1), np.sin(np.pi * np.arange(N + 1) / N)
+    one, other = (certify(machine, law, task(r), 30, {}, {}) for machine in (fine, rounds))
+    ball = other.ball.error[0]
+    np.testing.assert_allclose(other.left[0], one.left[0] + ball, rtol=1e-9)
+    np.testing.assert_allclose(other.most[0], one.most[0] + ball, rtol=1e-9)
+    assert np.mean(other.runs[0, :, -1] > other.most[0]) < 0.05
+    assert other.reason[0].endswith("by Chernoff's bound")
+
+
 def test_the_file_of_init_with_an_encoder(tmp_path):
     """The line that `jaxilc init` offers, a step of the encoder, silences neither command."""
     text = (resources.files("jaxilc.scenarios") / "axis.toml").read_text()
