@@ -108,7 +108,8 @@ class Certificate(NamedTuple):
     observed:  (S,) of `COURSES`, by simulation, likewise
     predicted: (S, J) root mean square error of each trial, by theory
     simulated: (S, J) the same by simulation. Where something is drawn, both are root mean squares
-               over all that is drawn, by simulation over `SEEDS` runs
+               over all that is drawn, by simulation over `SEEDS` runs; where samples are lost or
+               late and more than 512 inputs are learned, theory gives a bound
     turning:   (S,) the best trial, by theory
     observed_turning: (S,) the best trial, by simulation
     growth:    (S,) largest rise of the predicted error above a lower one before it, as a factor
@@ -263,7 +264,9 @@ def _certified(
     if course_of_draws is not None or (variation is not None and variation.draws):
         runs = simulate_runs(machines, scheme, task, trials, SEEDS)
         simulated, distance = np.sqrt(np.mean(runs**2, axis=1)), None
-        predicted = predicted if course_of_draws is None else course_of_draws
+        if course_of_draws is not None:
+            unknown = np.all(np.isnan(course_of_draws), axis=1, keepdims=True)
+            predicted = np.where(unknown, predicted, course_of_draws)
         floor, doubt = np.full((2, len(simulated)), np.nan)
         if run.outlook is not None:
             lasts = np.isin(run.claim, (MONOTONE, CONVERGES))
@@ -339,18 +342,19 @@ def _of_runs(machines, scheme, task, means: LongRun, trials: int) -> tuple[LongR
     """The claims on single runs, where something is drawn, from those on the mean of all runs."""
     view, size = view_of(scheme, task), len(means.claim)
     alike, inputs = learned_alike(machines), len(view.moving)
-    if inputs > (LARGEST if alike else DENSE):
+    if inputs > LARGEST:
         if alike:
             said = f"; noise is followed for up to {LARGEST} inputs, not for {inputs}"
             return means._replace(
                 sense=np.full(size, STILL, object), reason=means.reason + said
             ), None
-        said = f"what is drawn for each trial is followed for up to {DENSE} inputs, not for "
+        said = f"what is drawn for each trial is followed for up to {LARGEST} inputs, not for "
         reason = np.full(size, f"{said}{inputs}", object)
         no = np.zeros(size, bool)
         return means._replace(claim=np.full(size, NOTHING), reason=reason, of_error=no), None
     astray = None if means.ball is None else means.ball.limits
-    found = under_chance(machines, scheme, task, view, trials, astray=astray)
+    in_norm = inputs > DENSE
+    found = under_chance(machines, scheme, task, view, trials, astray=astray, in_norm=in_norm)
     claim, reason = means.claim.copy(), means.reason.copy()
     for i, one in enumerate(found):
         if not one.certain:

@@ -77,6 +77,7 @@ SURE = 1e-6  # chance with which the interval of an exponent may be wrong
 LOOKED_AT = 64  # trials at least, in which limits are looked at; then what is left
 MARGIN = 5.0  # standard deviations, of a limit that counts as never met
 PRODUCTS = 256  # rows up to which products are drawn
+FEWER = "of so many inputs nothing is claimed but that a mean square falls at once, without limits"
 RARE = 0.05  # chance with which a late trial may have more error than is told
 TILTS = np.geomspace(1e-9, 0.95, 512)  # 2 s max l; each gives a bound, of which the least counts
 WHOLE = 1e-10  # share of squares above which a direction is surely one of all that are moved
@@ -142,7 +143,7 @@ class UnderChance(NamedTuple):
     left: root mean square error, over all that is drawn, that learning leaves in the long run;
         infinite where its square has no mean, NaN where it is not known
     most: the error of a late trial is at most this but with a chance of `RARE`; likewise
-    rms: (J,) the same in each trial, by theory
+    rms: (J,) the same in each trial, by theory, or a bound of it; NaN where it is not known
     """
 
     certain: bool
@@ -168,11 +169,20 @@ def learned_alike(machines: Machine) -> bool:
 
 
 def under_chance(
-    machines: Machine, scheme: Scheme, task: Task, view: View, trials: int, *, astray=None
+    machines: Machine,
+    scheme: Scheme,
+    task: Task,
+    view: View,
+    trials: int,
+    *,
+    astray=None,
+    in_norm=False,
 ) -> list[UnderChance]:
     """What holds for single runs of each machine, of which the premises of `linearity` hold.
 
     astray: (S, K) as for `outlooks`
+    in_norm: whether errors are bounded in norm alone, and nothing is claimed but that E|d_j|^2
+        falls in every trial, where there is no limit: for many inputs, unless all is certain
     """
     parts_of, found = _compiled(view, noise_of(machines)), []
     for i in range(len(jax.tree.leaves(machines)[0])):  # the matrices of one alone are large
@@ -181,7 +191,8 @@ def under_chance(
         drawn = partial(_products, machine, scheme, task, view)
         parts = Parts(*(np.asarray(part[0]) for part in parts_of((scheme, task), alone)))
         parts = parts if astray is None else parts.closer(astray[i])
-        found.append(_judged(parts, machine.variation or Variation(), task, trials, drawn))
+        variation = machine.variation or Variation()
+        found.append(_judged(parts, variation, task, trials, drawn, in_norm=in_norm))
     return found
 
 
@@ -189,7 +200,9 @@ def under_chance(
 # --------------------------------------------------------------------------------------------------
 
 
-def _judged(parts: Parts, variation: Variation, task: Task, trials: int, drawn) -> UnderChance:
+def _judged(
+    parts: Parts, variation: Variation, task: Task, trials: int, drawn, *, in_norm: bool
+) -> UnderChance:
     moments = RecordMoments.of(variation, task.N + 1)
     n_y = task.outputs
     kept, held = np.repeat(moments.kept, n_y), np.kron(moments.held, np.eye(n_y))
@@ -204,6 +217,15 @@ def _judged(parts: Parts, variation: Variation, task: Task, trials: int, drawn) 
     moves = np.concatenate([A - np.eye(len(A)), parts.L * kept, parts.B], axis=1)
     V = _range_of(moves)
     run = run._replace(parts=parts if V is None else parts.within(V))
+    two = "the distance of two runs with the same draws falls"
+    if in_norm and not moments.certain:
+        factor = run.factor()
+        known = factor < 1 and len(parts.t) == 1
+        left, rms = run.bounds(factor, trials) if known else (np.inf, np.full(trials, np.nan))
+        said = f"{two} to {factor**0.5:.6g} of itself in every trial, or below" if known else FEWER
+        quantile = left / np.sqrt(RARE)
+        sense = SQUARE if known else MEAN
+        return UnderChance(False, True, sense, known, known, False, said, left, quantile, rms)
     with np.errstate(over="ignore", invalid="ignore"):
         rms, clear = run.course(max(trials, LOOKED_AT if len(parts.t) > 1 else 1))
         rms, worst, at_once, factor, growth = rms[:trials], 0.0, True, 0.0, 1.0
@@ -216,7 +238,6 @@ def _judged(parts: Parts, variation: Variation, task: Task, trials: int, drawn) 
         known = (left, most) if claim > 0 and sense != ALMOST else (np.inf, np.inf)
         return UnderChance(moments.certain, clear and calm, sense, *claims, said, *known, rms)
 
-    two = "the distance of two runs with the same draws falls"
     if worst < 1:
         return found(EVERY, 2, f"{two} to {worst:.6g} of itself in every trial, or below")
     if at_once:
@@ -268,6 +289,31 @@ class _Run(NamedTuple):
         A = self.parts.M + (L * kept) @ (held @ Y)
         return _norm(A - L @ middle @ Y) + _norm(L) * _norm(Y) * reach
 
+    def factor(self) -> float:
+        """The largest eigenvalue of T*(I), below 1 where it surely is; infinite if it overflows."""
+        at_once = self.squares_back(np.eye(len(self.parts.M)))
+        if not np.all(np.isfinite(at_once)):
+            return np.inf
+        norm = float(np.linalg.eigvalsh(at_once)[-1])
+        return norm if norm < 1 - ROUNDING * np.finfo(float).eps * len(at_once) else max(norm, 1.0)
+
+    def bounds(self, factor: float, trials: int) -> tuple[float, np.ndarray]:
+        """Bounds of the root mean square error in the long run, and (J,) of each trial.
+
+            tr X <= tr C / (1 - factor),    E|w_j - v_j|^2 <= factor^(j-1) E|w_1 - v_1|^2
+
+        of X = T(X) + C, and of the run v_j that has the same draws and began long ago.
+        """
+        parts = self.parts
+        w = np.linalg.lstsq(np.eye(len(parts.M)) - parts.M, parts.c)[0]
+        spread = float(np.trace(self.added(w))) / (1 - factor)
+        share = np.sqrt(np.repeat(self.moments.counted, self.outputs) / self.outputs)
+        of_output, of_noise = _norm(share[:, None] * parts.Y), share[:, None] * parts.F
+        e = share * (parts.r - parts.Y @ w - parts.y)
+        left = np.sqrt(e @ e + of_output**2 * spread + np.sum(of_noise**2))
+        far = of_output * np.sqrt(np.sum((parts.start - w) ** 2) + spread)
+        return float(left), left + far * factor ** (np.arange(trials) / 2)
+
     def decay(self) -> tuple[bool, float, float]:
         """Whether T contracts at once, its factor in a trial, and the growth before.
 
@@ -276,15 +322,10 @@ class _Run(NamedTuple):
         Where T* does not contract I, Z - T*(Z) = I is solved; then T* lets Z shrink, and the factor
         is infinite where no positive Z was found.
         """
-        n, eps = len(self.parts.M), np.finfo(float).eps
-        unit = np.eye(n)
-        at_once = self.squares_back(unit)
-        if not np.all(np.isfinite(at_once)):
-            return False, np.inf, np.inf
-        norm = float(scipy.linalg.eigvalsh(at_once)[-1])
-        if norm < 1 - ROUNDING * eps * n:
-            return True, norm, 1.0
-        Z, _ = self._solved(self.squares_back, unit)
+        n, eps, norm = len(self.parts.M), np.finfo(float).eps, self.factor()
+        if norm < 1 or not np.isfinite(norm):
+            return norm < 1, norm, 1.0
+        Z, _ = self._solved(self.squares_back, np.eye(n))
         shrinks = Z - self.squares_back(Z)
         if not np.all(np.isfinite(shrinks)):
             return False, np.inf, np.inf

@@ -305,3 +305,28 @@ def test_two_axes_that_are_alike_leave_what_one_does(how):
     assert (two.most[0] < 0.999 * one.most[0]) == (
         not how
     )  # Gaussian, and of twice as many samples
+
+
+@pytest.mark.parametrize("how", [{"dropped": 0.3}, {"shortest": 0.5}, {"delayed": 0.2}])
+def test_of_many_inputs_the_errors_are_bounded_in_norm(how, monkeypatch):
+    """The bounds are above what is exact for few inputs, and not so far that they say nothing."""
+    machine = Machine(
+        AT_ONCE,
+        sensor=Sensor(noise=0.1),
+        disturbance=Disturbance(input_noise=0.1),
+        variation=Variation(**how),
+    )
+    law = PIDType(gamma_p=0.6, leak=0.1)
+    exact = certify(machine, law, TASK, 30, {}, {})
+    monkeypatch.setattr(certificates, "DENSE", N - 1)
+    found = certify(machine, law, TASK, 30, {}, {})
+    assert exact.claim[0] == found.claim[0] == MONOTONE
+    assert found.sense[0] == "in mean square"
+    assert exact.left[0] <= found.left[0] <= 2 * exact.left[0]
+    assert np.all(exact.predicted <= found.predicted * (1 + 1e-9))
+    np.testing.assert_allclose(found.predicted[0, -1], found.left[0], rtol=0.2)
+    assert not len(found.broken_promises())
+    limited = dataclasses.replace(machine, actuator=Actuator(limit=50.0))
+    found = certify(limited, law, TASK, 3, {}, {})
+    assert (found.claim[0], np.all(np.isfinite(found.predicted))) == (NOTHING, True)
+    assert "without limits" in found.reason[0]
