@@ -11,7 +11,7 @@ every trial (`linearity`), and where no limit is met in any trial to come (`outl
                  its spectral radius is below 1. Before, the error may grow far;
                  how far, and until which trial, is predicted (`peak`)
     diverges     learning grows without bound: an eigenvalue lies beyond 1 by more than its doubt,
-                 and there is no limit to stop it
+                 and there is no limit to stop it; said of up to 1024 inputs
     not claimed  for a reason that is told
 
 Where something is drawn for each trial (noise, or by a `Variation`), a claim is one of single runs,
