@@ -16,7 +16,8 @@ not below 1, its eigenvalues decide.
     sliding     trials of SMC and ASMC, sample by sample, half of which start off their path
     d2          static and dynamic machines under CFDL-MFAILC: the bound of the first 12 trials
 
-A class ends after 150 s; `tried` says how many cases it came to.
+A class ends after 600 s; `tried` says how many cases it came to. Every 20 cases that many are told,
+and each that is wrong at once, so that a run that is stopped has said what it tried.
 """
 
 import itertools
@@ -43,14 +44,17 @@ from jaxilc.theory.sliding import printed_condition, sampled_condition, sliding
 from jaxilc.theory.whole_set import bound_of_set
 from jaxilc.uncertainty import Uniform
 
-TRIALS, SECONDS = 1000, 150
+TRIALS, SECONDS, TOLD = 1000, 600, 20
 PREMISES = ("linear", "alone", "signs", "damped", "printed")
 
 
 def within(count: int):
     """So many turns, or as many as can be begun in the time of a class."""
     end = time.perf_counter() + SECONDS
-    return itertools.takewhile(lambda _: time.perf_counter() < end, range(count))
+    for turn in itertools.takewhile(lambda _: time.perf_counter() < end, range(count)):
+        yield turn
+        if (turn + 1) % TOLD == 0:
+            print(f"   {turn + 1} tried", flush=True)
 
 
 def small_plant(rng, channels: int = 1):
@@ -146,6 +150,8 @@ class Counted:
         self.counts["tried"] += 1
         self.counts["claimed"] += condition.holds
         self.counts["wrong"] += bool(condition.holds and wrong)
+        if condition.holds and wrong:
+            print(f"   WRONG: case {self.counts['tried']} of {self.name}", flush=True)
         self.counts["value too low"] += bool(low)
         if not condition.holds:
             self.counts["fails" if condition.verdict == "fails" else "abstained"] += 1
@@ -332,7 +338,10 @@ def whole(rng, kind, count):
             np.max(Q * np.abs(1 - z * response(drawn(low + (high - low) * x), f)))
             for x in rng.uniform(0, 1, (20, len(low)))
         )
-        counts["wrong"] += int(worst > proof.bound * (1 + 1e-9))
+        wrong = worst > proof.bound * (1 + 1e-9)
+        counts["wrong"] += int(wrong)
+        if wrong:
+            print(f"   WRONG: case {counts['tried']} of {kind}", flush=True)
     row = {n: counts[n] for n in names}
     text = "; ".join(f"{k} {v}" for k, v in why.most_common())
     return {

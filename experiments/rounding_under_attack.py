@@ -1,9 +1,10 @@
-"""Claims on machines that round, against trials that NumPy runs sample by sample.
+"""Claims on machines that round or have hysteresis, against trials that NumPy runs by samples.
 
 Random machines of `certificates_under_attack` learn under laws with filters, leaks, leads, memory,
 feedback and limits. An encoder and a converter round, with steps from 1e-6 to 0.1 of the stroke;
-on a third of the machines one of the two is so fine that it does not count. Each machine runs
-1000 trials in NumPy twice, as it is and without rounding and limits.
+on a third of the machines one of the two is so fine that it does not count. Under four laws the
+input has the hysteresis of Dahl too, of 0.001 to 0.3 of a usual input. Each machine runs 1000
+trials in NumPy twice, as it is and without rounding, hysteresis and limits.
 
 A claim is contradicted where, in any trial, the error of the two runs differs by more than the
 ball, or what was learned in them; where the error or the distance from the limit, of which it is
@@ -22,10 +23,11 @@ from certificates_under_attack import DT, SAMPLES, filter_matrix, plants, shifte
 import jaxilc
 from jaxilc import Actuator, Disturbance, Machine, Sensor, Task
 from jaxilc.filters import ZeroPhaseButterworth, ZeroPhaseFIR
-from jaxilc.plants import StateSpace
+from jaxilc.plants import Dahl, InputHysteresis, StateSpace
 from jaxilc.schemes import PID, Filtered, HigherOrder, PIDType, WithFeedback
 from jaxilc.theory import certify_each
 from jaxilc.theory.certificates import long_run
+from jaxilc.theory.rounding import linear_part
 
 TRIALS, FINE, REPEATS = 1000, 1e-13, 1e-9
 KP, KI = 0.1, 2.0
@@ -76,11 +78,36 @@ LAWS = {
         [0.5 * SMOOTH @ shifted(2)],
         "limits",
     ),
+    "P, hysteresis": (PIDType(gamma_p=0.5), [EYE], [0.5 * EYE], "hysteresis"),
+    "P, leak, hysteresis": (
+        PIDType(gamma_p=0.5, leak=0.1),
+        [0.9 * EYE],
+        [0.5 * EYE],
+        "hysteresis",
+    ),
+    "Q, hysteresis": (
+        Filtered(PIDType(gamma_p=0.5, lead=2), BUTTERWORTH),
+        [SMOOTH],
+        [0.5 * SMOOTH @ shifted(2)],
+        "hysteresis",
+    ),
+    "over PID, hysteresis": (
+        WithFeedback(PIDType(gamma_p=0.5), PID(kp=KP, ki=KI)),
+        [EYE],
+        [0.5 * EYE],
+        "feedback, hysteresis",
+    ),
 }
 
 
 def rounded(x, step):
     return np.round(x / step) * step
+
+
+def dahl(z, way, slope, most):
+    """The hysteresis after a way from z: it comes nearer to its end by exp(-slope |way| / most)."""
+    end = np.where(way < 0, -most, most)
+    return end + (z - end) * np.exp(-slope * np.abs(way) / most)
 
 
 def trials_of(machines: dict, r, law, *, exact: bool):
@@ -92,7 +119,7 @@ def trials_of(machines: dict, r, law, *, exact: bool):
     learned = [np.zeros((size, SAMPLES, n)) for _ in keep]
     before, errors, inputs = [np.zeros((size, SAMPLES, n)) for _ in gain[1:]], [], []
     for _ in range(TRIALS):
-        x, integral, v = (np.zeros((size, m)) for m in (A.shape[1], n, n))
+        x, integral, v, z, before_k = (np.zeros((size, m)) for m in (A.shape[1], n, n, n, n))
         e, own = np.zeros((2, size, SAMPLES + 1, n))
         for k in range(SAMPLES + 1):
             y = np.einsum("sij,sj->si", C, x) + d[:, k]
@@ -100,7 +127,7 @@ def trials_of(machines: dict, r, law, *, exact: bool):
             if k == SAMPLES:
                 break
             feedback = np.zeros((size, n))
-            if kind == "feedback":
+            if "feedback" in kind:
                 integral = integral + KI * DT * e[:, k]
                 feedback = KP * e[:, k] + integral
             u = learned[0][:, k] + feedback
@@ -111,6 +138,10 @@ def trials_of(machines: dict, r, law, *, exact: bool):
                 u = rounded(u, machines["of_u"][:, None])
                 u = np.clip(u, -limit, limit) if kind == "limits" else u
             own[:, k] = u - feedback
+            if "hysteresis" in kind and not exact:
+                way, before_k = u - before_k, u
+                z = dahl(z, way, machines["slope"][:, None], machines["most"][:, None])
+                u = u - z
             x = np.einsum("sij,sj->si", A, x) + np.einsum("sij,sj->si", B, u)
         errors.append(e[:, 1:])
         inputs.append(learned[0])
@@ -133,17 +164,23 @@ def drawn(rng, count: int, channels: int) -> dict:
         10 ** rng.uniform(0, 1.5, count),
         10 ** rng.uniform(2.5, 5, count),
     )
+    found["slope"], found["most"] = (
+        rng.uniform(0.05, 0.9, count),
+        10 ** rng.uniform(-3, -0.5, count),
+    )
     return found
 
 
-def stacked(machines: dict, limits: bool) -> Machine:
+def stacked(machines: dict, kind: str) -> Machine:
     several = []
     for i in range(len(machines["A"])):
-        A, B, C, d, of_y, of_u, limit, rate = (value[i] for value in machines.values())
-        far = {"limit": limit, "rate": rate} if limits else {}
+        A, B, C, d, of_y, of_u, limit, rate, slope, most = (x[i] for x in machines.values())
+        far = {"limit": limit, "rate": rate} if kind == "limits" else {}
+        plant = StateSpace(A, B, C, dt=DT)
+        plant = InputHysteresis(plant, Dahl(slope, most)) if "hysteresis" in kind else plant
         several.append(
             Machine(
-                StateSpace(A, B, C, dt=DT),
+                plant,
                 Actuator(resolution=of_u, **far),
                 Sensor(resolution=of_y),
                 Disturbance(output=d),
@@ -197,9 +234,9 @@ def attacked(name: str, channels: int, machines: dict, ratios: dict) -> tuple[di
     reference = np.sin(np.pi * np.arange(SAMPLES + 1) / SAMPLES) ** 2
     r = reference[:, None] * (1 + 0.5 * np.arange(channels))
     task = Task(r, dt=DT, inputs=channels)
-    several = stacked(machines, law[3] == "limits")
+    several = stacked(machines, law[3])
     found = certify_each(several, law[0], task, TRIALS)
-    due = np.isin(long_run(several.unrounded(), law[0], task).claim, ("monotone", "converges"))
+    due = np.isin(long_run(linear_part(several), law[0], task).claim, ("monotone", "converges"))
     with np.errstate(all="ignore"):
         real, exact = (trials_of(machines, r, law, exact=how) for how in (False, True))
     count, wrong, of_law = Counter(found.claim.tolist()), [], []

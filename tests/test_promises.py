@@ -210,6 +210,8 @@ NUMBERS = {  # by page: a pattern with numbers in brackets, and what they are
         r"http://127\.0\.0\.1:(\d+)/": lambda: default("explore", "port"),
         r"the band over (\d+) machines": lambda: default("explore", "machines"),
         r"and all (\d+) machines 40 ms": lambda: default("explore", "machines"),
+        r"is followed for up to (\d+) inputs: `certify`": lambda: of(f"{THEORY}.rounding.LARGEST"),
+        r"and what (\d+) simulated runs do": lambda: of(f"{THEORY}.certificates.SEEDS"),
         r"Up to (\d+) inputs are followed": lambda: of(f"{THEORY}.rounding.LARGEST"),
         r"on (\d+) random machines under each of (\d+) laws, over (\d+) trials": lambda: (
             of("certificates_under_attack.MACHINES"),

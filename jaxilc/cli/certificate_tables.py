@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from ..theory.certificates import CONVERGES, COURSES, DIVERGES, GROWS, MONOTONE, NOTHING, TURNS
+from ..theory.chance import STILL
 from .tables import number
 from .titled_table import Table
 
@@ -55,7 +56,7 @@ def _claimed(numbers: dict[str, Any], scale: float, unit: str) -> str:
         in_error = numbers["monotone_in_the_error"]
         which = []
         if claims[MONOTONE]:
-            rounded = "" if numbers["rounding"] is None else " until rounding holds it"
+            rounded = "" if not numbers["held_by"] else f" until {numbers['held_by']} holds it"
             every = f"{claims[MONOTONE]} in every trial{rounded}"
             which.append(f"{every} ({in_error} in the error itself)")
         if claims[CONVERGES]:
@@ -89,11 +90,14 @@ def left_words(numbers: dict[str, Any], scale: float, unit: str) -> str:
     if floor != floor:
         return "an error whose size is not known"
     size = f"{number(floor)} {unit}".rstrip() + rounding_words(numbers, scale, unit)
-    if not numbers["senses"]:
+    if not numbers["senses"] or STILL in numbers["senses"]:
         return f"an rms error of at most {size}"
     last = f"{number(scale * numbers['quantile'])} {unit}".rstrip()
+    most = ""
+    if numbers["most"] is not None:
+        most = f", and in 95 of 100 late trials of at most {number(scale * numbers['most'])} {unit}"
     return (
-        f"an rms error of at most {size} over all that is drawn "
+        f"an rms error of at most {size} over all that is drawn{most.rstrip()} "
         f"(95 % of the simulated runs end below {last})"
     )
 
@@ -102,7 +106,8 @@ def rounding_words(numbers: dict[str, Any], scale: float, unit: str) -> str:
     """How much of an error is due to rounding, after a comma; empty where nothing is rounded."""
     if numbers["rounding"] is None:
         return ""
-    return f", of which rounding makes up to {number(scale * numbers['rounding'])} {unit}".rstrip()
+    size = f"{number(scale * numbers['rounding'])} {unit}".rstrip()
+    return f", of which {numbers['held_by']} makes up to {size}"
 
 
 def _expected(numbers: dict[str, Any]) -> str:

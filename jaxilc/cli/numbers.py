@@ -17,7 +17,7 @@ from ..learning.known_metrics import ERRORS, OF_TRIALS
 from ..scenarios.reproduction import met
 from ..sweeps.summary import summarise
 from ..theory.certificates import CLAIMS, CONVERGES, COURSES, MONOTONE, NOTHING
-from ..theory.chance import SURELY
+from ..theory.chance import STILL, SURELY
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -249,9 +249,12 @@ def certificate_numbers(of_scheme: OfScheme) -> dict[str, Any]:
     claims, reasons: claims for an unlimited number of trials, with their reasons
     floor: largest error left in the long run on the machines with a claim; where something is drawn
         for each trial, its root mean square over all that is drawn; NaN where it is not known
-    rounding: largest part of it that is due to rounding; None where nothing is rounded
+    rounding: largest part of it that is due to rounding or hysteresis; None without it
+    held_by: which of them; likewise
     senses: number of machines with a claim, by the sense in which it holds for single runs; empty
         where nothing is drawn
+    most: largest error that a late trial of one of these machines exceeds with a chance of 5 % or
+        less, by theory; None where nothing is drawn, or where it is not known
     first, quantile: largest root mean square error of the first trial, where something is drawn or
         rounded, and that of the last one below which 95 % of the simulated runs end, where
         something is drawn; else None
@@ -263,9 +266,10 @@ def certificate_numbers(of_scheme: OfScheme) -> dict[str, Any]:
     """
     found = of_scheme.certificate
     claimed = np.isin(found.claim, (MONOTONE, CONVERGES))
-    drawn = found.sense != SURELY
+    drawn = ~np.isin(found.sense, (SURELY, STILL))
     ball = np.zeros(len(claimed)) if found.ball is None else found.ball.error
     floor = np.where(drawn, found.left, found.floor + found.doubt + ball)
+    known = np.isfinite(found.most[claimed])
     rounds = found.ball is not None and bool(np.any(claimed))
     last = None if found.runs is None else np.quantile(found.runs[:, :, -1], 0.95, axis=1)
     numbers = {
@@ -278,7 +282,9 @@ def certificate_numbers(of_scheme: OfScheme) -> dict[str, Any]:
         },
         "floor": float(np.max(floor[claimed])) if np.any(claimed) else None,
         "rounding": float(np.max(ball[claimed])) if rounds else None,
-        "senses": told(found.sense[drawn & (found.claim != NOTHING)]),
+        "held_by": found.ball.of[0] if rounds else None,
+        "senses": told(found.sense[(found.sense != SURELY) & (found.claim != NOTHING)]),
+        "most": float(np.max(found.most[claimed])) if np.all(known) and np.any(claimed) else None,
         "first": None if last is None and not rounds else float(np.max(found.simulated[:, 0])),
         "quantile": None if last is None else float(np.max(last)),
         "expected": {course: int(np.sum(found.expected == course)) for course in COURSES},

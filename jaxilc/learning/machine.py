@@ -192,6 +192,21 @@ class Machine:
         plant = self.variation.plant_at(self.plant, j)
         return dataclasses.replace(self, plant=plant), self.variation.task_at(task, j)
 
+    def after_changes(self, task: Task) -> tuple[Machine, Task]:
+        """This machine and the task as they are after the last change, from the first trial on.
+
+        References that take turns go on doing so.
+        """
+        if self.variation is None:
+            return self, task
+        machine, at_last = self.at_trial(task, None)
+        references = self.variation.references
+        turns = references is not None and not references.first
+        variation = dataclasses.replace(
+            self.variation, change=None, references=references if turns else None
+        )
+        return dataclasses.replace(machine, variation=variation), task if turns else at_last
+
     def shown(self, trial: Trial, key) -> Trial:
         """The record of a trial as it reaches the learning law. key: as for the trial"""
         return trial if self.variation is None else self.variation.shown(trial, key)

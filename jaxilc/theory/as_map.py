@@ -19,10 +19,12 @@ from ..runtime.tiles import tiled
 from ..schemes import Scheme
 from ..signals.task import Task
 from .affine import View, learning_of, limits_as_one
+from .as_matrix import Matrices
 from .iteration import krylov, largest, spectral_radius_of
 from .trials import next_learned
 
 FEW = 60  # Lanczos steps where a bound need not be sharp
+LARGEST = 1024  # rows up to which a matrix is made where it decides
 MOST = 4000  # trials over which a limit is looked for
 TILE = 2**28  # bytes of Lanczos vectors in a tile
 
@@ -62,18 +64,23 @@ class Maps(NamedTuple):
         )
 
     def radius(self):
-        """(S,) spectral radius of M and, to first order, its doubt.
+        """(S,) spectral radius of M, and its doubt.
 
-        They are zero and infinite on a backend without `eig`.
+        Where it seems to be above 1, a doubt of first order says little of an M far from normal, as
+        that of a causal law is: its matrix decides. The doubt is infinite where that would have
+        more than 1024 rows, and on a backend without `eig`.
         """
         if jax.default_backend() != "cpu":
             return np.zeros(self._count), np.full(self._count, np.inf)
-        return tuple(
-            map(
-                np.asarray,
-                self._run(_radius, lanes=4)((self.scheme, self.task, None), self.machines),
-            )
-        )
+        found = self._run(_radius, lanes=4)((self.scheme, self.task, None), self.machines)
+        radius, doubt = map(np.array, found)
+        for i in np.flatnonzero(radius - doubt > 1):
+            doubt[i] = np.inf
+            if len(self.view.moving) <= LARGEST:
+                one = jax.tree.map(lambda leaf, i=i: np.asarray(leaf)[i : i + 1], self.machines)
+                alone = Matrices.of(one, self.scheme, self.task, self.view)
+                radius[i], doubt[i] = (float(x[0]) for x in alone.radius())
+        return radius, doubt
 
     def by_radius(self, which):
         """Infinite, and 0 for the power: without the matrix the radius is no proof."""

@@ -22,13 +22,22 @@ products grow in every run. What does hold for single runs is claimed, in one of
                      drawn products give an interval
     in the mean      only the mean of all runs converges, and nothing is claimed of a run
 
-Noise of sensors and of disturbances, and the scatter of the initial state, add to C.
+Noise of sensors and of disturbances, and the scatter of the initial state, add to C. Where nothing
+else is drawn, M is the same in every trial, and the error of a late trial is Gaussian with a mean m
+and the covariance S = Y X Y^T + F F^T. So of the mean square Q of its samples, with the eigenvalues
+l_i of S and a_i of m along them, each over their number, E exp(s Q) is known and with it, by
+Chernoff's bound,
+
+    P[Q > q] <= p,    q = min_s (log E exp(s Q) - log p) / s,    0 < s < 1 / (2 max l)
+    log E exp(s Q) = sum_i (s a_i^2 / (1 - 2 s l_i) - log(1 - 2 s l_i) / 2)
+
+which is never above the bound of Laurent and Massart (Ann. Stat. 28, 2000, lemma 1), that follows
+from it. Else only the mean of Q is known, and by Markov's inequality q = E[Q] / p.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
 from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
@@ -50,8 +59,9 @@ from .reached import reachable
 from .record_moments import RecordMoments
 from .spectrum import triangular_radius
 
-SENSES = SURELY, EVERY, SQUARE, ALMOST, MEAN = (
+SENSES = SURELY, STILL, EVERY, SQUARE, ALMOST, MEAN = (
     "",
+    "but for noise",
     "for every draw",
     "in mean square",
     "almost surely",
@@ -67,6 +77,11 @@ SURE = 1e-6  # chance with which the interval of an exponent may be wrong
 LOOKED_AT = 64  # trials at least, in which limits are looked at; then what is left
 MARGIN = 5.0  # standard deviations, of a limit that counts as never met
 PRODUCTS = 256  # rows up to which products are drawn
+FEWER = "of so many inputs nothing is claimed but that a mean square falls at once, without limits"
+RARE = 0.05  # chance with which a late trial may have more error than is told
+TILTS = np.geomspace(1e-9, 0.95, 512)  # 2 s max l; each gives a bound, of which the least counts
+WHOLE = 1e-10  # share of squares above which a direction is surely one of all that are moved
+DOUBLINGS = 40  # of the number of trials that are summed, at most
 
 
 class Parts(NamedTuple):
@@ -127,7 +142,8 @@ class UnderChance(NamedTuple):
     reason: on what it rests
     left: root mean square error, over all that is drawn, that learning leaves in the long run;
         infinite where its square has no mean, NaN where it is not known
-    rms: (J,) the same in each trial, by theory
+    most: the error of a late trial is at most this but with a chance of `RARE`; likewise
+    rms: (J,) the same in each trial, by theory, or a bound of it; NaN where it is not known
     """
 
     certain: bool
@@ -138,62 +154,91 @@ class UnderChance(NamedTuple):
     diverges: bool
     reason: str
     left: float
+    most: float
     rms: np.ndarray
 
 
+def draws(machines: Machine) -> bool:
+    """Whether something is drawn for each trial of these machines."""
+    return bool(noise_of(machines)) or not learned_alike(machines)
+
+
+def learned_alike(machines: Machine) -> bool:
+    """Whether each trial of these machines has the same samples in its record."""
+    return machines.variation is None or machines.variation.alike
+
+
 def under_chance(
-    machines: Machine, scheme: Scheme, task: Task, view: View, trials: int, *, astray=None
+    machines: Machine,
+    scheme: Scheme,
+    task: Task,
+    view: View,
+    trials: int,
+    *,
+    astray=None,
+    in_norm=False,
 ) -> list[UnderChance]:
     """What holds for single runs of each machine, of which the premises of `linearity` hold.
 
     astray: (S, K) as for `outlooks`
+    in_norm: whether errors are bounded in norm alone, and nothing is claimed but that E|d_j|^2
+        falls in every trial, where there is no limit: for many inputs, unless all is certain
     """
-    noise = _noise_of(machines)
-    parts = tiled(partial(_parts, view=view, noise=noise), lanes=1)((scheme, task), machines)
-    of_parts = _each(jax.tree.map(np.asarray, parts))
-    found = []
-    for i, (machine, one) in enumerate(zip(_each(machines), of_parts, strict=True)):
+    parts_of, found = _compiled(view, noise_of(machines)), []
+    for i in range(len(jax.tree.leaves(machines)[0])):  # the matrices of one alone are large
+        alone = jax.tree.map(lambda leaf, i=i: np.asarray(leaf)[i : i + 1], machines)
+        machine = jax.tree.map(lambda leaf: leaf[0], alone)
         drawn = partial(_products, machine, scheme, task, view)
-        one = Parts(*one) if astray is None else Parts(*one).closer(astray[i])
-        found.append(_judged(one, machine.variation, task, trials, drawn))
+        parts = Parts(*(np.asarray(part[0]) for part in parts_of((scheme, task), alone)))
+        parts = parts if astray is None else parts.closer(astray[i])
+        variation = machine.variation or Variation()
+        found.append(_judged(parts, variation, task, trials, drawn, in_norm=in_norm))
     return found
-
-
-def _each(tree: Any) -> Iterator[Any]:
-    count = len(jax.tree.leaves(tree)[0])
-    return (jax.tree.map(lambda leaf, i=i: np.asarray(leaf)[i], tree) for i in range(count))
 
 
 # Of one machine
 # --------------------------------------------------------------------------------------------------
 
 
-def _judged(parts: Parts, variation: Variation, task: Task, trials: int, drawn) -> UnderChance:
+def _judged(
+    parts: Parts, variation: Variation, task: Task, trials: int, drawn, *, in_norm: bool
+) -> UnderChance:
     moments = RecordMoments.of(variation, task.N + 1)
     n_y = task.outputs
     kept, held = np.repeat(moments.kept, n_y), np.kron(moments.held, np.eye(n_y))
     A = parts.M + (parts.L * kept) @ (held @ parts.Y)  # learning from a record without error
-    possible = (A != 0) + (parts.L * kept != 0) @ np.kron(held != 0, np.eye(n_y)) @ (parts.Y != 0)
+    possible = (A != 0) + (parts.L * kept != 0) @ (held != 0.0) @ (parts.Y != 0)
     run = _Run(parts, moments, n_y)
     moving = parts.M @ parts.start + parts.c != parts.start
     at = reachable(possible, moving | (np.diag(run.added(parts.start)) > 0))
-    parts, A = parts.within(np.eye(len(A))[:, at]), A[np.ix_(at, at)]
+    if not np.all(at):
+        parts, A = parts.within(np.eye(len(A))[:, at]), A[np.ix_(at, at)]
     whole = _Pattern.of(A, parts, moments, n_y)
     moves = np.concatenate([A - np.eye(len(A)), parts.L * kept, parts.B], axis=1)
-    run = run._replace(parts=parts.within(_range_of(moves)))
+    V = _range_of(moves)
+    run = run._replace(parts=parts if V is None else parts.within(V))
+    two = "the distance of two runs with the same draws falls"
+    if in_norm and not moments.certain:
+        factor = run.factor()
+        known = factor < 1 and len(parts.t) == 1
+        left, rms = run.bounds(factor, trials) if known else (np.inf, np.full(trials, np.nan))
+        said = f"{two} to {factor**0.5:.6g} of itself in every trial, or below" if known else FEWER
+        quantile = left / np.sqrt(RARE)
+        sense = SQUARE if known else MEAN
+        return UnderChance(False, True, sense, known, known, False, said, left, quantile, rms)
     with np.errstate(over="ignore", invalid="ignore"):
-        rms, clear = run.course(max(trials, LOOKED_AT))
-        rms = rms[:trials]
-        worst, (at_once, factor, growth) = run.worst_norm(kept, held), run.decay()
-        left, calm = run.left() if factor < 1 else (np.inf, True)
+        rms, clear = run.course(max(trials, LOOKED_AT if len(parts.t) > 1 else 1))
+        rms, worst, at_once, factor, growth = rms[:trials], 0.0, True, 0.0, 1.0
+        if not moments.certain:
+            worst, (at_once, factor, growth) = run.worst_norm(kept, held), run.decay()
+        left, most, calm = run.left() if factor < 1 else (np.inf, np.inf, True)
 
     def found(sense, claim, said):
         claims = [claim >= least for least in (2, 1)] + [claim < 0]
-        known = left if claim > 0 and sense != ALMOST else np.inf
-        return UnderChance(moments.certain, clear and calm, sense, *claims, said, known, rms)
+        known = (left, most) if claim > 0 and sense != ALMOST else (np.inf, np.inf)
+        return UnderChance(moments.certain, clear and calm, sense, *claims, said, *known, rms)
 
-    two = "the distance of two runs with the same draws falls"
-    if worst < 1 or moments.certain:
+    if worst < 1:
         return found(EVERY, 2, f"{two} to {worst:.6g} of itself in every trial, or below")
     if at_once:
         return found(SQUARE, 2, f"{two} to {factor**0.5:.6g} of itself in every trial, or below")
@@ -233,20 +278,41 @@ class _Run(NamedTuple):
     def squares_back(self, Z) -> np.ndarray:
         """T*(Z) = E[M^T Z M]."""
         M, L, Y = self.parts.M, self.parts.L, self.parts.Y
-        if self.moments.certain:
-            return M.T @ Z @ M
         return M.T @ Z @ M + Y.T @ self.moments.covariance_back(L.T @ Z @ L) @ Y
 
     def worst_norm(self, kept, held) -> float:
         """An upper bound of ||M|| over all that can be drawn."""
-        if self.moments.certain:
-            return _norm(self.parts.M)
         lost = kept < 1
         middle = np.where(lost, 0.5, 1.0)[:, None] * held
         reach = _norm(self.moments.reach(self.outputs)) + 0.5 * np.max(lost) * _norm(held)
         L, Y = self.parts.L, self.parts.Y
         A = self.parts.M + (L * kept) @ (held @ Y)
         return _norm(A - L @ middle @ Y) + _norm(L) * _norm(Y) * reach
+
+    def factor(self) -> float:
+        """The largest eigenvalue of T*(I), below 1 where it surely is; infinite if it overflows."""
+        at_once = self.squares_back(np.eye(len(self.parts.M)))
+        if not np.all(np.isfinite(at_once)):
+            return np.inf
+        norm = float(np.linalg.eigvalsh(at_once)[-1])
+        return norm if norm < 1 - ROUNDING * np.finfo(float).eps * len(at_once) else max(norm, 1.0)
+
+    def bounds(self, factor: float, trials: int) -> tuple[float, np.ndarray]:
+        """Bounds of the root mean square error in the long run, and (J,) of each trial.
+
+            tr X <= tr C / (1 - factor),    E|w_j - v_j|^2 <= factor^(j-1) E|w_1 - v_1|^2
+
+        of X = T(X) + C, and of the run v_j that has the same draws and began long ago.
+        """
+        parts = self.parts
+        w = np.linalg.lstsq(np.eye(len(parts.M)) - parts.M, parts.c)[0]
+        spread = float(np.trace(self.added(w))) / (1 - factor)
+        share = np.sqrt(np.repeat(self.moments.counted, self.outputs) / self.outputs)
+        of_output, of_noise = _norm(share[:, None] * parts.Y), share[:, None] * parts.F
+        e = share * (parts.r - parts.Y @ w - parts.y)
+        left = np.sqrt(e @ e + of_output**2 * spread + np.sum(of_noise**2))
+        far = of_output * np.sqrt(np.sum((parts.start - w) ** 2) + spread)
+        return float(left), left + far * factor ** (np.arange(trials) / 2)
 
     def decay(self) -> tuple[bool, float, float]:
         """Whether T contracts at once, its factor in a trial, and the growth before.
@@ -256,15 +322,10 @@ class _Run(NamedTuple):
         Where T* does not contract I, Z - T*(Z) = I is solved; then T* lets Z shrink, and the factor
         is infinite where no positive Z was found.
         """
-        n, eps = len(self.parts.M), np.finfo(float).eps
-        unit = np.eye(n)
-        at_once = self.squares_back(unit)
-        if not np.all(np.isfinite(at_once)):
-            return False, np.inf, np.inf
-        norm = float(scipy.linalg.eigvalsh(at_once)[-1])
-        if norm < 1 - ROUNDING * eps * n:
-            return True, norm, 1.0
-        Z, _ = self._solved(self.squares_back, unit)
+        n, eps, norm = len(self.parts.M), np.finfo(float).eps, self.factor()
+        if norm < 1 or not np.isfinite(norm):
+            return norm < 1, norm, 1.0
+        Z, _ = self._solved(self.squares_back, np.eye(n))
         shrinks = Z - self.squares_back(Z)
         if not np.all(np.isfinite(shrinks)):
             return False, np.inf, np.inf
@@ -287,29 +348,36 @@ class _Run(NamedTuple):
 
     def course(self, trials: int) -> tuple[np.ndarray, bool]:
         """(J,) root mean square error of each trial, and whether no limit is met in them."""
-        parts = self.parts
+        parts, certain = self.parts, self.moments.certain
         w, X, found, clear = parts.start, np.zeros_like(parts.M), [], True
+        C, moves = self.added(w), True
         for _ in range(trials):
             found.append(self._error(w, X))
             clear = clear and self._clear(w, X)
-            w, X = parts.M @ w + parts.c, self.squares(X) + self.added(w)
+            if moves:
+                C, before = C if certain else self.added(w), X
+                X = self.squares(X) + C
+                moves = not certain or np.linalg.norm(X - before) > SOLVED * np.linalg.norm(X)
+            w = parts.M @ w + parts.c
         return np.array(found), clear
 
-    def left(self) -> tuple[float, bool]:
-        """The root mean square error in the long run, and whether no limit is met there.
+    def left(self) -> tuple[float, float, bool]:
+        """The root mean square error in the long run, its quantile, and whether no limit is met.
 
-        The error is NaN where it cannot be computed.
+        The errors are NaN where they cannot be computed.
         """
         M, n = self.parts.M, len(self.parts.M)
         w = np.linalg.lstsq(np.eye(n) - M, self.parts.c)[0]
         C = self.added(w)
         of_record = np.linalg.norm(self.parts.L) * np.linalg.norm(self.parts.r)
-        if np.linalg.norm(C) <= (NOTHING * of_record) ** 2:
-            return self._error(w, 0 * M), self._clear(w, 0 * M)
-        X, missing = self._solved(self.squares, C)
-        if missing > SOLVED or np.diag(X).min() < -SOLVED * np.diag(X).max():
-            return np.nan, len(self.parts.t) == 1  # no limit but the one that is always there
-        return self._error(w, X), self._clear(w, X)
+        X, missing = 0 * M, 0.0
+        if np.linalg.norm(C) > (NOTHING * of_record) ** 2:
+            X, missing = _summed(M, C) if self.moments.certain else self._solved(self.squares, C)
+        if missing > SOLVED or np.diag(X).min(initial=0.0) < -SOLVED * np.diag(X).max(initial=0.0):
+            return np.nan, np.nan, len(self.parts.t) == 1  # no limit but the one always there
+        left = self._error(w, X)
+        most = self._quantile(w, X) if self.moments.certain else left / np.sqrt(RARE)
+        return left, most, self._clear(w, X)
 
     def added(self, w) -> np.ndarray:
         """C: what is added to the covariance of w in a trial that plays w in the mean."""
@@ -337,6 +405,23 @@ class _Run(NamedTuple):
         squares = e**2 + np.sum((parts.Y @ X) * parts.Y, axis=1) + np.sum(parts.F**2, axis=1)
         of_sample = np.mean(squares.reshape(-1, self.outputs), axis=1)
         return float(np.sqrt(max(self.moments.counted @ of_sample, 0.0)))
+
+    def _quantile(self, w, X) -> float:
+        """The root mean square error above which a trial is with a chance of `RARE` or less.
+
+        The error is Gaussian, with the mean of w and the covariance of X and of the noise.
+        """
+        parts = self.parts
+        share = np.sqrt(np.repeat(self.moments.counted, self.outputs) / self.outputs)
+        Y, F = share[:, None] * parts.Y, share[:, None] * parts.F
+        sizes, V = np.linalg.eigh(Y @ X @ Y.T + F @ F.T)
+        squares, sizes = (V.T @ (share * (parts.r - parts.Y @ w - parts.y))) ** 2, sizes.clip(0.0)
+        if sizes[-1] <= 0:
+            return float(np.sqrt(np.sum(squares)))
+        s = TILTS[:, None] / (2 * sizes[-1])
+        left = 1 - 2 * s * sizes
+        logs = np.sum(s * squares / left - np.log(left) / 2, axis=1)
+        return float(np.sqrt(np.min((logs - np.log(RARE)) / s[:, 0])) * (1 + SOLVED))
 
 
 class _Pattern(NamedTuple):
@@ -370,16 +455,37 @@ class _Pattern(NamedTuple):
         return cls(square, exponent)
 
 
+def _summed(M, C) -> tuple[np.ndarray, float]:
+    """X above sum_i M^i C M^i^T by next to nothing, and 0; or infinity if it is not seen to be.
+
+    Any X with X - M X M^T > C is above the sum. It is made for C and a little more, of twice as
+    many trials each time: P X P^T, for P = M^n, is what follows on the first n.
+    """
+    more = SOLVED * np.linalg.norm(C)
+    X, P = C + more * np.eye(len(C)), M
+    for _ in range(DOUBLINGS):
+        X, P = X + P @ X @ P.T, P @ P
+        size = np.linalg.norm(P)
+        if size <= np.finfo(float).eps or not np.isfinite(size):
+            break
+    off = np.linalg.norm(X - M @ X @ M.T - C - more * np.eye(len(C)))
+    off += np.finfo(float).eps * len(C) * np.linalg.norm(M) ** 2 * np.linalg.norm(X)
+    return X, 0.0 if off < more else np.inf
+
+
 def _log(size, chance):
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(chance > 0, chance * np.log(size), 0.0)
 
 
-def _range_of(moves) -> np.ndarray:
-    """(n, p) an orthonormal basis of the columns; the unit matrix where they span everything."""
+def _range_of(moves) -> np.ndarray | None:
+    """(n, p) an orthonormal basis of the columns; None where they span everything."""
+    squares = moves @ moves.T
+    if np.linalg.eigvalsh(squares)[0] > WHOLE * np.trace(squares):
+        return None  # as nearly always, and seen in a tenth of the time
     V, sizes, _ = np.linalg.svd(moves, full_matrices=False)
     there = sizes > ROUNDING * np.finfo(moves.dtype).eps * sizes[0]
-    return np.eye(len(moves)) if np.sum(there) == len(moves) else V[:, there]
+    return None if np.sum(there) == len(moves) else V[:, there]
 
 
 def _norm(matrix) -> float:
@@ -390,23 +496,25 @@ def _norm(matrix) -> float:
 # --------------------------------------------------------------------------------------------------
 
 
-def _noise_of(machines: Machine) -> tuple[str, ...]:
+@lru_cache(maxsize=4)  # what `tiled` returns compiles anew each time it is made
+def _compiled(view: View, noise: tuple[str, ...]):
+    return tiled(partial(_parts, view=view, noise=noise), lanes=1)
+
+
+def noise_of(machines: Machine) -> tuple[str, ...]:
     """What adds noise to a trial of these machines."""
-    sensor, disturbance, variation = machines.sensor, machines.disturbance, machines.variation
-    there = {
-        "sensor": sensor is not None and sensor.noise is not None,
-        "output": disturbance is not None and disturbance.output_noise is not None,
-        "input": disturbance is not None and disturbance.input_noise is not None,
-        "start": variation is not None and variation.scatter is not None,
-    }
-    return tuple(name for name, is_there in there.items() if is_there)
+    parts = machines.sensor, machines.disturbance, machines.disturbance, machines.variation
+    names = {"sensor": "noise", "output": "output_noise", "input": "input_noise"}
+    names["start"] = "scatter"
+    there = zip(names.items(), parts, strict=True)
+    return tuple(name for (name, field), of in there if getattr(of, field, None) is not None)
 
 
-def _noisy(machine: Machine, task: Task, noise: dict[str, jax.Array]) -> Machine:
+def _noisy(machine: Machine, noise: dict[str, jax.Array]) -> Machine:
     """The machine with this noise, of variance 1, in place of what it draws."""
-    variation: Any = machine.variation
     sensor: Any = machine.sensor
     disturbance: Any = Disturbance() if machine.disturbance is None else machine.disturbance
+    variation: Any = Variation() if machine.variation is None else machine.variation
     added = {"output": disturbance.output, "input": disturbance.input, "start": variation.offset}
     sizes = {
         "sensor": lambda: sensor.noise,  # the law sees it as it sees noise of the output
@@ -437,7 +545,7 @@ def _parts(common, machine, *, view: View, noise: tuple[str, ...]) -> tuple:
     start = learning_of(machine, scheme, task, view).start
 
     def at(w, d):
-        one = _noisy(machine, task, unravel(d))
+        one = _noisy(machine, unravel(d))
         variation: Any = one.variation
         drawn = dataclasses.replace(variation, shortest=None)
         seen = learning_of(dataclasses.replace(one, variation=drawn), scheme, task, view)

@@ -92,17 +92,20 @@ def attracting(
     """The fixed point of the learning map attracts.
 
     Where the doubt of the spectral radius leaves open whether it is < 1, it still is if the eighth
-    power of the derivative contracts, since rho^8 <= ||J^8||.
+    power of the derivative contracts, since rho^8 <= ||J^8||. A radius above 1 is told as open too
+    where it was found in fewer steps than the map has rows: the doubt is of first order, and a map
+    that is far from normal shows values that are no eigenvalues.
 
     options: `leaves` of `learning_map`; `steps` of `spectral_radius_of`
 
     Raises as `contracting` does.
     """
     check(machine, scheme, task)
-    found, distance = _radius_of_memory(machine, scheme, task, memory, **options)
+    found, distance, rows = _radius_of_memory(machine, scheme, task, memory, **options)
     premises, where = _where(machine, scheme, task, memory, options.get("leaves"), distance)
     value, doubt = float(found.value), float(found.doubt)
-    resolved = premise(RESOLVED, abs(value - 1) > doubt, f"{value:.9g} within {doubt:.1e}")
+    clear = abs(value - 1) > doubt and (value < 1 or bool(found.steps == rows))
+    resolved = premise(RESOLVED, clear, f"{value:.9g} within {doubt:.1e}")
     if not resolved.held and value < 1:
         power = _singular_of_power(machine, scheme, task, memory, **options)
         resolved = _bounded(power)._replace(detail=f"||J^8|| = {float(power.value):.3g}")
@@ -143,7 +146,7 @@ def _singular_of_memory(
 @partial(jax.jit, static_argnames=("leaves", "steps"))
 def _radius_of_memory(machine, scheme, task, memory, *, leaves=None, steps=100):
     map_ = learning_map(machine, scheme, task, memory, leaves=leaves)
-    return spectral_radius_of(*map_, steps=steps), _distance(map_)
+    return spectral_radius_of(*map_, steps=steps), _distance(map_), map_.at.size
 
 
 @partial(jax.jit, static_argnames=("leaves", "steps"))

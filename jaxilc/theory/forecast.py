@@ -92,7 +92,10 @@ def simulate(machines: Machine, scheme: Scheme, task: Task, trials: int) -> np.n
 def simulate_runs(
     machines: Machine, scheme: Scheme, task: Task, trials: int, runs: int
 ) -> np.ndarray:
-    """(S, R, J) root mean square errors of R runs of each machine, with all that is drawn."""
+    """(S, R, J) root mean square errors of R runs of each machine, with all that is drawn.
+
+    As theory does, they begin when machine and reference have changed for the last time.
+    """
     keys = jax.random.split(jax.random.key(11), runs)
     return np.asarray(_simulating_runs(trials)((scheme, task, keys), machines))
 
@@ -188,6 +191,7 @@ def _floats(memory):
 
 def _simulate_runs(common, machine, *, trials):
     scheme, task, keys = common
+    machine, task = machine.after_changes(task)
     return jax.vmap(lambda key: _error(learn(machine, scheme, task, trials, key=key)))(keys)
 
 

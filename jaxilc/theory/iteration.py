@@ -184,7 +184,8 @@ def spectral_radius_of(f: Callable, at, *, steps: int = 100, begin: Any = None) 
     It needs a backend that has `eig`, as the CPU has. A second process on J^T gives the left
     eigenvector. Learning maps without a filter are far from normal: for I - gamma G, a few steps
     (and rounding alone) show values near sup |1 - gamma z P| instead of the one eigenvalue 1 -
-    gamma C B. `doubt` is then large.
+    gamma C B. `doubt` is then large, but it is of first order and not always large enough: of a
+    map of 520 samples it was 4.1 with a value of 9.5, where the eigenvalue is 0.55.
     """
     _, push = jax.linearize(f, at)
     pull = jax.linear_transpose(push, at)

@@ -1,8 +1,11 @@
-"""How far from its limit learning is held by what a machine rounds.
+"""How far from its limit learning is held by what a machine rounds, and by its hysteresis.
 
 An encoder of step a shows y + d with |d| <= a / 2 in each sample, and a converter plays u + d
 likewise. A machine that rounds is thus the one of `Machine.unrounded`, with a disturbance d in each
-trial that may be any within its bounds. In units of half a step, |d| <= 1 in each of m entries,
+trial that may be any within its bounds. Hysteresis at the input of a linear plant is one as well:
+u - z drives the plant, and z is never beyond the limit of its law, whatever the travel (of one that
+is integrated in steps, Bouc-Wen's with an exponent, that is not proved). In units of half a step
+and of that limit, |d| <= 1 in each of m entries,
 
     w_{j+1} = M w_j + c + D d_j,    e_j = E w_j + e_0 + F d_j,    what limits act on: T w + t + G d
 
@@ -19,6 +22,7 @@ p / (1 - p) times the sum so far. What the rounding of these numbers themselves 
 
 from __future__ import annotations
 
+import dataclasses
 from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
@@ -27,6 +31,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..learning.machine import Machine
+from ..plants import Dahl, InputHysteresis
 from ..pytree.fields import Leaf, child, leaf, pytree
 from ..runtime.tiles import tiled
 from ..schemes import Scheme
@@ -34,8 +39,9 @@ from ..schemes.wrapper import Wrapper
 from ..signals.task import Task
 from .affine import View, learning_of
 from .reached import reached
-from .trials import with_output
+from .trials import with_input, with_output
 
+OF = {"sensor": "rounding", "converter": "rounding", "hysteresis": "hysteresis"}
 LARGEST = 1024  # inputs up to which rounding is followed
 FEW = 32  # powers that are looked at one by one
 FULL = 256  # rows up to which eigenvalues are computed, and limits looked at one by one
@@ -48,8 +54,9 @@ WITHIN = 1e-9  # share of D that may lie outside of what learning reaches
 
 
 class Ball(NamedTuple):
-    """How far rounding may hold S machines from where learning would go; infinite if not known.
+    """How far this may hold S machines from where learning would go; infinite if not known.
 
+    of:      (S,) what does: "rounding", "hysteresis" or "rounding with hysteresis"
     error:   (S,) root mean square error by which it may differ from that at the limit
     learned: (S,) distance of what is learned from its limit
     limits:  (S, K) by how much it may move what limits act on, in units of their bounds
@@ -58,6 +65,7 @@ class Ball(NamedTuple):
     shown:   (S,) root mean square error that is not there, or not learned, in one trial
     """
 
+    of: np.ndarray
     error: np.ndarray
     learned: np.ndarray
     limits: np.ndarray
@@ -76,30 +84,45 @@ class Ball(NamedTuple):
         return np.where(of_error, in_error, self.of_learning) / (1 - falls)
 
 
-def rounded(machine: Machine) -> tuple[str, ...]:
-    """The names of what a machine rounds."""
+def off_linear(machine: Machine) -> tuple[str, ...]:
+    """The names of what keeps a machine from being linear, by a bounded disturbance."""
     parts = {"sensor": machine.sensor, "converter": machine.actuator}
-    return tuple(name for name, of in parts.items() if getattr(of, "resolution", None) is not None)
+    names = [name for name, of in parts.items() if getattr(of, "resolution", None) is not None]
+    plant = machine.plant
+    if isinstance(plant, InputHysteresis) and (
+        isinstance(plant.hysteresis, Dahl) or plant.hysteresis.exponent is None
+    ):
+        names.append("hysteresis")
+    return tuple(names)
+
+
+def linear_part(machine: Machine) -> Machine:
+    """The machine without that."""
+    still, plant = machine.unrounded(), machine.plant
+    if isinstance(plant, InputHysteresis) and "hysteresis" in off_linear(machine):
+        return dataclasses.replace(still, plant=plant.plant)
+    return still
 
 
 def ball_of(machines: Machine, scheme: Scheme, task: Task, view: View) -> Ball | None:
     """The ball of each machine; None where nothing is rounded. machines: with a leading axis.
 
-    The premises of `linearity` are to hold of the machines that do not round.
+    The premises of `linearity` are to hold of the linear part of the machines.
     """
-    names, count = rounded(machines), len(jax.tree.leaves(machines)[0])
+    names, count = off_linear(machines), len(jax.tree.leaves(machines)[0])
     if not names:
         return None
+    of = np.full(count, " with ".join(dict.fromkeys(OF[name] for name in names)), object)
     if len(view.moving) > LARGEST:
         unknown = np.full(count, np.inf)
-        return Ball(unknown, unknown, np.full((count, 1), np.inf), unknown, unknown, unknown)
+        return Ball(of, unknown, unknown, np.full((count, 1), np.inf), unknown, unknown, unknown)
     found = []
     for i in range(count):  # the matrices of one alone are large
         one = jax.tree.map(lambda leaf, i=i: np.asarray(leaf)[i : i + 1], machines)
         parts = _compiled(view, names)((scheme, task), one)
         with np.errstate(over="ignore", invalid="ignore"):
             found.append(_ball(_sizes(names, task), *(np.asarray(part[0]) for part in parts)))
-    return Ball(*map(np.array, zip(*found, strict=True)))
+    return Ball(of, *map(np.array, zip(*found, strict=True)))
 
 
 # Of one machine
@@ -258,27 +281,29 @@ def _compiled(view: View, names: tuple[str, ...]):
 
 
 def _sizes(names: tuple[str, ...], task: Task) -> dict[str, int]:
-    sizes = {"sensor": (task.N + 1) * task.outputs, "converter": task.N * task.inputs}
-    return {name: sizes[name] for name in names}
+    of_input, of_output = task.N * task.inputs, (task.N + 1) * task.outputs
+    return {name: of_output if name == "sensor" else of_input for name in names}
 
 
 def _parts(common, machine, *, view: View, names: tuple[str, ...]) -> tuple:
     """F(w_1) - w_1 and the matrices M, D, E, F, T, G of a machine, in units of half a step."""
     scheme, task = common
-    still = machine.unrounded()
-    shapes = {"sensor": (task.N + 1, task.outputs), "converter": (task.N, task.inputs)}
-    sizes = _sizes(names, task)
+    still = linear_part(machine)
+    sizes, channels = _sizes(names, task), dict.fromkeys(names, task.inputs)
+    channels["sensor"] = task.outputs
     start = learning_of(still, scheme, task, view).start
 
     def at(w, d):
         one, acting, first = still, scheme, 0
         for name in names:
-            part = d[first : first + sizes[name]].reshape(shapes[name])
+            part = d[first : first + sizes[name]].reshape(-1, channels[name])
             first += sizes[name]
             if name == "sensor":
-                one = with_output(still, 0.5 * machine.sensor.resolution * part)
-            else:
+                one = with_output(one, 0.5 * machine.sensor.resolution * part)
+            elif name == "converter":
                 acting = _Adding(scheme, 0.5 * machine.actuator.resolution * part)
+            else:
+                one = with_input(one, machine.plant.hysteresis.limit * part)
         found = learning_of(one, acting, task, view)
         limits = [jnp.zeros(1), *found.limits(w).values()]  # never empty, as `tiled` needs
         return found.following(w), found.error(w), jnp.concatenate(limits)

@@ -121,11 +121,19 @@ def shortened(task: Task, samples: int) -> Task:
 
 def with_output(machine: Machine, d) -> Machine:
     """The machine with the repetitive disturbance d (N+1, n_y) of its output on top of its own."""
-    own = Disturbance() if machine.disturbance is None else machine.disturbance
-    return dataclasses.replace(
-        machine,
-        disturbance=dataclasses.replace(own, output=d if own.output is None else own.output + d),
-    )
+    return _with(machine, "output", d)
+
+
+def with_input(machine: Machine, d) -> Machine:
+    """The machine with the repetitive disturbance d (N, n_u) of its input on top of its own."""
+    return _with(machine, "input", d)
+
+
+def _with(machine: Machine, name: str, d) -> Machine:
+    disturbance = Disturbance() if machine.disturbance is None else machine.disturbance
+    own = getattr(disturbance, name)
+    changed = {name: d if own is None else own + d}
+    return dataclasses.replace(machine, disturbance=dataclasses.replace(disturbance, **changed))
 
 
 @pytree

@@ -31,7 +31,7 @@ from jaxilc.schemes import (
     WithFeedback,
 )
 from jaxilc.theory import certify, outlook
-from jaxilc.theory.certificates import certify_each, course
+from jaxilc.theory.certificates import certify_each, course, long_run
 from jaxilc.theory.of_schemes import OfScheme
 from jaxilc.uncertainty import draw, drawn_machines
 
@@ -435,3 +435,19 @@ def test_what_an_error_curve_does(errors, expected):
 def test_what_does_not_fit_is_named(scheme):
     with pytest.raises(ValueError, match="PIDType"):
         certified(FIRST_ORDER, scheme, 5, B)
+
+
+@pytest.mark.parametrize(
+    ("a", "gain", "claim"), [(0.5, 2.5, "not"), (0.73, 1.5, "not"), (0.7, -0.6, "d")]
+)
+def test_of_a_trial_of_more_than_512_samples_the_one_eigenvalue_decides(a, gain, claim):
+    """It is 1 - gain C B; a Krylov space shows values of a map far from normal that are none.
+
+    The first two were once claimed to diverge, with eigenvalues of 0.25 and 0.55.
+    """
+    N = 520
+    plant = StateSpace([[a, 1.0], [0.0, a]], [[0.3], [0.5]], [[1.0, 0.0]], dt=DT)
+    task = Task(np.sin(np.pi * np.arange(N + 1) / N) ** 2, dt=DT)
+    found = long_run(drawn_machines(Machine(plant), {}, {}), PIDType(gamma_p=gain), task)
+    assert found.claim[0].startswith(claim)
+    assert (abs(1 - gain * 0.3) > 1) == (claim == "d")

@@ -4,23 +4,29 @@ The oracles are enumerations of all that can be drawn, for trials of a few sampl
 NumPy draws. The attack on many machines is `experiments/chance_under_attack.py`.
 """
 
+import dataclasses
 import itertools
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.stats
 
+from jaxilc.cli.certificate_tables import left_words, senses_words
+from jaxilc.cli.numbers import certificate_numbers
+from jaxilc.cli.tables import number
 from jaxilc.learning import Machine
 from jaxilc.learning.arrival import there_until
 from jaxilc.learning.machine import Actuator, Disturbance, Sensor
-from jaxilc.learning.variation import Variation
+from jaxilc.learning.variation import PlantChange, Variation
 from jaxilc.plants import StateSpace
 from jaxilc.schemes import NormOptimal, PIDType
 from jaxilc.schemes.weights import weighed
 from jaxilc.signals.task import Task, Trial
-from jaxilc.theory import carried_radius, certify
+from jaxilc.theory import carried_radius, certificates, certify
 from jaxilc.theory.certificates import CONVERGES, DIVERGES, MONOTONE, NOTHING
+from jaxilc.theory.of_schemes import OfScheme
 from jaxilc.theory.record_moments import RecordMoments
 
 DT, N = 1e-3, 40
@@ -155,7 +161,9 @@ def test_claims_are_those_of_single_runs(plant, gain, how, claim, sense):
     # if the mean of all runs were claimed, its own runs would contradict it where they grow
     if claim in (DIVERGES, NOTHING):
         said = found._replace(
-            claim=np.array([MONOTONE]), sense=np.array(["in mean square"]), predicted=runs[0] * 0
+            claim=np.array([MONOTONE]),
+            sense=np.array(["in mean square"]),
+            predicted=0 * found.predicted,
         )
         assert len(said.broken_promises()) == 1
 
@@ -192,3 +200,133 @@ def test_a_limit_that_a_draw_may_meet_is_in_the_way():
     assert claims == [NOTHING, MONOTONE]
     held = Machine(AT_ONCE, actuator=Actuator(limit=1e6), variation=Variation(dropped=0.2))
     assert certify(held, PIDType(gamma_p=2.2), TASK, 5, {}, {}).claim[0] == NOTHING
+
+
+def test_what_noise_leaves_lies_between_its_quantile_and_the_bound_of_laurent_and_massart():
+    """Of y[k+1] = u[k] each sample forgets by itself: N rms^2 / variance is chi square of N."""
+    gain, size, t = 0.5, 0.2, np.log(20.0)
+    machine = Machine(AT_ONCE, sensor=Sensor(noise=size))
+    found = certify(machine, PIDType(gamma_p=gain), TASK, 30, {}, {})
+    assert (found.claim[0], found.sense[0]) == (MONOTONE, "for every draw")
+    assert "noise that is Gaussian" in found.reason[0]
+    assert not len(found.broken_promises())
+    each = size * np.sqrt(2 / (2 - gain))
+    np.testing.assert_allclose(found.left[0], each, rtol=1e-6)
+    exact = each * np.sqrt(scipy.stats.chi2.ppf(0.95, N) / N)
+    most = each * np.sqrt((N + 2 * np.sqrt(N * t) + 2 * t) / N)
+    assert exact < found.most[0] <= most
+    above = found._replace(runs=np.full_like(found.runs, 1.01 * found.most[0]))
+    assert len(above.broken_promises()) == 1
+
+
+@pytest.mark.parametrize("kind", ["scatter", "noise of the input"])
+def test_five_in_a_hundred_late_trials_have_more_error_than_is_told(kind):
+    """A leak leaves an error in the mean; NumPy runs the trials by matrices of its own."""
+    gain, leak, size, seeds = 0.8, 0.1, 0.3, 4000
+    scatters = kind == "scatter"
+    machine = Machine(
+        LAGS,
+        disturbance=None if scatters else Disturbance(input_noise=size),
+        variation=Variation(scatter=size) if scatters else None,
+    )
+    found = certify(machine, PIDType(gamma_p=gain, leak=leak), TASK, 5, {}, {})
+    rng, r = np.random.default_rng(8), np.asarray(TASK.reference)[1:, 0]
+    G = np.array([[0.5 ** (i - k + 1) * (i >= k) for k in range(N)] for i in range(N)])
+    acts = 0.5 ** np.arange(1, N + 1)[:, None] if scatters else G
+    u = np.zeros((seeds, N))
+    for _ in range(60):
+        e = r - u @ G.T - size * rng.standard_normal((seeds, acts.shape[1])) @ acts.T
+        u = (1 - leak) * u + gain * e
+    rms = np.sqrt(np.mean(e**2, axis=1))
+    np.testing.assert_allclose(np.mean(rms**2), found.left[0] ** 2, rtol=0.1)
+    assert np.mean(rms > found.most[0]) < 0.05
+    assert found.most[0] < 1.6 * np.quantile(rms, 0.95)
+
+
+def test_where_samples_are_lost_the_quantile_is_that_of_markov():
+    machine = Machine(AT_ONCE, sensor=Sensor(noise=0.2), variation=Variation(dropped=0.25))
+    found = certify(machine, PIDType(gamma_p=0.5), TASK, 40, {}, {})
+    np.testing.assert_allclose(found.most[0], found.left[0] / np.sqrt(0.05), rtol=1e-12)
+    assert "Markov" in found.reason[0]
+    words = certificate_numbers(OfScheme(found, None, 1.0))
+    assert f"in 95 of 100 late trials of at most {number(found.most[0])} mm" in left_words(
+        words, 1.0, "mm"
+    )
+
+
+def test_noise_that_may_meet_a_limit_and_noise_of_more_inputs_than_are_followed(monkeypatch):
+    noise, law = Sensor(noise=0.2), PIDType(gamma_p=0.5)
+    near = Machine(AT_ONCE, Actuator(limit=1.3), noise)
+    assert (
+        certify(dataclasses.replace(near, sensor=None), law, TASK, 3, {}, {}).claim[0] == MONOTONE
+    )
+    found = certify(near, law, TASK, 3, {}, {})
+    assert (found.claim[0], found.reason[0]) == (
+        NOTHING,
+        "a limit may be met in a trial that is drawn",
+    )
+    monkeypatch.setattr(certificates, "LARGEST", N - 1)
+    found = certify(Machine(AT_ONCE, sensor=noise), law, TASK, 3, {}, {})
+    assert (found.claim[0], found.sense[0], found.runs) == (MONOTONE, "but for noise", None)
+    assert "not for 40" in found.reason[0]
+    words = certificate_numbers(OfScheme(found, None, 1.0))
+    assert senses_words(words) == ", but for noise,"
+    assert left_words(words, 1.0, "mm") == f"an rms error of at most {number(words['floor'])} mm"
+
+
+def test_beside_a_claim_on_trials_after_a_drift_stand_runs_after_it():
+    """The runs would contradict it if the drift, of 10 times the gain, were in them."""
+    after = StateSpace([[0.0]], [[1.0]], [[1.0]], dt=DT)
+    before = StateSpace([[0.0]], [[0.1]], [[1.0]], dt=DT)
+    drifts = Variation(change=PlantChange(after, first=3, over=400))
+    noise, law = Sensor(noise=0.01), PIDType(gamma_p=0.9)
+    found = certify(Machine(before, sensor=noise, variation=drifts), law, TASK, 12, {}, {})
+    still = certify(Machine(after, sensor=noise), law, TASK, 12, {}, {})
+    assert found.reason[0].startswith("from trial 402 on: ")
+    np.testing.assert_allclose(found.most, still.most, rtol=1e-9)
+    np.testing.assert_allclose(found.runs, still.runs, rtol=1e-9)
+    assert not len(found.broken_promises())
+
+
+@pytest.mark.parametrize("how", [{"dropped": 0.3}, {"late": 1}, {}], ids=["lost", "late", "noise"])
+def test_two_axes_that_are_alike_leave_what_one_does(how):
+    """The mean square over both outputs is that of one; each of two errors is averaged with it."""
+    found = []
+    for axes in (1, 2):
+        plant = StateSpace(0.5 * np.eye(axes), 0.5 * np.eye(axes), np.eye(axes), dt=DT)
+        task = Task(np.repeat(np.asarray(TASK.reference), axes, axis=1), DT, inputs=axes)
+        variation = Variation(**how) if how else None
+        machine = Machine(plant, sensor=Sensor(noise=0.1), variation=variation)
+        found.append(certify(machine, PIDType(gamma_p=0.7, leak=0.1), task, 3, {}, {}))
+    one, two = found
+    assert one.claim[0] == two.claim[0] == MONOTONE
+    np.testing.assert_allclose(two.left, one.left, rtol=1e-6)
+    np.testing.assert_allclose(two.predicted, one.predicted, rtol=1e-9)
+    assert (two.most[0] < 0.999 * one.most[0]) == (
+        not how
+    )  # Gaussian, and of twice as many samples
+
+
+@pytest.mark.parametrize("how", [{"dropped": 0.3}, {"shortest": 0.5}, {"delayed": 0.2}])
+def test_of_many_inputs_the_errors_are_bounded_in_norm(how, monkeypatch):
+    """The bounds are above what is exact for few inputs, and not so far that they say nothing."""
+    machine = Machine(
+        AT_ONCE,
+        sensor=Sensor(noise=0.1),
+        disturbance=Disturbance(input_noise=0.1),
+        variation=Variation(**how),
+    )
+    law = PIDType(gamma_p=0.6, leak=0.1)
+    exact = certify(machine, law, TASK, 30, {}, {})
+    monkeypatch.setattr(certificates, "DENSE", N - 1)
+    found = certify(machine, law, TASK, 30, {}, {})
+    assert exact.claim[0] == found.claim[0] == MONOTONE
+    assert found.sense[0] == "in mean square"
+    assert exact.left[0] <= found.left[0] <= 2 * exact.left[0]
+    assert np.all(exact.predicted <= found.predicted * (1 + 1e-9))
+    np.testing.assert_allclose(found.predicted[0, -1], found.left[0], rtol=0.2)
+    assert not len(found.broken_promises())
+    limited = dataclasses.replace(machine, actuator=Actuator(limit=50.0))
+    found = certify(limited, law, TASK, 3, {}, {})
+    assert (found.claim[0], np.all(np.isfinite(found.predicted))) == (NOTHING, True)
+    assert "without limits" in found.reason[0]

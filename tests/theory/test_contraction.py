@@ -439,3 +439,12 @@ def test_a_trial_of_5000_samples():
         frequency.learning_condition(MACHINE, SCHEMES["p_type"], task).condition.value,
         rtol=1e-4,
     )
+
+
+def test_a_value_above_1_that_is_no_eigenvalue_is_not_told_to_be_one():
+    """The one eigenvalue is 1 - 2.5 * 0.3 = 0.25; of a hundred steps the value is above 4."""
+    plant = StateSpace([[0.5, 1.0], [0.0, 0.5]], [[0.3], [0.5]], [[1.0, 0.0]], dt=1e-3)
+    task = Task(np.sin(np.pi * np.arange(301) / 300) ** 2, dt=1e-3)
+    found = contraction.attracting(Machine(plant), PIDType(gamma_p=2.5), task)
+    assert found.value > 4
+    assert found.verdict == "not claimed"

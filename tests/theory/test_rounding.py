@@ -9,11 +9,11 @@ import pytest
 
 from jaxilc.learning import Actuator, Machine, Sensor
 from jaxilc.learning.variation import Variation
-from jaxilc.plants import StateSpace
+from jaxilc.plants import BoucWen, Dahl, InputHysteresis, StateSpace
 from jaxilc.scenarios.from_file import read_scenario
 from jaxilc.schemes import PIDType
 from jaxilc.signals import Task
-from jaxilc.theory.certificates import certify_each, long_run
+from jaxilc.theory.certificates import certify, certify_each, long_run
 from jaxilc.theory.q_filter import need_linear, rounding_of
 from jaxilc.uncertainty import drawn_machines
 
@@ -123,6 +123,61 @@ def test_what_is_not_claimed_of_a_machine_that_rounds():
     claim, why = of(lost)
     assert claim == "not claimed"
     assert "learned from alike" in why
+
+
+def test_hysteresis_at_the_input_holds_learning_within_a_ball():
+    """Dahl's law and Bouc-Wen's, sample by sample from their equations in NumPy."""
+    r, gain, leak, a = np.sin(np.pi * np.arange(N + 1) / N) ** 2, 0.6, 0.1, 0.3
+
+    def dahl(z, dx):  # dz = slope (1 - s z / most) dx, slope = 0.5 and most = 0.1
+        end = np.copysign(0.1, dx)
+        return end + (z - end) * np.exp(-5.0 * abs(dx))
+
+    def bouc_wen(z, dx, steps=400):  # dz = 0.5 dx - 4 |dx| z - dx |z|, |z| <= 0.1
+        for _ in range(steps):
+            z = z + (0.5 * dx - 4.0 * abs(dx) * z - dx * abs(z)) / steps
+        return z
+
+    for law, over in ((Dahl(0.5, 0.1), dahl), (BoucWen(0.5, 4.0, 1.0), bouc_wen)):
+        plant = InputHysteresis(StateSpace([[a]], [[1 - a]], [[1.0]], dt=DT), law)
+        learning = PIDType(gamma_p=gain, leak=leak)
+        found = certify(Machine(plant), learning, task(r), 60, {}, {})
+        assert found.claim[0] == "monotone"
+        assert "within which hysteresis holds it" in found.reason[0]
+        assert not len(found.broken_promises())
+        G = np.array(
+            [[(1 - a) * a ** max(i - k, 0) * (i >= k) for k in range(N)] for i in range(N)]
+        )
+        w, still, apart = np.zeros(N), np.zeros(N), []
+        for trial in range(60):
+            z, u, drive = 0.0, 0.0, []
+            for x in w:
+                z, u = over(z, x - u), x
+                drive.append(u - z)
+            e, e_still = r[1:] - G @ np.array(drive), r[1:] - G @ still
+            np.testing.assert_allclose(rms(e), found.simulated[0, trial], rtol=1e-2)
+            apart.append(rms(e - e_still))
+            w, still = (1 - leak) * w + gain * e, (1 - leak) * still + gain * e_still
+        assert np.max(apart) <= found.ball.error[0] < 10 * np.max(apart)
+
+
+def test_hysteresis_that_is_integrated_in_steps_is_named():
+    plant = InputHysteresis(StateSpace([[0.5]], [[0.5]], [[1.0]], dt=DT), BoucWen(0.5, 4.0, 1.0, 2))
+    found = certify(Machine(plant), PIDType(gamma_p=0.5), task(np.ones(N + 1)), 3, {}, {})
+    assert found.claim[0] == "not claimed"
+    assert "InputHysteresis" in found.reason[0]
+
+
+def test_noise_that_is_rounded_adds_up_with_the_ball():
+    fine = Machine(StateSpace([[0.3]], [[0.7]], [[1.0]], dt=DT), sensor=Sensor(noise=0.05))
+    rounds = dataclasses.replace(fine, sensor=Sensor(noise=0.05, resolution=0.02))
+    law, r = PIDType(gamma_p=0.6, leak=0.1), np.sin(np.pi * np.arange(N + 1) / N)
+    one, other = (certify(machine, law, task(r), 30, {}, {}) for machine in (fine, rounds))
+    ball = other.ball.error[0]
+    np.testing.assert_allclose(other.left[0], one.left[0] + ball, rtol=1e-9)
+    np.testing.assert_allclose(other.most[0], one.most[0] + ball, rtol=1e-9)
+    assert np.mean(other.runs[0, :, -1] > other.most[0]) < 0.05
+    assert other.reason[0].endswith("by Chernoff's bound")
 
 
 def test_the_file_of_init_with_an_encoder(tmp_path):

@@ -58,7 +58,7 @@ def _all(machines: int) -> str:
 def _how(row: dict[str, Any]) -> str:
     claims = row["claims"]
     if not claims[CONVERGES]:
-        return "is monotone" + (" until rounding holds it" if row["rounding"] is not None else "")
+        return "is monotone" + (f" until {row['held_by']} holds it" if row["held_by"] else "")
     return "converges" if not claims[MONOTONE] else "converges, on most of them in every trial"
 
 
