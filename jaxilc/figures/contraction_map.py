@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .grid_map import MARKS, called_of, in_order, labels_for, marked, placed
+from .grid_map import MARKS, called_of, in_order, marked, placed
 from .style import COLOURS, grid, new_axes
 
 if TYPE_CHECKING:
@@ -57,6 +57,8 @@ def contraction_map(
     Raises ValueError for a dataset without these variables, and for one with no axis, or more than
     two axes, of several values.
     """
+    from ..sweeps.points import labels_for
+
     if "contraction_norm" not in dataset:
         raise ValueError("contraction_map: the sweep had no BoundsWatch, which compares its trials")
     dataset, by_size, drawn = in_order(dataset)

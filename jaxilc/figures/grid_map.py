@@ -60,7 +60,7 @@ def grid_map(
     Raises ValueError for a dataset without an axis of several values, for a number that is not
     known, and for a yield without a tolerance.
     """
-    from ..sweeps.points import best_points, last_errors
+    from ..sweeps.points import best_points, labels_for, last_errors
 
     if shows not in SHOWN:
         raise ValueError(f"grid_map: shows = {shows!r} is not one of {', '.join(SHOWN)}")
@@ -129,13 +129,6 @@ def in_order(dataset: xr.Dataset) -> tuple[xr.Dataset, list[str], list[str]]:
     drawn = [axis for axis in axes_of(dataset) if axis in by_size[:2]]
     rising = [axis for axis in by_size if dataset[axis].dtype.kind in "fi"]
     return dataset.sortby(rising), by_size, drawn
-
-
-def labels_for(dataset: xr.Dataset, axis: str, scheme: str) -> xr.DataArray:
-    """The values along an axis by the name that belongs to a scheme, or else by its own name."""
-    own = (of for name, of in dataset.coords.items()
-           if of.dims == (axis,) and str(name).startswith(f"{scheme}."))  # fmt: skip
-    return dataset[axis] if axis.startswith(f"{scheme}.") else next(own, dataset[axis])
 
 
 def numbers_of(dataset, errors, shows, metric, tolerance) -> xr.DataArray:

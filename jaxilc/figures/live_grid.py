@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from .grid_map import QUANTILES, SHOWN, called_of, in_order, labels_for, numbers_of, standing
+from .grid_map import QUANTILES, SHOWN, called_of, in_order, numbers_of, standing
 from .live_axes import Live, hover, plot, shown_in
 from .style import COLOURS, labelled, limits_of
 
@@ -103,7 +103,7 @@ def map_of(
     """
     from bokeh.models import ColumnDataSource, TapTool
 
-    from ..sweeps.points import last_errors
+    from ..sweeps.points import labels_for, last_errors
 
     dataset, _, drawn = in_order(dataset)
     there = {axis: of.point[axis] for axis in of.point if axis not in drawn}

@@ -31,6 +31,8 @@ class BestPoint(NamedTuple):
     diverged: share of the points at which a machine diverges
     edges: for each axis the nearest value below, and above, at which a machine diverges, the other
         axes as at the best point; None where there is none
+    sentences: which point is best, how flat it is there, and where the edge to divergence runs, by
+        the names and values that an axis of several schemes has for this one
     """
 
     scheme: str
@@ -41,38 +43,13 @@ class BestPoint(NamedTuple):
     along: dict[str, tuple[Any, Any]]
     diverged: float
     edges: dict[str, tuple[Any, Any]]
+    sentences: tuple[str, ...]
     __repr__ = in_short
 
     @property
     def rank(self) -> tuple[float, float]:
         """Less for a better point."""
         return -float(np.nan_to_num(self.yield_share)), self.error
-
-    @property
-    def sentences(self) -> tuple[str, ...]:
-        """Which point is best, how flat it is there, and where the edge to divergence runs."""
-        if not np.isfinite(self.error):
-            return (f"{self.scheme}: more than 5 % of the machines diverge at every point.",)
-        best = " and ".join(f"{axis} = {_shown(at)}" for axis, at in self.point.items())
-        near = " and ".join(
-            f"{axis} = {_shown(low)} to {_shown(high)}"
-            for axis, (low, high) in self.along.items()
-            if low != high
-        )
-        flat = f"The error is at most twice as large at {self.near:.1%} of the points"
-        ends = [
-            f"{axis} = {_shown(end)} {words}"
-            for axis, of in self.edges.items()
-            for end, words in zip(of, ("down", "up"), strict=True)
-            if end is not None
-        ]
-        lost = f"A machine diverges at {self.diverged:.1%} of the points"
-        lost += f", seen from the best one from {' and from '.join(ends)}" if ends else ""
-        return (
-            f"{self.scheme} has its least error at {best}.",
-            flat + (f", along the axes for {near}." if near else "."),
-            f"{lost}." if self.diverged else "No machine diverges at any point.",
-        )
 
 
 def best_points(
@@ -131,28 +108,69 @@ def labels_of(dataset: xr.Dataset) -> list[str]:
     return sorted(found, key=lambda name: (axes.index(of[name]), name != of[name], name))
 
 
+def labels_for(dataset: xr.Dataset, axis: str, scheme: str) -> xr.DataArray:
+    """The values along an axis by the name that belongs to a scheme, or else by its own name."""
+    own = (
+        of
+        for name, of in dataset.coords.items()
+        if of.dims == (axis,) and str(name).startswith(f"{scheme}.")
+    )
+    return dataset[axis] if axis.startswith(f"{scheme}.") else next(own, dataset[axis])
+
+
 def _best(name: str, dataset, axes, passed, error, lost, judged: bool) -> BestPoint:
     order = np.lexsort((error.ravel(), -passed.ravel()))
     best = np.unravel_index(order[0], error.shape)
     near = error <= NEAR * error[best]
-    values = [dataset[axis].values.tolist() for axis in axes]
-    along, edges = {}, {}
-    for i, (axis, known) in enumerate(zip(axes, values, strict=True)):
+    ends = []
+    for i in range(len(axes)):
         line = (*best[:i], slice(None), *best[i + 1 :])
         below, above = _ends(~near[line], best[i])
-        along[axis] = known[below + 1], known[above - 1]
-        edges[axis] = tuple(
-            known[j] if 0 <= j < len(known) else None for j in _ends(lost[line], best[i])
+        ends.append(((below + 1, above - 1), _ends(lost[line], best[i])))
+
+    def at(labels):
+        """The point, what is near along its axes, and the edges, as values of these labels."""
+        values = {str(of.name): of.values.tolist() for of in labels}
+        places = list(zip(values.items(), best, ends, strict=True))
+        return (
+            {name: known[j] for (name, known), j, _ in places},
+            {name: (known[low], known[high]) for (name, known), _, ((low, high), _) in places},
+            {
+                name: tuple(known[j] if 0 <= j < len(known) else None for j in edge)
+                for (name, known), _, (_, edge) in places
+            },
         )
-    return BestPoint(
-        name,
-        {axis: of[j] for axis, of, j in zip(axes, values, best, strict=True)},
-        float(passed[best]) if judged else float("nan"),
-        float(error[best]),
-        float(near.mean()),
-        along,
-        float(lost.mean()),
-        edges,
+
+    shares = float(error[best]), float(near.mean()), float(lost.mean())
+    point, along, edges = at([dataset[axis] for axis in axes])
+    told = _sentences(name, shares, *at([labels_for(dataset, axis, name) for axis in axes]))
+    passing = float(passed[best]) if judged else float("nan")
+    return BestPoint(name, point, passing, *shares[:2], along, shares[2], edges, told)
+
+
+def _sentences(name: str, shares, point, along, edges) -> tuple[str, ...]:
+    error, near, lost = shares
+    if not np.isfinite(error):
+        return (f"{name}: more than 5 % of the machines diverge at every point.",)
+    best = " and ".join(f"{axis} = {_shown(at)}" for axis, at in point.items())
+    flat = f"The error is at most twice as large at {near:.1%} of the points"
+    wide = " and ".join(
+        f"{axis} = {_shown(low)} to {_shown(high)}"
+        for axis, (low, high) in along.items()
+        if low != high
+    )
+    ends = [
+        f"{axis} = {_shown(end)} {words}"
+        for axis, of in edges.items()
+        for end, words in zip(of, ("down", "up"), strict=True)
+        if end is not None
+    ]
+    gone = f"A machine diverges at {lost:.1%} of the points"
+    gone += f", seen from the best one from {' and from '.join(ends)}" if ends else ""
+    return (
+        f"{name} has its least error at {best}.",
+        flat + (f", along the axes for {wide}." if wide else "."),
+        f"{gone}." if lost else "No machine diverges at any point.",
     )
 
 

@@ -218,6 +218,17 @@ def test_the_best_point_its_flatness_and_the_edge_to_divergence():
         summarise(dataset, None)
 
 
+def test_the_sentences_on_a_shared_axis_have_the_names_and_values_of_their_scheme():
+    dataset = made_up([[1.0, 3, 9, 9]] * 3, [[0, 0, 1, 1]] * 3).rename(b="other.gain")
+    name = str(dataset["scheme"].values[0])
+    own = {f"{name}.lam": ("other.gain", [10.0, 20.0, 30.0, 40.0])}
+    (best,) = best_points(dataset.assign_coords(own))
+    assert best.point["other.gain"] == dataset["other.gain"].values[0]
+    assert "other" not in " ".join(best.sentences)
+    assert f"{name}.lam = 10" in best.sentences[0]
+    assert f"{name}.lam = 30 up" in best.sentences[2]
+
+
 def test_the_best_point_has_the_largest_yield_first():
     dataset = xr.concat([made_up([[1.0, 3, 9, 9]] * 3, [[0] * 4] * 3),
                          made_up([[5.0, 4, 9, 9]] * 3, [[0] * 4] * 3)], "sample")  # fmt: skip
